@@ -1,6 +1,8 @@
 use super::*;
 use crate::body::Layout;
 use crate::dynamics::{Forces, Frame, Method, Moves, Panel, Parts, Plan, Stiffness, highest_frequency, run};
+use crate::nested::tests::{GOING, on_lattices};
+use crate::trial::Protocol;
 use nalgebra::DMatrix;
 use std::f64::consts::PI;
 
@@ -39,6 +41,20 @@ fn small() -> (Scene, Vec<f64>) {
     let mut design = scene.layout.initial_design(0.4363);
     design.iter_mut().enumerate().for_each(|(i, a)| *a += 0.3 * (1.7 * i as f64).sin());
     (scene, design)
+}
+
+/// The small body, and one of every other lattice, their designs shaken, too.
+fn bodies() -> Vec<(String, Scene, Vec<f64>)> {
+    let (scene, design) = small();
+    let mut bodies = vec![("squares".into(), scene, design)];
+    for (what, problem) in on_lattices(&crate::nested::tests::small(Protocol::Joint(GOING))) {
+        let (mut scene, mut design) = (problem.scene, problem.initial);
+        (scene.duration, scene.instants) = (0.1, 20);
+        scene.sensors.push(scene.panels[0].unit);
+        design.iter_mut().enumerate().for_each(|(i, a)| *a += 0.3 * (1.7 * i as f64).sin());
+        bodies.push((what, scene, design));
+    }
+    bodies
 }
 
 fn found(scene: &Scene, design: &[f64], count: usize) -> (Rest, Vec<Mode>) {
@@ -152,6 +168,11 @@ fn modes_that_come_twice_are_found_twice() {
     assert!((highest / known[n - 1] - 1.0).abs() < 1e-3, "{highest} {}", known[n - 1]);
 }
 
+/// 1 where the conjugate of a mode is one, too; 0 of one that does not ring, as the soft ones of Kagome's triangles.
+fn pair(mode: &Mode) -> f64 {
+    f64::from(u8::from(mode.s.im != 0.0))
+}
+
 /// Weights b of q̇ = s q + b f: xᵀf over 2s xᵀMx + xᵀCx.
 fn weights(rest: &Rest, mode: &Mode) -> Vec<c64> {
     let below = 2.0 * mode.s + product(rest, &mode.shape, &rest.damping, &mode.shape);
@@ -182,10 +203,14 @@ fn responses_of_a_pressed_body_are_along_its_chips() {
 /// x(ω) = Σ b/(iω − s) x over all modes and their conjugates.
 #[test]
 fn responses_are_the_sum_over_all_modes() {
-    let (scene, design) = small();
-    let (rest, modes) = found(&scene, &design, 18);
+    bodies().into_iter().for_each(|(what, scene, design)| check_responses(&what, &scene, &design));
+}
+
+fn check_responses(what: &str, scene: &Scene, design: &[f64]) {
+    let rest = Rest::new(scene, design);
+    let modes = modes(&rest, scene.layout.units(), 2 * rest.mass.len()).unwrap();
     let frequencies = [0.5, 40.0, 333.0];
-    let direct = responses(&scene, &rest, &scene.sensors, &frequencies);
+    let direct = responses(scene, &rest, &scene.sensors, &frequencies);
     for (direct, hertz) in direct.iter().zip(frequencies) {
         let iw = c64::new(0.0, TAU * hertz);
         for (k, of_panel) in direct.iter().enumerate() {
@@ -193,7 +218,7 @@ fn responses_are_the_sum_over_all_modes() {
                 for d in 0..3 {
                     let part = |m: &Mode| {
                         let b = weights(&rest, m)[k] * m.shape[unit][d];
-                        b / (iw - m.s) + b.conj() / (iw - m.s.conj())
+                        b / (iw - m.s) + pair(m) * b.conj() / (iw - m.s.conj())
                     };
                     let moved: c64 = modes.iter().map(part).sum();
                     let sum = if d < 2 { iw * iw * moved + rest.shakes[k][d] } else { iw * moved };
@@ -201,7 +226,7 @@ fn responses_are_the_sum_over_all_modes() {
                     let size = if d < 2 { size } else { read[2].norm() };
                     assert!(
                         (read[d] - sum).norm() < 1e-7 * size,
-                        "{hertz} Hz, {k}, {unit}, {d}: {} {sum}",
+                        "{what}: {hertz} Hz, {k}, {unit}, {d}: {} {sum}",
                         read[d]
                     );
                 }
@@ -211,22 +236,27 @@ fn responses_are_the_sum_over_all_modes() {
 }
 
 /// A simulation under forces of some µN (its odd part: what is quadratic falls out) against the exact sum over all modes,
-/// forces linear between instants: signals agree to 1e-7.
+/// forces linear between instants: signals agree to 3e-7.
 #[test]
 fn small_motions_of_a_simulation_are_those_of_the_modes() {
-    let (scene, design) = small();
-    let (rest, modes) = found(&scene, &design, 18);
+    bodies().into_iter().for_each(|(what, scene, design)| check_motions(&what, &scene, &design));
+}
+
+fn check_motions(what: &str, scene: &Scene, design: &[f64]) {
+    let rest = Rest::new(scene, design);
+    let (n, panels, channels) = (rest.mass.len(), scene.panels.len(), 3 * scene.sensors.len());
+    let modes = modes(&rest, scene.layout.units(), 2 * n).unwrap();
     let force = |k: usize, n: usize| 1e-5 * (0.4 * n as f64 + k as f64).sin().powi(3) * (n as f64 / 20.0);
-    let sides = [1.0, -1.0].into_iter().flat_map(|sign| (0..3).map(move |k| (sign, k)));
+    let sides = [1.0, -1.0].into_iter().flat_map(|sign| (0..panels).map(move |k| (sign, k)));
     let values = sides.flat_map(|(sign, k)| (0..=20).map(move |n| sign * force(k, n))).collect();
-    let forces = Forces { samples: 2, panels: 3, instants: 20, values, strikes: Vec::new() };
+    let forces = Forces { samples: 2, panels, instants: 20, values, strikes: Vec::new() };
     let pool = crate::Pool::new(1).unwrap();
-    let plan = Plan::equal(Method::Nystrom6, 36);
-    let simulated = run(&scene, &design, &forces, &plan, false, &pool).signals;
+    let plan = Plan::equal(Method::Nystrom6, 64);
+    let simulated = run(scene, design, &forces, &plan, false, &pool).signals;
     let h = scene.duration / 20.0;
     let mut q = vec![c64::ZERO; modes.len()];
     let (mut off, mut size) = ([0.0f64; 2], [0.0f64; 2]);
-    for n in 1..=20 {
+    for t in 1..=20 {
         for (mode, q) in modes.iter().zip(&mut q) {
             let s = mode.s;
             let grown = (s * h).exp();
@@ -234,27 +264,30 @@ fn small_motions_of_a_simulation_are_those_of_the_modes() {
             let [flat, ramp] = [(grown - 1.0) / s, (grown - 1.0 - s * h) / (s * s * h)];
             *q *= grown;
             for (k, b) in weights(&rest, mode).into_iter().enumerate() {
-                *q += b * (flat * force(k, n - 1) + ramp * (force(k, n) - force(k, n - 1)));
+                *q += b * (flat * force(k, t - 1) + ramp * (force(k, t) - force(k, t - 1)));
             }
         }
         // M a = f − C v − K x
         let of = |i: usize, power: i32| -> f64 {
-            modes.iter().zip(&q).map(|(m, q)| 2.0 * (m.s.powi(power) * m.shape[i / 3][i % 3] * q).re).sum()
+            let part = |(m, q): (&Mode, &c64)| {
+                (1.0 + pair(m)) * (m.s.powi(power) * m.shape[i / 3][i % 3] * *q).re
+            };
+            modes.iter().zip(&q).map(part).sum()
         };
         let mut net: Vec<f64> =
             rest.unknowns.iter().zip(&rest.damping).map(|(i, c)| -c * of(*i, 1)).collect();
         rest.stiffness.iter().for_each(|&(i, j, k)| net[i] -= k * of(rest.unknowns[j], 0));
         for (k, pushes) in rest.pushes.iter().enumerate() {
-            pushes.iter().for_each(|(i, does)| net[*i] += does * force(k, n));
+            pushes.iter().for_each(|(i, does)| net[*i] += does * force(k, t));
         }
         let base =
-            [0, 1].map(|d| (0..scene.panels.len()).map(|k| rest.shakes[k][d] * force(k, n)).sum::<f64>());
+            [0, 1].map(|d| (0..scene.panels.len()).map(|k| rest.shakes[k][d] * force(k, t)).sum::<f64>());
         for (m, &unit) in scene.sensors.iter().enumerate() {
             let place = |d: usize| rest.unknowns.iter().position(|i| *i == 3 * unit + d);
             let felt = |d: usize| place(d).map_or(0.0, |i| net[i] / rest.mass[i]) + base[d];
             let exact = [felt(0), felt(1), of(3 * unit + 2, 1)];
             for (c, exact) in exact.into_iter().enumerate() {
-                let [up, down] = [0, 120].map(|sample| simulated[sample + (n - 1) * 6 + 3 * m + c]);
+                let [up, down] = [0, 20 * channels].map(|of| simulated[of + (t - 1) * channels + 3 * m + c]);
                 let read = 0.5 * (up - down);
                 off[c / 2] += (read - exact).powi(2);
                 size[c / 2] += exact * exact;
@@ -262,5 +295,5 @@ fn small_motions_of_a_simulation_are_those_of_the_modes() {
         }
     }
     let relative = [0, 1].map(|i| (off[i] / size[i]).sqrt());
-    assert!(relative.iter().all(|r| *r < 1e-7), "{relative:?}");
+    assert!(relative.iter().all(|r| *r < 3e-7), "{what}: {relative:?}");
 }

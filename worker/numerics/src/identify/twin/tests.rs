@@ -4,7 +4,7 @@ use super::*;
 use crate::body::Layout;
 use crate::brain::linear::Lags;
 use crate::dynamics::{Accuracy, Contact, Method, Panel, Parameters, Scene, Solver};
-use crate::nested::tests::{GOING, small};
+use crate::nested::tests::{GOING, on_lattices, small};
 use crate::random::{Purpose, Stream};
 use crate::trial::{BrainKind, Decoder, Disturbance, Optimise, Protocol, Ridge, Size, Stimuli};
 use crate::variation::Casts;
@@ -73,25 +73,43 @@ fn truth(cast: &Cast, estimate: &Estimate) -> f64 {
 /// better than before, and errors of all unknowns are as large as they are said to be.
 #[test]
 fn a_twin_is_the_cast_that_was_recorded() {
-    let mut problem = problem(4, 4, 60, 34);
+    check_a_twin("squares", problem(4, 4, 60, 34), 30, 0.3);
+}
+
+/// The same of a sheet of hexagons and of a disc of squares that turn alike, from fewer and shorter records.
+#[test]
+fn a_twin_of_another_lattice_is_its_cast() {
+    for (what, small) in on_lattices(&problem(3, 3, 30, 16)).into_iter().skip(2).step_by(3) {
+        // stretching hides how hexagons bend
+        check_a_twin(&what, small, 12, 0.99);
+    }
+}
+
+/// From so many records, which leave at most this part of what was unknown of the material.
+fn check_a_twin(what: &str, mut problem: Problem, count: usize, most: f64) {
     let usual = Variation::USUAL;
     problem.variation = Some(Variation { gain: 0.02, misalignment: 0.02, ..usual });
     let pool = crate::Pool::new(2).expect("threads");
     let trial = Trial::new(&problem, &pool).expect("a body");
     let cast = trial.cast(Casts::Unseen, 0).expect("a variation");
-    let (forces, signals) = records(&trial, &cast, 30);
+    let (forces, signals) = records(&trial, &cast, count);
     let Fit { twin, estimates, ending, steps, .. } = twin(&trial, &forces, &signals);
-    assert_eq!(ending, Ending::Converged, "{steps} steps");
-    assert!((twin.misfit - 1.0).abs() < 0.03, "{}", twin.misfit);
+    assert!(ending == Ending::Converged, "{what}: {ending:?} after {steps} steps, {}", twin.misfit);
+    assert!((twin.misfit - 1.0).abs() < 0.03, "{what}: {}", twin.misfit);
     let off: Vec<f64> = estimates.iter().map(|e| (e.found - truth(&cast, e)) / e.left).collect();
     for (e, off) in estimates.iter().zip(&off).filter(|(e, _)| matches!(e.unknown, Unknown::Material(_))) {
-        assert!(off.abs() < 3.0 && e.left < 0.3, "{e:?}: {off}");
+        assert!(off.abs() < 3.0 && e.left < most, "{what}: {e:?}: {off}");
     }
     let rms = |of: &[f64]| (of.iter().map(|x| x * x).sum::<f64>() / of.len() as f64).sqrt();
     let scaled = rms(&off);
-    assert!((0.8..1.25).contains(&scaled), "{scaled}");
+    assert!((0.8..1.25).contains(&scaled), "{what}: {scaled}");
     let apart: Vec<f64> = twin.cast.shifts.iter().zip(&cast.shifts).map(|(a, b)| a - b).collect();
-    assert!(rms(&apart) < 0.8 * rms(&cast.shifts), "{} of {}", rms(&apart), rms(&cast.shifts));
+    assert!(
+        rms(&apart) < 0.8f64.max(most) * rms(&cast.shifts),
+        "{what}: {} of {}",
+        rms(&apart),
+        rms(&cast.shifts)
+    );
 }
 
 /// F(z + εd) − F(z − εd) = 2ε ∇F·d + O(ε³) along each kind of unknown, with chips that filter, have a bias and leave channels out,

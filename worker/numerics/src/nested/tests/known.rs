@@ -58,7 +58,8 @@ fn the_nonlinear_part_does_not_depend_on_the_integrator() {
 fn of_a_linear_body_the_bound_is_met_by_the_best_linear_decoder() {
     let problem = small(PROTOCOLS[3]);
     check_the_bound(problem.clone(), 400);
-    on_lattices(&problem).into_iter().for_each(|(_, problem)| check_the_bound(problem, 0));
+    // a disc of triangles and a sheet of hexagons
+    on_lattices(&problem).into_iter().skip(1).take(2).for_each(|(_, problem)| check_the_bound(problem, 0));
 }
 
 /// With so many draws of noise, or none.
@@ -70,7 +71,8 @@ fn check_the_bound(problem: Problem, draws: usize) {
         ..Disturbance::NONE
     };
     let problem = Problem { disturbance: Some(disturbance), ..of_amplitude(problem, 1e-5) };
-    let found = bound(&problem, &problem.initial, 4, &pool(2)).unwrap().unwrap();
+    let samples = if draws > 0 { 4 } else { 1 };
+    let found = bound(&problem, &problem.initial, samples, &pool(2)).unwrap().unwrap();
 
     let all = problem.forces(Purpose::Stimulus, 0, 16);
     let train = all.select(&split(problem.seed, 16, 4).0);

@@ -85,6 +85,33 @@ fn a_searched_placement_is_a_given_one() {
     assert_eq!(nowhere, Failure::Initial(Trouble::Nowhere));
 }
 
+/// On every lattice the first unit chosen is the one that alone, simulated by itself, is read best; two are apart as asked for.
+#[test]
+fn the_first_unit_is_the_best_alone_on_every_lattice() {
+    for (what, mut problem) in on_lattices(&linear(LINEAR[3])) {
+        let layout = problem.scene.layout.clone();
+        let candidates = layout.placement(0, &problem.scene.clamped);
+        problem.scene.sensors.clear();
+        let mut searched = |candidates: &[usize], sensors: usize, spacing: f64| {
+            let candidates = candidates.to_vec();
+            problem.search = Some(Placing { candidates, sensors, turn: 0, spacing });
+            placed(&problem, &pool(2)).map(|found| found.1.expect("searched"))
+        };
+        let alone = |&unit: &usize| searched(&[unit], 1, 0.0).expect("a place");
+        let alone: Vec<_> = candidates.iter().map(alone).collect();
+        let first = searched(&candidates, 1, 0.0).expect("a place");
+        let own = alone.iter().find(|one| one.units == first.units).expect("a candidate");
+        let least = alone.iter().map(|one| one.errors[0]).fold(f64::INFINITY, f64::min);
+        assert!(own.errors[0] == least, "{what}: {first:?} {alone:?}");
+        // a unit alone judges for itself whether energies help
+        let off = (first.errors[0] / own.errors[0] - 1.0).abs();
+        assert!(off < 1e-3 || first.energies != own.energies, "{what}: {first:?} {own:?}");
+        if let Ok(two) = searched(&candidates, 2, 20.0) {
+            assert!(layout.apart(two.units[0], two.units[1], 20.0), "{what}: {two:?}");
+        }
+    }
+}
+
 /// Each protocol lowers the holdout's error by the trial's own brain; `envelope` and `joint` lower that by the whole sample's, too,
 /// for which none trains.
 #[test]
