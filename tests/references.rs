@@ -136,15 +136,18 @@ fn generated_blocks_are_fresh() {
     }
 }
 
-/// Pictures that are drawn from committed rows here, as no report draws them.
+/// Pictures that are drawn here, as no report draws them.
 #[test]
 fn drawn_pictures_are_fresh() {
-    let path = root().join("results/committed/who-senses/front.svg");
-    let drawn = who_senses::front();
-    if std::env::var_os("METASENSE_UPDATE").is_some() {
-        std::fs::write(&path, &drawn).unwrap();
+    for (name, drawn) in [("who-senses/front.svg", who_senses::front()), ("lattices.svg", bodies::lattices())]
+    {
+        let path = root().join("results/committed").join(name);
+        if std::env::var_os("METASENSE_UPDATE").is_some() {
+            std::fs::write(&path, &drawn).unwrap();
+        }
+        let is_fresh = std::fs::read_to_string(&path).is_ok_and(|there| there == drawn);
+        assert!(is_fresh, "{} is stale", path.display());
     }
-    assert!(std::fs::read_to_string(&path).is_ok_and(|there| there == drawn), "{} is stale", path.display());
 }
 
 /// Paths in `[text](path)`, without those of the web.

@@ -1,6 +1,10 @@
 //! The tables of bodies: why training helps, lattices, a press, low-pass and designs.
 
 use metasense::analysis::operator::MEASURES;
+use metasense::look::{body, file, legend};
+use metasense::plan::Plan;
+use metasense::report::body::sketch;
+use metasense_worker::replay::drawing;
 
 use super::rows::{Row, geometric, number, of, one, ratio, rows, short, with_interval};
 use super::table;
@@ -215,4 +219,35 @@ pub fn pressed() -> String {
         "that by untouched bodies there",
     ];
     table(&head, presses.map(line))
+}
+
+/// The lattices, in sheets above and in discs below, with what they are held and struck by.
+pub fn lattices() -> String {
+    let draw = |outline: &str, lattice: &str| {
+        let spec = format!(
+            "name = \"lattices\"
+[body]
+lattice = \"{lattice}\"
+{outline}
+spacing = 15.0
+ligament_length = 2.25
+density = 1e-8
+stiffness = {{ stretch = 3.0, shear = 0.5, bend = 1.0 }}
+[stimuli]
+kind = \"bell\"
+[sweep]
+panels = [2]
+sensors = [1]
+"
+        );
+        let trial = &Plan::new("lattices.toml", spec).expect("a spec").trials[0].spec;
+        let design = metasense_worker::problem::problem(trial).expect("a body").initial;
+        sketch(&drawing(trial, &design).expect("a body"), &[])
+    };
+    let outlines = ["columns = 6\nrows = 5", "layout = \"circular\"\ncolumns = 7"];
+    let names = ["square", "kagome", "triangular", "chiral"];
+    let drawn = outlines.iter().flat_map(|outline| names.map(|name| (name, draw(outline, name))));
+    let pictures: Vec<_> = drawn.map(|(name, body)| body.picture(body::frame([&body]), name)).collect();
+    let kinds = [("unit clamped", "held"), ("arrow", "struck"), ("dot sensor", "a sensor")];
+    file(&pictures, names.len(), 900.0, &legend(&kinds))
 }

@@ -269,9 +269,8 @@ fn check_motions(what: &str, scene: &Scene, design: &[f64]) {
         }
         // M a = f − C v − K x
         let of = |i: usize, power: i32| -> f64 {
-            let part = |(m, q): (&Mode, &c64)| {
-                (1.0 + pair(m)) * (m.s.powi(power) * m.shape[i / 3][i % 3] * *q).re
-            };
+            let part =
+                |(m, q): (&Mode, &c64)| (1.0 + pair(m)) * (m.s.powi(power) * m.shape[i / 3][i % 3] * *q).re;
             modes.iter().zip(&q).map(part).sum()
         };
         let mut net: Vec<f64> =
