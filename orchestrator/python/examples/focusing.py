@@ -1,8 +1,8 @@
-"""Kinetic energy that all units' shapes focus on a few: `python focusing.py kagome|quads [EVALUATIONS]`, with JAX and nlopt.
+"""Kinetic energy that all units' shapes focus on a few: `python focusing.py kagome|quads [EVALUATIONS]`, with JAX.
 
 DifFlexMM's problems kagome_focusing and quads_focusing (github.com/bertoldi-collab/DifFlexMM, PLA with shims): the corners are held, two
 units of the left edge go half a cell to the right and back, and the mean kinetic energy of the target is maximised in the places of all
-nodes, by MMA with limits on angles and edges. Objective and limits are JAX, the body, its motion and gradient ours.
+nodes, by moving asymptotes (mma.py) with limits on angles and edges. Objective and limits are JAX, the body, its motion and gradient ours.
 """
 
 import sys
@@ -10,9 +10,10 @@ import sys
 import jax
 import jax.numpy as jnp
 import metasense
-import nlopt
 import numpy as np
 from metasense.jax import signals
+from mma import ascend
+from scipy.sparse import coo_array, vstack
 
 jax.config.update("jax_enable_x64", True)
 BOND, DENSITY, STIFFNESS, FREQUENCY, INSTANTS = 2.25, 6.18e-9, {"stretch": 120.0, "shear": 1.19, "bend": 1.5}, 30.0, 199
@@ -30,7 +31,7 @@ def quads(sizes=(24, 16), target=(4, 5)):
     held = [unit(i, j) for j in range(rows) for i in range(columns) if inward(i, columns) + inward(j, rows) < 2]
     body = {"columns": columns, "rows": rows, "spacing": 15.0, "ligament_length": BOND, "initial_angle": -25.0}
     driven = [unit(0, rows // 2 - 1), unit(0, rows // 2)]
-    return body, held, driven, [unit(*at) for at in block(sizes, target)], 7.5, 2, 30.0, 15
+    return body, held, driven, [unit(*at) for at in block(sizes, target)], 7.5, 2, 30.0, 5
 
 
 def kagome(sizes=(20, 12), target=(3, 2)):
@@ -49,7 +50,7 @@ def kagome(sizes=(20, 12), target=(3, 2)):
     held = [low(*at) for at in [(0, 0), (1, 0), (0, 1), (-2, 0), (-1, 0), (0, -1), (0, -2)]]
     held += [high(*at) for at in [(-1, 0), (-1, 1), (-2, -1), (-1, -1), (-1, -2), (0, -1), (1, -1)]]
     targets = [of(*at) for at in block(sizes, target) for of in (low, high)]
-    return {"file": {"units": units, "ligaments": ligaments}}, held, [low(0, rows // 2 - 1), low(0, rows // 2)], targets, 10.0, 3, 10.0, 34
+    return {"file": {"units": units, "ligaments": ligaments}}, held, [low(0, rows // 2 - 1), low(0, rows // 2)], targets, 10.0, 3, 10.0, 11
 
 
 def setup(shape, held, driven, targets, amplitude, periods, block_angle, fine, tolerance=0.3):
@@ -102,45 +103,35 @@ def setup(shape, held, driven, targets, amplitude, periods, block_angle, fine, t
         energy = mass * (moving**2).sum(axis=0) + moment * turning**2
         return 0.5 * energy[fine - 1 :: fine].sum() / (INSTANTS + 1)
 
+    turn = lambda u, v: jnp.arctan2(u[0] * v[1] - u[1] * v[0], u @ v) % (2 * jnp.pi)
+
+    def angles(corners):
+        """Of the voids and units at both ends of a ligament, from the corners before, at and after each."""
+        (back, other_back), (ahead, other) = (corners[:, k] - corners[:, 1] for k in (0, 2))
+        voids = jnp.array([turn(other_back, ahead), turn(back, other)])
+        inner = jnp.array([turn(ahead, back), turn(other, other_back)])
+        # a void of more than 270° counts as units that overlap
+        return jnp.concatenate([-voids, voids - 1.45 * jnp.pi, np.radians(block_angle) - inner])
+
+    edges = lambda corners: 3.0 - jnp.linalg.norm(jnp.roll(corners, -1, axis=0) - corners, axis=1)
     ends = np.array(body.ligaments).reshape(-1, 2, 2)
+    around = ends[:, :, :1], (ends[:, :, 1:] + np.arange(-1, 2)) % group.shape[1]
+    kinds = [(angles, around), (edges, np.arange(len(group)))]
+
+    @jax.jit
+    def found(alpha):
+        return [[jax.vmap(f)(nodes(alpha)[at]) for f in (of, jax.jacfwd(of))] for of, at in kinds]
 
     def limits(alpha):
-        at = nodes(alpha)
-        edges = jnp.roll(at, -1, axis=1) - at
-        edge = lambda k, step: edges[ends[:, k, 0], (ends[:, k, 1] + step) % at.shape[1]]
-        (ahead, back), (other, backward) = ((edge(k, 0), -edge(k, -1)) for k in (0, 1))
-        turn = lambda u, v: jnp.arctan2(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0], (u * v).sum(axis=1)) % (2 * jnp.pi)
-        voids = [turn(backward, ahead), turn(back, other)]
-        inner = [turn(ahead, back), turn(other, backward)]
-        inner = [np.radians(block_angle) - angle for angle in inner]
-        return jnp.concatenate([*(-angle for angle in voids), *inner, 3.0 - jnp.linalg.norm(edges, axis=2).ravel()])
+        values, slopes = zip(*found(alpha))
+        parts = []
+        for value, slope, (_, at) in zip(values, slopes, kinds):
+            rows = np.arange(value.size).reshape(*value.shape, *[1] * (slope.ndim - 2))
+            entries = np.broadcast_arrays(rows, np.expand_dims(group[at], 1))
+            parts.append(coo_array((slope.ravel(), tuple(e.ravel() for e in entries)), (value.size, alpha.size)))
+        return np.concatenate([value.ravel() for value in values]), vstack(parts).tocsr()
 
     return body, objective, limits
-
-
-def ascend(value_and_gradient, limits, start, evaluations):
-    """The values that MMA meets, and where it ends."""
-    values = []
-
-    def objective(x, gradient):
-        value, found = value_and_gradient(x)
-        values.append(float(value))
-        print(f"evaluation {len(values)}: {values[-1]:.6f} mJ", flush=True)
-        gradient[:] = found
-        return values[-1]
-
-    bounds, slopes = jax.jit(limits), jax.jit(jax.jacobian(limits))
-
-    def constraints(result, x, gradient):
-        result[:] = bounds(x)
-        if gradient.size:
-            gradient[:] = slopes(x)
-
-    optimiser = nlopt.opt(nlopt.LD_MMA, start.size)
-    optimiser.set_max_objective(objective)
-    optimiser.add_inequality_mconstraint(constraints, np.full(bounds(start).size, 1e-8))
-    optimiser.set_maxeval(evaluations)
-    return values, optimiser.optimize(start)
 
 
 def main(kind, evaluations=30):

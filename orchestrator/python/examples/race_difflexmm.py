@@ -1,7 +1,7 @@
 """focusing.py and DifFlexMM's own problem in turn, from one start: `taskset -c 0 python race_difflexmm.py CLONE kagome|quads [EVALUATIONS]`.
 
-CLONE is a clone of github.com/bertoldi-collab/DifFlexMM. Settings are those of its notebooks *_focusing_3dp_pla_shims; MMA and the limits
-are focusing.py's for both. Times are CPU seconds of a value with its gradient, without compilation, all threads together.
+CLONE is a clone of github.com/bertoldi-collab/DifFlexMM. Settings are those of its notebooks *_focusing_3dp_pla_shims; optimiser and
+limits are focusing.py's for both. Times are CPU seconds of a value with its gradient, without compilation, all threads together.
 """
 
 import sys
@@ -95,35 +95,35 @@ def in_alpha(optimisation, start, body):
     return value_and_gradient
 
 
-def timed(function, seconds):
-    """The function, which adds to `seconds` what a call took."""
+def timed(function, found):
+    """The function, which adds to `found` the value and the CPU seconds of each call."""
 
     def call(alpha):
         begin = time.process_time()
         value, gradient = jax.block_until_ready(function(alpha))
-        seconds.append(time.process_time() - begin)
-        return value, gradient
+        found.append((float(value), time.process_time() - begin))
+        return float(value), np.asarray(gradient)
 
     return call
 
 
 def main(kind, evaluations=10):
     body, objective, limits = focusing.setup(*{"quads": focusing.quads, "kagome": focusing.kagome}[kind]())
-    both = {"DifFlexMM": in_alpha(*theirs(kind), body), "metasense": jax.jit(jax.value_and_grad(objective))}
-    first = {name: function(body.alpha)[1] for name, function in both.items()}
-    apart = np.linalg.norm(first["metasense"] - first["DifFlexMM"]) / np.linalg.norm(first["DifFlexMM"])
-    print(f"gradients at the start are {apart:.1e} apart", flush=True)
-    values, ends, seconds = {}, {}, {name: [] for name in both}
+    both = {"metasense": jax.jit(jax.value_and_grad(objective)), "DifFlexMM": in_alpha(*theirs(kind), body)}
+    first = [np.asarray(function(body.alpha)[1]) for function in both.values()]
+    print(f"gradients at the start are {np.linalg.norm(first[0] - first[1]) / np.linalg.norm(first[1]):.1e} apart", flush=True)
+    ends, found = {}, {name: [] for name in both}
     for name, function in both.items():
-        values[name], ends[name] = focusing.ascend(timed(function, seconds[name]), limits, body.alpha, evaluations)
-    for n, pair in enumerate(zip(*values.values()), 1):
-        print(f"evaluation {n:3}: {pair[0]:.6f} mJ by DifFlexMM, {pair[1]:.6f} by metasense, {100 * (pair[1] / pair[0] - 1):+.2f} %")
-    mean = {name: np.mean(own) for name, own in seconds.items()}
-    ratio = mean["DifFlexMM"] / mean["metasense"]
-    print(f"CPU s a value and gradient: {mean['DifFlexMM']:.2f} and {mean['metasense']:.3f}, {ratio:.0f} times")
-    cross = [float(both[name](ends["metasense"])[0]) for name in both]
-    print(f"our last design: {cross[0]:.6f} mJ by DifFlexMM, {cross[1]:.6f} by metasense")
-    return values, mean
+        print(f"by {name}:", flush=True)
+        _, ends[name] = focusing.ascend(timed(function, found[name]), limits, body.alpha, evaluations)
+    for n, ((own, ours), (other, longer)) in enumerate(zip(*found.values()), 1):
+        print(f"evaluation {n:3}: {other:.6f} mJ in {longer:.1f} CPU s by DifFlexMM, {own:.6f} in {ours:.3f} by metasense")
+    mean = {name: np.mean([seconds for _, seconds in own]) for name, own in found.items()}
+    print(f"CPU s a value and gradient: {mean['DifFlexMM']:.1f} and {mean['metasense']:.3f}, {mean['DifFlexMM'] / mean['metasense']:.0f} times")
+    for name, end in ends.items():
+        best = [f"{float(function(end)[0]):.6f} mJ by {own}" for own, function in both.items()]
+        print(f"best of {name}: {best[0]}, {best[1]}", flush=True)
+    return found, mean
 
 
 if __name__ == "__main__":

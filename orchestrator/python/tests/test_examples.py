@@ -69,22 +69,34 @@ def test_elbow(spec, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["quads", "kagome"])
-def test_focusing(kind):
+def test_focusing(kind, monkeypatch):
     jax = pytest.importorskip("jax")
-    pytest.importorskip("nlopt")
+    monkeypatch.syspath_prepend(EXAMPLES)
     focusing = load("focusing")
     sizes = {"quads": (5, 6), "kagome": (4, 6)}[kind]
     shape, held, driven, targets, _, *others = getattr(focusing, kind)(sizes, (0, 0))
     # 1 mm: so small a body is pushed into chaos by more
     body, objective, limits = focusing.setup(shape, held, driven, targets, 1.0, *others, tolerance=0.1)
-    assert max(limits(body.alpha)) <= 0
+    assert limits(body.alpha)[0].max() <= 0
     found = jax.jit(jax.value_and_grad(objective))
     value, gradient = found(body.alpha)
     slope = np.linalg.norm(gradient)
     sides = [found(body.alpha + by * gradient / slope)[0] for by in (1e-2, -1e-2)]
     assert np.isclose((sides[0] - sides[1]) / 2e-2, slope, rtol=1e-2) and value > 0
-    values, _ = focusing.ascend(found, limits, body.alpha, 4)
-    assert sorted(values) == values and values[0] < values[-1], values
+    values, end = focusing.ascend(found, limits, body.alpha, 4)
+    assert np.isclose(found(end)[0], max(values)) and max(values) > 1.5 * value, values
+    assert limits(end)[0].max() <= 1e-6
+    aside = np.random.default_rng(1).standard_normal(body.alpha.size)
+    (low, slopes), (high, _) = (limits(body.alpha + by * aside) for by in (-1e-6, 1e-6))
+    assert np.allclose((high - low) / 2e-6, slopes @ aside, atol=1e-5)
+
+
+def test_mma():
+    sparse = pytest.importorskip("scipy.sparse")
+    # neighbours' sum is at most 2, and each is best at 2
+    slopes = sparse.diags_array([1.0, 1.0], offsets=[0, 1], shape=(9, 10)).tocsr()
+    values, x = load("mma").ascend(lambda x: (-((x - 2) ** 2).sum(), 4 - 2 * x), lambda x: (slopes @ x - 2, slopes), np.zeros(10), 40)
+    assert np.allclose(x, 1, atol=1e-3) and values[0] == -40
 
 
 def test_reprogram():
