@@ -128,7 +128,7 @@ impl Space {
             let demands = Demands::of_trial(&trial.spec).map_err(wrong)?;
             let weighed = goal.mass.is_some() || goal.size.is_some();
             let measures = if weighed { problem::measures(&trial.spec).map_err(wrong)? } else { [0.0; 2] };
-            let asks = limits.iter().map(|limit| (limit.of)(&trial.spec, demands.as_ref(), measures));
+            let asks = limits.iter().map(|limit| limit.asked(&trial.spec, demands.as_ref(), measures));
             let asks: Vec<f64> = asks.collect();
             if asks.iter().zip(&limits).all(|(asked, limit)| *asked <= limit.most) {
                 let cost = of_cost(goal.cost, trial, demands.as_ref());
@@ -169,21 +169,30 @@ struct Limit {
     key: &'static str,
     most: f64,
     unit: &'static str,
-    /// Of a trial, what its brain asks, and mass and size of its body; without end of a brain that has no form for a device.
-    of: Box<dyn Fn(&TrialSpec, Option<&Demands>, [f64; 2]) -> f64>,
+    of: Of,
+}
+
+/// What a limit is on.
+enum Of {
+    /// What the brain asks of a device.
+    Brain(fn(&TrialSpec, &Demands) -> f64),
+    /// Mass or size of the body.
+    Body(usize),
+}
+
+impl Limit {
+    /// What a trial asks; without end of a brain that has no form for a device.
+    fn asked(&self, trial: &TrialSpec, demands: Option<&Demands>, measures: [f64; 2]) -> f64 {
+        match self.of {
+            Of::Brain(of) => demands.map_or(f64::INFINITY, |demands| of(trial, demands)),
+            Of::Body(which) => measures[which],
+        }
+    }
 }
 
 fn limits(goal: &Goal) -> Vec<Limit> {
-    let of_brain = |key, most: Option<f64>, unit, of: fn(&TrialSpec, &Demands) -> f64| {
-        let of = move |trial: &TrialSpec, demands: Option<&Demands>, _: [f64; 2]| {
-            demands.map_or(f64::INFINITY, |demands| of(trial, demands))
-        };
-        Some(Limit { key, most: most?, unit, of: Box::new(of) })
-    };
-    let of_body = |key, most: Option<f64>, unit, which: usize| {
-        let of = move |_: &TrialSpec, _: Option<&Demands>, measures: [f64; 2]| measures[which];
-        Some(Limit { key, most: most?, unit, of: Box::new(of) })
-    };
+    let limit = |key, most: Option<f64>, unit, of| Some(Limit { key, most: most?, unit, of });
+    let of_brain = |key, most, unit, of| limit(key, most, unit, Of::Brain(of));
     // what would take more by rounding alone is the same
     let nearly = |most: Option<f64>| most.map(|most| most * (1.0 + 1e-9));
     let all = [
@@ -194,8 +203,8 @@ fn limits(goal: &Goal) -> Vec<Limit> {
         of_brain("goal.operations", goal.operations.map(|most| most as f64), "multiply-adds", |_, d| {
             d.operations as f64
         }),
-        of_body("goal.mass", nearly(goal.mass), "g", 0),
-        of_body("goal.size", nearly(goal.size), "mm", 1),
+        limit("goal.mass", nearly(goal.mass), "g", Of::Body(0)),
+        limit("goal.size", nearly(goal.size), "mm", Of::Body(1)),
     ];
     all.into_iter().flatten().collect()
 }

@@ -25,8 +25,11 @@ fn mixed() -> Layout {
     Layout::of_polygons(&units, &joints, &[vec![End { unit: 1, node: 4 }, End { unit: 1, node: 5 }]])
 }
 
+/// A pattern by the angle of its units (rad).
+type Turned = fn(f64) -> Pattern;
+
 /// Turned by an angle where a lattice's units turn alike.
-const PATTERNS: [(&str, fn(f64) -> Pattern); 4] = [
+const PATTERNS: [(&str, Turned); 4] = [
     ("square", |_| Pattern::square()),
     ("kagome", |_| Pattern::kagome()),
     ("triangular", Pattern::triangular),
