@@ -46,7 +46,7 @@ enum Form {
     Device,
 }
 
-/// Writes a trial or a view for other programs: NumPy, CSV, Parquet, SVG, DXF, STL, C, ONNX
+/// Writes a trial or a view for other programs: NumPy, CSV, SVG, DXF, STL, C, ONNX
 ///
 /// A view's name goes in place of the hash: DB VIEW. Of a SPEC, the trial is taken from the database that it writes to.
 #[derive(Debug, clap::Args)]

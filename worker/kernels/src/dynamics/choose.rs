@@ -67,7 +67,7 @@ pub(super) struct Law {
 }
 
 const LAWS: [Law; 3] = [
-    Law { method: Method::Leapfrog, power: 2.0, factor: 0.45, limit: 0.7, work: 1 },
+    Law { method: Method::Leapfrog, power: 2.0, factor: 0.45, limit: 1.1, work: 1 },
     Law { method: Method::Nystrom4, power: 4.0, factor: 0.25, limit: 0.6, work: 6 },
     Law { method: Method::Nystrom6, power: 6.0, factor: 1.5, limit: 0.5, work: 11 },
 ];
