@@ -79,24 +79,6 @@ impl Plain {
         Self { sizes: self.sizes, x, y, w, failed, heartbeat: self.heartbeat.clone() }
     }
 
-    /// Those of all bodies, newest last, older ones counting less: at once, as moments of many sensors are more than a cache holds.
-    fn faded(bodies: &[Self]) -> Self {
-        let newest = &bodies[bodies.len() - 1];
-        let ages = (0..bodies.len()).rev();
-        let counts = |(body, age): (&Self, usize)| {
-            let fading = FADING.powi(age as i32);
-            body.w.iter().map(|w| w * fading).collect::<Vec<_>>()
-        };
-        Self {
-            sizes: newest.sizes,
-            x: bodies.iter().flat_map(|body| &body.x).copied().collect(),
-            y: bodies.iter().flat_map(|body| &body.y).copied().collect(),
-            w: bodies.iter().zip(ages).flat_map(counts).collect(),
-            failed: bodies.iter().flat_map(|body| &body.failed).copied().collect(),
-            heartbeat: newest.heartbeat.clone(),
-        }
-    }
-
     /// Mean error (%) by these answers (N, T, K).
     pub(crate) fn error(&self, predicted: &[f64]) -> Option<f64> {
         mean_error(&error_of_each(self.sizes, &self.y, &self.failed, predicted))
@@ -191,13 +173,18 @@ impl<'a> LinearLearner<'a> {
     /// ones read the newest best.
     fn solve_recent(&self, bodies: &[Plain], step: u32, learnt: &mut Learnt) -> Result<Linear, Trouble> {
         let (trial, lags) = (self.trial, self.trial.problem.decoder.lags);
-        let (newest, all) = (&bodies[bodies.len() - 1], Plain::faded(bodies));
+        let newest = &bodies[bodies.len() - 1];
+        let mut moments = Moments::new(newest.sizes, trial.pool.heartbeat());
+        for (age, samples) in bodies.iter().rev().enumerate().skip(1) {
+            let fading = FADING.powi(age as i32);
+            let w: Vec<f64> = samples.w.iter().map(|w| w * fading).collect();
+            moments.add(&samples.x, &samples.y, &w);
+        }
         match learnt.ridge {
             None => drop(self.first_ridge(learnt)?),
             Some(last) if step.is_multiple_of(RIDGE_EVERY) && bodies.len() > 1 => {
                 if trial.problem.decoder.ridge == Ridge::Auto {
-                    let older: Vec<usize> = (0..all.w.len() - newest.w.len()).collect();
-                    let normal = all.select(&older).moments().normal(lags);
+                    let normal = moments.normal(lags);
                     let error = |ridge| {
                         let linear = solve(normal.clone(), ridge).ok()?.linear();
                         newest.error(&linear.predict(&newest.x))
@@ -207,7 +194,8 @@ impl<'a> LinearLearner<'a> {
             }
             Some(_) => {}
         }
-        Ok(solve(all.moments().normal(lags), learnt.ridge.unwrap_or_default())?.linear())
+        moments.add(&newest.x, &newest.y, &newest.w);
+        Ok(solve(moments.normal(lags), learnt.ridge.unwrap_or_default())?.linear())
     }
 }
 
