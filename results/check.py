@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-T975 = {3: 3.182, 4: 2.776}  # Student's t, 97.5 %, by degrees of freedom, as tables print it
+T975 = {2: 4.303, 3: 3.182, 4: 2.776}  # Student's t, 97.5 %, by degrees of freedom, as tables print it
 
 
 def rows(file, **wanted):
@@ -397,17 +397,30 @@ def designs():
         yield cells, found
 
 
+LATTICES = {"squares": "square", "squares, chiral": "chiral", "Kagome's triangles": "kagome", "hexagons": "triangular"}
+
+
 def families():
-    lattices = {"squares": "square", "squares, chiral": "chiral", "Kagome's triangles": "kagome", "hexagons": "triangular"}
     for words, *cells in table("families"):
-        of = {lattice: rows("families/trials.csv", lattice=lattice) for lattice in ("square", lattices[words])}
-        mine = of[lattices[words]]
+        of = {lattice: rows("families/trials.csv", lattice=lattice, sensors="2") for lattice in ("square", LATTICES[words])}
+        mine = of[LATTICES[words]]
         initial, optimised = numbers(mine, "initial"), numbers(mine, "optimised")
         found = [mine[0]["units"], mine[0]["design_parameters"], short(geometric(initial)) + " %", short(geometric(optimised)) + " %"]
         found.append(with_interval([a / b for a, b in zip(initial, optimised, strict=True)]))
         for own, body in ((initial, "initial"), (optimised, "optimised")):
             ratios = [a / b for a, b in zip(own, numbers(of["square"], body), strict=True)]
             found.append("1" if mine is of["square"] else with_interval(ratios))
+        yield cells, found
+
+
+def families_sensors():
+    for words, *cells in table("families sensors"):
+        found = []
+        for sensors in "1234":
+            of = [row for row in rows("families/trials.csv", lattice=LATTICES[words], sensors=sensors) if row["seed"] < "124"]
+            initial, optimised = numbers(of, "initial"), numbers(of, "optimised")
+            gain = with_interval([a / b for a, b in zip(initial, optimised, strict=True)])
+            found.append(f"{short(geometric(initial))} → {short(geometric(optimised))} %; {gain}")
         yield cells, found
 
 
@@ -435,7 +448,7 @@ def relaxing():
         yield line[1:], [cell(*by) for by in [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")]]
 
 
-CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, real_scale, families, pressed, filtered, designs, relaxing]
+CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, real_scale, families, families_sensors, pressed, filtered, designs, relaxing]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

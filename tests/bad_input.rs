@@ -326,7 +326,12 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "density = 1e-8",
         "density = 1e-8\nguides = [{ units = \"sides\", holds = [\"z\"] }]",
-        "must be a list of tables { holds, units }; holds: a list of \"x\", \"y\" or \"turn\"; units: \"bottom\", ",
+        "s.toml:8: body.guides.holds = [\"z\"]: must be a list of \"x\", \"y\" or \"turn\"",
+    ),
+    (
+        "density = 1e-8",
+        "density = 1e-8\nguides = [{ units = \"sides\", hold = [\"x\"] }]",
+        "s.toml:8: body.guides.hold = [\"x\"]: unknown key; the nearest known one is \"body.guides.holds\"",
     ),
     (
         "density = 1e-8",

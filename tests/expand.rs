@@ -155,7 +155,7 @@ fn committed_specs_keep_their_hashes() {
     disc 05cd48334f7ba6b8
     eight-forces d02373435aeebd1c
     elbow-law dd9ab67d59dd2124
-    families 8157da65514428a4
+    families a2575320c6450e88
     fig2 e582672de812b89c
     fig2-linear 3a1cb407e60bff17
     fig3 bf037e6c8d375f84

@@ -61,6 +61,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("why", bodies::why),
     ("why correlated", bodies::why_correlated),
     ("families", bodies::families),
+    ("families sensors", bodies::families_sensors),
     ("pressed", bodies::pressed),
     ("filtered", bodies::filtered),
     ("designs", bodies::designs),

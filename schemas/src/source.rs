@@ -260,8 +260,8 @@ impl Source {
 
 /// Before the keys of an entry of `sweep.points`, and those of them that are no paths.
 const POINTS: &str = "sweep.points.";
-/// Before those of an entry of `body.panels`, `stimuli.mix` and of `evaluation.under`.
-const TABLES: [&str; 3] = ["body.panels.", "stimuli.mix.", "evaluation.under."];
+/// Before those of an entry of `body.guides`, `body.panels`, `stimuli.mix` and of `evaluation.under`.
+const TABLES: [&str; 4] = ["body.guides.", "body.panels.", "stimuli.mix.", "evaluation.under."];
 const COUNTS: [&str; 2] = ["panels", "sensors"];
 
 /// What to say of a key that nothing knows.

@@ -123,6 +123,37 @@ pub fn designs() -> String {
     table(&head, searches.iter().map(line))
 }
 
+const LATTICES: [(&str, &str); 4] = [
+    ("square", "squares"),
+    ("chiral", "squares, chiral"),
+    ("kagome", "Kagome's triangles"),
+    ("triangular", "hexagons"),
+];
+
+/// The same sheets by the number of sensors.
+pub fn families_sensors() -> String {
+    let all = rows("families/trials.csv");
+    let column = |lattice: &str, sensors: &str, name: &str| -> Vec<f64> {
+        let wanted = [("lattice", lattice), ("sensors", sensors)];
+        of(&all, &wanted).filter(|row| SEEDS.contains(&&*row["seed"])).map(|row| number(row, name)).collect()
+    };
+    let line = |(lattice, words): (&str, &str)| {
+        let mut cells = vec![words.to_owned()];
+        for sensors in ["1", "2", "3", "4"] {
+            let [initial, optimised] = ["initial", "optimised"].map(|name| column(lattice, sensors, name));
+            let ratios = initial.iter().zip(&optimised).map(|(a, b)| (a / b).ln()).collect::<Vec<_>>();
+            let gain = with_interval(&ratios, f64::exp);
+            let [initial, optimised] = [initial, optimised].map(|errors| geometric(errors.into_iter()));
+            cells.push(format!("{initial} → {optimised} %; {gain}"));
+        }
+        cells
+    };
+    table(&["lattice", "M = 1", "M = 2", "M = 3", "M = 4"], LATTICES.map(line))
+}
+
+/// Seeds with every number of sensors.
+const SEEDS: [&str; 3] = ["121", "122", "123"];
+
 /// Lattices of one outline and mass.
 pub fn families() -> String {
     let all = rows("families/trials.csv");
@@ -130,7 +161,7 @@ pub fn families() -> String {
         with_interval(&ratios.iter().map(|ratio| ratio.ln()).collect::<Vec<_>>(), f64::exp)
     };
     let column = |lattice: &str, name: &str| -> Vec<f64> {
-        of(&all, &[("lattice", lattice)]).map(|row| number(row, name)).collect()
+        of(&all, &[("lattice", lattice), ("sensors", "2")]).map(|row| number(row, name)).collect()
     };
     let by = |ends: [Vec<f64>; 2]| ends[0].iter().zip(&ends[1]).map(|(a, b)| a / b).collect::<Vec<_>>();
     let line = |(lattice, words): (&str, &str)| {
@@ -152,12 +183,6 @@ pub fn families() -> String {
             other("optimised", &optimised),
         ]
     };
-    let lattices = [
-        ("square", "squares"),
-        ("chiral", "squares, chiral"),
-        ("kagome", "Kagome's triangles"),
-        ("triangular", "hexagons"),
-    ];
     let head = [
         "units",
         "parameters",
@@ -167,7 +192,7 @@ pub fn families() -> String {
         "untouched, by squares",
         "trained, by squares",
     ];
-    table(&[&["lattice"][..], &head].concat(), lattices.map(line))
+    table(&[&["lattice"][..], &head].concat(), LATTICES.map(line))
 }
 
 /// Bodies whose held units come together before a sample, and each read under the other presses.

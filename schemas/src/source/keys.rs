@@ -84,21 +84,9 @@ impl KnownKeys {
         match self.allowed.get(key).filter(|_| OF_THE_VALUE.iter().any(|start| message.starts_with(start))) {
             // TOML reads what serde's own integers do not hold.
             Some(_) if message.contains(" as i128") => "is too large a number".into(),
-            Some(allowed) => format!("must be {allowed}{}", self.inside(key)),
+            Some(allowed) => format!("must be {allowed}"),
             None => message.to_owned(),
         }
-    }
-
-    /// What the few keys of the tables in a key's list may hold, of which the place of a fault does not say which is wrong.
-    fn inside(&self, key: &str) -> String {
-        let name = |path: &str| path.strip_prefix(key)?.strip_prefix('.').map(str::to_owned);
-        let inner: Vec<(String, &String)> =
-            self.allowed.iter().filter_map(|(path, held)| Some((name(path)?, held))).collect();
-        let is_list = self.allowed[key].starts_with("a list of tables");
-        if !is_list || inner.len() > 3 {
-            return String::new();
-        }
-        inner.into_iter().map(|(name, held)| format!("; {name}: {held}")).collect()
     }
 }
 
