@@ -377,16 +377,14 @@ fn scene(
         instants: trial.time.samples,
         layout,
     };
-    if scene.is_loose() {
+    let pressed = !scene.pressed.is_empty();
+    let shaken = scene.panels.iter().any(|panel| panel.shakes().is_some());
+    if (pressed || shaken) && scene.is_loose() {
         let remedy = "needs a body that cannot move as a whole: body.clamp and body.guides leave it free";
-        require(
-            scene.pressed.is_empty(),
-            "body.compression",
-            format!("{:?}", body.compression.unwrap_or_default()),
-            remedy,
-        )?;
-        let shaken = scene.panels.iter().any(|panel| panel.shakes().is_some());
-        require(!shaken, "body.panels", "base", remedy)?;
+        return Err(match body.compression.filter(|_| pressed) {
+            Some(parts) => invalid("body.compression", format!("{parts:?}"), remedy),
+            None => invalid("body.panels", "base", remedy),
+        });
     }
     Ok(scene)
 }
