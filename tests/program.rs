@@ -36,6 +36,7 @@ mod spec_fuzz;
 mod ssh;
 mod store;
 mod submit;
+mod training;
 mod transfer;
 mod twin;
 mod until;

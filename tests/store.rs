@@ -9,14 +9,14 @@ use serde_json::json;
 const BODY: &str = r#"{"columns": 6, "rows": 6, "spacing": 15.0, "ligament_length": 2.25, "density": 1e-8,
     "stiffness": {"stretch": 3.0, "shear": 0.5, "bend": 1.0}}"#;
 
-fn sweep() -> SweepSpec {
+pub fn sweep() -> SweepSpec {
     let body: serde_json::Value = serde_json::from_str(BODY).unwrap();
     serde_json::from_value(json!({"name": "s", "body": body, "stimuli": {"kind": "bell"},
         "sweep": {"panels": [2], "sensors": [1]}}))
     .unwrap()
 }
 
-fn trial(order: usize) -> Trial {
+pub fn trial(order: usize) -> Trial {
     let sweep = serde_json::to_value(sweep()).unwrap();
     let mut spec = json!({"point": {"panels": 2, "sensors": 1, "placement": order, "seed": 1},
         "panel_units": [31, 34], "sensor_units": [21]});
@@ -28,6 +28,7 @@ fn trial(order: usize) -> Trial {
     let hash = format!("{order:032x}");
     Trial {
         hash,
+        training: spec.training(),
         spec,
         order,
         units: 36,
@@ -39,7 +40,7 @@ fn trial(order: usize) -> Trial {
     }
 }
 
-fn result() -> TrialResult {
+pub fn result() -> TrialResult {
     let network = |error: f64| NetworkEvaluation {
         error_test: Some(error),
         error_holdout: Some(error + 1.0),

@@ -68,6 +68,7 @@ fn trial(
     let spec: TrialSpec = serde_json::from_value(spec).unwrap();
     Trial {
         hash: format!("{order:032x}"),
+        training: spec.training(),
         spec,
         order,
         units: columns * rows,

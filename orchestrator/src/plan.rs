@@ -205,8 +205,7 @@ struct PointPlan {
     units: usize,
     design_parameters: usize,
     brain_parameters: usize,
-    cost: f64,
-    weight: u64,
+    cost: cost::Cost,
 }
 
 fn add_points(
@@ -270,8 +269,7 @@ fn add_points(
                 units: layout.units(),
                 design_parameters: problem::design_parameters(&template, &layout).map_err(located)?,
                 brain_parameters: cost::brain_parameters(&template),
-                cost: cost::of(&template, layout.units()),
-                weight: cost::weight(&template, layout.units()),
+                cost: cost::Cost::of(&template, layout.units()),
                 template,
             });
         }
@@ -528,7 +526,7 @@ fn at(template: &TrialSpec, placement: usize, sensor_units: &[usize], seed: u64)
 
 fn trials(spec: &SweepSpec, points: &[PointPlan]) -> Vec<Trial> {
     let mut trials = Vec::new();
-    let mut seen = HashSet::new();
+    let (mut seen, mut trained) = (HashSet::new(), HashSet::new());
     let most_placements = points.iter().map(|p| p.placements.len()).max().unwrap_or(0);
     for &seed in &spec.sweep.seeds {
         for placement in 0..most_placements {
@@ -541,15 +539,18 @@ fn trials(spec: &SweepSpec, points: &[PointPlan]) -> Vec<Trial> {
                 let hash = spec.hash();
                 // Axes may say the same thing in two ways.
                 if seen.insert(hash.clone()) {
+                    let training = spec.training();
+                    let trains = trained.insert(training.clone());
                     trials.push(Trial {
                         hash,
+                        training,
                         spec,
                         order: trials.len(),
                         units: point.units,
                         design_parameters: point.design_parameters,
                         brain_parameters: point.brain_parameters,
-                        cost: point.cost,
-                        weight: point.weight,
+                        cost: point.cost.seconds(trains),
+                        weight: point.cost.weight(trains),
                         pause: None,
                     });
                 }

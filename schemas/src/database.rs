@@ -16,17 +16,20 @@ pub const MIGRATIONS: &[&str] = &[
     include_str!("../migrations/0009.sql"),
     include_str!("../migrations/0010.sql"),
     include_str!("../migrations/0011.sql"),
+    include_str!("../migrations/0012.sql"),
 ];
 
 /// The stable views, and what a row of each is.
 pub const VIEWS: &[(&str, &str)] = &[
     (
         "v_trial",
-        "a trial: settings, state, errors (%, mean over evaluation networks; error_… on the test set), CPU seconds",
+        "a trial: settings, state, errors (%, mean over evaluation networks; error_… on the test set), CPU seconds; trials of equal \
+         `training` have the same body, which one of them has trained",
     ),
     (
         "v_step",
-        "an outer step: losses, errors (%), gradient, projection, implicit term, work, where the time went (CPU seconds)",
+        "an outer step: losses, errors (%), gradient, projection, implicit term, work, where the time went (CPU seconds); `attempt` \
+         is 0 where another trial that trains the same body has made it",
     ),
     (
         "v_reading",

@@ -15,6 +15,9 @@ pub use checkpoint::{Best, Checkpoint, CheckpointError, Comparison, Moments, Tra
 pub struct Trial {
     /// Names the trial for ever.
     pub hash: String,
+    /// Names what trains its body: [`TrialSpec::training`]. One of the trials that share it trains the body for all.
+    #[serde(skip)]
+    pub training: String,
     /// All that it is.
     pub spec: TrialSpec,
     /// Position in the order of running, from 0.
@@ -25,7 +28,7 @@ pub struct Trial {
     pub design_parameters: usize,
     /// Weights of its brain.
     pub brain_parameters: usize,
-    /// Estimated seconds on one core of this machine.
+    /// Estimated seconds on one core of this machine; where a trial before it trains its body, of its comparison alone.
     #[serde(skip)]
     pub cost: f64,
     /// Work against other trials: the same number on every machine.

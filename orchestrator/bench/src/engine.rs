@@ -182,6 +182,7 @@ fn trials(sweep: &SweepSpec, count: u32) -> Vec<Trial> {
     (0..count)
         .map(|order| Trial {
             hash: format!("noop-{order:08}"),
+            training: format!("noop-{order:08}"),
             spec: spec(order),
             order: order as usize,
             units: 4,

@@ -5,7 +5,7 @@
 //! give equal files. What is submitted has the trials of each shard written out as well, so that a shard expands no spec.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, BinaryHeap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap, HashMap, HashSet};
 use std::io::{self, ErrorKind};
 use std::iter;
 use std::path::{Path, PathBuf};
@@ -13,7 +13,8 @@ use std::path::{Path, PathBuf};
 use super::Shard;
 use super::home::attempts;
 use crate::files;
-use crate::plan::{Plan, Trial, cost};
+use crate::plan::cost::Cost;
+use crate::plan::{Plan, Trial};
 
 /// The shard of each trial, by its hash.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -159,22 +160,42 @@ impl Assignment {
         self.of.retain(|hash, _| kept.contains(hash.as_str()));
     }
 
-    /// Assigns what has not been, and leaves the rest where it is.
+    /// Assigns what has not been, and leaves the rest where it is. Trials that share a body stay together, so that one shard
+    /// trains it, unless they are more than a shard's part of the work.
     fn add(&mut self, trials: &[Trial]) {
         let mut loads = vec![0_u64; self.shards as usize];
-        let mut new = Vec::new();
+        let (mut homes, mut new) = (HashMap::new(), BTreeMap::<_, Vec<_>>::new());
         for trial in trials {
             match self.of.get(&trial.hash) {
-                Some(shard) => loads[*shard as usize - 1] += trial.weight,
-                None => new.push((Reverse(trial.weight), &trial.hash)),
+                Some(shard) => {
+                    loads[*shard as usize - 1] += trial.weight;
+                    homes.entry(&trial.training).or_insert(*shard);
+                }
+                None => new.entry(&trial.training).or_default().push(trial),
             }
         }
-        new.sort();
+        let weight =
+            |group: &[&Trial]| group.iter().fold(0_u64, |sum, trial| sum.saturating_add(trial.weight));
+        let part =
+            trials.iter().fold(0_u64, |sum, trial| sum.saturating_add(trial.weight)) / u64::from(self.shards);
+        let mut groups = Vec::new();
+        for (training, mut group) in new {
+            group.sort_by(|a, b| a.hash.cmp(&b.hash));
+            match homes.get(training) {
+                Some(shard) => {
+                    loads[*shard as usize - 1] += weight(&group);
+                    self.of.extend(group.iter().map(|trial| (trial.hash.clone(), *shard)));
+                }
+                None if weight(&group) > part => groups.extend(group.into_iter().map(|trial| vec![trial])),
+                None => groups.push(group),
+            }
+        }
+        groups.sort_by_cached_key(|group| (Reverse(weight(group)), group[0].hash.clone()));
         let mut least: BinaryHeap<_> = (1..).zip(loads).map(|(shard, load)| Reverse((load, shard))).collect();
-        for (Reverse(weight), hash) in new {
+        for group in groups {
             let Reverse((load, shard)) = least.pop().expect("there is a shard");
-            self.of.insert(hash.clone(), shard);
-            least.push(Reverse((load.saturating_add(weight), shard)));
+            least.push(Reverse((load.saturating_add(weight(&group)), shard)));
+            self.of.extend(group.into_iter().map(|trial| (trial.hash.clone(), shard)));
         }
     }
 
@@ -222,13 +243,15 @@ pub fn trials_of(folder: &Path, shard: Shard) -> Result<Option<Vec<Trial>>, Assi
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
         Err(source) => return Err(AssignmentError::File { doing: "read", path, source }),
     };
+    let mut trained = HashSet::new();
     let trial = |(line, text): (usize, &str)| {
         let wrong = |why| AssignmentError::Trial { path: path.clone(), line: line + 1, why };
         let mut trial: Trial = serde_json::from_str(text).map_err(|error| wrong(error.to_string()))?;
         if trial.spec.hash() != trial.hash {
             return Err(wrong(format!("trial {} has another hash by this program", trial.hash)));
         }
-        trial.cost = cost::of(&trial.spec, trial.units);
+        trial.training = trial.spec.training();
+        trial.cost = Cost::of(&trial.spec, trial.units).seconds(trained.insert(trial.training.clone()));
         Ok(trial)
     };
     text.lines().enumerate().map(trial).collect::<Result<_, _>>().map(Some)

@@ -1,6 +1,7 @@
 //! Before a run: the sweep is recorded, and what earlier runs have left of its trials is read.
 
 use std::collections::{HashMap, HashSet};
+use std::hash::Hash;
 
 use metasense_schemas::spec::{Prune, SweepSpec};
 
@@ -59,13 +60,10 @@ pub(super) async fn priors(
     state: impl FnOnce(&[Prior]) -> State,
     prune: Option<&Prune>,
 ) -> Result<(Vec<Prior>, State, Kinds), StoreError> {
-    let known = store.attempted().await?;
-    let mut kinds = Kinds::default();
+    let (known, bodies) = (store.attempted().await?, store.bodies().await?);
+    let mut kinds = Kinds::new();
     let prior = |trial: &&Trial| {
-        let point = trial.spec.point;
-        let kind = kinds.number((point.panels as u32, point.sensors as u32));
-        let Attempted { attempts, steps } = known.get(&trial.hash).copied().unwrap_or_default();
-        Prior { attempts, steps, kind, judged: 0 }
+        kinds.prior(trial, known.get(&trial.hash).copied().unwrap_or_default(), bodies.get(&trial.training))
     };
     let mut priors: Vec<Prior> = trials.iter().map(prior).collect();
     let mut reached = Vec::new();
@@ -83,18 +81,49 @@ pub(super) async fn priors(
     }
     let mut state = state(&priors);
     for (mark, trials) in reached.iter().enumerate() {
-        trials.iter().for_each(|trial| state.remember(kinds.number(trial.point), mark, trial.error));
+        trials.iter().for_each(|trial| state.remember(kinds.points.number(trial.point), mark, trial.error));
     }
     Ok((priors, state, kinds))
 }
 
-/// Numbers the pairs of K and M.
-#[derive(Debug, Default)]
-pub(super) struct Kinds(HashMap<(u32, u32), u32>);
+/// Numbers things in the order in which they come.
+#[derive(Debug)]
+struct Numbers<T>(HashMap<T, u32>);
+
+impl<T: Eq + Hash> Numbers<T> {
+    fn number(&mut self, thing: T) -> u32 {
+        let next = self.0.len() as u32;
+        *self.0.entry(thing).or_insert(next)
+    }
+}
+
+/// What trials share: pairs of K and M, and bodies, with those that some trial has begun to train.
+#[derive(Debug)]
+pub(super) struct Kinds {
+    points: Numbers<(u32, u32)>,
+    bodies: Numbers<String>,
+    pub begun: HashSet<u32>,
+}
 
 impl Kinds {
-    pub(super) fn number(&mut self, point: (u32, u32)) -> u32 {
-        let next = self.0.len() as u32;
-        *self.0.entry(point).or_insert(next)
+    fn new() -> Self {
+        Self { points: Numbers(HashMap::new()), bodies: Numbers(HashMap::new()), begun: HashSet::new() }
+    }
+
+    /// A trial that has come so far, and whose body has come so far by any trial.
+    pub fn prior(&mut self, trial: &Trial, known: Attempted, body_steps: Option<&u32>) -> Prior {
+        let (point, steps) = (trial.spec.point, trial.spec.optimise.steps());
+        let body = self.bodies.number(trial.training.clone());
+        if body_steps.is_some() {
+            self.begun.insert(body);
+        }
+        Prior {
+            attempts: known.attempts,
+            steps: known.steps,
+            kind: self.points.number((point.panels as u32, point.sensors as u32)),
+            body,
+            trained: steps <= body_steps.map_or(0, |steps| *steps as usize),
+            judged: 0,
+        }
     }
 }

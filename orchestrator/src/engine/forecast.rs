@@ -43,7 +43,7 @@ impl Planned {
 #[derive(Debug, Clone, Copy)]
 struct Running {
     since: Duration,
-    /// There were steps left when the worker got it: its comparison is a whole one.
+    /// All of its comparison was to come when the worker got it.
     whole: bool,
     /// Its first step has come in, and with it all that a worker does before that.
     warm: bool,
@@ -109,6 +109,15 @@ impl Forecast {
         let Planned { behind, steps, .. } = self.trials[trial as usize];
         let whole = behind < steps;
         self.running.insert(trial, Running { since: now, whole, warm: false, steps: 0, seconds: 0.0 });
+    }
+
+    /// It goes on behind so many steps, which another trial may have made; `whole`: with all of its comparison to come.
+    pub fn goes_on(&mut self, trial: u32, behind: u32, whole: bool) {
+        let planned = &mut self.trials[trial as usize];
+        planned.behind = behind.min(planned.steps);
+        if let Some(running) = self.running.get_mut(&trial) {
+            running.whole = whole;
+        }
     }
 
     /// A step has come in.

@@ -267,14 +267,18 @@ impl Engine<'_> {
                 self.view.assigned(lease.trial, self.began.elapsed());
                 let known =
                     self.checkpoints.get(&lease.trial).map(|checkpoint| Checkpoint::clone(checkpoint));
-                if known.is_none() && self.priors[lease.trial as usize].steps.is_some() {
-                    self.record(Write::Load(worker, lease)).await;
+                let prior = self.priors[lease.trial as usize];
+                let begun = prior.steps.is_some() || self.steering.kinds.begun.contains(&prior.body);
+                if known.is_none() && begun {
+                    let pause = self.trials[lease.trial as usize].pause;
+                    self.record(Write::Load(worker, lease, pause)).await;
                 } else {
                     self.send_job(worker, lease, known);
                 }
             }
             Action::RecordStep(lease, (record, checkpoint)) => {
                 self.checkpoints.insert(lease.trial, Arc::clone(&checkpoint));
+                self.steering.kinds.begun.insert(self.priors[lease.trial as usize].body);
                 self.view.stepped(lease.trial, self.began.elapsed());
                 self.watch.step(self.trials[lease.trial as usize], &record);
                 self.record_spent(lease).await;
@@ -494,6 +498,10 @@ impl Engine<'_> {
                     None
                 });
                 if self.state.phase(lease.trial) == Phase::Running(worker) {
+                    if let Some(checkpoint) = &checkpoint {
+                        self.checkpoints.insert(lease.trial, Arc::from(checkpoint.clone()));
+                        self.view.goes_on(lease.trial, checkpoint.step, checkpoint.comparison.is_none());
+                    }
                     self.send_job(worker, lease, checkpoint.map(|checkpoint| *checkpoint));
                 }
             }

@@ -82,7 +82,7 @@ pub(super) type Read = (Result<Plan, String>, Request);
 #[derive(Debug)]
 pub(super) struct Steering {
     read: mpsc::UnboundedSender<Read>,
-    kinds: Kinds,
+    pub(super) kinds: Kinds,
 }
 
 impl Steering {
@@ -165,11 +165,10 @@ impl Engine<'_> {
         let mut priors = Vec::new();
         for (place, known) in fresh.trials {
             let trial: &Trial = &plan.trials[place];
-            let (point, steps) = (trial.spec.point, trial.spec.optimise.steps().max(1));
-            let part = f64::from(known.steps.unwrap_or(0)) / steps as f64;
-            let kind = self.steering.kinds.number((point.panels as u32, point.sensors as u32));
+            let part = f64::from(known.steps.unwrap_or(0)) / trial.spec.optimise.steps().max(1) as f64;
             let judged = prune.iter().filter(|mark| part >= **mark).count();
-            priors.push(Prior { attempts: known.attempts, steps: known.steps, kind, judged });
+            let prior = self.steering.kinds.prior(trial, known, fresh.bodies.get(&trial.training));
+            priors.push(Prior { judged, ..prior });
             self.view.add(trial, known.steps.unwrap_or(0));
             self.trials.push(trial);
         }

@@ -108,6 +108,11 @@ impl View {
         self.forecast.assigned(trial, now);
     }
 
+    /// It goes on behind so many steps; `whole`: with all of its comparison to come.
+    pub(super) fn goes_on(&mut self, trial: u32, behind: u32, whole: bool) {
+        self.forecast.goes_on(trial, behind, whole);
+    }
+
     pub(super) fn stepped(&mut self, trial: u32, now: Duration) {
         self.steps += 1;
         self.forecast.stepped(trial, now);

@@ -3,7 +3,7 @@
 //! What waits when a transaction begins goes into it together, so that one fsync serves many records. `Written` is
 //! said only after the commit.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use metasense_schemas::reason::{CANCELLED, Reason};
@@ -36,8 +36,8 @@ pub enum Write {
     Spent(Lease, f64),
     /// What is said of an attempt.
     Log(Lease, Level, String),
-    /// A checkpoint is wanted for a worker.
-    Load(WorkerId, Lease),
+    /// Where a trial goes on, at most behind so many steps, is wanted for a worker.
+    Load(WorkerId, Lease, Option<u32>),
     /// A trial that waits is not to be run.
     Cancelled(Lease),
 }
@@ -58,6 +58,8 @@ pub struct Fresh {
     pub plan: Arc<Plan>,
     /// Those that are new to the run, by their places in the plan, and how far earlier runs have come with them.
     pub trials: Vec<(usize, Attempted)>,
+    /// How far their bodies have come.
+    pub bodies: HashMap<String, u32>,
     /// Of the others: how many were settled before this run began.
     pub settled: usize,
 }
@@ -146,7 +148,7 @@ pub async fn write(
 async fn add(store: &mut Store, hashes: &mut Vec<String>, plan: Arc<Plan>) -> Result<Fresh, StoreError> {
     store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await?;
     let settled: HashSet<String> = store.settled().await?.into_iter().collect();
-    let attempted = store.attempted().await?;
+    let (attempted, bodies) = (store.attempted().await?, store.bodies().await?);
     let known: HashSet<&str> = hashes.iter().map(String::as_str).collect();
     let new = plan.trials.iter().enumerate().filter(|(_, trial)| !known.contains(trial.hash.as_str()));
     let (old, open): (Vec<_>, Vec<_>) = new.partition(|(_, trial)| settled.contains(&trial.hash));
@@ -155,7 +157,7 @@ async fn add(store: &mut Store, hashes: &mut Vec<String>, plan: Arc<Plan>) -> Re
     let (settled, open): (_, Vec<_>) =
         (old.len(), open.iter().map(|(_, trial)| trial.hash.clone()).collect());
     hashes.extend(open);
-    Ok(Fresh { plan, trials, settled })
+    Ok(Fresh { plan, trials, bodies, settled })
 }
 
 /// Records a batch in one transaction. Arrays stay in shared memory until it is committed.
@@ -212,8 +214,8 @@ async fn transact(
                 store.log(hash(lease), lease.attempt, level, &text).await?;
                 continue;
             }
-            Write::Load(worker, lease) => {
-                let checkpoint = match store.checkpoint(hash(lease)).await {
+            Write::Load(worker, lease, pause) => {
+                let checkpoint = match store.goes_on_from(hash(lease), lease.attempt, pause).await {
                     Err(StoreError::Unreadable { message, .. }) => Err(message),
                     other => Ok(other?.map(Box::new)),
                 };

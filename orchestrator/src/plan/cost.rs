@@ -82,11 +82,46 @@ fn root(x: f64, n: i32) -> f64 {
 
 /// Seconds of a trial on one core.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Seconds {
+struct Seconds {
     /// Of all outer steps.
-    pub steps: f64,
+    steps: f64,
     /// Of the comparison at the end.
-    pub comparison: f64,
+    comparison: f64,
+}
+
+impl Seconds {
+    /// Of a trial that trains its body, or goes on with one that another trial has trained.
+    fn sum(self, trains: bool) -> f64 {
+        self.comparison + if trains { self.steps } else { 0.0 }
+    }
+}
+
+/// What a trial costs here, and on the machine by which trials are weighed.
+#[derive(Debug, Clone, Copy)]
+pub struct Cost {
+    here: Seconds,
+    rated: Seconds,
+}
+
+impl Cost {
+    /// Of a trial whose body has so many units.
+    #[must_use]
+    pub fn of(trial: &TrialSpec, units: usize) -> Self {
+        let [here, rated] = [Pace::here(), RATED].map(|pace| seconds(trial, units, pace));
+        Self { here, rated }
+    }
+
+    /// Estimated seconds on one core of this machine.
+    #[must_use]
+    pub fn seconds(self, trains: bool) -> f64 {
+        self.here.sum(trains)
+    }
+
+    /// Against other trials, in whole milliseconds on AVX-512: the same number on every machine, and nothing is for free.
+    #[must_use]
+    pub fn weight(self, trains: bool) -> u64 {
+        (self.rated.sum(trains) * 1e3).round().max(1.0) as u64
+    }
 }
 
 /// Force evaluations of one sample's motion, by the diagram of the reference scene (`results/committed/work-precision.svg`).
@@ -103,12 +138,6 @@ fn evaluations(solver: Solver, trial: &TrialSpec) -> f64 {
     // A step ends at every instant of the motion, and wherever the forces' own clock has a kink.
     let kinks = trial.stimuli.force_samples.unwrap_or(trial.time.samples).max(instants(trial)) as f64;
     (steps / kinks).ceil() * kinks * stages
-}
-
-/// Of a trial against others, in whole milliseconds on AVX-512: the same number on every machine, and nothing is for free.
-pub(super) fn weight(trial: &TrialSpec, units: usize) -> u64 {
-    let Seconds { steps, comparison } = seconds(trial, units, RATED);
-    ((steps + comparison) * 1e3).round().max(1.0) as u64
 }
 
 fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Seconds {
@@ -174,13 +203,6 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Seconds {
     let bodies = if optimise.steps() == 0 { 1.0 } else { 2.0 };
     let comparison = bodies * (each + trainings * train + readings + of_casts + under + inverted);
     Seconds { steps: GROWN * optimise.steps() as f64 * step, comparison }
-}
-
-/// Estimated seconds of a trial on one core of this machine.
-#[must_use]
-pub fn of(trial: &TrialSpec, units: usize) -> f64 {
-    let Seconds { steps, comparison } = seconds(trial, units, Pace::here());
-    steps + comparison
 }
 
 /// What of a trial's cost is the comparison at its end.

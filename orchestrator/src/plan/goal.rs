@@ -324,10 +324,12 @@ pub fn on_fresh_seed(plan: &Plan, trial: &Trial, body: &TrialSpec, design: &[f64
     spec.optimise.iterations = Some(0);
     spec.sensors.search = None;
     spec.point.seed = last.saturating_add(1 + n as u64);
+    let cost = cost::Cost::of(&spec, trial.units);
     Trial {
         hash: spec.hash(),
-        cost: cost::of(&spec, trial.units),
-        weight: cost::weight(&spec, trial.units),
+        training: spec.training(),
+        cost: cost.seconds(true),
+        weight: cost.weight(true),
         order: plan.trials.len() + n,
         pause: None,
         spec,

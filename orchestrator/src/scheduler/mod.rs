@@ -11,7 +11,7 @@ mod steer;
 #[cfg(test)]
 mod tests;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use metasense_schemas::reason::Reason;
 use metasense_schemas::spec::Prune;
@@ -91,6 +91,10 @@ pub struct Prior {
     pub steps: Option<u32>,
     /// Trials that are compared have an equal one.
     pub kind: u32,
+    /// Trials that train the same body have an equal one: each goes on from where any of them has come to.
+    pub body: u32,
+    /// Whether one of them has trained it to the end.
+    pub trained: bool,
     /// Marks of `Prune::at` at which it was judged.
     pub judged: usize,
 }
@@ -119,6 +123,7 @@ struct Trial {
     deaths: u32,
     stepped: bool,
     kind: u32,
+    body: u32,
     judged: usize,
     /// Not to be finished, and why: its worker is asked for it.
     unwanted: Option<Reason>,
@@ -135,6 +140,7 @@ impl Trial {
             deaths: 0,
             stepped: false,
             kind: prior.kind,
+            body: prior.body,
             judged: prior.judged,
             unwanted: None,
             first: None,
@@ -199,6 +205,9 @@ pub struct State {
     /// Trials that wait for a time.
     delayed: BTreeSet<(Millis, u32)>,
     slots: Vec<Slot>,
+    /// Bodies that are trained, and those in training, each with the trial that trains it: others wait for it.
+    trained: BTreeSet<u32>,
+    training: BTreeMap<u32, u32>,
     standings: Standings,
     unsettled: usize,
     unrecorded: usize,
@@ -238,6 +247,9 @@ pub fn on_event<P: Payload>(state: &mut State, event: Event<P>) -> Vec<Action<P>
         }
         Event::Step(worker, lease, standing, record) => {
             state.progressed(worker, lease);
+            if standing.part >= 1.0 {
+                state.train(lease.trial);
+            }
             out.push(Action::RecordStep(lease, record));
             state.judge(lease, standing);
         }
@@ -248,6 +260,7 @@ pub fn on_event<P: Payload>(state: &mut State, event: Event<P>) -> Vec<Action<P>
         Event::Finished(worker, lease, record) => {
             state.release(worker);
             state.alive();
+            state.train(lease.trial);
             state.slots[worker.slot as usize].unrecorded += 1;
             state.trials[lease.trial as usize].phase = Phase::Recording(worker);
             state.unrecorded += 1;
@@ -290,6 +303,7 @@ impl State {
     /// A run of these trials, in the order of the plan. The first event should be `Event::Clock`.
     pub fn new(settings: Settings, trials: &[Prior]) -> Self {
         assert!(settings.workers > 0, "a run needs a worker");
+        let trained = trials.iter().filter(|prior| prior.trained).map(|prior| prior.body).collect();
         let trials: Vec<Trial> = trials.iter().map(Trial::new).collect();
         Self {
             now: 0,
@@ -298,6 +312,8 @@ impl State {
             unsettled: trials.len(),
             trials,
             slots: vec![Slot::EMPTY; settings.workers as usize],
+            trained,
+            training: BTreeMap::new(),
             standings: Standings::default(),
             unrecorded: 0,
             deaths: 0,
@@ -373,6 +389,23 @@ impl State {
         let trial = &mut self.trials[lease.trial as usize];
         (trial.stepped, trial.begun) = (true, true);
         self.unrecorded += 1;
+    }
+
+    /// A trial's body is trained to the end.
+    fn train(&mut self, trial: u32) {
+        let body = self.trials[trial as usize].body;
+        self.training.remove(&body);
+        self.trained.insert(body);
+    }
+
+    /// Whether somebody else trains the body of a trial that is ready: it is to wait for that.
+    fn awaits(&self, trial: u32) -> bool {
+        self.training.contains_key(&self.trials[trial as usize].body)
+    }
+
+    /// Trials that may be handed out as they are, in their order.
+    fn free(&self) -> impl Iterator<Item = (i64, u32)> {
+        self.ready.iter().copied().filter(|(_, number)| !self.awaits(*number))
     }
 
     /// A worker has come somewhere: this machine can do it.
@@ -473,6 +506,7 @@ impl State {
 
     /// An attempt came to nothing: again, later, or never.
     fn attempt_failed<P: Payload>(&mut self, lease: Lease, reason: Reason, out: &mut Vec<Action<P>>) {
+        self.training.retain(|_, by| *by != lease.trial);
         let death = reason.is_retried() || reason == Reason::OutOfMemory && !self.settings.memory_limited;
         let trial = &mut self.trials[lease.trial as usize];
         let back = death || reason == Reason::Paused;
@@ -540,18 +574,20 @@ impl State {
         if self.stopping != Stopping::No || self.settings.paused || self.unfit().is_some() {
             return;
         }
-        let now = self.now;
-        for (worker, slot) in with_workers(&mut self.slots) {
-            if slot.work != Work::Idle || slot.unrecorded >= RESULTS_MAX || self.unrecorded >= UNRECORDED_MAX
-            {
-                continue;
-            }
-            let Some((_, number)) = self.ready.pop_first() else { return };
+        let may = |slot: &Slot| slot.work == Work::Idle && slot.unrecorded < RESULTS_MAX;
+        let idle: Vec<WorkerId> =
+            with_workers(&mut self.slots).filter(|(_, slot)| may(slot)).map(|(worker, _)| worker).collect();
+        for worker in idle.into_iter().take_while(|_| self.unrecorded < UNRECORDED_MAX) {
+            let Some((rank, number)) = self.free().next() else { return };
+            self.ready.remove(&(rank, number));
             let trial = &mut self.trials[number as usize];
             trial.attempt += 1;
             trial.phase = Phase::Running(worker);
-            let lease = Lease { trial: number, attempt: trial.attempt };
-            slot.work = Work::Busy { lease, since: now, beat: now, asked: false };
+            let (lease, now) = (Lease { trial: number, attempt: trial.attempt }, self.now);
+            if !self.trained.contains(&trial.body) {
+                self.training.insert(trial.body, number);
+            }
+            self.slots[worker.slot as usize].work = Work::Busy { lease, since: now, beat: now, asked: false };
             out.push(Action::Assign(worker, lease));
         }
     }
@@ -562,7 +598,8 @@ impl State {
             return;
         }
         let coming = |slot: &&Slot| matches!(slot.work, Work::Starting { .. } | Work::Idle);
-        let wanted = self.waiting().saturating_sub(self.slots.iter().filter(coming).count());
+        let free = self.free().take(self.settings.workers as usize).count() + self.delayed.len();
+        let wanted = free.saturating_sub(self.slots.iter().filter(coming).count());
         let alive = self.slots.iter().filter(|slot| slot.is_alive()).count();
         let mut wanted = wanted.min((self.settings.workers as usize).saturating_sub(alive));
         for (slot, number) in self.slots.iter_mut().zip(0..) {

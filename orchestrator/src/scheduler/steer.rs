@@ -139,6 +139,9 @@ impl State {
     fn add(&mut self, priors: &[Prior]) -> Answer {
         for prior in priors {
             let trial = Trial::new(prior);
+            if prior.trained {
+                self.trained.insert(prior.body);
+            }
             self.ready.insert((trial.rank(), self.trials.len() as u32));
             self.trials.push(trial);
         }

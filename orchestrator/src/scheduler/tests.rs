@@ -3,7 +3,7 @@
 //!
 //! The world is a queue of events at times, drawn from a seed. After every event: no trial is lost, none is with two
 //! workers, no attempt number is given twice, no result is recorded twice, and none is given up as hopeless that is not
-//! worse than enough others; nothing is handed out in a pause, nothing that is cancelled, nothing to more workers than are
+//! worse than enough others; no body is trained by two workers; nothing is handed out in a pause, nothing that is cancelled, nothing to more workers than are
 //! wanted; and every run ends, within two seconds of being asked to. A seed that fails prints its history.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
@@ -51,6 +51,14 @@ enum Process {
     Gone,
 }
 
+/// A body, the steps that train it, and the error that it has from the first to the last.
+#[derive(Debug, Clone, Copy)]
+struct Body {
+    number: u32,
+    length: u32,
+    error: f64,
+}
+
 struct World {
     dice: Dice,
     state: State,
@@ -64,11 +72,10 @@ struct World {
     steps: Vec<u32>,
     results: Vec<u32>,
     failed: Vec<Option<Reason>>,
-    /// The error that a trial has from its first step to its last.
-    error: Vec<f64>,
+    /// The body that each trial trains.
+    bodies: Vec<Body>,
     leases: HashSet<Lease>,
-    /// Steps that a trial has; deaths, hangs and so on in percent.
-    length: Vec<u32>,
+    /// Deaths, hangs and so on in percent.
     chance_of_death: u64,
     chance_of_hanging: u64,
     chance_of_trouble: u64,
@@ -105,7 +112,9 @@ impl World {
             memory_limited: false,
             prune: dice.percent(30).then(|| Prune { at: vec![0.3, 0.6], grace: 1 + dice.below(3) as usize }),
         };
-        let priors: Vec<Prior> = (0..trials).map(|trial| prior(trial, &mut dice)).collect();
+        let (black_hole, mut bodies) = (dice.percent(3), Vec::new());
+        let least = u32::from(black_hole);
+        let priors: Vec<Prior> = (0..trials).map(|_| prior(&mut bodies, least, &mut dice)).collect();
         let calm = dice.percent(20);
         let chance = |dice: &mut Dice, most| if calm { 0 } else { dice.below(most) };
         let mut world = Self {
@@ -118,16 +127,15 @@ impl World {
             steps: Vec::new(),
             results: Vec::new(),
             failed: Vec::new(),
-            error: Vec::new(),
+            bodies,
             leases: HashSet::new(),
-            length: Vec::new(),
             chance_of_death: chance(&mut dice, 30),
             chance_of_hanging: chance(&mut dice, 4),
             chance_of_trouble: chance(&mut dice, 6),
             chance_of_misfire: chance(&mut dice, 40),
             chance_of_echo: chance(&mut dice, 30),
             chance_of_slowness: chance(&mut dice, 100),
-            black_hole: dice.percent(3),
+            black_hole,
             deaths: Vec::new(),
             interrupt: dice.percent(25),
             interrupted: None,
@@ -141,7 +149,7 @@ impl World {
         if world.black_hole {
             (world.chance_of_death, world.chance_of_hanging) = (100, 0);
         }
-        priors.iter().for_each(|prior| world.add(prior));
+        priors.iter().zip(0..).for_each(|(prior, trial)| world.add(prior, trial));
         if world.dice.percent(50) {
             world.command();
         }
@@ -161,14 +169,22 @@ impl World {
     }
 
     /// A trial of the plan.
-    fn add(&mut self, prior: &Prior) {
-        let trial = self.length.len() as u32;
+    fn add(&mut self, prior: &Prior, trial: u32) {
         self.leases.extend((1..=prior.attempts).map(|attempt| Lease { trial, attempt }));
         self.steps.push(0);
         self.results.push(0);
         self.failed.push(None);
-        self.error.push(self.dice.below(1000) as f64);
-        self.length.push(self.dice.below(8) as u32 + u32::from(self.black_hole));
+    }
+
+    fn length(&self, trial: u32) -> u32 {
+        self.bodies[trial as usize].length
+    }
+
+    /// Steps on the disk of those trials that train the same body.
+    fn trained(&self, trial: u32) -> u32 {
+        let number = self.bodies[trial as usize].number;
+        let mates = self.bodies.iter().zip(&self.steps).filter(|(body, _)| body.number == number);
+        mates.map(|(_, steps)| *steps).max().unwrap_or(0)
     }
 
     /// What people will want, at times; who pauses goes on in the end. Trials are drawn when it comes to them.
@@ -191,14 +207,16 @@ impl World {
 
     /// The command with the trial or trials that it is about.
     fn drawn(&mut self, steer: Steer) -> Steer {
-        let trials = self.length.len();
+        let trials = self.bodies.len();
         match steer {
             Steer::Cancel(_) => Steer::Cancel(self.dice.below(trials as u64) as u32),
             Steer::Next(_) => Steer::Next(self.dice.below(trials as u64) as u32),
             Steer::Add(_) => {
                 let more = trials..trials + self.dice.below(4) as usize;
-                let priors: Vec<Prior> = more.map(|trial| prior(trial, &mut self.dice)).collect();
-                priors.iter().for_each(|prior| self.add(prior));
+                let least = u32::from(self.black_hole);
+                let priors: Vec<Prior> =
+                    more.map(|_| prior(&mut self.bodies, least, &mut self.dice)).collect();
+                priors.iter().zip(trials as u32..).for_each(|(prior, trial)| self.add(prior, trial));
                 Steer::Add(priors)
             }
             other => other,
@@ -375,7 +393,10 @@ impl World {
         assert!(self.state.busy() <= self.state.workers() as usize, "too many workers are busy");
         self.working.insert(worker, lease);
         let (trial, mut when) = (lease.trial, self.now);
-        for step in self.steps[trial as usize]..self.length[trial as usize] {
+        let Body { length, error, .. } = self.bodies[trial as usize];
+        // it goes on from where any of those has come to that train the same body
+        self.steps[trial as usize] = self.trained(trial);
+        for step in self.steps[trial as usize]..length {
             when += 1 + self.dice.below(3_000);
             if self.dice.percent(self.chance_of_death) {
                 return self.at(when, Event::Lost(worker, Reason::WorkerKilled(9)));
@@ -391,10 +412,7 @@ impl World {
                 );
             }
             self.say(when, Event::Beat(worker, lease));
-            let standing = Standing {
-                part: f64::from(step + 1) / f64::from(self.length[trial as usize]),
-                error: Some(self.error[trial as usize]),
-            };
+            let standing = Standing { part: f64::from(step + 1) / f64::from(length), error: Some(error) };
             self.say(when, Event::Step(worker, lease, standing, (trial, step)));
         }
         for _ in 0..self.dice.below(4) {
@@ -402,7 +420,7 @@ impl World {
             if self.dice.percent(self.chance_of_death) {
                 return self.at(when, Event::Lost(worker, Reason::WorkerKilled(9)));
             }
-            self.say(when, Event::Saved(worker, lease, (trial, self.length[trial as usize])));
+            self.say(when, Event::Saved(worker, lease, (trial, length)));
         }
         when += self.dice.below(1_000);
         self.say(when, Event::Finished(worker, lease, (trial, 0)));
@@ -414,7 +432,7 @@ impl World {
 
     /// Holds after every event.
     fn check(&mut self) {
-        let mut held = BTreeSet::new();
+        let (mut held, mut training) = (BTreeSet::new(), BTreeSet::new());
         for slot in &self.state.slots {
             let lease = match slot.work {
                 Work::Busy { lease, .. } => Some(lease),
@@ -422,7 +440,11 @@ impl World {
                 _ => None,
             };
             if let Some(lease) = lease {
-                assert!(held.insert(lease.trial), "trial {} is with two workers", lease.trial);
+                let (trial, Body { number, length, .. }) = (lease.trial, self.bodies[lease.trial as usize]);
+                assert!(held.insert(trial), "trial {trial} is with two workers");
+                if self.trained(trial) < length {
+                    assert!(training.insert(number), "body {number} is trained by two workers");
+                }
             }
         }
         for (trial, number) in self.state.trials.iter().zip(0u32..) {
@@ -443,12 +465,14 @@ impl World {
     /// As many others of its kind as the grace asks for have come as far as a mark, and half of them are better.
     fn check_hopeless(&self, number: u32) {
         let prune = self.state.settings.prune.as_ref().expect("nobody asked for it");
-        let others: Vec<f64> = (0..self.length.len())
+        let others: Vec<f64> = (0..self.bodies.len())
             .filter(|&other| other != number as usize && other % 2 == number as usize % 2)
-            .filter(|&other| f64::from(self.steps[other]) >= prune.at[0] * f64::from(self.length[other]))
-            .map(|other| self.error[other])
+            .filter(|&other| {
+                f64::from(self.steps[other]) >= prune.at[0] * f64::from(self.length(other as u32))
+            })
+            .map(|other| self.bodies[other].error)
             .collect();
-        let better = others.iter().filter(|error| **error < self.error[number as usize]).count();
+        let better = others.iter().filter(|error| **error < self.bodies[number as usize].error).count();
         assert!(others.len() >= prune.grace && better > 0, "trial {number} is not worse than {others:?}");
     }
 
@@ -474,11 +498,15 @@ impl World {
         if outcome != Outcome::Complete {
             return;
         }
-        for trial in 0..self.length.len() {
+        for trial in 0..self.bodies.len() {
             match self.state.phase(trial as u32) {
                 Phase::Done => {
                     assert_eq!(self.results[trial], 1, "trial {trial} has one result");
-                    assert_eq!(self.steps[trial], self.length[trial], "trial {trial} has all its steps");
+                    assert_eq!(
+                        self.steps[trial],
+                        self.length(trial as u32),
+                        "trial {trial} has all its steps"
+                    );
                 }
                 Phase::Failed(reason) => {
                     let cancelled = self.cancelled.contains(&(trial as u32));
@@ -492,11 +520,21 @@ impl World {
     }
 }
 
-fn prior(trial: usize, dice: &mut Dice) -> Prior {
+/// A trial more, of a body of its own or of one that another trains, too.
+fn prior(bodies: &mut Vec<Body>, least: u32, dice: &mut Dice) -> Prior {
+    let trial = bodies.len() as u32;
+    let body = if trial > 0 && dice.percent(40) {
+        bodies[dice.below(trial.into()) as usize]
+    } else {
+        Body { number: trial, length: dice.below(8) as u32 + least, error: dice.below(1000) as f64 }
+    };
+    bodies.push(body);
     Prior {
         attempts: dice.below(3) as u32,
         steps: dice.percent(20).then_some(0),
-        kind: trial as u32 % 2,
+        kind: trial % 2,
+        body: body.number,
+        trained: body.length == 0,
         judged: 0,
     }
 }

@@ -15,13 +15,7 @@ impl Store {
     /// Keeps a checkpoint's design where it is one of those to be kept: the last one and, back from it, each that is as many
     /// steps before the next, as the trial's own number of steps has it; however often it is taken up again, the same ones.
     pub(super) async fn insert_design(&mut self, id: i64, checkpoint: &Checkpoint) -> sqlx::Result<()> {
-        let optimise: String = sqlx::query_scalar("SELECT spec->'$.optimise' FROM trial WHERE id = ?")
-            .bind(id)
-            .fetch_one(&mut self.connection)
-            .await?;
-        let optimise: Optimise =
-            serde_json::from_str(&optimise).map_err(|e| sqlx::Error::Decode(e.into()))?;
-        let (steps, step) = (optimise.steps(), checkpoint.step);
+        let (steps, step) = (self.optimise(id).await?.steps(), checkpoint.step);
         let apart = steps.div_ceil(KEPT).max(1);
         if checkpoint.design.is_empty() || !steps.abs_diff(step as usize).is_multiple_of(apart) {
             return Ok(());
@@ -30,6 +24,29 @@ impl Store {
         let (shape, design) =
             ([checkpoint.design.len()], checkpoint.design.iter().map(|x| *x as f32).collect::<Vec<_>>());
         self.insert_artifact(id, &format!("{NAME}{step}"), &shape, npy_bytes(&shape, &design)).await
+    }
+
+    /// The outer loop of a trial.
+    pub(super) async fn optimise(&mut self, id: i64) -> sqlx::Result<Optimise> {
+        let optimise: String = sqlx::query_scalar("SELECT spec->'$.optimise' FROM trial WHERE id = ?")
+            .bind(id)
+            .fetch_one(&mut self.connection)
+            .await?;
+        serde_json::from_str(&optimise).map_err(|e| sqlx::Error::Decode(e.into()))
+    }
+
+    /// What is kept of the designs of another trial, which trains the same body, is kept of this one, too.
+    pub(super) async fn take_over_designs(&mut self, other: i64, id: i64) -> sqlx::Result<()> {
+        sqlx::query(
+            "INSERT OR IGNORE INTO artifact (trial_id, name, shape, bytes)
+             SELECT ?, name, shape, bytes FROM artifact WHERE trial_id = ? AND substr(name, 1, length(?3)) = ?3",
+        )
+        .bind(id)
+        .bind(other)
+        .bind(NAME)
+        .execute(&mut self.connection)
+        .await?;
+        Ok(())
     }
 }
 

@@ -2,7 +2,11 @@
 
 use std::collections::HashMap;
 
-use super::{Store, StoreError};
+use metasense_schemas::record::Checkpoint;
+use sqlx::AssertSqlSafe;
+
+use super::write::read_checkpoint;
+use super::{Level, Store, StoreError, npy_values};
 
 /// How far earlier runs have come with a trial.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -24,7 +28,94 @@ pub struct Reached {
     pub error: f64,
 }
 
+/// Trials `m` behind whose steps others can go on with the same body, all of their work by this program's code (`?2`), with how far
+/// they have come: those that are done have all their steps behind them.
+const TRAINERS: &str = "
+    SELECT m.id, m.hash, m.state, m.training, m.best_step, c.bytes AS checkpoint,
+      CASE m.state WHEN 'done' THEN CAST(m.spec->>'$.optimise.iterations' AS INTEGER) ELSE c.step END AS reached
+    FROM trial m LEFT JOIN checkpoint c ON c.trial_id = m.id
+    WHERE m.training IN (SELECT t.training FROM trial t WHERE t.id = ?1 OR ?1 IS NULL AND t.state IN ('pending', 'running'))
+      AND (m.state = 'done' OR c.step > 0) AND NOT EXISTS (SELECT 1 FROM attempt a WHERE a.trial_id = m.id
+        AND NOT a.redone AND a.code IS NOT ?2 AND (a.steps > 0 OR a.saves > 0 OR a.state = 'done'))";
+
 impl Store {
+    /// How many outer steps trials have behind them whose bodies open trials train, too, by [`TrialSpec::training`].
+    pub async fn bodies(&mut self) -> Result<HashMap<String, u32>, StoreError> {
+        let code = self.provenance.as_ref().map(|made| made.code.clone());
+        // Names of our own schema only.
+        let sql = format!("SELECT training, max(reached) FROM ({TRAINERS}) GROUP BY training");
+        let rows: Vec<(String, u32)> = sqlx::query_as(AssertSqlSafe(sql))
+            .bind(None::<i64>)
+            .bind(code)
+            .fetch_all(&mut self.connection)
+            .await
+            .map_err(self.at("reading"))?;
+        Ok(rows.into_iter().collect())
+    }
+
+    /// Where a trial of which this attempt has begun goes on: behind its own last step, or that of a trial that has come further with the
+    /// same body, whose steps are then this one's, too; no further than `pause`. `None` where it starts anew.
+    ///
+    /// # Errors
+    /// Where SQLite fails, or a checkpoint is of another program.
+    pub async fn goes_on_from(
+        &mut self,
+        hash: &str,
+        attempt: u32,
+        pause: Option<u32>,
+    ) -> Result<Option<Checkpoint>, StoreError> {
+        let own = self.checkpoint(hash).await?;
+        let (id, at) = (self.id(hash)?, self.at("reading the body of another trial from"));
+        let code = self.provenance.as_ref().map(|made| made.code.clone());
+        let optimise = self.optimise(id).await.map_err(&at)?;
+        let sql = format!(
+            "SELECT m.id, m.hash, m.reached, m.checkpoint, a.bytes, coalesce(m.best_step, 0) FROM ({TRAINERS}) m
+             LEFT JOIN artifact a ON a.trial_id = m.id AND a.name = 'alpha_optimised'
+             WHERE m.id <> ?1 AND m.reached > ?3 AND m.reached <= ?4 AND coalesce(m.checkpoint, a.bytes) IS NOT NULL
+             ORDER BY m.reached DESC, m.id LIMIT 1"
+        );
+        type Row = (i64, String, u32, Option<Vec<u8>>, Option<Vec<u8>>, u32);
+        let found: Option<Row> = sqlx::query_as(AssertSqlSafe(sql))
+            .bind(id)
+            .bind(code)
+            .bind(own.as_ref().map_or(0, |own| own.step))
+            .bind(pause.unwrap_or(u32::MAX))
+            .fetch_optional(&mut self.connection)
+            .await
+            .map_err(&at)?;
+        let Some((other, name, reached, checkpoint, best, best_step)) = found else { return Ok(own) };
+        let checkpoint = match (checkpoint, best) {
+            (Some(bytes), _) => read_checkpoint(&name, &bytes)?.of_body(!optimise.linear()),
+            (None, best) => {
+                let best = npy_values(&best.unwrap_or_default()).map_err(|e| at(sqlx::Error::Io(e)))?;
+                Checkpoint::trained(reached, best, best_step)
+            }
+        };
+        self.together("taking over a body in", async |store| {
+            store.take_over_steps(other, reached, id).await?;
+            store.take_over_designs(other, id).await?;
+            store.insert_checkpoint(id, &checkpoint).await
+        })
+        .await?;
+        let said = format!("goes on behind step {reached} of trial {name}, which trains the same body");
+        self.log(hash, attempt, Level::Info, &said).await?;
+        Ok(Some(checkpoint))
+    }
+
+    /// Steps of another trial, before this one, become those of this trial where it lacks them, by no attempt of its own.
+    async fn take_over_steps(&mut self, other: i64, before: u32, id: i64) -> sqlx::Result<()> {
+        let columns = "SELECT group_concat(name, ', ') FROM pragma_table_info('step') WHERE name NOT IN ('trial_id', 'attempt')";
+        let columns: String = sqlx::query_scalar(columns).fetch_one(&mut self.connection).await?;
+        // Names of our own schema only.
+        let sql = format!(
+            "INSERT OR IGNORE INTO step (trial_id, attempt, {columns})
+             SELECT ?, 0, {columns} FROM step WHERE trial_id = ? AND step < ?"
+        );
+        let query = sqlx::query(AssertSqlSafe(sql)).bind(id).bind(other).bind(before);
+        query.execute(&mut self.connection).await?;
+        Ok(())
+    }
+
     /// How far each trial came that has been attempted and is not settled, by its hash.
     pub async fn attempted(&mut self) -> Result<HashMap<String, Attempted>, StoreError> {
         let rows: Vec<(String, u32, Option<u32>)> = sqlx::query_as(

@@ -39,7 +39,7 @@ impl Store {
         let hashes: Vec<&str> = trials.iter().map(|t| t.hash.as_str()).collect();
         let known: Option<i64> = sqlx::query_scalar(
             "SELECT s.id FROM sweep s WHERE s.name = ?1 AND s.text = ?2
-             AND coalesce(?3, '') IN (SELECT '' UNION ALL SELECT spec FROM trial WHERE hash = ?4)
+             AND coalesce(?3, '') IN (SELECT '' UNION ALL SELECT spec FROM trial WHERE hash = ?4 AND training IS NOT NULL)
              AND ?5 = (SELECT count(*) FROM sweep_trial x WHERE x.sweep_id = s.id)
              AND ?5 = (SELECT count(*) FROM json_each(?6) j JOIN trial t ON t.hash = j.value
                        JOIN sweep_trial x ON x.trial_id = t.id AND x.sweep_id = s.id)",
@@ -137,11 +137,12 @@ const CHUNK: usize = 500;
 
 const INSERT_TRIALS: &str = "
     INSERT INTO trial (hash, spec, layout, columns, rows, units, panels, sensors, placement, seed, protocol,
-      design_parameters, brain_parameters, cost, created_at)
+      design_parameters, brain_parameters, cost, training, created_at)
     SELECT value->>0, value->>1, value->>2, value->>3, value->>4, value->>5, value->>6, value->>7, value->>8, value->>9,
-      value->>10, value->>11, value->>12, value->>13, strftime('%Y-%m-%dT%H:%M:%fZ')
+      value->>10, value->>11, value->>12, value->>13, value->>15, strftime('%Y-%m-%dT%H:%M:%fZ')
     FROM json_each(?1) WHERE ?2 IS NOT NULL
-    ON CONFLICT (hash) DO UPDATE SET spec = excluded.spec WHERE spec <> excluded.spec";
+    ON CONFLICT (hash) DO UPDATE SET spec = excluded.spec, training = excluded.training
+      WHERE spec <> excluded.spec OR training IS NULL";
 
 const INSERT_SWEEP_TRIALS: &str = "
     INSERT INTO sweep_trial (sweep_id, trial_id, position)
@@ -167,5 +168,6 @@ fn row(trial: &Trial) -> serde_json::Value {
         trial.brain_parameters,
         trial.cost,
         trial.order,
+        trial.training,
     ])
 }

@@ -235,7 +235,7 @@ impl Store {
         self.insert_checkpoint(id, checkpoint).await
     }
 
-    async fn insert_checkpoint(&mut self, id: i64, checkpoint: &Checkpoint) -> sqlx::Result<()> {
+    pub(super) async fn insert_checkpoint(&mut self, id: i64, checkpoint: &Checkpoint) -> sqlx::Result<()> {
         sqlx::query("INSERT OR REPLACE INTO checkpoint (trial_id, step, bytes) VALUES (?, ?, ?)")
             .bind(id)
             .bind(checkpoint.step)
@@ -536,7 +536,7 @@ impl Store {
     }
 
     /// Does something, or nothing of it: within the batch, or in a transaction of its own.
-    async fn together<T>(
+    pub(super) async fn together<T>(
         &mut self,
         doing: &'static str,
         work: impl AsyncFnOnce(&mut Self) -> sqlx::Result<T>,

@@ -99,6 +99,28 @@ pub struct Checkpoint {
     pub bands: Vec<Vec<Band>>,
 }
 
+impl Checkpoint {
+    /// What a trial that trains the same body goes on from: all but the comparison, which is its own, and the weights of a
+    /// network that trains no body, whose shape may be its own.
+    #[must_use]
+    pub fn of_body(mut self, by_network: bool) -> Self {
+        (self.comparison, self.casts, self.bands) = (None, Vec::new(), Vec::new());
+        if !by_network {
+            (self.weights, self.weight_moments) = (Vec::new(), Moments::default());
+        }
+        self
+    }
+
+    /// Behind all outer steps, of what is left of them once a trial is done: its best design (mm), found by that step.
+    #[must_use]
+    pub fn trained(steps: u32, design: Vec<f64>, best_step: u32) -> Self {
+        let nothing = vec![0.0; design.len()];
+        let design_moments = Moments { first: nothing.clone(), second: nothing, steps: steps.into() };
+        let best = Some(Best { design: design.clone(), error: 0.0, step: best_step });
+        Self { step: steps, design, design_moments, best, caution: 1.0, ..Self::default() }
+    }
+}
+
 /// Version 3, and the beginnings of it that were versions 1 (up to `protocol`) and 2 (up to `moves`).
 #[derive(Deserialize)]
 struct Former {

@@ -5,7 +5,9 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::{Body, Brain, Evaluation, Feasible, Optimise, Sensors, Solver, Stimuli, Time, Variation};
+use super::{
+    Body, Brain, BrainKind, Evaluation, Feasible, Optimise, Sensors, Solver, Stimuli, Time, Variation,
+};
 
 /// One point of a sweep.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -75,6 +77,23 @@ impl TrialSpec {
         }
         write_canonical(&value, &mut text);
         blake3::hash(text.as_bytes()).to_hex()[..32].to_owned()
+    }
+
+    /// Names what trains the trial's body: trials that agree in it pass through the same bodies, to the bit, whatever reads
+    /// these in the comparison at the end. 32 hex digits likewise.
+    #[must_use]
+    pub fn training(&self) -> String {
+        let mut spec = Self { evaluation: Evaluation::default(), ..self.clone() };
+        if spec.optimise.linear() {
+            // a body that an inverse brain is to read is simulated in double precision from the beginning
+            let kind = Some(spec.brain.kind).filter(|kind| *kind == BrainKind::Inverse).unwrap_or_default();
+            let Brain { memory, ridge, .. } = spec.brain;
+            spec.brain = Brain { kind, memory, ridge, ..Brain::default() };
+        }
+        if spec.optimise.objective.is_none() {
+            spec.variation = None;
+        }
+        spec.hash()
     }
 
     /// Names a body of the trial, of this design, with its sensors: 32 hex digits likewise.

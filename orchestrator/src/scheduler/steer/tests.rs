@@ -12,6 +12,9 @@ impl Payload for Nothing {
     type Asker = ();
 }
 
+/// A new trial that waits for nobody.
+const ALONE: Prior = Prior { attempts: 0, steps: None, kind: 0, body: 0, trained: true, judged: 0 };
+
 type Actions = Vec<Action<Nothing>>;
 
 /// A run whose workers are up: they have the first trials.
@@ -26,7 +29,7 @@ fn run(trials: usize, workers: u32) -> State {
         memory_limited: false,
         prune: None,
     };
-    let mut state = State::new(settings, &vec![Prior::default(); trials]);
+    let mut state = State::new(settings, &vec![ALONE; trials]);
     up(&mut state, Event::Clock(0));
     state
 }
@@ -186,7 +189,7 @@ fn added_trials_are_run() {
     let mut state = run(1, 1);
     let ended = finish(&mut state, 0, 0);
     assert_eq!(ended[1..], [Action::Close(id(0))]);
-    let priors = [Prior { attempts: 4, ..Prior::default() }, Prior::default()];
+    let priors = [Prior { attempts: 4, ..ALONE }, ALONE];
     let (answer, actions) = steer(&mut state, Steer::Add(priors.to_vec()));
     assert_eq!((answer, actions), (Answer::Added(2), vec![]));
     let actions = up(&mut state, Event::Lost(id(0), Reason::WorkerExited(0)));
@@ -200,7 +203,7 @@ fn added_trials_are_run() {
     {
         assert_eq!(steer(&mut state, command), (Answer::Refused(Refusal::Stopping), vec![]));
     }
-    assert_eq!(steer(&mut state, Steer::Add(vec![Prior::default()])).0, Answer::Added(1));
+    assert_eq!(steer(&mut state, Steer::Add(vec![ALONE])).0, Answer::Added(1));
     up(&mut state, Event::Failed(worker, lease(1, 5), Reason::Stopped));
     up(&mut state, Event::Recorded(lease(1, 5), Mark::Failure));
     let ended = up(&mut state, Event::Lost(worker, Reason::WorkerExited(0)));
