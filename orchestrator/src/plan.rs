@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{
     Body, Design, Disturbance, LayoutKind, NotOne, Own, Point, Run, Search, SearchFrom, Stimuli, SweepSpec,
-    TrialSpec, position_of,
+    Training, TrialSpec, position_of,
 };
 use metasense_worker::design::{self, DesignError, Layout, Limits};
 use metasense_worker::problem::{self, Invalid};
@@ -206,6 +206,7 @@ struct PointPlan {
     design_parameters: usize,
     brain_parameters: usize,
     cost: cost::Cost,
+    training: Training,
 }
 
 fn add_points(
@@ -270,6 +271,7 @@ fn add_points(
                 design_parameters: problem::design_parameters(&template, &layout).map_err(located)?,
                 brain_parameters: cost::brain_parameters(&template),
                 cost: cost::Cost::of(&template, layout.units()),
+                training: Training::of(&template),
                 template,
             });
         }
@@ -539,7 +541,7 @@ fn trials(spec: &SweepSpec, points: &[PointPlan]) -> Vec<Trial> {
                 let hash = spec.hash();
                 // Axes may say the same thing in two ways.
                 if seen.insert(hash.clone()) {
-                    let training = spec.training();
+                    let training = point.training.at(&spec);
                     let trains = trained.insert(training.clone());
                     trials.push(Trial {
                         hash,

@@ -34,7 +34,7 @@ pub use solver::{Method, Solver, Time};
 pub use stimuli::{
     Augment, ForceUnit, Part, Recorded, Resample, Signal, Stimuli, StimuliKind, TimeUnit, Trigger,
 };
-pub use trial::{Point, TrialSpec, flatten};
+pub use trial::{Point, Training, TrialSpec, flatten};
 pub use until::{AtMost, Until};
 pub use variation::{Alike, Nodes, OfLigaments, OfUnits, Relaxation, Scatter, Variation, VariationFile};
 

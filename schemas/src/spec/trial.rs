@@ -83,7 +83,30 @@ impl TrialSpec {
     /// these in the comparison at the end. 32 hex digits likewise.
     #[must_use]
     pub fn training(&self) -> String {
-        let mut spec = Self { evaluation: Evaluation::default(), ..self.clone() };
+        Training::of(self).at(self)
+    }
+
+    /// Names a body of the trial, of this design, with its sensors: 32 hex digits likewise.
+    #[must_use]
+    pub fn body_digest(&self, design: &[f64]) -> String {
+        let mut text = String::with_capacity(2048);
+        let value = serde_json::json!([self.body, self.sensor_units, design]);
+        write_canonical(&value, &mut text);
+        blake3::hash(text.as_bytes()).to_hex()[..32].to_owned()
+    }
+}
+
+/// What trials of a point share of [`TrialSpec::training`], which costs what a hash does.
+#[derive(Debug, Clone)]
+pub struct Training(String);
+
+impl Training {
+    /// Of the trials that differ from this one in placement and seed at most.
+    #[must_use]
+    pub fn of(trial: &TrialSpec) -> Self {
+        let point = Point { placement: 0, seed: 0, ..trial.point };
+        let mut spec =
+            TrialSpec { evaluation: Evaluation::default(), point, sensor_units: Vec::new(), ..trial.clone() };
         if spec.optimise.linear() {
             // a body that an inverse brain is to read is simulated in double precision from the beginning
             let kind = Some(spec.brain.kind).filter(|kind| *kind == BrainKind::Inverse).unwrap_or_default();
@@ -93,15 +116,14 @@ impl TrialSpec {
         if spec.optimise.objective.is_none() {
             spec.variation = None;
         }
-        spec.hash()
+        Self(spec.hash())
     }
 
-    /// Names a body of the trial, of this design, with its sensors: 32 hex digits likewise.
+    /// Of one of them.
     #[must_use]
-    pub fn body_digest(&self, design: &[f64]) -> String {
-        let mut text = String::with_capacity(2048);
-        let value = serde_json::json!([self.body, self.sensor_units, design]);
-        write_canonical(&value, &mut text);
+    pub fn at(&self, trial: &TrialSpec) -> String {
+        let Point { placement, seed, .. } = trial.point;
+        let text = format!("{} {placement} {seed} {:?}", self.0, trial.sensor_units);
         blake3::hash(text.as_bytes()).to_hex()[..32].to_owned()
     }
 }
