@@ -2,7 +2,9 @@
 
 use metasense::plan::Trial;
 use metasense::store::{Array, Reader, Store, StoreError, npy_bytes};
-use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
+use metasense_schemas::record::{
+    BodyEvaluation, Checkpoint, NetworkEvaluation, Parts, StepRecord, TrialResult,
+};
 use metasense_schemas::spec::{SweepSpec, TrialSpec};
 use serde_json::json;
 
@@ -34,8 +36,9 @@ pub fn trial(order: usize) -> Trial {
         units: 36,
         design_parameters: 168,
         brain_parameters: 13_122,
-        cost: 1.0,
-        weight: 1,
+        trains: true,
+        cost: Parts { steps: 0.0, comparison: 1.0 },
+        weight: Parts { steps: 0, comparison: 1 },
         pause: None,
     }
 }

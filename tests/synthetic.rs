@@ -15,7 +15,7 @@ use std::sync::OnceLock;
 use metasense::plan::Trial;
 use metasense::store::Store;
 use metasense_schemas::record::{
-    BodyEvaluation, Checkpoint, NetworkEvaluation, Seconds, StepRecord, TrialResult,
+    BodyEvaluation, Checkpoint, NetworkEvaluation, Parts, Seconds, StepRecord, TrialResult,
 };
 use metasense_schemas::spec::{Design, SweepSpec, TrialSpec};
 use serde_json::{Value, json};
@@ -74,8 +74,9 @@ fn trial(
         units: columns * rows,
         design_parameters: 2 * ((columns + 1) * rows + columns * (rows + 1)),
         brain_parameters: 9 * sensors * 64 + 64 + 3 * 64 * 64 + 64 + 64 * panels + panels,
-        cost: 10.0,
-        weight: 10_000,
+        trains: true,
+        cost: Parts { steps: 0.0, comparison: 10.0 },
+        weight: Parts { steps: 0, comparison: 10_000 },
         pause: None,
     }
 }

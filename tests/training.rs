@@ -177,10 +177,20 @@ async fn a_body_is_handed_on() {
     let found = store.goes_on_from(second, 1, None).await.unwrap().expect("a body");
     let same_network = Checkpoint { step: 2, comparison: None, ..checkpoint.clone() };
     assert_eq!(found, same_network, "the network trains the body");
-    assert_eq!(store.goes_on_from(second, 1, None).await.unwrap(), Some(found), "it is its own by now");
+    assert_eq!(
+        store.goes_on_from(second, 1, None).await.unwrap(),
+        Some(found.clone()),
+        "it is its own by now"
+    );
+    // killed before it has done anything itself: its body is of this code all the same
+    store.set_provenance(made("two"));
+    store.begin_attempt(second).await.unwrap();
+    assert_eq!(store.goes_on_from(second, 2, None).await.unwrap(), Some(found), "by both codes");
+    assert!(store.bodies().await.unwrap().is_empty(), "nothing is by the second code alone");
+    store.set_provenance(made("one"));
 
     store.finish(first, 1, &crate::store::result(), &[]).await.unwrap();
-    let found = store.goes_on_from(second, 1, None).await.unwrap().expect("a body");
+    let found = store.goes_on_from(second, 2, None).await.unwrap().expect("a body");
     let steps = trials[0].spec.optimise.steps() as u32;
     assert_eq!(found, Checkpoint::trained(steps, vec![0.5; 168], 3));
     store.close().await.unwrap();

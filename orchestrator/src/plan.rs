@@ -27,6 +27,7 @@ use metasense_worker::replay::Panel;
 use metasense_worker::{polygons, records};
 
 use axes::Combination;
+use metasense_schemas::record::Parts;
 pub use metasense_schemas::record::Trial;
 
 /// More trials than this are taken for a mistake.
@@ -205,7 +206,7 @@ struct PointPlan {
     units: usize,
     design_parameters: usize,
     brain_parameters: usize,
-    cost: cost::Cost,
+    cost: (Parts<f64>, Parts<u64>),
     training: Training,
 }
 
@@ -270,7 +271,7 @@ fn add_points(
                 units: layout.units(),
                 design_parameters: problem::design_parameters(&template, &layout).map_err(located)?,
                 brain_parameters: cost::brain_parameters(&template),
-                cost: cost::Cost::of(&template, layout.units()),
+                cost: cost::of(&template, layout.units()),
                 training: Training::of(&template),
                 template,
             });
@@ -542,17 +543,17 @@ fn trials(spec: &SweepSpec, points: &[PointPlan]) -> Vec<Trial> {
                 // Axes may say the same thing in two ways.
                 if seen.insert(hash.clone()) {
                     let training = point.training.at(&spec);
-                    let trains = trained.insert(training.clone());
                     trials.push(Trial {
                         hash,
+                        trains: trained.insert(training.clone()),
                         training,
                         spec,
                         order: trials.len(),
                         units: point.units,
                         design_parameters: point.design_parameters,
                         brain_parameters: point.brain_parameters,
-                        cost: point.cost.seconds(trains),
-                        weight: point.cost.weight(trains),
+                        cost: point.cost.0,
+                        weight: point.cost.1,
                         pause: None,
                     });
                 }

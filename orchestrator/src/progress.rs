@@ -33,7 +33,8 @@ const WHOLE: &str = "
 SELECT count(*), sum(state = 'done'), sum(state = 'failed' AND reason NOT IN ('pruned', 'cancelled')), sum(state = 'running'),
   sum(CASE WHEN state IN ('pending', 'running') THEN cost ELSE 0 END)
     - (SELECT coalesce(sum(t.cost * c.step / json_extract(t.spec, '$.optimise.iterations')), 0)
-       FROM checkpoint c JOIN trial t ON t.id = c.trial_id WHERE t.state IN ('pending', 'running')),
+       FROM checkpoint c JOIN trial t ON t.id = c.trial_id WHERE t.state IN ('pending', 'running')
+         AND EXISTS (SELECT 1 FROM attempt a WHERE a.trial_id = t.id AND a.steps > 0)),
   (SELECT sum(steps) FROM attempt), (SELECT count(*) FROM attempt),
   (SELECT sum((julianday(coalesce(a.ended_at, 'now')) - julianday(a.started_at)) * 86400)
      / nullif(sum(CASE a.state WHEN 'done' THEN t.cost

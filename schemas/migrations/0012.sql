@@ -13,7 +13,8 @@ SELECT
   t.error_initial, t.error_optimised, t.holdout_error_initial, t.holdout_error_optimised,
   t.train_error_initial, t.train_error_optimised, t.best_step,
   CASE WHEN EXISTS (SELECT 1 FROM elsewhere e WHERE e.trial_id = t.id)
-    THEN (SELECT coalesce(sum(a.steps), 0) FROM attempt a WHERE a.trial_id = t.id AND NOT a.redone)
+    THEN CASE t.state WHEN 'done' THEN CAST(t.spec->>'$.optimise.iterations' AS INTEGER)
+      ELSE (SELECT e.reached >> 32 FROM elsewhere e WHERE e.trial_id = t.id) END
     ELSE (SELECT count(*) FROM step p WHERE p.trial_id = t.id) END AS steps,
   (SELECT count(*) FROM attempt a WHERE a.trial_id = t.id) AS attempts,
   (SELECT sum(coalesce(a.cpu_seconds, CASE a.state WHEN 'done' THEN coalesce(t.seconds_evaluation, 0) ELSE 0 END

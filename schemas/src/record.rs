@@ -28,14 +28,34 @@ pub struct Trial {
     pub design_parameters: usize,
     /// Weights of its brain.
     pub brain_parameters: usize,
-    /// Estimated seconds on one core of this machine; where a trial before it trains its body, of its comparison alone.
+    /// Whether it is the first of the plan to train its body: the others find it trained.
     #[serde(skip)]
-    pub cost: f64,
-    /// Work against other trials: the same number on every machine.
-    pub weight: u64,
+    pub trains: bool,
+    /// Estimated seconds on one core of this machine.
+    #[serde(skip)]
+    pub cost: Parts<f64>,
+    /// Work against other trials: the same numbers on every machine.
+    pub weight: Parts<u64>,
     /// Outer steps after which it is to pause; `None`: it is run to its end.
     #[serde(skip)]
     pub pause: Option<u32>,
+}
+
+impl Trial {
+    /// Estimated seconds on one core of this machine, those of its steps where it is the one to make them.
+    #[must_use]
+    pub fn seconds(&self) -> f64 {
+        self.cost.comparison + if self.trains { self.cost.steps } else { 0.0 }
+    }
+}
+
+/// What of a trial is its outer steps, and what the comparison at its end.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Parts<T> {
+    /// All outer steps.
+    pub steps: T,
+    /// The comparison.
+    pub comparison: T,
 }
 
 /// The result of a settled trial, as far as the questions of `[until]` are about it.

@@ -16,6 +16,7 @@ use metasense::plan::Trial;
 use metasense::print_line;
 use metasense::scheduler::{Outcome, Settings};
 use metasense::store::Store;
+use metasense_schemas::record::Parts;
 use metasense_schemas::spec::{SweepSpec, TrialSpec};
 use metasense_worker::clock::cpu_seconds;
 use noop::{Fault, Noop};
@@ -188,9 +189,10 @@ fn trials(sweep: &SweepSpec, count: u32) -> Vec<Trial> {
             units: 4,
             design_parameters: 1,
             brain_parameters: 0,
-            weight: 1,
+            weight: Parts { steps: 0, comparison: 1 },
             pause: None,
-            cost: 1.0,
+            trains: true,
+            cost: Parts { steps: 0.0, comparison: 1.0 },
         })
         .collect()
 }

@@ -54,7 +54,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         table.rows.iter_mut().flatten().for_each(shorten);
     }
     print_rows(&table, args.format)?;
-    let total: f64 = plan.trials.iter().map(|t| t.cost).sum();
+    let total: f64 = plan.trials.iter().map(Trial::seconds).sum();
     let most = if plan.spec.until.is_some() { "at most " } else { "" };
     let (trials, time) = (counted(plan.trials.len(), "trial"), super::duration(total));
     say!("{most}{trials}, about {time} on one core with {}", name());
@@ -79,7 +79,7 @@ fn rounded(cost: f64) -> f64 {
 }
 
 fn row(trial: &Trial, axes: &[&String]) -> Vec<Value> {
-    let Trial { hash, spec, units, design_parameters, brain_parameters, cost, .. } = trial;
+    let Trial { hash, spec, units, design_parameters, brain_parameters, .. } = trial;
     let point = spec.point;
     let list = |units: &[usize]| units.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ");
     let mut row = row![
@@ -93,7 +93,7 @@ fn row(trial: &Trial, axes: &[&String]) -> Vec<Value> {
         list(&spec.sensor_units),
         design_parameters,
         brain_parameters,
-        rounded(*cost)
+        rounded(trial.seconds())
     ];
     if !axes.is_empty() {
         let spec = serde_json::to_value(spec).expect("a trial is JSON");

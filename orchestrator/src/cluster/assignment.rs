@@ -1,20 +1,21 @@
-//! Which shard runs which trial: the longest first, by their weight, each to the shard that has least to do. Every machine
-//! comes to the same.
+//! Which shard runs which trial: the longest first, by their weight, each to the shard that has least to do, or has its body
+//! trained. Every machine comes to the same.
 //!
 //! The assignment is written down with the shards, and stays: trials that a sweep gains later are added to it. Equal trials
 //! give equal files. What is submitted has the trials of each shard written out as well, so that a shard expands no spec.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, BinaryHeap, HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::io::{self, ErrorKind};
 use std::iter;
 use std::path::{Path, PathBuf};
 
+use metasense_schemas::record::Parts;
+
 use super::Shard;
 use super::home::attempts;
 use crate::files;
-use crate::plan::cost::Cost;
-use crate::plan::{Plan, Trial};
+use crate::plan::{Plan, Trial, cost};
 
 /// The shard of each trial, by its hash.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -70,6 +71,43 @@ pub enum AssignmentError {
         /// The missing file.
         file: String,
     },
+}
+
+/// What shards have to do. Each trains the bodies that its trials have.
+struct Dealt<'a> {
+    /// By shard.
+    loads: Vec<u64>,
+    /// The same, ascending.
+    order: BTreeSet<(u64, u32)>,
+    /// Shards that train a body.
+    homes: HashMap<&'a str, BTreeSet<u32>>,
+}
+
+impl<'a> Dealt<'a> {
+    fn new(shards: u32) -> Self {
+        let order = (1..=shards).map(|shard| (0, shard)).collect();
+        Self { loads: vec![0; shards as usize], order, homes: HashMap::new() }
+    }
+
+    fn put(&mut self, trial: &'a Trial, shard: u32) {
+        let trains = self.homes.entry(&trial.training).or_default().insert(shard);
+        let load = &mut self.loads[shard as usize - 1];
+        self.order.remove(&(*load, shard));
+        let Parts { steps, comparison } = trial.weight;
+        *load = load.saturating_add(comparison).saturating_add(if trains { steps } else { 0 });
+        self.order.insert((*load, shard));
+    }
+
+    /// Where its body is trained, unless that shard has so much more to do than the least busy one that another training pays.
+    fn shard_for(&self, trial: &Trial) -> u32 {
+        let (least, shard) = *self.order.first().expect("there is a shard");
+        let homes = self.homes.get(&*trial.training).into_iter().flatten();
+        let home = homes.map(|home| (self.loads[*home as usize - 1], *home)).min();
+        match home {
+            Some((load, home)) if load <= least.saturating_add(2 * trial.weight.steps) => home,
+            _ => shard,
+        }
+    }
 }
 
 impl Assignment {
@@ -160,42 +198,29 @@ impl Assignment {
         self.of.retain(|hash, _| kept.contains(hash.as_str()));
     }
 
-    /// Assigns what has not been, and leaves the rest where it is. Trials that share a body stay together, so that one shard
-    /// trains it, unless they are more than a shard's part of the work.
+    /// Assigns what has not been, and leaves the rest where it is: first a trial of each body, then those that find it trained.
     fn add(&mut self, trials: &[Trial]) {
-        let mut loads = vec![0_u64; self.shards as usize];
-        let (mut homes, mut new) = (HashMap::new(), BTreeMap::<_, Vec<_>>::new());
+        let (mut dealt, mut new) = (Dealt::new(self.shards), BTreeMap::<&str, Vec<&Trial>>::new());
         for trial in trials {
             match self.of.get(&trial.hash) {
-                Some(shard) => {
-                    loads[*shard as usize - 1] += trial.weight;
-                    homes.entry(&trial.training).or_insert(*shard);
-                }
+                Some(shard) => dealt.put(trial, *shard),
                 None => new.entry(&trial.training).or_default().push(trial),
             }
         }
-        let weight =
-            |group: &[&Trial]| group.iter().fold(0_u64, |sum, trial| sum.saturating_add(trial.weight));
-        let part =
-            trials.iter().fold(0_u64, |sum, trial| sum.saturating_add(trial.weight)) / u64::from(self.shards);
-        let mut groups = Vec::new();
+        let (mut first, mut others) = (Vec::new(), Vec::new());
         for (training, mut group) in new {
-            group.sort_by(|a, b| a.hash.cmp(&b.hash));
-            match homes.get(training) {
-                Some(shard) => {
-                    loads[*shard as usize - 1] += weight(&group);
-                    self.of.extend(group.iter().map(|trial| (trial.hash.clone(), *shard)));
-                }
-                None if weight(&group) > part => groups.extend(group.into_iter().map(|trial| vec![trial])),
-                None => groups.push(group),
+            group.sort_by_key(|trial| (Reverse(trial.weight.comparison), &trial.hash));
+            if !dealt.homes.contains_key(training) {
+                first.push(group.remove(0));
             }
+            others.extend(group);
         }
-        groups.sort_by_cached_key(|group| (Reverse(weight(group)), group[0].hash.clone()));
-        let mut least: BinaryHeap<_> = (1..).zip(loads).map(|(shard, load)| Reverse((load, shard))).collect();
-        for group in groups {
-            let Reverse((load, shard)) = least.pop().expect("there is a shard");
-            least.push(Reverse((load.saturating_add(weight(&group)), shard)));
-            self.of.extend(group.into_iter().map(|trial| (trial.hash.clone(), shard)));
+        first.sort_by_key(|trial| (Reverse(trial.weight.steps + trial.weight.comparison), &trial.hash));
+        others.sort_by_key(|trial| (Reverse(trial.weight.comparison), &trial.hash));
+        for trial in first.into_iter().chain(others) {
+            let shard = dealt.shard_for(trial);
+            dealt.put(trial, shard);
+            self.of.insert(trial.hash.clone(), shard);
         }
     }
 
@@ -208,14 +233,18 @@ impl Assignment {
     /// Leaves a plan only the trials of one shard, in their places.
     pub fn restrict(&self, shard: Shard, plan: &mut Plan) {
         plan.trials.retain(|trial| self.shard(&trial.hash) == shard.index());
+        let mut trained = HashSet::new();
+        plan.trials.iter_mut().for_each(|trial| trial.trains = trained.insert(trial.training.clone()));
     }
 
     /// Estimated core-seconds of each shard.
     #[must_use]
     pub fn costs(&self, trials: &[Trial]) -> Vec<f64> {
-        let mut costs = vec![0.0; self.shards as usize];
+        let (mut costs, mut trained) = (vec![0.0; self.shards as usize], HashSet::new());
         for trial in trials {
-            costs[self.shard(&trial.hash) as usize - 1] += trial.cost;
+            let (shard, Parts { steps, comparison }) = (self.shard(&trial.hash), trial.cost);
+            let trains = trained.insert((shard, &*trial.training));
+            costs[shard as usize - 1] += comparison + if trains { steps } else { 0.0 };
         }
         costs
     }
@@ -251,7 +280,8 @@ pub fn trials_of(folder: &Path, shard: Shard) -> Result<Option<Vec<Trial>>, Assi
             return Err(wrong(format!("trial {} has another hash by this program", trial.hash)));
         }
         trial.training = trial.spec.training();
-        trial.cost = Cost::of(&trial.spec, trial.units).seconds(trained.insert(trial.training.clone()));
+        trial.trains = trained.insert(trial.training.clone());
+        trial.cost = cost::of(&trial.spec, trial.units).0;
         Ok(trial)
     };
     text.lines().enumerate().map(trial).collect::<Result<_, _>>().map(Some)

@@ -6,7 +6,7 @@ use super::home::SUBMITTED_SPEC;
 use super::shard::ranges;
 use super::{Assignment, Shard};
 use crate::exit::Exit;
-use crate::plan::Trial;
+use crate::plan::{Trial, cost};
 
 /// A shard is told so long before its time limit (s): the run ends within two seconds, the copy has the rest.
 pub const NOTICE: u64 = 60;
@@ -109,7 +109,7 @@ pub struct Script {
 /// As many shards as make each take half of its time limit, by an estimate that is good to a factor of two.
 #[must_use]
 pub fn planned(trials: &[Trial], cpus: u32, seconds: u64) -> u32 {
-    let total: f64 = trials.iter().map(|trial| trial.cost).sum();
+    let total = cost::total(trials);
     let shards = (2.0 * total / (f64::from(cpus) * seconds as f64)).ceil();
     (shards.max(1.0) as u32).min(MOST_PLANNED).min(trials.len().try_into().unwrap_or(u32::MAX))
 }
@@ -119,7 +119,7 @@ pub fn planned(trials: &[Trial], cpus: u32, seconds: u64) -> u32 {
 pub fn estimate(trials: &[Trial], assignment: &Assignment, cpus: u32) -> (f64, f64) {
     let costs = assignment.costs(trials);
     let cores = f64::from(cpus);
-    let longest_trial = trials.iter().map(|trial| trial.cost).fold(0.0, f64::max);
+    let longest_trial = trials.iter().map(Trial::seconds).fold(0.0, f64::max);
     let longest = costs.iter().fold(0.0_f64, |most, cost| most.max(cost / cores)).max(longest_trial);
     (costs.iter().sum::<f64>() / costs.len() as f64 / cores, longest)
 }

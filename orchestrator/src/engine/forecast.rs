@@ -8,7 +8,8 @@ use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 use std::time::Duration;
 
-use crate::plan::{Trial, cost};
+use crate::plan::Trial;
+use metasense_schemas::record::Parts;
 
 /// More open trials than this are spread evenly instead of one by one.
 const ONE_BY_ONE: usize = 2000;
@@ -31,9 +32,8 @@ impl Planned {
     /// A trial that has `behind` steps behind it.
     pub fn new(trial: &Trial, behind: u32) -> Self {
         let steps = trial.spec.optimise.steps().max(1) as u32;
-        let cost = trial.cost.max(1e-9);
-        let comparison = cost::comparison(trial).clamp(0.0, cost);
-        let step = (cost - comparison) / f64::from(steps);
+        let Parts { steps: all, comparison } = trial.cost;
+        let (step, comparison) = (all / f64::from(steps), comparison.max(1e-9));
         let (steps, comparison) = trial.pause.map_or((steps, comparison), |pause| (pause, 0.0));
         Self { step, comparison, steps, behind: behind.min(steps), open: true }
     }

@@ -149,7 +149,8 @@ pub async fn run<'a>(
         links: HashMap::new(),
         words: words_out,
         queue,
-        checkpoints: HashMap::new(),
+        steps: HashMap::new(),
+        begun_at: HashMap::new(),
         leases: HashMap::new(),
         said: Vec::new(),
         details: HashMap::new(),
@@ -217,8 +218,9 @@ struct Engine<'a> {
     runtime: Runtime,
     words: mpsc::Sender<(WorkerId, Word)>,
     queue: mpsc::Sender<Entry>,
-    /// The last one of each open trial that has come further in this run.
-    checkpoints: HashMap<u32, Arc<Checkpoint>>,
+    /// Steps behind each open trial that has begun in this run, and behind where its last attempt began.
+    steps: HashMap<u32, u32>,
+    begun_at: HashMap<u32, u32>,
     view: View,
     /// What each worker was given last.
     leases: HashMap<WorkerId, Lease>,
@@ -265,19 +267,17 @@ impl Engine<'_> {
                 self.spent.begin(lease, worker, &self.fleet);
                 self.record(Write::Begin(lease)).await;
                 self.view.assigned(lease.trial, self.began.elapsed());
-                let known =
-                    self.checkpoints.get(&lease.trial).map(|checkpoint| Checkpoint::clone(checkpoint));
                 let prior = self.priors[lease.trial as usize];
-                let begun = prior.steps.is_some() || self.steering.kinds.begun.contains(&prior.body);
-                if known.is_none() && begun {
+                if prior.steps.is_some() || self.steering.kinds.begun.contains(&prior.body) {
                     let pause = self.trials[lease.trial as usize].pause;
                     self.record(Write::Load(worker, lease, pause)).await;
                 } else {
-                    self.send_job(worker, lease, known);
+                    self.view.goes_on(lease.trial, 0, true);
+                    self.send_job(worker, lease, None);
                 }
             }
             Action::RecordStep(lease, (record, checkpoint)) => {
-                self.checkpoints.insert(lease.trial, Arc::clone(&checkpoint));
+                self.steps.insert(lease.trial, checkpoint.step);
                 self.steering.kinds.begun.insert(self.priors[lease.trial as usize].body);
                 self.view.stepped(lease.trial, self.began.elapsed());
                 self.watch.step(self.trials[lease.trial as usize], &record);
@@ -285,7 +285,7 @@ impl Engine<'_> {
                 self.record(Write::Step(lease, record, checkpoint)).await;
             }
             Action::RecordResult(lease, (result, arrays)) => {
-                self.checkpoints.remove(&lease.trial);
+                self.steps.remove(&lease.trial);
                 self.details.remove(&lease);
                 self.view.finished(lease.trial, self.began.elapsed());
                 self.record_spent(lease).await;
@@ -293,13 +293,12 @@ impl Engine<'_> {
                 self.record(Write::Result(lease, result, arrays)).await;
             }
             Action::RecordCheckpoint(lease, checkpoint) => {
-                self.checkpoints.insert(lease.trial, Arc::clone(&checkpoint));
                 self.record_spent(lease).await;
                 self.record(Write::Checkpoint(lease, checkpoint)).await;
             }
             Action::RecordFailure { lease, reason, settled } => {
                 if settled {
-                    self.checkpoints.remove(&lease.trial);
+                    self.steps.remove(&lease.trial);
                 }
                 let trial = self.trials[lease.trial as usize];
                 self.view.attempt_failed(lease.trial, reason, settled, self.began.elapsed());
@@ -447,8 +446,10 @@ impl Engine<'_> {
             ToOrchestrator::Step { lease, record, checkpoint } => {
                 let steps =
                     self.trials.get(lease.trial as usize).map_or(1, |trial| trial.spec.optimise.steps());
+                let part = |step: u32| f64::from(step) / steps.max(1) as f64;
                 let standing = Standing {
-                    part: f64::from(checkpoint.step) / steps.max(1) as f64,
+                    part: part(checkpoint.step),
+                    begun: part(self.begun_at.get(&lease.trial).copied().unwrap_or(0)),
                     error: checkpoint.best.as_ref().map(|best| best.error),
                 };
                 Event::Step(worker, lease, standing, (record, Arc::from(checkpoint)))
@@ -472,7 +473,7 @@ impl Engine<'_> {
             }
             ToOrchestrator::Stopped { lease } => {
                 let due = self.trials.get(lease.trial as usize).and_then(|trial| trial.pause);
-                let done = self.checkpoints.get(&lease.trial).map(|checkpoint| checkpoint.step);
+                let done = self.steps.get(&lease.trial).copied();
                 let done = done.or_else(|| self.priors.get(lease.trial as usize)?.steps);
                 let paused = due.zip(done).is_some_and(|(due, done)| done >= due);
                 Event::Failed(worker, lease, if paused { Reason::Paused } else { Reason::Stopped })
@@ -499,7 +500,8 @@ impl Engine<'_> {
                 });
                 if self.state.phase(lease.trial) == Phase::Running(worker) {
                     if let Some(checkpoint) = &checkpoint {
-                        self.checkpoints.insert(lease.trial, Arc::from(checkpoint.clone()));
+                        self.steps.insert(lease.trial, checkpoint.step);
+                        self.begun_at.insert(lease.trial, checkpoint.step);
                         self.view.goes_on(lease.trial, checkpoint.step, checkpoint.comparison.is_none());
                     }
                     self.send_job(worker, lease, checkpoint.map(|checkpoint| *checkpoint));

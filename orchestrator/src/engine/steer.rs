@@ -169,7 +169,7 @@ impl Engine<'_> {
             let judged = prune.iter().filter(|mark| part >= **mark).count();
             let prior = self.steering.kinds.prior(trial, known, fresh.bodies.get(&trial.training));
             priors.push(Prior { judged, ..prior });
-            self.view.add(trial, known.steps.unwrap_or(0));
+            self.view.add(trial, if prior.trained { u32::MAX } else { known.steps.unwrap_or(0) });
             self.trials.push(trial);
         }
         self.priors.extend(&priors);

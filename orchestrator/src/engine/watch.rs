@@ -1,5 +1,6 @@
 //! What a person may see of a run while it goes on.
 
+use std::collections::HashSet;
 use std::time::Duration;
 
 use metasense_schemas::reason::Reason;
@@ -63,7 +64,12 @@ pub struct View {
 impl View {
     pub(super) fn new(trials: &[&Trial], priors: &[Prior], settings: &Settings) -> Self {
         let workers = settings.workers;
-        let planned = |(trial, prior): (&&Trial, &Prior)| Planned::new(trial, prior.steps.unwrap_or(0));
+        // of trials with one body the first trains it
+        let mut bodies = HashSet::new();
+        let planned = |(trial, prior): (&&Trial, &Prior)| {
+            let trains = bodies.insert(prior.body) && !prior.trained;
+            Planned::new(trial, if trains { prior.steps.unwrap_or(0) } else { u32::MAX })
+        };
         Self {
             total: trials.len(),
             done: 0,

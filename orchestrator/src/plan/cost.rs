@@ -2,7 +2,10 @@
 //!
 //! The engine replaces it by what steps have taken once there are some.
 
+use std::collections::HashSet;
+
 use super::Trial;
+use metasense_schemas::record::Parts;
 use metasense_schemas::spec::{BrainKind, Method, Network, Protocol, Solver, TrialSpec};
 use metasense_worker::pace::Pace;
 use metasense_worker::problem::{INVERTED_OF_A_CAST, READINGS_MAX, instants, lags};
@@ -80,48 +83,22 @@ fn root(x: f64, n: i32) -> f64 {
     y
 }
 
-/// Seconds of a trial on one core.
-#[derive(Debug, Clone, Copy)]
-struct Seconds {
-    /// Of all outer steps.
-    steps: f64,
-    /// Of the comparison at the end.
-    comparison: f64,
+/// Seconds of a trial on one core of this machine, and what it weighs against others, in whole milliseconds on AVX-512: the same
+/// numbers on every machine, and nothing is for free.
+#[must_use]
+pub fn of(trial: &TrialSpec, units: usize) -> (Parts<f64>, Parts<u64>) {
+    let whole = |seconds: f64| (seconds * 1e3).round().max(1.0) as u64;
+    let Parts { steps, comparison } = seconds(trial, units, RATED);
+    (seconds(trial, units, Pace::here()), Parts { steps: whole(steps), comparison: whole(comparison) })
 }
 
-impl Seconds {
-    /// Of a trial that trains its body, or goes on with one that another trial has trained.
-    fn sum(self, trains: bool) -> f64 {
-        self.comparison + if trains { self.steps } else { 0.0 }
-    }
-}
-
-/// What a trial costs here, and on the machine by which trials are weighed.
-#[derive(Debug, Clone, Copy)]
-pub struct Cost {
-    here: Seconds,
-    rated: Seconds,
-}
-
-impl Cost {
-    /// Of a trial whose body has so many units.
-    #[must_use]
-    pub fn of(trial: &TrialSpec, units: usize) -> Self {
-        let [here, rated] = [Pace::here(), RATED].map(|pace| seconds(trial, units, pace));
-        Self { here, rated }
-    }
-
-    /// Estimated seconds on one core of this machine.
-    #[must_use]
-    pub fn seconds(self, trains: bool) -> f64 {
-        self.here.sum(trains)
-    }
-
-    /// Against other trials, in whole milliseconds on AVX-512: the same number on every machine, and nothing is for free.
-    #[must_use]
-    pub fn weight(self, trains: bool) -> u64 {
-        (self.rated.sum(trains) * 1e3).round().max(1.0) as u64
-    }
+/// Seconds of trials on one core, each body trained once.
+pub fn total<'a>(trials: impl IntoIterator<Item = &'a Trial>) -> f64 {
+    let mut trained = HashSet::new();
+    let of = |trial: &'a Trial| {
+        trial.cost.comparison + if trained.insert(&trial.training) { trial.cost.steps } else { 0.0 }
+    };
+    trials.into_iter().map(of).sum()
 }
 
 /// Force evaluations of one sample's motion, by the diagram of the reference scene (`results/committed/work-precision.svg`).
@@ -140,7 +117,7 @@ fn evaluations(solver: Solver, trial: &TrialSpec) -> f64 {
     (steps / kinks).ceil() * kinks * stages
 }
 
-fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Seconds {
+fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
     let stimuli = &trial.stimuli;
     let optimise = trial.optimise.clone().resolved();
     let sample_by = |solver: Solver| {
@@ -202,19 +179,12 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Seconds {
     };
     let bodies = if optimise.steps() == 0 { 1.0 } else { 2.0 };
     let comparison = bodies * (each + trainings * train + readings + of_casts + under + inverted);
-    Seconds { steps: GROWN * optimise.steps() as f64 * step, comparison }
-}
-
-/// What of a trial's cost is the comparison at its end.
-#[must_use]
-pub fn comparison(trial: &Trial) -> f64 {
-    seconds(&trial.spec, trial.units, Pace::here()).comparison
+    Parts { steps: GROWN * optimise.steps() as f64 * step, comparison }
 }
 
 /// Seconds that trials take on so many workers of so many threads: the work shared out, but no less than the longest.
 #[must_use]
 pub fn seconds_on(trials: &[&Trial], workers: u32, threads: u32) -> f64 {
-    let (total, longest) =
-        trials.iter().fold((0.0, 0.0_f64), |(sum, most), trial| (sum + trial.cost, most.max(trial.cost)));
-    (total / f64::from(workers.max(1))).max(longest) / f64::from(threads.max(1))
+    let longest = trials.iter().map(|trial| trial.cost.steps + trial.cost.comparison).fold(0.0, f64::max);
+    (total(trials.iter().copied()) / f64::from(workers.max(1))).max(longest) / f64::from(threads.max(1))
 }

@@ -324,12 +324,13 @@ pub fn on_fresh_seed(plan: &Plan, trial: &Trial, body: &TrialSpec, design: &[f64
     spec.optimise.iterations = Some(0);
     spec.sensors.search = None;
     spec.point.seed = last.saturating_add(1 + n as u64);
-    let cost = cost::Cost::of(&spec, trial.units);
+    let ((cost, weight), hash) = (cost::of(&spec, trial.units), spec.hash());
     Trial {
-        hash: spec.hash(),
-        training: spec.training(),
-        cost: cost.seconds(true),
-        weight: cost.weight(true),
+        training: hash.clone(), // its own: nothing is trained
+        hash,
+        trains: true,
+        cost,
+        weight,
         order: plan.trials.len() + n,
         pause: None,
         spec,

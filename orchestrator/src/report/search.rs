@@ -12,7 +12,7 @@ use crate::analysis::goal::{Candidate, Class, Decision, LEVELS, Search, Stage};
 use crate::analysis::setting::flatten;
 use crate::look::{Answer, Axis, Figure, Picture, Plot, Scale, Table, legend, number};
 use crate::plan::goal::{Place, Space, on_fresh_seed, rungs};
-use crate::plan::{Plan, Trial, counted};
+use crate::plan::{Plan, Trial, cost, counted};
 use crate::store::{Reader, Standing, StoreError};
 
 /// A search, as far as its database goes.
@@ -43,7 +43,7 @@ impl Sought {
         let known = Known::of(reader, &space, &plan, &mut HashMap::new()).await?;
         let mut search = begun(&space);
         let (decision, classes) = (search.follow(&known.candidates), search.classes());
-        let whole = plan.trials.iter().map(|trial| trial.cost).sum();
+        let whole = cost::total(&plan.trials);
         Ok(Self { plan, space, decision, classes, seconds: [known.seconds, whole] })
     }
 

@@ -200,7 +200,7 @@ pub struct State {
     settings: Settings,
     now: Millis,
     trials: Vec<Trial>,
-    /// Trials that may be handed out: those asked for first, begun ones, then in the order of the plan; behind them those that died.
+    /// Trials that wait for a worker, or for their body: those asked for first, begun ones, then in the order of the plan; behind them those that died.
     ready: BTreeSet<(i64, u32)>,
     /// Trials that wait for a time.
     delayed: BTreeSet<(Millis, u32)>,
@@ -495,9 +495,14 @@ impl State {
     fn judge(&mut self, lease: Lease, standing: Standing) {
         let (Some(prune), Some(error)) = (&self.settings.prune, standing.error) else { return };
         let trial = &mut self.trials[lease.trial as usize];
-        while prune.at.get(trial.judged).is_some_and(|part| standing.part >= *part) {
-            let (others, median) = self.standings.note(trial.kind, trial.judged, error);
+        while let Some(part) = prune.at.get(trial.judged).filter(|part| standing.part >= **part) {
+            let mark = trial.judged;
             trial.judged += 1;
+            // passed before, maybe as another trial, by a better design than it had here
+            if standing.begun >= *part {
+                continue;
+            }
+            let (others, median) = self.standings.note(trial.kind, mark, error);
             if others >= prune.grace && error > median {
                 trial.unwanted.get_or_insert(Reason::Pruned);
             }
@@ -506,7 +511,10 @@ impl State {
 
     /// An attempt came to nothing: again, later, or never.
     fn attempt_failed<P: Payload>(&mut self, lease: Lease, reason: Reason, out: &mut Vec<Action<P>>) {
-        self.training.retain(|_, by| *by != lease.trial);
+        let body = self.trials[lease.trial as usize].body;
+        if self.training.get(&body) == Some(&lease.trial) {
+            self.training.remove(&body);
+        }
         let death = reason.is_retried() || reason == Reason::OutOfMemory && !self.settings.memory_limited;
         let trial = &mut self.trials[lease.trial as usize];
         let back = death || reason == Reason::Paused;
@@ -592,16 +600,19 @@ impl State {
         }
     }
 
-    /// Starts as many workers as there are trials that wait for one.
+    /// Starts as many workers as there are trials that wait for one, and not for another trial to train their body.
     fn spawn<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
         if self.stopping != Stopping::No || self.settings.paused || self.unfit().is_some() {
             return;
         }
         let coming = |slot: &&Slot| matches!(slot.work, Work::Starting { .. } | Work::Idle);
-        let free = self.free().take(self.settings.workers as usize).count() + self.delayed.len();
-        let wanted = free.saturating_sub(self.slots.iter().filter(coming).count());
         let alive = self.slots.iter().filter(|slot| slot.is_alive()).count();
-        let mut wanted = wanted.min((self.settings.workers as usize).saturating_sub(alive));
+        let room = (self.settings.workers as usize).saturating_sub(alive);
+        if room == 0 {
+            return;
+        }
+        let free = self.free().take(self.settings.workers as usize).count() + self.delayed.len();
+        let mut wanted = free.saturating_sub(self.slots.iter().filter(coming).count()).min(room);
         for (slot, number) in self.slots.iter_mut().zip(0..) {
             if let Work::Empty { until } = slot.work
                 && until <= self.now

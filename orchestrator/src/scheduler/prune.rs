@@ -10,6 +10,8 @@ use std::collections::BTreeMap;
 pub struct Standing {
     /// Part of its steps.
     pub part: f64,
+    /// What of them was there when its attempt began; maybe by another trial that trains the same body.
+    pub begun: f64,
     /// Its best error so far.
     pub error: Option<f64>,
 }

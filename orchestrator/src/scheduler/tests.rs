@@ -395,8 +395,9 @@ impl World {
         let (trial, mut when) = (lease.trial, self.now);
         let Body { length, error, .. } = self.bodies[trial as usize];
         // it goes on from where any of those has come to that train the same body
-        self.steps[trial as usize] = self.trained(trial);
-        for step in self.steps[trial as usize]..length {
+        let begun = self.trained(trial);
+        self.steps[trial as usize] = begun;
+        for step in begun..length {
             when += 1 + self.dice.below(3_000);
             if self.dice.percent(self.chance_of_death) {
                 return self.at(when, Event::Lost(worker, Reason::WorkerKilled(9)));
@@ -412,7 +413,8 @@ impl World {
                 );
             }
             self.say(when, Event::Beat(worker, lease));
-            let standing = Standing { part: f64::from(step + 1) / f64::from(length), error: Some(error) };
+            let part = |steps: u32| f64::from(steps) / f64::from(length);
+            let standing = Standing { part: part(step + 1), begun: part(begun), error: Some(error) };
             self.say(when, Event::Step(worker, lease, standing, (trial, step)));
         }
         for _ in 0..self.dice.below(4) {

@@ -33,7 +33,7 @@ pub const NUMBERS: [(&str, &str); 14] = [
 const ROWS: &str = "SELECT t.id, t.hash, t.spec, t.state, coalesce(t.reason, '') AS reason, t.panels AS K, t.sensors AS M, t.placement,
   t.seed, t.units, t.holdout_error_initial AS holdout_initial, t.holdout_error_optimised AS holdout_optimised,
   t.error_initial AS test_initial, t.error_optimised AS test_optimised, t.best_step,
-  (SELECT sum(a.steps) FROM attempt a WHERE a.trial_id = t.id AND NOT a.redone) AS steps,
+  (SELECT v.steps FROM v_trial v WHERE v.hash = t.hash) AS steps,
   (SELECT count(*) FROM attempt a WHERE a.trial_id = t.id) AS attempts,
   (SELECT sum(a.cpu_seconds) FROM attempt a WHERE a.trial_id = t.id AND NOT a.redone) AS cpu_seconds, t.cost AS estimate
 FROM trial t";

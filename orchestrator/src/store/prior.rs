@@ -5,7 +5,6 @@ use std::collections::HashMap;
 use metasense_schemas::record::Checkpoint;
 use sqlx::AssertSqlSafe;
 
-use super::write::read_checkpoint;
 use super::{Level, Store, StoreError, npy_values};
 
 /// How far earlier runs have come with a trial.
@@ -28,36 +27,39 @@ pub struct Reached {
     pub error: f64,
 }
 
-/// Trials `m` behind whose steps others can go on with the same body, all of their work by this program's code (`?2`), with how far
-/// they have come: those that are done have all their steps behind them.
+/// Trials `m` behind whose steps others can go on with the same body, all of their work by this program's code (`?2`) and
+/// instruction set (`?3`), with how far they have come: those that are done have all their steps behind them.
 const TRAINERS: &str = "
-    SELECT m.id, m.hash, m.state, m.training, m.best_step, c.bytes AS checkpoint,
+    SELECT m.id, m.hash, m.training, m.best_step, c.bytes AS checkpoint,
       CASE m.state WHEN 'done' THEN CAST(m.spec->>'$.optimise.iterations' AS INTEGER) ELSE c.step END AS reached
     FROM trial m LEFT JOIN checkpoint c ON c.trial_id = m.id
     WHERE m.training IN (SELECT t.training FROM trial t WHERE t.id = ?1 OR ?1 IS NULL AND t.state IN ('pending', 'running'))
       AND (m.state = 'done' OR c.step > 0) AND NOT EXISTS (SELECT 1 FROM attempt a WHERE a.trial_id = m.id
-        AND NOT a.redone AND a.code IS NOT ?2 AND (a.steps > 0 OR a.saves > 0 OR a.state = 'done'))";
+        AND NOT a.redone AND (a.code IS NOT ?2 OR a.simd IS NOT ?3) AND (a.steps > 0 OR a.saves > 0 OR a.state = 'done'))";
 
 impl Store {
     /// How many outer steps trials have behind them whose bodies open trials train, too, by [`TrialSpec::training`].
+    ///
+    /// [`TrialSpec::training`]: metasense_schemas::spec::TrialSpec::training
     pub async fn bodies(&mut self) -> Result<HashMap<String, u32>, StoreError> {
-        let code = self.provenance.as_ref().map(|made| made.code.clone());
+        let made = self.provenance.as_ref();
         // Names of our own schema only.
         let sql = format!("SELECT training, max(reached) FROM ({TRAINERS}) GROUP BY training");
         let rows: Vec<(String, u32)> = sqlx::query_as(AssertSqlSafe(sql))
             .bind(None::<i64>)
-            .bind(code)
+            .bind(made.map(|made| &made.code))
+            .bind(made.map(|made| &made.simd))
             .fetch_all(&mut self.connection)
             .await
-            .map_err(self.at("reading"))?;
+            .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
         Ok(rows.into_iter().collect())
     }
 
-    /// Where a trial of which this attempt has begun goes on: behind its own last step, or that of a trial that has come further with the
-    /// same body, whose steps are then this one's, too; no further than `pause`. `None` where it starts anew.
+    /// Where a trial goes on of which this attempt has begun: behind its own last step, or that of a trial that has come
+    /// further with the same body, whose steps are then this one's, too; no further than `pause`. `None` where it starts anew.
     ///
     /// # Errors
-    /// Where SQLite fails, or a checkpoint is of another program.
+    /// Where SQLite fails, or its own checkpoint is of another program.
     pub async fn goes_on_from(
         &mut self,
         hash: &str,
@@ -66,50 +68,56 @@ impl Store {
     ) -> Result<Option<Checkpoint>, StoreError> {
         let own = self.checkpoint(hash).await?;
         let (id, at) = (self.id(hash)?, self.at("reading the body of another trial from"));
-        let code = self.provenance.as_ref().map(|made| made.code.clone());
         let optimise = self.optimise(id).await.map_err(&at)?;
+        let made = self.provenance.as_ref();
         let sql = format!(
             "SELECT m.id, m.hash, m.reached, m.checkpoint, a.bytes, coalesce(m.best_step, 0) FROM ({TRAINERS}) m
              LEFT JOIN artifact a ON a.trial_id = m.id AND a.name = 'alpha_optimised'
-             WHERE m.id <> ?1 AND m.reached > ?3 AND m.reached <= ?4 AND coalesce(m.checkpoint, a.bytes) IS NOT NULL
+             WHERE m.id <> ?1 AND m.reached > ?4 AND m.reached <= ?5 AND coalesce(m.checkpoint, a.bytes) IS NOT NULL
              ORDER BY m.reached DESC, m.id LIMIT 1"
         );
         type Row = (i64, String, u32, Option<Vec<u8>>, Option<Vec<u8>>, u32);
         let found: Option<Row> = sqlx::query_as(AssertSqlSafe(sql))
             .bind(id)
-            .bind(code)
+            .bind(made.map(|made| &made.code))
+            .bind(made.map(|made| &made.simd))
             .bind(own.as_ref().map_or(0, |own| own.step))
             .bind(pause.unwrap_or(u32::MAX))
             .fetch_optional(&mut self.connection)
             .await
             .map_err(&at)?;
         let Some((other, name, reached, checkpoint, best, best_step)) = found else { return Ok(own) };
-        let checkpoint = match (checkpoint, best) {
-            (Some(bytes), _) => read_checkpoint(&name, &bytes)?.of_body(!optimise.linear()),
-            (None, best) => {
-                let best = npy_values(&best.unwrap_or_default()).map_err(|e| at(sqlx::Error::Io(e)))?;
-                Checkpoint::trained(reached, best, best_step)
+        let body = match checkpoint {
+            Some(bytes) => Checkpoint::from_bytes(&bytes).ok().map(|there| there.of_body(!optimise.linear())),
+            None => {
+                let best = npy_values(&best.unwrap_or_default()).ok();
+                best.map(|best| Checkpoint::trained(reached, best, best_step))
             }
         };
+        // of no use, as what is damaged: this trial has its own way
+        let Some(body) = body else { return Ok(own) };
         self.together("taking over a body in", async |store| {
             store.take_over_steps(other, reached, id).await?;
             store.take_over_designs(other, id).await?;
-            store.insert_checkpoint(id, &checkpoint).await
+            store.insert_checkpoint(id, &body).await?;
+            // work of this attempt, by its code: nobody else is to take it for other code's
+            store.touch(id, attempt, 0, 1).await
         })
         .await?;
         let said = format!("goes on behind step {reached} of trial {name}, which trains the same body");
         self.log(hash, attempt, Level::Info, &said).await?;
-        Ok(Some(checkpoint))
+        Ok(Some(body))
     }
 
     /// Steps of another trial, before this one, become those of this trial where it lacks them, by no attempt of its own.
     async fn take_over_steps(&mut self, other: i64, before: u32, id: i64) -> sqlx::Result<()> {
-        let columns = "SELECT group_concat(name, ', ') FROM pragma_table_info('step') WHERE name NOT IN ('trial_id', 'attempt')";
+        let columns = "SELECT group_concat(name, ', ') FROM pragma_table_info('step')
+            WHERE name NOT IN ('trial_id', 'attempt', 'recorded_at')";
         let columns: String = sqlx::query_scalar(columns).fetch_one(&mut self.connection).await?;
         // Names of our own schema only.
         let sql = format!(
-            "INSERT OR IGNORE INTO step (trial_id, attempt, {columns})
-             SELECT ?, 0, {columns} FROM step WHERE trial_id = ? AND step < ?"
+            "INSERT OR IGNORE INTO step (trial_id, attempt, recorded_at, {columns})
+             SELECT ?, 0, strftime('%Y-%m-%dT%H:%M:%fZ'), {columns} FROM step WHERE trial_id = ? AND step < ?"
         );
         let query = sqlx::query(AssertSqlSafe(sql)).bind(id).bind(other).bind(before);
         query.execute(&mut self.connection).await?;

@@ -39,9 +39,9 @@ impl Store {
         let hashes: Vec<&str> = trials.iter().map(|t| t.hash.as_str()).collect();
         let known: Option<i64> = sqlx::query_scalar(
             "SELECT s.id FROM sweep s WHERE s.name = ?1 AND s.text = ?2
-             AND coalesce(?3, '') IN (SELECT '' UNION ALL SELECT spec FROM trial WHERE hash = ?4 AND training IS NOT NULL)
+             AND coalesce(?3, '') IN (SELECT '' UNION ALL SELECT spec FROM trial WHERE hash = ?4)
              AND ?5 = (SELECT count(*) FROM sweep_trial x WHERE x.sweep_id = s.id)
-             AND ?5 = (SELECT count(*) FROM json_each(?6) j JOIN trial t ON t.hash = j.value
+             AND ?5 = (SELECT count(*) FROM json_each(?6) j JOIN trial t ON t.hash = j.value AND t.training IS NOT NULL
                        JOIN sweep_trial x ON x.trial_id = t.id AND x.sweep_id = s.id)",
         )
         .bind(&spec.name)
@@ -166,7 +166,7 @@ fn row(trial: &Trial) -> serde_json::Value {
         spec.optimise.protocol,
         trial.design_parameters,
         trial.brain_parameters,
-        trial.cost,
+        trial.seconds(),
         trial.order,
         trial.training,
     ])

@@ -178,7 +178,13 @@ impl Store {
     }
 
     /// Counts steps of the current attempt, and savings of its comparison; false where it is not the current one.
-    async fn touch(&mut self, id: i64, attempt: u32, steps: i64, saves: i64) -> sqlx::Result<bool> {
+    pub(super) async fn touch(
+        &mut self,
+        id: i64,
+        attempt: u32,
+        steps: i64,
+        saves: i64,
+    ) -> sqlx::Result<bool> {
         let done = sqlx::query(
             "UPDATE attempt SET steps = steps + ?, saves = saves + ?
              WHERE trial_id = ? AND number = ? AND state = 'running'",

@@ -8,7 +8,17 @@ fn trials(costs: &[f64]) -> Vec<Trial> {
     costs
         .iter()
         .enumerate()
-        .map(|(i, &cost)| Trial { hash: hash(i), cost, weight: 1 + (cost * 1e3) as u64, ..spec.clone() })
+        .map(|(i, &cost)| {
+            let of = |cost: f64| (cost, 1 + (cost * 1e3) as u64);
+            let [(steps, steps_weigh), (comparison, comparison_weighs)] = [of(0.7 * cost), of(0.3 * cost)];
+            Trial {
+                hash: hash(i),
+                training: hash(i),
+                cost: Parts { steps, comparison },
+                weight: Parts { steps: steps_weigh, comparison: comparison_weighs },
+                ..spec.clone()
+            }
+        })
         .collect()
 }
 
@@ -48,6 +58,46 @@ proptest! {
         let later = Assignment::in_folder(folder.path(), more, shards).unwrap();
         prop_assert!(first.iter().all(|t| later.shard(&t.hash) == assignment.shard(&t.hash)));
         prop_assert!(ratio(&later, more) <= 1.15, "{} of {shards}, later", ratio(&later, more));
+    }
+}
+
+/// The bodies of some trials with so many readers each.
+fn readers(mut trials: Vec<Trial>, each: usize) -> Vec<Trial> {
+    let firsts: Vec<Trial> = trials.chunks(each).map(|group| group[0].clone()).collect();
+    for (i, trial) in trials.iter_mut().enumerate() {
+        let Trial { training, cost, weight, .. } = firsts[i / each].clone();
+        (trial.training, trial.cost, trial.weight) = (training, cost, weight);
+    }
+    trials
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Where several trials share a body, no shard has more to do than a list of whole groups could give it, and more shards than one
+    /// train a body only where that pays; also when readers are added to each body.
+    #[test]
+    fn trials_of_a_body_stay_together_where_that_pays(
+        shards in 1_u32..30,
+        logs in prop::collection::vec(0.0..2.0_f64, 240),
+        each in 1_usize..12,
+    ) {
+        let all = readers(trials(&logs.iter().map(|x| x.exp()).collect::<Vec<_>>()), each);
+        let some: Vec<Trial> = all.iter().enumerate().filter(|(i, _)| i % each < each.div_ceil(2)).map(|(_, t)| t.clone()).collect();
+        let folder = tempfile::tempdir().unwrap();
+        for dealt in [&some, &all] {
+            let assignment = Assignment::in_folder(folder.path(), dealt, shards).unwrap();
+            assignment.write(folder.path()).unwrap();
+            let costs = assignment.costs(dealt);
+            let (sum, most) = (costs.iter().sum::<f64>(), costs.iter().copied().fold(0.0, f64::max));
+            let longest = dealt.iter().map(|t| 3.0 * t.cost.steps + t.cost.comparison).fold(0.0, f64::max);
+            prop_assert!(most <= 1.01 * (sum / f64::from(shards) + longest), "{most} of {sum} on {shards}");
+            let once = cost::total(dealt);
+            prop_assert!(sum <= once + f64::from(shards) * longest, "{sum} for {once} on {shards}");
+            if shards == 1 {
+                prop_assert!((sum / once - 1.0).abs() < 1e-9);
+            }
+        }
     }
 }
 
