@@ -184,7 +184,7 @@ def why():
         errors = [mean("error", [row for row in mine if row["trained_with"] == brain]) for brain in by]
         memory = short(geometric([1e3 * x for x in numbers(mine, "memory")]))
         told = [mean(column) for column in ("forces_told", "condition", "bits")]
-        yield cells, [", ".join(errors) + " %", mean("wiener_error") + " %", *told, memory + " ms"]
+        yield cells, [", ".join(errors) + " %", mean("wiener_error") + " %", *told, memory + " ms", mean("modes")]
 
 
 def residual(columns, curves, weights):

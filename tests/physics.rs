@@ -102,7 +102,7 @@ fn a_finished_trial_stands_beside_its_bounds() {
     ]));
     let rows = json(&bench.output(&["operator", "results/tiny.sqlite", "--rows", "--format", "json"]));
     assert!(
-        why.len() == 10
+        why.len() == 12
             && rows.len() == 4
             && std::fs::read_to_string(bench.path("operator.svg")).unwrap().contains("<circle"),
         "{why:?}"
@@ -117,6 +117,7 @@ fn a_finished_trial_stands_beside_its_bounds() {
         let (left, ranks) = (number(row, "wiener_error"), number(row, "forces_told"));
         assert!(0.0 < left && left < 100.0 && (1.0..=2.0).contains(&ranks), "{row:?}");
         assert!(number(row, "bits") > 0.0 && number(row, "memory") > 0.0, "{row:?}");
+        assert!((1.0..=96.0).contains(&number(row, "modes")), "{row:?}");
     }
     refused(&bench, &["operator", "s.toml"], "s.toml");
 

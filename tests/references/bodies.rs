@@ -27,7 +27,8 @@ pub fn why() -> String {
         let left = format!("{} %", mean(trained, "wiener_error"));
         let told = ["forces_told", "condition", "bits"].map(|column| mean(trained, column));
         let memory = format!("{} ms", values(trained, "memory", 1e3));
-        [vec![words.to_owned(), errors, left], told.to_vec(), vec![memory]].concat()
+        let modes = mean(trained, "modes");
+        [vec![words.to_owned(), errors, left], told.to_vec(), vec![memory, modes]].concat()
     };
     let bodies = [
         ("initial", "initial", None),
@@ -42,6 +43,7 @@ pub fn why() -> String {
         "condition",
         "bits a second",
         "memory",
+        "modes that take part",
     ];
     table(&head, bodies.map(line))
 }

@@ -10,8 +10,14 @@ use super::trial::Cluster;
 use crate::look::{Table, row};
 
 /// What is measured of a body.
-pub const MEASURES: [&str; 5] =
-    ["error of Wiener's filter (%)", "forces told apart", "condition", "bits a second", "memory (s)"];
+pub const MEASURES: [&str; 6] = [
+    "error of Wiener's filter (%)",
+    "forces told apart",
+    "condition",
+    "bits a second",
+    "memory (s)",
+    "modes that take part",
+];
 
 /// A correlation of ±1 has no z.
 const MOST: f64 = 0.9999;
@@ -26,7 +32,7 @@ pub struct Change {
     /// Holdout errors (%), of the initial and the optimised body.
     pub errors: [f64; 2],
     /// Measures of either.
-    pub told: [[f64; 5]; 2],
+    pub told: [[f64; MEASURES.len()]; 2],
 }
 
 /// A row a setting and measure: its geometric means, and whether trials in which it changed more have gained more.
@@ -94,7 +100,7 @@ mod tests {
                 setting: "one".to_owned(),
                 cluster: Cluster { placement: 0, seed: u64::from(i) },
                 errors: [gain, 1.0],
-                told: [[1.0; 5], [1.0 / gain.powi(2), gain.ln() + 1.0, chance, 1.0, gain]],
+                told: [[1.0; 6], [1.0 / gain.powi(2), gain.ln() + 1.0, chance, 1.0, gain, gain.sqrt()]],
             }
         };
         let changes: Vec<Change> = (0..12).map(change).collect();
@@ -111,6 +117,6 @@ mod tests {
         assert!(cell(2, "correlation_low") < Some(0.0) && cell(2, "correlation_high") > Some(0.0));
         assert_eq!(cell(3, "ratio"), Some(1.0));
         let other = Change { setting: "other".to_owned(), ..changes[0].clone() };
-        assert_eq!(super::table(&[&changes[..], &[other]].concat()).rows.len(), 10);
+        assert_eq!(super::table(&[&changes[..], &[other]].concat()).rows.len(), 12);
     }
 }

@@ -18,7 +18,8 @@ use crate::store::Reader;
 /// Of small motions about rest: the linear operator from the forces' spectrum to the signals, relative to the sensors' noise (1 % of each
 /// channel's RMS on the initial body where there is none). What Wiener's filter, the best of all linear decoders, would leave; how many
 /// forces are told apart (the exponential of the entropy of squared singular values, from 1 to K); the condition, from the first singular
-/// value to the last; bits a second; the mean time of what follows an impulse. Each in the geometric mean over the trials of a setting, with
+/// value to the last; bits a second; the mean time of what follows an impulse; how many modes take part, by the energies of their own
+/// signals (E: (ΣE)²/ΣE²). Each in the geometric mean over the trials of a setting, with
 /// the rank correlation of its change with the gain.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
@@ -57,8 +58,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             for (b, to) in measures.iter_mut().enumerate() {
                 let found = told(&stored.specs[b], &stored.designs[b])
                     .map_err(|e| Error::Usage(format!("trial {}: {e}", &hash[..8])))?;
-                let Told { error, rank, condition, bits, memory } = found;
-                *to = [error, rank, condition, bits, memory];
+                let Told { error, rank, condition, bits, memory, modes } = found;
+                *to = [error, rank, condition, bits, memory, modes];
             }
             let whole = |i: usize| row[i].as_u64().unwrap_or_default();
             let cluster = Cluster { placement: whole(3), seed: whole(4) };
@@ -96,7 +97,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 fn rows(seen: &[Seen]) -> Table {
-    let columns = "hash panels sensors placement seed brain trained_with body error wiener_error forces_told condition bits memory";
+    let columns = "hash panels sensors placement seed brain trained_with body error wiener_error forces_told condition bits memory modes";
     let of = |seen: &Seen, b: usize| {
         let body = ["initial", "optimised"][b];
         let own = seen.change.told[b].into_iter().flat_map(|measure| row![measure]);

@@ -78,6 +78,22 @@ pub fn modes(rest: &Rest, units: usize, count: usize) -> Result<Vec<Mode>, Loose
     }
 }
 
+/// All modes up to a frequency (Hz).
+///
+/// # Errors
+/// If the stiffness is not positive definite.
+pub fn modes_to(rest: &Rest, units: usize, hertz: f64) -> Result<Vec<Mode>, Loose> {
+    let mut count = 32;
+    loop {
+        let found = modes(rest, units, count)?;
+        let all = found.len() < count || found.last().is_none_or(|last| last.frequency() > hertz);
+        if all {
+            return Ok(found.into_iter().filter(|mode| mode.frequency() <= hertz).collect());
+        }
+        count *= 2;
+    }
+}
+
 /// max |(s² M + s C + K) x| over max |(s² M + s C) x|.
 fn residual(rest: &Rest, s: c64, x: &[c64]) -> f64 {
     let most = |force: &[c64]| force.iter().map(|f| f.norm()).fold(0.0, f64::max);
@@ -231,16 +247,11 @@ pub fn responses(
     frequencies: &[f64],
 ) -> Vec<Vec<Vec<Response>>> {
     let n = rest.mass.len();
-    let place = |unit: usize, d: usize| rest.unknowns.binary_search(&(3 * unit + d)).ok();
     assert!(units.iter().all(|u| *u < scene.layout.units()), "units {units:?}");
     let mut forces = Mat::<c64>::zeros(n, scene.panels.len());
     for (k, pushes) in rest.pushes.iter().enumerate() {
         pushes.iter().for_each(|&(unknown, does)| forces[(unknown, k)] = does.into());
     }
-    let turned = |unit: usize| match scene.frame {
-        Frame::World => 0.0,
-        Frame::Body => rest.turned.get(unit).copied().unwrap_or(0.0),
-    };
     let dynamic = |hertz: f64| {
         let omega = TAU * hertz;
         let own = (0..n).map(|i| (i, i, c64::new(-omega * omega * rest.mass[i], omega * rest.damping[i])));
@@ -252,20 +263,68 @@ pub fn responses(
         let lu = Lu::try_new_with_symbolic(pattern.clone(), dynamic(hertz).as_ref())
             .expect("damping leaves no zero");
         let moved = lu.solve(&forces);
-        let speed = c64::new(0.0, TAU * hertz);
         let read = |k: usize, unit: usize| {
-            let moves = [0, 1, 2].map(|d| place(unit, d));
+            let moves = [0, 1, 2].map(|d| rest.unknowns.binary_search(&(3 * unit + d)).ok());
             if moves == [None; 3] {
                 return [c64::ZERO; 3];
             }
-            let [u, v, turn] = moves.map(|i| i.map_or(c64::ZERO, |i| moved[(i, k)]));
-            let [x, y] = [(u, 0), (v, 1)].map(|(moved, d)| speed * speed * moved + rest.shakes[k][d]);
-            let (s, c) = turned(unit).sin_cos();
-            [x * c + y * s, y * c - x * s, speed * turn]
+            let moved = moves.map(|i| i.map_or(c64::ZERO, |i| moved[(i, k)]));
+            read(scene, rest, unit, moved, rest.shakes[k], hertz)
         };
         (0..scene.panels.len()).map(|k| units.iter().map(|&unit| read(k, unit)).collect()).collect()
     };
     frequencies.iter().map(at).collect()
+}
+
+/// The part of a mode in [`responses`]: φ φᵀ/(φᵀ(2s M + C) φ · (iω − s)) with its conjugate; the sum over all modes is the whole, but for
+/// what a shaken base adds to all units alike.
+pub fn part_of(
+    mode: &Mode,
+    scene: &Scene,
+    rest: &Rest,
+    units: &[usize],
+    frequencies: &[f64],
+) -> Vec<Vec<Vec<Response>>> {
+    let Mode { s, shape } = mode;
+    let shape_at = |unknown: usize| shape[unknown / 3][unknown % 3];
+    let damped = rest.unknowns.iter().zip(&rest.damping).map(|(&i, c)| shape_at(i) * shape_at(i) * *c);
+    let own = 2.0 * *s + damped.sum::<c64>();
+    let pushed = |pushes: &Vec<(usize, f64)>| -> c64 {
+        pushes.iter().map(|&(unknown, does)| shape_at(rest.unknowns[unknown]) * does).sum()
+    };
+    let pushed: Vec<c64> = rest.pushes.iter().map(|pushes| pushed(pushes) / own).collect();
+    let at = |&hertz: &f64| {
+        let speed = c64::new(0.0, TAU * hertz);
+        let of = |pushed: c64, unit: usize| {
+            let moved = shape[unit].map(|x| {
+                let part = x * pushed;
+                let conjugate = if s.im > 0.0 { part.conj() / (speed - s.conj()) } else { c64::ZERO };
+                part / (speed - *s) + conjugate
+            });
+            read(scene, rest, unit, moved, [0.0; 2], hertz)
+        };
+        pushed.iter().map(|&pushed| units.iter().map(|&unit| of(pushed, unit)).collect()).collect()
+    };
+    frequencies.iter().map(at).collect()
+}
+
+/// What is read at a unit that moves by (u, v, θ) on a base of this acceleration.
+fn read(
+    scene: &Scene,
+    rest: &Rest,
+    unit: usize,
+    [u, v, turn]: [c64; 3],
+    shaken: [f64; 2],
+    hertz: f64,
+) -> Response {
+    let turned = match scene.frame {
+        Frame::World => 0.0,
+        Frame::Body => rest.turned.get(unit).copied().unwrap_or(0.0),
+    };
+    let speed = c64::new(0.0, TAU * hertz);
+    let [x, y] = [(u, 0), (v, 1)].map(|(moved, d)| speed * speed * moved + shaken[d]);
+    let (s, c) = turned.sin_cos();
+    [x * c + y * s, y * c - x * s, speed * turn]
 }
 
 /// z ↦ A⁻¹ z of ż = A z, z = (Ω x, ẋ): x ↦ −K⁻¹ (C x + M ẋ), ẋ ↦ x.

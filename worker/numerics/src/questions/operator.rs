@@ -8,7 +8,7 @@
 //! Processing I, 1993, ch. 12), and signals tell log₂ Π(1 + s²) bits a frequency (Shannon 1949).
 
 use crate::dynamics::Rest;
-use crate::modes::{c64, responses};
+use crate::modes::{Response, c64, modes_to, part_of, responses};
 use crate::trial::{Problem, Size};
 use faer::Mat;
 use std::f64::consts::TAU;
@@ -26,6 +26,9 @@ pub struct Told {
     pub bits: f64,
     /// Mean time of what follows an impulse, by energy (s).
     pub memory: f64,
+    /// How many modes take part: (ΣE)²/ΣE², E the energy of a mode's own signals over the noise (Bell and Dean 1970,
+    /// doi:10.1039/DF9705000055); NaN of a body that can move as a whole.
+    pub modes: f64,
 }
 
 /// Noise of each channel, as a part of its RMS on the initial body, where the trial's sensors have none.
@@ -43,12 +46,12 @@ pub fn told(problem: &Problem, design: &[f64]) -> Told {
     let frequencies: Vec<f64> = (1..=bins).map(|b| b as f64 / scene.duration).collect();
     let power = power(&problem.targets(&problem.known()[0]), scene.instants, panels, bins);
     // G of each frequency: channels of each sensor in turn, by panels
-    let operators = |design: &[f64]| -> Vec<Mat<c64>> {
-        let found = responses(scene, &Rest::new(scene, design), &scene.sensors, &frequencies);
+    let operators = |found: Vec<Vec<Vec<Response>>>| -> Vec<Mat<c64>> {
         let (each, rows) = (problem.channels.len(), problem.channels.len() * scene.sensors.len());
-        let read = |of: &Vec<Vec<[c64; 3]>>, i: usize, k: usize| of[k][i / each][problem.channels[i % each]];
+        let read = |of: &Vec<Vec<Response>>, i: usize, k: usize| of[k][i / each][problem.channels[i % each]];
         found.iter().map(|of| Mat::from_fn(rows, panels, |i, k| read(of, i, k))).collect()
     };
+    let whole = |rest: &Rest| operators(responses(scene, rest, &scene.sensors, &frequencies));
     let rms = |operators: &[Mat<c64>]| -> Vec<f64> {
         let row = |i: usize| {
             let own = |(g, s): (&Mat<c64>, &f64)| s * (0..panels).map(|k| g[(i, k)].norm_sqr()).sum::<f64>();
@@ -56,12 +59,34 @@ pub fn told(problem: &Problem, design: &[f64]) -> Told {
         };
         (0..operators[0].nrows()).map(row).collect()
     };
-    let channels = rms(&operators(&problem.initial));
+    let channels = rms(&whole(&Rest::new(scene, &problem.initial)));
     let size = problem.disturbance.map_or(Size::Relative(0.0), |chips| chips.noise);
     let usual = |rms: f64| if rms > 0.0 { NOISE * rms } else { f64::INFINITY };
     let own = size.of(&channels, &problem.channels).into_iter().zip(&channels);
     let noise: Vec<f64> = own.map(|(own, rms)| if own > 0.0 { own } else { usual(*rms) }).collect();
-    of(&operators(design), &power, &noise, &frequencies, scene.duration)
+    let rest = Rest::new(scene, design);
+    let told = of(&whole(&rest), &power, &noise, &frequencies, scene.duration);
+    let energy = |mode| {
+        let of_mode = operators(part_of(mode, scene, &rest, &scene.sensors, &frequencies));
+        of_mode.iter().zip(&power).map(|(g, s)| s * squares(g, &noise)).sum::<f64>()
+    };
+    let most = frequencies.last().copied().unwrap_or(0.0);
+    let modes = match modes_to(&rest, scene.layout.units(), most) {
+        Ok(modes) => participation(&modes.iter().map(energy).collect::<Vec<_>>()),
+        Err(_) => f64::NAN,
+    };
+    Told { modes, ..told }
+}
+
+/// Σ|G/n|² of a frequency.
+fn squares(g: &Mat<c64>, noise: &[f64]) -> f64 {
+    let row = |(i, n): (usize, &f64)| (0..g.ncols()).map(|k| g[(i, k)].norm_sqr()).sum::<f64>() / (n * n);
+    noise.iter().enumerate().map(row).sum()
+}
+
+/// How many of these energies there were if they were equal.
+fn participation(energies: &[f64]) -> f64 {
+    energies.iter().sum::<f64>().powi(2) / energies.iter().map(|e| e * e).sum::<f64>()
 }
 
 /// Mean square (N²) of forces (N, T, K) of zero mean by frequency b/D, b = 1 … `bins`.
@@ -106,6 +131,7 @@ fn of(operators: &[Mat<c64>], power: &[f64], noise: &[f64], frequencies: &[f64],
         condition: (condition / all).exp(),
         bits: bits / duration,
         memory,
+        modes: f64::NAN,
     }
 }
 
@@ -158,6 +184,7 @@ mod tests {
         assert!((alike.error - 50.0 * (1.0 + 1.0 / 1601.0)).abs() < 1e-9, "{alike:?}");
         assert!(of([[1.0, 0.0], [0.0, 1.0]], 1.0).error > apart.error);
         assert!(of([[1e-9, 0.0], [0.0, 1e-9]], 1.0).error > 99.99);
+        assert_eq!(participation(&[2.0, 2.0, 0.0, 2.0]), 3.0);
     }
 
     /// More sensors and less noise never tell less; one body told twice is the same.
@@ -180,6 +207,7 @@ mod tests {
         problem.disturbance = Some(Disturbance { noise, ..Disturbance::NONE });
         let quiet = of(&problem);
         assert_eq!(one, again);
+        assert!(one.modes >= 1.0, "{what}: {one:?}");
         assert!(
             one.error > two.error && two.error > quiet.error && quiet.error > 0.0,
             "{what}: {one:?} {two:?} {quiet:?}"
