@@ -19,8 +19,10 @@ sensors = [1]
 ";
 
 fn linear(body: &str) -> String {
-    let spec = TINY.replace(LATTICE, body).replace("iterations = 10\n", "kind = \"linear\"\n");
-    spec.replace("sensors = [1, 2]", "sensors = [1]")
+    let spec = TINY.replace(LATTICE, body).replace("iterations = 10\nwidth = 16\n", "kind = \"linear\"\n");
+    let short =
+        spec.replace("duration = 0.2", "duration = 0.1").replace("onset = [0.0, 0.1]", "onset = [0.0, 0.02]");
+    short.replace("sensors = [1, 2]", "sensors = [1]")
 }
 
 /// Each lattice, in a sheet and in a disc, is drawn, trained, reported, exported and asked all that a body is asked; its trained design can

@@ -18,7 +18,7 @@ fn sensors_are_searched_for() {
     let searched = "sensors = [2]\n\"sensors.search\" = [\"random\", \"greedy\"]";
     let spec = light()
         .replace("sensors = [1, 2]", searched)
-        .replace("[brain]\niterations = 10", "[brain]\nkind = \"linear\"");
+        .replace("[brain]\niterations = 10\nwidth = 16", "[brain]\nkind = \"linear\"");
     bench.file("s.toml", &spec);
     bench.output(&["run", "s.toml", "--workers", "2"]);
     let found = rows(
@@ -48,7 +48,7 @@ fn sensors_are_searched_for() {
 fn a_body_is_read_by_its_own_model() {
     let spec = TINY
         .replace("sensors = [1, 2]", "sensors = [1]")
-        .replace("[brain]\niterations = 10", "[brain]\nkind = \"inverse\"")
+        .replace("[brain]\niterations = 10\nwidth = 16", "[brain]\nkind = \"inverse\"")
         .replace("samples = 8\n", "samples = 16\n")
         .replace(
             "[sweep]",
@@ -187,7 +187,12 @@ fn every_body_is_read_by_both_brains() {
     }
 
     let table = bench.output(&["analyse", "results/tiny.sqlite", "--question", "brains", "--format", "csv"]);
-    for row in ["cnn,cnn,", "linear,cnn,", "linear,linear,0.19,0.19", "cnn,linear,0.19,0.0"] {
+    for row in [
+        "\"cnn, width 16\",\"cnn, width 16\",",
+        "linear,\"cnn, width 16\",",
+        "linear,linear,0.19,0.19",
+        "\"cnn, width 16\",linear,0.19,0.0",
+    ] {
         assert!(table.lines().any(|line| line.contains(row)), "{row}\n{table}");
     }
     bench.output(&["report", "results/tiny.sqlite", "--out", "r.html"]);
@@ -289,14 +294,14 @@ fn keys_of_another_brain_make_no_difference_or_are_refused() {
         csv.lines().skip(1).map(|line| line[..32].to_owned()).collect()
     };
     let both = spec();
-    let longer = both.replace("iterations = 10", "iterations = 11");
+    let longer = both.replace("iterations = 10\n", "iterations = 11\n");
     let (a, b) = (hashes(&both), hashes(&longer));
     assert_eq!(a.len(), 4);
     assert_eq!(a.iter().filter(|hash| b.contains(hash)).count(), 1, "linear alone: {a:?} {b:?}");
 
     let said = |brain: &str| {
-        let linear =
-            TINY.replace("[brain]\niterations = 10", &format!("[brain]\nkind = \"linear\"\n{brain}"));
+        let linear = TINY
+            .replace("[brain]\niterations = 10\nwidth = 16", &format!("[brain]\nkind = \"linear\"\n{brain}"));
         hashes(&linear)
     };
     for other in ["ridge = \"auto\"", "memory = [0.2, 0.2]", "memory = [0.19, 0.2]"] {
@@ -304,7 +309,7 @@ fn keys_of_another_brain_make_no_difference_or_are_refused() {
     }
     assert_ne!(said("memory = [0.2, 0.0]"), said(""));
 
-    let linear = TINY.replace("[brain]\niterations = 10", "[brain]\nkind = \"linear\"");
+    let linear = TINY.replace("[brain]\niterations = 10\nwidth = 16", "[brain]\nkind = \"linear\"");
     assert_eq!(hashes(&linear).len(), 2);
     let edits = [
         (

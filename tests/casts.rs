@@ -13,7 +13,7 @@ fn json(text: &str) -> Vec<Value> {
 fn spec() -> String {
     TINY.replace("sensors = [1, 2]", "sensors = [1]\n\"optimise.objective\" = [\"nominal\", \"mean\"]")
         .replace(
-            "[brain]\niterations = 10\n",
+            "[brain]\niterations = 10\nwidth = 16\n",
             &format!("{SCATTER}[brain]\nkind = \"linear\"\n[evaluation]\ncasts = 3\n"),
         )
 }

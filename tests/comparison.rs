@@ -11,7 +11,7 @@ use metasense::store::Reader;
 /// Longest time that a person waits after Ctrl-C: two seconds, and what a busy machine adds.
 const STOPPED: Duration = Duration::from_secs(3);
 
-/// Trials whose four steps take less than a second, and their comparison several.
+/// Trials whose four steps take less than a second, and whose comparison takes longer than the two seconds between savings.
 fn long(sensors: &str, iterations: u32) -> String {
     let text = TINY.replace("[1, 2]", sensors);
     text.replace("[sweep]", &format!("[evaluation]\nseeds = 1\nlong_iterations = {iterations}\n[sweep]"))
@@ -67,7 +67,7 @@ fn number(bench: &Bench, db: &str, sql: &str) -> u64 {
 #[test]
 fn a_stop_on_request_ends_a_comparison_at_once_and_nothing_of_it_is_lost() {
     let bench = Bench::new();
-    bench.file("long.toml", &long("[1]", 8000));
+    bench.file("long.toml", &long("[1]", 32_000));
     bench.output(&["run", "long.toml", "--db", "whole.sqlite"]);
     let saved = || number(&bench, "s.sqlite", "SELECT length(bytes) FROM checkpoint WHERE step = 4");
     let more_than = |size| {
@@ -116,7 +116,7 @@ fn a_long_training_is_no_silence_and_a_hang_within_it_is_one() {
     let mut run = Run::start(&bench, "s.sqlite");
     let worker = || children(run.0.id()).first().copied();
     eventually(Duration::from_secs(60), worker).expect("a worker is started");
-    std::thread::sleep(Duration::from_secs(8));
+    std::thread::sleep(Duration::from_secs(6));
     let attempts = || rows(&bench.path("s.sqlite"), "SELECT state, reason FROM attempt ORDER BY number");
     assert_eq!(attempts(), [r#"["running",null]"#]);
     kill(worker().unwrap(), libc::SIGSTOP);
@@ -149,7 +149,7 @@ fn a_stop_on_request_does_not_wait_for_a_long_step() {
 #[test]
 fn kills_in_the_middle_of_comparisons_leave_the_results_of_an_undisturbed_run() {
     let bench = Bench::new();
-    bench.file("long.toml", &long("[1, 2]", 4000));
+    bench.file("long.toml", &long("[1, 2]", 20_000));
     bench.output(&["run", "long.toml", "--db", "whole.sqlite"]);
     let expected = results(&bench, "whole.sqlite");
     let least = roll::number("KILLS").unwrap_or(4);

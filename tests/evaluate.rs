@@ -26,6 +26,7 @@ holdout = 2
 onset = [0.0, 0.05]
 [brain]
 iterations = 60
+width = 16
 [optimise]
 iterations = 2
 batch = 4

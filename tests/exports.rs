@@ -35,8 +35,8 @@ fn what_is_exported_is_read_back_by_others() {
     assert!(asked.stdout == std::fs::read(file("v.parquet")).unwrap(), "query and export differ");
 
     // More rows than a group holds, and a column that turns out to be one of texts.
-    let many = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 150000)
-        SELECT i, 0.5 * i AS half, CASE i WHEN 150000 THEN 'much' ELSE i END AS either, NULL AS none FROM n";
+    let many = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 70000)
+        SELECT i, 0.5 * i AS half, CASE i WHEN 70000 THEN 'much' ELSE i END AS either, NULL AS none FROM n";
     let asked = Command::new(env!("CARGO_BIN_EXE_metasense"))
         .args(["query", db.to_str().unwrap(), many, "--format", "parquet", "--out"])
         .arg(file("many.parquet"))
@@ -100,10 +100,12 @@ fn in_onnxruntime(folder: &Path) -> bool {
 /// Compiles an exported brain with its test, with nothing to warn of, and runs it: whether it says what the trial's brain says.
 /// What C leaves undefined ends it, by compilers that have a sanitizer.
 fn holds(compiler: &str, source: &str, folder: &Path) -> (bool, String) {
+    // gcc warns of some things only where it optimises
+    let level = if compiler == "clang" { "-O1" } else { "-O2" };
     let (file, program) = (folder.join("brain.c"), folder.join("brain"));
     std::fs::write(&file, source).unwrap();
     let compiled = Command::new(compiler)
-        .args(["-std=c99", "-O2", "-Wall", "-Wextra", "-pedantic", "-Werror", "-DBRAIN_TEST"])
+        .args(["-std=c99", level, "-Wall", "-Wextra", "-pedantic", "-Werror", "-DBRAIN_TEST"])
         .args(SANITIZED.iter().filter(|_| compiler != "cc"))
         .args([&file, Path::new("-o"), &program])
         .output()
@@ -111,6 +113,14 @@ fn holds(compiler: &str, source: &str, folder: &Path) -> (bool, String) {
     assert!(compiled.status.success(), "{compiler}: {}", String::from_utf8_lossy(&compiled.stderr));
     let run = Command::new(&program).output().unwrap();
     (run.status.success(), String::from_utf8(run.stdout).unwrap())
+}
+
+/// Whether it says so where it is compiled as quickly as can be.
+fn passes(source: &str, folder: &Path) -> bool {
+    let (file, program) = (folder.join("brain.c"), folder.join("brain"));
+    std::fs::write(&file, source).unwrap();
+    Command::new("cc").args(["-std=c99", "-DBRAIN_TEST"]).args([&file, Path::new("-o"), &program]).succeed();
+    Command::new(&program).status().unwrap().success()
 }
 
 const SANITIZED: [&str; 2] = ["-fsanitize=undefined", "-fno-sanitize-recover=all"];
@@ -262,7 +272,7 @@ fn a_brain_in_c_says_what_it_said_in_the_trial() {
                 assert!(numbers[0] < 0.05 * numbers[1], "{what}: {said}");
                 assert_eq!(said.contains("sums that differ: 0 of"), more.len() == 2, "{what}: {said}");
             }
-            assert!(!holds(compilers[0], &with_another_bias(&source), &folder).0, "{what}, another bias");
+            assert!(!passes(&with_another_bias(&source), &folder), "{what}, another bias");
             if device {
                 let [constants, memory] = sections(&bench.path("b.c"));
                 let stated = [state("constants ", " bytes"), state("memory ", " bytes")];

@@ -11,7 +11,7 @@ fn spec(goal: &str) -> String {
 
 /// The same, read by a linear brain.
 fn linear(goal: &str) -> String {
-    spec(goal).replace("[brain]\niterations = 10", "[brain]\nkind = \"linear\"")
+    spec(goal).replace("[brain]\niterations = 10\nwidth = 16", "[brain]\nkind = \"linear\"")
 }
 
 fn design(bench: &Bench, args: &[&str]) -> (Option<i32>, String, String) {

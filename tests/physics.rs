@@ -49,7 +49,7 @@ fn a_finished_trial_stands_beside_its_bounds() {
     let spec = light()
         .replace("sensors = [1, 2]", "sensors = [1]\n\"brain.kind\" = [\"linear\", \"inverse\"]")
         .replace("holdout = 2", "holdout = 8")
-        .replace("[brain]\niterations = 10\n", "[sensors]\nnoise = 0.1\n");
+        .replace("[brain]\niterations = 10\nwidth = 16\n", "[sensors]\nnoise = 0.1\n");
     bench.file("s.toml", &spec);
     bench.output(&["run", "s.toml", "--workers", "1"]);
     let sql = "SELECT nonlinear_acceleration_initial AS a, nonlinear_rotation_optimised AS b FROM v_trial";
@@ -132,7 +132,7 @@ fn a_finished_trial_stands_beside_its_bounds() {
 fn hinges_are_trained() {
     let bench = Bench::new();
     let linear = light()
-        .replace("iterations = 10\n", "kind = \"linear\"\n")
+        .replace("iterations = 10\nwidth = 16\n", "kind = \"linear\"\n")
         .replace("sensors = [1, 2]", "sensors = [1]");
     let hinged = linear
         .replacen("[time]", "hinge = { quadratic = -7.0, cubic = 10.0 }\n[time]", 1)
@@ -161,7 +161,7 @@ fn hinges_are_trained() {
 fn a_press_is_an_axis() {
     let bench = Bench::new();
     let linear = light()
-        .replace("iterations = 10\n", "kind = \"linear\"\n")
+        .replace("iterations = 10\nwidth = 16\n", "kind = \"linear\"\n")
         .replace("sensors = [1, 2]", "sensors = [1]")
         .replacen("[time]", "clamp = \"sides\"\n[time]", 1);
     let pressed =

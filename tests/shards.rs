@@ -319,7 +319,7 @@ fn kills_at_random_moments_lose_nothing_that_was_handed_in() {
             let node = format!("node{}", round % 2);
             let before = handed_in();
             let mut shard = start(&bench, &node);
-            std::thread::sleep(Duration::from_millis(200 + roll.below(2000)));
+            std::thread::sleep(Duration::from_millis(200 + roll.below(1000)));
             // every other one lives until it has handed in more, so that it comes to an end on a busy machine, too
             while round % 2 == 1 && handed_in() <= before && shard.try_wait().unwrap().is_none() {
                 std::thread::sleep(Duration::from_millis(100));

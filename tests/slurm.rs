@@ -18,7 +18,7 @@ fn spec(name: &str, steps: u32, seeds: &str) -> String {
          [time]\nduration = 0.2\nsamples = 20\n\
          [stimuli]\nkind = \"bell\"\nsamples = 8\ntest = 2\nholdout = 2\nwidth = [0.05, 0.1]\nonset = [0.0, 0.1]\n\
          [solver]\ntolerance = 1e-3\n\
-         [brain]\niterations = 10\n\
+         [brain]\niterations = 10\nwidth = 16\n\
          [optimise]\niterations = {steps}\nbatch = 4\n\
          [sweep]\npanels = [2]\nsensors = [1]\nseeds = {seeds}\n"
     )

@@ -13,7 +13,7 @@ fn read_by(brains: &str) -> String {
         .replace("sensors = [1, 2]", &format!("sensors = [1]\n\"brain.kind\" = [{brains}]"))
         .replace("[optimise]", "[optimise]\nbrain = \"linear\"");
     let networks = brains.contains("cnn") || brains.contains("stacked");
-    if networks { spec } else { spec.replace("[brain]\niterations = 10\n", "") }
+    if networks { spec } else { spec.replace("[brain]\niterations = 10\nwidth = 16\n", "") }
 }
 
 const READERS: [&str; 3] = ["cnn", "linear", "stacked"];

@@ -16,7 +16,7 @@ fn bodies_are_read_under_forces_that_did_not_train_them() {
     let under = "kind = \"linear\"\n[[evaluation.under]]\nkind = \"bell\"\n[[evaluation.under]]\nkind = \"irregular\"\n";
     let spec = TINY
         .replace("width = [0.05, 0.1]\nonset = [0.0, 0.1]\n", "")
-        .replace("iterations = 10\n", under)
+        .replace("iterations = 10\nwidth = 16\n", under)
         .replace("sensors = [1, 2]", "sensors = [1]")
         .replace("[sweep]\n", kinds);
     bench.file("s.toml", &spec);

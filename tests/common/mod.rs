@@ -34,7 +34,7 @@ pub fn without_cost(line: &str) -> String {
     [&cells[..10], &cells[11..]].concat().join(",")
 }
 
-/// Two trials of a quarter of a second each: a heavy body is slow, and takes few steps.
+/// Two trials of a quarter of a second each: a heavy body is slow, and takes few steps; a narrow network has small checkpoints.
 pub const TINY: &str = r#"name = "tiny"
 [body]
 columns = 4
@@ -57,6 +57,7 @@ onset = [0.0, 0.1]
 tolerance = 1e-3
 [brain]
 iterations = 10
+width = 16
 [optimise]
 iterations = 4
 batch = 4

@@ -180,7 +180,9 @@ impl Normal {
     }
 
     fn plus(self, w: f64, other: &Self) -> Self {
-        Self(std::array::from_fn(|i| self.0[i] + w * other.0[i]))
+        // written out: in tests, which are not optimised, an iterator here is half of what an analysis costs
+        let ([aa, ab, bb, ay, by, yy], o) = (self.0, &other.0);
+        Self([aa + w * o[0], ab + w * o[1], bb + w * o[2], ay + w * o[3], by + w * o[4], yy + w * o[5]])
     }
 
     /// Slopes and residual sum of squares; the second column may be absent (all zero).

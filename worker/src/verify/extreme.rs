@@ -164,7 +164,7 @@ fn scenes() -> Vec<(&'static str, Extreme)> {
         ),
         ("40 × 40 units", {
             let mut e = on(40, 40);
-            e.scene.duration = 0.25;
+            e.scene.duration = 0.1;
             e.judged = false; // the tight run alone would take a minute
             e
         }),

@@ -62,11 +62,11 @@ fn campaigns(
     question: Question,
     world: &World,
     is_right: &(dyn Fn(Answer) -> bool + Sync),
-    looks: &mut Looks,
+    (looks, part): (&mut Looks, u64),
 ) -> Outcome {
     let said = std::env::var("CAMPAIGNS").ok().and_then(|count| count.parse().ok());
     let usual = if question == Question::Complexity { AT_ITS_LIMIT } else { CAMPAIGNS };
-    let count: u64 = said.unwrap_or(usual);
+    let count: u64 = said.unwrap_or(usual / part);
     let [mut settled, mut wrong, mut run] = [0.0; 3];
     for campaign in 0..count {
         let mut draw = Draw::numbered(29, campaign);
@@ -164,13 +164,14 @@ fn looks_that_are_paid_for_are_wrong_in_one_campaign_of_twenty_at_most() {
         "{:34} {:>8} {:>7} {:>9}   {:>14} {:>9}",
         "", "settled", "wrong", "of grid", "naive: wrong", "of grid"
     ));
-    let all = |mut looks: Looks| {
+    let all = |mut looks: Looks, part| {
         let of = |(_, question, world, is_right): &(_, _, _, Right)| {
-            campaigns(*question, world, is_right, &mut looks)
+            campaigns(*question, world, is_right, (&mut looks, part))
         };
         cases.iter().map(of).collect::<Vec<Outcome>>()
     };
-    let (paid_for, naive) = rayon::join(|| all(Looks::new(GRID)), || all(Looks::naive(GRID)));
+    // peeking is wrong so often that a tenth of the campaigns show it
+    let (paid_for, naive) = rayon::join(|| all(Looks::new(GRID), 1), || all(Looks::naive(GRID), 10));
     let (mut worst, mut naive_worst) = (0.0f64, 0.0f64);
     for (((name, ..), paid), naive) in cases.iter().zip(paid_for).zip(naive) {
         told(&format!(

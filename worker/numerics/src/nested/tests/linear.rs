@@ -40,7 +40,8 @@ fn errors(body: &BodyEvaluation) -> Vec<u64> {
 fn a_resumed_linear_loop_ends_at_the_same_bits_on_any_number_of_threads() {
     for protocol in LINEAR {
         let mut problem = linear(protocol);
-        (problem.optimise.iterations, problem.solver.accuracy) = (12, Accuracy(3e-2));
+        problem.optimise.iterations = 12;
+        quicken(&mut problem);
         let mut whole = Keeper::default();
         let through = optimise(&problem, None, &pool(1), &mut whole).unwrap().unwrap();
         assert!(whole.reports.iter().all(|report| report.trouble.is_none()), "{protocol:?}");
