@@ -247,7 +247,7 @@ fn a_brain_in_c_says_what_it_said_in_the_trial() {
         skip::skipped(test, &format!("of gcc and clang with their sanitizers there is {compilers:?}"));
         compilers.push("cc");
     }
-    let mut found = Vec::new();
+    let mut found: Vec<(String, &str, usize)> = Vec::new();
     for (hash, kind) in trials.lines().skip(1).map(|line| line.split_once(',').unwrap()) {
         if kind == "stacked" {
             let refused = export(hash, &[]);
@@ -265,13 +265,14 @@ fn a_brain_in_c_says_what_it_said_in_the_trial() {
             let source = std::fs::read_to_string(bench.path("b.c")).unwrap();
             let state =
                 |before: &str, after: &str| -> usize { between(&source, before, after).parse().unwrap() };
-            for compiler in &compilers {
-                let (good, said) = holds(compiler, &source, &folder);
-                assert!(good, "{what} by {compiler}: {said}");
-                let numbers: Vec<f64> = said.split_whitespace().filter_map(|w| w.parse().ok()).collect();
-                assert!(numbers[0] < 0.05 * numbers[1], "{what}: {said}");
-                assert_eq!(said.contains("sums that differ: 0 of"), more.len() == 2, "{what}: {said}");
-            }
+            // in turn, so that either form of a brain meets both in every kind of numbers
+            let compiler =
+                compilers[found.iter().filter(|(other, ..)| other == kind).count() % compilers.len()];
+            let (good, said) = holds(compiler, &source, &folder);
+            assert!(good, "{what} by {compiler}: {said}");
+            let off: Vec<f64> = said.split_whitespace().filter_map(|w| w.parse().ok()).collect();
+            assert!(off[0] < 0.05 * off[1], "{what}: {said}");
+            assert_eq!(said.contains("sums that differ: 0 of"), more.len() == 2, "{what}: {said}");
             assert!(!passes(&with_another_bias(&source), &folder), "{what}, another bias");
             if device {
                 let [constants, memory] = sections(&bench.path("b.c"));
