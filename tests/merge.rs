@@ -134,7 +134,8 @@ fn pool() -> &'static [PathBuf] {
         let files = names.iter().map(|name| at(name)).collect();
         (folder, files)
     };
-    &POOL.get_or_init(make).1
+    // on a thread of its own: whoever asks first may be in a runtime already
+    &POOL.get_or_init(|| std::thread::spawn(make).join().expect("databases are made")).1
 }
 
 fn merged(files: &[PathBuf], out: &Path) -> Result<Summary, MergeError> {
