@@ -1,6 +1,6 @@
 //! The comparison at the end of a trial is stopped, killed and gone on with like its outer steps: to the same bits.
 
-use std::process::{Child, Command, Stdio};
+use std::process::Child;
 use std::time::{Duration, Instant};
 
 use crate::common::processes::{children, eventually, is_alive, kill, rows};
@@ -22,14 +22,7 @@ struct Run(Child);
 
 impl Run {
     fn start(bench: &Bench, db: &str) -> Self {
-        let child = Command::new(env!("CARGO_BIN_EXE_metasense"))
-            .args(["run", "long.toml", "--db", db])
-            .current_dir(bench.path(""))
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()
-            .unwrap();
-        Self(child)
+        Self(bench.start(&["run", "long.toml", "--db", db]))
     }
 
     fn code(&mut self) -> Option<i32> {

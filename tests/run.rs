@@ -105,13 +105,7 @@ fn a_run_that_is_killed_goes_on_to_the_same_results() {
     };
     for _ in 0..3 {
         let before = steps();
-        let mut run = Command::new(env!("CARGO_BIN_EXE_metasense"))
-            .args(["run", "tiny.toml", "--db", "killed.sqlite"])
-            .current_dir(bench.path(""))
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()
-            .unwrap();
+        let mut run = bench.start(&["run", "tiny.toml", "--db", "killed.sqlite"]);
         let deadline = Instant::now() + Duration::from_secs(60);
         while steps() == before && run.try_wait().unwrap().is_none() {
             assert!(Instant::now() < deadline, "no step within a minute");

@@ -2,8 +2,6 @@
 
 use metasense::store::Store;
 use metasense_schemas::record::{Checkpoint, Moments, Provenance, StepRecord};
-use rustix::process::{Pid, Signal, kill_process};
-use std::process::{Command, Stdio};
 
 use crate::common::{Bench, TINY, results};
 
@@ -109,16 +107,10 @@ fn kills_leave_one_training() {
     calm.output(&["run", "s.toml", "--workers", "2"]);
     let mut kills = 0;
     for wait in [150, 250, 350, 450, 600] {
-        let mut run = Command::new(env!("CARGO_BIN_EXE_metasense"))
-            .args(["run", "s.toml", "--workers", "2"])
-            .current_dir(killed.path("."))
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()
-            .unwrap();
+        let mut run = killed.start(&["run", "s.toml", "--workers", "2"]);
         std::thread::sleep(std::time::Duration::from_millis(wait));
         kills += u32::from(run.try_wait().unwrap().is_none());
-        let _ = kill_process(Pid::from_child(&run), Signal::KILL);
+        run.kill().unwrap();
         run.wait().unwrap();
     }
     assert!(kills >= 2, "{kills} kills");

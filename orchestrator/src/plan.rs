@@ -529,7 +529,7 @@ fn at(template: &TrialSpec, placement: usize, sensor_units: &[usize], seed: u64)
 
 fn trials(spec: &SweepSpec, points: &[PointPlan]) -> Vec<Trial> {
     let mut trials = Vec::new();
-    let (mut seen, mut trained) = (HashSet::new(), HashSet::new());
+    let mut seen = HashSet::new();
     let most_placements = points.iter().map(|p| p.placements.len()).max().unwrap_or(0);
     for &seed in &spec.sweep.seeds {
         for placement in 0..most_placements {
@@ -542,11 +542,10 @@ fn trials(spec: &SweepSpec, points: &[PointPlan]) -> Vec<Trial> {
                 let hash = spec.hash();
                 // Axes may say the same thing in two ways.
                 if seen.insert(hash.clone()) {
-                    let training = point.training.at(&spec);
                     trials.push(Trial {
                         hash,
-                        trains: trained.insert(training.clone()),
-                        training,
+                        training: point.training.at(&spec),
+                        trains: true,
                         spec,
                         order: trials.len(),
                         units: point.units,
@@ -560,5 +559,6 @@ fn trials(spec: &SweepSpec, points: &[PointPlan]) -> Vec<Trial> {
             }
         }
     }
+    cost::first_trains(&mut trials);
     trials
 }

@@ -4,6 +4,8 @@
 
 mod checkpoint;
 
+use std::ops::Add;
+
 use serde::{Deserialize, Serialize};
 
 use crate::spec::TrialSpec;
@@ -45,7 +47,7 @@ impl Trial {
     /// Estimated seconds on one core of this machine, those of its steps where it is the one to make them.
     #[must_use]
     pub fn seconds(&self) -> f64 {
-        self.cost.comparison + if self.trains { self.cost.steps } else { 0.0 }
+        self.cost.sum(self.trains)
     }
 }
 
@@ -56,6 +58,13 @@ pub struct Parts<T> {
     pub steps: T,
     /// The comparison.
     pub comparison: T,
+}
+
+impl<T: Add<Output = T>> Parts<T> {
+    /// Of a trial that makes the steps, or finds them made.
+    pub fn sum(self, trains: bool) -> T {
+        if trains { self.steps + self.comparison } else { self.comparison }
+    }
 }
 
 /// The result of a settled trial, as far as the questions of `[until]` are about it.

@@ -6,7 +6,7 @@ pub mod skip;
 pub mod slurm;
 
 use std::path::PathBuf;
-use std::process::{Command, Output, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 
 use npyz::WriterBuilder;
 
@@ -115,6 +115,13 @@ impl Bench {
             .current_dir(self.folder.path())
             .output()
             .unwrap()
+    }
+
+    /// Starts the program in the folder; what it says is nobody's.
+    pub fn start(&self, args: &[&str]) -> Child {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));
+        command.args(args).current_dir(self.folder.path()).stdout(Stdio::null()).stderr(Stdio::null());
+        command.spawn().unwrap()
     }
 
     /// Runs the program again and again, killed whenever it has kept more in `file` than before, until it ends by itself: how

@@ -12,7 +12,7 @@ use super::{Error, Format, print_rows};
 use crate::cluster::{Assignment, Shard};
 use crate::exit::Exit;
 use crate::look::{Table, row};
-use crate::plan::{Trial, counted};
+use crate::plan::{Trial, cost, counted};
 
 /// Lists the trials of a spec with hash, size and estimated cost; starts nothing
 #[derive(Debug, clap::Args)]
@@ -54,7 +54,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         table.rows.iter_mut().flatten().for_each(shorten);
     }
     print_rows(&table, args.format)?;
-    let total: f64 = plan.trials.iter().map(Trial::seconds).sum();
+    let total = cost::total(&plan.trials);
     let most = if plan.spec.until.is_some() { "at most " } else { "" };
     let (trials, time) = (counted(plan.trials.len(), "trial"), super::duration(total));
     say!("{most}{trials}, about {time} on one core with {}", name());

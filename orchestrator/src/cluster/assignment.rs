@@ -10,8 +10,6 @@ use std::io::{self, ErrorKind};
 use std::iter;
 use std::path::{Path, PathBuf};
 
-use metasense_schemas::record::Parts;
-
 use super::Shard;
 use super::home::attempts;
 use crate::files;
@@ -93,8 +91,7 @@ impl<'a> Dealt<'a> {
         let trains = self.homes.entry(&trial.training).or_default().insert(shard);
         let load = &mut self.loads[shard as usize - 1];
         self.order.remove(&(*load, shard));
-        let Parts { steps, comparison } = trial.weight;
-        *load = load.saturating_add(comparison).saturating_add(if trains { steps } else { 0 });
+        *load += trial.weight.sum(trains);
         self.order.insert((*load, shard));
     }
 
@@ -104,7 +101,7 @@ impl<'a> Dealt<'a> {
         let homes = self.homes.get(&*trial.training).into_iter().flatten();
         let home = homes.map(|home| (self.loads[*home as usize - 1], *home)).min();
         match home {
-            Some((load, home)) if load <= least.saturating_add(2 * trial.weight.steps) => home,
+            Some((load, home)) if load <= least + 2 * trial.weight.steps => home,
             _ => shard,
         }
     }
@@ -215,7 +212,7 @@ impl Assignment {
             }
             others.extend(group);
         }
-        first.sort_by_key(|trial| (Reverse(trial.weight.steps + trial.weight.comparison), &trial.hash));
+        first.sort_by_key(|trial| (Reverse(trial.weight.sum(true)), &trial.hash));
         others.sort_by_key(|trial| (Reverse(trial.weight.comparison), &trial.hash));
         for trial in first.into_iter().chain(others) {
             let shard = dealt.shard_for(trial);
@@ -233,8 +230,7 @@ impl Assignment {
     /// Leaves a plan only the trials of one shard, in their places.
     pub fn restrict(&self, shard: Shard, plan: &mut Plan) {
         plan.trials.retain(|trial| self.shard(&trial.hash) == shard.index());
-        let mut trained = HashSet::new();
-        plan.trials.iter_mut().for_each(|trial| trial.trains = trained.insert(trial.training.clone()));
+        cost::first_trains(&mut plan.trials);
     }
 
     /// Estimated core-seconds of each shard.
@@ -242,9 +238,8 @@ impl Assignment {
     pub fn costs(&self, trials: &[Trial]) -> Vec<f64> {
         let (mut costs, mut trained) = (vec![0.0; self.shards as usize], HashSet::new());
         for trial in trials {
-            let (shard, Parts { steps, comparison }) = (self.shard(&trial.hash), trial.cost);
-            let trains = trained.insert((shard, &*trial.training));
-            costs[shard as usize - 1] += comparison + if trains { steps } else { 0.0 };
+            let shard = self.shard(&trial.hash);
+            costs[shard as usize - 1] += trial.cost.sum(trained.insert((shard, &trial.training)));
         }
         costs
     }
@@ -272,7 +267,6 @@ pub fn trials_of(folder: &Path, shard: Shard) -> Result<Option<Vec<Trial>>, Assi
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
         Err(source) => return Err(AssignmentError::File { doing: "read", path, source }),
     };
-    let mut trained = HashSet::new();
     let trial = |(line, text): (usize, &str)| {
         let wrong = |why| AssignmentError::Trial { path: path.clone(), line: line + 1, why };
         let mut trial: Trial = serde_json::from_str(text).map_err(|error| wrong(error.to_string()))?;
@@ -280,11 +274,12 @@ pub fn trials_of(folder: &Path, shard: Shard) -> Result<Option<Vec<Trial>>, Assi
             return Err(wrong(format!("trial {} has another hash by this program", trial.hash)));
         }
         trial.training = trial.spec.training();
-        trial.trains = trained.insert(trial.training.clone());
         trial.cost = cost::of(&trial.spec, trial.units).0;
         Ok(trial)
     };
-    text.lines().enumerate().map(trial).collect::<Result<_, _>>().map(Some)
+    let mut trials: Vec<Trial> = text.lines().enumerate().map(trial).collect::<Result<_, _>>()?;
+    cost::first_trains(&mut trials);
+    Ok(Some(trials))
 }
 
 fn trials_file(folder: &Path, shard: Shard) -> PathBuf {

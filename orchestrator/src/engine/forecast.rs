@@ -8,8 +8,9 @@ use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 use std::time::Duration;
 
-use crate::plan::Trial;
 use metasense_schemas::record::Parts;
+
+use crate::plan::Trial;
 
 /// More open trials than this are spread evenly instead of one by one.
 const ONE_BY_ONE: usize = 2000;

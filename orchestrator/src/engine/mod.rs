@@ -29,6 +29,7 @@ pub use signals::{Signals, ignores_hangup};
 pub use steer::{Control, Reread};
 pub use watch::{Silent, View, Watch};
 
+use begin::Kinds;
 use clock::Clock;
 use links::Link;
 use spent::Ledger;
@@ -131,7 +132,7 @@ pub async fn run<'a>(
     let hashes = trials.iter().map(|trial| trial.hash.clone()).collect();
     // On this task, not one of its own: arrays in shared memory may move between threads, not be shared by them.
     let writing = writer::write(store, hashes, entries, said);
-    let (steering, mut reads) = Steering::new(kinds);
+    let (steering, mut reads) = Steering::new();
     let mut ticks = tokio::time::interval(TICK);
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
 
@@ -149,7 +150,7 @@ pub async fn run<'a>(
         links: HashMap::new(),
         words: words_out,
         queue,
-        steps: HashMap::new(),
+        kinds,
         begun_at: HashMap::new(),
         leases: HashMap::new(),
         said: Vec::new(),
@@ -218,8 +219,8 @@ struct Engine<'a> {
     runtime: Runtime,
     words: mpsc::Sender<(WorkerId, Word)>,
     queue: mpsc::Sender<Entry>,
-    /// Steps behind each open trial that has begun in this run, and behind where its last attempt began.
-    steps: HashMap<u32, u32>,
+    kinds: Kinds,
+    /// Steps that were behind trials when their last attempts began, where there were any.
     begun_at: HashMap<u32, u32>,
     view: View,
     /// What each worker was given last.
@@ -268,7 +269,7 @@ impl Engine<'_> {
                 self.record(Write::Begin(lease)).await;
                 self.view.assigned(lease.trial, self.began.elapsed());
                 let prior = self.priors[lease.trial as usize];
-                if prior.steps.is_some() || self.steering.kinds.begun.contains(&prior.body) {
+                if prior.steps.is_some() || self.kinds.begun.contains(&prior.body) {
                     let pause = self.trials[lease.trial as usize].pause;
                     self.record(Write::Load(worker, lease, pause)).await;
                 } else {
@@ -277,15 +278,15 @@ impl Engine<'_> {
                 }
             }
             Action::RecordStep(lease, (record, checkpoint)) => {
-                self.steps.insert(lease.trial, checkpoint.step);
-                self.steering.kinds.begun.insert(self.priors[lease.trial as usize].body);
+                let prior = &mut self.priors[lease.trial as usize];
+                prior.steps = Some(checkpoint.step);
+                self.kinds.begun.insert(prior.body);
                 self.view.stepped(lease.trial, self.began.elapsed());
                 self.watch.step(self.trials[lease.trial as usize], &record);
                 self.record_spent(lease).await;
                 self.record(Write::Step(lease, record, checkpoint)).await;
             }
             Action::RecordResult(lease, (result, arrays)) => {
-                self.steps.remove(&lease.trial);
                 self.details.remove(&lease);
                 self.view.finished(lease.trial, self.began.elapsed());
                 self.record_spent(lease).await;
@@ -297,9 +298,6 @@ impl Engine<'_> {
                 self.record(Write::Checkpoint(lease, checkpoint)).await;
             }
             Action::RecordFailure { lease, reason, settled } => {
-                if settled {
-                    self.steps.remove(&lease.trial);
-                }
                 let trial = self.trials[lease.trial as usize];
                 self.view.attempt_failed(lease.trial, reason, settled, self.began.elapsed());
                 let (hash, attempt) = (&trial.hash, lease.attempt);
@@ -473,8 +471,7 @@ impl Engine<'_> {
             }
             ToOrchestrator::Stopped { lease } => {
                 let due = self.trials.get(lease.trial as usize).and_then(|trial| trial.pause);
-                let done = self.steps.get(&lease.trial).copied();
-                let done = done.or_else(|| self.priors.get(lease.trial as usize)?.steps);
+                let done = self.priors.get(lease.trial as usize).and_then(|prior| prior.steps);
                 let paused = due.zip(done).is_some_and(|(due, done)| done >= due);
                 Event::Failed(worker, lease, if paused { Reason::Paused } else { Reason::Stopped })
             }
@@ -500,7 +497,7 @@ impl Engine<'_> {
                 });
                 if self.state.phase(lease.trial) == Phase::Running(worker) {
                     if let Some(checkpoint) = &checkpoint {
-                        self.steps.insert(lease.trial, checkpoint.step);
+                        self.priors[lease.trial as usize].steps = Some(checkpoint.step);
                         self.begun_at.insert(lease.trial, checkpoint.step);
                         self.view.goes_on(lease.trial, checkpoint.step, checkpoint.comparison.is_none());
                     }

@@ -8,7 +8,6 @@ use metasense_schemas::spec::{NotOne, position_of};
 use tokio::sync::mpsc;
 
 use super::Engine;
-use super::begin::Kinds;
 use super::writer::{Entry, Fresh};
 use crate::control::{Command, Listener, Request, Said};
 use crate::plan::{Plan, Trial, counted};
@@ -82,13 +81,12 @@ pub(super) type Read = (Result<Plan, String>, Request);
 #[derive(Debug)]
 pub(super) struct Steering {
     read: mpsc::UnboundedSender<Read>,
-    pub(super) kinds: Kinds,
 }
 
 impl Steering {
-    pub fn new(kinds: Kinds) -> (Self, mpsc::UnboundedReceiver<Read>) {
+    pub fn new() -> (Self, mpsc::UnboundedReceiver<Read>) {
         let (read, reads) = mpsc::unbounded_channel();
-        (Self { read, kinds }, reads)
+        (Self { read }, reads)
     }
 }
 
@@ -167,7 +165,7 @@ impl Engine<'_> {
             let trial: &Trial = &plan.trials[place];
             let part = f64::from(known.steps.unwrap_or(0)) / trial.spec.optimise.steps().max(1) as f64;
             let judged = prune.iter().filter(|mark| part >= **mark).count();
-            let prior = self.steering.kinds.prior(trial, known, fresh.bodies.get(&trial.training));
+            let prior = self.kinds.prior(trial, known, fresh.bodies.get(&trial.training));
             priors.push(Prior { judged, ..prior });
             self.view.add(trial, if prior.trained { u32::MAX } else { known.steps.unwrap_or(0) });
             self.trials.push(trial);

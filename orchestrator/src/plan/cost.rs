@@ -87,18 +87,26 @@ fn root(x: f64, n: i32) -> f64 {
 /// numbers on every machine, and nothing is for free.
 #[must_use]
 pub fn of(trial: &TrialSpec, units: usize) -> (Parts<f64>, Parts<u64>) {
-    let whole = |seconds: f64| (seconds * 1e3).round().max(1.0) as u64;
+    let whole = |seconds: f64| (seconds * 1e3).round().clamp(1.0, MOST_WEIGHT) as u64;
     let Parts { steps, comparison } = seconds(trial, units, RATED);
     (seconds(trial, units, Pace::here()), Parts { steps: whole(steps), comparison: whole(comparison) })
 }
 
+/// Of a part of a trial (30 years): a million of them still add up.
+const MOST_WEIGHT: f64 = 1e12;
+
 /// Seconds of trials on one core, each body trained once.
 pub fn total<'a>(trials: impl IntoIterator<Item = &'a Trial>) -> f64 {
     let mut trained = HashSet::new();
-    let of = |trial: &'a Trial| {
-        trial.cost.comparison + if trained.insert(&trial.training) { trial.cost.steps } else { 0.0 }
-    };
-    trials.into_iter().map(of).sum()
+    trials.into_iter().map(|trial| trial.cost.sum(trained.insert(&trial.training))).sum()
+}
+
+/// Of trials with one body the first trains it.
+pub(crate) fn first_trains(trials: &mut [Trial]) {
+    let mut trained = HashSet::new();
+    for trial in trials {
+        trial.trains = trained.insert(&trial.training);
+    }
 }
 
 /// Force evaluations of one sample's motion, by the diagram of the reference scene (`results/committed/work-precision.svg`).
@@ -185,6 +193,6 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
 /// Seconds that trials take on so many workers of so many threads: the work shared out, but no less than the longest.
 #[must_use]
 pub fn seconds_on(trials: &[&Trial], workers: u32, threads: u32) -> f64 {
-    let longest = trials.iter().map(|trial| trial.cost.steps + trial.cost.comparison).fold(0.0, f64::max);
+    let longest = trials.iter().map(|trial| trial.cost.sum(true)).fold(0.0, f64::max);
     (total(trials.iter().copied()) / f64::from(workers.max(1))).max(longest) / f64::from(threads.max(1))
 }

@@ -5,13 +5,14 @@
 //! one whose lease its worker does not hold is counted and dropped. [`Payload`] is what is recorded, which the scheduler
 //! passes on unread.
 
+mod bodies;
 mod event;
 mod prune;
 mod steer;
 #[cfg(test)]
 mod tests;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use metasense_schemas::reason::Reason;
 use metasense_schemas::spec::Prune;
@@ -21,6 +22,7 @@ pub use event::{Action, Event, Mark, Outcome, Payload};
 pub use prune::Standing;
 pub use steer::{Answer, Refusal, Steer};
 
+use bodies::Bodies;
 use prune::Standings;
 
 /// Milliseconds since the run began.
@@ -205,9 +207,7 @@ pub struct State {
     /// Trials that wait for a time.
     delayed: BTreeSet<(Millis, u32)>,
     slots: Vec<Slot>,
-    /// Bodies that are trained, and those in training, each with the trial that trains it: others wait for it.
-    trained: BTreeSet<u32>,
-    training: BTreeMap<u32, u32>,
+    bodies: Bodies,
     standings: Standings,
     unsettled: usize,
     unrecorded: usize,
@@ -248,7 +248,7 @@ pub fn on_event<P: Payload>(state: &mut State, event: Event<P>) -> Vec<Action<P>
         Event::Step(worker, lease, standing, record) => {
             state.progressed(worker, lease);
             if standing.part >= 1.0 {
-                state.train(lease.trial);
+                state.bodies.trained(state.trials[lease.trial as usize].body);
             }
             out.push(Action::RecordStep(lease, record));
             state.judge(lease, standing);
@@ -260,9 +260,10 @@ pub fn on_event<P: Payload>(state: &mut State, event: Event<P>) -> Vec<Action<P>
         Event::Finished(worker, lease, record) => {
             state.release(worker);
             state.alive();
-            state.train(lease.trial);
             state.slots[worker.slot as usize].unrecorded += 1;
-            state.trials[lease.trial as usize].phase = Phase::Recording(worker);
+            let trial = &mut state.trials[lease.trial as usize];
+            trial.phase = Phase::Recording(worker);
+            state.bodies.trained(trial.body);
             state.unrecorded += 1;
             out.push(Action::RecordResult(lease, record));
         }
@@ -303,7 +304,8 @@ impl State {
     /// A run of these trials, in the order of the plan. The first event should be `Event::Clock`.
     pub fn new(settings: Settings, trials: &[Prior]) -> Self {
         assert!(settings.workers > 0, "a run needs a worker");
-        let trained = trials.iter().filter(|prior| prior.trained).map(|prior| prior.body).collect();
+        let mut bodies = Bodies::default();
+        trials.iter().filter(|prior| prior.trained).for_each(|prior| bodies.trained(prior.body));
         let trials: Vec<Trial> = trials.iter().map(Trial::new).collect();
         Self {
             now: 0,
@@ -312,8 +314,7 @@ impl State {
             unsettled: trials.len(),
             trials,
             slots: vec![Slot::EMPTY; settings.workers as usize],
-            trained,
-            training: BTreeMap::new(),
+            bodies,
             standings: Standings::default(),
             unrecorded: 0,
             deaths: 0,
@@ -391,21 +392,10 @@ impl State {
         self.unrecorded += 1;
     }
 
-    /// A trial's body is trained to the end.
-    fn train(&mut self, trial: u32) {
-        let body = self.trials[trial as usize].body;
-        self.training.remove(&body);
-        self.trained.insert(body);
-    }
-
-    /// Whether somebody else trains the body of a trial that is ready: it is to wait for that.
-    fn awaits(&self, trial: u32) -> bool {
-        self.training.contains_key(&self.trials[trial as usize].body)
-    }
-
-    /// Trials that may be handed out as they are, in their order.
+    /// Trials that may be handed out, in their order: those of which nobody else trains the body.
     fn free(&self) -> impl Iterator<Item = (i64, u32)> {
-        self.ready.iter().copied().filter(|(_, number)| !self.awaits(*number))
+        let waits = |number: u32| self.bodies.is_in_training(self.trials[number as usize].body);
+        self.ready.iter().copied().filter(move |(_, number)| !waits(*number))
     }
 
     /// A worker has come somewhere: this machine can do it.
@@ -511,12 +501,9 @@ impl State {
 
     /// An attempt came to nothing: again, later, or never.
     fn attempt_failed<P: Payload>(&mut self, lease: Lease, reason: Reason, out: &mut Vec<Action<P>>) {
-        let body = self.trials[lease.trial as usize].body;
-        if self.training.get(&body) == Some(&lease.trial) {
-            self.training.remove(&body);
-        }
         let death = reason.is_retried() || reason == Reason::OutOfMemory && !self.settings.memory_limited;
         let trial = &mut self.trials[lease.trial as usize];
+        self.bodies.given_back(trial.body, lease.trial);
         let back = death || reason == Reason::Paused;
         let reason = trial.unwanted.filter(|_| back).unwrap_or(reason);
         let death = death && !reason.is_given_up();
@@ -592,9 +579,7 @@ impl State {
             trial.attempt += 1;
             trial.phase = Phase::Running(worker);
             let (lease, now) = (Lease { trial: number, attempt: trial.attempt }, self.now);
-            if !self.trained.contains(&trial.body) {
-                self.training.insert(trial.body, number);
-            }
+            self.bodies.handed_out(trial.body, number);
             self.slots[worker.slot as usize].work = Work::Busy { lease, since: now, beat: now, asked: false };
             out.push(Action::Assign(worker, lease));
         }

@@ -140,7 +140,7 @@ impl State {
         for prior in priors {
             let trial = Trial::new(prior);
             if prior.trained {
-                self.trained.insert(prior.body);
+                self.bodies.trained(prior.body);
             }
             self.ready.insert((trial.rank(), self.trials.len() as u32));
             self.trials.push(trial);

@@ -68,7 +68,6 @@ impl Store {
     ) -> Result<Option<Checkpoint>, StoreError> {
         let own = self.checkpoint(hash).await?;
         let (id, at) = (self.id(hash)?, self.at("reading the body of another trial from"));
-        let optimise = self.optimise(id).await.map_err(&at)?;
         let made = self.provenance.as_ref();
         let sql = format!(
             "SELECT m.id, m.hash, m.reached, m.checkpoint, a.bytes, coalesce(m.best_step, 0) FROM ({TRAINERS}) m
@@ -87,8 +86,9 @@ impl Store {
             .await
             .map_err(&at)?;
         let Some((other, name, reached, checkpoint, best, best_step)) = found else { return Ok(own) };
+        let by_network = !self.optimise(id).await.map_err(&at)?.linear();
         let body = match checkpoint {
-            Some(bytes) => Checkpoint::from_bytes(&bytes).ok().map(|there| there.of_body(!optimise.linear())),
+            Some(bytes) => Checkpoint::from_bytes(&bytes).ok().map(|there| there.of_body(by_network)),
             None => {
                 let best = npy_values(&best.unwrap_or_default()).ok();
                 best.map(|best| Checkpoint::trained(reached, best, best_step))

@@ -1,5 +1,7 @@
 use proptest::prelude::*;
 
+use metasense_schemas::record::Parts;
+
 use super::*;
 
 fn trials(costs: &[f64]) -> Vec<Trial> {

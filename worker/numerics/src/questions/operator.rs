@@ -59,13 +59,16 @@ pub fn told(problem: &Problem, design: &[f64]) -> Told {
         };
         (0..operators[0].nrows()).map(row).collect()
     };
-    let channels = rms(&whole(&Rest::new(scene, &problem.initial)));
+    let rest = Rest::new(scene, design);
+    let own = whole(&rest);
+    let channels = match design == problem.initial {
+        true => rms(&own),
+        false => rms(&whole(&Rest::new(scene, &problem.initial))),
+    };
     let size = problem.disturbance.map_or(Size::Relative(0.0), |chips| chips.noise);
     let usual = |rms: f64| if rms > 0.0 { NOISE * rms } else { f64::INFINITY };
-    let own = size.of(&channels, &problem.channels).into_iter().zip(&channels);
-    let noise: Vec<f64> = own.map(|(own, rms)| if own > 0.0 { own } else { usual(*rms) }).collect();
-    let rest = Rest::new(scene, design);
-    let told = of(&whole(&rest), &power, &noise, &frequencies, scene.duration);
+    let sized = size.of(&channels, &problem.channels).into_iter().zip(&channels);
+    let noise: Vec<f64> = sized.map(|(own, rms)| if own > 0.0 { own } else { usual(*rms) }).collect();
     let energy = |mode| {
         let of_mode = operators(part_of(mode, scene, &rest, &scene.sensors, &frequencies));
         of_mode.iter().zip(&power).map(|(g, s)| s * squares(g, &noise)).sum::<f64>()
@@ -75,7 +78,7 @@ pub fn told(problem: &Problem, design: &[f64]) -> Told {
         Ok(modes) => participation(&modes.iter().map(energy).collect::<Vec<_>>()),
         Err(_) => f64::NAN,
     };
-    Told { modes, ..told }
+    of(&own, &power, &noise, &frequencies, scene.duration, modes)
 }
 
 /// Σ|G/n|² of a frequency.
@@ -107,7 +110,14 @@ fn power(forces: &[f64], instants: usize, panels: usize, bins: usize) -> Vec<f64
     (1..=bins).map(of).collect()
 }
 
-fn of(operators: &[Mat<c64>], power: &[f64], noise: &[f64], frequencies: &[f64], duration: f64) -> Told {
+fn of(
+    operators: &[Mat<c64>],
+    power: &[f64],
+    noise: &[f64],
+    frequencies: &[f64],
+    duration: f64,
+    modes: f64,
+) -> Told {
     let (bins, panels, all) = (power.len(), operators[0].ncols(), power.iter().sum::<f64>());
     let (mut left, mut rank, mut condition, mut bits) = (0.0, 0.0, 0.0, 0.0);
     for (g, s) in operators.iter().zip(power) {
@@ -131,7 +141,7 @@ fn of(operators: &[Mat<c64>], power: &[f64], noise: &[f64], frequencies: &[f64],
         condition: (condition / all).exp(),
         bits: bits / duration,
         memory,
-        modes: f64::NAN,
+        modes,
     }
 }
 
@@ -171,7 +181,7 @@ mod tests {
 
         let one = |of: [[f64; 2]; 2]| vec![Mat::from_fn(2, 2, |i, k| c64::from(of[i][k])); 4];
         let of = |g: [[f64; 2]; 2], noise: f64| {
-            super::of(&one(g), &[1.0; 4], &[noise; 2], &[1.0, 2.0, 3.0, 4.0], 1.0)
+            super::of(&one(g), &[1.0; 4], &[noise; 2], &[1.0, 2.0, 3.0, 4.0], 1.0, 1.0)
         };
         let apart = of([[1.0, 0.0], [0.0, 1.0]], 0.1);
         assert!((apart.rank - 2.0).abs() < 1e-9 && (apart.condition - 1.0).abs() < 1e-9, "{apart:?}");
