@@ -283,7 +283,8 @@ proptest! {
             min_void_angle: void.to_radians(), min_ligament_angle: beside.to_radians(),
             min_edge, clearance, ligament_clearance: bar,
         };
-        let fixed: Vec<usize> = fixed.into_iter().collect();
+        // small discs have three units
+        let fixed: Vec<usize> = fixed.into_iter().map(|unit| unit % layout.units()).collect();
         let mut feasible = Feasible::new(&layout, limits, &fixed);
         let start = layout.initial_design(angle);
         let target = noisy(&start, size, seed);
