@@ -92,10 +92,10 @@ fn factors() -> f64 {
     let n = UNKNOWNS;
     // of a matrix whose diagonal outweighs its rows
     let all: Vec<f64> = (0..n * n).map(|i| if i % (n + 1) == 0 { n as f64 } else { 0.5 }).collect();
-    let mut matrix = all.clone();
+    let (mut matrix, pool) = (all.clone(), pool());
     let seconds = seconds(|| {
         matrix.copy_from_slice(&all);
-        factor(&mut matrix, n).expect("positive definite");
+        factor(&pool, &mut matrix, n).expect("positive definite");
     });
     (n * n * n) as f64 / 6.0 / seconds
 }

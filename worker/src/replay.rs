@@ -131,7 +131,7 @@ pub fn own(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<Own, F
         return Ok(Own::Network(weights.to_vec()));
     }
     let problem = prepared(trial)?;
-    Ok(Own::Linear(replay.linear(&problem, &problem.decoder)?))
+    Ok(Own::Linear(replay.linear(&problem, &problem.decoder, &pool(1)?)?))
 }
 
 /// As [`replay`] of a linear brain or a network that is fitted to casts of the design once more, as the trial's comparison does; with
@@ -168,7 +168,7 @@ pub fn linear(trial: &TrialSpec, replay: &Replay) -> Result<Option<LinearReplay>
     if !fits(instants, channels, problem.scene.panels.len()) {
         return Ok(None);
     }
-    let found = replay.linear(&problem, &Decoder::whole(instants, channels));
+    let found = replay.linear(&problem, &Decoder::whole(instants, channels), &pool(1)?);
     Ok(Some(found?))
 }
 

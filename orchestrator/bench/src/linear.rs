@@ -9,7 +9,7 @@ use metasense::cli::{Error, Format, print_rows};
 use metasense::exit::Exit;
 use metasense::look::Table;
 use metasense::row;
-use metasense_numerics::Heartbeat;
+use metasense_numerics::Pool;
 use metasense_numerics::brain::linear::{Fit, Lags, Moments, Order, Sizes};
 use metasense_numerics::random::{Purpose, Stream};
 use serde_json::{Value, json};
@@ -61,13 +61,14 @@ fn measured(args: &Args, sensors: u8, memory: u16) -> Vec<Value> {
     let mut stream = Stream::new(Purpose::Batch, 1, [0, 0]);
     let mut draw = |n: usize| -> Vec<f64> { (0..n).map(|_| stream.normal()).collect() };
     let (x, f) = (draw(samples * instants * sizes.channels), draw(samples * instants * panels));
+    let pool = Pool::new(1).expect("a thread");
     let mut last = Instant::now();
     let mut passed = || {
         let spent = last.elapsed().as_secs_f64();
         last = Instant::now();
         1e3 * spent
     };
-    let mut moments = Moments::new(sizes, &Heartbeat::default());
+    let mut moments = Moments::new(sizes, &pool);
     moments.add(&x, &f, &vec![1.0; samples]);
     let first = passed();
     let lags = Lags { before: reach, after: reach };

@@ -5,7 +5,7 @@ use metasense_numerics::brains::{Fitted, READINGS_MAX, fits};
 use metasense_numerics::dynamics::Forces;
 use metasense_numerics::stimuli::targets;
 use metasense_numerics::trial::{Decoder, Ridge, Samples};
-use metasense_worker::run::finite;
+use metasense_worker::run::{finite, pool};
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -111,12 +111,12 @@ impl LinearBrain {
             lags: Lags { before, after }.within(instants),
             ridge: slf.ridge.map_or(Ridge::Auto, Ridge::Given),
         };
-        let seed = slf.seed;
+        let (seed, pool) = (slf.seed, pool(1).map_err(|e| raised(&e))?);
         let fitted = py.detach(|| {
             let forces = Forces { samples: n, panels, instants: clock - 1, values, strikes: Vec::new() };
             let sizes = Sizes { instants, channels, outputs: panels };
             let known = Samples::new(sizes, signals, targets(&forces, instants, false));
-            decoder.fit(seed, &known, signal_scale)
+            decoder.fit(seed, &known, signal_scale, &pool)
         });
         let singular = |_| {
             PyRuntimeError::new_err("no ridge gives a solution: the signals carry too little information")

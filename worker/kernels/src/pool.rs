@@ -24,10 +24,10 @@ impl Heartbeat {
     }
 }
 
-/// Threads and how they work.
-#[derive(Debug)]
+/// Threads and how they work. Clones share them.
+#[derive(Debug, Clone)]
 pub struct Pool {
-    threads: rayon::ThreadPool,
+    threads: Arc<rayon::ThreadPool>,
     width: Width,
     heartbeat: Heartbeat,
 }
@@ -55,7 +55,7 @@ impl Pool {
     ) -> Result<Self, rayon::ThreadPoolBuildError> {
         width.check();
         let threads = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
-        Ok(Self { threads, width, heartbeat })
+        Ok(Self { threads: Arc::new(threads), width, heartbeat })
     }
 
     /// The instruction set of the kernels.

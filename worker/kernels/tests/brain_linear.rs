@@ -1,7 +1,9 @@
 //! The linear brain: what is fitted is the minimum, pulled back it is the transpose, and its sensitivity solves H z = V.
 
-use metasense_kernels::Heartbeat;
-use metasense_kernels::brain::linear::{Fit, Lags, Linear, Moments, Order, Singular, Sizes};
+use metasense_kernels::Pool;
+use metasense_kernels::brain::linear::{
+    Fit, Lags, Linear, Moments, Order, Singular, Sizes, factor, matrix_mut,
+};
 use metasense_kernels::random::{Purpose, Stream};
 
 const SIZES: Sizes = Sizes { instants: 9, channels: 3, outputs: 2 };
@@ -25,7 +27,7 @@ fn set(sizes: Sizes, seed: u64) -> Set {
 }
 
 fn moments(set: &Set) -> Moments {
-    let mut moments = Moments::new(set.sizes, &Heartbeat::default());
+    let mut moments = Moments::new(set.sizes, &Pool::new(1).unwrap());
     moments.add(&set.x, &set.f, &set.w);
     moments
 }
@@ -145,9 +147,9 @@ fn one_factor_serves_every_shorter_memory() {
     let set = set(SIZES, 2);
     let all = moments(&set);
     let (one_x, one_f) = (SIZES.instants * SIZES.channels, SIZES.instants * SIZES.outputs);
-    let mut part = Moments::new(SIZES, &Heartbeat::default());
+    let mut part = Moments::new(SIZES, &Pool::new(1).unwrap());
     part.add(&set.x[2 * one_x..], &set.f[2 * one_f..], &set.w[2..]);
-    let mut rest = Moments::new(SIZES, &Heartbeat::default());
+    let mut rest = Moments::new(SIZES, &Pool::new(1).unwrap());
     rest.add(&set.x[..2 * one_x], &set.f[..2 * one_f], &set.w[..2]);
     let lags = Lags { before: 2, after: 1 };
     let fit = |normal| Fit::new(normal, ridge, Order::Ascending).unwrap().linear();
@@ -226,4 +228,60 @@ fn a_singular_matrix_is_named() {
     let fit = |ridge| Fit::new(moments(&set).normal(lags), ridge, Order::Ascending);
     assert_eq!(fit(0.0).err(), Some(Singular));
     assert!(fit(1e-6).is_ok());
+}
+
+/// The factor is that of `faer` on one thread to the last bit, whatever the number of threads, and what is not positive definite is
+/// told in any block.
+#[test]
+fn a_factor_is_the_same_on_any_number_of_threads() {
+    use faer::linalg::cholesky::llt::factor::{cholesky_in_place, cholesky_in_place_scratch};
+    for n in [1, 127, 128, 129, 400, 517] {
+        let mut stream = Stream::new(Purpose::Design, n as u64, [0, 0]);
+        let x: Vec<f64> = (0..n * n).map(|_| stream.normal()).collect();
+        let mut symmetric = vec![0.0; n * n];
+        for (j, i) in (0..n).flat_map(|j| (j..n).map(move |i| (j, i))) {
+            let sum: f64 = (0..n).map(|k| x[k * n + i] * x[k * n + j]).sum();
+            symmetric[j * n + i] = sum + if i == j { 1.0 } else { 0.0 };
+        }
+        let lower = |of: &[f64]| -> Vec<u64> {
+            (0..n).flat_map(|j| of[j * n + j..(j + 1) * n].iter().map(|x| x.to_bits())).collect()
+        };
+        let mut alone = symmetric.clone();
+        let spec = faer::Spec::default();
+        let scratch = cholesky_in_place_scratch::<f64>(n, faer::Par::Seq, spec);
+        cholesky_in_place(
+            matrix_mut(&mut alone, n, n),
+            Default::default(),
+            faer::Par::Seq,
+            faer::dyn_stack::MemStack::new(&mut faer::dyn_stack::MemBuffer::new(scratch)),
+            spec,
+        )
+        .unwrap();
+        for threads in [1, 2, 3, 5] {
+            let pool = Pool::new(threads).unwrap();
+            let mut dealt = symmetric.clone();
+            factor(&pool, &mut dealt, n).unwrap();
+            assert!(lower(&dealt) == lower(&alone), "{n} unknowns on {threads} threads");
+            let mut worse = symmetric.clone();
+            worse[n * n - 1] = -1.0;
+            assert_eq!(factor(&pool, &mut worse, n), Err(Singular), "{n} unknowns");
+        }
+    }
+}
+
+/// Moments of blocks of columns are the same on any number of threads, and what is fitted to them.
+#[test]
+fn a_brain_is_the_same_on_any_number_of_threads() {
+    let sizes = Sizes { instants: 60, channels: 6, outputs: 2 };
+    let set = set(sizes, 5);
+    let fitted = |threads: usize| {
+        let mut moments = Moments::new(sizes, &Pool::new(threads).unwrap());
+        moments.add(&set.x, &set.f, &set.w);
+        Fit::new(moments.normal(Lags::whole(sizes.instants)), 1e-3, Order::Outward).unwrap().linear()
+    };
+    let alone = fitted(1);
+    assert!(alone.w.len() / sizes.outputs > 128);
+    for threads in [2, 4] {
+        assert_eq!(fitted(threads), alone, "{threads} threads");
+    }
 }

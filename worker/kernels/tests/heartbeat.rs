@@ -74,7 +74,7 @@ fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
     assert!(losses.len() == 12 && iterations >= 12, "{iterations} beats in {} iterations", losses.len());
 
     let sizes = Sizes { instants, channels: 3, outputs: 1 };
-    let mut moments = Moments::new(sizes, pool.heartbeat());
+    let mut moments = Moments::new(sizes, &pool);
     let y: Vec<f64> = y.iter().map(|y| f64::from(*y)).collect();
     let (_, taken_in) = beats(&pool, || moments.add(&signals, &y, &vec![1.0; samples]));
     let (fit, factored) =

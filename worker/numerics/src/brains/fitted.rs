@@ -6,7 +6,7 @@
 
 use super::linear::{FOLDS, Plain, solve};
 use super::{Reader, Recipe};
-use crate::Heartbeat;
+use crate::Pool;
 use crate::brain::linear::{Lags, Linear, Normal, Sizes, downhill_ridge};
 use crate::stimuli::folds;
 use crate::trial::{Decoder, Samples, Scales, Trial, Trouble};
@@ -38,7 +38,7 @@ impl Fitted {
     /// If no λ has a solution.
     pub(crate) fn of(trial: &Trial, known: &Samples) -> Result<Self, Trouble> {
         let problem = &trial.problem;
-        problem.decoder.fit(problem.seed, known, Some(trial.scales.channels.clone()))
+        problem.decoder.fit(problem.seed, known, Some(trial.scales.channels.clone()), trial.pool)
     }
 
     /// Mean error (%) on samples; `None` where none has a force.
@@ -53,10 +53,16 @@ impl Decoder {
     ///
     /// # Errors
     /// If no λ has a solution.
-    pub fn fit(&self, seed: u64, known: &Samples, signal_scale: Option<Vec<f64>>) -> Result<Fitted, Trouble> {
+    pub fn fit(
+        &self,
+        seed: u64,
+        known: &Samples,
+        signal_scale: Option<Vec<f64>>,
+        pool: &Pool,
+    ) -> Result<Fitted, Trouble> {
         let mut scales = Scales::of(known);
         scales.channels = signal_scale.unwrap_or(scales.channels);
-        self.fitted(seed, known, scales, &Heartbeat::default())
+        self.fitted(seed, known, scales, pool)
     }
 
     /// Fits it to a few samples of one body beside many of others like it, each of which counts κ times one of the few. κ is
@@ -70,10 +76,10 @@ impl Decoder {
         seed: u64,
         few: &Samples,
         others: &Beside,
-        heartbeat: &Heartbeat,
+        pool: &Pool,
     ) -> Result<Fitted, Trouble> {
         let Beside { normal: others, scales } = others;
-        let few = Plain::of(few, scales, heartbeat);
+        let few = Plain::of(few, scales, pool);
         let ridge = self.ridge_of(seed, &few, None)?;
         let beside = |own: &Normal, times: f64| {
             let linear = solve(own.clone().plus(times, others), ridge)?.linear();
@@ -108,14 +114,8 @@ impl Decoder {
     }
 
     /// The same at given scales.
-    fn fitted(
-        &self,
-        seed: u64,
-        known: &Samples,
-        scales: Scales,
-        heartbeat: &Heartbeat,
-    ) -> Result<Fitted, Trouble> {
-        let known = Plain::of(known, &scales, heartbeat);
+    fn fitted(&self, seed: u64, known: &Samples, scales: Scales, pool: &Pool) -> Result<Fitted, Trouble> {
+        let known = Plain::of(known, &scales, pool);
         let ridge = self.ridge_of(seed, &known, None)?;
         let linear = solve(known.moments().normal(self.lags), ridge)?.linear();
         let error = known.error(&linear.predict(&known.x));
@@ -132,8 +132,8 @@ pub(crate) struct Beside {
 
 impl Beside {
     /// Of these samples, at these scales, for a memory.
-    pub(crate) fn of(samples: &Samples, scales: &Scales, lags: Lags, heartbeat: &Heartbeat) -> Self {
-        let normal = Plain::of(samples, scales, heartbeat).moments().normal(lags);
+    pub(crate) fn of(samples: &Samples, scales: &Scales, lags: Lags, pool: &Pool) -> Self {
+        let normal = Plain::of(samples, scales, pool).moments().normal(lags);
         Self { normal, scales: scales.clone() }
     }
 }
@@ -181,18 +181,13 @@ pub(super) struct LinearReader<'a> {
     recipe: Recipe,
     known: &'a Samples,
     scales: Scales,
-    heartbeat: &'a Heartbeat,
+    pool: &'a Pool,
     fitted: Option<Fitted>,
 }
 
 impl<'a> LinearReader<'a> {
-    pub(super) fn new(
-        recipe: Recipe,
-        known: &'a Samples,
-        [scales, _]: [Scales; 2],
-        heartbeat: &'a Heartbeat,
-    ) -> Self {
-        Self { recipe, known, scales, heartbeat, fitted: None }
+    pub(super) fn new(recipe: Recipe, known: &'a Samples, [scales, _]: [Scales; 2], pool: &'a Pool) -> Self {
+        Self { recipe, known, scales, pool, fitted: None }
     }
 
     fn fitted(&self) -> &Fitted {
@@ -208,8 +203,7 @@ impl Reader for LinearReader<'_> {
         _: &Samples,
         _: &mut dyn FnMut(usize) -> bool,
     ) -> Option<Result<(), Trouble>> {
-        let fitted =
-            self.recipe.decoder.fitted(self.recipe.seed, self.known, self.scales.clone(), self.heartbeat);
+        let fitted = self.recipe.decoder.fitted(self.recipe.seed, self.known, self.scales.clone(), self.pool);
         Some(fitted.map(|fitted| self.fitted = Some(fitted)))
     }
 
@@ -226,7 +220,7 @@ impl Reader for LinearReader<'_> {
     }
 
     fn error(&mut self, samples: &Samples) -> Option<f64> {
-        let samples = Plain::of(samples, &self.scales, self.heartbeat);
+        let samples = Plain::of(samples, &self.scales, self.pool);
         samples.error(&self.fitted().linear.predict(&samples.x))
     }
 }

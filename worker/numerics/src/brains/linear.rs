@@ -5,7 +5,7 @@
 //! ```
 
 use super::{FitOn, Implicit, Learned, Learner, Learnt, Loss};
-use crate::Heartbeat;
+use crate::Pool;
 use crate::brain::Policy;
 use crate::brain::linear::{self, Lags, Linear, Moments, Normal, Order, Sizes, downhill_ridge};
 use crate::stimuli::folds;
@@ -51,23 +51,23 @@ pub(crate) struct Plain {
     /// Whether a sample's simulation failed (N).
     pub(crate) failed: Vec<bool>,
     /// Counts what is done with them.
-    pub(crate) heartbeat: Heartbeat,
+    pub(crate) pool: Pool,
 }
 
 impl Plain {
     /// Signals and forces at these scales.
-    pub(crate) fn of(samples: &Samples, scales: &Scales, heartbeat: &Heartbeat) -> Self {
+    pub(crate) fn of(samples: &Samples, scales: &Scales, pool: &Pool) -> Self {
         let (sizes, x, scale) = (samples.sizes, scales.inputs(&samples.signals), scales.force());
         let y: Vec<f64> = samples.targets.iter().map(|f| f / scale).collect();
         let power = |sample: &[f64]| sample.iter().map(|f| f * f).sum::<f64>();
         let weight = |power: f64| if power > 0.0 { power.recip() } else { 0.0 };
         let w = y.chunks_exact(sizes.instants * sizes.outputs).map(|sample| weight(power(sample))).collect();
-        Self { sizes, x, y, w, failed: samples.failed.clone(), heartbeat: heartbeat.clone() }
+        Self { sizes, x, y, w, failed: samples.failed.clone(), pool: pool.clone() }
     }
 
     /// Their moments.
     pub(crate) fn moments(&self) -> Moments {
-        let mut moments = Moments::new(self.sizes, &self.heartbeat);
+        let mut moments = Moments::new(self.sizes, &self.pool);
         moments.add(&self.x, &self.y, &self.w);
         moments
     }
@@ -76,7 +76,7 @@ impl Plain {
     pub(crate) fn select(&self, samples: &[usize]) -> Self {
         let [x, y, w] = [&self.x, &self.y, &self.w].map(|values| pick(values, self.w.len(), samples));
         let failed = pick(&self.failed, self.w.len(), samples);
-        Self { sizes: self.sizes, x, y, w, failed, heartbeat: self.heartbeat.clone() }
+        Self { sizes: self.sizes, x, y, w, failed, pool: self.pool.clone() }
     }
 
     /// Mean error (%) by these answers (N, T, K).
@@ -142,7 +142,7 @@ impl<'a> LinearLearner<'a> {
     }
 
     fn plain(&self, samples: &Samples) -> Plain {
-        Plain::of(samples, &self.trial.scales, self.trial.pool.heartbeat())
+        Plain::of(samples, &self.trial.scales, self.trial.pool)
     }
 
     fn linear(&self) -> &Linear {
@@ -174,7 +174,7 @@ impl<'a> LinearLearner<'a> {
     fn solve_recent(&self, bodies: &[Plain], step: u32, learnt: &mut Learnt) -> Result<Linear, Trouble> {
         let (trial, lags) = (self.trial, self.trial.problem.decoder.lags);
         let newest = &bodies[bodies.len() - 1];
-        let mut moments = Moments::new(newest.sizes, trial.pool.heartbeat());
+        let mut moments = Moments::new(newest.sizes, trial.pool);
         for (age, samples) in bodies.iter().rev().enumerate().skip(1) {
             let fading = FADING.powi(age as i32);
             let w: Vec<f64> = samples.w.iter().map(|w| w * fading).collect();

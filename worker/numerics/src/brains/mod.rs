@@ -121,7 +121,7 @@ pub(crate) fn reader<'a>(
         BrainKind::Network | BrainKind::Stacked => {
             Box::new(network::NetworkReader::new(recipe, known, scales, pool)?)
         }
-        BrainKind::Linear => Box::new(fitted::LinearReader::new(recipe, known, scales, pool.heartbeat())),
+        BrainKind::Linear => Box::new(fitted::LinearReader::new(recipe, known, scales, pool)),
         BrainKind::Inverse => unreachable!("it reads a body, by the body's model: `Inverse`"),
     })
 }

@@ -64,9 +64,8 @@ impl<'a> NetworkReader<'a> {
     ) -> Result<Self, Trouble> {
         let sizes = known.sizes;
         let stacked = recipe.kind == BrainKind::Stacked;
-        let stack = stacked
-            .then(|| Stack::new(&recipe.decoder, recipe.seed, known, linear, pool.heartbeat()))
-            .transpose()?;
+        let stack =
+            stacked.then(|| Stack::new(&recipe.decoder, recipe.seed, known, linear, pool)).transpose()?;
         let shape = Shape {
             instants: sizes.instants,
             inputs: sizes.channels + if stacked { sizes.outputs } else { 0 },

@@ -44,7 +44,7 @@ fn reading(sets: &[Plain; 3], linear: &Linear, ridge: f64) -> Reading {
 /// # Errors
 /// If no λ has a solution.
 pub(crate) fn readings(trial: &Trial, sets: &[Samples; 3]) -> Result<Vec<Reading>, Trouble> {
-    let sets = &sets.each_ref().map(|set| Plain::of(set, &trial.scales, trial.pool.heartbeat()));
+    let sets = &sets.each_ref().map(|set| Plain::of(set, &trial.scales, trial.pool));
     let train = &sets[0];
     let Sizes { instants, channels, outputs } = train.sizes;
     if !fits(instants, channels, outputs) {
@@ -89,7 +89,7 @@ pub(crate) fn own_reading(
     let own = match readings.first() {
         Some(whole) if whole.lags == decoder.lags && decoder.ridge == Ridge::Auto => *whole,
         _ => {
-            let sets = &sets.each_ref().map(|set| Plain::of(set, &trial.scales, trial.pool.heartbeat()));
+            let sets = &sets.each_ref().map(|set| Plain::of(set, &trial.scales, trial.pool));
             let ridge = decoder.ridge_of(trial.problem.seed, &sets[0], None)?;
             reading(sets, &solve(sets[0].moments().normal(decoder.lags), ridge)?.linear(), ridge)
         }

@@ -2,7 +2,7 @@
 //! it never sees one's.
 
 use super::linear::{FOLDS, Plain, solve};
-use crate::Heartbeat;
+use crate::Pool;
 use crate::brain::linear::{Linear, Sizes};
 use crate::brain::{Data, Shape};
 use crate::stimuli::folds;
@@ -31,9 +31,9 @@ impl Stack {
         seed: u64,
         known: &Samples,
         scales: Scales,
-        heartbeat: &Heartbeat,
+        pool: &Pool,
     ) -> Result<Self, Trouble> {
-        let known = Plain::of(known, &scales, heartbeat);
+        let known = Plain::of(known, &scales, pool);
         let ridge = decoder.ridge_of(seed, &known, None)?;
         let folds_of = FOLDS.min(known.w.len());
         let (moments, dealt) = (known.moments(), folds(seed, known.w.len(), folds_of));

@@ -296,9 +296,7 @@ impl Brains<'_> {
             Err(trouble) => Err(*trouble),
         });
         let casts = match &known[1] {
-            Ok(casts) => {
-                Ok(Beside::of(casts, &trial.scales, trial.problem.decoder.lags, trial.pool.heartbeat()))
-            }
+            Ok(casts) => Ok(Beside::of(casts, &trial.scales, trial.problem.decoder.lags, trial.pool)),
             Err(trouble) => Err(*trouble),
         };
         let ridge =
@@ -375,8 +373,8 @@ impl Brains<'_> {
             CastBrain::Records(n) => {
                 let some = train.select(&(0..n as usize).collect::<Vec<_>>());
                 let casts = self.casts.as_ref().map_err(|trouble| *trouble)?;
-                let (seed, heartbeat) = (trial.problem.seed, trial.pool.heartbeat());
-                linear(&self.decoder.fit_beside(seed, &some, casts, heartbeat))
+                let (seed, pool) = (trial.problem.seed, trial.pool);
+                linear(&self.decoder.fit_beside(seed, &some, casts, pool))
             }
             CastBrain::Inverse | CastBrain::TwinLinear(_) | CastBrain::Twin(_) => {
                 unreachable!("read by `invert_cast`")

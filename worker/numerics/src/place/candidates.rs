@@ -51,7 +51,7 @@ impl Candidates {
             let response = trial.simulate(design, &trial.train, &solver, false, counters);
             response.map_err(Failure::Initial)?.samples
         };
-        let samples = Plain::of(&heard, &trial.scales, pool.heartbeat());
+        let samples = Plain::of(&heard, &trial.scales, pool);
         let dealt = folds(problem.seed, heard.count(), FOLDS.min(heard.count()));
         let plain = Self { units, samples, dealt, energies: false };
         let mut judges: Vec<usize> =

@@ -79,9 +79,9 @@ impl<'a> Scores<'a> {
         let folds = dealt.iter().max().map_or(0, |most| most + 1);
         let spectra = if energies {
             let sizes = Sizes { channels: (each + 1) * units.len(), ..sizes };
-            Spectra::new(sizes, [&with_energies(x, each, units.len()), f, w], dealt, folds, pool.heartbeat())
+            Spectra::new(sizes, [&with_energies(x, each, units.len()), f, w], dealt, folds, pool)
         } else {
-            Spectra::new(sizes, [x, f, w], dealt, folds, pool.heartbeat())
+            Spectra::new(sizes, [x, f, w], dealt, folds, pool)
         };
         Self { spectra, layout, units, each: each + usize::from(energies), energies, pool }
     }

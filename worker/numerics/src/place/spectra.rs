@@ -6,7 +6,7 @@
 //! Of samples padded to 2T, so that a weight a frequency is a weight a lag (Parseval); frequencies beyond those that hold
 //! all but 10⁻⁴ of the forces count as unread. An error is that of folds: each sample read by weights of the others.
 
-use crate::Heartbeat;
+use crate::Pool;
 use crate::brain::linear::{Sizes, factor, matrix, matrix_mut};
 use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::{solve_lower_triangular_in_place, solve_upper_triangular_in_place};
@@ -32,7 +32,7 @@ pub(super) struct Spectra {
     /// What of the sum the frequencies leave out.
     left_out: f64,
     /// Counts what is done.
-    heartbeat: Heartbeat,
+    pool: Pool,
 }
 
 #[derive(Debug, Clone)]
@@ -51,7 +51,7 @@ impl Spectra {
         [x, f, w]: [&[f64]; 3],
         dealt: &[usize],
         folds: usize,
-        heartbeat: &Heartbeat,
+        pool: &Pool,
     ) -> Self {
         let Sizes { instants, channels, outputs } = sizes;
         assert!(x.len() == w.len() * instants * channels && f.len() == w.len() * instants * outputs);
@@ -80,7 +80,7 @@ impl Spectra {
             (0..folds).map(|fold| (0..w.len()).filter(|&i| dealt[i] == fold).collect()).collect();
         let mut grams = Vec::with_capacity(shares.len() * (folds + 1));
         for b in 0..shares.len() {
-            heartbeat.beat();
+            pool.heartbeat().beat();
             let of = |samples: &Vec<usize>| {
                 let row = |part: usize, i: usize| {
                     let pick = |values: &'_ [f64], width: usize| {
@@ -98,14 +98,14 @@ impl Spectra {
             grams.extend(parts);
             grams.push(sum);
         }
-        let heartbeat = heartbeat.clone();
-        Self { sizes, folds, shares, grams, power, left_out: left_out.max(0.0), heartbeat }
+        let pool = pool.clone();
+        Self { sizes, folds, shares, grams, power, left_out: left_out.max(0.0), pool }
     }
 
     /// Error (%) of these channels' linear brain, the mean of samples that the others' weights read; none where λ is too
     /// small for a factor.
     pub(super) fn error(&self, chosen: &[usize], ridge: f64) -> Option<f64> {
-        self.heartbeat.beat();
+        self.pool.heartbeat().beat();
         let (outputs, n) = (self.sizes.outputs, 2 * chosen.len());
         let forces = self.forces();
         let [mut lower, mut own, mut total] = [(); 3].map(|()| vec![0.0; n * n]);
@@ -126,7 +126,7 @@ impl Spectra {
                 part.cut_right(chosen, &forces, &mut judged);
                 let rest = total_right.iter().zip(&judged);
                 right.iter_mut().zip(rest).for_each(|(r, (all, judged))| *r = scale * (all - judged));
-                factor(&mut lower, n).ok()?;
+                factor(&self.pool, &mut lower, n).ok()?;
                 let mut weights = matrix_mut(&mut right, n, outputs);
                 let lower = matrix(&lower, n, n);
                 solve_lower_triangular_in_place(lower, weights.as_mut(), Par::Seq);

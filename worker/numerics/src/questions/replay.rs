@@ -2,6 +2,7 @@
 //!
 //! Samples stand in one row: training and test set as numbered at the draw, then the holdout.
 
+use crate::Pool;
 use crate::brain::linear::{Lags, Sizes};
 use crate::brains::{Fitted, Fresh, Inverse, TO_EACH_SIDE, reader};
 use crate::dynamics::{Forces, simulate};
@@ -84,7 +85,7 @@ pub fn replay(
         force_deviation: deviation.clone(),
     };
     if problem.reader == BrainKind::Linear {
-        let brain = replay.linear(problem, &problem.decoder)?;
+        let brain = replay.linear(problem, &problem.decoder, pool)?;
         (replay.predictions, replay.errors) = (brain.predictions, brain.errors);
     }
     Ok(replay)
@@ -164,11 +165,12 @@ impl Replay {
     ///
     /// # Errors
     /// If no λ has a solution.
-    pub fn linear(&self, problem: &Problem, decoder: &Decoder) -> Result<LinearReplay, Failure> {
+    pub fn linear(&self, problem: &Problem, decoder: &Decoder, pool: &Pool) -> Result<LinearReplay, Failure> {
         let all = self.samples(problem);
         let training: Vec<usize> = (0..self.split.len()).filter(|&i| self.split[i] == 0).collect();
         let scale = Some(self.signal_scale.clone());
-        let fitted = decoder.fit(problem.seed, &all.select(&training), scale).map_err(Failure::Initial)?;
+        let fitted =
+            decoder.fit(problem.seed, &all.select(&training), scale, pool).map_err(Failure::Initial)?;
         Ok(said(&all, decoder.lags, &fitted))
     }
 

@@ -121,7 +121,7 @@ impl<'a> Trial<'a> {
                 return Err(Failure::Initial(Trouble::Saturated));
             }
         }
-        let likeness = problem.variation.map_or(Vec::new(), |v| v.likeness(&problem.scene.layout));
+        let likeness = problem.variation.map_or(Vec::new(), |v| v.likeness(&problem.scene.layout, pool));
         Ok(Self {
             problem,
             pool,

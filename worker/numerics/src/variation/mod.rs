@@ -9,6 +9,7 @@
 //! z standard normal, keyed by seed, purpose and number of the cast: all bodies of a trial, and trials of equal seed, meet the
 //! same casts.
 
+use crate::Pool;
 use crate::body::Layout;
 use crate::brain::linear::factor;
 use crate::dynamics::{Parameters, Parts, Relaxation, Scene};
@@ -100,7 +101,7 @@ impl Variation {
     ///
     /// # Panics
     /// If two groups of the layout lie on one another.
-    pub fn likeness(&self, layout: &Layout) -> Vec<f64> {
+    pub fn likeness(&self, layout: &Layout, pool: &Pool) -> Vec<f64> {
         if self.nodes == 0.0 || self.correlation == 0.0 {
             return Vec::new();
         }
@@ -117,7 +118,7 @@ impl Variation {
             if i == j { 1.0 } else { (1.0 - OWN) * (-0.5 * r * r).exp() }
         };
         let mut likeness: Vec<f64> = (0..count * count).map(|k| alike(k / count, k % count)).collect();
-        factor(&mut likeness, count).expect("a covariance with a part of each group's own");
+        factor(pool, &mut likeness, count).expect("a covariance with a part of each group's own");
         likeness
     }
 

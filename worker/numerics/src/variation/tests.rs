@@ -124,7 +124,7 @@ fn lengths_scatter_on_the_grid() {
 fn near_nodes_scatter_alike() {
     let layout = Layout::planar(3, 2, 15.0, 2.25);
     let variation = Variation { correlation: 15.0, ..variation() };
-    let (likeness, count) = (variation.likeness(&layout), 4000);
+    let (likeness, count) = (variation.likeness(&layout, &Pool::new(1).unwrap()), 4000);
     let casts: Vec<Cast> =
         (0..count).map(|i| variation.cast(7, Casts::Unseen, i, (&layout, 0), &likeness)).collect();
     let found = |a: usize, b: usize| {
@@ -141,7 +141,7 @@ fn near_nodes_scatter_alike() {
     }
     // a length that no body has moves it as a whole
     let rigid = Variation { correlation: 1e4, ..variation };
-    let cast = rigid.cast(7, Casts::Step, 0, (&layout, 0), &rigid.likeness(&layout));
+    let cast = rigid.cast(7, Casts::Step, 0, (&layout, 0), &rigid.likeness(&layout, &Pool::new(1).unwrap()));
     assert!(cast.shifts.chunks(2).all(|shift| (shift[0] - cast.shifts[0]).abs() < 2e-3), "{cast:?}");
-    assert!(Variation { correlation: 0.0, ..variation }.likeness(&layout).is_empty());
+    assert!(Variation { correlation: 0.0, ..variation }.likeness(&layout, &Pool::new(1).unwrap()).is_empty());
 }

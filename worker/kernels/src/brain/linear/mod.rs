@@ -16,7 +16,9 @@ pub use solve::factor;
 pub use solve::{Fit, Order, Singular, downhill_ridge};
 
 use faer::linalg::matmul::matmul;
+use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::{Accum, MatMut, MatRef, Par};
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// Instants, signal channels and forces of a sample.
@@ -105,6 +107,25 @@ pub fn matrix(values: &[f64], rows: usize, columns: usize) -> MatRef<'_, f64> {
 /// As `matrix`, to be written.
 pub fn matrix_mut(values: &mut [f64], rows: usize, columns: usize) -> MatMut<'_, f64> {
     MatMut::from_column_major_slice_mut(values, rows, columns)
+}
+
+/// Columns that one thread takes of a matrix at a time: as many whatever the number of threads, so that sums are the same.
+const BLOCK: usize = 128;
+
+/// S ± X Xᵀ in the lower triangle of the last columns of a symmetric matrix (n, n), of which X (so many, k) has the rows.
+/// Blocks of columns are dealt to the threads of the pool that runs this.
+fn add_symmetric(columns: &mut [f64], n: usize, x: MatRef<'_, f64>, sign: f64) {
+    let first = n - x.nrows();
+    columns.par_chunks_mut(BLOCK * n).enumerate().for_each(|(block, columns)| {
+        let (at, width) = (block * BLOCK, columns.len() / n);
+        let columns = matrix_mut(columns, n, width).split_at_row_mut(first + at).1;
+        let (diagonal, below) = columns.split_at_row_mut(width);
+        let (own, further) = x.split_at_row(at).1.split_at_row(width);
+        let whole = BlockStructure::Rectangular;
+        let lower = BlockStructure::TriangularLower;
+        triangular::matmul(diagonal, lower, Accum::Add, own, whole, own.transpose(), whole, sign, Par::Seq);
+        matmul(below, Accum::Add, further, own.transpose(), sign, Par::Seq);
+    });
 }
 
 impl Linear {

@@ -8,10 +8,9 @@
 //! Along a diagonal G changes by one entry of R at either end of the window (the covariance method of linear
 //! prediction; Makhoul, Proc. IEEE 63, 561, 1975), so that G costs O(N·D²), not O(N·T·D²).
 
-use super::{Lags, Sizes, matrix, matrix_mut};
-use crate::Heartbeat;
+use super::{Lags, Sizes, add_symmetric, matrix, matrix_mut};
+use crate::Pool;
 use faer::linalg::matmul::matmul;
-use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::{Accum, Par};
 use std::ops::Range;
 
@@ -19,7 +18,7 @@ use std::ops::Range;
 #[derive(Debug, Clone)]
 pub struct Moments {
     pub(super) sizes: Sizes,
-    pub(super) heartbeat: Heartbeat,
+    pub(super) pool: Pool,
     /// R (T·C, T·C), column-major; its lower triangle.
     second: Vec<f64>,
     /// P (T·C, T·K), column-major.
@@ -39,7 +38,7 @@ pub struct Moments {
 pub struct Normal {
     pub(super) sizes: Sizes,
     pub(super) lags: Lags,
-    pub(super) heartbeat: Heartbeat,
+    pub(super) pool: Pool,
     /// Lags of one weight.
     pub(super) groups: Vec<Range<usize>>,
     /// D = groups of lags · C.
@@ -59,12 +58,12 @@ pub struct Normal {
 }
 
 impl Moments {
-    /// Of no sample; what is done with them counts there.
-    pub fn new(sizes: Sizes, heartbeat: &Heartbeat) -> Self {
+    /// Of no sample; what is done with them is done there.
+    pub fn new(sizes: Sizes, pool: &Pool) -> Self {
         let (rows, columns) = (sizes.instants * sizes.channels, sizes.instants * sizes.outputs);
         Self {
             sizes,
-            heartbeat: heartbeat.clone(),
+            pool: pool.clone(),
             second: vec![0.0; rows * rows],
             cross: vec![0.0; rows * columns],
             signals: vec![0.0; rows],
@@ -95,19 +94,9 @@ impl Moments {
         self.weight += w.iter().sum::<f64>();
         self.power += f.iter().map(|f| f * f).sum::<f64>();
         let x = matrix(&x, rows, samples);
-        triangular::matmul(
-            matrix_mut(&mut self.second, rows, rows),
-            BlockStructure::TriangularLower,
-            Accum::Add,
-            x,
-            BlockStructure::Rectangular,
-            x.transpose(),
-            BlockStructure::Rectangular,
-            1.0,
-            Par::Seq,
-        );
+        self.pool.install(|| add_symmetric(&mut self.second, rows, x, 1.0));
         let f = matrix(&f, columns, samples);
-        self.heartbeat.beat();
+        self.pool.heartbeat().beat();
         matmul(matrix_mut(&mut self.cross, rows, columns), Accum::Add, x, f.transpose(), 1.0, Par::Seq);
     }
 
@@ -173,9 +162,9 @@ impl Moments {
         let mean = by_group(&groups, channels, &lagged(self.sizes, lags, 1, |_| &self.signals));
         let force = |k: usize| self.forces[k..].iter().step_by(outputs).sum();
         let mean_force = (0..outputs).map(force).collect();
-        let (sizes, heartbeat) = (self.sizes, self.heartbeat.clone());
+        let (sizes, pool) = (self.sizes, self.pool.clone());
         let (weight, power) = (self.weight * instants as f64, self.power);
-        Normal { sizes, lags, heartbeat, groups, unknowns, g, q, mean, mean_force, weight, power }
+        Normal { sizes, lags, pool, groups, unknowns, g, q, mean, mean_force, weight, power }
     }
 }
 

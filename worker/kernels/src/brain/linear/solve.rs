@@ -4,12 +4,14 @@
 //! them all.
 
 use super::moments::{Normal, by_group, lagged};
-use super::{Lags, Linear, Sizes, matrix, matrix_mut};
+use super::{BLOCK, Lags, Linear, Sizes, add_symmetric, matrix, matrix_mut};
+use crate::Pool;
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{cholesky_in_place, cholesky_in_place_scratch};
 use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::{solve_lower_triangular_in_place, solve_upper_triangular_in_place};
 use faer::{Accum, Par, Spec};
+use rayon::prelude::*;
 use std::ops::{Range, RangeInclusive};
 
 /// The normal matrix is not positive definite to rounding: the ridge is too small for these signals.
@@ -51,17 +53,7 @@ impl Fit {
     pub fn new(normal: Normal, ridge: f64, order: Order) -> Result<Self, Singular> {
         let normal = normal.eliminated();
         let Normal {
-            sizes,
-            lags,
-            heartbeat,
-            unknowns,
-            mut groups,
-            g,
-            mut q,
-            mut mean,
-            mean_force,
-            weight,
-            ..
+            sizes, lags, pool, unknowns, mut groups, g, mut q, mut mean, mean_force, weight, ..
         } = normal;
         let channels = sizes.channels;
         let mut lower = match order {
@@ -88,8 +80,8 @@ impl Fit {
         for (u, d) in lower.iter_mut().step_by(unknowns + 1).enumerate() {
             *d += ridge * groups[u / channels].len() as f64;
         }
-        factor(&mut lower, unknowns)?;
-        heartbeat.beat();
+        factor(&pool, &mut lower, unknowns)?;
+        pool.heartbeat().beat();
         let outputs = sizes.outputs;
         solve_lower_triangular_in_place(
             matrix(&lower, unknowns, unknowns),
@@ -200,16 +192,36 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// Overwrites a symmetric matrix (n, n), of which the lower triangle counts, with its Cholesky factor.
+/// Overwrites a symmetric matrix (n, n), of which the lower triangle counts, with its Cholesky factor: block by block of columns,
+/// of which each is taken out of those behind it (Golub and Van Loan, Matrix Computations, 4.2.9).
 ///
 /// # Errors
 /// If it is not positive definite.
-pub fn factor(lower: &mut [f64], n: usize) -> Result<(), Singular> {
-    let mut memory = MemBuffer::new(cholesky_in_place_scratch::<f64>(n, Par::Seq, Spec::default()));
-    let stack = MemStack::new(&mut memory);
-    let found =
-        cholesky_in_place(matrix_mut(lower, n, n), Default::default(), Par::Seq, stack, Spec::default());
-    found.map(|_| ()).map_err(|_| Singular)
+pub fn factor(pool: &Pool, lower: &mut [f64], n: usize) -> Result<(), Singular> {
+    pool.install(|| {
+        let mut memory = MemBuffer::new(cholesky_in_place_scratch::<f64>(BLOCK, Par::Seq, Spec::default()));
+        for at in (0..n).step_by(BLOCK) {
+            let width = BLOCK.min(n - at);
+            let (done, behind) = lower.split_at_mut((at + width) * n);
+            let block = matrix_mut(&mut done[at * n..], n, width).split_at_row_mut(at).1;
+            let (mut diagonal, mut below) = block.split_at_row_mut(width);
+            let (stack, spec) = (MemStack::new(&mut memory), Spec::default());
+            cholesky_in_place(diagonal.as_mut(), Default::default(), Par::Seq, stack, spec)
+                .map_err(|_| Singular)?;
+            let mut parts = Vec::new();
+            while below.nrows() > 0 {
+                let rows = BLOCK.min(below.nrows());
+                let (part, rest) = below.split_at_row_mut(rows);
+                parts.push(part.transpose_mut());
+                below = rest;
+            }
+            let diagonal = diagonal.as_ref();
+            parts.into_par_iter().for_each(|part| solve_lower_triangular_in_place(diagonal, part, Par::Seq));
+            let below = matrix(&done[at * n..], n, width).split_at_row(at + width).1;
+            add_symmetric(behind, n, below, -1.0);
+        }
+        Ok(())
+    })
 }
 
 /// The λ of least `error`, decade by decade downhill from `start`, within `ridges`; none where none has an error.

@@ -169,7 +169,7 @@ fn fit(
     pool: &crate::Pool,
     go_on: &mut GoOn,
 ) -> Option<Fit> {
-    let unknowns = Unknowns::new(&problem.scene, variation);
+    let unknowns = Unknowns::new(&problem.scene, variation, pool);
     let mut objective = Objective::new(problem, chip, design, records, unknowns, solver, pool);
     let start = DVector::zeros(objective.unknowns.all().len());
     let cast = objective.unknowns.cast(start.as_slice());

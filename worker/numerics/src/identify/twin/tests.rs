@@ -143,7 +143,7 @@ fn the_gradient_of_a_twin_holds_in_every_unknown() {
     let trial = Trial::new(&problem, &pool).expect("a body");
     let cast = trial.cast(Casts::Unseen, 0).expect("a variation");
     let (forces, signals) = records(&trial, &cast, 3);
-    let unknowns = Unknowns::new(&problem.scene, &variation);
+    let unknowns = Unknowns::new(&problem.scene, &variation, &pool);
     let (chip, solver) = (trial.chip.as_ref(), &trial.problem.solver);
     let all = (&forces, &signals[..]);
     let mut objective = Objective::new(&trial.problem, chip, &problem.initial, all, unknowns, solver, &pool);
@@ -218,7 +218,7 @@ fn a_metric_of_few_records_has_those_that_outweigh_the_others() {
         let record = forces.values.len() / 12;
         let own = hard * record..(hard + 1) * record;
         forces.values[own.clone()].iter_mut().for_each(|f| *f *= 10.0);
-        let unknowns = Unknowns::new(&problem.scene, &Variation::USUAL);
+        let unknowns = Unknowns::new(&problem.scene, &Variation::USUAL, &pool);
         let (chip, solver) = (trial.chip.as_ref(), &trial.problem.solver);
         let all = (&forces, &signals[..]);
         let mut objective =

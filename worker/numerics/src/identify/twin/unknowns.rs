@@ -1,5 +1,6 @@
 //! What a twin is fitted in: z standard normal, of all that a variation scatters, and the cast that it stands for.
 
+use crate::Pool;
 use crate::dynamics::{Gradient, Parameters, Parts, Scene};
 use crate::identify::Parameter;
 use crate::variation::{Cast, Chips, Variation, shared, shared_vjp};
@@ -35,7 +36,7 @@ pub struct Unknowns {
 }
 
 impl Unknowns {
-    pub fn new(scene: &Scene, variation: &Variation) -> Self {
+    pub fn new(scene: &Scene, variation: &Variation, pool: &Pool) -> Self {
         let (layout, sensors) = (&scene.layout, scene.sensors.len());
         let own = Parameters::of(scene).array();
         let mut all = Vec::new();
@@ -56,7 +57,7 @@ impl Unknowns {
         all.extend((0..count(variation.units, layout.units())).map(Unknown::Unit));
         Self {
             variation: *variation,
-            likeness: variation.likeness(layout),
+            likeness: variation.likeness(layout, pool),
             all,
             ligaments: layout.ligaments.len(),
             units: layout.units(),

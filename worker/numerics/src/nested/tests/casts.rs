@@ -83,7 +83,7 @@ fn the_gradient_over_casts_is_that_of_their_objective() {
                         .samples
                 })
                 .collect();
-            let plain = |samples: &Samples| Plain::of(samples, &trial.scales, pool.heartbeat());
+            let plain = |samples: &Samples| Plain::of(samples, &trial.scales, &pool);
             let least = |set: &Plain| {
                 let linear = solve(set.moments().normal(problem.decoder.lags), ridge).unwrap().linear();
                 let squares = linear.w.iter().map(|w| w * w).sum::<f64>();

@@ -158,7 +158,7 @@ fn the_whole_gradient_holds_through_simulator_and_solve() {
             let set = |forces| {
                 let counters = &mut Counters::default();
                 let found = trial.simulate(design, forces, &problem.solver, false, counters).unwrap();
-                Plain::of(&found.samples, &trial.scales, pool.heartbeat())
+                Plain::of(&found.samples, &trial.scales, &pool)
             };
             let train = set(&trial.train);
             let linear = solve(train.moments().normal(problem.decoder.lags), ridge).unwrap().linear();
@@ -277,9 +277,8 @@ fn a_stacked_network_sees_no_estimate_of_what_it_was_fitted_on() {
     let pool = pool(1);
     let trial = Trial::new(&problem, &pool).unwrap();
     let stack =
-        Stack::new(&problem.decoder, problem.seed, &trial.initial, trial.scales.clone(), pool.heartbeat())
-            .unwrap();
-    let known = Plain::of(&trial.initial, &trial.scales, pool.heartbeat());
+        Stack::new(&problem.decoder, problem.seed, &trial.initial, trial.scales.clone(), &pool).unwrap();
+    let known = Plain::of(&trial.initial, &trial.scales, &pool);
     let [seen, unseen] =
         [stack.estimates(&trial.initial.signals), stack.cross_fitted()].map(|y| known.error(&y));
     assert!(unseen > seen, "{unseen:?} {seen:?}");
@@ -341,7 +340,7 @@ fn channels_that_are_not_read_are_columns_that_are_not_there() {
     let unseen = trial.problem.forces(Purpose::Holdout, 0, 6);
     let counters = &mut Counters::default();
     let unseen = trial.simulate(&problem.initial, &unseen, &solver, false, counters).unwrap().samples;
-    let brain = problem.decoder.fit(problem.seed, &deleted(&trial.initial), None).unwrap();
+    let brain = problem.decoder.fit(problem.seed, &deleted(&trial.initial), None, &pool).unwrap();
     let (own, wanted) = (found.initial.networks[0].error_holdout.unwrap(), brain.error_on(&deleted(&unseen)));
     assert!((own / wanted.unwrap() - 1.0).abs() < 1e-9, "{own} {wanted:?}");
 }
