@@ -1,5 +1,8 @@
 //! A requirement, from the spec to the design that meets it: most of the sweep is never run, and kills change no decision.
 
+use std::time::Duration;
+
+use crate::common::processes::{eventually, kill};
 use crate::common::{Bench, TINY};
 
 /// The sweep in two placements, with a requirement.
@@ -68,6 +71,32 @@ fn the_cheapest_design_is_found_and_judged_on_fresh_seeds() {
     halting.file("s.toml", &spec("error = 1e6\n"));
     assert_eq!(design(&halting, &["--workers", "1"]).1, table);
     assert_eq!(trials(&halting), found);
+}
+
+/// Dealt to shards round by round it comes to the same design by the same trials, also when it is stopped on the way.
+#[test]
+fn shards_find_the_design_of_one_run() {
+    let bench = Bench::new();
+    bench.file("s.toml", &spec("error = 1e6\n").replace("iterations = 24", "iterations = 120"));
+    let (code, table, said) = design(&bench, &["--workers", "2"]);
+    assert_eq!(code, Some(0), "{said}");
+    let found = trials(&bench);
+    std::fs::remove_file(bench.path("results/tiny.sqlite")).unwrap();
+    let args = ["submit", "local", "s.toml", "--design", "--cpus", "1", "--at-most", "2"];
+    let mut first = bench.start(&args);
+    let begun = || {
+        let log = std::fs::read_to_string(bench.path("results/tiny.shards/shard-1-of-2.log"));
+        log.is_ok_and(|text| text.contains("worker started")).then_some(())
+    };
+    eventually(Duration::from_secs(60), begun).expect("a shard begins");
+    kill(first.id(), libc::SIGTERM);
+    let code = first.wait().unwrap().code();
+    assert!(code == Some(4) || code == Some(0), "{code:?}");
+    let out = bench.metasense(&args);
+    let said = String::from_utf8_lossy(&out.stderr);
+    assert!(out.status.success() && said.contains("the cheapest design that meets 1e6 %"), "{said}");
+    assert_eq!(trials(&bench), found);
+    assert_eq!(design(&bench, &[]).1, table);
 }
 
 /// Nothing is good enough: the search ends with code 1, and says by how much the requirement would have to be relaxed. Limits on

@@ -128,6 +128,23 @@ fn a_sweep_in_shards_is_the_sweep() {
     assert_eq!(site.slurm.tool("ls", &site.home.parent().unwrap().join("tmp").display().to_string()), "");
 }
 
+/// A search whose trials are dealt to jobs round by round ends where one run does; it waits for the queue.
+#[test]
+fn a_search_in_jobs_is_the_search() {
+    let Some(site) = Site::new("a_search_in_jobs_is_the_search") else { return };
+    let text = spec("tiny", 24, "[1]") + "placements = 2\n[goal]\nerror = 1e6\n";
+    std::fs::write(site.home.join("tiny.toml"), text).unwrap();
+    site.says(0, "design tiny.toml --db whole.sqlite");
+    let said = site.says(0, "submit slurm tiny.toml --design --shards 2 --cpus 1 --time 5 --partition main");
+    assert!(
+        said.contains("submitted: job") && said.contains("the cheapest design that meets 1e6 %"),
+        "{said}"
+    );
+    assert_eq!(site.results("results/tiny.sqlite"), site.results("whole.sqlite"));
+    let again = site.says(0, "submit slurm tiny.toml --design");
+    assert!(!again.contains("submitted: job") && again.contains("the cheapest design"), "{again}");
+}
+
 /// More shards than an array may have, one at a time in each; options of the shards are not the merge's.
 #[test]
 fn arrays_are_cut_and_throttled() {

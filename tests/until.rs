@@ -54,9 +54,41 @@ fn a_sweep_ends_when_it_knows_or_has_run_what_it_may() {
     assert_eq!(trials(&other), four);
 }
 
-/// Beyond the CPU hours that it may take nothing is begun; questions want all results in one place.
+/// Dealt to shards round by round it is the same sweep; of one shard alone nobody can decide.
 #[test]
-fn hours_and_shards_are_kept_to() {
+fn shards_end_when_one_run_does() {
+    let bench = Bench::new();
+    bench.file("s.toml", &spec("paired = 1e6\n"));
+    bench.output(&["run", "s.toml", "--workers", "2"]);
+    let whole = trials(&bench);
+    std::fs::remove_file(bench.path("results/tiny.sqlite")).unwrap();
+    let submit = || {
+        let out = bench.metasense(&["submit", "local", "s.toml", "--cpus", "1", "--at-most", "2"]);
+        assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+        String::from_utf8(out.stderr).unwrap()
+    };
+    let said = submit();
+    assert!(
+        said.contains("8 trials in shards 1-2") && said.contains("settled by 4 of 8 placements"),
+        "{said}"
+    );
+    assert_eq!(trials(&bench), whole);
+    let again = submit();
+    assert!(
+        again.contains("nothing left to do: 8 trials settled") && !again.contains("begins on"),
+        "{again}"
+    );
+    let shard = bench.metasense(&["run", "s.toml", "--shard", "1/2"]);
+    let said = String::from_utf8(shard.stderr).unwrap();
+    assert!(
+        shard.status.code() == Some(2) && said.contains("until: needs all results in one database"),
+        "{said}"
+    );
+}
+
+/// Beyond the CPU hours that it may take nothing is begun.
+#[test]
+fn hours_are_kept_to() {
     let bench = Bench::new();
     bench.file(
         "s.toml",
@@ -66,10 +98,4 @@ fn hours_and_shards_are_kept_to() {
     let said = String::from_utf8(out.stderr).unwrap();
     assert!(said.contains("open after 4 of 8 seeds") && said.contains("questions are left open"), "{said}");
     assert_eq!(trials(&bench).lines().count(), 1 + 2 * 4);
-    let shard = bench.metasense(&["run", "s.toml", "--shard", "1/2"]);
-    let said = String::from_utf8(shard.stderr).unwrap();
-    assert!(
-        shard.status.code() == Some(2) && said.contains("until: needs all results in one database"),
-        "{said}"
-    );
 }

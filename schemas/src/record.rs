@@ -39,7 +39,7 @@ pub struct Trial {
     /// Work against other trials: the same numbers on every machine.
     pub weight: Parts<u64>,
     /// Outer steps after which it is to pause; `None`: it is run to its end.
-    #[serde(skip)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pause: Option<u32>,
 }
 

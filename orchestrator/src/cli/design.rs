@@ -1,10 +1,10 @@
 //! `design`: the cheapest body, sensors and brain that meet a requirement.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::named::Spec;
-use super::run::{How, Round, Running, run};
-use super::{Error, log, print_rows};
+use super::run::{How, Running, Runs, run};
+use super::{Error, Format, log, print_rows};
 use crate::analysis::goal::{Decision, LEVELS, Work};
 use crate::engine::{Again, Signals};
 use crate::exit::Exit;
@@ -34,16 +34,35 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     args.running.simd.choose()?;
     let mut signals = Signals::new()?;
     let plan = args.spec.plan()?;
-    let space = Space::new(&plan)?;
+    let space = space(&plan)?;
+    let db: PathBuf = args.running.db.clone().unwrap_or_else(|| plan.default_database());
+    let how = How { spec: &args.spec, running: &args.running, shard: None, fixed: Some(FIXED) };
+    let (outcome, plan) = run(plan, &how, &db, &log::path(&db), &mut signals, async |round, again| {
+        search(round, &space, again).await
+    })
+    .await?;
+    end(&db, plan, space, args.running.format, outcome).await
+}
+
+/// What is searched, and what is not.
+pub(super) fn space(plan: &Plan) -> Result<Space, Error> {
+    let space = Space::new(plan)?;
     for out in &space.left_out {
         say!("{} leaves out {}; the least one needs {}", out.key, counted(out.trials, "trial"), out.least);
     }
-    let db: PathBuf = args.running.db.clone().unwrap_or_else(|| plan.default_database());
-    let how = How { spec: &args.spec, running: &args.running, shard: None, fixed: Some(FIXED) };
-    let drive = async |round: Round<'_>, again| search(round, &space, again).await;
-    let (outcome, plan) = run(plan, &how, &db, &log::path(&db), &mut signals, drive).await?;
-    let found = Reader::asked(&db, async |reader| Sought::of(reader, plan, space).await).await?;
-    print_rows(&found.table(), args.running.format)?;
+    Ok(space)
+}
+
+/// The table and the words at the end.
+pub(super) async fn end(
+    db: &Path,
+    plan: Plan,
+    space: Space,
+    format: Format,
+    outcome: Outcome,
+) -> Result<Exit, Error> {
+    let found = Reader::asked(db, async |reader| Sought::of(reader, plan, space).await).await?;
+    print_rows(&found.table(), format)?;
     found.verdict().iter().for_each(|line| say!("{line}"));
     let chosen = found.chosen();
     if let Some((trial, _)) = chosen {
@@ -59,14 +78,17 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 /// Runs what the search asks for, until it is over.
-async fn search(mut round: Round<'_>, space: &Space, mut again: Again) -> Result<Option<Outcome>, Error> {
+pub(super) async fn search(
+    mut round: impl Runs,
+    space: &Space,
+    mut again: Again,
+) -> Result<Option<Outcome>, Error> {
     let (mut bodies, mut search) = (Bodies::new(), begun(space));
     loop {
-        let path = round.store.path().to_owned();
-        let known = {
-            let plan = round.plan;
-            Reader::asked(&path, async |reader| Known::of(reader, space, plan, &mut bodies).await).await?
-        };
+        let known = Reader::asked(round.database(), async |reader| {
+            Known::of(reader, space, round.plan(), &mut bodies).await
+        })
+        .await?;
         let decision = search.follow(&known.candidates);
         if decision.work.is_empty() {
             return Ok(None);
@@ -79,7 +101,7 @@ async fn search(mut round: Round<'_>, space: &Space, mut again: Again) -> Result
         let trials: Vec<Trial> = decision
             .work
             .iter()
-            .flat_map(|&(i, work)| ordered(space, round.plan, &bodies, i, work))
+            .flat_map(|&(i, work)| ordered(space, round.plan(), &bodies, i, work))
             .collect();
         match round.run(&trials, again).await? {
             Some(Outcome::Complete) => again = Again::default(),

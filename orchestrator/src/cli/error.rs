@@ -63,6 +63,17 @@ pub enum Error {
     /// A merge.
     #[error(transparent)]
     Merge(#[from] MergeError),
+    /// Shards that do not get further.
+    #[error(
+        "shards {shards} have ended without a step or a result: their outputs in {} say why; the same command tries again",
+        folder.display()
+    )]
+    Shards {
+        /// Where they are.
+        folder: PathBuf,
+        /// Which.
+        shards: String,
+    },
     /// Which shard runs what.
     #[error(transparent)]
     Assignment(#[from] AssignmentError),
@@ -101,7 +112,7 @@ impl Error {
                 Exit::BadInput
             }
             Self::Engine(EngineError::Runtime(_)) => Exit::BadInput,
-            Self::Engine(EngineError::NoWorkers(_)) => Exit::Unfit,
+            Self::Engine(EngineError::NoWorkers(_)) | Self::Shards { .. } => Exit::Unfit,
             Self::Engine(_) => Exit::Io,
             Self::Merge(MergeError::Nothing { .. } | MergeError::Result { .. } | MergeError::NotFacts(_)) => {
                 Exit::BadInput

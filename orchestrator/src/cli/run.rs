@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+use metasense_schemas::record::Found;
 use metasense_schemas::source::Source;
 use metasense_schemas::spec::Run;
 use tokio::sync::oneshot;
@@ -139,7 +140,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let (db, log) = (home.live().to_owned(), home.log());
     let (stop, stopped) = oneshot::channel();
     let running = async {
-        let outcome = run(plan, &how, &db, &log, &mut signals, wanted).await;
+        let outcome = run(plan, &how, &db, &log, &mut signals, all).await;
         drop(stop);
         outcome
     };
@@ -159,7 +160,10 @@ pub(super) fn not_in_shards(plan: &Plan) -> Result<(), Error> {
         None => Ok(()),
         Some(_) => Err(plan
             .source
-            .error("until", "needs all results in one database: it cannot be run in shards")
+            .error(
+                "until",
+                "needs all results in one database: `metasense submit` runs its shards and merges them",
+            )
             .into()),
     }
 }
@@ -270,8 +274,8 @@ fn reread(plan: &Plan, how: &How) -> Arc<Reread> {
 
 /// What runs some trials needs.
 pub(super) struct Round<'a> {
-    pub store: &'a mut Store,
-    pub plan: &'a Plan,
+    store: &'a mut Store,
+    plan: &'a Plan,
     shard: Option<Shard>,
     log: &'a Path,
     signals: &'a mut Signals,
@@ -280,21 +284,42 @@ pub(super) struct Round<'a> {
     options: &'a mut Options,
 }
 
+/// Who runs trials, round by round: the workers of this process, or shards.
+pub(super) trait Runs {
+    fn plan(&self) -> &Plan;
+
+    /// What the results of earlier rounds are in.
+    fn database(&self) -> &Path;
+
+    /// Trials at a time.
+    fn workers(&self) -> u32;
+
+    /// What trials have come to.
+    async fn found(&mut self) -> Result<Vec<Found>, Error>;
+
+    /// Runs those of some trials that are open; `None` where there are none.
+    async fn run(&mut self, trials: &[Trial], again: Again) -> Result<Option<Outcome>, Error>;
+}
+
 /// Runs all trials of a plan, or those that its questions need.
-async fn wanted(mut round: Round<'_>, again: Again) -> Result<Option<Outcome>, Error> {
+async fn wanted(round: Round<'_>, again: Again) -> Result<Option<Outcome>, Error> {
     match round.plan.spec.until {
-        None => round.run(&round.plan.trials, again).await,
+        None => all(round, again).await,
         Some(_) => rounds(round, again).await,
     }
 }
 
+/// Runs all trials of a plan.
+async fn all(mut round: Round<'_>, again: Again) -> Result<Option<Outcome>, Error> {
+    round.run(&round.plan.trials, again).await
+}
+
 /// Runs the trials that the sweep's questions need, until they are settled.
-async fn rounds(mut round: Round<'_>, mut again: Again) -> Result<Option<Outcome>, Error> {
+pub(super) async fn rounds(mut round: impl Runs, mut again: Again) -> Result<Option<Outcome>, Error> {
     let mut said = Vec::new();
     loop {
-        let workers = round.options.settings.workers;
-        let (decision, wanted) =
-            round.plan.decide(&round.store.found().await?, workers).expect("it has questions");
+        let found = round.found().await?;
+        let (decision, wanted) = round.plan().decide(&found, round.workers()).expect("it has questions");
         for line in decision.standings.iter().map(ToString::to_string) {
             if !said.contains(&line) {
                 say!("{line}");
@@ -312,9 +337,24 @@ async fn rounds(mut round: Round<'_>, mut again: Again) -> Result<Option<Outcome
     }
 }
 
-impl Round<'_> {
-    /// Runs those of some trials that are open; `None` where there are none.
-    pub async fn run(&mut self, trials: &[Trial], again: Again) -> Result<Option<Outcome>, Error> {
+impl Runs for Round<'_> {
+    fn plan(&self) -> &Plan {
+        self.plan
+    }
+
+    fn database(&self) -> &Path {
+        self.store.path()
+    }
+
+    fn workers(&self) -> u32 {
+        self.options.settings.workers
+    }
+
+    async fn found(&mut self) -> Result<Vec<Found>, Error> {
+        Ok(self.store.found().await?)
+    }
+
+    async fn run(&mut self, trials: &[Trial], again: Again) -> Result<Option<Outcome>, Error> {
         let Self { store, plan, shard, log, signals, control, options } = self;
         let sweep = (&plan.spec, &*plan.source.text);
         let Some(open) = engine::begin(store, sweep, trials, again, signals).await? else {
@@ -365,7 +405,7 @@ fn name(outcome: Outcome) -> &'static str {
 }
 
 /// The table and the words at the end.
-async fn end(db: &Path, plan: &Plan, format: Format, outcome: Outcome) -> Result<Exit, Error> {
+pub(super) async fn end(db: &Path, plan: &Plan, format: Format, outcome: Outcome) -> Result<Exit, Error> {
     let failed = print_results(db, plan, format).await?;
     say!("database: {}", db.display());
     Ok(match outcome {

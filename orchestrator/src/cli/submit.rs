@@ -1,5 +1,7 @@
 //! `submit`: a sweep as shards on a cluster or on some machines, with the merge behind them.
 
+mod rounds;
+
 use std::collections::HashMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -11,24 +13,28 @@ use crate::cluster::home::{SUBMITTED_SPEC, attempts};
 use crate::cluster::places::{self, Ended, How, Place};
 use crate::cluster::queue::{self, Job, Notes};
 use crate::cluster::state::{State, states};
-use crate::cluster::submit::{MAX_ARRAY_SIZE, Scheduler, Submission, estimate, line, planned, seconds};
+use crate::cluster::submit::{
+    MAX_ARRAY_SIZE, MERGE, Scheduler, Submission, estimate, line, planned, seconds,
+};
 use crate::cluster::{Assignment, Shard, ranges};
 use crate::engine::Signals;
 use crate::exit::Exit;
 use crate::files;
-use crate::plan::{Plan, counted};
+use crate::plan::{Plan, Trial, counted};
 
 /// Runs a sweep as shards, on a cluster or on some machines, and merges them
 ///
 /// A shard is an ordinary run on one node; they are merged when all have ended. `slurm` and `hq` queue them; `local` and `ssh` run
-/// them and end with them. Called again, it goes on with the shards that are not complete.
+/// them and end with them. Called again, it goes on with the shards that are not complete. With [until] or --design trials are dealt
+/// round by round, by what earlier ones have come to: it stays until the answer stands.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Who starts shards
     scheduler: Scheduler,
     #[command(flatten)]
     spec: Spec,
-    /// Shards; by default so many that each takes half of its time limit, by estimate, and four a place for `local` and `ssh`
+    /// Shards; by default so many that each takes half of its time limit, by estimate, and four a place for `local` and `ssh`; of
+    /// rounds one a place, and four for `slurm` and `hq`
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(Shard::MOST)))]
     shards: Option<u32>,
     /// Cores of a shard
@@ -58,6 +64,9 @@ pub(super) struct Args {
     /// The merged database; by default results/NAME.sqlite
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
+    /// Searches for the cheapest design that meets the requirement in [goal], as `design` does
+    #[arg(long, conflicts_with = "retry_failed")]
+    design: bool,
     /// Runs failed trials again, from their last step
     #[arg(long)]
     retry_failed: bool,
@@ -73,14 +82,15 @@ pub(super) struct Args {
 const LIMIT: u64 = 4 * 3600;
 /// Shards a place, where places differ and nobody says how many.
 const SHARDS_A_PLACE: usize = 4;
+/// Shards of a queue, where trials are dealt round by round: a round is some eight trials.
+const SHARDS_OF_ROUNDS: u32 = 4;
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let plan = args.spec.plan()?;
-    super::run::not_in_shards(&plan)?;
     args.check()?;
     let places = args.places()?;
-    let results = Path::new("results");
-    let folder = args.out_dir.clone().unwrap_or_else(|| results.join(format!("{}.shards", plan.spec.name)));
+    let folder = args.folder(&plan);
+    let in_rounds = args.design || plan.spec.until.is_some();
     let jobs = submitted(&folder)?;
     let before = shards_of(&folder, &jobs);
     let shards = match (args.shards, before) {
@@ -92,10 +102,15 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             )));
         }
         (asked, before) => asked.or(before).unwrap_or_else(|| match places.len() {
+            0 if in_rounds => SHARDS_OF_ROUNDS,
             0 => planned(&plan.trials, args.cpus, args.time.unwrap_or(LIMIT)),
+            places if in_rounds => places as u32,
             places => (SHARDS_A_PLACE * places).min(plan.trials.len()) as u32,
         }),
     };
+    if in_rounds {
+        return rounds::execute(&args, plan, places, shards).await;
+    }
     let mut assignment = Assignment::in_folder(&folder, &plan.trials, shards)?;
     assignment.keep(&plan.trials);
     // In this order: what ends in between has been handed in when that is looked at.
@@ -127,52 +142,15 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         );
         return Ok(Exit::Done);
     }
-    let threads = plan.spec.run.threads.unwrap_or(1).clamp(1, args.cpus as usize) as u32;
-    let absolute = |path: &Path| std::path::absolute(path).map_err(Error::io("finding", path));
-    let folder = absolute(&folder)?;
-    let [for_shards, for_merge] = match args.further.iter().position(|word| word == "--") {
-        Some(at) => [&args.further[..at], &args.further[at + 1..]],
-        None => [&args.further[..]; 2],
-    };
-    let again = args.retry_failed.then_some("--retry-failed");
     let program = Program::own()?;
-    let submission = Submission {
-        scheduler: args.scheduler,
-        name: plan.spec.name.clone(),
-        program: folder.join(&program.name),
-        prefix: args.prefix.clone(),
-        out: absolute(&args.out.clone().unwrap_or_else(|| plan.default_database()))?,
-        folder,
-        shards,
-        which,
-        cpus: args.cpus,
-        threads,
-        seconds: args.time.unwrap_or(LIMIT),
-        at_most: args.at_most,
-        partition: args.partition.clone(),
-        run: args.run.split_whitespace().chain(again).map(str::to_owned).collect(),
-        for_shards: for_shards.to_vec(),
-        for_merge: for_merge.to_vec(),
-        most_index: match args.scheduler {
-            Scheduler::Slurm => queue::max_array_size().unwrap_or(MAX_ARRAY_SIZE) - 1,
-            _ => Shard::MOST,
-        },
-    };
-    if let Some(unfit) = submission.unfit() {
-        return Err(Error::Usage(format!("{unfit}; it would stand in a script")));
-    }
-    let first = format!("{}", submission.which[0]);
-    let words = [&["metasense".to_owned()][..], &submission.run_words(&first, None)].concat();
-    super::command().try_get_matches_from(words).map_err(|error| {
-        let what = error.to_string();
-        Error::Usage(format!("--run {:?}: {}", args.run, what.lines().next().unwrap_or_default()))
-    })?;
+    let submission = Submission { which, ..args.submission(&plan, shards, &program)? };
     say(&plan, &assignment, &submission);
     if args.dry_run {
-        print(&submission)?;
+        print(&submission, false)?;
         return Ok(Exit::Done);
     }
-    let mut notes = prepare(&plan, &assignment, &submission, &program, &queue.jobs)?;
+    let mut notes = prepare(&plan, &submission, &program, &queue.jobs)?;
+    deal(&assignment, &submission.folder, &plan.trials)?;
     if args.scheduler.has_queue() {
         submit(&submission, &mut notes, &queue.jobs)?;
         return Ok(Exit::Done);
@@ -181,6 +159,55 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 impl Args {
+    /// Where shards go.
+    fn folder(&self, plan: &Plan) -> PathBuf {
+        let named = || Path::new("results").join(format!("{}.shards", plan.spec.name));
+        self.out_dir.clone().unwrap_or_else(named)
+    }
+
+    /// All shards.
+    fn submission(&self, plan: &Plan, shards: u32, program: &Program) -> Result<Submission, Error> {
+        let threads = plan.spec.run.threads.unwrap_or(1).clamp(1, self.cpus as usize) as u32;
+        let absolute = |path: &Path| std::path::absolute(path).map_err(Error::io("finding", path));
+        let [for_shards, for_merge] = match self.further.iter().position(|word| word == "--") {
+            Some(at) => [&self.further[..at], &self.further[at + 1..]],
+            None => [&self.further[..]; 2],
+        };
+        let again = self.retry_failed.then_some("--retry-failed");
+        let submission = Submission {
+            scheduler: self.scheduler,
+            name: plan.spec.name.clone(),
+            program: absolute(&self.folder(plan))?.join(&program.name),
+            prefix: self.prefix.clone(),
+            out: absolute(&self.out.clone().unwrap_or_else(|| plan.default_database()))?,
+            folder: absolute(&self.folder(plan))?,
+            shards,
+            which: (1..=shards).collect(),
+            cpus: self.cpus,
+            threads,
+            seconds: self.time.unwrap_or(LIMIT),
+            at_most: self.at_most,
+            partition: self.partition.clone(),
+            run: self.run.split_whitespace().chain(again).map(str::to_owned).collect(),
+            for_shards: for_shards.to_vec(),
+            for_merge: for_merge.to_vec(),
+            most_index: match self.scheduler {
+                Scheduler::Slurm => queue::max_array_size().unwrap_or(MAX_ARRAY_SIZE) - 1,
+                _ => Shard::MOST,
+            },
+        };
+        if let Some(unfit) = submission.unfit() {
+            return Err(Error::Usage(format!("{unfit}; it would stand in a script")));
+        }
+        let first = format!("{}", submission.which[0]);
+        let words = [&["metasense".to_owned()][..], &submission.run_words(&first, None)].concat();
+        super::command().try_get_matches_from(words).map_err(|error| {
+            let what = error.to_string();
+            Error::Usage(format!("--run {:?}: {}", self.run, what.lines().next().unwrap_or_default()))
+        })?;
+        Ok(submission)
+    }
+
     /// Options that whoever starts the shards has not.
     fn check(&self) -> Result<(), Error> {
         let given = |name: &str, is_given: bool, fits: bool, why: &str| match is_given && !fits {
@@ -289,15 +316,18 @@ fn say(plan: &Plan, assignment: &Assignment, submission: &Submission) {
     }
 }
 
-fn print(submission: &Submission) -> std::io::Result<()> {
-    for script in submission.scripts() {
+/// Scripts and commands; of rounds those of the first, without a merge behind them.
+fn print(submission: &Submission, in_rounds: bool) -> std::io::Result<()> {
+    for script in submission.scripts().into_iter().filter(|script| !in_rounds || script.name != MERGE) {
         print_line!("# {}\n{}", submission.folder.join(script.name).display(), script.text)?;
     }
     if submission.scheduler.has_queue() {
         for array in submission.arrays() {
             print_line!("$ {}", line(&submission.submit_shards(&array)))?;
         }
-        print_line!("$ {}", line(&submission.submit_merge(&["JOB".to_owned()])))?;
+        if !in_rounds {
+            print_line!("$ {}", line(&submission.submit_merge(&["JOB".to_owned()])))?;
+        }
     }
     Ok(())
 }
@@ -305,7 +335,6 @@ fn print(submission: &Submission) -> std::io::Result<()> {
 /// Writes what shards need into the folder. From then on no other `submit` may.
 fn prepare(
     plan: &Plan,
-    assignment: &Assignment,
     submission: &Submission,
     program: &Program,
     others: &[String],
@@ -314,8 +343,6 @@ fn prepare(
     make_folder(folder)?;
     let notes = Notes::open(folder).map_err(Error::io("noting what is submitted in", folder))?;
     write(&folder.join(SUBMITTED_SPEC), &plan.source.text)?;
-    assignment.write(folder)?;
-    assignment.write_trials(folder, &plan.trials)?;
     program.put(folder, others.is_empty())?;
     for script in submission.scripts() {
         write(&folder.join(script.name), script.text)?;
@@ -323,9 +350,15 @@ fn prepare(
     Ok(notes)
 }
 
-fn submit(submission: &Submission, notes: &mut Notes, others: &[String]) -> Result<(), Error> {
-    let folder = &submission.folder;
-    let noting = Error::io("noting what was submitted in", folder);
+/// Says which trials are whose.
+fn deal(assignment: &Assignment, folder: &Path, trials: &[Trial]) -> Result<(), Error> {
+    assignment.write(folder)?;
+    Ok(assignment.write_trials(folder, trials)?)
+}
+
+/// Queues shards.
+fn submit_shards(submission: &Submission, notes: &mut Notes) -> Result<Vec<Job>, Error> {
+    let noting = Error::io("noting what was submitted in", &submission.folder);
     let mut jobs = Vec::new();
     for array in submission.arrays() {
         let number = run(&submission.submit_shards(&array))?;
@@ -336,6 +369,14 @@ fn submit(submission: &Submission, notes: &mut Notes, others: &[String]) -> Resu
         jobs.push(Job { scheduler, job: number, merge_job: None, shards, offset });
         notes.note(jobs.last().expect("there is one")).map_err(&noting)?;
     }
+    Ok(jobs)
+}
+
+/// Queues shards, and the merge behind them.
+fn submit(submission: &Submission, notes: &mut Notes, others: &[String]) -> Result<(), Error> {
+    let folder = &submission.folder;
+    let noting = Error::io("noting what was submitted in", folder);
+    let mut jobs = submit_shards(submission, notes)?;
     say!("metasense status --cluster {} says how they are", folder.display());
     let before: Vec<String> = jobs.iter().map(|job| job.job.clone()).chain(others.iter().cloned()).collect();
     let merge_job = run(&submission.submit_merge(&before)).inspect_err(|_| {
@@ -350,21 +391,26 @@ fn submit(submission: &Submission, notes: &mut Notes, others: &[String]) -> Resu
     Ok(())
 }
 
-/// Runs the shards, and merges what there is when they have ended.
-async fn run_here(submission: &Submission, places: &[Place], notes: &mut Notes) -> Result<Exit, Error> {
-    let Submission { folder, which, shards, .. } = submission;
-    let mut signals = Signals::new()?;
-    let job = Job {
-        scheduler: submission.scheduler.name().into(),
-        job: files::own_mark(),
-        merge_job: None,
-        shards: *shards,
-        offset: 0,
-    };
+/// Notes that shards are run from here.
+fn note_here(submission: &Submission, notes: &mut Notes) -> Result<(), Error> {
+    let Submission { folder, shards, .. } = submission;
+    let (scheduler, job) = (submission.scheduler.name().into(), files::own_mark());
+    let job = Job { scheduler, job, merge_job: None, shards: *shards, offset: 0 };
     notes.note(&job).map_err(Error::io("noting what is run in", folder))?;
     say!("metasense status --cluster {} says how they are; Ctrl-C stops all of them", folder.display());
-    let how = How { folder: folder.clone(), options: submission.for_shards.clone() };
-    let ended = places::run(places, which, &how, &mut signals, |line| say!("{line}")).await;
+    Ok(())
+}
+
+fn how(submission: &Submission) -> How {
+    How { folder: submission.folder.clone(), options: submission.for_shards.clone() }
+}
+
+/// Runs the shards, and merges what there is when they have ended.
+async fn run_here(submission: &Submission, places: &[Place], notes: &mut Notes) -> Result<Exit, Error> {
+    let Submission { folder, which, .. } = submission;
+    let mut signals = Signals::new()?;
+    note_here(submission, notes)?;
+    let ended = places::run(places, which, &how(submission), &mut signals, |line| say!("{line}")).await;
     let merged = super::merge::execute(super::merge::Args::folder(folder, &submission.out)).await?;
     if !ended.left.is_empty() {
         say!("left: shards {}; the same command goes on with them", ranges(&ended.left));

@@ -14,6 +14,8 @@ pub const NOTICE: u64 = 60;
 const MOST_PLANNED: u32 = 1000;
 /// Slurm's `MaxArraySize`, one more than the largest index of an array, where nobody has changed it.
 pub const MAX_ARRAY_SIZE: u32 = 1001;
+/// The script that merges, in the folder.
+pub const MERGE: &str = "merge.sh";
 /// How often a shard queues again by itself at its time limit.
 const REQUEUES: u32 = 20;
 
@@ -152,7 +154,7 @@ impl Submission {
             Scheduler::Hq => (self.hq_shard(), self.hq_merge()),
             Scheduler::Local | Scheduler::Ssh => (self.own_shard(), self.own_merge()),
         };
-        [Script { name: "shard.sh", text: shard }, Script { name: "merge.sh", text: merge }]
+        [Script { name: "shard.sh", text: shard }, Script { name: MERGE, text: merge }]
     }
 
     fn slurm_shard(&self) -> String {
@@ -337,7 +339,7 @@ impl Submission {
     /// The command that submits the merge behind jobs.
     #[must_use]
     pub fn submit_merge(&self, jobs: &[String]) -> Vec<String> {
-        let script = self.folder.join("merge.sh").display().to_string();
+        let script = self.folder.join(MERGE).display().to_string();
         if self.scheduler == Scheduler::Hq {
             // It waits on a core, and only for one that no shard wants.
             let name = format!("{}-merge", self.name);

@@ -1,0 +1,173 @@
+//! Rounds of shards: what a search or questions ask for is dealt to shards, run, merged, and looked at again.
+//!
+//! A trial stays with the shard that has begun it, which has its steps. Decisions are made here, from the merged database.
+
+use std::collections::{BTreeSet, HashSet};
+use std::path::Path;
+use std::time::Duration;
+
+use metasense_schemas::record::{Found, Trial};
+
+use super::{Args, Program, deal, how, note_here, prepare, print, submit_shards};
+use crate::cli::run::{self, Runs};
+use crate::cli::{Error, Format, design};
+use crate::cluster::home::attempts;
+use crate::cluster::merge::{Kind, merge};
+use crate::cluster::places::{self, Place};
+use crate::cluster::queue::{self, Job, Notes, QueueError};
+use crate::cluster::submit::Submission;
+use crate::cluster::{Assignment, ranges};
+use crate::engine::{Again, Signals};
+use crate::exit::Exit;
+use crate::plan::{Plan, counted};
+use crate::scheduler::Outcome;
+use crate::store::{Reader, Store};
+
+/// Between two looks at a queue.
+const LOOK: Duration = Duration::from_secs(5);
+/// So many looks in a row a queue may leave unanswered.
+const UNANSWERED_MOST: u32 = 60;
+
+pub(super) async fn execute(args: &Args, plan: Plan, places: Vec<Place>, shards: u32) -> Result<Exit, Error> {
+    let space = if args.design { Some(design::space(&plan)?) } else { None };
+    let (program, jobs) = (Program::own()?, super::submitted(&args.folder(&plan))?);
+    let submission = args.submission(&plan, shards, &program)?;
+    if args.dry_run {
+        print(&submission, true)?;
+        return Ok(Exit::Done);
+    }
+    let queue = queue::ask(&jobs)?;
+    let mut notes = prepare(&plan, &submission, &program, &queue.jobs)?;
+    if !submission.scheduler.has_queue() {
+        note_here(&submission, &mut notes)?;
+    }
+    let (db, signals) = (submission.out.clone(), Signals::new()?);
+    Store::open(&db).await?.close().await?;
+    let mut shards = Shards { plan: &plan, submission, places, notes, jobs, signals };
+    // what an earlier `submit` has left running
+    let outcome = match shards.wait().await? {
+        false => Some(Outcome::Interrupted),
+        true => {
+            shards.gather().await?;
+            match &space {
+                Some(space) => design::search(shards, space, Again::default()).await?,
+                None => run::rounds(shards, Again::default()).await?,
+            }
+        }
+    };
+    let outcome = outcome.unwrap_or(Outcome::Complete);
+    match space {
+        Some(space) => design::end(&db, plan, space, Format::default(), outcome).await,
+        None => run::end(&db, &plan, Format::default(), outcome).await,
+    }
+}
+
+/// Shards of one folder, with the database that they are merged into.
+struct Shards<'a> {
+    plan: &'a Plan,
+    submission: Submission,
+    places: Vec<Place>,
+    notes: Notes,
+    /// Those that may still be in a queue.
+    jobs: Vec<Job>,
+    signals: Signals,
+}
+
+impl Runs for Shards<'_> {
+    fn plan(&self) -> &Plan {
+        self.plan
+    }
+
+    fn database(&self) -> &Path {
+        &self.submission.out
+    }
+
+    fn workers(&self) -> u32 {
+        let Submission { shards, cpus, threads, .. } = self.submission;
+        shards * (cpus / threads).max(1)
+    }
+
+    async fn found(&mut self) -> Result<Vec<Found>, Error> {
+        let mut store = Store::open(self.database()).await?;
+        let found = store.found().await;
+        store.close().await?;
+        Ok(found?)
+    }
+
+    async fn run(&mut self, trials: &[Trial], _: Again) -> Result<Option<Outcome>, Error> {
+        let settled: HashSet<String> = self.found().await?.into_iter().map(|found| found.hash).collect();
+        let open: Vec<Trial> =
+            trials.iter().filter(|trial| !settled.contains(&trial.hash)).cloned().collect();
+        if open.is_empty() {
+            say!("nothing left to do: {} settled", counted(trials.len(), "trial"));
+            return Ok(None);
+        }
+        let folder = self.submission.folder.clone();
+        let assignment = Assignment::in_folder(&folder, &open, self.submission.shards)?;
+        deal(&assignment, &folder, &open)?;
+        let which: BTreeSet<u32> = open.iter().map(|trial| assignment.shard(&trial.hash)).collect();
+        self.submission.which = which.into_iter().collect();
+        say!("{} in shards {}", counted(open.len(), "trial"), ranges(&self.submission.which));
+        let before = self.progress().await?;
+        let goes_on = if self.submission.scheduler.has_queue() {
+            self.jobs = submit_shards(&self.submission, &mut self.notes)?;
+            self.wait().await?
+        } else {
+            let how = how(&self.submission);
+            let ended = places::run(&self.places, &self.submission.which, &how, &mut self.signals, |line| {
+                say!("{line}")
+            });
+            !ended.await.asked
+        };
+        self.gather().await?;
+        if !goes_on {
+            return Ok(Some(Outcome::Interrupted));
+        }
+        if self.progress().await? == before {
+            return Err(Error::Shards { folder, shards: ranges(&self.submission.which) });
+        }
+        Ok(Some(Outcome::Complete))
+    }
+}
+
+impl Shards<'_> {
+    /// Waits until none is in a queue; no where somebody asks for the end.
+    async fn wait(&mut self) -> Result<bool, Error> {
+        let mut unanswered = 0;
+        loop {
+            match queue::ask(&self.jobs) {
+                Ok(queue) if queue.shards.is_empty() => return Ok(true),
+                Ok(_) => unanswered = 0,
+                Err(QueueError::Failed { .. }) if unanswered < UNANSWERED_MOST => unanswered += 1,
+                Err(error) => return Err(error.into()),
+            }
+            if self.signals.unless(tokio::time::sleep(LOOK)).await.is_none() {
+                say!("the shards in the queue go on; the same command goes on with what comes of them");
+                return Ok(false);
+            }
+        }
+    }
+
+    /// Merges what was handed in.
+    async fn gather(&self) -> Result<(), Error> {
+        let Submission { folder, out, .. } = &self.submission;
+        if attempts(folder).is_empty() {
+            return Ok(());
+        }
+        let summary = merge(std::slice::from_ref(folder), out).await?;
+        for (file, why) in &summary.refused {
+            say!("refused: {}: {why}", file.display());
+        }
+        for finding in summary.findings.iter().filter(|finding| finding.kind == Kind::Bits) {
+            say!("results of trial {} disagree: {}", finding.hash, finding.what);
+        }
+        Ok(())
+    }
+
+    /// Steps and results so far.
+    async fn progress(&self) -> Result<usize, Error> {
+        let standings = Reader::asked(self.database(), async |reader| reader.standings().await).await?;
+        let settled = |state: &str| usize::from(["done", "failed"].contains(&state));
+        Ok(standings.values().map(|standing| standing.looks.len() + settled(&standing.state)).sum())
+    }
+}
