@@ -40,8 +40,8 @@ pub enum Answer {
     Stopping(usize),
     /// The trial is given up; `true`: once its worker has finished the step in progress.
     Cancelled(bool),
-    /// The trial is the next one.
-    Next,
+    /// The trial is the next one; `true`: once another has trained its body.
+    Next(bool),
     /// Worker processes before and from now on.
     Workers([u32; 2]),
     /// So many trials more.
@@ -93,7 +93,10 @@ impl fmt::Display for Answer {
             }
             Self::Cancelled(false) => f.write_str("cancelled"),
             Self::Cancelled(true) => f.write_str("cancelled: it ends after its step in progress"),
-            Self::Next => f.write_str("goes to the next worker that is free"),
+            Self::Next(false) => f.write_str("goes to the next worker that is free"),
+            Self::Next(true) => f.write_str(
+                "goes to the next worker that is free once its body, which another trial trains, is trained",
+            ),
             Self::Workers([before, after]) => write!(f, "workers: {before} before, {after} from now on"),
             Self::Added(count) => write!(f, "trials added: {count}"),
             Self::Refused(Refusal::Stopping) => f.write_str("the run is about to end"),
@@ -176,7 +179,7 @@ impl State {
                 let first = self.ready.first().map_or(0, |(rank, _)| *rank).min(0) - 1;
                 self.trials[number as usize].first = Some(first);
                 self.ready.insert((first, number));
-                Answer::Next
+                Answer::Next(self.bodies.is_in_training(self.trials[number as usize].body))
             }
             other => Answer::Refused(Refusal::of(other)),
         }

@@ -44,6 +44,11 @@ pub(super) async fn execute(args: &Args, plan: Plan, places: Vec<Place>, shards:
     let (db, signals) = (submission.out.clone(), Signals::new()?);
     Store::open(&db).await?.close().await?;
     let mut shards = Shards { plan: &plan, submission, places, notes, jobs, signals };
+    let room = shards.workers();
+    if let Some(few) = space.as_ref().map(|space| space.goal.at_a_time).filter(|few| *few < room as usize) {
+        let shards = counted(shards.submission.shards as usize, "shard");
+        say!("goal.at_a_time = {few}: so many trials a round, where {shards} have room for {room}");
+    }
     // what an earlier `submit` has left running
     let outcome = match shards.wait().await? {
         false => Some(Outcome::Interrupted),

@@ -19,6 +19,10 @@ type Actions = Vec<Action<Nothing>>;
 
 /// A run whose workers are up: they have the first trials.
 fn run(trials: usize, workers: u32) -> State {
+    run_of(&vec![ALONE; trials], workers)
+}
+
+fn run_of(priors: &[Prior], workers: u32) -> State {
     let settings = Settings {
         workers,
         paused: false,
@@ -29,7 +33,7 @@ fn run(trials: usize, workers: u32) -> State {
         memory_limited: false,
         prune: None,
     };
-    let mut state = State::new(settings, &vec![ALONE; trials]);
+    let mut state = State::new(settings, priors);
     up(&mut state, Event::Clock(0));
     state
 }
@@ -141,7 +145,7 @@ fn what_is_to_be_next_goes_first() {
     let mut state = run(5, 1);
     assert_eq!(steer(&mut state, Steer::Next(0)), (Answer::Refused(Refusal::Running), vec![]));
     for trial in [4, 3] {
-        assert_eq!(steer(&mut state, Steer::Next(trial)), (Answer::Next, vec![]));
+        assert_eq!(steer(&mut state, Steer::Next(trial)), (Answer::Next(false), vec![]));
     }
     let next = |state: &mut State, trial| {
         finish(state, 0, trial).into_iter().find(|action| matches!(action, Action::Assign(..)))
@@ -153,8 +157,11 @@ fn what_is_to_be_next_goes_first() {
     state.settings.retries = 1;
     up(&mut state, Event::Lost(id(0), Reason::WorkerKilled(11)));
     let (answer, _) = steer(&mut state, Steer::Next(0));
-    assert_eq!(answer, Answer::Next);
+    assert_eq!(answer, Answer::Next(false));
     assert!(matches!(state.phase(0), Phase::Running(_)) || state.ready.first() == Some(&(-1, 0)));
+    // of one body: the second waits until the first has trained it
+    let mut state = run_of(&[Prior { trained: false, ..ALONE }; 3], 2);
+    assert_eq!(steer(&mut state, Steer::Next(2)).0, Answer::Next(true));
 }
 
 /// More: started at once, given up slots again, too. Fewer: the idle one, then the first one whose trial ends.
