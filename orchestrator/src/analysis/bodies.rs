@@ -2,9 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use super::data::groups;
+use super::data::{apart, groups};
 use super::resample::{Interval, Resampling};
-use super::tables::apart;
 use super::trial::{Body, Cluster, Trial};
 
 /// A body of several trials.

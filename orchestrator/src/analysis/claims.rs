@@ -9,7 +9,8 @@ use std::collections::BTreeMap;
 use serde_json::Value;
 
 use super::data::{
-    COMPLEXITY, DESIGN, FREEDOM, Grid, Group, Observation, SENSORS, clusters, groups, observations, places,
+    COMPLEXITY, DESIGN, FREEDOM, Grid, Group, Observation, SENSORS, apart, clusters, groups, observations,
+    places,
 };
 use super::elbow::{Height, Verdict, elbow};
 use super::kinds::brains;
@@ -19,7 +20,7 @@ use super::paired::{Progress, Ratio, error_ratio, long_ratio};
 use super::random::random;
 use super::resample::{Interval, Resampling, holm};
 use super::sensors::spread;
-use super::tables::{apart, verdict_text};
+use super::tables::verdict_text;
 use super::trial::{Body, Cluster, Set, Trial};
 
 /// The share of votes that settles a claim.

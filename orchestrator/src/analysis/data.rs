@@ -350,5 +350,10 @@ pub fn levels(observations: &[Observation]) -> Vec<Level> {
         .collect()
 }
 
+/// The parts of a group's label that say more than K and M.
+pub(super) fn apart(label: &str) -> Vec<&str> {
+    label.split(", ").filter(|part| !part.starts_with("K = ") && !part.starts_with("M = ")).collect()
+}
+
 #[cfg(test)]
 mod tests;

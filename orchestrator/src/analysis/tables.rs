@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use super::brains::reads;
 use super::casts;
 use super::data::{
-    BRAINS, COMPLEXITY, DESIGN, FREEDOM, Group, Level, Observation, SENSORS, TRAINING, groups, levels,
+    BRAINS, COMPLEXITY, DESIGN, FREEDOM, Group, Level, Observation, SENSORS, TRAINING, apart, groups, levels,
     observations,
 };
 use super::decision::{Decision, Terms, decide};
@@ -507,11 +507,6 @@ fn complexity_table(trials: &[&Trial]) -> Table {
             found.map(|f| &f.over)
         ]]
     })
-}
-
-/// The parts of a group's label that say more than K and M.
-pub(super) fn apart(label: &str) -> Vec<&str> {
-    label.split(", ").filter(|part| !part.starts_with("K = ") && !part.starts_with("M = ")).collect()
 }
 
 /// Each group that differs in training alone, with its ways of training by what sets them apart.

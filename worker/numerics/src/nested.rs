@@ -10,6 +10,7 @@
 mod casts;
 mod comparison;
 mod evaluation;
+mod fresh;
 mod inversion;
 mod observe;
 mod protocol;
@@ -18,8 +19,8 @@ mod schedule;
 mod search;
 mod state;
 
-pub use casts::{CastBrain, CastReading, ForCasts, RECORDS, brain_for_casts, casts_of};
-pub use evaluation::{BandReading, BodyEvaluation, Comparison, NetworkEvaluation};
+pub use casts::{ForCasts, RECORDS, brain_for_casts, casts_of};
+pub use evaluation::{BandReading, BodyEvaluation, CastBrain, CastReading, Comparison, NetworkEvaluation};
 pub use inversion::INVERTED_OF_A_CAST;
 pub use observe::{Control, Nobody, Observe};
 pub use report::{Report, Seconds};

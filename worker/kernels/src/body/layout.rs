@@ -5,18 +5,9 @@
 //! a ligament are in one group. Lattices repeat a [`Pattern`]; a square's node p lies at h·(cos pπ/2, sin pπ/2).
 
 use super::geometry::moments;
-use super::pattern::Pattern;
+use super::pattern::{End, Pattern};
 use crate::random::{Purpose, Stream};
 use std::collections::BTreeMap;
-
-/// A node of a unit.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub struct End {
-    /// Unit index.
-    pub unit: usize,
-    /// Its place among the unit's nodes; of a square 0 right, 1 top, 2 left, 3 bottom.
-    pub node: usize,
-}
 
 /// An elastic ligament between two nodes.
 #[derive(Debug, Clone, Copy, PartialEq)]

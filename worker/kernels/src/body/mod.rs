@@ -9,5 +9,5 @@ mod pattern;
 
 pub use freedom::Freedom;
 pub use geometry::{Geometry, edges, moments, void_angles_vjp};
-pub use layout::{End, GroupCell, Layout, Ligament};
-pub use pattern::Pattern;
+pub use layout::{GroupCell, Layout, Ligament};
+pub use pattern::{End, Pattern};

@@ -4,7 +4,14 @@
 //! of joined units, and of nodes in units of h. Where neighbours turn against each other (squares, Kagome's triangles) the initial
 //! design does so; where three units meet in a ring they cannot, and the pattern's units are turned alike instead.
 
-use super::layout::End;
+/// A node of a unit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct End {
+    /// Unit index.
+    pub unit: usize,
+    /// Its place among the unit's nodes; of a square 0 right, 1 top, 2 left, 3 bottom.
+    pub node: usize,
+}
 
 /// A unit of a cell.
 #[derive(Debug, Clone, PartialEq)]

@@ -4,8 +4,8 @@
 //! all training samples of the cast itself beside those; of a trial with networks also the first network of its comparison, and one trained
 //! on other casts. Each reads the holdout on the cast. A cast that cannot be simulated is read entirely wrong.
 
-use super::comparison::{first_judge, paused, read, save};
-use super::evaluation::BandReading;
+use super::evaluation::{BandReading, CastBrain, CastReading};
+use super::fresh::{first_judge, paused, read, save};
 use super::inversion::invert_cast;
 use super::observe::{Log, Nobody};
 use super::state::State;
@@ -14,40 +14,6 @@ use crate::dynamics::Solver;
 use crate::random::Purpose;
 use crate::trial::{BrainKind, Counters, Decoder, FAILED, Ridge, Samples, Trial, Trouble};
 use crate::variation::{Cast, Casts};
-
-/// How one brain reads one cast.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct CastReading {
-    /// Which cast, from 0.
-    pub cast: u32,
-    /// By what it is read.
-    pub by: CastBrain,
-    /// Mean error on the holdout (%); `None` where no sample has a force.
-    pub error: Option<f64>,
-    /// What went wrong; the error is then that of a brain that says nothing.
-    pub trouble: Option<Trouble>,
-}
-
-/// A brain that reads a cast.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum CastBrain {
-    /// The first network of the comparison, trained on the body as designed.
-    Network,
-    /// A network trained on samples of many other casts, as many as the training set has.
-    NetworkCasts,
-    /// A linear brain fitted to the body as designed.
-    Nominal,
-    /// A linear brain fitted to samples of many other casts.
-    Casts,
-    /// A linear brain fitted to so many samples of this cast, beside those of other casts.
-    Records(u32),
-    /// An inverse brain by the model of the design.
-    Inverse,
-    /// A linear brain fitted to a twin, calibrated on so many samples of this cast.
-    TwinLinear(u32),
-    /// An inverse brain by that twin.
-    Twin(u32),
-}
 
 /// Casts to which the brain for all casts is fitted, and samples of each.
 const KNOWN_CASTS: usize = 24;

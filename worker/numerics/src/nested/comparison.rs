@@ -1,32 +1,15 @@
 //! The comparison at the end: fresh networks on a body, the same initial weights and budget for every body.
 
-use super::evaluation::{BandReading, BodyEvaluation, Comparison, NetworkEvaluation};
+use super::evaluation::{BodyEvaluation, NetworkEvaluation};
+use super::fresh::{Lacking, first_judge, paused, read};
 use super::inversion::invert;
-use super::observe::{Control, Log};
+use super::observe::Log;
 use super::report::Report;
 use super::state::State;
-use crate::brains::{Band, Reader, own_reading, reader, readings};
+use crate::brains::{own_reading, reader, readings};
 use crate::dynamics::Solver;
 use crate::random::Purpose;
 use crate::trial::{BrainKind, Counters, Problem, Ridge, Samples, Trial, Trouble};
-
-impl Comparison {
-    /// The part of the whole trial that is done, with so many iterations of the network in training.
-    pub(super) fn part(&self, iterations: usize, problem: &Problem) -> f64 {
-        let (long, all) = (problem.evaluation.long.unwrap_or(0), problem.evaluation_iterations());
-        let linear = !problem.reader.is_network();
-        let each = if linear { problem.linear_iterations() } else { problem.brain.iterations };
-        let of = |body: &BodyEvaluation| body.networks.len() * each + body.long.len() * long;
-        let casts = (0..self.casts.len()).map(|turn| self.casts_read(turn) * problem.linear_iterations());
-        let over_casts = self.casts.len() * problem.network_of_casts();
-        let done = self.bodies.iter().map(of).chain(casts).sum::<usize>() + over_casts + iterations;
-        let left = 1.0 - problem.progress(problem.optimise.iterations);
-        1.0 - left * (1.0 - done as f64 / (problem.bodies_compared() * all) as f64)
-    }
-}
-
-/// A brain that is still to be fitted to a body: number, iterations, and whether they are those of a long training.
-type Lacking = (usize, usize, bool);
 
 impl BodyEvaluation {
     /// The first brain that it lacks; a linear one is one, and not trained long.
@@ -112,15 +95,6 @@ pub(super) fn evaluate(
     Some(())
 }
 
-/// Tells the observer how far the comparison has come; `None` if it says stop: it has the state by then.
-pub(super) fn paused(trial: &Trial, state: &mut State, log: &mut Log) -> Option<()> {
-    let wanted = log.progress(state.comparison.part(0, &trial.problem));
-    if wanted == Control::Stop || log.save_is_due() {
-        save(state, log);
-    }
-    (wanted != Control::Stop).then_some(())
-}
-
 /// Training set, test set and holdout of a body.
 fn sets(
     trial: &Trial,
@@ -157,73 +131,4 @@ fn calibrating(
         }
         first => Ok(holdout.select(&(0..first).collect::<Vec<_>>())),
     }
-}
-
-/// The samples of a holdout from this one on judge bands.
-pub(super) fn first_judge(trial: &Trial, holdout: &Samples) -> usize {
-    if trial.problem.stimuli.source.is_recorded() { holdout.count().div_ceil(2) } else { 0 }
-}
-
-/// Hands the observer the state, with what the report says of the comparison.
-pub(super) fn save(state: &mut State, log: &mut Log) {
-    (state.comparison.counters, state.comparison.seconds) = (log.report.counters, log.report.seconds);
-    log.save(state);
-}
-
-/// Fits the brain that is lacking, or goes on with the one in training; `None` if the observer said stop. With samples that
-/// calibrate them the first brain of the last body has bands.
-pub(super) fn read(
-    trial: &Trial,
-    reader: &mut dyn Reader,
-    sets: &[Samples; 3],
-    calibration: Option<&Samples>,
-    (number, iterations, is_long): Lacking,
-    state: &mut State,
-    log: &mut Log,
-) -> Option<NetworkEvaluation> {
-    let outcome = loop {
-        if let Some(training) = reader.training() {
-            *training = state.comparison.training.take();
-        }
-        let (begun, mut wanted) = (log.seconds(), Control::Continue);
-        let mut pauses = |iterations: usize| {
-            wanted = log.progress(state.comparison.part(iterations, &trial.problem));
-            wanted == Control::Stop || log.save_is_due()
-        };
-        let outcome = reader.fit(number as u64, iterations, &sets[2], &mut pauses);
-        log.report.seconds.train += log.seconds() - begun;
-        if let Some(outcome) = outcome {
-            break outcome;
-        }
-        state.comparison.training = reader.training().and_then(Option::take);
-        save(state, log);
-        if wanted == Control::Stop {
-            return None;
-        }
-    };
-    if let (Err(trouble), None) = (outcome, reader.training()) {
-        return Some(NetworkEvaluation::nothing(trouble));
-    }
-    let [error_train, error_test, error_holdout] =
-        [reader.error_known(), reader.error(&sets[1]), reader.error(&sets[2])];
-    let keeps = number == 0 && !is_long;
-    let weights = if keeps { reader.weights_at(&trial.scales) } else { Vec::new() };
-    if keeps && let Some(calibration) = calibration {
-        let (known, said) = (reader.predict_known(), reader.predict(&calibration.signals));
-        let bands = Band::conformal((&sets[0], &known), (calibration, &said));
-        let (said, first) = (reader.predict(&sets[2].signals), first_judge(trial, &sets[2]));
-        let reading = |band: Band| BandReading {
-            cast: None,
-            width: band.width(),
-            coverage: band.coverage(&sets[2], &said, first),
-            band,
-        };
-        state.comparison.bands.resize_with(state.comparison.bodies.len() - 1, Vec::new);
-        state.comparison.bands.push(bands.map(reading).into());
-    }
-    let losses = reader.losses();
-    let errors = reader.training().and_then(Option::take).map(|fresh| fresh.errors).unwrap_or_default();
-    log.report.counters.brain_iterations += losses.len() as u64;
-    let trouble = outcome.err();
-    Some(NetworkEvaluation { error_train, error_test, error_holdout, losses, errors, weights, trouble })
 }

@@ -1,9 +1,8 @@
 //! What a comparison finds: fresh brains on the initial and on the best body.
 
-use super::casts::{CastBrain, CastReading};
 use super::report::Seconds;
 use crate::brains::{Band, Fresh, Reading};
-use crate::trial::{Counters, Trouble};
+use crate::trial::{Counters, Problem, Trouble};
 
 /// A fresh network on a body.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -47,6 +46,40 @@ pub struct BodyEvaluation {
     pub zero_samples: [u32; 3],
 }
 
+/// How one brain reads one cast.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CastReading {
+    /// Which cast, from 0.
+    pub cast: u32,
+    /// By what it is read.
+    pub by: CastBrain,
+    /// Mean error on the holdout (%); `None` where no sample has a force.
+    pub error: Option<f64>,
+    /// What went wrong; the error is then that of a brain that says nothing.
+    pub trouble: Option<Trouble>,
+}
+
+/// A brain that reads a cast.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CastBrain {
+    /// The first network of the comparison, trained on the body as designed.
+    Network,
+    /// A network trained on samples of many other casts, as many as the training set has.
+    NetworkCasts,
+    /// A linear brain fitted to the body as designed.
+    Nominal,
+    /// A linear brain fitted to samples of many other casts.
+    Casts,
+    /// A linear brain fitted to so many samples of this cast, beside those of other casts.
+    Records(u32),
+    /// An inverse brain by the model of the design.
+    Inverse,
+    /// A linear brain fitted to a twin, calibrated on so many samples of this cast.
+    TwinLinear(u32),
+    /// An inverse brain by that twin.
+    Twin(u32),
+}
+
 /// A band about what a brain says, and how much of the holdout lies in it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BandReading {
@@ -78,6 +111,19 @@ pub struct Comparison {
 }
 
 impl Comparison {
+    /// The part of the whole trial that is done, with so many iterations of the network in training.
+    pub(super) fn part(&self, iterations: usize, problem: &Problem) -> f64 {
+        let (long, all) = (problem.evaluation.long.unwrap_or(0), problem.evaluation_iterations());
+        let linear = !problem.reader.is_network();
+        let each = if linear { problem.linear_iterations() } else { problem.brain.iterations };
+        let of = |body: &BodyEvaluation| body.networks.len() * each + body.long.len() * long;
+        let casts = (0..self.casts.len()).map(|turn| self.casts_read(turn) * problem.linear_iterations());
+        let over_casts = self.casts.len() * problem.network_of_casts();
+        let done = self.bodies.iter().map(of).chain(casts).sum::<usize>() + over_casts + iterations;
+        let left = 1.0 - problem.progress(problem.optimise.iterations);
+        1.0 - left * (1.0 - done as f64 / (problem.bodies_compared() * all) as f64)
+    }
+
     /// Casts of the body number `turn` that are read.
     pub(super) fn casts_read(&self, turn: usize) -> usize {
         self.casts.get(turn).and_then(|read| read.last()).map_or(0, |last| last.cast as usize + 1)

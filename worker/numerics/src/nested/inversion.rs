@@ -1,8 +1,7 @@
 //! How an inverse brain reads a body, as designed and cast: by the model of the design, and by twins calibrated on a few records.
 
-use super::casts::{CastBrain, CastReading};
-use super::comparison::{paused, save};
-use super::evaluation::{BandReading, NetworkEvaluation};
+use super::evaluation::{BandReading, CastBrain, CastReading, NetworkEvaluation};
+use super::fresh::{paused, save};
 use super::observe::Log;
 use super::state::State;
 use crate::brains::{Band, BandKind, Estimate, Fitted, Inverse, TO_EACH_SIDE};
