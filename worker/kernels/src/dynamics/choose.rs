@@ -1,7 +1,7 @@
 //! Which integrator and how many steps: from the scene's own highest frequency and the accuracy asked.
 
 use super::model::Model;
-use super::rest::hessian;
+use super::stiffness::hessian;
 use super::{Accuracy, Method, Plan, Precision, Scene, Solver, Tolerance};
 
 /// Highest angular frequency of small motions about where samples begin (rad/s), undamped: the largest eigenvalue of M^-½ H M^-½ by

@@ -9,7 +9,7 @@
 
 use super::ligaments::{ShapeCotangent, Turn, energy, gradient, product, turns};
 use super::model::{Model, ModelCotangent};
-use super::rest::{columns, hessian, sparse, unknowns};
+use super::stiffness::{columns, hessian, sparse, unknowns};
 use super::{Outcome, Scene};
 use crate::lanes::{Sse2, Vector};
 use faer::linalg::solvers::Solve;
@@ -26,6 +26,17 @@ const HALVED: i32 = 12;
 const SHORT: f64 = 1e-8;
 
 type Places = Vec<[f64; 3]>;
+
+impl Model {
+    /// The model of `scene` with `design`, where its samples begin.
+    pub fn new(scene: &Scene, design: &[f64]) -> Self {
+        let cast = Self::cast(scene, design);
+        match scene.pressed.is_empty() {
+            true => cast,
+            false => Self { start: find(scene, &cast), ..cast },
+        }
+    }
+}
 
 /// Where every unit of a body is, (u, v, θ), when a sample begins.
 ///

@@ -25,6 +25,7 @@ mod schemes;
 mod simulation;
 mod solver;
 mod splitting;
+mod stiffness;
 mod system;
 mod trigonometry;
 mod tsit5;
@@ -38,10 +39,11 @@ pub use forces::{Forces, Strike};
 pub use integrate::{planned, run, simulate};
 pub use jvp::Tangent;
 pub use model::damping;
-pub use rest::{Rest, sparse};
+pub use rest::Rest;
 pub use scene::{
     Contact, Frame, Hinge, Inertia, Mount, Moves, Panel, Parameters, Parts, Relaxation, Scene, Stiffness,
 };
 pub use simulation::{Counters, Gradient, Outcome, Simulation, Tape, Wrt};
 pub use solver::{Accuracy, Method, Plan, Precision, Solver, Steps, Tolerance};
+pub use stiffness::sparse;
 pub use tune::{Tuned, signal_error, tune};

@@ -1,8 +1,6 @@
 //! A scene with a design, in the form that the kernels read.
 
-use super::{
-    Contact, Hinge, Inertia, Outcome, Panel, Parameters, Parts, Scene, Stiffness, Strike, equilibrium,
-};
+use super::{Contact, Hinge, Inertia, Outcome, Panel, Parameters, Parts, Scene, Stiffness, Strike};
 use crate::body::{End, Geometry, void_angles_vjp};
 use crate::lanes::Scalar;
 use std::f64::consts::{FRAC_PI_2, TAU};
@@ -137,16 +135,7 @@ pub(super) fn heavy(scene: &Scene) -> [f64; 3] {
 }
 
 impl Model {
-    /// The model of `scene` with `design`.
-    pub fn new(scene: &Scene, design: &[f64]) -> Self {
-        let cast = Self::cast(scene, design);
-        match scene.pressed.is_empty() {
-            true => cast,
-            false => Self { start: equilibrium::find(scene, &cast), ..cast },
-        }
-    }
-
-    /// The same as cast, whatever its held units are moved by.
+    /// The model of `scene` with `design` as cast, whatever its held units are moved by.
     pub fn cast(scene: &Scene, design: &[f64]) -> Self {
         let layout = &scene.layout;
         let geometry = scene.geometry(design);
