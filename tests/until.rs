@@ -78,6 +78,8 @@ fn shards_end_when_one_run_does() {
         again.contains("nothing left to do: 8 trials settled") && !again.contains("begins on"),
         "{again}"
     );
+    let refused = bench.metasense(&["submit", "local", "s.toml", "--retry-failed"]);
+    assert_eq!(refused.status.code(), Some(2), "{}", String::from_utf8_lossy(&refused.stderr));
     let shard = bench.metasense(&["run", "s.toml", "--shard", "1/2"]);
     let said = String::from_utf8(shard.stderr).unwrap();
     assert!(

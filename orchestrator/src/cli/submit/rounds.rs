@@ -29,6 +29,11 @@ const LOOK: Duration = Duration::from_secs(5);
 const UNANSWERED_MOST: u32 = 60;
 
 pub(super) async fn execute(args: &Args, plan: Plan, places: Vec<Place>, shards: u32) -> Result<Exit, Error> {
+    if args.retry_failed {
+        let why =
+            "--retry-failed: rounds go on from what trials have come to; leave it out, or `run` them again";
+        return Err(Error::Usage(why.into()));
+    }
     let space = if args.design { Some(design::space(&plan)?) } else { None };
     let (program, jobs) = (Program::own()?, super::submitted(&args.folder(&plan))?);
     let submission = args.submission(&plan, shards, &program)?;
