@@ -31,7 +31,7 @@ use crate::{chain, raised};
 #[pyclass(frozen, module = "metasense")]
 pub struct Body {
     pub problem: Arc<Problem>,
-    pub pool: Arc<Pool>,
+    pub pool: Pool,
     hash: String,
     pub trial: TrialSpec,
     feasible: Mutex<Feasible>,
@@ -50,7 +50,7 @@ impl Body {
         Ok(Self {
             feasible: Mutex::new(problem.castable()),
             problem: Arc::new(problem),
-            pool: Arc::new(pool),
+            pool,
             hash: trial.hash.clone(),
             trial: trial_spec,
             tuned: None,
@@ -341,7 +341,7 @@ impl Body {
         let forces = self::forces(&problem.scene, &shape, values).map_err(|e| raised(&e))?;
         let tuned = py.detach(|| tune(&problem.scene, &design, &forces, &problem.solver, &self.pool));
         Ok(Self {
-            pool: Arc::clone(&self.pool),
+            pool: self.pool.clone(),
             hash: self.hash.clone(),
             trial: self.trial.clone(),
             feasible: Mutex::new(problem.castable()),
@@ -377,7 +377,7 @@ impl Body {
                 (tuned.clone(), run)
             }
         });
-        Simulation::new(py, Arc::clone(&self.pool), scene, design, forces, tuned, run)
+        Simulation::new(py, self.pool.clone(), scene, design, forces, tuned, run)
     }
 
     /// Fits a twin to records of a cast of this design, by default the initial one: forces (N, K, R + 1) (N), and signals (N, T, C)

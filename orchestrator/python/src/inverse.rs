@@ -159,7 +159,7 @@ impl Inverse {
             Some(twin) => twin.design.clone(),
             None => own.design_or_initial(alpha)?,
         };
-        let (problem, pool) = (Arc::clone(&own.problem), Arc::clone(&own.pool));
+        let (problem, pool) = (Arc::clone(&own.problem), own.pool.clone());
         let twin = twin.map(|twin| twin.twin.clone());
         let (ask, asked): (Sender<Ask>, Receiver<Ask>) = channel();
         let (tell, told) = channel::<Result<(), Failure>>();

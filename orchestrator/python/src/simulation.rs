@@ -1,7 +1,5 @@
 //! The simulation of a body, and its derivatives.
 
-use std::sync::Arc;
-
 use metasense_numerics::Pool;
 use metasense_numerics::dynamics::{self, Forces, Gradient, Outcome, Parameters, Scene, Tangent, Tuned, Wrt};
 use metasense_worker::run::finite;
@@ -18,7 +16,7 @@ use crate::{SimulationError, raised};
 /// A simulation: signals of the sensors, how each sample ended, and derivatives of the signals.
 #[pyclass(frozen, module = "metasense")]
 pub struct Simulation {
-    pool: Arc<Pool>,
+    pool: Pool,
     scene: Scene,
     design: Vec<f64>,
     forces: Forces,
@@ -30,7 +28,7 @@ pub struct Simulation {
 impl Simulation {
     pub fn new(
         py: Python<'_>,
-        pool: Arc<Pool>,
+        pool: Pool,
         scene: Scene,
         design: Vec<f64>,
         forces: Forces,

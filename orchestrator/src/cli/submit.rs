@@ -65,7 +65,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Searches for the cheapest design that meets the requirement in [goal], as `design` does
-    #[arg(long, conflicts_with = "retry_failed")]
+    #[arg(long)]
     design: bool,
     /// Runs failed trials again, from their last step
     #[arg(long)]
@@ -109,7 +109,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }),
     };
     if in_rounds {
-        return rounds::execute(&args, plan, places, shards).await;
+        return rounds::execute(&args, plan, places, shards, jobs).await;
     }
     let mut assignment = Assignment::in_folder(&folder, &plan.trials, shards)?;
     assignment.keep(&plan.trials);
@@ -174,13 +174,14 @@ impl Args {
             None => [&self.further[..]; 2],
         };
         let again = self.retry_failed.then_some("--retry-failed");
+        let folder = absolute(&self.folder(plan))?;
         let submission = Submission {
             scheduler: self.scheduler,
             name: plan.spec.name.clone(),
-            program: absolute(&self.folder(plan))?.join(&program.name),
+            program: folder.join(&program.name),
             prefix: self.prefix.clone(),
             out: absolute(&self.out.clone().unwrap_or_else(|| plan.default_database()))?,
-            folder: absolute(&self.folder(plan))?,
+            folder,
             shards,
             which: (1..=shards).collect(),
             cpus: self.cpus,

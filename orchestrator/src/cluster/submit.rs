@@ -249,10 +249,16 @@ impl Submission {
         format!("#!/bin/sh\n# What there is becomes one database.\nexec {}\n", self.merge())
     }
 
+    /// Worker processes of a shard.
+    #[must_use]
+    pub fn workers(&self) -> u32 {
+        (self.cpus / self.threads).max(1)
+    }
+
     /// The words of a shard's run, but for its number, which stands in a variable of the shell.
     #[must_use]
     pub fn run_words(&self, shard: &str, stop_after: Option<u64>) -> Vec<String> {
-        let workers = (self.cpus / self.threads).max(1);
+        let workers = self.workers();
         let spec = self.folder.join(SUBMITTED_SPEC).display().to_string();
         let shard = format!("{shard}/{}", self.shards);
         let head = ["run", &spec, "--shard", &shard, "--workers", &workers.to_string()].map(str::to_owned);

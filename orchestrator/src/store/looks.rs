@@ -31,6 +31,22 @@ pub struct Standing {
 }
 
 impl Reader {
+    /// Outer steps and settled trials so far, counted together.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn progress(&mut self) -> Result<u64, StoreError> {
+        let sql = "SELECT (SELECT count(*) FROM step)
+            + (SELECT count(*) FROM trial WHERE state IN ('done', 'failed')) AS progress";
+        let mut progress = 0;
+        self.each(sql, |row| {
+            progress = row.count("progress");
+            Ok::<_, StoreError>(())
+        })
+        .await?;
+        Ok(progress)
+    }
+
     /// How all trials stand, by hash.
     ///
     /// # Errors

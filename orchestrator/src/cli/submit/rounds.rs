@@ -28,14 +28,20 @@ const LOOK: Duration = Duration::from_secs(5);
 /// So many looks in a row a queue may leave unanswered.
 const UNANSWERED_MOST: u32 = 60;
 
-pub(super) async fn execute(args: &Args, plan: Plan, places: Vec<Place>, shards: u32) -> Result<Exit, Error> {
+pub(super) async fn execute(
+    args: &Args,
+    plan: Plan,
+    places: Vec<Place>,
+    shards: u32,
+    jobs: Vec<Job>,
+) -> Result<Exit, Error> {
     if args.retry_failed {
         let why =
             "--retry-failed: rounds go on from what trials have come to; leave it out, or `run` them again";
         return Err(Error::Usage(why.into()));
     }
     let space = if args.design { Some(design::space(&plan)?) } else { None };
-    let (program, jobs) = (Program::own()?, super::submitted(&args.folder(&plan))?);
+    let program = Program::own()?;
     let submission = args.submission(&plan, shards, &program)?;
     if args.dry_run {
         print(&submission, true)?;
@@ -93,8 +99,7 @@ impl Runs for Shards<'_> {
     }
 
     fn workers(&self) -> u32 {
-        let Submission { shards, cpus, threads, .. } = self.submission;
-        shards * (cpus / threads).max(1)
+        self.submission.shards * self.submission.workers()
     }
 
     async fn found(&mut self) -> Result<Vec<Found>, Error> {
@@ -175,9 +180,7 @@ impl Shards<'_> {
     }
 
     /// Steps and results so far.
-    async fn progress(&self) -> Result<usize, Error> {
-        let standings = Reader::asked(self.database(), async |reader| reader.standings().await).await?;
-        let settled = |state: &str| usize::from(["done", "failed"].contains(&state));
-        Ok(standings.values().map(|standing| standing.looks.len() + settled(&standing.state)).sum())
+    async fn progress(&self) -> Result<u64, Error> {
+        Ok(Reader::asked(self.database(), async |reader| reader.progress().await).await?)
     }
 }
