@@ -32,7 +32,7 @@ impl Demands {
             // weights, biases, a row of the table of layers
             constants += words(weight * layer.weights.len()) + 4 * layer.bias.len();
             constants += if integers { 44 } else { 36 };
-            if layer.by_input {
+            if layer.linear {
                 constants += words(layer.spans.len());
                 memory += 4 * layer.spans.len();
             }
@@ -44,7 +44,7 @@ impl Demands {
         if integers {
             constants += 4 * (layers[0].inputs + layers[layers.len() - 1].outputs);
         }
-        let widest = layers.iter().map(|layer| layer.outputs).max().unwrap_or(0);
+        let widest = Convolution::widest(layers);
         memory += sum * widest + 12 * layers.len();
         if layers.len() > 1 {
             memory += words(value * widest);
@@ -54,18 +54,19 @@ impl Demands {
         Self { delay, constants, memory, operations }
     }
 
-    /// Of a trial's brain in 32-bit floats; `None` of a stacked or an inverse one, which has no form for a device.
+    /// Of a trial's brain in 32-bit floats; `None` of an inverse one, which has no form for a device.
     ///
     /// # Errors
     /// If the trial has no such network.
     pub fn of_trial(trial: &TrialSpec) -> Result<Option<Self>, Invalid> {
         let (inputs, outputs) = (trial.signals(), trial.point.panels);
+        let linear = || vec![Convolution::linear(lags(&trial.time, trial.brain.memory), inputs, outputs)];
+        let network = |inputs| Ok(Convolution::network(&architecture(trial)?, inputs, outputs));
         let layers = match trial.brain.kind {
-            BrainKind::Linear => {
-                vec![Convolution::linear(lags(&trial.time, trial.brain.memory), inputs, outputs)]
-            }
-            BrainKind::Cnn => Convolution::network(&architecture(trial)?, inputs, outputs),
-            BrainKind::Stacked | BrainKind::Inverse => return Ok(None),
+            BrainKind::Linear => linear(),
+            BrainKind::Cnn => network(inputs)?,
+            BrainKind::Stacked => [linear(), network(inputs + outputs)?].concat(),
+            BrainKind::Inverse => return Ok(None),
         };
         Ok(Some(Self::of(&layers, FLOATS)))
     }

@@ -120,21 +120,25 @@ pub enum Own {
     Linear(LinearReplay),
     /// Weights of a network.
     Network(Vec<f32>),
+    /// A linear one, and weights of a network on it.
+    Stacked(LinearReplay, Vec<f32>),
 }
 
-/// The brain of a replay: the network with these weights, or the linear one fitted to its training samples.
+/// The brain of a replay: the network with these weights, the linear one fitted to its training samples, or one on the other.
 ///
 /// # Errors
 /// If the spec stands for no trial, or the linear brain cannot be solved for.
 pub fn own(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<Own, Failure> {
-    if !weights.is_empty() {
-        return Ok(Own::Network(weights.to_vec()));
-    }
-    let problem = prepared(trial)?;
-    Ok(Own::Linear(replay.linear(&problem, &problem.decoder, &pool(1)?)?))
+    let (problem, weights) = (prepared(trial)?, weights.to_vec());
+    let linear = || Ok::<_, Failure>(replay.linear(&problem, &problem.decoder, &pool(1)?)?);
+    Ok(match problem.reader {
+        BrainKind::Stacked => Own::Stacked(linear()?, weights),
+        _ if weights.is_empty() => Own::Linear(linear()?),
+        _ => Own::Network(weights),
+    })
 }
 
-/// As [`replay`] of a linear brain or a network that is fitted to casts of the design once more, as the trial's comparison does; with
+/// As [`replay`] of a brain that is fitted to casts of the design once more, as the trial's comparison does; with
 /// this brain.
 ///
 /// # Errors
@@ -154,6 +158,12 @@ pub fn replay_for_casts(trial: &TrialSpec, design: &[f64], threads: usize) -> Re
         }
         ForCasts::Network(weights) => {
             (questions::replay(&problem, design, &weights, &pool)?, Own::Network(weights))
+        }
+        ForCasts::Stacked(fitted, weights) => {
+            let mut replay = questions::replay(&problem, design, &[], &pool)?;
+            replay.read_on(&problem, &fitted, &weights, &pool);
+            let linear = replay.by(&problem, &fitted);
+            (replay, Own::Stacked(linear, weights))
         }
     })
 }

@@ -38,7 +38,7 @@ enum Form {
     Dxf,
     /// The mould to cast the body in, as a closed surface in mm
     Stl,
-    /// The linear brain or the network as C99 source for a device, with its test
+    /// The brain as C99 source for a device, with its test
     C,
     /// The same as an ONNX graph, from signals of whole samples to forces
     Onnx,
@@ -221,7 +221,9 @@ fn in_c(stored: &Stored, args: &Args, brain: &(Replay, Own)) -> Result<Vec<u8>, 
 
 /// What has no form in C is not left out in silence.
 fn no_form(what: &str) -> Error {
-    Error::Usage(format!("{what} writes linear brains and networks; this trial's brain is neither"))
+    Error::Usage(format!(
+        "{what} writes linear brains and networks; this trial's brain inverts its body's model"
+    ))
 }
 
 /// Whether a brain can be written in C, and as a graph.

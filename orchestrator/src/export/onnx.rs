@@ -3,6 +3,7 @@
 //! ```text
 //! signals (samples, instants, channels) → Transpose → [Conv → Relu]… → Conv → Transpose → forces (samples, instants, panels)
 //! ```
+//! A linear brain beneath a network is a Conv and a Concat of what it takes in with what it says.
 
 use metasense_worker::replay::{Convolution, Own, Replay, layers};
 use onnx_rs::ast::{
@@ -59,16 +60,17 @@ pub fn onnx(stored: &Stored, body: usize, (replay, own): &(Replay, Own)) -> Resu
             ],
             ..Default::default()
         });
-        x = y;
-        if l + 1 < layers.len() {
-            graph.node.push(Node {
-                input: vec![y],
-                output: vec![after],
-                op_type: OpType::Relu,
-                ..Default::default()
-            });
-            x = after;
+        if l + 1 == layers.len() {
+            x = y;
+            break;
         }
+        let axis = Attribute { name: "axis", r#type: AttributeType::Int, i: 1, ..Default::default() };
+        let (input, op_type, attribute): (Vec<&str>, _, _) = match layer.linear {
+            true => (vec![x, y], OpType::Concat, vec![axis]),
+            false => (vec![y], OpType::Relu, Vec::new()),
+        };
+        graph.node.push(Node { input, output: vec![after], op_type, attribute, ..Default::default() });
+        x = after;
     }
     graph.node.push(turned(x, "forces"));
     Ok(onnx_rs::encode(&Model {

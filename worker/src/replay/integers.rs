@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! x = q_x s_x     w s_x = q_w s_w     y = (q_b + Σ q_w q_x) s_w     next q = min(⌊(max(Σ, 0) · factor + 2^(shift − 1)) / 2^shift⌋, 32767)
+//! of a linear brain beneath a network: next q = q_x[t], then sign(Σ) times the same of |Σ|
 //! s_x: HEADROOM · (greatest of the training samples)/32767, a channel each     s_w: max |w s_x|/127 or /32767, an output each
 //! ```
 //! Sums are of 32 bits where no input whatever can make them overflow, else of 64. Scales never see test set or holdout.
@@ -59,15 +60,19 @@ impl Integers {
     /// The same with readings and activations of −`greatest` … `greatest`.
     fn within(layers: &[Convolution], most: i64, greatest: i64, headroom: f64, replay: &Replay) -> Self {
         let reached = reached(layers, replay);
-        let steps = reached.iter().map(|channels| {
+        let steps = |channels: &[f64]| -> Vec<f64> {
             let most = channels.iter().copied().fold(LEAST, f64::max);
             let step = |reached: &f64| headroom * reached.max(most / DORMANT) / greatest as f64;
             channels.iter().map(step).collect()
-        });
-        let mut steps: Vec<Vec<f64>> = steps.collect();
-        let half_steps: Vec<f32> = steps[0].iter().map(|step| (2.0 / step) as f32).collect();
+        };
+        let half_steps: Vec<f32> = steps(&reached[0]).iter().map(|step| (2.0 / step) as f32).collect();
         // as rounded: weights are to fit what a device multiplies with
-        steps[0] = half_steps.iter().map(|half| 2.0 / f64::from(*half)).collect();
+        let readings: Vec<f64> = half_steps.iter().map(|half| 2.0 / f64::from(*half)).collect();
+        // what is handed on as it was read keeps its steps
+        let carried = |l: usize| if layers[l].linear { layers[l].inputs } else { 0 };
+        let next = |l: usize| [&readings[..carried(l)], &steps(&reached[l + 1][carried(l)..])].concat();
+        let later = (0..layers.len() - 1).map(next);
+        let mut steps: Vec<Vec<f64>> = std::iter::once(readings.clone()).chain(later).collect();
         let (mut made, mut forces, mut bound) = (Vec::new(), Vec::new(), 0);
         for (l, layer) in layers.iter().enumerate() {
             let of = |i: usize| layer.weights[i] * steps[l][layer.of_weight(i)[0]];
@@ -93,7 +98,7 @@ impl Integers {
             bound = own.max(bound);
             let (mut factor, mut shift) = (Vec::new(), Vec::new());
             if let Some(next) = steps.get_mut(l + 1) {
-                for (step, scale) in next.iter_mut().zip(&scale) {
+                for (step, scale) in next[carried(l)..].iter_mut().zip(&scale) {
                     // no finer than the sums are
                     *step = step.max(*scale);
                     let (f, s) = ratio(scale / *step, own);
@@ -114,11 +119,18 @@ impl Integers {
             .map(|(reading, half)| self.steps(*reading as f32 * half))
             .collect();
         for (layer, numbers) in self.shape.iter().zip(&self.layers) {
-            x = layer.sums(&numbers.weights, &numbers.bias, &x);
-            for (i, y) in x.iter_mut().enumerate().filter(|_| !numbers.factor.is_empty()) {
-                let (factor, shift) = (numbers.factor[i % layer.outputs], numbers.shift[i % layer.outputs]);
-                *y = (((*y).max(0) * factor + (1 << (shift - 1))) >> shift).min(self.greatest);
+            let mut y = layer.sums(&numbers.weights, &numbers.bias, &x);
+            if !numbers.factor.is_empty() {
+                for (i, y) in y.iter_mut().enumerate() {
+                    let (factor, shift) =
+                        (numbers.factor[i % layer.outputs], numbers.shift[i % layer.outputs]);
+                    let kept = if layer.linear { *y } else { (*y).max(0) };
+                    let most = (kept.abs() * factor + (1 << (shift - 1))) >> shift;
+                    *y = kept.signum() * most.min(self.greatest);
+                }
+                y = layer.handed_on(&x, y);
             }
+            x = y;
         }
         x
     }

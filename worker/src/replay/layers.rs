@@ -3,7 +3,8 @@
 //! ```text
 //! y[t] = b + Σ_i w_i Σ_j x[t − before + (s_i + j) d]      j = 0 … span_i − 1, s_i = Σ of the spans before i; x = 0 outside a sample
 //! ```
-//! All layers but the last hand on max(y, 0). A network's spans are 1; a linear brain's far lags share a weight by fours.
+//! A network's layers hand on max(y, 0), their spans are 1; a linear brain's far lags share a weight by fours. A linear brain beneath
+//! a network hands on x[t], then y[t].
 
 use std::ops::{AddAssign, Mul};
 
@@ -29,8 +30,8 @@ pub struct Convolution {
     pub inputs: usize,
     /// Width of y.
     pub outputs: usize,
-    /// Whether w is (inputs, outputs, taps), and sums go in this order; else it is (taps, outputs, inputs).
-    pub by_input: bool,
+    /// Whether it is a linear brain: w is (inputs, outputs, taps), and sums go in this order; else it is (taps, outputs, inputs).
+    pub linear: bool,
     /// w.
     pub weights: Vec<f64>,
     /// b.
@@ -43,7 +44,7 @@ impl Convolution {
         let spans: Vec<usize> = lags.groups().iter().map(ExactSizeIterator::len).collect();
         let weights = vec![0.0; spans.len() * inputs * outputs];
         let (dilation, before, bias) = (1, lags.before, vec![0.0; outputs]);
-        Self { spans, dilation, before, inputs, outputs, by_input: true, weights, bias }
+        Self { spans, dilation, before, inputs, outputs, linear: true, weights, bias }
     }
 
     /// Those of a network, their numbers 0.
@@ -59,12 +60,18 @@ impl Convolution {
                 before: if architecture.causal() { reach } else { reach / 2 },
                 inputs,
                 outputs: width,
-                by_input: false,
+                linear: false,
                 weights: vec![0.0; layer.kernel * inputs * width],
                 bias: vec![0.0; width],
             }
         };
         all.iter().enumerate().map(layer).collect()
+    }
+
+    /// Numbers that a layer of these makes or hands on, at most.
+    pub fn widest(layers: &[Self]) -> usize {
+        let made = layers.iter().map(|layer| layer.outputs);
+        made.chain(layers[1..].iter().map(|layer| layer.inputs)).max().unwrap_or(0)
     }
 
     /// Instants that it holds: from the first that it sees to the last.
@@ -80,10 +87,19 @@ impl Convolution {
     /// Input, output and tap of a weight.
     pub fn of_weight(&self, i: usize) -> [usize; 3] {
         let (taps, inputs, outputs) = (self.spans.len(), self.inputs, self.outputs);
-        match self.by_input {
+        match self.linear {
             true => [i / (taps * outputs), i / taps % outputs, i % taps],
             false => [i % inputs, i / inputs % outputs, i / (inputs * outputs)],
         }
+    }
+
+    /// What goes on to the next layer of what it takes in and what it makes of that.
+    pub(super) fn handed_on<T: Copy>(&self, x: &[T], y: Vec<T>) -> Vec<T> {
+        if !self.linear {
+            return y;
+        }
+        let instants = x.chunks_exact(self.inputs).zip(y.chunks_exact(self.outputs));
+        instants.flat_map(|(x, y)| [x, y].concat()).collect()
     }
 
     /// Its sums on one sample (T, inputs): (T, outputs). Each begins with the bias; products follow in the order of the weights.
@@ -94,7 +110,7 @@ impl Convolution {
         let (instants, taps, inputs) = (x.len() / self.inputs, self.spans.len(), self.inputs);
         let mut y = Vec::with_capacity(instants * self.outputs);
         let mut seen = vec![T::default(); taps * inputs];
-        let row = if self.by_input { taps } else { inputs };
+        let row = if self.linear { taps } else { inputs };
         for t in 0..instants {
             seen.fill(T::default());
             // counted from `before` instants ahead of the sample
@@ -103,7 +119,7 @@ impl Convolution {
                 for n in (0..*span).map(|j| at + j * self.dilation) {
                     if (self.before..self.before + instants).contains(&n) {
                         for (c, x) in x[(n - self.before) * inputs..][..inputs].iter().enumerate() {
-                            seen[if self.by_input { c * taps + tap } else { tap * inputs + c }] += *x;
+                            seen[if self.linear { c * taps + tap } else { tap * inputs + c }] += *x;
                         }
                     }
                 }
@@ -129,43 +145,63 @@ impl Convolution {
 /// # Panics
 /// If the weights are not those of the trial's network.
 pub fn layers(trial: &TrialSpec, own: &Own, replay: &Replay) -> Result<Vec<Convolution>, Failure> {
-    let (channels, panels) = (replay.signal_scale.len(), replay.force_mean.len());
-    let mut layers;
-    match own {
-        Own::Linear(LinearReplay { lags, w, b, .. }) => {
-            let mut only = Convolution::linear(*lags, channels, panels);
-            let firsts: Vec<usize> = lags.groups().iter().map(|group| group.start).collect();
-            for i in 0..only.weights.len() {
-                let [c, k, tap] = only.of_weight(i);
-                only.weights[i] = w[(k * lags.count() + firsts[tap]) * channels + c];
-            }
-            only.bias.clone_from(b);
-            layers = vec![only];
+    let mut layers = match own {
+        Own::Linear(linear) => vec![of_linear(linear, replay)],
+        Own::Network(weights) => of_network(trial, weights, replay)?,
+        Own::Stacked(linear, weights) => {
+            let mut first = of_linear(linear, replay);
+            // forces as the network takes them in
+            let deviation = |i: usize| replay.force_deviation[first.of_weight(i)[1]];
+            first.weights = first.weights.iter().enumerate().map(|(i, w)| w / deviation(i)).collect();
+            let scales = replay.force_mean.iter().zip(&replay.force_deviation);
+            first.bias.iter_mut().zip(scales).for_each(|(b, (mean, deviation))| *b = (*b - mean) / deviation);
+            [vec![first], of_network(trial, weights, replay)?].concat()
         }
-        Own::Network(weights) => {
-            let shape = prepared(trial)?.reader_shape();
-            layers = Convolution::network(&shape.architecture, shape.inputs, panels);
-            let count = layers.len();
-            for (l, layer) in layers.iter_mut().enumerate() {
-                let stored = &weights[shape.range(count + l)];
-                for i in 0..layer.weights.len() {
-                    let [c, o, tap] = layer.of_weight(i);
-                    layer.weights[i] = f64::from(stored[(tap * layer.inputs + c) * layer.outputs + o]);
-                }
-                layer.bias = weights[shape.range(l)].iter().map(|b| f64::from(*b)).collect();
+    };
+    // a network on a linear brain takes signals in, too
+    let take_signals = if layers[0].linear { 2 } else { 1 };
+    for layer in layers.iter_mut().take(take_signals) {
+        for i in 0..layer.weights.len() {
+            if let Some(scale) = replay.signal_scale.get(layer.of_weight(i)[0]) {
+                layer.weights[i] /= scale;
             }
-            let last = layers.last_mut().expect("a network has layers");
-            let inputs = last.inputs;
-            let deviation = |i: usize| replay.force_deviation[i / inputs % panels];
-            last.weights.iter_mut().enumerate().for_each(|(i, w)| *w *= deviation(i));
-            let scales = replay.force_deviation.iter().zip(&replay.force_mean);
-            last.bias.iter_mut().zip(scales).for_each(|(b, (deviation, mean))| *b = *b * deviation + mean);
         }
     }
-    let first = &mut layers[0];
-    for i in 0..first.weights.len() {
-        first.weights[i] /= replay.signal_scale[first.of_weight(i)[0]];
+    Ok(layers)
+}
+
+/// From normalised signals to forces (N).
+fn of_linear(LinearReplay { lags, w, b, .. }: &LinearReplay, replay: &Replay) -> Convolution {
+    let channels = replay.signal_scale.len();
+    let mut layer = Convolution::linear(*lags, channels, replay.force_mean.len());
+    let firsts: Vec<usize> = lags.groups().iter().map(|group| group.start).collect();
+    for i in 0..layer.weights.len() {
+        let [c, k, tap] = layer.of_weight(i);
+        layer.weights[i] = w[(k * lags.count() + firsts[tap]) * channels + c];
     }
+    layer.bias.clone_from(b);
+    layer
+}
+
+/// From normalised inputs to forces (N).
+fn of_network(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<Vec<Convolution>, Failure> {
+    let (shape, panels) = (prepared(trial)?.reader_shape(), replay.force_mean.len());
+    let mut layers = Convolution::network(&shape.architecture, shape.inputs, panels);
+    let count = layers.len();
+    for (l, layer) in layers.iter_mut().enumerate() {
+        let stored = &weights[shape.range(count + l)];
+        for i in 0..layer.weights.len() {
+            let [c, o, tap] = layer.of_weight(i);
+            layer.weights[i] = f64::from(stored[(tap * layer.inputs + c) * layer.outputs + o]);
+        }
+        layer.bias = weights[shape.range(l)].iter().map(|b| f64::from(*b)).collect();
+    }
+    let last = layers.last_mut().expect("a network has layers");
+    let inputs = last.inputs;
+    let deviation = |i: usize| replay.force_deviation[i / inputs % panels];
+    last.weights.iter_mut().enumerate().for_each(|(i, w)| *w *= deviation(i));
+    let scales = replay.force_deviation.iter().zip(&replay.force_mean);
+    last.bias.iter_mut().zip(scales).for_each(|(b, (deviation, mean))| *b = *b * deviation + mean);
     Ok(layers)
 }
 
@@ -194,10 +230,12 @@ impl Single {
         let mut x: Vec<f32> = signals.iter().map(|v| *v as f32).collect();
         for (l, (layer, [weights, bias])) in self.layers.iter().zip(&self.weights).enumerate() {
             meet(l, &x);
-            x = layer.sums(weights, bias, &x);
+            let mut y = layer.sums(weights, bias, &x);
             if l + 1 < self.layers.len() {
-                x.iter_mut().for_each(|y| *y = y.max(0.0));
+                y.iter_mut().filter(|_| !layer.linear).for_each(|y| *y = y.max(0.0));
+                y = layer.handed_on(&x, y);
             }
+            x = y;
         }
         x
     }

@@ -1,9 +1,10 @@
 
 #if LAYERS > 1
-/* What a layer hands on of its sums. */
-static void hand_on(const layer *of)
+/* What a layer hands on of a sum. */
+static value handed(const layer *of, int o, int whole)
 {
-    for (int o = 0; o < of->out; o++) made[o] = sums[o] > 0.0f ? sums[o] : 0.0f;
+    (void)of;
+    return sums[o] > 0.0f || whole ? sums[o] : 0.0f;
 }
 #endif
 

@@ -1,13 +1,12 @@
 
 #if LAYERS > 1
-/* What a layer hands on of its sums, in steps of the next one's inputs, to the nearest. No product passes 2^62. */
-static void hand_on(const layer *of)
+/* What a layer hands on of a sum, in steps of the next one's inputs, to the nearest. No product passes 2^62. */
+static value handed(const layer *of, int o, int whole)
 {
-    for (int o = 0; o < of->out; o++) {
-        int64_t y = sums[o] > 0 ? sums[o] : 0;
-        y = (y * of->factor[o] + ((int64_t)1 << (of->shift[o] - 1))) >> of->shift[o];
-        made[o] = (value)(y < GREATEST ? y : GREATEST);
-    }
+    int64_t y = sums[o] > 0 ? sums[o] : whole ? -(int64_t)sums[o] : 0;
+    y = (y * of->factor[o] + ((int64_t)1 << (of->shift[o] - 1))) >> of->shift[o];
+    y = y < GREATEST ? y : GREATEST;
+    return (value)(sums[o] < 0 ? -y : y);
 }
 #endif
 

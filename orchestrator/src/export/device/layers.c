@@ -13,19 +13,27 @@ void brain_reset(void)
     }
 }
 
-/* Adds to each sum n inputs times its own weights; by fours, which takes two thirds of the time. */
-static void add(int out, int n, const weight *w, const row *x)
-{
-    for (int o = 0; o < out; o++, w += n) {
-        sum y = sums[o];
-        int i = 0;
-        for (; i + 4 <= n; i += 4) {
-            y += (sum)w[i] * x[i];
-            y += (sum)w[i + 1] * x[i + 1];
-            y += (sum)w[i + 2] * x[i + 2];
-            y += (sum)w[i + 3] * x[i + 3];
-        }
-        for (; i < n; i++) y += (sum)w[i] * x[i];
-        sums[o] = y;
+/* Where a layer's ring has an instant's input: of a linear brain channel after channel, else instant after instant. */
+#if LINEAR
+#define PLACE(l, at, c) ((l) ? (at) * LAYER[l].in + (c) : (c) * LAYER[l].slots + (at))
+#else
+#define PLACE(l, at, c) ((at) * LAYER[l].in + (c))
+#endif
+
+/* A function that adds to each sum n inputs times its own weights; by fours, which takes two thirds of the time. */
+#define ADD(add, row) \
+    static void add(int out, int n, const weight *w, const row *x) \
+    { \
+        for (int o = 0; o < out; o++, w += n) { \
+            sum y = sums[o]; \
+            int i = 0; \
+            for (; i + 4 <= n; i += 4) { \
+                y += (sum)w[i] * x[i]; \
+                y += (sum)w[i + 1] * x[i + 1]; \
+                y += (sum)w[i + 2] * x[i + 2]; \
+                y += (sum)w[i + 3] * x[i + 3]; \
+            } \
+            for (; i < n; i++) y += (sum)w[i] * x[i]; \
+            sums[o] = y; \
+        } \
     }
-}

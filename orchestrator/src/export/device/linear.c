@@ -1,17 +1,16 @@
 
-/* Where a ring has an instant's input. */
-#define PLACE(at, c, of) ((c) * (of)->slots + (at))
+ADD(add_wide, wide)
 
-static row seen[TAPS];
+static wide seen[TAPS];
 
 /* Adds channel after channel: its instants from the oldest on, of which so many in a row share a weight. */
-static void add_taps(const layer *of, int oldest)
+static void add_spans(const layer *of, int oldest)
 {
     for (int c = 0; c < of->in; c++) {
         const value *ring = of->ring + c * of->slots, *end = ring + of->slots, *x = ring + oldest;
         for (int tap = 0; tap < TAPS; tap++) {
             if (SPAN[tap] == 4 && x + 4 < end) {
-                seen[tap] = (row)x[0] + x[1] + x[2] + x[3];
+                seen[tap] = (wide)x[0] + x[1] + x[2] + x[3];
                 x += 4;
                 continue;
             }
@@ -21,6 +20,6 @@ static void add_taps(const layer *of, int oldest)
                 if (++x == end) x = ring;
             }
         }
-        add(of->out, TAPS, of->w + c * of->out * TAPS, seen);
+        add_wide(of->out, TAPS, of->w + c * of->out * TAPS, seen);
     }
 }

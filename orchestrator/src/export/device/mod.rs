@@ -1,6 +1,6 @@
 //! A brain as one C file: readings in, forces out, one after the other, for a device without heap and operating system.
 //!
-//! The C is in files beside this one: `layers.c`; `network.c` or `linear.c`; `floats.c` or `integers.c`; `readings.c`; `test.c`.
+//! The C is in files beside this one: `layers.c`; `linear.c`, `network.c` or both; `floats.c` or `integers.c`; `readings.c`; `test.c`.
 
 use std::fmt::{Display, Write};
 
@@ -82,7 +82,7 @@ pub fn c(
             )
         }
     };
-    let linear = layers[0].by_input;
+    let linear = layers[0].linear;
     let Demands { delay, constants, memory, operations } = Demands::of(&layers, numbers.bytes(wide));
     let interval = spec.time.duration / spec.time.samples as f64;
     let units = spec.sensors.read().iter().map(|channel| channel.name()).collect::<Vec<_>>().join(", ");
@@ -107,8 +107,7 @@ pub fn c(
         version = env!("CARGO_PKG_VERSION"),
         late = delay as f64 * interval,
     );
-    let widest = layers.iter().map(|layer| layer.outputs).max().unwrap_or(0);
-    let count = layers.len();
+    let (count, widest) = (layers.len(), Convolution::widest(&layers));
     write!(
         text,
         "
@@ -116,20 +115,21 @@ pub fn c(
 #define BRAIN_PANELS {panels}
 #define BRAIN_DELAY {delay}
 #define LAYERS {count}
+#define LINEAR {} /* whether the first of these is a linear brain */
 #define WIDEST {widest}
 
-{}{}typedef {} row; /* what is multiplied with weights */
-
+{}{}
 {}",
+        u8::from(linear),
         if integers.is_some() { "#include <stdint.h>\n\n#define GREATEST 32767\n\n" } else { "" },
         types(numbers, wide),
-        if linear { "wide" } else { "value" },
         structure(integers.is_some()),
     )
     .expect("text");
     arrays(&mut text, &layers, integers.as_ref());
     text.push_str(include_str!("layers.c"));
-    text.push_str(if linear { include_str!("linear.c") } else { include_str!("network.c") });
+    text.push_str(if linear { include_str!("linear.c") } else { "" });
+    text.push_str(if count > usize::from(linear) { include_str!("network.c") } else { "" });
     text.push_str(if integers.is_some() { include_str!("integers.c") } else { include_str!("floats.c") });
     text.push_str(include_str!("readings.c"));
     test(&mut text, replay, integers.as_ref(), [channels, panels]);
@@ -194,7 +194,7 @@ fn arrays(text: &mut String, layers: &[Convolution], integers: Option<&Integers>
             "    {{{taps}, {dilation}, {after}, {slots}, {inputs}, {outputs}, W{l}, B{l},{rescaled} R{l}}},"
         )
         .expect("text");
-        if layer.by_input {
+        if layer.linear {
             writeln!(text, "#define TAPS {taps}").expect("text");
             whole(text, "unsigned char SPAN", &layer.spans);
         }

@@ -114,7 +114,13 @@ impl Decoder {
     }
 
     /// The same at given scales.
-    fn fitted(&self, seed: u64, known: &Samples, scales: Scales, pool: &Pool) -> Result<Fitted, Trouble> {
+    pub(crate) fn fitted(
+        &self,
+        seed: u64,
+        known: &Samples,
+        scales: Scales,
+        pool: &Pool,
+    ) -> Result<Fitted, Trouble> {
         let known = Plain::of(known, &scales, pool);
         let ridge = self.ridge_of(seed, &known, None)?;
         let linear = solve(known.moments().normal(self.lags), ridge)?.linear();

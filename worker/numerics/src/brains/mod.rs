@@ -27,6 +27,7 @@ pub(crate) use readings::{own_reading, readings};
 pub use records::{Records, Unseen};
 #[cfg(test)]
 pub(crate) use stacked::Stack;
+pub(crate) use stacked::predict_on;
 
 use crate::brain::{Adam, Architecture, Policy, SolveOutcome};
 use crate::trial::{BrainKind, Counters, Decoder, Problem, Samples, Scales, Schedule, Trial, Trouble};

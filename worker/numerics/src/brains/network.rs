@@ -122,7 +122,7 @@ fn data<F: brain::Real>(shape: Shape, samples: &Samples, scales: &Scales) -> Dat
 }
 
 /// Forces (N, T, K) (N) by a network.
-fn predict(
+pub(super) fn predict(
     weights: &[f32],
     data: &Data<f32>,
     scales: &Scales,

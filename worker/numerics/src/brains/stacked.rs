@@ -1,10 +1,12 @@
 //! Linear brains beneath a network: it sees their estimates of the forces beside the signals, and of what each was fitted on
 //! it never sees one's.
 
+use super::Fitted;
 use super::linear::{FOLDS, Plain, solve};
+use super::network::predict;
 use crate::Pool;
 use crate::brain::linear::{Linear, Sizes};
-use crate::brain::{Data, Shape};
+use crate::brain::{Data, Shape, Workspace};
 use crate::stimuli::folds;
 use crate::trial::{Decoder, Samples, Scales, Trouble};
 
@@ -48,14 +50,14 @@ impl Stack {
 
     /// Signals (N, T, 3M) that are not the training samples' as the network takes them.
     pub(super) fn unseen(&self, shape: Shape, signals: &[f64], scales: &Scales) -> Data<f32> {
-        let estimates = self.estimates(signals);
-        let targets = vec![0.0; estimates.len()];
-        self.beside(shape, signals, &estimates, &targets, scales)
+        let estimates = physical(&self.estimates(signals), scales);
+        beside(shape, signals, &estimates, &vec![0.0; estimates.len()], scales)
     }
 
     /// The training samples, likewise.
     pub(super) fn known(&self, shape: Shape, samples: &Samples, scales: &Scales) -> Data<f32> {
-        self.beside(shape, &samples.signals, &self.cross_fitted(), &self.known.y, scales)
+        let [estimates, targets] = [&self.cross_fitted(), &self.known.y].map(|y| physical(y, scales));
+        beside(shape, &samples.signals, &estimates, &targets, scales)
     }
 
     /// Estimates (N, T, K) of samples that are not the training samples.
@@ -77,26 +79,36 @@ impl Stack {
         }
         estimates
     }
+}
 
-    /// Signals (N, T, 3M) beside a linear brain's estimates (N, T, K), scaled as forces.
-    fn beside(
-        &self,
-        shape: Shape,
-        signals: &[f64],
-        estimates: &[f64],
-        targets: &[f64],
-        scales: &Scales,
-    ) -> Data<f32> {
-        let force = scales.force();
-        let physical =
-            |y: &[f64]| -> Vec<f32> { scales.targets(&y.iter().map(|y| force * y).collect::<Vec<f64>>()) };
-        let Sizes { channels, outputs, .. } = self.all.sizes;
-        let (signals, estimates) = (scales.inputs::<f32>(signals), physical(estimates));
-        let mut x = Vec::with_capacity(signals.len() + estimates.len());
-        for (signals, estimates) in signals.chunks_exact(channels).zip(estimates.chunks_exact(outputs)) {
-            x.extend_from_slice(signals);
-            x.extend_from_slice(estimates);
-        }
-        Data::new(shape, &x, &physical(targets))
+/// Forces (N) of a linear brain's normalised ones.
+fn physical(y: &[f64], scales: &Scales) -> Vec<f64> {
+    let force = scales.force();
+    y.iter().map(|y| force * y).collect()
+}
+
+/// Signals (N, T, 3M) beside a linear brain's estimates (N, T, K) (N), scaled as forces; with targets (N).
+fn beside(shape: Shape, signals: &[f64], estimates: &[f64], targets: &[f64], scales: &Scales) -> Data<f32> {
+    let channels = shape.inputs - shape.outputs;
+    let (signals, estimates): (Vec<f32>, Vec<f32>) = (scales.inputs(signals), scales.targets(estimates));
+    let mut x = Vec::with_capacity(signals.len() + estimates.len());
+    for (signals, estimates) in signals.chunks_exact(channels).zip(estimates.chunks_exact(shape.outputs)) {
+        x.extend_from_slice(signals);
+        x.extend_from_slice(estimates);
     }
+    Data::new(shape, &x, &scales.targets(targets))
+}
+
+/// Forces (N, T, K) (N) of signals (N, T, 3M) by a network on this linear brain.
+pub(crate) fn predict_on(
+    linear: &Fitted,
+    shape: Shape,
+    weights: &[f32],
+    signals: &[f64],
+    scales: &Scales,
+    pool: &Pool,
+) -> Vec<f64> {
+    let estimates = linear.predict(signals);
+    let data = beside(shape, signals, &estimates, &vec![0.0; estimates.len()], scales);
+    predict(weights, &data, scales, &mut Workspace::new(shape, pool.width()), pool)
 }

@@ -12,7 +12,7 @@ use super::state::State;
 use crate::brains::{Band, Beside, Fitted, Fresh, Reader, reader};
 use crate::dynamics::Solver;
 use crate::random::Purpose;
-use crate::trial::{BrainKind, Counters, Decoder, FAILED, Ridge, Samples, Trial, Trouble};
+use crate::trial::{BrainKind, Counters, Decoder, FAILED, Problem, Ridge, Samples, Trial, Trouble};
 use crate::variation::{Cast, Casts};
 
 /// Casts to which the brain for all casts is fitted, and samples of each.
@@ -172,6 +172,8 @@ pub enum ForCasts {
     Linear(Fitted),
     /// Weights of a network, for inputs at the trial's scales.
     Network(Vec<f32>),
+    /// Those of a network on a linear brain, and this.
+    Stacked(Fitted, Vec<f32>),
 }
 
 /// Fits the brain of the trial's kind for all casts of a design once more, as the comparison does: to casts that are known, none
@@ -188,7 +190,15 @@ pub fn brain_for_casts(trial: &Trial, design: &[f64]) -> Result<ForCasts, Troubl
     let (mut state, mut observer) = (State::new(&trial.problem), Nobody);
     let known = thinned(&casts?, trial.train.samples);
     let weights = weights_for(trial, &known, &mut state, &mut Log::new(0, &mut observer));
-    weights.expect("nobody says stop").map(ForCasts::Network)
+    let weights = weights.expect("nobody says stop")?;
+    Ok(match trial.problem.reader {
+        BrainKind::Stacked => {
+            let Problem { decoder, seed, .. } = &trial.problem;
+            let beneath = decoder.fitted(*seed, &known, trial.scales.clone(), trial.pool)?;
+            ForCasts::Stacked(beneath, weights)
+        }
+        _ => ForCasts::Network(weights),
+    })
 }
 
 /// How the first `count` casts of a design are read by linear brains; `progress` is told how many have been.

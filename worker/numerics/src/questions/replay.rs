@@ -4,7 +4,7 @@
 
 use crate::Pool;
 use crate::brain::linear::{Lags, Sizes};
-use crate::brains::{Fitted, Fresh, Inverse, TO_EACH_SIDE, reader};
+use crate::brains::{Fitted, Fresh, Inverse, TO_EACH_SIDE, predict_on, reader};
 use crate::dynamics::{Forces, simulate};
 use crate::random::Purpose;
 use crate::stimuli::split;
@@ -172,6 +172,20 @@ impl Replay {
         let fitted =
             decoder.fit(problem.seed, &all.select(&training), scale, pool).map_err(Failure::Initial)?;
         Ok(said(&all, decoder.lags, &fitted))
+    }
+
+    /// Lets a network with these weights read, on a linear brain, whatever both were fitted to.
+    ///
+    /// # Panics
+    /// If lengths do not fit the problem.
+    pub fn read_on(&mut self, problem: &Problem, linear: &Fitted, weights: &[f32], pool: &Pool) {
+        let scales = Scales {
+            channels: self.signal_scale.clone(),
+            mean: self.force_mean.clone(),
+            deviation: self.force_deviation.clone(),
+        };
+        self.predictions = predict_on(linear, problem.reader_shape(), weights, &self.signals, &scales, pool);
+        self.errors = self.samples(problem).errors(&self.predictions);
     }
 
     /// What a linear brain of the trial's memory says, fitted to whatever samples.

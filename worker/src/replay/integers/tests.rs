@@ -14,20 +14,22 @@ fn brain(trial: &TrialSpec) -> (Replay, Vec<Convolution>) {
     (replay, layers)
 }
 
-/// A network, and a linear brain whose far lags share weights.
-fn brains() -> [(Replay, Vec<Convolution>); 2] {
-    let mut linear = small_trial();
-    linear.brain.kind = BrainKind::Linear;
-    linear.time.samples = 100;
-    [brain(&small_trial()), brain(&linear)]
+/// A network, a linear brain whose far lags share weights, and one on the other.
+fn brains() -> [(Replay, Vec<Convolution>); 3] {
+    [BrainKind::Cnn, BrainKind::Linear, BrainKind::Stacked].map(|kind| {
+        let mut trial = small_trial();
+        trial.brain.kind = kind;
+        trial.time.samples = if kind == BrainKind::Cnn { 30 } else { 100 };
+        brain(&trial)
+    })
 }
 
-/// Root mean square of what is read of the training samples less the trial's predictions, as a part of that of these.
-fn off(replay: &Replay, read: &dyn Fn(&[f64]) -> Vec<f32>) -> f64 {
+/// Root mean square of what is read of a set's samples less what the trial's brain says, as a part of that of this.
+fn off(replay: &Replay, set: u8, brain: &[f64], read: &dyn Fn(&[f64]) -> Vec<f32>) -> f64 {
     let count = replay.split.len();
-    let [signals, forces] = [&replay.signals, &replay.predictions].map(|v| v.chunks_exact(v.len() / count));
+    let [signals, forces] = [&replay.signals[..], brain].map(|v| v.chunks_exact(v.len() / count));
     let (mut difference, mut all) = (0.0, 0.0);
-    for ((signals, forces), _) in signals.zip(forces).zip(&replay.split).filter(|(_, set)| **set == 0) {
+    for ((signals, forces), _) in signals.zip(forces).zip(&replay.split).filter(|(_, own)| **own == set) {
         for (said, f) in read(signals).into_iter().zip(forces) {
             difference += (f64::from(said) - f).powi(2);
             all += f * f;
@@ -42,17 +44,20 @@ fn off(replay: &Replay, read: &dyn Fn(&[f64]) -> Vec<f32>) -> f64 {
 fn integers_say_what_the_brain_says() {
     for (replay, layers) in brains() {
         let grouped = layers[0].spans.iter().any(|span| *span > 1);
-        assert!(grouped == (layers.len() == 1) && grouped == layers[0].by_input);
+        assert!(grouped == layers[0].linear);
         let single = Single::new(&layers);
-        let exact = off(&replay, &|signals| single.read(signals));
+        // of training samples a stacked network has heard brains that had not seen them
+        let exact = off(&replay, 2, &replay.predictions, &|signals| single.read(signals));
+        let one = replay.signals.len() / replay.split.len();
+        let said = replay.signals.chunks_exact(one).flat_map(|signals| single.read(signals));
+        let said: Vec<f64> = said.map(f64::from).collect();
         let [i16, i8] = [32767, 127].map(|most| Integers::new(&layers, most, &replay));
         let coarse = Integers::within(&layers, 127, 127, 1.0, &replay);
         let [fine, coarser, coarsest] =
-            [&i16, &i8, &coarse].map(|of| off(&replay, &|signals| of.read(signals)));
+            [&i16, &i8, &coarse].map(|of| off(&replay, 0, &said, &|signals| of.read(signals)));
         println!("{} layers: {exact:.1e} {fine:.1e} {coarser:.1e} {coarsest:.1e}", layers.len());
         assert!(exact < 1e-5 && fine < 1e-3 && coarser < 0.1, "{exact} {fine} {coarser}");
         assert!(4.0 * fine < coarser && 1.5 * coarser < coarsest, "{fine} {coarser} {coarsest}");
-        let one = replay.signals.len() / replay.split.len();
         for (of, most) in [(&i16, 32767), (&i8, 127)] {
             let loud: Vec<f64> = replay.signals[..one].iter().map(|x| 1e6 * x).collect();
             let greatest = |signals: &[f64]| of.sums(signals).into_iter().map(i64::abs).max().unwrap();

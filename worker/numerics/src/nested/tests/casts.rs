@@ -4,7 +4,7 @@ use super::super::protocol::Session;
 use super::linear::linear;
 use super::*;
 use crate::brain::linear::Lags;
-use crate::brains::{Fresh, Plain, reader, solve};
+use crate::brains::{Fresh, Plain, predict_on, reader, solve};
 use crate::dynamics::{Parameters, Relaxation, planned, run, signal_error};
 use crate::trial::{CastReader, Casting, Disturbance, Over, Samples, Size};
 use crate::variation::{Casts, Variation};
@@ -195,7 +195,8 @@ fn casts_are_read_on_to_the_same_bits() {
 /// The brain for all casts that is fitted once more reads a cast as the comparison's did.
 #[test]
 fn the_brain_for_all_casts_can_be_had_again() {
-    for problem in quick(1) {
+    let stacked = quick(1).take(1).map(|problem| Problem { reader: BrainKind::Stacked, ..problem });
+    for problem in quick(1).chain(stacked) {
         let found = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
         let (pool, design) = (pool(2), &found.optimised.design);
         let trial = Trial::new(&problem, &pool).unwrap();
@@ -212,6 +213,11 @@ fn the_brain_for_all_casts_can_be_had_again() {
                 let mut reader = reader(problem.recipe(), &holdout, scales, &pool).unwrap();
                 *reader.training().unwrap() = Some(Fresh::of(weights));
                 (CastBrain::NetworkCasts, reader.predict(&holdout.signals))
+            }
+            ForCasts::Stacked(linear, weights) => {
+                let (shape, scales) = (problem.reader_shape(), &trial.scales);
+                let said = predict_on(&linear, shape, &weights, &holdout.signals, scales, &pool);
+                (CastBrain::NetworkCasts, said)
             }
         };
         let reading = found.casts[1].iter().find(|reading| reading.by == by).unwrap();
