@@ -76,7 +76,7 @@ def tpe(world, limit, budget):
             size = values[0][trial.suggest_int("size", 0, len(values[0]) - 1)]
             rate = trial.suggest_categorical("rate", values[1])
             like = [i for i in some if world.trials[i]["place"][1::2] == [size, rate]]
-            i = like[trial.suggest_categorical("placement", [0, 1])]
+            i = like[trial.suggest_categorical("placement", list(range(len(like))))]
             for level in (0, 1, 2):
                 error = math.log(world.level(i, level))
                 trial.report(error, level + 1)
