@@ -112,6 +112,8 @@ fn a_spec_starts_from_the_design_that_it_names() {
     let plain = hash(&small(""));
     let one = hash(&small("design = { random = 1 }"));
     assert!(plain != one && one != hash(&small("design = { random = 2 }")));
+    assert_eq!(one, hash(&small("design = { random = 1, spread = 0.25 }")), "the default");
+    assert_ne!(one, hash(&small("design = { random = 1, spread = 0.1 }")));
     bench.output(&["draw", "s.toml", "--out", "a.svg", "--design-out", "a.npy"]);
     let file = hash(&small("design = \"a.npy\""));
     std::fs::copy(bench.path("a.npy"), bench.path("b.npy")).unwrap();
@@ -142,4 +144,5 @@ fn a_design_that_cannot_be_cast_is_refused_with_the_list() {
     assert!(refused("design = \"short.npy\"").contains("holds 47 numbers; α of this body has 48"));
     assert!(refused("design = \"none.npy\"").contains("none.npy"));
     assert!(refused("design = { randon = 1 }").contains("random"));
+    assert!(refused("design = { random = 1, spread = 0.0 }").contains("spread must be above 0, at most 1"));
 }

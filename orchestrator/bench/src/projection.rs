@@ -162,7 +162,7 @@ fn one(number: u64) -> (Status, usize) {
     let size = 0.1 * (SPACING / 0.1).powf(draw.uniform());
     let start = match draw.below(2) {
         0 => regular,
-        _ => feasible.random_design(&regular, number).unwrap_or(regular),
+        _ => feasible.random_design(&regular, number, 0.25 * SPACING).unwrap_or(regular),
     };
     let target: Vec<f64> = start.iter().map(|x| x + draw.between([-size, size])).collect();
     let out = feasible.project(&start, &target, None);

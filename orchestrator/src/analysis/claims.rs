@@ -9,15 +9,14 @@ use std::collections::BTreeMap;
 use serde_json::Value;
 
 use super::data::{
-    COMPLEXITY, DESIGN, FREEDOM, Grid, Group, Observation, SENSORS, apart, clusters, groups, observations,
-    places,
+    COMPLEXITY, FREEDOM, Grid, Group, Observation, SENSORS, apart, clusters, groups, observations, places,
 };
 use super::elbow::{Height, Verdict, elbow};
 use super::kinds::brains;
 use super::numbers::{distinct, geometric_mean};
 use super::paired;
 use super::paired::{Progress, Ratio, error_ratio, long_ratio};
-use super::random::random;
+use super::random::{random, random_groups};
 use super::resample::{Interval, Resampling, holm};
 use super::sensors::spread;
 use super::tables::verdict_text;
@@ -388,7 +387,7 @@ fn random_bodies(stated: f64, trials: &[&Trial], than: Body) -> Vec<Evidence> {
     let joint = of_text(&of_text(trials, "stimuli.kind", "bell"), "optimise.protocol", "joint");
     let of_scene = |t: &&Trial| (t.panels, t.sensors) == (2, 1) && !tied(t);
     let trials: Vec<&Trial> = joint.into_iter().filter(of_scene).collect();
-    by_set(&groups(&trials, DESIGN), |group, set| {
+    by_set(&random_groups(&trials), |group, set| {
         let ratio = random(&group.trials, set)?.ratios[than as usize].take()?;
         let note = format!("{} of {} worse", ratio.above_one, ratio.trials);
         Some(of_ratio(who(group), set.name(), ratio, stated, note))

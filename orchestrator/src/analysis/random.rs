@@ -7,10 +7,11 @@ use std::collections::HashMap;
 
 use serde_json::Value;
 
+use super::data::{DESIGN, Group, groups};
 use super::numbers::{geometric_mean, log_squares};
 use super::paired::Ratio;
 use super::resample::{PLACEMENTS, Resampling, SEEDS};
-use super::trial::{Body, RANDOM, Set, Trial};
+use super::trial::{Body, RANDOM, SPREAD, Set, Trial};
 
 /// Random bodies beside the initial and the optimised one.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,6 +33,28 @@ impl Random {
         let freedom = self.errors.len() - 1;
         (freedom > 0).then(|| (log_squares(&self.errors) / freedom as f64).sqrt())
     }
+}
+
+/// Groups of equal setting but for the design, a group for each spread of its random bodies; each has all that are not random.
+pub fn random_groups<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
+    let spread = |t: &Trial| t.setting.get(SPREAD).and_then(Value::as_f64).unwrap_or(0.25);
+    let split = |group: Group<'a>| {
+        let mut spreads: Vec<f64> =
+            group.trials.iter().filter(|t| t.starts_random()).map(|t| spread(t)).collect();
+        spreads.sort_by(f64::total_cmp);
+        spreads.dedup();
+        if spreads.len() < 2 {
+            return vec![group];
+        }
+        let of = |own: f64| {
+            let is_of = |t: &&&Trial| !t.starts_random() || spread(t) == own;
+            let said = format!("spread = {own}");
+            let label = if group.label.is_empty() { said } else { format!("{}, {said}", group.label) };
+            Group { label, trials: group.trials.iter().filter(is_of).copied().collect() }
+        };
+        spreads.into_iter().map(of).collect()
+    };
+    groups(trials, DESIGN).into_iter().flat_map(split).collect()
 }
 
 /// Compares a group's random bodies with its others; `None` where it lacks either.

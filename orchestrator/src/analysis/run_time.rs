@@ -174,17 +174,21 @@ pub fn mean_history(histories: &[&[Reached]], count: usize) -> Vec<Reached> {
         .collect()
 }
 
-/// Mean seconds a trial by part, with the parts in the order in which the first trial names them.
-pub fn mean_seconds(trials: &[&Trial]) -> Vec<(&'static str, f64)> {
-    let Some(first) = trials.first() else { return Vec::new() };
-    first
-        .seconds
-        .iter()
-        .map(|&(part, _)| {
-            let of = |t: &&Trial| t.seconds.iter().find(|s| s.0 == part).map_or(0.0, |s| s.1);
-            (part, trials.iter().map(of).sum::<f64>() / trials.len() as f64)
-        })
-        .collect()
+/// Parts of the time, each once, in the order in which trials name them: a trial without steps has fewer.
+pub fn parts(trials: &[&Trial]) -> Vec<&'static str> {
+    let mut found = Vec::new();
+    for (part, _) in trials.iter().flat_map(|trial| &trial.seconds) {
+        if !found.contains(part) {
+            found.push(*part);
+        }
+    }
+    found
+}
+
+/// Mean seconds a trial of each of these parts.
+pub fn mean_seconds(trials: &[&Trial], parts: &[&'static str]) -> Vec<f64> {
+    let of = |trial: &&Trial, part| trial.seconds.iter().find(|of| of.0 == part).map_or(0.0, |of| of.1);
+    parts.iter().map(|part| trials.iter().map(|t| of(t, *part)).sum::<f64>() / trials.len() as f64).collect()
 }
 
 /// Round errors (1, 1.5, 2, 3, 5, 7 × 10^n) that all but the easiest runs reach and the best ones do: between the

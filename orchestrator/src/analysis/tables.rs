@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use super::brains::reads;
 use super::casts;
 use super::data::{
-    BRAINS, COMPLEXITY, DESIGN, FREEDOM, Group, Level, Observation, SENSORS, TRAINING, apart, groups, levels,
+    BRAINS, COMPLEXITY, FREEDOM, Group, Level, Observation, SENSORS, TRAINING, apart, groups, levels,
     observations,
 };
 use super::decision::{Decision, Terms, decide};
@@ -14,9 +14,9 @@ use super::elbow::{Elbow, Height, Verdict, elbow};
 use super::numbers::{distinct, geometric_mean, mean};
 use super::paired::{self, Ratio};
 use super::placed::placed;
-use super::random::random;
+use super::random::{random, random_groups};
 use super::resample::Interval;
-use super::run_time::{Watched, mean_seconds, median_time, pareto, round_errors};
+use super::run_time::{Watched, mean_seconds, median_time, pareto, parts, round_errors};
 use super::scaling::{Scaling, scaling};
 use super::sensors::{Spread, fewer, spread};
 use super::transfer;
@@ -287,7 +287,7 @@ fn random_table(trials: &[&Trial]) -> Table {
     let columns = "bodies random least most deviation initial optimised random_trained \
         worse_than_initial over_initial over_initial_low over_initial_high worse_than_optimised \
         over_optimised over_optimised_low over_optimised_high over";
-    by_set(columns, &groups(trials, DESIGN), |group, set| {
+    by_set(columns, &random_groups(trials), |group, set| {
         let found = random(&group.trials, set)?;
         let mean = |errors: &[f64]| (!errors.is_empty()).then(|| geometric_mean(errors));
         let end = |pick: fn(f64, f64) -> f64| found.errors.iter().copied().reduce(pick);
@@ -558,16 +558,13 @@ fn front_table(trials: &[&Trial]) -> Table {
 }
 
 fn seconds_table(trials: &[&Trial]) -> Table {
-    let mut rows = Vec::new();
-    let mut columns = vec!["setting", "training", "all"];
+    let (all, mut rows) = (parts(trials), Vec::new());
     for (group, way) in
         trainings(trials).iter().flat_map(|(group, ways)| ways.iter().map(move |w| (group, w)))
     {
-        let parts = mean_seconds(&way.trials);
-        let total: f64 = parts.iter().map(|p| p.1).sum();
-        rows.push(row![group.label, way.label, total; parts.iter().map(|p| p.1)]);
-        columns.truncate(3);
-        columns.extend(parts.iter().map(|p| p.0));
+        let seconds = mean_seconds(&way.trials, &all);
+        rows.push(row![group.label, way.label, seconds.iter().sum::<f64>(); seconds]);
     }
-    Table { columns: columns.into_iter().map(str::to_owned).collect(), rows }
+    let columns = ["setting", "training", "all"].into_iter().chain(all);
+    Table { columns: columns.map(str::to_owned).collect(), rows }
 }

@@ -4,13 +4,13 @@
 use super::data::Observation;
 use super::elbow::gains;
 use super::paired::{Progress, error_ratio, iteration_ratio, iterations};
-use super::random::random;
+use super::random::{random, random_groups};
 use super::records::{Judged, mean_interval, mean_ratio};
 use super::resample::{Interval, LEAST_UNITS};
 use super::run_time::{Watched, median_time};
 use super::scaling::{Scaling, scaling};
 use super::sensors::fewer;
-use super::trial::{Cluster, RANDOM, Set, Trial};
+use super::trial::{Cluster, RANDOM, SPREAD, Set, Trial};
 use metasense_worker::Draw;
 use serde_json::json;
 
@@ -148,6 +148,29 @@ fn random_bodies() {
         initial?.interval
     });
     assert_covers(&[share]);
+}
+
+/// Random bodies of different spread are different questions; the regular bodies are the others of each.
+#[test]
+fn random_bodies_are_told_apart_by_their_spread() {
+    let of = |spread: Option<f64>, seed: u64| {
+        let drawn = spread.into_iter().flat_map(|x| [(RANDOM, json!(seed)), (SPREAD, json!(x))]);
+        let told = drawn.filter(|(path, value)| *path != SPREAD || value != 0.25);
+        let setting = told.map(|(path, value)| (path.to_owned(), value)).collect();
+        let error = 10.0 * (1.0 + spread.unwrap_or_default());
+        Trial { setting, errors: [[None, Some(error)]; 2], ..Trial::default() }
+    };
+    let trials = [of(None, 0), of(Some(0.5), 1), of(Some(0.25), 1), of(Some(0.25), 2)];
+    let [few, both] = [2, 4].map(|count| random_groups(&trials[..count].iter().collect::<Vec<_>>()));
+    assert_eq!(few.iter().map(|group| group.trials.len()).collect::<Vec<_>>(), [2]);
+    let said = both.iter().map(|group| {
+        let [initial, _] = random(&group.trials, Set::Holdout).unwrap().ratios;
+        (group.label.clone(), group.trials.len(), initial.unwrap().ratio)
+    });
+    let said: Vec<(String, usize, f64)> = said.collect();
+    assert!(said[0].0.ends_with("spread = 0.25") && said[1].0.ends_with("spread = 0.5"), "{said:?}");
+    assert!(said[0].1 == 3 && (said[0].2 - 1.25).abs() < 1e-9, "{said:?}");
+    assert!(said[1].1 == 2 && (said[1].2 - 1.5).abs() < 1e-9, "{said:?}");
 }
 
 /// Errors of records are skewed: ln e of standard deviation 0.6, of which 0.5 is the record's under either body.

@@ -162,6 +162,9 @@ pub struct UnderReading {
 /// The seed of a random initial body.
 pub const RANDOM: &str = "body.design.random";
 
+/// How far its nodes are moved.
+pub const SPREAD: &str = "body.design.spread";
+
 /// A trial that is done.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Trial {

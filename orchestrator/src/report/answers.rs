@@ -1,12 +1,12 @@
 //! The answers in words, the best evidence first.
 
-use crate::analysis::data::{DESIGN, Group, SENSORS, groups, observations};
+use crate::analysis::data::{Group, SENSORS, groups, observations};
 use crate::analysis::decision::{Decision, Decisions, decide};
 use crate::analysis::kinds::of_each;
 use crate::analysis::numbers::{distinct, geometric_mean, mean as mean_of};
 use crate::analysis::paired::Ratio;
 use crate::analysis::placed::{Placed, placed};
-use crate::analysis::random::random;
+use crate::analysis::random::{random, random_groups};
 use crate::analysis::sensors::fewer;
 use crate::analysis::tables::{nonlinear, verdict_text};
 use crate::analysis::{Body, Height, Interval, Set, Terms, Trial, Verdict, elbow, paired};
@@ -62,7 +62,7 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
     said.extend(placed(&refs).iter().filter_map(placing));
     said.extend(linear_model(&refs));
     let all: Vec<&Trial> = trials.iter().collect();
-    said.extend(groups(&all, DESIGN).iter().filter_map(random_bodies));
+    said.extend(random_groups(&all).iter().filter_map(random_bodies));
     said
 }
 

@@ -2,12 +2,12 @@
 
 use super::answers::interval;
 use crate::analysis::data::{
-    COMPLEXITY, DESIGN, FREEDOM, Group, SENSORS, TRAINING, groups, levels, observations, places,
+    COMPLEXITY, FREEDOM, Group, SENSORS, TRAINING, groups, levels, observations, places,
 };
 use crate::analysis::kinds::brains;
 use crate::analysis::numbers::{distinct, quantile};
 use crate::analysis::placed::{Level, placed};
-use crate::analysis::random::random;
+use crate::analysis::random::{random, random_groups};
 use crate::analysis::run_time::{mean_history, pareto};
 use crate::analysis::scaling::scaling;
 use crate::analysis::trial::CurvePoint;
@@ -203,7 +203,7 @@ pub fn random_bodies(trials: &[Trial]) -> Option<Figure> {
          sensors, stimuli and training of the network. A dot is a trial. The data also hold the errors of the random \
          bodies after training.",
         vec![],
-        groups(&refs, DESIGN).into_iter().filter_map(picture).collect(),
+        random_groups(&refs).into_iter().filter_map(picture).collect(),
         || Question::Random.answer(trials, Terms::default()),
     )
 }

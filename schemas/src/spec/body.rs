@@ -153,16 +153,28 @@ pub enum Way {
 pub enum Design {
     /// a file, relative to the spec: NPY of α in the order of MODEL.md, or CSV of nodes (`unit,node,x,y`, mm).
     File(std::path::PathBuf),
-    /// `{ random = SEED }`, rotated squares with every node moved at random, projected onto the nearest castable design.
+    /// `{ random = SEED, spread = 0.25 }`, rotated squares with every node moved at random, by at most that part of the spacing,
+    /// projected onto the nearest castable design.
     Random {
         /// The seed.
         random: u64,
+        /// The most that a node is moved by along x and along y, as a part of the spacing.
+        #[serde(default = "quarter", skip_serializing_if = "is_quarter")]
+        spread: f64,
     },
     /// `{ shifts = [ … ] }`, α itself (mm), which is how a trial stores a file's design.
     Shifts {
         /// α, in the order of MODEL.md.
         shifts: Vec<f64>,
     },
+}
+
+fn quarter() -> f64 {
+    0.25
+}
+
+fn is_quarter(spread: &f64) -> bool {
+    *spread == quarter()
 }
 
 /// Sizes and material of a body.

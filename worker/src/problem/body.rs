@@ -472,7 +472,7 @@ fn shown(body: &spec::Body) -> String {
     match &body.design {
         None => "absent".into(),
         Some(Design::File(path)) => path.display().to_string(),
-        Some(Design::Random { random }) => format!("{{ random = {random} }}"),
+        Some(Design::Random { random, spread }) => format!("{{ random = {random}, spread = {spread} }}"),
         Some(Design::Shifts { shifts }) => format!("{} shifts", shifts.len()),
     }
 }
@@ -486,8 +486,11 @@ pub fn initial_design(body: &spec::Body, layout: &Layout, limits: Limits) -> Res
     let wrong = |remedy: String| invalid("body.design", shown(body), remedy);
     match &body.design {
         None => Ok(regular),
-        Some(Design::Random { random }) => Feasible::new(layout, limits, &[])
-            .random_design(&regular, *random)
+        Some(Design::Random { spread, .. }) if !(*spread > 0.0 && *spread <= 1.0) => {
+            Err(wrong("spread must be above 0, at most 1".into()))
+        }
+        Some(Design::Random { random, spread }) => Feasible::new(layout, limits, &[])
+            .random_design(&regular, *random, spread * layout.spacing)
             .ok_or_else(|| wrong("no feasible design was found near the rotated squares".into())),
         Some(Design::Shifts { shifts }) if shifts.len() == layout.design_len() => {
             match shifts.iter().all(|x| x.is_finite()) {

@@ -61,3 +61,18 @@ fn the_mean_history_runs_from_the_last_start_to_the_last_end() {
 fn round_errors_lie_between_where_runs_start_and_where_the_best_ends() {
     assert_eq!(round_errors(&[&[(1.0, 22.0), (2.0, 8.0)], &[(1.0, 18.0), (2.0, 14.0)]]), [20.0, 15.0, 10.0]);
 }
+
+/// Untrained bodies among trained ones: every row of the table has every part, nought where a trial had none.
+#[test]
+fn untrained_trials_have_the_parts_of_the_others_in_the_table() {
+    let of = |iterations: u64, seconds: &[(&'static str, f64)]| Trial {
+        setting: [("optimise.iterations".to_owned(), serde_json::json!(iterations))].into_iter().collect(),
+        seconds: seconds.to_vec(),
+        ..Trial::default()
+    };
+    let all = [of(0, &[("evaluate", 2.0)]), of(9, &[("evaluate", 3.0), ("simulate", 5.0)])];
+    let table = crate::analysis::tables::Question::Seconds.answer(&all, Default::default());
+    assert_eq!(table.columns[2..], ["all", "evaluate", "simulate"]);
+    let cells: Vec<String> = table.rows.iter().map(|row| format!("{:?}", &row[2..])).collect();
+    assert_eq!(cells, ["[Number(2.0), Number(2.0), Number(0.0)]", "[Number(8.0), Number(3.0), Number(5.0)]"]);
+}

@@ -179,10 +179,10 @@ fn random_designs_are_feasible_and_named_by_their_seed() {
     let start = layout.initial_design(ANGLE);
     let mut feasible = Feasible::new(&layout, Limits::default(), &[]);
     let designs: Vec<Vec<f64>> =
-        (0..6).map(|seed| feasible.random_design(&start, seed).expect("a design")).collect();
+        (0..6).map(|seed| feasible.random_design(&start, seed, 3.75).expect("a design")).collect();
     for (seed, design) in designs.iter().enumerate() {
         assert!(feasible.violations(design).is_empty(), "seed {seed}");
-        assert_eq!(Some(design), feasible.random_design(&start, seed as u64).as_ref());
+        assert_eq!(Some(design), feasible.random_design(&start, seed as u64, 3.75).as_ref());
         assert!(designs[..seed].iter().all(|other| distance(design, other) > 10.0));
     }
 }
