@@ -136,3 +136,20 @@ fn shards_survive_their_worker_and_are_not_submitted_twice() {
     assert_eq!(results(&site.bench, "results/tiny.sqlite"), results(&site.bench, "whole.sqlite"));
     assert!(site.says("submit hq tiny.toml").contains("nothing left to do"));
 }
+
+/// A search whose trials are dealt to jobs round by round ends where one run does; it waits for the queue.
+#[test]
+fn a_search_in_jobs_is_the_search() {
+    let Some(mut site) = Site::new() else { return };
+    site.bench.file("tiny.toml", &(TINY.replace("[1, 2]", "[1]") + "placements = 2\n[goal]\nerror = 1e6\n"));
+    site.says("design tiny.toml --db whole.sqlite");
+    site.worker();
+    let said = site.says("submit hq tiny.toml --design --shards 2 --cpus 1 --time 5");
+    assert!(
+        said.contains("submitted: job") && said.contains("the cheapest design that meets 1e6 %"),
+        "{said}"
+    );
+    assert_eq!(results(&site.bench, "results/tiny.sqlite"), results(&site.bench, "whole.sqlite"));
+    let again = site.says("submit hq tiny.toml --design");
+    assert!(!again.contains("submitted: job") && again.contains("the cheapest design"), "{again}");
+}
