@@ -50,10 +50,14 @@ def mean_and_half(values):
     return mean, T975[free] * math.sqrt(sum((x - mean) ** 2 for x in values) / free / len(values))
 
 
+def interval(values, shown):
+    mean, half = mean_and_half(values)
+    return "{} ({} … {})".format(*(short(shown(x)) for x in (mean, mean - half, mean + half)))
+
+
 def with_interval(ratios):
     """The geometric mean of ratios with the 95 % interval of their logarithms."""
-    mean, half = mean_and_half([math.log(x) for x in ratios])
-    return "{} ({} … {})".format(*(short(math.exp(x)) for x in (mean, mean - half, mean + half)))
+    return interval([math.log(x) for x in ratios], math.exp)
 
 
 def change(of):
@@ -331,6 +335,16 @@ def chance_by_three(t):
     return 1 - 2 / math.pi * (angle + math.sin(angle) * math.cos(angle))
 
 
+def rated(all_values, shown, words):
+    """Values by seed with their interval and what they say; a star where one stands beside all others (Holm)."""
+    chances = [chance_by_three(sum(x) / 4 / (spread(x) / 2)) for x in all_values]
+    order, corrected, most = sorted(range(len(chances)), key=chances.__getitem__), {}, 0
+    for rank, n in enumerate(order):
+        corrected[n] = most = max(most, (len(chances) - rank) * chances[n])
+    told = ["open" if chances[n] > 0.05 else words[sum(x) < 0] for n, x in enumerate(all_values)]
+    return [f"{interval(x, shown)}: {told[n]}{'*' if corrected[n] <= 0.05 else ''}" for n, x in enumerate(all_values)]
+
+
 def four_forces_map():
     lines, found = table("four forces map"), []
     for line in lines:
@@ -345,20 +359,81 @@ def four_forces_map():
         seeds = range(131, 135)
         found.append((of, [[ends_of(s, "6", "2") for s in seeds], [spreads(s, lambda e: e) for s in seeds],
                            [spreads(s, math.log) for s in seeds], [ends_of(s, "2", "2") for s in seeds]]))
-    logs = [[math.log(x) for x in ratios] for _, four in found for ratios in four]
-    chances = [chance_by_three(sum(x) / 4 / (spread(x) / 2)) for x in logs]
-    order, corrected, most = sorted(range(len(chances)), key=chances.__getitem__), {}, 0
-    for rank, n in enumerate(order):
-        corrected[n] = most = max(most, (len(chances) - rank) * chances[n])
+    told_of = rated([[math.log(x) for x in ratios] for _, four in found for ratios in four], math.exp, ("holds", "fails"))
     for n, (line, (of, four)) in enumerate(zip(lines, found)):
         main = [row for row in of if row["placement"] not in "45"]
         shares = ends(main)[0][2]
         told = {"confirmed": "holds", "refuted": "fails", "open": "open"}[verdict(shares, 2, False)]
+        yield line[1:], [errors_by_sensors(main), f"{votes_in_words(shares)}: {told}", *told_of[4 * n : 4 * n + 4]]
+
+
+INITIAL, TRAINED = "holdout_error_initial", "holdout_error_optimised"
+
+
+def logs(of, column):
+    """The logarithm of a column's geometric mean, a seed each."""
+    return [math.log(geometric(numbers([row for row in of if row["seed"] == seed], column))) for seed in sorted({row["seed"] for row in of})]
+
+
+def less(one, two):
+    return [a - b for a, b in zip(one, two, strict=True)]
+
+
+def gain(of):
+    return less(logs(of, INITIAL), logs(of, TRAINED))
+
+
+def before_and_after(of):
+    return " → ".join(short(geometric(numbers(of, column))) for column in (INITIAL, TRAINED)) + " %"
+
+
+def random_bodies_map():
+    of = rows("random-bodies-map/trials.csv")
+    spread_of = lambda row: (row["body.design.spread"] or "0.25") if row["body.design.random"] else ""
+    kind = lambda angle, spread: [row for row in of if (row["body.initial_angle"], spread_of(row)) == (angle, spread)]
+    angles, found = ("10.0", "20.0", "30.0", "40.0"), []
+    for angle in angles:
+        regular = logs(kind(angle, ""), INITIAL)
+        found += [gain(kind(angle, "")), *(less(logs(kind(angle, s), INITIAL), regular) for s in ("0.1", "0.25", "0.5"))]
+    told = rated(found, math.exp, ("holds", "fails"))
+    for n, line in enumerate(table("random bodies map")):
+        yield line[1:], [before_and_after(kind(angles[n], "")), *told[4 * n : 4 * n + 4]]
+
+
+def blows_map():
+    lines = table("blows map")
+    blows, of = dict(kind="irregular", roughness="[0.1,0.35]", double="0.25", width="[0.02,0.08]", amplitude="[0.3,1.0]"), {
+        "blows": {}, "smooth": dict(roughness="[0.0,0.0]"), "never twice": dict(double="0.0"),
+        "as wide as pulses": dict(width="[0.06,0.25]"), "as weak as pulses": dict(amplitude="[0.15,0.5]")}
+    of["all four"] = of["smooth"] | of["never twice"] | of["as wide as pulses"] | of["as weak as pulses"]
+    of["pulses"], names = of["all four"] | dict(kind="bell", roughness="", double=""), [line[0] for line in lines]
+    stimuli = lambda name: {f"stimuli__{key}": value for key, value in (blows | of[name]).items()}
+    kind = lambda name, noise: rows("blows-map/trials.csv", **stimuli(name), sensors__noise=noise)
+    gains = {(name, noise): gain(kind(name, noise)) for name in names for noise in ("0.03", "")}
+    told = rated([less(gains[name, noise], gains["blows", noise]) for name, noise in list(gains)[2:]], math.exp, ("more", "less"))
+    for n, (name, line) in enumerate(zip(names, lines, strict=True)):
         cells = []
-        for q, ratios in enumerate(four):
-            rated = "open" if chances[4 * n + q] > 0.05 else "holds" if sum(logs[4 * n + q]) > 0 else "fails"
-            cells.append(f"{with_interval(ratios)}: {rated}{'*' if corrected[4 * n + q] <= 0.05 else ''}")
-        yield line[1:], [errors_by_sensors(main), f"{votes_in_words(shares)}: {told}", *cells]
+        for m, noise in enumerate(("0.03", "")):
+            cells += [before_and_after(kind(name, noise)), interval(gains[name, noise], math.exp), told[2 * (n - 1) + m] if n else ""]
+        yield line[1:], cells
+
+
+def size_map():
+    units = ("16", "36", "64", "100")
+    grows = lambda row: float(row["body.spacing"]) == 15.0
+    kind = lambda way, u: [row for row in rows("size-map/trials.csv", units=u) if u == "36" or grows(row) == (way == "grows")]
+    x = [math.log(int(u)) for u in units]
+    x = [value - sum(x) / 4 for value in x]
+    found = [(way, column) for way in ("grows", "finer") for column in (INITIAL, TRAINED)]
+    slopes = []
+    for way, column in found:
+        errors = [logs(kind(way, u), column) for u in units]
+        slopes.append([sum(a * e[seed] for a, e in zip(x, errors)) / sum(a * a for a in x) for seed in range(len(errors[0]))])
+    told = rated(slopes, lambda value: value, ("fails", "holds"))
+    for (way, column), said, line in zip(found, told, table("size map"), strict=True):
+        errors = ", ".join(short(geometric(numbers(kind(way, u), column))) for u in units) + " %"
+        gains = [interval(gain(kind(way, u)), math.exp) if column == TRAINED else "" for u in ("16", "100")]
+        yield line[1:], [errors, said, *gains]
 
 
 def real_scale():
@@ -395,6 +470,24 @@ def designs():
         met = sum(error <= float(of["requirement"]) for error in errors)
         found.append(f"{short(geometric(errors))}, {short(max(errors))} %; {met} of {len(errors)}" if errors else "")
         yield cells, found
+
+
+def race():
+    for seed, *cells in table("race"):
+        found = []
+        for search in ("design", "halving", "optuna"):
+            [row] = rows("design/race.csv", seed=seed, search=search)
+            design = f"{row['M']}, {row['memory'].strip('[]').replace(',', ' + ')} s, {row['units']}" if row["M"] else "none"
+            found.append(f"{row['cpu_seconds']} s: {design}")
+        yield cells, found
+
+
+def warm_starts():
+    for sensors, *cells in table("warm starts"):
+        kinds = [numbers(rows("warm-starts.csv", sensors=sensors, steps=steps, start=start), "optimised")
+                 for steps, start in (("30", "cold"), ("30", "warm"), ("60", "cold"))]
+        ratios = [with_interval([warm / cold for warm, cold in zip(kinds[1], over, strict=True)]) for over in (kinds[0], kinds[2])]
+        yield cells, [*(short(geometric(errors)) + " %" for errors in kinds), *ratios]
 
 
 LATTICES = {"squares": "square", "squares, chiral": "chiral", "Kagome's triangles": "kagome", "hexagons": "triangular"}
@@ -448,7 +541,7 @@ def relaxing():
         yield line[1:], [cell(*by) for by in [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")]]
 
 
-CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, real_scale, families, families_sensors, pressed, filtered, designs, relaxing]
+CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, random_bodies_map, blows_map, size_map, real_scale, families, families_sensors, pressed, filtered, designs, race, warm_starts, relaxing]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

@@ -150,6 +150,7 @@ fn committed_specs_keep_their_hashes() {
     }
     digests.sort();
     insta::assert_snapshot!(digests.join("\n"), @r"
+    blows-map d3cdf14623ed2a3e
     brains-two-core 5eb82c6f08db37b1
     design-two-core 5d9f5815f6f2c101
     disc 05cd48334f7ba6b8
@@ -172,9 +173,11 @@ fn committed_specs_keep_their_hashes() {
     pressed db1612c5ed646b46
     quickstart 932ec372654c30ed
     random 1fc0dbba48090cf1
+    random-bodies-map f6bf43a608bfdcd3
     real-scale a24e0292c7de791c
     reference f69dce36048b28bd
     robust-two-core 9ce3fa9d9ca2fd6a
+    size-map 21a675451ef496ae
     transfer fb5577499f8e180e
     two-forces 434eeb4530862f35
     who-senses 86aea9e1955edf73

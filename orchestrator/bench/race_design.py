@@ -8,6 +8,7 @@ its workers, as recorded there. One worker; pin it to a core.
 """
 import csv
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -33,10 +34,10 @@ class Real(World):
 
     def __init__(self, seed, folder):
         found = json.loads(said("expand", SPEC, f"sweep.seeds=[{seed}]", "--format", "json").stdout)
-        goals = sorted({trial["brain.memory"] for trial in found}, key=self.instants)
+        memories = sorted({trial["brain.memory"] for trial in found}, key=self.instants)
         for trial in found:
             nominal = trial["optimise.objective"] is None
-            trial["cost"] = [trial["sensors"], goals.index(trial["brain.memory"]), trial["units"]]
+            trial["cost"] = [trial["sensors"], memories.index(trial["brain.memory"]), trial["units"]]
             trial["place"] = [trial["sensors"], trial["units"], trial["cost"][1], int(not nominal)]
         super().__init__({"trials": found, "number": seed})
         self.seed, self.folder, self.known = seed, folder, {}
@@ -112,21 +113,29 @@ def ours(seed, limit, folder):
     table = csv.DictReader(said("design", SPEC, *keys, "--db", str(folder / "design.sqlite")).stdout.splitlines())
     chosen = [row for row in table if row["chosen"] == "true"]
     sql = "SELECT sum(cpu_seconds) AS spent FROM attempt"
-    return chosen[0] if chosen else None, metasense.Database(folder / "design.sqlite").query(sql).to_dict()["spent"][0]
+    spent = metasense.Database(folder / "design.sqlite").query(sql).to_dict()["spent"][0]
+    if not chosen:
+        return spent, []
+    memory = re.search(r"brain.memory = (\[.*?\])", chosen[0]["setting"]).group(1)
+    return spent, [chosen[0]["M"], memory, chosen[0]["units"]]
+
+
+def others(seed, search, folder):
+    world = Real(seed, folder)
+    i = search(world)
+    found = world.trials[i] if i is not None else None
+    return world.spent, [found["sensors"], found["brain.memory"], found["units"]] if found else []
 
 
 if __name__ == "__main__":
     limit, out = float(sys.argv[1]), csv.writer(sys.stdout)
     for seed in map(int, sys.argv[2:]):
         place = Path(f"race/{limit:g}-{seed}")
-        chosen, spent = ours(seed, limit, place / "design")
-        row = [chosen["M"], chosen["operations"], chosen["units"]] if chosen else ["", "", ""]
-        out.writerow([f"{limit:g}", seed, "design", f"{spent:.0f}", *row])
-        sys.stdout.flush()
-        for name, search in [("halving", lambda world: halving(world, limit, 3)), ("optuna", lambda world: tpe(world, limit, 8))]:
-            world = Real(seed, place / name)
-            i = search(world)
-            found = world.trials[i] if i is not None else None
-            row = [found["sensors"], found["brain.memory"], found["units"]] if found else ["", "", ""]
-            out.writerow([f"{limit:g}", seed, name, f"{world.spent:.0f}", *row])
+        for name, search in [
+            ("design", lambda folder: ours(seed, limit, folder)),
+            ("halving", lambda folder: others(seed, lambda world: halving(world, limit, 3), folder)),
+            ("optuna", lambda folder: others(seed, lambda world: tpe(world, limit, 8), folder)),
+        ]:
+            spent, found = search(place / name)
+            out.writerow([f"{limit:g}", seed, name, f"{spent:.0f}", *(found or ["", "", ""])])
             sys.stdout.flush()

@@ -1,5 +1,7 @@
 //! The tables of bodies: why training helps, lattices, a press, low-pass and designs.
 
+use std::collections::BTreeSet;
+
 use metasense::analysis::operator::MEASURES;
 use metasense::look::{body, file, legend};
 use metasense::plan::Plan;
@@ -123,6 +125,56 @@ pub fn designs() -> String {
         "8 further seeds: mean, worst; meet it",
     ];
     table(&head, searches.iter().map(line))
+}
+
+/// What searches of one space took, and where they ended.
+pub fn race() -> String {
+    let all = rows("design/race.csv");
+    let seeds: BTreeSet<&str> = all.iter().map(|row| row["seed"].as_str()).collect();
+    let cell = |seed: &str, search: &str| {
+        let row = one(&all, &[("seed", seed), ("search", search)]);
+        match row["M"].as_str() {
+            "" => format!("{} s: none", row["cpu_seconds"]),
+            sensors => {
+                let memory = row["memory"].trim_matches(['[', ']']).replace(',', " + ");
+                format!("{} s: {sensors}, {memory} s, {}", row["cpu_seconds"], row["units"])
+            }
+        }
+    };
+    let line = |seed: &str| {
+        [vec![seed.to_owned()], ["design", "halving", "optuna"].map(|search| cell(seed, search)).to_vec()]
+            .concat()
+    };
+    table(&["seed", "`metasense design`", "halving by thirds", "Optuna"], seeds.into_iter().map(line))
+}
+
+/// Bodies whose training begins at the body that one sensor less has trained.
+pub fn warm_starts() -> String {
+    let all = rows("warm-starts.csv");
+    let line = |sensors: &str| {
+        let error = |steps: &str, start: &str| -> Vec<f64> {
+            let wanted = [("sensors", sensors), ("steps", steps), ("start", start)];
+            of(&all, &wanted).map(|row| number(row, "optimised")).collect()
+        };
+        let kinds =
+            [("30", "cold"), ("30", "warm"), ("60", "cold")].map(|(steps, start)| error(steps, start));
+        let ratio = |over: &[f64]| {
+            let logs: Vec<f64> = kinds[1].iter().zip(over).map(|(warm, cold)| (warm / cold).ln()).collect();
+            with_interval(&logs, f64::exp)
+        };
+        let ratios = [ratio(&kinds[0]), ratio(&kinds[2])];
+        let means = kinds.iter().map(|errors| geometric(errors.iter().copied()) + " %");
+        [vec![sensors.to_owned()], means.collect(), ratios.to_vec()].concat()
+    };
+    let head = [
+        "M",
+        "30 steps from squares",
+        "30 steps from the body of M − 1",
+        "60 steps from squares",
+        "the second by the first",
+        "by the third",
+    ];
+    table(&head, ["2", "3"].map(line))
 }
 
 const LATTICES: [(&str, &str); 4] = [

@@ -1,11 +1,13 @@
-//! Where in the space of scenes is what the paper claims of four forces and few sensors true: `four-forces-map.toml` by its own rules.
+//! Where in the space of scenes is what the paper claims true: the `…-map.toml` specs, each by the rules at its head.
 
-use metasense::analysis::numbers::{deviation, mean};
+use std::collections::BTreeSet;
+
+use metasense::analysis::numbers::{deviation, geometric_mean, mean};
 use metasense::analysis::resample::holm;
 use metasense_worker::chance_above;
 
 use super::elbow_law::{by_fall, curve, errors, verdict, words};
-use super::rows::{Row, number, rows, with_interval};
+use super::rows::{Row, geometric, number, of, rows, with_interval};
 use super::table;
 
 /// The columns that tell settings apart, and the scene in the middle.
@@ -60,8 +62,23 @@ fn chance(values: &[f64]) -> f64 {
     2.0 * chance_above(values.len() - 1, (mean(values).unwrap() / error).abs())
 }
 
+/// Values by seed, shown with their interval and one of two words: above 0, below; a star where one stands beside all others (Holm).
+fn rated(all: &[Vec<f64>], shown: fn(f64) -> f64, words: [&str; 2]) -> Vec<String> {
+    let plain: Vec<f64> = all.iter().map(|values| chance(values)).collect();
+    let corrected = holm(&plain);
+    let cell = |(at, values): (usize, &Vec<f64>)| {
+        let told = match plain[at] <= 0.05 {
+            true => words[usize::from(mean(values).unwrap() < 0.0)],
+            false => "open",
+        };
+        let star = if corrected[at] <= 0.05 { "*" } else { "" };
+        format!("{}: {told}{star}", with_interval(values, shown))
+    };
+    all.iter().enumerate().map(cell).collect()
+}
+
 /// A line a setting: errors, where the fall ends, and four ratios; a star where a ratio stands beside all others (Holm).
-pub fn all() -> String {
+pub fn four_forces() -> String {
     let all = rows("four-forces-map/trials.csv");
     let settings: Vec<(&str, Vec<&Row>)> = SETTINGS
         .iter()
@@ -72,8 +89,7 @@ pub fn all() -> String {
         })
         .collect();
     let found: Vec<[Vec<f64>; 4]> = settings.iter().map(|(_, rows)| ratios(rows)).collect();
-    let chances: Vec<f64> = found.iter().flatten().map(|values| chance(values)).collect();
-    let (corrected, plain) = (holm(&chances), chances);
+    let ratios = rated(&found.concat(), f64::exp, ["holds", "fails"]);
     let line = |(s, (words_of, rows)): (usize, &(&str, Vec<&Row>))| {
         let main = |row: &&&Row| !["4", "5"].contains(&row["placement"].as_str());
         let curve = curve(rows.iter().filter(main).copied(), "optimised");
@@ -83,19 +99,9 @@ pub fn all() -> String {
             "refuted" => "fails",
             open => open,
         };
-        let ratio = |q: usize| {
-            let (values, at) = (&found[s][q], 4 * s + q);
-            let rated = match (plain[at] <= 0.05, mean(values).unwrap() > 0.0) {
-                (false, _) => "open",
-                (true, true) => "holds",
-                (true, false) => "fails",
-            };
-            let star = if corrected[at] <= 0.05 { "*" } else { "" };
-            format!("{}: {rated}{star}", with_interval(values, f64::exp))
-        };
         let mut cells = vec![(*words_of).to_owned(), errors(&curve)];
         cells.push(format!("{}: {told}", words(&votes)));
-        cells.extend((0..4).map(ratio));
+        cells.extend_from_slice(&ratios[4 * s..][..4]);
         cells
     };
     let head = [
@@ -108,4 +114,157 @@ pub fn all() -> String {
         "trained by untrained, two sensors",
     ];
     table(&head, settings.iter().enumerate().map(line))
+}
+
+/// Of rows of a kind the logarithm of a column's geometric mean, a seed each.
+fn logs(rows: &[Row], wanted: &[(&str, &str)], column: &str) -> Vec<f64> {
+    let seeds: BTreeSet<&str> = rows.iter().map(|row| row["seed"].as_str()).collect();
+    let own = |seed| of(rows, wanted).filter(move |row| row["seed"] == seed).map(|row| number(row, column));
+    seeds.into_iter().map(|seed| geometric_mean(&own(seed).collect::<Vec<_>>()).ln()).collect()
+}
+
+/// ln(initial/trained) of rows of a kind, a seed each.
+fn gain(rows: &[Row], wanted: &[(&str, &str)]) -> Vec<f64> {
+    less(logs(rows, wanted, INITIAL), &logs(rows, wanted, TRAINED))
+}
+
+fn less(mut from: Vec<f64>, values: &[f64]) -> Vec<f64> {
+    from.iter_mut().zip(values).for_each(|(a, b)| *a -= b);
+    from
+}
+
+/// Untrained → trained, geometric means of rows of a kind.
+fn before_and_after(rows: &[Row], wanted: &[(&str, &str)]) -> String {
+    let error = |column| geometric(of(rows, wanted).map(|row| number(row, column)));
+    format!("{} → {} %", error(INITIAL), error(TRAINED))
+}
+
+const INITIAL: &str = "holdout_error_initial";
+const TRAINED: &str = "holdout_error_optimised";
+
+/// A line an angle: the regular body, what training makes of it, and random bodies by how far their nodes are moved.
+pub fn random_bodies() -> String {
+    let mut all = rows("random-bodies-map/trials.csv");
+    for row in &mut all {
+        let spread = match (row["body.design.random"].as_str(), row["body.design.spread"].as_str()) {
+            ("", _) => "none",
+            (_, "") => "0.25",
+            (_, spread) => spread,
+        };
+        row.insert("spread".into(), spread.to_owned());
+    }
+    let angles = ["10.0", "20.0", "30.0", "40.0"];
+    let ratios = angles.map(|angle| {
+        let kind = |spread: &'static str| [("body.initial_angle", angle), ("spread", spread)];
+        let regular = logs(&all, &kind("none"), INITIAL);
+        let random = ["0.1", "0.25", "0.5"].map(|spread| less(logs(&all, &kind(spread), INITIAL), &regular));
+        [vec![gain(&all, &kind("none"))], random.to_vec()].concat()
+    });
+    let said = rated(&ratios.concat(), f64::exp, ["holds", "fails"]);
+    let line = |(a, angle): (usize, &str)| {
+        let own = before_and_after(&all, &[("body.initial_angle", angle), ("spread", "none")]);
+        [vec![format!("{}°", angle.trim_end_matches(".0")), own], said[4 * a..][..4].to_vec()].concat()
+    };
+    let head = [
+        "squares turned by",
+        "error, untrained → trained",
+        "untrained by trained",
+        "random by regular, nodes moved by up to 0.1 of the spacing",
+        "0.25",
+        "0.5",
+    ];
+    table(&head, angles.into_iter().enumerate().map(line))
+}
+
+/// What tells the settings of `blows-map.toml` apart.
+const STIMULI: [&str; 5] =
+    ["stimuli.kind", "stimuli.roughness", "stimuli.double", "stimuli.width", "stimuli.amplitude"];
+
+/// These settings, in words.
+const BLOWS: [(&str, [&str; 5]); 7] = [
+    ("blows", ["irregular", "[0.1,0.35]", "0.25", "[0.02,0.08]", "[0.3,1.0]"]),
+    ("smooth", ["irregular", "[0.0,0.0]", "0.25", "[0.02,0.08]", "[0.3,1.0]"]),
+    ("never twice", ["irregular", "[0.1,0.35]", "0.0", "[0.02,0.08]", "[0.3,1.0]"]),
+    ("as wide as pulses", ["irregular", "[0.1,0.35]", "0.25", "[0.06,0.25]", "[0.3,1.0]"]),
+    ("as weak as pulses", ["irregular", "[0.1,0.35]", "0.25", "[0.02,0.08]", "[0.15,0.5]"]),
+    ("all four", ["irregular", "[0.0,0.0]", "0.0", "[0.06,0.25]", "[0.15,0.5]"]),
+    ("pulses", ["bell", "", "", "[0.06,0.25]", "[0.15,0.5]"]),
+];
+
+/// A line a setting: errors, the gain by training, and how much that differs from the gain under blows.
+pub fn blows() -> String {
+    let all = rows("blows-map/trials.csv");
+    let kind = |setting: [&'static str; 5], noise| -> Vec<(&str, &str)> {
+        STIMULI.into_iter().zip(setting).chain([("sensors.noise", noise)]).collect()
+    };
+    let noises = ["0.03", ""];
+    let gains = BLOWS.map(|(_, setting)| noises.map(|noise| gain(&all, &kind(setting, noise))));
+    let changes = gains[1..].iter().flat_map(|own| [0, 1].map(|n| less(own[n].clone(), &gains[0][n])));
+    let said = rated(&changes.collect::<Vec<_>>(), f64::exp, ["more", "less"]);
+    let line = |(s, (words, setting)): (usize, (&str, [&'static str; 5]))| {
+        let mut cells = vec![words.to_owned()];
+        for (n, noise) in noises.into_iter().enumerate() {
+            cells.push(before_and_after(&all, &kind(setting, noise)));
+            cells.push(with_interval(&gains[s][n], f64::exp));
+            cells.push(if s == 0 { String::new() } else { said[2 * (s - 1) + n].clone() });
+        }
+        cells
+    };
+    let head = [
+        "forces",
+        "3 % noise: untrained → trained",
+        "gain",
+        "by that under blows",
+        "without noise",
+        "gain",
+        "by that under blows",
+    ];
+    table(&head, BLOWS.into_iter().enumerate().map(line))
+}
+
+/// Lines of a body that grows with its units, and of one that is cut finer: errors by units, and slopes of ln(error) on ln(units).
+pub fn sizes() -> String {
+    let mut all = rows("size-map/trials.csv");
+    for row in &mut all {
+        let way = match (row["body.columns"].as_str(), row["body.spacing"].as_str()) {
+            ("6", _) => "both",
+            (_, "15.0") => "grows",
+            _ => "finer",
+        };
+        row.insert("way".into(), way.to_owned());
+    }
+    let units = ["16", "36", "64", "100"];
+    let x = units.map(|units| units.parse::<f64>().unwrap().ln());
+    let centred = x.map(|value| value - mean(&x).unwrap());
+    let power: f64 = centred.iter().map(|x| x * x).sum();
+    let kind = |way, units| [("way", if units == "36" { "both" } else { way }), ("units", units)];
+    let lines = [
+        ["grows", INITIAL, "units of 15 mm, untrained"],
+        ["grows", TRAINED, "units of 15 mm, trained"],
+        ["finer", INITIAL, "90 mm, cut finer, untrained"],
+        ["finer", TRAINED, "90 mm, cut finer, trained"],
+    ];
+    let slopes = lines.map(|[way, column, _]| {
+        let errors = units.map(|units| logs(&all, &kind(way, units), column));
+        let slope = |seed: usize| centred.iter().zip(&errors).map(|(x, e)| x * e[seed]).sum::<f64>() / power;
+        (0..errors[0].len()).map(slope).collect::<Vec<f64>>()
+    });
+    let said = rated(&slopes, |x| x, ["fails", "holds"]);
+    let line = |([way, column, words], said): ([&'static str; 3], String)| {
+        let error = |units| geometric(of(&all, &kind(way, units)).map(|row| number(row, column)));
+        let gains = ["16", "100"].map(|units| match column {
+            TRAINED => with_interval(&gain(&all, &kind(way, units)), f64::exp),
+            _ => String::new(),
+        });
+        let errors = units.map(error).join(", ") + " %";
+        [vec![words.to_owned(), errors, said], gains.to_vec()].concat()
+    };
+    let head = [
+        "",
+        "error with 16, 36, 64, 100 units",
+        "slope of ln(error) on ln(units)",
+        "gain with 16",
+        "with 100",
+    ];
+    table(&head, lines.into_iter().zip(said).map(line))
 }
