@@ -118,7 +118,7 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
         (
             "rows = 6",
             "design = 7",
-            "a.toml:4: body.design = 7: must be a text in quotes, a table { random } or a table { shifts }",
+            "a.toml:4: body.design = 7: must be a text in quotes, a table { random, spread } or a table { shifts }",
         ),
         (
             "\"body.columns\" = [5, 6]",
