@@ -212,9 +212,9 @@ fn there_is(program: &str) -> bool {
 }
 
 /// A linear brain with a memory, one whose far lags share weights, the paper's network, one that is dilated and looks back alone, and
-/// networks on linear brains, as C, in floats and in integers: each says what it said in the trial, reading by reading, floats to a few parts in 10⁵, integers
-/// to the bit; with another bias its own test fails; what is neither is refused. On a Cortex-M4 in QEMU it says the same, in the
-/// constants and the memory that its head states.
+/// networks on linear brains, as C, in floats and in integers: each says what it said in the trial, reading by reading, floats to a
+/// few parts in 10⁵, integers to the bit; with another bias its own test fails; what is neither is refused. On a Cortex-M4 in QEMU it
+/// says the same, in the constants and the memory that its head states.
 #[test]
 fn a_brain_in_c_says_what_it_said_in_the_trial() {
     let bench = Bench::new();

@@ -168,7 +168,7 @@ async fn fill(db: &Path) {
     }
     for seed in 1..=3 {
         let mut random = trial(trials.len(), (6, 6), 2, 1, 0);
-        random.spec.body.design = Some(Design::Random { random: seed, spread: 0.25 });
+        random.spec.body.design = Some(Design::Random { random: seed, spread: Design::SPREAD });
         trials.push((random, 45.0, 9.0));
     }
     for (trial, ..) in trials.iter_mut().filter(|t| (t.0.units, t.0.spec.body.design.is_none()) == (36, true))

@@ -29,6 +29,12 @@ def said(*arguments):
     return found
 
 
+def spent(folder):
+    """CPU seconds of the workers, by all databases of a folder."""
+    sql = "SELECT coalesce(sum(cpu_seconds), 0) AS spent FROM attempt"
+    return sum(metasense.Database(file).query(sql).to_dict()["spent"][0] for file in folder.glob("*.sqlite"))
+
+
 class Real(World):
     """The space of a seed, and a folder in which it is looked at."""
 
@@ -46,12 +52,6 @@ class Real(World):
     @staticmethod
     def instants(memory):
         return sum(json.loads(memory))
-
-    @property
-    def spent(self):
-        sql = "SELECT coalesce(sum(cpu_seconds), 0) AS spent FROM attempt"
-        each = [metasense.Database(file).query(sql).to_dict()["spent"][0] for file in self.folder.glob("*.sqlite")]
-        return sum(each)
 
     def keys(self, i, seeds, iterations, design=None):
         trial = self.trials[i]
@@ -112,19 +112,17 @@ def ours(seed, limit, folder):
     keys = [f"sweep.seeds=[{seed}]", f"goal.error={limit:g}", "--workers", "1", "--format", "csv"]
     table = csv.DictReader(said("design", SPEC, *keys, "--db", str(folder / "design.sqlite")).stdout.splitlines())
     chosen = [row for row in table if row["chosen"] == "true"]
-    sql = "SELECT sum(cpu_seconds) AS spent FROM attempt"
-    spent = metasense.Database(folder / "design.sqlite").query(sql).to_dict()["spent"][0]
     if not chosen:
-        return spent, []
+        return []
     memory = re.search(r"brain.memory = (\[.*?\])", chosen[0]["setting"]).group(1)
-    return spent, [chosen[0]["M"], memory, chosen[0]["units"]]
+    return [chosen[0]["M"], memory, chosen[0]["units"]]
 
 
 def others(seed, search, folder):
     world = Real(seed, folder)
     i = search(world)
     found = world.trials[i] if i is not None else None
-    return world.spent, [found["sensors"], found["brain.memory"], found["units"]] if found else []
+    return [found["sensors"], found["brain.memory"], found["units"]] if found else []
 
 
 if __name__ == "__main__":
@@ -136,6 +134,6 @@ if __name__ == "__main__":
             ("halving", lambda folder: others(seed, lambda world: halving(world, limit, 3), folder)),
             ("optuna", lambda folder: others(seed, lambda world: tpe(world, limit, 8), folder)),
         ]:
-            spent, found = search(place / name)
-            out.writerow([f"{limit:g}", seed, name, f"{spent:.0f}", *(found or ["", "", ""])])
+            found = search(place / name)
+            out.writerow([f"{limit:g}", seed, name, f"{spent(place / name):.0f}", *(found or ["", "", ""])])
             sys.stdout.flush()

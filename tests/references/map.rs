@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 
 use metasense::analysis::numbers::{deviation, geometric_mean, mean};
 use metasense::analysis::resample::holm;
+use metasense_schemas::spec::Design;
 use metasense_worker::chance_above;
 
 use super::elbow_law::{by_fall, curve, errors, verdict, words};
@@ -116,6 +117,15 @@ pub fn four_forces() -> String {
     table(&head, settings.iter().enumerate().map(line))
 }
 
+/// Rows with one column more, made of the others.
+fn with_column(mut rows: Vec<Row>, name: &str, of: impl Fn(&Row) -> String) -> Vec<Row> {
+    for row in &mut rows {
+        let cell = of(row);
+        row.insert(name.to_owned(), cell);
+    }
+    rows
+}
+
 /// Of rows of a kind the logarithm of a column's geometric mean, a seed each.
 fn logs(rows: &[Row], wanted: &[(&str, &str)], column: &str) -> Vec<f64> {
     let seeds: BTreeSet<&str> = rows.iter().map(|row| row["seed"].as_str()).collect();
@@ -144,15 +154,12 @@ const TRAINED: &str = "holdout_error_optimised";
 
 /// A line an angle: the regular body, what training makes of it, and random bodies by how far their nodes are moved.
 pub fn random_bodies() -> String {
-    let mut all = rows("random-bodies-map/trials.csv");
-    for row in &mut all {
-        let spread = match (row["body.design.random"].as_str(), row["body.design.spread"].as_str()) {
-            ("", _) => "none",
-            (_, "") => "0.25",
-            (_, spread) => spread,
-        };
-        row.insert("spread".into(), spread.to_owned());
-    }
+    let spread = |row: &Row| match (row["body.design.random"].as_str(), row["body.design.spread"].as_str()) {
+        ("", _) => "none".to_owned(),
+        (_, "") => Design::SPREAD.to_string(),
+        (_, spread) => spread.to_owned(),
+    };
+    let all = with_column(rows("random-bodies-map/trials.csv"), "spread", spread);
     let angles = ["10.0", "20.0", "30.0", "40.0"];
     let ratios = angles.map(|angle| {
         let kind = |spread: &'static str| [("body.initial_angle", angle), ("spread", spread)];
@@ -224,15 +231,12 @@ pub fn blows() -> String {
 
 /// Lines of a body that grows with its units, and of one that is cut finer: errors by units, and slopes of ln(error) on ln(units).
 pub fn sizes() -> String {
-    let mut all = rows("size-map/trials.csv");
-    for row in &mut all {
-        let way = match (row["body.columns"].as_str(), row["body.spacing"].as_str()) {
-            ("6", _) => "both",
-            (_, "15.0") => "grows",
-            _ => "finer",
-        };
-        row.insert("way".into(), way.to_owned());
-    }
+    let way = |row: &Row| match (row["body.columns"].as_str(), row["body.spacing"].as_str()) {
+        ("6", _) => "both".to_owned(),
+        (_, "15.0") => "grows".to_owned(),
+        _ => "finer".to_owned(),
+    };
+    let all = with_column(rows("size-map/trials.csv"), "way", way);
     let units = ["16", "36", "64", "100"];
     let x = units.map(|units| units.parse::<f64>().unwrap().ln());
     let centred = x.map(|value| value - mean(&x).unwrap());

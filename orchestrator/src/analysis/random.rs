@@ -5,6 +5,7 @@
 
 use std::collections::HashMap;
 
+use metasense_schemas::spec::Design;
 use serde_json::Value;
 
 use super::data::{DESIGN, Group, groups};
@@ -37,7 +38,7 @@ impl Random {
 
 /// Groups of equal setting but for the design, a group for each spread of its random bodies; each has all that are not random.
 pub fn random_groups<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
-    let spread = |t: &Trial| t.setting.get(SPREAD).and_then(Value::as_f64).unwrap_or(0.25);
+    let spread = |t: &Trial| t.setting.get(SPREAD).and_then(Value::as_f64).unwrap_or(Design::SPREAD);
     let split = |group: Group<'a>| {
         let mut spreads: Vec<f64> =
             group.trials.iter().filter(|t| t.starts_random()).map(|t| spread(t)).collect();

@@ -159,7 +159,7 @@ pub enum Design {
         /// The seed.
         random: u64,
         /// The most that a node is moved by along x and along y, as a part of the spacing.
-        #[serde(default = "quarter", skip_serializing_if = "is_quarter")]
+        #[serde(default = "Design::spread", skip_serializing_if = "Design::is_usual")]
         spread: f64,
     },
     /// `{ shifts = [ … ] }`, α itself (mm), which is how a trial stores a file's design.
@@ -169,12 +169,17 @@ pub enum Design {
     },
 }
 
-fn quarter() -> f64 {
-    0.25
-}
+impl Design {
+    /// How far the nodes of a random body are moved where it does not say.
+    pub const SPREAD: f64 = 0.25;
 
-fn is_quarter(spread: &f64) -> bool {
-    *spread == quarter()
+    fn spread() -> f64 {
+        Self::SPREAD
+    }
+
+    fn is_usual(spread: &f64) -> bool {
+        *spread == Self::SPREAD
+    }
 }
 
 /// Sizes and material of a body.
