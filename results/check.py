@@ -483,8 +483,9 @@ def race():
 
 
 def warm_starts():
-    for sensors, *cells in table("warm starts"):
-        kinds = [numbers(rows("warm-starts.csv", sensors=sensors, steps=steps, start=start), "optimised")
+    for sensors, other, *cells in table("warm starts"):
+        file = "warm-units.csv" if "tied" in other else "warm-starts.csv"
+        kinds = [numbers(rows(file, sensors=sensors, steps=steps, start=start), "optimised")
                  for steps, start in (("30", "cold"), ("30", "warm"), ("60", "cold"))]
         ratios = [with_interval([warm / cold for warm, cold in zip(kinds[1], over, strict=True)]) for over in (kinds[0], kinds[2])]
         yield cells, [*(short(geometric(errors)) + " %" for errors in kinds), *ratios]

@@ -148,10 +148,10 @@ pub fn race() -> String {
     table(&["seed", "`metasense design`", "halving by thirds", "Optuna"], seeds.into_iter().map(line))
 }
 
-/// Bodies whose training begins at the body that one sensor less has trained.
+/// Bodies whose training begins at a body that fewer sensors, or fewer parameters, have trained.
 pub fn warm_starts() -> String {
-    let all = rows("warm-starts.csv");
-    let line = |sensors: &str| {
+    let line = |(begun, file, sensors): (&str, &str, &str)| {
+        let all = rows(file);
         let error = |steps: &str, start: &str| -> Vec<f64> {
             let wanted = [("sensors", sensors), ("steps", steps), ("start", start)];
             of(&all, &wanted).map(|row| number(row, "optimised")).collect()
@@ -164,17 +164,23 @@ pub fn warm_starts() -> String {
         };
         let ratios = [ratio(&kinds[0]), ratio(&kinds[2])];
         let means = kinds.iter().map(|errors| geometric(errors.iter().copied()) + " %");
-        [vec![sensors.to_owned()], means.collect(), ratios.to_vec()].concat()
+        [vec![sensors.to_owned(), begun.to_owned()], means.collect(), ratios.to_vec()].concat()
     };
     let head = [
         "M",
+        "the other body",
         "30 steps from squares",
-        "30 steps from the body of M − 1",
+        "30 steps from the other body",
         "60 steps from squares",
         "the second by the first",
         "by the third",
     ];
-    table(&head, ["2", "3"].map(line))
+    let begun = [
+        ("that of one sensor", "warm-starts.csv", "2"),
+        ("that of two sensors", "warm-starts.csv", "3"),
+        ("shifts tied by 2 × 2 cells", "warm-units.csv", "2"),
+    ];
+    table(&head, begun.map(line))
 }
 
 const LATTICES: [(&str, &str); 4] = [
