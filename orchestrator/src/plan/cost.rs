@@ -143,10 +143,9 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
     let batch = optimise.batch.unwrap_or(stimuli.test) as f64;
     let going = optimise.brain_iterations.unwrap_or_default() as f64 * ITERATION * forward;
     let differentiate = batch * one_sample * (1.0 + REVERSE);
-    // By the coarse integrator mostly, and now and then the test set by the other
+    // By the coarse integrator, and now and then the test set by the other
     let coarse = sample_by(optimise.coarse.unwrap_or(trial.solver));
-    let fresh =
-        batch * (0.9 * coarse + 0.1 * one_sample) * (1.0 + REVERSE) + 0.1 * stimuli.test as f64 * one_sample;
+    let fresh = batch * coarse * (1.0 + REVERSE) + 0.1 * stimuli.test as f64 * one_sample;
     let casts = optimise.casts.unwrap_or(1) as f64;
     let solve = STEP_FACTORS * factor(unknowns(trial, trial.brain.memory)) / pace.factor;
     let step = match optimise.protocol {

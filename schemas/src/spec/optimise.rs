@@ -299,8 +299,8 @@ pub struct Optimise {
     /// Adam's learning rate of these iterations. Unit: 1. Default: 1e-3.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub brain_learning_rate: Option<f64>,
-    /// A cheaper integrator for the first nine tenths of the outer steps, for `"joint"` and `"envelope"`. Default:
-    /// `{ method = "auto", tolerance = 0.03 }` for `"joint"`, none for `"envelope"`.
+    /// A cheaper integrator for the outer steps, for `"joint"` and `"envelope"`; looks at the test set and the comparison have
+    /// the other. Default: `{ method = "auto", tolerance = 0.03 }` for `"joint"`, none for `"envelope"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coarse: Option<Solver>,
     /// `[p, q]`: the nodes of p × q cells move together, those of each direction of ligaments apart, which leaves fewer design

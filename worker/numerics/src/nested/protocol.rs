@@ -107,7 +107,7 @@ impl<'a> Session<'a> {
     /// The training loss at its minimum over β moves with α as at fixed β: no implicit term.
     fn envelope(&mut self, state: &mut State, going: Going, log: &mut Log) -> Result<Sensed, Trouble> {
         let (trial, some) = (self.trial, self.subset(state.step, going));
-        let (sets, solver) = ([&trial.train, &some], self.solver(state.step));
+        let (sets, solver) = ([&trial.train, &some], self.solver());
         let [train, some] = self.simulate(state, sets, [false, true], solver, log)?;
         let loss_train = self.fit(FitOn::GoOn(&train.samples), state, log)?;
         let (_, gradient) = self.gradient(&some, Loss::Training, log)?;
@@ -242,10 +242,10 @@ impl<'a> Session<'a> {
         )
     }
 
-    /// The integrator of a step that a going brain moves far.
-    fn solver(&self, step: u32) -> Solver {
+    /// The integrator of the steps of a going brain.
+    fn solver(&self) -> Solver {
         let problem = &self.trial.problem;
-        problem.optimise.solver_of(step, problem.solver)
+        problem.optimise.coarse.unwrap_or(problem.solver)
     }
 
     /// Fits the brain, and checks that its training loss (normalised) is in line with those of the bodies before.
@@ -369,7 +369,7 @@ impl<'a> Session<'a> {
         keep_tape: bool,
         log: &mut Log,
     ) -> Result<Vec<Response>, Trouble> {
-        let (trial, solver) = (self.trial, self.solver(step));
+        let (trial, solver) = (self.trial, self.solver());
         let casts = trial.problem.optimise.casting.map_or(1, |casting| casting.casts as u64);
         let over_parts = trial.problem.optimise.casting.is_some_and(|casting| casting.over == Over::Parts);
         let mut responses = Vec::with_capacity(casts as usize);

@@ -1,14 +1,10 @@
-//! How an outer loop goes over its steps: rates, integrators, looks at the test set, and the part that is done.
+//! How an outer loop goes over its steps: rates, looks at the test set, and the part that is done.
 
-use crate::dynamics::Solver;
 use crate::trial::{CastReader, Optimise, Problem, Protocol};
 
 /// Looks at the test set in a loop, where a protocol does not need it anyway: so many, at least ten steps apart.
 const LOOKS: u32 = 20;
 const APART: u32 = 10;
-
-/// The part of the outer steps for which a coarse integrator serves.
-const COARSE: f64 = 0.9;
 
 /// Outer steps from one look at the test set to the next, of so many.
 pub fn between_looks(steps: u32) -> u32 {
@@ -32,12 +28,6 @@ impl Optimise {
             Protocol::Paper(_) => (0.999, false),
             _ => (0.99, true),
         }
-    }
-
-    /// The integrator of an outer step.
-    pub(super) fn solver_of(&self, step: u32, accurate: Solver) -> Solver {
-        let far = f64::from(step) < COARSE * f64::from(self.iterations);
-        self.coarse.filter(|_| far).unwrap_or(accurate)
     }
 
     /// Whether a step looks at the test set: some do, and the last.
