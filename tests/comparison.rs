@@ -60,7 +60,7 @@ fn number(bench: &Bench, db: &str, sql: &str) -> u64 {
 #[test]
 fn a_stop_on_request_ends_a_comparison_at_once_and_nothing_of_it_is_lost() {
     let bench = Bench::new();
-    bench.file("long.toml", &long("[1]", 32_000));
+    bench.file("long.toml", &long("[1]", 48_000));
     bench.output(&["run", "long.toml", "--db", "whole.sqlite"]);
     let saved = || number(&bench, "s.sqlite", "SELECT length(bytes) FROM checkpoint WHERE step = 4");
     let more_than = |size| {

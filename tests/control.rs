@@ -17,7 +17,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 /// Six trials, and eight.
 fn specs() -> [String; 2] {
-    let long = TINY.replace("iterations = 4\n", "iterations = 35\n");
+    let long = TINY.replace("iterations = 4\n", "iterations = 70\n");
     ["[1, 2, 3]", "[1, 2, 3, 4]"].map(|seeds| long.replace("[1, 2]", &format!("[1, 2]\nseeds = {seeds}")))
 }
 
@@ -110,7 +110,7 @@ fn bench() -> Bench {
 /// The same, with trials that none of the tests ends.
 fn endless() -> Bench {
     let bench = Bench::new();
-    bench.file("s.toml", &specs()[0].replace("iterations = 35", "iterations = 10000"));
+    bench.file("s.toml", &specs()[0].replace("iterations = 70", "iterations = 10000"));
     bench
 }
 
