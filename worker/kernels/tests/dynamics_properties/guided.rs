@@ -45,7 +45,8 @@ fn guides_on_a_mirror_change_nothing() {
                 let (x, v) = run.tape.as_ref().unwrap().state(1, 20);
                 (run.signals, gradient.forces.expect("asked for"), x, v)
             });
-            let near = if precision == Precision::Single { 1e-4 } else { 1e-7 };
+            // each run of f32 has rounding of its own, 1.4e-4 of signals (MODEL.md)
+            let near = if precision == Precision::Single { 2e-4 } else { 1e-7 };
             let off = [relative(&held.0, &free.0), relative(&held.1, &free.1)];
             assert!(off.iter().all(|off| *off < near), "{method:?} {precision:?}: {off:?}");
             for unit in [1, 4, 7, 10] {
