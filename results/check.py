@@ -472,6 +472,25 @@ def designs():
         yield cells, found
 
 
+def paper_protocol():
+    for seed, *cells in table("paper protocol"):
+        found = []
+        for network in "01":
+            for error in ("error_test", "error_holdout"):
+                [initial], [trained] = (numbers(rows("fig2/networks.csv", seed=seed, network=network, body=body), error)
+                                        for body in ("initial", "optimised"))
+                found.append(f"{short(initial)} → {short(trained)} %, {short(initial / trained)}")
+        tested = rows("fig2/samples.csv", seed=seed)
+        found.append(f"{sum(a > b for a, b in zip(numbers(tested, 'error_initial'), numbers(tested, 'error_optimised')))} of {len(tested)}")
+        for value in ("loss", "error_holdout"):
+            curves = [[(int(row["iteration"]), float(row[value])) for row in rows("fig2/curves.csv", seed=seed, body=body)]
+                      for body in ("initial", "optimised")]
+            target = max(min(at for _, at in curve) for curve in curves)
+            initial, trained = (min(iteration for iteration, at in curve if at <= target) for curve in curves)
+            found.append(short(initial / trained))
+        yield cells, found
+
+
 def race():
     for seed, *cells in table("race"):
         found = []
@@ -542,7 +561,7 @@ def relaxing():
         yield line[1:], [cell(*by) for by in [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")]]
 
 
-CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, random_bodies_map, blows_map, size_map, real_scale, families, families_sensors, pressed, filtered, designs, race, warm_starts, relaxing]
+CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, random_bodies_map, blows_map, size_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, race, warm_starts, relaxing]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

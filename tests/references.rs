@@ -78,6 +78,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("size map", map::sizes),
     ("claims", claims::claims),
     ("sensors", brains::sensors),
+    ("paper protocol", claims::paper_protocol),
     ("evaluate", claims::evaluate),
     ("protocols", claims::protocols),
     ("downhill", claims::downhill),
