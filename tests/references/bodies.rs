@@ -1,14 +1,12 @@
 //! The tables of bodies: why training helps, lattices, a press, low-pass and designs.
 
-use std::collections::BTreeSet;
-
 use metasense::analysis::operator::MEASURES;
 use metasense::look::{body, file, legend};
 use metasense::plan::Plan;
 use metasense::report::body::sketch;
 use metasense_worker::replay::drawing;
 
-use super::rows::{Row, geometric, number, of, one, ratio, rows, short, with_interval};
+use super::rows::{Row, geometric, number, of, one, ratio, rows, seeds, short, with_interval};
 use super::table;
 
 /// What the sensors of initial and trained bodies can tell, in geometric means over seeds.
@@ -130,7 +128,6 @@ pub fn designs() -> String {
 /// What searches of one space took, and where they ended.
 pub fn race() -> String {
     let all = rows("design/race.csv");
-    let seeds: BTreeSet<&str> = all.iter().map(|row| row["seed"].as_str()).collect();
     let cell = |seed: &str, search: &str| {
         let row = one(&all, &[("seed", seed), ("search", search)]);
         match row["M"].as_str() {
@@ -145,7 +142,7 @@ pub fn race() -> String {
         [vec![seed.to_owned()], ["design", "halving", "optuna"].map(|search| cell(seed, search)).to_vec()]
             .concat()
     };
-    table(&["seed", "`metasense design`", "halving by thirds", "Optuna"], seeds.into_iter().map(line))
+    table(&["seed", "`metasense design`", "halving by thirds", "Optuna"], seeds(&all).into_iter().map(line))
 }
 
 /// Bodies whose training begins at a body that fewer sensors, or fewer parameters, have trained.

@@ -1,12 +1,10 @@
 //! The tables of the paper's claims and protocols.
 
-use std::collections::BTreeSet;
-
 use metasense::analysis::paired::iteration_ratio;
 use serde_json::Value;
 
 use super::brains::with;
-use super::rows::{Row, lines, number, of, one, percent, ratio, rows, short};
+use super::rows::{Row, lines, number, of, one, percent, ratio, rows, seeds, short};
 use super::table;
 
 /// The verdict of a brain on a claim: the ratio, or what the row says in words.
@@ -80,7 +78,6 @@ pub fn evaluate() -> String {
 pub fn paper_protocol() -> String {
     let [networks, curves, samples] =
         ["networks", "curves", "samples"].map(|name| rows(&format!("fig2/{name}.csv")));
-    let seeds: BTreeSet<&str> = networks.iter().map(|row| row["seed"].as_str()).collect();
     let line = |seed: &str| {
         let error = |network: &str, set: &str| {
             let of_body = |body: &str| {
@@ -118,7 +115,7 @@ pub fn paper_protocol() -> String {
         "fewer iterations to equal training loss",
         "to equal holdout error",
     ];
-    table(&head, seeds.into_iter().map(line))
+    table(&head, seeds(&networks).into_iter().map(line))
 }
 
 /// Error against run time, protocol by protocol.

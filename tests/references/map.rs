@@ -1,14 +1,12 @@
 //! Where in the space of scenes is what the paper claims true: the `…-map.toml` specs, each by the rules at its head.
 
-use std::collections::BTreeSet;
-
 use metasense::analysis::numbers::{deviation, geometric_mean, mean};
 use metasense::analysis::resample::holm;
 use metasense_schemas::spec::Design;
 use metasense_worker::chance_above;
 
 use super::elbow_law::{by_fall, curve, errors, verdict, words};
-use super::rows::{Row, geometric, number, of, rows, with_interval};
+use super::rows::{Row, geometric, number, of, rows, seeds, with_interval};
 use super::table;
 
 /// The columns that tell settings apart, and the scene in the middle.
@@ -128,9 +126,8 @@ fn with_column(mut rows: Vec<Row>, name: &str, of: impl Fn(&Row) -> String) -> V
 
 /// Of rows of a kind the logarithm of a column's geometric mean, a seed each.
 fn logs(rows: &[Row], wanted: &[(&str, &str)], column: &str) -> Vec<f64> {
-    let seeds: BTreeSet<&str> = rows.iter().map(|row| row["seed"].as_str()).collect();
     let own = |seed| of(rows, wanted).filter(move |row| row["seed"] == seed).map(|row| number(row, column));
-    seeds.into_iter().map(|seed| geometric_mean(&own(seed).collect::<Vec<_>>()).ln()).collect()
+    seeds(rows).into_iter().map(|seed| geometric_mean(&own(seed).collect::<Vec<_>>()).ln()).collect()
 }
 
 /// ln(initial/trained) of rows of a kind, a seed each.

@@ -1,6 +1,6 @@
 //! The rows that are committed, and their numbers in words. A number is rounded once, here.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use metasense::analysis::numbers::{deviation, geometric_mean, mean};
 use metasense_worker::student;
@@ -23,6 +23,11 @@ pub(super) fn rows(file: &str) -> Vec<Row> {
 /// Rows whose cells are these.
 pub(super) fn of<'a>(rows: &'a [Row], wanted: &'a [(&str, &str)]) -> impl Iterator<Item = &'a Row> {
     rows.iter().filter(|row| wanted.iter().all(|(name, cell)| row[*name] == *cell))
+}
+
+/// Seeds, each once, in order of their digits.
+pub(super) fn seeds(rows: &[Row]) -> BTreeSet<&str> {
+    rows.iter().map(|row| row["seed"].as_str()).collect()
 }
 
 /// The only row whose cells are these.

@@ -64,7 +64,7 @@ pub struct Optimise {
     pub iterations: u32,
     /// Adam's rate on α (mm); of a search the standard deviation of its first candidates.
     pub rate: f64,
-    /// A cheaper integrator for the steps that move the body far; the accurate one finishes. `joint` and `envelope`.
+    /// A cheaper integrator for the outer steps; looks at the test set have the accurate one. `joint` and `envelope`.
     pub coarse: Option<Solver>,
     /// Casts whose errors move the body; `None`: the body as designed. `joint`.
     pub casting: Option<Casting>,
