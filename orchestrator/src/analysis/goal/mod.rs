@@ -118,9 +118,11 @@ struct Seeds {
     /// Standard deviation of that, and of ln error from seed to seed.
     about: f64,
     between: f64,
-    /// Degrees of freedom of the former.
+    /// Degrees of freedom of both.
     freedom: usize,
-    /// The greatest mean ln error with which a body stands.
+    freedom_between: usize,
+    /// Fresh seeds that are asked for at most, and the greatest mean ln error over them with which a body stands.
+    most: usize,
     limit: f64,
 }
 
@@ -142,12 +144,19 @@ impl Seeds {
         let (between, most) = (pooled(squares, freedom), 2 * goal.fresh);
         let sure = if goal.confidence > 0.5 { student_above(most - 1, 1.0 - goal.confidence) } else { 0.0 };
         let limit = goal.error.ln() - sure * between * (1.0 + 1.0 / most as f64).sqrt();
-        Self { shift, about, between, freedom: FREEDOM + shifts.len(), limit }
+        let [freedom, freedom_between] = [shifts.len(), freedom].map(|seen| FREEDOM + seen);
+        Self { shift, about, between, freedom, freedom_between, most, limit }
     }
 
     /// Probability that a body of this ln result has a mean on fresh seeds with which it stands.
     fn stands(&self, result: f64) -> f64 {
         1.0 - chance_above(self.freedom, (self.limit - self.shift - result) / self.about)
+    }
+
+    /// Probability that a body of these errors (%) on fresh seeds stands once it is judged on as many as are asked for at most.
+    fn will_stand(&self, fresh: &[f64]) -> f64 {
+        let apart = self.between * (1.0 / fresh.len() as f64 - 1.0 / self.most as f64).sqrt();
+        1.0 - chance_above(self.freedom_between, (self.limit - of_seeds(fresh).0) / apart)
     }
 
     /// Probability that it has at most this ln error on a further seed.
@@ -156,11 +165,11 @@ impl Seeds {
     }
 }
 
-/// A candidate on fresh seeds: not judged yet, or with what probability it meets the requirement, and whether that is final.
+/// A candidate on fresh seeds: not judged yet, on too few, or with what probability it meets the requirement on a further one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Judgement {
     None,
-    More(f64),
+    More,
     Final(f64),
 }
 
@@ -171,7 +180,7 @@ fn judged(goal: &Goal, candidate: &Candidate) -> Judgement {
     }
     let chance = chance_below(goal.error, fresh);
     let decides = !(1.0 - goal.confidence..goal.confidence).contains(&chance);
-    if decides || fresh.len() >= 2 * goal.fresh { Judgement::Final(chance) } else { Judgement::More(chance) }
+    if decides || fresh.len() >= 2 * goal.fresh { Judgement::Final(chance) } else { Judgement::More }
 }
 
 /// A search, from its beginning on. It sees what it has asked for alone: kills, and whatever else is stored, change no decision.
@@ -251,7 +260,7 @@ struct View<'a> {
     prediction: Prediction,
     seeds: Seeds,
     judgements: Vec<Judgement>,
-    /// Probability that each meets the requirement; of one that was not judged, that it would stand.
+    /// Probability that each meets the requirement; as long as fresh seeds have not decided, that they would.
     prospects: Vec<f64>,
     /// Nothing was seen yet.
     is_blind: bool,
@@ -278,7 +287,8 @@ impl<'a> View<'a> {
     fn meets(&self, i: usize) -> f64 {
         match self.judgements[i] {
             _ if self.candidates[i].failed || self.falls_short(i) => 0.0,
-            Judgement::Final(chance) | Judgement::More(chance) => chance,
+            Judgement::Final(chance) => chance,
+            Judgement::More => self.seeds.will_stand(&self.candidates[i].fresh),
             Judgement::None => self.prediction.chance(|draw| self.seeds.stands(draw[i])),
         }
     }
@@ -331,8 +341,7 @@ impl<'a> View<'a> {
         judged.iter().fold(by_draws, |any, &i| 1.0 - (1.0 - any) * (1.0 - self.prospects[i]))
     }
 
-    /// A first look at settings spread over all costs, one trial each; every third one goes on to its result, as only results
-    /// tell what looks are worth.
+    /// A first look at settings spread over all costs, one trial each.
     fn begin(&self) -> Vec<(usize, Work)> {
         let mut settings: Vec<usize> = Vec::new(); // the first candidate of each, by cost
         for &i in self.classes.iter().flatten() {
@@ -341,14 +350,9 @@ impl<'a> View<'a> {
             }
         }
         let count = settings.len().min(BEGIN);
-        let spread = (0..count).map(|n| {
-            let level = if n % 3 == 0 { LEVELS - 1 } else { 0 };
-            (settings[n * (settings.len() - 1) / (count - 1).max(1)], level)
-        });
-        let lacks = |&(i, level): &(usize, usize)| {
-            self.candidates[i].reached.len() <= level && !self.candidates[i].failed
-        };
-        spread.filter(lacks).map(|(i, level)| (i, Work::Level(level))).collect()
+        let spread = (0..count).map(|n| settings[n * (settings.len() - 1) / (count - 1).max(1)]);
+        let lacks = |i: &usize| self.candidates[*i].reached.is_empty() && !self.candidates[*i].failed;
+        spread.filter(lacks).map(|i| (i, Work::Level(0))).collect()
     }
 
     /// Class by class up to the one that a design stands in, as many candidates as leave little to hope for besides.
@@ -409,7 +413,7 @@ impl<'a> View<'a> {
             stage: stage(candidate),
             error: [middle.exp(), quantile(self.goal.confidence, middle, &*below).exp()],
             meets: match self.judgements[best] {
-                Judgement::None if self.is_open(best) => below(self.goal.error.ln()),
+                Judgement::None | Judgement::More if self.is_open(best) => below(self.goal.error.ln()),
                 _ => self.prospects[best],
             },
             any: if self.stands(best) { any.max(self.prospects[best]) } else { any },
