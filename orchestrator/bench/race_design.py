@@ -109,7 +109,7 @@ class Real(World):
 
 def ours(seed, limit, folder):
     folder.mkdir(parents=True)
-    keys = [f"sweep.seeds=[{seed}]", f"goal.error={limit:g}", "--workers", "1", "--format", "csv"]
+    keys = [f"sweep.seeds=[{seed}]", f"goal.error={limit:g}", "goal.at_a_time=1", "--workers", "1", "--format", "csv"]
     table = csv.DictReader(said("design", SPEC, *keys, "--db", str(folder / "design.sqlite")).stdout.splitlines())
     chosen = [row for row in table if row["chosen"] == "true"]
     if not chosen:
