@@ -81,14 +81,15 @@ pub fn paper_protocol() -> String {
     let [networks, curves, samples] =
         ["networks", "curves", "samples"].map(|name| rows(&format!("fig2/{name}.csv")));
     let errors = |seed: &str, network: &str, set: &str| {
-        BODIES.map(|body| {
-            number(one(&networks, &[("seed", seed), ("network", network), ("body", body)]), set)
-        })
+        BODIES
+            .map(|body| number(one(&networks, &[("seed", seed), ("network", network), ("body", body)]), set))
     };
     let fewer = |seed: &str, value: &str| {
         let [initial, optimised] = BODIES.map(|body| {
             let wanted = [("seed", seed), ("body", body)];
-            of(&curves, &wanted).map(|row| (number(row, "iteration") as u32, number(row, value))).collect::<Vec<_>>()
+            of(&curves, &wanted)
+                .map(|row| (number(row, "iteration") as u32, number(row, value)))
+                .collect::<Vec<_>>()
         });
         iteration_ratio(&initial, &optimised).unwrap()
     };

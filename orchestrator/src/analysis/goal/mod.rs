@@ -128,20 +128,26 @@ struct Seeds {
 
 impl Seeds {
     fn of(goal: &Goal, candidates: &[Candidate]) -> Self {
-        let (mut shifts, mut squares, mut freedom) = (Vec::new(), 0.0, 0);
+        let (mut shifts, mut variances, mut freedom) = (Vec::new(), 0.0, 0);
         for candidate in candidates {
             // a failure is that of one body, and tells nothing of others
             let logs: Vec<f64> = candidate.fresh.iter().filter(|e| **e < FAILED).map(|e| e.ln()).collect();
             let Some(middle) = mean(&logs) else { continue };
-            squares += logs.iter().map(|e| (e - middle).powi(2)).sum::<f64>();
-            freedom += logs.len() - 1;
+            if let Some(deviation) = deviation(&logs) {
+                // by the logarithm, less its bias (that of ln χ²): bodies whose seeds are far apart are held against few others
+                let of = (logs.len() - 1) as f64;
+                variances +=
+                    of * (2.0 * deviation.max(DEVIATION_MIN).ln() + 1.0 / of + 1.0 / (3.0 * of * of));
+                freedom += logs.len() - 1;
+            }
             shifts.extend(candidate.reached.last().copied().flatten().map(|own| middle - own.ln()));
         }
         let shift = shifts.iter().sum::<f64>() / (shifts.len() + 1) as f64;
-        let before = FREEDOM as f64 * DEVIATION * DEVIATION;
-        let pooled = |squares: f64, freedom: usize| ((before + squares) / (FREEDOM + freedom) as f64).sqrt();
-        let about = pooled(shifts.iter().map(|s| (s - shift).powi(2)).sum(), shifts.len());
-        let (between, most) = (pooled(squares, freedom), 2 * goal.fresh);
+        let before = FREEDOM as f64;
+        let squares: f64 = shifts.iter().map(|s| (s - shift).powi(2)).sum();
+        let about = ((before * DEVIATION.powi(2) + squares) / (FREEDOM + shifts.len()) as f64).sqrt();
+        let between = (0.5 * (before * 2.0 * DEVIATION.ln() + variances) / (FREEDOM + freedom) as f64).exp();
+        let most = 2 * goal.fresh;
         let sure = if goal.confidence > 0.5 { student_above(most - 1, 1.0 - goal.confidence) } else { 0.0 };
         let limit = goal.error.ln() - sure * between * (1.0 + 1.0 / most as f64).sqrt();
         let [freedom, freedom_between] = [shifts.len(), freedom].map(|seen| FREEDOM + seen);

@@ -211,3 +211,19 @@ fn failures_end_a_search() {
     let asked: Vec<usize> = follow(&trials).work.iter().map(|(i, _)| *i).collect();
     assert_eq!(asked, [2]);
 }
+
+/// Of three bodies that agree from seed to seed and one that does not, the latter changes little of what is thought of others.
+#[test]
+fn a_body_that_scatters_is_held_against_few_others() {
+    let body = |fresh: [f64; 4]| Candidate {
+        reached: vec![None, None, Some(4.0)],
+        fresh: fresh.to_vec(),
+        ..Candidate::default()
+    };
+    let calm = [4.0, 4.2, 4.4, 4.6].map(|e| body([e, 1.1 * e, 0.9 * e, e]));
+    let between = |bodies: &[Candidate]| Seeds::of(&goal(8.0), bodies).between;
+    assert!((0.06..0.11).contains(&between(&calm[..3])), "{}", between(&calm[..3]));
+    let wild = [&calm[..3], &[body([4.0, 4.0, 4.0, 60.0])]].concat();
+    let ratio = between(&wild) / between(&calm);
+    assert!((1.2..2.0).contains(&ratio), "{ratio}");
+}
