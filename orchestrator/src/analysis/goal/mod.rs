@@ -18,7 +18,7 @@ use super::numbers::{deviation, mean};
 const BEGIN: usize = 8;
 /// Candidates with smaller prospects than this are not worked on. By it a search trades what it takes for how surely the design
 /// is the cheapest one; that it meets the requirement hangs on fresh seeds alone. Chosen on made-up spaces (tests).
-const WORTH: f64 = 0.15;
+const WORTH: f64 = 0.12;
 /// The same as long as no design stands, after so many results and one more for each coordinate.
 const WORTH_LAST: f64 = 0.03;
 const LEAST_RESULTS: usize = 4;
