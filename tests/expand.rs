@@ -157,7 +157,7 @@ fn committed_specs_keep_their_hashes() {
     eight-forces d02373435aeebd1c
     elbow-law dd9ab67d59dd2124
     families a2575320c6450e88
-    fig2 e582672de812b89c
+    fig2 bced9d6dd8d54f61
     fig2-linear 3a1cb407e60bff17
     fig3 bf037e6c8d375f84
     fig4b 688de3edf8cea134
