@@ -128,7 +128,7 @@ struct Seeds {
 
 impl Seeds {
     fn of(goal: &Goal, candidates: &[Candidate]) -> Self {
-        let (mut shifts, mut variances, mut freedom) = (Vec::new(), 0.0, 0);
+        let (mut shifts, mut ln_variances, mut freedom) = (Vec::new(), 0.0, 0); // the second by degrees of freedom
         for candidate in candidates {
             // a failure is that of one body, and tells nothing of others
             let logs: Vec<f64> = candidate.fresh.iter().filter(|e| **e < FAILED).map(|e| e.ln()).collect();
@@ -136,7 +136,7 @@ impl Seeds {
             if let Some(deviation) = deviation(&logs) {
                 // by the logarithm, less its bias (that of ln χ²): bodies whose seeds are far apart are held against few others
                 let of = (logs.len() - 1) as f64;
-                variances +=
+                ln_variances +=
                     of * (2.0 * deviation.max(DEVIATION_MIN).ln() + 1.0 / of + 1.0 / (3.0 * of * of));
                 freedom += logs.len() - 1;
             }
@@ -146,7 +146,8 @@ impl Seeds {
         let before = FREEDOM as f64;
         let squares: f64 = shifts.iter().map(|s| (s - shift).powi(2)).sum();
         let about = ((before * DEVIATION.powi(2) + squares) / (FREEDOM + shifts.len()) as f64).sqrt();
-        let between = (0.5 * (before * 2.0 * DEVIATION.ln() + variances) / (FREEDOM + freedom) as f64).exp();
+        let between =
+            (0.5 * (before * 2.0 * DEVIATION.ln() + ln_variances) / (FREEDOM + freedom) as f64).exp();
         let most = 2 * goal.fresh;
         let sure = if goal.confidence > 0.5 { student_above(most - 1, 1.0 - goal.confidence) } else { 0.0 };
         let limit = goal.error.ln() - sure * between * (1.0 + 1.0 / most as f64).sqrt();
