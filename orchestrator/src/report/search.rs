@@ -8,7 +8,7 @@ use metasense_worker::FAILED;
 use serde_json::Value;
 
 use super::Sweep;
-use crate::analysis::goal::{Candidate, Class, Decision, LEVELS, Search, Stage};
+use crate::analysis::goal::{Candidate, Class, Decision, LEVELS, Search, Stage, most_fresh};
 use crate::analysis::setting::flatten;
 use crate::look::{Answer, Axis, Figure, Picture, Plot, Scale, Table, legend, number};
 use crate::plan::goal::{Place, Space, on_fresh_seed, rungs};
@@ -378,7 +378,7 @@ fn fresh(
     (spec, design): &(TrialSpec, Vec<f64>),
     standings: &HashMap<String, Standing>,
 ) -> Vec<f64> {
-    let told = (0..2 * space.goal.fresh).map_while(|n| {
+    let told = (0..most_fresh(&space.goal)).map_while(|n| {
         let judged = on_fresh_seed(plan, &plan.trials[place.trial], spec, design, n);
         let standing = standings.get(&judged.hash)?;
         match standing.state.as_str() {

@@ -98,6 +98,12 @@ pub struct Decision {
     pub kinship: Option<f64>,
 }
 
+/// Fresh seeds that a body is judged on at most.
+#[must_use]
+pub fn most_fresh(goal: &Goal) -> usize {
+    2 * goal.fresh
+}
+
 /// Probability that the error on a further seed is at most `limit`, by those on fresh ones: Student's t of ln e.
 fn chance_below(limit: f64, fresh: &[f64]) -> f64 {
     let ((mean, deviation), n) = (of_seeds(fresh), fresh.len() as f64);
@@ -128,16 +134,15 @@ struct Seeds {
 
 impl Seeds {
     fn of(goal: &Goal, candidates: &[Candidate]) -> Self {
-        let (mut shifts, mut ln_variances, mut freedom) = (Vec::new(), 0.0, 0); // the second by degrees of freedom
+        let (mut shifts, mut logs_between, mut freedom) = (Vec::new(), 0.0, 0);
         for candidate in candidates {
             // a failure is that of one body, and tells nothing of others
             let logs: Vec<f64> = candidate.fresh.iter().filter(|e| **e < FAILED).map(|e| e.ln()).collect();
             let Some(middle) = mean(&logs) else { continue };
             if let Some(deviation) = deviation(&logs) {
-                // by the logarithm, less its bias (that of ln χ²): bodies whose seeds are far apart are held against few others
+                // by the logarithm, less its bias (that of ln χ): bodies whose seeds are far apart are held against few others
                 let of = (logs.len() - 1) as f64;
-                ln_variances +=
-                    of * (2.0 * deviation.max(DEVIATION_MIN).ln() + 1.0 / of + 1.0 / (3.0 * of * of));
+                logs_between += of * deviation.max(DEVIATION_MIN).ln() + 0.5 + 1.0 / (6.0 * of);
                 freedom += logs.len() - 1;
             }
             shifts.extend(candidate.reached.last().copied().flatten().map(|own| middle - own.ln()));
@@ -146,9 +151,8 @@ impl Seeds {
         let before = FREEDOM as f64;
         let squares: f64 = shifts.iter().map(|s| (s - shift).powi(2)).sum();
         let about = ((before * DEVIATION.powi(2) + squares) / (FREEDOM + shifts.len()) as f64).sqrt();
-        let between =
-            (0.5 * (before * 2.0 * DEVIATION.ln() + ln_variances) / (FREEDOM + freedom) as f64).exp();
-        let most = 2 * goal.fresh;
+        let between = ((before * DEVIATION.ln() + logs_between) / (FREEDOM + freedom) as f64).exp();
+        let most = most_fresh(goal);
         let sure = if goal.confidence > 0.5 { student_above(most - 1, 1.0 - goal.confidence) } else { 0.0 };
         let limit = goal.error.ln() - sure * between * (1.0 + 1.0 / most as f64).sqrt();
         let [freedom, freedom_between] = [shifts.len(), freedom].map(|seen| FREEDOM + seen);
@@ -187,7 +191,7 @@ fn judged(goal: &Goal, candidate: &Candidate) -> Judgement {
     }
     let chance = chance_below(goal.error, fresh);
     let decides = !(1.0 - goal.confidence..goal.confidence).contains(&chance);
-    if decides || fresh.len() >= 2 * goal.fresh { Judgement::Final(chance) } else { Judgement::More }
+    if decides || fresh.len() >= most_fresh(goal) { Judgement::Final(chance) } else { Judgement::More }
 }
 
 /// A search, from its beginning on. It sees what it has asked for alone: kills, and whatever else is stored, change no decision.
@@ -399,7 +403,7 @@ impl<'a> View<'a> {
         match (self.candidates[i].reached.len(), self.judgements[i]) {
             (level, _) if level < LEVELS => Work::Level(level),
             (_, Judgement::None) => Work::Fresh(self.goal.fresh),
-            _ => Work::Fresh(2 * self.goal.fresh),
+            _ => Work::Fresh(most_fresh(self.goal)),
         }
     }
 

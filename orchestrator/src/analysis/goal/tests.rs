@@ -178,7 +178,7 @@ fn kills_and_other_results_change_no_decision() {
     let mut whole = few();
     for i in 0..whole.trials.len() {
         whole.work(i, Work::Level(LEVELS - 1));
-        whole.work(i, Work::Fresh(2 * goal.fresh));
+        whole.work(i, Work::Fresh(most_fresh(&goal)));
     }
     let mut search = Search::new(&goal, few().trials.into_iter());
     assert_eq!(search.follow(&whole.trials), Decision { work: Vec::new(), ..end });
