@@ -176,7 +176,7 @@ fn arrays_are_cut_and_throttled() {
 #[test]
 fn a_shard_that_is_killed_or_requeued_goes_on() {
     let Some(site) = Site::new("a_shard_that_is_killed_or_requeued_goes_on") else { return };
-    std::fs::write(site.home.join("slow.toml"), spec("slow", 80, "[1]")).unwrap();
+    std::fs::write(site.home.join("slow.toml"), spec("slow", 600, "[1]")).unwrap();
     site.says(0, "run slow.toml --db whole.sqlite");
     let log = "results/slow.shards/shard-1-of-1.log";
     site.says(0, "submit slurm slow.toml --shards 1 --cpus 1 --time 5");
