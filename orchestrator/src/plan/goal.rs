@@ -159,7 +159,10 @@ impl Space {
         let named: Vec<&String> =
             sweep.axes.keys().chain(sweep.points.iter().flat_map(|point| point.keys())).collect();
         let (axes, coordinates) = coordinates(&trials, &named);
-        places.iter_mut().zip(coordinates).for_each(|(place, at)| place.candidate.place = at);
+        let looks = looks(&trials);
+        for ((place, at), looks) in places.iter_mut().zip(coordinates).zip(looks) {
+            (place.candidate.place, place.candidate.looks) = (at, looks);
+        }
         Ok(Self { goal, places, left_out, axes })
     }
 }
@@ -291,6 +294,21 @@ fn coordinates(trials: &[&Trial], named: &[&String]) -> (Vec<String>, Vec<Vec<f6
         }
     }
     (axes, (0..trials.len()).map(|i| columns.iter().map(|column: &Vec<f64>| column[i]).collect()).collect())
+}
+
+/// What the rungs of each trial tell, numbered: test errors of the brain within its loop, on the body as designed or over the casts
+/// that it is trained for.
+fn looks(trials: &[&Trial]) -> Vec<usize> {
+    let mut known = Vec::new();
+    let of = |trial: &&Trial| {
+        let optimise = &trial.spec.optimise;
+        let told = (optimise.protocol, optimise.brain, optimise.objective);
+        known.iter().position(|k| *k == told).unwrap_or_else(|| {
+            known.push(told);
+            known.len() - 1
+        })
+    };
+    trials.iter().map(of).collect()
 }
 
 fn scaled(numbers: &[f64]) -> Vec<f64> {

@@ -5,7 +5,8 @@
 //! cov(f_l(x), f_m(x')) = σ_f² ρ^|l−m| exp(−½ Σ_d (x_d − x'_d)²/ℓ_d²)     cov(u_l(i), u_m(i)) = σ_u² ρ^|l−m|
 //! ```
 //! (Rasmussen and Williams 2006, eq. 2.25 f. and 5.8; levels after freeze–thaw, arXiv:1406.3896.) ρ is how far a look at a trial
-//! tells its result: where it is small, cheap looks count for little. Hyperparameters are the most likely ones of a small grid.
+//! tells its result: where it is small, cheap looks count for little. Looks of unlike kinds, at a body as designed or at its casts,
+//! have b_l of their own. Hyperparameters are the most likely ones of a small grid.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
@@ -16,6 +17,15 @@ pub const LEVELS: usize = 3;
 
 /// An observation: trial, level, ln of an error in %.
 pub type Seen = (usize, usize, f64);
+
+/// What is known of a trial before it is seen.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Setting<'a> {
+    /// Coordinates of about 0 … 1.
+    pub place: &'a [f64],
+    /// What its rungs tell: the same number where it is the same quantity. Results always are.
+    pub looks: usize,
+}
 
 /// Values that hyperparameters may have, and the one that they begin with and are drawn to.
 const AMPLITUDE: [f64; 5] = [0.2, 0.4, 0.8, 1.3, 2.0];
@@ -54,20 +64,22 @@ fn hyper(at: &[usize]) -> Hyper {
 
 impl Hyper {
     /// Of two trials at two levels, without the noise of an observation.
-    fn covariance(&self, x: &[Vec<f64>], (i, l): (usize, usize), (j, m): (usize, usize)) -> f64 {
+    fn covariance(&self, x: &[Setting], (i, l): (usize, usize), (j, m): (usize, usize)) -> f64 {
         let distance: f64 = x[i]
+            .place
             .iter()
-            .zip(&x[j])
+            .zip(x[j].place)
             .zip(&self.lengths)
             .map(|((a, b), length)| ((a - b) / length).powi(2))
             .sum();
         let setting = self.amplitude.powi(2) * (-0.5 * distance).exp();
         let own = if i == j { self.own.powi(2) } else { 0.0 };
-        let level = if l == m { OF_LEVEL } else { 0.0 };
+        let alike = l == LEVELS - 1 || x[i].looks == x[j].looks;
+        let level = if l == m && alike { OF_LEVEL } else { 0.0 };
         OF_ALL + level + self.kinship.powi(l.abs_diff(m) as i32) * (setting + own)
     }
 
-    fn factor(&self, x: &[Vec<f64>], seen: &[Seen]) -> Option<Cholesky<f64, Dyn>> {
+    fn factor(&self, x: &[Setting], seen: &[Seen]) -> Option<Cholesky<f64, Dyn>> {
         let of = |a: usize, b: usize| {
             let ((i, l, _), (j, m, _)) = (seen[a], seen[b]);
             self.covariance(x, (i, l), (j, m)) + if a == b { self.noise.powi(2) } else { 0.0 }
@@ -76,7 +88,7 @@ impl Hyper {
     }
 
     /// ln p(y) and what draws the values to the middle of their grids.
-    fn evidence(&self, x: &[Vec<f64>], seen: &[Seen], y: &DVector<f64>) -> f64 {
+    fn evidence(&self, x: &[Setting], seen: &[Seen], y: &DVector<f64>) -> f64 {
         let Some(factor) = self.factor(x, seen) else { return f64::NEG_INFINITY };
         let logs: f64 = factor.l_dirty().diagonal().iter().map(|d| d.ln()).sum();
         -0.5 * y.dot(&factor.solve(y)) - logs
@@ -100,8 +112,8 @@ pub struct Prediction {
 const DRAWS: usize = 500;
 
 impl Prediction {
-    /// Of trials at these places, of which this was seen.
-    pub fn new(x: &[Vec<f64>], seen: &[Seen]) -> Self {
+    /// Of trials of these settings, of which this was seen.
+    pub fn new(x: &[Setting], seen: &[Seen]) -> Self {
         let last = LEVELS - 1;
         let middle = seen.iter().map(|s| s.2).sum::<f64>() / seen.len().max(1) as f64;
         let y = DVector::from_iterator(seen.len(), seen.iter().map(|s| s.2 - middle));
@@ -147,8 +159,8 @@ impl Prediction {
 }
 
 /// The likeliest hyperparameters of the grid, one after the other.
-fn fitted(x: &[Vec<f64>], seen: &[Seen], y: &DVector<f64>) -> Hyper {
-    let mut at = vec![MIDDLE; 4 + x.first().map_or(0, Vec::len)];
+fn fitted(x: &[Setting], seen: &[Seen], y: &DVector<f64>) -> Hyper {
+    let mut at = vec![MIDDLE; 4 + x.first().map_or(0, |trial| trial.place.len())];
     let worth = |at: &[usize]| {
         let far: f64 = at.iter().map(|i| (*i as f64 - MIDDLE as f64).powi(2)).sum();
         hyper(at).evidence(x, seen, y) - PULL * far
@@ -178,8 +190,9 @@ mod tests {
     /// seen, and surer there than far from them; a look at the first rung makes a trial's result surer.
     #[test]
     fn results_are_predicted_from_looks() {
-        let x: Vec<Vec<f64>> = (0..9).map(|i| vec![f64::from(i) / 8.0]).collect();
-        let truth = |i: usize| 1.0 + x[i][0];
+        let places: Vec<[f64; 1]> = (0..9).map(|i| [f64::from(i) / 8.0]).collect();
+        let x: Vec<Setting> = places.iter().map(|place| Setting { place, looks: 0 }).collect();
+        let truth = |i: usize| 1.0 + places[i][0];
         let mut seen: Vec<Seen> =
             [0, 2, 6, 8].iter().flat_map(|&i| [(i, 0, truth(i) + 0.5), (i, 2, truth(i))]).collect();
         let before = Prediction::new(&x, &seen);
@@ -199,7 +212,7 @@ mod tests {
     #[test]
     fn looks_that_tell_nothing_count_for_little() {
         let mut draw = Draw::numbered(3, 1);
-        let x: Vec<Vec<f64>> = (0..60).map(|_| vec![0.0]).collect();
+        let x = vec![Setting { place: &[0.0], looks: 0 }; 60];
         let seen: Vec<Seen> =
             (0..59).flat_map(|i| [(i, 0, draw.normal()), (i, 2, 0.5 * draw.normal())]).collect();
         let shown = |first: f64| {
@@ -210,5 +223,20 @@ mod tests {
         let (low, high) = (shown(-2.0), shown(2.0));
         assert!((low.mean[59] - high.mean[59]).abs() < 0.8, "{} {}", low.mean[59], high.mean[59]);
         assert!(low.kinship < 0.6, "{}", low.kinship);
+    }
+
+    /// Looks of one kind lie far below the results, those of another above, in one setting: both are predicted as they come out.
+    #[test]
+    fn looks_of_two_kinds_are_told_apart() {
+        let x: Vec<Setting> = (0..10).map(|i| Setting { place: &[0.0], looks: i % 2 }).collect();
+        let mut draw = Draw::numbered(3, 2);
+        let result: Vec<f64> = (0..10).map(|_| 3.0 + 0.3 * draw.normal()).collect();
+        let look = |i: usize| result[i] + if i % 2 == 0 { -1.0 } else { 0.6 };
+        let mut seen: Vec<Seen> = (0..10).map(|i| (i, 0, look(i))).collect();
+        seen.extend((0..6).map(|i| (i, 2, result[i])));
+        let found = Prediction::new(&x, &seen);
+        for i in 6..10 {
+            assert!((found.mean[i] - result[i]).abs() < 0.25, "{i}: {} {}", found.mean[i], result[i]);
+        }
     }
 }

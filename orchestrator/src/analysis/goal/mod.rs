@@ -9,7 +9,7 @@ use std::cmp::Ordering;
 
 use metasense_schemas::spec::Goal;
 pub use metasense_worker::predict::LEVELS;
-use metasense_worker::predict::{Prediction, Seen};
+use metasense_worker::predict::{Prediction, Seen, Setting};
 use metasense_worker::{FAILED, chance_above, student_above};
 
 use super::numbers::{deviation, mean};
@@ -38,6 +38,8 @@ pub struct Candidate {
     pub cost: [f64; 3],
     /// Its setting, as coordinates of about 0 … 1.
     pub place: Vec<f64>,
+    /// What its rungs tell: the same number where it is the same quantity.
+    pub looks: usize,
     /// Errors (%) at the levels that it has reached; `None`: none was told there.
     pub reached: Vec<Option<f64>>,
     /// It has failed for good.
@@ -279,13 +281,14 @@ struct View<'a> {
 
 impl<'a> View<'a> {
     fn new(goal: &'a Goal, candidates: &'a [Candidate]) -> Self {
-        let places: Vec<Vec<f64>> = candidates.iter().map(|c| c.place.clone()).collect();
+        let settings: Vec<Setting> =
+            candidates.iter().map(|c| Setting { place: &c.place, looks: c.looks }).collect();
         let seen = seen(candidates);
         let mut view = Self {
             goal,
             candidates,
             classes: classes(candidates),
-            prediction: Prediction::new(&places, &seen),
+            prediction: Prediction::new(&settings, &seen),
             seeds: Seeds::of(goal, candidates),
             judgements: candidates.iter().map(|c| judged(goal, c)).collect(),
             prospects: Vec::new(),
