@@ -159,9 +159,18 @@ impl Space {
         let named: Vec<&String> =
             sweep.axes.keys().chain(sweep.points.iter().flat_map(|point| point.keys())).collect();
         let (axes, coordinates) = coordinates(&trials, &named);
-        let looks = looks(&trials);
-        for ((place, at), looks) in places.iter_mut().zip(coordinates).zip(looks) {
-            (place.candidate.place, place.candidate.looks) = (at, looks);
+        // test errors of the brain within the loop, on the body as designed or over the casts that it is trained for
+        let looks = numbered(&trials, |trial| {
+            let optimise = &trial.spec.optimise;
+            (optimise.protocol, optimise.brain, optimise.objective)
+        });
+        let sensors = numbered(&trials, |trial| {
+            let TrialSpec { sensor_units, panel_units, .. } = &trial.spec;
+            (trial.units, sensor_units.clone(), panel_units.clone())
+        });
+        let known = coordinates.into_iter().zip(looks).zip(sensors);
+        for (place, ((at, looks), sensors)) in places.iter_mut().zip(known) {
+            place.candidate = Candidate { place: at, looks, sensors, ..place.candidate.clone() };
         }
         Ok(Self { goal, places, left_out, axes })
     }
@@ -296,19 +305,17 @@ fn coordinates(trials: &[&Trial], named: &[&String]) -> (Vec<String>, Vec<Vec<f6
     (axes, (0..trials.len()).map(|i| columns.iter().map(|column: &Vec<f64>| column[i]).collect()).collect())
 }
 
-/// What the rungs of each trial tell, numbered: test errors of the brain within its loop, on the body as designed or over the casts
-/// that it is trained for.
-fn looks(trials: &[&Trial]) -> Vec<usize> {
+/// Trials with the same of something have the same number.
+fn numbered<T: PartialEq>(trials: &[&Trial], of: impl Fn(&Trial) -> T) -> Vec<usize> {
     let mut known = Vec::new();
-    let of = |trial: &&Trial| {
-        let optimise = &trial.spec.optimise;
-        let told = (optimise.protocol, optimise.brain, optimise.objective);
-        known.iter().position(|k| *k == told).unwrap_or_else(|| {
-            known.push(told);
+    let number = |trial: &&Trial| {
+        let one = of(trial);
+        known.iter().position(|k| *k == one).unwrap_or_else(|| {
+            known.push(one);
             known.len() - 1
         })
     };
-    trials.iter().map(of).collect()
+    trials.iter().map(number).collect()
 }
 
 fn scaled(numbers: &[f64]) -> Vec<f64> {

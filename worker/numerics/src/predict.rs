@@ -1,8 +1,9 @@
 //! What trials will come to, by what trials have shown so far: a Gaussian process over settings and levels.
 //!
 //! ```text
-//! y(i, l) = a + b_l + f_l(x_i) + u_l(i) + ε       ln error of trial i at level l: the rungs, then the result
+//! y(i, l) = a + b_l + f_l(x_i) + p_l(i) + u_l(i) + ε       ln error of trial i at level l: the rungs, then the result
 //! cov(f_l(x), f_m(x')) = σ_f² ρ^|l−m| exp(−½ Σ_d (x_d − x'_d)²/ℓ_d²)     cov(u_l(i), u_m(i)) = σ_u² ρ^|l−m|
+//! cov(p_l(i), p_m(j)) = σ_p² ρ^|l−m| where i and j have the same sensors
 //! ```
 //! (Rasmussen and Williams 2006, eq. 2.25 f. and 5.8; levels after freeze–thaw, arXiv:1406.3896.) ρ is how far a look at a trial
 //! tells its result: where it is small, cheap looks count for little. Looks of unlike kinds, at a body as designed or at its casts,
@@ -25,6 +26,8 @@ pub struct Setting<'a> {
     pub place: &'a [f64],
     /// What its rungs tell: the same number where it is the same quantity. Results always are.
     pub looks: usize,
+    /// Where its sensors are: the same number where they are the same.
+    pub sensors: usize,
 }
 
 /// Values that hyperparameters may have, and the one that they begin with and are drawn to.
@@ -34,6 +37,7 @@ const OWN: [f64; 5] = [0.05, 0.1, 0.2, 0.4, 0.7];
 const KINSHIP: [f64; 5] = [0.2, 0.5, 0.75, 0.9, 0.97];
 const NOISE: [f64; 4] = [0.03, 0.07, 0.15, 0.3];
 const MIDDLE: usize = 2;
+const OF_NOISE: usize = 4;
 /// Variance of a, b_l in advance.
 const OF_ALL: f64 = 4.0;
 const OF_LEVEL: f64 = 1.0;
@@ -47,18 +51,20 @@ struct Hyper {
     amplitude: f64,
     lengths: Vec<f64>,
     own: f64,
+    placed: f64,
     kinship: f64,
     noise: f64,
 }
 
-/// Grid indices: amplitude, own, kinship, noise, then a length each coordinate.
+/// Grid indices: amplitude, own, placed, kinship, noise, then a length each coordinate.
 fn hyper(at: &[usize]) -> Hyper {
     Hyper {
         amplitude: AMPLITUDE[at[0]],
         own: OWN[at[1]],
-        kinship: KINSHIP[at[2]],
-        noise: NOISE[at[3].min(NOISE.len() - 1)],
-        lengths: at[4..].iter().map(|i| LENGTH[*i]).collect(),
+        placed: OWN[at[2]],
+        kinship: KINSHIP[at[3]],
+        noise: NOISE[at[OF_NOISE].min(NOISE.len() - 1)],
+        lengths: at[OF_NOISE + 1..].iter().map(|i| LENGTH[*i]).collect(),
     }
 }
 
@@ -74,9 +80,10 @@ impl Hyper {
             .sum();
         let setting = self.amplitude.powi(2) * (-0.5 * distance).exp();
         let own = if i == j { self.own.powi(2) } else { 0.0 };
+        let placed = if x[i].sensors == x[j].sensors { self.placed.powi(2) } else { 0.0 };
         let alike = l == LEVELS - 1 || x[i].looks == x[j].looks;
         let level = if l == m && alike { OF_LEVEL } else { 0.0 };
-        OF_ALL + level + self.kinship.powi(l.abs_diff(m) as i32) * (setting + own)
+        OF_ALL + level + self.kinship.powi(l.abs_diff(m) as i32) * (setting + placed + own)
     }
 
     fn factor(&self, x: &[Setting], seen: &[Seen]) -> Option<Cholesky<f64, Dyn>> {
@@ -160,7 +167,7 @@ impl Prediction {
 
 /// The likeliest hyperparameters of the grid, one after the other.
 fn fitted(x: &[Setting], seen: &[Seen], y: &DVector<f64>) -> Hyper {
-    let mut at = vec![MIDDLE; 4 + x.first().map_or(0, |trial| trial.place.len())];
+    let mut at = vec![MIDDLE; OF_NOISE + 1 + x.first().map_or(0, |trial| trial.place.len())];
     let worth = |at: &[usize]| {
         let far: f64 = at.iter().map(|i| (*i as f64 - MIDDLE as f64).powi(2)).sum();
         hyper(at).evidence(x, seen, y) - PULL * far
@@ -168,7 +175,7 @@ fn fitted(x: &[Setting], seen: &[Seen], y: &DVector<f64>) -> Hyper {
     let mut best = worth(&at);
     for turn in 0..PASSES * at.len() {
         let which = turn % at.len();
-        let count = if which == 3 { NOISE.len() } else { AMPLITUDE.len() };
+        let count = if which == OF_NOISE { NOISE.len() } else { AMPLITUDE.len() };
         for value in 0..count {
             let before = std::mem::replace(&mut at[which], value);
             let here = if before == value { best } else { worth(&at) };
@@ -191,7 +198,8 @@ mod tests {
     #[test]
     fn results_are_predicted_from_looks() {
         let places: Vec<[f64; 1]> = (0..9).map(|i| [f64::from(i) / 8.0]).collect();
-        let x: Vec<Setting> = places.iter().map(|place| Setting { place, looks: 0 }).collect();
+        let x: Vec<Setting> =
+            places.iter().enumerate().map(|(i, place)| Setting { place, looks: 0, sensors: i }).collect();
         let truth = |i: usize| 1.0 + places[i][0];
         let mut seen: Vec<Seen> =
             [0, 2, 6, 8].iter().flat_map(|&i| [(i, 0, truth(i) + 0.5), (i, 2, truth(i))]).collect();
@@ -212,7 +220,7 @@ mod tests {
     #[test]
     fn looks_that_tell_nothing_count_for_little() {
         let mut draw = Draw::numbered(3, 1);
-        let x = vec![Setting { place: &[0.0], looks: 0 }; 60];
+        let x: Vec<Setting> = (0..60).map(|i| Setting { place: &[0.0], looks: 0, sensors: i }).collect();
         let seen: Vec<Seen> =
             (0..59).flat_map(|i| [(i, 0, draw.normal()), (i, 2, 0.5 * draw.normal())]).collect();
         let shown = |first: f64| {
@@ -228,7 +236,7 @@ mod tests {
     /// Looks of one kind lie far below the results, those of another above, in one setting: both are predicted as they come out.
     #[test]
     fn looks_of_two_kinds_are_told_apart() {
-        let x: Vec<Setting> = (0..10).map(|i| Setting { place: &[0.0], looks: i % 2 }).collect();
+        let x: Vec<Setting> = (0..10).map(|i| Setting { place: &[0.0], looks: i % 2, sensors: i }).collect();
         let mut draw = Draw::numbered(3, 2);
         let result: Vec<f64> = (0..10).map(|_| 3.0 + 0.3 * draw.normal()).collect();
         let look = |i: usize| result[i] + if i % 2 == 0 { -1.0 } else { 0.6 };

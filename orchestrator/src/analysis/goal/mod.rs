@@ -40,6 +40,8 @@ pub struct Candidate {
     pub place: Vec<f64>,
     /// What its rungs tell: the same number where it is the same quantity.
     pub looks: usize,
+    /// Where its sensors are: the same number where they are the same.
+    pub sensors: usize,
     /// Errors (%) at the levels that it has reached; `None`: none was told there.
     pub reached: Vec<Option<f64>>,
     /// It has failed for good.
@@ -281,8 +283,8 @@ struct View<'a> {
 
 impl<'a> View<'a> {
     fn new(goal: &'a Goal, candidates: &'a [Candidate]) -> Self {
-        let settings: Vec<Setting> =
-            candidates.iter().map(|c| Setting { place: &c.place, looks: c.looks }).collect();
+        let setting = |c: &'a Candidate| Setting { place: &c.place, looks: c.looks, sensors: c.sensors };
+        let settings: Vec<Setting> = candidates.iter().map(setting).collect();
         let seen = seen(candidates);
         let mut view = Self {
             goal,
