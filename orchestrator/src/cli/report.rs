@@ -18,7 +18,7 @@ pub(super) struct Args {
     /// The database; of a folder of shards, their facts
     #[arg(value_name = "DB|FOLDER")]
     db: PathBuf,
-    /// The trial whose forces, bodies and waves are shown, by its hash or the beginning of it [default: a typical one]
+    /// The trial whose forces, bodies and waves are shown, by its hash or the beginning of it [default: the design of a search, else a typical one]
     hash: Option<String>,
     /// The file to write; by default beside the database
     #[arg(long, value_name = "FILE")]

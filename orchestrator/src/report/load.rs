@@ -357,16 +357,14 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
         )
         .await?;
     let states = states(reader, &odd(trials.iter().map(|trial| &trial.setting))).await?;
-    let chosen = match trial {
-        Some(hash) => Some(hash.to_owned()),
-        None => typical(&trials).map(|t| t.hash.clone()),
-    };
-    let stored = match chosen {
-        Some(hash) => reader.stored(&hash).await?,
+    let searches = Sought::all(reader, &sweeps).await;
+    let design = searches.iter().flatten().find_map(|search| Some(&search.chosen()?.0.hash));
+    let replayed = trial.or(design.map(String::as_str));
+    let stored = match replayed.or_else(|| Some(&typical(&trials)?.hash)) {
+        Some(hash) => reader.stored(hash).await?,
         None => None,
     };
     let (made, early) = (reader.made().await?, reader.may_stop_early().await?);
-    let searches = Sought::all(reader, &sweeps).await;
     Ok(Story { sweeps, states, trials, made, early, stored, terms, searches })
 }
 
