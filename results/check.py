@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-T975 = {2: 4.303, 3: 3.182, 4: 2.776}  # Student's t, 97.5 %, by degrees of freedom, as tables print it
+T975 = {1: 12.706, 2: 4.303, 3: 3.182, 4: 2.776}  # Student's t, 97.5 %, by degrees of freedom, as tables print it
 
 
 def rows(file, **wanted):
@@ -472,24 +472,24 @@ def designs():
         yield cells, found
 
 
-def paper_protocol():
+def of_protocol(name, folder, networks):
     def better(**of):
-        tested = rows("fig2/samples.csv", **of)
+        tested = rows(f"{folder}/samples.csv", **of)
         return f"{sum(a > b for a, b in zip(numbers(tested, 'error_initial'), numbers(tested, 'error_optimised')))} of {len(tested)}"
 
     times = []  # a row a seed: initial over trained error of each network and set; initial over trained iterations
-    *seeds, last = table("paper protocol")
+    *seeds, last = table(name)
     for seed, *cells in seeds:
         found, of_seed = [], []
-        for network in "01":
+        for network in networks:
             for error in ("error_test", "error_holdout"):
-                [initial], [trained] = (numbers(rows("fig2/networks.csv", seed=seed, network=network, body=body), error)
+                [initial], [trained] = (numbers(rows(f"{folder}/networks.csv", seed=seed, network=network, body=body), error)
                                         for body in ("initial", "optimised"))
                 of_seed.append(initial / trained)
                 found.append(f"{short(initial)} → {short(trained)} %, {short(of_seed[-1])}")
         found.append(better(seed=seed))
         for value in ("loss", "error_holdout"):
-            curves = [[(int(row["iteration"]), float(row[value])) for row in rows("fig2/curves.csv", seed=seed, body=body)]
+            curves = [[(int(row["iteration"]), float(row[value])) for row in rows(f"{folder}/curves.csv", seed=seed, body=body)]
                       for body in ("initial", "optimised")]
             target = max(min(at for _, at in curve) for curve in curves)
             initial, trained = (min(iteration for iteration, at in curve if at <= target) for curve in curves)
@@ -499,6 +499,14 @@ def paper_protocol():
         yield cells, found
     *errors, loss, holdout = (with_interval(ratios) for ratios in zip(*times))
     yield last[1:], [*errors, better(), loss, holdout]
+
+
+def paper_protocol():
+    yield from of_protocol("paper protocol", "fig2", "01")
+
+
+def paper_protocol_blows():
+    yield from of_protocol("paper protocol, blows", "fig3", "0")
 
 
 def race():
@@ -571,7 +579,7 @@ def relaxing():
         yield line[1:], [cell(*by) for by in [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")]]
 
 
-CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, random_bodies_map, blows_map, size_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, race, warm_starts, relaxing]
+CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, random_bodies_map, blows_map, size_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, paper_protocol_blows, race, warm_starts, relaxing]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

@@ -79,6 +79,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("claims", claims::claims),
     ("sensors", brains::sensors),
     ("paper protocol", claims::paper_protocol),
+    ("paper protocol, blows", claims::paper_protocol_blows),
     ("evaluate", claims::evaluate),
     ("protocols", claims::protocols),
     ("downhill", claims::downhill),
