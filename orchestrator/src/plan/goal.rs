@@ -160,14 +160,10 @@ impl Space {
             sweep.axes.keys().chain(sweep.points.iter().flat_map(|point| point.keys())).collect();
         let (axes, coordinates) = coordinates(&trials, &named);
         // test errors of the brain within the loop, on the body as designed or over the casts that it is trained for
-        let looks = numbered(&trials, |trial| {
-            let optimise = &trial.spec.optimise;
-            (optimise.protocol, optimise.brain, optimise.objective)
-        });
-        let sensors = numbered(&trials, |trial| {
-            let TrialSpec { sensor_units, panel_units, .. } = &trial.spec;
-            (trial.units, sensor_units.clone(), panel_units.clone())
-        });
+        let loops = trials.iter().map(|trial| &trial.spec.optimise);
+        let looks = numbered(loops.map(|o| (o.protocol, o.brain, o.objective)));
+        let sensors =
+            numbered(trials.iter().map(|t| (t.units, &t.spec.sensor_units, &t.spec.panel_units)));
         let known = coordinates.into_iter().zip(looks).zip(sensors);
         for (place, ((at, looks), sensors)) in places.iter_mut().zip(known) {
             place.candidate = Candidate { place: at, looks, sensors, ..place.candidate.clone() };
@@ -278,17 +274,9 @@ fn coordinates(trials: &[&Trial], named: &[&String]) -> (Vec<String>, Vec<Vec<f6
     let (mut axes, mut columns, mut patterns) = (Vec::new(), Vec::new(), BTreeSet::new());
     for path in paths.into_iter().filter(|path| !NOT.contains(&path.as_str())) {
         let values: Vec<Option<&Value>> = all.iter().map(|leaves| leaves.get(path)).collect();
-        let mut known: Vec<Option<&Value>> = Vec::new();
-        let pattern: Vec<usize> = values
-            .iter()
-            .map(|value| {
-                known.iter().position(|k| k == value).unwrap_or_else(|| {
-                    known.push(*value);
-                    known.len() - 1
-                })
-            })
-            .collect();
-        if known.len() < 2 || !patterns.insert(pattern.clone()) {
+        let pattern = numbered(values.iter());
+        let count = 1 + pattern.iter().max().copied().unwrap_or(0);
+        if count < 2 || !patterns.insert(pattern.clone()) {
             continue;
         }
         axes.push(path.clone());
@@ -297,7 +285,7 @@ fn coordinates(trials: &[&Trial], named: &[&String]) -> (Vec<String>, Vec<Vec<f6
             Some(numbers) => columns.push(scaled(&numbers)),
             // a coordinate each value, all equally far from one another
             None => columns.extend(
-                (0..known.len())
+                (0..count)
                     .map(|k| pattern.iter().map(|value| if *value == k { 0.7 } else { 0.0 }).collect()),
             ),
         }
@@ -305,17 +293,16 @@ fn coordinates(trials: &[&Trial], named: &[&String]) -> (Vec<String>, Vec<Vec<f6
     (axes, (0..trials.len()).map(|i| columns.iter().map(|column: &Vec<f64>| column[i]).collect()).collect())
 }
 
-/// Trials with the same of something have the same number.
-fn numbered<T: PartialEq>(trials: &[&Trial], of: impl Fn(&Trial) -> T) -> Vec<usize> {
-    let mut known = Vec::new();
-    let number = |trial: &&Trial| {
-        let one = of(trial);
-        known.iter().position(|k| *k == one).unwrap_or_else(|| {
-            known.push(one);
+/// Equal values have the same number.
+fn numbered<T: PartialEq>(values: impl Iterator<Item = T>) -> Vec<usize> {
+    let mut known: Vec<T> = Vec::new();
+    let number = |value| {
+        known.iter().position(|k| *k == value).unwrap_or_else(|| {
+            known.push(value);
             known.len() - 1
         })
     };
-    trials.iter().map(number).collect()
+    values.map(number).collect()
 }
 
 fn scaled(numbers: &[f64]) -> Vec<f64> {
