@@ -141,7 +141,10 @@ fn of_protocol(folder: &str, of_body: &[&'static str]) -> String {
     let errors = ["test set", "holdout", "10 000 iterations: test set", "holdout"];
     let others =
         ["test samples read better", "fewer iterations to equal training loss", "to equal holdout error"];
-    table(&[&["seed"], &errors[..sets.len()], &others].concat(), seeds.iter().copied().map(line).chain([last.concat()]))
+    table(
+        &[&["seed"], &errors[..sets.len()], &others].concat(),
+        seeds.iter().copied().map(line).chain([last.concat()]),
+    )
 }
 
 /// Error against run time, protocol by protocol.

@@ -162,8 +162,7 @@ impl Space {
         // test errors of the brain within the loop, on the body as designed or over the casts that it is trained for
         let loops = trials.iter().map(|trial| &trial.spec.optimise);
         let looks = numbered(loops.map(|o| (o.protocol, o.brain, o.objective)));
-        let sensors =
-            numbered(trials.iter().map(|t| (t.units, &t.spec.sensor_units, &t.spec.panel_units)));
+        let sensors = numbered(trials.iter().map(|t| (t.units, &t.spec.sensor_units, &t.spec.panel_units)));
         let known = coordinates.into_iter().zip(looks).zip(sensors);
         for (place, ((at, looks), sensors)) in places.iter_mut().zip(known) {
             place.candidate = Candidate { place: at, looks, sensors, ..place.candidate.clone() };
@@ -285,8 +284,7 @@ fn coordinates(trials: &[&Trial], named: &[&String]) -> (Vec<String>, Vec<Vec<f6
             Some(numbers) => columns.push(scaled(&numbers)),
             // a coordinate each value, all equally far from one another
             None => columns.extend(
-                (0..count)
-                    .map(|k| pattern.iter().map(|value| if *value == k { 0.7 } else { 0.0 }).collect()),
+                (0..count).map(|k| pattern.iter().map(|value| if *value == k { 0.7 } else { 0.0 }).collect()),
             ),
         }
     }

@@ -247,4 +247,16 @@ mod tests {
             assert!((found.mean[i] - result[i]).abs() < 0.25, "{i}: {} {}", found.mean[i], result[i]);
         }
     }
+
+    /// One of two placements reads worse in three settings: so it will in a fourth, far from them, where nobody has looked.
+    #[test]
+    fn a_placement_is_worth_the_same_in_other_settings() {
+        let places = [[0.0], [3.0], [6.0], [9.0]];
+        let x: Vec<Setting> =
+            (0..8).map(|i| Setting { place: &places[i / 2], looks: 0, sensors: i % 2 }).collect();
+        let truth = |i: usize| [2.0, 3.0, 1.5, 2.5][i / 2] + if i % 2 == 0 { 0.0 } else { 0.8 };
+        let seen: Vec<Seen> = (0..6).flat_map(|i| [(i, 0, truth(i) + 0.2), (i, 2, truth(i))]).collect();
+        let found = Prediction::new(&x, &seen);
+        assert!((0.5..1.0).contains(&(found.mean[7] - found.mean[6])), "{:?}", found.mean);
+    }
 }

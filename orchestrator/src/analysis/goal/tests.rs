@@ -58,7 +58,7 @@ impl Landscape {
 
     /// All that can be asked of it, what is true, and what was found: for other searches (bench/searches.py).
     fn told(&self, found: Vec<serde_json::Value>) -> serde_json::Value {
-                let trial = |i: usize| {
+        let trial = |i: usize| {
             json!({
                 "cost": self.trials[i].cost,
                 "place": self.trials[i].place,
