@@ -239,7 +239,7 @@ mod tests {
         let x: Vec<Setting> = (0..10).map(|i| Setting { place: &[0.0], looks: i % 2, sensors: i }).collect();
         let mut draw = Draw::numbered(3, 2);
         let result: Vec<f64> = (0..10).map(|_| 3.0 + 0.3 * draw.normal()).collect();
-        let look = |i: usize| result[i] + if i % 2 == 0 { -1.0 } else { 0.6 };
+        let look = |i: usize| result[i] + if i.is_multiple_of(2) { -1.0 } else { 0.6 };
         let mut seen: Vec<Seen> = (0..10).map(|i| (i, 0, look(i))).collect();
         seen.extend((0..6).map(|i| (i, 2, result[i])));
         let found = Prediction::new(&x, &seen);
@@ -254,7 +254,7 @@ mod tests {
         let places = [[0.0], [3.0], [6.0], [9.0]];
         let x: Vec<Setting> =
             (0..8).map(|i| Setting { place: &places[i / 2], looks: 0, sensors: i % 2 }).collect();
-        let truth = |i: usize| [2.0, 3.0, 1.5, 2.5][i / 2] + if i % 2 == 0 { 0.0 } else { 0.8 };
+        let truth = |i: usize| [2.0, 3.0, 1.5, 2.5][i / 2] + if i.is_multiple_of(2) { 0.0 } else { 0.8 };
         let seen: Vec<Seen> = (0..6).flat_map(|i| [(i, 0, truth(i) + 0.2), (i, 2, truth(i))]).collect();
         let found = Prediction::new(&x, &seen);
         assert!((0.5..1.0).contains(&(found.mean[7] - found.mean[6])), "{:?}", found.mean);
