@@ -270,6 +270,11 @@ const EDITS: &[(&str, &str, &str)] = &[
     ),
     (
         "[sweep]",
+        "[evaluation]\ninitial = false\n[until]\npaired = 0.2\n[sweep]",
+        "s.toml:14: evaluation.initial = false: must be true: until.paired and until.fewer ask about the initial body",
+    ),
+    (
+        "[sweep]",
         "[until]\npaired = 0.2\n[sweep]",
         "s.toml:14: until.paired = 0.2: needs one point, and four placements or seeds of each",
     ),

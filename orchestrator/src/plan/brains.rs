@@ -31,6 +31,8 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
         spec.optimise.clone(),
         spec.evaluation.clone().resolved(spec.variation.is_some(), &spec.stimuli),
     );
+    // of a body that nothing moves there is one to compare
+    evaluation.initial = evaluation.initial.filter(|compared| !compared && spec.optimise.steps() > 0);
     if !has_network(reader) && !has_network(trainer) {
         brain = Brain { kind: brain.kind, memory: brain.memory, ridge: brain.ridge, ..none };
     }

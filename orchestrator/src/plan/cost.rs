@@ -184,7 +184,8 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
     } else {
         0.0
     };
-    let bodies = if optimise.steps() == 0 { 1.0 } else { 2.0 };
+    let compares_initial = optimise.steps() > 0 && trial.evaluation.initial.unwrap_or(true);
+    let bodies = if compares_initial { 2.0 } else { 1.0 };
     let comparison = bodies * (each + trainings * train + readings + of_casts + under + inverted);
     Parts { steps: GROWN * optimise.steps() as f64 * step, comparison }
 }

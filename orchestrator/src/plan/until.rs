@@ -48,6 +48,11 @@ pub(super) fn check(until: Option<&Until>, trials: &[Trial], source: &Source) ->
     {
         return Err(source.error("until", "needs a question: paired, within, elbow, fewer or complexity"));
     }
+    let left_out = trials.iter().any(|trial| trial.spec.evaluation.initial == Some(false));
+    if left_out && (until.paired.is_some() || until.fewer) {
+        let remedy = "must be true: until.paired and until.fewer ask about the initial body";
+        return Err(source.error_with("evaluation.initial", Some("false"), remedy));
+    }
     match until::unanswerable(until, trials) {
         Some(question) => {
             let what = match question.key() {

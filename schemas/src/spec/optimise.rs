@@ -449,6 +449,10 @@ pub struct Evaluation {
     /// `[[evaluation.under]]` of `kind` and keys of that kind, each kind once. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub under: Option<Vec<Part>>,
+    /// Whether the initial body is compared, too: half of the comparison, which tells what training has gained. A search for a
+    /// design (`[goal]`) does not ask about it. Default: true.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub initial: Option<bool>,
 }
 
 /// Fresh networks a body, and casts of it where there is a variation, where the spec does not say.
@@ -468,7 +472,7 @@ impl Evaluation {
     /// The same of a body that a linear brain reads: it is solved for once.
     #[must_use]
     pub fn of_linear(self) -> Self {
-        Self { seeds: Some(1), casts: self.casts, under: self.under, ..Self::default() }
+        Self { seeds: Some(1), casts: self.casts, under: self.under, initial: self.initial, ..Self::default() }
     }
 
     /// Fresh networks a body.
@@ -487,6 +491,7 @@ impl Default for Evaluation {
             long_iterations: None,
             casts: None,
             under: None,
+            initial: None,
         }
     }
 }

@@ -34,12 +34,12 @@ use protocol::{Sensed, Session};
 use search::GradientFree;
 
 use crate::questions::{Nonlinear, UnderReading, nonlinear, under};
-use crate::trial::{Counters, Failure, Trial};
+use crate::trial::{Counters, Failure, Problem, Trial};
 
 /// What a nested optimisation found.
 #[derive(Debug, Clone)]
 pub struct Optimised {
-    /// The initial body, with its fresh networks.
+    /// The initial body, with its fresh networks where they were asked for.
     pub initial: BodyEvaluation,
     /// The best body, with fresh networks of the same initial weights.
     pub optimised: BodyEvaluation,
@@ -102,16 +102,17 @@ pub fn optimise(
     Ok(compared(trial, state, observer))
 }
 
-/// The comparison of the initial and the best body; `None` if the observer said stop.
+/// The comparison of the best body, and of the initial one where asked for; `None` if the observer said stop.
 fn compared(trial: &Trial, mut state: State, observer: &mut dyn Observe) -> Option<Optimised> {
-    let initial = &trial.problem.initial;
+    let problem = &trial.problem;
+    let initial = &problem.initial;
     let (design, best_step) = state.best.as_ref().map_or((initial, 0), |best| (&best.design, best.step));
     let design = design.clone();
     let mut log = Log::new(state.step, observer);
     (log.report.counters, log.report.seconds) = (state.comparison.counters, state.comparison.seconds);
     let tuned = log.timed(|s| &mut s.simulate, |_| trial.tuned(&design));
-    let bodies = [(initial, &trial.problem.solver), (&design, &tuned.solver)];
-    let bodies = &bodies[..trial.problem.bodies_compared()];
+    let both = [(initial, &problem.solver), (&design, &tuned.solver)];
+    let bodies = problem.compared(&both);
     // earlier versions compared a body that nothing has moved twice
     if state.comparison.bodies.len() > bodies.len() {
         let Comparison { bodies: compared, casts, bands, training, .. } = &mut state.comparison;
@@ -129,11 +130,11 @@ fn compared(trial: &Trial, mut state: State, observer: &mut dyn Observe) -> Opti
     let nonlinear = bodies.iter().map(|(design, solver)| {
         log.timed(|s| &mut s.simulate, |report| nonlinear(trial, design, solver, &mut report.counters))
     });
-    let nonlinear = both(nonlinear.collect());
+    let nonlinear = of_both(problem, nonlinear.collect());
     let under = bodies.iter().map(|(design, solver)| {
         log.timed(|s| &mut s.simulate, |report| under(trial, design, solver, &mut report.counters))
     });
-    let under = both(under.collect());
+    let under = of_both(problem, under.collect());
     let Report { mut counters, seconds, .. } = log.report;
     counters.dynamics += trial.pilots;
     counters.dynamics += tuned.counters;
@@ -141,7 +142,9 @@ fn compared(trial: &Trial, mut state: State, observer: &mut dyn Observe) -> Opti
     let Comparison { bodies: compared, mut casts, mut bands, .. } = state.comparison;
     casts.resize_with(compared.len(), Vec::new);
     bands.resize_with(compared.len(), Vec::new);
-    let ([initial, optimised], casts, bands) = (both(compared), both(casts), both(bands));
+    let (casts, bands) = (of_both(problem, casts), of_both(problem, bands));
+    let [mut initial, optimised] = of_both(problem, compared);
+    initial.design.clone_from(&problem.initial);
     let signal_errors = [trial.error, tuned.error];
     Some(Optimised {
         initial,
@@ -158,10 +161,13 @@ fn compared(trial: &Trial, mut state: State, observer: &mut dyn Observe) -> Opti
     })
 }
 
-/// What was found of both bodies; of one that nothing has moved, it is both.
-fn both<T: Clone>(found: Vec<T>) -> [T; 2] {
-    let [first, last] = [found.first(), found.last()].map(|found| found.expect("a body was compared"));
-    [first.clone(), last.clone()]
+/// What was found of the initial and of the best body: of one that nothing has moved it is both, and nothing of an initial one
+/// that was not compared.
+fn of_both<T: Clone + Default>(problem: &Problem, mut found: Vec<T>) -> [T; 2] {
+    let last = found.pop().expect("a body was compared");
+    let unmoved = problem.optimise.iterations == 0;
+    let first = if unmoved { last.clone() } else { found.pop().unwrap_or_default() };
+    [first, last]
 }
 
 /// The comparison at the end for any designs: fresh networks of the same initial weights on each, until the observer says

@@ -48,9 +48,17 @@ impl Problem {
         f64::from(steps) * self.step_share() / (loop_iterations + evaluation)
     }
 
-    /// Bodies of the comparison: the initial one, and the best where a loop moves it.
+    /// Of the initial and the best body those that are compared: the best, and the initial one where it is another and asked for.
+    pub(super) fn compared<'a, T>(&self, both: &'a [T; 2]) -> &'a [T] {
+        match self.optimise.iterations {
+            0 => &both[..1],
+            _ => &both[usize::from(!self.evaluation.initial)..],
+        }
+    }
+
+    /// So many.
     pub(super) fn bodies_compared(&self) -> usize {
-        if self.optimise.iterations == 0 { 1 } else { 2 }
+        self.compared(&[(); 2]).len()
     }
 
     /// Brain iterations of the comparison at the end, a body.

@@ -178,7 +178,7 @@ pub enum Terms {
     ImplicitOnly(Policy),
 }
 
-/// The comparison of the initial and the best body.
+/// The comparison at the end.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Evaluation {
     /// Fresh networks a body.
@@ -191,6 +191,8 @@ pub struct Evaluation {
     pub long: Option<usize>,
     /// Casts of each body that are read.
     pub casts: usize,
+    /// Whether the initial body is compared, too.
+    pub initial: bool,
 }
 
 /// Adam's rate over a training.

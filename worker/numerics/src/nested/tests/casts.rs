@@ -280,6 +280,29 @@ fn casts_that_do_not_scatter_are_the_body_as_designed() {
     assert_eq!(over.optimised.design, alone.optimised.design);
 }
 
+/// A comparison without the initial body finds of the best one what it finds beside it, and a body that nothing moves is still read.
+#[test]
+fn the_initial_body_is_left_out_where_nobody_asks_about_it() {
+    let mut problem = cast(MEAN);
+    (problem.optimise.iterations, problem.evaluation.casts) = (2, 1);
+    let of = |problem: &Problem| optimise(problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
+    let beside = of(&problem);
+    problem.evaluation.initial = false;
+    let alone = of(&problem);
+    assert_eq!(alone.optimised, beside.optimised);
+    for (alone, beside) in alone.casts.iter().zip(&beside.casts) {
+        assert!(!beside.is_empty() && (alone.is_empty() || alone == beside));
+    }
+    assert_eq!((alone.casts[0].len(), alone.casts[1].len()), (0, beside.casts[1].len()));
+    assert_eq!((&alone.initial.design, alone.initial.networks.len()), (&problem.initial, 0));
+    assert_eq!((alone.nonlinear[0], alone.nonlinear[1]), (None, beside.nonlinear[1]));
+    assert!(alone.counters.dynamics.force_evaluations < beside.counters.dynamics.force_evaluations);
+    problem.optimise.iterations = 0;
+    let unmoved = of(&problem);
+    assert_eq!(unmoved.initial, unmoved.optimised);
+    assert_eq!(unmoved.initial.networks.len(), 1);
+}
+
 /// Ligaments that relax judge alone: training is the same to the bit, and brains that do not know them read what they make worse than
 /// a brain that is fitted to it.
 #[test]
