@@ -195,3 +195,36 @@ fn kills_in_the_middle_of_comparisons_leave_the_results_of_an_undisturbed_run() 
     }
     println!("{kills} kills in {sweeps} sweeps, {within} of them within a comparison");
 }
+
+/// Without the initial body there is nothing of it in tables, messages and exports, all else is as beside it, and asking for it later
+/// trains no body again.
+#[test]
+fn the_initial_body_is_compared_only_where_somebody_asks() {
+    let bench = Bench::new();
+    let text = TINY.replace("[1, 2]", "[1]").replace("[sweep]", "[evaluation]\nseeds = 1\n[sweep]");
+    bench.file("both.toml", &text);
+    bench.file("alone.toml", &text.replace("seeds = 1\n", "seeds = 1\ninitial = false\n"));
+    let said = bench.metasense(&["run", "alone.toml", "--db", "s.sqlite"]);
+    let said = String::from_utf8_lossy(&said.stderr);
+    assert!(said.contains("holdout error ") && !said.contains("->") && !said.contains("unknown"), "{said}");
+    bench.output(&["run", "both.toml", "--db", "s.sqlite"]);
+    let found = rows(
+        &bench.path("s.sqlite"),
+        "SELECT t.spec->>'$.evaluation.initial', t.error_initial IS NULL, sum(n.body = 'initial'), sum(n.body = 'optimised'),
+           (SELECT sum(steps) FROM attempt a WHERE a.trial_id = t.id)
+         FROM trial t JOIN network n ON n.trial_id = t.id GROUP BY t.id ORDER BY t.id",
+    );
+    assert_eq!(found, ["[0,1,0,1,4]", "[null,0,1,1,0]"]);
+    let same = rows(
+        &bench.path("s.sqlite"),
+        "SELECT count(*), count(DISTINCT error_optimised), count(DISTINCT holdout_error_optimised) FROM trial",
+    );
+    assert_eq!(same, ["[2,1,1]"]);
+    let hash = &rows(&bench.path("s.sqlite"), "SELECT hash FROM trial WHERE error_initial IS NULL")[0][2..34];
+    let refused = bench
+        .metasense(&["export", "s.sqlite", hash, "--body", "initial", "--format", "c", "--out", "initial"]);
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(!refused.status.success() && said.contains("trained no network on this body"), "{said}");
+    let page = bench.output(&["report", "s.sqlite", hash, "--out", "r.html"]);
+    assert!(page.contains("r.html"), "{page}");
+}

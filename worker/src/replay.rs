@@ -127,14 +127,17 @@ pub enum Own {
 /// The brain of a replay: the network with these weights, the linear one fitted to its training samples, or one on the other.
 ///
 /// # Errors
-/// If the spec stands for no trial, or the linear brain cannot be solved for.
+/// If the spec stands for no trial, its network has no weights, or the linear brain cannot be solved for.
 pub fn own(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<Own, Failure> {
     let (problem, weights) = (prepared(trial)?, weights.to_vec());
+    if problem.reader.is_network() && weights.is_empty() {
+        return Err(Failure::Rejected("the trial has trained no network on this body".into()));
+    }
     let linear = || Ok::<_, Failure>(replay.linear(&problem, &problem.decoder, &pool(1)?)?);
     Ok(match problem.reader {
         BrainKind::Stacked => Own::Stacked(linear()?, weights),
-        _ if weights.is_empty() => Own::Linear(linear()?),
-        _ => Own::Network(weights),
+        BrainKind::Network => Own::Network(weights),
+        BrainKind::Linear | BrainKind::Inverse => Own::Linear(linear()?),
     })
 }
 

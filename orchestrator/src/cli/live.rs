@@ -58,8 +58,11 @@ impl Live {
 
 impl Watch for Live {
     fn done(&mut self, trial: &Trial, result: &TrialResult) {
-        let (before, after) = (percent(&result.initial), percent(&result.optimised));
-        self.say(&format!("done: {}: holdout error {before} -> {after}", named(trial)));
+        let before = match trial.spec.evaluation.initial {
+            Some(false) => String::new(),
+            _ => percent(&result.initial) + " -> ",
+        };
+        self.say(&format!("done: {}: holdout error {before}{}", named(trial), percent(&result.optimised)));
     }
 
     fn attempt_failed(&mut self, trial: &Trial, attempt: u32, reason: Reason, settled: bool) {

@@ -404,13 +404,17 @@ async fn states(reader: &mut Reader, odd: &BTreeSet<&str>) -> Result<States, Sto
     Ok(States { csv: data.text(), ..states })
 }
 
-/// The trial whose ratio of holdout errors is nearest to the mean of all; none that starts from a random body.
+/// The trial whose ratio of holdout errors is nearest to the mean of all, or whose error is, where none has compared its initial
+/// body; none that starts from a random body.
 fn typical(trials: &[Trial]) -> Option<&Trial> {
-    let trials = || trials.iter().filter(|t| !t.starts_random());
-    let ratio = |t: &Trial| {
-        Some((t.error(Body::Initial, Set::Holdout)? / t.error(Body::Optimised, Set::Holdout)?).ln())
+    let of = |first: f64, t: &Trial| Some(first.ln() - t.error(Body::Optimised, Set::Holdout)?.ln());
+    let all = |measure: &dyn Fn(&Trial) -> Option<f64>| -> Vec<(f64, &Trial)> {
+        trials.iter().filter(|t| !t.starts_random()).filter_map(|t| Some((measure(t)?, t))).collect()
     };
-    let ratios: Vec<(f64, &Trial)> = trials().filter_map(|t| Some((ratio(t)?, t))).collect();
-    let mean = mean(&ratios.iter().map(|r| r.0).collect::<Vec<_>>())?;
-    ratios.iter().min_by(|a, b| (a.0 - mean).abs().total_cmp(&(b.0 - mean).abs())).map(|r| r.1)
+    let mut measured = all(&|t| of(t.error(Body::Initial, Set::Holdout)?, t));
+    if measured.is_empty() {
+        measured = all(&|t| of(1.0, t));
+    }
+    let mean = mean(&measured.iter().map(|m| m.0).collect::<Vec<_>>())?;
+    measured.iter().min_by(|a, b| (a.0 - mean).abs().total_cmp(&(b.0 - mean).abs())).map(|m| m.1)
 }

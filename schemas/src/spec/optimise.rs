@@ -472,7 +472,13 @@ impl Evaluation {
     /// The same of a body that a linear brain reads: it is solved for once.
     #[must_use]
     pub fn of_linear(self) -> Self {
-        Self { seeds: Some(1), casts: self.casts, under: self.under, initial: self.initial, ..Self::default() }
+        Self {
+            seeds: Some(1),
+            casts: self.casts,
+            under: self.under,
+            initial: self.initial,
+            ..Self::default()
+        }
     }
 
     /// Fresh networks a body.

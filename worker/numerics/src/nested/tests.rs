@@ -79,7 +79,14 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
             coarse: Some(Solver::new(Method::Auto, Accuracy(1e-2))),
             casting: None,
         },
-        evaluation: Evaluation { seeds: 2, schedule: Schedule::Cosine, batch: Some(5), long: None, casts: 0, initial: true },
+        evaluation: Evaluation {
+            seeds: 2,
+            schedule: Schedule::Cosine,
+            batch: Some(5),
+            long: None,
+            casts: 0,
+            initial: true,
+        },
         seed: 3,
     }
 }
