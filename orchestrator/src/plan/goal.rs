@@ -13,7 +13,7 @@ use metasense_worker::{RECORDS, between_looks};
 use serde_json::Value;
 
 use super::{Plan, cost};
-use crate::analysis::goal::{Candidate, LEVELS};
+use crate::analysis::goal::{Candidate, LEVELS, Setting};
 use crate::analysis::trial::CastBrain;
 use crate::look::number;
 
@@ -164,8 +164,8 @@ impl Space {
         let looks = numbered(loops.map(|o| (o.protocol, o.brain, o.objective)));
         let sensors = numbered(trials.iter().map(|t| (t.units, &t.spec.sensor_units, &t.spec.panel_units)));
         let known = coordinates.into_iter().zip(looks).zip(sensors);
-        for (place, ((at, looks), sensors)) in places.iter_mut().zip(known) {
-            place.candidate = Candidate { place: at, looks, sensors, ..place.candidate.clone() };
+        for (trial, ((place, looks), sensors)) in places.iter_mut().zip(known) {
+            trial.candidate.setting = Setting { place, looks, sensors };
         }
         Ok(Self { goal, places, left_out, axes })
     }

@@ -20,10 +20,10 @@ pub const LEVELS: usize = 3;
 pub type Seen = (usize, usize, f64);
 
 /// What is known of a trial before it is seen.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Setting<'a> {
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Setting {
     /// Coordinates of about 0 … 1.
-    pub place: &'a [f64],
+    pub place: Vec<f64>,
     /// What its rungs tell: the same number where it is the same quantity. Results always are.
     pub looks: usize,
     /// Where its sensors are: the same number where they are the same.
@@ -70,11 +70,11 @@ fn hyper(at: &[usize]) -> Hyper {
 
 impl Hyper {
     /// Of two trials at two levels, without the noise of an observation.
-    fn covariance(&self, x: &[Setting], (i, l): (usize, usize), (j, m): (usize, usize)) -> f64 {
+    fn covariance(&self, x: &[&Setting], (i, l): (usize, usize), (j, m): (usize, usize)) -> f64 {
         let distance: f64 = x[i]
             .place
             .iter()
-            .zip(x[j].place)
+            .zip(&x[j].place)
             .zip(&self.lengths)
             .map(|((a, b), length)| ((a - b) / length).powi(2))
             .sum();
@@ -86,7 +86,7 @@ impl Hyper {
         OF_ALL + level + self.kinship.powi(l.abs_diff(m) as i32) * (setting + placed + own)
     }
 
-    fn factor(&self, x: &[Setting], seen: &[Seen]) -> Option<Cholesky<f64, Dyn>> {
+    fn factor(&self, x: &[&Setting], seen: &[Seen]) -> Option<Cholesky<f64, Dyn>> {
         let of = |a: usize, b: usize| {
             let ((i, l, _), (j, m, _)) = (seen[a], seen[b]);
             self.covariance(x, (i, l), (j, m)) + if a == b { self.noise.powi(2) } else { 0.0 }
@@ -95,7 +95,7 @@ impl Hyper {
     }
 
     /// ln p(y) and what draws the values to the middle of their grids.
-    fn evidence(&self, x: &[Setting], seen: &[Seen], y: &DVector<f64>) -> f64 {
+    fn evidence(&self, x: &[&Setting], seen: &[Seen], y: &DVector<f64>) -> f64 {
         let Some(factor) = self.factor(x, seen) else { return f64::NEG_INFINITY };
         let logs: f64 = factor.l_dirty().diagonal().iter().map(|d| d.ln()).sum();
         -0.5 * y.dot(&factor.solve(y)) - logs
@@ -120,7 +120,7 @@ const DRAWS: usize = 500;
 
 impl Prediction {
     /// Of trials of these settings, of which this was seen.
-    pub fn new(x: &[Setting], seen: &[Seen]) -> Self {
+    pub fn new(x: &[&Setting], seen: &[Seen]) -> Self {
         let last = LEVELS - 1;
         let middle = seen.iter().map(|s| s.2).sum::<f64>() / seen.len().max(1) as f64;
         let y = DVector::from_iterator(seen.len(), seen.iter().map(|s| s.2 - middle));
@@ -166,7 +166,7 @@ impl Prediction {
 }
 
 /// The likeliest hyperparameters of the grid, one after the other.
-fn fitted(x: &[Setting], seen: &[Seen], y: &DVector<f64>) -> Hyper {
+fn fitted(x: &[&Setting], seen: &[Seen], y: &DVector<f64>) -> Hyper {
     let mut at = vec![MIDDLE; OF_NOISE + 1 + x.first().map_or(0, |trial| trial.place.len())];
     let worth = |at: &[usize]| {
         let far: f64 = at.iter().map(|i| (*i as f64 - MIDDLE as f64).powi(2)).sum();
@@ -193,24 +193,31 @@ fn fitted(x: &[Setting], seen: &[Seen], y: &DVector<f64>) -> Hyper {
 mod tests {
     use super::*;
 
+    /// Of one coordinate, with looks and sensors.
+    fn settings(known: impl Iterator<Item = (f64, usize, usize)>) -> Vec<Setting> {
+        known.map(|(x, looks, sensors)| Setting { place: vec![x], looks, sensors }).collect()
+    }
+
+    fn predicted(x: &[Setting], seen: &[Seen]) -> Prediction {
+        Prediction::new(&x.iter().collect::<Vec<_>>(), seen)
+    }
+
     /// y = 1 + x at the last level, half of it above at the first one, and no noise: predicted between the places that were
     /// seen, and surer there than far from them; a look at the first rung makes a trial's result surer.
     #[test]
     fn results_are_predicted_from_looks() {
-        let places: Vec<[f64; 1]> = (0..9).map(|i| [f64::from(i) / 8.0]).collect();
-        let x: Vec<Setting> =
-            places.iter().enumerate().map(|(i, place)| Setting { place, looks: 0, sensors: i }).collect();
-        let truth = |i: usize| 1.0 + places[i][0];
+        let x = settings((0..9).map(|i| (i as f64 / 8.0, 0, i)));
+        let truth = |i: usize| 1.0 + x[i].place[0];
         let mut seen: Vec<Seen> =
             [0, 2, 6, 8].iter().flat_map(|&i| [(i, 0, truth(i) + 0.5), (i, 2, truth(i))]).collect();
-        let before = Prediction::new(&x, &seen);
+        let before = predicted(&x, &seen);
         for i in 0..9 {
             let off = before.mean[i] - truth(i);
             assert!(off.abs() < 0.15 && off.abs() < 3.0 * before.deviation[i] + 0.05, "{i}: {off}");
         }
         assert!(before.deviation[4] > before.deviation[2]);
         seen.push((4, 0, truth(4) + 0.5));
-        let after = Prediction::new(&x, &seen);
+        let after = predicted(&x, &seen);
         assert!(after.deviation[4] < before.deviation[4], "{:?}", after.deviation);
         let chance = after.chance(|draw| f64::from(u8::from(draw[0] < draw[8])));
         assert!(chance > 0.95, "{chance}");
@@ -220,13 +227,13 @@ mod tests {
     #[test]
     fn looks_that_tell_nothing_count_for_little() {
         let mut draw = Draw::numbered(3, 1);
-        let x: Vec<Setting> = (0..60).map(|i| Setting { place: &[0.0], looks: 0, sensors: i }).collect();
+        let x = settings((0..60).map(|i| (0.0, 0, i)));
         let seen: Vec<Seen> =
             (0..59).flat_map(|i| [(i, 0, draw.normal()), (i, 2, 0.5 * draw.normal())]).collect();
         let shown = |first: f64| {
             let mut seen = seen.clone();
             seen.push((59, 0, first));
-            Prediction::new(&x, &seen)
+            predicted(&x, &seen)
         };
         let (low, high) = (shown(-2.0), shown(2.0));
         assert!((low.mean[59] - high.mean[59]).abs() < 0.8, "{} {}", low.mean[59], high.mean[59]);
@@ -236,13 +243,13 @@ mod tests {
     /// Looks of one kind lie far below the results, those of another above, in one setting: both are predicted as they come out.
     #[test]
     fn looks_of_two_kinds_are_told_apart() {
-        let x: Vec<Setting> = (0..10).map(|i| Setting { place: &[0.0], looks: i % 2, sensors: i }).collect();
+        let x = settings((0..10).map(|i| (0.0, i % 2, i)));
         let mut draw = Draw::numbered(3, 2);
         let result: Vec<f64> = (0..10).map(|_| 3.0 + 0.3 * draw.normal()).collect();
         let look = |i: usize| result[i] + if i.is_multiple_of(2) { -1.0 } else { 0.6 };
         let mut seen: Vec<Seen> = (0..10).map(|i| (i, 0, look(i))).collect();
         seen.extend((0..6).map(|i| (i, 2, result[i])));
-        let found = Prediction::new(&x, &seen);
+        let found = predicted(&x, &seen);
         for i in 6..10 {
             assert!((found.mean[i] - result[i]).abs() < 0.25, "{i}: {} {}", found.mean[i], result[i]);
         }
@@ -251,12 +258,10 @@ mod tests {
     /// One of two placements reads worse in three settings: so it will in a fourth, far from them, where nobody has looked.
     #[test]
     fn a_placement_is_worth_the_same_in_other_settings() {
-        let places = [[0.0], [3.0], [6.0], [9.0]];
-        let x: Vec<Setting> =
-            (0..8).map(|i| Setting { place: &places[i / 2], looks: 0, sensors: i % 2 }).collect();
+        let x = settings((0..8).map(|i| (3.0 * (i / 2) as f64, 0, i % 2)));
         let truth = |i: usize| [2.0, 3.0, 1.5, 2.5][i / 2] + if i.is_multiple_of(2) { 0.0 } else { 0.8 };
         let seen: Vec<Seen> = (0..6).flat_map(|i| [(i, 0, truth(i) + 0.2), (i, 2, truth(i))]).collect();
-        let found = Prediction::new(&x, &seen);
+        let found = predicted(&x, &seen);
         assert!((0.5..1.0).contains(&(found.mean[7] - found.mean[6])), "{:?}", found.mean);
     }
 }

@@ -8,8 +8,8 @@
 use std::cmp::Ordering;
 
 use metasense_schemas::spec::Goal;
-pub use metasense_worker::predict::LEVELS;
-use metasense_worker::predict::{Prediction, Seen, Setting};
+pub use metasense_worker::predict::{LEVELS, Setting};
+use metasense_worker::predict::{Prediction, Seen};
 use metasense_worker::{FAILED, chance_above, student_above};
 
 use super::numbers::{deviation, mean};
@@ -36,12 +36,8 @@ const FREEDOM: usize = 3;
 pub struct Candidate {
     /// What it costs: compared one after the other.
     pub cost: [f64; 3],
-    /// Its setting, as coordinates of about 0 … 1.
-    pub place: Vec<f64>,
-    /// What its rungs tell: the same number where it is the same quantity.
-    pub looks: usize,
-    /// Where its sensors are: the same number where they are the same.
-    pub sensors: usize,
+    /// What is known of it before it is seen.
+    pub setting: Setting,
     /// Errors (%) at the levels that it has reached; `None`: none was told there.
     pub reached: Vec<Option<f64>>,
     /// It has failed for good.
@@ -283,8 +279,7 @@ struct View<'a> {
 
 impl<'a> View<'a> {
     fn new(goal: &'a Goal, candidates: &'a [Candidate]) -> Self {
-        let setting = |c: &'a Candidate| Setting { place: &c.place, looks: c.looks, sensors: c.sensors };
-        let settings: Vec<Setting> = candidates.iter().map(setting).collect();
+        let settings: Vec<&Setting> = candidates.iter().map(|c| &c.setting).collect();
         let seen = seen(candidates);
         let mut view = Self {
             goal,
@@ -361,7 +356,10 @@ impl<'a> View<'a> {
     fn begin(&self) -> Vec<(usize, Work)> {
         let mut settings: Vec<usize> = Vec::new(); // the first candidate of each, by cost
         for &i in self.classes.iter().flatten() {
-            if !settings.iter().any(|&known| self.candidates[known].place == self.candidates[i].place) {
+            if !settings
+                .iter()
+                .any(|&known| self.candidates[known].setting.place == self.candidates[i].setting.place)
+            {
                 settings.push(i);
             }
         }
@@ -392,7 +390,7 @@ impl<'a> View<'a> {
     /// by a guess of a few results.
     fn anywhere(&self) -> Vec<(usize, Work)> {
         let results = self.candidates.iter().filter(|c| c.reached.len() == LEVELS).count();
-        let guess = results < LEAST_RESULTS + self.candidates[0].place.len();
+        let guess = results < LEAST_RESULTS + self.candidates[0].setting.place.len();
         let worth = |i: &usize| self.is_open(*i) && (guess || self.prospects[*i] >= WORTH_LAST);
         let mut some: Vec<usize> = (0..self.candidates.len()).filter(worth).collect();
         some.sort_by(|a, b| self.order(*a, *b));

@@ -46,9 +46,11 @@ impl Landscape {
                 truth.push(setting + placed[n / 4] + OWN * draw.normal());
                 trials.push(Candidate {
                     cost: [1.0 + m, 100.0 + 900.0 * brain, 25.0 + 10.0 * size],
-                    place: vec![m / 3.0, size / 3.0, brain, objective],
-                    looks,
-                    sensors: 16 * placement + n / 4,
+                    setting: Setting {
+                        place: vec![m / 3.0, size / 3.0, brain, objective],
+                        looks,
+                        sensors: 16 * placement + n / 4,
+                    },
                     ..Candidate::default()
                 });
             }
@@ -61,7 +63,7 @@ impl Landscape {
         let trial = |i: usize| {
             json!({
                 "cost": self.trials[i].cost,
-                "place": self.trials[i].place,
+                "place": self.trials[i].setting.place,
                 "truth": self.truth[i],
                 "levels": (0..LEVELS).map(|level| self.told_at(i, level)).collect::<Vec<_>>(),
                 "fresh": (0..8).map(|n| self.error(i, LEVELS + n, 0.0, SEED)).collect::<Vec<_>>(),
@@ -74,7 +76,7 @@ impl Landscape {
 
     /// What a trial tells at a level.
     fn told_at(&self, i: usize, level: usize) -> f64 {
-        self.error(i, level, MORE[self.trials[i].looks][level], DEVIATIONS[level])
+        self.error(i, level, MORE[self.trials[i].setting.looks][level], DEVIATIONS[level])
     }
 
     /// What a trial tells at its n-th reading: the same, whenever it is asked.
