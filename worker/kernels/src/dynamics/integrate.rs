@@ -5,9 +5,10 @@ use super::jobs::{Backward, Job};
 use super::model::{Model, ModelCotangent};
 use super::simulation::SampleTape;
 use super::{
-    Counters, Forces, Gradient, Method, Outcome, Plan, Scene, Simulation, Solver, Steps, Tape, Wrt, choose,
-    equilibrium, splitting,
+    Counters, Forces, Gradient, Method, Outcome, Plan, Precision, Scene, Simulation, Solver, Steps, Tape,
+    Wrt, choose, equilibrium, splitting,
 };
+use crate::simd::Width;
 use rayon::prelude::*;
 use std::sync::Mutex;
 
@@ -54,8 +55,9 @@ pub fn run(
         adaptive @ Steps::Adaptive(_) => adaptive,
     };
     let plan = &Plan { steps, ..plan.clone() };
-    let machine = machine(pool.width(), plan.precision);
     let n = forces.samples;
+    let width = roomy(pool.width(), plan.precision, n);
+    let machine = machine(width, plan.precision);
     let len = scene.instants * 3 * scene.sensors.len();
     let mut signals = vec![0.0; n * len];
     let mut outcomes = vec![Outcome::Ok; n];
@@ -126,7 +128,7 @@ pub fn run(
         outcomes,
         counters: total,
         plan: plan.clone(),
-        width: pool.width(),
+        width,
         tape: keep_tape.then(|| Tape {
             scene: scene.clone(),
             design: design.to_vec(),
@@ -135,6 +137,16 @@ pub fn run(
             parts,
             samples: tapes,
         }),
+    }
+}
+
+/// The instruction set of a pool, or the next narrower one where that holds all samples: half-empty vectors of f32 cost as much as full ones,
+/// and a batch of casts has few samples of each.
+fn roomy(width: Width, precision: Precision, samples: usize) -> Width {
+    let fits = samples <= machine(Width::Avx2, Precision::Single).lanes;
+    match (width, precision) {
+        (Width::Avx512, Precision::Single) if fits => Width::Avx2,
+        _ => width,
     }
 }
 
