@@ -140,12 +140,11 @@ pub fn run(
     }
 }
 
-/// The instruction set of a pool, or the next narrower one where that holds all samples: half-empty vectors of f32 cost as much as full ones,
+/// The instruction set of a pool, or the next narrower one that holds all samples: half-empty vectors of f32 cost as much as full ones,
 /// and a batch of casts has few samples of each.
 fn roomy(width: Width, precision: Precision, samples: usize) -> Width {
-    let fits = samples <= machine(Width::Avx2, Precision::Single).lanes;
     match (width, precision) {
-        (Width::Avx512, Precision::Single) if fits => Width::Avx2,
+        (Width::Avx512, Precision::Single) if samples <= machine(Width::Avx2, precision).lanes => Width::Avx2,
         _ => width,
     }
 }

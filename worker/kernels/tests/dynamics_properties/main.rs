@@ -95,6 +95,27 @@ fn steps_in_single_precision_are_those_in_double() {
     assert!(apart.iter().flatten().all(|off| (1e-9..3e-5).contains(off)), "{apart:?}");
 }
 
+/// Samples that leave half of an AVX-512 register of f32 empty are computed as with AVX2, back and forth; one more, and in f64, not.
+#[test]
+fn few_samples_take_a_register_that_they_fill() {
+    let scene = small_scene();
+    let design = shaken(&scene);
+    let of = |width, samples, precision| {
+        let plan = Plan { precision, ..plan(Method::Nystrom6, 12) };
+        let pool = Pool::with(1, width, Heartbeat::default()).expect("threads");
+        let run = run(&scene, &design, &pushes(&scene, samples, 0.4), &plan, true, &pool);
+        let gradient = run.vjp(&run.signals, Wrt::Design, &pool).design;
+        (run.width, run.signals, gradient)
+    };
+    for width in Width::ALL.into_iter().filter(|width| *width <= Width::detect()) {
+        let by = |samples, precision| of(width, samples, precision).0;
+        assert_eq!(by(8, Precision::Single), width.min(Width::Avx2));
+        assert_eq!([by(9, Precision::Single), by(8, Precision::Double)], [width; 2]);
+        let fits = of(width.min(Width::Avx2), 8, Precision::Single);
+        assert!(of(width, 8, Precision::Single) == fits, "{}", width.name());
+    }
+}
+
 /// The reference scene for a second, under pulses of 60 to 250 ms.
 fn second() -> (Scene, Forces) {
     let layout = Layout::planar(6, 6, 15.0, 2.25);
