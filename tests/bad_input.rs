@@ -262,6 +262,11 @@ const EDITS: &[(&str, &str, &str)] = &[
         "[until]\npaired = 1.0\n[goal]\nerror = 3.0\n[sweep]",
         "until: cannot be given beside [goal]",
     ),
+    (
+        "[sweep]",
+        "[evaluation]\nrecords = false\n[sweep]",
+        "s.toml:14: evaluation.records = false: means nothing here",
+    ),
     ("[sweep]", "[until]\nconfidence = 0.9\n[sweep]", "s.toml:13: until: needs a question: paired, within,"),
     (
         "[sweep]",

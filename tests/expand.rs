@@ -152,7 +152,7 @@ fn committed_specs_keep_their_hashes() {
     insta::assert_snapshot!(digests.join("\n"), @r"
     blows-map d3cdf14623ed2a3e
     brains-two-core 5eb82c6f08db37b1
-    design-two-core 05acc6def83eca89
+    design-two-core 834a3cec86c88ac1
     disc 05cd48334f7ba6b8
     eight-forces d02373435aeebd1c
     elbow-law dd9ab67d59dd2124

@@ -96,6 +96,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
             batch: trial.evaluation.batch,
             long: trial.evaluation.long_iterations,
             casts: casts(trial)?,
+            records: trial.evaluation.records.unwrap_or(true),
             initial: trial.evaluation.initial.unwrap_or(true),
         },
         under: under(trial)?,

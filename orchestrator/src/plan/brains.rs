@@ -39,6 +39,8 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
     if !has_network(reader) {
         evaluation = evaluation.of_linear();
     }
+    // it calibrates a twin on them
+    evaluation.records = evaluation.records.filter(|_| reader != BrainKind::Inverse);
     if !has_linear(reader) && !has_linear(trainer) {
         (brain.memory, brain.ridge) = (None, None);
     }
@@ -94,10 +96,17 @@ pub(super) fn refuse_unread<'a>(
     let varied = any(&|spec| spec.variation.is_some());
     let no_objective = "means nothing here: no trial has an optimise.objective over casts";
     let no_variation = "means nothing here: no trial has a [variation]";
-    let of_casts: [(&str, bool, Given, &str); 4] = [
+    let calibrates = varied && any(&|spec| spec.brain.kind != BrainKind::Inverse);
+    let of_casts: [(&str, bool, Given, &str); 5] = [
         ("optimise.casts", robust, &|s| s.optimise.casts.is_some(), no_objective),
         ("optimise.reader", robust, &|s| s.optimise.reader.is_some(), no_objective),
         ("evaluation.casts", varied, &|s| s.evaluation.casts.is_some(), no_variation),
+        (
+            "evaluation.records",
+            calibrates,
+            &|s| s.evaluation.records.is_some(),
+            "means nothing here: no trial has a [variation] and another brain than an inverse one",
+        ),
         (
             "variation",
             false,

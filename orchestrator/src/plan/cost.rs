@@ -173,7 +173,11 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
     let each = (stimuli.samples + stimuli.holdout) as f64 * one_sample;
     let own_factor = CAST_FACTORS * factor(unknowns(trial, trial.brain.memory)) / pace.factor;
     let cast = each + own_factor;
-    let of_casts = trial.evaluation.casts.map_or(0.0, |casts| casts as f64 * cast + 4.0 * each);
+    let read = match trial.evaluation.records {
+        Some(false) => stimuli.holdout as f64 * one_sample,
+        _ => cast,
+    };
+    let of_casts = trial.evaluation.casts.map_or(0.0, |casts| casts as f64 * read + 4.0 * each);
     let under = trial.evaluation.under.as_ref().map_or(0, Vec::len) as f64 * cast;
     let inverted = if trial.brain.kind == BrainKind::Inverse {
         let sample = INVERSION * trial.point.panels as f64;

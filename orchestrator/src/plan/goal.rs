@@ -50,6 +50,11 @@ pub(super) fn check(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> 
         ),
         ("goal.reader.records", records, "must be 10, 30 or 100"),
         (
+            "evaluation.records",
+            spec.evaluation.records != Some(false) || !matches!(goal.reader, Some(GoalReader::Calibrated(_))),
+            "must be true: goal.reader is fitted to records of a cast",
+        ),
+        (
             "goal.delay",
             goal.delay.is_none_or(|s| s >= 0.0 && s.is_finite()),
             "must be 0 or a number of seconds",

@@ -445,6 +445,10 @@ pub struct Evaluation {
     /// Default: 24 where there is a `[variation]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub casts: Option<usize>,
+    /// Whether linear brains fitted to 10, 30, 100 and all training samples of a cast, beside those of other casts, read it, too: most of
+    /// the work on a cast; an inverse brain needs them. Default: true.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub records: Option<bool>,
     /// Kinds of forces under which linear brains read both bodies besides, whatever the body was trained for (`v_under`): tables
     /// `[[evaluation.under]]` of `kind` and keys of that kind, each kind once. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -466,7 +470,8 @@ impl Evaluation {
         let casts = Some(self.casts.unwrap_or(CASTS)).filter(|casts| varied && *casts > 0);
         let under =
             self.under.as_ref().map(|kinds| kinds.iter().map(|kind| kind.resolved(stimuli)).collect());
-        Self { seeds: Some(self.networks()), casts, under, ..self }
+        let records = self.records.filter(|read| !read && casts.is_some());
+        Self { seeds: Some(self.networks()), casts, records, under, ..self }
     }
 
     /// The same of a body that a linear brain reads: it is solved for once.
@@ -477,6 +482,7 @@ impl Evaluation {
             casts: self.casts,
             under: self.under,
             initial: self.initial,
+            records: self.records,
             ..Self::default()
         }
     }
@@ -496,6 +502,7 @@ impl Default for Evaluation {
             batch: None,
             long_iterations: None,
             casts: None,
+            records: None,
             under: None,
             initial: None,
         }

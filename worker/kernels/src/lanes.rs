@@ -184,7 +184,7 @@ macro_rules! operators {
     };
 }
 
-pub use x86::{Avx2, Avx512, Half, Pair, SingleAvx2, SingleAvx512, SingleSse2, Sse2};
+pub use x86::{Avx2, Avx512, Half, HalfSingleAvx512, Pair, SingleAvx2, SingleAvx512, SingleSse2, Sse2};
 
 mod x86 {
     // SAFETY (this module): every x86-64 has SSE2; values of the other types are made only inside the entry points of `dispatch`
@@ -345,6 +345,29 @@ mod x86 {
         let high = _mm256_castpd_ps(_mm512_extractf64x4_pd::<1>(_mm512_castps_pd(x.0)));
         Pair(Avx512(_mm512_cvtps_pd(_mm512_castps512_ps256(x.0))), Avx512(_mm512_cvtps_pd(high)))
     });
+
+    // Of `SingleAvx512` the half, with its bits.
+    register!(HalfSingleAvx512: __m256, f32, 8;
+    _mm256_set1_ps, _mm256_loadu_ps, _mm256_storeu_ps, _mm256_add_ps, _mm256_sub_ps, _mm256_mul_ps, _mm256_fmadd_ps, _mm256_fnmadd_ps,
+    _mm256_div_ps, _mm256_max_ps;
+    abs(a): _mm256_andnot_ps(_mm256_set1_ps(-0.0), a),
+    rsqrt(x): {
+        let y = Self(unsafe { _mm256_rsqrt14_ps(x.0) });
+        let e = x.times(y).mul_sub_from(y, Self::splat(1.0));
+        y.times(e).mul_add(Self::splat(0.5), y)
+    },
+    less(x, y): _mm256_cmp_ps_mask::<_CMP_LT_OQ>(x, y),
+    blend(mask, yes, no): _mm256_mask_blend_ps(mask, no, yes),
+    within(x, most): _mm256_cmp_ps_mask::<_CMP_LE_OQ>(x, most) == 0xff,
+    any(mask): mask != 0,
+    sum(all): {
+        let four = _mm_add_ps(_mm256_castps256_ps128(all), _mm256_extractf128_ps::<1>(all));
+        let two = _mm_add_ps(four, _mm_movehl_ps(four, four));
+        _mm_cvtss_f32(_mm_add_ss(two, _mm_movehdup_ps(two)))
+    },
+    wide: Avx512,
+    narrow(x): Self(unsafe { _mm512_cvtpd_ps(x.0) }),
+    widen(x): Avx512(unsafe { _mm512_cvtps_pd(x.0) }));
 
     register!(Half: __m256d, f64, 4;
     _mm256_set1_pd, _mm256_loadu_pd, _mm256_storeu_pd, _mm256_add_pd, _mm256_sub_pd, _mm256_mul_pd, _mm256_fmadd_pd, _mm256_fnmadd_pd,

@@ -145,7 +145,7 @@ fn compared(trial: &Trial, mut state: State, observer: &mut dyn Observe) -> Opti
     let (casts, bands) = (of_both(problem, casts), of_both(problem, bands));
     let [mut initial, optimised] = of_both(problem, compared);
     initial.design.clone_from(&problem.initial);
-    let signal_errors = [trial.error, tuned.error];
+    let signal_errors = [trial.tuned(&problem.initial).error, tuned.error];
     Some(Optimised {
         initial,
         optimised,

@@ -6,7 +6,7 @@ use super::model::{Bar, Model, ModelCotangent};
 use super::system::{EnergyKernel, GradientKernel, Kernels, ProductKernel, System, Unit};
 use super::{Counters, Forces, Plan, Precision, Scene, Steps, Wrt, relaxing, splitting, tsit5};
 use crate::Heartbeat;
-use crate::lanes::{Avx2, Avx512, SingleAvx2, SingleAvx512, SingleSse2, Sse2, Vector};
+use crate::lanes::{Avx2, Avx512, HalfSingleAvx512, SingleAvx2, SingleAvx512, SingleSse2, Sse2, Vector};
 use crate::simd::Width;
 
 /// (scene, model, forces, plan, checkpoints an interval, queue, heartbeat).
@@ -225,14 +225,19 @@ machine!(avx2, Avx2, tsit5, "avx2,fma");
 machine!(single_avx2, SingleAvx2, no_tsit5, "avx2,fma");
 machine!(avx512, Avx512, tsit5, "avx512f,avx512dq,avx512vl,avx512bw,fma");
 machine!(single_avx512, SingleAvx512, no_tsit5, "avx512f,avx512dq,avx512vl,avx512bw,fma");
+machine!(half_single_avx512, HalfSingleAvx512, no_tsit5, "avx512f,avx512dq,avx512vl,avx512bw,fma");
 
-/// The code for this.
+/// The code for so many samples: of few such as they fill, as half-empty vectors cost as much as full ones, and a step over casts has
+/// few samples of each. A sample's motion has the same bits by either.
 ///
 /// # Panics
 /// If the machine lacks `width`.
-pub fn machine(width: Width, precision: Precision) -> Machine {
+pub fn machine(width: Width, precision: Precision, samples: usize) -> Machine {
     width.check();
     match (width, precision) {
+        (Width::Avx512, Precision::Single) if samples <= half_single_avx512::MACHINE.lanes => {
+            half_single_avx512::MACHINE
+        }
         (Width::Avx512, Precision::Double) => avx512::MACHINE,
         (Width::Avx512, Precision::Single) => single_avx512::MACHINE,
         (Width::Avx2, Precision::Double) => avx2::MACHINE,
@@ -255,7 +260,7 @@ pub fn repeat_kernel(
     second: bool,
 ) -> u64 {
     let model = Model::new(scene, design).moving();
-    let machine = machine(width, precision);
+    let machine = machine(width, precision, usize::MAX);
     // SAFETY: `machine` has checked that this machine has `width`.
     unsafe { (machine.repeat)(scene, &model, times, second) };
     (times * machine.lanes * model.bars.len()) as u64

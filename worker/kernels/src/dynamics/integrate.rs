@@ -5,10 +5,9 @@ use super::jobs::{Backward, Job};
 use super::model::{Model, ModelCotangent};
 use super::simulation::SampleTape;
 use super::{
-    Counters, Forces, Gradient, Method, Outcome, Plan, Precision, Scene, Simulation, Solver, Steps, Tape,
-    Wrt, choose, equilibrium, splitting,
+    Counters, Forces, Gradient, Method, Outcome, Plan, Scene, Simulation, Solver, Steps, Tape, Wrt, choose,
+    equilibrium, splitting,
 };
-use crate::simd::Width;
 use rayon::prelude::*;
 use std::sync::Mutex;
 
@@ -56,8 +55,7 @@ pub fn run(
     };
     let plan = &Plan { steps, ..plan.clone() };
     let n = forces.samples;
-    let width = roomy(pool.width(), plan.precision, n);
-    let machine = machine(width, plan.precision);
+    let machine = machine(pool.width(), plan.precision, n);
     let len = scene.instants * 3 * scene.sensors.len();
     let mut signals = vec![0.0; n * len];
     let mut outcomes = vec![Outcome::Ok; n];
@@ -128,7 +126,7 @@ pub fn run(
         outcomes,
         counters: total,
         plan: plan.clone(),
-        width,
+        width: pool.width(),
         tape: keep_tape.then(|| Tape {
             scene: scene.clone(),
             design: design.to_vec(),
@@ -137,15 +135,6 @@ pub fn run(
             parts,
             samples: tapes,
         }),
-    }
-}
-
-/// The instruction set of a pool, or the next narrower one that holds all samples: half-empty vectors of f32 cost as much as full ones,
-/// and a batch of casts has few samples of each.
-fn roomy(width: Width, precision: Precision, samples: usize) -> Width {
-    match (width, precision) {
-        (Width::Avx512, Precision::Single) if samples <= machine(Width::Avx2, precision).lanes => Width::Avx2,
-        _ => width,
     }
 }
 
@@ -187,7 +176,7 @@ impl Simulation {
         assert_eq!(cotangent.len(), forces.samples * len, "length of the cotangent");
         let model = tape.model().moving();
         let plan = &self.plan;
-        let machine = machine(self.width, plan.precision);
+        let machine = machine(self.width, plan.precision, forces.samples);
         let sweeps: Vec<Backward<'_>> = (0..forces.samples)
             .filter(|i| self.outcomes[*i] == Outcome::Ok)
             .map(|at| Backward {

@@ -95,24 +95,30 @@ fn steps_in_single_precision_are_those_in_double() {
     assert!(apart.iter().flatten().all(|off| (1e-9..3e-5).contains(off)), "{apart:?}");
 }
 
-/// Samples that leave half of an AVX-512 register of f32 empty are computed as with AVX2, back and forth; one more, and in f64, not.
+/// Samples that fill a narrower register have in it the bits that they have among more, and so have their gradients but for the
+/// order of a sum.
 #[test]
-fn few_samples_take_a_register_that_they_fill() {
+fn a_sample_moves_alike_among_few_and_many() {
     let scene = small_scene();
-    let design = shaken(&scene);
-    let of = |width, samples, precision| {
-        let plan = Plan { precision, ..plan(Method::Nystrom6, 12) };
-        let pool = Pool::with(1, width, Heartbeat::default()).expect("threads");
-        let run = run(&scene, &design, &pushes(&scene, samples, 0.4), &plan, true, &pool);
-        let gradient = run.vjp(&run.signals, Wrt::Design, &pool).design;
-        (run.width, run.signals, gradient)
-    };
+    let (design, forces) = (shaken(&scene), pushes(&scene, 19, 0.4));
     for width in Width::ALL.into_iter().filter(|width| *width <= Width::detect()) {
-        let by = |samples, precision| of(width, samples, precision).0;
-        assert_eq!(by(8, Precision::Single), width.min(Width::Avx2));
-        assert_eq!([by(9, Precision::Single), by(8, Precision::Double)], [width; 2]);
-        let fits = of(width.min(Width::Avx2), 8, Precision::Single);
-        assert!(of(width, 8, Precision::Single) == fits, "{}", width.name());
+        for (method, _, steps) in EQUAL_STEPS {
+            let of = |samples: &[usize]| {
+                let plan = Plan { precision: Precision::Single, ..plan(method, steps) };
+                let pool = Pool::with(1, width, Heartbeat::default()).expect("threads");
+                let run = run(&scene, &design, &forces.select(samples), &plan, true, &pool);
+                let gradient = run.vjp(&run.signals, Wrt::Design, &pool).design;
+                (run.signals, gradient)
+            };
+            let all = of(&(0..19).collect::<Vec<_>>());
+            let parts =
+                [of(&[0, 1, 2, 3, 4, 5, 6, 7]), of(&[8, 9, 10, 11, 12, 13, 14, 15]), of(&[16, 17, 18])];
+            assert!(all.0 == parts.each_ref().map(|part| part.0.clone()).concat(), "{}", width.name());
+            let mut sum = vec![0.0; design.len()];
+            parts.iter().for_each(|part| sum.iter_mut().zip(&part.1).for_each(|(sum, x)| *sum += x));
+            let off = relative(&sum, &all.1);
+            assert!(off < 1e-5, "{} {off:e}", width.name());
+        }
     }
 }
 

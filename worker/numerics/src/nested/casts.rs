@@ -1,7 +1,7 @@
 //! What is left of a body once it is cast: brains on casts of it that no training has seen.
 //!
-//! A linear brain fitted to the body as designed, one to samples of many other casts, and one to the first 10, 30, 100 and to
-//! all training samples of the cast itself beside those; of a trial with networks also the first network of its comparison, and one trained
+//! A linear brain fitted to the body as designed, one to samples of many other casts, and, where asked for, one to the first 10, 30, 100
+//! and to all training samples of the cast itself beside those; of a trial with networks also the first network of its comparison, and one trained
 //! on other casts. Each reads the holdout on the cast. A cast that cannot be simulated is read entirely wrong.
 
 use super::evaluation::{BandReading, CastBrain, CastReading};
@@ -38,8 +38,10 @@ struct Brains<'a> {
     /// Of the body as designed and of many casts; none of a trial without.
     networks: Vec<Result<Box<dyn Reader + 'a>, Trouble>>,
     linear: [Result<Fitted, Trouble>; 2],
-    /// Samples of many casts, for those that are fitted to few of one.
-    casts: Result<Beside, Trouble>,
+    /// So many samples of a cast are those fitted to that read it.
+    records: Vec<usize>,
+    /// Samples of many casts, where there are these.
+    casts: Option<Result<Beside, Trouble>>,
     /// Their λ, that of the body as designed.
     decoder: Decoder,
 }
@@ -254,13 +256,15 @@ impl Mould<'_> {
         Ok(Samples::joined(&all.iter().collect::<Vec<_>>()))
     }
 
-    /// Training and holdout samples of a cast.
+    /// Training samples of a cast, where brains are fitted to them, and its holdout.
     fn sets(&self, cast: Option<&Cast>, counters: &mut Counters) -> Result<[Samples; 2], Trouble> {
         let &Self { trial, design, solver } = self;
         let [train, _] = trial.problem.known();
         let holdout = trial.problem.forces(Purpose::Holdout, 0, trial.problem.stimuli.holdout);
         let mut of = |forces| Ok(trial.simulate_cast(cast, design, forces, solver, false, counters)?.samples);
-        Ok([of(train)?, of(holdout)?])
+        let train = trial.problem.evaluation.records.then(|| of(train)).transpose()?;
+        let holdout = of(holdout)?;
+        Ok([train.unwrap_or_else(|| holdout.select(&[])), holdout])
     }
 }
 
@@ -271,14 +275,17 @@ impl Brains<'_> {
             Ok(known) => Fitted::of(trial, known),
             Err(trouble) => Err(*trouble),
         });
-        let casts = match &known[1] {
+        let all = trial.train.samples;
+        let records = RECORDS.into_iter().filter(|&n| n < all).chain([all]);
+        let records: Vec<usize> = records.filter(|_| trial.problem.evaluation.records).collect();
+        let casts = (!records.is_empty()).then(|| match &known[1] {
             Ok(casts) => Ok(Beside::of(casts, &trial.scales, trial.problem.decoder.lags, trial.pool)),
             Err(trouble) => Err(*trouble),
-        };
+        });
         let ridge =
             linear[0].as_ref().map_or(trial.problem.decoder.ridge, |nominal| Ridge::Given(nominal.ridge));
         let decoder = Decoder { ridge, ..trial.problem.decoder };
-        Self { networks: Vec::new(), linear, casts, decoder }
+        Self { networks: Vec::new(), linear, records, casts, decoder }
     }
 
     /// How they read a cast of these training and holdout samples, and how those do that are fitted to it. To the bands of the body
@@ -290,11 +297,10 @@ impl Brains<'_> {
         sets: &Result<[Samples; 2], Trouble>,
         bands: &mut Vec<BandReading>,
     ) -> Vec<CastReading> {
-        let all = trial.train.samples;
-        let records = RECORDS.into_iter().filter(|&n| n < all).chain([all]);
         let networks = [CastBrain::Network, CastBrain::NetworkCasts].into_iter().take(self.networks.len());
         let brains = networks.chain([CastBrain::Nominal, CastBrain::Casts]);
-        let brains = brains.chain(records.map(|n| CastBrain::Records(n as u32)));
+        let records = self.records.iter().map(|&n| CastBrain::Records(n as u32));
+        let brains: Vec<CastBrain> = brains.chain(records).collect();
         let own: &[CastBrain] = match trial.problem.reader {
             BrainKind::Linear => &[CastBrain::Nominal, CastBrain::Casts],
             BrainKind::Network | BrainKind::Stacked => &[CastBrain::Network, CastBrain::NetworkCasts],
@@ -302,6 +308,7 @@ impl Brains<'_> {
         };
         let designed: Vec<BandReading> = bands.iter().filter(|band| band.cast.is_none()).cloned().collect();
         brains
+            .into_iter()
             .map(|by| {
                 let found = sets.as_ref().map_err(|trouble| *trouble);
                 let found = found.and_then(|[train, holdout]| {
@@ -348,7 +355,8 @@ impl Brains<'_> {
             CastBrain::Casts => linear(&self.linear[1]),
             CastBrain::Records(n) => {
                 let some = train.select(&(0..n as usize).collect::<Vec<_>>());
-                let casts = self.casts.as_ref().map_err(|trouble| *trouble)?;
+                let casts = self.casts.as_ref().expect("records are read");
+                let casts = casts.as_ref().map_err(|trouble| *trouble)?;
                 let (seed, pool) = (trial.problem.seed, trial.pool);
                 linear(&self.decoder.fit_beside(seed, &some, casts, pool))
             }

@@ -85,6 +85,7 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
             batch: Some(5),
             long: None,
             casts: 0,
+            records: true,
             initial: true,
         },
         seed: 3,

@@ -42,10 +42,10 @@ pub struct Trial<'a> {
     pub pool: &'a crate::Pool,
     /// Why the integrators are what they are.
     pub reason: String,
-    /// Relative error of the initial body's signals by the accurate integrator, where its pilot measured it.
-    pub error: Option<f64>,
     /// Work of the pilots.
     pub pilots: dynamics::Counters,
+    /// The accurate integrator of the initial body; its pilot's work is in `pilots`.
+    usual: Tuned,
     /// The accurate integrator as the spec asks for it.
     asked: Solver,
     pub(crate) train: Forces,
@@ -96,9 +96,10 @@ impl<'a> Trial<'a> {
     fn with(problem: &Problem, pool: &'a crate::Pool, chip: Option<Chip>) -> Result<Self, Failure> {
         assert!(problem.search.is_none(), "the sensors are not in place");
         let (mut problem, asked) = (problem.clone(), problem.solver);
-        let (usual, coarse) = (pilot(&problem, &problem.initial, &asked, pool), problem.optimise.coarse);
-        let coarse = coarse.map(|coarse| pilot(&problem, &problem.initial, &coarse, pool));
-        let (mut reason, mut pilots) = (usual.plan.reason, usual.counters);
+        let usual = pilot(&problem, &problem.initial, &asked, pool);
+        let steps = problem.optimise.coarse.filter(|_| problem.optimise.iterations > 0);
+        let coarse = steps.map(|coarse| pilot(&problem, &problem.initial, &coarse, pool));
+        let (mut reason, mut pilots) = (usual.plan.reason.clone(), usual.counters);
         problem.solver = usual.solver;
         if let Some(coarse) = coarse {
             reason = format!("{reason}. Coarse steps: {}", coarse.plan.reason);
@@ -126,7 +127,7 @@ impl<'a> Trial<'a> {
             problem,
             pool,
             reason,
-            error: usual.error,
+            usual: Tuned { counters: dynamics::Counters::default(), ..usual },
             pilots,
             asked,
             train,
@@ -138,9 +139,12 @@ impl<'a> Trial<'a> {
         })
     }
 
-    /// The accurate integrator tuned on another body.
+    /// The accurate integrator tuned on a body; the work is that of its pilot, none of the initial body, which has had one.
     pub fn tuned(&self, design: &[f64]) -> Tuned {
-        pilot(&self.problem, design, &self.asked, self.pool)
+        match design == self.problem.initial {
+            true => self.usual.clone(),
+            false => pilot(&self.problem, design, &self.asked, self.pool),
+        }
     }
 
     /// Simulates a body under `forces`, and counts the work.

@@ -191,6 +191,8 @@ pub struct Evaluation {
     pub long: Option<usize>,
     /// Casts of each body that are read.
     pub casts: usize,
+    /// Whether they are read by brains fitted to samples of theirs, too.
+    pub records: bool,
     /// Whether the initial body is compared, too.
     pub initial: bool,
 }

@@ -303,6 +303,23 @@ fn the_initial_body_is_left_out_where_nobody_asks_about_it() {
     assert_eq!(unmoved.initial.networks.len(), 1);
 }
 
+/// Without brains fitted to records of a cast there are fewer readings for less work, and the others stay as they are.
+#[test]
+fn casts_are_read_without_records_where_nobody_asks_for_those() {
+    let mut problem = cast(MEAN);
+    (problem.optimise.iterations, problem.evaluation.casts) = (0, 2);
+    let of = |problem: &Problem| optimise(problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
+    let beside = of(&problem);
+    problem.evaluation.records = false;
+    let alone = of(&problem);
+    let calibrated = |reading: &&CastReading| matches!(reading.by, CastBrain::Records(_));
+    assert_eq!(beside.casts[0].iter().filter(calibrated).count(), 4);
+    let others: Vec<_> = beside.casts[0].iter().filter(|reading| !calibrated(reading)).copied().collect();
+    assert_eq!(alone.casts[0], others);
+    assert_eq!((&alone.optimised, &alone.bands), (&beside.optimised, &beside.bands));
+    assert!(alone.counters.dynamics.force_evaluations < beside.counters.dynamics.force_evaluations);
+}
+
 /// Ligaments that relax judge alone: training is the same to the bit, and brains that do not know them read what they make worse than
 /// a brain that is fitted to it.
 #[test]
