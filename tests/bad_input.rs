@@ -264,6 +264,12 @@ const EDITS: &[(&str, &str, &str)] = &[
     ),
     (
         "[sweep]",
+        "[variation]\nstretch = 0.05\n[evaluation]\nrecords = false\n[goal]\nerror = 3.0\nquantile = 0.9\n\
+         reader = { records = 10 }\n[sweep]",
+        "s.toml:16: evaluation.records = false: must be true: goal.reader is fitted to records of a cast",
+    ),
+    (
+        "[sweep]",
         "[evaluation]\nrecords = false\n[sweep]",
         "s.toml:14: evaluation.records = false: means nothing here",
     ),
