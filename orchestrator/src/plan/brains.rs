@@ -39,8 +39,9 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
     if !has_network(reader) {
         evaluation = evaluation.of_linear();
     }
-    // it calibrates a twin on them
-    evaluation.records = evaluation.records.filter(|_| reader != BrainKind::Inverse);
+    // an inverse brain calibrates a twin on them
+    let spared = evaluation.casts.is_some() && reader != BrainKind::Inverse;
+    evaluation.records = evaluation.records.filter(|read| !read && spared);
     if !has_linear(reader) && !has_linear(trainer) {
         (brain.memory, brain.ridge) = (None, None);
     }

@@ -470,8 +470,7 @@ impl Evaluation {
         let casts = Some(self.casts.unwrap_or(CASTS)).filter(|casts| varied && *casts > 0);
         let under =
             self.under.as_ref().map(|kinds| kinds.iter().map(|kind| kind.resolved(stimuli)).collect());
-        let records = self.records.filter(|read| !read && casts.is_some());
-        Self { seeds: Some(self.networks()), casts, records, under, ..self }
+        Self { seeds: Some(self.networks()), casts, under, ..self }
     }
 
     /// The same of a body that a linear brain reads: it is solved for once.

@@ -360,11 +360,7 @@ mod x86 {
     blend(mask, yes, no): _mm256_mask_blend_ps(mask, no, yes),
     within(x, most): _mm256_cmp_ps_mask::<_CMP_LE_OQ>(x, most) == 0xff,
     any(mask): mask != 0,
-    sum(all): {
-        let four = _mm_add_ps(_mm256_castps256_ps128(all), _mm256_extractf128_ps::<1>(all));
-        let two = _mm_add_ps(four, _mm_movehl_ps(four, four));
-        _mm_cvtss_f32(_mm_add_ss(two, _mm_movehdup_ps(two)))
-    },
+    sum(all): sum_of_eight(all),
     wide: Avx512,
     narrow(x): Self(unsafe { _mm512_cvtpd_ps(x.0) }),
     widen(x): Avx512(unsafe { _mm512_cvtps_pd(x.0) }));
@@ -399,11 +395,7 @@ mod x86 {
     blend(mask, yes, no): _mm256_blendv_ps(no, yes, mask),
     within(x, most): _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(x, most)) == 0xff,
     any(mask): _mm256_movemask_ps(mask) != 0,
-    sum(all): {
-        let four = _mm_add_ps(_mm256_castps256_ps128(all), _mm256_extractf128_ps::<1>(all));
-        let two = _mm_add_ps(four, _mm_movehl_ps(four, four));
-        _mm_cvtss_f32(_mm_add_ss(two, _mm_movehdup_ps(two)))
-    },
+    sum(all): sum_of_eight(all),
     wide: Pair<Half>,
     narrow(x): Self(unsafe { _mm256_set_m128(_mm256_cvtpd_ps(x.1.0), _mm256_cvtpd_ps(x.0.0)) }),
     widen(x): unsafe {
@@ -441,6 +433,14 @@ mod x86 {
     narrow(x): Self(unsafe { _mm_movelh_ps(_mm_cvtpd_ps(x.0.0), _mm_cvtpd_ps(x.1.0)) }),
     widen(x): unsafe { Pair(Sse2(_mm_cvtps_pd(x.0)), Sse2(_mm_cvtps_pd(_mm_movehl_ps(x.0, x.0)))) });
 
+    #[inline(always)]
+    unsafe fn sum_of_eight(all: __m256) -> f32 {
+        unsafe {
+            let four = _mm_add_ps(_mm256_castps256_ps128(all), _mm256_extractf128_ps::<1>(all));
+            let two = _mm_add_ps(four, _mm_movehl_ps(four, four));
+            _mm_cvtss_f32(_mm_add_ss(two, _mm_movehdup_ps(two)))
+        }
+    }
     #[inline(always)]
     unsafe fn mul_add_pd(a: __m128d, b: __m128d, c: __m128d) -> __m128d {
         unsafe { _mm_add_pd(_mm_mul_pd(a, b), c) }

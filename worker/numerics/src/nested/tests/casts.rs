@@ -25,6 +25,11 @@ fn cast(casting: Casting) -> Problem {
     problem
 }
 
+/// A whole trial.
+fn found(problem: &Problem) -> Optimised {
+    optimise(problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap()
+}
+
 const MEAN: Casting = Casting { over: Over::Casts, casts: 3, tail: 1.0, reader: CastReader::One };
 const EACH: Casting = Casting { reader: CastReader::Each, ..MEAN };
 const WORST: Casting = Casting { tail: 0.0, ..EACH };
@@ -265,10 +270,10 @@ fn casts_that_do_not_scatter_are_the_body_as_designed() {
     let mut problem = cast(Casting { casts: 1, ..MEAN });
     problem.variation = Some(Variation::default());
     problem.evaluation.casts = 1;
-    let over = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
+    let over = found(&problem);
     let nominal =
         Problem { variation: None, optimise: Optimise { casting: None, ..problem.optimise }, ..problem };
-    let alone = optimise(&nominal, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
+    let alone = found(&nominal);
     let own = over.initial.networks[0].error_holdout.unwrap();
     let error = |by| over.casts[0].iter().find(|reading| reading.by == by).unwrap().error.unwrap();
     assert!((error(CastBrain::Nominal) / own - 1.0).abs() < 1e-9, "{} {own}", error(CastBrain::Nominal));
@@ -285,10 +290,9 @@ fn casts_that_do_not_scatter_are_the_body_as_designed() {
 fn the_initial_body_is_left_out_where_nobody_asks_about_it() {
     let mut problem = cast(MEAN);
     (problem.optimise.iterations, problem.evaluation.casts) = (2, 1);
-    let of = |problem: &Problem| optimise(problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
-    let beside = of(&problem);
+    let beside = found(&problem);
     problem.evaluation.initial = false;
-    let alone = of(&problem);
+    let alone = found(&problem);
     assert_eq!(alone.optimised, beside.optimised);
     for (alone, beside) in alone.casts.iter().zip(&beside.casts) {
         assert!(!beside.is_empty() && (alone.is_empty() || alone == beside));
@@ -298,7 +302,7 @@ fn the_initial_body_is_left_out_where_nobody_asks_about_it() {
     assert_eq!((alone.nonlinear[0], alone.nonlinear[1]), (None, beside.nonlinear[1]));
     assert!(alone.counters.dynamics.force_evaluations < beside.counters.dynamics.force_evaluations);
     problem.optimise.iterations = 0;
-    let unmoved = of(&problem);
+    let unmoved = found(&problem);
     assert_eq!(unmoved.initial, unmoved.optimised);
     assert_eq!(unmoved.initial.networks.len(), 1);
 }
@@ -308,10 +312,9 @@ fn the_initial_body_is_left_out_where_nobody_asks_about_it() {
 fn casts_are_read_without_records_where_nobody_asks_for_those() {
     let mut problem = cast(MEAN);
     (problem.optimise.iterations, problem.evaluation.casts) = (0, 2);
-    let of = |problem: &Problem| optimise(problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
-    let beside = of(&problem);
+    let beside = found(&problem);
     problem.evaluation.records = false;
-    let alone = of(&problem);
+    let alone = found(&problem);
     let calibrated = |reading: &&CastReading| matches!(reading.by, CastBrain::Records(_));
     assert_eq!(beside.casts[0].iter().filter(calibrated).count(), 4);
     let others: Vec<_> = beside.casts[0].iter().filter(|reading| !calibrated(reading)).copied().collect();
@@ -327,7 +330,7 @@ fn ligaments_that_relax_judge_and_teach_nothing() {
     let mut problem = cast(MEAN);
     problem.variation = Some(Variation { nodes: 1e-3, ..Variation::default() });
     (problem.optimise.iterations, problem.evaluation.casts) = (2, 1);
-    let plain = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
+    let plain = found(&problem);
     problem.variation.as_mut().unwrap().relaxation = Some(Relaxation { share: 0.3, time: 0.01 });
     let found = optimise(&problem, None, &pool(2), &mut Keeper::default()).unwrap().unwrap();
     assert_eq!(found.optimised.design, plain.optimised.design);
