@@ -241,19 +241,24 @@ impl Mould<'_> {
     /// Samples of many casts.
     fn casts(&self, counters: &mut Counters) -> Result<Samples, Trouble> {
         let &Self { trial, design, solver } = self;
-        let mut all = Vec::with_capacity(KNOWN_CASTS);
-        for number in 0..KNOWN_CASTS {
+        let one = |number: usize, counters: &mut Counters| {
             let first = KNOWN_FIRST + (number * KNOWN_SAMPLES) as u64;
             let forces = trial.problem.forces(Purpose::Fresh, first, KNOWN_SAMPLES);
             let cast = trial.cast(Casts::Known, number as u64);
-            match trial.simulate_cast(cast.as_ref(), design, forces, solver, false, counters) {
+            trial.simulate_cast(cast.as_ref(), design, forces, solver, false, counters)
+        };
+        let (mut all, mut failed) = (Vec::with_capacity(KNOWN_CASTS), None);
+        for found in trial.side_by_side(KNOWN_CASTS, counters, one) {
+            match found {
                 Ok(found) => all.push(found.samples),
                 // one that fails teaches nothing
-                Err(trouble) if number + 1 == KNOWN_CASTS && all.is_empty() => return Err(trouble),
-                Err(_) => {}
+                Err(trouble) => failed = Some(trouble),
             }
         }
-        Ok(Samples::joined(&all.iter().collect::<Vec<_>>()))
+        match failed {
+            Some(trouble) if all.is_empty() => Err(trouble),
+            _ => Ok(Samples::joined(&all.iter().collect::<Vec<_>>())),
+        }
     }
 
     /// Training samples of a cast, where brains are fitted to them, and its holdout.

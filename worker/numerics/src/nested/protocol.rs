@@ -15,7 +15,7 @@ use crate::brains::{FitOn, Learner, Loss, learner};
 use crate::dynamics::{Forces, Solver};
 use crate::random::{Purpose, Stream};
 use crate::trial::{
-    CastReader, Casting, FAILED, Going, Over, Protocol, Response, Samples, Terms, Trial, Trouble,
+    CastReader, Casting, Counters, FAILED, Going, Over, Protocol, Response, Samples, Terms, Trial, Trouble,
 };
 use crate::variation::{Cast, Casts};
 
@@ -81,8 +81,7 @@ impl<'a> Session<'a> {
         let loss_train = self.fit(FitOn::Optimum(&train.samples), state, log)?;
 
         // dL_test/dα, directly
-        let (loss_test, cotangent) =
-            log.timed(|s| &mut s.differentiate, |_| self.learner.loss_vjp(&test.samples, Loss::Test));
+        let (loss_test, cotangent) = self.cotangent(&test.samples, Loss::Test, log);
         log.report.loss_test = loss_test;
         let mut found = Vec::new();
         if direct {
@@ -110,7 +109,8 @@ impl<'a> Session<'a> {
         let (sets, solver) = ([&trial.train, &some], self.solver());
         let [train, some] = self.simulate(state, sets, [false, true], solver, log)?;
         let loss_train = self.fit(FitOn::GoOn(&train.samples), state, log)?;
-        let (_, gradient) = self.gradient(&some, Loss::Training, log)?;
+        let (_, cotangent) = self.cotangent(&some.samples, Loss::Training, log);
+        let gradient = self.vjp(&some, cotangent, log)?;
         let error_test = self.look_at_test(state, log)?;
         Ok(Sensed { gradient, loss_train, error_test })
     }
@@ -140,11 +140,11 @@ impl<'a> Session<'a> {
         let weighted = self.trial.problem.optimise.casting.is_some_and(|casting| !plain(casting));
         let mut found = Vec::with_capacity(newest.len());
         for cast in &newest {
-            let (_, gradient) = self.gradient(cast, Loss::Training, log)?;
+            let (_, cotangent) = self.cotangent(&cast.samples, Loss::Training, log);
             let error = if weighted { self.learner.error(&cast.samples) } else { Some(loss_train) };
-            found.push((error, gradient));
+            found.push((error, cotangent));
         }
-        let (_, gradient) = self.over_casts(found, going, log)?;
+        let (_, gradient) = self.over_casts(&newest, found, going, log)?;
         let error_test = self.look_at_test(state, log)?;
         Ok(Sensed { gradient, loss_train, error_test })
     }
@@ -155,22 +155,25 @@ impl<'a> Session<'a> {
         let mut found = Vec::with_capacity(newest.len());
         for cast in &newest {
             let loss = self.learn(FitOn::Cast(&cast.samples), state, log)?;
-            found.push((Some(loss), self.gradient(cast, Loss::Training, log)?.1));
+            found.push((Some(loss), self.cotangent(&cast.samples, Loss::Training, log).1));
         }
-        let (loss_train, gradient) = self.over_casts(found, going, log)?;
+        let (loss_train, gradient) = self.over_casts(&newest, found, going, log)?;
         state.check_trend(loss_train)?;
         let error_test = self.look_at_test(state, log)?;
         Ok(Sensed { gradient, loss_train, error_test })
     }
 
-    /// The objective of a step's casts, of the error and its gradient in α of each. One that tells no error counts as the worst.
+    /// The objective of a step's casts and its gradient in α, of the error of each and of its loss's cotangent. One that tells no
+    /// error counts as the worst.
     fn over_casts(
         &mut self,
+        casts: &[Response],
         found: Vec<(Option<f64>, Vec<f64>)>,
         going: Going,
         log: &mut Log,
     ) -> Result<(f64, Vec<f64>), Trouble> {
-        let (errors, gradients): (Vec<_>, Vec<_>) = found.into_iter().unzip();
+        let (errors, cotangents): (Vec<_>, Vec<_>) = found.into_iter().unzip();
+        let gradients = self.vjps(casts, &cotangents, log)?;
         let errors: Vec<f64> = errors.into_iter().map(|error| error.unwrap_or(f64::INFINITY)).collect();
         let Some(casting) = self.trial.problem.optimise.casting else {
             return Ok((errors[0], gradients.into_iter().next().unwrap_or_default()));
@@ -263,22 +266,28 @@ impl<'a> Session<'a> {
         Ok(learned.loss)
     }
 
-    /// A loss on a body's samples, and its gradient in α at fixed weights.
-    fn gradient(
-        &mut self,
-        response: &Response,
-        loss: Loss,
-        log: &mut Log,
-    ) -> Result<(Option<f64>, Vec<f64>), Trouble> {
-        let (loss, cotangent) =
-            log.timed(|s| &mut s.differentiate, |_| self.learner.loss_vjp(&response.samples, loss));
-        Ok((loss, self.vjp(response, cotangent, log)?))
+    /// A loss on a body's samples, and its cotangent on the signals at fixed weights.
+    fn cotangent(&mut self, samples: &Samples, loss: Loss, log: &mut Log) -> (Option<f64>, Vec<f64>) {
+        log.timed(|s| &mut s.differentiate, |_| self.learner.loss_vjp(samples, loss))
     }
 
     fn vjp(&self, response: &Response, cotangent: Vec<f64>, log: &mut Log) -> Result<Vec<f64>, Trouble> {
+        let of_one = self.vjps(std::slice::from_ref(response), &[cotangent], log)?;
+        Ok(of_one.into_iter().next().unwrap_or_default())
+    }
+
+    /// dL/dα of casts by the cotangents on their signals, side by side.
+    fn vjps(
+        &self,
+        casts: &[Response],
+        cotangents: &[Vec<f64>],
+        log: &mut Log,
+    ) -> Result<Vec<Vec<f64>>, Trouble> {
+        let one =
+            |at: usize, counters: &mut Counters| self.trial.vjp(&casts[at], cotangents[at].clone(), counters);
         log.timed(
             |s| &mut s.differentiate,
-            |report| self.trial.vjp(response, cotangent, &mut report.counters),
+            |report| self.trial.side_by_side(casts.len(), &mut report.counters, one).into_iter().collect(),
         )
     }
 
@@ -294,35 +303,45 @@ impl<'a> Session<'a> {
         if !problem.optimise.looks_at_test(state.step) {
             return Ok(None);
         }
+        let seen = |cast: Option<&Cast>, forces: Forces, counters: &mut Counters| {
+            let (design, solver) = (&state.design, &problem.solver);
+            trial.simulate_cast(cast, design, forces, solver, false, counters).map(|found| found.samples)
+        };
         let Some(casting) = problem.optimise.casting else {
-            let test = self.look(None, state, trial.test.clone(), log)?;
-            return Ok(self.test_error(&test.samples, log));
+            let test = log
+                .timed(|s| &mut s.simulate, |report| seen(None, trial.test.clone(), &mut report.counters))?;
+            return Ok(self.test_error(&test, log));
         };
         let Protocol::Joint(going) = problem.optimise.protocol else { return Ok(None) };
         let parts = (casting.over == Over::Parts).then(|| problem.parts());
         let casts = if parts.is_some() { casting.casts } else { LOOKED_AT.min(trial.test.samples) };
-        let mut errors = Vec::with_capacity(casts);
-        for number in 0..casts {
-            // of a mixture's parts the samples of each, of casts so-many-th
-            let dealt = |set: usize, forces: &Forces, most: usize| {
-                let is_own = |i: &usize| match &parts {
-                    Some(parts) => parts[set][*i] == number,
-                    None => i % casts == number,
-                };
-                forces.select(&(0..forces.samples).filter(is_own).take(most).collect::<Vec<_>>())
+        // of a mixture's parts the samples of each, of casts so-many-th
+        let dealt = |number: usize, set: usize, forces: &Forces, most: usize| {
+            let is_own = |i: &usize| match &parts {
+                Some(parts) => parts[set][*i] == number,
+                None => i % casts == number,
             };
+            forces.select(&(0..forces.samples).filter(is_own).take(most).collect::<Vec<_>>())
+        };
+        let each = casting.reader == CastReader::Each;
+        let one = |number: usize, counters: &mut Counters| {
             let cast = trial.cast(Casts::Look, number as u64);
-            let mut error = || {
-                if casting.reader == CastReader::Each {
-                    let train = dealt(0, &trial.train, going.batch);
-                    let train = self.look(cast.as_ref(), state, train, log)?.samples;
+            let mut of = |set, forces, most| seen(cast.as_ref(), dealt(number, set, forces, most), counters);
+            let train = each.then(|| of(0, &trial.train, going.batch)).transpose()?;
+            Ok::<_, Trouble>((train, of(1, &trial.test, usize::MAX)?))
+        };
+        let all =
+            log.timed(|s| &mut s.simulate, |report| trial.side_by_side(casts, &mut report.counters, one));
+        let mut errors = Vec::with_capacity(casts);
+        for of_cast in all {
+            let error = || {
+                let (train, test) = of_cast?;
+                if let Some(train) = train {
                     // what it learns here is not for the steps to come
                     let (on, mut learnt) = (FitOn::Cast(&train), state.learnt.clone());
-                    let counters = &mut log.report.counters;
-                    self.learner.fit(on, state.step, &mut learnt, counters)?;
+                    self.learner.fit(on, state.step, &mut learnt, &mut log.report.counters)?;
                 }
-                let test = self.look(cast.as_ref(), state, dealt(1, &trial.test, usize::MAX), log)?;
-                Ok::<_, Trouble>(self.learner.error(&test.samples))
+                Ok::<_, Trouble>(self.learner.error(&test))
             };
             // a cast that fails is read entirely wrong
             errors.extend(error().unwrap_or(Some(FAILED)));
@@ -333,21 +352,6 @@ impl<'a> Session<'a> {
         let first = self.first(casting, going, log)?;
         log.report.error_test = Some(casting.objective(&errors, first).0);
         Ok(log.report.error_test)
-    }
-
-    /// A cast of the state's design under known forces, with the accurate integrator.
-    fn look(
-        &self,
-        cast: Option<&Cast>,
-        state: &State,
-        forces: Forces,
-        log: &mut Log,
-    ) -> Result<Response, Trouble> {
-        let (trial, solver) = (self.trial, &self.trial.problem.solver);
-        log.timed(
-            |s| &mut s.simulate,
-            |report| trial.simulate_cast(cast, &state.design, forces, solver, false, &mut report.counters),
-        )
     }
 
     /// Training samples drawn for a step of `envelope`.
@@ -370,29 +374,28 @@ impl<'a> Session<'a> {
         log: &mut Log,
     ) -> Result<Vec<Response>, Trouble> {
         let (trial, solver) = (self.trial, self.solver());
-        let casts = trial.problem.optimise.casting.map_or(1, |casting| casting.casts as u64);
+        let casts = trial.problem.optimise.casting.map_or(1, |casting| casting.casts);
         let over_parts = trial.problem.optimise.casting.is_some_and(|casting| casting.over == Over::Parts);
-        let mut responses = Vec::with_capacity(casts as usize);
-        for number in u64::from(step) * casts..(u64::from(step) + 1) * casts {
+        let one = |cast: usize, counters: &mut Counters| {
+            let number = u64::from(step) * casts as u64 + cast as u64;
             let forces = match over_parts {
                 true => {
                     let first = u64::from(step) * going.batch as u64;
-                    trial.problem.part((number % casts) as usize, Purpose::Fresh, first, going.batch)
+                    trial.problem.part(cast, Purpose::Fresh, first, going.batch)
                 }
                 false => trial.problem.forces(Purpose::Fresh, number * going.batch as u64, going.batch),
             };
             let cast = trial.problem.optimise.casting.and_then(|_| trial.cast(Casts::Step, number));
-            let response = log.timed(
-                |s| &mut s.simulate,
-                |report| {
-                    let counters = &mut report.counters;
-                    trial.simulate_cast(cast.as_ref(), design, forces, &solver, keep_tape, counters)
-                },
-            )?;
-            if step == log.report.step {
-                log.report.fresh_samples += going.batch as u64 - response.samples.failures();
-            }
-            responses.push(response);
+            trial.simulate_cast(cast.as_ref(), design, forces, &solver, keep_tape, counters)
+        };
+        let responses: Result<Vec<Response>, Trouble> = log.timed(
+            |s| &mut s.simulate,
+            |report| trial.side_by_side(casts, &mut report.counters, one).into_iter().collect(),
+        );
+        let responses = responses?;
+        if step == log.report.step {
+            let heard = |cast: &Response| going.batch as u64 - cast.samples.failures();
+            log.report.fresh_samples += responses.iter().map(heard).sum::<u64>();
         }
         Ok(responses)
     }

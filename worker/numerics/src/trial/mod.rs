@@ -30,6 +30,7 @@ use crate::random::Purpose;
 use crate::stimuli::Source;
 use crate::variation::{Cast, Casts, Chips};
 pub(crate) use chip::Chip;
+use rayon::prelude::*;
 
 /// Samples of a pilot: as many as the lanes take at once.
 const PILOT: usize = 8;
@@ -220,6 +221,24 @@ impl<'a> Trial<'a> {
         let failed = silence(&mut forces, &simulation.outcomes);
         let chips = cast.map_or_else(Chips::default, |cast| cast.chips.clone());
         Ok(self.response(simulation, chips, &forces, failed))
+    }
+
+    /// What `of` makes of 0 … `count` − 1, spread over the threads: the few samples of one cast are too few for them. What all of
+    /// it took is counted, in the same order on any number of threads.
+    pub(crate) fn side_by_side<T: Send>(
+        &self,
+        count: usize,
+        counters: &mut Counters,
+        of: impl Fn(usize, &mut Counters) -> T + Sync,
+    ) -> Vec<T> {
+        let counted = |number| {
+            let mut own = Counters::default();
+            (of(number, &mut own), own)
+        };
+        let work = || (0..count).into_par_iter().map(counted).unzip();
+        let (found, taken): (Vec<T>, Vec<Counters>) = self.pool.install(work);
+        taken.into_iter().for_each(|own| *counters += own);
+        found
     }
 
     fn response(
