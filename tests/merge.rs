@@ -101,7 +101,8 @@ async fn database(path: &Path, plan: &Plan, shard: u32, lives: &[(usize, Life)])
 fn pool() -> &'static [PathBuf] {
     static POOL: OnceLock<(tempfile::TempDir, Vec<PathBuf>)> = OnceLock::new();
     let make = || {
-        let folder = tempfile::tempdir().unwrap();
+        // a static is never dropped: what it leaves is where builds are
+        let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
         let at = |name: &str| folder.path().join(format!("{name}.sqlite"));
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         runtime.block_on(async {

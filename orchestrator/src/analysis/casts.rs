@@ -54,7 +54,7 @@ pub fn settings<'a>(trials: &[&'a Trial]) -> Vec<Setting<'a>> {
 }
 
 /// The objective over casts that a trial's body was trained for, and whether for one brain or for each cast its own.
-fn objective(trial: &Trial) -> Option<String> {
+pub fn objective(trial: &Trial) -> Option<String> {
     let text = |path: &str| trial.setting.get(path).and_then(Value::as_str);
     let tail = trial.setting.get("optimise.objective.cvar").map(|q| format!("cvar {q}"));
     let objective = tail.or_else(|| text("optimise.objective").map(str::to_owned))?;

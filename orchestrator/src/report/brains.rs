@@ -14,7 +14,7 @@ const TRAINED: [&str; 5] = ["optimised", "front", "fourth", "fifth", "truth"];
 
 /// Error against memory, and against the wait after the instant, by linear brains; dots: networks.
 pub fn figure(trials: &[Trial]) -> Option<Figure> {
-    let refs: Vec<&Trial> = trials.iter().collect();
+    let refs: Vec<&Trial> = trials.iter().filter(|t| !t.starts_random()).collect();
     let drawn: Vec<(String, Vec<Read>)> = groups(&refs, BRAINS)
         .into_iter()
         .map(|group| (group.label, reads(&group.trials)))

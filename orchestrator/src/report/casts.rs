@@ -17,7 +17,9 @@ pub(super) const CLASSES: [&str; 5] = ["initial", "optimised", "front", "fourth"
 pub fn figure(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let found = settings(&refs);
-    let names = told_apart(found.iter().flat_map(|setting| &setting.bodies).map(|body| &body.name[..]));
+    let is_read = |body: &&Trained| body.brains().into_iter().any(|by| body.left(by).is_some());
+    let read = found.iter().flat_map(|setting| &setting.bodies).filter(is_read);
+    let names = told_apart(read.map(|body| &body.name[..]));
     Figure::some(
         "casts",
         "What is left once the body is cast?",
