@@ -324,20 +324,25 @@ SETTINGS = {
 }
 
 
+IN_MAP = {"confirmed": "holds", "refuted": "fails", "open": "open"}
+
+
 def spread(values):
     mean = sum(values) / len(values)
     return math.sqrt(sum((x - mean) ** 2 for x in values) / (len(values) - 1))
 
 
-def chance_by_three(t):
-    """Of a |t| so great, with three degrees of freedom."""
+def chance(t, free):
+    """Of a |t| so great, with two or three degrees of freedom."""
+    if free == 2:
+        return 1 - abs(t) / math.sqrt(2 + t * t)
     angle = math.atan(abs(t) / math.sqrt(3))
     return 1 - 2 / math.pi * (angle + math.sin(angle) * math.cos(angle))
 
 
 def rated(all_values, shown, words):
     """Values by seed with their interval and what they say; a star where one stands beside all others (Holm)."""
-    chances = [chance_by_three(sum(x) / 4 / (spread(x) / 2)) for x in all_values]
+    chances = [chance(sum(x) / spread(x) / math.sqrt(len(x)), len(x) - 1) for x in all_values]
     order, corrected, most = sorted(range(len(chances)), key=chances.__getitem__), {}, 0
     for rank, n in enumerate(order):
         corrected[n] = most = max(most, (len(chances) - rank) * chances[n])
@@ -346,9 +351,17 @@ def rated(all_values, shown, words):
 
 
 def four_forces_map():
-    lines, found = table("four forces map"), []
+    yield from four_forces("four forces map", "four-forces-map/trials.csv")
+
+
+def four_forces_map_network():
+    yield from four_forces("four forces map network", "four-forces-map-network/trials.csv")
+
+
+def four_forces(name, file):
+    lines, found = table(name), []
     for line in lines:
-        of = rows("four-forces-map/trials.csv", **MIDDLE | SETTINGS[line[0]])
+        of = rows(file, **MIDDLE | SETTINGS[line[0]])
         error = {tuple(row[k] for k in ("seed", "placement", "sensors")): row for row in of}
         def at(seed, placement, sensors, body):
             return float(error[str(seed), str(placement), sensors][f"holdout_error_{body}"])
@@ -363,11 +376,22 @@ def four_forces_map():
     for n, (line, (of, four)) in enumerate(zip(lines, found)):
         main = [row for row in of if row["placement"] not in "45"]
         shares = ends(main)[0][2]
-        told = {"confirmed": "holds", "refuted": "fails", "open": "open"}[verdict(shares, 2, False)]
-        yield line[1:], [errors_by_sensors(main), f"{votes_in_words(shares)}: {told}", *told_of[4 * n : 4 * n + 4]]
+        yield line[1:], [errors_by_sensors(main), f"{votes_in_words(shares)}: {IN_MAP[verdict(shares, 2, False)]}", *told_of[4 * n : 4 * n + 4]]
 
 
 INITIAL, TRAINED = "holdout_error_initial", "holdout_error_optimised"
+
+
+def eight_forces_map():
+    brains, found = {"linear brain": "linear", "the paper's network": "cnn"}, []
+    for brain in brains.values():
+        of = lambda m: rows("eight-forces-map/trials.csv", brain=brain, sensors=m)
+        found += [less(logs(of(m), INITIAL), logs(of("4"), TRAINED)) for m in "46"]
+    told = rated(found, math.exp, ("holds", "fails"))
+    for n, line in enumerate(table("eight forces map")):
+        of = rows("eight-forces-map/trials.csv", brain=brains[line[0]])
+        shares = ends(of)[0][2]
+        yield line[1:], [errors_by_sensors(of), f"{votes_in_words(shares)}: {IN_MAP[verdict(shares, 4, False)]}", *told[2 * n : 2 * n + 2]]
 
 
 def logs(of, column):
@@ -418,10 +442,10 @@ def blows_map():
         yield line[1:], cells
 
 
-def size_map():
+def sizes(name, file):
     units = ("16", "36", "64", "100")
     grows = lambda row: float(row["body.spacing"]) == 15.0
-    kind = lambda way, u: [row for row in rows("size-map/trials.csv", units=u) if u == "36" or grows(row) == (way == "grows")]
+    kind = lambda way, u: [row for row in rows(file, units=u) if u == "36" or grows(row) == (way == "grows")]
     x = [math.log(int(u)) for u in units]
     x = [value - sum(x) / 4 for value in x]
     found = [(way, column) for way in ("grows", "finer") for column in (INITIAL, TRAINED)]
@@ -430,10 +454,52 @@ def size_map():
         errors = [logs(kind(way, u), column) for u in units]
         slopes.append([sum(a * e[seed] for a, e in zip(x, errors)) / sum(a * a for a in x) for seed in range(len(errors[0]))])
     told = rated(slopes, lambda value: value, ("fails", "holds"))
-    for (way, column), said, line in zip(found, told, table("size map"), strict=True):
+    for (way, column), said, line in zip(found, told, table(name), strict=True):
         errors = ", ".join(short(geometric(numbers(kind(way, u), column))) for u in units) + " %"
         gains = [interval(gain(kind(way, u)), math.exp) if column == TRAINED else "" for u in ("16", "100")]
         yield line[1:], [errors, said, *gains]
+
+
+def size_map():
+    yield from sizes("size map", "size-map/trials.csv")
+
+
+def size_map_network():
+    yield from sizes("size map network", "size-map-network/trials.csv")
+
+
+def protocol_map():
+    settings = [dict(batch="68", schedule="cosine"), dict(batch="68", schedule="constant"), dict(batch="", schedule="constant"),
+                dict(batch="68", schedule="cosine", samples="1000"), dict(batch="68", schedule="cosine", brain="linear")]
+
+    def errors(setting, stimuli, body, iterations):
+        if setting == 5:
+            return rows(f"{stimuli}/networks.csv", body=body, iterations=iterations)
+        kind = dict(samples="300", brain="", stimuli={"fig2": "bell", "fig3": "irregular"}[stimuli])
+        return rows("protocol-map/networks.csv", body=body, iterations=iterations, **kind | settings[setting])
+
+    def gain_of(setting, stimuli, iterations="1000"):
+        return less(*(logs(errors(setting, stimuli, body, iterations), "error_holdout") for body in ("initial", "optimised")))
+
+    def cells(setting, stimuli, iterations, stated):
+        ends = [numbers(errors(setting, stimuli, body, iterations), "error_holdout") for body in ("initial", "optimised")]
+        if not ends[0]:
+            return ["", ""]
+        values = gain_of(setting, stimuli, iterations)
+        mean, half = mean_and_half(values)
+        told = "reached" if math.exp(mean - half) >= stated else "below" if math.exp(mean + half) < stated else "compatible"
+        return [" → ".join(map(short, map(geometric, ends))) + " %", f"{interval(values, math.exp)}: {told}"]
+
+    changes = []
+    for stimuli in ("fig2", "fig3"):
+        for setting in range(6):
+            beside = gain_of(0, "fig2") if setting == 0 else gain_of(2 if setting == 5 else 0, stimuli)
+            own = gain_of(setting, stimuli)
+            changes.append(less(own, beside[: len(own)]))
+    said = ["", *rated(changes[1:], math.exp, ("more", "less"))]
+    for setting, line in enumerate(table("protocol map")):
+        yield line[1:], [*cells(setting, "fig2", "1000", 2), said[setting], *cells(setting, "fig2", "10000", 5.8),
+                         *cells(setting, "fig3", "1000", 5.3), said[6 + setting]]
 
 
 def real_scale():
@@ -509,6 +575,20 @@ def paper_protocol_blows():
     yield from of_protocol("paper protocol, blows", "fig3", "0")
 
 
+def paper_protocol_four_forces():
+    def ends(m, body, error):
+        return numbers(rows("fig4b/networks.csv", sensors=m, body=body), error)[0]
+
+    *lines, last = table("paper protocol, four forces")
+    sets = ("error_test", "error_holdout")
+    for m, *cells in lines:
+        both = [(ends(m, "initial", error), ends(m, "optimised", error)) for error in sets]
+        tested = rows("fig4b/samples.csv", sensors=m)
+        better = sum(a > b for a, b in zip(numbers(tested, "error_initial"), numbers(tested, "error_optimised")))
+        yield cells, [*(f"{short(a)} → {short(b)} %, {short(a / b)}" for a, b in both), f"{better} of {len(tested)}"]
+    yield last[1:], [*(short(ends("6", "initial", error) / ends("2", "optimised", error)) for error in sets), ""]
+
+
 def race():
     for seed, *cells in table("race"):
         found = []
@@ -579,7 +659,7 @@ def relaxing():
         yield line[1:], [cell(*by) for by in [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")]]
 
 
-CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, random_bodies_map, blows_map, size_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, paper_protocol_blows, race, warm_starts, relaxing]
+CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, random_bodies_map, blows_map, size_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

@@ -155,6 +155,7 @@ fn committed_specs_keep_their_hashes() {
     design-two-core 834a3cec86c88ac1
     disc 05cd48334f7ba6b8
     eight-forces d02373435aeebd1c
+    eight-forces-map 3882e6a8735693f9
     elbow-law dd9ab67d59dd2124
     families a2575320c6450e88
     fig2 bced9d6dd8d54f61
@@ -167,10 +168,12 @@ fn committed_specs_keep_their_hashes() {
     filtered e6c6ff4b8645bf70
     four-forces b88aef61917cde6e
     four-forces-map f65323b3ee3a56c2
+    four-forces-map-network 8308d75a3d2616a4
     gradient c39bace70d622cb2
     long-training aff57803d389341f
     placed-two-core 6a5121d9e7f59190
     pressed db1612c5ed646b46
+    protocol-map 462515f2d2ebde28
     quickstart 932ec372654c30ed
     random 1fc0dbba48090cf1
     random-bodies-map f6bf43a608bfdcd3
@@ -178,6 +181,7 @@ fn committed_specs_keep_their_hashes() {
     reference f69dce36048b28bd
     robust-two-core 9ce3fa9d9ca2fd6a
     size-map 21a675451ef496ae
+    size-map-network ed0a0046ce69f708
     transfer fb5577499f8e180e
     two-forces 434eeb4530862f35
     who-senses 86aea9e1955edf73

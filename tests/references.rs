@@ -80,6 +80,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("sensors", brains::sensors),
     ("paper protocol", claims::paper_protocol),
     ("paper protocol, blows", claims::paper_protocol_blows),
+    ("paper protocol, four forces", claims::paper_protocol_four_forces),
     ("evaluate", claims::evaluate),
     ("protocols", claims::protocols),
     ("downhill", claims::downhill),

@@ -85,6 +85,38 @@ pub fn paper_protocol_blows() -> String {
     of_protocol("fig3", &["0"])
 }
 
+/// Four forces by the same protocol, a line a number of sensors, and what two trained are beside six untrained.
+pub fn paper_protocol_four_forces() -> String {
+    let [networks, samples] = ["networks", "samples"].map(|name| rows(&format!("fig4b/{name}.csv")));
+    let error = |sensors: &str, body: &str, set: &str| {
+        number(one(&networks, &[("sensors", sensors), ("body", body)]), set)
+    };
+    let sets = ["error_test", "error_holdout"];
+    let line = |sensors: &str| {
+        let change = |set| {
+            let [initial, optimised] = ["initial", "optimised"].map(|body| error(sensors, body, set));
+            let [a, b, times] = [initial, optimised, initial / optimised].map(|x| short(&x.to_string()));
+            format!("{a} → {b} %, {times}")
+        };
+        let better = vec![better(&samples, &[("sensors", sensors)])];
+        [vec![sensors.to_owned()], sets.map(change).to_vec(), better].concat()
+    };
+    let few = sets.map(|set| short(&(error("6", "initial", set) / error("2", "optimised", set)).to_string()));
+    let last = [vec!["six untrained by two trained".to_owned()], few.to_vec(), vec![String::new()]].concat();
+    table(
+        &["sensors", "test set", "holdout", "test samples read better"],
+        ["1", "2", "3", "6"].map(line).into_iter().chain([last]),
+    )
+}
+
+/// Of samples of a kind, how many the network on the trained body reads better.
+fn better(samples: &[Row], wanted: &[(&str, &str)]) -> String {
+    let tested: Vec<&Row> = of(samples, wanted).collect();
+    let better =
+        tested.iter().filter(|row| number(row, "error_optimised") < number(row, "error_initial")).count();
+    format!("{better} of {}", tested.len())
+}
+
 fn of_protocol(folder: &str, of_body: &[&'static str]) -> String {
     const BODIES: [&str; 2] = ["initial", "optimised"];
     let [networks, curves, samples] =
@@ -102,12 +134,6 @@ fn of_protocol(folder: &str, of_body: &[&'static str]) -> String {
         });
         iteration_ratio(&initial, &optimised).unwrap()
     };
-    let better = |wanted: &[(&str, &str)]| {
-        let tested: Vec<&Row> = of(&samples, wanted).collect();
-        let better =
-            tested.iter().filter(|row| number(row, "error_optimised") < number(row, "error_initial")).count();
-        format!("{better} of {}", tested.len())
-    };
     let both = |network: &&'static str| ["error_test", "error_holdout"].map(|set| (*network, set));
     let sets: Vec<(&str, &str)> = of_body.iter().flat_map(both).collect();
     let curved = ["loss", "error_holdout"];
@@ -119,7 +145,7 @@ fn of_protocol(folder: &str, of_body: &[&'static str]) -> String {
         };
         let fewer = curved.map(|value| short(&fewer(seed, value).to_string())).to_vec();
         let changes = sets.iter().map(change).collect();
-        [vec![seed.to_owned()], changes, vec![better(&[("seed", seed)])], fewer].concat()
+        [vec![seed.to_owned()], changes, vec![better(&samples, &[("seed", seed)])], fewer].concat()
     };
     let seeds = seeds(&networks);
     let all = |times: &dyn Fn(&str) -> f64| {
@@ -135,7 +161,7 @@ fn of_protocol(folder: &str, of_body: &[&'static str]) -> String {
     let last = [
         vec!["all, times less (95 %)".into()],
         sets.iter().map(times).collect(),
-        vec![better(&[])],
+        vec![better(&samples, &[])],
         curved.map(|value| all(&|seed| fewer(seed, value))).to_vec(),
     ];
     let errors = ["test set", "holdout", "10 000 iterations: test set", "holdout"];

@@ -88,11 +88,15 @@ pub(super) fn number(row: &Row, name: &str) -> f64 {
     row[name].parse().unwrap_or_else(|_| panic!("{:?} is no number", row[name]))
 }
 
-/// The mean and Student's interval of 95 %, as they are shown.
-pub(super) fn with_interval(values: &[f64], shown: fn(f64) -> f64) -> String {
+/// The mean, and the ends of Student's interval of 95 %.
+pub(super) fn interval(values: &[f64]) -> [f64; 3] {
     let half = student(values.len() - 1) * deviation(values).unwrap() / (values.len() as f64).sqrt();
-    let centre = mean(values).unwrap();
-    let [at, low, high] = [0.0, -half, half].map(|by| short(&shown(centre + by).to_string()));
+    [0.0, -half, half].map(|by| mean(values).unwrap() + by)
+}
+
+/// The same as they are shown.
+pub(super) fn with_interval(values: &[f64], shown: fn(f64) -> f64) -> String {
+    let [at, low, high] = interval(values).map(|x| short(&shown(x).to_string()));
     format!("{at} ({low} … {high})")
 }
 
