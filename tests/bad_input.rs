@@ -488,6 +488,11 @@ const EDITS: &[(&str, &str, &str)] = &[
     ("test = 4", "test = 4\namplitude = [0.5, 0.1]", "s.toml:13: stimuli.amplitude = [0.5, 0.1]: "),
     ("test = 4", "test = 4\npeak = [0.0, 1.5]", "s.toml:13: stimuli.peak = "),
     ("[sweep]", "[time]\nsamples = 0\n[sweep]", "s.toml:14: time.samples = 0: "),
+    (
+        "[sweep]",
+        "[time]\nduration = 1e6\n[sweep]",
+        "s.toml:14: time.duration = 1000000: must be at most 86400 s",
+    ),
     ("[sweep]", "[time]\nduration = -1.0\n[sweep]", "s.toml:14: time.duration = -1: "),
     ("[sweep]", "[solver]\ntolerance = 0.0\n[sweep]", "s.toml:14: solver.tolerance = 0: "),
     ("[sweep]", "[solver]\ntolerance = 1e-13\n[sweep]", "s.toml:14: solver.tolerance = 0.0000000000001: "),

@@ -133,13 +133,7 @@ async fn one_statement_is_answered_and_none_panics() {
         assert!(out.starts_with("one\n"), "{sql}: {out}");
     }
     for format in ["table", "csv", "json", "parquet"] {
-        for sql in [
-            "",
-            ";",
-            "/* nothing */",
-            "SELECT CAST(x'61ff' AS TEXT) AS t, 9e999, -0.0, NULL",
-            "SELECT 1 AS a, 2 AS a",
-        ] {
+        for sql in ["", ";", "/* nothing */", "SELECT CAST(x'61ff' AS TEXT) AS t, 9e999, -0.0, NULL"] {
             let output = bench.metasense(&["query", "s.sqlite", sql, "--format", format]);
             let message = String::from_utf8_lossy(&output.stderr);
             assert!(
@@ -147,6 +141,19 @@ async fn one_statement_is_answered_and_none_panics() {
                 "{format} {sql}: {message}"
             );
         }
+        let twice = bench.metasense(&["query", "s.sqlite", "SELECT 1 AS a, 2 AS a", "--format", format]);
+        let said = String::from_utf8_lossy(&twice.stderr);
+        let (code, why) = if format == "json" { (2, "two columns are called a") } else { (0, "") };
+        assert!(twice.status.code() == Some(code) && said.contains(why), "{format}: {said}");
+    }
+    for (words, why) in [
+        (&["export", "s.sqlite", "v_trial", "abc", "--format", "csv", "--out", "x"][..], "v_trial is a view"),
+        (&["analyse", "s.sqlite", "--compare", "s.sqlite", "--fall", "0.5"], "cannot be used with"),
+        (&["status", "--cluster", "s.shards", "more"], "cannot be used with"),
+    ] {
+        let output = bench.metasense(words);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(2) && said.contains(why), "{words:?}: {said}");
     }
 }
 
@@ -200,6 +207,7 @@ async fn trials_are_taken_out_by_conditions() {
         (&["remove", "s.sqlite"][..], "CONDITION"),
         (&["remove", "s.sqlite", "sensor!=7", "--yes"], "no trial has `sensor`"),
         (&["remove", "s.sqlite", "M", "--yes"], "`M` is not a condition"),
+        (&["remove", "s.sqlite", "M<two", "--yes"], "M is a number, `two` is none"),
         (&["remove", "none.sqlite", "M=1", "--yes"], "there is no database none.sqlite"),
     ] {
         let output = bench.metasense(words);

@@ -22,7 +22,13 @@ pub fn is_abandoned(path: &Path) -> bool {
         return false;
     };
     let own = own_mark();
-    let here = own.rsplit_once('-').is_some_and(|(host, _)| before.ends_with(host));
+    let host = own.rsplit_once('-').map_or("", |(host, _)| host);
+    // the end of another machine's name may be this one's: before a name stands a dot, or what makes such a mark
+    let began = |part: &str| !part.is_empty() && part.bytes().all(|c| c.is_ascii_digit());
+    let here = before.strip_suffix(host).is_some_and(|rest| match rest.rsplit('.').next() {
+        None | Some("" | "merge-") => true,
+        Some(last) => name.ends_with(".sqlite") && last.strip_suffix('-').is_some_and(began),
+    });
     let written = || path.symlink_metadata().and_then(|m| m.modified()).ok()?.elapsed().ok();
     match here {
         true => !Path::new("/proc").join(pid.to_string()).exists(),
@@ -63,3 +69,6 @@ pub fn remove(path: &Path) -> io::Result<()> {
         false => std::fs::remove_file(path),
     }
 }
+
+#[cfg(test)]
+mod tests;

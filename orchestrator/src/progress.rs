@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 
 use crate::control::run_of;
 use crate::fleet::{Seen, workers_of};
-use crate::look::{Table, duration};
+use crate::look::{Table, duration, short_hash};
 use crate::store::{Reader, StoreError};
 
 /// The trials that run, with their last step, and the seconds since it was recorded.
@@ -127,7 +127,7 @@ fn by_worker(running: &Table, workers: &[(Seen, Option<f64>)]) -> Table {
         match trial {
             Some(trial) => {
                 row.extend(trial[1..].iter().cloned());
-                row.push(hash(trial).chars().take(8).collect::<String>().into());
+                row.push(short_hash(&hash(trial)).into());
             }
             None => row.resize(columns.len(), Value::Null),
         }

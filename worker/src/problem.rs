@@ -40,6 +40,8 @@ use stimuli::{channels, disturbance, inertia, mount, stimuli, under};
 
 /// Instants of a sample at most.
 const INSTANTS_MAX: usize = 100_000;
+/// s.
+const DURATION_MAX: f64 = 86_400.0;
 /// Channels, and weights, of a network beyond which neither time nor memory would do.
 const WIDTH_MAX: usize = 1024;
 const WEIGHTS_MAX: usize = 10_000_000;
@@ -121,6 +123,12 @@ pub fn measures(trial: &TrialSpec) -> Result<[f64; 2], Invalid> {
 
 fn check_clock_and_training(trial: &TrialSpec) -> Result<(), Invalid> {
     positive("time.duration", trial.time.duration)?;
+    require(
+        trial.time.duration <= DURATION_MAX,
+        "time.duration",
+        trial.time.duration,
+        "must be at most 86400 s, a day",
+    )?;
     at_least("time.samples", trial.time.samples, 3)?;
     at_most("time.samples", trial.time.samples, INSTANTS_MAX)?;
     check_tolerance("solver.tolerance", trial.solver.tolerance)?;

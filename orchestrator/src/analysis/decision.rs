@@ -86,7 +86,8 @@ pub fn decide(observations: &[Observation], terms: Terms) -> Option<Decisions> {
         at.iter().zip(grid.means(weights)).filter_map(|(m, mean)| Some((*m, mean?))).collect()
     };
     let all = means(&vec![1.0; clusters.len()]);
-    let replicates = units.replicates(|weights| Some(means(&weights)));
+    // of a sweep on its way a replicate may draw units without some M
+    let replicates = units.replicates(|weights| Some(means(&weights)).filter(|of| of.len() == at.len()));
     let decision = |rule: &dyn Fn(&Means) -> f64| {
         let chosen: Vec<f64> = replicates.iter().map(|means| rule(means)).collect();
         let share = |m: f64| chosen.iter().filter(|c| **c == m).count() as f64 / chosen.len() as f64;

@@ -23,7 +23,7 @@ pub(super) struct Args {
     #[arg(value_name = "DB|FOLDER")]
     db: PathBuf,
     /// Compare the database, trial by trial, with this one, which comes first: ratios of errors and seconds
-    #[arg(long, value_name = "FIRST", conflicts_with_all = ["question", "within", "price"])]
+    #[arg(long, value_name = "FIRST", conflicts_with_all = ["question", "within", "fall", "price"])]
     compare: Option<PathBuf>,
     /// Answer this question alone; may be given several times
     #[arg(long, value_enum)]

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use super::named::{Database, Designed};
 use super::{Error, Format, print_rows};
 use crate::exit::Exit;
-use crate::look::Table;
+use crate::look::{Table, short_hash};
 use crate::store::Reader;
 
 /// Computes the error of the best linear decoder, and what no decoder can go below
@@ -110,7 +110,7 @@ async fn achieved(
     })
     .await?;
     if trials.is_empty() {
-        let (db, hash) = (db.display(), &hash[..8]);
+        let (db, hash) = (db.display(), short_hash(&hash));
         return Err(Error::Usage(format!(
             "{db} has finished no trial with the scene of {hash}; `metasense status {db}` says what it holds"
         )));

@@ -12,7 +12,7 @@ use super::named::Designed;
 use super::{Error, Format, print_rows};
 use crate::analysis::numbers::quantile;
 use crate::exit::Exit;
-use crate::look::{Table, row};
+use crate::look::{Table, row, short_hash};
 
 /// Casts a body virtually, and says what brains still read
 ///
@@ -49,7 +49,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         found.iter().filter(|reading| reading.reader == "nominal" && reading.outcome != "ok").count();
     let table = if args.each { each(&found) } else { medians(&found) };
     print_rows(&table, args.format)?;
-    say!("trial {}: {count} casts, {failed} of which failed", &hash[..8]);
+    say!("trial {}: {count} casts, {failed} of which failed", short_hash(&hash));
     Ok(Exit::Done)
 }
 

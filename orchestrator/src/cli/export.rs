@@ -98,7 +98,8 @@ fn size(text: &str) -> Result<[f64; 3], String> {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let Args { trial: Named { source: db, words, .. }, out, .. } = &args;
+    let Args { trial: named, out, .. } = &args;
+    let Named { source, words, hash } = named;
     let is_c = matches!(args.format, Form::C | Form::Device);
     let of_brains = [
         ("numbers", "c", args.numbers.is_some() && !is_c),
@@ -114,8 +115,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             Form::Parquet => Format::Parquet,
             _ => return Err(Error::Usage(format!("{what} is a view: --format csv or parquet"))),
         };
+        if words.len() > 1 || hash.is_some() {
+            return Err(Error::Usage(format!("{what} is a view, of all trials: leave the rest out")));
+        }
+        let db = if named.is_database() { source.clone() } else { named.plan()?.default_database() };
         let sql = format!("SELECT * FROM {what}");
-        Reader::asked(Database::at(db).await?, async |reader| answer_in(reader, &sql, out, format).await)
+        Reader::asked(Database::at(&db).await?, async |reader| answer_in(reader, &sql, out, format).await)
             .await?;
     } else {
         trial(&args.trial.stored().await?, &args)?;

@@ -11,6 +11,7 @@ use super::duration;
 use crate::control::Command;
 use crate::engine::{View, Watch};
 use crate::files::host;
+use crate::look::short_hash;
 use crate::plan::{Trial, counted};
 use crate::scheduler::{Outcome, UNFIT_DEATHS};
 
@@ -171,7 +172,7 @@ fn named(trial: &Trial) -> String {
         point.placement,
         point.seed,
         counted(trial.units, "unit"),
-        trial.hash.get(..8).unwrap_or(&trial.hash)
+        short_hash(&trial.hash)
     )
 }
 

@@ -7,7 +7,7 @@ use crate::cluster::merge::{Kind, Summary, merge, merge_facts};
 use crate::cluster::ranges;
 use crate::cluster::state::never_begun;
 use crate::exit::Exit;
-use crate::look::{Table, row};
+use crate::look::{Table, row, short_hash};
 use crate::plan::counted;
 
 /// Merges databases into one
@@ -77,12 +77,7 @@ pub(super) fn say_never(never: &[String], remedy: &str) {
     if never.is_empty() {
         return;
     }
-    let mut list = never
-        .iter()
-        .take(MOST)
-        .map(|hash| hash[..hash.len().min(8)].to_owned())
-        .collect::<Vec<_>>()
-        .join(", ");
+    let mut list = never.iter().take(MOST).map(|hash| short_hash(hash)).collect::<Vec<_>>().join(", ");
     if never.len() > MOST {
         list += &format!(" and {} more", never.len() - MOST);
     }

@@ -10,7 +10,7 @@ use crate::analysis::Cluster;
 use crate::analysis::numbers::distinct;
 use crate::analysis::operator::{Change, MEASURES, table};
 use crate::exit::Exit;
-use crate::look::{Axis, Legend, Plot, Scale, Table, file, number, row};
+use crate::look::{Axis, Legend, Plot, Scale, Table, file, number, row, short_hash};
 use crate::store::Reader;
 
 /// Computes why training helps: what the sensors of each body can tell, before any brain
@@ -57,7 +57,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             let mut measures = [[0.0; MEASURES.len()]; 2];
             for (b, to) in measures.iter_mut().enumerate() {
                 let found = told(&stored.specs[b], &stored.designs[b])
-                    .map_err(|e| Error::Usage(format!("trial {}: {e}", &hash[..8])))?;
+                    .map_err(|e| Error::Usage(format!("trial {}: {e}", short_hash(hash))))?;
                 let Told { error, rank, condition, bits, memory, modes } = found;
                 *to = [error, rank, condition, bits, memory, modes];
             }

@@ -78,6 +78,11 @@ const MOST_ROWS: usize = 10_000;
 /// Passes the rows on as they come.
 async fn answer(reader: &mut Reader, sql: &str, out: impl Write + Send, format: Format) -> Result<(), Error> {
     let columns = reader.columns(sql).await?;
+    let twice = columns.iter().enumerate().find(|(i, name)| columns[..*i].contains(name));
+    if let (Some((_, name)), Format::Json) = (twice, format) {
+        let why = format!("two columns are called {name}, and an object has one: name them with AS");
+        return Err(Error::Usage(why));
+    }
     let mut writer = RowWriter::new(out, format, &columns)?;
     let mut count = 0usize;
     reader

@@ -145,8 +145,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         outcome
     };
     let (outcome, ()) = tokio::join!(running, home.hand_in_every(copy_every, stopped));
-    // Also after an error, the database is handed in.
-    let handed_in = home.hand_in_within(Duration::from_secs(NOTICE)).await;
+    // Also after an error the database is handed in, where there is one.
+    let handed_in = match outcome.is_err() && !home.live().exists() {
+        true => Ok(()),
+        false => home.hand_in_within(Duration::from_secs(NOTICE)).await,
+    };
     let (outcome, plan) = outcome?;
     let exit = end(&db, &plan, args.running.format, outcome).await?;
     handed_in?;

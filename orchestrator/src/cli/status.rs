@@ -12,7 +12,7 @@ use crate::cluster::Assignment;
 use crate::cluster::queue;
 use crate::cluster::state::{self, State};
 use crate::exit::Exit;
-use crate::look::{Table, row};
+use crate::look::{Table, row, short_hash};
 use crate::plan::{Trial, counted};
 use crate::progress::FAILED;
 use crate::provenance;
@@ -28,7 +28,7 @@ pub(super) struct Args {
     #[arg(value_name = "DB|SPEC|DIR")]
     source: Option<PathBuf>,
     /// After DB: a trial, by its hash or the beginning of it. After SPEC: values in place of the spec's, as in `run`
-    #[arg(value_name = "HASH|KEY=VALUE")]
+    #[arg(value_name = "HASH|KEY=VALUE", conflicts_with = "cluster")]
     words: Vec<String>,
     /// After SPEC: a trial, by its hash or the beginning of it
     #[arg(long, conflicts_with = "cluster")]
@@ -86,7 +86,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let [reason, text, hash] = [0, 1, 2].map(|i| row[i].as_str().unwrap_or_default());
         let what = if text.is_empty() { reason } else { text };
         let count = counted(row[3].as_u64().unwrap_or_default() as usize, "trial");
-        say!("failed: {count}: {what} (metasense status {} {})", db.display(), hash.get(..8).unwrap_or(hash));
+        say!("failed: {count}: {what} (metasense status {} {})", db.display(), short_hash(hash));
     }
     if let Some(mixed) = provenance::mixed(&made) {
         say!("{mixed}");

@@ -400,8 +400,10 @@ fn clock(seconds: u64) -> String {
 pub fn seconds(text: &str) -> Result<u64, String> {
     let wrong = || format!("{text:?} is no time: say minutes, H:MM:SS or D-HH:MM:SS, for instance 4:00:00");
     let (days, clock) = text.split_once('-').map_or((None, text), |(days, clock)| (Some(days), clock));
-    let parts: Option<Vec<u64>> = clock.split(':').map(|part| part.parse().ok()).collect();
-    let days: u64 = days.map_or(Ok(0), str::parse).map_err(|_| wrong())?;
+    // as wide as no sum of them is
+    let whole = |part: &str| part.parse::<u64>().ok().map(u128::from);
+    let parts: Option<Vec<u128>> = clock.split(':').map(whole).collect();
+    let days = days.map_or(Some(0), whole).ok_or_else(wrong)?;
     let rest = match (parts.as_deref(), text.contains('-')) {
         (Some([minutes]), false) => minutes * 60,
         (Some([minutes, seconds]), false) => minutes * 60 + seconds,
@@ -412,7 +414,7 @@ pub fn seconds(text: &str) -> Result<u64, String> {
     };
     let total = days * 86_400 + rest;
     if (60..=365 * 86_400).contains(&total) {
-        Ok(total)
+        Ok(total as u64)
     } else {
         Err(format!("{text:?} is not between a minute and a year"))
     }

@@ -19,5 +19,5 @@ pub use picture::{Legend, Picture, file, legend, lines};
 pub use plot::{Axis, Plot, Scale};
 pub use style::{SERIES, level, of_page};
 pub(crate) use table::row;
-pub use table::{Table, plain, readable};
+pub use table::{Table, plain, readable, short_hash};
 pub use write::{Data, Format, RowWriter, print_rows, standard_output};

@@ -81,6 +81,9 @@ fn linear_ticks([low, high]: [f64; 2]) -> Vec<f64> {
     let rough = (high - low) / 5.0;
     let power = 10f64.powf(rough.log10().floor());
     let step = [1.0, 2.0, 5.0, 10.0].map(|d| d * power).into_iter().find(|s| *s >= rough).unwrap_or(rough);
+    if step == 0.0 || !step.is_finite() {
+        return vec![low];
+    }
     let first = (low / step).ceil() as i64;
     (first..).map(|i| i as f64 * step).take_while(|t| *t <= high).collect()
 }

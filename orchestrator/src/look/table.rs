@@ -88,6 +88,11 @@ impl Table {
     }
 }
 
+/// The beginning of a hash, as much as names a trial.
+pub fn short_hash(hash: &str) -> &str {
+    hash.char_indices().nth(8).map_or(hash, |(end, _)| &hash[..end])
+}
+
 /// A value in full; nothing for NULL.
 pub fn plain(value: &Value) -> String {
     match value {

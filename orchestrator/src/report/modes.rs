@@ -20,7 +20,12 @@ const LEGEND: [(&str, &str); 3] =
 
 /// Number, frequency and damping in words.
 pub fn title(n: usize, mode: &Mode) -> String {
-    format!("{}: {}\u{a0}Hz, {}\u{a0}%", n + 1, number(mode.frequency()), number(100.0 * mode.damping_ratio()))
+    format!(
+        "{}: {}\u{a0}Hz, {}\u{a0}%",
+        n + 1,
+        number(mode.frequency()),
+        number(100.0 * mode.damping_ratio())
+    )
 }
 
 /// A row a mode.

@@ -10,7 +10,7 @@ use super::strips::{Curve, Errors, Strip, dots, histories, representative, strip
 use crate::analysis::Body;
 use crate::look::body::{Sketch, frame};
 use crate::look::wave::{self, animation, snapshot};
-use crate::look::{Figure, Table, legend, number, row};
+use crate::look::{Figure, Table, legend, number, row, short_hash};
 use crate::store::Stored;
 
 /// Test samples that an inverse brain reads again: each takes as long as some hundred simulations.
@@ -74,7 +74,7 @@ impl Replayed {
 
     fn who(&self) -> String {
         let (hash, p) = (&self.stored.hash, self.stored.spec().point);
-        let short = &hash[..hash.len().min(8)];
+        let short = short_hash(hash);
         let (k, m, placement, seed) = (p.panels, p.sensors, p.placement, p.seed);
         format!("trial {short} (K = {k}, M = {m}, placement {placement}, seed {seed})")
     }

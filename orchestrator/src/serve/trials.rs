@@ -118,6 +118,21 @@ impl Keeper {
     /// # Errors
     /// Where the database cannot be read.
     pub async fn look(&mut self, reader: &mut Reader) -> Result<Trials, StoreError> {
+        // removed trials leave numbers, which new ones may take
+        let (mut known, mut others) = (0, false);
+        let (places, rows) = (&self.places, &self.now.rows);
+        let asked = reader.each("SELECT id, hash FROM trial", |row| {
+            match places.get(&(row.count("id") as i64)) {
+                Some(&place) if rows[place].hash == row.text("hash") => known += 1,
+                Some(_) => others = true,
+                None => {}
+            }
+            Ok::<_, StoreError>(())
+        });
+        asked.await?;
+        if others || known < self.places.len() {
+            *self = Self::default();
+        }
         if self.places.is_empty() {
             self.take(reader, &format!("{ROWS} ORDER BY t.id")).await?;
         } else {
@@ -261,17 +276,34 @@ impl Trials {
     pub fn chosen(&self, text: &str) -> Result<Vec<&Arc<Row>>, String> {
         let terms = terms(text)?;
         let has = |key: &str| key == "reason" || self.rows.iter().any(|row| !row.cell(key).is_null());
-        match terms.iter().find(|term| !self.rows.is_empty() && !has(&term.key)) {
-            Some(term) => {
-                Err(format!("no trial has `{}`: it is no column and no path of a spec here", term.key))
+        if let Some(term) = terms.iter().find(|term| !self.rows.is_empty() && !has(&term.key)) {
+            return Err(format!("no trial has `{}`: it is no column and no path of a spec here", term.key));
+        }
+        self.all_comparable(&terms)?;
+        Ok(self.found(&terms, ""))
+    }
+
+    /// A number is not compared with what is none: `M<3,5` would hold of anything.
+    fn all_comparable(&self, terms: &[Term]) -> Result<(), String> {
+        let numeric = |key: &str| {
+            let mut cells =
+                self.rows.iter().map(|row| row.cell(key)).filter(|cell| !cell.is_null()).peekable();
+            cells.peek().is_some() && cells.all(|cell| cell.is_number())
+        };
+        let wrong = |term: &&Term| {
+            term.relation != "~" && term.number.is_none() && !term.value.is_empty() && numeric(&term.key)
+        };
+        match terms.iter().find(wrong) {
+            Some(Term { key, relation, value, .. }) => {
+                Err(format!("`{key}{relation}{value}`: {key} is a number, `{value}` is none"))
             }
-            None => Ok(self.found(&terms, "")),
+            None => Ok(()),
         }
     }
 
     /// Those that meet the terms of a text, sorted by a key; none, and what is wrong, where it holds something else.
     pub fn asked(&self, text: &str, sort: &str) -> (Vec<&Arc<Row>>, Option<String>) {
-        match terms(text) {
+        match terms(text).and_then(|terms| self.all_comparable(&terms).map(|()| terms)) {
             Ok(terms) => (self.found(&terms, sort), None),
             Err(wrong) => (Vec::new(), Some(wrong)),
         }

@@ -37,7 +37,7 @@ pub enum StoreError {
         path: PathBuf,
     },
     /// Some other program's.
-    #[error("{} is not a metasense database; choose another file with --db", path.display())]
+    #[error("{} is not a metasense database; choose another file", path.display())]
     NotOurs {
         /// The file.
         path: PathBuf,

@@ -64,3 +64,20 @@ fn votes_are_split_where_placements_disagree() {
     let few = decide(&curve(&[30.0, 20.0], 3), Terms::default()).unwrap();
     assert_eq!((few.within.votes, &few.over[..]), (None, "too few to tell: 3 placements"));
 }
+
+/// Of four placements and four seeds that are not all there yet: what draws no trial with some M has no vote, and nothing panics.
+#[test]
+fn a_grid_on_its_way_is_decided_on() {
+    let of = |(placement, seed): (u64, u64)| {
+        let cluster = Cluster { placement, seed };
+        let at = |m: u64| Observation { at: m as f64, cluster, error: [30.0, 12.0][m as usize - 1] };
+        // the second M is there for the first placement alone
+        (1..=if placement == 0 { 2 } else { 1 }).map(at).collect::<Vec<_>>()
+    };
+    let there =
+        (0..4).flat_map(|placement| (0..4).map(move |seed| (placement, seed))).filter(|(p, s)| p + s < 4);
+    let observations: Vec<Observation> = there.flat_map(of).collect();
+    let found = decide(&observations, Terms::default()).unwrap();
+    let votes: f64 = found.within.votes.unwrap().iter().map(|vote| vote.1).sum();
+    assert!((votes - 1.0).abs() < 1e-9 && found.within.at == 2.0, "{votes}");
+}

@@ -17,6 +17,14 @@ fn ticks_lie_within_the_axis_and_are_few() {
     }
 }
 
+/// As far apart as no step between them is a number.
+#[test]
+fn ticks_end() {
+    for [low, high] in [[0.0, 5e-324], [1.0, 1.0 + f64::EPSILON], [-f64::MAX, f64::MAX]] {
+        assert!(linear_ticks([low, high]).len() < 20, "{low} {high}");
+    }
+}
+
 #[test]
 fn text_cannot_leave_its_element() {
     let axis = || Axis::new("<b>", Scale::Linear, []);

@@ -4,6 +4,14 @@ use super::*;
 use serde_json::json;
 
 #[test]
+fn names_are_cut_between_characters() {
+    assert_eq!(
+        ["", "abc", "abcdefgh", "abcdefghi", "abcdefg\u{e9}1"].map(short_hash),
+        ["", "abc", "abcdefgh", "abcdefgh", "abcdefg\u{e9}"]
+    );
+}
+
+#[test]
 fn a_verdict_is_the_only_one_where_no_row_says_more() {
     let row = |set: &str, verdict: &str, m: Value| vec![json!(set), json!(verdict), m, Value::Null];
     let table = |rows: Vec<Vec<Value>>| Table::new("set verdict kneedle chord", rows);

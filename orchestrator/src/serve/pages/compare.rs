@@ -9,10 +9,10 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::trial::{Trial, curves};
-use super::trials::short;
 use super::{Served, framed, to_trial};
 use crate::analysis::compare::Comparison;
 use crate::analysis::setting::flatten;
+use crate::look::short_hash;
 use crate::look::{Figure, Table, legend, number, row};
 use crate::plan::counted;
 use crate::report::body;
@@ -117,8 +117,8 @@ async fn trials(served: &Served, at: [&str; 2], hashes: [&str; 2]) -> Result<Mar
     let errors = curves("Test error while the body is trained", ["outer step", "test error (%)"], &lines);
     Ok(html! {
         p {
-            "First: " a href=(to_trial(at[0], &a.hash)) { (short(&a.hash)) } " (" (a.state) "); second: "
-            a href=(to_trial(at[1], &b.hash)) { (short(&b.hash)) } " (" (b.state) ")."
+            "First: " a href=(to_trial(at[0], &a.hash)) { (short_hash(&a.hash)) } " (" (a.state) "); second: "
+            a href=(to_trial(at[1], &b.hash)) { (short_hash(&b.hash)) } " (" (b.state) ")."
         }
         h2 { "Results" }
         (facts(a, b).html(Some("comparison")))

@@ -10,10 +10,10 @@ use metasense_worker::replay::drawing;
 use metasense_worker::simulate;
 use serde::Deserialize;
 
-use super::trials::short;
 use super::{Served, framed, live, query, trouble};
 use crate::analysis::setting::flatten;
 use crate::look::body::Sketch;
+use crate::look::short_hash;
 use crate::look::wave::course;
 use crate::look::{Axis, Figure, Picture, Plot, Scale, Table, legend, number, readable};
 use crate::plan::counted;
@@ -201,7 +201,7 @@ pub async fn page(
         _ => None,
     };
     let following = replayed.is_none();
-    let title = format!("Trial {}", short(&trial.hash));
+    let title = format!("Trial {}", short_hash(&trial.hash));
     let parts = [("networks", networks(&trial)), ("time", time(&trial)), ("attempts", attempts(&trial))];
     let content = html! {
         (live("facts", &facts(&at, &seen, &trial)))

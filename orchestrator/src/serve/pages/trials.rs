@@ -9,7 +9,7 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::{Served, framed, live, query, to_trial, trouble};
-use crate::look::{number, plain};
+use crate::look::{number, plain, short_hash};
 use crate::plan::counted;
 use crate::serve::trials::{NUMBERS, Row};
 use crate::serve::{Refusal, source};
@@ -117,7 +117,7 @@ fn table(at: &str, asked: &Asked, shown: &[&Arc<Row>]) -> Markup {
                 } }
                 tbody { @for row in shown {
                     tr class=[(row.state == "failed").then_some("failed")] {
-                        td class="text" { a href=(to_trial(at, &row.hash)) { (short(&row.hash)) } }
+                        td class="text" { a href=(to_trial(at, &row.hash)) { (short_hash(&row.hash)) } }
                         td class="text" { (row.state) }
                         @if let Some(key) = extra { td class="text" { (text(&row.cell(key))) } }
                         @for (name, _) in NUMBERS { td { (text(&row.cell(name))) } }
@@ -139,9 +139,4 @@ fn text(cell: &Value) -> String {
         Some(x) => number(x),
         None => plain(cell),
     }
-}
-
-/// The beginning of a hash, as much as names a trial.
-pub(super) fn short(hash: &str) -> String {
-    hash.chars().take(8).collect()
 }

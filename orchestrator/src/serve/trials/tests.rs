@@ -49,3 +49,17 @@ fn terms_choose_and_keys_sort() {
     }
     assert!(terms("M").is_err() && terms("=3").is_err());
 }
+
+/// What is compared with a number is one: as texts all numbers are less than `two`.
+#[test]
+fn numbers_are_compared_with_numbers() {
+    let trials = trials();
+    for text in ["M<two", "M!=one", "holdout_optimised>20%", "x<1,5"] {
+        let wrong = trials.chosen(text).unwrap_err();
+        assert!(wrong.contains("is a number, `"), "{text}: {wrong}");
+        assert_eq!(trials.asked(text, "").1, Some(wrong), "{text}");
+    }
+    for text in ["M<2.5", "M~1", "x=", "state=done", "optimise.brain<d", "reason!=7x"] {
+        assert!(trials.chosen(text).is_ok() && trials.asked(text, "").1.is_none(), "{text}");
+    }
+}

@@ -1,0 +1,29 @@
+//! Tests of `leftovers`.
+
+use super::*;
+
+/// Marks of a process that is no more: this machine's are left behind, fresh ones of a machine whose name ends like this one's are not.
+#[test]
+fn marks_of_other_machines_are_not_ours() {
+    let own = own_mark();
+    let (host, _) = own.rsplit_once('-').unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let none = 4_194_304; // above any process number
+    for (begins, ends, ours) in [
+        (".a.sqlite.", ".tmp", true),
+        (".a.sqlite.merge-", "", true),
+        ("metasense-run-Xy.", "", true),
+        ("shard-1-of-2.1764259000123-", ".sqlite", true),
+        (".a.sqlite.gpu-", ".tmp", false),
+        (".a.sqlite.merge-rack1-", "", false),
+        ("shard-1-of-2.1764259000123-gpu-", ".sqlite", false),
+        (".a.sqlite.7-", ".tmp", false),
+    ] {
+        let path = folder.path().join(format!("{begins}{host}-{none}{ends}"));
+        std::fs::write(&path, "").unwrap();
+        assert_eq!(is_abandoned(&path), ours, "{}", path.display());
+    }
+    let at_work = folder.path().join(format!(".a.sqlite.{own}.tmp"));
+    std::fs::write(&at_work, "").unwrap();
+    assert!(!is_abandoned(&at_work));
+}
