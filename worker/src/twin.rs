@@ -73,7 +73,7 @@ fn checked(twin: stored::Twin, trial: &TrialSpec, design: &[f64]) -> Result<Twin
     let remedy = "is another body: its spec, its sensors' units or its design differ from those that the twin was fitted with";
     require(digest == trial.body_digest(design), "body", &digest, remedy)?;
     let (layout, _) = body(trial).map_err(|e| invalid("body", &digest, e.to_string()))?;
-    let (sensors, read) = (trial.sensor_units.len(), trial.signals());
+    let (sensors, read) = (trial.point.sensors, trial.signals());
     let remedy = format!("must be {read} entries, one a signal that is read");
     require(noise.len() == read, "noise", format!("{} entries", noise.len()), &remedy)?;
     for (key, given, own) in [

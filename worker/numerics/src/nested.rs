@@ -106,8 +106,12 @@ pub fn optimise(
 fn compared(trial: &Trial, mut state: State, observer: &mut dyn Observe) -> Option<Optimised> {
     let problem = &trial.problem;
     let initial = &problem.initial;
-    let (design, best_step) = state.best.as_ref().map_or((initial, 0), |best| (&best.design, best.step));
-    let design = design.clone();
+    // a body that was trained and never looked at is not the initial one
+    let (design, best_step) = match &state.best {
+        Some(best) => (best.design.clone(), best.step),
+        None if problem.optimise.protocol.is_search() => (initial.clone(), 0),
+        None => (state.design.clone(), state.step.saturating_sub(1)),
+    };
     let mut log = Log::new(state.step, observer);
     (log.report.counters, log.report.seconds) = (state.comparison.counters, state.comparison.seconds);
     let tuned = log.timed(|s| &mut s.simulate, |_| trial.tuned(&design));

@@ -137,7 +137,12 @@ pub(super) fn casting(trial: &TrialSpec) -> Result<Option<Casting>, Invalid> {
     require(parts.is_none_or(|parts| parts == casts), "optimise.casts", casts, remedy)?;
     let over = if parts.is_some() { Over::Parts } else { Over::Casts };
     let reader = match reader {
-        Some(spec::CastReader::Each) => CastReader::Each,
+        Some(spec::CastReader::Each) => {
+            let remedy =
+                "is for bodies trained with the linear brain: a network is not trained for each cast";
+            require(trial.optimise.linear(), "optimise.reader", "\"each\"", remedy)?;
+            CastReader::Each
+        }
         _ => CastReader::One,
     };
     Ok(Some(Casting { over, casts, tail, reader }))

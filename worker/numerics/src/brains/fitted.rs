@@ -97,9 +97,11 @@ impl Decoder {
             })
             .collect();
         let error = |times: f64| {
-            let errors =
-                judges.iter().map(|(out, kept)| out.error(&beside(kept, times).ok()?.predict(&out.x)));
-            errors.sum::<Option<f64>>()
+            // a fold without a force judges nothing
+            let of = |(out, kept): &(Plain, Normal)| {
+                Some(out.error(&beside(kept, times).ok()?.predict(&out.x)).unwrap_or_default())
+            };
+            judges.iter().map(of).sum::<Option<f64>>()
         };
         let times = downhill_ridge(1.0, TIMES, error).ok_or(Trouble::Singular)?;
         let linear = beside(&all, times)?;

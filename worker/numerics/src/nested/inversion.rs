@@ -102,12 +102,13 @@ pub(super) fn invert_cast(
             Ok((train, _)) => {
                 // what failed tells nothing
                 let first: Vec<usize> = (0..n as usize).filter(|&i| !train.failed[i]).collect();
-                let (forces, records) = (trial.train.select(&first), train.select(&first));
+                // the cast has felt what the initial body may have failed on
+                let [all, _] = trial.problem.known();
+                let (forces, records) = (all.select(&first), train.select(&first));
                 let Fit { twin, counters, .. } =
                     Fit::of(trial, design, solver, (&forces, &records.signals), go_on)?;
                 work.dynamics += counters;
-                let (cast, [forces, _]) = (Some(&twin.cast), trial.problem.known());
-                let known = trial.simulate_cast(cast, design, forces, solver, false, &mut work);
+                let known = trial.simulate_cast(Some(&twin.cast), design, all, solver, false, &mut work);
                 known.map(|known| (known.samples, twin))
             }
             Err(trouble) => Err(*trouble),

@@ -183,6 +183,10 @@ impl<'a> Session<'a> {
         for (by, of_cast) in weights.iter().zip(&gradients) {
             gradient.iter_mut().zip(of_cast).for_each(|(sum, g)| *sum += by * g);
         }
+        // samples without a force have no error
+        if gradient.iter().any(|g| !g.is_finite()) {
+            return Err(Trouble::GradientNonFinite);
+        }
         Ok((objective, gradient))
     }
 
@@ -193,9 +197,10 @@ impl<'a> Session<'a> {
             self.first = vec![1.0; casting.casts];
             if casting.tail < 1.0 {
                 let (trial, counted) = (self.trial, (log.report.counters, log.report.fresh_samples));
-                let (mut learner, mut learnt) = (learner(trial), State::new(&trial.problem).learnt);
+                let mut learner = learner(trial);
                 let parts = self.fresh(&trial.problem.initial, 0, going, false, log)?;
                 for (part, first) in parts.iter().zip(&mut self.first) {
+                    let mut learnt = State::new(&trial.problem).learnt;
                     let counters = &mut log.report.counters;
                     learner.fit(FitOn::Cast(&part.samples), 0, &mut learnt, counters)?;
                     *first = learner.error(&part.samples).unwrap_or(1.0);

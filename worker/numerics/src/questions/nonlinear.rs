@@ -28,7 +28,7 @@ pub(crate) fn nonlinear(
     counters: &mut Counters,
 ) -> Option<Nonlinear> {
     let (problem, scene) = (&trial.problem, &trial.problem.scene);
-    let solver = solver.at_most(EXACT);
+    let solver = Solver { single: 0.0, ..solver.at_most(EXACT) };
     let forces = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout.min(SAMPLES));
     let scaled = |by: f64| {
         let values = forces.values.iter().map(|f| by * f).collect();

@@ -93,7 +93,9 @@ impl Chip {
     /// Overwrites signals (N, T, channels) of `forces` with what the chip says.
     pub(crate) fn disturb(&self, signals: &mut [f64], forces: &Forces) {
         let (channels, read) = (self.noise.len(), self.channels.len());
-        for (i, sample) in signals.chunks_exact_mut(signals.len() / forces.samples.max(1)).enumerate() {
+        for (i, sample) in
+            signals.chunks_exact_mut((signals.len() / forces.samples.max(1)).max(1)).enumerate()
+        {
             let key = forces.sample(i).iter().fold(0, |key: u64, f| {
                 (key.rotate_left(5) ^ f.to_bits()).wrapping_mul(0x517c_c1b7_2722_0a95)
             });

@@ -156,6 +156,13 @@ pub enum Protocol {
     Cmaes(Going),
 }
 
+impl Protocol {
+    /// Whether bodies are candidates, each for itself.
+    pub(crate) fn is_search(&self) -> bool {
+        matches!(self, Self::Random(_) | Self::Cmaes(_))
+    }
+}
+
 /// A network that goes on from body to body.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Going {

@@ -25,6 +25,42 @@ fn cast(casting: Casting) -> Problem {
     problem
 }
 
+/// Without a test sample of a part no look tells anything: the trained body counts, not the initial one, with noise, too.
+#[test]
+fn a_body_that_no_look_has_read_is_the_trained_one() {
+    let mut problem = mixed(Casting { reader: CastReader::One, ..PARTS });
+    let Source::Mix(parts) = &mut problem.stimuli.source else { panic!("a mixture") };
+    (parts[0].0, parts[1].0) = (1.0, 1e-9);
+    problem.disturbance = Some(Disturbance { noise: Size::Relative(0.01), ..Disturbance::NONE });
+    let found = found(&problem);
+    assert!(found.optimised.design != problem.initial, "step {}", found.best_step);
+    assert_eq!(found.best_step, problem.optimise.iterations - 1);
+}
+
+/// A part that never strikes has no error: the step has a name, and moves nothing by what is no number.
+#[test]
+fn a_part_without_a_force_is_named() {
+    let mut problem = mixed(Casting { reader: CastReader::One, ..PARTS });
+    let Source::Mix(parts) = &mut problem.stimuli.source else { panic!("a mixture") };
+    let Source::Bell(bell) = &mut parts[1].1 else { panic!("bells") };
+    bell.onset = [5.0, 6.0];
+    let failed = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap_err();
+    assert_eq!(failed.trouble(), Trouble::GradientNonFinite);
+}
+
+/// Few records, of which a fold may hold none with a force.
+#[test]
+fn a_fold_without_a_force_judges_nothing() {
+    let mut problem = cast(MEAN);
+    let Source::Bell(bell) = &mut problem.stimuli.source else { panic!("bells") };
+    bell.onset = [0.0, 2.5 * problem.scene.duration];
+    (problem.optimise.iterations, problem.evaluation.casts, problem.stimuli.samples) = (0, 6, 24);
+    let found = found(&problem);
+    let records: Vec<_> =
+        found.casts.iter().flatten().filter(|read| matches!(read.by, CastBrain::Records(_))).collect();
+    assert!(!records.is_empty() && records.iter().all(|read| read.trouble.is_none()), "{records:?}");
+}
+
 /// A whole trial.
 fn found(problem: &Problem) -> Optimised {
     optimise(problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap()
