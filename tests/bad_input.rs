@@ -147,6 +147,11 @@ const EDITS: &[(&str, &str, &str)] = &[
     ),
     (
         "[sweep]",
+        "[variation]\nstretch = 0.05\n[optimise]\nobjective = \"mean\"\nreader = \"each\"\n[sweep]",
+        "s.toml:17: optimise.reader = \"each\": is for bodies trained with the linear brain",
+    ),
+    (
+        "[sweep]",
         "[evaluation]\ncasts = 4\n[sweep]",
         "s.toml:14: evaluation.casts = 4: means nothing here: no trial has a [variation]",
     ),

@@ -211,6 +211,36 @@ async fn what_is_on_disk_is_on_the_page_within_a_second() {
     server.served.close().await;
 }
 
+/// Removed trials leave the pages, and those that get their numbers are read under their own settings.
+#[tokio::test(flavor = "multi_thread")]
+async fn removed_trials_leave_the_pages() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", TINY);
+    bench.output(&["run", "tiny.toml", "--db", "s.sqlite"]);
+    let server = Server::new(&[bench.path("s.sqlite")]).await;
+    // pages follow within a second; other tests may have this machine for a moment
+    let shows = async |condition: &str, count: usize| {
+        for _ in 0..100 {
+            let (_, page) = server.get(&format!("/0/trials?q={}", condition.replace('=', "%3D"))).await;
+            if page.matches("href=\"/0/trial/").count() == count {
+                return;
+            }
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+        panic!("{condition}: not {count} trials");
+    };
+    shows("M=1", 1).await;
+    shows("M=2", 1).await;
+    bench.output(&["remove", "s.sqlite", "M=2", "--yes"]);
+    shows("M=2", 0).await;
+    shows("M=1", 1).await;
+    bench.output(&["run", "tiny.toml", "--db", "s.sqlite", "sweep.sensors=[2]", "optimise.batch=3"]);
+    shows("M=2", 1).await;
+    shows("optimise.batch=3", 1).await;
+    shows("optimise.batch=4", 1).await;
+    server.served.close().await;
+}
+
 /// Names of somebody else's that mean this machine, pages of other sites, what is no question: none is answered.
 #[tokio::test(flavor = "multi_thread")]
 async fn only_pages_of_our_own_are_answered() {

@@ -16,6 +16,19 @@ fn trial(design: &str, units: &[usize]) -> TrialSpec {
     serde_json::from_str(&json).unwrap()
 }
 
+/// What is told by differences does not hang on the precision that the solver's tolerance lets forces have.
+#[test]
+fn a_bound_is_that_of_f64() {
+    let mean = |tolerance: f64| {
+        let mut trial = trial("", &[13]);
+        (trial.solver.tolerance, trial.stimuli.samples) = (tolerance, 60);
+        let problem = problem(&trial).unwrap();
+        super::bound(&trial, &problem.initial, 2, None, 2).unwrap().mean
+    };
+    let [coarse, fine] = [6e-4, 1e-4].map(mean);
+    assert!((coarse / fine - 1.0).abs() < 0.02, "{coarse} {fine}");
+}
+
 /// Ranks of values, from 0.
 fn ranks(values: &[f64]) -> Vec<f64> {
     values.iter().map(|v| values.iter().filter(|w| *w < v).count() as f64).collect()
