@@ -23,11 +23,12 @@ pub fn is_abandoned(path: &Path) -> bool {
     };
     let own = own_mark();
     let host = own.rsplit_once('-').map_or("", |(host, _)| host);
-    // the end of another machine's name may be this one's: before a name stands a dot, or what makes such a mark
+    // the end of another machine's name may be this one's: before a name stands a dot, or what makes such a mark; of a shard's
+    // copies when they were begun
     let began = |part: &str| !part.is_empty() && part.bytes().all(|c| c.is_ascii_digit());
     let here = before.strip_suffix(host).is_some_and(|rest| match rest.rsplit('.').next() {
         None | Some("" | "merge-") => true,
-        Some(last) => name.ends_with(".sqlite") && last.strip_suffix('-').is_some_and(began),
+        Some(last) => name.starts_with("shard-") && last.strip_suffix('-').is_some_and(began),
     });
     let written = || path.symlink_metadata().and_then(|m| m.modified()).ok()?.elapsed().ok();
     match here {
