@@ -492,6 +492,11 @@ const EDITS: &[(&str, &str, &str)] = &[
     ("test = 4", "test = 4\nholdout = 0", "s.toml:13: stimuli.holdout = 0: "),
     ("test = 4", "test = 4\namplitude = [0.5, 0.1]", "s.toml:13: stimuli.amplitude = [0.5, 0.1]: "),
     ("test = 4", "test = 4\npeak = [0.0, 1.5]", "s.toml:13: stimuli.peak = "),
+    (
+        "[sweep]",
+        "[sensors]\nplacements = 4\n[sweep]",
+        "s.toml:14: sensors.placements = 4: must be a list of lists of whole numbers from 0 up",
+    ),
     ("[sweep]", "[time]\nsamples = 0\n[sweep]", "s.toml:14: time.samples = 0: "),
     (
         "[sweep]",

@@ -164,7 +164,9 @@ fn value(kind: &str, schema: &Value, root: &Value) -> Option<String> {
                     return Some(one.clone());
                 }
                 let one = one.strip_prefix("a ")?;
-                let noun = ["number", "text", "list", "table"].into_iter().find(|noun| one.contains(noun))?;
+                // the first: of a list of numbers the list
+                let found = ["number", "text", "list", "table"].map(|noun| Some((one.find(noun)?, noun)));
+                let (_, noun) = found.into_iter().flatten().min()?;
                 Some(one.replacen(noun, &format!("{noun}s"), 1))
             };
             match items.iter().map(many).collect::<Option<Vec<_>>>() {
