@@ -351,17 +351,9 @@ def rated(all_values, shown, words):
 
 
 def four_forces_map():
-    yield from four_forces("four forces map", "four-forces-map/trials.csv")
-
-
-def four_forces_map_network():
-    yield from four_forces("four forces map network", "four-forces-map-network/trials.csv")
-
-
-def four_forces(name, file):
-    lines, found = table(name), []
+    lines, found = table("four forces map"), []
     for line in lines:
-        of = rows(file, **MIDDLE | SETTINGS[line[0]])
+        of = rows("four-forces-map/trials.csv", **MIDDLE | SETTINGS[line[0]])
         error = {tuple(row[k] for k in ("seed", "placement", "sensors")): row for row in of}
         def at(seed, placement, sensors, body):
             return float(error[str(seed), str(placement), sensors][f"holdout_error_{body}"])
@@ -380,18 +372,6 @@ def four_forces(name, file):
 
 
 INITIAL, TRAINED = "holdout_error_initial", "holdout_error_optimised"
-
-
-def eight_forces_map():
-    brains, found = {"linear brain": "linear", "the paper's network": "cnn"}, []
-    for brain in brains.values():
-        of = lambda m: rows("eight-forces-map/trials.csv", brain=brain, sensors=m)
-        found += [less(logs(of(m), INITIAL), logs(of("4"), TRAINED)) for m in "46"]
-    told = rated(found, math.exp, ("holds", "fails"))
-    for n, line in enumerate(table("eight forces map")):
-        of = rows("eight-forces-map/trials.csv", brain=brains[line[0]])
-        shares = ends(of)[0][2]
-        yield line[1:], [errors_by_sensors(of), f"{votes_in_words(shares)}: {IN_MAP[verdict(shares, 4, False)]}", *told[2 * n : 2 * n + 2]]
 
 
 def logs(of, column):
@@ -659,7 +639,7 @@ def relaxing():
         yield line[1:], [cell(*by) for by in [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")]]
 
 
-CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, random_bodies_map, blows_map, size_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
+CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

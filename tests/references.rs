@@ -76,6 +76,8 @@ const BLOCKS: &[(&str, Render)] = &[
     ("random bodies map", map::random_bodies),
     ("blows map", map::blows),
     ("size map", map::sizes),
+    ("size map network", map::sizes_network),
+    ("protocol map", map::protocols),
     ("claims", claims::claims),
     ("sensors", brains::sensors),
     ("paper protocol", claims::paper_protocol),

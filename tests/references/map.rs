@@ -6,7 +6,7 @@ use metasense_schemas::spec::Design;
 use metasense_worker::chance_above;
 
 use super::elbow_law::{by_fall, curve, errors, verdict, words};
-use super::rows::{Row, geometric, number, of, rows, seeds, with_interval};
+use super::rows::{Row, geometric, interval, number, of, rows, seeds, with_interval};
 use super::table;
 
 /// The columns that tell settings apart, and the scene in the middle.
@@ -93,11 +93,7 @@ pub fn four_forces() -> String {
         let main = |row: &&&Row| !["4", "5"].contains(&row["placement"].as_str());
         let curve = curve(rows.iter().filter(main).copied(), "optimised");
         let votes = by_fall(&curve);
-        let told = match verdict(&votes, 2.0, false) {
-            "confirmed" => "holds",
-            "refuted" => "fails",
-            open => open,
-        };
+        let told = in_map(verdict(&votes, 2.0, false));
         let mut cells = vec![(*words_of).to_owned(), errors(&curve)];
         cells.push(format!("{}: {told}", words(&votes)));
         cells.extend_from_slice(&ratios[4 * s..][..4]);
@@ -113,6 +109,15 @@ pub fn four_forces() -> String {
         "trained by untrained, two sensors",
     ];
     table(&head, settings.iter().enumerate().map(line))
+}
+
+/// A verdict on a law as one on a claim.
+fn in_map(verdict: &str) -> &str {
+    match verdict {
+        "confirmed" => "holds",
+        "refuted" => "fails",
+        open => open,
+    }
 }
 
 /// Rows with one column more, made of the others.
@@ -226,14 +231,24 @@ pub fn blows() -> String {
     table(&head, BLOWS.into_iter().enumerate().map(line))
 }
 
-/// Lines of a body that grows with its units, and of one that is cut finer: errors by units, and slopes of ln(error) on ln(units).
+/// Bodies trained with, and read by, the linear brain.
 pub fn sizes() -> String {
+    sizes_of("size-map/trials.csv")
+}
+
+/// The same of the paper's network.
+pub fn sizes_network() -> String {
+    sizes_of("size-map-network/trials.csv")
+}
+
+/// Lines of a body that grows with its units, and of one that is cut finer: errors by units, and slopes of ln(error) on ln(units).
+fn sizes_of(file: &str) -> String {
     let way = |row: &Row| match (row["body.columns"].as_str(), row["body.spacing"].as_str()) {
         ("6", _) => "both".to_owned(),
         (_, "15.0") => "grows".to_owned(),
         _ => "finer".to_owned(),
     };
-    let all = with_column(rows("size-map/trials.csv"), "way", way);
+    let all = with_column(rows(file), "way", way);
     let units = ["16", "36", "64", "100"];
     let x = units.map(|units| units.parse::<f64>().unwrap().ln());
     let centred = x.map(|value| value - mean(&x).unwrap());
@@ -268,4 +283,104 @@ pub fn sizes() -> String {
         "with 100",
     ];
     table(&head, lines.into_iter().zip(said).map(line))
+}
+
+/// What tells the settings of `protocol-map.toml` apart.
+const TRAINING: [&str; 4] = ["batch", "schedule", "samples", "brain"];
+
+/// These settings, in words.
+const TRAININGS: [(&str, [&str; 4]); 5] = [
+    ("the middle", ["68", "cosine", "300", ""]),
+    ("a constant rate", ["68", "constant", "300", ""]),
+    ("the same, all samples in each iteration", ["", "constant", "300", ""]),
+    ("1000 samples in place of 300", ["68", "cosine", "1000", ""]),
+    ("bodies trained with the linear brain", ["68", "cosine", "300", "linear"]),
+];
+
+/// Networks of a kind on the initial and on the trained body, after so many iterations.
+struct Networks {
+    rows: Vec<Row>,
+    wanted: Vec<(&'static str, &'static str)>,
+}
+
+impl Networks {
+    /// ln(holdout error), a seed each.
+    fn errors(&self, body: &str, iterations: &str) -> Vec<f64> {
+        let kind = [&self.wanted[..], &[("iterations", iterations)]].concat();
+        let own: Vec<Row> = of(&self.rows, &kind).filter(|row| row["body"] == body).cloned().collect();
+        logs(&own, &[], "error_holdout")
+    }
+
+    fn gain(&self, iterations: &str) -> Vec<f64> {
+        less(self.errors("initial", iterations), &self.errors("optimised", iterations))
+    }
+
+    /// Untrained → trained, and how many times less, beside the number that the paper has; nothing where there are none.
+    fn cells(&self, iterations: &str, stated: f64) -> [String; 2] {
+        let errors = ["initial", "optimised"].map(|body| self.errors(body, iterations));
+        if errors[0].is_empty() {
+            return [String::new(), String::new()];
+        }
+        let [before, after] = errors.map(|logs| geometric(logs.into_iter().map(f64::exp)));
+        let gain = self.gain(iterations);
+        let [_, low, high] = interval(&gain).map(f64::exp);
+        let told = match () {
+            () if low >= stated => "reached",
+            () if high < stated => "below",
+            () => "compatible",
+        };
+        [format!("{before} → {after} %"), format!("{}: {told}", with_interval(&gain, f64::exp))]
+    }
+}
+
+/// A line a setting of protocol, schedule and samples, under pulses and under blows: what training the body gains, and how much that
+/// differs from the middle.
+pub fn protocols() -> String {
+    let own = |stimuli, setting: [&'static str; 4]| Networks {
+        rows: rows("protocol-map/networks.csv"),
+        wanted: TRAINING.into_iter().zip(setting).chain([("stimuli", stimuli)]).collect(),
+    };
+    let papers = |folder: &str| Networks { rows: rows(&format!("{folder}/networks.csv")), wanted: vec![] };
+    let mut settings: Vec<(&str, [Networks; 2])> = TRAININGS
+        .into_iter()
+        .map(|(words, setting)| (words, ["bell", "irregular"].map(|stimuli| own(stimuli, setting))))
+        .collect();
+    settings
+        .push(("the paper's protocol, against all samples at a constant rate", ["fig2", "fig3"].map(papers)));
+    let gain = |setting: usize, stimuli: usize| settings[setting].1[stimuli].gain("1000");
+    // the middle under blows against pulses; the paper's protocol against the setting that reads bodies as it does
+    let beside = |setting, stimuli| match setting {
+        0 => gain(0, 0),
+        5 => gain(2, stimuli),
+        _ => gain(0, stimuli),
+    };
+    let changes: Vec<Vec<f64>> = (0..2)
+        .flat_map(|stimuli| (0..6).map(move |setting| (setting, stimuli)))
+        .skip(1)
+        .map(|(setting, stimuli)| less(gain(setting, stimuli), &beside(setting, stimuli)))
+        .collect();
+    let said = [vec![String::new()], rated(&changes, f64::exp, ["more", "less"])].concat();
+    let line = |(s, (words, [pulses, blows])): (usize, &(&str, [Networks; 2]))| {
+        [
+            vec![(*words).to_owned()],
+            pulses.cells("1000", 2.0).to_vec(),
+            vec![said[s].clone()],
+            pulses.cells("10000", 5.8).to_vec(),
+            blows.cells("1000", 5.3).to_vec(),
+            vec![said[6 + s].clone()],
+        ]
+        .concat()
+    };
+    let head = [
+        "",
+        "pulses: untrained → trained",
+        "times less; the paper 2",
+        "by the middle",
+        "after 10 000 iterations",
+        "times less; the paper 5.8",
+        "blows: untrained → trained",
+        "times less; the paper 5.3",
+        "by the middle, this by pulses",
+    ];
+    table(&head, settings.iter().enumerate().map(line))
 }

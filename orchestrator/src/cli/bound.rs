@@ -110,7 +110,7 @@ async fn achieved(
     })
     .await?;
     if trials.is_empty() {
-        let (db, hash) = (db.display(), short_hash(&hash));
+        let (db, hash) = (db.display(), short_hash(hash));
         return Err(Error::Usage(format!(
             "{db} has finished no trial with the scene of {hash}; `metasense status {db}` says what it holds"
         )));
