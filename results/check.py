@@ -351,9 +351,17 @@ def rated(all_values, shown, words):
 
 
 def four_forces_map():
-    lines, found = table("four forces map"), []
+    yield from four_forces("four forces map", "four-forces-map/trials.csv")
+
+
+def four_forces_map_network():
+    yield from four_forces("four forces map network", "four-forces-map-network/trials.csv")
+
+
+def four_forces(name, file):
+    lines, found = table(name), []
     for line in lines:
-        of = rows("four-forces-map/trials.csv", **MIDDLE | SETTINGS[line[0]])
+        of = rows(file, **MIDDLE | SETTINGS[line[0]])
         error = {tuple(row[k] for k in ("seed", "placement", "sensors")): row for row in of}
         def at(seed, placement, sensors, body):
             return float(error[str(seed), str(placement), sensors][f"holdout_error_{body}"])
@@ -639,7 +647,7 @@ def relaxing():
         yield line[1:], [cell(*by) for by in [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")]]
 
 
-CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
+CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, four_forces_map_network, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

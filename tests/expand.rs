@@ -155,7 +155,6 @@ fn committed_specs_keep_their_hashes() {
     design-two-core 834a3cec86c88ac1
     disc 05cd48334f7ba6b8
     eight-forces d02373435aeebd1c
-    eight-forces-map 3882e6a8735693f9
     elbow-law dd9ab67d59dd2124
     families a2575320c6450e88
     fig2 bced9d6dd8d54f61

@@ -73,6 +73,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("elbow law", elbow_law::all),
     ("elbow law asked", elbow_law::asked),
     ("four forces map", map::four_forces),
+    ("four forces map network", map::four_forces_network),
     ("random bodies map", map::random_bodies),
     ("blows map", map::blows),
     ("size map", map::sizes),

@@ -76,10 +76,20 @@ fn rated(all: &[Vec<f64>], shown: fn(f64) -> f64, words: [&str; 2]) -> Vec<Strin
     all.iter().enumerate().map(cell).collect()
 }
 
-/// A line a setting: errors, where the fall ends, and four ratios; a star where a ratio stands beside all others (Holm).
+/// Bodies trained with, and read by, the linear brain.
 pub fn four_forces() -> String {
-    let all = rows("four-forces-map/trials.csv");
-    let settings: Vec<(&str, Vec<&Row>)> = SETTINGS
+    four_forces_of("four-forces-map/trials.csv", &SETTINGS)
+}
+
+/// The same of the paper's network, with noise and without.
+pub fn four_forces_network() -> String {
+    four_forces_of("four-forces-map-network/trials.csv", &SETTINGS[..2])
+}
+
+/// A line a setting: errors, where the fall ends, and four ratios; a star where a ratio stands beside all others (Holm).
+fn four_forces_of(file: &str, settings: &[(&str, &str, &str)]) -> String {
+    let all = rows(file);
+    let settings: Vec<(&str, Vec<&Row>)> = settings
         .iter()
         .map(|(words, moved, value)| {
             let cell = |name: &str, middle| if name == *moved { *value } else { middle };

@@ -255,7 +255,7 @@ impl Objective {
 pub enum CastReader {
     /// One brain for all casts: for bodies that are read without calibration.
     One,
-    /// A brain for each cast, fitted to its samples: for bodies whose brain is fitted anew to each.
+    /// A linear brain for each cast, fitted to its samples: for bodies whose brain is fitted anew to each.
     Each,
 }
 
