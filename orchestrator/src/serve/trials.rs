@@ -286,9 +286,9 @@ impl Trials {
     /// A number is not compared with what is none: `M<3,5` would hold of anything.
     fn all_comparable(&self, terms: &[Term]) -> Result<(), String> {
         let numeric = |key: &str| {
-            let mut cells =
-                self.rows.iter().map(|row| row.cell(key)).filter(|cell| !cell.is_null()).peekable();
-            cells.peek().is_some() && cells.all(|cell| cell.is_number())
+            let cells = self.rows.iter().map(|row| row.cell(key)).filter(|cell| !cell.is_null());
+            let cells: Vec<Value> = cells.collect();
+            !cells.is_empty() && cells.iter().all(Value::is_number)
         };
         let wrong = |term: &&Term| {
             term.relation != "~" && term.number.is_none() && !term.value.is_empty() && numeric(&term.key)

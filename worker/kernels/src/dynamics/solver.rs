@@ -128,7 +128,7 @@ impl Solver {
         Self { tolerance: Some(tolerance), ..Self::new(Method::Tsit5, accuracy) }
     }
 
-    /// The same, of at most this error of the signals.
+    /// The same, of at most this error of the signals, in f64: what a pilot has found of f32 was found for other steps.
     #[must_use]
     pub fn at_most(self, error: Accuracy) -> Self {
         let stricter = (error.0 / self.accuracy.0).min(1.0);
@@ -136,8 +136,7 @@ impl Solver {
             relative: (stricter * t.relative).max(Tolerance::LEAST),
             absolute: (stricter * t.absolute).max(Tolerance::LEAST),
         });
-        let single = if stricter < 1.0 { 0.0 } else { self.single };
-        Self { accuracy: self.accuracy.min(error), tolerance, single, ..self }
+        Self { accuracy: self.accuracy.min(error), tolerance, single: 0.0, ..self }
     }
 }
 

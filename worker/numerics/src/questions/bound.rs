@@ -71,8 +71,7 @@ pub fn bound(
 
     let unseen = problem.forces(Purpose::Holdout, 0, samples.min(problem.stimuli.holdout));
     let (scene, _) = problem.in_motion(&problem.scene, &unseen);
-    // what is told by differences is told without f32's rounding
-    let plan = choose(&scene, design, &trial.tuned(design).solver.at_most(EXACT)).double();
+    let plan = choose(&scene, design, &trial.tuned(design).solver.at_most(EXACT));
     let trouble = |outcome| Failure::Initial(Trouble::Simulation(outcome));
     let (mut left, mut total) = (Vec::new(), DMatrix::zeros(prior.variance.len(), prior.variance.len()));
     for sample in 0..unseen.samples {

@@ -12,7 +12,7 @@ use crate::trial::{Counters, Trial};
 
 /// ε: errors of 1e-5 in s_lin, which rounding stays a thousand times below.
 const SMALL: f64 = 1e-5;
-/// Accuracy from which on no run is in f32, whose rounding would hide the differences that are asked for.
+/// Accuracy at least, in f64: the rounding of f32 would hide the differences that are asked for.
 pub(super) const EXACT: Accuracy = Accuracy(1e-3);
 /// Samples that are looked at: three blocks of lanes.
 const SAMPLES: usize = 24;
@@ -28,7 +28,7 @@ pub(crate) fn nonlinear(
     counters: &mut Counters,
 ) -> Option<Nonlinear> {
     let (problem, scene) = (&trial.problem, &trial.problem.scene);
-    let solver = Solver { single: 0.0, ..solver.at_most(EXACT) };
+    let solver = solver.at_most(EXACT);
     let forces = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout.min(SAMPLES));
     let scaled = |by: f64| {
         let values = forces.values.iter().map(|f| by * f).collect();
