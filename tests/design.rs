@@ -122,6 +122,17 @@ fn a_spec_starts_from_the_design_that_it_names() {
     let axis = small("")
         .replace("sensors = [1]", "sensors = [1]\n\"body.design\" = [{ random = 1 }, { random = 2 }]");
     assert_eq!(hash(&axis), one);
+    // and so may the body to which noise is relative; where there is none, it is no part of a trial either
+    let noisy = |noise: &str, of: &str| {
+        let sensors = format!("[sensors]\nnoise = {noise}\n{of}\n[sweep]");
+        hash(&small("").replace("[sweep]", &sensors))
+    };
+    let of_file = noisy("0.03", "relative_to = \"a.npy\"");
+    assert_eq!(of_file, noisy("0.03", "relative_to = \"b.npy\""));
+    assert_ne!(of_file, noisy("0.03", ""));
+    for noise in ["0.0", "[300.0, 0.5]"] {
+        assert_eq!(noisy(noise, "relative_to = \"a.npy\""), noisy(noise, ""), "{noise}");
+    }
 }
 
 /// Exit code 2 with file, key and every broken constraint, before anything starts.
@@ -130,12 +141,13 @@ fn a_design_that_cannot_be_cast_is_refused_with_the_list() {
     let bench = Bench::new();
     std::fs::write(bench.path("bad.npy"), npy(&[0.0; 48])).unwrap();
     std::fs::write(bench.path("short.npy"), npy(&[0.0; 47])).unwrap();
-    let refused = |design: &str| {
-        bench.file("s.toml", &small(design));
+    let refused_text = |text: &str| {
+        bench.file("s.toml", text);
         let out = bench.metasense(&["expand", "s.toml"]);
         assert_eq!(out.status.code(), Some(2), "{out:?}");
         String::from_utf8(out.stderr).unwrap()
     };
+    let refused = |design: &str| refused_text(&small(design));
     let mut wild = vec![0.0; 48];
     wild[0] = 20.0;
     std::fs::write(bench.path("bad.npy"), npy(&wild)).unwrap();
@@ -144,5 +156,8 @@ fn a_design_that_cannot_be_cast_is_refused_with_the_list() {
     assert!(refused("design = \"short.npy\"").contains("holds 47 numbers; α of this body has 48"));
     assert!(refused("design = \"none.npy\"").contains("none.npy"));
     assert!(refused("design = { randon = 1 }").contains("random"));
+    let sensors = "[sensors]\nnoise = 0.1\nrelative_to = { shifts = [0.0] }\n[sweep]";
+    let said = refused_text(&small("").replace("[sweep]", sensors));
+    assert!(said.contains("sensors.relative_to = 1 shifts: α of this body has 48 numbers"), "{said}");
     assert!(refused("design = { random = 1, spread = 0.0 }").contains("spread must be above 0, at most 1"));
 }

@@ -154,7 +154,9 @@ fn committed_specs_keep_their_hashes() {
     brains-two-core 5eb82c6f08db37b1
     design-two-core 834a3cec86c88ac1
     disc 05cd48334f7ba6b8
+    disc-map 7a144bc1b6db5745
     eight-forces d02373435aeebd1c
+    eight-forces-map 3882e6a8735693f9
     elbow-law dd9ab67d59dd2124
     families a2575320c6450e88
     fig2 bced9d6dd8d54f61
@@ -166,7 +168,7 @@ fn committed_specs_keep_their_hashes() {
     fig5 a3ec099760be45bd
     filtered e6c6ff4b8645bf70
     four-forces b88aef61917cde6e
-    four-forces-map f65323b3ee3a56c2
+    four-forces-map 42e955fa5f00670e
     four-forces-map-network 8308d75a3d2616a4
     gradient c39bace70d622cb2
     long-training aff57803d389341f

@@ -30,11 +30,13 @@ fn trials(bench: &Bench) -> String {
 }
 
 /// Anything is good enough: a first look at both numbers of sensors, then one of the cheaper ones goes on to its end and to
-/// fresh seeds; the others stay where they are. Called again nothing is run; stopped by its hours it goes on to the same end.
+/// fresh seeds, where noise is what it was; the others stay where they are. Called again nothing is run; stopped by its hours it
+/// goes on to the same end.
 #[test]
 fn the_cheapest_design_is_found_and_judged_on_fresh_seeds() {
     let bench = Bench::new();
-    bench.file("s.toml", &spec("error = 1e6\n"));
+    let noisy = |goal: &str| spec(goal) + "[sensors]\nnoise = 0.03\n";
+    bench.file("s.toml", &noisy("error = 1e6\n"));
     let (code, table, said) = design(&bench, &["--workers", "2"]);
     assert_eq!(code, Some(0), "{said}");
     assert!(table.starts_with("M,operations,units,error,keeps_to,meets"), "{table}");
@@ -48,6 +50,13 @@ fn the_cheapest_design_is_found_and_judged_on_fresh_seeds() {
     let count = |what: &str| found.lines().filter(|line| line.contains(what)).count();
     assert_eq!((count(",done,"), count(",paused,"), count(",done,,0,")), (5, 1, 4), "{found}");
     assert!(found.lines().any(|line| line.contains(",pending,paused,11,")), "{found}");
+
+    let sql = "SELECT json_array_length(spec, '$.sensors.relative_to.shifts') AS sizes,
+        json_array_length(spec, '$.body.design.shifts') AS designs, count(*) AS trials,
+        sum(spec->>'$.sensors.relative_to' = spec->>'$.body.design') AS same FROM v_trial GROUP BY 1, 2 ORDER BY 1";
+    let told = bench.output(&["query", "results/tiny.sqlite", sql, "--format", "csv"]);
+    let [_, own, fresh] = told.lines().collect::<Vec<_>>()[..] else { panic!("{told}") };
+    assert!(own.starts_with(",,2") && fresh.ends_with(",4,0"), "{told}");
 
     let (code, again, said) = design(&bench, &[]);
     assert_eq!((code, &again), (Some(0), &table), "{said}");
@@ -64,11 +73,11 @@ fn the_cheapest_design_is_found_and_judged_on_fresh_seeds() {
     assert_eq!(text("r/pairs.csv").lines().count(), 2, "one trial has trained a body to its end");
 
     let halting = Bench::new();
-    halting.file("s.toml", &spec("error = 1e6\nhours = 1e-9\n"));
+    halting.file("s.toml", &noisy("error = 1e6\nhours = 1e-9\n"));
     let (code, _, said) = design(&halting, &["--workers", "1"]);
     assert!(code == Some(1) && said.contains("goal.hours are spent"), "{said}");
     assert_ne!(trials(&halting), found);
-    halting.file("s.toml", &spec("error = 1e6\n"));
+    halting.file("s.toml", &noisy("error = 1e6\n"));
     assert_eq!(design(&halting, &["--workers", "1"]).1, table);
     assert_eq!(trials(&halting), found);
 }

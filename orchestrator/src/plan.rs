@@ -18,8 +18,8 @@ use std::path::{Path, PathBuf};
 
 use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{
-    Body, Design, Disturbance, LayoutKind, NotOne, Own, Point, Run, Search, SearchFrom, Stimuli, SweepSpec,
-    Training, TrialSpec, position_of,
+    Body, Design, Disturbance, LayoutKind, NotOne, Own, Point, Run, Search, SearchFrom, Sensors, Stimuli,
+    SweepSpec, Training, TrialSpec, position_of,
 };
 use metasense_worker::design::{self, DesignError, Layout, Limits};
 use metasense_worker::problem::{self, Invalid};
@@ -220,7 +220,19 @@ fn add_points(
     let (spec, scale) = size::of_size(&with_file(&combination.spec, source)?).map_err(located)?;
     let layout = layout(&spec.body).map_err(located)?;
     let spec = &SweepSpec {
-        body: with_design(&spec.body, &layout, source)?,
+        body: Body {
+            design: with_design("body.design", spec.body.design.as_ref(), &layout, source)?,
+            ..spec.body.clone()
+        },
+        sensors: Sensors {
+            relative_to: with_design(
+                "sensors.relative_to",
+                spec.sensors.relative_to.as_ref(),
+                &layout,
+                source,
+            )?,
+            ..spec.sensors.clone()
+        },
         stimuli: with_records(&spec.stimuli, source)?,
         ..spec.clone()
     };
@@ -330,16 +342,17 @@ fn with_file(spec: &SweepSpec, source: &Source) -> Result<SweepSpec, SpecError> 
     Ok(spec)
 }
 
-/// The body with its design read from its file, so that the trial's hash covers the content.
-fn with_design(body: &Body, layout: &Layout, source: &Source) -> Result<Body, SpecError> {
-    let mut body = body.clone();
-    if let Some(Design::File(file)) = &body.design {
-        let path = source.file.parent().unwrap_or(Path::new("")).join(file);
-        let shifts =
-            design::read(&path, layout).map_err(|e| unread("body.design", file, &path, &e, source))?;
-        body.design = Some(Design::Shifts { shifts });
-    }
-    Ok(body)
+/// A design read from its file, so that the trial's hash covers the content; any other as it is.
+fn with_design(
+    key: &str,
+    design: Option<&Design>,
+    layout: &Layout,
+    source: &Source,
+) -> Result<Option<Design>, SpecError> {
+    let Some(Design::File(file)) = design else { return Ok(design.cloned()) };
+    let path = source.file.parent().unwrap_or(Path::new("")).join(file);
+    let shifts = design::read(&path, layout).map_err(|e| unread(key, file, &path, &e, source))?;
+    Ok(Some(Design::Shifts { shifts }))
 }
 
 /// Placement `p` of a body; a driven unit tells its own history, whatever the body does, and carries no sensor.
@@ -410,7 +423,8 @@ impl OneBody {
         }
         let (first, _) = size::of_size(&with_file(&first, source)?).map_err(located)?;
         let layout = layout(&first.body).map_err(located)?;
-        let body = with_design(&first.body, &layout, source)?;
+        let design = with_design("body.design", first.body.design.as_ref(), &layout, source)?;
+        let body = Body { design, ..first.body.clone() };
         let limits = problem::limits(&first.feasible).map_err(located)?;
         let initial = problem::initial_design(&body, &layout, limits).map_err(located)?;
         let clamped = problem::clamped(&body, &layout).map_err(located)?;
@@ -490,6 +504,7 @@ fn template(spec: &SweepSpec, scale: f64, panels: usize, panel_units: &[usize], 
         |size: &Disturbance| matches!(size, Disturbance::Relative(0.0) | Disturbance::Physical([0.0, 0.0]));
     read.noise = read.noise.filter(|size| !none(size));
     read.bias = read.bias.filter(|size| !none(size));
+    read.relative_to = read.relative_to.filter(|_| spec.sensors.is_relative());
     read.delay = read.delay.filter(|delay| *delay != 0.0);
     read.bandwidth = read.bandwidth.filter(|bandwidth| *bandwidth != f64::INFINITY);
     read.range = read.range.filter(|range| range.iter().any(|most| most.is_finite()));

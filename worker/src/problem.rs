@@ -59,6 +59,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
     check_clock_and_training(trial)?;
     let limits = limits(&trial.feasible)?;
     let initial = initial_design(&trial.body, &layout, limits)?;
+    let relative_to = relative_to(trial, &layout, limits)?;
     castable(&trial.body, &layout, limits, &initial)?;
     let scene = scene(trial, layout, material)?;
     let (steps, coarse) = (trial.optimise.steps(), trial.optimise.clone().resolved().coarse);
@@ -72,6 +73,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
         stimuli: stimuli(trial)?,
         channels: channels(&trial.sensors)?,
         disturbance: disturbance(&trial.sensors, &trial.time)?,
+        relative_to,
         variation: variation(trial, scene.layout.units())?,
         reader: kind(trial.brain.kind),
         decoder: decoder(trial)?,
@@ -106,6 +108,14 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
         search: search(trial, &scene)?,
         scene,
     })
+}
+
+/// The body to whose signals what is relative in chips is so, where it is not the initial one.
+fn relative_to(trial: &TrialSpec, layout: &Layout, limits: Limits) -> Result<Option<Vec<f64>>, Invalid> {
+    let Some(design) = trial.sensors.relative_to.clone() else { return Ok(None) };
+    let body = spec::Body { design: Some(design), ..trial.body.clone() };
+    let named = |wrong: Invalid| Invalid { key: "sensors.relative_to".into(), ..wrong };
+    initial_design(&body, layout, limits).map(Some).map_err(named)
 }
 
 /// Mass of units and chips (g) of the body that a trial starts from, and the longer side of the box around it (mm).

@@ -327,11 +327,22 @@ pub fn rungs(trial: &TrialSpec) -> [Option<u32>; LEVELS - 1] {
     [rung(first, 0), rung(second, first)]
 }
 
-/// The body of a trial on a fresh seed, the n-th: nothing is trained but what reads it.
+/// The body of a trial on a fresh seed, the n-th: nothing is trained but what reads it, by chips that add what they do in the trial.
+///
+/// # Panics
+/// If `body` is no trial's.
 #[must_use]
 pub fn on_fresh_seed(plan: &Plan, trial: &Trial, body: &TrialSpec, design: &[f64], n: usize) -> Trial {
     let last = plan.spec.sweep.seeds.iter().max().copied().unwrap_or(0);
     let mut spec = body.clone();
+    if spec.sensors.is_relative() && spec.sensors.relative_to.is_none() {
+        let start = || {
+            let limits = problem::limits(&body.feasible)?;
+            problem::initial_design(&body.body, &problem::layout(&body.body)?, limits)
+        };
+        let shifts = start().expect("a trial's body");
+        spec.sensors.relative_to = Some(Design::Shifts { shifts });
+    }
     spec.body.design = Some(Design::Shifts { shifts: design.to_vec() });
     if spec.body.lattice.turns() {
         spec.body.initial_angle = 0.0; // not read

@@ -3,6 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::body::Design;
+
 /// The frame in which accelerations are read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
@@ -41,7 +43,7 @@ impl Channel {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Disturbance {
-    /// a number: relative to the RMS of each channel on the initial body.
+    /// a number: relative to the RMS of each channel on the initial body, or that of `relative_to`.
     Relative(f64),
     /// two numbers: of accelerations (mm/s²) and of angular velocities (rad/s).
     Physical([f64; 2]),
@@ -112,6 +114,10 @@ pub struct Sensors {
     /// A constant offset of every channel, drawn for each sample, as a standard deviation. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bias: Option<Disturbance>,
+    /// The body to whose signals a `noise` or `bias` that is a number is relative, as `body.design` names one.
+    /// Default: the body that the trial starts from.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub relative_to: Option<Design>,
     /// Delay of the signals. Unit: s. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub delay: Option<f64>,
@@ -168,5 +174,11 @@ impl Sensors {
         self.channels.iter_mut().for_each(|channels| channels.sort_unstable());
         self.channels = self.channels.filter(|channels| *channels != Channel::ALL);
         self
+    }
+
+    /// Whether what a chip adds is relative to the signals of a body.
+    pub fn is_relative(&self) -> bool {
+        let relative = |size: &Disturbance| matches!(size, Disturbance::Relative(part) if *part > 0.0);
+        [&self.noise, &self.bias].into_iter().flatten().any(relative)
     }
 }

@@ -67,6 +67,7 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
         },
         channels: vec![0, 1, 2],
         disturbance: None,
+        relative_to: None,
         variation: None,
         reader: BrainKind::Network,
         decoder: Decoder { lags: Lags::whole(40), ridge: Ridge::Auto },
@@ -558,7 +559,8 @@ fn a_range_below_the_signals_is_named() {
     assert_eq!(with(1.0), Ok(()));
 }
 
-/// What a trial's chips add to a body's signals is theirs, not the body's: a part of what the initial body's are, on every body.
+/// What a trial's chips add to a body's signals is theirs, not the body's: a part of what the initial body's are, on every body; or
+/// of what another's are that the problem names.
 #[test]
 fn chips_are_as_noisy_on_every_body() {
     let pool = pool(1);
@@ -573,15 +575,22 @@ fn chips_are_as_noisy_on_every_body() {
     let forces = quiet.forces(Purpose::Holdout, 0, 3);
     let mut stream = Stream::new(Purpose::Design, 2, [0, 0]);
     let other: Vec<f64> = quiet.initial.iter().map(|a| a + 0.4 * stream.normal()).collect();
-    let [first, second] = [&quiet.initial, &other].map(|design| {
-        let [clean, heard] = [&quiet, &noisy].map(|of| sense(of, design, &forces, &pool).unwrap());
+    let from_other = Problem { initial: other.clone(), ..noisy.clone() };
+    let named = Problem { relative_to: Some(quiet.initial.clone()), ..from_other.clone() };
+    let cases = [(&noisy, &quiet.initial), (&noisy, &other), (&from_other, &other), (&named, &other)];
+    let [first, second, its_own, said] = cases.map(|(noisy, design)| {
+        let quiet = &Problem { disturbance: None, ..noisy.clone() };
+        let [clean, heard] = [quiet, noisy].map(|of| sense(of, design, &forces, &pool).unwrap());
         let added: Vec<f64> = heard.iter().zip(&clean).map(|(heard, clean)| heard - clean).collect();
         (clean, added)
     });
     assert_ne!(first.0, second.0);
     let most = first.1.iter().fold(0.0f64, |most, x| most.max(x.abs()));
-    let apart = first.1.iter().zip(&second.1).fold(0.0f64, |most, (a, b)| most.max((a - b).abs()));
-    assert!(most > 0.0 && apart < 1e-9 * most, "{apart} of {most}");
+    let apart =
+        |other: &[f64]| first.1.iter().zip(other).fold(0.0f64, |most, (a, b)| most.max((a - b).abs()));
+    let [second, its_own, said] = [second, its_own, said].map(|(_, added)| apart(&added));
+    assert!(most > 0.0 && second.max(said) < 1e-9 * most, "{second}, {said} of {most}");
+    assert!(its_own > 1e-3 * most, "{its_own} of {most}");
 }
 
 /// L_test(α + εδ) at fixed weights, in N², against the gradient: a central difference along a random direction.

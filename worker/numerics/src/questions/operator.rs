@@ -61,9 +61,10 @@ pub fn told(problem: &Problem, design: &[f64]) -> Told {
     };
     let rest = Rest::new(scene, design);
     let own = whole(&rest);
-    let channels = match design == problem.initial {
+    let scaling = problem.relative_to.as_ref().unwrap_or(&problem.initial);
+    let channels = match design == scaling {
         true => rms(&own),
-        false => rms(&whole(&Rest::new(scene, &problem.initial))),
+        false => rms(&whole(&Rest::new(scene, scaling))),
     };
     let size = problem.disturbance.map_or(Size::Relative(0.0), |chips| chips.noise);
     let usual = |rms: f64| if rms > 0.0 { NOISE * rms } else { f64::INFINITY };

@@ -41,7 +41,9 @@ impl Disturbance {
 /// A standard deviation of signals.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Size {
-    /// Relative to each channel's RMS over the initial body's training signals.
+    /// Relative to each channel's RMS over the training signals of the initial body, or of [`Problem::relative_to`].
+    ///
+    /// [`Problem::relative_to`]: super::Problem::relative_to
     Relative(f64),
     /// Of accelerations (mm/s²) and angular velocities (rad/s).
     Physical([f64; 2]),

@@ -93,7 +93,7 @@ impl<'a> Trial<'a> {
         Self::with(&problem, self.pool, self.chip.clone())
     }
 
-    /// `chip`: where none is given, that of the initial body.
+    /// `chip`: where none is given, that of the initial body, or of the one that the problem names.
     fn with(problem: &Problem, pool: &'a crate::Pool, chip: Option<Chip>) -> Result<Self, Failure> {
         assert!(problem.search.is_none(), "the sensors are not in place");
         let (mut problem, asked) = (problem.clone(), problem.solver);
@@ -109,12 +109,22 @@ impl<'a> Trial<'a> {
         }
 
         let [mut train, test] = problem.known();
-        let simulation =
-            simulated(&problem, &problem.scene, &problem.initial, &train, &problem.solver, false, pool);
-        few_failed(&simulation.outcomes).map_err(Failure::Initial)?;
-        let failed = silence(&mut train, &simulation.outcomes);
-        let mut initial =
-            problem.samples(problem.read(simulation.signals, train.samples), &train).with_failed(failed);
+        let plain = |design: &[f64], solver: &Solver, forces: &mut Forces| -> Result<Samples, Failure> {
+            let simulation = simulated(&problem, &problem.scene, design, forces, solver, false, pool);
+            few_failed(&simulation.outcomes).map_err(Failure::Initial)?;
+            let failed = silence(forces, &simulation.outcomes);
+            let signals = problem.read(simulation.signals, forces.samples);
+            Ok(problem.samples(signals, forces).with_failed(failed))
+        };
+        let chip = match (chip, &problem.relative_to) {
+            (None, Some(design)) => {
+                let tuned = pilot(&problem, design, &asked, pool);
+                pilots += tuned.counters;
+                problem.chip(&Scales::of(&plain(design, &tuned.solver, &mut train.clone())?).channels)
+            }
+            (chip, _) => chip,
+        };
+        let mut initial = plain(&problem.initial, &problem.solver, &mut train)?;
         let scales = Scales::of(&initial);
         let chip = chip.or_else(|| problem.chip(&scales.channels));
         if let Some(chip) = &chip {

@@ -39,6 +39,8 @@ pub struct Problem {
     pub channels: Vec<usize>,
     /// What the sensors' chips add to the signals, where they do.
     pub disturbance: Option<Disturbance>,
+    /// α (mm) of the body to whose training signals they are relative, where not to those of the initial one.
+    pub relative_to: Option<Vec<f64>>,
     /// How casts of a body scatter, where they are asked about.
     pub variation: Option<Variation>,
     /// The brain that reads the bodies in the comparison at the end.
