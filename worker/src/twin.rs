@@ -107,3 +107,6 @@ fn checked(twin: stored::Twin, trial: &TrialSpec, design: &[f64]) -> Result<Twin
     let cast = Cast { material, parts, ligament_length, relaxation, shifts, chips: Chips { gain, turn } };
     Ok(Twin { cast, misfit, noise })
 }
+
+#[cfg(test)]
+mod tests;
