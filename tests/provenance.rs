@@ -64,6 +64,71 @@ async fn what_other_code_has_made_is_told_and_made_again() {
     assert_eq!(bench.output(&["query", "merged.sqlite", attempts, "--format", "csv"]), found);
 }
 
+/// A search begins anew what other code has trained and judged, and runs again what has failed, before it looks at what there is.
+#[tokio::test]
+async fn a_search_makes_again_what_other_code_has_made() {
+    let bench = Bench::new();
+    let goal = "placements = 1\n[goal]\nerror = 1e6\n";
+    bench.file(
+        "tiny.toml",
+        &TINY.replace("iterations = 10\nwidth = 16", "kind = \"linear\"").replace("[1, 2]", "[1]"),
+    );
+    bench.file("s.toml", &(std::fs::read_to_string(bench.path("tiny.toml")).unwrap() + goal));
+    let db = "results/tiny.sqlite";
+    let table = bench.output(&["design", "s.toml", "--format", "csv"]);
+    let made = format!(
+        "SELECT state, code = '{}' AS own, count(*) AS n FROM v_trial GROUP BY 1, 2",
+        provenance::code()
+    );
+    let made = ["query", db, &made, "--format", "csv"];
+    let first = bench.output(&made);
+    change(&bench.path(db), "UPDATE attempt SET code = 'f00d'").await;
+    assert_ne!(bench.output(&made), first);
+    assert_eq!(bench.output(&["design", "s.toml", "--format", "csv"]), table, "nothing is asked for");
+    assert_ne!(bench.output(&made), first);
+    assert_eq!(bench.output(&["design", "s.toml", "--redo-other-code", "--format", "csv"]), table);
+    assert_eq!(bench.output(&made), first);
+
+    // the body that was chosen
+    let chosen = "UPDATE trial SET state = 'failed', reason = 'out_of_memory' WHERE seed = 1";
+    change(&bench.path(db), chosen).await;
+    let failed = bench.metasense(&["design", "s.toml"]);
+    let told = String::from_utf8_lossy(&failed.stderr);
+    assert!(
+        failed.status.code() == Some(1) && told.contains("failed and counted as meeting nothing"),
+        "{told}"
+    );
+    assert_eq!(bench.output(&["design", "s.toml", "--retry-failed", "--format", "csv"]), table);
+    assert_eq!(bench.output(&made), first);
+}
+
+/// Where a file that a spec names has changed, the trials of before stay as they are: no spec stands for them that could make them
+/// again.
+#[tokio::test]
+async fn trials_of_a_file_that_has_changed_stay() {
+    let bench = Bench::new();
+    let drawn = |seed: u32| {
+        let random = TINY.replace("columns = 4", &format!("design = {{ random = {seed} }}\ncolumns = 4"));
+        bench.file("random.toml", &random);
+        bench.output(&["draw", "random.toml", "--out", "a.svg", "--design-out", "a.npy"]);
+    };
+    let text = TINY.replace("columns = 4", "design = \"a.npy\"\ncolumns = 4").replace("[1, 2]", "[1]");
+    bench.file("s.toml", &text);
+    drawn(1);
+    let before = bench.output(&["run", "s.toml", "--format", "csv"]);
+    drawn(2);
+    change(&bench.path("results/tiny.sqlite"), "UPDATE attempt SET code = 'f00d'").await;
+    let after = bench.output(&["run", "s.toml", "--redo-other-code", "--format", "csv"]);
+    assert!(after.lines().count() == 2 && after != before, "{before}{after}");
+    let states = "SELECT state, code = 'f00d' AS other, holdout_error_optimised > 0 AS read FROM v_trial ORDER BY other";
+    let states = ["query", "results/tiny.sqlite", states, "--format", "csv"];
+    assert_eq!(bench.output(&states), "state,other,read\ndone,0,1\ndone,1,1\n");
+    let failed = "UPDATE trial SET state = 'failed', reason = 'out_of_memory' WHERE id = (SELECT trial_id FROM attempt WHERE code = 'f00d')";
+    change(&bench.path("results/tiny.sqlite"), failed).await;
+    assert_eq!(bench.output(&["run", "s.toml", "--retry-failed", "--format", "csv"]), after);
+    assert!(bench.output(&states).contains("failed,1,"));
+}
+
 /// A trial that other code began goes on, and both codes are named; asked for, it begins anew.
 #[tokio::test]
 async fn a_trial_of_two_codes_names_both() {
@@ -92,8 +157,11 @@ async fn a_trial_of_two_codes_names_both() {
     assert_eq!(bench.output(&["query", "s.sqlite", state, "--format", "csv"]), both);
     let mut store = open().await;
     assert!(store.checkpoint(hash).await.unwrap().is_some());
-    assert_eq!(store.redo_other_code().await.unwrap(), 1);
-    assert_eq!(store.redo_other_code().await.unwrap(), 0);
+    let hashes: Vec<&str> = plan.trials.iter().map(|trial| trial.hash.as_str()).collect();
+    // only what is named
+    assert_eq!(store.redo_other_code(&hashes[1..]).await.unwrap(), 0);
+    assert_eq!(store.redo_other_code(&hashes).await.unwrap(), 1);
+    assert_eq!(store.redo_other_code(&hashes).await.unwrap(), 0);
     assert_eq!((store.checkpoint(hash).await.unwrap(), store.begin_attempt(hash).await.unwrap()), (None, 3));
     store.close().await.unwrap();
     assert_eq!(bench.output(&["query", "s.sqlite", state, "--format", "csv"]), "code,steps\n");

@@ -9,7 +9,8 @@ use std::collections::BTreeMap;
 use serde_json::Value;
 
 use super::data::{
-    COMPLEXITY, FREEDOM, Grid, Group, Observation, SENSORS, apart, clusters, groups, observations, places,
+    COMPLEXITY, FREEDOM, Grid, Group, Observation, SENSORS, apart, clusters, groups, observations, once,
+    places,
 };
 use super::elbow::{Height, Verdict, elbow};
 use super::kinds::brains;
@@ -271,14 +272,15 @@ fn text<'a>(trial: &'a Trial, path: &str) -> Option<&'a str> {
     trial.setting.get(path).and_then(Value::as_str)
 }
 
-/// Whether a trial is of the paper's kind: a body of squares that is not random, its shifts not frozen, perfect sensors at random units.
+/// Whether a trial is of the paper's kind: a body of squares at their initial angle, its shifts not frozen, perfect sensors at random
+/// units.
 fn plain(trial: &Trial) -> bool {
     let extra = |path: &str| {
         ["optimise.frozen", "body.lattice"].contains(&path)
             || path.starts_with("body.file")
             || path.starts_with("sensors.") && path != "sensors.frame"
     };
-    !trial.starts_random() && !trial.setting.leaves().keys().any(|path| extra(path))
+    !trial.starts_from_design() && !trial.setting.leaves().keys().any(|path| extra(path))
 }
 
 fn tied(trial: &Trial) -> bool {
@@ -365,7 +367,7 @@ fn over(first: &[(Cluster, f64)], second: &[(Cluster, f64)]) -> Option<Ratio> {
 
 /// A number of each trial that has it, with its placement and seed.
 fn each(trials: &[&Trial], number: impl Fn(&Trial) -> Option<f64>) -> Vec<(Cluster, f64)> {
-    trials.iter().filter_map(|t| Some((t.cluster, number(t)?))).collect()
+    once(trials, number).map(|(t, number)| (t.cluster, number)).collect()
 }
 
 /// Initial over optimised error.

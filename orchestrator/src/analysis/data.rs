@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::hash::Hash;
 use std::rc::Rc;
+use std::sync::Arc;
 
 use serde_json::Value;
 
@@ -39,8 +40,8 @@ impl Group<'_> {
 }
 
 /// What placements and seeds vary, and what leaves the ordinary comparison as it is.
-const CLUSTER: &[&str] =
-    &["point.placement", "point.seed", "sensor_units", "sensors.placements", "evaluation.long_iterations"];
+const CLUSTER: &[&str] = &["point.placement", "point.seed", "sensor_units", "sensors.placements", LONG];
+const LONG: &str = "evaluation.long_iterations";
 
 /// What judges finished bodies in further worlds. It tells trials apart only where two that say it disagree: training over casts
 /// has an objective that is told.
@@ -119,7 +120,7 @@ pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
     let mut places: HashMap<(usize, String), usize> = HashMap::new();
     let mut found: Vec<(Key, Vec<&'a Trial>)> = Vec::new();
     for trial in trials {
-        let common = *shared.entry(std::sync::Arc::as_ptr(trial.setting.shared())).or_insert_with(|| {
+        let common = *shared.entry(Arc::as_ptr(trial.setting.shared())).or_insert_with(|| {
             let count = texts.len();
             *texts.entry(told(trial, trial.setting.shared())).or_insert(count)
         });
@@ -143,7 +144,7 @@ fn disputed(trials: &[&Trial]) -> HashSet<String> {
     let (mut shared, mut first, mut disputed) = (HashMap::new(), HashMap::new(), HashSet::new());
     for trial in trials {
         let common = trial.setting.shared();
-        let common = shared.entry(std::sync::Arc::as_ptr(common)).or_insert_with(|| judging(common));
+        let common = shared.entry(Arc::as_ptr(common)).or_insert_with(|| judging(common));
         let said: Vec<_> = common.iter().copied().chain(judging(trial.setting.own())).collect();
         for name in JUDGING {
             let own: BTreeMap<_, _> = said.iter().copied().filter(|(path, _)| is_of(path, name)).collect();
@@ -161,6 +162,28 @@ fn disputed(trials: &[&Trial]) -> HashSet<String> {
 /// The leaves that judge.
 fn judging(leaves: &BTreeMap<String, Value>) -> Vec<(&String, &Value)> {
     leaves.iter().filter(|(path, _)| JUDGING.iter().any(|name| is_of(path, name))).collect()
+}
+
+/// What is found of trials, of those that differ only in what judges their bodies the first that has it: they are one trial, read
+/// again.
+pub(super) fn once<'a, V>(
+    trials: &[&'a Trial],
+    found: impl Fn(&Trial) -> Option<V>,
+) -> impl Iterator<Item = (&'a Trial, V)> {
+    let judges = |path: &str| path == LONG || JUDGING.iter().any(|name| is_of(path, name));
+    let (mut kinds, mut known, mut seen) = (HashMap::new(), Vec::new(), HashSet::new());
+    trials.iter().filter_map(move |&trial| {
+        let found = found(trial)?;
+        let [shared, own] = [trial.setting.shared(), trial.setting.own()];
+        let kind = *kinds.entry(Arc::as_ptr(shared)).or_insert_with(|| {
+            let left: Vec<_> = shared.iter().filter(|(path, _)| !judges(path)).collect();
+            known.iter().position(|known| *known == left).unwrap_or_else(|| {
+                known.push(left);
+                known.len() - 1
+            })
+        });
+        seen.insert((kind, Arc::as_ptr(own))).then_some((trial, found))
+    })
 }
 
 /// The value at a path of a key; keys are sorted.
@@ -256,17 +279,17 @@ fn short(value: &Value) -> String {
             let name = blake3::hash(value.to_string().as_bytes()).to_hex();
             format!("{} numbers ({})", numbers.len(), &name[..6])
         }
+        Value::String(digest) if digest.len() == 64 && digest.bytes().all(|b| b.is_ascii_hexdigit()) => {
+            digest[..6].to_owned()
+        }
         other => plain(other),
     }
 }
 
 /// The errors of a group's trials along an axis.
 pub fn observations(trials: &[&Trial], body: Body, set: Set, at: fn(&Trial) -> u64) -> Vec<Observation> {
-    trials
-        .iter()
-        .filter_map(|t| {
-            t.error(body, set).map(|error| Observation { at: at(t) as f64, cluster: t.cluster, error })
-        })
+    once(trials, |t| t.error(body, set))
+        .map(|(t, error)| Observation { at: at(t) as f64, cluster: t.cluster, error })
         .collect()
 }
 

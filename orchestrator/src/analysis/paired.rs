@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 
 use serde_json::Value;
 
+use super::data::once;
 use super::numbers::geometric_mean;
 use super::resample::{Interval, Resampling};
 use super::trial::{Body, Cluster, CurvePoint, Set, Trial};
@@ -68,8 +69,8 @@ impl Ratio {
 
 /// Of each trial that has both, the first value over the second.
 pub(super) fn ratio_of(trials: &[&Trial], values: impl Fn(&Trial) -> Option<[f64; 2]>) -> Option<Ratio> {
-    let of = |t: &&Trial| values(t).map(|[a, b]| (t.cluster, a / b));
-    Ratio::of(&trials.iter().filter_map(of).collect::<Vec<_>>())
+    let of = once(trials, values).map(|(t, [a, b])| (t.cluster, a / b));
+    Ratio::of(&of.collect::<Vec<_>>())
 }
 
 /// Error of the initial over error of the optimised body.
@@ -119,13 +120,8 @@ pub fn iteration_ratio(initial: &[CurvePoint], optimised: &[CurvePoint]) -> Opti
 
 /// [`iteration_ratio`] over trials, each the geometric mean over its networks.
 pub fn iterations(trials: &[&Trial], by: Progress) -> Option<Ratio> {
-    let ratios: Vec<(Cluster, f64)> = trials
-        .iter()
-        .filter_map(|t| {
-            let networks = &t.iterations[by as usize];
-            (!networks.is_empty()).then(|| (t.cluster, geometric_mean(networks)))
-        })
-        .collect();
+    let of = |t: &Trial| Some(geometric_mean(&t.iterations[by as usize])).filter(|mean| mean.is_finite());
+    let ratios: Vec<(Cluster, f64)> = once(trials, of).map(|(t, ratio)| (t.cluster, ratio)).collect();
     Ratio::of(&ratios)
 }
 

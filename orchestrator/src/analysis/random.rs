@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use metasense_schemas::spec::Design;
 use serde_json::Value;
 
-use super::data::{DESIGN, Group, groups};
+use super::data::{DESIGN, Group, groups, once};
 use super::numbers::{geometric_mean, log_squares};
 use super::paired::Ratio;
 use super::resample::{PLACEMENTS, Resampling, SEEDS};
@@ -58,11 +58,13 @@ pub fn random_groups<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
     groups(trials, DESIGN).into_iter().flat_map(split).collect()
 }
 
-/// Compares a group's random bodies with its others; `None` where it lacks either.
+/// Compares a group's random bodies with its others, but for those that start from a given design; `None` where it lacks either.
 pub fn random(trials: &[&Trial], set: Set) -> Option<Random> {
-    let (random, others): (Vec<&Trial>, Vec<&Trial>) = trials.iter().partition(|t| t.starts_random());
-    let of =
-        |trials: &[&Trial], body| -> Vec<f64> { trials.iter().filter_map(|t| t.error(body, set)).collect() };
+    let (random, mut others): (Vec<&Trial>, Vec<&Trial>) = trials.iter().partition(|t| t.starts_random());
+    others.retain(|t| !t.starts_from_design());
+    let of = |trials: &[&Trial], body| -> Vec<f64> {
+        once(trials, |t| t.error(body, set)).map(|(_, error)| error).collect()
+    };
     // the mean where several ways of training share sensors and stimuli
     let mut sharing: HashMap<_, Vec<&Trial>> = HashMap::new();
     others.iter().for_each(|o| sharing.entry((o.cluster, o.sensors)).or_default().push(o));
@@ -72,8 +74,8 @@ pub fn random(trials: &[&Trial], set: Set) -> Option<Random> {
         (!same.is_empty()).then(|| geometric_mean(&same))
     };
     let ratios = Body::ALL.map(|body| {
-        let ratio = |&t| Some((t, Trial::error(t, Body::Initial, set)? / alike(t, body)?));
-        let (trials, ratios): (Vec<&Trial>, Vec<f64>) = random.iter().filter_map(ratio).unzip();
+        let ratio = |t: &Trial| Some(t.error(Body::Initial, set)? / alike(t, body)?);
+        let (trials, ratios): (Vec<&Trial>, Vec<f64>) = once(&random, ratio).unzip();
         let of = |unit: fn(&Trial) -> u64| trials.iter().map(|t| unit(t)).collect();
         let units = Resampling::of([
             (["body", "bodies"], of(|t| t.setting.get(RANDOM).and_then(Value::as_u64).unwrap_or_default())),

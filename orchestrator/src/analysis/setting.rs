@@ -39,8 +39,8 @@ impl Setting {
         &self.shared
     }
 
-    /// What it has for itself.
-    pub(super) fn own(&self) -> &BTreeMap<String, Value> {
+    /// What it has for itself: likewise.
+    pub(super) fn own(&self) -> &Arc<BTreeMap<String, Value>> {
         &self.own
     }
 }
@@ -80,9 +80,11 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// The setting of a trial, from its spec.
+    /// The setting of a trial, from its spec; of recorded forces what they hold, not where they lie.
     pub fn of(&mut self, spec: &Value) -> Setting {
-        let (own, shared) = flatten(spec).into_iter().partition(|(path, _)| OWN.contains(&path.as_str()));
+        let mut leaves = flatten(spec);
+        leaves.remove("stimuli.recorded.files");
+        let (own, shared) = leaves.into_iter().partition(|(path, _)| OWN.contains(&path.as_str()));
         Setting { shared: self.shared.of(shared), own: self.own.of(own) }
     }
 

@@ -211,19 +211,30 @@ pub struct Trial {
 }
 
 impl Trial {
-    /// An error (%), where there is a positive one.
+    /// An error (%), where there is a positive one. A trial without outer steps has no trained body.
     pub fn error(&self, body: Body, set: Set) -> Option<f64> {
-        self.errors[body as usize][set as usize].filter(|e| e.is_finite() && *e > 0.0)
+        self.of_body(&self.errors, body, set)
     }
 
-    /// An error after long training (%), where there is a positive one.
+    /// The same after long training.
     pub fn long_error(&self, body: Body, set: Set) -> Option<f64> {
-        self.long_errors[body as usize][set as usize].filter(|e| e.is_finite() && *e > 0.0)
+        self.of_body(&self.long_errors, body, set)
+    }
+
+    fn of_body(&self, errors: &[[Option<f64>; 2]; 2], body: Body, set: Set) -> Option<f64> {
+        let trains = || self.setting.get("optimise.iterations").and_then(Value::as_u64) != Some(0);
+        let error = errors[body as usize][set as usize].filter(|e| e.is_finite() && *e > 0.0);
+        error.filter(|_| body == Body::Initial || trains())
     }
 
     /// Iterations of long training, where it has some.
     pub fn long_iterations(&self) -> Option<u64> {
         self.setting.get("evaluation.long_iterations").and_then(Value::as_u64)
+    }
+
+    /// Whether its initial body is a design that the spec names, random or given.
+    pub fn starts_from_design(&self) -> bool {
+        self.starts_random() || self.setting.contains_key("body.design.shifts")
     }
 
     /// Whether its initial body is a random one.

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::named::Spec;
-use super::run::{How, Running, Runs, run};
+use super::run::{How, Running, Runs, run, stopped_between};
 use super::{Error, Format, log, print_rows};
 use crate::analysis::goal::{Decision, LEVELS, Work};
 use crate::engine::{Again, Signals};
@@ -81,9 +81,10 @@ pub(super) async fn end(
 pub(super) async fn search(
     mut round: impl Runs,
     space: &Space,
-    mut again: Again,
+    again: Again,
 ) -> Result<Option<Outcome>, Error> {
     let (mut bodies, mut search) = (Bodies::new(), begun(space));
+    round.reopen(again).await?;
     loop {
         let known = Reader::asked(round.database(), async |reader| {
             Known::of(reader, space, round.plan(), &mut bodies).await
@@ -103,8 +104,9 @@ pub(super) async fn search(
             .iter()
             .flat_map(|&(i, work)| ordered(space, round.plan(), &bodies, i, work))
             .collect();
-        match round.run(&trials, again).await? {
-            Some(Outcome::Complete) => again = Again::default(),
+        match round.run(&trials, Again::default()).await? {
+            Some(Outcome::Complete) if round.is_stopping() => return Ok(Some(stopped_between())),
+            Some(Outcome::Complete) => {}
             ended => return Ok(ended),
         }
     }

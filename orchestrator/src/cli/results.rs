@@ -23,13 +23,13 @@ pub(super) async fn print_results(db: &Path, plan: &Plan, format: Format) -> Res
     // all of them: a negative limit is none
     let limit = if format == Format::Table { MOST_ROWS as i64 } else { -1 };
     let (settled, mut table) = Reader::asked(db, async |reader| {
-        let settled = reader.query::<Table>(&of_sweep("t.hash, t.state, t.reason", plan)).await?;
-        let of_sweep = of_sweep("t.hash", plan);
+        let settled = reader.query::<Table>(&of_plan("t.hash, t.state, t.reason", plan)).await?;
+        let of_plan = of_plan("t.hash", plan);
         let sql = format!(
             "SELECT panels AS K, sensors AS M, placement, seed, units, brain, trained_with, placed,
                error_initial AS test_error_initial, error_optimised AS test_error_optimised, holdout_error_initial,
                holdout_error_optimised, seconds, state, reason, hash
-             FROM v_trial WHERE hash IN ({of_sweep})
+             FROM v_trial WHERE hash IN ({of_plan})
              ORDER BY panels, sensors, units, placement, seed, brain, trained_with, placed, hash LIMIT {limit}"
         );
         Ok::<_, Error>((settled, reader.query::<Table>(&sql).await?))
@@ -47,13 +47,13 @@ pub(super) async fn print_results(db: &Path, plan: &Plan, format: Format) -> Res
     Ok(failed)
 }
 
-/// A question to the trials of the plan's sweep.
-fn of_sweep(columns: &str, plan: &Plan) -> String {
+/// A question to the plan's trials. Those of a sweep may be more, where files that its spec names have changed.
+fn of_plan(columns: &str, plan: &Plan) -> String {
+    let hashes: Vec<&str> = plan.trials.iter().map(|trial| trial.hash.as_str()).collect();
+    let hashes = serde_json::to_string(&hashes).expect("texts are JSON");
     format!(
-        "SELECT {columns} FROM sweep s JOIN sweep_trial x ON x.sweep_id = s.id JOIN trial t ON t.id = x.trial_id
-         WHERE s.name = {} AND s.text = {} ORDER BY x.position",
-        quoted(&plan.spec.name),
-        quoted(&plan.source.text)
+        "SELECT {columns} FROM json_each({}) j JOIN trial t ON t.hash = j.value ORDER BY j.key",
+        quoted(&hashes)
     )
 }
 

@@ -210,7 +210,7 @@ pub(super) async fn run(
     let mut store = Store::open(db).await?;
     let control = Control::new(listener(db), reread(&plan, how));
     let ran = run_open(&mut store, &plan, how, log, signals, &control, drive).await;
-    let plan = control.last_plan().cloned().unwrap_or(plan);
+    let plan = control.last_plan(plan);
     // The socket goes, and the database is closed in any case, and let go of when all is written.
     drop(control);
     let closed = store.close().await;
@@ -239,7 +239,8 @@ async fn run_open(
         other_code: how.running.redo_other_code,
     };
     let mut options = options(&plan.spec.run, how.running);
-    let round = Round { store, plan, shard: how.shard, log, signals, control, options: &mut options };
+    let shard = how.shard;
+    let round = Round { store, plan, shard, log, signals, control, options: &mut options, stopping: false };
     let outcome = drive(round, again).await;
     if let Some(pages) = pages {
         pages.end().await;
@@ -285,6 +286,8 @@ pub(super) struct Round<'a> {
     control: &'a Control,
     /// As people have changed them by now.
     options: &'a mut Options,
+    /// Whether somebody has asked for the end.
+    stopping: bool,
 }
 
 /// Who runs trials, round by round: the workers of this process, or shards.
@@ -300,8 +303,14 @@ pub(super) trait Runs {
     /// What trials have come to.
     async fn found(&mut self) -> Result<Vec<Found>, Error>;
 
+    /// Opens settled trials before a search looks at what they have come to.
+    async fn reopen(&mut self, again: Again) -> Result<(), Error>;
+
     /// Runs those of some trials that are open; `None` where there are none.
     async fn run(&mut self, trials: &[Trial], again: Again) -> Result<Option<Outcome>, Error>;
+
+    /// Whether somebody has asked for the end while the last open trial of a round came to its own.
+    fn is_stopping(&self) -> bool;
 }
 
 /// Runs all trials of a plan, or those that its questions need.
@@ -330,7 +339,9 @@ pub(super) async fn rounds(mut round: impl Runs, mut again: Again) -> Result<Opt
             }
         }
         match round.run(&wanted, again).await? {
-            Some(Outcome::Complete) => again = Again::default(),
+            Some(Outcome::Complete) if round.is_stopping() => return Ok(Some(stopped_between())),
+            // what later rounds want may be by other code, too
+            Some(Outcome::Complete) => again = Again { other_code: again.other_code, ..Again::default() },
             None if !decision.is_settled() => {
                 say!("questions are left open: the most that [until] allows has been run");
                 return Ok(None);
@@ -338,6 +349,12 @@ pub(super) async fn rounds(mut round: impl Runs, mut again: Again) -> Result<Opt
             ended => return Ok(ended),
         }
     }
+}
+
+/// Somebody has asked for the end, and nothing is open.
+pub(super) fn stopped_between() -> Outcome {
+    say!("stopped between two rounds; the same command goes on");
+    Outcome::Interrupted
 }
 
 impl Runs for Round<'_> {
@@ -357,8 +374,17 @@ impl Runs for Round<'_> {
         Ok(self.store.found().await?)
     }
 
+    async fn reopen(&mut self, again: Again) -> Result<(), Error> {
+        let Plan { spec, source, trials, .. } = self.plan;
+        let last = spec.sweep.seeds.iter().max().copied().unwrap_or(0);
+        let fresh = self.store.on_seeds_above(last, &source.text).await?;
+        let own = trials.iter().map(|trial| trial.hash.as_str());
+        let hashes: Vec<&str> = own.chain(fresh.iter().map(String::as_str)).collect();
+        Ok(engine::reopen(self.store, &hashes, again).await?)
+    }
+
     async fn run(&mut self, trials: &[Trial], again: Again) -> Result<Option<Outcome>, Error> {
-        let Self { store, plan, shard, log, signals, control, options } = self;
+        let Self { store, plan, shard, log, signals, control, options, .. } = self;
         let sweep = (&plan.spec, &*plan.source.text);
         let Some(open) = engine::begin(store, sweep, trials, again, signals).await? else {
             say!("stopped before any trial was begun; the same command begins");
@@ -392,7 +418,12 @@ impl Runs for Round<'_> {
         let summary = ended?;
         noted?;
         (options.settings.workers, options.settings.paused) = (summary.workers, summary.paused);
+        self.stopping = summary.stopping;
         Ok(Some(summary.outcome))
+    }
+
+    fn is_stopping(&self) -> bool {
+        self.stopping
     }
 }
 

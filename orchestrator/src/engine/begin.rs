@@ -37,20 +37,31 @@ pub async fn begin<'a>(
     let work = async {
         store.set_provenance(provenance::here(1));
         store.begin_sweep(spec, text, trials).await?;
-        for (wanted, which) in [(again.pruned, Reopen::Pruned), (again.failed, Reopen::Failed)] {
-            if wanted {
-                let reopened = store.reopen(which).await?;
-                tracing::info!(reopened, ?which, "trials are run again");
-            }
-        }
-        if again.other_code {
-            let reopened = store.redo_other_code().await?;
-            tracing::info!(reopened, "trials that other code has made are made again");
-        }
+        let hashes: Vec<&str> = trials.iter().map(|trial| trial.hash.as_str()).collect();
+        reopen(store, &hashes, again).await?;
         let settled: HashSet<String> = store.settled().await?.into_iter().collect();
         Ok(trials.iter().filter(|trial| !settled.contains(&trial.hash)).collect())
     };
     signals.unless(work).await.transpose()
+}
+
+/// Opens settled trials among these.
+///
+/// # Errors
+/// Where SQLite fails.
+pub async fn reopen(store: &mut Store, hashes: &[&str], again: Again) -> Result<(), StoreError> {
+    for (wanted, which) in [(again.pruned, Reopen::Pruned), (again.failed, Reopen::Failed)] {
+        if wanted {
+            let reopened = store.reopen(which, hashes).await?;
+            tracing::info!(reopened, ?which, "trials are run again");
+        }
+    }
+    if again.other_code {
+        store.set_provenance(provenance::here(1));
+        let reopened = store.redo_other_code(hashes).await?;
+        tracing::info!(reopened, "trials that other code has made are made again");
+    }
+    Ok(())
 }
 
 /// What earlier runs have left of these trials.

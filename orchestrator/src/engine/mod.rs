@@ -24,7 +24,7 @@ use metasense_schemas::wire::{Lease, Sample, ToOrchestrator, ToWorker};
 use metasense_worker::process;
 use tokio::sync::mpsc;
 
-pub use begin::{Again, begin};
+pub use begin::{Again, begin, reopen};
 pub use signals::{Signals, ignores_hangup};
 pub use steer::{Control, Reread};
 pub use watch::{Silent, View, Watch};
@@ -73,6 +73,8 @@ pub struct Options {
 pub struct Summary {
     /// How it ended.
     pub outcome: Outcome,
+    /// Whether somebody has asked it to stop.
+    pub stopping: bool,
     /// Trials done in this run.
     pub done: usize,
     /// Trials that failed in this run.
@@ -184,7 +186,8 @@ pub async fn run<'a>(
         watch.end(&view, outcome);
         let (workers, paused) = (state.workers(), state.is_paused());
         let View { done, failed, given_up, .. } = view;
-        let summary = Summary { outcome, done, failed, given_up, stale, workers, paused };
+        let stopping = state.is_stopping();
+        let summary = Summary { outcome, stopping, done, failed, given_up, stale, workers, paused };
         match (outcome, store_error) {
             (_, Some(error)) => Err(error.into()),
             (Outcome::NoWorkers, None) => Err(EngineError::NoWorkers(last_words)),

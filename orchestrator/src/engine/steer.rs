@@ -34,9 +34,18 @@ impl Control {
         Self::new(None, Arc::new(|| Err("this run has no spec file".into())))
     }
 
-    /// The plan by which trials were added last.
-    pub fn last_plan(&self) -> Option<&Plan> {
-        self.plans.last()
+    /// The plan by which trials were added last; behind its own it has those of the plans before it, of which `first` is the first.
+    pub fn last_plan(&self, first: Plan) -> Plan {
+        let mut plan = first;
+        let mut kept = &self.plans;
+        while let Some((later, next)) = kept.0.get().map(Box::as_ref) {
+            let earlier = std::mem::replace(&mut plan, (**later).clone());
+            let own: HashSet<&str> = later.trials.iter().map(|trial| trial.hash.as_str()).collect();
+            let gone = earlier.trials.into_iter().filter(|trial| !own.contains(trial.hash.as_str()));
+            plan.trials.extend(gone);
+            kept = next;
+        }
+        plan
     }
 
     pub(super) async fn next(&self) -> Option<Request> {
@@ -60,10 +69,6 @@ impl Plans {
             Some(known) => known.1.keep(plan),
             None => &self.0.get_or_init(|| Box::new((plan, Self::default()))).0,
         }
-    }
-
-    fn last(&self) -> Option<&Plan> {
-        self.0.get().map(|known| known.1.last().unwrap_or(&known.0))
     }
 }
 

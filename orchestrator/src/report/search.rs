@@ -22,6 +22,8 @@ pub struct Sought {
     space: Space,
     decision: Decision,
     classes: Vec<Class>,
+    /// How many candidates have failed.
+    failed: usize,
     /// CPU seconds of the trials that were asked for, and what the whole sweep would take, as estimated.
     seconds: [f64; 2],
 }
@@ -44,7 +46,8 @@ impl Sought {
         let mut search = begun(&space);
         let (decision, classes) = (search.follow(&known.candidates), search.classes());
         let whole = cost::total(&plan.trials);
-        Ok(Self { plan, space, decision, classes, seconds: [known.seconds, whole] })
+        let failed = known.candidates.iter().filter(|candidate| candidate.failed).count();
+        Ok(Self { plan, space, decision, classes, failed, seconds: [known.seconds, whole] })
     }
 
     /// The searches among sweeps, or why one cannot be followed: its spec names files that are not here, say.
@@ -100,6 +103,12 @@ impl Sought {
         let mut lines = vec![format!(
             "{seconds:.0} CPU s, {part:.0} % of what the whole sweep is estimated to take{looks}"
         )];
+        if self.failed > 0 {
+            let failed = counted(self.failed, "trial");
+            lines.push(format!(
+                "{failed} failed and counted as meeting nothing: --retry-failed runs them again"
+            ));
+        }
         let needed = self.requirement();
         if let Some((trial, meets)) = self.chosen() {
             lines.push(format!(

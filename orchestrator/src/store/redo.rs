@@ -5,10 +5,10 @@ use sqlx::{AssertSqlSafe, Connection};
 
 use super::{Store, StoreError};
 
-/// Trials of the sweep `?1` of which some work that counts was done by other code than `?2`; those that have failed stay.
+/// Those of the trials `?1` of which some work that counts was done by other code than `?2`; those that have failed stay.
 const OTHERS: &str =
-    "INSERT INTO temp.chosen SELECT t.id FROM trial t JOIN sweep_trial x ON x.trial_id = t.id
-    JOIN v_trial v ON v.hash = t.hash WHERE x.sweep_id = ?1 AND t.state <> 'failed' AND v.code <> ?2";
+    "INSERT INTO temp.chosen SELECT t.id FROM json_each(?1) j JOIN trial t ON t.hash = j.value
+    JOIN v_trial v ON v.hash = t.hash WHERE t.state <> 'failed' AND v.code <> ?2";
 
 /// Trials that something is done to.
 const CHOSEN: &str = "DROP TABLE IF EXISTS temp.chosen; CREATE TEMP TABLE chosen (id INTEGER PRIMARY KEY)";
@@ -57,14 +57,15 @@ impl Store {
         tx.commit().await.map_err(&at)
     }
 
-    /// Empties the trials of the sweep that was begun which other code than this program's has worked on: they are open,
-    /// and begin anew. Returns how many.
-    pub async fn redo_other_code(&mut self) -> Result<usize, StoreError> {
+    /// Empties those of these trials which other code than this program's has worked on: they are open, and begin anew. Returns how
+    /// many.
+    pub async fn redo_other_code(&mut self, hashes: &[&str]) -> Result<usize, StoreError> {
         let at = self.at("reopening trials in");
-        let (sweep, code) = (self.sweep, self.provenance.as_ref().map(|made| made.code.clone()));
+        let hashes = serde_json::to_string(hashes).expect("texts are JSON");
+        let code = self.provenance.as_ref().map(|made| made.code.clone());
         let mut tx = self.connection.begin_with("BEGIN IMMEDIATE").await.map_err(&at)?;
         sqlx::raw_sql(CHOSEN).execute(&mut *tx).await.map_err(&at)?;
-        sqlx::query(OTHERS).bind(sweep).bind(code).execute(&mut *tx).await.map_err(&at)?;
+        sqlx::query(OTHERS).bind(hashes).bind(code).execute(&mut *tx).await.map_err(&at)?;
         clear(&mut tx, &["sweep_trial", "attempt", "log"]).await.map_err(&at)?;
         sqlx::raw_sql(EMPTY).execute(&mut *tx).await.map_err(&at)?;
         let count: i64 =

@@ -89,20 +89,32 @@ impl Store {
         Ok(())
     }
 
-    /// Opens trials of the sweep that was begun and were given up: they go on with the next attempt, from their last step.
-    /// Returns how many.
-    pub async fn reopen(&mut self, which: Reopen) -> Result<u64, StoreError> {
+    /// Opens those of these trials that were given up: they go on with the next attempt, from their last step. Returns how many.
+    pub async fn reopen(&mut self, which: Reopen, hashes: &[&str]) -> Result<u64, StoreError> {
         let done = sqlx::query(
             "UPDATE trial SET state = 'pending', reason = NULL, finished_at = NULL WHERE state = 'failed'
-               AND (reason = ?1) = ?2 AND id IN (SELECT trial_id FROM sweep_trial WHERE sweep_id = ?3)",
+               AND (reason = ?1) = ?2 AND hash IN (SELECT value FROM json_each(?3))",
         )
         .bind(PRUNED)
         .bind(which == Reopen::Pruned)
-        .bind(self.sweep)
+        .bind(serde_json::to_string(hashes).expect("texts are JSON"))
         .execute(&mut self.connection)
         .await
         .map_err(|source| StoreError::sql(&self.path, "reopening trials in", source))?;
         Ok(done.rows_affected())
+    }
+
+    /// Hashes of a sweep's trials on seeds above this one, which judge what a search has found.
+    pub async fn on_seeds_above(&mut self, seed: u64, text: &str) -> Result<Vec<String>, StoreError> {
+        sqlx::query_scalar(
+            "SELECT t.hash FROM sweep s JOIN sweep_trial x ON x.sweep_id = s.id JOIN trial t ON t.id = x.trial_id
+             WHERE s.text = ? AND t.seed > ?",
+        )
+        .bind(text)
+        .bind(i64::try_from(seed).unwrap_or(i64::MAX))
+        .fetch_all(&mut self.connection)
+        .await
+        .map_err(|source| StoreError::sql(&self.path, "reading", source))
     }
 
     /// Hashes of the trials that are done or have failed for good.
@@ -117,7 +129,7 @@ impl Store {
     pub async fn found(&mut self) -> Result<Vec<Found>, StoreError> {
         type Row = (String, Option<f64>, Option<f64>, Option<f64>);
         let rows: Vec<Row> = sqlx::query_as(
-            "SELECT hash, holdout_error_initial, holdout_error_optimised, seconds FROM v_trial
+            "SELECT hash, holdout_error_initial, holdout_error_optimised, CAST(seconds AS REAL) FROM v_trial
              WHERE state IN ('done', 'failed')",
         )
         .fetch_all(&mut self.connection)

@@ -470,19 +470,11 @@ impl Store {
         self.end(hash, attempt, reason, "failed").await
     }
 
-    /// Settles a trial that waits: it has failed for good, with what is recorded of it.
+    /// Settles a trial that waits: it has failed for good, with what is recorded of it. That is an attempt, by which a merge knows the
+    /// later of two copies.
     pub async fn settle(&mut self, hash: &str, reason: &str) -> Result<(), StoreError> {
-        let id = self.id(hash)?;
-        sqlx::query(
-            "UPDATE trial SET state = 'failed', reason = ?, finished_at = strftime('%Y-%m-%dT%H:%M:%fZ')
-             WHERE id = ? AND state = 'pending'",
-        )
-        .bind(reason)
-        .bind(id)
-        .execute(&mut self.connection)
-        .await
-        .map_err(self.at("settling a trial in"))?;
-        Ok(())
+        let attempt = self.begin_attempt(hash).await?;
+        self.fail(hash, attempt, reason).await
     }
 
     async fn end(&mut self, hash: &str, attempt: u32, reason: &str, state: &str) -> Result<(), StoreError> {

@@ -170,8 +170,7 @@ pub struct Run {
     /// Wait before the first retry; doubled for each further one. Unit: s. Default: 0.5.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub backoff: Option<f64>,
-    /// Longest time without a sign of life from a worker, which reports every second while it computes. Unit: s. Default: 600
-    /// plus the estimated time of the longest trial.
+    /// Longest time without a sign of life from a worker, which reports every second while it computes. Unit: s. Default: 600.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub no_progress: Option<f64>,
     /// Longest time of one attempt at a trial. Unit: s. Default: no limit.

@@ -1,7 +1,7 @@
 //! Tests of `data`.
 
 use super::*;
-use crate::analysis::setting::flatten;
+use crate::analysis::setting::{Settings, flatten};
 use serde_json::json;
 
 /// A trial with more settings.
@@ -99,4 +99,44 @@ fn what_judges_bodies_tells_no_trials_apart_where_none_disagree() {
         json!({"evaluation": {"casts": 8}, "variation": {"nodes": 0.1, "bend": {"ligament": 0.1}}});
     let told = ["K = 2, M = 1, variation.bend = 0.1", "K = 2, M = 1, variation.bend.ligament = 0.1"];
     assert_eq!(labels(&[cast(0.1), with(trial(2, 5, 1, 0), &by_parts), trial(2, 5, 1, 1)])[..2], told);
+}
+
+/// Who adds casts to a finished sweep has its trials twice, which count once; recorded forces are what they hold, wherever they lie.
+#[test]
+fn a_trial_that_is_judged_again_counts_once() {
+    let mut settings = Settings::default();
+    let mut trial = |seed: u64, errors: [f64; 2], more: &Value| {
+        let recorded = |folder: &str| json!({"files": [format!("{folder}/f.npy")], "digest": "ab"});
+        let mut spec = json!({"point": {"panels": 2, "sensors": 1, "placement": 0, "seed": seed},
+            "stimuli": {"recorded": recorded(&format!("{more}"))}});
+        more.as_object().unwrap().iter().for_each(|(key, value)| spec[key] = value.clone());
+        Trial {
+            setting: settings.of(&spec),
+            panels: 2,
+            sensors: 1,
+            cluster: Cluster { placement: 0, seed },
+            errors: errors.map(|error| [Some(error); 2]),
+            ..Trial::default()
+        }
+    };
+    let casts = json!({"variation": {"stretch": 0.05}, "evaluation": {"casts": 3}});
+    let trials = [
+        trial(1, [20.0, 10.0], &json!({})),
+        trial(1, [20.0, 10.0], &casts),
+        trial(2, [30.0, 10.0], &casts),
+        trial(2, [30.0, 10.0], &json!({"evaluation": {"long_iterations": 10}})),
+        // no outer step: no trained body
+        trial(3, [40.0, 40.0], &json!({"optimise": {"iterations": 0}})),
+    ];
+    let refs: Vec<&Trial> = trials.iter().collect();
+    let found = groups(&refs, SENSORS);
+    assert_eq!(found.iter().map(|group| group.trials.len()).collect::<Vec<_>>(), [4, 1]);
+    let of = |group: usize, body| {
+        let found = observations(&found[group].trials, body, Set::Test, |t| t.sensors);
+        found.iter().map(|o| (o.cluster.seed, o.error)).collect::<Vec<_>>()
+    };
+    assert_eq!(of(0, Body::Initial), [(1, 20.0), (2, 30.0)]);
+    assert_eq!((of(1, Body::Initial), of(1, Body::Optimised)), (vec![(3, 40.0)], vec![]));
+    let ratio = super::super::paired::error_ratio(&refs, Set::Holdout).unwrap();
+    assert_eq!((ratio.trials, ratio.above_one), (2, 2));
 }

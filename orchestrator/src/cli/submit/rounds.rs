@@ -36,8 +36,8 @@ pub(super) async fn execute(
     jobs: Vec<Job>,
 ) -> Result<Exit, Error> {
     if args.retry_failed {
-        let why =
-            "--retry-failed: rounds go on from what trials have come to; leave it out, or `run` them again";
+        let why = "--retry-failed: rounds go on from what trials have come to; leave it out, or `run` them again, by `design` those of a \
+                   [goal]";
         return Err(Error::Usage(why.into()));
     }
     let space = if args.design { Some(design::space(&plan)?) } else { None };
@@ -109,6 +109,10 @@ impl Runs for Shards<'_> {
         Ok(found?)
     }
 
+    async fn reopen(&mut self, _: Again) -> Result<(), Error> {
+        Ok(()) // `submit` refuses what asks for it
+    }
+
     async fn run(&mut self, trials: &[Trial], _: Again) -> Result<Option<Outcome>, Error> {
         let settled: HashSet<String> = self.found().await?.into_iter().map(|found| found.hash).collect();
         let open: Vec<Trial> =
@@ -142,6 +146,10 @@ impl Runs for Shards<'_> {
             return Err(Error::Shards { folder, shards: ranges(&self.submission.which) });
         }
         Ok(Some(Outcome::Complete))
+    }
+
+    fn is_stopping(&self) -> bool {
+        false // then a round is interrupted
     }
 }
 
