@@ -690,3 +690,23 @@ fn a_second_merge_reads_only_what_is_new() {
     assert_eq!(merged(&files, &out).unwrap().known, 0);
     assert_eq!(rows(&out), rows(&at("at-once.sqlite")), "what was taken out came again");
 }
+
+/// What was cancelled while it waited stays so where an earlier merge has had it waiting.
+#[tokio::test]
+async fn a_trial_that_is_cancelled_while_it_waits_is_so_in_the_result() {
+    let folder = tempfile::tempdir().unwrap();
+    let [shard, out] = ["shard.sqlite", "out.sqlite"].map(|name| folder.path().join(name));
+    let plan = plan("s");
+    database(&shard, &plan, 1, &[(0, Life::Steps(2))]).await;
+    merge(std::slice::from_ref(&shard), &out).await.unwrap();
+    let mut store = Store::open(&shard).await.unwrap();
+    let waiting = &plan.trials[3];
+    store.begin_sweep(&plan.spec, &plan.source.text, std::slice::from_ref(waiting)).await.unwrap();
+    store.settle(&waiting.hash, "cancelled").await.unwrap();
+    store.close().await.unwrap();
+    merge(std::slice::from_ref(&shard), &out).await.unwrap();
+    let states = format!("SELECT state || ' ' || reason FROM trial WHERE hash = '{}'", waiting.hash);
+    let mut reader = Reader::open(&out).await.unwrap();
+    assert_eq!(reader.query::<metasense::look::Table>(&states).await.unwrap().rows, [["failed cancelled"]]);
+    reader.close().await;
+}
