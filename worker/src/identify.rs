@@ -13,7 +13,7 @@ const ITERATIONS: usize = 1000;
 
 /// Fits `free` parameters of the trial's body, of this design, to records; the others stay at the spec's values.
 ///
-/// Signals are compared as sensors of the trial's frame read them, without noise, bias and delay of its chips. `watch` sees
+/// Signals are compared as sensors of the trial's frame read them, without what its chips add and filter. `watch` sees
 /// every turn but those that are `known` from before.
 ///
 /// # Errors

@@ -1,6 +1,6 @@
 //! Eigenmodes of a trial's body at rest, and how its panels move its units there.
 
-use metasense_numerics::dynamics::{Rest, Scene, start};
+use metasense_numerics::dynamics::{Rest, Scene, start, touches};
 use metasense_numerics::modes;
 pub use metasense_numerics::modes::{Mode, Response};
 use metasense_schemas::spec::TrialSpec;
@@ -60,6 +60,10 @@ pub(crate) fn check_rest(scene: &Scene, design: &[f64]) -> Result<(), Failure> {
              strike other units",
             panel.unit
         )));
+    }
+    if touches(scene, design) {
+        let why = "body.contact: parts of the body touch as it is cast, so it is not at rest, and has no small motions about it";
+        return Err(Failure::Rejected(why.to_owned()));
     }
     match start(scene, design) {
         Ok(_) => Ok(()),

@@ -11,6 +11,7 @@ use metasense_numerics::dynamics::{
     Accuracy, Contact, Frame, Hinge, Method, Parts, Scene, Solver, Stiffness,
 };
 use metasense_numerics::feasible::Limits;
+use metasense_numerics::place::CANDIDATES;
 use metasense_numerics::trial::{
     BrainKind, Decoder, Evaluation, Optimise, Placing, Problem, Ridge, Schedule, Training,
 };
@@ -429,7 +430,9 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> 
     let Point { sensors, placement, .. } = trial.point;
     let remedy = format!("the body has {} units where sensors.search may put one", candidates.len());
     require((1..=candidates.len()).contains(&sensors), "sweep.sensors", sensors, &remedy)?;
-    require(placement < candidates.len(), "sweep.placements", placement + 1, &remedy)?;
+    let places = candidates.len().min(CANDIDATES);
+    let of_most = format!("a search has {places} units to begin a placement with");
+    require(placement < places, "sweep.placements", placement + 1, &of_most)?;
     // one after another, row by row: hardly less than would fit at best
     let mut apart: Vec<usize> = Vec::new();
     for &unit in &candidates {

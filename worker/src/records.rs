@@ -171,13 +171,15 @@ pub(crate) fn clock(kind: Resample) -> Clock {
 /// noise of a force sensor may reach 0.02 in the record of a weak blow.
 const CUT: f64 = 0.05;
 
-/// Whether the fresh samples of `joint` have the whole force of their records, however these are shifted. The plan asks;
-/// trials that were run before it did are still read.
+/// Whether the fresh samples of `joint`, or of a brain for all casts, have the whole force of their records, however these are shifted.
+/// The plan asks; trials that were run before it did are still read.
 ///
 /// # Errors
 /// Names the record, and how much of its peak is cut.
 pub fn check_shifts(problem: &Problem) -> Result<(), Invalid> {
-    let Protocol::Joint(_) = problem.optimise.protocol else { return Ok(()) };
+    if !matches!(problem.optimise.protocol, Protocol::Joint(_)) && problem.evaluation.casts == 0 {
+        return Ok(());
+    }
     let records = problem.stimuli.source.parts().into_iter().find_map(|part| match part {
         Source::Recorded(records) => Some(records),
         _ => None,

@@ -59,9 +59,16 @@ enum Fitted {
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     end_on_signal(args.out_dir.as_deref());
     let (_, trial, design) = &args.one.read().await?;
-    if trial.sensors.channels.is_some() {
-        let remedy = "must be left out here: a fit compares all three signals of each sensor; `metasense twin` takes what is read";
-        return Err(args.one.trial.refused_key("sensors.channels", remedy));
+    for (key, given) in [
+        ("sensors.channels", trial.sensors.channels.is_some()),
+        ("sensors.bandwidth", trial.sensors.bandwidth.is_some()),
+        ("sensors.delay", trial.sensors.delay.is_some()),
+    ] {
+        if given {
+            let remedy = "must be left out here: a fit compares all three signals of each sensor as they are; `metasense twin` takes \
+                          what is read";
+            return Err(args.one.trial.refused_key(key, remedy));
+        }
     }
     let measured = measured::read(&args.records, trial)?;
     let free: Vec<Parameter> = args.fit.iter().map(|&f| Parameter::ALL[f as usize]).collect();

@@ -23,6 +23,11 @@ fn has_linear(kind: BrainKind) -> bool {
     kind != BrainKind::Cnn
 }
 
+/// Whether a causal network reads a linear brain's estimates, which then may not look ahead either.
+fn looks_back_alone(spec: &SweepSpec) -> bool {
+    spec.brain.kind == BrainKind::Stacked && spec.brain.network().causal
+}
+
 /// Brain, outer loop and comparison of a combination, without keys that its brains do not read, defaults in place.
 pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option<Variation>) {
     let ([reader, trainer], none) = (kinds(spec), Brain::default());
@@ -44,6 +49,9 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
     evaluation.records = evaluation.records.filter(|read| !read && spared);
     if !has_linear(reader) && !has_linear(trainer) {
         (brain.memory, brain.ridge) = (None, None);
+    }
+    if looks_back_alone(spec) {
+        brain.memory.get_or_insert([spec.time.duration, 0.0]);
     }
     // what can be said in two ways is said in one
     brain.ridge = brain.ridge.filter(|ridge| matches!(ridge, Ridge::Given(_)));
@@ -92,6 +100,11 @@ pub(super) fn refuse_unread<'a>(
     if any(&|spec| matches!(spec.optimise.brain, Some(BrainKind::Stacked | BrainKind::Inverse))) {
         let remedy = "stacked and inverse brains only read: must be \"cnn\" or \"linear\"";
         return Err(source.error("optimise.brain", remedy));
+    }
+    let ahead = |spec: &SweepSpec| spec.brain.memory.is_some_and(|[_, after]| after > 0.0);
+    if any(&|spec| looks_back_alone(spec) && ahead(spec)) {
+        let remedy = "a causal network reads this brain's estimates: must be [before, 0]";
+        return Err(source.error("brain.memory", remedy));
     }
     let robust = any(&|spec| spec.optimise.objective.and_then(Objective::tail).is_some());
     let varied = any(&|spec| spec.variation.is_some());

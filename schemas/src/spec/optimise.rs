@@ -63,7 +63,7 @@ pub struct Brain {
     #[serde(skip_serializing_if = "BrainKind::is_default")]
     pub kind: BrainKind,
     /// How far a linear brain looks back and ahead, `[before, after]`; `after = 0` is what a device that answers at once can do. An inverse
-    /// brain looks back on everything, and as far ahead.
+    /// brain looks back on everything, and as far ahead; a stacked brain that is `causal` on everything, and not ahead.
     /// Unit: s. Default: the whole sample.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub memory: Option<[f64; 2]>,

@@ -5,7 +5,7 @@ use metasense_numerics::brain::Policy;
 use metasense_numerics::trial::{Going, Protocol, Terms};
 use metasense_schemas::spec::{self, TrialSpec};
 
-use super::check_units;
+use super::{check_units, held, kept};
 use crate::invalid::{Invalid, at_least, invalid, not_negative, positive, require};
 
 /// How body and brain are trained together.
@@ -99,13 +99,14 @@ pub(super) fn frozen(optimise: &spec::Optimise, layout: &Layout) -> Result<Vec<u
     check_units("optimise.frozen", optimise.frozen.as_deref().unwrap_or_default(), layout, &[])
 }
 
-/// How many numbers the outer loop moves: those of α, or of z where shifts are tied or frozen.
+/// How many numbers the outer loop moves: those of α, or of z where shifts are tied or frozen, as `Problem::freedom` has them.
 ///
 /// # Errors
 /// Where `optimise.tie` or `optimise.frozen` make no sense, or leave nothing to move.
 pub fn design_parameters(trial: &TrialSpec, layout: &Layout) -> Result<usize, Invalid> {
     let (tie, frozen) = (tie(&trial.optimise)?, frozen(&trial.optimise, layout)?);
-    let parameters = Freedom::new(layout, tie, &frozen).parameters();
+    let kept = kept(&trial.feasible, &trial.panel_units, &held(&trial.body, layout)?);
+    let parameters = Freedom::of(layout, tie, &frozen, &kept).parameters();
     require(parameters > 0, "optimise.frozen", format!("{frozen:?}"), "must leave a unit's shape free")?;
     Ok(parameters)
 }

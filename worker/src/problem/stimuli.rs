@@ -63,6 +63,12 @@ fn hand(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Option<Hand>, Inva
     require((0.0..=most).contains(&offset), "stimuli.offset", offset, &remedy)?;
     let remedy = "must lie between 0 and 30 degrees: others pull";
     require((0.0..=30.0).contains(&angle), "stimuli.angle", angle, remedy)?;
+    let struck = trial.body.panels.is_empty() || trial.body.panels.iter().any(|panel| panel.base.is_none());
+    for (key, value) in [("stimuli.offset", offset), ("stimuli.angle", angle)] {
+        let remedy =
+            "is for panels that are struck: each of body.panels has a base, which moves as it is told";
+        require(struck || value == 0.0, key, value, remedy)?;
+    }
     Ok((offset > 0.0 || angle > 0.0).then_some(Hand { offset, angle: angle.to_radians() }))
 }
 

@@ -36,6 +36,13 @@ impl Freedom {
         Self { leader: leader.collect(), frozen }
     }
 
+    /// The same beside units whose shapes are kept: alone those have always counted in a gradient's length, and stay by the feasible set;
+    /// where shifts are tied or frozen they do not move either.
+    pub fn of(layout: &Layout, tie: [usize; 2], frozen: &[usize], kept: &[usize]) -> Self {
+        let whole = tie == [1, 1] && frozen.is_empty();
+        Self::new(layout, tie, &if whole { Vec::new() } else { [frozen, kept].concat() })
+    }
+
     /// Whether every shift moves alone.
     pub fn is_whole(&self) -> bool {
         !self.is_tied() && !self.frozen.contains(&true)

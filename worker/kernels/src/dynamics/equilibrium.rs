@@ -51,6 +51,14 @@ pub fn start(scene: &Scene, design: &[f64]) -> Result<Vec<[f64; 3]>, Outcome> {
     Ok(if start.is_empty() { vec![[0.0; 3]; units] } else { start })
 }
 
+/// Whether parts touch in the body as cast, which then is no place of rest.
+///
+/// # Panics
+/// If the design's length is not that of the scene's layout.
+pub fn touches(scene: &Scene, design: &[f64]) -> bool {
+    Model::new(scene, design).touches()
+}
+
 /// The same of a body whose held units are moved.
 ///
 /// # Errors

@@ -34,7 +34,7 @@ mod tune;
 pub use choose::{choose, highest_frequency};
 pub use dispatch::repeat_kernel;
 pub use energy::{Energy, energy, energy_design_gradient, energy_gradient};
-pub use equilibrium::start;
+pub use equilibrium::{start, touches};
 pub use forces::{Forces, Strike};
 pub use integrate::{planned, run, simulate};
 pub use jvp::Tangent;

@@ -140,9 +140,9 @@ impl<'a> Session<'a> {
         let weighted = self.trial.problem.optimise.casting.is_some_and(|casting| !plain(casting));
         let mut found = Vec::with_capacity(newest.len());
         for cast in &newest {
-            let (_, cotangent) = self.cotangent(&cast.samples, Loss::Training, log);
+            let (loss, cotangent) = self.cotangent(&cast.samples, Loss::Training, log);
             let error = if weighted { self.learner.error(&cast.samples) } else { Some(loss_train) };
-            found.push((error, cotangent));
+            found.push((error, loss, cotangent));
         }
         let (_, gradient) = self.over_casts(&newest, found, going, log)?;
         let error_test = self.look_at_test(state, log)?;
@@ -154,31 +154,41 @@ impl<'a> Session<'a> {
         let newest = self.fresh(&state.design, state.step, going, true, log)?;
         let mut found = Vec::with_capacity(newest.len());
         for cast in &newest {
-            let loss = self.learn(FitOn::Cast(&cast.samples), state, log)?;
-            found.push((Some(loss), self.cotangent(&cast.samples, Loss::Training, log).1));
+            let error = self.learn(FitOn::Cast(&cast.samples), state, log)?;
+            let (loss, cotangent) = self.cotangent(&cast.samples, Loss::Training, log);
+            found.push((Some(error), loss, cotangent));
         }
         let (loss_train, gradient) = self.over_casts(&newest, found, going, log)?;
+        // of all casts, where each brain has said its own
+        (log.report.loss_train, log.report.error_train) = (Some(loss_train), Some(100.0 * loss_train));
         state.check_trend(loss_train)?;
         let error_test = self.look_at_test(state, log)?;
         Ok(Sensed { gradient, loss_train, error_test })
     }
 
-    /// The objective of a step's casts and its gradient in α, of the error of each and of its loss's cotangent. One that tells no
-    /// error counts as the worst.
+    /// The objective of a step's casts and its gradient in α, of the error of each, its loss where that is another measure, and the
+    /// loss's cotangent. One that tells no error counts as the worst.
     fn over_casts(
         &mut self,
         casts: &[Response],
-        found: Vec<(Option<f64>, Vec<f64>)>,
+        found: Vec<(Option<f64>, Option<f64>, Vec<f64>)>,
         going: Going,
         log: &mut Log,
     ) -> Result<(f64, Vec<f64>), Trouble> {
-        let (errors, cotangents): (Vec<_>, Vec<_>) = found.into_iter().unzip();
+        let losses: Vec<Option<f64>> = found.iter().map(|(_, loss, _)| *loss).collect();
+        let (errors, cotangents): (Vec<_>, Vec<_>) =
+            found.into_iter().map(|(error, _, cotangent)| (error, cotangent)).unzip();
         let gradients = self.vjps(casts, &cotangents, log)?;
         let errors: Vec<f64> = errors.into_iter().map(|error| error.unwrap_or(f64::INFINITY)).collect();
         let Some(casting) = self.trial.problem.optimise.casting else {
             return Ok((errors[0], gradients.into_iter().next().unwrap_or_default()));
         };
-        let (objective, weights) = casting.objective(&errors, self.first(casting, going, log)?);
+        let (objective, mut weights) = casting.objective(&errors, self.first(casting, going, log)?);
+        if casting.over == Over::Parts {
+            // of logarithms: what is differentiated is divided by itself
+            let by_loss = weights.iter_mut().zip(&errors).zip(&losses);
+            by_loss.for_each(|((by, error), loss)| *by *= loss.map_or(1.0, |loss| error / loss));
+        }
         let mut gradient = vec![0.0; gradients[0].len()];
         for (by, of_cast) in weights.iter().zip(&gradients) {
             gradient.iter_mut().zip(of_cast).for_each(|(sum, g)| *sum += by * g);
@@ -237,12 +247,9 @@ impl<'a> Session<'a> {
         log.timed(
             |s| &mut s.simulate,
             |report| {
-                let mut of = |set: usize| {
-                    let counters = &mut report.counters;
-                    let design = &state.design;
-                    self.trial.simulate(design, sets[set], &solver, tapes[set], counters)
-                };
-                let (mut train, other) = (of(0)?, of(1)?);
+                let (trial, design, counters) = (self.trial, &state.design, &mut report.counters);
+                let mut train = trial.simulate(design, sets[0], &solver, tapes[0], counters)?;
+                let other = trial.simulate_most(design, sets[1].clone(), &solver, tapes[1], counters)?;
                 // those on which the initial body failed train no body, and count against all
                 train.samples.failed.clone_from(&self.trial.initial.failed);
                 Ok([train, other])

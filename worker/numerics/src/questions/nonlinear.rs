@@ -6,7 +6,7 @@
 //! Both by the same integrator with the same steps; Tsit5's absolute tolerance is scaled by ε too. What is not linear in s_lin
 //! is of the order of ε.
 
-use crate::dynamics::{Accuracy, Forces, Outcome, Simulation, Solver, signal_error, simulate};
+use crate::dynamics::{Accuracy, Forces, Outcome, Simulation, Solver, signal_error, simulate, touches};
 use crate::random::Purpose;
 use crate::trial::{Counters, Trial};
 
@@ -20,7 +20,8 @@ const SAMPLES: usize = 24;
 /// Of the accelerations, and of the angular velocities (%).
 pub type Nonlinear = [f64; 2];
 
-/// Of a body under the first samples of the holdout, without what chips add; none where one does not end well.
+/// Of a body under the first samples of the holdout, without what chips add; none where one does not end well, or where parts touch
+/// at rest.
 pub(crate) fn nonlinear(
     trial: &Trial,
     design: &[f64],
@@ -28,6 +29,9 @@ pub(crate) fn nonlinear(
     counters: &mut Counters,
 ) -> Option<Nonlinear> {
     let (problem, scene) = (&trial.problem, &trial.problem.scene);
+    if touches(scene, design) {
+        return None;
+    }
     let solver = solver.at_most(EXACT);
     let forces = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout.min(SAMPLES));
     let scaled = |by: f64| {

@@ -7,7 +7,7 @@
 //! forces Wiener's filter leaves S Σ 1/(1 + s²), the least of all linear decoders (Kay, Fundamentals of Statistical Signal
 //! Processing I, 1993, ch. 12), and signals tell log₂ Π(1 + s²) bits a frequency (Shannon 1949).
 
-use crate::dynamics::Rest;
+use crate::dynamics::{Frame, Mount, Rest};
 use crate::modes::{Response, c64, modes_to, part_of, responses};
 use crate::trial::{Problem, Size};
 use faer::Mat;
@@ -35,7 +35,7 @@ pub struct Told {
 const NOISE: f64 = 0.01;
 
 /// Of a body; ranks and logarithms of conditions are means over frequencies, weighted by the forces' power. Noise is relative to the
-/// initial body's signals. Chips read at their units' centroids, without filter, steps and range.
+/// initial body's signals. Chips read without steps and range.
 ///
 /// # Panics
 /// If the sensors are still to be searched for, or the design is of another length.
@@ -46,12 +46,18 @@ pub fn told(problem: &Problem, design: &[f64]) -> Told {
     let frequencies: Vec<f64> = (1..=bins).map(|b| b as f64 / scene.duration).collect();
     let power = power(&problem.targets(&problem.known()[0]), scene.instants, panels, bins);
     // G of each frequency: channels of each sensor in turn, by panels
-    let operators = |found: Vec<Vec<Vec<Response>>>| -> Vec<Mat<c64>> {
+    let operators = |rest: &Rest, found: Vec<Vec<Vec<Response>>>| -> Vec<Mat<c64>> {
         let (each, rows) = (problem.channels.len(), problem.channels.len() * scene.sensors.len());
-        let read = |of: &Vec<Vec<Response>>, i: usize, k: usize| of[k][i / each][problem.channels[i % each]];
-        found.iter().map(|of| Mat::from_fn(rows, panels, |i, k| read(of, i, k))).collect()
+        let of = |(of, &hertz): (&Vec<Vec<Response>>, &f64)| {
+            let read = |i: usize, k: usize| {
+                let unit = scene.sensors[i / each];
+                heard(problem, rest, unit, of[k][i / each], hertz)[problem.channels[i % each]]
+            };
+            Mat::from_fn(rows, panels, read)
+        };
+        found.iter().zip(&frequencies).map(of).collect()
     };
-    let whole = |rest: &Rest| operators(responses(scene, rest, &scene.sensors, &frequencies));
+    let whole = |rest: &Rest| operators(rest, responses(scene, rest, &scene.sensors, &frequencies));
     let rms = |operators: &[Mat<c64>]| -> Vec<f64> {
         let row = |i: usize| {
             let own = |(g, s): (&Mat<c64>, &f64)| s * (0..panels).map(|k| g[(i, k)].norm_sqr()).sum::<f64>();
@@ -71,7 +77,7 @@ pub fn told(problem: &Problem, design: &[f64]) -> Told {
     let sized = size.of(&channels, &problem.channels).into_iter().zip(&channels);
     let noise: Vec<f64> = sized.map(|(own, rms)| if own > 0.0 { own } else { usual(*rms) }).collect();
     let energy = |mode| {
-        let of_mode = operators(part_of(mode, scene, &rest, &scene.sensors, &frequencies));
+        let of_mode = operators(&rest, part_of(mode, scene, &rest, &scene.sensors, &frequencies));
         of_mode.iter().zip(&power).map(|(g, s)| s * squares(g, &noise)).sum::<f64>()
     };
     let most = frequencies.last().copied().unwrap_or(0.0);
@@ -80,6 +86,25 @@ pub fn told(problem: &Problem, design: &[f64]) -> Told {
         Err(_) => f64::NAN,
     };
     of(&own, &power, &noise, &frequencies, scene.duration, modes)
+}
+
+/// What a chip says that sits where it does on its unit, behind its filter, where a plain one on the centroid gives this response.
+fn heard(problem: &Problem, rest: &Rest, unit: usize, [x, y, turn]: Response, hertz: f64) -> Response {
+    let Mount { offset, tilt } = problem.scene.mount.unwrap_or_default();
+    // along the axes of the plain one
+    let turned = match problem.scene.frame {
+        Frame::World => rest.turned.get(unit).copied().unwrap_or(0.0),
+        Frame::Body => 0.0,
+    };
+    let along = |[x, y]: [c64; 2], angle: f64| {
+        let (s, c) = angle.sin_cos();
+        [x * c + y * s, y * c - x * s]
+    };
+    let [rx, ry] = along(offset.map(c64::from), -turned);
+    let turning = c64::new(0.0, TAU * hertz) * turn;
+    let [x, y] = along([x - turning * ry, y + turning * rx], tilt);
+    let passes = problem.disturbance.map_or(c64::from(1.0), |chips| chips.passes(hertz));
+    [x, y, turn].map(|channel| channel * passes)
 }
 
 /// Σ|G/n|² of a frequency.
@@ -168,7 +193,9 @@ fn memory(operators: &[Mat<c64>], power: &[f64], noise: &[f64], frequencies: &[f
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dynamics::{Accuracy, Scene, simulate};
     use crate::nested::tests::{GOING, on_lattices, small};
+    use crate::random::Purpose;
     use crate::trial::{Disturbance, Protocol};
 
     /// Forces' power is their mean square about their means; of K panels read by as many independent channels of equal power the rank is K and the
@@ -196,6 +223,42 @@ mod tests {
         assert!(of([[1.0, 0.0], [0.0, 1.0]], 1.0).error > apart.error);
         assert!(of([[1e-9, 0.0], [0.0, 1e-9]], 1.0).error > 99.99);
         assert_eq!(participation(&[2.0, 2.0, 0.0, 2.0]), 3.0);
+    }
+
+    /// Weak pulses on a body whose motion dies within a sample, through chips off their centroids, turned, in both frames: the
+    /// spectra of what they read are those of plain ones as `heard` has it.
+    #[test]
+    fn a_chip_off_its_centroid_hears_what_a_simulation_says() {
+        let mut problem = small(Protocol::Joint(GOING));
+        (problem.scene.damping_ratio, problem.scene.duration, problem.scene.instants) = (0.5, 1.5, 6000);
+        problem.stimuli.instants = 6000;
+        let mut forces = problem.forces(Purpose::Holdout, 0, 1);
+        forces.values.iter_mut().for_each(|f| *f *= 1e-5);
+        let pool = crate::Pool::new(1).expect("a thread");
+        let spectrum = |problem: &Problem, hertz: f64| -> Response {
+            let solver = problem.solver.at_most(Accuracy(1e-6));
+            let found = simulate(&problem.scene, &problem.initial, &forces, &solver, false, &pool);
+            let turn = |n: usize| c64::cis(-TAU * hertz * (n + 1) as f64 / 4000.0);
+            let of = |c: usize| {
+                found.signals.iter().skip(c).step_by(3).enumerate().map(|(n, s)| turn(n) * *s).sum()
+            };
+            [0, 1, 2].map(of)
+        };
+        for frame in [Frame::World, Frame::Body] {
+            let plain = Problem { scene: Scene { frame, ..problem.scene.clone() }, ..problem.clone() };
+            let mount = Some(Mount { offset: [6.0, -3.0], tilt: 0.7 });
+            let mounted = Problem { scene: Scene { mount, ..plain.scene.clone() }, ..problem.clone() };
+            let rest = Rest::new(&plain.scene, &plain.initial);
+            for hertz in [3.0, 8.0, 15.0] {
+                let [read, unmoved] = [&mounted, &plain].map(|of| spectrum(of, hertz));
+                let said = heard(&mounted, &rest, 5, unmoved, hertz);
+                for c in 0..3 {
+                    let near = (said[c] - read[c]).norm() < 2e-3 * unmoved[0].norm().max(unmoved[1].norm());
+                    assert!(near, "{frame:?} at {hertz} Hz, channel {c}: {} {}", said[c], read[c]);
+                }
+                assert!((0..2).any(|c| (read[c] - unmoved[c]).norm() > 0.1 * unmoved[c].norm()));
+            }
+        }
     }
 
     /// More sensors and less noise never tell less; one body told twice is the same.

@@ -7,6 +7,8 @@
 //! cubic through the last four. Both are causal.
 
 use super::Disturbance;
+use faer::c64;
+use std::f64::consts::TAU;
 
 /// Instants of the clock for each reading, at least: the cubic is then good to 4e-4 at 0.8 of the readings' Nyquist frequency.
 const CLOCK: usize = 8;
@@ -40,6 +42,14 @@ impl Disturbance {
         let low_pass = if self.bandwidth.is_finite() { self.bandwidth } else { 0.0 };
         // a rate that is met but for rounding is met
         CLOCK.max((BESIDE_BANDWIDTH * low_pass * interval - 1e-9).ceil() as usize)
+    }
+}
+
+impl Disturbance {
+    /// What the filter makes of a steady signal of this frequency (Hz).
+    pub(crate) fn passes(&self, hertz: f64) -> c64 {
+        let part = hertz / self.bandwidth;
+        c64::cis(-TAU * hertz * self.delay) / c64::new(1.0 - part * part, 2f64.sqrt() * part)
     }
 }
 
@@ -100,7 +110,7 @@ impl Filter {
             -p * (p - 1.0) * (p - 3.0) / 2.0,
             p * (p - 1.0) * (p - 2.0) / 6.0,
         ];
-        let angle = std::f64::consts::TAU * disturbance.bandwidth * step;
+        let angle = TAU * disturbance.bandwidth * step;
         let low_pass = disturbance.bandwidth.is_finite().then(|| LowPass::new(angle));
         Self { clock, low_pass, back, taps }
     }

@@ -90,10 +90,7 @@ pub struct Stimuli {
 impl Problem {
     /// Which shifts of a design move, and which together.
     pub fn freedom(&self) -> Freedom {
-        let whole = self.tie == [1, 1] && self.frozen.is_empty();
-        // what is kept alone has always counted in a gradient's length
-        let still = if whole { Vec::new() } else { [&self.frozen[..], &self.kept].concat() };
-        Freedom::new(&self.scene.layout, self.tie, &still)
+        Freedom::of(&self.scene.layout, self.tie, &self.frozen, &self.kept)
     }
 
     /// The designs that can be cast and had.

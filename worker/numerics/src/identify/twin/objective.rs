@@ -60,6 +60,8 @@ pub struct Objective<'a> {
     scene: Scene,
     forces: Forces,
     recorded: Vec<f64>,
+    /// Whether each recorded reading counts.
+    seen: Vec<bool>,
     /// Standard deviation of each channel's noise, and of its bias.
     pub noise: Vec<f64>,
     bias: Vec<f64>,
@@ -96,6 +98,7 @@ impl<'a> Objective<'a> {
             scene: problem.scene.clone(),
             forces: forces.clone(),
             recorded: Vec::new(),
+            seen: Vec::new(),
             noise: vec![1.0; width],
             bias: chip.map_or_else(|| vec![0.0; width], |chip| chip.bias.clone()),
             counters: Counters::default(),
@@ -110,6 +113,7 @@ impl<'a> Objective<'a> {
         let found = self.simulate(&self.plan, &cast, &self.forces, false);
         self.counters += found.counters;
         self.counts = found.outcomes.iter().map(|outcome| *outcome == Outcome::Ok).collect();
+        self.see();
         self.counts.iter().filter(|counts| **counts).count()
     }
 
@@ -127,6 +131,7 @@ impl<'a> Objective<'a> {
         let width = self.width();
         self.recorded =
             signals.chunks(all * width).flat_map(|record| &record[..n * width]).copied().collect();
+        self.see();
     }
 
     fn simulate(&self, plan: &Plan, cast: &Cast, forces: &Forces, keep_tape: bool) -> Simulation {
@@ -173,39 +178,38 @@ impl<'a> Objective<'a> {
     /// R^{-½}(y − a), zero of what is not seen.
     pub fn residual(&self, read: &[f64]) -> Vec<f64> {
         let mut left: Vec<f64> = self.recorded.iter().zip(read).map(|(y, a)| y - a).collect();
-        self.see(&mut left);
         self.whiten(&mut left);
         left
     }
 
-    /// Sets to zero what is outside the window, of a record that does not count, or at the end of its range.
-    fn see(&self, of: &mut [f64]) {
+    /// Nothing counts that is outside the window, of a record that does not count, or at the end of its range.
+    fn see(&mut self) {
         let (width, record) = (self.width(), self.scene.instants * self.width());
-        for (i, own) in of.chunks_exact_mut(record).enumerate() {
+        let mut seen = vec![1.0; self.recorded.len()];
+        for (i, own) in seen.chunks_exact_mut(record).enumerate() {
             let end = if self.counts[i] { self.onsets[i] + self.window } else { 0 };
-            own.iter_mut().skip(end * width).for_each(|x| *x = 0.0);
+            own.iter_mut().skip(end * width).for_each(|seen| *seen = 0.0);
         }
         if let Some(chip) = self.chip {
-            chip.disturb_vjp(of, &self.recorded);
+            chip.disturb_vjp(&mut seen, &self.recorded);
         }
+        self.seen = seen.into_iter().map(|seen| seen != 0.0).collect();
     }
 
-    /// Instants of a record that are seen.
-    fn seen_of(&self, record: usize) -> usize {
-        (self.onsets[record] + self.window).min(self.scene.instants)
-    }
-
-    /// R^{-½} x = (x − s x̄)/σ for R = σ² + b² 1 1ᵀ of a record's channel, (1 − s)² = σ²/(σ² + n b²); symmetric.
+    /// R^{-½} x = (x − s x̄)/σ for R = σ² + b² 1 1ᵀ of the n readings of a record's channel that are seen, (1 − s)² = σ²/(σ² + n b²);
+    /// symmetric. The others become zero.
     fn whiten(&self, of: &mut [f64]) {
-        let (width, instants) = (self.width(), self.scene.instants);
-        for (i, record) in of.chunks_exact_mut(instants * width).enumerate() {
-            let n = self.seen_of(i);
+        let (width, record) = (self.width(), self.scene.instants * self.width());
+        for (own, seen) in of.chunks_exact_mut(record).zip(self.seen.chunks_exact(record)) {
             for c in 0..width {
                 let (noise, bias) = (self.noise[c], self.bias[c]);
-                let mean = record[c..].iter().step_by(width).sum::<f64>() / n as f64;
-                let part = 1.0 - noise / noise.hypot((n as f64).sqrt() * bias);
-                record[c..].iter_mut().step_by(width).take(n).for_each(|x| *x -= part * mean);
-                record[c..].iter_mut().step_by(width).for_each(|x| *x /= noise);
+                let seen = || seen[c..].iter().step_by(width);
+                let n = seen().filter(|seen| **seen).count().max(1) as f64;
+                let counts = own[c..].iter().step_by(width).zip(seen()).filter(|(_, seen)| **seen);
+                let mean = counts.map(|(x, _)| x).sum::<f64>() / n;
+                let part = 1.0 - noise / noise.hypot(n.sqrt() * bias);
+                let each = own[c..].iter_mut().step_by(width).zip(seen());
+                each.for_each(|(x, seen)| *x = if *seen { (*x - part * mean) / noise } else { 0.0 });
             }
         }
     }
@@ -260,7 +264,6 @@ impl<'a> Objective<'a> {
         self.counters += here.1;
         self.counters += there.1;
         let mut moved: Vec<f64> = there.0.iter().zip(&here.0).map(|(there, here)| there - here).collect();
-        self.see(&mut moved);
         self.whiten(&mut moved);
         let record = self.scene.instants * self.width();
         moved.chunks_exact(record).map(|own| own.iter().map(|x| x * x).sum()).collect()
@@ -304,7 +307,6 @@ impl<'a> Objective<'a> {
             for (i, own) in records.iter().zip(column.chunks(record)) {
                 whole[i * record..][..record].copy_from_slice(own);
             }
-            self.see(&mut whole);
             self.whiten(&mut whole);
             let own = records.iter().flat_map(|i| &whole[i * record..][..record]);
             jacobian.column_mut(k).iter_mut().zip(own).for_each(|(to, x)| *to = *x);
@@ -334,15 +336,14 @@ impl<'a> Objective<'a> {
         let width = self.width();
         let mut left = self.residual(&point.read);
         left.iter_mut().enumerate().for_each(|(i, r)| *r *= self.noise[i % width]);
-        let seen = |i: usize| if self.counts[i] { self.seen_of(i) } else { 0 };
-        let seen: usize = (0..self.counts.len()).map(seen).sum();
-        let rms = |of: &[f64], c: usize, n: usize| {
-            (of[c..].iter().step_by(width).map(|x| x * x).sum::<f64>() / n.max(1) as f64).sqrt()
+        let seen = |c: usize| self.seen[c..].iter().step_by(width).filter(|seen| **seen).count() as f64;
+        let rms = |of: &[f64], c: usize, n: f64| {
+            (of[c..].iter().step_by(width).map(|x| x * x).sum::<f64>() / n.max(1.0)).sqrt()
         };
-        let instants = self.recorded.len() / width;
+        let instants = (self.recorded.len() / width) as f64;
         let chip = self.chip.map_or_else(|| vec![0.0; width], Chip::deviations);
         let least = |c: usize| chip[c].max(self.least * rms(&self.recorded, c, instants));
-        [(0..width).map(|c| rms(&left, c, seen)).collect(), (0..width).map(least).collect()]
+        [(0..width).map(|c| rms(&left, c, seen(c))).collect(), (0..width).map(least).collect()]
     }
 
     /// Takes what is left for the noise of each channel, but no less than what chips have and steps leave; by how much that changes

@@ -113,9 +113,16 @@ fn check_a_twin(what: &str, mut problem: Problem, count: usize, most: f64) {
 }
 
 /// F(z + εd) − F(z − εd) = 2ε ∇F·d + O(ε³) along each kind of unknown, with chips that filter, have a bias and leave channels out,
-/// contact, and nodes that scatter alike.
+/// contact, and nodes that scatter alike; and where a third of the readings are at the end of their range.
 #[test]
 fn the_gradient_of_a_twin_holds_in_every_unknown() {
+    for range in [f64::INFINITY, 0.8] {
+        check_the_gradient(range);
+    }
+}
+
+/// `range`: of each channel's RMS.
+fn check_the_gradient(range: f64) {
     let mut problem = problem(3, 3, 24, 8);
     problem.scene.contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
     problem.solver.accuracy = Accuracy(1e-6);
@@ -140,6 +147,9 @@ fn the_gradient_of_a_twin_holds_in_every_unknown() {
     };
     problem.variation = Some(variation);
     let pool = crate::Pool::new(2).expect("threads");
+    let rms = Trial::new(&problem, &pool).expect("a body").scales.channels;
+    let chips = problem.disturbance.as_mut().expect("chips");
+    chips.range = [range * rms[0], range * rms[1]];
     let trial = Trial::new(&problem, &pool).expect("a body");
     let cast = trial.cast(Casts::Unseen, 0).expect("a variation");
     let (forces, signals) = records(&trial, &cast, 3);
@@ -153,6 +163,8 @@ fn the_gradient_of_a_twin_holds_in_every_unknown() {
     let z = DVector::from_fn(count, |_, _| 0.5 * draw.normal());
     let point = objective.at(z.clone()).expect("a cast that moves");
     objective.weigh(&point);
+    let saturated = chip.map_or(0, |chip| chip.saturated(&signals));
+    assert_eq!(saturated > signals.len() / 6, range.is_finite(), "{saturated} of {}", signals.len());
     let gradient = objective.gradient(&point);
     let kinds: Vec<_> = objective.unknowns.all().iter().map(std::mem::discriminant).collect();
     let mut seen = Vec::new();

@@ -153,6 +153,49 @@ fn the_gradient_over_casts_is_that_of_their_objective() {
     }
 }
 
+/// The same of a network, whose loss is not the error that is told: each part counts by the logarithm of its loss, however loud it is,
+/// so that slopes are those of the logarithms' mean, all by one factor.
+#[test]
+fn a_network_moves_a_body_for_all_parts_of_a_mixture_alike() {
+    let mut problem = mixed(Casting { reader: CastReader::One, ..PARTS });
+    (problem.reader, problem.optimise.brain) = (BrainKind::Network, BrainKind::Network);
+    let Source::Mix(parts) = &mut problem.stimuli.source else { panic!("a mixture") };
+    let Source::Bell(loud) = &mut parts[1].1 else { panic!("bells") };
+    loud.amplitude = [0.5, 1.0]; // of which motion is smooth
+    (problem.optimise.coarse, problem.solver.accuracy) = (None, Accuracy(1e-10));
+    let pool = pool(2);
+    let trial = Trial::new(&problem, &pool).unwrap();
+    let (mut state, mut keeper) = (State::new(&problem), Keeper::default());
+    let mut log = Log::new(0, &mut keeper);
+    let gradient = Session::new(&trial).sense(&mut state, &mut log).unwrap().gradient;
+    let weights: Vec<f64> = state.learnt.weights.iter().map(|w| f64::from(*w)).collect();
+    let (shape, scales) = (problem.shape(), &trial.scales);
+    let mut workspace = Workspace::<f64>::new(shape, pool.width());
+    let mut logarithms = |design: &[f64]| {
+        [0, 1].map(|part| {
+            let forces = problem.part(part, Purpose::Fresh, 0, GOING.batch);
+            let counters = &mut Counters::default();
+            let found = trial.simulate(design, &forces, &problem.solver, false, counters).unwrap();
+            let (x, y) = (scales.inputs(&found.samples.signals), scales.targets(&found.samples.targets));
+            brain::loss(&weights, Data::<f64>::new(shape, &x, &y).all(), &mut workspace, &pool).ln()
+        })
+    };
+    let mut stream = Stream::new(Purpose::Design, 1, [0, 0]);
+    let factors = [0; 3].map(|_| {
+        let direction: Vec<f64> = gradient.iter().map(|_| stream.normal()).collect();
+        let slope: f64 = gradient.iter().zip(&direction).map(|(g, d)| g * d).sum();
+        let [there, back] = [1e-6, -1e-6].map(|step| {
+            logarithms(&problem.initial.iter().zip(&direction).map(|(a, d)| a + step * d).collect::<Vec<_>>())
+        });
+        let own = [0, 1].map(|part| (there[part] - back[part]) / 2e-6);
+        (own, slope / (0.5 * (own[0] + own[1])))
+    });
+    let largest = |part: usize| factors.iter().fold(0.0f64, |most, (own, _)| most.max(own[part].abs()));
+    assert!([0, 1].iter().all(|part| largest(*part) > 1e-3), "{factors:?}");
+    let factors = factors.map(|(_, factor)| factor);
+    assert!(factors.iter().all(|factor| (factor / factors[0] - 1.0).abs() < 1e-2), "{factors:?}");
+}
+
 fn readings(found: &Optimised) -> Vec<(u32, CastBrain, u64)> {
     let bits = |reading: &CastReading| (reading.cast, reading.by, reading.error.unwrap().to_bits());
     found.casts.iter().flatten().map(bits).collect()

@@ -34,6 +34,9 @@ fn the_low_pass_is_butterworths() {
             let (re, im) = (1.0 - x * x, 2f64.sqrt() * x);
             let off = [gain - re.hypot(im).recip(), (phase + im.atan2(re)).sin()];
             assert!(off[0].abs() < 4e-3 && off[1].abs() < 1e-3, "{bandwidth} Hz at {f} Hz: {off:?}");
+            let passes = Disturbance { bandwidth, delay: 2e-3, ..Disturbance::NONE }.passes(f);
+            let (gain, phase) = response(&self::filter(bandwidth, 2e-3), f);
+            assert!((passes - c64::cis(phase) * gain).norm() < 5e-3, "{bandwidth} Hz at {f} Hz: {passes}");
         }
     }
 }
