@@ -70,7 +70,7 @@ fn casts_of_finished_bodies_are_read() {
     for (name, objective, body) in [
         ("initial", "nominal", "initial"),
         ("nominal", "nominal", "optimised"),
-        ("mean, one", "mean", "optimised"),
+        ("mean of casts", "mean", "optimised"),
     ] {
         for by in ["nominal", "casts", "records"] {
             let said = |row: &&Value| row["body"] == name && row["read_by"] == by;
@@ -90,7 +90,7 @@ fn casts_of_finished_bodies_are_read() {
     }
     bench.output(&["report", db, "--out", "r.html"]);
     let page = std::fs::read_to_string(bench.path("r.html")).unwrap();
-    for part in ["<h2 id=\"casts\">", "by one linear brain for all casts: initial ", "mean, one"] {
+    for part in ["<h2 id=\"casts\">", "by one linear brain for all casts: initial ", "mean of casts"] {
         assert!(page.contains(part), "the page lacks {part}");
     }
 

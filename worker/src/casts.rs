@@ -26,7 +26,7 @@ pub fn casts(
     trial.variation = variation.or(trial.variation).and_then(Variation::resolved);
     trial.evaluation.casts = Some(count);
     if trial.variation.is_none() {
-        let why = "it has no [variation] that says how casts scatter; give --variation FILE";
+        let why = "it has no [variation] that says how casts scatter (a trial that reads none, evaluation.casts = 0, is without); give --variation FILE";
         return Err(Failure::Rejected(why.into()));
     }
     let pool = pool(threads)?;

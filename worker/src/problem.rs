@@ -430,9 +430,9 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> 
     let Point { sensors, placement, .. } = trial.point;
     let remedy = format!("the body has {} units where sensors.search may put one", candidates.len());
     require((1..=candidates.len()).contains(&sensors), "sweep.sensors", sensors, &remedy)?;
-    let places = candidates.len().min(CANDIDATES);
-    let of_most = format!("a search has {places} units to begin a placement with");
-    require(placement < places, "sweep.placements", placement + 1, &of_most)?;
+    require(placement < candidates.len(), "sweep.placements", placement + 1, &remedy)?;
+    let of_best = format!("a search begins each placement with another one of its {CANDIDATES} best units");
+    require(placement < CANDIDATES, "sweep.placements", placement + 1, &of_best)?;
     // one after another, row by row: hardly less than would fit at best
     let mut apart: Vec<usize> = Vec::new();
     for &unit in &candidates {

@@ -7,11 +7,10 @@
 //! ```
 //! Sums and not a mean of each trial's share: that has no mean where a trial gains little.
 
-use serde_json::Value;
-
 use super::bodies::{Kept, Trained, bodies};
 use super::data::{Group, groups};
 use super::kinds::is_linear;
+use super::kinds::objective;
 use super::numbers::distinct;
 use super::paired::Ratio;
 use super::trial::{Body, CastBrain, CastReading, Set, Trial};
@@ -51,14 +50,6 @@ pub fn settings<'a>(trials: &[&'a Trial]) -> Vec<Setting<'a>> {
         bodies: bodies(&group.trials, way, |(_, objective)| objective.clone()),
     };
     groups(&cast, &["optimise."]).into_iter().map(setting).collect()
-}
-
-/// The objective over casts that a trial's body was trained for, and whether for one brain or for each cast its own.
-pub fn objective(trial: &Trial) -> Option<String> {
-    let text = |path: &str| trial.setting.get(path).and_then(Value::as_str);
-    let tail = trial.setting.get("optimise.objective.cvar").map(|q| format!("cvar {q}"));
-    let objective = tail.or_else(|| text("optimise.objective").map(str::to_owned))?;
-    Some(format!("{objective}, {}", text("optimise.reader").unwrap_or("one")))
 }
 
 impl Trained<'_> {

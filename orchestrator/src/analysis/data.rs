@@ -257,8 +257,12 @@ fn label(key: &Key, own: &[String; 2], one_kind: bool, differ: [&HashSet<&str>; 
         });
     }
     for (path, value) in key {
-        let told =
-            path.starts_with("point.") || path.ends_with("panel_units") || SIZES.contains(&path.as_str());
+        // a material says what it gives
+        let given = path == "body.density" || path.starts_with("body.stiffness.");
+        let told = path.starts_with("point.")
+            || path.ends_with("panel_units")
+            || SIZES.contains(&path.as_str())
+            || given && at(key, "body.material.thickness").is_some();
         let apart = match path.as_str() {
             path if of_brains(path) => alike.contains(path),
             path if path.starts_with("stimuli.") && path != "stimuli.kind" => struck.contains(path),

@@ -22,14 +22,26 @@ pub fn brains(trial: &Trial) -> [String; 2] {
         },
         None => network(trial),
     };
-    let with = match text("optimise.brain") {
+    let mut with = match text("optimise.brain") {
         Some(kind) => kind.to_owned(),
         None => network(trial),
     };
+    with.extend(objective(trial).map(|over| format!(", {over}")));
     match text("optimise.protocol") {
         None | Some("joint") => [own, with],
         Some(protocol) => [own, format!("{with} ({protocol})")],
     }
+}
+
+/// The objective over casts, or over the parts of a mixture, that a trial's body was trained for, and whether a brain each read them.
+pub fn objective(trial: &Trial) -> Option<String> {
+    let text = |path: &str| trial.setting.get(path).and_then(Value::as_str);
+    let tail = trial.setting.get("optimise.objective.cvar").map(|q| format!("cvar {q}"));
+    let objective = tail.or_else(|| text("optimise.objective").map(str::to_owned))?;
+    let varies = || trial.setting.leaves().keys().any(|path| path.starts_with("variation"));
+    let of = if text("stimuli.kind") == Some("mix") && !varies() { "parts" } else { "casts" };
+    let each = if text("optimise.reader") == Some("each") { ", a brain each" } else { "" };
+    Some(format!("{objective} of {of}{each}"))
 }
 
 /// Whether the trial's own brain is the linear one.

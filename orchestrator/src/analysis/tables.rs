@@ -80,10 +80,10 @@ impl Question {
                 "Holdout error (%, geometric mean): the brain that the optimised body was trained with, the brain that reads it, and its memory (s before and after)"
             }
             Self::Casts => {
-                "Error (%) on casts that no training has seen, by body and by the brain that reads them (fitted to the body as designed, to other casts, or to records of each cast): median and 90th percentile over casts, geometric means over trials; kept: ln(initial/trained) over casts by that as designed (95 % intervals)"
+                "Error (%) on casts that no training has seen, by body and by the brain that reads them (fitted to the body as designed, to other casts, or to records of each cast): median and 90th percentile over casts, geometric means over trials; kept: the gain on casts as a part of the gain as designed, in logarithms (95 % intervals)"
             }
             Self::Transfer => {
-                "Holdout error (%, geometric mean) under a kind of forces, by the body and by the brain: fitted under these forces (own), or under those that trained the body (carried); kept: ln(initial/trained) over that of the body trained under this kind, by brains fitted under it (95 % intervals)"
+                "Holdout error (%, geometric mean) under a kind of forces, by the body and by the brain: fitted under these forces (own), or under those that trained the body (carried); kept: the gain as a part of that of the body trained under this kind, in logarithms, by brains fitted under it (95 % intervals)"
             }
             Self::Iterations => {
                 "Iterations on the initial over those on the optimised body, to equal holdout error and training loss"
@@ -361,8 +361,10 @@ pub fn verdict_text(verdict: Verdict) -> String {
         Verdict::At(m) => format!("elbow at M = {m}"),
         Verdict::NoElbow => "no elbow".into(),
         Verdict::Undecided(m) => format!("undecided, most votes for M = {m}"),
-        Verdict::WithoutVote(Some(m)) => format!("elbow at M = {m} by the fit, units too few for votes"),
-        Verdict::WithoutVote(None) => "no elbow by the fit, units too few for votes".into(),
+        Verdict::WithoutVote(Some(m)) => {
+            format!("elbow at M = {m} by the fit, too few placements or seeds to vote")
+        }
+        Verdict::WithoutVote(None) => "no elbow by the fit, too few placements or seeds to vote".into(),
     }
 }
 

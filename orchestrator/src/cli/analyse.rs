@@ -67,7 +67,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
                         let empty = table.columns.iter().filter(|c| !shown.columns.contains(c));
                         let empty: Vec<&str> = empty.map(String::as_str).collect();
                         if !empty.is_empty() && !table.rows.is_empty() {
-                            print_line!("left out, as nothing stands there yet: {}", empty.join(", "))?;
+                            print_line!("columns without values are left out: {}", empty.join(", "))?;
                         }
                     }
                 }

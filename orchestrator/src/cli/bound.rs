@@ -9,6 +9,9 @@ use serde_json::{Value, json};
 
 use super::named::{Database, Designed};
 use super::{Error, Format, print_rows};
+use crate::analysis::kinds::brains;
+use crate::analysis::setting::flatten;
+use crate::analysis::trial;
 use crate::exit::Exit;
 use crate::look::{Table, short_hash};
 use crate::store::Reader;
@@ -92,18 +95,19 @@ async fn achieved(
 ) -> Result<Vec<Vec<Value>>, Error> {
     let scene = scene(&json!(trial));
     let trials = Reader::asked(Database::at(db).await?, async |reader| -> Result<_, Error> {
-        let sql =
-            "SELECT hash, spec, brain, trained_with, holdout_error_initial, linear_holdout_error_initial,
+        let sql = "SELECT hash, spec, brain, holdout_error_initial, linear_holdout_error_initial,
                      holdout_error_optimised, linear_holdout_error_optimised
                    FROM v_trial WHERE state = 'done' ORDER BY trained_with, brain, hash";
         let mut found = Vec::new();
         for row in reader.query::<Table>(sql).await?.rows {
             let text = |i: usize| row[i].as_str().unwrap_or_default().to_owned();
             let own: Value = serde_json::from_str(&text(1)).unwrap_or_default();
+            let setting = flatten(&own).into_iter().collect();
+            let [_, with] = brains(&trial::Trial { setting, ..trial::Trial::default() });
             if self::scene(&own) == scene
                 && let Some(stored) = reader.stored(&text(0)).await?
             {
-                found.push((stored, [text(2), text(3)], row[4..].to_vec()));
+                found.push((stored, [text(2), with], row[3..].to_vec()));
             }
         }
         Ok(found)

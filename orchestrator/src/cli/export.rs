@@ -62,12 +62,12 @@ pub(super) struct Args {
     /// Which body, for npy, svg, dxf, stl, c, onnx and device
     #[arg(long, value_enum, default_value = "optimised")]
     body: Which,
-    /// Width of a ligament (mm), for dxf, stl and device
-    #[arg(long, default_value_t = 1.0)]
-    ligament_width: f64,
-    /// Height of the cast body (mm), for stl and device
-    #[arg(long, default_value_t = 10.0)]
-    height: f64,
+    /// Width of a ligament (mm), for dxf, stl and device [default: body.material's; 1 without]
+    #[arg(long)]
+    ligament_width: Option<f64>,
+    /// Height of the cast body (mm), for stl and device [default: body.material's thickness; 10 without]
+    #[arg(long)]
+    height: Option<f64>,
     /// Thickness of the mould's floor and rim (mm), for stl and device
     #[arg(long, default_value_t = 3.0)]
     wall: f64,
@@ -132,9 +132,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 fn trial(stored: &Stored, args: &Args) -> Result<(), Error> {
     let which = args.body as usize;
     let body = &drawing(&stored.specs[which], &stored.designs[which]).map_err(unreadable(stored))?;
+    let [width, height] = section(stored, args);
     for (name, value, least) in [
-        ("ligament-width", args.ligament_width, MEASURES.0),
-        ("height", args.height, MEASURES.0),
+        ("ligament-width", width, MEASURES.0),
+        ("height", height, MEASURES.0),
         ("wall", args.wall, MEASURES.0),
         ("clearance", args.clearance, 0.0),
     ] {
@@ -150,7 +151,7 @@ fn trial(stored: &Stored, args: &Args) -> Result<(), Error> {
         Form::Svg => picture(stored, body, args),
         Form::C => in_c(stored, args, &brain(stored, args)?)?,
         Form::Onnx => onnx::onnx(stored, which, &brain(stored, args)?)?,
-        Form::Dxf => outlines(body, args),
+        Form::Dxf => outlines(stored, body, args),
         Form::Stl => {
             let (cavity, measures) = cavity(stored, body, args)?;
             mould::stl(&cavity, &measures)
@@ -181,7 +182,7 @@ fn device(stored: &Stored, body: &Drawing, args: &Args) -> Result<(), Error> {
     let notes = notes(stored, which, body, (&cavity, &measures), (head, fit));
     let mut files = vec![
         ("mould.stl", mould::stl(&cavity, &measures)),
-        ("body.dxf", outlines(body, args)),
+        ("body.dxf", outlines(stored, body, args)),
         ("body.svg", picture(stored, body, args)),
         ("design.npy", design(stored, args)),
         ("README.md", notes.into_bytes()),
@@ -201,8 +202,16 @@ fn picture(stored: &Stored, body: &Drawing, args: &Args) -> Vec<u8> {
     sketch(body, &[]).file(&title).into_bytes()
 }
 
-fn outlines(body: &Drawing, args: &Args) -> Vec<u8> {
-    dxf::dxf(body, args.ligament_width, 0.17 * body.spacing).into_bytes()
+fn outlines(stored: &Stored, body: &Drawing, args: &Args) -> Vec<u8> {
+    let [width, _] = section(stored, args);
+    dxf::dxf(body, width, 0.17 * body.spacing).into_bytes()
+}
+
+/// Width and height of a ligament (mm): as asked for, or as the spec's material has them.
+fn section(stored: &Stored, args: &Args) -> [f64; 2] {
+    let own = stored.specs[args.body as usize].body.material;
+    let width = args.ligament_width.or(own.map(|m| m.ligament_width)).unwrap_or(1.0);
+    [width, args.height.or(own.map(|m| m.thickness)).unwrap_or(10.0)]
 }
 
 /// The brain, and its body read once more.
@@ -213,7 +222,7 @@ fn brain(stored: &Stored, args: &Args) -> Result<(Replay, Own), Error> {
     }
     let fit = args.reader.unwrap_or(Fit::Design);
     if fit == Fit::Casts && stored.specs[which].variation.is_none() {
-        let what = "--reader casts: the trial has no [variation] that says how casts scatter";
+        let what = "--reader casts: the trial has no [variation] that says how casts scatter (one that reads none, evaluation.casts = 0, is without)";
         return Err(Error::Usage(what.into()));
     }
     Ok(brain_of(stored, which, fit, args.threads)?)
@@ -238,7 +247,7 @@ fn has_form(stored: &Stored, which: usize) -> bool {
 
 /// What of a mould is left for the body; says what to know of it.
 fn cavity(stored: &Stored, body: &Drawing, args: &Args) -> Result<(Outline, Mould), Error> {
-    let (width, height) = (args.ligament_width, args.height);
+    let [width, height] = section(stored, args);
     let (clearance, pocket) = (args.clearance, args.pocket);
     if let Some([_, _, depth]) = pocket.filter(|pocket| pocket[2] >= height) {
         let what = format!("--pocket {depth} mm deep: must be less than the body's --height {height}");

@@ -64,7 +64,8 @@ fn name_brains(table: &mut Table, plan: &Plan) {
     let [read, trained, hash] = ["brain", "trained_with", "hash"].map(|name| table.column(name));
     for row in &mut table.rows {
         let Some(spec) = row[hash].as_str().and_then(|hash| specs.get(hash)) else { continue };
-        let of = json!({ "brain": spec.brain, "optimise": spec.optimise });
+        let of = json!({ "brain": spec.brain, "optimise": spec.optimise, "variation": spec.variation,
+            "stimuli": { "kind": spec.stimuli.kind } });
         let names = known.entry(of.to_string()).or_insert_with(|| {
             let setting = flatten(&of).into_iter().collect();
             brains(&trial::Trial { setting, ..trial::Trial::default() })

@@ -71,6 +71,9 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
             args.what.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ")
         )));
     }
+    if let Some(missing) = args.what.iter().find(|path| !path.exists()) {
+        return Err(Error::Usage(format!("{}: there is no such database or folder", missing.display())));
+    }
     if args.control && !args.listen.is_loopback() {
         return Err(Error::Usage(
             "--control is for this machine's own address: what goes to another can be read on the way; ssh -L brings it there".into(),

@@ -43,9 +43,17 @@ pub fn notes(
     ));
     if let Some(density) = spec.body.density {
         let grams = 1e6 * density * drawing.area();
+        let own =
+            spec.body.material.filter(|m| (m.ligament_width, m.thickness) == (mould.width, mould.height));
+        let of = match own {
+            Some(_) => ", that of its `body.material`, which has these measures",
+            None => {
+                ". Another one, or another height, is another body: put its numbers into `[body]` (`body.material`) and train \
+                 again, or identify it (below)"
+            }
+        };
         lines.push(format!(
-            "- The model's units weigh {} g in all: of a material of {} g/ml. Another one, or another height, is another body: \
-             put its numbers into `[body]` (`body.material`) and train again, or identify it (below).",
+            "- The model's units weigh {} g in all: of a material of {} g/ml{of}.",
             number(grams),
             number(1e3 * grams / (drawing.area() * mould.height))
         ));

@@ -7,7 +7,7 @@
 //! share, and k_θ ~ E t w³/l. So the disc keeps its mass and what it opposes to being deformed, and its units alone
 //! become smaller. A material's formulas (`problem::sheet`) meet the lengths as they are written.
 
-use metasense_schemas::spec::{LayoutKind, SweepSpec};
+use metasense_schemas::spec::{Body, LayoutKind, SweepSpec};
 use metasense_worker::problem::{Invalid, sheet};
 
 /// The spec with the lengths that `body.diameter` or `body.width` asks for and with what `body.material` gives, and s.
@@ -15,7 +15,9 @@ use metasense_worker::problem::{Invalid, sheet};
 /// # Errors
 /// Where it is no length, or the other layout's; where there is no material, or it is given twice.
 pub(super) fn of_size(spec: &SweepSpec) -> Result<(SweepSpec, f64), Invalid> {
-    let mut spec = SweepSpec { body: sheet(&spec.body)?, ..spec.clone() };
+    // the material stays beside what follows from it: it says what to cast
+    let body = Body { material: spec.body.material, ..sheet(&spec.body)? };
+    let mut spec = SweepSpec { body, ..spec.clone() };
     let body = &mut spec.body;
     let (own, other, remedy) = match body.layout {
         LayoutKind::Circular => (

@@ -230,9 +230,9 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
 }
 
 fn decision(decision: &Decision) -> String {
-    let votes = decision
-        .share(decision.at)
-        .map_or("units too few for votes".into(), |share| format!("{:.0} % of votes", 100.0 * share));
+    let votes = decision.share(decision.at).map_or("too few placements or seeds to vote".into(), |share| {
+        format!("{:.0} % of votes", 100.0 * share)
+    });
     let hangs = match decision.without_largest == decision.at {
         true => "the same without the largest M".into(),
         false => format!("{} without the largest M", decision.without_largest),

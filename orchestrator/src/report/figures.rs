@@ -1,7 +1,6 @@
 //! The figures that the analysis alone can draw.
 
 use super::answers::interval;
-use crate::analysis::casts::objective;
 use crate::analysis::data::{
     COMPLEXITY, FREEDOM, Group, SENSORS, TRAINING, groups, levels, observations, places,
 };
@@ -385,8 +384,7 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
         let told = |way: &Group| {
             let [_, with] = brains(way.trials[0]);
             let protocol = Some(way.trials[0].protocol()).filter(|name| *name != "joint").unwrap_or_default();
-            let objective = objective(way.trials[0]).map_or(String::new(), |over| format!(", {over}"));
-            format!("{protocol} {with}{objective}").trim().to_owned()
+            format!("{protocol} {with}").trim().to_owned()
         };
         let texts: Vec<String> = ways.iter().filter(|_| ways.len() > 1).map(told).collect();
         let mut plot = Plot::new(&group.label, x, y).with_room(texts.iter().map(String::as_str));

@@ -67,13 +67,16 @@ impl TrialSpec {
     ///
     /// A key added to the spec later must be left out of the JSON at its default (`skip_serializing_if`), so that the
     /// trials of older databases keep their names.
-    /// Recorded stimuli count by their digest, not by the paths of their files.
+    /// Recorded stimuli count by their digest, not by the paths of their files; a material by the stiffnesses and the mass that it gives.
     #[must_use]
     pub fn hash(&self) -> String {
         let mut text = String::with_capacity(2048);
         let mut value = serde_json::to_value(self).expect("a trial is JSON");
         if let Some(recorded) = value.pointer_mut("/stimuli/recorded").and_then(|r| r.as_object_mut()) {
             recorded.remove("files");
+        }
+        if let Some(body) = value.pointer_mut("/body").and_then(|body| body.as_object_mut()) {
+            body.remove("material");
         }
         write_canonical(&value, &mut text);
         blake3::hash(text.as_bytes()).to_hex()[..32].to_owned()
@@ -90,7 +93,8 @@ impl TrialSpec {
     #[must_use]
     pub fn body_digest(&self, design: &[f64]) -> String {
         let mut text = String::with_capacity(2048);
-        let value = serde_json::json!([self.body, self.sensor_units, design]);
+        let body = Body { material: None, ..self.body.clone() };
+        let value = serde_json::json!([body, self.sensor_units, design]);
         write_canonical(&value, &mut text);
         blake3::hash(text.as_bytes()).to_hex()[..32].to_owned()
     }

@@ -49,10 +49,15 @@ pub fn sheet(body: &spec::Body) -> Result<spec::Body, Invalid> {
     })
 }
 
-/// Mass per area and stiffnesses, checked with what else there is of a material.
+/// Mass per area and stiffnesses, checked with what else there is of a material. A trial has them beside the material that they are of.
 pub(super) fn material(body: &spec::Body) -> Result<(f64, Stiffness), Invalid> {
-    let sheet = sheet(body)?;
-    let (density, stiffness) = sheet.density.zip(sheet.stiffness).expect("a sheet has both");
+    let (density, stiffness) = match body.density.zip(body.stiffness) {
+        Some(both) => both,
+        None => {
+            let sheet = sheet(body)?;
+            sheet.density.zip(sheet.stiffness).expect("a sheet has both")
+        }
+    };
     let spec::Stiffness { stretch, shear, bend } = stiffness;
     positive("body.density", density)?;
     not_negative("body.damping_ratio", body.damping_ratio)?;

@@ -58,8 +58,8 @@ fn gains_over_casts_are_told_by_body_and_brain() {
     let expected = [
         ("initial", 4),
         ("nominal", 4),
-        ("mean, one, iterations = 225", 4),
-        ("mean, one, iterations = 75", 4),
+        ("mean of casts, iterations = 225", 4),
+        ("mean of casts, iterations = 75", 4),
     ];
     assert_eq!(names, expected);
     assert_eq!(bodies[1].brains(), [CastBrain::Casts, of_records]);

@@ -235,9 +235,10 @@ impl Fit {
     /// What was found, and how well it is known.
     fn tell(&mut self, objective: &Objective, point: &Point, columns: &Columns) {
         let (unknowns, [left, _]) = (&objective.unknowns, objective.noises(point));
-        let known = objective.known_noise().unwrap_or_else(|| left.clone());
-        let squares: f64 = left.iter().zip(&known).map(|(left, known)| (left / known).powi(2)).sum();
-        self.twin.misfit = (squares / left.len() as f64).sqrt();
+        self.twin.misfit = objective.known_noise().map_or(1.0, |known| {
+            let squares: f64 = left.iter().zip(&known).map(|(left, known)| (left / known).powi(2)).sum();
+            (squares / left.len() as f64).sqrt()
+        });
         self.twin.noise.clone_from(&objective.noise);
         self.twin.cast = unknowns.cast(point.z.as_slice());
         let covariance =
