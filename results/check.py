@@ -321,6 +321,8 @@ SETTINGS = {
     "the middle": {}, "without noise": dict(noise="0.0"), "10 % noise": dict(noise="0.1"),
     "a quarter of the damping": dict(damping_ratio="0.005"), "60 samples in place of 150": dict(samples="60"),
     "pulses of 20 to 80 ms": dict(width="[0.02,0.08]"), "4 columns in place of 8": dict(columns="4"),
+    "four times the damping": dict(damping_ratio="0.08"), "400 samples in place of 150": dict(samples="400"),
+    "14 columns in place of 8": dict(columns="14"),
 }
 
 
@@ -342,12 +344,17 @@ def chance(t, free):
 
 def rated(all_values, shown, words):
     """Values by seed with their interval and what they say; a star where one stands beside all others (Holm)."""
-    chances = [chance(sum(x) / spread(x) / math.sqrt(len(x)), len(x) - 1) for x in all_values]
+    return rated_each([(x, shown, words) for x in all_values])
+
+
+def rated_each(all_values):
+    """The same, each in its own way."""
+    chances = [chance(sum(x) / spread(x) / math.sqrt(len(x)), len(x) - 1) for x, _, _ in all_values]
     order, corrected, most = sorted(range(len(chances)), key=chances.__getitem__), {}, 0
     for rank, n in enumerate(order):
         corrected[n] = most = max(most, (len(chances) - rank) * chances[n])
-    told = ["open" if chances[n] > 0.05 else words[sum(x) < 0] for n, x in enumerate(all_values)]
-    return [f"{interval(x, shown)}: {told[n]}{'*' if corrected[n] <= 0.05 else ''}" for n, x in enumerate(all_values)]
+    told = ["open" if chances[n] > 0.05 else words[sum(x) < 0] for n, (x, _, words) in enumerate(all_values)]
+    return [f"{interval(x, shown)}: {told[n]}{'*' if corrected[n] <= 0.05 else ''}" for n, (x, shown, _) in enumerate(all_values)]
 
 
 def four_forces_map():
@@ -446,6 +453,37 @@ def sizes(name, file):
         errors = ", ".join(short(geometric(numbers(kind(way, u), column))) for u in units) + " %"
         gains = [interval(gain(kind(way, u)), math.exp) if column == TRAINED else "" for u in ("16", "100")]
         yield line[1:], [errors, said, *gains]
+
+
+def eight_forces_map():
+    brains, found = {"linear brain": "linear", "the paper's network": "cnn"}, []
+    for brain in brains.values():
+        of = lambda m: rows("eight-forces-map/trials.csv", brain=brain, sensors=m)
+        found += [less(logs(of(m), INITIAL), logs(of("4"), TRAINED)) for m in "46"]
+    told = rated(found, math.exp, ("holds", "fails"))
+    for n, line in enumerate(table("eight forces map")):
+        of = rows("eight-forces-map/trials.csv", brain=brains[line[0]])
+        shares = ends(of)[0][2]
+        yield line[1:], [errors_by_sensors(of), f"{votes_in_words(shares)}: {IN_MAP[verdict(shares, 4, False)]}", *told[2 * n : 2 * n + 2]]
+
+
+def disc_map():
+    columns, ties = ("5", "6", "8", "10", "12"), ("[6,6]", "[3,3]", "[2,2]")
+    kind = lambda columns, tie="": rows("disc-map/trials.csv", columns=columns, tie=tie)
+    x = [math.log(int(c)) for c in columns]
+    x = [value - sum(x) / 5 for value in x]
+    slopes = []
+    for column in (INITIAL, TRAINED):
+        errors = [logs(kind(c), column) for c in columns]
+        slopes.append([sum(a * e[seed] for a, e in zip(x, errors)) / sum(a * a for a in x) for seed in range(len(errors[0]))])
+    tied = [less(logs(kind("12", tie), TRAINED), logs(kind("12"), TRAINED)) for tie in ties]
+    told = rated_each([*((s, lambda v: v, ("fails", "holds")) for s in slopes), *((t, math.exp, ("holds", "fails")) for t in tied)])
+    errors = lambda column: ", ".join(short(geometric(numbers(kind(c), column))) for c in columns) + " %"
+    lines = table("disc map")
+    yield lines[0][1:], [errors(INITIAL), told[0], "", "", ""]
+    yield lines[1][1:], [errors(TRAINED), told[1], "", *(interval(gain(kind(c)), math.exp) for c in ("5", "12"))]
+    for n, tie in enumerate(ties):
+        yield lines[2 + n][1:], [short(geometric(numbers(kind("12", tie), TRAINED))) + " %", "", told[2 + n], "", ""]
 
 
 def size_map():
@@ -647,7 +685,7 @@ def relaxing():
         yield line[1:], [cell(*by) for by in [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")]]
 
 
-CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, four_forces_map_network, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
+CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

@@ -74,6 +74,8 @@ const BLOCKS: &[(&str, Render)] = &[
     ("elbow law asked", elbow_law::asked),
     ("four forces map", map::four_forces),
     ("four forces map network", map::four_forces_network),
+    ("eight forces map", map::eight_forces),
+    ("disc map", map::discs),
     ("random bodies map", map::random_bodies),
     ("blows map", map::blows),
     ("size map", map::sizes),

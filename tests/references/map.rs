@@ -19,7 +19,7 @@ const MIDDLE: [(&str, &str); 5] = [
 ];
 
 /// What is moved, in words.
-const SETTINGS: [(&str, &str, &str); 7] = [
+const SETTINGS: [(&str, &str, &str); 10] = [
     ("the middle", "noise", "0.03"),
     ("without noise", "noise", "0.0"),
     ("10 % noise", "noise", "0.1"),
@@ -27,6 +27,9 @@ const SETTINGS: [(&str, &str, &str); 7] = [
     ("60 samples in place of 150", "samples", "60"),
     ("pulses of 20 to 80 ms", "width", "[0.02,0.08]"),
     ("4 columns in place of 8", "columns", "4"),
+    ("four times the damping", "damping_ratio", "0.08"),
+    ("400 samples in place of 150", "samples", "400"),
+    ("14 columns in place of 8", "columns", "14"),
 ];
 
 /// Of a setting, in logarithms and by seed: few beat many, placements in per cent and in logarithms, training.
@@ -63,15 +66,20 @@ fn chance(values: &[f64]) -> f64 {
 
 /// Values by seed, shown with their interval and one of two words: above 0, below; a star where one stands beside all others (Holm).
 fn rated(all: &[Vec<f64>], shown: fn(f64) -> f64, words: [&str; 2]) -> Vec<String> {
-    let plain: Vec<f64> = all.iter().map(|values| chance(values)).collect();
+    rated_each(&all.iter().map(|values| (values.clone(), shown, words)).collect::<Vec<_>>())
+}
+
+/// The same, each in its own way.
+fn rated_each(all: &[(Vec<f64>, fn(f64) -> f64, [&str; 2])]) -> Vec<String> {
+    let plain: Vec<f64> = all.iter().map(|(values, ..)| chance(values)).collect();
     let corrected = holm(&plain);
-    let cell = |(at, values): (usize, &Vec<f64>)| {
+    let cell = |(at, (values, shown, words)): (usize, &(Vec<f64>, fn(f64) -> f64, [&str; 2]))| {
         let told = match plain[at] <= 0.05 {
             true => words[usize::from(mean(values).unwrap() < 0.0)],
             false => "open",
         };
         let star = if corrected[at] <= 0.05 { "*" } else { "" };
-        format!("{}: {told}{star}", with_interval(values, shown))
+        format!("{}: {told}{star}", with_interval(values, *shown))
     };
     all.iter().enumerate().map(cell).collect()
 }
@@ -119,6 +127,84 @@ fn four_forces_of(file: &str, settings: &[(&str, &str, &str)]) -> String {
         "trained by untrained, two sensors",
     ];
     table(&head, settings.iter().enumerate().map(line))
+}
+
+/// A line a brain: errors of eight forces, where the fall ends, and what four trained sensors are beside four and six untrained.
+pub fn eight_forces() -> String {
+    let all = rows("eight-forces-map/trials.csv");
+    let brains = [("linear", "linear brain"), ("cnn", "the paper's network")];
+    let error = |brain, sensors, body| logs(&all, &[("brain", brain), ("sensors", sensors)], body);
+    let of_brain =
+        |(brain, _)| ["4", "6"].map(|m| less(error(brain, m, INITIAL), &error(brain, "4", TRAINED)));
+    let said = rated(&brains.map(of_brain).concat(), f64::exp, ["holds", "fails"]);
+    let line = |(b, (brain, words_of)): (usize, (&str, &str))| {
+        let curve = curve(of(&all, &[("brain", brain)]), "optimised");
+        let votes = by_fall(&curve);
+        let fall = format!("{}: {}", words(&votes), in_map(verdict(&votes, 4.0, false)));
+        [vec![words_of.to_owned(), errors(&curve), fall], said[2 * b..][..2].to_vec()].concat()
+    };
+    let head = [
+        "read by",
+        "error with 1, 2, 3, 4, 6 sensors",
+        "nine tenths of the fall: with four",
+        "trained by untrained, four sensors",
+        "four trained by six untrained",
+    ];
+    table(&head, brains.into_iter().enumerate().map(line))
+}
+
+/// A disc that is cut finer, and the finest tied in blocks: errors, slopes of ln(error) on ln(columns), errors by that of the untied.
+pub fn discs() -> String {
+    let all = rows("disc-map/trials.csv");
+    let columns = ["5", "6", "8", "10", "12"];
+    let ties = ["[6,6]", "[3,3]", "[2,2]"];
+    let of_kind = |columns, tie| [("columns", columns), ("tie", tie)];
+    let x = columns.map(|columns| columns.parse::<f64>().unwrap().ln());
+    let centred = x.map(|value| value - mean(&x).unwrap());
+    let power: f64 = centred.iter().map(|x| x * x).sum();
+    let slopes = [INITIAL, TRAINED].map(|column| {
+        let errors = columns.map(|columns| logs(&all, &of_kind(columns, ""), column));
+        let slope = |seed: usize| centred.iter().zip(&errors).map(|(x, e)| x * e[seed]).sum::<f64>() / power;
+        (0..errors[0].len()).map(slope).collect::<Vec<f64>>()
+    });
+    let untied = logs(&all, &of_kind("12", ""), TRAINED);
+    let tied = ties.map(|tie| less(logs(&all, &of_kind("12", tie), TRAINED), &untied));
+    let plain: fn(f64) -> f64 = |x| x;
+    let all_of = slopes
+        .into_iter()
+        .map(|slope| (slope, plain, ["fails", "holds"]))
+        .chain(tied.into_iter().map(|ratio| (ratio, f64::exp as fn(f64) -> f64, ["holds", "fails"])));
+    let said = rated_each(&all_of.collect::<Vec<_>>());
+    let error =
+        |columns, tie, column| geometric(of(&all, &of_kind(columns, tie)).map(|row| number(row, column)));
+    let errors = |column| columns.map(|columns| error(columns, "", column)).join(", ") + " %";
+    let gain_of = |columns| with_interval(&gain(&all, &of_kind(columns, "")), f64::exp);
+    let none = String::new;
+    let mut lines = vec![
+        vec!["untrained".to_owned(), errors(INITIAL), said[0].clone(), none(), none(), none()],
+        vec!["trained".to_owned(), errors(TRAINED), said[1].clone(), none(), gain_of("5"), gain_of("12")],
+    ];
+    let blocks = ["6 × 6", "3 × 3", "2 × 2"].iter().zip(ties).zip(&said[2..]);
+    lines.extend(blocks.map(|((block, tie), said)| {
+        let error = error("12", tie, TRAINED) + " %";
+        vec![
+            format!("trained, 12 columns tied in blocks of {block}"),
+            error,
+            none(),
+            said.clone(),
+            none(),
+            none(),
+        ]
+    }));
+    let head = [
+        "",
+        "error with 5, 6, 8, 10, 12 columns",
+        "slope of ln(error) on ln(columns)",
+        "error by that of the untied",
+        "gain with 5",
+        "with 12",
+    ];
+    table(&head, lines)
 }
 
 /// A verdict on a law as one on a claim.
