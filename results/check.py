@@ -468,10 +468,10 @@ def eight_forces_map():
 
 
 def disc_map():
-    columns, ties = ("5", "6", "8", "10", "12"), ("[6,6]", "[3,3]", "[2,2]")
+    columns, ties = ("5", "8", "12"), ("[6,6]", "[3,3]")
     kind = lambda columns, tie="": rows("disc-map/trials.csv", columns=columns, tie=tie)
     x = [math.log(int(c)) for c in columns]
-    x = [value - sum(x) / 5 for value in x]
+    x = [value - sum(x) / 3 for value in x]
     slopes = []
     for column in (INITIAL, TRAINED):
         errors = [logs(kind(c), column) for c in columns]

@@ -156,8 +156,8 @@ pub fn eight_forces() -> String {
 /// A disc that is cut finer, and the finest tied in blocks: errors, slopes of ln(error) on ln(columns), errors by that of the untied.
 pub fn discs() -> String {
     let all = rows("disc-map/trials.csv");
-    let columns = ["5", "6", "8", "10", "12"];
-    let ties = ["[6,6]", "[3,3]", "[2,2]"];
+    let columns = ["5", "8", "12"];
+    let ties = ["[6,6]", "[3,3]"];
     let of_kind = |columns, tie| [("columns", columns), ("tie", tie)];
     let x = columns.map(|columns| columns.parse::<f64>().unwrap().ln());
     let centred = x.map(|value| value - mean(&x).unwrap());
@@ -184,7 +184,7 @@ pub fn discs() -> String {
         vec!["untrained".to_owned(), errors(INITIAL), said[0].clone(), none(), none(), none()],
         vec!["trained".to_owned(), errors(TRAINED), said[1].clone(), none(), gain_of("5"), gain_of("12")],
     ];
-    let blocks = ["6 × 6", "3 × 3", "2 × 2"].iter().zip(ties).zip(&said[2..]);
+    let blocks = ["6 × 6", "3 × 3"].iter().zip(ties).zip(&said[2..]);
     lines.extend(blocks.map(|((block, tie), said)| {
         let error = error("12", tie, TRAINED) + " %";
         vec![
@@ -198,7 +198,7 @@ pub fn discs() -> String {
     }));
     let head = [
         "",
-        "error with 5, 6, 8, 10, 12 columns",
+        "error with 5, 8, 12 columns",
         "slope of ln(error) on ln(columns)",
         "error by that of the untied",
         "gain with 5",

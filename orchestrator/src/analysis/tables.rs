@@ -466,7 +466,9 @@ pub(crate) fn nonlinear(trials: &[&Trial], body: Body, kind: usize) -> Vec<f64> 
 
 /// Trials that differ in size, and trials of one size that differ in freedom.
 fn by_parameters<'a>(trials: &[&'a Trial]) -> Curves<'a> {
-    let found = [COMPLEXITY, FREEDOM].into_iter().flat_map(|but| groups(trials, but)).collect();
+    let mut found = groups(trials, COMPLEXITY);
+    // those that do not differ in it stand there already
+    found.extend(groups(trials, FREEDOM).into_iter().filter(|group| group.varies(|t| t.design_parameters)));
     with_curves(found, |t| t.design_parameters)
 }
 

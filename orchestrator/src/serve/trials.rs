@@ -67,7 +67,10 @@ impl Row {
             ("state", _) => text(&self.state),
             ("reason", _) => text(&self.reason),
             (_, Some(i)) => self.numbers[i].into(),
-            (_, None) => self.setting.get(key).cloned().unwrap_or_default(),
+            (_, None) => match self.setting.get(key) {
+                Some(value) => value.clone(),
+                None => USUAL.iter().find(|(usual, _)| *usual == key).map(|(_, value)| *value).into(),
+            },
         }
     }
 
@@ -208,6 +211,9 @@ impl Keeper {
     }
 }
 
+/// What a trial does not say where it is so.
+const USUAL: [(&str, &str); 2] = [("brain.kind", "cnn"), ("optimise.objective", "nominal")];
+
 /// A condition on a key.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Term {
@@ -274,13 +280,17 @@ impl Trials {
     /// # Errors
     /// With the term that is none, or whose key no trial has: a misspelt one must not be one that differs from everything.
     pub fn chosen(&self, text: &str) -> Result<Vec<&Arc<Row>>, String> {
+        Ok(self.found(&self.sound(text)?, ""))
+    }
+
+    /// Conditions that mean something here.
+    fn sound(&self, text: &str) -> Result<Vec<Term>, String> {
         let terms = terms(text)?;
         let has = |key: &str| key == "reason" || self.rows.iter().any(|row| !row.cell(key).is_null());
         if let Some(term) = terms.iter().find(|term| !self.rows.is_empty() && !has(&term.key)) {
             return Err(format!("no trial has `{}`: it is no column and no path of a spec here", term.key));
         }
-        self.all_comparable(&terms)?;
-        Ok(self.found(&terms, ""))
+        self.all_comparable(&terms).map(|()| terms)
     }
 
     /// A number is not compared with what is none: `M<3,5` would hold of anything.
@@ -303,7 +313,7 @@ impl Trials {
 
     /// Those that meet the terms of a text, sorted by a key; none, and what is wrong, where it holds something else.
     pub fn asked(&self, text: &str, sort: &str) -> (Vec<&Arc<Row>>, Option<String>) {
-        match terms(text).and_then(|terms| self.all_comparable(&terms).map(|()| terms)) {
+        match self.sound(text) {
             Ok(terms) => (self.found(&terms, sort), None),
             Err(wrong) => (Vec::new(), Some(wrong)),
         }

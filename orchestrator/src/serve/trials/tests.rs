@@ -37,6 +37,9 @@ fn terms_choose_and_keys_sort() {
         ("optimise.brain=linear", "", "13"),
         ("optimise.brain!=linear", "-x", "20"),
         ("x=0.5", "", "1"),
+        // what a trial leaves out is the usual
+        ("brain.kind=cnn", "", "0123"),
+        ("optimise.objective!=nominal", "", ""),
         ("x>0.5", "", "23"),
         ("hash~3a", "", "3"),
         ("holdout_optimised<100", "", "02"),
