@@ -65,7 +65,9 @@ pub enum Invalid {
     },
     /// A pocket leaves too little of its unit around it.
     #[error(
-        "a pocket of {size} mm leaves {left:.2} mm of unit {unit} around it, less than {POCKET_WALL} mm; choose a smaller one with --pocket"
+        "a pocket of {size} mm leaves {left:.2} mm of unit {unit} around it, less than {POCKET_WALL} mm; one {:.1} mm smaller each way would fit, \
+         or a body of larger units (body.spacing)",
+        2.0 * (POCKET_WALL - left)
     )]
     Pocket {
         /// Its sides (mm).

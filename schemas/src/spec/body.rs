@@ -258,7 +258,8 @@ pub struct Body {
     /// Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub material: Option<Material>,
-    /// Contact between the edges of neighbouring units. Default: no contact.
+    /// Contact between the edges of neighbouring units; without it units may pass through each other under strong forces. Default: no
+    /// contact.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub contact: Option<Contact>,
     /// Moment k_θ δ (1 + a δ + b δ²) of a ligament that bends by δ, in place of k_θ δ; two rests where a² > 4b. δ is above 0 where
