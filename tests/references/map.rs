@@ -65,15 +65,18 @@ fn chance(values: &[f64]) -> f64 {
 }
 
 /// Values by seed, shown with their interval and one of two words: above 0, below; a star where one stands beside all others (Holm).
-fn rated(all: &[Vec<f64>], shown: fn(f64) -> f64, words: [&str; 2]) -> Vec<String> {
+fn rated(all: &[Vec<f64>], shown: fn(f64) -> f64, words: [&'static str; 2]) -> Vec<String> {
     rated_each(&all.iter().map(|values| (values.clone(), shown, words)).collect::<Vec<_>>())
 }
 
+/// Values by seed, how they are shown, and what they say above and below 0.
+type Rated = (Vec<f64>, fn(f64) -> f64, [&'static str; 2]);
+
 /// The same, each in its own way.
-fn rated_each(all: &[(Vec<f64>, fn(f64) -> f64, [&str; 2])]) -> Vec<String> {
+fn rated_each(all: &[Rated]) -> Vec<String> {
     let plain: Vec<f64> = all.iter().map(|(values, ..)| chance(values)).collect();
     let corrected = holm(&plain);
-    let cell = |(at, (values, shown, words)): (usize, &(Vec<f64>, fn(f64) -> f64, [&str; 2]))| {
+    let cell = |(at, (values, shown, words)): (usize, &Rated)| {
         let told = match plain[at] <= 0.05 {
             true => words[usize::from(mean(values).unwrap() < 0.0)],
             false => "open",
