@@ -9,8 +9,7 @@
 
 use super::bodies::{Kept, Trained, bodies};
 use super::data::{Group, groups};
-use super::kinds::is_linear;
-use super::kinds::objective;
+use super::kinds::{is_linear, objective};
 use super::numbers::distinct;
 use super::paired::Ratio;
 use super::trial::{Body, CastBrain, CastReading, Set, Trial};

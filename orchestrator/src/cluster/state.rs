@@ -59,21 +59,34 @@ impl State {
     }
 }
 
-/// How far a trial has come, over all that was handed in.
+/// How far a trial has come. Of several copies that were handed in the greatest counts: of those that are not done the one of most
+/// attempts, and of as many the one that is open, which has been asked for anew, as in a merge.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Stage {
-    Never,
-    Begun,
-    Failed,
+    /// With so many attempts.
+    Open(u32, Ended),
     /// Or given up on purpose.
     Done,
+}
+
+/// How the last attempt of a trial that is not done ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Ended {
+    /// For good.
+    Failed,
+    /// Not, or there was none.
+    Open,
+}
+
+impl Stage {
+    const NEVER: Self = Self::Open(0, Ended::Open);
 }
 
 /// The shards of a folder. `queued`: what the scheduler says of each.
 pub async fn states(folder: &Path, assignment: &Assignment, queued: &HashMap<u32, String>) -> Vec<State> {
     let mut trials = vec![HashMap::new(); assignment.shards() as usize];
     for (hash, shard) in assignment.hashes() {
-        trials[shard as usize - 1].insert(hash.to_owned(), Stage::Never);
+        trials[shard as usize - 1].insert(hash.to_owned(), Stage::NEVER);
     }
     let mut states = Vec::with_capacity(trials.len());
     let mut attempts = attempts(folder);
@@ -109,8 +122,9 @@ async fn of_shard(shard: Shard, files: &[PathBuf], mut trials: HashMap<String, S
             Err(error) => unreadable = Some(format!("unreadable: {error}")),
         }
     }
-    let count = |stage| trials.values().filter(|known| **known == stage).count();
-    let counts = [trials.len(), count(Stage::Done), count(Stage::Failed)];
+    let count = |of: fn(&Stage) -> bool| trials.values().filter(|stage| of(stage)).count();
+    let failed = |stage: &Stage| matches!(stage, Stage::Open(_, Ended::Failed));
+    let counts = [trials.len(), count(|stage| *stage == Stage::Done), count(failed)];
     let [all, done, failed] = counts;
     let state = match unreadable {
         _ if readable && done == all => "complete".into(),
@@ -120,26 +134,25 @@ async fn of_shard(shard: Shard, files: &[PathBuf], mut trials: HashMap<String, S
         None => "nothing".into(),
     };
     let mut never: Vec<String> =
-        trials.into_iter().filter(|(_, stage)| *stage == Stage::Never).map(|(hash, _)| hash).collect();
+        trials.into_iter().filter(|(_, stage)| *stage == Stage::NEVER).map(|(hash, _)| hash).collect();
     never.sort();
     State { shard, state, trials: readable.then_some(counts), never, run, age }
 }
 
 async fn read(file: &Path) -> sqlx::Result<(Vec<(String, Stage)>, Option<Run>)> {
     let trials =
-        "SELECT hash, state, coalesce(reason, ''), EXISTS (SELECT 1 FROM attempt a WHERE a.trial_id = t.id)
+        "SELECT hash, state, coalesce(reason, ''), (SELECT count(*) FROM attempt a WHERE a.trial_id = t.id)
         FROM trial t";
     let last =
         "SELECT started_at, estimated_seconds, seconds, host || coalesce(', ' || job, '') AS place, outcome
         FROM v_run ORDER BY started_at DESC LIMIT 1";
     ask_unchanging(file, async |db| {
-        let trials: Vec<(String, String, String, bool)> = sqlx::query_as(trials).fetch_all(&mut *db).await?;
-        let stage = |(hash, state, reason, begun): (String, String, String, bool)| {
+        let trials: Vec<(String, String, String, u32)> = sqlx::query_as(trials).fetch_all(&mut *db).await?;
+        let stage = |(hash, state, reason, attempts): (String, String, String, u32)| {
             let stage = match (state.as_str(), reason.as_str()) {
                 ("done", _) | ("failed", PRUNED | CANCELLED) => Stage::Done,
-                ("failed", _) => Stage::Failed,
-                _ if begun => Stage::Begun,
-                _ => Stage::Never,
+                ("failed", _) => Stage::Open(attempts.max(1), Ended::Failed),
+                _ => Stage::Open(attempts, Ended::Open),
             };
             (hash, stage)
         };
@@ -172,7 +185,7 @@ pub async fn never_begun(files: &[PathBuf], db: &Path) -> Result<Vec<String>, As
     }
     if !assigned.is_empty() {
         for (hash, stage) in read(db).await.map(|(stages, _)| stages).unwrap_or_default() {
-            if stage != Stage::Never {
+            if stage != Stage::NEVER {
                 assigned.remove(&hash);
             }
         }
@@ -184,4 +197,22 @@ pub async fn never_begun(files: &[PathBuf], db: &Path) -> Result<Vec<String>, As
 
 fn folder_of(file: &Path) -> &Path {
     if file.is_dir() { file } else { crate::files::folder(file) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Ended, Stage};
+
+    /// What was asked for anew after a failure is open, until an attempt of its own has ended; what is done stays so.
+    #[test]
+    fn the_copy_that_came_later_counts() {
+        let failed = Stage::Open(1, Ended::Failed);
+        let later = [
+            Stage::Open(1, Ended::Open),
+            Stage::Open(2, Ended::Failed),
+            Stage::Open(2, Ended::Open),
+            Stage::Done,
+        ];
+        assert!(Stage::NEVER < failed && failed < later[0] && later.is_sorted());
+    }
 }
