@@ -154,7 +154,7 @@ fn committed_specs_keep_their_hashes() {
     brains-two-core 5eb82c6f08db37b1
     design-two-core 834a3cec86c88ac1
     disc 05cd48334f7ba6b8
-    disc-map 7a144bc1b6db5745
+    disc-map 2330d2edfee519a0
     eight-forces d02373435aeebd1c
     eight-forces-map 3882e6a8735693f9
     elbow-law dd9ab67d59dd2124
