@@ -130,6 +130,12 @@ fn a_spec_starts_from_the_design_that_it_names() {
     let of_file = noisy("0.03", "relative_to = \"a.npy\"");
     assert_eq!(of_file, noisy("0.03", "relative_to = \"b.npy\""));
     assert_ne!(of_file, noisy("0.03", ""));
+    // from the folder of the spec that names it
+    std::fs::create_dir(bench.path("sub")).unwrap();
+    std::fs::rename(bench.path("b.npy"), bench.path("sub/b.npy")).unwrap();
+    let sensors = "[sensors]\nnoise = 0.03\nrelative_to = \"b.npy\"\n[sweep]";
+    bench.file("sub/base.toml", &small("").replace("[sweep]", sensors));
+    assert_eq!(of_file, hash("base = \"sub/base.toml\"\nname = \"s\"\n"));
     for noise in ["0.0", "[300.0, 0.5]"] {
         assert_eq!(noisy(noise, "relative_to = \"a.npy\""), noisy(noise, ""), "{noise}");
     }

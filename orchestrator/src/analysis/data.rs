@@ -71,8 +71,12 @@ pub const COMPLEXITY: &[&str] = &[
 pub const FREEDOM: &[&str] = &["optimise.tie", "optimise.frozen"];
 
 /// What a body of a given size brings along where its units shrink, and the power of the spacing that it goes with.
-const WITH_SPACING: [(&str, i32); 3] =
-    [("body.stiffness.bend", 2), ("body.contact.stiffness", 2), ("optimise.learning_rate", 1)];
+const WITH_SPACING: [(&str, i32); 4] = [
+    ("body.stiffness.bend", 2),
+    ("body.contact.stiffness", 2),
+    ("body.material.ligament_width", 1),
+    ("optimise.learning_rate", 1),
+];
 
 /// What random bodies vary, and how far they are trained.
 pub const DESIGN: &[&str] = &["body.design", "body.design.", "optimise."];
@@ -130,7 +134,8 @@ pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
         });
         found[place].1.push(trial);
     }
-    let labels = labels(&found.iter().map(|(k, _)| k).collect::<Vec<_>>());
+    let kinds = found.iter().map(|(key, trials)| kind(key, trials[0])).collect();
+    let labels = labels(&found.iter().map(|(k, _)| k).collect::<Vec<_>>(), kinds);
     labels.into_iter().zip(found).map(|(label, (_, trials))| Group { label, trials }).collect()
 }
 
@@ -165,18 +170,22 @@ fn judging(leaves: &BTreeMap<String, Value>) -> Vec<(&String, &Value)> {
 }
 
 /// What is found of trials, of those that differ only in what judges their bodies the first that has it: they are one trial, read
-/// again.
-pub(super) fn once<'a, V>(
+/// again. Of a body that was trained over casts the variation is no judge.
+pub fn once<'a, V>(
     trials: &[&'a Trial],
     found: impl Fn(&Trial) -> Option<V>,
 ) -> impl Iterator<Item = (&'a Trial, V)> {
-    let judges = |path: &str| path == LONG || JUDGING.iter().any(|name| is_of(path, name));
+    let judges = |path: &str, over_casts: bool| {
+        path == LONG
+            || JUDGING.iter().any(|name| is_of(path, name)) && !(over_casts && path.starts_with("variation."))
+    };
     let (mut kinds, mut known, mut seen) = (HashMap::new(), Vec::new(), HashSet::new());
     trials.iter().filter_map(move |&trial| {
         let found = found(trial)?;
         let [shared, own] = [trial.setting.shared(), trial.setting.own()];
         let kind = *kinds.entry(Arc::as_ptr(shared)).or_insert_with(|| {
-            let left: Vec<_> = shared.iter().filter(|(path, _)| !judges(path)).collect();
+            let over_casts = shared.keys().any(|path| path.starts_with("optimise.objective"));
+            let left: Vec<_> = shared.iter().filter(|(path, _)| !judges(path, over_casts)).collect();
             known.iter().position(|known| *known == left).unwrap_or_else(|| {
                 known.push(left);
                 known.len() - 1
@@ -213,15 +222,20 @@ fn differing_within<'k, K: Hash + Eq>(keys: &[&'k Key], kinds: &[K]) -> Vec<Rc<H
     kinds.iter().map(|kind| Rc::clone(&differing[kind])).collect()
 }
 
+/// The brains of a group: of its trials, which know what their bodies were trained for, where training tells them apart.
+fn kind(key: &Key, first: &Trial) -> [String; 2] {
+    // what a brain brings along differs with it: that alone is told
+    if key.iter().any(|(path, _)| path.starts_with("optimise."))
+        && key.iter().any(|(path, _)| path.starts_with("brain."))
+    {
+        return brains(first);
+    }
+    brains(&Trial { setting: key.iter().cloned().collect(), ..Trial::default() })
+}
+
 /// K always, M where fixed; of the rest what differs among the groups. Panel units follow from K and layout and say
 /// nothing more.
-fn labels(all: &[&Key]) -> Vec<String> {
-    // what a brain brings along differs with it: that alone is told
-    let kind = |key: &&Key| {
-        let setting = key.iter().cloned().collect();
-        brains(&Trial { setting, ..Trial::default() })
-    };
-    let kinds: Vec<[String; 2]> = all.iter().map(kind).collect();
+fn labels(all: &[&Key], kinds: Vec<[String; 2]>) -> Vec<String> {
     // and what a kind of stimuli has by default differs with it
     let stimuli: Vec<Option<String>> =
         all.iter().map(|key| at(key, "stimuli.kind").map(Value::to_string)).collect();

@@ -38,7 +38,7 @@ pub fn objective(trial: &Trial) -> Option<String> {
     let text = |path: &str| trial.setting.get(path).and_then(Value::as_str);
     let tail = trial.setting.get("optimise.objective.cvar").map(|q| format!("cvar {q}"));
     let objective = tail.or_else(|| text("optimise.objective").map(str::to_owned))?;
-    let varies = || trial.setting.leaves().keys().any(|path| path.starts_with("variation"));
+    let varies = || trial.setting.leaves().keys().any(|path| path.starts_with("variation."));
     let of = if text("stimuli.kind") == Some("mix") && !varies() { "parts" } else { "casts" };
     let each = if text("optimise.reader") == Some("each") { ", a brain each" } else { "" };
     Some(format!("{objective} of {of}{each}"))

@@ -211,20 +211,27 @@ pub struct Trial {
 }
 
 impl Trial {
-    /// An error (%), where there is a positive one. A trial without outer steps has no trained body.
+    /// An error (%), where there is a positive one.
     pub fn error(&self, body: Body, set: Set) -> Option<f64> {
-        self.of_body(&self.errors, body, set)
+        self.errors[body as usize][set as usize].filter(|e| e.is_finite() && *e > 0.0)
     }
 
-    /// The same after long training.
+    /// An error after long training (%), where there is a positive one.
     pub fn long_error(&self, body: Body, set: Set) -> Option<f64> {
-        self.of_body(&self.long_errors, body, set)
+        self.long_errors[body as usize][set as usize].filter(|e| e.is_finite() && *e > 0.0)
     }
 
-    fn of_body(&self, errors: &[[Option<f64>; 2]; 2], body: Body, set: Set) -> Option<f64> {
-        let trains = || self.setting.get("optimise.iterations").and_then(Value::as_u64) != Some(0);
-        let error = errors[body as usize][set as usize].filter(|e| e.is_finite() && *e > 0.0);
-        error.filter(|_| body == Body::Initial || trains())
+    /// A trial without outer steps has no trained body: what is stored of one is the initial one.
+    pub fn without_steps(&mut self) {
+        if self.setting.get("optimise.iterations").and_then(Value::as_u64) != Some(0) {
+            return;
+        }
+        (self.errors[1], self.long_errors[1], self.nonlinear[1]) = ([None; 2], [None; 2], [None; 2]);
+        self.readings.iter_mut().for_each(|reading| reading.errors[1] = [None; 2]);
+        for curves in [&mut self.curves, &mut self.error_curves, &mut self.long_curves] {
+            curves[1].clear();
+        }
+        self.iterations = Default::default();
     }
 
     /// Iterations of long training, where it has some.

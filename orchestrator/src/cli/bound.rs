@@ -151,6 +151,10 @@ async fn achieved(
 /// A trial's spec without what its brains are.
 fn scene(spec: &Value) -> Value {
     let mut scene = spec.clone();
+    // older databases keep what a material gives alone
+    if let Some(body) = scene.pointer_mut("/body").and_then(Value::as_object_mut) {
+        body.remove("material");
+    }
     if let Some(keys) = scene.as_object_mut() {
         keys.retain(|key, _| !["brain", "optimise", "evaluation", "feasible"].contains(&key.as_str()));
     }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::named::Spec;
 use super::run::{How, Running, Runs, run, stopped_between};
 use super::{Error, Format, log, print_rows};
-use crate::analysis::goal::{Decision, LEVELS, Work};
+use crate::analysis::goal::{Decision, LEVELS, Work, most_fresh};
 use crate::engine::{Again, Signals};
 use crate::exit::Exit;
 use crate::look::number;
@@ -84,12 +84,24 @@ pub(super) async fn search(
     again: Again,
 ) -> Result<Option<Outcome>, Error> {
     let (mut bodies, mut search) = (Bodies::new(), begun(space));
-    round.reopen(again).await?;
+    let own: Vec<String> = round.plan().trials.iter().map(|trial| trial.hash.clone()).collect();
+    round.reopen(&own.iter().map(String::as_str).collect::<Vec<_>>(), again).await?;
+    let mut judged: Vec<String> = Vec::new();
     loop {
         let known = Reader::asked(round.database(), async |reader| {
             Known::of(reader, space, round.plan(), &mut bodies).await
         })
         .await?;
+        // what has judged a body is opened once the body is there, each once
+        if again != Again::default() {
+            let mut fresh = fresh(space, round.plan(), &bodies);
+            fresh.retain(|hash| !judged.contains(hash));
+            if !fresh.is_empty() {
+                round.reopen(&fresh.iter().map(String::as_str).collect::<Vec<_>>(), again).await?;
+                judged.append(&mut fresh);
+                continue;
+            }
+        }
         let decision = search.follow(&known.candidates);
         if decision.work.is_empty() {
             return Ok(None);
@@ -110,6 +122,19 @@ pub(super) async fn search(
             ended => return Ok(ended),
         }
     }
+}
+
+/// The trials that judge the bodies that are there, or may.
+fn fresh(space: &Space, plan: &Plan, bodies: &Bodies) -> Vec<String> {
+    let places = space.places.iter().filter_map(|place| {
+        let trial = &plan.trials[place.trial];
+        bodies.get(&trial.hash).map(|body| (trial, body))
+    });
+    let seeds = |(trial, (spec, design)): (&Trial, &(_, Vec<f64>))| -> Vec<String> {
+        let of = |n| on_fresh_seed(plan, trial, spec, design, n).hash;
+        (0..most_fresh(&space.goal)).map(of).collect()
+    };
+    places.flat_map(seeds).collect()
 }
 
 /// The trials that some work is.

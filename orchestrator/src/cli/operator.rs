@@ -3,12 +3,16 @@
 use std::path::PathBuf;
 
 use metasense_worker::operator::{Told, told};
+use serde_json::json;
 
 use super::named::Database;
 use super::{Error, Format, print_rows, write};
 use crate::analysis::Cluster;
+use crate::analysis::kinds::brains;
 use crate::analysis::numbers::distinct;
 use crate::analysis::operator::{Change, MEASURES, table};
+use crate::analysis::setting::flatten;
+use crate::analysis::trial;
 use crate::exit::Exit;
 use crate::look::{Axis, Legend, Plot, Scale, Table, file, number, row, short_hash};
 use crate::store::Reader;
@@ -65,7 +69,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             let cluster = Cluster { placement: whole(3), seed: whole(4) };
             let errors = [7, 8].map(|i| row[i].as_f64().unwrap_or_default());
             let text = |i: usize| row[i].as_str().unwrap_or_default();
-            let (brain, trained_with) = (text(5), text(6));
+            let setting = flatten(&json!(stored.specs[1])).into_iter().collect();
+            let [_, trained_with] = brains(&trial::Trial { setting, ..trial::Trial::default() });
+            let brain = text(5);
             let by = if brain == trained_with {
                 brain.to_owned()
             } else {
@@ -73,7 +79,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             };
             let setting = format!("K = {}, M = {}, {by}", row[1], row[2]);
             let change = Change { setting, cluster, errors, told: measures };
-            seen.push(Seen { head: row[..7].to_vec(), change });
+            let head = row[..6].iter().cloned().chain([json!(trained_with)]).collect();
+            seen.push(Seen { head, change });
         }
         Ok(seen)
     })

@@ -303,8 +303,8 @@ pub(super) trait Runs {
     /// What trials have come to.
     async fn found(&mut self) -> Result<Vec<Found>, Error>;
 
-    /// Opens settled trials before a search looks at what they have come to.
-    async fn reopen(&mut self, again: Again) -> Result<(), Error>;
+    /// Opens settled ones of these trials before a search looks at what they have come to.
+    async fn reopen(&mut self, hashes: &[&str], again: Again) -> Result<(), Error>;
 
     /// Runs those of some trials that are open; `None` where there are none.
     async fn run(&mut self, trials: &[Trial], again: Again) -> Result<Option<Outcome>, Error>;
@@ -374,13 +374,8 @@ impl Runs for Round<'_> {
         Ok(self.store.found().await?)
     }
 
-    async fn reopen(&mut self, again: Again) -> Result<(), Error> {
-        let Plan { spec, source, trials, .. } = self.plan;
-        let last = spec.sweep.seeds.iter().max().copied().unwrap_or(0);
-        let fresh = self.store.on_seeds_above(last, &source.text).await?;
-        let own = trials.iter().map(|trial| trial.hash.as_str());
-        let hashes: Vec<&str> = own.chain(fresh.iter().map(String::as_str)).collect();
-        Ok(engine::reopen(self.store, &hashes, again).await?)
+    async fn reopen(&mut self, hashes: &[&str], again: Again) -> Result<(), Error> {
+        Ok(engine::reopen(self.store, hashes, again).await?)
     }
 
     async fn run(&mut self, trials: &[Trial], again: Again) -> Result<Option<Outcome>, Error> {

@@ -60,7 +60,7 @@ impl State {
 }
 
 /// How far a trial has come. Of several copies that were handed in the greatest counts: of those that are not done the one of most
-/// attempts, and of as many the one that is open, which has been asked for anew, as in a merge.
+/// attempts, and of as many the one that is open, which may have been asked for anew.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Stage {
     /// With so many attempts.

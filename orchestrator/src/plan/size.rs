@@ -47,6 +47,9 @@ pub(super) fn of_size(spec: &SweepSpec) -> Result<(SweepSpec, f64), Invalid> {
     for length in [&mut body.spacing, &mut body.ligament_length].into_iter().flatten() {
         *length *= scale;
     }
+    if let Some(material) = &mut body.material {
+        material.ligament_width *= scale;
+    }
     if let Some(stiffness) = &mut body.stiffness {
         stiffness.bend *= scale * scale;
     }

@@ -1,6 +1,6 @@
 //! The answers in words, the best evidence first.
 
-use crate::analysis::data::{Group, SENSORS, groups, observations};
+use crate::analysis::data::{Group, SENSORS, groups, observations, once};
 use crate::analysis::decision::{Decision, Decisions, decide};
 use crate::analysis::kinds::of_each;
 use crate::analysis::numbers::{distinct, geometric_mean, mean as mean_of};
@@ -95,11 +95,9 @@ fn verdict(ratio: &Ratio) -> Option<bool> {
 
 /// Mean errors of both bodies, over the trials that have both.
 fn means(trials: &[&Trial], error: impl Fn(&Trial, Body) -> Option<f64>) -> [String; 2] {
-    let both = |t: &&&Trial| Body::ALL.iter().all(|b| error(t, *b).is_some());
-    Body::ALL.map(|body| {
-        let errors: Vec<f64> = trials.iter().filter(both).filter_map(|t| error(t, body)).collect();
-        number(geometric_mean(&errors))
-    })
+    let both = |t: &Trial| Some([error(t, Body::Initial)?, error(t, Body::Optimised)?]);
+    let errors: Vec<[f64; 2]> = once(trials, both).map(|(_, errors)| errors).collect();
+    [0, 1].map(|b| number(geometric_mean(&errors.iter().map(|of| of[b]).collect::<Vec<_>>())))
 }
 
 fn long(trials: &[&Trial]) -> Option<Answer> {

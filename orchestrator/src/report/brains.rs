@@ -111,7 +111,9 @@ pub fn answers(trials: &[Trial]) -> Vec<Answer> {
 }
 
 fn sentence(label: &str, reads: &[Read]) -> Option<String> {
-    let whole = |with: &str| reads.iter().find(|r| r.whole && r.trained_with == with);
+    let begins = |with: &str| reads.iter().find(|r| r.whole && r.trained_with.starts_with(with));
+    let whole =
+        |with: &str| reads.iter().find(|r| r.whole && r.trained_with == with).or_else(|| begins(with));
     let own = reads.iter().filter(|r| r.own && r.by != "linear");
     let best = own.min_by(|a, b| a.errors[1].total_cmp(&b.errors[1]));
     let by_linear = whole("linear");

@@ -106,6 +106,7 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
     loader.under().await?;
     trials.shrink_to_fit();
     for trial in &mut trials {
+        trial.without_steps();
         trial.history.shrink_to_fit();
         trial.readings.shrink_to_fit();
     }

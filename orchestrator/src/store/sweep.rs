@@ -104,19 +104,6 @@ impl Store {
         Ok(done.rows_affected())
     }
 
-    /// Hashes of a sweep's trials on seeds above this one, which judge what a search has found.
-    pub async fn on_seeds_above(&mut self, seed: u64, text: &str) -> Result<Vec<String>, StoreError> {
-        sqlx::query_scalar(
-            "SELECT t.hash FROM sweep s JOIN sweep_trial x ON x.sweep_id = s.id JOIN trial t ON t.id = x.trial_id
-             WHERE s.text = ? AND t.seed > ?",
-        )
-        .bind(text)
-        .bind(i64::try_from(seed).unwrap_or(i64::MAX))
-        .fetch_all(&mut self.connection)
-        .await
-        .map_err(|source| StoreError::sql(&self.path, "reading", source))
-    }
-
     /// Hashes of the trials that are done or have failed for good.
     pub async fn settled(&mut self) -> Result<Vec<String>, StoreError> {
         sqlx::query_scalar("SELECT hash FROM trial WHERE state IN ('done', 'failed')")

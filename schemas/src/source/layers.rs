@@ -12,7 +12,7 @@ use super::{POINTS, Place, Source, SpecError, TABLES};
 /// The key that names the file below.
 const BASE: &str = "base";
 /// Keys that name files, from the folder of the spec that has them.
-const FILES: [&str; 3] = ["body.design", "body.file", "stimuli.recorded.files"];
+const FILES: [&str; 4] = ["body.design", "body.file", "sensors.relative_to", "stimuli.recorded.files"];
 /// What a change is.
 const COMMAND_LINE: &str = "command line";
 

@@ -120,7 +120,7 @@ fn a_trial_that_is_judged_again_counts_once() {
         }
     };
     let casts = json!({"variation": {"stretch": 0.05}, "evaluation": {"casts": 3}});
-    let trials = [
+    let mut trials = [
         trial(1, [20.0, 10.0], &json!({})),
         trial(1, [20.0, 10.0], &casts),
         trial(2, [30.0, 10.0], &casts),
@@ -128,6 +128,7 @@ fn a_trial_that_is_judged_again_counts_once() {
         // no outer step: no trained body
         trial(3, [40.0, 40.0], &json!({"optimise": {"iterations": 0}})),
     ];
+    trials.iter_mut().for_each(Trial::without_steps);
     let refs: Vec<&Trial> = trials.iter().collect();
     let found = groups(&refs, SENSORS);
     assert_eq!(found.iter().map(|group| group.trials.len()).collect::<Vec<_>>(), [4, 1]);
@@ -139,4 +140,13 @@ fn a_trial_that_is_judged_again_counts_once() {
     assert_eq!((of(1, Body::Initial), of(1, Body::Optimised)), (vec![(3, 40.0)], vec![]));
     let ratio = super::super::paired::error_ratio(&refs, Set::Holdout).unwrap();
     assert_eq!((ratio.trials, ratio.above_one), (2, 2));
+
+    // bodies that were trained over casts are as many as there are variations
+    let mut over = |stretch: f64| {
+        let more = json!({"variation": {"stretch": stretch}, "optimise": {"objective": "mean"}});
+        trial(1, [20.0, 100.0 * stretch], &more)
+    };
+    let trained = [over(0.02), over(0.2)];
+    let ratio = super::super::paired::error_ratio(&trained.iter().collect::<Vec<_>>(), Set::Holdout).unwrap();
+    assert_eq!((ratio.trials, ratio.above_one), (2, 1));
 }

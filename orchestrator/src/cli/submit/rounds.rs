@@ -109,7 +109,7 @@ impl Runs for Shards<'_> {
         Ok(found?)
     }
 
-    async fn reopen(&mut self, _: Again) -> Result<(), Error> {
+    async fn reopen(&mut self, _: &[&str], _: Again) -> Result<(), Error> {
         Ok(()) // `submit` refuses what asks for it
     }
 

@@ -10,7 +10,11 @@ fn trials() -> Trials {
         numbers[1] = (i + 1) as f64;
         numbers[6] = if *state == "done" { 10.0 / (i + 1) as f64 } else { f64::NAN };
         let brain = ["cnn", "linear"][i % 2];
-        let setting = settings.of(&json!({"optimise": {"brain": brain}, "x": (i as f64 / 2.0)}));
+        let mut spec = json!({"optimise": {"brain": brain}, "x": (i as f64 / 2.0)});
+        if i == 3 {
+            spec["optimise"]["objective"] = json!({"cvar": 0.9});
+        }
+        let setting = settings.of(&spec);
         Arc::new(Row {
             hash: format!("{i}abc"),
             state: (*state).into(),
@@ -39,7 +43,8 @@ fn terms_choose_and_keys_sort() {
         ("x=0.5", "", "1"),
         // what a trial leaves out is the usual
         ("brain.kind=cnn", "", "0123"),
-        ("optimise.objective!=nominal", "", ""),
+        ("optimise.objective=nominal", "", "012"),
+        ("optimise.objective.cvar>0.5", "", "3"),
         ("x>0.5", "", "23"),
         ("hash~3a", "", "3"),
         ("holdout_optimised<100", "", "02"),
