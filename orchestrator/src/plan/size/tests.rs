@@ -1,4 +1,5 @@
 use metasense_schemas::source::Source;
+use metasense_schemas::spec::Body;
 use metasense_worker::problem;
 
 use crate::plan::Plan;
@@ -33,5 +34,25 @@ fn a_disc_keeps_its_size_while_its_units_grow_in_number() {
     for (sized, free) in sized.trials.iter().zip(&free.trials) {
         assert_eq!(sized.hash == free.hash, sized.spec.body.columns() == 10);
         assert_eq!((sized.units, sized.design_parameters), (free.units, free.design_parameters));
+    }
+}
+
+/// The material that a trial keeps gives the mass and the stiffnesses that it has, whatever its lengths were scaled by.
+#[test]
+fn a_trial_keeps_the_material_of_its_stiffnesses() {
+    let text = "name = \"s\"\n[body]\ncolumns = 5\nrows = 4\nspacing = 30.0\nligament_length = 4.0\nwidth = 60.0\n\
+                material = { rubber = \"Dragon Skin 10\", thickness = 10.0, ligament_width = 3.0 }\n\
+                [stimuli]\nkind = \"bell\"\n[sweep]\npanels = [1]\nsensors = [1]\n";
+    let trial = &plan(text).trials[0].spec.body;
+    let again = problem::sheet(&Body { density: None, stiffness: None, ..trial.clone() }).unwrap();
+    assert_eq!(trial.density, again.density);
+    let [own, of_material] = [trial, &again].map(|body| body.stiffness.unwrap());
+    for (own, other) in [
+        (own.stretch, of_material.stretch),
+        (own.shear, of_material.shear),
+        (own.bend, of_material.bend),
+        (trial.material.unwrap().ligament_width, 3.0 * 60.0 / 150.0),
+    ] {
+        assert!((own / other - 1.0).abs() < 1e-12, "{own} {other}");
     }
 }
