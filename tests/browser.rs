@@ -218,9 +218,11 @@ fn a_run_is_steered_by_its_pages() {
     let mut page = Page::new(&bench);
     let plain = address.split("#token=").next().unwrap();
     page.open(plain);
-    assert_eq!(page.value("document.querySelector('#control').hidden"), true);
+    page.until("a page without controls", |page| {
+        page.value("document.querySelector('#control')?.hidden") == true
+    });
     page.open(&address);
-    page.until("controls", |page| page.value("document.querySelector('#control').hidden") == false);
+    page.until("controls", |page| page.value("document.querySelector('#control')?.hidden") == false);
     let plain = pages(&address);
     assert_eq!(page.value("location.href"), format!("{plain}/0/"), "key and token stay in the address");
     for width in [1200, 390] {
@@ -235,8 +237,8 @@ fn a_run_is_steered_by_its_pages() {
         assert_ne!(page.value("getComputedStyle(document.activeElement).outlineStyle"), "none");
         page.key(" ", 32, 0);
         page.until(value, |page| {
-            let said = page.value("document.querySelector('#control [role=status]').textContent");
-            said.as_str().unwrap().starts_with(expected)
+            let said = page.value("document.querySelector('#control [role=status]')?.textContent");
+            said.as_str().is_some_and(|said| said.starts_with(expected))
         });
     };
     press(&mut page, "pause", "paused: ");
@@ -251,14 +253,14 @@ fn a_run_is_steered_by_its_pages() {
         page.value("fetch('sql.csv?q=SELECT+hash+FROM+v_trial+ORDER+BY+attempts,hash').then(a => a.text())");
     let hash = trial.as_str().unwrap().lines().nth(1).unwrap().to_owned();
     page.open(&format!("{plain}/0/trial/{hash}"));
-    page.until("controls", |page| page.value("document.querySelector('#control').hidden") == false);
+    page.until("controls", |page| page.value("document.querySelector('#control')?.hidden") == false);
     assert!(page.nameless().is_empty());
     press(&mut page, "next", "goes to the next worker");
     press(&mut page, "cancel", "cancelled");
     let failed = "document.querySelector('#facts .question').textContent === 'failed: cancelled'";
     page.until("the end of the trial", |page| page.value(failed) == true);
     page.open(&format!("{plain}/0/"));
-    page.until("controls", |page| page.value("document.querySelector('#control').hidden") == false);
+    page.until("controls", |page| page.value("document.querySelector('#control')?.hidden") == false);
     assert!(page.complaints.is_empty(), "{:?}", page.complaints);
     press(&mut page, "stop", "stopping: no trial is running");
     assert_eq!(run.0.wait().unwrap().code(), Some(4));
