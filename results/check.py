@@ -394,6 +394,13 @@ def logs(of, column):
     return [math.log(geometric(numbers([row for row in of if row["seed"] == seed], column))) for seed in sorted({row["seed"] for row in of})]
 
 
+def slopes_over(sizes, errors):
+    """Of logarithms by size, a seed a number each, the slope on ln(size), a seed each."""
+    x = [math.log(int(size)) for size in sizes]
+    x = [value - sum(x) / len(x) for value in x]
+    return [sum(a * e[seed] for a, e in zip(x, errors)) / sum(a * a for a in x) for seed in range(len(errors[0]))]
+
+
 def less(one, two):
     return [a - b for a, b in zip(one, two, strict=True)]
 
@@ -441,13 +448,8 @@ def sizes(name, file):
     units = ("16", "36", "64", "100")
     grows = lambda row: float(row["body.spacing"]) == 15.0
     kind = lambda way, u: [row for row in rows(file, units=u) if u == "36" or grows(row) == (way == "grows")]
-    x = [math.log(int(u)) for u in units]
-    x = [value - sum(x) / 4 for value in x]
     found = [(way, column) for way in ("grows", "finer") for column in (INITIAL, TRAINED)]
-    slopes = []
-    for way, column in found:
-        errors = [logs(kind(way, u), column) for u in units]
-        slopes.append([sum(a * e[seed] for a, e in zip(x, errors)) / sum(a * a for a in x) for seed in range(len(errors[0]))])
+    slopes = [slopes_over(units, [logs(kind(way, u), column) for u in units]) for way, column in found]
     told = rated(slopes, lambda value: value, ("fails", "holds"))
     for (way, column), said, line in zip(found, told, table(name), strict=True):
         errors = ", ".join(short(geometric(numbers(kind(way, u), column))) for u in units) + " %"
@@ -470,12 +472,7 @@ def eight_forces_map():
 def disc_map():
     columns, ties = ("5", "8", "12"), ("[6,6]", "[3,3]")
     kind = lambda columns, tie="": rows("disc-map/trials.csv", columns=columns, tie=tie)
-    x = [math.log(int(c)) for c in columns]
-    x = [value - sum(x) / 3 for value in x]
-    slopes = []
-    for column in (INITIAL, TRAINED):
-        errors = [logs(kind(c), column) for c in columns]
-        slopes.append([sum(a * e[seed] for a, e in zip(x, errors)) / sum(a * a for a in x) for seed in range(len(errors[0]))])
+    slopes = [slopes_over(columns, [logs(kind(c), column) for c in columns]) for column in (INITIAL, TRAINED)]
     tied = [less(logs(kind("12", tie), TRAINED), logs(kind("12"), TRAINED)) for tie in ties]
     told = rated_each([*((s, lambda v: v, ("fails", "holds")) for s in slopes), *((t, math.exp, ("holds", "fails")) for t in tied)])
     errors = lambda column: ", ".join(short(geometric(numbers(kind(c), column))) for c in columns) + " %"

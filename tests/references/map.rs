@@ -162,14 +162,8 @@ pub fn discs() -> String {
     let columns = ["5", "8", "12"];
     let ties = ["[6,6]", "[3,3]"];
     let of_kind = |columns, tie| [("columns", columns), ("tie", tie)];
-    let x = columns.map(|columns| columns.parse::<f64>().unwrap().ln());
-    let centred = x.map(|value| value - mean(&x).unwrap());
-    let power: f64 = centred.iter().map(|x| x * x).sum();
-    let slopes = [INITIAL, TRAINED].map(|column| {
-        let errors = columns.map(|columns| logs(&all, &of_kind(columns, ""), column));
-        let slope = |seed: usize| centred.iter().zip(&errors).map(|(x, e)| x * e[seed]).sum::<f64>() / power;
-        (0..errors[0].len()).map(slope).collect::<Vec<f64>>()
-    });
+    let slopes = [INITIAL, TRAINED]
+        .map(|column| slopes_over(columns, columns.map(|columns| logs(&all, &of_kind(columns, ""), column))));
     let untied = logs(&all, &of_kind("12", ""), TRAINED);
     let tied = ties.map(|tie| less(logs(&all, &of_kind("12", tie), TRAINED), &untied));
     let plain: fn(f64) -> f64 = |x| x;
@@ -232,6 +226,15 @@ fn with_column(mut rows: Vec<Row>, name: &str, of: impl Fn(&Row) -> String) -> V
 fn logs(rows: &[Row], wanted: &[(&str, &str)], column: &str) -> Vec<f64> {
     let own = |seed| of(rows, wanted).filter(move |row| row["seed"] == seed).map(|row| number(row, column));
     seeds(rows).into_iter().map(|seed| geometric_mean(&own(seed).collect::<Vec<_>>()).ln()).collect()
+}
+
+/// Slope on ln(size) of logarithms by size, each a seed a number, by least squares: a slope a seed.
+fn slopes_over<const N: usize>(sizes: [&str; N], logs: [Vec<f64>; N]) -> Vec<f64> {
+    let x = sizes.map(|size| size.parse::<f64>().unwrap().ln());
+    let centred = x.map(|value| value - mean(&x).unwrap());
+    let power: f64 = centred.iter().map(|x| x * x).sum();
+    let slope = |seed: usize| centred.iter().zip(&logs).map(|(x, e)| x * e[seed]).sum::<f64>() / power;
+    (0..logs[0].len()).map(slope).collect()
 }
 
 /// ln(initial/trained) of rows of a kind, a seed each.
@@ -349,9 +352,6 @@ fn sizes_of(file: &str) -> String {
     };
     let all = with_column(rows(file), "way", way);
     let units = ["16", "36", "64", "100"];
-    let x = units.map(|units| units.parse::<f64>().unwrap().ln());
-    let centred = x.map(|value| value - mean(&x).unwrap());
-    let power: f64 = centred.iter().map(|x| x * x).sum();
     let kind = |way, units| [("way", if units == "36" { "both" } else { way }), ("units", units)];
     let lines = [
         ["grows", INITIAL, "units of 15 mm, untrained"],
@@ -359,11 +359,8 @@ fn sizes_of(file: &str) -> String {
         ["finer", INITIAL, "90 mm, cut finer, untrained"],
         ["finer", TRAINED, "90 mm, cut finer, trained"],
     ];
-    let slopes = lines.map(|[way, column, _]| {
-        let errors = units.map(|units| logs(&all, &kind(way, units), column));
-        let slope = |seed: usize| centred.iter().zip(&errors).map(|(x, e)| x * e[seed]).sum::<f64>() / power;
-        (0..errors[0].len()).map(slope).collect::<Vec<f64>>()
-    });
+    let slopes = lines
+        .map(|[way, column, _]| slopes_over(units, units.map(|units| logs(&all, &kind(way, units), column))));
     let said = rated(&slopes, |x| x, ["fails", "holds"]);
     let line = |([way, column, words], said): ([&'static str; 3], String)| {
         let error = |units| geometric(of(&all, &kind(way, units)).map(|row| number(row, column)));

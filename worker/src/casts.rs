@@ -9,6 +9,10 @@ use metasense_schemas::spec::{TrialSpec, Variation};
 use crate::convert::cast_readings;
 use crate::run::{Failure, pool, with_design};
 
+/// What a trial has whose casts cannot be asked for.
+pub const NO_VARIATION: &str =
+    "no [variation] that says how casts scatter (one that reads none, evaluation.casts = 0, is without)";
+
 /// How `count` casts of a design are read by linear brains, those of the trial's own comparison first, or of another scatter.
 /// `progress` is told how many have been.
 ///
@@ -26,8 +30,7 @@ pub fn casts(
     trial.variation = variation.or(trial.variation).and_then(Variation::resolved);
     trial.evaluation.casts = Some(count);
     if trial.variation.is_none() {
-        let why = "it has no [variation] that says how casts scatter (a trial that reads none, evaluation.casts = 0, is without); give --variation FILE";
-        return Err(Failure::Rejected(why.into()));
+        return Err(Failure::Rejected(format!("it has {NO_VARIATION}; give --variation FILE")));
     }
     let pool = pool(threads)?;
     let (problem, _) = placed(&with_design(&trial, design)?, &pool)?;

@@ -18,6 +18,7 @@ mod layers;
 pub use integers::{Integers, Rescaled};
 pub use layers::{Convolution, Single, holdout_error, layers};
 
+use crate::casts::NO_VARIATION;
 use crate::run::{Failure, check_length, pool, prepared, with_design};
 
 /// A body to draw.
@@ -149,7 +150,7 @@ pub fn own(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<Own, F
 pub fn replay_for_casts(trial: &TrialSpec, design: &[f64], threads: usize) -> Result<(Replay, Own), Failure> {
     let (problem, pool) = (with_design(trial, design)?, pool(threads)?);
     if problem.variation.is_none() {
-        return Err(Failure::Rejected("the trial has no [variation] that says how casts scatter (one that reads none, evaluation.casts = 0, is without)".into()));
+        return Err(Failure::Rejected(format!("the trial has {NO_VARIATION}")));
     }
     let (problem, _) = placed(&problem, &pool)?;
     Ok(match brain_for_casts(&Trial::new(&problem, &pool)?, design).map_err(OfMaths::Initial)? {

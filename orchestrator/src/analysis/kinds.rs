@@ -6,6 +6,7 @@ use std::sync::Arc;
 use metasense_schemas::spec::{Brain, BrainKind, Network, Preset};
 use serde_json::Value;
 
+use super::setting::flatten;
 use super::trial::Trial;
 
 /// The trial's own brain, and the one that its body was trained with.
@@ -31,6 +32,11 @@ pub fn brains(trial: &Trial) -> [String; 2] {
         None | Some("joint") => [own, with],
         Some(protocol) => [own, format!("{with} ({protocol})")],
     }
+}
+
+/// The same of a trial's spec, or of what of it says so.
+pub fn brains_of(spec: &Value) -> [String; 2] {
+    brains(&Trial { setting: flatten(spec).into_iter().collect(), ..Trial::default() })
 }
 
 /// The objective over casts, or over the parts of a mixture, that a trial's body was trained for, and whether a brain each read them.

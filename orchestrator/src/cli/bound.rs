@@ -9,9 +9,7 @@ use serde_json::{Value, json};
 
 use super::named::{Database, Designed};
 use super::{Error, Format, print_rows};
-use crate::analysis::kinds::brains;
-use crate::analysis::setting::flatten;
-use crate::analysis::trial;
+use crate::analysis::kinds::brains_of;
 use crate::exit::Exit;
 use crate::look::{Table, short_hash};
 use crate::store::Reader;
@@ -102,11 +100,10 @@ async fn achieved(
         for row in reader.query::<Table>(sql).await?.rows {
             let text = |i: usize| row[i].as_str().unwrap_or_default().to_owned();
             let own: Value = serde_json::from_str(&text(1)).unwrap_or_default();
-            let setting = flatten(&own).into_iter().collect();
-            let [_, with] = brains(&trial::Trial { setting, ..trial::Trial::default() });
             if self::scene(&own) == scene
                 && let Some(stored) = reader.stored(&text(0)).await?
             {
+                let [_, with] = brains_of(&own);
                 found.push((stored, [text(2), with], row[3..].to_vec()));
             }
         }

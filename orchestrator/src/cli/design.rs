@@ -1,5 +1,6 @@
 //! `design`: the cheapest body, sensors and brain that meet a requirement.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use super::named::Spec;
@@ -9,7 +10,7 @@ use crate::analysis::goal::{Decision, LEVELS, Work, most_fresh};
 use crate::engine::{Again, Signals};
 use crate::exit::Exit;
 use crate::look::number;
-use crate::plan::goal::{Space, on_fresh_seed, rungs};
+use crate::plan::goal::{Space, on_fresh_seeds, rungs};
 use crate::plan::{Plan, Trial, counted};
 use crate::report::search::{Bodies, Known, Sought, begun};
 use crate::scheduler::Outcome;
@@ -86,19 +87,18 @@ pub(super) async fn search(
     let (mut bodies, mut search) = (Bodies::new(), begun(space));
     let own: Vec<String> = round.plan().trials.iter().map(|trial| trial.hash.clone()).collect();
     round.reopen(&own.iter().map(String::as_str).collect::<Vec<_>>(), again).await?;
-    let mut judged: Vec<String> = Vec::new();
+    let mut opened = HashSet::new();
     loop {
         let known = Reader::asked(round.database(), async |reader| {
             Known::of(reader, space, round.plan(), &mut bodies).await
         })
         .await?;
         // what has judged a body is opened once the body is there, each once
-        if again != Again::default() {
+        if again.failed || again.other_code {
             let mut fresh = fresh(space, round.plan(), &bodies);
-            fresh.retain(|hash| !judged.contains(hash));
+            fresh.retain(|hash| opened.insert(hash.clone()));
             if !fresh.is_empty() {
                 round.reopen(&fresh.iter().map(String::as_str).collect::<Vec<_>>(), again).await?;
-                judged.append(&mut fresh);
                 continue;
             }
         }
@@ -126,15 +126,11 @@ pub(super) async fn search(
 
 /// The trials that judge the bodies that are there, or may.
 fn fresh(space: &Space, plan: &Plan, bodies: &Bodies) -> Vec<String> {
-    let places = space.places.iter().filter_map(|place| {
+    let trained = space.places.iter().filter_map(|place| {
         let trial = &plan.trials[place.trial];
-        bodies.get(&trial.hash).map(|body| (trial, body))
+        bodies.get(&trial.hash).map(|body| on_fresh_seeds(plan, trial, body, most_fresh(&space.goal)))
     });
-    let seeds = |(trial, (spec, design)): (&Trial, &(_, Vec<f64>))| -> Vec<String> {
-        let of = |n| on_fresh_seed(plan, trial, spec, design, n).hash;
-        (0..most_fresh(&space.goal)).map(of).collect()
-    };
-    places.flat_map(seeds).collect()
+    trained.flatten().map(|judge| judge.hash).collect()
 }
 
 /// The trials that some work is.
@@ -145,10 +141,7 @@ fn ordered(space: &Space, plan: &Plan, bodies: &Bodies, candidate: usize, work: 
             let pause = rungs(&trial.spec).get(level).copied().flatten();
             vec![Trial { pause, ..trial.clone() }]
         }
-        Work::Fresh(seeds) => {
-            let (spec, design) = &bodies[&trial.hash];
-            (0..seeds).map(|n| on_fresh_seed(plan, trial, spec, design, n)).collect()
-        }
+        Work::Fresh(seeds) => on_fresh_seeds(plan, trial, &bodies[&trial.hash], seeds).collect(),
     }
 }
 

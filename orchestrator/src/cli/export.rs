@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use metasense_schemas::database::VIEWS;
+use metasense_worker::casts::NO_VARIATION;
 use metasense_worker::demands::Demands;
 use metasense_worker::replay::{Drawing, Own, Replay, drawing};
 
@@ -222,8 +223,7 @@ fn brain(stored: &Stored, args: &Args) -> Result<(Replay, Own), Error> {
     }
     let fit = args.reader.unwrap_or(Fit::Design);
     if fit == Fit::Casts && stored.specs[which].variation.is_none() {
-        let what = "--reader casts: the trial has no [variation] that says how casts scatter (one that reads none, evaluation.casts = 0, is without)";
-        return Err(Error::Usage(what.into()));
+        return Err(Error::Usage(format!("--reader casts: the trial has {NO_VARIATION}")));
     }
     Ok(brain_of(stored, which, fit, args.threads)?)
 }

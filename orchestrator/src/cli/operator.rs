@@ -8,11 +8,9 @@ use serde_json::json;
 use super::named::Database;
 use super::{Error, Format, print_rows, write};
 use crate::analysis::Cluster;
-use crate::analysis::kinds::brains;
+use crate::analysis::kinds::brains_of;
 use crate::analysis::numbers::distinct;
 use crate::analysis::operator::{Change, MEASURES, table};
-use crate::analysis::setting::flatten;
-use crate::analysis::trial;
 use crate::exit::Exit;
 use crate::look::{Axis, Legend, Plot, Scale, Table, file, number, row, short_hash};
 use crate::store::Reader;
@@ -49,8 +47,7 @@ struct Seen {
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let seen = Reader::asked(Database::at(&args.db).await?, async |reader| -> Result<_, Error> {
-        let sql = "SELECT hash, panels, sensors, placement, seed, brain, trained_with, holdout_error_initial,
-                          holdout_error_optimised
+        let sql = "SELECT hash, panels, sensors, placement, seed, brain, holdout_error_initial, holdout_error_optimised
                      FROM v_trial
                     WHERE state = 'done' AND holdout_error_initial > 0 AND holdout_error_optimised > 0
                     ORDER BY panels, sensors, placement, seed, hash";
@@ -67,10 +64,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             }
             let whole = |i: usize| row[i].as_u64().unwrap_or_default();
             let cluster = Cluster { placement: whole(3), seed: whole(4) };
-            let errors = [7, 8].map(|i| row[i].as_f64().unwrap_or_default());
+            let errors = [6, 7].map(|i| row[i].as_f64().unwrap_or_default());
             let text = |i: usize| row[i].as_str().unwrap_or_default();
-            let setting = flatten(&json!(stored.specs[1])).into_iter().collect();
-            let [_, trained_with] = brains(&trial::Trial { setting, ..trial::Trial::default() });
+            let [_, trained_with] = brains_of(&json!(stored.specs[1]));
             let brain = text(5);
             let by = if brain == trained_with {
                 brain.to_owned()

@@ -8,9 +8,7 @@ use metasense_schemas::spec::TrialSpec;
 use serde_json::{Value, json};
 
 use super::{Error, Format, log, print_rows};
-use crate::analysis::kinds::brains;
-use crate::analysis::setting::flatten;
-use crate::analysis::trial;
+use crate::analysis::kinds::brains_of;
 use crate::look::Table;
 use crate::plan::{Plan, counted};
 use crate::store::{Reader, quoted};
@@ -66,10 +64,7 @@ fn name_brains(table: &mut Table, plan: &Plan) {
         let Some(spec) = row[hash].as_str().and_then(|hash| specs.get(hash)) else { continue };
         let of = json!({ "brain": spec.brain, "optimise": spec.optimise, "variation": spec.variation,
             "stimuli": { "kind": spec.stimuli.kind } });
-        let names = known.entry(of.to_string()).or_insert_with(|| {
-            let setting = flatten(&of).into_iter().collect();
-            brains(&trial::Trial { setting, ..trial::Trial::default() })
-        });
+        let names = known.entry(of.to_string()).or_insert_with(|| brains_of(&of));
         [row[read], row[trained]] = names.clone().map(Value::from);
     }
 }

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use metasense_schemas::record::Trial;
 use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{
-    BrainKind, Cost, Design, Goal, GoalReader, GoalReaderName, SweepSpec, TrialSpec, flatten,
+    BrainKind, Cost, Design, Goal, GoalReader, GoalReaderName, Point, SweepSpec, TrialSpec, flatten,
 };
 use metasense_worker::demands::Demands;
 use metasense_worker::problem::{self, Invalid};
@@ -327,12 +327,16 @@ pub fn rungs(trial: &TrialSpec) -> [Option<u32>; LEVELS - 1] {
     [rung(first, 0), rung(second, first)]
 }
 
-/// The body of a trial on a fresh seed, the n-th: nothing is trained but what reads it, by chips that add what they do in the trial.
+/// The body of a trial on the first so many fresh seeds: nothing is trained but what reads it, by chips that add what they do in the trial.
 ///
 /// # Panics
 /// If `body` is no trial's.
-#[must_use]
-pub fn on_fresh_seed(plan: &Plan, trial: &Trial, body: &TrialSpec, design: &[f64], n: usize) -> Trial {
+pub fn on_fresh_seeds<'a>(
+    plan: &'a Plan,
+    trial: &'a Trial,
+    (body, design): &(TrialSpec, Vec<f64>),
+    seeds: usize,
+) -> impl Iterator<Item = Trial> + use<'a> {
     let last = plan.spec.sweep.seeds.iter().max().copied().unwrap_or(0);
     let mut spec = body.clone();
     if spec.sensors.is_relative() && spec.sensors.relative_to.is_none() {
@@ -343,23 +347,26 @@ pub fn on_fresh_seed(plan: &Plan, trial: &Trial, body: &TrialSpec, design: &[f64
         let shifts = start().expect("a trial's body");
         spec.sensors.relative_to = Some(Design::Shifts { shifts });
     }
-    spec.body.design = Some(Design::Shifts { shifts: design.to_vec() });
+    spec.body.design = Some(Design::Shifts { shifts: design.clone() });
     if spec.body.lattice.turns() {
         spec.body.initial_angle = 0.0; // not read
     }
     spec.optimise.iterations = Some(0);
     spec.sensors.search = None;
-    spec.point.seed = last.saturating_add(1 + n as u64);
-    let ((cost, weight), hash) = (cost::of(&spec, trial.units), spec.hash());
-    Trial {
-        training: hash.clone(), // its own: nothing is trained
-        hash,
-        trains: true,
-        cost,
-        weight,
-        order: plan.trials.len() + n,
-        pause: None,
-        spec,
-        ..trial.clone()
-    }
+    (0..seeds).map(move |n| {
+        let seed = last.saturating_add(1 + n as u64);
+        let spec = TrialSpec { point: Point { seed, ..spec.point }, ..spec.clone() };
+        let ((cost, weight), hash) = (cost::of(&spec, trial.units), spec.hash());
+        Trial {
+            training: hash.clone(), // its own: nothing is trained
+            hash,
+            trains: true,
+            cost,
+            weight,
+            order: plan.trials.len() + n,
+            pause: None,
+            spec,
+            ..trial.clone()
+        }
+    })
 }

@@ -11,7 +11,7 @@ use super::Sweep;
 use crate::analysis::goal::{Candidate, Class, Decision, LEVELS, Search, Stage, most_fresh};
 use crate::analysis::setting::flatten;
 use crate::look::{Answer, Axis, Figure, Picture, Plot, Scale, Table, legend, number};
-use crate::plan::goal::{Place, Space, on_fresh_seed, rungs};
+use crate::plan::goal::{Place, Space, on_fresh_seeds, rungs};
 use crate::plan::{Plan, Trial, cost, counted};
 use crate::store::{Reader, Standing, StoreError};
 
@@ -384,11 +384,11 @@ fn fresh(
     space: &Space,
     plan: &Plan,
     place: &Place,
-    (spec, design): &(TrialSpec, Vec<f64>),
+    body: &(TrialSpec, Vec<f64>),
     standings: &HashMap<String, Standing>,
 ) -> Vec<f64> {
-    let told = (0..most_fresh(&space.goal)).map_while(|n| {
-        let judged = on_fresh_seed(plan, &plan.trials[place.trial], spec, design, n);
+    let judges = on_fresh_seeds(plan, &plan.trials[place.trial], body, most_fresh(&space.goal));
+    let told = judges.map_while(|judged| {
         let standing = standings.get(&judged.hash)?;
         match standing.state.as_str() {
             "done" => Some(error(space, place, standing).unwrap_or(FAILED)),

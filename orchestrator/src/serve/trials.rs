@@ -69,14 +69,12 @@ impl Row {
             (_, Some(i)) => self.numbers[i].into(),
             (_, None) => match self.setting.get(key) {
                 Some(value) => value.clone(),
-                None => USUAL
-                    .iter()
-                    .find(|(usual, _)| *usual == key)
-                    .filter(|_| {
-                        !self.setting.leaves().keys().any(|path| path.starts_with(&format!("{key}.")))
-                    })
-                    .map(|(_, value)| *value)
-                    .into(),
+                None => {
+                    let below = format!("{key}.");
+                    let said = || self.setting.leaves().keys().any(|path| path.starts_with(&below));
+                    let usual = USUAL.iter().find(|(usual, _)| *usual == key && !said());
+                    usual.map(|(_, value)| *value).into()
+                }
             },
         }
     }
