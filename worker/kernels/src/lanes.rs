@@ -384,13 +384,7 @@ mod x86 {
     _mm256_set1_ps, _mm256_loadu_ps, _mm256_storeu_ps, _mm256_add_ps, _mm256_sub_ps, _mm256_mul_ps, _mm256_fmadd_ps, _mm256_fnmadd_ps,
     _mm256_div_ps, _mm256_max_ps;
     abs(a): _mm256_andnot_ps(_mm256_set1_ps(-0.0), a),
-    rsqrt(x): {
-        // Some 11 bits, then a step of third order
-        let y = Self(unsafe { _mm256_rsqrt_ps(x.0) });
-        let e = x.times(y).mul_sub_from(y, Self::splat(1.0));
-        let p = e.mul_add(Self::splat(0.375), Self::splat(0.5));
-        y.times(e).mul_add(p, y)
-    },
+    rsqrt(x): Self::splat(1.0).over(Self(unsafe { _mm256_sqrt_ps(x.0) })),
     less(x, y): _mm256_cmp_ps::<_CMP_LT_OQ>(x, y),
     blend(mask, yes, no): _mm256_blendv_ps(no, yes, mask),
     within(x, most): _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(x, most)) == 0xff,
