@@ -50,6 +50,17 @@ fn complain(what: std::fmt::Arguments) {
     let _ = std::io::Write::write_fmt(&mut std::io::stderr(), format_args!("{what}\n"));
 }
 
+/// Has glibc keep large pieces of memory that are freed: a linear brain of six sensors takes 100 MB a step anew, which the system
+/// would clear page by page. A sixth of such a trial's time on one thread, a third on two, for a quarter more memory; nobody else's.
+pub fn keep_memory() {
+    // SAFETY: sets limits of the allocator.
+    #[cfg(target_env = "gnu")]
+    unsafe {
+        libc::mallopt(libc::M_MMAP_MAX, 0);
+        libc::mallopt(libc::M_TRIM_THRESHOLD, libc::c_int::MAX);
+    }
+}
+
 /// Does the work of a job, from a checkpoint or from the start, on so many threads; counts what it has done.
 pub type Perform =
     fn(&str, Option<Checkpoint>, usize, Heartbeat, &mut dyn Observe) -> Result<TrialResult, Failure>;

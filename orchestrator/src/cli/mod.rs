@@ -146,6 +146,7 @@ pub fn execute(args: impl Iterator<Item = OsString>) -> Result<Exit, Error> {
     let matches = command().get_matches_from(old::rewritten(args)?);
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|e| e.exit());
     spares_what_it_reads(&matches)?;
+    process::keep_memory();
     match cli.command {
         Command::Worker { start } => std::process::exit(process::run(&start, process::perform_trial)),
         command => block_on(command.execute()),

@@ -57,11 +57,6 @@ struct Process {
     kill: Option<oneshot::Sender<()>>,
 }
 
-/// Has glibc keep large pieces of memory that a worker frees: a linear brain of six sensors takes 100 MB a step anew, which the system
-/// would clear page by page. A fifth of such a trial's CPU time, for a quarter more memory; nobody else's.
-const KEEPS: (&str, &str) =
-    ("GLIBC_TUNABLES", "glibc.malloc.mmap_threshold=4294967296:glibc.malloc.trim_threshold=4294967296");
-
 impl Fleet {
     /// `program` is asked for its hidden subcommand `worker`.
     pub fn new(program: PathBuf, heard: Sender<(WorkerId, Heard)>) -> Self {
@@ -74,9 +69,7 @@ impl Fleet {
     /// If the system does not.
     pub fn spawn(&mut self, worker: WorkerId, start: &Start) -> std::io::Result<()> {
         let argument = serde_json::to_string(start).expect("strings and numbers are JSON");
-        let own = std::env::var_os(KEEPS.0).unwrap_or_else(|| KEEPS.1.into());
         let mut child = Command::new(&self.program)
-            .env(KEEPS.0, own)
             .arg("worker")
             .arg(argument)
             .stdin(Stdio::piped())

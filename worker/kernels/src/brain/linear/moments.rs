@@ -8,10 +8,11 @@
 //! Along a diagonal G changes by one entry of R at either end of the window (the covariance method of linear
 //! prediction; Makhoul, Proc. IEEE 63, 561, 1975), so that G costs O(N·D²), not O(N·T·D²).
 
-use super::{Lags, Sizes, add_symmetric, matrix, matrix_mut};
+use super::{BLOCK, Lags, Sizes, add_symmetric, matrix, matrix_mut};
 use crate::Pool;
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Par};
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// Moments of some samples; those of two sets add up.
@@ -95,9 +96,15 @@ impl Moments {
         self.power += f.iter().map(|f| f * f).sum::<f64>();
         let x = matrix(&x, rows, samples);
         self.pool.install(|| add_symmetric(&mut self.second, rows, x, 1.0));
-        let f = matrix(&f, columns, samples);
         self.pool.heartbeat().beat();
-        matmul(matrix_mut(&mut self.cross, rows, columns), Accum::Add, x, f.transpose(), 1.0, Par::Seq);
+        let f = matrix(&f, columns, samples);
+        self.pool.install(|| {
+            self.cross.par_chunks_mut(BLOCK * rows).enumerate().for_each(|(block, cross)| {
+                let width = cross.len() / rows;
+                let f = f.subrows(block * BLOCK, width);
+                matmul(matrix_mut(cross, rows, width), Accum::Add, x, f.transpose(), 1.0, Par::Seq);
+            });
+        });
     }
 
     /// These and so many times those: −1 takes out samples that both hold.
@@ -126,34 +133,45 @@ impl Moments {
 
         // below its diagonal a column is that of the lag before, moved down by C; ends of the window come and go
         let mut g = vec![0.0; unknowns * unknowns];
-        let mut columns = vec![vec![0.0; all]; channels];
+        let mut columns: Vec<_> = (0..channels).map(|_| Vec::with_capacity(groups.len())).collect();
+        for (j, below) in g.chunks_exact_mut(unknowns).enumerate() {
+            columns[j % channels].push(below);
+        }
+        let of_channel = |(c, columns): (usize, Vec<&mut [f64]>)| {
+            let (mut column, mut within) = (vec![0.0; all], Vec::new());
+            for ((b, group), below) in groups.iter().enumerate().zip(columns) {
+                for l in group.clone() {
+                    let j = l * channels + c;
+                    let mut ends: Vec<(usize, f64)> = (0..first).map(|t| (t, 1.0)).collect();
+                    if l > 0 {
+                        column.copy_within(j - channels..all - channels, j);
+                        ends = vec![(first - 1 + l, 1.0), ((l - 1).wrapping_sub(lags.before), -1.0)];
+                    }
+                    for (t, sign) in ends.into_iter().filter(|(t, _)| *t < instants) {
+                        let at = t * channels + c;
+                        accumulate(&mut column[j..], &self.second[at * rows + at..(at + 1) * rows], sign);
+                    }
+                    within.extend_from_slice(&column[j..group.end * channels]);
+                    for (a, group) in groups.iter().enumerate().skip(b + 1) {
+                        for m in group.clone() {
+                            let seen = &column[m * channels..(m + 1) * channels];
+                            accumulate(&mut below[a * channels..], seen, 1.0);
+                        }
+                    }
+                }
+            }
+            within.into_iter()
+        };
+        let mut within: Vec<_> =
+            self.pool.install(|| columns.into_par_iter().enumerate().map(of_channel).collect());
+        // within a group, (l, c) and (m, d) meet twice: as themselves and mirrored
         for (b, group) in groups.iter().enumerate() {
             for (l, c) in group.clone().flat_map(|l| (0..channels).map(move |c| (l, c))) {
-                let (j, column) = (l * channels + c, &mut columns[c]);
-                let mut ends: Vec<(usize, f64)> = (0..first).map(|t| (t, 1.0)).collect();
-                if l > 0 {
-                    column.copy_within(j - channels..all - channels, j);
-                    ends = vec![(first - 1 + l, 1.0), ((l - 1).wrapping_sub(lags.before), -1.0)];
-                }
-                for (t, sign) in ends.into_iter().filter(|(t, _)| *t < instants) {
-                    let at = t * channels + c;
-                    accumulate(&mut column[j..], &self.second[at * rows + at..(at + 1) * rows], sign);
-                }
-                // within a group, (l, c) and (m, d) meet twice: as themselves and mirrored
-                for (i, x) in (j..).zip(&column[j..group.end * channels]) {
+                let j = l * channels + c;
+                for (i, x) in (j..group.end * channels).zip(&mut within[c]) {
                     let d = i % channels;
                     let twice = if d == c && i != j { 2.0 } else { 1.0 };
                     g[(b * channels + c.min(d)) * unknowns + b * channels + c.max(d)] += twice * x;
-                }
-                let below = &mut g[(b * channels + c) * unknowns..(b * channels + c + 1) * unknowns];
-                for (a, group) in groups.iter().enumerate().skip(b + 1) {
-                    for m in group.clone() {
-                        accumulate(
-                            &mut below[a * channels..],
-                            &column[m * channels..(m + 1) * channels],
-                            1.0,
-                        );
-                    }
                 }
             }
         }
