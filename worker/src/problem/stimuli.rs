@@ -258,6 +258,8 @@ pub(super) fn channels(sensors: &spec::Sensors) -> Result<Vec<usize>, Invalid> {
     Ok(read.iter().map(|&channel| channel as usize).collect())
 }
 
+/// A heavier chip (Mg) is taken for a mistake of the unit.
+const CHIP_MAX: f64 = 1e-3;
 /// Largest cut-off of a chip's low-pass, in readings a second: its clock is then 64 times as fast as they are.
 const BANDWIDTH_MAX: f64 = 2.0;
 
@@ -311,6 +313,7 @@ pub(super) fn disturbance(
 pub(super) fn inertia(sensors: &spec::Sensors) -> Result<Option<Inertia>, Invalid> {
     let [mass, moment] = [sensors.mass, sensors.inertia].map(Option::unwrap_or_default);
     not_negative("sensors.mass", mass)?;
+    require(mass <= CHIP_MAX, "sensors.mass", mass, "must be at most 1e-3 Mg, a kilogram: 9 g are 9e-6")?;
     not_negative("sensors.inertia", moment)?;
     Ok((mass > 0.0 || moment > 0.0).then_some(Inertia { mass, moment }))
 }

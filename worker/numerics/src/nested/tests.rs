@@ -591,6 +591,10 @@ fn chips_are_as_noisy_on_every_body() {
     let [second, its_own, said] = [second, its_own, said].map(|(_, added)| apart(&added));
     assert!(most > 0.0 && second.max(said) < 1e-9 * most, "{second}, {said} of {most}");
     assert!(its_own > 1e-3 * most, "{its_own} of {most}");
+    // and where that body has no signals, it is named
+    let torn = Problem { relative_to: Some(vec![f64::NAN; other.len()]), ..noisy };
+    let failure = sense(&torn, &other, &forces, &pool).map(drop).unwrap_err();
+    assert!(matches!(failure, Failure::Reference(_)), "{failure:?}");
 }
 
 /// L_test(α + εδ) at fixed weights, in N², against the gradient: a central difference along a random direction.

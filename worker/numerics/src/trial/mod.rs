@@ -120,7 +120,9 @@ impl<'a> Trial<'a> {
             (None, Some(design)) => {
                 let tuned = pilot(&problem, design, &asked, pool);
                 pilots += tuned.counters;
-                problem.chip(&Scales::of(&plain(design, &tuned.solver, &mut train.clone())?).channels)
+                let signals = plain(design, &tuned.solver, &mut train.clone());
+                let signals = signals.map_err(|failure| Failure::Reference(failure.trouble()))?;
+                problem.chip(&Scales::of(&signals).channels)
             }
             (chip, _) => chip,
         };

@@ -54,6 +54,8 @@ impl Trouble {
 pub enum Failure {
     /// The initial body.
     Initial(Trouble),
+    /// That which scales relative noise.
+    Reference(Trouble),
     /// So many steps in a row were taken back, the last for this.
     Stuck(u32, Trouble),
 }
@@ -62,7 +64,7 @@ impl Failure {
     /// What it was for.
     pub fn trouble(self) -> Trouble {
         match self {
-            Self::Initial(trouble) | Self::Stuck(_, trouble) => trouble,
+            Self::Initial(trouble) | Self::Reference(trouble) | Self::Stuck(_, trouble) => trouble,
         }
     }
 }
@@ -70,6 +72,7 @@ impl Failure {
 impl std::fmt::Display for Failure {
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
         match self {
+            Self::Reference(trouble) => write!(f, "the body of sensors.relative_to: {}", trouble.name()),
             Self::Initial(trouble) => write!(f, "the initial body: {}", trouble.name()),
             Self::Stuck(steps, trouble) => write!(f, "{steps} steps in a row taken back: {}", trouble.name()),
         }

@@ -80,7 +80,9 @@ impl<'a> Objective<'a> {
     ) -> Self {
         let width = problem.shape().inputs;
         let (scene, moved) = problem.in_motion(&problem.scene, forces);
-        let plan = planned(&scene, design, &moved, solver).double();
+        // differences take equal steps
+        let method = if solver.method == Method::Tsit5 { Method::Auto } else { solver.method };
+        let plan = planned(&scene, design, &moved, &Solver { method, ..*solver }).double();
         let coarse = planned(&scene, design, &moved, &Solver::new(Method::Nystrom6, COARSE)).double();
         let mut objective = Self {
             problem,
