@@ -81,6 +81,11 @@ const EDITS: &[(&str, &str, &str)] = &[
     ),
     (
         "[sweep]",
+        "[sensors]\nmass = 9.0\n[sweep]",
+        "s.toml:14: sensors.mass = 9: must be at most 1e-3 Mg, a kilogram: 9 g are 9e-6",
+    ),
+    (
+        "[sweep]",
         "[sensors]\nbandwidth = 0.0\n[sweep]",
         "s.toml:14: sensors.bandwidth = 0: must be above 0, and at most 400 Hz, twice the rate of the readings",
     ),
@@ -772,7 +777,7 @@ fn files_and_databases_that_cannot_be_used_are_named() {
         (&["run", "binary.toml"], "cannot read binary.toml"),
         (
             &["run", "s.toml", "--db", "file/s.sqlite"],
-            "cannot write the database file/s.sqlite; choose another with --db",
+            "cannot write the database file/s.sqlite; name another file",
         ),
         (&["run", "s.toml", "--db", "."], "cannot write the database ."),
         (&["run", "s.toml", "--db", "file"], "file is not a metasense database"),

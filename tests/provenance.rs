@@ -129,6 +129,29 @@ async fn trials_of_a_file_that_has_changed_stay() {
     assert!(bench.output(&states).contains("failed,1,"));
 }
 
+/// What other code has made and a run has thrown away takes nothing from a database that has made the same trials by itself.
+#[tokio::test]
+async fn a_result_outlives_one_that_was_thrown_away_elsewhere() {
+    let bench = Bench::new();
+    bench.file("tiny.toml", TINY);
+    let [a, b] = ["a.sqlite", "b.sqlite"].map(|name| {
+        bench.output(&["run", "tiny.toml", "--db", name]);
+        bench.path(name)
+    });
+    change(&b, "UPDATE attempt SET code = 'f00d'").await;
+    let plan = Plan::new("tiny.toml", TINY.into()).unwrap();
+    let mut store = Store::open(&b).await.unwrap();
+    store.set_provenance(provenance::here(1));
+    let hashes: Vec<&str> = plan.trials.iter().map(|trial| trial.hash.as_str()).collect();
+    assert_eq!(store.redo_other_code(&hashes).await.unwrap(), hashes.len());
+    store.close().await.unwrap();
+    let expected = results(&bench, "a.sqlite");
+    for (out, inputs) in [("ab.sqlite", [&a, &b]), ("ba.sqlite", [&b, &a])] {
+        merge(&inputs.map(Clone::clone), &bench.path(out)).await.unwrap();
+        assert_eq!(results(&bench, out), expected);
+    }
+}
+
 /// A trial that other code began goes on, and both codes are named; asked for, it begins anew.
 #[tokio::test]
 async fn a_trial_of_two_codes_names_both() {

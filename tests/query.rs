@@ -168,6 +168,10 @@ async fn a_database_that_is_damaged_or_in_use_gives_code_3() {
     let held = Store::open(bench.path("s.sqlite")).await.unwrap();
     for (args, expected) in [
         (&["run", "s.toml", "--db", "s.sqlite"][..], "in use by another run"),
+        (
+            &["remove", "s.sqlite", "M=1", "--yes"],
+            "in use by another run; wait for it, or name another file\n",
+        ),
         (&["query", "half.sqlite", "SELECT * FROM v_trial"], "damaged"),
         (&["report", "half.sqlite", "--out", "r.html"], "damaged"),
         (&["run", "s.toml", "--db", "half.sqlite"], "damaged"),

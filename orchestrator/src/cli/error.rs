@@ -117,7 +117,11 @@ impl Error {
             Self::Merge(MergeError::Nothing { .. } | MergeError::Result { .. } | MergeError::NotFacts(_)) => {
                 Exit::BadInput
             }
-            Self::Home(HomeError::Foreign(_) | HomeError::Refused { .. }) => Exit::BadInput,
+            Self::Home(
+                HomeError::Foreign(_)
+                | HomeError::Refused { .. }
+                | HomeError::Merge(MergeError::Result { .. }),
+            ) => Exit::BadInput,
             Self::Merge(_)
             | Self::Home(_)
             | Self::Queue(_)

@@ -11,7 +11,7 @@ pub(super) const OPENING: &str = "opening";
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// The file or its folder cannot be written.
-    #[error("cannot write the database {}; choose another with --db", path.display())]
+    #[error("cannot write the database {}; name another file", path.display())]
     Unwritable {
         /// The file.
         path: PathBuf,
@@ -21,7 +21,7 @@ pub enum StoreError {
     /// On a network file system.
     #[error(
         "the database {} would be on {system}, a network file system, where SQLite's write-ahead log does not work: \
-         choose a file on a disk of this machine with --db; `merge` copies the finished database anywhere",
+         name a file on a disk of this machine; `merge` copies the finished database anywhere",
         path.display()
     )]
     NetworkDisk {
@@ -31,7 +31,7 @@ pub enum StoreError {
         system: String,
     },
     /// Another run holds it.
-    #[error("the database {} is in use by another run; wait for it, or choose another file with --db", path.display())]
+    #[error("the database {} is in use by another run; wait for it, or name another file", path.display())]
     InUse {
         /// The file.
         path: PathBuf,
@@ -44,8 +44,8 @@ pub enum StoreError {
     },
     /// Written by a newer program.
     #[error(
-        "the database {} has version {version}, this program knows versions up to {known}: update metasense, or choose \
-         another file with --db",
+        "the database {} has version {version}, this program knows versions up to {known}: update metasense, or name \
+         another file",
         path.display()
     )]
     Newer {
@@ -210,7 +210,7 @@ pub(crate) fn is_shortage(source: &sqlx::Error) -> bool {
 fn hint(source: &sqlx::Error) -> &'static str {
     match code(source) {
         Some(5 | 6) => " failed: another program holds a lock on it; end that program and run again",
-        Some(8) => " failed: it is read-only; allow writing, or choose another file with --db",
+        Some(8) => " failed: it is read-only; allow writing, or name another file",
         Some(10) => " failed: the disk reports an error",
         Some(11) => " failed: the file is damaged; restore it from a copy",
         Some(13) => " failed: the disk is full; make room and run again, nothing recorded is lost",
