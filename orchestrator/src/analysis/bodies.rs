@@ -50,7 +50,7 @@ pub fn bodies<'a, K: Ord>(
     let trials_of = initial.into_values().collect();
     let mut found = vec![Trained { name: "initial".to_owned(), body: Body::Initial, trials: trials_of }];
     let mut trained: BTreeMap<K, Vec<&Trial>> = BTreeMap::new();
-    for trial in trials {
+    for trial in trials.iter().filter(|trial| trial.has_steps()) {
         trained.entry(way(trial)).or_default().push(trial);
     }
     for (way, trials) in trained {

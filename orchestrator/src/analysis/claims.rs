@@ -536,7 +536,14 @@ fn complexity(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
                     of(Body::Initial).map_or(String::new(), |r| format!("; untrained {:.3}", r.ratio));
                 let note = format!("{few} → {many} parameters{initial}");
                 let brain = &brains(group.trials[0])[0];
-                found.push(of_ratio(format!("{brain}, {what}"), set.name(), ratio, stated, note));
+                let own = |part: &&str| {
+                    *part != brain && !part.ends_with(" units") && !part.ends_with(" units across")
+                };
+                let mut name = vec![brain.as_str()];
+                let told = apart(&group.label);
+                name.extend(told.iter().copied().filter(own));
+                name.push(what);
+                found.push(of_ratio(name.join(", "), set.name(), ratio, stated, note));
             }
         }
     }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use serde_json::Value;
 
-use super::kinds::brains;
+use super::kinds::{brains, objective};
 use super::numbers::{distinct, geometric_mean};
 use super::trial::{Body, Cluster, Set, Trial};
 use crate::look::plain;
@@ -79,7 +79,7 @@ const WITH_SPACING: [(&str, i32); 4] = [
 ];
 
 /// What random bodies vary, and how far they are trained.
-pub const DESIGN: &[&str] = &["body.design", "body.design.", "optimise."];
+pub const DESIGN: &[&str] = &["body.design", "body.design.", "optimise.", "optimise.tie", "optimise.frozen"];
 
 /// What brains vary, and the training that goes with them.
 pub const BRAINS: &[&str] = &["brain.", "optimise.", "evaluation."];
@@ -93,8 +93,9 @@ type Key = Vec<(String, Value)>;
 /// of their first trials.
 pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
     let disputed = disputed(trials);
+    // how free a body's design is, is no way of training it: ignored only by its name
     let ignored = |path: &str| {
-        CLUSTER.iter().chain(but).any(|b| is_of(path, b))
+        CLUSTER.iter().chain(but).any(|b| is_of(path, b) && (*b == path || !FREEDOM.contains(&path)))
             || JUDGING.iter().any(|b| is_of(path, b)) && !disputed.contains(path)
     };
     let spacing = |trial: &Trial| trial.setting.get("body.spacing").and_then(Value::as_f64);
@@ -108,7 +109,8 @@ pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
             return value.clone();
         };
         let scaled = number * (first / own).powi(*power);
-        if own == first { value.clone() } else { Value::from((scaled * 1e9).round() / 1e9) }
+        // the first's own, too, or it would agree with none
+        Value::from((scaled * 1e9).round() / 1e9)
     };
     let told = |trial: &Trial, leaves: &BTreeMap<String, Value>| -> String {
         let told = leaves.iter().filter(|(path, _)| !ignored(path));
@@ -137,6 +139,18 @@ pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
     let kinds = found.iter().map(|(key, trials)| kind(key, trials[0])).collect();
     let labels = labels(&found.iter().map(|(k, _)| k).collect::<Vec<_>>(), kinds);
     labels.into_iter().zip(found).map(|(label, (_, trials))| Group { label, trials }).collect()
+}
+
+/// Groups within which the outer loop has one error: that over casts is another than that as designed.
+pub fn groups_by_objective<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
+    let over = distinct(trials.iter().map(|trial| objective(trial)));
+    let of = |over: &Option<String>| {
+        let own = trials.iter().copied().filter(|trial| objective(trial) == *over).collect::<Vec<_>>();
+        let mut found = groups(&own, but);
+        found.iter_mut().for_each(|group| group.label.extend(over.iter().map(|over| format!(", {over}"))));
+        found
+    };
+    over.iter().flat_map(of).collect()
 }
 
 /// Whether a path is the one named, or below it where the name ends in a dot.

@@ -6,8 +6,8 @@ use serde_json::{Value, json};
 use super::brains::reads;
 use super::casts;
 use super::data::{
-    BRAINS, COMPLEXITY, FREEDOM, Group, Level, Observation, SENSORS, TRAINING, apart, groups, levels,
-    observations,
+    BRAINS, COMPLEXITY, FREEDOM, Group, Level, Observation, SENSORS, TRAINING, apart, groups,
+    groups_by_objective, levels, observations,
 };
 use super::decision::{Decision, Terms, decide};
 use super::elbow::{Elbow, Height, Verdict, elbow};
@@ -526,7 +526,7 @@ fn trainings<'a>(trials: &[&'a Trial]) -> Vec<(Group<'a>, Vec<Group<'a>>)> {
         let ways = ways(&group);
         (group, ways)
     };
-    groups(trials, TRAINING).into_iter().map(with_ways).collect()
+    groups_by_objective(trials, TRAINING).into_iter().map(with_ways).collect()
 }
 
 fn time_table(trials: &[&Trial]) -> Table {

@@ -221,9 +221,14 @@ impl Trial {
         self.long_errors[body as usize][set as usize].filter(|e| e.is_finite() && *e > 0.0)
     }
 
-    /// A trial without outer steps has no trained body: what is stored of one is the initial one.
+    /// Whether it has outer steps: without them what is stored of a trained body is the initial one.
+    pub fn has_steps(&self) -> bool {
+        self.setting.get("optimise.iterations").and_then(Value::as_u64) != Some(0)
+    }
+
+    /// Takes away what is no trained body's.
     pub fn without_steps(&mut self) {
-        if self.setting.get("optimise.iterations").and_then(Value::as_u64) != Some(0) {
+        if self.has_steps() {
             return;
         }
         (self.errors[1], self.long_errors[1], self.nonlinear[1]) = ([None; 2], [None; 2], [None; 2]);

@@ -8,7 +8,7 @@ use super::named::Database;
 use super::{Error, make_folder, write};
 use crate::analysis::{Question, Terms};
 use crate::exit::Exit;
-use crate::look::{Figure, file};
+use crate::look::{Figure, Legend, Picture, file};
 use crate::report::{Story, figures, html, load};
 use crate::store::Reader;
 
@@ -86,7 +86,15 @@ const WIDTH: f64 = 440.0;
 pub(super) fn write_figures(folder: &Path, drawn: &[Figure]) -> Result<(), Error> {
     make_folder(folder)?;
     for figure in drawn {
-        let files = figure.pictures.iter().map(|p| file(std::slice::from_ref(p), 1, WIDTH, &figure.legend));
+        // of what a plot shows
+        let own = |p: &Picture| -> Legend {
+            let classes: Vec<&str> =
+                p.marks.0.split("class=\"").filter_map(|m| m.split('"').next()).collect();
+            let drawn = |name: &str| classes.iter().any(|c| c.split(' ').any(|word| word == name));
+            let shown = |key: &str| p.class != "plot" || key.rsplit(' ').next().is_some_and(drawn);
+            figure.legend.iter().filter(|(key, _)| shown(key)).cloned().collect()
+        };
+        let files = figure.pictures.iter().map(|p| file(std::slice::from_ref(p), 1, WIDTH, &own(p)));
         for (i, svg) in files.enumerate() {
             let number = if figure.pictures.len() > 1 { format!("-{}", i + 1) } else { String::new() };
             write(&folder.join(format!("{}{number}.svg", figure.name)), svg)?;

@@ -107,9 +107,11 @@ impl Sketch {
             @for at in &self.held { (mark(at, ["active", "active-node"])) }
             @for at in &self.broken { (mark(at, ["wrong", "wrong-node"])) }
             @if numbers {
-                @for (u, corners) in self.units.iter().enumerate().filter(|(u, _)| !self.sensors.contains(u)) {
+                @for (u, corners) in self.units.iter().enumerate() {
                     @let [x, y] = middle(corners);
-                    text class="index" x=(format!("{x:.2}")) y=(format!("{:.2}", 0.7 - y)) { (u) }
+                    // above a sensor's disc
+                    @let down = if self.sensors.contains(&u) { -0.2 * self.spacing } else { 0.7 };
+                    text class="index" x=(format!("{x:.2}")) y=(format!("{:.2}", down - y)) { (u) }
                 }
                 @for corners in &self.units {
                     @let [x, y] = middle(corners);
@@ -174,7 +176,7 @@ fn panels_and_sensors(sketch: &Sketch, numbers: bool) -> Markup {
                 title { "sensor " (m) ": unit " (unit) }
             }
             @if numbers {
-                text class="number" x=(format!("{x:.2}")) y=(format!("{:.2}", 1.0 - y)) { (m + 1) }
+                text class="number" x=(format!("{x:.2}")) y=(format!("{:.2}", 1.0 - y)) { (m) }
             }
         }
     }

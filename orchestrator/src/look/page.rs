@@ -128,7 +128,11 @@ impl Figure {
             figure {
                 (keys(&self.legend))
                 div class=(if self.small { "plots small" } else { "plots" }) {
-                    @for picture in &self.pictures { div { h3 { (picture.title) } (picture.svg(None)) } }
+                    @for picture in &self.pictures {
+                        // a wide plot in the type of the others
+                        @let wide = (picture.class == "plot" && picture.view[2] > 400.0).then_some("broad");
+                        div class=[wide] { h3 { (picture.title) } (picture.svg(None)) }
+                    }
                     @if let Some(moving) = &self.moving { div class="wide" { (moving) } }
                 }
                 figcaption { (prose(&self.caption)) " " (download(self.name, &self.data)) }
@@ -184,7 +188,7 @@ impl Table {
     pub fn linked(&self, name: Option<&str>, to: impl Fn(&str, &Value) -> Option<String>) -> Markup {
         let text = |column: usize| self.rows.iter().any(|row| row[column].is_string());
         let text: Vec<bool> = (0..self.columns.len()).map(text).collect();
-        let class = |text: bool, length: usize| match (text, length > 48) {
+        let class = |text: bool, length: usize| match (text, length > 30) {
             (true, true) => Some("text wide"),
             (true, false) => Some("text"),
             _ => None,

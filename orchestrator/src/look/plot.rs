@@ -161,7 +161,10 @@ impl Plot {
 
     /// A line through points, in the style of a class.
     pub fn line(&mut self, class: &str, points: impl IntoIterator<Item = (f64, f64)>) {
-        self.add(html! { path class=(format!("line {class}")) d=(self.path(points)) {} });
+        let d = self.path(points);
+        if !d.is_empty() {
+            self.add(html! { path class=(format!("line {class}")) d=(d) {} });
+        }
     }
 
     /// The area between lows and highs: (x, low, high).

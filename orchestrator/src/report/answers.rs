@@ -35,6 +35,11 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
             (by, with) => format!("Body trained with {with}, forces read by {by}. "),
         };
         if let Some(r) = paired::error_ratio(&refs, set) {
+            let settings = groups(&refs, &[]).len();
+            let pooled = match settings {
+                1 => String::new(),
+                _ => format!(" Over {settings} settings together; the table of pairs tells them apart."),
+            };
             let [initial, optimised] = means(&refs, |t, body| t.error(body, set));
             // what the body was chosen by says less than what nothing has seen
             let figure = if set == Set::Holdout { "" } else { "pairs" };
@@ -43,7 +48,7 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
                 verdict(&r),
                 format!(
                     "{who}On {what}, the initial body's error is {} times the optimised body's ({initial} % against \
-                     {optimised} %, {}); the optimised one is better in {} of {}.",
+                     {optimised} %, {}); the optimised one is better in {} of {}.{pooled}",
                     number(r.ratio),
                     interval(&r),
                     r.above_one,

@@ -2,9 +2,9 @@
 
 use super::answers::interval;
 use crate::analysis::data::{
-    COMPLEXITY, FREEDOM, Group, SENSORS, TRAINING, groups, levels, observations, places,
+    COMPLEXITY, FREEDOM, Group, SENSORS, TRAINING, groups, groups_by_objective, levels, observations, places,
 };
-use crate::analysis::kinds::brains;
+use crate::analysis::kinds::{brains, of_each};
 use crate::analysis::numbers::{distinct, quantile};
 use crate::analysis::placed::{Level, placed};
 use crate::analysis::random::{random, random_groups};
@@ -16,6 +16,9 @@ use crate::look::{Axis, Figure, Plot, Scale, Table, legend, number, row};
 
 /// The usual legend.
 pub const BODIES: [(&str, &str); 2] = [("initial", "initial body"), ("optimised", "optimised body")];
+
+/// Dots of a way of training each; further ones share one.
+const DOTS: [&str; 5] = ["dot optimised", "dot front", "dot fourth", "dot fifth", "dot truth"];
 
 /// At most so many trials of a setting have a line of their own; the data hold these.
 const MOST_LINES: usize = 200;
@@ -50,9 +53,17 @@ pub fn pairs(trials: &[Trial]) -> Option<Figure> {
     let mut plot = Plot::new("Each trial", x, y);
     let (low, high) = all.iter().fold((f64::INFINITY, 0.0f64), |(l, h), e| (l.min(*e), h.max(*e)));
     plot.line("equal", [(low, low), (high, high)]);
-    for (class, from_random) in [("optimised", false), ("front", true)] {
-        let drawn = points.iter().filter(|p| p.0.starts_random() == from_random);
-        let dots = drawn.map(|(t, i, o)| {
+    let of_trials = of_each(&points.iter().map(|p| p.0).collect::<Vec<_>>());
+    let who = |(of, point): (&[String; 2], &(&Trial, f64, f64))| {
+        let who =
+            if of[0] == of[1] { of[0].clone() } else { format!("trained with {}, read by {}", of[1], of[0]) };
+        if point.0.starts_random() { format!("{who}, from a random body") } else { who }
+    };
+    let whose: Vec<String> = of_trials.iter().zip(&points).map(who).collect();
+    let names = distinct(&whose);
+    for (n, name) in names.iter().enumerate() {
+        let drawn = points.iter().zip(&whose).filter(|(_, of)| of == name);
+        let dots = drawn.map(|((t, i, o), _)| {
             let text = format!(
                 "K {} M {} placement {} seed {}, {} units: {} % → {} %",
                 t.panels,
@@ -65,12 +76,10 @@ pub fn pairs(trials: &[Trial]) -> Option<Figure> {
             );
             ((*i, *o), text)
         });
-        plot.dots(class, dots);
+        plot.dots(DOTS.get(n).map_or("thin", |key| &key["dot ".len()..]), dots);
     }
-    let keys = match points.iter().any(|p| p.0.starts_random()) {
-        true => legend(&[("dot sensor", "from rotated squares"), ("dot front", "from a random body")]),
-        false => vec![],
-    };
+    let keys = names.iter().enumerate().filter(|_| names.len() > 1);
+    let keys = keys.map(|(n, name)| (DOTS.get(n).copied().unwrap_or("dot thin"), (*name).clone())).collect();
     let data = Table::new(
         "hash panels sensors placement seed units holdout_error_initial holdout_error_optimised",
         points.iter().map(|(t, i, o)| {
@@ -366,7 +375,8 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
     let mut pictures = Vec::new();
     let mut rows = Vec::new();
     let mut sparsest = 1;
-    for (i, group) in groups(&refs, &[TRAINING, SENSORS, COMPLEXITY].concat()).iter().enumerate() {
+    for (i, group) in groups_by_objective(&refs, &[TRAINING, SENSORS, COMPLEXITY].concat()).iter().enumerate()
+    {
         let points: Vec<Point> = group.trials.iter().flat_map(|t| t.history.iter().copied()).collect();
         let every = group.trials.len().div_ceil(MOST_LINES);
         sparsest = sparsest.max(every);

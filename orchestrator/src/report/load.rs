@@ -370,7 +370,8 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
 }
 
 /// What of a trial the page shows.
-const SHOWN: &str = "hash, state, reason, panels, sensors, placement, seed, units, design_parameters, protocol,
+const SHOWN: &str = "hash, state, reason, panels, sensors, placement, seed, units, design_parameters, brain, trained_with,
+  spec->>'$.optimise.objective' AS objective, protocol,
   error_initial AS test_error_initial, error_optimised AS test_error_optimised, holdout_error_initial, holdout_error_optimised,
   steps, attempts, seconds, simd";
 /// What its file has besides, so that nothing else is needed to know a row.

@@ -8,6 +8,7 @@ use super::figures::BODIES;
 use super::modes;
 use super::strips::{Curve, Errors, Strip, dots, histories, representative, strips};
 use crate::analysis::Body;
+use crate::analysis::kinds::brains_of;
 use crate::look::body::{Sketch, frame};
 use crate::look::wave::{self, animation, snapshot};
 use crate::look::{Figure, Table, legend, number, row, short_hash};
@@ -76,7 +77,10 @@ impl Replayed {
         let (hash, p) = (&self.stored.hash, self.stored.spec().point);
         let short = short_hash(hash);
         let (k, m, placement, seed) = (p.panels, p.sensors, p.placement, p.seed);
-        format!("trial {short} (K = {k}, M = {m}, placement {placement}, seed {seed})")
+        let [by, with] = brains_of(&serde_json::to_value(self.stored.spec()).unwrap_or_default());
+        format!(
+            "trial {short} (K = {k}, M = {m}, placement {placement}, seed {seed}; trained with {with}, read by {by})"
+        )
     }
 
     /// Predictions of a sample: T · K.
@@ -138,8 +142,8 @@ impl Replayed {
             "forces",
             "True and predicted forces",
             format!(
-                "Force histories of {which} of {}, and the predictions by each body's brain (the first network, the \
-                 linear one, or the inverse one). Each panel's line is drawn {} N above the next. The titles give the sample's error on \
+                "Force histories of {which} of {}, and the predictions by each body's brain, of networks \
+                 the first. Each panel's line is drawn {} N above the next. The titles give the sample's error on \
                  the initial and on the optimised body, over all panels.{}",
                 self.who(),
                 number(step),

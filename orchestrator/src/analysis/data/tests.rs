@@ -52,6 +52,9 @@ fn groups_differ_in_what_their_labels_say() {
     let found: Vec<(&str, usize)> = found.iter().map(|g| (&*g.label, g.trials.len())).collect();
     let told = |bend: &str| format!("K = 2, M = 1, body.stiffness.bend = {bend}");
     assert_eq!(found, [(&*told("4.0"), 3), (&*told("5.76"), 1)]);
+    // also where the first of a size is no round number
+    let found = groups(&sheet.iter().rev().skip(1).collect::<Vec<_>>(), COMPLEXITY);
+    assert_eq!(found.len(), 1, "{found:?}");
     let ways =
         [("cnn", json!({"seeds": 3, "batch": 30})), ("linear", json!({"seeds": 1}))].map(|(kind, judged)| {
             with(trial(2, 5, 1, 0), &json!({"brain": {"kind": kind}, "evaluation": judged}))

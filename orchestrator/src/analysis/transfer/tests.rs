@@ -36,6 +36,16 @@ fn gains_under_other_forces_are_told_against_the_specialists() {
         }
     }
     trials.push(Trial::default());
+    // no body of its own
+    let mut untouched = trials[0].clone();
+    untouched.setting = untouched
+        .setting
+        .leaves()
+        .into_iter()
+        .map(|(path, value)| (path.to_owned(), value.clone()))
+        .chain([("optimise.iterations".to_owned(), json!(0))])
+        .collect();
+    trials.push(untouched);
     let refs: Vec<&Trial> = trials.iter().collect();
     let found = settings(&refs);
     assert_eq!((found.len(), &found[0].label[..]), (1, "K = 2, M = 1"));

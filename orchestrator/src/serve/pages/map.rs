@@ -7,8 +7,11 @@ use axum::extract::{Path, Query, State};
 use axum::response::Html;
 use maud::html;
 use serde::Deserialize;
+use serde_json::Value;
 
 use super::{Served, framed, live, query, to_trial, trouble};
+use crate::analysis::Trial;
+use crate::analysis::kinds::brains;
 use crate::analysis::numbers::geometric_mean;
 use crate::look::Picture;
 use crate::look::grid::{Cell, grid};
@@ -48,8 +51,8 @@ pub async fn page(
         (trouble(&seen))
         @if let Some(wrong) = &wrong { p class="trouble" role="alert" { (wrong) } }
         p class="quiet" {
-            (counted(found.len(), "trial")) ". A cell shows the geometric mean over its trials (seeds, brains and all other \
-             differences). Colour goes from pale (the smallest value of all cells) to strong (the largest), by factors. A click \
+            (counted(found.len(), "trial")) ". A cell shows the geometric mean over its trials (seeds and all differences but \
+             these). Colour goes from pale (the smallest value of all cells) to strong (the largest), by factors. A click \
              shows its trials."
         }
         div class="grids" { @for picture in &pictures { figure { h2 { (picture.title) } (picture.svg(Some(picture.view))) } } }
@@ -68,14 +71,24 @@ pub async fn page(
     framed(&served, &at, "map", "Sweep map", Some(seen.generation), &content)
 }
 
+/// What of a cell's brains a filter can name.
+fn alike(row: &Row) -> String {
+    let usual = [("brain.kind", "cnn"), ("optimise.objective", "nominal")];
+    let said = |(path, usual)| {
+        row.setting.get(path).map_or(Some(usual), Value::as_str).map(|v| format!(" {path}={v}"))
+    };
+    usual.into_iter().filter_map(said).collect()
+}
+
 /// The grids, and how many are left out.
 fn grids(at: &str, found: &[&Arc<Row>], by: &str) -> (Vec<Picture>, usize) {
     type Cells = BTreeMap<(u64, u64), Vec<Arc<Row>>>;
-    let mut of: BTreeMap<(u64, u64, &str), Cells> = BTreeMap::new();
+    let mut of: BTreeMap<(u64, u64, &str, [String; 2]), Cells> = BTreeMap::new();
     let whole = |row: &Row, name| row.number(name).unwrap_or(0.0) as u64;
     for row in found {
         let placed = row.setting.get("sensors.search").and_then(|v| v.as_str()).unwrap_or("random");
-        let key = (whole(row, "K"), whole(row, "units"), placed);
+        let brains = brains(&Trial { setting: row.setting.clone(), ..Trial::default() });
+        let key = (whole(row, "K"), whole(row, "units"), placed, brains);
         let cell = (whole(row, "placement"), whole(row, "M"));
         of.entry(key).or_default().entry(cell).or_default().push(Arc::clone(row));
     }
@@ -92,8 +105,9 @@ fn grids(at: &str, found: &[&Arc<Row>], by: &str) -> (Vec<Picture>, usize) {
         [all.iter().copied().fold(f64::INFINITY, f64::min), all.iter().copied().fold(0.0, f64::max)];
     let part = |x: f64| if most > least { (x / least).ln() / (most / least).ln() } else { 0.5 };
     let left = of.len().saturating_sub(MOST);
-    let picture = |((panels, units, placed), cells): (&(u64, u64, &str), &Cells)| {
-        let title = format!("K = {panels}, {}, sensors {placed}", counted(*units as usize, "unit"));
+    let picture = |((panels, units, placed, [by, with]), cells): (&(u64, u64, &str, [String; 2]), &Cells)| {
+        let who = if by == with { by.clone() } else { format!("trained with {with}, read by {by}") };
+        let title = format!("K = {panels}, {}, sensors {placed}, {who}", counted(*units as usize, "unit"));
         let axis = |pick: fn(&(u64, u64)) -> u64| -> Vec<u64> {
             cells.keys().map(pick).collect::<BTreeSet<_>>().into_iter().take(MOST).collect()
         };
@@ -105,7 +119,13 @@ fn grids(at: &str, found: &[&Arc<Row>], by: &str) -> (Vec<Picture>, usize) {
                 [row] => to_trial(at, &row.hash),
                 _ => format!(
                     "/{at}/trials{}",
-                    query(&[("q", &format!("K={panels} M={sensors} placement={placement} units={units}"))])
+                    query(&[(
+                        "q",
+                        &format!(
+                            "K={panels} M={sensors} placement={placement} units={units}{}",
+                            alike(&rows[0])
+                        )
+                    )])
                 ),
             };
             let told = value(rows);

@@ -48,7 +48,8 @@ pub(super) struct Trial {
 }
 
 /// What is told of a trial, and of its attempts.
-const FACTS: &str = "panels AS K, sensors AS M, placement, seed, units, layout, brain, trained_with, placed, protocol,
+const FACTS: &str = "panels AS K, sensors AS M, placement, seed, units, layout, brain, trained_with,
+  spec->>'$.optimise.objective' AS objective, placed, protocol,
   design_parameters, brain_parameters, holdout_error_initial, holdout_error_optimised, error_initial AS test_error_initial,
   error_optimised AS test_error_optimised, best_step, steps, attempts, seconds AS cpu_seconds, sensor_units,
   sensor_units_optimised, finished_at";
