@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use serde_json::Value;
 
-use super::kinds::{brains, objective};
+use super::kinds::{brains, in_words, objective};
 use super::numbers::{distinct, geometric_mean};
 use super::trial::{Body, Cluster, Set, Trial};
 use crate::look::plain;
@@ -279,10 +279,7 @@ fn label(key: &Key, own: &[String; 2], one_kind: bool, differ: [&HashSet<&str>; 
     }
     if !one_kind {
         let training_told = key.iter().any(|(path, _)| path.starts_with("optimise."));
-        parts.push(match own[0] == own[1] || !training_told {
-            true => own[0].clone(),
-            false => format!("trained with {}, read by {}", own[1], own[0]),
-        });
+        parts.push(if training_told { in_words(own) } else { own[0].clone() });
     }
     for (path, value) in key {
         // a material says what it gives

@@ -34,7 +34,12 @@ pub fn brains(trial: &Trial) -> [String; 2] {
     }
 }
 
-/// The same of a trial's spec, or of what of it says so.
+/// [`brains`] in words.
+pub fn in_words([by, with]: &[String; 2]) -> String {
+    if by == with { by.clone() } else { format!("trained with {with}, read by {by}") }
+}
+
+/// [`brains`] of a trial's spec, or of what of it says so.
 pub fn brains_of(spec: &Value) -> [String; 2] {
     brains(&Trial { setting: flatten(spec).into_iter().collect(), ..Trial::default() })
 }

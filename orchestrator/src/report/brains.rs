@@ -1,5 +1,6 @@
 //! Error by brain: a figure, and a sentence a setting.
 
+use super::figures::left_out;
 use crate::analysis::brains::{Read, reads};
 use crate::analysis::data::{BRAINS, Group, groups};
 use crate::analysis::numbers::distinct;
@@ -60,9 +61,12 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
     Figure::some(
         "brains",
         "Body or brain?",
-        "Lines: prediction error on the holdout by a linear decoder, which fits the forces to the signals around each instant \
-         by least squares. Left: against how far it looks back and ahead. Right: with the whole past, against how long it \
-         waits after the instant. Dots: networks, at the memory that their shape has.",
+        format!(
+            "Lines: prediction error on the holdout by a linear decoder, which fits the forces to the signals around each \
+             instant by least squares. Left: against how far it looks back and ahead. Right: with the whole past, against how \
+             long it waits after the instant. Dots beside the lines: networks, at the memory that their shape has.{}",
+            left_out(drawn.len(), MOST_SETTINGS)
+        ),
         entries,
         pictures,
         || Question::Brains.answer(trials, Terms::default()),

@@ -1,5 +1,6 @@
 //! Error over casts, by body and brain: a figure, and a sentence a setting.
 
+use super::figures::left_out;
 use crate::analysis::bodies::Trained;
 use crate::analysis::casts::{Left, Setting, settings};
 use crate::analysis::numbers::distinct;
@@ -23,11 +24,14 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
     Figure::some(
         "casts",
         "What is left once the body is cast?",
-        "Prediction error on the holdout over casts that no training has seen, which scatter as [variation] says. Dots: the \
-         median cast; lines: from there up to the 90th percentile; geometric means over trials. First place: the body as \
-         designed. Then the brains that read the casts: one fitted to the body as designed, one to other casts, and one \
-         to so many records of each cast beside those. Trained: for the body as designed (nominal), or over casts by objective and by \
-         whether one brain reads all or each its own.",
+        format!(
+            "Prediction error on the holdout over casts that no training has seen, which scatter as [variation] says. Dots: \
+             the median cast; lines: from there up to the 90th percentile; geometric means over trials. First place: the body \
+             as designed. Then the brains that read the casts: one fitted to the body as designed, one to other casts, and \
+             one to so many records of each cast beside those. Trained: for the body as designed (nominal), or over casts by \
+             objective and by whether one brain reads all or each its own.{}",
+            left_out(found.len(), MOST_SETTINGS)
+        ),
         legend(&names),
         found.iter().take(MOST_SETTINGS).map(|setting| picture(setting, &names)).collect(),
         || Question::Casts.answer(trials, Terms::default()),

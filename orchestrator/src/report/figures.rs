@@ -4,7 +4,7 @@ use super::answers::interval;
 use crate::analysis::data::{
     COMPLEXITY, FREEDOM, Group, SENSORS, TRAINING, groups, groups_by_objective, levels, observations, places,
 };
-use crate::analysis::kinds::{brains, of_each};
+use crate::analysis::kinds::{brains, in_words, of_each};
 use crate::analysis::numbers::{distinct, quantile};
 use crate::analysis::placed::{Level, placed};
 use crate::analysis::random::{random, random_groups};
@@ -25,6 +25,15 @@ const MOST_LINES: usize = 200;
 
 /// At most so many plots of a kind; the data hold all.
 const MOST_PLOTS: usize = 6;
+
+/// What a caption says of settings beyond the most that are drawn.
+pub(super) fn left_out(all: usize, most: usize) -> String {
+    match all.saturating_sub(most) {
+        0 => String::new(),
+        1 => " A further setting is in the data.".to_owned(),
+        more => format!(" {more} further settings are in the data."),
+    }
+}
 
 /// A place on an axis, and an error (%).
 type Point = (f64, f64);
@@ -55,9 +64,8 @@ pub fn pairs(trials: &[Trial]) -> Option<Figure> {
     plot.line("equal", [(low, low), (high, high)]);
     let of_trials = of_each(&points.iter().map(|p| p.0).collect::<Vec<_>>());
     let who = |(of, point): (&[String; 2], &(&Trial, f64, f64))| {
-        let who =
-            if of[0] == of[1] { of[0].clone() } else { format!("trained with {}, read by {}", of[1], of[0]) };
-        if point.0.starts_random() { format!("{who}, from a random body") } else { who }
+        let from = if point.0.starts_random() { ", from a random body" } else { "" };
+        format!("{}{from}", in_words(of))
     };
     let whose: Vec<String> = of_trials.iter().zip(&points).map(who).collect();
     let names = distinct(&whose);
@@ -129,10 +137,7 @@ pub fn sensors(trials: &[Trial], terms: Terms) -> Option<Figure> {
         }
         plot.picture()
     };
-    let rest = match drawn.len().saturating_sub(MOST_PLOTS) {
-        0 => String::new(),
-        left_out => format!(" {left_out} further settings are in the data."),
-    };
+    let rest = left_out(drawn.len(), MOST_PLOTS);
     Figure::some(
         "sensors",
         "How many sensors are enough?",
@@ -375,8 +380,8 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
     let mut pictures = Vec::new();
     let mut rows = Vec::new();
     let mut sparsest = 1;
-    for (i, group) in groups_by_objective(&refs, &[TRAINING, SENSORS, COMPLEXITY].concat()).iter().enumerate()
-    {
+    let settings = groups_by_objective(&refs, &[TRAINING, SENSORS, COMPLEXITY].concat());
+    for (i, group) in settings.iter().enumerate() {
         let points: Vec<Point> = group.trials.iter().flat_map(|t| t.history.iter().copied()).collect();
         let every = group.trials.len().div_ceil(MOST_LINES);
         sparsest = sparsest.max(every);
@@ -421,7 +426,8 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
     let caption = format!(
         "Best test error so far of the brain inside the outer loop, against the CPU seconds of the trial's steps (without \
          the evaluation). Thin: single trials{of_many}. Thick: geometric mean of each way of training. On the Pareto front \
-         no other trial has both less error and less time."
+         no other trial has both less error and less time.{}",
+        left_out(settings.len(), MOST_PLOTS)
     );
     let data = || Table::new("hash protocol seconds best_error_test", rows);
     Figure::some("run_time", "What did the error cost in time?", caption, legend(&key), pictures, data)

@@ -1,6 +1,7 @@
 //! Bodies trained under one kind of forces and read under others: a figure, and a sentence a setting.
 
 use super::casts::{CLASSES, MOST_SETTINGS, Mark, aside, legend, side_by_side, told_apart};
+use super::figures::left_out;
 use crate::analysis::bodies::Trained;
 use crate::analysis::transfer::{Setting, settings};
 use crate::analysis::{Question, Terms, Trial};
@@ -15,9 +16,12 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
     Figure::some(
         "transfer",
         "What is a body worth under forces that it was not trained for?",
-        "Prediction error on the holdout under each kind of forces by linear brains, geometric means over trials. Dots: fitted to \
-         samples under these forces; lines: from there to a brain fitted under those that trained the body. Trained: under which \
-         forces.",
+        format!(
+            "Prediction error on the holdout under each kind of forces by linear brains, geometric means over trials. Dots: \
+             fitted to samples under these forces; lines: from there to a brain fitted under those that trained the body. \
+             Trained: under which forces.{}",
+            left_out(found.len(), MOST_SETTINGS)
+        ),
         legend(&names),
         found.iter().take(MOST_SETTINGS).map(|setting| picture(setting, &names)).collect(),
         || Question::Transfer.answer(trials, Terms::default()),

@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use super::{Served, framed, live, query, to_trial, trouble};
 use crate::analysis::Trial;
-use crate::analysis::kinds::brains;
+use crate::analysis::kinds::{brains, in_words};
 use crate::analysis::numbers::geometric_mean;
 use crate::look::Picture;
 use crate::look::grid::{Cell, grid};
@@ -105,8 +105,8 @@ fn grids(at: &str, found: &[&Arc<Row>], by: &str) -> (Vec<Picture>, usize) {
         [all.iter().copied().fold(f64::INFINITY, f64::min), all.iter().copied().fold(0.0, f64::max)];
     let part = |x: f64| if most > least { (x / least).ln() / (most / least).ln() } else { 0.5 };
     let left = of.len().saturating_sub(MOST);
-    let picture = |((panels, units, placed, [by, with]), cells): (&(u64, u64, &str, [String; 2]), &Cells)| {
-        let who = if by == with { by.clone() } else { format!("trained with {with}, read by {by}") };
+    let picture = |((panels, units, placed, brains), cells): (&(u64, u64, &str, [String; 2]), &Cells)| {
+        let who = in_words(brains);
         let title = format!("K = {panels}, {}, sensors {placed}, {who}", counted(*units as usize, "unit"));
         let axis = |pick: fn(&(u64, u64)) -> u64| -> Vec<u64> {
             cells.keys().map(pick).collect::<BTreeSet<_>>().into_iter().take(MOST).collect()
