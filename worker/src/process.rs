@@ -51,7 +51,7 @@ fn complain(what: std::fmt::Arguments) {
 }
 
 /// Has glibc keep large pieces of memory that are freed: a linear brain of six sensors takes 100 MB a step anew, which the system
-/// would clear page by page. A sixth of such a trial's time on one thread, a third on two, for a quarter more memory; nobody else's.
+/// would clear page by page. A sixth of such a trial's time on one thread, a third on two, for a third more memory.
 pub fn keep_memory() {
     // SAFETY: sets limits of the allocator.
     #[cfg(target_env = "gnu")]

@@ -141,16 +141,21 @@ pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
     labels.into_iter().zip(found).map(|(label, (_, trials))| Group { label, trials }).collect()
 }
 
+/// Whether a path says how a body was trained, which how free its design is does not.
+fn trains(path: &str) -> bool {
+    path.starts_with("optimise.") && !FREEDOM.contains(&path)
+}
+
 /// Groups within which the outer loop has one error: that over casts is another than that as designed.
 pub fn groups_by_objective<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
-    let over = distinct(trials.iter().map(|trial| objective(trial)));
-    let of = |over: &Option<String>| {
-        let own = trials.iter().copied().filter(|trial| objective(trial) == *over).collect::<Vec<_>>();
-        let mut found = groups(&own, but);
-        found.iter_mut().for_each(|group| group.label.extend(over.iter().map(|over| format!(", {over}"))));
-        found
+    let part = |group: &Group<'a>, over: &Option<String>| {
+        let trials: Vec<_> = group.trials.iter().copied().filter(|trial| objective(trial) == *over).collect();
+        let told = over.as_ref().map_or(String::new(), |over| format!(", {over}"));
+        (!trials.is_empty()).then(|| Group { label: format!("{}{told}", group.label), trials })
     };
-    over.iter().flat_map(of).collect()
+    let over = distinct(trials.iter().map(|trial| objective(trial)));
+    let found = groups(trials, but);
+    found.iter().flat_map(|group| over.iter().filter_map(|over| part(group, over))).collect()
 }
 
 /// Whether a path is the one named, or below it where the name ends in a dot.
@@ -239,9 +244,7 @@ fn differing_within<'k, K: Hash + Eq>(keys: &[&'k Key], kinds: &[K]) -> Vec<Rc<H
 /// The brains of a group: of its trials, which know what their bodies were trained for, where training tells them apart.
 fn kind(key: &Key, first: &Trial) -> [String; 2] {
     // what a brain brings along differs with it: that alone is told
-    if key.iter().any(|(path, _)| path.starts_with("optimise."))
-        && key.iter().any(|(path, _)| path.starts_with("brain."))
-    {
+    if key.iter().any(|(path, _)| trains(path)) && key.iter().any(|(path, _)| path.starts_with("brain.")) {
         return brains(first);
     }
     brains(&Trial { setting: key.iter().cloned().collect(), ..Trial::default() })
@@ -264,7 +267,9 @@ fn labels(all: &[&Key], kinds: Vec<[String; 2]>) -> Vec<String> {
 fn label(key: &Key, own: &[String; 2], one_kind: bool, differ: [&HashSet<&str>; 3]) -> String {
     let value = |path: &str| at(key, path);
     let [differs, alike, struck] = differ;
-    let of_brains = |path: &str| BRAINS.iter().any(|table| path.starts_with(table));
+    let of_brains = |path: &str| {
+        trains(path) || !path.starts_with("optimise.") && BRAINS.iter().any(|table| path.starts_with(table))
+    };
     let mut parts = Vec::new();
     for (name, path) in [("K", "point.panels"), ("M", "point.sensors")] {
         parts.extend(value(path).map(|v| format!("{name} = {v}")));
@@ -278,7 +283,7 @@ fn label(key: &Key, own: &[String; 2], one_kind: bool, differ: [&HashSet<&str>; 
         _ => {}
     }
     if !one_kind {
-        let training_told = key.iter().any(|(path, _)| path.starts_with("optimise."));
+        let training_told = key.iter().any(|(path, _)| trains(path));
         parts.push(if training_told { in_words(own) } else { own[0].clone() });
     }
     for (path, value) in key {

@@ -38,7 +38,9 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
             let settings = groups(&refs, &[]).len();
             let pooled = match settings {
                 1 => String::new(),
-                _ => format!(" Over {settings} settings together; the table of pairs tells them apart."),
+                _ => format!(
+                    " Over {settings} settings together: `metasense analyse --question paired` tells them apart."
+                ),
             };
             let [initial, optimised] = means(&refs, |t, body| t.error(body, set));
             // what the body was chosen by says less than what nothing has seen

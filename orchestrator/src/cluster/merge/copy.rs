@@ -32,7 +32,7 @@ pub(super) async fn open(path: &Path) -> sqlx::Result<SqliteConnection> {
     store::migrate(&mut out, version.min(MIGRATIONS.len())).await?;
     out.execute(
         "CREATE TEMP TABLE candidate (input INTEGER, old INTEGER, hash TEXT, settled INTEGER, reached INTEGER,
-           attempts INTEGER, since TEXT, ended INTEGER, open INTEGER, finished_at TEXT, last TEXT, simd TEXT, error REAL);
+           attempts INTEGER, redone INTEGER, since TEXT, ended INTEGER, open INTEGER, finished_at TEXT, last TEXT, simd TEXT, error REAL);
          CREATE TEMP TABLE thrown (hash TEXT, since TEXT, PRIMARY KEY (hash, since)) WITHOUT ROWID;
          CREATE TEMP TABLE sweeps (input INTEGER, old INTEGER, name TEXT, text TEXT, version TEXT, spec TEXT,
            created_at TEXT, new INTEGER, chosen INTEGER);
@@ -67,7 +67,9 @@ pub(super) async fn survey(out: &mut SqliteConnection, input: usize) -> sqlx::Re
            coalesce((SELECT (c.step << 32) + length(c.bytes) FROM src.checkpoint c WHERE c.trial_id = t.id),
              (SELECT e.reached FROM src.elsewhere e WHERE e.trial_id = t.id), 0),
            (SELECT count(*) FROM src.attempt a WHERE a.trial_id = t.id),
-           (SELECT min(a.started_at) FROM src.attempt a WHERE a.trial_id = t.id AND NOT a.redone),
+           (SELECT coalesce(sum(a.redone), 0) FROM src.attempt a WHERE a.trial_id = t.id),
+           (SELECT min(a.started_at) FROM src.attempt a
+            WHERE a.trial_id = t.id AND NOT a.redone AND (a.steps > 0 OR a.saves > 0 OR a.state = 'done')),
            coalesce((SELECT a.state <> 'running' AND a.reason IS NOT 'orchestrator_lost' FROM src.attempt a
                      WHERE a.trial_id = t.id ORDER BY a.number DESC LIMIT 1), 0),
            t.state IN ('pending', 'running'), t.finished_at,
@@ -87,10 +89,11 @@ pub(super) async fn survey(out: &mut SqliteConnection, input: usize) -> sqlx::Re
     Ok(())
 }
 
-/// Of each trial the copy that has come farthest: whose attempts another has not thrown away, to make them again by other code; done; else
-/// with most steps behind it, then most attempts. A trial that failed and is open again has been asked for anew. Of several that are done, the first one. Of equals
-/// the one that is in the result already (`base`) stays; of equal facts the last input's counts, as its file stays longest.
-/// Sweeps are numbered as the store numbers them, the first one highest.
+/// Of each trial the copy that has come farthest: one whose attempts no other has thrown away, to make them again by other code; of
+/// these one that is done, first one that was made again; else with most steps behind it, then most attempts. A trial that
+/// failed and is open again has been asked for anew. Of several that are done, the first one. Of equals the one that is in the
+/// result already (`base`) stays; of equal facts the last input's counts, as its file stays longest. Sweeps are numbered as the
+/// store numbers them, the first one highest.
 pub(super) async fn choose(
     out: &mut SqliteConnection,
     base: Option<usize>,
@@ -107,7 +110,7 @@ pub(super) async fn choose(
          SELECT coalesce(there, (SELECT coalesce(max(old), 0) FROM temp.candidate WHERE input = {base})
              + row_number() OVER (PARTITION BY there IS NULL ORDER BY input, old)), input, old, hash, reached FROM
            (SELECT input, old, hash, reached, max(CASE input WHEN {base} THEN old END) OVER (PARTITION BY hash) AS there,
-              row_number() OVER (PARTITION BY hash ORDER BY thrown, settled DESC, reached DESC,
+              row_number() OVER (PARTITION BY hash ORDER BY thrown, settled DESC, redone DESC, reached DESC,
                 CASE WHEN settled = 0 THEN attempts END DESC, ended DESC, open DESC, finished_at, last DESC, simd, error,
                 {among_equals}) AS place
             FROM (SELECT *, EXISTS (SELECT 1 FROM temp.thrown t WHERE t.hash = c.hash AND t.since = c.since) AS thrown

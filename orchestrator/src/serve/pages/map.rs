@@ -7,15 +7,14 @@ use axum::extract::{Path, Query, State};
 use axum::response::Html;
 use maud::html;
 use serde::Deserialize;
-use serde_json::Value;
 
 use super::{Served, framed, live, query, to_trial, trouble};
 use crate::analysis::Trial;
 use crate::analysis::kinds::{brains, in_words};
 use crate::analysis::numbers::geometric_mean;
-use crate::look::Picture;
 use crate::look::grid::{Cell, grid};
 use crate::look::number;
+use crate::look::{Picture, plain};
 use crate::plan::counted;
 use crate::serve::trials::Row;
 use crate::serve::{Refusal, source};
@@ -73,11 +72,11 @@ pub async fn page(
 
 /// What of a cell's brains a filter can name.
 fn alike(row: &Row) -> String {
-    let usual = [("brain.kind", "cnn"), ("optimise.objective", "nominal")];
-    let said = |(path, usual)| {
-        row.setting.get(path).map_or(Some(usual), Value::as_str).map(|v| format!(" {path}={v}"))
-    };
-    usual.into_iter().filter_map(said).collect()
+    let said = |path| Some(row.cell(path)).filter(|v| !v.is_null()).map(|v| format!(" {path}={}", plain(&v)));
+    ["brain.kind", "optimise.brain", "optimise.objective", "optimise.objective.cvar"]
+        .into_iter()
+        .filter_map(said)
+        .collect()
 }
 
 /// The grids, and how many are left out.

@@ -114,7 +114,7 @@ pub(super) fn read_casts(
     Some(())
 }
 
-/// Every so-many-th sample of the casts, so that no fewer than there are training samples are left where there are so many, of all casts alike.
+/// As many samples of each cast, no fewer in all than there are training samples where there are so many.
 fn thinned(casts: &Samples, training: usize) -> Samples {
     let each = training.div_ceil(KNOWN_CASTS).min(KNOWN_SAMPLES);
     casts.select(&(0..casts.count()).filter(|i| i % KNOWN_SAMPLES < each).collect::<Vec<_>>())
