@@ -41,7 +41,7 @@ pub struct Left {
 pub fn settings<'a>(trials: &[&'a Trial]) -> Vec<Setting<'a>> {
     let cast: Vec<&Trial> = trials.iter().filter(|t| !t.casts.is_empty()).copied().collect();
     let way = |trial: &Trial| {
-        let objective = objective(trial);
+        let objective = objective(&trial.setting);
         (objective.is_some(), objective.unwrap_or("nominal".into()))
     };
     let setting = |group: Group<'a>| Setting {

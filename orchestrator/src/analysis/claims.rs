@@ -308,7 +308,7 @@ fn two_forces<'a>(trials: &[&'a Trial], stimuli: &str) -> Vec<&'a Trial> {
 fn who(group: &Group) -> String {
     let parts = apart(&group.label);
     match parts.is_empty() {
-        true => brains(group.trials[0])[0].clone(),
+        true => brains(&group.trials[0].setting)[0].clone(),
         false => parts.join(", "),
     }
 }
@@ -535,7 +535,7 @@ fn complexity(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
                 let initial =
                     of(Body::Initial).map_or(String::new(), |r| format!("; untrained {:.3}", r.ratio));
                 let note = format!("{few} → {many} parameters{initial}");
-                let brain = &brains(group.trials[0])[0];
+                let brain = &brains(&group.trials[0].setting)[0];
                 let own = |part: &&str| {
                     *part != brain && !part.ends_with(" units") && !part.ends_with(" units across")
                 };

@@ -149,11 +149,12 @@ fn trains(path: &str) -> bool {
 /// Groups within which the outer loop has one error: that over casts is another than that as designed.
 pub fn groups_by_objective<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
     let part = |group: &Group<'a>, over: &Option<String>| {
-        let trials: Vec<_> = group.trials.iter().copied().filter(|trial| objective(trial) == *over).collect();
+        let trials: Vec<_> =
+            group.trials.iter().copied().filter(|trial| objective(&trial.setting) == *over).collect();
         let told = over.as_ref().map_or(String::new(), |over| format!(", {over}"));
         (!trials.is_empty()).then(|| Group { label: format!("{}{told}", group.label), trials })
     };
-    let over = distinct(trials.iter().map(|trial| objective(trial)));
+    let over = distinct(trials.iter().map(|trial| objective(&trial.setting)));
     let found = groups(trials, but);
     found.iter().flat_map(|group| over.iter().filter_map(|over| part(group, over))).collect()
 }
@@ -245,9 +246,9 @@ fn differing_within<'k, K: Hash + Eq>(keys: &[&'k Key], kinds: &[K]) -> Vec<Rc<H
 fn kind(key: &Key, first: &Trial) -> [String; 2] {
     // what a brain brings along differs with it: that alone is told
     if key.iter().any(|(path, _)| trains(path)) && key.iter().any(|(path, _)| path.starts_with("brain.")) {
-        return brains(first);
+        return brains(&first.setting);
     }
-    brains(&Trial { setting: key.iter().cloned().collect(), ..Trial::default() })
+    brains(&key.iter().cloned().collect())
 }
 
 /// K always, M where fixed; of the rest what differs among the groups. Panel units follow from K and layout and say
@@ -267,9 +268,8 @@ fn labels(all: &[&Key], kinds: Vec<[String; 2]>) -> Vec<String> {
 fn label(key: &Key, own: &[String; 2], one_kind: bool, differ: [&HashSet<&str>; 3]) -> String {
     let value = |path: &str| at(key, path);
     let [differs, alike, struck] = differ;
-    let of_brains = |path: &str| {
-        trains(path) || !path.starts_with("optimise.") && BRAINS.iter().any(|table| path.starts_with(table))
-    };
+    let of_brains =
+        |path: &str| BRAINS.iter().any(|table| path.starts_with(table)) && !FREEDOM.contains(&path);
     let mut parts = Vec::new();
     for (name, path) in [("K", "point.panels"), ("M", "point.sensors")] {
         parts.extend(value(path).map(|v| format!("{name} = {v}")));

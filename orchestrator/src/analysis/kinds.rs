@@ -6,28 +6,28 @@ use std::sync::Arc;
 use metasense_schemas::spec::{Brain, BrainKind, Network, Preset};
 use serde_json::Value;
 
-use super::setting::flatten;
+use super::setting::{Setting, flatten};
 use super::trial::Trial;
 
 /// The trial's own brain, and the one that its body was trained with.
-pub fn brains(trial: &Trial) -> [String; 2] {
-    let text = |path: &str| trial.setting.get(path).and_then(Value::as_str);
+pub fn brains(setting: &Setting) -> [String; 2] {
+    let text = |path: &str| setting.get(path).and_then(Value::as_str);
     let own = match text("brain.kind") {
-        Some("stacked") => match network(trial) {
+        Some("stacked") => match network(setting) {
             shape if shape == "cnn" => "stacked".to_owned(),
             shape => format!("stacked, {shape}"),
         },
-        Some(kind) => match trial.setting.get("brain.memory") {
+        Some(kind) => match setting.get("brain.memory") {
             Some(memory) => format!("{kind}, memory {memory} s"),
             None => kind.to_owned(),
         },
-        None => network(trial),
+        None => network(setting),
     };
     let mut with = match text("optimise.brain") {
         Some(kind) => kind.to_owned(),
-        None => network(trial),
+        None => network(setting),
     };
-    with.extend(objective(trial).map(|over| format!(", {over}")));
+    with.extend(objective(setting).map(|over| format!(", {over}")));
     match text("optimise.protocol") {
         None | Some("joint") => [own, with],
         Some(protocol) => [own, format!("{with} ({protocol})")],
@@ -41,15 +41,15 @@ pub fn in_words([by, with]: &[String; 2]) -> String {
 
 /// [`brains`] of a trial's spec, or of what of it says so.
 pub fn brains_of(spec: &Value) -> [String; 2] {
-    brains(&Trial { setting: flatten(spec).into_iter().collect(), ..Trial::default() })
+    brains(&flatten(spec).into_iter().collect())
 }
 
 /// The objective over casts, or over the parts of a mixture, that a trial's body was trained for, and whether a brain each read them.
-pub fn objective(trial: &Trial) -> Option<String> {
-    let text = |path: &str| trial.setting.get(path).and_then(Value::as_str);
-    let tail = trial.setting.get("optimise.objective.cvar").map(|q| format!("cvar {q}"));
+pub fn objective(setting: &Setting) -> Option<String> {
+    let text = |path: &str| setting.get(path).and_then(Value::as_str);
+    let tail = setting.get("optimise.objective.cvar").map(|q| format!("cvar {q}"));
     let objective = tail.or_else(|| text("optimise.objective").map(str::to_owned))?;
-    let varies = || trial.setting.leaves().keys().any(|path| path.starts_with("variation."));
+    let varies = || setting.leaves().keys().any(|path| path.starts_with("variation."));
     let of = if text("stimuli.kind") == Some("mix") && !varies() { "parts" } else { "casts" };
     let each = if text("optimise.reader") == Some("each") { ", a brain each" } else { "" };
     Some(format!("{objective} of {of}{each}"))
@@ -70,19 +70,20 @@ pub fn of_each(trials: &[&Trial]) -> Vec<[String; 2]> {
             .keys()
             .any(|path| path.starts_with("brain.") || path.starts_with("optimise."));
         match own {
-            true => brains(trial),
-            false => {
-                known.entry(Arc::as_ptr(trial.setting.shared())).or_insert_with(|| brains(trial)).clone()
-            }
+            true => brains(&trial.setting),
+            false => known
+                .entry(Arc::as_ptr(trial.setting.shared()))
+                .or_insert_with(|| brains(&trial.setting))
+                .clone(),
         }
     };
     trials.iter().map(&mut of).collect()
 }
 
 /// The brain as the trial's spec has it.
-fn of_spec(trial: &Trial) -> Brain {
-    let leaves = trial.setting.leaves();
-    let keys = leaves
+fn of_spec(setting: &Setting) -> Brain {
+    let keys = setting
+        .leaves()
         .into_iter()
         .filter_map(|(path, value)| Some((path.strip_prefix("brain.")?.to_owned(), value.clone())));
     serde_json::from_value(Value::Object(keys.collect())).unwrap_or_default()
@@ -93,7 +94,7 @@ pub fn memory(trial: &Trial) -> [f64; 2] {
     let number = |path: &str| trial.setting.get(path).and_then(Value::as_f64);
     let duration = number("time.duration").unwrap_or(1.0);
     let instant = duration / number("time.samples").unwrap_or(200.0);
-    let brain = of_spec(trial);
+    let brain = of_spec(&trial.setting);
     if brain.kind != BrainKind::Cnn {
         let whole = duration - instant;
         return brain.memory.map_or([whole; 2], |memory| memory.map(|s| s.min(whole)));
@@ -105,8 +106,8 @@ pub fn memory(trial: &Trial) -> [f64; 2] {
 }
 
 /// A network's name: `cnn` for the paper's shape.
-fn network(trial: &Trial) -> String {
-    let own = of_spec(trial).resolved();
+fn network(setting: &Setting) -> String {
+    let own = of_spec(setting).resolved();
     if own.network() == (Brain { preset: Some(Preset::Long), ..Brain::default() }).network() {
         return "long".into();
     }

@@ -88,11 +88,7 @@ pub(super) fn write_figures(folder: &Path, drawn: &[Figure]) -> Result<(), Error
     for figure in drawn {
         // of what a plot shows
         let own = |p: &Picture| -> Legend {
-            let classes: Vec<&str> =
-                p.marks.0.split("class=\"").filter_map(|m| m.split('"').next()).collect();
-            let drawn = |name: &str| classes.iter().any(|c| c.split(' ').any(|word| word == name));
-            let shown = |key: &str| p.class != "plot" || key.rsplit(' ').next().is_some_and(drawn);
-            figure.legend.iter().filter(|(key, _)| shown(key)).cloned().collect()
+            figure.legend.iter().filter(|(key, _)| p.shows(key)).cloned().collect()
         };
         let files = figure.pictures.iter().map(|p| file(std::slice::from_ref(p), 1, WIDTH, &own(p)));
         for (i, svg) in files.enumerate() {

@@ -26,6 +26,13 @@ pub struct Picture {
 }
 
 impl Picture {
+    /// Whether it has marks of a legend's entry; of what is no plot, whose entries have other names, always.
+    pub fn shows(&self, key: &str) -> bool {
+        let mut classes = self.marks.0.split("class=\"").skip(1).filter_map(|mark| mark.split('"').next());
+        let name = key.rsplit(' ').next().unwrap_or(key);
+        self.class != "plot" || classes.any(|class| class.split(' ').any(|word| word == name))
+    }
+
     /// The SVG element; within another at `place` (left, top, width, height).
     pub fn svg(&self, place: Option<[f64; 4]>) -> Markup {
         let side = |i: usize| place.map(|p| format!("{:.1}", p[i]));

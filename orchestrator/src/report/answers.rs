@@ -26,22 +26,22 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
         (Set::Holdout, "unseen samples (holdout)"),
         (Set::Test, "the test set, by which the body was chosen"),
     ];
-    for (kind, (set, what)) in kinds.iter().flat_map(|kind| sets.map(|set| (kind, set))) {
+    for kind in &kinds {
         let own = refs.iter().zip(&of_trials).filter(|(_, of)| *of == kind);
         let refs: Vec<&Trial> = own.map(|(trial, _)| *trial).collect();
         let who = match (&kind[0], &kind[1]) {
             _ if kinds.len() == 1 => String::new(),
-            (by, with) if by == with => format!("Body trained with {by}, forces read by {by}. "),
             (by, with) => format!("Body trained with {with}, forces read by {by}. "),
         };
-        if let Some(r) = paired::error_ratio(&refs, set) {
-            let settings = groups(&refs, &[]).len();
-            let pooled = match settings {
-                1 => String::new(),
-                _ => format!(
-                    " Over {settings} settings together: `metasense analyse --question paired` tells them apart."
-                ),
-            };
+        let settings = groups(&refs, &[]).len();
+        let pooled = match settings {
+            1 => String::new(),
+            _ => format!(
+                " Over {settings} settings together: `metasense analyse --question paired` tells them apart."
+            ),
+        };
+        for (set, what) in sets {
+            let Some(r) = paired::error_ratio(&refs, set) else { continue };
             let [initial, optimised] = means(&refs, |t, body| t.error(body, set));
             // what the body was chosen by says less than what nothing has seen
             let figure = if set == Set::Holdout { "" } else { "pairs" };

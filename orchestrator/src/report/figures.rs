@@ -397,7 +397,7 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
         let readers: &[&str] = if apart { &["brain."] } else { &[] };
         let ways = groups(&group.trials, &[SENSORS, COMPLEXITY, readers].concat());
         let told = |way: &Group| {
-            let [_, with] = brains(way.trials[0]);
+            let [_, with] = brains(&way.trials[0].setting);
             let protocol = Some(way.trials[0].protocol()).filter(|name| *name != "joint").unwrap_or_default();
             format!("{protocol} {with}").trim().to_owned()
         };

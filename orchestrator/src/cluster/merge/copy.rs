@@ -32,7 +32,8 @@ pub(super) async fn open(path: &Path) -> sqlx::Result<SqliteConnection> {
     store::migrate(&mut out, version.min(MIGRATIONS.len())).await?;
     out.execute(
         "CREATE TEMP TABLE candidate (input INTEGER, old INTEGER, hash TEXT, settled INTEGER, reached INTEGER,
-           attempts INTEGER, redone INTEGER, since TEXT, ended INTEGER, open INTEGER, finished_at TEXT, last TEXT, simd TEXT, error REAL);
+           attempts INTEGER, redone INTEGER, since TEXT, ended INTEGER, open INTEGER, finished_at TEXT, last TEXT,
+           simd TEXT, error REAL);
          CREATE TEMP TABLE thrown (hash TEXT, since TEXT, PRIMARY KEY (hash, since)) WITHOUT ROWID;
          CREATE TEMP TABLE sweeps (input INTEGER, old INTEGER, name TEXT, text TEXT, version TEXT, spec TEXT,
            created_at TEXT, new INTEGER, chosen INTEGER);

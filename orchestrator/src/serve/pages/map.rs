@@ -9,7 +9,6 @@ use maud::html;
 use serde::Deserialize;
 
 use super::{Served, framed, live, query, to_trial, trouble};
-use crate::analysis::Trial;
 use crate::analysis::kinds::{brains, in_words};
 use crate::analysis::numbers::geometric_mean;
 use crate::look::grid::{Cell, grid};
@@ -86,7 +85,7 @@ fn grids(at: &str, found: &[&Arc<Row>], by: &str) -> (Vec<Picture>, usize) {
     let whole = |row: &Row, name| row.number(name).unwrap_or(0.0) as u64;
     for row in found {
         let placed = row.setting.get("sensors.search").and_then(|v| v.as_str()).unwrap_or("random");
-        let brains = brains(&Trial { setting: row.setting.clone(), ..Trial::default() });
+        let brains = brains(&row.setting);
         let key = (whole(row, "K"), whole(row, "units"), placed, brains);
         let cell = (whole(row, "placement"), whole(row, "M"));
         of.entry(key).or_default().entry(cell).or_default().push(Arc::clone(row));
@@ -116,16 +115,11 @@ fn grids(at: &str, found: &[&Arc<Row>], by: &str) -> (Vec<Picture>, usize) {
             let done = rows.iter().filter(|row| row.state == "done").count();
             let to = match &rows[..] {
                 [row] => to_trial(at, &row.hash),
-                _ => format!(
-                    "/{at}/trials{}",
-                    query(&[(
-                        "q",
-                        &format!(
-                            "K={panels} M={sensors} placement={placement} units={units}{}",
-                            alike(&rows[0])
-                        )
-                    )])
-                ),
+                rows => {
+                    let same = alike(&rows[0]);
+                    let asked = format!("K={panels} M={sensors} placement={placement} units={units}{same}");
+                    format!("/{at}/trials{}", query(&[("q", &asked)]))
+                }
             };
             let told = value(rows);
             let state = if rows.iter().any(|row| row.state == "running") { "…" } else { "–" };

@@ -128,6 +128,13 @@ impl Solver {
         Self { tolerance: Some(tolerance), ..Self::new(Method::Tsit5, accuracy) }
     }
 
+    /// The same by steps that no other body changes, for differences.
+    #[must_use]
+    pub fn in_equal_steps(self) -> Self {
+        let method = if self.method == Method::Tsit5 { Method::Auto } else { self.method };
+        Self { method, ..self }
+    }
+
     /// The same, of at most this error of the signals, in f64: what a pilot has found of f32 was found for other steps.
     #[must_use]
     pub fn at_most(self, error: Accuracy) -> Self {

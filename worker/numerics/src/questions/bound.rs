@@ -10,7 +10,7 @@
 
 use super::chain::{Seen, walks};
 use super::nonlinear::EXACT;
-use crate::dynamics::{Forces, Method, Outcome, Plan, Scene, Solver, choose, run};
+use crate::dynamics::{Forces, Outcome, Plan, Scene, choose, run};
 use crate::modes::bound::{Noise, Prior, along, information, posterior_variance};
 use crate::random::{Purpose, Stream};
 use crate::stimuli::{Bell, Source};
@@ -48,13 +48,7 @@ pub fn bound(
     samples: usize,
     pool: &crate::Pool,
 ) -> Result<Option<Bound>, Failure> {
-    // differences take equal steps
-    let method = match problem.solver.method {
-        Method::Tsit5 => Method::Auto,
-        method => method,
-    };
-    let trial =
-        Trial::new(&Problem { solver: Solver { method, ..problem.solver }, ..problem.clone() }, pool)?;
+    let trial = Trial::new(&Problem { solver: problem.solver.in_equal_steps(), ..problem.clone() }, pool)?;
     let problem = &trial.problem;
     let Some(chip) = trial.chip.as_ref().filter(|chip| chip.noise.iter().all(|white| *white > 0.0)) else {
         return Ok(None);

@@ -32,11 +32,9 @@ impl<'a> Model<'a> {
         };
         let [plan, coarse] = {
             let (moving, forces) = problem.in_motion(&scene, &trial.train);
-            // differences take equal steps
-            let method = if solver.method == Method::Tsit5 { Method::Auto } else { solver.method };
             let accuracy = Accuracy(COARSE * solver.accuracy.0).min(COARSEST);
             let coarse = Solver { method: Method::Auto, accuracy, ..*solver };
-            [Solver { method, ..*solver }, coarse].map(|solver| planned(&moving, &design, &forces, &solver))
+            [solver.in_equal_steps(), coarse].map(|solver| planned(&moving, &design, &forces, &solver))
         };
         Self { problem, pool, scene, design, chips, plan: plan.double(), coarse: coarse.double() }
     }

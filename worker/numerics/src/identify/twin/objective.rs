@@ -80,9 +80,7 @@ impl<'a> Objective<'a> {
     ) -> Self {
         let width = problem.shape().inputs;
         let (scene, moved) = problem.in_motion(&problem.scene, forces);
-        // a nudge would change the steps of tsit5, and a difference see that
-        let method = if solver.method == Method::Tsit5 { Method::Auto } else { solver.method };
-        let plan = planned(&scene, design, &moved, &Solver { method, ..*solver }).double();
+        let plan = planned(&scene, design, &moved, &solver.in_equal_steps()).double();
         let coarse = planned(&scene, design, &moved, &Solver::new(Method::Nystrom6, COARSE)).double();
         let mut objective = Self {
             problem,
