@@ -77,26 +77,6 @@ fn a_trial_is_named_in_one_way_by_all_commands() {
     assert_eq!(refused.status.code(), Some(2));
 }
 
-#[test]
-fn the_spelling_of_the_version_before_is_understood_with_a_hint() {
-    let bench = Bench::new();
-    bench.file("tiny.toml", TINY);
-    bench.output(&["run", "tiny.toml"]);
-    let db = "results/tiny.sqlite";
-    let hash = &hashes(&bench, &["tiny.toml"])[0];
-    for (call, hint) in [
-        (&["why", "tiny.toml", "--hash", hash][..], "`why` is now `status`"),
-        (&["status", db, "--hash", hash], "`DB --hash HASH` is now `DB HASH`"),
-        (&["modes", "tiny.toml", hash], "`SPEC HASH` is now `SPEC --hash HASH`"),
-        (&["claims", db, "--out", "o"], "`claims --out` is now `claims --out-dir`"),
-        (&["report", db, "--trial", hash], "`report DB --trial HASH` is now `report DB HASH`"),
-    ] {
-        let output = bench.metasense(call);
-        let said = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success() && said.contains(hint), "{call:?}: {said}");
-    }
-}
-
 /// Changes on the command line make the trials that the edited file has; the same command goes on with them, and scripts of
 /// shards have them.
 #[test]

@@ -7,7 +7,7 @@
 
 use std::ffi::OsString;
 use std::fmt;
-use std::fs::{File, Permissions, TryLockError};
+use std::fs::{File, Permissions};
 use std::io;
 use std::os::fd::AsRawFd;
 use std::os::unix::fs::PermissionsExt;
@@ -21,6 +21,8 @@ use tokio::net::{UnixListener, UnixStream};
 use tokio::sync::{Mutex, Semaphore, mpsc, oneshot};
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
+
+use crate::files;
 
 /// The longest question and answer (bytes).
 const LINE: u64 = 4 << 10;
@@ -275,7 +277,7 @@ pub async fn run_of(db: &Path) -> Option<u32> {
 
 /// Whether somebody writes to a database. A run that begins just then tries its lock again.
 fn is_held(db: &Path) -> bool {
-    File::open(db).is_ok_and(|file| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock)))
+    File::open(db).is_ok_and(|file| files::is_held(&file))
 }
 
 /// Asks the run that holds a database.

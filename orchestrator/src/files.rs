@@ -1,7 +1,7 @@
 //! Whole files: written beside their place and renamed into it. Whoever reads finds the old one or the new one, also after
 //! a power cut.
 
-use std::fs::{File, OpenOptions};
+use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
@@ -17,11 +17,20 @@ pub fn host() -> String {
     std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default().trim().to_owned()
 }
 
+/// A machine, as part of a file's name.
+pub(crate) fn mark_of(host: &str) -> String {
+    host.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect()
+}
+
 /// This machine and process, as part of a file's name that no other has.
 #[must_use]
 pub fn own_mark() -> String {
-    let host: String = host().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect();
-    format!("{host}-{}", std::process::id())
+    format!("{}-{}", mark_of(&host()), std::process::id())
+}
+
+/// Whether somebody has a file to itself. Where there are no locks, nobody has.
+pub(crate) fn is_held(file: &File) -> bool {
+    matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock))
 }
 
 /// Puts a finished file in another's place, on the same file system. When this returns, it is on disk.
@@ -122,7 +131,7 @@ impl Drop for Output {
 }
 
 /// Whether a file begins as SQLite's do.
-fn is_database(path: &Path) -> bool {
+pub(crate) fn is_database(path: &Path) -> bool {
     const MAGIC: &[u8] = b"SQLite format 3\0";
     let mut head = Vec::new();
     let read = File::open(path).and_then(|file| file.take(MAGIC.len() as u64).read_to_end(&mut head));

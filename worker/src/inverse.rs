@@ -1,7 +1,6 @@
 //! Bodies read by the inverse brain: by the model of a design, or of what a twin says that a cast of it is.
 
 use metasense_numerics::brains::{Estimate, Inverse, TO_EACH_SIDE};
-use metasense_numerics::random::Purpose;
 use metasense_numerics::trial::{Problem, Trial};
 use metasense_schemas::spec::TrialSpec;
 use serde::{Deserialize, Serialize};
@@ -89,7 +88,7 @@ pub fn holdout(
     let pool = pool(threads)?;
     let problem = placed(trial, &pool)?;
     check_design(&problem, design)?;
-    let forces = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout);
+    let forces = problem.holdout();
     let twin = twin.map(|twin| &twin.cast);
     let samples = Trial::new(&problem, &pool)?.samples(design, twin, forces.clone())?;
     let ended: Vec<usize> = (0..samples.count()).filter(|&i| !samples.failed[i]).collect();

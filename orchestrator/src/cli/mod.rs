@@ -23,7 +23,6 @@ pub mod log;
 mod merge;
 mod modes;
 mod named;
-mod old;
 mod operator;
 mod pages;
 mod place;
@@ -143,7 +142,7 @@ pub fn command() -> clap::Command {
 /// # Errors
 /// Bad input and failed I/O, each with its exit code.
 pub fn execute(args: impl Iterator<Item = OsString>) -> Result<Exit, Error> {
-    let matches = command().get_matches_from(old::rewritten(args)?);
+    let matches = command().get_matches_from(args);
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|e| e.exit());
     spares_what_it_reads(&matches)?;
     process::keep_memory();

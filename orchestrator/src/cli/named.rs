@@ -1,7 +1,6 @@
 //! Specs with their changes, and trials by name: `SPEC --hash HASH` or `DB HASH`, the same in all commands.
 
 use std::fmt::Display;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
@@ -9,9 +8,10 @@ use metasense_schemas::source::Source;
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::{design, simulate};
 
-use super::{Error, old};
+use super::Error;
 use crate::cluster::facts::Facts;
 use crate::cluster::home::attempts;
+use crate::files;
 use crate::look::Table;
 use crate::plan::{OneBody, Plan, Trial};
 use crate::store::{Reader, StoreError, Stored, quoted};
@@ -103,15 +103,8 @@ pub(super) enum Which {
 impl Named {
     /// Whether a database is named, and not a spec.
     pub fn is_database(&self) -> bool {
-        const MAGIC: &[u8; 16] = b"SQLite format 3\0";
-        let begins = |path: &Path| {
-            let mut start = [0; MAGIC.len()];
-            std::fs::File::open(path)
-                .and_then(|mut file| file.read_exact(&mut start))
-                .is_ok_and(|()| start == *MAGIC)
-        };
         let named_so = self.source.extension().is_some_and(|e| e == "sqlite");
-        named_so || self.source.is_dir() || begins(&self.source)
+        named_so || self.source.is_dir() || files::is_database(&self.source)
     }
 
     /// The hash that was asked for, or its beginning.
@@ -119,16 +112,12 @@ impl Named {
         let database = self.is_database();
         let mut words = self.words.iter().filter(|word| !word.contains('=')).chain(&self.hash);
         let asked = words.next().map(String::as_str);
-        if words.next().is_some() {
-            return Err(Error::Usage("name one trial: SPEC --hash HASH or DB HASH".into()));
+        if database && self.words.iter().any(|word| word.contains('=')) {
+            return Err(Error::Usage("KEY=VALUE changes a spec; a database's trials are as they are".into()));
         }
-        match (database, &self.hash) {
-            (true, _) if self.words.iter().any(|word| word.contains('=')) => {
-                Err(Error::Usage("KEY=VALUE changes a spec; a database's trials are as they are".into()))
-            }
-            (true, Some(_)) => Ok(old::trial_of_database(asked)),
-            (false, None) => Ok(old::trial_of_spec(asked)),
-            _ => Ok(asked),
+        match words.next().is_some() || asked.is_some() && database == self.hash.is_some() {
+            true => Err(Error::Usage("name one trial: SPEC --hash HASH or DB HASH".into())),
+            false => Ok(asked),
         }
     }
 

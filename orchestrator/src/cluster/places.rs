@@ -18,7 +18,7 @@ use tokio::task::JoinSet;
 use super::submit::{line, quoted};
 use crate::engine::Signals;
 use crate::exit::Exit;
-use crate::files::host;
+use crate::files::{self, host};
 
 /// How often a shard is begun that dies, or whose host goes away.
 const MOST_TRIES: u32 = 3;
@@ -232,7 +232,7 @@ fn begin(place: &Place, shard: u32, how: &How) -> io::Result<Child> {
 
 /// What a script says that does not come to write to its shard's output, and what `ssh` says.
 fn log(folder: &Path, place: &Place) -> io::Result<std::fs::File> {
-    let host: String = name(place).chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect();
+    let host = files::mark_of(&name(place));
     OpenOptions::new().create(true).append(true).open(folder.join(format!("{host}.out")))
 }
 

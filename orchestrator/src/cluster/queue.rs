@@ -9,6 +9,8 @@ use std::process::{Command, ExitStatus};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use crate::files;
+
 /// In a folder of shards: what was submitted, a line each time.
 const JOBS: &str = "jobs.jsonl";
 
@@ -63,8 +65,7 @@ impl Notes {
 /// Whether a `submit` is at work on a folder.
 #[must_use]
 pub fn is_held(folder: &Path) -> bool {
-    let held = |file: File| matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock));
-    File::open(folder.join(JOBS)).is_ok_and(held)
+    File::open(folder.join(JOBS)).is_ok_and(|file| files::is_held(&file))
 }
 
 /// The jobs of a folder, oldest first; none where nothing was submitted.

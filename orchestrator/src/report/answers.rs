@@ -1,5 +1,6 @@
 //! The answers in words, the best evidence first.
 
+use super::words::interval;
 use crate::analysis::data::{Group, SENSORS, groups, observations, once};
 use crate::analysis::decision::{Decision, Decisions, decide};
 use crate::analysis::kinds::of_each;
@@ -86,14 +87,6 @@ fn linear_model(trials: &[&Trial]) -> Option<Answer> {
              velocities unexplained; of the optimised body's, {b} % and {v} % (means over trials)."
         ),
     ))
-}
-
-/// The interval of a ratio in words.
-pub(super) fn interval(ratio: &Ratio) -> String {
-    match ratio.interval {
-        Some(i) => format!("95 % interval {} to {} over {}", number(i.low), number(i.high), ratio.over),
-        None => format!("no interval, {}", ratio.over),
-    }
 }
 
 fn verdict(ratio: &Ratio) -> Option<bool> {

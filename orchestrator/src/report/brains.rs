@@ -1,6 +1,6 @@
 //! Error by brain: a figure, and a sentence a setting.
 
-use super::figures::left_out;
+use super::words::left_out;
 use crate::analysis::brains::{Read, reads};
 use crate::analysis::data::{BRAINS, Group, groups};
 use crate::analysis::numbers::distinct;

@@ -1,6 +1,6 @@
 //! Error over casts, by body and brain: a figure, and a sentence a setting.
 
-use super::figures::left_out;
+use super::words::left_out;
 use crate::analysis::bodies::Trained;
 use crate::analysis::casts::{Left, Setting, settings};
 use crate::analysis::numbers::distinct;

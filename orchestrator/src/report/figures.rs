@@ -1,6 +1,6 @@
 //! The figures that the analysis alone can draw.
 
-use super::answers::interval;
+use super::words::{interval, left_out};
 use crate::analysis::data::{
     COMPLEXITY, FREEDOM, Group, SENSORS, TRAINING, groups, groups_by_objective, levels, observations, places,
 };
@@ -25,15 +25,6 @@ const MOST_LINES: usize = 200;
 
 /// At most so many plots of a kind; the data hold all.
 const MOST_PLOTS: usize = 6;
-
-/// What a caption says of settings beyond the most that are drawn.
-pub(super) fn left_out(all: usize, most: usize) -> String {
-    match all.saturating_sub(most) {
-        0 => String::new(),
-        1 => " A further setting is in the data.".to_owned(),
-        more => format!(" {more} further settings are in the data."),
-    }
-}
 
 /// A place on an axis, and an error (%).
 type Point = (f64, f64);

@@ -14,6 +14,7 @@ pub mod samples;
 pub mod search;
 pub mod strips;
 mod transfer;
+mod words;
 
 use maud::{Markup, PreEscaped, html};
 

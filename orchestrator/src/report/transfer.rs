@@ -1,7 +1,7 @@
 //! Bodies trained under one kind of forces and read under others: a figure, and a sentence a setting.
 
 use super::casts::{CLASSES, MOST_SETTINGS, Mark, aside, legend, side_by_side, told_apart};
-use super::figures::left_out;
+use super::words::left_out;
 use crate::analysis::bodies::Trained;
 use crate::analysis::transfer::{Setting, settings};
 use crate::analysis::{Question, Terms, Trial};

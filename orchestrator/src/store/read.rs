@@ -3,7 +3,7 @@
 //! A read-only connection makes the journal's two files where they are missing and cannot remove them again: `close`
 //! does, unless somebody else is at work on the database.
 
-use std::fs::{File, TryLockError};
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use futures_util::TryStreamExt;
@@ -20,6 +20,7 @@ use super::write::read_checkpoint;
 use super::{
     OPENING, Store, StoreError, beside, check_version, has_journal, is_still, lock, npy_values, options, real,
 };
+use crate::files;
 use crate::leftovers;
 use metasense_schemas::database::MIGRATIONS;
 use metasense_schemas::record::Checkpoint;
@@ -367,7 +368,7 @@ pub(super) async fn connect(
 pub(crate) fn copy_with_journal(path: &Path, copy: &Path) -> Result<(), StoreError> {
     let failed = |source| StoreError::NotCopied { path: path.to_owned(), source };
     let lock = File::open(path).map_err(failed)?;
-    if matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock)) || !is_still(&lock, path) {
+    if files::is_held(&lock) || !is_still(&lock, path) {
         return Err(StoreError::InUse { path: path.to_owned() });
     }
     for end in ["", "-wal"] {

@@ -4,7 +4,7 @@
 //! One input at a time is open. That it is between two looks what it was is seen by its size and time; one that is not is
 //! taken as a copy.
 
-use std::fs::{File, TryLockError};
+use std::fs::File;
 use std::io;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -13,6 +13,7 @@ use metasense_schemas::database::MIGRATIONS;
 use sqlx::{ConnectOptions, Connection};
 
 use crate::exit::chain;
+use crate::files;
 use crate::store::{self, StoreError};
 
 /// An input that can be attached.
@@ -69,7 +70,7 @@ impl Input {
         let file = store::real(named);
         let lock = File::open(&file)?;
         let mut state = Some(state_of(&lock)?);
-        let busy = !held && matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock));
+        let busy = !held && files::is_held(&lock);
         let mut path = file.clone();
         if busy {
             snapshot(&file, copy, false, || true).await?;
@@ -102,8 +103,8 @@ impl Input {
             return Ok(None);
         }
         let lock = File::open(&self.file)?;
-        let busy = matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock));
-        match busy || Some(state_of(&lock)?) != self.state || store::has_journal(&self.file) {
+        match files::is_held(&lock) || Some(state_of(&lock)?) != self.state || store::has_journal(&self.file)
+        {
             true => Err(Refusal::Changed),
             false => Ok(Some(lock)),
         }

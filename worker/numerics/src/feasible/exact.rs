@@ -71,13 +71,6 @@ pub struct Violation {
     pub limit: f64,
 }
 
-impl Violation {
-    /// By how much the limit is missed (mm or rad), positive; NaN where the value is.
-    pub fn amount(&self) -> f64 {
-        (self.limit - self.value).abs()
-    }
-}
-
 impl fmt::Display for Violation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [a, b] = self.units;

@@ -5,14 +5,15 @@
 //! on other casts. Each reads the holdout on the cast. A cast that cannot be simulated is read entirely wrong.
 
 use super::evaluation::{BandReading, CastBrain, CastReading};
-use super::fresh::{first_judge, paused, read, save};
+use super::fresh::read;
 use super::inversion::invert_cast;
 use super::observe::{Log, Nobody};
 use super::state::State;
 use crate::brains::{Band, Beside, Fitted, Fresh, Reader, reader};
-use crate::dynamics::Solver;
 use crate::random::Purpose;
-use crate::trial::{BrainKind, Counters, Decoder, FAILED, Problem, Ridge, Samples, Trial, Trouble};
+use crate::trial::{
+    BrainKind, Counters, Decoder, FAILED, Mould, Problem, Ridge, Samples, Trial, Trouble, held,
+};
 use crate::variation::{Cast, Casts};
 
 /// Casts to which the brain for all casts is fitted, and samples of each.
@@ -22,13 +23,6 @@ const KNOWN_SAMPLES: usize = 20;
 const KNOWN_FIRST: u64 = 1 << 40;
 /// Samples of a cast to which a brain is fitted, where there are more, and then all.
 pub const RECORDS: [usize; 3] = [10, 30, 100];
-
-/// A body, and what makes casts of it.
-struct Mould<'a> {
-    trial: &'a Trial<'a>,
-    design: &'a [f64],
-    solver: &'a Solver,
-}
 
 /// Training samples of the body as designed, and samples of many casts; or why not.
 type Known = [Result<Samples, Trouble>; 2];
@@ -46,33 +40,24 @@ struct Brains<'a> {
     decoder: Decoder,
 }
 
-/// Goes on with the casts of the body number `turn`, simulated with `solver`; `None` if the observer said stop: it has the
-/// state by then.
-pub(super) fn read_casts(
-    trial: &Trial,
-    design: &[f64],
-    solver: &Solver,
-    turn: usize,
-    state: &mut State,
-    log: &mut Log,
-) -> Option<()> {
+/// Goes on with the casts of the body number `turn`; `None` if the observer said stop: it has the state by then.
+pub(super) fn read_casts(mould: &Mould, turn: usize, state: &mut State, log: &mut Log) -> Option<()> {
+    let trial = mould.trial;
     let problem = &trial.problem;
     let done = state.comparison.casts_read(turn);
     if done >= problem.evaluation.casts {
         return Some(());
     }
-    let (mould, counted) = (Mould { trial, design, solver }, log.report.counters);
+    let counted = log.report.counters;
     // one that goes on makes its brains again, to the same bits
-    let known = log.timed(|s| &mut s.simulate, |report| mould.known(&mut report.counters));
+    let known = log.timed(|s| &mut s.simulate, |report| known(mould, &mut report.counters));
     if done > 0 || state.comparison.training.is_some() {
         log.report.counters = counted;
     }
-    let some = known[1].as_ref().map(|casts| thinned(casts, trial.train.samples));
+    let some = held(&known[1]).map(|casts| thinned(casts, trial.train.samples));
     let mut brains = log.timed(|s| &mut s.train, |_| Brains::new(trial, &known));
     if problem.reader.is_network() {
-        let known = [known[0].as_ref(), some.as_ref().map_err(|trouble| *trouble)];
-        brains.networks =
-            networks(trial, known.map(|known| known.map_err(|trouble| *trouble)), turn, state, log)?;
+        brains.networks = networks(trial, [held(&known[0]), held(&some)], turn, state, log)?;
     }
     if done > 0 {
         log.report.counters = counted;
@@ -81,7 +66,7 @@ pub(super) fn read_casts(
         // what a cast that is begun anew does again counts once
         let counted = if number == 0 { counted } else { log.report.counters };
         let cast = trial.cast(Casts::Unseen, number as u64);
-        let sets = log.timed(|s| &mut s.simulate, |report| mould.sets(cast.as_ref(), &mut report.counters));
+        let sets = log.timed(|s| &mut s.simulate, |report| sets(mould, cast.as_ref(), &mut report.counters));
         state.comparison.casts.resize_with(turn + 1, Vec::new);
         state.comparison.bands.resize_with(state.comparison.bodies.len(), Vec::new);
         let done = state.comparison.part(0, problem);
@@ -93,9 +78,8 @@ pub(super) fn read_casts(
             |report, go_on| {
                 let mut found = brains.read(trial, number as u32, &sets, bands);
                 if problem.reader == BrainKind::Inverse {
-                    let (body, number, counters) = ((design, solver), number as u32, &mut report.counters);
-                    let (readings, own) =
-                        invert_cast(trial, body, &known[0], number, &sets, counters, go_on)?;
+                    let (number, counters) = (number as u32, &mut report.counters);
+                    let (readings, own) = invert_cast(mould, &known[0], number, &sets, counters, go_on)?;
                     found.extend(readings);
                     bands.extend(own);
                 }
@@ -105,11 +89,11 @@ pub(super) fn read_casts(
         let Some(found) = found else {
             bands.truncate(before);
             log.report.counters = counted;
-            save(state, log);
+            log.save(state);
             return None;
         };
         state.comparison.casts[turn].extend(found);
-        paused(trial, state, log)?;
+        log.paused(problem, state)?;
     }
     Some(())
 }
@@ -185,7 +169,7 @@ pub enum ForCasts {
 /// If these casts cannot be simulated, or it cannot be fitted to them.
 pub fn brain_for_casts(trial: &Trial, design: &[f64]) -> Result<ForCasts, Trouble> {
     let solver = &trial.tuned(design).solver;
-    let casts = Mould { trial, design, solver }.casts(&mut Counters::default());
+    let casts = of_casts(&Mould { trial, design, solver }, &mut Counters::default());
     if !trial.problem.reader.is_network() {
         return Fitted::of(trial, &casts?).map(ForCasts::Linear);
     }
@@ -212,16 +196,15 @@ pub fn casts_of(
 ) -> Vec<CastReading> {
     let (solver, counters) = (&trial.tuned(design).solver, &mut Counters::default());
     let mould = Mould { trial, design, solver };
-    let known = mould.known(counters);
+    let known = known(&mould, counters);
     let mut brains = Brains::new(trial, &known);
     let mut found = Vec::new();
     for number in 0..count {
         let cast = trial.cast(Casts::Unseen, number as u64);
-        let sets = mould.sets(cast.as_ref(), counters);
+        let sets = sets(&mould, cast.as_ref(), counters);
         found.extend(brains.read(trial, number as u32, &sets, &mut Vec::new()));
         if trial.problem.reader == BrainKind::Inverse {
-            let body = (design, solver);
-            let read = invert_cast(trial, body, &known[0], number as u32, &sets, counters, &mut || true);
+            let read = invert_cast(&mould, &known[0], number as u32, &sets, counters, &mut || true);
             found.extend(read.expect("told to go on").0);
         }
         progress(number + 1);
@@ -229,48 +212,42 @@ pub fn casts_of(
     found
 }
 
-impl Mould<'_> {
-    /// Training samples of the body as designed, and samples of many casts.
-    fn known(&self, counters: &mut Counters) -> Known {
-        let &Self { trial, design, solver } = self;
-        let [train, _] = trial.problem.known();
-        let nominal = trial.simulate_most(design, train, solver, false, counters).map(|found| found.samples);
-        [nominal, self.casts(counters)]
-    }
+/// Training samples of the body as designed, and samples of many casts.
+fn known(mould: &Mould, counters: &mut Counters) -> Known {
+    let [train, _] = mould.trial.problem.known();
+    [mould.samples(None, train, counters), of_casts(mould, counters)]
+}
 
-    /// Samples of many casts.
-    fn casts(&self, counters: &mut Counters) -> Result<Samples, Trouble> {
-        let &Self { trial, design, solver } = self;
-        let one = |number: usize, counters: &mut Counters| {
-            let first = KNOWN_FIRST + (number * KNOWN_SAMPLES) as u64;
-            let forces = trial.problem.forces(Purpose::Fresh, first, KNOWN_SAMPLES);
-            let cast = trial.cast(Casts::Known, number as u64);
-            trial.simulate_cast(cast.as_ref(), design, forces, solver, false, counters)
-        };
-        let (mut all, mut failed) = (Vec::with_capacity(KNOWN_CASTS), None);
-        for found in trial.side_by_side(KNOWN_CASTS, counters, one) {
-            match found {
-                Ok(found) => all.push(found.samples),
-                // one that fails teaches nothing
-                Err(trouble) => failed = Some(trouble),
-            }
-        }
-        match failed {
-            Some(trouble) if all.is_empty() => Err(trouble),
-            _ => Ok(Samples::joined(&all.iter().collect::<Vec<_>>())),
+/// Samples of many casts.
+fn of_casts(mould: &Mould, counters: &mut Counters) -> Result<Samples, Trouble> {
+    let trial = mould.trial;
+    let one = |number: usize, counters: &mut Counters| {
+        let first = KNOWN_FIRST + (number * KNOWN_SAMPLES) as u64;
+        let forces = trial.problem.forces(Purpose::Fresh, first, KNOWN_SAMPLES);
+        mould.samples(trial.cast(Casts::Known, number as u64).as_ref(), forces, counters)
+    };
+    let (mut all, mut failed) = (Vec::with_capacity(KNOWN_CASTS), None);
+    for found in trial.side_by_side(KNOWN_CASTS, counters, one) {
+        match found {
+            Ok(found) => all.push(found),
+            // one that fails teaches nothing
+            Err(trouble) => failed = Some(trouble),
         }
     }
-
-    /// Training samples of a cast, where brains are fitted to them, and its holdout.
-    fn sets(&self, cast: Option<&Cast>, counters: &mut Counters) -> Result<[Samples; 2], Trouble> {
-        let &Self { trial, design, solver } = self;
-        let [train, _] = trial.problem.known();
-        let holdout = trial.problem.forces(Purpose::Holdout, 0, trial.problem.stimuli.holdout);
-        let mut of = |forces| Ok(trial.simulate_cast(cast, design, forces, solver, false, counters)?.samples);
-        let train = trial.problem.evaluation.records.then(|| of(train)).transpose()?;
-        let holdout = of(holdout)?;
-        Ok([train.unwrap_or_else(|| holdout.select(&[])), holdout])
+    match failed {
+        Some(trouble) if all.is_empty() => Err(trouble),
+        _ => Ok(Samples::joined(&all.iter().collect::<Vec<_>>())),
     }
+}
+
+/// Training samples of a cast, where brains are fitted to them, and its holdout.
+fn sets(mould: &Mould, cast: Option<&Cast>, counters: &mut Counters) -> Result<[Samples; 2], Trouble> {
+    let problem = &mould.trial.problem;
+    let [train, _] = problem.known();
+    let mut of = |forces| mould.samples(cast, forces, counters);
+    let train = problem.evaluation.records.then(|| of(train)).transpose()?;
+    let holdout = of(problem.holdout())?;
+    Ok([train.unwrap_or_else(|| holdout.select(&[])), holdout])
 }
 
 impl Brains<'_> {
@@ -315,14 +292,13 @@ impl Brains<'_> {
         brains
             .into_iter()
             .map(|by| {
-                let found = sets.as_ref().map_err(|trouble| *trouble);
-                let found = found.and_then(|[train, holdout]| {
+                let found = held(sets).and_then(|[train, holdout]| {
                     let said = self.predict(trial, by, train, &holdout.signals)?;
                     Ok((holdout, said))
                 });
                 for reading in designed.iter().filter(|_| own.contains(&by)) {
                     let within = |(holdout, said): &(&Samples, Vec<f64>)| {
-                        reading.band.coverage(holdout, said, first_judge(trial, holdout))
+                        reading.band.coverage(holdout, said, trial.problem.first_judge(holdout.count()))
                     };
                     // what cannot be read lies in no band
                     let coverage = found.as_ref().map_or(reading.coverage.map(|_| 0.0), within);
@@ -347,9 +323,7 @@ impl Brains<'_> {
         train: &Samples,
         signals: &[f64],
     ) -> Result<Vec<f64>, Trouble> {
-        let linear = |brain: &Result<Fitted, Trouble>| {
-            brain.as_ref().map(|brain| brain.predict(signals)).map_err(|trouble| *trouble)
-        };
+        let linear = |brain: &Result<Fitted, Trouble>| held(brain).map(|brain| brain.predict(signals));
         let network = |network: &mut Result<Box<dyn Reader + '_>, Trouble>| {
             network.as_mut().map(|network| network.predict(signals)).map_err(|trouble| *trouble)
         };
@@ -361,7 +335,7 @@ impl Brains<'_> {
             CastBrain::Records(n) => {
                 let some = train.select(&(0..n as usize).collect::<Vec<_>>());
                 let casts = self.casts.as_ref().expect("records are read");
-                let casts = casts.as_ref().map_err(|trouble| *trouble)?;
+                let casts = held(casts)?;
                 let (seed, pool) = (trial.problem.seed, trial.pool);
                 linear(&self.decoder.fit_beside(seed, &some, casts, pool))
             }

@@ -2,6 +2,7 @@
 
 use super::report::Seconds;
 use crate::brains::{Band, Fresh, Reading};
+use crate::questions::{Nonlinear, UnderReading};
 use crate::trial::{Counters, Problem, Trouble};
 
 /// A fresh network on a body.
@@ -128,4 +129,31 @@ impl Comparison {
     pub(super) fn casts_read(&self, turn: usize) -> usize {
         self.casts.get(turn).and_then(|read| read.last()).map_or(0, |last| last.cast as usize + 1)
     }
+}
+
+/// What a nested optimisation found.
+#[derive(Debug, Clone)]
+pub struct Optimised {
+    /// The initial body, with its fresh networks where they were asked for.
+    pub initial: BodyEvaluation,
+    /// The best body, with fresh networks of the same initial weights.
+    pub optimised: BodyEvaluation,
+    /// The outer step whose design is the best, by the test set.
+    pub best_step: u32,
+    /// How casts of both bodies are read, where the trial asks about them.
+    pub casts: [Vec<CastReading>; 2],
+    /// Bands about what is read of both bodies, and of their casts.
+    pub bands: [Vec<BandReading>; 2],
+    /// The part of both bodies' signals that their linearisation at rest does not give.
+    pub nonlinear: [Option<Nonlinear>; 2],
+    /// How both bodies are read under forces of the kinds that the trial asks about.
+    pub under: [Vec<UnderReading>; 2],
+    /// What the solvers came to, and why.
+    pub solver: String,
+    /// Relative error of the signals of both pilots, initial body and best, where measured.
+    pub signal_errors: [Option<f64>; 2],
+    /// Counts of work of the pilot that tuned them and of the evaluations: of one, where nothing has moved the body.
+    pub counters: Counters,
+    /// Seconds of the evaluations.
+    pub seconds: Seconds,
 }

@@ -1,32 +1,118 @@
-//! A fresh brain on a body: fitted, or gone on with, and kept on the way.
+//! Fresh brains on a body: fitted, or gone on with, and kept on the way. The same initial weights and budget for every body.
 
-use super::evaluation::{BandReading, NetworkEvaluation};
+use super::evaluation::{BandReading, BodyEvaluation, NetworkEvaluation};
+use super::inversion::invert;
 use super::observe::{Control, Log};
+use super::report::Report;
 use super::state::State;
-use crate::brains::{Band, Reader};
-use crate::trial::{Samples, Trial};
+use crate::brains::{Band, Reader, own_reading, reader, readings};
+use crate::random::Purpose;
+use crate::trial::{BrainKind, Counters, Mould, Problem, Ridge, Samples, Trial, Trouble};
 
 /// A brain that is still to be fitted to a body: number, iterations, and whether they are those of a long training.
-pub(super) type Lacking = (usize, usize, bool);
+type Lacking = (usize, usize, bool);
 
-/// Tells the observer how far the comparison has come; `None` if it says stop: it has the state by then.
-pub(super) fn paused(trial: &Trial, state: &mut State, log: &mut Log) -> Option<()> {
-    let wanted = log.progress(state.comparison.part(0, &trial.problem));
-    if wanted == Control::Stop || log.save_is_due() {
-        save(state, log);
+impl BodyEvaluation {
+    /// The first brain that it lacks; a linear one is one, and not trained long.
+    fn lacks(&self, problem: &Problem) -> Option<Lacking> {
+        let linear = !problem.reader.is_network();
+        let seeds = if linear { 1 } else { problem.evaluation.seeds };
+        let long = problem.evaluation.long.filter(|_| !linear);
+        let short =
+            (self.networks.len() < seeds).then_some((self.networks.len(), problem.brain.iterations, false));
+        short.or(long
+            .filter(|_| self.long.len() < seeds)
+            .map(|iterations| (self.long.len(), iterations, true)))
     }
-    (wanted != Control::Stop).then_some(())
 }
 
-/// The samples of a holdout from this one on judge bands.
-pub(super) fn first_judge(trial: &Trial, holdout: &Samples) -> usize {
-    if trial.problem.stimuli.source.is_recorded() { holdout.count().div_ceil(2) } else { 0 }
+/// Goes on with the comparison of `state` on its body number `turn`, and trains what is left of its fresh networks. `None`
+/// if the observer said stop: it has the state by then.
+pub(super) fn evaluate(mould: &Mould, turn: usize, state: &mut State, log: &mut Log) -> Option<()> {
+    let &Mould { trial, design, .. } = mould;
+    let problem = &trial.problem;
+    let begun = state.comparison.bodies.get(turn);
+    if begun.is_some_and(|body| body.lacks(problem).is_none()) {
+        return Some(());
+    }
+    let (begun, counted, mut recipe) = (begun.is_some(), log.report.counters, problem.recipe());
+    let sets = log.timed(|s| &mut s.simulate, |report| sets(mould, &mut report.counters));
+    let first = state.comparison.bodies.get(turn).is_none_or(|body| body.networks.is_empty());
+    let inverts = problem.reader == BrainKind::Inverse;
+    let calibration = sets.as_ref().ok().filter(|_| first && !inverts).and_then(|sets| {
+        let of = |report: &mut Report| calibrating(mould, &sets[2], &mut report.counters);
+        log.timed(|s| &mut s.simulate, of).ok()
+    });
+    if begun {
+        log.report.counters = counted;
+    } else {
+        let mut body = BodyEvaluation { design: design.to_vec(), ..BodyEvaluation::default() };
+        if let Ok(sets) = &sets {
+            body.zero_samples = sets.each_ref().map(Samples::without_force);
+            log.timed(
+                |s| &mut s.train,
+                |_| {
+                    body.readings = readings(trial, sets).unwrap_or_default();
+                    if problem.reader == BrainKind::Linear
+                        && let Ok(own) = own_reading(trial, sets, &mut body.readings)
+                    {
+                        recipe.decoder.ridge = Ridge::Given(own.ridge);
+                    }
+                },
+            );
+        }
+        state.comparison.bodies.push(body);
+    }
+    if inverts {
+        return invert(mould, &sets, state, log);
+    }
+    let mut reader = match &sets {
+        Ok(sets) => {
+            // a network learns on its body's own scale: on the initial body's the louder body's would learn faster
+            let scales = [trial.scales.clone(), trial.scales.with_rms_of(&sets[0].signals)];
+            log.timed(|s| &mut s.train, |_| reader(recipe, &sets[0], scales, trial.pool))
+        }
+        Err(trouble) => Err(*trouble),
+    };
+
+    while let Some(lacking) = state.comparison.bodies[turn].lacks(problem) {
+        let found = match (&sets, &mut reader) {
+            (Ok(sets), Ok(reader)) => {
+                read(trial, &mut **reader, sets, calibration.as_ref(), lacking, state, log)?
+            }
+            (Err(trouble), _) => NetworkEvaluation::nothing(*trouble),
+            (_, Err(trouble)) => NetworkEvaluation::nothing(*trouble),
+        };
+        let body = &mut state.comparison.bodies[turn];
+        if lacking.2 { &mut body.long } else { &mut body.networks }.push(found);
+        log.paused(problem, state)?;
+    }
+    Some(())
 }
 
-/// Hands the observer the state, with what the report says of the comparison.
-pub(super) fn save(state: &mut State, log: &mut Log) {
-    (state.comparison.counters, state.comparison.seconds) = (log.report.counters, log.report.seconds);
-    log.save(state);
+/// Training set, test set and holdout of a body.
+fn sets(mould: &Mould, counters: &mut Counters) -> Result<[Samples; 3], Trouble> {
+    let problem = &mould.trial.problem;
+    let mut of = |forces| mould.samples(None, forces, counters);
+    // every training sample, those too on which the initial body failed
+    let [train, test] = problem.known();
+    let train = if mould.design == problem.initial { mould.trial.initial.clone() } else { of(train)? };
+    Ok([train, of(test)?, of(problem.holdout())?])
+}
+
+/// Samples that calibrate bands are numbered from here, out of the way of the outer steps' and of the casts'; of so many the 95th
+/// largest score covers the next with 95 %.
+const BANDING_FIRST: u64 = 1 << 41;
+const BANDING: usize = 99;
+
+/// Samples that calibrate bands: fresh ones, which neither body nor brain was fitted to. Of records, which have none, half of
+/// the holdout, which was dealt to it by a shuffle.
+fn calibrating(mould: &Mould, holdout: &Samples, counters: &mut Counters) -> Result<Samples, Trouble> {
+    let problem = &mould.trial.problem;
+    match problem.first_judge(holdout.count()) {
+        0 => mould.samples(None, problem.forces(Purpose::Fresh, BANDING_FIRST, BANDING), counters),
+        first => Ok(holdout.select(&(0..first).collect::<Vec<_>>())),
+    }
 }
 
 /// Fits the brain that is lacking, or goes on with the one in training; `None` if the observer said stop. With samples that
@@ -55,7 +141,7 @@ pub(super) fn read(
             break outcome;
         }
         state.comparison.training = reader.training().and_then(Option::take);
-        save(state, log);
+        log.save(state);
         if wanted == Control::Stop {
             return None;
         }
@@ -70,7 +156,7 @@ pub(super) fn read(
     if keeps && let Some(calibration) = calibration {
         let (known, said) = (reader.predict_known(), reader.predict(&calibration.signals));
         let bands = Band::conformal((&sets[0], &known), (calibration, &said));
-        let (said, first) = (reader.predict(&sets[2].signals), first_judge(trial, &sets[2]));
+        let (said, first) = (reader.predict(&sets[2].signals), trial.problem.first_judge(sets[2].count()));
         let reading = |band: Band| BandReading {
             cast: None,
             width: band.width(),

@@ -1,13 +1,11 @@
 //! How an inverse brain reads a body, as designed and cast: by the model of the design, and by twins calibrated on a few records.
 
 use super::evaluation::{BandReading, CastBrain, CastReading, NetworkEvaluation};
-use super::fresh::{paused, save};
 use super::observe::Log;
 use super::state::State;
 use crate::brains::{Band, BandKind, Estimate, Fitted, Inverse, TO_EACH_SIDE};
-use crate::dynamics::Solver;
 use crate::identify::twin::{Fit, GoOn};
-use crate::trial::{Counters, FAILED, Samples, Trial, Trouble};
+use crate::trial::{Counters, FAILED, Mould, Samples, Trouble, held};
 
 /// Records of a cast that twins are calibrated on.
 const RECORDS: [u32; 2] = [10, 30];
@@ -16,15 +14,13 @@ pub const INVERTED_OF_A_CAST: usize = 16;
 
 /// Reads the last body's test samples and holdout; `None` if the observer said stop.
 pub(super) fn invert(
-    trial: &Trial,
-    design: &[f64],
-    solver: &Solver,
-    sets: Result<[Samples; 3], Trouble>,
+    &Mould { trial, design, solver }: &Mould,
+    sets: &Result<[Samples; 3], Trouble>,
     state: &mut State,
     log: &mut Log,
 ) -> Option<()> {
     let read = |counters: &mut Counters, go_on: &mut GoOn| {
-        let brain = sets.as_ref().map_err(|trouble| *trouble).and_then(|[known, test, holdout]| {
+        let brain = held(sets).and_then(|[known, test, holdout]| {
             Ok((Inverse::new(trial, design, solver, None, known)?, test, holdout))
         });
         let (mut brain, test, holdout) = match brain {
@@ -41,7 +37,7 @@ pub(super) fn invert(
     let done = state.comparison.part(0, &trial.problem);
     let found = log.timed_while(done, |s| &mut s.train, |report, go_on| read(&mut report.counters, go_on));
     let Some(found) = found else {
-        save(state, log);
+        log.save(state);
         return None;
     };
     let comparison = &mut state.comparison;
@@ -55,20 +51,20 @@ pub(super) fn invert(
         Err(trouble) => NetworkEvaluation::nothing(trouble),
     };
     comparison.bodies[turn].networks.push(evaluation);
-    paused(trial, state, log)
+    log.paused(&trial.problem, state)
 }
 
-/// How a cast of these training and holdout samples is read by the model of the design, of which `known` are training samples,
+/// How a cast of these training and holdout samples is read by the model of the body, of which `known` are training samples,
 /// and by twins, each also by a linear brain that was fitted to the twin; `None` if it is told meanwhile not to go on.
 pub(super) fn invert_cast(
-    trial: &Trial,
-    (design, solver): (&[f64], &Solver),
+    mould: &Mould,
     known: &Result<Samples, Trouble>,
     cast: u32,
     sets: &Result<[Samples; 2], Trouble>,
     counters: &mut Counters,
     go_on: &mut GoOn,
 ) -> Option<(Vec<CastReading>, Vec<BandReading>)> {
+    let &Mould { trial, design, solver } = mould;
     let (mut readings, mut bands, mut work) = (Vec::new(), Vec::new(), Counters::default());
     let mut keep = |by: CastBrain, found: Result<(Option<f64>, Option<BandReading>), Trouble>| {
         let (error, trouble) = match found {
@@ -94,8 +90,7 @@ pub(super) fn invert_cast(
         work.dynamics += brain.counters.dynamics;
         Some(Ok((holdout.error(&forces(&found)), Some(band(&found, holdout, Some((cast, by)))))))
     };
-    let brain = known.as_ref().map_err(|trouble| *trouble);
-    let brain = brain.and_then(|known| Inverse::new(trial, design, solver, None, known));
+    let brain = held(known).and_then(|known| Inverse::new(trial, design, solver, None, known));
     keep(CastBrain::Inverse, inverted(CastBrain::Inverse, brain, &mut work, go_on)?);
     for n in RECORDS.into_iter().filter(|&n| n as usize <= trial.train.samples) {
         let twin = match &sets {
@@ -105,17 +100,15 @@ pub(super) fn invert_cast(
                 // the cast has felt what the initial body may have failed on
                 let [all, _] = trial.problem.known();
                 let (forces, records) = (all.select(&first), train.select(&first));
-                let Fit { twin, counters, .. } =
-                    Fit::of(trial, design, solver, (&forces, &records.signals), go_on)?;
+                let Fit { twin, counters, .. } = Fit::of(mould, (&forces, &records.signals), go_on)?;
                 work.dynamics += counters;
-                let known = trial.simulate_cast(Some(&twin.cast), design, all, solver, false, &mut work);
-                known.map(|known| (known.samples, twin))
+                mould.samples(Some(&twin.cast), all, &mut work).map(|known| (known, twin))
             }
             Err(trouble) => Err(*trouble),
         };
-        let twin = twin.as_ref().map_err(|trouble| *trouble);
+        let twin = held(&twin);
         let linear = twin.and_then(|(known, _)| {
-            let (_, holdout) = sets.as_ref().map_err(|trouble| *trouble)?;
+            let (_, holdout) = held(&sets)?;
             Ok((Fitted::of(trial, known)?.error_on(holdout), None))
         });
         keep(CastBrain::TwinLinear(n), linear);

@@ -3,6 +3,7 @@
 use super::report::{Report, Seconds};
 use super::state::State;
 use crate::identify::twin::GoOn;
+use crate::trial::Problem;
 
 /// Who watches an outer loop. The maths has no clock of its own.
 pub trait Observe {
@@ -101,8 +102,19 @@ impl<'a> Log<'a> {
         self.observer.seconds() - self.saved >= SAVE_EVERY
     }
 
-    pub(super) fn save(&mut self, state: &State) {
+    /// Hands the observer the state, with what the report says of the comparison.
+    pub(super) fn save(&mut self, state: &mut State) {
+        (state.comparison.counters, state.comparison.seconds) = (self.report.counters, self.report.seconds);
         self.observer.save(state);
         self.saved = self.observer.seconds();
+    }
+
+    /// Tells the observer how far the comparison has come; `None` if it says stop: it has the state by then.
+    pub(super) fn paused(&mut self, problem: &Problem, state: &mut State) -> Option<()> {
+        let wanted = self.progress(state.comparison.part(0, problem));
+        if wanted == Control::Stop || self.save_is_due() {
+            self.save(state);
+        }
+        (wanted != Control::Stop).then_some(())
     }
 }

@@ -249,7 +249,8 @@ impl<'a> Session<'a> {
             |report| {
                 let (trial, design, counters) = (self.trial, &state.design, &mut report.counters);
                 let mut train = trial.simulate(design, sets[0], &solver, tapes[0], counters)?;
-                let other = trial.simulate_most(design, sets[1].clone(), &solver, tapes[1], counters)?;
+                let other =
+                    trial.simulate_cast(None, design, sets[1].clone(), &solver, tapes[1], counters)?;
                 // those on which the initial body failed train no body, and count against all
                 train.samples.failed.clone_from(&self.trial.initial.failed);
                 Ok([train, other])

@@ -5,12 +5,12 @@ use crate::brain::{self, Architecture, Data, TrainOutcome, Workspace};
 use crate::brains::Fresh;
 use crate::dynamics::{Accuracy, Frame, Method, Panel, Parts, Scene, Solver, Stiffness};
 use crate::feasible::{Feasible, Limits};
-use crate::questions::{bound, replay, sense};
+use crate::questions::{UnderReading, bound, nonlinear, replay, sense};
 use crate::random::{Purpose, Stream};
 use crate::stimuli::{Bell, Source};
 use crate::trial::{
-    BrainKind, Decoder, Disturbance, Evaluation, Going, Optimise, Problem, Protocol, Ridge, Schedule, Size,
-    Stimuli, Terms, Training, Trouble,
+    BrainKind, Counters, Decoder, Disturbance, Evaluation, Going, Mould, Optimise, Problem, Protocol, Ridge,
+    Schedule, Size, Stimuli, Terms, Training, Trouble,
 };
 
 mod casts;

@@ -8,7 +8,7 @@
 
 use crate::dynamics::{Accuracy, Forces, Outcome, Simulation, Solver, signal_error, simulate, touches};
 use crate::random::Purpose;
-use crate::trial::{Counters, Trial};
+use crate::trial::{Counters, Mould};
 
 /// ε: errors of 1e-5 in s_lin, which rounding stays a thousand times below.
 const SMALL: f64 = 1e-5;
@@ -22,12 +22,8 @@ pub type Nonlinear = [f64; 2];
 
 /// Of a body under the first samples of the holdout, without what chips add; none where one does not end well, or where parts touch
 /// at rest.
-pub(crate) fn nonlinear(
-    trial: &Trial,
-    design: &[f64],
-    solver: &Solver,
-    counters: &mut Counters,
-) -> Option<Nonlinear> {
+pub(crate) fn nonlinear(mould: &Mould, counters: &mut Counters) -> Option<Nonlinear> {
+    let &Mould { trial, design, solver } = mould;
     let (problem, scene) = (&trial.problem, &trial.problem.scene);
     if touches(scene, design) {
         return None;

@@ -203,7 +203,7 @@ fn said(all: &Samples, lags: Lags, fitted: &Fitted) -> LinearReplay {
 
 fn all_forces(problem: &Problem) -> Forces {
     let mut forces = problem.forces(Purpose::Stimulus, 0, problem.stimuli.samples);
-    let holdout = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout);
+    let holdout = problem.holdout();
     forces.samples += holdout.samples;
     forces.values.extend(holdout.values);
     forces.strikes.extend(holdout.strikes);

@@ -4,9 +4,7 @@
 //! what the body still tells, the second what a reader makes of it that has not met them.
 
 use crate::brains::Fitted;
-use crate::dynamics::Solver;
-use crate::random::Purpose;
-use crate::trial::{Counters, Samples, Trial, Trouble};
+use crate::trial::{Counters, Mould, Samples, Trouble, held};
 
 /// How one linear brain reads a body under forces of one kind.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,35 +17,28 @@ pub struct UnderReading {
     pub error: Result<Option<f64>, Trouble>,
 }
 
-/// Of a body whose integrator under the trial's own forces is `solver`; of each kind first the brain fitted under it.
-pub(crate) fn under(
-    trial: &Trial,
-    design: &[f64],
-    solver: &Solver,
-    counters: &mut Counters,
-) -> Vec<UnderReading> {
+/// Of a body whose integrator is tuned under the trial's own forces; of each kind first the brain fitted under it.
+pub(crate) fn under(mould: &Mould, counters: &mut Counters) -> Vec<UnderReading> {
+    let &Mould { trial, design, .. } = mould;
     let problem = &trial.problem;
     if problem.under.is_empty() {
         return Vec::new();
     }
     let [train, _] = problem.known();
-    let known = trial.simulate_most(design, train, solver, false, counters);
-    let carried = known.and_then(|known| Fitted::of(trial, &known.samples));
+    let known = mould.samples(None, train, counters);
+    let carried = known.and_then(|known| Fitted::of(trial, &known));
     let mut found = Vec::with_capacity(2 * problem.under.len());
     for (kind, source) in problem.under.iter().enumerate() {
         let there = trial.under(source, design).map_err(|failure| failure.trouble()).and_then(|there| {
             counters.dynamics += there.pilots;
-            let (forces, solver) =
-                (there.problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout), there.problem.solver);
-            let read = there.simulate_most(design, forces, &solver, false, counters)?;
-            Ok((there, read.samples))
+            let body = Mould { trial: &there, design, solver: &there.problem.solver };
+            let read = body.samples(None, there.problem.holdout(), counters)?;
+            Ok((there, read))
         });
-        let there = there.as_ref().map_err(|trouble| *trouble);
+        let there = held(&there);
         let error = |brain: &Fitted, holdout: &Samples| brain.error_on(holdout);
         let own = there.and_then(|(there, holdout)| Ok(error(&Fitted::of(there, &there.initial)?, holdout)));
-        let carried = there.and_then(|(_, holdout)| {
-            carried.as_ref().map(|carried| error(carried, holdout)).map_err(|trouble| *trouble)
-        });
+        let carried = there.and_then(|(_, holdout)| Ok(error(held(&carried)?, holdout)));
         let reading = |own, error| UnderReading { kind, own, error };
         found.extend([reading(true, own), reading(false, carried)]);
     }

@@ -7,6 +7,7 @@
 
 mod chip;
 mod filter;
+mod mould;
 mod outcome;
 mod problem;
 mod samples;
@@ -14,10 +15,11 @@ mod scales;
 mod settings;
 
 pub use chip::{Disturbance, Size};
+pub(crate) use mould::Mould;
+pub(crate) use outcome::held;
 pub use outcome::{Counters, Failure, Trouble};
 pub use problem::{Placing, Problem, Stimuli};
-pub use samples::mean_error;
-pub use samples::{FAILED, Samples};
+pub use samples::{FAILED, Samples, mean_error};
 pub(crate) use samples::{error_of_each, pick};
 pub(crate) use scales::Scales;
 pub use settings::{
@@ -179,29 +181,13 @@ impl<'a> Trial<'a> {
         Ok(self.response(simulation, Chips::default(), forces, vec![false; forces.samples]))
     }
 
-    /// The same where some samples may fail.
-    ///
-    /// # Errors
-    /// If more of them fail than may.
-    pub fn simulate_most(
-        &self,
-        design: &[f64],
-        forces: Forces,
-        solver: &Solver,
-        keep_tape: bool,
-        counters: &mut Counters,
-    ) -> Result<Response, Trouble> {
-        self.simulate_cast(None, design, forces, solver, keep_tape, counters)
-    }
-
     /// Samples of a body, or of a cast of it, by the integrator that was tuned on the body.
     ///
     /// # Errors
-    /// As [`Trial::simulate_most`].
+    /// If more of them fail than may.
     pub fn samples(&self, design: &[f64], cast: Option<&Cast>, forces: Forces) -> Result<Samples, Failure> {
-        let (solver, counters) = (self.tuned(design).solver, &mut Counters::default());
-        let found = self.simulate_cast(cast, design, forces, &solver, false, counters);
-        Ok(found.map_err(Failure::Initial)?.samples)
+        let mould = Mould { trial: self, design, solver: &self.tuned(design).solver };
+        mould.samples(cast, forces, &mut Counters::default()).map_err(Failure::Initial)
     }
 
     /// A cast of the trial's body; without a variation every cast is as designed.
@@ -211,10 +197,10 @@ impl<'a> Trial<'a> {
         problem.variation.map(|variation| variation.cast(problem.seed, casts, number, body, likeness))
     }
 
-    /// The same of a cast of the body; of none as [`Trial::simulate_most`]. dα of the cast is that of its design.
+    /// Simulates a body, or a cast of it, where some samples may fail. dα of the cast is that of its design.
     ///
     /// # Errors
-    /// Likewise.
+    /// If more of them fail than may.
     pub(crate) fn simulate_cast(
         &self,
         cast: Option<&Cast>,

@@ -48,6 +48,11 @@ impl Trouble {
     }
 }
 
+/// What was found, or why not, to be looked at more than once.
+pub(crate) fn held<T>(found: &Result<T, Trouble>) -> Result<&T, Trouble> {
+    found.as_ref().map_err(|trouble| *trouble)
+}
+
 /// Why a trial has no result.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]

@@ -246,6 +246,17 @@ impl Problem {
         [all.select(&train), all.select(&test)]
     }
 
+    /// The holdout.
+    pub fn holdout(&self) -> Forces {
+        self.forces(Purpose::Holdout, 0, self.stimuli.holdout)
+    }
+
+    /// The samples of a holdout of so many from this one on judge bands: of recorded ones, which have no fresh samples, the
+    /// first half calibrates them.
+    pub(crate) fn first_judge(&self, samples: usize) -> usize {
+        if self.stimuli.source.is_recorded() { samples.div_ceil(2) } else { 0 }
+    }
+
     /// Whether targets of a finer clock of the forces are read through a low-pass.
     pub fn low_pass(&self) -> bool {
         let records = |part: &&Source| matches!(part, Source::Recorded(records) if records.low_pass);

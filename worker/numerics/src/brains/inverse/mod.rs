@@ -14,7 +14,7 @@ use super::Fitted;
 use crate::dynamics::{Forces, Solver};
 use crate::identify::twin::{Ending, GoOn, Twin};
 use crate::random::Purpose;
-use crate::trial::{Counters, Failure, Problem, Samples, Trial, Trouble};
+use crate::trial::{Counters, Failure, Mould, Problem, Samples, Trial, Trouble};
 use descent::{Descent, Noise, Start};
 use faer::Mat;
 use model::Model;
@@ -132,8 +132,8 @@ impl<'a> Inverse<'a> {
     pub fn of(trial: &'a Trial<'a>, design: &[f64], twin: Option<&Twin>) -> Result<Self, Failure> {
         let (solver, [train, _]) = (trial.tuned(design).solver, trial.problem.known());
         let (cast, mut counters) = (twin.map(|twin| &twin.cast), Counters::default());
-        let known = trial.simulate_cast(cast, design, train, &solver, false, &mut counters);
-        let brain = known.and_then(|known| Self::new(trial, design, &solver, twin, &known.samples));
+        let known = Mould { trial, design, solver: &solver }.samples(cast, train, &mut counters);
+        let brain = known.and_then(|known| Self::new(trial, design, &solver, twin, &known));
         brain.map(|brain| Self { counters, ..brain }).map_err(Failure::Initial)
     }
 

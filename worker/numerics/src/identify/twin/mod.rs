@@ -14,7 +14,7 @@ use crate::dynamics::{Accuracy, Counters, Forces, Solver};
 use crate::identify::discrepancy::explained;
 use crate::identify::interval::grouped;
 use crate::student::student;
-use crate::trial::{Chip, Problem, Trial, tuned};
+use crate::trial::{Chip, Mould, Problem, tuned};
 use crate::variation::{Cast, Variation};
 use nalgebra::{DMatrix, DVector};
 use objective::{Columns, Objective, Point};
@@ -115,19 +115,14 @@ const STRIDE: f64 = 2.0;
 const SHORTEST: f64 = 1e-4;
 
 impl Fit {
-    /// Of a trial's body of this design, simulated with `solver`, from signals (N, T, channels) as its chips give them under `forces`. What
+    /// Of a trial's body from signals (N, T, channels) as its chips give them under `forces`. What
     /// scatters is the trial's variation, or [`Variation::USUAL`]. Samples that failed must be left out. `None` if it is told meanwhile not to
     /// go on.
     ///
     /// # Panics
     /// If lengths do not fit together.
-    pub fn of(
-        trial: &Trial,
-        design: &[f64],
-        solver: &Solver,
-        records: (&Forces, &[f64]),
-        go_on: &mut GoOn,
-    ) -> Option<Self> {
+    pub(crate) fn of(mould: &Mould, records: (&Forces, &[f64]), go_on: &mut GoOn) -> Option<Self> {
+        let &Mould { trial, design, solver } = mould;
         let variation = trial.problem.variation.unwrap_or(Variation::USUAL);
         let chip = trial.chip.as_ref();
         fit(&trial.problem, chip, design, solver, records, &variation, false, trial.pool, go_on)

@@ -6,7 +6,7 @@ use crate::brain::linear::Lags;
 use crate::dynamics::{Accuracy, Contact, Method, Panel, Parameters, Scene, Solver};
 use crate::nested::tests::{GOING, on_lattices, small};
 use crate::random::{Purpose, Stream};
-use crate::trial::{BrainKind, Decoder, Disturbance, Optimise, Protocol, Ridge, Size, Stimuli};
+use crate::trial::{BrainKind, Decoder, Disturbance, Mould, Optimise, Protocol, Ridge, Size, Stimuli, Trial};
 use crate::variation::Casts;
 
 /// So many columns and rows of units, two panels, one sensor, `instants` of 5 ms.
@@ -50,8 +50,8 @@ fn records(trial: &Trial, cast: &Cast, count: usize) -> (Forces, Vec<f64>) {
 }
 
 fn twin(trial: &Trial, forces: &Forces, signals: &[f64]) -> Fit {
-    let found =
-        Fit::of(trial, &trial.problem.initial, &trial.problem.solver, (forces, signals), &mut || true);
+    let (design, solver) = (&trial.problem.initial, &trial.problem.solver);
+    let found = Fit::of(&Mould { trial, design, solver }, (forces, signals), &mut || true);
     found.expect("told to go on")
 }
 

@@ -289,7 +289,7 @@ fn the_brain_for_all_casts_can_be_had_again() {
             let counters = &mut Counters::default();
             trial.simulate_cast(cast.as_ref(), design, forces, &solver, false, counters).unwrap().samples
         };
-        let holdout = of(problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout));
+        let holdout = of(problem.holdout());
         let (by, said) = match brain_for_casts(&trial, design).unwrap() {
             ForCasts::Linear(fitted) => (CastBrain::Casts, fitted.predict(&holdout.signals)),
             ForCasts::Network(weights) => {

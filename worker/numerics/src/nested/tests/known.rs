@@ -25,7 +25,8 @@ fn the_nonlinear_part_goes_with_the_square_of_small_forces() {
         let problem = with_amplitude(times);
         let pool = pool(1);
         let trial = Trial::new(&problem, &pool).unwrap();
-        nonlinear(&trial, &problem.initial, &problem.solver, &mut Counters::default()).unwrap()
+        let mould = Mould { trial: &trial, design: &problem.initial, solver: &problem.solver };
+        nonlinear(&mould, &mut Counters::default()).unwrap()
     };
     let [whole, first, second] = [1.0, 0.005, 0.01].map(share);
     for kind in 0..2 {
@@ -41,7 +42,10 @@ fn the_nonlinear_part_does_not_depend_on_the_integrator() {
     for times in [0.1, 1.0] {
         let (problem, pool) = (with_amplitude(times), pool(1));
         let trial = Trial::new(&problem, &pool).unwrap();
-        let share = |solver| nonlinear(&trial, &problem.initial, solver, &mut Counters::default()).unwrap();
+        let share = |solver| {
+            let mould = Mould { trial: &trial, design: &problem.initial, solver };
+            nonlinear(&mould, &mut Counters::default()).unwrap()
+        };
         let asked = Solver::new(Method::Tsit5, Accuracy(1e-4));
         let tsit5 = tune(&problem.scene, &problem.initial, &trial.train, &asked, &pool).solver;
         let (adaptive, equal) = (share(&tsit5), share(&problem.solver));

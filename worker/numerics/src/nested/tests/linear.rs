@@ -206,7 +206,7 @@ fn readings_are_those_of_their_own_fits() {
 
     let pool = pool(1);
     let mut trial = Trial::new(&problem, &pool).unwrap();
-    let holdout = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout);
+    let holdout = problem.holdout();
     let sets: [Samples; 3] = [&trial.train, &trial.test, &holdout].map(|forces| {
         let (counters, solver) = (&mut Counters::default(), &trial.problem.solver);
         trial.simulate(&problem.initial, forces, solver, false, counters).unwrap().samples
@@ -233,7 +233,7 @@ fn readings_of_forces_in_single_precision_are_those_in_double() {
     let pool = pool(1);
     let trial = Trial::new(&problem, &pool).unwrap();
     let found = super::super::optimise(&trial, None, &mut Keeper::default()).unwrap().unwrap();
-    let holdout = problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout);
+    let holdout = problem.holdout();
     for body in [&found.initial, &found.optimised] {
         let solver = if body.design == problem.initial {
             trial.problem.solver
