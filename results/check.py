@@ -11,6 +11,7 @@ import itertools
 import math
 import random
 import re
+import statistics
 import sys
 from pathlib import Path
 
@@ -286,6 +287,25 @@ def power(campaigns=60):
                 made_up += [dict(placement="0", seed=str(seed), sensors=str(m), holdout_error_optimised=e) for m, e in enumerate(errors, 1)]
             sure = [n + (shares[int(law)] >= 0.95) for n, shares in zip(sure, ends(made_up)[0])]
         yield f"K = {forces}, {brain}: elbow in %, in logarithms, nine tenths of the fall: " + ", ".join(f"{100 * n / campaigns:.0f} %" for n in sure)
+
+
+def ranks(values):
+    return [sum(v < x for v in values) + (1 + sum(v == x for v in values)) / 2 for x in values]
+
+
+def why_correlated():
+    measures = ("wiener_error", "forces_told", "condition", "bits", "memory", "modes")
+    for (words, *cells), measure in zip(table("why correlated"), measures, strict=True):
+        found = []
+        for trained in ("linear", "cnn"):
+            before, after = (rows("why/rows.csv", body=body, trained_with=trained) for body in ("initial", "optimised"))
+            assert [row["hash"] for row in before] == [row["hash"] for row in after]
+            fallen, grown = (numbers(before, "error"), numbers(after, "error")), (numbers(after, measure), numbers(before, measure))
+            r = statistics.correlation(*(ranks([a / b for a, b in zip(*both)]) for both in (fallen, grown)))
+            half = 1.96 * math.sqrt(1.06 / (len(before) - 3))
+            low, high = (math.tanh(math.atanh(r) + sign * half) for sign in (-1, 1))
+            found.append(f"{short(r)} ({short(low)} … {short(high)})")
+        yield cells, found
 
 
 def elbow_law():
@@ -682,7 +702,7 @@ def relaxing():
         yield line[1:], [cell(*by) for by in [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")]]
 
 
-CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, elbow_law, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
+CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

@@ -5,7 +5,7 @@
 use serde_json::Value;
 
 use super::Resampling;
-use super::numbers::{distinct, geometric_mean};
+use super::numbers::{distinct, geometric_mean, mean};
 use super::trial::Cluster;
 use crate::look::{Table, row};
 
@@ -19,6 +19,9 @@ pub const MEASURES: [&str; 6] = [
     "modes that take part",
 ];
 
+/// Times the half-width of 95 % of a normal: the deviation of z of a rank correlation is √1.06/√(n − 3) (Fieller, Hartley and
+/// Pearson 1957, doi:10.1093/biomet/44.3-4.470).
+const TO_EACH_SIDE: f64 = 1.959_964 * 1.029_563;
 /// A correlation of ±1 has no z.
 const MOST: f64 = 0.9999;
 
@@ -49,16 +52,16 @@ pub fn table(changes: &[Change]) -> Table {
 fn rows(setting: &str, changes: &[&Change]) -> Vec<Vec<Value>> {
     let clusters: Vec<Cluster> = changes.iter().map(|change| change.cluster).collect();
     let resampling = Resampling::new(&clusters);
+    let half = resampling.units().map(|units| TO_EACH_SIDE / (distinct(units.iter()).len() as f64 - 3.0).sqrt());
     let gains = ranks(&changes.iter().map(|c| (c.errors[0] / c.errors[1]).ln()).collect::<Vec<_>>());
     let of = |(m, name): (usize, &str)| {
         let mean = |body: usize| geometric_mean(&changes.iter().map(|c| c.told[body][m]).collect::<Vec<_>>());
         let grown: Vec<f64> = changes.iter().map(|c| (c.told[1][m] / c.told[0][m]).ln()).collect();
         let grown = ranks(&grown);
-        let all = correlation(&grown, &gains, &vec![1.0; changes.len()]);
-        // Fisher's z: a correlation ends at ±1
-        let z = |weights: &[f64]| Some(correlation(&grown, &gains, weights)?.clamp(-MOST, MOST).atanh());
-        let found = resampling.interval(z);
-        let [low, high] = [found.map(|i| i.low.tanh()), found.map(|i| i.high.tanh())];
+        let all = correlation(&grown, &gains);
+        // by Fisher's z: a correlation ends at ±1
+        let end = |sign: f64| Some((all?.clamp(-MOST, MOST).atanh() + sign * half?).tanh());
+        let [low, high] = [-1.0, 1.0].map(end);
         let [initial, optimised] = [0, 1].map(mean);
         row![setting, name, initial, optimised, optimised / initial, all, low, high, resampling.over()]
     };
@@ -72,13 +75,11 @@ fn ranks(values: &[f64]) -> Vec<f64> {
     values.iter().map(|x| below(*x) + 0.5 * (equal(*x) + 1.0)).collect()
 }
 
-/// Pearson's, of numbers that count `weights` times; `None` where some do not vary.
-fn correlation(x: &[f64], y: &[f64], weights: &[f64]) -> Option<f64> {
-    let all: f64 = weights.iter().sum();
-    let mean = |values: &[f64]| values.iter().zip(weights).map(|(v, w)| v * w).sum::<f64>() / all;
-    let (at_x, at_y) = (mean(x), mean(y));
+/// Pearson's; `None` where some do not vary.
+fn correlation(x: &[f64], y: &[f64]) -> Option<f64> {
+    let (at_x, at_y) = (mean(x)?, mean(y)?);
     let product = |a: &[f64], at: f64, b: &[f64], bt: f64| -> f64 {
-        a.iter().zip(b).zip(weights).map(|((a, b), w)| w * (a - at) * (b - bt)).sum()
+        a.iter().zip(b).map(|(a, b)| (a - at) * (b - bt)).sum()
     };
     let size = (product(x, at_x, x, at_x) * product(y, at_y, y, at_y)).sqrt();
     (size > 0.0).then(|| product(x, at_x, y, at_y) / size)
@@ -115,6 +116,10 @@ mod tests {
         );
         assert!(correlations[2].unwrap().abs() < 0.6 && correlations[3].is_none(), "{correlations:?}");
         assert!(cell(2, "correlation_low") < Some(0.0) && cell(2, "correlation_high") > Some(0.0));
+        // twelve: z = 0 ± 1.96 · 1.0296/3; one of ±1 has an interval, too
+        let (r, low) = (cell(2, "correlation").unwrap(), cell(2, "correlation_low").unwrap());
+        assert!((r.atanh() - low.atanh() - 0.672_65).abs() < 1e-4, "{r} {low}");
+        assert!(cell(0, "correlation_high") > Some(-1.0));
         assert_eq!(cell(3, "ratio"), Some(1.0));
         let other = Change { setting: "other".to_owned(), ..changes[0].clone() };
         assert_eq!(super::table(&[&changes[..], &[other]].concat()).rows.len(), 12);

@@ -24,7 +24,7 @@ pub struct Sought {
     classes: Vec<Class>,
     /// How many candidates have failed.
     failed: usize,
-    /// CPU seconds of the trials that were asked for, and what the whole sweep would take, as estimated.
+    /// CPU seconds of the trials that were asked for, and what the whole sweep would take, by the pace of those that are done.
     seconds: [f64; 2],
 }
 
@@ -45,7 +45,7 @@ impl Sought {
         let known = Known::of(reader, &space, &plan, &mut HashMap::new()).await?;
         let mut search = begun(&space);
         let (decision, classes) = (search.follow(&known.candidates), search.classes());
-        let whole = cost::total(&plan.trials);
+        let whole = known.pace * cost::total(&plan.trials);
         let failed = known.candidates.iter().filter(|candidate| candidate.failed).count();
         Ok(Self { plan, space, decision, classes, failed, seconds: [known.seconds, whole] })
     }
@@ -101,7 +101,7 @@ impl Sought {
         let looks = kinship
             .map_or(String::new(), |r| format!("; a first look tells a result with correlation {r:.2}"));
         let mut lines = vec![format!(
-            "{seconds:.0} CPU s, {part:.0} % of what the whole sweep is estimated to take{looks}"
+            "{seconds:.0} CPU s, {part:.0} % of what the whole sweep would take at this pace{looks}"
         )];
         if self.failed > 0 {
             let failed = counted(self.failed, "trial");
@@ -306,6 +306,8 @@ pub struct Known {
     pub candidates: Vec<Candidate>,
     /// CPU seconds of the trials that were asked for.
     pub seconds: f64,
+    /// How many times the seconds that were estimated its finished trials have taken.
+    pace: f64,
 }
 
 impl Known {
@@ -336,7 +338,12 @@ impl Known {
             }
             candidates.push(candidate);
         }
-        Ok(Self { candidates, seconds: reader.spent(&plan.source.text).await? })
+        let spent = reader.spent(&plan.source.text).await?;
+        let done = |trial: &&Trial| spent.get(&trial.hash).is_some_and(|(_, done)| *done);
+        let finished: Vec<&Trial> = plan.trials.iter().filter(done).collect();
+        let taken: f64 = finished.iter().map(|trial| spent[&trial.hash].0).sum();
+        let pace = if taken > 0.0 { taken / cost::total(finished) } else { 1.0 };
+        Ok(Self { candidates, seconds: spent.values().map(|(seconds, _)| seconds).sum(), pace })
     }
 }
 

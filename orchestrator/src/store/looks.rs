@@ -84,23 +84,26 @@ impl Reader {
         Ok(found)
     }
 
-    /// CPU seconds of all attempts at the trials of a sweep with this text.
+    /// CPU seconds of all attempts at each trial of a sweep with this text, by its hash, and whether it is done.
     ///
     /// # Errors
     /// Where SQLite fails.
-    pub async fn spent(&mut self, text: &str) -> Result<f64, StoreError> {
-        let mut seconds = 0.0;
+    pub async fn spent(&mut self, text: &str) -> Result<HashMap<String, (f64, bool)>, StoreError> {
+        let mut spent = HashMap::new();
         let sql = format!(
-            "SELECT sum(cpu_seconds) AS seconds FROM attempt WHERE trial_id IN
-               (SELECT x.trial_id FROM sweep_trial x JOIN sweep s ON s.id = x.sweep_id WHERE s.text = {})",
+            "SELECT t.hash, t.state = 'done' AS done, sum(a.cpu_seconds) AS seconds
+             FROM sweep s JOIN sweep_trial x ON x.sweep_id = s.id JOIN trial t ON t.id = x.trial_id
+               JOIN attempt a ON a.trial_id = t.id
+             WHERE s.text = {} GROUP BY t.id",
             quoted(text)
         );
         self.each(&sql, |row| {
-            seconds = row.number("seconds").unwrap_or(0.0);
+            let of = (row.number("seconds").unwrap_or(0.0), row.count("done") == 1);
+            spent.insert(row.text("hash").to_owned(), of);
             Ok::<_, StoreError>(())
         })
         .await?;
-        Ok(seconds)
+        Ok(spent)
     }
 }
 
