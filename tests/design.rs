@@ -45,6 +45,32 @@ fn any_design_goes_in_and_a_castable_one_comes_out() {
     assert_eq!(read("c.csv"), read("tame.csv"), "the previous design");
 }
 
+/// What a trial does not move a projection does not move; a panel that no trial can have is refused by `draw`, too.
+#[test]
+fn what_is_frozen_stays_and_what_cannot_be_is_not_drawn() {
+    let bench = Bench::new();
+    bench.file("s.toml", &small(""));
+    bench.output(&["draw", "s.toml", "--out", "a.svg", "--design-out", "a.csv"]);
+    let wild: Vec<f64> = (0..48).map(|i| 7.0 * f64::sin(1.7 * f64::from(i * i))).collect();
+    std::fs::write(bench.path("wild.npy"), npy(&wild)).unwrap();
+    bench.output(&["project", "s.toml", "optimise.frozen=[4]", "--design", "wild.npy", "--out", "b.csv"]);
+    let corners = |name: &str, unit: &str| -> Vec<f64> {
+        let text = std::fs::read_to_string(bench.path(name)).unwrap();
+        let lines = text.lines().filter(|line| line.starts_with(unit));
+        lines
+            .flat_map(|line| line.split(',').skip(2).map(|x| x.parse().unwrap()).collect::<Vec<_>>())
+            .collect()
+    };
+    let moved = |unit: &str| {
+        let both = corners("a.csv", unit).into_iter().zip(corners("b.csv", unit));
+        both.map(|(a, b)| f64::abs(a - b)).fold(0.0, f64::max)
+    };
+    assert!(moved("4,") < 1e-9 && moved("0,") > 1e-3, "{} {}", moved("4,"), moved("0,"));
+    let refused = bench.metasense(&["draw", "s.toml", "body.panels=[{ unit = 20 }]", "--out", "c.svg"]);
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(refused.status.code() == Some(2) && said.contains("there is no unit 20"), "{said}");
+}
+
 /// Of a sweep over bodies the trial says which; without `--hash` only where all its trials have one body.
 #[test]
 fn the_body_is_that_of_the_trial() {

@@ -21,7 +21,7 @@ use metasense_schemas::spec::{
     Body, Design, Disturbance, LayoutKind, NotOne, Own, Point, Run, Search, SearchFrom, Sensors, Stimuli,
     SweepSpec, Training, TrialSpec, position_of,
 };
-use metasense_worker::design::{self, DesignError, Layout, Limits};
+use metasense_worker::design::{self, DesignError, Feasible, Layout, Limits};
 use metasense_worker::problem::{self, Invalid};
 use metasense_worker::replay::Panel;
 use metasense_worker::{polygons, records};
@@ -388,15 +388,15 @@ pub struct OneBody {
     pub layout: Layout,
     /// Its limits.
     pub limits: Limits,
-    /// Units that keep their shape.
-    pub kept: Vec<usize>,
+    /// The designs that can be cast and had.
+    pub castable: Feasible,
     /// The design that it starts from; it may be infeasible.
     pub initial: Vec<f64>,
     /// Clamped units.
     pub clamped: Vec<usize>,
     /// Units that are held in part.
     pub guided: Vec<usize>,
-    /// Input panels of the sweep's first K; none where there are no such panels.
+    /// Input panels of the sweep's first K.
     pub panels: Vec<Panel>,
     /// Sensors of the sweep's first M in the first placement.
     pub sensors: Vec<usize>,
@@ -415,7 +415,11 @@ impl OneBody {
         let keeps_panels = first.feasible.keep_panels;
         let other = |spec: &SweepSpec| {
             let panels = keeps_panels && spec.sweep.panels != first.sweep.panels;
-            spec.body != first.body || spec.feasible != first.feasible || panels
+            let moves = |spec: &SweepSpec| (spec.optimise.tie, spec.optimise.frozen.clone());
+            spec.body != first.body
+                || spec.feasible != first.feasible
+                || panels
+                || moves(spec) != moves(&first)
         };
         let panels_count = keeps_panels && first.sweep.panels.len() > 1;
         if panels_count || combinations.iter().any(|c| other(&c.spec)) {
@@ -434,10 +438,14 @@ impl OneBody {
             Some(lists) => lists.iter().find(|list| list.len() == sensors).cloned().unwrap_or_default(),
             None => placement(&body, &layout, 0, &clamped).into_iter().take(sensors).collect(),
         };
-        let units = problem::panel_units(&body, &layout, panels).unwrap_or_default();
+        let units = match panels {
+            0 => Vec::new(),
+            _ => problem::panel_units(&body, &layout, panels).map_err(located)?,
+        };
         let held = problem::held(&body, &layout).map_err(located)?;
+        let kept = problem::kept(&first.feasible, &units, &held);
         Ok(Some(Self {
-            kept: problem::kept(&first.feasible, &units, &held),
+            castable: problem::castable(&first.optimise, &layout, limits, &kept).map_err(located)?,
             limits,
             initial,
             guided: held[clamped.len()..].to_vec(),
@@ -457,8 +465,9 @@ impl OneBody {
         let layout = problem::layout(&trial.body)?;
         let limits = problem::limits(&trial.feasible)?;
         let (clamped, held) = (problem::clamped(&trial.body, &layout)?, problem::held(&trial.body, &layout)?);
+        let kept = problem::kept(&trial.feasible, &trial.panel_units, &held);
         Ok(Self {
-            kept: problem::kept(&trial.feasible, &trial.panel_units, &held),
+            castable: problem::castable(&trial.optimise, &layout, limits, &kept)?,
             limits,
             initial: problem::initial_design(&trial.body, &layout, limits)?,
             guided: held[clamped.len()..].to_vec(),

@@ -3,16 +3,17 @@
 use metasense_numerics::dynamics::{Rest, Scene, start, touches};
 use metasense_numerics::modes;
 pub use metasense_numerics::modes::{Mode, Response};
+use metasense_numerics::trial::Problem;
 use metasense_schemas::spec::TrialSpec;
 
-use crate::run::{Failure, with_design};
+use crate::run::{Failure, placed, pool, with_design};
 
 /// The `count` slowest modes of a body; fewer where it has fewer.
 ///
 /// # Errors
 /// If the spec stands for no trial, the design is of another length, or nothing holds the body.
 pub fn slowest(trial: &TrialSpec, design: &[f64], count: usize) -> Result<Vec<Mode>, Failure> {
-    let problem = with_design(trial, design)?;
+    let problem = weighed(trial, design)?;
     let scene = &problem.scene;
     let loose = || {
         Failure::Rejected(
@@ -37,7 +38,7 @@ pub fn responses(
     unit: usize,
     frequencies: &[f64],
 ) -> Result<Vec<Vec<Response>>, Failure> {
-    let problem = with_design(trial, design)?;
+    let problem = weighed(trial, design)?;
     let (scene, units) = (&problem.scene, problem.scene.layout.units());
     check_rest(scene, design)?;
     if unit >= units || scene.clamped.contains(&unit) {
@@ -50,6 +51,15 @@ pub fn responses(
     }
     let found = modes::responses(scene, &Rest::new(scene, design), &[unit], frequencies);
     Ok(found.into_iter().map(|panels| panels.into_iter().flatten().collect()).collect())
+}
+
+/// The problem, with sensors where a search finds them if their chips have a mass.
+fn weighed(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure> {
+    let problem = with_design(trial, design)?;
+    if problem.search.is_none() || problem.scene.chip.is_none() {
+        return Ok(problem);
+    }
+    placed(trial, &pool(1)?)
 }
 
 /// Refuses a scene whose linearisation is no body's under forces, and a body that is nowhere to linearise about.

@@ -31,11 +31,11 @@ pub use body::{
 pub use metasense_numerics::brains::READINGS_MAX;
 pub use metasense_numerics::nested::INVERTED_OF_A_CAST;
 
-use body::{castable, struck};
+use body::{check_castable, struck};
 use casts::{casting, casts, variation};
 use material::material;
 pub use material::sheet;
-pub use optimise::design_parameters;
+pub use optimise::{castable, design_parameters};
 use optimise::{frozen, protocol, tie};
 use stimuli::{channels, disturbance, inertia, mount, stimuli, under};
 
@@ -61,7 +61,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
     let limits = limits(&trial.feasible)?;
     let initial = initial_design(&trial.body, &layout, limits)?;
     let relative_to = relative_to(trial, &layout, limits)?;
-    castable(&trial.body, &layout, limits, &initial)?;
+    check_castable(&trial.body, &layout, limits, &initial)?;
     let scene = scene(trial, layout, material)?;
     let (steps, coarse) = (trial.optimise.steps(), trial.optimise.clone().resolved().coarse);
     Ok(Problem {

@@ -3,7 +3,7 @@
 
 use metasense_numerics::body::moments;
 use metasense_numerics::brains::fits;
-pub use metasense_numerics::dynamics::Panel;
+pub use metasense_numerics::dynamics::{Moves, Panel};
 use metasense_numerics::feasible::{Active, Feasible};
 use metasense_numerics::nested::{ForCasts, brain_for_casts};
 use metasense_numerics::place::placed;

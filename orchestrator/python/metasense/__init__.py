@@ -24,13 +24,16 @@ __all__ = [
 
 
 def body(*, threads: int = 1, **tables: object) -> Body:
-    """The body of the first trial of a spec given as keywords: its tables by name, as dictionaries.
+    """The body of the first trial of a spec given as keywords: its tables by name, as dictionaries. A key that is None is left out.
 
     Raises ValueError at the first unknown key or impossible value.
     """
     import json
 
-    return Body._from_json(json.dumps({"name": "python", **tables}), threads)
+    def given(table: object) -> object:
+        return {key: given(value) for key, value in table.items() if value is not None} if isinstance(table, dict) else table
+
+    return Body._from_json(json.dumps(given({"name": "python", **tables})), threads)
 
 
 def stimuli(

@@ -83,6 +83,9 @@ impl LinearBrain {
     ) -> PyResult<PyRefMut<'py, Self>> {
         let ([n, instants, channels], signals) = samples("signals", signals)?;
         let ([records, panels, clock], values) = samples("forces", forces)?;
+        if values.iter().all(|f| *f == 0.0) {
+            return Err(PyValueError::new_err("forces: all are zero, so that there is nothing to fit to"));
+        }
         if records != n || clock < 2 || !(clock - 1).is_multiple_of(instants) {
             return Err(PyValueError::new_err(format!(
                 "forces has shape {:?}; beside {n} samples of {instants} instants it must be ({n}, K, {} + 1), or a \

@@ -42,6 +42,8 @@ def test_what_does_not_fit_is_refused(body):
             brain.fit(wrong, forces)
     with pytest.raises(ValueError, match="signal_scale"):
         brain.fit(signals, forces, signal_scale=[1.0, 0.0, 1.0])
+    with pytest.raises(ValueError, match="forces: all are zero"):
+        brain.fit(signals, np.zeros_like(forces))
     brain.fit(signals, forces)
     with pytest.raises(ValueError, match="signals has shape"):
         brain.predict(signals[..., :2])

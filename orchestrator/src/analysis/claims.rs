@@ -272,15 +272,21 @@ fn text<'a>(trial: &'a Trial, path: &str) -> Option<&'a str> {
     trial.setting.get(path).and_then(Value::as_str)
 }
 
-/// Whether a trial is of the paper's kind: a body of squares at their initial angle, its shifts not frozen, perfect sensors at random
-/// units.
-fn plain(trial: &Trial) -> bool {
+/// Whether a trial has what the paper's have not: another lattice or polygons of its own, frozen shifts, sensors that are not perfect,
+/// or are placed otherwise than at random.
+pub fn is_other(trial: &Trial) -> bool {
     let extra = |path: &str| {
         ["optimise.frozen", "body.lattice"].contains(&path)
             || path.starts_with("body.file")
             || path.starts_with("sensors.") && path != "sensors.frame"
     };
-    !trial.starts_from_design() && !trial.setting.leaves().keys().any(|path| extra(path))
+    trial.setting.leaves().keys().any(|path| extra(path))
+}
+
+/// Whether a trial is of the paper's kind: a body of squares at their initial angle, its shifts not frozen, perfect sensors at random
+/// units.
+fn plain(trial: &Trial) -> bool {
+    !trial.starts_from_design() && !is_other(trial)
 }
 
 fn tied(trial: &Trial) -> bool {

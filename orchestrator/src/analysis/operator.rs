@@ -52,7 +52,8 @@ pub fn table(changes: &[Change]) -> Table {
 fn rows(setting: &str, changes: &[&Change]) -> Vec<Vec<Value>> {
     let clusters: Vec<Cluster> = changes.iter().map(|change| change.cluster).collect();
     let resampling = Resampling::new(&clusters);
-    let half = resampling.units().map(|units| TO_EACH_SIDE / (distinct(units.iter()).len() as f64 - 3.0).sqrt());
+    let half =
+        resampling.units().map(|units| TO_EACH_SIDE / (distinct(units.iter()).len() as f64 - 3.0).sqrt());
     let gains = ranks(&changes.iter().map(|c| (c.errors[0] / c.errors[1]).ln()).collect::<Vec<_>>());
     let of = |(m, name): (usize, &str)| {
         let mean = |body: usize| geometric_mean(&changes.iter().map(|c| c.told[body][m]).collect::<Vec<_>>());

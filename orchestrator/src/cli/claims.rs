@@ -7,6 +7,7 @@ use maud::html;
 use super::named::Database;
 use super::report::write_figures;
 use super::{Error, Format, print_rows, write};
+use crate::analysis::claims::is_other;
 use crate::exit::Exit;
 use crate::look::page;
 use crate::provenance;
@@ -17,7 +18,8 @@ use crate::store::Reader;
 /// Rates the claims of arXiv:2605.23967 by finished trials
 ///
 /// A claim holds, is compatible with the paper's number, holds in part, makes no difference, fails, is open, or depends on the brain.
-/// First run the specs in schemas/claims into one database (run SPEC --db FILE).
+/// First run the specs in schemas/claims into one database (run SPEC --db FILE). Trials with noise or chips, placed sensors, frozen
+/// units or another lattice are not of the paper's scenes and are left out.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The database; of a folder of shards, their facts
@@ -55,6 +57,15 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         };
         let question = "Does what arXiv:2605.23967 claims hold, and with which brain?";
         write(&folder.join("index.html"), page("The paper's claims", question, content))?;
+    }
+    match trials.iter().filter(|trial| is_other(trial)).count() {
+        0 => {}
+        other => say!(
+            "{} of {} trials with noise or chips, placed sensors, frozen units or another lattice say nothing of the paper's scenes: \
+             only its claims of random bodies may count them",
+            other,
+            trials.len()
+        ),
     }
     provenance::caveats(&made, early).iter().for_each(|caveat| say!("{caveat}"));
     Ok(Exit::Done)

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use indicatif::ProgressBar;
+use metasense_schemas::spec::Body;
 use metasense_worker::identify::{
     BOX, Estimate, Identified, Iteration, Parameter, Parameters, Turn, Verdict, identify,
 };
@@ -59,16 +60,10 @@ enum Fitted {
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     end_on_signal(args.out_dir.as_deref());
     let (_, trial, design) = &args.one.read().await?;
-    for (key, given) in [
-        ("sensors.channels", trial.sensors.channels.is_some()),
-        ("sensors.bandwidth", trial.sensors.bandwidth.is_some()),
-        ("sensors.delay", trial.sensors.delay.is_some()),
-    ] {
-        if given {
-            let remedy = "must be left out here: a fit compares all three signals of each sensor as they are; `metasense twin` takes \
-                          what is read";
-            return Err(args.one.trial.refused_key(key, remedy));
-        }
+    if let Some(key) = trial.sensors.changed_by() {
+        let remedy = "must be left out here: a fit compares all three signals of each sensor as they are; `metasense twin` takes what \
+                      is read";
+        return Err(args.one.trial.refused_key(key, remedy));
     }
     let measured = measured::read(&args.records, trial)?;
     let free: Vec<Parameter> = args.fit.iter().map(|&f| Parameter::ALL[f as usize]).collect();
@@ -104,7 +99,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         _ => print_rows(&found, args.format)?,
     }
     let records = measured.forces.samples;
-    let said = said(&fit, records);
+    let said = said(&fit, &trial.body, records);
     if args.format == Format::Table {
         print_rows(&correlations(&fit), args.format)?;
         said.iter().try_for_each(|line| print_line!("{line}"))?;
@@ -195,7 +190,7 @@ const DISCREPANCY: f64 = 0.1;
 const LEFT: f64 = 1.0;
 
 /// What there is to say beside the estimates, and the lines for a spec.
-fn said(fit: &Identified, records: usize) -> Vec<String> {
+fn said(fit: &Identified, body: &Body, records: usize) -> Vec<String> {
     let [start, end] = fit.misfit;
     let mut said = vec![
         format!("{} after {} iterations on {records} records", fit.outcome.name(), fit.iterations.len()),
@@ -230,8 +225,13 @@ fn said(fit: &Identified, records: usize) -> Vec<String> {
     }
     if !fit.estimates.is_empty() {
         let p = fit.parameters;
+        // a spec with a size or a material would scale or replace what is fitted
+        let lengths = [("spacing", body.spacing), ("ligament_length", body.ligament_length)];
+        let lengths =
+            lengths.map(|(key, mm)| mm.map_or(String::new(), |mm| format!("{key} = {}\n", exact(mm))));
         said.push(format!(
-            "[body]\ndensity = {}\nstiffness = {{ stretch = {}, shear = {}, bend = {} }}\ndamping_ratio = {}",
+            "[body]                        # without body.diameter, body.width, body.material, which would change these\n{}density = {}\nstiffness = {{ stretch = {}, shear = {}, bend = {} }}\ndamping_ratio = {}",
+            lengths.concat(),
             exact(p.density),
             exact(p.stretch),
             exact(p.shear),

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use metasense_worker::design::{self, Feasible, Projection, Status};
+use metasense_worker::design::{self, Projection, Status};
 
 use super::named::Named;
 use super::{Error, Format, print_rows, write};
@@ -11,6 +11,7 @@ use crate::look::{Table, row};
 
 /// Projects a design onto the nearest one that can be cast
 ///
+/// Units that `optimise.frozen` or `[feasible]` keep stay as they are in the previous design, shifts that `optimise.tie` ties move together.
 /// Where none is found, the result is the previous design. Without a hash: the body that all trials of the spec have. Prints
 /// status, distance and the constraints at their limit. Exit code 1, and no file, if the previous design cannot be cast either.
 #[derive(Debug, clap::Args)]
@@ -35,14 +36,14 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let body = args.trial.body().await?;
+    let mut body = args.trial.body().await?;
     let target = design::read(&args.design, &body.layout)?;
     let previous = match &args.from {
         Some(file) => design::read(file, &body.layout)?,
         None => body.initial.clone(),
     };
     let weights = args.weights.as_ref().map(|file| design::read(file, &body.layout)).transpose()?;
-    let mut feasible = Feasible::new(&body.layout, body.limits, &body.kept);
+    let feasible = &mut body.castable;
     let found = feasible.project(&previous, &target, weights.as_deref());
     let broken = feasible.violations(&target);
     let mut summary = summary(&found, &previous, broken.len());

@@ -1,7 +1,8 @@
 //! What goes with the files of a device: its measures, where chips and forces go, what to do with them.
 
-use metasense_worker::replay::Drawing;
+use metasense_worker::replay::{Drawing, Moves};
 
+use super::outline::largest_pocket;
 use super::{Fit, Mould, Outline};
 use crate::analysis::Body;
 use crate::look::number;
@@ -64,15 +65,33 @@ pub fn notes(
                 "- Each chip has a pocket of {a} × {b} mm, {c} mm deep, open below: its cable leaves there."
             )
         }
-        None => "- The mould has no pockets; `--pocket 6x5x2` makes one for each chip.".into(),
+        None => {
+            let tilt = spec.sensors.tilt.unwrap_or_default().to_radians();
+            let side = largest_pocket(drawing, spec.sensors.offset.unwrap_or_default(), tilt);
+            match side > 0.0 {
+                true => format!(
+                    "- The mould has no pockets; `--pocket LENGTHxWIDTHxDEPTH` makes one for each chip: of squares one of {side} mm has \
+                     place at most."
+                ),
+                false => "- The mould has no pockets: a chip's unit has no place for one.".into(),
+            }
+        }
     });
     lines.push(
         "- Cure as the rubber's data sheet says: pot life ____ min, cure time ____ h, shore ____.".into(),
     );
-    lines.push(format!("- Units that are held: {}.\n", list(&drawing.clamped)));
+    lines.push(format!("- Units that are held: {}.", list(&drawing.clamped)));
     if !drawing.guided.is_empty() {
-        lines.push(format!("- Units that are held in part: {}.\n", list(&drawing.guided)));
+        lines.push(format!("- Units that are held in part: {}.", list(&drawing.guided)));
     }
+    if let Some([x, y]) = spec.body.compression {
+        let [x, y] = [x, y].map(|part| number(100.0 * part));
+        lines.push(format!(
+            "- Bring held units together by {x} % along x and {y} % along y of the way between the outermost of them (below 0: apart) \
+             before it is struck: the body has been trained so."
+        ));
+    }
+    lines.push(String::new());
     lines.push("| what | unit | x | y | |\n|---|---|---|---|---|".into());
     let [off, across] = spec.sensors.offset.unwrap_or_default();
     let place = match [off, across] {
@@ -86,8 +105,23 @@ pub fn notes(
         lines.push(format!("| chip {n} | {unit} | {x} | {y} | {place}{turned} |"));
     }
     for (n, (panel, at)) in drawing.panels.iter().enumerate() {
-        let ([x, y], [a, b]) = (at.map(number), panel.direction.map(number));
-        lines.push(format!("| force {n} | {} | {x} | {y} | along ({a}, {b}) |", panel.unit));
+        // what a rotation leaves of a zero is none
+        let [a, b] = panel.direction.map(|d| number(if d.abs() < 1e-12 { 0.0 } else { d }));
+        let [x, y] = at.map(number);
+        let unit = panel.unit;
+        lines.push(match panel.moves {
+            Some(Moves::Base(_)) => {
+                format!("| force {n} | all that are held | | | shakes them along ({a}, {b}) |")
+            }
+            Some(Moves::Unit(_)) => format!("| force {n} | {unit} | {x} | {y} | moves it along ({a}, {b}) |"),
+            None if panel.direction == [0.0; 2] => {
+                format!(
+                    "| force {n} | {unit} | {x} | {y} | a moment of {} mm times it |",
+                    number(panel.moment)
+                )
+            }
+            None => format!("| force {n} | {unit} | {x} | {y} | along ({a}, {b}) |"),
+        });
     }
     lines.push("\n## Read\n".into());
     lines.push(match (brain, fit) {
@@ -103,16 +137,10 @@ pub fn notes(
             .into(),
     );
     lines.push(format!("    metasense evaluate DB {hash} --records {name}=records.toml --out-dir measured"));
-    // a model of the material knows no other channels
-    lines.push(match spec.sensors.channels {
-        Some(_) => {
-            format!("    metasense twin DB {hash} --body {name} --records records.toml --out twin.toml")
-        }
-        None => {
-            format!(
-                "    metasense identify DB {hash} --body {name} --records records.toml --out-dir material"
-            )
-        }
+    let of = format!("DB {hash} --body {name} --records records.toml");
+    lines.push(match spec.sensors.changed_by() {
+        None => format!("    metasense identify {of} --out-dir material"),
+        Some(_) => format!("    metasense twin {of} --out twin.toml"),
     });
     lines.join("\n") + "\n"
 }

@@ -85,6 +85,34 @@ pub enum Invalid {
 /// What a pocket leaves of its unit around it at least (mm).
 pub const POCKET_WALL: f64 = 1.0;
 
+/// Corners (mm) of a pocket in a unit, and what it leaves of it at them at least (mm).
+fn pocket(
+    drawing: &Drawing,
+    unit: usize,
+    [along, across]: [f64; 2],
+    offset: [f64; 2],
+    tilt: f64,
+) -> ([[f64; 2]; 4], f64) {
+    let (sin, cos) = tilt.sin_cos();
+    let [x, y] = [0, 1].map(|d| drawing.centroids[unit][d] + offset[d]);
+    let corner = |[p, q]: [f64; 2]| {
+        let (p, q) = (0.5 * along * p, 0.5 * across * q);
+        [x + cos * p - sin * q, y + sin * p + cos * q]
+    };
+    let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]].map(corner);
+    let left = corners.iter().map(|q| depth_within(&drawing.units[unit], *q)).fold(f64::INFINITY, f64::min);
+    (corners, left)
+}
+
+/// The side (mm, in halves) of the largest square pocket that every sensor's unit has place for, up to 100; 0: none.
+pub fn largest_pocket(drawing: &Drawing, offset: [f64; 2], tilt: f64) -> f64 {
+    let fits = |side: &f64| {
+        let fits = |&unit: &usize| pocket(drawing, unit, [*side; 2], offset, tilt).1 >= POCKET_WALL;
+        drawing.sensors.iter().all(fits)
+    };
+    (1..=200).map(|halves| 0.5 * f64::from(halves)).take_while(fits).last().unwrap_or(0.0)
+}
+
 /// What an arc's chords may be away from it (mm).
 const SAGITTA: f64 = 0.005;
 
@@ -131,16 +159,8 @@ impl Outline {
         tilt: f64,
     ) -> Result<Self, Invalid> {
         let Some([along, across, _]) = mould.pocket else { return Ok(self) };
-        let (sin, cos) = tilt.sin_cos();
         for &unit in &drawing.sensors {
-            let [x, y] = [0, 1].map(|d| drawing.centroids[unit][d] + offset[d]);
-            let corner = |[p, q]: [f64; 2]| {
-                let (p, q) = (0.5 * along * p, 0.5 * across * q);
-                [x + cos * p - sin * q, y + sin * p + cos * q]
-            };
-            let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]].map(corner);
-            let left =
-                corners.iter().map(|q| depth_within(&drawing.units[unit], *q)).fold(f64::INFINITY, f64::min);
+            let (corners, left) = pocket(drawing, unit, [along, across], offset, tilt);
             if left < POCKET_WALL {
                 return Err(Invalid::Pocket { size: format!("{along}x{across}"), left, unit });
             }

@@ -27,7 +27,8 @@ pub enum BrainKind {
     Linear,
     /// A network on the signals and on a linear brain's estimate; the body is trained with the linear brain or the network.
     Stacked,
-    /// The forces under which the body's own model gives the signals; the body is trained with the linear brain or the network.
+    /// The forces under which the body's own model gives the signals; the body is trained with the linear brain or the network. Its bands, and
+    /// whether the model explains a sample, suppose noise above what steps are off by (`sensors.noise`); without any they say nothing.
     Inverse,
 }
 

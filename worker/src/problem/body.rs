@@ -439,7 +439,7 @@ pub fn check_units(
 const SHOWN: usize = 10;
 
 /// Refuses a starting design that cannot be cast, with the first of what it breaks.
-pub(super) fn castable(
+pub(super) fn check_castable(
     body: &spec::Body,
     layout: &Layout,
     limits: Limits,

@@ -2,6 +2,7 @@
 
 use metasense_numerics::body::{Freedom, Layout};
 use metasense_numerics::brain::Policy;
+use metasense_numerics::feasible::{Feasible, Limits};
 use metasense_numerics::trial::{Going, Protocol, Terms};
 use metasense_schemas::spec::{self, TrialSpec};
 
@@ -109,6 +110,22 @@ pub fn design_parameters(trial: &TrialSpec, layout: &Layout) -> Result<usize, In
     let parameters = Freedom::of(layout, tie, &frozen, &kept).parameters();
     require(parameters > 0, "optimise.frozen", format!("{frozen:?}"), "must leave a unit's shape free")?;
     Ok(parameters)
+}
+
+/// The designs that can be cast and had, as `Problem::castable` has them: shifts that are tied stay so, units that are frozen, or in
+/// `kept`, as they are.
+///
+/// # Errors
+/// Where `optimise.tie` or `optimise.frozen` make no sense.
+pub fn castable(
+    optimise: &spec::Optimise,
+    layout: &Layout,
+    limits: Limits,
+    kept: &[usize],
+) -> Result<Feasible, Invalid> {
+    let (tie, frozen) = (tie(optimise)?, frozen(optimise, layout)?);
+    let still = [&frozen[..], kept].concat();
+    Ok(Feasible::new(layout, limits, &still).tied(&Freedom::of(layout, tie, &frozen, kept)))
 }
 
 /// What stands for the Hessian's inverse.

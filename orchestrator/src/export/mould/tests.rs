@@ -52,6 +52,13 @@ fn chips_have_their_pockets() {
     assert!((bare - own - 2.0 * 5.0 * 4.0 * 2.5).abs() < 1e-3, "{own} {bare}");
     let refused = plain.with_pockets(&drawing, &with([9.0, 4.0, 2.5]), [0.0; 2], 0.0).unwrap_err();
     assert!(matches!(refused, super::super::outline::Invalid::Pocket { unit: 0, .. }), "{refused}");
+    let side = super::super::outline::largest_pocket(&drawing, [0.0; 2], 0.0);
+    let fits = |side: f64| {
+        check(&drawing, &mould(1.0), "")
+            .with_pockets(&drawing, &with([side, side, 1.0]), [0.0; 2], 0.0)
+            .is_ok()
+    };
+    assert!(side > 0.0 && fits(side) && !fits(side + 0.5), "{side}");
 }
 
 /// The first unit's ligament to the right goes on along the unit's lower edge, as an optimised body has it to 0.02°.
