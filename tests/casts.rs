@@ -135,4 +135,8 @@ fn what_no_key_reads_makes_no_other_trial() {
         with("objective = \"mean\"\ncasts = 4\nbatch = 8\nreader = \"one\"")
     );
     assert_ne!(with("objective = \"worst\""), with("objective = \"mean\""));
+    let turns =
+        |batch: u32| hashes(&TINY.replace("[brain]", &format!("[evaluation]\nbatch = {batch}\n[brain]")));
+    assert_eq!(turns(3000), plain);
+    assert_ne!(turns(2), plain);
 }

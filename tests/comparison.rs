@@ -6,7 +6,6 @@ use std::time::{Duration, Instant};
 use crate::common::processes::{children, eventually, is_alive, kill, rows};
 use crate::common::roll::{self, Roll};
 use crate::common::{Bench, TINY, results};
-use metasense::store::Reader;
 
 /// Longest time that a person waits after Ctrl-C: two seconds, and as much again where tests beside it keep cores and disk busy.
 const STOPPED: Duration = Duration::from_secs(4);
@@ -45,24 +44,13 @@ impl Drop for Run {
     }
 }
 
-/// A number from the database, 0 where there is none yet.
-fn number(bench: &Bench, db: &str, sql: &str) -> u64 {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-    let found = runtime.block_on(async {
-        let table =
-            Reader::open(&bench.path(db)).await.ok()?.query::<metasense::look::Table>(sql).await.ok()?;
-        table.rows.first()?.first()?.as_u64()
-    });
-    found.unwrap_or(0)
-}
-
 /// Stopped twice in the middle of a network's training, the second time soon after it went on from where it was.
 #[test]
 fn a_stop_on_request_ends_a_comparison_at_once_and_nothing_of_it_is_lost() {
     let bench = Bench::new();
     bench.file("long.toml", &long("[1]", 48_000));
     bench.output(&["run", "long.toml", "--db", "whole.sqlite"]);
-    let saved = || number(&bench, "s.sqlite", "SELECT length(bytes) FROM checkpoint WHERE step = 4");
+    let saved = || bench.number("s.sqlite", "SELECT length(bytes) FROM checkpoint WHERE step = 4");
     let more_than = |size| {
         let more = || Some(saved()).filter(|saved| *saved > size);
         eventually(Duration::from_secs(60), more).expect("the comparison goes on")
@@ -126,7 +114,7 @@ fn a_stop_on_request_does_not_wait_for_a_long_step() {
     let paper = paper.replace("long_iterations = 0", "").replace("iterations = 10", "iterations = 100000");
     bench.file("long.toml", &paper);
     let mut run = Run::start(&bench, "s.sqlite");
-    let begun = || (number(&bench, "s.sqlite", "SELECT count(*) FROM attempt") == 1).then_some(());
+    let begun = || (bench.number("s.sqlite", "SELECT count(*) FROM attempt") == 1).then_some(());
     eventually(Duration::from_secs(60), begun).expect("the trial is begun");
     std::thread::sleep(Duration::from_millis(500));
     let (code, took) = run.stop(libc::SIGINT);
@@ -153,12 +141,12 @@ fn kills_in_the_middle_of_comparisons_leave_the_results_of_an_undisturbed_run() 
         let mut counted = 0;
         let of = |state: &str| {
             let sql = format!("SELECT count(*) FROM attempt WHERE state = '{state}' AND cpu_seconds > 0");
-            number(&bench, &db, &sql)
+            bench.number(&db, &sql)
         };
         let come = || {
             let sql = "SELECT (SELECT count(*) FROM step) + (SELECT count(*) FROM trial WHERE state = 'done') \
                        + coalesce((SELECT sum(length(bytes)) FROM checkpoint), 0)";
-            number(&bench, &db, sql)
+            bench.number(&db, sql)
         };
         let ended = 'runs: loop {
             let mut run = Run::start(&bench, &db);
@@ -175,7 +163,7 @@ fn kills_in_the_middle_of_comparisons_leave_the_results_of_an_undisturbed_run() 
                 let workers = children(run.0.id());
                 let Some(&worker) = workers.get(roll.place(workers.len())) else { continue };
                 kills += 1;
-                within += number(&bench, &db, "SELECT max(step = 4) FROM checkpoint");
+                within += bench.number(&db, "SELECT max(step = 4) FROM checkpoint");
                 match roll.below(3) {
                     0 => kill(worker, libc::SIGKILL),
                     which => {

@@ -17,7 +17,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 /// Six trials, and eight.
 fn specs() -> [String; 2] {
-    let long = TINY.replace("iterations = 4\n", "iterations = 70\n");
+    let long = TINY.replace("iterations = 4\n", "iterations = 120\n");
     ["[1, 2, 3]", "[1, 2, 3, 4]"].map(|seeds| long.replace("[1, 2]", &format!("[1, 2]\nseeds = {seeds}")))
 }
 
@@ -110,7 +110,7 @@ fn bench() -> Bench {
 /// The same, with trials that none of the tests ends.
 fn endless() -> Bench {
     let bench = Bench::new();
-    bench.file("s.toml", &specs()[0].replace("iterations = 70", "iterations = 10000"));
+    bench.file("s.toml", &specs()[0].replace("iterations = 120", "iterations = 10000"));
     bench
 }
 
@@ -133,7 +133,7 @@ fn a_run_does_what_it_is_asked_and_comes_to_the_same_results() {
         Plan::new("s.toml", specs()[0].clone()).unwrap().trials.into_iter().map(|trial| trial.hash).collect();
     let mut run = Run::start(&bench, &["--workers", "1", "--format", "csv"]);
     run.busy("running: 1 of 1 worker busy");
-    run.until(|| run.count("count(*) FROM v_step") != "0");
+    run.until(|| bench.number("s.sqlite", "SELECT count(*) FROM v_step") > 0);
 
     run.asked(&["pause"], 0, "paused: 1 running trial is taken back");
     run.until(|| run.asks(&["state"]).1.contains("paused: 0 of 1 worker busy"));

@@ -8,6 +8,8 @@ pub mod slurm;
 use std::path::PathBuf;
 use std::process::{Child, Command, Output, Stdio};
 
+use metasense::look::Table;
+use metasense::store::Reader;
 use npyz::WriterBuilder;
 
 /// A spec of two trials, small but whole.
@@ -83,6 +85,16 @@ impl Bench {
 
     pub fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
+    }
+
+    /// A number from a database in it, 0 where there is none yet; asked in this process, while another one may come to its end.
+    pub fn number(&self, db: &str, sql: &str) -> u64 {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        let found = runtime.block_on(async {
+            let mut reader = Reader::open(&self.path(db)).await.ok()?;
+            reader.query::<Table>(sql).await.ok()?.rows.first()?.first()?.as_u64()
+        });
+        found.unwrap_or(0)
     }
 
     /// Writes a file and returns its path.

@@ -259,7 +259,7 @@ pub fn on_event<P: Payload>(state: &mut State, event: Event<P>) -> Vec<Action<P>
         }
         Event::Finished(worker, lease, record) => {
             state.release(worker);
-            state.alive();
+            state.machine_works();
             state.slots[worker.slot as usize].unrecorded += 1;
             let trial = &mut state.trials[lease.trial as usize];
             trial.phase = Phase::Recording(worker);
@@ -304,17 +304,14 @@ impl State {
     /// A run of these trials, in the order of the plan. The first event should be `Event::Clock`.
     pub fn new(settings: Settings, trials: &[Prior]) -> Self {
         assert!(settings.workers > 0, "a run needs a worker");
-        let mut bodies = Bodies::default();
-        trials.iter().filter(|prior| prior.trained).for_each(|prior| bodies.trained(prior.body));
-        let trials: Vec<Trial> = trials.iter().map(Trial::new).collect();
-        Self {
+        let mut state = Self {
             now: 0,
-            ready: trials.iter().zip(0..).map(|(trial, number)| (trial.rank(), number)).collect(),
+            ready: BTreeSet::new(),
             delayed: BTreeSet::new(),
-            unsettled: trials.len(),
-            trials,
+            unsettled: 0,
+            trials: Vec::with_capacity(trials.len()),
             slots: vec![Slot::EMPTY; settings.workers as usize],
-            bodies,
+            bodies: Bodies::default(),
             standings: Standings::default(),
             unrecorded: 0,
             deaths: 0,
@@ -324,6 +321,29 @@ impl State {
             stopping_since: 0,
             ended: false,
             settings,
+        };
+        state.add(trials);
+        state
+    }
+
+    fn add(&mut self, priors: &[Prior]) {
+        for (prior, number) in priors.iter().zip(self.trials.len() as u32..) {
+            let trial = Trial::new(prior);
+            if prior.trained {
+                self.bodies.trained(prior.body);
+            }
+            self.ready.insert((trial.rank(), number));
+            self.trials.push(trial);
+        }
+        self.unsettled += priors.len();
+    }
+
+    /// Somebody wants the run to end: in order at first, then at once.
+    fn interrupt(&mut self) {
+        let first = self.stopping == Stopping::No;
+        self.stopping = self.stopping.max(if first { Stopping::Asked } else { Stopping::AtOnce });
+        if first {
+            self.stopping_since = self.now;
         }
     }
 
@@ -386,7 +406,7 @@ impl State {
     /// A worker has come further with its trial than a death could take back, once that is recorded.
     fn progressed(&mut self, worker: WorkerId, lease: Lease) {
         self.beat(worker);
-        self.alive();
+        self.machine_works();
         let trial = &mut self.trials[lease.trial as usize];
         (trial.stepped, trial.begun) = (true, true);
         self.unrecorded += 1;
@@ -399,7 +419,7 @@ impl State {
     }
 
     /// A worker has come somewhere: this machine can do it.
-    fn alive(&mut self) {
+    fn machine_works(&mut self) {
         self.deaths = 0;
         self.dead.clear();
     }
@@ -407,6 +427,17 @@ impl State {
     /// Why this machine is given up, where it is.
     fn unfit(&self) -> Option<Reason> {
         self.died_of.filter(|_| self.deaths >= UNFIT_DEATHS && self.dead.len() >= UNFIT_TRIALS)
+    }
+
+    /// Whether trials and workers are begun at present.
+    fn hands_out(&self) -> bool {
+        self.stopping == Stopping::No && !self.settings.paused && self.unfit().is_none()
+    }
+
+    /// How many more workers there may be; below 0 where there are too many.
+    fn room(&self) -> isize {
+        let alive = self.slots.iter().filter(|slot| slot.is_alive()).count();
+        self.settings.workers as isize - alive as isize
     }
 
     /// Takes the trial from a worker that holds one.
@@ -530,7 +561,7 @@ impl State {
                 self.dead.insert(lease.trial);
                 self.died_of = Some(reason);
             } else if !reason.is_given_up() && reason != Reason::TimeLimit {
-                self.alive(); // the worker has lived to say what is wrong with the trial
+                self.machine_works(); // the worker has lived to say what is wrong with the trial
             }
         }
         self.unrecorded += 1;
@@ -564,9 +595,31 @@ impl State {
         }
     }
 
+    /// Asks for the trials back that are not to be finished, all of them in a pause.
+    fn take_back<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
+        for (worker, slot) in with_workers(&mut self.slots) {
+            if let Work::Busy { lease, asked: asked @ false, .. } = &mut slot.work
+                && (self.settings.paused || self.trials[lease.trial as usize].unwanted.is_some())
+            {
+                *asked = true;
+                out.push(Action::AskStop(worker));
+            }
+        }
+    }
+
+    /// Ends idle workers where there are more than are wanted.
+    fn shrink<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
+        let surplus = usize::try_from(-self.room()).unwrap_or(0);
+        let idle = |(_, slot): &(_, &mut Slot)| matches!(slot.work, Work::Starting { .. } | Work::Idle);
+        for (worker, slot) in with_workers(&mut self.slots).filter(idle).take(surplus) {
+            slot.work = Work::Ending { lease: None, since: self.now, why: None };
+            out.push(Action::Close(worker));
+        }
+    }
+
     /// Hands trials to idle workers.
     fn assign<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
-        if self.stopping != Stopping::No || self.settings.paused || self.unfit().is_some() {
+        if !self.hands_out() {
             return;
         }
         let may = |slot: &Slot| slot.work == Work::Idle && slot.unrecorded < RESULTS_MAX;
@@ -587,15 +640,11 @@ impl State {
 
     /// Starts as many workers as there are trials that wait for one, and not for another trial to train their body.
     fn spawn<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
-        if self.stopping != Stopping::No || self.settings.paused || self.unfit().is_some() {
+        if !self.hands_out() {
             return;
         }
         let coming = |slot: &&Slot| matches!(slot.work, Work::Starting { .. } | Work::Idle);
-        let alive = self.slots.iter().filter(|slot| slot.is_alive()).count();
-        let room = (self.settings.workers as usize).saturating_sub(alive);
-        if room == 0 {
-            return;
-        }
+        let Some(room) = usize::try_from(self.room()).ok().filter(|room| *room > 0) else { return };
         let free = self.free().take(self.settings.workers as usize).count() + self.delayed.len();
         let mut wanted = free.saturating_sub(self.slots.iter().filter(coming).count()).min(room);
         for (slot, number) in self.slots.iter_mut().zip(0..) {

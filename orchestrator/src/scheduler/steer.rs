@@ -8,7 +8,7 @@ use std::fmt;
 use metasense_schemas::reason::Reason;
 use metasense_schemas::wire::Lease;
 
-use super::{Action, Payload, Phase, Prior, Slot, State, Stopping, Trial, Work, with_workers};
+use super::{Action, Payload, Phase, Prior, Slot, State, Stopping, Work};
 
 /// A command.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -108,18 +108,12 @@ impl fmt::Display for Answer {
 }
 
 impl State {
-    /// Somebody wants the run to end: in order at first, then at once.
-    pub(super) fn interrupt(&mut self) {
-        let first = self.stopping == Stopping::No;
-        self.stopping = self.stopping.max(if first { Stopping::Asked } else { Stopping::AtOnce });
-        if first {
-            self.stopping_since = self.now;
-        }
-    }
-
     pub(super) fn steer<P: Payload>(&mut self, steer: Steer, out: &mut Vec<Action<P>>) -> Answer {
         match steer {
-            Steer::Add(priors) => self.add(&priors),
+            Steer::Add(priors) => {
+                self.add(&priors);
+                Answer::Added(priors.len())
+            }
             _ if self.stopping != Stopping::No => Answer::Refused(Refusal::Stopping),
             Steer::Pause => {
                 self.settings.paused = true;
@@ -137,19 +131,6 @@ impl State {
             Steer::Next(trial) => self.put_first(trial),
             Steer::Workers(workers) => self.set_workers(workers),
         }
-    }
-
-    fn add(&mut self, priors: &[Prior]) -> Answer {
-        for prior in priors {
-            let trial = Trial::new(prior);
-            if prior.trained {
-                self.bodies.trained(prior.body);
-            }
-            self.ready.insert((trial.rank(), self.trials.len() as u32));
-            self.trials.push(trial);
-        }
-        self.unsettled += priors.len();
-        Answer::Added(priors.len())
     }
 
     fn give_up<P: Payload>(&mut self, number: u32, out: &mut Vec<Action<P>>) -> Answer {
@@ -200,29 +181,6 @@ impl State {
             (slot.misfires, slot.work) = (0, Work::Empty { until: self.now });
         }
         Answer::Workers([before, workers])
-    }
-
-    /// Asks for the trials back that are not to be finished, all of them in a pause.
-    pub(super) fn take_back<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
-        for (worker, slot) in with_workers(&mut self.slots) {
-            if let Work::Busy { lease, asked: asked @ false, .. } = &mut slot.work
-                && (self.settings.paused || self.trials[lease.trial as usize].unwanted.is_some())
-            {
-                *asked = true;
-                out.push(Action::AskStop(worker));
-            }
-        }
-    }
-
-    /// Ends idle workers where there are more than are wanted.
-    pub(super) fn shrink<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
-        let alive = self.slots.iter().filter(|slot| slot.is_alive()).count();
-        let surplus = alive.saturating_sub(self.settings.workers as usize);
-        let idle = |(_, slot): &(_, &mut Slot)| matches!(slot.work, Work::Starting { .. } | Work::Idle);
-        for (worker, slot) in with_workers(&mut self.slots).filter(idle).take(surplus) {
-            slot.work = Work::Ending { lease: None, since: self.now, why: None };
-            out.push(Action::Close(worker));
-        }
     }
 }
 
