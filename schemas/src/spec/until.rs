@@ -15,7 +15,8 @@ pub struct Until {
     /// asked.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub within: Option<f64>,
-    /// The M beyond which more sensors on the optimised body gain little; needs four values of M.
+    /// The M beyond which more sensors on the optimised body gain little, where the logarithm of its error bends; needs four values of M.
+    /// `analyse` asks in per cent, too, and whether a smooth decay does as well, so that it may still find none.
     pub elbow: bool,
     /// The fewest sensors on the optimised body that beat the most on the initial one.
     pub fewer: bool,

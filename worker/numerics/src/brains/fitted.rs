@@ -99,7 +99,8 @@ impl Decoder {
         let error = |times: f64| {
             // a fold without a force judges nothing
             let of = |(out, kept): &(Plain, Normal)| {
-                Some(out.error(&beside(kept, times).ok()?.predict(&out.x)).unwrap_or_default())
+                let said = beside(kept, times).ok()?.predict(&out.x);
+                said.iter().all(|f| f.is_finite()).then(|| out.error(&said).unwrap_or_default())
             };
             judges.iter().map(of).sum::<Option<f64>>()
         };
