@@ -5,7 +5,7 @@
 use std::collections::HashMap;
 
 use super::kinds::{memory, of_each};
-use super::numbers::{distinct, geometric_mean};
+use super::numbers::{distinct, geometric_mean, in_order};
 use super::paired::Ratio;
 use super::trial::{Body, Cluster, Set, Trial};
 
@@ -31,17 +31,12 @@ pub struct Read {
 /// What trials that differ in brains, placement and seed alone say: their own brains first, then the linear ones.
 pub fn reads(trials: &[&Trial]) -> Vec<Read> {
     let of_trials = of_each(trials);
-    let mut kinds: Vec<[String; 2]> = Vec::new();
-    for kind in &of_trials {
-        if !kinds.contains(kind) {
-            kinds.push(kind.clone());
-        }
-    }
+    let kinds = in_order(&of_trials);
     let having = |of: &dyn Fn(&[String; 2]) -> bool| -> Vec<&&Trial> {
         trials.iter().zip(&of_trials).filter(|(_, kind)| of(kind)).map(|(trial, _)| trial).collect()
     };
     let mut found = Vec::new();
-    for [by, trained_with] in &kinds {
+    for [by, trained_with] in kinds.iter().copied() {
         let alike = having(&|kind| kind[0] == *by && kind[1] == *trained_with);
         let errors = |t: &&&Trial| (t.cluster, Body::ALL.map(|body| t.error(body, Set::Holdout)));
         let memory = alike.first().map_or([0.0; 2], |t| memory(t));
@@ -58,12 +53,8 @@ pub fn reads(trials: &[&Trial]) -> Vec<Read> {
                 alike.push(trial);
             }
         }
-        let mut memories: Vec<([f64; 2], bool)> = Vec::new();
-        for reading in alike.iter().flat_map(|t| &t.readings) {
-            if !memories.contains(&(reading.memory, reading.whole)) {
-                memories.push((reading.memory, reading.whole));
-            }
-        }
+        let readings = alike.iter().flat_map(|t| &t.readings);
+        let mut memories = in_order(readings.map(|reading| (reading.memory, reading.whole)));
         memories.sort_by(|a, b| (b.1, a.0[0], a.0[1]).partial_cmp(&(a.1, b.0[0], b.0[1])).expect("finite"));
         for (memory, whole) in memories {
             let errors = alike.iter().filter_map(|t| {

@@ -6,8 +6,6 @@
 
 use std::collections::BTreeMap;
 
-use serde_json::Value;
-
 use super::data::{
     COMPLEXITY, FREEDOM, Grid, Group, Observation, SENSORS, apart, clusters, groups, observations, once,
     places,
@@ -114,7 +112,7 @@ impl Claim {
     /// What a database's trials say of it; nothing where it holds none of its scene. Those without the implicit term say
     /// something of that alone.
     pub fn evidence(&self, trials: &[Trial]) -> Vec<Evidence> {
-        let whole = |t: &Trial| matches!(text(t, "optimise.gradient"), None | Some("implicit"));
+        let whole = |t: &Trial| matches!(t.setting.text("optimise.gradient"), None | Some("implicit"));
         let counts = |t: &&Trial| self.spec == "gradient" || whole(t);
         (self.find)(self.stated, &trials.iter().filter(counts).collect::<Vec<_>>())
     }
@@ -268,10 +266,6 @@ pub const CLAIMS: [Claim; 15] = [
     },
 ];
 
-fn text<'a>(trial: &'a Trial, path: &str) -> Option<&'a str> {
-    trial.setting.get(path).and_then(Value::as_str)
-}
-
 /// Whether a trial has what the paper's have not: another lattice or polygons of its own, frozen shifts, sensors that are not perfect,
 /// or are placed otherwise than at random.
 pub fn is_other(trial: &Trial) -> bool {
@@ -297,8 +291,8 @@ fn tied(trial: &Trial) -> bool {
 fn planar<'a>(trials: &[&'a Trial], panels: u64, stimuli: &str) -> Vec<&'a Trial> {
     let fits = |t: &&&Trial| {
         t.panels == panels
-            && text(t, "stimuli.kind") == Some(stimuli)
-            && text(t, "body.layout") == Some("planar")
+            && t.setting.text("stimuli.kind") == Some(stimuli)
+            && t.setting.text("body.layout") == Some("planar")
             && plain(t)
             && !tied(t)
     };
@@ -348,7 +342,7 @@ fn each_set(trials: &[&Trial], stated: f64, ratio: fn(&[&Trial], Set) -> Option<
 
 /// Of trials, those that have a text at a path.
 fn of_text<'a>(trials: &[&'a Trial], path: &str, value: &str) -> Vec<&'a Trial> {
-    trials.iter().filter(|t| text(t, path) == Some(value)).copied().collect()
+    trials.iter().filter(|t| t.setting.text(path) == Some(value)).copied().collect()
 }
 
 fn iterations(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
@@ -518,7 +512,7 @@ fn scatter(grid: &Grid, height: Height, clusters: &[Cluster], weights: &[f64]) -
 /// The error of the body of fewest parameters over that of the one of most, both trained: of one disc cut ever finer, and of
 /// one whose shifts are tied less and less.
 fn complexity(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
-    let disc = |t: &&&Trial| text(t, "body.layout") == Some("circular") && plain(t);
+    let disc = |t: &&&Trial| t.setting.text("body.layout") == Some("circular") && plain(t);
     let disc: Vec<&Trial> = trials.iter().filter(disc).copied().collect();
     let free: Vec<&Trial> = disc.iter().filter(|t| !tied(t)).copied().collect();
     let mut found = Vec::new();

@@ -98,7 +98,7 @@ pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
         CLUSTER.iter().chain(but).any(|b| is_of(path, b) && (*b == path || !FREEDOM.contains(&path)))
             || JUDGING.iter().any(|b| is_of(path, b)) && !disputed.contains(path)
     };
-    let spacing = |trial: &Trial| trial.setting.get("body.spacing").and_then(Value::as_f64);
+    let spacing = |trial: &Trial| trial.setting.number("body.spacing");
     let first = trials.first().and_then(|trial| spacing(trial));
     // as it would be at the first trial's spacing, where spacings are not told apart
     let value = |trial: &Trial, path: &str, value: &Value| -> Value {

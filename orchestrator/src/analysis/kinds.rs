@@ -11,8 +11,7 @@ use super::trial::Trial;
 
 /// The trial's own brain, and the one that its body was trained with.
 pub fn brains(setting: &Setting) -> [String; 2] {
-    let text = |path: &str| setting.get(path).and_then(Value::as_str);
-    let own = match text("brain.kind") {
+    let own = match setting.text("brain.kind") {
         Some("stacked") => match network(setting) {
             shape if shape == "cnn" => "stacked".to_owned(),
             shape => format!("stacked, {shape}"),
@@ -23,12 +22,12 @@ pub fn brains(setting: &Setting) -> [String; 2] {
         },
         None => network(setting),
     };
-    let mut with = match text("optimise.brain") {
+    let mut with = match setting.text("optimise.brain") {
         Some(kind) => kind.to_owned(),
         None => network(setting),
     };
     with.extend(objective(setting).map(|over| format!(", {over}")));
-    match text("optimise.protocol") {
+    match setting.text("optimise.protocol") {
         None | Some("joint") => [own, with],
         Some(protocol) => [own, format!("{with} ({protocol})")],
     }
@@ -46,18 +45,17 @@ pub fn brains_of(spec: &Value) -> [String; 2] {
 
 /// The objective over casts, or over the parts of a mixture, that a trial's body was trained for, and whether a brain each read them.
 pub fn objective(setting: &Setting) -> Option<String> {
-    let text = |path: &str| setting.get(path).and_then(Value::as_str);
     let tail = setting.get("optimise.objective.cvar").map(|q| format!("cvar {q}"));
-    let objective = tail.or_else(|| text("optimise.objective").map(str::to_owned))?;
+    let objective = tail.or_else(|| setting.text("optimise.objective").map(str::to_owned))?;
     let varies = || setting.leaves().keys().any(|path| path.starts_with("variation."));
-    let of = if text("stimuli.kind") == Some("mix") && !varies() { "parts" } else { "casts" };
-    let each = if text("optimise.reader") == Some("each") { ", a brain each" } else { "" };
+    let of = if setting.text("stimuli.kind") == Some("mix") && !varies() { "parts" } else { "casts" };
+    let each = if setting.text("optimise.reader") == Some("each") { ", a brain each" } else { "" };
     Some(format!("{objective} of {of}{each}"))
 }
 
 /// Whether the trial's own brain is the linear one.
 pub fn is_linear(trial: &Trial) -> bool {
-    trial.setting.get("brain.kind").and_then(Value::as_str) == Some("linear")
+    trial.setting.text("brain.kind") == Some("linear")
 }
 
 /// [`brains`] of each trial; those that share a setting are looked at once.
@@ -91,9 +89,8 @@ fn of_spec(setting: &Setting) -> Brain {
 
 /// How far the trial's own brain looks back and ahead (s).
 pub fn memory(trial: &Trial) -> [f64; 2] {
-    let number = |path: &str| trial.setting.get(path).and_then(Value::as_f64);
-    let duration = number("time.duration").unwrap_or(1.0);
-    let instant = duration / number("time.samples").unwrap_or(200.0);
+    let duration = trial.setting.number("time.duration").unwrap_or(1.0);
+    let instant = duration / trial.setting.number("time.samples").unwrap_or(200.0);
     let brain = of_spec(&trial.setting);
     if brain.kind != BrainKind::Cnn {
         let whole = duration - instant;

@@ -5,8 +5,6 @@
 
 use std::collections::BTreeMap;
 
-use serde_json::Value;
-
 use super::data::once;
 use super::numbers::geometric_mean;
 use super::resample::{Interval, Resampling};
@@ -130,7 +128,7 @@ pub fn iterations(trials: &[&Trial], by: Progress) -> Option<Ratio> {
 pub fn schedules<'a>(trials: &[&'a Trial]) -> Vec<(&'a str, Vec<&'a Trial>)> {
     let mut found: BTreeMap<&str, Vec<&Trial>> = BTreeMap::new();
     for trial in trials {
-        let rate = trial.setting.get("evaluation.schedule").and_then(Value::as_str);
+        let rate = trial.setting.text("evaluation.schedule");
         found.entry(rate.unwrap_or("unknown")).or_default().push(trial);
     }
     found.into_iter().collect()

@@ -2,8 +2,6 @@
 //!
 //! Four curves of error against M: sensors placed at random and by a search, on the initial and on the trained body.
 
-use serde_json::Value;
-
 use super::data::{SEARCH, SENSORS, groups};
 use super::numbers::{distinct, geometric_mean};
 use super::paired::Ratio;
@@ -30,7 +28,7 @@ pub struct Level<'a> {
 
 /// How the sensors of a trial were searched for, where they were.
 fn search(trial: &Trial) -> Option<&str> {
-    trial.setting.get("sensors.search").and_then(Value::as_str)
+    trial.setting.text("sensors.search")
 }
 
 /// Settings in which sensors were placed both at random and by a search, one a kind of search.

@@ -6,7 +6,6 @@
 use std::collections::HashMap;
 
 use metasense_schemas::spec::Design;
-use serde_json::Value;
 
 use super::data::{DESIGN, Group, groups, once};
 use super::numbers::{geometric_mean, log_squares};
@@ -38,7 +37,7 @@ impl Random {
 
 /// Groups of equal setting but for the design, a group for each spread of its random bodies; each has all that are not random.
 pub fn random_groups<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
-    let spread = |t: &Trial| t.setting.get(SPREAD).and_then(Value::as_f64).unwrap_or(Design::SPREAD);
+    let spread = |t: &Trial| t.setting.number(SPREAD).unwrap_or(Design::SPREAD);
     let split = |group: Group<'a>| {
         let mut spreads: Vec<f64> =
             group.trials.iter().filter(|t| t.starts_random()).map(|t| spread(t)).collect();
@@ -78,7 +77,7 @@ pub fn random(trials: &[&Trial], set: Set) -> Option<Random> {
         let (trials, ratios): (Vec<&Trial>, Vec<f64>) = once(&random, ratio).unzip();
         let of = |unit: fn(&Trial) -> u64| trials.iter().map(|t| unit(t)).collect();
         let units = Resampling::of([
-            (["body", "bodies"], of(|t| t.setting.get(RANDOM).and_then(Value::as_u64).unwrap_or_default())),
+            (["body", "bodies"], of(|t| t.setting.count(RANDOM).unwrap_or_default())),
             (PLACEMENTS, of(|t| t.cluster.placement)),
             (SEEDS, of(|t| t.cluster.seed)),
         ]);

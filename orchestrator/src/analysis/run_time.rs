@@ -5,7 +5,7 @@
 //! Sheather 1986), of one time a unit: it needs six units, since of five the least and the greatest hold the median in
 //! 93.8 % of cases alone.
 
-use super::numbers::geometric_mean;
+use super::numbers::{geometric_mean, in_order};
 use super::resample::Resampling;
 use super::trial::{Cluster, Trial};
 
@@ -176,13 +176,7 @@ pub fn mean_history(histories: &[&[Reached]], count: usize) -> Vec<Reached> {
 
 /// Parts of the time, each once, in the order in which trials name them: a trial without steps has fewer.
 pub fn parts(trials: &[&Trial]) -> Vec<&'static str> {
-    let mut found = Vec::new();
-    for (part, _) in trials.iter().flat_map(|trial| &trial.seconds) {
-        if !found.contains(part) {
-            found.push(*part);
-        }
-    }
-    found
+    in_order(trials.iter().flat_map(|trial| &trial.seconds).map(|(part, _)| *part))
 }
 
 /// Mean seconds a trial of each of these parts.

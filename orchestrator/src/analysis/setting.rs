@@ -24,6 +24,21 @@ impl Setting {
         self.own.get(path).or_else(|| self.shared.get(path))
     }
 
+    /// The text there.
+    pub fn text(&self, path: &str) -> Option<&str> {
+        self.get(path)?.as_str()
+    }
+
+    /// The number there.
+    pub fn number(&self, path: &str) -> Option<f64> {
+        self.get(path)?.as_f64()
+    }
+
+    /// The whole number there.
+    pub fn count(&self, path: &str) -> Option<u64> {
+        self.get(path)?.as_u64()
+    }
+
     /// Whether there is one.
     pub fn contains_key(&self, path: &str) -> bool {
         self.get(path).is_some()

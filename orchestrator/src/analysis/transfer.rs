@@ -5,8 +5,6 @@
 //! kept = Σ ln(initial/trained) / Σ ln(initial/specialist)
 //! ```
 
-use serde_json::Value;
-
 use super::bodies::{Kept, Trained, bodies};
 use super::data::{Group, groups};
 use super::numbers::distinct;
@@ -49,7 +47,7 @@ pub fn settings<'a>(trials: &[&'a Trial]) -> Vec<Setting<'a>> {
 
 /// The forces that a trial's body was trained under.
 fn kind(trial: &Trial) -> &str {
-    trial.setting.get("stimuli.kind").and_then(Value::as_str).unwrap_or("unknown")
+    trial.setting.text("stimuli.kind").unwrap_or("unknown")
 }
 
 impl Setting<'_> {

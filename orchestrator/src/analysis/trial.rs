@@ -1,7 +1,5 @@
 //! A finished trial as the analysis sees it.
 
-use serde_json::Value;
-
 use super::setting::Setting;
 
 /// Initial or optimised body.
@@ -223,7 +221,7 @@ impl Trial {
 
     /// Whether it has outer steps: without them what is stored of a trained body is the initial one.
     pub fn has_steps(&self) -> bool {
-        self.setting.get("optimise.iterations").and_then(Value::as_u64) != Some(0)
+        self.setting.count("optimise.iterations") != Some(0)
     }
 
     /// Takes away what is no trained body's.
@@ -241,7 +239,7 @@ impl Trial {
 
     /// Iterations of long training, where it has some.
     pub fn long_iterations(&self) -> Option<u64> {
-        self.setting.get("evaluation.long_iterations").and_then(Value::as_u64)
+        self.setting.count("evaluation.long_iterations")
     }
 
     /// Whether its initial body is a design that the spec names, random or given.
@@ -256,6 +254,6 @@ impl Trial {
 
     /// A training protocol's name.
     pub fn protocol(&self) -> &str {
-        self.setting.get("optimise.protocol").and_then(Value::as_str).unwrap_or("unknown")
+        self.setting.text("optimise.protocol").unwrap_or("unknown")
     }
 }

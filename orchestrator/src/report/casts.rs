@@ -3,7 +3,7 @@
 use super::words::left_out;
 use crate::analysis::bodies::Trained;
 use crate::analysis::casts::{Left, Setting, settings};
-use crate::analysis::numbers::distinct;
+use crate::analysis::numbers::{distinct, in_order};
 use crate::analysis::trial::CastBrain;
 use crate::analysis::{Question, Terms, Trial};
 use crate::look::{Answer, Axis, Figure, Picture, Plot, Scale, number};
@@ -89,12 +89,7 @@ pub(super) fn aside(n: usize, bodies: usize) -> f64 {
 
 /// Names of bodies, each once, as many as can be told apart.
 pub(super) fn told_apart<'a>(bodies: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
-    let mut names: Vec<&str> = Vec::new();
-    for name in bodies {
-        if !names.contains(&name) {
-            names.push(name);
-        }
-    }
+    let mut names = in_order(bodies);
     names.truncate(CLASSES.len());
     names
 }

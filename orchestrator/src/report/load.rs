@@ -232,7 +232,7 @@ impl Loader<'_> {
             let (Some(body), network) = (body_named(row.text("body")), row.count("network")) else {
                 return Ok(());
             };
-            let ordinary = trial.setting.get("evaluation.seeds").and_then(Value::as_u64).unwrap_or_default();
+            let ordinary = trial.setting.count("evaluation.seeds").unwrap_or_default();
             if network >= ordinary {
                 return Ok(());
             }

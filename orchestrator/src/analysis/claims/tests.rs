@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::analysis::setting::flatten;
-use serde_json::json;
+use serde_json::{Value, json};
 
 /// A trial with the same errors on both sets.
 fn trial(setting: Value, [panels, sensors]: [u64; 2], seed: u64, [initial, optimised]: [f64; 2]) -> Trial {
