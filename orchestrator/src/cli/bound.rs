@@ -18,10 +18,11 @@ use crate::store::Reader;
 ///
 /// The first is no bound on all decoders. To first order, around each of the first holdout samples: the body is taken as linear there and
 /// known, the forces as normal with the mean and covariance of the training samples; the error is that of the posterior given the signals,
-/// of the mean covariance over samples, weighed as the mean error weighs the training set ("mean", which few rows do not average to), and for the mean information ("mean information"), which is less. Of pulses (bell) the error that no
-/// decoder goes below in the mean, whatever it knows of body, noise and pulses, stands beside it with its standard error ("any decoder"):
-/// walks on the true posterior, eight for each sample, nonlinear motion and uniform parameters included. Error above that may be removed by a
-/// better brain; the bound itself only by another body, other places of sensors or less noise.
+/// of the samples' mean covariance with the weights that the training set gives the mean error ("mean"; the mean of few rows is another), and
+/// for the mean information ("mean information"), which is less. Of pulses (bell) the error that no decoder goes below in the mean, whatever it
+/// knows of body, noise and pulses, stands beside it with its standard error ("any decoder"): walks on the true posterior, eight for each sample,
+/// nonlinear motion and uniform parameters included. Error above that may be removed by a better brain; the bound itself only by another body,
+/// other places of sensors or less noise.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
