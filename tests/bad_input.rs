@@ -797,12 +797,3 @@ fn files_and_databases_that_cannot_be_used_are_named() {
         "not a database, and not a folder either"
     );
 }
-
-/// What was a command is a program of its own: the hint names it with what was asked.
-#[test]
-fn bench_says_where_it_has_gone() {
-    let output = Bench::new().metasense(&["bench", "dynamics", "--race", "--help"]);
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(2), "{said}");
-    assert!(said.contains("cargo run --release -p metasense-bench -- dynamics --race --help"), "{said}");
-}

@@ -75,7 +75,7 @@ impl Sshd {
 fn shards_by_ssh_are_the_sweep() {
     let bench = Bench::new();
     let Some(_sshd) = Sshd::start(&bench) else { return };
-    let text = TINY.replace("iterations = 4\n", "iterations = 60\n") + "seeds = [1, 2]\n";
+    let text = TINY.replace("iterations = 4\n", "iterations = 150\n") + "seeds = [1, 2]\n";
     bench.file("tiny.toml", &text);
     bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
     bench.file("hosts", "gone\na\nb 1 # as many as it has room for\n");

@@ -122,8 +122,8 @@ impl Source {
                 );
             }
         } else if let Some(axis) = key.strip_prefix("sweep.").filter(|_| !known.contains(key)) {
-            let axis = axis.trim_matches('"');
-            if place.is_table && known.contains(axis) {
+            let (quoted, axis) = (axis.starts_with('"'), axis.trim_matches('"'));
+            if place.is_table && known.contains(axis) && !quoted {
                 let what = format!(
                     "{key}: no table here; an axis is written in quotes, for instance \"{axis}.…\" = [ … ]"
                 );

@@ -343,7 +343,8 @@ impl Known {
         let finished: Vec<&Trial> = plan.trials.iter().filter(done).collect();
         let taken: f64 = finished.iter().map(|trial| spent[&trial.hash].0).sum();
         let pace = if taken > 0.0 { taken / cost::total(finished) } else { 1.0 };
-        Ok(Self { candidates, seconds: spent.values().map(|(seconds, _)| seconds).sum(), pace })
+        let seconds = spent.values().fold(0.0, |all, (seconds, _)| all + seconds);
+        Ok(Self { candidates, seconds, pace })
     }
 }
 

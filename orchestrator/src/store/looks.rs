@@ -1,6 +1,6 @@
 //! How far trials have come, and with what errors: what a search for a design decides by.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 use metasense_worker::FAILED;
 
@@ -88,8 +88,8 @@ impl Reader {
     ///
     /// # Errors
     /// Where SQLite fails.
-    pub async fn spent(&mut self, text: &str) -> Result<HashMap<String, (f64, bool)>, StoreError> {
-        let mut spent = HashMap::new();
+    pub async fn spent(&mut self, text: &str) -> Result<BTreeMap<String, (f64, bool)>, StoreError> {
+        let mut spent = BTreeMap::new();
         let sql = format!(
             "SELECT t.hash, t.state = 'done' AS done, sum(a.cpu_seconds) AS seconds
              FROM sweep s JOIN sweep_trial x ON x.sweep_id = s.id JOIN trial t ON t.id = x.trial_id

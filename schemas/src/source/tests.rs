@@ -66,6 +66,11 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
             "a.toml:14: sweep.body: no table here; an axis is written in quotes, for instance \"body.…\" = [ … ]",
         ),
         (
+            "\"body.columns\" = [5, 6]",
+            "\"body.columns\" = { from = 5, to = 6 }",
+            "a.toml:14: sweep.\"body.columns\" = { from = 5, to = 6 }: an axis is a list of values",
+        ),
+        (
             "panels = [2]",
             "panel = [2]",
             "a.toml:12: sweep.panel = [2]: unknown key; the nearest known one is \"sweep.panels\"",

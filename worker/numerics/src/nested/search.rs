@@ -96,12 +96,7 @@ impl<'a> GradientFree<'a> {
         }
         let target = self.target(state.found.len());
         let projection = log.timed(|s| &mut s.project, |_| castable.project(initial, &target, None));
-        let design = self.freedom.snap(initial, projection.design);
-        log.report.counters.projection_iterations += projection.iterations;
-        log.report.step_length = Some(distance(&design, &state.design));
-        log.report.projection = Some(projection.status);
-        log.report.projection_distance = Some(projection.distance);
-        state.design = design;
+        state.put(self.problem, &self.freedom, projection, &mut log.report);
         Ok(())
     }
 }

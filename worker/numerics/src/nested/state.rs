@@ -5,7 +5,7 @@ use super::report::Report;
 use crate::body::Freedom;
 use crate::brain::{Adam, TrainOutcome};
 use crate::brains::Learnt;
-use crate::feasible::Feasible;
+use crate::feasible::{Feasible, Projection};
 use crate::trial::{Failure, Problem, Trouble};
 
 /// Everything from which a loop goes on to the same bits.
@@ -124,15 +124,26 @@ impl State {
         self.design_adam.step_with(&mut target, &freedom.spread(&scaled), rate, beta);
         let metric = metric(&self.design_adam);
         let projection = castable.project(&self.design, &target, metric.as_deref());
+        report.gradient_norm = Some(length);
+        let design = self.put(problem, freedom, projection, report);
+        self.trail.push(Waypoint { step: self.step, design });
+        self.trail.drain(..(self.trail.len() + 1).saturating_sub(bodies));
+    }
+
+    /// Puts the body where a projection has it; returns the design that it had.
+    pub(super) fn put(
+        &mut self,
+        problem: &Problem,
+        freedom: &Freedom,
+        projection: Projection,
+        report: &mut Report,
+    ) -> Vec<f64> {
         let design = freedom.snap(&problem.initial, projection.design);
         report.counters.projection_iterations += projection.iterations;
-        report.gradient_norm = Some(length);
         report.step_length = Some(norm(design.iter().zip(&self.design).map(|(new, old)| new - old)));
         report.projection = Some(projection.status);
         report.projection_distance = Some(projection.distance);
-        let passed = Waypoint { step: self.step, design: std::mem::replace(&mut self.design, design) };
-        self.trail.push(passed);
-        self.trail.drain(..(self.trail.len() + 1).saturating_sub(bodies));
+        std::mem::replace(&mut self.design, design)
     }
 
     /// This state (that before a step in trouble), its last move undone and the next one smaller.

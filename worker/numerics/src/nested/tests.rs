@@ -139,6 +139,11 @@ fn optimise(
     super::optimise(&Trial::new(&crate::place::placed(problem, pool)?.0, pool)?, resume, observer)
 }
 
+/// A whole trial.
+fn carried_out(problem: &Problem, threads: usize) -> Optimised {
+    optimise(problem, None, &pool(threads), &mut Keeper::default()).unwrap().unwrap()
+}
+
 /// Fewer steps, for what does not hang on how good they are.
 fn quicken(problem: &mut Problem) {
     (problem.solver.accuracy, problem.scene.density) = (Accuracy(3e-2), 4.0 * problem.scene.density);
@@ -192,9 +197,7 @@ fn figures(body: &BodyEvaluation) -> Vec<u64> {
 fn errors_on_the_way_are_those_of_a_training_that_ends_there() {
     let mut problem = small(PROTOCOLS[0]);
     (problem.evaluation.schedule, problem.brain.iterations) = (Schedule::Constant, 12);
-    let evaluated = |problem: &Problem| {
-        optimise(problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap().initial.networks
-    };
+    let evaluated = |problem: &Problem| carried_out(problem, 1).initial.networks;
     let long = evaluated(&problem);
     problem.brain.iterations = 7;
     let short = evaluated(&problem);
@@ -391,7 +394,7 @@ fn a_body_is_read_on_its_own_scale() {
 fn long_trainings_stand_beside_the_ordinary_ones() {
     let mut problem = small(Protocol::Paper(Terms::Direct));
     problem.optimise.iterations = 0;
-    let plain = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
+    let plain = carried_out(&problem, 1);
     problem.evaluation.long = Some(70);
     let mut keeper = Keeper::default();
     let long = optimise(&problem, None, &pool(1), &mut keeper).unwrap().unwrap();

@@ -32,7 +32,7 @@ fn a_body_that_no_look_has_read_is_the_trained_one() {
     let Source::Mix(parts) = &mut problem.stimuli.source else { panic!("a mixture") };
     (parts[0].0, parts[1].0) = (1.0, 1e-9);
     problem.disturbance = Some(Disturbance { noise: Size::Relative(0.01), ..Disturbance::NONE });
-    let found = found(&problem);
+    let found = carried_out(&problem, 1);
     assert!(found.optimised.design != problem.initial, "step {}", found.best_step);
     assert_eq!(found.best_step, problem.optimise.iterations - 1);
 }
@@ -55,15 +55,10 @@ fn a_fold_without_a_force_judges_nothing() {
     let Source::Bell(bell) = &mut problem.stimuli.source else { panic!("bells") };
     bell.onset = [0.0, 2.5 * problem.scene.duration];
     (problem.optimise.iterations, problem.evaluation.casts, problem.stimuli.samples) = (0, 6, 24);
-    let found = found(&problem);
+    let found = carried_out(&problem, 1);
     let records: Vec<_> =
         found.casts.iter().flatten().filter(|read| matches!(read.by, CastBrain::Records(_))).collect();
     assert!(!records.is_empty() && records.iter().all(|read| read.trouble.is_none()), "{records:?}");
-}
-
-/// A whole trial.
-fn found(problem: &Problem) -> Optimised {
-    optimise(problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap()
 }
 
 const MEAN: Casting = Casting { over: Over::Casts, casts: 3, tail: 1.0, reader: CastReader::One };
@@ -281,7 +276,7 @@ fn casts_are_read_on_to_the_same_bits() {
 fn the_brain_for_all_casts_can_be_had_again() {
     let stacked = quick(1).take(1).map(|problem| Problem { reader: BrainKind::Stacked, ..problem });
     for problem in quick(1).chain(stacked) {
-        let found = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
+        let found = carried_out(&problem, 1);
         let (pool, design) = (pool(2), &found.optimised.design);
         let trial = Trial::new(&problem, &pool).unwrap();
         let (solver, cast) = (trial.tuned(design).solver, trial.cast(Casts::Unseen, 0));
@@ -349,10 +344,10 @@ fn casts_that_do_not_scatter_are_the_body_as_designed() {
     let mut problem = cast(Casting { casts: 1, ..MEAN });
     problem.variation = Some(Variation::default());
     problem.evaluation.casts = 1;
-    let over = found(&problem);
+    let over = carried_out(&problem, 1);
     let nominal =
         Problem { variation: None, optimise: Optimise { casting: None, ..problem.optimise }, ..problem };
-    let alone = found(&nominal);
+    let alone = carried_out(&nominal, 1);
     let own = over.initial.networks[0].error_holdout.unwrap();
     let error = |by| over.casts[0].iter().find(|reading| reading.by == by).unwrap().error.unwrap();
     assert!((error(CastBrain::Nominal) / own - 1.0).abs() < 1e-9, "{} {own}", error(CastBrain::Nominal));
@@ -369,9 +364,9 @@ fn casts_that_do_not_scatter_are_the_body_as_designed() {
 fn the_initial_body_is_left_out_where_nobody_asks_about_it() {
     let mut problem = cast(MEAN);
     (problem.optimise.iterations, problem.evaluation.casts) = (2, 1);
-    let beside = found(&problem);
+    let beside = carried_out(&problem, 1);
     problem.evaluation.initial = false;
-    let alone = found(&problem);
+    let alone = carried_out(&problem, 1);
     assert_eq!(alone.optimised, beside.optimised);
     for (alone, beside) in alone.casts.iter().zip(&beside.casts) {
         assert!(!beside.is_empty() && (alone.is_empty() || alone == beside));
@@ -381,7 +376,7 @@ fn the_initial_body_is_left_out_where_nobody_asks_about_it() {
     assert_eq!((alone.nonlinear[0], alone.nonlinear[1]), (None, beside.nonlinear[1]));
     assert!(alone.counters.dynamics.force_evaluations < beside.counters.dynamics.force_evaluations);
     problem.optimise.iterations = 0;
-    let unmoved = found(&problem);
+    let unmoved = carried_out(&problem, 1);
     assert_eq!(unmoved.initial, unmoved.optimised);
     assert_eq!(unmoved.initial.networks.len(), 1);
 }
@@ -391,9 +386,9 @@ fn the_initial_body_is_left_out_where_nobody_asks_about_it() {
 fn casts_are_read_without_records_where_nobody_asks_for_those() {
     let mut problem = cast(MEAN);
     (problem.optimise.iterations, problem.evaluation.casts) = (0, 2);
-    let beside = found(&problem);
+    let beside = carried_out(&problem, 1);
     problem.evaluation.records = false;
-    let alone = found(&problem);
+    let alone = carried_out(&problem, 1);
     let calibrated = |reading: &&CastReading| matches!(reading.by, CastBrain::Records(_));
     assert_eq!(beside.casts[0].iter().filter(calibrated).count(), 4);
     let others: Vec<_> = beside.casts[0].iter().filter(|reading| !calibrated(reading)).copied().collect();
@@ -409,9 +404,9 @@ fn ligaments_that_relax_judge_and_teach_nothing() {
     let mut problem = cast(MEAN);
     problem.variation = Some(Variation { nodes: 1e-3, ..Variation::default() });
     (problem.optimise.iterations, problem.evaluation.casts) = (2, 1);
-    let plain = found(&problem);
+    let plain = carried_out(&problem, 1);
     problem.variation.as_mut().unwrap().relaxation = Some(Relaxation { share: 0.3, time: 0.01 });
-    let found = optimise(&problem, None, &pool(2), &mut Keeper::default()).unwrap().unwrap();
+    let found = carried_out(&problem, 2);
     assert_eq!(found.optimised.design, plain.optimised.design);
     let error = |found: &Optimised, by| {
         let reading = found.casts[1].iter().find(|reading| reading.by == by).unwrap();
@@ -432,7 +427,7 @@ fn a_cast_that_fails_counts_as_read_entirely_wrong() {
     (problem.optimise.iterations, problem.evaluation.casts) = (0, 1);
     // nodes off by more than the units' size: no state of rest has its void angles
     problem.variation.as_mut().unwrap().nodes = 30.0;
-    let found = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
+    let found = carried_out(&problem, 1);
     for reading in &found.casts[0] {
         assert_eq!(reading.error, Some(100.0), "{reading:?}");
         assert!(reading.trouble.is_some(), "{reading:?}");
@@ -451,7 +446,7 @@ fn a_body_trained_over_casts_reads_others_better() {
     problem.stimuli = Stimuli { samples: 48, test: 8, holdout: 16, ..problem.stimuli };
     let going = |batch| Protocol::Joint(Going { batch, ..GOING });
     let mean = |problem: &Problem| {
-        let found = optimise(problem, None, &pool(2), &mut Keeper::default()).unwrap().unwrap();
+        let found = carried_out(problem, 2);
         let own = found.casts[1].iter().filter(|reading| reading.by == CastBrain::Casts);
         own.map(|reading| reading.error.unwrap().ln()).sum::<f64>() / 8.0
     };
@@ -500,7 +495,7 @@ fn inverse_brains_stop_within_a_reading_and_go_on_to_the_same_bits() {
     // ten records are what a twin is told by
     problem.stimuli = Stimuli { samples: 12, test: 2, holdout: 2, ..problem.stimuli };
     problem.scene.density *= 4.0; // fewer steps
-    let through = optimise(&problem, None, &pool(2), &mut Keeper::default()).unwrap().unwrap();
+    let through = carried_out(&problem, 2);
     let by: Vec<CastBrain> = through.casts[1].iter().map(|reading| reading.by).collect();
     assert!(by.contains(&CastBrain::Twin(10)) && by.contains(&CastBrain::Inverse), "{by:?}");
 

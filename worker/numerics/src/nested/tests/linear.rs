@@ -66,14 +66,14 @@ fn a_searched_placement_is_a_given_one() {
     let alone = |unit: usize| {
         let mut problem = problem.clone();
         problem.scene.sensors = vec![unit];
-        let found = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
+        let found = carried_out(&problem, 1);
         (errors(&found.initial), found)
     };
     let each: Vec<_> = candidates.iter().map(|&unit| alone(unit)).collect();
     let search = Placing { candidates: candidates.clone(), sensors: 1, turn: 0, spacing: 0.0 };
     problem.scene.sensors.clear();
     problem.search = Some(search.clone());
-    let found = optimise(&problem, None, &pool(2), &mut Keeper::default()).unwrap().unwrap();
+    let found = carried_out(&problem, 2);
     let placed = placed(&problem, &pool(2)).unwrap().1.unwrap();
     let chosen = candidates.iter().position(|unit| [*unit] == placed.units[..]).unwrap();
     assert_eq!(errors(&found.initial), each[chosen].0);
@@ -124,7 +124,7 @@ fn every_protocol_lowers_the_holdout_error() {
         if let Protocol::Envelope(going) | Protocol::Joint(going) = &mut problem.optimise.protocol {
             going.batch = 16;
         }
-        let found = optimise(&problem, None, &pool(2), &mut Keeper::default()).unwrap().unwrap();
+        let found = carried_out(&problem, 2);
         [&found.initial, &found.optimised]
             .map(|body| [body.networks[0].error_holdout, body.readings[0].error_holdout].map(Option::unwrap))
     });
@@ -199,7 +199,7 @@ fn a_singular_solve_is_named() {
 fn readings_are_those_of_their_own_fits() {
     let mut problem = small(PROTOCOLS[3]);
     problem.optimise.iterations = 0;
-    let found = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap().initial;
+    let found = carried_out(&problem, 1).initial;
     let lags: Vec<Lags> = found.readings.iter().map(|reading| reading.lags).collect();
     assert!(lags[0] == Lags::whole(40) && lags.len() > 6, "{lags:?}");
     assert!(lags.contains(&Lags { before: 39, after: 0 }) && lags.contains(&Lags { before: 2, after: 2 }));
@@ -260,7 +260,7 @@ fn a_stacked_network_sees_no_estimate_of_what_it_was_fitted_on() {
     let mut problem = Problem { reader: BrainKind::Stacked, ..linear(LINEAR[3]) };
     problem.stimuli.samples = 30;
     problem.brain.iterations = 60;
-    let found = optimise(&problem, None, &pool(2), &mut Keeper::default()).unwrap().unwrap();
+    let found = carried_out(&problem, 2);
     let network = &found.optimised.networks[0];
     assert_eq!((found.optimised.networks.len(), problem.reader_shape().inputs), (2, 5));
     assert_eq!(network.weights.len(), problem.reader_shape().weights());
@@ -298,8 +298,8 @@ fn a_body_is_read_under_other_forces() {
         let mut problem =
             Problem { under: vec![Source::Bell(bell), fast.clone()], disturbance, ..own.clone() };
         problem.optimise.iterations = 3;
-        let found = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
-        let again = optimise(&problem, None, &pool(3), &mut Keeper::default()).unwrap().unwrap();
+        let found = carried_out(&problem, 1);
+        let again = carried_out(&problem, 3);
         assert_eq!(found.under, again.under, "the number of threads");
         for (body, under) in [&found.initial, &found.optimised].into_iter().zip(&found.under) {
             let expected = body.networks[0].error_holdout;
@@ -317,7 +317,7 @@ fn a_body_is_read_under_other_forces() {
     }
     let hard = Source::Bell(Bell { amplitude: [1e6, 2e6], ..bell });
     let problem = Problem { under: vec![hard], ..own };
-    let found = optimise(&problem, None, &pool(1), &mut Keeper::default()).unwrap().unwrap();
+    let found = carried_out(&problem, 1);
     assert!(found.under[0].iter().all(|reading| reading.error.is_err()), "{:?}", found.under);
 }
 
