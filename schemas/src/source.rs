@@ -135,7 +135,7 @@ impl Source {
                 );
             }
             if !place.is_list {
-                return Err(self.error(key, "an axis is a list of values"));
+                return Err(self.wrong(place, "an axis is a list of values"));
             }
         } else if !known.contains(key) {
             return Err(self.error(key, &unknown(KnownKeys::nearest_of(key, known.paths()))));

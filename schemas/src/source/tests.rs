@@ -68,7 +68,7 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
         (
             "\"body.columns\" = [5, 6]",
             "\"body.columns\" = { from = 5, to = 6 }",
-            "a.toml:14: sweep.\"body.columns\" = { from = 5, to = 6 }: an axis is a list of values",
+            "a.toml:14: sweep.\"body.columns\": an axis is a list of values",
         ),
         (
             "panels = [2]",
