@@ -302,7 +302,7 @@ def why_correlated():
             assert [row["hash"] for row in before] == [row["hash"] for row in after]
             fallen, grown = (numbers(before, "error"), numbers(after, "error")), (numbers(after, measure), numbers(before, measure))
             r = statistics.correlation(*(ranks([a / b for a, b in zip(*both)]) for both in (fallen, grown)))
-            half = 1.96 * math.sqrt(1.06 / (len(before) - 3))
+            half = 1.96 * math.sqrt(1.06 / (len({row["seed"] for row in before}) - 3))
             low, high = (math.tanh(math.atanh(r) + sign * half) for sign in (-1, 1))
             found.append(f"{short(r)} ({short(low)} … {short(high)})")
         yield cells, found

@@ -33,6 +33,12 @@ fn casts_of_finished_bodies_are_read() {
     assert_eq!(rows.len(), 2 * 2 * 3 * 3, "{rows:?}");
     let error = |row: &Value| row["error"].as_f64().unwrap_or_else(|| panic!("{row}"));
     assert!(rows.iter().all(|row| error(row) > 0.0 && row["nominal_error"].as_f64().unwrap() > 0.0));
+    // beside a linear trial's brains stands its own error as designed
+    let own = ask(
+        "SELECT count(*) AS n, sum(c.nominal_error = CASE c.body WHEN 'initial' THEN t.holdout_error_initial
+                     ELSE t.holdout_error_optimised END) AS own FROM v_cast c JOIN v_trial t USING (hash)",
+    );
+    assert_eq!((&own[0]["n"], &own[0]["own"]), (&Value::from(36), &Value::from(36)));
     let of = |objective: &str, body: &str| -> Vec<f64> {
         rows.iter().filter(|row| row["objective"] == objective && row["body"] == body).map(error).collect()
     };

@@ -66,9 +66,16 @@ fn what_is_frozen_stays_and_what_cannot_be_is_not_drawn() {
         both.map(|(a, b)| f64::abs(a - b)).fold(0.0, f64::max)
     };
     assert!(moved("4,") < 1e-9 && moved("0,") > 1e-3, "{} {}", moved("4,"), moved("0,"));
-    let refused = bench.metasense(&["draw", "s.toml", "body.panels=[{ unit = 20 }]", "--out", "c.svg"]);
-    let said = String::from_utf8_lossy(&refused.stderr);
-    assert!(refused.status.code() == Some(2) && said.contains("there is no unit 20"), "{said}");
+    for panels in ["body.panels=[{ unit = 20 }]", "body.panel_units=[20]"] {
+        let refused = bench.metasense(&["draw", "s.toml", panels, "--out", "c.svg"]);
+        let said = String::from_utf8_lossy(&refused.stderr);
+        assert!(refused.status.code() == Some(2) && said.contains("20"), "{said}");
+    }
+    // what moves has nothing to do with a drawing
+    let ties = "sweep.\"optimise.tie\"=[[1, 1], [2, 2]]";
+    bench.output(&["draw", "s.toml", ties, "--out", "d.svg"]);
+    let refused = bench.metasense(&["project", "s.toml", ties, "--design", "wild.npy", "--out", "e.csv"]);
+    assert_eq!(refused.status.code(), Some(2), "{}", String::from_utf8_lossy(&refused.stderr));
 }
 
 /// Of a sweep over bodies the trial says which; without `--hash` only where all its trials have one body.

@@ -388,8 +388,8 @@ pub struct OneBody {
     pub layout: Layout,
     /// Its limits.
     pub limits: Limits,
-    /// The designs that can be cast and had.
-    pub castable: Feasible,
+    /// The designs that can be cast and had; none of a sweep that moves its bodies in several ways.
+    pub castable: Option<Feasible>,
     /// The design that it starts from; it may be infeasible.
     pub initial: Vec<f64>,
     /// Clamped units.
@@ -415,11 +415,7 @@ impl OneBody {
         let keeps_panels = first.feasible.keep_panels;
         let other = |spec: &SweepSpec| {
             let panels = keeps_panels && spec.sweep.panels != first.sweep.panels;
-            let moves = |spec: &SweepSpec| (spec.optimise.tie, spec.optimise.frozen.clone());
-            spec.body != first.body
-                || spec.feasible != first.feasible
-                || panels
-                || moves(spec) != moves(&first)
+            spec.body != first.body || spec.feasible != first.feasible || panels
         };
         let panels_count = keeps_panels && first.sweep.panels.len() > 1;
         if panels_count || combinations.iter().any(|c| other(&c.spec)) {
@@ -444,8 +440,15 @@ impl OneBody {
         };
         let held = problem::held(&body, &layout).map_err(located)?;
         let kept = problem::kept(&first.feasible, &units, &held);
+        let moves = |spec: &SweepSpec| {
+            let mut frozen = spec.optimise.frozen.clone().unwrap_or_default();
+            frozen.sort_unstable();
+            (spec.optimise.tie.unwrap_or([1, 1]), frozen)
+        };
+        let alike = combinations.iter().all(|c| moves(&c.spec) == moves(&first));
+        let castable = problem::castable(&first.optimise, &layout, limits, &kept).map_err(located)?;
         Ok(Some(Self {
-            castable: problem::castable(&first.optimise, &layout, limits, &kept).map_err(located)?,
+            castable: alike.then_some(castable),
             limits,
             initial,
             guided: held[clamped.len()..].to_vec(),
@@ -467,7 +470,7 @@ impl OneBody {
         let (clamped, held) = (problem::clamped(&trial.body, &layout)?, problem::held(&trial.body, &layout)?);
         let kept = problem::kept(&trial.feasible, &trial.panel_units, &held);
         Ok(Self {
-            castable: problem::castable(&trial.optimise, &layout, limits, &kept)?,
+            castable: Some(problem::castable(&trial.optimise, &layout, limits, &kept)?),
             limits,
             initial: problem::initial_design(&trial.body, &layout, limits)?,
             guided: held[clamped.len()..].to_vec(),

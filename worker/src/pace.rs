@@ -18,7 +18,7 @@ const INSTANTS: usize = 20;
 const STEPS: usize = 7;
 const FORCE: f64 = 0.3;
 /// Samples and instants of the piece of training, by the paper's network.
-const BATCH: [usize; 2] = [8, 200];
+const BATCH: [usize; 2] = [30, 200];
 /// Unknowns of the factor.
 const UNKNOWNS: usize = 400;
 

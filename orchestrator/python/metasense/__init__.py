@@ -31,7 +31,9 @@ def body(*, threads: int = 1, **tables: object) -> Body:
     import json
 
     def given(table: object) -> object:
-        return {key: given(value) for key, value in table.items() if value is not None} if isinstance(table, dict) else table
+        if isinstance(table, dict):
+            return {key: given(value) for key, value in table.items() if value is not None}
+        return [given(value) for value in table] if isinstance(table, list) else table
 
     return Body._from_json(json.dumps(given({"name": "python", **tables})), threads)
 

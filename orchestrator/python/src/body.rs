@@ -352,7 +352,8 @@ impl Body {
 
     /// Simulates a body of this design under `forces` (N, K, R + 1) (N), R = T or a multiple of it.
     ///
-    /// `sensors` (units, each with a chip of the spec's mass), `stiffness` ([stretch, shear, bend]), `damping_ratio` and `density` replace the body's own.
+    /// `sensors` (units, each with a chip of the spec's mass), `stiffness` ([stretch, shear, bend]), `damping_ratio` and `density`
+    /// replace the body's own.
     /// With `tape` the simulation can be differentiated; it then holds 48 bytes for each free unit, instant and sample.
     #[pyo3(signature = (alpha, forces, *, sensors=None, stiffness=None, damping_ratio=None, density=None, tape=true))]
     fn simulate<'py>(

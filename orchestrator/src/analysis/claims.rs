@@ -266,12 +266,12 @@ pub const CLAIMS: [Claim; 15] = [
     },
 ];
 
-/// Whether a trial has what the paper's have not: another lattice or polygons of its own, frozen shifts, sensors that are not perfect,
-/// or are placed otherwise than at random.
+/// Whether a trial has what the paper's have not: another lattice or polygons of its own, frozen shifts, pressed or guided units, sensors
+/// that are not perfect, or are placed otherwise than at random.
 pub fn is_other(trial: &Trial) -> bool {
     let extra = |path: &str| {
         ["optimise.frozen", "body.lattice"].contains(&path)
-            || path.starts_with("body.file")
+            || ["body.file", "body.compression", "body.guides"].iter().any(|key| path.starts_with(key))
             || path.starts_with("sensors.") && path != "sensors.frame"
     };
     trial.setting.leaves().keys().any(|path| extra(path))

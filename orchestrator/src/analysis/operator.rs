@@ -19,8 +19,8 @@ pub const MEASURES: [&str; 6] = [
     "modes that take part",
 ];
 
-/// Times the half-width of 95 % of a normal: the deviation of z of a rank correlation is √1.06/√(n − 3) (Fieller, Hartley and
-/// Pearson 1957, doi:10.1093/biomet/44.3-4.470).
+/// Half-width of a 95 % interval of z, times √(n − 3): z of a rank correlation deviates by √(1.06/(n − 3)) (Fieller, Hartley and Pearson
+/// 1957, doi:10.1093/biomet/44.3-4.470).
 const TO_EACH_SIDE: f64 = 1.959_964 * 1.029_563;
 /// A correlation of ±1 has no z.
 const MOST: f64 = 0.9999;

@@ -19,7 +19,7 @@ use crate::store::Reader;
 ///
 /// A claim holds, is compatible with the paper's number, holds in part, makes no difference, fails, is open, or depends on the brain.
 /// First run the specs in schemas/claims into one database (run SPEC --db FILE). Trials with noise or chips, placed sensors, frozen
-/// units or another lattice are not of the paper's scenes and are left out.
+/// or pressed units or another lattice are not of the paper's scenes: the claims of random bodies alone may count them.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The database; of a folder of shards, their facts
@@ -61,8 +61,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     match trials.iter().filter(|trial| is_other(trial)).count() {
         0 => {}
         other => say!(
-            "{} of {} trials with noise or chips, placed sensors, frozen units or another lattice say nothing of the paper's scenes: \
-             only its claims of random bodies may count them",
+            "{} of {} trials with noise or chips, placed sensors, frozen or pressed units or another lattice are not of the paper's \
+             scenes: the claims of random bodies alone may count them",
             other,
             trials.len()
         ),

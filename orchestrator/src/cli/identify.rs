@@ -230,7 +230,7 @@ fn said(fit: &Identified, body: &Body, records: usize) -> Vec<String> {
         let lengths =
             lengths.map(|(key, mm)| mm.map_or(String::new(), |mm| format!("{key} = {}\n", exact(mm))));
         said.push(format!(
-            "[body]                        # without body.diameter, body.width, body.material, which would change these\n{}density = {}\nstiffness = {{ stretch = {}, shear = {}, bend = {} }}\ndamping_ratio = {}",
+            "for a spec without body.diameter, body.width and body.material, which would change these:\n[body]\n{}density = {}\nstiffness = {{ stretch = {}, shear = {}, bend = {} }}\ndamping_ratio = {}",
             lengths.concat(),
             exact(p.density),
             exact(p.stretch),

@@ -43,7 +43,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         None => body.initial.clone(),
     };
     let weights = args.weights.as_ref().map(|file| design::read(file, &body.layout)).transpose()?;
-    let feasible = &mut body.castable;
+    let several = "optimise.tie or optimise.frozen differ from trial to trial: choose one with --hash";
+    let feasible = body.castable.as_mut().ok_or_else(|| args.trial.refused(several))?;
     let found = feasible.project(&previous, &target, weights.as_deref());
     let broken = feasible.violations(&target);
     let mut summary = summary(&found, &previous, broken.len());

@@ -87,8 +87,8 @@ pub fn notes(
     if let Some([x, y]) = spec.body.compression {
         let [x, y] = [x, y].map(|part| number(100.0 * part));
         lines.push(format!(
-            "- Bring held units together by {x} % along x and {y} % along y of the way between the outermost of them (below 0: apart) \
-             before it is struck: the body has been trained so."
+            "- Before the body is struck, bring its held units together by {x} % along x and {y} % along y of the way between the outermost \
+             of them (below 0: apart): it was simulated so."
         ));
     }
     lines.push(String::new());

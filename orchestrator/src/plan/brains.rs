@@ -44,9 +44,9 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
     if !has_network(reader) {
         evaluation = evaluation.of_linear();
     }
-    // as many as there are, or more, are all
+    // as many as there are, or more, are all; a network for casts has more
     let known = spec.stimuli.samples.saturating_sub(spec.stimuli.test);
-    evaluation.batch = evaluation.batch.filter(|batch| *batch < known);
+    evaluation.batch = evaluation.batch.filter(|batch| *batch < known || evaluation.casts.is_some());
     // an inverse brain calibrates a twin on them
     let spared = evaluation.casts.is_some() && reader != BrainKind::Inverse;
     evaluation.records = evaluation.records.filter(|read| !read && spared);

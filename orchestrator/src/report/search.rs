@@ -339,10 +339,10 @@ impl Known {
             candidates.push(candidate);
         }
         let spent = reader.spent(&plan.source.text).await?;
-        let done = |trial: &&Trial| spent.get(&trial.hash).is_some_and(|(_, done)| *done);
-        let finished: Vec<&Trial> = plan.trials.iter().filter(done).collect();
-        let taken: f64 = finished.iter().map(|trial| spent[&trial.hash].0).sum();
-        let pace = if taken > 0.0 { taken / cost::total(finished) } else { 1.0 };
+        let taken = |trial: &Trial| spent.get(&trial.hash).and_then(|(_, kept)| *kept);
+        let finished: Vec<&Trial> = plan.trials.iter().filter(|trial| taken(trial).is_some()).collect();
+        let seconds: f64 = finished.iter().filter_map(|trial| taken(trial)).sum();
+        let pace = if finished.is_empty() { 1.0 } else { seconds / cost::total(finished) };
         let seconds = spent.values().fold(0.0, |all, (seconds, _)| all + seconds);
         Ok(Self { candidates, seconds, pace })
     }

@@ -84,22 +84,24 @@ impl Reader {
         Ok(found)
     }
 
-    /// CPU seconds of all attempts at each trial of a sweep with this text, by its hash, and whether it is done.
+    /// CPU seconds of all attempts at each trial of a sweep with this text, by its hash, and of a finished one those that made its
+    /// result, where they are known.
     ///
     /// # Errors
     /// Where SQLite fails.
-    pub async fn spent(&mut self, text: &str) -> Result<BTreeMap<String, (f64, bool)>, StoreError> {
+    pub async fn spent(&mut self, text: &str) -> Result<BTreeMap<String, (f64, Option<f64>)>, StoreError> {
         let mut spent = BTreeMap::new();
         let sql = format!(
-            "SELECT t.hash, t.state = 'done' AS done, sum(a.cpu_seconds) AS seconds
+            "SELECT t.hash, sum(a.cpu_seconds) AS seconds,
+               CASE t.state WHEN 'done' THEN sum(a.cpu_seconds) FILTER (WHERE NOT a.redone) END AS kept
              FROM sweep s JOIN sweep_trial x ON x.sweep_id = s.id JOIN trial t ON t.id = x.trial_id
                JOIN attempt a ON a.trial_id = t.id
              WHERE s.text = {} GROUP BY t.id",
             quoted(text)
         );
         self.each(&sql, |row| {
-            let of = (row.number("seconds").unwrap_or(0.0), row.count("done") == 1);
-            spent.insert(row.text("hash").to_owned(), of);
+            let kept = row.number("kept").filter(|seconds| *seconds > 0.0);
+            spent.insert(row.text("hash").to_owned(), (row.number("seconds").unwrap_or(0.0), kept));
             Ok::<_, StoreError>(())
         })
         .await?;

@@ -435,7 +435,7 @@ pub struct Evaluation {
     /// Learning rate over their training.
     pub schedule: Schedule,
     /// Training samples of an iteration of theirs, which take turns: about a quarter of all costs a quarter, at the same errors
-    /// (worker/README.md). Default: all, as the paper has it.
+    /// (worker/README.md). As many as there are, or more, are all. Default: all, as the paper has it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub batch: Option<usize>,
     /// Iterations of as many further networks, trained longer (the paper's 10 000). In `v_network` and `v_curve` they follow the

@@ -5,7 +5,8 @@
 //! g = dL/dα at (α, β*)                  α ← Π(α − Adam(g)),  Π: nearest castable design
 //! ```
 //! How far β is trained and which loss moves the body is the [`Protocol`]'s matter; the rest is the same for all.
-//! Searches without a gradient stand beside them as baselines. Afterwards the initial and the best body meet fresh networks, on the holdout too, which nothing else touches.
+//! Searches without a gradient stand beside them as baselines. Afterwards the initial and the best body meet fresh networks, on
+//! the holdout too, which nothing else touches.
 
 mod casts;
 mod comparison;

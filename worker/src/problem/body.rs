@@ -275,6 +275,7 @@ pub fn panel_units(body: &spec::Body, layout: &Layout, panels: usize) -> Result<
     if let Some(units) = &body.panel_units {
         let remedy = "cannot be given beside body.panels";
         require(body.panels.is_empty(), "body.panel_units", format!("{units:?}"), remedy)?;
+        check_units("body.panel_units", units, layout, &[])?;
         let remedy = format!("body.panel_units names {} units", units.len());
         return if units.len() == panels { Ok(units.clone()) } else { Err(none(remedy)) };
     }
