@@ -3,10 +3,11 @@
 use metasense_numerics::dynamics::{Rest, Scene, start, touches};
 use metasense_numerics::modes;
 pub use metasense_numerics::modes::{Mode, Response};
+use metasense_numerics::place::placed;
 use metasense_numerics::trial::Problem;
 use metasense_schemas::spec::TrialSpec;
 
-use crate::run::{Failure, placed, pool, with_design};
+use crate::run::{Failure, pool, with_design};
 
 /// The `count` slowest modes of a body; fewer where it has fewer.
 ///
@@ -59,7 +60,7 @@ fn weighed(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure> {
     if problem.search.is_none() || problem.scene.chip.is_none() {
         return Ok(problem);
     }
-    placed(trial, &pool(1)?)
+    Ok(placed(&problem, &pool(1)?)?.0)
 }
 
 /// Refuses a scene whose linearisation is no body's under forces, and a body that is nowhere to linearise about.
