@@ -2,8 +2,8 @@
 //!
 //! Trials of one seed share stimuli, split and first weights, those of one placement their sensors, be they more or
 //! fewer, at every seed: never trials but seeds and placements, crossed, are the *units* of inference; where each seed
-//! has a placement of its own, both together are one. A kind with four units or more is drawn anew; one with fewer is
-//! held, and what is said holds for those it has.
+//! has placements of its own, seeds are. A kind with four units or more is drawn anew; one with fewer is held, and what is
+//! said holds for those it has.
 //! ```text
 //! V = Σ_kinds V_k − Σ_pairs V_kl + …,   V_k = (n−1)/n Σ (θ₋ᵢ − θ̄₋)²   by leaving out one unit at a time
 //! ```
@@ -51,9 +51,9 @@ pub const PLACEMENTS: [&str; 2] = ["placement", "placements"];
 /// Likewise.
 pub const SEEDS: [&str; 2] = ["seed", "seeds"];
 
-/// Likewise, where each is at another placement.
-pub const OWN_PLACEMENTS: [&str; 2] =
-    ["seed with a placement of its own", "seeds, each with a placement of its own"];
+/// Likewise, where no two are at the same placement.
+const OWN_PLACEMENTS: [&str; 2] =
+    ["seed with placements of its own", "seeds, each with placements of its own"];
 
 /// A kind of unit: its name, of one and of several, how many there are, and which is each trial's.
 #[derive(Debug, Clone)]
@@ -75,9 +75,10 @@ impl Resampling {
     pub fn new(clusters: &[Cluster]) -> Self {
         let of = |pick: fn(&Cluster) -> u64| clusters.iter().map(pick).collect::<Vec<u64>>();
         let (placements, seeds) = (of(|c| c.placement), of(|c| c.seed));
+        let count = |of: &[u64]| distinct(of.iter().copied()).len();
         let several = distinct(clusters.iter().copied()).len();
-        let apart = |of: &[u64]| several > 1 && distinct(of.iter().copied()).len() == several;
-        if apart(&placements) && apart(&seeds) {
+        let enough = count(&seeds) >= LEAST_UNITS || count(&seeds) == several;
+        if several > 1 && count(&placements) == several && enough {
             return Self::of([(OWN_PLACEMENTS, seeds)]);
         }
         Self::of([(PLACEMENTS, placements), (SEEDS, seeds)])

@@ -55,13 +55,18 @@ fn fewer_than_four_units_of_every_kind_are_too_few_to_tell() {
     }
 }
 
-/// A placement a seed: one kind of unit, whose mean varies as that of seeds at one placement.
+/// One placement a seed or two: seeds are the units, whose mean varies as at placements that all of them have.
 #[test]
 fn seeds_with_placements_of_their_own_are_one_kind_of_unit() {
-    let own: Vec<Cluster> = (0..4).map(|i| Cluster { placement: 3 - i, seed: i }).collect();
-    let [own, one] = [Resampling::new(&own), Resampling::new(&grid(1, 4))];
-    assert_eq!(own.over(), "4 seeds, each with a placement of its own");
-    assert_eq!(own.replicates(Some), one.replicates(Some));
+    for each in 1..=2 {
+        let trial = |i: u64| Cluster { placement: 7 - i, seed: i % 4 };
+        let own: Vec<Cluster> = (0..4 * each).map(trial).collect();
+        let [own, shared] = [Resampling::new(&own), Resampling::new(&grid(each, 4))];
+        assert_eq!(own.over(), "4 seeds, each with placements of its own");
+        assert_eq!(own.replicates(Some), shared.replicates(Some));
+    }
+    let few: Vec<Cluster> = (0..6).map(|i| Cluster { placement: i, seed: i % 2 }).collect();
+    assert_eq!(Resampling::new(&few).over(), "6 placements at 2 seeds");
 }
 
 /// Of one trial a unit it is Student's: 4 values 1, 2, 4, 8, s² = 28.75/3, t₃ = 3.182. Nested trials add nothing.
