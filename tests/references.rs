@@ -153,8 +153,12 @@ fn generated_blocks_are_fresh() {
 /// Pictures that are drawn here, as no report draws them.
 #[test]
 fn drawn_pictures_are_fresh() {
-    for (name, drawn) in [("who-senses/front.svg", who_senses::front()), ("lattices.svg", bodies::lattices())]
-    {
+    for (name, drawn) in [
+        ("who-senses/front.svg", who_senses::front()),
+        ("lattices.svg", bodies::lattices()),
+        ("elbow-law/map.svg", elbow_law::map()),
+        ("four-forces-map/map.svg", map::four_forces_drawn()),
+    ] {
         let path = root().join("results/committed").join(name);
         if std::env::var_os("METASENSE_UPDATE").is_some() {
             std::fs::write(&path, &drawn).unwrap();

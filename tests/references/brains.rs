@@ -1,6 +1,6 @@
 //! The tables of brains and of where sensors are.
 
-use super::rows::{Row, brain, change, of, one, percent, ratio, rows, short};
+use super::rows::{Row, brain, change, geometric, number, of, one, percent, ratio, rows};
 use super::table;
 
 /// `setting` of a table of answers.
@@ -104,21 +104,23 @@ pub fn placed() -> String {
 
 /// Error against the number of sensors, for the bodies of Figs. 4B and 4C.
 pub fn sensors() -> String {
-    let mut lines = Vec::new();
-    for (file, forces) in [("four-forces", "K = 4"), ("eight-forces", "K = 8")] {
-        let all = rows(&format!("claims/{file}-answer-sensors.csv"));
-        for name in ["cnn", "linear"] {
-            let setting = format!("{forces}, {name}");
-            let error = |body: &str, m: &str| {
-                let row = one(&all, &[("setting", &setting), ("body", body), ("set", "holdout"), ("M", m)]);
-                short(&row["error"])
-            };
-            let cells = ["1", "2", "3", "4", "5", "6"]
-                .map(|m| format!("{} → {} %", error("initial", m), error("optimised", m)));
-            lines.push([vec![format!("{forces}, {}", brain(name))], cells.to_vec()].concat());
-        }
-    }
-    table(&["", "M = 1", "2", "3", "4", "5", "6"], lines)
+    let all = rows("claims/trials.csv");
+    let line = |(forces, name): (&str, &str)| {
+        let of_body = [("panels", forces), ("brain", name), ("body.layout", "planar")];
+        let cell = |m: &str| {
+            let trials: Vec<&Row> = of(&all, &of_body).filter(|row| row["sensors"] == m).collect();
+            let error =
+                |body| geometric(trials.iter().map(|row| number(row, &format!("holdout_error_{body}"))));
+            if trials.is_empty() {
+                return String::new();
+            }
+            format!("{} → {} %", error("initial"), error("optimised"))
+        };
+        let cells = ["1", "2", "3", "4", "6"].map(cell);
+        [vec![format!("K = {forces}, {}", brain(name))], cells.to_vec()].concat()
+    };
+    let lines = ["4", "8"].into_iter().flat_map(|forces| ["cnn", "linear"].map(|name| (forces, name)));
+    table(&["", "M = 1", "2", "3", "4", "6"], lines.map(line))
 }
 
 /// The brain of a row of evidence and what else sets the row apart; `None` for rows beside the main ones.

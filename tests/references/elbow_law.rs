@@ -1,8 +1,10 @@
-//! Where the fall of the error over the number of sensors ends: of the trials that suggested that it is at K / channels, rounded up,
-//! and of those that were run to ask it.
+//! Where the fall of the error over the number of sensors ends: of the sweep that was run to ask whether it is at K / channels, rounded
+//! up, and of other trials.
 
 use metasense::analysis::decision::{Decision, Terms, decide};
 use metasense::analysis::{Cluster, Height, Observation, elbow};
+use metasense::look::file;
+use metasense::look::grid::{Cell, grid};
 
 use super::rows::{Row, geometric, number, of, rows};
 use super::table;
@@ -13,16 +15,21 @@ const CHANNELS: u64 = 3;
 /// Trained bodies: so many forces, who reads them, the file of their trials, and which of them.
 type Bodies = (u64, &'static str, &'static str, &'static [(&'static str, &'static str)]);
 const BODIES: [Bodies; 5] = [
-    (4, "linear brain", "claims/four-forces-trials.csv", &[("brain.kind", "linear")]),
-    (8, "linear brain", "claims/eight-forces-trials.csv", &[("brain.kind", "linear")]),
+    (4, "linear brain", "claims/trials.csv", &[("panels", "4"), ("brain", "linear")]),
+    (
+        8,
+        "linear brain",
+        "claims/trials.csv",
+        &[("panels", "8"), ("body.layout", "planar"), ("brain", "linear")],
+    ),
     (
         4,
         "linear brain, 3 % noise",
         "placed-two-core/trials.csv",
         &[("brain.kind", "linear"), ("sensors.search", ""), ("stimuli.kind", "bell")],
     ),
-    (4, "the paper's network", "claims/four-forces-trials.csv", &[("brain.kind", "")]),
-    (8, "the paper's network", "claims/eight-forces-trials.csv", &[("brain.kind", "")]),
+    (4, "the paper's network", "claims/trials.csv", &[("panels", "4"), ("brain", "cnn")]),
+    (8, "the paper's network", "claims/trials.csv", &[("panels", "8"), ("brain", "cnn")]),
 ];
 
 /// Errors of a body over M.
@@ -124,6 +131,9 @@ pub(super) fn verdict(votes: &Votes, law: f64, elbow: bool) -> &'static str {
     }
 }
 
+/// Numbers of forces that were asked.
+const FORCES: std::ops::RangeInclusive<u64> = 2..=9;
+
 /// Trained bodies of the sweep that was run to ask.
 fn of_sweep(forces: u64, channels: u64) -> Vec<Observation> {
     let wanted = [forces, channels].map(|x| x.to_string());
@@ -147,7 +157,34 @@ pub fn asked() -> String {
         let begun = vec![forces.to_string(), channels.to_string(), errors(&curve), law.to_string()];
         [begun, told.to_vec(), beside(&curve).to_vec()].concat()
     };
-    let points = [2, 3, 4, 6].into_iter().flat_map(|forces| [3, 2].map(|channels| (forces, channels)));
+    let points = FORCES.flat_map(|forces| [3, 2].map(|channels| (forces, channels)));
     let head = ["forces K", "channels", "error with M = 1, 2, …", "K / channels, rounded up"];
     table(&[&head[..], &READINGS].concat(), points.map(line))
+}
+
+/// Errors by K and M, shaded by the votes for an end of the fall there; the law's own place in brackets.
+pub fn map() -> String {
+    let sensors: Vec<String> = (1..=7).map(|m| m.to_string()).collect();
+    let forces: Vec<String> = FORCES.map(|k| k.to_string()).collect();
+    let of_channels = |channels: u64| {
+        let row = |forces: u64| -> Vec<Cell> {
+            let curve = of_sweep(forces, channels);
+            let votes = by_fall(&curve);
+            let cell = |m: u64| {
+                let here = curve.iter().filter(|o| o.at == m as f64).map(|o| o.error).collect::<Vec<_>>();
+                if here.is_empty() {
+                    return Cell::default();
+                }
+                let error = geometric(here.into_iter());
+                let is_law = m == forces.div_ceil(channels);
+                let part = votes.iter().filter(|vote| vote.0 == Some(m as f64)).map(|vote| vote.1).sum();
+                let text = if is_law { format!("[{error}]") } else { error };
+                Cell { text, part, title: format!("{:.0} % of votes", 100.0 * part), to: None }
+            };
+            (1..=7).map(cell).collect()
+        };
+        let title = format!("{channels} channels a sensor: error (%), shaded by votes; [law]");
+        grid(&title, ("sensors M", &sensors), ("forces K", &forces), &FORCES.map(row).collect::<Vec<_>>())
+    };
+    file(&[of_channels(3), of_channels(2)], 2, 920.0, &Vec::new()) + "\n"
 }

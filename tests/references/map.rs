@@ -2,6 +2,7 @@
 
 use metasense::analysis::numbers::{deviation, geometric_mean, mean};
 use metasense::analysis::resample::holm;
+use metasense::look::{Axis, Plot, Scale, file, legend};
 use metasense_schemas::spec::Design;
 use metasense_worker::chance_above;
 
@@ -97,17 +98,66 @@ pub fn four_forces_network() -> String {
     four_forces_of("four-forces-map-network/trials.csv", &SETTINGS[..2])
 }
 
+/// The rows of each setting, with its words.
+fn by_setting<'a>(all: &'a [Row], settings: &[(&'a str, &str, &str)]) -> Vec<(&'a str, Vec<&'a Row>)> {
+    let of_setting = |(words, moved, value): &(&'a str, &str, &str)| {
+        let cell = |name: &str, middle| if name == *moved { *value } else { middle };
+        let is_of = |row: &&Row| MIDDLE.iter().all(|(name, middle)| row[*name] == cell(name, *middle));
+        (*words, all.iter().filter(is_of).collect())
+    };
+    settings.iter().map(of_setting).collect()
+}
+
+/// Three of the ratios, setting by setting, with 95 % intervals: in colour where one is above 1, or below.
+pub fn four_forces_drawn() -> String {
+    let files = [("linear", "four-forces-map"), ("network", "four-forces-map-network")];
+    let all = files.map(|(_, folder)| rows(&format!("{folder}/trials.csv")));
+    let mut lines: Vec<(String, [[f64; 3]; 4])> = Vec::new();
+    for ((reader, _), (rows, settings)) in
+        files.iter().zip([(&all[0], &SETTINGS[..]), (&all[1], &SETTINGS[..2])])
+    {
+        for (words, rows) in by_setting(rows, settings) {
+            let ratios = ratios(&rows).map(|values| interval(&values).map(f64::exp));
+            lines.push((format!("{words}, {reader}"), ratios));
+        }
+    }
+    let plot = |(title, which): (&str, usize)| {
+        let x =
+            Axis::new("ratio (above 1: as claimed)", Scale::Log, lines.iter().flat_map(|line| line.1[which]));
+        let y = Axis::new("", Scale::Linear, [1.0 - lines.len() as f64, 0.0]).with_names(Vec::new());
+        let height = 60.0 + 17.0 * lines.len() as f64;
+        let mut plot =
+            Plot::new(title, x, y).sized(560.0, height).with_room(lines.iter().map(|line| &*line.0));
+        plot.vertical("", 1.0, "", 0);
+        for (row, (words, ratios)) in lines.iter().enumerate() {
+            let ([at, low, high], y) = (ratios[which], -(row as f64));
+            let class = if low > 1.0 {
+                "fifth"
+            } else if high < 1.0 {
+                "optimised"
+            } else {
+                "truth"
+            };
+            plot.line(class, [(low, y), (high, y)]);
+            plot.dots(class, [((at, y), words.clone())]);
+            plot.note((high, y), words);
+        }
+        plot.picture()
+    };
+    let plots = [
+        ("Six untrained by two trained sensors", 0),
+        ("Scatter of placements in %, untrained by trained, two sensors", 1),
+        ("Untrained by trained, two sensors", 3),
+    ]
+    .map(plot);
+    let keys = [("fifth", "holds"), ("truth", "open"), ("optimised", "fails")];
+    file(&plots, 1, 560.0, &legend(&keys)) + "\n"
+}
+
 /// A line a setting: errors, where the fall ends, and four ratios; a star where a ratio stands beside all others (Holm).
 fn four_forces_of(file: &str, settings: &[(&str, &str, &str)]) -> String {
     let all = rows(file);
-    let settings: Vec<(&str, Vec<&Row>)> = settings
-        .iter()
-        .map(|(words, moved, value)| {
-            let cell = |name: &str, middle| if name == *moved { *value } else { middle };
-            let is_of = |row: &&Row| MIDDLE.iter().all(|(name, middle)| row[*name] == cell(name, *middle));
-            (*words, all.iter().filter(is_of).collect())
-        })
-        .collect();
+    let settings = by_setting(&all, settings);
     let found: Vec<[Vec<f64>; 4]> = settings.iter().map(|(_, rows)| ratios(rows)).collect();
     let ratios = rated(&found.concat(), f64::exp, ["holds", "fails"]);
     let line = |(s, (words_of, rows)): (usize, &(&str, Vec<&Row>))| {

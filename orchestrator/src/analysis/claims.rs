@@ -87,6 +87,8 @@ pub struct Evidence {
     pub interval: Option<Interval>,
     /// The chance of such a ratio if the true one is 1; of several findings together once they are [`corrected`].
     pub chance: Option<f64>,
+    /// The true ratio that four in five times such trials would tell from 1, were it the only claim.
+    pub tells: Option<f64>,
     /// What there is to say beside it.
     pub note: String,
     /// What the interval, or votes, are over.
@@ -322,6 +324,7 @@ fn of_ratio(who: String, set: &'static str, ratio: Ratio, stated: f64, note: Str
         found: Some(ratio.ratio),
         interval: ratio.interval,
         chance: ratio.chance,
+        tells: ratio.tells,
         note,
         over: ratio.over,
     }
@@ -444,7 +447,8 @@ fn elbow_at(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
         };
         let note = format!("{}; votes {}", verdict_text(elbow.verdict), votes.join(", "));
         let (set, trials, over) = (set.name(), points.len(), elbow.over);
-        Some(Evidence { who, set, trials, found: None, interval: None, chance: None, note, over, rating })
+        let (found, interval, chance, tells) = (None, None, None, None);
+        Some(Evidence { who, set, trials, found, interval, chance, tells, note, over, rating })
     })
 }
 
@@ -480,13 +484,14 @@ fn placements(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
             };
             places(&of[body]).iter().filter_map(at).collect()
         };
-        let (interval, chance) = units.judged(statistic).unzip();
+        let judged = units.judged(statistic);
         let ratio = Ratio {
             trials: group.trials.len(),
             above_one: 0,
             ratio: whole.exp(),
-            interval: interval.map(|i| i.map(f64::exp)),
-            chance,
+            interval: judged.map(|j| j.interval.map(f64::exp)),
+            chance: judged.map(|j| j.chance),
+            tells: judged.map(|j| j.tells.exp()),
             over: units.over(),
         };
         let note = format!("worst over best by M: {} → {}", worst(0).join(", "), worst(1).join(", "));

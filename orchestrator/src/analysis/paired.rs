@@ -23,6 +23,8 @@ pub struct Ratio {
     pub interval: Option<Interval>,
     /// The chance of a ratio that far from 1, either way, if the true one is 1.
     pub chance: Option<f64>,
+    /// The true ratio that four in five times such trials would tell from 1.
+    pub tells: Option<f64>,
     /// The units that the interval is over, or that are too few.
     pub over: String,
 }
@@ -53,13 +55,14 @@ impl Ratio {
                 weights.iter().zip(sums).fold([0.0; 2], |[n, sum], (w, s)| [n + w * s[0], sum + w * s[1]]);
             Some(both[1] / both[0]).filter(|mean| mean.is_finite())
         };
-        let (interval, chance) = units.judged(mean).unzip();
+        let judged = units.judged(mean);
         Some(Self {
             trials: sums.iter().map(|s| s[0]).sum::<f64>() as usize,
             above_one,
             ratio: mean(&vec![1.0; sums.len()])?.exp(),
-            interval: interval.map(|i| i.map(f64::exp)),
-            chance,
+            interval: judged.map(|j| j.interval.map(f64::exp)),
+            chance: judged.map(|j| j.chance),
+            tells: judged.map(|j| j.tells.exp()),
             over: units.over(),
         })
     }

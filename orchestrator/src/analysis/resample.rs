@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 
 use super::numbers::distinct;
 use super::trial::Cluster;
-use metasense_worker::{Draw, chance_above, student};
+use metasense_worker::{Draw, chance_above, student, student_above};
 
 /// Units of a kind below which it is not drawn anew: of three, leaving one out says next to nothing about the spread.
 pub const LEAST_UNITS: usize = 4;
@@ -196,13 +196,25 @@ impl Resampling {
 
     /// The 95 % interval of a statistic of weighted trials.
     pub fn interval(&self, statistic: impl FnMut(&[f64]) -> Option<f64>) -> Option<Interval> {
-        self.judged(statistic).map(|(interval, _)| interval)
+        self.judged(statistic).map(|judged| judged.interval)
     }
 
-    /// The same with the chance that a statistic which is 0 in truth comes out as far from it, on either side.
-    pub fn judged(&self, statistic: impl FnMut(&[f64]) -> Option<f64>) -> Option<(Interval, f64)> {
+    /// The same with what is said of a statistic that is 0 if there is nothing to it.
+    pub fn judged(&self, statistic: impl FnMut(&[f64]) -> Option<f64>) -> Option<Judged> {
         self.jackknife(statistic)?.judged(|x| *x)
     }
+}
+
+/// What units say of a statistic that is 0 if there is nothing to it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Judged {
+    /// The 95 % interval.
+    pub interval: Interval,
+    /// The chance that a statistic which is 0 in truth comes out as far from it, on either side.
+    pub chance: f64,
+    /// The true value that four in five times as many units of this scatter would tell from 0, by the interval: (t.975 + t.8) standard
+    /// errors.
+    pub tells: f64,
 }
 
 /// A statistic with units left out, one at a time, of each kind and of each crossing of kinds.
@@ -217,10 +229,10 @@ pub struct Jackknife<T> {
 impl<T> Jackknife<T> {
     /// The 95 % interval of a number had from the statistic.
     pub fn interval(&self, number: impl Fn(&T) -> f64) -> Option<Interval> {
-        self.judged(number).map(|(interval, _)| interval)
+        self.judged(number).map(|judged| judged.interval)
     }
 
-    fn judged(&self, number: impl Fn(&T) -> f64) -> Option<(Interval, f64)> {
+    fn judged(&self, number: impl Fn(&T) -> f64) -> Option<Judged> {
         let (mut variance, mut most, mut squares) = (0.0, 0.0f64, 0.0);
         for (kinds, left_out) in &self.parts {
             let values: Vec<f64> = left_out.iter().map(&number).collect();
@@ -241,10 +253,11 @@ impl<T> Jackknife<T> {
             below + (freedom - freedom.floor()) * (above - below)
         };
         let half = between(&student) * variance.sqrt();
+        let tells = half + between(&|freedom| student_above(freedom, 0.2)) * variance.sqrt();
         let t = if whole == 0.0 { 0.0 } else { whole.abs() / variance.sqrt() };
         let chance = 2.0 * between(&|freedom| chance_above(freedom, t));
         let interval = Interval { low: whole - half, high: whole + half };
-        (whole.is_finite() && half.is_finite()).then_some((interval, chance))
+        (whole.is_finite() && half.is_finite()).then_some(Judged { interval, chance, tells })
     }
 }
 

@@ -12,7 +12,7 @@ use crate::exit::Exit;
 use crate::look::page;
 use crate::provenance;
 use crate::report::claims::{claims_table, evidence_table, figure, tried};
-use crate::report::load::finished_trials;
+use crate::report::load::{finished_trials, states};
 use crate::store::Reader;
 
 /// Rates the claims of arXiv:2605.23967 by finished trials
@@ -28,7 +28,7 @@ pub(super) struct Args {
     /// A row per claim, brain and set, with ratios, intervals and votes, instead of a row per claim
     #[arg(long)]
     evidence: bool,
-    /// Also writes into this folder both tables (CSV), the figure (SVG) and a page of all (index.html)
+    /// Also writes into this folder both tables and the trials (CSV), the figure (SVG) and a page of all (index.html)
     #[arg(long, value_name = "DIR")]
     out_dir: Option<PathBuf>,
     /// The form of the rows
@@ -37,8 +37,10 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let (trials, made, early) = Reader::asked(Database::at(&args.db).await?, async |reader| {
-        Ok::<_, Error>((finished_trials(reader).await?, reader.made().await?, reader.may_stop_early().await?))
+    let (trials, states, made, early) = Reader::asked(Database::at(&args.db).await?, async |reader| {
+        let trials = finished_trials(reader).await?;
+        let states = states(reader, &trials).await?;
+        Ok::<_, Error>((trials, states, reader.made().await?, reader.may_stop_early().await?))
     })
     .await?;
     let found = tried(&trials);
@@ -49,6 +51,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         write_figures(folder, &drawn)?;
         write(&folder.join("claims.csv"), claims.csv())?;
         write(&folder.join("evidence.csv"), evidence.csv())?;
+        write(&folder.join("trials.csv"), &states.csv)?;
         let content = html! {
             (claims.html(None))
             @for figure in &drawn { (figure.html(&[])) }

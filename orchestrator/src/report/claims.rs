@@ -32,12 +32,22 @@ pub fn evidence_table(found: &[Vec<Evidence>]) -> Table {
         for e in evidence {
             let [low, high] = ends(e.interval);
             let note = (!e.note.is_empty()).then_some(&e.note);
-            let ratio =
-                row![e.rating.name(), claim.stated, e.found, low, high, e.chance, note, e.trials, e.over];
+            let ratio = row![
+                e.rating.name(),
+                claim.stated,
+                e.found,
+                low,
+                high,
+                e.chance,
+                e.tells,
+                note,
+                e.trials,
+                e.over
+            ];
             rows.push([row![i + 1, e.who, e.set], ratio].concat());
         }
     }
-    Table::new("claim with set rating stated found low high chance note trials over", rows)
+    Table::new("claim with set rating stated found low high chance tells note trials over", rows)
 }
 
 /// The class of a rating's marks.

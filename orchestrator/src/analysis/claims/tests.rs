@@ -73,6 +73,7 @@ fn many_findings_are_judged_together() {
         found: Some(2.0),
         interval: Some(Interval { low: 1.01, high: 4.0 }),
         chance: Some(chance),
+        tells: None,
         note: String::new(),
         over: String::new(),
         rating: Rating::Holds,

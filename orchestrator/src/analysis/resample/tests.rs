@@ -80,9 +80,11 @@ fn the_interval_of_a_mean_is_student_s_over_units() {
         let mean = |w: &[f64]| {
             Some(w.iter().zip(&trials).map(|(w, t)| w * t.1).sum::<f64>() / w.iter().sum::<f64>())
         };
-        let (found, chance) = resampling.judged(mean).unwrap();
+        let Judged { interval: found, chance, tells } = resampling.judged(mean).unwrap();
         // t = 3.75/1.548 = 2.42 at three degrees of freedom
         assert!((chance - 0.0939).abs() < 1e-3, "{chance}");
+        // t of 80 % is 0.978
+        assert!((tells - (3.182 + 0.978) * (28.75f64 / 3.0 / 4.0).sqrt()).abs() < 1e-3, "{tells}");
         let half = 3.182 * (28.75f64 / 3.0 / 4.0).sqrt();
         assert!((found.low - (3.75 - half)).abs() < 1e-9, "{found:?}");
         assert!((found.high - (3.75 + half)).abs() < 1e-9, "{found:?}");
