@@ -109,11 +109,15 @@ def who_senses():
         yield line[2:], found
 
 
+def planar(forces, words, **of):
+    """Trials of the claims' sweeps over M, read by the brain that is named."""
+    return rows("claims/trials.csv", panels=str(forces), brain="linear" if words.startswith("linear brain") else "cnn", body__layout="planar", **of)
+
+
 def sensors():
     for line in table("sensors"):
-        file = "claims/four-forces-trials.csv" if "K = 4" in line[0] else "claims/eight-forces-trials.csv"
-        brain = "linear" if "linear" in line[0] else ""
-        yield line[1:], [change(rows(file, sensors=m, brain__kind=brain)) for m in "123456"]
+        forces, brain = line[0].removeprefix("K = ").split(", ")
+        yield line[1:], [change(of) if (of := planar(forces, brain, sensors=m)) else "" for m in "12346"]
 
 
 def claims():
@@ -257,23 +261,20 @@ def votes_in_words(shares):
 
 def trained(forces, brain):
     """The rows of a line of the table of elbows."""
-    kind = "linear" if brain.startswith("linear brain") else ""
     if "noise" in brain:
-        return rows("placed-two-core/trials.csv", brain__kind=kind, sensors__search="", stimuli__kind="bell")
-    return rows("claims/four-forces-trials.csv" if forces == "4" else "claims/eight-forces-trials.csv", brain__kind=kind)
+        return rows("placed-two-core/trials.csv", brain__kind="linear", sensors__search="", stimuli__kind="bell")
+    return planar(forces, brain)
 
 
 def power(campaigns=60):
-    """Of made-up campaigns of four seeds, M up to 5, with the means and the scatter of rows: the share with 95 % of votes for K / 3, rounded up."""
+    """Of made-up campaigns of four seeds with the means and the scatter of `elbow-law`: the share with 95 % of votes for K / channels, rounded up."""
     draw = random.Random(5)
-    for forces, brain, law, *_ in table("elbow law"):
-        if not brain.startswith("linear brain"):
-            continue
-        of = [row for row in trained(forces, brain) if int(row["sensors"]) < 6]
-        clusters = sorted({(row["placement"], row["seed"]) for row in of})
-        logs = [[math.log(float(row["holdout_error_optimised"])) for row in sorted(of, key=lambda row: int(row["sensors"]))
-                 if (row["placement"], row["seed"]) == cluster] for cluster in clusters]
-        mean = lambda x: sum(x) / len(x)
+    mean = lambda x: sum(x) / len(x)
+    for forces, channels, _, law, *_ in table("elbow law asked"):
+        of = rows("elbow-law/trials.csv", panels=forces, channels=channels)
+        seeds = sorted({row["seed"] for row in of})
+        logs = [[math.log(float(row["holdout_error_optimised"])) for row in sorted(of, key=lambda row: int(row["sensors"])) if row["seed"] == seed]
+                for seed in seeds]
         means = list(map(mean, zip(*logs)))
         levels = [mean(curve) - mean(means) for curve in logs]
         rest = sum((y - m - level) ** 2 for curve, level in zip(logs, levels) for y, m in zip(curve, means)) / (len(logs) - 1) / (len(means) - 1)
@@ -285,8 +286,8 @@ def power(campaigns=60):
                 own = draw.gauss(0, math.sqrt(level))
                 errors = [math.exp(m + own + draw.gauss(0, math.sqrt(rest))) for m in means]
                 made_up += [dict(placement="0", seed=str(seed), sensors=str(m), holdout_error_optimised=e) for m, e in enumerate(errors, 1)]
-            sure = [n + (shares[int(law)] >= 0.95) for n, shares in zip(sure, ends(made_up)[0])]
-        yield f"K = {forces}, {brain}: elbow in %, in logarithms, nine tenths of the fall: " + ", ".join(f"{100 * n / campaigns:.0f} %" for n in sure)
+            sure = [n + (shares.get(int(law), 0) >= 0.95) for n, shares in zip(sure, ends(made_up)[0])]
+        yield f"K = {forces}, {channels} channels: elbow in %, in logarithms, nine tenths of the fall: " + ", ".join(f"{100 * n / campaigns:.0f} %" for n in sure)
 
 
 def ranks(values):

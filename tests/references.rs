@@ -70,7 +70,6 @@ const BLOCKS: &[(&str, Render)] = &[
     ("brains", brains::brains),
     ("linear bodies", brains::linear_bodies),
     ("placed", brains::placed),
-    ("elbow law", elbow_law::all),
     ("elbow law asked", elbow_law::asked),
     ("four forces map", map::four_forces),
     ("four forces map network", map::four_forces_network),
@@ -153,10 +152,14 @@ fn generated_blocks_are_fresh() {
 /// Pictures that are drawn here, as no report draws them.
 #[test]
 fn drawn_pictures_are_fresh() {
+    let [claims, evidence, figure] = claims::files();
     for (name, drawn) in [
         ("who-senses/front.svg", who_senses::front()),
         ("lattices.svg", bodies::lattices()),
         ("elbow-law/map.svg", elbow_law::map()),
+        ("claims/claims.csv", claims),
+        ("claims/evidence.csv", evidence),
+        ("claims/claims.svg", figure),
         ("four-forces-map/map.svg", map::four_forces_drawn()),
     ] {
         let path = root().join("results/committed").join(name);

@@ -104,23 +104,35 @@ pub fn placed() -> String {
 
 /// Error against the number of sensors, for the bodies of Figs. 4B and 4C.
 pub fn sensors() -> String {
-    let all = rows("claims/trials.csv");
-    let line = |(forces, name): (&str, &str)| {
-        let of_body = [("panels", forces), ("brain", name), ("body.layout", "planar")];
+    let noises = [("0.0", "without noise"), ("0.03", "3 % noise")];
+    let four = noises.into_iter().flat_map(|(noise, words)| {
+        [("cnn", "four-forces-map-network"), ("linear", "four-forces-map")].map(|(name, folder)| {
+            let mut all = rows(&format!("{folder}/trials.csv"));
+            let middle = |row: &Row| row["noise"] == noise && !["4", "5"].contains(&&*row["placement"]);
+            all.retain(|row| middle(row) && super::map::is_middle(row));
+            (format!("K = 4, {}, {words}", brain(name)), all)
+        })
+    });
+    let eight = ["cnn", "linear"].map(|name| {
+        let mut all = rows("eight-forces-map/trials.csv");
+        all.retain(|row| row["brain"] == name);
+        (format!("K = 8, {}, 3 % noise", brain(name)), all)
+    });
+    let line = |(words, all): (String, Vec<Row>)| {
         let cell = |m: &str| {
-            let trials: Vec<&Row> = of(&all, &of_body).filter(|row| row["sensors"] == m).collect();
-            let error =
-                |body| geometric(trials.iter().map(|row| number(row, &format!("holdout_error_{body}"))));
-            if trials.is_empty() {
-                return String::new();
+            let error = |body: &str| {
+                geometric(
+                    of(&all, &[("sensors", m)]).map(|row| number(row, &format!("holdout_error_{body}"))),
+                )
+            };
+            match of(&all, &[("sensors", m)]).count() {
+                0 => String::new(),
+                _ => format!("{} → {} %", error("initial"), error("optimised")),
             }
-            format!("{} → {} %", error("initial"), error("optimised"))
         };
-        let cells = ["1", "2", "3", "4", "6"].map(cell);
-        [vec![format!("K = {forces}, {}", brain(name))], cells.to_vec()].concat()
+        [vec![words], ["1", "2", "3", "4", "6"].map(cell).to_vec()].concat()
     };
-    let lines = ["4", "8"].into_iter().flat_map(|forces| ["cnn", "linear"].map(|name| (forces, name)));
-    table(&["", "M = 1", "2", "3", "4", "6"], lines.map(line))
+    table(&["", "M = 1", "2", "3", "4", "6"], four.chain(eight).map(line))
 }
 
 /// The brain of a row of evidence and what else sets the row apart; `None` for rows beside the main ones.

@@ -1,6 +1,15 @@
 //! The tables of the paper's claims and protocols.
 
+use std::sync::OnceLock;
+
+use metasense::analysis::claims::Evidence;
 use metasense::analysis::paired::iteration_ratio;
+use metasense::analysis::setting::Settings;
+use metasense::analysis::{Cluster, Trial};
+use metasense::look::{Table, file, plain};
+use metasense::plan::Plan;
+use metasense::report::claims::{claims_table, evidence_table, figure, tried};
+use metasense_schemas::source::Source;
 use serde_json::Value;
 
 use super::brains::with;
@@ -19,10 +28,89 @@ fn verdict(row: &Row) -> String {
     format!("{words}: {}", row["rating"])
 }
 
+/// The rows behind the claims, and the specs that they are trials of; of maps with further settings the first two.
+const SWEEPS: [(&str, &[&str]); 5] = [
+    ("claims", &["claims/two-forces", "claims/long-training", "claims/random", "claims/gradient"]),
+    ("four-forces-map", &["sweeps/four-forces-map"]),
+    ("four-forces-map-network", &["sweeps/four-forces-map-network"]),
+    ("eight-forces-map", &["sweeps/eight-forces-map"]),
+    ("disc-map", &["sweeps/disc-map"]),
+];
+
+/// Trials as the analysis takes them: numbers from the rows, settings from the specs.
+fn trials() -> Vec<Trial> {
+    let mut settings = Settings::default();
+    let mut of_sweep = |(folder, specs): (&str, &[&str])| -> Vec<Trial> {
+        let planned = |spec: &&str| {
+            let path = super::root().join(format!("schemas/{spec}.toml"));
+            let text = super::read(&format!("schemas/{spec}.toml"));
+            Plan::of(Source::spec(&path, text, &[]).unwrap()).unwrap().trials
+        };
+        let planned: Vec<_> = specs.iter().flat_map(planned).collect();
+        let all = rows(&format!("{folder}/trials.csv"));
+        let kept: Vec<&Row> = match folder.starts_with("four-forces") {
+            true => super::map::by_setting(&all, &super::map::SETTINGS[..2])
+                .into_iter()
+                .flat_map(|of| of.1)
+                .collect(),
+            false => all.iter().collect(),
+        };
+        let mut trial = |row: &&Row| {
+            let of = planned.iter().find(|trial| trial.hash == row["hash"]).expect("a row of no trial");
+            let number = |name: &str| row.get(name).and_then(|cell| cell.parse::<f64>().ok());
+            let errors = |long: &str| {
+                ["initial", "optimised"]
+                    .map(|body| ["test", "holdout"].map(|set| number(&format!("{long}{set}_error_{body}"))))
+            };
+            let point = &of.spec.point;
+            Trial {
+                hash: of.hash.clone(),
+                setting: settings.of(&serde_json::to_value(&of.spec).unwrap()),
+                panels: point.panels as u64,
+                sensors: point.sensors as u64,
+                cluster: Cluster { placement: point.placement as u64, seed: point.seed },
+                units: of.units as u64,
+                design_parameters: of.design_parameters as u64,
+                errors: errors(""),
+                long_errors: errors("long_"),
+                iterations: ["iterations_to_loss", "iterations_to_error"]
+                    .map(|name| number(name).into_iter().collect()),
+                ..Trial::default()
+            }
+        };
+        kept.iter().map(&mut trial).collect()
+    };
+    SWEEPS.into_iter().flat_map(&mut of_sweep).collect()
+}
+
+/// What they say of every claim.
+fn found() -> &'static [Vec<Evidence>] {
+    static FOUND: OnceLock<Vec<Vec<Evidence>>> = OnceLock::new();
+    FOUND.get_or_init(|| tried(&trials()))
+}
+
+/// A table as rows that have been read.
+fn as_rows(table: Table) -> Vec<Row> {
+    let row = |cells: &Vec<Value>| table.columns.iter().cloned().zip(cells.iter().map(plain)).collect();
+    table.rows.iter().map(row).collect()
+}
+
+/// A row a claim.
+pub(super) fn rated() -> Vec<Row> {
+    as_rows(claims_table(found()))
+}
+
+/// The files of the claims: by claim, all evidence, and the figure.
+pub fn files() -> [String; 3] {
+    let figure = figure(found()).unwrap();
+    let drawn = file(&figure.pictures, 1, 560.0, &figure.legend) + "\n";
+    [claims_table(found()).csv(), evidence_table(found()).csv(), drawn]
+}
+
 pub fn claims() -> String {
-    let evidence = rows("claims/evidence.csv");
+    let evidence = as_rows(evidence_table(found()));
     let mut lines = Vec::new();
-    for claim in rows("claims/claims.csv") {
+    for claim in rated() {
         let of_claim: Vec<&Row> = evidence
             .iter()
             .filter(|row| row["claim"] == claim["claim"])

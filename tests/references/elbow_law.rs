@@ -1,5 +1,4 @@
-//! Where the fall of the error over the number of sensors ends: of the sweep that was run to ask whether it is at K / channels, rounded
-//! up, and of other trials.
+//! Where the fall of the error over the number of sensors ends, and whether that is at K / channels, rounded up.
 
 use metasense::analysis::decision::{Decision, Terms, decide};
 use metasense::analysis::{Cluster, Height, Observation, elbow};
@@ -8,29 +7,6 @@ use metasense::look::grid::{Cell, grid};
 
 use super::rows::{Row, geometric, number, of, rows};
 use super::table;
-
-/// Channels of each sensor: two accelerations and a rotation.
-const CHANNELS: u64 = 3;
-
-/// Trained bodies: so many forces, who reads them, the file of their trials, and which of them.
-type Bodies = (u64, &'static str, &'static str, &'static [(&'static str, &'static str)]);
-const BODIES: [Bodies; 5] = [
-    (4, "linear brain", "claims/trials.csv", &[("panels", "4"), ("brain", "linear")]),
-    (
-        8,
-        "linear brain",
-        "claims/trials.csv",
-        &[("panels", "8"), ("body.layout", "planar"), ("brain", "linear")],
-    ),
-    (
-        4,
-        "linear brain, 3 % noise",
-        "placed-two-core/trials.csv",
-        &[("brain.kind", "linear"), ("sensors.search", ""), ("stimuli.kind", "bell")],
-    ),
-    (4, "the paper's network", "claims/trials.csv", &[("panels", "4"), ("brain", "cnn")]),
-    (8, "the paper's network", "claims/trials.csv", &[("panels", "8"), ("brain", "cnn")]),
-];
 
 /// Errors of a body over M.
 pub(super) fn curve<'a>(rows: impl Iterator<Item = &'a Row>, body: &str) -> Vec<Observation> {
@@ -102,18 +78,6 @@ const READINGS: [&str; 5] = [
     "elbows if decays may be fast",
     "80 %, 95 % of the fall",
 ];
-
-/// Where the fall ends, asked in three ways, with votes; and how that depends on the rivals of an elbow and on the part of the fall.
-pub fn all() -> String {
-    let line = |(forces, who, file, wanted): Bodies| {
-        let all = rows(file);
-        let curve = curve(of(&all, wanted), "optimised");
-        let law = forces.div_ceil(CHANNELS).to_string();
-        let told = readings(&curve).map(|votes| words(&votes));
-        [vec![forces.to_string(), who.to_owned(), law], told.to_vec(), beside(&curve).to_vec()].concat()
-    };
-    table(&[&["forces K", "read by", "K / 3, rounded up"][..], &READINGS].concat(), BODIES.map(line))
-}
 
 /// What the rule at the head of `elbow-law.toml` says of votes.
 pub(super) fn verdict(votes: &Votes, law: f64, elbow: bool) -> &'static str {

@@ -20,7 +20,7 @@ const MIDDLE: [(&str, &str); 5] = [
 ];
 
 /// What is moved, in words.
-const SETTINGS: [(&str, &str, &str); 10] = [
+pub(super) const SETTINGS: [(&str, &str, &str); 10] = [
     ("the middle", "noise", "0.03"),
     ("without noise", "noise", "0.0"),
     ("10 % noise", "noise", "0.1"),
@@ -32,6 +32,11 @@ const SETTINGS: [(&str, &str, &str); 10] = [
     ("400 samples in place of 150", "samples", "400"),
     ("14 columns in place of 8", "columns", "14"),
 ];
+
+/// Whether all but the noise is as in the middle.
+pub(super) fn is_middle(row: &Row) -> bool {
+    MIDDLE[1..].iter().all(|(name, middle)| row[*name] == *middle)
+}
 
 /// Of a setting, in logarithms and by seed: few beat many, placements in per cent and in logarithms, training.
 fn ratios(of_setting: &[&Row]) -> [Vec<f64>; 4] {
@@ -99,7 +104,10 @@ pub fn four_forces_network() -> String {
 }
 
 /// The rows of each setting, with its words.
-fn by_setting<'a>(all: &'a [Row], settings: &[(&'a str, &str, &str)]) -> Vec<(&'a str, Vec<&'a Row>)> {
+pub(super) fn by_setting<'a>(
+    all: &'a [Row],
+    settings: &[(&'a str, &str, &str)],
+) -> Vec<(&'a str, Vec<&'a Row>)> {
     let of_setting = |(words, moved, value): &(&'a str, &str, &str)| {
         let cell = |name: &str, middle| if name == *moved { *value } else { middle };
         let is_of = |row: &&Row| MIDDLE.iter().all(|(name, middle)| row[*name] == cell(name, *middle));

@@ -105,8 +105,8 @@ pub struct Claim {
     pub source: &'static str,
     /// Its number: a factor, 1 where it gives none; of an elbow M.
     pub stated: f64,
-    /// The spec, of `schemas/claims`, whose trials show it.
-    pub spec: &'static str,
+    /// The specs in `schemas` whose trials show it.
+    pub specs: &'static [&'static str],
     find: fn(f64, &[&Trial]) -> Vec<Evidence>,
 }
 
@@ -115,7 +115,7 @@ impl Claim {
     /// something of that alone.
     pub fn evidence(&self, trials: &[Trial]) -> Vec<Evidence> {
         let whole = |t: &Trial| matches!(t.setting.text("optimise.gradient"), None | Some("implicit"));
-        let counts = |t: &&Trial| self.spec == "gradient" || whole(t);
+        let counts = |t: &&Trial| self.specs == GRADIENT || whole(t);
         (self.find)(self.stated, &trials.iter().filter(counts).collect::<Vec<_>>())
     }
 }
@@ -159,128 +159,130 @@ pub fn summary(evidence: &[Evidence]) -> (String, Option<Rating>) {
     }
 }
 
+const FOUR_FORCES: &[&str] = &["sweeps/four-forces-map", "sweeps/four-forces-map-network"];
+const GRADIENT: &[&str] = &["claims/gradient"];
+
 /// All of them, in the paper's order.
 pub const CLAIMS: [Claim; 15] = [
     Claim {
         says: "a trained body halves the error (K = 2, M = 1, smooth pulses)",
         source: "Fig. 2D, 3",
         stated: 2.0,
-        spec: "two-forces",
+        specs: &["claims/two-forces"],
         find: |stated, trials| each_set(&two_forces(trials, "bell"), stated, error_ratio),
     },
     Claim {
         says: "its network needs 2.9 times fewer iterations to the same error",
         source: "Fig. 2E",
         stated: 2.9,
-        spec: "two-forces",
+        specs: &["claims/two-forces"],
         find: iterations,
     },
     Claim {
         says: "after 10 000 iterations the error is still 5.8 times lower",
         source: "Fig. S2",
         stated: 5.8,
-        spec: "long-training",
+        specs: &["claims/long-training"],
         find: |stated, trials| each_set(&two_forces(trials, "bell"), stated, long_ratio),
     },
     Claim {
         says: "under hand-hammered blows a trained body has 5.3 times less error",
         source: "Fig. 3D, S5",
         stated: 5.3,
-        spec: "two-forces",
+        specs: &["claims/two-forces"],
         find: |stated, trials| each_set(&two_forces(trials, "irregular"), stated, error_ratio),
     },
     Claim {
         says: "training gains more under blows than under smooth pulses",
         source: "Fig. 3",
         stated: 1.0,
-        spec: "two-forces",
+        specs: &["claims/two-forces"],
         find: blows_more,
     },
     Claim {
         says: "random bodies read worse than the initial one",
         source: "S4",
         stated: 1.0,
-        spec: "random",
+        specs: &["claims/two-forces", "claims/random"],
         find: |stated, trials| random_bodies(stated, trials, Body::Initial),
     },
     Claim {
         says: "and so worse than the trained one",
         source: "S4",
         stated: 1.0,
-        spec: "random",
+        specs: &["claims/two-forces", "claims/random"],
         find: |stated, trials| random_bodies(stated, trials, Body::Optimised),
     },
     Claim {
         says: "K = 4: the trained body is better with every number of sensors",
         source: "Fig. 4B",
         stated: 1.0,
-        spec: "four-forces",
+        specs: FOUR_FORCES,
         find: |stated, trials| every_number(stated, &planar(trials, 4, "bell")),
     },
     Claim {
         says: "K = 4: its error has an elbow at M = 2",
         source: "Fig. 4B",
         stated: 2.0,
-        spec: "four-forces",
+        specs: FOUR_FORCES,
         find: |stated, trials| elbow_at(stated, &planar(trials, 4, "bell")),
     },
     Claim {
         says: "K = 4: trained with two sensors it beats the initial one with six",
         source: "Fig. 4B",
         stated: 1.0,
-        spec: "four-forces",
+        specs: FOUR_FORCES,
         find: |stated, trials| so_few(stated, 2, &planar(trials, 4, "bell")),
     },
     Claim {
         says: "K = 4: where sensors are matters less on the trained body",
         source: "Fig. 4B",
         stated: 1.0,
-        spec: "four-forces",
+        specs: FOUR_FORCES,
         find: |stated, trials| placements(stated, &planar(trials, 4, "bell")),
     },
     Claim {
         says: "K = 8: the trained body is better with every number of sensors",
         source: "Fig. 4C",
         stated: 1.0,
-        spec: "eight-forces",
+        specs: &["sweeps/eight-forces-map"],
         find: |stated, trials| every_number(stated, &planar(trials, 8, "bell")),
     },
     Claim {
         says: "K = 8: the elbow is at M = 4",
         source: "Fig. 4C",
         stated: 4.0,
-        spec: "eight-forces",
+        specs: &["sweeps/eight-forces-map"],
         find: |stated, trials| elbow_at(stated, &planar(trials, 8, "bell")),
     },
     Claim {
         says: "a body of more design parameters, trained, has less error",
         source: "Fig. 5C",
         stated: 1.0,
-        spec: "disc",
+        specs: &["sweeps/disc-map"],
         find: complexity,
     },
     Claim {
         says: "the implicit term, which the paper takes, makes better bodies",
         source: "S2.4",
         stated: 1.0,
-        spec: "gradient",
+        specs: GRADIENT,
         find: implicit,
     },
 ];
 
 /// Whether a trial has what the paper's have not: another lattice or polygons of its own, frozen shifts, pressed or guided units, sensors
-/// that are not perfect, or are placed otherwise than at random.
+/// that are chips, or are placed otherwise than at random. Noise is a setting, as damping is.
 pub fn is_other(trial: &Trial) -> bool {
     let extra = |path: &str| {
         ["optimise.frozen", "body.lattice"].contains(&path)
             || ["body.file", "body.compression", "body.guides"].iter().any(|key| path.starts_with(key))
-            || path.starts_with("sensors.") && path != "sensors.frame"
+            || path.starts_with("sensors.") && !["sensors.frame", "sensors.noise"].contains(&path)
     };
     trial.setting.leaves().keys().any(|path| extra(path))
 }
 
-/// Whether a trial is of the paper's kind: a body of squares at their initial angle, its shifts not frozen, perfect sensors at random
-/// units.
+/// Whether a trial is of the paper's kind: a body of squares at their initial angle, its shifts not frozen, sensors at random units.
 fn plain(trial: &Trial) -> bool {
     !trial.starts_from_design() && !is_other(trial)
 }
@@ -418,8 +420,23 @@ fn every_number(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
 }
 
 /// Groups in which M varies.
-fn curves<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
+fn over_sensors<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
     groups(trials, SENSORS).into_iter().filter(|group| group.varies(|t| t.sensors)).collect()
+}
+
+/// Of these the placements and seeds that have all of a group's M, where some have: they are compared from M to M.
+fn curves<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
+    let mut groups = over_sensors(trials);
+    for group in &mut groups {
+        let all = distinct(group.trials.iter().map(|t| t.sensors));
+        let of = |cluster| distinct(group.trials.iter().filter(|t| t.cluster == cluster).map(|t| t.sensors));
+        let mut whole = distinct(group.trials.iter().map(|t| t.cluster));
+        whole.retain(|cluster| of(*cluster) == all);
+        if !whole.is_empty() {
+            group.trials.retain(|t| whole.contains(&t.cluster));
+        }
+    }
+    groups
 }
 
 /// What each group says by each height of its curve, by either set.
@@ -467,7 +484,7 @@ fn so_few(stated: f64, few: u64, trials: &[&Trial]) -> Vec<Evidence> {
 
 /// Spread of the error over placements on the initial over that on the trained body, all M together.
 fn placements(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
-    by_height(&curves(trials), |group, set, height, who| {
+    by_height(&over_sensors(trials), |group, set, height, who| {
         let of = Body::ALL.map(|body| observations(&group.trials, body, set, |t| t.sensors));
         let clusters = clusters(of.iter().flatten());
         let grids = [Grid::new(&of[0], &clusters), Grid::new(&of[1], &clusters)];

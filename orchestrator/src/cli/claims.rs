@@ -11,15 +11,16 @@ use crate::analysis::claims::is_other;
 use crate::exit::Exit;
 use crate::look::page;
 use crate::provenance;
-use crate::report::claims::{claims_table, evidence_table, figure, tried};
-use crate::report::load::{finished_trials, states};
+use crate::report::claims::{claims_table, evidence_table, figure, trials_table, tried};
+use crate::report::load::finished_trials;
 use crate::store::Reader;
 
 /// Rates the claims of arXiv:2605.23967 by finished trials
 ///
 /// A claim holds, is compatible with the paper's number, holds in part, makes no difference, fails, is open, or depends on the brain.
-/// First run the specs in schemas/claims into one database (run SPEC --db FILE). Trials with noise or chips, placed sensors, frozen
-/// or pressed units or another lattice are not of the paper's scenes: the claims of random bodies alone may count them.
+/// First run the specs that it names into one database (run SPEC --db FILE). Settings are told apart, noise among them. Trials with
+/// chips, placed sensors, frozen or pressed units or another lattice are not of the paper's scenes: the claims of random bodies alone
+/// may count them.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The database; of a folder of shards, their facts
@@ -37,10 +38,8 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let (trials, states, made, early) = Reader::asked(Database::at(&args.db).await?, async |reader| {
-        let trials = finished_trials(reader).await?;
-        let states = states(reader, &trials).await?;
-        Ok::<_, Error>((trials, states, reader.made().await?, reader.may_stop_early().await?))
+    let (trials, made, early) = Reader::asked(Database::at(&args.db).await?, async |reader| {
+        Ok::<_, Error>((finished_trials(reader).await?, reader.made().await?, reader.may_stop_early().await?))
     })
     .await?;
     let found = tried(&trials);
@@ -51,7 +50,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         write_figures(folder, &drawn)?;
         write(&folder.join("claims.csv"), claims.csv())?;
         write(&folder.join("evidence.csv"), evidence.csv())?;
-        write(&folder.join("trials.csv"), &states.csv)?;
+        write(&folder.join("trials.csv"), trials_table(&trials).csv())?;
         let content = html! {
             (claims.html(None))
             @for figure in &drawn { (figure.html(&[])) }
@@ -64,7 +63,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     match trials.iter().filter(|trial| is_other(trial)).count() {
         0 => {}
         other => say!(
-            "{} of {} trials with noise or chips, placed sensors, frozen or pressed units or another lattice are not of the paper's \
+            "{} of {} trials with chips, placed sensors, frozen or pressed units or another lattice are not of the paper's \
              scenes: the claims of random bodies alone may count them",
             other,
             trials.len()

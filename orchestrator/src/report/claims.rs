@@ -1,9 +1,13 @@
 //! The paper's claims: a table of ratings, a table of the evidence, and its figure.
 
+use serde_json::Value;
+
 use crate::analysis::claims::{CLAIMS, Evidence, Rating, corrected, summary};
+use crate::analysis::numbers::geometric_mean;
 use crate::analysis::paired::Progress;
+use crate::analysis::setting::odd;
 use crate::analysis::tables::ends;
-use crate::analysis::{Set, Trial};
+use crate::analysis::{Body, Cluster, Set, Trial};
 use crate::look::{Axis, Figure, Plot, Scale, Table, legend, number, row};
 
 /// What a database's trials say of every claim, in the paper's order.
@@ -11,18 +15,13 @@ pub fn tried(trials: &[Trial]) -> Vec<Vec<Evidence>> {
     corrected(CLAIMS.iter().map(|claim| claim.evidence(trials)).collect())
 }
 
-/// A row a claim: what it comes to, and the spec that shows it.
+/// A row a claim: what it comes to, and the specs that show it.
 pub fn claims_table(found: &[Vec<Evidence>]) -> Table {
     let rows = CLAIMS.iter().zip(found).enumerate().map(|(i, (claim, evidence))| {
-        row![
-            i + 1,
-            claim.says,
-            claim.source,
-            summary(evidence).0,
-            format!("schemas/claims/{}.toml", claim.spec)
-        ]
+        let specs: Vec<String> = claim.specs.iter().map(|spec| format!("schemas/{spec}.toml")).collect();
+        row![i + 1, claim.says, claim.source, summary(evidence).0, specs.join(", ")]
     });
-    Table::new("claim says source rating spec", rows)
+    Table::new("claim says source rating specs", rows)
 }
 
 /// A row a claim, brain and set: the ratio with its interval, votes, and over what they are.
@@ -48,6 +47,30 @@ pub fn evidence_table(found: &[Vec<Evidence>]) -> Table {
         }
     }
     Table::new("claim with set rating stated found low high chance tells note trials over", rows)
+}
+
+/// A row a trial: the settings in which they differ, and all numbers that the claims go by.
+pub fn trials_table(trials: &[Trial]) -> Table {
+    let odd: Vec<&str> = odd(trials.iter().map(|trial| &trial.setting)).into_iter().collect();
+    let errors = |of: &[[Option<f64>; 2]; 2]| of.concat();
+    let rows = trials.iter().map(|t| {
+        let Cluster { placement, seed } = t.cluster;
+        let mut cells = row![t.hash, t.panels, t.sensors, placement, seed, t.units, t.design_parameters];
+        cells.extend(odd.iter().map(|path| t.setting.get(path).cloned().unwrap_or_default()));
+        let networks = t.iterations.iter().map(|of| (!of.is_empty()).then(|| geometric_mean(of)));
+        let numbers = errors(&t.errors).into_iter().chain(errors(&t.long_errors)).chain(networks);
+        cells.extend(numbers.map(Value::from));
+        cells
+    });
+    let first = "hash panels sensors placement seed units design_parameters";
+    let mut columns = vec![first.to_owned()];
+    columns.extend(odd.iter().map(|path| (*path).to_owned()));
+    for long in ["", "long_"] {
+        let of_body = |body: Body| Set::ALL.map(|set| format!("{long}{}_error_{}", set.name(), body.name()));
+        columns.extend(Body::ALL.into_iter().flat_map(of_body));
+    }
+    columns.extend(["iterations_to_loss", "iterations_to_error"].map(str::to_owned));
+    Table::new(&columns.join(" "), rows)
 }
 
 /// The class of a rating's marks.

@@ -1,6 +1,6 @@
 //! Finished trials out of a database, as the analysis takes them.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
 use serde_json::Value;
 
@@ -357,7 +357,7 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
             },
         )
         .await?;
-    let states = states(reader, &trials).await?;
+    let states = states(reader, &odd(trials.iter().map(|trial| &trial.setting))).await?;
     let searches = Sought::all(reader, &sweeps).await;
     let design = searches.iter().flatten().find_map(|search| Some(&search.chosen()?.0.hash));
     let replayed = trial.or(design.map(String::as_str));
@@ -377,12 +377,8 @@ const SHOWN: &str = "hash, state, reason, panels, sensors, placement, seed, unit
 /// What its file has besides, so that nothing else is needed to know a row.
 const BESIDES: &str = "linear_holdout_error_initial, linear_holdout_error_optimised";
 
-/// All trials; their file has a column for each setting in which the finished ones differ, too.
-///
-/// # Errors
-/// Where the database cannot be read.
-pub async fn states(reader: &mut Reader, finished: &[Trial]) -> Result<States, StoreError> {
-    let odd = odd(finished.iter().map(|trial| &trial.setting));
+/// All trials; their file has a column for each of the `odd` paths, too.
+async fn states(reader: &mut Reader, odd: &BTreeSet<&str>) -> Result<States, StoreError> {
     let odd: String = odd.iter().map(|path| format!(", spec->>'$.{path}' AS \"{path}\"")).collect();
     let sql = format!(
         "SELECT {SHOWN}, {BESIDES}{odd} FROM v_trial

@@ -4,7 +4,7 @@ use metasense_worker::problem;
 
 use crate::plan::Plan;
 
-const DISC: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../schemas/claims/disc.toml");
+const DISC: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../schemas/sweeps/fig5.toml");
 
 fn plan(text: &str) -> Plan {
     Plan::new("s.toml", text.to_owned()).unwrap()
