@@ -153,11 +153,9 @@ fn committed_specs_keep_their_hashes() {
     blows-map d3cdf14623ed2a3e
     brains-two-core 5eb82c6f08db37b1
     design-two-core 834a3cec86c88ac1
-    disc 05cd48334f7ba6b8
     disc-map 2330d2edfee519a0
-    eight-forces d02373435aeebd1c
     eight-forces-map 3882e6a8735693f9
-    elbow-law dd9ab67d59dd2124
+    elbow-law 4763b8ca8274ddb3
     families a2575320c6450e88
     fig2 bced9d6dd8d54f61
     fig2-linear 3a1cb407e60bff17
@@ -167,16 +165,15 @@ fn committed_specs_keep_their_hashes() {
     fig4c cdb6e7edaff7021e
     fig5 a3ec099760be45bd
     filtered e6c6ff4b8645bf70
-    four-forces b88aef61917cde6e
     four-forces-map 42e955fa5f00670e
     four-forces-map-network 8308d75a3d2616a4
     gradient c39bace70d622cb2
-    long-training aff57803d389341f
+    long-training 8d45189fd66c1ccd
     placed-two-core 6a5121d9e7f59190
     pressed db1612c5ed646b46
     protocol-map 462515f2d2ebde28
     quickstart 932ec372654c30ed
-    random 1fc0dbba48090cf1
+    random 286d45edbe9c1528
     random-bodies-map f6bf43a608bfdcd3
     real-scale a24e0292c7de791c
     reference f69dce36048b28bd
@@ -184,7 +181,7 @@ fn committed_specs_keep_their_hashes() {
     size-map 21a675451ef496ae
     size-map-network ed0a0046ce69f708
     transfer fb5577499f8e180e
-    two-forces 434eeb4530862f35
+    two-forces 6251ca1d33765752
     who-senses 86aea9e1955edf73
     why 0ace863b908f0e91
     ");

@@ -120,3 +120,27 @@ fn curves_are_judged_by_votes() {
     let found: Vec<_> = (8..=10).map(|number| rated(number, &late).1).collect();
     assert_eq!(found, [Some(Rating::Fails); 3], "{found:?}");
 }
+
+/// Noise tells trials apart. A placement that is there with one number of sensors alone tells nothing of curves over M.
+#[test]
+fn curves_are_of_whole_settings() {
+    let of = |noise: Option<f64>, placement: u64, sensors: u64, errors: [f64; 2]| {
+        let mut scene = scene("bell", "linear");
+        if let Some(noise) = noise {
+            scene["sensors"] = json!({"noise": noise});
+        }
+        trial(scene, [4, sensors], placement, errors)
+    };
+    let curve = |noise, placement| {
+        (1..=4).map(move |m| of(noise, placement, m, [40.0 / m as f64, (20.0 + placement as f64) / m as f64]))
+    };
+    let whole: Vec<Trial> = [None, Some(0.03)]
+        .into_iter()
+        .flat_map(|noise| (1..=4).flat_map(move |placement| curve(noise, placement)))
+        .collect();
+    let found = CLAIMS[7].evidence(&whole);
+    let noisy = |e: &Evidence| e.who.contains("noise");
+    assert_eq!((found.len(), found.iter().filter(|e| noisy(e)).count()), (4, 2), "{found:?}");
+    let lone = of(None, 9, 2, [10.0, 40.0]);
+    assert_eq!(CLAIMS[7].evidence(&[whole, vec![lone]].concat()), found);
+}
