@@ -109,15 +109,20 @@ def who_senses():
         yield line[2:], found
 
 
-def planar(forces, words, **of):
-    """Trials of the claims' sweeps over M, read by the brain that is named."""
-    return rows("claims/trials.csv", panels=str(forces), brain="linear" if words.startswith("linear brain") else "cnn", body__layout="planar", **of)
+def over_sensors(words, **of):
+    """Trials over M with a placement of each seed's own: of so many forces, read by a brain, with noise or without."""
+    forces, brain, noise = words.split(", ")
+    linear = brain == "linear brain"
+    if forces == "K = 8":
+        return rows("eight-forces-map/trials.csv", brain="linear" if linear else "cnn", **of)
+    file = "four-forces-map" if linear else "four-forces-map-network"
+    kind = MIDDLE | dict(noise="0.03" if noise == "3 % noise" else "0.0")
+    return [row for row in rows(f"{file}/trials.csv", **kind, **of) if row["placement"] not in "45"]
 
 
 def sensors():
     for line in table("sensors"):
-        forces, brain = line[0].removeprefix("K = ").split(", ")
-        yield line[1:], [change(of) if (of := planar(forces, brain, sensors=m)) else "" for m in "12346"]
+        yield line[1:], [change(of) if (of := over_sensors(line[0], sensors=m)) else "" for m in "12346"]
 
 
 def claims():
@@ -259,13 +264,6 @@ def votes_in_words(shares):
     return ", ".join(("none" if none else str(place)) + ("" if -share > 0.996 else f": {-100 * share:.0f} %") for share, none, place in told)
 
 
-def trained(forces, brain):
-    """The rows of a line of the table of elbows."""
-    if "noise" in brain:
-        return rows("placed-two-core/trials.csv", brain__kind="linear", sensors__search="", stimuli__kind="bell")
-    return planar(forces, brain)
-
-
 def power(campaigns=60):
     """Of made-up campaigns of four seeds with the means and the scatter of `elbow-law`: the share with 95 % of votes for K / channels, rounded up."""
     draw = random.Random(5)
@@ -307,12 +305,6 @@ def why_correlated():
             low, high = (math.tanh(math.atanh(r) + sign * half) for sign in (-1, 1))
             found.append(f"{short(r)} ({short(low)} … {short(high)})")
         yield cells, found
-
-
-def elbow_law():
-    for forces, brain, *cells in table("elbow law"):
-        readings, beside = ends(trained(forces, brain))
-        yield cells, [str(-(-int(forces) // 3)), *map(votes_in_words, readings), *beside]
 
 
 def verdict(shares, law, by_elbow):
@@ -703,7 +695,7 @@ def relaxing():
         yield line[1:], [cell(*by) for by in [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")]]
 
 
-CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
+CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

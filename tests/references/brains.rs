@@ -136,12 +136,15 @@ pub fn sensors() -> String {
 }
 
 /// The brain of a row of evidence and what else sets the row apart; `None` for rows beside the main ones.
-pub(super) fn with(text: &str) -> Option<(&str, &str)> {
-    match text.split_once(", ").unwrap_or((text, "")) {
-        (brain @ ("cnn" | "long" | "linear"), "" | "evaluation.seeds = 3") => Some((brain, "")),
-        ("cnn", "evaluation.seeds = 1") => Some(("cnn", "one network a body")),
-        (brain @ ("cnn" | "long" | "linear"), height @ ("in %" | "in logarithms")) => Some((brain, height)),
-        ("linear", rest) => Some(("linear", rest)),
+pub(super) fn with(text: &str) -> Option<(&str, String)> {
+    let (brain, rest) = text.split_once(", ").unwrap_or((text, ""));
+    let rest = rest.replace("sensors.noise = 0.03", "3 % noise");
+    let is_main = rest.split(", ").all(|part| ["", "3 % noise", "in %", "in logarithms"].contains(&part));
+    match (brain, &*rest) {
+        ("cnn" | "long", "evaluation.seeds = 3") => Some((brain, String::new())),
+        ("cnn", "evaluation.seeds = 1") => Some((brain, "one network a body".into())),
+        ("cnn" | "long", _) if is_main => Some((brain, rest)),
+        ("linear", _) => Some((brain, rest)),
         _ => None,
     }
 }

@@ -16,7 +16,7 @@ use super::brains::with;
 use super::rows::{Row, lines, number, of, one, percent, ratio, rows, seeds, short, with_interval};
 use super::table;
 
-/// The verdict of a brain on a claim: the ratio, or what the row says in words.
+/// The verdict of a brain on a claim: the ratio, or what the row says in words; of an open one the ratio that would have told.
 fn verdict(row: &Row) -> String {
     let note = row["note"].split([';', '(']).next().unwrap().trim();
     let ratio = ratio(row, "found", "low", "high");
@@ -25,7 +25,11 @@ fn verdict(row: &Row) -> String {
         note if ratio == "–" => note.to_owned(),
         note => format!("{ratio}, {note}"),
     };
-    format!("{words}: {}", row["rating"])
+    let told = match (row["rating"].as_str(), row["tells"].as_str()) {
+        (_, "") | ("holds" | "compatible" | "in part" | "no difference" | "fails", _) => String::new(),
+        (_, tells) => format!(" ({} would tell)", short(tells)),
+    };
+    format!("{words}: {}{told}", row["rating"])
 }
 
 /// The rows behind the claims, and the specs that they are trials of; of maps with further settings the first two.
@@ -116,7 +120,7 @@ pub fn claims() -> String {
             .filter(|row| row["claim"] == claim["claim"])
             .filter(|row| row["set"].starts_with("holdout"))
             .collect();
-        let kinds = |row: &&Row| with(&row["with"]).map(|(_, kind)| kind.to_owned());
+        let kinds = |row: &&Row| with(&row["with"]).map(|(_, kind)| kind);
         let mut found: Vec<String> = Vec::new();
         for kind in of_claim.iter().filter_map(kinds) {
             if !found.contains(&kind) {
@@ -129,7 +133,7 @@ pub fn claims() -> String {
         }
         for kind in found {
             let cell = |name: &str| {
-                let row = of_claim.iter().find(|row| with(&row["with"]) == Some((name, &kind)));
+                let row = of_claim.iter().find(|row| with(&row["with"]) == Some((name, kind.clone())));
                 row.map_or(String::new(), |row| verdict(row))
             };
             let says = if kind.is_empty() { String::new() } else { format!(" ({kind})") };

@@ -128,8 +128,8 @@ pub fn asked() -> String {
 
 /// Errors by K and M, shaded by the votes for an end of the fall there; the law's own place in brackets.
 pub fn map() -> String {
-    let sensors: Vec<String> = (1..=7).map(|m| m.to_string()).collect();
     let forces: Vec<String> = FORCES.map(|k| k.to_string()).collect();
+    let sensors: Vec<String> = (1..=7).map(|m| m.to_string()).collect();
     let of_channels = |channels: u64| {
         let row = |forces: u64| -> Vec<Cell> {
             let curve = of_sweep(forces, channels);
@@ -150,5 +150,5 @@ pub fn map() -> String {
         let title = format!("{channels} channels a sensor: error (%), shaded by votes; [law]");
         grid(&title, ("sensors M", &sensors), ("forces K", &forces), &FORCES.map(row).collect::<Vec<_>>())
     };
-    file(&[of_channels(3), of_channels(2)], 2, 920.0, &Vec::new()) + "\n"
+    file(&[3, 2].map(of_channels), 2, 920.0, &Vec::new()) + "\n"
 }

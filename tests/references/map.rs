@@ -130,8 +130,11 @@ pub fn four_forces_drawn() -> String {
         }
     }
     let plot = |(title, which): (&str, usize)| {
-        let x =
-            Axis::new("ratio (above 1: as claimed)", Scale::Log, lines.iter().flat_map(|line| line.1[which]));
+        let x = Axis::new(
+            "ratio (above 1: as claimed)",
+            Scale::Log,
+            lines.iter().flat_map(|line| line.1[which]).chain([1.0]),
+        );
         let y = Axis::new("", Scale::Linear, [1.0 - lines.len() as f64, 0.0]).with_names(Vec::new());
         let height = 60.0 + 17.0 * lines.len() as f64;
         let mut plot =

@@ -7,8 +7,8 @@
 use std::collections::BTreeMap;
 
 use super::data::{
-    COMPLEXITY, FREEDOM, Grid, Group, Observation, SENSORS, apart, clusters, groups, observations, once,
-    places,
+    COMPLEXITY, FREEDOM, Grid, Group, Observation, SENSORS, WITH_SPACING, apart, clusters, groups,
+    observations, once, places,
 };
 use super::elbow::{Height, Verdict, elbow};
 use super::kinds::brains;
@@ -558,9 +558,14 @@ fn complexity(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
                     of(Body::Initial).map_or(String::new(), |r| format!("; untrained {:.3}", r.ratio));
                 let note = format!("{few} → {many} parameters{initial}");
                 let brain = &brains(&group.trials[0].setting)[0];
-                let own = |part: &&str| {
-                    *part != brain && !part.ends_with(" units") && !part.ends_with(" units across")
+                let of_size = |part: &str| {
+                    let path = part.split(" = ").next().unwrap_or(part);
+                    part.ends_with(" units")
+                        || part.ends_with(" units across")
+                        || COMPLEXITY.contains(&path)
+                        || WITH_SPACING.iter().any(|(with, _)| *with == path)
                 };
+                let own = |part: &&str| *part != brain && !of_size(part);
                 let mut name = vec![brain.as_str()];
                 let told = apart(&group.label);
                 name.extend(told.iter().copied().filter(own));

@@ -71,7 +71,7 @@ pub const COMPLEXITY: &[&str] = &[
 pub const FREEDOM: &[&str] = &["optimise.tie", "optimise.frozen"];
 
 /// What a body of a given size brings along where its units shrink, and the power of the spacing that it goes with.
-const WITH_SPACING: [(&str, i32); 4] = [
+pub(super) const WITH_SPACING: [(&str, i32); 4] = [
     ("body.stiffness.bend", 2),
     ("body.contact.stiffness", 2),
     ("body.material.ligament_width", 1),
