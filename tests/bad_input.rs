@@ -651,6 +651,16 @@ const EDITS: &[(&str, &str, &str)] = &[
     ("sensors = [1, 2]", "sensors = [1]\nplacements = 0", "s.toml:16: sweep.placements = 0: "),
     (
         "sensors = [1, 2]",
+        "sensors = [1]\nown_placements = true\n[sensors]\nplacements = [[14]]",
+        "s.toml:16: sweep.own_placements = true: goes with sensors at random units alone",
+    ),
+    (
+        "sensors = [1, 2]",
+        "sensors = [1]\nown_placements = true\nseeds = [1, 2, 3, 4]\n[until]\npaired = 0.1",
+        "s.toml:16: sweep.own_placements = true: cannot be given beside [until]",
+    ),
+    (
+        "sensors = [1, 2]",
         "sensors = [1]\n\"body.stiffness.bend\" = [1.0, -1.0]",
         "s.toml:16: body.stiffness.bend = -1: ",
     ),

@@ -16,6 +16,25 @@ fn trials_come_breadth_first_with_stable_hashes() {
     assert!(!bench.path("results").exists(), "expand wrote something");
 }
 
+/// Two placements a seed, no two seeds' the same: the trials that a grid of four placements has there.
+#[test]
+fn seeds_may_have_placements_of_their_own() {
+    let bench = Bench::new();
+    let trials = |sweep: &str| -> Vec<(String, [String; 2])> {
+        bench.file("s.toml", &format!("{SPEC}{sweep}"));
+        let csv = bench.output(&["expand", "s.toml", "--format", "csv"]);
+        let mut lines = csv.lines().map(|line| line.split(',').map(str::to_owned).collect::<Vec<_>>());
+        let head = lines.next().unwrap();
+        let at = |name: &str| head.iter().position(|column| column == name).unwrap();
+        let [placement, seed] = [at("placement"), at("seed")];
+        lines.map(|cells| (cells[0].clone(), [cells[placement].clone(), cells[seed].clone()])).collect()
+    };
+    let own = trials("seeds = [7, 9]\nplacements = 2\nown_placements = true\n");
+    let mut grid = trials("seeds = [7, 9]\nplacements = 4\n");
+    grid.retain(|(_, [placement, seed])| ["0", "1"].contains(&placement.as_str()) == (seed == "7"));
+    assert_eq!((own.len(), own), (8, grid));
+}
+
 /// A mixture of forces is hundreds of characters: whole for machines, its beginning for people.
 #[test]
 fn long_values_are_cut_where_people_read() {

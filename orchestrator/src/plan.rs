@@ -129,6 +129,13 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
         }
     }
     check_run(&spec.run, source)?;
+    for (asked, table) in [(spec.until.is_some(), "until"), (spec.goal.is_some(), "goal")] {
+        if asked && sweep.own_placements {
+            let remedy =
+                format!("cannot be given beside [{table}], which adds seeds and placements as it goes");
+            return Err(source.error("sweep.own_placements", &remedy));
+        }
+    }
     if let Some(lists) = &spec.sensors.placements {
         if sweep.placements != 1 {
             return Err(source.error("sweep.placements", "cannot be given beside sensors.placements"));
@@ -238,8 +245,12 @@ fn add_points(
     };
     let clamped = problem::clamped(&spec.body, &layout).map_err(located)?;
     let searched = spec.sensors.search.is_some_and(|search| search != Search::Random);
+    let drawn = sweep.sweep.placements * if sweep.sweep.own_placements { sweep.sweep.seeds.len() } else { 1 };
+    if sweep.sweep.own_placements && (searched || spec.sensors.placements.is_some()) {
+        return Err(source.error("sweep.own_placements", "goes with sensors at random units alone"));
+    }
     let seeded: Vec<Vec<usize>> =
-        (0..sweep.sweep.placements).map(|p| placement(&spec.body, &layout, p as u64, &clamped)).collect();
+        (0..drawn).map(|p| placement(&spec.body, &layout, p as u64, &clamped)).collect();
     for &panels in &spec.sweep.panels {
         let panel_units = problem::panel_units(&spec.body, &layout, panels).map_err(located)?;
         for &sensors in &spec.sweep.sensors {
@@ -250,7 +261,7 @@ fn add_points(
             let placements: Vec<Vec<usize>> = match &spec.sensors.placements {
                 Some(lists) => lists.iter().filter(|list| list.len() == sensors).cloned().collect(),
                 // a worker finds them
-                None if searched => vec![Vec::new(); sweep.sweep.placements],
+                None if searched => vec![Vec::new(); drawn],
                 None => seeded.iter().map(|order| order.iter().copied().take(sensors).collect()).collect(),
             };
             if placements.is_empty() {
@@ -558,8 +569,9 @@ fn trials(spec: &SweepSpec, points: &[PointPlan]) -> Vec<Trial> {
     let mut trials = Vec::new();
     let mut seen = HashSet::new();
     let most_placements = points.iter().map(|p| p.placements.len()).max().unwrap_or(0);
-    for &seed in &spec.sweep.seeds {
-        for placement in 0..most_placements {
+    for (s, &seed) in spec.sweep.seeds.iter().enumerate() {
+        let own = spec.sweep.placements * s..spec.sweep.placements * (s + 1);
+        for placement in if spec.sweep.own_placements { own } else { 0..most_placements } {
             for point in points {
                 let Some(units) = point.placements.get(placement) else { continue };
                 if point.excluded.iter().any(|e| e.holds(placement, seed)) {

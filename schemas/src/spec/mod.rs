@@ -106,6 +106,10 @@ pub struct Sweep {
     /// Number of sensor placements.
     #[serde(default = "one_placement")]
     pub placements: usize,
+    /// Whether each seed has `placements` of its own, the next seed the next ones: an interval over seeds is then one over placements,
+    /// too, at a fraction of the trials. Default: `false`, all seeds have the same.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub own_placements: bool,
     /// Seeds of forces, split into training and test set, and networks.
     #[serde(default = "one_seed")]
     pub seeds: Vec<u64>,
