@@ -16,7 +16,9 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-T975 = {1: 12.706, 2: 4.303, 3: 3.182, 4: 2.776}  # Student's t, 97.5 %, by degrees of freedom, as tables print it
+# Student's t by degrees of freedom from 1, as tables print it: 97.5 % and 80 %
+T975 = [math.nan, 12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131, 2.120, 2.110, 2.101, 2.093, 2.086]
+T80 = [math.nan, 1.376, 1.061, 0.978, 0.941, 0.920, 0.906, 0.896, 0.889, 0.883, 0.879, 0.876, 0.873, 0.870, 0.868, 0.866, 0.865, 0.863, 0.862, 0.861, 0.860]
 
 
 def rows(file, **wanted):
@@ -125,20 +127,108 @@ def sensors():
         yield line[1:], [change(of) if (of := over_sensors(line[0], sensors=m)) else "" for m in "12346"]
 
 
+def judged(of, kinds, statistic):
+    """A statistic of weighed rows with half of its 95 % interval, by leaving out one unit at a time of each kind of which there are four or
+    more, and of each crossing of kinds (Cameron, Gelbach and Miller); and what such rows would tell four times in five."""
+    drawn = [kind for kind in kinds if len({row[kind] for row in of}) >= 4]
+    variance, most, squares = 0, 0, 0
+    for chosen in (c for n in range(1, len(drawn) + 1) for c in itertools.combinations(drawn, n)):
+        unit = lambda row: tuple(row[kind] for kind in chosen)
+        left_out = [statistic([unit(row) != gone for row in of]) for gone in sorted({unit(row) for row in of})]
+        n, mean = len(left_out), sum(left_out) / len(left_out)
+        part = (n - 1) / n * sum((x - mean) ** 2 for x in left_out)
+        if len(chosen) == 1:
+            most, squares = max(most, part), squares + part * part / (n - 1)
+        variance += part if len(chosen) % 2 else -part
+    variance = max(variance, most)
+    free = max(variance**2 / squares, min(len({row[kind] for row in of}) for kind in drawn) - 1)
+    at = lambda table: table[math.floor(free)] + (free - math.floor(free)) * (table[math.ceil(free)] - table[math.floor(free)])
+    half = at(T975) * math.sqrt(variance)
+    return statistic([1] * len(of)), half, half + at(T80) * math.sqrt(variance)
+
+
+def of_rows(ratio):
+    """The mean of a ratio's logarithm over weighed rows."""
+    return lambda of: lambda weights: sum(w * math.log(ratio(row)) for w, row in zip(weights, of)) / sum(weights)
+
+
+def scattered(height):
+    """ln of the initial by the trained body's scatter over placements at equal M and seed."""
+    def squares(of, weights, column):
+        total = 0
+        for cell in sorted({(row["sensors"], row["seed"]) for row in of}):
+            here = [height(float(row[column])) for w, row in zip(weights, of) if w and (row["sensors"], row["seed"]) == cell]
+            total += spread(here) ** 2 if len(here) > 1 else 0
+        return total
+    return lambda of: lambda weights: 0.5 * math.log(squares(of, weights, INITIAL) / squares(of, weights, TRAINED))
+
+
 def claims():
-    """Those of the sweeps over sensors: better with every number, and two trained against six untrained."""
-    for line in table("claims"):
-        if "with every number" not in line[0] and "with two sensors" not in line[0]:
-            continue
-        file = "claims/four-forces-trials.csv" if line[0].startswith("K = 4") else "claims/eight-forces-trials.csv"
-        def of(m, brain):
-            return sorted(rows(file, sensors=m, brain__kind=brain), key=lambda row: int(row["placement"]))
-        for cell, brain in [(line[2], ""), (line[4], "linear")]:
-            before, after = ("6", "2") if "with two sensors" in line[0] else ("1", "1")
-            initial = numbers(of(before, brain), "holdout_error_initial")
-            optimised = numbers(of(after, brain), "holdout_error_optimised")
-            found = with_interval([a / b for a, b in zip(initial, optimised)])
-            yield [cell.split(",")[0].split(":")[0]], [found]
+    """Ratios with their intervals, what open ones would tell, and elbows; how ratios are rated among all others is not looked at."""
+    everything = rows("claims/trials.csv")
+    def brain_of(row):
+        return "linear brain" if row["brain.kind"] == "linear" else "long network" if row["brain.width"] else "the paper's network"
+    def two(brain, kind, sort=lambda row: not any(row[k] for k in ("body.design.random", "optimise.gradient", "long_" + INITIAL))):
+        return [row for row in everything if brain_of(row) == brain and row["stimuli.kind"] == kind and sort(row)]
+    by_seed = lambda of, column, like: next(float(row[column]) for row in of if row["seed"] == like["seed"])
+    one_by = lambda initial, trained: of_rows(lambda row: float(row[initial]) / float(row[trained]))
+    gains = one_by(INITIAL, TRAINED)
+
+    def ratio(says, brain):
+        """The rows behind a ratio, the kinds of units, the statistic."""
+        noise = "3 % noise" if "3 % noise" in says or says.startswith("K = 8") else "without noise"
+        curve = lambda m: over_sensors(f"{says[:5]}, {brain}, {noise}", sensors=m)
+        if says.startswith("a trained body halves"):
+            return two(brain, "bell"), ["seed"], gains
+        if says.startswith("its network needs"):
+            return two(brain, "bell"), ["seed"], of_rows(lambda row: float(row["iterations_to_error"]))
+        if says.startswith("after 10 000"):
+            return two(brain, "bell", lambda row: row["long_" + INITIAL]), ["seed"], one_by("long_" + INITIAL, "long_" + TRAINED)
+        if says.startswith("under hand-hammered"):
+            return two(brain, "irregular"), ["seed"], gains
+        if says.startswith("training gains more"):
+            bell = two(brain, "bell")
+            gain_of = lambda row, of: by_seed(of, INITIAL, row) / by_seed(of, TRAINED, row)
+            return two(brain, "irregular"), ["seed"], of_rows(lambda row: float(row[INITIAL]) / float(row[TRAINED]) / gain_of(row, bell))
+        if says.startswith("random bodies") or says.startswith("and so worse"):
+            than, regular = INITIAL if says.startswith("random") else TRAINED, two(brain, "bell")
+            random_ones = two(brain, "bell", lambda row: row["body.design.random"])
+            return random_ones, ["body.design.random", "seed"], of_rows(lambda row: float(row[INITIAL]) / by_seed(regular, than, row))
+        if "with every number" in says:
+            low = lambda m: (lambda whole, half, _: whole - half)(*judged(curve(m), ["seed"], gains(curve(m))))
+            return curve(min("1236" if says.startswith("K = 4") else "12346", key=low)), ["seed"], gains
+        if "with two sensors" in says:
+            six = curve("6")
+            return curve("2"), ["seed"], of_rows(lambda row: by_seed(six, INITIAL, row) / float(row[TRAINED]))
+        if "where sensors are" in says:
+            linear = brain == "linear brain"
+            kind = MIDDLE | dict(noise="0.03" if noise == "3 % noise" else "0.0")
+            of = rows(f"four-forces-map{'' if linear else '-network'}/trials.csv", **kind)
+            return of, ["placement", "seed"], scattered((lambda error: error) if "in %" in says else math.log)
+        if "more design parameters" in says:
+            disc = lambda columns, tie="": rows("disc-map/trials.csv", columns=columns, tie=tie)
+            many, few = disc("12"), disc("5") if "cut finer" in says else disc("12", "[6,6]")
+            return few, ["seed"], of_rows(lambda row: float(row[TRAINED]) / by_seed(many, TRAINED, row))
+        direct, implicit = (two(brain, "bell", lambda row: row["optimise.gradient"] == term) for term in ("direct", "implicit"))
+        return direct, ["seed"], of_rows(lambda row: float(row[TRAINED]) / by_seed(implicit, TRAINED, row))
+
+    for says, _, *cells in table("claims"):
+        for cell, brain in zip(cells, ("the paper's network", "long network", "linear brain")):
+            if not cell:
+                continue
+            if "elbow" in says:
+                noise = "3 % noise" if "3 % noise" in says or says.startswith("K = 8") else "without noise"
+                shares = ends(over_sensors(f"{says[:5]}, {brain}, {noise}"))[0]["in logarithms" in says]
+                found = next((place for place, share in shares.items() if share > 0.5), "?")
+                stated = shares[int(re.search(r"M = (\d)", says)[1])]
+                rating = "holds" if stated > 0.95 else "fails" if stated < 0.05 else "open"
+                yield [cell], [f"{'no elbow' if found is None else f'elbow at M = {found}'}: {rating}"]
+                continue
+            of, kinds, statistic = ratio(says, brain)
+            whole, half, tells = judged(of, kinds, statistic(of))
+            words = "{} ({} … {})".format(*(short(math.exp(x)) for x in (whole, whole - half, whole + half)))
+            told = re.search(r"\(([\d.]+) would tell\)", cell)
+            yield [cell.split(",")[0].split(":")[0], told[1] if told else ""], [words, short(math.exp(tells)) if told else ""]
 
 
 def brains():
@@ -348,11 +438,13 @@ def spread(values):
 
 
 def chance(t, free):
-    """Of a |t| so great, with two or three degrees of freedom."""
-    if free == 2:
-        return 1 - abs(t) / math.sqrt(2 + t * t)
-    angle = math.atan(abs(t) / math.sqrt(3))
-    return 1 - 2 / math.pi * (angle + math.sin(angle) * math.cos(angle))
+    """Of a |t| so great (Abramowitz and Stegun 26.7.3 and 4)."""
+    angle, odd = math.atan(abs(t) / math.sqrt(free)), free % 2
+    sine, cosine = math.sin(angle), math.cos(angle)
+    term, total = (cosine, 0) if odd else (1, 0)
+    for n in range(odd, free - 1, 2):
+        total, term = total + term, term * cosine * cosine * (n + 1) / (n + 2)
+    return 1 - ((angle + sine * total) * 2 / math.pi if odd else sine * total)
 
 
 def rated(all_values, shown, words):
@@ -360,14 +452,14 @@ def rated(all_values, shown, words):
     return rated_each([(x, shown, words) for x in all_values])
 
 
-def rated_each(all_values):
-    """The same, each in its own way."""
+def rated_each(all_values, none=0.05):
+    """The same, each in its own way, at a chance that counts as none."""
     chances = [chance(sum(x) / spread(x) / math.sqrt(len(x)), len(x) - 1) for x, _, _ in all_values]
     order, corrected, most = sorted(range(len(chances)), key=chances.__getitem__), {}, 0
     for rank, n in enumerate(order):
         corrected[n] = most = max(most, (len(chances) - rank) * chances[n])
-    told = ["open" if chances[n] > 0.05 else words[sum(x) < 0] for n, (x, _, words) in enumerate(all_values)]
-    return [f"{interval(x, shown)}: {told[n]}{'*' if corrected[n] <= 0.05 else ''}" for n, (x, shown, _) in enumerate(all_values)]
+    told = ["open" if chances[n] > none else words[sum(x) < 0] for n, (x, _, words) in enumerate(all_values)]
+    return [f"{interval(x, shown)}: {told[n]}{'*' if corrected[n] <= none else ''}" for n, (x, shown, _) in enumerate(all_values)]
 
 
 def four_forces_map():
@@ -487,7 +579,7 @@ def disc_map():
     kind = lambda columns, tie="": rows("disc-map/trials.csv", columns=columns, tie=tie)
     slopes = [slopes_over(columns, [logs(kind(c), column) for c in columns]) for column in (INITIAL, TRAINED)]
     tied = [less(logs(kind("12", tie), TRAINED), logs(kind("12"), TRAINED)) for tie in ties]
-    told = rated_each([*((s, lambda v: v, ("fails", "holds")) for s in slopes), *((t, math.exp, ("holds", "fails")) for t in tied)])
+    told = rated_each([*((s, lambda v: v, ("fails", "holds")) for s in slopes), *((t, math.exp, ("holds", "fails")) for t in tied)], 0.025)
     errors = lambda column: ", ".join(short(geometric(numbers(kind(c), column))) for c in columns) + " %"
     lines = table("disc map")
     yield lines[0][1:], [errors(INITIAL), told[0], "", "", ""]

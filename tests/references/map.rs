@@ -72,22 +72,22 @@ fn chance(values: &[f64]) -> f64 {
 
 /// Values by seed, shown with their interval and one of two words: above 0, below; a star where one stands beside all others (Holm).
 fn rated(all: &[Vec<f64>], shown: fn(f64) -> f64, words: [&'static str; 2]) -> Vec<String> {
-    rated_each(&all.iter().map(|values| (values.clone(), shown, words)).collect::<Vec<_>>())
+    rated_each(&all.iter().map(|values| (values.clone(), shown, words)).collect::<Vec<_>>(), 0.05)
 }
 
 /// Values by seed, how they are shown, and what they say above and below 0.
 type Rated = (Vec<f64>, fn(f64) -> f64, [&'static str; 2]);
 
-/// The same, each in its own way.
-fn rated_each(all: &[Rated]) -> Vec<String> {
+/// The same, each in its own way, at a chance that counts as none.
+fn rated_each(all: &[Rated], none: f64) -> Vec<String> {
     let plain: Vec<f64> = all.iter().map(|(values, ..)| chance(values)).collect();
     let corrected = holm(&plain);
     let cell = |(at, (values, shown, words)): (usize, &Rated)| {
-        let told = match plain[at] <= 0.05 {
+        let told = match plain[at] <= none {
             true => words[usize::from(mean(values).unwrap() < 0.0)],
             false => "open",
         };
-        let star = if corrected[at] <= 0.05 { "*" } else { "" };
+        let star = if corrected[at] <= none { "*" } else { "" };
         format!("{}: {told}{star}", with_interval(values, *shown))
     };
     all.iter().enumerate().map(cell).collect()
@@ -232,7 +232,8 @@ pub fn discs() -> String {
         .into_iter()
         .map(|slope| (slope, plain, ["fails", "holds"]))
         .chain(tied.into_iter().map(|ratio| (ratio, f64::exp as fn(f64) -> f64, ["holds", "fails"])));
-    let said = rated_each(&all_of.collect::<Vec<_>>());
+    // the second of two looks
+    let said = rated_each(&all_of.collect::<Vec<_>>(), 0.025);
     let error =
         |columns, tie, column| geometric(of(&all, &of_kind(columns, tie)).map(|row| number(row, column)));
     let errors = |column| columns.map(|columns| error(columns, "", column)).join(", ") + " %";
