@@ -95,6 +95,11 @@ fn ratios_of_trials_that_share_placement_and_seed() {
             error_ratio(&trials.iter().collect::<Vec<_>>(), Set::Holdout)?.interval
         }));
     }
+    shares.push(coverage("paired: 4 seeds × 2 placements of their own × 3 M", 1000, 2.0, |draw| {
+        let mut trials = campaign(draw, 8, 4, false);
+        trials.retain(|t| t.cluster.placement / 2 == t.cluster.seed);
+        error_ratio(&trials.iter().collect::<Vec<_>>(), Set::Holdout)?.interval
+    }));
     shares.push(coverage("iterations: 5 placements × 1 seed × 3 M", 1000, 2.0, |draw| {
         let trials = campaign(draw, 5, 1, false);
         iterations(&trials.iter().collect::<Vec<_>>(), Progress::Error)?.interval
