@@ -172,7 +172,7 @@ fn committed_specs_keep_their_hashes() {
     blows-map d3cdf14623ed2a3e
     brains-two-core 5eb82c6f08db37b1
     design-two-core 834a3cec86c88ac1
-    disc-map 2330d2edfee519a0
+    disc-map 86e8152c5c0b3a8a
     eight-forces-map 3882e6a8735693f9
     elbow-law 4763b8ca8274ddb3
     families a2575320c6450e88
@@ -187,7 +187,7 @@ fn committed_specs_keep_their_hashes() {
     four-forces-map 42e955fa5f00670e
     four-forces-map-network 8308d75a3d2616a4
     gradient c39bace70d622cb2
-    long-training 8d45189fd66c1ccd
+    long-training 656d530cd0c8056b
     placed-two-core 6a5121d9e7f59190
     pressed db1612c5ed646b46
     protocol-map 462515f2d2ebde28
