@@ -176,7 +176,7 @@ def claims():
 
     def ratio(says, brain):
         """The rows behind a ratio, the kinds of units, the statistic."""
-        noise = "3 % noise" if "3 % noise" in says or says.startswith("K = 8") else "without noise"
+        noise = "3 % noise" if says.startswith("K = 8") else "without noise"
         curve = lambda m: over_sensors(f"{says[:5]}, {brain}, {noise}", sensors=m)
         if says.startswith("a trained body halves"):
             return two(brain, "bell"), ["seed"], gains
@@ -201,9 +201,7 @@ def claims():
             six = curve("6")
             return curve("2"), ["seed"], of_rows(lambda row: by_seed(six, INITIAL, row) / float(row[TRAINED]))
         if "where sensors are" in says:
-            linear = brain == "linear brain"
-            kind = MIDDLE | dict(noise="0.03" if noise == "3 % noise" else "0.0")
-            of = rows(f"four-forces-map{'' if linear else '-network'}/trials.csv", **kind)
+            of = rows(f"four-forces-map{'' if brain == 'linear brain' else '-network'}/trials.csv", **MIDDLE | dict(noise="0.0"))
             return of, ["placement", "seed"], scattered((lambda error: error) if "in %" in says else math.log)
         if "more design parameters" in says:
             disc = lambda columns, tie="": rows("disc-map/trials.csv", columns=columns, tie=tie)
@@ -217,7 +215,7 @@ def claims():
             if not cell:
                 continue
             if "elbow" in says:
-                noise = "3 % noise" if "3 % noise" in says or says.startswith("K = 8") else "without noise"
+                noise = "3 % noise" if says.startswith("K = 8") else "without noise"
                 shares = ends(over_sensors(f"{says[:5]}, {brain}, {noise}"))[0]["in logarithms" in says]
                 found = next((place for place, share in shares.items() if share > 0.5), "?")
                 stated = shares[int(re.search(r"M = (\d)", says)[1])]

@@ -1,5 +1,6 @@
 //! The tables of brains and of where sensors are.
 
+use super::map::{SETTINGS, by_setting, is_first_placement};
 use super::rows::{Row, brain, change, geometric, number, of, one, percent, ratio, rows};
 use super::table;
 
@@ -104,47 +105,43 @@ pub fn placed() -> String {
 
 /// Error against the number of sensors, for the bodies of Figs. 4B and 4C.
 pub fn sensors() -> String {
-    let noises = [("0.0", "without noise"), ("0.03", "3 % noise")];
-    let four = noises.into_iter().flat_map(|(noise, words)| {
-        [("cnn", "four-forces-map-network"), ("linear", "four-forces-map")].map(|(name, folder)| {
-            let mut all = rows(&format!("{folder}/trials.csv"));
-            let middle = |row: &Row| row["noise"] == noise && !["4", "5"].contains(&&*row["placement"]);
-            all.retain(|row| middle(row) && super::map::is_middle(row));
-            (format!("K = 4, {}, {words}", brain(name)), all)
-        })
-    });
-    let eight = ["cnn", "linear"].map(|name| {
-        let mut all = rows("eight-forces-map/trials.csv");
-        all.retain(|row| row["brain"] == name);
-        (format!("K = 8, {}, 3 % noise", brain(name)), all)
-    });
-    let line = |(words, all): (String, Vec<Row>)| {
+    let files = [("cnn", "four-forces-map-network"), ("linear", "four-forces-map")];
+    let four = files.map(|(name, folder)| (name, rows(&format!("{folder}/trials.csv"))));
+    let eight = rows("eight-forces-map/trials.csv");
+    let mut curves: Vec<(String, Vec<&Row>)> = Vec::new();
+    for (n, noise) in ["3 % noise", "without noise"].iter().enumerate() {
+        for (name, rows) in &four {
+            let mut own = by_setting(rows, &SETTINGS[n..=n]).remove(0).1;
+            own.retain(|row| is_first_placement(row));
+            curves.push((format!("K = 4, {}, {noise}", brain(name)), own));
+        }
+    }
+    for (name, _) in files {
+        let own = eight.iter().filter(|row| row["brain"] == name).collect();
+        curves.push((format!("K = 8, {}, 3 % noise", brain(name)), own));
+    }
+    let line = |(words, rows): (String, Vec<&Row>)| {
         let cell = |m: &str| {
-            let error = |body: &str| {
-                geometric(
-                    of(&all, &[("sensors", m)]).map(|row| number(row, &format!("holdout_error_{body}"))),
-                )
-            };
-            match of(&all, &[("sensors", m)]).count() {
-                0 => String::new(),
-                _ => format!("{} → {} %", error("initial"), error("optimised")),
+            let here: Vec<&&Row> = rows.iter().filter(|row| row["sensors"] == m).collect();
+            let error =
+                |body| geometric(here.iter().map(|row| number(row, &format!("holdout_error_{body}"))));
+            match here.is_empty() {
+                true => String::new(),
+                false => format!("{} → {} %", error("initial"), error("optimised")),
             }
         };
         [vec![words], ["1", "2", "3", "4", "6"].map(cell).to_vec()].concat()
     };
-    table(&["", "M = 1", "2", "3", "4", "6"], four.chain(eight).map(line))
+    table(&["", "M = 1", "2", "3", "4", "6"], curves.into_iter().map(line))
 }
 
 /// The brain of a row of evidence and what else sets the row apart; `None` for rows beside the main ones.
-pub(super) fn with(text: &str) -> Option<(&str, String)> {
-    let (brain, rest) = text.split_once(", ").unwrap_or((text, ""));
-    let rest = rest.replace("sensors.noise = 0.03", "3 % noise");
-    let is_main = rest.split(", ").all(|part| ["", "3 % noise", "in %", "in logarithms"].contains(&part));
-    match (brain, &*rest) {
-        ("cnn" | "long", "evaluation.seeds = 3") => Some((brain, String::new())),
-        ("cnn", "evaluation.seeds = 1") => Some((brain, "one network a body".into())),
-        ("cnn" | "long", _) if is_main => Some((brain, rest)),
-        ("linear", _) => Some((brain, rest)),
+pub(super) fn with(text: &str) -> Option<(&str, &str)> {
+    match text.split_once(", ").unwrap_or((text, "")) {
+        (brain @ ("cnn" | "long" | "linear"), "" | "evaluation.seeds = 3") => Some((brain, "")),
+        ("cnn", "evaluation.seeds = 1") => Some(("cnn", "one network a body")),
+        (brain @ ("cnn" | "long" | "linear"), height @ ("in %" | "in logarithms")) => Some((brain, height)),
+        ("linear", rest) => Some(("linear", rest)),
         _ => None,
     }
 }

@@ -13,6 +13,7 @@ use metasense_schemas::source::Source;
 use serde_json::Value;
 
 use super::brains::with;
+use super::map::{SETTINGS, by_setting};
 use super::rows::{Row, lines, number, of, one, percent, ratio, rows, seeds, short, with_interval};
 use super::table;
 
@@ -58,10 +59,7 @@ fn trials() -> Vec<Trial> {
         let planned: Vec<_> = specs.iter().flat_map(planned).collect();
         let all = rows(&format!("{folder}/trials.csv"));
         let kept: Vec<&Row> = match folder.starts_with("four-forces") {
-            true => super::map::by_setting(&all, &super::map::SETTINGS[1..2])
-                .into_iter()
-                .flat_map(|of| of.1)
-                .collect(),
+            true => by_setting(&all, &SETTINGS[1..=1]).remove(0).1,
             false => all.iter().collect(),
         };
         let mut trial = |row: &&Row| {
@@ -125,7 +123,7 @@ pub fn claims() -> String {
             .filter(|row| row["claim"] == claim["claim"])
             .filter(|row| row["set"].starts_with("holdout"))
             .collect();
-        let kinds = |row: &&Row| with(&row["with"]).map(|(_, kind)| kind);
+        let kinds = |row: &&Row| with(&row["with"]).map(|(_, kind)| kind.to_owned());
         let mut found: Vec<String> = Vec::new();
         for kind in of_claim.iter().filter_map(kinds) {
             if !found.contains(&kind) {
@@ -138,7 +136,7 @@ pub fn claims() -> String {
         }
         for kind in found {
             let cell = |name: &str| {
-                let row = of_claim.iter().find(|row| with(&row["with"]) == Some((name, kind.clone())));
+                let row = of_claim.iter().find(|row| with(&row["with"]) == Some((name, &kind)));
                 row.map_or(String::new(), |row| verdict(row))
             };
             let says = if kind.is_empty() { String::new() } else { format!(" ({kind})") };

@@ -33,9 +33,9 @@ pub(super) const SETTINGS: [(&str, &str, &str); 10] = [
     ("14 columns in place of 8", "columns", "14"),
 ];
 
-/// Whether all but the noise is as in the middle.
-pub(super) fn is_middle(row: &Row) -> bool {
-    MIDDLE[1..].iter().all(|(name, middle)| row[*name] == *middle)
+/// Whether it is at the placement of its seed's own that has all numbers of sensors.
+pub(super) fn is_first_placement(row: &Row) -> bool {
+    !["4", "5"].contains(&row["placement"].as_str())
 }
 
 /// Of a setting, in logarithms and by seed: few beat many, placements in per cent and in logarithms, training.
@@ -172,8 +172,7 @@ fn four_forces_of(file: &str, settings: &[(&str, &str, &str)]) -> String {
     let found: Vec<[Vec<f64>; 4]> = settings.iter().map(|(_, rows)| ratios(rows)).collect();
     let ratios = rated(&found.concat(), f64::exp, ["holds", "fails"]);
     let line = |(s, (words_of, rows)): (usize, &(&str, Vec<&Row>))| {
-        let main = |row: &&&Row| !["4", "5"].contains(&row["placement"].as_str());
-        let curve = curve(rows.iter().filter(main).copied(), "optimised");
+        let curve = curve(rows.iter().copied().filter(|row| is_first_placement(row)), "optimised");
         let votes = by_fall(&curve);
         let told = in_map(verdict(&votes, 2.0, false));
         let mut cells = vec![(*words_of).to_owned(), errors(&curve)];
