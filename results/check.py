@@ -142,6 +142,7 @@ def judged(of, kinds, statistic):
         variance += part if len(chosen) % 2 else -part
     variance = max(variance, most)
     free = max(variance**2 / squares, min(len({row[kind] for row in of}) for kind in drawn) - 1)
+    free = min(free, len(T975) - 1)
     at = lambda table: table[math.floor(free)] + (free - math.floor(free)) * (table[math.ceil(free)] - table[math.floor(free)])
     half = at(T975) * math.sqrt(variance)
     return statistic([1] * len(of)), half, half + at(T80) * math.sqrt(variance)

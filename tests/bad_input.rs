@@ -661,6 +661,16 @@ const EDITS: &[(&str, &str, &str)] = &[
     ),
     (
         "sensors = [1, 2]",
+        "sensors = [1]\nown_placements = true\nseeds = [1, 2, 3, 4]\n[goal]\nerror = 3.0",
+        "s.toml:16: sweep.own_placements = true: cannot be given beside [goal]",
+    ),
+    (
+        "sensors = [1, 2]",
+        "sensors = [1]\nown_placements = true\n\"sensors.search\" = [\"random\", \"greedy\"]",
+        "s.toml:16: sweep.own_placements = true: goes with sensors at random units alone",
+    ),
+    (
+        "sensors = [1, 2]",
         "sensors = [1]\n\"body.stiffness.bend\" = [1.0, -1.0]",
         "s.toml:16: body.stiffness.bend = -1: ",
     ),

@@ -184,6 +184,7 @@ fn committed_specs_keep_their_hashes() {
     fig4c cdb6e7edaff7021e
     fig5 a3ec099760be45bd
     filtered e6c6ff4b8645bf70
+    four-forces 6a239346339ec0e8
     four-forces-map 42e955fa5f00670e
     four-forces-map-network 8308d75a3d2616a4
     gradient c39bace70d622cb2

@@ -151,7 +151,7 @@ fn generated_blocks_are_fresh() {
 
 /// Pictures that are drawn here, as no report draws them.
 #[test]
-fn drawn_pictures_are_fresh() {
+fn made_files_are_fresh() {
     let [claims, evidence, figure] = claims::files();
     for (name, drawn) in [
         ("who-senses/front.svg", who_senses::front()),

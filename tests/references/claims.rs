@@ -1,8 +1,10 @@
 //! The tables of the paper's claims and protocols.
 
+use std::collections::HashMap;
 use std::sync::OnceLock;
 
-use metasense::analysis::claims::Evidence;
+use metasense::analysis::claims::{CLAIMS, Evidence};
+use metasense::analysis::numbers::distinct;
 use metasense::analysis::paired::iteration_ratio;
 use metasense::analysis::setting::Settings;
 use metasense::analysis::{Cluster, Trial};
@@ -13,7 +15,6 @@ use metasense_schemas::source::Source;
 use serde_json::Value;
 
 use super::brains::with;
-use super::map::{SETTINGS, by_setting};
 use super::rows::{Row, lines, number, of, one, percent, ratio, rows, seeds, short, with_interval};
 use super::table;
 
@@ -37,57 +38,45 @@ fn verdict(row: &Row) -> String {
     format!("{words}: {}{told}", row["rating"])
 }
 
-/// The rows behind the claims, and the specs that they are trials of; of the maps of four forces those without noise, as the
-/// paper has them.
-const SWEEPS: [(&str, &[&str]); 5] = [
-    ("claims", &["claims/two-forces", "claims/long-training", "claims/random", "claims/gradient"]),
-    ("four-forces-map", &["sweeps/four-forces-map"]),
-    ("four-forces-map-network", &["sweeps/four-forces-map-network"]),
-    ("eight-forces-map", &["sweeps/eight-forces-map"]),
-    ("disc-map", &["sweeps/disc-map"]),
-];
+/// Where the rows behind the claims are.
+const ROWS: [&str; 5] =
+    ["claims", "four-forces-map", "four-forces-map-network", "eight-forces-map", "disc-map"];
 
-/// Trials as the analysis takes them: numbers from the rows, settings from the specs.
+/// The trials of the specs that the claims name, as the analysis takes them: settings from the specs, numbers from the rows.
 fn trials() -> Vec<Trial> {
+    let rows: Vec<Row> = ROWS.iter().flat_map(|folder| rows(&format!("{folder}/trials.csv"))).collect();
+    let by_hash: HashMap<&str, &Row> = rows.iter().map(|row| (row["hash"].as_str(), row)).collect();
     let mut settings = Settings::default();
-    let mut of_sweep = |(folder, specs): (&str, &[&str])| -> Vec<Trial> {
-        let planned = |spec: &&str| {
-            let path = super::root().join(format!("schemas/{spec}.toml"));
-            let text = super::read(&format!("schemas/{spec}.toml"));
-            Plan::of(Source::spec(&path, text, &[]).unwrap()).unwrap().trials
+    let mut trial = |of: metasense::plan::Trial| {
+        let row = by_hash.get(&*of.hash).unwrap_or_else(|| panic!("no row of {}", of.hash));
+        let number = |name: &str| row.get(name).and_then(|cell| cell.parse::<f64>().ok());
+        let errors = |long: &str| {
+            ["initial", "optimised"]
+                .map(|body| ["test", "holdout"].map(|set| number(&format!("{long}{set}_error_{body}"))))
         };
-        let planned: Vec<_> = specs.iter().flat_map(planned).collect();
-        let all = rows(&format!("{folder}/trials.csv"));
-        let kept: Vec<&Row> = match folder.starts_with("four-forces") {
-            true => by_setting(&all, &SETTINGS[1..=1]).remove(0).1,
-            false => all.iter().collect(),
-        };
-        let mut trial = |row: &&Row| {
-            let of = planned.iter().find(|trial| trial.hash == row["hash"]).expect("a row of no trial");
-            let number = |name: &str| row.get(name).and_then(|cell| cell.parse::<f64>().ok());
-            let errors = |long: &str| {
-                ["initial", "optimised"]
-                    .map(|body| ["test", "holdout"].map(|set| number(&format!("{long}{set}_error_{body}"))))
-            };
-            let point = &of.spec.point;
-            Trial {
-                hash: of.hash.clone(),
-                setting: settings.of(&serde_json::to_value(&of.spec).unwrap()),
-                panels: point.panels as u64,
-                sensors: point.sensors as u64,
-                cluster: Cluster { placement: point.placement as u64, seed: point.seed },
-                units: of.units as u64,
-                design_parameters: of.design_parameters as u64,
-                errors: errors(""),
-                long_errors: errors("long_"),
-                iterations: ["iterations_to_loss", "iterations_to_error"]
-                    .map(|name| number(name).into_iter().collect()),
-                ..Trial::default()
-            }
-        };
-        kept.iter().map(&mut trial).collect()
+        let point = &of.spec.point;
+        Trial {
+            setting: settings.of(&serde_json::to_value(&of.spec).unwrap()),
+            panels: point.panels as u64,
+            sensors: point.sensors as u64,
+            cluster: Cluster { placement: point.placement as u64, seed: point.seed },
+            units: of.units as u64,
+            design_parameters: of.design_parameters as u64,
+            errors: errors(""),
+            long_errors: errors("long_"),
+            iterations: ["iterations_to_loss", "iterations_to_error"]
+                .map(|name| number(name).into_iter().collect()),
+            hash: of.hash,
+            ..Trial::default()
+        }
     };
-    SWEEPS.into_iter().flat_map(&mut of_sweep).collect()
+    let specs = distinct(CLAIMS.iter().flat_map(|claim| claim.specs.iter().copied()));
+    let planned = |spec: &&str| {
+        let text = super::read(&format!("schemas/{spec}.toml"));
+        let path = super::root().join(format!("schemas/{spec}.toml"));
+        Plan::of(Source::spec(path, text, &[]).unwrap()).unwrap().trials
+    };
+    specs.iter().flat_map(planned).map(&mut trial).collect()
 }
 
 /// What they say of every claim.

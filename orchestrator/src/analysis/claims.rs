@@ -4,7 +4,7 @@
 //! is said. One of many ratings that chance alone might have made is open ([`corrected`]). Claims of elbows go by votes, in per cent
 //! and in logarithms. Test and holdout are judged alike; what is said in short goes by the holdout.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::data::{
     COMPLEXITY, FREEDOM, Grid, Group, Observation, SENSORS, WITH_SPACING, apart, clusters, groups,
@@ -87,7 +87,7 @@ pub struct Evidence {
     pub interval: Option<Interval>,
     /// The chance of such a ratio if the true one is 1; of several findings together once they are [`corrected`].
     pub chance: Option<f64>,
-    /// The true ratio that four in five times such trials would tell from 1, were it the only claim.
+    /// The true ratio that such trials would tell from 1 in four of five sweeps, were it the only claim.
     pub tells: Option<f64>,
     /// What there is to say beside it.
     pub note: String,
@@ -159,7 +159,7 @@ pub fn summary(evidence: &[Evidence]) -> (String, Option<Rating>) {
     }
 }
 
-const FOUR_FORCES: &[&str] = &["sweeps/four-forces-map", "sweeps/four-forces-map-network"];
+const FOUR_FORCES: &[&str] = &["claims/four-forces"];
 const GRADIENT: &[&str] = &["claims/gradient"];
 
 /// All of them, in the paper's order.
@@ -424,18 +424,18 @@ fn over_sensors<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
     groups(trials, SENSORS).into_iter().filter(|group| group.varies(|t| t.sensors)).collect()
 }
 
-/// Of these the placements and seeds that have all of a group's M, where some have: they are compared from M to M.
+/// Of these the placements and seeds that all have the same M, and these M, as they are compared from one to the next: the grid of
+/// most trials.
 fn curves<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
     let mut groups = over_sensors(trials);
     for group in &mut groups {
-        let all = distinct(group.trials.iter().map(|t| t.sensors));
-        let of = |cluster| distinct(group.trials.iter().filter(|t| t.cluster == cluster).map(|t| t.sensors));
-        let mut whole = distinct(group.trials.iter().map(|t| t.cluster));
-        whole.retain(|cluster| of(*cluster) == all);
-        if !whole.is_empty() {
-            group.trials.retain(|t| whole.contains(&t.cluster));
-        }
+        let mut numbers: BTreeMap<Cluster, BTreeSet<u64>> = BTreeMap::new();
+        group.trials.iter().for_each(|t| _ = numbers.entry(t.cluster).or_default().insert(t.sensors));
+        let with = |grid: &BTreeSet<u64>| numbers.values().filter(|own| own.is_superset(grid)).count();
+        let Some(grid) = numbers.values().max_by_key(|own| own.len() * with(own)) else { continue };
+        group.trials.retain(|t| grid.contains(&t.sensors) && numbers[&t.cluster].is_superset(grid));
     }
+    groups.retain(|group| group.varies(|t| t.sensors));
     groups
 }
 

@@ -23,7 +23,7 @@ pub struct Ratio {
     pub interval: Option<Interval>,
     /// The chance of a ratio that far from 1, either way, if the true one is 1.
     pub chance: Option<f64>,
-    /// The true ratio that four in five times such trials would tell from 1.
+    /// The true ratio that such trials would tell from 1 in four of five sweeps.
     pub tells: Option<f64>,
     /// The units that the interval is over, or that are too few.
     pub over: String,

@@ -212,8 +212,8 @@ pub struct Judged {
     pub interval: Interval,
     /// The chance that a statistic which is 0 in truth comes out as far from it, on either side.
     pub chance: f64,
-    /// The true value that four in five times as many units of this scatter would tell from 0, by the interval: (t.975 + t.8) standard
-    /// errors.
+    /// The true value that as many units of this scatter would tell from 0, by the interval, in four of five sweeps: some (t.975 + t.8)
+    /// standard errors.
     pub tells: f64,
 }
 

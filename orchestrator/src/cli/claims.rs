@@ -18,9 +18,9 @@ use crate::store::Reader;
 /// Rates the claims of arXiv:2605.23967 by finished trials
 ///
 /// A claim holds, is compatible with the paper's number, holds in part, makes no difference, fails, is open, or depends on the brain.
-/// First run the specs that it names into one database (run SPEC --db FILE). Settings are told apart, noise among them. Trials with
-/// chips, placed sensors, frozen or pressed units or another lattice are not of the paper's scenes: the claims of random bodies alone
-/// may count them.
+/// First run the specs that it names into one database (run SPEC --db FILE). Trials of different settings (noise, damping, …) are rated
+/// apart. Those with chips or fewer channels, placed sensors, frozen or pressed units, bodies of their own or another lattice are not
+/// of the paper's scenes: the claims of random bodies alone may count them.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The database; of a folder of shards, their facts
@@ -63,8 +63,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     match trials.iter().filter(|trial| is_other(trial)).count() {
         0 => {}
         other => say!(
-            "{} of {} trials with chips, placed sensors, frozen or pressed units or another lattice are not of the paper's \
-             scenes: the claims of random bodies alone may count them",
+            "{} of {} trials with chips or fewer channels, placed sensors, frozen or pressed units, bodies of their own or another \
+             lattice are not of the paper's scenes: the claims of random bodies alone may count them",
             other,
             trials.len()
         ),

@@ -107,7 +107,8 @@ pub struct Sweep {
     #[serde(default = "one_placement")]
     pub placements: usize,
     /// Whether each seed has `placements` of its own, the next seed the next ones: an interval over seeds is then one over placements,
-    /// too, at a fraction of the trials. Default: `false`, all seeds have the same.
+    /// too, at a fraction of the trials. Their numbers run on from seed to seed: add seeds at the end, and leave `placements` as it is,
+    /// or trials are others. Default: `false`, all seeds have the same.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub own_placements: bool,
     /// Seeds of forces, split into training and test set, and networks.

@@ -121,7 +121,8 @@ fn curves_are_judged_by_votes() {
     assert_eq!(found, [Some(Rating::Fails); 3], "{found:?}");
 }
 
-/// Noise tells trials apart. A placement that is there with one number of sensors alone tells nothing of curves over M.
+/// Noise tells trials apart. A placement with one number of sensors alone tells nothing of curves over M, nor does a number of sensors
+/// that one placement alone has.
 #[test]
 fn curves_are_of_whole_settings() {
     let of = |noise: Option<f64>, placement: u64, sensors: u64, errors: [f64; 2]| {
@@ -141,6 +142,7 @@ fn curves_are_of_whole_settings() {
     let found = CLAIMS[7].evidence(&whole);
     let noisy = |e: &Evidence| e.who.contains("noise");
     assert_eq!((found.len(), found.iter().filter(|e| noisy(e)).count()), (4, 2), "{found:?}");
-    let lone = of(None, 9, 2, [10.0, 40.0]);
-    assert_eq!(CLAIMS[7].evidence(&[whole, vec![lone]].concat()), found);
+    for lone in [of(None, 9, 2, [10.0, 40.0]), of(None, 1, 9, [10.0, 40.0])] {
+        assert_eq!(CLAIMS[7].evidence(&[whole.clone(), vec![lone]].concat()), found);
+    }
 }
