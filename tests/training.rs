@@ -99,7 +99,7 @@ fn what_comes_later_finds_the_body() {
 /// Killed again and again while one trains for all, a run comes to the same results, and to no step twice.
 #[test]
 fn kills_leave_one_training() {
-    let spec = read_by("\"cnn\", \"linear\", \"stacked\"").replace("iterations = 4", "iterations = 12");
+    let spec = read_by("\"cnn\", \"linear\", \"stacked\"").replace("iterations = 4", "iterations = 300");
     let (calm, killed) = (Bench::new(), Bench::new());
     for bench in [&calm, &killed] {
         bench.file("s.toml", &spec);
