@@ -1,6 +1,6 @@
 //! The tables of brains and of where sensors are.
 
-use super::map::{SETTINGS, by_setting, is_first_placement};
+use super::map::{SETTINGS, is_first_placement, of_setting};
 use super::rows::{Row, brain, change, geometric, number, of, one, percent, ratio, rows};
 use super::table;
 
@@ -111,7 +111,7 @@ pub fn sensors() -> String {
     let mut curves: Vec<(String, Vec<&Row>)> = Vec::new();
     for (n, noise) in ["3 % noise", "without noise"].iter().enumerate() {
         for (name, rows) in &four {
-            let mut own = by_setting(rows, &SETTINGS[n..=n]).remove(0).1;
+            let mut own = of_setting(rows, SETTINGS[n]);
             own.retain(|row| is_first_placement(row));
             curves.push((format!("K = 4, {}, {noise}", brain(name)), own));
         }

@@ -103,17 +103,11 @@ pub fn four_forces_network() -> String {
     four_forces_of("four-forces-map-network/trials.csv", &SETTINGS[..2])
 }
 
-/// The rows of each setting, with its words.
-pub(super) fn by_setting<'a>(
-    all: &'a [Row],
-    settings: &[(&'a str, &str, &str)],
-) -> Vec<(&'a str, Vec<&'a Row>)> {
-    let of_setting = |(words, moved, value): &(&'a str, &str, &str)| {
-        let cell = |name: &str, middle| if name == *moved { *value } else { middle };
-        let is_of = |row: &&Row| MIDDLE.iter().all(|(name, middle)| row[*name] == cell(name, *middle));
-        (*words, all.iter().filter(is_of).collect())
-    };
-    settings.iter().map(of_setting).collect()
+/// The rows of a setting.
+pub(super) fn of_setting<'a>(all: &'a [Row], (_, moved, value): (&str, &str, &str)) -> Vec<&'a Row> {
+    let cell = |name: &str, middle| if name == moved { value } else { middle };
+    let is_of = |row: &&Row| MIDDLE.iter().all(|(name, middle)| row[*name] == cell(name, *middle));
+    all.iter().filter(is_of).collect()
 }
 
 /// Three of the ratios, setting by setting, with 95 % intervals: in colour where one is above 1, or below.
@@ -124,9 +118,9 @@ pub fn four_forces_drawn() -> String {
     for ((reader, _), (rows, settings)) in
         files.iter().zip([(&all[0], &SETTINGS[..]), (&all[1], &SETTINGS[..2])])
     {
-        for (words, rows) in by_setting(rows, settings) {
-            let ratios = ratios(&rows).map(|values| interval(&values).map(f64::exp));
-            lines.push((format!("{words}, {reader}"), ratios));
+        for setting in settings {
+            let ratios = ratios(&of_setting(rows, *setting)).map(|values| interval(&values).map(f64::exp));
+            lines.push((format!("{}, {reader}", setting.0), ratios));
         }
     }
     let plot = |(title, which): (&str, usize)| {
@@ -168,7 +162,8 @@ pub fn four_forces_drawn() -> String {
 /// A line a setting: errors, where the fall ends, and four ratios; a star where a ratio stands beside all others (Holm).
 fn four_forces_of(file: &str, settings: &[(&str, &str, &str)]) -> String {
     let all = rows(file);
-    let settings = by_setting(&all, settings);
+    let settings: Vec<(&str, Vec<&Row>)> =
+        settings.iter().map(|setting| (setting.0, of_setting(&all, *setting))).collect();
     let found: Vec<[Vec<f64>; 4]> = settings.iter().map(|(_, rows)| ratios(rows)).collect();
     let ratios = rated(&found.concat(), f64::exp, ["holds", "fails"]);
     let line = |(s, (words_of, rows)): (usize, &(&str, Vec<&Row>))| {

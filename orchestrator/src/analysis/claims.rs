@@ -493,7 +493,6 @@ fn placements(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
             let [initial, trained] = [0, 1].map(|i| scatter(&grids[i], height, &clusters, weights));
             Some(0.5 * (initial? / trained?).ln())
         };
-        let whole: f64 = statistic(&vec![1.0; clusters.len()])?;
         let worst = |body: usize| -> Vec<String> {
             let at = |m: &f64| {
                 let here: Vec<Observation> = of[body].iter().filter(|o| o.at == *m).copied().collect();
@@ -501,16 +500,7 @@ fn placements(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
             };
             places(&of[body]).iter().filter_map(at).collect()
         };
-        let judged = units.judged(statistic);
-        let ratio = Ratio {
-            trials: group.trials.len(),
-            above_one: 0,
-            ratio: whole.exp(),
-            interval: judged.map(|j| j.interval.map(f64::exp)),
-            chance: judged.map(|j| j.chance),
-            tells: judged.map(|j| j.tells.exp()),
-            over: units.over(),
-        };
+        let ratio = Ratio::by(&units, group.trials.len(), 0, statistic)?;
         let note = format!("worst over best by M: {} → {}", worst(0).join(", "), worst(1).join(", "));
         Some(of_ratio(who, set.name(), ratio, stated, note))
     })

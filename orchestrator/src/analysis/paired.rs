@@ -55,11 +55,22 @@ impl Ratio {
                 weights.iter().zip(sums).fold([0.0; 2], |[n, sum], (w, s)| [n + w * s[0], sum + w * s[1]]);
             Some(both[1] / both[0]).filter(|mean| mean.is_finite())
         };
-        let judged = units.judged(mean);
+        let trials = sums.iter().map(|s| s[0]).sum::<f64>() as usize;
+        Self::by(units, trials, above_one, mean)
+    }
+
+    /// The ratio whose logarithm is a statistic of weighed trials.
+    pub(super) fn by(
+        units: &Resampling,
+        trials: usize,
+        above_one: usize,
+        logarithm: impl Fn(&[f64]) -> Option<f64>,
+    ) -> Option<Self> {
+        let judged = units.judged(&logarithm);
         Some(Self {
-            trials: sums.iter().map(|s| s[0]).sum::<f64>() as usize,
+            trials,
             above_one,
-            ratio: mean(&vec![1.0; sums.len()])?.exp(),
+            ratio: logarithm(&units.even())?.exp(),
             interval: judged.map(|j| j.interval.map(f64::exp)),
             chance: judged.map(|j| j.chance),
             tells: judged.map(|j| j.tells.exp()),

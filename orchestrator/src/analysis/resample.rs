@@ -124,6 +124,11 @@ impl Resampling {
         self.drawn().into_iter().min_by_key(|k| k.count).map(|k| &k.of_trial[..])
     }
 
+    /// Weights by which every trial counts once.
+    pub(super) fn even(&self) -> Vec<f64> {
+        vec![1.0; self.trials]
+    }
+
     /// How often each trial counts in a replicate: of n units n − 1 are drawn with replacement, so that a mean's variance
     /// comes out right (Rao and Wu 1988).
     pub fn weights(&self, replicate: usize) -> Vec<f64> {
@@ -133,7 +138,7 @@ impl Resampling {
 
     /// Likewise, by a function that draws one of so many units.
     fn weighed(&self, mut below: impl FnMut(usize) -> usize) -> Vec<f64> {
-        let mut weights = vec![1.0; self.trials];
+        let mut weights = self.even();
         for kind in self.drawn() {
             let mut counts = vec![0.0; kind.count];
             for _ in 1..kind.count {
@@ -173,7 +178,7 @@ impl Resampling {
     pub fn jackknife<T>(&self, mut statistic: impl FnMut(&[f64]) -> Option<T>) -> Option<Jackknife<T>> {
         let drawn = self.drawn();
         let fewest = drawn.iter().map(|k| k.count).min()?;
-        let whole = statistic(&vec![1.0; self.trials])?;
+        let whole = statistic(&self.even())?;
         let mut parts = Vec::new();
         for chosen in 1usize..1 << drawn.len() {
             let kinds: Vec<&&Kind> =
@@ -181,7 +186,7 @@ impl Resampling {
             let unit = |trial: usize| kinds.iter().fold(0, |unit, k| unit * k.count + k.of_trial[trial]);
             let mut members: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
             (0..self.trials).for_each(|trial| members.entry(unit(trial)).or_default().push(trial));
-            let mut weights = vec![1.0; self.trials];
+            let mut weights = self.even();
             let mut without = |members: &Vec<usize>| {
                 members.iter().for_each(|&trial| weights[trial] = 0.0);
                 let found = statistic(&weights);
