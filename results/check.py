@@ -703,17 +703,24 @@ def paper_protocol_blows():
 
 
 def paper_protocol_four_forces():
-    def ends(m, body, error):
-        return numbers(rows("fig4b/networks.csv", sensors=m, body=body), error)[0]
+    def pairs(untrained, trained, error):
+        of = {(row["sensors"], row["body"], row["placement"]): float(row[error]) for row in rows("fig4b/networks.csv")}
+        placements = [placement for sensors, body, placement in of if (sensors, body) == (trained, "optimised")]
+        return [(of[untrained, "initial", placement], of[trained, "optimised", placement]) for placement in placements]
+
+    def times(pairs):
+        return with_interval([a / b for a, b in pairs]) if len(pairs) > 1 else short(pairs[0][0] / pairs[0][1])
 
     *lines, last = table("paper protocol, four forces")
     sets = ("error_test", "error_holdout")
     for m, *cells in lines:
-        both = [(ends(m, "initial", error), ends(m, "optimised", error)) for error in sets]
+        both = [pairs(m, m, error) for error in sets]
         tested = rows("fig4b/samples.csv", sensors=m)
         better = sum(a > b for a, b in zip(numbers(tested, "error_initial"), numbers(tested, "error_optimised")))
-        yield cells, [*(f"{short(a)} → {short(b)} %, {short(a / b)}" for a, b in both), f"{better} of {len(tested)}"]
-    yield last[1:], [*(short(ends("6", "initial", error) / ends("2", "optimised", error)) for error in sets), ""]
+        ends = (f"{short(geometric(a))} → {short(geometric(b))} %, {times(of)}" for of in both for a, b in [zip(*of)])
+        yield cells, [str(len(both[0])), *ends, f"{better} of {len(tested)}"]
+    few = [pairs("6", "2", error) for error in sets]
+    yield last[1:], [str(len(few[0])), *map(times, few), ""]
 
 
 def race():

@@ -15,7 +15,7 @@ use metasense_schemas::source::Source;
 use serde_json::Value;
 
 use super::brains::with;
-use super::rows::{Row, lines, number, of, one, percent, ratio, rows, seeds, short, with_interval};
+use super::rows::{Row, geometric, lines, number, of, one, percent, ratio, rows, seeds, short, with_interval};
 use super::table;
 
 /// The verdict of a brain on a claim: the ratio, or what the row says in words; of an open one the ratio that would have
@@ -169,27 +169,41 @@ pub fn paper_protocol_blows() -> String {
     of_protocol("fig3", &["0"])
 }
 
-/// Four forces by the same protocol, a line a number of sensors, and what two trained are beside six untrained.
+/// Four forces by the same protocol, a line a number of sensors: geometric means over the placements on which it was trained; and
+/// six sensors untrained beside two trained on the same placements.
 pub fn paper_protocol_four_forces() -> String {
     let [networks, samples] = ["networks", "samples"].map(|name| rows(&format!("fig4b/{name}.csv")));
-    let error = |sensors: &str, body: &str, set: &str| {
-        number(one(&networks, &[("sensors", sensors), ("body", body)]), set)
+    // Errors of the untrained body with so many sensors and of the trained one with as many others, placement by placement.
+    let pairs = |untrained: &str, trained: &str, set: &str| -> Vec<(f64, f64)> {
+        of(&networks, &[("sensors", trained), ("body", "optimised")])
+            .map(|row| {
+                let beside =
+                    [("sensors", untrained), ("body", "initial"), ("placement", row["placement"].as_str())];
+                (number(one(&networks, &beside), set), number(row, set))
+            })
+            .collect()
+    };
+    let times = |pairs: &[(f64, f64)]| {
+        let logs: Vec<f64> = pairs.iter().map(|(untrained, trained)| (untrained / trained).ln()).collect();
+        if let [log] = logs[..] { short(&log.exp().to_string()) } else { with_interval(&logs, f64::exp) }
     };
     let sets = ["error_test", "error_holdout"];
+    let placements = |trained: &str| pairs(trained, trained, sets[0]).len().to_string();
     let line = |sensors: &str| {
         let change = |set| {
-            let [initial, optimised] = ["initial", "optimised"].map(|body| error(sensors, body, set));
-            let [a, b, times] = [initial, optimised, initial / optimised].map(|x| short(&x.to_string()));
-            format!("{a} → {b} %, {times}")
+            let pairs = pairs(sensors, sensors, set);
+            let [initial, trained] =
+                [geometric(pairs.iter().map(|pair| pair.0)), geometric(pairs.iter().map(|pair| pair.1))];
+            format!("{initial} → {trained} %, {}", times(&pairs))
         };
         let better = vec![better(&samples, &[("sensors", sensors)])];
-        [vec![sensors.to_owned()], sets.map(change).to_vec(), better].concat()
+        [vec![sensors.to_owned(), placements(sensors)], sets.map(change).to_vec(), better].concat()
     };
-    let few = sets.map(|set| short(&(error("6", "initial", set) / error("2", "optimised", set)).to_string()));
-    let last = [vec!["six untrained by two trained".to_owned()], few.to_vec(), vec![String::new()]].concat();
+    let few = sets.map(|set| times(&pairs("6", "2", set))).to_vec();
+    let last = [vec!["six untrained by two trained".to_owned(), placements("2")], few, vec![String::new()]];
     table(
-        &["sensors", "test set", "holdout", "test samples read better"],
-        ["1", "2", "3", "6"].map(line).into_iter().chain([last]),
+        &["sensors", "placements", "test set", "holdout", "test samples read better"],
+        ["1", "2", "3", "6"].map(line).into_iter().chain([last.concat()]),
     )
 }
 

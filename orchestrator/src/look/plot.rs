@@ -121,6 +121,8 @@ pub struct Plot {
 const MARGIN: [f64; 4] = [52.0, 12.0, 10.0, 40.0];
 /// About the width of a letter (px).
 const LETTER: f64 = 6.2;
+/// What notes leave of the axis (px): a plot of longer ones gets wider.
+const LEAST_AXIS: f64 = 240.0;
 
 impl Plot {
     /// An empty plot of the usual size.
@@ -139,6 +141,7 @@ impl Plot {
     pub fn with_room<'a>(mut self, notes: impl IntoIterator<Item = &'a str>) -> Self {
         let longest = notes.into_iter().map(|note| note.chars().count()).max().unwrap_or(0);
         self.right = MARGIN[1].max(10.0 + LETTER * longest as f64);
+        self.size[0] = self.size[0].max(MARGIN[0] + LEAST_AXIS + self.right);
         self
     }
 
