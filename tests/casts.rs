@@ -140,6 +140,7 @@ fn what_no_key_reads_makes_no_other_trial() {
         with("objective = { cvar = 0.0 }"),
         with("objective = \"mean\"\ncasts = 4\nbatch = 8\nreader = \"one\"")
     );
+    assert_eq!(with("objective = { cvar = 1.0 }"), with("objective = \"worst\""));
     assert_ne!(with("objective = \"worst\""), with("objective = \"mean\""));
     let turns =
         |batch: u32| hashes(&TINY.replace("[brain]", &format!("[evaluation]\nbatch = {batch}\n[brain]")));

@@ -78,7 +78,7 @@ async fn read(folder: &Path, file: &Path, plan: &Plan) {
     let assignment = assignment.unwrap_or_else(|_| Assignment::new(&plan.trials, 1));
     let _ = state::states(folder, &assignment, &Default::default()).await;
     let _ = state::never_begun(&[file.to_owned()], file).await;
-    let _ = merge::merge(&[file.to_owned()], &folder.join("merged.sqlite")).await;
+    let _ = merge::merge(merge::Extent::Whole, &[file.to_owned()], &folder.join("merged.sqlite")).await;
     if let Ok(mut reader) = Reader::open(file).await {
         for (view, _) in VIEWS {
             let _ = reader.query::<metasense::look::Table>(&format!("SELECT * FROM {view}")).await;

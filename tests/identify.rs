@@ -1,7 +1,6 @@
 //! `identify`: records of a body in, its material out.
 
 use crate::common::Bench;
-use npyz::WriterBuilder;
 
 /// A small body whose records are made.
 pub const SPEC: &str = r#"name = "i"
@@ -27,15 +26,6 @@ sensors = [1]
 
 /// Ligament by ligament: what made the records, and what the fit starts from.
 const TRUE: [f64; 5] = [3.3, 0.42, 1.15, 0.04, 1.15e-8];
-
-fn write(bench: &Bench, name: &str, shape: &[u64], values: &[f64]) {
-    let mut bytes = Vec::new();
-    let mut npy =
-        npyz::WriteOptions::new().default_dtype().shape(shape).writer(&mut bytes).begin_nd().unwrap();
-    npy.extend(values.iter().copied()).unwrap();
-    npy.finish().unwrap();
-    std::fs::write(bench.path(name), bytes).unwrap();
-}
 
 fn hash(bench: &Bench, spec: &str) -> String {
     let csv = bench.output(&["expand", spec, "--format", "csv"]);
@@ -96,14 +86,14 @@ fn bench() -> Bench {
         let size = [size(0).max(size(1)), size(0).max(size(1)), size(2)];
         signals.iter().enumerate().map(|(i, s)| s + 0.02 * size[i % 3] * noise(i)).collect()
     };
-    write(&bench, "f.npy", &[3, 2, 41], &forces(3, 40));
-    write(&bench, "y.npy", &[3, 40, 3], &noisy(&run("true.toml", "f.npy", "a")));
+    bench.write_array("f.npy", &[3, 2, 41], &forces(3, 40));
+    bench.write_array("y.npy", &[3, 40, 3], &noisy(&run("true.toml", "f.npy", "a")));
     bench.file(
         "r.toml",
         "[recorded]\nfiles = [\"f.npy\"]\nrate = 200.0\n[signals]\nfiles = [\"y.npy\"]\nstart = 0.005\n",
     );
     bench.file("fine.toml", &made.replace("samples = 40", "samples = 400"));
-    write(&bench, "g.npy", &[1, 2, 401], &forces(1, 400));
+    bench.write_array("g.npy", &[1, 2, 401], &forces(1, 400));
     let signals = noisy(&run("fine.toml", "g.npy", "b"));
     let mut csv = String::from("ms,left,right,ax,ay,spin\n");
     for n in 0..=400 {

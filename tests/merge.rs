@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 use std::time::Duration;
 
 use crate::common::SPEC;
-use metasense::cluster::merge::{Kind, MergeError, Summary, merge, merge_facts};
+use metasense::cluster::merge::{Extent, Kind, MergeError, Summary, merge};
 use metasense::plan::Plan;
 use metasense::store::{Array, Reader, RunPlan, Store, StoreError, npy_bytes};
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
@@ -141,7 +141,7 @@ fn pool() -> &'static [PathBuf] {
 
 fn merged(files: &[PathBuf], out: &Path) -> Result<Summary, MergeError> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-    runtime.block_on(merge(files, out))
+    runtime.block_on(merge(Extent::Whole, files, out))
 }
 
 fn ask(db: &Path, sql: &str) -> Vec<String> {
@@ -321,9 +321,9 @@ async fn a_live_database_can_be_read_but_not_written() {
     store.begin_sweep(&s.spec, &s.source.text, &s.trials).await.unwrap();
     live(&mut store, &s.trials[0].hash, Life::Done(5.0, "avx2")).await;
     live(&mut store, &s.trials[1].hash, Life::Killed(2)).await;
-    let summary = merge(std::slice::from_ref(&db), &out).await.unwrap();
+    let summary = merge(Extent::Whole, std::slice::from_ref(&db), &out).await.unwrap();
     assert_eq!((summary.trials, summary.read), (6, 1));
-    let refused = merge(std::slice::from_ref(&out), &db).await;
+    let refused = merge(Extent::Whole, std::slice::from_ref(&out), &db).await;
     assert!(matches!(refused, Err(MergeError::Store(StoreError::InUse { .. }))), "{refused:?}");
     let mut reader = Reader::open(&out).await.unwrap();
     let states = reader
@@ -377,7 +377,7 @@ async fn a_result_that_cannot_be_read_is_refused_and_left_as_it_is() {
         ("holed.sqlite", "malformed"),
         ("folder", "no file"),
     ] {
-        let refused = merge(&[at("a.sqlite")], &at(out)).await.unwrap_err();
+        let refused = merge(Extent::Whole, &[at("a.sqlite")], &at(out)).await.unwrap_err();
         let said = metasense::exit::chain(&refused);
         assert!(said.contains(why) && said.contains(out), "{out}: {said}");
         assert!(files(folder.path()) == before, "{out}: a file has changed");
@@ -500,7 +500,7 @@ async fn a_log_is_read_behind_a_link_and_in_a_folder_that_cannot_be_written() {
         }
         let before = files(folder.path());
         let out = at(&format!("out{round}"));
-        let summary = merge(std::slice::from_ref(&link), &out).await.unwrap();
+        let summary = merge(Extent::Whole, std::slice::from_ref(&link), &out).await.unwrap();
         assert!(summary.refused.is_empty(), "{:?}", summary.refused);
         assert_eq!(steps(&out).await, Some(2), "merged, {readonly}");
         std::fs::remove_file(&out).unwrap();
@@ -540,7 +540,7 @@ async fn what_an_input_does_not_hold_as_rows_is_not_copied() {
         sqlx::raw_sql(sqlx::AssertSqlSafe(sql.to_owned())).execute(&mut db).await.unwrap();
         db.close().await.unwrap();
         let out = at("out.sqlite");
-        let summary = merge(&[at("good.sqlite"), hostile.clone()], &out).await.unwrap();
+        let summary = merge(Extent::Whole, &[at("good.sqlite"), hostile.clone()], &out).await.unwrap();
         assert_eq!((summary.read, summary.refused.len()), (1, 1), "{i}: {:?}", summary.refused);
         assert!(summary.refused[0].1.contains("not a stored column"), "{:?}", summary.refused);
         assert!(out.metadata().unwrap().len() < 1_000_000);
@@ -553,7 +553,7 @@ async fn what_an_input_does_not_hold_as_rows_is_not_copied() {
         .await
         .unwrap();
     db.close().await.unwrap();
-    assert_eq!(merge(&[at("good.sqlite")], &at("out.sqlite")).await.unwrap().refused, []);
+    assert_eq!(merge(Extent::Whole, &[at("good.sqlite")], &at("out.sqlite")).await.unwrap().refused, []);
 }
 
 /// `gc` lists, and removes, what ended processes have left, and of a shard's copies those whose rows are all in the last one;
@@ -599,9 +599,10 @@ fn facts_are_all_that_a_whole_merge_says_but_for_steps_curves_and_arrays() {
     let at = |name: &str| folder.path().join(name);
     merged(pool(), &at("whole")).unwrap();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-    runtime.block_on(merge_facts(pool(), &at("facts"))).unwrap();
+    runtime.block_on(merge(Extent::Facts, pool(), &at("facts"))).unwrap();
     for (i, file) in pool().iter().enumerate().rev() {
-        let read = runtime.block_on(merge_facts(std::slice::from_ref(file), &at("stepwise"))).unwrap();
+        let read =
+            runtime.block_on(merge(Extent::Facts, std::slice::from_ref(file), &at("stepwise"))).unwrap();
         assert_eq!((read.read, read.known), (if i + 1 == pool().len() { 1 } else { 2 }, 0));
     }
     for sql in [
@@ -643,7 +644,7 @@ fn facts_are_all_that_a_whole_merge_says_but_for_steps_curves_and_arrays() {
     });
     assert!(matches!(facts, Err(StoreError::FactsAlone { .. })), "{facts:?}");
     assert!(matches!(merged(&pool()[..1], &at("facts")), Err(MergeError::Result { .. })));
-    let mixed = runtime.block_on(merge_facts(&pool()[..1], &at("whole")));
+    let mixed = runtime.block_on(merge(Extent::Facts, &pool()[..1], &at("whole")));
     assert!(matches!(mixed, Err(MergeError::NotFacts(_))), "{mixed:?}");
     assert_eq!(merged(&[at("facts"), pool()[0].clone()], &at("more")).unwrap().refused.len(), 1);
 }
@@ -698,13 +699,13 @@ async fn a_trial_that_is_cancelled_while_it_waits_is_so_in_the_result() {
     let [shard, out] = ["shard.sqlite", "out.sqlite"].map(|name| folder.path().join(name));
     let plan = plan("s");
     database(&shard, &plan, 1, &[(0, Life::Steps(2))]).await;
-    merge(std::slice::from_ref(&shard), &out).await.unwrap();
+    merge(Extent::Whole, std::slice::from_ref(&shard), &out).await.unwrap();
     let mut store = Store::open(&shard).await.unwrap();
     let waiting = &plan.trials[3];
     store.begin_sweep(&plan.spec, &plan.source.text, std::slice::from_ref(waiting)).await.unwrap();
     store.settle(&waiting.hash, "cancelled").await.unwrap();
     store.close().await.unwrap();
-    merge(std::slice::from_ref(&shard), &out).await.unwrap();
+    merge(Extent::Whole, std::slice::from_ref(&shard), &out).await.unwrap();
     let states = format!("SELECT state || ' ' || reason FROM trial WHERE hash = '{}'", waiting.hash);
     let mut reader = Reader::open(&out).await.unwrap();
     assert_eq!(reader.query::<metasense::look::Table>(&states).await.unwrap().rows, [["failed cancelled"]]);

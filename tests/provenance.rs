@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::common::{Bench, SPEC, TINY, results};
-use metasense::cluster::merge::merge;
+use metasense::cluster::merge::{Extent, merge};
 use metasense::plan::Plan;
 use metasense::provenance;
 use metasense::store::{Level, Store};
@@ -59,7 +59,7 @@ async fn what_other_code_has_made_is_told_and_made_again() {
     assert_eq!(found, format!("attempt,code,redone\n1,f00d,1\n2,{code},0\n1,{code},0\n"));
     assert!(!said(&bench, &status).contains("different code"));
     let out = bench.path("merged.sqlite");
-    let summary = merge(&[bench.path(old), bench.path(db)], &out).await.unwrap();
+    let summary = merge(Extent::Whole, &[bench.path(old), bench.path(db)], &out).await.unwrap();
     assert!(summary.findings.is_empty(), "{:?}", summary.findings);
     assert_eq!(bench.output(&["query", "merged.sqlite", attempts, "--format", "csv"]), found);
 }
@@ -147,7 +147,7 @@ async fn a_result_outlives_one_that_was_thrown_away_elsewhere() {
     store.close().await.unwrap();
     let expected = results(&bench, "a.sqlite");
     for (out, inputs) in [("ab.sqlite", [&a, &b]), ("ba.sqlite", [&b, &a])] {
-        merge(&inputs.map(Clone::clone), &bench.path(out)).await.unwrap();
+        merge(Extent::Whole, &inputs.map(Clone::clone), &bench.path(out)).await.unwrap();
         assert_eq!(results(&bench, out), expected);
     }
 }
@@ -233,7 +233,7 @@ async fn what_was_said_stays_with_the_trial() {
     store.log(hash, attempt, Level::Error, "non_finite: sample 3").await.unwrap();
     store.fail(hash, attempt, "non_finite").await.unwrap();
     store.close().await.unwrap();
-    merge(&[bench.path("s.sqlite")], &bench.path("merged.sqlite")).await.unwrap();
+    merge(Extent::Whole, &[bench.path("s.sqlite")], &bench.path("merged.sqlite")).await.unwrap();
     for db in ["s.sqlite", "merged.sqlite"] {
         let bounds = "SELECT count(*), max(length(text)), max(line) FROM v_log";
         let bounds = bench.output(&["query", db, bounds, "--format", "csv"]);

@@ -1,5 +1,6 @@
 //! The store keeps what it was given, once, and nothing of a stale attempt.
 
+use metasense::cluster::merge::{Extent, merge};
 use metasense::plan::Trial;
 use metasense::store::{Array, Reader, Store, StoreError, npy_bytes};
 use metasense_schemas::record::{
@@ -145,7 +146,7 @@ async fn a_trial_keeps_the_name_of_the_sweep_that_brought_it() {
         store.begin_sweep(&other, "text", &[trial(1), trial(2)]).await.unwrap();
     }
     store.close().await.unwrap();
-    metasense::cluster::merge::merge(std::slice::from_ref(&db), &merged).await.unwrap();
+    merge(Extent::Whole, std::slice::from_ref(&db), &merged).await.unwrap();
     // a third into the merged one
     let mut store = Store::open(&merged).await.unwrap();
     let third = SweepSpec { name: "third".into(), ..sweep() };

@@ -85,7 +85,26 @@ impl Source {
         }
         let (text, places) = merged(&layers, &own.file)?;
         let flat = Layer { file: own.file.clone(), text: text.clone() }.places(0)?;
-        Ok(Self { file: own.file, text, layers, places, flat })
+        let all = Self { file: own.file, text, layers, places, flat };
+        let changed = all.places.iter().filter(|place| place.layer < changes.len() && !place.is_table);
+        match changed.filter_map(|place| Some((place, all.set_by_sweep(place)?))).next() {
+            Some((place, remedy)) => Err(all.wrong(place, &remedy)),
+            None => Ok(all),
+        }
+    }
+
+    /// Why a key counts nowhere, if an axis gives its value to every trial, or each of the points does.
+    fn set_by_sweep(&self, place: &Place) -> Option<String> {
+        let axis = format!("sweep.\"{}\"", place.key);
+        if self.places.iter().any(|p| p.key == axis) {
+            return Some(format!("counts nowhere, as an axis has the values: {axis} = [ … ]"));
+        }
+        let sweep = toml::from_str::<Value>(&self.text).ok()?;
+        let points = sweep["sweep"]["points"].as_array().filter(|points| !points.is_empty())?;
+        points
+            .iter()
+            .all(|point| point.get(&place.key).is_some())
+            .then(|| "counts nowhere, as each of sweep.points gives it: change them".to_owned())
     }
 
     /// Reads the spec. Types and names are right afterwards; whether the values make sense is the plan's to say.
@@ -138,7 +157,11 @@ impl Source {
                 return Err(self.wrong(place, "an axis is a list of values"));
             }
         } else if !known.contains(key) {
-            return Err(self.error(key, &unknown(KnownKeys::nearest_of(key, known.paths()))));
+            let nearest = KnownKeys::nearest_of(key, known.paths());
+            let elsewhere =
+                || "unknown key; schemas/README.md lists those there are in such a file".to_owned();
+            let is_spec = nearest.is_some() || known.contains("sweep");
+            return Err(self.error(key, &if is_spec { unknown(nearest) } else { elsewhere() }));
         }
         match &place.not_finite {
             Some(number) => Err(self.wrong(place, &format!("{number} is no finite number"))),
@@ -166,9 +189,13 @@ impl Source {
         let missing = message.strip_prefix("missing field `").and_then(|m| m.strip_suffix('`'));
         match (missing, place) {
             (Some(field), place) => {
-                let table = place.map_or(String::new(), |p| format!("{}.", p.key));
-                let what = format!("{table}{field}: must be given, it has no default");
-                self.located(place, format!("{table}{field}"), what)
+                // serde names the key alone, at a place that may lie deeper than the table that lacks it
+                let key = place.map_or(field.to_owned(), |p| lacking(&p.key, field, known));
+                let table = key.rsplit_once('.').map_or("", |(table, _)| table);
+                let own = |p: &&Place| p.key == table;
+                let place = place.filter(own).or_else(|| self.places.iter().find(own));
+                let what = format!("{key}: must be given, it has no default");
+                self.located(place, key, what)
             }
             (None, Some(place)) => {
                 let mut remedy = known.in_words(&place.key, &message);
@@ -263,6 +290,20 @@ const POINTS: &str = "sweep.points.";
 /// Before those of an entry of `body.guides`, `body.panels`, `stimuli.mix` and of `evaluation.under`.
 const TABLES: [&str; 4] = ["body.guides.", "body.panels.", "stimuli.mix.", "evaluation.under."];
 const COUNTS: [&str; 2] = ["panels", "sensors"];
+
+/// The path of a key that is missing in a table, or in one around it.
+fn lacking(table: &str, field: &str, known: &KnownKeys) -> String {
+    let inside = |table: &str| format!("{table}.{field}");
+    let mut around = table;
+    while !known.contains(&inside(around)) {
+        match around.rsplit_once('.') {
+            Some((outer, _)) => around = outer,
+            None if known.contains(field) => return field.to_owned(),
+            None => return inside(table),
+        }
+    }
+    inside(around)
+}
 
 /// What to say of a key that nothing knows.
 fn unknown(nearest: Option<&str>) -> String {

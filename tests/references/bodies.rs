@@ -116,7 +116,7 @@ pub fn designs() -> String {
     let head = [
         "at most",
         "seed",
-        "CPU time (of the grid's)",
+        "CPU time until then (of the grid's)",
         "M, multiply-adds, units",
         "expected, kept to",
         "a cheaper class holds one",

@@ -15,7 +15,9 @@ use metasense_schemas::source::Source;
 use serde_json::Value;
 
 use super::brains::with;
-use super::rows::{Row, geometric, lines, number, of, one, percent, ratio, rows, seeds, short, with_interval};
+use super::rows::{
+    Row, geometric, lines, number, of, one, percent, ratio, rows, seeds, short, with_interval,
+};
 use super::table;
 
 /// The verdict of a brain on a claim: the ratio, or what the row says in words; of an open one the ratio that would have

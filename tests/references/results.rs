@@ -58,8 +58,8 @@ pub fn findings() -> String {
     format!(
         "{senses}\n\
          - **A body has to be trained for its casts.** One sensor, two forces, one linear decoder for all casts, median [90th \
-         percentile]: of a body that promises {} once trained as designed {} is left, of the untouched one {}. Trained over casts at the \
-         same cost it reads at {}, at three times the cost at {}, and calibrated on ten records of each cast at {} \
+         percentile]: of a body that promises {} once trained as designed {} is left, of the untouched one {}. Trained over casts on \
+         as many samples it reads at {}, in three times the steps at {}, and calibrated on ten records of each cast at {} \
          ([details](results/README.md#a-body-that-can-be-cast)).\n\
          - **A decoder with memory gains more than a trained body; both together gain most.** One sensor, two forces, error of the \
          initial → the trained body: {} with the paper's network, which sees 25 ms, and {} with a linear decoder of the whole second \
@@ -68,7 +68,7 @@ pub fn findings() -> String {
          on the untouched body, six at random {}; on a trained body the four have {} \
          ([details](results/README.md#where-the-sensors-are)).\n\
          - **Of {} claims of the paper {} hold with every decoder tried in our scenes, {} more with some or in part;** of the others {} \
-         fails with some, for the rest we see no effect, or cannot tell ([claim by claim](results/README.md#the-paper-claim-by-claim); [what our scenes \
+         fails, for the rest we see no effect, or cannot tell; of four judged apart two fail ([claim by claim](results/README.md#the-paper-claim-by-claim); [what our scenes \
          are](results/DEVIATIONS.md)). Nine tenths of the fall of a linear decoder's error are done once sensors have a channel a force: six forces need {with}, \
          {without} without gyroscopes ([details](results/README.md#how-many-sensors-k-forces-need)).",
         percent(left("nominal", "casts", ""), "designed"),

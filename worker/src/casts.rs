@@ -10,8 +10,7 @@ use crate::convert::cast_readings;
 use crate::run::{Failure, pool, with_design};
 
 /// What a trial has whose casts cannot be asked for.
-pub const NO_VARIATION: &str =
-    "no [variation] that says how casts scatter (one that reads none, evaluation.casts = 0, is without)";
+pub const NO_VARIATION: &str = "no [variation] that says how casts scatter (a trial keeps it only with an objective over casts or evaluation.casts above 0)";
 
 /// How `count` casts of a design are read by linear brains, those of the trial's own comparison first, or of another scatter.
 /// `progress` is told how many have been.

@@ -132,39 +132,15 @@ pub fn checkpoint(state: &State) -> Checkpoint {
     }
 }
 
-/// By what a cast is read, and fitted to how many samples of it.
-fn cast_brain(by: CastBrain) -> (&'static str, u32) {
-    match by {
-        CastBrain::Network => ("network", 0),
-        CastBrain::NetworkCasts => ("network_casts", 0),
-        CastBrain::Nominal => ("nominal", 0),
-        CastBrain::Casts => ("casts", 0),
-        CastBrain::Records(n) => ("records", n),
-        CastBrain::Inverse => ("inverse", 0),
-        CastBrain::TwinLinear(n) => ("twin_linear", n),
-        CastBrain::Twin(n) => ("twin", n),
-    }
-}
-
-/// The inverse of [`cast_brain`].
+/// A brain that reads a cast, by its name and how many samples it is fitted to.
 fn brain_of_cast(reader: &str, records: u32) -> Result<CastBrain, String> {
-    match reader {
-        "network" => Ok(CastBrain::Network),
-        "network_casts" => Ok(CastBrain::NetworkCasts),
-        "nominal" => Ok(CastBrain::Nominal),
-        "casts" => Ok(CastBrain::Casts),
-        "records" => Ok(CastBrain::Records(records)),
-        "inverse" => Ok(CastBrain::Inverse),
-        "twin_linear" => Ok(CastBrain::TwinLinear(records)),
-        "twin" => Ok(CastBrain::Twin(records)),
-        name => Err(format!("a cast that is read by {name:?}")),
-    }
+    CastBrain::named(reader, records).ok_or_else(|| format!("a cast that is read by {reader:?}"))
 }
 
 /// Bands of a body and its casts.
 pub fn bands(bands: &[nested::BandReading]) -> Vec<record::Band> {
     let band = |nested::BandReading { cast, band, width, coverage }: &nested::BandReading| {
-        let (reader, records) = cast.map_or(("own", 0), |(_, by)| cast_brain(by));
+        let (reader, records) = cast.map_or(("own", 0), |(_, by)| (by.name(), by.records().unwrap_or(0)));
         record::Band {
             reader: reader.into(),
             records,
@@ -208,15 +184,12 @@ fn banded(bands: &[record::Band]) -> Result<Vec<nested::BandReading>, String> {
 
 /// How casts of a body are read.
 pub fn cast_readings(casts: &[nested::CastReading]) -> Vec<CastReading> {
-    let reading = |reading: &nested::CastReading| {
-        let (reader, records) = cast_brain(reading.by);
-        CastReading {
-            cast: reading.cast,
-            reader: reader.into(),
-            records,
-            error: finite(reading.error),
-            outcome: reading.trouble.map_or("ok", |trouble| trouble.name()).into(),
-        }
+    let reading = |reading: &nested::CastReading| CastReading {
+        cast: reading.cast,
+        reader: reading.by.name().into(),
+        records: reading.by.records().unwrap_or(0),
+        error: finite(reading.error),
+        outcome: reading.trouble.map_or("ok", |trouble| trouble.name()).into(),
     };
     casts.iter().map(reading).collect()
 }

@@ -8,7 +8,6 @@ pub use metasense_numerics::feasible::{
     Active, Feasible, Kind, Limits, Projection, Stage, Status, Violation,
 };
 pub use metasense_numerics::random::{Purpose, Stream};
-use npyz::WriterBuilder;
 
 use crate::files;
 
@@ -67,7 +66,7 @@ pub fn read(path: &Path, layout: &Layout) -> Result<Vec<f64>, DesignError> {
 /// Where it is another ending.
 pub fn bytes(path: &Path, layout: &Layout, design: &[f64]) -> Result<Vec<u8>, DesignError> {
     match ending(path) {
-        Some("npy") => to_npy(design).map_err(|e| io("writing", path, e)),
+        Some("npy") => Ok(files::npy_bytes(&[design.len()], design)),
         Some("csv") => Ok(to_csv(layout, design).into_bytes()),
         _ => Err(DesignError::Ending { path: path.into() }),
     }
@@ -91,15 +90,6 @@ fn from_npy(bytes: &[u8], layout: &Layout) -> Result<Vec<f64>, String> {
         (count, wanted) if count == wanted => Ok(values),
         (count, wanted) => Err(format!("holds {count} numbers; α of this body has {wanted}")),
     }
-}
-
-fn to_npy(design: &[f64]) -> std::io::Result<Vec<u8>> {
-    let mut bytes = Vec::with_capacity(128 + size_of_val(design));
-    let options = npyz::WriteOptions::new().default_dtype().shape(&[design.len() as u64]);
-    let mut writer = options.writer(&mut bytes).begin_nd()?;
-    writer.extend(design.iter().copied())?;
-    writer.finish()?;
-    Ok(bytes)
 }
 
 fn to_csv(layout: &Layout, design: &[f64]) -> String {

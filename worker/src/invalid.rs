@@ -2,6 +2,8 @@
 
 use std::fmt::Display;
 
+use serde::Serialize;
+
 /// A value that no trial can be made of.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{key}{}{value}: {remedy}", if value.is_empty() { "" } else { " = " })]
@@ -16,6 +18,11 @@ pub struct Invalid {
 
 pub(crate) fn invalid(key: &str, value: impl Display, remedy: impl Into<String>) -> Invalid {
     Invalid { key: key.into(), value: value.to_string(), remedy: remedy.into() }
+}
+
+/// A value of several kinds, as it stands in a spec, but for maps.
+pub(crate) fn as_written(value: &impl Serialize) -> String {
+    serde_json::to_string(value).unwrap_or_default()
 }
 
 pub(crate) fn require(holds: bool, key: &str, value: impl Display, remedy: &str) -> Result<(), Invalid> {

@@ -24,7 +24,7 @@ mod optimise;
 mod stimuli;
 
 pub use crate::invalid::Invalid;
-use crate::invalid::{at_least, at_most, invalid, not_negative, positive, require};
+use crate::invalid::{as_written, at_least, at_most, invalid, not_negative, positive, require};
 pub use body::{
     check_units, clamp, clamped, driven, guided, held, initial_design, layout, panel_units, panels,
 };
@@ -415,7 +415,7 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> 
     let spec::Sensors { search, from, spacing, .. } = &trial.sensors;
     if matches!(search, None | Some(spec::Search::Random)) {
         let remedy = "is for sensors.search = \"greedy\"";
-        let shown = from.map_or(String::new(), |from| format!("{from:?}").to_lowercase());
+        let shown = from.map_or(String::new(), |from| as_written(&from));
         require(from.is_none(), "sensors.from", shown, remedy)?;
         require(spacing.is_none(), "sensors.spacing", spacing.unwrap_or_default(), remedy)?;
         return Ok(None);

@@ -2,6 +2,7 @@
 
 use metasense_numerics::Heartbeat;
 pub use metasense_numerics::Pool;
+pub use metasense_numerics::nested::Control;
 use metasense_numerics::nested::{self, Optimised, State};
 use metasense_numerics::place::{self, Placed};
 use metasense_numerics::trial::{self, Problem, Trial};
@@ -23,15 +24,6 @@ pub trait Observe {
     fn step(&mut self, record: StepRecord, checkpoint: Checkpoint) -> Control;
     /// What is needed to go on within the comparison at the end.
     fn save(&mut self, checkpoint: Checkpoint);
-}
-
-/// What an observer wants next.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Control {
-    /// More.
-    Continue,
-    /// No more.
-    Stop,
 }
 
 /// Why a trial has no result.
@@ -203,29 +195,22 @@ impl nested::Observe for Watch<'_> {
         cpu_seconds()
     }
 
-    fn progress(&mut self, _fraction: f64) -> nested::Control {
-        control(self.observer.progress())
+    fn progress(&mut self, _fraction: f64) -> Control {
+        self.observer.progress()
     }
 
-    fn step(&mut self, report: &nested::Report, state: &State) -> nested::Control {
+    fn step(&mut self, report: &nested::Report, state: &State) -> Control {
         let mut record = convert::step_record(report);
         record.seconds.store = self.store;
         let checkpoint = convert::checkpoint(state);
         let before = cpu_seconds();
         let control = self.observer.step(record, checkpoint);
         self.store = cpu_seconds() - before;
-        self::control(control)
+        control
     }
 
     fn save(&mut self, state: &State) {
         self.observer.save(convert::checkpoint(state));
-    }
-}
-
-fn control(control: Control) -> nested::Control {
-    match control {
-        Control::Continue => nested::Control::Continue,
-        Control::Stop => nested::Control::Stop,
     }
 }
 

@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use metasense::cli::Error;
 use metasense::cluster::Shard;
-use metasense::cluster::merge::{merge, merge_facts};
+use metasense::cluster::merge::{Extent, merge};
 use metasense::exit::Exit;
 use metasense::print_line;
 use metasense::store::Store;
@@ -61,7 +61,8 @@ async fn measure(args: &Args, folder: &Path) -> Result<Exit, Error> {
     let out = folder.join("merged.sqlite");
     let began = Instant::now();
     let shards = std::slice::from_ref(&shards);
-    let summary = if args.facts { merge_facts(shards, &out).await? } else { merge(shards, &out).await? };
+    let extent = if args.facts { Extent::Facts } else { Extent::Whole };
+    let summary = merge(extent, shards, &out).await?;
     let seconds = began.elapsed().as_secs_f64();
     let resident = crate::peak_mib();
     let status = if args.facts { Some(asked(&["status", &out.to_string_lossy()])?) } else { None };

@@ -292,8 +292,8 @@ fn kneedle(levels: &[Level]) -> Option<f64> {
     let step = 1.0 / (levels.len() - 1) as f64;
     let mut candidate: Option<usize> = None;
     for i in 1..levels.len() {
-        let rises_to = below[i] > below[i - 1] && (i + 1 == levels.len() || below[i] >= below[i + 1]);
-        if rises_to && i + 1 < levels.len() && candidate.is_none_or(|c| below[i] > below[c]) {
+        let peaks = i + 1 < levels.len() && below[i] > below[i - 1] && below[i] >= below[i + 1];
+        if peaks && candidate.is_none_or(|c| below[i] > below[c]) {
             candidate = Some(i);
         }
         if let Some(c) = candidate

@@ -65,8 +65,9 @@ impl Level<'_> {
         (!errors.is_empty()).then(|| geometric_mean(&errors))
     }
 
-    /// Error with sensors at random over that with sensors placed, a seed: what placing buys on a body.
-    pub fn by_placing(&self, body: Body, set: Set) -> Option<Ratio> {
+    /// Error with sensors at random over that with sensors placed, a seed: what placing buys on the initial body.
+    pub fn by_placing(&self, set: Set) -> Option<Ratio> {
+        let body = Body::Initial;
         let [random, searched] = &self.trials;
         let ratio = |t: &&Trial| {
             let own = |r: &&&Trial| r.cluster.seed == t.cluster.seed;

@@ -3,7 +3,7 @@
 use clap::ValueEnum;
 use serde_json::{Value, json};
 
-use super::brains::reads;
+use super::brains::{Read, reads};
 use super::casts;
 use super::data::{
     BRAINS, COMPLEXITY, FREEDOM, Group, Level, Observation, SENSORS, TRAINING, apart, groups,
@@ -192,11 +192,16 @@ fn by_curve(columns: &str, (groups, at): Curves, rows: impl Fn(&[Observation]) -
 fn brains_table(trials: &[&Trial]) -> Table {
     let mut rows = Vec::new();
     for group in groups(trials, BRAINS) {
-        for read in reads(&group.trials) {
+        let found = reads(&group.trials);
+        let what = |read: &Read| (read.trained_with.clone(), read.by.clone(), read.errors);
+        // a trial whose own brain is linear has that as one of its memories, too
+        let twice =
+            |read: &&Read| !read.own && found.iter().any(|other| other.own && what(other) == what(read));
+        for read in found.iter().filter(|read| !twice(read)) {
             let [before, after] = read.memory.map(|s| (1e6 * s).round() / 1e6);
             let [initial, optimised] = read.errors;
             let names = row![group.label, read.trained_with, read.by, before, after, initial, optimised];
-            rows.push([names, ratio_cells(read.ratio)].concat());
+            rows.push([names, ratio_cells(read.ratio.clone())].concat());
         }
     }
     let columns = "setting trained_with read_by before after initial optimised trials improved ratio low \
@@ -432,7 +437,7 @@ fn placed_table(trials: &[&Trial]) -> Table {
         for (set, level) in Set::ALL.into_iter().flat_map(|set| found.levels.iter().map(move |l| (set, l))) {
             let ways = [false, true].into_iter().flat_map(|s| Body::ALL.map(|body| (s, body)));
             let errors = ways.map(|(searched, body)| json!(level.error(searched, body, set))).collect();
-            let [placing, training] = [level.by_placing(Body::Initial, set), level.by_training(set)];
+            let [placing, training] = [level.by_placing(set), level.by_training(set)];
             let [placing_cells, training_cells] = [&placing, &training].map(|r| interval_cells(r.as_ref()));
             let names = row![found.label, set.name(), level.sensors];
             let over = row![training.map(|r| r.over)];

@@ -1,5 +1,7 @@
 //! A finished trial as the analysis sees it.
 
+pub use metasense_worker::CastBrain;
+
 use super::setting::Setting;
 
 /// Initial or optimised body.
@@ -67,66 +69,6 @@ pub struct Reading {
     pub whole: bool,
     /// Error (%) by body and set.
     pub errors: [[Option<f64>; 2]; 2],
-}
-
-/// A brain that reads casts of a body.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum CastBrain {
-    /// The trial's network, trained on the body as designed.
-    Network,
-    /// A network trained on other casts.
-    NetworkCasts,
-    /// A linear one, fitted to the body as designed.
-    Nominal,
-    /// A linear one, fitted to other casts.
-    Casts,
-    /// A linear one, fitted anew to so many samples of each cast.
-    Records(u64),
-    /// An inverse one, by the model of the design.
-    Inverse,
-    /// A linear one, fitted to a twin calibrated on so many samples of each cast.
-    TwinLinear(u64),
-    /// An inverse one, by that twin.
-    Twin(u64),
-}
-
-impl CastBrain {
-    /// Its name in the database.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Network => "network",
-            Self::NetworkCasts => "network_casts",
-            Self::Nominal => "nominal",
-            Self::Casts => "casts",
-            Self::Records(_) => "records",
-            Self::Inverse => "inverse",
-            Self::TwinLinear(_) => "twin_linear",
-            Self::Twin(_) => "twin",
-        }
-    }
-
-    /// How many samples of a cast it is fitted to, or its twin.
-    pub fn records(self) -> Option<u64> {
-        match self {
-            Self::Records(records) | Self::TwinLinear(records) | Self::Twin(records) => Some(records),
-            _ => None,
-        }
-    }
-
-    /// By its name in the database and the samples that it is fitted to.
-    pub fn named(name: &str, records: u64) -> Option<Self> {
-        Some(match name {
-            "network" => Self::Network,
-            "network_casts" => Self::NetworkCasts,
-            "nominal" => Self::Nominal,
-            "casts" => Self::Casts,
-            "records" => Self::Records(records),
-            "inverse" => Self::Inverse,
-            "twin_linear" => Self::TwinLinear(records),
-            "twin" => Self::Twin(records),
-            _ => return None,
-        })
-    }
 }
 
 /// How a brain reads the casts of a trial's body.

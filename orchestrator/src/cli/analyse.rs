@@ -87,10 +87,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 async fn compare(first: &Path, second: &Path, format: Format) -> Result<Exit, Error> {
-    let [a, b] = [
-        finished_trials(&mut Reader::open(Database::at(first).await?).await?).await?,
-        finished_trials(&mut Reader::open(Database::at(second).await?).await?).await?,
-    ];
+    let trials = async |path: &Path| {
+        let db = Database::at(path).await?;
+        Reader::asked(db, async |reader| Ok::<_, Error>(finished_trials(reader).await?)).await
+    };
+    let (a, b) = (trials(first).await?, trials(second).await?);
     let found = Comparison::new(&a, &b);
     let shown = |value: Option<&Value>| value.map_or("none".to_owned(), Value::to_string);
     for (path, [a, b]) in &found.differs {

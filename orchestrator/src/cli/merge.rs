@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::{Error, Format, print_rows};
-use crate::cluster::merge::{Kind, Summary, merge, merge_facts};
+use crate::cluster::merge::{Extent, Kind, Summary, merge};
 use crate::cluster::ranges;
 use crate::cluster::state::never_begun;
 use crate::exit::Exit;
@@ -39,10 +39,8 @@ impl Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let summary = match args.facts {
-        false => merge(&args.files, &args.out).await?,
-        true => merge_facts(&args.files, &args.out).await?,
-    };
+    let extent = if args.facts { Extent::Facts } else { Extent::Whole };
+    let summary = merge(extent, &args.files, &args.out).await?;
     if !summary.findings.is_empty() {
         print_rows(&table(&summary), args.format)?;
     }

@@ -22,7 +22,7 @@ pub(super) struct Spec {
     /// The spec file (TOML), for instance schemas/sweeps/quickstart.toml
     #[arg(value_name = "SPEC")]
     pub file: PathBuf,
-    /// Values in place of the spec's, as it would have them: optimise.iterations=20 brain.kind=linear 'sweep.seeds=[1, 2]'
+    /// Values in place of the spec's, as it would have them: optimise.iterations=20 sensors.noise=0.03 'sweep.seeds=[1, 2]'
     #[arg(value_name = "KEY=VALUE")]
     pub changes: Vec<String>,
 }
@@ -30,7 +30,14 @@ pub(super) struct Spec {
 impl Spec {
     /// The spec with its changes.
     pub fn source(&self) -> Result<Source, Error> {
-        let text = std::fs::read_to_string(&self.file).map_err(Error::unreadable(&self.file))?;
+        let text = std::fs::read(&self.file).map_err(Error::unreadable(&self.file))?;
+        if text.starts_with(b"SQLite format 3") {
+            let remedy = "is a database; SPEC is the .toml file of a sweep (metasense query DB \"SELECT spec FROM sweeps\")";
+            return Err(Error::Usage(format!("{} {remedy}", self.file.display())));
+        }
+        let text = String::from_utf8(text).map_err(|e| {
+            Error::unreadable(&self.file)(std::io::Error::new(std::io::ErrorKind::InvalidData, e))
+        })?;
         Ok(Source::spec(&self.file, text, &self.changes)?)
     }
 

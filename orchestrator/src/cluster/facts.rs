@@ -8,7 +8,7 @@ use rustix::fs::{Access, access};
 use tempfile::TempDir;
 
 use super::home::attempts;
-use super::merge::{MergeError, merge_facts};
+use super::merge::{Extent, MergeError, merge};
 use crate::leftovers;
 use crate::store::ask_unchanging;
 
@@ -80,7 +80,7 @@ impl Facts {
 
     async fn add(&self, files: &[PathBuf]) -> Result<Refused, MergeError> {
         // Of it nothing is lost: all is in the shards.
-        let summary = match merge_facts(files, &self.db).await {
+        let summary = match merge(Extent::Facts, files, &self.db).await {
             Err(MergeError::Result { .. } | MergeError::NotFacts(_)) => self.anew(files).await?,
             Ok(_) if self.points_nowhere().await => self.anew(files).await?,
             summary => summary?,
@@ -91,7 +91,7 @@ impl Facts {
     async fn anew(&self, files: &[PathBuf]) -> Result<super::merge::Summary, MergeError> {
         let removed = std::fs::remove_file(&self.db);
         removed.map_err(|source| MergeError::Unwritable { path: self.db.clone(), source })?;
-        merge_facts(files, &self.db).await
+        merge(Extent::Facts, files, &self.db).await
     }
 
     /// Whether a trial's file is gone, as a shard removes copies that a later one contains.

@@ -17,7 +17,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use rustix::process::{Signal, getpid, kill_process};
 
 use super::Shard;
-use super::merge::{self, MergeError};
+use super::merge::{self, Extent, MergeError};
 use crate::files;
 use crate::store::{self, StoreError};
 
@@ -170,14 +170,14 @@ impl Home {
         if earlier.is_empty() && !self.live.exists() {
             return Ok(None);
         }
-        let (merged, aside) = match merge::merge(&earlier, &self.live).await {
+        let (merged, aside) = match merge::merge(Extent::Whole, &earlier, &self.live).await {
             Err(MergeError::Result { source, .. }) if self.is_damage(&source) => {
                 let aside = self.set_aside()?;
                 (
                     if earlier.is_empty() {
                         return Ok(Some(aside));
                     } else {
-                        merge::merge(&earlier, &self.live).await
+                        merge::merge(Extent::Whole, &earlier, &self.live).await
                     },
                     Some(aside),
                 )

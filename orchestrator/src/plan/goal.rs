@@ -252,8 +252,8 @@ fn reader(goal: &Goal, trial: &TrialSpec) -> Result<Option<CastBrain>, &'static 
             return Err("an inverse brain knows no other casts: must be \"design\" or { records = 10 }");
         }
         (GoalReader::Named(GoalReaderName::Casts), _) => CastBrain::NetworkCasts,
-        (GoalReader::Calibrated(of), BrainKind::Linear) => CastBrain::Records(of.records.into()),
-        (GoalReader::Calibrated(of), BrainKind::Inverse) => CastBrain::Twin(of.records.into()),
+        (GoalReader::Calibrated(of), BrainKind::Linear) => CastBrain::Records(of.records),
+        (GoalReader::Calibrated(of), BrainKind::Inverse) => CastBrain::Twin(of.records),
         (GoalReader::Calibrated(_), _) => {
             return Err("a network is not fitted to records of a cast: must be \"design\" or \"casts\"");
         }

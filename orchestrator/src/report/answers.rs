@@ -122,7 +122,7 @@ fn long(trials: &[&Trial]) -> Option<Answer> {
 fn placing(found: &Placed) -> Option<Answer> {
     let level = found.levels.last()?;
     let set = Set::Holdout;
-    let [by_placing, by_training] = [level.by_placing(Body::Initial, set)?, level.by_training(set)?];
+    let [by_placing, by_training] = [level.by_placing(set)?, level.by_training(set)?];
     let error = |searched, body| level.error(searched, body, set).map(number);
     let needed = |searched, body| {
         let of = |error| found.needed(searched, body, set, error).to_string();

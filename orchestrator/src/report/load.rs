@@ -300,8 +300,8 @@ impl Loader<'_> {
             quantile(0.9)
         );
         self.each(&sql, |trial, row| {
-            let named =
-                body_named(row.text("body")).zip(CastBrain::named(row.text("reader"), row.count("records")));
+            let named = body_named(row.text("body"))
+                .zip(CastBrain::named(row.text("reader"), row.count("records") as u32));
             let errors = [row.number("median"), row.number("most")];
             if let (Some((body, by)), [Some(median), Some(most)]) = (named, errors) {
                 let (casts, failed) = (row.count("count"), row.count("failed"));

@@ -5,6 +5,7 @@ use metasense_schemas::spec::{Channel, TrialSpec};
 use metasense_worker::evaluate::Evaluated;
 use metasense_worker::inverse::Posterior;
 
+use super::casts::CLASSES;
 use super::strips::{Curve, Errors, Strip, dots, histories, representative, strips};
 use crate::analysis::Interval;
 use crate::analysis::numbers::mean;
@@ -45,9 +46,6 @@ pub struct Comparison {
     /// An entry a body and kind of signals: those of measured signals first.
     pub judged: Vec<Judged>,
 }
-
-/// Styles of lines and dots, by body.
-const CLASSES: [&str; 5] = ["initial", "optimised", "front", "fourth", "fifth"];
 
 fn class(body: usize) -> &'static str {
     CLASSES[body.min(CLASSES.len() - 1)]

@@ -5,12 +5,11 @@ use std::collections::HashMap;
 use metasense_schemas::source::SpecError;
 use metasense_schemas::spec::{GoalReader, GoalReaderName, TrialSpec};
 use metasense_worker::FAILED;
-use serde_json::Value;
 
 use super::Sweep;
 use crate::analysis::goal::{Candidate, Class, Decision, LEVELS, Search, Stage, most_fresh};
 use crate::analysis::setting::flatten;
-use crate::look::{Answer, Axis, Figure, Picture, Plot, Scale, Table, legend, number};
+use crate::look::{Answer, Axis, Figure, Picture, Plot, Scale, Table, legend, number, row};
 use crate::plan::goal::{Place, Space, on_fresh_seeds, rungs};
 use crate::plan::{Plan, Trial, cost, counted};
 use crate::store::{Reader, Standing, StoreError};
@@ -185,44 +184,29 @@ impl Sought {
     /// How all classes of equal cost stand.
     pub fn table(&self) -> Table {
         let Self { space, decision, .. } = self;
-        let columns = [
-            "M",
-            "operations",
-            "units",
-            "error",
-            "keeps_to",
-            "meets",
-            "any_meets",
-            "stage",
-            "begun",
-            "candidates",
-            "chosen",
-            "setting",
-            "hash",
-        ];
-        let row = |class: &Class| -> Vec<Value> {
+        let row_of = |class: &Class| {
             let place = &space.places[class.best];
             let trial = self.trial(class);
-            vec![
-                trial.spec.point.sensors.into(),
-                place.demands.map(|d| d.operations).into(),
-                trial.units.into(),
-                class.error[0].into(),
-                class.error[1].into(),
-                class.meets.into(),
-                class.any.into(),
-                said(class.stage).into(),
-                class.candidates[1].into(),
-                class.candidates[0].into(),
-                (decision.chosen == Some(class.best)).into(),
-                setting(space, &trial.spec).into(),
-                trial.hash.clone().into(),
+            row![
+                trial.spec.point.sensors,
+                place.demands.map(|d| d.operations),
+                trial.units,
+                class.error[0],
+                class.error[1],
+                class.meets,
+                class.any,
+                said(class.stage),
+                class.candidates[1],
+                class.candidates[0],
+                decision.chosen == Some(class.best),
+                setting(space, &trial.spec),
+                trial.hash,
             ]
         };
-        Table {
-            columns: columns.iter().map(|name| (*name).to_owned()).collect(),
-            rows: self.classes.iter().map(row).collect(),
-        }
+        Table::new(
+            "M operations units error keeps_to meets any_meets stage begun candidates chosen setting hash",
+            self.classes.iter().map(row_of),
+        )
     }
 }
 
@@ -350,7 +334,7 @@ impl Known {
 
 /// The error that counts of what is stored of a trial (%).
 fn error(space: &Space, place: &Place, standing: &Standing) -> Option<f64> {
-    let reader = place.reader.map(|by| (by.name().to_owned(), by.records().unwrap_or(0) as u32));
+    let reader = place.reader.map(|by| (by.name().to_owned(), by.records().unwrap_or(0)));
     let error = standing.error(reader.as_ref().zip(space.goal.quantile));
     error.filter(|e| e.is_finite() && *e > 0.0)
 }

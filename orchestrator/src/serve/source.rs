@@ -172,7 +172,7 @@ impl Watcher {
             }
             let checked = Instant::now();
             if let Err(trouble) = self.look(&publish).await {
-                self.reader = None;
+                self.let_go().await;
                 if self.seen.trouble.as_ref() != Some(&trouble) {
                     self.seen.trouble = Some(trouble);
                     self.seen.generation += 1;
@@ -182,9 +182,15 @@ impl Watcher {
             self.seen.checked = Some(checked);
             publish.send_replace(Arc::new(self.seen.clone()));
         }
-        if let Some((reader, _)) = self.reader {
+        self.let_go().await;
+    }
+
+    /// Closes the file, and forgets its trials: another may lie there next time.
+    async fn let_go(&mut self) {
+        if let Some((reader, _)) = self.reader.take() {
             reader.close().await;
         }
+        self.keeper = Keeper::default();
     }
 
     async fn look(&mut self, publish: &watch::Sender<Arc<Seen>>) -> Result<(), String> {
@@ -201,10 +207,7 @@ impl Watcher {
         };
         let number = db.metadata().map(|m| m.ino()).map_err(|e| format!("{}: {e}", db.display()))?;
         if self.reader.as_ref().is_none_or(|(_, known)| *known != number) {
-            if let Some((old, _)) = self.reader.take() {
-                old.close().await;
-                self.keeper = Keeper::default();
-            }
+            self.let_go().await;
             self.reader = Some((Reader::open(&db).await.map_err(|e| chain(&e))?, number));
             self.version = -1;
             self.looks.begin(&db).await;

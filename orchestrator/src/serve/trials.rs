@@ -217,7 +217,8 @@ impl Keeper {
 }
 
 /// What a trial does not say where it is so.
-const USUAL: [(&str, &str); 2] = [("brain.kind", "cnn"), ("optimise.objective", "nominal")];
+const USUAL: [(&str, &str); 3] =
+    [("sensors.search", "random"), ("brain.kind", "cnn"), ("optimise.objective", "nominal")];
 
 /// A condition on a key.
 #[derive(Debug, Clone, PartialEq)]

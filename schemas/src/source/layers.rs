@@ -73,7 +73,9 @@ impl Layer {
         match found {
             Some(_) if key == BASE => Err(wrong("a base is named in the spec")),
             Some(layer) => Ok(layer),
-            None => Err(wrong("must be KEY=VALUE, for instance optimise.iterations=20 or brain.kind=linear")),
+            None => Err(wrong(
+                "must be KEY=VALUE, the value as in a spec, for instance optimise.iterations=20 or sensors.search=greedy",
+            )),
         }
     }
 

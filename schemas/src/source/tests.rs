@@ -172,7 +172,7 @@ fn changed(changes: &[&str]) -> Result<(SweepSpec, Source), String> {
 #[test]
 fn changes_are_as_if_written() {
     for (change, from, to) in [
-        ("body.columns=7", "columns = 6", "columns = 7"),
+        ("body.spacing=16.0", "spacing = 15.0", "spacing = 16.0"),
         ("body.stiffness.bend = 2.5e-1", "bend = 1.0", "bend = 0.25"),
         ("stimuli.kind=irregular", "kind = \"bell\"", "kind = \"irregular\""),
         ("stimuli.kind=\"irregular\"", "kind = \"bell\"", "kind = \"irregular\""),
@@ -220,7 +220,14 @@ fn errors_of_changes_name_them() {
         (&["body.rows=1", "body.rows=six"], "command line: body.rows = \"six\": must be a whole number"),
         (&["body.spacing=nan"], "command line: body.spacing = nan: nan is no finite number"),
         (&["sweep.body.column=[7]"], "command line: sweep.\"body.column\" = [7]: unknown key; the nearest"),
-        (&["body.rows"], "command line: body.rows: must be KEY=VALUE, for instance optimise.iterations=20"),
+        (
+            &["body.columns=7"],
+            "command line: body.columns = 7: counts nowhere, as an axis has the values: sweep.\"body.columns\" = [ … ]",
+        ),
+        (
+            &["body.rows"],
+            "command line: body.rows: must be KEY=VALUE, the value as in a spec, for instance optimise",
+        ),
         (&["body.rows="], "command line: body.rows=: must be KEY=VALUE"),
         (&["=3"], "command line: =3: must be KEY=VALUE"),
         (&["base=b.toml"], "command line: base=b.toml: a base is named in the spec"),

@@ -245,6 +245,7 @@ impl Objective {
         match self {
             Self::Named(ObjectiveName::Nominal) => None,
             Self::Tail(Tail { cvar: 0.0 }) => Some(Self::Named(ObjectiveName::Mean)),
+            Self::Tail(Tail { cvar: 1.0 }) => Some(Self::Named(ObjectiveName::Worst)),
             other => Some(other),
         }
     }
@@ -428,7 +429,7 @@ pub enum Schedule {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Evaluation {
-    /// Fresh networks trained for each body; their errors differ by tens of per cent. A linear brain is solved for once.
+    /// How many fresh networks are trained for each body; their errors differ by tens of per cent. A linear brain is solved for once.
     /// Default: 3.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seeds: Option<usize>,

@@ -98,8 +98,8 @@ pub struct Sensors {
     /// Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub placements: Option<Vec<Vec<usize>>>,
-    /// How the `sweep.placements` placements are chosen. Of a search placement 1 is the best; placement n is the best that
-    /// contains the n-th best single unit. Default: `"random"`.
+    /// How the `sweep.placements` placements are chosen. Of a search placement 0 is the best, 1 the best that contains
+    /// the second-best single unit, 2 that with the third-best. Default: `"random"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub search: Option<Search>,
     /// Units that a search may choose. Default: `"interior"`.

@@ -7,7 +7,7 @@ use metasense_numerics::variation::Variation;
 use metasense_schemas::spec::{self, Scatter, TrialSpec};
 
 use super::body::lengths;
-use crate::invalid::{Invalid, at_least, at_most, invalid, require};
+use crate::invalid::{Invalid, as_written, at_least, at_most, invalid, require};
 
 /// Largest standard deviation of a logarithm: one cast in three hundred is then off by a factor of twenty.
 const DEVIATION_MAX: f64 = 1.0;
@@ -120,7 +120,7 @@ fn deviations<Parts: Copy + Into<[f64; 2]>>(
 pub(super) fn casting(trial: &TrialSpec) -> Result<Option<Casting>, Invalid> {
     let spec::Optimise { objective, casts, reader, protocol, .. } = trial.optimise.clone().resolved();
     let Some(tail) = objective.and_then(spec::Objective::tail) else { return Ok(None) };
-    let shown = serde_json::to_string(&objective).unwrap_or_default();
+    let shown = as_written(&objective);
     let parts = trial.stimuli.mix.as_ref().filter(|_| trial.variation.is_none()).map(Vec::len);
     if trial.variation.is_none() && parts.is_none() {
         let remedy = "needs a [variation] that says how casts scatter, or a mixture of stimuli";
@@ -128,7 +128,7 @@ pub(super) fn casting(trial: &TrialSpec) -> Result<Option<Casting>, Invalid> {
     }
     let remedy = "means nothing to this optimise.protocol, only to joint";
     require(protocol == spec::Protocol::Joint, "optimise.objective", shown, remedy)?;
-    let remedy = "must be at least 0 and less than 1";
+    let remedy = "must lie between 0 and 1";
     require((0.0..=1.0).contains(&tail), "optimise.objective.cvar", 1.0 - tail, remedy)?;
     let casts = casts.unwrap_or(1);
     at_least("optimise.casts", casts, 1)?;

@@ -7,7 +7,7 @@ use metasense_numerics::trial::{Going, Protocol, Terms};
 use metasense_schemas::spec::{self, TrialSpec};
 
 use super::{check_units, held, kept};
-use crate::invalid::{Invalid, at_least, invalid, not_negative, positive, require};
+use crate::invalid::{Invalid, as_written, at_least, invalid, not_negative, positive, require};
 
 /// How body and brain are trained together.
 pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
@@ -42,22 +42,17 @@ pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
             "envelope, joint, random and cmaes",
         )?;
     } else {
-        let name = |terms| match terms {
-            spec::GradientTerms::Implicit => "implicit".into(),
-            spec::GradientTerms::Direct => "direct".into(),
-            spec::GradientTerms::ImplicitOnly => "implicit_only".into(),
-        };
-        unread("optimise.gradient", gradient.map(name), "paper")?;
+        unread("optimise.gradient", gradient.map(|terms| as_written(&terms)), "paper")?;
     }
     let implicit = paper && gradient != Some(spec::GradientTerms::Direct);
     if !implicit {
         let reader = "paper with optimise.gradient = \"implicit\" or \"implicit_only\"";
-        unread("optimise.curvature", curvature.map(|c| format!("{c:?}").to_lowercase()), reader)?;
+        unread("optimise.curvature", curvature.map(|c| as_written(&c)), reader)?;
         unread("optimise.damping", damping.map(|d| d.to_string()), reader)?;
     }
     if !matches!(protocol, spec::Protocol::Envelope | spec::Protocol::Joint) {
         unread("optimise.batch", batch.map(|n| n.to_string()), "envelope and joint")?;
-        unread("optimise.coarse", coarse.map(|solver| format!("{solver:?}")), "envelope and joint")?;
+        unread("optimise.coarse", coarse.map(|solver| as_written(&solver)), "envelope and joint")?;
     }
     let resolved = optimise.clone().resolved();
     // what a protocol does not read stays open, and does not matter
@@ -124,8 +119,7 @@ pub fn castable(
     kept: &[usize],
 ) -> Result<Feasible, Invalid> {
     let (tie, frozen) = (tie(optimise)?, frozen(optimise, layout)?);
-    let still = [&frozen[..], kept].concat();
-    Ok(Feasible::new(layout, limits, &still).tied(&Freedom::of(layout, tie, &frozen, kept)))
+    Ok(Feasible::moving(layout, limits, tie, &frozen, kept))
 }
 
 /// What stands for the Hessian's inverse.

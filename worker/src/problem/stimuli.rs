@@ -8,7 +8,7 @@ use metasense_schemas::spec::{self, StimuliKind, TrialSpec};
 
 use super::INSTANTS_MAX;
 use super::body::lengths;
-use crate::invalid::{Invalid, at_least, at_most, invalid, not_negative, require};
+use crate::invalid::{Invalid, as_written, at_least, at_most, invalid, not_negative, require};
 use crate::records;
 
 /// Where the forces of a trial come from, and how many samples there are.
@@ -25,7 +25,7 @@ pub(super) fn stimuli(trial: &TrialSpec) -> Result<Stimuli, Invalid> {
         test < samples,
         "stimuli.test",
         test,
-        "must be less than stimuli.samples: the rest trains the brain",
+        &format!("must be less than stimuli.samples = {samples}: the rest trains the brain"),
     )?;
     at_least("stimuli.holdout", holdout, 1)?;
     let instants = force_instants(trial)?;
@@ -36,8 +36,8 @@ pub(super) fn stimuli(trial: &TrialSpec) -> Result<Stimuli, Invalid> {
 fn source(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result<Source, Invalid> {
     refuse_unread(stimuli)?;
     let source = match (stimuli.kind, &stimuli.recorded) {
-        (StimuliKind::Bell, _) => Source::Bell(bell(stimuli)?),
-        (StimuliKind::Irregular, _) => Source::Irregular(irregular(stimuli)?),
+        (StimuliKind::Bell, _) => Source::Bell(bell(trial, stimuli)?),
+        (StimuliKind::Irregular, _) => Source::Irregular(irregular(trial, stimuli)?),
         (StimuliKind::Recorded, Some(recorded)) => {
             Source::Recorded(records::recorded(trial, recorded, instants)?)
         }
@@ -221,12 +221,14 @@ fn interval(
     Ok([least, most])
 }
 
-fn bell(stimuli: &spec::Stimuli) -> Result<Bell, Invalid> {
+fn bell(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Bell, Invalid> {
     let (above, any) = (f64::MIN_POSITIVE, f64::INFINITY);
+    let duration = trial.time.duration;
+    let within = format!("must end within the sample, at time.duration = {duration} s, or before");
     let bell = Bell {
         amplitude: interval("amplitude", stimuli.amplitude, 0.0, any, "must not be negative")?,
         width: interval("width", stimuli.width, above, any, "must be above 0")?,
-        onset: interval("onset", stimuli.onset, -any, any, "")?,
+        onset: interval("onset", stimuli.onset, -any, duration, &within)?,
         peak: interval("peak", stimuli.peak, above, 1.0 - f64::EPSILON, "must lie between 0 and 1")?,
         power: interval("power", stimuli.power, above, any, "must be above 0")?,
     };
@@ -235,12 +237,12 @@ fn bell(stimuli: &spec::Stimuli) -> Result<Bell, Invalid> {
     Ok(bell)
 }
 
-fn irregular(stimuli: &spec::Stimuli) -> Result<Irregular, Invalid> {
+fn irregular(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Irregular, Invalid> {
     let double = stimuli.double.unwrap_or_default();
     require((0.0..=1.0).contains(&double), "stimuli.double", double, "must lie between 0 and 1")?;
     let not_negative = |key, given| interval(key, given, 0.0, f64::INFINITY, "must not be negative");
     Ok(Irregular {
-        bell: bell(stimuli)?,
+        bell: bell(trial, stimuli)?,
         roughness: not_negative("roughness", stimuli.roughness)?,
         double,
         gap: not_negative("gap", stimuli.gap)?,
@@ -251,10 +253,9 @@ fn irregular(stimuli: &spec::Stimuli) -> Result<Irregular, Invalid> {
 /// Which signals of each sensor are read.
 pub(super) fn channels(sensors: &spec::Sensors) -> Result<Vec<usize>, Invalid> {
     let read = sensors.read();
-    let shown = || serde_json::to_string(read).unwrap_or_default();
     let remedy = "must name some of \"ax\", \"ay\", \"omega\", each once";
     let once = read.windows(2).all(|pair| pair[0] < pair[1]);
-    require(once && !read.is_empty(), "sensors.channels", shown(), remedy)?;
+    require(once && !read.is_empty(), "sensors.channels", as_written(&read), remedy)?;
     Ok(read.iter().map(|&channel| channel as usize).collect())
 }
 

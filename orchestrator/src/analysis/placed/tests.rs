@@ -45,7 +45,7 @@ fn placing_and_training_are_told_apart() {
         let error = level.error(searched, body, Set::Holdout).unwrap();
         assert!((error / (expected * seeds) - 1.0).abs() < 1e-12, "{error}");
     }
-    let placing = level.by_placing(Body::Initial, Set::Holdout).unwrap();
+    let placing = level.by_placing(Set::Holdout).unwrap();
     let training = level.by_training(Set::Holdout).unwrap();
     assert!((placing.ratio - 2.5).abs() < 1e-12 && (training.ratio - 4.0).abs() < 1e-12);
     assert!(training.interval.is_some() && training.over == "4 seeds", "{training:?}");

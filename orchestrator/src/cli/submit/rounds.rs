@@ -12,7 +12,7 @@ use super::{Args, Program, deal, how, note_here, prepare, print, submit_shards};
 use crate::cli::run::{self, Runs};
 use crate::cli::{Error, Format, design};
 use crate::cluster::home::attempts;
-use crate::cluster::merge::{Kind, merge};
+use crate::cluster::merge::{Extent, Kind, merge};
 use crate::cluster::places::{self, Place};
 use crate::cluster::queue::{self, Job, Notes, QueueError};
 use crate::cluster::submit::Submission;
@@ -177,7 +177,7 @@ impl Shards<'_> {
         if attempts(folder).is_empty() {
             return Ok(());
         }
-        let summary = merge(std::slice::from_ref(folder), out).await?;
+        let summary = merge(Extent::Whole, std::slice::from_ref(folder), out).await?;
         for (file, why) in &summary.refused {
             say!("refused: {}: {why}", file.display());
         }

@@ -121,23 +121,12 @@ fn first(refused: &[(PathBuf, String)]) -> String {
     refused.first().map_or(String::new(), |(path, why)| format!("; {}: {why}", path.display()))
 }
 
-/// Merges `files` into `out`, which is one of them if it exists. While it is made, no run and no other merge has it.
+/// Merges `files` into `out`, which is one of them if it exists, whole or the facts of trials alone, of which the last file that
+/// holds a trial counts. While it is made, no run and no other merge has it.
 ///
 /// # Errors
-/// If the result is in use, cannot be written, holds what cannot be read or facts alone, or nothing can be read.
-pub async fn merge(files: &[PathBuf], out: &Path) -> Result<Summary, MergeError> {
-    merge_as(Extent::Whole, files, out).await
-}
-
-/// The same with the facts of trials alone. What a result is made of may change: the last file that holds a trial counts.
-///
-/// # Errors
-/// The same, or if the result holds whole trials.
-pub async fn merge_facts(files: &[PathBuf], out: &Path) -> Result<Summary, MergeError> {
-    merge_as(Extent::Facts, files, out).await
-}
-
-async fn merge_as(extent: Extent, files: &[PathBuf], out: &Path) -> Result<Summary, MergeError> {
+/// If the result is in use, cannot be written, holds what cannot be read or another extent, or nothing can be read.
+pub async fn merge(extent: Extent, files: &[PathBuf], out: &Path) -> Result<Summary, MergeError> {
     let out = &store::real(out);
     let unwritable = |source| MergeError::Unwritable { path: out.to_owned(), source };
     let folder = files::folder(out);

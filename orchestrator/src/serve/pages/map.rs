@@ -69,10 +69,10 @@ pub async fn page(
     framed(&served, &at, "map", "Sweep map", Some(seen.generation), &content)
 }
 
-/// What of a cell's brains a filter can name.
+/// What of a cell's placing and brains a filter can name.
 fn alike(row: &Row) -> String {
     let said = |path| Some(row.cell(path)).filter(|v| !v.is_null()).map(|v| format!(" {path}={}", plain(&v)));
-    ["brain.kind", "optimise.brain", "optimise.objective", "optimise.objective.cvar"]
+    ["sensors.search", "brain.kind", "optimise.brain", "optimise.objective", "optimise.objective.cvar"]
         .into_iter()
         .filter_map(said)
         .collect()

@@ -39,17 +39,17 @@ pub async fn page(
         "" => None,
         sql => Some(answer(&served, &at, sql, PAGE).await),
     };
-    let shown = match &answer {
+    let shown = match answer {
         None => html! {},
         Some(Err(Refusal::Asked(why))) => html! { p class="trouble" role="alert" { (why) } },
-        Some(Err(refusal)) => return Err(Refusal::Asked(format!("{refusal:?}"))),
+        Some(Err(refusal)) => return Err(refusal),
         Some(Ok((table, cut))) => html! {
             p role="status" {
                 (table.rows.len()) " rows" @if let Some(why) = cut { "; not all: " (why) } ". As a file: "
                 a href=(format!("sql.csv{}", query(&[("q", &asked.q)]))) download="answer.csv" { "CSV" } " "
                 a href=(format!("sql.parquet{}", query(&[("q", &asked.q)]))) download="answer.parquet" { "Parquet" }
             }
-            (plot(&asked, table))
+            (plot(&asked, &table))
             div class="cells" { (table.linked(None, trial_links(&at))) }
         },
     };

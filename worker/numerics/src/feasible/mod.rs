@@ -86,12 +86,18 @@ impl Feasible {
         }
     }
 
-    /// The same designs where shifts move together: targets and previous designs are to be of one and the same initial
-    /// design and [`Freedom`], so are the answers, but for rounding.
-    #[must_use]
-    pub fn tied(mut self, freedom: &Freedom) -> Self {
-        self.leader = freedom.is_tied().then(|| freedom.leaders().to_vec());
-        self
+    /// The designs that can be cast and had: where shifts are tied by blocks of `tie` cells, units `frozen`, or `kept`. Targets and
+    /// previous designs are to be of one and the same initial design and [`Freedom`], so are the answers, but for rounding.
+    pub fn moving(
+        layout: &Layout,
+        limits: Limits,
+        tie: [usize; 2],
+        frozen: &[usize],
+        kept: &[usize],
+    ) -> Self {
+        let freedom = Freedom::of(layout, tie, frozen, kept);
+        let leader = freedom.is_tied().then(|| freedom.leaders().to_vec());
+        Self { leader, ..Self::new(layout, limits, &[frozen, kept].concat()) }
     }
 
     /// Every constraint that `design` breaks, unit by unit; empty: it can be cast. Independent of the projection.

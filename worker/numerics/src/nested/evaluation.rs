@@ -60,8 +60,8 @@ pub struct CastReading {
     pub trouble: Option<Trouble>,
 }
 
-/// A brain that reads a cast.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// A brain that reads a cast. In the order of tables: networks, linear ones, then what a cast is calibrated for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum CastBrain {
     /// The first network of the comparison, trained on the body as designed.
     Network,
@@ -79,6 +79,45 @@ pub enum CastBrain {
     TwinLinear(u32),
     /// An inverse brain by that twin.
     Twin(u32),
+}
+
+impl CastBrain {
+    /// Its name in records and the database.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Network => "network",
+            Self::NetworkCasts => "network_casts",
+            Self::Nominal => "nominal",
+            Self::Casts => "casts",
+            Self::Records(_) => "records",
+            Self::Inverse => "inverse",
+            Self::TwinLinear(_) => "twin_linear",
+            Self::Twin(_) => "twin",
+        }
+    }
+
+    /// How many samples of a cast it is fitted to, or its twin.
+    pub fn records(self) -> Option<u32> {
+        match self {
+            Self::Records(records) | Self::TwinLinear(records) | Self::Twin(records) => Some(records),
+            _ => None,
+        }
+    }
+
+    /// By its name in the database and the samples that it is fitted to.
+    pub fn named(name: &str, records: u32) -> Option<Self> {
+        Some(match name {
+            "network" => Self::Network,
+            "network_casts" => Self::NetworkCasts,
+            "nominal" => Self::Nominal,
+            "casts" => Self::Casts,
+            "records" => Self::Records(records),
+            "inverse" => Self::Inverse,
+            "twin_linear" => Self::TwinLinear(records),
+            "twin" => Self::Twin(records),
+            _ => return None,
+        })
+    }
 }
 
 /// A band about what a brain says, and how much of the holdout lies in it.

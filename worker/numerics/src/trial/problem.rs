@@ -95,8 +95,7 @@ impl Problem {
 
     /// The designs that can be cast and had.
     pub fn castable(&self) -> Feasible {
-        let still = [&self.frozen[..], &self.kept].concat();
-        Feasible::new(&self.scene.layout, self.limits, &still).tied(&self.freedom())
+        Feasible::moving(&self.scene.layout, self.limits, self.tie, &self.frozen, &self.kept)
     }
 
     /// Of the network on the scene's clock, sensors and panels.
