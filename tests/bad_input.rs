@@ -144,8 +144,8 @@ const EDITS: &[(&str, &str, &str)] = &[
     ("test = 4", "test = 0", "s.toml:12: stimuli.test = 0: "),
     (
         "test = 4\n",
-        "test = 4\nonset = [0.5, 1.5]\n",
-        "s.toml:13: stimuli.onset = [0.5, 1.5]: must end within the sample, at time.duration = 1 s, or before",
+        "test = 4\nonset = [2, 3]\n",
+        "s.toml:13: stimuli.onset = [2, 3]: must begin before the sample ends, at time.duration = 1 s",
     ),
     (
         "[sweep]\n",

@@ -32,7 +32,7 @@ impl Spec {
     pub fn source(&self) -> Result<Source, Error> {
         let text = std::fs::read(&self.file).map_err(Error::unreadable(&self.file))?;
         if text.starts_with(b"SQLite format 3") {
-            let remedy = "is a database; SPEC is the .toml file of a sweep (metasense query DB \"SELECT spec FROM sweeps\")";
+            let remedy = "is a database; SPEC is the .toml file of a sweep (metasense query DB \"SELECT text FROM sweep\")";
             return Err(Error::Usage(format!("{} {remedy}", self.file.display())));
         }
         let text = String::from_utf8(text).map_err(|e| {

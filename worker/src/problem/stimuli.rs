@@ -223,16 +223,17 @@ fn interval(
 
 fn bell(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Bell, Invalid> {
     let (above, any) = (f64::MIN_POSITIVE, f64::INFINITY);
-    let duration = trial.time.duration;
-    let within = format!("must end within the sample, at time.duration = {duration} s, or before");
     let bell = Bell {
         amplitude: interval("amplitude", stimuli.amplitude, 0.0, any, "must not be negative")?,
         width: interval("width", stimuli.width, above, any, "must be above 0")?,
-        onset: interval("onset", stimuli.onset, -any, duration, &within)?,
+        onset: interval("onset", stimuli.onset, -any, any, "")?,
         peak: interval("peak", stimuli.peak, above, 1.0 - f64::EPSILON, "must lie between 0 and 1")?,
         power: interval("power", stimuli.power, above, any, "must be above 0")?,
     };
     let shown = format!("{:?}", bell.amplitude);
+    let (duration, [first, last]) = (trial.time.duration, bell.onset);
+    let remedy = format!("must begin before the sample ends, at time.duration = {duration} s");
+    require(first < duration, "stimuli.onset", format!("[{first}, {last}]"), &remedy)?;
     require(bell.amplitude[1] > 0.0, "stimuli.amplitude", shown, "must allow forces above 0")?;
     Ok(bell)
 }
