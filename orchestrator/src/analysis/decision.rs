@@ -85,7 +85,7 @@ pub fn decide(observations: &[Observation], terms: Terms) -> Option<Decisions> {
     let means = |weights: &[f64]| -> Vec<(f64, f64)> {
         at.iter().zip(grid.means(weights)).filter_map(|(m, mean)| Some((*m, mean?))).collect()
     };
-    let all = means(&vec![1.0; clusters.len()]);
+    let all = means(&units.even());
     // of a sweep on its way a replicate may draw units without some M
     let replicates = units.replicates(|weights| Some(means(&weights)).filter(|of| of.len() == at.len()));
     let decision = |rule: &dyn Fn(&Means) -> f64| {

@@ -130,7 +130,7 @@ pub fn elbow(observations: &[Observation], height: Height) -> Result<Elbow, TooF
     let levels = levels(observations);
     let resampling = Resampling::new(&clusters);
     let curve = Curve::new(&grid, clusters.len(), height);
-    let even = vec![1.0; clusters.len()];
+    let even = resampling.even();
     let broken_stick = curve.broken_stick(&even, SMOOTH);
     let replicates = resampling.replicates(|weights| Some(curve.broken_stick(&weights, SMOOTH)));
     let share = |place: Option<f64>| {

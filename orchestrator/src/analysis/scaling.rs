@@ -113,9 +113,9 @@ pub fn scaling(observations: &[Observation]) -> Result<Scaling, TooFew> {
     let reference = geometric_mean(&at);
     let clusters = clusters(observations);
     let sums = Sums::new(&Grid::new(observations, &clusters));
-    let all = vec![1.0; clusters.len()];
-    let (law, squares) = fit(&sums, &all, reference, None).expect("as many values of N as it takes");
     let units = Resampling::new(&clusters);
+    let all = units.even();
+    let (law, squares) = fit(&sums, &all, reference, None).expect("as many values of N as it takes");
     let laws = units.jackknife(|weights| Some(fit(&sums, weights, reference, Some(&law))?.0));
     let of = |pick: fn(&Law) -> f64| laws.as_ref().and_then(|laws| laws.interval(pick));
     let freedom = observations.len().saturating_sub(3).max(1);
@@ -165,7 +165,7 @@ fn held_out(
         let law = fit(&smaller, weights, all.reference, Some(all))?.0;
         Some([law.at(most).ln(), here.means(weights)[0]?.ln()])
     };
-    let [predicted, observed] = logs(&vec![1.0; clusters.len()])?.map(f64::exp);
+    let [predicted, observed] = logs(&units.even())?.map(f64::exp);
     let interval = units.jackknife(logs).and_then(|j| j.interval(|[p, o]| p - o));
     Some(HeldOut { at: most, predicted, observed, interval: interval.map(|i| i.map(f64::exp)) })
 }

@@ -32,8 +32,8 @@ pub fn fewer(initial: &[Observation], optimised: &[Observation]) -> Option<Fewer
         let first = means.filter_map(|(m, mean)| Some((*m, mean?))).find(|&(_, e)| e < bar);
         Some((bar, first))
     };
-    let (initial_error, first) = find(&vec![1.0; clusters.len()])?;
     let units = Resampling::new(&clusters);
+    let (initial_error, first) = find(&units.even())?;
     let replicates = units.replicates(|weights| find(&weights).map(|(_, first)| first.map(|(m, _)| m)));
     let share = first.filter(|_| !replicates.is_empty()).map(|(m, _)| {
         replicates.iter().filter(|r| r.is_some_and(|r| r <= m)).count() as f64 / replicates.len() as f64

@@ -37,6 +37,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let mut plan = args.spec.plan()?;
     if let Some(shard) = args.shard {
         let assignment = match &args.folder {
+            Some(folder) if !folder.is_dir() => {
+                return Err(Error::Usage(format!("--folder {}: there is no such folder", folder.display())));
+            }
             Some(folder) => Assignment::in_folder(folder, &plan.trials, shard.count())?,
             None => Assignment::new(&plan.trials, shard.count()),
         };

@@ -129,7 +129,7 @@ pub enum StoreError {
         hash: String,
     },
     /// The beginning of a hash that names no trial, or several.
-    #[error("{}: {which}", path.display())]
+    #[error("{}: {which} (metasense query {} \"SELECT hash FROM v_trial\")", path.display(), path.display())]
     NotOne {
         /// The file.
         path: PathBuf,
