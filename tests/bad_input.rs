@@ -143,6 +143,16 @@ const EDITS: &[(&str, &str, &str)] = &[
     ),
     ("test = 4", "test = 0", "s.toml:12: stimuli.test = 0: "),
     (
+        "[sweep]\n",
+        "[[evaluation.under]]\nkind = \"bell\"\n[[evaluation.under]]\namplitude = [0.1, 0.2]\n[sweep]\n",
+        "evaluation.under.kind: must be given, it has no default",
+    ),
+    (
+        "test = 4\n",
+        "test = 4\nonset = [-5, -4]\n",
+        "s.toml:13: stimuli.onset = [-5, -4]: must leave some of the widest pulse in the sample",
+    ),
+    (
         "test = 4\n",
         "test = 4\nonset = [2, 3]\n",
         "s.toml:13: stimuli.onset = [2, 3]: must begin before the sample ends, at time.duration = 1 s",
@@ -150,7 +160,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "[sweep]\n",
         "[[evaluation.under]]\nkind = \"bell\"\n[[evaluation.under]]\nkind = \"bell\"\n[sweep]\n",
-        "evaluation.under = [bell, bell]: must name kinds other than mix, and each once",
+        "evaluation.under = [\"bell\", \"bell\"]: must name kinds other than mix, and each once",
     ),
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
@@ -191,7 +201,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
         "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n[[stimuli.mix]]\nweight = 1.0\nkind = \"bell\"\n",
-        "s.toml:13: stimuli.mix = [bell]: must be two tables [[stimuli.mix]] or more",
+        "s.toml:13: stimuli.mix = [\"bell\"]: must be two tables [[stimuli.mix]] or more",
     ),
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
@@ -206,7 +216,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
         "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n[[stimuli.mix]]\nweight = 0.5\nkind = \"bell\"\n[[stimuli.mix]]\nweight = 0.5\nkind = \"mix\"\n",
-        "s.toml:13: stimuli.mix = [bell, mix]: must not hold a mixture",
+        "s.toml:13: stimuli.mix = [\"bell\", \"mix\"]: must not hold a mixture",
     ),
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
@@ -476,7 +486,7 @@ const TABLES: &[(&str, &str)] = &[
     ),
     (
         "[sensors]\nchannels = [\"ax\", \"ax\"]",
-        "s.toml:14: sensors.channels = [\"ax\",\"ax\"]: must name some of",
+        "s.toml:14: sensors.channels = [\"ax\", \"ax\"]: must name some of",
     ),
     (
         "[sensors]\nchannels = [\"az\"]",

@@ -87,23 +87,33 @@ impl Source {
         let flat = Layer { file: own.file.clone(), text: text.clone() }.places(0)?;
         let all = Self { file: own.file, text, layers, places, flat };
         let changed = all.places.iter().filter(|place| place.layer < changes.len() && !place.is_table);
-        match changed.filter_map(|place| Some((place, all.set_by_sweep(place)?))).next() {
-            Some((place, remedy)) => Err(all.wrong(place, &remedy)),
-            None => Ok(all),
+        for place in changed {
+            if let Some(remedy) = all.set_by_sweep(&place.key) {
+                return Err(all.wrong(place, &remedy));
+            }
         }
+        Ok(all)
     }
 
-    /// Why a key counts nowhere, if an axis gives its value to every trial, or each of the points does.
-    fn set_by_sweep(&self, place: &Place) -> Option<String> {
-        let axis = format!("sweep.\"{}\"", place.key);
-        if self.places.iter().any(|p| p.key == axis) {
-            return Some(format!("counts nowhere, as an axis has the values: {axis} = [ … ]"));
+    /// Why a key counts nowhere, if an axis gives it to every trial, or each of the points does: it, a table around it, or a part.
+    fn set_by_sweep(&self, key: &str) -> Option<String> {
+        let within =
+            |inner: &str, outer: &str| inner.strip_prefix(outer).is_some_and(|rest| rest.starts_with('.'));
+        let sets = |name: &str| name == key || within(key, name) || within(name, key);
+        let axis = |p: &&Place| {
+            p.key.strip_prefix("sweep.\"").and_then(|name| name.strip_suffix('"')).is_some_and(sets)
+        };
+        if let Some(axis) = self.places.iter().find(axis) {
+            return Some(format!("counts nowhere, as an axis has the values: {} = [ … ]", axis.key));
         }
         let sweep = toml::from_str::<Value>(&self.text).ok()?;
-        let points = sweep["sweep"]["points"].as_array().filter(|points| !points.is_empty())?;
+        let points =
+            sweep["sweep"]["points"].as_array().filter(|points| !points.is_empty() && key.contains('.'))?;
+        let given =
+            |point: &Value| point.as_object().is_some_and(|point| point.keys().any(|name| sets(name)));
         points
             .iter()
-            .all(|point| point.get(&place.key).is_some())
+            .all(given)
             .then(|| "counts nowhere, as each of sweep.points gives it: change them".to_owned())
     }
 
@@ -189,7 +199,10 @@ impl Source {
         let missing = message.strip_prefix("missing field `").and_then(|m| m.strip_suffix('`'));
         match (missing, place) {
             (Some(field), place) => {
-                // serde names the key alone, at a place that may lie deeper than the table that lacks it
+                // serde names the key alone, at a place that may lie deeper than the table that lacks it, or, in a list of
+                // tables, behind the first
+                let before = || self.places.iter().rfind(|p| self.flat.is_empty() && p.at <= span.start);
+                let place = place.or_else(before);
                 let key = place.map_or(field.to_owned(), |p| lacking(&p.key, field, known));
                 let table = key.rsplit_once('.').map_or("", |(table, _)| table);
                 let own = |p: &&Place| p.key == table;

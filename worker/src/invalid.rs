@@ -20,9 +20,9 @@ pub(crate) fn invalid(key: &str, value: impl Display, remedy: impl Into<String>)
     Invalid { key: key.into(), value: value.to_string(), remedy: remedy.into() }
 }
 
-/// A value of several kinds, as it stands in a spec, but for maps.
+/// A value as a spec has it; none as nothing.
 pub(crate) fn as_written(value: &impl Serialize) -> String {
-    serde_json::to_string(value).unwrap_or_default()
+    toml::Value::try_from(value).map_or(String::new(), |value| value.to_string())
 }
 
 pub(crate) fn require(holds: bool, key: &str, value: impl Display, remedy: &str) -> Result<(), Invalid> {

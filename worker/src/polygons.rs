@@ -59,7 +59,7 @@ fn of_archive(held: &Content) -> Result<Polygons, String> {
         [0, 1].map(|d| centroids.values[2 * u + d] + nodes.values[2 * (u * of_each + p) + d])
     };
     let end = |number: f64| {
-        // what is no number of a node names one that is not there, which is refused
+        // no whole number: out of range, refused below
         let number = if number >= 0.0 && number.fract() == 0.0 { number as usize } else { usize::MAX };
         [number / of_each, number % of_each]
     };

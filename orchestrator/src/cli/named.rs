@@ -30,14 +30,13 @@ pub(super) struct Spec {
 impl Spec {
     /// The spec with its changes.
     pub fn source(&self) -> Result<Source, Error> {
-        let text = std::fs::read(&self.file).map_err(Error::unreadable(&self.file))?;
-        if text.starts_with(b"SQLite format 3") {
-            let remedy = "is a database; SPEC is the .toml file of a sweep (metasense query DB \"SELECT text FROM sweep\")";
-            return Err(Error::Usage(format!("{} {remedy}", self.file.display())));
+        if files::is_database(&self.file) {
+            let file = self.file.display();
+            return Err(Error::Usage(format!(
+                "{file} is a database; SPEC is the .toml file of a sweep (metasense query {file} \"SELECT text FROM sweep\")"
+            )));
         }
-        let text = String::from_utf8(text).map_err(|e| {
-            Error::unreadable(&self.file)(std::io::Error::new(std::io::ErrorKind::InvalidData, e))
-        })?;
+        let text = std::fs::read_to_string(&self.file).map_err(Error::unreadable(&self.file))?;
         Ok(Source::spec(&self.file, text, &self.changes)?)
     }
 

@@ -129,7 +129,7 @@ pub enum StoreError {
         hash: String,
     },
     /// The beginning of a hash that names no trial, or several.
-    #[error("{}: {which} (metasense query {} \"SELECT hash FROM v_trial\")", path.display(), path.display())]
+    #[error("{}: {which}", path.display())]
     NotOne {
         /// The file.
         path: PathBuf,

@@ -221,6 +221,17 @@ fn errors_of_changes_name_them() {
         (&["body.spacing=nan"], "command line: body.spacing = nan: nan is no finite number"),
         (&["sweep.body.column=[7]"], "command line: sweep.\"body.column\" = [7]: unknown key; the nearest"),
         (
+            &["body.stiffness.bend=5", "sweep.body.stiffness=[{ stretch = 1.0, shear = 1.0, bend = 1.0 }]"],
+            "command line: body.stiffness.bend = 5: counts nowhere, as an axis has the values: sweep.\"body.stiffness\"",
+        ),
+        (
+            &[
+                "brain.kind=cnn",
+                "sweep.points=[{ \"brain.kind\" = \"linear\" }, { \"brain.kind\" = \"cnn\" }]",
+            ],
+            "command line: brain.kind = \"cnn\": counts nowhere, as each of sweep.points gives it",
+        ),
+        (
             &["body.columns=7"],
             "command line: body.columns = 7: counts nowhere, as an axis has the values: sweep.\"body.columns\" = [ … ]",
         ),

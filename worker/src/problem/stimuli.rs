@@ -79,7 +79,7 @@ const ROUNDING: f64 = 1e-6;
 fn mix(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result<Vec<(f64, Source)>, Invalid> {
     let (key, parts) = ("stimuli.mix", stimuli.mix.as_deref().unwrap_or_default());
     let kinds: Vec<StimuliKind> = parts.iter().map(|part| part.kind).collect();
-    let kinds = format!("{kinds:?}").to_lowercase();
+    let kinds = as_written(&kinds);
     require(
         parts.len() > 1,
         key,
@@ -141,7 +141,7 @@ fn read_under(trial: &TrialSpec) -> impl Iterator<Item = &spec::Part> {
 /// The same as forces.
 pub(super) fn under(trial: &TrialSpec) -> Result<Vec<Source>, Invalid> {
     let (key, kinds) = ("evaluation.under", read_under(trial).map(|part| part.kind).collect::<Vec<_>>());
-    let shown = format!("{kinds:?}").to_lowercase();
+    let shown = as_written(&kinds);
     for (n, part) in read_under(trial).enumerate() {
         let sound = part.kind != StimuliKind::Mix && !kinds[..n].contains(&part.kind);
         require(sound, key, &shown, "must name kinds other than mix, and each once")?;
@@ -234,6 +234,8 @@ fn bell(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Bell, Invalid> {
     let (duration, [first, last]) = (trial.time.duration, bell.onset);
     let remedy = format!("must begin before the sample ends, at time.duration = {duration} s");
     require(first < duration, "stimuli.onset", format!("[{first}, {last}]"), &remedy)?;
+    let remedy = "must leave some of the widest pulse in the sample, which begins at 0 s";
+    require(last + bell.width[1] > 0.0, "stimuli.onset", format!("[{first}, {last}]"), remedy)?;
     require(bell.amplitude[1] > 0.0, "stimuli.amplitude", shown, "must allow forces above 0")?;
     Ok(bell)
 }

@@ -121,8 +121,8 @@ fn first(refused: &[(PathBuf, String)]) -> String {
     refused.first().map_or(String::new(), |(path, why)| format!("; {}: {why}", path.display()))
 }
 
-/// Merges `files` into `out`, which is one of them if it exists, whole or the facts of trials alone, of which the last file that
-/// holds a trial counts. While it is made, no run and no other merge has it.
+/// Merges `files` into `out`, which is one of them if it exists. While it is made, no run and no other merge has it. Of facts, the
+/// last file that holds a trial counts.
 ///
 /// # Errors
 /// If the result is in use, cannot be written, holds what cannot be read or another extent, or nothing can be read.

@@ -60,7 +60,7 @@ pub struct CastReading {
     pub trouble: Option<Trouble>,
 }
 
-/// A brain that reads a cast. In the order of tables: networks, linear ones, then what a cast is calibrated for.
+/// A brain that reads a cast. In the order of tables, in which what is calibrated for a cast comes after what is not, of a kind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum CastBrain {
     /// The first network of the comparison, trained on the body as designed.
