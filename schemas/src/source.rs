@@ -168,10 +168,12 @@ impl Source {
             }
         } else if !known.contains(key) {
             let nearest = KnownKeys::nearest_of(key, known.paths());
-            let elsewhere =
-                || "unknown key; schemas/README.md lists those there are in such a file".to_owned();
-            let is_spec = nearest.is_some() || known.contains("sweep");
-            return Err(self.error(key, &if is_spec { unknown(nearest) } else { elsewhere() }));
+            let all = || known.paths().collect::<Vec<_>>().join(", ");
+            let remedy = match known.contains("sweep") || nearest.is_some() {
+                true => unknown(nearest),
+                false => format!("unknown key; those there are here: {}", all()),
+            };
+            return Err(self.error(key, &remedy));
         }
         match &place.not_finite {
             Some(number) => Err(self.wrong(place, &format!("{number} is no finite number"))),
