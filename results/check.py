@@ -665,11 +665,13 @@ def designs():
         yield cells, found
 
 
-def of_protocol(name, folder, networks):
-    def better(**of):
-        tested = rows(f"{folder}/samples.csv", **of)
-        return f"{sum(a > b for a, b in zip(numbers(tested, 'error_initial'), numbers(tested, 'error_optimised')))} of {len(tested)}"
+def better(folder, **of):
+    """Of test samples, how many the network on the trained body reads better."""
+    tested = rows(f"{folder}/samples.csv", **of)
+    return f"{sum(a > b for a, b in zip(numbers(tested, 'error_initial'), numbers(tested, 'error_optimised')))} of {len(tested)}"
 
+
+def of_protocol(name, folder, networks):
     times = []  # a row a seed: initial over trained error of each network and set; initial over trained iterations
     *seeds, last = table(name)
     for seed, *cells in seeds:
@@ -680,7 +682,7 @@ def of_protocol(name, folder, networks):
                                         for body in ("initial", "optimised"))
                 of_seed.append(initial / trained)
                 found.append(f"{short(initial)} → {short(trained)} %, {short(of_seed[-1])}")
-        found.append(better(seed=seed))
+        found.append(better(folder, seed=seed))
         for value in ("loss", "error_holdout"):
             curves = [[(int(row["iteration"]), float(row[value])) for row in rows(f"{folder}/curves.csv", seed=seed, body=body)]
                       for body in ("initial", "optimised")]
@@ -691,7 +693,7 @@ def of_protocol(name, folder, networks):
         times.append(of_seed)
         yield cells, found
     *errors, loss, holdout = (with_interval(ratios) for ratios in zip(*times))
-    yield last[1:], [*errors, better(), loss, holdout]
+    yield last[1:], [*errors, better(folder), loss, holdout]
 
 
 def paper_protocol():
@@ -715,10 +717,8 @@ def paper_protocol_four_forces():
     sets = ("error_test", "error_holdout")
     for m, *cells in lines:
         both = [pairs(m, m, error) for error in sets]
-        tested = rows("fig4b/samples.csv", sensors=m)
-        better = sum(a > b for a, b in zip(numbers(tested, "error_initial"), numbers(tested, "error_optimised")))
         ends = (f"{short(geometric(a))} → {short(geometric(b))} %, {times(of)}" for of in both for a, b in [zip(*of)])
-        yield cells, [str(len(both[0])), *ends, f"{better} of {len(tested)}"]
+        yield cells, [str(len(both[0])), *ends, better("fig4b", sensors=m)]
     few = [pairs("6", "2", error) for error in sets]
     yield last[1:], [str(len(few[0])), *map(times, few), ""]
 
