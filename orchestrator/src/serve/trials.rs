@@ -42,6 +42,8 @@ FROM trial t";
 const AT_ONCE: usize = 500;
 /// Values of a key that are offered to choose from.
 const MOST_VALUES: usize = 12;
+/// What the state of a trial can be.
+const STATES: [&str; 4] = ["pending", "running", "done", "failed"];
 
 /// A trial.
 #[derive(Debug, Clone)]
@@ -299,13 +301,19 @@ impl Trials {
         self.all_comparable(&terms).map(|()| terms)
     }
 
-    /// A number is not compared with what is none: `M<3,5` would hold of anything.
+    /// A number is not compared with what is none: `M<3,5` would hold of anything. A state is one that there is.
     fn all_comparable(&self, terms: &[Term]) -> Result<(), String> {
         let numeric = |key: &str| {
             let cells = self.rows.iter().map(|row| row.cell(key)).filter(|cell| !cell.is_null());
             let cells: Vec<Value> = cells.collect();
             !cells.is_empty() && cells.iter().all(Value::is_number)
         };
+        let equals = |term: &&Term| ["=", "!="].contains(&term.relation);
+        if let Some(Term { value, .. }) =
+            terms.iter().find(|t| t.key == "state" && equals(t) && !STATES.contains(&t.value.as_str()))
+        {
+            return Err(format!("no trial can be `{value}`: state is {}", STATES.join(", ")));
+        }
         let wrong = |term: &&Term| {
             term.relation != "~" && term.number.is_none() && !term.value.is_empty() && numeric(&term.key)
         };

@@ -4,27 +4,21 @@
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum NotOne {
     /// No hash begins so.
-    #[error("trial {text}: no trial begins so{}", nearest.as_ref().map_or(String::new(), |n| format!("; the nearest is {n}")))]
+    #[error("trial {text}: no trial begins so; {near}")]
     None {
         /// What was asked for.
         text: String,
-        /// The hash most like it, if one is.
-        nearest: Option<String>,
+        /// The hash most like it, or else those there are.
+        near: String,
     },
     /// More than one hash begins so.
-    #[error("trial {text}: several trials begin so: {}{}", shown.join(", "), more(*count - shown.len()))]
+    #[error("trial {text}: several trials begin so: {those}")]
     Several {
         /// What was asked for.
         text: String,
-        /// The first of them.
-        shown: Vec<String>,
-        /// How many there are.
-        count: usize,
+        /// The first of them, and how many more there are.
+        those: String,
     },
-}
-
-fn more(count: usize) -> String {
-    if count > 0 { format!(" and {count} more") } else { String::new() }
 }
 
 /// Candidates that a message lists.
@@ -40,12 +34,27 @@ pub fn position_of<'a>(text: &str, hashes: impl Iterator<Item = &'a str> + Clone
     let mut found = hashes.clone().enumerate().filter(|(_, hash)| hash.starts_with(text));
     match (found.next(), found.next()) {
         (Some((at, _)), None) => Ok(at),
-        (None, _) => Err(NotOne::None { text: text.to_owned(), nearest: nearest(text, hashes) }),
-        (Some(first), Some(second)) => {
-            let count = 2 + found.clone().count();
-            let shown = [first, second].into_iter().chain(found).take(SHOWN).map(|(_, hash)| short(hash));
-            Err(NotOne::Several { text: text.to_owned(), shown: shown.collect(), count })
+        (None, _) => {
+            let near = match nearest(text, hashes.clone()) {
+                Some(hash) => format!("the nearest is {hash}"),
+                None => format!("there are: {}", listed(hashes)),
+            };
+            Err(NotOne::None { text: text.to_owned(), near })
         }
+        (Some(first), Some(second)) => {
+            let those = listed([first, second].into_iter().chain(found).map(|(_, hash)| hash));
+            Err(NotOne::Several { text: text.to_owned(), those })
+        }
+    }
+}
+
+/// The first hashes, and how many more there are.
+fn listed<'a>(hashes: impl Iterator<Item = &'a str> + Clone) -> String {
+    let shown: Vec<String> = hashes.clone().take(SHOWN).map(short).collect();
+    match hashes.skip(SHOWN).count() {
+        0 if shown.is_empty() => "none".to_owned(),
+        0 => shown.join(", "),
+        more => format!("{} and {more} more", shown.join(", ")),
     }
 }
 

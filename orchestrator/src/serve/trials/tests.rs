@@ -67,7 +67,9 @@ fn numbers_are_compared_with_numbers() {
         assert!(wrong.contains("is a number, `"), "{text}: {wrong}");
         assert_eq!(trials.asked(text, "").1, Some(wrong), "{text}");
     }
-    for text in ["M<2.5", "M~1", "x=", "state=done", "optimise.brain<d", "reason!=7x"] {
+    let wrong = trials.chosen("state!=doen").unwrap_err();
+    assert_eq!(wrong, "no trial can be `doen`: state is pending, running, done, failed");
+    for text in ["M<2.5", "M~1", "x=", "state=done", "state~do", "optimise.brain<d", "reason!=7x"] {
         assert!(trials.chosen(text).is_ok() && trials.asked(text, "").1.is_none(), "{text}");
     }
 }
