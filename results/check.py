@@ -18,6 +18,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 # Student's t by degrees of freedom from 1, as tables print it: 97.5 % and 80 %
 T975 = [math.nan, 12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131, 2.120, 2.110, 2.101, 2.093, 2.086]
+T9875 = [math.nan, 25.452, 6.205, 4.177, 3.495, 3.163, 2.969, 2.841, 2.752, 2.685, 2.634, 2.593, 2.560, 2.533, 2.510, 2.490, 2.473, 2.458, 2.445, 2.433, 2.423]
 T80 = [math.nan, 1.376, 1.061, 0.978, 0.941, 0.920, 0.906, 0.896, 0.889, 0.883, 0.879, 0.876, 0.873, 0.870, 0.868, 0.866, 0.865, 0.863, 0.862, 0.861, 0.860]
 
 
@@ -164,70 +165,95 @@ def scattered(height):
     return lambda of: lambda weights: 0.5 * math.log(squares(of, weights, INITIAL) / squares(of, weights, TRAINED))
 
 
-def claims():
-    """Ratios with their intervals, what open ones would tell, and elbows; how ratios are rated among all others is not looked at."""
-    everything = rows("claims/trials.csv")
+def claim_ratio(says, brain, of_set="holdout"):
+    """The rows behind a claim's ratio, the kinds of units, the statistic."""
+    initial, trained = f"{of_set}_error_initial", f"{of_set}_error_optimised"
     def brain_of(row):
         return "linear brain" if row["brain.kind"] == "linear" else "long network" if row["brain.width"] else "the paper's network"
-    def two(brain, kind, sort=lambda row: not any(row[k] for k in ("body.design.random", "optimise.gradient", "long_" + INITIAL))):
-        return [row for row in everything if brain_of(row) == brain and row["stimuli.kind"] == kind and sort(row)]
+    def two(kind, sort=lambda row: not any(row[k] for k in ("body.design.random", "optimise.gradient", "long_" + INITIAL))):
+        return [row for row in rows("claims/trials.csv") if brain_of(row) == brain and row["stimuli.kind"] == kind and sort(row)]
     by_seed = lambda of, column, like: next(float(row[column]) for row in of if row["seed"] == like["seed"])
-    one_by = lambda initial, trained: of_rows(lambda row: float(row[initial]) / float(row[trained]))
-    gains = one_by(INITIAL, TRAINED)
+    one_by = lambda before, after: of_rows(lambda row: float(row[before]) / float(row[after]))
+    gains = one_by(initial, trained)
+    noise = "3 % noise" if says.startswith("K = 8") else "without noise"
+    curve = lambda m: over_sensors(f"{says[:5]}, {brain}, {noise}", sensors=m)
+    if says.startswith("a trained body halves"):
+        return two("bell"), ["seed"], gains
+    if says.startswith("its network needs"):
+        return two("bell"), ["seed"], of_rows(lambda row: float(row["iterations_to_error"]))
+    if says.startswith("after 10 000"):
+        return two("bell", lambda row: row["long_" + INITIAL]), ["seed"], one_by("long_" + initial, "long_" + trained)
+    if says.startswith("under hand-hammered"):
+        return two("irregular"), ["seed"], gains
+    if says.startswith("training gains more"):
+        bell = two("bell")
+        gain_of = lambda row, of: by_seed(of, initial, row) / by_seed(of, trained, row)
+        return two("irregular"), ["seed"], of_rows(lambda row: float(row[initial]) / float(row[trained]) / gain_of(row, bell))
+    if says.startswith("random bodies") or says.startswith("and so worse"):
+        than, regular = initial if says.startswith("random") else trained, two("bell")
+        random_ones = two("bell", lambda row: row["body.design.random"])
+        return random_ones, ["body.design.random", "seed"], of_rows(lambda row: float(row[initial]) / by_seed(regular, than, row))
+    if "with every number" in says:
+        low = lambda m: (lambda whole, half, _: whole - half)(*judged(curve(m), ["seed"], gains(curve(m))))
+        return curve(min("1236" if says.startswith("K = 4") else "12346", key=low)), ["seed"], gains
+    if "with two sensors" in says:
+        six = curve("6")
+        return curve("2"), ["seed"], of_rows(lambda row: by_seed(six, INITIAL, row) / float(row[TRAINED]))
+    if "where sensors are" in says:
+        of = rows(f"four-forces-map{'' if brain == 'linear brain' else '-network'}/trials.csv", **MIDDLE | dict(noise="0.0"))
+        return of, ["placement", "seed"], scattered((lambda error: error) if "in %" in says else math.log)
+    if "more design parameters" in says:
+        disc = lambda columns, tie="": rows("disc-map/trials.csv", columns=columns, tie=tie)
+        many, few = disc("12"), disc("5") if "cut finer" in says else disc("12", "[6,6]")
+        return few, ["seed"], of_rows(lambda row: float(row[TRAINED]) / by_seed(many, TRAINED, row))
+    direct, implicit = (two("bell", lambda row: row["optimise.gradient"] == term) for term in ("direct", "implicit"))
+    return direct, ["seed"], of_rows(lambda row: float(row[trained]) / by_seed(implicit, trained, row))
 
-    def ratio(says, brain):
-        """The rows behind a ratio, the kinds of units, the statistic."""
-        noise = "3 % noise" if says.startswith("K = 8") else "without noise"
-        curve = lambda m: over_sensors(f"{says[:5]}, {brain}, {noise}", sensors=m)
-        if says.startswith("a trained body halves"):
-            return two(brain, "bell"), ["seed"], gains
-        if says.startswith("its network needs"):
-            return two(brain, "bell"), ["seed"], of_rows(lambda row: float(row["iterations_to_error"]))
-        if says.startswith("after 10 000"):
-            return two(brain, "bell", lambda row: row["long_" + INITIAL]), ["seed"], one_by("long_" + INITIAL, "long_" + TRAINED)
-        if says.startswith("under hand-hammered"):
-            return two(brain, "irregular"), ["seed"], gains
-        if says.startswith("training gains more"):
-            bell = two(brain, "bell")
-            gain_of = lambda row, of: by_seed(of, INITIAL, row) / by_seed(of, TRAINED, row)
-            return two(brain, "irregular"), ["seed"], of_rows(lambda row: float(row[INITIAL]) / float(row[TRAINED]) / gain_of(row, bell))
-        if says.startswith("random bodies") or says.startswith("and so worse"):
-            than, regular = INITIAL if says.startswith("random") else TRAINED, two(brain, "bell")
-            random_ones = two(brain, "bell", lambda row: row["body.design.random"])
-            return random_ones, ["body.design.random", "seed"], of_rows(lambda row: float(row[INITIAL]) / by_seed(regular, than, row))
-        if "with every number" in says:
-            low = lambda m: (lambda whole, half, _: whole - half)(*judged(curve(m), ["seed"], gains(curve(m))))
-            return curve(min("1236" if says.startswith("K = 4") else "12346", key=low)), ["seed"], gains
-        if "with two sensors" in says:
-            six = curve("6")
-            return curve("2"), ["seed"], of_rows(lambda row: by_seed(six, INITIAL, row) / float(row[TRAINED]))
-        if "where sensors are" in says:
-            of = rows(f"four-forces-map{'' if brain == 'linear brain' else '-network'}/trials.csv", **MIDDLE | dict(noise="0.0"))
-            return of, ["placement", "seed"], scattered((lambda error: error) if "in %" in says else math.log)
-        if "more design parameters" in says:
-            disc = lambda columns, tie="": rows("disc-map/trials.csv", columns=columns, tie=tie)
-            many, few = disc("12"), disc("5") if "cut finer" in says else disc("12", "[6,6]")
-            return few, ["seed"], of_rows(lambda row: float(row[TRAINED]) / by_seed(many, TRAINED, row))
-        direct, implicit = (two(brain, "bell", lambda row: row["optimise.gradient"] == term) for term in ("direct", "implicit"))
-        return direct, ["seed"], of_rows(lambda row: float(row[TRAINED]) / by_seed(implicit, TRAINED, row))
 
+# Second looks, after a first that had left the claim open: half of the chance was spent.
+SECOND_LOOKS = ("after 10 000", "a body of more design")
+
+
+def claim_rated(says, brain, cell, of_set="holdout"):
+    """Parts of a cell, and what they are by the rows; its rating by the rule that stands above the table, Holm's chances from the evidence."""
+    of, kinds, statistic = claim_ratio(says, brain, of_set)
+    whole, half, tells = judged(of, kinds, statistic(of))
+    numbers = [short(math.exp(x)) for x in (whole, whole - half, whole + half)]
+    low, high = math.exp(whole - half), math.exp(whole + half)
+    [claim] = [row["claim"] for row in rows("claims/claims.csv") if says.startswith(row["says"])]
+    [row] = [row for row in rows("claims/evidence.csv", claim=claim) if row["low"] and row["set"].split()[0] == of_set
+             and [short(float(row[key])) for key in ("found", "low", "high")] == numbers]
+    stated, chance = float(row["stated"]), float(row["chance"])
+    rating = ("holds" if low >= stated and low > 1 else "compatible" if low > 1 and high >= stated else "in part" if low > 1
+              else "fails" if high < 1 else "no difference" if 1 / 1.15 < low and high < 1.15 else "open")
+    if rating != "no difference" and chance > (0.025 if says.startswith(SECOND_LOOKS) else 0.05):
+        rating = "open" if low < 1 < high else "open among so many"
+    if rating == "open":
+        rating += f" ({short(math.exp(tells))} would tell)"
+    return [cell.split(",")[0].split(":")[0], cell.rsplit(": ")[-1]], ["{} ({} … {})".format(*numbers), rating]
+
+
+def claims():
+    """Ratios with their intervals, their ratings, and elbows."""
     for says, _, *cells in table("claims"):
         for cell, brain in zip(cells, ("the paper's network", "long network", "linear brain")):
             if not cell:
                 continue
-            if "elbow" in says:
-                noise = "3 % noise" if says.startswith("K = 8") else "without noise"
-                shares = ends(over_sensors(f"{says[:5]}, {brain}, {noise}"))[0]["in logarithms" in says]
-                found = next((place for place, share in shares.items() if share > 0.5), "?")
-                stated = shares[int(re.search(r"M = (\d)", says)[1])]
-                rating = "holds" if stated > 0.95 else "fails" if stated < 0.05 else "open"
-                yield [cell], [f"{'no elbow' if found is None else f'elbow at M = {found}'}: {rating}"]
+            if "elbow" not in says:
+                yield claim_rated(says, brain, cell)
                 continue
-            of, kinds, statistic = ratio(says, brain)
-            whole, half, tells = judged(of, kinds, statistic(of))
-            words = "{} ({} … {})".format(*(short(math.exp(x)) for x in (whole, whole - half, whole + half)))
-            told = re.search(r"\(([\d.]+) would tell\)", cell)
-            yield [cell.split(",")[0].split(":")[0], told[1] if told else ""], [words, short(math.exp(tells)) if told else ""]
+            noise = "3 % noise" if says.startswith("K = 8") else "without noise"
+            shares = ends(over_sensors(f"{says[:5]}, {brain}, {noise}"))[0]["in logarithms" in says]
+            found = next((place for place, share in shares.items() if share > 0.5), "?")
+            stated = shares[int(re.search(r"M = (\d)", says)[1])]
+            rating = "holds" if stated > 0.95 else "fails" if stated < 0.05 else "open"
+            yield [cell], [f"{'no elbow' if found is None else f'elbow at M = {found}'}: {rating}"]
+
+
+def claims_on_the_test_set():
+    for says, brain, *cells in table("claims on the test set"):
+        for cell, of_set in zip(cells, ("test", "holdout")):
+            yield claim_rated(says, brain, cell, of_set)
 
 
 def brains():
@@ -457,7 +483,10 @@ def rated_each(all_values, none=0.05):
     order, corrected, most = sorted(range(len(chances)), key=chances.__getitem__), {}, 0
     for rank, n in enumerate(order):
         corrected[n] = most = max(most, (len(chances) - rank) * chances[n])
-    told = ["open" if chances[n] > none else words[sum(x) < 0] for n, (x, _, words) in enumerate(all_values)]
+    # an open one says which would have told: none is 5 %, or half of it for a second look
+    quantile = lambda x: (T975 if none == 0.05 else T9875)[len(x) - 1] + T80[len(x) - 1]
+    would = lambda x, shown: f"open ({short(shown(quantile(x) * spread(x) / math.sqrt(len(x))))} would tell)"
+    told = [would(x, shown) if chances[n] > none else words[sum(x) < 0] for n, (x, shown, words) in enumerate(all_values)]
     return [f"{interval(x, shown)}: {told[n]}{'*' if corrected[n] <= none else ''}" for n, (x, shown, _) in enumerate(all_values)]
 
 
@@ -486,8 +515,8 @@ def four_forces(name, file):
     told_of = rated([[math.log(x) for x in ratios] for _, four in found for ratios in four], math.exp, ("holds", "fails"))
     for n, (line, (of, four)) in enumerate(zip(lines, found)):
         main = [row for row in of if row["placement"] not in "45"]
-        shares = ends(main)[0][2]
-        yield line[1:], [errors_by_sensors(main), f"{votes_in_words(shares)}: {IN_MAP[verdict(shares, 2, False)]}", *told_of[4 * n : 4 * n + 4]]
+        found = (f"{votes_in_words(shares)}: {IN_MAP[verdict(shares, 2, False)]}" for shares in ends(main)[0])
+        yield line[1:], [errors_by_sensors(main), *found, *told_of[4 * n : 4 * n + 4]]
 
 
 INITIAL, TRAINED = "holdout_error_initial", "holdout_error_optimised"
@@ -793,7 +822,7 @@ def relaxing():
         yield line[1:], [cell(*by) for by in [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")]]
 
 
-CHECKS = [quickstart, who_senses, sensors, claims, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
+CHECKS = [quickstart, who_senses, sensors, claims, claims_on_the_test_set, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

@@ -81,6 +81,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("size map network", map::sizes_network),
     ("protocol map", map::protocols),
     ("claims", claims::claims),
+    ("claims on the test set", claims::on_the_test_set),
     ("sensors", brains::sensors),
     ("paper protocol", claims::paper_protocol),
     ("paper protocol, blows", claims::paper_protocol_blows),
@@ -89,6 +90,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("protocols", claims::protocols),
     ("downhill", claims::downhill),
     ("deviations", deviations::deviations),
+    ("deviations of other figures", deviations::other_figures),
 ];
 
 const BEGIN: &str = "<!-- generated: ";

@@ -1,6 +1,7 @@
 //! Where we stand beside the paper: what it says, what the specs of its figures have. The supplement with its sizes, material and pulses is not
 //! released.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use metasense::plan::Plan;
@@ -61,8 +62,13 @@ const ROWS: &[(&str, &str, &[&str], &str)] = &[
         &["solver.method", "solver.tolerance"],
         "`auto` may choose splittings of less cost at equal error",
     ),
-    ("training samples", "300", &["stimuli.samples"], ""),
-    ("test samples", "30", &["stimuli.test"], ""),
+    ("samples that train and test the brain", "300", &["stimuli.samples"], ""),
+    (
+        "test samples",
+        "30",
+        &["stimuli.test"],
+        "of these, so 270 train; whether they are in the paper's 300 is not printed",
+    ),
     (
         "further samples, that no loop sees",
         "none",
@@ -148,19 +154,105 @@ const ROWS: &[(&str, &str, &[&str], &str)] = &[
 /// Of a trial's spec: what stands at a path.
 fn at(spec: &Value, path: &str) -> String {
     let value = path.split('.').fold(spec, |value, key| &value[key]);
-    if value.is_null() { "–".into() } else { value.to_string().replace(',', ", ").replace('"', "") }
+    match value {
+        Value::Null => "–".into(),
+        Value::Number(number) if number.is_f64() => {
+            format!("{:?}", (1e4 * number.as_f64().unwrap()).round() / 1e4)
+        }
+        other => other.to_string().replace(',', ", ").replace('"', ""),
+    }
+}
+
+/// The trials of the spec of a figure.
+fn trials(figure: &str) -> Vec<Value> {
+    let file: PathBuf = root().join(format!("schemas/sweeps/{figure}.toml"));
+    let text = std::fs::read_to_string(&file).expect(figure);
+    let plan = Plan::of(Source::spec(&file, text, &[]).expect("a spec")).expect("a plan");
+    plan.trials.iter().map(|trial| serde_json::to_value(&trial.spec).expect("JSON")).collect()
+}
+
+/// Words, what the paper says of Figs. 3 to 5, the keys whose values the figures' specs have.
+const OTHERS: &[(&str, &str, &[&str])] = &[
+    ("body", "Fig. 4C much larger, Fig. 5 circular", &["body.layout"]),
+    ("columns, rows", "", &["body.columns", "body.rows"]),
+    ("pitch, ligament length (mm)", "", &["body.spacing", "body.ligament_length"]),
+    ("bending (N mm), by the pitch squared", "", &["body.stiffness.bend"]),
+    (
+        "by the pitch: rate of the body's steps, least edge, clearances (mm)",
+        "",
+        &["optimise.learning_rate", "feasible.min_edge", "feasible.clearance", "feasible.ligament_clearance"],
+    ),
+    ("where it is held", "", &["body.clamp"]),
+    ("cells whose shifts are tied", "none: units alone vary", &["optimise.tie"]),
+    ("forces K", "Fig. 3: 2, 4B: 4, 4C and 5: 8", &["point.panels"]),
+    ("sensors M", "Fig. 4: several, 4B to 6 at least; Fig. 5: 4", &["point.sensors"]),
+    ("placements", "Fig. 4: 5 for each M", &["point.placement"]),
+    ("seeds", "", &["point.seed"]),
+    ("iterations of further networks on both bodies", "Fig. 2: 10 000", &["evaluation.long_iterations"]),
+    ("forces: kind", "Fig. 3: measured blows", &["stimuli.kind"]),
+    ("amplitude (N)", "", &["stimuli.amplitude"]),
+    ("duration (s)", "", &["stimuli.width"]),
+    ("peak, as a part of a pulse; power of its flanks", "", &["stimuli.peak", "stimuli.power"]),
+    (
+        "roughness; a second blow: how often, after (s), how strong",
+        "",
+        &["stimuli.roughness", "stimuli.double", "stimuli.gap", "stimuli.rebound"],
+    ),
+];
+
+/// What the specs of the other figures have; those of Fig. 2 beside them.
+pub fn other_figures() -> String {
+    let figures = ["fig2", "fig3", "fig4b", "fig4c", "fig5"].map(trials);
+    let values = |trials: &[Value], key: &&str| {
+        let mut found: Vec<String> = Vec::new();
+        for value in trials.iter().map(|spec| at(spec, key)) {
+            if !found.contains(&value) {
+                found.push(value);
+            }
+        }
+        found.join(", ")
+    };
+    // in nothing else
+    let told: Vec<&str> =
+        OTHERS.iter().flat_map(|row| row.2).copied().chain(["panel_units", "sensor_units"]).collect();
+    let every: BTreeSet<String> = figures.iter().flatten().flat_map(|spec| paths("", spec)).collect();
+    let differs = |path: &&String| {
+        let of_each = figures.each_ref().map(|trials| values(trials, &path.as_str()));
+        !told.contains(&path.as_str()) && of_each.iter().any(|own| *own != of_each[0])
+    };
+    assert_eq!(every.iter().filter(differs).collect::<Vec<_>>(), Vec::<&String>::new());
+    let row = |(what, paper, keys): &(&str, &str, &[&str])| {
+        let mut cells = vec![(*what).to_owned(), unknown(paper)];
+        cells.extend(
+            figures
+                .each_ref()
+                .map(|trials| keys.iter().map(|key| values(trials, key)).collect::<Vec<_>>().join("; ")),
+        );
+        cells
+    };
+    table(&["what", "the paper", "`fig2`", "`fig3`", "`fig4b`", "`fig4c`", "`fig5`"], OTHERS.iter().map(row))
+}
+
+/// Paths of a spec's values, tables taken apart.
+fn paths(within: &str, value: &Value) -> Vec<String> {
+    let Value::Object(table) = value else { return vec![within.to_owned()] };
+    let below = |(key, value): (&String, &Value)| match within {
+        "" => paths(key, value),
+        within => paths(&format!("{within}.{key}"), value),
+    };
+    table.iter().flat_map(below).collect()
+}
+
+fn unknown(text: &str) -> String {
+    if text.is_empty() { "*unknown*".to_owned() } else { text.to_owned() }
 }
 
 pub fn deviations() -> String {
-    let file: PathBuf = root().join("schemas/sweeps/fig2.toml");
-    let text = std::fs::read_to_string(&file).expect("fig2");
-    let plan = Plan::of(Source::spec(&file, text, &[]).expect("a spec")).expect("a plan");
-    let spec = serde_json::to_value(&plan.trials[0].spec).expect("JSON");
+    let spec = trials("fig2").swap_remove(0);
     let row = |(what, paper, keys, note): &(&str, &str, &[&str], &str)| {
-        let or = |text: &str| if text.is_empty() { "*unknown*".to_owned() } else { text.to_owned() };
         let ours: Vec<String> = keys.iter().map(|key| at(&spec, key)).collect();
         let keys: Vec<String> = keys.iter().map(|key| format!("`{key}`")).collect();
-        vec![(*what).to_owned(), or(paper), ours.join("; "), keys.join(", "), (*note).to_owned()]
+        vec![(*what).to_owned(), unknown(paper), ours.join("; "), keys.join(", "), (*note).to_owned()]
     };
     table(&["what", "the paper", "ours", "key", "besides"], ROWS.iter().map(row))
 }

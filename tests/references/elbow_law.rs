@@ -59,7 +59,7 @@ pub(super) fn words(votes: &Votes) -> String {
 }
 
 /// Votes by the elbow in per cent and in logarithms, and by nine tenths of the fall.
-fn readings(curve: &[Observation]) -> [Votes; 3] {
+pub(super) fn readings(curve: &[Observation]) -> [Votes; 3] {
     let [percent, logarithm] = Height::ALL.map(|height| by_elbow(curve, height));
     [percent, logarithm, by_fall(curve)]
 }
@@ -126,7 +126,10 @@ pub fn asked() -> String {
     table(&[&head[..], &READINGS].concat(), points.map(line))
 }
 
-/// Errors by K and M, shaded by the votes for an end of the fall there; the law's own place in brackets.
+/// K and M of the paper's elbows (Fig. 4B, C).
+const PAPERS: [(u64, u64); 2] = [(4, 2), (8, 4)];
+
+/// Errors by K and M, shaded by the votes for an end of the fall there; the law's own place in brackets, the paper's elbows marked.
 pub fn map() -> String {
     let forces: Vec<String> = FORCES.map(|k| k.to_string()).collect();
     let sensors: Vec<String> = (1..=7).map(|m| m.to_string()).collect();
@@ -142,12 +145,14 @@ pub fn map() -> String {
                 let error = geometric(here.into_iter());
                 let is_law = m == forces.div_ceil(channels);
                 let part = votes.iter().filter(|vote| vote.0 == Some(m as f64)).map(|vote| vote.1).sum();
-                let text = if is_law { format!("[{error}]") } else { error };
+                let papers = if channels == 3 && PAPERS.contains(&(forces, m)) { "°" } else { "" };
+                let text = if is_law { format!("[{error}]{papers}") } else { error + papers };
                 Cell { text, part, title: format!("{:.0} % of votes", 100.0 * part), to: None }
             };
             (1..=7).map(cell).collect()
         };
-        let title = format!("{channels} channels a sensor: error (%), shaded by votes; [law]");
+        let papers = if channels == 3 { ", ° paper" } else { "" };
+        let title = format!("{channels} channels: error (%), shaded by votes; [law]{papers}");
         grid(&title, ("sensors M", &sensors), ("forces K", &forces), &FORCES.map(row).collect::<Vec<_>>())
     };
     file(&[3, 2].map(of_channels), 2, 920.0, &Vec::new()) + "\n"

@@ -4,10 +4,10 @@ use metasense::analysis::numbers::{deviation, geometric_mean, mean};
 use metasense::analysis::resample::holm;
 use metasense::look::{Axis, Plot, Scale, file, legend};
 use metasense_schemas::spec::Design;
-use metasense_worker::chance_above;
+use metasense_worker::{chance_above, student_above};
 
-use super::elbow_law::{by_fall, curve, errors, verdict, words};
-use super::rows::{Row, geometric, interval, number, of, rows, seeds, with_interval};
+use super::elbow_law::{by_fall, curve, errors, readings, verdict, words};
+use super::rows::{Row, geometric, interval, number, of, rows, seeds, short, with_interval};
 use super::table;
 
 /// The columns that tell settings apart, and the scene in the middle.
@@ -70,7 +70,15 @@ fn chance(values: &[f64]) -> f64 {
     2.0 * chance_above(values.len() - 1, (mean(values).unwrap() / error).abs())
 }
 
-/// Values by seed, shown with their interval and one of two words: above 0, below; a star where one stands beside all others (Holm).
+/// The true mean that four in five such sweeps would tell from 0, at a chance that counts as none.
+fn tells(values: &[f64], none: f64) -> f64 {
+    let (free, count) = (values.len() - 1, values.len() as f64);
+    let quantiles = student_above(free, none / 2.0) + student_above(free, 0.2);
+    quantiles * deviation(values).unwrap() / count.sqrt()
+}
+
+/// Values by seed, shown with their interval and one of two words: above 0, below; of an open one what would have told; a star
+/// where one stands beside all others (Holm).
 fn rated(all: &[Vec<f64>], shown: fn(f64) -> f64, words: [&'static str; 2]) -> Vec<String> {
     rated_each(&all.iter().map(|values| (values.clone(), shown, words)).collect::<Vec<_>>(), 0.05)
 }
@@ -84,8 +92,8 @@ fn rated_each(all: &[Rated], none: f64) -> Vec<String> {
     let corrected = holm(&plain);
     let cell = |(at, (values, shown, words)): (usize, &Rated)| {
         let told = match plain[at] <= none {
-            true => words[usize::from(mean(values).unwrap() < 0.0)],
-            false => "open",
+            true => words[usize::from(mean(values).unwrap() < 0.0)].to_owned(),
+            false => format!("open ({} would tell)", short(&shown(tells(values, none)).to_string())),
         };
         let star = if corrected[at] <= none { "*" } else { "" };
         format!("{}: {told}{star}", with_interval(values, *shown))
@@ -159,7 +167,7 @@ pub fn four_forces_drawn() -> String {
     file(&plots, 1, 560.0, &legend(&keys)) + "\n"
 }
 
-/// A line a setting: errors, where the fall ends, and four ratios; a star where a ratio stands beside all others (Holm).
+/// A line a setting: errors, elbows, where the fall ends, and four ratios; a star where a ratio stands beside all others (Holm).
 fn four_forces_of(file: &str, settings: &[(&str, &str, &str)]) -> String {
     let all = rows(file);
     let settings: Vec<(&str, Vec<&Row>)> =
@@ -168,16 +176,18 @@ fn four_forces_of(file: &str, settings: &[(&str, &str, &str)]) -> String {
     let ratios = rated(&found.concat(), f64::exp, ["holds", "fails"]);
     let line = |(s, (words_of, rows)): (usize, &(&str, Vec<&Row>))| {
         let curve = curve(rows.iter().copied().filter(|row| is_first_placement(row)), "optimised");
-        let votes = by_fall(&curve);
-        let told = in_map(verdict(&votes, 2.0, false));
+        let told = readings(&curve)
+            .map(|votes| format!("{}: {}", words(&votes), in_map(verdict(&votes, 2.0, false))));
         let mut cells = vec![(*words_of).to_owned(), errors(&curve)];
-        cells.push(format!("{}: {told}", words(&votes)));
+        cells.extend(told);
         cells.extend_from_slice(&ratios[4 * s..][..4]);
         cells
     };
     let head = [
         "",
         "error with 1, 2, 3, 6 sensors",
+        "elbow in %: with two",
+        "in logarithms",
         "nine tenths of the fall: with two",
         "two trained by six untrained",
         "scatter of placements, in %",

@@ -263,7 +263,7 @@ pub const CLAIMS: [Claim; 15] = [
         find: complexity,
     },
     Claim {
-        says: "the implicit term, which the paper takes, makes better bodies",
+        says: "not claimed: the implicit term, which the paper takes, makes better bodies",
         source: "S2.4",
         stated: 1.0,
         specs: GRADIENT,
