@@ -306,13 +306,33 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "panels = [2]",
         "panels = [2]\npoints = [{ \"body.columns\" = 8 }, { \"body.columns\" = 8 }]",
-        "s.toml:15: sweep.points = {\"body.columns\": Number(8)}: is named twice",
+        "s.toml:15: sweep.points = { \"body.columns\" = 8 }: is named twice",
     ),
     (
         "panels = [2]",
         "panels = [2]\npoints = [{ \"body.columns\" = 8 }]\nexclude = [{ \"body.rows\" = 8 }]",
         "s.toml:16: sweep.exclude = 8: unknown key \"body.rows\"; those known here are panels, sensors, placement, seed, \
          body.columns",
+    ),
+    (
+        "density = 1e-8",
+        "density = 1e-8\ncompression = [0, 0, 0.3]",
+        "s.toml:8: body.compression = [0, 0, 0.3]: must be a list of 2 numbers",
+    ),
+    (
+        "samples = 12",
+        "samples = 12\namplitude = [0.1, 0.5, 9]",
+        "s.toml:12: stimuli.amplitude = [0.1, 0.5, 9]: must be a list of 2 numbers",
+    ),
+    (
+        "panels = [2]",
+        "panels = [2]\nseeds = [9007199254740993]",
+        "s.toml:15: sweep.seeds = 9007199254740993: must be at most 4503599627370496",
+    ),
+    (
+        "[sweep]",
+        "[until]\npaired = 0.5\nat_most = { seeds = 1600 }\n[sweep]",
+        "until.at_most.seeds = 1600: must be at least 1, at most 1000",
     ),
     ("panels = [2]", "panels = [0]", "s.toml:14: sweep.panels = 0: "),
     ("panels = [2]", "panels = []", "s.toml:14: sweep.panels = []: needs at least one value"),
@@ -698,6 +718,7 @@ fn files_and_databases_that_cannot_be_used_are_named() {
     bench.file("s.toml", SPEC);
     bench.file("file", "not a database, and not a folder either");
     std::fs::write(bench.path("binary.toml"), [0xff, 0xfe, 0x00]).unwrap();
+    bench.file("empty.sqlite", "");
     for (args, expected) in [
         (&["run", "none.toml"][..], "cannot read none.toml"),
         (&["run", "binary.toml"], "cannot read binary.toml"),
@@ -710,6 +731,9 @@ fn files_and_databases_that_cannot_be_used_are_named() {
         (&["run", "s.toml", "--workers", "0"], "invalid value '0' for '--workers <N>'"),
         (&["query", "none.sqlite", "SELECT 1"], "there is no database none.sqlite"),
         (&["query", "file", "SELECT 1"], "file is not a metasense database"),
+        (&["query", "empty.sqlite", "SELECT 1"], "empty.sqlite is not a metasense database"),
+        (&["serve", "file", "--port", "0"], "file is not a metasense database"),
+        (&["report", "none.sqlite", "--threads", "3000"], "3000 is not in 1..=1024"),
         (&["status"], "there is no database under results/"),
         (&["frobnicate"], "unrecognized subcommand 'frobnicate'"),
     ] {

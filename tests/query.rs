@@ -133,7 +133,14 @@ async fn one_statement_is_answered_and_none_panics() {
         assert!(out.starts_with("one\n"), "{sql}: {out}");
     }
     for format in ["table", "csv", "json", "parquet"] {
-        for sql in ["", ";", "/* nothing */", "SELECT CAST(x'61ff' AS TEXT) AS t, 9e999, -0.0, NULL"] {
+        for (sql, why) in
+            [("", "no statement"), (" ;", "no statement"), ("VACUUM INTO 'v.db'", "VACUUM writes")]
+        {
+            let output = bench.metasense(&["query", "s.sqlite", sql, "--format", format]);
+            let message = String::from_utf8_lossy(&output.stderr);
+            assert!(output.status.code() == Some(2) && message.contains(why), "{format} {sql}: {message}");
+        }
+        for sql in ["/* nothing */", "SELECT CAST(x'61ff' AS TEXT) AS t, 9e999, -0.0, NULL"] {
             let output = bench.metasense(&["query", "s.sqlite", sql, "--format", format]);
             let message = String::from_utf8_lossy(&output.stderr);
             assert!(

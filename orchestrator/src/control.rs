@@ -276,7 +276,7 @@ pub async fn run_of(db: &Path) -> Option<u32> {
 }
 
 /// Whether somebody writes to a database. A run that begins just then tries its lock again.
-fn is_held(db: &Path) -> bool {
+pub fn is_held(db: &Path) -> bool {
     File::open(db).is_ok_and(|file| files::is_held(&file))
 }
 

@@ -22,7 +22,7 @@ use metasense_schemas::spec::{
     SweepSpec, Training, TrialSpec, position_of,
 };
 use metasense_worker::design::{self, DesignError, Feasible, Layout, Limits};
-use metasense_worker::problem::{self, Invalid};
+use metasense_worker::problem::{self, Invalid, as_written};
 use metasense_worker::replay::Panel;
 use metasense_worker::{polygons, records};
 
@@ -100,6 +100,9 @@ impl Plan {
     }
 }
 
+/// The greatest seed: what reads numbers as f64 tells it from the next, and [until] and [goal] can count on from it.
+const MOST_SEED: u64 = 1 << 52;
+
 /// The lists of `[sweep]`, and the name, which becomes a file's.
 fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
     let sweep = &spec.sweep;
@@ -129,6 +132,10 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
         }
     }
     check_run(&spec.run, source)?;
+    if let Some(seed) = sweep.seeds.iter().find(|seed| **seed > MOST_SEED) {
+        let remedy = format!("must be at most {MOST_SEED}");
+        return Err(source.error_with("sweep.seeds", Some(&seed.to_string()), &remedy));
+    }
     for (asked, table) in [(spec.until.is_some(), "until"), (spec.goal.is_some(), "goal")] {
         if asked && sweep.own_placements {
             let remedy =
@@ -190,16 +197,13 @@ fn check_run(run: &Run, source: &Source) -> Result<(), SpecError> {
     Ok(())
 }
 
-fn distinct<T: PartialEq + std::fmt::Debug>(
-    values: &[T],
-    key: &str,
-    source: &Source,
-) -> Result<(), SpecError> {
+fn distinct<T: serde::Serialize>(values: &[T], key: &str, source: &Source) -> Result<(), SpecError> {
     if values.is_empty() {
         return Err(source.error(key, "needs at least one value"));
     }
-    match (1..values.len()).find(|&i| values.len() < 2000 && values[..i].contains(&values[i])) {
-        Some(i) => Err(source.error_with(key, Some(&format!("{:?}", values[i])), "is named twice")),
+    let mut seen = HashSet::new();
+    match values.iter().map(as_written).find(|value| !seen.insert(value.clone())) {
+        Some(value) => Err(source.error_with(key, Some(&value), "is named twice")),
         None => Ok(()),
     }
 }
@@ -383,7 +387,12 @@ fn with_records(stimuli: &Stimuli, source: &Source) -> Result<Stimuli, SpecError
                 source.error_with("stimuli.recorded.files", Some(&format!("{file:?}")), &remedy)
             };
             *file = path.canonicalize().map_err(fault)?;
+            if file.to_str().is_none() {
+                let shown = Some(file.display().to_string());
+                return Err(source.error_with("stimuli.recorded.files", shown.as_deref(), "must be UTF-8"));
+            }
         }
+        distinct(&recorded.files, "stimuli.recorded.files", source)?;
         let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
         let digest = records::digest(recorded).map_err(located)?;
         recorded.digest.get_or_insert(digest);

@@ -96,6 +96,10 @@ impl Reason {
             Self::Numerical(Cause::Buckled | Cause::NoEquilibrium) => {
                 "`body.compression` nearer to 0 may help, or units that are turned more to begin with (`body.initial_angle`)"
             }
+            Self::Numerical(Cause::Singular) => {
+                "are forces 0 in all samples (`stimuli.onset` and `time.duration`, or clock and scale of records)? If not, a larger \
+                 `brain.ridge` may help"
+            }
             Self::Numerical(_) => {
                 "see `metasense trial SPEC --hash HASH`; a smaller `solver.tolerance` or learning rate may help"
             }

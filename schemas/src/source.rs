@@ -17,6 +17,7 @@ mod keys;
 mod layers;
 
 pub use keys::KnownKeys;
+use keys::surplus;
 use layers::{Layer, merged};
 
 /// Something wrong in a spec file.
@@ -134,7 +135,12 @@ impl Source {
         for place in &self.places {
             self.check_key(place, &known)?;
         }
-        toml::from_str(&self.text).map_err(|e| self.type_error(&e, &known))
+        let parsed = toml::from_str(&self.text).map_err(|e| self.type_error(&e, &known))?;
+        let value = toml::from_str(&self.text).expect("it has been read");
+        match surplus::<T>(&value) {
+            Some(key) => Err(self.error(&key, &known.in_words(&key, "invalid length"))),
+            None => Ok(parsed),
+        }
     }
 
     fn check_key(&self, place: &Place, known: &KnownKeys) -> Result<(), SpecError> {

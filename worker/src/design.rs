@@ -103,6 +103,10 @@ fn to_csv(layout: &Layout, design: &[f64]) -> String {
 }
 
 fn from_csv(text: &str, layout: &Layout) -> Result<Vec<f64>, String> {
+    let head = text.lines().next().unwrap_or_default();
+    if head.trim_start_matches('\u{feff}').split(',').map(str::trim).ne(["unit", "node", "x", "y"]) {
+        return Err(format!("line 1: {head:?}; must be unit,node,x,y"));
+    }
     let undisplaced = layout.vertices(&vec![0.0; layout.design_len()]);
     let mut shifts: Vec<Option<[f64; 2]>> = vec![None; layout.group_count];
     for (number, line) in text.lines().enumerate().skip(1).filter(|(_, line)| !line.trim().is_empty()) {
@@ -114,6 +118,9 @@ fn from_csv(text: &str, layout: &Layout) -> Result<Vec<f64>, String> {
         else {
             return Err(at("must be unit,node,x,y: two whole numbers and two lengths in mm"));
         };
+        if !(x.is_finite() && y.is_finite()) {
+            return Err(at("x and y must be finite"));
+        }
         if unit >= layout.units() || node >= layout.shape[unit].len() {
             let nodes = layout.shape.get(unit).unwrap_or(&layout.shape[0]).len();
             return Err(at(&format!("units are 0 to {}, nodes 0 to {}", layout.units() - 1, nodes - 1)));
@@ -122,7 +129,9 @@ fn from_csv(text: &str, layout: &Layout) -> Result<Vec<f64>, String> {
         let shift = [x - x0, y - y0];
         match &shifts[layout.groups[unit][node]] {
             Some(other) if (0..2).any(|c| (other[c] - shift[c]).abs() > AGREE) => {
-                return Err(at("the two ends of a ligament must be shifted alike"));
+                return Err(at(
+                    "is shifted otherwise than its ligament's other end, or than the same node in another line",
+                ));
             }
             Some(_) => {}
             None => shifts[layout.groups[unit][node]] = Some(shift),

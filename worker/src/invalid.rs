@@ -21,7 +21,8 @@ pub(crate) fn invalid(key: &str, value: impl Display, remedy: impl Into<String>)
 }
 
 /// A value as a spec has it; none as nothing.
-pub(crate) fn as_written(value: &impl Serialize) -> String {
+#[must_use]
+pub fn as_written(value: &impl Serialize) -> String {
     toml::Value::try_from(value).map_or(String::new(), |value| value.to_string())
 }
 

@@ -83,7 +83,7 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
             signal.start += later;
             records::in_units("signal", &mut signal.values, &factors(signals, trial), recorded.remove_offset)
                 .map_err(|what| faulty(beside, what))?;
-            lasts(&signal, duration, instants).map_err(|what| faulty(beside, what))?;
+            lasts(&force, &signal, duration, instants).map_err(|what| faulty(beside, what))?;
             forces.push(force);
             readings.push(signal);
         }
@@ -152,7 +152,7 @@ fn check(
     }
     if signals.time.is_some() && signals.rate.is_some() {
         let remedy = "give either time or rate".into();
-        return wrong("rate", format!("{:?}", signals.rate), remedy);
+        return wrong("rate", signals.rate.map_or(String::new(), |rate| rate.to_string()), remedy);
     }
     signals.rate.map_or(Ok(()), |rate| positive("signals.rate", rate))?;
     if let Some(start) = signals.start.filter(|start| !start.is_finite()) {
@@ -216,10 +216,22 @@ fn factors(signals: &spec::MeasuredSignals, trial: &TrialSpec) -> Vec<f64> {
     read.map(|(c, channel)| units[usize::from(*channel == Channel::Omega)] * own(c)).collect()
 }
 
-/// Signals that end before the sample does would be made up: refused, but for an instant.
-fn lasts(signal: &Record, duration: f64, instants: usize) -> Result<(), String> {
+/// Signals that begin after the force, before which the body rests, or end before the sample does, would be made up: refused, but
+/// for an instant.
+fn lasts(force: &Record, signal: &Record, duration: f64, instants: usize) -> Result<(), String> {
     let end = signal.start + (signal.values[0].len() - 1) as f64 * signal.dt;
-    if end >= duration * (1.0 - 1.000_001 / instants as f64) {
+    let instant = 1.000_001 * duration / instants as f64;
+    let peak = force.values.iter().flatten().fold(0.0f64, |peak, f| peak.max(f.abs()));
+    let begins =
+        force.values.iter().filter_map(|history| history.iter().position(|f| f.abs() > 0.01 * peak)).min();
+    let struck = begins.map_or(f64::INFINITY, |n| force.start + n as f64 * force.dt);
+    if signal.start > duration.min(struck.max(0.0)) + instant {
+        return Err(format!(
+            "holds signals that begin at {:.4} s of a sample, the force at {struck:.4} s: mind signals.start",
+            signal.start
+        ));
+    }
+    if end >= duration - instant {
         return Ok(());
     }
     Err(format!(

@@ -23,8 +23,8 @@ mod material;
 mod optimise;
 mod stimuli;
 
-pub use crate::invalid::Invalid;
-use crate::invalid::{as_written, at_least, at_most, invalid, not_negative, positive, require};
+pub use crate::invalid::{Invalid, as_written};
+use crate::invalid::{at_least, at_most, invalid, not_negative, positive, require};
 pub use body::{
     check_units, clamp, clamped, driven, guided, held, initial_design, layout, panel_units, panels,
 };

@@ -15,7 +15,7 @@ use metasense_numerics::trial::{Problem, Protocol};
 use metasense_schemas::spec::{self, Resample, Signal, TimeUnit, TrialSpec};
 
 use crate::files::{Array, Content, content};
-use crate::invalid::{Invalid, invalid, positive};
+use crate::invalid::{Invalid, as_written, invalid, positive};
 
 /// Histories on an even clock: one of each panel, or of the one that was struck; or one of each channel.
 #[derive(Debug, Clone, PartialEq)]
@@ -226,7 +226,8 @@ pub(crate) fn forces(
     let records = of_file(&Pick::forces(recorded), held).map_err(|what| at(file, what))?;
     match records.iter().map(|record| record.values.len()).find(|held| ![1, panels].contains(held)) {
         Some(held) => {
-            Err(at(file, format!("holds {held} forces a record; must be 1 or {panels}, one a panel")))
+            let most = if panels == 1 { String::new() } else { format!(" or {panels}, one a panel") };
+            Err(at(file, format!("holds {held} forces a record; must be 1{most}")))
         }
         None => Ok(records),
     }
@@ -263,7 +264,8 @@ pub(crate) fn check(recorded: &spec::Recorded) -> Result<(), Invalid> {
         return wrong("files", "[]".into(), "must name a file");
     }
     if recorded.time.is_some() == recorded.rate.is_some() {
-        return wrong("rate", format!("{:?}", recorded.rate), "give either time or rate");
+        let given = recorded.rate.map_or(String::new(), |rate| rate.to_string());
+        return wrong("rate", given, "give either time or rate");
     }
     recorded.rate.map_or(Ok(()), |rate| positive(&key("rate"), rate))?;
     if !(recorded.scale.is_finite() && recorded.scale != 0.0) {
@@ -294,6 +296,12 @@ pub(crate) fn of_file(pick: &Pick, held: &Content) -> Result<Vec<Record>, String
             if pick.time.is_some() {
                 return Err("has three dimensions, so no clock: give rate".into());
             }
+            if pick.signals.is_some() {
+                return Err(format!(
+                    "has three dimensions, so no names and numbers of signals: leave out {}",
+                    pick.key
+                ));
+            }
             return Ok(histories(pick, array)?.into_iter().map(|values| even(pick, values)).collect());
         }
         Content::Array(Array { shape, values }) => {
@@ -318,7 +326,11 @@ pub(crate) fn of_file(pick: &Pick, held: &Content) -> Result<Vec<Record>, String
             Signal::Name(name) => columns.iter().find(|(n, _)| n == name),
         };
         let names = || columns.iter().map(|c| c.0.as_str()).collect::<Vec<_>>().join(", ");
-        place.map(|c| c.1.clone()).ok_or_else(|| format!("has no signal {signal:?}, but {}", names()))
+        place.map(|c| c.1.clone()).ok_or_else(|| {
+            let headless = columns.iter().all(|c| c.0.trim().parse::<f64>().is_ok());
+            let head = if headless { ": a file without a line of names?" } else { "" };
+            format!("has no signal {}, but {}{head}", as_written(signal), names())
+        })
     };
     let values = match pick.signals {
         Some(signals) => signals.iter().map(column).collect::<Result<Vec<_>, _>>()?,
@@ -352,13 +364,14 @@ fn of_archive(
     let alone = Pick { count: pick.count.filter(|_| signals.len() == 1), ..*pick };
     let mut records: Vec<Vec<Vec<f64>>> = Vec::new();
     for signal in signals {
-        let held = histories(&alone, named(signal)?).map_err(|what| format!("{signal:?} {what}"))?;
+        let held =
+            histories(&alone, named(signal)?).map_err(|what| format!("{} {what}", as_written(signal)))?;
         if records.is_empty() {
             records = vec![Vec::new(); held.len()];
         }
         if records.len() != held.len() {
             let (these, others) = (held.len(), records.len());
-            return Err(format!("{signal:?} holds {these} samples, another of {key} {others}"));
+            return Err(format!("{} holds {these} samples, another of {key} {others}", as_written(signal)));
         }
         records.iter_mut().zip(held).for_each(|(record, values)| record.extend(values));
     }

@@ -166,11 +166,11 @@ pub fn elbow(observations: &[Observation], height: Height) -> Result<Elbow, TooF
 
 /// Sums of a regression without intercept of y on two columns a and b: aa, ab, bb, ay, by, yy.
 #[derive(Default, Clone, Copy)]
-struct Normal([f64; 6]);
+pub(super) struct Normal([f64; 6]);
 
 impl Normal {
     /// Of rows (a, b, y), each column less its mean.
-    fn centred(rows: impl Iterator<Item = [f64; 3]> + Clone) -> Self {
+    pub(super) fn centred(rows: impl Iterator<Item = [f64; 3]> + Clone) -> Self {
         let [n, a, b, y] =
             rows.clone().fold([0.0; 4], |[n, a, b, y], r| [n + 1.0, a + r[0], b + r[1], y + r[2]]);
         rows.fold(Self::default(), |sums, row| {
@@ -186,7 +186,7 @@ impl Normal {
     }
 
     /// Slopes and residual sum of squares; the second column may be absent (all zero).
-    fn solve(&self) -> ([f64; 2], f64) {
+    pub(super) fn solve(&self) -> ([f64; 2], f64) {
         let [aa, ab, bb, ay, by, yy] = self.0;
         let determinant = aa * bb - ab * ab;
         let slopes = if determinant > 1e-12 * aa * bb && bb > 0.0 {

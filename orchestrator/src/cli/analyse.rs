@@ -60,13 +60,16 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             Format::Table => {
                 print_line!("{}", question.title())?;
                 match table.sole_verdict() {
+                    _ if table.rows.is_empty() => {
+                        print_line!("no finished trial of this database has what is asked about")?;
+                    }
                     Some(verdict) => print_line!("{verdict}")?,
                     None => {
                         let shown = table.without_empty_columns();
                         print_rows(&shown, args.format)?;
                         let empty = table.columns.iter().filter(|c| !shown.columns.contains(c));
                         let empty: Vec<&str> = empty.map(String::as_str).collect();
-                        if !empty.is_empty() && !table.rows.is_empty() {
+                        if !empty.is_empty() {
                             print_line!("columns without values are left out: {}", empty.join(", "))?;
                         }
                     }

@@ -94,7 +94,7 @@ async fn achieved(
 ) -> Result<Vec<Vec<Value>>, Error> {
     let scene = scene(&json!(trial));
     let trials = Reader::asked(Database::at(db).await?, async |reader| -> Result<_, Error> {
-        let sql = "SELECT hash, spec, brain, holdout_error_initial, linear_holdout_error_initial,
+        let sql = "SELECT hash, spec, holdout_error_initial, linear_holdout_error_initial,
                      holdout_error_optimised, linear_holdout_error_optimised
                    FROM v_trial WHERE state = 'done' ORDER BY trained_with, brain, hash";
         let mut found = Vec::new();
@@ -104,8 +104,7 @@ async fn achieved(
             if self::scene(&own) == scene
                 && let Some(stored) = reader.stored(&text(0)).await?
             {
-                let [_, with] = brains_of(&own);
-                found.push((stored, [text(2), with], row[3..].to_vec()));
+                found.push((stored, brains_of(&own), row[2..].to_vec()));
             }
         }
         Ok(found)

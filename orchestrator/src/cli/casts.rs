@@ -89,7 +89,7 @@ fn medians(found: &[CastReading]) -> Table {
         let own = found.iter().filter(|r| (&r.reader, r.records) == (&brain.reader, brain.records));
         let mut errors: Vec<f64> = own.filter_map(|r| r.error).collect();
         errors.sort_by(f64::total_cmp);
-        let [median, most] = [0.5, 0.9].map(|part| quantile(&errors, part));
+        let [median, most] = [0.5, 0.9].map(|part| (!errors.is_empty()).then(|| quantile(&errors, part)));
         row![&brain.reader, brain.records, median, most, errors.last()]
     });
     Table::new("reader records median percentile_90 worst", rows)

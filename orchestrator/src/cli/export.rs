@@ -69,12 +69,12 @@ pub(super) struct Args {
     /// Height of the cast body (mm), for stl and device [default: body.material's thickness; 10 without]
     #[arg(long)]
     height: Option<f64>,
-    /// Thickness of the mould's floor and rim (mm), for stl and device
-    #[arg(long, default_value_t = 3.0)]
-    wall: f64,
-    /// Clearance between the body and the mould's cavity on every side (mm), for stl and device
-    #[arg(long, default_value_t = 0.0)]
-    clearance: f64,
+    /// Thickness of the mould's floor and rim (mm), for stl and device [default: 3]
+    #[arg(long)]
+    wall: Option<f64>,
+    /// Clearance between the body and the mould's cavity on every side (mm), for stl and device [default: 0]
+    #[arg(long)]
+    clearance: Option<f64>,
     /// Size of a pocket for the chip on each sensor's unit, along, across and deep, such as 6x5x2 (mm), for stl and device
     #[arg(long, value_name = "AxBxC", value_parser = size)]
     pocket: Option<[f64; 3]>,
@@ -85,9 +85,12 @@ pub(super) struct Args {
     #[arg(long, value_enum)]
     reader: Option<Fit>,
     /// Threads for simulating the trial again
-    #[arg(long, default_value_t = 1)]
-    threads: usize,
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: u16,
 }
+
+/// Thickness of a mould's floor and rim (mm), where none is asked for.
+const WALL: f64 = 3.0;
 
 /// Three lengths.
 fn size(text: &str) -> Result<[f64; 3], String> {
@@ -101,14 +104,21 @@ fn size(text: &str) -> Result<[f64; 3], String> {
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let Args { trial: named, out, .. } = &args;
     let Named { source, words, hash } = named;
-    let is_c = matches!(args.format, Form::C | Form::Device);
-    let of_brains = [
-        ("numbers", "c", args.numbers.is_some() && !is_c),
-        ("reader", "c, onnx", args.reader.is_some() && !is_c && args.format != Form::Onnx),
+    let (brain, body) = ([Form::C, Form::Onnx], [Form::Dxf, Form::Stl]);
+    let options = [
+        ("numbers", args.numbers.is_some(), &brain[..1]),
+        ("reader", args.reader.is_some(), &brain[..]),
+        ("ligament-width", args.ligament_width.is_some(), &body[..]),
+        ("height", args.height.is_some(), &body[1..]),
+        ("wall", args.wall.is_some(), &body[1..]),
+        ("clearance", args.clearance.is_some(), &body[1..]),
+        ("pocket", args.pocket.is_some(), &body[1..]),
     ];
-    if let Some((name, forms, _)) = of_brains.iter().find(|(.., wrong)| *wrong) {
-        let what = format!("--{name} is for --format {forms} and device: leave it out, or write the brain");
-        return Err(Error::Usage(what));
+    let has = |forms: &[Form]| args.format == Form::Device || forms.contains(&args.format);
+    if let Some((name, _, forms)) = options.iter().find(|(_, given, forms)| *given && !has(forms)) {
+        let name_of = |form: &Form| form.to_possible_value().expect("none is hidden").get_name().to_owned();
+        let forms = forms.iter().map(name_of).collect::<Vec<_>>().join(", ");
+        return Err(Error::Usage(format!("--{name} is for --format {forms} and device: leave it out")));
     }
     if let Some((what, _)) = VIEWS.iter().find(|(view, _)| words.iter().any(|word| word == view)) {
         let format = match args.format {
@@ -137,17 +147,19 @@ fn trial(stored: &Stored, args: &Args) -> Result<(), Error> {
     for (name, value, least) in [
         ("ligament-width", width, MEASURES.0),
         ("height", height, MEASURES.0),
-        ("wall", args.wall, MEASURES.0),
-        ("clearance", args.clearance, 0.0),
+        ("wall", args.wall.unwrap_or(WALL), MEASURES.0),
+        ("clearance", args.clearance.unwrap_or(0.0), 0.0),
     ] {
         if !(least..=MEASURES.1).contains(&value) {
             return Err(Error::Usage(format!("--{name} {value}: must be {least} to {} mm", MEASURES.1)));
         }
     }
     let bytes = match args.format {
-        Form::Npz => npz::of_trial(stored, args.threads, &mut |what| say!("note: {what}"))?,
-        Form::Csv => series::table(stored, &replays(stored, args.threads)?).written(Format::Csv),
-        Form::Parquet => series::table(stored, &replays(stored, args.threads)?).written(Format::Parquet),
+        Form::Npz => npz::of_trial(stored, args.threads.into(), &mut |what| say!("note: {what}"))?,
+        Form::Csv => series::table(stored, &replays(stored, args.threads.into())?).written(Format::Csv),
+        Form::Parquet => {
+            series::table(stored, &replays(stored, args.threads.into())?).written(Format::Parquet)
+        }
         Form::Npy => design(stored, args),
         Form::Svg => picture(stored, body, args),
         Form::C => in_c(stored, args, &brain(stored, args)?)?,
@@ -225,7 +237,7 @@ fn brain(stored: &Stored, args: &Args) -> Result<(Replay, Own), Error> {
     if fit == Fit::Casts && stored.specs[which].variation.is_none() {
         return Err(Error::Usage(format!("--reader casts: the trial has {NO_VARIATION}")));
     }
-    Ok(brain_of(stored, which, fit, args.threads)?)
+    Ok(brain_of(stored, which, fit, args.threads.into())?)
 }
 
 fn in_c(stored: &Stored, args: &Args, brain: &(Replay, Own)) -> Result<Vec<u8>, Error> {
@@ -248,12 +260,12 @@ fn has_form(stored: &Stored, which: usize) -> bool {
 /// What of a mould is left for the body; says what to know of it.
 fn cavity(stored: &Stored, body: &Drawing, args: &Args) -> Result<(Outline, Mould), Error> {
     let [width, height] = section(stored, args);
-    let (clearance, pocket) = (args.clearance, args.pocket);
+    let (clearance, pocket) = (args.clearance.unwrap_or(0.0), args.pocket);
     if let Some([_, _, depth]) = pocket.filter(|pocket| pocket[2] >= height) {
         let what = format!("--pocket {depth} mm deep: must be less than the body's --height {height}");
         return Err(Error::Usage(what));
     }
-    let measures = Mould { width, height, wall: args.wall, clearance, pocket };
+    let measures = Mould { width, height, wall: args.wall.unwrap_or(WALL), clearance, pocket };
     let spec = &stored.specs[args.body as usize];
     let (offset, tilt) = (spec.sensors.offset.unwrap_or_default(), spec.sensors.tilt.unwrap_or_default());
     let cavity = Outline::new(body, &measures)

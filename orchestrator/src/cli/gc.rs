@@ -38,6 +38,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
     }
     found.sort();
+    found.dedup(); // of folders within one another
     let size = |path: &Path| path.metadata().map_or(0, |m| m.len());
     let rows = found.iter().map(|(path, why)| row![path.display().to_string(), size(path), why]);
     print_rows(&Table::new("file bytes why", rows), args.format)?;

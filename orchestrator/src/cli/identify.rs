@@ -186,7 +186,7 @@ fn correlations(fit: &Identified) -> Table {
 }
 
 /// Part of the residual that must follow from the motion for it to be called a discrepancy, and the misfit (%) from which it counts.
-const DISCREPANCY: f64 = 0.1;
+pub(super) const DISCREPANCY: f64 = 0.1;
 const LEFT: f64 = 1.0;
 
 /// What there is to say beside the estimates, and the lines for a spec.

@@ -47,7 +47,8 @@ struct Seen {
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let seen = Reader::asked(Database::at(&args.db).await?, async |reader| -> Result<_, Error> {
-        let sql = "SELECT hash, panels, sensors, placement, seed, brain, holdout_error_initial, holdout_error_optimised
+        let sql =
+            "SELECT hash, panels, sensors, placement, seed, holdout_error_initial, holdout_error_optimised
                      FROM v_trial
                     WHERE state = 'done' AND holdout_error_initial > 0 AND holdout_error_optimised > 0
                     ORDER BY panels, sensors, placement, seed, hash";
@@ -64,18 +65,16 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             }
             let whole = |i: usize| row[i].as_u64().unwrap_or_default();
             let cluster = Cluster { placement: whole(3), seed: whole(4) };
-            let errors = [6, 7].map(|i| row[i].as_f64().unwrap_or_default());
-            let text = |i: usize| row[i].as_str().unwrap_or_default();
-            let [_, trained_with] = brains_of(&json!(stored.specs[1]));
-            let brain = text(5);
+            let errors = [5, 6].map(|i| row[i].as_f64().unwrap_or_default());
+            let [brain, trained_with] = brains_of(&json!(stored.specs[1]));
             let by = if brain == trained_with {
-                brain.to_owned()
+                brain.clone()
             } else {
                 format!("{trained_with}, read by {brain}")
             };
             let setting = format!("K = {}, M = {}, {by}", row[1], row[2]);
             let change = Change { setting, cluster, errors, told: measures };
-            let head = row[..6].iter().cloned().chain([json!(trained_with)]).collect();
+            let head = row[..5].iter().cloned().chain([json!(brain), json!(trained_with)]).collect();
             seen.push(Seen { head, change });
         }
         Ok(seen)

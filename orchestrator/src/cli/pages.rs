@@ -11,6 +11,8 @@ use tokio::process::{Child, Command};
 
 use super::Error;
 
+/// How long the run waits for the address of its pages.
+const BEGINNING: Duration = Duration::from_secs(20);
 /// How long the end of the run waits for the end of its pages.
 const ENDING: Duration = Duration::from_secs(6);
 
@@ -37,7 +39,9 @@ impl Pages {
             .map_err(&failed)?;
         let mut address = String::new();
         let out = child.stdout.take().expect("it is piped");
-        BufReader::new(out).read_line(&mut address).await.map_err(&failed)?;
+        let mut out = BufReader::new(out);
+        let said = tokio::time::timeout(BEGINNING, out.read_line(&mut address)).await;
+        said.unwrap_or_else(|_| Err(std::io::ErrorKind::TimedOut.into())).map_err(&failed)?;
         if address.is_empty() {
             // it has said why
             return Err(Error::Usage(format!(

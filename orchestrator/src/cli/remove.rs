@@ -19,7 +19,7 @@ pub(super) struct Args {
     /// The database; no run may hold it
     db: PathBuf,
     /// KEY=VALUE, also with != < > <= >= and ~ (contains); all of them hold. KEY is K, M, placement, seed, units, state, reason,
-    /// hash, an error, or a path of the spec
+    /// hash, an error (holdout_initial, holdout_optimised, test_initial, test_optimised), or a path of the spec
     #[arg(required = true, value_name = "CONDITION")]
     conditions: Vec<String>,
     /// Takes them out; without it they are only listed
@@ -43,7 +43,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let [panels, sensors, placement, seed, error] = cells.map(|key| trial.cell(key));
         row![trial.hash.clone(), trial.state.clone(), panels, sensors, placement, seed, error]
     });
-    print_rows(&Table::new("hash state K M placement seed holdout_error_optimised", rows), args.format)?;
+    print_rows(&Table::new("hash state K M placement seed holdout_optimised", rows), args.format)?;
     if let Some(mut store) = store {
         store.remove(found.iter().map(|trial| trial.hash.as_str())).await?;
         store.close().await?;

@@ -27,8 +27,8 @@ pub(super) struct Args {
     #[arg(long, value_name = "DIR")]
     out_dir: Option<PathBuf>,
     /// Threads for simulating the shown trial again
-    #[arg(long, default_value_t = 1)]
-    threads: usize,
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: u16,
     #[command(flatten)]
     terms: Terms,
 }
@@ -36,7 +36,7 @@ pub(super) struct Args {
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let asked = async |reader: &mut Reader| load::story(reader, args.hash.as_deref(), args.terms).await;
     let story = Reader::asked(Database::at(&args.db).await?, asked).await?;
-    let (drawn, missing) = figures(&story, args.threads);
+    let (drawn, missing) = figures(&story, args.threads.into());
     let out = args.out.unwrap_or_else(|| args.db.with_extension("html"));
     if let Some(folder) = &args.out_dir {
         write_parts(folder, &story, &drawn)?;

@@ -207,6 +207,16 @@ pub(super) async fn run(
     signals: &mut Signals,
     drive: impl AsyncFnOnce(Round<'_>, Again) -> Result<Option<Outcome>, Error>,
 ) -> Result<(Outcome, Plan), Error> {
+    let late = |trial: &Trial| {
+        let [_, last] = trial.spec.stimuli.onset.filter(|onset| onset[1] >= trial.spec.time.duration)?;
+        Some([last, trial.spec.time.duration])
+    };
+    if let Some([last, duration]) = plan.trials.iter().find_map(late) {
+        say!(
+            "stimuli.onset: pulses begin as late as {last} s, where a sample (time.duration) lasts {duration} s: samples without a \
+             force are read with any error"
+        );
+    }
     let mut store = Store::open(db).await?;
     let control = Control::new(listener(db), reread(&plan, how));
     let ran = run_open(&mut store, &plan, how, log, signals, &control, drive).await;

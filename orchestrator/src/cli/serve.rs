@@ -12,6 +12,7 @@ use crate::cluster::home::attempts;
 use crate::engine::Signals;
 use crate::exit::Exit;
 use crate::serve::{Served, Source, Token, serve};
+use crate::store::Reader;
 
 /// Shows databases in a browser, live, until Ctrl-C
 ///
@@ -73,6 +74,9 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
     }
     if let Some(missing) = args.what.iter().find(|path| !path.exists()) {
         return Err(Error::Usage(format!("{}: there is no such database or folder", missing.display())));
+    }
+    for path in args.what.iter().filter(|path| path.is_file()) {
+        Reader::open(path).await?.close().await;
     }
     if args.control && !args.listen.is_loopback() {
         return Err(Error::Usage(

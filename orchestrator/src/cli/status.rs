@@ -11,6 +11,7 @@ use super::{Error, Format, print_rows};
 use crate::cluster::Assignment;
 use crate::cluster::queue;
 use crate::cluster::state::{self, State};
+use crate::control::is_held;
 use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
 use crate::plan::{Trial, counted};
@@ -90,6 +91,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     if let Some(mixed) = provenance::mixed(&made) {
         say!("{mixed}");
+    }
+    let state = table.columns.iter().position(|column| column == "state");
+    if state.is_some_and(|state| table.rows.iter().any(|row| row[state] == "running")) && !is_held(&db) {
+        say!(
+            "no run is at work on it: what is running here was left so, and `metasense run` goes on with it"
+        );
     }
     Ok(if failed.rows.is_empty() { Exit::Done } else { Exit::Failed })
 }

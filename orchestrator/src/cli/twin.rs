@@ -10,6 +10,7 @@ use metasense_worker::run::{Failure, prepared};
 use metasense_worker::twin::{self, Ending, Estimate, Fit, Unknown};
 use serde_json::Value;
 
+use super::identify::DISCREPANCY;
 use super::named::Designed;
 use super::{Error, Format, duration, print_rows, write};
 use crate::exit::Exit;
@@ -125,6 +126,3 @@ fn said(fit: &Fit, records: usize) -> Vec<String> {
     }
     said
 }
-
-/// Part of the residual that must follow from the motion for it to be called a discrepancy.
-const DISCREPANCY: f64 = 0.1;

@@ -21,15 +21,15 @@ pub(super) struct Args {
     #[arg(long, value_name = "DIR")]
     cases: Option<PathBuf>,
     /// Threads; by default one a core
-    #[arg(long, default_value_t = 0)]
-    threads: usize,
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=1024))]
+    threads: u16,
     /// The form of the rows
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let pool = Pool::new(args.threads)
+    let pool = Pool::new(args.threads.into())
         .map_err(|e| Error::Usage(format!("cannot start {} threads: {e}", args.threads)))?;
     let rows = match &args.cases {
         Some(folder) => verify::cases(folder, &pool).map_err(|e| Error::Usage(e.to_string()))?,

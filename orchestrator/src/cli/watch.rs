@@ -47,7 +47,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             print_rows(&seen.workers, Format::Table)?;
         }
         std::io::stdout().flush()?;
-        if seen.run.is_none() && !args.once {
+        if seen.run.is_none() {
             print_line!("no run is at work on it")?;
         }
         if args.once || seen.run.is_none() {

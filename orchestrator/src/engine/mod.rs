@@ -33,7 +33,7 @@ use begin::Kinds;
 use clock::Clock;
 use links::Link;
 use spent::Ledger;
-use steer::{Asker, Steering};
+use steer::Asker;
 
 use crate::files::host;
 use crate::fleet::Fleet;
@@ -134,7 +134,7 @@ pub async fn run<'a>(
     let hashes = trials.iter().map(|trial| trial.hash.clone()).collect();
     // On this task, not one of its own: arrays in shared memory may move between threads, not be shared by them.
     let writing = writer::write(store, hashes, entries, said);
-    let (steering, mut reads) = Steering::new();
+    let (rereads, mut reads) = mpsc::unbounded_channel();
     let mut ticks = tokio::time::interval(TICK);
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
 
@@ -163,7 +163,7 @@ pub async fn run<'a>(
         store_error: None,
         last_words: String::new(),
         control,
-        steering,
+        rereads,
         watch,
     };
     let running = async move {
@@ -239,7 +239,7 @@ struct Engine<'a> {
     store_error: Option<StoreError>,
     last_words: String,
     control: &'a Control,
-    steering: Steering,
+    rereads: mpsc::UnboundedSender<steer::Read>,
     watch: &'a mut dyn Watch,
 }
 
@@ -270,13 +270,13 @@ impl Engine<'_> {
                 self.leases.insert(worker, lease);
                 self.spent.begin(lease, worker, &self.fleet);
                 self.record(Write::Begin(lease)).await;
-                self.view.assigned(lease.trial, self.began.elapsed());
+                self.view.forecast.assigned(lease.trial, self.began.elapsed());
                 let prior = self.priors[lease.trial as usize];
                 if prior.steps.is_some() || self.kinds.begun.contains(&prior.body) {
                     let pause = self.trials[lease.trial as usize].pause;
                     self.record(Write::Load(worker, lease, pause)).await;
                 } else {
-                    self.view.goes_on(lease.trial, 0, true);
+                    self.view.forecast.goes_on(lease.trial, 0, true);
                     self.send_job(worker, lease, None);
                 }
             }
@@ -499,11 +499,14 @@ impl Engine<'_> {
                     None
                 });
                 if self.state.phase(lease.trial) == Phase::Running(worker) {
-                    if let Some(checkpoint) = &checkpoint {
-                        self.priors[lease.trial as usize].steps = Some(checkpoint.step);
-                        self.begun_at.insert(lease.trial, checkpoint.step);
-                        self.view.goes_on(lease.trial, checkpoint.step, checkpoint.comparison.is_none());
-                    }
+                    let step = checkpoint.as_ref().map(|checkpoint| checkpoint.step);
+                    self.priors[lease.trial as usize].steps = step;
+                    match step {
+                        Some(step) => self.begun_at.insert(lease.trial, step),
+                        None => self.begun_at.remove(&lease.trial),
+                    };
+                    let whole = checkpoint.as_ref().is_none_or(|checkpoint| checkpoint.comparison.is_none());
+                    self.view.forecast.goes_on(lease.trial, step.unwrap_or(0), whole);
                     self.send_job(worker, lease, checkpoint.map(|checkpoint| *checkpoint));
                 }
             }

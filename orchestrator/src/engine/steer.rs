@@ -5,7 +5,6 @@ use std::fmt;
 use std::sync::{Arc, OnceLock};
 
 use metasense_schemas::spec::{NotOne, position_of};
-use tokio::sync::mpsc;
 
 use super::Engine;
 use super::writer::{Entry, Fresh};
@@ -82,19 +81,6 @@ pub(super) struct Asker {
 /// A plan that was read, for whoever has asked.
 pub(super) type Read = (Result<Plan, String>, Request);
 
-/// What commands need.
-#[derive(Debug)]
-pub(super) struct Steering {
-    read: mpsc::UnboundedSender<Read>,
-}
-
-impl Steering {
-    pub fn new() -> (Self, mpsc::UnboundedReceiver<Read>) {
-        let (read, reads) = mpsc::unbounded_channel();
-        (Self { read }, reads)
-    }
-}
-
 impl Engine<'_> {
     /// A command has come.
     pub(super) fn asked(&mut self, request: Request, events: &mut super::Events) {
@@ -113,7 +99,7 @@ impl Engine<'_> {
                 Err(why) => return self.answer(request, false, why.to_string()),
             },
             Command::Reload => {
-                let (reread, read) = (Arc::clone(&self.control.reread), self.steering.read.clone());
+                let (reread, read) = (Arc::clone(&self.control.reread), self.rereads.clone());
                 // 10⁵ trials take seconds. Where nobody listens any more the run has ended, and the asker is told so.
                 drop(tokio::task::spawn_blocking(move || drop(read.send((reread(), request)))));
                 return;

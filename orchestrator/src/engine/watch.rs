@@ -58,7 +58,7 @@ pub struct View {
     pub paused: bool,
     /// Since the beginning.
     pub elapsed: Duration,
-    forecast: Forecast,
+    pub(super) forecast: Forecast,
 }
 
 impl View {
@@ -108,15 +108,6 @@ impl View {
     pub(super) fn set_workers(&mut self, workers: u32) {
         self.workers = workers;
         self.forecast.set_workers(workers);
-    }
-
-    pub(super) fn assigned(&mut self, trial: u32, now: Duration) {
-        self.forecast.assigned(trial, now);
-    }
-
-    /// It goes on behind so many steps; `whole`: with all of its comparison to come.
-    pub(super) fn goes_on(&mut self, trial: u32, behind: u32, whole: bool) {
-        self.forecast.goes_on(trial, behind, whole);
     }
 
     pub(super) fn stepped(&mut self, trial: u32, now: Duration) {

@@ -313,7 +313,8 @@ fn scaled(numbers: &[f64]) -> Vec<f64> {
     let values: Vec<f64> = numbers.iter().map(|x| if positive { x.ln() } else { *x }).collect();
     let (low, high) =
         values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(*x), high.max(*x)));
-    values.iter().map(|x| (x - low) / (high - low)).collect()
+    // what differs by its last bit may have one logarithm
+    values.iter().map(|x| (x - low) / (high - low).max(f64::MIN_POSITIVE)).collect()
 }
 
 /// Outer steps at the end of the rungs of a trial, just behind a look at the test set; fewer rungs of few steps.

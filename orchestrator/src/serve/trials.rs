@@ -68,6 +68,7 @@ impl Row {
             ("hash", _) => text(&self.hash),
             ("state", _) => text(&self.state),
             ("reason", _) => text(&self.reason),
+            (_, Some(i)) if self.numbers[i].fract() == 0.0 => (self.numbers[i] as i64).into(),
             (_, Some(i)) => self.numbers[i].into(),
             (_, None) => match self.setting.get(key) {
                 Some(value) => value.clone(),
@@ -296,7 +297,11 @@ impl Trials {
         let terms = terms(text)?;
         let has = |key: &str| key == "reason" || self.rows.iter().any(|row| !row.cell(key).is_null());
         if let Some(term) = terms.iter().find(|term| !self.rows.is_empty() && !has(&term.key)) {
-            return Err(format!("no trial has `{}`: it is no column and no path of a spec here", term.key));
+            let columns = NUMBERS.map(|(name, _)| name).join(", ");
+            let key = &term.key;
+            return Err(format!(
+                "no trial has `{key}`: it is no path of a spec here, and no column (hash, state, reason, {columns})"
+            ));
         }
         self.all_comparable(&terms).map(|()| terms)
     }

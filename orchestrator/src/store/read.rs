@@ -114,6 +114,9 @@ impl Reader {
             return Err(StoreError::Missing { path });
         }
         let alone = !beside(&path, "-wal").exists();
+        if alone && path.metadata().is_ok_and(|file| file.len() == 0) {
+            return Err(StoreError::NotOurs { path });
+        }
         let (mut connection, mut copy) = connect(reading(&path), &path).await?;
         let version = check_version(&mut connection, &path).await?;
         if version < MIGRATIONS.len() {
@@ -176,6 +179,18 @@ impl Reader {
         // It ends sqlx's thread, and whoever has asked waits for ever.
         if sql.contains('\0') {
             return Err(StoreError::Query { message: "a statement holds no NUL".into() });
+        }
+        let word = sql.split(|c: char| c.is_whitespace() || c == ';').find(|word| !word.is_empty());
+        let refused = match word {
+            None => Some("there is no statement"),
+            // it would leave an empty file
+            Some(word) if word.eq_ignore_ascii_case("vacuum") => {
+                Some("VACUUM writes; only what reads is answered")
+            }
+            Some(_) => None,
+        };
+        if let Some(message) = refused {
+            return Err(StoreError::Query { message: message.into() });
         }
         // The user's own statement, on a connection that cannot write.
         let statement = self.connection.prepare(AssertSqlSafe(sql.to_owned()).into_sql_str()).await;

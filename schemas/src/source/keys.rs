@@ -90,6 +90,38 @@ impl KnownKeys {
     }
 }
 
+/// The key whose list, or a list in it, has more entries than are read: TOML's deserializer leaves out the rest.
+pub(super) fn surplus<T: JsonSchema>(value: &Value) -> Option<String> {
+    let schema = schemars::schema_for!(T).to_value();
+    longer(&schema, &schema, value, "")
+}
+
+fn longer(schema: &Value, root: &Value, value: &Value, path: &str) -> Option<String> {
+    let schema = resolved(schema, root);
+    let own = match value {
+        Value::Array(entries) => {
+            let most = schema["maxItems"].as_u64().unwrap_or(u64::MAX);
+            let below = || entries.iter().find_map(|entry| longer(&schema["items"], root, entry, path));
+            (entries.len() as u64 > most).then(|| path.to_owned()).or_else(below)
+        }
+        Value::Object(table) => table.iter().find_map(|(name, inner)| {
+            let path = if path.is_empty() { name.clone() } else { format!("{path}.{name}") };
+            longer(&schema["properties"][name], root, inner, &path)
+        }),
+        _ => None,
+    };
+    // of several forms the one that may hold such a value
+    let kind = if value.is_array() { "array" } else { "object" };
+    let fits = |form: &&Value| {
+        let kinds = &resolved(form, root)["type"];
+        kinds == kind || kinds.as_array().is_some_and(|kinds| kinds.iter().any(|k| k == kind))
+    };
+    let forms =
+        ["anyOf", "oneOf"].into_iter().flat_map(|choice| schema[choice].as_array().into_iter().flatten());
+    let found: Vec<Option<String>> = forms.filter(fits).map(|form| longer(form, root, value, path)).collect();
+    own.or_else(|| found.iter().all(Option::is_some).then(|| found.into_iter().next().flatten()).flatten())
+}
+
 fn add_keys(schema: &Value, root: &Value, prefix: &str, allowed: &mut BTreeMap<String, String>) {
     let schema = resolved(schema, root);
     for choice in ["anyOf", "allOf"] {

@@ -37,8 +37,11 @@ fn a_file_that_is_no_design_is_refused_by_name() {
     for (text, said) in [
         (lines[..4].join("\n") + "\n" + &lines[5..].join("\n"), "unit 0, node 3 is missing"),
         (good.replace("0,0,", "9,0,"), "line 2: units are 0 to 3"),
-        (good.replacen("0,0,6", "0,0,7", 1), "line 8: the two ends"),
+        (good.replacen("0,0,6", "0,0,7", 1), "line 8: is shifted otherwise than its ligament's other end"),
         (good.replacen("0,0,6", "0,0,x", 1), "line 2: must be unit,node,x,y"),
+        ("unit,node,x,y\n0,0,NaN,1\n".into(), "line 2: x and y must be finite"),
+        (good.replace("unit,node,x,y", "x,y,unit,node"), "line 1: \"x,y,unit,node\"; must be unit,node,x,y"),
+        (lines[1..].join("\n"), "line 1: "),
     ] {
         std::fs::write(&path, text).expect("written");
         let error = read(&path, &layout).expect_err("refused").to_string();

@@ -138,7 +138,8 @@ fn signals_have_a_clock_of_their_own_and_pass_the_low_pass() {
     let lines = |t: f64| format!("{},{},{}\n", tone(20.0, t), tone(1300.0, t), 3.0);
     let chip =
         "x,y,w\n".to_owned() + &(0..600).map(|n| lines(f64::from(n) * 2e-4 + 0.012)).collect::<String>();
-    let folder = Folder::new(&[("f.npy", &npy(&[1, 1, 21], &[0.5; 21])), ("a.csv", chip.as_bytes())]);
+    let force: Vec<f64> = (0..21).map(|n| if n < 3 { 0.0 } else { 0.5 }).collect();
+    let folder = Folder::new(&[("f.npy", &npy(&[1, 1, 21], &force)), ("a.csv", chip.as_bytes())]);
     let text = "[recorded]\nfiles = [\"f.npy\"]\nrate = 200.0\n[signals]\nfiles = [\"a.csv\"]\nrate = 5000.0\nstart = 0.012\n";
     let found = folder.read(text, &trial(&[7], &[4])).unwrap();
     for (n, signals) in found.signals.chunks_exact(3).enumerate().skip(8) {
@@ -175,7 +176,7 @@ fn what_is_no_measured_record_is_refused_by_name() {
             "records.toml:8: recorded.panel = [1]: unknown key; the nearest known one",
         ),
         ("\"w\"]", "\"o\"]", "records.toml:10: signals.files = "),
-        ("\"w\"]", "\"o\"]", "has no signal Name(\"o\"), but ms, F, x, y, w"),
+        ("\"w\"]", "\"o\"]", "has no signal \"o\", but ms, F, x, y, w"),
         (", \"w\"]", "]", "holds 2 signals a record; must be 3: ax, ay, omega of each sensor"),
         ("\"g\"", "\"G\"", "records.toml:12: signals.acceleration_unit = \"G\": must be "),
         (
@@ -186,6 +187,11 @@ fn what_is_no_measured_record_is_refused_by_name() {
         ("a.csv", "none.csv", "none.csv\": cannot be read"),
         ("a.csv", "short.csv", "short.csv\": holds signals that end at 0.0780 s where a sample lasts 0.1 s"),
         ("a.csv", "nan.csv", "nan.csv\": entry 7 of a signal is NaN; must be a finite number"),
+        (
+            "[\"x\", \"y\", \"w\"]",
+            "[\"x\", \"y\", \"w\"]\nstart = 5.0",
+            "holds signals that begin at 4.9900 s of a sample, the force at 0.0200 s",
+        ),
         ("panels", "augment = { shift = [0, 0] }\npanels", "recorded.augment = { … }: is not allowed here"),
         (own, &beside("s.npy"), "holds signals that end at 0.0090 s"),
         (
@@ -200,7 +206,7 @@ fn what_is_no_measured_record_is_refused_by_name() {
             &beside("s.npy").replace("npy\"]", "npy\", \"s.npy\"]"),
             "signals.files = 2 files: must be one for each of the 1",
         ),
-        (own, &(beside("s.npy") + "time = \"t\"\n"), "signals.rate = Some(1000.0): give either time or rate"),
+        (own, &(beside("s.npy") + "time = \"t\"\n"), "signals.rate = 1000: give either time or rate"),
     ] {
         assert!(CSV.contains(from), "{from}");
         let error = folder.read(&CSV.replacen(from, to, 1), &trial).unwrap_err();

@@ -134,8 +134,8 @@ fn what_is_no_record_is_refused_by_name() {
         (&["nan.csv"], keys.clone(), "nan.csv\": entry 4 of a force is NaN"),
         (&["wide.npy"], json!({ "rate": 10.0 }), "holds 3 forces a record; must be 1 or 2"),
         (&["deep.npy"], json!({ "rate": 10.0 }), "is of shape [1, 1, 1, 4]"),
-        (&thrice, with("force", json!(["F"])), "has no signal Name(\"F\"), but time, force"),
-        (&thrice, with("rate", json!(10.0)), "stimuli.recorded.rate = Some(10.0): give either time or rate"),
+        (&thrice, with("force", json!(["F"])), "has no signal \"F\", but time, force"),
+        (&thrice, with("rate", json!(10.0)), "stimuli.recorded.rate = 10: give either time or rate"),
         (&thrice, with("trigger", json!({ "threshold": 9.0 })), "never reaches the trigger's 9 N"),
         (
             &thrice,

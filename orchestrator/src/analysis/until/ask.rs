@@ -7,6 +7,7 @@ use std::fmt;
 
 use metasense_schemas::spec::Until;
 
+use super::super::elbow::Normal;
 use super::looks::Looks;
 
 /// What is asked.
@@ -235,16 +236,8 @@ impl Curves<'_> {
 
 /// Slopes before and after the place of number `at`, and the residual sum of squares, of the stick that bends there.
 fn stick(places: &[f64], y: &[f64], at: usize) -> (f64, f64, f64) {
-    let (n, knee) = (places.len() as f64, places[at]);
-    let columns: Vec<[f64; 2]> = places.iter().map(|x| [x.min(knee), (x - knee).max(0.0)]).collect();
-    let mean = |of: &dyn Fn(usize) -> f64| (0..places.len()).map(of).sum::<f64>() / n;
-    let (a, b, c) = (mean(&|i| columns[i][0]), mean(&|i| columns[i][1]), mean(&|i| y[i]));
-    let sum = |of: &dyn Fn(f64, f64, f64) -> f64| -> f64 {
-        (0..places.len()).map(|i| of(columns[i][0] - a, columns[i][1] - b, y[i] - c)).sum()
-    };
-    let (aa, ab, bb) = (sum(&|a, _, _| a * a), sum(&|a, b, _| a * b), sum(&|_, b, _| b * b));
-    let (ay, by, yy) = (sum(&|a, _, y| a * y), sum(&|_, b, y| b * y), sum(&|_, _, y| y * y));
-    let determinant = aa * bb - ab * ab;
-    let (before, after) = ((bb * ay - ab * by) / determinant, (aa * by - ab * ay) / determinant);
-    (before, after, yy - before * ay - after * by)
+    let knee = places[at];
+    let rows = places.iter().zip(y).map(|(x, y)| [x.min(knee), (x - knee).max(0.0), *y]);
+    let ([before, after], residual) = Normal::centred(rows).solve();
+    (before, after, residual)
 }

@@ -42,7 +42,10 @@ impl Looks {
                     if k >= LEAST_UNITS {
                         let n = k as f64;
                         let deviation = ((squares - sum * sum / n) / (n - 1.0)).sqrt();
-                        least = least.min(chance_above(k - 1, sum / (deviation * n.sqrt())) / weights[k]);
+                        let t = sum / (deviation * n.sqrt());
+                        if at_least(t) / weights[k] < least {
+                            least = least.min(chance_above(k - 1, t) / weights[k]);
+                        }
                     }
                 }
                 least
@@ -70,4 +73,11 @@ impl Looks {
         let spent = spent.min(0.49);
         *self.known.entry((known, spent.to_bits())).or_insert_with(|| student_above(known - 1, spent))
     }
+}
+
+/// What the chance of a t above this one is not below, whatever its degrees of freedom: for a t above 0 the normal one's bound by
+/// Birnbaum (1942), doi:10.1214/aoms/1177731611; a chance proper takes as many terms as there are units.
+pub(super) fn at_least(t: f64) -> f64 {
+    let density = (-0.5 * t * t).exp() / (2.0 * std::f64::consts::PI).sqrt();
+    if t > 0.0 { density * 2.0 / (t + (t * t + 4.0).sqrt()) } else { 0.5 }
 }

@@ -4,7 +4,7 @@
 use metasense_worker::Draw;
 
 use crate::analysis::until::ask::{Answer, Question};
-use crate::analysis::until::looks::Looks;
+use crate::analysis::until::looks::{Looks, at_least};
 use crate::analysis::until::settle;
 
 /// Campaigns a question, where `CAMPAIGNS` says nothing else …
@@ -185,4 +185,14 @@ fn looks_that_are_paid_for_are_wrong_in_one_campaign_of_twenty_at_most() {
         (worst, naive_worst) = (worst.max(paid.wrong), naive_worst.max(naive.wrong));
     }
     assert!(worst <= ALPHA && naive_worst > 2.0 * ALPHA, "{worst} {naive_worst}");
+}
+
+/// The bound that spares most chances is one, close by where there are many units.
+#[test]
+fn a_chance_is_not_below_its_bound() {
+    for t in (-30..=80).map(|t| f64::from(t) / 10.0) {
+        let above = |free| metasense_worker::chance_above(free, t);
+        assert!([1, 2, 3, 10, 200].into_iter().all(|free| above(free) >= at_least(t)), "{t}");
+        assert!(t <= 0.0 || at_least(t) > 0.5 * above(1000), "{t}");
+    }
 }
