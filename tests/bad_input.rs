@@ -311,8 +311,8 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "panels = [2]",
         "panels = [2]\npoints = [{ \"body.columns\" = 8 }]\nexclude = [{ \"body.rows\" = 8 }]",
-        "s.toml:16: sweep.exclude = 8: unknown key \"body.rows\"; those known here are panels, sensors, placement, seed, \
-         body.columns",
+        "s.toml:16: sweep.exclude = 8: unknown key \"body.rows\"; those known here are body.columns, panels, \
+         placement, seed, sensors",
     ),
     (
         "density = 1e-8",

@@ -134,6 +134,12 @@ pub fn command() -> clap::Command {
     let template = format!(
         "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{list}{header}Options:{header:#}\n{{options}}{{after-help}}"
     );
+    // a number below 0 is a value, to be refused by what it means
+    let lets_pass = |arg: clap::Arg| {
+        let takes = arg.get_action().takes_values();
+        if takes { arg.allow_negative_numbers(true) } else { arg }
+    };
+    let command = command.mut_subcommands(|command| command.mut_args(lets_pass));
     command.help_template(template)
 }
 

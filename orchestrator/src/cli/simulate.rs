@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use metasense_worker::files::{self, Array};
 use metasense_worker::simulate::{Simulated, simulate};
 
 use super::named::Designed;
@@ -83,14 +84,10 @@ fn table(found: &Simulated, each: bool) -> Table {
     Table::new(columns, met.into_iter().map(row))
 }
 
-/// Shape and values of an NPY file of numbers in C order.
+/// Shape and values of an NPY file of numbers.
 fn array(path: &Path) -> Result<(Vec<usize>, Vec<f64>), Error> {
     let bytes = std::fs::read(path).map_err(Error::unreadable(path))?;
-    let bad = |what: &dyn std::fmt::Display| Error::Usage(format!("{}: {what}", path.display()));
-    let file = npyz::NpyFile::new(&bytes[..]).map_err(|e| bad(&e))?;
-    if file.order() != npyz::Order::C && file.shape().len() > 1 {
-        return Err(bad(&"Fortran order; save it in C order (numpy.ascontiguousarray)"));
-    }
-    let shape = file.shape().iter().map(|&n| n as usize).collect();
-    Ok((shape, file.into_vec().map_err(|e| bad(&e))?))
+    let Array { shape, values } =
+        files::array(&bytes).map_err(|what| Error::Usage(format!("{}: {what}", path.display())))?;
+    Ok((shape, values))
 }

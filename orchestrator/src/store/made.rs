@@ -60,12 +60,16 @@ impl Reader {
         Ok(rows.into_iter().map(made).collect())
     }
 
-    /// Whether a sweep of the database may end as soon as it knows enough (`[until]`, `[goal]`).
+    /// Whether a sweep of the database may have ended as soon as it knew enough: one with `[until]`, or with a `[goal]` and trials
+    /// that are not done, as `design` leaves them and `run` does not.
     ///
     /// # Errors
     /// Where SQLite fails.
     pub async fn may_stop_early(&mut self) -> Result<bool, StoreError> {
-        sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM sweep WHERE spec->'$.until' IS NOT NULL OR spec->'$.goal' IS NOT NULL)")
+        let sql = "SELECT EXISTS (SELECT 1 FROM sweep s WHERE s.spec->'$.until' IS NOT NULL OR s.spec->'$.goal' IS NOT NULL
+                     AND EXISTS (SELECT 1 FROM sweep_trial x JOIN trial t ON t.id = x.trial_id
+                                 WHERE x.sweep_id = s.id AND t.state <> 'done'))";
+        sqlx::query_scalar(sql)
             .fetch_one(&mut self.connection)
             .await
             .map_err(|e| StoreError::sql(&self.path, "reading", e))
