@@ -280,6 +280,14 @@ def placed():
         kind = "linear" if line[0].startswith("linear") else ""
         search = "greedy" if "placed" in line[1] else ""
         if line[1].startswith("gain"):
+            def errors(m, search, body):
+                of = rows("placed-two-core/trials.csv", sensors=m, brain__kind=kind, sensors__search=search, stimuli__kind="bell")
+                return logs(of, f"holdout_error_{body}")
+            def gain(m):
+                before = errors(m, "" if "by placing" in line[1] else "greedy", "initial")
+                after = errors(m, "greedy", "initial" if "by placing" in line[1] else "optimised")
+                return interval([a - b for a, b in zip(before, after, strict=True)], math.exp)
+            yield line[2:], [gain(m) for m in "123456"]
             continue
         body = "initial" if line[1].startswith("initial") else "optimised"
         def cell(m):
@@ -822,7 +830,46 @@ def relaxing():
         yield line[1:], [cell(*by) for by in [("nominal", "0"), ("casts", "0"), ("records", "10"), ("records", "100")]]
 
 
-CHECKS = [quickstart, who_senses, sensors, claims, claims_on_the_test_set, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
+def findings():
+    """The findings of README: their numbers against tables that are checked above, and against rows where they have none."""
+    text = re.search(r"<!-- generated: findings -->\n(.*?)<!-- end -->", (HERE.parent / "README.md").read_text(), re.S)[1]
+    senses, casts, memory, places, paper = text.strip().split("\n")
+    said = lambda bullet, pattern: list(re.search(pattern, bullet).groups())
+    share = r"([\d.]+ %)"
+    reads = {line[0]: line[1:] for line in table("who senses")}
+    linear, model, twin = (reads[name] for name in ("linear, fitted to the design", "the design's model, inverted", "a twin from 30 records, inverted"))
+    on_casts = lambda cell: cell.split(" [")[0] + " %"
+    yield (said(senses, rf"trained: {share} → {share} by a linear decoder in ([^,]+), {share} → {share} by .*, inverted in ([\d.]+ s)"),
+           [linear[1], linear[3], linear[0], model[1], model[3], model[0]])
+    yield (said(senses, f"reads at {share} → {share}, .* at {share} → {share}, .* at {share}"),
+           [on_casts(cell) for cell in (linear[2], linear[4], twin[2], twin[4], twin[6])])
+    two = {line[1]: line[2:] for line in table("casts") if line[0] == "K = 2, M = 1"}
+    longer = two["trained over casts, three times the steps"]
+    yield (said(casts, r"promises ([\d.]+ %) .* designed ([\d.]+ \[[\d.]+\]) % .* one ([\d.]+ \[[\d.]+\]) %.* at ([\d.]+ \[[\d.]+\]) %, .* at ([\d.]+ \[[\d.]+\]) %, .* at ([\d.]+ \[[\d.]+\]) %"),
+           [two["trained as designed"][0], *(cell.removesuffix(" %") for cell in
+            (two["trained as designed"][2], two["initial body"][2], two["trained over casts"][2], longer[2], longer[3]))])
+    alone = dict(zip(("network", "long", "linear"), next(line[2:5] for line in table("brains") if line[:2] == ["smooth pulses", "none"])))
+    yield said(memory, r"body: (.*?) with the paper.*, and (.*?) with a linear"), [alone["network"], alone["linear"]]
+    at = {tuple(line[:2]): line[2:] for line in table("placed")}
+    best, random = at["linear brain", "initial body, sensors placed"], at["linear brain", "initial body, sensors at random"]
+    yield said(places, f"have {share} error .* random {share}; .* have {share}"), [best[3], random[5], at["linear brain", "trained body, sensors placed"][3]]
+    rated = {}
+    for says, _, *cells in table("claims"):
+        [claim] = [row["claim"] for row in rows("claims/claims.csv") if says.startswith(row["says"])]
+        if not says.startswith("not claimed"):
+            rated.setdefault(claim, []).extend(cell.rsplit(": ")[-1] for cell in cells if cell)
+    good = [sum(word in ("holds", "compatible", "in part") for word in words) for words in rated.values()]
+    whole = sum(words == ["holds"] * len(words) for words in rated.values())
+    fails = sum(not some and "fails" in words for some, words in zip(good, rated.values()))
+    results = (HERE / "README.md").read_text()
+    apart = results.split("claims that have no row above")[1].split("\n\n")[1].split("- *")[1:]
+    law = {tuple(line[:2]): line[6].split()[0] for line in table("elbow law asked")}
+    yield (said(paper, r"Of (\d+) .* paper (\d+) hold .* scenes, (\d+) more .* others (\d+) fails.* of (\d+) judged apart (\d+) fail .* need (\d), (\d) without"),
+           [str(n) for n in (len(rated), whole, sum(some > 0 for some in good) - whole, fails, len(apart), sum("fails" in text for text in apart))]
+           + [law["6", "3"], law["6", "2"]])
+
+
+CHECKS = [quickstart, findings, who_senses, sensors, claims, claims_on_the_test_set, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:
