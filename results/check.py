@@ -748,7 +748,7 @@ def paper_protocol_four_forces():
         return [(of[untrained, "initial", placement], of[trained, "optimised", placement]) for placement in placements]
 
     def times(pairs):
-        return with_interval([a / b for a, b in pairs]) if len(pairs) > 1 else short(pairs[0][0] / pairs[0][1])
+        return with_interval([a / b for a, b in pairs])
 
     *lines, last = table("paper protocol, four forces")
     sets = ("error_test", "error_holdout")

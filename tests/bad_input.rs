@@ -574,6 +574,10 @@ const TABLES: &[(&str, &str)] = &[
         "s.toml:15: optimise.gradient = \"direct\": means nothing to this optimise.protocol, only to paper",
     ),
     ("[until]\npaired = 0.2\nconfidence = 1.5", "s.toml:15: until.confidence = 1.5: must lie in [0.5, 1)"),
+    (
+        "[[evaluation.under]]\nkind = \"bell\"\nwidth = [0.1, 0.2, 0.3]",
+        "evaluation.under.width = [0.1, 0.2, 0.3]: must be a list of 2 numbers",
+    ),
     ("[goal]\nerror = 0.0", "s.toml:14: goal.error = 0.0: must be a number above 0"),
     ("[goal]\nerror = 3.0\nquantile = 1.5", "s.toml:15: goal.quantile = 1.5: must lie above 0"),
     ("[goal]\nerror = 3.0\nquantile = 0.9", "s.toml:15: goal.quantile = 0.9: is over casts: give"),
@@ -719,6 +723,10 @@ fn files_and_databases_that_cannot_be_used_are_named() {
     bench.file("file", "not a database, and not a folder either");
     std::fs::write(bench.path("binary.toml"), [0xff, 0xfe, 0x00]).unwrap();
     bench.file("empty.sqlite", "");
+    bench.file("f.csv", "t,f\n0,0\n0.1,1\n");
+    let recorded =
+        "kind = \"recorded\"\nrecorded = { files = [\"f.csv\", \"f.csv\"], time = \"t\", force = [\"f\"] }";
+    bench.file("twice.toml", &SPEC.replacen("kind = \"bell\"", recorded, 1));
     for (args, expected) in [
         (&["run", "none.toml"][..], "cannot read none.toml"),
         (&["run", "binary.toml"], "cannot read binary.toml"),
@@ -735,6 +743,12 @@ fn files_and_databases_that_cannot_be_used_are_named() {
         (&["serve", "file", "--port", "0"], "file is not a metasense database"),
         (&["report", "none.sqlite", "--threads", "3000"], "3000 is not in 1..=1024"),
         (&["status"], "there is no database under results/"),
+        (&["analyse", "none.sqlite", "--within", "-1"], "invalid value '-1' for '--within <PART>'"),
+        (
+            &["export", "none.sqlite", "ab", "--format", "svg", "--wall", "2", "--out", "x"],
+            "--wall is for --format stl and device: leave it out",
+        ),
+        (&["run", "twice.toml"], "twice.toml:11: stimuli.recorded.files = "),
         (&["frobnicate"], "unrecognized subcommand 'frobnicate'"),
     ] {
         let output = bench.metasense(args);

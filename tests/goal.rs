@@ -51,6 +51,12 @@ fn the_cheapest_design_is_found_and_judged_on_fresh_seeds() {
     assert_eq!((count(",done,"), count(",paused,"), count(",done,,0,")), (5, 1, 4), "{found}");
     assert!(found.lines().any(|line| line.contains(",pending,paused,11,")), "{found}");
 
+    let says_early = || {
+        let analysed = bench.metasense(&["analyse", "results/tiny.sqlite", "--question", "seconds"]);
+        String::from_utf8_lossy(&analysed.stderr).contains("may have stopped because")
+    };
+    assert!(says_early(), "one trial is not done");
+
     let sql = "SELECT json_array_length(spec, '$.sensors.relative_to.shifts') AS sizes,
         json_array_length(spec, '$.body.design.shifts') AS designs, count(*) AS trials,
         sum(spec->>'$.sensors.relative_to' = spec->>'$.body.design') AS same FROM v_trial GROUP BY 1, 2 ORDER BY 1";
@@ -71,6 +77,9 @@ fn the_cheapest_design_is_found_and_judged_on_fresh_seeds() {
     assert_eq!(hashes(&text("r/search.csv")), hashes(&table));
     assert!(text("r.html").contains("tiny: the cheapest design that meets"));
     assert_eq!(text("r/pairs.csv").lines().count(), 2, "one trial has trained a body to its end");
+
+    bench.output(&["run", "s.toml"]);
+    assert!(!says_early(), "the whole grid is done");
 
     let halting = Bench::new();
     halting.file("s.toml", &noisy("error = 1e6\nhours = 1e-9\n"));

@@ -118,6 +118,10 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
     if !sweep.points.is_empty() {
         distinct(&sweep.points, "sweep.points", source)?;
     }
+    if let Some(seed) = sweep.seeds.iter().find(|seed| **seed > MOST_SEED) {
+        let remedy = format!("must be at most {MOST_SEED}");
+        return Err(source.error_with("sweep.seeds", Some(&seed.to_string()), &remedy));
+    }
     distinct(&sweep.seeds, "sweep.seeds", source)?;
     for (path, values) in &sweep.axes {
         distinct(values, path, source)?;
@@ -132,10 +136,6 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
         }
     }
     check_run(&spec.run, source)?;
-    if let Some(seed) = sweep.seeds.iter().find(|seed| **seed > MOST_SEED) {
-        let remedy = format!("must be at most {MOST_SEED}");
-        return Err(source.error_with("sweep.seeds", Some(&seed.to_string()), &remedy));
-    }
     for (asked, table) in [(spec.until.is_some(), "until"), (spec.goal.is_some(), "goal")] {
         if asked && sweep.own_placements {
             let remedy =
@@ -202,8 +202,8 @@ fn distinct<T: serde::Serialize>(values: &[T], key: &str, source: &Source) -> Re
         return Err(source.error(key, "needs at least one value"));
     }
     let mut seen = HashSet::new();
-    match values.iter().map(as_written).find(|value| !seen.insert(value.clone())) {
-        Some(value) => Err(source.error_with(key, Some(&value), "is named twice")),
+    match values.iter().find(|value| !seen.insert(serde_json::to_string(value).expect("it is JSON"))) {
+        Some(value) => Err(source.error_with(key, Some(&as_written(value)), "is named twice")),
         None => Ok(()),
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::OnceLock;
 
-use metasense::analysis::claims::{CLAIMS, Evidence, Rating};
+use metasense::analysis::claims::{CLAIMS, Evidence};
 use metasense::analysis::numbers::distinct;
 use metasense::analysis::paired::iteration_ratio;
 use metasense::analysis::setting::Settings;
@@ -84,19 +84,8 @@ fn trials() -> Vec<Trial> {
 /// What they say of every claim.
 fn found() -> &'static [Vec<Evidence>] {
     static FOUND: OnceLock<Vec<Vec<Evidence>>> = OnceLock::new();
-    FOUND.get_or_init(|| {
-        let mut found = tried(&trials());
-        for claim in SECOND_LOOKS {
-            let by_chance =
-                found[claim - 1].iter_mut().filter(|e| e.chance.is_some_and(|chance| chance > 0.025));
-            by_chance.for_each(|evidence| evidence.rating = Rating::Open);
-        }
-        found
-    })
+    FOUND.get_or_init(|| tried(&trials()))
 }
-
-/// Claims, counted from 1, that a first look at fewer seeds had left open: half of the chance was spent then.
-const SECOND_LOOKS: [usize; 2] = [3, 14];
 
 /// A table as rows that have been read.
 fn as_rows(table: Table) -> Vec<Row> {
@@ -217,7 +206,7 @@ pub fn paper_protocol_four_forces() -> String {
     };
     let times = |pairs: &[(f64, f64)]| {
         let logs: Vec<f64> = pairs.iter().map(|(untrained, trained)| (untrained / trained).ln()).collect();
-        if let [log] = logs[..] { short(&log.exp().to_string()) } else { with_interval(&logs, f64::exp) }
+        with_interval(&logs, f64::exp)
     };
     let sets = ["error_test", "error_holdout"];
     let placements = |trained: &str| pairs(trained, trained, sets[0]).len().to_string();

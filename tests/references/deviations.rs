@@ -157,7 +157,8 @@ fn at(spec: &Value, path: &str) -> String {
     match value {
         Value::Null => "–".into(),
         Value::Number(number) if number.is_f64() => {
-            format!("{:?}", (1e4 * number.as_f64().unwrap()).round() / 1e4)
+            let digits = format!("{:.4e}", number.as_f64().unwrap());
+            format!("{:?}", digits.parse::<f64>().unwrap())
         }
         other => other.to_string().replace(',', ", ").replace('"', ""),
     }

@@ -222,12 +222,16 @@ fn lasts(force: &Record, signal: &Record, duration: f64, instants: usize) -> Res
     let end = signal.start + (signal.values[0].len() - 1) as f64 * signal.dt;
     let instant = 1.000_001 * duration / instants as f64;
     let peak = force.values.iter().flatten().fold(0.0f64, |peak, f| peak.max(f.abs()));
-    let begins =
-        force.values.iter().filter_map(|history| history.iter().position(|f| f.abs() > 0.01 * peak)).min();
+    let begins = force
+        .values
+        .iter()
+        .filter_map(|history| history.iter().position(|f| f.abs() > records::CUT * peak))
+        .min();
     let struck = begins.map_or(f64::INFINITY, |n| force.start + n as f64 * force.dt);
-    if signal.start > duration.min(struck.max(0.0)) + instant {
+    if signal.start > duration.min(struck.max(0.0)) + instant.max(signal.dt) {
+        let force = if begins.is_some() { format!(", the force at {struck:.4} s") } else { String::new() };
         return Err(format!(
-            "holds signals that begin at {:.4} s of a sample, the force at {struck:.4} s: mind signals.start",
+            "holds signals that begin at {:.4} s of a sample{force}: mind signals.start",
             signal.start
         ));
     }

@@ -169,7 +169,7 @@ pub(crate) fn clock(kind: Resample) -> Clock {
 
 /// Part of its peak that a force may have where a shift cuts it off: of a half sine's impulse less than 0.1 % is below it, and
 /// noise of a force sensor may reach 0.02 in the record of a weak blow.
-const CUT: f64 = 0.05;
+pub(crate) const CUT: f64 = 0.05;
 
 /// Whether the fresh samples of `joint`, or of a brain for all casts, have the whole force of their records, however these are shifted.
 /// The plan asks; trials that were run before it did are still read.

@@ -213,8 +213,8 @@ pub(super) async fn run(
     };
     if let Some([last, duration]) = plan.trials.iter().find_map(late) {
         say!(
-            "stimuli.onset: pulses begin as late as {last} s, where a sample (time.duration) lasts {duration} s: samples without a \
-             force are read with any error"
+            "stimuli.onset: pulses begin as late as {last} s, where a sample (time.duration) lasts {duration} s: a sample whose \
+             force has not begun by its end has no error that means anything"
         );
     }
     let mut store = Store::open(db).await?;

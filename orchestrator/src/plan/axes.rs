@@ -1,6 +1,6 @@
 //! Axes beyond K, M, placement and seed: any key by its path, in lists or linked in points; and the points that are left out.
 
-use crate::analysis::numbers::distinct;
+use crate::analysis::numbers;
 use metasense_schemas::source::{KnownKeys, Source, SpecError};
 use metasense_schemas::spec::SweepSpec;
 use serde_json::{Map, Value};
@@ -171,7 +171,7 @@ fn check_excludes(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
     known.extend(
         spec.sweep.axes.keys().chain(spec.sweep.points.iter().flat_map(Map::keys)).map(String::as_str),
     );
-    let known = distinct(known);
+    let known = numbers::distinct(known);
     for entry in &spec.sweep.exclude {
         if entry.is_empty() {
             return Err(source.error_with(
