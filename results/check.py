@@ -799,7 +799,7 @@ def families_sensors():
     for words, *cells in table("families sensors"):
         found = []
         for sensors in "1234":
-            of = [row for row in rows("families/trials.csv", lattice=LATTICES[words], sensors=sensors) if row["seed"] < "124"]
+            of = rows("families/trials.csv", lattice=LATTICES[words], sensors=sensors)
             initial, optimised = numbers(of, "initial"), numbers(of, "optimised")
             gain = with_interval([a / b for a, b in zip(initial, optimised, strict=True)])
             found.append(f"{short(geometric(initial))} → {short(geometric(optimised))} %; {gain}")

@@ -175,7 +175,7 @@ fn committed_specs_keep_their_hashes() {
     disc-map 86e8152c5c0b3a8a
     eight-forces-map 3882e6a8735693f9
     elbow-law 4763b8ca8274ddb3
-    families a2575320c6450e88
+    families 159fede421d373f6
     fig2 bced9d6dd8d54f61
     fig2-linear 3a1cb407e60bff17
     fig3 bf037e6c8d375f84
@@ -195,7 +195,7 @@ fn committed_specs_keep_their_hashes() {
     quickstart 932ec372654c30ed
     random 286d45edbe9c1528
     random-bodies-map f6bf43a608bfdcd3
-    real-scale a24e0292c7de791c
+    real-scale 4b4bf13906cbda4d
     reference f69dce36048b28bd
     robust-two-core 9ce3fa9d9ca2fd6a
     size-map 21a675451ef496ae
