@@ -203,6 +203,9 @@ impl Drop for Listener {
     }
 }
 
+/// Bytes of a socket's address, without the 0 at its end.
+const LONGEST: usize = 107;
+
 /// The socket of a database: its folder, its address by way of that, as there is room for a hundred bytes alone in one, and
 /// its file.
 fn address(db: &Path) -> io::Result<(File, PathBuf, PathBuf)> {
@@ -212,6 +215,12 @@ fn address(db: &Path) -> io::Result<(File, PathBuf, PathBuf)> {
     let file = db.with_file_name(&name);
     let folder = File::open(db.parent().unwrap_or(Path::new("/")))?;
     let address = Path::new("/proc/self/fd").join(folder.as_raw_fd().to_string()).join(name);
+    if address.as_os_str().len() > LONGEST {
+        let spare = address.as_os_str().len() - LONGEST;
+        return Err(io::Error::other(format!(
+            "the database's name is {spare} bytes too long for a socket's"
+        )));
+    }
     Ok((folder, address, file))
 }
 
