@@ -183,7 +183,7 @@ impl Listener {
         let (_folder, address, file) = address(db)?;
         // Of a run that was killed: nobody else may be listening, as the database is ours.
         let _ = std::fs::remove_file(&file);
-        let listener = UnixListener::bind(address)?;
+        let listener = UnixListener::bind(&address).map_err(|error| refused(&address, error))?;
         std::fs::set_permissions(&file, Permissions::from_mode(0o600))?;
         let (out, requests) = mpsc::channel(CONNECTIONS);
         let task = tokio::spawn(listen(listener, out));
@@ -215,13 +215,15 @@ fn address(db: &Path) -> io::Result<(File, PathBuf, PathBuf)> {
     let file = db.with_file_name(&name);
     let folder = File::open(db.parent().unwrap_or(Path::new("/")))?;
     let address = Path::new("/proc/self/fd").join(folder.as_raw_fd().to_string()).join(name);
-    if address.as_os_str().len() > LONGEST {
-        let spare = address.as_os_str().len() - LONGEST;
-        return Err(io::Error::other(format!(
-            "the database's name is {spare} bytes too long for a socket's"
-        )));
-    }
     Ok((folder, address, file))
+}
+
+/// Why a socket cannot be had: by how much the database's name is too long, where it is.
+fn refused(address: &Path, error: io::Error) -> io::Error {
+    match address.as_os_str().len().saturating_sub(LONGEST) {
+        0 => error,
+        bytes => io::Error::other(format!("the database's name is {bytes} bytes too long for a socket's")),
+    }
 }
 
 async fn listen(listener: UnixListener, out: mpsc::Sender<Request>) {
@@ -297,12 +299,12 @@ pub async fn ask(db: &Path, command: &Command) -> Result<Said, ControlError> {
     let at = |source| ControlError::Io { db: db.to_owned(), source };
     let (_folder, address, _) =
         address(db).map_err(|source| ControlError::NoDatabase { db: db.to_owned(), source })?;
-    let stream = UnixStream::connect(address).await.map_err(|source| match source.kind() {
+    let stream = UnixStream::connect(&address).await.map_err(|source| match source.kind() {
         io::ErrorKind::NotFound | io::ErrorKind::ConnectionRefused => match is_held(db) {
             true => ControlError::Deaf { db: db.to_owned() },
             false => ControlError::NoRun { db: db.to_owned() },
         },
-        _ => at(source),
+        _ => at(refused(&address, source)),
     })?;
     let answer = async {
         let (from, mut to) = stream.into_split();
