@@ -111,7 +111,7 @@ fn a_long_training_is_no_silence_and_a_hang_within_it_is_one() {
 fn a_stop_on_request_does_not_wait_for_a_long_step() {
     let bench = Bench::new();
     let paper = long("[1]", 0).replace("batch = 4", "protocol = \"paper\"");
-    let paper = paper.replace("long_iterations = 0", "").replace("iterations = 10", "iterations = 100000");
+    let paper = paper.replace("long_iterations = 0", "").replace("iterations = 10", "iterations = 10000000");
     bench.file("long.toml", &paper);
     let mut run = Run::start(&bench, "s.sqlite");
     let begun = || (bench.number("s.sqlite", "SELECT count(*) FROM attempt") == 1).then_some(());
