@@ -388,8 +388,8 @@ fn with_records(stimuli: &Stimuli, source: &Source) -> Result<Stimuli, SpecError
             };
             *file = path.canonicalize().map_err(fault)?;
             if file.to_str().is_none() {
-                let shown = Some(file.display().to_string());
-                return Err(source.error_with("stimuli.recorded.files", shown.as_deref(), "must be UTF-8"));
+                let shown = file.display().to_string();
+                return Err(source.error_with("stimuli.recorded.files", Some(&shown), "must be UTF-8"));
             }
         }
         distinct(&recorded.files, "stimuli.recorded.files", source)?;

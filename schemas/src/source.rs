@@ -17,7 +17,6 @@ mod keys;
 mod layers;
 
 pub use keys::KnownKeys;
-use keys::surplus;
 use layers::{Layer, merged};
 
 /// Something wrong in a spec file.
@@ -137,7 +136,7 @@ impl Source {
         }
         let parsed = toml::from_str(&self.text).map_err(|e| self.type_error(&e, &known))?;
         let value = toml::from_str(&self.text).expect("it has been read");
-        match surplus::<T>(&value) {
+        match known.surplus(&value) {
             Some(key) => Err(self.error(&key, &known.in_words(&key, "invalid length"))),
             None => Ok(parsed),
         }

@@ -1,11 +1,12 @@
 //! Where we stand beside the paper: what it says, what the specs of its figures have. The supplement with its sizes, material and pulses is not
 //! released.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use metasense::plan::Plan;
 use metasense_schemas::source::Source;
+use metasense_schemas::spec::flatten;
 use serde_json::Value;
 
 use super::{root, table};
@@ -151,10 +152,12 @@ const ROWS: &[(&str, &str, &[&str], &str)] = &[
     ),
 ];
 
-/// Of a trial's spec: what stands at a path.
-fn at(spec: &Value, path: &str) -> String {
-    let value = path.split('.').fold(spec, |value, key| &value[key]);
-    match value {
+/// A trial's spec by path.
+type Spec = BTreeMap<String, Value>;
+
+/// What stands at a path.
+fn at(spec: &Spec, path: &str) -> String {
+    match spec.get(path).unwrap_or(&Value::Null) {
         Value::Null => "–".into(),
         Value::Number(number) if number.is_f64() => {
             let digits = format!("{:.4e}", number.as_f64().unwrap());
@@ -165,11 +168,11 @@ fn at(spec: &Value, path: &str) -> String {
 }
 
 /// The trials of the spec of a figure.
-fn trials(figure: &str) -> Vec<Value> {
+fn trials(figure: &str) -> Vec<Spec> {
     let file: PathBuf = root().join(format!("schemas/sweeps/{figure}.toml"));
     let text = std::fs::read_to_string(&file).expect(figure);
     let plan = Plan::of(Source::spec(&file, text, &[]).expect("a spec")).expect("a plan");
-    plan.trials.iter().map(|trial| serde_json::to_value(&trial.spec).expect("JSON")).collect()
+    plan.trials.iter().map(|trial| flatten(&serde_json::to_value(&trial.spec).expect("JSON"))).collect()
 }
 
 /// Words, what the paper says of Figs. 3 to 5, the keys whose values the figures' specs have.
@@ -204,7 +207,7 @@ const OTHERS: &[(&str, &str, &[&str])] = &[
 /// What the specs of the other figures have; those of Fig. 2 beside them.
 pub fn other_figures() -> String {
     let figures = ["fig2", "fig3", "fig4b", "fig4c", "fig5"].map(trials);
-    let values = |trials: &[Value], key: &&str| {
+    let values = |trials: &[Spec], key: &str| {
         let mut found: Vec<String> = Vec::new();
         for value in trials.iter().map(|spec| at(spec, key)) {
             if !found.contains(&value) {
@@ -216,12 +219,12 @@ pub fn other_figures() -> String {
     // in nothing else
     let told: Vec<&str> =
         OTHERS.iter().flat_map(|row| row.2).copied().chain(["panel_units", "sensor_units"]).collect();
-    let every: BTreeSet<String> = figures.iter().flatten().flat_map(|spec| paths("", spec)).collect();
-    let differs = |path: &&String| {
-        let of_each = figures.each_ref().map(|trials| values(trials, &path.as_str()));
+    let every: BTreeSet<&String> = figures.iter().flatten().flat_map(BTreeMap::keys).collect();
+    let differs = |path: &&&String| {
+        let of_each = figures.each_ref().map(|trials| values(trials, path));
         !told.contains(&path.as_str()) && of_each.iter().any(|own| *own != of_each[0])
     };
-    assert_eq!(every.iter().filter(differs).collect::<Vec<_>>(), Vec::<&String>::new());
+    assert_eq!(every.iter().filter(differs).collect::<Vec<_>>(), Vec::<&&String>::new());
     let row = |(what, paper, keys): &(&str, &str, &[&str])| {
         let mut cells = vec![(*what).to_owned(), unknown(paper)];
         cells.extend(
@@ -232,16 +235,6 @@ pub fn other_figures() -> String {
         cells
     };
     table(&["what", "the paper", "`fig2`", "`fig3`", "`fig4b`", "`fig4c`", "`fig5`"], OTHERS.iter().map(row))
-}
-
-/// Paths of a spec's values, tables taken apart.
-fn paths(within: &str, value: &Value) -> Vec<String> {
-    let Value::Object(table) = value else { return vec![within.to_owned()] };
-    let below = |(key, value): (&String, &Value)| match within {
-        "" => paths(key, value),
-        within => paths(&format!("{within}.{key}"), value),
-    };
-    table.iter().flat_map(below).collect()
 }
 
 fn unknown(text: &str) -> String {

@@ -122,8 +122,8 @@ impl Claim {
     }
 }
 
-/// The evidence for several claims, in their order, with the chances of one set's findings taken together: what chance alone might have brought about is
-/// open.
+/// The evidence for several claims, in their order, with the chances of one set's findings taken together: what chance alone might
+/// have brought about is open.
 pub fn corrected(mut found: Vec<Vec<Evidence>>) -> Vec<Vec<Evidence>> {
     for set in distinct(found.iter().flatten().map(|e| e.set)) {
         let by_claim = CLAIMS.iter().zip(&mut found);

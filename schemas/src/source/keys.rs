@@ -14,6 +14,7 @@ use crate::spec::SweepSpec;
 pub struct KnownKeys {
     /// What each may hold, in words.
     allowed: BTreeMap<String, String>,
+    schema: Value,
 }
 
 impl KnownKeys {
@@ -27,11 +28,16 @@ impl KnownKeys {
         let schema = schemars::schema_for!(T).to_value();
         let mut allowed = BTreeMap::new();
         add_keys(&schema, &schema, "", &mut allowed);
-        Self { allowed }
+        Self { allowed, schema }
     }
 
     pub(super) fn paths(&self) -> impl Iterator<Item = &str> {
         self.allowed.keys().map(String::as_str)
+    }
+
+    /// The key whose list, or a list in it, has more entries than are read: TOML's deserializer leaves out the rest.
+    pub(super) fn surplus(&self, value: &Value) -> Option<String> {
+        longer(&self.schema, &self.schema, value, "")
     }
 
     pub(super) fn contains(&self, path: &str) -> bool {
@@ -90,12 +96,7 @@ impl KnownKeys {
     }
 }
 
-/// The key whose list, or a list in it, has more entries than are read: TOML's deserializer leaves out the rest.
-pub(super) fn surplus<T: JsonSchema>(value: &Value) -> Option<String> {
-    let schema = schemars::schema_for!(T).to_value();
-    longer(&schema, &schema, value, "")
-}
-
+/// The path of the first list with more entries than its schema reads.
 fn longer(schema: &Value, root: &Value, value: &Value, path: &str) -> Option<String> {
     let schema = resolved(schema, root);
     let own = match value {
@@ -118,8 +119,8 @@ fn longer(schema: &Value, root: &Value, value: &Value, path: &str) -> Option<Str
     };
     let forms =
         ["anyOf", "oneOf"].into_iter().flat_map(|choice| schema[choice].as_array().into_iter().flatten());
-    let found: Vec<Option<String>> = forms.filter(fits).map(|form| longer(form, root, value, path)).collect();
-    own.or_else(|| found.iter().all(Option::is_some).then(|| found.into_iter().next().flatten()).flatten())
+    let found: Option<Vec<String>> = forms.filter(fits).map(|form| longer(form, root, value, path)).collect();
+    own.or_else(|| found?.into_iter().next())
 }
 
 fn add_keys(schema: &Value, root: &Value, prefix: &str, allowed: &mut BTreeMap<String, String>) {
