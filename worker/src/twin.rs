@@ -50,7 +50,14 @@ pub fn store(trial: &TrialSpec, design: &[f64], twin: &Twin) -> stored::Twin {
 pub fn read(file: &Path, trial: &TrialSpec, design: &[f64]) -> Result<Twin, MeasuredError> {
     let text = std::fs::read_to_string(file)
         .map_err(|source| MeasuredError::Unreadable { path: file.to_owned(), source })?;
-    let source = Source::new(file, text)?;
+    parse(&Source::new(file, text)?, trial, design)
+}
+
+/// The twin that a text holds.
+///
+/// # Errors
+/// As `read`.
+pub fn parse(source: &Source, trial: &TrialSpec, design: &[f64]) -> Result<Twin, MeasuredError> {
     let stored: stored::Twin = source.parse_as()?;
     checked(stored, trial, design).map_err(|Invalid { key, value, remedy }| {
         MeasuredError::Spec(source.error_with(&key, Some(&value), &remedy))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from metasense._metasense import Body, Inverse, LinearBrain, Simulation, SimulationError, Table, Twin
 from metasense._results import Database, Event, program, run, watch
+from metasense._values import plain
 
 __all__ = [
     "Body", "Database", "Event", "Inverse", "LinearBrain", "Simulation", "SimulationError", "Table",
@@ -26,16 +27,12 @@ __all__ = [
 def body(*, threads: int = 1, **tables: object) -> Body:
     """The body of the first trial of a spec given as keywords: its tables by name, as dictionaries. A key that is None is left out.
 
-    Raises ValueError at the first unknown key or impossible value.
+    Values may be numpy's scalars and arrays, tuples and paths. Raises ValueError at the first unknown key or impossible
+    value, TypeError at the first value that a spec cannot hold.
     """
     import json
 
-    def given(table: object) -> object:
-        if isinstance(table, dict):
-            return {key: given(value) for key, value in table.items() if value is not None}
-        return [given(value) for value in table] if isinstance(table, list) else table
-
-    return Body._from_json(json.dumps(given({"name": "python", **tables})), threads)
+    return Body._from_json(json.dumps(plain({"name": "python", **tables})), threads)
 
 
 def stimuli(

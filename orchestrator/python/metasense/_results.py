@@ -1,6 +1,8 @@
 """Runs by the installed command, and their databases."""
 
 import io
+import os
+import shutil
 import signal
 import subprocess
 import time
@@ -17,6 +19,9 @@ from metasense import _metasense
 
 class Database(_metasense.Database):
     """A database of trials, written by `run`. It can be read while a run writes to it."""
+
+    def __reduce__(self) -> tuple[type["Database"], tuple[str]]:
+        return type(self), (os.path.abspath(self.path),)
 
     def trial(self, hash: str, *, threads: int = 1) -> dict[str, NDArray[Any]]:
         """A finished trial simulated again, by the names of `metasense export --format npz`.
@@ -58,16 +63,23 @@ def run(
     """Runs the trials of a spec file, or goes on where an earlier run has stopped; `progress` prints its output.
 
     Trials that fail are in the database with their reason. Raises ValueError if the spec or the arguments are wrong, OSError if
-    the disk fails; KeyboardInterrupt stops the run in order.
+    the disk fails. KeyboardInterrupt, or any other exception that is raised meanwhile, stops the run in order; a second one stops it
+    at once. If this process is killed, its run stops in order, too.
     """
-    command: list[str] = [fspath(program()), "run", fspath(spec)]
+    command: list[str] = [fspath(program()), "run", fspath(spec), "--parent", str(os.getpid())]
     for name, value in [("--db", db), ("--workers", workers), ("--threads", threads)]:
         if value is not None:
             command += [name, fspath(value) if isinstance(value, PathLike) else str(value)]
     said: list[str] = []
-    # in a session of its own Ctrl-C comes to it once, from here
+    # in a session of its own Ctrl-C comes to it once, from here; its tables are as wide as what is printed here may be
     with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        encoding="utf-8",
+        errors="replace",
+        start_new_session=True,
+        env={**os.environ, "COLUMNS": str(shutil.get_terminal_size().columns)},
     ) as process:
         assert process.stdout is not None
         try:
@@ -75,14 +87,23 @@ def run(
                 said.append(line.rstrip("\n"))
                 if progress:
                     print(line, end="", flush=True)
-        except KeyboardInterrupt:
-            process.send_signal(signal.SIGINT)
-            process.communicate()
+        except BaseException:
+            _stop(process)
             raise
     text = "\n".join(said[-20:])
     if process.returncode in (0, 1):
         return Database(db if db is not None else _metasense.default_database(spec))
     raise {2: ValueError, 3: OSError, 4: KeyboardInterrupt}.get(process.returncode, RuntimeError)(text)
+
+
+def _stop(process: subprocess.Popen[str]) -> None:
+    """Stops a run in order, and at once if there is another interruption; waits for its end."""
+    while process.poll() is None:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.communicate()
+        except KeyboardInterrupt:
+            continue
 
 
 _STEPS = "SELECT hash, step, error_test FROM v_step WHERE recorded_at >= '{since}' ORDER BY recorded_at, hash, step"

@@ -1,9 +1,12 @@
-//! Arrays in: any real numbers of any layout, checked, as C-ordered double precision.
+//! Arrays in: any real numbers of any layout, checked, as C-ordered double precision; and whole numbers.
+
+use std::ops::RangeInclusive;
 
 use numpy::{IxDyn, PyReadonlyArray, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
+use pyo3::types::PyBool;
 
 /// Numbers and their shape.
 pub struct Numbers {
@@ -16,14 +19,20 @@ pub struct Numbers {
 /// # Errors
 /// `TypeError` if it holds no real numbers, `ValueError` if it is no array.
 pub fn numbers(what: &str, object: &Bound<'_, PyAny>) -> PyResult<Numbers> {
+    of_kind("fiub", "real numbers", what, object)
+}
+
+/// As `numbers`, of arrays whose dtype is of one of these kinds.
+fn of_kind(kinds: &str, which: &str, what: &str, object: &Bound<'_, PyAny>) -> PyResult<Numbers> {
     static AS_ARRAY: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
     let py = object.py();
     let as_array = AS_ARRAY.import(py, "numpy", "asarray")?;
     let array = as_array.call1((object,)).map_err(|e| PyValueError::new_err(format!("{what}: {e}")))?;
     let dtype = array.cast::<PyUntypedArray>()?.dtype();
     let kind: char = dtype.getattr("kind")?.extract()?;
-    if !"fiub".contains(kind) {
-        return Err(PyTypeError::new_err(format!("{what} has dtype {dtype}; it must hold real numbers")));
+    // an empty list has no kind of its own
+    if !kinds.contains(kind) && !array.is_empty().unwrap_or(false) {
+        return Err(PyTypeError::new_err(format!("{what} has dtype {dtype}; it must hold {which}")));
     }
     let array = as_array.call1((array, "float64"))?;
     let array: PyReadonlyArray<'_, f64, IxDyn> = array.extract()?;
@@ -46,4 +55,36 @@ pub fn vector(what: &str, object: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
         1 => Ok(values),
         _ => Err(PyValueError::new_err(format!("{what} has shape {shape:?}; it must have one dimension"))),
     }
+}
+
+/// Numbers of units or instants, in any sequence.
+///
+/// # Errors
+/// `TypeError` if they are not whole, `ValueError` if one is below 0 or there are more dimensions.
+pub fn indices(what: &str, object: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
+    let Numbers { shape, values } = of_kind("iu", "whole numbers", what, object)?;
+    match values.iter().find(|x| **x < 0.0) {
+        Some(x) => Err(PyValueError::new_err(format!("{what} has {x}; its numbers must be 0 or above"))),
+        None if shape.len() == 1 => Ok(values.into_iter().map(|x| x as usize).collect()),
+        None => Err(PyValueError::new_err(format!("{what} has shape {shape:?}; it must have one dimension"))),
+    }
+}
+
+/// A whole number of Python's or numpy's.
+///
+/// # Errors
+/// `TypeError` if it is none, a truth value included; `ValueError` if it is out of range.
+pub fn whole(what: &str, object: &Bound<'_, PyAny>, range: RangeInclusive<u64>) -> PyResult<u64> {
+    let must = match *range.end() {
+        u64::MAX => format!("{} or above", range.start()),
+        most => format!("from {} to {most}", range.start()),
+    };
+    let wrong = format!("{what} = {object}: must be a whole number, {must}");
+    let index = match object.is_instance_of::<PyBool>() {
+        true => None,
+        false => object.call_method0("__index__").ok(),
+    };
+    let index = index.ok_or_else(|| PyTypeError::new_err(wrong.clone()))?;
+    let found = index.extract::<u64>().ok().filter(|n| range.contains(n));
+    found.ok_or_else(|| PyValueError::new_err(wrong))
 }

@@ -9,9 +9,12 @@ use arrow_array::{
 };
 use arrow_schema::{Field, Schema};
 use metasense::look::Table as Rows;
+use pyo3::exceptions::{PyKeyError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::{PyCapsule, PyDict, PyList};
+use pyo3::types::{PyCapsule, PyDict, PyIterator, PyList};
 use serde_json::Value;
+
+use crate::unpickler;
 
 /// Whole numbers where all values are, numbers where all are, else texts; null where there is nothing.
 fn column<'a>(values: impl Iterator<Item = &'a Value> + Clone) -> ArrayRef {
@@ -34,7 +37,7 @@ fn column<'a>(values: impl Iterator<Item = &'a Value> + Clone) -> ArrayRef {
 
 /// A table from a database: rows under named columns.
 ///
-/// `pandas.DataFrame.from_arrow`, `polars.DataFrame` and `pyarrow.table` accept it directly.
+/// `pandas.DataFrame`, `polars.DataFrame` and `pyarrow.table` accept it directly; `to_pandas` needs no pyarrow.
 #[pyclass(frozen, module = "metasense")]
 pub struct Table {
     rows: Rows,
@@ -56,6 +59,13 @@ impl From<Rows> for Table {
     }
 }
 
+impl Table {
+    fn values<'py>(&self, py: Python<'py>, column: usize) -> PyResult<Bound<'py, PyList>> {
+        let values = self.rows.rows.iter().map(|row| object(py, &row[column]));
+        PyList::new(py, values.collect::<PyResult<Vec<_>>>()?)
+    }
+}
+
 #[pymethods]
 impl Table {
     /// Names of the columns.
@@ -68,11 +78,39 @@ impl Table {
     fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let dict = PyDict::new(py);
         for (i, name) in self.rows.columns.iter().enumerate() {
-            let values =
-                self.rows.rows.iter().map(|row| object(py, &row[i])).collect::<PyResult<Vec<_>>>()?;
-            dict.set_item(name, PyList::new(py, values)?)?;
+            dict.set_item(name, self.values(py, i)?)?;
         }
         Ok(dict)
+    }
+
+    /// The table as a pandas.DataFrame, which has the same columns if there are no rows.
+    fn to_pandas<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let columns = PyDict::new(py);
+        columns.set_item("columns", self.columns())?;
+        py.import("pandas")?.getattr("DataFrame")?.call((self.to_dict(py)?,), Some(&columns))
+    }
+
+    /// The rows, each a dictionary.
+    fn __iter__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyIterator>> {
+        let rows = self.rows.rows.iter().map(|row| {
+            let dict = PyDict::new(py);
+            for (name, value) in self.rows.columns.iter().zip(row) {
+                dict.set_item(name, object(py, value)?)?;
+            }
+            Ok(dict)
+        });
+        PyList::new(py, rows.collect::<PyResult<Vec<_>>>()?)?.try_iter()
+    }
+
+    /// The values of a column.
+    fn __getitem__<'py>(&self, py: Python<'py>, column: &str) -> PyResult<Bound<'py, PyList>> {
+        let Some(at) = self.rows.columns.iter().position(|name| name == column) else {
+            return Err(PyKeyError::new_err(format!(
+                "{column}: the columns are {}",
+                self.columns().join(", ")
+            )));
+        };
+        self.values(py, at)
     }
 
     /// The table as an Arrow stream (PyCapsule); its types do not depend on `requested_schema`.
@@ -86,6 +124,19 @@ impl Table {
         let batches = RecordBatchIterator::new([Ok(self.batch.clone())], self.batch.schema());
         let stream = FFI_ArrowArrayStream::new(Box::new(batches));
         PyCapsule::new_with_value(py, stream, c"arrow_array_stream")
+    }
+
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Pickle<'py>> {
+        let rows = serde_json::to_string(&self.rows.rows).expect("rows are JSON");
+        Ok((unpickler(py, "unpickle_table")?, (self.rows.columns.clone(), rows)))
+    }
+
+    fn __copy__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    fn __deepcopy__(slf: Py<Self>, _memo: &Bound<'_, PyAny>) -> Py<Self> {
+        slf
     }
 
     fn __len__(&self) -> usize {
@@ -118,6 +169,16 @@ impl Table {
         let note = if more > 0 { format!("<p>and {more} more rows</p>") } else { String::new() };
         format!("<table>\n{html}</table>{note}")
     }
+}
+
+/// What reads a pickle, and columns and rows for it.
+type Pickle<'py> = (Bound<'py, PyAny>, (Vec<String>, String));
+
+/// A table from its pickle.
+#[pyfunction]
+pub fn unpickle_table(columns: Vec<String>, rows: &str) -> PyResult<Table> {
+    let rows = serde_json::from_str(rows).map_err(|e| PyValueError::new_err(e.to_string()))?;
+    Ok(Rows { columns, rows }.into())
 }
 
 fn object<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>> {

@@ -1,28 +1,31 @@
 //! A body: what it is, which designs it can have, and what its sensors feel.
 
+use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
 use metasense::plan::Plan;
 use metasense::report::body::sketch;
-use metasense_numerics::Pool;
 use metasense_numerics::body::Ligament;
-use metasense_numerics::dynamics::{self, Forces, Parameters, Scene, Tuned, tune};
+use metasense_numerics::dynamics::{
+    self, Accuracy, Forces, Method, Parameters, Scene, Solver, Tolerance, tune,
+};
 use metasense_numerics::feasible::Feasible;
 use metasense_numerics::random::Purpose;
 use metasense_numerics::trial::Problem;
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::replay::drawing;
-use metasense_worker::run::{check_design, placed, pool};
+use metasense_worker::run::{check_design, placed, prepared};
 use metasense_worker::simulate::{forces, strike};
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
-use pyo3::exceptions::{PyOSError, PyValueError};
+use pyo3::exceptions::{PyMemoryError, PyOSError, PyValueError};
 use pyo3::prelude::*;
 
-use crate::arrays::{Numbers, numbers, vector};
+use crate::arrays::{Numbers, indices, numbers, vector, whole};
 use crate::inverse::Twin;
 use crate::simulation::Simulation;
-use crate::{chain, raised};
+use crate::threads::{PerProcess, Threads, threads};
+use crate::{chain, raised, unpickler};
 
 /// The body of a trial: rigid units joined by ligaments, panels that are struck, and sensors.
 ///
@@ -31,30 +34,80 @@ use crate::{chain, raised};
 #[pyclass(frozen, module = "metasense")]
 pub struct Body {
     pub problem: Arc<Problem>,
-    pub pool: Pool,
+    pub threads: Threads,
     hash: String,
     pub trial: TrialSpec,
-    feasible: Mutex<Feasible>,
-    /// The solver that was found once for all calls.
-    tuned: Option<Tuned>,
+    /// A thread that has it when the process forks does not give it back in the child.
+    feasible: PerProcess<Arc<Mutex<Feasible>>>,
+    tuned: Option<Chosen>,
+}
+
+/// A solver that was found once for all calls, and why.
+#[derive(Clone)]
+struct Chosen {
+    solver: Solver,
+    reason: String,
+}
+
+/// A solver as Python pickles it: method, accuracy, tolerance (relative and absolute), `single`; and the reason for it.
+type Pickled = (String, f64, Option<(f64, f64)>, f64, String);
+
+impl Chosen {
+    fn pickled(&self) -> Pickled {
+        let Solver { method, accuracy, tolerance, single } = self.solver;
+        let tolerance = tolerance.map(|t| (t.relative, t.absolute));
+        (method.name().to_owned(), accuracy.0, tolerance, single, self.reason.clone())
+    }
+
+    fn unpickled((method, accuracy, tolerance, single, reason): Pickled) -> PyResult<Self> {
+        let method = [Method::Tsit5, Method::Leapfrog, Method::Nystrom4, Method::Nystrom6]
+            .into_iter()
+            .find(|known| known.name() == method)
+            .ok_or_else(|| PyValueError::new_err(format!("{method}: is no integrator")))?;
+        let tolerance = tolerance.map(|(relative, absolute)| Tolerance { relative, absolute });
+        let solver = Solver { method, accuracy: Accuracy(accuracy), tolerance, single };
+        Ok(Self { solver, reason })
+    }
+}
+
+/// A body from its pickle.
+#[pyfunction]
+pub fn unpickle_body(
+    py: Python<'_>,
+    trial: &str,
+    hash: String,
+    threads: usize,
+    tuned: Option<Pickled>,
+) -> PyResult<Body> {
+    let trial = serde_json::from_str(trial)
+        .map_err(|e| PyValueError::new_err(format!("the pickle of a body of another version: {e}")))?;
+    let tuned = tuned.map(Chosen::unpickled).transpose()?;
+    py.detach(|| {
+        let problem = prepared(&trial).map_err(|e| raised(&e))?;
+        Ok(Body { tuned, ..Body::new(problem, Threads::new(threads)?, hash, trial) })
+    })
 }
 
 impl Body {
+    fn new(problem: Problem, threads: Threads, hash: String, trial: TrialSpec) -> Self {
+        let feasible = PerProcess::new(Arc::new(Mutex::new(problem.castable())));
+        Self { problem: Arc::new(problem), threads, hash, trial, feasible, tuned: None }
+    }
+
     fn of_plan(plan: &Plan, hash: Option<&str>, threads: usize) -> PyResult<Self> {
         let hash = hash.unwrap_or(&plan.trials[0].hash);
         let trial = plan.find(hash).map_err(|e| PyValueError::new_err(e.to_string()))?;
-        let pool = pool(threads).map_err(|e| raised(&e))?;
+        let threads = Threads::new(threads)?;
+        let pool = Python::attach(|py| threads.pool(py))?;
         let problem = placed(&trial.spec, &pool).map_err(|e| raised(&e))?;
         // where a search has put the sensors
         let trial_spec = TrialSpec { sensor_units: problem.scene.sensors.clone(), ..trial.spec.clone() };
-        Ok(Self {
-            feasible: Mutex::new(problem.castable()),
-            problem: Arc::new(problem),
-            pool,
-            hash: trial.hash.clone(),
-            trial: trial_spec,
-            tuned: None,
-        })
+        Ok(Self::new(problem, threads, trial.hash.clone(), trial_spec))
+    }
+
+    fn castable(&self, py: Python<'_>) -> Arc<Mutex<Feasible>> {
+        let make = || Ok::<_, Infallible>(Arc::new(Mutex::new(self.problem.castable())));
+        self.feasible.get(py, make).unwrap_or_else(|never| match never {})
     }
 
     /// α from Python.
@@ -70,9 +123,10 @@ impl Body {
     }
 
     /// The scene with the material and sensors of a call.
-    fn scene(&self, material: &Material<'_>, sensors: Option<Vec<usize>>) -> PyResult<Scene> {
+    fn scene(&self, material: &Material<'_>, sensors: Option<&Bound<'_, PyAny>>) -> PyResult<Scene> {
         let mut scene = material.set(&self.problem.scene)?;
         if let Some(units) = sensors {
+            let units = indices("sensors", units)?;
             scene.sensors =
                 metasense_worker::problem::check_units("sensors", &units, &scene.layout, &scene.clamped)
                     .map_err(|e| PyValueError::new_err(e.to_string()))?;
@@ -96,6 +150,9 @@ impl Body {
                 let count = count.ok_or_else(|| {
                     PyValueError::new_err("count must be given: the series of fresh samples is endless")
                 })?;
+                let one = problem.scene.panels.len() * (problem.scene.instants + 1);
+                let room = Vec::<f64>::new().try_reserve_exact(count.saturating_mul(one));
+                room.map_err(|e| PyMemoryError::new_err(format!("count = {count}: {e}")))?;
                 return Ok(problem.forces(Purpose::Fresh, first as u64, count));
             }
             _ => {
@@ -115,11 +172,40 @@ impl Body {
     }
 }
 
+/// Where keywords stand.
+const KEYWORDS: &str = "(keywords)";
+
+/// What is said of keywords, without the lines of a text that nobody has written.
+fn unplaced(said: &str) -> String {
+    let bare = |line: &str| {
+        let placed = line.strip_prefix(KEYWORDS).and_then(|rest| rest.strip_prefix(':')?.split_once(": "));
+        placed
+            .filter(|(at, _)| at.bytes().all(|b| b.is_ascii_digit()))
+            .map_or(line, |(_, said)| said)
+            .to_owned()
+    };
+    said.lines().map(bare).collect::<Vec<_>>().join("\n")
+}
+
 /// The trials of a spec file.
 pub fn read_plan(spec: &Path) -> PyResult<Plan> {
     let text = std::fs::read_to_string(spec)
         .map_err(|e| PyOSError::new_err(format!("cannot read {}: {e}", spec.display())))?;
     Plan::new(spec, text).map_err(|e| PyValueError::new_err(chain(&e)))
+}
+
+/// A trial as JSON, its hash, the number of threads, the solver.
+type State = (String, String, usize, Option<Pickled>);
+
+fn first(given: &Bound<'_, PyAny>) -> PyResult<usize> {
+    Ok(whole("first", given, 0..=u64::MAX)? as usize)
+}
+
+fn count(given: &Bound<'_, PyAny>) -> PyResult<Option<usize>> {
+    match given.is_none() {
+        true => Ok(None),
+        false => Ok(Some(whole("count", given, 0..=u64::MAX)? as usize)),
+    }
 }
 
 /// Material of a call, instead of the body's own.
@@ -161,18 +247,27 @@ impl Body {
     /// The body of a trial of a spec file: of the trial whose hash begins with `hash`, by default of the first.
     #[staticmethod]
     #[pyo3(signature = (spec, hash=None, *, threads=1))]
-    fn from_spec(py: Python<'_>, spec: PathBuf, hash: Option<&str>, threads: usize) -> PyResult<Self> {
+    fn from_spec(
+        py: Python<'_>,
+        spec: PathBuf,
+        hash: Option<&str>,
+        #[pyo3(from_py_with = threads)] threads: usize,
+    ) -> PyResult<Self> {
         py.detach(|| Self::of_plan(&read_plan(&spec)?, hash, threads))
     }
 
     /// The body of the first trial of a spec whose tables are the keywords of `metasense.body`, as JSON.
     #[staticmethod]
-    fn _from_json(py: Python<'_>, json: &str, threads: usize) -> PyResult<Self> {
+    fn _from_json(
+        py: Python<'_>,
+        json: &str,
+        #[pyo3(from_py_with = threads)] threads: usize,
+    ) -> PyResult<Self> {
         py.detach(|| {
             let tables: serde_json::Value =
                 serde_json::from_str(json).map_err(|e| PyValueError::new_err(e.to_string()))?;
             let text = toml::to_string(&tables).map_err(|e| PyValueError::new_err(e.to_string()))?;
-            let plan = Plan::new("(keywords)", text).map_err(|e| PyValueError::new_err(chain(&e)))?;
+            let plan = Plan::new(KEYWORDS, text).map_err(|e| PyValueError::new_err(unplaced(&chain(&e))))?;
             Self::of_plan(&plan, None, threads)
         })
     }
@@ -228,7 +323,7 @@ impl Body {
     /// Threads that the body computes on.
     #[getter]
     fn threads(&self) -> usize {
-        self.pool.threads()
+        self.threads.count()
     }
 
     /// [stretch, shear, bend] of a ligament (N/mm, N/mm, N·mm/rad), a copy.
@@ -281,8 +376,9 @@ impl Body {
     /// The limits of a castable body that `alpha` breaks, in words; an empty list if it can be cast.
     fn violations(&self, py: Python<'_>, alpha: &Bound<'_, PyAny>) -> PyResult<Vec<String>> {
         let alpha = self.design("alpha", alpha)?;
+        let feasible = self.castable(py);
         Ok(py.detach(|| {
-            let feasible = self.feasible.lock().expect("no panic while it was held");
+            let feasible = feasible.lock().expect("no panic while it was held");
             feasible.violations(&alpha).iter().map(ToString::to_string).collect()
         }))
     }
@@ -304,8 +400,9 @@ impl Body {
         let target = self.design("alpha", alpha)?;
         let previous = previous.map(|previous| self.design("previous", previous)).transpose()?;
         let previous = previous.unwrap_or_else(|| self.problem.initial.clone());
+        let feasible = self.castable(py);
         let found = py.detach(|| {
-            let mut feasible = self.feasible.lock().expect("no panic while it was held");
+            let mut feasible = feasible.lock().expect("no panic while it was held");
             feasible.project(&previous, &target, None)
         });
         match found.status.is_feasible() {
@@ -324,8 +421,8 @@ impl Body {
         &self,
         py: Python<'py>,
         set: &str,
-        first: usize,
-        count: Option<usize>,
+        #[pyo3(from_py_with = first)] first: usize,
+        #[pyo3(from_py_with = count)] count: Option<usize>,
     ) -> PyResult<Bound<'py, PyArray3<f64>>> {
         let Forces { samples, panels, instants, values, .. } =
             py.detach(|| self.samples(set, first, count))?;
@@ -339,13 +436,14 @@ impl Body {
         let Numbers { shape, values } = numbers("forces", forces)?;
         let problem = Arc::clone(&self.problem);
         let forces = self::forces(&problem.scene, &shape, values).map_err(|e| raised(&e))?;
-        let tuned = py.detach(|| tune(&problem.scene, &design, &forces, &problem.solver, &self.pool));
+        let pool = self.threads.pool(py)?;
+        let found = py.detach(|| tune(&problem.scene, &design, &forces, &problem.solver, &pool));
         Ok(Self {
-            pool: self.pool.clone(),
+            threads: self.threads.clone(),
             hash: self.hash.clone(),
             trial: self.trial.clone(),
-            feasible: Mutex::new(problem.castable()),
-            tuned: Some(tuned),
+            feasible: PerProcess::new(Arc::new(Mutex::new(problem.castable()))),
+            tuned: Some(Chosen { solver: found.solver, reason: found.plan.reason }),
             problem,
         })
     }
@@ -361,7 +459,7 @@ impl Body {
         py: Python<'py>,
         alpha: &Bound<'py, PyAny>,
         forces: &Bound<'py, PyAny>,
-        sensors: Option<Vec<usize>>,
+        sensors: Option<&Bound<'py, PyAny>>,
         stiffness: Option<Bound<'py, PyAny>>,
         damping_ratio: Option<f64>,
         density: Option<f64>,
@@ -371,14 +469,17 @@ impl Body {
         let Numbers { shape, values } = numbers("forces", forces)?;
         let scene = self.scene(&Material { stiffness, damping_ratio, density }, sensors)?;
         let forces = self::forces(&scene, &shape, values).map_err(|e| raised(&e))?;
-        let (tuned, run) = py.detach(|| match &self.tuned {
-            None => strike(&scene, &design, &forces, &self.problem.solver, tape, &self.pool),
-            Some(tuned) => {
-                let run = dynamics::simulate(&scene, &design, &forces, &tuned.solver, tape, &self.pool);
-                (tuned.clone(), run)
+        let pool = self.threads.pool(py)?;
+        let (reason, run) = py.detach(|| match &self.tuned {
+            None => {
+                let (tuned, run) = strike(&scene, &design, &forces, &self.problem.solver, tape, &pool);
+                (tuned.plan.reason, run)
+            }
+            Some(Chosen { solver, reason }) => {
+                (reason.clone(), dynamics::simulate(&scene, &design, &forces, solver, tape, &pool))
             }
         });
-        Simulation::new(py, self.pool.clone(), scene, design, forces, tuned, run)
+        Simulation::new(py, self.threads.clone(), scene, design, forces, reason, run)
     }
 
     /// Fits a twin to records of a cast of this design, by default the initial one: forces (N, K, R + 1) (N), and signals (N, T, C)
@@ -406,6 +507,21 @@ impl Body {
         let alpha = self.design_or_initial(alpha)?;
         let drawing = drawing(&self.trial, &alpha).map_err(|e| raised(&e))?;
         Ok(sketch(&drawing, &[]).file("a metamaterial body"))
+    }
+
+    /// A pickle holds the trial's settings: the body is built again from them, with threads of the process that reads it.
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, State)> {
+        let trial = serde_json::to_string(&self.trial).expect("a trial is JSON");
+        let tuned = self.tuned.as_ref().map(Chosen::pickled);
+        Ok((unpickler(py, "unpickle_body")?, (trial, self.hash.clone(), self.threads.count(), tuned)))
+    }
+
+    fn __copy__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    fn __deepcopy__(slf: Py<Self>, _memo: &Bound<'_, PyAny>) -> Py<Self> {
+        slf
     }
 
     fn _repr_svg_(&self) -> PyResult<String> {

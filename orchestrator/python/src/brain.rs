@@ -1,6 +1,6 @@
 //! The linear brain of trials, on any arrays.
 
-use metasense_numerics::brain::linear::{Lags, Sizes};
+use metasense_numerics::brain::linear::{Lags, Linear, Sizes};
 use metasense_numerics::brains::{Fitted, READINGS_MAX, fits};
 use metasense_numerics::dynamics::Forces;
 use metasense_numerics::stimuli::targets;
@@ -9,8 +9,9 @@ use metasense_worker::run::{finite, pool};
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 
-use crate::arrays::{Numbers, numbers, vector};
+use crate::arrays::{Numbers, indices, numbers, vector, whole};
 use crate::raised;
 
 /// Linear least squares from the signals around each instant to the forces, with λ on the squared weights; solved exactly.
@@ -23,6 +24,25 @@ pub struct LinearBrain {
     ridge: Option<f64>,
     seed: u64,
     fitted: Option<Fitted>,
+}
+
+/// Memory and λ of a new one.
+type New = (Option<[usize; 2]>, Option<f64>);
+
+/// What has been fitted: T, C, K and the lags; W, b and the signals' scale; λ and the forces' scale; the error.
+type State<'py> = ([usize; 5], [Bound<'py, PyArray1<f64>>; 3], [f64; 2], Option<f64>);
+
+fn memory(given: &Bound<'_, PyAny>) -> PyResult<Option<[usize; 2]>> {
+    if given.is_none() {
+        return Ok(None);
+    }
+    let found = indices("memory", given)?;
+    let remedy = || format!("memory = {given}: must be two numbers of instants, before and after");
+    found[..].try_into().map(Some).map_err(|_| PyValueError::new_err(remedy()))
+}
+
+fn seed(given: &Bound<'_, PyAny>) -> PyResult<u64> {
+    whole("seed", given, 0..=u64::MAX)
 }
 
 /// An array of samples, (N, T, width).
@@ -61,7 +81,11 @@ impl LinearBrain {
 impl LinearBrain {
     #[new]
     #[pyo3(signature = (memory=None, ridge=None, *, seed=1))]
-    fn new(memory: Option<[usize; 2]>, ridge: Option<f64>, seed: u64) -> PyResult<Self> {
+    fn new(
+        #[pyo3(from_py_with = memory)] memory: Option<[usize; 2]>,
+        ridge: Option<f64>,
+        #[pyo3(from_py_with = seed)] seed: u64,
+    ) -> PyResult<Self> {
         match ridge {
             Some(ridge) if !(ridge >= 0.0 && ridge.is_finite()) => {
                 Err(PyValueError::new_err(format!("ridge = {ridge}: must be 0 or a number above")))
@@ -150,6 +174,32 @@ impl LinearBrain {
         let ([n, ..], cotangent) = self.known("cotangent", fitted.sizes().outputs, cotangent)?;
         let shape = [n, fitted.sizes().instants, fitted.sizes().channels];
         py.detach(|| fitted.predict_vjp(&cotangent)).into_pyarray(py).reshape(shape)
+    }
+
+    fn __getnewargs_ex__<'py>(&self, py: Python<'py>) -> PyResult<(New, Bound<'py, PyDict>)> {
+        let seed = PyDict::new(py);
+        seed.set_item("seed", self.seed)?;
+        Ok(((self.memory, self.ridge), seed))
+    }
+
+    fn __getstate__<'py>(&self, py: Python<'py>) -> Option<State<'py>> {
+        let Fitted { linear, ridge, signal_scale, force_scale, error } = self.fitted.as_ref()?;
+        let Linear { sizes: Sizes { instants, channels, outputs }, lags, w, b } = linear;
+        let array = |values: &Vec<f64>| values.clone().into_pyarray(py);
+        let sizes = [*instants, *channels, *outputs, lags.before, lags.after];
+        let arrays = [array(w), array(b), array(signal_scale)];
+        Some((sizes, arrays, [*ridge, *force_scale], *error))
+    }
+
+    fn __setstate__(&mut self, state: State<'_>) -> PyResult<()> {
+        let (sizes, arrays, scalars, error) = state;
+        let [instants, channels, outputs, before, after] = sizes;
+        let [w, b, signal_scale] = arrays.map(|array| array.readonly().as_slice().map(<[f64]>::to_vec));
+        let sizes = Sizes { instants, channels, outputs };
+        let linear = Linear { sizes, lags: Lags { before, after }, w: w?, b: b? };
+        let [ridge, force_scale] = scalars;
+        self.fitted = Some(Fitted { linear, ridge, signal_scale: signal_scale?, force_scale, error });
+        Ok(())
     }
 
     /// The λ of the fit.

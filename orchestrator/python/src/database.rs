@@ -17,6 +17,7 @@ use pyo3::types::PyBytes;
 use crate::arrow::Table;
 use crate::body::read_plan;
 use crate::chain;
+use crate::threads::threads;
 
 /// A database of trials, written by `metasense run`. It can be read while a run writes to it.
 #[pyclass(frozen, subclass, module = "metasense")]
@@ -99,7 +100,12 @@ impl Database {
     }
 
     /// The archive of `metasense export --format npz`.
-    fn _archive<'py>(&self, py: Python<'py>, hash: &str, threads: usize) -> PyResult<Bound<'py, PyBytes>> {
+    fn _archive<'py>(
+        &self,
+        py: Python<'py>,
+        hash: &str,
+        #[pyo3(from_py_with = threads)] threads: usize,
+    ) -> PyResult<Bound<'py, PyBytes>> {
         let stored = self.asked(py, async |reader| reader.stored(hash).await)?;
         let stored = stored.ok_or_else(|| PyValueError::new_err(format!("trial {hash} is not done yet")))?;
         // a brain that cannot be solved for is left out

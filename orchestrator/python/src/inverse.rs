@@ -1,16 +1,18 @@
 //! Bodies read by their own model: the inverse brain, and twins, which say what the model of a cast is.
 
-use std::path::PathBuf;
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex};
 
 use metasense_numerics::dynamics::Parameters;
 use metasense_numerics::identify::twin;
+use metasense_numerics::trial::Problem;
+use metasense_schemas::source::Source;
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::inverse::{Posterior, with_brain};
 use metasense_worker::measured::{Measured, MeasuredError};
-use metasense_worker::run::Failure;
-use metasense_worker::twin::{fit, read, store};
+use metasense_worker::run::{Failure, Pool};
+use metasense_worker::twin::{fit, parse, read, store};
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
 use pyo3::exceptions::{PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -19,7 +21,8 @@ use pyo3::types::PyDict;
 use crate::arrays::{Numbers, numbers};
 use crate::body::Body;
 use crate::brain::samples;
-use crate::{chain, raised};
+use crate::threads::PerProcess;
+use crate::{chain, raised, unpickler};
 
 /// The cast of a body that best explains records of it, of `Body.twin` or `Body.read_twin`.
 #[pyclass(frozen, module = "metasense")]
@@ -27,7 +30,7 @@ pub struct Twin {
     twin: twin::Twin,
     trial: TrialSpec,
     design: Vec<f64>,
-    ending: Option<&'static str>,
+    ending: Option<String>,
 }
 
 impl Twin {
@@ -44,9 +47,14 @@ impl Twin {
         let forces = metasense_worker::simulate::forces(scene, &shape, values).map_err(|e| raised(&e))?;
         let signals = signals_of(body, Some(forces.samples), signals)?;
         let measured = Measured { forces, signals, low_pass: false };
-        let found = py.detach(|| fit(&body.trial, &design, &measured, body.pool.threads()));
+        let found = py.detach(|| fit(&body.trial, &design, &measured, body.threads.count()));
         let twin::Fit { twin, ending, .. } = found.map_err(|e| raised(&e))?;
-        Ok(Self { twin, trial: body.trial.clone(), design, ending: Some(ending.name()) })
+        Ok(Self { twin, trial: body.trial.clone(), design, ending: Some(ending.name().to_owned()) })
+    }
+
+    /// The file.
+    fn text(&self) -> String {
+        toml::to_string(&store(&self.trial, &self.design, &self.twin)).expect("a twin is TOML")
     }
 
     /// Reads the file of one of a body of this design.
@@ -57,6 +65,26 @@ impl Twin {
         })?;
         Ok(Self { twin, trial: body.trial.clone(), design, ending: None })
     }
+}
+
+/// A body's trial as JSON and its design, the twin's file, the turns of its chips (rad), which the file holds in degrees, and the ending.
+type State = (String, Vec<f64>, String, Vec<f64>, Option<String>);
+
+/// A twin from its pickle.
+#[pyfunction]
+pub fn unpickle_twin(
+    trial: &str,
+    design: Vec<f64>,
+    text: String,
+    turns: Vec<f64>,
+    ending: Option<String>,
+) -> PyResult<Twin> {
+    let trial = serde_json::from_str(trial)
+        .map_err(|e| PyValueError::new_err(format!("the pickle of a twin of another version: {e}")))?;
+    let source = Source::new(Path::new("(pickle)"), text).map_err(|e| PyValueError::new_err(chain(&e)))?;
+    let mut twin = parse(&source, &trial, &design).map_err(|e| PyValueError::new_err(chain(&e)))?;
+    twin.cast.chips.turn = turns;
+    Ok(Twin { twin, trial, design, ending })
 }
 
 #[pymethods]
@@ -70,7 +98,7 @@ impl Twin {
     /// How the fit ended, "converged" if it did; None of a twin that was read from a file.
     #[getter]
     fn ending(&self) -> Option<&str> {
-        self.ending
+        self.ending.as_deref()
     }
 
     /// By what the body's "stretch", "shear", "bend", "damping_ratio" and "density" are multiplied.
@@ -98,13 +126,27 @@ impl Twin {
 
     /// Writes it into a file (TOML), as `metasense twin --out` does.
     fn save(&self, file: PathBuf) -> PyResult<()> {
-        let text = toml::to_string(&store(&self.trial, &self.design, &self.twin)).expect("a twin is TOML");
-        metasense::files::write(&file, text.as_bytes())
+        metasense::files::write(&file, self.text().as_bytes())
             .map_err(|e| PyOSError::new_err(format!("cannot write {}: {e}", file.display())))
     }
 
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, State)> {
+        let trial = serde_json::to_string(&self.trial).expect("a trial is JSON");
+        let turns = self.twin.cast.chips.turn.clone();
+        let state = (trial, self.design.clone(), self.text(), turns, self.ending.clone());
+        Ok((unpickler(py, "unpickle_twin")?, state))
+    }
+
+    fn __copy__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    fn __deepcopy__(slf: Py<Self>, _memo: &Bound<'_, PyAny>) -> Py<Self> {
+        slf
+    }
+
     fn __repr__(&self) -> String {
-        let ending = self.ending.map_or(String::new(), |ending| format!(", {ending}"));
+        let ending = self.ending.as_ref().map_or(String::new(), |ending| format!(", {ending}"));
         format!("<metasense.Twin: misfit {:.3}{ending}>", self.twin.misfit)
     }
 }
@@ -122,6 +164,33 @@ fn signals_of(body: &Body, count: Option<usize>, object: &Bound<'_, PyAny>) -> P
 /// Signals, and who waits for what the brain says of them.
 type Ask = (Vec<f64>, Sender<Posterior>);
 
+/// Starts the thread that has the brain of a design, or of its twin, and gives the way to it when the brain is made. The thread ends
+/// when nobody can ask any more.
+fn begin(
+    problem: Arc<Problem>,
+    design: Vec<f64>,
+    twin: Option<twin::Twin>,
+    pool: Pool,
+) -> PyResult<Sender<Ask>> {
+    let (ask, asked) = channel::<Ask>();
+    let (tell, told) = channel::<Result<(), Failure>>();
+    let work = move || {
+        let made = with_brain(&problem, (&design, twin.as_ref()), &pool, |brain| {
+            // whoever asked may be gone
+            let _ = tell.send(Ok(()));
+            for (signals, reply) in asked {
+                let _ = reply.send(Posterior::of(&brain.read(&signals)));
+            }
+        });
+        if let Err(why) = made {
+            let _ = tell.send(Err(why));
+        }
+    };
+    std::thread::Builder::new().spawn(work).map_err(|e| PyRuntimeError::new_err(e.to_string()))?;
+    told.recv().map_err(|_| ended())?.map_err(|e| raised(&e))?;
+    Ok(ask)
+}
+
 /// The brain that reads a body by the body's own model: the forces under which it gives the signals that are read.
 ///
 /// It reads a body of design `alpha`, by default the initial one, or a cast of it by its `twin`. Noise is what the spec's
@@ -130,8 +199,10 @@ type Ask = (Vec<f64>, Sender<Posterior>);
 #[pyclass(frozen, module = "metasense")]
 pub struct Inverse {
     body: Py<Body>,
-    /// To the thread that has the brain, which ends with this.
-    ask: Mutex<Sender<Ask>>,
+    design: Vec<f64>,
+    twin: Option<Py<Twin>>,
+    /// To the thread that has the brain.
+    ask: PerProcess<Sender<Ask>>,
     /// Samples of the last call that did not converge, and that were not explained.
     left: Mutex<[usize; 2]>,
 }
@@ -144,10 +215,11 @@ impl Inverse {
         py: Python<'_>,
         body: Py<Body>,
         alpha: Option<&Bound<'_, PyAny>>,
-        twin: Option<&Twin>,
+        twin: Option<Py<Twin>>,
     ) -> PyResult<Self> {
         let own = body.get();
-        if let Some(twin) = twin {
+        let known = twin.as_ref().map(Py::get);
+        if let Some(twin) = known {
             if alpha.is_some() {
                 return Err(PyValueError::new_err("alpha: must be left out with twin, which has its own"));
             }
@@ -155,39 +227,38 @@ impl Inverse {
                 return Err(PyValueError::new_err("twin: is of another body, or of other sensors"));
             }
         }
-        let design = match twin {
+        let design = match known {
             Some(twin) => twin.design.clone(),
             None => own.design_or_initial(alpha)?,
         };
-        let (problem, pool) = (Arc::clone(&own.problem), own.pool.clone());
-        let twin = twin.map(|twin| twin.twin.clone());
-        let (ask, asked): (Sender<Ask>, Receiver<Ask>) = channel();
-        let (tell, told) = channel::<Result<(), Failure>>();
-        let work = move || {
-            let made = with_brain(&problem, (&design, twin.as_ref()), &pool, |brain| {
-                // whoever asked may be gone
-                let _ = tell.send(Ok(()));
-                for (signals, reply) in asked {
-                    let _ = reply.send(Posterior::of(&brain.read(&signals)));
-                }
-            });
-            if let Err(why) = made {
-                let _ = tell.send(Err(why));
-            }
-        };
-        std::thread::Builder::new().spawn(work).map_err(|e| PyRuntimeError::new_err(e.to_string()))?;
-        py.detach(move || told.recv()).map_err(|_| ended())?.map_err(|e| raised(&e))?;
-        Ok(Self { body, ask: Mutex::new(ask), left: Mutex::new([0; 2]) })
+        let (problem, pool) = (Arc::clone(&own.problem), own.threads.pool(py)?);
+        let (asked, fitted) = (design.clone(), known.map(|twin| twin.twin.clone()));
+        let ask = py.detach(|| begin(problem, asked, fitted, pool))?;
+        Ok(Self { body, design, twin, ask: PerProcess::new(ask), left: Mutex::new([0; 2]) })
     }
+
+    /// A pickle holds what the brain was made of: whoever reads it simulates the training samples again.
+    fn __getnewargs_ex__<'py>(&self, py: Python<'py>) -> PyResult<(New<'py>, Bound<'py, PyDict>)> {
+        let twin = PyDict::new(py);
+        twin.set_item("twin", &self.twin)?;
+        let design = self.twin.is_none().then(|| self.design.clone().into_pyarray(py));
+        Ok(((self.body.clone_ref(py), design), twin))
+    }
+
+    fn __getstate__(&self) {}
 
     /// Forces of signals (N, T, C), as the sensors' chips give them, and the lower and upper end of their 95 % bands, each
     /// (N, T, K) (N).
     fn fit<'py>(&self, py: Python<'py>, signals: &Bound<'py, PyAny>) -> PyResult<Bands<'py>> {
         let body = self.body.get();
         let signals = signals_of(body, None, signals)?;
+        let ask = self.ask.get(py, || {
+            let twin = self.twin.as_ref().map(|twin| twin.get().twin.clone());
+            begin(Arc::clone(&body.problem), self.design.clone(), twin, body.threads.pool(py)?)
+        })?;
         let found = py.detach(|| {
             let (reply, answer) = channel();
-            self.ask.lock().ok()?.send((signals, reply)).ok()?;
+            ask.send((signals, reply)).ok()?;
             answer.recv().ok()
         });
         let Posterior { forces, low, high, unconverged, unexplained, .. } = found.ok_or_else(ended)?;
@@ -210,6 +281,9 @@ impl Inverse {
         self.left.lock().expect("no panic while it was held")[1]
     }
 }
+
+/// What a brain is made of, but for its twin.
+type New<'py> = (Py<Body>, Option<Bound<'py, PyArray1<f64>>>);
 
 /// Forces, and both ends of their bands.
 type Bands<'py> = (Bound<'py, PyArray3<f64>>, Bound<'py, PyArray3<f64>>, Bound<'py, PyArray3<f64>>);

@@ -13,6 +13,7 @@ mod brain;
 mod database;
 mod inverse;
 mod simulation;
+mod threads;
 
 use metasense_worker::run::Failure;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
@@ -44,20 +45,25 @@ fn chain(error: &dyn std::error::Error) -> String {
     text
 }
 
+/// The function of this module by which a pickle is read.
+fn unpickler<'py>(py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
+    py.import("metasense._metasense")?.getattr(name)
+}
+
 #[pymodule]
 mod _metasense {
     #[pymodule_export]
     use super::SimulationError;
     #[pymodule_export]
-    use super::arrow::Table;
+    use super::arrow::{Table, unpickle_table};
     #[pymodule_export]
-    use super::body::Body;
+    use super::body::{Body, unpickle_body};
     #[pymodule_export]
     use super::brain::LinearBrain;
     #[pymodule_export]
     use super::database::{Database, default_database};
     #[pymodule_export]
-    use super::inverse::{Inverse, Twin};
+    use super::inverse::{Inverse, Twin, unpickle_twin};
     #[pymodule_export]
     use super::simulation::Simulation;
 }

@@ -1,22 +1,22 @@
 //! The simulation of a body, and its derivatives.
 
-use metasense_numerics::Pool;
-use metasense_numerics::dynamics::{self, Forces, Gradient, Outcome, Parameters, Scene, Tangent, Tuned, Wrt};
+use metasense_numerics::dynamics::{self, Forces, Gradient, Outcome, Parameters, Scene, Tangent, Wrt};
 use metasense_worker::run::finite;
 use metasense_worker::simulate::check_cotangent;
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
-use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::exceptions::{PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use rayon::prelude::*;
 
 use crate::arrays::{Numbers, numbers, vector};
+use crate::threads::Threads;
 use crate::{SimulationError, raised};
 
 /// A simulation: signals of the sensors, how each sample ended, and derivatives of the signals.
 #[pyclass(frozen, module = "metasense")]
 pub struct Simulation {
-    pool: Pool,
+    threads: Threads,
     scene: Scene,
     design: Vec<f64>,
     forces: Forces,
@@ -28,17 +28,17 @@ pub struct Simulation {
 impl Simulation {
     pub fn new(
         py: Python<'_>,
-        pool: Pool,
+        threads: Threads,
         scene: Scene,
         design: Vec<f64>,
         forces: Forces,
-        tuned: Tuned,
+        solver: String,
         mut run: dynamics::Simulation,
     ) -> PyResult<Self> {
         let shape = [forces.samples, scene.instants, 3 * scene.sensors.len()];
         let signals = std::mem::take(&mut run.signals).into_pyarray(py).reshape(shape)?;
         signals.try_readwrite()?.make_nonwriteable();
-        Ok(Self { pool, scene, design, forces, run, solver: tuned.plan.reason, signals: signals.unbind() })
+        Ok(Self { threads, scene, design, forces, run, solver, signals: signals.unbind() })
     }
 
     fn taped(&self) -> PyResult<()> {
@@ -169,10 +169,25 @@ impl Simulation {
             }
             _ => vec![0.0; instants * channels],
         };
-        let samples = given.samples;
+        let (samples, pool) = (given.samples, self.threads.pool(py)?);
         let found: Vec<Vec<f64>> =
-            py.detach(|| self.pool.install(|| (0..samples).into_par_iter().map(one).collect()));
+            py.detach(|| pool.install(|| (0..samples).into_par_iter().map(one).collect()));
         found.concat().into_pyarray(py).reshape([samples, instants, channels])
+    }
+
+    fn __reduce__(&self) -> PyResult<()> {
+        Err(PyTypeError::new_err(
+            "a Simulation cannot be pickled: it holds the steps of every sample. Pass its signals and derivatives, or the body, \
+             alpha and forces",
+        ))
+    }
+
+    fn __copy__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    fn __deepcopy__(slf: Py<Self>, _memo: &Bound<'_, PyAny>) -> Py<Self> {
+        slf
     }
 
     fn __repr__(&self) -> String {
@@ -190,7 +205,8 @@ impl Simulation {
         self.taped()?;
         let Numbers { shape, values } = numbers("cotangent", cotangent)?;
         check_cotangent(&self.scene, self.forces.samples, &shape, &values).map_err(|e| raised(&e))?;
-        let found = py.detach(|| self.run.vjp(&values, wrt, &self.pool));
+        let pool = self.threads.pool(py)?;
+        let found = py.detach(|| self.run.vjp(&values, wrt, &pool));
         match found.design.iter().chain(found.forces.iter().flatten()).all(|g| g.is_finite()) {
             true => Ok(found),
             false => Err(PyRuntimeError::new_err("the gradient is not finite")),

@@ -60,9 +60,23 @@ def test_polars_and_pandas(database):
     table = database.query(SQL)
     polars = pytest.importorskip("polars")
     assert polars.DataFrame(table).to_dict(as_series=False) == table.to_dict()
-    pandas = pytest.importorskip("pandas", minversion="3")
-    frame = pandas.DataFrame.from_arrow(table)
-    assert frame["error"].tolist() == table.to_dict()["error"]
+    pandas = pytest.importorskip("pandas")
+    for frame in [table.to_pandas(), pandas.DataFrame(table), pandas.DataFrame(table.to_dict())]:
+        assert list(frame.columns) == table.columns and frame["error"].tolist() == table["error"]
+        assert frame["seed"].dtype == "int64" and frame["reason"].isna().all()
+    none = database.query("SELECT 1 AS a, 'x' AS b WHERE 0")
+    assert list(none.to_pandas().columns) == ["a", "b"] and len(none.to_pandas()) == 0
+    if hasattr(pandas.DataFrame, "from_arrow"):
+        assert pandas.DataFrame.from_arrow(table)["error"].tolist() == table["error"]
+
+
+def test_rows_and_columns_of_a_table(database):
+    table = database.query(SQL)
+    rows = list(table)
+    assert len(rows) == len(table) and all(list(row) == table.columns for row in rows)
+    assert [row["hash"] for row in rows] == table["hash"] == table.to_dict()["hash"]
+    with pytest.raises(KeyError, match="absent"):
+        table["absent"]
 
 
 def test_a_long_table_arrives_whole(database):

@@ -1,4 +1,4 @@
-"""The body as a function of PyTorch."""
+"""The body as a function of PyTorch, and in its workers."""
 
 import numpy as np
 import pytest
@@ -36,3 +36,26 @@ def test_gradients_in_both_are_those_of_vjp_forces(body):
     signals(body, alpha, forces).sum().backward()
     pull = body.simulate(body.alpha, body.stimuli("test")).vjp_forces(np.ones((3, 30, 3)))
     assert np.array_equal(alpha.grad.numpy(), pull[0]) and np.array_equal(forces.grad.numpy(), pull[1])
+
+
+class Signals(torch.utils.data.Dataset):
+    """Samples that are simulated when they are asked for."""
+
+    def __init__(self, body):
+        self.body, self.forces = body, body.stimuli("train")
+
+    def __len__(self):
+        return len(self.forces)
+
+    def __getitem__(self, number):
+        return np.array(self.body.simulate(self.body.alpha, self.forces[number : number + 1]).signals[0])
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
+def test_workers_of_a_data_loader(body, method):
+    """The body has simulated before the workers are forked, or is pickled for them."""
+    data = Signals(body)
+    expected = np.stack([data[i] for i in range(4)])
+    part = torch.utils.data.Subset(data, range(4))
+    loader = torch.utils.data.DataLoader(part, 2, num_workers=2, multiprocessing_context=method, timeout=60)
+    assert np.array_equal(torch.cat(list(loader)).numpy(), expected)

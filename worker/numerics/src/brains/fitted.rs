@@ -20,7 +20,8 @@ const MANY: usize = 60;
 /// A linear brain and the scales that it was fitted at.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fitted {
-    linear: Linear,
+    /// Its weights, for signals and forces divided by their scales.
+    pub linear: Linear,
     /// λ.
     pub ridge: f64,
     /// What each signal channel is divided by (C).
