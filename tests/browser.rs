@@ -13,6 +13,7 @@ use metasense::store::Store;
 use metasense_schemas::record::{Checkpoint, StepRecord};
 use serde_json::{Value, json};
 
+use crate::common::proxy::{FRONT, proxy};
 use crate::common::skip;
 use crate::common::{Bench, TINY};
 
@@ -207,7 +208,8 @@ fn steered(bench: &Bench) -> (Process, String) {
     (run, format!("http://{}", address.trim()))
 }
 
-/// Without the token there is nothing to press; with it a run is steered by keys alone, and says what came of it.
+/// Behind a proxy with a path. Without the token there is nothing to press; with it a run is steered by keys alone, and says what came
+/// of it.
 #[test]
 fn a_run_is_steered_by_its_pages() {
     if !here() {
@@ -215,6 +217,8 @@ fn a_run_is_steered_by_its_pages() {
     }
     let bench = Bench::new();
     let (mut run, address) = steered(&bench);
+    let (port, key) = address.rsplit_once(':').unwrap().1.split_once('/').unwrap();
+    let address = format!("http://127.0.0.1:{}{FRONT}/{key}", proxy(port.parse().unwrap(), true));
     let mut page = Page::new(&bench);
     let plain = address.split("#token=").next().unwrap();
     page.open(plain);

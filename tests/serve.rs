@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use metasense::plan::Plan;
-use metasense::serve::{Served, Source, Token, serve};
+use metasense::serve::{Address, Served, Source, Token, serve};
 use metasense::store::{Level, Store};
 use metasense_schemas::record::{Checkpoint, StepRecord};
 use sqlx::sqlite::SqliteConnectOptions;
@@ -32,9 +32,9 @@ const PAGES: [&str; 8] = [
 ];
 
 /// Serves databases until it is dropped.
-struct Server {
-    port: u16,
-    served: Arc<Served>,
+pub struct Server {
+    pub port: u16,
+    pub served: Arc<Served>,
     task: tokio::task::JoinHandle<()>,
 }
 
@@ -44,15 +44,19 @@ impl Server {
     }
 
     async fn with(dbs: &[PathBuf], token: Option<Token>) -> Self {
+        Self::at(dbs, token, Address::default()).await
+    }
+
+    pub async fn at(dbs: &[PathBuf], token: Option<Token>, address: Address) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let port = listener.local_addr().unwrap().port();
-        let served =
-            Served::new(dbs.iter().map(|db| Source::new(db).unwrap()).collect(), Token::of("key"), token);
+        let sources = dbs.iter().map(|db| Source::new(db).unwrap()).collect();
+        let served = Served::new(sources, Token::of("key"), token, address);
         let task = tokio::spawn(serve(listener, Arc::clone(&served)));
         Self { port, served, task }
     }
 
-    async fn connect(&self) -> TcpStream {
+    pub async fn connect(&self) -> TcpStream {
         TcpStream::connect(("127.0.0.1", self.port)).await.unwrap()
     }
 
@@ -65,7 +69,7 @@ impl Server {
         String::from_utf8_lossy(&answer).into_owned()
     }
 
-    async fn get(&self, path: &str) -> (u16, String) {
+    pub async fn get(&self, path: &str) -> (u16, String) {
         let answer =
             self.raw(format!("GET {path} HTTP/1.1\r\n{HOST}Connection: close\r\n\r\n").as_bytes()).await;
         (status(&answer), answer)
@@ -78,7 +82,7 @@ impl Drop for Server {
     }
 }
 
-fn status(answer: &str) -> u16 {
+pub fn status(answer: &str) -> u16 {
     answer.split(' ').nth(1).and_then(|code| code.parse().ok()).unwrap_or(0)
 }
 
@@ -87,7 +91,7 @@ fn plan(spec: &str) -> Plan {
 }
 
 /// A database of two trials: one has begun, and has said something.
-async fn begun(db: &Path) -> (Store, Vec<String>) {
+pub async fn begun(db: &Path) -> (Store, Vec<String>) {
     let plan = plan(TINY);
     let mut store = Store::open(db).await.unwrap();
     store.begin_sweep(&plan.spec, TINY, &plan.trials).await.unwrap();
@@ -222,7 +226,7 @@ async fn removed_trials_leave_the_pages() {
     let shows = async |condition: &str, count: usize| {
         for _ in 0..100 {
             let (_, page) = server.get(&format!("/0/trials?q={}", condition.replace('=', "%3D"))).await;
-            if page.matches("href=\"/0/trial/").count() == count {
+            if page.matches("href=\"../0/trial/").count() == count {
                 return;
             }
             tokio::time::sleep(Duration::from_millis(100)).await;
@@ -300,7 +304,7 @@ async fn pages_with_a_token_steer_from_the_first_one_on() {
     let server = Server::with(&dbs, Some(token)).await;
     for (path, panel) in [("/", false), ("/0/", true), ("/1/", true), ("/2/", false), ("/0/trials", false)] {
         let (status, page) = server.get(path).await;
-        assert!(status == 200 && page.contains("src=\"/control.js\""), "{path}: {page}");
+        assert!(status == 200 && page.contains("control.js\""), "{path}: {page}");
         assert_eq!(page.contains("data-control"), panel, "{path}: {page}");
     }
     let port = server.port;

@@ -1,6 +1,7 @@
 //! What end-to-end tests share: a folder of their own, the program, and the reference spec to edit.
 
 pub mod processes;
+pub mod proxy;
 pub mod roll;
 pub mod skip;
 pub mod slurm;

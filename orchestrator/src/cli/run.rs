@@ -14,7 +14,7 @@ use super::named::Spec;
 use super::pages::Pages;
 use super::results::print_results;
 use super::simd::Simd;
-use super::{Error, Format, log};
+use super::{Error, Format, end_with, log};
 use crate::cluster::home::{Home, SUBMITTED_SPEC, end_after};
 use crate::cluster::submit::NOTICE;
 use crate::cluster::{Assignment, Shard, trials_of};
@@ -50,6 +50,9 @@ pub(super) struct Args {
     /// Stops in order after this time (s), for schedulers that do not announce the end by SIGTERM
     #[arg(long, value_name = "S", requires = "copy_to")]
     stop_after: Option<f64>,
+    /// Stops in order when this process, which has started it, ends
+    #[arg(long, hide = true, value_name = "PID")]
+    parent: Option<u32>,
 }
 
 /// Where and how trials are run.
@@ -82,6 +85,9 @@ pub(super) struct Running {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    if args.parent.is_some_and(|parent| !end_with(parent)) {
+        return Ok(Exit::Interrupted);
+    }
     args.running.simd.choose()?;
     let seconds = |name: &str, value: f64| match Duration::try_from_secs_f64(value) {
         Ok(time) if value >= 1.0 => Ok(time),

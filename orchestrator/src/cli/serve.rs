@@ -4,14 +4,13 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use rustix::process::{Signal, set_parent_process_death_signal};
 use tokio::net::TcpListener;
 
-use super::Error;
+use super::{Error, end_with};
 use crate::cluster::home::attempts;
 use crate::engine::Signals;
 use crate::exit::Exit;
-use crate::serve::{Served, Source, Token, serve};
+use crate::serve::{Address, Served, Source, Token, serve};
 use crate::store::Reader;
 
 /// Shows databases in a browser, live, until Ctrl-C
@@ -31,6 +30,14 @@ pub(super) struct Args {
     /// The address to listen at. To any other than this machine's own, the connection can be read on the way
     #[arg(long, value_name = "IP", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
     listen: IpAddr,
+    /// The path of a proxy in front of these pages, where the proxy leaves it on requests: /node/HOST/8017/ of Open OnDemand. A proxy
+    /// that takes its path away, as JupyterHub's does, needs nothing
+    #[arg(long, value_name = "PATH")]
+    base: Option<String>,
+    /// A host name by which a proxy serves these pages, beside localhost and numeric addresses; may be repeated. All pages of that
+    /// host can read these, and steer if yours can
+    #[arg(long, value_name = "NAME")]
+    host_name: Vec<String>,
     /// Prints an address with a token; whoever has it can also steer this user's runs of these databases
     #[arg(long)]
     control: bool,
@@ -45,11 +52,8 @@ const NICENESS: i32 = 10;
 const THREADS: usize = 6;
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    if let Some(parent) = args.parent {
-        let _ = set_parent_process_death_signal(Some(Signal::TERM));
-        if std::os::unix::process::parent_id() != parent {
-            return Ok(Exit::Interrupted);
-        }
+    if args.parent.is_some_and(|parent| !end_with(parent)) {
+        return Ok(Exit::Interrupted);
     }
     // SAFETY: cannot fail, touches no memory.
     unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, NICENESS) };
@@ -83,6 +87,7 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
             "--control is for this machine's own address: what goes to another can be read on the way; ssh -L brings it there".into(),
         ));
     }
+    let address = Address::new(args.base.as_deref(), &args.host_name).map_err(Error::Usage)?;
     let at = SocketAddr::new(args.listen, args.port);
     let failed = Error::io("listening at", at.to_string());
     let listener = TcpListener::bind(at).await.map_err(&failed)?;
@@ -95,7 +100,7 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
     let steering = args.control.then(Token::new).transpose().map_err(random)?;
     let (steering, behind) =
         steering.map_or((None, String::new()), |(token, text)| (Some(token), format!("#token={text}")));
-    print_line!("http://{at}/?key={key}{behind}")?;
+    print_line!("http://{at}{}/?key={key}{behind}", address.base())?;
     if !at.ip().is_loopback() {
         say!(
             "whoever can listen on the way to {at} can read these databases: the connection is not encrypted"
@@ -105,7 +110,7 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
         // it is read by the time that somebody looks
         drop(only.watched());
     }
-    let served = Served::new(sources, reading, steering);
+    let served = Served::new(sources, reading, steering, address);
     signals.unless(serve(listener, Arc::clone(&served))).await;
     served.close().await;
     Ok(Exit::Done)

@@ -2,22 +2,22 @@
 //! own that it has pointed at this machine (DNS rebinding) or across sites. Neither is answered.
 
 use std::io;
-use std::net::IpAddr;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::Duration;
 
 use axum::extract::{Request, State};
-use axum::http::uri::Authority;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
 use axum::middleware::Next;
-use axum::response::{IntoResponse, Response};
+use axum::response::{Html, IntoResponse, Redirect, Response};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{Sleep, sleep};
 
-use super::Served;
+use super::address::up;
+use super::lobby::Guest;
 use super::token::turned_away;
+use super::{Refusal, Refused, Served, pages};
 
 /// What every answer says to the browser: nothing from elsewhere, nothing inline, in no frame, kept nowhere.
 const HEADERS: [(HeaderName, &str); 7] = [
@@ -36,34 +36,56 @@ const HEADERS: [(HeaderName, &str); 7] = [
 
 /// Answers a request, or says why not.
 pub async fn guard(State(served): State<Arc<Served>>, request: Request, next: Next) -> Response {
-    let refusal = refused(&request).map(IntoResponse::into_response);
-    let mut response = match refusal.or_else(|| turned_away(&served, &request)) {
-        Some(response) => response,
+    let uri = request.uri();
+    let (base, up) = (served.address.base(), up(uri.path()));
+    let refusal = match uri.path() == base {
+        true => Some(Redirect::to(&slashed(base, uri.query())).into_response()),
+        false => refused(&served, &request).map(IntoResponse::into_response),
+    };
+    let no_place = || {
+        let guest = request.extensions().get::<Arc<Guest>>();
+        guest.is_some_and(|guest| !guest.stays()).then(|| Refusal::Busy.into_response())
+    };
+    let mut response = match refusal.or_else(|| turned_away(&served, &request)).or_else(no_place) {
+        Some(mut response) => {
+            response.headers_mut().insert(header::CONNECTION, HeaderValue::from_static("close"));
+            response
+        }
         None => next.run(request).await,
     };
+    if let Some(Refused(why)) = response.extensions_mut().remove() {
+        let page = pages::refusal(&up, &why);
+        response = (response.status(), Html(page)).into_response();
+    }
     for (name, value) in HEADERS {
         response.headers_mut().insert(name, HeaderValue::from_static(value));
     }
     response
 }
 
-fn refused(request: &Request) -> Option<(StatusCode, &'static str)> {
+/// The address of the first page behind a path.
+fn slashed(base: &str, query: Option<&str>) -> String {
+    format!("{base}/{}", query.map_or(String::new(), |query| format!("?{query}")))
+}
+
+fn refused(served: &Served, request: &Request) -> Option<(StatusCode, &'static str)> {
     let steers = request.method() == Method::POST && request.uri().path().ends_with("/control");
     if ![Method::GET, Method::HEAD].contains(request.method()) && !steers {
         return Some((StatusCode::METHOD_NOT_ALLOWED, "pages can only be read"));
     }
     let headers = request.headers();
     let host = only(headers, &header::HOST);
-    let named = host.filter(|host| is_ours(host));
-    let target = request.uri().authority().is_none_or(|target| is_ours(target.as_str()));
+    let named = host.filter(|host| served.address.is_ours(host));
+    let target = request.uri().authority().is_none_or(|target| served.address.is_ours(target.as_str()));
     let Some(host) = named.filter(|_| target) else {
         return Some((
             StatusCode::MISDIRECTED_REQUEST,
-            "use localhost or the numeric address of this machine: any other name may belong to somebody else",
+            "use localhost or the numeric address of this machine: any other name may belong to somebody else. The name of a proxy is \
+             given by --host-name",
         ));
     };
     let origin = headers.contains_key(header::ORIGIN);
-    if origin && only(headers, &header::ORIGIN).and_then(|o| o.strip_prefix("http://")) != Some(host) {
+    if origin && !only(headers, &header::ORIGIN).is_some_and(|origin| served.address.is_own(origin, host)) {
         return Some((StatusCode::FORBIDDEN, "the request comes from a page of another origin"));
     }
     if steers && !origin {
@@ -84,14 +106,6 @@ fn only<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
     let mut values = headers.get_all(name).iter();
     let value = values.next()?.to_str().ok()?;
     values.next().is_none().then_some(value)
-}
-
-/// Whether a host is named in a way that no name server has a say in.
-fn is_ours(host: &str) -> bool {
-    let Ok(authority) = host.parse::<Authority>() else { return false };
-    let name = authority.host();
-    let bare = name.strip_prefix('[').and_then(|name| name.strip_suffix(']')).unwrap_or(name);
-    !host.contains('@') && (name.eq_ignore_ascii_case("localhost") || bare.parse::<IpAddr>().is_ok())
 }
 
 /// A connection whose other end must take what it is sent: it is given up when nothing has been taken for so long.

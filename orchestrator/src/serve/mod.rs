@@ -1,7 +1,9 @@
 //! The pages of `metasense serve`: a sweep in a browser, while it runs and afterwards. They read databases, and pass commands of
 //! whoever has the token on to their runs. They cost CPU time only while somebody looks, and a bounded part of it.
 
+mod address;
 mod guard;
+mod lobby;
 mod pages;
 mod source;
 mod steer;
@@ -13,33 +15,35 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use axum::Router;
 use axum::extract::{Path, State};
 use axum::http::{StatusCode, header};
 use axum::middleware::from_fn_with_state;
 use axum::response::sse::{Event, KeepAlive, Sse};
-use axum::response::{Html, IntoResponse, Response};
+use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
+use axum::{Extension, Router};
 use futures_util::Stream;
 use futures_util::stream::unfold;
+use hyper::body::Incoming;
 use hyper::server::conn::http1;
+use hyper::service::{Service, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
-use maud::html;
-use tokio::net::TcpListener;
+use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
+use tokio::time::sleep;
 
 use crate::look::of_page;
 use crate::look::wave::SCRIPT;
 use crate::report::samples::Replayed;
 use crate::store::Stored;
+pub use address::Address;
 use guard::{Impatient, guard};
+use lobby::{Guest, Lobby, STAY};
 pub use source::{Seen, Source};
 pub use token::Token;
 pub use trials::Trials;
 
-/// Connections at a time; more wait.
-const CONNECTIONS: usize = 64;
 /// The longest head of a request (bytes): a statement of SQL is part of it.
 const HEAD: usize = 64 << 10;
 /// The time a head may take, and a connection be idle.
@@ -48,6 +52,8 @@ const HEAD_TIME: Duration = Duration::from_secs(20);
 const WRITE_TIME: Duration = Duration::from_secs(20);
 /// Between two signs of life where nothing happens: a connection that is gone shows by them.
 const ALIVE: Duration = Duration::from_secs(10);
+/// Pages that follow what is recorded, at a time; each has a connection of its own, and some are left for other requests.
+const FOLLOWED: usize = 48;
 /// Questions of people to databases at a time.
 const QUESTIONS: usize = 2;
 
@@ -63,6 +69,8 @@ pub struct Served {
     reading: Token,
     /// Whoever knows it may steer runs.
     steering: Option<Token>,
+    address: Address,
+    followed: Arc<Semaphore>,
     questions: Semaphore,
     /// Trials are simulated again one at a time; the last one is kept, with what it is of.
     replays: Semaphore,
@@ -70,10 +78,11 @@ pub struct Served {
 }
 
 impl Served {
-    /// To serve these, to whoever has the key to `reading`; with a token for `steering`, their runs may be steered.
-    pub fn new(sources: Vec<Source>, reading: Token, steering: Option<Token>) -> Arc<Self> {
+    /// To serve these at an address, to whoever has the key to `reading`; with a token for `steering`, their runs may be steered.
+    pub fn new(sources: Vec<Source>, reading: Token, steering: Option<Token>, address: Address) -> Arc<Self> {
         let (questions, replays) = (Semaphore::new(QUESTIONS), Semaphore::new(1));
-        Arc::new(Self { sources, reading, steering, questions, replays, replayed: Mutex::default() })
+        let (followed, replayed) = (Arc::new(Semaphore::new(FOLLOWED)), Mutex::default());
+        Arc::new(Self { sources, reading, steering, address, followed, questions, replays, replayed })
     }
 
     /// Ends all watching, and leaves no file behind that was not there before.
@@ -86,10 +95,9 @@ impl Served {
 
 /// Serves pages for as long as it is polled.
 pub async fn serve(listener: TcpListener, served: Arc<Served>) {
-    let app = pages(served);
-    let room = Arc::new(Semaphore::new(CONNECTIONS));
-    loop {
-        let place = Arc::clone(&room).acquire_owned().await.expect("it is never closed");
+    let app = pages(Arc::clone(&served));
+    let lobby = Lobby::new();
+    for number in 0.. {
         let stream = match listener.accept().await {
             Ok((stream, _)) => stream,
             Err(error) => {
@@ -99,16 +107,32 @@ pub async fn serve(listener: TcpListener, served: Arc<Served>) {
                 continue;
             }
         };
-        let service = TowerToHyperService::new(app.clone());
-        tokio::spawn(async move {
-            let stream = TokioIo::new(Impatient::new(stream, WRITE_TIME));
-            let mut connection = http1::Builder::new();
-            connection.timer(TokioTimer::new()).header_read_timeout(HEAD_TIME).max_buf_size(HEAD);
-            if let Err(error) = connection.serve_connection(stream, service).await {
-                tracing::debug!(%error, "a connection ended early");
-            }
-            drop(place);
-        });
+        let (app, served) = (app.clone(), Arc::clone(&served));
+        lobby.admit(number, |guest| connection(stream, app, served, guest)).await;
+    }
+}
+
+/// Serves a connection, for a moment only where the key is not shown.
+async fn connection(stream: TcpStream, app: Router, served: Arc<Served>, guest: Arc<Guest>) {
+    let (pages, of) = (TowerToHyperService::new(app), Arc::clone(&guest));
+    let service = service_fn(move |mut request: hyper::Request<Incoming>| {
+        let mut uri = request.uri().clone();
+        let front = served.address.enter(&mut uri, request.headers());
+        *request.uri_mut() = uri;
+        request.extensions_mut().insert(front);
+        request.extensions_mut().insert(Arc::clone(&of));
+        pages.call(request)
+    });
+    let stream = TokioIo::new(Impatient::new(stream, WRITE_TIME));
+    let mut builder = http1::Builder::new();
+    builder.timer(TokioTimer::new()).header_read_timeout(HEAD_TIME).max_buf_size(HEAD);
+    let mut serving = std::pin::pin!(builder.serve_connection(stream, service));
+    let ended = tokio::select! {
+        ended = &mut serving => ended,
+        () = sleep(STAY) => if guest.is_known() { serving.await } else { Ok(()) },
+    };
+    if let Err(error) = ended {
+        tracing::debug!(%error, "a connection ended early");
     }
 }
 
@@ -157,10 +181,11 @@ async fn events(
     Path(number): Path<String>,
 ) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Refusal> {
     let seen = source(&served, &number)?.watched();
-    let stream = unfold((seen, None), |(mut seen, told)| async move {
+    let place = Arc::clone(&served.followed).try_acquire_owned().map_err(|_| Refusal::Busy)?;
+    let stream = unfold((seen, None, place), |(mut seen, told, place)| async move {
         let changed = seen.wait_for(|seen| Some(seen.generation) != told);
         let generation = changed.await.ok()?.generation;
-        Some((Ok(Event::default().data(generation.to_string())), (seen, Some(generation))))
+        Some((Ok(Event::default().data(generation.to_string())), (seen, Some(generation), place)))
     });
     Ok(Sse::new(stream).keep_alive(KeepAlive::new().interval(ALIVE)))
 }
@@ -172,22 +197,23 @@ enum Refusal {
     NoPage,
     /// What was asked cannot be.
     Asked(String),
+    /// There are too many of whoever has the key.
+    Busy,
 }
+
+/// What the page of a refusal says; `guard` makes it, as it knows the way to the first page.
+#[derive(Debug, Clone)]
+struct Refused(String);
 
 impl IntoResponse for Refusal {
     fn into_response(self) -> Response {
         let (status, why) = match self {
             Self::NoPage => (StatusCode::NOT_FOUND, "there is no such page".to_owned()),
             Self::Asked(why) => (StatusCode::BAD_REQUEST, why),
+            Self::Busy => {
+                (StatusCode::SERVICE_UNAVAILABLE, "too many pages are open: close some of them".to_owned())
+            }
         };
-        (
-            status,
-            Html(pages::bare(
-                false,
-                "No such page, or no answer",
-                &html! { p { (why) } p { a href="/" { "Back to the start" } } },
-            )),
-        )
-            .into_response()
+        (status, Extension(Refused(why))).into_response()
     }
 }

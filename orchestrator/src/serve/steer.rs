@@ -54,12 +54,18 @@ async fn steer(served: &Served, at: &str, headers: &HeaderMap, body: Body) -> Re
     }
 }
 
-/// Controls of a run, shown to whoever has the token: buttons with what they ask, and more.
-fn panel(served: &Served, at: &str, title: &str, buttons: &[(String, &str)], more: &Markup) -> Markup {
+/// Controls of a run, shown to whoever has the token: buttons with what they ask, and more. `control`: the way to what takes it.
+fn panel(
+    served: &Served,
+    (at, control): (&str, &str),
+    title: &str,
+    buttons: &[(String, &str)],
+    more: &Markup,
+) -> Markup {
     let steers = served.steering.is_some() && source(served, at).is_ok_and(|source| source.db.is_some());
     html! {
         @if steers {
-            section id="control" data-control=(format!("/{at}/control")) aria-labelledby="steer" hidden {
+            section id="control" data-control=(control) aria-labelledby="steer" hidden {
                 h2 id="steer" { (title) }
                 p class="quiet" data-state {}
                 div class="line" {
@@ -86,11 +92,17 @@ pub fn of_run(served: &Served, at: &str) -> Markup {
             button value="workers" { "Set" }
         }
     };
-    panel(served, at, "Steer the run", &buttons.map(|(line, text)| (line.to_owned(), text)), &workers)
+    panel(
+        served,
+        (at, "control"),
+        "Steer the run",
+        &buttons.map(|(line, text)| (line.to_owned(), text)),
+        &workers,
+    )
 }
 
 /// The panel of a trial that is not done.
 pub fn of_trial(served: &Served, at: &str, hash: &str) -> Markup {
     let buttons = [(format!("next {hash}"), "Run it next"), (format!("cancel {hash}"), "Cancel it")];
-    panel(served, at, "Steer this trial", &buttons, &html! {})
+    panel(served, (at, "../control"), "Steer this trial", &buttons, &html! {})
 }

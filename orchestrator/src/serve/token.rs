@@ -9,6 +9,7 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
 use super::Served;
+use super::address::{Front, here};
 
 /// A secret, known by its digest.
 #[derive(Debug)]
@@ -48,13 +49,17 @@ pub(super) fn turned_away(served: &Served, request: &Request) -> Option<Response
     let (headers, uri) = (request.headers(), request.uri());
     let reads = |given: &str| served.reading.is(given);
     let cookie = format!("metasense-{}", port(headers));
-    if let Some(key) = uri.query().and_then(|query| query.strip_prefix("key=")).filter(|key| reads(key)) {
+    let asked = || uri.query().unwrap_or_default().split('&');
+    if let Some(key) = asked().find_map(|pair| pair.strip_prefix("key=").filter(|key| reads(key))) {
+        let front = request.extensions().get::<Front>().map_or("/", |front| &front.0);
         // Lax: a link from elsewhere shows a page; a foreign page reads nothing.
-        let cookie = HeaderValue::from_str(&format!("{cookie}={key}; Path=/; HttpOnly; SameSite=Lax"));
-        let cookie = cookie.expect("names and keys are ASCII");
-        let home = HeaderValue::from_static("/");
+        let cookie = HeaderValue::from_str(&format!("{cookie}={key}; Path={front}; HttpOnly; SameSite=Lax"));
+        let cookie = cookie.expect("names, keys and paths are ASCII");
+        let rest: Vec<&str> = asked().filter(|pair| !pair.starts_with("key=")).collect();
+        let same = HeaderValue::from_str(&here(uri.path(), &rest.join("&")));
+        let same = same.expect("addresses are ASCII");
         return Some(
-            (StatusCode::SEE_OTHER, [(header::SET_COOKIE, cookie), (header::LOCATION, home)]).into_response(),
+            (StatusCode::SEE_OTHER, [(header::SET_COOKIE, cookie), (header::LOCATION, same)]).into_response(),
         );
     }
     let steers = |given: &str| served.steering.as_ref().is_some_and(|token| token.is(given));

@@ -1,10 +1,12 @@
 //! Tests of `guard`.
 
 use super::*;
+use crate::serve::Address;
 use tokio::time::Instant;
 
 #[test]
 fn a_name_that_can_be_rebound_is_not_ours() {
+    let is_ours = |host: &str| Address::default().is_ours(host);
     for host in ["localhost", "LOCALHOST:80", "127.0.0.1:8080", "[::1]:8080", "192.168.1.7:1"] {
         assert!(is_ours(host), "{host}");
     }

@@ -118,7 +118,7 @@ fn grids(at: &str, found: &[&Arc<Row>], by: &str) -> (Vec<Picture>, usize) {
                 rows => {
                     let same = alike(&rows[0]);
                     let asked = format!("K={panels} M={sensors} placement={placement} units={units}{same}");
-                    format!("/{at}/trials{}", query(&[("q", &asked)]))
+                    format!("trials{}", query(&[("q", &asked)]))
                 }
             };
             let told = value(rows);

@@ -23,37 +23,47 @@ use crate::store::StoreError;
 const TABS: [(&str, &str); 5] =
     [("", "Overview"), ("trials", "Trials"), ("map", "Sweep map"), ("compare", "Compare"), ("sql", "SQL")];
 
+/// The tab of a trial's page.
+const TRIAL: &str = "trial";
+
 /// Where one begins: the only database, or all of them.
 pub async fn home(State(served): State<Arc<Served>>) -> Response {
     if served.sources.len() == 1 {
-        return Redirect::to("/0/").into_response();
+        return Redirect::to("./0/").into_response();
     }
     let list = html! {
-        ul { @for (i, source) in served.sources.iter().enumerate() { li { a href=(format!("/{i}/")) { (source.name) } } } }
+        ul { @for (i, source) in served.sources.iter().enumerate() { li { a href=(format!("{i}/")) { (source.name) } } } }
     };
-    Html(bare(served.steering.is_some(), "Databases", &list)).into_response()
+    Html(bare(("", served.steering.is_some()), "Databases", &list)).into_response()
 }
 
-/// A page of no database. `steers`: others do.
-pub(super) fn bare(steers: bool, title: &str, content: &Markup) -> String {
+/// A page of no database. `up`: the way from it to the first page; `steers`: others do.
+fn bare((up, steers): (&str, bool), title: &str, content: &Markup) -> String {
     document(
         &format!("{title} – metasense"),
-        &head(steers),
+        &head(up, steers),
         &html! { body { main id="main" { h1 { (title) } (content) } } },
     )
 }
 
-fn head(steers: bool) -> Markup {
+/// The page of a refusal.
+pub(super) fn refusal(up: &str, why: &str) -> String {
+    let content = html! { p { (why) } p { a href=(format!("./{up}")) { "Back to the start" } } };
+    bare((up, false), "No such page, or no answer", &content)
+}
+
+fn head(up: &str, steers: bool) -> Markup {
     html! {
-        link rel="stylesheet" href="/style.css";
-        link rel="icon" type="image/svg+xml" href="/icon.svg";
-        script src="/live.js" defer {}
-        script src="/wave.js" defer {}
-        @if steers { script src="/control.js" defer {} }
+        link rel="stylesheet" href={ (up) "style.css" };
+        link rel="icon" type="image/svg+xml" href={ (up) "icon.svg" };
+        script src={ (up) "live.js" } defer {}
+        script src={ (up) "wave.js" } defer {}
+        @if steers { script src={ (up) "control.js" } defer {} }
     }
 }
 
-/// A page of a database. `live`: the generation that it shows, where it follows what happens.
+/// A page of a database. An empty `tab` is the overview, `TRIAL` a trial's, one folder further down. `live`: the generation that it
+/// shows, where it follows what happens.
 fn framed(
     served: &Served,
     number: &str,
@@ -63,16 +73,18 @@ fn framed(
     content: &Markup,
 ) -> Result<Html<String>, Refusal> {
     let name = &source(served, number)?.name;
-    let events = live.map(|_| format!("/{number}/events"));
+    let own = if tab == TRIAL { "../" } else { "" };
+    let up = format!("{own}../");
+    let events = live.map(|_| format!("{own}events"));
     let body = html! {
         body data-events=[events] data-generation=[live] {
             a class="skip" href="#main" { "Skip to content" }
             header {
-                @if served.sources.len() > 1 { a class="all" href="/" { "All databases" } }
+                @if served.sources.len() > 1 { a class="all" href=(up) { "All databases" } }
                 b { (name) }
                 nav aria-label="Pages" {
                     @for (address, text) in TABS {
-                        a href=(format!("/{number}/{address}")) aria-current=[(address == tab).then_some("page")] { (text) }
+                        a href=(format!("./{own}{address}")) aria-current=[(address == tab).then_some("page")] { (text) }
                     }
                 }
                 @if live.is_some() { button type="button" id="hold" aria-pressed="false" hidden { "Pause updates" } }
@@ -80,7 +92,7 @@ fn framed(
             main id="main" tabindex="-1" { h1 { (title) } (content) }
         }
     };
-    Ok(Html(document(&format!("{title} – {name}"), &head(served.steering.is_some()), &body)))
+    Ok(Html(document(&format!("{title} – {name}"), &head(&up, served.steering.is_some()), &body)))
 }
 
 /// A part of a page that is put in its place again when something has changed.
@@ -97,9 +109,9 @@ fn trouble(seen: &Seen) -> Markup {
     }
 }
 
-/// The page of a trial.
+/// The way to the page of a trial, from those of a database but its trials'.
 fn to_trial(number: &str, hash: &str) -> String {
-    format!("/{number}/trial/{}", Encoded(hash))
+    format!("../{number}/trial/{}", Encoded(hash))
 }
 
 /// Links from the columns that name trials.

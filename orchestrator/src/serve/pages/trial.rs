@@ -205,7 +205,7 @@ pub async fn page(
     let title = format!("Trial {}", short_hash(&trial.hash));
     let parts = [("networks", networks(&trial)), ("time", time(&trial)), ("attempts", attempts(&trial))];
     let content = html! {
-        (live("facts", &facts(&at, &seen, &trial)))
+        (live("facts", &facts(&seen, &trial)))
         @if trial.state != "done" { (of_trial(&served, &at, &trial.hash)) }
         (live("curves", &curves_of(&trial)))
         (live("bodies", &bodies_of(&trial)))
@@ -268,7 +268,7 @@ fn samples(again: &Replayed, chosen: &str) -> Markup {
     }
 }
 
-fn facts(at: &str, seen: &Seen, trial: &Trial) -> Markup {
+fn facts(seen: &Seen, trial: &Trial) -> Markup {
     let facts = trial.facts.columns.iter().zip(&trial.facts.rows[0]).filter(|(_, value)| !value.is_null());
     html! {
         (trouble(seen))
@@ -280,7 +280,7 @@ fn facts(at: &str, seen: &Seen, trial: &Trial) -> Markup {
                 } }
             }
         }
-        p { a href=(format!("/{at}/compare{}", query(&[("a", &trial.hash)]))) { "Compare with another" } }
+        p { a href=(format!("../compare{}", query(&[("a", &trial.hash)]))) { "Compare with another" } }
     }
 }
 

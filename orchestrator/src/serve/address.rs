@@ -1,0 +1,93 @@
+//! How browsers reach these pages: by which host names, and behind which path of a proxy. Links are relative, so that they hold
+//! behind any path that a proxy takes away; a path that it leaves is taken away here.
+
+use axum::http::uri::{Authority, PathAndQuery};
+use axum::http::{HeaderMap, HeaderName, Uri};
+
+/// The names and the path of a proxy.
+#[derive(Debug, Default)]
+pub struct Address {
+    base: String,
+    names: Vec<String>,
+}
+
+/// The path in front of a request's own, with a slash at its end.
+#[derive(Debug, Clone)]
+pub struct Front(pub String);
+
+impl Address {
+    /// Behind the path `base`, where there is one, and by these host names.
+    ///
+    /// # Errors
+    /// With what is no path or no name, and what it must be.
+    pub fn new(base: Option<&str>, names: &[String]) -> Result<Self, String> {
+        let base = base.unwrap_or_default().trim_end_matches('/');
+        if !(base.is_empty() || is_path(base)) {
+            return Err(format!("--base {base}: must be a path such as /node/HOST/8017/"));
+        }
+        let harmless = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
+        if let Some(wrong) = names.iter().find(|name| name.is_empty() || !name.bytes().all(harmless)) {
+            return Err(format!("--host-name {wrong}: must be a name without scheme, port and path"));
+        }
+        Ok(Self { base: base.to_owned(), names: names.to_vec() })
+    }
+
+    /// The path in front, without a slash at its end.
+    pub fn base(&self) -> &str {
+        &self.base
+    }
+
+    /// Takes the path in front from an address; what was taken, by the proxy's word where it has taken it itself.
+    pub(super) fn enter(&self, uri: &mut Uri, headers: &HeaderMap) -> Front {
+        let within = uri.path_and_query().and_then(|path| path.as_str().strip_prefix(&self.base));
+        let within = within.filter(|path| !self.base.is_empty() && path.starts_with('/'));
+        if let Some(path) = within.and_then(|path| path.parse::<PathAndQuery>().ok()) {
+            let mut parts = uri.clone().into_parts();
+            parts.path_and_query = Some(path);
+            if let Ok(own) = Uri::from_parts(parts) {
+                *uri = own;
+                return Front(format!("{}/", self.base));
+            }
+        }
+        let told = headers.get(HeaderName::from_static("x-forwarded-prefix"));
+        let told = told.and_then(|path| path.to_str().ok()).filter(|path| is_path(path));
+        Front(told.map_or("/".into(), |path| format!("{}/", path.trim_end_matches('/'))))
+    }
+
+    /// Whether a host is named as we are told, or in a way that no name server has a say in.
+    pub(super) fn is_ours(&self, host: &str) -> bool {
+        let Ok(authority) = host.parse::<Authority>() else { return false };
+        let name = authority.host();
+        let bare = name.strip_prefix('[').and_then(|name| name.strip_suffix(']')).unwrap_or(name);
+        let known = || name.eq_ignore_ascii_case("localhost") || bare.parse::<std::net::IpAddr>().is_ok();
+        !host.contains('@') && (self.is_named(name) || known())
+    }
+
+    /// Whether a page of this origin is one of ours that was reached by `host`. A proxy may speak TLS, and may have replaced the host.
+    pub(super) fn is_own(&self, origin: &str, host: &str) -> bool {
+        let named = origin.strip_prefix("https://").or_else(|| origin.strip_prefix("http://"));
+        let named = named.and_then(|at| at.parse::<Authority>().ok());
+        origin.strip_prefix("http://") == Some(host) || named.is_some_and(|at| self.is_named(at.host()))
+    }
+
+    fn is_named(&self, name: &str) -> bool {
+        self.names.iter().any(|own| own.eq_ignore_ascii_case(name))
+    }
+}
+
+/// Whether this is a path of harmless characters.
+fn is_path(text: &str) -> bool {
+    let harmless = |byte: u8| byte.is_ascii_alphanumeric() || b"/-._~%@:+".contains(&byte);
+    text.starts_with('/') && text.bytes().all(harmless)
+}
+
+/// The way from a page to the first one.
+pub(super) fn up(path: &str) -> String {
+    "../".repeat(path.matches('/').count().saturating_sub(1))
+}
+
+/// The way from an address to the same one with another query.
+pub(super) fn here(path: &str, query: &str) -> String {
+    let last = path.rsplit('/').next().unwrap_or_default();
+    if query.is_empty() { format!("./{last}") } else { format!("./{last}?{query}") }
+}
