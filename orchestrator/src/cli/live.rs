@@ -1,13 +1,12 @@
 //! What `run` shows while it goes on: a bar with the time to go on a terminal, plain lines elsewhere.
 
-use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use metasense_schemas::reason::Reason;
 use metasense_schemas::record::{BodyEvaluation, TrialResult, mean};
 
-use super::duration;
+use super::{duration, is_live};
 use crate::control::Command;
 use crate::engine::{View, Watch};
 use crate::files::host;
@@ -37,7 +36,7 @@ pub struct Live {
 impl Live {
     /// For a run of this many trials, beside others that are settled already.
     pub fn new(open: usize, settled: usize, workers: u32) -> Self {
-        let bar = std::io::stderr().is_terminal().then(|| {
+        let bar = is_live(&std::io::stderr()).then(|| {
             let style =
                 ProgressStyle::with_template("{bar:30} {percent:>3} %  {msg}").expect("the template is one");
             ProgressBar::with_draw_target(Some(BAR), ProgressDrawTarget::stderr_with_hz(5)).with_style(style)

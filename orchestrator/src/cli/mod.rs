@@ -47,6 +47,7 @@ mod watch;
 use std::ffi::{OsStr, OsString};
 use std::fmt::Write as _;
 use std::fs::Metadata;
+use std::io::IsTerminal;
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::pin::Pin;
@@ -54,22 +55,26 @@ use std::process::ExitCode;
 use std::sync::OnceLock;
 
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
+use rustix::process::{Signal, set_parent_process_death_signal};
 
 use crate::engine::ignores_hangup;
 use crate::exit::{EXIT_CODES, Exit};
 use crate::plan::Plan;
 use metasense_worker::process;
 
-use crate::look::duration;
 pub use crate::look::{Format, print_rows};
+use crate::look::{duration, screen};
 pub use error::Error;
+
+/// The longest line of a help text.
+const WIDEST: usize = 100;
 
 /// Trains bodies of flexible metamaterial together with the neural networks that read them, many variants at a time.
 ///
 /// A sweep is a spec file (TOML); it expands into trials; each trial trains one body with its brain. `run` works through
 /// the trials with worker processes and keeps everything in one SQLite file; stopped or killed, the same command goes on.
 #[derive(Debug, Parser)]
-#[command(name = "metasense", version, after_help = EXIT_CODES, max_term_width = 100)]
+#[command(name = "metasense", version, after_help = EXIT_CODES, max_term_width = WIDEST)]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -148,7 +153,7 @@ pub fn command() -> clap::Command {
 /// # Errors
 /// Bad input and failed I/O, each with its exit code.
 pub fn execute(args: impl Iterator<Item = OsString>) -> Result<Exit, Error> {
-    let matches = command().get_matches_from(args);
+    let matches = command().term_width(screen().unwrap_or(WIDEST).min(WIDEST)).get_matches_from(args);
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|e| e.exit());
     spares_what_it_reads(&matches)?;
     process::keep_memory();
@@ -230,6 +235,18 @@ fn end_on_signal(kept: Option<&Path>) {
         // SAFETY: `end` does nothing that a handler must not.
         unsafe { libc::signal(signal, end as *const () as libc::sighandler_t) };
     }
+}
+
+/// Whether this is a terminal on which a cursor can be moved.
+fn is_live(out: &impl IsTerminal) -> bool {
+    let term = std::env::var_os("TERM").unwrap_or_default();
+    out.is_terminal() && !term.is_empty() && term != "dumb"
+}
+
+/// From here on the end of `parent`, which has started this process, is a SIGTERM. Whether it has not ended yet.
+fn end_with(parent: u32) -> bool {
+    let _ = set_parent_process_death_signal(Some(Signal::TERM));
+    std::os::unix::process::parent_id() == parent
 }
 
 /// Reads and expands a spec file.

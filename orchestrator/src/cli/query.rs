@@ -9,7 +9,7 @@ use super::named::Database;
 use super::{Error, Format, print_rows};
 use crate::exit::Exit;
 use crate::files::Output;
-use crate::look::{RowWriter, Table, lines, standard_output};
+use crate::look::{RowWriter, Table, lines, screen, standard_output};
 use crate::spool::Spool;
 use crate::store::Reader;
 
@@ -46,7 +46,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         match &out {
             None => {
                 let mut spool = Spool::new(standard_output(format)?);
-                let answered = answer(reader, sql, &mut spool, format).await;
+                let answered = answer(reader, sql, &mut spool, (format, screen())).await;
                 // Nothing is held of the database any more while whoever reads the rows takes their time.
                 let passed_on = spool.finish();
                 answered.and(passed_on.map_err(Error::Output))
@@ -67,7 +67,7 @@ pub(super) async fn answer_in(
 ) -> Result<(), Error> {
     let failed = Error::io("writing", path);
     let mut output = Output::create(path).map_err(&failed)?;
-    let written = answer(reader, sql, &mut output, format).await;
+    let written = answer(reader, sql, &mut output, (format, None)).await;
     written.map_err(|e| if let Error::Output(source) = e { failed(source) } else { e })?;
     output.finish().map_err(failed)
 }
@@ -75,15 +75,20 @@ pub(super) async fn answer_in(
 /// Rows that a table to read holds.
 const MOST_ROWS: usize = 10_000;
 
-/// Passes the rows on as they come.
-async fn answer(reader: &mut Reader, sql: &str, out: impl Write + Send, format: Format) -> Result<(), Error> {
+/// Passes the rows on as they come, a table to read for a screen of so many columns.
+async fn answer(
+    reader: &mut Reader,
+    sql: &str,
+    out: impl Write + Send,
+    (format, screen): (Format, Option<usize>),
+) -> Result<(), Error> {
     let columns = reader.columns(sql).await?;
     let twice = columns.iter().enumerate().find(|(i, name)| columns[..*i].contains(name));
     if let (Some((_, name)), Format::Json) = (twice, format) {
         let why = format!("two columns are called {name}, and an object has one: name them with AS");
         return Err(Error::Usage(why));
     }
-    let mut writer = RowWriter::new(out, format, &columns)?;
+    let mut writer = RowWriter::new(out, format, &columns, screen)?;
     let mut count = 0usize;
     reader
         .each(sql, |row| {

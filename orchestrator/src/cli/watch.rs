@@ -1,11 +1,11 @@
 //! `watch`: a run as it goes on, seen from its database, from any terminal.
 
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use super::status::newest;
-use super::{Error, Format, print_rows};
+use super::{Error, Format, is_live, print_rows};
 use crate::exit::Exit;
 use crate::progress::Looks;
 use crate::store::Reader;
@@ -31,7 +31,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if !(0.1..=3600.0).contains(&args.every) {
         return Err(Error::Usage(format!("--every {} is not between 0.1 and 3600 s", args.every)));
     }
-    let live = std::io::stdout().is_terminal() && !args.once;
+    let live = is_live(&std::io::stdout()) && !args.once;
     let mut looks = Looks::default();
     if looks.begin(&db).await {
         tokio::time::sleep(Duration::from_millis(200)).await;

@@ -2,6 +2,7 @@
 //! nobody else here.
 
 pub mod body;
+mod fit;
 pub mod grid;
 mod number;
 mod page;
@@ -13,6 +14,7 @@ mod table;
 pub mod wave;
 mod write;
 
+pub use fit::screen;
 pub use number::{digits, duration, number};
 pub use page::{Answer, Encoded, Figure, MOST_ROWS, answers, document, download, more, page};
 pub use picture::{Legend, Picture, file, legend, lines};

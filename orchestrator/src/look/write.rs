@@ -3,11 +3,11 @@
 use std::io::{self, BufWriter, IsTerminal, Write};
 
 use clap::ValueEnum;
-use comfy_table::{CellAlignment, ContentArrangement, Table as Grid, presets};
 use serde_json::{Map, Value};
 
+use super::fit::{screen, text};
 use super::parquet::{Parquet, parquet};
-use super::table::{Table, plain, rounded};
+use super::table::{Table, plain};
 
 /// The form in which rows are printed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
@@ -28,7 +28,7 @@ pub enum Format {
 /// # Errors
 /// Where standard output is closed or full, or a terminal that Parquet's bytes would upset.
 pub fn print_rows(table: &Table, format: Format) -> io::Result<()> {
-    table.write(format, standard_output(format)?)
+    table.write(format, standard_output(format)?, screen())
 }
 
 /// Standard output for rows.
@@ -44,11 +44,11 @@ pub fn standard_output(format: Format) -> io::Result<io::Stdout> {
 }
 
 impl Table {
-    fn write(&self, format: Format, out: impl Write + Send) -> io::Result<()> {
+    fn write(&self, format: Format, out: impl Write + Send, screen: Option<usize>) -> io::Result<()> {
         if format == Format::Parquet {
             return parquet(self, out);
         }
-        let mut rows = RowWriter::new(out, format, &self.columns)?;
+        let mut rows = RowWriter::new(out, format, &self.columns, screen)?;
         self.rows.iter().try_for_each(|row| rows.row(row.clone()))?;
         rows.end()
     }
@@ -56,7 +56,7 @@ impl Table {
     /// The rows as a file.
     pub fn written(&self, format: Format) -> Vec<u8> {
         let mut bytes = Vec::new();
-        self.write(format, &mut bytes).expect("memory takes all");
+        self.write(format, &mut bytes, None).expect("memory takes all");
         bytes
     }
 
@@ -100,20 +100,20 @@ impl Data {
 pub struct RowWriter<W: Write + Send>(Form<W>);
 
 enum Form<W: Write + Send> {
-    Kept(W, Table),
+    Kept(W, Table, Option<usize>),
     Parquet(Box<Parquet<W>>),
     Csv(Box<csv::Writer<W>>),
     Json(BufWriter<W>, Vec<String>, bool),
 }
 
 impl<W: Write + Send> RowWriter<W> {
-    /// Of these columns.
+    /// Of these columns. `screen`: how many letters a line of a table to read may have.
     ///
     /// # Errors
     /// Where `out` takes nothing, or there is no room for a file to wait in.
-    pub fn new(out: W, format: Format, columns: &[String]) -> io::Result<Self> {
+    pub fn new(out: W, format: Format, columns: &[String], screen: Option<usize>) -> io::Result<Self> {
         Ok(Self(match format {
-            Format::Table => Form::Kept(out, Table { columns: columns.to_vec(), ..Table::default() }),
+            Format::Table => Form::Kept(out, Table { columns: columns.to_vec(), ..Table::default() }, screen),
             Format::Parquet => Form::Parquet(Box::new(Parquet::new(out, columns)?)),
             Format::Csv => {
                 let mut csv = csv::Writer::from_writer(out);
@@ -134,7 +134,7 @@ impl<W: Write + Send> RowWriter<W> {
     /// Where no more is taken.
     pub fn row(&mut self, row: Vec<Value>) -> io::Result<()> {
         match &mut self.0 {
-            Form::Kept(_, table) => {
+            Form::Kept(_, table, _) => {
                 table.rows.push(row);
                 Ok(())
             }
@@ -154,7 +154,7 @@ impl<W: Write + Send> RowWriter<W> {
     /// Where no more is taken.
     pub fn end(self) -> io::Result<()> {
         match self.0 {
-            Form::Kept(mut out, table) => writeln!(out, "{}", grid(&table)),
+            Form::Kept(mut out, table, screen) => writeln!(out, "{}", text(&table, screen)),
             Form::Parquet(rows) => rows.end(),
             Form::Csv(mut csv) => csv.flush(),
             Form::Json(mut out, ..) => {
@@ -170,21 +170,6 @@ fn io_error(e: csv::Error) -> io::Error {
         csv::ErrorKind::Io(e) => e,
         other => io::Error::other(format!("{other:?}")),
     }
-}
-
-fn grid(table: &Table) -> Grid {
-    let mut grid = Grid::new();
-    grid.load_style(presets::ASCII_MARKDOWN).set_content_arrangement(ContentArrangement::Dynamic);
-    grid.set_header(&table.columns);
-    for row in &table.rows {
-        grid.add_row(row.iter().map(rounded));
-    }
-    for (i, column) in grid.column_iter_mut().enumerate() {
-        if table.rows.iter().all(|row| row[i].is_number() || row[i].is_null()) {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
-    }
-    grid
 }
 
 #[cfg(test)]

@@ -27,7 +27,7 @@ fn rows_as_they_come_give_the_bytes_of_a_table() {
         |i: usize| row![i, 0.5 * i as f64, if i < 150_000 { json!(i) } else { json!("much") }, Value::Null];
     let table = Table::new("i half either none", (0..150_001).map(row));
     let mut rows = Vec::new();
-    let mut writer = RowWriter::new(&mut rows, Format::Parquet, &table.columns).unwrap();
+    let mut writer = RowWriter::new(&mut rows, Format::Parquet, &table.columns, None).unwrap();
     table.rows.iter().for_each(|row| writer.row(row.clone()).unwrap());
     writer.end().unwrap();
     assert!(rows == table.written(Format::Parquet) && rows.len() > 150_000 * 24);

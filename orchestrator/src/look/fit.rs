@@ -1,0 +1,248 @@
+//! Rows as text to read: a grid; where a screen is too narrow for it, with names and texts in several lines; then with what all rows
+//! share in front; and where it is too narrow even for that, a list. Nothing is left out, and no number is broken.
+
+use std::io::{self, IsTerminal};
+
+use unicode_width::UnicodeWidthStr;
+
+use super::table::{Table, rounded};
+
+/// Columns of a terminal that does not know how many it has.
+const USUAL: usize = 80;
+/// Texts of a grid are put in lines of no less than this; words are whole up to so many letters, in lists up to a line.
+const TEXT: usize = 12;
+const WORD: usize = 40;
+
+/// How many columns standard output has: those that COLUMNS says, else those of its terminal. None if it is no terminal.
+pub fn screen() -> Option<usize> {
+    let asked = std::env::var("COLUMNS").ok().and_then(|columns| columns.trim().parse().ok());
+    asked.filter(|columns| *columns > 0).or_else(|| io::stdout().is_terminal().then(of_terminal))
+}
+
+fn of_terminal() -> usize {
+    let mut size = libc::winsize { ws_row: 0, ws_col: 0, ws_xpixel: 0, ws_ypixel: 0 };
+    // SAFETY: the call writes a `winsize`, or nothing.
+    let known = unsafe { libc::ioctl(libc::STDOUT_FILENO, libc::TIOCGWINSZ, &raw mut size) } == 0;
+    if known && size.ws_col > 0 { size.ws_col.into() } else { USUAL }
+}
+
+/// A table for a screen of so many columns; in one line per row where there is no limit.
+pub fn text(table: &Table, screen: Option<usize>) -> String {
+    let numeric = |i: usize| table.rows.iter().all(|row| row[i].is_number() || row[i].is_null());
+    let of = |i: usize| Column {
+        name: clean(&table.columns[i]).replace('\n', " "),
+        cells: table.rows.iter().map(|row| clean(&rounded(&row[i]))).collect(),
+        numeric: numeric(i),
+    };
+    let columns: Vec<Column> = (0..table.columns.len()).map(of).collect();
+    let whole: Vec<usize> = columns.iter().map(|c| width(&c.name).max(c.width())).collect();
+    let Some(screen) = screen.filter(|screen| *screen < BARS.total(&whole)) else {
+        return grid(&columns, &whole, &BARS);
+    };
+    if let Some(widths) = narrowed(&columns, screen) {
+        return grid(&columns, &widths, &BLANKS);
+    }
+    let alike = |c: &Column| table.rows.len() > 1 && c.cells.iter().all(|cell| *cell == c.cells[0]);
+    let (shared, own): (Vec<Column>, Vec<Column>) = columns.into_iter().partition(alike);
+    let value =
+        |c: &Column| if c.cells[0].is_empty() { "–".to_owned() } else { c.cells[0].replace('\n', " ") };
+    let shared: Vec<String> = shared.iter().map(|c| format!("{} = {}", c.name, value(c))).collect();
+    let mut said = match shared.is_empty() {
+        true => Vec::new(),
+        false => wrapped(&format!("in all rows: {}", shared.join("; ")), screen),
+    };
+    said.push(match narrowed(&own, screen) {
+        Some(widths) => grid(&own, &widths, &BLANKS),
+        None if said.is_empty() => list(&own, table.rows.len(), screen),
+        None => format!("\n{}", list(&own, table.rows.len(), screen)),
+    });
+    said.join("\n")
+}
+
+/// What stands before, between and behind the columns of a grid, and in the line below their names.
+struct Style {
+    cells: [&'static str; 3],
+    line: [&'static str; 3],
+}
+
+/// Markdown, for pages and for whoever reads lines by programs.
+const BARS: Style = Style { cells: ["| ", " | ", " |"], line: ["|-", "-|-", "-|"] };
+/// The narrowest.
+const BLANKS: Style = Style { cells: ["", "  ", ""], line: ["", "  ", ""] };
+
+impl Style {
+    /// The width of a grid with columns of these.
+    fn total(&self, widths: &[usize]) -> usize {
+        let [before, between, behind] = self.cells.map(width);
+        before + widths.iter().sum::<usize>() + between * widths.len().saturating_sub(1) + behind
+    }
+}
+
+struct Column {
+    name: String,
+    cells: Vec<String>,
+    numeric: bool,
+}
+
+impl Column {
+    /// That of its widest line.
+    fn width(&self) -> usize {
+        self.cells.iter().flat_map(|cell| cell.lines()).map(width).max().unwrap_or(0)
+    }
+
+    /// The least that breaks no number, no short word and no part of the name.
+    fn least(&self) -> usize {
+        let words = || self.cells.iter().flat_map(|cell| cell.split_whitespace()).map(width);
+        let cells = match self.numeric {
+            true => self.width(),
+            false => words().max().unwrap_or(0).min(WORD).max(TEXT.min(self.width())),
+        };
+        parts(&self.name).map(width).max().unwrap_or(0).max(cells)
+    }
+}
+
+fn width(text: &str) -> usize {
+    text.width()
+}
+
+/// A text that moves no cursor.
+fn clean(text: &str) -> String {
+    let shown = |c: char| match c {
+        '\n' => "\n".into(),
+        '\t' | '\r' => " ".into(),
+        c if c.is_control() => c.escape_default().to_string(),
+        c => c.to_string(),
+    };
+    text.chars().map(shown).collect()
+}
+
+/// The parts of a name, each with what ends it.
+fn parts(name: &str) -> impl Iterator<Item = &str> {
+    name.split_inclusive(['_', '.', ' '])
+}
+
+/// A name in lines of no more than this, where its parts allow.
+fn in_parts(name: &str, most: usize) -> Vec<String> {
+    let mut found: Vec<String> = vec![String::new()];
+    for part in parts(name) {
+        let line = found.last_mut().expect("there is one");
+        match line.is_empty() || width(line) + width(part) <= most {
+            true => line.push_str(part),
+            false => found.push(part.to_owned()),
+        }
+    }
+    found
+}
+
+/// A text in lines of no more than this. Words that are longer are parted behind commas and the like, and by letters only where there
+/// are none.
+fn wrapped(text: &str, most: usize) -> Vec<String> {
+    let mut found = Vec::new();
+    for line in text.lines() {
+        if width(line) <= most {
+            found.push(line.to_owned());
+            continue;
+        }
+        let mut now = String::new();
+        for word in line.split_whitespace() {
+            let mut begins = !now.is_empty();
+            let long = width(word) > most;
+            let pieces: Vec<&str> =
+                if long { word.split_inclusive([',', ';', '/', '&']).collect() } else { vec![word] };
+            for piece in pieces.into_iter().flat_map(|piece| letters(piece, most.max(1))) {
+                if !now.is_empty() && width(&now) + usize::from(begins) + width(&piece) > most {
+                    found.push(std::mem::take(&mut now));
+                } else if begins {
+                    now.push(' ');
+                }
+                now += &piece;
+                begins = false;
+            }
+        }
+        found.push(now);
+    }
+    found
+}
+
+/// A word in parts of no more than this.
+fn letters(word: &str, most: usize) -> Vec<String> {
+    let mut found = vec![String::new()];
+    for letter in word.chars() {
+        let last = found.last_mut().expect("there is one");
+        match last.is_empty() || width(last) + width(letter.encode_utf8(&mut [0; 4])) <= most {
+            true => last.push(letter),
+            false => found.push(letter.to_string()),
+        }
+    }
+    found
+}
+
+/// Widths with which a grid fits: names in parts, and texts in lines, the widest first.
+fn narrowed(columns: &[Column], screen: usize) -> Option<Vec<usize>> {
+    let least: Vec<usize> = columns.iter().map(Column::least).collect();
+    let mut widths: Vec<usize> = columns.iter().zip(&least).map(|(c, least)| c.width().max(*least)).collect();
+    while BLANKS.total(&widths) > screen {
+        let wide = (0..widths.len()).filter(|&i| widths[i] > least[i]).max_by_key(|&i| widths[i])?;
+        widths[wide] -= 1;
+    }
+    // what is left over goes to the names
+    for (i, column) in columns.iter().enumerate() {
+        while widths[i] < width(&column.name) && BLANKS.total(&widths) < screen {
+            widths[i] += 1;
+        }
+    }
+    Some(widths)
+}
+
+fn grid(columns: &[Column], widths: &[usize], style: &Style) -> String {
+    let framed = |cells: Vec<String>, [before, between, behind]: [&str; 3]| {
+        format!("{before}{}{behind}", cells.join(between)).trim_end().to_owned()
+    };
+    let row = |cells: Vec<Vec<String>>| {
+        let height = cells.iter().map(Vec::len).max().unwrap_or(0).max(1);
+        let line = |n: usize| {
+            let cell = |(i, lines): (usize, &Vec<String>)| {
+                let text = lines.get(n).map_or("", String::as_str);
+                let blanks = " ".repeat(widths[i].saturating_sub(width(text)));
+                if columns[i].numeric { blanks + text } else { text.to_owned() + &blanks }
+            };
+            framed(cells.iter().enumerate().map(cell).collect(), style.cells)
+        };
+        (0..height).map(line).collect::<Vec<_>>().join("\n")
+    };
+    let mut said = vec![row(columns.iter().zip(widths).map(|(c, w)| in_parts(&c.name, *w)).collect())];
+    said.push(framed(widths.iter().map(|width| "-".repeat(*width)).collect(), style.line));
+    for n in 0..columns.first().map_or(0, |column| column.cells.len()) {
+        said.push(row(columns.iter().zip(widths).map(|(c, w)| wrapped(&c.cells[n], *w)).collect()));
+    }
+    said.join("\n")
+}
+
+/// A paragraph per row: names, and values beside them, or below where there is no room.
+fn list(columns: &[Column], rows: usize, screen: usize) -> String {
+    let names = columns.iter().map(|column| width(&column.name)).max().unwrap_or(0);
+    let of_row = |n: usize| {
+        let of = |column: &Column| {
+            let (name, cell) = (&column.name, &column.cells[n]);
+            let longest = cell.split_whitespace().map(width).max().unwrap_or(0);
+            let room = screen.saturating_sub(names + 2);
+            if cell.is_empty() {
+                return name.clone();
+            }
+            if longest <= room {
+                let blanks = " ".repeat(names + 2);
+                let lines = wrapped(cell, room).join(&format!("\n{blanks}"));
+                return format!("{name}{}{lines}", " ".repeat(names + 2 - width(name)));
+            }
+            format!("{name}\n  {}", wrapped(cell, screen.saturating_sub(2)).join("\n  "))
+        };
+        columns.iter().map(of).collect::<Vec<_>>().join("\n")
+    };
+    match rows {
+        0 => columns.iter().map(|column| column.name.as_str()).collect::<Vec<_>>().join("\n"),
+        _ => (0..rows).map(of_row).collect::<Vec<_>>().join("\n\n"),
+    }
+}
+
+#[cfg(test)]
+mod tests;
