@@ -5,6 +5,7 @@ import os
 import shutil
 import signal
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
 from os import PathLike, fspath
@@ -71,14 +72,15 @@ def run(
         if value is not None:
             command += [name, fspath(value) if isinstance(value, PathLike) else str(value)]
     said: list[str] = []
-    # in a session of its own Ctrl-C comes to it once, from here; its tables are as wide as what is printed here may be
+    # Ctrl-C interrupts the main thread: there a run in a session of its own gets it once, from here; elsewhere it comes from the terminal
+    alone = threading.current_thread() is threading.main_thread()
     with subprocess.Popen(
         command,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         encoding="utf-8",
         errors="replace",
-        start_new_session=True,
+        start_new_session=alone,
         env={**os.environ, "COLUMNS": str(shutil.get_terminal_size().columns)},
     ) as process:
         assert process.stdout is not None

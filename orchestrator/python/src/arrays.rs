@@ -31,7 +31,8 @@ fn of_kind(kinds: &str, which: &str, what: &str, object: &Bound<'_, PyAny>) -> P
     let dtype = array.cast::<PyUntypedArray>()?.dtype();
     let kind: char = dtype.getattr("kind")?.extract()?;
     // an empty list has no kind of its own
-    if !kinds.contains(kind) && !array.is_empty().unwrap_or(false) {
+    let untyped = kind == 'f' && array.len()? == 0;
+    if !kinds.contains(kind) && !untyped {
         return Err(PyTypeError::new_err(format!("{what} has dtype {dtype}; it must hold {which}")));
     }
     let array = as_array.call1((array, "float64"))?;

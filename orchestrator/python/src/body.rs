@@ -7,9 +7,7 @@ use std::sync::{Arc, Mutex};
 use metasense::plan::Plan;
 use metasense::report::body::sketch;
 use metasense_numerics::body::Ligament;
-use metasense_numerics::dynamics::{
-    self, Accuracy, Forces, Method, Parameters, Scene, Solver, Tolerance, tune,
-};
+use metasense_numerics::dynamics::{self, Forces, Parameters, Scene, tune};
 use metasense_numerics::feasible::Feasible;
 use metasense_numerics::random::Purpose;
 use metasense_numerics::trial::Problem;
@@ -22,6 +20,7 @@ use pyo3::exceptions::{PyMemoryError, PyOSError, PyValueError};
 use pyo3::prelude::*;
 
 use crate::arrays::{Numbers, indices, numbers, vector, whole};
+use crate::chosen::{Chosen, Pickled};
 use crate::inverse::Twin;
 use crate::simulation::Simulation;
 use crate::threads::{PerProcess, Threads, threads};
@@ -40,34 +39,6 @@ pub struct Body {
     /// A thread that has it when the process forks does not give it back in the child.
     feasible: PerProcess<Arc<Mutex<Feasible>>>,
     tuned: Option<Chosen>,
-}
-
-/// A solver that was found once for all calls, and why.
-#[derive(Clone)]
-struct Chosen {
-    solver: Solver,
-    reason: String,
-}
-
-/// A solver as Python pickles it: method, accuracy, tolerance (relative and absolute), `single`; and the reason for it.
-type Pickled = (String, f64, Option<(f64, f64)>, f64, String);
-
-impl Chosen {
-    fn pickled(&self) -> Pickled {
-        let Solver { method, accuracy, tolerance, single } = self.solver;
-        let tolerance = tolerance.map(|t| (t.relative, t.absolute));
-        (method.name().to_owned(), accuracy.0, tolerance, single, self.reason.clone())
-    }
-
-    fn unpickled((method, accuracy, tolerance, single, reason): Pickled) -> PyResult<Self> {
-        let method = [Method::Tsit5, Method::Leapfrog, Method::Nystrom4, Method::Nystrom6]
-            .into_iter()
-            .find(|known| known.name() == method)
-            .ok_or_else(|| PyValueError::new_err(format!("{method}: is no integrator")))?;
-        let tolerance = tolerance.map(|(relative, absolute)| Tolerance { relative, absolute });
-        let solver = Solver { method, accuracy: Accuracy(accuracy), tolerance, single };
-        Ok(Self { solver, reason })
-    }
 }
 
 /// A body from its pickle.

@@ -10,6 +10,7 @@ mod arrays;
 mod arrow;
 mod body;
 mod brain;
+mod chosen;
 mod database;
 mod inverse;
 mod simulation;

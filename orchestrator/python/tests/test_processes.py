@@ -115,10 +115,11 @@ def test_decoders_of_before_the_fork(body):
     expected = by_decoders(signals[:2])
     with mp.get_context("fork").Pool(1) as pool:
         assert same(pool.map_async(by_decoders, [signals[:2]]).get(DEADLINE)[0], expected)
+    held["inverse"] = copy.deepcopy(held["inverse"])
     for duplicate in [copy.copy, copy.deepcopy, lambda brain: pickle.loads(pickle.dumps(brain))]:
-        held["inverse"], held["linear"] = duplicate(held["inverse"]), duplicate(held["linear"])
-        assert same(by_decoders(signals[:2]), expected)
-    linear = held["linear"]
+        held["linear"] = linear = duplicate(held["linear"])
+        assert np.array_equal(linear.predict(signals[:2]), expected[1])
+    assert same(by_decoders(signals[:2]), expected)
     assert np.array_equal(linear.vjp(train[:, :, 1:].swapaxes(1, 2)), duplicate(linear).vjp(train[:, :, 1:].swapaxes(1, 2)))
     fresh = duplicate(metasense.LinearBrain((1, 2), 0.5, seed=7)).fit(signals, train)
     assert fresh.ridge == 0.5 and np.array_equal(

@@ -51,7 +51,7 @@ class Signals(torch.utils.data.Dataset):
         return np.array(self.body.simulate(self.body.alpha, self.forces[number : number + 1]).signals[0])
 
 
-@pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
+@pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_workers_of_a_data_loader(body, method):
     """The body has simulated before the workers are forked, or is pickled for them."""
     data = Signals(body)

@@ -1,0 +1,33 @@
+//! The integrator of a tuned body.
+
+use metasense_numerics::dynamics::{Accuracy, Method, Solver, Tolerance};
+use pyo3::PyResult;
+use pyo3::exceptions::PyValueError;
+
+/// A solver that was found once for all calls, and why.
+#[derive(Clone)]
+pub struct Chosen {
+    pub solver: Solver,
+    pub reason: String,
+}
+
+/// A solver as Python pickles it: method, accuracy, tolerance (relative and absolute), `single`; and the reason for it.
+pub type Pickled = (String, f64, Option<(f64, f64)>, f64, String);
+
+impl Chosen {
+    pub fn pickled(&self) -> Pickled {
+        let Solver { method, accuracy, tolerance, single } = self.solver;
+        let tolerance = tolerance.map(|t| (t.relative, t.absolute));
+        (method.name().to_owned(), accuracy.0, tolerance, single, self.reason.clone())
+    }
+
+    pub fn unpickled((method, accuracy, tolerance, single, reason): Pickled) -> PyResult<Self> {
+        let method = [Method::Tsit5, Method::Leapfrog, Method::Nystrom4, Method::Nystrom6]
+            .into_iter()
+            .find(|known| known.name() == method)
+            .ok_or_else(|| PyValueError::new_err(format!("{method}: is no integrator")))?;
+        let tolerance = tolerance.map(|(relative, absolute)| Tolerance { relative, absolute });
+        let solver = Solver { method, accuracy: Accuracy(accuracy), tolerance, single };
+        Ok(Self { solver, reason })
+    }
+}
