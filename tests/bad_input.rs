@@ -33,6 +33,10 @@ const EDITS: &[(&str, &str, &str)] = &[
     ("rows = 6", "rows = 1", "s.toml:4: body.rows = 1: must be at least 2"),
     ("columns = 6", "columns = 0", "s.toml:3: body.columns = 0: "),
     ("columns = 6", "columns = 6.5", "s.toml:3: body.columns = 6.5: must be a whole number"),
+    ("columns = 6", "columns = -9223372036854775809", "s.toml:3: body.columns = -9223372036854775809: "),
+    ("panels = [2]", "panels = [9223372036854775808]", "s.toml:14: sweep.panels = [9223372036854775808]: "),
+    ("panels = [2]", "panels = [9223372036854775807]", "s.toml:14: sweep.panels = 9223372036854775807: "),
+    ("[sweep]", "[time]\nduration = 1e300\n[sweep]", "s.toml:14: time.duration = 1e300: "),
     ("spacing = 15.0", "spacing = nan", "s.toml:5: body.spacing = nan: nan is no finite number"),
     ("spacing = 15.0", "spacing = -15.0", "s.toml:5: body.spacing = -15: "),
     (

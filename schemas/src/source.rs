@@ -57,8 +57,8 @@ struct Place {
     value: Range<usize>,
     is_table: bool,
     is_list: bool,
-    /// A number in it that is none: NaN, or too large.
-    not_finite: Option<String>,
+    /// Why a number in the value cannot be stored, if one cannot.
+    no_number: Option<String>,
 }
 
 impl Source {
@@ -180,8 +180,8 @@ impl Source {
             };
             return Err(self.error(key, &remedy));
         }
-        match &place.not_finite {
-            Some(number) => Err(self.wrong(place, &format!("{number} is no finite number"))),
+        match &place.no_number {
+            Some(why) => Err(self.wrong(place, why)),
             None => Ok(()),
         }
     }
@@ -252,8 +252,7 @@ impl Source {
             }
             None
         });
-        let value =
-            value.map(str::to_owned).or_else(|| stated.filter(|p| !p.is_table).map(|p| self.value(p)));
+        let value = value.map(shortened).or_else(|| stated.filter(|p| !p.is_table).map(|p| self.value(p)));
         let what = match (key, value) {
             ("", _) => remedy.to_owned(),
             (key, Some(value)) if !value.is_empty() => format!("{key} = {value}: {remedy}"),
@@ -361,6 +360,15 @@ pub fn spec_schema() -> Value {
 #[must_use]
 pub fn measured_schema() -> Value {
     schemars::schema_for!(Measured).to_value()
+}
+
+/// A number with an exponent instead of many digits.
+fn shortened(value: &str) -> String {
+    const LONGEST: usize = 24;
+    match value.parse::<f64>() {
+        Ok(x) if value.len() > LONGEST => format!("{x:e}"),
+        _ => value.to_owned(),
+    }
 }
 
 #[cfg(test)]

@@ -139,6 +139,11 @@ pub(super) fn merged(layers: &[Layer], file: &Path) -> Result<(String, Vec<Place
     let mut all = Table::new();
     let mut places: Vec<Place> = Vec::new();
     for (number, layer) in layers.iter().enumerate() {
+        let own = layer.places(number)?;
+        if let Some((place, why)) = own.iter().find_map(|place| Some((place, place.no_number.as_ref()?))) {
+            let what = format!("{} = {}: {why}", place.key, &layer.text[place.value.clone()]);
+            return Err(layer.error(place.at, place.key.clone(), what));
+        }
         let mut table = layer.table()?;
         table.remove(BASE);
         if layer.file != Path::new(COMMAND_LINE) && folder(&layer.file) != folder(file) {
@@ -154,7 +159,7 @@ pub(super) fn merged(layers: &[Layer], file: &Path) -> Result<(String, Vec<Place
             !(above.is_table && place.is_table) && above.key == place.key || within && !above.is_table
         };
         let counts = |place: &Place| place.key != BASE && !above.iter().any(|above| covers(above, place));
-        places.extend(layer.places(number)?.into_iter().filter(counts));
+        places.extend(own.into_iter().filter(counts));
     }
     let head = layers.iter().find(|layer| layer.file == file).map_or("", |own| &own.text);
     let head: String = head.split_inclusive('\n').take_while(|line| line.starts_with('#')).collect();
@@ -218,7 +223,7 @@ fn find_places(table: &DeTable<'_>, prefix: &str, layer: usize, places: &mut Vec
             let tables = entries.iter().filter_map(|entry| entry.get_ref().as_table());
             tables.for_each(|table| find_places(table, &key, layer, places));
         }
-        let not_finite = if is_table { None } else { not_finite(value.get_ref()) };
+        let no_number = if is_table { None } else { no_number(value.get_ref()) };
         places.push(Place {
             key,
             layer,
@@ -226,17 +231,22 @@ fn find_places(table: &DeTable<'_>, prefix: &str, layer: usize, places: &mut Vec
             value: value.span(),
             is_table,
             is_list,
-            not_finite,
+            no_number,
         });
     }
 }
 
-/// The first number of a value, or of a list in it, that is none.
-fn not_finite(value: &DeValue<'_>) -> Option<String> {
+/// Why the first number in a value that cannot be stored cannot be stored.
+fn no_number(value: &DeValue<'_>) -> Option<String> {
     match value {
-        DeValue::Float(x) if !x.as_str().parse().is_ok_and(f64::is_finite) => Some(x.as_str().to_owned()),
-        DeValue::Array(values) => values.iter().find_map(|v| not_finite(v.get_ref())),
-        DeValue::Table(table) => table.values().find_map(|v| not_finite(v.get_ref())),
+        DeValue::Float(x) if !x.as_str().parse().is_ok_and(f64::is_finite) => {
+            Some(format!("{x} is no finite number"))
+        }
+        DeValue::Integer(n) if i64::from_str_radix(n.as_str(), n.radix()).is_err() => {
+            Some("is too large a number: whole numbers lie between -2^63 and 2^63 - 1".into())
+        }
+        DeValue::Array(values) => values.iter().find_map(|v| no_number(v.get_ref())),
+        DeValue::Table(table) => table.values().find_map(|v| no_number(v.get_ref())),
         _ => None,
     }
 }

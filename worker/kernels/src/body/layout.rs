@@ -348,7 +348,7 @@ impl Layout {
     pub fn top_panels(&self, k: usize) -> Option<Vec<usize>> {
         let top = self.top();
         let columns = top.len();
-        if k == 0 || columns == 0 {
+        if k == 0 || k > columns {
             return None;
         }
         let column = |q: usize| if 2 * q < k { (2 * q + 1) * columns / (2 * k) } else { usize::MAX };
