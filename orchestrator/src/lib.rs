@@ -4,6 +4,7 @@
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod analysis;
+pub mod cell;
 pub mod cli;
 pub mod cluster;
 pub mod control;

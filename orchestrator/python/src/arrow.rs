@@ -8,6 +8,7 @@ use arrow_array::{
     RecordBatchOptions,
 };
 use arrow_schema::{Field, Schema};
+use metasense::cell;
 use metasense::look::Table as Rows;
 use pyo3::exceptions::{PyKeyError, PyValueError};
 use pyo3::prelude::*;
@@ -22,14 +23,14 @@ fn column<'a>(values: impl Iterator<Item = &'a Value> + Clone) -> ArrayRef {
     let text = |value: &Value| match value {
         Value::Null => None,
         Value::String(text) => Some(text.clone()),
-        other => Some(other.to_string()),
+        other => Some(cell::plain(other)),
     };
     if present().next().is_none() {
         Arc::new(NullArray::new(values.count()))
     } else if present().all(Value::is_i64) {
         Arc::new(values.map(Value::as_i64).collect::<Int64Array>())
-    } else if present().all(Value::is_number) {
-        Arc::new(values.map(Value::as_f64).collect::<Float64Array>())
+    } else if present().all(|value| cell::number(value).is_some()) {
+        Arc::new(values.map(cell::number).collect::<Float64Array>())
     } else {
         Arc::new(values.map(text).collect::<LargeStringArray>())
     }
@@ -159,7 +160,7 @@ impl Table {
             Value::Null => String::new(),
             Value::String(text) => text.clone(),
             Value::Number(n) if n.is_f64() => format!("{:.4}", n.as_f64().unwrap_or(f64::NAN)),
-            other => other.to_string(),
+            other => cell::plain(other),
         };
         let mut html = cells("th", self.rows.columns.clone());
         for row in self.rows.rows.iter().take(MOST) {
@@ -185,8 +186,10 @@ fn object<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>> {
     Ok(match value {
         Value::Null => py.None().into_bound(py),
         Value::Number(n) if n.is_i64() => n.as_i64().unwrap_or_default().into_pyobject(py)?.into_any(),
-        Value::Number(n) => n.as_f64().unwrap_or(f64::NAN).into_pyobject(py)?.into_any(),
         Value::String(text) => text.into_pyobject(py)?.into_any(),
-        other => other.to_string().into_pyobject(py)?.into_any(),
+        other => match cell::number(other) {
+            Some(x) => x.into_pyobject(py)?.into_any(),
+            None => other.to_string().into_pyobject(py)?.into_any(),
+        },
     })
 }

@@ -10,7 +10,7 @@ use serde_json::Value;
 use super::kinds::{brains, in_words, objective};
 use super::numbers::{distinct, geometric_mean};
 use super::trial::{Body, Cluster, Set, Trial};
-use crate::look::plain;
+use crate::cell::plain;
 
 /// An error (%) at some place of an axis: a number of sensors, of design parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use serde_json::{Map, Value};
+use serde_json::Value;
 
 use super::named::Database;
 use super::{Error, Format, print_rows};
@@ -48,13 +48,14 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         Ok::<_, Error>((finished_trials(reader).await?, reader.made().await?, reader.may_stop_early().await?))
     })
     .await?;
-    let mut objects = Map::new();
+    let mut objects = Vec::new();
     for &question in questions {
         let table = question.answer(&trials, args.terms);
         match args.format {
             Format::Json if questions.len() > 1 => {
                 let name = clap::ValueEnum::to_possible_value(&question).expect("none is hidden");
-                objects.insert(name.get_name().to_owned(), table.objects());
+                let rows = String::from_utf8(table.written(Format::Json)).expect("JSON is text");
+                objects.push(format!("{}: {}", Value::from(name.get_name()), rows.trim_end()));
             }
             Format::Table if all && table.rows.is_empty() => {}
             Format::Table => {
@@ -80,7 +81,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
     }
     if !objects.is_empty() {
-        print_line!("{:#}", Value::Object(objects))?;
+        print_line!("{{\n{}\n}}", objects.join(",\n"))?;
     }
     provenance::caveats(&made, early).iter().for_each(|caveat| say!("{caveat}"));
     if trials.is_empty() {

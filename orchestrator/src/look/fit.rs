@@ -6,6 +6,7 @@ use std::io::{self, IsTerminal};
 use unicode_width::UnicodeWidthStr;
 
 use super::table::{Table, rounded};
+use crate::cell;
 
 /// Columns of a terminal that does not know how many it has.
 const USUAL: usize = 80;
@@ -28,7 +29,7 @@ fn of_terminal() -> usize {
 
 /// A table for a screen of so many columns; in one line per row where there is no limit.
 pub fn text(table: &Table, screen: Option<usize>) -> String {
-    let numeric = |i: usize| table.rows.iter().all(|row| row[i].is_number() || row[i].is_null());
+    let numeric = |i: usize| table.rows.iter().all(|row| row[i].is_null() || cell::number(&row[i]).is_some());
     let of = |i: usize| Column {
         name: clean(&table.columns[i]).replace('\n', " "),
         cells: table.rows.iter().map(|row| clean(&rounded(&row[i]))).collect(),

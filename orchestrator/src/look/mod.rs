@@ -1,5 +1,5 @@
 //! One renderer for everything that is looked at: numbers, tables and their writers, plots, bodies, waves, pages. It knows
-//! nobody else here.
+//! nobody else here but cells.
 
 pub mod body;
 mod fit;
@@ -21,5 +21,5 @@ pub use picture::{Legend, Picture, file, legend, lines};
 pub use plot::{Axis, Plot, Scale};
 pub use style::{SERIES, level, of_page};
 pub(crate) use table::row;
-pub use table::{Table, plain, readable, short_hash};
+pub use table::{Table, readable, short_hash};
 pub use write::{Data, Format, RowWriter, print_rows, standard_output};

@@ -1,43 +1,59 @@
 //! Rows as Parquet, plain and uncompressed, every column optional. A column of whole numbers is INT64, of numbers DOUBLE, of
-//! anything else UTF-8 text.
+//! anything else UTF-8 text. A column without values has its declared type, or Arrow's null type if none is declared. Files that the same
+//! query writes from several databases can therefore be read together.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, BufWriter, Seek, Write};
 use std::sync::Arc;
 
 use parquet::basic::{LogicalType, Repetition, Type as Physical};
-use parquet::data_type::{ByteArray, ByteArrayType, DoubleType, Int64Type};
+use parquet::data_type::{ByteArray, ByteArrayType, DoubleType, Int32Type, Int64Type};
 use parquet::errors::ParquetError;
 use parquet::file::properties::{EnabledStatistics, WriterProperties};
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::Type;
 use serde_json::Value;
 
-use super::table::{Table, plain};
+use super::table::Table;
+use crate::cell::{self, plain};
 
 /// Rows of a group, which is what a writer, and many a reader, holds at once.
 const GROUP: usize = 1 << 16;
 
-/// Physical types, each of which can say what those before can.
+/// Types of columns, each of which can hold what those before can.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Kind {
+    Null,
     Int64,
     Double,
     Text,
 }
 
 impl Kind {
-    fn of(value: &Value) -> Option<Self> {
+    fn of(value: &Value) -> Self {
         match value {
-            Value::Null => None,
-            Value::Number(n) if n.is_i64() => Some(Self::Int64),
-            Value::Number(_) => Some(Self::Double),
-            _ => Some(Self::Text),
+            Value::Null => Self::Null,
+            Value::Number(n) if n.is_i64() => Self::Int64,
+            value if cell::number(value).is_some() => Self::Double,
+            _ => Self::Text,
+        }
+    }
+
+    /// By an SQL type, for a column whose widest value is of this kind.
+    fn declared(self, sql: &str) -> Self {
+        match sql {
+            "INT" | "INTEGER" => self.max(Self::Int64),
+            "REAL" => self.max(Self::Double),
+            // an expression, whose values may be whole
+            "NUM" if self == Self::Null => Self::Double,
+            "TEXT" | "BLOB" => Self::Text,
+            _ => self,
         }
     }
 
     fn column(self, name: &str) -> Result<Arc<Type>, ParquetError> {
         let (physical, logical) = match self {
+            Self::Null => (Physical::INT32, Some(LogicalType::Unknown)),
             Self::Int64 => (Physical::INT64, None),
             Self::Double => (Physical::DOUBLE, None),
             Self::Text => (Physical::BYTE_ARRAY, Some(LogicalType::String)),
@@ -48,19 +64,27 @@ impl Kind {
 }
 
 /// Makes kinds those that can say a row, too.
-fn widen(kinds: &mut [Option<Kind>], row: &[Value]) {
+fn widen(kinds: &mut [Kind], row: &[Value]) {
     for (kind, value) in kinds.iter_mut().zip(row) {
         *kind = (*kind).max(Kind::of(value));
     }
 }
 
-/// Writes the rows as a Parquet file.
+/// Widens the kinds to the declared types.
+fn declare(kinds: &mut [Kind], types: &[String]) {
+    for (kind, sql) in kinds.iter_mut().zip(types) {
+        *kind = kind.declared(sql);
+    }
+}
+
+/// Writes the rows as a Parquet file; `types` as [`super::RowWriter::typed`] takes them.
 ///
 /// # Errors
 /// Where `out` takes nothing.
-pub fn parquet(table: &Table, out: impl Write + Send) -> io::Result<()> {
-    let mut kinds = vec![None; table.columns.len()];
+pub fn parquet(table: &Table, types: &[String], out: impl Write + Send) -> io::Result<()> {
+    let mut kinds = vec![Kind::Null; table.columns.len()];
     table.rows.iter().for_each(|row| widen(&mut kinds, row));
+    declare(&mut kinds, types);
     write(out, &table.columns, &kinds, table.rows.chunks(GROUP).map(Ok)).map_err(of_output)
 }
 
@@ -69,7 +93,9 @@ pub fn parquet(table: &Table, out: impl Write + Send) -> io::Result<()> {
 pub struct Parquet<W> {
     out: W,
     columns: Vec<String>,
-    kinds: Vec<Option<Kind>>,
+    /// As [`super::RowWriter::typed`] takes them.
+    pub types: Vec<String>,
+    kinds: Vec<Kind>,
     rows: BufWriter<File>,
 }
 
@@ -80,7 +106,8 @@ impl<W: Write + Send> Parquet<W> {
     /// Where there is no room for files that go when they are closed.
     pub fn new(out: W, columns: &[String]) -> io::Result<Self> {
         let rows = BufWriter::new(tempfile::tempfile()?);
-        Ok(Self { out, columns: columns.to_vec(), kinds: vec![None; columns.len()], rows })
+        let kinds = vec![Kind::Null; columns.len()];
+        Ok(Self { out, columns: columns.to_vec(), types: Vec::new(), kinds, rows })
     }
 
     /// Adds a row.
@@ -97,7 +124,8 @@ impl<W: Write + Send> Parquet<W> {
     ///
     /// # Errors
     /// Where `out` takes no more.
-    pub fn end(self) -> io::Result<()> {
+    pub fn end(mut self) -> io::Result<()> {
+        declare(&mut self.kinds, &self.types);
         let mut file = self.rows.into_inner()?;
         file.rewind()?;
         let mut lines = BufReader::new(file).lines();
@@ -114,12 +142,10 @@ impl<W: Write + Send> Parquet<W> {
 fn write<R: AsRef<[Vec<Value>]>>(
     out: impl Write + Send,
     columns: &[String],
-    kinds: &[Option<Kind>],
+    kinds: &[Kind],
     groups: impl Iterator<Item = io::Result<R>>,
 ) -> Result<(), ParquetError> {
-    // of a column without a value any will do
-    let kinds: Vec<Kind> = kinds.iter().map(|kind| kind.unwrap_or(Kind::Int64)).collect();
-    let fields = columns.iter().zip(&kinds).map(|(name, kind)| kind.column(name));
+    let fields = columns.iter().zip(kinds).map(|(name, kind)| kind.column(name));
     let schema = Type::group_type_builder("rows").with_fields(fields.collect::<Result<_, _>>()?).build()?;
     let properties = WriterProperties::builder()
         .set_created_by("metasense".into())
@@ -136,12 +162,13 @@ fn write<R: AsRef<[Vec<Value>]>>(
             let there = rows.iter().map(|row| &row[i]).filter(|value| !value.is_null());
             let levels = Some(levels.as_slice());
             match kind {
+                Kind::Null => column.typed::<Int32Type>().write_batch(&[], levels, None)?,
                 Kind::Int64 => {
                     let values: Vec<i64> = there.filter_map(Value::as_i64).collect();
                     column.typed::<Int64Type>().write_batch(&values, levels, None)?
                 }
                 Kind::Double => {
-                    let values: Vec<f64> = there.filter_map(Value::as_f64).collect();
+                    let values: Vec<f64> = there.filter_map(cell::number).collect();
                     column.typed::<DoubleType>().write_batch(&values, levels, None)?
                 }
                 Kind::Text => {

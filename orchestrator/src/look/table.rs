@@ -3,6 +3,7 @@
 use serde_json::Value;
 
 use super::number::digits;
+use crate::cell::plain;
 
 /// An answer.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -80,26 +81,11 @@ impl Table {
             rows: self.rows.iter().map(pick).collect(),
         }
     }
-
-    /// The rows as objects.
-    pub fn objects(self) -> Value {
-        let object = |row: Vec<Value>| Value::Object(self.columns.iter().cloned().zip(row).collect());
-        Value::Array(self.rows.into_iter().map(object).collect())
-    }
 }
 
 /// The beginning of a hash, as much as names a trial.
 pub fn short_hash(hash: &str) -> &str {
     hash.char_indices().nth(8).map_or(hash, |(end, _)| &hash[..end])
-}
-
-/// A value in full; nothing for NULL.
-pub fn plain(value: &Value) -> String {
-    match value {
-        Value::Null => String::new(),
-        Value::String(text) => text.clone(),
-        other => other.to_string(),
-    }
 }
 
 /// A value to read: numbers with a point or an exponent by `shown`, the rest in full.

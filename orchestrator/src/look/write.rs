@@ -3,11 +3,12 @@
 use std::io::{self, BufWriter, IsTerminal, Write};
 
 use clap::ValueEnum;
-use serde_json::{Map, Value};
+use serde_json::Value;
 
 use super::fit::{screen, text};
 use super::parquet::{Parquet, parquet};
-use super::table::{Table, plain};
+use super::table::Table;
+use crate::cell::{self, plain};
 
 /// The form in which rows are printed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
@@ -15,9 +16,9 @@ pub enum Format {
     /// Columns to read; numbers are rounded to four digits.
     #[default]
     Table,
-    /// A header line, then one line a row; numbers in full.
+    /// A header line, then one line a row; numbers in full; `inf` and `-inf`; nothing for NULL.
     Csv,
-    /// A list of objects; numbers in full.
+    /// A list of objects with their keys in the order of the columns; numbers in full; ±∞ as `9e999` and `-9e999`.
     Json,
     /// A Parquet file; numbers in full.
     Parquet,
@@ -46,7 +47,7 @@ pub fn standard_output(format: Format) -> io::Result<io::Stdout> {
 impl Table {
     fn write(&self, format: Format, out: impl Write + Send, screen: Option<usize>) -> io::Result<()> {
         if format == Format::Parquet {
-            return parquet(self, out);
+            return parquet(self, &[], out);
         }
         let mut rows = RowWriter::new(out, format, &self.columns, screen)?;
         self.rows.iter().try_for_each(|row| rows.row(row.clone()))?;
@@ -57,6 +58,13 @@ impl Table {
     pub fn written(&self, format: Format) -> Vec<u8> {
         let mut bytes = Vec::new();
         self.write(format, &mut bytes, None).expect("memory takes all");
+        bytes
+    }
+
+    /// The rows as a Parquet file; `types` as in [`RowWriter::typed`].
+    pub fn parquet(&self, types: &[String]) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        parquet(self, types, &mut bytes).expect("memory takes all");
         bytes
     }
 
@@ -128,6 +136,14 @@ impl<W: Write + Send> RowWriter<W> {
         }))
     }
 
+    /// Sets the declared SQL types of the columns (empty: not declared). Parquet uses them for columns without values.
+    pub fn typed(mut self, types: Vec<String>) -> Self {
+        if let Form::Parquet(rows) = &mut self.0 {
+            rows.types = types;
+        }
+        self
+    }
+
     /// Adds a row.
     ///
     /// # Errors
@@ -141,9 +157,12 @@ impl<W: Write + Send> RowWriter<W> {
             Form::Parquet(rows) => rows.row(&row),
             Form::Csv(csv) => csv.write_record(row.iter().map(plain)).map_err(io_error),
             Form::Json(out, columns, first) => {
-                let object: Map<String, Value> = columns.iter().cloned().zip(row).collect();
                 let comma = if std::mem::take(first) { "" } else { "," };
-                write!(out, "{comma}\n  {}", Value::Object(object))
+                let pair = |(name, value): (&String, &Value)| {
+                    format!("{}:{}", Value::from(name.as_str()), cell::json(value))
+                };
+                let pairs: Vec<String> = columns.iter().zip(&row).map(pair).collect();
+                write!(out, "{comma}\n  {{{}}}", pairs.join(","))
             }
         }
     }

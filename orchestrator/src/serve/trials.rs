@@ -8,7 +8,7 @@ use std::sync::Arc;
 use serde_json::Value;
 
 use crate::analysis::setting::{Setting, Settings};
-use crate::look::plain;
+use crate::cell::plain;
 use crate::store::{Reader, StoreError};
 
 /// Numbers of a trial, by the names by which they are sorted and filtered, and in words.

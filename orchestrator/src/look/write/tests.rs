@@ -33,6 +33,22 @@ fn rows_as_they_come_give_the_bytes_of_a_table() {
     assert!(rows == table.written(Format::Parquet) && rows.len() > 150_000 * 24);
 }
 
+/// ±∞, numbers of any size and the order of the columns.
+#[test]
+fn what_is_printed_reads_back() {
+    let numbers = [f64::INFINITY, f64::NEG_INFINITY, 1e300, -5e-324, 0.1 + 0.2, -0.0];
+    let table = Table::new("z a", numbers.map(|x| vec![cell::real(x), cell::real(f64::NAN)]));
+    let text = |format| String::from_utf8(table.written(format)).unwrap();
+    let csv = text(Format::Csv);
+    let read =
+        csv.lines().skip(1).map(|line| line.strip_suffix(',').unwrap().parse::<f64>().unwrap().to_bits());
+    assert_eq!(read.collect::<Vec<_>>(), numbers.map(f64::to_bits), "{csv}");
+    assert!(csv.starts_with("z,a\ninf,\n-inf,\n1e+300,\n"), "{csv}");
+    let json = text(Format::Json);
+    assert!(json.starts_with("[\n  {\"z\":9e999,\"a\":null},\n  {\"z\":-9e999,\"a\":null},"), "{json}");
+    assert!(text(Format::Table).contains("-inf |"), "{}", text(Format::Table));
+}
+
 #[test]
 fn a_table_rounds_to_four_digits() {
     assert!(printed(Format::Table).contains("12.35"), "{}", printed(Format::Table));

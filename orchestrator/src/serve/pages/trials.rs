@@ -9,7 +9,8 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::{Served, framed, live, query, to_trial, trouble};
-use crate::look::{number, plain, short_hash};
+use crate::cell::plain;
+use crate::look::{number, short_hash};
 use crate::plan::counted;
 use crate::serve::trials::{NUMBERS, Row};
 use crate::serve::{Refusal, source};
