@@ -2,12 +2,14 @@
 
 use metasense::cluster::merge::{Extent, merge};
 use metasense::plan::Trial;
-use metasense::store::{Array, Reader, Store, StoreError, npy_bytes};
+use metasense::store::{Array, Reader, RunPlan, Store, StoreError, npy_bytes};
 use metasense_schemas::record::{
-    BodyEvaluation, Checkpoint, NetworkEvaluation, Parts, StepRecord, TrialResult,
+    BodyEvaluation, Checkpoint, NetworkEvaluation, Parts, Provenance, StepRecord, TrialResult,
 };
 use metasense_schemas::spec::{SweepSpec, TrialSpec};
 use serde_json::json;
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{ConnectOptions, Connection};
 
 const BODY: &str = r#"{"columns": 6, "rows": 6, "spacing": 15.0, "ligament_length": 2.25, "density": 1e-8,
     "stiffness": {"stretch": 3.0, "shear": 0.5, "bend": 1.0}}"#;
@@ -196,9 +198,14 @@ async fn the_designs_that_stay_depend_on_the_number_of_steps_alone() {
             }
             let mut reader = Reader::open(&db).await.unwrap();
             let arrays = reader.arrays_of(&trial.hash).await.unwrap();
-            let bytes: usize = arrays.iter().map(|array| array.bytes.len()).sum();
+            let bytes: usize = arrays.iter().map(|array| array.npy().unwrap().len()).sum();
             assert_eq!(bytes, arrays.len() * (128 + 4 * 168));
-            kept.push(arrays.into_iter().map(|array| (array.name, array.bytes)).collect::<Vec<_>>());
+            kept.push(
+                arrays
+                    .into_iter()
+                    .map(|array| (array.name.clone(), array.npy().unwrap().to_vec()))
+                    .collect::<Vec<_>>(),
+            );
             let found = reader.designs_of(&trial.hash).await.unwrap();
             assert_eq!(found.iter().map(|f| f.0).collect::<Vec<_>>(), expected);
             for (step, found) in found {
@@ -317,4 +324,67 @@ async fn no_time_is_negative() {
     }
     store.begin_sweep(&sweep(), "text", &[trial(0)]).await.unwrap();
     assert_eq!(value(&db, "SELECT sum(seconds >= 0) FROM v_attempt").await, 4);
+}
+
+/// Elapsed times are measured by a monotonic clock.
+#[tokio::test]
+async fn elapsed_times_do_not_follow_the_clock() {
+    let folder = tempfile::tempdir().unwrap();
+    let db = folder.path().join("s.sqlite");
+    let mut store = Store::open(&db).await.unwrap();
+    store.begin_sweep(&sweep(), "text", &[trial(0)]).await.unwrap();
+    let plan = RunPlan { shard: (1, 1), workers: (1, 1), trials: 1, estimated_seconds: 1.0 };
+    let run = store.begin_run(&plan).await.unwrap();
+    let attempt = store.begin_attempt(&trial(0).hash).await.unwrap();
+    store.give_up_attempt(&trial(0).hash, attempt, "stopped").await.unwrap();
+    store.end_run(&run, "interrupted", 0, 0).await.unwrap();
+    store.close().await.unwrap();
+    let mut other = SqliteConnectOptions::new().filename(&db).connect().await.unwrap();
+    let set = "UPDATE run SET ended_at = '2050-01-01T00:00:00.000Z'; UPDATE attempt SET ended_at = '2000-01-01T00:00:00.000Z'";
+    sqlx::raw_sql(set).execute(&mut other).await.unwrap();
+    other.close().await.unwrap();
+    for view in ["v_run", "v_attempt"] {
+        let sql = format!("SELECT seconds >= 0 AND seconds < 60 FROM {view}");
+        assert_eq!(value(&db, &sql).await, 1, "{view}");
+    }
+}
+
+/// A trial whose checkpoint is damaged resumes from the checkpoint of another trial with the same body, unless that is damaged too.
+#[tokio::test]
+async fn a_damaged_checkpoint_gives_way_to_another_trials() {
+    let folder = tempfile::tempdir().unwrap();
+    let db = folder.path().join("s.sqlite");
+    let trials = [0, 1].map(|order| Trial { training: "same".into(), ..trial(order) });
+    let [own, other] = [0, 1].map(|i: usize| trials[i].hash.as_str());
+    let mut store = Store::open(&db).await.unwrap();
+    let text = |text: &str| text.to_owned();
+    let (code, rustc, host, simd) = (text("c"), text("r"), text("h"), text("avx2"));
+    store.set_provenance(Provenance { code, revision: None, rustc, host, cpu: None, simd, threads: 1 });
+    store.begin_sweep(&sweep(), "text", &trials).await.unwrap();
+    for (hash, steps) in [(own, 1), (other, 2)] {
+        let attempt = store.begin_attempt(hash).await.unwrap();
+        for step in 0..steps {
+            let record = StepRecord { step, outcome: "ok".into(), ..Default::default() };
+            let checkpoint = Checkpoint { step: step + 1, design: vec![0.5; 168], ..Default::default() };
+            store.record_step(hash, attempt, &record, &checkpoint).await.unwrap();
+        }
+        store.give_up_attempt(hash, attempt, "stopped").await.unwrap();
+    }
+    let mut disk = SqliteConnectOptions::new().filename(&db).connect().await.unwrap();
+    let mut damage = async |hash: &str| {
+        let sql = "UPDATE checkpoint SET bytes = zeroblob(length(bytes)) WHERE trial_id = (SELECT id FROM trial WHERE hash = ?)";
+        sqlx::query(sql).bind(hash).execute(&mut disk).await.unwrap();
+    };
+    damage(own).await;
+    let attempt = store.begin_attempt(own).await.unwrap();
+    let found = store.goes_on_from(own, attempt, None).await.unwrap();
+    assert_eq!(found.map(|found| found.step), Some(2));
+    let said = "SELECT group_concat(text) FROM v_log";
+    assert!(value(&db, said).await.as_str().unwrap().contains("checksum"), "{}", value(&db, said).await);
+    damage(own).await;
+    damage(other).await;
+    let attempt = store.begin_attempt(own).await.unwrap();
+    let found = store.goes_on_from(own, attempt, None).await;
+    assert!(matches!(&found, Err(StoreError::Damaged { hash, .. }) if hash == own), "{found:?}");
+    disk.close().await.unwrap();
 }

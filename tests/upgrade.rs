@@ -86,13 +86,14 @@ async fn databases_of_all_versions_go_on() {
     }
 }
 
-/// A reader of an old database sees the views of today.
+/// A reader of an old database sees the views of today, and leaves every byte of it, and its folder, as it found them.
 #[tokio::test]
-async fn reading_an_old_database_upgrades_it() {
+async fn reading_an_old_database_does_not_change_it() {
     for version in 1..=MIGRATIONS.len() {
         let bench = Bench::new();
         let db = bench.path("old.sqlite");
         std::fs::copy(database(version), &db).unwrap();
+        let before = bench.files("");
         for (view, _) in metasense_schemas::database::VIEWS {
             let sql = format!("SELECT count(*) FROM {view}");
             let mut reader = Reader::open(&db).await.unwrap();
@@ -103,5 +104,6 @@ async fn reading_an_old_database_upgrades_it() {
             assert!(table.rows[0][0].as_i64().is_some(), "version {version}: {view}");
             reader.close().await;
         }
+        assert!(bench.files("") == before, "version {version} was changed");
     }
 }

@@ -182,6 +182,7 @@ fn check_run(run: &Run, source: &Source) -> Result<(), SpecError> {
         ("run.memory", run.memory.is_none_or(|mib| mib >= 64), "must be at least 64 MiB"),
         ("run.backoff", seconds(run.backoff, 0.0), "must be 0 or a number of seconds"),
         ("run.no_progress", seconds(run.no_progress, 0.1), "must be at least 0.1 s"),
+        ("run.lock_wait", seconds(run.lock_wait, 0.0), "must be 0 or a number of seconds"),
         (
             "run.prune.at",
             within && !marks.is_empty() && marks.is_sorted_by(|a, b| a < b),

@@ -18,6 +18,7 @@ pub const MIGRATIONS: &[&str] = &[
     include_str!("../migrations/0011.sql"),
     include_str!("../migrations/0012.sql"),
     include_str!("../migrations/0013.sql"),
+    include_str!("../migrations/0014.sql"),
 ];
 
 /// The stable views, and what a row of each is.
@@ -74,5 +75,8 @@ pub const VIEWS: &[(&str, &str)] = &[
     ),
     ("v_log", "a line of an attempt's log: what went wrong, and what its worker wrote to standard error"),
     ("v_artifact", "an array of a trial as the bytes of an NPY file: designs, loss curves, weights"),
-    ("v_error_time", "best test error so far (%) against CPU seconds spent, step by step"),
+    (
+        "v_error_time",
+        "best test error so far (%) against the CPU seconds of training the body, step by step, as if each trial had trained its body itself",
+    ),
 ];

@@ -141,7 +141,7 @@ async fn make(file: &Path, thousands: usize, args: &Args) -> Result<(), Error> {
     made.execute(&sql).await?;
     let losses: Vec<f32> = (0..*iterations).map(|n| 0.5 * (1.0 + n as f32).powf(-0.6)).collect();
     sqlx::query(
-        "INSERT INTO artifact SELECT t.id, 'losses_' || value || '_0', ?1, ?2
+        "INSERT INTO artifact (trial_id, name, shape, bytes) SELECT t.id, 'losses_' || value || '_0', ?1, ?2
          FROM trial t, json_each('[\"initial\", \"optimised\"]')",
     )
     .bind(format!("[{iterations}]"))

@@ -101,7 +101,9 @@ async fn make(file: &Path, shard: Shard, args: &Args) -> Result<(), Error> {
     let sql = [
         "INSERT INTO sweep VALUES (1, 'bench-merge', '', '{}', '0', '2026-01-01T00:00:00.000Z')".to_owned(),
         format!(
-            "INSERT INTO run VALUES (1, '2026-01-01T00:00:00.000Z', 'bench', {}, {}, NULL, '0', 1, 1, {trials}, 1.0,
+            "INSERT INTO run (sweep_id, started_at, host, shard, shards, job, version, workers, threads, trials, estimated_seconds,
+               ended_at, outcome, done, failed)
+             VALUES (1, '2026-01-01T00:00:00.000Z', 'bench', {}, {}, NULL, '0', 1, 1, {trials}, 1.0,
                NULL, 'complete', {trials}, 0)",
             shard.index(),
             shard.count()
@@ -131,7 +133,7 @@ async fn make(file: &Path, shard: Shard, args: &Args) -> Result<(), Error> {
             count(points)
         ),
         format!(
-            "INSERT INTO artifact SELECT trial.id, 'array_' || value, '[1]', randomblob({bytes})
+            "INSERT INTO artifact (trial_id, name, shape, bytes) SELECT trial.id, 'array_' || value, '[1]', randomblob({bytes})
              FROM trial, json_each('[1, 2, 3, 4, 5, 6]')"
         ),
     ];

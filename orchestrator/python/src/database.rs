@@ -49,7 +49,7 @@ impl Database {
 
 #[pymethods]
 impl Database {
-    /// Opens a database; an older one is upgraded first.
+    /// Opens a database; of an older one an upgraded copy is read.
     #[new]
     fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         let database = Self { path };

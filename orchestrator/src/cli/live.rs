@@ -83,6 +83,10 @@ impl Watch for Live {
         self.say(&format!("begins anew, as its checkpoint is of no use: {}: {why}", named(trial)));
     }
 
+    fn warned(&mut self, text: &str) {
+        self.say(text);
+    }
+
     fn interrupted(&mut self, again: bool) {
         self.say(match again {
             false => "stopping: the steps in progress are finished and recorded (Ctrl-C again stops at once)",

@@ -23,10 +23,9 @@ pub(super) struct Args {
     /// The database; of a folder of shards, their facts
     #[arg(value_name = "DB|FOLDER")]
     db: PathBuf,
-    /// One SQL statement
-    #[arg(required_unless_present = "views")]
+    /// One SQL statement; without it, the views and their columns are listed
     sql: Option<String>,
-    /// Lists the views and their columns instead
+    /// Lists the views and their columns
     #[arg(long, conflicts_with = "sql")]
     views: bool,
     /// The form of the rows
@@ -89,6 +88,9 @@ async fn answer(
         return Err(Error::Usage(why));
     }
     let mut writer = RowWriter::new(out, format, &columns, screen)?;
+    if format == Format::Parquet {
+        writer = writer.typed(reader.types(sql).await);
+    }
     let mut count = 0usize;
     reader
         .each(sql, |row| {

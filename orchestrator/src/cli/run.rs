@@ -23,7 +23,7 @@ use crate::engine::{self, Again, Control, EngineError, Options, Reread, Signals}
 use crate::exit::{Exit, chain};
 use crate::plan::{Plan, Trial, cost, counted};
 use crate::scheduler::{Outcome, Settings};
-use crate::store::{RunPlan, Store};
+use crate::store::{RunPlan, Store, StoreError, wait_for_locks};
 
 /// Runs the trials of a spec, or goes on where an earlier run has stopped
 ///
@@ -223,6 +223,9 @@ pub(super) async fn run(
              force has not begun by its end has no error that means anything"
         );
     }
+    if let Some(limit) = plan.spec.run.lock_wait {
+        wait_for_locks(Duration::from_secs_f64(limit));
+    }
     let mut store = Store::open(db).await?;
     let control = Control::new(listener(db), reread(&plan, how));
     let ran = run_open(&mut store, &plan, how, log, signals, &control, drive).await;
@@ -230,8 +233,15 @@ pub(super) async fn run(
     // The socket goes, and the database is closed in any case, and let go of when all is written.
     drop(control);
     let closed = store.close().await;
-    let outcome = ran?;
-    closed?;
+    let outcome = match closed {
+        // this error says where the recorded data is
+        Err(lost @ StoreError::Lost { .. }) => return Err(lost.into()),
+        closed => {
+            let outcome = ran?;
+            closed?;
+            outcome
+        }
+    };
     Ok((outcome.unwrap_or(Outcome::Complete), plan))
 }
 

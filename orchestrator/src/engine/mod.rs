@@ -43,11 +43,16 @@ use crate::provenance;
 use crate::scheduler::{
     self, Action, Event, Mark, Outcome, Payload, Phase, Prior, Settings, Standing, State, WorkerId,
 };
-use crate::store::{Level, Store, StoreError};
+use crate::store::{Level, Presence, Store, StoreError, hurry};
 use writer::{Arrays, Entry, Write, Written};
 
 /// Time between two looks at deadlines, and between two views.
 const TICK: Duration = Duration::from_millis(200);
+/// Time between two checks of the database's files.
+const LOOK: Duration = Duration::from_secs(1);
+/// Size of the database's log from which the run warns (bytes). SQLite moves the log into the file every few MB unless a reader holds an
+/// older state.
+const LOG_LARGE: u64 = 256 << 20;
 /// Words of links, and records before the writer, that may wait.
 const QUEUE: usize = 512;
 
@@ -126,6 +131,7 @@ pub async fn run<'a>(
     let state = |priors: &[Prior]| State::new(settings.clone(), priors);
     let (priors, state, kinds) = begin::priors(store, trials, state, settings.prune.as_ref()).await?;
     store.set_provenance(provenance::here(options.threads));
+    let presence = store.presence();
     let runtime = Runtime::new(settings.workers)?;
     let (heard_out, mut heard) = mpsc::channel(QUEUE);
     let (words_out, mut words) = mpsc::channel(QUEUE);
@@ -160,6 +166,9 @@ pub async fn run<'a>(
         spent: Ledger::new(),
         due: Vec::new(),
         stale: 0,
+        presence,
+        looked: Instant::now(),
+        log_warned: LOG_LARGE,
         store_error: None,
         last_words: String::new(),
         control,
@@ -170,7 +179,9 @@ pub async fn run<'a>(
         let mut events = VecDeque::new();
         let outcome = loop {
             tokio::select! {
-                Some((worker, word)) = words.recv() => engine.word(worker, word, &mut events),
+                // While the writer waits for a lock, messages of workers are left in their channel once the queue is half full. The loop
+                // never blocks, so signals are still handled.
+                Some((worker, word)) = words.recv(), if engine.has_room() => engine.word(worker, word, &mut events),
                 Some((worker, heard)) = heard.recv() => engine.heard(worker, heard, &mut events),
                 Some(word) = written.recv() => engine.written(word, &mut events),
                 Some(()) = signals.next() => engine.interrupt(&mut events),
@@ -236,6 +247,11 @@ struct Engine<'a> {
     /// Attempts whose CPU seconds are to be recorded.
     due: Vec<Lease>,
     stale: usize,
+    /// The files of the database, and when they were checked last.
+    presence: Presence,
+    looked: Instant,
+    /// Size of the database's log for the next warning (bytes).
+    log_warned: u64,
     store_error: Option<StoreError>,
     last_words: String,
     control: &'a Control,
@@ -246,6 +262,11 @@ struct Engine<'a> {
 type Events = VecDeque<Event<Records>>;
 
 impl Engine<'_> {
+    /// Whether the writer's queue is less than half full.
+    fn has_room(&self) -> bool {
+        self.queue.capacity() > QUEUE / 2
+    }
+
     /// Puts the events to the scheduler, and carries out what it wants. The outcome, once the run is over.
     async fn carry_out(&mut self, events: &mut Events) -> Option<Outcome> {
         let now = self.clock.look();
@@ -374,8 +395,10 @@ impl Engine<'_> {
         for (lease, level, text) in std::mem::take(&mut self.said) {
             self.record(Write::Log(lease, level, text)).await;
         }
-        for lease in std::mem::take(&mut self.due) {
-            self.record_spent(lease).await;
+        if self.has_room() {
+            for lease in std::mem::take(&mut self.due) {
+                self.record_spent(lease).await;
+            }
         }
     }
 
@@ -519,6 +542,29 @@ impl Engine<'_> {
         }
     }
 
+    /// Ends the run if the files of the database were taken away, so that the recorded data can be saved. Warns of a growing log.
+    fn look_at_database(&mut self, events: &mut Events) {
+        if self.store_error.is_none()
+            && let Some(lost) = self.presence.look()
+        {
+            tracing::error!(?lost, "the files of the database were taken away; the run ends");
+            let saved = Err("the run ends".into());
+            self.store_error = Some(StoreError::Lost { path: self.presence.path().to_owned(), lost, saved });
+            events.push_back(Event::StoreBroken);
+        }
+        let bytes = self.presence.log_bytes();
+        if bytes > self.log_warned {
+            self.log_warned = 2 * bytes;
+            let text = format!(
+                "warning: the database's log (-wal) has grown to {} MB because another program keeps a read transaction open; it grows \
+                 until that program ends",
+                bytes >> 20
+            );
+            tracing::warn!(bytes, "{text}");
+            self.watch.warned(&text);
+        }
+    }
+
     fn interrupt(&mut self, events: &mut Events) {
         self.watch.interrupted(self.state.is_stopping());
         events.push_back(Event::Interrupt);
@@ -528,7 +574,16 @@ impl Engine<'_> {
         let late: Vec<_> =
             self.links.iter().filter(|(_, link)| link.ended.is_some()).map(|(id, _)| *id).collect();
         late.into_iter().for_each(|worker| self.lost(worker, events));
-        self.due.extend(self.spent.tick(&self.fleet));
+        if self.due.is_empty() {
+            self.due = self.spent.tick(&self.fleet);
+        }
+        if self.looked.elapsed() >= LOOK {
+            self.looked = Instant::now();
+            self.look_at_database(events);
+        }
+        if self.state.is_stopping() {
+            hurry();
+        }
         self.view.busy = self.state.busy();
         self.view.elapsed = self.began.elapsed();
         self.watch.tick(&self.view);

@@ -4,6 +4,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::mpsc;
 
 use super::EngineError;
+use crate::store::hurry;
 
 /// Signals since it was made; none of them ends the process any more.
 #[derive(Debug)]
@@ -26,7 +27,9 @@ impl Signals {
 
     /// The next one.
     pub(super) async fn next(&mut self) -> Option<()> {
-        self.0.recv().await
+        let next = self.0.recv().await;
+        hurry();
+        next
     }
 
     /// Does `work`, unless a signal comes first: then it is dropped where it stands, and this is `None`.

@@ -21,6 +21,8 @@ pub trait Watch {
     fn attempt_failed(&mut self, _trial: &Trial, _attempt: u32, _reason: Reason, _settled: bool) {}
     /// A trial's checkpoint is of no use: it begins anew.
     fn begins_anew(&mut self, _trial: &Trial, _why: &str) {}
+    /// A warning for the user.
+    fn warned(&mut self, _text: &str) {}
     /// Somebody wants the run to end; `again`: not for the first time.
     fn interrupted(&mut self, _again: bool) {}
     /// Somebody has steered the run; `done`: and something has changed.

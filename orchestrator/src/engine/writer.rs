@@ -140,6 +140,7 @@ pub async fn write(
         Ok(())
     };
     if let Err(error) = done.await {
+        store.drop_batch().await;
         drop(said.send(Written::Broken(error)));
     }
 }
@@ -217,6 +218,9 @@ async fn transact(
             Write::Load(worker, lease, pause) => {
                 let checkpoint = match store.goes_on_from(hash(lease), lease.attempt, pause).await {
                     Err(StoreError::Unreadable { message, .. }) => Err(message),
+                    Err(StoreError::Damaged { .. }) => {
+                        Err("it is damaged (its checksum does not match)".into())
+                    }
                     other => Ok(other?.map(Box::new)),
                 };
                 Written::Loaded(worker, lease, checkpoint)

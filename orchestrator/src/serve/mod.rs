@@ -71,7 +71,7 @@ pub struct Served {
     steering: Option<Token>,
     address: Address,
     followed: Arc<Semaphore>,
-    questions: Semaphore,
+    questions: Arc<Semaphore>,
     /// Trials are simulated again one at a time; the last one is kept, with what it is of.
     replays: Semaphore,
     replayed: Mutex<Option<(Stored, Arc<Replayed>)>>,
@@ -80,7 +80,7 @@ pub struct Served {
 impl Served {
     /// To serve these at an address, to whoever has the key to `reading`; with a token for `steering`, their runs may be steered.
     pub fn new(sources: Vec<Source>, reading: Token, steering: Option<Token>, address: Address) -> Arc<Self> {
-        let (questions, replays) = (Semaphore::new(QUESTIONS), Semaphore::new(1));
+        let (questions, replays) = (Arc::new(Semaphore::new(QUESTIONS)), Semaphore::new(1));
         let (followed, replayed) = (Arc::new(Semaphore::new(FOLLOWED)), Mutex::default());
         Arc::new(Self { sources, reading, steering, address, followed, questions, replays, replayed })
     }

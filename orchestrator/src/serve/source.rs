@@ -206,7 +206,7 @@ impl Watcher {
             }
         };
         let number = db.metadata().map(|m| m.ino()).map_err(|e| format!("{}: {e}", db.display()))?;
-        if self.reader.as_ref().is_none_or(|(_, known)| *known != number) {
+        if self.reader.as_ref().is_none_or(|(reader, known)| *known != number || !reader.is_current()) {
             self.let_go().await;
             self.reader = Some((Reader::open(&db).await.map_err(|e| chain(&e))?, number));
             self.version = -1;

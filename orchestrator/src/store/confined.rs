@@ -1,13 +1,14 @@
 //! Questions from whoever: nothing but the database's own rows can be read, and answers have limits.
 
-use std::ffi::{c_char, c_int, c_void};
+use std::ffi::{CStr, c_int};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use libsqlite3_sys as ffi;
 
-use super::read::{Answer, connect, reading};
-use super::{OPENING, Reader, StoreError, check_version, real};
+use super::allow::{Allowed, allow};
+use super::read::Answer;
+use super::{OPENING, Reader, StoreError, real};
 
 /// What an answer may come to.
 #[derive(Debug, Clone, Copy)]
@@ -20,37 +21,53 @@ pub struct Limits {
     pub time: Duration,
 }
 
-/// The longest text or blob that SQLite makes (bytes): the largest arrays of a trial are below it.
-const LONGEST: c_int = 8 << 20;
+/// Longest text or blob that SQLite may read or create (bytes). With this limit every function takes less than a second, except
+/// [`SLOW`]. Specs and results are shorter; most arrays are longer.
+const LONGEST: c_int = 256 << 10;
+/// Longest pattern of LIKE and GLOB (bytes).
+const PATTERN: c_int = 500;
+/// Functions of two arguments whose run time is the product of their lengths, at a nanosecond or more per step.
+const SLOW: [&CStr; 5] = [c"trim", c"ltrim", c"rtrim", c"json_patch", c"jsonb_patch"];
 /// Rows between SQLite and us.
 const ROWS_AHEAD: usize = 4;
-/// SQLite's operations between two looks at the clock: some tenths of a millisecond.
-const OPERATIONS: c_int = 10_000;
+/// SQLite operations between two checks of the time limit. Each may call a function.
+const OPERATIONS: c_int = 20;
 
 impl Reader {
-    /// Opens a database to questions that anybody may have put: no other file is opened, made or attached, no setting read
-    /// or changed. It must be of the newest version.
+    /// Opens a database for SQL that anybody may have entered. As [`Reader::open`], and values are limited in length: this bounds the time
+    /// of a single operation, which cannot be interrupted.
     ///
     /// # Errors
-    /// Missing, not ours.
+    /// As [`Reader::open`].
     pub async fn confined(path: &Path) -> Result<Self, StoreError> {
-        if !path.is_file() {
-            return Err(StoreError::Missing { path: path.to_owned() });
-        }
-        let path = &real(path);
-        let at = |source| StoreError::sql(path, OPENING, source);
-        let (mut connection, copy) = connect(reading(path).row_buffer_size(ROWS_AHEAD), path).await?;
-        check_version(&mut connection, path).await?;
-        let mut handle = connection.lock_handle().await.map_err(at)?;
+        let path = real(path);
+        let at = |source| StoreError::sql(&path, OPENING, source);
+        let mut reader = Self::open_file(path.clone(), Some(ROWS_AHEAD)).await?;
+        reader.allowed = Allowed::Confined;
+        allow(&mut reader.connected.connection, reader.allowed).await.map_err(at)?;
+        let mut handle = reader.connected.connection.lock_handle().await.map_err(at)?;
         let db = handle.as_raw_handle().as_ptr();
-        // SAFETY: the handle is locked and open; the callback has no data of its own, and both calls keep nothing of ours.
+        // SAFETY: the handle is locked and open; the callback has no data of its own, and no call keeps anything of ours.
         unsafe {
             ffi::sqlite3_limit(db, ffi::SQLITE_LIMIT_LENGTH, LONGEST);
-            ffi::sqlite3_limit(db, ffi::SQLITE_LIMIT_ATTACHED, 0);
-            ffi::sqlite3_set_authorizer(db, Some(reads_only), std::ptr::null_mut());
+            ffi::sqlite3_limit(db, ffi::SQLITE_LIMIT_LIKE_PATTERN_LENGTH, PATTERN);
+            for name in SLOW {
+                let data = std::ptr::null_mut();
+                ffi::sqlite3_create_function_v2(
+                    db,
+                    name.as_ptr(),
+                    2,
+                    ffi::SQLITE_UTF8,
+                    data,
+                    Some(refuse),
+                    None,
+                    None,
+                    None,
+                );
+            }
         }
         drop(handle);
-        Ok(Self { connection, path: path.to_owned(), alone: false, _copy: copy })
+        Ok(reader)
     }
 
     /// Answers one statement as far as the limits allow; beside the rows, what ended them early.
@@ -65,6 +82,7 @@ impl Reader {
         let begun = Instant::now();
         let path = self.path.clone();
         let mut handle = self
+            .connected
             .connection
             .lock_handle()
             .await
@@ -107,21 +125,12 @@ impl Reader {
     }
 }
 
-/// Allows what reads rows.
-unsafe extern "C" fn reads_only(
-    _: *mut c_void,
-    action: c_int,
-    _: *const c_char,
-    _: *const c_char,
-    _: *const c_char,
-    _: *const c_char,
-) -> c_int {
-    match action {
-        ffi::SQLITE_SELECT | ffi::SQLITE_READ | ffi::SQLITE_FUNCTION | ffi::SQLITE_RECURSIVE => {
-            ffi::SQLITE_OK
-        }
-        _ => ffi::SQLITE_DENY,
-    }
+/// Replaces a function that can run for minutes.
+unsafe extern "C" fn refuse(context: *mut ffi::sqlite3_context, _: c_int, _: *mut *mut ffi::sqlite3_value) {
+    let why =
+        c"trim, ltrim, rtrim and json_patch of two arguments are not available here; use `metasense query`";
+    // SAFETY: the context is SQLite's; it copies the text.
+    unsafe { ffi::sqlite3_result_error(context, why.as_ptr(), -1) }
 }
 
 #[cfg(test)]

@@ -38,8 +38,8 @@ impl Store {
     /// What is kept of the designs of another trial, which trains the same body, is kept of this one, too.
     pub(super) async fn take_over_designs(&mut self, other: i64, id: i64) -> sqlx::Result<()> {
         sqlx::query(
-            "INSERT OR IGNORE INTO artifact (trial_id, name, shape, bytes)
-             SELECT ?, name, shape, bytes FROM artifact WHERE trial_id = ? AND substr(name, 1, length(?3)) = ?3",
+            "INSERT OR IGNORE INTO artifact (trial_id, name, shape, digest, bytes)
+             SELECT ?, name, shape, digest, bytes FROM artifact WHERE trial_id = ? AND substr(name, 1, length(?3)) = ?3",
         )
         .bind(id)
         .bind(other)

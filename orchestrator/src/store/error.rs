@@ -4,6 +4,8 @@ use std::path::{Path, PathBuf};
 
 use metasense_schemas::spec::NotOne;
 
+use super::presence::Lost;
+
 /// What is being done when nothing has been started yet.
 pub(super) const OPENING: &str = "opening";
 
@@ -36,6 +38,16 @@ pub enum StoreError {
         /// The file.
         path: PathBuf,
     },
+    /// Its files were taken away while it was open for writing.
+    #[error("the database {} {} during the run: {}", path.display(), lost.words(), saved_words(path, saved))]
+    Lost {
+        /// The file.
+        path: PathBuf,
+        /// What happened.
+        lost: Lost,
+        /// The file that has all recorded data, or why there is none.
+        saved: Result<PathBuf, String>,
+    },
     /// Some other program's.
     #[error("{} is not a metasense database; choose another file", path.display())]
     NotOurs {
@@ -56,13 +68,22 @@ pub enum StoreError {
         /// The newest that this program knows.
         known: usize,
     },
-    /// Its folder cannot be written to, a killed run has left a log there, and no copy can be made.
-    #[error("{} has a log beside it that cannot be read where it lies; copying both failed", path.display())]
+    /// It can only be read as a copy, and copying failed.
+    #[error(
+        "{}: copying it to TMPDIR failed; a copy is needed because it is of an earlier version or cannot be read in place",
+        path.display()
+    )]
     NotCopied {
         /// The file.
         path: PathBuf,
         /// What the system said.
         source: std::io::Error,
+    },
+    /// It was read without locks and has changed meanwhile.
+    #[error("{}: has changed while it was read; run the command again", path.display())]
+    Changed {
+        /// The file.
+        path: PathBuf,
     },
     /// Trials without their steps, curves and arrays.
     #[error(
@@ -136,6 +157,17 @@ pub enum StoreError {
         /// Which there are.
         which: NotOne,
     },
+    /// A checkpoint or array whose checksum does not match.
+    #[error(
+        "trial {hash}: the stored {what} is damaged (its checksum does not match): remove the trial with `metasense remove DB hash={hash} \
+         --yes`; `metasense run` then computes it again"
+    )]
+    Damaged {
+        /// The trial.
+        hash: String,
+        /// The checkpoint, or which array.
+        what: String,
+    },
     /// A stored value that this program cannot read.
     #[error("trial {hash}: the stored {what} cannot be read: {message}")]
     Unreadable {
@@ -179,9 +211,31 @@ impl StoreError {
         match self {
             Self::Sql { doing, source, .. } => *doing == OPENING && !is_trouble(source),
             Self::Unwritable { source, .. } => source.kind() != std::io::ErrorKind::StorageFull,
-            Self::NotCopied { .. } => false,
-            other => !matches!(other, Self::InUse { .. } | Self::Stale { .. } | Self::Unreadable { .. }),
+            other => !matches!(
+                other,
+                Self::Lost { .. }
+                    | Self::NotCopied { .. }
+                    | Self::Changed { .. }
+                    | Self::InUse { .. }
+                    | Self::Stale { .. }
+                    | Self::Damaged { .. }
+                    | Self::Unreadable { .. }
+            ),
         }
+    }
+}
+
+/// Where the recorded data is.
+fn saved_words(path: &Path, saved: &Result<PathBuf, String>) -> String {
+    match saved {
+        Ok(saved) if saved == path || Some(saved) == path.canonicalize().ok().as_ref() => {
+            "it contains all recorded data; run the same command to resume".into()
+        }
+        Ok(saved) => {
+            let saved = saved.display();
+            format!("all recorded data is in {saved}; run the same command with --db {saved} to resume")
+        }
+        Err(why) => why.clone(),
     }
 }
 
@@ -196,9 +250,17 @@ pub(super) fn is_trouble(source: &sqlx::Error) -> bool {
     matches!(source, sqlx::Error::Io(_)) || matches!(code(source), Some(5 | 6 | 10 | 11 | 13))
 }
 
-/// Whether a file could not be opened.
-pub(crate) fn is_not_opened(source: &sqlx::Error) -> bool {
-    code(source) == Some(14)
+/// Whether a cell that must hold JSON holds something else.
+pub(super) fn is_no_json(source: &sqlx::Error) -> bool {
+    source.as_database_error().is_some_and(|e| e.message() == NO_JSON)
+}
+
+/// SQLite's message in this case.
+pub(super) const NO_JSON: &str = "malformed JSON";
+
+/// Whether a file beside the database could not be opened, or not be written.
+pub(super) fn is_not_opened(source: &sqlx::Error) -> bool {
+    matches!(code(source), Some(8 | 14))
 }
 
 /// Whether it is not the file that is read that is at fault: memory, the disk, descriptors.
@@ -209,7 +271,10 @@ pub(crate) fn is_shortage(source: &sqlx::Error) -> bool {
 /// What to do, by SQLite's primary result code.
 fn hint(source: &sqlx::Error) -> &'static str {
     match code(source) {
-        Some(5 | 6) => " failed: another program holds a lock on it; end that program and run again",
+        Some(5 | 6) => {
+            " failed: another program holds a lock on it and did not release it in time; end that program and run again, nothing \
+             recorded is lost"
+        }
         Some(8) => " failed: it is read-only; allow writing, or name another file",
         Some(10) => " failed: the disk reports an error",
         Some(11) => " failed: the file is damaged; restore it from a copy",

@@ -36,7 +36,7 @@ impl Reader {
         let revisions: Vec<(String, String)> = sqlx::query_as(
             "SELECT DISTINCT code, revision FROM attempt WHERE code IS NOT NULL AND revision IS NOT NULL ORDER BY 1, 2",
         )
-        .fetch_all(&mut self.connection)
+        .fetch_all(&mut self.connected.connection)
         .await
         .map_err(|e| at(&self.path, e))?;
         let mut of_code: HashMap<String, Vec<String>> = HashMap::new();
@@ -50,7 +50,7 @@ impl Reader {
                 WHERE NOT redone AND (steps > 0 OR saves > 0 OR state = 'done') GROUP BY trial_id)
              GROUP BY 1 ORDER BY 2 DESC, 1",
         )
-        .fetch_all(&mut self.connection)
+        .fetch_all(&mut self.connected.connection)
         .await
         .map_err(|e| at(&self.path, e))?;
         let made = |(code, trials): (String, i64)| {
@@ -70,7 +70,7 @@ impl Reader {
                      AND EXISTS (SELECT 1 FROM sweep_trial x JOIN trial t ON t.id = x.trial_id
                                  WHERE x.sweep_id = s.id AND t.state <> 'done'))";
         sqlx::query_scalar(sql)
-            .fetch_one(&mut self.connection)
+            .fetch_one(&mut self.connected.connection)
             .await
             .map_err(|e| StoreError::sql(&self.path, "reading", e))
     }

@@ -5,8 +5,11 @@
 //! many records. A lock on the file keeps a second writer out for as long as a `Store` lives.
 //! All methods fail where SQLite does; what else can go wrong is said with each.
 
+mod allow;
 mod confined;
+mod connect;
 mod designs;
+mod digest;
 mod disk;
 mod error;
 mod lock;
@@ -14,18 +17,20 @@ mod log;
 mod looks;
 mod made;
 mod npy;
+mod presence;
 mod prior;
 mod read;
 mod redo;
 mod runs;
 mod stored;
 mod sweep;
+mod wait;
 mod write;
 
 use std::collections::HashMap;
-use std::fs::File;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use metasense_schemas::database::{APPLICATION_ID, MIGRATIONS};
 use metasense_schemas::record::Provenance;
@@ -33,6 +38,9 @@ use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 
 pub use confined::Limits;
+pub use connect::ask_unchanging;
+pub(crate) use connect::{copy_with_journal, state_of};
+pub(crate) use digest::{add_function, check};
 use error::OPENING;
 pub use error::StoreError;
 pub(crate) use error::is_shortage;
@@ -41,12 +49,13 @@ pub use log::Level;
 pub use looks::Standing;
 pub use made::{Made, Nearest};
 pub use npy::{npy_bytes, npy_values};
+pub use presence::{Lost, Presence};
 pub use prior::{Attempted, Reached};
-pub(crate) use read::copy_with_journal;
-pub use read::{Answer, Artifact, Reader, Row, ask_unchanging, quoted};
+pub use read::{Answer, Artifact, Reader, Row, quoted};
 pub use runs::{RunKey, RunPlan};
 pub use stored::Stored;
 pub use sweep::Reopen;
+pub use wait::{hurry, wait_for_locks};
 pub use write::Array;
 pub(crate) use write::RELEASE_ORPHANS;
 
@@ -61,8 +70,10 @@ pub struct Store {
     in_batch: bool,
     /// Of the attempts that are begun, where it is known.
     provenance: Option<Provenance>,
-    // Last field: SQLite's own locks on the file would go with an earlier close.
-    _lock: File,
+    /// Start of each attempt in progress, by a monotonic clock.
+    begun: HashMap<(i64, u32), Instant>,
+    // Last field: it owns the locked file; closing that before the connection would drop SQLite's locks.
+    presence: Presence,
 }
 
 impl Store {
@@ -83,24 +94,28 @@ impl Store {
         if let Some(system) = disk::network_of(folder) {
             return Err(StoreError::NetworkDisk { path, system });
         }
-        let lock = lock(&path, true)?;
+        let lock = Arc::new(lock(&path, true)?);
         let at = |source| StoreError::sql(&path, OPENING, source);
         let mut connection = options(&path).foreign_keys(true).connect().await.map_err(at)?;
+        wait::wait_on(&mut connection).await.map_err(at)?;
         let version = check_version(&mut connection, &path).await?;
         for pragma in ["PRAGMA journal_mode = WAL", "PRAGMA synchronous = FULL"] {
             sqlx::query(pragma).execute(&mut connection).await.map_err(at)?;
         }
         migrate(&mut connection, version).await.map_err(at)?;
         let mut store = Self {
+            presence: Presence::new(Arc::clone(&lock), &path),
             connection,
             path,
             ids: HashMap::new(),
             sweep: None,
             in_batch: false,
             provenance: None,
-            _lock: lock,
+            begun: HashMap::new(),
         };
         store.release_orphans().await?;
+        // the log exists now
+        store.presence = Presence::new(lock, &store.path);
         Ok(store)
     }
 
@@ -115,9 +130,21 @@ impl Store {
         self.provenance = Some(provenance);
     }
 
+    /// Checks the files of the database while it is open.
+    #[must_use]
+    pub fn presence(&self) -> Presence {
+        self.presence.clone()
+    }
+
     /// Folds the journal into the file and closes it, so that one file alone is left.
+    ///
+    /// # Errors
+    /// If SQLite fails; `Lost` if the files were taken away, which says where the recorded data is.
     pub async fn close(self) -> Result<(), StoreError> {
-        let Self { connection, path, _lock, .. } = self;
+        let Self { connection, path, presence, .. } = self;
+        if let Some(lost) = presence.look() {
+            return Err(presence::rescue(connection, &presence, lost).await);
+        }
         connection.close().await.map_err(|source| StoreError::sql(&path, "closing", source))
     }
 }

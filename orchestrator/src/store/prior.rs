@@ -5,6 +5,8 @@ use std::collections::HashMap;
 use metasense_schemas::record::Checkpoint;
 use sqlx::AssertSqlSafe;
 
+use super::digest::check;
+use super::write::read_checkpoint;
 use super::{Level, Store, StoreError, npy_values};
 
 /// How far earlier runs have come with a trial.
@@ -30,7 +32,7 @@ pub struct Reached {
 /// Trials `m` behind whose steps others can go on with the same body, all of their work by this program's code (`?2`) and
 /// instruction set (`?3`), with how far they have come: those that are done have all their steps behind them.
 const TRAINERS: &str = "
-    SELECT m.id, m.hash, m.training, m.best_step, c.bytes AS checkpoint,
+    SELECT m.id, m.hash, m.training, m.best_step,
       CASE m.state WHEN 'done' THEN CAST(m.spec->>'$.optimise.iterations' AS INTEGER) ELSE c.step END AS reached
     FROM trial m LEFT JOIN checkpoint c ON c.trial_id = m.id
     WHERE m.training IN (SELECT t.training FROM trial t WHERE t.id = ?1 OR ?1 IS NULL AND t.state IN ('pending', 'running'))
@@ -59,43 +61,53 @@ impl Store {
     /// further with the same body, whose steps are then this one's, too; no further than `pause`. `None` where it starts anew.
     ///
     /// # Errors
-    /// Where SQLite fails, or its own checkpoint is of another program.
+    /// Where SQLite fails; or its own checkpoint is damaged or of another program, and no other trial has one that is of use.
     pub async fn goes_on_from(
         &mut self,
         hash: &str,
         attempt: u32,
         pause: Option<u32>,
     ) -> Result<Option<Checkpoint>, StoreError> {
-        let own = self.checkpoint(hash).await?;
+        let own = match self.checkpoint(hash).await {
+            Err(error @ (StoreError::Damaged { .. } | StoreError::Unreadable { .. })) => Err(error),
+            own => Ok(own?),
+        };
+        let behind = own.as_ref().ok().and_then(Option::as_ref).map_or(0, |own| own.step);
         let (id, at) = (self.id(hash)?, self.at("reading the body of another trial from"));
         let made = self.provenance.as_ref();
         let sql = format!(
-            "SELECT m.id, m.hash, m.reached, m.checkpoint, a.bytes, coalesce(m.best_step, 0) FROM ({TRAINERS}) m
-             LEFT JOIN artifact a ON a.trial_id = m.id AND a.name = 'alpha_optimised'
-             WHERE m.id <> ?1 AND m.reached > ?4 AND m.reached <= ?5 AND coalesce(m.checkpoint, a.bytes) IS NOT NULL
-             ORDER BY m.reached DESC, m.id LIMIT 1"
+            "SELECT m.id, m.hash, m.reached, coalesce(m.best_step, 0) FROM ({TRAINERS}) m
+             WHERE m.id <> ?1 AND m.reached > ?4 AND m.reached <= ?5 ORDER BY m.reached DESC, m.id"
         );
-        type Row = (i64, String, u32, Option<Vec<u8>>, Option<Vec<u8>>, u32);
-        let found: Option<Row> = sqlx::query_as(AssertSqlSafe(sql))
+        let others: Vec<(i64, String, u32, u32)> = sqlx::query_as(AssertSqlSafe(sql))
             .bind(id)
             .bind(made.map(|made| &made.code))
             .bind(made.map(|made| &made.simd))
-            .bind(own.as_ref().map_or(0, |own| own.step))
+            .bind(behind)
             .bind(pause.unwrap_or(u32::MAX))
-            .fetch_optional(&mut self.connection)
+            .fetch_all(&mut self.connection)
             .await
             .map_err(&at)?;
-        let Some((other, name, reached, checkpoint, best, best_step)) = found else { return Ok(own) };
+        if others.is_empty() {
+            return own;
+        }
         let by_network = !self.optimise(id).await.map_err(&at)?.linear();
-        let body = match checkpoint {
-            Some(bytes) => Checkpoint::from_bytes(&bytes).ok().map(|there| there.of_body(by_network)),
-            None => {
-                let best = npy_values(&best.unwrap_or_default()).ok();
-                best.map(|best| Checkpoint::trained(reached, best, best_step))
+        let mut found = None;
+        for (other, name, reached, best_step) in others {
+            match self.body_of(other, &name, reached, best_step, by_network).await? {
+                Ok(Some(body)) => {
+                    found = Some((other, name, reached, body));
+                    break;
+                }
+                Ok(None) => {}
+                Err(why) => self.log(hash, attempt, Level::Warn, &why.to_string()).await?,
             }
-        };
-        // of no use, as what is damaged: this trial has its own way
-        let Some(body) = body else { return Ok(own) };
+        }
+        // without a usable body of another trial, this trial uses its own checkpoint
+        let Some((other, name, reached, body)) = found else { return own };
+        if let Err(why) = own {
+            self.log(hash, attempt, Level::Warn, &why.to_string()).await?;
+        }
         self.together("taking over a body in", async |store| {
             store.take_over_steps(other, reached, id).await?;
             store.take_over_designs(other, id).await?;
@@ -107,6 +119,31 @@ impl Store {
         let said = format!("goes on behind step {reached} of trial {name}, which trains the same body");
         self.log(hash, attempt, Level::Info, &said).await?;
         Ok(Some(body))
+    }
+
+    /// The body that a trial has trained for `reached` steps: from its checkpoint, or from its result if it is done. The inner error says
+    /// that the stored data cannot be used.
+    async fn body_of(
+        &mut self,
+        id: i64,
+        name: &str,
+        reached: u32,
+        best_step: u32,
+        by_network: bool,
+    ) -> Result<Result<Option<Checkpoint>, StoreError>, StoreError> {
+        let at = self.at("reading the body of another trial from");
+        let sql = "SELECT bytes, digest FROM checkpoint WHERE trial_id = ?";
+        let stored = sqlx::query_as(sql).bind(id).fetch_optional(&mut self.connection).await.map_err(&at)?;
+        if let Some(stored) = stored {
+            return Ok(read_checkpoint(name, stored).map(|there| Some(there.of_body(by_network))));
+        }
+        let sql = "SELECT bytes, coalesce(digest, x'') FROM artifact WHERE trial_id = ? AND name = 'alpha_optimised'";
+        let stored: Option<(Vec<u8>, Vec<u8>)> =
+            sqlx::query_as(sql).bind(id).fetch_optional(&mut self.connection).await.map_err(&at)?;
+        let Some((bytes, checksum)) = stored else { return Ok(Ok(None)) };
+        let checked = check(name, "array alpha_optimised", &bytes, &checksum);
+        let best = npy_values(&bytes).ok();
+        Ok(checked.map(|()| best.map(|best| Checkpoint::trained(reached, best, best_step))))
     }
 
     /// Steps of another trial, before this one, become those of this trial where it lacks them, by no attempt of its own.

@@ -3,26 +3,23 @@
 //! A read-only connection makes the journal's two files where they are missing and cannot remove them again: `close`
 //! does, unless somebody else is at work on the database.
 
-use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use futures_util::TryStreamExt;
 use serde_json::Value;
-use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection, SqliteRow};
+use sqlx::sqlite::SqliteRow;
 use sqlx::{
-    AssertSqlSafe, Column, ConnectOptions, Connection, Either, Executor, Row as _, SqlSafeStr, Statement,
-    TypeInfo, ValueRef,
+    AssertSqlSafe, Column, ConnectOptions, Connection, Executor, Row as _, SqlSafeStr, Statement, TypeInfo,
+    ValueRef,
 };
-use tempfile::TempDir;
 
-use super::error::{is_not_opened, is_trouble};
+use super::allow::{self, Allowed, NOT_READING, TYPES_VIEW, allow};
+use super::connect::{Connected, connect, state};
+use super::digest::check;
+use super::error::{is_no_json, is_trouble};
 use super::write::read_checkpoint;
-use super::{
-    OPENING, Store, StoreError, beside, check_version, has_journal, is_still, lock, npy_values, options, real,
-};
-use crate::files;
-use crate::leftovers;
-use metasense_schemas::database::MIGRATIONS;
+use super::{StoreError, beside, has_journal, lock, npy_values, options, real};
+use crate::cell;
 use metasense_schemas::record::Checkpoint;
 use metasense_schemas::spec::position_of;
 
@@ -68,11 +65,12 @@ impl Row<'_> {
 /// A read-only connection.
 #[derive(Debug)]
 pub struct Reader {
-    pub(super) connection: SqliteConnection,
+    pub(super) connected: Connected,
     pub(super) path: PathBuf,
-    pub(super) alone: bool,
-    /// What is read in place of the file, where that cannot be.
-    pub(super) _copy: Option<TempDir>,
+    /// Which statements it accepts.
+    pub(super) allowed: Allowed,
+    /// No other connection existed when it was opened.
+    alone: bool,
 }
 
 /// A stored array.
@@ -82,17 +80,27 @@ pub struct Artifact {
     pub hash: String,
     /// Its name within the trial.
     pub name: String,
-    /// The NPY file.
-    pub bytes: Vec<u8>,
+    /// The NPY file, and its checksum.
+    bytes: Vec<u8>,
+    digest: Option<Vec<u8>>,
 }
 
 impl Artifact {
+    /// The NPY file.
+    ///
+    /// # Errors
+    /// Where it is damaged.
+    pub fn npy(&self) -> Result<&[u8], StoreError> {
+        let checksum = self.digest.as_deref().unwrap_or_default();
+        check(&self.hash, &format!("array {}", self.name), &self.bytes, checksum).map(|()| &*self.bytes)
+    }
+
     /// Its values in C order.
     ///
     /// # Errors
-    /// Where the bytes are no array of this type.
+    /// Where it is damaged, or no array of this type.
     pub fn values<T: npyz::Deserialize>(&self) -> Result<Vec<T>, StoreError> {
-        npy_values(&self.bytes).map_err(|e| StoreError::Unreadable {
+        npy_values(self.npy()?).map_err(|e| StoreError::Unreadable {
             hash: self.hash.clone(),
             what: "array",
             message: format!("{}: {e}", self.name),
@@ -101,15 +109,16 @@ impl Artifact {
 }
 
 impl Reader {
-    /// Opens a database to read; one of an older version is upgraded first.
+    /// Opens a database for reading. A database of an earlier version is read through an upgraded copy; the file is not changed.
     ///
     /// # Errors
     /// Missing, not ours, of a newer version.
     pub async fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
-        Self::open_file(real(path.as_ref())).await.map_err(StoreError::on_opening)
+        Self::open_file(real(path.as_ref()), None).await.map_err(StoreError::on_opening)
     }
 
-    async fn open_file(path: PathBuf) -> Result<Self, StoreError> {
+    /// The same, with this number of rows buffered.
+    pub(super) async fn open_file(path: PathBuf, rows: Option<usize>) -> Result<Self, StoreError> {
         if !path.is_file() {
             return Err(StoreError::Missing { path });
         }
@@ -117,35 +126,39 @@ impl Reader {
         if alone && path.metadata().is_ok_and(|file| file.len() == 0) {
             return Err(StoreError::NotOurs { path });
         }
-        let (mut connection, mut copy) = connect(reading(&path), &path).await?;
-        let version = check_version(&mut connection, &path).await?;
-        if version < MIGRATIONS.len() {
-            drop(connection);
-            Store::open(&path).await?.close().await?;
-            (connection, copy) = connect(reading(&path), &path).await?;
-        }
-        Ok(Self { connection, path, alone, _copy: copy })
+        let connected = connect(&path, rows).await?;
+        let alone = alone && connected.unchanging.is_none();
+        Ok(Self { connected, path, allowed: Allowed::Reading, alone })
     }
 
     /// Opens a database, asks it, and closes it, whatever came of that.
     ///
     /// # Errors
-    /// As [`Reader::open`], or as what was asked.
+    /// As [`Reader::open`], or as `ask`; `Changed` if the file was read without locks and has changed meanwhile.
     pub async fn asked<T, E: From<StoreError>>(
         path: impl AsRef<Path>,
         ask: impl AsyncFnOnce(&mut Self) -> Result<T, E>,
     ) -> Result<T, E> {
         let mut reader = Self::open(path.as_ref()).await?;
         let answer = ask(&mut reader).await;
+        let current = reader.is_current();
+        let path = reader.path.clone();
         reader.close().await;
-        answer
+        if current { answer } else { Err(StoreError::Changed { path }.into()) }
+    }
+
+    /// Whether the file has not changed since it was opened without locks. Always true of files that are locked for reading.
+    #[must_use]
+    pub fn is_current(&self) -> bool {
+        let same = |was: &String| state(&self.path).is_ok_and(|now| now == *was) && !has_journal(&self.path);
+        self.connected.unchanging.as_ref().is_none_or(same)
     }
 
     /// Closes the connection and leaves no file behind that was not there before.
     pub async fn close(self) {
-        let Self { connection, path, alone, _copy } = self;
+        let Self { connected, path, alone, .. } = self;
         // Whatever goes wrong here harms nobody: the next writer tidies up as well.
-        let closed = connection.close().await;
+        let closed = connected.connection.close().await;
         if closed.is_ok()
             && alone
             && let Ok(_lock) = lock(&path, false)
@@ -175,30 +188,48 @@ impl Reader {
     /// # Errors
     /// With SQLite's message.
     pub async fn columns(&mut self, sql: &str) -> Result<Vec<String>, StoreError> {
-        let path = &self.path;
         // It ends sqlx's thread, and whoever has asked waits for ever.
         if sql.contains('\0') {
             return Err(StoreError::Query { message: "a statement holds no NUL".into() });
         }
-        let word = sql.split(|c: char| c.is_whitespace() || c == ';').find(|word| !word.is_empty());
-        let refused = match word {
-            None => Some("there is no statement"),
-            // it would leave an empty file
-            Some(word) if word.eq_ignore_ascii_case("vacuum") => {
-                Some("VACUUM writes; only what reads is answered")
-            }
-            Some(_) => None,
-        };
-        if let Some(message) = refused {
-            return Err(StoreError::Query { message: message.into() });
+        if sql.chars().all(|c| c.is_whitespace() || c == ';') {
+            return Err(StoreError::Query { message: "there is no statement".into() });
         }
+        if let Some(message) = self.refusal(sql).await? {
+            return Err(StoreError::Query { message });
+        }
+        let path = &self.path;
         // The user's own statement, on a connection that cannot write.
-        let statement = self.connection.prepare(AssertSqlSafe(sql.to_owned()).into_sql_str()).await;
+        let statement = self.connected.connection.prepare(AssertSqlSafe(sql.to_owned()).into_sql_str()).await;
         let statement = statement.map_err(|source| wrong(path, source))?;
         Ok(statement.columns().iter().map(|c| c.name().to_owned()).collect())
     }
 
-    /// Answers one statement row by row, as [`Reader::query`] does, until `take` has had enough or fails.
+    async fn refusal(&mut self, sql: &str) -> Result<Option<String>, StoreError> {
+        let refused = allow::refusal(&mut self.connected.connection, sql).await;
+        refused.map_err(|source| StoreError::sql(&self.path, "querying", source))
+    }
+
+    /// The declared SQL types of a result's columns: those of table columns, view columns and CASTs. Empty for other expressions.
+    pub async fn types(&mut self, sql: &str) -> Vec<String> {
+        let connection = &mut self.connected.connection;
+        if allow(connection, Allowed::Describing).await.is_err() {
+            return Vec::new();
+        }
+        // The authorizer refuses everything but reading and this view.
+        let view = format!("CREATE TEMP VIEW {TYPES_VIEW} AS {sql}");
+        let mut types = Vec::new();
+        if connection.execute(AssertSqlSafe(view)).await.is_ok() {
+            let asked = sqlx::query_scalar("SELECT type FROM pragma_table_info(?)").bind(TYPES_VIEW);
+            types = asked.fetch_all(&mut *connection).await.unwrap_or_default();
+            let gone = format!("DROP VIEW temp.{TYPES_VIEW}");
+            let _ = connection.execute(AssertSqlSafe(gone)).await;
+        }
+        let _ = allow(connection, self.allowed).await;
+        types
+    }
+
+    /// Answers one statement, which [`Reader::columns`] has found to be one, row by row until `take` has had enough or fails.
     ///
     /// # Errors
     /// With SQLite's message, or as `take`.
@@ -207,21 +238,27 @@ impl Reader {
         sql: &str,
         mut take: impl FnMut(&Row<'_>) -> Result<(), E>,
     ) -> Result<(), E> {
-        let path = &self.path;
         let sql = AssertSqlSafe(sql.to_owned()).into_sql_str();
-        let mut ended = false;
-        let mut answers = self.connection.fetch_many(sqlx::raw_sql(sql));
-        while let Some(answer) = answers.try_next().await.map_err(|source| wrong(path, source))? {
-            if ended {
-                let message = "one statement at a time; more follows the first one's `;`".into();
-                return Err(StoreError::Query { message }.into());
+        let mut rows = self.connected.connection.fetch(sqlx::raw_sql(sql));
+        let failed = loop {
+            match rows.try_next().await {
+                Ok(Some(row)) => take(&Row(&row))?,
+                Ok(None) => return Ok(()),
+                Err(source) => break source,
             }
-            match answer {
-                Either::Right(row) => take(&Row(&row))?,
-                Either::Left(_) => ended = true,
-            }
-        }
-        Ok(())
+        };
+        drop(rows);
+        let cell = if is_no_json(&failed) { self.cell_without_json().await } else { None };
+        Err(cell.unwrap_or_else(|| wrong(&self.path, failed)).into())
+    }
+
+    /// Finds a trial whose spec or result is not JSON. SQLite's message does not name it.
+    async fn cell_without_json(&mut self) -> Option<StoreError> {
+        let sql = "SELECT hash, json_valid(spec) FROM trial WHERE NOT json_valid(spec) OR NOT json_valid(result) LIMIT 1";
+        let asked = sqlx::query_as(sql).fetch_optional(&mut self.connected.connection).await;
+        let (hash, spec): (String, bool) = asked.ok()??;
+        let what = if spec { "result" } else { "spec" };
+        Some(StoreError::Unreadable { hash, what, message: "it is not JSON".into() })
     }
 
     /// The file.
@@ -249,7 +286,7 @@ impl Reader {
     async fn hashes(&mut self, sql: &'static str, beginning: &str) -> Result<Vec<String>, StoreError> {
         let query = sqlx::query_scalar(sql);
         let query = if sql.contains('?') { query.bind(beginning) } else { query };
-        let found = query.fetch_all(&mut self.connection).await;
+        let found = query.fetch_all(&mut self.connected.connection).await;
         found.map_err(|source| StoreError::sql(&self.path, "reading", source))
     }
 
@@ -262,7 +299,7 @@ impl Reader {
              WHERE t.hash = ?";
         let file: Option<String> = sqlx::query_scalar(sql)
             .bind(hash)
-            .fetch_optional(&mut self.connection)
+            .fetch_optional(&mut self.connected.connection)
             .await
             .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
         let Some(file) = file.map(PathBuf::from) else { return Ok(None) };
@@ -282,15 +319,16 @@ impl Reader {
     /// A trial's last checkpoint; `None` where it has none.
     ///
     /// # Errors
-    /// Where SQLite fails, or the checkpoint is of another program.
+    /// Where SQLite fails, or the checkpoint is damaged or of another program.
     pub async fn checkpoint(&mut self, hash: &str) -> Result<Option<Checkpoint>, StoreError> {
-        let sql = "SELECT c.bytes FROM checkpoint c JOIN trial t ON t.id = c.trial_id WHERE t.hash = ?";
-        let bytes: Option<Vec<u8>> = sqlx::query_scalar(sql)
+        let sql =
+            "SELECT c.bytes, c.digest FROM checkpoint c JOIN trial t ON t.id = c.trial_id WHERE t.hash = ?";
+        let stored = sqlx::query_as(sql)
             .bind(hash)
-            .fetch_optional(&mut self.connection)
+            .fetch_optional(&mut self.connected.connection)
             .await
             .map_err(|source| StoreError::sql(&self.path, "reading a checkpoint from", source))?;
-        bytes.map(|bytes| read_checkpoint(hash, &bytes)).transpose()
+        stored.map(|stored| read_checkpoint(hash, stored)).transpose()
     }
 
     /// The stored arrays of a trial, by name, wherever they lie.
@@ -304,15 +342,17 @@ impl Reader {
     }
 
     async fn own_arrays_of(&mut self, hash: &str) -> Result<Vec<Artifact>, StoreError> {
-        let rows: Vec<(String, String, Vec<u8>)> = sqlx::query_as(
-            "SELECT t.hash, a.name, a.bytes FROM artifact a JOIN trial t ON t.id = a.trial_id
+        type Row = (String, String, Vec<u8>, Option<Vec<u8>>);
+        let rows: Vec<Row> = sqlx::query_as(
+            "SELECT t.hash, a.name, a.bytes, a.digest FROM artifact a JOIN trial t ON t.id = a.trial_id
              WHERE t.hash = ? ORDER BY a.name",
         )
         .bind(hash)
-        .fetch_all(&mut self.connection)
+        .fetch_all(&mut self.connected.connection)
         .await
         .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
-        Ok(rows.into_iter().map(|(hash, name, bytes)| Artifact { hash, name, bytes }).collect())
+        let array = |(hash, name, bytes, digest)| Artifact { hash, name, bytes, digest };
+        Ok(rows.into_iter().map(array).collect())
     }
 }
 
@@ -326,70 +366,11 @@ pub fn quoted(text: &str) -> String {
 fn wrong(path: &Path, source: sqlx::Error) -> StoreError {
     match &source {
         sqlx::Error::Database(e) if !is_trouble(&source) => {
-            StoreError::Query { message: e.message().to_owned() }
+            let refused = if e.code().as_deref() == Some("23") { NOT_READING } else { "" };
+            StoreError::Query { message: format!("{}{refused}", e.message()) }
         }
         _ => StoreError::sql(path, "querying", source),
     }
-}
-
-/// Asks a database that nobody writes to, as a file that does not change: neither locks nor a journal are looked for. It may
-/// be of an older version.
-pub async fn ask_unchanging<T>(
-    path: &Path,
-    ask: impl AsyncFnOnce(&mut SqliteConnection) -> sqlx::Result<T>,
-) -> sqlx::Result<T> {
-    let mut connection = options(path).read_only(true).immutable(true).connect().await?;
-    let answer = ask(&mut connection).await?;
-    connection.close().await?;
-    Ok(answer)
-}
-
-/// Rows on their way, of some kB at most but for arrays, which are some tens.
-const ROWS: usize = 256;
-
-/// Read-only.
-pub(super) fn reading(path: &Path) -> SqliteConnectOptions {
-    // Rows on their way from SQLite's thread: with fewer the two wait for each other most of the time.
-    options(path).read_only(true).pragma("query_only", "ON").row_buffer_size(ROWS)
-}
-
-/// Where the folder cannot hold the journal's index (a read-only medium), as an unchanging file; where there is a journal, a
-/// copy of both, which lives as long as its folder.
-pub(super) async fn connect(
-    options: SqliteConnectOptions,
-    path: &Path,
-) -> Result<(SqliteConnection, Option<TempDir>), StoreError> {
-    let at = |source| StoreError::sql(path, OPENING, source);
-    let mut connection = options.clone().connect().await.map_err(at)?;
-    match connection.execute("SELECT count(*) FROM sqlite_schema").await {
-        Ok(_) => return Ok((connection, None)),
-        Err(e) if is_not_opened(&e) => {}
-        Err(source) => return Err(at(source)),
-    }
-    if !has_journal(path) {
-        return Ok((options.immutable(true).connect().await.map_err(at)?, None));
-    }
-    let failed = |source| StoreError::NotCopied { path: path.to_owned(), source };
-    let scratch = leftovers::scratch("metasense-read-").map_err(failed)?;
-    let copy = scratch.path().join("copy.sqlite");
-    copy_with_journal(path, &copy)?;
-    Ok((options.filename(copy).connect().await.map_err(at)?, Some(scratch)))
-}
-
-/// Copies a database that nobody writes to, with what lies in its journal.
-///
-/// # Errors
-/// `InUse` where somebody does; `NotCopied` where the system fails.
-pub(crate) fn copy_with_journal(path: &Path, copy: &Path) -> Result<(), StoreError> {
-    let failed = |source| StoreError::NotCopied { path: path.to_owned(), source };
-    let lock = File::open(path).map_err(failed)?;
-    if files::is_held(&lock) || !is_still(&lock, path) {
-        return Err(StoreError::InUse { path: path.to_owned() });
-    }
-    for end in ["", "-wal"] {
-        std::fs::copy(beside(path, end), beside(copy, end)).map_err(failed)?;
-    }
-    Ok(())
 }
 
 fn values(row: &SqliteRow) -> Vec<Value> {
@@ -403,9 +384,12 @@ fn value(row: &SqliteRow, i: usize) -> Value {
     }
     match raw.type_info().name() {
         "INTEGER" => Value::from(row.get_unchecked::<i64, _>(i)),
-        "REAL" => Value::from(row.get_unchecked::<f64, _>(i)),
+        "REAL" => cell::real(row.get_unchecked(i)),
         "BLOB" => Value::from(format!("blob of {} bytes", row.get_unchecked::<&[u8], _>(i).len())),
         // Not all that SQLite calls text is UTF-8.
         _ => Value::from(String::from_utf8_lossy(row.get_unchecked::<&[u8], _>(i))),
     }
 }
+
+#[cfg(test)]
+mod tests;

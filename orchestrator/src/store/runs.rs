@@ -1,5 +1,7 @@
 //! Calls of `run`: what was planned, and what came of it.
 
+use std::time::Instant;
+
 use super::{Store, StoreError};
 
 /// A run as it begins.
@@ -22,6 +24,7 @@ pub struct RunKey {
     started_at: String,
     host: String,
     shard: (u32, u32),
+    begun: Instant,
 }
 
 impl Store {
@@ -46,7 +49,7 @@ impl Store {
         .fetch_one(&mut self.connection)
         .await
         .map_err(self.at("recording a run in"))?;
-        Ok(RunKey { sweep, started_at, host, shard: plan.shard })
+        Ok(RunKey { sweep, started_at, host, shard: plan.shard, begun: Instant::now() })
     }
 
     /// Records what came of it.
@@ -58,9 +61,10 @@ impl Store {
         failed: usize,
     ) -> Result<(), StoreError> {
         sqlx::query(
-            "UPDATE run SET ended_at = max(started_at, strftime('%Y-%m-%dT%H:%M:%fZ')), outcome = ?, done = ?, failed = ?
-             WHERE sweep_id = ? AND started_at = ? AND host = ? AND shard = ? AND shards = ?",
+            "UPDATE run SET ended_at = max(started_at, strftime('%Y-%m-%dT%H:%M:%fZ')), seconds = ?, outcome = ?, done = ?,
+               failed = ? WHERE sweep_id = ? AND started_at = ? AND host = ? AND shard = ? AND shards = ?",
         )
+        .bind(key.begun.elapsed().as_secs_f64())
         .bind(outcome)
         .bind(done as i64)
         .bind(failed as i64)

@@ -19,7 +19,7 @@ pub enum Reopen {
 
 impl Store {
     /// Records a sweep and those of its trials that are new. Called again with the same: changes nothing; where recorded
-    /// forces lie elsewhere by now, it learns that.
+    /// forces lie elsewhere by now, it learns that. A damaged spec of a trial is replaced.
     ///
     /// # Errors
     /// `FactsAlone` where trials are here without what they would go on from.
@@ -42,7 +42,7 @@ impl Store {
              AND coalesce(?3, '') IN (SELECT '' UNION ALL SELECT spec FROM trial WHERE hash = ?4)
              AND ?5 = (SELECT count(*) FROM sweep_trial x WHERE x.sweep_id = s.id)
              AND ?5 = (SELECT count(*) FROM json_each(?6) j JOIN trial t ON t.hash = j.value AND t.training IS NOT NULL
-                       JOIN sweep_trial x ON x.trial_id = t.id AND x.sweep_id = s.id)",
+                       JOIN sweep_trial x ON x.trial_id = t.id AND x.sweep_id = s.id AND json_valid(t.spec))",
         )
         .bind(&spec.name)
         .bind(text)

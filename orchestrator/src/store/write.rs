@@ -1,6 +1,7 @@
 //! The writer's methods: attempts, steps with their checkpoints, results.
 
 use std::borrow::Cow;
+use std::time::Instant;
 
 use metasense_schemas::record::{
     Band, BodyEvaluation, CastReading, Checkpoint, Counters, NetworkEvaluation, Seconds, StepRecord,
@@ -9,6 +10,8 @@ use metasense_schemas::record::{
 use metasense_worker::milestones;
 use sqlx::Executor;
 
+use super::digest::{check, digest};
+use super::error::is_no_json;
 use super::{Store, StoreError, npy_bytes, npy_values};
 
 /// The version of this program, as attempts and sweeps record it.
@@ -33,9 +36,13 @@ pub(crate) const RELEASE_ORPHANS: &str = "
         WHERE p.trial_id = a.trial_id AND p.attempt = a.number), a.started_at) WHERE state = 'running';
     UPDATE main.trial SET state = 'pending', reason = 'orchestrator_lost' WHERE state = 'running';";
 
-/// A trial's checkpoint out of its bytes.
-pub(super) fn read_checkpoint(hash: &str, bytes: &[u8]) -> Result<Checkpoint, StoreError> {
-    Checkpoint::from_bytes(bytes).map_err(|error| StoreError::Unreadable {
+/// A trial's checkpoint out of its bytes and their checksum.
+pub(super) fn read_checkpoint(
+    hash: &str,
+    (bytes, checksum): (Vec<u8>, Option<Vec<u8>>),
+) -> Result<Checkpoint, StoreError> {
+    check(hash, "checkpoint", &bytes, &checksum.unwrap_or_default())?;
+    Checkpoint::from_bytes(&bytes).map_err(|error| StoreError::Unreadable {
         hash: hash.to_owned(),
         what: "checkpoint",
         message: error.to_string(),
@@ -66,20 +73,30 @@ impl Store {
         done
     }
 
+    /// Rolls back a batch after an error: nothing of it is recorded.
+    pub async fn drop_batch(&mut self) {
+        if std::mem::take(&mut self.in_batch) {
+            let _ = self.connection.execute("ROLLBACK").await;
+        }
+    }
+
     async fn execute(&mut self, sql: &'static str, doing: &'static str) -> Result<(), StoreError> {
         let done = self.connection.execute(sql).await;
         done.map(|_| ()).map_err(self.at(doing))
     }
 
     /// Where a trial can go on; `None` where it starts anew.
+    ///
+    /// # Errors
+    /// Where SQLite fails, or the checkpoint is damaged or of another program.
     pub async fn checkpoint(&mut self, hash: &str) -> Result<Option<Checkpoint>, StoreError> {
         let id = self.id(hash)?;
-        let bytes: Option<Vec<u8>> = sqlx::query_scalar("SELECT bytes FROM checkpoint WHERE trial_id = ?")
+        let stored = sqlx::query_as("SELECT bytes, digest FROM checkpoint WHERE trial_id = ?")
             .bind(id)
             .fetch_optional(&mut self.connection)
             .await
             .map_err(self.at("reading a checkpoint from"))?;
-        bytes.map(|bytes| read_checkpoint(hash, &bytes)).transpose()
+        stored.map(|stored| read_checkpoint(hash, stored)).transpose()
     }
 
     /// Begins an attempt at a trial and returns its number, from 1.
@@ -103,7 +120,7 @@ impl Store {
             .bind(id)
             .execute(&mut self.connection)
             .await?;
-        sqlx::query_scalar(
+        let number = sqlx::query_scalar(
             "INSERT INTO attempt (trial_id, number, version, started_at, code, revision, rustc, host, cpu, simd, threads)
              SELECT ?1, 1 + coalesce(max(number), 0), ?2, strftime('%Y-%m-%dT%H:%M:%fZ'), ?3, ?4, ?5, ?6, ?7, ?8, ?9
              FROM attempt WHERE trial_id = ?1 RETURNING number",
@@ -118,7 +135,9 @@ impl Store {
         .bind(made.map(|made| &made.simd))
         .bind(made.map(|made| made.threads))
         .fetch_one(&mut self.connection)
-        .await
+        .await?;
+        self.begun.insert((id, number), Instant::now());
+        Ok(number)
     }
 
     /// Records an outer step and the checkpoint behind it, together; of some steps the design stays for good.
@@ -242,10 +261,12 @@ impl Store {
     }
 
     pub(super) async fn insert_checkpoint(&mut self, id: i64, checkpoint: &Checkpoint) -> sqlx::Result<()> {
-        sqlx::query("INSERT OR REPLACE INTO checkpoint (trial_id, step, bytes) VALUES (?, ?, ?)")
+        let bytes = checkpoint.to_bytes();
+        sqlx::query("INSERT OR REPLACE INTO checkpoint (trial_id, step, digest, bytes) VALUES (?, ?, ?, ?)")
             .bind(id)
             .bind(checkpoint.step)
-            .bind(checkpoint.to_bytes())
+            .bind(digest(&bytes))
+            .bind(bytes)
             .execute(&mut self.connection)
             .await?;
         Ok(())
@@ -439,13 +460,16 @@ impl Store {
         shape: &[usize],
         npy: Vec<u8>,
     ) -> sqlx::Result<()> {
-        sqlx::query("INSERT OR REPLACE INTO artifact (trial_id, name, shape, bytes) VALUES (?, ?, ?, ?)")
-            .bind(id)
-            .bind(name)
-            .bind(serde_json::to_string(shape).expect("numbers are JSON"))
-            .bind(npy)
-            .execute(&mut self.connection)
-            .await?;
+        sqlx::query(
+            "INSERT OR REPLACE INTO artifact (trial_id, name, shape, digest, bytes) VALUES (?, ?, ?, ?, ?)",
+        )
+        .bind(id)
+        .bind(name)
+        .bind(serde_json::to_string(shape).expect("numbers are JSON"))
+        .bind(digest(&npy))
+        .bind(npy)
+        .execute(&mut self.connection)
+        .await?;
         Ok(())
     }
 
@@ -504,12 +528,15 @@ impl Store {
         state: &str,
         reason: Option<&str>,
     ) -> sqlx::Result<bool> {
+        let seconds = self.begun.remove(&(id, attempt)).map(|begun| begun.elapsed().as_secs_f64());
         let done = sqlx::query(
-            "UPDATE attempt SET state = ?, reason = ?, ended_at = max(started_at, strftime('%Y-%m-%dT%H:%M:%fZ'))
+            "UPDATE attempt SET state = ?, reason = ?, seconds = ?,
+               ended_at = max(started_at, strftime('%Y-%m-%dT%H:%M:%fZ'))
              WHERE trial_id = ? AND number = ? AND state = 'running'",
         )
         .bind(state)
         .bind(reason)
+        .bind(seconds)
         .bind(id)
         .bind(attempt)
         .execute(&mut self.connection)
@@ -562,9 +589,16 @@ impl Store {
         work: impl AsyncFnOnce(&mut Self, i64) -> sqlx::Result<bool>,
     ) -> Result<(), StoreError> {
         let id = self.id(hash)?;
-        match self.together(doing, async |store| work(store, id).await).await? {
-            true => Ok(()),
-            false => Err(StoreError::Stale { hash: hash.to_owned(), attempt: attempt.into() }),
+        let done = self.together(doing, async |store| work(store, id).await).await;
+        match done {
+            Err(StoreError::Sql { source, .. }) if is_no_json(&source) => Err(StoreError::Unreadable {
+                hash: hash.to_owned(),
+                what: "spec",
+                message: "it is not JSON".into(),
+            }),
+            Err(error) => Err(error),
+            Ok(true) => Ok(()),
+            Ok(false) => Err(StoreError::Stale { hash: hash.to_owned(), attempt: attempt.into() }),
         }
     }
 

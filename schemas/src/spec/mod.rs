@@ -178,6 +178,9 @@ pub struct Run {
     /// Longest time without a sign of life from a worker, which reports every second while it computes. Unit: s. Default: 600.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub no_progress: Option<f64>,
+    /// How long a run waits while another program, for instance a backup, holds a lock on the database. Unit: s. Default: 300.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lock_wait: Option<f64>,
     /// Longest time of one attempt at a trial. Unit: s. Default: no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time_limit: Option<f64>,

@@ -6,7 +6,6 @@
 
 use std::fs::File;
 use std::io;
-use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use metasense_schemas::database::MIGRATIONS;
@@ -116,10 +115,9 @@ impl Input {
     }
 }
 
-/// What tells a file from what it was before: device, inode, size, time of its last change.
+/// What a file is now.
 fn state_of(file: &File) -> io::Result<String> {
-    file.metadata()
-        .map(|m| format!("{} {} {} {}.{:09}", m.dev(), m.ino(), m.size(), m.mtime(), m.mtime_nsec()))
+    file.metadata().map(|m| store::state_of(&m))
 }
 
 /// Whether a file, behind links, is what it was, and nobody has left a log beside it.

@@ -43,7 +43,7 @@ pub async fn page(
         None => html! {},
         Some(Err(Refusal::Asked(why))) => html! { p class="trouble" role="alert" { (why) } },
         Some(Err(refusal)) => return Err(refusal),
-        Some(Ok((table, cut))) => html! {
+        Some(Ok(Answered { table, cut, .. })) => html! {
             p role="status" {
                 (table.rows.len()) " rows" @if let Some(why) = cut { "; not all: " (why) } ". As a file: "
                 a href=(format!("sql.csv{}", query(&[("q", &asked.q)]))) download="answer.csv" { "CSV" } " "
@@ -90,27 +90,39 @@ async fn file(
     format: Format,
     kind: &'static str,
 ) -> Result<Response, Refusal> {
-    let (table, cut) = answer(served, at, sql, FILE).await?;
+    let Answered { table, cut, types } = answer(served, at, sql, FILE).await?;
     if let Some(why) = cut {
         return Err(Refusal::Asked(format!("{why}. For more, use `metasense query`.")));
     }
-    Ok(([(header::CONTENT_TYPE, kind)], table.written(format)).into_response())
+    let file = if format == Format::Parquet { table.parquet(&types) } else { table.written(format) };
+    Ok(([(header::CONTENT_TYPE, kind)], file).into_response())
 }
 
-async fn answer(
-    served: &Served,
-    at: &str,
-    sql: &str,
-    limits: Limits,
-) -> Result<(Table, Option<String>), Refusal> {
+struct Answered {
+    table: Table,
+    /// Why it is not complete.
+    cut: Option<String>,
+    /// Declared types of the columns.
+    types: Vec<String>,
+}
+
+async fn answer(served: &Served, at: &str, sql: &str, limits: Limits) -> Result<Answered, Refusal> {
     let db = file_of(served, at).await?;
-    let _turn = served.questions.acquire().await.expect("it is never closed");
-    let mut reader = Reader::confined(&db).await?;
-    // Whatever becomes of it, others have their turn.
-    let answer = tokio::time::timeout(2 * limits.time, reader.limited(sql, limits)).await;
-    let Ok(answer) = answer else { return Err(Refusal::Asked("the statement took too long".into())) };
-    reader.close().await;
-    Ok(answer?)
+    let turn = Arc::clone(&served.questions).acquire_owned().await.expect("it is never closed");
+    let sql = sql.to_owned();
+    // In a separate task: a statement that nobody waits for any more keeps its permit until SQLite has ended it.
+    let answering = tokio::spawn(async move {
+        let mut reader = Reader::confined(&db).await?;
+        let answer = reader.limited(&sql, limits).await;
+        let types = if answer.is_ok() { reader.types(&sql).await } else { Vec::new() };
+        reader.close().await;
+        drop(turn);
+        answer.map(|(table, cut)| Answered { table, cut, types })
+    });
+    match tokio::time::timeout(2 * limits.time, answering).await {
+        Ok(answered) => Ok(answered.unwrap_or_else(|panic| std::panic::resume_unwind(panic.into_panic()))?),
+        Err(_) => Err(Refusal::Asked("the statement took too long".into())),
+    }
 }
 
 /// The numbers of two columns, one against the other.
@@ -153,21 +165,31 @@ fn plot(asked: &Asked, table: &Table) -> Markup {
     }
 }
 
+/// The columns to select of a view: all of them, but only the length of arrays.
+fn shown(columns: &[String]) -> String {
+    match columns.iter().position(|column| column == "bytes") {
+        Some(at) => {
+            [&columns[..at], &["length(bytes) AS bytes".to_owned()], &columns[at + 1..]].concat().join(", ")
+        }
+        None => "*".into(),
+    }
+}
+
 /// The views that users build on, with their columns.
 async fn views(served: &Served, at: &str) -> Result<Markup, Refusal> {
     let db = file_of(served, at).await?;
     let mut reader = Reader::confined(&db).await?;
     let mut columns = Vec::new();
     for (view, _) in VIEWS {
-        columns.push(reader.columns(&format!("SELECT * FROM {view}")).await?.join(", "));
+        columns.push(reader.columns(&format!("SELECT * FROM {view}")).await?);
     }
     reader.close().await;
     Ok(html! {
         h2 { "Views" }
         dl class="views" {
             @for ((view, what), columns) in VIEWS.iter().zip(&columns) {
-                dt { a href=(query(&[("q", &format!("SELECT * FROM {view} LIMIT 100"))])) { (view) } }
-                dd { "A row is " (lines(what, usize::MAX).join(" ")) ". " span class="quiet" { (columns) } }
+                dt { a href=(query(&[("q", &format!("SELECT {} FROM {view} LIMIT 100", shown(columns)))])) { (view) } }
+                dd { "A row is " (lines(what, usize::MAX).join(" ")) ". " span class="quiet" { (columns.join(", ")) } }
             }
         }
     })

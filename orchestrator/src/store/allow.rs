@@ -1,0 +1,175 @@
+//! The SQLite authorizer for SQL that users enter: statements may only read rows. The command line and the pages share it.
+
+use std::ffi::{CStr, c_char, c_int, c_void};
+
+use libsqlite3_sys as ffi;
+use sqlx::sqlite::SqliteConnection;
+
+/// The temporary view through which [`super::Reader::types`] obtains the types of a result's columns.
+pub(super) const TYPES_VIEW: &str = "metasense_types";
+
+/// Pragmas that describe tables and views.
+const ABOUT_TABLES: [&[u8]; 7] = [
+    b"table_info",
+    b"table_xinfo",
+    b"table_list",
+    b"index_list",
+    b"index_info",
+    b"index_xinfo",
+    b"foreign_key_list",
+];
+
+/// Pragmas that only read when they have no argument.
+const READING: [&[u8]; 9] = [
+    b"application_id",
+    b"compile_options",
+    b"data_version",
+    b"encoding",
+    b"freelist_count",
+    b"function_list",
+    b"page_count",
+    b"page_size",
+    b"user_version",
+];
+
+/// Pragmas that read the whole database in one operation, which cannot be interrupted.
+const ABOUT_ALL: [&[u8]; 2] = [b"integrity_check", b"quick_check"];
+
+/// Which statements a connection accepts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Allowed {
+    /// Statements that read.
+    Reading,
+    /// Statements that read and can be interrupted.
+    Confined,
+    /// Statements that read, and the creation of the temporary view [`TYPES_VIEW`].
+    Describing,
+}
+
+/// Restricts a connection to these statements. It can attach no database.
+pub(super) async fn allow(connection: &mut SqliteConnection, what: Allowed) -> sqlx::Result<()> {
+    let mut handle = connection.lock_handle().await?;
+    let db = handle.as_raw_handle().as_ptr();
+    let callback = match what {
+        Allowed::Reading => reads,
+        Allowed::Confined => reads_a_little,
+        Allowed::Describing => describes,
+    };
+    // SAFETY: the handle is locked and open; the callbacks have no data of their own.
+    unsafe {
+        ffi::sqlite3_limit(db, ffi::SQLITE_LIMIT_ATTACHED, 0);
+        ffi::sqlite3_set_authorizer(db, Some(callback), std::ptr::null_mut());
+    }
+    Ok(())
+}
+
+/// Why a text is not a single statement that reads; `None` if it is. The text is prepared, not run.
+pub(super) async fn refusal(connection: &mut SqliteConnection, sql: &str) -> sqlx::Result<Option<String>> {
+    let mut handle = connection.lock_handle().await?;
+    let db = handle.as_raw_handle().as_ptr();
+    let (mut rest, mut known) = (sql, false);
+    while !rest.is_empty() {
+        let (mut statement, mut tail) = (std::ptr::null_mut(), std::ptr::null());
+        let (start, length) = (rest.as_ptr().cast(), rest.len() as c_int);
+        // SAFETY: the handle is locked and open; the text outlives the call, and the tail points into it or to its end.
+        let failed = unsafe { ffi::sqlite3_prepare_v2(db, start, length, &mut statement, &mut tail) };
+        if ![ffi::SQLITE_OK, ffi::SQLITE_ERROR, ffi::SQLITE_AUTH].contains(&failed) {
+            // the file is at fault; running the statement reports it
+            return Ok(None);
+        }
+        if failed != ffi::SQLITE_OK {
+            // SAFETY: the message is there until the next call.
+            let message = unsafe { CStr::from_ptr(ffi::sqlite3_errmsg(db)) }.to_string_lossy().into_owned();
+            let refused = if failed == ffi::SQLITE_AUTH { NOT_READING } else { "" };
+            return Ok(Some(message + refused));
+        }
+        if !statement.is_null() {
+            // SAFETY: it was just prepared, and is not used again.
+            let reads = unsafe {
+                let reads = ffi::sqlite3_stmt_readonly(statement) != 0;
+                ffi::sqlite3_finalize(statement);
+                reads
+            };
+            if known {
+                return Ok(Some("one statement at a time; more follows the first one's `;`".into()));
+            }
+            if !reads {
+                return Ok(Some(format!("it writes{NOT_READING}")));
+            }
+            known = true;
+        }
+        rest = &rest[tail as usize - rest.as_ptr() as usize..];
+    }
+    Ok(None)
+}
+
+/// End of the messages about statements that are refused.
+pub(super) const NOT_READING: &str = "; only what reads rows is answered";
+
+/// A string from SQLite; empty for a null pointer.
+unsafe fn text<'a>(text: *const c_char) -> &'a [u8] {
+    if text.is_null() {
+        return &[];
+    }
+    // SAFETY: the caller passes a pointer from SQLite: NUL-terminated and valid until the callback returns.
+    unsafe { CStr::from_ptr(text) }.to_bytes()
+}
+
+unsafe extern "C" fn reads(
+    _: *mut c_void,
+    action: c_int,
+    first: *const c_char,
+    second: *const c_char,
+    _: *const c_char,
+    _: *const c_char,
+) -> c_int {
+    // SAFETY: both are SQLite's.
+    let [name, argument] = unsafe { [text(first), text(second)] };
+    let is = |known: &[u8], name: &[u8]| known.eq_ignore_ascii_case(name);
+    let allowed = match action {
+        ffi::SQLITE_SELECT | ffi::SQLITE_READ | ffi::SQLITE_RECURSIVE => true,
+        ffi::SQLITE_FUNCTION => !is(b"load_extension", argument),
+        ffi::SQLITE_PRAGMA => {
+            ABOUT_TABLES.iter().chain(&ABOUT_ALL).any(|known| is(known, name))
+                || second.is_null() && READING.iter().any(|known| is(known, name))
+        }
+        _ => false,
+    };
+    if allowed { ffi::SQLITE_OK } else { ffi::SQLITE_DENY }
+}
+
+unsafe extern "C" fn reads_a_little(
+    data: *mut c_void,
+    action: c_int,
+    first: *const c_char,
+    second: *const c_char,
+    schema: *const c_char,
+    inner: *const c_char,
+) -> c_int {
+    // SAFETY: it is SQLite's.
+    let name = unsafe { text(first) };
+    match action == ffi::SQLITE_PRAGMA && ABOUT_ALL.iter().any(|known| known.eq_ignore_ascii_case(name)) {
+        true => ffi::SQLITE_DENY,
+        // SAFETY: the arguments are SQLite's.
+        false => unsafe { reads(data, action, first, second, schema, inner) },
+    }
+}
+
+unsafe extern "C" fn describes(
+    data: *mut c_void,
+    action: c_int,
+    first: *const c_char,
+    second: *const c_char,
+    schema: *const c_char,
+    inner: *const c_char,
+) -> c_int {
+    // SAFETY: it is SQLite's.
+    let name = unsafe { text(first) };
+    let ours = name == TYPES_VIEW.as_bytes() || name.starts_with(b"sqlite_temp_");
+    match action {
+        ffi::SQLITE_CREATE_TEMP_VIEW | ffi::SQLITE_DROP_TEMP_VIEW if ours => ffi::SQLITE_OK,
+        ffi::SQLITE_INSERT | ffi::SQLITE_UPDATE | ffi::SQLITE_DELETE if ours => ffi::SQLITE_OK,
+        // SAFETY: the arguments are SQLite's.
+        _ => unsafe { reads(data, action, first, second, schema, inner) },
+    }
+}
