@@ -35,8 +35,8 @@ SELECT count(*), sum(state = 'done'), sum(state = 'failed' AND reason NOT IN ('p
     - (SELECT coalesce(sum(t.cost * c.step / json_extract(t.spec, '$.optimise.iterations')), 0)
        FROM checkpoint c JOIN trial t ON t.id = c.trial_id WHERE t.state IN ('pending', 'running')
          AND EXISTS (SELECT 1 FROM attempt a WHERE a.trial_id = t.id AND a.steps > 0)),
-  (SELECT sum(steps) FROM attempt), (SELECT count(*) FROM attempt),
-  (SELECT sum((julianday(coalesce(a.ended_at, 'now')) - julianday(a.started_at)) * 86400)
+  (SELECT sum(steps) FROM attempt WHERE NOT redone), (SELECT count(*) FROM attempt),
+  (SELECT sum(coalesce(a.seconds, (julianday(coalesce(a.ended_at, 'now')) - julianday(a.started_at)) * 86400))
      / nullif(sum(CASE a.state WHEN 'done' THEN t.cost
         ELSE t.cost * a.steps / json_extract(t.spec, '$.optimise.iterations') END), 0)
    FROM attempt a JOIN trial t ON t.id = a.trial_id WHERE a.steps > 0 OR a.state = 'done'),

@@ -69,7 +69,8 @@ impl<'a> Comparison<'a> {
             for (set, body) in Set::ALL.into_iter().flat_map(|set| Body::ALL.map(|body| (set, body))) {
                 add(&format!("{} error", set.name()), json!(body.name()), &|t| t.error(body, set));
             }
-            let seconds = |t: &Trial| Some(t.seconds.iter().map(|s| s.1).sum::<f64>()).filter(|s| *s > 0.0);
+            // which of the trials that share a body trains it is a matter of chance
+            let seconds = |t: &Trial| Some(t.seconds_alone()).filter(|s| *s > 0.0);
             add("CPU seconds", Value::Null, &seconds);
         }
         let columns = "setting quantity body pairs second_less ratio low high over";

@@ -56,11 +56,11 @@ pub enum Question {
     Sizes,
     /// The law L = a (N/N0)^(-b) + c
     Complexity,
-    /// CPU seconds until a test error is reached
+    /// CPU seconds until a test error is reached, as if each trial had trained its body itself
     TimeTo,
-    /// Pareto front of CPU seconds and test error
+    /// Pareto front of CPU seconds and test error, as if each trial had trained its body itself
     Front,
-    /// Where the time went (CPU seconds)
+    /// Where the time of each trial went (CPU seconds as in `v_trial`: a body that trials share counts for the one that trained it)
     Seconds,
 }
 
@@ -572,7 +572,8 @@ fn seconds_table(trials: &[&Trial]) -> Table {
         trainings(trials).iter().flat_map(|(group, ways)| ways.iter().map(move |w| (group, w)))
     {
         let seconds = mean_seconds(&way.trials, &all);
-        rows.push(row![group.label, way.label, seconds.iter().sum::<f64>(); seconds]);
+        let spent = way.trials.iter().map(|trial| trial.spent).sum::<f64>() / way.trials.len() as f64;
+        rows.push(row![group.label, way.label, spent; seconds]);
     }
     let columns = ["setting", "training", "all"].into_iter().chain(all);
     Table { columns: columns.map(str::to_owned).collect(), rows }

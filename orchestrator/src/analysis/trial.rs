@@ -144,9 +144,12 @@ pub struct Trial {
     /// Iterations on the initial over those on the optimised body to equal training loss and to equal holdout error, by
     /// network, from the whole curves.
     pub iterations: [Vec<f64>; 2],
-    /// Seconds and best test error so far (%), at the steps that make it better and at the last one.
+    /// CPU seconds and best test error so far (%), at the steps that improve it and at the last step. Steps that another trial computed
+    /// count, as if this trial had trained its body itself.
     pub history: Vec<(f64, f64)>,
-    /// Seconds by part of the outer loop, and of the evaluation.
+    /// CPU seconds that the trial has cost, as in `v_trial`.
+    pub spent: f64,
+    /// The same by part: of the outer loop, of the evaluation, and other (set-up, repeated and interrupted work).
     pub seconds: Vec<(&'static str, f64)>,
 }
 
@@ -159,6 +162,12 @@ impl Trial {
     /// An error after long training (%), where there is a positive one.
     pub fn long_error(&self, body: Body, set: Set) -> Option<f64> {
         self.long_errors[body as usize][set as usize].filter(|e| e.is_finite() && *e > 0.0)
+    }
+
+    /// CPU seconds of the training and the evaluation, as if this trial had trained its body itself. Comparable between trials.
+    pub fn seconds_alone(&self) -> f64 {
+        let evaluation = self.seconds.iter().find(|part| part.0 == "evaluate").map_or(0.0, |part| part.1);
+        self.history.last().map_or(0.0, |last| last.0) + evaluation
     }
 
     /// Whether it has outer steps: without them what is stored of a trained body is the initial one.

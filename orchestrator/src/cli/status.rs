@@ -263,11 +263,7 @@ const STATES: &str = "WITH of_trial AS (
     SELECT (SELECT group_concat(x.sweep_id) FROM sweep_trial x WHERE x.trial_id = t.id) AS sweeps, t.state,
       CASE WHEN t.state <> 'done' THEN coalesce(t.reason, '') ELSE '' END AS reason,
       count(a.number) AS attempts, sum(CASE WHEN a.redone THEN 0 ELSE a.steps END) AS steps,
-      sum(CASE WHEN NOT a.redone THEN coalesce(a.cpu_seconds,
-        CASE a.state WHEN 'done' THEN coalesce(t.seconds_evaluation, 0) ELSE 0 END
-          + coalesce((SELECT sum(p.seconds_simulate + p.seconds_train + p.seconds_differentiate + p.seconds_implicit
-                                 + p.seconds_project + p.seconds_store)
-                      FROM step p WHERE p.trial_id = t.id AND p.attempt = a.number), 0)) END) AS seconds,
+      (SELECT sum(s.seconds) FROM spent s WHERE s.trial_id = t.id AND NOT s.redone) AS seconds,
       t.holdout_error_initial, t.holdout_error_optimised
     FROM trial t LEFT JOIN attempt a ON a.trial_id = t.id GROUP BY t.id)
   SELECT (SELECT group_concat(name, ', ') FROM

@@ -415,8 +415,8 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
     let key = [("thin", "trial"), ("optimised", "mean of a way of training"), ("front", "Pareto front")];
     let of_many = if sparsest > 1 { format!(" (at most {MOST_LINES} a setting)") } else { String::new() };
     let caption = format!(
-        "Best test error so far of the brain inside the outer loop, against the CPU seconds of the trial's steps (without \
-         the evaluation). Thin: single trials{of_many}. Thick: geometric mean of each way of training. On the Pareto front \
+        "Best test error so far of the brain inside the outer loop, against the CPU seconds of training its body, as if \
+         each trial had trained it itself (without the evaluation). Thin: single trials{of_many}. Thick: geometric mean of each way of training. On the Pareto front \
          no other trial has both less error and less time.{}",
         left_out(settings.len(), MOST_PLOTS)
     );

@@ -13,7 +13,8 @@ use crate::analysis::setting::{Settings, odd};
 use crate::analysis::trial::{CastBrain, CastReading, CurvePoint, Reading, UnderReading};
 use crate::analysis::{Body, Cluster, Set, Terms, Trial};
 use crate::look::{Data, MOST_ROWS, Table};
-use crate::store::{Reader, Row, StoreError, npy_values};
+use crate::store::{Reader, Row, StoreError, check, npy_values};
+use metasense_schemas::reason::{CANCELLED, PRUNED};
 
 /// Parts of an outer step's time, as the columns of `v_step` and in words.
 pub(crate) const PARTS: [(&str, &str); 6] = [
@@ -158,7 +159,8 @@ impl Loader<'_> {
             .await
     }
 
-    /// Steps that make the best error better, and the last one.
+    /// The steps that improve the best error, and the last step, against the CPU time of training the body. Steps that another trial computed
+    /// count, as if each trial had trained its body itself.
     async fn histories(&mut self) -> Result<(), StoreError> {
         let [sum, in_order] =
             [PARTS.map(|(column, _)| column).join(" + "), "PARTITION BY trial_id ORDER BY step".to_owned()];
@@ -179,11 +181,29 @@ impl Loader<'_> {
         .await
     }
 
+    /// The CPU time that each trial has cost, in total and by part. Steps that another trial computed (attempt 0) do not count.
     async fn seconds(&mut self) -> Result<(), StoreError> {
         let sums = PARTS.map(|(column, _)| format!("sum({column}) AS {column}")).join(", ");
-        self.each(&format!("SELECT trial_id, {sums} FROM step GROUP BY trial_id"), |trial, row| {
+        let steps = format!("SELECT trial_id, {sums} FROM step WHERE attempt > 0 GROUP BY trial_id");
+        self.each(&steps, |trial, row| {
             let parts = PARTS.iter().map(|(column, part)| (*part, row.number(column).unwrap_or(0.0)));
             trial.seconds.splice(0..0, parts);
+            Ok(())
+        })
+        .await?;
+        // trials that took over all steps get the parts too, as zeros
+        if self.trials.iter().any(|trial| trial.seconds.len() > 1) {
+            for trial in self.trials.iter_mut().filter(|trial| trial.has_steps() && trial.seconds.len() == 1)
+            {
+                trial.seconds.splice(0..0, PARTS.map(|(_, part)| (part, 0.0)));
+            }
+        }
+        let all = "SELECT trial_id, sum(seconds) AS seconds FROM spent WHERE NOT redone GROUP BY trial_id";
+        self.each(all, |trial, row| {
+            trial.spent = row.number("seconds").unwrap_or(0.0);
+            // the two clocks differ by some hundredths of a second
+            let other = (trial.spent - trial.seconds.iter().map(|part| part.1).sum::<f64>()).max(0.0);
+            trial.seconds.push(("other", other));
             Ok(())
         })
         .await
@@ -197,7 +217,7 @@ impl Loader<'_> {
         compared: bool,
     ) -> Result<(), StoreError> {
         let sql = format!(
-            "SELECT trial_id, name, bytes FROM artifact
+            "SELECT trial_id, name, bytes, digest FROM artifact
              WHERE name BETWEEN '{prefix}' AND '{prefix}~' ORDER BY trial_id, name"
         );
         let mut waiting = Waiting::default();
@@ -206,6 +226,12 @@ impl Loader<'_> {
             let numbered =
                 name.rsplit_once('_').and_then(|(b, n)| Some((body_named(b)?, n.parse::<usize>().ok()?)));
             let Some((body, network)) = numbered else { return Ok(()) };
+            check(
+                &trial.hash,
+                &format!("array {}", row.text("name")),
+                row.bytes("bytes"),
+                row.bytes("digest"),
+            )?;
             let losses = npy_values::<f32>(row.bytes("bytes")).map_err(|e| StoreError::Unreadable {
                 hash: trial.hash.clone(),
                 what: "array",
@@ -387,7 +413,7 @@ async fn states(reader: &mut Reader, odd: &BTreeSet<&str>) -> Result<States, Sto
     let (all, shown) = (reader.columns(&sql).await?, SHOWN.split(',').count());
     let mut data = Data::new(&all);
     let first = Table { columns: all[..shown].to_vec(), rows: Vec::new() };
-    let state = first.column("state");
+    let [state, reason] = ["state", "reason"].map(|name| first.column(name));
     let mut states = States { first, ..States::default() };
     reader
         .each(&sql, |row| {
@@ -395,7 +421,8 @@ async fn states(reader: &mut Reader, odd: &BTreeSet<&str>) -> Result<States, Sto
             data.row(&values);
             states.all += 1;
             states.done += usize::from(values[state] == "done");
-            states.failed += usize::from(values[state] == "failed");
+            let given_up = [PRUNED, CANCELLED].iter().any(|why| values[reason] == *why);
+            states.failed += usize::from(values[state] == "failed" && !given_up);
             if states.first.rows.len() < MOST_ROWS {
                 values.truncate(shown);
                 states.first.rows.push(values);

@@ -54,7 +54,7 @@ pub struct States {
     pub all: usize,
     /// Those that are done.
     pub done: usize,
-    /// Those that have failed.
+    /// Those that have failed, without those that were given up.
     pub failed: usize,
     /// As many as a page shows.
     pub first: Table,

@@ -67,6 +67,7 @@ fn round_errors_lie_between_where_runs_start_and_where_the_best_ends() {
 fn untrained_trials_have_the_parts_of_the_others_in_the_table() {
     let of = |iterations: u64, seconds: &[(&'static str, f64)]| Trial {
         setting: [("optimise.iterations".to_owned(), serde_json::json!(iterations))].into_iter().collect(),
+        spent: seconds.iter().map(|part| part.1).sum(),
         seconds: seconds.to_vec(),
         ..Trial::default()
     };

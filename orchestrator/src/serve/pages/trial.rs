@@ -34,6 +34,8 @@ pub(super) struct Trial {
     /// Facts of `v_trial`.
     pub facts: Table,
     pub steps: Table,
+    /// Number of steps that this trial computed, and their CPU seconds by part.
+    pub time: Table,
     pub networks: Table,
     pub curves: Table,
     pub readings: Table,
@@ -76,9 +78,10 @@ impl Trial {
             [0, 1, 2, 3].map(|i| said.rows[0][i].as_str().unwrap_or_default().to_owned());
         let mut moves: Vec<(u32, Vec<usize>)> = serde_json::from_str(&moves).unwrap_or_default();
         let facts = ask(FACTS, "v_trial", "").await?;
-        let parts = PARTS.map(|(column, _)| column).join(", ");
-        let steps = format!("step, error_test, error_train, gradient_norm, step_length, outcome, {parts}");
-        let steps = ask(&steps, "v_step", "ORDER BY step").await?;
+        let steps = "step, error_test, error_train, gradient_norm, step_length, outcome";
+        let steps = ask(steps, "v_step", "ORDER BY step").await?;
+        let sums = PARTS.map(|(column, _)| format!("sum({column})")).join(", ");
+        let time = ask(&format!("count(*), {sums}"), "v_step", "AND attempt > 0").await?;
         let networks = "body, network, error_train, error_test, error_holdout, iterations, outcome";
         let networks = ask(networks, "v_network", "ORDER BY 1, 2").await?;
         let curves = "body, network, iteration, error_holdout";
@@ -124,6 +127,7 @@ impl Trial {
             spec,
             facts,
             steps,
+            time,
             networks,
             curves,
             readings,
@@ -302,8 +306,7 @@ fn curves_of(trial: &Trial) -> Markup {
     let lines = [("initial", of("initial")), ("optimised", of("optimised"))];
     let axes = ["iteration of the brain", "holdout error (%)"];
     let fresh = curves("A fresh network on each body", axes, &lines);
-    let mut data = trial.steps.clone();
-    data.drop_columns(&PARTS.map(|(column, _)| column));
+    let data = trial.steps.clone();
     html! {
         @if let Some(steps) = steps {
             (Figure::new("steps", "Steps", "Error of the brain that is trained together with the body, after every outer step.", keys, vec![steps], data).html(&[]))
@@ -355,12 +358,15 @@ fn networks(trial: &Trial) -> Markup {
     }
 }
 
+/// CPU time of the steps that this trial computed.
 fn time(trial: &Trial) -> Markup {
-    let sums = PARTS.map(|(column, part)| (part, trial.column(column).iter().map(|p| p.1).sum::<f64>()));
+    let (count, sums) = trial.time.rows[0].split_first().expect("a number of steps, and sums");
+    let sums: Vec<_> =
+        PARTS.iter().zip(sums).map(|(part, sum)| (part.1, sum.as_f64().unwrap_or(0.0))).collect();
     let all: f64 = sums.iter().map(|part| part.1).sum();
     html! {
         @if all > 0.0 {
-            h2 { "Where the time of " (counted(trial.steps.rows.len(), "step")) " went" }
+            h2 { "Where the time of " (counted(count.as_u64().unwrap_or(0) as usize, "step")) " went" }
             table class="parts" {
                 thead { tr { th class="text" { "part" } th { "CPU seconds" } th { "share (%)" } th class="text" {} } }
                 tbody { @for (part, seconds) in sums {
