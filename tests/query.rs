@@ -3,9 +3,13 @@
 use std::io::Read;
 
 use crate::common::{Bench, SPEC, TINY};
+use crate::synthetic;
 use metasense::plan::Plan;
 use metasense::store::Store;
 use metasense_schemas::record::{Checkpoint, StepRecord};
+use parquet::basic::{LogicalType, Type};
+use parquet::file::reader::{FileReader, SerializedFileReader};
+use parquet::schema::types::ColumnDescPtr;
 
 /// A database with the two trials of the spec, both pending.
 async fn database(bench: &Bench) {
@@ -44,6 +48,39 @@ async fn rows_come_in_every_form() {
     for view in ["v_trial", "v_step", "v_curve", "v_attempt", "v_error_time"] {
         assert!(bench.output(&["query", "s.sqlite", "--views"]).contains(view), "{view}");
     }
+}
+
+/// Parquet files of a view have the same types whatever the database contains, also without rows.
+#[tokio::test]
+async fn a_view_has_the_same_types_in_every_file() {
+    let bench = Bench::new();
+    database(&bench).await;
+    let full = bench.path("full.sqlite");
+    tokio::task::spawn_blocking(move || synthetic::write(&full)).await.unwrap();
+    let types = |db: &str, sql: &str| {
+        bench.output(&["query", db, sql, "--format", "parquet", "--out", "rows.parquet"]);
+        let file = std::fs::File::open(bench.path("rows.parquet")).unwrap();
+        let reader = SerializedFileReader::new(file).unwrap();
+        let columns = reader.metadata().file_metadata().schema_descr().columns().to_vec();
+        let of = |column: &ColumnDescPtr| {
+            (column.name().to_owned(), column.physical_type(), column.logical_type_ref().cloned())
+        };
+        columns.iter().map(of).collect::<Vec<_>>()
+    };
+    for view in ["v_trial", "v_step", "v_network", "v_run", "v_cast"] {
+        let all = format!("SELECT * FROM {view}");
+        let expected = types("full.sqlite", &all);
+        assert!(
+            expected.iter().all(|(_, _, logical)| *logical != Some(LogicalType::Unknown)),
+            "{expected:?}"
+        );
+        assert_eq!(types("s.sqlite", &all), expected, "{view}");
+        assert_eq!(types("full.sqlite", &format!("{all} WHERE 0")), expected, "{view}");
+    }
+    let untyped =
+        types("s.sqlite", "SELECT avg(seconds) AS a, CAST(avg(seconds) AS REAL) AS b FROM v_trial WHERE 0");
+    let [(_, _, a), (_, b, _)] = &untyped[..] else { panic!("{untyped:?}") };
+    assert_eq!((a, *b), (&Some(LogicalType::Unknown), Type::DOUBLE));
 }
 
 /// Geometric means, medians and quantiles need no other program.
@@ -134,7 +171,7 @@ async fn one_statement_is_answered_and_none_panics() {
     }
     for format in ["table", "csv", "json", "parquet"] {
         for (sql, why) in
-            [("", "no statement"), (" ;", "no statement"), ("VACUUM INTO 'v.db'", "VACUUM writes")]
+            [("", "no statement"), (" ;", "no statement"), ("VACUUM INTO 'v.db'", "only what reads")]
         {
             let output = bench.metasense(&["query", "s.sqlite", sql, "--format", format]);
             let message = String::from_utf8_lossy(&output.stderr);
@@ -219,6 +256,11 @@ async fn trials_are_taken_out_by_conditions() {
         (&["remove", "s.sqlite", "sensor!=7", "--yes"], "no trial has `sensor`"),
         (&["remove", "s.sqlite", "M", "--yes"], "`M` is not a condition"),
         (&["remove", "s.sqlite", "M<two", "--yes"], "M is a number, `two` is none"),
+        (&["remove", "s.sqlite", "M>", "--yes"], "`M>`"),
+        (&["remove", "s.sqlite", "K!=", "--yes"], "`K!=`"),
+        (&["remove", "s.sqlite", "reason~", "--yes"], "`reason~`"),
+        (&["remove", "s.sqlite", "reason=", "--yes"], "`reason=`"),
+        (&["remove", "s.sqlite", "sensors.search!=rendom", "--yes"], "`sensors.search!=rendom`"),
         (&["remove", "none.sqlite", "M=1", "--yes"], "there is no database none.sqlite"),
     ] {
         let output = bench.metasense(words);
@@ -228,7 +270,7 @@ async fn trials_are_taken_out_by_conditions() {
     assert!(!bench.path("none.sqlite").exists());
     let listed = bench.metasense(&["remove", "s.sqlite", "M=2", "state=done"]);
     assert!(
-        String::from_utf8_lossy(&listed.stderr).contains("1 trial would be removed: --yes"),
+        String::from_utf8_lossy(&listed.stderr).contains("1 trial of 2 would be removed: --yes"),
         "{listed:?}"
     );
     assert_eq!(tables.map(count), whole);

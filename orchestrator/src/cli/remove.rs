@@ -11,7 +11,7 @@ use crate::store::{Store, StoreError};
 
 /// Lists the trials that meet conditions, and takes them out of the database
 ///
-/// Conditions are those of the pages: metasense remove results/x.sqlite state=failed "M<=3" optimise.brain=linear
+/// For instance: metasense remove results/x.sqlite state=failed "M<=3" optimise.brain=linear 'reason=took too long'
 /// Their results, steps, networks and arrays go with them; `run` makes trials of its spec again that are gone. The room is used by
 /// what comes; `sqlite3 DB VACUUM` gives it back.
 #[derive(Debug, clap::Args)]
@@ -19,10 +19,11 @@ pub(super) struct Args {
     /// The database; no run may hold it
     db: PathBuf,
     /// KEY=VALUE, also with != < > <= >= and ~ (contains); all of them hold. KEY is K, M, placement, seed, units, state, reason,
-    /// hash, an error (holdout_initial, holdout_optimised, test_initial, test_optimised), or a path of the spec
+    /// hash, an error (holdout_initial, holdout_optimised, test_initial, test_optimised), or a path of the spec. reason=""
+    /// (with the quotes) means an empty value
     #[arg(required = true, value_name = "CONDITION")]
     conditions: Vec<String>,
-    /// Takes them out; without it they are only listed
+    /// Removes the listed trials; without it they are only listed
     #[arg(long)]
     yes: bool,
     /// The form of the list
@@ -37,18 +38,21 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     // No run may change what is listed before it goes.
     let store = if args.yes { Some(Store::open(&args.db).await?) } else { None };
     let trials = Trials::of(&args.db).await?;
-    let found = trials.chosen(&args.conditions.join(" ")).map_err(Error::Usage)?;
+    let found = trials.chosen(&args.conditions).map_err(Error::Usage)?;
     let cells = ["K", "M", "placement", "seed", "holdout_optimised"];
     let rows = found.iter().map(|trial| {
         let [panels, sensors, placement, seed, error] = cells.map(|key| trial.cell(key));
         row![trial.hash.clone(), trial.state.clone(), panels, sensors, placement, seed, error]
     });
     print_rows(&Table::new("hash state K M placement seed holdout_optimised", rows), args.format)?;
-    if let Some(mut store) = store {
-        store.remove(found.iter().map(|trial| trial.hash.as_str())).await?;
-        store.close().await?;
-    }
     let count = counted(found.len(), "trial");
-    say!("{count} {}", if args.yes { "removed" } else { "would be removed: --yes" });
+    let Some(mut store) = store else {
+        say!("{count} of {} would be removed: --yes", trials.rows.len());
+        return Ok(Exit::Done);
+    };
+    say!("removing {count} of {}", trials.rows.len());
+    store.remove(found.iter().map(|trial| trial.hash.as_str())).await?;
+    store.close().await?;
+    say!("{count} removed");
     Ok(Exit::Done)
 }

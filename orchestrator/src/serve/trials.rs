@@ -2,6 +2,7 @@
 
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -35,7 +36,7 @@ const ROWS: &str = "SELECT t.id, t.hash, t.spec, t.state, coalesce(t.reason, '')
   t.error_initial AS test_initial, t.error_optimised AS test_optimised, t.best_step,
   (SELECT v.steps FROM v_trial v WHERE v.hash = t.hash) AS steps,
   (SELECT count(*) FROM attempt a WHERE a.trial_id = t.id) AS attempts,
-  (SELECT sum(a.cpu_seconds) FROM attempt a WHERE a.trial_id = t.id AND NOT a.redone) AS cpu_seconds, t.cost AS estimate
+  (SELECT sum(s.seconds) FROM spent s WHERE s.trial_id = t.id AND NOT s.redone) AS cpu_seconds, t.cost AS estimate
 FROM trial t";
 
 /// Trials whose rows are asked for in one statement.
@@ -92,17 +93,12 @@ impl Row {
     }
 }
 
-/// A value as terms compare it.
-fn text(value: &Value) -> String {
-    value.as_f64().map_or_else(|| plain(value), |x| x.to_string())
-}
-
 /// Numbers by size, then texts, then nothing.
 fn order(a: &Value, b: &Value) -> Ordering {
     let rank = |value: &Value| if value.is_number() { 0 } else { 1 + u8::from(value.is_null()) };
     match (a.as_f64(), b.as_f64()) {
         (Some(a), Some(b)) => a.total_cmp(&b),
-        _ => rank(a).cmp(&rank(b)).then_with(|| text(a).cmp(&text(b))),
+        _ => rank(a).cmp(&rank(b)).then_with(|| plain(a).cmp(&plain(b))),
     }
 }
 
@@ -229,41 +225,76 @@ pub struct Term {
     key: String,
     relation: &'static str,
     value: String,
-    /// The value, where it is one.
-    number: Option<f64>,
+    /// The value is in quotes. `remove` accepts an empty value only in quotes.
+    quoted: bool,
 }
 
 /// Relations, the longer ones first.
 const RELATIONS: [&str; 7] = ["!=", "<=", ">=", "=", "<", ">", "~"];
 
-/// Terms such as `K=4 M<=3 optimise.brain=linear state!=done hash~3fa`, parted by blanks; all of them hold.
+/// Terms such as `K=4 M<=3 optimise.brain=linear state!=done hash~3fa reason="took too long"`, parted by blanks; all of them hold.
 ///
 /// # Errors
 /// With the term that is none.
 pub fn terms(text: &str) -> Result<Vec<Term>, String> {
-    let term = |word: &str| {
-        let found = RELATIONS.iter().filter_map(|r| Some((word.find(r)?, *r)));
-        let (at, relation) = found.min_by_key(|(at, r)| (*at, std::cmp::Reverse(r.len())))?;
-        let (key, value) = (&word[..at], &word[at + relation.len()..]);
-        let number = value.parse().ok();
-        (!key.is_empty()).then(|| Term { key: key.to_owned(), relation, value: value.to_owned(), number })
-    };
-    let parsed = |word| term(word).ok_or_else(|| format!("`{word}` is not a condition; `M<=3` is one"));
-    text.split_whitespace().map(parsed).collect()
+    let mut in_quotes = false;
+    let parts = text.split(|c: char| {
+        in_quotes ^= c == '"';
+        c.is_whitespace() && !in_quotes
+    });
+    let words: Vec<&str> = parts.filter(|word| !word.is_empty()).collect();
+    words.into_iter().map(Term::new).collect()
 }
 
 impl Term {
+    /// Parses one term. Blanks within the value belong to it.
+    fn new(text: &str) -> Result<Self, String> {
+        let none = || format!("`{text}` is not a condition; `M<=3` is one");
+        let found = RELATIONS.iter().filter_map(|r| Some((text.find(r)?, *r)));
+        let (at, relation) =
+            found.min_by_key(|(at, r)| (*at, std::cmp::Reverse(r.len()))).ok_or_else(none)?;
+        let (key, value) = (text[..at].trim(), text[at + relation.len()..].trim());
+        let bare = value.strip_prefix('"').and_then(|rest| rest.strip_suffix('"'));
+        match key.is_empty() || bare.unwrap_or(value).contains('"') {
+            true => Err(none()),
+            false => Ok(Self {
+                key: key.to_owned(),
+                relation,
+                value: bare.unwrap_or(value).to_owned(),
+                quoted: bare.is_some(),
+            }),
+        }
+    }
+
+    /// The value, where it is a number.
+    fn number(&self) -> Option<f64> {
+        self.value.parse().ok().filter(|x: &f64| x.is_finite() && !self.quoted)
+    }
+
+    fn is_equality(&self) -> bool {
+        ["=", "!="].contains(&self.relation)
+    }
+
+    /// Compares a cell with the value; `None` if they are not comparable.
+    fn order(&self, cell: &Value) -> Option<Ordering> {
+        let whole = cell.as_i64().zip(self.value.parse::<i64>().ok());
+        if let Some((cell, value)) = whole {
+            // exact, because seeds may have more digits than a floating-point number
+            return Some(cell.cmp(&value));
+        }
+        match (cell.as_f64(), self.number()) {
+            (Some(x), Some(value)) => x.partial_cmp(&value),
+            _ if cell.is_null() && !self.is_equality() => None,
+            _ => Some(plain(cell).as_str().cmp(&self.value)),
+        }
+    }
+
     fn holds(&self, row: &Row) -> bool {
         let cell = row.cell(&self.key);
         if self.relation == "~" {
-            return text(&cell).contains(&self.value);
+            return plain(&cell).contains(&self.value);
         }
-        let order = match (cell.as_f64(), self.number) {
-            (Some(x), Some(value)) => x.partial_cmp(&value),
-            _ if cell.is_null() && !matches!(self.relation, "=" | "!=") => None,
-            _ => Some(text(&cell).cmp(&self.value)),
-        };
-        let Some(order) = order else { return false };
+        let Some(order) = self.order(&cell) else { return false };
         match self.relation {
             "=" => order.is_eq(),
             "!=" => order.is_ne(),
@@ -272,6 +303,13 @@ impl Term {
             "<=" => order.is_le(),
             _ => order.is_ge(),
         }
+    }
+}
+
+impl fmt::Display for Term {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let quote = if self.quoted { "\"" } else { "" };
+        write!(f, "{}{}{quote}{}{quote}", self.key, self.relation, self.value)
     }
 }
 
@@ -284,17 +322,34 @@ impl Trials {
         Reader::asked(db, async |reader| Keeper::default().look(reader).await).await
     }
 
-    /// Those that meet all terms of a text, as planned.
+    /// The trials that meet all conditions, in planned order. Conditions that would hold of all trials by mistake are refused: an empty value
+    /// without quotes, and `!=` with a value that no trial has.
     ///
     /// # Errors
-    /// With the term that is none, or whose key no trial has: a misspelt one must not be one that differs from everything.
-    pub fn chosen(&self, text: &str) -> Result<Vec<&Arc<Row>>, String> {
-        Ok(self.found(&self.sound(text)?, ""))
+    /// The condition that is refused, and why.
+    pub fn chosen(&self, conditions: &[String]) -> Result<Vec<&Arc<Row>>, String> {
+        let terms = conditions.iter().map(|text| Term::new(text)).collect::<Result<Vec<_>, _>>()?;
+        self.check(&terms)?;
+        for term in &terms {
+            if term.value.is_empty() && !term.quoted {
+                let (key, relation) = (&term.key, term.relation);
+                return Err(format!("`{term}`: no value is named; {key}{relation}\"\" means an empty one"));
+            }
+            let named =
+                || self.rows.iter().any(|row| term.order(&row.cell(&term.key)) == Some(Ordering::Equal));
+            if term.relation == "!=" && !self.rows.is_empty() && !named() {
+                let key = &term.key;
+                return Err(format!(
+                    "`{term}`: no trial has this {key}, so that it would hold of every trial"
+                ));
+            }
+        }
+        Ok(self.found(&terms, ""))
     }
 
-    /// Conditions that mean something here.
-    fn sound(&self, text: &str) -> Result<Vec<Term>, String> {
-        let terms = terms(text)?;
+    /// Refuses unknown keys and comparisons of different types: a misspelt key differs from every value, and as texts all numbers are less
+    /// than `M<two`.
+    fn check(&self, terms: &[Term]) -> Result<(), String> {
         let has = |key: &str| key == "reason" || self.rows.iter().any(|row| !row.cell(key).is_null());
         if let Some(term) = terms.iter().find(|term| !self.rows.is_empty() && !has(&term.key)) {
             let columns = NUMBERS.map(|(name, _)| name).join(", ");
@@ -303,36 +358,40 @@ impl Trials {
                 "no trial has `{key}`: it is no path of a spec here, and no column (hash, state, reason, {columns})"
             ));
         }
-        self.all_comparable(&terms).map(|()| terms)
+        terms.iter().try_for_each(|term| self.is_comparable(term))
     }
 
-    /// A number is not compared with what is none: `M<3,5` would hold of anything. A state is one that there is.
-    fn all_comparable(&self, terms: &[Term]) -> Result<(), String> {
-        let numeric = |key: &str| {
-            let cells = self.rows.iter().map(|row| row.cell(key)).filter(|cell| !cell.is_null());
-            let cells: Vec<Value> = cells.collect();
-            !cells.is_empty() && cells.iter().all(Value::is_number)
-        };
-        let equals = |term: &&Term| ["=", "!="].contains(&term.relation);
-        if let Some(Term { value, .. }) =
-            terms.iter().find(|t| t.key == "state" && equals(t) && !STATES.contains(&t.value.as_str()))
-        {
+    fn is_comparable(&self, term: &Term) -> Result<(), String> {
+        let (key, value) = (&term.key, &term.value);
+        if key == "state" && term.is_equality() && !STATES.contains(&value.as_str()) {
             return Err(format!("no trial can be `{value}`: state is {}", STATES.join(", ")));
         }
-        let wrong = |term: &&Term| {
-            term.relation != "~" && term.number.is_none() && !term.value.is_empty() && numeric(&term.key)
-        };
-        match terms.iter().find(wrong) {
-            Some(Term { key, relation, value, .. }) => {
-                Err(format!("`{key}{relation}{value}`: {key} is a number, `{value}` is none"))
+        let cells: Vec<Value> =
+            self.rows.iter().map(|row| row.cell(key)).filter(|cell| !cell.is_null()).collect();
+        let numbers = !cells.is_empty() && cells.iter().all(Value::is_number);
+        match term.relation {
+            "~" if value.is_empty() => {
+                Err(format!("`{term}`: every text contains an empty one; name a part"))
             }
-            None => Ok(()),
+            "~" if numbers => {
+                Err(format!("`{term}`: {key} is a number, in which ~ finds no text; compare it"))
+            }
+            "=" | "!=" if value.is_empty() => Ok(()),
+            "~" => Ok(()),
+            _ if numbers && term.number().is_none() => {
+                Err(format!("`{term}`: {key} is a number, `{value}` is none"))
+            }
+            "=" | "!=" => Ok(()),
+            _ if !numbers && !cells.is_empty() => {
+                Err(format!("`{term}`: {key} is not a number in all trials; =, != and ~ compare texts"))
+            }
+            _ => Ok(()),
         }
     }
 
     /// Those that meet the terms of a text, sorted by a key; none, and what is wrong, where it holds something else.
     pub fn asked(&self, text: &str, sort: &str) -> (Vec<&Arc<Row>>, Option<String>) {
-        match self.sound(text) {
+        match terms(text).and_then(|terms| self.check(&terms).map(|()| terms)) {
             Ok(terms) => (self.found(&terms, sort), None),
             Err(wrong) => (Vec::new(), Some(wrong)),
         }

@@ -55,21 +55,80 @@ fn terms_choose_and_keys_sort() {
     ] {
         assert_eq!(found(text, sort), expected, "{text} {sort}");
     }
-    assert!(terms("M").is_err() && terms("=3").is_err());
+    assert!(terms("M").is_err() && terms("=3").is_err() && terms("reason=\"took").is_err());
 }
 
 /// What is compared with a number is one: as texts all numbers are less than `two`.
 #[test]
 fn numbers_are_compared_with_numbers() {
     let trials = trials();
-    for text in ["M<two", "M!=one", "holdout_optimised>20%", "x<1,5"] {
-        let wrong = trials.chosen(text).unwrap_err();
-        assert!(wrong.contains("is a number, `"), "{text}: {wrong}");
+    for text in [
+        "M<two",
+        "M!=one",
+        "holdout_optimised>20%",
+        "x<1,5",
+        "M<=nan",
+        "M>-inf",
+        "M>=",
+        "M~1",
+        "hash>1",
+        "hash~",
+    ] {
+        let wrong = trials.chosen(&[text.to_owned()]).unwrap_err();
+        assert!(wrong.contains(text), "{text}: {wrong}");
         assert_eq!(trials.asked(text, "").1, Some(wrong), "{text}");
     }
-    let wrong = trials.chosen("state!=doen").unwrap_err();
+    let wrong = trials.asked("state!=doen", "").1.unwrap();
     assert_eq!(wrong, "no trial can be `doen`: state is pending, running, done, failed");
-    for text in ["M<2.5", "M~1", "x=", "state=done", "state~do", "optimise.brain<d", "reason!=7x"] {
-        assert!(trials.chosen(text).is_ok() && trials.asked(text, "").1.is_none(), "{text}");
+    for text in ["M<2.5", "x=", "state=done", "state~do", "optimise.brain=linear", "reason!=7x", "reason="] {
+        assert!(trials.asked(text, "").1.is_none(), "{text}");
+    }
+}
+
+/// Whole numbers are compared exactly.
+#[test]
+fn large_seeds_differ_by_one() {
+    let mut settings = Settings::default();
+    let row = |seed: i64| Row {
+        hash: seed.to_string(),
+        state: "done".into(),
+        reason: String::new(),
+        numbers: [f64::NAN; NUMBERS.len()],
+        setting: settings.of(&json!({"body": {"design": {"random": seed}}})),
+    };
+    let rows = [9_007_199_254_740_992, 9_007_199_254_740_993].map(row).map(Arc::new).to_vec();
+    let trials = Trials { rows, ..Trials::default() };
+    let found = trials.chosen(&["body.design.random=9007199254740993".into()]).unwrap();
+    assert_eq!(found.iter().map(|row| row.hash.as_str()).collect::<Vec<_>>(), ["9007199254740993"]);
+}
+
+/// Conditions that would select all trials by mistake are refused.
+#[test]
+fn nothing_is_chosen_by_accident() {
+    let trials = trials();
+    for text in [
+        "M>",
+        "M>=",
+        "K!=",
+        "M=",
+        "reason~",
+        "hash~",
+        "hash!=",
+        "reason=",
+        "reason!=",
+        "optimise.brain!=lineer",
+        "M!=7",
+    ] {
+        assert!(trials.chosen(&[text.to_owned()]).is_err(), "{text}");
+    }
+    for (text, count) in [
+        ("reason=\"\"", 4),
+        ("holdout_optimised=\"\"", 2),
+        ("optimise.brain!=linear", 2),
+        ("M != 2", 3),
+        ("reason=took too long", 0),
+        ("reason=\"took too long\"", 0),
+    ] {
+        assert_eq!(trials.chosen(&[text.to_owned()]).map(|found| found.len()), Ok(count), "{text}");
     }
 }
