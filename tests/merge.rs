@@ -251,7 +251,7 @@ fn what_disagrees_or_is_left_out_is_listed() {
     let found: Vec<_> =
         summary.findings.iter().map(|f| (f.kind, &f.hash, f.other.clone(), f.what.as_str())).collect();
     let hash = |i: usize| &s.trials[i].hash;
-    let bits = "error_initial error_optimised alpha_initial alpha_optimised forces";
+    let bits = "error_initial error_optimised alpha_initial alpha_optimised forces network";
     let mut expected = vec![
         (Kind::Bits, hash(3), file(4), bits),
         (Kind::Outcome, hash(1), file(5), "failed there (non_finite), done here"),
@@ -710,4 +710,82 @@ async fn a_trial_that_is_cancelled_while_it_waits_is_so_in_the_result() {
     let mut reader = Reader::open(&out).await.unwrap();
     assert_eq!(reader.query::<metasense::look::Table>(&states).await.unwrap().rows, [["failed cancelled"]]);
     reader.close().await;
+}
+
+/// Changes in one of two copies of a run are named, whichever file comes first. If the checksums tell which copy is damaged, the other is kept.
+#[tokio::test]
+async fn copies_of_one_run_that_differ_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let plan = plan("s");
+    let lives = [(0, Life::Done(5.0, "avx2")), (3, Life::Steps(2))];
+    database(&at("whole.sqlite"), &plan, 1, &lives).await;
+    let [done, open] = [0, 3].map(|order: usize| plan.trials[order].hash.clone());
+    let zeroed = "bytes = zeroblob(length(bytes))";
+    let of_done = "WHERE state = 'done'";
+    let bits = |what| vec![(Kind::Bits, what)];
+    let forces = vec![(Kind::Damaged, "forces"), (Kind::Bits, "forces")];
+    for (sql, hash, expected, whole_is_kept) in [
+        (
+            format!("UPDATE trial SET holdout_error_optimised = 99 {of_done}"),
+            &done,
+            bits("holdout_error_optimised"),
+            false,
+        ),
+        ("UPDATE trial SET result = json_set(result, '$.best_step', 7)".into(), &done, bits("result"), false),
+        ("UPDATE network SET error_test = 99".into(), &done, bits("network"), false),
+        (
+            format!(
+                "UPDATE step SET loss_test = 99 WHERE step = 1 AND trial_id = (SELECT id FROM trial {of_done})"
+            ),
+            &done,
+            bits("step"),
+            false,
+        ),
+        (
+            format!("UPDATE trial SET spec = json_set(spec, '$.point.seed', 9) {of_done}"),
+            &done,
+            bits("spec"),
+            false,
+        ),
+        (format!("UPDATE artifact SET {zeroed} WHERE name = 'forces'"), &done, forces, true),
+        (format!("UPDATE checkpoint SET {zeroed}"), &open, vec![(Kind::Damaged, "checkpoint")], true),
+    ] {
+        for changed in ["a.sqlite", "z.sqlite"] {
+            std::fs::copy(at("whole.sqlite"), at(changed)).unwrap();
+            let options = SqliteConnectOptions::new().filename(at(changed)).foreign_keys(false);
+            let mut disk = options.disable_statement_logging().connect().await.unwrap();
+            sqlx::raw_sql(sqlx::AssertSqlSafe(sql.clone())).execute(&mut disk).await.unwrap();
+            disk.close().await.unwrap();
+            let summary =
+                merge(Extent::Whole, &[at("whole.sqlite"), at(changed)], &at("out.sqlite")).await.unwrap();
+            let found: Vec<_> = summary.findings.iter().map(|f| (f.kind, f.what.as_str())).collect();
+            assert_eq!(found, expected, "{sql} in {changed}: {:?}", summary.findings);
+            for finding in &summary.findings {
+                assert_eq!(&finding.hash, hash, "{sql}");
+                let files = [finding.kept.clone(), finding.other.clone()];
+                assert!(!whole_is_kept || files == [at("whole.sqlite"), at(changed)], "{sql}: {files:?}");
+            }
+            if whole_is_kept {
+                let mut store = Store::open(at("out.sqlite")).await.unwrap();
+                store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await.unwrap();
+                assert_eq!(store.checkpoint(&open).await.unwrap().map(|c| c.step), Some(2), "{sql}");
+                store.close().await.unwrap();
+            }
+            std::fs::remove_file(at("out.sqlite")).unwrap();
+            std::fs::remove_file(at(changed)).unwrap();
+        }
+    }
+    // the paths of recorded forces are not compared
+    for name in ["p", "q"] {
+        std::fs::copy(at("whole.sqlite"), at(name)).unwrap();
+        let options = SqliteConnectOptions::new().filename(at(name)).disable_statement_logging();
+        let mut disk = options.connect().await.unwrap();
+        let recorded = format!("json('{{\"files\": [\"{name}\"]}}')");
+        let sql = format!("UPDATE trial SET spec = json_set(spec, '$.stimuli.recorded', {recorded})");
+        sqlx::raw_sql(sqlx::AssertSqlSafe(sql)).execute(&mut disk).await.unwrap();
+        disk.close().await.unwrap();
+    }
+    let summary = merge(Extent::Whole, &[at("p"), at("q")], &at("out.sqlite")).await.unwrap();
+    assert_eq!((summary.findings, summary.covered), (vec![], 2));
 }

@@ -13,7 +13,8 @@ use crate::plan::counted;
 /// Merges databases into one
 ///
 /// The rows do not depend on the order of the files, nor on how often they are merged. Of each trial the most advanced copy is
-/// kept. Disagreements and omissions are listed; results are compared bit by bit between runs of the same instruction set.
+/// kept; of equally advanced copies one that is not damaged. Damage, disagreements and omissions are listed. Two copies of a trial are
+/// compared bit by bit if they are of the same run or the same instruction set.
 /// Inputs are not changed, and those that FILE holds already are not read again; `run SPEC --db FILE` runs what is missing.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
@@ -65,7 +66,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         );
     }
     say!("database: {}", args.out.display());
-    let disagrees = summary.findings.iter().any(|f| f.kind == Kind::Bits);
+    let disagrees = summary.findings.iter().any(|f| [Kind::Damaged, Kind::Bits].contains(&f.kind));
     Ok(if disagrees || !summary.refused.is_empty() { Exit::Failed } else { Exit::Done })
 }
 

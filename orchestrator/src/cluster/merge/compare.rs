@@ -3,11 +3,11 @@
 use std::collections::{BTreeMap, HashSet};
 use std::path::PathBuf;
 
-use sqlx::AssertSqlSafe;
-use sqlx::sqlite::SqliteConnection;
+use sqlx::sqlite::{SqliteConnection, SqliteRow};
+use sqlx::{AssertSqlSafe, Row};
 
-use super::Summary;
 use super::input::Input;
+use super::{Summary, copy};
 use crate::cluster::Shard;
 
 /// What is to be said of a copy that was not kept.
@@ -28,6 +28,8 @@ pub struct Finding {
 /// Kinds of findings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Kind {
+    /// Checkpoints or arrays whose checksums do not match.
+    Damaged,
     /// One instruction set, one trial, other bits.
     Bits,
     /// Done in one, given up in the other.
@@ -41,6 +43,7 @@ impl Kind {
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
+            Self::Damaged => "damaged",
             Self::Bits => "bits differ",
             Self::Outcome => "outcomes differ",
             Self::LeftOut => "left out",
@@ -49,8 +52,7 @@ impl Kind {
 }
 
 /// Columns of a result that are equal to the bit between runs of one instruction set.
-const COMPARED: [&str; 9] = [
-    "spec",
+const COMPARED: [&str; 8] = [
     "error_initial",
     "error_optimised",
     "train_error_initial",
@@ -61,9 +63,69 @@ const COMPARED: [&str; 9] = [
     "solver",
 ];
 
-/// Hash, whose copy is kept, state and reason here and there, one instruction set, all of it in the kept one, attempts,
-/// steps, columns that differ, number here and there.
-type Copied = (String, i64, String, String, String, String, bool, bool, i64, i64, String, i64, i64);
+/// Further columns that are equal in two copies of one run.
+const OF_ONE_RUN: [&str; 3] = ["result", "seconds_evaluation", "finished_at"];
+
+/// Whether two specs differ in anything but the paths of recorded forces.
+const SPECS_DIFFER: &str = "CASE WHEN json_valid(o.spec) AND json_valid(m.spec)
+    THEN json_remove(o.spec, '$.stimuli.recorded.files') <> json_remove(m.spec, '$.stimuli.recorded.files') ELSE o.spec <> m.spec END";
+
+/// A copy that was not kept, compared with the kept one.
+struct Copied {
+    hash: String,
+    /// The input of the kept one.
+    kept: i64,
+    state: String,
+    kept_state: String,
+    reason: String,
+    kept_reason: String,
+    one_simd: bool,
+    /// All its attempts are in the kept copy: both are of the same run.
+    contained: bool,
+    /// The kept copy was computed again by other code since.
+    redone: bool,
+    attempts: i64,
+    steps: i64,
+    /// Numbers of the trial here and there.
+    old: i64,
+    new: i64,
+}
+
+impl Copied {
+    fn of(row: &SqliteRow) -> sqlx::Result<Self> {
+        Ok(Self {
+            hash: row.try_get("hash")?,
+            kept: row.try_get("kept")?,
+            state: row.try_get("state")?,
+            kept_state: row.try_get("kept_state")?,
+            reason: row.try_get("reason")?,
+            kept_reason: row.try_get("kept_reason")?,
+            one_simd: row.try_get("one_simd")?,
+            contained: row.try_get("contained")?,
+            redone: row.try_get("redone")?,
+            attempts: row.try_get("attempts")?,
+            steps: row.try_get("steps")?,
+            old: row.try_get("old")?,
+            new: row.try_get("new")?,
+        })
+    }
+}
+
+/// Lists the damaged checkpoints and arrays of all inputs.
+pub(super) async fn damaged(
+    out: &mut SqliteConnection,
+    inputs: &[Input],
+    summary: &mut Summary,
+) -> sqlx::Result<()> {
+    let sql = "SELECT c.hash, c.input, k.input, group_concat(d.what, ' ' ORDER BY d.what) FROM temp.damage d
+         JOIN temp.candidate c ON c.input = d.input AND c.old = d.old JOIN temp.kept k ON k.hash = c.hash GROUP BY d.input, d.old";
+    let rows: Vec<(String, i64, i64, String)> = sqlx::query_as(sql).fetch_all(out).await?;
+    for (hash, input, kept, what) in rows {
+        let [other, kept] = [input, kept].map(|i| inputs[i as usize].named.clone());
+        summary.findings.push(Finding { kind: Kind::Damaged, hash, kept, other, what });
+    }
+    Ok(())
+}
 
 /// Inputs with copies of tried trials that were not kept.
 pub(super) async fn losers(out: &mut SqliteConnection) -> sqlx::Result<HashSet<usize>> {
@@ -83,36 +145,30 @@ pub(super) async fn compare(
     inputs: &[Input],
     summary: &mut Summary,
 ) -> sqlx::Result<()> {
-    let differs =
-        COMPARED.map(|c| format!("CASE WHEN o.{c} IS NOT m.{c} THEN '{c} ' ELSE '' END")).join(" || ");
-    let sql = format!(
-        "SELECT c.hash, k.input, o.state, m.state, coalesce(o.reason, ''), coalesce(m.reason, ''), o.simd IS m.simd,
+    let sql = "SELECT c.hash, k.input AS kept, o.state, m.state AS kept_state, coalesce(o.reason, '') AS reason,
+           coalesce(m.reason, '') AS kept_reason, o.simd IS m.simd AS one_simd,
            NOT EXISTS (SELECT 1 FROM src.attempt a WHERE a.trial_id = c.old AND NOT EXISTS
              (SELECT 1 FROM main.attempt b
-              WHERE b.trial_id = k.new AND b.number = a.number AND b.started_at = a.started_at)),
-           c.attempts, (SELECT count(*) FROM src.step p WHERE p.trial_id = c.old), {differs}, c.old, k.new
+              WHERE b.trial_id = k.new AND b.number = a.number AND b.started_at = a.started_at)) AS contained,
+           (SELECT coalesce(sum(redone), 0) FROM main.attempt b WHERE b.trial_id = k.new) > c.redone AS redone,
+           c.attempts, (SELECT count(*) FROM src.step p WHERE p.trial_id = c.old) AS steps, c.old, k.new
          FROM temp.candidate c JOIN temp.kept k ON k.hash = c.hash
          JOIN src.trial o ON o.id = c.old JOIN main.trial m ON m.id = k.new
-         WHERE c.input = ? AND c.attempts > 0 AND (c.input <> k.input OR c.old <> k.old)"
-    );
-    // Names of our own schema only.
-    let rows: Vec<Copied> =
-        sqlx::query_as(AssertSqlSafe(sql)).bind(input as i64).fetch_all(&mut *out).await?;
-    for row in rows {
-        let (hash, kept, state, kept_state, reason, kept_reason, one_simd, contained, ..) = row;
-        let (.., attempts, steps, mut differing, old, new) = row;
+         WHERE c.input = ? AND c.attempts > 0 AND (c.input <> k.input OR c.old <> k.old)";
+    let rows = sqlx::query(sql).bind(input as i64).fetch_all(&mut *out).await?;
+    for copied in rows.iter().map(Copied::of) {
+        let copied = copied?;
+        let Copied { hash, kept, state, kept_state, reason, kept_reason, attempts, steps, .. } = &copied;
         let mut finding = |kind, what| {
-            let kept = inputs[kept as usize].named.clone();
-            let other = inputs[input].named.clone();
+            let (kept, other) = (inputs[*kept as usize].named.clone(), inputs[input].named.clone());
             summary.findings.push(Finding { kind, hash: hash.clone(), kept, other, what });
         };
         match (state.as_str(), kept_state.as_str()) {
-            // The same run, kept in a later state.
-            _ if contained => summary.covered += 1,
-            ("done", "done") if !one_simd => summary.not_compared += 1,
-            ("done", "done") => {
-                differing += &arrays(out, old, new).await?;
-                match differing.trim_end() {
+            _ if copied.contained && copied.redone => summary.covered += 1,
+            ("done", "done") if !copied.one_simd && !copied.contained => summary.not_compared += 1,
+            // The same run, kept in a later state; or two that come to the same bits.
+            (_, kept_state) if copied.contained || state == "done" && kept_state == "done" => {
+                match differing(out, &copied).await?.as_str() {
                     "" => summary.covered += 1,
                     names => finding(Kind::Bits, names.to_owned()),
                 }
@@ -128,17 +184,58 @@ pub(super) async fn compare(
     Ok(())
 }
 
-/// Names of the arrays that two copies of a trial have and that are not equal. Other versions keep others.
-async fn arrays(out: &mut SqliteConnection, other: i64, kept: i64) -> sqlx::Result<String> {
-    let names: Vec<String> = sqlx::query_scalar(
-        "SELECT o.name FROM src.artifact o JOIN main.artifact m ON m.trial_id = ?2 AND m.name = o.name
-         WHERE o.trial_id = ?1 AND o.bytes <> m.bytes ORDER BY 1",
-    )
-    .bind(other)
-    .bind(kept)
-    .fetch_all(out)
-    .await?;
-    Ok(names.join(" "))
+/// Names of the result columns, arrays and tables in which two copies of a trial differ. Rows that only one copy has are ignored, because
+/// versions store different arrays.
+async fn differing(out: &mut SqliteConnection, copied: &Copied) -> sqlx::Result<String> {
+    let mut differ = vec![format!("CASE WHEN {SPECS_DIFFER} THEN 'spec ' ELSE '' END")];
+    if copied.state == copied.kept_state {
+        let own = if copied.contained { &OF_ONE_RUN[..] } else { &[] };
+        let columns = COMPARED.iter().chain(own);
+        differ.extend(columns.map(|c| format!("CASE WHEN o.{c} IS NOT m.{c} THEN '{c} ' ELSE '' END")));
+    }
+    let trial = format!(
+        "SELECT {} FROM src.trial o, main.trial m WHERE o.id = ?1 AND m.id = ?2",
+        differ.join(" || ")
+    );
+    let mut asked = vec![trial];
+    for (table, _) in copy::tables_of_trials(out).await? {
+        let Some((keys, numbers)) = numbers_of(out, &table).await? else { continue };
+        // a step that was repeated belongs to another attempt
+        let attempt = if table == "step" && copied.contained { "AND o.attempt = m.attempt" } else { "" };
+        let named = if table == "artifact" { "o.name" } else { &format!("'{table}'") };
+        asked.push(format!(
+            "SELECT coalesce(group_concat(name, ' '), '') FROM (SELECT DISTINCT {named} AS name
+             FROM src.{table} o JOIN main.{table} m ON {keys} {attempt}
+             WHERE o.trial_id = ?1 AND m.trial_id = ?2 AND ({numbers}) ORDER BY 1)"
+        ));
+    }
+    let mut names = String::new();
+    for sql in asked {
+        // Names of our own schema only.
+        let query = sqlx::query_scalar::<_, String>(AssertSqlSafe(sql)).bind(copied.old).bind(copied.new);
+        names += &query.fetch_one(&mut *out).await?;
+        names += " ";
+    }
+    Ok(names.split_whitespace().collect::<Vec<_>>().join(" "))
+}
+
+/// SQL conditions for a table of trials: which rows of two copies correspond, and whether two rows differ in a number or in bytes. Times are
+/// not compared. `None` for tables without such columns.
+async fn numbers_of(out: &mut SqliteConnection, table: &str) -> sqlx::Result<Option<(String, String)>> {
+    if ["trial", "attempt", "checkpoint", "log", "elsewhere"].contains(&table) {
+        return Ok(None);
+    }
+    let sql = "SELECT name, pk, type FROM pragma_table_info(?, 'main') WHERE name <> 'trial_id'";
+    let columns: Vec<(String, i64, String)> = sqlx::query_as(sql).bind(table).fetch_all(out).await?;
+    let keys = columns.iter().filter(|column| column.1 > 0);
+    let compared = columns.iter().filter(|(name, key, kind)| {
+        *key == 0 && (kind == "REAL" && !name.starts_with("seconds") || kind == "BLOB" && name == "bytes")
+    });
+    let join = |names: Vec<String>, with: &str| names.join(with);
+    let keys = join(keys.map(|(name, ..)| format!("o.\"{name}\" = m.\"{name}\"")).collect(), " AND ");
+    let compared =
+        join(compared.map(|(name, ..)| format!("o.\"{name}\" IS NOT m.\"{name}\"")).collect(), " OR ");
+    Ok(Some((keys, compared)).filter(|(_, compared)| !compared.is_empty()))
 }
 
 /// Shards of which no database has a run; none once a run of the whole sweep has completed it.

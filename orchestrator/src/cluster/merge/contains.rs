@@ -14,17 +14,21 @@ const PAIRS: &str = "
     CREATE TEMP TABLE sweeps AS SELECT s.id AS old, m.id AS new
       FROM src.sweep s LEFT JOIN main.sweep m ON m.name = s.name AND m.text = s.text";
 
-/// What of it the whole lacks. A trial may have gone on there: its attempts are then all there, and its checkpoint is at least
-/// as far.
+/// What of it the whole lacks. A trial may have gone on there: its attempts are then all there, and its checkpoint is farther, and
+/// not damaged.
 const LACKING: [&str; 5] = [
     "SELECT 1 FROM temp.pair WHERE new IS NULL UNION ALL SELECT 1 FROM temp.sweeps WHERE new IS NULL",
     "SELECT 1 FROM temp.pair p JOIN src.trial s ON s.id = p.old JOIN main.trial m ON m.id = p.new
-     WHERE s.spec <> m.spec OR s.state = 'done' AND (m.state, m.finished_at, m.result) IS NOT (s.state, s.finished_at, s.result)",
+     WHERE s.spec <> m.spec OR s.state = 'done' AND (m.state, m.finished_at, m.result, m.best_step, m.error_initial, m.error_optimised,
+         m.train_error_initial, m.train_error_optimised, m.holdout_error_initial, m.holdout_error_optimised)
+       IS NOT (s.state, s.finished_at, s.result, s.best_step, s.error_initial, s.error_optimised,
+         s.train_error_initial, s.train_error_optimised, s.holdout_error_initial, s.holdout_error_optimised)",
     "SELECT 1 FROM src.attempt s JOIN temp.pair p ON p.old = s.trial_id WHERE NOT EXISTS (SELECT 1 FROM main.attempt m
        WHERE m.trial_id = p.new AND m.number = s.number AND m.started_at = s.started_at AND m.steps >= s.steps)",
     "SELECT 1 FROM src.checkpoint s JOIN temp.pair p ON p.old = s.trial_id JOIN main.trial t ON t.id = p.new
      WHERE t.state <> 'done' AND NOT EXISTS (SELECT 1 FROM main.checkpoint m WHERE m.trial_id = p.new
-       AND (m.step << 32) + length(m.bytes) >= (s.step << 32) + length(s.bytes))",
+       AND (m.digest IS NULL OR m.digest = blake3(m.bytes))
+       AND (m.bytes = s.bytes OR (m.step << 32) + length(m.bytes) > (s.step << 32) + length(s.bytes)))",
     "SELECT 1 FROM src.run s JOIN temp.sweeps w ON w.old = s.sweep_id WHERE NOT EXISTS (SELECT 1 FROM main.run m
        WHERE m.sweep_id = w.new AND m.started_at = s.started_at AND m.host = s.host AND m.shard = s.shard
          AND m.shards = s.shards AND (s.ended_at IS NULL OR m.ended_at = s.ended_at))
@@ -42,6 +46,7 @@ pub async fn contains(whole: &Path, part: &Path) -> sqlx::Result<bool> {
         return Ok(false);
     }
     let mut db = store::options(whole).read_only(true).immutable(true).connect().await?;
+    store::add_function(&mut db).await?;
     sqlx::query("ATTACH ? AS src").bind(input::uri(part)).execute(&mut db).await?;
     let version: i64 = sqlx::query_scalar("PRAGMA main.user_version").fetch_one(&mut db).await?;
     let other: i64 = sqlx::query_scalar("PRAGMA src.user_version").fetch_one(&mut db).await?;

@@ -28,12 +28,14 @@ pub(super) async fn open(path: &Path) -> sqlx::Result<SqliteConnection> {
         .pragma("temp_store", "FILE")
         .connect()
         .await?;
+    store::add_function(&mut out).await?;
     let version = store::version(&mut out).await? as usize;
     store::migrate(&mut out, version.min(MIGRATIONS.len())).await?;
     out.execute(
         "CREATE TEMP TABLE candidate (input INTEGER, old INTEGER, hash TEXT, settled INTEGER, reached INTEGER,
            attempts INTEGER, redone INTEGER, since TEXT, ended INTEGER, open INTEGER, finished_at TEXT, last TEXT,
-           simd TEXT, error REAL);
+           simd TEXT, error REAL, damaged INTEGER NOT NULL DEFAULT 0);
+         CREATE TEMP TABLE damage (input INTEGER, old INTEGER, what TEXT);
          CREATE TEMP TABLE thrown (hash TEXT, since TEXT, PRIMARY KEY (hash, since)) WITHOUT ROWID;
          CREATE TEMP TABLE sweeps (input INTEGER, old INTEGER, name TEXT, text TEXT, version TEXT, spec TEXT,
            created_at TEXT, new INTEGER, chosen INTEGER);
@@ -62,7 +64,8 @@ pub(super) async fn foreign(out: &mut SqliteConnection) -> sqlx::Result<Option<S
 /// holds of the comparison.
 pub(super) async fn survey(out: &mut SqliteConnection, input: usize) -> sqlx::Result<()> {
     for sql in [
-        "INSERT INTO temp.candidate
+        "INSERT INTO temp.candidate (input, old, hash, settled, reached, attempts, redone, since, ended, open, finished_at, last, simd,
+           error)
          SELECT ?, t.id, t.hash,
            CASE t.state WHEN 'done' THEN 2 WHEN 'failed' THEN 0 WHEN 'pending' THEN 0 WHEN 'running' THEN 0 ELSE 1 END,
            coalesce((SELECT (c.step << 32) + length(c.bytes) FROM src.checkpoint c WHERE c.trial_id = t.id),
@@ -90,8 +93,38 @@ pub(super) async fn survey(out: &mut SqliteConnection, input: usize) -> sqlx::Re
     Ok(())
 }
 
+/// Verifies the checksums of an input's checkpoints and arrays and notes the mismatches. Of the previous result (`base`) only trials that
+/// another input has too are verified. A damaged checkpoint counts as no progress.
+pub(super) async fn verify(out: &mut SqliteConnection, input: usize, base: bool) -> sqlx::Result<()> {
+    let twice = if base {
+        "AND EXISTS (SELECT 1 FROM temp.candidate d WHERE d.hash = c.hash AND d.input <> c.input)"
+    } else {
+        ""
+    };
+    let of = |table: &str, name: &str| {
+        format!(
+            "INSERT INTO temp.damage SELECT c.input, c.old, {name} FROM temp.candidate c CROSS JOIN src.{table} x ON x.trial_id = c.old
+             WHERE c.input = ?1 {twice} AND x.digest IS NOT NULL AND x.digest <> blake3(x.bytes)"
+        )
+    };
+    for sql in [
+        of("artifact", "x.name"),
+        of("checkpoint", "'checkpoint'"),
+        "UPDATE temp.candidate SET reached = 0 WHERE input = ?1
+           AND old IN (SELECT old FROM temp.damage WHERE input = ?1 AND what = 'checkpoint')"
+            .to_owned(),
+        "UPDATE temp.candidate AS c SET damaged =
+           (SELECT count(*) FROM temp.damage d WHERE d.input = c.input AND d.old = c.old) WHERE input = ?1"
+            .to_owned(),
+    ] {
+        // Names of our own schema only.
+        sqlx::query(AssertSqlSafe(sql)).bind(input as i64).execute(&mut *out).await?;
+    }
+    Ok(())
+}
+
 /// Of each trial the copy that has come farthest: one whose attempts no other has thrown away, to make them again by other code; of
-/// these one that is done, first one that was made again; else with most steps behind it, then most attempts. A trial that
+/// these one that is done, first one of which nothing is damaged, then one that was made again; else with most steps behind it, then most attempts. A trial that
 /// failed and is open again has been asked for anew. Of several that are done, the first one. Of equals the one that is in the
 /// result already (`base`) stays; of equal facts the last input's counts, as its file stays longest. Sweeps are numbered as the
 /// store numbers them, the first one highest.
@@ -111,7 +144,7 @@ pub(super) async fn choose(
          SELECT coalesce(there, (SELECT coalesce(max(old), 0) FROM temp.candidate WHERE input = {base})
              + row_number() OVER (PARTITION BY there IS NULL ORDER BY input, old)), input, old, hash, reached FROM
            (SELECT input, old, hash, reached, max(CASE input WHEN {base} THEN old END) OVER (PARTITION BY hash) AS there,
-              row_number() OVER (PARTITION BY hash ORDER BY thrown, settled DESC, redone DESC, reached DESC,
+              row_number() OVER (PARTITION BY hash ORDER BY thrown, settled DESC, damaged, redone DESC, reached DESC,
                 CASE WHEN settled = 0 THEN attempts END DESC, ended DESC, open DESC, finished_at, last DESC, simd, error,
                 {among_equals}) AS place
             FROM (SELECT *, EXISTS (SELECT 1 FROM temp.thrown t WHERE t.hash = c.hash AND t.since = c.since) AS thrown
@@ -179,8 +212,8 @@ pub(super) async fn copy(
         format!(
             "INSERT INTO main.run (sweep_id, {run}) SELECT s.new, {} FROM temp.sweeps s
              JOIN src.run x ON x.sweep_id = s.old WHERE s.input = ?1
-             ON CONFLICT DO UPDATE SET ended_at = excluded.ended_at, outcome = excluded.outcome, done = excluded.done,
-               failed = excluded.failed WHERE ended_at IS NULL",
+             ON CONFLICT DO UPDATE SET ended_at = excluded.ended_at, seconds = excluded.seconds, outcome = excluded.outcome,
+               done = excluded.done, failed = excluded.failed WHERE ended_at IS NULL",
             of_x(&run)
         ),
         "INSERT INTO main.sweep_trial (sweep_id, trial_id, position)

@@ -127,6 +127,19 @@ fn first(refused: &[(PathBuf, String)]) -> String {
 /// # Errors
 /// If the result is in use, cannot be written, holds what cannot be read or another extent, or nothing can be read.
 pub async fn merge(extent: Extent, files: &[PathBuf], out: &Path) -> Result<Summary, MergeError> {
+    // A copy of a shard may be deleted during the merge because a later copy contains it. The folder is then listed again.
+    let gone = |(file, _): &(PathBuf, String)| !file.exists() && !files.contains(file);
+    for _ in 1..LOOKS {
+        match merge_once(extent, files, out).await {
+            Ok(summary) if summary.refused.iter().any(gone) => {}
+            Err(MergeError::Nothing { refused }) if refused.iter().any(gone) => {}
+            merged => return merged,
+        }
+    }
+    merge_once(extent, files, out).await
+}
+
+async fn merge_once(extent: Extent, files: &[PathBuf], out: &Path) -> Result<Summary, MergeError> {
     let out = &store::real(out);
     let unwritable = |source| MergeError::Unwritable { path: out.to_owned(), source };
     let folder = files::folder(out);
@@ -330,6 +343,11 @@ async fn build(
             return Err(Trouble::Refused(i, Refusal::Input(why)));
         }
     }
+    if extent == Extent::Whole {
+        for (i, input) in inputs.iter().enumerate() {
+            attached(&mut out, i, input, async |out| copy::verify(out, i, Some(i) == base).await).await?;
+        }
+    }
     copy::choose(&mut out, base, extent).await.map_err(Trouble::Output)?;
     if let Some(base) = base {
         copy::make_room(&mut out, base).await.map_err(Trouble::Output)?;
@@ -340,6 +358,7 @@ async fn build(
     copy::finish(&mut out).await.map_err(Trouble::Output)?;
     (summary.findings, summary.covered, summary.not_compared) = (Vec::new(), 0, 0);
     if extent == Extent::Whole {
+        compare::damaged(&mut out, inputs, summary).await.map_err(Trouble::Output)?;
         let losers = compare::losers(&mut out).await.map_err(Trouble::Output)?;
         for (i, input) in inputs.iter().enumerate().filter(|(i, _)| losers.contains(i)) {
             attached(&mut out, i, input, async |out| compare::compare(out, i, inputs, summary).await).await?;
