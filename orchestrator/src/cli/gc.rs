@@ -1,5 +1,6 @@
 //! `gc`: what killed processes have left, and copies that hold nothing of their own.
 
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use super::{Error, Format, print_rows};
@@ -44,7 +45,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     print_rows(&Table::new("file bytes why", rows), args.format)?;
     if args.yes {
         for (path, _) in &found {
-            remove(path).map_err(Error::io("removing", path))?;
+            match remove(path) {
+                // another process has removed it meanwhile
+                Err(e) if e.kind() == ErrorKind::NotFound => {}
+                removed => removed.map_err(Error::io("removing", path))?,
+            }
         }
     }
     say!("{} {}", counted(found.len(), "file"), if args.yes { "removed" } else { "would be removed: --yes" });
@@ -71,6 +76,7 @@ async fn superseded(folder: &Path, found: &mut Vec<(PathBuf, String)>) {
             match contains(&last, &file).await {
                 Ok(true) => found.push((file, format!("all of it is in {}", last.display()))),
                 Ok(false) => {}
+                Err(_) if !file.exists() => {}
                 Err(error) => say!("{} cannot be compared, and stays: {error}", file.display()),
             }
         }

@@ -68,6 +68,12 @@ impl Facts {
         let begun = Instant::now();
         let refused = loop {
             match self.add(&files).await {
+                // Deleted meanwhile, because a later copy contains it: list the folder again.
+                Ok(refused)
+                    if refused.iter().any(|(file, _)| !file.exists()) && begun.elapsed() < PATIENCE =>
+                {
+                    return Box::pin(self.look()).await;
+                }
                 Err(e) if e.is_in_use() && begun.elapsed() < PATIENCE => {
                     tokio::time::sleep(AGAIN).await;
                 }

@@ -154,6 +154,8 @@ impl Home {
                 Err(e) => Err(e),
             };
             match taken_in {
+                // Deleted meanwhile, because a later copy contains it: list the folder again.
+                Err(HomeError::Refused { path, .. }) if !path.exists() && Instant::now() < end => continue,
                 Err(HomeError::Store(StoreError::InUse { .. })) if Instant::now() < end => {}
                 Err(HomeError::Merge(e)) if e.is_in_use() && Instant::now() < end => {}
                 taken_in => return taken_in,
