@@ -5,6 +5,7 @@
 
 mod begin;
 mod clock;
+mod database;
 mod forecast;
 mod links;
 mod signals;
@@ -48,11 +49,6 @@ use writer::{Arrays, Entry, Write, Written};
 
 /// Time between two looks at deadlines, and between two views.
 const TICK: Duration = Duration::from_millis(200);
-/// Time between two checks of the database's files.
-const LOOK: Duration = Duration::from_secs(1);
-/// Size of the database's log from which the run warns (bytes). SQLite moves the log into the file every few MB unless a reader holds an
-/// older state.
-const LOG_LARGE: u64 = 256 << 20;
 /// Words of links, and records before the writer, that may wait.
 const QUEUE: usize = 512;
 
@@ -168,7 +164,7 @@ pub async fn run<'a>(
         stale: 0,
         presence,
         looked: Instant::now(),
-        log_warned: LOG_LARGE,
+        log_warned: database::LOG_LARGE,
         store_error: None,
         last_words: String::new(),
         control,
@@ -542,29 +538,6 @@ impl Engine<'_> {
         }
     }
 
-    /// Ends the run if the files of the database were taken away, so that the recorded data can be saved. Warns of a growing log.
-    fn look_at_database(&mut self, events: &mut Events) {
-        if self.store_error.is_none()
-            && let Some(lost) = self.presence.look()
-        {
-            tracing::error!(?lost, "the files of the database were taken away; the run ends");
-            let saved = Err("the run ends".into());
-            self.store_error = Some(StoreError::Lost { path: self.presence.path().to_owned(), lost, saved });
-            events.push_back(Event::StoreBroken);
-        }
-        let bytes = self.presence.log_bytes();
-        if bytes > self.log_warned {
-            self.log_warned = 2 * bytes;
-            let text = format!(
-                "warning: the database's log (-wal) has grown to {} MB because another program keeps a read transaction open; it grows \
-                 until that program ends",
-                bytes >> 20
-            );
-            tracing::warn!(bytes, "{text}");
-            self.watch.warned(&text);
-        }
-    }
-
     fn interrupt(&mut self, events: &mut Events) {
         self.watch.interrupted(self.state.is_stopping());
         events.push_back(Event::Interrupt);
@@ -577,10 +550,7 @@ impl Engine<'_> {
         if self.due.is_empty() {
             self.due = self.spent.tick(&self.fleet);
         }
-        if self.looked.elapsed() >= LOOK {
-            self.looked = Instant::now();
-            self.look_at_database(events);
-        }
+        self.check_database(events);
         if self.state.is_stopping() {
             hurry();
         }

@@ -1,0 +1,41 @@
+//! Checks of the database's files during a run.
+
+use std::time::{Duration, Instant};
+
+use super::{Engine, Event, Events};
+use crate::store::StoreError;
+
+/// Time between two checks of the database's files.
+const LOOK: Duration = Duration::from_secs(1);
+/// Size of the database's log from which the run warns (bytes). SQLite moves the log into the file every few MB unless a reader holds an
+/// older state.
+pub(super) const LOG_LARGE: u64 = 256 << 20;
+
+impl Engine<'_> {
+    /// Ends the run if the files of the database were taken away, so that the recorded data can be saved. Warns of a growing log.
+    pub(super) fn check_database(&mut self, events: &mut Events) {
+        if self.looked.elapsed() < LOOK {
+            return;
+        }
+        self.looked = Instant::now();
+        if self.store_error.is_none()
+            && let Some(lost) = self.presence.look()
+        {
+            tracing::error!(?lost, "the files of the database were taken away; the run ends");
+            let saved = Err("the run ends".into());
+            self.store_error = Some(StoreError::Lost { path: self.presence.path().to_owned(), lost, saved });
+            events.push_back(Event::StoreBroken);
+        }
+        let bytes = self.presence.log_bytes();
+        if bytes > self.log_warned {
+            self.log_warned = 2 * bytes;
+            let text = format!(
+                "warning: the database's log (-wal) has grown to {} MB because another program keeps a read transaction open; it grows \
+                 until that program ends",
+                bytes >> 20
+            );
+            tracing::warn!(bytes, "{text}");
+            self.watch.warned(&text);
+        }
+    }
+}
