@@ -89,7 +89,10 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
             let what = format!("holds signals of {} records, forces of {}", read.len(), of_file.len());
             return Err(wrong_beside(what));
         }
+        let count = read.len();
         for (i, (mut force, mut signal)) in of_file.into_iter().zip(read).enumerate() {
+            let wrong = |what| wrong(records::numbered(i, count, what));
+            let wrong_beside = |what| wrong_beside(records::numbered(i, count, what));
             fit(signals, &force, &signal, trial).map_err(wrong_beside)?;
             records::check_step(&picks[0], &force, duration).map_err(wrong)?;
             records::check_step(&picks[1], &signal, duration).map_err(wrong_beside)?;

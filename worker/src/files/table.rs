@@ -3,10 +3,15 @@
 //! Separator, decimal mark and header may be left to the reader. It takes those that alone give numbers in the columns that are
 //! read; where several do, and the numbers differ, the file is refused.
 
-use csv::{ReaderBuilder, StringRecord, Trim};
 use metasense_schemas::spec::{Decimal, MeasuredSignals, Recorded, Separator, Signal};
 
 use super::{Array, text};
+
+mod lines;
+mod numbers;
+
+use lines::{NONE, Rows, bare, byte, divided_by, width};
+use numbers::{MISSING, Marks, may_be_number, number};
 
 /// What is known of a file before it is read, and what is read of it.
 #[derive(Debug, Clone, Default)]
@@ -48,18 +53,18 @@ impl<'a> Form<'a> {
 
     /// Whether the first line of a table names its columns.
     fn names(&self, first: &[String], line: usize) -> Result<bool, String> {
-        let is_number = |field: &String| number(field, self.decimal).is_some();
         let known = |signal: &&&Signal| match signal {
-            Signal::Name(name) => !is_number(name) && first.contains(name),
+            Signal::Name(name) => !may_be_number(name) && first.contains(name),
             Signal::Number(_) => false,
         };
-        let words = || first.iter().any(|field| !field.is_empty()) && !first.iter().any(is_number);
+        let is_missing = |field: &String| MISSING.contains(&field.to_lowercase().as_str());
+        let words = || !first.iter().all(is_missing) && !first.iter().any(|field| may_be_number(field));
         match self.header {
             Some(header) => Ok(header),
             None if self.read.iter().flatten().any(|signal| known(&signal)) || words() => Ok(true),
             None => Err(format!(
                 "line {line}: {:?} may be names of columns or numbers: {}",
-                first.iter().find(|field| is_number(field)).map_or("", String::as_str),
+                first.iter().find(|field| may_be_number(field)).map_or("", String::as_str),
                 self.settle("header = true, or to false and name columns by number")
             )),
         }
@@ -76,9 +81,6 @@ pub struct Table {
     /// The line of each row; none of an array.
     lines: Vec<usize>,
 }
-
-/// A separator that no text has: a whole line is one field.
-const NONE: u8 = 0;
 
 impl Table {
     /// Reads a CSV.
@@ -211,14 +213,14 @@ impl Table {
 
     /// The table of a text whose lines all have `width` fields.
     fn divided(text: &str, separator: u8, width: usize, form: &Form) -> Result<Self, String> {
-        let mut rows = rows(text, separator).peekable();
-        let Some((first_line, first)) = rows.peek() else { return Err("is empty".into()) };
-        let (first_line, first) =
-            (*first_line, first.iter().map(bare).map(str::to_owned).collect::<Vec<_>>());
+        let mut rows = Rows::new(text, separator);
+        let Some((first_line, first)) = rows.next() else { return Err("is empty".into()) };
+        let first: Vec<String> = first.iter().map(bare).map(str::to_owned).collect();
         let mut table = Self { names: Vec::new(), columns: vec![Vec::new(); width], lines: Vec::new() };
         if form.names(&first, first_line)? {
             table.names = first;
-            rows.next();
+        } else {
+            rows = Rows::new(text, separator);
         }
         let mut read: Vec<usize> = match &form.read {
             None => (0..width).collect(),
@@ -227,7 +229,7 @@ impl Table {
         read.sort_unstable();
         read.dedup();
         let mut marks = Marks::default();
-        for (line, fields) in rows {
+        while let Some((line, fields)) = rows.next() {
             for &column in &read {
                 let field = bare(&fields[column]);
                 let at = || format!("line {line}: {}", table.label(column));
@@ -289,167 +291,4 @@ impl Table {
             )),
         }
     }
-}
-
-fn byte(separator: Separator) -> u8 {
-    match separator {
-        Separator::Comma => b',',
-        Separator::Semicolon => b';',
-        Separator::Tab => b'\t',
-    }
-}
-
-/// What follows a field that is no number: how the line was divided.
-fn divided_by(separator: u8) -> &'static str {
-    match separator {
-        b',' => "; commas separate the fields",
-        b';' => "; semicolons separate the fields",
-        b'\t' => "; tabs separate the fields",
-        _ => "; fields must be separated by commas, semicolons or tabs",
-    }
-}
-
-/// The lines that are not blank: their numbers, from 1, and their fields.
-fn rows(text: &str, separator: u8) -> impl Iterator<Item = (usize, StringRecord)> {
-    let bytes = text.as_bytes();
-    let (mut line, mut seen) = (1, 0);
-    let blank = |row: &StringRecord| row.len() == 1 && row[0].is_empty();
-    let mut reader = ReaderBuilder::new();
-    reader.has_headers(false).flexible(true).trim(Trim::All).delimiter(separator);
-    let rows = reader.from_reader(bytes).into_records().map(|row| row.expect("memory holds UTF-8"));
-    rows.map(move |row| {
-        // `csv` says where it was before it skipped blank lines and the second half of "\r\n"
-        let from = row.position().map_or(0, |position| position.byte() as usize);
-        let begins = from + bytes[from..].iter().take_while(|byte| b"\r\n".contains(byte)).count();
-        let ends =
-            |at: &usize| bytes[*at] == b'\n' || bytes[*at] == b'\r' && bytes.get(at + 1) != Some(&b'\n');
-        line += (seen..begins).filter(ends).count();
-        seen = begins;
-        (line, row)
-    })
-    .filter(move |(_, row)| !blank(row))
-}
-
-/// A field without the quotes behind a blank, which are none to `csv`.
-fn bare(field: &str) -> &str {
-    field.trim_matches('"')
-}
-
-/// A line with other than as many fields as the first.
-struct Uneven {
-    line: usize,
-    found: usize,
-    first: usize,
-    wanted: usize,
-    ends_empty: bool,
-}
-
-impl Uneven {
-    fn said(&self, separator: u8, form: &Form) -> String {
-        let Self { line, found, first, wanted, .. } = self;
-        let hint = match separator {
-            _ if *wanted == 1 => "; a table begins with its names: leave out what stands before them".into(),
-            _ if self.ends_empty && *found == wanted + 1 => "; the line ends in a separator".into(),
-            _ => String::new(),
-        };
-        let settle = match separator == b',' && form.separator.is_none() {
-            true => {
-                format!("; where a comma is no separator, {}", form.settle("separator, or decimal = \",\""))
-            }
-            false => String::new(),
-        };
-        format!(
-            "line {line}: {found} fields where line {first} has {wanted}{}{hint}{settle}",
-            divided_by(separator)
-        )
-    }
-}
-
-/// How many fields all lines have.
-fn width(text: &str, separator: u8) -> Result<usize, Uneven> {
-    let mut rows = rows(text, separator);
-    let Some((first, fields)) = rows.next() else { return Ok(0) };
-    let wanted = fields.len();
-    match rows.find(|(_, fields)| fields.len() != wanted) {
-        None => Ok(wanted),
-        Some((line, fields)) => {
-            let ends_empty = fields.iter().next_back().is_some_and(str::is_empty);
-            Err(Uneven { line, found: fields.len(), first, wanted, ends_empty })
-        }
-    }
-}
-
-/// A number and the mark that it was written with, if any.
-fn number(field: &str, decimal: Option<Decimal>) -> Option<(f64, Option<Decimal>)> {
-    let comma = match (field.contains('.'), field.contains(',')) {
-        (true, true) => return None,
-        (point, comma) => {
-            let mark = if point { Some(Decimal::Point) } else { comma.then_some(Decimal::Comma) };
-            if mark.is_some() && decimal.is_some() && mark != decimal {
-                return None;
-            }
-            mark
-        }
-    };
-    let value = match comma {
-        Some(Decimal::Comma) => field.replacen(',', ".", 1).parse(),
-        _ => field.parse(),
-    };
-    Some((value.ok()?, comma))
-}
-
-/// The decimal marks that a table has.
-#[derive(Debug, Default)]
-struct Marks {
-    /// For each mark a number that has it, with its line.
-    seen: [Option<(usize, String)>; 2],
-    /// Whether one of them cannot be a whole number with a mark between thousands.
-    certain: [bool; 2],
-}
-
-impl Marks {
-    fn see(&mut self, mark: Option<Decimal>, field: &str, line: usize) {
-        let Some(mark) = mark.map(|mark| mark as usize) else { return };
-        if self.seen[mark].is_none() {
-            self.seen[mark] = Some((line, field.to_owned()));
-        }
-        self.certain[mark] = self.certain[mark] || !may_be_thousands(field);
-    }
-
-    /// Refuses two marks in one table, and one that may stand between thousands.
-    fn check(&self, separator: u8, form: &Form) -> Result<(), String> {
-        if form.decimal.is_some() {
-            return Ok(());
-        }
-        if let [Some((line, number)), Some((other, comma))] = &self.seen {
-            let settle = form.settle("decimal");
-            return Err(format!(
-                "line {line}: {number:?} has a decimal point, line {other}: {comma:?} a comma: {settle}"
-            ));
-        }
-        // beside commas that separate fields a point has always been a decimal mark
-        let known = separator == b',' && self.seen[1].is_none();
-        let doubtful =
-            self.seen.iter().zip(self.certain).find_map(|(seen, certain)| seen.as_ref().filter(|_| !certain));
-        if let Some((line, number)) = doubtful.filter(|_| !known) {
-            return Err(format!(
-                "line {line}: {number:?} may have a decimal mark or a mark between thousands, as all its like: {}",
-                form.settle("decimal = \".\" or \",\"")
-            ));
-        }
-        Ok(())
-    }
-}
-
-/// Whether a number with one mark reads as a whole number with a mark between thousands, too.
-fn may_be_thousands(field: &str) -> bool {
-    let field = field.trim_start_matches(['+', '-']);
-    let digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
-    field.split_once(['.', ',']).is_some_and(|(whole, part)| {
-        (1..=3).contains(&whole.len())
-            && !whole.starts_with('0')
-            && part.len() == 3
-            && digits(whole)
-            && digits(part)
-    })
 }

@@ -1,3 +1,4 @@
+use super::clock::timed;
 use super::*;
 use serde_json::{Value, json};
 
