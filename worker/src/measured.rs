@@ -199,17 +199,11 @@ fn check(
         return wrong("rate", signals.rate.map_or(String::new(), |rate| rate.to_string()), remedy);
     }
     signals.rate.map_or(Ok(()), |rate| positive("signals.rate", rate))?;
-    for (key, given, needs, has) in [
-        ("header", signals.header.is_some(), "signals.files", signals.files.is_some()),
-        ("separator", signals.separator.is_some(), "signals.files", signals.files.is_some()),
-        ("decimal", signals.decimal.is_some(), "signals.files", signals.files.is_some()),
-        ("time_unit", signals.time_unit.is_some(), "signals.time", signals.time.is_some()),
-    ] {
-        if given && !has {
-            let remedy = format!("is for {needs}: give that, too, or [recorded] this key");
-            return wrong(key, String::new(), remedy);
-        }
+    if signals.time_unit.is_some() && signals.time.is_none() {
+        return wrong("time_unit", String::new(), "is for signals.time: give recorded.time_unit".into());
     }
+    let files = signals.files.as_deref().unwrap_or_default();
+    records::check_form("signals", files, signals.header, signals.separator, signals.decimal)?;
     if let Some(start) = signals.start.filter(|start| !start.is_finite()) {
         return wrong("start", start.to_string(), "must be a finite number (s)".into());
     }

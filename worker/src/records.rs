@@ -5,16 +5,16 @@
 
 use std::collections::HashMap;
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use metasense_numerics::dynamics::Forces;
 use metasense_numerics::stimuli::{REACH, Recorded, Source, felt, resample};
 use metasense_numerics::trial::{Problem, Protocol};
-use metasense_schemas::spec::{self, Resample, TrialSpec};
+use metasense_schemas::spec::{self, Decimal, Resample, Separator, TrialSpec};
 
 use crate::files::{self, Content, Form};
-use crate::invalid::{Invalid, invalid, positive};
+use crate::invalid::{Invalid, as_written, invalid, positive};
 
 mod clock;
 mod pick;
@@ -226,6 +226,28 @@ pub(crate) fn forces(pick: &Pick, held: &Content, panels: usize) -> Result<Vec<R
     }
 }
 
+/// Refuses keys that say how a CSV is written where no file is one.
+pub(crate) fn check_form(
+    table: &str,
+    files: &[PathBuf],
+    header: Option<bool>,
+    separator: Option<Separator>,
+    decimal: Option<Decimal>,
+) -> Result<(), Invalid> {
+    let keys = [
+        ("header", header.map(|header| header.to_string())),
+        ("separator", separator.map(|separator| as_written(&separator))),
+        ("decimal", decimal.map(|decimal| as_written(&decimal))),
+    ];
+    match keys.into_iter().find_map(|(key, given)| Some((key, given?))) {
+        Some((key, value)) if !files.iter().any(|file| files::ending(file) == "csv") => {
+            let remedy = format!("means nothing here: none of {table}.files is a CSV");
+            Err(invalid(&format!("{table}.{key}"), value, remedy))
+        }
+        _ => Ok(()),
+    }
+}
+
 /// What is wrong with a record, of a file of so many.
 pub(crate) fn numbered(record: usize, count: usize, what: String) -> String {
     if count == 1 { what } else { format!("record {record}: {what}") }
@@ -308,17 +330,7 @@ pub(crate) fn check(recorded: &spec::Recorded) -> Result<(), Invalid> {
             return wrong(name, format!("[{least}, {most}]"), "must be [least, most]");
         }
     }
-    if !recorded.files.iter().any(|file| files::ending(file) == "csv") {
-        for (name, given) in [
-            ("header", recorded.header.is_some()),
-            ("separator", recorded.separator.is_some()),
-            ("decimal", recorded.decimal.is_some()),
-        ] {
-            if given {
-                return wrong(name, String::new(), "means nothing here: none of the files is a CSV");
-            }
-        }
-    }
+    check_form("stimuli.recorded", &recorded.files, recorded.header, recorded.separator, recorded.decimal)?;
     let Some(known) = &recorded.digest else { return Ok(()) };
     let now = digest(recorded)?;
     let remedy = format!("the files' contents now give {now}");

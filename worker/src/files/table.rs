@@ -63,9 +63,9 @@ impl<'a> Form<'a> {
             Some(header) => Ok(header),
             None if self.read.iter().flatten().any(|signal| known(&signal)) || words() => Ok(true),
             None => Err(format!(
-                "line {line}: {:?} may be names of columns or numbers: {}",
+                "line {line}: {:?} may be a name or a value: {}",
                 first.iter().find(|field| may_be_number(field)).map_or("", String::as_str),
-                self.settle("header = true, or to false and name columns by number")
+                self.settle("header = true, or = false to read columns by number")
             )),
         }
     }

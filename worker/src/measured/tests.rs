@@ -327,7 +327,11 @@ fn each_file_has_its_unit_of_time() {
             "recorded.files = ",
             "has its blow outside of a sample",
         ),
-        (text.replace("files = [\"s.csv\"]\n", "header = true\n"), "signals.header", "is for signals.files"),
+        (
+            text.replace("files = [\"s.csv\"]\n", "header = true\n"),
+            "signals.header",
+            "none of signals.files is a CSV",
+        ),
     ] {
         let error = folder.read(&text, &trial).unwrap_err();
         assert!(error.contains(key) && error.contains(said), "{error}\n{key} {said}\n{text}");
