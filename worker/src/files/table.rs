@@ -113,7 +113,7 @@ impl Table {
                 match uneven.max_by_key(|(_, uneven)| uneven.wanted) {
                     None => read(&(NONE, 1)),
                     // one column; its name may have a semicolon
-                    Some((separator, uneven)) if separator != b',' && form.separator.is_none() => {
+                    Some((separator, uneven)) if !candidates.contains(&b',') && form.separator.is_none() => {
                         read(&(NONE, 1)).map_err(|_| uneven.said(separator, form))
                     }
                     Some((separator, uneven)) => Err(uneven.said(separator, form)),

@@ -157,6 +157,12 @@ fn what_may_be_read_in_two_ways_is_refused_with_the_key_that_settles_it() {
             "recorded.separator",
             vec![(form(None, decimal_comma), vec![0.25, 1.5]), (form(semicolon, None), vec![0.25, 1.5])],
         ),
+        (
+            "f; N\n0,25\n1,50\n",
+            numbered(&[0]),
+            "recorded.separator, or decimal",
+            vec![(form(None, decimal_comma), vec![0.25, 1.5])],
+        ),
         // decimal commas without a line of names
         (
             "x, a;f, y\n0,1;0,5\n1,1;1,5\n",

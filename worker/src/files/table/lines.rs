@@ -80,9 +80,9 @@ impl Uneven {
             _ if self.ends_empty && *found == wanted + 1 => "; the line ends in a separator".into(),
             _ => String::new(),
         };
-        let settle = match separator == b',' && form.separator.is_none() && found > wanted {
+        let settle = match form.separator.is_none() && (separator != b',' || found > wanted) {
             true => {
-                format!("; where a comma is no separator, {}", form.settle("separator, or decimal = \",\""))
+                format!("; if fields are divided otherwise, {}", form.settle("separator, or decimal = \",\""))
             }
             false => String::new(),
         };
