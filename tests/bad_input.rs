@@ -636,6 +636,14 @@ const TABLES: &[(&str, &str)] = &[
     ("[evaluation]\nseeds = 0", "s.toml:14: evaluation.seeds = 0: "),
     ("[feasible]\nclearance = -1.0", "s.toml:14: feasible.clearance = -1: "),
     ("[sensors]\nplacements = [[14], [14, 14]]", "s.toml:14: sensors.placements = 14: "),
+    (
+        "[sensors]\nplacements = [[14], [14, 15], [15, 14]]",
+        "s.toml:14: sensors.placements = [14, 15]: is named twice",
+    ),
+    (
+        "[sensors]\nplacements = [[14], [14, 15], [8, 9, 8]]",
+        "s.toml:14: sensors.placements = 8: is named twice",
+    ),
     ("[sensors]\nplacements = [[14], [2, 14]]", "s.toml:14: sensors.placements = 2: "),
     ("[sensors]\nplacements = [[14]]", "s.toml:14: sensors.placements = [[14]]: holds no list of 2 units"),
     (

@@ -18,7 +18,7 @@ fn small(more: &str) -> String {
     SPEC.replace("columns = 6\nrows = 6", &format!("columns = 3\nrows = 3\n{more}")).replace("[1, 2]", "[1]")
 }
 
-/// The initial body is feasible and comes back bit for bit; a wild one is projected; NaN keeps the previous one.
+/// The initial body is feasible and comes back bit for bit; a wild one is projected.
 #[test]
 fn any_design_goes_in_and_a_castable_one_comes_out() {
     let bench = Bench::new();
@@ -37,12 +37,43 @@ fn any_design_goes_in_and_a_castable_one_comes_out() {
     assert!(said.contains("status    projected") && said.contains("interior angle"), "{said}");
     let drawn = bench.output(&["draw", "s.toml", "--design", "tame.csv", "--out", "tame.svg"]);
     assert!(drawn.contains(" 0 broken"), "{drawn}");
+}
 
-    std::fs::write(bench.path("nan.npy"), npy(&[f64::NAN; 48])).unwrap();
-    let said =
-        bench.output(&["project", "s.toml", "--design", "nan.npy", "--from", "tame.csv", "--out", "c.csv"]);
-    assert!(said.contains("not_finite"), "{said}");
-    assert_eq!(read("c.csv"), read("tame.csv"), "the previous design");
+/// NaN, infinity, and axes that are turned are refused wherever a design or its weights are read, by file; nothing is written.
+#[test]
+fn what_is_no_design_is_refused_wherever_one_is_read() {
+    let bench = Bench::new();
+    bench.file("s.toml", &small(""));
+    let mut holed = [0.5; 48];
+    holed[7] = f64::NAN;
+    std::fs::write(bench.path("nan.npy"), npy(&holed)).unwrap();
+    holed[7] = f64::INFINITY;
+    std::fs::write(bench.path("inf.npy"), npy(&holed)).unwrap();
+    bench.write_array("turned.npy", &[2, 24], &[0.5; 48]);
+    bench.output(&["draw", "s.toml", "--out", "a.svg", "--design-out", "a.NPY"]);
+    bench.write_array("f.npy", &[1, 2, 201], &[0.0; 402]);
+    bench.file("n.csv", &(String::from("unit,node,x,y\n") + &"0,0,NaN,1\n".repeat(36)));
+    for file in ["nan.npy", "inf.npy", "turned.npy", "n.csv"] {
+        for call in [
+            &["draw", "s.toml", "--out", "b.svg", "--design", file][..],
+            &["project", "s.toml", "--out", "b.npy", "--design", file],
+            &["project", "s.toml", "--out", "b.npy", "--design", "a.NPY", "--from", file],
+            &["project", "s.toml", "--out", "b.npy", "--design", "a.NPY", "--weights", file],
+            &["simulate", "s.toml", "--forces", "f.npy", "--out-dir", "b", "--design", file],
+            &["expand", "s.toml", &format!("body.design=\"{file}\"")],
+            &["expand", "s.toml", "sensors.noise=0.1", &format!("sensors.relative_to=\"{file}\"")],
+        ] {
+            let refused = bench.metasense(call);
+            let said = String::from_utf8_lossy(&refused.stderr);
+            assert!(refused.status.code() == Some(2) && said.contains(file), "{call:?}: {said}");
+        }
+    }
+    assert!(["b.svg", "b.npy", "b"].iter().all(|name| !bench.path(name).exists()));
+    // (n/2, 2) is the other shape of a design
+    let (_, shifts) = bench.array("a.NPY");
+    bench.write_array("pairs.npy", &[24, 2], &shifts);
+    bench.output(&["project", "s.toml", "--design", "pairs.npy", "--out", "c.npy"]);
+    assert_eq!(bench.array("c.npy").1, shifts);
 }
 
 /// What a trial does not move a projection does not move; a panel that no trial can have is refused by `draw`, too.
@@ -66,8 +97,13 @@ fn what_is_frozen_stays_and_what_cannot_be_is_not_drawn() {
         both.map(|(a, b)| f64::abs(a - b)).fold(0.0, f64::max)
     };
     assert!(moved("4,") < 1e-9 && moved("0,") > 1e-3, "{} {}", moved("4,"), moved("0,"));
-    for panels in ["body.panels=[{ unit = 20 }]", "body.panel_units=[20]"] {
-        let refused = bench.metasense(&["draw", "s.toml", panels, "--out", "c.svg"]);
+    for panels in [
+        "body.panels=[{ unit = 20 }]",
+        "body.panel_units=[20]",
+        "sensors.placements=[[20]]",
+        "sensors.placements=[[20, 20]]",
+    ] {
+        let refused = bench.metasense(&["draw", "s.toml", "sweep.sensors=[1, 2]", panels, "--out", "c.svg"]);
         let said = String::from_utf8_lossy(&refused.stderr);
         assert!(refused.status.code() == Some(2) && said.contains("20"), "{said}");
     }

@@ -246,6 +246,7 @@ fn a_body_is_read_by_the_sensors_that_it_has() {
 fn bad_calls_are_refused() {
     let (bench, hash) = bench();
     let initial = "--records=initial=bad.toml";
+    let rest: String = (1..RECORDS).map(|i| format!(", \"{i}.csv\"")).collect();
     for (arguments, said) in [
         (vec![], "--records <BODY=FILE>"),
         (vec!["--records", "bad.toml"], "must be BODY=FILE, for instance initial=records.toml"),
@@ -273,8 +274,17 @@ fn bad_calls_are_refused() {
         ),
         (vec!["--records=initial=holdout"], "--records initial=holdout: is for --brain inverse"),
         (vec![initial, "--folds", "1"], "invalid value '1' for '--folds <N>'"),
+        (
+            vec!["--records=initial=one.toml"],
+            "--records initial=one.toml: holds one record: give two or more",
+        ),
+        (
+            vec![initial, "--records=b=bad.toml"],
+            "--records b=bad.toml: holds record 0 of --records initial=bad.toml",
+        ),
         (vec!["--records", "initial=typo.toml"], "typo.toml:2: recorded.file = "),
     ] {
+        bench.file("one.toml", &std::fs::read_to_string(bench.path("bad.toml")).unwrap().replace(&rest, ""));
         bench.file("typo.toml", "[recorded]\nfile = [\"0.csv\"]\n");
         let output =
             bench.metasense(&[vec!["evaluate", "s.toml", "--hash", &hash], arguments.clone()].concat());

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use crate::common::{Bench, TINY, skip};
 use crate::synthetic;
-use metasense_worker::files::content;
+use metasense_worker::files::{Form, content};
 
 fn export(db: &Path, what: &str, format: &str, out: &Path) {
     let run = Command::new(env!("CARGO_BIN_EXE_metasense"))
@@ -62,7 +62,8 @@ fn what_is_exported_is_read_back_by_others() {
     let run = Command::new("python3").arg(script).arg(folder.path()).output().unwrap();
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     let readers = String::from_utf8_lossy(&run.stdout);
-    let ours = |name: &str| content(Path::new(name), &std::fs::read(file(name)).unwrap()).unwrap();
+    let ours =
+        |name: &str| content(Path::new(name), &std::fs::read(file(name)).unwrap(), &Form::default()).unwrap();
     assert!(ours("t.npz") == ours("packed.npz"), "what numpy.savez_compressed wrote reads otherwise");
     if !in_onnxruntime(folder.path()) {
         skip::skipped(test, "there is no Python with onnxruntime");

@@ -191,3 +191,122 @@ fn a_trigger_without_room_is_for_blows_that_are_not_shifted() {
     assert_ne!(spec("", paper), of_old);
     spec(", before = 0.0", "batch = 4\n[stimuli.recorded.augment]\nshift = [0.0, 0.02]");
 }
+
+/// Forces of three CSV files, with keys for what their reader cannot tell.
+fn of_tables(bench: &Bench, keys: &str) {
+    let (head, tail) = SPEC.split_once("files = ").unwrap();
+    let (_, tail) = tail.split_once("remove_offset").unwrap();
+    let files = "files = [\"a.csv\", \"b.csv\", \"c.csv\"]\n";
+    let text = format!("{head}{files}{keys}\nremove_offset{tail}");
+    let text = text.replace("samples = 9\ntest = 2\nholdout = 3", "samples = 2\ntest = 1\nholdout = 1");
+    bench.file("t.toml", &text);
+}
+
+/// 2000 lines a second for 0.2 s: a blow of this size, written by this function.
+fn blow(size: f64, write: impl Fn(f64, f64) -> String) -> String {
+    (0..400).map(|n| write(f64::from(n) / 2000.0, if (150..160).contains(&n) { size } else { 0.0 })).collect()
+}
+
+/// A record is in the training or in the holdout set, whatever it is called and however it is written.
+#[test]
+fn the_same_forces_under_another_name_are_refused() {
+    let bench = Bench::new();
+    of_tables(&bench, "time = \"t\"\nforce = [\"f\"]");
+    let comma = |t: f64, f: f64| format!("{t},{f}\n");
+    for (name, size) in [("a.csv", 1.0), ("b.csv", 2.0), ("c.csv", 3.0)] {
+        bench.file(name, &("t,f\n".to_owned() + &blow(size, comma)));
+    }
+    bench.output(&["expand", "t.toml"]);
+    let german = |t: f64, f: f64| format!("{t};{f}\n").replace('.', ",");
+    for copy in ["t,f\n".to_owned() + &blow(1.0, comma), "t;f\r\n".to_owned() + &blow(1.0, german)] {
+        bench.file("c.csv", &copy);
+        let refused = bench.metasense(&["expand", "t.toml"]);
+        let said = String::from_utf8_lossy(&refused.stderr);
+        assert_eq!(refused.status.code(), Some(2), "{said}");
+        assert!(said.contains("t.toml:21: stimuli.recorded.files = ") && said.contains("c.csv"), "{said}");
+    }
+}
+
+/// A table without names is read once the spec says so, to the same trial's forces; keys that no file can mean are refused.
+#[test]
+fn a_table_without_names_needs_a_word() {
+    let bench = Bench::new();
+    for (name, size) in [("a.csv", 1.0), ("b.csv", 2.0), ("c.csv", 3.0)] {
+        bench.file(name, &blow(size, |t, f| format!("{t}\t{f}\n").replace('.', ",")));
+    }
+    let expand = |keys: &str| {
+        of_tables(&bench, keys);
+        let output = bench.metasense(&["expand", "t.toml"]);
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let (code, said) = expand("time = 0\nforce = [1]");
+    assert!(code == Some(2) && said.contains("set stimuli.recorded.header = "), "{said}");
+    for keys in ["header = false", "header = false\nseparator = \"tab\"\ndecimal = \",\""] {
+        assert_eq!(expand(&format!("time = 0\nforce = [1]\n{keys}")).0, Some(0), "{keys}");
+    }
+    let (code, said) = expand("time = 0\nforce = [1]\nheader = false\ndecimal = \".\"");
+    assert!(code == Some(2) && said.contains("a.csv") && said.contains("line 2: "), "{said}");
+    let arrays = bench.path("blows.npz");
+    std::fs::copy(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/blows.npz"), arrays).unwrap();
+    bench.file("s.toml", &SPEC.replace("remove_offset", "header = true\nremove_offset"));
+    let refused = bench.metasense(&["expand", "s.toml"]);
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(refused.status.code() == Some(2) && said.contains("stimuli.recorded.header"), "{said}");
+}
+
+/// `evaluate`, `identify` and `twin` read records by one reader: a copy, a gap and a table without names end each of them, by file.
+#[test]
+fn every_command_refuses_records_that_mislead() {
+    let bench = Bench::new();
+    bench.file(
+        "s.toml",
+        &SPEC
+            .replace("[stimuli]\nkind = \"recorded\"", "[stimuli]\nkind = \"bell\"")
+            .replace("delay = 0.004", "")
+            .split("force_samples")
+            .next()
+            .unwrap()
+            .to_owned()
+            .replace("[stimuli]", "[sweep]\npanels = [1]\nsensors = [1]\n[stimuli]"),
+    );
+    let record = |size: f64, lost: std::ops::Range<usize>| -> String {
+        let line = |n: usize| {
+            let ring = size * (0.3 * n as f64).sin();
+            let force = if n == 4 { size } else { 0.0 };
+            format!("{},{force},{ring},{},{}\n", 0.005 * n as f64, -ring, 0.1 * ring)
+        };
+        "t,f,x,y,w\n".to_owned() + &(0..=40).filter(|n| !lost.contains(n)).map(line).collect::<String>()
+    };
+    bench.file("a.csv", &record(1.0, 0..0));
+    bench.file("copy.csv", &record(1.0, 0..0));
+    bench.file("gap.csv", &record(2.0, 20..28));
+    bench.file("bare.csv", record(2.0, 0..0).split_once('\n').unwrap().1);
+    let named = "time = \"t\"\nforce = [\"f\"]\n[signals]\nchannels = [\"x\", \"y\", \"w\"]\n";
+    let numbered = "time = 0\nforce = [1]\n[signals]\nchannels = [2, 3, 4]\n";
+    for (file, keys, said) in [
+        ("copy.csv", named, "is the same record as"),
+        ("gap.csv", named, "line 22: t = 0.14 "),
+        ("bare.csv", numbered, "set recorded.header = "),
+    ] {
+        bench.file(
+            "r.toml",
+            &format!("[recorded]\nfiles = [\"a.csv\", \"{file}\"]\n{keys}")
+                .replace("a.csv\", \"bare", "bare"),
+        );
+        for call in [
+            &["evaluate", "s.toml", "--brain", "linear", "--records", "initial=r.toml"][..],
+            &["identify", "s.toml", "--records", "r.toml"],
+            &["twin", "s.toml", "--records", "r.toml"],
+        ] {
+            let refused = bench.metasense(call);
+            let errors = String::from_utf8_lossy(&refused.stderr);
+            assert_eq!(refused.status.code(), Some(2), "{call:?}: {errors}");
+            assert!(
+                errors.contains("r.toml:2: recorded.files = ")
+                    && errors.contains(file)
+                    && errors.contains(said),
+                "{errors}\n{said}"
+            );
+        }
+    }
+}

@@ -143,7 +143,7 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
             return Err(source.error("sweep.own_placements", &remedy));
         }
     }
-    if let Some(lists) = &spec.sensors.placements {
+    if spec.sensors.placements.is_some() {
         if sweep.placements != 1 {
             return Err(source.error("sweep.placements", "cannot be given beside sensors.placements"));
         }
@@ -152,7 +152,6 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
                 source.error("sensors.search", "cannot be given beside sensors.placements, which says where")
             );
         }
-        distinct(lists, "sensors.placements", source)?;
     }
     let others = sweep.axes.values().map(Vec::len);
     let own = [sweep.panels.len(), sweep.sensors.len(), sweep.points.len()].map(|n| n.max(1));
@@ -196,6 +195,19 @@ fn check_run(run: &Run, source: &Source) -> Result<(), SpecError> {
         }
     }
     Ok(())
+}
+
+/// Refuses lists that name a unit twice, or the units of another list in whatever order: no two placements may be one.
+fn check_placements(lists: &[Vec<usize>], source: &Source) -> Result<(), SpecError> {
+    let key = "sensors.placements";
+    let mut lists = lists.to_vec();
+    lists.iter_mut().for_each(|list| list.sort_unstable());
+    match lists.iter().flat_map(|list| list.windows(2)).find(|pair| pair[0] == pair[1]) {
+        Some(pair) => {
+            Err(source.error_with(key, Some(&pair[0].to_string()), "is named twice: a unit has one sensor"))
+        }
+        None => distinct(&lists, key, source),
+    }
 }
 
 fn distinct<T: serde::Serialize>(values: &[T], key: &str, source: &Source) -> Result<(), SpecError> {
@@ -250,6 +262,7 @@ fn add_points(
     };
     let clamped = problem::clamped(&spec.body, &layout).map_err(located)?;
     let searched = spec.sensors.search.is_some_and(|search| search != Search::Random);
+    spec.sensors.placements.as_ref().map_or(Ok(()), |lists| check_placements(lists, source))?;
     let drawn = sweep.sweep.placements * if sweep.sweep.own_placements { sweep.sweep.seeds.len() } else { 1 };
     if sweep.sweep.own_placements && (searched || spec.sensors.placements.is_some()) {
         return Err(source.error("sweep.own_placements", "goes with sensors at random units alone"));
@@ -290,7 +303,7 @@ fn add_points(
             for (placement, units) in placements.iter().enumerate().skip(to_check) {
                 let trial = at(&template, placement, units, sweep.sweep.seeds[0]);
                 problem::problem(&trial)
-                    .and_then(|problem| records::check_shifts(&problem))
+                    .and_then(|problem| records::check_records(&trial, &problem))
                     .map_err(located)?;
             }
             points.push(PointPlan {
@@ -452,7 +465,11 @@ impl OneBody {
         let panels = first.sweep.panels.first().copied().unwrap_or(0);
         let sensors = first.sweep.sensors.first().copied().unwrap_or(0);
         let placed = match &first.sensors.placements {
-            Some(lists) => lists.iter().find(|list| list.len() == sensors).cloned().unwrap_or_default(),
+            Some(lists) => {
+                check_placements(lists, source)?;
+                let units = lists.iter().find(|list| list.len() == sensors).cloned().unwrap_or_default();
+                problem::check_units("sensors.placements", &units, &layout, &clamped).map_err(located)?
+            }
             None => placement(&body, &layout, 0, &clamped).into_iter().take(sensors).collect(),
         };
         let units = match panels {

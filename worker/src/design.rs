@@ -9,7 +9,9 @@ pub use metasense_numerics::feasible::{
 };
 pub use metasense_numerics::random::{Purpose, Stream};
 
-use crate::files;
+use metasense_schemas::spec::Signal;
+
+use crate::files::{self, Array, Form, Table};
 
 /// Ends of one ligament may disagree by this much in a CSV of nodes (mm).
 const AGREE: f64 = 1e-6;
@@ -44,20 +46,52 @@ pub enum DesignError {
     },
 }
 
-/// The design in a file, by its ending. NaN and infinity pass: what to do about them is the projection's business.
+/// The design in a file, by its ending: NPY of α, or CSV of nodes.
 ///
 /// # Errors
 /// Names the file, and what is wrong with it.
 pub fn read(path: &Path, layout: &Layout) -> Result<Vec<f64>, DesignError> {
-    let bytes = || std::fs::read(path).map_err(|e| io("reading", path, e));
-    match ending(path) {
-        Some("npy") => from_npy(&bytes()?, layout).map_err(|what| content(path, what)),
-        Some("csv") => {
-            let text = String::from_utf8(bytes()?).map_err(|e| content(path, e.to_string()))?;
-            from_csv(&text, layout).map_err(|what| content(path, what))
-        }
+    let content = |what| DesignError::Content { path: path.into(), what };
+    match files::ending(path).as_str() {
+        "npy" => read_array(path, layout),
+        "csv" => from_csv(&bytes_of(path)?, layout).map_err(content),
         _ => Err(DesignError::Ending { path: path.into() }),
     }
+}
+
+/// Numbers of the shape of α in an NPY.
+///
+/// # Errors
+/// Names the file, and what is wrong with it.
+pub fn read_array(path: &Path, layout: &Layout) -> Result<Vec<f64>, DesignError> {
+    let found = files::array(&bytes_of(path)?).and_then(|Array { shape, values }| {
+        check("the array", &shape, &values, layout.design_len())?;
+        Ok(values)
+    });
+    found.map_err(|what| DesignError::Content { path: path.into(), what })
+}
+
+/// Whether an array is a design of `length` numbers: of shape (n), or (n/2, 2) with x and y of a shift in a row.
+///
+/// # Errors
+/// Names the shape, or the first number that is not finite.
+pub fn check(what: &str, shape: &[usize], values: &[f64], length: usize) -> Result<(), String> {
+    if shape != [length] && shape != [length / 2, 2] {
+        return Err(format!(
+            "{what} has shape {shape:?} and holds {} numbers; α of this body has {length}, in shape [{length}] or [{}, 2]",
+            values.len(),
+            length / 2
+        ));
+    }
+    match values.iter().position(|x| !x.is_finite()) {
+        None => Ok(()),
+        Some(at) => Err(format!("{what}: number {at} is {}, which is not finite", values[at])),
+    }
+}
+
+/// The bytes of a file of a body.
+pub(crate) fn bytes_of(path: &Path) -> Result<Vec<u8>, DesignError> {
+    files::read(path).map_err(|source| DesignError::Io { doing: "reading", path: path.into(), source })
 }
 
 /// A design as the bytes of a file, by the ending of its name.
@@ -65,30 +99,10 @@ pub fn read(path: &Path, layout: &Layout) -> Result<Vec<f64>, DesignError> {
 /// # Errors
 /// Where it is another ending.
 pub fn bytes(path: &Path, layout: &Layout, design: &[f64]) -> Result<Vec<u8>, DesignError> {
-    match ending(path) {
-        Some("npy") => Ok(files::npy_bytes(&[design.len()], design)),
-        Some("csv") => Ok(to_csv(layout, design).into_bytes()),
+    match files::ending(path).as_str() {
+        "npy" => Ok(files::npy_bytes(&[design.len()], design)),
+        "csv" => Ok(to_csv(layout, design).into_bytes()),
         _ => Err(DesignError::Ending { path: path.into() }),
-    }
-}
-
-fn ending(path: &Path) -> Option<&str> {
-    path.extension().and_then(|e| e.to_str())
-}
-
-fn io(doing: &'static str, path: &Path, source: std::io::Error) -> DesignError {
-    DesignError::Io { doing, path: path.into(), source }
-}
-
-fn content(path: &Path, what: String) -> DesignError {
-    DesignError::Content { path: path.into(), what }
-}
-
-fn from_npy(bytes: &[u8], layout: &Layout) -> Result<Vec<f64>, String> {
-    let values = files::array(bytes)?.values;
-    match (values.len(), layout.design_len()) {
-        (count, wanted) if count == wanted => Ok(values),
-        (count, wanted) => Err(format!("holds {count} numbers; α of this body has {wanted}")),
     }
 }
 
@@ -102,29 +116,25 @@ fn to_csv(layout: &Layout, design: &[f64]) -> String {
     text
 }
 
-fn from_csv(text: &str, layout: &Layout) -> Result<Vec<f64>, String> {
-    let head = text.lines().next().unwrap_or_default();
-    if head.trim_start_matches('\u{feff}').split(',').map(str::trim).ne(["unit", "node", "x", "y"]) {
-        return Err(format!("line 1: {head:?}; must be unit,node,x,y"));
-    }
+fn from_csv(bytes: &[u8], layout: &Layout) -> Result<Vec<f64>, String> {
+    let names = ["unit", "node", "x", "y"].map(|name| Signal::Name(name.into()));
+    let table = Table::parse(bytes, &Form { read: Some(names.iter().collect()), ..Form::default() })
+        .map_err(|what| format!("{what} (a design has the columns unit, node, x, y)"))?;
+    let [units, nodes, xs, ys] =
+        names.each_ref().map(|name| table.column(name).map(|column| table.values(column)));
+    let (units, nodes, xs, ys) = (units?, nodes?, xs?, ys?);
     let undisplaced = layout.vertices(&vec![0.0; layout.design_len()]);
     let mut shifts: Vec<Option<[f64; 2]>> = vec![None; layout.group_count];
-    for (number, line) in text.lines().enumerate().skip(1).filter(|(_, line)| !line.trim().is_empty()) {
-        let at = |what: &str| format!("line {}: {what}", number + 1);
-        let fields: Vec<&str> = line.split(',').map(str::trim).collect();
-        let [unit, node, x, y] = fields[..] else { return Err(at("must be unit,node,x,y")) };
-        let (Ok(unit), Ok(node), Ok(x), Ok(y)) =
-            (unit.parse::<usize>(), node.parse::<usize>(), x.parse::<f64>(), y.parse::<f64>())
-        else {
-            return Err(at("must be unit,node,x,y: two whole numbers and two lengths in mm"));
+    for (row, ((unit, node), (x, y))) in units.iter().zip(nodes).zip(xs.iter().zip(ys)).enumerate() {
+        let at = |what: &str| format!("{}: {what}", table.place(row));
+        let whole = |name: &str, number: f64, count: usize| match number.fract() == 0.0
+            && (0.0..count as f64).contains(&number)
+        {
+            true => Ok(number as usize),
+            false => Err(at(&format!("{name} = {number}: must be a whole number from 0 to {}", count - 1))),
         };
-        if !(x.is_finite() && y.is_finite()) {
-            return Err(at("x and y must be finite"));
-        }
-        if unit >= layout.units() || node >= layout.shape[unit].len() {
-            let nodes = layout.shape.get(unit).unwrap_or(&layout.shape[0]).len();
-            return Err(at(&format!("units are 0 to {}, nodes 0 to {}", layout.units() - 1, nodes - 1)));
-        }
+        let unit = whole("unit", *unit, layout.units())?;
+        let node = whole("node", *node, layout.shape[unit].len())?;
         let [x0, y0] = undisplaced[unit][node];
         let shift = [x - x0, y - y0];
         match &shifts[layout.groups[unit][node]] {

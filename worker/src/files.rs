@@ -1,12 +1,73 @@
-//! Numbers from files that others wrote: CSV tables, NPY arrays, NPZ archives of arrays.
+//! Numbers from files that others wrote: the one reader of CSV tables, NPY arrays and NPZ archives of arrays.
+//!
+//! What has one meaning is read. What could have two is refused, with its place and the key that settles it.
 
 use std::collections::BTreeMap;
-use std::io::{Cursor, Read};
+use std::fs::File;
+use std::io::{self, Cursor, Read};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
-use csv::{ReaderBuilder, StringRecord, Trim};
-use npyz::{AutoSerialize, NpyFile, WriterBuilder};
+use metasense_schemas::spec::Signal;
+use npyz::{AutoSerialize, Deserialize, NpyFile, WriterBuilder};
 use zip::ZipArchive;
+
+mod table;
+
+pub use table::{Form, Table};
+
+/// A file, or an array of an archive, may be so large (bytes).
+const LARGEST: u64 = 4 << 30;
+
+/// Opens an ordinary file. Whoever made a database has named it: a pipe would be waited for, a device has no end.
+///
+/// # Errors
+/// If it cannot be opened, is no ordinary file, or is too large.
+pub fn open(path: &Path) -> io::Result<File> {
+    let file = File::options().read(true).custom_flags(libc::O_NONBLOCK).open(path)?;
+    let known = file.metadata()?;
+    match known.is_file() && known.len() <= LARGEST {
+        true => Ok(file),
+        false => Err(io::Error::other(format!("must be an ordinary file of at most {} GiB", LARGEST >> 30))),
+    }
+}
+
+/// The bytes of an ordinary file.
+///
+/// # Errors
+/// As `open`, or if it cannot be read.
+pub fn read(path: &Path) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    open(path)?.take(LARGEST).read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
+/// The ending of a file's name, in small letters.
+#[must_use]
+pub fn ending(path: &Path) -> String {
+    path.extension().map_or(String::new(), |ending| ending.to_string_lossy().to_lowercase())
+}
+
+/// A file's text without its byte order mark.
+///
+/// # Errors
+/// Names the line and the encoding that it seems to have.
+pub fn text(bytes: &[u8]) -> Result<&str, String> {
+    let save = "save it as UTF-8";
+    if bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff") {
+        return Err(format!("is encoded as UTF-16: {save}"));
+    }
+    if let Some(at) = bytes.iter().position(|byte| *byte == 0) {
+        let line = 1 + bytes[..at].iter().filter(|byte| **byte == b'\n').count();
+        return Err(format!("line {line}: holds a zero byte, so it is UTF-16 or no text: {save}"));
+    }
+    let text = std::str::from_utf8(bytes).map_err(|e| {
+        let (before, at) = (&bytes[..e.valid_up_to()], bytes[e.valid_up_to()]);
+        let line = 1 + before.iter().filter(|byte| **byte == b'\n').count();
+        format!("line {line}: byte 0x{at:02x} is not UTF-8 (Latin-1 or Windows-1252?): {save}")
+    })?;
+    Ok(text.strip_prefix('\u{feff}').unwrap_or(text))
+}
 
 /// An array of any shape, the last index fastest.
 #[derive(Debug, Clone, PartialEq)]
@@ -39,71 +100,46 @@ pub fn npy_bytes<T: AutoSerialize + Copy>(shape: &[usize], values: &[T]) -> Vec<
 /// What a file holds.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Content {
-    /// Columns of a CSV with their names.
-    Table(Vec<(String, Vec<f64>)>),
+    /// A CSV.
+    Table(Table),
     /// An NPY.
     Array(Array),
-    /// The arrays of an NPZ by name; of those that are no numbers, why not.
-    Archive(BTreeMap<String, Result<Array, String>>),
+    /// The arrays of an NPZ by name: none of those that nobody reads; of those that hold no numbers, why not.
+    Archive(BTreeMap<String, Option<Result<Array, String>>>),
 }
 
-/// Takes a file's bytes apart, by its ending.
+/// Takes a file's bytes apart, by the ending of its name.
 ///
 /// # Errors
 /// Says what is wrong, and where.
-pub fn content(path: &Path, bytes: &[u8]) -> Result<Content, String> {
-    match path.extension().and_then(|e| e.to_str()) {
-        Some("csv") => table(bytes).map(Content::Table),
-        Some("npy") => array(bytes).map(Content::Array),
-        Some("npz") => archive(bytes).map(Content::Archive),
-        _ => Err("must be a .csv, .npy or .npz file".into()),
-    }
-}
-
-/// A CSV: a line of names, then lines of numbers.
-fn table(bytes: &[u8]) -> Result<Vec<(String, Vec<f64>)>, String> {
-    let mut columns: Vec<(String, Vec<f64>)> = Vec::new();
-    let bare = |field: &str| field.trim_matches('"').to_owned(); // those behind a blank, which are none to `csv`
-    let mut reader =
-        ReaderBuilder::new().has_headers(false).flexible(true).trim(Trim::All).from_reader(bytes);
-    for row in reader.records() {
-        let row = row.map_err(|e| e.to_string())?;
-        if row.len() == 1 && row[0].is_empty() {
-            continue; // a line of blanks
-        }
-        if columns.is_empty() {
-            columns = row.iter().map(|name| (bare(name), Vec::new())).collect();
-            continue;
-        }
-        let line = || line_of(&row, bytes);
-        if row.len() != columns.len() {
-            let (found, wanted) = (row.len(), columns.len());
-            return Err(format!("line {}: {found} fields where the first line names {wanted}", line()));
-        }
-        for ((name, values), field) in columns.iter_mut().zip(&row) {
-            let value = bare(field).parse();
-            values.push(value.map_err(|_| format!("line {}: {name} = {field:?} is no number", line()))?);
+pub fn content(path: &Path, bytes: &[u8], form: &Form) -> Result<Content, String> {
+    match ending(path).as_str() {
+        "csv" => Table::parse(bytes, form).map(Content::Table),
+        "npy" => array(bytes).map(Content::Array),
+        "npz" => archive(bytes, form).map(Content::Archive),
+        _ => {
+            Err("must be a .csv, .npy or .npz file; a table of text is a .csv, whatever separates its fields"
+                .into())
         }
     }
-    if columns.is_empty() { Err("is empty".into()) } else { Ok(columns) }
 }
 
-/// The line of a CSV's row, from 1: `csv` counts it before it skips blank lines and the second half of "\r\n".
-fn line_of(row: &StringRecord, bytes: &[u8]) -> usize {
-    let from = row.position().map_or(0, |position| position.byte() as usize);
-    let skipped = bytes[from..].iter().take_while(|byte| b"\r\n".contains(byte)).count();
-    1 + bytes[..from + skipped].iter().filter(|byte| **byte == b'\n').count()
-}
-
-/// An NPY of real numbers, in either order.
+/// An NPY of real numbers, in either order: truth values, integers of 8 to 64 bits that `f64` holds exactly, floats of 32 and 64 bits.
 ///
 /// # Errors
 /// Says what is wrong.
-pub fn array(bytes: &[u8]) -> Result<Array, String> {
-    let file = NpyFile::new(bytes).map_err(|e| e.to_string())?;
+pub fn array(mut bytes: &[u8]) -> Result<Array, String> {
+    let file = NpyFile::new(&mut bytes).map_err(|e| format!("is no NPY file: {e}"))?;
     let shape: Vec<usize> = file.shape().iter().map(|&n| n as usize).collect();
     let order = file.order();
+    let count = shape.iter().try_fold(1usize, |count, &n| count.checked_mul(n));
+    if count == Some(0) {
+        return Err(format!("holds no number: its shape is {shape:?}"));
+    }
     let mut values = numbers(file)?;
+    if count != Some(values.len()) || !bytes.is_empty() {
+        return Err(format!("does not end with its one array, of shape {shape:?}"));
+    }
     if order == npyz::Order::Fortran && shape.len() > 1 {
         values = (0..values.len())
             .map(|mut at| {
@@ -119,52 +155,57 @@ pub fn array(bytes: &[u8]) -> Result<Array, String> {
     Ok(Array { shape, values })
 }
 
-fn numbers(file: NpyFile<&[u8]>) -> Result<Vec<f64>, String> {
-    fn read<T: npyz::Deserialize, R: std::io::Read>(
-        data: npyz::NpyReader<T, R>,
-        wide: fn(T) -> f64,
+fn numbers(file: NpyFile<&mut &[u8]>) -> Result<Vec<f64>, String> {
+    fn read<T: Deserialize>(
+        data: npyz::NpyReader<T, &mut &[u8]>,
+        wide: impl Fn(T) -> Option<f64>,
     ) -> Result<Vec<f64>, String> {
-        data.map(|x| x.map(wide)).collect::<Result<_, _>>().map_err(|e| e.to_string())
+        let one = |(n, x): (usize, io::Result<T>)| {
+            wide(x.map_err(|e| e.to_string())?)
+                .ok_or_else(|| format!("number {n} is an integer beyond 2^53: it cannot be read exactly"))
+        };
+        data.enumerate().map(one).collect()
     }
-    let file = match file.try_data::<f64>() {
-        Ok(data) => return read(data, |x| x),
-        Err(file) => file,
-    };
-    let file = match file.try_data::<f32>() {
-        Ok(data) => return read(data, f64::from),
-        Err(file) => file,
-    };
-    let file = match file.try_data::<u8>() {
-        Ok(data) => return read(data, f64::from),
-        Err(file) => file,
-    };
-    let file = match file.try_data::<i64>() {
-        Ok(data) => return read(data, |x| x as f64),
-        Err(file) => file,
-    };
-    let file = match file.try_data::<i32>() {
-        Ok(data) => return read(data, f64::from),
-        Err(file) => file,
-    };
-    match file.try_data::<i16>() {
-        Ok(data) => read(data, f64::from),
-        Err(file) => Err(format!("holds {}; must hold real numbers", file.dtype().descr())),
+    macro_rules! first_of {
+        ($file:expr; $($kind:ty => $wide:expr),+) => {{
+            let file = $file;
+            $(let file = match file.try_data::<$kind>() {
+                Ok(data) => return read(data, $wide),
+                Err(file) => file,
+            };)+
+            file
+        }};
     }
+    let file = first_of!(file;
+        f64 => Some, f32 => |x| Some(x.into()), bool => |x| Some(f64::from(u8::from(x))),
+        i8 => |x| Some(x.into()), i16 => |x| Some(x.into()), i32 => |x| Some(x.into()),
+        u8 => |x| Some(x.into()), u16 => |x| Some(x.into()), u32 => |x| Some(x.into()),
+        i64 => |x| (x.unsigned_abs() <= 1 << 53).then_some(x as f64),
+        u64 => |x| (x <= 1 << 53).then_some(x as f64)
+    );
+    Err(format!(
+        "holds {}; must hold truth values, integers, or floats of 32 or 64 bits",
+        file.dtype().descr()
+    ))
 }
 
 /// The arrays of an NPZ, a zip archive, as `numpy.savez` and `savez_compressed` write it.
-fn archive(bytes: &[u8]) -> Result<BTreeMap<String, Result<Array, String>>, String> {
-    let mut zip = ZipArchive::new(Cursor::new(bytes)).map_err(|e| e.to_string())?;
+fn archive(bytes: &[u8], form: &Form) -> Result<BTreeMap<String, Option<Result<Array, String>>>, String> {
+    let mut zip = ZipArchive::new(Cursor::new(bytes)).map_err(|e| format!("is no NPZ file: {e}"))?;
     let mut arrays = BTreeMap::new();
     for i in 0..zip.len() {
         let name = zip.name_for_index(i).transpose().map_err(|e| e.to_string())?.unwrap_or_default();
-        let name = name.trim_end_matches(".npy").to_owned();
-        let held = (zip.by_index(i).map_err(|e| e.to_string())).and_then(|mut file| {
+        let name = name.strip_suffix(".npy").unwrap_or(&name).to_owned();
+        let own = Signal::Name(name.clone());
+        let held = form.read.as_ref().is_none_or(|read| read.contains(&&own)).then(|| {
+            let mut file = zip.by_index(i).map_err(|e| e.to_string())?.take(LARGEST);
             let mut held = Vec::new();
             file.read_to_end(&mut held).map_err(|e| e.to_string())?;
             array(&held)
         });
-        arrays.insert(name, held);
+        if arrays.insert(name.clone(), held).is_some() {
+            return Err(format!("holds two arrays that are called {name:?}"));
+        }
     }
     Ok(arrays)
 }

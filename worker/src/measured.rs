@@ -10,8 +10,9 @@ use metasense_numerics::stimuli::{anti_aliased, resample};
 use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{self, Augment, Channel, Resample, TrialSpec};
 
+use crate::files::Form;
 use crate::invalid::{Invalid, invalid, positive};
-use crate::records::{self, Pick, Record};
+use crate::records::{self, Pick, Record, fingerprint};
 
 /// Records of one body.
 #[derive(Debug, Clone, PartialEq)]
@@ -63,33 +64,52 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
     check(recorded, signals, trial)?;
     let (panels, channels) = (trial.panel_units.len(), trial.signals());
     let (duration, instants) = (trial.time.duration, trial.time.samples);
-    let pick = pick(recorded, signals, channels);
-    let (mut forces, mut readings) = (Vec::new(), Vec::new());
+    let picks = [Pick::forces(recorded, "recorded"), pick(recorded, signals, channels)];
+    let [of_forces, of_signals] = picks.each_ref().map(Pick::read);
+    let own = Form::of_signals(signals, of_signals.clone());
+    let read = match &signals.files {
+        Some(_) => of_forces,
+        None => of_forces.zip(of_signals).map(|(forces, signals)| [forces, signals].concat()),
+    };
+    let form = Form::of_forces(recorded, "recorded", read);
+    let (mut forces, mut readings, mut seen) = (Vec::new(), Vec::new(), Vec::new());
     for (n, file) in recorded.files.iter().enumerate() {
-        let held = records::open(file)?;
-        let of_file = records::forces(recorded, file, &held, panels)?;
-        let (beside, read) = match &signals.files {
-            Some(files) => (&files[n], records::of_file(&pick, &records::open(&files[n])?)),
-            None => (file, records::of_file(&pick, &held)),
+        let wrong = |what: String| records::at(file, what);
+        let beside = signals.files.as_ref().map(|files| &files[n]);
+        let wrong_beside =
+            |what: String| beside.map_or_else(|| wrong(what.clone()), |file| faulty(file, &*what));
+        let held = records::open(file, &form).map_err(wrong)?;
+        let of_file = records::forces(&picks[0], &held, panels).map_err(wrong)?;
+        let read = match beside {
+            Some(file) => records::open(file, &own).and_then(|held| records::of_file(&picks[1], &held)),
+            None => records::of_file(&picks[1], &held),
         };
-        let read = read.map_err(|what| faulty(beside, what))?;
+        let read = read.map_err(wrong_beside)?;
         if read.len() != of_file.len() {
             let what = format!("holds signals of {} records, forces of {}", read.len(), of_file.len());
-            return Err(faulty(beside, what));
+            return Err(wrong_beside(what));
         }
-        for (mut force, mut signal) in of_file.into_iter().zip(read) {
-            fit(signals, &force, &signal, trial).map_err(|what| faulty(beside, what))?;
-            let later = records::align(recorded, &mut force, 0.0).map_err(|what| records::at(file, what))?;
+        let count = read.len();
+        for (i, (mut force, mut signal)) in of_file.into_iter().zip(read).enumerate() {
+            let wrong = |what| wrong(records::numbered(i, count, what));
+            let wrong_beside = |what| wrong_beside(records::numbered(i, count, what));
+            fit(signals, &force, &signal, trial).map_err(wrong_beside)?;
+            records::check_step(&picks[0], &force, duration).map_err(wrong)?;
+            records::check_step(&picks[1], &signal, duration).map_err(wrong_beside)?;
+            let place = format!("{:?}, record {i}", beside.unwrap_or(file).display().to_string());
+            check_copies(&mut seen, &force, &signal, place).map_err(wrong_beside)?;
+            let later = records::align(recorded, &mut force, 0.0).map_err(wrong)?;
             signal.start += later;
             records::in_units("signal", &mut signal.values, &factors(signals, trial), recorded.remove_offset)
-                .map_err(|what| faulty(beside, what))?;
-            lasts(&force, &signal, duration, instants).map_err(|what| faulty(beside, what))?;
+                .map_err(wrong_beside)?;
+            records::check_place(&picks[0], &force, duration).map_err(wrong)?;
+            lasts(&force, &signal, duration, instants).map_err(wrong_beside)?;
             forces.push(force);
             readings.push(signal);
         }
     }
     let Some(first) = forces.first() else {
-        return Err(faulty(&recorded.files[0], "holds no record"));
+        return Err(records::at(&recorded.files[0], "holds no record"));
     };
     records::check_panels(recorded, &forces, panels)?;
     if first.values.len() < panels && recorded.panels.is_none() {
@@ -134,6 +154,30 @@ fn faulty(file: &Path, what: impl Into<String>) -> Invalid {
     invalid("signals.files", format!("{:?}", file.display().to_string()), what)
 }
 
+/// Forces and signals of a record that has been read, and where it stands.
+type Seen = ([blake3::Hash; 2], String);
+
+/// Refuses signals that are a force, and those of an earlier record: copies would train and test the same brain.
+fn check_copies(seen: &mut Vec<Seen>, force: &Record, signal: &Record, place: String) -> Result<(), String> {
+    let is_some = |values: &[f64]| values.iter().any(|x| *x != 0.0);
+    if let Some(c) = signal.values.iter().position(|signal| is_some(signal) && force.values.contains(signal))
+    {
+        return Err(format!("holds the force as signal {c}: a brain would read it there"));
+    }
+    let own = [force, signal].map(|record| fingerprint(&record.values.concat()));
+    let some = [force, signal].map(|record| record.values.iter().any(|values| is_some(values)));
+    if let Some((other, first)) = seen.iter().find(|(other, _)| other[1] == own[1]) {
+        if other[0] == own[0] && (some[0] || some[1]) {
+            return Err(format!("is the same record as {first}: a copy would train and test the same brain"));
+        }
+        if some[1] {
+            return Err(format!("holds the signals of {first} under another force"));
+        }
+    }
+    seen.push((own, place));
+    Ok(())
+}
+
 fn check(
     recorded: &spec::Recorded,
     signals: &spec::MeasuredSignals,
@@ -155,6 +199,11 @@ fn check(
         return wrong("rate", signals.rate.map_or(String::new(), |rate| rate.to_string()), remedy);
     }
     signals.rate.map_or(Ok(()), |rate| positive("signals.rate", rate))?;
+    if signals.time_unit.is_some() && signals.time.is_none() {
+        return wrong("time_unit", String::new(), "is for signals.time: give recorded.time_unit".into());
+    }
+    let files = signals.files.as_deref().unwrap_or_default();
+    records::check_form("signals", files, signals.header, signals.separator, signals.decimal)?;
     if let Some(start) = signals.start.filter(|start| !start.is_finite()) {
         return wrong("start", start.to_string(), "must be a finite number (s)".into());
     }
@@ -179,7 +228,8 @@ fn pick<'a>(recorded: &'a spec::Recorded, signals: &'a spec::MeasuredSignals, ch
         signals: signals.channels.as_deref(),
         time,
         rate,
-        unit: recorded.time_unit,
+        unit: signals.time_unit.unwrap_or(recorded.time_unit),
+        clock: if signals.time.is_some() || signals.rate.is_some() { "signals" } else { "recorded" },
         start: signals.start.unwrap_or(0.0),
         count: Some(channels),
     }

@@ -4,10 +4,10 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use metasense_numerics::body::{End, Layout, moments};
-use metasense_schemas::spec::Polygons;
+use metasense_schemas::spec::{Polygons, Signal};
 
-use crate::design::DesignError;
-use crate::files::{self, Array, Content};
+use crate::design::{self, DesignError};
+use crate::files::{self, Array, Content, Form};
 use crate::invalid::{Invalid, invalid};
 
 /// Nodes of a unit.
@@ -22,30 +22,31 @@ const UNITS_MAX: usize = 10_000;
 /// # Errors
 /// Names the file, and what is wrong with it.
 pub fn read(path: &Path) -> Result<Polygons, DesignError> {
-    let bytes = std::fs::read(path).map_err(|source| DesignError::Io {
-        doing: "reading",
-        path: path.into(),
-        source,
-    })?;
+    let bytes = design::bytes_of(path)?;
     let content = |what: String| DesignError::Content { path: path.into(), what };
-    match path.extension().and_then(|e| e.to_str()) {
-        Some("toml") => {
-            let text = String::from_utf8(bytes).map_err(|e| content(e.to_string()))?;
-            toml::from_str(&text).map_err(|e| content(e.to_string().trim_end().into()))
-        }
-        Some("npz") => of_archive(&files::content(path, &bytes).map_err(content)?).map_err(content),
+    match files::ending(path).as_str() {
+        "toml" => toml::from_str(files::text(&bytes).map_err(content)?)
+            .map_err(|e| content(e.to_string().trim_end().into())),
+        "npz" => of_archive(path, &bytes).map_err(content),
         _ => Err(content("must be a .toml or .npz file".into())),
     }
 }
 
-fn of_archive(held: &Content) -> Result<Polygons, String> {
-    let Content::Archive(arrays) = held else { return Err("is no archive".into()) };
+/// The arrays of an NPZ that make a body.
+const ARRAYS: [&str; 3] = ["block_centroids", "centroid_node_vectors", "bond_connectivity"];
+
+fn of_archive(path: &Path, bytes: &[u8]) -> Result<Polygons, String> {
+    let names = ARRAYS.map(|name| Signal::Name(name.into()));
+    let form = Form { read: Some(names.iter().collect()), ..Form::default() };
+    let Content::Archive(arrays) = files::content(path, bytes, &form)? else {
+        return Err("is no archive".into());
+    };
     let array = |name: &str| -> Result<&Array, String> {
-        let found = arrays.get(name).ok_or_else(|| format!("has no array {name}"))?;
+        let found =
+            arrays.get(name).and_then(Option::as_ref).ok_or_else(|| format!("has no array {name}"))?;
         found.as_ref().map_err(|what| format!("{name} {what}"))
     };
-    let [centroids, nodes, bonds] =
-        [array("block_centroids")?, array("centroid_node_vectors")?, array("bond_connectivity")?];
+    let [centroids, nodes, bonds] = [array(ARRAYS[0])?, array(ARRAYS[1])?, array(ARRAYS[2])?];
     let [count, of_each] = match (&centroids.shape[..], &nodes.shape[..], &bonds.shape[..]) {
         (&[units, 2], &[other, each, 2], &[_, 2]) if units == other && each > 0 => [units, each],
         (units, nodes, bonds) => {
@@ -58,18 +59,25 @@ fn of_archive(held: &Content) -> Result<Polygons, String> {
     let node = |u: usize, p: usize| {
         [0, 1].map(|d| centroids.values[2 * u + d] + nodes.values[2 * (u * of_each + p) + d])
     };
-    let end = |number: f64| {
-        // no whole number: out of range, refused below
-        let number = if number >= 0.0 && number.fract() == 0.0 { number as usize } else { usize::MAX };
-        [number / of_each, number % of_each]
+    let nodes_in_all = count * of_each;
+    let end = |(n, number): (usize, &f64)| match number.fract() == 0.0
+        && (0.0..nodes_in_all as f64).contains(number)
+    {
+        true => Ok([*number as usize / of_each, *number as usize % of_each]),
+        false => Err(format!(
+            "bond_connectivity[{}, {}] = {number}: must be the number of a node, from 0 to {}",
+            n / 2,
+            n % 2,
+            nodes_in_all - 1
+        )),
     };
-    let ligament = |ends: &[f64]| {
-        let ([a, p], [b, q]) = (end(ends[0]), end(ends[1]));
-        [a, p, b, q]
-    };
+    let ends = bonds.values.iter().enumerate().map(end).collect::<Result<Vec<_>, String>>()?;
     Ok(Polygons {
         units: (0..count).map(|u| (0..of_each).map(|p| node(u, p)).collect()).collect(),
-        ligaments: bonds.values.chunks_exact(2).map(ligament).collect(),
+        ligaments: ends
+            .chunks_exact(2)
+            .map(|ends| [ends[0][0], ends[0][1], ends[1][0], ends[1][1]])
+            .collect(),
         ..Polygons::default()
     })
 }
@@ -122,6 +130,12 @@ pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
         if let Some([unit, node]) = ends.iter().copied().find(|end| !exists(*end)) {
             return wrong(format!("together[{group}]"), format!("there is no node {node} of a unit {unit}"));
         }
+        if let Some(n) = (1..ends.len()).find(|n| ends[..*n].contains(&ends[*n])) {
+            return wrong(
+                format!("together[{group}]"),
+                format!("names node {} of unit {} twice", ends[n][1], ends[n][0]),
+            );
+        }
     }
     for (name, units) in [
         ("clamp", given.clamp.clone().unwrap_or_default()),
@@ -129,6 +143,9 @@ pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
     ] {
         if let Some(unit) = units.iter().find(|unit| **unit >= count) {
             return wrong(format!("{name}: {unit}"), format!("the units are 0 to {}", count - 1));
+        }
+        if let Some(n) = (1..units.len()).find(|n| units[..*n].contains(&units[*n])) {
+            return wrong(format!("{name}: {}", units[n]), "must be named once".into());
         }
     }
     if let Some(unit) = hangs(given) {

@@ -12,6 +12,7 @@ use metasense_schemas::wire::Cause;
 
 use crate::clock::cpu_seconds;
 use crate::convert;
+use crate::design;
 use crate::problem::problem;
 use crate::simd;
 
@@ -116,8 +117,7 @@ pub fn with_design(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure
 /// # Errors
 /// If its length is another, or a number is not finite.
 pub fn check_design(problem: &Problem, design: &[f64]) -> Result<(), Failure> {
-    check_length("design", design.len(), problem.initial.len())?;
-    finite("the design", design)
+    design::check("the design", &[design.len()], design, problem.initial.len()).map_err(Failure::Rejected)
 }
 
 /// Whether there are as many numbers as a trial has.

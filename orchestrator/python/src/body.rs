@@ -12,8 +12,9 @@ use metasense_numerics::feasible::Feasible;
 use metasense_numerics::random::Purpose;
 use metasense_numerics::trial::Problem;
 use metasense_schemas::spec::TrialSpec;
+use metasense_worker::design;
 use metasense_worker::replay::drawing;
-use metasense_worker::run::{check_design, placed, prepared};
+use metasense_worker::run::{placed, prepared};
 use metasense_worker::simulate::{forces, strike};
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
 use pyo3::exceptions::{PyMemoryError, PyOSError, PyValueError};
@@ -81,11 +82,11 @@ impl Body {
         self.feasible.get(py, make).unwrap_or_else(|never| match never {})
     }
 
-    /// α from Python.
+    /// α from Python, of shape (n) or (n/2, 2).
     fn design(&self, what: &str, alpha: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
-        let alpha = vector(what, alpha)?;
-        check_design(&self.problem, &alpha).map_err(|e| raised(&e))?;
-        Ok(alpha)
+        let Numbers { shape, values } = numbers(what, alpha)?;
+        design::check(what, &shape, &values, self.problem.initial.len()).map_err(PyValueError::new_err)?;
+        Ok(values)
     }
 
     /// The same, by default that of the initial body.

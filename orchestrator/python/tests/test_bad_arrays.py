@@ -22,6 +22,18 @@ def test_any_layout_of_real_numbers_is_understood(body):
     )
 
 
+def test_a_design_has_two_shapes(body):
+    """α is (n), or (n/2, 2) with x and y of a shift in a row; an array that is turned, or of other axes, is refused."""
+    own, forces = body.alpha, body.stimuli("test")
+    pairs = own.reshape(-1, 2)
+    assert np.array_equal(body.simulate(pairs, forces).signals, body.simulate(own, forces).signals)
+    assert np.array_equal(body.project(np.asfortranarray(pairs)), body.project(own))
+    for other in [pairs.T, own[None], own[:, None], pairs[None], own.reshape(-1, 4)]:
+        for ask in [body.violations, body.feasible, body.project, lambda a: body.simulate(a, forces)]:
+            with pytest.raises(ValueError, match="alpha has shape"):
+                ask(other)
+
+
 def bad(good: np.ndarray) -> list[object]:
     nan, inf = good.copy(), good.copy()
     nan.flat[-1], inf.flat[0] = np.nan, -np.inf

@@ -221,6 +221,7 @@ fn compare(
     twins: &BTreeMap<String, Twin>,
 ) -> Result<(Comparison, Unfinished<Networks>), Error> {
     let trial = &specs[0];
+    check_records(args, specs, brain, &records, designs)?;
     let fewest = records.iter().map(|of| of.measured.forces.samples).min().unwrap_or(0);
     let networks = matches!(brain, BrainKind::Cnn | BrainKind::Stacked);
     let effort = Effort {
@@ -297,6 +298,45 @@ fn compare(
         bodies.push(Body { name, by, signals, measured: by_measured, simulated: model, twin });
     }
     Ok((Comparison::new(bodies, paired, trial), unfinished))
+}
+
+/// Refuses fewer records than can be divided into folds, and measured signals that two bodies have.
+fn check_records(
+    args: &Args,
+    specs: &[TrialSpec; 2],
+    brain: BrainKind,
+    records: &[Records],
+    designs: &BTreeMap<String, Vec<f64>>,
+) -> Result<(), Error> {
+    let file = |of: &Records| {
+        let (name, file) = args.records.iter().find(|(name, _)| *name == of.name).expect("it was read");
+        format!("--records {name}={}", file.display())
+    };
+    if let Some(of) = records.iter().find(|of| brain != BrainKind::Inverse && of.measured.forces.samples < 2)
+    {
+        let why = "holds one record: give two or more, as each is predicted by a brain of the others";
+        return Err(Error::Usage(format!("{}: {why}", file(of))));
+    }
+    let body = |of: &Records| designs.get(&of.name).map(|design| (of_body(specs, &of.name), design));
+    let measured = || records.iter().filter(|of| of.by == By::Measured).enumerate();
+    for (n, of) in measured() {
+        let samples = |of: &'_ Records| of.measured.signals.len() / of.measured.forces.samples;
+        let own: Vec<&[f64]> = of.measured.signals.chunks(samples(of)).collect();
+        let others = measured().take(n).filter(|(_, other)| body(of).is_none() || body(of) != body(other));
+        for (_, other) in others {
+            let shared = |signals: &&[f64]| signals.iter().any(|x| *x != 0.0) && own.contains(signals);
+            if let Some(record) =
+                other.measured.signals.chunks(samples(other)).position(|signals| shared(&signals))
+            {
+                let why = format!(
+                    "holds record {record} of {}: two bodies cannot have given the same signals",
+                    file(other)
+                );
+                return Err(Error::Usage(format!("{}: {why}", file(of))));
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Whether two bodies met the same blows.

@@ -195,7 +195,7 @@ fn said(fit: &Identified, body: &Body, records: usize) -> Vec<String> {
     let mut said = vec![
         format!("{} after {} iterations on {records} records", fit.outcome.name(), fit.iterations.len()),
         format!(
-            "left of the signals' RMS: accelerations {:.1} -> {:.2} % ({:.4} mm/s²), rotation rates {:.1} -> {:.2} % ({:.4} rad/s)",
+            "left of the signals' RMS: accelerations {:.2} -> {:.2} % ({:.4} mm/s²), rotation rates {:.2} -> {:.2} % ({:.4} rad/s)",
             start[0], end[0], fit.noise[0], start[1], end[1], fit.noise[1]
         ),
     ];

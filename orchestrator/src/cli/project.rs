@@ -42,7 +42,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         Some(file) => design::read(file, &body.layout)?,
         None => body.initial.clone(),
     };
-    let weights = args.weights.as_ref().map(|file| design::read(file, &body.layout)).transpose()?;
+    let weights = args.weights.as_ref().map(|file| design::read_array(file, &body.layout)).transpose()?;
     let several = "optimise.tie or optimise.frozen differ from trial to trial: choose one with --hash";
     let feasible = body.castable.as_mut().ok_or_else(|| args.trial.refused(several))?;
     let found = feasible.project(&previous, &target, weights.as_deref());

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use metasense_worker::files::{self, Array};
+use metasense_worker::run::finite;
 use metasense_worker::simulate::{Simulated, simulate};
 
 use super::named::Designed;
@@ -84,10 +85,11 @@ fn table(found: &Simulated, each: bool) -> Table {
     Table::new(columns, met.into_iter().map(row))
 }
 
-/// Shape and values of an NPY file of numbers.
+/// Shape and values of an NPY file of finite numbers.
 fn array(path: &Path) -> Result<(Vec<usize>, Vec<f64>), Error> {
-    let bytes = std::fs::read(path).map_err(Error::unreadable(path))?;
-    let Array { shape, values } =
-        files::array(&bytes).map_err(|what| Error::Usage(format!("{}: {what}", path.display())))?;
+    let bytes = files::read(path).map_err(Error::unreadable(path))?;
+    let wrong = |what: String| Error::Usage(format!("{}: {what}", path.display()));
+    let Array { shape, values } = files::array(&bytes).map_err(wrong)?;
+    finite("the array", &values).map_err(|e| wrong(e.to_string()))?;
     Ok((shape, values))
 }

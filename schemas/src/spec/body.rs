@@ -151,7 +151,7 @@ pub enum Way {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged, deny_unknown_fields)]
 pub enum Design {
-    /// a file, relative to the spec: NPY of α in the order of MODEL.md, or CSV of nodes (`unit,node,x,y`, mm).
+    /// a file, relative to the spec: NPY of α in the order of MODEL.md, of shape (n) or (n/2, 2), or CSV of nodes (`unit,node,x,y`, mm).
     File(std::path::PathBuf),
     /// `{ random = SEED, spread = 0.25 }`, rotated squares with every node moved at random, by at most that part of the spacing,
     /// projected onto the nearest castable design.

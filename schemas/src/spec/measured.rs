@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Recorded, Signal};
+use super::{Decimal, Recorded, Separator, Signal, TimeUnit};
 
 /// What stands where: the forces as a spec has them, and the signals.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -35,6 +35,18 @@ pub struct MeasuredSignals {
     /// Entries per second. Unit: 1/s. Default: `time`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rate: Option<f64>,
+    /// As `recorded.header`, for `files`. Default: yes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub header: Option<bool>,
+    /// As `recorded.separator`, for `files`. Default: what divides all lines alike.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub separator: Option<Separator>,
+    /// As `recorded.decimal`, for `files`. Default: the one that its numbers have.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub decimal: Option<Decimal>,
+    /// Unit of `time`. Default: `recorded.time_unit`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub time_unit: Option<TimeUnit>,
     /// Time on the forces' clock at which the signals' clock reads 0. Unit: s. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub start: Option<f64>,

@@ -12,6 +12,7 @@ mod optimise;
 mod sensors;
 mod solver;
 mod stimuli;
+mod table;
 mod trial;
 mod until;
 mod variation;
@@ -34,6 +35,7 @@ pub use solver::{Method, Solver, Time};
 pub use stimuli::{
     Augment, ForceUnit, Part, Recorded, Resample, Signal, Stimuli, StimuliKind, TimeUnit, Trigger,
 };
+pub use table::{Decimal, Separator};
 pub use trial::{Point, Training, TrialSpec, flatten};
 pub use until::{AtMost, Until};
 pub use variation::{Alike, Nodes, OfLigaments, OfUnits, Relaxation, Scatter, Variation, VariationFile};

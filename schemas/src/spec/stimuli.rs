@@ -5,6 +5,8 @@ use std::path::PathBuf;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::{Decimal, Separator};
+
 /// Kind of force histories.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
@@ -315,7 +317,7 @@ impl Default for Augment {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Recorded {
-    /// CSV, NPY or NPZ files, relative to the spec.
+    /// CSV, NPY or NPZ files, relative to the spec. No record may be in them twice.
     pub files: Vec<PathBuf>,
     /// The clock of a file, by column or array. Default: `rate` must be given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -327,6 +329,15 @@ pub struct Recorded {
     /// holds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub force: Option<Vec<Signal>>,
+    /// Whether the first line of a CSV names its columns. Must be given where that line holds numbers. Default: yes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub header: Option<bool>,
+    /// What separates the fields of a CSV. Default: what divides all lines alike.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub separator: Option<Separator>,
+    /// The decimal mark of a CSV. Default: the one that its numbers have.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub decimal: Option<Decimal>,
     /// Unit of the clock.
     #[serde(default)]
     pub time_unit: TimeUnit,

@@ -27,6 +27,56 @@ fn a_design_comes_back_from_its_file() {
     }
 }
 
+/// A CSV may have its columns in another order, others beside them, and be written by a spreadsheet; a name ends as it likes.
+#[test]
+fn a_design_is_read_however_it_is_written() {
+    let layout = Layout::planar(2, 2, 15.0, 2.25);
+    let design = layout.initial_design(0.3);
+    let good = to_csv(&layout, &design);
+    let (_folder, path) = somewhere("a.CSV");
+    let swapped = |line: &str| {
+        let fields: Vec<&str> = line.split(',').collect();
+        [fields[3], fields[0], "of hand", fields[2], fields[1]].join(",") + "\n"
+    };
+    for text in [
+        good.lines().map(swapped).collect::<String>(),
+        good.replace(',', ";").replace('.', ",").replace('\n', "\r\n"),
+        good.replace(',', "\t"),
+        good.replace("\n0,", "\n0.0,").replace("\n1,", "\n\"1\","),
+    ] {
+        std::fs::write(&path, &text).expect("written");
+        let back = read(&path, &layout).unwrap_or_else(|e| panic!("{e}: {text}"));
+        let worst = back.iter().zip(&design).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(worst < 1e-12, "{worst} mm: {text}");
+    }
+}
+
+/// An array of α is (n), or (n/2, 2) in either order; turned ones and others of as many numbers are refused, as are NaN and infinity.
+#[test]
+fn an_array_is_a_design_in_two_shapes_alone() {
+    let layout = Layout::planar(2, 2, 15.0, 2.25);
+    let design = layout.initial_design(0.3);
+    let n = design.len();
+    let (_folder, path) = somewhere("a.NPY");
+    let read = |shape: &[usize], values: &[f64]| {
+        std::fs::write(&path, files::npy_bytes(shape, values)).expect("written");
+        read(&path, &layout).map_err(|e| e.to_string())
+    };
+    for shape in [&[n][..], &[n / 2, 2]] {
+        assert_eq!(read(shape, &design).as_ref(), Ok(&design), "{shape:?}");
+    }
+    for shape in [&[2, n / 2][..], &[1, n], &[n, 1], &[n / 2, 2, 1], &[n / 4, 4], &[n / 4, 2, 2]] {
+        let error = read(shape, &design).unwrap_err();
+        assert!(error.contains("a.NPY") && error.contains(&format!("has shape {shape:?}")), "{error}");
+    }
+    for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+        let mut design = design.clone();
+        design[5] = bad;
+        let error = read(&[n], &design).unwrap_err();
+        assert!(error.contains("a.NPY") && error.contains("number 5 is "), "{error}");
+    }
+}
+
 /// Whatever is wrong is said, with the line or the number expected.
 #[test]
 fn a_file_that_is_no_design_is_refused_by_name() {
@@ -36,11 +86,14 @@ fn a_file_that_is_no_design_is_refused_by_name() {
     let lines: Vec<&str> = good.lines().collect();
     for (text, said) in [
         (lines[..4].join("\n") + "\n" + &lines[5..].join("\n"), "unit 0, node 3 is missing"),
-        (good.replace("0,0,", "9,0,"), "line 2: units are 0 to 3"),
+        (good.replace("0,0,", "9,0,"), "line 2: unit = 9: must be a whole number from 0 to 3"),
         (good.replacen("0,0,6", "0,0,7", 1), "line 8: is shifted otherwise than its ligament's other end"),
-        (good.replacen("0,0,6", "0,0,x", 1), "line 2: must be unit,node,x,y"),
-        ("unit,node,x,y\n0,0,NaN,1\n".into(), "line 2: x and y must be finite"),
-        (good.replace("unit,node,x,y", "x,y,unit,node"), "line 1: \"x,y,unit,node\"; must be unit,node,x,y"),
+        (good.replacen("0,0,6", "0,0,x", 1), "line 2: x = \"x"),
+        (good.replacen("0,0,", "0,0.5,", 1), "line 2: node = 0.5: must be a whole number from 0 to 3"),
+        (good.replacen("0,0,", "-1,0,", 1), "line 2: unit = -1: must be a whole number from 0 to 3"),
+        (good.replacen("0,0,", "0,1e300,", 1), "line 2: node = 1"),
+        ("unit,node,x,y\n0,0,NaN,1\n".into(), "line 2: x = \"NaN\": must be a finite number"),
+        (good.replace("unit,node,x,y", "unit,node,x,z"), "has no signal \"y\", but unit, node, x, z"),
         (lines[1..].join("\n"), "line 1: "),
     ] {
         std::fs::write(&path, text).expect("written");

@@ -176,7 +176,7 @@ fn what_is_no_measured_record_is_refused_by_name() {
             "panel = [1]",
             "records.toml:8: recorded.panel = [1]: unknown key; the nearest known one",
         ),
-        ("\"w\"]", "\"o\"]", "records.toml:10: signals.files = "),
+        ("\"w\"]", "\"o\"]", "records.toml:2: recorded.files = "),
         ("\"w\"]", "\"o\"]", "has no signal \"o\", but ms, F, x, y, w"),
         (", \"w\"]", "]", "holds 2 signals a record; must be 3: ax, ay, omega of each sensor"),
         ("\"g\"", "\"G\"", "records.toml:12: signals.acceleration_unit = \"G\": must be "),
@@ -187,7 +187,7 @@ fn what_is_no_measured_record_is_refused_by_name() {
         ),
         ("a.csv", "none.csv", "none.csv\": cannot be read"),
         ("a.csv", "short.csv", "short.csv\": holds signals that end at 0.0780 s where a sample lasts 0.1 s"),
-        ("a.csv", "nan.csv", "nan.csv\": entry 7 of a signal is NaN; must be a finite number"),
+        ("a.csv", "nan.csv", "nan.csv\": line 9: x = \"NaN\": must be a finite number"),
         (
             "[\"x\", \"y\", \"w\"]",
             "[\"x\", \"y\", \"w\"]\nstart = 5.0",
@@ -222,4 +222,138 @@ fn what_is_no_measured_record_is_refused_by_name() {
         ),
         "{error}"
     );
+}
+
+/// Copies, by whatever name and in whatever form; the force as a signal; signals under two forces.
+#[test]
+fn a_record_is_read_once() {
+    let (a, b) = (csv(), csv().replace("\n50,7,", "\n50,8,"));
+    let other_signals = csv().replace("\n50,7,1.02,", "\n50,7,1.03,");
+    assert!(a != b && a != other_signals);
+    let folder = Folder::new(&[
+        ("a.csv", a.as_bytes()),
+        ("b.csv", b.as_bytes()),
+        ("other.csv", other_signals.as_bytes()),
+        ("copy.csv", a.as_bytes()),
+        ("blanks.csv", a.replace(',', " , ").as_bytes()),
+        ("semicolons.CSV", a.replace(',', ";").replace('.', ",").as_bytes()),
+        ("later.csv", a.replace("\n0,", "\n0.0,").as_bytes()),
+    ]);
+    let at = |name: &str| folder.0.path().join(name);
+    std::os::unix::fs::symlink(at("a.csv"), at("soft.csv")).unwrap();
+    std::fs::hard_link(at("a.csv"), at("hard.csv")).unwrap();
+    let trial = trial(&[6, 8], &[4]);
+    let read = |files: &str, more: &str| {
+        let text = CSV.replace("[\"a.csv\"]", files).replace("panels = [1]", "panels = [1, 1]");
+        folder.read(&text.replace("[signals]", &format!("[signals]\n{more}")), &trial)
+    };
+    for second in
+        ["a.csv", "./a.csv", "copy.csv", "blanks.csv", "semicolons.CSV", "later.csv", "soft.csv", "hard.csv"]
+    {
+        let error = read(&format!("[\"a.csv\", \"{second}\"]"), "").unwrap_err();
+        assert!(
+            error.contains("recorded.files = ") && error.contains("is the same record as"),
+            "{second}: {error}"
+        );
+    }
+    // the same blow again, as other signals tell; the same signals of another blow
+    assert_eq!(read("[\"a.csv\", \"other.csv\"]", "").unwrap().forces.samples, 2);
+    let error = read("[\"a.csv\", \"b.csv\"]", "").unwrap_err();
+    assert!(
+        error.contains("b.csv\": holds the signals of ") && error.contains("under another force"),
+        "{error}"
+    );
+    let error = read("[\"a.csv\", \"other.csv\"]", "files = [\"other.csv\", \"other.csv\"]").unwrap_err();
+    assert!(error.contains("signals.files = ") && error.contains("is the same record as"), "{error}");
+    let forces = CSV.replace("[\"x\", \"y\", \"w\"]", "[\"F\", \"y\", \"w\"]");
+    let error = folder.read(&forces, &trial).unwrap_err();
+    assert!(error.contains("holds the force as signal 0"), "{error}");
+    let twice = CSV.replace("[\"x\", \"y\", \"w\"]", "[\"x\", \"x\", \"w\"]");
+    let error = folder.read(&twice, &trial).unwrap_err();
+    assert!(error.contains("x is read twice"), "{error}");
+    let one: Vec<f64> = (0..63).map(|n| f64::from(n * n % 7)).collect();
+    folder.file("s.npy", &npy(&[2, 21, 3], &[&one[..], &one].concat()));
+    folder.file("f.npy", &npy(&[2, 1, 21], &[0.5; 42]));
+    let text =
+        "[recorded]\nfiles = [\"f.npy\"]\nrate = 200.0\npanels = [0, 0]\n[signals]\nfiles = [\"s.npy\"]\n";
+    let error = folder.read(text, &trial).unwrap_err();
+    assert!(error.contains("record 0"), "{error}");
+}
+
+/// Forces and signals may have clocks of two units; a unit that cannot be is refused with its key.
+#[test]
+fn each_file_has_its_unit_of_time() {
+    let lines = |step: f64, fields: &str| {
+        (0..=100).map(|n| format!("{}{fields}\n", step * f64::from(n))).collect::<String>()
+    };
+    let ramp = |step: f64| {
+        (0..=100)
+            .map(|n| format!("{},{},{},1\n", step * f64::from(n), f64::from(n), -f64::from(n)))
+            .collect::<String>()
+    };
+    let folder = Folder::new(&[
+        ("f.csv", ("t,f\n".to_owned() + &lines(0.001, ",0.5")).as_bytes()),
+        ("s.csv", ("t,x,y,w\n".to_owned() + &ramp(1.0)).as_bytes()),
+        ("slow.csv", ("t,x,y,w\n".to_owned() + &ramp(0.02)).as_bytes()),
+        ("seconds.csv", ("t,x,y,w\n".to_owned() + &ramp(0.001)).as_bytes()),
+    ]);
+    let trial = trial(&[7], &[4]);
+    let text = "[recorded]\nfiles = [\"f.csv\"]\ntime = \"t\"\nforce = [\"f\"]\n[signals]\nfiles = [\"s.csv\"]\ntime = \"t\"\n\
+                channels = [\"x\", \"y\", \"w\"]\n";
+    let right = folder.read(&format!("{text}time_unit = \"ms\"\n"), &trial).unwrap();
+    let seconds = folder.read(&text.replace("s.csv", "seconds.csv"), &trial).unwrap();
+    assert!(furthest(&right.signals, &seconds.signals) < 1e-9);
+    for (text, key, said) in [
+        (text.to_owned(), "signals.files = ", "is signals.time_unit right?"),
+        (
+            text.replace("\ntime = \"t\"\nchannels", "\nrate = 2.0\nchannels"),
+            "signals.files = ",
+            "is signals.rate right?",
+        ),
+        (
+            text.replace("\ntime = \"t\"\nforce", "\nrate = 5.0\nforce"),
+            "recorded.files = ",
+            "is recorded.rate right?",
+        ),
+        (
+            format!("{text}start = 0.0\n")
+                .replace("\ntime = \"t\"\nchannels", "\ntime_unit = \"ms\"\nchannels"),
+            "signals.time_unit",
+            "is for signals.time",
+        ),
+        (
+            text.replace("s.csv", "seconds.csv")
+                .replace("[signals]", "trigger = { threshold = 0.1, before = 0.3 }\n[signals]"),
+            "recorded.files = ",
+            "has its blow outside of a sample",
+        ),
+        (
+            text.replace("files = [\"s.csv\"]\n", "header = true\n"),
+            "signals.header",
+            "none of signals.files is a CSV",
+        ),
+    ] {
+        let error = folder.read(&text, &trial).unwrap_err();
+        assert!(error.contains(key) && error.contains(said), "{error}\n{key} {said}\n{text}");
+    }
+}
+
+/// Of as many entries as signals an axis cannot be told from the other.
+#[test]
+fn an_array_whose_axes_cannot_be_told_apart_is_refused() {
+    let signals: Vec<f64> = (0..9).map(f64::from).collect();
+    let folder = Folder::new(&[
+        ("f.npy", &npy(&[1, 1, 3], &[0.5; 3])),
+        ("s.npy", &npy(&[1, 3, 3], &signals)),
+        ("flat.npy", &npy(&[3, 3], &signals)),
+    ]);
+    let trial = trial(&[7], &[4]);
+    for name in ["s.npy", "flat.npy"] {
+        let text = format!("[recorded]\nfiles = [\"f.npy\"]\nrate = 20.0\n[signals]\nfiles = [\"{name}\"]\n");
+        let error = folder.read(&text, &trial).unwrap_err();
+        assert!(
+            error.contains(name) && error.contains("signals.files = ") && error.contains("is of shape"),
+            "{error}"
+        );
+    }
 }

@@ -45,6 +45,9 @@ fn bad_polygons_are_refused_by_name() {
         ("[[0, 1, 1, 0]]", "[]", "units[1]", "hangs on nothing"),
         ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0]]\ntogether = [[[0, 0], [1, 4]]]", "together[0]", "no node 4"),
         ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0]]\nclamp = [2]", "clamp: 2", "0 to 1"),
+        ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0]]\ntogether = [[[0, 0], [1, 1], [0, 0]]]", "together[0]", "twice"),
+        ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0]]\nsensors = [1, 1]", "sensors: 1", "once"),
+        ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0]]\nclamp = [0, 0]", "clamp: 0", "once"),
     ] {
         let text = TWO.replacen(from, to, 1);
         assert_ne!(text, TWO, "{from}");
@@ -59,35 +62,62 @@ fn bad_polygons_are_refused_by_name() {
     assert!(read(&path).unwrap_err().to_string().contains(".toml or .npz"));
 }
 
-/// What DifFlexMM's geometries hold, as `numpy.savez` writes it.
+/// What DifFlexMM's geometries hold, as `numpy.savez` writes it; other shapes, missing arrays and ends that are no nodes are refused.
 #[test]
 fn an_npz_of_blocks_is_polygons() {
-    let mut bytes = Vec::new();
-    let mut zip = zip::ZipWriter::new(std::io::Cursor::new(&mut bytes));
-    let array = |shape: &[u64], values: &[f64]| {
-        use npyz::WriterBuilder;
-        let mut npy = Vec::new();
-        let mut writer =
-            npyz::WriteOptions::new().default_dtype().shape(shape).writer(&mut npy).begin_nd().unwrap();
-        writer.extend(values.iter().copied()).unwrap();
-        writer.finish().unwrap();
-        npy
-    };
     let arms = [-1.0, -1.0, 2.0, -1.0, -1.0, 2.0, -1.0, -2.0, 1.0, 1.0, -1.0, 1.0];
-    for (name, shape, values) in [
-        ("block_centroids", &[2, 2][..], &[0.0, 0.0, 5.0, 0.0][..]),
-        ("centroid_node_vectors", &[2, 3, 2], &arms),
+    let archive = |arrays: &[(&str, &[usize], &[f64])]| {
+        let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+        for (name, shape, values) in arrays {
+            zip.start_file(format!("{name}.npy"), zip::write::SimpleFileOptions::default()).unwrap();
+            std::io::Write::write_all(&mut zip, &files::npy_bytes(shape, values)).unwrap();
+        }
+        zip.finish().unwrap().into_inner()
+    };
+    let centroids: (&str, &[usize], &[f64]) = ("block_centroids", &[2, 2], &[0.0, 0.0, 5.0, 0.0]);
+    let nodes: (&str, &[usize], &[f64]) = ("centroid_node_vectors", &[2, 3, 2], &arms);
+    let whole = archive(&[
+        centroids,
+        nodes,
         ("bond_connectivity", &[1, 2], &[1.0, 3.0]),
-    ] {
-        zip.start_file(format!("{name}.npy"), zip::write::SimpleFileOptions::default()).unwrap();
-        std::io::Write::write_all(&mut zip, &array(shape, values)).unwrap();
-    }
-    zip.finish().unwrap();
-    let (_folder, path) = file("blocks.npz", &bytes);
+        ("more", &[1], &[f64::NAN]),
+    ]);
+    let (_folder, path) = file("blocks.NPZ", &whole);
     let given = read(&path).unwrap();
     assert_eq!(given.units[1], [[4.0, -2.0], [6.0, 1.0], [4.0, 1.0]]);
     assert_eq!(given.ligaments, [[0, 1, 1, 0]]);
     assert_eq!(layout(&given).unwrap().ligament_length, 2f64.hypot(1.0));
-    let (_folder, path) = file("blocks.npz", &bytes[..bytes.len() / 2]);
-    assert!(read(&path).is_err());
+    for (arrays, said) in [
+        (
+            archive(&[centroids, nodes, ("bond_connectivity", &[1, 2], &[1.0, 2.5])]),
+            "bond_connectivity[0, 1] = 2.5: must be",
+        ),
+        (
+            archive(&[centroids, nodes, ("bond_connectivity", &[1, 2], &[-1.0, 3.0])]),
+            "bond_connectivity[0, 0] = -1: must be",
+        ),
+        (
+            archive(&[centroids, nodes, ("bond_connectivity", &[1, 2], &[1.0, 1e300])]),
+            "bond_connectivity[0, 1] = 1",
+        ),
+        (
+            archive(&[centroids, nodes, ("bond_connectivity", &[1, 2], &[1.0, f64::NAN])]),
+            "bond_connectivity[0, 1] = NaN",
+        ),
+        (archive(&[centroids, nodes, ("bond_connectivity", &[2, 1], &[1.0, 3.0])]), "must be [units, 2]"),
+        (
+            archive(&[
+                centroids,
+                ("centroid_node_vectors", &[3, 2, 2], &arms),
+                ("bond_connectivity", &[1, 2], &[1.0, 3.0]),
+            ]),
+            "must be [units, 2]",
+        ),
+        (archive(&[centroids, nodes]), "has no array bond_connectivity"),
+        (whole[..whole.len() / 2].to_vec(), "is no NPZ file"),
+    ] {
+        let (_folder, path) = file("blocks.npz", &arrays);
+        let error = read(&path).unwrap_err().to_string();
+        assert!(error.contains("blocks.npz") && error.contains(said), "{error}\n{said}");
+    }
 }

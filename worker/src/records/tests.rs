@@ -1,3 +1,4 @@
+use super::clock::timed;
 use super::*;
 use serde_json::{Value, json};
 
@@ -85,10 +86,69 @@ fn a_clock_that_drifts_is_evened_out() {
         .map(|n| if n <= 100 { 1.01 * f64::from(n) } else { 101.0 + 0.99 * f64::from(n - 100) })
         .collect();
     let recorded = serde_json::from_value(json!({ "files": [], "time": "t", "force": ["f"] })).unwrap();
-    let record = timed(&Pick::forces(&recorded), &clock, vec![clock.clone()]).unwrap();
+    let record =
+        timed(&Pick::forces(&recorded, "recorded"), &clock, &|n| n.to_string(), vec![clock.clone()]).unwrap();
     let off = |(n, f): (usize, &f64)| (f - record.start - n as f64 * record.dt).abs();
     let most = record.values[0].iter().enumerate().map(off).fold(0.0, f64::max);
     assert!(most < 1e-9, "off by {most} s");
+}
+
+/// Lost entries are told from entries that are late and from clocks without a regular step.
+#[test]
+fn a_clock_with_missing_entries_is_refused() {
+    let recorded = serde_json::from_value(json!({ "files": [], "time": "t", "force": ["f"] })).unwrap();
+    let read = |clock: &[f64]| {
+        let pick = Pick::forces(&recorded, "recorded");
+        timed(&pick, clock, &|n| n.to_string(), vec![vec![0.0; clock.len()]])
+    };
+    let without = |lost: std::ops::Range<usize>| -> Vec<f64> {
+        (0..60).filter(|n| !lost.contains(n)).map(|n| 0.005 * n as f64).collect()
+    };
+    // of a clock whose entries come earlier and later by a part of a step
+    let jittered = |part: f64| -> Vec<f64> {
+        without(0..0).iter().enumerate().map(|(n, t)| t + 0.005 * part * (2.4 * n as f64).sin()).collect()
+    };
+    let late = |by: f64| -> Vec<f64> {
+        without(0..0).iter().enumerate().map(|(n, t)| if n == 20 { t + by } else { *t }).collect()
+    };
+    let fifths: Vec<f64> = (0..60).filter(|n| n % 5 != 3).map(f64::from).collect();
+    for (clock, entry) in [
+        (without(20..21), Some(20)),
+        (without(20..30), Some(20)),
+        (without(1..2), Some(1)),
+        (without(58..59), Some(58)),
+        (
+            jittered(0.04).into_iter().enumerate().filter(|(n, _)| *n != 30).map(|(_, t)| t).collect(),
+            Some(30),
+        ),
+        (
+            jittered(0.4)
+                .into_iter()
+                .enumerate()
+                .filter(|(n, _)| !(30..40).contains(n))
+                .map(|(_, t)| t)
+                .collect(),
+            Some(30),
+        ),
+        (fifths, Some(3)),
+        (without(0..0), None),
+        (without(0..7), None),
+        (jittered(0.04), None),
+        (jittered(0.4), None),
+        (late(0.004), None),
+        (late(-0.004), None),
+        (vec![0.0, 0.05, 0.2, 1.0], None),
+        ((0..60).map(|n| 1.1f64.powi(n)).collect(), None),
+    ] {
+        let found = read(&clock).map(|_| ());
+        let expected = match entry {
+            None => found.is_ok(),
+            Some(entry) => {
+                found.as_ref().is_err_and(|e| e.starts_with(&format!("{entry} = ")) && e.contains("missing"))
+            }
+        };
+        assert!(expected, "{entry:?}: {found:?}: {clock:?}");
+    }
 }
 
 /// The digest is that of the contents.
@@ -130,8 +190,12 @@ fn what_is_no_record_is_refused_by_name() {
             "stimuli.samples = 2: with stimuli.holdout = 1 that is 3 records; the files hold 2",
         ),
         (&["none.csv"], keys.clone(), "none.csv\": cannot be read"),
-        (&["back.csv"], keys.clone(), "back.csv\": time does not ascend: entry 2 is 2200, the next 2200"),
-        (&["nan.csv"], keys.clone(), "nan.csv\": entry 4 of a force is NaN"),
+        (
+            &["back.csv"],
+            keys.clone(),
+            "back.csv\": line 5: time = 2200 must be later than the entry before, at 2200",
+        ),
+        (&["nan.csv"], keys.clone(), "nan.csv\": line 6: force = \"nan\": must be a finite number"),
         (&["wide.npy"], json!({ "rate": 10.0 }), "holds 3 forces a record; must be 1 or 2"),
         (&["deep.npy"], json!({ "rate": 10.0 }), "is of shape [1, 1, 1, 4]"),
         (&thrice, with("force", json!(["F"])), "has no signal \"F\", but time, force"),
@@ -163,8 +227,7 @@ fn what_is_no_ordinary_file_is_refused_at_once() {
     let made = std::process::Command::new("mkfifo").arg(&pipe).status().unwrap();
     assert!(made.success());
     for file in [&pipe, Path::new("/dev/zero"), folder.path()] {
-        let Err(error) = open(file) else { panic!("{} was read", file.display()) };
-        let error = error.to_string();
+        let Err(error) = open(file, &Form::default()) else { panic!("{} was read", file.display()) };
         assert!(error.contains("must be an ordinary file of at most 4 GiB"), "{error}");
     }
 }

@@ -1,0 +1,294 @@
+//! Tables of numbers: CSV files as instruments and spreadsheets write them.
+//!
+//! Separator, decimal mark and header may be left to the reader. It takes those that alone give numbers in the columns that are
+//! read; where several do, and the numbers differ, the file is refused.
+
+use metasense_schemas::spec::{Decimal, MeasuredSignals, Recorded, Separator, Signal};
+
+use super::{Array, text};
+
+mod lines;
+mod numbers;
+
+use lines::{NONE, Rows, bare, byte, divided_by, width};
+use numbers::{MISSING, Marks, may_be_number, number};
+
+/// What is known of a file before it is read, and what is read of it.
+#[derive(Debug, Clone, Default)]
+pub struct Form<'a> {
+    /// Whether its first line names its columns.
+    pub header: Option<bool>,
+    /// What separates its fields.
+    pub separator: Option<Separator>,
+    /// Its decimal mark.
+    pub decimal: Option<Decimal>,
+    /// The columns or arrays that are read; none: all columns. What else the file holds may be anything.
+    pub read: Option<Vec<&'a Signal>>,
+    /// The table of keys that has the three above, for instance `recorded`; none where they cannot be given.
+    pub keys: Option<&'static str>,
+}
+
+impl<'a> Form<'a> {
+    /// That of the files of forces, `keys` their table.
+    #[must_use]
+    pub fn of_forces(recorded: &Recorded, keys: &'static str, read: Option<Vec<&'a Signal>>) -> Self {
+        let Recorded { header, separator, decimal, .. } = *recorded;
+        Self { header, separator, decimal, read, keys: Some(keys) }
+    }
+
+    /// That of files of signals alone.
+    #[must_use]
+    pub fn of_signals(signals: &MeasuredSignals, read: Option<Vec<&'a Signal>>) -> Self {
+        let MeasuredSignals { header, separator, decimal, .. } = *signals;
+        Self { header, separator, decimal, read, keys: Some("signals") }
+    }
+
+    /// The end of a message: which key settles the doubt.
+    fn settle(&self, choices: &str) -> String {
+        match self.keys {
+            Some(keys) => format!("set {keys}.{choices}"),
+            None => "write a line of names, commas between fields and decimal points".into(),
+        }
+    }
+
+    /// Whether the first line of a table names its columns.
+    fn names(&self, first: &[String], line: usize) -> Result<bool, String> {
+        let known = |signal: &&&Signal| match signal {
+            Signal::Name(name) => !may_be_number(name) && first.contains(name),
+            Signal::Number(_) => false,
+        };
+        let is_missing = |field: &String| MISSING.contains(&field.to_lowercase().as_str());
+        let words = || !first.iter().all(is_missing) && !first.iter().any(|field| may_be_number(field));
+        match self.header {
+            Some(header) => Ok(header),
+            None if self.read.iter().flatten().any(|signal| known(&signal)) || words() => Ok(true),
+            None => Err(format!(
+                "line {line}: {:?} may be a name or a value: {}",
+                first.iter().find(|field| may_be_number(field)).map_or("", String::as_str),
+                self.settle("header = true, or = false to read columns by number")
+            )),
+        }
+    }
+}
+
+/// Columns of equal length.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Table {
+    /// Names of the columns; none where they have numbers alone.
+    names: Vec<String>,
+    /// Their values; nothing of a column that nobody reads.
+    columns: Vec<Vec<f64>>,
+    /// The line of each row; none of an array.
+    lines: Vec<usize>,
+}
+
+impl Table {
+    /// Reads a CSV.
+    ///
+    /// # Errors
+    /// Names the line, the column, and what is wrong; or the key that must be given.
+    pub fn parse(bytes: &[u8], form: &Form) -> Result<Self, String> {
+        let text = text(bytes)?;
+        let all = [Separator::Comma, Separator::Semicolon, Separator::Tab];
+        let occurs = |separator: &Separator| match form.separator {
+            Some(given) => *separator == given,
+            None if *separator == Separator::Comma && form.decimal == Some(Decimal::Comma) => false,
+            None => text.as_bytes().contains(&byte(*separator)),
+        };
+        let mut candidates: Vec<u8> = all.into_iter().filter(occurs).map(byte).collect();
+        if candidates.is_empty() {
+            candidates.push(NONE);
+        }
+        let widths: Vec<_> =
+            candidates.iter().map(|separator| (*separator, width(text, *separator))).collect();
+        let alone = widths.len() == 1;
+        let even: Vec<(u8, usize)> = (widths.iter())
+            .filter_map(|(separator, width)| Some((*separator, *width.as_ref().ok()?)))
+            .filter(|(_, width)| alone || *width > 1)
+            .collect();
+        let read = |&(separator, width): &(u8, usize)| Self::divided(text, separator, width, form);
+        match &even[..] {
+            [] => {
+                let uneven = widths.into_iter().filter_map(|(s, width)| Some((s, width.err()?)));
+                match uneven.max_by_key(|(_, uneven)| uneven.wanted) {
+                    None => read(&(NONE, 1)),
+                    // one column; its name may have a semicolon
+                    Some((separator, uneven)) if !candidates.contains(&b',') && form.separator.is_none() => {
+                        read(&(NONE, 1)).map_err(|_| uneven.said(separator, form))
+                    }
+                    Some((separator, uneven)) => Err(uneven.said(separator, form)),
+                }
+            }
+            [one] => {
+                let table = read(one)?;
+                table.no_decimal_commas(text, one, form)?;
+                Ok(table)
+            }
+            several => {
+                let mut read: Vec<_> = several.iter().map(read).collect();
+                let good = read.iter().flatten().next();
+                if read.iter().flatten().any(|table| Some(&table.columns) != good.map(|good| &good.columns)) {
+                    let settle = form.settle("separator");
+                    return Err(format!("may be divided in more than one way: {settle}"));
+                }
+                let at = read.iter().position(Result::is_ok).unwrap_or(0);
+                read.swap_remove(at)
+            }
+        }
+    }
+
+    /// The signals of an array of two dimensions, which lie along its shorter side, or of one.
+    ///
+    /// # Errors
+    /// If it has other dimensions, or no shorter side.
+    pub fn of_array(Array { shape, values }: &Array) -> Result<Self, String> {
+        let [rows, columns] = match shape[..] {
+            [entries] => [1, entries],
+            [rows, columns] if rows != columns || rows == 1 => [rows, columns],
+            [_, _] => {
+                return Err(format!(
+                    "is of shape {shape:?}: signals lie along the shorter side, and there is none"
+                ));
+            }
+            _ => return Err(format!("is of shape {shape:?}; must have 1 to 3 dimensions")),
+        };
+        let columns = match rows < columns {
+            true => values.chunks_exact(columns).map(<[f64]>::to_vec).collect(),
+            false => (0..columns).map(|c| values[c..].iter().step_by(columns).copied().collect()).collect(),
+        };
+        Ok(Self { names: Vec::new(), columns, lines: Vec::new() })
+    }
+
+    /// How many columns there are.
+    #[must_use]
+    pub fn width(&self) -> usize {
+        self.columns.len()
+    }
+
+    /// The number of a column.
+    ///
+    /// # Errors
+    /// If there is none, or several are called so.
+    pub fn column(&self, signal: &Signal) -> Result<usize, String> {
+        let name = match signal {
+            Signal::Number(number) if *number < self.width() => return Ok(*number),
+            Signal::Number(number) => {
+                return Err(format!("has no column {number}, but 0 to {}", self.width() - 1));
+            }
+            Signal::Name(name) => name,
+        };
+        let mut of_name = (0..self.names.len()).filter(|c| self.names[*c] == *name);
+        match (of_name.next(), of_name.next()) {
+            (Some(column), None) => Ok(column),
+            (Some(_), Some(_)) => {
+                Err(format!("has two columns that are called {name:?}: read one by its number"))
+            }
+            _ if self.names.is_empty() => {
+                Err(format!("has no signal {name:?}: its columns have no names, but numbers from 0"))
+            }
+            _ => {
+                let divided = if self.width() == 1 { divided_by(NONE) } else { "" };
+                Err(format!("has no signal {name:?}, but {}{divided}", self.names.join(", ")))
+            }
+        }
+    }
+
+    /// The values of a column that is read.
+    #[must_use]
+    pub fn values(&self, column: usize) -> &[f64] {
+        &self.columns[column]
+    }
+
+    /// Where a row stands.
+    #[must_use]
+    pub fn place(&self, row: usize) -> String {
+        self.lines.get(row).map_or(format!("entry {row}"), |line| format!("line {line}"))
+    }
+
+    /// What a column is called in messages.
+    #[must_use]
+    pub fn label(&self, column: usize) -> String {
+        self.names.get(column).cloned().unwrap_or(format!("column {column}"))
+    }
+
+    /// The table of a text whose lines all have `width` fields.
+    fn divided(text: &str, separator: u8, width: usize, form: &Form) -> Result<Self, String> {
+        let mut rows = Rows::new(text, separator);
+        let Some((first_line, first)) = rows.next() else { return Err("is empty".into()) };
+        let first: Vec<String> = first.iter().map(bare).map(str::to_owned).collect();
+        let mut table = Self { names: Vec::new(), columns: vec![Vec::new(); width], lines: Vec::new() };
+        if form.names(&first, first_line)? {
+            table.names = first;
+        } else {
+            rows = Rows::new(text, separator);
+        }
+        let mut read: Vec<usize> = match &form.read {
+            None => (0..width).collect(),
+            Some(signals) => signals.iter().map(|signal| table.column(signal)).collect::<Result<_, _>>()?,
+        };
+        read.sort_unstable();
+        read.dedup();
+        let mut marks = Marks::default();
+        while let Some((line, fields)) = rows.next() {
+            for &column in &read {
+                let field = bare(&fields[column]);
+                let at = || format!("line {line}: {}", table.label(column));
+                let Some((value, mark)) = number(field, form.decimal) else {
+                    return Err(match field {
+                        _ if fields.iter().map(bare).eq(&table.names) => {
+                            format!(
+                                "line {line}: repeats the names of line {first_line}: a file holds one table"
+                            )
+                        }
+                        "" => format!("{} is empty", at()),
+                        _ => format!("{} = {field:?} is no number{}", at(), divided_by(separator)),
+                    });
+                };
+                if !value.is_finite() {
+                    return Err(format!("{} = {field:?}: must be a finite number", at()));
+                }
+                marks.see(mark, field, line);
+                table.columns[column].push(value);
+            }
+            table.lines.push(line);
+        }
+        if table.lines.is_empty() {
+            return Err(format!("holds no line of numbers after line {first_line}"));
+        }
+        marks.check(separator, form).map(|()| table)
+    }
+
+    /// Refuses two columns of whole numbers of which one is read: they may be one column with decimal commas.
+    fn no_decimal_commas(
+        &self,
+        text: &str,
+        &(separator, width): &(u8, usize),
+        form: &Form,
+    ) -> Result<(), String> {
+        let read = self.columns.iter().filter(|values| !values.is_empty()).count();
+        if separator != b','
+            || width != 2
+            || read == 2
+            || form.decimal.or(form.separator.map(|_| Decimal::Point)).is_some()
+        {
+            return Ok(());
+        }
+        let digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+        let one = |line: &&str| {
+            line.split_once(',')
+                .is_some_and(|(whole, part)| digits(whole.trim_start_matches(['+', '-'])) && digits(part))
+        };
+        let lines = || {
+            let all = text.split(['\r', '\n']).map(str::trim).filter(|line| !line.is_empty());
+            all.skip(usize::from(!self.names.is_empty()))
+        };
+        match lines().find(one).filter(|_| lines().all(|line| one(&line))) {
+            None => Ok(()),
+            Some(line) => Err(format!(
+                "{}: {line:?} may be one number with a decimal comma or two numbers: {}",
+                self.place(0),
+                form.settle("decimal = \",\" or separator = \",\"")
+            )),
+        }
+    }
+}

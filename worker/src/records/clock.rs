@@ -1,0 +1,106 @@
+//! The clock of a record, as a file has it: even, evened out, or refused.
+
+use super::{Pick, Record};
+
+/// A clock may be uneven by so much of its step.
+const UNEVEN: f64 = 0.02;
+/// An entry may lie so far from where an even clock has it, in steps: small errors of one sign add up to instants.
+const DRIFT: f64 = 0.1;
+/// Entries of a clock that was uneven, at most.
+const LONGEST: usize = 10_000_000;
+/// A regular clock has this part of its steps within so much of a whole number of median steps: entries may be lost.
+const REGULAR: [f64; 2] = [0.9, 0.1];
+/// A gap is a step of more medians than this: of all steps of a regular clock, of those around on another.
+const GAP: [f64; 2] = [1.5, 6.0];
+/// Steps on either side that say how long one is where a clock is not regular.
+const AROUND: usize = 8;
+/// Two steps of a regular clock of which one is long because the entry between them is late, in medians.
+const LATE: f64 = 2.5;
+
+/// A record with its clock; one that is uneven is read linearly onto an even one, as fine as its finest step. `place` says where an
+/// entry of the clock stands.
+///
+/// # Errors
+/// If the clock does not ascend, entries are missing, or it cannot be evened out.
+pub(super) fn timed(
+    pick: &Pick,
+    clock: &[f64],
+    place: &dyn Fn(usize) -> String,
+    values: Vec<Vec<f64>>,
+) -> Result<Record, String> {
+    if let Some(history) = values.iter().find(|history| history.len() != clock.len()) {
+        return Err(format!("has {} entries of {}, {} of time", history.len(), pick.key, clock.len()));
+    }
+    if clock.len() < 2 {
+        return Err("must hold at least two entries".into());
+    }
+    let unit = pick.unit.seconds();
+    let steps = || clock.windows(2).map(|w| w[1] - w[0]);
+    if let Some(n) = steps().position(|step| !(step > 0.0 && step.is_finite())) {
+        let (before, after) = (clock[n], clock[n + 1]);
+        return Err(format!("{} = {after} must be later than the entry before, at {before}", place(n + 1)));
+    }
+    if let Some((n, usual)) = gap(&steps().collect::<Vec<_>>()) {
+        let (length, step) = ((clock[n + 1] - clock[n]) * unit, usual * unit);
+        return Err(format!(
+            "{} = {} comes {length:.6} s after the entry before, where a step takes {step:.6} s: entries are missing. Leave the record \
+             out, or cut it before the gap",
+            place(n + 1),
+            clock[n + 1]
+        ));
+    }
+    let span = clock[clock.len() - 1] - clock[0];
+    let mean = span / (clock.len() - 1) as f64;
+    let start = pick.start + clock[0] * unit;
+    let drift = |(n, t): (usize, &f64)| (t - clock[0] - n as f64 * mean).abs();
+    if steps().all(|step| (step - mean).abs() <= UNEVEN * mean)
+        && clock.iter().enumerate().map(drift).all(|off| off <= DRIFT * mean)
+    {
+        return Ok(Record { start, dt: mean * unit, values });
+    }
+    let finest = steps().fold(f64::INFINITY, f64::min);
+    let count = (span / finest).ceil();
+    if count > LONGEST as f64 {
+        return Err(format!(
+            "time is uneven, and its finest step, {finest}, is too small to resample at: resample it first"
+        ));
+    }
+    let dt = span / count;
+    let read = |history: &Vec<f64>| {
+        let mut i = 0;
+        let value = |n: usize| {
+            let t = clock[0] + n as f64 * dt;
+            while i + 2 < clock.len() && clock[i + 1] < t {
+                i += 1;
+            }
+            let w = ((t - clock[i]) / (clock[i + 1] - clock[i])).clamp(0.0, 1.0);
+            (1.0 - w) * history[i] + w * history[i + 1]
+        };
+        (0..=count as usize).map(value).collect()
+    };
+    Ok(Record { start, dt: dt * unit, values: values.iter().map(read).collect() })
+}
+
+/// The first step in which entries are missing, and how long a step is there.
+fn gap(steps: &[f64]) -> Option<(usize, f64)> {
+    let median = |steps: &[f64]| {
+        let mut sorted = steps.to_vec();
+        *sorted.select_nth_unstable_by(steps.len() / 2, f64::total_cmp).1
+    };
+    let usual = median(steps);
+    let is_whole = |step: &&f64| {
+        let medians = *step / usual;
+        medians.round() >= 1.0 && (medians - medians.round()).abs() <= REGULAR[1]
+    };
+    let regular = steps.iter().filter(is_whole).count() as f64 >= REGULAR[0] * steps.len() as f64;
+    let missing = |n: usize| {
+        if regular {
+            let beside = [n.checked_sub(1).and_then(|n| steps.get(n)), steps.get(n + 1)];
+            let late = beside.into_iter().flatten().any(|other| steps[n] + other <= LATE * usual);
+            return (steps[n] > GAP[0] * usual && !late).then_some((n, usual));
+        }
+        let around = median(&steps[n.saturating_sub(AROUND)..steps.len().min(n + AROUND + 1)]);
+        (steps[n] > GAP[1] * around).then_some((n, around))
+    };
+    (0..steps.len()).find_map(missing)
+}

@@ -1,0 +1,184 @@
+//! What is read of a file, and the records that it makes.
+
+use std::collections::BTreeMap;
+
+use metasense_schemas::spec::{self, Signal, TimeUnit};
+
+use super::Record;
+use super::clock::timed;
+use crate::files::{Array, Content, Table};
+use crate::invalid::as_written;
+
+/// What is to be read from a file, and its clock.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Pick<'a> {
+    /// The key that names it.
+    pub key: &'static str,
+    /// Its columns or arrays.
+    pub signals: Option<&'a [Signal]>,
+    /// The clock, or `rate`.
+    pub time: Option<&'a Signal>,
+    /// Entries a second.
+    pub rate: Option<f64>,
+    /// Unit of the clock.
+    pub unit: TimeUnit,
+    /// The table of keys that has `time_unit` and `rate`.
+    pub clock: &'static str,
+    /// When the clock reads 0 (s).
+    pub start: f64,
+    /// Histories a record, where known: an array may then have them along its last side, too.
+    pub count: Option<usize>,
+}
+
+impl<'a> Pick<'a> {
+    /// The forces of a record, whose keys are in the table `keys`.
+    pub fn forces(recorded: &'a spec::Recorded, keys: &'static str) -> Self {
+        Self {
+            key: "force",
+            signals: recorded.force.as_deref(),
+            time: recorded.time.as_ref(),
+            rate: recorded.rate,
+            unit: recorded.time_unit,
+            clock: keys,
+            start: 0.0,
+            count: None,
+        }
+    }
+
+    /// The columns or arrays that are read; none: all.
+    pub fn read(&self) -> Option<Vec<&'a Signal>> {
+        Some(self.signals?.iter().chain(self.time).collect())
+    }
+
+    /// The key that a clock's step hangs on.
+    pub fn clock_key(&self) -> String {
+        format!("{}.{}", self.clock, if self.time.is_some() { "time_unit" } else { "rate" })
+    }
+}
+
+/// The records of a file, as they stand in it.
+pub(crate) fn of_file(pick: &Pick, held: &Content) -> Result<Vec<Record>, String> {
+    let of_array: Table;
+    let table = match held {
+        Content::Table(table) => table,
+        Content::Array(array) if array.shape.len() == 3 => {
+            if pick.time.is_some() {
+                return Err("has three dimensions, so no clock: give rate".into());
+            }
+            if pick.signals.is_some() {
+                return Err(format!(
+                    "has three dimensions, so no names and numbers of signals: leave out {}",
+                    pick.key
+                ));
+            }
+            return Ok(histories(pick, array)?.into_iter().map(|values| even(pick, values)).collect());
+        }
+        Content::Array(array) => {
+            of_array = Table::of_array(array)?;
+            &of_array
+        }
+        Content::Archive(arrays) => return of_archive(pick, arrays),
+    };
+    let columns: Vec<usize> = match pick.signals {
+        Some(signals) => signals.iter().map(|signal| table.column(signal)).collect::<Result<_, _>>()?,
+        None if table.width() == pick.count.unwrap_or(1) => (0..table.width()).collect(),
+        None => {
+            return Err(format!("has {} signals: name the ones to read in {}", table.width(), pick.key));
+        }
+    };
+    let time = pick.time.map(|time| table.column(time)).transpose()?;
+    let all: Vec<usize> = columns.iter().copied().chain(time).collect();
+    if let Some(n) = (1..all.len()).find(|n| all[..*n].contains(&all[*n])) {
+        return Err(twice(pick, &table.label(all[n])));
+    }
+    let values = columns.iter().map(|column| table.values(*column).to_vec()).collect();
+    Ok(vec![match time {
+        Some(time) => timed(
+            pick,
+            table.values(time),
+            &|row| format!("{}: {}", table.place(row), table.label(time)),
+            values,
+        )?,
+        None => even(pick, values),
+    }])
+}
+
+fn twice(pick: &Pick, what: &str) -> String {
+    format!("{what} is read twice, by {} or as the clock", pick.key)
+}
+
+fn of_archive(
+    pick: &Pick,
+    arrays: &BTreeMap<String, Option<Result<Array, String>>>,
+) -> Result<Vec<Record>, String> {
+    let key = pick.key;
+    let named = |signal: &Signal| -> Result<(&str, &Array), String> {
+        let Signal::Name(name) = signal else {
+            return Err(format!("holds arrays by name: {key} and time must be names"));
+        };
+        let names = || arrays.keys().map(String::as_str).collect::<Vec<_>>().join(", ");
+        let (name, array) =
+            arrays.get_key_value(name).ok_or_else(|| format!("has no array {name:?}, but {}", names()))?;
+        let array = array.as_ref().expect("what is named is read").as_ref();
+        Ok((name, array.map_err(|what| format!("{name} {what}"))?))
+    };
+    let Some(signals) = pick.signals else {
+        return Err(format!("has arrays by name: name the ones to read in {key}"));
+    };
+    let all: Vec<&Signal> = signals.iter().chain(pick.time).collect();
+    if let Some(n) = (1..all.len()).find(|n| all[..*n].contains(&all[*n])) {
+        return Err(twice(pick, &as_written(all[n])));
+    }
+    let alone = Pick { count: pick.count.filter(|_| signals.len() == 1), ..*pick };
+    let mut records: Vec<Vec<Vec<f64>>> = Vec::new();
+    for signal in signals {
+        let (name, array) = named(signal)?;
+        let held = histories(&alone, array).map_err(|what| format!("{name} {what}"))?;
+        if records.is_empty() {
+            records = vec![Vec::new(); held.len()];
+        }
+        if records.len() != held.len() {
+            let (these, others) = (held.len(), records.len());
+            return Err(format!("{name} holds {these} samples, another of {key} {others}"));
+        }
+        records.iter_mut().zip(held).for_each(|(record, values)| record.extend(values));
+    }
+    match pick.time {
+        None => Ok(records.into_iter().map(|values| even(pick, values)).collect()),
+        Some(time) => {
+            let (name, clock) = named(time)?;
+            let place = |entry| format!("entry {entry} of {name}");
+            records.into_iter().map(|values| timed(pick, &clock.values, &place, values)).collect()
+        }
+    }
+}
+
+/// (entries), (samples, entries) or (samples, histories, entries) as a list of histories a sample. Where their number
+/// is known, (entries, histories) and (samples, entries, histories), too.
+fn histories(pick: &Pick, Array { shape, values }: &Array) -> Result<Vec<Vec<Vec<f64>>>, String> {
+    let [samples, rows, columns] = match (&shape[..], pick.count) {
+        ([entries], _) => [1, 1, *entries],
+        ([rows, columns], Some(_)) => [1, *rows, *columns],
+        ([samples, entries], None) => [*samples, 1, *entries],
+        ([samples, rows, columns], _) => [*samples, *rows, *columns],
+        _ => return Err(format!("is of shape {shape:?}; must have 1 to 3 dimensions")),
+    };
+    let last = pick.count == Some(columns);
+    if last && rows == columns && rows > 1 {
+        let remedy = "one axis must be of entries, the other of signals: give more entries";
+        return Err(format!("is of shape {shape:?}, of as many entries as signals: {remedy}"));
+    }
+    let value = |i: usize, row: usize, column: usize| values[(i * rows + row) * columns + column];
+    let sample = |i: usize| -> Vec<Vec<f64>> {
+        if last {
+            (0..columns).map(|c| (0..rows).map(|n| value(i, n, c)).collect()).collect()
+        } else {
+            (0..rows).map(|r| (0..columns).map(|n| value(i, r, n)).collect()).collect()
+        }
+    };
+    Ok((0..samples).map(sample).collect())
+}
+
+fn even(pick: &Pick, values: Vec<Vec<f64>>) -> Record {
+    Record { start: pick.start, dt: 1.0 / pick.rate.unwrap_or(1.0), values }
+}
