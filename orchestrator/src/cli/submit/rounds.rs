@@ -9,6 +9,7 @@ use std::time::Duration;
 use metasense_schemas::record::{Found, Trial};
 
 use super::{Args, Program, deal, how, note_here, prepare, print, submit_shards};
+use crate::cli::results::Results;
 use crate::cli::run::{self, Runs};
 use crate::cli::{Error, Format, design};
 use crate::cluster::home::attempts;
@@ -52,7 +53,7 @@ pub(super) async fn execute(
     if !submission.scheduler.has_queue() {
         note_here(&submission, &mut notes)?;
     }
-    let (db, signals) = (submission.out.clone(), Signals::new()?);
+    let (db, folder, signals) = (submission.out.clone(), submission.folder.clone(), Signals::new()?);
     Store::open(&db).await?.close().await?;
     let mut shards = Shards { plan: &plan, submission, places, notes, jobs, signals };
     let room = shards.workers();
@@ -74,7 +75,10 @@ pub(super) async fn execute(
     let outcome = outcome.unwrap_or(Outcome::Complete);
     match space {
         Some(space) => design::end(&db, plan, space, Format::default(), outcome).await,
-        None => run::end(&db, &plan, Format::default(), outcome).await,
+        None => {
+            let results = Results { db: &db, named: &db, log: &folder };
+            run::end(results, &plan, Format::default(), outcome).await
+        }
     }
 }
 
