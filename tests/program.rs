@@ -27,6 +27,7 @@ mod physics;
 mod promises;
 mod provenance;
 mod query;
+mod queues;
 mod reach;
 mod references;
 mod run;
