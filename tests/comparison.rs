@@ -93,7 +93,10 @@ fn a_long_training_is_no_silence_and_a_hang_within_it_is_one() {
     let bench = Bench::new();
     let text = long("[1]", 0).replace("long_iterations = 0", "").replace("batch = 4", "protocol = \"paper\"");
     let text = text.replace("iterations = 10\n", "iterations = 10000000\n");
-    bench.file("long.toml", &text.replace("[sweep]", "[run]\nno_progress = 3.0\nretries = 1\n[sweep]"));
+    bench.file(
+        "long.toml",
+        &text.replace("[sweep]", "[run]\nno_progress = 3.0\nretries = 1\ngrace = 0.5\n[sweep]"),
+    );
     let mut run = Run::start(&bench, "s.sqlite");
     let worker = || children(run.0.id()).first().copied();
     eventually(Duration::from_secs(60), worker).expect("a worker is started");
@@ -112,7 +115,7 @@ fn a_stop_on_request_does_not_wait_for_a_long_step() {
     let bench = Bench::new();
     let paper = long("[1]", 0).replace("batch = 4", "protocol = \"paper\"");
     let paper = paper.replace("long_iterations = 0", "").replace("iterations = 10", "iterations = 10000000");
-    bench.file("long.toml", &paper);
+    bench.file("long.toml", &paper.replace("[sweep]", "[run]\ngrace = 1.0\n[sweep]"));
     let mut run = Run::start(&bench, "s.sqlite");
     let begun = || (bench.number("s.sqlite", "SELECT count(*) FROM attempt") == 1).then_some(());
     eventually(Duration::from_secs(60), begun).expect("the trial is begun");

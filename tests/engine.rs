@@ -190,6 +190,32 @@ fn a_stop_on_request_keeps_every_step_and_leaves_nothing_behind() {
     }
 }
 
+/// Steps that end within the grace of a stop are kept; what takes longer is ended with it, and nobody waits for it after a second one.
+#[test]
+fn a_stop_waits_for_a_step_as_long_as_it_says() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, grace, signals, kept) in
+        [("kept", 20_000, 1, "[1]"), ("cut", 100, 1, "[0]"), ("twice", 20_000, 2, "[0]")]
+    {
+        let db = folder.path().join(format!("{name}.sqlite"));
+        let sweep = "--trials 1 --steps 2 --workers 1";
+        let mut run = Run::start(&db, &format!("{sweep} --step-ms 2500 --grace-ms {grace}"));
+        run.some_workers(1);
+        let begun = || (!rows(&db, "SELECT 1 FROM attempt").is_empty()).then_some(());
+        eventually(Duration::from_secs(20), begun).expect("a step begins");
+        for _ in 0..signals {
+            run.signal(libc::SIGINT);
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        assert_eq!(run.wait(), Some(4), "{name}");
+        assert_eq!(rows(&db, "SELECT count(*) FROM step"), [kept], "{name}");
+        assert_eq!(rows(&db, "SELECT state, reason FROM attempt"), [r#"["failed","stopped"]"#], "{name}");
+        assert_eq!(run.leftovers(), [""; 0], "{name}");
+        assert_eq!(Run::start(&db, sweep).wait(), Some(0), "{name}");
+        assert_eq!(rows(&db, "SELECT count(*) FROM step"), ["[2]"], "{name}");
+    }
+}
+
 /// SIGINT and SIGTERM before the first trial: exit code 4, and nothing of the sweep is half recorded.
 #[test]
 fn a_stop_while_a_large_sweep_is_recorded_ends_in_order() {
@@ -250,6 +276,21 @@ fn ten_deaths_one_after_the_other_end_the_run_and_fail_no_trial() {
     assert_eq!(run.leftovers(), [""; 0]);
 }
 
+/// A shortage of the machine is charged to no trial: they are tried again, ever later, and stay pending when the run ends for it.
+#[test]
+fn a_shortage_ends_the_run_and_fails_no_trial() {
+    let folder = tempfile::tempdir().unwrap();
+    let db = folder.path().join("short.sqlite");
+    let mut run = Run::start(&db, "--trials 3 --workers 2 --fault short --retries 2");
+    assert_eq!(run.wait(), Some(5));
+    assert_eq!(rows(&db, "SELECT DISTINCT state FROM trial"), [r#"["pending"]"#]);
+    assert_eq!(rows(&db, "SELECT DISTINCT reason FROM attempt"), [r#"["shortage"]"#]);
+    let said = rows(&db, "SELECT text FROM log");
+    assert!(said.iter().all(|line| line.contains("of what a no-op trial is to be short of")), "{said:?}");
+    assert_eq!(run.leftovers(), [""; 0]);
+    assert_eq!(Run::start(&db, "--trials 3 --workers 2").wait(), Some(0), "the same run goes on");
+}
+
 /// Results that do not fit into what is left of shared memory, of which the run has one of its own here.
 #[test]
 fn a_full_shared_memory_is_a_reason_of_its_own() {
@@ -268,8 +309,9 @@ fn a_full_shared_memory_is_a_reason_of_its_own() {
         db.display()
     );
     let ended = Command::new("unshare").args(["-m", "bash", "-c", &command]).output().unwrap();
-    assert_eq!(ended.status.code(), Some(1), "{}", String::from_utf8_lossy(&ended.stderr));
+    assert_eq!(ended.status.code(), Some(5), "{}", String::from_utf8_lossy(&ended.stderr));
     assert_eq!(rows(&db, "SELECT reason FROM attempt"), vec![r#"["shared_memory_full"]"#; 2]);
+    assert_eq!(rows(&db, "SELECT state FROM trial"), [r#"["pending"]"#]);
     let said = rows(&db, "SELECT text FROM log");
     assert!(said.iter().any(|line| line.contains("making room failed")), "{said:?}");
 }
@@ -443,20 +485,29 @@ fn a_reader_that_queries_all_the_time_meets_no_lock() {
 fn a_full_disk_ends_the_run_in_order_and_room_lets_it_go_on() {
     let folder = tempfile::tempdir().unwrap();
     let db = folder.path().join("s.sqlite");
-    let sweep = "--trials 600 --steps 6 --workers 2";
+    let sweep = "--trials 600 --steps 6 --workers 2 --array 4000";
     let command = format!(
-        "trap '' XFSZ; ulimit -f 1500; exec {} engine --db {} {sweep}",
+        "ulimit -f 9000; exec {} engine --db {} {sweep}",
         env!("CARGO_BIN_EXE_metasense-bench"),
         db.display()
     );
     let ended = Command::new("timeout").args(["-s", "KILL", "60", "bash", "-c", &command]).output().unwrap();
     let said = String::from_utf8_lossy(&ended.stderr);
     assert_eq!(ended.status.code(), Some(3), "{said}");
-    assert!(said.contains("database"), "{said}");
+    assert!(said.contains("database") && said.contains("ulimit -f"), "{said}");
     assert_eq!(children(std::process::id()).into_iter().filter(|pid| is_metasense(*pid)).count(), 0);
     assert_eq!(rows(&db, "PRAGMA integrity_check"), [r#"["ok"]"#]);
     assert_eq!(Run::start(&db, sweep).wait(), Some(0));
     assert_eq!(rows(&db, "SELECT count(*) FROM trial WHERE state = 'done'"), ["[600]"]);
+    // the same limit, met by a worker: the machine's, not the trial's
+    let db = folder.path().join("large.sqlite");
+    let large = format!("--trials 1 --workers 1 --retries 1 --array 300000 --db {}", db.display());
+    let command = format!("ulimit -f 9000; exec {} engine {large}", env!("CARGO_BIN_EXE_metasense-bench"));
+    let ended = Command::new("bash").args(["-c", &command]).output().unwrap();
+    assert_eq!(ended.status.code(), Some(5), "{}", String::from_utf8_lossy(&ended.stderr));
+    assert_eq!(rows(&db, "SELECT DISTINCT reason FROM attempt"), [r#"["shortage"]"#]);
+    let said = rows(&db, "SELECT text FROM log");
+    assert!(said.iter().any(|line| line.contains("ulimit -f")), "{said:?}");
 }
 
 /// Whether a process is a worker that lost its parent to this test.

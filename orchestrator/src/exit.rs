@@ -16,7 +16,7 @@ pub enum Exit {
     Io = 3,
     /// Stopped on request; `run` goes on from there, as do commands that keep their progress.
     Interrupted = 4,
-    /// This machine is at fault: no worker comes up, or trials die one after the other.
+    /// This machine is at fault: it is short of something, no worker comes up, or trials die one after the other.
     Unfit = 5,
 }
 
@@ -31,8 +31,9 @@ Exit codes:
   3  reading or writing failed: disk full, database in use, locked or damaged
   4  stopped on request; the same `run` goes on from there, as do `evaluate` and `identify`
      with --out-dir; other commands start again
-  5  this machine is unfit: no worker comes up, or trials die on it one after the other; the
-     same `run` goes on, better on another machine";
+  5  this machine is unfit: it is short of something that the message names (threads, memory,
+     descriptors, room on a disk), no worker comes up, or trials die on it one after the
+     other; no trial is charged for it, and the same `run` goes on, better on another machine";
 
 impl From<Exit> for ExitCode {
     fn from(exit: Exit) -> Self {

@@ -4,6 +4,8 @@
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::SystemTime;
 
 /// The folder that a file is in.
 #[must_use]
@@ -26,6 +28,21 @@ pub(crate) fn mark_of(host: &str) -> String {
 #[must_use]
 pub fn own_mark() -> String {
     format!("{}-{}", mark_of(&host()), std::process::id())
+}
+
+/// This machine, process and moment in a few characters, for names that no other thing has.
+#[must_use]
+pub fn fresh_mark() -> String {
+    static COUNT: AtomicU32 = AtomicU32::new(0);
+    let (mark, now, count) = (own_mark(), SystemTime::now(), COUNT.fetch_add(1, Ordering::Relaxed));
+    blake3::hash(format!("{mark} {now:?} {count}").as_bytes()).to_hex()[..8].to_owned()
+}
+
+/// Whether a program of this name can be started.
+#[must_use]
+pub fn is_in_path(program: &str) -> bool {
+    let paths = std::env::var_os("PATH").unwrap_or_default();
+    std::env::split_paths(&paths).any(|folder| folder.join(program).is_file())
 }
 
 /// Whether somebody has a file to itself. Where there are no locks, nobody has.

@@ -168,27 +168,37 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
     }
 }
 
+/// Longest grace of a run that is stopped (s).
+pub(crate) const GRACE_MAX: f64 = 3600.0;
+
 fn check_run(run: &Run, source: &Source) -> Result<(), SpecError> {
     let at_least_1 = |n: Option<usize>| n.is_none_or(|n| n >= 1);
+    // as on the command line
+    let up_to_1024 = |n: Option<usize>| n.is_none_or(|n| (1..=1024).contains(&n));
     let seconds = |s: Option<f64>, least: f64| s.is_none_or(|s| s >= least && s <= 1e9);
     let marks = run.prune.as_ref().map_or(&[0.5][..], |prune| &prune.at);
     let within = marks.iter().all(|part| *part > 0.0 && *part < 1.0);
     let grace = run.prune.as_ref().map(|prune| prune.grace);
     for (key, holds, remedy) in [
-        ("run.workers", at_least_1(run.workers), "must be at least 1"),
-        ("run.threads", at_least_1(run.threads), "must be at least 1"),
+        ("run.workers", up_to_1024(run.workers), "must be at least 1, at most 1024"),
+        ("run.threads", up_to_1024(run.threads), "must be at least 1, at most 1024"),
         ("run.niceness", run.niceness.is_none_or(|n| n <= 19), "must be at most 19"),
         ("run.memory", run.memory.is_none_or(|mib| mib >= 64), "must be at least 64 MiB"),
-        ("run.backoff", seconds(run.backoff, 0.0), "must be 0 or a number of seconds"),
-        ("run.no_progress", seconds(run.no_progress, 0.1), "must be at least 0.1 s"),
-        ("run.lock_wait", seconds(run.lock_wait, 0.0), "must be 0 or a number of seconds"),
+        ("run.backoff", seconds(run.backoff, 0.0), "must be at least 0, at most 1e9 s"),
+        ("run.no_progress", seconds(run.no_progress, 0.1), "must be at least 0.1, at most 1e9 s"),
+        (
+            "run.grace",
+            run.grace.is_none_or(|s| (0.0..=GRACE_MAX).contains(&s)),
+            "must be at least 0, at most 3600 s",
+        ),
+        ("run.lock_wait", seconds(run.lock_wait, 0.0), "must be at least 0, at most 1e9 s"),
         (
             "run.prune.at",
             within && !marks.is_empty() && marks.is_sorted_by(|a, b| a < b),
             "must be parts of the steps between 0 and 1, ascending",
         ),
         ("run.prune.grace", at_least_1(grace), "must be at least 1"),
-        ("run.time_limit", seconds(run.time_limit, 0.1), "must be at least 0.1 s"),
+        ("run.time_limit", seconds(run.time_limit, 0.1), "must be at least 0.1, at most 1e9 s"),
     ] {
         if !holds {
             return Err(source.error(key, remedy));

@@ -15,6 +15,8 @@ pub enum Reason {
     OutOfMemory,
     /// There was no room in shared memory for what the worker had to say, or was to be told.
     SharedMemoryFull,
+    /// The machine was short of threads, descriptors or something else that every trial needs.
+    Shortage,
     /// No sign of life for longer than `[run] no_progress`.
     NoProgress,
     /// Longer than `[run] time_limit`.
@@ -47,6 +49,7 @@ impl fmt::Display for Reason {
             Self::WorkerExited(code) => write!(f, "worker_exited({code})"),
             Self::OutOfMemory => f.write_str("out_of_memory"),
             Self::SharedMemoryFull => f.write_str("shared_memory_full"),
+            Self::Shortage => f.write_str("shortage"),
             Self::NoProgress => f.write_str("no_progress"),
             Self::TimeLimit => f.write_str("time_limit"),
             Self::Numerical(cause) => f.write_str(cause.name()),
@@ -66,6 +69,7 @@ impl From<Trouble> for Reason {
             Trouble::Numerical(cause) => Self::Numerical(cause),
             Trouble::Rejected => Self::Rejected,
             Trouble::Panicked => Self::Panicked,
+            Trouble::Shortage => Self::Shortage,
         }
     }
 }
@@ -85,8 +89,9 @@ impl Reason {
             }
             Self::SharedMemoryFull => {
                 "make room in /dev/shm, enlarge it (`mount -o remount,size=1G /dev/shm`, `docker run --shm-size 1g`), or \
-                 take fewer workers, then run with --retry-failed"
+                 take fewer workers"
             }
+            Self::Shortage => "raise the limit that the log names, or take fewer workers or threads",
             Self::NoProgress => "raise `no_progress` in [run], then run with --retry-failed",
             Self::TimeLimit => "raise `time_limit` in [run], then run with --retry-failed",
             Self::Numerical(Cause::Saturated) => {
@@ -118,13 +123,11 @@ impl Reason {
 
     /// Whether another attempt may end otherwise: what happened to the process, not to the trial.
     pub fn is_retried(self) -> bool {
-        matches!(
-            self,
-            Self::WorkerKilled(_)
-                | Self::WorkerExited(_)
-                | Self::SharedMemoryFull
-                | Self::NoProgress
-                | Self::Stopped
-        )
+        matches!(self, Self::WorkerKilled(_) | Self::WorkerExited(_) | Self::NoProgress | Self::Stopped)
+    }
+
+    /// Whether the machine lacked something that it may have later, which says nothing of the trial.
+    pub fn is_shortage(self) -> bool {
+        matches!(self, Self::OutOfMemory | Self::SharedMemoryFull | Self::Shortage)
     }
 }

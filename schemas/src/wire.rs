@@ -136,6 +136,8 @@ pub enum Trouble {
     Rejected,
     /// A bug: the computation panicked.
     Panicked,
+    /// The machine is short of something: threads, descriptors, memory, room on a disk.
+    Shortage,
 }
 
 /// To the orchestrator.
@@ -224,6 +226,13 @@ const ARRAYS: usize = 8;
 pub const APART: usize = 4096;
 /// First size of a message's chunk (bytes); grows on demand.
 const CHUNK: usize = 16 * 1024;
+
+/// Bytes of the file that holds what may wait of messages or arrays, where the largest has so many: all have chunks of one size, behind a head.
+#[must_use]
+pub fn segment(largest: usize) -> u64 {
+    let chunks = MESSAGES.max(2 * ARRAYS) + 2;
+    (largest.max(CHUNK).next_power_of_two() * chunks + 4096) as u64
+}
 
 /// iceoryx2's configuration of a domain. Clean-up of dead nodes is off: a domain goes as a whole.
 ///

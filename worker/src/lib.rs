@@ -12,6 +12,7 @@ pub mod files;
 pub mod identify;
 mod invalid;
 pub mod inverse;
+pub mod limits;
 pub mod measured;
 pub mod modes;
 pub mod operator;

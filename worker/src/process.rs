@@ -20,6 +20,7 @@ use metasense_schemas::wire::{
 use rustix::process;
 
 use crate::arrays::Arrays;
+use crate::limits::{Needs, check, check_file_size, explained, tells_of_shortage};
 use crate::run::{self, Control, Failure, Observe};
 use crate::simd;
 
@@ -31,6 +32,8 @@ pub const NO_LINK: i32 = 65;
 pub const ORPHAN: i32 = 66;
 /// Exit code of a worker that finds no room in shared memory.
 pub const NO_ROOM: i32 = 67;
+/// Exit code of a worker that the machine does not allow what every worker needs.
+pub const SHORT: i32 = 68;
 
 /// Shortest time between two beats.
 const BEAT: Duration = Duration::from_millis(50);
@@ -97,23 +100,35 @@ pub fn run(start: &str, perform: Perform) -> i32 {
         complain(format_args!("worker: {error}"));
         return OTHER_BUILD;
     }
-    if !bind_to_parent(&start) {
+    if let Err(error) = bind_to_parent(&start) {
+        complain(format_args!("worker: {}", explained(&error.to_string(), &Needs::default())));
+        return SHORT;
+    }
+    if std::os::unix::process::parent_id() != start.parent {
         return ORPHAN;
     }
     match Worker::connect(&start, perform).and_then(|mut worker| worker.serve()) {
         Ok(()) => 0,
         Err(error) => {
-            complain(format_args!("worker: {error}"));
-            if error.step == MAKING_ROOM { NO_ROOM } else { NO_LINK }
+            let short = check(&Needs::default());
+            complain(format_args!("worker: {}", explained(&error.to_string(), &Needs::default())));
+            match error.step {
+                MAKING_ROOM => NO_ROOM,
+                _ if error.step == FILE_SIZE || short.is_err() => SHORT,
+                _ => NO_LINK,
+            }
         }
     }
 }
 
-/// Ties the process to its orchestrator and sets its limits. False: the orchestrator is gone already.
-fn bind_to_parent(start: &Start) -> bool {
+/// Ties the process to its orchestrator and sets its limits.
+///
+/// # Errors
+/// If the system starts no thread.
+fn bind_to_parent(start: &Start) -> std::io::Result<()> {
     // What the kernel refuses is not worth a trial.
     let _ = process::set_parent_process_death_signal(Some(process::Signal::KILL));
-    for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP] {
+    for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP, libc::SIGXFSZ] {
         // SAFETY: no handler runs, and no other thread of this process exists yet.
         unsafe { libc::signal(signal, libc::SIG_IGN) };
     }
@@ -125,13 +140,13 @@ fn bind_to_parent(start: &Start) -> bool {
         let limit = process::Rlimit { current: bytes, maximum: bytes };
         let _ = process::setrlimit(process::Resource::Data, limit);
     }
-    std::thread::spawn(|| {
+    let until_closed = || {
         let mut sink = [0; 64];
         while std::io::stdin().read(&mut sink).is_ok_and(|n| n > 0) {}
         // SAFETY: ends the process without running destructors, which is the point: computations are in progress.
         unsafe { libc::_exit(0) }
-    });
-    std::os::unix::process::parent_id() == start.parent
+    };
+    std::thread::Builder::new().stack_size(64 << 10).spawn(until_closed).map(drop)
 }
 
 /// The worker's end of its domain. Ports are dropped before the node.
@@ -237,12 +252,17 @@ impl Worker {
         let message = match ended {
             Ok(Ok(result)) => self.finished(lease, result)?,
             Ok(Err(Failure::Stopped)) => ToOrchestrator::Stopped { lease },
+            Ok(Err(Failure::Shortage(detail))) => failed(Trouble::Shortage, detail),
+            Ok(Err(Failure::Rejected(detail))) if tells_of_shortage(&detail) => {
+                failed(Trouble::Shortage, explained(&detail, &Needs::default()))
+            }
             Ok(Err(Failure::Rejected(detail))) => failed(Trouble::Rejected, detail),
             Ok(Err(Failure::Numerical { cause, detail })) => failed(Trouble::Numerical(cause), detail),
             Err(panic) => {
                 let text = panic.downcast_ref::<&str>().map(ToString::to_string);
-                let text = text.or_else(|| panic.downcast_ref::<String>().cloned());
-                failed(Trouble::Panicked, text.unwrap_or_default())
+                let text = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
+                let trouble = if tells_of_shortage(&text) { Trouble::Shortage } else { Trouble::Panicked };
+                failed(trouble, text)
             }
         };
         self.send(&message)
@@ -297,12 +317,16 @@ fn name_process(name: &str) {
 
 /// What a `LinkError` says it tried where shared memory is full.
 pub const MAKING_ROOM: &str = "making room";
+/// And where files there may not be as large.
+pub const FILE_SIZE: &str = "enlarging a file";
 
 /// Whether so many bytes fit into shared memory: writing to a full one would be the end of this process.
 ///
 /// # Errors
 /// If they do not, or hardly.
 pub fn make_room(bytes: usize) -> Result<(), LinkError> {
+    check_file_size(wire::segment(bytes))
+        .map_err(|short| LinkError { step: FILE_SIZE, cause: short.to_string() })?;
     const SPARE: u64 = 256 << 10;
     let needed = bytes as u64 + SPARE;
     match free_space(std::path::Path::new(wire::SHARED_MEMORY)) {

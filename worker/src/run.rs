@@ -13,6 +13,7 @@ use metasense_schemas::wire::Cause;
 use crate::clock::cpu_seconds;
 use crate::convert;
 use crate::design;
+use crate::limits::{Needs, explained};
 use crate::problem::problem;
 use crate::simd;
 
@@ -44,6 +45,9 @@ pub enum Failure {
         /// And where.
         detail: String,
     },
+    /// The machine is short of something; says of what.
+    #[error("short of something: {0}")]
+    Shortage(String),
 }
 
 /// Runs a trial, from the beginning or from a checkpoint of its own.
@@ -177,8 +181,10 @@ pub fn pool(threads: usize) -> Result<Pool, Failure> {
 /// # Errors
 /// If the system does not start them.
 pub fn pool_counting(threads: usize, heartbeat: Heartbeat) -> Result<Pool, Failure> {
-    Pool::with(threads.max(1), simd::width(), heartbeat)
-        .map_err(|error| Failure::Rejected(format!("a pool of {threads} threads: {error}")))
+    Pool::with(threads.max(1), simd::width(), heartbeat).map_err(|error| {
+        let needs = Needs { threads: threads as u32, ..Needs::default() };
+        Failure::Shortage(explained(&format!("{threads} threads cannot be started: {error}"), &needs))
+    })
 }
 
 /// Gives the maths a clock, that of the process's CPU time (a process runs one trial at a time), and its reports the form in which they are stored.

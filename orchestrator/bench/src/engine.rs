@@ -59,6 +59,9 @@ pub struct Args {
     /// Longest time of an attempt (ms).
     #[arg(long, hide = true)]
     time_limit_ms: Option<u64>,
+    /// Longest wait for steps in progress at a stop (ms).
+    #[arg(long, hide = true, default_value_t = 10_000)]
+    grace_ms: u64,
     /// Retries of a trial after deaths without a step.
     #[arg(long, hide = true, default_value_t = 5)]
     retries: u32,
@@ -67,7 +70,7 @@ pub struct Args {
 pub async fn execute(args: Args) -> Result<Exit, Error> {
     let scratch = std::env::temp_dir().join(format!("metasense-bench-{}.sqlite", std::process::id()));
     if let Some(db) = &args.db {
-        cli::log::start(&cli::log::path(db))?;
+        cli::log::start(&cli::log::path(db)?)?;
     }
     let db = args.db.clone().unwrap_or_else(|| scratch.clone());
     let done = measure(&args, &db).await;
@@ -109,6 +112,7 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
             no_progress: args.no_progress_ms,
             time_limit: args.time_limit_ms,
             memory_limited: false,
+            grace: args.grace_ms,
             prune: None,
         },
         threads: 1,

@@ -10,8 +10,9 @@ use crate::exit::Exit;
 
 /// Steers a run: pauses or stops it, changes workers, cancels a trial, reloads its spec
 ///
-/// It talks to the `run` that holds the database, through the socket DB.control beside it, which only its user may open. Nothing
-/// is lost: trials stop after the step in progress and keep their checkpoints. The run's log records commands and answers.
+/// It talks to the `run` that holds the database, through the socket DB.control beside it, which only its user may open. Trials stop
+/// after the step in progress and keep their checkpoints; `stop` waits for that no longer than Ctrl-C does (`run.grace`). The run's
+/// log records commands and answers.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Exit codes:

@@ -15,6 +15,7 @@ use crate::plan::{Plan, Trial, counted};
 use crate::report::search::{Bodies, Known, Sought, begun};
 use crate::scheduler::Outcome;
 use crate::store::Reader;
+use tokio::sync::Notify;
 
 /// Searches a sweep for the cheapest design that meets the requirement in its [goal]
 ///
@@ -37,8 +38,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let plan = args.spec.plan()?;
     let space = space(&plan)?;
     let db: PathBuf = args.running.db.clone().unwrap_or_else(|| plan.default_database());
-    let how = How { spec: &args.spec, running: &args.running, shard: None, fixed: Some(FIXED) };
-    let (outcome, plan) = run(plan, &how, &db, &log::path(&db), &mut signals, async |round, again| {
+    let asked = Notify::new();
+    let how =
+        How { spec: &args.spec, running: &args.running, shard: None, fixed: Some(FIXED), asked: &asked };
+    let (outcome, plan) = run(plan, &how, &db, &log::path(&db)?, &mut signals, async |round, again| {
         search(round, &space, again).await
     })
     .await?;

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use metasense_schemas::source::SpecError;
 use metasense_worker::design::DesignError;
+use metasense_worker::limits::Shortage;
 use metasense_worker::measured::MeasuredError;
 
 use super::control;
@@ -15,6 +16,7 @@ use crate::cluster::queue::QueueError;
 use crate::control::ControlError;
 use crate::engine::EngineError;
 use crate::exit::Exit;
+use crate::files::host;
 use crate::store::StoreError;
 
 /// Why a command could not be carried out.
@@ -60,6 +62,9 @@ pub enum Error {
     /// A run that could not go on.
     #[error(transparent)]
     Engine(#[from] EngineError),
+    /// The machine allows too little.
+    #[error("{host} allows too little, and nothing was started: {0}", host = host())]
+    Short(String),
     /// A merge.
     #[error(transparent)]
     Merge(#[from] MergeError),
@@ -80,12 +85,21 @@ pub enum Error {
     /// A scheduler's queue.
     #[error(transparent)]
     Queue(#[from] QueueError),
+    /// A scheduler has accepted some jobs, and not all.
+    #[error("{0}")]
+    Partly(String),
     /// A shard's database.
     #[error(transparent)]
     Home(#[from] HomeError),
     /// A run that is to be steered.
     #[error(transparent)]
     Control(#[from] ControlError),
+}
+
+impl From<Shortage> for Error {
+    fn from(short: Shortage) -> Self {
+        Self::Short(short.to_string())
+    }
 }
 
 impl Error {
@@ -111,8 +125,9 @@ impl Error {
             {
                 Exit::BadInput
             }
-            Self::Engine(EngineError::Runtime(_)) => Exit::BadInput,
-            Self::Engine(EngineError::NoWorkers(_)) | Self::Shards { .. } => Exit::Unfit,
+            Self::Engine(EngineError::Runtime(_) | EngineError::Short(_) | EngineError::NoWorkers(_))
+            | Self::Short(_)
+            | Self::Shards { .. } => Exit::Unfit,
             Self::Engine(_) => Exit::Io,
             Self::Merge(MergeError::Nothing { .. } | MergeError::Result { .. } | MergeError::NotFacts(_)) => {
                 Exit::BadInput
@@ -125,6 +140,7 @@ impl Error {
             Self::Merge(_)
             | Self::Home(_)
             | Self::Queue(_)
+            | Self::Partly(_)
             | Self::Assignment(AssignmentError::File { .. }) => Exit::Io,
             Self::Assignment(_) => Exit::BadInput,
             Self::Control(e) => control::exit(e),

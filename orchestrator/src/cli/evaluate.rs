@@ -261,6 +261,7 @@ fn compare(
         };
         found.map_err(|e| match e {
             Failure::Rejected(what) => Error::Usage(format!("--records {name}: {what}")),
+            Failure::Shortage(what) => Error::Short(what),
             other => Error::Usage(format!("--records {name}: {other}")),
         })
     };

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use metasense_schemas::reason::Reason;
 use metasense_schemas::record::{BodyEvaluation, TrialResult, mean};
+use tokio::sync::Notify;
 
 use super::{duration, is_live};
 use crate::control::Command;
@@ -20,10 +21,12 @@ const BAR: u64 = 10_000;
 const LINE_EVERY: Duration = Duration::from_secs(30);
 /// Parts of a run's work at which the estimate of the whole time is kept, to be compared with the truth.
 const MARKS: [f64; 3] = [0.1, 0.33, 0.5];
+/// Characters of what is said of an attempt that failed.
+const MOST_TEXT: usize = 500;
 
 /// Shows a run on standard error.
 #[derive(Debug)]
-pub struct Live {
+pub struct Live<'a> {
     /// On a terminal.
     bar: Option<ProgressBar>,
     said: Instant,
@@ -31,17 +34,22 @@ pub struct Live {
     before: Option<f64>,
     /// Whole time as estimated at each mark (s).
     estimates: Vec<(f64, f64)>,
+    /// What the last attempt that failed came to nothing for.
+    failed: String,
+    /// Is told when somebody asks for the end.
+    asked: &'a Notify,
 }
 
-impl Live {
+impl<'a> Live<'a> {
     /// For a run of this many trials, beside others that are settled already.
-    pub fn new(open: usize, settled: usize, workers: u32) -> Self {
+    pub fn new(open: usize, settled: usize, workers: u32, asked: &'a Notify) -> Self {
         let bar = is_live(&std::io::stderr()).then(|| {
             let style =
                 ProgressStyle::with_template("{bar:30} {percent:>3} %  {msg}").expect("the template is one");
             ProgressBar::with_draw_target(Some(BAR), ProgressDrawTarget::stderr_with_hz(5)).with_style(style)
         });
-        let live = Self { bar, said: Instant::now(), before: None, estimates: Vec::new() };
+        let (said, failed) = (Instant::now(), String::new());
+        let live = Self { bar, said, before: None, estimates: Vec::new(), failed, asked };
         let before = if settled > 0 { format!(", {settled} settled before") } else { String::new() };
         let (open, workers) = (counted(open, "trial"), counted(workers as usize, "worker"));
         live.say(&format!("{open} to run on {workers}{before}"));
@@ -56,7 +64,7 @@ impl Live {
     }
 }
 
-impl Watch for Live {
+impl Watch for Live<'_> {
     fn done(&mut self, trial: &Trial, result: &TrialResult) {
         let before = match trial.spec.evaluation.initial {
             Some(false) => String::new(),
@@ -65,7 +73,7 @@ impl Watch for Live {
         self.say(&format!("done: {}: holdout error {before}{}", named(trial), percent(&result.optimised)));
     }
 
-    fn attempt_failed(&mut self, trial: &Trial, attempt: u32, reason: Reason, settled: bool) {
+    fn attempt_failed(&mut self, trial: &Trial, attempt: u32, reason: Reason, settled: bool, text: &str) {
         if reason == Reason::Cancelled {
             return self.say(&format!("given up: {}: on request", named(trial)));
         }
@@ -76,7 +84,8 @@ impl Watch for Live {
             true => format!("failed for good; {}", reason.remedy()),
             false => "it is tried again".into(),
         };
-        self.say(&format!("attempt {attempt} failed: {}: {reason}; {then}", named(trial)));
+        self.failed = text.chars().take(MOST_TEXT).collect();
+        self.say(&format!("attempt {attempt} failed: {}: {}; {then}", named(trial), self.failed));
     }
 
     fn begins_anew(&mut self, trial: &Trial, why: &str) {
@@ -87,14 +96,22 @@ impl Watch for Live {
         self.say(text);
     }
 
-    fn interrupted(&mut self, again: bool) {
-        self.say(match again {
-            false => "stopping: the steps in progress are finished and recorded (Ctrl-C again stops at once)",
-            true => "stopping at once",
+    fn interrupted(&mut self, again: bool, grace: Duration) {
+        self.asked.notify_one();
+        self.say(&match again {
+            false => format!(
+                "stopping: steps that end within {} s are recorded, others are done again by the next run (Ctrl-C again stops at \
+                 once)",
+                grace.as_secs_f64()
+            ),
+            true => "stopping at once".to_owned(),
         });
     }
 
     fn steered(&mut self, command: &Command, done: bool, said: &str) {
+        if done && *command == Command::Stop {
+            self.asked.notify_one();
+        }
         let refused = if done { "" } else { "refused: " };
         self.say(&format!("control: {command}: {refused}{said}"));
     }
@@ -156,11 +173,19 @@ impl Watch for Live {
         }
         if let Outcome::Unfit(reason) = outcome {
             let open = counted(view.total - view.settled(), "trial");
+            let remedy = match reason {
+                Reason::OutOfMemory => "take fewer workers or threads, or a machine with more memory",
+                reason => reason.remedy(),
+            };
+            let why = match reason.is_shortage() {
+                true => format!("no trial comes further there for {}", self.failed),
+                false => format!(
+                    "{UNFIT_DEATHS} attempts died there one after the other without a step, the last one of {reason}"
+                ),
+            };
             say!(
-                "{} is unfit: {UNFIT_DEATHS} attempts died there one after the other without a step, the last one of \
-                 {reason}; {}. {open} left open go on with the same command, here or elsewhere",
-                host(),
-                reason.remedy()
+                "{} is unfit: {why}; {remedy}. {open} left open go on with the same command, here or elsewhere",
+                host()
             );
         }
     }

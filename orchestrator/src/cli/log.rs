@@ -13,8 +13,17 @@ use super::Error;
 const FILTER: &str = "METASENSE_LOG";
 
 /// Where the log of a run with this database is.
-pub fn path(database: &Path) -> PathBuf {
-    database.with_extension("log")
+///
+/// # Errors
+/// If it would be the database itself.
+pub fn path(database: &Path) -> Result<PathBuf, Error> {
+    match database.extension().is_some_and(|ending| ending == "log") {
+        true => Err(Error::Usage(format!(
+            "--db {}: the log of the run would be this file; give the database another ending",
+            database.display()
+        ))),
+        false => Ok(database.with_extension("log")),
+    }
 }
 
 /// From here on, what happens is written to the end of the file. To be called once.

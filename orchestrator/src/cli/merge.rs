@@ -1,11 +1,13 @@
 //! `merge`: databases of shards, or of whole sweeps, into one.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use super::{Error, Format, print_rows};
+use crate::cluster::home::attempts;
 use crate::cluster::merge::{Extent, Kind, Summary, merge};
-use crate::cluster::ranges;
-use crate::cluster::state::never_begun;
+use crate::cluster::state::{State, never_begun, states};
+use crate::cluster::{Assignment, Shard, ranges};
 use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
 use crate::plan::counted;
@@ -68,6 +70,23 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     say!("database: {}", args.out.display());
     let disagrees = summary.findings.iter().any(|f| [Kind::Damaged, Kind::Bits].contains(&f.kind));
     Ok(if disagrees || !summary.refused.is_empty() { Exit::Failed } else { Exit::Done })
+}
+
+/// Merges the shards of a folder if none is to be waited for: the last one that hands in finds that all have ended.
+pub(super) async fn after_the_last(folder: &Path, shard: Shard, out: &Path) -> Result<(), Error> {
+    if attempts(folder).len() < shard.count() as usize {
+        return Ok(());
+    }
+    let assignment = Assignment::in_folder(folder, &[], shard.count())?;
+    if !states(folder, &assignment, &HashMap::new()).await.iter().all(State::is_settled) {
+        return Ok(());
+    }
+    if let Err(error) = execute(Args::folder(folder, out)).await {
+        // the shard has done its work; another one may be merging the same files
+        error.say();
+        say!("merged by hand: metasense merge {} --out {}", folder.display(), out.display());
+    }
+    Ok(())
 }
 
 /// Trials that nobody has begun, and what does.

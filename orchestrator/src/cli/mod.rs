@@ -60,7 +60,7 @@ use rustix::process::{Signal, set_parent_process_death_signal};
 use crate::engine::ignores_hangup;
 use crate::exit::{EXIT_CODES, Exit};
 use crate::plan::Plan;
-use metasense_worker::process;
+use metasense_worker::{limits, process};
 
 pub use crate::look::{Format, print_rows};
 use crate::look::{duration, screen};
@@ -157,6 +157,7 @@ pub fn execute(args: impl Iterator<Item = OsString>) -> Result<Exit, Error> {
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|e| e.exit());
     spares_what_it_reads(&matches)?;
     process::keep_memory();
+    limits::make_use_of();
     match cli.command {
         Command::Worker { start } => std::process::exit(process::run(&start, process::perform_trial)),
         command => block_on(command.execute()),

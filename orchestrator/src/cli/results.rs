@@ -7,7 +7,7 @@ use metasense_schemas::reason::{CANCELLED, PRUNED};
 use metasense_schemas::spec::TrialSpec;
 use serde_json::{Value, json};
 
-use super::{Error, Format, log, print_rows};
+use super::{Error, Format, print_rows};
 use crate::analysis::kinds::brains_of;
 use crate::look::Table;
 use crate::plan::{Plan, counted};
@@ -16,11 +16,22 @@ use crate::store::{Reader, quoted};
 /// Rows that a person may want to read at once.
 const MOST_ROWS: usize = 400;
 
+/// Where the results of a run are.
+#[derive(Clone, Copy)]
+pub(super) struct Results<'a> {
+    /// The database that is read now.
+    pub db: &'a Path,
+    /// The one that stays.
+    pub named: &'a Path,
+    /// Where failures are told.
+    pub log: &'a Path,
+}
+
 /// Says which trials have failed, and prints a row a trial; returns how many have failed.
-pub(super) async fn print_results(db: &Path, plan: &Plan, format: Format) -> Result<usize, Error> {
+pub(super) async fn print_results(from: Results<'_>, plan: &Plan, format: Format) -> Result<usize, Error> {
     // all of them: a negative limit is none
     let limit = if format == Format::Table { MOST_ROWS as i64 } else { -1 };
-    let (settled, mut table) = Reader::asked(db, async |reader| {
+    let (settled, mut table) = Reader::asked(from.db, async |reader| {
         let settled = reader.query::<Table>(&of_plan("t.hash, t.state, t.reason", plan)).await?;
         let of_plan = of_plan("t.hash", plan);
         let sql = format!(
@@ -37,10 +48,10 @@ pub(super) async fn print_results(db: &Path, plan: &Plan, format: Format) -> Res
     if format == Format::Table && !table.rows.is_empty() {
         leave_out_the_usual(&mut table);
     }
-    let failed = say_failures(db, &settled);
+    let failed = say_failures(from, &settled);
     print_rows(&table, format)?;
     if let more @ 1.. = settled.rows.len() - table.rows.len() {
-        say!("… and {more} more: metasense query {} \"SELECT * FROM v_trial\"", db.display());
+        say!("… and {more} more: metasense query {} \"SELECT * FROM v_trial\"", from.named.display());
     }
     Ok(failed)
 }
@@ -85,7 +96,7 @@ fn leave_out_the_usual(table: &mut Table) {
 }
 
 /// Says which trials have failed and what to do; of those that were given up, how many. Returns how many have failed.
-fn say_failures(db: &Path, settled: &Table) -> usize {
+fn say_failures(Results { named, log, .. }: Results<'_>, settled: &Table) -> usize {
     let [hash, state, reason] = ["hash", "state", "reason"].map(|name| settled.column(name));
     let of = |row: &'_ [Value], at: usize| row[at].as_str().unwrap_or_default().to_owned();
     let failed = settled.rows.iter().filter(|row| row[state] == "failed");
@@ -105,10 +116,9 @@ fn say_failures(db: &Path, settled: &Table) -> usize {
         say!("failed: trial {hash} ({reason})");
     }
     if failed.len() > MOST_ROWS {
-        say!("… and {} more failed: metasense status {}", failed.len() - MOST_ROWS, db.display());
+        say!("… and {} more failed: metasense status {}", failed.len() - MOST_ROWS, named.display());
     }
     if !failed.is_empty() {
-        let log = log::path(db);
         say!("their reasons and what to do stand in {}; --retry-failed runs them again", log.display());
     }
     failed.len()

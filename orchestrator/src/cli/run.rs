@@ -7,21 +7,22 @@ use std::time::Duration;
 use metasense_schemas::record::Found;
 use metasense_schemas::source::Source;
 use metasense_schemas::spec::Run;
-use tokio::sync::oneshot;
+use metasense_worker::limits::{Needs, check};
+use tokio::sync::{Notify, oneshot};
 
 use super::live::Live;
 use super::named::Spec;
 use super::pages::Pages;
-use super::results::print_results;
+use super::results::{Results, print_results};
 use super::simd::Simd;
-use super::{Error, Format, end_with, log};
+use super::{Error, Format, end_with, log, merge};
 use crate::cluster::home::{Home, SUBMITTED_SPEC, end_after};
 use crate::cluster::submit::NOTICE;
 use crate::cluster::{Assignment, Shard, trials_of};
 use crate::control::{Listener, WORKERS_MAX};
-use crate::engine::{self, Again, Control, EngineError, Options, Reread, Signals};
+use crate::engine::{self, Again, Control, EngineError, GRACE, Options, Reread, Signals};
 use crate::exit::{Exit, chain};
-use crate::plan::{Plan, Trial, cost, counted};
+use crate::plan::{GRACE_MAX, Plan, Trial, cost, counted};
 use crate::scheduler::{Outcome, Settings};
 use crate::store::{RunPlan, Store, StoreError, wait_for_locks};
 
@@ -53,6 +54,10 @@ pub(super) struct Args {
     /// Stops in order when this process, which has started it, ends
     #[arg(long, hide = true, value_name = "PID")]
     parent: Option<u32>,
+    /// Of a shard: once all shards of the folder have come to their ends, merges them into this database, for schedulers that start
+    /// nothing when jobs have ended
+    #[arg(long, value_name = "FILE", requires = "copy_to")]
+    merge_into: Option<PathBuf>,
 }
 
 /// Where and how trials are run.
@@ -71,6 +76,9 @@ pub(super) struct Running {
     /// Threads per worker; by default `run.threads` of the spec, else 1
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
+    /// Longest wait for steps in progress when the run is stopped (s); by default `run.grace` of the spec, else 10
+    #[arg(long, value_name = "S", value_parser = grace)]
+    pub grace: Option<f64>,
     /// Runs failed trials again, from their last step
     #[arg(long)]
     pub retry_failed: bool,
@@ -84,14 +92,19 @@ pub(super) struct Running {
     pub format: Format,
 }
 
+fn grace(text: &str) -> Result<f64, String> {
+    let known = text.parse().ok().filter(|s| (0.0..=GRACE_MAX).contains(s));
+    known.ok_or_else(|| format!("must be a number of seconds, at most {GRACE_MAX}"))
+}
+
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if args.parent.is_some_and(|parent| !end_with(parent)) {
         return Ok(Exit::Interrupted);
     }
     args.running.simd.choose()?;
-    let seconds = |name: &str, value: f64| match Duration::try_from_secs_f64(value) {
-        Ok(time) if value >= 1.0 => Ok(time),
-        _ => Err(Error::Usage(format!("--{name} {value} is not a time of at least 1 s"))),
+    let seconds = |name: &str, value: f64| match (1.0..=1e9).contains(&value) {
+        true => Ok(Duration::from_secs_f64(value)),
+        false => Err(Error::Usage(format!("--{name} {value}: must be at least 1, at most 1e9 s"))),
     };
     let copy_every = seconds("copy-every", args.copy_every)?;
     let stop_after = args.stop_after.map(|s| seconds("stop-after", s)).transpose()?;
@@ -99,12 +112,13 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if let Some(time) = stop_after {
         end_after(time);
     }
-    let source = args.spec.source()?;
+    let (source, asked) = (args.spec.source()?, Notify::new());
     let how = How {
         spec: &args.spec,
         running: &args.running,
         shard: args.shard,
         fixed: args.shard.map(|_| FIXED_SHARD),
+        asked: &asked,
     };
     let Some((shard, folder)) = args.shard.zip(args.copy_to.as_deref()) else {
         let mut plan = Plan::of(source)?;
@@ -118,8 +132,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             Some(shard) => plan.default_database().with_extension(format!("{}.sqlite", shard.file_stem())),
             None => plan.default_database(),
         });
-        let (outcome, plan) = run(plan, &how, &db, &log::path(&db), &mut signals, wanted).await?;
-        return end(&db, &plan, args.running.format, outcome).await;
+        let log = log::path(&db)?;
+        let (outcome, plan) = run(plan, &how, &db, &log, &mut signals, wanted).await?;
+        return end(Results { db: &db, named: &db, log: &log }, &plan, args.running.format, outcome).await;
     };
     check_submitted(folder, &source)?;
     let plan = match trials_of(folder, shard)? {
@@ -135,6 +150,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
     };
     let mut home = Home::new(&plan.spec.name, shard, folder, args.running.db.clone())?;
+    check(&Needs { files: &[home.handed_in()], ..Needs::default() })?;
     let waits =
         || say!("an earlier attempt of this shard has not ended on this node yet; this one waits for it");
     if let Some(aside) = home.take_in(waits).await? {
@@ -150,16 +166,20 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         drop(stop);
         outcome
     };
-    let (outcome, ()) = tokio::join!(running, home.hand_in_every(copy_every, stopped));
+    let (outcome, ()) = tokio::join!(running, home.hand_in_every(copy_every, stopped, &asked));
     // Also after an error the database is handed in, where there is one.
     let handed_in = match outcome.is_err() && !home.live().exists() {
         true => Ok(()),
         false => home.hand_in_within(Duration::from_secs(NOTICE)).await,
     };
     let (outcome, plan) = outcome?;
-    let exit = end(&db, &plan, args.running.format, outcome).await?;
+    let named = if handed_in.is_ok() { home.handed_in() } else { &db };
+    let exit = end(Results { db: &db, named, log: &log }, &plan, args.running.format, outcome).await?;
     handed_in?;
     home.leave().await;
+    if let Some(out) = args.merge_into.filter(|_| matches!(exit, Exit::Done | Exit::Failed)) {
+        merge::after_the_last(folder, shard, &out).await?;
+    }
     Ok(exit)
 }
 
@@ -199,6 +219,8 @@ pub(super) struct How<'a> {
     pub shard: Option<Shard>,
     /// Why its spec is not read again while it runs; none: it is.
     pub fixed: Option<&'static str>,
+    /// Is told when somebody asks for the end.
+    pub asked: &'a Notify,
 }
 
 /// Why a shard's spec is not read again.
@@ -226,6 +248,7 @@ pub(super) async fn run(
     if let Some(limit) = plan.spec.run.lock_wait {
         wait_for_locks(Duration::from_secs_f64(limit));
     }
+    check(&Needs { threads: 2, files: &[db], ..Needs::default() })?;
     let mut store = Store::open(db).await?;
     let control = Control::new(listener(db), reread(&plan, how));
     let ran = run_open(&mut store, &plan, how, log, signals, &control, drive).await;
@@ -265,8 +288,8 @@ async fn run_open(
         other_code: how.running.redo_other_code,
     };
     let mut options = options(&plan.spec.run, how.running);
-    let shard = how.shard;
-    let round = Round { store, plan, shard, log, signals, control, options: &mut options, stopping: false };
+    let (shard, asked, options) = (how.shard, how.asked, &mut options);
+    let round = Round { store, plan, shard, log, signals, control, options, asked, stopping: false };
     let outcome = drive(round, again).await;
     if let Some(pages) = pages {
         pages.end().await;
@@ -312,6 +335,7 @@ pub(super) struct Round<'a> {
     control: &'a Control,
     /// As people have changed them by now.
     options: &'a mut Options,
+    asked: &'a Notify,
     /// Whether somebody has asked for the end.
     stopping: bool,
 }
@@ -405,7 +429,7 @@ impl Runs for Round<'_> {
     }
 
     async fn run(&mut self, trials: &[Trial], again: Again) -> Result<Option<Outcome>, Error> {
-        let Self { store, plan, shard, log, signals, control, options, .. } = self;
+        let Self { store, plan, shard, log, signals, control, options, asked, .. } = self;
         let sweep = (&plan.spec, &*plan.source.text);
         let Some(open) = engine::begin(store, sweep, trials, again, signals).await? else {
             say!("stopped before any trial was begun; the same command begins");
@@ -428,12 +452,14 @@ impl Runs for Round<'_> {
         }
         log::start(log)?;
         let run = store.begin_run(&planned).await?;
-        let mut live = Live::new(open.len(), trials.len() - open.len(), options.settings.workers);
+        let mut live = Live::new(open.len(), trials.len() - open.len(), options.settings.workers, asked);
         let work = |trial: &Trial| serde_json::to_string(&trial.spec).expect("a trial is JSON");
         let ended = engine::run(store, &open, &work, options, signals, control, &mut live).await;
         let noted = match &ended {
             Ok(summary) => store.end_run(&run, name(summary.outcome), summary.done, summary.failed).await,
-            Err(EngineError::NoWorkers(_)) => store.end_run(&run, name(Outcome::NoWorkers), 0, 0).await,
+            Err(EngineError::NoWorkers(_) | EngineError::Short(_)) => {
+                store.end_run(&run, name(Outcome::NoWorkers), 0, 0).await
+            }
             Err(_) => Ok(()),
         };
         let summary = ended?;
@@ -460,9 +486,14 @@ fn name(outcome: Outcome) -> &'static str {
 }
 
 /// The table and the words at the end.
-pub(super) async fn end(db: &Path, plan: &Plan, format: Format, outcome: Outcome) -> Result<Exit, Error> {
-    let failed = print_results(db, plan, format).await?;
-    say!("database: {}", db.display());
+pub(super) async fn end(
+    results: Results<'_>,
+    plan: &Plan,
+    format: Format,
+    outcome: Outcome,
+) -> Result<Exit, Error> {
+    let failed = print_results(results, plan, format).await?;
+    say!("database: {}", results.named.display());
     Ok(match outcome {
         Outcome::Interrupted => Exit::Interrupted,
         Outcome::Unfit(_) => Exit::Unfit,
@@ -487,6 +518,7 @@ fn options(run: &Run, args: &Running) -> Options {
             no_progress: millis(patience),
             time_limit: run.time_limit.map(millis),
             memory_limited: run.memory.is_some(),
+            grace: millis(args.grace.or(run.grace).unwrap_or(GRACE)),
             prune: run.prune.clone(),
         },
         threads: threads as u32,

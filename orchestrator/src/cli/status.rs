@@ -181,14 +181,14 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
         Error::Usage("name the folder of the shards: metasense status --cluster results/NAME.shards".into())
     };
     let folder = folder.or_else(|| only(Path::new("results"), "shards")).ok_or_else(none)?;
-    let jobs = super::submit::submitted(&folder)?;
+    let mut jobs = super::submit::submitted(&folder)?;
+    let queued = queue::ask(&mut jobs)?.shards;
     let Some(last) = jobs.last() else {
         let path = folder.display();
         return Err(Error::Usage(format!(
             "{path} holds no shards that `submit` has submitted; name their folder"
         )));
     };
-    let queued = queue::ask(&jobs)?.shards;
     let assignment = Assignment::in_folder(&folder, &[], last.shards)?;
     let states = state::states(&folder, &assignment, &queued).await;
     let columns = "shard state trials done failed estimated_seconds seconds outcome ran_on handed_in_ago";

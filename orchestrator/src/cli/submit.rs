@@ -1,11 +1,13 @@
 //! `submit`: a sweep as shards on a cluster or on some machines, with the merge behind them.
 
+mod queued;
 mod rounds;
 
 use std::collections::HashMap;
 use std::fs::File;
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 use super::named::Spec;
 use super::{Error, duration, make_folder, write};
@@ -20,7 +22,8 @@ use crate::cluster::{Assignment, Shard, ranges};
 use crate::engine::Signals;
 use crate::exit::Exit;
 use crate::files;
-use crate::plan::{Plan, Trial, counted};
+use crate::plan::{Plan, Trial, cost, counted};
+use crate::store::Reader;
 
 /// Runs a sweep as shards, on a cluster or on some machines, and merges them
 ///
@@ -86,13 +89,21 @@ const SHARDS_A_PLACE: usize = 4;
 const SHARDS_OF_ROUNDS: u32 = 4;
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let plan = args.spec.plan()?;
+    let mut plan = args.spec.plan()?;
     args.check()?;
     let places = args.places()?;
     let folder = args.folder(&plan);
     let in_rounds = args.design || plan.spec.until.is_some();
-    let jobs = submitted(&folder)?;
+    let mut jobs = submitted(&folder)?;
+    // Before its files are looked at: what ends in between has been handed in then.
+    let queue = queue::ask(&mut jobs)?;
     let before = shards_of(&folder, &jobs);
+    let out = args.out(&plan);
+    let settled = if in_rounds { HashMap::new() } else { settled(&out).await? };
+    let is_settled =
+        |hash: &str| settled.get(hash).is_some_and(|has_failed| !(*has_failed && args.retry_failed));
+    let left_out: Vec<Trial> = plan.trials.extract_if(.., |trial| is_settled(&trial.hash)).collect();
+    cost::first_trains(&mut plan.trials);
     let shards = match (args.shards, before) {
         (Some(asked), Some(before)) if asked != before => {
             return Err(Error::Usage(format!(
@@ -105,37 +116,56 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             0 if in_rounds => SHARDS_OF_ROUNDS,
             0 => planned(&plan.trials, args.cpus, args.time.unwrap_or(LIMIT)),
             places if in_rounds => places as u32,
-            places => (SHARDS_A_PLACE * places).min(plan.trials.len()) as u32,
+            places => (SHARDS_A_PLACE * places).min(plan.trials.len()).max(1) as u32,
         }),
     };
     if in_rounds {
-        return rounds::execute(&args, plan, places, shards, jobs).await;
+        return rounds::execute(&args, plan, places, shards, jobs, &queue).await;
+    }
+    if !left_out.is_empty() {
+        say!("{} left out: settled in {}", counted(left_out.len(), "trial"), out.display());
+        let failed = left_out.iter().filter(|trial| settled[&trial.hash]).count();
+        if failed > 0 {
+            say!("{} of them failed: --retry-failed runs them again", counted(failed, "trial"));
+        }
+    }
+    if plan.trials.is_empty() {
+        say!("nothing left to do");
+        return Ok(Exit::Done);
     }
     let mut assignment = Assignment::in_folder(&folder, &plan.trials, shards)?;
-    assignment.keep(&plan.trials);
-    // In this order: what ends in between has been handed in when that is looked at.
-    let queue = queue::ask(&jobs)?;
+    assignment.keep(plan.trials.iter().chain(&left_out));
     let states = states(&folder, &assignment, &HashMap::new()).await;
-    let failed: Vec<&State> = states.iter().filter(|state| state.failed() > 0).collect();
-    if !failed.is_empty() && !args.retry_failed {
-        let trials = counted(failed.iter().map(|state| state.failed()).sum(), "trial");
-        let shards: Vec<u32> = failed.iter().map(|state| state.shard.index()).collect();
+    let never = states.iter().flat_map(|state| &state.never).map(String::as_str);
+    assignment.leave_out(&never.filter(|hash| is_settled(hash)).collect());
+    let failed = |state: &State| state.failures.iter().filter(|hash| !is_settled(hash)).count();
+    let with_failures: Vec<&State> = states.iter().filter(|state| failed(state) > 0).collect();
+    if !with_failures.is_empty() && !args.retry_failed {
+        let trials = counted(with_failures.iter().map(|state| failed(state)).sum(), "trial");
+        let shards: Vec<u32> = with_failures.iter().map(|state| state.shard.index()).collect();
         say!("{trials} of shards {} failed: --retry-failed runs them again", ranges(&shards));
     }
-    let open = |state: &&State| !state.is_settled() || args.retry_failed && state.failed() > 0;
+    let unsettled = |hashes: &[String]| hashes.iter().any(|hash| !is_settled(hash));
+    // of a shard that has handed nothing in its database is missing, also where it has no trial
+    let has_work = |state: &&State| {
+        let nothing = state.trials.is_none() && state.open.is_empty();
+        nothing || unsettled(&state.open) || args.retry_failed && unsettled(&state.failures)
+    };
     let (queued, which): (Vec<u32>, Vec<u32>) = states
         .iter()
-        .filter(open)
+        .filter(has_work)
         .map(|state| state.shard.index())
         .partition(|shard| queue.shards.contains_key(shard));
     if !queued.is_empty() {
         say!("running or waiting already, and left out: shards {}", ranges(&queued));
     }
-    if which.is_empty() && !queued.is_empty() {
+    // of a `submit` that could not submit it any more
+    let merge_is_missing = args.scheduler == Scheduler::Slurm && !queue.has_merge(&jobs);
+    if which.is_empty() && !queued.is_empty() && !merge_is_missing {
         say!("nothing to submit; metasense status --cluster {} says how they are", folder.display());
         return Ok(Exit::Done);
     }
-    if which.is_empty() {
+    if which.is_empty() && queued.is_empty() {
         say!(
             "nothing left to do: all {shards} shards are settled; metasense merge {} --out FILE",
             folder.display()
@@ -143,19 +173,40 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         return Ok(Exit::Done);
     }
     let program = Program::own()?;
-    let submission = Submission { which, ..args.submission(&plan, shards, &program)? };
-    say(&plan, &assignment, &submission);
+    let mut submission = Submission { which, ..args.submission(&plan, shards, &program)? };
+    if !submission.which.is_empty() {
+        say(&plan.trials, &assignment, &submission);
+    }
     if args.dry_run {
-        print(&submission, false)?;
+        print(&submission)?;
         return Ok(Exit::Done);
     }
     let mut notes = prepare(&plan, &submission, &program, &queue.jobs)?;
     deal(&assignment, &submission.folder, &plan.trials)?;
     if args.scheduler.has_queue() {
-        submit(&submission, &mut notes, &queue.jobs)?;
+        queued::submit(&mut submission, &mut notes, jobs, &queue)?;
         return Ok(Exit::Done);
     }
     run_here(&submission, &places, &mut notes).await
+}
+
+/// Trials that a database has settled, and whether they have failed; none where there is no database yet.
+async fn settled(out: &Path) -> Result<HashMap<String, bool>, Error> {
+    let mut settled = HashMap::new();
+    if !out.metadata().is_ok_and(|file| file.len() > 0) {
+        return Ok(settled);
+    }
+    let sql = "SELECT hash, state = 'failed' AS failed FROM trial WHERE state IN ('done', 'failed')";
+    Reader::asked(out, async |reader| {
+        reader
+            .each(sql, |row| {
+                settled.insert(row.text("hash").to_owned(), row.count("failed") > 0);
+                Ok::<_, Error>(())
+            })
+            .await
+    })
+    .await?;
+    Ok(settled)
 }
 
 impl Args {
@@ -163,6 +214,11 @@ impl Args {
     fn folder(&self, plan: &Plan) -> PathBuf {
         let named = || Path::new("results").join(format!("{}.shards", plan.spec.name));
         self.out_dir.clone().unwrap_or_else(named)
+    }
+
+    /// The merged database.
+    fn out(&self, plan: &Plan) -> PathBuf {
+        self.out.clone().unwrap_or_else(|| plan.default_database())
     }
 
     /// All shards.
@@ -180,13 +236,16 @@ impl Args {
             name: plan.spec.name.clone(),
             program: folder.join(&program.name),
             prefix: self.prefix.clone(),
-            out: absolute(&self.out.clone().unwrap_or_else(|| plan.default_database()))?,
+            out: absolute(&self.out(plan))?,
             folder,
             shards,
             which: (1..=shards).collect(),
             cpus: self.cpus,
             threads,
             seconds: self.time.unwrap_or(LIMIT),
+            grace: plan.spec.run.grace,
+            merges: true,
+            cluster: None,
             at_most: self.at_most,
             partition: self.partition.clone(),
             run: self.run.split_whitespace().chain(again).map(str::to_owned).collect(),
@@ -199,6 +258,13 @@ impl Args {
         };
         if let Some(unfit) = submission.unfit() {
             return Err(Error::Usage(format!("{unfit}; it would stand in a script")));
+        }
+        let (notice, limit) = (submission.notice(), submission.seconds);
+        if self.scheduler.has_queue() && submission.grace.is_some() && notice >= limit {
+            return Err(plan
+                .source
+                .error("run.grace", &format!("a shard is stopped {notice} s before its time limit of {limit} s: lower it, or raise --time"))
+                .into());
         }
         let first = format!("{}", submission.which[0]);
         let words = [&["metasense".to_owned()][..], &submission.run_words(&first, None)].concat();
@@ -230,7 +296,23 @@ impl Args {
             !self.further.is_empty(),
             self.scheduler != Scheduler::Local,
             "there is nobody to have them",
-        )
+        )?;
+        let for_merge = self.further.iter().any(|word| word == "--");
+        given("further options behind a second --", for_merge, slurm, "no job merges")?;
+        let program = match self.scheduler {
+            Scheduler::Slurm => "sbatch",
+            Scheduler::Hq => "hq",
+            Scheduler::Ssh => "ssh",
+            Scheduler::Local => "sh",
+        };
+        if !self.dry_run && !files::is_in_path(program) {
+            return Err(Error::Usage(format!(
+                "submit {}: there is no `{program}` in PATH; go to a machine that has it, or run the shards here: `metasense submit \
+                 local`",
+                self.scheduler.name()
+            )));
+        }
+        Ok(())
     }
 
     /// Room for shards, where no scheduler has it.
@@ -273,11 +355,23 @@ impl Program {
         Ok(Self { name: format!("{}{}", Self::STEM, &hasher.finalize().to_hex()[..8]) })
     }
 
-    /// Copies it, where that has not been done; others go, where nothing can still want them.
+    /// Copies it, where that has not been done, and tries it; others go, where nothing can still want them.
     fn put(&self, folder: &Path, alone: bool) -> Result<(), Error> {
         let path = folder.join(&self.name);
         if !path.exists() {
             files::copy(Path::new(Self::SELF), &path).map_err(Error::io("writing", &path))?;
+        }
+        let tried = Command::new(&path).arg("--version").stdout(Stdio::null()).status();
+        match tried {
+            Ok(status) if status.success() => {}
+            Err(e) if e.kind() == ErrorKind::PermissionDenied => {
+                return Err(Error::Usage(format!(
+                    "{}: programs cannot be started there, as its disk is mounted noexec: choose another --out-dir",
+                    folder.display()
+                )));
+            }
+            Err(e) => return Err(Error::io("starting", &path)(e)),
+            Ok(status) => return Err(Error::io("starting", &path)(io::Error::other(status.to_string()))),
         }
         for entry in std::fs::read_dir(folder).into_iter().flatten().flatten().filter(|_| alone) {
             let name = entry.file_name();
@@ -290,12 +384,12 @@ impl Program {
 }
 
 /// What is going to be submitted, and how long it is thought to take.
-fn say(plan: &Plan, assignment: &Assignment, submission: &Submission) {
+fn say(trials: &[Trial], assignment: &Assignment, submission: &Submission) {
     let Submission { shards, which, cpus, seconds, .. } = submission;
-    let (mean, longest) = estimate(&plan.trials, assignment, *cpus);
+    let (mean, longest) = estimate(trials, assignment, *cpus);
     say!(
         "{} in {}, each about {} on {}, the longest {}{}",
-        counted(plan.trials.len(), "trial"),
+        counted(trials.len(), "trial"),
         counted(*shards as usize, "shard"),
         duration(mean),
         counted(*cpus as usize, "core"),
@@ -318,15 +412,19 @@ fn say(plan: &Plan, assignment: &Assignment, submission: &Submission) {
 }
 
 /// Scripts and commands; of rounds those of the first, without a merge behind them.
-fn print(submission: &Submission, in_rounds: bool) -> std::io::Result<()> {
-    for script in submission.scripts().into_iter().filter(|script| !in_rounds || script.name != MERGE) {
+fn print(submission: &Submission) -> io::Result<()> {
+    for script in submission.scripts().into_iter().filter(|script| submission.merges || script.name != MERGE)
+    {
         print_line!("# {}\n{}", submission.folder.join(script.name).display(), script.text)?;
     }
     if submission.scheduler.has_queue() {
         for array in submission.arrays() {
-            print_line!("$ {}", line(&submission.submit_shards(&array)))?;
+            print_line!(
+                "$ {}",
+                line(&submission.submit_shards(&array, &format!("{}.MARK", submission.name)))
+            )?;
         }
-        if !in_rounds {
+        if submission.merges && submission.scheduler == Scheduler::Slurm {
             print_line!("$ {}", line(&submission.submit_merge(&["JOB".to_owned()])))?;
         }
     }
@@ -357,53 +455,20 @@ fn deal(assignment: &Assignment, folder: &Path, trials: &[Trial]) -> Result<(), 
     Ok(assignment.write_trials(folder, trials)?)
 }
 
-/// Queues shards.
-fn submit_shards(submission: &Submission, notes: &mut Notes) -> Result<Vec<Job>, Error> {
-    let noting = Error::io("noting what was submitted in", &submission.folder);
-    let mut jobs = Vec::new();
-    for array in submission.arrays() {
-        let number = run(&submission.submit_shards(&array))?;
-        let shards: Vec<u32> = array.indices.iter().map(|index| array.offset + index).collect();
-        say!("submitted: job {number}, shards {}", ranges(&shards));
-        let scheduler = submission.scheduler.name().to_owned();
-        let (shards, offset) = (submission.shards, array.offset);
-        jobs.push(Job { scheduler, job: number, merge_job: None, shards, offset });
-        notes.note(jobs.last().expect("there is one")).map_err(&noting)?;
-    }
-    Ok(jobs)
-}
-
-/// Queues shards, and the merge behind them.
-fn submit(submission: &Submission, notes: &mut Notes, others: &[String]) -> Result<(), Error> {
-    let folder = &submission.folder;
-    let noting = Error::io("noting what was submitted in", folder);
-    let mut jobs = submit_shards(submission, notes)?;
-    say!("metasense status --cluster {} says how they are", folder.display());
-    let before: Vec<String> = jobs.iter().map(|job| job.job.clone()).chain(others.iter().cloned()).collect();
-    let merge_job = run(&submission.submit_merge(&before)).inspect_err(|_| {
-        let (folder, out) = (folder.display(), submission.out.display());
-        say!("the shards are submitted, what merges them is not: metasense merge {folder} --out {out}");
-    })?;
-    say!("submitted: job {merge_job}, which merges them into {}", submission.out.display());
-    for job in &mut jobs {
-        job.merge_job = Some(merge_job.clone());
-        notes.note(job).map_err(&noting)?;
-    }
-    Ok(())
-}
-
 /// Notes that shards are run from here.
 fn note_here(submission: &Submission, notes: &mut Notes) -> Result<(), Error> {
     let Submission { folder, shards, .. } = submission;
     let (scheduler, job) = (submission.scheduler.name().into(), files::own_mark());
-    let job = Job { scheduler, job, merge_job: None, shards: *shards, offset: 0 };
+    let (name, cluster, merge_job) = (None, None, None);
+    let job = Job { scheduler, job, name, cluster, merge_job, shards: *shards, offset: 0 };
     notes.note(&job).map_err(Error::io("noting what is run in", folder))?;
     say!("metasense status --cluster {} says how they are; Ctrl-C stops all of them", folder.display());
     Ok(())
 }
 
 fn how(submission: &Submission) -> How {
-    How { folder: submission.folder.clone(), options: submission.for_shards.clone() }
+    let Submission { folder, shards, for_shards, .. } = submission;
+    How { folder: folder.clone(), shards: *shards, options: for_shards.clone(), grace: submission.grace() }
 }
 
 /// Runs the shards, and merges what there is when they have ended.
@@ -412,7 +477,13 @@ async fn run_here(submission: &Submission, places: &[Place], notes: &mut Notes) 
     let mut signals = Signals::new()?;
     note_here(submission, notes)?;
     let ended = places::run(places, which, &how(submission), &mut signals, |line| say!("{line}")).await;
-    let merged = super::merge::execute(super::merge::Args::folder(folder, &submission.out)).await?;
+    if attempts(folder).is_empty() && !ended.asked {
+        return Err(Error::Shards { folder: folder.clone(), shards: ranges(&ended.left) });
+    }
+    let merged = match attempts(folder).is_empty() {
+        true => Exit::Done,
+        false => super::merge::execute(super::merge::Args::folder(folder, &submission.out)).await?,
+    };
     if !ended.left.is_empty() {
         say!("left: shards {}; the same command goes on with them", ranges(&ended.left));
     }
@@ -423,26 +494,6 @@ async fn run_here(submission: &Submission, places: &[Place], notes: &mut Notes) 
         Ended { left, .. } if !left.is_empty() => Exit::Failed,
         _ => merged,
     })
-}
-
-/// Runs a scheduler's command; the number of the job that it prints.
-fn run(words: &[String]) -> Result<String, Error> {
-    let output =
-        Command::new(&words[0]).args(&words[1..]).output().map_err(Error::io("starting", &words[0]))?;
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
-    // Slurm: `NUMBER` or `NUMBER;CLUSTER`.
-    let job = said.trim().split(';').next().unwrap_or_default();
-    if output.status.success() && job.parse::<u64>().is_ok() {
-        return Ok(job.to_owned());
-    }
-    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
-    Err(Error::Usage(format!(
-        "`{}` failed ({}): {}{}",
-        line(words),
-        output.status,
-        said.trim(),
-        errors.trim()
-    )))
 }
 
 /// What was submitted from a folder.

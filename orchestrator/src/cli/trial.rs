@@ -40,6 +40,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             say!("failed: trial {hash}: {failure}");
             return Ok(Exit::Failed);
         }
+        Err(Failure::Shortage(what)) => return Err(Error::Short(what)),
         Err(failure @ Failure::Rejected(_)) => {
             return Err(Error::Usage(format!("trial {hash}: {failure}")));
         }

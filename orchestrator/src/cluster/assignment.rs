@@ -190,9 +190,14 @@ impl Assignment {
     }
 
     /// Only these trials; what a spec no longer has is nobody's any more.
-    pub fn keep(&mut self, trials: &[Trial]) {
-        let kept: HashSet<&str> = trials.iter().map(|trial| trial.hash.as_str()).collect();
+    pub fn keep<'a>(&mut self, trials: impl Iterator<Item = &'a Trial>) {
+        let kept: HashSet<&str> = trials.map(|trial| trial.hash.as_str()).collect();
         self.of.retain(|hash, _| kept.contains(hash.as_str()));
+    }
+
+    /// Without these trials.
+    pub fn leave_out(&mut self, hashes: &HashSet<&str>) {
+        self.of.retain(|hash, _| !hashes.contains(hash.as_str()));
     }
 
     /// Assigns what has not been, and leaves the rest where it is: first a trial of each body, then those that find it trained.

@@ -6,7 +6,6 @@
 
 use std::collections::BTreeMap;
 use std::fs::{DirBuilder, File, TryLockError};
-use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
@@ -15,6 +14,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use rustix::process::{Signal, getpid, kill_process};
+use tokio::sync::Notify;
 
 use super::Shard;
 use super::merge::{self, Extent, MergeError};
@@ -97,11 +97,9 @@ impl Home {
         let (live, scratch) = match db {
             Some(db) => (db, None),
             None => {
-                let mut hasher = DefaultHasher::new();
-                (&folder, shard).hash(&mut hasher);
-                let user = rustix::process::getuid().as_raw();
-                let ours =
-                    std::env::temp_dir().join(format!("metasense-{user}-{name}-{:016x}", hasher.finish()));
+                let which = [folder.as_os_str().as_encoded_bytes(), shard.to_string().as_bytes()].join(&0);
+                let (user, mark) = (rustix::process::getuid().as_raw(), blake3::hash(&which).to_hex());
+                let ours = std::env::temp_dir().join(format!("metasense-{user}-{name}-{}", &mark[..16]));
                 (ours.join(format!("{stem}.sqlite")), Some(ours))
             }
         };
@@ -124,6 +122,12 @@ impl Home {
         }
         self.alone = Some(folder);
         Ok(())
+    }
+
+    /// What this attempt hands in.
+    #[must_use]
+    pub fn handed_in(&self) -> &Path {
+        &self.handed_in
     }
 
     /// The live database.
@@ -257,23 +261,34 @@ impl Home {
         }
     }
 
-    /// Hands in every so often until `stopped` says that the run is over; what is being copied then is given up, as the last
-    /// copy is to be made within the time that is left.
-    pub async fn hand_in_every(&self, period: Duration, mut stopped: tokio::sync::oneshot::Receiver<()>) {
+    /// Hands in every so often until `stopped` says that the run is over, and when somebody has `asked` for the end: steps in
+    /// progress may last longer than whoever ends the job waits. What is being copied when the run is over is given up, as the
+    /// last copy is to be made within the time that is left; unless it is the one that was made for the end.
+    pub async fn hand_in_every(
+        &self,
+        period: Duration,
+        mut stopped: tokio::sync::oneshot::Receiver<()>,
+        asked: &Notify,
+    ) {
+        let mut ends = false;
         loop {
             tokio::select! {
                 _ = &mut stopped => return,
+                () = asked.notified() => ends = true,
                 () = tokio::time::sleep(period) => {}
             }
             let over = Arc::new(AtomicBool::new(false));
             let seen = Arc::clone(&over);
             let mut handing_in = std::pin::pin!(self.hand_in_while(move || !seen.load(Ordering::Relaxed)));
-            let handed_in = tokio::select! {
-                handed_in = &mut handing_in => handed_in,
-                _ = &mut stopped => {
-                    over.store(true, Ordering::Relaxed);
-                    let _ = handing_in.await;
-                    return;
+            let handed_in = loop {
+                tokio::select! {
+                    handed_in = &mut handing_in => break handed_in,
+                    () = asked.notified() => ends = true,
+                    _ = &mut stopped => {
+                        over.store(!ends, Ordering::Relaxed);
+                        let _ = handing_in.await;
+                        return;
+                    }
                 }
             };
             if let Err(error) = handed_in {

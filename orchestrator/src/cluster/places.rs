@@ -5,7 +5,7 @@
 
 use std::collections::{HashMap, VecDeque};
 use std::fs::OpenOptions;
-use std::io;
+use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
@@ -15,6 +15,7 @@ use tokio::process::{Child, ChildStdin, Command};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
+use super::Shard;
 use super::submit::{line, quoted};
 use crate::engine::Signals;
 use crate::exit::Exit;
@@ -35,8 +36,12 @@ pub type Place = Option<String>;
 pub struct How {
     /// The folder, with the script.
     pub folder: PathBuf,
+    /// Shards of the sweep.
+    pub shards: u32,
     /// Options of `ssh`.
     pub options: Vec<String>,
+    /// How long a shard that is stopped waits for steps in progress (s).
+    pub grace: f64,
 }
 
 /// What came of it.
@@ -103,16 +108,23 @@ pub async fn run(
         }
         match signals.unless(running.join_next()).await {
             None => {
-                say("stopping: the steps in progress are finished and handed in".into());
+                say(match ended.asked {
+                    false => format!(
+                        "stopping: what there is by now is handed in, and steps that end within {} s (again stops at once)",
+                        how.grace
+                    ),
+                    true => "stopping at once".into(),
+                });
                 ended.asked = true;
                 ended.left.extend(waiting.drain(..));
                 let _ = ask.send(());
             }
             Some(None) => break,
             Some(Some(Err(bug))) => std::panic::resume_unwind(bug.into_panic()),
-            Some(Some(Ok((place, shard, code)))) => {
+            Some(Some(Ok((place, shard, code, last_words)))) => {
                 let verdict = Verdict::of(code, place.is_some());
-                say(format!("shard {shard} on {}: {}", name(&place), verdict.words()));
+                let last_words = if verdict.is_told() { last_words } else { String::new() };
+                say(format!("shard {shard} on {}: {}{last_words}", name(&place), verdict.words()));
                 let again = !ended.asked && verdict.is_begun_again() && tries[&shard] < MOST_TRIES;
                 match verdict {
                     Verdict::Done => {}
@@ -162,12 +174,17 @@ impl Verdict {
         matches!(self, Self::Unfit | Self::Died)
     }
 
+    /// Whether what the shard said last is of interest.
+    fn is_told(self) -> bool {
+        matches!(self, Self::Refused | Self::Unfit | Self::Died)
+    }
+
     fn words(self) -> &'static str {
         match self {
             Self::Done => "all is done",
             Self::Failed => "trials have failed",
             Self::Stopped => "stopped on request",
-            Self::Refused => "it could not go on; its output says why",
+            Self::Refused => "it could not go on",
             Self::Unfit => {
                 "the machine is unfit, cannot be reached or does not see the folder: it gets no more"
             }
@@ -180,30 +197,54 @@ fn name(place: &Place) -> String {
     place.clone().unwrap_or_else(host)
 }
 
-/// Runs a shard to its end; its exit code.
+/// Runs a shard to its end; its exit code, and what it said last.
 async fn one(
     place: Place,
     shard: u32,
     how: How,
     mut asked: watch::Receiver<()>,
-) -> (Place, u32, Option<i32>) {
-    let code = match begin(&place, shard, &how) {
+) -> (Place, u32, Option<i32>, String) {
+    let output =
+        Shard::new(shard, how.shards).map_or(String::new(), |shard| format!("{}.out", shard.file_stem()));
+    let outputs = [how.folder.join(output), log_file(&how.folder, &place)];
+    let before = outputs.each_ref().map(|file| file.metadata().map_or(0, |file| file.len()));
+    let status = match begin(&place, shard, &how) {
         Ok(mut child) => {
             // Taken out, as waiting would close it; an end of its input is no end for what runs there.
             let mut terminal = child.stdin.take();
             loop {
                 tokio::select! {
-                    status = child.wait() => break status.ok().and_then(|status| status.code()),
+                    status = child.wait() => break status.ok(),
                     Ok(()) = asked.changed() => end(&child, terminal.as_mut()).await,
                 }
             }
         }
         Err(error) => {
-            tracing::error!(%error, shard, "a shard could not be begun");
-            Some(Exit::Io as i32)
+            let words = format!(": {error}");
+            return (place, shard, Some(Exit::Io as i32), words);
         }
     };
-    (place, shard, code)
+    let said = outputs.iter().zip(before).find_map(|(file, before)| {
+        let line = last_line(file, before).ok()??;
+        Some(format!(": {line} ({})", file.display()))
+    });
+    let said = said.unwrap_or_else(|| format!("; nothing stands in {}", outputs[0].display()));
+    let how = status.map_or(String::new(), |status| format!(" ({status})"));
+    (place, shard, status.and_then(|status| status.code()), how + &said)
+}
+
+/// Bytes from which the last line of an output is told.
+const LAST: u64 = 2000;
+
+/// The last line that is not empty of what was written to a file behind `before`, if there is any.
+fn last_line(file: &Path, before: u64) -> io::Result<Option<String>> {
+    let mut file = std::fs::File::open(file)?;
+    let from = before.max(file.metadata()?.len().saturating_sub(LAST));
+    file.seek(SeekFrom::Start(from))?;
+    let mut bytes = Vec::new();
+    file.take(LAST).read_to_end(&mut bytes)?;
+    let text = String::from_utf8_lossy(&bytes).replace(|c: char| c.is_control() && c != '\n', " ");
+    Ok(text.lines().map(str::trim).rfind(|line| !line.is_empty()).map(str::to_owned))
 }
 
 fn begin(place: &Place, shard: u32, how: &How) -> io::Result<Child> {
@@ -232,8 +273,11 @@ fn begin(place: &Place, shard: u32, how: &How) -> io::Result<Child> {
 
 /// What a script says that does not come to write to its shard's output, and what `ssh` says.
 fn log(folder: &Path, place: &Place) -> io::Result<std::fs::File> {
-    let host = files::mark_of(&name(place));
-    OpenOptions::new().create(true).append(true).open(folder.join(format!("{host}.out")))
+    OpenOptions::new().create(true).append(true).open(log_file(folder, place))
+}
+
+fn log_file(folder: &Path, place: &Place) -> PathBuf {
+    folder.join(format!("{}.out", files::mark_of(&name(place))))
 }
 
 /// Asks a shard to end: through the terminal that it has on its host, or by a signal here.

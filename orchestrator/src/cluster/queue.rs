@@ -1,6 +1,6 @@
 //! What the scheduler says of the shards that were submitted. Only its queue is asked: there need be no accounting.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, ErrorKind, Write};
 use std::path::Path;
@@ -19,8 +19,15 @@ const JOBS: &str = "jobs.jsonl";
 pub struct Job {
     /// `slurm`, `hq`, `local` or `ssh`.
     pub scheduler: String,
-    /// Its number there.
+    /// Its number there; empty from before it is submitted until it has one.
+    #[serde(default)]
     pub job: String,
+    /// Its name there, which no other job has: by it a job is found whose number could not be written down any more.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Slurm's cluster, where there are several.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cluster: Option<String>,
     /// That of the merge behind it, once that has been submitted.
     #[serde(default)]
     pub merge_job: Option<String>,
@@ -36,19 +43,27 @@ pub struct Job {
 pub struct Notes(File);
 
 impl Notes {
-    /// For this process alone, as long as it is open.
+    /// For this process alone, as long as it is open. A last line that was not written to its end goes.
     ///
     /// # Errors
     /// If nothing can be written there, or another `submit` is at work.
     pub fn open(folder: &Path) -> io::Result<Self> {
-        let file = OpenOptions::new().create(true).append(true).open(folder.join(JOBS))?;
-        match file.try_lock() {
-            Err(TryLockError::WouldBlock) => {
-                Err(io::Error::new(ErrorKind::ResourceBusy, "another `metasense submit` is at work on it"))
-            }
-            // Not every network file system has locks.
-            _ => Ok(Self(file)),
+        let path = folder.join(JOBS);
+        let mut file = OpenOptions::new().create(true).append(true).open(&path)?;
+        // Not every network file system has locks.
+        if let Err(TryLockError::WouldBlock) = file.try_lock() {
+            return Err(io::Error::new(
+                ErrorKind::ResourceBusy,
+                "another `metasense submit` is at work on it",
+            ));
         }
+        let bytes = std::fs::read(&path)?;
+        let (whole, rest) = lines(&bytes);
+        match rest.is_empty() {
+            true => file.set_len(whole as u64)?,
+            false => file.write_all(b"\n")?,
+        }
+        Ok(Self(file))
     }
 
     /// Notes a job; again, with its merge.
@@ -68,28 +83,55 @@ pub fn is_held(folder: &Path) -> bool {
     File::open(folder.join(JOBS)).is_ok_and(|file| files::is_held(&file))
 }
 
-/// The jobs of a folder, oldest first; none where nothing was submitted.
+/// The bytes of the lines that have an end, and what stands behind them, where that is a whole job.
+fn lines(bytes: &[u8]) -> (usize, &[u8]) {
+    let whole = bytes.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
+    let rest = &bytes[whole..];
+    (whole, if serde_json::from_slice::<Job>(rest).is_ok() { rest } else { &[] })
+}
+
+/// The jobs of a folder, oldest first; none where nothing was submitted. A last line that was not written to its end is none.
 ///
 /// # Errors
 /// If they cannot be read.
 pub fn jobs(folder: &Path) -> io::Result<Vec<Job>> {
     let file = folder.join(JOBS);
-    let at = |number: usize, what: &dyn std::fmt::Display| {
-        io::Error::new(ErrorKind::InvalidData, format!("{}:{}: {what}", file.display(), number + 1))
+    let damaged = |number: usize, error: serde_json::Error| {
+        let text = format!(
+            "{}:{}: is no job ({error}); look for its job in the scheduler's queue, and take the line out",
+            file.display(),
+            number + 1
+        );
+        io::Error::new(ErrorKind::InvalidData, text)
     };
-    let text = match std::fs::read_to_string(&file) {
+    let bytes = match std::fs::read(&file) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
-        text => text.map_err(|error| io::Error::new(error.kind(), format!("{}: {error}", file.display())))?,
+        bytes => {
+            bytes.map_err(|error| io::Error::new(error.kind(), format!("{}: {error}", file.display())))?
+        }
     };
+    let (whole, rest) = lines(&bytes);
     let mut jobs: Vec<Job> = Vec::new();
-    for (number, line) in text.lines().enumerate() {
-        let job: Job = serde_json::from_str(line).map_err(|error| at(number, &error))?;
-        match jobs.iter_mut().find(|known| known.scheduler == job.scheduler && known.job == job.job) {
+    let all = bytes[..whole].split(|byte| *byte == b'\n').chain([rest]).enumerate();
+    for (number, line) in all.filter(|(_, line)| !line.trim_ascii().is_empty()) {
+        let job: Job = serde_json::from_slice(line).map_err(|error| damaged(number, error))?;
+        match jobs.iter_mut().find(|known| known.is(&job)) {
             Some(known) => *known = job,
             None => jobs.push(job),
         }
     }
     Ok(jobs)
+}
+
+impl Job {
+    /// Whether both are the same job, of which more is known by now.
+    fn is(&self, other: &Self) -> bool {
+        let numbered = |job: &Self| [Some(job.scheduler.clone()), Some(job.job.clone()), job.cluster.clone()];
+        match (&self.name, &other.name) {
+            (Some(name), Some(other)) => name == other,
+            _ => numbered(self) == numbered(other),
+        }
+    }
 }
 
 /// What schedulers have of jobs that have not ended.
@@ -99,6 +141,8 @@ pub struct Queue {
     pub shards: HashMap<u32, String>,
     /// Jobs, those of merges included.
     pub jobs: Vec<String>,
+    /// Slurm's cluster that they are on, where there are several.
+    pub cluster: Option<String>,
 }
 
 /// A queue that does not answer: nothing is known of the shards then.
@@ -132,19 +176,67 @@ pub enum QueueError {
     },
 }
 
-/// Asks the schedulers of these jobs.
+/// Asks the schedulers of these jobs. Those whose numbers could not be written down get them; those that nobody knows are left out:
+/// they were not accepted, or have ended.
 ///
 /// # Errors
 /// If one does not answer.
-pub fn ask(jobs: &[Job]) -> Result<Queue, QueueError> {
+pub fn ask(jobs: &mut Vec<Job>) -> Result<Queue, QueueError> {
+    for job in jobs.iter_mut().filter(|job| job.job.is_empty()) {
+        look_up(job)?;
+    }
+    jobs.retain(|job| !job.job.is_empty());
     let mut queue = Queue::default();
-    for (scheduler, read) in [("slurm", slurm as fn(&[&Job], &mut Queue) -> _), ("hq", hq)] {
-        let jobs: Vec<&Job> = jobs.iter().filter(|job| job.scheduler == scheduler).collect();
-        if !jobs.is_empty() {
-            read(&jobs, &mut queue)?;
+    let mut groups: BTreeMap<(&str, Option<&str>), Vec<&Job>> = BTreeMap::new();
+    for job in jobs.iter() {
+        groups.entry((&job.scheduler, job.cluster.as_deref())).or_default().push(job);
+    }
+    for ((scheduler, cluster), jobs) in groups {
+        match scheduler {
+            "slurm" => slurm(&jobs, cluster, &mut queue)?,
+            "hq" => hq(&jobs, &mut queue)?,
+            _ => {}
         }
     }
     Ok(queue)
+}
+
+/// Gives a job its number, by its name, where it is in its queue.
+///
+/// # Errors
+/// If the scheduler does not answer.
+pub fn look_up(job: &mut Job) -> Result<(), QueueError> {
+    let Some(name) = &job.name else { return Ok(()) };
+    if job.scheduler == "slurm" {
+        let text = output(&squeue("--format=%F", &format!("--name={name}"), job.cluster.as_deref()))?;
+        for line in text.lines().map(str::trim) {
+            match line.strip_prefix("CLUSTER: ") {
+                Some(cluster) => job.cluster = Some(cluster.to_owned()),
+                None if line.parse::<u64>().is_ok() => {
+                    job.job = line.to_owned();
+                    break;
+                }
+                None => {}
+            }
+        }
+        return Ok(());
+    }
+    let command = ["hq", "--output-mode=json", "job", "list", "--all"].map(str::to_owned);
+    let text = output(&command)?;
+    match serde_json::from_str(&text) {
+        Ok(Value::Array(jobs)) => {
+            if let Some(known) = jobs.iter().find(|job| job["name"] == **name) {
+                job.job = known["id"].to_string();
+            }
+            Ok(())
+        }
+        _ => Err(QueueError::Answer { command: command.join(" "), answer: text }),
+    }
+}
+
+fn squeue(format: &str, which: &str, cluster: Option<&str>) -> Vec<String> {
+    let words = ["squeue", "--noheader", "--array", format, which].map(str::to_owned);
+    words.into_iter().chain(cluster.map(|name| format!("--clusters={name}"))).collect()
 }
 
 /// Numbers of jobs and of the merges behind them.
@@ -153,19 +245,23 @@ fn numbers(jobs: &[&Job]) -> String {
     numbers.collect::<Vec<_>>().join(",")
 }
 
-fn slurm(jobs: &[&Job], queue: &mut Queue) -> Result<(), QueueError> {
+fn slurm(jobs: &[&Job], cluster: Option<&str>, queue: &mut Queue) -> Result<(), QueueError> {
     let ids = format!("--jobs={}", numbers(jobs));
-    match output(&["squeue", "--noheader", "--array", "--format=%F|%K|%T|%r", &ids]) {
+    let before = queue.jobs.len();
+    match output(&squeue("--format=%F|%K|%T|%r", &ids, cluster)) {
         Ok(text) => queue.add_slurm(&text, jobs),
         // What it says of a job that has left the queue, where no other is asked for.
         Err(QueueError::Failed { said, .. }) if said.contains("Invalid job id") => {}
         Err(error) => return Err(error),
     }
+    if queue.jobs.len() > before {
+        queue.cluster = cluster.map(str::to_owned);
+    }
     Ok(())
 }
 
 fn hq(jobs: &[&Job], queue: &mut Queue) -> Result<(), QueueError> {
-    let command = ["hq", "--output-mode=json", "task", "list", &numbers(jobs)];
+    let command = ["hq", "--output-mode=json", "task", "list", &numbers(jobs)].map(str::to_owned);
     let text = output(&command)?;
     match serde_json::from_str(&text) {
         Ok(Value::Object(tasks)) => queue.add_hq(&tasks, jobs),
@@ -174,9 +270,9 @@ fn hq(jobs: &[&Job], queue: &mut Queue) -> Result<(), QueueError> {
     Ok(())
 }
 
-fn output(words: &[&str]) -> Result<String, QueueError> {
+fn output(words: &[String]) -> Result<String, QueueError> {
     let command = || words.join(" ");
-    let output = Command::new(words[0])
+    let output = Command::new(&words[0])
         .args(&words[1..])
         .output()
         .map_err(|source| QueueError::Start { command: command(), source })?;
@@ -192,12 +288,20 @@ fn output(words: &[&str]) -> Result<String, QueueError> {
 /// Slurm's `MaxArraySize`, where it says.
 #[must_use]
 pub fn max_array_size() -> Option<u32> {
-    let config = output(&["scontrol", "show", "config"]).ok()?;
+    let config = output(&["scontrol", "show", "config"].map(str::to_owned)).ok()?;
     let line = config.lines().find_map(|line| line.trim().strip_prefix("MaxArraySize"))?;
     line.split_once('=')?.1.trim().parse().ok()
 }
 
 impl Queue {
+    /// Whether a merge waits behind every job of shards.
+    #[must_use]
+    pub fn has_merge(&self, jobs: &[Job]) -> bool {
+        let is_queued = |job: &String| self.jobs.contains(job);
+        let mut of_shards = jobs.iter().filter(|job| is_queued(&job.job));
+        of_shards.all(|job| job.merge_job.as_ref().is_some_and(is_queued))
+    }
+
     fn add_job(&mut self, job: &str) {
         if !self.jobs.iter().any(|known| known == job) {
             self.jobs.push(job.to_owned());

@@ -24,6 +24,10 @@ pub struct State {
     pub trials: Option<[usize; 3]>,
     /// Trials that no attempt has begun.
     pub never: Vec<String>,
+    /// Trials that are not settled, those among them.
+    pub open: Vec<String>,
+    /// Trials that have failed.
+    pub failures: Vec<String>,
     /// Its last run.
     pub run: Option<Run>,
     /// Since it was handed in (s).
@@ -55,7 +59,7 @@ impl State {
     /// Trials that have failed.
     #[must_use]
     pub fn failed(&self) -> usize {
-        self.trials.map_or(0, |[_, _, failed]| failed)
+        self.failures.len()
     }
 }
 
@@ -123,20 +127,25 @@ async fn of_shard(shard: Shard, files: &[PathBuf], mut trials: HashMap<String, S
         }
     }
     let count = |of: fn(&Stage) -> bool| trials.values().filter(|stage| of(stage)).count();
-    let failed = |stage: &Stage| matches!(stage, Stage::Open(_, Ended::Failed));
+    let failed: fn(&Stage) -> bool = |stage| matches!(stage, Stage::Open(_, Ended::Failed));
     let counts = [trials.len(), count(|stage| *stage == Stage::Done), count(failed)];
-    let [all, done, failed] = counts;
+    let [all, done, gone_wrong] = counts;
     let state = match unreadable {
         _ if readable && done == all => "complete".into(),
-        _ if readable && done + failed == all => "failed".into(),
+        _ if readable && done + gone_wrong == all => "failed".into(),
         _ if readable => "partial".into(),
         Some(error) => error,
         None => "nothing".into(),
     };
-    let mut never: Vec<String> =
-        trials.into_iter().filter(|(_, stage)| *stage == Stage::NEVER).map(|(hash, _)| hash).collect();
-    never.sort();
-    State { shard, state, trials: readable.then_some(counts), never, run, age }
+    let of = |is_one: fn(&Stage) -> bool| {
+        let mut hashes: Vec<String> =
+            trials.iter().filter(|(_, stage)| is_one(stage)).map(|(hash, _)| hash.clone()).collect();
+        hashes.sort();
+        hashes
+    };
+    let never = of(|stage| *stage == Stage::NEVER);
+    let open = of(|stage| matches!(stage, Stage::Open(_, Ended::Open)));
+    State { shard, state, trials: readable.then_some(counts), never, open, failures: of(failed), run, age }
 }
 
 async fn read(file: &Path) -> sqlx::Result<(Vec<(String, Stage)>, Option<Run>)> {

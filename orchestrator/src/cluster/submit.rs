@@ -5,11 +5,16 @@ use std::path::{Path, PathBuf};
 use super::home::SUBMITTED_SPEC;
 use super::shard::ranges;
 use super::{Assignment, Shard};
+use crate::engine::GRACE;
 use crate::exit::Exit;
 use crate::plan::{Trial, cost};
 
-/// A shard is told so long before its time limit (s): the run ends within two seconds, the copy has the rest.
+/// A shard is told so long before its time limit (s), or longer, where steps in progress may take longer.
 pub const NOTICE: u64 = 60;
+/// What of that the last copy has (s).
+const HAND_IN: u64 = 15;
+/// Longest wait for steps in progress of a shard that a scheduler ends (s), where the spec says nothing.
+const QUEUED_GRACE: f64 = (NOTICE - HAND_IN) as f64;
 /// Most shards that are planned; more have to be asked for.
 const MOST_PLANNED: u32 = 1000;
 /// Slurm's `MaxArraySize`, one more than the largest index of an array, where nobody has changed it.
@@ -76,6 +81,12 @@ pub struct Submission {
     pub threads: u32,
     /// Time limit (s).
     pub seconds: u64,
+    /// Longest wait for steps in progress of a shard that is stopped (s), where the spec says so.
+    pub grace: Option<f64>,
+    /// Whether what has been handed in is merged in the end; otherwise whoever has submitted does.
+    pub merges: bool,
+    /// The cluster on which all jobs are to be, of those that Slurm has here.
+    pub cluster: Option<String>,
     /// Shards at a time, where that is limited.
     pub at_most: Option<u32>,
     /// Where the scheduler has several queues.
@@ -146,19 +157,31 @@ impl Submission {
         .or_else(|| partition.map(|name| format!("partition {name:?}: is no name of a partition")))
     }
 
+    /// How long a shard that is stopped waits for steps in progress (s).
+    #[must_use]
+    pub fn grace(&self) -> f64 {
+        self.grace.unwrap_or(if self.scheduler.has_queue() { QUEUED_GRACE } else { GRACE })
+    }
+
+    /// How long before its time limit a shard is stopped (s).
+    #[must_use]
+    pub fn notice(&self) -> u64 {
+        (self.grace().ceil() as u64 + HAND_IN).max(NOTICE)
+    }
+
     /// The scripts: of a shard, and of the merge.
     #[must_use]
     pub fn scripts(&self) -> [Script; 2] {
         let (shard, merge) = match self.scheduler {
             Scheduler::Slurm => (self.slurm_shard(), self.slurm_merge()),
-            Scheduler::Hq => (self.hq_shard(), self.hq_merge()),
+            Scheduler::Hq => (self.hq_shard(), self.own_merge()),
             Scheduler::Local | Scheduler::Ssh => (self.own_shard(), self.own_merge()),
         };
         [Script { name: "shard.sh", text: shard }, Script { name: MERGE, text: merge }]
     }
 
     fn slurm_shard(&self) -> String {
-        let Self { name, cpus, shards, .. } = self;
+        let (Self { name, cpus, shards, .. }, notice) = (self, self.notice());
         format!(
             "#!/bin/sh\n\
              #SBATCH --job-name={name}\n\
@@ -167,12 +190,12 @@ impl Submission {
              #SBATCH --cpus-per-task={cpus}\n\
              #SBATCH --time={}\n\
              {}\
-             #SBATCH --signal=B:USR1@{NOTICE}\n\
+             #SBATCH --signal=B:USR1@{notice}\n\
              #SBATCH --requeue\n\
              #SBATCH --open-mode=append\n\
              #SBATCH --output={}\n\
              {ABOUT}\
-             # also by SIGTERM, and {NOTICE} s before the time limit, of which Slurm tells this script by SIGUSR1. Then it queues\n\
+             # also by SIGTERM, and {notice} s before the time limit, of which Slurm tells this script by SIGUSR1. Then it queues\n\
              # again, at most {REQUEUES} times.\n\
              shard=$((SLURM_ARRAY_TASK_ID + ${{1:-0}}))\n\
              {} &\n\
@@ -212,25 +235,15 @@ impl Submission {
     }
 
     fn hq_shard(&self) -> String {
-        let stop_after = self.seconds.saturating_sub(NOTICE).max(1);
+        let notice = self.notice();
+        let stop_after = self.seconds.saturating_sub(notice).max(1);
         format!(
             "#!/bin/sh\n\
              {ABOUT}\
-             # by itself {NOTICE} s before the time limit, of which HyperQueue gives no notice.\n\
+             # by itself {notice} s before the time limit, of which HyperQueue gives no notice.\n\
              exec {} {}\n",
             self.run("$HQ_TASK_ID", Some(stop_after)),
             self.output("$HQ_TASK_ID"),
-        )
-    }
-
-    fn hq_merge(&self) -> String {
-        format!(
-            "#!/bin/sh\n\
-             # When all shards of jobs $1 have ended, however: what there is becomes one database.\n\
-             hq job wait \"$1\"\n\
-             exec {} >> {} 2>&1\n",
-            self.merge(),
-            quoted(&self.folder.join("merge.out"))
         )
     }
 
@@ -264,8 +277,18 @@ impl Submission {
         let head = ["run", &spec, "--shard", &shard, "--workers", &workers.to_string()].map(str::to_owned);
         let tail = ["--threads", &self.threads.to_string(), "--copy-to", &self.folder.display().to_string()]
             .map(str::to_owned);
-        let stop = stop_after.map(|s| ["--stop-after".to_owned(), s.to_string()]);
-        [&head[..], &tail, &stop.into_iter().flatten().collect::<Vec<_>>(), &self.run].concat()
+        let mut more = Vec::new();
+        if self.scheduler.has_queue() {
+            more.extend(["--grace".to_owned(), self.grace().to_string()]);
+        }
+        if let Some(seconds) = stop_after {
+            more.extend(["--stop-after".to_owned(), seconds.to_string()]);
+        }
+        // A merge that waited in HyperQueue would keep a core from a shard.
+        if self.scheduler == Scheduler::Hq && self.merges {
+            more.extend(["--merge-into".to_owned(), self.out.display().to_string()]);
+        }
+        [&head[..], &tail, &more, &self.run].concat()
     }
 
     fn run(&self, shard: &str, stop_after: Option<u64>) -> String {
@@ -318,15 +341,15 @@ impl Submission {
         arrays
     }
 
-    /// The command that submits shards; it prints the job's number.
+    /// The command that submits shards under a name; it prints the job's number.
     #[must_use]
-    pub fn submit_shards(&self, array: &Array) -> Vec<String> {
+    pub fn submit_shards(&self, array: &Array, name: &str) -> Vec<String> {
         let script = self.folder.join("shard.sh").display().to_string();
         let indices = ranges(&array.indices);
         if self.scheduler == Scheduler::Hq {
             let (cpus, limit) = (self.cpus.to_string(), format!("{}s", self.seconds));
             let options = ["--cpus", &cpus, "--time-limit", &limit, "--stdout", "none", "--stderr", "none"];
-            let head = ["hq", "--output-mode=quiet", "submit", "--name", &self.name, "--array", &indices];
+            let head = ["hq", "--output-mode=quiet", "submit", "--name", name, "--array", &indices];
             return words(&[&head[..], &options].concat(), &self.for_shards, &["--", "sh", &script]);
         }
         let throttle = self.at_most.map_or(String::new(), |most| format!("%{most}"));
@@ -335,27 +358,44 @@ impl Submission {
             (array.offset.to_string(), format!("shard-%a+{}-of-{}.out", array.offset, self.shards));
         let folder = self.folder.display().to_string().replace('%', "%%");
         let output = format!("--output={folder}/{file}");
-        // Further arrays count from 1, too.
-        match array.offset {
-            0 => words(&["sbatch", "--parsable", &which], &self.for_shards, &[&script]),
-            _ => words(&["sbatch", "--parsable", &which, &output], &self.for_shards, &[&script, &offset]),
+        // Further arrays count from 1, too. Of options that are given twice Slurm takes the last.
+        let (mut head, mut tail) = (vec!["sbatch", "--parsable", &which], vec![&*script]);
+        if array.offset > 0 {
+            head.push(&output);
+            tail.push(&offset);
         }
+        let named = [vec![format!("--job-name={name}")], self.on_cluster()].concat();
+        words(&head, &[&self.for_shards[..], &named].concat(), &tail)
     }
 
-    /// The command that submits the merge behind jobs.
+    /// Jobs wait for jobs of their own cluster alone.
+    fn on_cluster(&self) -> Vec<String> {
+        self.cluster.iter().map(|cluster| format!("--clusters={cluster}")).collect()
+    }
+
+    /// Slurm's command that submits the merge behind jobs.
     #[must_use]
     pub fn submit_merge(&self, jobs: &[String]) -> Vec<String> {
         let script = self.folder.join(MERGE).display().to_string();
-        if self.scheduler == Scheduler::Hq {
-            // It waits on a core, and only for one that no shard wants.
-            let name = format!("{}-merge", self.name);
-            let head = ["hq", "--output-mode=quiet", "submit", "--name", &name, "--cpus", "1"];
-            let tail = ["--priority=-1", "--stdout", "none", "--stderr", "none"];
-            let head = [&head[..], &tail].concat();
-            return words(&head, &self.for_merge, &["--", "sh", &script, &jobs.join(",")]);
-        }
         let after = format!("--dependency=afterany:{}", jobs.join(":"));
-        words(&["sbatch", "--parsable", &after], &self.for_merge, &[&script])
+        let options = [&self.for_merge[..], &self.on_cluster()].concat();
+        words(&["sbatch", "--parsable", &after], &options, &[&script])
+    }
+
+    /// The clusters that options of `sbatch` name.
+    #[must_use]
+    pub fn clusters_of(options: &[String]) -> Option<String> {
+        let mut words = options.iter();
+        let mut found = None;
+        while let Some(word) = words.next() {
+            found = match word.strip_prefix("--clusters=").or_else(|| word.strip_prefix("-M")) {
+                Some("") => words.next().cloned(),
+                Some(name) => Some(name.to_owned()),
+                None if word == "--clusters" => words.next().cloned(),
+                None => found,
+            };
+        }
+        found
     }
 }
 

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use metasense_schemas::reason::Reason;
 use metasense_schemas::wire::{LinkError, Start};
+use metasense_worker::limits::{self, Needs};
 use metasense_worker::{process, simd};
 
 use super::{Engine, Events};
@@ -32,7 +33,8 @@ pub(super) struct Link {
 impl Engine<'_> {
     /// Makes the domain of a worker; it is started when that is there.
     pub(super) fn open(&mut self, worker: WorkerId, events: &mut Events) {
-        let line = self.runtime.room(1).map_err(|full| full.to_string()).and_then(|()| {
+        let needs = Needs { workers: 1, threads: self.options.threads, files: &[] };
+        let line = limits::check(&needs).map_err(|short| short.to_string()).and_then(|()| {
             Line::open(self.runtime.domain(worker), worker, self.words.clone())
                 .map_err(|error| error.to_string())
         });
@@ -97,12 +99,16 @@ impl Engine<'_> {
     pub(super) fn heard(&mut self, worker: WorkerId, heard: Heard, events: &mut Events) {
         match heard {
             // Of the trial that it has, or had last.
-            Heard::Line(line) => {
-                if let Some(lease) = self.leases.get(&worker) {
-                    self.details.insert(*lease, line.clone());
+            Heard::Line(line) => match self.leases.get(&worker) {
+                Some(lease) => {
+                    // what it says first is why, what follows where
+                    if !line.is_empty() {
+                        self.details.entry(*lease).or_insert_with(|| line.clone());
+                    }
                     self.said.push((*lease, Level::Warn, line));
                 }
-            }
+                None => self.last_words = line,
+            },
             Heard::End(reason) => self.ended(worker, reason, events),
         }
     }

@@ -22,6 +22,7 @@ use std::time::{Duration, Instant};
 use metasense_schemas::reason::Reason;
 use metasense_schemas::record::{Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::wire::{Lease, Sample, ToOrchestrator, ToWorker};
+use metasense_worker::limits::{self, Needs, Shortage};
 use metasense_worker::process;
 use tokio::sync::mpsc;
 
@@ -51,6 +52,9 @@ use writer::{Arrays, Entry, Write, Written};
 const TICK: Duration = Duration::from_millis(200);
 /// Words of links, and records before the writer, that may wait.
 const QUEUE: usize = 512;
+
+/// Longest wait for steps in progress of a run that is stopped (s), where nobody says: somebody sits there and waits, too.
+pub const GRACE: f64 = 10.0;
 
 /// How a run is carried out.
 #[derive(Debug, Clone)]
@@ -96,6 +100,9 @@ pub enum EngineError {
     /// No place in shared memory.
     #[error(transparent)]
     Runtime(#[from] RuntimeError),
+    /// The machine allows less than the workers need.
+    #[error("{host} allows less than the workers need: no trial was begun; the same command begins them", host = host())]
+    Short(#[from] Shortage),
     /// The database.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -113,7 +120,7 @@ pub enum EngineError {
 /// that has started them.
 ///
 /// # Errors
-/// If nothing can be recorded, or no worker comes up.
+/// If the machine allows too little, nothing can be recorded, or no worker comes up.
 pub async fn run<'a>(
     store: &mut Store,
     trials: &[&'a Trial],
@@ -124,11 +131,14 @@ pub async fn run<'a>(
     watch: &'a mut dyn Watch,
 ) -> Result<Summary, EngineError> {
     let settings = &options.settings;
+    limits::make_use_of();
+    let workers = settings.workers.min(trials.len() as u32);
+    limits::check(&Needs { workers, threads: options.threads, files: &[store.path()] })?;
     let state = |priors: &[Prior]| State::new(settings.clone(), priors);
     let (priors, state, kinds) = begin::priors(store, trials, state, settings.prune.as_ref()).await?;
     store.set_provenance(provenance::here(options.threads));
     let presence = store.presence();
-    let runtime = Runtime::new(settings.workers)?;
+    let runtime = Runtime::new()?;
     let (heard_out, mut heard) = mpsc::channel(QUEUE);
     let (words_out, mut words) = mpsc::channel(QUEUE);
     let (queue, entries) = mpsc::channel(QUEUE);
@@ -333,10 +343,11 @@ impl Engine<'_> {
                 }
                 let detail =
                     self.details.remove(&lease).map_or(String::new(), |detail| format!(": {detail}"));
+                let text = format!("{reason}{detail}");
                 let level = if reason.is_given_up() { Level::Info } else { Level::Error };
                 if !in_order {
-                    self.watch.attempt_failed(trial, lease.attempt, reason, settled);
-                    self.record(Write::Log(lease, level, format!("{reason}{detail}"))).await;
+                    self.watch.attempt_failed(trial, lease.attempt, reason, settled, &text);
+                    self.record(Write::Log(lease, level, text)).await;
                 }
                 self.record_spent(lease).await;
                 self.spent.end(lease);
@@ -423,7 +434,11 @@ impl Engine<'_> {
             }
             Err(error) => {
                 tracing::error!(%worker, %error, "a job could not be sent; the worker is ended");
-                link.why = (error.step == process::MAKING_ROOM).then_some(Reason::SharedMemoryFull);
+                link.why = match error.step {
+                    process::MAKING_ROOM => Some(Reason::SharedMemoryFull),
+                    process::FILE_SIZE => Some(Reason::Shortage),
+                    _ => None,
+                };
                 self.details.insert(lease, error.to_string());
                 self.fleet.kill(worker);
             }
@@ -539,7 +554,7 @@ impl Engine<'_> {
     }
 
     fn interrupt(&mut self, events: &mut Events) {
-        self.watch.interrupted(self.state.is_stopping());
+        self.watch.interrupted(self.state.is_stopping(), Duration::from_millis(self.options.settings.grace));
         events.push_back(Event::Interrupt);
     }
 

@@ -17,14 +17,22 @@ pub trait Watch {
     fn step(&mut self, _trial: &Trial, _record: &StepRecord) {}
     /// A result is on disk.
     fn done(&mut self, _trial: &Trial, _result: &TrialResult) {}
-    /// An attempt has come to nothing; `settled`: for good.
-    fn attempt_failed(&mut self, _trial: &Trial, _attempt: u32, _reason: Reason, _settled: bool) {}
+    /// An attempt has come to nothing; `settled`: for good. `_text`: the reason, with what was said of it.
+    fn attempt_failed(
+        &mut self,
+        _trial: &Trial,
+        _attempt: u32,
+        _reason: Reason,
+        _settled: bool,
+        _text: &str,
+    ) {
+    }
     /// A trial's checkpoint is of no use: it begins anew.
     fn begins_anew(&mut self, _trial: &Trial, _why: &str) {}
     /// A warning for the user.
     fn warned(&mut self, _text: &str) {}
-    /// Somebody wants the run to end; `again`: not for the first time.
-    fn interrupted(&mut self, _again: bool) {}
+    /// Somebody wants the run to end; `_again`: not for the first time. Steps in progress are waited for at most `_grace`.
+    fn interrupted(&mut self, _again: bool, _grace: Duration) {}
     /// Somebody has steered the run; `done`: and something has changed.
     fn steered(&mut self, _command: &Command, _done: bool, _said: &str) {}
     /// Some time has passed.

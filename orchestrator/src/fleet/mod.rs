@@ -14,10 +14,10 @@ use std::time::Duration;
 
 use metasense_schemas::reason::Reason;
 use metasense_schemas::wire::Start;
-use metasense_worker::process;
+use metasense_worker::{limits, process};
 use rustix::process::{Pid, Signal, kill_process};
-use tokio::io::{AsyncBufReadExt, BufReader};
-use tokio::process::{Child, ChildStderr, ChildStdin, Command};
+use tokio::io::{AsyncBufReadExt, AsyncRead, BufReader};
+use tokio::process::{Child, ChildStdin, Command};
 use tokio::sync::mpsc::Sender;
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
@@ -83,7 +83,8 @@ impl Fleet {
         let pid = child.id().unwrap_or_default();
         tracing::info!(%worker, pid, "worker started");
         self.processes.insert(worker, Process { pid, input: child.stdin.take(), kill: Some(kill) });
-        tokio::spawn(watch(worker, child, lines, killed, self.heard.clone()));
+        let before = limits::killed_for_memory();
+        tokio::spawn(watch(worker, child, lines, killed, before, self.heard.clone()));
         Ok(())
     }
 
@@ -120,15 +121,18 @@ impl Fleet {
 async fn watch(
     worker: WorkerId,
     mut child: Child,
-    lines: JoinHandle<bool>,
+    mut lines: JoinHandle<bool>,
     mut killed: oneshot::Receiver<()>,
+    killed_before: u64,
     heard: Sender<(WorkerId, Heard)>,
 ) {
     let pid = child.id().unwrap_or_default();
     // It is not reaped before `wait` is over, and has its number until then.
     let kill = || Pid::from_raw(pid as i32).map(|pid| kill_process(pid, Signal::KILL));
     let status = end(child.wait(), &mut killed, kill, UNKILLABLE).await;
-    let out_of_memory = matches!(timeout(LINES_GRACE, lines).await, Ok(Ok(true)));
+    let mut out_of_memory = matches!(timeout(LINES_GRACE, &mut lines).await, Ok(Ok(true)));
+    lines.abort();
+    out_of_memory |= limits::killed_for_memory() > killed_before;
     let reason = match status {
         Some(status) => reason(status, out_of_memory),
         None => {
@@ -158,7 +162,8 @@ async fn end<T, K>(
 fn reason(status: std::io::Result<ExitStatus>, out_of_memory: bool) -> Reason {
     let (signal, code) = status.map_or((None, None), |status| (status.signal(), status.code()));
     match (signal, code) {
-        (Some(libc::SIGABRT), _) if out_of_memory => Reason::OutOfMemory,
+        (Some(libc::SIGABRT | libc::SIGKILL), _) if out_of_memory => Reason::OutOfMemory,
+        (_, Some(process::SHORT)) => Reason::Shortage,
         // A page of shared memory that is not to be had.
         (Some(libc::SIGBUS), _) | (_, Some(process::NO_ROOM)) => Reason::SharedMemoryFull,
         (Some(signal), _) => Reason::WorkerKilled(signal),
@@ -167,16 +172,41 @@ fn reason(status: std::io::Result<ExitStatus>, out_of_memory: bool) -> Reason {
 }
 
 /// What the standard library says before it aborts as there is no memory.
-const OUT_OF_MEMORY: &str = "memory allocation of ";
+const OUT_OF_MEMORY: &[u8] = b"memory allocation of ";
 
-/// What a worker writes to its standard error goes to the log, and to whoever listens. Whether it ran out of memory.
-async fn pass_on(worker: WorkerId, errors: ChildStderr, heard: Sender<(WorkerId, Heard)>) -> bool {
-    let mut out_of_memory = false;
-    let mut lines = BufReader::new(errors).lines();
-    while let Ok(Some(line)) = lines.next_line().await {
-        tracing::warn!(%worker, "worker says: {line}");
-        out_of_memory |= line.starts_with(OUT_OF_MEMORY);
-        if heard.send((worker, Heard::Line(line))).await.is_err() {
+/// Bytes of a line that are passed on, and lines of a worker; the rest is read, and let go.
+const LINE: usize = 4096;
+const LINES: usize = 1000;
+
+/// What a worker writes to its standard error goes to the log, and to whoever listens: whatever it is, it is read, so that the
+/// worker can go on. Whether it ran out of memory.
+async fn pass_on(worker: WorkerId, errors: impl AsyncRead + Unpin, heard: Sender<(WorkerId, Heard)>) -> bool {
+    let (mut errors, mut line) = (BufReader::new(errors), Vec::new());
+    let (mut lines, mut out_of_memory) = (0, false);
+    while let Ok(read) = errors.fill_buf().await {
+        let (end, at) = (read.is_empty(), read.iter().position(|byte| *byte == b'\n'));
+        let text = &read[..at.unwrap_or(read.len())];
+        line.extend_from_slice(&text[..text.len().min(LINE.saturating_sub(line.len()))]);
+        let used = text.len() + usize::from(at.is_some());
+        errors.consume(used);
+        if at.is_some() || end && !line.is_empty() {
+            out_of_memory |= line.starts_with(OUT_OF_MEMORY);
+            lines += 1;
+            let text = match lines {
+                ..LINES => {
+                    String::from_utf8_lossy(line.trim_ascii_end()).replace(char::is_control, "\u{fffd}")
+                }
+                _ => "what the worker writes from here on is not kept".to_owned(),
+            };
+            line.clear();
+            if lines <= LINES {
+                tracing::warn!(%worker, "worker says: {text}");
+                if heard.send((worker, Heard::Line(text))).await.is_err() {
+                    break;
+                }
+            }
+        }
+        if end {
             break;
         }
     }

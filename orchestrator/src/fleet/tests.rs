@@ -31,3 +31,29 @@ async fn a_process_ends_by_itself_or_by_the_kill() {
         drop(kill);
     }
 }
+
+/// Bytes that are no text, a line without an end that is longer than any, and more lines than anybody reads: all is read, and what
+/// is passed on is text of a bounded length.
+#[tokio::test]
+async fn whatever_a_worker_writes_is_read_and_bounded() {
+    let worker = WorkerId { slot: 0, generation: 1 };
+    let read = async |bytes: &[u8]| {
+        let (out, mut heard) = tokio::sync::mpsc::channel(2 * LINES);
+        let out_of_memory = pass_on(worker, bytes, out).await;
+        let mut lines = Vec::new();
+        while let Ok((_, Heard::Line(line))) = heard.try_recv() {
+            lines.push(line);
+        }
+        (lines, out_of_memory)
+    };
+    let (lines, out_of_memory) =
+        read(b"first\n\xff\xfe\x00 \x1b[2J\nmemory allocation of 9 bytes failed\r\nlast").await;
+    assert_eq!(lines[0], "first");
+    assert!(lines[1].contains('\u{fffd}') && !lines[1].contains(char::is_control), "{lines:?}");
+    assert_eq!((&*lines[3], lines.len(), out_of_memory), ("last", 4, true));
+    let (lines, _) = read(&[vec![b'x'; 10_000_000], b"\nnext\n".to_vec()].concat()).await;
+    assert_eq!(lines.iter().map(String::len).collect::<Vec<_>>(), [LINE, 4]);
+    let (lines, out_of_memory) =
+        read(&[b"x\n".repeat(100_000), b"memory allocation of ".to_vec()].concat()).await;
+    assert_eq!((lines.len(), out_of_memory), (LINES, true));
+}

@@ -16,7 +16,7 @@ use metasense_schemas::wire::{
 use metasense_worker::process::make_room;
 use tokio::sync::mpsc::Sender;
 
-pub use runtime::{Domain, Runtime, RuntimeError, SHARED_MEMORY, SPACE_PER_WORKER, remove_stale};
+pub use runtime::{Domain, Runtime, RuntimeError, SHARED_MEMORY, remove_stale};
 
 use crate::scheduler::WorkerId;
 

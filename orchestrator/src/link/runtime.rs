@@ -15,8 +15,6 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 pub use metasense_schemas::wire::SHARED_MEMORY;
-use metasense_worker::process::free_space;
-use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 use crate::scheduler::WorkerId;
 
@@ -24,8 +22,6 @@ use crate::scheduler::WorkerId;
 const STEM: &str = "metasense-";
 /// A directory without a lock in it may be a run that begins right now; after this long it is not.
 const BIRTH: Duration = Duration::from_secs(60);
-/// Least free space for each worker (bytes): its chunks for messages and some arrays.
-pub const SPACE_PER_WORKER: u64 = 16 << 20;
 
 /// Why a run has no place in shared memory.
 #[derive(Debug, thiserror::Error)]
@@ -37,19 +33,6 @@ pub enum RuntimeError {
         path: PathBuf,
         /// What the system said.
         source: io::Error,
-    },
-    /// Writing to a full one would kill the process.
-    #[error(
-        "{SHARED_MEMORY} has {free_mib} MiB free, {workers} workers need {needed_mib} MiB; make room, enlarge it \
-         (`mount -o remount,size=1G {SHARED_MEMORY}`, or `docker run --shm-size 1g`), or take fewer workers"
-    )]
-    Full {
-        /// Free (MiB).
-        free_mib: u64,
-        /// Needed (MiB).
-        needed_mib: u64,
-        /// For how many workers.
-        workers: u32,
     },
 }
 
@@ -76,15 +59,13 @@ impl Runtime {
     /// Makes a place of its own for a run, after removing what dead runs have left.
     ///
     /// # Errors
-    /// If there is no directory to be made, or too little space.
-    pub fn new(workers: u32) -> Result<Self, RuntimeError> {
-        allow_many_files();
+    /// If there is no directory to be made.
+    pub fn new() -> Result<Self, RuntimeError> {
         let shared = PathBuf::from(SHARED_MEMORY);
         let removed = remove_stale(&shared);
         if removed > 0 {
             tracing::warn!(removed, "removed what runs that are gone had left in {SHARED_MEMORY}");
         }
-        room(&shared, workers)?;
         let mut seed = u64::from(std::process::id()) << 32
             | u64::from(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().subsec_nanos());
         loop {
@@ -106,14 +87,6 @@ impl Runtime {
         }
     }
 
-    /// Whether there is room for so many workers more.
-    ///
-    /// # Errors
-    /// If there is not.
-    pub fn room(&self, workers: u32) -> Result<(), RuntimeError> {
-        room(&self.shared, workers)
-    }
-
     /// The domain of a worker; made by whoever creates its services.
     pub fn domain(&self, worker: WorkerId) -> Domain {
         Domain {
@@ -121,16 +94,6 @@ impl Runtime {
             root: self.shared.join(&self.name).join(worker.to_string()),
             prefix: format!("{}_{worker}_", self.name),
         }
-    }
-}
-
-fn room(shared: &Path, workers: u32) -> Result<(), RuntimeError> {
-    let needed = u64::from(workers) * SPACE_PER_WORKER;
-    match free_space(shared) {
-        Some(free) if free < needed => {
-            Err(RuntimeError::Full { free_mib: free >> 20, needed_mib: needed >> 20, workers })
-        }
-        _ => Ok(()),
     }
 }
 
@@ -189,12 +152,6 @@ fn abandoned(directory: &Path) -> Option<File> {
         }
         Err(_) => None,
     }
-}
-
-/// A worker's domain takes some 45 file descriptors here: the soft limit, often 1024, would be met by 22 workers.
-fn allow_many_files() {
-    let maximum = getrlimit(Resource::Nofile).maximum;
-    let _ = setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum });
 }
 
 #[cfg(test)]

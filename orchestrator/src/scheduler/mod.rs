@@ -8,6 +8,7 @@
 mod bodies;
 mod event;
 mod prune;
+mod shortage;
 mod steer;
 #[cfg(test)]
 mod tests;
@@ -24,6 +25,7 @@ pub use steer::{Answer, Refusal, Steer};
 
 use bodies::Bodies;
 use prune::Standings;
+use shortage::Shortage;
 
 /// Milliseconds since the run began.
 pub type Millis = u64;
@@ -60,8 +62,17 @@ pub struct Settings {
     pub time_limit: Option<Millis>,
     /// Workers have a limit of memory of their own: a trial that needs more needs it on every machine.
     pub memory_limited: bool,
+    /// Longest wait for steps in progress once the run is to end.
+    pub grace: Millis,
     /// Which trials are given up early, if any.
     pub prune: Option<Prune>,
+}
+
+impl Settings {
+    /// Wait after so many failures in a row.
+    fn wait(&self, failures: u32) -> Millis {
+        (self.backoff << failures.saturating_sub(1).min(20)).min(BACKOFF_MAX)
+    }
 }
 
 /// Longest wait before a retry.
@@ -70,8 +81,6 @@ pub const BACKOFF_MAX: Millis = 60_000;
 pub const STARTING_MAX: Millis = 30_000;
 /// Longest time between asking a process to end and killing it.
 pub const ENDING_MAX: Millis = 1_000;
-/// Longest time that a step in progress is waited for once the run is to end: somebody sits there and waits, too.
-pub const STOPPING_MAX: Millis = 1_400;
 /// Processes of a slot that may fail to come up in a row before the slot is given up.
 pub const MISFIRES_MAX: u32 = 4;
 /// Results of a worker that may wait for the disk before it gets a further trial.
@@ -123,6 +132,8 @@ struct Trial {
     begun: bool,
     /// Deaths since the last step.
     deaths: u32,
+    /// Shortages of the machine since the last step.
+    shortages: u32,
     stepped: bool,
     kind: u32,
     body: u32,
@@ -140,6 +151,7 @@ impl Trial {
             attempt: prior.attempts,
             begun: prior.steps.is_some(),
             deaths: 0,
+            shortages: 0,
             stepped: false,
             kind: prior.kind,
             body: prior.body,
@@ -149,9 +161,9 @@ impl Trial {
         }
     }
 
-    /// Its place among those that may be handed out: one that has died lets the others go first.
+    /// Its place among those that may be handed out: one that came to nothing lets the others go first.
     fn rank(&self) -> i64 {
-        self.first.unwrap_or(2 * i64::from(self.deaths) + i64::from(!self.begun))
+        self.first.unwrap_or(2 * i64::from(self.deaths + self.shortages) + i64::from(!self.begun))
     }
 }
 
@@ -215,6 +227,7 @@ pub struct State {
     deaths: u32,
     dead: BTreeSet<u32>,
     died_of: Option<Reason>,
+    shortage: Shortage,
     stopping: Stopping,
     /// Since when.
     stopping_since: Millis,
@@ -258,8 +271,9 @@ pub fn on_event<P: Payload>(state: &mut State, event: Event<P>) -> Vec<Action<P>
             out.push(Action::RecordCheckpoint(lease, record));
         }
         Event::Finished(worker, lease, record) => {
+            state.came_further(worker);
+            state.shortage.relieved(state.now, state.settings.retries);
             state.release(worker);
-            state.machine_works();
             state.slots[worker.slot as usize].unrecorded += 1;
             let trial = &mut state.trials[lease.trial as usize];
             trial.phase = Phase::Recording(worker);
@@ -317,6 +331,7 @@ impl State {
             deaths: 0,
             dead: BTreeSet::new(),
             died_of: None,
+            shortage: Shortage::default(),
             stopping: Stopping::No,
             stopping_since: 0,
             ended: false,
@@ -406,7 +421,7 @@ impl State {
     /// A worker has come further with its trial than a death could take back, once that is recorded.
     fn progressed(&mut self, worker: WorkerId, lease: Lease) {
         self.beat(worker);
-        self.machine_works();
+        self.came_further(worker);
         let trial = &mut self.trials[lease.trial as usize];
         (trial.stepped, trial.begun) = (true, true);
         self.unrecorded += 1;
@@ -418,20 +433,31 @@ impl State {
         self.ready.iter().copied().filter(move |(_, number)| !waits(*number))
     }
 
+    /// A worker has come further with its trial.
+    fn came_further(&mut self, worker: WorkerId) {
+        self.machine_works();
+        if let Some(&mut Slot { work: Work::Busy { since, .. }, .. }) = self.slot(worker) {
+            self.shortage.came_further(since);
+        }
+    }
+
     /// A worker has come somewhere: this machine can do it.
     fn machine_works(&mut self) {
         self.deaths = 0;
         self.dead.clear();
     }
 
-    /// Why this machine is given up, where it is.
+    /// Why this machine is given up, where it is: deaths, or shortages that no worker's end can relieve.
     fn unfit(&self) -> Option<Reason> {
-        self.died_of.filter(|_| self.deaths >= UNFIT_DEATHS && self.dead.len() >= UNFIT_TRIALS)
+        let short = self.shortage.lasting(self.settings.retries).filter(|_| self.busy() == 0);
+        let died = self.deaths >= UNFIT_DEATHS && self.dead.len() >= UNFIT_TRIALS;
+        short.or(self.died_of.filter(|_| died))
     }
 
     /// Whether trials and workers are begun at present.
     fn hands_out(&self) -> bool {
-        self.stopping == Stopping::No && !self.settings.paused && self.unfit().is_none()
+        let waits = self.settings.paused || self.shortage.is_waited_for(self.now);
+        self.stopping == Stopping::No && !waits && self.unfit().is_none()
     }
 
     /// How many more workers there may be; below 0 where there are too many.
@@ -468,7 +494,7 @@ impl State {
             self.ready.insert((self.trials[trial as usize].rank(), trial));
         }
         let (now, settings) = (self.now, &self.settings);
-        let waited_out = self.stopping != Stopping::No && now > self.stopping_since + STOPPING_MAX;
+        let waited_out = self.stopping != Stopping::No && now > self.stopping_since + settings.grace;
         for (worker, slot) in with_workers(&mut self.slots) {
             let (lease, why) = match slot.work {
                 Work::Busy { lease, .. } if waited_out => (Some(lease), Some(Reason::Stopped)),
@@ -532,30 +558,40 @@ impl State {
 
     /// An attempt came to nothing: again, later, or never.
     fn attempt_failed<P: Payload>(&mut self, lease: Lease, reason: Reason, out: &mut Vec<Action<P>>) {
-        let death = reason.is_retried() || reason == Reason::OutOfMemory && !self.settings.memory_limited;
+        let own = reason == Reason::OutOfMemory && self.settings.memory_limited;
+        let shortage = reason.is_shortage() && !own;
+        let death = shortage || reason.is_retried();
         let trial = &mut self.trials[lease.trial as usize];
         self.bodies.given_back(trial.body, lease.trial);
         let back = death || reason == Reason::Paused;
         let reason = trial.unwanted.filter(|_| back).unwrap_or(reason);
-        let death = death && !reason.is_given_up();
+        let [death, shortage] = [death, shortage].map(|is_so| is_so && !reason.is_given_up());
         let by_request =
             reason == Reason::Stopped || self.stopping >= Stopping::AtOnce && !reason.is_given_up();
-        if !by_request {
-            trial.deaths = if trial.stepped { 0 } else { trial.deaths + 1 };
-        }
         let stepped = std::mem::replace(&mut trial.stepped, false);
-        let settled = !by_request && (!death || trial.deaths > self.settings.retries);
+        if !by_request {
+            if stepped {
+                (trial.deaths, trial.shortages) = (0, 0);
+            }
+            trial.deaths += u32::from(!stepped && !shortage);
+            trial.shortages += u32::from(shortage);
+        }
+        let settled = !by_request && (!death || !shortage && trial.deaths > self.settings.retries);
+        let deaths = trial.deaths;
         if settled {
             trial.phase = Phase::Failed(reason);
             self.unsettled -= 1;
         } else {
             trial.phase = Phase::Pending;
-            let doublings = trial.deaths.saturating_sub(1).min(20);
-            let wait =
-                if trial.deaths == 0 { 0 } else { (self.settings.backoff << doublings).min(BACKOFF_MAX) };
+            let wait = if deaths == 0 { 0 } else { self.settings.wait(deaths) };
             self.delayed.insert((self.now + wait, lease.trial));
         }
-        if !by_request && !stepped {
+        if !shortage {
+            self.shortage.relieved(self.now, self.settings.retries);
+        } else if !by_request {
+            self.shortage.met(reason, self.now, |in_a_row| self.settings.wait(in_a_row));
+        }
+        if !by_request && !shortage && !stepped {
             if death {
                 self.deaths += 1;
                 self.dead.insert(lease.trial);

@@ -1,14 +1,14 @@
 //! What a person may command of a run that goes on: each command is an event and gets one answer; a refused one changes nothing.
 //!
-//! A pause takes running trials back after the step in progress, as the end of a run does: who pauses wants the machine, and
-//! what it costs is the beginning of another attempt, while a trial may go on for hours. Workers stay, idle.
+//! A pause takes running trials back after the step in progress, however long that takes: who pauses wants the machine, and what it
+//! costs is the beginning of another attempt, while a trial may go on for hours. Workers stay, idle.
 
 use std::fmt;
 
 use metasense_schemas::reason::Reason;
 use metasense_schemas::wire::Lease;
 
-use super::{Action, Payload, Phase, Prior, Slot, State, Stopping, Work};
+use super::{Action, Millis, Payload, Phase, Prior, Slot, State, Stopping, Work};
 
 /// A command.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -36,8 +36,8 @@ pub enum Answer {
     Paused(usize),
     /// Trials are handed out; so many wait.
     Resumed(usize),
-    /// The run ends; so many trials are on their way back.
-    Stopping(usize),
+    /// The run ends; so many trials are on their way back, and are waited for so long.
+    Stopping(usize, Millis),
     /// The trial is given up; `true`: once its worker has finished the step in progress.
     Cancelled(bool),
     /// The trial is the next one; `true`: once another has trained its body.
@@ -87,9 +87,13 @@ impl fmt::Display for Answer {
                 back(f, *running)
             }
             Self::Resumed(waiting) => write!(f, "goes on: trials that wait: {waiting}"),
-            Self::Stopping(running) => {
+            Self::Stopping(running, grace) => {
                 f.write_str("stopping: ")?;
-                back(f, *running)
+                back(f, *running)?;
+                match running {
+                    0 => Ok(()),
+                    _ => write!(f, ", or ended after {} s", *grace as f64 / 1000.0),
+                }
             }
             Self::Cancelled(false) => f.write_str("cancelled"),
             Self::Cancelled(true) => f.write_str("cancelled: it ends after its step in progress"),
@@ -125,7 +129,7 @@ impl State {
             }
             Steer::Stop => {
                 self.interrupt();
-                Answer::Stopping(self.busy())
+                Answer::Stopping(self.busy(), self.settings.grace)
             }
             Steer::Cancel(trial) => self.give_up(trial, out),
             Steer::Next(trial) => self.put_first(trial),

@@ -4,7 +4,7 @@
 //! The world is a queue of events at times, drawn from a seed. After every event: no trial is lost, none is with two
 //! workers, no attempt number is given twice, no result is recorded twice, and none is given up as hopeless that is not
 //! worse than enough others; no body is trained by two workers; nothing is handed out in a pause, nothing that is cancelled, nothing to more workers than are
-//! wanted; and every run ends, within two seconds of being asked to. A seed that fails prints its history.
+//! wanted; no shortage of the machine is charged to a trial; and every run ends, within its grace of being asked to. A seed that fails prints its history.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
@@ -83,8 +83,11 @@ struct World {
     chance_of_echo: u64,
     /// Of a worker that goes on with what it does for long after it was asked to stop.
     chance_of_slowness: u64,
+    chance_of_shortage: u64,
     /// A machine on which every trial dies at its first step.
     black_hole: bool,
+    /// Shortages so far.
+    shortages: u32,
     /// Deaths of workers with a trial since one has last come anywhere, and of which trials.
     deaths: Vec<u32>,
     interrupt: bool,
@@ -110,6 +113,7 @@ impl World {
             no_progress: 20_000,
             time_limit: dice.percent(30).then_some(60_000),
             memory_limited: false,
+            grace: dice.below(4) * 1_000,
             prune: dice.percent(30).then(|| Prune { at: vec![0.3, 0.6], grace: 1 + dice.below(3) as usize }),
         };
         let (black_hole, mut bodies) = (dice.percent(3), Vec::new());
@@ -135,7 +139,9 @@ impl World {
             chance_of_misfire: chance(&mut dice, 40),
             chance_of_echo: chance(&mut dice, 30),
             chance_of_slowness: chance(&mut dice, 100),
+            chance_of_shortage: if dice.percent(3) { 100 } else { chance(&mut dice, 20) },
             black_hole,
+            shortages: 0,
             deaths: Vec::new(),
             interrupt: dice.percent(25),
             interrupted: None,
@@ -147,7 +153,7 @@ impl World {
             dice,
         };
         if world.black_hole {
-            (world.chance_of_death, world.chance_of_hanging) = (100, 0);
+            (world.chance_of_death, world.chance_of_hanging, world.chance_of_shortage) = (100, 0, 0);
         }
         priors.iter().zip(0..).for_each(|(prior, trial)| world.add(prior, trial));
         if world.dice.percent(50) {
@@ -322,7 +328,7 @@ impl World {
             (Some(Steer::Cancel(trial)), Some(Answer::Cancelled(_))) => {
                 self.cancelled.insert(trial);
             }
-            (Some(Steer::Stop), Some(Answer::Stopping(_))) => {
+            (Some(Steer::Stop), Some(Answer::Stopping(..))) => {
                 self.interrupt = true;
                 self.interrupted = Some(self.now);
             }
@@ -364,7 +370,15 @@ impl World {
                 self.results[trial as usize] += 1;
                 self.soon(50, Event::Recorded(lease, Mark::Result));
             }
-            Action::RecordFailure { lease, .. } => self.soon(50, Event::Recorded(lease, Mark::Failure)),
+            Action::RecordFailure { lease, reason, settled } => {
+                assert!(
+                    !(settled && reason == Reason::Shortage),
+                    "trial {} is charged for a shortage",
+                    lease.trial
+                );
+                self.shortages += u32::from(reason == Reason::Shortage);
+                self.soon(50, Event::Recorded(lease, Mark::Failure));
+            }
             Action::RecordCancelled(lease) => self.soon(50, Event::Recorded(lease, Mark::Failure)),
             Action::Answer((), answer) => self.answers.push(answer),
             Action::AskStop(worker) => {
@@ -411,6 +425,9 @@ impl World {
                     when,
                     Event::Failed(worker, lease, Reason::Numerical(metasense_schemas::wire::Cause::Unstable)),
                 );
+            }
+            if self.dice.percent(self.chance_of_shortage) {
+                return self.say(when, Event::Failed(worker, lease, Reason::Shortage));
             }
             self.say(when, Event::Beat(worker, lease));
             let part = |steps: u32| f64::from(steps) / f64::from(length);
@@ -482,9 +499,12 @@ impl World {
     fn check_end(&mut self) {
         let outcome = self.outcome.expect("the run has ended");
         let dead: HashSet<u32> = self.deaths.iter().copied().collect();
-        if let Outcome::Unfit(_) = outcome {
-            let enough = self.deaths.len() >= UNFIT_DEATHS as usize && dead.len() >= UNFIT_TRIALS;
-            assert!(enough, "unfit after the deaths of {:?}", self.deaths);
+        if let Outcome::Unfit(reason) = outcome {
+            let enough = match reason {
+                Reason::Shortage => self.shortages > self.state.settings.retries,
+                _ => self.deaths.len() >= UNFIT_DEATHS as usize && dead.len() >= UNFIT_TRIALS,
+            };
+            assert!(enough, "unfit after {} shortages and the deaths of {:?}", self.shortages, self.deaths);
             assert!(self.state.waiting() > 0, "nothing is left to be done elsewhere");
         }
         if self.black_hole {
@@ -496,7 +516,8 @@ impl World {
         let alive = self.processes.values().filter(|process| **process != Process::Gone).count();
         assert_eq!(alive, 0, "processes are left behind");
         let waited = self.now - self.interrupted.unwrap_or(self.now);
-        assert!(waited <= 2_000, "the run ended {waited} ms after it was asked to");
+        let most = self.state.settings.grace + 1_000;
+        assert!(waited <= most, "the run ended {waited} ms after it was asked to, of {most} at most");
         if outcome != Outcome::Complete {
             return;
         }

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use metasense_schemas::spec::NotOne;
+use metasense_worker::limits::{Needs, check};
 
 use super::presence::Lost;
 
@@ -118,7 +119,7 @@ pub enum StoreError {
         path: PathBuf,
     },
     /// SQLite refused.
-    #[error("{doing} the database {}{}", path.display(), hint(source))]
+    #[error("{doing} the database {}{}{}", path.display(), hint(source), shortage(path, source))]
     Sql {
         /// The file.
         path: PathBuf,
@@ -266,6 +267,14 @@ pub(super) fn is_not_opened(source: &sqlx::Error) -> bool {
 /// Whether it is not the file that is read that is at fault: memory, the disk, descriptors.
 pub(crate) fn is_shortage(source: &sqlx::Error) -> bool {
     matches!(source, sqlx::Error::Io(_)) || matches!(code(source), Some(7 | 8 | 10 | 13 | 14))
+}
+
+/// What the machine is short of, where SQLite cannot write or open a file.
+fn shortage(path: &Path, source: &sqlx::Error) -> String {
+    let journal = super::beside(path, "-wal");
+    let needs = Needs { files: &[path, &journal], ..Needs::default() };
+    let short = matches!(code(source), Some(10 | 13 | 14)).then(|| check(&needs).err()).flatten();
+    short.map_or(String::new(), |short| format!(" ({short})"))
 }
 
 /// What to do, by SQLite's primary result code.

@@ -167,14 +167,15 @@ pub struct Run {
     /// Added to the workers' niceness, 0 to 19. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub niceness: Option<u8>,
-    /// Memory limit of each worker. A trial that needs more fails with the reason `out_of_memory`. Unit: MiB. Default: no
-    /// limit.
+    /// Memory limit of each worker. A trial that needs more fails with the reason `out_of_memory`; without a limit that is a
+    /// shortage of the machine. Unit: MiB. Default: no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub memory: Option<u64>,
-    /// How often a trial is retried after its worker has died without completing a step. Default: 5.
+    /// How often a trial is retried after its worker has died without completing a step; and how often in a row trials are begun
+    /// again where the machine is short of something, before the run ends and leaves them pending. Default: 5.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub retries: Option<u32>,
-    /// Wait before the first retry; doubled for each further one. Unit: s. Default: 0.5.
+    /// Wait before the first retry; doubled for each further one, up to a minute. Unit: s. Default: 0.5.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub backoff: Option<f64>,
     /// Longest time without a sign of life from a worker, which reports every second while it computes. Unit: s. Default: 600.
@@ -186,6 +187,11 @@ pub struct Run {
     /// Longest time of one attempt at a trial. Unit: s. Default: no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time_limit: Option<f64>,
+    /// Longest wait for steps in progress when the run is stopped; workers that are not done by then are killed, and their steps
+    /// are done again by the next run. Shards are given notice of their time limit by 15 s more. Unit: s. Default: 10; in shards
+    /// on Slurm and HyperQueue 45.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub grace: Option<f64>,
     /// Gives up a trial early if its best test error is above the median of other trials of equal K and M. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub prune: Option<Prune>,

@@ -35,6 +35,8 @@ pub enum Fault {
     NonFinite,
     /// The trial is refused.
     Reject,
+    /// The machine is short of something.
+    Short,
 }
 
 /// Runs it from a checkpoint or from the start, as `metasense_worker::process::Perform`.
@@ -51,6 +53,9 @@ pub fn perform(
         checkpoint.unwrap_or_else(|| Checkpoint { design: vec![mixed(noop.seed)], ..Default::default() });
     match noop.fault {
         Some(Fault::Reject) => return Err(Failure::Rejected("a no-op trial that is to be refused".into())),
+        Some(Fault::Short) => {
+            return Err(Failure::Shortage("of what a no-op trial is to be short of".into()));
+        }
         Some(Fault::Hang) => loop {
             std::thread::park();
         },

@@ -8,13 +8,15 @@ use std::time::Duration;
 
 use metasense_schemas::record::{Found, Trial};
 
-use super::{Args, Program, deal, how, note_here, prepare, print, submit_shards};
+use super::queued::submit_shards;
+use super::{Args, Program, deal, how, note_here, prepare, print};
+use crate::cli::results::Results;
 use crate::cli::run::{self, Runs};
 use crate::cli::{Error, Format, design};
 use crate::cluster::home::attempts;
 use crate::cluster::merge::{Extent, Kind, merge};
 use crate::cluster::places::{self, Place};
-use crate::cluster::queue::{self, Job, Notes, QueueError};
+use crate::cluster::queue::{self, Job, Notes, Queue, QueueError};
 use crate::cluster::submit::Submission;
 use crate::cluster::{Assignment, ranges};
 use crate::engine::{Again, Signals};
@@ -34,6 +36,7 @@ pub(super) async fn execute(
     places: Vec<Place>,
     shards: u32,
     jobs: Vec<Job>,
+    queue: &Queue,
 ) -> Result<Exit, Error> {
     if args.retry_failed {
         let why = "--retry-failed: rounds go on from what trials have come to; leave it out, or `run` them again, by `design` those of a \
@@ -42,17 +45,17 @@ pub(super) async fn execute(
     }
     let space = if args.design { Some(design::space(&plan)?) } else { None };
     let program = Program::own()?;
-    let submission = args.submission(&plan, shards, &program)?;
+    let mut submission = Submission { merges: false, ..args.submission(&plan, shards, &program)? };
+    submission.cluster.clone_from(&queue.cluster);
     if args.dry_run {
-        print(&submission, true)?;
+        print(&submission)?;
         return Ok(Exit::Done);
     }
-    let queue = queue::ask(&jobs)?;
     let mut notes = prepare(&plan, &submission, &program, &queue.jobs)?;
     if !submission.scheduler.has_queue() {
         note_here(&submission, &mut notes)?;
     }
-    let (db, signals) = (submission.out.clone(), Signals::new()?);
+    let (db, folder, signals) = (submission.out.clone(), submission.folder.clone(), Signals::new()?);
     Store::open(&db).await?.close().await?;
     let mut shards = Shards { plan: &plan, submission, places, notes, jobs, signals };
     let room = shards.workers();
@@ -74,7 +77,10 @@ pub(super) async fn execute(
     let outcome = outcome.unwrap_or(Outcome::Complete);
     match space {
         Some(space) => design::end(&db, plan, space, Format::default(), outcome).await,
-        None => run::end(&db, &plan, Format::default(), outcome).await,
+        None => {
+            let results = Results { db: &db, named: &db, log: &folder };
+            run::end(results, &plan, Format::default(), outcome).await
+        }
     }
 }
 
@@ -129,7 +135,7 @@ impl Runs for Shards<'_> {
         say!("{} in shards {}", counted(open.len(), "trial"), ranges(&self.submission.which));
         let before = self.progress().await?;
         let goes_on = if self.submission.scheduler.has_queue() {
-            self.jobs = submit_shards(&self.submission, &mut self.notes)?;
+            self.jobs = submit_shards(&mut self.submission, &mut self.notes)?;
             self.wait().await?
         } else {
             let how = how(&self.submission);
@@ -158,7 +164,7 @@ impl Shards<'_> {
     async fn wait(&mut self) -> Result<bool, Error> {
         let mut unanswered = 0;
         loop {
-            match queue::ask(&self.jobs) {
+            match queue::ask(&mut self.jobs) {
                 Ok(queue) if queue.shards.is_empty() => return Ok(true),
                 Ok(_) => unanswered = 0,
                 Err(QueueError::Failed { .. }) if unanswered < UNANSWERED_MOST => unanswered += 1,

@@ -77,7 +77,7 @@ async fn the_last_hand_in_does_not_wait_for_a_periodic_one() {
         began
     };
     let every = async {
-        home.hand_in_every(Duration::from_millis(1), stopped).await;
+        home.hand_in_every(Duration::from_millis(1), stopped, &Notify::new()).await;
         std::time::Instant::now()
     };
     let (began, ended) = tokio::join!(ending, every);

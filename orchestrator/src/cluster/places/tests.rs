@@ -14,13 +14,16 @@ fn hosts_are_read_with_their_places() {
 #[tokio::test]
 async fn shards_that_die_are_begun_again_and_a_machine_that_is_unfit_gets_no_more() {
     let folder = tempfile::tempdir().unwrap();
-    let how = How { folder: folder.path().to_owned(), options: Vec::new() };
+    let how = How { folder: folder.path().to_owned(), shards: 9, options: Vec::new(), grace: 10.0 };
+    let said = std::cell::RefCell::new(Vec::new());
     let run = async |script: &str, which: &[u32]| {
+        said.borrow_mut().clear();
         let _ = std::fs::remove_file(folder.path().join("calls"));
         let head = format!("cd {}; echo $1 >> calls\n", quoted(folder.path()));
         std::fs::write(folder.path().join("shard.sh"), head + script).unwrap();
         let mut signals = Signals::new().unwrap();
-        let ended = super::run(&[None, None], which, &how, &mut signals, |_| {}).await;
+        let ended =
+            super::run(&[None, None], which, &how, &mut signals, |line| said.borrow_mut().push(line)).await;
         let mut calls: Vec<u32> = std::fs::read_to_string(folder.path().join("calls"))
             .unwrap()
             .lines()
@@ -34,6 +37,16 @@ async fn shards_that_die_are_begun_again_and_a_machine_that_is_unfit_gets_no_mor
     let (ended, calls) = run("[ $1 = 2 ] && kill -9 $$; [ $1 = 3 ] && exit 3; exit 1", &[1, 2, 3]).await;
     assert_eq!(ended, Ended { left: vec![2, 3], failed: true, ..Ended::default() });
     assert_eq!(calls, [1, 2, 2, 2, 3]);
+    // whatever stands in an output, what a shard said last is told, and where more of it is
+    std::fs::write(folder.path().join("shard-1-of-9.out"), "of an earlier attempt\n").unwrap();
+    let script = "printf 'first\\n\\377\\000last words\\n\\n' >> shard-$1-of-9.out; kill -9 $$";
+    run(script, &[1]).await;
+    let told = |words: &str| said.borrow().iter().filter(|line| line.contains(words)).count();
+    assert_eq!((told("last words"), told("shard-1-of-9.out"), told("signal")), (3, 3, 3), "{said:?}");
+    run("echo of the script >&2; exit 126", &[1]).await;
+    assert_eq!((told("of the script"), told("126")), (3, 3), "{said:?}");
+    run("exit 3", &[2]).await;
+    assert_eq!(told("nothing stands in"), 1, "{said:?}");
     let (ended, calls) = run("exit 5", &[1, 2, 3, 4]).await;
     assert_eq!(ended, Ended { left: vec![1, 2, 3, 4], deserted: true, ..Ended::default() });
     assert_eq!(calls, [1, 2]);

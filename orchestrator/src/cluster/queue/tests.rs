@@ -5,6 +5,8 @@ fn the_queue_is_read() {
     let job = |job: &str, merge: &str| Job {
         scheduler: "slurm".into(),
         job: job.into(),
+        name: None,
+        cluster: None,
         merge_job: Some(merge.into()),
         shards: 4,
         offset: 0,
@@ -24,4 +26,38 @@ fn the_queue_is_read() {
     queue.add_hq(serde_json::from_str::<Value>(text).unwrap().as_object().unwrap(), &[&one, &two]);
     assert_eq!(queue.shards, HashMap::from([(2, "running".into())]));
     assert_eq!(queue.jobs, ["7", "8"]);
+}
+
+/// A kill in the middle of a line loses that line alone, and the next one stands on a line of its own; a job whose number was
+/// written down later is one job. What else is no job is named by its line.
+#[test]
+fn notes_are_read_up_to_where_they_were_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join(JOBS);
+    let intent = r#"{"scheduler":"slurm","name":"s.1","shards":2}"#;
+    let job = r#"{"scheduler":"slurm","job":"7","name":"s.1","cluster":"gpu","shards":2}"#;
+    let read = |text: &[u8]| {
+        std::fs::write(&file, text).unwrap();
+        jobs(folder.path())
+    };
+    let numbers = |jobs: Vec<Job>| jobs.into_iter().map(|job| job.job).collect::<Vec<_>>();
+    assert_eq!(numbers(read(format!("{intent}\n{job}\n").as_bytes()).unwrap()), ["7"]);
+    let torn: [&[u8]; 4] = [&job.as_bytes()[..20], b"\0\0\0\0", b"\xff\xfe", b"  "];
+    for rest in torn {
+        let text = [intent.as_bytes(), b"\n", rest].concat();
+        assert_eq!(numbers(read(&text).unwrap()), [""], "{rest:?}");
+        let mut notes = Notes::open(folder.path()).unwrap();
+        notes.note(&serde_json::from_str(job).unwrap()).unwrap();
+        assert_eq!(numbers(jobs(folder.path()).unwrap()), ["7"], "{rest:?}");
+    }
+    // whole, but for its end
+    assert_eq!(numbers(read(job.as_bytes()).unwrap()), ["7"]);
+    let other: Job = serde_json::from_str(&job.replace('7', "8").replace("s.1", "s.2")).unwrap();
+    Notes::open(folder.path()).unwrap().note(&other).unwrap();
+    assert_eq!(numbers(jobs(folder.path()).unwrap()), ["7", "8"]);
+    for damaged in [&b"{\"sched\n"[..], b"\0\0\n", b"\xff\n"] {
+        let text = [job.as_bytes(), b"\n\n", damaged, job.as_bytes(), b"\n"].concat();
+        let error = read(&text).unwrap_err().to_string();
+        assert!(error.contains("jobs.jsonl:3: "), "{error}");
+    }
 }

@@ -1,17 +1,9 @@
 use super::*;
 
-/// Writing to a full shared memory kills the writer: it is refused before, with what to do.
-#[test]
-fn too_little_shared_memory_is_an_error_before_anything_starts() {
-    let error = Runtime::new(u32::MAX).unwrap_err();
-    assert!(matches!(error, RuntimeError::Full { workers: u32::MAX, .. }), "{error}");
-    assert!(error.to_string().contains("take fewer workers"), "{error}");
-}
-
 /// A run's directory, and what carries its name, go with it; another run's stay.
 #[test]
 fn a_place_is_removed_as_a_whole_and_alone() {
-    let (first, second) = (Runtime::new(1).unwrap(), Runtime::new(1).unwrap());
+    let (first, second) = (Runtime::new().unwrap(), Runtime::new().unwrap());
     assert_ne!(first.name, second.name);
     let worker = WorkerId { slot: 3, generation: 12 };
     let domains = [first.domain(worker), second.domain(worker)];

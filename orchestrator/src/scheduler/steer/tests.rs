@@ -31,6 +31,7 @@ fn run_of(priors: &[Prior], workers: u32) -> State {
         no_progress: 10_000,
         time_limit: None,
         memory_limited: false,
+        grace: 2_500,
         prune: None,
     };
     let mut state = State::new(settings, priors);
@@ -204,7 +205,7 @@ fn added_trials_are_run() {
     assert_eq!(actions, [Action::Spawn(worker), Action::Assign(worker, lease(1, 5))]);
     assert_eq!(state.waiting(), 1);
     let (answer, actions) = steer(&mut state, Steer::Stop);
-    assert_eq!((answer, &actions[..]), (Answer::Stopping(1), &[Action::AskStop(worker)][..]));
+    assert_eq!((answer, &actions[..]), (Answer::Stopping(1, 2_500), &[Action::AskStop(worker)][..]));
     for command in
         [Steer::Stop, Steer::Pause, Steer::Resume, Steer::Cancel(2), Steer::Next(2), Steer::Workers(9)]
     {
@@ -215,4 +216,63 @@ fn added_trials_are_run() {
     up(&mut state, Event::Recorded(lease(1, 5), Mark::Failure));
     let ended = up(&mut state, Event::Lost(worker, Reason::WorkerExited(0)));
     assert_eq!(ended, [Action::End(Outcome::Interrupted)]);
+}
+
+/// A stop waits for steps in progress as long as it is allowed to, and for no longer; a second one does not wait.
+#[test]
+fn a_stop_waits_for_its_grace_and_a_second_one_does_not() {
+    for at_once in [false, true] {
+        let mut state = run(2, 2);
+        up(&mut state, Event::Clock(700));
+        assert_eq!(up(&mut state, Event::Interrupt), [Action::AskStop(id(0)), Action::AskStop(id(1))]);
+        up(&mut state, Event::Failed(id(0), lease(0, 1), Reason::Stopped));
+        up(&mut state, Event::Lost(id(0), Reason::WorkerExited(0)));
+        assert_eq!(up(&mut state, Event::Clock(3_200)), [], "its step may end yet");
+        let killed = if at_once { Event::Interrupt } else { Event::Clock(3_201) };
+        assert_eq!(up(&mut state, killed), [Action::Kill(id(1))]);
+        let last = up(&mut state, Event::Lost(id(1), Reason::WorkerKilled(9)));
+        assert_eq!(last, [failed(1, Reason::Stopped, false)]);
+    }
+}
+
+/// A shortage is the machine's: trials wait longer each time and stay pending, and the run ends when it lasts. A worker that ends,
+/// or a trial that comes further, is a reason to go on.
+#[test]
+fn a_shortage_is_waited_out_and_charged_to_no_trial() {
+    let mut state = run(1, 1);
+    state.settings.retries = 2;
+    let (mut now, mut attempt) = (0, 1);
+    for wait in [500, 1000] {
+        let short = up(&mut state, Event::Failed(id(0), lease(0, attempt), Reason::Shortage));
+        assert!(matches!(short[..], [Action::RecordFailure { settled: false, .. }]), "{short:?}");
+        up(&mut state, Event::Recorded(lease(0, attempt), Mark::Failure));
+        assert_eq!(up(&mut state, Event::Clock(now + wait - 1)), []);
+        now += wait;
+        attempt += 1;
+        assert_eq!(up(&mut state, Event::Clock(now)), [Action::Assign(id(0), lease(0, attempt))]);
+    }
+    let mut further = state.clone();
+    let last = up(&mut state, Event::Failed(id(0), lease(0, attempt), Reason::Shortage));
+    assert!(matches!(last[..], [Action::RecordFailure { settled: false, .. }, Action::Close(_)]), "{last:?}");
+    up(&mut state, Event::Recorded(lease(0, attempt), Mark::Failure));
+    let ended = up(&mut state, Event::Lost(id(0), Reason::WorkerExited(0)));
+    assert_eq!(ended, [Action::End(Outcome::Unfit(Reason::Shortage))]);
+    assert_eq!(state.phase(0), Phase::Pending);
+    // it comes further, and then is short again: counted from one
+    let standing = super::super::Standing { part: 0.5, begun: 0.0, error: None };
+    up(&mut further, Event::Step(id(0), lease(0, attempt), standing, ()));
+    up(&mut further, Event::Failed(id(0), lease(0, attempt), Reason::Shortage));
+    assert_eq!(up(&mut further, Event::Clock(now + 500)), [Action::Assign(id(0), lease(0, attempt + 1))]);
+
+    // two workers where there is room for one: the other trial's end is waited for, and is a reason to try again
+    let mut state = run(2, 2);
+    up(&mut state, Event::Failed(id(1), lease(1, 1), Reason::OutOfMemory));
+    assert_eq!(up(&mut state, Event::Clock(499)), [], "nothing is handed out meanwhile");
+    let done = finish(&mut state, 0, 0);
+    assert!(matches!(done[1], Action::Assign(_, Lease { trial: 1, attempt: 2 })), "{done:?}");
+    // a limit of the worker's own is no shortage
+    let mut state = run(1, 1);
+    state.settings.memory_limited = true;
+    let own = up(&mut state, Event::Lost(id(0), Reason::OutOfMemory));
+    assert_eq!(own[0], failed(0, Reason::OutOfMemory, true));
 }

@@ -1,0 +1,113 @@
+//! Handing shards to a scheduler's queue: each job is known from before it is submitted, whatever is answered.
+
+use std::process::Command;
+
+use super::Error;
+use crate::cluster::queue::{self, Job, Notes, Queue};
+use crate::cluster::ranges;
+use crate::cluster::submit::{Scheduler, Submission, line};
+use crate::files;
+
+/// Queues shards. Each job is noted before it is submitted, under a name by which it is found if this process ends in between.
+pub(super) fn submit_shards(submission: &mut Submission, notes: &mut Notes) -> Result<Vec<Job>, Error> {
+    let noting = Error::io("noting what was submitted in", &submission.folder);
+    let clusters =
+        || Submission::clusters_of(&submission.for_shards).or_else(|| std::env::var("SBATCH_CLUSTERS").ok());
+    let clusters = if submission.scheduler == Scheduler::Slurm { clusters() } else { None };
+    let mut jobs: Vec<Job> = Vec::new();
+    for array in submission.arrays() {
+        let shards: Vec<u32> = array.indices.iter().map(|index| array.offset + index).collect();
+        let name = format!("{}.{}", submission.name, files::fresh_mark());
+        let mut job = Job {
+            scheduler: submission.scheduler.name().to_owned(),
+            job: String::new(),
+            name: Some(name.clone()),
+            cluster: submission.cluster.clone().or_else(|| clusters.clone()),
+            merge_job: None,
+            shards: submission.shards,
+            offset: array.offset,
+        };
+        notes.note(&job).map_err(&noting)?;
+        let submitted = run(&submission.submit_shards(&array, &name)).or_else(|refused| {
+            // it may have been accepted all the same, and the answer have been lost
+            match queue::look_up(&mut job) {
+                Ok(()) if !job.job.is_empty() => Ok((job.job.clone(), job.cluster.clone())),
+                Ok(()) if jobs.is_empty() => Err(Error::Usage(refused)),
+                _ => Err(Error::Partly(format!("{refused}; {}", left(submission, &jobs, &shards)))),
+            }
+        });
+        let (number, cluster) = submitted?;
+        (job.job, job.cluster) = (number, cluster.clone());
+        submission.cluster = cluster.or(submission.cluster.take());
+        say!("submitted: job {}, shards {}", job.job, ranges(&shards));
+        notes.note(&job).map_err(&noting)?;
+        jobs.push(job);
+    }
+    Ok(jobs)
+}
+
+/// What is queued, and what is not, where a scheduler has refused these shards.
+fn left(submission: &Submission, jobs: &[Job], refused: &[u32]) -> String {
+    let from = submission.which.iter().position(|shard| refused.contains(shard)).unwrap_or(0);
+    let queued: Vec<&str> = jobs.iter().map(|job| job.job.as_str()).collect();
+    let queued = match queued.is_empty() {
+        true => "it is not known whether it was accepted".to_owned(),
+        false => format!("queued: jobs {}", queued.join(", ")),
+    };
+    let merge = if submission.merges { " and what merges them" } else { "" };
+    let left = ranges(&submission.which[from..]);
+    format!("{queued}; not queued: shards {left}{merge}. The same command goes on with those")
+}
+
+/// Queues shards, and the merge behind them and behind what is in the queue.
+pub(super) fn submit(
+    submission: &mut Submission,
+    notes: &mut Notes,
+    mut jobs: Vec<Job>,
+    queue: &Queue,
+) -> Result<(), Error> {
+    submission.cluster.clone_from(&queue.cluster);
+    let new = submit_shards(submission, notes)?;
+    let (folder, out) = (submission.folder.display(), submission.out.display());
+    say!("metasense status --cluster {folder} says how they are");
+    if submission.scheduler == Scheduler::Hq {
+        say!("the last shard to end merges them into {out}; what is cut off goes on with the same command");
+        return Ok(());
+    }
+    jobs.retain(|job| queue.jobs.contains(&job.job));
+    jobs.extend(new);
+    let mut before: Vec<String> = jobs.iter().map(|job| job.job.clone()).collect();
+    before.extend(queue.jobs.iter().filter(|job| !jobs.iter().any(|known| known.job == **job)).cloned());
+    let (merge_job, _) = run(&submission.submit_merge(&before)).map_err(|refused| {
+        Error::Partly(format!(
+            "{refused}; the shards are queued, what merges them is not: the same command queues it, or afterwards `metasense merge \
+             {folder} --out {out}`"
+        ))
+    })?;
+    say!("submitted: job {merge_job}, which merges them into {out}");
+    for job in &mut jobs {
+        job.merge_job = Some(merge_job.clone());
+        notes.note(job).map_err(Error::io("noting what was submitted in", &submission.folder))?;
+    }
+    Ok(())
+}
+
+/// Runs a scheduler's command; the number of the job that it prints, and its cluster where there are several.
+///
+/// # Errors
+/// What it says, if it is no number.
+fn run(words: &[String]) -> Result<(String, Option<String>), String> {
+    let failed = |how: &str, said: &str| format!("`{}` failed ({how}): {said}", line(words));
+    let output =
+        Command::new(&words[0]).args(&words[1..]).output().map_err(|e| failed(&e.to_string(), ""))?;
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    // Slurm: `NUMBER` or `NUMBER;CLUSTER`, last of what it says.
+    let last = said.trim().lines().last().unwrap_or_default();
+    let (job, cluster) =
+        last.split_once(';').map_or((last, None), |(job, cluster)| (job, Some(cluster.to_owned())));
+    if output.status.success() && job.parse::<u64>().is_ok() {
+        return Ok((job.to_owned(), cluster));
+    }
+    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+    Err(failed(&output.status.to_string(), [said.trim(), errors.trim()].join(" ").trim()))
+}

@@ -1,0 +1,365 @@
+//! What the machine allows this process and its user: threads, descriptors, memory, sizes of files, shared memory, disks.
+//!
+//! A limit that leaves too little is named with its value, what is in use, what is needed and what to do: before the first
+//! worker starts, and where a worker meets it. Needs are what every trial has; what a trial needs beyond that it asks for itself.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use metasense_schemas::wire::SHARED_MEMORY;
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+
+use crate::process::free_space;
+
+/// Descriptors of a worker's domain in the orchestrator, and of a worker; each with some to spare.
+const DESCRIPTORS: [u64; 2] = [48, 72];
+/// Threads of a worker beside those that compute, and of the orchestrator for each worker.
+const THREADS: [u64; 2] = [3, 1];
+/// Stack of a thread (bytes), as the standard library asks for it.
+const STACK: u64 = 2 << 20;
+/// Least memory of a worker (bytes).
+const MEMORY: u64 = 64 << 20;
+/// Address space, and data of it, beyond what a process has when it starts (bytes).
+const SPACE: [u64; 2] = [64 << 20, 32 << 20];
+/// The same of any command.
+const START: [u64; 2] = [32 << 20, 16 << 20];
+/// Descriptors of any command.
+const START_DESCRIPTORS: u64 = 8;
+/// Least free space in shared memory for each worker (bytes): its chunks for messages and some arrays.
+pub const SPACE_PER_WORKER: u64 = 16 << 20;
+/// Files of a worker's domain there.
+const SHARED_FILES: u64 = 80;
+/// Least size that a file may have, and least free space of the disk of each (bytes).
+const FILE: u64 = 8 << 20;
+/// Files beside a database: its log, its journal, what is renamed into its place.
+const FILES: u64 = 8;
+/// Least stack of a program's main thread (bytes), and what it is raised to where that may be.
+const MAIN_STACK: [u64; 2] = [2 << 20, 8 << 20];
+
+/// The machine is short of something.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{}; {remedy}", self.fact())]
+pub struct Shortage {
+    /// The limit.
+    pub what: String,
+    /// Its value.
+    pub most: Amount,
+    /// What of it is in use.
+    pub used: Amount,
+    /// What is needed beside.
+    pub needed: Amount,
+    /// What to do.
+    pub remedy: &'static str,
+}
+
+impl Shortage {
+    /// Without what to do.
+    fn fact(&self) -> String {
+        let Self { what, most, used, needed, .. } = self;
+        format!("{what}: {}, {} in use, {} needed", amount(*most), amount(*used), amount(*needed))
+    }
+}
+
+/// A number of things, or of bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Amount {
+    /// So many.
+    Count(u64),
+    /// So many bytes.
+    Bytes(u64),
+}
+
+fn amount(amount: Amount) -> String {
+    match amount {
+        Amount::Count(n) => n.to_string(),
+        Amount::Bytes(n) if n < 1 << 20 => format!("{} KiB", n.div_ceil(1 << 10)),
+        Amount::Bytes(n) => format!("{} MiB", n >> 20),
+    }
+}
+
+/// What is to be started, beside what runs.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Needs<'a> {
+    /// Worker processes; 0: what this process needs to go on.
+    pub workers: u32,
+    /// Threads of each that compute; without workers: of this process.
+    pub threads: u32,
+    /// Files that are written and grow; they need not exist.
+    pub files: &'a [&'a Path],
+}
+
+/// A limit, what of it is used, and what is needed.
+struct Limit {
+    what: String,
+    most: u64,
+    used: u64,
+    needed: u64,
+    bytes: bool,
+    remedy: &'static str,
+}
+
+impl Limit {
+    fn check(self) -> Result<(), Shortage> {
+        let Self { what, most, used, needed, bytes, remedy } = self;
+        if needed == 0 || used.saturating_add(needed) <= most {
+            return Ok(());
+        }
+        let [most, used, needed] =
+            [most, used, needed].map(if bytes { Amount::Bytes } else { Amount::Count });
+        Err(Shortage { what, most, used, needed, remedy })
+    }
+}
+
+/// Whether the machine allows what is needed.
+///
+/// # Errors
+/// The first limit that does not.
+pub fn check(needs: &Needs) -> Result<(), Shortage> {
+    let (workers, threads) = (u64::from(needs.workers), u64::from(needs.threads));
+    let most_threads = threads.max(workers) + THREADS[0];
+    let started = match workers {
+        0 => threads,
+        _ => workers * (threads + THREADS.iter().sum::<u64>()),
+    };
+    let shared = Path::new(SHARED_MEMORY);
+    let mut limits = vec![
+        user_threads(started),
+        cgroup_tasks(started),
+        machine_threads(started),
+        descriptors(if workers == 0 { 4 } else { workers * DESCRIPTORS[0] + 8 }),
+        resource(
+            Resource::Nofile,
+            "descriptors of a worker (`ulimit -n`)",
+            0,
+            DESCRIPTORS[1] * workers.min(1),
+            false,
+        ),
+        memory(workers * MEMORY),
+        cgroup_memory(workers * MEMORY),
+        space(shared, workers * SPACE_PER_WORKER, SHARED_SPACE),
+        inodes(shared, workers * SHARED_FILES, SHARED_SPACE),
+    ];
+    limits.extend(memory_of_process(SPACE.map(|spare| workers.min(1) * (spare + most_threads * STACK))));
+    for file in needs.files {
+        let size = fs::metadata(file).map_or(0, |file| file.len());
+        let what = format!("size of a file (`ulimit -f`), here of {}", file.display());
+        limits.push(resource(Resource::Fsize, &what, size, FILE, true));
+        let folder = existing(file);
+        limits.extend([space(&folder, FILE, ON_DISK), inodes(&folder, FILES, ON_DISK)]);
+    }
+    limits.into_iter().flatten().try_for_each(Limit::check)
+}
+
+/// Whether a file may have so many bytes.
+///
+/// # Errors
+/// The limit, where it may not.
+pub fn check_file_size(bytes: u64) -> Result<(), Shortage> {
+    resource(Resource::Fsize, "size of a file (`ulimit -f`)", 0, bytes, true).map_or(Ok(()), Limit::check)
+}
+
+const RAISE: &str = "raise it, or take fewer workers or threads";
+const RAISE_ALONE: &str = "raise it";
+const SHARED_SPACE: &str = "make room, enlarge it (`mount -o remount,size=1G /dev/shm`, `docker run --shm-size 1g`), or take \
+                            fewer workers";
+const ON_DISK: &str = "make room, or name another folder";
+
+fn resource(limit: Resource, what: &str, used: u64, needed: u64, bytes: bool) -> Option<Limit> {
+    let most = getrlimit(limit).current?;
+    let remedy = if matches!(limit, Resource::Fsize | Resource::Stack) { RAISE_ALONE } else { RAISE };
+    Some(Limit { what: what.into(), most, used, needed, bytes, remedy })
+}
+
+/// Address space, and data, of this process or of one that has as much.
+fn memory_of_process(needed: [u64; 2]) -> [Option<Limit>; 2] {
+    let own = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let [space, data] = ["VmSize:", "VmData:"].map(|name| field(&own, name).unwrap_or(0) << 10);
+    [
+        resource(Resource::As, "address space of a process (`ulimit -v`)", space, needed[0], true),
+        resource(Resource::Data, "data of a process (`ulimit -d`)", data, needed[1], true),
+    ]
+}
+
+/// Those of this process; what the soft limit allows has been raised.
+fn descriptors(needed: u64) -> Option<Limit> {
+    let used = fs::read_dir("/proc/self/fd").map_or(0, Iterator::count) as u64;
+    resource(Resource::Nofile, "descriptors of a process (`ulimit -n`)", used, needed, false)
+}
+
+/// The kernel counts threads, of all processes of a user that we can see; those of root it lets pass.
+fn user_threads(needed: u64) -> Option<Limit> {
+    if needed == 0 {
+        return None;
+    }
+    const MAY_EXCEED: u64 = 1 << 21 | 1 << 24; // CAP_SYS_ADMIN, CAP_SYS_RESOURCE
+    let user = rustix::process::getuid();
+    let capable = fs::read_to_string("/proc/self/status").ok()?;
+    let capable = capable.lines().find_map(|line| line.strip_prefix("CapEff:"))?;
+    if user.is_root() || u64::from_str_radix(capable.trim(), 16).ok()? & MAY_EXCEED != 0 {
+        return None;
+    }
+    getrlimit(Resource::Nproc).current?;
+    let entries = fs::read_dir("/proc").ok()?.flatten();
+    let theirs = entries.filter_map(|entry| {
+        entry.file_name().to_str()?.parse::<u32>().ok()?;
+        let text = fs::read_to_string(entry.path().join("status")).ok()?;
+        (field(&text, "Uid:")? == u64::from(user.as_raw())).then(|| field(&text, "Threads:"))?
+    });
+    let what = "processes and threads of this user (`ulimit -u`)";
+    resource(Resource::Nproc, what, theirs.sum(), needed, false)
+}
+
+/// Those of all users. What all processes have in use stands behind a stroke.
+fn machine_threads(needed: u64) -> Option<Limit> {
+    let load = fs::read_to_string("/proc/loadavg").ok()?;
+    let used = load.split_whitespace().nth(3)?.split_once('/')?.1.parse().ok()?;
+    let limit = |name: &str| number(&Path::new("/proc/sys/kernel").join(name));
+    let most = limit("threads-max")?.min(limit("pid_max")?);
+    let what = "threads of this machine (kernel.threads-max, kernel.pid_max)".into();
+    Some(Limit { what, most, used, needed, bytes: false, remedy: "take fewer workers or threads" })
+}
+
+fn cgroup_tasks(needed: u64) -> Option<Limit> {
+    let of = |group: &Path| Some((number(&group.join("pids.max"))?, number(&group.join("pids.current"))?));
+    let (most, used) = tightest("pids", of)?;
+    let what =
+        "processes and threads of this container or job (cgroup's pids.max, `docker run --pids-limit`)"
+            .into();
+    Some(Limit { what, most, used, needed, bytes: false, remedy: RAISE })
+}
+
+/// What is only kept to be read again counts as free.
+fn cgroup_memory(needed: u64) -> Option<Limit> {
+    let of = |group: &Path| {
+        let either = |names: [&str; 2]| names.iter().find_map(|name| number(&group.join(name)));
+        let most = either(["memory.max", "memory.limit_in_bytes"])?;
+        let used = either(["memory.current", "memory.usage_in_bytes"])?;
+        let text = fs::read_to_string(group.join("memory.stat")).unwrap_or_default();
+        let sum = |names: [&str; 2]| names.iter().filter_map(|name| field(&text, name)).sum::<u64>();
+        let kept = sum(["file ", "total_cache "]).saturating_sub(sum(["shmem ", "total_shmem "]));
+        Some((most, used.saturating_sub(kept)))
+    };
+    let (most, used) = tightest("memory", of)?;
+    let what = "memory of this container or job (its cgroup's limit)".into();
+    Some(Limit { what, most, used, needed, bytes: true, remedy: RAISE })
+}
+
+fn memory(needed: u64) -> Option<Limit> {
+    let text = fs::read_to_string("/proc/meminfo").ok()?;
+    let (total, free) = (field(&text, "MemTotal:")? << 10, field(&text, "MemAvailable:")? << 10);
+    let (what, used) = ("memory of this machine".into(), total.saturating_sub(free));
+    Some(Limit { what, most: total, used, needed, bytes: true, remedy: "make room, or take fewer workers" })
+}
+
+fn space(folder: &Path, needed: u64, remedy: &'static str) -> Option<Limit> {
+    let what = format!("free space in {}", folder.display());
+    Some(Limit { what, most: free_space(folder)?, used: 0, needed, bytes: true, remedy })
+}
+
+/// Some file systems have no number of files.
+fn inodes(folder: &Path, needed: u64, remedy: &'static str) -> Option<Limit> {
+    let disk = rustix::fs::statvfs(folder).ok().filter(|disk| disk.f_files > 0)?;
+    let what = format!("free inodes (`df -i`) in {}", folder.display());
+    Some(Limit { what, most: disk.f_favail, used: 0, needed, bytes: false, remedy })
+}
+
+/// The folder of a file, or the one that it would be made in.
+fn existing(file: &Path) -> PathBuf {
+    let file = std::path::absolute(file).unwrap_or_else(|_| file.to_owned());
+    file.ancestors().find(|folder| folder.is_dir()).unwrap_or(Path::new("/")).to_owned()
+}
+
+/// Of the groups that this process is in, of one controller, the one that leaves least.
+fn tightest(controller: &str, of: impl Fn(&Path) -> Option<(u64, u64)>) -> Option<(u64, u64)> {
+    let groups = fs::read_to_string("/proc/self/cgroup").ok()?;
+    let mut found = Vec::new();
+    for line in groups.lines() {
+        let mut parts = line.splitn(3, ':').skip(1);
+        let (names, path) = (parts.next()?, parts.next()?);
+        let root = match names {
+            "" => PathBuf::from("/sys/fs/cgroup"),
+            names if names.split(',').any(|name| name == controller) => {
+                Path::new("/sys/fs/cgroup").join(controller)
+            }
+            _ => continue,
+        };
+        // in a container the path may be the host's: what is mounted is its own
+        let own = root.join(path.trim_start_matches('/'));
+        found.extend(own.ancestors().take_while(|group| group.starts_with(&root)).filter_map(&of));
+    }
+    found.into_iter().min_by_key(|(most, used)| most.saturating_sub(*used))
+}
+
+/// `max` is none.
+fn number(file: &Path) -> Option<u64> {
+    fs::read_to_string(file).ok()?.trim().parse().ok()
+}
+
+/// The number behind a name at the beginning of a line.
+fn field(text: &str, name: &str) -> Option<u64> {
+    text.lines().find_map(|line| line.strip_prefix(name))?.split_whitespace().next()?.parse().ok()
+}
+
+/// How often the system has ended a process of this container or job for want of memory.
+#[must_use]
+pub fn killed_for_memory() -> u64 {
+    let of = |group: &Path| {
+        let events = ["memory.events", "memory.oom_control"];
+        let text = events.iter().find_map(|name| fs::read_to_string(group.join(name)).ok())?;
+        Some((u64::MAX, field(&text, "oom_kill ")?))
+    };
+    tightest("memory", of).map_or(0, |(_, kills)| kills)
+}
+
+/// Errors of the system that say that something is short, and nothing of who asked for it: EAGAIN, ENOMEM, ENFILE, EMFILE,
+/// EFBIG, ENOSPC, EDQUOT.
+const SHORT: [i32; 7] =
+    [libc::EAGAIN, libc::ENOMEM, libc::ENFILE, libc::EMFILE, libc::EFBIG, libc::ENOSPC, libc::EDQUOT];
+
+/// Whether words that tell of an error of the system tell of a shortage.
+#[must_use]
+pub fn tells_of_shortage(text: &str) -> bool {
+    SHORT.iter().any(|code| {
+        [format!("os error {code})"), format!("Os {{ code: {code},")].iter().any(|words| text.contains(words))
+    })
+}
+
+/// Words that tell of a shortage, with the limit behind it where that is still to be seen.
+#[must_use]
+pub fn explained(text: &str, needs: &Needs) -> String {
+    check(needs).map_or_else(|short| format!("{text}; {}", short.fact()), |()| text.to_owned())
+}
+
+/// A worker's domain has more descriptors than the usual soft limit has for twenty of them: it is raised to the hard one. A file
+/// that grows beyond its limit is an error of whoever writes it, not the end of the process.
+pub fn make_use_of() {
+    let maximum = getrlimit(Resource::Nofile).maximum;
+    let _ = setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum });
+    // SAFETY: no handler runs.
+    unsafe { libc::signal(libc::SIGXFSZ, libc::SIG_IGN) };
+}
+
+/// Whether a program can be carried out at all. Makes the stack of its main thread, and of workers, large enough where that may be
+/// done. To be called before it is needed.
+///
+/// # Errors
+/// The limit that is too low, and cannot be raised.
+pub fn check_start() -> Result<(), Shortage> {
+    let [least, usual] = MAIN_STACK;
+    let Rlimit { current, maximum } = getrlimit(Resource::Stack);
+    if current.is_some_and(|current| current < usual) {
+        let raised = Some(maximum.map_or(usual, |maximum| maximum.min(usual)));
+        let _ = setrlimit(Resource::Stack, Rlimit { current: raised, maximum });
+    }
+    let stack = resource(Resource::Stack, "stack (`ulimit -s`)", 0, least, true);
+    let [space, data] = memory_of_process(START);
+    [stack, space, data, descriptors(START_DESCRIPTORS)].into_iter().flatten().try_for_each(Limit::check)?;
+    match std::thread::Builder::new().stack_size(64 << 10).spawn(|| ()) {
+        Ok(thread) => drop(thread.join()),
+        Err(_) => check(&Needs { threads: 2, ..Needs::default() })?,
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;

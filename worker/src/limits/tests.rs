@@ -1,0 +1,35 @@
+use super::*;
+
+/// What any machine that runs the tests has is allowed, and what none has is refused by the limit that lacks it.
+#[test]
+fn what_no_machine_has_is_refused_by_name() {
+    make_use_of();
+    let here = std::env::temp_dir().join("none/db.sqlite");
+    let files = [&*here];
+    assert_eq!(check(&Needs { workers: 1, threads: 1, files: &files }), Ok(()));
+    let short = check(&Needs { workers: u32::MAX, threads: 1, files: &files }).unwrap_err();
+    let Amount::Count(needed) = short.needed else { panic!("{short}") };
+    assert!(needed > u64::from(u32::MAX) && short.to_string().contains("workers"), "{short}");
+}
+
+/// The usual forms in which errors of the system are told; what is no shortage is none.
+#[test]
+fn words_of_a_shortage_are_told_from_others() {
+    for code in SHORT {
+        let error = std::io::Error::from_raw_os_error(code);
+        assert!(tells_of_shortage(&format!("a file cannot be read: {error}")), "{error}");
+        assert!(tells_of_shortage(&format!("failed to spawn thread: {error:?}")), "{error:?}");
+    }
+    for code in [libc::ENOENT, libc::EACCES, libc::EIO] {
+        assert!(!tells_of_shortage(&std::io::Error::from_raw_os_error(code).to_string()));
+    }
+    assert!(!tells_of_shortage("11"));
+}
+
+/// Sizes in units that a person reads.
+#[test]
+fn a_shortage_says_what_is_there_and_what_is_needed() {
+    let limit =
+        Limit { what: "x".into(), most: 100 << 20, used: 1 << 10, needed: 1 << 30, bytes: true, remedy: "y" };
+    assert_eq!(limit.check().unwrap_err().to_string(), "x: 100 MiB, 1 KiB in use, 1024 MiB needed; y");
+}
