@@ -42,6 +42,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("spec keys", spec::keys),
     ("records keys", spec::records),
     ("specs", spec::files),
+    ("search limits", spec::search_limits),
     ("commands", program::commands),
     ("options", program::options),
     ("questions", program::questions),

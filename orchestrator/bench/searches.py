@@ -4,7 +4,7 @@
     pip install optuna numpy scipy && python orchestrator/bench/searches.py spaces.json
 
 Each search goes up in M, and for the same M in multiply-adds, and looks for the least error among the candidates there. A result that
-meets the requirement is judged on 4 fresh seeds, on 8 if these do not decide, as metasense does; the first design that stands is the end.
+meets the requirement is screened on 4 fresh seeds and confirmed on 8 others, as metasense does; the first confirmed design is the end.
 """
 import json
 import math
@@ -15,7 +15,7 @@ import optuna
 from scipy import stats
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
-CONFIDENCE = 0.9
+CONFIDENCE, FRESH, WORTH = 0.9, 4, 0.12
 TRIES = 3  # results that are judged among candidates of equal cost
 
 
@@ -24,7 +24,7 @@ class World:
 
     def __init__(self, space):
         self.space, self.trials, self.paid = space, space["trials"], 0.0
-        self.reached, self.judged = {}, {}
+        self.reached, self.judged, self.turns = {}, {}, 0
 
     def level(self, i, level):
         known = self.reached.get(i, 0)
@@ -39,15 +39,16 @@ class World:
         return self.trials[i]["fresh"][:seeds]
 
     def stands(self, i, limit):
-        for seeds in (4, 8):
-            logs = np.log(self.fresh(i, seeds))
-            away = math.log(limit) - logs.mean()
-            chance = stats.t.cdf(away / max(logs.std(ddof=1), 0.02) / math.sqrt(1 + 1 / seeds), seeds - 1)
-            if chance >= CONFIDENCE:
-                return True
-            if chance < 1 - CONFIDENCE:
-                return False
-        return False
+        risk, n = (1 - CONFIDENCE) / 2 ** (self.turns + 1), 2 * FRESH
+        margin = stats.t.isf(risk, n - 1) * math.sqrt(1 + 1 / n)
+        logs = np.log(self.fresh(i, FRESH))
+        between = math.sqrt((3 * 0.1**2 + (FRESH - 1) * logs.var(ddof=1)) / (2 + FRESH))  # beside what is thought in advance
+        away = (math.log(limit) - margin * between - logs.mean()) / (between * math.sqrt(1 / FRESH + 1 / n))
+        if stats.t.cdf(away, 2 + FRESH) < WORTH:
+            return False
+        self.turns += 1
+        logs = np.log(self.fresh(i, 3 * FRESH)[FRESH:])
+        return logs.mean() + margin * max(logs.std(ddof=1), 0.02) <= math.log(limit)
 
     def classes(self):
         keys = [tuple(trial["cost"][:2]) for trial in self.trials]
@@ -109,7 +110,8 @@ def report(name, spaces, search):
             if chosen is None:
                 missed += cheapest is not None
                 continue
-            found, met = found + 1, met + (trials[chosen]["further"] <= limit)
+            away = (math.log(limit) - trials[chosen]["truth"]) / space["seed"]
+            found, met = found + 1, met + (stats.norm.cdf(away) >= CONFIDENCE)
             if cheapest:
                 more += trials[chosen]["cost"][0] - cheapest[0]
                 dearer += trials[chosen]["cost"] > cheapest

@@ -4,6 +4,8 @@
 
 use std::collections::BTreeMap;
 
+use metasense::analysis::goal::{BEGIN, LEAST_RESULTS, WORTH, WORTH_LAST};
+use metasense::plan::goal::RUNGS;
 use metasense_schemas::source::{measured_schema, spec_schema};
 use serde_json::Value;
 
@@ -18,6 +20,30 @@ pub fn records() -> String {
     // The forces have the keys of `stimuli.recorded`.
     schema["properties"].as_object_mut().unwrap().remove("recorded");
     tables(&schema)
+}
+
+/// What a search for a design decides by, from the constants that it uses.
+pub fn search_limits() -> String {
+    let percent = |part: f64| format!("{:.0} %", 100.0 * part);
+    let rows = [
+        ("settings that are begun before the first prediction, one candidate each", BEGIN.to_string()),
+        (
+            "parts of the outer steps after which a candidate may pause, each rounded to the next evaluation of the test set",
+            RUNGS.map(|part| format!("1/{:.0}", 1.0 / part)).join(", "),
+        ),
+        (
+            "least probability of being confirmed (`meets`) with which a candidate is worked on",
+            percent(WORTH),
+        ),
+        ("the same while no design is confirmed and nothing reaches the limit above", percent(WORTH_LAST)),
+        (
+            "final errors that must be known before that second limit rejects a candidate which was not screened",
+            format!(
+                "{LEAST_RESULTS} + coordinates of the settings (1 per axis of numbers, else 1 per value)"
+            ),
+        ),
+    ];
+    table(&["limit", "value"], rows.map(|(what, value)| vec![what.to_owned(), value]))
 }
 
 /// One Markdown table for each table of the file; keys of the file itself come first.

@@ -474,14 +474,14 @@ fn elbow_at(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
         let elbow = elbow(&points, height).ok()?;
         let votes: Vec<String> =
             elbow.votes.iter().map(|(m, share)| format!("M = {m}: {:.0} %", 100.0 * share)).collect();
-        let of_stated = elbow.votes.iter().find(|v| v.0 == stated).map_or(0.0, |v| v.1);
-        let rating = match elbow.verdict {
-            Verdict::WithoutVote(_) => Rating::Open,
-            _ if of_stated > SURE => Rating::Holds,
-            _ if of_stated < 1.0 - SURE => Rating::Fails,
+        let (verdict, none) = (verdict_text(elbow.verdict), elbow.share(None));
+        let rating = match elbow.share(Some(stated)).or(none.map(|_| 0.0)) {
+            Some(share) if share > SURE => Rating::Holds,
+            Some(share) if share < 1.0 - SURE => Rating::Fails,
             _ => Rating::Open,
         };
-        let note = format!("{}; votes {}", verdict_text(elbow.verdict), votes.join(", "));
+        let votes = none.map(|_| format!("; votes {}", votes.join(", "))).unwrap_or_default();
+        let note = format!("{verdict}{votes}");
         let (set, trials, over) = (set.name(), points.len(), elbow.over);
         let (found, interval, chance, tells) = (None, None, None, None);
         Some(Evidence { who, set, trials, found, interval, chance, tells, note, over, rating })

@@ -67,8 +67,8 @@ pub enum Verdict {
     At(f64),
     /// More than half of the replicates have none.
     NoElbow,
-    /// No place and no absence has more than half; the most votes went here.
-    Undecided(f64),
+    /// Neither an M nor `None`, no elbow, has more than half of the votes; this one has the most.
+    Undecided(Option<f64>),
     /// Too few placements and seeds for votes; the fit itself has it here, or none.
     WithoutVote(Option<f64>),
 }
@@ -96,6 +96,19 @@ pub struct Elbow {
     pub verdict: Verdict,
     /// The units that votes and intervals are over, or that are too few.
     pub over: String,
+}
+
+impl Elbow {
+    /// Share of the votes for an elbow at this M, or for none; `None` where nothing has voted.
+    pub fn share(&self, place: Option<f64>) -> Option<f64> {
+        if matches!(self.verdict, Verdict::WithoutVote(_)) {
+            return None;
+        }
+        match place {
+            Some(_) => self.votes.iter().find(|v| Some(v.0) == place).map(|v| v.1),
+            None => Some(1.0 - self.votes.iter().map(|v| v.1).sum::<f64>()),
+        }
+    }
 }
 
 /// What further sensors bring.
@@ -139,11 +152,14 @@ pub fn elbow(observations: &[Observation], height: Height) -> Result<Elbow, TooF
     let votes: Vec<(f64, f64)> = at[1..at.len() - 1].iter().map(|&m| (m, share(Some(m)))).collect();
     let verdict = if replicates.is_empty() {
         Verdict::WithoutVote(broken_stick)
-    } else if share(None) > MAJORITY {
-        Verdict::NoElbow
     } else {
-        let first = votes.iter().copied().fold((at[1], 0.0), |a, b| if b.1 > a.1 { b } else { a });
-        if first.1 > MAJORITY { Verdict::At(first.0) } else { Verdict::Undecided(first.0) }
+        let places = votes.iter().map(|&(m, share)| (Some(m), share));
+        let first = places.fold((None, share(None)), |a, b| if b.1 > a.1 { b } else { a });
+        match first {
+            (place, share) if share <= MAJORITY => Verdict::Undecided(place),
+            (Some(m), _) => Verdict::At(m),
+            (None, _) => Verdict::NoElbow,
+        }
     };
     let largest = at[at.len() - 1];
     let without_largest = (at.len() > LEAST_VALUES).then(|| {

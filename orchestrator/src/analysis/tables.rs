@@ -38,7 +38,7 @@ pub enum Question {
     Iterations,
     /// Initial against optimised body after long training (evaluation.long_iterations)
     Long,
-    /// Error against the number of sensors M, votes for an elbow, gain by the next sensor
+    /// Error against the number of sensors M, votes for an elbow of its logarithm, gain by the next sensor
     Sensors,
     /// The elbow of error against M, by three methods; the smallest M with nine tenths of the fall from 100 %, within 10 % of the best, the best at a price (--price)
     Elbow,
@@ -338,11 +338,10 @@ fn sensors_table(trials: &[&Trial], terms: Terms) -> Table {
         let (found, decided) = (elbow(points, Height::Logarithm).ok(), decide(points, terms));
         let (found, decided) = (found.as_ref(), decided.as_ref());
         let row = |level: Level| {
-            let vote = found.and_then(|e| e.votes.iter().find(|v| v.0 == level.at)).map(|v| v.1);
             let gain = found.and_then(|e| e.gains.iter().find(|g| g.from == level.at));
             let [low, high] = ends(gain.and_then(|g| g.interval));
             let further = row![
-                vote.filter(|_| found.is_some_and(has_votes)),
+                found.and_then(|e| e.share(Some(level.at))),
                 decided.and_then(|d| d.within.share(level.at)),
                 decided.and_then(|d| d.priced.as_ref()?.share(level.at)),
                 gain.map(|g| g.ratio),
@@ -356,16 +355,13 @@ fn sensors_table(trials: &[&Trial], terms: Terms) -> Table {
     })
 }
 
-fn has_votes(elbow: &Elbow) -> bool {
-    !matches!(elbow.verdict, Verdict::WithoutVote(_))
-}
-
 /// A verdict in words.
 pub fn verdict_text(verdict: Verdict) -> String {
     match verdict {
         Verdict::At(m) => format!("elbow at M = {m}"),
         Verdict::NoElbow => "no elbow".into(),
-        Verdict::Undecided(m) => format!("undecided, most votes for M = {m}"),
+        Verdict::Undecided(Some(m)) => format!("undecided, most votes for M = {m}"),
+        Verdict::Undecided(None) => "undecided, most votes for no elbow".into(),
         Verdict::WithoutVote(Some(m)) => {
             format!("elbow at M = {m} by the fit, too few placements or seeds to vote")
         }
@@ -378,7 +374,6 @@ fn elbow_table(trials: &[&Trial], terms: Terms) -> Table {
         fall_without_largest within within_votes within_without_largest price price_votes price_without_largest over";
     let whole = |m: f64| m as u64;
     by_curve(columns, by_sensors(trials), |points| {
-        let none = |e: &Elbow| has_votes(e).then(|| 1.0 - e.votes.iter().map(|v| v.1).sum::<f64>());
         let without = |m: Option<f64>| m.map_or(json!("none"), |m| json!(whole(m)));
         let decided = decide(points, terms);
         let fall = decision_cells(decided.as_ref().map(|d| &d.fall));
@@ -392,7 +387,7 @@ fn elbow_table(trials: &[&Trial], terms: Terms) -> Table {
                 height.name(),
                 found.as_ref().map_or_else(ToString::to_string, |e| verdict_text(e.verdict)),
                 e.and_then(|e| e.broken_stick).map(whole),
-                e.and_then(none),
+                e.and_then(|e| e.share(None)),
                 e.and_then(|e| e.without_largest).map(without),
                 e.map(|e| without(e.any_decay)),
                 e.and_then(|e| e.kneedle).map(whole),

@@ -6,21 +6,22 @@ use std::path::{Path, PathBuf};
 use super::named::Spec;
 use super::run::{How, Running, Runs, run, stopped_between};
 use super::{Error, Format, log, print_rows};
-use crate::analysis::goal::{Decision, LEVELS, Work, most_fresh};
+use crate::analysis::goal::{Decision, LEVELS, Work, confirming, fresh_after, most_fresh};
 use crate::engine::{Again, Signals};
 use crate::exit::Exit;
 use crate::look::number;
 use crate::plan::goal::{Space, on_fresh_seeds, rungs};
 use crate::plan::{Plan, Trial, counted};
-use crate::report::search::{Bodies, Known, Sought, begun};
+use crate::report::search::{Bodies, COLUMNS, Known, Sought, begun};
 use crate::scheduler::Outcome;
 use crate::store::Reader;
 use tokio::sync::Notify;
 
 /// Searches a sweep for the cheapest design that meets the requirement in its [goal]
 ///
-/// Trials are begun, paused and gone on with as their prospects say; most of the sweep is never run. The design that is chosen
-/// stands on fresh seeds. After Ctrl-C or `kill -9` the same command goes on, to the same design.
+/// The search trains the candidates that are likeliest to meet the requirement and pauses the others, so that most of the sweep is
+/// never run. The chosen design is confirmed on fresh seeds that had no part in its choice. After Ctrl-C or `kill -9` the same command
+/// resumes the search and ends at the same design. A legend below the table explains its columns.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
@@ -30,7 +31,7 @@ pub(super) struct Args {
 }
 
 /// Why the spec is not read again during a search.
-const FIXED: &str = "[goal] decides which trials are run: stop, the same command goes on by the edited spec";
+const FIXED: &str = "[goal] decides which trials are run: stop the search; the same command then resumes it with the edited spec";
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     args.running.simd.choose()?;
@@ -67,6 +68,9 @@ pub(super) async fn end(
 ) -> Result<Exit, Error> {
     let found = Reader::asked(db, async |reader| Sought::of(reader, plan, space).await).await?;
     print_rows(&found.table(), format)?;
+    if format == Format::Table {
+        COLUMNS.iter().for_each(|line| say!("  {line}"));
+    }
     found.verdict().iter().for_each(|line| say!("{line}"));
     let chosen = found.chosen();
     if let Some((trial, _)) = chosen {
@@ -110,7 +114,7 @@ pub(super) async fn search(
             return Ok(None);
         }
         if space.goal.hours.is_some_and(|hours| known.seconds >= 3600.0 * hours) {
-            say!("the search is not over: goal.hours are spent");
+            say!("the search is not finished: goal.hours are spent");
             return Ok(None);
         }
         say!("{}", intent(space, &decision));
@@ -144,28 +148,32 @@ fn ordered(space: &Space, plan: &Plan, bodies: &Bodies, candidate: usize, work: 
             let pause = rungs(&trial.spec).get(level).copied().flatten();
             vec![Trial { pause, ..trial.clone() }]
         }
-        Work::Fresh(seeds) => on_fresh_seeds(plan, trial, &bodies[&trial.hash], seeds).collect(),
+        Work::Screen | Work::Confirm(_) => {
+            let seeds = fresh_after(&space.goal, work);
+            on_fresh_seeds(plan, trial, &bodies[&trial.hash], seeds).collect()
+        }
     }
 }
 
 /// What is done next, in a line.
 fn intent(space: &Space, decision: &Decision) -> String {
     let count = |of: fn(&Work) -> bool| decision.work.iter().filter(|(_, work)| of(work)).count();
-    let [looks, trains, judges] = [
-        count(|w| matches!(w, Work::Level(level) if level + 1 < LEVELS)),
-        count(|w| matches!(w, Work::Level(level) if level + 1 == LEVELS)),
-        count(|w| matches!(w, Work::Fresh(_))),
+    let goal = &space.goal;
+    let parts = [
+        (count(|w| matches!(w, Work::Level(level) if level + 1 < LEVELS)), "train in part".to_owned()),
+        (count(|w| matches!(w, Work::Level(level) if level + 1 == LEVELS)), "train to the end".to_owned()),
+        (count(|w| *w == Work::Screen), format!("screen on {} fresh seeds", goal.fresh)),
+        (count(|w| matches!(w, Work::Confirm(_))), format!("confirm on {} other seeds", confirming(goal))),
     ];
-    let parts = [(looks, "a look at"), (trains, "to the end:"), (judges, "on fresh seeds:")];
     let parts: Vec<String> = parts
         .iter()
         .filter(|(n, _)| *n > 0)
-        .map(|(n, what)| format!("{what} {n} {}", if *n == 1 { "body" } else { "bodies" }))
+        .map(|(n, what)| format!("{what}: {n} {}", if *n == 1 { "body" } else { "bodies" }))
         .collect();
     format!(
-        "{} (the cheapest that may still meet {} %: {:.0} % likely)",
-        parts.join(", "),
-        number(space.goal.error),
+        "{} (probability that the cheapest class of these has a design for {} %: {:.0} %)",
+        parts.join("; "),
+        number(goal.error),
         100.0 * decision.open
     )
 }

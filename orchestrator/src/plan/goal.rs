@@ -317,13 +317,16 @@ fn scaled(numbers: &[f64]) -> Vec<f64> {
     values.iter().map(|x| (x - low) / (high - low).max(f64::MIN_POSITIVE)).collect()
 }
 
+/// The parts of the outer steps after which a trial may pause.
+pub const RUNGS: [f64; LEVELS - 1] = [1.0 / 9.0, 1.0 / 3.0];
+
 /// Outer steps at the end of the rungs of a trial, just behind a look at the test set; fewer rungs of few steps.
 #[must_use]
 pub fn rungs(trial: &TrialSpec) -> [Option<u32>; LEVELS - 1] {
     let steps = trial.optimise.steps() as u32;
     let apart = between_looks(steps);
     let near = |part: f64| (f64::from(steps) * part / f64::from(apart)).round().max(1.0) as u32 * apart + 1;
-    let [first, second] = [near(1.0 / 9.0), near(1.0 / 3.0)];
+    let [first, second] = RUNGS.map(near);
     let rung = |step: u32, behind: u32| (step > behind && step < steps).then_some(step);
     [rung(first, 0), rung(second, first)]
 }

@@ -158,13 +158,13 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
     let told = |body, height| match elbow(&curve(body), height) {
         Err(why) => why.to_string(),
         Ok(found) => {
-            let share = |m: f64| {
-                found.votes.iter().find(|v| v.0 == m).map(|v| format!("{:.0} % of votes", 100.0 * v.1))
+            let share = match found.verdict {
+                Verdict::At(m) => found.share(Some(m)),
+                Verdict::Undecided(place) => found.share(place),
+                Verdict::NoElbow | Verdict::WithoutVote(_) => found.share(None),
             };
-            let mut told = match found.verdict {
-                Verdict::At(m) | Verdict::Undecided(m) => Vec::from_iter(share(m)),
-                _ => vec![],
-            };
+            let votes = share.map(|share| format!("{:.0} % of votes", 100.0 * share));
+            let mut told = Vec::from_iter(votes);
             told.extend(found.without_largest.map(|m| match m {
                 m if m == found.broken_stick => "the same without the largest M".into(),
                 Some(m) => format!("M = {m} without the largest M"),

@@ -120,8 +120,9 @@ pub fn sensors(trials: &[Trial], terms: Terms) -> Option<Figure> {
             if let Ok(found) = elbow(points, Height::Logarithm)
                 && let Verdict::At(m) | Verdict::WithoutVote(Some(m)) = found.verdict
             {
-                let vote = found.votes.iter().find(|v| v.0 == m && v.1 > 0.0);
-                let vote = vote.map_or(String::new(), |v| format!(", {:.0} % of votes", 100.0 * v.1));
+                let by_fit = || " by the fit".to_owned();
+                let vote =
+                    found.share(Some(m)).map_or_else(by_fit, |v| format!(", {:.0} % of votes", 100.0 * v));
                 plot.vertical(name, m, &format!("elbow at M = {m}{vote}"), marked);
                 marked += 1;
             }

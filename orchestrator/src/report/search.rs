@@ -7,7 +7,7 @@ use metasense_schemas::spec::{GoalReader, GoalReaderName, TrialSpec};
 use metasense_worker::FAILED;
 
 use super::Sweep;
-use crate::analysis::goal::{Candidate, Class, Decision, LEVELS, Search, Stage, most_fresh};
+use crate::analysis::goal::{Candidate, Class, Decision, LEVELS, Search, Stage, confirming, most_fresh};
 use crate::analysis::setting::flatten;
 use crate::look::{Answer, Axis, Figure, Picture, Plot, Scale, Table, legend, number, row};
 use crate::plan::goal::{Place, Space, on_fresh_seeds, rungs};
@@ -29,10 +29,21 @@ pub struct Sought {
 
 /// Marks by how far a class's best candidate has come, and what a legend says of them.
 const STAGES: [(&str, &str); 4] = [
-    ("initial", "predicted"),
-    ("fourth", "looked at"),
+    ("initial", "predicted, not begun"),
+    ("fourth", "partly trained"),
     ("front", "trained"),
-    ("optimised", "judged on fresh seeds"),
+    ("optimised", "read on fresh seeds"),
+];
+
+/// What the columns of the table mean, a line each.
+pub const COLUMNS: [&str; 6] = [
+    "one row per class of candidates of equal cost, the cheapest first; hash, setting, stage and errors are those of its best candidate",
+    "error: expected error on a further seed (%), from its fresh seeds or predicted from other trials",
+    "keeps_to: error (%) that it does not exceed on a further seed with the probability goal.confidence",
+    "meets: of a confirmed design the probability that its error on a further seed is at most goal.error; of others the probability that \
+     they will be confirmed",
+    "any_meets: the same for any candidate of the class",
+    "begun: how many of the candidates of the class have at least part of their training",
 ];
 
 impl Sought {
@@ -97,50 +108,57 @@ impl Sought {
         let Self { space, decision, seconds: [seconds, whole], .. } = self;
         let part = 100.0 * seconds / whole.max(f64::MIN_POSITIVE);
         let kinship = decision.kinship;
-        let looks = kinship
-            .map_or(String::new(), |r| format!("; a first look tells a result with correlation {r:.2}"));
+        let looks = kinship.map_or(String::new(), |r| {
+            format!("; estimated correlation of errors early in training with final errors: {r:.2}")
+        });
         let mut lines = vec![format!(
-            "{seconds:.0} CPU s, {part:.0} % of what the whole sweep would take at this pace{looks}"
+            "{seconds:.0} CPU s, {part:.0} % of the estimated CPU time of the whole sweep{looks}"
         )];
         if self.failed > 0 {
             let failed = counted(self.failed, "trial");
-            lines.push(format!(
-                "{failed} failed and counted as meeting nothing: --retry-failed runs them again"
-            ));
+            lines.push(format!("{failed} failed and cannot be chosen; --retry-failed runs them again"));
         }
         let needed = self.requirement();
+        let is_over = decision.work.is_empty();
         if let Some((trial, meets)) = self.chosen() {
+            let so_far = if is_over { "" } else { "so far, " };
+            // a lower limit is rounded down
+            let least = (100.0 * meets + 1e-9).floor().min(99.0);
+            lines.push(format!("{so_far}the cheapest design that meets {needed}: {}", trial.hash));
             lines.push(format!(
-                "the cheapest design that meets {needed}: {}; with {:.0} % probability on a further seed",
-                trial.hash,
-                100.0 * meets
+                "it meets this on a further seed with a probability of at least {least} %: by {} seeds that had no part in its choice, \
+                 corrected for all attempts to confirm a design",
+                confirming(&space.goal)
             ));
-            return lines;
+            lines.push(format!(
+                "probability that a cheaper design of the sweep would be confirmed: {:.0} %",
+                100.0 * decision.cheaper
+            ));
         }
-        if !decision.work.is_empty() {
-            lines.push("the search is not over; `metasense design` goes on".into());
+        if !is_over {
+            lines.push("the search is not finished; `metasense design` resumes it".into());
+        }
+        if !is_over || decision.chosen.is_some() {
             return lines;
         }
         let confidence = 100.0 * space.goal.confidence;
-        lines.push(format!("no design of the sweep meets {needed} with {confidence:.0} % probability"));
+        lines.push(format!(
+            "no design was confirmed to meet {needed} with a probability of {confidence:.0} %"
+        ));
         if let Some(nearest) = self.classes.iter().min_by(|a, b| a.error[1].total_cmp(&b.error[1])) {
             let (error, hash) = (number(nearest.error[1]), &self.trial(nearest).hash);
-            lines.push(format!("what would have to be relaxed: goal.error to {error} % ({hash})"));
+            lines.push(format!("nearest to it: {hash}, with goal.error = {error} %"));
         }
         for out in &space.left_out {
             let more = counted(out.trials, "trial");
-            lines.push(format!("  or {} to {}, which lets in up to {more} more", out.key, out.least));
+            lines.push(format!("  {} = {} admits up to {more} more", out.key, out.least));
         }
         lines
     }
 
     /// The same for a report.
     fn answer(&self) -> Answer {
-        let verdict = match (self.chosen(), self.decision.work.is_empty()) {
-            (Some(_), _) => Some(true),
-            (None, true) => Some(false),
-            (None, false) => None,
-        };
+        let verdict = self.decision.work.is_empty().then_some(self.decision.chosen.is_some());
         let lines = self.verdict();
         let lines: Vec<&str> = lines[1..].iter().chain(&lines[..1]).map(|line| line.trim()).collect();
         Answer::new("search", verdict, format!("{}: {}.", self.plan.spec.name, lines.join("; ")))
@@ -166,9 +184,9 @@ impl Sought {
             let [expected, kept] = class.error;
             plot.line(&format!("{mark} fine"), [(i as f64, expected), (i as f64, kept)]);
             let text = format!(
-                "{}, {}: {} % expected, keeps to {} %, meets it with {:.0} %",
+                "{}, {}: {} % expected, keeps to {} %, probability of meeting it: {:.0} %",
                 self.trial(class).hash,
-                said(class.stage),
+                self.said(class.stage),
                 number(expected),
                 number(kept),
                 100.0 * class.meets
@@ -179,6 +197,17 @@ impl Sought {
             }
         }
         plot.picture()
+    }
+
+    /// How far a class has come, in words.
+    fn said(&self, stage: Stage) -> String {
+        let seeds = confirming(&self.space.goal);
+        match stage {
+            Stage::Screened => format!("screened on {} seeds", self.space.goal.fresh),
+            Stage::Judged(true) => format!("confirmed on {seeds} seeds"),
+            Stage::Judged(false) => format!("not confirmed on {seeds} seeds"),
+            _ => STAGES[place(stage)].1.to_owned(),
+        }
     }
 
     /// How all classes of equal cost stand.
@@ -195,7 +224,7 @@ impl Sought {
                 class.error[1],
                 class.meets,
                 class.any,
-                said(class.stage),
+                self.said(class.stage),
                 class.candidates[1],
                 class.candidates[0],
                 decision.chosen == Some(class.best),
@@ -231,15 +260,7 @@ fn place(stage: Stage) -> usize {
         Stage::Predicted => 0,
         Stage::Looked => 1,
         Stage::Trained => 2,
-        Stage::Judged(_) => 3,
-    }
-}
-
-/// The same in words.
-fn said(stage: Stage) -> String {
-    match stage {
-        Stage::Judged(seeds) => format!("judged on {seeds} seeds"),
-        _ => STAGES[place(stage)].1.to_owned(),
+        Stage::Screened | Stage::Judged(_) => 3,
     }
 }
 
@@ -262,9 +283,9 @@ pub(super) fn figure(searches: &[Result<Sought, String>]) -> Option<Figure> {
     Figure::some(
         "search",
         "Which design meets the requirement?",
-        "A place for each class of designs of equal cost, the cheapest first. Dots: the error that is expected of its best candidate, \
-         predicted from others or measured on fresh seeds; lines: up to the one that it keeps to with the confidence that [goal] asks for. \
-         Dotted: what is required. Ringed: the design that was chosen.",
+        "One position per class of designs of equal cost, the cheapest first. Dots: expected error of its best candidate, predicted from other \
+         trials or measured on fresh seeds. Lines: up to the error that it does not exceed on a further seed with the probability \
+         goal.confidence. Dotted: the required error. Ringed: the chosen design.",
         legend(&STAGES),
         found.iter().map(|found| found.picture()).collect(),
         tables,

@@ -38,10 +38,11 @@ pub struct Goal {
     /// reading, then that with fewer units.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cost: Option<Cost>,
-    /// Probability with which the design that is chosen must meet the requirement on a fresh seed. Unit: 1. Default: 0.9.
+    /// Probability with which the chosen design must meet the requirement on a further seed. At most 1 − `confidence` of searches
+    /// choose a design that then misses it. Unit: 1. Default: 0.9.
     #[serde(default = "confidence")]
     pub confidence: f64,
-    /// Fresh seeds of forces, networks and casts on which a trained body is judged; twice as many where they do not decide.
+    /// Fresh seeds of forces, networks and casts on which a trained body is screened; twice as many others then confirm it.
     /// Default: 4.
     #[serde(default = "fresh")]
     pub fresh: usize,

@@ -90,6 +90,33 @@ fn three_values_of_m_are_too_few() {
     assert_eq!(elbow(&few, Height::Percent), Err(TooFew(3)));
 }
 
+/// Of two kinds of placements one has an elbow at 2, one at 4, one none: whatever the votes are, the verdict is what has the most of
+/// them, no elbow among the others, and all shares come to one.
+#[test]
+fn the_verdict_is_what_has_most_votes() {
+    let mut kinds = std::collections::BTreeSet::new();
+    for noise in [0.05, 0.1, 0.15, 0.2, 0.3, 0.4] {
+        for bend in [0.3, 0.6, 0.9] {
+            let found =
+                elbow(&curve(|m| 20.0 * (-bend * m.min(3.0) - 0.15 * m).exp(), noise), Height::Logarithm)
+                    .unwrap();
+            let places: Vec<Option<f64>> = found.votes.iter().map(|v| Some(v.0)).chain([None]).collect();
+            let shares: Vec<f64> = places.iter().map(|place| found.share(*place).unwrap()).collect();
+            let of_verdict = match found.verdict {
+                Verdict::At(m) => found.share(Some(m)),
+                Verdict::Undecided(place) => found.share(place),
+                Verdict::NoElbow | Verdict::WithoutVote(_) => found.share(None),
+            };
+            assert!((shares.iter().sum::<f64>() - 1.0).abs() < 1e-12, "{found:?}");
+            assert!(shares.iter().all(|share| *share <= of_verdict.unwrap()), "{found:?}");
+            let is_decided = !matches!(found.verdict, Verdict::Undecided(_));
+            assert_eq!(is_decided, of_verdict.unwrap() > MAJORITY, "{found:?}");
+            kinds.insert(matches!(found.verdict, Verdict::Undecided(None)));
+        }
+    }
+    assert_eq!(kinds.len(), 2, "some are undecided between no elbow and others");
+}
+
 #[test]
 fn one_placement_and_seed_gives_a_fit_without_votes() {
     let one: Vec<Observation> = curve(|m| 20.0 * (-m.min(2.0)).exp(), 0.0)
@@ -98,5 +125,6 @@ fn one_placement_and_seed_gives_a_fit_without_votes() {
         .collect();
     let found = elbow(&one, Height::Logarithm).unwrap();
     assert_eq!(found.verdict, Verdict::WithoutVote(Some(2.0)), "{found:?}");
+    assert_eq!((found.share(Some(2.0)), found.share(None)), (None, None));
     assert!(found.gains.iter().all(|g| g.interval.is_none()));
 }

@@ -1,35 +1,32 @@
 //! The cheapest design that meets a requirement, and what to run next to find it: pure, fed with stored results alone.
 //!
 //! A candidate is a trial of the plan: one body with its sensors and brain. It climbs a ladder: not begun, two rungs of outer
-//! steps, its result, fresh seeds. Candidates of equal cost are a class. Work goes to the cheapest class that a candidate may
-//! still meet the requirement in, there to the candidates of the best prospects ([`Prediction`]). The first design that stands on
-//! fresh seeds, with no candidate left in a cheaper class that is worth work, is the answer.
+//! steps, its result, fresh seeds that screen it, fresh seeds that confirm it ([`seeds`]). Candidates of equal cost are a class. Work
+//! goes to the cheapest class in which a candidate may still be confirmed, there to the candidates for which this is likeliest
+//! ([`Prediction`]). The first design that is confirmed, with no candidate left in a cheaper class that is worth work, is the answer.
+
+mod seeds;
 
 use std::cmp::Ordering;
 
 use metasense_schemas::spec::Goal;
 pub use metasense_worker::predict::{LEVELS, Setting};
 use metasense_worker::predict::{Prediction, Seen};
-use metasense_worker::{FAILED, chance_above, student_above};
 
-use super::numbers::{deviation, mean};
+use self::seeds::{Judgement, Seeds, chance_below, chance_confirmed, judged, latest, of_seeds};
+pub use self::seeds::{confirming, most_fresh};
 
-/// Settings that are looked at before anything is predicted.
-const BEGIN: usize = 8;
-/// Candidates with smaller prospects than this are not worked on. By it a search trades what it takes for how surely the design
+/// Settings that are begun before anything is predicted.
+pub const BEGIN: usize = 8;
+/// Candidates that are less likely to be confirmed are not worked on. By it a search trades what it takes for how surely the design
 /// is the cheapest one; that it meets the requirement hangs on fresh seeds alone. Chosen on made-up spaces (tests).
-const WORTH: f64 = 0.12;
-/// The same as long as no design stands, after so many results and one more for each coordinate.
-const WORTH_LAST: f64 = 0.03;
-const LEAST_RESULTS: usize = 4;
-/// Candidates are worked on at a time until the chance that none of them meets the requirement is as small as this.
+pub const WORTH: f64 = 0.12;
+/// The same as long as no design is confirmed, after so many results and one more for each coordinate.
+pub const WORTH_LAST: f64 = 0.03;
+/// See [`WORTH_LAST`].
+pub const LEAST_RESULTS: usize = 4;
+/// Candidates are worked on at a time until the chance that none of them is confirmed is as small as this.
 const LEFT: f64 = 0.05;
-/// Least standard deviation of ln error from seed to seed: four seeds that agree by chance are not sure for ever.
-const DEVIATION_MIN: f64 = 0.02;
-/// What is thought of seeds before any body was judged: that deviation, as surely as by so many degrees of freedom. Of 0.05 and 0.1
-/// on made-up spaces (tests, below the first) neither was better.
-const DEVIATION: f64 = 0.1;
-const FREEDOM: usize = 3;
 
 /// A trial of the plan as the search sees it.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -42,8 +39,10 @@ pub struct Candidate {
     pub reached: Vec<Option<f64>>,
     /// It has failed for good.
     pub failed: bool,
-    /// Errors (%) of its trained body on fresh seeds.
+    /// Errors (%) of its trained body on fresh seeds: those that screen it, then those that confirm it.
     pub fresh: Vec<f64>,
+    /// How many confirmations the search had begun before that of this candidate; `None`: its own was not begun.
+    pub turn: Option<usize>,
 }
 
 /// What is to be done for a candidate.
@@ -51,8 +50,10 @@ pub struct Candidate {
 pub enum Work {
     /// Run it to this level: a rung, or its result.
     Level(usize),
-    /// Judge its body on so many fresh seeds, those that are known among them.
-    Fresh(usize),
+    /// Read its body on the fresh seeds that screen it.
+    Screen,
+    /// Read it on those that confirm it, after so many other confirmations.
+    Confirm(usize),
 }
 
 /// How a class stands.
@@ -64,9 +65,9 @@ pub struct Class {
     pub stage: Stage,
     /// The error (%) that is expected of it, and the one that it keeps to with the confidence asked for.
     pub error: [f64; 2],
-    /// Probability that it meets the requirement on a further seed.
+    /// Probability that it meets the requirement: of a confirmed design on a further seed, else that it will be confirmed.
     pub meets: f64,
-    /// Probability that any of the class would stand on fresh seeds.
+    /// The same of any candidate of the class.
     pub any: f64,
     /// Candidates of the class, and how many of them were begun.
     pub candidates: [usize; 2],
@@ -81,8 +82,10 @@ pub enum Stage {
     Looked,
     /// It has its result.
     Trained,
-    /// Its body was judged on so many fresh seeds.
-    Judged(usize),
+    /// Its body was screened on fresh seeds.
+    Screened,
+    /// Its body was read on the seeds that confirm it, and has passed or not.
+    Judged(bool),
 }
 
 /// What comes next.
@@ -90,108 +93,14 @@ pub enum Stage {
 pub struct Decision {
     /// To be run before the next decision; nothing once the search is over.
     pub work: Vec<(usize, Work)>,
-    /// The design, if one stands.
+    /// The design, if one is confirmed.
     pub chosen: Option<usize>,
-    /// Probability that any of the cheapest class that is worked on would stand; 0 without work.
+    /// Probability that any candidate will be confirmed, of the cheapest class that is worked on; 0 without work.
     pub open: f64,
+    /// Probability that any candidate cheaper than the design would be confirmed; 0 without a design.
+    pub cheaper: f64,
     /// How far a first look tells a result: a correlation; `None` as long as nothing was seen.
     pub kinship: Option<f64>,
-}
-
-/// Fresh seeds that a body is judged on at most.
-#[must_use]
-pub fn most_fresh(goal: &Goal) -> usize {
-    2 * goal.fresh
-}
-
-/// Probability that the error on a further seed is at most `limit`, by those on fresh ones: Student's t of ln e.
-fn chance_below(limit: f64, fresh: &[f64]) -> f64 {
-    let ((mean, deviation), n) = (of_seeds(fresh), fresh.len() as f64);
-    chance_above(fresh.len() - 1, (mean - limit.ln()) / (deviation * (1.0 + 1.0 / n).sqrt()))
-}
-
-/// Mean and standard deviation of ln e.
-fn of_seeds(fresh: &[f64]) -> (f64, f64) {
-    let logs: Vec<f64> = fresh.iter().map(|e| e.ln()).collect();
-    (mean(&logs).expect("it was judged"), deviation(&logs).unwrap_or(0.0).max(DEVIATION_MIN))
-}
-
-/// What a body's own result tells of fresh seeds, learnt from those that were judged.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Seeds {
-    /// Mean ln error on fresh seeds, less that of the result: a body may owe part of it to its own seed.
-    shift: f64,
-    /// Standard deviation of that, and of ln error from seed to seed.
-    about: f64,
-    between: f64,
-    /// Degrees of freedom of both.
-    freedom: usize,
-    freedom_between: usize,
-    /// Fresh seeds that are asked for at most, and the greatest mean ln error over them with which a body stands.
-    most: usize,
-    limit: f64,
-}
-
-impl Seeds {
-    fn of(goal: &Goal, candidates: &[Candidate]) -> Self {
-        let (mut shifts, mut logs_between, mut freedom) = (Vec::new(), 0.0, 0);
-        for candidate in candidates {
-            // a failure is that of one body, and tells nothing of others
-            let logs: Vec<f64> = candidate.fresh.iter().filter(|e| **e < FAILED).map(|e| e.ln()).collect();
-            let Some(middle) = mean(&logs) else { continue };
-            if let Some(deviation) = deviation(&logs) {
-                // by the logarithm, less its bias (that of ln χ): bodies whose seeds are far apart are held against few others
-                let of = (logs.len() - 1) as f64;
-                logs_between += of * deviation.max(DEVIATION_MIN).ln() + 0.5 + 1.0 / (6.0 * of);
-                freedom += logs.len() - 1;
-            }
-            shifts.extend(candidate.reached.last().copied().flatten().map(|own| middle - own.ln()));
-        }
-        let shift = shifts.iter().sum::<f64>() / (shifts.len() + 1) as f64;
-        let before = FREEDOM as f64;
-        let squares: f64 = shifts.iter().map(|s| (s - shift).powi(2)).sum();
-        let about = ((before * DEVIATION.powi(2) + squares) / (FREEDOM + shifts.len()) as f64).sqrt();
-        let between = ((before * DEVIATION.ln() + logs_between) / (FREEDOM + freedom) as f64).exp();
-        let most = most_fresh(goal);
-        let sure = if goal.confidence > 0.5 { student_above(most - 1, 1.0 - goal.confidence) } else { 0.0 };
-        let limit = goal.error.ln() - sure * between * (1.0 + 1.0 / most as f64).sqrt();
-        let [freedom, freedom_between] = [shifts.len(), freedom].map(|seen| FREEDOM + seen);
-        Self { shift, about, between, freedom, freedom_between, most, limit }
-    }
-
-    /// Probability that a body of this ln result has a mean on fresh seeds with which it stands.
-    fn stands(&self, result: f64) -> f64 {
-        1.0 - chance_above(self.freedom, (self.limit - self.shift - result) / self.about)
-    }
-
-    /// Probability that a body of these errors (%) on fresh seeds stands once it is judged on as many as are asked for at most.
-    fn will_stand(&self, fresh: &[f64]) -> f64 {
-        let apart = self.between * (1.0 / fresh.len() as f64 - 1.0 / self.most as f64).sqrt();
-        1.0 - chance_above(self.freedom_between, (self.limit - of_seeds(fresh).0) / apart)
-    }
-
-    /// Probability that it has at most this ln error on a further seed.
-    fn below(&self, limit: f64, result: f64) -> f64 {
-        1.0 - chance_above(self.freedom, (limit - self.shift - result) / self.about.hypot(self.between))
-    }
-}
-
-/// A candidate on fresh seeds: not judged yet, on too few, or with what probability it meets the requirement on a further one.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Judgement {
-    None,
-    More,
-    Final(f64),
-}
-
-fn judged(goal: &Goal, candidate: &Candidate) -> Judgement {
-    let fresh = &candidate.fresh;
-    if fresh.len() < goal.fresh {
-        return Judgement::None;
-    }
-    let chance = chance_below(goal.error, fresh);
-    let decides = !(1.0 - goal.confidence..goal.confidence).contains(&chance);
-    if decides || fresh.len() >= most_fresh(goal) { Judgement::Final(chance) } else { Judgement::More }
 }
 
 /// A search, from its beginning on. It sees what it has asked for alone: kills, and whatever else is stored, change no decision.
@@ -219,36 +128,49 @@ impl Search {
         loop {
             let mut decision = decide(&self.goal, &self.shown);
             let asked = decision.work.clone();
-            decision.work.retain(|&(i, work)| !is_known(&stored[i], work));
+            decision.work.retain(|&(i, work)| !is_known(&self.goal, &stored[i], work));
             if asked.is_empty() || !decision.work.is_empty() {
                 return decision;
             }
-            asked.into_iter().for_each(|(i, work)| show(&mut self.shown[i], &stored[i], work));
+            asked.into_iter().for_each(|(i, work)| show(&self.goal, &mut self.shown[i], &stored[i], work));
         }
     }
 }
 
 /// Whether what is stored of a candidate has this.
-fn is_known(stored: &Candidate, work: Work) -> bool {
+fn is_known(goal: &Goal, stored: &Candidate, work: Work) -> bool {
     match work {
         Work::Level(level) => stored.failed || stored.reached.len() > level,
-        Work::Fresh(seeds) => stored.fresh.len() >= seeds,
+        Work::Screen | Work::Confirm(_) => stored.fresh.len() >= fresh_after(goal, work),
     }
 }
 
-fn show(shown: &mut Candidate, stored: &Candidate, work: Work) {
+/// Fresh seeds that are known after some work.
+#[must_use]
+pub fn fresh_after(goal: &Goal, work: Work) -> usize {
+    match work {
+        Work::Level(_) => 0,
+        Work::Screen => goal.fresh,
+        Work::Confirm(_) => most_fresh(goal),
+    }
+}
+
+fn show(goal: &Goal, shown: &mut Candidate, stored: &Candidate, work: Work) {
     match work {
         Work::Level(level) if stored.reached.len() > level => {
             shown.reached = stored.reached[..=level].to_vec();
         }
         Work::Level(_) => shown.failed = true,
-        Work::Fresh(seeds) => shown.fresh = stored.fresh[..seeds].to_vec(),
+        Work::Screen | Work::Confirm(_) => shown.fresh = stored.fresh[..fresh_after(goal, work)].to_vec(),
+    }
+    if let Work::Confirm(turn) = work {
+        shown.turn = Some(turn);
     }
 }
 
 /// Where the search stands, and what is to be run next.
 fn decide(goal: &Goal, candidates: &[Candidate]) -> Decision {
-    let view = View::new(goal, candidates);
+    let mut view = View::new(goal, candidates);
     let mut work = view.begin();
     if work.is_empty() {
         work = view.class_by_class();
@@ -256,10 +178,21 @@ fn decide(goal: &Goal, candidates: &[Candidate]) -> Decision {
     if work.is_empty() && view.chosen().is_none() {
         work = view.anywhere();
     }
+    for (_, work) in &mut work {
+        if let Work::Confirm(turn) = work {
+            *turn = view.turns;
+            view.turns += 1;
+        }
+    }
     let at = view.classes.iter().find(|class| work.iter().any(|(i, _)| class.contains(i)));
     let open = at.map_or(0.0, |class| view.any(class));
-    let kinship = (!view.is_blind).then_some(view.prediction.kinship);
-    Decision { work, chosen: view.chosen(), open, kinship }
+    let (chosen, kinship) = (view.chosen(), (!view.is_blind).then_some(view.prediction.kinship));
+    let cheaper = if chosen.is_some() {
+        view.any(&view.cheaper(chosen).flatten().copied().collect::<Vec<_>>())
+    } else {
+        0.0
+    };
+    Decision { work, chosen, open, cheaper, kinship }
 }
 
 /// What is thought of the candidates at one point of a search.
@@ -269,9 +202,11 @@ struct View<'a> {
     /// Candidates by cost, the cheapest first; of a class in the order of the plan.
     classes: Vec<Vec<usize>>,
     prediction: Prediction,
+    /// Confirmations that were begun.
+    turns: usize,
     seeds: Seeds,
     judgements: Vec<Judgement>,
-    /// Probability that each meets the requirement; as long as fresh seeds have not decided, that they would.
+    /// Probability that each meets the requirement: of a confirmed design on a further seed, else that it will be confirmed.
     prospects: Vec<f64>,
     /// Nothing was seen yet.
     is_blind: bool,
@@ -281,12 +216,14 @@ impl<'a> View<'a> {
     fn new(goal: &'a Goal, candidates: &'a [Candidate]) -> Self {
         let settings: Vec<&Setting> = candidates.iter().map(|c| &c.setting).collect();
         let seen = seen(candidates);
+        let turns = candidates.iter().filter(|c| c.turn.is_some()).count();
         let mut view = Self {
             goal,
             candidates,
             classes: classes(candidates),
             prediction: Prediction::new(&settings, &seen),
-            seeds: Seeds::of(goal, candidates),
+            turns,
+            seeds: Seeds::of(goal, candidates, turns),
             judgements: candidates.iter().map(|c| judged(goal, c)).collect(),
             prospects: Vec::new(),
             is_blind: seen.is_empty(),
@@ -298,9 +235,10 @@ impl<'a> View<'a> {
     fn meets(&self, i: usize) -> f64 {
         match self.judgements[i] {
             _ if self.candidates[i].failed || self.falls_short(i) => 0.0,
-            Judgement::Final(chance) => chance,
-            Judgement::More => self.seeds.will_stand(&self.candidates[i].fresh),
-            Judgement::None => self.prediction.chance(|draw| self.seeds.stands(draw[i])),
+            Judgement::Passed(chance) => chance,
+            Judgement::Failed => 0.0,
+            Judgement::Screened => self.seeds.confirms_screened(latest(self.goal, &self.candidates[i])),
+            Judgement::None => self.prediction.chance(|draw| self.seeds.confirms(draw[i])),
         }
     }
 
@@ -311,15 +249,16 @@ impl<'a> View<'a> {
     }
 
     fn is_open(&self, i: usize) -> bool {
-        let decided = matches!(self.judgements[i], Judgement::Final(_));
+        let decided = matches!(self.judgements[i], Judgement::Passed(_) | Judgement::Failed);
         !self.candidates[i].failed && !self.falls_short(i) && !decided
     }
 
+    /// Whether it is a confirmed design.
     fn stands(&self, i: usize) -> bool {
-        matches!(self.judgements[i], Judgement::Final(chance) if chance >= self.goal.confidence)
+        self.prospects[i] > 0.0 && matches!(self.judgements[i], Judgement::Passed(_))
     }
 
-    /// The candidate of a class with the best prospects, one that stands before all others.
+    /// The candidate of a class with the best prospects, a confirmed one before all others.
     fn best_of(&self, class: &[usize]) -> usize {
         let worse = |&a: &usize, &b: &usize| {
             let stands = self.stands(b).cmp(&self.stands(a));
@@ -336,23 +275,29 @@ impl<'a> View<'a> {
         prospects(b).total_cmp(&prospects(a)).then(nearer).then(a.cmp(&b))
     }
 
-    /// The design that stands in the cheapest class.
+    /// The confirmed design of the cheapest class that has one.
     fn chosen(&self) -> Option<usize> {
         self.classes.iter().map(|class| self.best_of(class)).find(|&i| self.stands(i))
     }
 
-    /// Probability that any open candidate of a class meets the requirement.
-    fn any(&self, class: &[usize]) -> f64 {
-        let open = class.iter().copied().filter(|&i| self.is_open(i));
-        let (unjudged, judged): (Vec<usize>, Vec<usize>) =
-            open.partition(|&i| self.judgements[i] == Judgement::None);
-        let by_draws = self
-            .prediction
-            .chance(|draw| 1.0 - unjudged.iter().map(|&i| 1.0 - self.seeds.stands(draw[i])).product::<f64>());
-        judged.iter().fold(by_draws, |any, &i| 1.0 - (1.0 - any) * (1.0 - self.prospects[i]))
+    /// Classes that are cheaper than the design, or all.
+    fn cheaper(&self, chosen: Option<usize>) -> impl Iterator<Item = &Vec<usize>> {
+        self.classes.iter().take_while(move |class| chosen.is_none_or(|c| !class.contains(&c)))
     }
 
-    /// A first look at settings spread over all costs, one trial each.
+    /// Probability that any of these meets the requirement. Predictions hang together, judgements on fresh seeds do not.
+    fn any(&self, some: &[usize]) -> f64 {
+        let unjudged = |i: &&usize| self.is_open(**i) && self.judgements[**i] == Judgement::None;
+        let (predicted, judged): (Vec<&usize>, Vec<&usize>) = some.iter().partition(unjudged);
+        let by_draws = self.prediction.chance(|draw| {
+            1.0 - predicted.iter().map(|&&i| 1.0 - self.seeds.confirms(draw[i])).product::<f64>()
+        });
+        let any = judged.iter().fold(by_draws, |any, &&i| 1.0 - (1.0 - any) * (1.0 - self.prospects[i]));
+        // rounding must not make it less than what one of them has
+        some.iter().map(|&i| self.prospects[i]).fold(any, f64::max)
+    }
+
+    /// The first rung of settings spread over all costs, one trial each.
     fn begin(&self) -> Vec<(usize, Work)> {
         let mut settings: Vec<usize> = Vec::new(); // the first candidate of each, by cost
         for &i in self.classes.iter().flatten() {
@@ -369,10 +314,10 @@ impl<'a> View<'a> {
         spread.filter(lacks).map(|i| (i, Work::Level(0))).collect()
     }
 
-    /// Class by class up to the one that a design stands in, as many candidates as leave little to hope for besides.
+    /// Class by class up to that of the design, as many candidates as leave little to hope for besides.
     fn class_by_class(&self) -> Vec<(usize, Work)> {
-        let (mut work, mut besides, chosen) = (Vec::new(), 1.0, self.chosen());
-        for class in self.classes.iter().take_while(|class| chosen.is_none_or(|c| !class.contains(&c))) {
+        let (mut work, mut besides) = (Vec::new(), 1.0);
+        for class in self.cheaper(self.chosen()) {
             let worth = |i: &usize| self.is_open(*i) && self.prospects[*i] >= WORTH;
             let mut some: Vec<usize> = class.iter().copied().filter(worth).collect();
             some.sort_by(|a, b| self.order(*a, *b));
@@ -391,7 +336,10 @@ impl<'a> View<'a> {
     fn anywhere(&self) -> Vec<(usize, Work)> {
         let results = self.candidates.iter().filter(|c| c.reached.len() == LEVELS).count();
         let guess = results < LEAST_RESULTS + self.candidates[0].setting.place.len();
-        let worth = |i: &usize| self.is_open(*i) && (guess || self.prospects[*i] >= WORTH_LAST);
+        let worth = |i: &usize| {
+            let guess = guess && self.judgements[*i] == Judgement::None;
+            self.is_open(*i) && (guess || self.prospects[*i] >= WORTH_LAST)
+        };
         let mut some: Vec<usize> = (0..self.candidates.len()).filter(worth).collect();
         some.sort_by(|a, b| self.order(*a, *b));
         let result = |i: usize| match self.candidates[i].reached.len() {
@@ -405,8 +353,19 @@ impl<'a> View<'a> {
     fn next(&self, i: usize) -> Work {
         match (self.candidates[i].reached.len(), self.judgements[i]) {
             (level, _) if level < LEVELS => Work::Level(level),
-            (_, Judgement::None) => Work::Fresh(self.goal.fresh),
-            _ => Work::Fresh(most_fresh(self.goal)),
+            (_, Judgement::None) => Work::Screen,
+            _ => Work::Confirm(self.turns),
+        }
+    }
+
+    /// How far a candidate has come.
+    fn stage(&self, i: usize) -> Stage {
+        match (self.judgements[i], self.candidates[i].reached.len()) {
+            (Judgement::None, 0) => Stage::Predicted,
+            (Judgement::None, LEVELS..) => Stage::Trained,
+            (Judgement::None, _) => Stage::Looked,
+            (Judgement::Screened, _) => Stage::Screened,
+            (judgement, _) => Stage::Judged(judgement != Judgement::Failed),
         }
     }
 
@@ -414,23 +373,21 @@ impl<'a> View<'a> {
     fn class(&self, class: &[usize]) -> Class {
         let best = self.best_of(class);
         let candidate = &self.candidates[best];
-        let (middle, below): (f64, Box<dyn Fn(f64) -> f64>) = match candidate.fresh.len() {
-            0 => (
+        let fresh = latest(self.goal, candidate);
+        let (middle, below): (f64, Box<dyn Fn(f64) -> f64>) = match (self.judgements[best], candidate.turn) {
+            (Judgement::None, _) => (
                 self.prediction.mean[best] + self.seeds.shift,
                 Box::new(|e| self.prediction.chance(|draw| self.seeds.below(e, draw[best]))),
             ),
-            _ => (of_seeds(&candidate.fresh).0, Box::new(|e| chance_below(e.exp(), &candidate.fresh))),
+            (Judgement::Screened, _) | (_, None) => (of_seeds(fresh).0, Box::new(|e| chance_below(e, fresh))),
+            (_, Some(turn)) => (of_seeds(fresh).0, Box::new(move |e| chance_confirmed(e, turn, fresh))),
         };
-        let any = self.any(class);
         Class {
             best,
-            stage: stage(candidate),
+            stage: self.stage(best),
             error: [middle.exp(), quantile(self.goal.confidence, middle, &*below).exp()],
-            meets: match self.judgements[best] {
-                Judgement::None | Judgement::More if self.is_open(best) => below(self.goal.error.ln()),
-                _ => self.prospects[best],
-            },
-            any: if self.stands(best) { any.max(self.prospects[best]) } else { any },
+            meets: self.prospects[best],
+            any: self.any(class),
             candidates: [
                 class.len(),
                 class.iter().filter(|&&i| !self.candidates[i].reached.is_empty()).count(),
@@ -447,15 +404,6 @@ fn quantile(probability: f64, middle: f64, below: &dyn Fn(f64) -> f64) -> f64 {
         if below(half) < probability { low = half } else { high = half }
     }
     high
-}
-
-fn stage(candidate: &Candidate) -> Stage {
-    match (candidate.fresh.len(), candidate.reached.len()) {
-        (0, 0) => Stage::Predicted,
-        (0, LEVELS..) => Stage::Trained,
-        (0, _) => Stage::Looked,
-        (seeds, _) => Stage::Judged(seeds),
-    }
 }
 
 /// Candidates by cost, the cheapest first; of a class in the order of the plan.
