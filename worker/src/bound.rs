@@ -28,7 +28,8 @@ pub fn bound(
     let pool = pool(threads)?;
     let (problem, _) = placed(&problem, &pool)?;
     questions::bound(&problem, design, samples, &pool)?.ok_or_else(|| {
-        Failure::Rejected("sensors.noise: the bound needs noise in every channel; give --noise".to_owned())
+        let why = "sensors.noise: the bound needs noise in every channel, and more than f64 takes for none; give --noise";
+        Failure::Rejected(why.to_owned())
     })
 }
 
