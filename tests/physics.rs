@@ -34,6 +34,13 @@ fn a_body_rings() {
     assert!(of("frequency").iter().any(|f| (f / most - 1.0).abs() < 0.1), "{most} {modes:?}");
     assert!(std::fs::read_to_string(bench.path("r.svg")).unwrap().contains("panel 1"));
 
+    let free = ["modes", "s.toml", "body.damping_ratio=0.0", "--count", "45", "--format", "json"];
+    let undamped = json(&bench.output(&free));
+    assert!(
+        undamped.iter().all(|mode| mode["damping_ratio"] == 0.0 && mode["decay_time"].is_null()),
+        "{undamped:?}"
+    );
+
     refused(&bench, &["modes", "s.toml", "--response", "16"], "--response 16: ");
     refused(&bench, &["modes", "s.toml", "--response", "0"], "unit 0: it is held");
     refused(&bench, &["modes", "s.toml", "--hash", "zz"], "trial zz: no trial begins so");
@@ -125,6 +132,20 @@ fn a_finished_trial_stands_beside_its_bounds() {
     refused(&bench, &["bound", "silent.toml"], "sensors.noise");
     refused(&bench, &["bound", "silent.toml", "--db", "results/tiny.sqlite"], "no trial with the scene");
     refused(&bench, &["bound", "s.toml", "--noise", "0"], "must be above 0");
+    // noise below what f64 tells apart, a prior of one sample, no force at all: an answer or a name
+    let exact = bench.metasense(&["bound", "s.toml", "--noise", "1e-300", "--samples", "1"]);
+    assert!(matches!(exact.status.code(), Some(0 | 2)), "{}", String::from_utf8_lossy(&exact.stderr));
+    let one = ["bound", "s.toml", "stimuli.samples=3", "stimuli.test=2"];
+    refused(&bench, &one, "stimuli.samples: there must be two training samples");
+    let late = "stimuli.onset=[0.1999, 1000.0]";
+    for command in ["bound", "place", "trial"] {
+        refused(&bench, &[command, "s.toml", late], "no training sample has a force");
+    }
+    refused(
+        &bench,
+        &["trial", "s.toml", late, "sensors.search=\"greedy\""],
+        "no training sample has a force",
+    );
 }
 
 /// Bodies of hinges are trained by sweeps over their law, each a trial of its own; a spec without hinges holds nothing of them.

@@ -217,6 +217,7 @@ pub(super) async fn run(
              force has not begun by its end has no error that means anything"
         );
     }
+    plan.check_memory()?;
     let mut store = Store::open(db).await?;
     let control = Control::new(listener(db), reread(&plan, how));
     let ran = run_open(&mut store, &plan, how, log, signals, &control, drive).await;
@@ -276,6 +277,7 @@ fn reread(plan: &Plan, how: &How) -> Arc<Reread> {
             return Err(why.into());
         }
         let plan = spec.plan().map_err(|error| chain(&error))?;
+        plan.check_memory().map_err(|error| chain(&error))?;
         if asks || plan.spec.until.is_some() {
             return Err("[until] decides which trials are run: stop the run, the same command goes on by the edited spec".into());
         }

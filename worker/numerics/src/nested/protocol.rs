@@ -121,12 +121,15 @@ impl<'a> Session<'a> {
         let past: Vec<&Waypoint> =
             state.trail.iter().filter(|passed| learner.recalls(step - passed.step)).collect();
         self.recent.retain(|(known, _)| past.iter().any(|passed| passed.step == *known));
+        let counted = log.report.counters;
         for passed in past {
             if self.recent.iter().all(|(known, _)| *known != passed.step) {
                 let casts = self.fresh(&passed.design, passed.step, going, false, log)?;
                 self.recent.push((passed.step, joined(&casts)));
             }
         }
+        // a loop that goes on simulates them again: work counts once
+        log.report.counters = counted;
         self.recent.sort_by_key(|(known, _)| *known);
         let newest = self.fresh(&state.design, step, going, true, log)?;
         self.recent.push((step, joined(&newest)));

@@ -7,6 +7,7 @@ use crate::brain::linear::Lags;
 use crate::brains::{FitOn, Fitted, Fresh, Loss, Plain, learner, predict_on, reader, solve};
 use crate::dynamics::{Parameters, Relaxation, planned, run, signal_error};
 use crate::identify::twin::Fit;
+use crate::stimuli::Irregular;
 use crate::trial::{CastReader, Casting, Disturbance, Over, Samples, Size};
 use crate::variation::{Casts, Variation};
 
@@ -244,7 +245,7 @@ fn quick(casts: usize) -> impl Iterator<Item = Problem> {
     })
 }
 
-/// Stopped after its first step and resumed, on another number of threads: the same bits.
+/// Stopped after some steps and resumed, on another number of threads: the same bits, and the same counts of work.
 #[test]
 fn a_loop_over_casts_goes_on_to_the_same_bits() {
     for mut problem in loops() {
@@ -253,8 +254,9 @@ fn a_loop_over_casts_goes_on_to_the_same_bits() {
         let through = optimise(&problem, None, &pool(1), &mut whole).unwrap().unwrap();
         let fresh = problem.optimise.casting.unwrap().casts * GOING.batch;
         assert!(whole.reports.iter().all(|report| report.fresh_samples == fresh as u64));
-        let state = whole.states.swap_remove(0);
-        let resumed = optimise(&problem, Some(state), &pool(3), &mut Keeper::default()).unwrap().unwrap();
+        let (state, mut second) = (whole.states.swap_remove(2), Keeper::default());
+        let resumed = optimise(&problem, Some(state), &pool(3), &mut second).unwrap().unwrap();
+        assert_eq!(timeless(&second.reports), timeless(&whole.reports[3..]));
         assert_eq!(resumed.optimised.design, through.optimised.design);
         assert_eq!(resumed.counters, through.counters);
     }
@@ -577,4 +579,25 @@ fn inverse_brains_stop_within_a_reading_and_go_on_to_the_same_bits() {
     assert_eq!(readings(&resumed), readings(&through));
     assert_eq!((&resumed.bands, resumed.counters), (&through.bands, through.counters));
     assert_eq!(resumed.optimised.networks, through.optimised.networks);
+}
+
+/// Casts that relax have an integrator of their own, by the law of another method than the pilot's: they keep the error asked all the same,
+/// under pulses and under blows.
+#[test]
+fn casts_that_relax_keep_the_error_that_was_asked_for() {
+    let pool = pool(2);
+    for blows in [false, true] {
+        let mut problem = cast(MEAN);
+        let relaxation = Some(Relaxation { share: 0.1, time: 0.02 });
+        problem.variation = Some(Variation { nodes: 0.05, relaxation, ..Variation::default() });
+        let Source::Bell(bell) = problem.stimuli.source else { panic!("bells") };
+        if blows {
+            let bell = Bell { width: [0.005, 0.01], amplitude: [1.0, 2.0], ..bell };
+            let [roughness, gap] = [[0.2, 0.5], [0.01, 0.02]];
+            let blow = Irregular { bell, roughness, double: 0.2, gap, rebound: roughness };
+            problem.stimuli.source = Source::Irregular(blow);
+        }
+        let errors = errors_of_casts(&problem, &problem.initial, 2, &pool);
+        assert!(errors.iter().all(|error| (1e-5..1e-3).contains(error)), "{blows}: {errors:?}");
+    }
 }

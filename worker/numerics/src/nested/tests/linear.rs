@@ -50,8 +50,10 @@ fn a_resumed_linear_loop_ends_at_the_same_bits_on_any_number_of_threads() {
             assert!(optimise(&problem, None, &pool(3), &mut first).unwrap().is_none());
             let state = first.states.pop().unwrap();
             assert_eq!(state, whole.states[stop - 1], "{protocol:?}, stopped after {stop}");
-            let resumed = optimise(&problem, Some(state), &pool(2), &mut Keeper::default()).unwrap().unwrap();
+            let mut second = Keeper::default();
+            let resumed = optimise(&problem, Some(state), &pool(2), &mut second).unwrap().unwrap();
             assert_eq!(resumed.optimised.design, through.optimised.design, "{protocol:?}, {stop}");
+            assert_eq!(timeless(&second.reports), timeless(&whole.reports[stop..]), "{protocol:?}, {stop}");
             assert_eq!(errors(&resumed.optimised), errors(&through.optimised), "{protocol:?}, {stop}");
         }
         assert!(whole.fractions.is_sorted() && whole.fractions.last() == Some(&1.0), "{:?}", whole.fractions);
