@@ -653,6 +653,10 @@ const TABLES: &[(&str, &str)] = &[
     ("[feasible]\nclearance = -1.0", "s.toml:14: feasible.clearance = -1: "),
     ("[sensors]\nplacements = [[14], [14, 14]]", "s.toml:14: sensors.placements = 14: "),
     ("[sensors]\nplacements = [[14], [2, 14]]", "s.toml:14: sensors.placements = 2: "),
+    (
+        "[sensors]\nplacements = [[14], [14, 20], [20, 14]]",
+        "s.toml:14: sensors.placements = [20, 14]: names the units of another list in another order",
+    ),
     ("[sensors]\nplacements = [[14]]", "s.toml:14: sensors.placements = [[14]]: holds no list of 2 units"),
     (
         "[sensors]\nplacements = [[99, 8]]",

@@ -206,7 +206,8 @@ fn a_record_with_a_clock_of_its_own_tells_the_material() {
 #[test]
 fn records_that_determine_nothing_are_no_fit() {
     let bench = bench();
-    let never = "damping_ratio = 0.03\ncontact = { cutoff_angle = 5.0, stiffness = 1.0 }";
+    let never =
+        "damping_ratio = 0.03\ncontact = { min_angle = -175.0, cutoff_angle = -170.0, stiffness = 1.0 }";
     bench.file("contact.toml", &SPEC.replace("damping_ratio = 0.03", never));
     let fit = |free: &str| {
         let call = ["identify", "contact.toml", "--records", "r.toml", "--fit", free, "--format", "csv"];

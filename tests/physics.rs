@@ -211,3 +211,45 @@ fn a_press_is_an_axis() {
     assert!(output.status.code() != Some(0) && said.contains("buckled"), "{said}");
     assert!(said.contains("`body.compression` nearer to 0 may help"), "{said}");
 }
+
+/// Motion that no steps resolve, under strong pulses, comes with a warning wherever such a trial is run, shown or exported; v_trial has it in
+/// `solver`.
+#[test]
+fn motion_that_no_step_resolves_is_warned_of() {
+    let bench = Bench::new();
+    let strong = TINY
+        .replace("sensors = [1, 2]", "sensors = [1]")
+        .replace("[solver]", "amplitude = [5.0, 5.5]\n[solver]");
+    bench.file("s.toml", &strong);
+    bench.file("calm.toml", &TINY.replace("sensors = [1, 2]", "sensors = [1]"));
+    let forces: Vec<f64> =
+        (0..42).map(|n| 5.0 * (std::f64::consts::PI * f64::from(n % 21) / 20.0).sin()).collect();
+    bench.write_array("f.npy", &[1, 2, 21], &forces);
+    let db = "results/tiny.sqlite";
+    let said = |args: &[&str]| {
+        let output = bench.metasense(args);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{args:?}: {said}");
+        said.matches("no time step reaches solver.tolerance").count()
+    };
+    // as it is done, and at the end
+    assert_eq!(said(&["run", "s.toml", "--workers", "1"]), 2);
+    let hash = bench.output(&["query", db, "SELECT hash FROM v_trial", "--format", "csv"]);
+    let hash = hash.lines().nth(1).unwrap();
+    for shown in [
+        &["run", "s.toml"][..],
+        &["status", db],
+        &["status", db, hash],
+        &["analyse", db, "--question", "seconds"],
+        &["export", db, hash, "--format", "npy", "--out", "d.npy"],
+        &["simulate", "s.toml", "--forces", "f.npy", "--out-dir", "a"],
+    ] {
+        assert_eq!(said(shown), 1, "{shown:?}");
+    }
+    bench.output(&["report", db, "--out", "r.html"]);
+    let page = std::fs::read_to_string(bench.path("r.html")).unwrap();
+    assert!(page.contains("no time step reaches solver.tolerance"));
+    let solver = bench.output(&["query", db, "SELECT solver FROM v_trial", "--format", "csv"]);
+    assert!(solver.contains("reached the error asked"), "{solver}");
+    assert_eq!(said(&["trial", "calm.toml"]), 0);
+}

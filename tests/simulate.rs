@@ -75,7 +75,7 @@ fn a_body_is_simulated_under_given_forces() {
     assert!(refused.status.code() == Some(2) && said.contains("unit ") && said.contains("mm²"), "{said}");
     bench.output(&["draw", "s.toml", "--out", "d.svg", "--design-out", "own.npy"]);
     let (_, mut close) = bench.array("own.npy");
-    close[0] += 3.0;
+    close[84] += 8.0;
     bench.write_array("close.npy", &[168], &close);
     let warned = bench.metasense(&[&call[..], &["close.npy"]].concat());
     let said = String::from_utf8_lossy(&warned.stderr);

@@ -166,6 +166,16 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
             );
         }
         distinct(lists, "sensors.placements", source)?;
+        let sorted = |list: &Vec<usize>| {
+            let mut units = list.clone();
+            units.sort_unstable();
+            units
+        };
+        let mut seen = HashSet::new();
+        if let Some(list) = lists.iter().find(|list| !seen.insert(sorted(list))) {
+            let remedy = "names the units of another list in another order: they are one placement";
+            return Err(source.error_with("sensors.placements", Some(&format!("{list:?}")), remedy));
+        }
     }
     let others = sweep.axes.values().map(Vec::len);
     let own = [sweep.panels.len(), sweep.sensors.len(), sweep.points.len()].map(|n| n.max(1));

@@ -52,10 +52,10 @@ pub enum NoModes {
     NotFinite,
 }
 
-/// Energy of what is left of a mode's equation that counts as found, relative to the mode's: √(rᴴ K⁻¹ r / xᴴ K x).
-///
-/// As a force, what rounding leaves of a slow mode exceeds its inertia; as a motion, what it leaves of a quick one holds slow ones.
+/// Energy of what is left of a mode's equation that counts as found, relative to the mode's: √(rᴴ K⁻¹ r / xᴴ K x). Rounding leaves more of
+/// a slow mode, whose elastic forces cancel, and of others beside slow ones: up to so much is taken for it.
 const TOLERANCE: f64 = 1e-10;
+const ROUNDED: f64 = 1e-8;
 /// Starts of the subspace: a lattice of squares has modes that come twice, and one start finds such a mode once.
 const STARTS: usize = 3;
 /// Eigenvalues are told apart from here on.
@@ -79,7 +79,9 @@ pub fn modes(rest: &Rest, units: usize, count: usize) -> Result<Vec<Mode>, NoMod
     loop {
         space.grow(&inverse, size);
         let pairs = space.pairs(&inverse, count).ok_or(NoModes::NotFinite)?;
-        let found = pairs.iter().all(|(s, x)| inverse.left(*s, x) < TOLERANCE);
+        let left: Vec<[f64; 2]> = pairs.iter().map(|(s, x)| inverse.left(*s, x)).collect();
+        let beside = left.iter().fold(TOLERANCE, |most, [_, rounding]| most.max(*rounding)).min(ROUNDED);
+        let found = left.iter().all(|[left, rounding]| *left < rounding.max(beside));
         if size == 2 * n || (found && pairs.len() == count) {
             let finite = |(s, x): &(c64, Vec<c64>)| s.is_finite() && x.iter().all(|x| x.is_finite());
             if !pairs.iter().all(finite) {
@@ -364,17 +366,20 @@ impl Inverse<'_> {
         DVector::from_fn(2 * n, |i, _| if i < n { moved[(i, 0)] } else { z[i - n] / self.scale })
     }
 
-    /// √(rᴴ K⁻¹ r / xᴴ K x), r = (s² M + s C + K) x.
-    fn left(&self, s: c64, x: &[c64]) -> f64 {
+    /// √(rᴴ K⁻¹ r / xᴴ K x), r = (s² M + s C + K) x, and what of it may be rounding, ε |x|ᵀ|K||x| / xᴴ K x.
+    fn left(&self, s: c64, x: &[c64]) -> [f64; 2] {
         let (Rest { mass, damping, stiffness, .. }, n) = (self.rest, x.len());
-        let mut elastic = vec![c64::ZERO; n];
-        stiffness.iter().for_each(|&(i, j, k)| elastic[i] += k * x[j]);
+        let (mut elastic, mut sizes) = (vec![c64::ZERO; n], 0.0);
+        for &(i, j, k) in stiffness {
+            elastic[i] += k * x[j];
+            sizes += k.abs() * x[i].norm() * x[j].norm();
+        }
         let force = |i: usize| elastic[i] + (s * s * mass[i] + s * damping[i]) * x[i];
         let parts = Mat::from_fn(n, 2, |i, part| if part == 0 { force(i).re } else { force(i).im });
         let moved = self.stiffness.solve(&parts);
         let work = |part: usize| (0..n).map(|i| parts[(i, part)] * moved[(i, part)]).sum::<f64>();
         let whole: f64 = x.iter().zip(&elastic).map(|(x, f)| (x.conj() * f).re).sum();
-        ((work(0) + work(1)).max(0.0) / whole).sqrt()
+        [((work(0) + work(1)).max(0.0) / whole).sqrt(), f64::EPSILON * sizes / whole]
     }
 
     /// 2s xᵀMy + xᵀCy, zero for two modes of one s that are told apart.

@@ -80,7 +80,7 @@ impl<'a> Trial<'a> {
     /// If no training sample has a force, or the initial body cannot be simulated, or is too much for the sensors' range.
     ///
     /// # Panics
-    /// If the sensors are still to be searched for.
+    /// If the sensors are still to be searched for, or two of them are on one unit.
     pub fn new(problem: &Problem, pool: &'a crate::Pool) -> Result<Self, Failure> {
         Self::with(problem, pool, None)
     }
@@ -100,6 +100,8 @@ impl<'a> Trial<'a> {
     /// `chip`: where none is given, that of the initial body, or of the one that the problem names.
     fn with(problem: &Problem, pool: &'a crate::Pool, chip: Option<Chip>) -> Result<Self, Failure> {
         assert!(problem.search.is_none(), "the sensors are not in place");
+        let sensors = &problem.scene.sensors;
+        assert!((1..sensors.len()).all(|i| !sensors[..i].contains(&sensors[i])), "a unit twice in {sensors:?}");
         let (mut problem, asked) = (problem.clone(), problem.solver);
         let usual = pilot(&problem, &problem.initial, &asked, pool);
         let steps = problem.optimise.coarse.filter(|_| problem.optimise.iterations > 0);
