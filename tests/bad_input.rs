@@ -16,6 +16,26 @@ const EDITS: &[(&str, &str, &str)] = &[
     ),
     ("columns = 6", "columns = 99999999999", "s.toml:3: body.columns = 99999999999: must be at most 1000"),
     (
+        "[sweep]",
+        "[brain]\niterations = 9223372036854775807\n[sweep]",
+        "s.toml:14: brain.iterations = 9223372036854775807: must be at most 10000000",
+    ),
+    (
+        "[sweep]",
+        "[evaluation]\nlong_iterations = 9223372036854775807\n[sweep]",
+        "s.toml:14: evaluation.long_iterations = 9223372036854775807: must be at most 10000000",
+    ),
+    (
+        "[sweep]",
+        "[optimise]\nbatch = 9223372036854775807\n[sweep]",
+        "s.toml:14: optimise.batch = 9223372036854775807: must be at most 1000000",
+    ),
+    (
+        "[sweep]",
+        "[run]\nthreads = 1000000000\n[sweep]",
+        "s.toml:14: run.threads = 1000000000: must be at least 1, at most 1024",
+    ),
+    (
         "columns = 6",
         "colums = 6",
         "s.toml:3: body.colums = 6: unknown key; the nearest known one is \"body.columns\"",
@@ -651,6 +671,10 @@ const TABLES: &[(&str, &str)] = &[
         "s.toml:14: sensors.placements = 8: is named twice",
     ),
     ("[sensors]\nplacements = [[14], [2, 14]]", "s.toml:14: sensors.placements = 2: "),
+    (
+        "[sensors]\nplacements = [[14], [14, 20], [20, 14]]",
+        "s.toml:14: sensors.placements = [20, 14]: names the units of another list in another order",
+    ),
     ("[sensors]\nplacements = [[14]]", "s.toml:14: sensors.placements = [[14]]: holds no list of 2 units"),
     (
         "[sensors]\nplacements = [[99, 8]]",

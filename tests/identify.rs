@@ -202,6 +202,24 @@ fn a_record_with_a_clock_of_its_own_tells_the_material() {
     assert_true(&estimates(&found), 0.1);
 }
 
+/// A fit whose records determine nothing says so, by its outcome and exit code; what they do determine is fitted all the same.
+#[test]
+fn records_that_determine_nothing_are_no_fit() {
+    let bench = bench();
+    let never =
+        "damping_ratio = 0.03\ncontact = { min_angle = -175.0, cutoff_angle = -170.0, stiffness = 1.0 }";
+    bench.file("contact.toml", &SPEC.replace("damping_ratio = 0.03", never));
+    let fit = |free: &str| {
+        let call = ["identify", "contact.toml", "--records", "r.toml", "--fit", free, "--format", "csv"];
+        let run = bench.metasense(&call);
+        assert_eq!(run.status.code(), Some(1), "{free}: {}", String::from_utf8_lossy(&run.stderr));
+        let csv = String::from_utf8(run.stdout).unwrap();
+        csv.lines().skip(1).map(|line| line.rsplit(',').next().unwrap().to_owned()).collect::<Vec<_>>()
+    };
+    assert_eq!(fit("contact"), ["not identifiable"]);
+    assert_eq!(fit("stretch,contact"), ["converged", "not identifiable"]);
+}
+
 /// Named, with what to do about it, before anything is simulated.
 #[test]
 fn what_cannot_be_fitted_is_refused() {

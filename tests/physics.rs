@@ -34,6 +34,13 @@ fn a_body_rings() {
     assert!(of("frequency").iter().any(|f| (f / most - 1.0).abs() < 0.1), "{most} {modes:?}");
     assert!(std::fs::read_to_string(bench.path("r.svg")).unwrap().contains("panel 1"));
 
+    let free = ["modes", "s.toml", "body.damping_ratio=0.0", "--count", "45", "--format", "json"];
+    let undamped = json(&bench.output(&free));
+    assert!(
+        undamped.iter().all(|mode| mode["damping_ratio"] == 0.0 && mode["decay_time"].is_null()),
+        "{undamped:?}"
+    );
+
     refused(&bench, &["modes", "s.toml", "--response", "16"], "--response 16: ");
     refused(&bench, &["modes", "s.toml", "--response", "0"], "unit 0: it is held");
     refused(&bench, &["modes", "s.toml", "--hash", "zz"], "trial zz: no trial begins so");
@@ -125,6 +132,20 @@ fn a_finished_trial_stands_beside_its_bounds() {
     refused(&bench, &["bound", "silent.toml"], "sensors.noise");
     refused(&bench, &["bound", "silent.toml", "--db", "results/tiny.sqlite"], "no trial with the scene");
     refused(&bench, &["bound", "s.toml", "--noise", "0"], "must be above 0");
+    // noise below what f64 tells apart, a prior of one sample, no force at all: an answer or a name
+    let exact = bench.metasense(&["bound", "s.toml", "--noise", "1e-300", "--samples", "1"]);
+    assert!(matches!(exact.status.code(), Some(0 | 2)), "{}", String::from_utf8_lossy(&exact.stderr));
+    let one = ["bound", "s.toml", "stimuli.samples=3", "stimuli.test=2"];
+    refused(&bench, &one, "stimuli.samples: there must be two training samples");
+    let late = "stimuli.onset=[0.1999, 1000.0]";
+    for command in ["bound", "place", "trial"] {
+        refused(&bench, &[command, "s.toml", late], "no training sample has a force");
+    }
+    refused(
+        &bench,
+        &["trial", "s.toml", late, "sensors.search=\"greedy\""],
+        "no training sample has a force",
+    );
 }
 
 /// Bodies of hinges are trained by sweeps over their law, each a trial of its own; a spec without hinges holds nothing of them.
@@ -189,4 +210,46 @@ fn a_press_is_an_axis() {
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.code() != Some(0) && said.contains("buckled"), "{said}");
     assert!(said.contains("`body.compression` nearer to 0 may help"), "{said}");
+}
+
+/// Motion that no steps resolve, under strong pulses, comes with a warning wherever such a trial is run, shown or exported; v_trial has it in
+/// `solver`.
+#[test]
+fn motion_that_no_step_resolves_is_warned_of() {
+    let bench = Bench::new();
+    let strong = TINY
+        .replace("sensors = [1, 2]", "sensors = [1]")
+        .replace("[solver]", "amplitude = [5.0, 5.5]\n[solver]");
+    bench.file("s.toml", &strong);
+    bench.file("calm.toml", &TINY.replace("sensors = [1, 2]", "sensors = [1]"));
+    let forces: Vec<f64> =
+        (0..42).map(|n| 5.0 * (std::f64::consts::PI * f64::from(n % 21) / 20.0).sin()).collect();
+    bench.write_array("f.npy", &[1, 2, 21], &forces);
+    let db = "results/tiny.sqlite";
+    let said = |args: &[&str]| {
+        let output = bench.metasense(args);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{args:?}: {said}");
+        said.matches("no time step reaches solver.tolerance").count()
+    };
+    // as it is done, and at the end
+    assert_eq!(said(&["run", "s.toml", "--workers", "1"]), 2);
+    let hash = bench.output(&["query", db, "SELECT hash FROM v_trial", "--format", "csv"]);
+    let hash = hash.lines().nth(1).unwrap();
+    for shown in [
+        &["run", "s.toml"][..],
+        &["status", db],
+        &["status", db, hash],
+        &["analyse", db, "--question", "seconds"],
+        &["export", db, hash, "--format", "npy", "--out", "d.npy"],
+        &["simulate", "s.toml", "--forces", "f.npy", "--out-dir", "a"],
+    ] {
+        assert_eq!(said(shown), 1, "{shown:?}");
+    }
+    bench.output(&["report", db, "--out", "r.html"]);
+    let page = std::fs::read_to_string(bench.path("r.html")).unwrap();
+    assert!(page.contains("no time step reaches solver.tolerance"));
+    let solver = bench.output(&["query", db, "SELECT solver FROM v_trial", "--format", "csv"]);
+    assert!(solver.contains("reached the error asked"), "{solver}");
+    assert_eq!(said(&["trial", "calm.toml"]), 0);
 }

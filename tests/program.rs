@@ -16,6 +16,7 @@ mod design;
 mod evaluate;
 mod expand;
 mod exports;
+mod extremes;
 mod files;
 mod foreign;
 mod goal;

@@ -55,6 +55,32 @@ fn a_body_is_simulated_under_given_forces() {
     let rows = simulate("g", &["--forces", "many.npy", "--format", "csv", "--rows"]);
     assert!(rows.lines().count() == 6 && rows.contains("\n4,ok,"), "{rows}");
 
+    // of a sample alone: the pilot comes once, however many samples there are
+    let evaluations = |summary: &str| {
+        let rows: Vec<Vec<&str>> = summary.lines().map(|line| line.split(',').collect()).collect();
+        let at = rows[0].iter().position(|name| name.starts_with("force_evaluations")).unwrap();
+        rows[1][at].parse::<u64>().unwrap()
+    };
+    let alone = simulate("h", &["--forces", "f.npy", "--format", "csv", "--rows"]);
+    assert_eq!(evaluations(&alone), evaluations(&rows), "{alone}{rows}");
+    let steps = evaluations(&alone) as f64 / 200.0;
+    assert!((2.0..200.0).contains(&steps), "{steps} an interval");
+
+    // a unit turned inside out is no body, and a design beyond the limits comes with a warning
+    let design: Vec<f64> = (0..168).map(|i| 20.0 * (1.7 * i as f64).sin()).collect();
+    bench.write_array("inside.npy", &[168], &design);
+    let call = ["simulate", "s.toml", "--hash", hash, "--out-dir", "i", "--forces", "f.npy", "--design"];
+    let refused = bench.metasense(&[&call[..], &["inside.npy"]].concat());
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(refused.status.code() == Some(2) && said.contains("unit ") && said.contains("mm²"), "{said}");
+    bench.output(&["draw", "s.toml", "--out", "d.svg", "--design-out", "own.npy"]);
+    let (_, mut close) = bench.array("own.npy");
+    close[84] += 8.0;
+    bench.write_array("close.npy", &[168], &close);
+    let warned = bench.metasense(&[&call[..], &["close.npy"]].concat());
+    let said = String::from_utf8_lossy(&warned.stderr);
+    assert!(warned.status.success() && said.contains("warning") && said.contains("close.npy"), "{said}");
+
     bench.write_array("short.npy", &[1, 2, 200], &knots[..400]);
     let call = ["simulate", "s.toml", "--hash", hash, "--out-dir", "e", "--forces", "short.npy"];
     let refused = bench.metasense(&call);

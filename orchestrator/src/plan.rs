@@ -21,11 +21,13 @@ use metasense_schemas::spec::{
     Body, Design, Disturbance, LayoutKind, NotOne, Own, Point, Run, Search, SearchFrom, Sensors, Stimuli,
     SweepSpec, Training, TrialSpec, position_of,
 };
+use metasense_worker::demands::memory;
 use metasense_worker::design::{self, DesignError, Feasible, Layout, Limits};
 use metasense_worker::problem::{self, Invalid, as_written};
 use metasense_worker::replay::Panel;
 use metasense_worker::{polygons, records};
 
+use crate::control::WORKERS_MAX;
 use axes::Combination;
 use metasense_schemas::record::Parts;
 pub use metasense_schemas::record::Trial;
@@ -91,6 +93,17 @@ impl Plan {
     pub fn find(&self, hash: &str) -> Result<&Trial, NotOne> {
         let at = position_of(hash, self.trials.iter().map(|trial| trial.hash.as_str()))?;
         Ok(&self.trials[at])
+    }
+
+    /// Refuses trials that need more memory than a worker has here: by `[run] memory`, this machine or its limits.
+    ///
+    /// # Errors
+    /// At the key that asks for most.
+    pub fn check_memory(&self) -> Result<(), SpecError> {
+        let limit = memory::limit(self.spec.run.memory);
+        let refused = |e: Invalid| self.source.error_with(&e.key, Some(&e.value), &e.remedy);
+        let check = |trial: &Trial| memory::check(&trial.spec, trial.units, limit.as_ref());
+        self.trials.iter().try_for_each(check).map_err(refused)
     }
 
     /// The database where none is named.
@@ -173,15 +186,14 @@ pub(crate) const GRACE_MAX: f64 = 3600.0;
 
 fn check_run(run: &Run, source: &Source) -> Result<(), SpecError> {
     let at_least_1 = |n: Option<usize>| n.is_none_or(|n| n >= 1);
-    // as on the command line
-    let up_to_1024 = |n: Option<usize>| n.is_none_or(|n| (1..=1024).contains(&n));
+    let thousand = |n: Option<usize>| n.is_none_or(|n| (1..=WORKERS_MAX as usize).contains(&n));
     let seconds = |s: Option<f64>, least: f64| s.is_none_or(|s| s >= least && s <= 1e9);
     let marks = run.prune.as_ref().map_or(&[0.5][..], |prune| &prune.at);
     let within = marks.iter().all(|part| *part > 0.0 && *part < 1.0);
     let grace = run.prune.as_ref().map(|prune| prune.grace);
     for (key, holds, remedy) in [
-        ("run.workers", up_to_1024(run.workers), "must be at least 1, at most 1024"),
-        ("run.threads", up_to_1024(run.threads), "must be at least 1, at most 1024"),
+        ("run.workers", thousand(run.workers), "must be at least 1, at most 1024"),
+        ("run.threads", thousand(run.threads), "must be at least 1, at most 1024"),
         ("run.niceness", run.niceness.is_none_or(|n| n <= 19), "must be at most 19"),
         ("run.memory", run.memory.is_none_or(|mib| mib >= 64), "must be at least 64 MiB"),
         ("run.backoff", seconds(run.backoff, 0.0), "must be at least 0, at most 1e9 s"),
@@ -277,8 +289,14 @@ fn add_points(
     if sweep.sweep.own_placements && (searched || spec.sensors.placements.is_some()) {
         return Err(source.error("sweep.own_placements", "goes with sensors at random units alone"));
     }
-    let seeded: Vec<Vec<usize>> =
-        (0..drawn).map(|p| placement(&spec.body, &layout, p as u64, &clamped)).collect();
+    // of a million placements no more than what carries sensors is kept
+    let most = spec.sweep.sensors.iter().copied().max().unwrap_or_default();
+    let order = |p: usize| {
+        let mut order = placement(&spec.body, &layout, p as u64, &clamped);
+        order.truncate(most);
+        order
+    };
+    let seeded: Vec<Vec<usize>> = (0..drawn).map(order).collect();
     for &panels in &spec.sweep.panels {
         let panel_units = problem::panel_units(&spec.body, &layout, panels).map_err(located)?;
         for &sensors in &spec.sweep.sensors {

@@ -7,7 +7,8 @@ use metasense_schemas::record::Provenance;
 use metasense_worker::simd;
 
 use crate::files::host;
-use crate::store::Made;
+use crate::look::short_hash;
+use crate::store::{Made, Reader, StoreError};
 
 /// Of this program on this machine, with so many threads a worker.
 #[must_use]
@@ -69,10 +70,45 @@ const EARLY: &str = "a sweep of this database has [until] or a [goal]: it may ha
     votes here are those of a number of trials that was fixed before, and hold the truth less often than they say; what `run` or \
     `design` answered keeps its confidence";
 
-/// What is to be said beside numbers: that different code made them, and that the sweep may have ended early.
+/// A warning where no steps keep the error asked on a trial's initial or best body; `None` where steps do on both.
 #[must_use]
-pub fn caveats(made: &[Made], early: bool) -> Vec<String> {
-    mixed(made).into_iter().chain(early.then(|| EARLY.to_owned())).collect()
+pub fn unresolved([initial, best]: [bool; 2]) -> Option<String> {
+    let bodies = match [initial, best] {
+        [true, true] => return None,
+        [false, false] => "both bodies",
+        [false, true] => "the initial body",
+        [true, false] => "the optimised body",
+    };
+    Some(format!("no time step reaches solver.tolerance on {bodies}: {CHAOTIC}"))
+}
+
+const CHAOTIC: &str = "the motion is chaotic, so errors and predictions depend on the steps. Softer contact, weaker forces or more \
+    damping make the motion resolvable; v_trial.solver states the error that is left";
+
+/// The same for trials of these hashes.
+#[must_use]
+pub fn unresolved_trials(hashes: &[String]) -> Option<String> {
+    let shown: Vec<&str> = hashes.iter().take(SHOWN).map(|hash| short_hash(hash)).collect();
+    let more = if hashes.len() > SHOWN { ", …" } else { "" };
+    let trials = crate::plan::counted(hashes.len(), "trial");
+    let text = || {
+        format!("no time step reaches solver.tolerance in {trials} ({}{more}): {CHAOTIC}", shown.join(", "))
+    };
+    (!hashes.is_empty()).then(text)
+}
+
+/// Hashes that are named.
+const SHOWN: usize = 5;
+
+/// What is to be said beside the numbers of a database: that different code made them, that the sweep may have ended early, and that
+/// motion was not resolved.
+///
+/// # Errors
+/// Where SQLite fails.
+pub async fn caveats(reader: &mut Reader) -> Result<Vec<String>, StoreError> {
+    let (made, early) = (reader.made().await?, reader.may_stop_early().await?);
+    let unresolved = unresolved_trials(&reader.unresolved().await?);
+    Ok(mixed(&made).into_iter().chain(early.then(|| EARLY.to_owned())).chain(unresolved).collect())
 }
 
 #[cfg(test)]

@@ -43,7 +43,8 @@ pub const VIEWS: &[(&str, &str)] = &[
         "error (%) of one brain on one cast of the initial or the optimised body: `nominal` (linear, fitted to the body as \
          designed), `casts` (linear, fitted to other casts), `records` (linear, fitted to so many samples of this cast), \
          `network`, `network_casts` (trained on other casts), `inverse` (by the model of the design), `twin` (inverse, by a twin \
-         calibrated on so many samples of this cast), `twin_linear` (linear, fitted to that twin); `nominal_error` is such a brain's \
+         calibrated on so many samples of this cast), `twin_linear` (linear, fitted to that twin); the error is over the whole holdout, but \
+         for `inverse` and `twin` over its first 16 samples; `nominal_error` is such a brain's \
          on the body as designed: the trial's own (the mean over its networks) of networks, of inverse brains and where that is linear, \
          else the linear one's of the whole sample; \
          instants_covered and samples_covered: what of the holdout lies in the bands of the body as designed, or in those that an \

@@ -6,7 +6,7 @@ pub use metasense_numerics::questions::Bound;
 use metasense_numerics::trial::{Disturbance, Size};
 use metasense_schemas::spec::TrialSpec;
 
-use crate::run::{Failure, pool, with_design};
+use crate::run::{Failure, check_memory, pool, with_design};
 
 /// The bound of a body under the first `samples` of a trial's holdout, with its chips' noise or, in its place, with white noise of
 /// this part of each channel's RMS on the initial body.
@@ -20,6 +20,7 @@ pub fn bound(
     noise: Option<f64>,
     threads: usize,
 ) -> Result<Bound, Failure> {
+    check_memory(trial)?;
     let mut problem = with_design(trial, design)?;
     if let Some(part) = noise {
         let chips = problem.disturbance.unwrap_or(Disturbance::NONE);
@@ -28,7 +29,8 @@ pub fn bound(
     let pool = pool(threads)?;
     let (problem, _) = placed(&problem, &pool)?;
     questions::bound(&problem, design, samples, &pool)?.ok_or_else(|| {
-        Failure::Rejected("sensors.noise: the bound needs noise in every channel; give --noise".to_owned())
+        let why = "sensors.noise: the bound needs noise in every channel, and more than f64 takes for none; give --noise";
+        Failure::Rejected(why.to_owned())
     })
 }
 

@@ -1,4 +1,7 @@
-//! What a brain asks of the device that it runs on, array by array as `metasense export --format c` declares them.
+//! What a brain asks of the device that it runs on, array by array as `metasense export --format c` declares them; what a trial asks of the
+//! machine.
+
+pub mod memory;
 
 use metasense_schemas::spec::{BrainKind, TrialSpec};
 

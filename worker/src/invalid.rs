@@ -42,6 +42,12 @@ pub(crate) fn at_least(key: &str, value: usize, least: usize) -> Result<(), Inva
     require(value >= least, key, value, &format!("must be at least {least}"))
 }
 
+/// Both.
+pub(crate) fn within(key: &str, value: usize, least: usize, most: usize) -> Result<(), Invalid> {
+    at_least(key, value, least)?;
+    at_most(key, value, most)
+}
+
 /// More than this cannot be meant: the memory for it is not there.
 pub(crate) fn at_most(key: &str, value: usize, most: usize) -> Result<(), Invalid> {
     require(value <= most, key, value, &format!("must be at most {most}"))

@@ -1,7 +1,7 @@
 //! Eigenmodes of a trial's body at rest, and how its panels move its units there.
 
 use metasense_numerics::dynamics::{Rest, Scene, start, touches};
-use metasense_numerics::modes;
+use metasense_numerics::modes::{self, NoModes};
 pub use metasense_numerics::modes::{Mode, Response};
 use metasense_numerics::place::placed;
 use metasense_numerics::trial::Problem;
@@ -26,7 +26,12 @@ pub fn slowest(trial: &TrialSpec, design: &[f64], count: usize) -> Result<Vec<Mo
     if scene.is_loose() {
         return Err(loose());
     }
-    modes::modes(&Rest::new(scene, design), scene.layout.units(), count).map_err(|modes::Loose| loose())
+    modes::modes(&Rest::new(scene, design), scene.layout.units(), count).map_err(|none| match none {
+        NoModes::Loose => loose(),
+        NoModes::NotFinite => Failure::Rejected(
+            "body: its modes are no finite numbers; check body.density, body.stiffness and body.damping_ratio".to_owned(),
+        ),
+    })
 }
 
 /// Responses of a unit to each panel at these frequencies (Hz): (frequencies, panels).

@@ -7,7 +7,7 @@ use metasense_schemas::spec::{self, TrialSpec};
 use metasense_schemas::wire::Cause;
 
 use crate::convert;
-use crate::run::{Failure, pool, with_design};
+use crate::run::{Failure, check_memory, pool, with_design};
 
 /// Placements found for m = 1 … M sensors, beside random ones. Errors (%) are those of a linear brain on training samples
 /// that it has not seen.
@@ -32,6 +32,7 @@ pub fn look(trial: &TrialSpec, design: &[f64], given: usize, threads: usize) -> 
     let mut trial = trial.clone();
     trial.sensor_units.clear();
     trial.sensors.search = Some(spec::Search::Greedy);
+    check_memory(&trial)?;
     let problem = with_design(&trial, design)?;
     let search = problem.search.as_ref().expect("asked for");
     let pool = pool(threads)?;

@@ -1,6 +1,6 @@
 //! Bodies of any polygons: from a file, and as a layout.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use metasense_numerics::body::{End, Layout, moments};
@@ -104,7 +104,7 @@ pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
         }
     }
     let exists = |[unit, node]: [usize; 2]| given.units.get(unit).is_some_and(|nodes| node < nodes.len());
-    let mut seen = BTreeSet::new();
+    let (mut seen, mut taken) = (BTreeSet::new(), BTreeMap::new());
     for (l, &[a, p, b, q]) in given.ligaments.iter().enumerate() {
         let at = || format!("ligaments[{l}] = [{a}, {p}, {b}, {q}]");
         for [unit, node] in [[a, p], [b, q]] {
@@ -120,6 +120,16 @@ pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
         }
         if !seen.insert(([a, p].min([b, q]), [a, p].max([b, q]))) {
             return wrong(at(), "is there twice".into());
+        }
+        for [unit, node] in [[a, p], [b, q]] {
+            if let Some(other) = taken.insert([unit, node], l) {
+                let remedy =
+                    "two ligaments at one node leave no clearance between them: give each a node of its own";
+                return wrong(
+                    at(),
+                    format!("node {node} of unit {unit} has ligaments[{other}] already; {remedy}"),
+                );
+            }
         }
         let [[x, y], [z, w]] = [given.units[a][p], given.units[b][q]];
         if (x - z).hypot(y - w) < 1e-9 {

@@ -24,7 +24,7 @@ mod optimise;
 mod stimuli;
 
 pub use crate::invalid::{Invalid, as_written};
-use crate::invalid::{at_least, at_most, invalid, not_negative, positive, require};
+use crate::invalid::{at_least, at_most, invalid, not_negative, positive, require, within};
 pub use body::{
     check_units, clamp, clamped, driven, guided, held, initial_design, layout, panel_units, panels,
 };
@@ -43,7 +43,10 @@ use stimuli::{channels, disturbance, inertia, mount, stimuli, under};
 const INSTANTS_MAX: usize = 100_000;
 /// s.
 const DURATION_MAX: f64 = 86_400.0;
-/// Channels, and weights, of a network beyond which neither time nor memory would do.
+/// Samples of a set or a step, and iterations of a network, beyond which neither time nor memory would do.
+const SAMPLES_MAX: usize = 1_000_000;
+const ITERATIONS_MAX: usize = 10_000_000;
+/// Channels, and weights, of a network likewise.
 const WIDTH_MAX: usize = 1024;
 const WEIGHTS_MAX: usize = 10_000_000;
 
@@ -146,13 +149,12 @@ fn check_clock_and_training(trial: &TrialSpec) -> Result<(), Invalid> {
     if let Some(coarse) = &trial.optimise.coarse {
         check_tolerance("optimise.coarse.tolerance", coarse.tolerance)?;
     }
-    at_least("brain.iterations", trial.brain.iterations, 1)?;
+    within("brain.iterations", trial.brain.iterations, 1, ITERATIONS_MAX)?;
     positive("brain.learning_rate", trial.brain.learning_rate)?;
     positive("optimise.learning_rate", trial.optimise.clone().resolved().learning_rate.unwrap_or_default())?;
-    at_least("evaluation.seeds", trial.evaluation.networks(), 1)?;
-    at_least("evaluation.long_iterations", trial.evaluation.long_iterations.unwrap_or(1), 1)?;
-    at_least("evaluation.batch", trial.evaluation.batch.unwrap_or(1), 1)?;
-    at_most("evaluation.seeds", trial.evaluation.networks(), 1000)
+    within("evaluation.long_iterations", trial.evaluation.long_iterations.unwrap_or(1), 1, ITERATIONS_MAX)?;
+    within("evaluation.batch", trial.evaluation.batch.unwrap_or(1), 1, SAMPLES_MAX)?;
+    within("evaluation.seeds", trial.evaluation.networks(), 1, 1000)
 }
 
 /// The layers of the network.
@@ -447,4 +449,4 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> 
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -2,8 +2,8 @@
 
 use metasense_numerics::Heartbeat;
 pub use metasense_numerics::Pool;
-pub use metasense_numerics::nested::Control;
 use metasense_numerics::nested::{self, Optimised, State};
+pub use metasense_numerics::nested::{Control, keeps_error};
 use metasense_numerics::place::{self, Placed};
 use metasense_numerics::trial::{self, Problem, Trial};
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, StepRecord, TrialResult};
@@ -12,6 +12,7 @@ use metasense_schemas::wire::Cause;
 
 use crate::clock::cpu_seconds;
 use crate::convert;
+use crate::demands::memory;
 use crate::design;
 use crate::limits::{Needs, explained};
 use crate::problem::problem;
@@ -71,8 +72,18 @@ pub fn run_trial(
     optimised.map(|optimised| result(trial, optimised, placed, pool)).ok_or(Failure::Stopped)
 }
 
+const NO_FORCE: &str = "stimuli: no training sample has a force; check stimuli.onset and stimuli.amplitude against time.duration, or the \
+                        clock and the scale of the records";
+const FEW_FORCES: &str = "stimuli.samples: there must be two training samples or more whose forces differ; raise stimuli.samples, or \
+                          lower stimuli.test";
+
 impl From<trial::Failure> for Failure {
     fn from(failure: trial::Failure) -> Self {
+        match failure.trouble() {
+            trial::Trouble::NoForce => return Self::Rejected(NO_FORCE.to_owned()),
+            trial::Trouble::FewForces => return Self::Rejected(FEW_FORCES.to_owned()),
+            _ => {}
+        }
         let name = failure.trouble().name();
         let cause = Cause::ALL.iter().find(|cause| cause.name() == name).copied();
         Self::Numerical { cause: cause.unwrap_or(Cause::NonFinite), detail: failure.to_string() }
@@ -116,12 +127,29 @@ pub fn with_design(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure
     Ok(problem)
 }
 
-/// Whether `design` is one of the problem's body.
+/// Whether `design` is one of the problem's body, and its units are bodies.
 ///
 /// # Errors
-/// If its length is another, or a number is not finite.
+/// If its length is another, a number is not finite, or a unit has no area: it is turned inside out, or crosses itself.
 pub fn check_design(problem: &Problem, design: &[f64]) -> Result<(), Failure> {
-    design::check("the design", &[design.len()], design, problem.initial.len()).map_err(Failure::Rejected)
+    design::check("the design", &[design.len()], design, problem.initial.len()).map_err(Failure::Rejected)?;
+    let geometry = problem.scene.geometry(design);
+    let sound = |unit: &usize| geometry.area[*unit] > 0.0 && geometry.moment[*unit] >= 0.0;
+    match (0..problem.scene.layout.units()).find(|unit| !sound(unit)) {
+        None => Ok(()),
+        Some(unit) => Err(Failure::Rejected(format!(
+            "the design: unit {unit} has an area of {:.3} mm² and can be neither cast nor simulated; `metasense project` repairs a design",
+            geometry.area[unit]
+        ))),
+    }
+}
+
+/// Whether this machine has the memory that the samples of a trial need.
+///
+/// # Errors
+/// Names the key that asks for most.
+pub(crate) fn check_memory(trial: &TrialSpec) -> Result<(), Failure> {
+    memory::check_here(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))
 }
 
 /// Whether there are as many numbers as a trial has.
@@ -148,8 +176,9 @@ pub fn finite(what: &str, values: &[f64]) -> Result<(), Failure> {
 /// The problem that a spec stands for, on these threads, its sensors in place: searched for where that is to be done.
 ///
 /// # Errors
-/// If the spec stands for no trial, or the search comes to nothing.
+/// If the spec stands for no trial, this machine has not the memory for one, or the search comes to nothing.
 pub fn placed(trial: &TrialSpec, pool: &Pool) -> Result<Problem, Failure> {
+    check_memory(trial)?;
     Ok(place::placed(&prepared(trial)?, pool)?.0)
 }
 

@@ -6,6 +6,7 @@ use metasense_numerics::dynamics::{
 };
 use metasense_schemas::spec::TrialSpec;
 
+use crate::demands::memory::check_states;
 use crate::run::{Failure, check_design, finite, placed, pool, prepared};
 
 /// What a body does; N samples, T instants, M sensors.
@@ -27,8 +28,10 @@ pub struct Simulated {
     pub shape: [usize; 4],
     /// The integrator, and why.
     pub solver: String,
-    /// Evaluations of the forces, pilot and reverse sweep included.
+    /// Evaluations of the forces, those of the reverse sweep included, without the pilot's.
     pub force_evaluations: u64,
+    /// Those of the pilot that chose the steps.
+    pub pilot_evaluations: u64,
 }
 
 /// Forces (N, K, R + 1) of an array of this shape, R the scene's T or a multiple of it.
@@ -101,12 +104,12 @@ pub fn simulate(
     check_design(&problem, design)?;
     let forces = self::forces(scene, forces.0, forces.1.to_vec())?;
     let (samples, instants, sensors) = (forces.samples, scene.instants, scene.sensors.len());
+    check_states(samples, instants, scene.layout.units()).map_err(|e| Failure::Rejected(e.to_string()))?;
     if let Some((shape, values)) = cotangent {
         check_cotangent(scene, samples, shape, values)?;
     }
     let (tuned, run) = strike(scene, design, &forces, &problem.solver, true, &pool);
-    let mut work = tuned.counters;
-    work += run.counters;
+    let mut work = run.counters;
     let units = scene.layout.units();
     let mut found = Simulated {
         signals: run.signals.clone(),
@@ -118,6 +121,7 @@ pub fn simulate(
         shape: [samples, instants, units, sensors],
         solver: tuned.plan.reason,
         force_evaluations: 0,
+        pilot_evaluations: tuned.counters.force_evaluations,
     };
     for (sample, outcome) in run.outcomes.iter().enumerate() {
         for n in 1..=instants {

@@ -10,7 +10,7 @@ use super::data::{
     COMPLEXITY, FREEDOM, Grid, Group, Observation, SENSORS, WITH_SPACING, apart, clusters, groups,
     observations, once, places,
 };
-use super::elbow::{Height, Verdict, elbow};
+use super::elbow::{Height, elbow};
 use super::kinds::brains;
 use super::numbers::{distinct, geometric_mean};
 use super::paired;

@@ -10,7 +10,7 @@ use super::data::{
     groups_by_objective, levels, observations,
 };
 use super::decision::{Decision, Terms, decide};
-use super::elbow::{Elbow, Height, Verdict, elbow};
+use super::elbow::{Height, Verdict, elbow};
 use super::numbers::{distinct, geometric_mean, mean};
 use super::paired::{self, Ratio};
 use super::placed::placed;
@@ -80,7 +80,7 @@ impl Question {
                 "Holdout error (%, geometric mean): the brain that the optimised body was trained with, the brain that reads it, and its memory (s before and after)"
             }
             Self::Casts => {
-                "Error (%) on casts that no training has seen, by body and by the brain that reads them (fitted to the body as designed, to other casts, or to records of each cast): median and 90th percentile over casts, geometric means over trials; kept: the gain on casts as a part of the gain as designed, in logarithms (95 % intervals)"
+                "Error (%) on casts that no training has seen, by body and by the brain that reads them (fitted to the body as designed, to other casts, or to records of each cast): median and 90th percentile over casts, geometric means over trials; inverse and twin: over the first 16 samples of the holdout, others over all; kept: the gain on casts as a part of the gain as designed, in logarithms (95 % intervals)"
             }
             Self::Transfer => {
                 "Holdout error (%, geometric mean) under a kind of forces, by the body and by the brain: fitted under these forces (own), or under those that trained the body (carried); kept: the gain as a part of that of the body trained under this kind, in logarithms, by brains fitted under it (95 % intervals)"

@@ -44,8 +44,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if matches!(args.format, Format::Csv | Format::Parquet) && questions.len() > 1 {
         return Err(Error::Usage("CSV and Parquet hold one table: choose it with --question".into()));
     }
-    let (trials, made, early) = Reader::asked(Database::at(&args.db).await?, async |reader| {
-        Ok::<_, Error>((finished_trials(reader).await?, reader.made().await?, reader.may_stop_early().await?))
+    let (trials, caveats) = Reader::asked(Database::at(&args.db).await?, async |reader| {
+        Ok::<_, Error>((finished_trials(reader).await?, provenance::caveats(reader).await?))
     })
     .await?;
     let mut objects = Vec::new();
@@ -83,7 +83,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if !objects.is_empty() {
         print_line!("{{\n{}\n}}", objects.join(",\n"))?;
     }
-    provenance::caveats(&made, early).iter().for_each(|caveat| say!("{caveat}"));
+    caveats.iter().for_each(|caveat| say!("{caveat}"));
     if trials.is_empty() {
         say!("no trial of {} is done yet", args.db.display());
     }

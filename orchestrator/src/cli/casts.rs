@@ -7,6 +7,7 @@ use metasense_schemas::record::CastReading;
 use metasense_schemas::source::Source;
 use metasense_schemas::spec::{TrialSpec, Variation, VariationFile};
 use metasense_worker::casts::casts;
+use metasense_worker::problem::INVERTED_OF_A_CAST;
 
 use super::named::Designed;
 use super::{Error, Format, print_rows};
@@ -47,7 +48,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let found = read(&args, &trial, &design, variation).map_err(|e| args.one.trial.refused(e))?;
     let failed =
         found.iter().filter(|reading| reading.reader == "nominal" && reading.outcome != "ok").count();
-    let table = if args.each { each(&found) } else { medians(&found) };
+    let holdout = trial.stimuli.holdout;
+    let table = if args.each { each(&found, holdout) } else { medians(&found, holdout) };
     print_rows(&table, args.format)?;
     say!("trial {}: {count} casts, {failed} of which failed", short_hash(&hash));
     Ok(Exit::Done)
@@ -77,20 +79,28 @@ fn read(
 /// Seconds between two lines of progress.
 const SAY_EVERY: u64 = 10;
 
-fn each(found: &[CastReading]) -> Table {
-    let rows = found.iter().map(|r| row![r.cast, &r.reader, r.records, r.error, &r.outcome]);
-    Table::new("casting reader records error outcome", rows)
+/// How many samples of the holdout a brain reads.
+fn samples(reader: &str, holdout: usize) -> usize {
+    if matches!(reader, "inverse" | "twin") { holdout.min(INVERTED_OF_A_CAST) } else { holdout }
+}
+
+fn each(found: &[CastReading], holdout: usize) -> Table {
+    let row = |r: &CastReading| {
+        row![r.cast, &r.reader, r.records, samples(&r.reader, holdout), r.error, &r.outcome]
+    };
+    Table::new("casting reader records samples error outcome", found.iter().map(row))
 }
 
 /// Of each brain, over the casts.
-fn medians(found: &[CastReading]) -> Table {
+fn medians(found: &[CastReading], holdout: usize) -> Table {
     let brains = found.iter().take_while(|reading| reading.cast == 0);
     let rows = brains.map(|brain| {
         let own = found.iter().filter(|r| (&r.reader, r.records) == (&brain.reader, brain.records));
         let mut errors: Vec<f64> = own.filter_map(|r| r.error).collect();
         errors.sort_by(f64::total_cmp);
         let [median, most] = [0.5, 0.9].map(|part| (!errors.is_empty()).then(|| quantile(&errors, part)));
-        row![&brain.reader, brain.records, median, most, errors.last()]
+        let samples = samples(&brain.reader, holdout);
+        row![&brain.reader, brain.records, samples, median, most, errors.last()]
     });
-    Table::new("reader records median percentile_90 worst", rows)
+    Table::new("reader records samples median percentile_90 worst", rows)
 }

@@ -38,8 +38,8 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let (trials, made, early) = Reader::asked(Database::at(&args.db).await?, async |reader| {
-        Ok::<_, Error>((finished_trials(reader).await?, reader.made().await?, reader.may_stop_early().await?))
+    let (trials, caveats) = Reader::asked(Database::at(&args.db).await?, async |reader| {
+        Ok::<_, Error>((finished_trials(reader).await?, provenance::caveats(reader).await?))
     })
     .await?;
     let found = tried(&trials);
@@ -69,6 +69,6 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             trials.len()
         ),
     }
-    provenance::caveats(&made, early).iter().for_each(|caveat| say!("{caveat}"));
+    caveats.iter().for_each(|caveat| say!("{caveat}"));
     Ok(Exit::Done)
 }

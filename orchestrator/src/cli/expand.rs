@@ -35,6 +35,7 @@ pub(super) struct Args {
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     args.simd.choose()?;
     let mut plan = args.spec.plan()?;
+    plan.check_memory()?;
     if let Some(shard) = args.shard {
         let assignment = match &args.folder {
             Some(folder) if !folder.is_dir() => {

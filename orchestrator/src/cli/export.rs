@@ -7,6 +7,7 @@ use metasense_schemas::database::VIEWS;
 use metasense_worker::casts::NO_VARIATION;
 use metasense_worker::demands::Demands;
 use metasense_worker::replay::{Drawing, Own, Replay, drawing};
+use metasense_worker::run::keeps_error;
 
 use super::named::{Database, Named, Which};
 use super::query::answer_in;
@@ -19,6 +20,7 @@ use crate::export::{
     Fit, Mould, Outline, brain_of, device, dxf, mould, npz, onnx, replays, series, unreadable,
 };
 use crate::look::Format;
+use crate::provenance;
 use crate::report::body::sketch;
 use crate::store::{Reader, Stored, npy_bytes};
 
@@ -134,7 +136,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         Reader::asked(Database::at(&db).await?, async |reader| answer_in(reader, &sql, out, format).await)
             .await?;
     } else {
-        trial(&args.trial.stored().await?, &args)?;
+        let stored = args.trial.stored().await?;
+        provenance::unresolved(keeps_error(&stored.solver))
+            .iter()
+            .for_each(|caveat| say!("warning: {caveat}"));
+        trial(&stored, &args)?;
     }
     print_line!("{}", out.display())?;
     Ok(Exit::Done)

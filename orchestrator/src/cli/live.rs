@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use metasense_schemas::reason::Reason;
 use metasense_schemas::record::{BodyEvaluation, TrialResult, mean};
+use metasense_worker::run::keeps_error;
 use tokio::sync::Notify;
 
 use super::{duration, is_live};
@@ -13,6 +14,7 @@ use crate::engine::{View, Watch};
 use crate::files::host;
 use crate::look::short_hash;
 use crate::plan::{Trial, counted};
+use crate::provenance;
 use crate::scheduler::{Outcome, UNFIT_DEATHS};
 
 /// Resolution of the bar.
@@ -71,6 +73,9 @@ impl Watch for Live<'_> {
             _ => percent(&result.initial) + " -> ",
         };
         self.say(&format!("done: {}: holdout error {before}{}", named(trial), percent(&result.optimised)));
+        if let Some(caveat) = provenance::unresolved(keeps_error(&result.solver)) {
+            self.say(&format!("warning: {}: {caveat}", named(trial)));
+        }
     }
 
     fn attempt_failed(&mut self, trial: &Trial, attempt: u32, reason: Reason, settled: bool, text: &str) {

@@ -14,7 +14,7 @@ use crate::report::modes as pictures;
 ///
 /// For small motions only: under a sweep's stimuli bodies move strongly nonlinearly (`v_trial` has the error of the linear model).
 /// Modes go as exp(s t) with complex s: the frequency is |s|/2π, the damping ratio −Re s/|s|. A mode of damping ratio 1 does not
-/// oscillate.
+/// oscillate; one of damping ratio 0 has no decay time.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]

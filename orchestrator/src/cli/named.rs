@@ -6,14 +6,16 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use metasense_schemas::source::Source;
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::{design, simulate};
+use metasense_worker::demands::memory;
+use metasense_worker::design::Feasible;
+use metasense_worker::{design, problem, simulate};
 
 use super::Error;
 use crate::cluster::facts::Facts;
 use crate::cluster::home::attempts;
 use crate::files;
 use crate::look::Table;
-use crate::plan::{OneBody, Plan, Trial};
+use crate::plan::{OneBody, Plan, Trial, counted};
 use crate::store::{Reader, StoreError, Stored, quoted};
 
 /// A spec with changes.
@@ -207,6 +209,15 @@ impl Named {
         })
     }
 
+    /// Whether this machine has the memory that the trial needs.
+    pub fn check_memory(&self, trial: &TrialSpec) -> Result<(), Error> {
+        let Err(e) = memory::check_here(trial) else { return Ok(()) };
+        match self.is_database() {
+            true => Err(self.refused(e)),
+            false => Err(self.spec().source()?.error_with(&e.key, Some(&e.value), &e.remedy).into()),
+        }
+    }
+
     /// What a key of it rules out: with file and line, where it is a spec.
     pub fn refused_key(&self, key: &str, remedy: &str) -> Error {
         match self.is_database() {
@@ -262,6 +273,17 @@ impl Designed {
         };
         let (layout, initial) = simulate::body(&spec).map_err(|e| self.trial.refused(e))?;
         let given = self.design.as_ref().map(|file| design::read(file, &layout)).transpose()?;
+        if let (Some(file), Some(given)) = (&self.design, &given) {
+            let limits = problem::limits(&spec.feasible).map_err(|e| self.trial.refused(e))?;
+            let broken = Feasible::new(&layout, limits, &[]).violations(given);
+            if let Some(first) = broken.first() {
+                say!(
+                    "warning: {} breaks {} of [feasible] and cannot be cast; the first: {first}. `metasense project` repairs it",
+                    file.display(),
+                    counted(broken.len(), "limit")
+                );
+            }
+        }
         Ok((hash, spec, given.or(own).unwrap_or(initial)))
     }
 }

@@ -1,6 +1,6 @@
 //! What `run` says at its end: which trials have failed, and the results of all.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
 use metasense_schemas::reason::{CANCELLED, PRUNED};
@@ -11,6 +11,7 @@ use super::{Error, Format, print_rows};
 use crate::analysis::kinds::brains_of;
 use crate::look::Table;
 use crate::plan::{Plan, counted};
+use crate::provenance;
 use crate::store::{Reader, quoted};
 
 /// Rows that a person may want to read at once.
@@ -31,7 +32,7 @@ pub(super) struct Results<'a> {
 pub(super) async fn print_results(from: Results<'_>, plan: &Plan, format: Format) -> Result<usize, Error> {
     // all of them: a negative limit is none
     let limit = if format == Format::Table { MOST_ROWS as i64 } else { -1 };
-    let (settled, mut table) = Reader::asked(from.db, async |reader| {
+    let (settled, mut table, unresolved) = Reader::asked(from.db, async |reader| {
         let settled = reader.query::<Table>(&of_plan("t.hash, t.state, t.reason", plan)).await?;
         let of_plan = of_plan("t.hash", plan);
         let sql = format!(
@@ -41,7 +42,7 @@ pub(super) async fn print_results(from: Results<'_>, plan: &Plan, format: Format
              FROM v_trial WHERE hash IN ({of_plan})
              ORDER BY panels, sensors, units, placement, seed, brain, trained_with, placed, hash LIMIT {limit}"
         );
-        Ok::<_, Error>((settled, reader.query::<Table>(&sql).await?))
+        Ok::<_, Error>((settled, reader.query::<Table>(&sql).await?, reader.unresolved().await?))
     })
     .await?;
     name_brains(&mut table, plan);
@@ -50,6 +51,9 @@ pub(super) async fn print_results(from: Results<'_>, plan: &Plan, format: Format
     }
     let failed = say_failures(from, &settled);
     print_rows(&table, format)?;
+    let own: HashSet<&str> = plan.trials.iter().map(|trial| trial.hash.as_str()).collect();
+    let unresolved: Vec<String> = unresolved.into_iter().filter(|hash| own.contains(&**hash)).collect();
+    provenance::unresolved_trials(&unresolved).iter().for_each(|caveat| say!("warning: {caveat}"));
     if let more @ 1.. = settled.rows.len() - table.rows.len() {
         say!("… and {more} more: metasense query {} \"SELECT * FROM v_trial\"", from.named.display());
     }

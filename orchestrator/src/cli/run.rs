@@ -245,6 +245,7 @@ pub(super) async fn run(
              force has not begun by its end has no error that means anything"
         );
     }
+    plan.check_memory()?;
     if let Some(limit) = plan.spec.run.lock_wait {
         wait_for_locks(Duration::from_secs_f64(limit));
     }
@@ -315,6 +316,7 @@ fn reread(plan: &Plan, how: &How) -> Arc<Reread> {
             return Err(why.into());
         }
         let plan = spec.plan().map_err(|error| chain(&error))?;
+        plan.check_memory().map_err(|error| chain(&error))?;
         if asks || plan.spec.until.is_some() {
             return Err("[until] decides which trials are run: stop the run, the same command goes on by the edited spec".into());
         }

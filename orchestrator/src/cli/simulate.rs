@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use metasense_worker::files::{self, Array};
-use metasense_worker::run::finite;
+use metasense_worker::run::{finite, keeps_error};
 use metasense_worker::simulate::{Simulated, simulate};
 
 use super::named::Designed;
@@ -15,7 +15,8 @@ use crate::store::npy_bytes;
 /// Simulates a body under given forces: signals, motion, energies and a gradient
 ///
 /// Writes signals.npy (N, T, 3M), displacements.npy and velocities.npy (N, T, units, 3), energies.npy (N, T) and, with
-/// --cotangent, gradient.npy, in the units and orders of MODEL.md. Exit code 1 if a sample does not reach its end.
+/// --cotangent, gradient.npy, in the units and orders of MODEL.md. Force evaluations are those per sample of the simulation and of the
+/// gradient; the pilot that chose the steps comes once, before. Exit code 1 if a sample does not reach its end.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
@@ -61,6 +62,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         write("gradient.npy", &[gradient.len()], gradient)?;
     }
     print_rows(&table(&found, args.rows), args.format)?;
+    if !keeps_error(&found.solver)[0] {
+        say!(
+            "warning: no time step reaches solver.tolerance: the motion is chaotic, so signals depend on the steps (see the column solver)"
+        );
+    }
+    say!("the pilot that chose the steps took {} force evaluations", found.pilot_evaluations);
     Ok(if found.outcomes.iter().all(|o| *o == "ok") { Exit::Done } else { Exit::Failed })
 }
 

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use metasense_schemas::reason::{CANCELLED, PRUNED};
+use metasense_worker::run::keeps_error;
 use serde_json::{Value, json};
 
 use super::named::{Database, Named};
@@ -73,11 +74,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
         db
     };
-    let (table, failed, made) = Reader::asked(Database::at(&db).await?, async |reader| {
+    let (table, failed, made, unresolved) = Reader::asked(Database::at(&db).await?, async |reader| {
         Ok::<_, Error>((
             reader.query(STATES).await?,
             reader.query::<Table>(FAILED).await?,
             reader.made().await?,
+            reader.unresolved().await?,
         ))
     })
     .await?;
@@ -89,9 +91,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let count = counted(row[3].as_u64().unwrap_or_default() as usize, "trial");
         say!("failed: {count}: {what} (metasense status {} {})", db.display(), short_hash(hash));
     }
-    if let Some(mixed) = provenance::mixed(&made) {
-        say!("{mixed}");
-    }
+    let caveats = provenance::mixed(&made).into_iter().chain(provenance::unresolved_trials(&unresolved));
+    caveats.for_each(|caveat| say!("{caveat}"));
     let state = table.columns.iter().position(|column| column == "state");
     if state.is_some_and(|state| table.rows.iter().any(|row| row[state] == "running")) && !is_held(&db) {
         say!(
@@ -104,12 +105,13 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 /// A trial's attempts, and what was said of them.
 async fn one(reader: &mut Reader, hash: &str, format: Format) -> Result<Exit, Error> {
     let named = quoted(hash);
-    let state = format!("SELECT state, reason FROM trial WHERE hash = {named}");
+    let state = format!("SELECT state, reason, solver FROM trial WHERE hash = {named}");
     let state = reader.query::<Table>(&state).await?.rows.swap_remove(0);
     let log =
         format!("SELECT attempt, at, level, text FROM v_log WHERE hash = {named} ORDER BY attempt, line");
-    let [state, reason] = [0, 1].map(|i| state[i].as_str().unwrap_or_default().to_owned());
+    let [state, reason, solver] = [0, 1, 2].map(|i| state[i].as_str().unwrap_or_default().to_owned());
     say!("{}", format!("trial {hash}: {state} {reason}").trim_end());
+    provenance::unresolved(keeps_error(&solver)).iter().for_each(|caveat| say!("warning: {caveat}"));
     say_attempts(reader, hash).await?;
     print_rows(&reader.query(&log).await?, format)?;
     let failed = state == "failed" && ![PRUNED, CANCELLED].contains(&&*reason);

@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, mean};
-use metasense_worker::run::{Control, Failure, Observe, pool, run_trial};
+use metasense_worker::run::{Control, Failure, Observe, keeps_error, pool, run_trial};
 use serde_json::json;
 
 use super::named::Named;
@@ -11,6 +11,7 @@ use super::simd::Simd;
 use super::{Error, Format, duration, end_on_signal, print_rows};
 use crate::exit::Exit;
 use crate::look::Table;
+use crate::provenance;
 
 /// Runs one trial in the foreground, without a database: to reproduce or profile it
 ///
@@ -33,6 +34,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     end_on_signal(None);
     args.simd.choose()?;
     let (hash, spec) = args.trial.read().await?;
+    args.trial.check_memory(&spec)?;
     let start = Instant::now();
     let result = match pool(args.threads.into()).and_then(|pool| run_trial(&spec, None, &pool, &mut Steps)) {
         Ok(result) => result,
@@ -67,6 +69,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     add("simd", json!(result.simd));
     table.rows.push(row);
     print_rows(&table, args.format)?;
+    provenance::unresolved(keeps_error(&result.solver)).iter().for_each(|caveat| say!("warning: {caveat}"));
     say!("{}", duration(seconds));
     Ok(Exit::Done)
 }

@@ -1,5 +1,7 @@
 //! Error over casts, by body and brain: a figure, and a sentence a setting.
 
+use metasense_worker::problem::INVERTED_OF_A_CAST;
+
 use super::words::left_out;
 use crate::analysis::bodies::Trained;
 use crate::analysis::casts::{Left, Setting, settings};
@@ -117,12 +119,19 @@ fn brain(by: CastBrain) -> String {
         CastBrain::Records(records) => {
             format!("a linear brain fitted to {records} records of each cast")
         }
-        CastBrain::Inverse => "the model of the design, inverted".into(),
+        CastBrain::Inverse => format!("the model of the design, inverted ({})", some()),
         CastBrain::TwinLinear(records) => {
             format!("a linear brain fitted to a twin, calibrated on {records} records of each cast")
         }
-        CastBrain::Twin(records) => format!("a twin calibrated on {records} records of each cast, inverted"),
+        CastBrain::Twin(records) => {
+            format!("a twin calibrated on {records} records of each cast, inverted ({})", some())
+        }
     }
+}
+
+/// Inverse brains do not read the whole holdout of a cast.
+fn some() -> String {
+    format!("at most {INVERTED_OF_A_CAST} samples of the holdout")
 }
 
 fn tick(by: CastBrain) -> String {

@@ -13,6 +13,7 @@ use crate::analysis::setting::{Settings, odd};
 use crate::analysis::trial::{CastBrain, CastReading, CurvePoint, Reading, UnderReading};
 use crate::analysis::{Body, Cluster, Set, Terms, Trial};
 use crate::look::{Data, MOST_ROWS, Table};
+use crate::provenance;
 use crate::store::{Reader, Row, StoreError, check, npy_values};
 use metasense_schemas::reason::{CANCELLED, PRUNED};
 
@@ -391,8 +392,8 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
         Some(hash) => reader.stored(hash).await?,
         None => None,
     };
-    let (made, early) = (reader.made().await?, reader.may_stop_early().await?);
-    Ok(Story { sweeps, states, trials, made, early, stored, terms, searches })
+    let (made, caveats) = (reader.made().await?, provenance::caveats(reader).await?);
+    Ok(Story { sweeps, states, trials, made, caveats, stored, terms, searches })
 }
 
 /// What of a trial the page shows.

@@ -23,7 +23,6 @@ use crate::analysis::resample::{REPLICATES, SEED};
 use crate::analysis::{Question, Terms, Trial};
 use crate::look::wave::SCRIPT;
 use crate::look::{Answer, Figure, Table, answers as listed, download, more, page};
-use crate::provenance;
 use crate::store::{Made, Stored};
 
 /// Everything that a report tells.
@@ -37,8 +36,8 @@ pub struct Story {
     pub trials: Vec<Trial>,
     /// By what code.
     pub made: Vec<Made>,
-    /// Whether `[until]` may have ended a sweep of them.
-    pub early: bool,
+    /// What is to be said beside their numbers.
+    pub caveats: Vec<String>,
     /// The one that is replayed, where one is stored whole.
     pub stored: Option<Stored>,
     /// What a decision on M weighs.
@@ -160,8 +159,7 @@ fn state(story: &Story) -> Vec<Answer> {
         "{done} of {all} trials are done, {failed} failed{why}. Ratios are geometric means over trials. Intervals are over \
          placements and seeds, because trials that share these are not independent."
     );
-    let caveats = provenance::caveats(&story.made, story.early);
-    let caveats = caveats.into_iter().map(|caveat| Answer::new("", Some(false), format!("{caveat}.")));
+    let caveats = story.caveats.iter().map(|caveat| Answer::new("", Some(false), format!("{caveat}.")));
     let state = Answer::new("", (failed > 0).then_some(false), text);
     std::iter::once(state).chain(caveats).collect()
 }

@@ -30,10 +30,10 @@ pub fn title(n: usize, mode: &Mode) -> String {
 
 /// A row a mode.
 pub fn row(n: usize, mode: &Mode) -> Vec<Value> {
-    row![n + 1, mode.frequency(), mode.damping_ratio(), mode.s.im / std::f64::consts::TAU, -1.0 / mode.s.re]
+    row![n + 1, mode.frequency(), mode.damping_ratio(), mode.s.im / std::f64::consts::TAU, mode.decay_time()]
 }
 
-/// Its columns: |s|/2π (Hz), −Re s/|s|, Im s/2π (Hz) and −1/Re s (s).
+/// Its columns: |s|/2π (Hz), −Re s/|s|, Im s/2π (Hz) and −1/Re s (s), empty where nothing damps the mode.
 pub const COLUMNS: &str = "mode frequency damping_ratio ringing_frequency decay_time";
 
 /// The slowest modes of a trial's two bodies.

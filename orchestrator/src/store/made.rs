@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 
 use metasense_schemas::spec::flatten;
+use metasense_worker::run::keeps_error;
 use serde_json::Value;
 
 use super::{Reader, StoreError};
@@ -73,6 +74,23 @@ impl Reader {
             .fetch_one(&mut self.connected.connection)
             .await
             .map_err(|e| StoreError::sql(&self.path, "reading", e))
+    }
+
+    /// Hashes of the trials that are done by steps which do not keep the error asked, on one of their bodies.
+    ///
+    /// # Errors
+    /// Where SQLite fails.
+    pub async fn unresolved(&mut self) -> Result<Vec<String>, StoreError> {
+        let mut hashes = Vec::new();
+        let sql = "SELECT hash, solver FROM trial WHERE state = 'done' AND solver IS NOT NULL ORDER BY hash";
+        self.each(sql, |row| {
+            if keeps_error(row.text("solver")) != [true; 2] {
+                hashes.push(row.text("hash").to_owned());
+            }
+            Ok::<_, StoreError>(())
+        })
+        .await?;
+        Ok(hashes)
     }
 
     /// The trial that differs by the fewest keys from this one; of several the first by hash. `None` of no trials.

@@ -17,6 +17,8 @@ pub struct Stored {
     pub weights: [Vec<f32>; 2],
     /// Training loss of the first network after every iteration.
     pub losses: [Vec<f32>; 2],
+    /// The integrator, and why.
+    pub solver: String,
     /// Half-widths (T, K) (N) of the bands about what the body's brain says, at each instant and over a sample; empty without.
     pub bands: [[Vec<f64>; 2]; 2],
 }
@@ -36,7 +38,7 @@ impl Reader {
     /// Where there is no such trial, or what is stored of it cannot be read.
     pub async fn stored(&mut self, hash: &str) -> Result<Option<Stored>, StoreError> {
         let named = quoted(&self.hash_of(hash).await?);
-        let columns = ["hash", "state", "spec", "sensor_units", "sensor_units_optimised"];
+        let columns = ["hash", "state", "spec", "sensor_units", "sensor_units_optimised", "solver"];
         let sql = format!("SELECT {} FROM v_trial WHERE hash = {named}", columns.join(", "));
         let mut found = None;
         self.each(&sql, |row| {
@@ -44,7 +46,7 @@ impl Reader {
             Ok::<_, StoreError>(())
         })
         .await?;
-        let Some([hash, state, spec, units, units_optimised]) = found else {
+        let Some([hash, state, spec, units, units_optimised, solver]) = found else {
             return Err(StoreError::UnknownTrial { path: self.path().to_owned(), hash: hash.to_owned() });
         };
         if state != "done" {
@@ -75,6 +77,6 @@ impl Reader {
                 }
             }
         }
-        Ok(Some(Stored { hash, specs, designs, weights, losses, bands }))
+        Ok(Some(Stored { hash, specs, designs, weights, losses, solver, bands }))
     }
 }

@@ -158,17 +158,17 @@ impl Default for Prune {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Run {
-    /// Worker processes; each runs one trial at a time. Default: one per core.
+    /// Worker processes, at most 1024; each runs one trial at a time. Default: one per core.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub workers: Option<usize>,
-    /// Threads of each worker. Default: 1.
+    /// Threads of each worker, at most 1024. Default: 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub threads: Option<usize>,
     /// Added to the workers' niceness, 0 to 19. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub niceness: Option<u8>,
-    /// Memory limit of each worker. A trial that needs more fails with the reason `out_of_memory`; without a limit that is a
-    /// shortage of the machine. Unit: MiB. Default: no limit.
+    /// Memory limit of each worker. A trial whose arrays alone need more is refused before anything starts; one that comes to need more
+    /// fails with the reason `out_of_memory`; without a limit that is a shortage of the machine. Unit: MiB. Default: no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub memory: Option<u64>,
     /// How often a trial is retried after its worker has died without completing a step; and how often in a row trials are begun

@@ -71,7 +71,7 @@ pub struct Brain {
     /// Weight of the squares of a linear brain's weights (λ). Default: `"auto"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ridge: Option<Ridge>,
-    /// Full-batch Adam iterations of one training of the network.
+    /// Full-batch Adam iterations of one training of the network, at most 10 000 000.
     pub iterations: usize,
     /// Adam's learning rate for the network. Unit: 1.
     pub learning_rate: f64,
@@ -291,11 +291,11 @@ pub struct Optimise {
     /// What `curvature` adds to the diagonal. Unit: 1. Default: 0 for `"gauss_newton"`; must be given for `"damped"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub damping: Option<f64>,
-    /// Samples of each step whose gradient moves the body; over casts of each cast. Default: 32 for `"joint"`, over casts 8,
+    /// Samples of each step whose gradient moves the body, at most 1 000 000; over casts of each cast. Default: 32 for `"joint"`, over casts 8,
     /// with `reader = "each"` 24; 64 for `"envelope"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub batch: Option<usize>,
-    /// Iterations of the network in each outer step; `"paper"` has `brain.iterations` instead. Default: 10.
+    /// Iterations of the network in each outer step, at most 10 000 000; `"paper"` has `brain.iterations` instead. Default: 10.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub brain_iterations: Option<usize>,
     /// Adam's learning rate of these iterations. Unit: 1. Default: 1e-3.
@@ -439,7 +439,7 @@ pub struct Evaluation {
     /// (worker/README.md). As many as there are, or more, are all. Default: all, as the paper has it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub batch: Option<usize>,
-    /// Iterations of as many further networks, trained longer (the paper's 10 000). In `v_network` and `v_curve` they follow the
+    /// Iterations of as many further networks, trained longer (the paper's 10 000), at most 10 000 000. In `v_network` and `v_curve` they follow the
     /// others. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub long_iterations: Option<usize>,

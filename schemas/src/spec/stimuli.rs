@@ -109,13 +109,13 @@ impl Part {
 pub struct Stimuli {
     /// Kind of forces.
     pub kind: StimuliKind,
-    /// Samples that train and test the brain (N).
+    /// Samples that train and test the brain (N), at most 1 000 000.
     #[serde(default = "stimuli_samples")]
     pub samples: usize,
     /// Those of the N that are the test set. The test error steers the body's design.
     #[serde(default = "stimuli_test")]
     pub test: usize,
-    /// Further samples that training never sees: the errors to quote.
+    /// Further samples that training never sees, at most 1 000 000: the errors to quote.
     #[serde(default = "stimuli_holdout")]
     pub holdout: usize,
     /// Amplitude of a pulse: an interval `[least, most]`, drawn from uniformly for each sample and panel. Unit: N. Default:

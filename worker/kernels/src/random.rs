@@ -5,7 +5,10 @@
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-/// What a stream is for; no two purposes share draws.
+/// What a stream is for; streams of two purposes share no draws.
+///
+/// Within `Stimulus` two uses do: the panel of a recorded force and the panel of an irregular blow share a stream where record and sample
+/// have the same number. In a mixture of both these two panels are not independent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u64)]
 pub enum Purpose {

@@ -21,7 +21,7 @@ mod search;
 mod state;
 
 pub use casts::{ForCasts, RECORDS, brain_for_casts, casts_of};
-pub use comparison::evaluate_designs;
+pub use comparison::{evaluate_designs, keeps_error};
 pub use evaluation::{
     BandReading, BodyEvaluation, CastBrain, CastReading, Comparison, NetworkEvaluation, Optimised,
 };

@@ -41,6 +41,8 @@ fn bad_polygons_are_refused_by_name() {
         ("[[0, 1, 1, 0]]", "[[0, 1, 2, 0]]", "ligaments[0]", "no node 0 of a unit 2"),
         ("[[0, 1, 1, 0]]", "[[0, 1, 0, 2]]", "ligaments[0]", "two units"),
         ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0], [1, 0, 0, 1]]", "ligaments[1]", "twice"),
+        ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0], [0, 1, 1, 3]]", "ligaments[1]", "has ligaments[0] already"),
+        ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0], [1, 0, 0, 2]]", "ligaments[1]", "node 0 of unit 1"),
         ("[14, 0]", "[10, 0]", "ligaments[0]", "no length"),
         ("[[0, 1, 1, 0]]", "[]", "units[1]", "hangs on nothing"),
         ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0]]\ntogether = [[[0, 0], [1, 4]]]", "together[0]", "no node 4"),

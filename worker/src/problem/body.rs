@@ -286,6 +286,7 @@ pub fn panel_units(body: &spec::Body, layout: &Layout, panels: usize) -> Result<
             (listed.units(panels), format!("{} names {} panels", listed.key, listed.panels.len()));
         return if units.len() == panels { Ok(units) } else { Err(none(remedy)) };
     }
+    require(panels <= layout.units(), "sweep.panels", panels, "must be at most the number of units")?;
     match body.layout {
         LayoutKind::Planar => layout.top_panels(panels).ok_or_else(|| {
             let top = layout.top().len();

@@ -6,8 +6,8 @@ use metasense_numerics::feasible::{Feasible, Limits};
 use metasense_numerics::trial::{Going, Protocol, Terms};
 use metasense_schemas::spec::{self, TrialSpec};
 
-use super::{check_units, held, kept};
-use crate::invalid::{Invalid, as_written, at_least, invalid, not_negative, positive, require};
+use super::{ITERATIONS_MAX, SAMPLES_MAX, check_units, held, kept};
+use crate::invalid::{Invalid, as_written, invalid, not_negative, positive, require, within};
 
 /// How body and brain are trained together.
 pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
@@ -61,8 +61,8 @@ pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
         brain_iterations: resolved.brain_iterations.unwrap_or(1),
         brain_rate: resolved.brain_learning_rate.unwrap_or(1.0),
     };
-    at_least("optimise.batch", going.batch, 1)?;
-    at_least("optimise.brain_iterations", going.brain_iterations, 1)?;
+    within("optimise.batch", going.batch, 1, SAMPLES_MAX)?;
+    within("optimise.brain_iterations", going.brain_iterations, 1, ITERATIONS_MAX)?;
     positive("optimise.brain_learning_rate", going.brain_rate)?;
     Ok(match protocol {
         spec::Protocol::Paper => Protocol::Paper(match gradient {

@@ -6,8 +6,8 @@ use metasense_numerics::stimuli::{Bell, Hand, Irregular, Source};
 use metasense_numerics::trial::{Disturbance, Size, Stimuli};
 use metasense_schemas::spec::{self, StimuliKind, TrialSpec};
 
-use super::INSTANTS_MAX;
 use super::body::lengths;
+use super::{INSTANTS_MAX, SAMPLES_MAX};
 use crate::invalid::{Invalid, as_written, at_least, at_most, invalid, not_negative, require};
 use crate::records;
 
@@ -18,8 +18,8 @@ pub(super) fn stimuli(trial: &TrialSpec) -> Result<Stimuli, Invalid> {
         stimuli.recorded = None;
     }
     let &spec::Stimuli { samples, test, holdout, .. } = &stimuli;
-    at_most("stimuli.samples", samples, 1_000_000)?;
-    at_most("stimuli.holdout", holdout, 1_000_000)?;
+    at_most("stimuli.samples", samples, SAMPLES_MAX)?;
+    at_most("stimuli.holdout", holdout, SAMPLES_MAX)?;
     at_least("stimuli.test", test, 1)?;
     require(
         test < samples,

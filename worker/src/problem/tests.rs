@@ -9,7 +9,7 @@ use metasense_schemas::spec::{Brain, Evaluation, Feasible, Optimise, Sensors, So
 use serde_json::{Value, json};
 
 /// The reference scene, with some keys changed.
-fn trial(changes: &[(&str, Value)]) -> TrialSpec {
+pub(crate) fn trial(changes: &[(&str, Value)]) -> TrialSpec {
     let mut spec = json!({
         "body": {
             "columns": 6, "rows": 6, "spacing": 15.0, "ligament_length": 2.25, "density": 1e-8,

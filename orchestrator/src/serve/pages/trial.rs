@@ -7,6 +7,7 @@ use axum::response::Html;
 use maud::{Markup, html};
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::replay::drawing;
+use metasense_worker::run::keeps_error;
 use metasense_worker::simulate;
 use serde::Deserialize;
 
@@ -17,6 +18,7 @@ use crate::look::short_hash;
 use crate::look::wave::course;
 use crate::look::{Axis, Figure, Picture, Plot, Scale, Table, legend, number, readable};
 use crate::plan::counted;
+use crate::provenance;
 use crate::report::body::{self, sketch};
 use crate::report::load::PARTS;
 use crate::report::samples::Replayed;
@@ -277,6 +279,9 @@ fn facts(seen: &Seen, trial: &Trial) -> Markup {
     html! {
         (trouble(seen))
         p class="question" { (trial.state) @if !trial.reason.is_empty() { ": " (trial.reason) } }
+        @if let Some(caveat) = trial.stored.as_ref().and_then(|stored| provenance::unresolved(keeps_error(&stored.solver))) {
+            p { "Warning: " (caveat) "." }
+        }
         dl class="facts" {
             @for (name, value) in facts {
                 div { dt { (name.replace('_', " ")) } dd {

@@ -151,7 +151,8 @@ pub fn choose(scene: &Scene, design: &[f64], solver: &Solver) -> Plan {
 /// The same under forces with so many kinks an interval.
 pub(super) fn choose_under(scene: &Scene, design: &[f64], kinks: usize, solver: &Solver) -> Plan {
     let Solver { method, accuracy, tolerance, single } = *solver;
-    // the scheme of `relaxing` errs by at most the law of `nystrom4`, for τ from 0.1 ms and g up to 1 on
+    // The scheme of `relaxing` errs by at most the law of `nystrom4`, for τ from 0.1 ms and g up to 1 on. An accuracy that a pilot has
+    // found by another method's law serves: what makes a scene harder than one law says makes it as much harder than the other says.
     let method = if scene.relaxation.is_some() { Method::Nystrom4 } else { method };
     if method == Method::Tsit5 {
         let tolerance = tolerance.unwrap_or_else(|| Tolerance::from(accuracy));

@@ -46,4 +46,4 @@ pub use scene::{
 pub use simulation::{Counters, Gradient, Outcome, Simulation, Tape, Wrt};
 pub use solver::{Accuracy, Method, Plan, Precision, Solver, Steps, Tolerance};
 pub use stiffness::sparse;
-pub use tune::{Tuned, signal_error, tune};
+pub use tune::{Tuned, keeps_error, signal_error, tune};

@@ -30,6 +30,14 @@ const SAFETY: f64 = 1.25;
 const REFINED: usize = 8;
 /// Runs of one method.
 const TRIES: usize = 6;
+/// How the reason of a plan says that no steps keep the error asked.
+const UNREACHED: &str = "of the pilot reached the error asked";
+
+/// Whether a plan of this reason keeps the error asked, as far as a pilot has measured it: motion that no steps resolve has other
+/// signals by other steps.
+pub fn keeps_error(reason: &str) -> bool {
+    !reason.contains(UNREACHED)
+}
 
 /// Finds the cheapest way to keep the solver's accuracy in this scene under these forces.
 ///
@@ -64,7 +72,7 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
         Ok(found) => found,
         Err((refined, off)) => {
             let left = if off.is_finite() { format!("{off:.0e}") } else { "an unknown one".to_owned() };
-            let why = format!("no steps of the pilot reached the error asked, {left} is left");
+            let why = format!("no steps {UNREACHED}, {left} is left");
             let own = |c: &&Candidate| c.law.method == solver.method;
             let method = if solver.method == Method::Auto { Some(six) } else { all.iter().find(own) };
             let Some(candidate) = method.filter(|_| refined > 1) else {
@@ -79,10 +87,7 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
     };
     if adaptive {
         let Some((tolerance, error)) = pilot.tolerance(&truth, asked) else {
-            return as_it_is(
-                Some("no tolerance of the pilot reached the error asked".to_owned()),
-                pilot.counters,
-            );
+            return as_it_is(Some(format!("no tolerance {UNREACHED}")), pilot.counters);
         };
         let reason = format!(
             "tsit5, tolerance {tolerance:.1e} of its own error norm: error {error:.0e} measured, asked {asked:.0e}"
@@ -111,7 +116,7 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
         }
     }
     let Some((candidate, Fewest { steps, exact, error })) = best else {
-        return as_it_is(Some("no steps of the pilot reached the error asked".to_owned()), pilot.counters);
+        return as_it_is(Some(format!("no steps {UNREACHED}")), pilot.counters);
     };
     let plan = candidate.plan(steps, String::new());
     let rounded = pilot.rounded(&candidate, &plan, &truth, asked);

@@ -86,8 +86,17 @@ impl Plain {
 
     /// 2w (ŷ − y)/n of the n samples that have an error: the derivative of its mean, as a part of 1, in the answers.
     pub(crate) fn residual(&self, predicted: &[f64]) -> Vec<f64> {
-        let total =
-            self.w.iter().zip(&self.failed).filter(|(w, failed)| **w > 0.0 || **failed).count() as f64;
+        let total = self.w.iter().zip(&self.failed).filter(|(w, failed)| **w > 0.0 || **failed).count();
+        self.residual_over(total, predicted)
+    }
+
+    /// The same of the n samples that a fit is a mean over: those with a force.
+    fn fitted_residual(&self, predicted: &[f64]) -> Vec<f64> {
+        self.residual_over(self.w.iter().filter(|w| **w > 0.0).count(), predicted)
+    }
+
+    fn residual_over(&self, total: usize, predicted: &[f64]) -> Vec<f64> {
+        let total = total as f64;
         let one = self.sizes.instants * self.sizes.outputs;
         let mut residual = Vec::with_capacity(predicted.len());
         for ((p, y), w) in predicted.chunks_exact(one).zip(self.y.chunks_exact(one)).zip(&self.w) {
@@ -268,12 +277,12 @@ impl Learner for LinearLearner<'_> {
 ///
 /// ∂L_train/∂W = 2 Σ ŵ φ (ŷ − y) + 2λW stays zero as x moves: dL = −⟨z, d(∂L_train/∂W)⟩.
 fn through_weights(samples: &Plain, linear: &Linear, said: &[f64], z: &Linear) -> Vec<f64> {
-    let residual = samples.residual(said);
+    let residual = samples.fitted_residual(said);
     // 2ŵ of z's own answers
     let answers = z.predict(&samples.x);
     let zero = Plain { y: vec![0.0; samples.y.len()], ..samples.clone() };
     let mut inputs = z.predict_vjp(&residual);
-    let more = linear.predict_vjp(&zero.residual(&answers));
+    let more = linear.predict_vjp(&zero.fitted_residual(&answers));
     inputs.iter_mut().zip(more).for_each(|(a, b)| *a = -(*a + b));
     inputs
 }

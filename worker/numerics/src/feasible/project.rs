@@ -4,7 +4,7 @@
 //! 1. *Sequence*: linearise at the target, solve, linearise there, …: a few programs with the near rows alone.
 //! 2. *Path*: from the previous design, steps short enough (proximal term) that linearisation holds, judged by the
 //!    exact penalty `½ Σ w (α − target)² + ρ Σ max(0, ε − c)`; a last sequence polishes.
-//! 3. *Repair*: the same from the target itself, and from a regular body, where there is no feasible previous design.
+//! 3. *Repair*: the same from the target itself, where there is no feasible previous design.
 //!
 //! Whatever comes out is returned only if the judge of `exact.rs` finds nothing; else the previous design is.
 

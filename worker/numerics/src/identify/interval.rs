@@ -89,11 +89,11 @@ pub fn spread(objective: &Objective<'_>, point: &Point, jacobian: &DMatrix<f64>)
         undetermined.push(Direction { exponents: column.iter().map(|c| sign * c).collect(), factor });
     }
     undetermined.sort_by(|a, b| b.factor.total_cmp(&a.factor));
-    let basis =
-        DMatrix::from_columns(&known.iter().map(|&k| eigen.eigenvectors.column(k)).collect::<Vec<_>>());
     let covariance = match known.is_empty() {
         true => DMatrix::zeros(free, free),
         false => {
+            let known: Vec<_> = known.iter().map(|&k| eigen.eigenvectors.column(k)).collect();
+            let basis = DMatrix::from_columns(&known);
             let within = jackknife(&groups(objective), &(jacobian * &basis), &residual);
             &basis * within * basis.transpose()
         }
@@ -115,7 +115,7 @@ pub fn spread(objective: &Objective<'_>, point: &Point, jacobian: &DMatrix<f64>)
     Spread {
         half: (0..free).map(|k| (!unknown(k)).then(|| t * deviation[k])).collect(),
         correlation: (0..free).map(|i| (0..free).map(|j| correlation(i, j)).collect()).collect(),
-        condition: (largest / least).sqrt(),
+        condition: if least > 0.0 { (largest / least).sqrt() } else { f64::INFINITY },
         undetermined,
     }
 }

@@ -8,6 +8,7 @@
 //! D holds the principal directions of the stimuli, R white noise and a constant a channel. J D is by differences to both sides,
 //! all in lanes, the steps held.
 
+use crate::definite::inverse;
 use crate::dynamics::{Forces, Outcome, Plan, Scene, run};
 use nalgebra::{DMatrix, SymmetricEigen};
 
@@ -144,11 +145,8 @@ pub fn information(prior: &Prior, along: &[f64], noise: &Noise) -> DMatrix<f64> 
     DMatrix::identity(r, r) + &rows * rows.transpose()
 }
 
-/// tr(D Q Dᵀ) over targets (N²), Q the inverse of this information.
-///
-/// # Panics
-/// If it is not positive definite.
-pub fn posterior_variance(prior: &Prior, information: DMatrix<f64>) -> f64 {
-    let known = information.cholesky().expect("positive definite").inverse();
-    prior.variance.iter().enumerate().map(|(k, variance)| variance * known[(k, k)]).sum()
+/// tr(D Q Dᵀ) over targets (N²), Q the inverse of this information; `None` of an information that is not finite.
+pub fn posterior_variance(prior: &Prior, information: DMatrix<f64>) -> Option<f64> {
+    let known = inverse(information, 1.0)?;
+    Some(prior.variance.iter().enumerate().map(|(k, variance)| variance * known[(k, k)]).sum())
 }

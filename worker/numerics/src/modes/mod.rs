@@ -36,14 +36,26 @@ impl Mode {
     pub fn damping_ratio(&self) -> f64 {
         -self.s.re / self.s.norm()
     }
+
+    /// −1/Re s (s); none where nothing damps it.
+    pub fn decay_time(&self) -> Option<f64> {
+        (self.s.re < 0.0).then(|| -self.s.re.recip())
+    }
 }
 
-/// The body is not held: some motion meets no stiffness, and has no mode.
+/// Why a body has no modes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Loose;
+pub enum NoModes {
+    /// It is not held: some motion meets no stiffness.
+    Loose,
+    /// Its masses, stiffness or damping are not finite, or so far apart that what follows from them is not.
+    NotFinite,
+}
 
-/// Net force of a mode that counts as found, relative to its inertia.
-const TOLERANCE: f64 = 1e-9;
+/// Energy of what is left of a mode's equation that counts as found, relative to the mode's: √(rᴴ K⁻¹ r / xᴴ K x). Rounding leaves more of
+/// a slow mode, whose elastic forces cancel, and of others beside slow ones: up to so much is taken for it.
+const TOLERANCE: f64 = 1e-10;
+const ROUNDED: f64 = 1e-8;
 /// Starts of the subspace: a lattice of squares has modes that come twice, and one start finds such a mode once.
 const STARTS: usize = 3;
 /// Eigenvalues are told apart from here on.
@@ -52,19 +64,29 @@ const APART: f64 = 1e-8;
 /// The `count` modes of least |s|, in order of it; fewer where the body has fewer.
 ///
 /// # Errors
-/// If the stiffness is not positive definite.
-pub fn modes(rest: &Rest, units: usize, count: usize) -> Result<Vec<Mode>, Loose> {
+/// If the stiffness is not positive definite, or numbers are not finite.
+pub fn modes(rest: &Rest, units: usize, count: usize) -> Result<Vec<Mode>, NoModes> {
     let n = rest.mass.len();
-    let stiffness = sparse(n, &rest.stiffness).sp_cholesky(Side::Lower).map_err(|_| Loose)?;
+    let stiff = rest.stiffness.iter().map(|(_, _, k)| k);
+    if !rest.mass.iter().chain(&rest.damping).chain(stiff).all(|x| x.is_finite()) {
+        return Err(NoModes::NotFinite);
+    }
+    let stiffness = sparse(n, &rest.stiffness).sp_cholesky(Side::Lower).map_err(|_| NoModes::Loose)?;
     let own = rest.stiffness.iter().filter(|(i, j, _)| i == j).map(|&(i, _, k)| (k / rest.mass[i]).sqrt());
     let inverse = Inverse { rest, stiffness, scale: own.fold(0.0, f64::max) };
     let mut space = Subspace { basis: Vec::new(), image: Vec::new(), drawn: 0 };
     let mut size = (4 * count + 16).min(2 * n);
     loop {
         space.grow(&inverse, size);
-        let pairs = space.pairs(&inverse, count);
-        let found = pairs.iter().all(|(s, x)| residual(rest, *s, x) < TOLERANCE);
+        let pairs = space.pairs(&inverse, count).ok_or(NoModes::NotFinite)?;
+        let left: Vec<[f64; 2]> = pairs.iter().map(|(s, x)| inverse.left(*s, x)).collect();
+        let beside = left.iter().fold(TOLERANCE, |most, [_, rounding]| most.max(*rounding)).min(ROUNDED);
+        let found = left.iter().all(|[left, rounding]| *left < rounding.max(beside));
         if size == 2 * n || (found && pairs.len() == count) {
+            let finite = |(s, x): &(c64, Vec<c64>)| s.is_finite() && x.iter().all(|x| x.is_finite());
+            if !pairs.iter().all(finite) {
+                return Err(NoModes::NotFinite);
+            }
             let whole = |x: Vec<c64>| {
                 let mut shape = vec![[c64::ZERO; 3]; units];
                 x.into_iter()
@@ -72,7 +94,8 @@ pub fn modes(rest: &Rest, units: usize, count: usize) -> Result<Vec<Mode>, Loose
                     .for_each(|(i, x)| shape[rest.unknowns[i] / 3][rest.unknowns[i] % 3] = x);
                 shape
             };
-            return Ok(pairs.into_iter().map(|(s, x)| Mode { s, shape: whole(x) }).collect());
+            let mode = |(s, x): (c64, Vec<c64>)| Mode { s: damped(rest, s, &x), shape: whole(x) };
+            return Ok(pairs.into_iter().map(mode).collect());
         }
         size = (size + size / 2).min(2 * n);
     }
@@ -81,8 +104,8 @@ pub fn modes(rest: &Rest, units: usize, count: usize) -> Result<Vec<Mode>, Loose
 /// All modes up to a frequency (Hz).
 ///
 /// # Errors
-/// If the stiffness is not positive definite.
-pub fn modes_to(rest: &Rest, units: usize, hertz: f64) -> Result<Vec<Mode>, Loose> {
+/// As `modes`.
+pub fn modes_to(rest: &Rest, units: usize, hertz: f64) -> Result<Vec<Mode>, NoModes> {
     let mut count = 32;
     loop {
         let found = modes(rest, units, count)?;
@@ -94,14 +117,15 @@ pub fn modes_to(rest: &Rest, units: usize, hertz: f64) -> Result<Vec<Mode>, Loos
     }
 }
 
-/// max |(s² M + s C + K) x| over max |(s² M + s C) x|.
-fn residual(rest: &Rest, s: c64, x: &[c64]) -> f64 {
-    let most = |force: &[c64]| force.iter().map(|f| f.norm()).fold(0.0, f64::max);
-    let own = |i: usize| (s * s * rest.mass[i] + s * rest.damping[i]) * x[i];
-    let mut force: Vec<c64> = (0..x.len()).map(own).collect();
-    let inertia = most(&force);
-    rest.stiffness.iter().for_each(|&(i, j, k)| force[i] += k * x[j]);
-    most(&force) / inertia
+/// s of a mode with the damping that its shape has: of one that rings Re s = −xᴴCx/2xᴴMx, and so exactly 0 where nothing damps.
+fn damped(rest: &Rest, s: c64, x: &[c64]) -> c64 {
+    if s.im == 0.0 {
+        return c64::new(s.re, 0.0);
+    }
+    let square = |by: &[f64]| by.iter().zip(x).map(|(by, x)| by * x.norm_sqr()).sum::<f64>();
+    let (size, slow) = (s.norm(), 0.5 * square(&rest.damping) / square(&rest.mass));
+    let ratio = (slow / size).min(1.0);
+    c64::new(-size * ratio, size * (1.0 - ratio * ratio).sqrt())
 }
 
 /// An orthonormal basis V of what A⁻¹ makes of some starts, and what it makes of the first of V's vectors, in terms of V.
@@ -190,13 +214,12 @@ impl Subspace {
         }
     }
 
-    /// (s, x) of the `count` slowest modes that the subspace knows of, xᵀMx = 1.
+    /// (s, x) of the `count` slowest modes that the subspace knows of, xᵀMx = 1; `None` of numbers that are none.
     ///
     /// Vectors by inverse iteration from x that are real at first, so that modes that come twice are as real as single ones.
-    fn pairs(&self, inverse: &Inverse<'_>, count: usize) -> Vec<(c64, Vec<c64>)> {
+    fn pairs(&self, inverse: &Inverse<'_>, count: usize) -> Option<Vec<(c64, Vec<c64>)>> {
         let (m, n) = (self.image.len(), inverse.rest.mass.len());
-        let values =
-            Mat::from_fn(m, m, |i, j| self.part(i, j)).eigenvalues().expect("an iteration that converges");
+        let values = Mat::from_fn(m, m, |i, j| self.part(i, j)).eigenvalues().ok()?;
         let mut slow: Vec<c64> =
             values.into_iter().map(|value| value.inv()).filter(|s| s.im >= 0.0).collect();
         slow.sort_by(|a, b| a.norm().total_cmp(&b.norm()));
@@ -229,7 +252,7 @@ impl Subspace {
             x.iter_mut().for_each(|x| *x *= scale);
             pairs.push((s, x));
         }
-        pairs
+        Some(pairs)
     }
 }
 
@@ -341,6 +364,22 @@ impl Inverse<'_> {
         let net = |i: usize, _| -(damping[i] * z[i] + self.scale * mass[i] * z[n + i]);
         let moved = self.stiffness.solve(Mat::from_fn(n, 1, net));
         DVector::from_fn(2 * n, |i, _| if i < n { moved[(i, 0)] } else { z[i - n] / self.scale })
+    }
+
+    /// √(rᴴ K⁻¹ r / xᴴ K x), r = (s² M + s C + K) x, and what of it may be rounding, ε |x|ᵀ|K||x| / xᴴ K x.
+    fn left(&self, s: c64, x: &[c64]) -> [f64; 2] {
+        let (Rest { mass, damping, stiffness, .. }, n) = (self.rest, x.len());
+        let (mut elastic, mut sizes) = (vec![c64::ZERO; n], 0.0);
+        for &(i, j, k) in stiffness {
+            elastic[i] += k * x[j];
+            sizes += k.abs() * x[i].norm() * x[j].norm();
+        }
+        let force = |i: usize| elastic[i] + (s * s * mass[i] + s * damping[i]) * x[i];
+        let parts = Mat::from_fn(n, 2, |i, part| if part == 0 { force(i).re } else { force(i).im });
+        let moved = self.stiffness.solve(&parts);
+        let work = |part: usize| (0..n).map(|i| parts[(i, part)] * moved[(i, part)]).sum::<f64>();
+        let whole: f64 = x.iter().zip(&elastic).map(|(x, f)| (x.conj() * f).re).sum();
+        [((work(0) + work(1)).max(0.0) / whole).sqrt(), f64::EPSILON * sizes / whole]
     }
 
     /// 2s xᵀMy + xᵀCy, zero for two modes of one s that are told apart.

@@ -63,9 +63,15 @@ fn found(scene: &Scene, design: &[f64], count: usize) -> (Rest, Vec<Mode>) {
     (rest, modes)
 }
 
-/// The net force of a mode, relative to its inertia.
+/// The net force of a mode, relative to its inertia: max |(s² M + s C + K) x| over max |(s² M + s C) x|.
 fn off(rest: &Rest, Mode { s, shape }: &Mode) -> f64 {
-    residual(rest, *s, &rest.unknowns.iter().map(|i| shape[i / 3][i % 3]).collect::<Vec<_>>())
+    let x: Vec<c64> = rest.unknowns.iter().map(|i| shape[i / 3][i % 3]).collect();
+    let most = |force: &[c64]| force.iter().map(|f| f.norm()).fold(0.0, f64::max);
+    let own = |i: usize| (s * s * rest.mass[i] + s * rest.damping[i]) * x[i];
+    let mut force: Vec<c64> = (0..x.len()).map(own).collect();
+    let inertia = most(&force);
+    rest.stiffness.iter().for_each(|&(i, j, k)| force[i] += k * x[j]);
+    most(&force) / inertia
 }
 
 /// xᵀ D y of the units that move, D diagonal.
@@ -290,4 +296,52 @@ fn check_motions(what: &str, scene: &Scene, design: &[f64]) {
     }
     let relative = [0, 1].map(|i| (off[i] / size[i]).sqrt());
     assert!(relative.iter().all(|r| *r < 3e-7), "{what}: {relative:?}");
+}
+
+/// A slender body bends so slowly that the net force of a mode is all rounding: its modes are found in a small subspace all the same, as a
+/// dense solver finds them.
+#[test]
+fn a_slender_body_has_the_modes_of_a_dense_solver() {
+    let slender = Scene { panels: Vec::new(), ..scene(Layout::planar(3, 40, 15.0, 2.25), vec![0, 1, 2]) };
+    let design = slender.layout.initial_design(0.4363);
+    let (rest, modes) = found(&slender, &design, 12);
+    let n = rest.mass.len();
+    let mut dense = DMatrix::zeros(2 * n, 2 * n);
+    let scale = 1e3;
+    for i in 0..n {
+        dense[(i, n + i)] = scale;
+        dense[(n + i, n + i)] = -rest.damping[i] / rest.mass[i];
+    }
+    rest.stiffness.iter().for_each(|&(i, j, k)| dense[(n + i, j)] -= k / rest.mass[i] / scale);
+    let mut known: Vec<f64> = Mat::from_fn(2 * n, 2 * n, |i, j| dense[(i, j)])
+        .eigenvalues()
+        .unwrap()
+        .into_iter()
+        .filter(|s| s.im >= 0.0)
+        .map(|s| s.norm() / TAU)
+        .collect();
+    known.sort_by(f64::total_cmp);
+    // what the dense solver's own rounding leaves of the slowest
+    let enough = |frequency: f64| 1e-9 * (1.0 + 1e-3 * known[n - 1] / frequency);
+    for (mode, known) in modes.iter().zip(&known) {
+        let off = (mode.frequency() / known - 1.0).abs();
+        assert!(off < enough(*known), "{} {known}: {off:e}", mode.s);
+    }
+    assert!(modes[0].frequency() < 1e-4 * known[n - 1], "{}", modes[0].s);
+}
+
+/// Without damping nothing is damped: a ratio of 0, and a motion that never falls.
+#[test]
+fn modes_without_damping_are_not_damped() {
+    let (scene, design) = small();
+    let (_, modes) = found(&Scene { damping_ratio: 0.0, ..scene.clone() }, &design, 17);
+    assert!(modes.iter().all(|mode| mode.damping_ratio() == 0.0 && mode.decay_time().is_none()));
+    for damping_ratio in [1e-12, 0.02, 3.0, 300.0] {
+        let (_, modes) = found(&Scene { damping_ratio, ..scene.clone() }, &design, 17);
+        for mode in modes {
+            let (ratio, time) = (mode.damping_ratio(), mode.decay_time().expect("it is damped"));
+            assert!((0.0..=1.0).contains(&ratio) && ratio > 0.0 && time > 0.0, "{damping_ratio}: {}", mode.s);
+            assert!(mode.s.im > 0.0 || ratio == 1.0, "{damping_ratio}: {}", mode.s);
+        }
+    }
 }

@@ -7,8 +7,20 @@ use super::fresh::evaluate;
 use super::observe::{Log, Observe};
 use super::report::Report;
 use super::state::State;
+use crate::dynamics;
 use crate::questions::{nonlinear, under};
-use crate::trial::{Mould, Problem, Trial};
+use crate::trial::{COARSE, Mould, Problem, Trial};
+
+/// What stands in a trial's reason before that of its best body.
+const BEST: &str = ". Best body: ";
+
+/// Whether the integrators of a trial, by [`Optimised::solver`], keep the error asked on the initial and on the best body; coarse steps
+/// move a body, and no error is by them.
+pub fn keeps_error(solver: &str) -> [bool; 2] {
+    let (initial, best) = solver.split_once(BEST).unwrap_or((solver, solver));
+    let initial = initial.split_once(COARSE).map_or(initial, |(usual, _)| usual);
+    [initial, best].map(dynamics::keeps_error)
+}
 
 /// The comparison of the best body, and of the initial one where asked for; `None` if the observer said stop.
 pub(super) fn compared(trial: &Trial, mut state: State, observer: &mut dyn Observe) -> Option<Optimised> {
@@ -51,7 +63,7 @@ pub(super) fn compared(trial: &Trial, mut state: State, observer: &mut dyn Obser
     let Report { mut counters, seconds, .. } = log.report;
     counters.dynamics += trial.pilots;
     counters.dynamics += tuned.counters;
-    let solver = format!("{}. Best body: {}", trial.reason, tuned.plan.reason);
+    let solver = format!("{}{BEST}{}", trial.reason, tuned.plan.reason);
     let Comparison { bodies: compared, mut casts, mut bands, .. } = state.comparison;
     casts.resize_with(compared.len(), Vec::new);
     bands.resize_with(compared.len(), Vec::new);

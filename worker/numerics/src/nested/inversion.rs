@@ -9,7 +9,7 @@ use crate::trial::{Counters, FAILED, Mould, Samples, Trouble, held};
 
 /// Records of a cast that twins are calibrated on.
 const RECORDS: [u32; 2] = [10, 30];
-/// Samples of the holdout that are read of each cast: each takes as long as some hundred simulations.
+/// Samples of the holdout that inverse brains read of each cast: each takes as long as some hundred simulations.
 pub const INVERTED_OF_A_CAST: usize = 16;
 
 /// Reads the last body's test samples and holdout; `None` if the observer said stop.
@@ -76,13 +76,13 @@ pub(super) fn invert_cast(
         };
         readings.push(CastReading { cast, by, error, trouble });
     };
-    let sets = sets.as_ref().map(|[train, holdout]| {
-        (train, holdout.select(&(0..INVERTED_OF_A_CAST.min(holdout.count())).collect::<Vec<_>>()))
+    let sets = held(sets);
+    let some = sets.map(|[_, holdout]| {
+        holdout.select(&(0..INVERTED_OF_A_CAST.min(holdout.count())).collect::<Vec<_>>())
     });
-    let sets = sets.map_err(|trouble| *trouble);
     let inverted = |by, brain: Result<Inverse, Trouble>, work: &mut Counters, go_on: &mut GoOn| {
-        let (mut brain, (_, holdout)) = match (brain, &sets) {
-            (Ok(brain), Ok(sets)) => (brain, sets),
+        let (mut brain, holdout) = match (brain, &some) {
+            (Ok(brain), Ok(some)) => (brain, some),
             (Err(trouble), _) => return Some(Err(trouble)),
             (_, Err(trouble)) => return Some(Err(*trouble)),
         };
@@ -92,9 +92,11 @@ pub(super) fn invert_cast(
     };
     let brain = held(known).and_then(|known| Inverse::new(trial, design, solver, None, known));
     keep(CastBrain::Inverse, inverted(CastBrain::Inverse, brain, &mut work, go_on)?);
-    for n in RECORDS.into_iter().filter(|&n| n as usize <= trial.train.samples) {
-        let twin = match &sets {
-            Ok((train, _)) => {
+    // without records of the cast no twin is calibrated
+    let most = if trial.problem.evaluation.records { trial.train.samples } else { 0 };
+    for n in RECORDS.into_iter().filter(|&n| n as usize <= most) {
+        let twin = match sets {
+            Ok([train, _]) => {
                 // what failed tells nothing
                 let first: Vec<usize> = (0..n as usize).filter(|&i| !train.failed[i]).collect();
                 // the cast has felt what the initial body may have failed on
@@ -104,11 +106,11 @@ pub(super) fn invert_cast(
                 work.dynamics += counters;
                 mould.samples(Some(&twin.cast), all, &mut work).map(|known| (known, twin))
             }
-            Err(trouble) => Err(*trouble),
+            Err(trouble) => Err(trouble),
         };
         let twin = held(&twin);
         let linear = twin.and_then(|(known, _)| {
-            let (_, holdout) = held(&sets)?;
+            let [_, holdout] = sets?;
             Ok((Fitted::of(trial, known)?.error_on(holdout), None))
         });
         keep(CastBrain::TwinLinear(n), linear);

@@ -38,13 +38,13 @@ pub(super) struct Session<'a> {
     learner: Box<dyn Learner + 'a>,
     /// Fresh samples of the last bodies by outer step, newest last.
     recent: Vec<(u32, Samples)>,
-    /// Error (%) of each part of a mixture at the first step, once an objective has asked.
-    first: Vec<f64>,
+    /// Error (%), and what is differentiated, of each part of a mixture at the first step, once an objective has asked.
+    first: [Vec<f64>; 2],
 }
 
 impl<'a> Session<'a> {
     pub(super) fn new(trial: &'a Trial<'a>) -> Self {
-        Self { trial, learner: learner(trial), recent: Vec::new(), first: Vec::new() }
+        Self { trial, learner: learner(trial), recent: Vec::new(), first: [Vec::new(), Vec::new()] }
     }
 
     /// Bodies that the brain is trained on at a time, at most.
@@ -121,12 +121,15 @@ impl<'a> Session<'a> {
         let past: Vec<&Waypoint> =
             state.trail.iter().filter(|passed| learner.recalls(step - passed.step)).collect();
         self.recent.retain(|(known, _)| past.iter().any(|passed| passed.step == *known));
+        let counted = log.report.counters;
         for passed in past {
             if self.recent.iter().all(|(known, _)| *known != passed.step) {
                 let casts = self.fresh(&passed.design, passed.step, going, false, log)?;
                 self.recent.push((passed.step, joined(&casts)));
             }
         }
+        // a loop that goes on simulates them again: work counts once
+        log.report.counters = counted;
         self.recent.sort_by_key(|(known, _)| *known);
         let newest = self.fresh(&state.design, step, going, true, log)?;
         self.recent.push((step, joined(&newest)));
@@ -136,13 +139,16 @@ impl<'a> Session<'a> {
         let fitted = self.fit(FitOn::Recent(&bodies), state, log);
         self.recent = recent;
         let loss_train = fitted?;
-        let plain = |casting: Casting| casting.tail == 1.0 && casting.over == Over::Casts;
-        let weighted = self.trial.problem.optimise.casting.is_some_and(|casting| !plain(casting));
         let mut found = Vec::with_capacity(newest.len());
         for cast in &newest {
             let (loss, cotangent) = self.cotangent(&cast.samples, Loss::Training, log);
-            let error = if weighted { self.learner.error(&cast.samples) } else { Some(loss_train) };
-            found.push((error, loss, cotangent));
+            let measure = match self.trial.problem.optimise.casting {
+                None | Some(Casting { tail: 1.0, over: Over::Casts, .. }) => Some(loss_train),
+                // a mean of logarithms ranks nothing
+                Some(Casting { tail: 1.0, .. }) => self.learner.error(&cast.samples),
+                Some(_) => loss.or_else(|| self.learner.error(&cast.samples)),
+            };
+            found.push((measure, loss, cotangent));
         }
         let (_, gradient) = self.over_casts(&newest, found, going, log)?;
         let error_test = self.look_at_test(state, log)?;
@@ -166,8 +172,8 @@ impl<'a> Session<'a> {
         Ok(Sensed { gradient, loss_train, error_test })
     }
 
-    /// The objective of a step's casts and its gradient in α, of the error of each, its loss where that is another measure, and the
-    /// loss's cotangent. One that tells no error counts as the worst.
+    /// The objective of a step's casts and its gradient in α. Of each cast: the measure that the objective ranks, the loss that is
+    /// differentiated where that is another one, and the loss's cotangent. A cast without a measure counts as the worst.
     fn over_casts(
         &mut self,
         casts: &[Response],
@@ -176,18 +182,19 @@ impl<'a> Session<'a> {
         log: &mut Log,
     ) -> Result<(f64, Vec<f64>), Trouble> {
         let losses: Vec<Option<f64>> = found.iter().map(|(_, loss, _)| *loss).collect();
-        let (errors, cotangents): (Vec<_>, Vec<_>) =
-            found.into_iter().map(|(error, _, cotangent)| (error, cotangent)).unzip();
+        let (measures, cotangents): (Vec<_>, Vec<_>) =
+            found.into_iter().map(|(measure, _, cotangent)| (measure, cotangent)).unzip();
         let gradients = self.vjps(casts, &cotangents, log)?;
-        let errors: Vec<f64> = errors.into_iter().map(|error| error.unwrap_or(f64::INFINITY)).collect();
+        let measures: Vec<f64> = measures.into_iter().map(|of| of.unwrap_or(f64::INFINITY)).collect();
         let Some(casting) = self.trial.problem.optimise.casting else {
-            return Ok((errors[0], gradients.into_iter().next().unwrap_or_default()));
+            return Ok((measures[0], gradients.into_iter().next().unwrap_or_default()));
         };
-        let (objective, mut weights) = casting.objective(&errors, self.first(casting, going, log)?);
+        let [_, first] = self.first(casting, going, log)?;
+        let (objective, mut weights) = casting.objective(&measures, first);
         if casting.over == Over::Parts {
             // of logarithms: what is differentiated is divided by itself
-            let by_loss = weights.iter_mut().zip(&errors).zip(&losses);
-            by_loss.for_each(|((by, error), loss)| *by *= loss.map_or(1.0, |loss| error / loss));
+            let by_loss = weights.iter_mut().zip(&measures).zip(&losses);
+            by_loss.for_each(|((by, measure), loss)| *by *= loss.map_or(1.0, |loss| measure / loss));
         }
         let mut gradient = vec![0.0; gradients[0].len()];
         for (by, of_cast) in weights.iter().zip(&gradients) {
@@ -200,20 +207,22 @@ impl<'a> Session<'a> {
         Ok((objective, gradient))
     }
 
-    /// Error (%) of each part of a mixture on the initial body, by a brain fitted to the first step's samples; the same after a
-    /// resumption. Of no use to the mean of logarithms, whose derivative does not see it.
-    fn first(&mut self, casting: Casting, going: Going, log: &mut Log) -> Result<&[f64], Trouble> {
-        if casting.over == Over::Parts && self.first.is_empty() {
-            self.first = vec![1.0; casting.casts];
+    /// Error (%) of each part of a mixture on the initial body, by a brain fitted to the first step's samples, and what is differentiated
+    /// of it; the same after a resumption. Of no use to the mean of logarithms, whose derivative does not see it.
+    fn first(&mut self, casting: Casting, going: Going, log: &mut Log) -> Result<&[Vec<f64>; 2], Trouble> {
+        if casting.over == Over::Parts && self.first[0].is_empty() {
+            self.first = [(); 2].map(|()| vec![1.0; casting.casts]);
             if casting.tail < 1.0 {
                 let (trial, counted) = (self.trial, (log.report.counters, log.report.fresh_samples));
                 let mut learner = learner(trial);
                 let parts = self.fresh(&trial.problem.initial, 0, going, false, log)?;
-                for (part, first) in parts.iter().zip(&mut self.first) {
+                for (number, part) in parts.iter().enumerate() {
                     let mut learnt = State::new(&trial.problem).learnt;
                     let counters = &mut log.report.counters;
                     learner.fit(FitOn::Cast(&part.samples), 0, &mut learnt, counters)?;
-                    *first = learner.error(&part.samples).unwrap_or(1.0);
+                    let error = learner.error(&part.samples).unwrap_or(1.0);
+                    let (loss, _) = learner.loss_vjp(&part.samples, Loss::Training);
+                    (self.first[0][number], self.first[1][number]) = (error, loss.unwrap_or(error));
                 }
                 (log.report.counters, log.report.fresh_samples) = counted;
             }
@@ -362,7 +371,7 @@ impl<'a> Session<'a> {
         if errors.is_empty() || parts.is_some() && errors.len() < casts {
             return Ok(None);
         }
-        let first = self.first(casting, going, log)?;
+        let [first, _] = self.first(casting, going, log)?;
         log.report.error_test = Some(casting.objective(&errors, first).0);
         Ok(log.report.error_test)
     }

@@ -31,7 +31,7 @@ impl Candidates {
     /// Those of `search` on a body under the training samples.
     ///
     /// # Errors
-    /// If the body cannot be simulated.
+    /// If the body cannot be simulated, or fewer than two folds of the training samples have forces.
     pub fn new(
         problem: &Problem,
         search: &Placing,
@@ -53,6 +53,12 @@ impl Candidates {
         };
         let samples = Plain::of(&heard, &trial.scales, pool);
         let dealt = folds(problem.seed, heard.count(), FOLDS.min(heard.count()));
+        // what one fold holds of the forces, others must have as well
+        let mut struck = dealt.iter().zip(&samples.w).filter(|(_, w)| **w > 0.0).map(|(fold, _)| fold);
+        let first = struck.next();
+        if struck.all(|fold| Some(fold) == first) {
+            return Err(Failure::Initial(Trouble::FewForces));
+        }
         let plain = Self { units, samples, dealt, energies: false };
         let mut judges: Vec<usize> =
             (0..JUDGES).map(|j| plain.units[j * (plain.units.len() - 1) / (JUDGES - 1)]).collect();

@@ -38,10 +38,11 @@ pub struct Bound {
 const WALKS: usize = 8;
 const TOGETHER: usize = 16;
 
-/// Of a body under the first `samples` of the holdout; none where the trial's chips have no noise, which tell all.
+/// Of a body under the first `samples` of the holdout; none where the trial's chips have no noise, or so little that f64 takes it for
+/// none, which tell all.
 ///
 /// # Errors
-/// If a simulation does not end well.
+/// If a simulation does not end well, or all training samples have the same forces.
 pub fn bound(
     problem: &Problem,
     design: &[f64],
@@ -62,6 +63,9 @@ pub fn bound(
     let weight = known.iter().flatten().sum::<f64>() / known.iter().flatten().count() as f64;
     let known: Vec<f64> = known.into_iter().map(Option::unwrap_or_default).collect();
     let prior = Prior::new(&trial.train, &known, |forces| problem.targets(forces));
+    if prior.variance.is_empty() {
+        return Err(Failure::Initial(Trouble::FewForces));
+    }
 
     let unseen = problem.forces(Purpose::Holdout, 0, samples.min(problem.stimuli.holdout));
     let (scene, _) = problem.in_motion(&problem.scene, &unseen);
@@ -73,8 +77,10 @@ pub fn bound(
         let along = problem.read(along, prior.directions.samples);
         let known = information(&prior, &along, &noise);
         total += &known;
-        left.push(posterior_variance(&prior, known));
+        let Some(variance) = posterior_variance(&prior, known) else { return Ok(None) };
+        left.push(variance);
     }
+    let Some(informed) = posterior_variance(&prior, total / left.len() as f64) else { return Ok(None) };
     let least = match &problem.stimuli.source {
         Source::Bell(bell) => {
             Some(least(problem, (&scene, design, &plan), bell, &noise, WALKS * unseen.samples, pool))
@@ -85,7 +91,7 @@ pub fn bound(
     Ok(Some(Bound {
         samples: own.iter().zip(&left).map(|(w, left)| Some(100.0 * (*w)? * left)).collect(),
         mean: 100.0 * weight * left.iter().sum::<f64>() / left.len() as f64,
-        informed: 100.0 * weight * posterior_variance(&prior, total / left.len() as f64),
+        informed: 100.0 * weight * informed,
         deaf: 100.0 * weight * (prior.variance.iter().sum::<f64>() + prior.rest),
         directions: prior.variance.len(),
         least,

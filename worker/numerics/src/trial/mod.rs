@@ -34,6 +34,8 @@ use crate::variation::{Cast, Casts, Chips};
 pub(crate) use chip::Chip;
 use rayon::prelude::*;
 
+/// What stands in a trial's reason before that of its coarse steps.
+pub(crate) const COARSE: &str = ". Coarse steps: ";
 /// Samples of a pilot: as many as the lanes take at once.
 const PILOT: usize = 8;
 
@@ -75,10 +77,10 @@ impl<'a> Trial<'a> {
     /// process that goes on with a trial or looks at its result.
     ///
     /// # Errors
-    /// If the initial body cannot be simulated, or is too much for the sensors' range.
+    /// If no training sample has a force, or the initial body cannot be simulated, or is too much for the sensors' range.
     ///
     /// # Panics
-    /// If the sensors are still to be searched for.
+    /// If the sensors are still to be searched for, or two of them are on one unit.
     pub fn new(problem: &Problem, pool: &'a crate::Pool) -> Result<Self, Failure> {
         Self::with(problem, pool, None)
     }
@@ -98,6 +100,11 @@ impl<'a> Trial<'a> {
     /// `chip`: where none is given, that of the initial body, or of the one that the problem names.
     fn with(problem: &Problem, pool: &'a crate::Pool, chip: Option<Chip>) -> Result<Self, Failure> {
         assert!(problem.search.is_none(), "the sensors are not in place");
+        let sensors = &problem.scene.sensors;
+        assert!(
+            (1..sensors.len()).all(|i| !sensors[..i].contains(&sensors[i])),
+            "a unit twice in {sensors:?}"
+        );
         let (mut problem, asked) = (problem.clone(), problem.solver);
         let usual = pilot(&problem, &problem.initial, &asked, pool);
         let steps = problem.optimise.coarse.filter(|_| problem.optimise.iterations > 0);
@@ -105,7 +112,7 @@ impl<'a> Trial<'a> {
         let (mut reason, mut pilots) = (usual.plan.reason.clone(), usual.counters);
         problem.solver = usual.solver;
         if let Some(coarse) = coarse {
-            reason = format!("{reason}. Coarse steps: {}", coarse.plan.reason);
+            reason = format!("{reason}{COARSE}{}", coarse.plan.reason);
             pilots += coarse.counters;
             problem.optimise.coarse = Some(coarse.solver);
         }
@@ -129,6 +136,9 @@ impl<'a> Trial<'a> {
             (chip, _) => chip,
         };
         let mut initial = plain(&problem.initial, &problem.solver, &mut train)?;
+        if initial.targets.iter().all(|f| *f == 0.0) {
+            return Err(Failure::Initial(Trouble::NoForce));
+        }
         let scales = Scales::of(&initial);
         let chip = chip.or_else(|| problem.chip(&scales.channels));
         if let Some(chip) = &chip {

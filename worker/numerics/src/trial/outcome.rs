@@ -21,6 +21,10 @@ pub enum Trouble {
     Nowhere,
     /// More than half of all readings are at the end of the sensors' range.
     Saturated,
+    /// No training sample has a force.
+    NoForce,
+    /// What is asked for takes two training samples whose forces differ.
+    FewForces,
 }
 
 impl Trouble {
@@ -34,6 +38,8 @@ impl Trouble {
             Self::Singular => "singular",
             Self::Nowhere => "nowhere_to_sense",
             Self::Saturated => "saturated",
+            Self::NoForce => "no_force",
+            Self::FewForces => "few_forces",
         }
     }
 
@@ -42,8 +48,15 @@ impl Trouble {
         use TrainOutcome::{DeadLayer, Diverged, NonFinite};
         let simulations = dynamics::Outcome::ALL.into_iter().map(Self::Simulation);
         let trainings = [NonFinite, Diverged, DeadLayer(0)].into_iter().map(Self::Training);
-        let others =
-            [Self::LossJump(0.0), Self::GradientNonFinite, Self::Singular, Self::Nowhere, Self::Saturated];
+        let others = [
+            Self::LossJump(0.0),
+            Self::GradientNonFinite,
+            Self::Singular,
+            Self::Nowhere,
+            Self::Saturated,
+            Self::NoForce,
+            Self::FewForces,
+        ];
         simulations.chain(trainings).chain(others).find(|trouble| trouble.name() == name)
     }
 }

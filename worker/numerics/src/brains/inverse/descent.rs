@@ -8,11 +8,11 @@
 
 use super::model::Model;
 use super::prior::Prior;
+use crate::definite::{half_log, solved};
 use crate::dynamics::Outcome;
 use crate::identify::twin::{Ending, GoOn};
 use crate::trial::{Counters, Trial};
-use faer::linalg::solvers::Solve;
-use faer::{Col, Mat, MatRef, Scale, Side};
+use faer::{Col, Mat, Scale};
 use rayon::prelude::*;
 
 /// Noise that a reading has at least, relative to its channel's RMS on the initial body.
@@ -24,6 +24,8 @@ const TOGETHER: usize = 32;
 const ENOUGH: f64 = 0.1;
 /// Mean square of the residual (σ²) above which readings count as not explained.
 pub(super) const EXPLAINED: f64 = 1.5;
+/// B is so much and more along every direction.
+pub(super) const LEAST: f64 = 1.0;
 /// Most looks at Φ.
 const LOOKS: usize = 150;
 /// Steps after which B is made anew.
@@ -269,7 +271,7 @@ impl Descent {
 
     /// −ln of what the readings' likelihood comes to over all forces that the prior holds, by Laplace: Φ + ½ ln |B|.
     pub(super) fn surprise(&self) -> f64 {
-        self.at.phi + half_log(&self.curvature())
+        self.at.phi + half_log(self.curvature().as_ref(), LEAST)
     }
 
     /// B; where no reading could be compared the prior's, 1.
@@ -302,7 +304,7 @@ impl Descent {
         }
         let (mut curvature, slope) = (self.curvature.clone()?, &self.at.slope);
         (0..curvature.nrows()).for_each(|k| curvature[(k, k)] += self.damping);
-        let Some(step) = solved(&curvature, slope.as_mat()) else {
+        let Some(step) = solved(curvature.as_ref(), LEAST, slope.as_mat()) else {
             self.ending = Some(Ending::NoProgress);
             return None;
         };
@@ -344,30 +346,4 @@ impl Descent {
             self.curvature = None;
         }
     }
-}
-
-/// ½ ln |B| of such a B as [`solved`] takes; infinite of numbers that are none.
-pub(super) fn half_log(b: &Mat<f64>) -> f64 {
-    match b.llt(Side::Lower) {
-        Ok(factor) => factor.L().diagonal().column_vector().iter().map(|l| l.ln()).sum(),
-        Err(_) => b
-            .self_adjoint_eigen(Side::Lower)
-            .map_or(f64::INFINITY, |own| (0..b.nrows()).map(|k| 0.5 * own.S()[k].max(1.0).ln()).sum()),
-    }
-}
-
-/// B⁻¹ x of a B that is 1 and more along every direction, though rounding may have made it less; `None` of numbers that are none.
-pub(super) fn solved(b: &Mat<f64>, x: MatRef<'_, f64>) -> Option<Mat<f64>> {
-    let found = match b.llt(Side::Lower) {
-        Ok(factor) => factor.solve(x),
-        Err(_) => {
-            let own = b.self_adjoint_eigen(Side::Lower).ok()?;
-            let mut along = own.U().transpose() * x;
-            for k in 0..b.nrows() {
-                along.row_mut(k).iter_mut().for_each(|x| *x /= own.S()[k].max(1.0));
-            }
-            own.U() * &along
-        }
-    };
-    found.is_all_finite().then_some(found)
 }

@@ -11,6 +11,7 @@ mod model;
 mod prior;
 
 use super::Fitted;
+use crate::definite::solved;
 use crate::dynamics::{Forces, Solver};
 use crate::identify::twin::{Ending, GoOn, Twin};
 use crate::random::Purpose;
@@ -309,7 +310,8 @@ impl<'a> Inverse<'a> {
             own.copy_from(seen.subrows(from, instants).transpose());
         }
         // of a curvature that is none no more is known than before
-        let solved = descent::solved(&descent.curvature(), right.as_ref()).unwrap_or_else(|| right.clone());
+        let solved = solved(descent.curvature().as_ref(), descent::LEAST, right.as_ref());
+        let solved = solved.unwrap_or_else(|| right.clone());
         for (i, (right, solved)) in right.col_iter().zip(solved.col_iter()).enumerate() {
             let variance = right.transpose() * solved;
             deviations[i % instants * panels + struck[i / instants]] = variance.max(0.0).sqrt();

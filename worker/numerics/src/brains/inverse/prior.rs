@@ -5,8 +5,8 @@
 //! ```
 //! D holds the principal directions in which all but a small part of the variance lies.
 
+use crate::definite::solved;
 use crate::dynamics::Forces;
-use faer::linalg::solvers::Solve;
 use faer::{ColRef, Mat, Scale, Side};
 use std::collections::BTreeMap;
 
@@ -173,7 +173,8 @@ impl Prior {
         Forces { samples, panels: 1, instants, values, strikes: Vec::new() }
     }
 
-    /// z of estimates (T, K) (N) of the forces at every (R/T)-th instant, off by white noise of deviation `error` (N).
+    /// z of estimates (T, K) (N) of the forces at every (R/T)-th instant, off by white noise of deviation `error` (N); no
+    /// numbers where estimates are none.
     pub(super) fn near(&self, estimates: &[f64], error: f64) -> Vec<f64> {
         let (panels, instants) = (self.panels, estimates.len() / self.panels);
         let (every, r) = ((self.mean.len() - 1) / instants, self.modes.ncols());
@@ -182,7 +183,9 @@ impl Prior {
         let off = Mat::from_fn(instants, self.struck.len(), |n, k| {
             estimates[n * panels + self.struck[k]] - self.mean[(n + 1) * every]
         });
-        let z = known.llt(Side::Lower).expect("positive definite").solve(seen.transpose() * off);
+        let z = solved(known.as_ref(), error * error, (seen.transpose() * off).as_ref());
+        // estimates that are no numbers are no place to begin at
+        let z = z.unwrap_or_else(|| Mat::from_fn(r, self.struck.len(), |_, _| f64::NAN));
         z.col_iter().flat_map(|z| z.iter().copied().collect::<Vec<_>>()).collect()
     }
 }

@@ -10,6 +10,7 @@
 mod objective;
 mod unknowns;
 
+use crate::definite::{inverse, solved_vector};
 use crate::dynamics::{Accuracy, Counters, Forces, Solver};
 use crate::identify::discrepancy::explained;
 use crate::identify::interval::grouped;
@@ -236,8 +237,7 @@ impl Fit {
         });
         self.twin.noise.clone_from(&objective.noise);
         self.twin.cast = unknowns.cast(point.z.as_slice());
-        let covariance =
-            objective.curvature(columns).cholesky().expect("a curvature of 1 and more").inverse();
+        let covariance = covariance(objective.curvature(columns));
         let of = |(k, &unknown): (usize, &Unknown)| {
             let scatter = unknowns.deviation(unknown);
             Estimate { unknown, scatter, found: point.z[k], left: covariance[(k, k)].sqrt(), half: None }
@@ -261,8 +261,8 @@ impl Fit {
                 scores[(group, k)] += r * j;
             }
         }
-        let curvature = jacobian.tr_mul(&jacobian) + DMatrix::identity(scores.ncols(), scores.ncols());
-        let inverse = curvature.cholesky().expect("a curvature of 1 and more").inverse();
+        let inverse =
+            covariance(jacobian.tr_mul(&jacobian) + DMatrix::identity(scores.ncols(), scores.ncols()));
         let beyond = 1.0 - self.twin.misfit.max(1.0).powi(-2);
         let alike = 1.0 + self.unmodelled.unwrap_or(0.0).max(beyond) * (count - 1) as f64;
         let moved = scores * &inverse;
@@ -295,8 +295,10 @@ fn descend(
         let step = loop {
             let mut damped = curvature.clone();
             (0..damped.nrows()).for_each(|k| damped[(k, k)] += damping);
-            let metric = damped.cholesky().expect("a curvature of 1 and more");
-            let step = -along(&memory, &gradient, |q| metric.solve(q));
+            let Some(step) = along(&memory, &gradient, |q| solved_vector(damped, 1.0 + damping, q)) else {
+                return Some((Ending::NoProgress, steps, point));
+            };
+            let step = -step;
             if step.amax() <= STRIDE {
                 break step;
             }
@@ -329,12 +331,18 @@ fn descend(
     Some((Ending::StepsSpent, STEPS, point))
 }
 
-/// H⁻¹ g by the two loops of L-BFGS, H at first that of the metric.
+/// The inverse of a curvature, which is 1 and more along every direction; of numbers that are none no more is known than before.
+fn covariance(curvature: DMatrix<f64>) -> DMatrix<f64> {
+    let unknowns = curvature.nrows();
+    inverse(curvature, 1.0).unwrap_or_else(|| DMatrix::identity(unknowns, unknowns))
+}
+
+/// H⁻¹ g by the two loops of L-BFGS, H at first that of the metric; `None` of numbers that are none.
 fn along(
     memory: &[[DVector<f64>; 2]],
     gradient: &DVector<f64>,
-    metric: impl Fn(&DVector<f64>) -> DVector<f64>,
-) -> DVector<f64> {
+    metric: impl FnOnce(&DVector<f64>) -> Option<DVector<f64>>,
+) -> Option<DVector<f64>> {
     let mut q = gradient.clone();
     let mut taken = Vec::with_capacity(memory.len());
     for [s, y] in memory.iter().rev() {
@@ -342,12 +350,12 @@ fn along(
         q.axpy(-part, y, 1.0);
         taken.push(part);
     }
-    let mut step = metric(&q);
+    let mut step = metric(&q)?;
     for ([s, y], part) in memory.iter().zip(taken.into_iter().rev()) {
         let back = y.dot(&step) / s.dot(y);
         step.axpy(part - back, s, 1.0);
     }
-    step
+    Some(step)
 }
 
 #[cfg(test)]

@@ -106,3 +106,15 @@ fn what_the_initial_body_fails_on_counts_against_every_step() {
         assert!((found / wanted - 1.0).abs() < 1e-9, "{found} %, not {wanted} %");
     }
 }
+
+/// The implicit term is the derivative of a fit to the samples that did not fail, however many others count against it.
+#[test]
+fn the_whole_gradient_holds_where_a_training_sample_fails() {
+    let (train, _) = crate::stimuli::split(3, 32, 16);
+    let last = *train.last().expect("not empty");
+    let mut problem = problem(BrainKind::Linear, &[(Purpose::Stimulus, last)], 1e200);
+    let own = linear::linear(Protocol::Paper(Terms::Implicit(brain::Policy::Truncate)));
+    (problem.decoder, problem.optimise) = (own.decoder, own.optimise);
+    problem.scene.density *= 4.0; // fewer steps
+    linear::check_the_whole_gradient(problem, true);
+}

@@ -50,8 +50,10 @@ fn a_resumed_linear_loop_ends_at_the_same_bits_on_any_number_of_threads() {
             assert!(optimise(&problem, None, &pool(3), &mut first).unwrap().is_none());
             let state = first.states.pop().unwrap();
             assert_eq!(state, whole.states[stop - 1], "{protocol:?}, stopped after {stop}");
-            let resumed = optimise(&problem, Some(state), &pool(2), &mut Keeper::default()).unwrap().unwrap();
+            let mut second = Keeper::default();
+            let resumed = optimise(&problem, Some(state), &pool(2), &mut second).unwrap().unwrap();
             assert_eq!(resumed.optimised.design, through.optimised.design, "{protocol:?}, {stop}");
+            assert_eq!(timeless(&second.reports), timeless(&whole.reports[stop..]), "{protocol:?}, {stop}");
             assert_eq!(errors(&resumed.optimised), errors(&through.optimised), "{protocol:?}, {stop}");
         }
         assert!(whole.fractions.is_sorted() && whole.fractions.last() == Some(&1.0), "{:?}", whole.fractions);
@@ -136,51 +138,56 @@ fn every_protocol_lowers_the_holdout_error() {
 /// the implicit term and for what the training minimises; without the implicit term it does not.
 #[test]
 fn the_whole_gradient_holds_through_simulator_and_solve() {
-    let ridge = 1e-3;
     for (protocol, exact) in [(LINEAR[0], true), (LINEAR[1], false), (LINEAR[2], true)] {
         let mut problem = linear(protocol);
-        problem.solver.accuracy = Accuracy(1e-11);
         problem.scene.density *= 4.0; // fewer steps
-        problem.decoder.ridge = Ridge::Given(ridge);
-        problem.optimise.coarse = None;
-        if let Protocol::Envelope(going) = &mut problem.optimise.protocol {
-            going.batch = problem.stimuli.samples - problem.stimuli.test;
-        }
-        let pool = pool(2);
-        let trial = Trial::new(&problem, &pool).unwrap();
-        let mut keeper = Keeper::default();
-        let mut log = Log::new(0, &mut keeper);
-        let mut state = State::new(&problem);
-        let gradient = Session::new(&trial).sense(&mut state, &mut log).unwrap().gradient;
-
-        let of_training = matches!(protocol, Protocol::Envelope(_));
-        let loss = |design: &[f64]| {
-            let set = |forces| {
-                let counters = &mut Counters::default();
-                let found = trial.simulate(design, forces, &problem.solver, false, counters).unwrap();
-                Plain::of(&found.samples, &trial.scales, &pool)
-            };
-            let train = set(&trial.train);
-            let linear = solve(train.moments().normal(problem.decoder.lags), ridge).unwrap().linear();
-            let error = |set: &Plain| 0.01 * set.error(&linear.predict(&set.x)).unwrap();
-            if of_training {
-                error(&train) + ridge * linear.w.iter().map(|w| w * w).sum::<f64>()
-            } else {
-                error(&set(&trial.test))
-            }
-        };
-        let mut stream = Stream::new(Purpose::Design, 1, [0, 0]);
-        let direction: Vec<f64> = gradient.iter().map(|_| stream.normal()).collect();
-        let slope: f64 = gradient.iter().zip(&direction).map(|(g, d)| g * d).sum();
-        let at = |step: f64| {
-            loss(&problem.initial.iter().zip(&direction).map(|(a, d)| a + step * d).collect::<Vec<_>>())
-        };
-        let (start, steps) = (at(0.0), [4e-3, 2e-3, 1e-3]);
-        let remainders = steps.map(|step| (at(step) - start - step * slope).abs());
-        let orders = [0, 1].map(|i| (remainders[i] / remainders[i + 1]).log2());
-        let second = orders.iter().all(|order| (1.8..2.2).contains(order));
-        assert!(second == exact && slope.abs() > 1e-4, "{protocol:?}: {slope:e} {orders:?} {remainders:?}");
+        check_the_whole_gradient(problem, exact);
     }
+}
+
+pub(super) fn check_the_whole_gradient(mut problem: Problem, exact: bool) {
+    let ridge = 1e-3;
+    problem.solver.accuracy = Accuracy(1e-11);
+    problem.decoder.ridge = Ridge::Given(ridge);
+    problem.optimise.coarse = None;
+    if let Protocol::Envelope(going) = &mut problem.optimise.protocol {
+        going.batch = problem.stimuli.samples - problem.stimuli.test;
+    }
+    let pool = pool(2);
+    let trial = Trial::new(&problem, &pool).unwrap();
+    let mut keeper = Keeper::default();
+    let mut log = Log::new(0, &mut keeper);
+    let mut state = State::new(&problem);
+    let gradient = Session::new(&trial).sense(&mut state, &mut log).unwrap().gradient;
+
+    let protocol = problem.optimise.protocol;
+    let of_training = matches!(protocol, Protocol::Envelope(_));
+    let loss = |design: &[f64]| {
+        let set = |forces| {
+            let counters = &mut Counters::default();
+            let found = trial.simulate(design, forces, &problem.solver, false, counters).unwrap();
+            Plain::of(&found.samples, &trial.scales, &pool)
+        };
+        let train = set(&trial.train);
+        let linear = solve(train.moments().normal(problem.decoder.lags), ridge).unwrap().linear();
+        let error = |set: &Plain| 0.01 * set.error(&linear.predict(&set.x)).unwrap();
+        if of_training {
+            error(&train) + ridge * linear.w.iter().map(|w| w * w).sum::<f64>()
+        } else {
+            error(&set(&trial.test))
+        }
+    };
+    let mut stream = Stream::new(Purpose::Design, 1, [0, 0]);
+    let direction: Vec<f64> = gradient.iter().map(|_| stream.normal()).collect();
+    let slope: f64 = gradient.iter().zip(&direction).map(|(g, d)| g * d).sum();
+    let at = |step: f64| {
+        loss(&problem.initial.iter().zip(&direction).map(|(a, d)| a + step * d).collect::<Vec<_>>())
+    };
+    let (start, steps) = (at(0.0), [4e-3, 2e-3, 1e-3]);
+    let remainders = steps.map(|step| (at(step) - start - step * slope).abs());
+    let orders = [0, 1].map(|i| (remainders[i] / remainders[i + 1]).log2());
+    let second = orders.iter().all(|order| (1.8..2.2).contains(order));
+    assert!(second == exact && slope.abs() > 1e-4, "{protocol:?}: {slope:e} {orders:?} {remainders:?}");
 }
 
 /// A ridge of 0 on fewer samples than weights: named, on the initial body.

@@ -1,0 +1,192 @@
+//! Memory that a worker needs for a trial at least, before it has run, and what this machine gives a process.
+//!
+//! ```text
+//! forces N K (R + 1)     signals N (T′ 3M + T (C + K))     states S T′ 6U     linear decoder (T C)² + T C T K + D²     (8 bytes each)
+//! ```
+//! N samples of K panels, R instants of the forces, T of the readings, T′ of the motion, M sensors with C channels, S samples and U units of a
+//! gradient, D unknowns of a decoder. Only arrays that exist at the same time are counted, so what is refused could not have run.
+
+use metasense_schemas::spec::{BrainKind, Protocol, Search, TrialSpec};
+use rustix::process::{Resource, getrlimit};
+use std::path::Path;
+
+use crate::invalid::{Invalid, invalid};
+use crate::problem::{instants, lags, layout};
+
+/// A limit on memory (bytes), and what sets it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Limit {
+    /// In words.
+    pub name: &'static str,
+    /// How much.
+    pub bytes: f64,
+}
+
+/// The least of what this machine, its control group and its limits give a process; and `[run] memory` (MiB), where that is given.
+#[must_use]
+pub fn limit(of_run: Option<u64>) -> Option<Limit> {
+    let read = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
+    let kibibytes = |line: &str| line.split_whitespace().nth(1)?.parse::<f64>().ok();
+    let info = read("/proc/meminfo");
+    let of = |name: &str| info.lines().find(|line| line.starts_with(name)).and_then(kibibytes);
+    let machine = of("MemTotal:").map(|total| 1024.0 * (total + of("SwapTotal:").unwrap_or(0.0)));
+    let own = |resource| getrlimit(resource).current.map(|bytes| bytes as f64);
+    let all = [
+        ("this machine has", machine),
+        (
+            "its control group (cgroup) allows",
+            of_groups(&read("/proc/self/cgroup"), Path::new("/sys/fs/cgroup")),
+        ),
+        ("ulimit -v allows", own(Resource::As)),
+        ("ulimit -d allows", own(Resource::Data)),
+        ("run.memory allows", of_run.map(|mebibytes| 1_048_576.0 * mebibytes as f64)),
+    ];
+    let known = all.into_iter().filter_map(|(name, bytes)| Some(Limit { name, bytes: bytes? }));
+    known.min_by(|a, b| a.bytes.total_cmp(&b.bytes))
+}
+
+/// The least limit of the control groups that this text of /proc/self/cgroup names, and of those that hold them.
+fn of_groups(groups: &str, root: &Path) -> Option<f64> {
+    let limits = groups.lines().filter_map(|line| {
+        let (controllers, path) = line.split_once(':')?.1.split_once(':')?;
+        let (root, file) = match controllers {
+            "" => (root.to_owned(), "memory.max"),
+            named if named.split(',').any(|name| name == "memory") => {
+                (root.join("memory"), "memory.limit_in_bytes")
+            }
+            _ => return None,
+        };
+        let own = Path::new(path.trim_start_matches('/'));
+        let of =
+            |group: &Path| std::fs::read_to_string(root.join(group).join(file)).ok()?.trim().parse().ok();
+        own.ancestors().filter_map(of).min_by(f64::total_cmp)
+    });
+    limits.min_by(f64::total_cmp)
+}
+
+/// What takes memory: the key that multiplies it, its value, what it is, and how much (bytes).
+type Part = (&'static str, usize, &'static str, f64);
+
+/// The parts of a trial of so many units, in its outer steps or in the comparison at its end, whichever takes more.
+fn parts(trial: &TrialSpec, units: usize) -> Vec<Part> {
+    let (stimuli, evaluation) = (&trial.stimuli, &trial.evaluation);
+    let optimise = trial.optimise.clone().resolved();
+    let f = |n: usize| n as f64;
+    let (samples, panels, readings) = (stimuli.samples, f(trial.point.panels), f(trial.time.samples));
+    let clock = f(stimuli.force_samples.unwrap_or(trial.time.samples)) + 1.0;
+    let searched =
+        trial.sensor_units.is_empty() && trial.sensors.search.is_some_and(|search| search != Search::Random);
+    // all candidates are simulated with a sensor each: those inside the body, a quarter of a small one
+    let sensors = if searched { trial.point.sensors.max(units / 4) } else { trial.point.sensors };
+    let channels = f(trial.sensors.read().len() * sensors);
+    let moving = f(instants(trial));
+    let forces = |count: f64| 8.0 * count * panels * clock;
+    let signals = |count: f64| 8.0 * count * (moving * f(3 * sensors) + readings * (channels + panels));
+    let states = |count: f64| 48.0 * count * moving * f(units);
+    let mut always: Vec<Part> =
+        vec![("stimuli.samples", samples, "histories of the forces", forces(f(samples)))];
+    if trial.brain.kind != BrainKind::Cnn || optimise.linear() {
+        let unknowns = channels * f(lags(&trial.time, trial.brain.memory).groups().len());
+        let moments = (readings * channels).powi(2) + readings * channels * readings * panels;
+        let bytes = 8.0 * (moments + unknowns * unknowns);
+        always.push(("sweep.sensors", trial.point.sensors, "the linear decoder", bytes));
+    }
+
+    let trained = f(samples.saturating_sub(stimuli.test));
+    let mut steps = always.clone();
+    steps.push(("stimuli.samples", samples, "signals", signals(trained)));
+    if optimise.steps() > 0 {
+        let batch = optimise.batch.unwrap_or(1);
+        match optimise.protocol {
+            Protocol::Paper => {
+                steps.push(("stimuli.samples", samples, "states of a gradient", states(f(samples))));
+            }
+            Protocol::Warm | Protocol::Envelope => {
+                let some = f(batch.min(samples));
+                steps.push(("optimise.batch", batch, "states of a gradient", states(some)));
+            }
+            Protocol::Joint => {
+                let drawn = f(optimise.casts.unwrap_or(1)) * f(batch);
+                let bytes = forces(drawn) + signals(drawn) + states(drawn);
+                steps.push(("optimise.batch", batch, "samples of a step", bytes));
+            }
+            Protocol::Random | Protocol::Cmaes => {}
+        }
+    }
+
+    let mut comparison = always;
+    comparison.push(("stimuli.samples", samples, "signals", signals(f(samples))));
+    let holdout = f(stimuli.holdout);
+    let bytes = forces(holdout) + signals(holdout);
+    comparison.push(("stimuli.holdout", stimuli.holdout, "forces and signals", bytes));
+    if matches!(trial.brain.kind, BrainKind::Cnn | BrainKind::Stacked) {
+        let losses = |iterations: usize| 4.0 * f(evaluation.networks()) * f(iterations);
+        let (iterations, long) = (trial.brain.iterations, evaluation.long_iterations.unwrap_or(0));
+        comparison.push(("brain.iterations", iterations, "losses", losses(iterations)));
+        comparison.push(("evaluation.long_iterations", long, "losses", losses(long)));
+    }
+    if sum(&steps) > sum(&comparison) { steps } else { comparison }
+}
+
+fn sum(parts: &[Part]) -> f64 {
+    parts.iter().map(|part| part.3).sum()
+}
+
+/// Refuses a trial of so many units that needs more memory than there is.
+///
+/// # Errors
+/// Names the key that multiplies what takes most.
+pub fn check(trial: &TrialSpec, units: usize, limit: Option<&Limit>) -> Result<(), Invalid> {
+    refuse(parts(trial, units), limit)
+}
+
+/// Refuses a simulation whose states take more memory than this machine has, the tape's and as many that are handed out.
+///
+/// # Errors
+/// Names the forces.
+pub(crate) fn check_states(samples: usize, instants: usize, units: usize) -> Result<(), Invalid> {
+    let bytes = 96.0 * samples as f64 * instants as f64 * units as f64;
+    refuse(vec![("forces: samples", samples, "displacements and velocities", bytes)], limit(None).as_ref())
+}
+
+fn refuse(parts: Vec<Part>, limit: Option<&Limit>) -> Result<(), Invalid> {
+    let Some(Limit { name, bytes }) = limit else { return Ok(()) };
+    let all = sum(&parts);
+    let most = parts.into_iter().max_by(|a, b| a.3.total_cmp(&b.3));
+    match most.filter(|_| all > *bytes) {
+        None => Ok(()),
+        Some((key, value, what, part)) => {
+            let [all, part, bytes] = [all, part, *bytes].map(readable);
+            Err(invalid(
+                key,
+                value,
+                format!("a worker needs {all} of memory or more, {part} of it for {what}; {name} {bytes}"),
+            ))
+        }
+    }
+}
+
+/// The same of a trial whose body is not at hand, on this machine.
+///
+/// # Errors
+/// Likewise.
+pub fn check_here(trial: &TrialSpec) -> Result<(), Invalid> {
+    check(trial, layout(&trial.body)?.units(), limit(None).as_ref())
+}
+
+/// Memory (bytes) that a trial of so many units needs at least.
+#[must_use]
+pub fn needed(trial: &TrialSpec, units: usize) -> f64 {
+    sum(&parts(trial, units))
+}
+
+/// Three digits and a unit.
+#[must_use]
+pub fn readable(bytes: f64) -> String {
+    let units = [(1e15, "PB"), (1e12, "TB"), (1e9, "GB"), (1e6, "MB")];
+    let (size, unit) = units.into_iter().find(|(size, _)| bytes >= *size).unwrap_or((1e3, "kB"));
+    format!("{:.1} {unit}", bytes / size)
+}
+
+#[cfg(test)]
+mod tests;
