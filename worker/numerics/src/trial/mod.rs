@@ -33,6 +33,7 @@ use crate::stimuli::Source;
 use crate::variation::{Cast, Casts, Chips};
 pub(crate) use chip::Chip;
 use rayon::prelude::*;
+use std::sync::OnceLock;
 
 /// Samples of a pilot: as many as the lanes take at once.
 const PILOT: usize = 8;
@@ -59,6 +60,8 @@ pub struct Trial<'a> {
     likeness: Vec<f64>,
     /// The initial body under the training forces, from which the scales come.
     pub(crate) initial: Samples,
+    /// λ of the trial's linear decoder on these, once it has been chosen.
+    pub(crate) initial_ridge: OnceLock<Result<f64, Trouble>>,
 }
 
 /// A body under forces.
@@ -151,6 +154,7 @@ impl<'a> Trial<'a> {
             chip,
             likeness,
             initial,
+            initial_ridge: OnceLock::new(),
         })
     }
 
