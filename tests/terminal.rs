@@ -14,6 +14,7 @@ fn on_terminal(bench: &Bench, columns: u32, term: &str, more: &[(&str, &str)], a
         .env_remove("COLUMNS")
         .env_remove("NO_COLOR")
         .env("TERM", term)
+        .env("CI", "true") // which some programs take for a terminal that knows colours
         .envs(more.iter().copied())
         .stdin(Stdio::null());
     String::from_utf8(command.output().unwrap().stdout).unwrap().replace('\r', "")

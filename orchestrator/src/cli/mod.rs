@@ -153,7 +153,8 @@ pub fn command() -> clap::Command {
 /// # Errors
 /// Bad input and failed I/O, each with its exit code.
 pub fn execute(args: impl Iterator<Item = OsString>) -> Result<Exit, Error> {
-    let matches = command().term_width(screen().unwrap_or(WIDEST).min(WIDEST)).get_matches_from(args);
+    let command = command().term_width(screen().unwrap_or(WIDEST).min(WIDEST)).color(colour());
+    let matches = command.get_matches_from(args);
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|e| e.exit());
     spares_what_it_reads(&matches)?;
     process::keep_memory();
@@ -242,6 +243,15 @@ fn end_on_signal(kept: Option<&Path>) {
 fn is_live(out: &impl IsTerminal) -> bool {
     let term = std::env::var_os("TERM").unwrap_or_default();
     out.is_terminal() && !term.is_empty() && term != "dumb"
+}
+
+/// No colours on a dumb terminal or with NO_COLOR, whatever CI or CLICOLOR say.
+fn colour() -> clap::ColorChoice {
+    let set = |key: &str| std::env::var_os(key).filter(|value| !value.is_empty());
+    match set("NO_COLOR").is_some() || set("TERM").is_none_or(|term| term == "dumb") {
+        true => clap::ColorChoice::Never,
+        false => clap::ColorChoice::Auto,
+    }
 }
 
 /// From here on the end of `parent`, which has started this process, is a SIGTERM. Whether it has not ended yet.

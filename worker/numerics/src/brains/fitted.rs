@@ -4,18 +4,15 @@
 //! x = signals / rms(signals)     f̂ = rms(f) · (b + W ∗ x)
 //! ```
 
-use super::linear::{FOLDS, Plain, solve};
+use super::linear::{Plain, solve};
+use super::ridge::{self, Part};
 use super::{Reader, Recipe};
 use crate::Pool;
-use crate::brain::linear::{Lags, Linear, Normal, Sizes, downhill_ridge};
-use crate::stimuli::folds;
-use crate::trial::{Decoder, Samples, Scales, Trial, Trouble};
-use std::ops::RangeInclusive;
+use crate::brain::linear::{Linear, Normal, Sizes};
+use crate::trial::{Decoder, Ridge, Samples, Scales, Trial, Trouble};
 
-/// What a sample of another body counts, beside one of the body itself.
-const TIMES: RangeInclusive<f64> = 1e-8..=1.0;
-/// Of so many samples one part judges, of fewer each in turn.
-const MANY: usize = 60;
+/// κ from the greatest to the least, in decades.
+const SHARES: std::ops::RangeInclusive<i32> = 0..=8;
 
 /// A linear brain and the scales that it was fitted at.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,6 +39,11 @@ impl Fitted {
         problem.decoder.fit(problem.seed, known, Some(trial.scales.channels.clone()), trial.pool)
     }
 
+    fn new(linear: Linear, ridge: f64, known: &Plain, scales: &Scales) -> Self {
+        let (error, signal_scale) = (known.error(&linear.predict(&known.x)), scales.channels.clone());
+        Self { linear, ridge, signal_scale, force_scale: scales.force(), error }
+    }
+
     /// Mean error (%) on samples; `None` where none has a force.
     pub(crate) fn error_on(&self, samples: &Samples) -> Option<f64> {
         samples.error(&self.predict(&samples.signals))
@@ -66,57 +68,6 @@ impl Decoder {
         self.fitted(seed, known, scales, pool)
     }
 
-    /// Fits it to a few samples of one body beside many of others like it, each of which counts κ times one of the few. κ is
-    /// that with which parts of the few are read best from the others: 1 of a body that tells nothing new, less the more there
-    /// are. λ is as given, else that of the few.
-    ///
-    /// # Errors
-    /// If no κ has a solution.
-    pub(crate) fn fit_beside(
-        &self,
-        seed: u64,
-        few: &Samples,
-        others: &Beside,
-        pool: &Pool,
-    ) -> Result<Fitted, Trouble> {
-        let Beside { normal: others, scales } = others;
-        let few = Plain::of(few, scales, pool);
-        let ridge = self.ridge_of(seed, &few, None)?;
-        let beside = |own: &Normal, times: f64| {
-            let linear = solve(own.clone().plus(times, others), ridge)?.linear();
-            Ok::<Linear, Trouble>(linear)
-        };
-        let (all, count) = (few.moments().normal(self.lags), few.w.len());
-        // the fewer there are, the more of them have to judge
-        let (parts, judging) = (FOLDS.min(count), if count < MANY { FOLDS } else { 1 });
-        let dealt = folds(seed, count, parts);
-        let judges: Vec<(Plain, Normal)> = (0..parts.min(judging))
-            .map(|fold| {
-                let out = few.select(&(0..count).filter(|&i| dealt[i] == fold).collect::<Vec<_>>());
-                let kept = all.clone().plus(-1.0, &out.moments().normal(self.lags));
-                (out, kept)
-            })
-            .collect();
-        let error = |times: f64| {
-            // a fold without a force judges nothing
-            let of = |(out, kept): &(Plain, Normal)| {
-                let said = beside(kept, times).ok()?.predict(&out.x);
-                said.iter().all(|f| f.is_finite()).then(|| out.error(&said).unwrap_or_default())
-            };
-            judges.iter().map(of).sum::<Option<f64>>()
-        };
-        let times = downhill_ridge(1.0, TIMES, error).ok_or(Trouble::Singular)?;
-        let linear = beside(&all, times)?;
-        let error = few.error(&linear.predict(&few.x));
-        Ok(Fitted {
-            linear,
-            ridge,
-            force_scale: scales.force(),
-            signal_scale: scales.channels.clone(),
-            error,
-        })
-    }
-
     /// The same at given scales.
     pub(crate) fn fitted(
         &self,
@@ -126,25 +77,65 @@ impl Decoder {
         pool: &Pool,
     ) -> Result<Fitted, Trouble> {
         let known = Plain::of(known, &scales, pool);
-        let ridge = self.ridge_of(seed, &known, None)?;
-        let linear = solve(known.moments().normal(self.lags), ridge)?.linear();
-        let error = known.error(&linear.predict(&known.x));
-        Ok(Fitted { linear, ridge, force_scale: scales.force(), signal_scale: scales.channels, error })
+        let all = known.moments().normal(self.lags);
+        let ridge = self.ridge_of(seed, &known, &all)?;
+        Ok(Fitted::new(solve(all, ridge)?.linear(), ridge, &known, &scales))
     }
 }
 
-/// Samples of many bodies alike, for [`Decoder::fit_beside`].
+/// Samples of many casts of a body, to which a decoder for all casts is fitted, and which support one for a further cast.
 #[derive(Debug, Clone)]
-pub(crate) struct Beside {
+pub(crate) struct Pooled {
     normal: Normal,
     scales: Scales,
+    /// Of the decoder for all casts.
+    pub(crate) fitted: Fitted,
 }
 
-impl Beside {
-    /// Of these samples, at these scales, for a memory.
-    pub(crate) fn of(samples: &Samples, scales: &Scales, lags: Lags, pool: &Pool) -> Self {
-        let normal = Plain::of(samples, scales, pool).moments().normal(lags);
-        Self { normal, scales: scales.clone() }
+impl Pooled {
+    /// Of samples that come in equal numbers from one cast after another. λ is as given, or chosen by leaving out whole casts.
+    ///
+    /// # Errors
+    /// If no λ has a solution.
+    pub(crate) fn new(trial: &Trial, samples: &Samples, casts: usize) -> Result<Self, Trouble> {
+        let (decoder, scales) = (trial.problem.decoder, trial.scales.clone());
+        let known = Plain::of(samples, &scales, trial.pool);
+        let normal = known.moments().normal(decoder.lags);
+        let (dealt, each) = (ridge::deal(trial.problem.seed, casts), samples.count() / casts);
+        let dealt: Vec<usize> = (0..samples.count()).map(|i| dealt[i / each]).collect();
+        let ridge = match decoder.ridge {
+            Ridge::Given(ridge) => ridge,
+            Ridge::Auto => ridge::ridge_of(&known, &normal, &dealt)?,
+        };
+        let fitted = Fitted::new(solve(normal.clone(), ridge)?.linear(), ridge, &known, &scales);
+        Ok(Self { normal, scales, fitted })
+    }
+
+    /// A decoder for the cast of these samples: of the pooled ones each counts κ times one of these. λ is that of the decoder
+    /// for all casts, κ that of least error by cross-validation over these samples; κ = 1 treats all casts alike.
+    ///
+    /// # Errors
+    /// If no κ has a solution.
+    pub(crate) fn calibrated(
+        &self,
+        seed: u64,
+        samples: &Samples,
+        pool: &Pool,
+    ) -> Result<(Fitted, f64), Trouble> {
+        let own = Plain::of(samples, &self.scales, pool);
+        let (normal, ridge) = (own.moments().normal(self.normal.lags()), self.fitted.ridge);
+        let with = |own: &Normal, share: f64| own.clone().plus(share, &self.normal);
+        let share = match own.w.len() {
+            0 | 1 => 1.0,
+            count => {
+                let shares = SHARES.map(|decade| 10_f64.powi(-decade));
+                let dealt = ridge::deal(seed, count);
+                let errors = |part: &Part, share| part.errors(with(&part.others, share), ridge);
+                ridge::least(&ridge::judged(shares, count, ridge::parts(&own, &normal, &dealt), errors))?
+            }
+        };
+        let linear = solve(with(&normal, share), ridge)?.linear();
+        Ok((Fitted::new(linear, ridge, &own, &self.scales), share))
     }
 }
 

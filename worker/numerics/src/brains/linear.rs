@@ -1,18 +1,17 @@
 //! The linear brain: least squares of the forces on the signals around each instant, solved exactly.
 //!
 //! ```text
-//! x = A / rms(A₀)     y = f / rms(f)     w_i = 1/Σy²     λ: 10^−j, by a fifth of the training set
+//! x = A / rms(A₀)     y = f / rms(f)     w_i = 1/Σy²     λ: by cross-validation (`ridge`)
 //! ```
 
+use super::ridge::{self, Part};
 use super::{FitOn, Implicit, Learned, Learner, Learnt, Loss};
 use crate::Pool;
 use crate::brain::Policy;
-use crate::brain::linear::{self, Lags, Linear, Moments, Normal, Order, Sizes, downhill_ridge};
-use crate::stimuli::folds;
+use crate::brain::linear::{self, Lags, Linear, Moments, Normal, Order, Sizes};
 use crate::trial::{
     Counters, Decoder, Ridge, Samples, Scales, Trial, Trouble, error_of_each, mean_error, pick,
 };
-use std::ops::RangeInclusive;
 
 /// Unknowns of the longest memory that a body is read with: 0.7 GB and some 5 s a factor.
 const UNKNOWNS_MAX: usize = 9600;
@@ -20,13 +19,8 @@ const UNKNOWNS_MAX: usize = 9600;
 const BODIES: usize = 8;
 /// … each older one counting less by this factor: the body has moved since.
 const FADING: f64 = 0.8;
-/// Outer steps from one look at the ridge to the next.
-const RIDGE_EVERY: u32 = 10;
-/// Parts of the training set; one of them judges a ridge that the others are fitted with.
-pub(super) const FOLDS: usize = 5;
-/// Where the search for λ begins, and how far it goes.
-const FIRST_RIDGE: f64 = 1e-6;
-const RIDGES: RangeInclusive<f64> = 1e-14..=1e2;
+/// Outer steps from one choice of λ to the next.
+const RIDGE_EVERY: u32 = 50;
 
 impl Decoder {
     /// Of the whole sample, both ways, or as much of it as can be solved for: what every body is read by.
@@ -79,9 +73,14 @@ impl Plain {
         Self { sizes: self.sizes, x, y, w, failed, pool: self.pool.clone() }
     }
 
-    /// Mean error (%) by these answers (N, T, K).
+    /// Error (%) of each sample by these predictions (N, T, K).
+    pub(crate) fn errors(&self, predicted: &[f64]) -> Vec<Option<f64>> {
+        error_of_each(self.sizes, &self.y, &self.failed, predicted)
+    }
+
+    /// Their mean.
     pub(crate) fn error(&self, predicted: &[f64]) -> Option<f64> {
-        mean_error(&error_of_each(self.sizes, &self.y, &self.failed, predicted))
+        mean_error(&self.errors(predicted))
     }
 
     /// 2w (ŷ − y)/n of the n samples that have an error: the derivative of its mean, as a part of 1, in the answers.
@@ -112,29 +111,46 @@ pub(crate) fn solve(normal: Normal, ridge: f64) -> Result<linear::Fit, Trouble> 
 }
 
 impl Decoder {
-    /// λ for these training samples: as given, or that with which four fifths of them read the last best, looked for
-    /// from `last` on.
+    /// λ for these training samples, of which `all` are the normal equations: as given, or by cross-validation.
     ///
     /// # Errors
     /// If no λ has a solution.
-    pub(super) fn ridge_of(&self, seed: u64, train: &Plain, last: Option<f64>) -> Result<f64, Trouble> {
-        if let Ridge::Given(ridge) = self.ridge {
-            return Ok(ridge);
+    pub(super) fn ridge_of(&self, seed: u64, train: &Plain, all: &Normal) -> Result<f64, Trouble> {
+        match self.ridge {
+            Ridge::Given(ridge) => Ok(ridge),
+            Ridge::Auto => ridge::ridge_of(train, all, &ridge::deal(seed, train.w.len())),
         }
-        let lags = self.lags;
-        let dealt = folds(seed, train.w.len(), FOLDS.min(train.w.len()));
-        let kept: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] != 0).collect();
-        let judges: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] == 0).collect();
-        let (normal, judges) = (train.select(&kept).moments().normal(lags), train.select(&judges));
-        // too few samples to judge by
-        if kept.is_empty() || judges.w.iter().all(|w| *w == 0.0) {
-            return Ok(last.unwrap_or(FIRST_RIDGE));
-        }
-        let error = |ridge| {
-            let linear = solve(normal.clone(), ridge).ok()?.linear();
-            judges.error(&linear.predict(&judges.x))
+    }
+}
+
+impl Trial<'_> {
+    /// λ of the trial's linear decoder for the initial body's training samples.
+    ///
+    /// # Errors
+    /// If no λ has a solution.
+    fn initial_ridge(&self) -> Result<f64, Trouble> {
+        let choose = || {
+            let (decoder, plain) = (self.problem.decoder, Plain::of(&self.initial, &self.scales, self.pool));
+            decoder.ridge_of(self.problem.seed, &plain, &plain.moments().normal(decoder.lags))
         };
-        downhill_ridge(last.unwrap_or(FIRST_RIDGE), RIDGES, error).ok_or(Trouble::Singular)
+        *self.initial_ridge.get_or_init(choose)
+    }
+
+    /// λ of a linear decoder for the training samples of a body.
+    ///
+    /// # Errors
+    /// If no λ has a solution.
+    pub(super) fn ridge_for(
+        &self,
+        decoder: &Decoder,
+        known: &Samples,
+        plain: &Plain,
+        all: &Normal,
+    ) -> Result<f64, Trouble> {
+        match *decoder == self.problem.decoder && *known == self.initial {
+            true => self.initial_ridge(),
+            false => decoder.ridge_of(self.problem.seed, plain, all),
+        }
     }
 }
 
@@ -158,53 +174,54 @@ impl<'a> LinearLearner<'a> {
         &self.linear.as_ref().expect("it has been fitted").0
     }
 
-    fn ridge(&self, train: &Plain, last: Option<f64>) -> Result<f64, Trouble> {
-        self.trial.problem.decoder.ridge_of(self.trial.problem.seed, train, last)
-    }
-
-    /// λ of these training samples, looked for anew every `RIDGE_EVERY` steps.
-    fn ridge_at(&self, step: u32, train: &Plain, learnt: &mut Learnt) -> Result<f64, Trouble> {
+    /// λ of these training samples, chosen anew every `RIDGE_EVERY` steps.
+    fn ridge_at(&self, step: u32, train: &Plain, all: &Normal, learnt: &mut Learnt) -> Result<f64, Trouble> {
         match learnt.ridge {
             Some(ridge) if !step.is_multiple_of(RIDGE_EVERY) => Ok(ridge),
-            last => Ok(*learnt.ridge.insert(self.ridge(train, last)?)),
+            _ => {
+                let problem = &self.trial.problem;
+                Ok(*learnt.ridge.insert(problem.decoder.ridge_of(problem.seed, train, all)?))
+            }
         }
     }
 
-    /// λ of the initial body's training samples: a few of a cast tell none.
+    /// λ of the initial body's training samples: those of a single cast are too few for a choice.
     fn first_ridge(&self, learnt: &mut Learnt) -> Result<f64, Trouble> {
         match learnt.ridge {
             Some(ridge) => Ok(ridge),
-            None => Ok(*learnt.ridge.insert(self.ridge(&self.plain(&self.trial.initial), None)?)),
+            None => Ok(*learnt.ridge.insert(self.trial.initial_ridge()?)),
         }
     }
 
-    /// The weights for the samples of the last bodies, older ones counting less; now and then the ridge by which the older
-    /// ones read the newest best.
+    /// The weights for the samples of the last bodies, older ones counting less. Every `RIDGE_EVERY` steps λ is chosen by leaving
+    /// out one body after another.
     fn solve_recent(&self, bodies: &[Plain], step: u32, learnt: &mut Learnt) -> Result<Linear, Trouble> {
         let (trial, lags) = (self.trial, self.trial.problem.decoder.lags);
-        let newest = &bodies[bodies.len() - 1];
-        let mut moments = Moments::new(newest.sizes, trial.pool);
-        for (age, samples) in bodies.iter().rev().enumerate().skip(1) {
-            let fading = FADING.powi(age as i32);
-            let w: Vec<f64> = samples.w.iter().map(|w| w * fading).collect();
-            moments.add(&samples.x, &samples.y, &w);
+        let newest = bodies.len() - 1;
+        let weighted = |body: usize| -> Vec<f64> {
+            let fading = FADING.powi((newest - body) as i32);
+            bodies[body].w.iter().map(|w| w * fading).collect()
+        };
+        let mut moments = Moments::new(bodies[newest].sizes, trial.pool);
+        for (body, samples) in bodies.iter().enumerate() {
+            moments.add(&samples.x, &samples.y, &weighted(body));
         }
-        match learnt.ridge {
-            None => drop(self.first_ridge(learnt)?),
-            Some(last) if step.is_multiple_of(RIDGE_EVERY) && bodies.len() > 1 => {
-                if trial.problem.decoder.ridge == Ridge::Auto {
-                    let normal = moments.normal(lags);
-                    let error = |ridge| {
-                        let linear = solve(normal.clone(), ridge).ok()?.linear();
-                        newest.error(&linear.predict(&newest.x))
-                    };
-                    learnt.ridge = downhill_ridge(last, RIDGES, error).or(learnt.ridge);
-                }
-            }
-            Some(_) => {}
+        let normal = moments.normal(lags);
+        self.first_ridge(learnt)?;
+        let due = step > 0 && step.is_multiple_of(RIDGE_EVERY) && newest > 0;
+        if due && trial.problem.decoder.ridge == Ridge::Auto {
+            let parts = (0..=newest).rev().map(|body| {
+                let judges = bodies[body].clone();
+                let mut own = Moments::new(judges.sizes, trial.pool);
+                own.add(&judges.x, &judges.y, &weighted(body));
+                Part { judges, others: normal.clone().plus(-1.0, &own.normal(lags)) }
+            });
+            let samples = bodies.iter().map(|samples| samples.w.len()).sum();
+            let errors = |part: &Part, ridge| part.errors(part.others.clone(), ridge);
+            let judged = ridge::judged(ridge::ridges(), samples, parts, errors);
+            learnt.ridge = ridge::greatest(&judged).ok().or(learnt.ridge);
         }
-        moments.add(&newest.x, &newest.y, &newest.w);
-        Ok(solve(moments.normal(lags), learnt.ridge.unwrap_or_default())?.linear())
+        Ok(solve(normal, learnt.ridge.unwrap_or_default())?.linear())
     }
 }
 
@@ -232,11 +249,12 @@ impl Learner for LinearLearner<'_> {
             }
             FitOn::Optimum(train) | FitOn::GoOn(train) | FitOn::Alike(train) | FitOn::Cast(train) => {
                 let train = self.plain(train);
+                let all = train.moments().normal(self.trial.problem.decoder.lags);
                 let ridge = match on {
                     FitOn::Cast(_) => self.first_ridge(learnt)?,
-                    _ => self.ridge_at(step, &train, learnt)?,
+                    _ => self.ridge_at(step, &train, &all, learnt)?,
                 };
-                let fit = solve(train.moments().normal(self.trial.problem.decoder.lags), ridge)?;
+                let fit = solve(all, ridge)?;
                 self.linear = Some((fit.linear(), matches!(on, FitOn::Optimum(_)).then_some(fit)));
                 train
             }

@@ -12,11 +12,12 @@ mod linear;
 mod network;
 mod readings;
 mod records;
+pub(crate) mod ridge;
 mod stacked;
 
 pub use bands::{Band, BandKind, LEVEL, TO_EACH_SIDE};
-pub(crate) use fitted::Beside;
 pub use fitted::Fitted;
+pub(crate) use fitted::Pooled;
 pub use inverse::{Estimate, Inverse};
 pub(crate) use linear::Plain;
 #[cfg(test)]

@@ -44,6 +44,7 @@ fn reading(sets: &[Plain; 3], linear: &Linear, ridge: f64) -> Reading {
 /// # Errors
 /// If no λ has a solution.
 pub(crate) fn readings(trial: &Trial, sets: &[Samples; 3]) -> Result<Vec<Reading>, Trouble> {
+    let known = &sets[0];
     let sets = &sets.each_ref().map(|set| Plain::of(set, &trial.scales, trial.pool));
     let train = &sets[0];
     let Sizes { instants, channels, outputs } = train.sizes;
@@ -52,8 +53,8 @@ pub(crate) fn readings(trial: &Trial, sets: &[Samples; 3]) -> Result<Vec<Reading
     }
     let decoder = Decoder::whole(instants, channels);
     let (whole, reach) = (decoder.lags, decoder.lags.before);
-    let ridge = decoder.ridge_of(trial.problem.seed, train, None)?;
     let normal = train.moments().normal(whole);
+    let ridge = trial.ridge_for(&decoder, known, train, &normal)?;
     let read = |linear: &Linear| reading(sets, linear, ridge);
     let factor = |order| Fit::new(normal.clone(), ridge, order).map_err(|_| Trouble::Singular);
     let delta = trial.problem.scene.duration / instants as f64;
@@ -89,9 +90,11 @@ pub(crate) fn own_reading(
     let own = match readings.first() {
         Some(whole) if whole.lags == decoder.lags && decoder.ridge == Ridge::Auto => *whole,
         _ => {
+            let known = &sets[0];
             let sets = &sets.each_ref().map(|set| Plain::of(set, &trial.scales, trial.pool));
-            let ridge = decoder.ridge_of(trial.problem.seed, &sets[0], None)?;
-            reading(sets, &solve(sets[0].moments().normal(decoder.lags), ridge)?.linear(), ridge)
+            let normal = sets[0].moments().normal(decoder.lags);
+            let ridge = trial.ridge_for(&decoder, known, &sets[0], &normal)?;
+            reading(sets, &solve(normal, ridge)?.linear(), ridge)
         }
     };
     if readings.iter().all(|reading| reading.lags != own.lags) {

@@ -2,12 +2,12 @@
 //! it never sees one's.
 
 use super::Fitted;
-use super::linear::{FOLDS, Plain, solve};
+use super::linear::{Plain, solve};
 use super::network::predict;
+use super::ridge::{self, Part};
 use crate::Pool;
 use crate::brain::linear::{Linear, Sizes};
 use crate::brain::{Data, Shape, Workspace};
-use crate::stimuli::folds;
 use crate::trial::{Decoder, Samples, Scales, Trouble};
 
 /// Linear brains of one body.
@@ -36,16 +36,11 @@ impl Stack {
         pool: &Pool,
     ) -> Result<Self, Trouble> {
         let known = Plain::of(known, &scales, pool);
-        let ridge = decoder.ridge_of(seed, &known, None)?;
-        let folds_of = FOLDS.min(known.w.len());
-        let (moments, dealt) = (known.moments(), folds(seed, known.w.len(), folds_of));
-        let part = |fold: usize| {
-            let own: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] == fold).collect();
-            let others = moments.clone().plus(-1.0, &known.select(&own).moments());
-            Ok(solve(others.normal(decoder.lags), ridge)?.linear())
-        };
-        let parts = (0..folds_of).map(part).collect::<Result<_, Trouble>>()?;
-        Ok(Self { all: solve(moments.normal(decoder.lags), ridge)?.linear(), dealt, parts, known, scales })
+        let (all, dealt) = (known.moments().normal(decoder.lags), ridge::deal(seed, known.w.len()));
+        let ridge = decoder.ridge_of(seed, &known, &all)?;
+        let part = |part: Part| Ok(solve(part.others, ridge)?.linear());
+        let parts = ridge::parts(&known, &all, &dealt).map(part).collect::<Result<_, Trouble>>()?;
+        Ok(Self { all: solve(all, ridge)?.linear(), dealt, parts, known, scales })
     }
 
     /// Signals (N, T, 3M) that are not the training samples' as the network takes them.

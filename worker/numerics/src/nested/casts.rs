@@ -9,7 +9,7 @@ use super::fresh::read;
 use super::inversion::invert_cast;
 use super::observe::{Log, Nobody};
 use super::state::State;
-use crate::brains::{Band, Beside, Fitted, Fresh, Reader, reader};
+use crate::brains::{Band, Fitted, Fresh, Pooled, Reader, reader};
 use crate::random::Purpose;
 use crate::trial::{
     BrainKind, Counters, Decoder, FAILED, Mould, Problem, Ridge, Samples, Trial, Trouble, held,
@@ -31,13 +31,10 @@ type Known = [Result<Samples, Trouble>; 2];
 struct Brains<'a> {
     /// Of the body as designed and of many casts; none of a trial without.
     networks: Vec<Result<Box<dyn Reader + 'a>, Trouble>>,
-    linear: [Result<Fitted, Trouble>; 2],
-    /// So many samples of a cast are those fitted to that read it.
+    nominal: Result<Fitted, Trouble>,
+    casts: Result<Pooled, Trouble>,
+    /// Numbers of samples of a cast on which a decoder is calibrated.
     records: Vec<usize>,
-    /// Samples of many casts, where there are these.
-    casts: Option<Result<Beside, Trouble>>,
-    /// Their λ, that of the body as designed.
-    decoder: Decoder,
 }
 
 /// Goes on with the casts of the body number `turn`; `None` if the observer said stop: it has the state by then.
@@ -55,7 +52,10 @@ pub(super) fn read_casts(mould: &Mould, turn: usize, state: &mut State, log: &mu
         log.report.counters = counted;
     }
     let some = held(&known[1]).map(|casts| thinned(casts, trial.train.samples));
-    let mut brains = log.timed(|s| &mut s.train, |_| Brains::new(trial, &known));
+    let readings = &state.comparison.bodies[turn].readings;
+    let own = readings.first().filter(|reading| reading.lags == problem.decoder.lags);
+    let ridge = own.map(|reading| reading.ridge).filter(|_| problem.decoder.ridge == Ridge::Auto);
+    let mut brains = log.timed(|s| &mut s.train, |_| Brains::new(trial, &known, ridge));
     if problem.reader.is_network() {
         brains.networks = networks(trial, [held(&known[0]), held(&some)], turn, state, log)?;
     }
@@ -171,7 +171,8 @@ pub fn brain_for_casts(trial: &Trial, design: &[f64]) -> Result<ForCasts, Troubl
     let solver = &trial.tuned(design).solver;
     let casts = of_casts(&Mould { trial, design, solver }, &mut Counters::default());
     if !trial.problem.reader.is_network() {
-        return Fitted::of(trial, &casts?).map(ForCasts::Linear);
+        let casts = casts?;
+        return Ok(ForCasts::Linear(Pooled::new(trial, &casts, casts.count() / KNOWN_SAMPLES)?.fitted));
     }
     let (mut state, mut observer) = (State::new(&trial.problem), Nobody);
     let known = thinned(&casts?, trial.train.samples);
@@ -197,7 +198,7 @@ pub fn casts_of(
     let (solver, counters) = (&trial.tuned(design).solver, &mut Counters::default());
     let mould = Mould { trial, design, solver };
     let known = known(&mould, counters);
-    let mut brains = Brains::new(trial, &known);
+    let mut brains = Brains::new(trial, &known, None);
     let mut found = Vec::new();
     for number in 0..count {
         let cast = trial.cast(Casts::Unseen, number as u64);
@@ -251,23 +252,21 @@ fn sets(mould: &Mould, cast: Option<&Cast>, counters: &mut Counters) -> Result<[
 }
 
 impl Brains<'_> {
-    /// The linear ones.
-    fn new(trial: &Trial, known: &Known) -> Self {
-        let linear = known.each_ref().map(|known| match known {
-            Ok(known) => Fitted::of(trial, known),
-            Err(trouble) => Err(*trouble),
+    /// The linear ones; `ridge`: λ of the trial's decoder on the body as designed, where it has been chosen.
+    fn new(trial: &Trial, known: &Known, ridge: Option<f64>) -> Self {
+        let nominal = held(&known[0]).and_then(|known| match ridge {
+            Some(ridge) => {
+                let decoder = Decoder { ridge: Ridge::Given(ridge), ..trial.problem.decoder };
+                decoder.fit(trial.problem.seed, known, Some(trial.scales.channels.clone()), trial.pool)
+            }
+            None => Fitted::of(trial, known),
         });
+        let casts =
+            held(&known[1]).and_then(|known| Pooled::new(trial, known, known.count() / KNOWN_SAMPLES));
         let all = trial.train.samples;
         let records = RECORDS.into_iter().filter(|&n| n < all).chain([all]);
-        let records: Vec<usize> = records.filter(|_| trial.problem.evaluation.records).collect();
-        let casts = (!records.is_empty()).then(|| match &known[1] {
-            Ok(casts) => Ok(Beside::of(casts, &trial.scales, trial.problem.decoder.lags, trial.pool)),
-            Err(trouble) => Err(*trouble),
-        });
-        let ridge =
-            linear[0].as_ref().map_or(trial.problem.decoder.ridge, |nominal| Ridge::Given(nominal.ridge));
-        let decoder = Decoder { ridge, ..trial.problem.decoder };
-        Self { networks: Vec::new(), linear, records, casts, decoder }
+        let records = records.filter(|_| trial.problem.evaluation.records).collect();
+        Self { networks: Vec::new(), nominal, casts, records }
     }
 
     /// How they read a cast of these training and holdout samples, and how those do that are fitted to it. To the bands of the body
@@ -323,21 +322,18 @@ impl Brains<'_> {
         train: &Samples,
         signals: &[f64],
     ) -> Result<Vec<f64>, Trouble> {
-        let linear = |brain: &Result<Fitted, Trouble>| held(brain).map(|brain| brain.predict(signals));
         let network = |network: &mut Result<Box<dyn Reader + '_>, Trouble>| {
             network.as_mut().map(|network| network.predict(signals)).map_err(|trouble| *trouble)
         };
         match by {
             CastBrain::Network => network(&mut self.networks[0]),
             CastBrain::NetworkCasts => network(&mut self.networks[1]),
-            CastBrain::Nominal => linear(&self.linear[0]),
-            CastBrain::Casts => linear(&self.linear[1]),
+            CastBrain::Nominal => Ok(held(&self.nominal)?.predict(signals)),
+            CastBrain::Casts => Ok(held(&self.casts)?.fitted.predict(signals)),
             CastBrain::Records(n) => {
                 let some = train.select(&(0..n as usize).collect::<Vec<_>>());
-                let casts = self.casts.as_ref().expect("records are read");
-                let casts = held(casts)?;
                 let (seed, pool) = (trial.problem.seed, trial.pool);
-                linear(&self.decoder.fit_beside(seed, &some, casts, pool))
+                Ok(held(&self.casts)?.calibrated(seed, &some, pool)?.0.predict(signals))
             }
             CastBrain::Inverse | CastBrain::TwinLinear(_) | CastBrain::Twin(_) => {
                 unreachable!("read by `invert_cast`")

@@ -281,10 +281,16 @@ impl<'a> Session<'a> {
     }
 
     fn learn(&mut self, on: FitOn, state: &mut State, log: &mut Log) -> Result<f64, Trouble> {
-        let State { step, learnt, .. } = state;
+        let State { step, learnt, trend, .. } = state;
+        let ridge = learnt.ridge;
         let learned =
             log.timed(|s| &mut s.train, |report| self.learner.fit(on, *step, learnt, &mut report.counters))?;
         (log.report.loss_train, log.report.error_train) = (Some(learned.loss), learned.error);
+        log.report.ridge = learnt.ridge;
+        // losses by different λ do not compare
+        if learnt.ridge != ridge {
+            *trend = None;
+        }
         Ok(learned.loss)
     }
 

@@ -31,6 +31,8 @@ pub struct Report {
     pub error_test: Option<f64>,
     /// Prediction error on the training set, or on the step's fresh samples (%).
     pub error_train: Option<f64>,
+    /// λ of the linear decoder that the body is trained with.
+    pub ridge: Option<f64>,
     /// ‖dL/dα‖.
     pub gradient_norm: Option<f64>,
     /// ‖Δα‖ accepted (mm).

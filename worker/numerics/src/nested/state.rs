@@ -58,6 +58,8 @@ pub struct Best {
 /// A training loss above this many times its trend is a step too far. A fresh network's loss varies by a factor of two
 /// from seed to seed, Adam's spikes reach another three.
 const JUMP: f64 = 10.0;
+/// Training loss (normalised) below which none is a step too far: that of an error of 0.01 %.
+const NEGLIGIBLE: f64 = 1e-4;
 /// Least weight of a coordinate in the projection's metric, relative to the mean: v̂ is 0 where nothing depends on it.
 const METRIC_FLOOR: f64 = 1e-3;
 
@@ -83,7 +85,7 @@ impl State {
     pub(super) fn check_trend(&self, loss: f64) -> Result<(), Trouble> {
         match self.trend {
             _ if !loss.is_finite() => Err(Trouble::Training(TrainOutcome::NonFinite)),
-            Some(trend) if loss > JUMP * trend => Err(Trouble::LossJump(loss / trend)),
+            Some(trend) if loss > NEGLIGIBLE.max(JUMP * trend) => Err(Trouble::LossJump(loss / trend)),
             _ => Ok(()),
         }
     }

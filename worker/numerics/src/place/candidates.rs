@@ -5,12 +5,10 @@
 use super::{CANDIDATES, FIRST_RIDGE, Nowhere, Placed, Scores};
 use crate::brain::linear::Sizes;
 use crate::brains::Plain;
+use crate::brains::ridge::deal;
 use crate::dynamics::Scene;
-use crate::stimuli::folds;
 use crate::trial::{Counters, Failure, Optimise, Placing, Problem, Trial, Trouble};
 
-/// Parts of the training samples; each is judged by what the others say.
-const FOLDS: usize = 4;
 /// Candidates, spread over all, by which it is judged whether energies help.
 const JUDGES: usize = 4;
 /// Candidates that are rated alone at a time, where there are too many to be searched.
@@ -52,7 +50,7 @@ impl Candidates {
             response.map_err(Failure::Initial)?.samples
         };
         let samples = Plain::of(&heard, &trial.scales, pool);
-        let dealt = folds(problem.seed, heard.count(), FOLDS.min(heard.count()));
+        let dealt = deal(problem.seed, heard.count());
         // what one fold holds of the forces, others must have as well
         let mut struck = dealt.iter().zip(&samples.w).filter(|(_, w)| **w > 0.0).map(|(fold, _)| fold);
         let first = struck.next();

@@ -9,11 +9,12 @@ mod spectra;
 pub use candidates::{Candidates, placed};
 
 use crate::body::Layout;
-use crate::brain::linear::{Sizes, downhill_ridge};
+use crate::brain::linear::Sizes;
+use crate::brains::ridge::{greatest, ridges};
 use crate::trial::Placing;
 use rayon::prelude::*;
 use spectra::Spectra;
-use std::ops::{Range, RangeInclusive};
+use std::ops::Range;
 
 /// A set of units, and its error (%).
 pub type Rated = (Vec<usize>, f64);
@@ -41,9 +42,8 @@ pub struct Nowhere;
 const EXCHANGES: usize = 1000;
 /// More candidates are thinned out to those that are best alone: what the exchange goes through grows with their square.
 pub const CANDIDATES: usize = 64;
-/// Where the search for λ begins, and how far it goes.
+/// λ by which single units are rated before one is chosen.
 pub const FIRST_RIDGE: f64 = 1e-4;
-const RIDGES: RangeInclusive<f64> = 1e-10..=1e2;
 
 /// Signals of candidate units, and how well any of them are read.
 pub struct Scores<'a> {
@@ -91,12 +91,7 @@ impl<'a> Scores<'a> {
     /// # Panics
     /// If one is no candidate.
     pub fn error(&self, units: &[usize], ridge: f64) -> f64 {
-        self.solved(units, ridge).unwrap_or(f64::INFINITY)
-    }
-
-    /// The same; none where λ gives none.
-    fn solved(&self, units: &[usize], ridge: f64) -> Option<f64> {
-        self.spectra.error(&self.channels_of(units), ridge)
+        self.spectra.error(&self.channels_of(units), ridge).unwrap_or(f64::INFINITY)
     }
 
     fn channels_of(&self, units: &[usize]) -> Vec<usize> {
@@ -122,12 +117,14 @@ impl<'a> Scores<'a> {
 
     /// Error (%) of all candidates together, at the λ of least error.
     pub fn of_all(&self) -> f64 {
-        self.error(&self.units, self.ridge(&self.units, FIRST_RIDGE))
+        self.error(&self.units, self.ridge(&self.units))
     }
 
-    /// The λ of least error for these units, by decades from `start`.
-    fn ridge(&self, units: &[usize], start: f64) -> f64 {
-        downhill_ridge(start, RIDGES, |ridge| self.solved(units, ridge)).unwrap_or(start)
+    /// λ for these units, by the rule of `brains::ridge` over the folds.
+    fn ridge(&self, units: &[usize]) -> f64 {
+        let channels = self.channels_of(units);
+        let judged = |ridge| Some((ridge, self.spectra.errors(&channels, ridge)?));
+        greatest(&ridges().filter_map(judged).collect::<Vec<_>>()).unwrap_or(FIRST_RIDGE)
     }
 
     /// Units of `from` that are far enough from the chosen ones, and none of them.
@@ -157,7 +154,7 @@ impl<'a> Scores<'a> {
         let &Placing { ref candidates, turn, .. } = search;
         let alone = self.worth(&[], candidates, search.spacing, FIRST_RIDGE);
         let first = alone.get(turn).ok_or(Nowhere)?.0;
-        let ridge = self.ridge(&[first], FIRST_RIDGE);
+        let ridge = self.ridge(&[first]);
         // the unit of a later turn stays; of the first one all may give way
         let kept = usize::from(turn > 0);
         let (chosen, ridge) = self.grown(first, ridge, search)?;
@@ -178,7 +175,7 @@ impl<'a> Scores<'a> {
         while chosen.len() < search.sensors {
             let next = self.worth(&chosen, &search.candidates, search.spacing, ridge);
             chosen.push(next.first().ok_or(Nowhere)?.0);
-            ridge = self.ridge(&chosen, ridge);
+            ridge = self.ridge(&chosen);
         }
         Ok((chosen, ridge))
     }
@@ -197,7 +194,7 @@ impl<'a> Scores<'a> {
             match self.rated(neighbours, ridge).into_iter().next() {
                 Some((set, error)) if left > 0 && error < self.error(&chosen, ridge) => {
                     left -= 1;
-                    ridge = self.ridge(&set, ridge);
+                    ridge = self.ridge(&set);
                     chosen = set;
                 }
                 other => return (chosen, other, ridge),

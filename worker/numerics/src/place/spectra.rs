@@ -102,20 +102,29 @@ impl Spectra {
         Self { sizes, folds, shares, grams, power, left_out: left_out.max(0.0), pool }
     }
 
-    /// Error (%) of these channels' linear brain, the mean of samples that the others' weights read; none where λ is too
-    /// small for a factor.
+    /// Error (%) of these channels' linear decoder, the mean over samples, each read by weights of the other folds; none where
+    /// λ is too small for a factor.
     pub(super) fn error(&self, chosen: &[usize], ridge: f64) -> Option<f64> {
+        let errors = self.errors(chosen, ridge)?;
+        let of_fold = |(error, power): (&Option<f64>, &f64)| error.map_or(0.0, |error| error * power);
+        let sum: f64 = errors.iter().zip(&self.power).map(of_fold).sum();
+        Some(sum / self.power[self.folds])
+    }
+
+    /// The same of the samples of each fold.
+    pub(super) fn errors(&self, chosen: &[usize], ridge: f64) -> Option<Vec<Option<f64>>> {
         self.pool.heartbeat().beat();
         let (outputs, n) = (self.sizes.outputs, 2 * chosen.len());
         let forces = self.forces();
         let [mut lower, mut own, mut total] = [(); 3].map(|()| vec![0.0; n * n]);
         let [mut right, mut judged, mut total_right] = [(); 3].map(|()| vec![0.0; n * outputs]);
-        let mut error = self.left_out;
+        let left_out = self.left_out / self.power[self.folds];
+        let mut errors: Vec<f64> = self.power[..self.folds].iter().map(|power| left_out * power).collect();
         for (grams, share) in self.grams.chunks_exact(self.folds + 1).zip(&self.shares) {
             let (all, parts) = grams.split_last().expect("of all folds");
             all.cut(chosen, &mut total);
             all.cut_right(chosen, &forces, &mut total_right);
-            for (part, power) in parts.iter().zip(&self.power) {
+            for ((part, power), error) in parts.iter().zip(&self.power).zip(&mut errors) {
                 let scale = (self.power[self.folds] - power).recip();
                 part.cut(chosen, &mut own);
                 lower
@@ -131,10 +140,12 @@ impl Spectra {
                 let lower = matrix(&lower, n, n);
                 solve_lower_triangular_in_place(lower, weights.as_mut(), Par::Seq);
                 solve_upper_triangular_in_place(lower.transpose(), weights, Par::Seq);
-                error += share * (part.power(&forces) + quadratic(&own, &right, &judged));
+                *error += share * (part.power(&forces) + quadratic(&own, &right, &judged));
             }
         }
-        error.is_finite().then(|| 100.0 * error / self.power[self.folds])
+        let percent = |(error, power): (&f64, &f64)| (*power > 0.0).then(|| 100.0 * error / power);
+        let finite = errors.iter().all(|error| error.is_finite());
+        finite.then(|| errors.iter().zip(&self.power).map(percent).collect())
     }
 
     /// The forces' own channels, after the signals'.

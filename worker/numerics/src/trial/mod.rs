@@ -33,6 +33,7 @@ use crate::stimuli::Source;
 use crate::variation::{Cast, Casts, Chips};
 pub(crate) use chip::Chip;
 use rayon::prelude::*;
+use std::sync::OnceLock;
 
 /// What stands in a trial's reason before that of its coarse steps.
 pub(crate) const COARSE: &str = ". Coarse steps: ";
@@ -61,6 +62,8 @@ pub struct Trial<'a> {
     likeness: Vec<f64>,
     /// The initial body under the training forces, from which the scales come.
     pub(crate) initial: Samples,
+    /// λ of the trial's linear decoder on these, once it has been chosen.
+    pub(crate) initial_ridge: OnceLock<Result<f64, Trouble>>,
 }
 
 /// A body under forces.
@@ -161,6 +164,7 @@ impl<'a> Trial<'a> {
             chip,
             likeness,
             initial,
+            initial_ridge: OnceLock::new(),
         })
     }
 

@@ -13,7 +13,7 @@ mod solve;
 
 pub use moments::{Moments, Normal};
 pub use solve::factor;
-pub use solve::{Fit, Order, Singular, downhill_ridge};
+pub use solve::{Fit, Order, Singular};
 
 use faer::linalg::matmul::matmul;
 use faer::linalg::matmul::triangular::{self, BlockStructure};

@@ -187,6 +187,11 @@ impl Moments {
 }
 
 impl Normal {
+    /// The memory.
+    pub fn lags(&self) -> Lags {
+        self.lags
+    }
+
     /// These and so many times those: −1 takes out samples that both hold.
     ///
     /// # Panics

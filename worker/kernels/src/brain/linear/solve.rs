@@ -12,7 +12,7 @@ use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::{solve_lower_triangular_in_place, solve_upper_triangular_in_place};
 use faer::{Accum, Par, Spec};
 use rayon::prelude::*;
-use std::ops::{Range, RangeInclusive};
+use std::ops::Range;
 
 /// The normal matrix is not positive definite to rounding: the ridge is too small for these signals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -222,29 +222,4 @@ pub fn factor(pool: &Pool, lower: &mut [f64], n: usize) -> Result<(), Singular> 
         }
         Ok(())
     })
-}
-
-/// The λ of least `error`, decade by decade downhill from `start`, within `ridges`; none where none has an error.
-pub fn downhill_ridge(
-    start: f64,
-    ridges: RangeInclusive<f64>,
-    mut error: impl FnMut(f64) -> Option<f64>,
-) -> Option<f64> {
-    let mut best = error(start).map(|found| (start, found));
-    for factor in [0.1, 10.0] {
-        let mut ridge = start * factor;
-        while ridges.contains(&ridge) {
-            match error(ridge) {
-                Some(found) if best.is_none_or(|best| found < best.1) => best = Some((ridge, found)),
-                // too small to be solved with: smaller ones are no better, greater ones may be
-                None if best.is_none() && factor > 1.0 => {}
-                _ => break,
-            }
-            ridge *= factor;
-        }
-        if best.is_some_and(|best| best.0 != start) {
-            break;
-        }
-    }
-    best.map(|best| best.0)
 }

@@ -1,0 +1,142 @@
+//! The regularisation of linear decoders, by cross-validation over samples.
+//!
+//! ```text
+//! e_i(λ)   error of sample i by weights that were fitted without its part
+//! λ₀       argmin mean e(λ)
+//! λ        the greatest with mean(e(λ) − e(λ₀)) ≤ its standard error, and ≤ mean e(λ₀)/5
+//! ```
+//! Residuals within a sample are correlated, so samples are left out, not instants. The rule of one standard error: Hastie,
+//! Tibshirani and Friedman, The Elements of Statistical Learning, 7.10, here of paired differences.
+
+use super::linear::{Plain, solve};
+use crate::brain::linear::Normal;
+use crate::stimuli::folds;
+use crate::trial::{Trouble, mean_error};
+
+/// Parts into which samples are divided.
+const FOLDS: usize = 5;
+/// λ from the greatest to the least, in decades.
+const RIDGES: std::ops::RangeInclusive<i32> = -2..=12;
+/// λ where no sample has a force to judge by.
+const NEUTRAL: f64 = 1e-6;
+/// Part of the least mean error by which that of a greater value may exceed it.
+const EXCESS: f64 = 0.2;
+/// With fewer samples all parts judge all values …
+const FEW: usize = 60;
+/// … with more, those after the first judge so many, the greatest whose error in the first is less than so many times the least …
+const CANDIDATES: usize = 5;
+const WORSE: f64 = 2.0;
+/// … and the first part judges no smaller values after so many without an improvement by a hundredth.
+const WITHOUT: usize = 3;
+
+/// Samples that judge, and the normal equations of the others.
+pub(super) struct Part {
+    pub(super) judges: Plain,
+    pub(super) others: Normal,
+}
+
+impl Part {
+    /// Error (%) of each judging sample by the weights of these normal equations; none where they have no solution.
+    pub(super) fn errors(&self, normal: Normal, ridge: f64) -> Option<Vec<Option<f64>>> {
+        let predicted = solve(normal, ridge).ok()?.linear().predict(&self.judges.x);
+        let errors = self.judges.errors(&predicted);
+        errors.iter().flatten().all(|error| error.is_finite()).then_some(errors)
+    }
+}
+
+/// λ for these samples, of which `all` are the normal equations, in the parts to which they are dealt.
+///
+/// # Errors
+/// If no λ has a solution.
+pub(super) fn ridge_of(samples: &Plain, all: &Normal, dealt: &[usize]) -> Result<f64, Trouble> {
+    let errors = |part: &Part, ridge| part.errors(part.others.clone(), ridge);
+    greatest(&judged(ridges(), samples.w.len(), parts(samples, all, dealt), errors))
+}
+
+/// The part of each of so many samples.
+pub(crate) fn deal(seed: u64, samples: usize) -> Vec<usize> {
+    folds(seed, samples, FOLDS.min(samples))
+}
+
+/// The samples in the parts to which they are dealt, each left out of the normal equations of all in its turn.
+pub(super) fn parts(samples: &Plain, all: &Normal, dealt: &[usize]) -> impl Iterator<Item = Part> {
+    let count = dealt.iter().max().map_or(0, |last| last + 1);
+    // of one part nothing is left to be fitted to
+    let numbers = if count > 1 { 0..count } else { 0..0 };
+    numbers.map(move |part| {
+        let own: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] == part).collect();
+        let judges = samples.select(&own);
+        let others = all.clone().plus(-1.0, &judges.moments().normal(all.lags()));
+        Part { judges, others }
+    })
+}
+
+/// The grid of λ, the greatest first.
+pub(crate) fn ridges() -> impl Iterator<Item = f64> {
+    RIDGES.map(|decade| 10_f64.powi(-decade))
+}
+
+/// Those of `values`, the preferred first, that have a solution in every part, with the errors of all judging samples.
+pub(super) fn judged(
+    values: impl Iterator<Item = f64>,
+    samples: usize,
+    parts: impl Iterator<Item = Part>,
+    errors: impl Fn(&Part, f64) -> Option<Vec<Option<f64>>>,
+) -> Vec<(f64, Vec<Option<f64>>)> {
+    let mut judged: Vec<(f64, Vec<Option<f64>>)> = values.map(|value| (value, Vec::new())).collect();
+    for (number, part) in parts.enumerate() {
+        let thins = number == 0 && samples >= FEW;
+        let (mut least, mut without) = (f64::INFINITY, 0);
+        judged.retain_mut(|(value, seen)| {
+            if thins && without == WITHOUT {
+                return false;
+            }
+            let Some(errors) = errors(&part, *value) else { return false };
+            let mean = mean_error(&errors).unwrap_or(0.0);
+            without = if mean < 0.99 * least { 0 } else { without + 1 };
+            least = least.min(mean);
+            seen.extend(errors);
+            true
+        });
+        if thins {
+            judged.retain(|(_, errors)| mean_error(errors).unwrap_or(0.0) <= WORSE * least);
+            judged.truncate(CANDIDATES);
+        }
+    }
+    judged
+}
+
+/// The value of least mean error.
+///
+/// # Errors
+/// If there is no value.
+pub(super) fn least(judged: &[(f64, Vec<Option<f64>>)]) -> Result<f64, Trouble> {
+    let mean = |errors: &[Option<f64>]| mean_error(errors).unwrap_or(f64::INFINITY);
+    let best = judged.iter().min_by(|a, b| mean(&a.1).total_cmp(&mean(&b.1)));
+    best.map(|best| best.0).ok_or(Trouble::Singular)
+}
+
+/// The first value whose mean error exceeds the least by no more than the standard error of their difference, and a fifth.
+///
+/// # Errors
+/// If there is no value.
+pub(crate) fn greatest(judged: &[(f64, Vec<Option<f64>>)]) -> Result<f64, Trouble> {
+    let mean = |errors: &[Option<f64>]| mean_error(errors).unwrap_or(f64::INFINITY);
+    let best = judged.iter().min_by(|a, b| mean(&a.1).total_cmp(&mean(&b.1))).ok_or(Trouble::Singular)?;
+    let least = mean(&best.1);
+    if least.is_infinite() {
+        return Ok(NEUTRAL);
+    }
+    let as_good = |(_, errors): &&(f64, Vec<Option<f64>>)| {
+        let pairs = errors.iter().flatten().zip(best.1.iter().flatten());
+        let differences: Vec<f64> = pairs.map(|(a, b)| a - b).collect();
+        let count = differences.len() as f64;
+        let mean = differences.iter().sum::<f64>() / count;
+        let variance = differences.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / (count - 1.0);
+        mean <= (variance / count).sqrt().min(EXCESS * least)
+    };
+    Ok(judged.iter().find(as_good).unwrap_or(best).0)
+}
+
+#[cfg(test)]
+mod tests;

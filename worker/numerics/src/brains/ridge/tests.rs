@@ -1,0 +1,83 @@
+use super::*;
+use crate::Pool;
+use crate::brain::linear::Sizes;
+use crate::random::{Purpose, Stream};
+
+fn judged(errors: &[&[f64]]) -> Vec<(f64, Vec<Option<f64>>)> {
+    let values = (0..errors.len()).map(|j| 10_f64.powi(-(j as i32)));
+    values.zip(errors).map(|(value, errors)| (value, errors.iter().copied().map(Some).collect())).collect()
+}
+
+/// The greatest value within a standard error of the least is taken, wherever the least lies; a hump hides none.
+#[test]
+fn the_greatest_value_as_good_as_the_best_is_taken() {
+    // 1 and 0.1 are worse in every sample; 0.01 differs from 0.001 by less than differences scatter
+    let found = greatest(&judged(&[&[9.0, 9.5, 9.0], &[5.0, 5.1, 5.2], &[1.0, 1.3, 1.1], &[1.2, 1.0, 1.1]]));
+    assert_eq!(found, Ok(0.01));
+    // a hump between the least and greater values
+    let found =
+        greatest(&judged(&[&[2.0, 2.0, 2.1], &[90.0, 80.0, 95.0], &[1.0, 1.1, 1.0], &[80.0, 70.0, 90.0]]));
+    assert_eq!(found, Ok(0.01));
+    // within a standard error, as one sample differs by much, but a fifth worse
+    let found = greatest(&judged(&[&[1.3, 9.0, 1.2, 1.2], &[1.0, 1.1, 1.0, 1.1]]));
+    assert_eq!(found, Ok(0.1));
+    assert_eq!(greatest(&[]), Err(Trouble::Singular));
+    assert_eq!(greatest(&[(1.0, vec![None]), (0.1, vec![None])]), Ok(NEUTRAL));
+}
+
+/// Samples y = x · w + noise of few instants.
+fn samples(count: usize, noise: f64, pool: &Pool) -> Plain {
+    let sizes = Sizes { instants: 12, channels: 2, outputs: 1 };
+    let mut stream = Stream::new(Purpose::Stimulus, 5, [count as u64, 0]);
+    let x: Vec<f64> = (0..count * 24).map(|_| stream.normal()).collect();
+    let y: Vec<f64> = x.chunks_exact(2).map(|x| x[0] - 0.5 * x[1] + noise * stream.normal()).collect();
+    let w = y.chunks_exact(12).map(|y| y.iter().map(|f| f * f).sum::<f64>().recip()).collect();
+    Plain { sizes, x, y, w, failed: vec![false; count], pool: pool.clone() }
+}
+
+/// Each sample is judged once, by weights of the other parts; what is judged by hand has the same errors.
+#[test]
+fn parts_judge_what_they_were_not_fitted_to() {
+    let pool = Pool::new(1).unwrap();
+    let samples = samples(7, 0.1, &pool);
+    let lags = crate::brain::linear::Lags { before: 1, after: 1 };
+    let (all, dealt) = (samples.moments().normal(lags), deal(3, 7));
+    let errors = |part: &Part, ridge| part.errors(part.others.clone(), ridge);
+    let found = super::judged([1e-3].into_iter(), 7, parts(&samples, &all, &dealt), errors);
+    assert_eq!(found[0].1.len(), 7);
+    let own: Vec<usize> = (0..7).filter(|&i| dealt[i] == 0).collect();
+    let others: Vec<usize> = (0..7).filter(|&i| dealt[i] != 0).collect();
+    let linear = solve(samples.select(&others).moments().normal(lags), 1e-3).unwrap().linear();
+    let judges = samples.select(&own);
+    for (found, expected) in found[0].1.iter().zip(judges.errors(&linear.predict(&judges.x))) {
+        assert!((found.unwrap() - expected.unwrap()).abs() < 1e-9, "{found:?} {expected:?}");
+    }
+}
+
+/// One sample, samples without force, and one part have a λ, too.
+#[test]
+fn too_few_samples_to_judge_have_a_neutral_value() {
+    let pool = Pool::new(1).unwrap();
+    let lags = crate::brain::linear::Lags { before: 1, after: 1 };
+    let one = samples(1, 0.1, &pool);
+    assert_eq!(ridge_of(&one, &one.moments().normal(lags), &deal(3, 1)), Ok(NEUTRAL));
+}
+
+/// The more noise, the greater λ; with many samples fewer factors give the λ that all would give.
+#[test]
+fn noise_asks_for_regularisation() {
+    let pool = Pool::new(1).unwrap();
+    let lags = crate::brain::linear::Lags { before: 5, after: 5 };
+    for count in [20, 80] {
+        let of = |noise| {
+            let samples = samples(count, noise, &pool);
+            let (all, dealt) = (samples.moments().normal(lags), deal(3, count));
+            let errors = |part: &Part, ridge| part.errors(part.others.clone(), ridge);
+            let full = super::judged(ridges(), 0, parts(&samples, &all, &dealt), errors);
+            (ridge_of(&samples, &all, &dealt).unwrap(), greatest(&full).unwrap())
+        };
+        let [(quiet, quiet_by_all), (loud, loud_by_all)] = [1e-4, 2.0].map(of);
+        assert!(quiet < loud, "{count}: {quiet} {loud}");
+        assert_eq!([quiet, loud], [quiet_by_all, loud_by_all], "{count}");
+    }
+}
