@@ -150,16 +150,9 @@ pub fn elbow(observations: &[Observation], height: Height) -> Result<Elbow, TooF
         replicates.iter().filter(|r| **r == place).count() as f64 / replicates.len().max(1) as f64
     };
     let votes: Vec<(f64, f64)> = at[1..at.len() - 1].iter().map(|&m| (m, share(Some(m)))).collect();
-    let verdict = if replicates.is_empty() {
-        Verdict::WithoutVote(broken_stick)
-    } else {
-        let places = votes.iter().map(|&(m, share)| (Some(m), share));
-        let first = places.fold((None, share(None)), |a, b| if b.1 > a.1 { b } else { a });
-        match first {
-            (place, share) if share <= MAJORITY => Verdict::Undecided(place),
-            (Some(m), _) => Verdict::At(m),
-            (None, _) => Verdict::NoElbow,
-        }
+    let verdict = match replicates.is_empty() {
+        true => Verdict::WithoutVote(broken_stick),
+        false => verdict_of(&votes, share(None)),
     };
     let largest = at[at.len() - 1];
     let without_largest = (at.len() > LEAST_VALUES).then(|| {
@@ -178,6 +171,16 @@ pub fn elbow(observations: &[Observation], height: Height) -> Result<Elbow, TooF
         over: resampling.over(),
         levels,
     })
+}
+
+/// What has the most votes: one of these M, each with its share, or no elbow. Between equals: no elbow, then the least M.
+fn verdict_of(votes: &[(f64, f64)], none: f64) -> Verdict {
+    let places = votes.iter().map(|&(m, share)| (Some(m), share));
+    match places.fold((None, none), |a, b| if b.1 > a.1 { b } else { a }) {
+        (place, share) if share <= MAJORITY => Verdict::Undecided(place),
+        (Some(m), _) => Verdict::At(m),
+        (None, _) => Verdict::NoElbow,
+    }
 }
 
 /// Sums of a regression without intercept of y on two columns a and b: aa, ab, bb, ay, by, yy.
