@@ -673,7 +673,7 @@ const TABLES: &[(&str, &str)] = &[
     ("[sensors]\nplacements = [[14], [2, 14]]", "s.toml:14: sensors.placements = 2: "),
     (
         "[sensors]\nplacements = [[14], [14, 20], [20, 14]]",
-        "s.toml:14: sensors.placements = [20, 14]: names the units of another list in another order",
+        "s.toml:14: sensors.placements = [14, 20]: is named twice",
     ),
     ("[sensors]\nplacements = [[14]]", "s.toml:14: sensors.placements = [[14]]: holds no list of 2 units"),
     (

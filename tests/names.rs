@@ -87,6 +87,8 @@ fn changes_are_in_the_hash_as_if_written() {
     let changed = ["tiny.toml", "optimise.iterations=3", "sweep.sensors=[1]"];
     let hash = hashes(&bench, &changed);
     assert_eq!(hash, hashes(&bench, &["edited.toml"]));
+    let scripts = bench.output(&[&["submit", "slurm", "--dry-run"], &changed[..]].concat());
+    assert!(scripts.contains("tiny.shards/spec.toml --shard"), "{scripts}");
     bench.output(&[&["run"], &changed[..]].concat());
     let again = bench.metasense(&[&["run"], &changed[..]].concat());
     assert!(String::from_utf8_lossy(&again.stderr).contains("nothing left to do"), "{again:?}");
@@ -94,8 +96,6 @@ fn changes_are_in_the_hash_as_if_written() {
     assert!(String::from_utf8_lossy(&status.stderr).contains(&format!("trial {}: done", hash[0])));
     let text = bench.output(&["query", "results/tiny.sqlite", "SELECT text FROM sweep", "--format", "json"]);
     assert!(text.contains("iterations = 3"), "{text}");
-    let scripts = bench.output(&[&["submit", "slurm", "--dry-run"], &changed[..]].concat());
-    assert!(scripts.contains("tiny.shards/spec.toml --shard"), "{scripts}");
     let refused = bench.metasense(&["run", "tiny.toml", "optimise.iteratons=3"]);
     let said = String::from_utf8_lossy(&refused.stderr);
     let expected =

@@ -223,7 +223,7 @@ fn motion_that_no_step_resolves_is_warned_of() {
     bench.file("s.toml", &strong);
     bench.file("calm.toml", &TINY.replace("sensors = [1, 2]", "sensors = [1]"));
     let forces: Vec<f64> =
-        (0..42).map(|n| 5.0 * (std::f64::consts::PI * f64::from(n % 21) / 20.0).sin()).collect();
+        (0..42).map(|n| 12.0 * (std::f64::consts::PI * f64::from(n % 21) / 20.0).sin()).collect();
     bench.write_array("f.npy", &[1, 2, 21], &forces);
     let db = "results/tiny.sqlite";
     let said = |args: &[&str]| {
