@@ -24,7 +24,7 @@ const EXCESS: f64 = 0.2;
 /// With fewer samples all parts judge all values …
 const FEW: usize = 60;
 /// … with more, those after the first judge so many, the greatest whose error in the first is less than so many times the least …
-const CANDIDATES: usize = 5;
+const CANDIDATES: usize = 4;
 const WORSE: f64 = 2.0;
 /// … and the first part judges no smaller values after so many without an improvement by a hundredth.
 const WITHOUT: usize = 3;
