@@ -4,7 +4,8 @@ use metasense::cluster::merge::{Extent, merge};
 use metasense::plan::Trial;
 use metasense::store::{Array, Reader, RunPlan, Store, StoreError, npy_bytes};
 use metasense_schemas::record::{
-    BodyEvaluation, Checkpoint, NetworkEvaluation, Parts, Provenance, StepRecord, TrialResult,
+    BodyEvaluation, CastReading, Checkpoint, NetworkEvaluation, Parts, Provenance, Reading, Spread,
+    StepRecord, TrialResult, UnderReading,
 };
 use metasense_schemas::spec::{SweepSpec, TrialSpec};
 use serde_json::json;
@@ -46,20 +47,42 @@ pub fn trial(order: usize) -> Trial {
     }
 }
 
+fn spread(error: f64) -> Spread {
+    Spread { median: Some(0.5 * error), p90: Some(2.0 * error), above: error as u32 }
+}
+
 pub fn result() -> TrialResult {
     let network = |error: f64| NetworkEvaluation {
         error_test: Some(error),
         error_holdout: Some(error + 1.0),
         losses: (1..=1000).map(|i| 1.0 / i as f32).collect(),
         outcome: "ok".into(),
+        spread: Some(spread(error)),
         ..Default::default()
     };
     let body = |error| BodyEvaluation {
         design: vec![0.5; 168],
         networks: vec![network(error), network(error + 2.0)],
+        readings: vec![Reading { spread: Some(spread(error)), ..Default::default() }],
         ..Default::default()
     };
-    TrialResult { initial: body(20.0), optimised: body(10.0), best_step: 3, ..Default::default() }
+    let cast = CastReading {
+        reader: "records".into(),
+        error: Some(4.0),
+        spread: Some(spread(4.0)),
+        ridge: Some(1e-4),
+        share: Some(1e-2),
+        ..Default::default()
+    };
+    let under = UnderReading { error: Some(9.0), spread: Some(spread(9.0)), ..Default::default() };
+    TrialResult {
+        initial: body(20.0),
+        optimised: body(10.0),
+        best_step: 3,
+        casts: [vec![], vec![cast]],
+        under: vec![under],
+        ..Default::default()
+    }
 }
 
 async fn value(db: &std::path::Path, sql: &str) -> serde_json::Value {
@@ -79,7 +102,12 @@ async fn what_is_recorded_is_read_back() {
     let hash = &trials[0].hash;
     assert_eq!(store.checkpoint(hash).await.unwrap(), None);
     assert_eq!(store.begin_attempt(hash).await.unwrap(), 1);
-    let step = StepRecord { error_test: Some(f64::NAN), outcome: "ok".into(), ..Default::default() };
+    let step = StepRecord {
+        error_test: Some(f64::NAN),
+        ridge: Some(0.25),
+        outcome: "ok".into(),
+        ..Default::default()
+    };
     let checkpoint = Checkpoint { step: 1, design: vec![0.25; 168], ..Default::default() };
     store.record_step(hash, 1, &step, &checkpoint).await.unwrap();
     assert_eq!(store.checkpoint(hash).await.unwrap().as_ref(), Some(&checkpoint));
@@ -115,6 +143,17 @@ async fn what_is_recorded_is_read_back() {
         ("SELECT count(*) FROM v_trial", json!(2)),
         ("SELECT error_initial FROM v_trial WHERE state = 'done'", json!(21.0)),
         ("SELECT holdout_error_optimised FROM v_trial WHERE state = 'done'", json!(12.0)),
+        (
+            "SELECT concat_ws(' ', holdout_median_initial, holdout_p90_optimised, holdout_above_initial, holdout_above_optimised,
+               holdout_rms_optimised = 10 * sqrt(12.0)) FROM v_trial WHERE state = 'done'",
+            json!("10.5 22.0 22 12 1"),
+        ),
+        ("SELECT group_concat(median_holdout || ' ' || p90_holdout || ' ' || above_holdout) FROM v_network WHERE body = 'initial'",
+         json!("10.0 40.0 20,11.0 44.0 22")),
+        ("SELECT concat_ws(' ', median_holdout, p90_holdout, above_holdout) FROM v_reading WHERE body = 'initial'", json!("10.0 40.0 20")),
+        ("SELECT concat_ws(' ', median, p90, above, rms, ridge, kappa) FROM v_cast", json!("2.0 8.0 4 20.0 0.0001 0.01")),
+        ("SELECT concat_ws(' ', median, p90, above, rms) FROM v_under", json!("4.5 18.0 9 30.0")),
+        ("SELECT ridge FROM v_step", json!(0.25)),
         ("SELECT sweep FROM v_trial LIMIT 1", json!("s")),
         ("SELECT reason FROM v_trial WHERE state = 'failed'", json!("non_finite")),
         ("SELECT count(*) FROM v_step", json!(1)),

@@ -107,6 +107,7 @@ fn evaluation(design: Vec<f64>, weights: usize, error: f64, loss: f32) -> BodyEv
         errors: (1..=1000).map(|n| (n, 1.05 * error * factor * (1000.0 / f64::from(n)).sqrt())).collect(),
         outcome: "ok".into(),
         weights: Vec::new(),
+        spread: None,
     };
     let mut networks = vec![network(0.98), network(1.02)];
     networks[0].weights = (0..weights).map(|i| 0.1 * (3.7 * i as f32).sin()).collect();

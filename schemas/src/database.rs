@@ -19,24 +19,27 @@ pub const MIGRATIONS: &[&str] = &[
     include_str!("../migrations/0012.sql"),
     include_str!("../migrations/0013.sql"),
     include_str!("../migrations/0014.sql"),
+    include_str!("../migrations/0015.sql"),
 ];
 
 /// The stable views, and what a row of each is.
 pub const VIEWS: &[(&str, &str)] = &[
     (
         "v_trial",
-        "a trial: settings, state, errors (%, mean over evaluation networks; error_… on the test set), CPU seconds; trials of equal \
-         `training` have the same body, which one of them has trained",
+        "a trial: settings, state, errors (%, mean over evaluation networks; error_… on the test set), CPU seconds; holdout_median_…, \
+         holdout_p90_… and holdout_above_…: median and 90th percentile of the holdout's samples (%, mean over evaluation networks) and \
+         the number of samples above 100 % (of the network with the most); holdout_rms_…: 10 times the root of the holdout error, which \
+         is a ratio of energies; trials of equal `training` have the same body, which one of them has trained",
     ),
     (
         "v_step",
-        "an outer step: losses, errors (%), gradient, projection, implicit term, work, where the time went (CPU seconds); `attempt` \
+        "an outer step: losses, errors (%), gradient, projection, implicit term, work, where the time went (CPU seconds), λ of the linear decoder (`ridge`); `attempt` \
          is 0 where another trial that trains the same body has made it",
     ),
     (
         "v_reading",
         "errors (%) of a linear brain of one memory (s before and after an instant) on the initial or the optimised body, \
-         whatever the trial's own brain",
+         whatever the trial's own brain; its λ (`ridge`); median, 90th percentile (%), samples above 100 % and RMS error (%) on the holdout",
     ),
     (
         "v_cast",
@@ -48,7 +51,8 @@ pub const VIEWS: &[(&str, &str)] = &[
          on the body as designed: the trial's own (the mean over its networks) of networks, of inverse brains and where that is linear, \
          else the linear one's of the whole sample; \
          instants_covered and samples_covered: what of the holdout lies in the bands of the body as designed, or in those that an \
-         inverse brain says itself",
+         inverse brain says itself; median and 90th percentile (%) over the holdout's samples, samples above 100 %, RMS error (%); λ \
+         (`ridge`) of linear brains, and κ (`kappa`) of those calibrated on samples of this cast",
     ),
     (
         "v_band",
@@ -61,9 +65,12 @@ pub const VIEWS: &[(&str, &str)] = &[
         "v_under",
         "error (%) of a linear brain on the initial or the optimised body under one kind of forces (`evaluation.under`), whatever \
          the body was trained under: `own`, fitted to samples under these forces, `carried`, to the trial's; a body that cannot \
-         be simulated counts as 100 %",
+         be simulated counts as 100 %; median, p90, above and rms as in v_cast",
     ),
-    ("v_network", "a fresh network on the initial or the optimised body, with its errors (%)"),
+    (
+        "v_network",
+        "a fresh network on the initial or the optimised body, with its errors (%); their spread on the holdout as in v_reading",
+    ),
     (
         "v_curve",
         "a point of such a network's training: loss (normalised) and holdout error (%); thinned, whole losses are artifacts",

@@ -163,6 +163,8 @@ pub struct StepRecord {
     pub error_test: Option<f64>,
     /// Prediction error on the training set (%).
     pub error_train: Option<f64>,
+    /// λ of the linear decoder that the body is trained with.
+    pub ridge: Option<f64>,
     /// Euclidean norm of the gradient in α.
     pub gradient_norm: Option<f64>,
     /// Euclidean norm of the accepted change of α (mm).
@@ -183,6 +185,18 @@ pub struct StepRecord {
     pub seconds: Seconds,
 }
 
+/// How the errors of held-out samples spread, beside their mean, which a single sample can dominate.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Spread {
+    /// Median (%).
+    pub median: Option<f64>,
+    /// 90th percentile (%).
+    pub p90: Option<f64>,
+    /// Samples above 100 %, the error of a decoder that predicts no force.
+    pub above: u32,
+}
+
 /// A fresh network on a body.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
@@ -201,6 +215,8 @@ pub struct NetworkEvaluation {
     pub weights: Vec<f32>,
     /// `ok`, or the named numerical outcome.
     pub outcome: String,
+    /// Of the errors on the holdout.
+    pub spread: Option<Spread>,
 }
 
 /// Mean of an error over the networks that have it.
@@ -211,6 +227,12 @@ pub fn mean(
 ) -> Option<f64> {
     let errors: Vec<f64> = networks.iter().filter_map(error).filter(|e| e.is_finite()).collect();
     (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
+}
+
+/// Samples above 100 %, of the network with the most; `None` where none says.
+#[must_use]
+pub fn most_above(networks: &[NetworkEvaluation]) -> Option<u32> {
+    networks.iter().filter_map(|network| Some(network.spread?.above)).max()
 }
 
 /// A linear brain on a body.
@@ -229,6 +251,8 @@ pub struct Reading {
     pub error_test: Option<f64>,
     /// Prediction error on the holdout (%).
     pub error_holdout: Option<f64>,
+    /// Of the errors on the holdout.
+    pub spread: Option<Spread>,
 }
 
 /// A body with its fresh networks, one a seed.
@@ -281,6 +305,12 @@ pub struct CastReading {
     pub error: Option<f64>,
     /// `ok`, or the named numerical outcome.
     pub outcome: String,
+    /// Of the errors on the holdout.
+    pub spread: Option<Spread>,
+    /// λ of a linear brain.
+    pub ridge: Option<f64>,
+    /// κ of a linear brain that is calibrated beside the samples of other casts.
+    pub share: Option<f64>,
 }
 
 /// A band about what a brain says of the forces: how much of the holdout lies in it, and how wide it is.
@@ -325,6 +355,8 @@ pub struct UnderReading {
     pub error: Option<f64>,
     /// `ok`, or the named numerical outcome.
     pub outcome: String,
+    /// Of the errors on the holdout.
+    pub spread: Option<Spread>,
 }
 
 /// A finished trial.

@@ -9,7 +9,7 @@ use metasense_numerics::questions;
 use metasense_numerics::trial::{self, Problem};
 use metasense_schemas::record::{
     self, BodyEvaluation, CastReading, Checkpoint, Comparison, Counters, ImplicitRecord, Moments,
-    NetworkEvaluation, Placed, Reading, Seconds, StepRecord, Training, UnderReading,
+    NetworkEvaluation, Placed, Reading, Seconds, Spread, StepRecord, Training, UnderReading,
 };
 use metasense_schemas::spec::TrialSpec;
 
@@ -26,6 +26,7 @@ pub fn step_record(report: &nested::Report) -> StepRecord {
         loss_train: finite(report.loss_train),
         error_test: finite(report.error_test),
         error_train: finite(report.error_train),
+        ridge: finite(report.ridge),
         gradient_norm: finite(report.gradient_norm),
         step_length: finite(report.step_length),
         projection: report.projection.map_or("none", |status| status.name()).into(),
@@ -62,6 +63,17 @@ fn seconds(seconds: &nested::Seconds) -> Seconds {
     Seconds { simulate, train, differentiate, implicit, project, store: 0.0 }
 }
 
+fn spread(spread: trial::Spread) -> Spread {
+    let trial::Spread { median, p90, above } = spread;
+    Spread { median: finite(Some(median)), p90: finite(Some(p90)), above }
+}
+
+/// The inverse of [`spread`].
+fn spread_of(spread: Spread) -> trial::Spread {
+    let known = |value: Option<f64>| value.unwrap_or(f64::INFINITY);
+    trial::Spread { median: known(spread.median), p90: known(spread.p90), above: spread.above }
+}
+
 /// A body with its fresh networks.
 pub fn body_evaluation(body: nested::BodyEvaluation) -> BodyEvaluation {
     let network = |network: nested::NetworkEvaluation| NetworkEvaluation {
@@ -72,6 +84,7 @@ pub fn body_evaluation(body: nested::BodyEvaluation) -> BodyEvaluation {
         errors: network.errors,
         weights: network.weights,
         outcome: network.trouble.map_or("ok", |trouble| trouble.name()).into(),
+        spread: network.spread.map(spread),
     };
     BodyEvaluation {
         design: body.design,
@@ -103,6 +116,7 @@ fn reading(reading: &brains::Reading) -> Reading {
         error_train: finite(reading.error_train),
         error_test: finite(reading.error_test),
         error_holdout: finite(reading.error_holdout),
+        spread: reading.spread.map(spread),
     }
 }
 
@@ -190,6 +204,9 @@ pub fn cast_readings(casts: &[nested::CastReading]) -> Vec<CastReading> {
         records: reading.by.records().unwrap_or(0),
         error: finite(reading.error),
         outcome: reading.trouble.map_or("ok", |trouble| trouble.name()).into(),
+        spread: reading.spread.map(spread),
+        ridge: reading.regularisation.ridge,
+        share: reading.regularisation.share,
     };
     casts.iter().map(reading).collect()
 }
@@ -205,6 +222,7 @@ pub fn under_readings(trial: &TrialSpec, under: &[Vec<questions::UnderReading>; 
         reader: if reading.own { "own" } else { "carried" }.into(),
         error: reading.error.map_or(Some(trial::FAILED), finite),
         outcome: reading.error.map_or_else(|trouble| trouble.name(), |_| "ok").into(),
+        spread: reading.spread.map(spread),
     })
     .collect()
 }
@@ -214,7 +232,9 @@ fn casts_read(casts: &[CastReading]) -> Result<Vec<nested::CastReading>, String>
     let reading = |reading: &CastReading| {
         let by = brain_of_cast(&reading.reader, reading.records)?;
         let trouble = trouble(&reading.outcome)?;
-        Ok(nested::CastReading { cast: reading.cast, by, error: reading.error, trouble })
+        let &CastReading { cast, error, spread, ridge, share, .. } = reading;
+        let (spread, regularisation) = (spread.map(spread_of), nested::Regularisation { ridge, share });
+        Ok(nested::CastReading { cast, by, error, spread, regularisation, trouble })
     };
     casts.iter().map(reading).collect()
 }
@@ -326,12 +346,13 @@ fn compared(comparison: Comparison, problem: &Problem) -> Result<nested::Compari
 fn evaluated(body: BodyEvaluation) -> Result<nested::BodyEvaluation, String> {
     let network = |network: NetworkEvaluation| {
         let trouble = trouble(&network.outcome)?;
-        let NetworkEvaluation { error_train, error_test, error_holdout, losses, errors, weights, .. } =
-            network;
+        let NetworkEvaluation { error_train, error_test, error_holdout, spread, .. } = network;
+        let NetworkEvaluation { losses, errors, weights, .. } = network;
         let network = nested::NetworkEvaluation {
             error_train,
             error_test,
             error_holdout,
+            spread: spread.map(spread_of),
             losses,
             errors,
             weights,
@@ -340,9 +361,10 @@ fn evaluated(body: BodyEvaluation) -> Result<nested::BodyEvaluation, String> {
         Ok(network)
     };
     let reading = |reading: Reading| {
-        let Reading { before, after, ridge, error_train, error_test, error_holdout } = reading;
+        let Reading { before, after, ridge, error_train, error_test, error_holdout, spread } = reading;
         let lags = Lags { before: before as usize, after: after as usize };
-        brains::Reading { lags, ridge, error_train, error_test, error_holdout }
+        let spread = spread.map(spread_of);
+        brains::Reading { lags, ridge, error_train, error_test, error_holdout, spread }
     };
     Ok(nested::BodyEvaluation {
         design: body.design,

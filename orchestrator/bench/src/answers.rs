@@ -120,11 +120,11 @@ async fn make(file: &Path, thousands: usize, args: &Args) -> Result<(), Error> {
         format!(
             "{} INSERT INTO step SELECT t.id, n.i, 1, 1.0, 1.0, t.error_optimised * (1 + 4.0 / (1 + n.i)) * {noise}, 1.0, 1.0, 1.0,
                'projected', 0.1, NULL, NULL, NULL, NULL, 'ok', 64, 1000000, 100000, 1000, 10, 0, 20,
-               0.3, 0.2, 0.4, 0.0, 0.01, 0.001, '2026-01-01T00:00:00.000Z' FROM trial t CROSS JOIN n",
+               0.3, 0.2, 0.4, 0.0, 0.01, 0.001, '2026-01-01T00:00:00.000Z', NULL FROM trial t CROSS JOIN n",
             count(*steps)
         ),
         format!(
-            "INSERT INTO network SELECT t.id, value, 0, 10.0, 10.0, 10.0, {iterations}, 'ok'
+            "INSERT INTO network SELECT t.id, value, 0, 10.0, 10.0, 10.0, {iterations}, 'ok', NULL, NULL, NULL
              FROM trial t, json_each('[\"initial\", \"optimised\"]')"
         ),
         format!(
@@ -133,7 +133,7 @@ async fn make(file: &Path, thousands: usize, args: &Args) -> Result<(), Error> {
             count((*iterations).min(200))
         ),
         format!(
-            "{} INSERT INTO reading SELECT t.id, value, n.i, n.i, n.i = 5, 1e-3, 10.0, t.error_initial, t.error_initial
+            "{} INSERT INTO reading SELECT t.id, value, n.i, n.i, n.i = 5, 1e-3, 10.0, t.error_initial, t.error_initial, NULL, NULL, NULL
              FROM trial t CROSS JOIN json_each('[\"initial\", \"optimised\"]') CROSS JOIN n",
             count(6)
         ),

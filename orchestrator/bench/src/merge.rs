@@ -111,7 +111,8 @@ async fn make(file: &Path, shard: Shard, args: &Args) -> Result<(), Error> {
         format!(
             "{} INSERT INTO trial SELECT i + 1, printf('%016x%016x', (i + {first}) * 7046029254386353131, i + {first}),
                json_object('brain', json_object('kind', 'cnn'), 'sensor_units', '[]', 'more', hex(zeroblob(650))), 'done', NULL, 'planar', 6, 6, 36, 2, 1, i, 1, 'joint', 168, 13122, 1.0, {numbers}, 3,
-               1.0, 'avx512', 'tsit5', json_object('more', hex(zeroblob(290))), '2026-01-01T00:00:00.000Z', '2026-01-01T00:00:00.000Z', NULL FROM n",
+               1.0, 'avx512', 'tsit5', json_object('more', hex(zeroblob(290))), '2026-01-01T00:00:00.000Z', '2026-01-01T00:00:00.000Z', NULL,
+               NULL, NULL, NULL, NULL, NULL, NULL FROM n",
             count(trials)
         ),
         format!("INSERT INTO sweep_trial SELECT 1, id, id + {first} FROM trial"),
@@ -121,10 +122,10 @@ async fn make(file: &Path, shard: Shard, args: &Args) -> Result<(), Error> {
         ),
         format!(
             "{} INSERT INTO step SELECT trial.id, n.i, 1, {numbers}, 'projected', 0.1, NULL, NULL, NULL, NULL, 'ok', 64, 1000000,
-               100000, 1000, 10, 0, 20, {numbers}, '2026-01-01T00:00:00.000Z' FROM trial CROSS JOIN n",
+               100000, 1000, 10, 0, 20, {numbers}, '2026-01-01T00:00:00.000Z', NULL FROM trial CROSS JOIN n",
             count(steps)
         ),
-        "INSERT INTO network SELECT trial.id, value, 0, 0.1, 0.2, 0.3, 1000, 'ok'
+        "INSERT INTO network SELECT trial.id, value, 0, 0.1, 0.2, 0.3, 1000, 'ok', NULL, NULL, NULL
          FROM trial, json_each('[\"initial\", \"optimised\"]')"
             .to_owned(),
         format!(

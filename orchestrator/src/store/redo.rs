@@ -34,7 +34,9 @@ const EMPTY: &str = "
     UPDATE attempt SET redone = 1 WHERE trial_id IN (SELECT id FROM temp.chosen);
     UPDATE trial SET state = 'pending', reason = NULL, error_initial = NULL, error_optimised = NULL,
       train_error_initial = NULL, train_error_optimised = NULL, holdout_error_initial = NULL,
-      holdout_error_optimised = NULL, best_step = NULL, seconds_evaluation = NULL, simd = NULL, solver = NULL,
+      holdout_error_optimised = NULL, holdout_median_initial = NULL, holdout_median_optimised = NULL,
+      holdout_p90_initial = NULL, holdout_p90_optimised = NULL, holdout_above_initial = NULL,
+      holdout_above_optimised = NULL, best_step = NULL, seconds_evaluation = NULL, simd = NULL, solver = NULL,
       result = NULL, finished_at = NULL WHERE id IN (SELECT id FROM temp.chosen)";
 
 impl Store {

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use metasense_schemas::record::{
     Band, BodyEvaluation, CastReading, Checkpoint, Counters, NetworkEvaluation, Seconds, StepRecord,
-    TrialResult, mean,
+    TrialResult, mean, most_above,
 };
 use metasense_worker::milestones;
 use sqlx::Executor;
@@ -228,7 +228,7 @@ impl Store {
         let implicit = step.implicit.as_ref();
         let mut query = sqlx::query(
             "INSERT OR REPLACE INTO step VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?,
-             ?, ?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ'))",
+             ?, ?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ'), ?)",
         );
         query = query.bind(id).bind(step.step).bind(attempt);
         query = query.bind(finite(step.loss_test)).bind(finite(step.loss_train));
@@ -255,7 +255,7 @@ impl Store {
         for part in [simulate, train, differentiate, implicit, project, store] {
             query = query.bind(*part);
         }
-        query.execute(&mut self.connection).await?;
+        query.bind(finite(step.ridge)).execute(&mut self.connection).await?;
         self.insert_design(id, checkpoint).await?;
         self.insert_checkpoint(id, checkpoint).await
     }
@@ -303,15 +303,25 @@ impl Store {
         let mut query = sqlx::query(
             "UPDATE trial SET state = 'done', reason = NULL, error_initial = ?, error_optimised = ?,
                train_error_initial = ?, train_error_optimised = ?, holdout_error_initial = ?,
-               holdout_error_optimised = ?, best_step = ?, seconds_evaluation = ?, simd = ?, solver = ?, result = ?,
+               holdout_error_optimised = ?, holdout_median_initial = ?, holdout_median_optimised = ?,
+               holdout_p90_initial = ?, holdout_p90_optimised = ?, holdout_above_initial = ?,
+               holdout_above_optimised = ?, best_step = ?, seconds_evaluation = ?, simd = ?, solver = ?, result = ?,
                finished_at = strftime('%Y-%m-%dT%H:%M:%fZ')
              WHERE id = ?",
         );
-        let errors: [fn(&NetworkEvaluation) -> Option<f64>; 3] =
-            [|n| n.error_test, |n| n.error_train, |n| n.error_holdout];
+        let errors: [fn(&NetworkEvaluation) -> Option<f64>; 5] = [
+            |n| n.error_test,
+            |n| n.error_train,
+            |n| n.error_holdout,
+            |n| n.spread?.median,
+            |n| n.spread?.p90,
+        ];
         for error in errors {
             query = query.bind(mean(&result.initial.networks, error));
             query = query.bind(mean(&result.optimised.networks, error));
+        }
+        for body in [&result.initial, &result.optimised] {
+            query = query.bind(most_above(&body.networks));
         }
         query
             .bind(result.best_step)
@@ -358,7 +368,7 @@ impl Store {
                 Some(array) => Cow::Owned(npy_values::<f32>(array.npy).map_err(sqlx::Error::Io)?),
                 None => Cow::Borrowed(&network.losses[..]),
             };
-            sqlx::query("INSERT OR REPLACE INTO network VALUES (?, ?, ?, ?, ?, ?, ?, ?)")
+            sqlx::query("INSERT OR REPLACE INTO network VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)")
                 .bind(id)
                 .bind(body)
                 .bind(seed as i64)
@@ -367,6 +377,9 @@ impl Store {
                 .bind(finite(network.error_holdout))
                 .bind(losses.len() as i64)
                 .bind(&network.outcome)
+                .bind(finite(network.spread.and_then(|s| s.median)))
+                .bind(finite(network.spread.and_then(|s| s.p90)))
+                .bind(network.spread.map(|s| s.above))
                 .execute(&mut self.connection)
                 .await?;
             for iteration in milestones(losses.len()) {
@@ -391,7 +404,7 @@ impl Store {
             }
         }
         for (n, reading) in evaluation.readings.iter().enumerate() {
-            sqlx::query("INSERT OR REPLACE INTO reading VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)")
+            sqlx::query("INSERT OR REPLACE INTO reading VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)")
                 .bind(id)
                 .bind(body)
                 .bind(reading.before)
@@ -401,6 +414,9 @@ impl Store {
                 .bind(finite(reading.error_train))
                 .bind(finite(reading.error_test))
                 .bind(finite(reading.error_holdout))
+                .bind(finite(reading.spread.and_then(|s| s.median)))
+                .bind(finite(reading.spread.and_then(|s| s.p90)))
+                .bind(reading.spread.map(|s| s.above))
                 .execute(&mut self.connection)
                 .await?;
         }
@@ -439,7 +455,7 @@ impl Store {
 
     async fn insert_casts(&mut self, id: i64, body: &str, casts: &[CastReading]) -> sqlx::Result<()> {
         for reading in casts {
-            sqlx::query("INSERT OR REPLACE INTO cast_reading VALUES (?, ?, ?, ?, ?, ?, ?)")
+            sqlx::query("INSERT OR REPLACE INTO cast_reading VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)")
                 .bind(id)
                 .bind(body)
                 .bind(reading.cast)
@@ -447,6 +463,11 @@ impl Store {
                 .bind(reading.records)
                 .bind(finite(reading.error))
                 .bind(&reading.outcome)
+                .bind(finite(reading.spread.and_then(|s| s.median)))
+                .bind(finite(reading.spread.and_then(|s| s.p90)))
+                .bind(reading.spread.map(|s| s.above))
+                .bind(finite(reading.ridge))
+                .bind(finite(reading.share))
                 .execute(&mut self.connection)
                 .await?;
         }

@@ -1,6 +1,8 @@
 //! What is needed to go on inside a trial, and how it is stored: postcard bytes behind a version byte. These bytes name no
 //! field, so that a field more, in what a checkpoint holds too, is a version more. Versions from 1 are read.
 
+mod former;
+
 use serde::{Deserialize, Serialize};
 
 use super::{Band, BodyEvaluation, CastReading, Counters, Seconds};
@@ -121,107 +123,6 @@ impl Checkpoint {
     }
 }
 
-/// Version 3, and the beginnings of it that were versions 1 (up to `protocol`) and 2 (up to `moves`).
-#[derive(Deserialize)]
-struct Former {
-    step: u32,
-    design: Vec<f64>,
-    design_moments: Moments<f64>,
-    weights: Vec<f32>,
-    weight_moments: Moments<f32>,
-    best: Option<Best>,
-    /// Caution, setbacks, trend (0: none), the ridge where there is one, then step and α of each waypoint.
-    protocol: Vec<f64>,
-    comparison: Option<Box<Comparison>>,
-    moves: Vec<(u32, Vec<usize>)>,
-    found: Vec<f64>,
-}
-
-impl From<Former> for Checkpoint {
-    fn from(former: Former) -> Self {
-        let Former { step, design, design_moments, weights, weight_moments, best, .. } = former;
-        let Former { protocol, comparison, moves, found, .. } = former;
-        let waypoint = 1 + design.len();
-        let number = |i: usize| protocol.get(i).copied().unwrap_or(0.0);
-        // One number beside whole waypoints is the ridge.
-        let has_ridge = protocol.len() > 3 && (protocol.len() - 3) % waypoint == 1;
-        let trail = protocol.get(3 + usize::from(has_ridge)..).unwrap_or_default().chunks(waypoint);
-        let trail = trail.map(|w| Waypoint { step: w[0] as u32, design: w[1..].to_vec() }).collect();
-        Self {
-            caution: number(0),
-            setbacks: number(1) as u32,
-            trend: Some(number(2)).filter(|trend| *trend > 0.0),
-            ridge: has_ridge.then(|| number(3)),
-            step,
-            design,
-            design_moments,
-            weights,
-            weight_moments,
-            best,
-            trail,
-            comparison,
-            moves,
-            found,
-            casts: Vec::new(),
-            bands: Vec::new(),
-        }
-    }
-}
-
-/// What comes before the bands, by field.
-type BeforeBands = (
-    u32,
-    Vec<f64>,
-    Moments<f64>,
-    Vec<f32>,
-    Moments<f32>,
-    Option<Best>,
-    f64,
-    u32,
-    Option<f64>,
-    Option<f64>,
-    Vec<Waypoint>,
-    Option<Box<Comparison>>,
-    Vec<(u32, Vec<usize>)>,
-    Vec<f64>,
-    Vec<Vec<CastReading>>,
-);
-
-/// A band until version 6: without the records that its brain was made from; of twins that of 30 alone was kept.
-#[derive(Deserialize)]
-struct FormerBand {
-    reader: String,
-    cast: Option<u32>,
-    method: String,
-    kind: String,
-    level: f64,
-    samples: u32,
-    coverage: Option<f64>,
-    width: Option<f64>,
-    half_width: Vec<f64>,
-    outcome: String,
-}
-
-impl From<FormerBand> for Band {
-    fn from(former: FormerBand) -> Self {
-        let FormerBand { reader, cast, method, kind, level, samples, .. } = former;
-        let FormerBand { coverage, width, half_width, outcome, .. } = former;
-        let records = if reader == "twin" { 30 } else { 0 };
-        Self { reader, records, cast, method, kind, level, samples, coverage, width, half_width, outcome }
-    }
-}
-
-/// Bytes of version 6 as those of version 7.
-fn with_records(bytes: &[u8]) -> Result<Vec<u8>, CheckpointError> {
-    let (_, rest) = postcard::take_from_bytes::<BeforeBands>(bytes)
-        .map_err(|error| CheckpointError::Damaged(error.to_string()))?;
-    let bands = read::<Vec<Vec<FormerBand>>>(rest)?;
-    let bands: Vec<Vec<Band>> =
-        bands.into_iter().map(|of| of.into_iter().map(Band::from).collect()).collect();
-    let before = bytes[..bytes.len() - rest.len()].to_vec();
-    Ok(postcard::to_extend(&bands, before).expect("bands are plain data"))
-}
-
 /// A stored checkpoint that this program cannot go on from.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CheckpointError {
@@ -235,7 +136,7 @@ pub enum CheckpointError {
 
 impl Checkpoint {
     /// Of what [`Checkpoint::to_bytes`] writes.
-    pub const VERSION: u8 = 7;
+    pub const VERSION: u8 = 8;
 
     /// As it is stored.
     ///
@@ -251,16 +152,10 @@ impl Checkpoint {
     /// # Errors
     /// If it is of another version, or not whole.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CheckpointError> {
-        let former = |bytes: &[u8]| read::<Former>(bytes).map(Self::from);
         match bytes.split_first() {
             Some((&Self::VERSION, rest)) => read(rest),
-            Some((6, rest)) => read(&with_records(rest)?),
-            // It ends before what came later, of which there is nothing; so do the others.
-            Some((5, rest)) => read(&[rest, &[0]].concat()),
-            Some((4, rest)) => read(&[rest, &[0, 0]].concat()),
-            Some((3, rest)) => former(rest),
-            Some((2, rest)) => former(&[rest, &[0]].concat()),
-            Some((1, rest)) => former(&[rest, &[0, 0, 0]].concat()),
+            Some((version @ 4..=7, rest)) => former::by_name(*version, rest),
+            Some((version @ 1..=3, rest)) => former::by_protocol(*version, rest),
             Some((version, _)) => Err(CheckpointError::Version(*version)),
             None => Err(CheckpointError::Damaged("it is empty".into())),
         }
@@ -268,12 +163,20 @@ impl Checkpoint {
 }
 
 /// All of some bytes.
-fn read<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, CheckpointError> {
-    match postcard::take_from_bytes(bytes) {
-        Ok((value, [])) => Ok(value),
-        Ok((_, more)) => Err(CheckpointError::Damaged(format!("{} bytes too many", more.len()))),
-        Err(error) => Err(CheckpointError::Damaged(error.to_string())),
+fn read<'a, T: Deserialize<'a>>(mut bytes: &'a [u8]) -> Result<T, CheckpointError> {
+    let value = take(&mut bytes)?;
+    match bytes {
+        [] => Ok(value),
+        more => Err(CheckpointError::Damaged(format!("{} bytes too many", more.len()))),
     }
+}
+
+/// The first value of some bytes, which are then those after it.
+fn take<'a, T: Deserialize<'a>>(bytes: &mut &'a [u8]) -> Result<T, CheckpointError> {
+    let (value, rest) =
+        postcard::take_from_bytes(bytes).map_err(|error| CheckpointError::Damaged(error.to_string()))?;
+    *bytes = rest;
+    Ok(value)
 }
 
 #[cfg(test)]

@@ -24,6 +24,7 @@ pub use casts::{ForCasts, RECORDS, brain_for_casts, casts_of};
 pub use comparison::{evaluate_designs, keeps_error};
 pub use evaluation::{
     BandReading, BodyEvaluation, CastBrain, CastReading, Comparison, NetworkEvaluation, Optimised,
+    Regularisation,
 };
 pub use inversion::INVERTED_OF_A_CAST;
 pub use observe::{Control, Nobody, Observe};

@@ -31,8 +31,10 @@ fn a_state_survives_its_checkpoint() {
     let learnt = Learnt { weights: Vec::new(), ..full.learnt.clone() };
     let bare = State { best: None, trend: None, trail: Vec::new(), learnt: learnt.clone(), ..full.clone() };
     let linear = State { learnt: Learnt { ridge: Some(1e-4), ..learnt }, ..full.clone() };
+    let spread = Some(trial::Spread { median: 1.5, p90: f64::INFINITY, above: 7 });
     let network = nested::NetworkEvaluation {
         error_test: Some(3.0),
+        spread,
         losses: vec![0.5, 0.25],
         errors: vec![(1, 9.0)],
         weights: few(weights),
@@ -45,6 +47,7 @@ fn a_state_survives_its_checkpoint() {
         error_train: None,
         error_test: Some(1.0),
         error_holdout: Some(2.0),
+        spread,
     };
     let body = nested::BodyEvaluation {
         design,
@@ -67,6 +70,8 @@ fn a_state_survives_its_checkpoint() {
         cast: 7,
         by,
         error: Some(2.5),
+        spread,
+        regularisation: nested::Regularisation { ridge: Some(1e-4), share: by.records().map(|_| 1e-2) },
         trouble: trial::Trouble::named("diverged").filter(|_| by == CastBrain::Casts),
     };
     let casts = brains.map(reading).to_vec();

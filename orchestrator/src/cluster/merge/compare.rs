@@ -66,6 +66,9 @@ const COMPARED: [&str; 8] = [
 /// Further columns that are equal in two copies of one run.
 const OF_ONE_RUN: [&str; 3] = ["result", "seconds_evaluation", "finished_at"];
 
+/// Columns that earlier versions left empty.
+const LATER: [&str; 4] = ["median", "p90", "ridge", "kappa"];
+
 /// Whether two specs differ in anything but the paths of recorded forces.
 const SPECS_DIFFER: &str = "CASE WHEN json_valid(o.spec) AND json_valid(m.spec)
     THEN json_remove(o.spec, '$.stimuli.recorded.files') <> json_remove(m.spec, '$.stimuli.recorded.files') ELSE o.spec <> m.spec END";
@@ -233,8 +236,9 @@ async fn numbers_of(out: &mut SqliteConnection, table: &str) -> sqlx::Result<Opt
     });
     let join = |names: Vec<String>, with: &str| names.join(with);
     let keys = join(keys.map(|(name, ..)| format!("o.\"{name}\" = m.\"{name}\"")).collect(), " AND ");
-    let compared =
-        join(compared.map(|(name, ..)| format!("o.\"{name}\" IS NOT m.\"{name}\"")).collect(), " OR ");
+    let differs = |name: &str| if LATER.contains(&name) { "<>" } else { "IS NOT" };
+    let differs = |name: &String| format!("o.\"{name}\" {} m.\"{name}\"", differs(name));
+    let compared = join(compared.map(|(name, ..)| differs(name)).collect(), " OR ");
     Ok(Some((keys, compared)).filter(|(_, compared)| !compared.is_empty()))
 }
 

@@ -1,5 +1,5 @@
 use super::*;
-use crate::record::{Band, NetworkEvaluation, Reading};
+use crate::record::{NetworkEvaluation, Reading, Spread};
 
 /// Versions up to the best design; what protocols carried until version 3, and the same by name.
 const HEAD: &str = "ac02 02 000000000000e03f 00000000000000c0 01 000000000000f03f 01 0000000000000040 07 \
@@ -14,11 +14,22 @@ const COMPARISON: &str = "01 \
     026f6b01000000000000000103c801000000000000e03f01000000000000f03f000100000000000000400102ac0201010000 \
     003f010000803e01000080beac02010000004001c80100000000000020400102030405d804000000000000f03f0000000000 \
     0000400000000000000840000000000000104000000000000014400000000000001840";
+/// With the spread of the network and of the reading: 0.5 %, none, 300.
+const COMPARISON_8: &str = "01 \
+    0101000000000000e03f0101000000000000f03f00010000000000000040010000003f01010000000000001040010000803e \
+    026f6b 01 01000000000000e03f 00 ac02 0100000000000000 00 0103c801000000000000e03f01000000000000f03f000100000000000000 \
+    40 01 01000000000000e03f 00 ac02 0102ac02010100000 \
+    03f010000803e01000080beac02010000004001c80100000000000020400102030405d804000000000000f03f0000000000 \
+    0000400000000000000840000000000000104000000000000014400000000000001840";
 const MOVES: &str = "01 c801 02 03 05";
 const FOUND: &str = "02 0000000000002940 000000000000f07f";
 
 /// Of two bodies: two readings, a cast, a name, records, 2.0 % and ok; none.
 const CASTS: &str = "02 02 00076e6f6d696e616c00 010000000000000040 026f6b 01077265636f726473ac02 010000000000000040 026f6b 00";
+
+/// And with spreads, λ and κ: of the first none, of the second 0.5 %, none, 300; 0.25 and 0.125.
+const CASTS_8: &str = "02 02 00076e6f6d696e616c00 010000000000000040 026f6b 00 00 00 01077265636f726473ac02 010000000000000040 026f6b \
+    01 01000000000000e03f 00 ac02 01000000000000d03f 01000000000000c03f 00";
 
 /// Of two bodies: a band of no cast and one of cast 3; none; and with records.
 const BANDS_6: &str = "02 02 036f776e 00 09636f6e666f726d616c 07696e7374616e74 666666666666ee3f 63 01000000000000f03f 00 \
@@ -56,6 +67,7 @@ fn checkpoints_of_all_versions_go_on() {
         errors: vec![(1, 4.0)],
         weights: vec![0.25],
         outcome: "ok".into(),
+        spread: None,
     };
     let reading = Reading {
         before: 3,
@@ -64,6 +76,7 @@ fn checkpoints_of_all_versions_go_on() {
         error_train: Some(1.0),
         error_test: None,
         error_holdout: Some(2.0),
+        spread: None,
     };
     let body = BodyEvaluation {
         design: vec![0.5],
@@ -106,6 +119,7 @@ fn checkpoints_of_all_versions_go_on() {
         records,
         error: Some(2.0),
         outcome: "ok".into(),
+        ..CastReading::default()
     };
     let casts = vec![vec![reading(0, "nominal", 0), reading(1, "records", 300)], Vec::new()];
     let fifth = Checkpoint { casts, ..third.clone() };
@@ -132,6 +146,12 @@ fn checkpoints_of_all_versions_go_on() {
     let seventh = Checkpoint { bands, ..fifth.clone() };
     let mut sixth = seventh.clone();
     sixth.bands[0][1].records = 0;
+    let mut eighth = seventh.clone();
+    let spread = Some(Spread { median: Some(0.5), p90: None, above: 300 });
+    let body = &mut eighth.comparison.as_mut().unwrap().bodies[0];
+    (body.networks[0].spread, body.readings[0].spread) = (spread, spread);
+    let cast = &mut eighth.casts[0][1];
+    (cast.spread, cast.ridge, cast.share) = (spread, Some(0.25), Some(0.125));
     let version_1 = bytes(&["01", HEAD, CAUTION].concat());
     let version_2 = bytes(&["02", HEAD, CAUTION, COMPARISON, MOVES].concat());
     let version_3 = bytes(&["03", HEAD, PROTOCOL, COMPARISON, MOVES, FOUND].concat());
@@ -145,10 +165,13 @@ fn checkpoints_of_all_versions_go_on() {
     let version_7 = bytes(&["07", HEAD, NAMED, COMPARISON, MOVES, FOUND, CASTS, BANDS].concat());
     assert_eq!(Checkpoint::from_bytes(&version_5), Ok(fifth));
     assert_eq!(Checkpoint::from_bytes(&version_6), Ok(sixth));
-    assert_eq!(Checkpoint::from_bytes(&version_7), Ok(seventh.clone()));
-    assert_eq!(seventh.to_bytes(), version_7);
+    assert_eq!(Checkpoint::from_bytes(&version_7), Ok(seventh));
+    let version_8 = bytes(&["08", HEAD, NAMED, COMPARISON_8, MOVES, FOUND, CASTS_8, BANDS].concat());
+    assert_eq!(Checkpoint::from_bytes(&version_8), Ok(eighth.clone()));
+    assert_eq!(eighth.to_bytes(), version_8);
     assert_eq!(Checkpoint::from_bytes(&[99, 1, 2]), Err(CheckpointError::Version(99)));
-    for stored in [version_1, version_2, version_3, version_4, version_5, version_6, version_7] {
+    let former = [version_1, version_2, version_3, version_4, version_5, version_6, version_7];
+    for stored in former.into_iter().chain([version_8]) {
         for broken in [&stored[..stored.len() - 1], &[&stored[..], &[0]].concat(), &[]] {
             assert!(matches!(Checkpoint::from_bytes(broken), Err(CheckpointError::Damaged(_))), "{broken:?}");
         }

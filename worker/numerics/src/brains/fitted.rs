@@ -44,9 +44,9 @@ impl Fitted {
         Self { linear, ridge, signal_scale, force_scale: scales.force(), error }
     }
 
-    /// Mean error (%) on samples; `None` where none has a force.
-    pub(crate) fn error_on(&self, samples: &Samples) -> Option<f64> {
-        samples.error(&self.predict(&samples.signals))
+    /// Error (%) of each of some samples.
+    pub(crate) fn errors_on(&self, samples: &Samples) -> Vec<Option<f64>> {
+        samples.errors(&self.predict(&samples.signals))
     }
 }
 
@@ -220,8 +220,8 @@ impl Reader for LinearReader<'_> {
         self.fitted().error
     }
 
-    fn error(&mut self, samples: &Samples) -> Option<f64> {
+    fn errors(&mut self, samples: &Samples) -> Vec<Option<f64>> {
         let samples = Plain::of(samples, &self.scales, self.pool);
-        samples.error(&self.fitted().linear.predict(&samples.x))
+        samples.errors(&self.fitted().linear.predict(&samples.x))
     }
 }

@@ -88,9 +88,9 @@ pub(crate) trait Reader {
     /// Mean prediction error (%) on the training samples.
     fn error_known(&mut self) -> Option<f64>;
 
-    /// Mean prediction error (%) on others.
-    fn error(&mut self, samples: &Samples) -> Option<f64> {
-        samples.error(&self.predict(&samples.signals))
+    /// Prediction error (%) of each of some others.
+    fn errors(&mut self, samples: &Samples) -> Vec<Option<f64>> {
+        samples.errors(&self.predict(&samples.signals))
     }
 
     /// A network in training or trained; `None` of a brain without weights to keep.

@@ -2,7 +2,7 @@
 
 use super::linear::{Plain, solve};
 use crate::brain::linear::{Fit, Lags, Linear, Order, Sizes};
-use crate::trial::{Decoder, Ridge, Samples, Trial, Trouble};
+use crate::trial::{Decoder, Ridge, Samples, Spread, Trial, Trouble, mean_error};
 
 /// The errors of a linear brain of one memory on a body.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -17,6 +17,8 @@ pub struct Reading {
     pub error_test: Option<f64>,
     /// On the holdout (%).
     pub error_holdout: Option<f64>,
+    /// How its errors on the holdout spread.
+    pub spread: Option<Spread>,
 }
 
 /// Reaches both ways, and waits after the whole past, at which a body is read beside the whole sample (s).
@@ -33,9 +35,15 @@ pub fn fits(instants: usize, channels: usize, outputs: usize) -> bool {
 }
 
 fn reading(sets: &[Plain; 3], linear: &Linear, ridge: f64) -> Reading {
-    let error = |set: &Plain| set.error(&linear.predict(&set.x));
-    let [error_train, error_test, error_holdout] = [0, 1, 2].map(|set| error(&sets[set]));
-    Reading { lags: linear.lags, ridge, error_train, error_test, error_holdout }
+    let [train, test, holdout] = sets.each_ref().map(|set| set.errors(&linear.predict(&set.x)));
+    Reading {
+        lags: linear.lags,
+        ridge,
+        error_train: mean_error(&train),
+        error_test: mean_error(&test),
+        error_holdout: mean_error(&holdout),
+        spread: Spread::of(&holdout),
+    }
 }
 
 /// Readings of a body (training, test and holdout samples) by the whole sample, first, then by shorter memories and by waits

@@ -4,16 +4,14 @@
 //! and to all training samples of the cast itself beside those; of a trial with networks also the first network of its comparison, and one trained
 //! on other casts. Each reads the holdout on the cast. A cast that cannot be simulated is read entirely wrong.
 
-use super::evaluation::{BandReading, CastBrain, CastReading};
+use super::evaluation::{BandReading, CastBrain, CastReading, Regularisation};
 use super::fresh::read;
 use super::inversion::invert_cast;
 use super::observe::{Log, Nobody};
 use super::state::State;
 use crate::brains::{Band, Fitted, Fresh, Pooled, Reader, reader};
 use crate::random::Purpose;
-use crate::trial::{
-    BrainKind, Counters, Decoder, FAILED, Mould, Problem, Ridge, Samples, Trial, Trouble, held,
-};
+use crate::trial::{BrainKind, Counters, Decoder, Mould, Problem, Ridge, Samples, Trial, Trouble, held};
 use crate::variation::{Cast, Casts};
 
 /// Casts to which the brain for all casts is fitted, and samples of each.
@@ -292,11 +290,11 @@ impl Brains<'_> {
             .into_iter()
             .map(|by| {
                 let found = held(sets).and_then(|[train, holdout]| {
-                    let said = self.predict(trial, by, train, &holdout.signals)?;
-                    Ok((holdout, said))
+                    let (said, regularisation) = self.predict(trial, by, train, &holdout.signals)?;
+                    Ok((holdout, said, regularisation))
                 });
                 for reading in designed.iter().filter(|_| own.contains(&by)) {
-                    let within = |(holdout, said): &(&Samples, Vec<f64>)| {
+                    let within = |(holdout, said, _): &(&Samples, Vec<f64>, _)| {
                         reading.band.coverage(holdout, said, trial.problem.first_judge(holdout.count()))
                     };
                     // what cannot be read lies in no band
@@ -304,36 +302,38 @@ impl Brains<'_> {
                     let band = Band { half_width: Vec::new(), ..reading.band };
                     bands.push(BandReading { cast: Some((cast, by)), band, width: reading.width, coverage });
                 }
-                match found {
-                    Ok((holdout, said)) => {
-                        CastReading { cast, by, error: holdout.error(&said), trouble: None }
-                    }
-                    Err(trouble) => CastReading { cast, by, error: Some(FAILED), trouble: Some(trouble) },
-                }
+                let errors =
+                    found.map(|(holdout, said, regularisation)| (holdout.errors(&said), regularisation));
+                CastReading::new(cast, by, errors)
             })
             .collect()
     }
 
-    /// Forces (N, T, K) (N) of signals (N, T, 3M) of a cast with these training samples.
+    /// Forces (N, T, K) (N) of signals (N, T, 3M) of a cast with these training samples, and what the brain was fitted with.
     fn predict(
         &mut self,
         trial: &Trial,
         by: CastBrain,
         train: &Samples,
         signals: &[f64],
-    ) -> Result<Vec<f64>, Trouble> {
+    ) -> Result<(Vec<f64>, Regularisation), Trouble> {
         let network = |network: &mut Result<Box<dyn Reader + '_>, Trouble>| {
-            network.as_mut().map(|network| network.predict(signals)).map_err(|trouble| *trouble)
+            let said = network.as_mut().map(|network| network.predict(signals));
+            said.map(|said| (said, Regularisation::default())).map_err(|trouble| *trouble)
+        };
+        let linear = |fitted: &Fitted, share| {
+            Ok((fitted.predict(signals), Regularisation { ridge: Some(fitted.ridge), share }))
         };
         match by {
             CastBrain::Network => network(&mut self.networks[0]),
             CastBrain::NetworkCasts => network(&mut self.networks[1]),
-            CastBrain::Nominal => Ok(held(&self.nominal)?.predict(signals)),
-            CastBrain::Casts => Ok(held(&self.casts)?.fitted.predict(signals)),
+            CastBrain::Nominal => linear(held(&self.nominal)?, None),
+            CastBrain::Casts => linear(&held(&self.casts)?.fitted, None),
             CastBrain::Records(n) => {
                 let some = train.select(&(0..n as usize).collect::<Vec<_>>());
                 let (seed, pool) = (trial.problem.seed, trial.pool);
-                Ok(held(&self.casts)?.calibrated(seed, &some, pool)?.0.predict(signals))
+                let (fitted, share) = held(&self.casts)?.calibrated(seed, &some, pool)?;
+                linear(&fitted, Some(share))
             }
             CastBrain::Inverse | CastBrain::TwinLinear(_) | CastBrain::Twin(_) => {
                 unreachable!("read by `invert_cast`")

@@ -3,7 +3,7 @@
 use super::report::Seconds;
 use crate::brains::{Band, Fresh, Reading};
 use crate::questions::{Nonlinear, UnderReading};
-use crate::trial::{Counters, Problem, Trouble};
+use crate::trial::{Counters, FAILED, Problem, Spread, Trouble, mean_error};
 
 /// A fresh network on a body.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -14,6 +14,8 @@ pub struct NetworkEvaluation {
     pub error_test: Option<f64>,
     /// On the holdout (%).
     pub error_holdout: Option<f64>,
+    /// How its errors on the holdout spread.
+    pub spread: Option<Spread>,
     /// Training loss (normalised) at every iteration.
     pub losses: Vec<f32>,
     /// (iteration, from 1, mean prediction error on the holdout before it (%)) at `brain::milestones`.
@@ -56,8 +58,45 @@ pub struct CastReading {
     pub by: CastBrain,
     /// Mean error on the holdout (%); `None` where no sample has a force.
     pub error: Option<f64>,
+    /// How the errors on the holdout spread.
+    pub spread: Option<Spread>,
+    /// λ and κ; `None` of a brain without.
+    pub regularisation: Regularisation,
     /// What went wrong; the error is then that of a brain that says nothing.
     pub trouble: Option<Trouble>,
+}
+
+/// What a brain that reads a cast was fitted with.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Regularisation {
+    /// λ of a linear brain.
+    pub ridge: Option<f64>,
+    /// κ of a linear brain that is calibrated beside the samples of other casts.
+    pub share: Option<f64>,
+}
+
+impl CastReading {
+    /// Of the errors of the holdout's samples, or of why there are none.
+    pub(super) fn new(
+        cast: u32,
+        by: CastBrain,
+        found: Result<(Vec<Option<f64>>, Regularisation), Trouble>,
+    ) -> Self {
+        match found {
+            Ok((errors, regularisation)) => {
+                let (error, spread) = (mean_error(&errors), Spread::of(&errors));
+                Self { cast, by, error, spread, regularisation, trouble: None }
+            }
+            Err(trouble) => Self {
+                cast,
+                by,
+                error: Some(FAILED),
+                spread: Some(Spread::FAILED),
+                regularisation: Regularisation::default(),
+                trouble: Some(trouble),
+            },
+        }
+    }
 }
 
 /// A brain that reads a cast. In the order of tables, in which what is calibrated for a cast comes after what is not, of a kind.

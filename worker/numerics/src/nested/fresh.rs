@@ -7,7 +7,7 @@ use super::report::Report;
 use super::state::State;
 use crate::brains::{Band, Reader, own_reading, reader, readings};
 use crate::random::Purpose;
-use crate::trial::{BrainKind, Counters, Mould, Problem, Ridge, Samples, Trial, Trouble};
+use crate::trial::{BrainKind, Counters, Mould, Problem, Ridge, Samples, Spread, Trial, Trouble, mean_error};
 
 /// A brain that is still to be fitted to a body: number, iterations, and whether they are those of a long training.
 type Lacking = (usize, usize, bool);
@@ -149,8 +149,9 @@ pub(super) fn read(
     if let (Err(trouble), None) = (outcome, reader.training()) {
         return Some(NetworkEvaluation::nothing(trouble));
     }
-    let [error_train, error_test, error_holdout] =
-        [reader.error_known(), reader.error(&sets[1]), reader.error(&sets[2])];
+    let (error_train, error_test) = (reader.error_known(), mean_error(&reader.errors(&sets[1])));
+    let unseen = reader.errors(&sets[2]);
+    let (error_holdout, spread) = (mean_error(&unseen), Spread::of(&unseen));
     let keeps = number == 0 && !is_long;
     let weights = if keeps { reader.weights_at(&trial.scales) } else { Vec::new() };
     if keeps && let Some(calibration) = calibration {
@@ -170,5 +171,14 @@ pub(super) fn read(
     let errors = reader.training().and_then(Option::take).map(|fresh| fresh.errors).unwrap_or_default();
     log.report.counters.brain_iterations += losses.len() as u64;
     let trouble = outcome.err();
-    Some(NetworkEvaluation { error_train, error_test, error_holdout, losses, errors, weights, trouble })
+    Some(NetworkEvaluation {
+        error_train,
+        error_test,
+        error_holdout,
+        spread,
+        losses,
+        errors,
+        weights,
+        trouble,
+    })
 }

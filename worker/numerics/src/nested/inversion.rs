@@ -1,16 +1,19 @@
 //! How an inverse brain reads a body, as designed and cast: by the model of the design, and by twins calibrated on a few records.
 
-use super::evaluation::{BandReading, CastBrain, CastReading, NetworkEvaluation};
+use super::evaluation::{BandReading, CastBrain, CastReading, NetworkEvaluation, Regularisation};
 use super::observe::Log;
 use super::state::State;
 use crate::brains::{Band, BandKind, Estimate, Fitted, Inverse, TO_EACH_SIDE};
 use crate::identify::twin::{Fit, GoOn};
-use crate::trial::{Counters, FAILED, Mould, Samples, Trouble, held};
+use crate::trial::{Counters, Mould, Samples, Spread, Trouble, held, mean_error};
 
 /// Records of a cast that twins are calibrated on.
 const RECORDS: [u32; 2] = [10, 30];
 /// Samples of the holdout that inverse brains read of each cast: each takes as long as some hundred simulations.
 pub const INVERTED_OF_A_CAST: usize = 16;
+
+/// Errors of the samples of a cast, what the brain was fitted with, and its band.
+type Inverted = (Vec<Option<f64>>, Regularisation, Option<BandReading>);
 
 /// Reads the last body's test samples and holdout; `None` if the observer said stop.
 pub(super) fn invert(
@@ -30,8 +33,10 @@ pub(super) fn invert(
         let error_test = test.error(&forces(&brain.read_while(&test.signals, go_on)?));
         let found = brain.read_while(&holdout.signals, go_on)?;
         counters.dynamics += brain.counters.dynamics;
-        let error_holdout = holdout.error(&forces(&found));
-        let evaluation = NetworkEvaluation { error_test, error_holdout, ..NetworkEvaluation::default() };
+        let errors = holdout.errors(&forces(&found));
+        let (error_holdout, spread) = (mean_error(&errors), Spread::of(&errors));
+        let evaluation =
+            NetworkEvaluation { error_test, error_holdout, spread, ..NetworkEvaluation::default() };
         Some(Ok((evaluation, band(&found, holdout, None))))
     };
     let done = state.comparison.part(0, &trial.problem);
@@ -66,15 +71,12 @@ pub(super) fn invert_cast(
 ) -> Option<(Vec<CastReading>, Vec<BandReading>)> {
     let &Mould { trial, design, solver } = mould;
     let (mut readings, mut bands, mut work) = (Vec::new(), Vec::new(), Counters::default());
-    let mut keep = |by: CastBrain, found: Result<(Option<f64>, Option<BandReading>), Trouble>| {
-        let (error, trouble) = match found {
-            Ok((error, band)) => {
-                bands.extend(band);
-                (error, None)
-            }
-            Err(trouble) => (Some(FAILED), Some(trouble)),
-        };
-        readings.push(CastReading { cast, by, error, trouble });
+    let mut keep = |by: CastBrain, found: Result<Inverted, Trouble>| {
+        let found = found.map(|(errors, regularisation, band)| {
+            bands.extend(band);
+            (errors, regularisation)
+        });
+        readings.push(CastReading::new(cast, by, found));
     };
     let sets = held(sets);
     let some = sets.map(|[_, holdout]| {
@@ -88,7 +90,8 @@ pub(super) fn invert_cast(
         };
         let found = brain.read_while(&holdout.signals, go_on)?;
         work.dynamics += brain.counters.dynamics;
-        Some(Ok((holdout.error(&forces(&found)), Some(band(&found, holdout, Some((cast, by)))))))
+        let band = band(&found, holdout, Some((cast, by)));
+        Some(Ok((holdout.errors(&forces(&found)), Regularisation::default(), Some(band))))
     };
     let brain = held(known).and_then(|known| Inverse::new(trial, design, solver, None, known));
     keep(CastBrain::Inverse, inverted(CastBrain::Inverse, brain, &mut work, go_on)?);
@@ -111,7 +114,9 @@ pub(super) fn invert_cast(
         let twin = held(&twin);
         let linear = twin.and_then(|(known, _)| {
             let [_, holdout] = sets?;
-            Ok((Fitted::of(trial, known)?.error_on(holdout), None))
+            let fitted = Fitted::of(trial, known)?;
+            let regularisation = Regularisation { ridge: Some(fitted.ridge), share: None };
+            Ok((fitted.errors_on(holdout), regularisation, None))
         });
         keep(CastBrain::TwinLinear(n), linear);
         let by = CastBrain::Twin(n);

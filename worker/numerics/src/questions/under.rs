@@ -4,7 +4,7 @@
 //! what the body still tells, the second what a reader makes of it that has not met them.
 
 use crate::brains::Fitted;
-use crate::trial::{Counters, Mould, Samples, Trouble, held};
+use crate::trial::{Counters, Mould, Spread, Trouble, held, mean_error};
 
 /// How one linear brain reads a body under forces of one kind.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -15,6 +15,8 @@ pub struct UnderReading {
     pub own: bool,
     /// Mean error on the holdout (%), or why there is none; `None` where no sample has a force.
     pub error: Result<Option<f64>, Trouble>,
+    /// How the errors on the holdout spread.
+    pub spread: Option<Spread>,
 }
 
 /// Of a body whose integrator is tuned under the trial's own forces; of each kind first the brain fitted under it.
@@ -36,10 +38,13 @@ pub(crate) fn under(mould: &Mould, counters: &mut Counters) -> Vec<UnderReading>
             Ok((there, read))
         });
         let there = held(&there);
-        let error = |brain: &Fitted, holdout: &Samples| brain.error_on(holdout);
-        let own = there.and_then(|(there, holdout)| Ok(error(&Fitted::of(there, &there.initial)?, holdout)));
-        let carried = there.and_then(|(_, holdout)| Ok(error(held(&carried)?, holdout)));
-        let reading = |own, error| UnderReading { kind, own, error };
+        let own =
+            there.and_then(|(there, holdout)| Ok(Fitted::of(there, &there.initial)?.errors_on(holdout)));
+        let carried = there.and_then(|(_, holdout)| Ok(held(&carried)?.errors_on(holdout)));
+        let reading = |own, errors: Result<Vec<Option<f64>>, Trouble>| {
+            let spread = errors.as_ref().map_or(Some(Spread::FAILED), |errors| Spread::of(errors));
+            UnderReading { kind, own, error: errors.map(|errors| mean_error(&errors)), spread }
+        };
         found.extend([reading(true, own), reading(false, carried)]);
     }
     found

@@ -19,7 +19,7 @@ pub(crate) use mould::Mould;
 pub(crate) use outcome::held;
 pub use outcome::{Counters, Failure, Trouble};
 pub use problem::{Placing, Problem, Stimuli};
-pub use samples::{FAILED, Samples, mean_error};
+pub use samples::{FAILED, Samples, Spread, mean_error};
 pub(crate) use samples::{error_of_each, pick};
 pub(crate) use scales::Scales;
 pub use settings::{

@@ -100,6 +100,38 @@ pub(crate) fn error_of_each(
     errors.into_iter().zip(failed).map(|(error, failed)| if *failed { Some(FAILED) } else { error }).collect()
 }
 
+/// How the errors of samples spread, beside their mean, which a single sample can dominate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spread {
+    /// Median (%).
+    pub median: f64,
+    /// 90th percentile (%).
+    pub p90: f64,
+    /// Samples above 100 %, the error of a decoder that predicts no force.
+    pub above: u32,
+}
+
+impl Spread {
+    /// Of samples that all failed.
+    pub const FAILED: Self = Self { median: FAILED, p90: FAILED, above: 0 };
+
+    /// Of the samples that have an error; one that is no number counts as infinite. `None` where there is none. Quantiles are
+    /// interpolated linearly between order statistics.
+    pub fn of(errors: &[Option<f64>]) -> Option<Self> {
+        let known = errors.iter().flatten().map(|error| if error.is_nan() { f64::INFINITY } else { *error });
+        let mut known: Vec<f64> = known.collect();
+        known.sort_by(f64::total_cmp);
+        let last = known.len().checked_sub(1)?;
+        let quantile = |q: f64| {
+            let at = q * last as f64;
+            let (low, high) = (known[at.floor() as usize], known[at.ceil() as usize]);
+            if low == high { low } else { low + (at - at.floor()) * (high - low) }
+        };
+        let above = known.iter().filter(|error| **error > FAILED).count() as u32;
+        Some(Self { median: quantile(0.5), p90: quantile(0.9), above })
+    }
+}
+
 /// Mean over the samples that have an error; `None` where there is none, or it is no number.
 pub fn mean_error(errors: &[Option<f64>]) -> Option<f64> {
     let known: Vec<f64> = errors.iter().flatten().copied().collect();

@@ -58,3 +58,20 @@ fn an_objective_weighs_the_worst_casts() {
         assert_eq!(weights(tail), [0.0, 0.0, 1.0, 0.0]);
     }
 }
+
+/// One sample of 1000 % moves the mean to 100.9 %, and no quantile; samples without force do not count, and one that is no number counts as
+/// infinite.
+#[test]
+fn one_sample_does_not_move_a_spread() {
+    let errors = |last: f64| -> Vec<Option<f64>> {
+        (0..10).map(|i| Some(f64::from(i))).chain([None, Some(last)]).collect()
+    };
+    let spread = Spread { median: 5.0, p90: 9.0, above: 1 };
+    for last in [1000.0, f64::INFINITY, f64::NAN] {
+        assert_eq!(Spread::of(&errors(last)), Some(spread), "{last}");
+    }
+    assert_eq!(Spread::of(&errors(FAILED)), Some(Spread { above: 0, ..spread }));
+    assert_eq!(Spread::of(&[Some(1.0), Some(3.0)]), Some(Spread { median: 2.0, p90: 2.8, above: 0 }));
+    assert_eq!(Spread::of(&[Some(1.0), None]), Some(Spread { median: 1.0, p90: 1.0, above: 0 }));
+    assert_eq!(Spread::of(&[None, None]), None);
+}

@@ -8,7 +8,7 @@ use crate::brains::{FitOn, Fitted, Fresh, Loss, Plain, learner, predict_on, read
 use crate::dynamics::{Parameters, Relaxation, planned, run, signal_error};
 use crate::identify::twin::Fit;
 use crate::stimuli::Irregular;
-use crate::trial::{CastReader, Casting, Disturbance, Over, Samples, Size};
+use crate::trial::{CastReader, Casting, Disturbance, Over, Samples, Size, Spread, mean_error};
 use crate::variation::{Casts, Variation};
 
 /// Every parameter of the scene, every ligament, unit, node and chip scatter.
@@ -331,6 +331,13 @@ fn the_brain_for_all_casts_can_be_had_again() {
         };
         let reading = found.casts[1].iter().find(|reading| reading.by == by).unwrap();
         assert_eq!(holdout.error(&said), reading.error, "{by:?}");
+        assert_eq!(Spread::of(&holdout.errors(&said)), reading.spread, "{by:?}");
+        for reading in &found.casts[1] {
+            let regularisation = reading.regularisation;
+            let linear = !matches!(reading.by, CastBrain::Network | CastBrain::NetworkCasts);
+            assert_eq!(regularisation.ridge.is_some(), linear, "{reading:?}");
+            assert_eq!(regularisation.share.is_some(), reading.by.records().is_some(), "{reading:?}");
+        }
     }
 }
 
@@ -545,10 +552,10 @@ fn a_linear_brain_of_a_twin_is_judged_by_the_whole_holdout() {
     let ten: Vec<usize> = (0..10).collect();
     let fit = Fit::of(&mould, (&train.select(&ten), &own.select(&ten).signals), &mut || true).unwrap();
     let twin = mould.samples(Some(&fit.twin.cast), train, counters).unwrap();
-    let error = Fitted::of(&trial, &twin).unwrap().error_on(&holdout);
+    let errors = Fitted::of(&trial, &twin).unwrap().errors_on(&holdout);
     let read = casts_of(&trial, design, 1, &mut |_| ());
     let found = read.iter().find(|reading| reading.by == CastBrain::TwinLinear(10)).unwrap();
-    assert_eq!((found.error, found.trouble), (error, None), "{solver:?}");
+    assert_eq!((found.error, found.trouble), (mean_error(&errors), None), "{solver:?}");
 
     (problem.evaluation.records, problem.stimuli.holdout) = (false, 2);
     let by: Vec<CastBrain> = carried_out(&problem, 2).casts[0].iter().map(|reading| reading.by).collect();

@@ -348,6 +348,8 @@ fn channels_that_are_not_read_are_columns_that_are_not_there() {
     let counters = &mut Counters::default();
     let unseen = trial.simulate(&problem.initial, &unseen, &solver, false, counters).unwrap().samples;
     let brain = problem.decoder.fit(problem.seed, &deleted(&trial.initial), None, &pool).unwrap();
-    let (own, wanted) = (found.initial.networks[0].error_holdout.unwrap(), brain.error_on(&deleted(&unseen)));
+    let unseen = deleted(&unseen);
+    let (own, wanted) =
+        (found.initial.networks[0].error_holdout.unwrap(), unseen.error(&brain.predict(&unseen.signals)));
     assert!((own / wanted.unwrap() - 1.0).abs() < 1e-9, "{own} {wanted:?}");
 }
