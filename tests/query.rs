@@ -234,7 +234,10 @@ async fn status_shows_the_error_on_the_holdout() {
     let bench = Bench::new();
     database(&bench).await;
     let header = bench.output(&["status", "s.sqlite", "--format", "csv"]);
-    assert!(header.contains(",holdout_error_initial,holdout_error_optimised\n"), "{header}");
+    assert!(
+        header.contains(",holdout_error_initial,holdout_error_optimised,holdout_median_initial,"),
+        "{header}"
+    );
 }
 
 /// Trials that meet the conditions go with all that is theirs, when that is asked for; a run makes them again, to the same bits.

@@ -28,7 +28,7 @@ WHERE t.state = 'running' ORDER BY 2, 3, 4, 5, 6";
 
 /// All trials by state; the estimated seconds of what is left of those that are open; steps, attempts; and how long
 /// attempts have taken against what was estimated for what they did; mean errors of what is done; what is given up; all
-/// estimated seconds; what is cancelled.
+/// estimated seconds; what is cancelled; mean medians of the samples' errors.
 const WHOLE: &str = "
 SELECT count(*), sum(state = 'done'), sum(state = 'failed' AND reason NOT IN ('pruned', 'cancelled')), sum(state = 'running'),
   sum(CASE WHEN state IN ('pending', 'running') THEN cost ELSE 0 END)
@@ -41,7 +41,7 @@ SELECT count(*), sum(state = 'done'), sum(state = 'failed' AND reason NOT IN ('p
         ELSE t.cost * a.steps / json_extract(t.spec, '$.optimise.iterations') END), 0)
    FROM attempt a JOIN trial t ON t.id = a.trial_id WHERE a.steps > 0 OR a.state = 'done'),
   avg(holdout_error_initial), avg(holdout_error_optimised), sum(state = 'failed' AND reason = 'pruned'), sum(cost),
-  sum(state = 'failed' AND reason = 'cancelled')
+  sum(state = 'failed' AND reason = 'cancelled'), avg(holdout_median_initial), avg(holdout_median_optimised)
 FROM trial";
 
 /// Failures by reason and by what was said of the last attempt, with one of their trials.
@@ -179,6 +179,9 @@ fn summary(whole: &Table, first: &mut Option<(Instant, f64)>) -> String {
     }
     if done > 0.0 {
         text += &format!("; mean holdout error so far {:.2} -> {:.2} %", number(8), number(9));
+        if number(14) > 0.0 {
+            text += &format!(" (medians {:.2} -> {:.2} %)", number(13), number(14));
+        }
     }
     text
 }

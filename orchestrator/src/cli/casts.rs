@@ -86,21 +86,26 @@ fn samples(reader: &str, holdout: usize) -> usize {
 
 fn each(found: &[CastReading], holdout: usize) -> Table {
     let row = |r: &CastReading| {
-        row![r.cast, &r.reader, r.records, samples(&r.reader, holdout), r.error, &r.outcome]
+        let spread = r.spread.unwrap_or_default();
+        let errors = row![r.error, spread.median, spread.p90, r.spread.map(|spread| spread.above)];
+        let names = row![r.cast, &r.reader, r.records, samples(&r.reader, holdout)];
+        [names, errors, row![r.ridge, r.share, &r.outcome]].concat()
     };
-    Table::new("casting reader records samples error outcome", found.iter().map(row))
+    let columns = "casting reader records samples error median p90 above ridge kappa outcome";
+    Table::new(columns, found.iter().map(row))
 }
 
 /// Of each brain, over the casts.
 fn medians(found: &[CastReading], holdout: usize) -> Table {
     let brains = found.iter().take_while(|reading| reading.cast == 0);
     let rows = brains.map(|brain| {
-        let own = found.iter().filter(|r| (&r.reader, r.records) == (&brain.reader, brain.records));
-        let mut errors: Vec<f64> = own.filter_map(|r| r.error).collect();
+        let own = || found.iter().filter(|r| (&r.reader, r.records) == (&brain.reader, brain.records));
+        let above: u32 = own().filter_map(|r| Some(r.spread?.above)).sum();
+        let mut errors: Vec<f64> = own().filter_map(|r| r.error).collect();
         errors.sort_by(f64::total_cmp);
         let [median, most] = [0.5, 0.9].map(|part| (!errors.is_empty()).then(|| quantile(&errors, part)));
         let samples = samples(&brain.reader, holdout);
-        row![&brain.reader, brain.records, samples, median, most, errors.last()]
+        row![&brain.reader, brain.records, samples, median, most, errors.last(), above]
     });
-    Table::new("reader records samples median percentile_90 worst", rows)
+    Table::new("reader records samples median percentile_90 worst above", rows)
 }

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use metasense_schemas::reason::Reason;
-use metasense_schemas::record::{BodyEvaluation, TrialResult, mean};
+use metasense_schemas::record::{BodyEvaluation, NetworkEvaluation, TrialResult, mean, most_above};
 use metasense_worker::run::keeps_error;
 use tokio::sync::Notify;
 
@@ -209,8 +209,14 @@ fn named(trial: &Trial) -> String {
     )
 }
 
-/// Mean holdout error.
+/// Mean holdout error, with the median over samples and the number of samples above 100 %, if any.
 fn percent(body: &BodyEvaluation) -> String {
-    mean(&body.networks, |network| network.error_holdout)
-        .map_or("unknown".into(), |error| format!("{error:.2} %"))
+    let percent = |value: f64| format!("{value:.2} %");
+    let mean = |of: fn(&NetworkEvaluation) -> Option<f64>| mean(&body.networks, of).map(percent);
+    let above = most_above(&body.networks).filter(|above| *above > 0);
+    let above =
+        above.map_or(String::new(), |above| format!(", {} above 100 %", counted(above as usize, "sample")));
+    let median = mean(|network| network.spread?.median);
+    let median = median.map_or(String::new(), |median| format!(" (median {median}{above})"));
+    mean(|network| network.error_holdout).unwrap_or("unknown".into()) + &median
 }

@@ -38,7 +38,8 @@ pub(super) async fn print_results(from: Results<'_>, plan: &Plan, format: Format
         let sql = format!(
             "SELECT panels AS K, sensors AS M, placement, seed, units, brain, trained_with, placed,
                error_initial AS test_error_initial, error_optimised AS test_error_optimised, holdout_error_initial,
-               holdout_error_optimised, seconds, state, reason, hash
+               holdout_error_optimised, holdout_median_initial, holdout_median_optimised, holdout_above_initial,
+               holdout_above_optimised, seconds, state, reason, hash
              FROM v_trial WHERE hash IN ({of_plan})
              ORDER BY panels, sensors, units, placement, seed, brain, trained_with, placed, hash LIMIT {limit}"
         );
@@ -84,8 +85,9 @@ fn name_brains(table: &mut Table, plan: &Plan) {
     }
 }
 
-/// Leaves out columns that say the usual of every trial: done, sensors at random, the paper's brain.
+/// Leaves out columns that say the usual of every trial: done, sensors at random, the paper's brain, no sample above 100 %.
 fn leave_out_the_usual(table: &mut Table) {
+    table.leave_out_spread();
     let usual: [(&[&str], &str, &[&str]); 3] = [
         (&["state"], "done", &["state", "reason", "hash"]),
         (&["placed"], "random", &["placed"]),

@@ -74,9 +74,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
         db
     };
-    let (table, failed, made, unresolved) = Reader::asked(Database::at(&db).await?, async |reader| {
+    let (mut table, failed, made, unresolved) = Reader::asked(Database::at(&db).await?, async |reader| {
         Ok::<_, Error>((
-            reader.query(STATES).await?,
+            reader.query::<Table>(STATES).await?,
             reader.query::<Table>(FAILED).await?,
             reader.made().await?,
             reader.unresolved().await?,
@@ -84,6 +84,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     })
     .await?;
     say!("{}", db.display());
+    if format == Format::Table {
+        table.leave_out_spread();
+    }
     print_rows(&table, format)?;
     for row in failed.rows.iter().take(MOST_FAILURES) {
         let [reason, text, hash] = [0, 1, 2].map(|i| row[i].as_str().unwrap_or_default());
@@ -266,11 +269,14 @@ const STATES: &str = "WITH of_trial AS (
       CASE WHEN t.state <> 'done' THEN coalesce(t.reason, '') ELSE '' END AS reason,
       count(a.number) AS attempts, sum(CASE WHEN a.redone THEN 0 ELSE a.steps END) AS steps,
       (SELECT sum(s.seconds) FROM spent s WHERE s.trial_id = t.id AND NOT s.redone) AS seconds,
-      t.holdout_error_initial, t.holdout_error_optimised
+      t.holdout_error_initial, t.holdout_error_optimised, t.holdout_median_initial, t.holdout_median_optimised,
+      t.holdout_above_initial, t.holdout_above_optimised
     FROM trial t LEFT JOIN attempt a ON a.trial_id = t.id GROUP BY t.id)
   SELECT (SELECT group_concat(name, ', ') FROM
       (SELECT name FROM sweep WHERE instr(',' || sweeps || ',', ',' || id || ',') GROUP BY name ORDER BY min(created_at), name))
       AS sweep, state, reason, count(*) AS trials, coalesce(sum(steps), 0) AS steps, sum(attempts) AS attempts,
     round(sum(seconds), 1) AS seconds, avg(holdout_error_initial) AS holdout_error_initial,
-    avg(holdout_error_optimised) AS holdout_error_optimised
+    avg(holdout_error_optimised) AS holdout_error_optimised, avg(holdout_median_initial) AS holdout_median_initial,
+    avg(holdout_median_optimised) AS holdout_median_optimised, sum(holdout_above_initial) AS holdout_above_initial,
+    sum(holdout_above_optimised) AS holdout_above_optimised
   FROM of_trial GROUP BY sweeps, state, reason ORDER BY 1, 2, 3";

@@ -2,7 +2,9 @@
 
 use std::time::Instant;
 
-use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, mean};
+use metasense_schemas::record::{
+    BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, mean, most_above,
+};
 use metasense_worker::run::{Control, Failure, Observe, keeps_error, pool, run_trial};
 use serde_json::json;
 
@@ -59,6 +61,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         add(&format!("{name}_initial"), json!(mean(&result.initial.networks, *error)));
         add(&format!("{name}_optimised"), json!(mean(&result.optimised.networks, *error)));
     }
+    add("holdout_above_initial", json!(most_above(&result.initial.networks)));
+    add("holdout_above_optimised", json!(most_above(&result.optimised.networks)));
     let long = |body: &BodyEvaluation| mean(&body.long, |n| n.error_holdout);
     if !result.initial.long.is_empty() {
         add("long_holdout_error_initial", json!(long(&result.initial)));
@@ -75,8 +79,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 type ErrorOf = fn(&NetworkEvaluation) -> Option<f64>;
-const ERRORS: &[(&str, ErrorOf)] =
-    &[("test_error", |n| n.error_test), ("holdout_error", |n| n.error_holdout)];
+const ERRORS: &[(&str, ErrorOf)] = &[
+    ("test_error", |n| n.error_test),
+    ("holdout_error", |n| n.error_holdout),
+    ("holdout_median", |n| n.spread?.median),
+];
 
 /// A line a step.
 struct Steps;

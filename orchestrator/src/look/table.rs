@@ -71,6 +71,15 @@ impl Table {
         }
     }
 
+    /// Leaves out those of the columns that stand beside a mean error ([`SPREAD`]) in which every row has nothing, or zero.
+    pub fn leave_out_spread(&mut self) {
+        let says = |at: usize| self.rows.iter().any(|row| !row[at].is_null() && row[at] != 0);
+        let found = self.columns.iter().enumerate();
+        let empty = found.filter(|(at, column)| SPREAD.contains(&column.as_str()) && !says(*at));
+        let empty: Vec<String> = empty.map(|(_, column)| column.clone()).collect();
+        self.drop_columns(&empty.iter().map(String::as_str).collect::<Vec<_>>());
+    }
+
     /// Without the columns in which nothing stands.
     pub fn without_empty_columns(&self) -> Self {
         let full: Vec<usize> =
@@ -82,6 +91,14 @@ impl Table {
         }
     }
 }
+
+/// Columns that stand beside the mean holdout errors: medians (%), and numbers of samples above 100 %.
+pub const SPREAD: [&str; 4] = [
+    "holdout_median_initial",
+    "holdout_median_optimised",
+    "holdout_above_initial",
+    "holdout_above_optimised",
+];
 
 /// The beginning of a hash, as much as names a trial.
 pub fn short_hash(hash: &str) -> &str {

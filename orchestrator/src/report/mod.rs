@@ -109,6 +109,10 @@ pub fn figures(story: &Story, threads: usize) -> (Vec<Figure>, Option<String>) {
     (drawn, missing)
 }
 
+/// What an error is, at the head of the page.
+const RATIO_OF_ENERGIES: &str = "An error is a ratio of energies, 100·Σ(f − f̂)²/Σf² of a sample, averaged over samples: an error of \
+    5.7 % is an RMS error of 24 %. A median is over the same samples; it does not follow a few samples of large error.";
+
 /// The whole page.
 pub fn html(story: Story, figures: &[Figure], missing: Option<&str>) -> String {
     let mut names: Vec<&str> = story.sweeps.iter().map(|s| s.name.as_str()).collect();
@@ -124,6 +128,7 @@ pub fn html(story: Story, figures: &[Figure], missing: Option<&str>) -> String {
     let told = Question::all().iter().filter(|q| !drawn_alone.contains(q) && q.was_put(&story.trials));
     let tables = told.map(|q| (q, q.answer(&story.trials, story.terms)));
     let content = html! {
+        p { (RATIO_OF_ENERGIES) }
         (listed(first.chain(&state(&story))))
         @for figure in figures { (figure.html(&said)) }
         @if let Some(why) = missing {

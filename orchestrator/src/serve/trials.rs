@@ -13,7 +13,7 @@ use crate::cell::plain;
 use crate::store::{Reader, StoreError};
 
 /// Numbers of a trial, by the names by which they are sorted and filtered, and in words.
-pub const NUMBERS: [(&str, &str); 14] = [
+pub const NUMBERS: [(&str, &str); 18] = [
     ("K", "K"),
     ("M", "M"),
     ("placement", "placement"),
@@ -21,6 +21,10 @@ pub const NUMBERS: [(&str, &str); 14] = [
     ("units", "units"),
     ("holdout_initial", "holdout, initial (%)"),
     ("holdout_optimised", "optimised (%)"),
+    ("median_initial", "median sample, initial (%)"),
+    ("median_optimised", "optimised (%)"),
+    ("above_initial", "samples above 100 %, initial"),
+    ("above_optimised", "optimised"),
     ("test_initial", "test, initial (%)"),
     ("test_optimised", "optimised (%)"),
     ("best_step", "best step"),
@@ -33,6 +37,8 @@ pub const NUMBERS: [(&str, &str); 14] = [
 /// The rows behind them, in their order.
 const ROWS: &str = "SELECT t.id, t.hash, t.spec, t.state, coalesce(t.reason, '') AS reason, t.panels AS K, t.sensors AS M, t.placement,
   t.seed, t.units, t.holdout_error_initial AS holdout_initial, t.holdout_error_optimised AS holdout_optimised,
+  t.holdout_median_initial AS median_initial, t.holdout_median_optimised AS median_optimised,
+  t.holdout_above_initial AS above_initial, t.holdout_above_optimised AS above_optimised,
   t.error_initial AS test_initial, t.error_optimised AS test_optimised, t.best_step,
   (SELECT v.steps FROM v_trial v WHERE v.hash = t.hash) AS steps,
   (SELECT count(*) FROM attempt a WHERE a.trial_id = t.id) AS attempts,

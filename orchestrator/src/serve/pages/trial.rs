@@ -54,9 +54,12 @@ pub(super) struct Trial {
 /// What is told of a trial, and of its attempts.
 const FACTS: &str = "panels AS K, sensors AS M, placement, seed, units, layout, brain, trained_with,
   spec->>'$.optimise.objective' AS objective, placed, protocol,
-  design_parameters, brain_parameters, holdout_error_initial, holdout_error_optimised, error_initial AS test_error_initial,
+  design_parameters, brain_parameters, holdout_error_initial, holdout_median_initial, holdout_p90_initial,
+  holdout_above_initial, holdout_rms_initial, holdout_error_optimised, holdout_median_optimised, holdout_p90_optimised,
+  holdout_above_optimised, holdout_rms_optimised, error_initial AS test_error_initial,
   error_optimised AS test_error_optimised, best_step, steps, attempts, seconds AS cpu_seconds, sensor_units,
   sensor_units_optimised, finished_at";
+const HOLDOUT: &str = "error_holdout, median_holdout, p90_holdout, above_holdout, rms_holdout";
 const ATTEMPTS: &str =
     "attempt, state, reason, steps, round(seconds, 1) AS seconds, cpu_seconds, started_at, code, revision,
   rustc, host, cpu, simd, threads";
@@ -84,13 +87,13 @@ impl Trial {
         let steps = ask(steps, "v_step", "ORDER BY step").await?;
         let sums = PARTS.map(|(column, _)| format!("sum({column})")).join(", ");
         let time = ask(&format!("count(*), {sums}"), "v_step", "AND attempt > 0").await?;
-        let networks = "body, network, error_train, error_test, error_holdout, iterations, outcome";
-        let networks = ask(networks, "v_network", "ORDER BY 1, 2").await?;
+        let networks = format!("body, network, error_train, error_test, {HOLDOUT}, iterations, outcome");
+        let networks = ask(&networks, "v_network", "ORDER BY 1, 2").await?;
         let curves = "body, network, iteration, error_holdout";
         let curves = ask(curves, "v_curve", "AND error_holdout IS NOT NULL ORDER BY 1, 2, 3").await?;
         let readings =
-            "body, before AS seconds_before, after AS seconds_after, error_train, error_test, error_holdout";
-        let readings = ask(readings, "v_reading", "ORDER BY 2, 3, 1").await?;
+            "body, before AS seconds_before, after AS seconds_after, ridge, error_train, error_test";
+        let readings = ask(&format!("{readings}, {HOLDOUT}"), "v_reading", "ORDER BY 2, 3, 1").await?;
         let attempts = ask(ATTEMPTS, "v_attempt", "ORDER BY attempt").await?;
         let log = ask("attempt, at, level, text", "v_log", "ORDER BY attempt, line").await?;
         let stored =
@@ -355,10 +358,10 @@ fn course_of(trial: &Trial) -> Markup {
 
 fn networks(trial: &Trial) -> Markup {
     html! {
-        @if !trial.networks.rows.is_empty() { h2 { "Brains on both bodies" } (trial.networks.html(None)) }
+        @if !trial.networks.rows.is_empty() { h2 { "Brains on both bodies" } (trial.networks.without_empty_columns().html(None)) }
         @if !trial.readings.rows.is_empty() {
             h2 { "Linear decoders, by how far they look back and ahead" }
-            (trial.readings.html(None))
+            (trial.readings.without_empty_columns().html(None))
         }
     }
 }

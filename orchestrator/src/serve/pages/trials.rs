@@ -107,13 +107,19 @@ fn table(at: &str, asked: &Asked, shown: &[&Arc<Row>]) -> Markup {
             }
         }
     };
+    // beside mean errors stands what the shown trials say
+    let says = |name: &str| {
+        !["median_", "above_"].iter().any(|part| name.starts_with(part))
+            || shown.iter().any(|row| row.number(name).is_some_and(|x| x > 0.0))
+    };
+    let numbers: Vec<(&str, &str)> = NUMBERS.into_iter().filter(|(name, _)| says(name)).collect();
     html! {
         div class="scroll" {
             table class="trials" {
                 thead { tr {
                     (head("hash", "trial")) (head("state", "state"))
                     @if let Some(key) = extra { (head(key, key)) }
-                    @for (name, text) in NUMBERS { (head(name, text)) }
+                    @for (name, text) in &numbers { (head(name, text)) }
                     (head("reason", "reason"))
                 } }
                 tbody { @for row in shown {
@@ -121,7 +127,7 @@ fn table(at: &str, asked: &Asked, shown: &[&Arc<Row>]) -> Markup {
                         td class="text" { a href=(to_trial(at, &row.hash)) { (short_hash(&row.hash)) } }
                         td class="text" { (row.state) }
                         @if let Some(key) = extra { td class="text" { (text(&row.cell(key))) } }
-                        @for (name, _) in NUMBERS { td { (text(&row.cell(name))) } }
+                        @for (name, _) in &numbers { td { (text(&row.cell(name))) } }
                         td class="text" { (row.reason) }
                     }
                 } }
