@@ -14,7 +14,7 @@ use metasense::report::load::{finished_trials, story};
 use metasense::serve::Trials;
 use metasense::store::{Level, Reader, RunPlan, Store};
 use metasense_schemas::record::{
-    Band, BodyEvaluation, CastReading, Checkpoint, NetworkEvaluation, Provenance, Reading, Seconds,
+    Band, BodyEvaluation, CastReading, Checkpoint, NetworkEvaluation, Provenance, Reading, Seconds, Spread,
     StepRecord, TrialResult,
 };
 
@@ -51,6 +51,7 @@ fn result(trial: &Planned, error: f64) -> TrialResult {
         error_holdout: Some(2.0 * factor * error),
         losses: vec![1.0, 0.5],
         outcome: "ok".into(),
+        spread: Some(Spread { median: Some(1.5 * factor * error), p90: Some(4.0 * error), above: 1 }),
         ..NetworkEvaluation::default()
     };
     let reading = Reading {
@@ -234,9 +235,10 @@ async fn errors_agree(reader: &mut Reader, finished: &[Trial]) {
         for (set, column, of_network) in [
             (Set::Test, format!("error_{name}"), "error_test"),
             (Set::Holdout, format!("holdout_error_{name}"), "error_holdout"),
+            (Set::Median, format!("holdout_median_{name}"), "median_holdout"),
         ] {
             let view = by_trial(reader, &format!("SELECT hash, {column} FROM v_trial t {DONE}")).await;
-            same(&column, &view, &of(&|trial| trial.errors[b][set as usize]));
+            same(&column, &view, &of(&|trial| trial.error(body, set)));
             let ordinary = format!("{of_body} AND x.network < t.spec->>'$.evaluation.seeds'");
             let networks = own(&format!("avg({of_network})"), "v_network", &ordinary, DONE);
             same(&format!("{column} of networks"), &view, &by_trial(reader, &networks).await);

@@ -2,7 +2,8 @@
 //!
 //! A claim's number is a ratio that is above 1 where it holds, rated by its 95 % interval ([`Rating::of`]); the wider that is, the less
 //! is said. One of many ratings that chance alone might have made is open ([`corrected`]). Claims of elbows go by votes, in per cent
-//! and in logarithms. Test and holdout are judged alike; what is said in short goes by the holdout.
+//! and in logarithms. Test, holdout and the medians over its samples are judged alike; what is said in short goes by the holdout, and says where its
+//! medians lead elsewhere.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -144,9 +145,25 @@ pub fn corrected(mut found: Vec<Vec<Evidence>>) -> Vec<Vec<Evidence>> {
 /// What evidence comes to, by the holdout where there is one: the rating that all of it shares, or who has which.
 pub fn summary(evidence: &[Evidence]) -> (String, Option<Rating>) {
     let of_set = |set: &str| evidence.iter().any(|e| e.set == set);
-    let counts = |e: &&Evidence| e.set != Set::Test.name() || !of_set(Set::Holdout.name());
+    let counts = |e: &&Evidence| {
+        e.set != Set::Median.name() && (e.set != Set::Test.name() || !of_set(Set::Holdout.name()))
+    };
+    summed(evidence.iter().filter(counts))
+}
+
+/// What it comes to by medians over samples, where that is not what it comes to by the means of the same trials.
+pub fn by_medians(evidence: &[Evidence]) -> Option<String> {
+    let of = |set: Set| evidence.iter().filter(move |e| e.set == set.name());
+    let trials = |set| of(set).map(|e| (&e.who, e.trials)).collect::<Vec<_>>();
+    let same = trials(Set::Holdout) == trials(Set::Median);
+    let [means, medians] = [Set::Holdout, Set::Median].map(|set| summed(of(set)).0);
+    (same && means != medians).then_some(medians)
+}
+
+/// The rating that all of some evidence shares, or who has which.
+fn summed<'a>(evidence: impl Iterator<Item = &'a Evidence>) -> (String, Option<Rating>) {
     let mut by: BTreeMap<Rating, Vec<&str>> = BTreeMap::new();
-    for e in evidence.iter().filter(counts) {
+    for e in evidence {
         let list = by.entry(e.rating).or_default();
         if !list.contains(&&*e.who) {
             list.push(&e.who);
@@ -353,7 +370,7 @@ fn of_ratio(who: String, set: &'static str, ratio: Ratio, stated: f64, note: Str
 
 /// What each group says, by either set.
 fn by_set(groups: &[Group], mut say: impl FnMut(&Group, Set) -> Option<Evidence>) -> Vec<Evidence> {
-    let of_sets = groups.iter().flat_map(|group| Set::ALL.map(|set| (group, set)));
+    let of_sets = groups.iter().flat_map(|group| Set::of(&group.trials).map(move |set| (group, set)));
     of_sets.filter_map(|(group, set)| say(group, set)).collect()
 }
 
@@ -559,7 +576,7 @@ fn complexity(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
             if few == many {
                 continue;
             }
-            for set in Set::ALL {
+            for set in Set::of(&group.trials) {
                 let errors = |n: u64, body: Body| each(&at(n), |t| t.error(body, set));
                 let of = |body: Body| over(&errors(few, body), &errors(many, body));
                 let Some(ratio) = of(Body::Optimised) else { continue };

@@ -95,6 +95,19 @@ pub fn long_ratio(trials: &[&Trial], set: Set) -> Option<Ratio> {
     ratio_of(trials, |t| Some([t.long_error(Body::Initial, set)?, t.long_error(Body::Optimised, set)?]))
 }
 
+/// The ratio by medians over samples, where it leads to another verdict than that by means of the same trials, and both verdicts.
+pub fn disagreement(ratio: impl Fn(Set) -> Option<Ratio>) -> Option<(Ratio, String)> {
+    let (mean, median) = (ratio(Set::Holdout)?, ratio(Set::Median)?);
+    let verdict = |ratio: &Ratio| match ratio.interval.and_then(Interval::is_above_one) {
+        Some(true) => "above 1",
+        Some(false) => "below 1",
+        None => "undecided",
+    };
+    let (by_means, by_medians) = (verdict(&mean), verdict(&median));
+    let text = format!("{by_means} by means, {by_medians} by medians");
+    (mean.trials == median.trials && by_means != by_medians).then_some((median, text))
+}
+
 /// By what two trainings are compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Progress {

@@ -162,6 +162,12 @@ pub(super) fn ratio_cells(ratio: Ratio) -> Vec<Value> {
     row![ratio.trials, ratio.above_one, ratio.ratio, low, high, ratio.over]
 }
 
+/// Beside a ratio by medians: whether means lead to another verdict.
+fn note_cells(set: Set, ratio: impl Fn(Set) -> Option<Ratio>) -> Vec<Value> {
+    let found = (set == Set::Median).then(|| paired::disagreement(ratio)).flatten();
+    row![found.map(|(_, verdicts)| verdicts)]
+}
+
 /// A ratio with its interval, where there is one.
 fn interval_cells(ratio: Option<&Ratio>) -> Vec<Value> {
     row![ratio.map(|r| r.ratio); ends(ratio.and_then(|r| r.interval))]
@@ -169,7 +175,7 @@ fn interval_cells(ratio: Option<&Ratio>) -> Vec<Value> {
 
 /// A row a group and set that there is something to say of.
 fn by_set(columns: &str, groups: &[Group], say: impl Fn(&Group, Set) -> Option<Vec<Value>>) -> Table {
-    let all = groups.iter().flat_map(|group| Set::ALL.map(|set| (group, set)));
+    let all = groups.iter().flat_map(|group| Set::of(&group.trials).map(move |set| (group, set)));
     let row = |(group, set): (&Group, Set)| Some([row![group.label, set.name()], say(group, set)?].concat());
     Table::new(&format!("setting set {columns}"), all.filter_map(row))
 }
@@ -180,7 +186,7 @@ type Curves<'a> = (Vec<Group<'a>>, fn(&Trial) -> u64);
 /// Rows of every group's curve, for each body and set.
 fn by_curve(columns: &str, (groups, at): Curves, rows: impl Fn(&[Observation]) -> Vec<Vec<Value>>) -> Table {
     let bodies = groups.iter().flat_map(|group| Body::ALL.map(|body| (group, body)));
-    let all = bodies.flat_map(|(group, body)| Set::ALL.map(|set| (group, body, set)));
+    let all = bodies.flat_map(|(group, body)| Set::of(&group.trials).map(move |set| (group, body, set)));
     let told = all.flat_map(|(group, body, set)| {
         let names = row![group.label, body.name(), set.name()];
         let found = rows(&observations(&group.trials, body, set, at));
@@ -252,8 +258,9 @@ fn transfer_table(trials: &[&Trial]) -> Table {
 }
 
 fn paired_table(trials: &[&Trial]) -> Table {
-    by_set("trials improved ratio low high over", &groups(trials, &[]), |group, set| {
-        Some(ratio_cells(paired::error_ratio(&group.trials, set)?))
+    by_set("trials improved ratio low high over note", &groups(trials, &[]), |group, set| {
+        let ratio = |set| paired::error_ratio(&group.trials, set);
+        Some([ratio_cells(ratio(set)?), note_cells(set, ratio)].concat())
     })
 }
 
@@ -270,7 +277,9 @@ fn long_table(trials: &[&Trial]) -> Table {
     let mut rows = Vec::new();
     for group in groups(trials, &[]) {
         let lengths = distinct(group.trials.iter().filter_map(|t| t.long_iterations()));
-        for (iterations, set) in lengths.into_iter().flat_map(|n| Set::ALL.map(|set| (n, set))) {
+        for (iterations, set) in
+            lengths.into_iter().flat_map(|n| Set::of(&group.trials).map(move |set| (n, set)))
+        {
             let of_length = |t: &&&Trial| t.long_iterations() == Some(iterations);
             let trials: Vec<&Trial> = group.trials.iter().filter(of_length).copied().collect();
             if let Some(ratio) = paired::long_ratio(&trials, set) {
@@ -280,11 +289,12 @@ fn long_table(trials: &[&Trial]) -> Table {
                 };
                 let [initial, optimised] = Body::ALL.map(mean);
                 let names = row![group.label, set.name(), iterations, initial, optimised];
-                rows.push([names, ratio_cells(ratio)].concat());
+                let note = note_cells(set, |set| paired::long_ratio(&trials, set));
+                rows.push([names, ratio_cells(ratio), note].concat());
             }
         }
     }
-    let columns = "setting set iterations initial optimised trials improved ratio low high over";
+    let columns = "setting set iterations initial optimised trials improved ratio low high over note";
     Table::new(columns, rows)
 }
 
@@ -429,7 +439,7 @@ fn placements_table(trials: &[&Trial]) -> Table {
 fn placed_table(trials: &[&Trial]) -> Table {
     let mut rows = Vec::new();
     for found in placed(trials) {
-        for (set, level) in Set::ALL.into_iter().flat_map(|set| found.levels.iter().map(move |l| (set, l))) {
+        for (set, level) in Set::of(trials).flat_map(|set| found.levels.iter().map(move |l| (set, l))) {
             let ways = [false, true].into_iter().flat_map(|s| Body::ALL.map(|body| (s, body)));
             let errors = ways.map(|(searched, body)| json!(level.error(searched, body, set))).collect();
             let [placing, training] = [level.by_placing(set), level.by_training(set)];

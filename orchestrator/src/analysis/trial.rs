@@ -26,25 +26,44 @@ impl Body {
     }
 }
 
-/// Which samples an error is of.
+/// Which samples an error is of, and by what statistic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Set {
     /// The test set, by which the outer loop chooses the body.
     Test,
     /// Samples that neither loop has seen.
     Holdout,
+    /// The same, by the median over samples instead of the mean: a few samples of large error do not move it.
+    Median,
 }
 
 impl Set {
-    /// Both, in order.
-    pub const ALL: [Self; 2] = [Self::Test, Self::Holdout];
+    /// All, in order.
+    pub const ALL: [Self; 3] = [Self::Test, Self::Holdout, Self::Median];
 
     /// Its name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Test => "test",
             Self::Holdout => "holdout",
+            Self::Median => "holdout median",
         }
+    }
+
+    /// The column of a body's error in tables of trials.
+    pub fn column(self, body: Body) -> String {
+        let kind = match self {
+            Self::Test => "test_error",
+            Self::Holdout => "holdout_error",
+            Self::Median => "holdout_median",
+        };
+        format!("{kind}_{}", body.name())
+    }
+
+    /// Those of which trials have errors: trials of versions before 15 have no medians.
+    pub fn of(trials: &[&Trial]) -> impl Iterator<Item = Self> + use<> {
+        let median = trials.iter().any(|t| [t.medians, t.long_medians].concat().iter().any(Option::is_some));
+        Self::ALL.into_iter().filter(move |set| median || *set != Self::Median)
     }
 }
 
@@ -126,6 +145,11 @@ pub struct Trial {
     pub errors: [[Option<f64>; 2]; 2],
     /// The same after long training, of trials that have it.
     pub long_errors: [[Option<f64>; 2]; 2],
+    /// Median error over the samples of the holdout (%) by body, mean over the evaluation's networks; none in trials of versions
+    /// before 15.
+    pub medians: [Option<f64>; 2],
+    /// The same after long training.
+    pub long_medians: [Option<f64>; 2],
     /// By linear brains, whatever the trial's own is; none in trials of versions before 4.
     pub readings: Vec<Reading>,
     /// How casts of both bodies are read; none in trials without casts.
@@ -156,12 +180,12 @@ pub struct Trial {
 impl Trial {
     /// An error (%), where there is a positive one.
     pub fn error(&self, body: Body, set: Set) -> Option<f64> {
-        self.errors[body as usize][set as usize].filter(|e| e.is_finite() && *e > 0.0)
+        of_set(&self.errors, &self.medians, body, set)
     }
 
     /// An error after long training (%), where there is a positive one.
     pub fn long_error(&self, body: Body, set: Set) -> Option<f64> {
-        self.long_errors[body as usize][set as usize].filter(|e| e.is_finite() && *e > 0.0)
+        of_set(&self.long_errors, &self.long_medians, body, set)
     }
 
     /// CPU seconds of the training and the evaluation, as if this trial had trained its body itself. Comparable between trials.
@@ -181,6 +205,7 @@ impl Trial {
             return;
         }
         (self.errors[1], self.long_errors[1], self.nonlinear[1]) = ([None; 2], [None; 2], [None; 2]);
+        (self.medians[1], self.long_medians[1]) = (None, None);
         self.readings.iter_mut().for_each(|reading| reading.errors[1] = [None; 2]);
         for curves in [&mut self.curves, &mut self.error_curves, &mut self.long_curves] {
             curves[1].clear();
@@ -207,4 +232,13 @@ impl Trial {
     pub fn protocol(&self) -> &str {
         self.setting.text("optimise.protocol").unwrap_or("unknown")
     }
+}
+
+/// A positive error of a body (%).
+fn of_set(errors: &[[Option<f64>; 2]; 2], medians: &[Option<f64>; 2], body: Body, set: Set) -> Option<f64> {
+    let error = match set {
+        Set::Test | Set::Holdout => errors[body as usize][set as usize],
+        Set::Median => medians[body as usize],
+    };
+    error.filter(|e| e.is_finite() && *e > 0.0)
 }

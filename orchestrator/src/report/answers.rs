@@ -46,12 +46,16 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
             let [initial, optimised] = means(&refs, |t, body| t.error(body, set));
             // what the body was chosen by says less than what nothing has seen
             let figure = if set == Set::Holdout { "" } else { "pairs" };
+            let medians = match set {
+                Set::Holdout => by_medians(|set| paired::error_ratio(&refs, set)),
+                _ => String::new(),
+            };
             said.push(Answer::new(
                 figure,
                 verdict(&r),
                 format!(
                     "{who}On {what}, the initial body's error is {} times the optimised body's ({initial} % against \
-                     {optimised} %, {}); the optimised one is better in {} of {}.{pooled}",
+                     {optimised} %, {}); the optimised one is better in {} of {}.{medians}{pooled}",
                     number(r.ratio),
                     interval(&r),
                     r.above_one,
@@ -93,6 +97,18 @@ fn verdict(ratio: &Ratio) -> Option<bool> {
     ratio.interval.and_then(Interval::is_above_one)
 }
 
+/// What is said where medians over samples lead to another verdict than means.
+fn by_medians(ratio: impl Fn(Set) -> Option<Ratio>) -> String {
+    let said = |(ratio, verdicts): (Ratio, String)| {
+        format!(
+            " Means and medians over samples disagree ({verdicts}): by medians it is {} times ({}).",
+            number(ratio.ratio),
+            interval(&ratio)
+        )
+    };
+    paired::disagreement(ratio).map_or(String::new(), said)
+}
+
 /// Mean errors of both bodies, over the trials that have both.
 fn means(trials: &[&Trial], error: impl Fn(&Trial, Body) -> Option<f64>) -> [String; 2] {
     let both = |t: &Trial| Some([error(t, Body::Initial)?, error(t, Body::Optimised)?]);
@@ -111,9 +127,10 @@ fn long(trials: &[&Trial]) -> Option<Answer> {
         verdict(&ratio),
         format!(
             "After {iterations} iterations of the brain, the initial body's holdout error is still {} times the optimised \
-             body's ({initial} % against {optimised} %, {}).",
+             body's ({initial} % against {optimised} %, {}).{}",
             number(ratio.ratio),
-            interval(&ratio)
+            interval(&ratio),
+            by_medians(|set| paired::long_ratio(&trials, set))
         ),
     ))
 }
@@ -133,7 +150,7 @@ fn placing(found: &Placed) -> Option<Answer> {
         verdict(&by_training),
         format!(
             "{}, M = {}: sensors placed by a search instead of at random lower the initial body's error from {} to {} % ({} \
-             times less, {}). Training the body lowers it further to {} % ({} times less, {}). Sensors needed for an error \
+             times less, {}). Training the body lowers it further to {} % ({} times less, {}).{} Sensors needed for an error \
              of 20, 10 and 5 % (95 % interval): initial body {} at random, {} placed; trained body {} at random, {} placed.",
             found.label,
             level.sensors,
@@ -144,6 +161,7 @@ fn placing(found: &Placed) -> Option<Answer> {
             error(true, Body::Optimised)?,
             number(by_training.ratio),
             interval(&by_training),
+            by_medians(|set| level.by_training(set)),
             needed(false, Body::Initial),
             needed(true, Body::Initial),
             needed(false, Body::Optimised),
@@ -154,7 +172,8 @@ fn placing(found: &Placed) -> Option<Answer> {
 
 /// Where more sensors stop to pay, and how few suffice on the optimised body.
 fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
-    let curve = |body| observations(&group.trials, body, Set::Holdout, |t| t.sensors);
+    let by = |body, set| observations(&group.trials, body, set, |t| t.sensors);
+    let curve = |body| by(body, Set::Holdout);
     let told = |body, height| match elbow(&curve(body), height) {
         Err(why) => why.to_string(),
         Ok(found) => {
@@ -186,6 +205,23 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
         false => format!("{}: optimised body: {optimised}. Initial body: {initial}.", group.label),
     };
     let mut said = vec![Answer::new("sensors", None, text)];
+    for (body, height) in Body::ALL.into_iter().flat_map(|body| Height::ALL.map(|height| (body, height))) {
+        let [mean, median] = [Set::Holdout, Set::Median].map(|set| by(body, set));
+        let same = mean.len() == median.len();
+        if let (true, Ok(mean), Ok(median)) = (same, elbow(&mean, height), elbow(&median, height))
+            && mean.verdict != median.verdict
+        {
+            let text = format!(
+                "{}: means and medians over samples disagree on the {} body ({}): {} by means, {} by medians.",
+                group.label,
+                body.name(),
+                height.name(),
+                verdict_text(mean.verdict),
+                verdict_text(median.verdict)
+            );
+            said.push(Answer::new("sensors", Some(false), text));
+        }
+    }
     let [initial, optimised] = Body::ALL.map(|body| decide(&curve(body), terms));
     let price = terms.price.map_or(String::new(), |p| format!("least error + {} % × M", number(p)));
     let within = format!("smallest M within {} % of the best", number(100.0 * terms.within));
@@ -247,14 +283,15 @@ fn random_bodies(group: &Group) -> Option<Answer> {
         verdict(&optimised),
         format!(
             "{}: the holdout error of {} random bodies is {} times the initial body's ({} of {} are worse) and {} times the \
-             optimised body's ({}).",
+             optimised body's ({}).{}",
             group.label,
             found.errors.len(),
             number(initial.ratio),
             initial.above_one,
             initial.trials,
             number(optimised.ratio),
-            interval(&optimised)
+            interval(&optimised),
+            by_medians(|set| random(&group.trials, set)?.ratios[Body::Optimised as usize].take())
         ),
     ))
 }

@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use crate::analysis::claims::{CLAIMS, Evidence, Rating, corrected, summary};
+use crate::analysis::claims::{CLAIMS, Evidence, Rating, by_medians, corrected, summary};
 use crate::analysis::numbers::geometric_mean;
 use crate::analysis::paired::Progress;
 use crate::analysis::setting::odd;
@@ -15,13 +15,18 @@ pub fn tried(trials: &[Trial]) -> Vec<Vec<Evidence>> {
     corrected(CLAIMS.iter().map(|claim| claim.evidence(trials)).collect())
 }
 
-/// A row a claim: what it comes to, and the specs that show it.
+/// A row a claim: what it comes to, by medians over samples where that is something else, and the specs that show it.
 pub fn claims_table(found: &[Vec<Evidence>]) -> Table {
     let rows = CLAIMS.iter().zip(found).enumerate().map(|(i, (claim, evidence))| {
         let specs: Vec<String> = claim.specs.iter().map(|spec| format!("schemas/{spec}.toml")).collect();
-        row![i + 1, claim.says, claim.source, summary(evidence).0, specs.join(", ")]
+        row![i + 1, claim.says, claim.source, summary(evidence).0, by_medians(evidence), specs.join(", ")]
     });
-    Table::new("claim says source rating specs", rows)
+    let mut table = Table::new("claim says source rating by_medians specs", rows);
+    let at = table.column("by_medians");
+    if table.rows.iter().all(|row| row[at].is_null()) {
+        table.drop_columns(&["by_medians"]);
+    }
+    table
 }
 
 /// A row a claim, brain and set: the ratio with its interval, votes, and over what they are.
@@ -52,22 +57,23 @@ pub fn evidence_table(found: &[Vec<Evidence>]) -> Table {
 /// A row a trial: the settings in which they differ, and all numbers that the claims go by.
 pub fn trials_table(trials: &[Trial]) -> Table {
     let odd: Vec<&str> = odd(trials.iter().map(|trial| &trial.setting)).into_iter().collect();
-    let errors = |of: &[[Option<f64>; 2]; 2]| of.concat();
+    let sets: Vec<Set> = Set::of(&trials.iter().collect::<Vec<_>>()).collect();
+    let each = || Body::ALL.into_iter().flat_map(|body| sets.iter().map(move |set| (body, *set)));
     let rows = trials.iter().map(|t| {
         let Cluster { placement, seed } = t.cluster;
         let mut cells = row![t.hash, t.panels, t.sensors, placement, seed, t.units, t.design_parameters];
         cells.extend(odd.iter().map(|path| t.setting.get(path).cloned().unwrap_or_default()));
         let networks = t.iterations.iter().map(|of| (!of.is_empty()).then(|| geometric_mean(of)));
-        let numbers = errors(&t.errors).into_iter().chain(errors(&t.long_errors)).chain(networks);
-        cells.extend(numbers.map(Value::from));
+        let errors = each().map(|(body, set)| t.error(body, set));
+        let long = each().map(|(body, set)| t.long_error(body, set));
+        cells.extend(errors.chain(long).chain(networks).map(Value::from));
         cells
     });
     let first = "hash panels sensors placement seed units design_parameters";
     let mut columns = vec![first.to_owned()];
     columns.extend(odd.iter().map(|path| (*path).to_owned()));
     for long in ["", "long_"] {
-        let of_body = |body: Body| Set::ALL.map(|set| format!("{long}{}_error_{}", set.name(), body.name()));
-        columns.extend(Body::ALL.into_iter().flat_map(of_body));
+        columns.extend(each().map(|(body, set)| format!("{long}{}", set.column(body))));
     }
     columns.extend(["iterations_to_loss", "iterations_to_error"].map(str::to_owned));
     Table::new(&columns.join(" "), rows)
@@ -88,8 +94,8 @@ const ROW: f64 = 16.0;
 
 /// Every ratio of the holdout with its interval, a row each, beside the paper's; `None` where there is none.
 pub fn figure(found: &[Vec<Evidence>]) -> Option<Figure> {
-    let of_holdout =
-        |e: &&Evidence| e.found.is_some() && ![Set::Test.name(), Progress::Loss.name()].contains(&e.set);
+    let others = [Set::Test.name(), Set::Median.name(), Progress::Loss.name()];
+    let of_holdout = |e: &&Evidence| e.found.is_some() && !others.contains(&e.set);
     let rows: Vec<(usize, &Evidence)> = found
         .iter()
         .enumerate()

@@ -55,7 +55,8 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
     reader
         .each(
             "SELECT id, hash, spec, panels, sensors, placement, seed, units, design_parameters, error_initial,
-               error_optimised, holdout_error_initial, holdout_error_optimised, seconds_evaluation,
+               error_optimised, holdout_error_initial, holdout_error_optimised, holdout_median_initial,
+               holdout_median_optimised, seconds_evaluation,
                result->>'$.nonlinear[0][0]' AS nonlinear_acceleration_initial,
                result->>'$.nonlinear[0][1]' AS nonlinear_rotation_initial,
                result->>'$.nonlinear[1][0]' AS nonlinear_acceleration_optimised,
@@ -84,6 +85,7 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
                         [row.number("error_initial"), row.number("holdout_error_initial")],
                         [row.number("error_optimised"), row.number("holdout_error_optimised")],
                     ],
+                    medians: Body::ALL.map(|body| row.number(&Set::Median.column(body))),
                     nonlinear: Body::ALL.map(|body| {
                         ["acceleration", "rotation"]
                             .map(|kind| row.number(&format!("nonlinear_{kind}_{}", body.name())))
@@ -280,13 +282,14 @@ impl Loader<'_> {
 
     /// Means over the networks that were trained long: those after the evaluation's ordinary ones.
     async fn long_errors(&mut self) -> Result<(), StoreError> {
-        let sql = "SELECT n.trial_id, n.body, avg(n.error_test) AS test, avg(n.error_holdout) AS holdout
+        let sql = "SELECT n.trial_id, n.body, avg(n.error_test) AS test, avg(n.error_holdout) AS holdout, avg(n.median) AS median
              FROM network n JOIN trial t ON t.id = n.trial_id
              WHERE n.network >= t.spec->>'$.evaluation.seeds' AND t.spec->>'$.evaluation.long_iterations' > 0
              GROUP BY n.trial_id, n.body";
         self.each(sql, |trial, row| {
             if let Some(body) = body_named(row.text("body")) {
                 trial.long_errors[body as usize] = [row.number("test"), row.number("holdout")];
+                trial.long_medians[body as usize] = row.number("median");
             }
             Ok(())
         })
@@ -400,9 +403,11 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
 const SHOWN: &str = "hash, state, reason, panels, sensors, placement, seed, units, design_parameters, brain, trained_with,
   spec->>'$.optimise.objective' AS objective, protocol,
   error_initial AS test_error_initial, error_optimised AS test_error_optimised, holdout_error_initial, holdout_error_optimised,
+  holdout_median_initial, holdout_median_optimised, holdout_above_initial, holdout_above_optimised,
   steps, attempts, seconds, simd";
 /// What its file has besides, so that nothing else is needed to know a row.
-const BESIDES: &str = "linear_holdout_error_initial, linear_holdout_error_optimised";
+const BESIDES: &str = "linear_holdout_error_initial, linear_holdout_error_optimised, holdout_p90_initial, holdout_p90_optimised,
+  holdout_rms_initial, holdout_rms_optimised";
 
 /// All trials; their file has a column for each of the `odd` paths, too.
 async fn states(reader: &mut Reader, odd: &BTreeSet<&str>) -> Result<States, StoreError> {
@@ -431,6 +436,7 @@ async fn states(reader: &mut Reader, odd: &BTreeSet<&str>) -> Result<States, Sto
             Ok::<_, StoreError>(())
         })
         .await?;
+    states.first.leave_out_spread();
     Ok(States { csv: data.text(), ..states })
 }
 

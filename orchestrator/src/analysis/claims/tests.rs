@@ -53,6 +53,16 @@ fn a_factor_is_held_against_its_interval() {
             "{factor}"
         );
     }
+    let mut told = of("linear", 2.5, 5);
+    assert_eq!(by_medians(&CLAIMS[0].evidence(&told)), None);
+    for (factor, said) in [(2.5, None), (0.7, Some("fails"))] {
+        let medians =
+            |t: &mut Trial| t.medians = [Some(factor * 10.0), Some(10.0 + 1e-3 * t.cluster.placement as f64)];
+        told.iter_mut().for_each(medians);
+        let evidence = CLAIMS[0].evidence(&told);
+        assert_eq!(by_medians(&evidence).as_deref(), said, "{factor}");
+        assert_eq!(summary(&evidence).1, Some(Rating::Holds), "{factor}");
+    }
     let both = [of("linear", 2.5, 5), of("cnn", 0.7, 5)].concat();
     assert_eq!(rated(0, &both), ("depends: holds with linear · fails with cnn".into(), None));
     assert_eq!(rated(3, &both), ("not tried".into(), None));

@@ -42,3 +42,30 @@ fn a_curve_four_times_as_steep_needs_a_quarter_of_the_iterations() {
     assert_eq!(iteration_ratio(&fast, &slow), Some(0.25));
     assert_eq!(iteration_ratio(&slow, &[]), None);
 }
+
+/// One trial in which a sample of 30 000 % decides the mean: by means the ratio is undecided, by medians it is above 1.
+#[test]
+fn a_few_samples_that_decide_a_mean_are_told() {
+    let trials = |last: f64| -> Vec<Trial> {
+        let error = |seed: u64| if seed == 5 { last } else { 10.0 };
+        let trial = |seed: u64| Trial {
+            cluster: Cluster { placement: 0, seed },
+            errors: [[None, Some(20.0 + seed as f64)], [None, Some(error(seed))]],
+            medians: [Some(18.0 + seed as f64), Some(9.0)],
+            ..Trial::default()
+        };
+        (0..6).map(trial).collect()
+    };
+    let of = |trials: &[Trial]| {
+        let refs: Vec<&Trial> = trials.iter().collect();
+        disagreement(|set| error_ratio(&refs, set))
+    };
+    let (ratio, verdicts) = of(&trials(500.0)).unwrap();
+    assert_eq!(verdicts, "undecided by means, above 1 by medians");
+    assert!((2.0..2.6).contains(&ratio.ratio) && ratio.interval.unwrap().low > 1.0, "{ratio:?}");
+    assert_eq!(of(&trials(11.0)), None);
+    // of trials of which some have no median nothing is compared
+    let mut some = trials(500.0);
+    some[0].medians = [None; 2];
+    assert_eq!(of(&some), None);
+}
