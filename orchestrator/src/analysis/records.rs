@@ -3,11 +3,12 @@
 //! Intervals are for records drawn anew, of bodies under the same blows the same ones. They say how much other records
 //! would differ, not other networks: for that there is the spread over folds and seeds.
 
-use super::numbers::{deviation, mean};
+use super::numbers::{deviation, mean, quantile};
 use super::paired::iteration_ratio;
-use super::resample::{Interval, Resampling};
+use super::resample::{Interval, LEAST_UNITS, REPLICATES, SEED};
 use super::trial::CurvePoint;
 use crate::look::{Table, row};
+use metasense_worker::Draw;
 
 /// A body's errors by fresh networks.
 #[derive(Debug, Clone, PartialEq)]
@@ -125,42 +126,105 @@ pub struct MeanRatio {
     pub interval: Option<Interval>,
 }
 
-/// Ratio of mean errors. `paired`: record by record under the same blows, so that both leave out the same one.
+/// Ratio of mean errors. `paired`: record by record under the same blows, so that both are drawn together.
 pub fn mean_ratio(first: &Judged, second: &Judged, paired: bool) -> Option<MeanRatio> {
-    let both = first.errors.iter().zip(&second.errors).filter_map(|(a, b)| Some([(*a)?, (*b)?]));
-    // of each record its error on either body
-    let records: Vec<[Option<f64>; 2]> = match paired {
-        true => both.map(|pair| pair.map(Some)).collect(),
-        false => {
-            let second = second.known().into_iter().map(|e| [None, Some(e)]);
-            first.known().into_iter().map(|e| [Some(e), None]).chain(second).collect()
+    let groups: Vec<Vec<Errors>> = match paired {
+        true => {
+            let both = first.errors.iter().zip(&second.errors).filter_map(|(a, b)| Some([(*a)?, (*b)?]));
+            vec![both.map(|pair| pair.map(Some)).collect()]
         }
+        false => vec![
+            first.known().into_iter().map(|e| [Some(e), None]).collect(),
+            second.known().into_iter().map(|e| [None, Some(e)]).collect(),
+        ],
     };
-    let log_ratio = |weights: &[f64]| {
-        let [a, b] = [0, 1].map(|body: usize| {
-            let of_body = records.iter().zip(weights).filter_map(|(r, w)| Some([w * r[body]?, *w]));
-            let [sum, weight] = of_body.fold([0.0; 2], |[s, n], [e, w]| [s + e, n + w]);
-            sum / weight
-        });
-        Some((a / b).ln()).filter(|l| l.is_finite())
-    };
-    let ratio = log_ratio(&vec![1.0; records.len()])?.exp();
-    let interval = over_records(records.len()).interval(log_ratio).map(|i| i.map(f64::exp));
-    Some(MeanRatio { ratio, interval })
+    if groups.iter().any(Vec::is_empty) {
+        return None;
+    }
+    let (log_ratio, _) = log_ratio(&groups)?;
+    Some(MeanRatio { ratio: log_ratio.exp(), interval: interval(&groups) })
 }
 
-/// Records are independent of each other.
-fn over_records(count: usize) -> Resampling {
-    Resampling::of([(["record", "records"], (0..count as u64).collect())])
+/// A record's errors on both bodies.
+type Errors = [Option<f64>; 2];
+
+/// Sums over records, of each body and of records that have both errors.
+#[derive(Default)]
+struct Sums {
+    count: [f64; 2],
+    sum: [f64; 2],
+    squares: [f64; 2],
+    both: f64,
+    products: f64,
+}
+
+impl Sums {
+    fn add(&mut self, record: Errors) {
+        for (body, error) in record.into_iter().enumerate() {
+            if let Some(error) = error {
+                self.count[body] += 1.0;
+                self.sum[body] += error;
+                self.squares[body] += error * error;
+            }
+        }
+        if let [Some(first), Some(second)] = record {
+            self.both += 1.0;
+            self.products += first * second;
+        }
+    }
+
+    /// ln of the mean error on the first body over that on the second, 1 where no record has one, and its standard error by the
+    /// influence of each record.
+    fn log_ratio(&self) -> Option<(f64, f64)> {
+        let (mut log, mut variance) = (0.0, 0.0);
+        let mean = |body: usize| self.sum[body] / self.count[body];
+        let pairs = |body: usize| self.count[body] * (self.count[body] - 1.0);
+        for (body, sign) in [(0, 1.0), (1, -1.0)].into_iter().filter(|(body, _)| self.count[*body] > 0.0) {
+            log += sign * mean(body).ln();
+            variance += (self.squares[body] / mean(body).powi(2) - self.count[body]) / pairs(body);
+        }
+        if self.both > 0.0 {
+            let shared = self.products / (mean(0) * mean(1)) - self.both;
+            variance -= 2.0 * shared / (pairs(0) * pairs(1)).sqrt();
+        }
+        log.is_finite().then(|| (log, variance.max(0.0).sqrt()))
+    }
+}
+
+/// The 95 % interval of that ratio by the studentised bootstrap, records drawn within their groups (Hall, Ann. Stat. 16, 927, 1988):
+/// errors of records are skewed, and Student's t would leave out the mean too often. `None` of too few records.
+fn interval(groups: &[Vec<Errors>]) -> Option<Interval> {
+    if groups.iter().any(|group| group.len() < LEAST_UNITS) {
+        return None;
+    }
+    let (whole, error) = log_ratio(groups)?;
+    let studentised = |replicate: usize| {
+        let (mut draw, mut sums) = (Draw::numbered(SEED, replicate as u64), Sums::default());
+        for group in groups {
+            (0..group.len()).for_each(|_| sums.add(group[draw.below(group.len())]));
+        }
+        let (log, error) = sums.log_ratio()?;
+        Some((log - whole) / error).filter(|t| t.is_finite())
+    };
+    let mut found: Vec<f64> = (0..REPLICATES).filter_map(studentised).collect();
+    found.sort_by(f64::total_cmp);
+    if found.is_empty() {
+        // all records say the same
+        return (error == 0.0).then(|| Interval { low: whole.exp(), high: whole.exp() });
+    }
+    let [low, high] = [0.025, 0.975].map(|q| quantile(&found, q));
+    Some(Interval { low: whole - high * error, high: whole - low * error }.map(f64::exp))
+}
+
+fn log_ratio(groups: &[Vec<Errors>]) -> Option<(f64, f64)> {
+    let mut sums = Sums::default();
+    groups.iter().flatten().for_each(|record| sums.add(*record));
+    sums.log_ratio()
 }
 
 /// Of the mean of positive errors, over records.
 pub(super) fn mean_interval(errors: &[f64]) -> Option<Interval> {
-    let log_mean = |weights: &[f64]| {
-        let sum: f64 = weights.iter().zip(errors).map(|(w, e)| w * e).sum();
-        Some((sum / weights.iter().sum::<f64>()).ln()).filter(|l| l.is_finite())
-    };
-    over_records(errors.len()).interval(log_mean).map(|i| i.map(f64::exp))
+    interval(&[errors.iter().map(|error| [Some(*error), None]).collect()])
 }
 
 impl Judged {
@@ -180,14 +244,17 @@ const OF_INVERSE: [&str; 4] = ["coverage", "not_converged", "unexplained", "cpu_
 
 /// A row a body and kind of signals; ratios are to the first body's row of the same kind. `delta` is an instant's length (s).
 pub fn table(judged: &[Judged], paired: bool, delta: f64) -> Table {
-    let columns = "body signals records error_train error_test test_low test_high spread_folds \
+    let columns = "body signals records error_train error_test test_low test_high median p90 above spread_folds \
         spread_seeds ratio ratio_low ratio_high iterations_ratio correlation difference lag coverage \
         not_converged unexplained cpu_seconds";
     let row = |body: &Judged| {
         let first = judged.iter().find(|other| other.by == body.by);
         let first = first.filter(|first| first.body != body.body);
         let ratio = first.and_then(|first| mean_ratio(first, body, paired));
-        let test = mean_interval(&body.known());
+        let mut known = body.known();
+        known.sort_by(f64::total_cmp);
+        let part = |q| (!known.is_empty()).then(|| quantile(&known, q));
+        let test = mean_interval(&known);
         row![
             body.body,
             body.by.name(),
@@ -196,6 +263,9 @@ pub fn table(judged: &[Judged], paired: bool, delta: f64) -> Table {
             body.error(),
             test.map(|i| i.low),
             test.map(|i| i.high),
+            part(0.5),
+            part(0.9),
+            known.iter().filter(|error| **error > 100.0).count(),
             deviation(&body.by_fold),
             deviation(&body.by_seed),
             ratio.map(|r| r.ratio),
