@@ -21,8 +21,6 @@ const BODIES: usize = 8;
 const FADING: f64 = 0.8;
 /// Outer steps from one choice of λ to the next.
 const RIDGE_EVERY: u32 = 50;
-/// Number of the last bodies whose samples judge λ, each left out in its turn.
-const JUDGED: usize = 3;
 
 impl Decoder {
     /// Of the whole sample, both ways, or as much of it as can be solved for: what every body is read by.
@@ -212,13 +210,13 @@ impl<'a> LinearLearner<'a> {
         self.first_ridge(learnt)?;
         let due = step > 0 && step.is_multiple_of(RIDGE_EVERY) && newest > 0;
         if due && trial.problem.decoder.ridge == Ridge::Auto {
-            let parts = (0..=newest).rev().take(JUDGED).map(|body| {
+            let parts = (0..=newest).rev().map(|body| {
                 let judges = bodies[body].clone();
                 let mut own = Moments::new(judges.sizes, trial.pool);
                 own.add(&judges.x, &judges.y, &weighted(body));
                 Part { judges, others: normal.clone().plus(-1.0, &own.normal(lags)) }
             });
-            let samples = bodies.iter().rev().take(JUDGED).map(|samples| samples.w.len()).sum();
+            let samples = bodies.iter().map(|samples| samples.w.len()).sum();
             let errors = |part: &Part, ridge| part.errors(part.others.clone(), ridge);
             let judged = ridge::judged(ridge::ridges(), samples, parts, errors);
             learnt.ridge = ridge::greatest(&judged).ok().or(learnt.ridge);

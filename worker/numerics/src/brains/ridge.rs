@@ -21,13 +21,14 @@ const RIDGES: std::ops::RangeInclusive<i32> = -2..=12;
 const NEUTRAL: f64 = 1e-6;
 /// Part of the least mean error by which that of a greater value may exceed it.
 const EXCESS: f64 = 0.2;
-/// With fewer samples all parts judge all values …
+/// With fewer samples all parts judge all values. With more, the first part judges no smaller values after so many without an
+/// improvement by a hundredth …
 const FEW: usize = 60;
-/// … with more, those after the first judge so many, the greatest whose error in the first is less than so many times the least …
+const WITHOUT: usize = 3;
+/// … and two more parts judge the greatest of those whose error in the first is less than so many times the least.
+const PARTS: usize = 3;
 const CANDIDATES: usize = 4;
 const WORSE: f64 = 2.0;
-/// … and the first part judges no smaller values after so many without an improvement by a hundredth.
-const WITHOUT: usize = 3;
 
 /// Samples that judge, and the normal equations of the others.
 pub(super) struct Part {
@@ -84,7 +85,8 @@ pub(super) fn judged(
     errors: impl Fn(&Part, f64) -> Option<Vec<Option<f64>>>,
 ) -> Vec<(f64, Vec<Option<f64>>)> {
     let mut judged: Vec<(f64, Vec<Option<f64>>)> = values.map(|value| (value, Vec::new())).collect();
-    for (number, part) in parts.enumerate() {
+    let judging = if samples < FEW { usize::MAX } else { PARTS };
+    for (number, part) in parts.take(judging).enumerate() {
         let thins = number == 0 && samples >= FEW;
         let (mut least, mut without) = (f64::INFINITY, 0);
         judged.retain_mut(|(value, seen)| {
