@@ -118,6 +118,16 @@ const EDITS: &[(&str, &str, &str)] = &[
     ("density = 1e-8", "density = 1e-8\nclamp = [99]", "s.toml:8: body.clamp = 99: "),
     (
         "density = 1e-8",
+        "density = 1e-8\ndamping = [1e-4, -1, 0]",
+        "s.toml:8: body.damping = [0.0001, -1.0, 0.0]: ",
+    ),
+    (
+        "density = 1e-8",
+        "density = 1e-8\ndamping = [0, 0, 0]\ndamping_ratio = 0.1",
+        "s.toml:9: body.damping_ratio = 0.1: ",
+    ),
+    (
+        "density = 1e-8",
         "density = 1e-8\nguides = [{ units = \"sides\", holds = [\"z\"] }]",
         "s.toml:8: body.guides.holds = [\"z\"]: must be a list of \"x\", \"y\" or \"turn\"",
     ),

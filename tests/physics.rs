@@ -45,7 +45,10 @@ fn a_body_rings() {
     refused(&bench, &["modes", "s.toml", "--response", "0"], "unit 0: it is held");
     refused(&bench, &["modes", "s.toml", "--hash", "zz"], "trial zz: no trial begins so");
     bench.file("loose.toml", &TINY.replacen("[time]", "clamp = []\n[time]", 1));
-    refused(&bench, &["modes", "loose.toml"], "body.clamp: nothing holds");
+    let loose = json(&bench.output(&["modes", "loose.toml", "--format", "json"]));
+    assert!(loose[..3].iter().all(|mode| mode["frequency"] == 0.0), "{loose:?}");
+    assert!(loose[3]["frequency"].as_f64().unwrap() > 0.0);
+    refused(&bench, &["modes", "loose.toml", "body.damping_ratio=0.0"], "meets no stiffness");
 }
 
 /// Every trial says what a linear model leaves of its signals; bounds of its two bodies stand beside what brains have achieved, an

@@ -137,20 +137,22 @@ fn from_csv(bytes: &[u8], layout: &Layout) -> Result<Vec<f64>, String> {
         let node = whole("node", *node, layout.shape[unit].len())?;
         let [x0, y0] = undisplaced[unit][node];
         let shift = [x - x0, y - y0];
-        match &shifts[layout.groups[unit][node]] {
+        // nodes of rigid units that stay, or follow others
+        let Some(group) = layout.groups[unit][node] else { continue };
+        match &shifts[group] {
             Some(other) if (0..2).any(|c| (other[c] - shift[c]).abs() > AGREE) => {
                 return Err(at(
                     "is shifted otherwise than its ligament's other end, or than the same node in another line",
                 ));
             }
             Some(_) => {}
-            None => shifts[layout.groups[unit][node]] = Some(shift),
+            None => shifts[group] = Some(shift),
         }
     }
     let missing = |g: usize| {
-        let of = |unit: &usize| layout.groups[*unit].contains(&g);
+        let of = |unit: &usize| layout.groups[*unit].contains(&Some(g));
         let unit = (0..layout.units()).find(of).unwrap_or(0);
-        let node = layout.groups[unit].iter().position(|&h| h == g).unwrap_or(0);
+        let node = layout.groups[unit].iter().position(|h| *h == Some(g)).unwrap_or(0);
         format!("unit {unit}, node {node} is missing")
     };
     let shifts: Result<Vec<[f64; 2]>, String> =

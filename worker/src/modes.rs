@@ -12,22 +12,16 @@ use crate::run::{Failure, pool, with_design};
 /// The `count` slowest modes of a body; fewer where it has fewer.
 ///
 /// # Errors
-/// If the spec stands for no trial, the design is of another length, or nothing holds the body.
+/// If the spec stands for no trial, the design is of another length, or the body has no modes.
 pub fn slowest(trial: &TrialSpec, design: &[f64], count: usize) -> Result<Vec<Mode>, Failure> {
     let problem = weighed(trial, design)?;
     let scene = &problem.scene;
-    let loose = || {
-        Failure::Rejected(
-            "body.clamp: nothing holds the body as a whole; its modes need a clamped unit, or guides that do"
-                .to_owned(),
-        )
-    };
     check_rest(scene, design)?;
-    if scene.is_loose() {
-        return Err(loose());
-    }
     modes::modes(&Rest::new(scene, design), scene.layout.units(), count).map_err(|none| match none {
-        NoModes::Loose => loose(),
+        NoModes::Loose => Failure::Rejected(
+            "body: some motion meets no stiffness, and no damping; hold a unit by body.clamp, or set body.damping_ratio above 0"
+                .to_owned(),
+        ),
         NoModes::NotFinite => Failure::Rejected(
             "body: its modes are no finite numbers; check body.density, body.stiffness and body.damping_ratio".to_owned(),
         ),

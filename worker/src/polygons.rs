@@ -3,15 +3,16 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use metasense_numerics::body::{End, Layout, moments};
-use metasense_schemas::spec::{Polygons, Signal};
+use metasense_numerics::body::{End, Follower, Follows, Layout, moments};
+use metasense_schemas::spec::{Denser, Follow, FollowBy, Polygons, Signal};
 
 use crate::design::{self, DesignError};
 use crate::files::{self, Array, Content, Form};
 use crate::invalid::{Invalid, invalid};
 
-/// Nodes of a unit.
+/// Nodes of a unit that is not rigid, and of one that is.
 const NODES: std::ops::RangeInclusive<usize> = 3..=12;
+const NODES_OF_RIGID: std::ops::RangeInclusive<usize> = 3..=1000;
 /// Units at most, as of a lattice.
 const UNITS_MAX: usize = 10_000;
 
@@ -93,8 +94,11 @@ pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
         return wrong(format!("{count} units"), format!("must be 2 to {UNITS_MAX} units"));
     }
     for (u, nodes) in given.units.iter().enumerate() {
-        if !NODES.contains(&nodes.len()) {
-            return wrong(format!("units[{u}]"), format!("has {} nodes, must have 3 to 12", nodes.len()));
+        let counts = if given.rigid.contains(&u) { NODES_OF_RIGID } else { NODES };
+        if !counts.contains(&nodes.len()) {
+            let remedy =
+                format!("has {} nodes, must have {} to {}", nodes.len(), counts.start(), counts.end());
+            return wrong(format!("units[{u}]"), remedy);
         }
         if !nodes.iter().flatten().all(|x| x.is_finite()) {
             return wrong(format!("units[{u}]"), "must be finite numbers".into());
@@ -150,6 +154,8 @@ pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
     for (name, units) in [
         ("clamp", given.clamp.clone().unwrap_or_default()),
         ("sensors", given.sensors.clone().unwrap_or_default()),
+        ("rigid", given.rigid.clone()),
+        ("density", given.density.iter().flat_map(|denser| denser.units.clone()).collect()),
     ] {
         if let Some(unit) = units.iter().find(|unit| **unit >= count) {
             return wrong(format!("{name}: {unit}"), format!("the units are 0 to {}", count - 1));
@@ -158,6 +164,12 @@ pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
             return wrong(format!("{name}: {}", units[n]), "must be named once".into());
         }
     }
+    for (d, Denser { factor, .. }) in given.density.iter().enumerate() {
+        if !(*factor > 0.0 && factor.is_finite()) {
+            return wrong(format!("density[{d}]"), format!("factor = {factor}: must be above 0"));
+        }
+    }
+    followers(given, |end| taken.contains_key(end))?;
     if let Some(unit) = hangs(given) {
         let remedy = "hangs on nothing: no ligaments lead from it to unit 0";
         return wrong(format!("units[{unit}]"), remedy.into());
@@ -169,7 +181,8 @@ pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
         .collect();
     let ends = |ends: &Vec<[usize; 2]>| ends.iter().map(|&[unit, node]| End { unit, node }).collect();
     let together: Vec<Vec<End>> = given.together.iter().map(ends).collect();
-    let mut layout = Layout::of_polygons(&given.units, &ligaments, &together);
+    let followers: Vec<(usize, Follower)> = given.follow.iter().map(follower).collect();
+    let mut layout = Layout::of_polygons(&given.units, &ligaments, &together, &given.rigid, &followers);
     if layout.half <= 0.0 {
         let remedy = format!(
             "ligaments are {:.3} mm long in the mean, more than the {:.3} mm from unit to unit",
@@ -177,10 +190,57 @@ pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
         );
         return wrong("ligaments".into(), remedy);
     }
+    for Denser { units, factor } in &given.density {
+        units.iter().for_each(|&unit| layout.density[unit] = *factor);
+    }
     if let Some(sensors) = &given.sensors {
         layout.carriers = (0..count).map(|unit| sensors.contains(&unit)).collect();
     }
     Ok(layout)
+}
+
+fn follower(follow: &Follow) -> (usize, Follower) {
+    let by = match follow.by {
+        FollowBy::X => Follows::MeanX,
+        FollowBy::Segment => Follows::Segment,
+        FollowBy::Angle => Follows::Angle,
+    };
+    let Follow { node: [unit, node], nodes, .. } = *follow;
+    (unit, Follower { node, of: nodes, by })
+}
+
+/// Refuses nodes that cannot stay or follow as the file says; `joined` tells which nodes ligaments hold.
+fn followers(given: &Polygons, joined: impl Fn(&[usize; 2]) -> bool) -> Result<(), Invalid> {
+    let is_rigid = |unit: &usize| given.rigid.contains(unit);
+    for (group, ends) in given.together.iter().enumerate() {
+        let stays = ends.iter().find(|end| is_rigid(&end[0]) && !joined(end));
+        if let Some([unit, node]) = stays {
+            let remedy =
+                format!("node {node} of the rigid unit {unit} holds no ligament, and is not shifted");
+            return Err(invalid("body.file", format!("together[{group}]"), remedy));
+        }
+    }
+    for (f, Follow { node, nodes, by }) in given.follow.iter().enumerate() {
+        let [unit, place] = *node;
+        let wrong = |remedy: String| Err(invalid("body.file", format!("follow[{f}]"), remedy));
+        if !is_rigid(&unit) || place >= given.units[unit].len() {
+            return wrong(format!("there is no node {place} of a rigid unit {unit}"));
+        }
+        if joined(node) {
+            return wrong(format!("node {place} of unit {unit} holds a ligament, and follows the design"));
+        }
+        let leads = |other: &usize| joined(&[unit, *other]);
+        if !nodes.iter().all(leads) || nodes[0] == nodes[1] {
+            return wrong(format!("its nodes must be two nodes of unit {unit} that hold ligaments"));
+        }
+        if *by == FollowBy::Angle && nodes.iter().any(|other| given.units[unit][*other] == [0.0; 2]) {
+            return wrong("a node at [0, 0] has no angle".into());
+        }
+        if given.follow[..f].iter().any(|other| other.node == *node) {
+            return wrong(format!("node {place} of unit {unit} must be named once"));
+        }
+    }
+    Ok(())
 }
 
 /// The first unit that no ligaments join to unit 0.

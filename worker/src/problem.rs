@@ -342,6 +342,13 @@ fn scene(
     (density, stiffness): (f64, Stiffness),
 ) -> Result<Scene, Invalid> {
     let body = &trial.body;
+    if layout.rigid.contains(&true) {
+        let remedy = "is not for bodies with rigid units";
+        require(body.contact.is_none(), "body.contact", "", remedy)?;
+        let scattered = trial.variation.as_ref().and_then(|variation| variation.ligament_length);
+        let none = scattered.unwrap_or(0.0) == 0.0;
+        require(none, "variation.ligament_length", scattered.unwrap_or(0.0), remedy)?;
+    }
     let clamped = clamped(body, &layout)?;
     let guided = guided(body, &layout)?;
     let panels = struck(trial, &layout, &clamped)?;
@@ -377,7 +384,12 @@ fn scene(
         stiffness,
         parts: Parts::default(),
         relaxation: None,
-        damping_ratio: body.damping_ratio,
+        damping_ratio: if body.damping.is_some() { 1.0 } else { body.damping_ratio },
+        damping: body.damping,
+        inertia: match body.inertia {
+            spec::Inertia::Design => None,
+            spec::Inertia::Initial => Some(layout.initial_design(angle(body.initial_angle))),
+        },
         contact: body.contact.map(|c| Contact {
             stiffness: c.stiffness,
             min_angle: angle(c.min_angle),

@@ -305,7 +305,7 @@ impl Body {
         vec![k.stretch, k.shear, k.bend].into_pyarray(py)
     }
 
-    /// Damping of each degree of freedom, relative to critical damping.
+    /// Damping of each degree of freedom, relative to critical damping; of a spec with `body.damping` a factor on that.
     #[getter]
     fn damping_ratio(&self) -> f64 {
         self.problem.scene.damping_ratio

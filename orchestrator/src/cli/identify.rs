@@ -230,13 +230,16 @@ fn said(fit: &Identified, body: &Body, records: usize) -> Vec<String> {
         let lengths =
             lengths.map(|(key, mm)| mm.map_or(String::new(), |mm| format!("{key} = {}\n", exact(mm))));
         said.push(format!(
-            "for a spec without body.diameter, body.width and body.material, which would change these:\n[body]\n{}density = {}\nstiffness = {{ stretch = {}, shear = {}, bend = {} }}\ndamping_ratio = {}",
+            "for a spec without body.diameter, body.width and body.material, which would change these:\n[body]\n{}density = {}\nstiffness = {{ stretch = {}, shear = {}, bend = {} }}\n{}",
             lengths.concat(),
             exact(p.density),
             exact(p.stretch),
             exact(p.shear),
             exact(p.bend),
-            exact(p.damping_ratio),
+            match body.damping {
+                Some(given) => format!("damping = [{}]", given.map(|c| exact(c * p.damping_ratio)).join(", ")),
+                None => format!("damping_ratio = {}", exact(p.damping_ratio)),
+            },
         ));
         if fit.estimates.iter().any(|e| e.parameter == Parameter::Contact) {
             said.push(format!("contact.stiffness = {}", exact(p.contact)));

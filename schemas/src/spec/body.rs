@@ -56,14 +56,25 @@ pub enum Own {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Polygons {
-    /// Of each unit its 3 to 12 nodes, counter-clockwise. Unit: mm.
+    /// Of each unit its 3 to 12 nodes, of a rigid one any number from 3 on, counter-clockwise. Unit: mm.
     pub units: Vec<Vec<[f64; 2]>>,
     /// From a node to a node: unit, node, unit, node, counted from 0. Both shift together.
     pub ligaments: Vec<[usize; 4]>,
     /// Further nodes (unit, node) that shift together. Default: none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub together: Vec<Vec<[usize; 2]>>,
-    /// Units that are held where `body.clamp` is left out. Default: the lowest.
+    /// Units whose shape is given, as plates: nodes with ligaments follow the design, the others stay. No limit judges their shape, which may
+    /// have reflex corners. Default: none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub rigid: Vec<usize>,
+    /// Nodes of rigid units that follow two nodes with ligaments instead of staying: `[{ node = [20, 3], nodes = [2, 4], by = "x" }]`.
+    /// Default: none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub follow: Vec<Follow>,
+    /// Units whose density is a multiple of the body's: `[{ units = [20, 21], factor = 2 }]`. Default: none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub density: Vec<Denser>,
+    /// Units that are held where `body.clamp` is left out; `[]`: none. Default: the lowest.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clamp: Option<Vec<usize>>,
     /// Where forces act, of K panels the first K, where `body.panels` and `body.panel_units` are left out. Default: the topmost units.
@@ -72,6 +83,40 @@ pub struct Polygons {
     /// Units that may carry sensors. Default: those of which every node holds a ligament.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensors: Option<Vec<usize>>,
+}
+
+/// Units of another density.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Denser {
+    /// The units.
+    pub units: Vec<usize>,
+    /// Their density by that of the body. Unit: 1.
+    pub factor: f64,
+}
+
+/// A node of a rigid unit that follows two others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Follow {
+    /// The unit and the node, which no ligament holds.
+    pub node: [usize; 2],
+    /// Two nodes of the same unit that ligaments hold.
+    pub nodes: [usize; 2],
+    /// How the node follows them.
+    pub by: FollowBy,
+}
+
+/// How a node follows two others of its unit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum FollowBy {
+    /// It shifts along x by the mean of their shifts.
+    X,
+    /// It moves with the segment between them, as if fixed to its middle.
+    Segment,
+    /// It turns about `[0, 0]` by the mean of the angles by which they turn about it.
+    Angle,
 }
 
 /// Where a force acts, and how.
@@ -104,8 +149,8 @@ pub struct Struck {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Clamp {
-    /// `"bottom"`, the lowest units, `"ends"`, these and the topmost, `"sides"`, the leftmost and rightmost ones (planar), or `"hub"`,
-    /// the innermost units (circular).
+    /// `"bottom"`, the lowest units, `"ends"`, these and the topmost, `"sides"`, the leftmost and rightmost ones (planar), `"hub"`,
+    /// the innermost units (circular), or `"none"`, no unit.
     Rule(ClampRule),
     /// a list of units.
     Units(Vec<usize>),
@@ -123,6 +168,8 @@ pub enum ClampRule {
     Sides,
     /// The innermost unit of a circular body, or those around the void in its middle.
     Hub,
+    /// No unit: the body moves as a whole.
+    None,
 }
 
 /// Units that are held in part, as on a roller or in a slot.
@@ -251,6 +298,12 @@ pub struct Body {
     /// Damping of each degree of freedom relative to its critical damping (ζ). Unit: 1.
     #[serde(default = "damping_ratio")]
     pub damping_ratio: f64,
+    /// Damping of every unit along x, along y and in turning, in place of `damping_ratio`. Unit: N·s/mm, N·s/mm, N·mm·s. Default: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub damping: Option<[f64; 3]>,
+    /// Whose masses and moments of inertia units have. Default: `"design"`.
+    #[serde(default, skip_serializing_if = "Inertia::is_own")]
+    pub inertia: Inertia,
     /// Stiffness of the ligaments. Default: must be given without `material`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stiffness: Option<Stiffness>,
@@ -269,6 +322,25 @@ pub struct Body {
     pub hinge: Option<Hinge>,
 }
 
+/// Whose masses and moments of inertia the units of a design have.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Inertia {
+    /// Their own.
+    #[default]
+    Design,
+    /// Those of the body without `design`, whatever shape training gives the units.
+    Initial,
+}
+
+impl Inertia {
+    /// The one that is not written.
+    #[must_use]
+    pub fn is_own(&self) -> bool {
+        *self == Self::Design
+    }
+}
+
 fn planar() -> LayoutKind {
     LayoutKind::Planar
 }
@@ -276,10 +348,13 @@ fn initial_angle() -> f64 {
     25.0
 }
 fn damping_ratio() -> f64 {
-    0.02
+    Body::DAMPING_RATIO
 }
 
 impl Body {
+    /// `damping_ratio` where it is not given.
+    pub const DAMPING_RATIO: f64 = 0.02;
+
     /// `columns`, 0 where a file gives the units.
     #[must_use]
     pub fn columns(&self) -> usize {

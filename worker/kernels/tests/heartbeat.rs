@@ -27,6 +27,8 @@ fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
         parts: Parts::default(),
         relaxation: None,
         damping_ratio: 0.02,
+        damping: None,
+        inertia: None,
         contact: None,
         hinge: None,
         linearised: false,

@@ -27,6 +27,8 @@ fn body(clamped: Vec<usize>, panels: Vec<(usize, [f64; 2])>, sensor: usize, layo
         parts: Parts::default(),
         relaxation: None,
         damping_ratio: 0.03,
+        damping: None,
+        inertia: None,
         contact: None,
         hinge: None,
         linearised: false,

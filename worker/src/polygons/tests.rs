@@ -50,6 +50,38 @@ fn bad_polygons_are_refused_by_name() {
         ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0]]\ntogether = [[[0, 0], [1, 1], [0, 0]]]", "together[0]", "twice"),
         ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0]]\nsensors = [1, 1]", "sensors: 1", "once"),
         ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0]]\nclamp = [0, 0]", "clamp: 0", "once"),
+        ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0]]\ndensity = [{ units = [2], factor = 2 }]", "density: 2", "0 to 1"),
+        (
+            "[[0, 1, 1, 0]]",
+            "[[0, 1, 1, 0]]\ndensity = [{ units = [1], factor = 0 }]",
+            "density[0]",
+            "above 0",
+        ),
+        ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0]]\nrigid = [2]", "rigid: 2", "0 to 1"),
+        (
+            "[[0, 1, 1, 0]]",
+            "[[0, 1, 1, 0]]\nrigid = [1]\ntogether = [[[0, 0], [1, 1]]]",
+            "together[0]",
+            "not shifted",
+        ),
+        (
+            "[[0, 1, 1, 0]]",
+            "[[0, 1, 1, 0]]\nfollow = [{ node = [1, 1], nodes = [0, 2], by = \"x\" }]",
+            "follow[0]",
+            "no node 1 of a rigid unit 1",
+        ),
+        (
+            "[[0, 1, 1, 0]]",
+            "[[0, 1, 1, 0]]\nrigid = [1]\nfollow = [{ node = [1, 0], nodes = [0, 2], by = \"x\" }]",
+            "follow[0]",
+            "holds a ligament",
+        ),
+        (
+            "[[0, 1, 1, 0]]",
+            "[[0, 1, 1, 0]]\nrigid = [1]\nfollow = [{ node = [1, 1], nodes = [0, 2], by = \"x\" }]",
+            "follow[0]",
+            "two nodes of unit 1",
+        ),
     ] {
         let text = TWO.replacen(from, to, 1);
         assert_ne!(text, TWO, "{from}");

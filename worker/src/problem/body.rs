@@ -320,6 +320,7 @@ fn name(rule: ClampRule) -> &'static str {
         ClampRule::Ends => "ends",
         ClampRule::Sides => "sides",
         ClampRule::Hub => "hub",
+        ClampRule::None => "none",
     }
 }
 
@@ -331,15 +332,17 @@ fn named(key: &str, clamp: &Clamp, body: &spec::Body, layout: &Layout) -> Result
     };
     let circular = body.layout == LayoutKind::Circular;
     let remedy = match circular {
-        true => "must be \"hub\" or units where circular",
-        false => "must be \"bottom\", \"ends\", \"sides\" or units where planar",
+        true => "must be \"hub\", \"none\" or units where circular",
+        false => "must be \"bottom\", \"ends\", \"sides\", \"none\" or units where planar",
     };
-    require(circular == (rule == ClampRule::Hub), key, name(rule), remedy)?;
+    let fits = rule == ClampRule::None || circular == (rule == ClampRule::Hub);
+    require(fits, key, name(rule), remedy)?;
     Ok(match rule {
         ClampRule::Bottom => layout.bottom(),
         ClampRule::Ends => layout.ends(),
         ClampRule::Sides => layout.sides(),
         ClampRule::Hub => layout.hub(),
+        ClampRule::None => Vec::new(),
     })
 }
 

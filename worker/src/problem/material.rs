@@ -61,6 +61,12 @@ pub(super) fn material(body: &spec::Body) -> Result<(f64, Stiffness), Invalid> {
     let spec::Stiffness { stretch, shear, bend } = stiffness;
     positive("body.density", density)?;
     not_negative("body.damping_ratio", body.damping_ratio)?;
+    if let Some(damping) = body.damping {
+        let sound = damping.iter().all(|c| *c >= 0.0 && c.is_finite());
+        require(sound, "body.damping", format!("{damping:?}"), "must be three numbers of 0 or above")?;
+        let usual = body.damping_ratio == spec::Body::DAMPING_RATIO;
+        require(usual, "body.damping_ratio", body.damping_ratio, "cannot be given beside body.damping")?;
+    }
     positive("body.stiffness.stretch", stretch)?;
     positive("body.stiffness.shear", shear)?;
     positive("body.stiffness.bend", bend)?;

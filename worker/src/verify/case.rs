@@ -197,6 +197,8 @@ impl Case {
             parts: Parts::default(),
             relaxation: None,
             damping_ratio: number("zeta")?,
+            damping: None,
+            inertia: None,
             contact,
             hinge: None,
             linearised: self.flag("scene.linearised")?,

@@ -19,6 +19,8 @@ pub fn reference() -> Scene {
         parts: Parts::default(),
         relaxation: None,
         damping_ratio: 0.02,
+        damping: None,
+        inertia: None,
         contact: None,
         hinge: None,
         linearised: false,
@@ -221,6 +223,19 @@ fn taylor_parameters(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
     Row::new(name, (farthest - 2.0).abs(), 0.1).noted(format!("{farthest:.3} of stretch … density"))
 }
 
+/// The scene with nothing held, damping given, the masses of one design, and units of another density.
+fn loose(base: &Scene) -> Scene {
+    let mut scene = Scene {
+        clamped: Vec::new(),
+        damping: Some([2e-4, 3e-4, 1e-3]),
+        damping_ratio: 1.0,
+        inertia: Some(base.layout.initial_design(0.3)),
+        ..base.clone()
+    };
+    scene.layout.density.iter_mut().step_by(3).for_each(|density| *density = 2.0);
+    scene
+}
+
 /// ⟨w, J v⟩ = ⟨Jᵀ w, v⟩, J v by a plain program in dual numbers, and the signals by that program; the worst of scenes of
 /// every kind.
 fn transpose(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
@@ -246,6 +261,7 @@ fn transpose(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
             1,
         ),
         ("struck off the centroids", base.clone(), 1),
+        ("nothing held, damping, masses and densities given", loose(&base), 1),
         ("each ligament and unit its own", Scene { parts: scattered(&base.layout), ..base.clone() }, 1),
     ];
     let count = scenes.len();

@@ -96,7 +96,8 @@ fn slivers(layout: &Layout) -> Vec<f64> {
         if (i + j) % 2 == 0 {
             let s = 0.9 * layout.half;
             for (node, shift) in [[-s, 0.0], [0.0, -s], [s, 0.0], [0.0, s]].into_iter().enumerate() {
-                design[2 * groups[node]..][..2].copy_from_slice(&shift);
+                let group = groups[node].expect("a square's nodes are all part of the design");
+                design[2 * group..][..2].copy_from_slice(&shift);
             }
         }
     }

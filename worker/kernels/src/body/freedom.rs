@@ -24,7 +24,8 @@ impl Freedom {
     /// If p or q is 0.
     pub fn new(layout: &Layout, [p, q]: [usize; 2], frozen_units: &[usize]) -> Self {
         let mut frozen = vec![false; layout.group_count];
-        frozen_units.iter().flat_map(|&unit| &layout.groups[unit]).for_each(|&group| frozen[group] = true);
+        let of = |unit: &usize| layout.groups[*unit].iter().flatten();
+        frozen_units.iter().flat_map(of).for_each(|&group| frozen[group] = true);
         let mut first: BTreeMap<GroupCell, usize> = BTreeMap::new();
         // blocks begin at the body's own corner, which in slanting rows is left of cell 0
         let least = |d: usize| layout.group_cells.iter().map(|(_, cell)| cell[d]).min().unwrap_or(0);

@@ -43,7 +43,7 @@ fn add_scaled(to: &mut [f64; 2], s: f64, a: [f64; 2]) {
 }
 
 impl Geometry {
-    /// Geometry of `design` with plane density `density` (Mg/mm²).
+    /// Geometry of `design` with plane density `density` (Mg/mm²), which each unit has a multiple of.
     pub fn new(layout: &Layout, design: &[f64], density: f64) -> Self {
         let vertices = layout.vertices(design);
         let n = layout.units();
@@ -57,12 +57,13 @@ impl Geometry {
         };
         for u in 0..n {
             let r = &mut g.arms[layout.first[u]..layout.first[u + 1]];
-            r.iter_mut().enumerate().for_each(|(p, r)| *r = layout.node(design, u, p));
+            layout.place(design, u, r);
             let (doubled, centroid) = doubled_and_centroid(r);
             r.iter_mut().for_each(|r| *r = difference(*r, centroid));
             let polar = polar(r);
             g.centroids[u] = sum(layout.centres[u], centroid);
             g.area[u] = doubled / 2.0;
+            let density = density * layout.density[u];
             g.mass[u] = density * g.area[u];
             g.moment[u] = density * polar / 12.0;
         }
@@ -86,6 +87,7 @@ impl Geometry {
             bar.clear();
             bar.extend_from_slice(&bar_arms[nodes]);
             let bar_r = &mut bar;
+            let density = density * layout.density[u];
             let scale = density * bar_moment[u] / 12.0;
             for (p, s) in edges(r.len()) {
                 let (a, b) = (r[p], r[s]);
@@ -112,10 +114,7 @@ impl Geometry {
                 add_scaled(&mut bar_q[p], bar_cross, [b[1], -b[0]]);
                 add_scaled(&mut bar_q[s], bar_cross, [-a[1], a[0]]);
             }
-            for (&group, bar) in layout.groups[u].iter().zip(bar_q) {
-                design[2 * group] += bar[0];
-                design[2 * group + 1] += bar[1];
-            }
+            layout.place_vjp(u, &q, bar_q, &mut design);
         }
         design
     }

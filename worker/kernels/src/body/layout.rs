@@ -6,8 +6,9 @@
 
 use super::geometry::moments;
 use super::pattern::{End, Pattern};
+use super::rigid::Follower;
 use crate::random::{Purpose, Stream};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// An elastic ligament between two nodes.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,8 +43,14 @@ pub struct Layout {
     pub spacing: f64,
     /// One kind of the pattern after another, by cells (j outer, i inner).
     pub ligaments: Vec<Ligament>,
-    /// Node group of each node of each unit.
-    pub groups: Vec<Vec<usize>>,
+    /// Node group of each node of each unit; none of nodes that are no part of the design: they stay, or follow others.
+    pub groups: Vec<Vec<Option<usize>>>,
+    /// Of each unit whether its shape is given, and no limit judges it.
+    pub rigid: Vec<bool>,
+    /// By what the plane density of each unit is multiplied.
+    pub density: Vec<f64>,
+    /// Of each unit its nodes that follow others.
+    pub followers: Vec<Vec<Follower>>,
     /// Of each node group.
     pub group_cells: Vec<GroupCell>,
     /// Number of node groups.
@@ -65,7 +72,7 @@ struct Units {
 
 /// The node groups of a layout: of each node, and each one's cell and turning.
 struct Groups {
-    of_nodes: Vec<Vec<usize>>,
+    of_nodes: Vec<Vec<Option<usize>>>,
     cells: Vec<GroupCell>,
     turning: Vec<[f64; 2]>,
 }
@@ -107,8 +114,8 @@ impl Layout {
         scan.dedup();
 
         let mut ligaments = Vec::new();
-        let mut groups: Vec<Vec<usize>> =
-            units.iter().map(|&(_, member)| vec![usize::MAX; pattern.units[member].nodes.len()]).collect();
+        let mut groups: Vec<Vec<Option<usize>>> =
+            units.iter().map(|&(_, member)| vec![None; pattern.units[member].nodes.len()]).collect();
         let (mut group_cells, mut turning) = (Vec::new(), Vec::new());
         for (kind, link) in pattern.links.iter().enumerate() {
             let [di, dj] = link.cells;
@@ -130,7 +137,7 @@ impl Layout {
                 }
                 for (unit, end) in ends {
                     if let Some(unit) = unit {
-                        groups[unit][end.node] = group_cells.len();
+                        groups[unit][end.node] = Some(group_cells.len());
                     }
                 }
                 let [x, y] = pattern.units[link.to.unit].nodes[link.to.node];
@@ -152,19 +159,30 @@ impl Layout {
     }
 
     /// A body of any polygons, each by its nodes (mm) counter-clockwise, joined by ligaments; `together` are further nodes that shift
-    /// together. Reference points are the means of a polygon's nodes.
-    pub fn of_polygons(polygons: &[Vec<[f64; 2]>], ligaments: &[[End; 2]], together: &[Vec<End>]) -> Self {
+    /// together. Reference points are the means of a polygon's nodes. Nodes of `rigid` units that no ligament holds stay, but for
+    /// those that follow others (of a unit each). Spacing and ligament length are the means over ligaments between other units, if
+    /// there are any.
+    pub fn of_polygons(
+        polygons: &[Vec<[f64; 2]>],
+        ligaments: &[[End; 2]],
+        together: &[Vec<End>],
+        rigid: &[usize],
+        followers: &[(usize, Follower)],
+    ) -> Self {
         let mean = |points: &[[f64; 2]]| {
             [0, 1].map(|d| points.iter().map(|q| q[d]).sum::<f64>() / points.len() as f64)
         };
         let length = |[x, y]: [f64; 2]| x.hypot(y);
         let between = |a: [f64; 2], b: [f64; 2]| [b[0] - a[0], b[1] - a[1]];
         let centres: Vec<[f64; 2]> = polygons.iter().map(|points| mean(points)).collect();
-        let count = ligaments.len().max(1) as f64;
-        let pitch = ligaments.iter().map(|[a, b]| length(between(centres[a.unit], centres[b.unit])));
+        let free = |[a, b]: &&[End; 2]| !rigid.contains(&a.unit) && !rigid.contains(&b.unit);
+        let some_free = ligaments.iter().any(|ends| free(&ends));
+        let measured = || ligaments.iter().filter(move |ends| !some_free || free(ends));
+        let count = measured().count().max(1) as f64;
+        let pitch = measured().map(|[a, b]| length(between(centres[a.unit], centres[b.unit])));
         let bare = |[a, b]: &[End; 2]| length(between(polygons[a.unit][a.node], polygons[b.unit][b.node]));
         let spacing = pitch.sum::<f64>() / count;
-        let ligament_length = ligaments.iter().map(bare).sum::<f64>() / count;
+        let ligament_length = measured().map(bare).sum::<f64>() / count;
         let half = 0.5 * (spacing - ligament_length);
         let relative = |(points, c): (&Vec<[f64; 2]>, &[f64; 2])| {
             points.iter().map(|q| between(*c, *q).map(|x| x / half)).collect()
@@ -188,10 +206,13 @@ impl Layout {
             }
         }
         let (mut number, mut groups) = (BTreeMap::new(), Vec::new());
+        let held: BTreeSet<End> = ligaments.iter().flatten().copied().collect();
         for (unit, points) in polygons.iter().enumerate() {
+            let is_rigid = rigid.contains(&unit);
             let of = |node: usize| {
-                let count = number.len();
-                *number.entry(root(&joined, End { unit, node })).or_insert(count)
+                let (end, count) = (End { unit, node }, number.len());
+                let moves = !is_rigid || held.contains(&end);
+                moves.then(|| *number.entry(root(&joined, end)).or_insert(count))
             };
             groups.push((0..points.len()).map(of).collect());
         }
@@ -205,7 +226,10 @@ impl Layout {
             cells: (0..number.len()).map(|group| (group, [0; 2])).collect(),
             turning: vec![[0.0; 2]; number.len()],
         };
-        Self::assembled(places, [spacing, ligament_length], ligaments, groups)
+        let mut layout = Self::assembled(places, [spacing, ligament_length], ligaments, groups);
+        rigid.iter().for_each(|&unit| layout.rigid[unit] = true);
+        followers.iter().for_each(|&(unit, follower)| layout.followers[unit].push(follower));
+        layout
     }
 
     fn assembled(
@@ -215,7 +239,7 @@ impl Layout {
         groups: Groups,
     ) -> Self {
         let mut boundary = vec![false; centres.len()];
-        let joined: std::collections::BTreeSet<End> = ligaments.iter().flatten().copied().collect();
+        let joined: BTreeSet<End> = ligaments.iter().flatten().copied().collect();
         for (unit, nodes) in shape.iter().enumerate() {
             boundary[unit] = (0..nodes.len()).any(|node| !joined.contains(&End { unit, node }));
         }
@@ -232,6 +256,9 @@ impl Layout {
             ligaments: ligaments.iter().map(|&[a, b]| Ligament { a, b, reference: [0.0; 2] }).collect(),
             group_count: groups.cells.len(),
             groups: groups.of_nodes,
+            rigid: vec![false; boundary.len()],
+            density: vec![1.0; boundary.len()],
+            followers: vec![Vec::new(); boundary.len()],
             group_cells: groups.cells,
             turning: groups.turning,
             carriers: boundary.iter().map(|edge| !edge).collect(),
@@ -288,25 +315,66 @@ impl Layout {
     /// The sign of θ_b − θ_a where the units at a ligament's ends turn as they do in `initial_design`; 1 where they do not.
     pub fn sense(&self, ligament: &Ligament) -> f64 {
         let End { unit, node } = ligament.a;
-        let ([x, y], [p, q]) = (self.shape[unit][node], self.turning[self.groups[unit][node]]);
+        let turning = self.groups[unit][node].map_or([0.0; 2], |group| self.turning[group]);
+        let ([x, y], [p, q]) = (self.shape[unit][node], turning);
         if x * q - y * p > 0.0 { -1.0 } else { 1.0 }
     }
 
-    /// Position of a node relative to its unit's reference point (mm).
-    pub fn node(&self, design: &[f64], unit: usize, node: usize) -> [f64; 2] {
-        let base = self.shape[unit][node];
-        let group = self.groups[unit][node];
-        [self.half * base[0] + design[2 * group], self.half * base[1] + design[2 * group + 1]]
+    /// Positions of a unit's nodes relative to its reference point (mm).
+    pub fn place(&self, design: &[f64], unit: usize, nodes: &mut [[f64; 2]]) {
+        for ((node, base), group) in nodes.iter_mut().zip(&self.shape[unit]).zip(&self.groups[unit]) {
+            let shift = group.map_or([0.0; 2], |group| [design[2 * group], design[2 * group + 1]]);
+            *node = [self.half * base[0] + shift[0], self.half * base[1] + shift[1]];
+        }
+        let [x, y] = self.centres[unit];
+        for follower in &self.followers[unit] {
+            let [p, q] = follower.place(self.bases(unit, follower), self.leaders(unit, follower, nodes));
+            nodes[follower.node] = [p - x, q - y];
+        }
+    }
+
+    /// Where a follower and those that it follows are undisplaced (mm).
+    pub(crate) fn bases(&self, unit: usize, follower: &Follower) -> [[f64; 2]; 3] {
+        let ([x, y], Follower { node, of: [a, b], .. }) = (self.centres[unit], *follower);
+        [node, a, b].map(|node| {
+            let [p, q] = self.shape[unit][node];
+            [x + self.half * p, y + self.half * q]
+        })
+    }
+
+    /// Where those are that it follows (mm).
+    fn leaders(&self, unit: usize, follower: &Follower, nodes: &[[f64; 2]]) -> [[f64; 2]; 2] {
+        let [x, y] = self.centres[unit];
+        follower.of.map(|node| [x + nodes[node][0], y + nodes[node][1]])
+    }
+
+    /// Adds to `design` what cotangents of a unit's nodes make of it, these being where they are. Those of followers go to those
+    /// that they follow.
+    pub fn place_vjp(&self, unit: usize, nodes: &[[f64; 2]], bar: &mut [[f64; 2]], design: &mut [f64]) {
+        for follower in &self.followers[unit] {
+            let own = std::mem::take(&mut bar[follower.node]);
+            let leaders = self.leaders(unit, follower, nodes);
+            let of = follower.vjp(self.bases(unit, follower), leaders, own);
+            for (node, [x, y]) in follower.of.into_iter().zip(of) {
+                bar[node] = [bar[node][0] + x, bar[node][1] + y];
+            }
+        }
+        for (group, bar) in self.groups[unit].iter().zip(bar) {
+            let Some(group) = *group else { continue };
+            design[2 * group] += bar[0];
+            design[2 * group + 1] += bar[1];
+        }
     }
 
     /// Absolute node positions of each unit (mm).
     pub fn vertices(&self, design: &[f64]) -> Vec<Vec<[f64; 2]>> {
         assert_eq!(design.len(), self.design_len(), "length of the design");
-        let place = |u: usize, p: usize| {
-            let q = self.node(design, u, p);
-            [self.centres[u][0] + q[0], self.centres[u][1] + q[1]]
+        let unit = |unit: usize| {
+            let (mut nodes, [x, y]) = (vec![[0.0; 2]; self.shape[unit].len()], self.centres[unit]);
+            self.place(design, unit, &mut nodes);
+            nodes.iter_mut().for_each(|node| *node = [x + node[0], y + node[1]]);
+            nodes
         };
-        let unit = |u: usize| (0..self.shape[u].len()).map(|p| place(u, p)).collect();
         (0..self.units()).map(unit).collect()
     }
 

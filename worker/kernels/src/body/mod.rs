@@ -6,8 +6,10 @@ mod freedom;
 mod geometry;
 mod layout;
 mod pattern;
+mod rigid;
 
 pub use freedom::Freedom;
 pub use geometry::{Geometry, edges, moments, void_angles_vjp};
 pub use layout::{GroupCell, Layout, Ligament};
 pub use pattern::{End, Pattern};
+pub use rigid::{Follower, Follows};

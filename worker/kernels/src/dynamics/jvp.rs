@@ -9,7 +9,7 @@ use super::schemes::Drift;
 use super::{
     Forces, Frame, Hinge, Inertia, Method, Mount, Parameters, Scene, Simulation, Tape, equilibrium, tsit5,
 };
-use crate::body::{End, edges};
+use crate::body::{End, Follower, Follows, Geometry, Layout, edges};
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -86,6 +86,33 @@ fn add(to: &mut State, from: &State) {
     }
 }
 
+/// Where a node is that follows others of its unit, relative to its reference point.
+fn followed(layout: &Layout, unit: usize, follower: &Follower, nodes: &[Pair]) -> Pair {
+    let constant = |at: [f64; 2]| at.map(|x| Dual(x, 0.0));
+    let centre = constant(layout.centres[unit]);
+    let [p, a0, b0] = layout.bases(unit, follower).map(constant);
+    let [a, b] = follower.of.map(|node| plus(centre, nodes[node]));
+    let turned = |[x, y]: Pair| [-y, x];
+    let middle = |a: Pair, b: Pair| plus(a, b).map(|x| 0.5 * x);
+    let direction = |a: Pair, b: Pair| {
+        let away = minus(b, a);
+        away.map(|x| x / dot(away, away).sqrt())
+    };
+    let sum = |a: Pair, s: Dual, b: Pair, t: Dual| plus(a.map(|a| s * a), b.map(|b| t * b));
+    let place = match follower.by {
+        Follows::MeanX => [p[0] + middle(minus(a, a0), minus(b, b0))[0], p[1]],
+        Follows::Segment => {
+            let (t0, t, from) = (direction(a0, b0), direction(a, b), minus(p, middle(a0, b0)));
+            plus(middle(a, b), sum(t, dot(from, t0), turned(t), dot(from, turned(t0))))
+        }
+        Follows::Angle => {
+            let (sin, cos) = (0.5 * (angle(a0, a) + angle(b0, b))).sin_cos();
+            sum(p, cos, turned(p), sin)
+        }
+    };
+    minus(place, centre)
+}
+
 /// Along what a derivative is taken.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Tangent<'a> {
@@ -122,12 +149,18 @@ impl<'a> Body<'a> {
         let (at, along) = (Parameters::of(scene).array(), tangent.parameters.array());
         let [stretch, shear, bend, ratio, density, contact] = std::array::from_fn(|k| Dual(at[k], along[k]));
         let (mut arms, mut mass) = (Vec::new(), Vec::new());
+        let kept = scene.inertia.as_ref().map(|design| Geometry::new(layout, design, 1.0));
         for u in 0..layout.units() {
-            let q = layout.groups[u].iter().enumerate().map(|(p, group)| {
-                let at = layout.node(design, u, p);
-                [0, 1].map(|d| Dual(at[d], or_zero(tangent.design, 2 * group + d)))
+            let mut at = vec![[0.0; 2]; layout.shape[u].len()];
+            layout.place(design, u, &mut at);
+            let q = layout.groups[u].iter().zip(&at).map(|(group, at)| {
+                let moves = |d: usize| group.map_or(0.0, |group| or_zero(tangent.design, 2 * group + d));
+                [0, 1].map(|d| Dual(at[d], moves(d)))
             });
-            let q: Vec<Pair> = q.collect();
+            let mut q: Vec<Pair> = q.collect();
+            for follower in &layout.followers[u] {
+                q[follower.node] = followed(layout, u, follower, &q);
+            }
             let edges = edges(q.len());
             let doubled = edges.clone().fold(Dual::default(), |s, (p, n)| s + cross(q[p], q[n]));
             let first = edges.clone().fold([Dual::default(); 2], |s, (p, n)| {
@@ -140,7 +173,13 @@ impl<'a> Body<'a> {
             let m = 0.5 * density * doubled;
             arms.extend(r);
             let by = scene.parts.units.get(u).copied().unwrap_or(1.0);
-            let own = [by * m, by * m, by / 12.0 * density * polar];
+            let own = match &kept {
+                Some(kept) => [kept.mass[u], kept.mass[u], kept.moment[u]].map(|m| by * (m * density)),
+                None => {
+                    let by = by * layout.density[u];
+                    [by * m, by * m, by / 12.0 * density * polar]
+                }
+            };
             let chip = Inertia::on(scene, u);
             mass.push(match scene.is_driven(u) {
                 true => heavy(scene).map(|m| Dual(m, 0.0)),
@@ -150,12 +189,13 @@ impl<'a> Body<'a> {
         let (area, round) = layout.mean_unit();
         let shift = 2.0 * ratio * (area * density * shear).sqrt();
         let turn = 2.0 * ratio * (area.powi(2) / 6.0 * round * density * bend).sqrt();
+        let damping = scene.damping.map_or([shift, shift, turn], |given| given.map(|c| c * ratio));
         Self {
             scene,
             arms,
             mass,
             stiffness: [stretch, shear, bend, contact],
-            damping: [shift, shift, turn],
+            damping,
             history: forces.sample(sample),
             along: tangent.forces,
             forces,

@@ -118,8 +118,12 @@ pub struct Model {
     pub start: Result<Vec<[f64; 3]>, Outcome>,
 }
 
-/// C = ζ(2√(m̂ k_s), 2√(m̂ k_s), 2√(Ĵ k_θ)) of the mean undisplaced unit, so that damping does not depend on the design.
+/// C = ζ(2√(m̂ k_s), 2√(m̂ k_s), 2√(Ĵ k_θ)) of the mean undisplaced unit, so that damping does not depend on the design; or ζ times
+/// what the scene gives.
 pub fn damping(scene: &Scene) -> [f64; 3] {
+    if let Some(given) = scene.damping {
+        return given.map(|c| scene.damping_ratio * c);
+    }
     let (area, round) = scene.layout.mean_unit();
     let (mass, moment) = (scene.density * area, scene.density * area.powi(2) / 6.0 * round);
     let shift = 2.0 * scene.damping_ratio * (mass * scene.stiffness.shear).sqrt();
@@ -295,9 +299,10 @@ impl ModelCotangent {
         add(self.start.as_flattened_mut(), other.start.as_flattened());
     }
 
-    /// Gradient in the parameters, where it was asked for: C ∝ ζ √ρ (√k_s, √k_s, √k_θ), masses ∝ ρ.
+    /// Gradient in the parameters, where it was asked for: C ∝ ζ √ρ (√k_s, √k_s, √k_θ), or ζ alone where it is given; masses ∝ ρ.
     pub fn parameters(&self, model: &Model, scene: &Scene) -> Parameters {
-        let c: [f64; 3] = std::array::from_fn(|d| self.damping[d] * model.damping[d]);
+        let follows = if scene.damping.is_some() { 0.0 } else { 1.0 };
+        let c: [f64; 3] = std::array::from_fn(|d| follows * self.damping[d] * model.damping[d]);
         let per_ratio = damping(&Scene { damping_ratio: 1.0, ..scene.clone() });
         let own = |bar: &Bar| std::array::from_fn(|k| bar.factors[k] * self.stiffness[bar.index][k]);
         let add = |sum: [f64; 3], own: [f64; 3]| std::array::from_fn(|k| sum[k] + own[k]);
@@ -336,6 +341,9 @@ impl ModelCotangent {
             void_angles_vjp(&model.geometry, layout, &self.voids, &mut self.arms);
         }
         self.mass.iter_mut().zip(&parts.units).for_each(|(m, by)| m.iter_mut().for_each(|m| *m *= by));
+        if scene.inertia.is_some() {
+            self.mass.fill([0.0; 3]);
+        }
         let mass: Vec<f64> = self.mass.iter().map(|m| m[0] + m[1]).collect();
         let moment: Vec<f64> = self.mass.iter().map(|m| m[2]).collect();
         model.geometry.vjp(layout, *density, &self.arms, &mass, &moment)

@@ -13,6 +13,8 @@ pub struct Rest {
     pub mass: Vec<f64>,
     /// Diagonal of C (N·s/mm, N·s/mm, N·mm·s).
     pub damping: Vec<f64>,
+    /// Whether some motion of the body as a whole meets no stiffness.
+    pub loose: bool,
     /// (row, column, value) of K by columns, both triangles, without zeros.
     pub stiffness: Vec<(usize, usize, f64)>,
     /// What 1 N on each panel does to the unknowns: (unknown, N or N·mm), without zeros.
@@ -37,6 +39,7 @@ impl Rest {
         Self {
             mass: unknowns.iter().map(|u| model.inverse_mass[u / 3][u % 3].recip()).collect(),
             damping: unknowns.iter().map(|u| model.damping[u % 3]).collect(),
+            loose: scene.is_loose(),
             stiffness,
             pushes: (0..scene.panels.len()).map(|k| pushes(&model, scene, &unknowns, k)).collect(),
             unknowns,

@@ -208,8 +208,12 @@ pub struct Scene {
     pub parts: Parts,
     /// How ligaments relax, in worlds that training never sees: such a scene has no gradient.
     pub relaxation: Option<Relaxation>,
-    /// ζ.
+    /// ζ; by what C is multiplied where `damping` gives that.
     pub damping_ratio: f64,
+    /// C of every unit (N·s/mm, N·s/mm, N·mm·s) for ζ = 1, if not that of the mean unit.
+    pub damping: Option<[f64; 3]>,
+    /// α (mm) of the design whose masses and moments of inertia all designs have, if not their own.
+    pub inertia: Option<Vec<f64>>,
     /// Contact; a scene without does not pay for it.
     pub contact: Option<Contact>,
     /// How ligaments bend, if not in proportion to Δθ; likewise.
@@ -251,6 +255,10 @@ impl Scene {
             assert!(given == 0 || given == parts, "{given} factors of {parts} parts");
         }
         let mut geometry = Geometry::new(&self.layout, design, self.density);
+        if let Some(kept) = &self.inertia {
+            let Geometry { mass, moment, .. } = Geometry::new(&self.layout, kept, self.density);
+            (geometry.mass, geometry.moment) = (mass, moment);
+        }
         let Geometry { mass, moment, .. } = &mut geometry;
         mass.iter_mut().zip(units).for_each(|(m, by)| *m *= by);
         moment.iter_mut().zip(units).for_each(|(j, by)| *j *= by);

@@ -12,6 +12,8 @@ pub fn scene(columns: usize, rows: usize, instants: usize) -> Scene {
         parts: Parts::default(),
         relaxation: None,
         damping_ratio: 0.02,
+        damping: None,
+        inertia: None,
         contact: None,
         hinge: None,
         linearised: false,

@@ -498,8 +498,11 @@ fn circular_bodies_are_bodies() {
         let layout = Layout::circular(&Pattern::square(), across, 15.0, 2.25);
         let radius = 0.5 * across as f64 * 15.0;
         assert!(layout.centres.iter().all(|c| c[0].hypot(c[1]) <= radius));
-        let ends: usize =
-            layout.groups.iter().map(|g| g.iter().filter(|g| **g < layout.group_count).count()).sum();
+        let ends: usize = layout
+            .groups
+            .iter()
+            .map(|g| g.iter().flatten().filter(|g| **g < layout.group_count).count())
+            .sum();
         assert_eq!(ends, 4 * layout.units());
         assert_eq!(layout.group_count, 4 * layout.units() - layout.ligaments.len(), "{across}");
         assert_eq!(layout.hub().len(), if across % 2 == 0 { 4 } else { 1 });

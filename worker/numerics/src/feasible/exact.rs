@@ -125,7 +125,7 @@ pub fn violations(layout: &Layout, limits: &Limits, design: &[f64]) -> Vec<Viola
     }
     if found.is_empty() {
         for (u, corners) in units.iter().enumerate() {
-            judge_unit(u, corners, limits, &mut found);
+            judge_unit(u, corners, limits, layout.rigid[u], &mut found);
         }
         judge_ligaments(layout, &units, limits, &mut found);
         judge_distances(layout, &units, limits, &mut found);
@@ -156,7 +156,7 @@ fn turn(a: Point, b: Point) -> f64 {
     if angle < 0.0 { angle + TAU } else { angle }
 }
 
-fn judge_unit(u: usize, corners: &[Point], limits: &Limits, found: &mut Vec<Violation>) {
+fn judge_unit(u: usize, corners: &[Point], limits: &Limits, rigid: bool, found: &mut Vec<Violation>) {
     let count = corners.len();
     let edge = |p: usize| [corners[p], corners[(p + 1) % count]];
     let apart = |p: usize, q: usize| q - p > 1 && q - p < count - 1;
@@ -170,6 +170,9 @@ fn judge_unit(u: usize, corners: &[Point], limits: &Limits, found: &mut Vec<Viol
     let area: f64 = (1..count - 1).map(fan).sum();
     if crossing || !(area > 0.0) {
         found.push(broken(Kind::NotSimple, [u, u], None, area, 0.0));
+    }
+    if rigid {
+        return;
     }
     for p in 0..count {
         let onward = minus(corners[(p + 1) % count], corners[p]);

@@ -6,6 +6,7 @@
 //! ```text
 //! minimise Σ w (α − target)²   subject to c(α) ≥ 0: angles, edges, distances
 //! ```
+//! No limit judges the shape of a rigid unit; what is beside it keeps its distance from each of its edges.
 
 mod exact;
 mod program;
@@ -71,7 +72,7 @@ impl Feasible {
     pub fn new(layout: &Layout, limits: Limits, fixed_units: &[usize]) -> Self {
         let mut fixed = vec![false; layout.group_count];
         for &unit in fixed_units {
-            for &group in &layout.groups[unit] {
+            for &group in layout.groups[unit].iter().flatten() {
                 fixed[group] = true;
             }
         }

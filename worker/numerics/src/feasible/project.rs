@@ -245,7 +245,10 @@ impl Feasible {
         for active in self.active(&best).iter().filter(|a| a.kind == Kind::Edge) {
             let (unit, p) = (active.units[0], active.node);
             let next = self.layout.next(End { unit, node: p }).node;
-            let groups = [self.layout.groups[unit][p], self.layout.groups[unit][next]];
+            let [Some(here), Some(there)] = [p, next].map(|node| self.layout.groups[unit][node]) else {
+                continue;
+            };
+            let groups = [here, there];
             if groups.iter().any(|&g| self.fixed[g]) {
                 continue;
             }

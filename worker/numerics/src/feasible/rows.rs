@@ -1,6 +1,7 @@
 //! The constraints as the projection sees them: smooth functions c(α) ≥ 0 in mm, with gradients, of near features.
 //!
-//! A node is base + α of its group, so a row touches at most three groups. Angles are scaled by their shorter edge.
+//! A node is base + α of its group, so a row touches at most three groups. Angles are scaled by their shorter edge. A node without
+//! a group stays while programs are solved; one that follows others is placed anew before the next.
 //! Two disjoint convex pieces are held apart by rows for each near (corner, edge) pair, whose gradient at the closest
 //! point is exact; overlapping ones by the edge normal along which they overlap least.
 
@@ -78,7 +79,7 @@ impl Row {
     }
 }
 
-/// A unit or a ligament (two corners).
+/// A unit, an edge of a rigid unit, or a ligament (two corners each).
 #[derive(Debug, Clone)]
 struct Piece {
     nodes: Vec<u32>,
@@ -87,13 +88,17 @@ struct Piece {
 }
 
 impl Piece {
-    fn is_unit(&self) -> bool {
+    fn is_closed(&self) -> bool {
         self.nodes.len() > 2
     }
 
-    /// From node to node; a ligament has one.
+    fn is_ligament(&self) -> bool {
+        self.units[0] != self.units[1]
+    }
+
+    /// From node to node; what is not closed has one.
     fn edges(&self) -> impl Iterator<Item = (u32, u32)> + '_ {
-        let count = if self.is_unit() { self.nodes.len() } else { 1 };
+        let count = if self.is_closed() { self.nodes.len() } else { 1 };
         edges(self.nodes.len()).take(count).map(|(p, s)| (self.nodes[p], self.nodes[s]))
     }
 }
@@ -102,8 +107,9 @@ impl Piece {
 #[derive(Debug, Clone)]
 pub(super) struct Rows {
     limits: Limits,
+    layout: Layout,
     base: Vec<Point>,
-    group: Vec<u32>,
+    group: Vec<Option<u32>>,
     /// Of each node its unit, the next and the last node there, and where it is in the unit's shape.
     unit: Vec<u32>,
     next: Vec<u32>,
@@ -154,7 +160,7 @@ impl Rows {
         let units = layout.units();
         let half = layout.half;
         let base = layout.vertices(&vec![0.0; layout.design_len()]).concat();
-        let group = layout.groups.iter().flatten().map(|&group| group as u32).collect();
+        let group = layout.groups.iter().flatten().map(|group| group.map(|group| group as u32)).collect();
         let nodes = |u: usize| layout.first[u] as u32..layout.first[u + 1] as u32;
         let mut pieces: Vec<Piece> =
             (0..units).map(|u| Piece { nodes: nodes(u).collect(), units: [u as u32; 2] }).collect();
@@ -163,7 +169,7 @@ impl Rows {
         let of = |to: fn(&Layout, End) -> End| {
             ends.clone().map(|end| layout.number(to(layout, end)) as u32).collect()
         };
-        let (next, last) = (of(Layout::next), of(Layout::previous));
+        let (next, last): (Vec<u32>, Vec<u32>) = (of(Layout::next), of(Layout::previous));
         let mut ligaments = Vec::new();
         for ligament in &layout.ligaments {
             let (a, b) = (&ligament.a, &ligament.b);
@@ -171,10 +177,16 @@ impl Rows {
             pieces.push(Piece { nodes: vec![na, nb], units: [a.unit as u32, b.unit as u32] });
             ligaments.push((na, nb, ligament.reference));
         }
+        for u in (0..units).filter(|u| layout.rigid[*u]) {
+            let edge = |&n: &u32| Piece { nodes: vec![n, next[n as usize]], units: [u as u32; 2] };
+            let edges: Vec<Piece> = pieces[u].nodes.iter().map(edge).collect();
+            pieces.extend(edges);
+        }
         let cell = 2.0 * half.abs().max(1e-3);
         let unit = ends.map(|end| end.unit as u32).collect();
         Self {
             limits,
+            layout: layout.clone(),
             base,
             group,
             unit,
@@ -189,11 +201,12 @@ impl Rows {
     }
 
     fn place(&self, design: &[f64]) -> Vec<Point> {
-        self.base
-            .iter()
-            .zip(&self.group)
-            .map(|(b, &g)| [b[0] + design[2 * g as usize], b[1] + design[2 * g as usize + 1]])
-            .collect()
+        if self.layout.rigid.contains(&true) {
+            return self.layout.vertices(design).concat();
+        }
+        let shift = |group: Option<u32>, d: usize| group.map_or(0.0, |g| design[2 * g as usize + d]);
+        let place = |(b, &group): (&Point, &Option<u32>)| [b[0] + shift(group, 0), b[1] + shift(group, 1)];
+        self.base.iter().zip(&self.group).map(place).collect()
     }
 
     /// The unit of a node.
@@ -213,7 +226,11 @@ impl Rows {
     }
 
     fn gap(&self, a: &Piece, b: &Piece) -> f64 {
-        if a.is_unit() && b.is_unit() { self.limits.clearance } else { self.limits.ligament_clearance }
+        if a.is_ligament() || b.is_ligament() {
+            self.limits.ligament_clearance
+        } else {
+            self.limits.clearance
+        }
     }
 
     /// Pairs whose boxes come within their gap + `window` after any motion of up to `margin`/2 a coordinate.
@@ -258,7 +275,10 @@ impl Rows {
                 return;
             }
             let (one, other) = (&self.pieces[i as usize], &self.pieces[j as usize]);
-            if one.is_unit() && !other.is_unit() && other.units.contains(&one.units[0]) {
+            let whole = |piece: &Piece| piece.is_closed() && self.layout.rigid[piece.units[0] as usize];
+            let joined =
+                |one: &Piece, other: &Piece| !one.is_ligament() && other.units.contains(&one.units[0]);
+            if joined(one, other) || joined(other, one) || whole(one) || whole(other) {
                 return;
             }
             pairs.push((i, j));
@@ -316,7 +336,7 @@ impl Rows {
     fn row(&self, key: Key, value: f64, gradient: &[(u32, Point)], rows: &mut Vec<Row>) {
         let mut row = Row { key, value, terms: [(0, [0.0; 2]); 3], count: 0, bar: false };
         for &(node, g) in gradient {
-            let group = self.group[node as usize];
+            let Some(group) = self.group[node as usize] else { continue };
             match row.terms[..row.count].iter_mut().find(|t| t.0 == group) {
                 Some(term) => term.1 = [term.1[0] + g[0], term.1[1] + g[1]],
                 None => {
@@ -332,6 +352,9 @@ impl Rows {
 
     fn unit_rows(&self, at: &[Point], u: u32, window: f64, rows: &mut Vec<Row>) {
         let limits = &self.limits;
+        if self.layout.rigid[u as usize] {
+            return;
+        }
         for &here in &self.pieces[u as usize].nodes {
             let (next, last) = (self.next[here as usize], self.last[here as usize]);
             let [onward, back] = [next, last].map(|n| sub(at[n as usize], at[here as usize]));
@@ -427,7 +450,7 @@ impl Rows {
         let first = rows.len();
         self.gap_rows(at, a, b, window, rows);
         for row in &mut rows[first..] {
-            row.bar = !(a.is_unit() && b.is_unit());
+            row.bar = a.is_ligament() || b.is_ligament();
         }
     }
 
@@ -504,7 +527,7 @@ fn separation(at: &[Point], a: &Piece, b: &Piece) -> (f64, Point, bool, (u32, u3
             let normal = [along[1] / length, -along[0] / length];
             let mut directions =
                 [normal, scale(-1.0, normal), scale(1.0 / length, along), scale(-1.0 / length, along)];
-            let used = if owner.is_unit() { &mut directions[..1] } else { &mut directions[..] };
+            let used = if owner.is_closed() { &mut directions[..1] } else { &mut directions[..] };
             for n in used {
                 let far =
                     owner.nodes.iter().fold(f64::NEG_INFINITY, |m, &q| m.max(inner(*n, at[q as usize])));

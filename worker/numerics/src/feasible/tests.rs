@@ -1,7 +1,7 @@
 //! Properties of the projection and of its judge.
 
 use super::*;
-use crate::body::Pattern;
+use crate::body::{End, Follower, Follows, Pattern};
 use crate::random::{Purpose, Stream};
 use proptest::prelude::*;
 
@@ -152,13 +152,57 @@ fn fixed_units_stay() {
     assert!(before[5] != after[5]);
 }
 
+/// Squares below a rigid plate with a notch between its two anchors.
+fn plated() -> (Layout, Vec<f64>) {
+    let (squares, start, _) = body(2, 3);
+    let mut units = squares.vertices(&start);
+    let ([x, y], [z, w]) = (units[4][1], units[5][1]);
+    let (level, top) = (45.0, 52.0);
+    units.push(vec![
+        [-7.5, top],
+        [-7.5, level],
+        [x, y + 2.25],
+        [0.5 * (x + z), level],
+        [z, w + 2.25],
+        [22.5, level],
+        [22.5, top],
+    ]);
+    let mut ligaments: Vec<[End; 2]> = squares.ligaments.iter().map(|l| [l.a, l.b]).collect();
+    let joint = |unit, node| [End { unit, node: 1 }, End { unit: 6, node }];
+    ligaments.extend([joint(4, 2), joint(5, 4)]);
+    let follower = Follower { node: 3, of: [2, 4], by: Follows::MeanX };
+    let layout = Layout::of_polygons(&units, &ligaments, &[], &[6], &[(6, follower)]);
+    let start = vec![0.0; layout.design_len()];
+    (layout, start)
+}
+
+/// No limit judges the reflex corners of a rigid plate, whose anchors are shifted; what is beside it keeps its distance from it.
+#[test]
+fn a_rigid_plate_is_taken_as_it_is_and_kept_clear_of() {
+    let (layout, start) = plated();
+    let mut feasible = Feasible::new(&layout, Limits::default(), &[]);
+    assert_eq!(feasible.violations(&start), []);
+    for (seed, size) in [(1, 4.0), (2, 5.0), (3, 6.0), (4, 7.5)] {
+        let out = feasible.project(&start, &noisy(&start, size, seed), None);
+        assert_eq!((out.status, feasible.violations(&out.design)), (Status::Projected, vec![]), "{size}");
+        let [was, is] = [&start, &out.design].map(|design| layout.vertices(design)[6].clone());
+        assert!(was[2] != is[2] && was[3] != is[3] && [0, 1, 5, 6].iter().all(|&node| was[node] == is[node]));
+    }
+    // a square that is drawn through the plate
+    let mut wrong = start.clone();
+    let free = layout.groups[4][2].unwrap();
+    wrong[2 * free + 1] += 22.0;
+    let kinds: Vec<_> = feasible.violations(&wrong).iter().map(|v| (v.kind, v.units)).collect();
+    assert!(kinds.contains(&(Kind::Overlap, [4, 6])), "{kinds:?}");
+}
+
 /// Each kind of violation, made on purpose, is found by its name and its units.
 #[test]
 fn the_judge_names_what_is_broken() {
     let (layout, start, feasible) = body(3, 3);
     let seen = |unit: usize, node: usize, shift: [f64; 2]| {
         let mut design = start.clone();
-        let group = layout.groups[unit][node];
+        let group = layout.groups[unit][node].unwrap();
         design[2 * group] += shift[0];
         design[2 * group + 1] += shift[1];
         feasible.violations(&design).iter().map(|v| (v.kind, v.units)).collect::<Vec<_>>()

@@ -5,7 +5,8 @@
 //! ```
 //! C is not proportional to M and K, so that shapes are complex and s comes of the first-order form, z = (Ω x, s x), of twice
 //! the unknowns, Ω a high frequency: eigenvalues of least |s| by block Arnoldi on its inverse (Saad, Numerical Methods for Large
-//! Eigenvalue Problems, 2011, ch. 6), K by a sparse Cholesky factor. Responses take a sparse LU factor a frequency.
+//! Eigenvalue Problems, 2011, ch. 6), K by a sparse Cholesky factor. Responses take a sparse LU factor a frequency. A body that nothing
+//! holds moves as a whole at s = 0, where K has no factor: its inverse is that of A − σ, σ far below Ω, by P = K + σ C + σ² M.
 
 pub mod bound;
 
@@ -34,7 +35,7 @@ impl Mode {
 
     /// −Re s/|s|: 1 where it does not ring.
     pub fn damping_ratio(&self) -> f64 {
-        -self.s.re / self.s.norm()
+        if self.s == c64::ZERO { 1.0 } else { -self.s.re / self.s.norm() }
     }
 
     /// −1/Re s (s); none where nothing damps it.
@@ -46,7 +47,7 @@ impl Mode {
 /// Why a body has no modes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NoModes {
-    /// It is not held: some motion meets no stiffness.
+    /// Some motion meets no stiffness though the body is held, or no damping where it is not.
     Loose,
     /// Its masses, stiffness or damping are not finite, or so far apart that what follows from them is not.
     NotFinite,
@@ -60,6 +61,9 @@ const ROUNDED: f64 = 1e-8;
 const STARTS: usize = 3;
 /// Eigenvalues are told apart from here on.
 const APART: f64 = 1e-8;
+/// σ/Ω of a body that nothing holds, and |s|/σ below which s is 0 but for rounding.
+const SHIFT: f64 = 1e-3;
+const STILL: f64 = 1e-6;
 
 /// The `count` modes of least |s|, in order of it; fewer where the body has fewer.
 ///
@@ -71,9 +75,17 @@ pub fn modes(rest: &Rest, units: usize, count: usize) -> Result<Vec<Mode>, NoMod
     if !rest.mass.iter().chain(&rest.damping).chain(stiff).all(|x| x.is_finite()) {
         return Err(NoModes::NotFinite);
     }
-    let stiffness = sparse(n, &rest.stiffness).sp_cholesky(Side::Lower).map_err(|_| NoModes::Loose)?;
+    if rest.loose && rest.damping.contains(&0.0) {
+        return Err(NoModes::Loose);
+    }
     let own = rest.stiffness.iter().filter(|(i, j, _)| i == j).map(|&(i, _, k)| (k / rest.mass[i]).sqrt());
-    let inverse = Inverse { rest, stiffness, scale: own.fold(0.0, f64::max) };
+    let scale = own.fold(0.0, f64::max);
+    let shift = if rest.loose { SHIFT * scale } else { 0.0 };
+    let own = |i: usize| (i, i, shift * (rest.damping[i] + shift * rest.mass[i]));
+    let added = (0..n).map(own).filter(|_| rest.loose);
+    let stiffness: Vec<_> = rest.stiffness.iter().copied().chain(added).collect();
+    let stiffness = sparse(n, &stiffness).sp_cholesky(Side::Lower).map_err(|_| NoModes::Loose)?;
+    let inverse = Inverse { rest, stiffness, scale, shift };
     let mut space = Subspace { basis: Vec::new(), image: Vec::new(), drawn: 0 };
     let mut size = (4 * count + 16).min(2 * n);
     loop {
@@ -220,14 +232,15 @@ impl Subspace {
     fn pairs(&self, inverse: &Inverse<'_>, count: usize) -> Option<Vec<(c64, Vec<c64>)>> {
         let (m, n) = (self.image.len(), inverse.rest.mass.len());
         let values = Mat::from_fn(m, m, |i, j| self.part(i, j)).eigenvalues().ok()?;
-        let mut slow: Vec<c64> =
-            values.into_iter().map(|value| value.inv()).filter(|s| s.im >= 0.0).collect();
+        let still = |s: c64| if s.norm() < STILL * inverse.shift { c64::ZERO } else { s };
+        let values = values.into_iter().map(|value| still(inverse.shift + value.inv()));
+        let mut slow: Vec<c64> = values.filter(|s| s.im >= 0.0).collect();
         slow.sort_by(|a, b| a.norm().total_cmp(&b.norm()));
         slow.truncate(count);
         let mut pairs: Vec<(c64, Vec<c64>)> = Vec::new();
         for s in slow {
             // The iteration must not divide by zero, and may be this far off
-            let shift = s.inv() * (1.0 + 1e-3 * APART);
+            let shift = (s - inverse.shift).inv() * (1.0 + 1e-3 * APART);
             let pace = 3.1 + (pairs.len() as f64).sqrt();
             let x = |i: usize| (1.0 + pace * (i % n) as f64).sin();
             let by = |i: usize| if i < n { c64::from(inverse.scale) } else { s };
@@ -243,7 +256,9 @@ impl Subspace {
             for (y, v) in y.into_iter().zip(&self.basis) {
                 x.iter_mut().zip(v.iter()).for_each(|(x, v)| *x += y * *v);
             }
-            for (_, other) in pairs.iter().filter(|(known, _)| (known - s).norm() < APART * s.norm()) {
+            for (_, other) in
+                pairs.iter().filter(|(known, _)| (known - s).norm() < APART * (s - inverse.shift).norm())
+            {
                 let along = inverse.across(s, other, &x) / inverse.across(s, other, other);
                 x.iter_mut().zip(other).for_each(|(x, other)| *x -= along * other);
             }
@@ -350,23 +365,28 @@ fn read(
     [x * c + y * s, y * c - x * s, speed * turn]
 }
 
-/// z ↦ A⁻¹ z of ż = A z, z = (Ω x, ẋ): x ↦ −K⁻¹ (C x + M ẋ), ẋ ↦ x.
+/// z ↦ (A − σ)⁻¹ z of ż = A z, z = (Ω x, ẋ): x ↦ −P⁻¹ ((C + σ M) x + M ẋ), ẋ ↦ x + σ times that.
 struct Inverse<'a> {
     rest: &'a Rest,
+    /// Of P.
     stiffness: Llt<usize, f64>,
     /// Ω (rad/s): parts of z are of like size in quick modes, too.
     scale: f64,
+    /// σ (1/s): 0 of a body that is held.
+    shift: f64,
 }
 
 impl Inverse<'_> {
     fn apply(&self, z: &DVector<f64>) -> DVector<f64> {
         let (Rest { mass, damping, .. }, n) = (self.rest, self.rest.mass.len());
-        let net = |i: usize, _| -(damping[i] * z[i] + self.scale * mass[i] * z[n + i]);
+        let slowed = |i: usize| damping[i] + self.shift * mass[i];
+        let net = |i: usize, _| -(slowed(i) * z[i] + self.scale * mass[i] * z[n + i]);
         let moved = self.stiffness.solve(Mat::from_fn(n, 1, net));
-        DVector::from_fn(2 * n, |i, _| if i < n { moved[(i, 0)] } else { z[i - n] / self.scale })
+        let speed = |i: usize| (z[i] + self.shift * moved[(i, 0)]) / self.scale;
+        DVector::from_fn(2 * n, |i, _| if i < n { moved[(i, 0)] } else { speed(i - n) })
     }
 
-    /// √(rᴴ K⁻¹ r / xᴴ K x), r = (s² M + s C + K) x, and what of it may be rounding, ε |x|ᵀ|K||x| / xᴴ K x.
+    /// √(rᴴ P⁻¹ r / xᴴ P x), r = (s² M + s C + K) x, and what of it may be rounding, ε |x|ᵀ|K||x| / xᴴ P x.
     fn left(&self, s: c64, x: &[c64]) -> [f64; 2] {
         let (Rest { mass, damping, stiffness, .. }, n) = (self.rest, x.len());
         let (mut elastic, mut sizes) = (vec![c64::ZERO; n], 0.0);
@@ -378,7 +398,9 @@ impl Inverse<'_> {
         let parts = Mat::from_fn(n, 2, |i, part| if part == 0 { force(i).re } else { force(i).im });
         let moved = self.stiffness.solve(&parts);
         let work = |part: usize| (0..n).map(|i| parts[(i, part)] * moved[(i, part)]).sum::<f64>();
+        let added = |i: usize| self.shift * (damping[i] + self.shift * mass[i]) * x[i].norm_sqr();
         let whole: f64 = x.iter().zip(&elastic).map(|(x, f)| (x.conj() * f).re).sum();
+        let whole = whole + (0..n).map(added).sum::<f64>();
         [((work(0) + work(1)).max(0.0) / whole).sqrt(), f64::EPSILON * sizes / whole]
     }
 

@@ -15,6 +15,8 @@ fn scene(layout: Layout, clamped: Vec<usize>) -> Scene {
         parts: Parts::default(),
         relaxation: None,
         damping_ratio: 0.02,
+        damping: None,
+        inertia: None,
         contact: None,
         hinge: None,
         linearised: false,
@@ -343,5 +345,40 @@ fn modes_without_damping_are_not_damped() {
             assert!((0.0..=1.0).contains(&ratio) && ratio > 0.0 && time > 0.0, "{damping_ratio}: {}", mode.s);
             assert!(mode.s.im > 0.0 || ratio == 1.0, "{damping_ratio}: {}", mode.s);
         }
+    }
+}
+
+/// A body that nothing holds has three modes at s = 0, which strain nothing, as many that only slow down, and all others as a held one has.
+#[test]
+fn a_loose_body_moves_as_a_whole() {
+    let (small, design) = small();
+    let of = |linearised| Scene {
+        clamped: Vec::new(),
+        guided: Vec::new(),
+        panels: small.panels[..2].to_vec(),
+        linearised,
+        ..small.clone()
+    };
+    for scene in [of(false), of(true)] {
+        let n = 3 * scene.layout.units();
+        let (rest, modes) = found(&scene, &design, 2 * n);
+        assert!(
+            modes[..3].iter().all(|mode| mode.s == c64::ZERO) && modes[3].s != c64::ZERO,
+            "{:?}",
+            modes[..4].iter().map(|mode| mode.s).collect::<Vec<_>>()
+        );
+        let most = rest.stiffness.iter().fold(0.0, |most: f64, (_, _, k)| most.max(k.abs()));
+        for mode in &modes[..3] {
+            let x = |i: usize| mode.shape[i / 3][i % 3];
+            let size: f64 = (0..n).map(|i| x(i).norm_sqr()).sum();
+            let strained: f64 = rest.stiffness.iter().map(|&(i, j, k)| (x(i).conj() * k * x(j)).re).sum();
+            assert!(strained.abs() < 1e-9 * most * size, "{strained} of {}", most * size);
+        }
+        assert!(modes[3..].iter().all(|mode| off(&rest, mode) < 1e-6));
+        // the trace of −M⁻¹ C is the sum of all s
+        let trace: f64 = rest.damping.iter().zip(&rest.mass).map(|(c, m)| -c / m).sum();
+        let pairs = |mode: &Mode| if mode.s.im > 0.0 { 2.0 * mode.s.re } else { mode.s.re };
+        let sum: f64 = modes.iter().map(pairs).sum();
+        assert!((sum / trace - 1.0).abs() < 1e-6, "{sum} {trace}");
     }
 }

@@ -32,6 +32,8 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
             parts: Parts::default(),
             relaxation: None,
             damping_ratio: 0.02,
+            damping: None,
+            inertia: None,
             contact: None,
             hinge: None,
             linearised: false,

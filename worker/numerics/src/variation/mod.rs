@@ -108,6 +108,7 @@ impl Variation {
         let count = layout.group_count;
         let (vertices, mut at) = (layout.vertices(&vec![0.0; 2 * count]), vec![([0.0; 2], 0.0); count]);
         for (&group, node) in layout.groups.iter().flatten().zip(vertices.iter().flatten()) {
+            let Some(group) = group else { continue };
             let (sum, nodes) = &mut at[group];
             *sum = [sum[0] + node[0], sum[1] + node[1]];
             *nodes += 1.0;

@@ -12,6 +12,8 @@ fn tangents_are_those_of_dual_numbers_and_of_the_adjoint() {
         parts: Parts::default(),
         relaxation: None,
         damping_ratio: 0.02,
+        damping: None,
+        inertia: None,
         contact: None,
         hinge: None,
         linearised: false,

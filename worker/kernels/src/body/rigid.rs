@@ -1,0 +1,93 @@
+//! Nodes of rigid units that no ligament holds, and that follow two nodes of their unit, a and b, which ligaments hold.
+//!
+//! ```text
+//! MeanX    p = p₀ + (½ (a_x − a₀_x + b_x − b₀_x), 0)
+//! Segment  p = ½ (a + b) + s t + w n      t = (b − a)/|b − a|, n = t turned by 90°; s, w those of the undisplaced unit
+//! Angle    p = R(φ) p₀                    φ = ½ (∠(a₀ → a) + ∠(b₀ → b)) about the origin
+//! ```
+
+type Point = [f64; 2];
+
+/// How a node follows two others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Follows {
+    /// Along x, by the mean of their shifts.
+    MeanX,
+    /// With the segment between them, as if fixed to its middle.
+    Segment,
+    /// About the origin, by the mean of their turns.
+    Angle,
+}
+
+/// A node that follows two others of its unit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Follower {
+    /// The node.
+    pub node: usize,
+    /// Those that it follows.
+    pub of: [usize; 2],
+    /// How.
+    pub by: Follows,
+}
+
+fn cross(a: Point, b: Point) -> f64 {
+    a[0] * b[1] - a[1] * b[0]
+}
+fn dot(a: Point, b: Point) -> f64 {
+    a[0] * b[0] + a[1] * b[1]
+}
+fn between(a: Point, b: Point) -> Point {
+    [b[0] - a[0], b[1] - a[1]]
+}
+/// s times a and t times a turned by 90°.
+fn along(a: Point, s: f64, t: f64) -> Point {
+    [s * a[0] - t * a[1], s * a[1] + t * a[0]]
+}
+
+/// Length of the segment, its direction, and the node's place from its middle along and across it.
+fn frame([p, a, b]: [Point; 3]) -> (f64, Point, [f64; 2]) {
+    let away = between(a, b);
+    let length = away[0].hypot(away[1]);
+    let t = away.map(|x| x / length);
+    let from = [0, 1].map(|d| p[d] - 0.5 * (a[d] + b[d]));
+    (length, t, [dot(from, t), cross(t, from)])
+}
+
+impl Follower {
+    /// Where the node is, from where it and those that it follows are undisplaced (mm), and where these are.
+    pub fn place(&self, base @ [p, a0, b0]: [Point; 3], [a, b]: [Point; 2]) -> Point {
+        match self.by {
+            Follows::MeanX => [p[0] + 0.5 * (a[0] - a0[0] + (b[0] - b0[0])), p[1]],
+            Follows::Segment => {
+                let (_, _, [s, w]) = frame(base);
+                let (_, t, _) = frame([p, a, b]);
+                let by = along(t, s, w);
+                [0, 1].map(|d| 0.5 * (a[d] + b[d]) + by[d])
+            }
+            Follows::Angle => {
+                let turn = |from: Point, to: Point| cross(from, to).atan2(dot(from, to));
+                let (sin, cos) = (0.5 * (turn(a0, a) + turn(b0, b))).sin_cos();
+                along(p, cos, sin)
+            }
+        }
+    }
+
+    /// The cotangents of a and b that one of the node makes.
+    pub fn vjp(&self, base @ [p, _, _]: [Point; 3], now @ [a, b]: [Point; 2], bar: Point) -> [Point; 2] {
+        match self.by {
+            Follows::MeanX => [[0.5 * bar[0], 0.0]; 2],
+            Follows::Segment => {
+                let (_, _, [s, w]) = frame(base);
+                let (length, t, _) = frame([p, a, b]);
+                // t turns by n·(db − da)/|b − a|, and the node with it
+                let turn = dot(along(t, -w, s), bar) / length;
+                let half = bar.map(|x| 0.5 * x);
+                [-turn, turn].map(|turn| [0, 1].map(|d| half[d] + along(t, 0.0, turn)[d]))
+            }
+            Follows::Angle => {
+                let half = 0.5 * dot(along(self.place(base, now), 0.0, 1.0), bar);
+                now.map(|q| along(q, 0.0, half / dot(q, q)))
+            }
+        }
+    }
+}
