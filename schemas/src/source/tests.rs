@@ -30,7 +30,7 @@ fn complaint(from: &str, to: &str) -> String {
 fn keys_left_out_have_the_defaults_of_the_documentation() {
     let spec = parse(GOOD).unwrap();
     assert_eq!((spec.time.duration, spec.time.samples), (1.0, 200));
-    assert_eq!((spec.stimuli.samples, spec.stimuli.test, spec.stimuli.holdout), (300, 30, 60));
+    assert_eq!((spec.stimuli.samples, spec.stimuli.test, spec.stimuli.holdout), (470, 200, 300));
     assert_eq!((spec.brain.iterations, spec.optimise.steps(), spec.evaluation.networks()), (1000, 350, 3));
     assert_eq!((spec.sweep.placements, &spec.sweep.seeds[..]), (1, &[1][..]));
     assert_eq!(spec.sweep.axes["body.columns"], [5, 6]);

@@ -112,7 +112,8 @@ pub struct Stimuli {
     /// Samples that train and test the brain (N), at most 1 000 000.
     #[serde(default = "stimuli_samples")]
     pub samples: usize,
-    /// Those of the N that are the test set. The test error steers the body's design.
+    /// Those of the N that are the test set. The test error steers the body's design: with 30 samples the body that is chosen is more
+    /// than 5 % worse than the best in a quarter of trials, with 200 in one of fifty.
     #[serde(default = "stimuli_test")]
     pub test: usize,
     /// Further samples that training never sees, at most 1 000 000: the errors to quote.
@@ -201,13 +202,13 @@ impl Stimuli {
 }
 
 fn stimuli_samples() -> usize {
-    300
+    470
 }
 fn stimuli_test() -> usize {
-    30
+    200
 }
 fn stimuli_holdout() -> usize {
-    60
+    300
 }
 
 /// A signal of a file: a column of a CSV or an array of an NPZ by name, a row or column by number, from 0.
