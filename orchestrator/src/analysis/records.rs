@@ -5,7 +5,7 @@
 
 use super::numbers::{deviation, mean, quantile};
 use super::paired::iteration_ratio;
-use super::resample::{Interval, LEAST_UNITS, REPLICATES, SEED};
+use super::resample::{Interval, LEAST_UNITS, SEED};
 use super::trial::CurvePoint;
 use crate::look::{Table, row};
 use metasense_worker::Draw;
@@ -191,6 +191,9 @@ impl Sums {
     }
 }
 
+/// Replicates: 2.5 % of one more than these are whole.
+const STUDENTISED: usize = 999;
+
 /// The 95 % interval of that ratio by the studentised bootstrap, records drawn within their groups (Hall, Ann. Stat. 16, 927, 1988):
 /// errors of records are skewed, and Student's t would leave out the mean too often. `None` of too few records.
 fn interval(groups: &[Vec<Errors>]) -> Option<Interval> {
@@ -206,7 +209,7 @@ fn interval(groups: &[Vec<Errors>]) -> Option<Interval> {
         let (log, error) = sums.log_ratio()?;
         Some((log - whole) / error).filter(|t| t.is_finite())
     };
-    let mut found: Vec<f64> = (0..REPLICATES).filter_map(studentised).collect();
+    let mut found: Vec<f64> = (0..STUDENTISED).filter_map(studentised).collect();
     found.sort_by(f64::total_cmp);
     if found.is_empty() {
         // all records say the same
