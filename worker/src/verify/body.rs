@@ -2,6 +2,7 @@
 
 use super::case::{Case, CaseError};
 use super::{DEFAULT, Row, relative};
+use metasense_numerics::body::Geometry;
 use metasense_numerics::dynamics::{
     Energy, Forces, Outcome, Scene, Simulation, Solver, Tolerance, Wrt, energy, energy_design_gradient,
     energy_gradient, run, signal_error, simulate, start, tune,
@@ -15,7 +16,7 @@ const ROUNDING: f64 = 1e-12;
 pub(super) const LEEWAY: f64 = 1.2;
 
 /// What every agreement with trajectories is asked at.
-const TIGHT: Solver = Solver::tsit5(Tolerance::both(1e-11));
+pub(super) const TIGHT: Solver = Solver::tsit5(Tolerance::both(1e-11));
 
 /// Initial design, vertices, centroids, arms, area, mass, moment, void angles, ligaments.
 pub fn geometry(case: &Case) -> Result<Vec<Row>, CaseError> {
@@ -80,7 +81,7 @@ pub fn energies(case: &Case) -> Result<Vec<Row>, CaseError> {
     Ok(rows)
 }
 
-fn outcomes(simulation: &Simulation) -> String {
+pub(super) fn outcomes(simulation: &Simulation) -> String {
     let failed: Vec<&str> =
         simulation.outcomes.iter().filter(|o| **o != Outcome::Ok).map(|o| o.name()).collect();
     failed.join(" ")
@@ -99,7 +100,7 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
         case.row("sensors", &tight.signals, "sensors", tolerance(own("sensors_relative_l2")?))?
             .noted(outcomes(&tight)),
     ];
-    let states = states(&scene, &design, &forces, &tight);
+    let states = states(&scene, &design, &forces, &tight, &scene.geometry(&design));
     let mut theirs = case.array("final_displacement")?;
     theirs.extend(case.array("final_velocity")?);
     let allowed = tolerance(own("final_state_relative_l2")?);
@@ -145,19 +146,24 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
 
 /// What a run went through.
 #[derive(Default)]
-struct States {
+pub(super) struct States {
     /// Displacements, then velocities of all samples at the end.
-    last: Vec<f64>,
+    pub last: Vec<f64>,
     /// At every instant.
-    kinetic: Vec<f64>,
+    pub kinetic: Vec<f64>,
     /// Contact included.
-    elastic: Vec<f64>,
+    pub elastic: Vec<f64>,
 }
 
-fn states(scene: &Scene, design: &[f64], forces: &Forces, run: &Simulation) -> States {
+pub(super) fn states(
+    scene: &Scene,
+    design: &[f64],
+    forces: &Forces,
+    run: &Simulation,
+    geometry: &Geometry,
+) -> States {
     let (mut states, mut velocities) = (States::default(), vec![]);
     let Some(tape) = &run.tape else { return states };
-    let geometry = scene.geometry(design);
     for sample in (0..forces.samples).filter(|&i| run.outcomes[i] == Outcome::Ok) {
         for n in 1..=scene.instants {
             let (x, v) = tape.state(sample, n);

@@ -95,7 +95,7 @@ impl Case {
         self.value(path, "whole number", |v| v.as_u64().map(|n| n as usize))
     }
 
-    fn flag(&self, path: &str) -> Result<bool, CaseError> {
+    pub fn flag(&self, path: &str) -> Result<bool, CaseError> {
         self.value(path, "true or false", Value::as_bool)
     }
 
@@ -103,7 +103,7 @@ impl Case {
         self.value(path, "list", |v| v.as_array().map(Vec::as_slice))
     }
 
-    fn units(&self, path: &str, count: usize) -> Result<Vec<usize>, CaseError> {
+    pub fn units(&self, path: &str, count: usize) -> Result<Vec<usize>, CaseError> {
         let unit = |i| self.size(&format!("{path}.{i}"));
         let units = (0..self.list(path)?.len()).map(unit).collect::<Result<Vec<_>, _>>()?;
         match units.iter().all(|&u| u < count) {

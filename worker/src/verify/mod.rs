@@ -3,6 +3,7 @@
 //! A case is a folder with `case.json` and `.npy` arrays (f64, C order; `tests/cases/` holds some). What can't be read,
 //! or is of a kind that is not known, is a failure.
 
+pub mod authors;
 mod body;
 mod brain;
 mod case;
@@ -102,6 +103,7 @@ fn of_case(name: &str, rows: Vec<Row>) -> Vec<Row> {
 fn compare(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, CaseError> {
     match case.text("kind")? {
         "geometry" => body::geometry(case),
+        "authors_trajectory" => authors::trajectory(case, pool),
         "energy" => body::energies(case),
         "trajectory" => body::trajectory(case, pool),
         "adjoint" => body::adjoint(case, pool),

@@ -27,8 +27,42 @@ fn the_committed_cases_hold() {
     let rows = cases(Path::new(folder), &pool()).expect("cases");
     let kinds: std::collections::BTreeSet<&str> =
         rows.iter().filter_map(|r| r.case.split('_').next()).collect();
-    assert_eq!(kinds.len(), 8, "{kinds:?}");
+    assert_eq!(kinds.len(), 9, "{kinds:?}");
     hold(&rows, kinds.len());
+}
+
+/// Areas, masses and moments of the authors' body for two forces, as their notebooks print them (commit 2c0b29e3,
+/// notebooks/Forward_simulation.ipynb), and how many units and design numbers their bodies have.
+#[test]
+fn bodies_of_the_authors_are_as_they_print_them() {
+    let layout = |given| crate::polygons::layout(&given).expect("a body");
+    let body = layout(authors::planar(5, 4, 2));
+    let geometry =
+        metasense_numerics::body::Geometry::new(&body, &vec![0.0; body.design_len()], 3.2325226e-8);
+    for (unit, area, mass, moment) in [
+        (0, 136.96231861, 4.4273379e-6, 1.01063077e-4),
+        (20, 363.61875, 1.17540583e-5, 1.06243502e-3),
+        (21, 363.61875, 1.17540583e-5, 1.20941048e-3),
+        (22, 909.046875, 2.93851457e-5, 1.62106749e-2),
+    ] {
+        let found = [geometry.area[unit], geometry.mass[unit], geometry.moment[unit]];
+        let off =
+            found.iter().zip([area, mass, moment]).map(|(found, printed)| (found / printed - 1.0).abs());
+        assert!(off.into_iter().all(|off| off < 5e-9), "{unit}: {found:?}");
+    }
+    for (given, units, numbers, ligaments) in [
+        (authors::planar(5, 4, 2), 23, 98, 40),
+        (authors::planar(11, 6, 4), 71, 298, 134),
+        (authors::planar(23, 6, 8), 147, 610, 286),
+    ] {
+        let layout = layout(given);
+        let found = (layout.units(), layout.design_len(), layout.ligaments.len());
+        assert_eq!(found, (units, numbers, ligaments));
+    }
+    for (n, inside) in [(10, 32), (15, 97), (23, 241), (35, 577)] {
+        assert_eq!(layout(authors::disc(n)).units(), inside + 8, "{n}");
+    }
+    assert_eq!(layout(authors::disc(15)).ligaments.len(), 216);
 }
 
 /// A folder without a case, broken JSON, an unknown kind, a missing array, an array cut short, a wrong number: each
