@@ -285,8 +285,8 @@ fn means_over_records() {
         shares.push(coverage(&question, campaigns, mean, |draw| mean_interval(&draws(draw)[1])));
     }
     assert_covers(&shares[..3]);
-    // the more skewed, the nearer to 93 %; 200 campaigns tell that to 2 %
-    assert!(shares[3..].iter().all(|share| (90.0..=97.0).contains(share)), "{shares:?}");
+    // some 93 %, which 200 campaigns tell to three standard errors
+    assert!(shares[3..].iter().all(|share| (88.0..=99.0).contains(share)), "{shares:?}");
 }
 
 /// L = 30·(N/N₀)^−0.8 + 4 on seven sizes in `placements` whose levels differ by 10 %, noise 4 %.
