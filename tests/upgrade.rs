@@ -19,7 +19,8 @@ fn database(version: usize) -> PathBuf {
 fn plan() -> Plan {
     let then = "[optimise]\nprotocol = \"paper\"\niterations = 100\nlearning_rate = 0.1\n\
                 [solver]\nmethod = \"tsit5\"\ntolerance = 1e-6\n[evaluation]\nseeds = 1\n";
-    Plan::new("s.toml", format!("{SPEC}{then}")).unwrap()
+    let spec = SPEC.replace("test = 4\n", "test = 4\nholdout = 60\n");
+    Plan::new("s.toml", format!("{spec}{then}")).unwrap()
 }
 
 fn checkpoint() -> Checkpoint {
