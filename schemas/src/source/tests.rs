@@ -98,7 +98,7 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
         (
             "rows = 6",
             "clamp = \"top\"",
-            "a.toml:4: body.clamp = \"top\": must be \"bottom\", \"ends\", \"sides\", \"hub\" or a list of whole numbers from 0 up",
+            "a.toml:4: body.clamp = \"top\": must be \"bottom\", \"ends\", \"sides\", \"hub\", \"none\" or a list of whole numbers from 0 up",
         ),
         (
             "{ stretch = 3.0, shear = 0.5, bend = 1.0 }",

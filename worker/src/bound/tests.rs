@@ -7,7 +7,7 @@ fn trial(design: &str, units: &[usize]) -> TrialSpec {
     let json = format!(
         r#"{{"body": {{"columns": 6, "rows": 6, "spacing": 15.0, "ligament_length": 2.25, "density": 1e-8, {design}
             "stiffness": {{"stretch": 3.0, "shear": 0.5, "bend": 1.0}}}}, "time": {{}}, "solver": {{}},
-            "sensors": {{"noise": 0.03}}, "stimuli": {{"kind": "bell", "samples": 150}}, "brain": {{"kind": "linear"}},
+            "sensors": {{"noise": 0.03}}, "stimuli": {{"kind": "bell", "samples": 150, "test": 30, "holdout": 60}}, "brain": {{"kind": "linear"}},
             "optimise": {{"brain": "linear"}}, "evaluation": {{}}, "feasible": {{}},
             "point": {{"panels": 2, "sensors": {}, "placement": 0, "seed": 11}}, "panel_units": [31, 34],
             "sensor_units": {units:?}}}"#,

@@ -73,7 +73,7 @@ fn an_impossible_value_is_named_by_its_key() {
         ("time.samples", json!(0), "time.samples"),
         ("time.duration", json!(0.0), "time.duration"),
         ("solver.tolerance", json!(0.0), "solver.tolerance"),
-        ("stimuli.test", json!(300), "stimuli.test"),
+        ("stimuli.test", json!(470), "stimuli.test"),
         ("stimuli.holdout", json!(0), "stimuli.holdout"),
         ("stimuli.width", json!([0.0, 0.1]), "stimuli.width"),
         ("stimuli.peak", json!([0.5, 1.0]), "stimuli.peak"),
