@@ -194,7 +194,7 @@ impl<'a> LinearLearner<'a> {
     }
 
     /// The weights for the samples of the last bodies, older ones counting less. Every `RIDGE_EVERY` steps λ is chosen by leaving
-    /// out the last bodies, one after another.
+    /// out the last `FOLDS` bodies, one after another.
     fn solve_recent(&self, bodies: &[Plain], step: u32, learnt: &mut Learnt) -> Result<Linear, Trouble> {
         let (trial, lags) = (self.trial, self.trial.problem.decoder.lags);
         let newest = bodies.len() - 1;
@@ -210,7 +210,7 @@ impl<'a> LinearLearner<'a> {
         self.first_ridge(learnt)?;
         let due = step > 0 && step.is_multiple_of(RIDGE_EVERY) && newest > 0;
         if due && trial.problem.decoder.ridge == Ridge::Auto {
-            let parts = (0..=newest).rev().map(|body| {
+            let parts = (0..=newest).rev().take(ridge::FOLDS).map(|body| {
                 let judges = bodies[body].clone();
                 let mut own = Moments::new(judges.sizes, trial.pool);
                 own.add(&judges.x, &judges.y, &weighted(body));

@@ -3,7 +3,7 @@
 //! ```text
 //! e_i(λ)   error of sample i by weights that were fitted without its part
 //! λ₀       argmin mean e(λ)
-//! λ        the greatest with mean(e(λ) − e(λ₀)) ≤ its standard error, and ≤ mean e(λ₀)/5
+//! λ        the greatest with mean(e(λ) − e(λ₀)) ≤ its standard error, and ≤ a part of mean e(λ₀)
 //! ```
 //! Residuals within a sample are correlated, so samples are left out, not instants. The rule of one standard error: Hastie,
 //! Tibshirani and Friedman, The Elements of Statistical Learning, 7.10, here of paired differences.
@@ -14,21 +14,20 @@ use crate::stimuli::folds;
 use crate::trial::{Trouble, mean_error};
 
 /// Parts into which samples are divided.
-const FOLDS: usize = 5;
+pub(super) const FOLDS: usize = 5;
 /// λ from the greatest to the least, in decades.
 const RIDGES: std::ops::RangeInclusive<i32> = -2..=12;
 /// λ where no sample has a force to judge by.
 const NEUTRAL: f64 = 1e-6;
-/// Part of the least mean error by which that of a greater value may exceed it.
-const EXCESS: f64 = 0.2;
 /// With fewer samples all parts judge all values. With more, the first part judges no smaller values after so many without an
 /// improvement by a hundredth …
 const FEW: usize = 60;
 const WITHOUT: usize = 3;
-/// … and two more parts judge the greatest of those whose error in the first is less than so many times the least.
-const PARTS: usize = 3;
+/// … and the others judge so many, the greatest of those whose error in the first is less than so many times the least.
 const CANDIDATES: usize = 4;
 const WORSE: f64 = 2.0;
+/// Part of the least mean error by which that of a greater value may exceed it: with few samples, with more.
+const EXCESS: [f64; 2] = [0.2, 0.05];
 
 /// Samples that judge, and the normal equations of the others.
 pub(super) struct Part {
@@ -85,8 +84,7 @@ pub(super) fn judged(
     errors: impl Fn(&Part, f64) -> Option<Vec<Option<f64>>>,
 ) -> Vec<(f64, Vec<Option<f64>>)> {
     let mut judged: Vec<(f64, Vec<Option<f64>>)> = values.map(|value| (value, Vec::new())).collect();
-    let judging = if samples < FEW { usize::MAX } else { PARTS };
-    for (number, part) in parts.take(judging).enumerate() {
+    for (number, part) in parts.enumerate() {
         let thins = number == 0 && samples >= FEW;
         let (mut least, mut without) = (f64::INFINITY, 0);
         judged.retain_mut(|(value, seen)| {
@@ -118,7 +116,7 @@ pub(super) fn least(judged: &[(f64, Vec<Option<f64>>)]) -> Result<f64, Trouble> 
     best.map(|best| best.0).ok_or(Trouble::Singular)
 }
 
-/// The first value whose mean error exceeds the least by no more than the standard error of their difference, and a fifth.
+/// The first value whose mean error exceeds the least by no more than the standard error of their difference, and `EXCESS`.
 ///
 /// # Errors
 /// If there is no value.
@@ -135,7 +133,8 @@ pub(crate) fn greatest(judged: &[(f64, Vec<Option<f64>>)]) -> Result<f64, Troubl
         let count = differences.len() as f64;
         let mean = differences.iter().sum::<f64>() / count;
         let variance = differences.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / (count - 1.0);
-        mean <= (variance / count).sqrt().min(EXCESS * least)
+        let excess = EXCESS[usize::from(differences.len() >= FEW)];
+        mean <= (variance / count).sqrt().min(excess * least)
     };
     Ok(judged.iter().find(as_good).unwrap_or(best).0)
 }
