@@ -176,6 +176,12 @@ const EDITS: &[(&str, &str, &str)] = &[
         "s.toml:12: stimuli.test = 12: must be less than stimuli.samples = 12: the rest",
     ),
     ("test = 4", "test = 0", "s.toml:12: stimuli.test = 0: "),
+    ("test = 4", "test = 4\nsilent = 1.5", "s.toml:13: stimuli.silent = 1.5: must lie between 0 and 0.99"),
+    (
+        "kind = \"bell\"",
+        "kind = \"gauss\"\npeak = [0.3, 0.4]",
+        "s.toml:11: stimuli.peak = [0.3, 0.4]: means nothing",
+    ),
     (
         "[sweep]\n",
         "[[evaluation.under]]\nkind = \"bell\"\n[[evaluation.under]]\namplitude = [0.1, 0.2]\n[sweep]\n",

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 pub use metasense_numerics::body::{Layout, Pattern};
 pub use metasense_numerics::feasible::{
-    Active, Feasible, Kind, Limits, Projection, Stage, Status, Violation,
+    Active, Feasible, Kind, Limits, Projection, Stage, Status, Violation, overlaps,
 };
 pub use metasense_numerics::random::{Purpose, Stream};
 

@@ -326,6 +326,7 @@ pub fn limits(feasible: &spec::Feasible) -> Result<Limits, Invalid> {
     not_negative("feasible.clearance", feasible.clearance)?;
     not_negative("feasible.ligament_clearance", feasible.ligament_clearance)?;
     Ok(Limits {
+        enforced: feasible.limits,
         min_block_angle: feasible.min_block_angle.to_radians(),
         max_block_angle: feasible.max_block_angle.to_radians(),
         min_void_angle: feasible.min_void_angle.to_radians(),

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use metasense_worker::design::{self, Feasible};
+use metasense_worker::design::{self, Feasible, overlaps};
 use metasense_worker::replay::{Drawing, Panel};
 
 use super::named::Named;
@@ -52,7 +52,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         "{} units, {} shifts: {}",
         body.layout.units(),
         body.layout.group_count,
-        if violations.is_empty() { "feasible" } else { "not feasible" }
+        match violations.is_empty() {
+            true if !body.limits.enforced => overlaps(&body.layout, &drawn).to_string(),
+            true => "feasible".to_owned(),
+            false => "not feasible".to_owned(),
+        }
     );
     let finite = |x: f64| if x.is_finite() { x } else { 0.0 };
     let finite = |corners: Vec<[f64; 2]>| corners.into_iter().map(|c| c.map(finite)).collect();

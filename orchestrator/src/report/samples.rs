@@ -1,5 +1,6 @@
 //! The figures that need a trial's signals, predictions and motion: one representative trial, replayed.
 
+use metasense_worker::design::overlaps;
 use metasense_worker::replay::{Motion, Replay, drawing, motion, replay};
 use metasense_worker::run::Failure;
 
@@ -194,17 +195,32 @@ impl Replayed {
         let caption = format!(
             "Initial and optimised body of {}: units, ligaments, input panels (arrows in the direction of the blow), \
              sensors (dots); clamped units have a shade of their own. Constraints at their limit: {} and {}{}. The \
-             largest change of a shift is {} mm.",
+             largest change of a shift is {} mm.{}",
             self.who(),
             held[0],
             held[1],
             if held == [0, 0] { "" } else { "; edges and gaps are drawn as lines, angles as dots" },
-            number(moved)
+            number(moved),
+            self.unlimited()
         );
         let drawn = Body::ALL.map(|body| {
             (format!("{} body", body.name()), body.name().to_owned(), self.bodies[body as usize].clone())
         });
         body::figure("bodies", "The body before and after", caption, &drawn)
+    }
+
+    /// What the optimised body breaks where nothing limits it.
+    fn unlimited(&self) -> String {
+        let spec = &self.stored.specs[Body::Optimised as usize];
+        match metasense_worker::problem::layout(&spec.body) {
+            Ok(layout) if !spec.feasible.limits => {
+                format!(
+                    " Nothing limits designs: of the optimised body {}.",
+                    overlaps(&layout, &self.stored.designs[1])
+                )
+            }
+            _ => String::new(),
+        }
     }
 
     /// Snapshots of speed, and what the animation needs.

@@ -7,6 +7,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Feasible {
+    /// Whether designs are limited; `false`: any design passes, and a result states which of its units overlap. Default: true.
+    #[serde(skip_serializing_if = "is_true")]
+    pub limits: bool,
     /// Smallest interior angle of a unit. Unit: degrees.
     pub min_block_angle: f64,
     /// Largest interior angle of a unit. Unit: degrees.
@@ -29,9 +32,15 @@ pub struct Feasible {
     pub keep_clamped: bool,
 }
 
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_true(limits: &bool) -> bool {
+    *limits
+}
+
 impl Default for Feasible {
     fn default() -> Self {
         Self {
+            limits: true,
             min_block_angle: 25.0,
             max_block_angle: 170.0,
             min_void_angle: 5.0,

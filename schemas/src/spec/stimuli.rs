@@ -13,6 +13,8 @@ use super::{Decimal, Separator};
 pub enum StimuliKind {
     /// Smooth pulses, one on every panel.
     Bell,
+    /// Gaussian pulses, one on every panel: `width` is σ, `onset` the time of the peak.
+    Gauss,
     /// Blows of a hand-held hammer, rough, skewed and at times double, on one panel a sample.
     Irregular,
     /// Force histories from files, see `stimuli.recorded`.
@@ -27,6 +29,7 @@ impl StimuliKind {
     pub fn name(self) -> &'static str {
         match self {
             Self::Bell => "bell",
+            Self::Gauss => "gauss",
             Self::Irregular => "irregular",
             Self::Recorded => "recorded",
             Self::Mix => "mix",
@@ -42,7 +45,7 @@ pub struct Part {
     /// Of a mixture: probability that a sample is of this kind; those of all parts sum to 1. Unit: 1. Default: must be given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weight: Option<f64>,
-    /// Kind of forces: `"bell"`, `"irregular"` or `"recorded"`.
+    /// Kind of forces: `"bell"`, `"gauss"`, `"irregular"` or `"recorded"`.
     pub kind: StimuliKind,
     /// As `stimuli.amplitude`.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -71,6 +74,9 @@ pub struct Part {
     /// As `stimuli.rebound`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rebound: Option<[f64; 2]>,
+    /// As `stimuli.silent`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub silent: Option<f64>,
     /// As `stimuli.offset`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub offset: Option<f64>,
@@ -84,10 +90,10 @@ impl Part {
     #[must_use]
     pub fn alone(&self, whole: &Stimuli) -> Stimuli {
         let Self { kind, amplitude, width, onset, peak, power, offset, angle, .. } = *self;
-        let Self { roughness, double, gap, rebound, .. } = *self;
+        let Self { roughness, double, gap, rebound, silent, .. } = *self;
         let recorded = whole.recorded.clone().filter(|_| kind == StimuliKind::Recorded);
         let pulse = Stimuli { amplitude, width, onset, peak, power, offset, angle, ..whole.clone() };
-        Stimuli { kind, mix: None, recorded, roughness, double, gap, rebound, ..pulse }
+        Stimuli { kind, mix: None, recorded, roughness, double, gap, rebound, silent, ..pulse }
     }
 
     /// With the defaults of the kind in place.
@@ -95,10 +101,10 @@ impl Part {
     pub fn resolved(&self, whole: &Stimuli) -> Self {
         let own = self.alone(whole).resolved();
         let Stimuli { amplitude, width, onset, peak, power, offset, angle, .. } = own;
-        let Stimuli { roughness, double, gap, rebound, .. } = own;
+        let Stimuli { roughness, double, gap, rebound, silent, .. } = own;
         let Self { weight, kind, .. } = *self;
         let pulse = Self { weight, kind, amplitude, width, onset, peak, power, offset, angle, ..*self };
-        Self { roughness, double, gap, rebound, ..pulse }
+        Self { roughness, double, gap, rebound, silent, ..pulse }
     }
 }
 
@@ -116,17 +122,21 @@ pub struct Stimuli {
     /// than 5 % worse than the best in a quarter of trials, with 200 in one of fifty.
     #[serde(default = "stimuli_test")]
     pub test: usize,
+    /// Whether the test set is drawn with replacement: it may hold a sample twice, and training has all others. Default: false.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub replacement: bool,
     /// Further samples that training never sees, at most 1 000 000: the errors to quote.
     #[serde(default = "stimuli_holdout")]
     pub holdout: usize,
     /// Amplitude of a pulse: an interval `[least, most]`, drawn from uniformly for each sample and panel. Unit: N. Default:
-    /// `[0.15, 0.5]`; irregular `[0.3, 1.0]`.
+    /// `[0.15, 0.5]`; gauss `[0.1, 0.5]`; irregular `[0.3, 1.0]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub amplitude: Option<[f64; 2]>,
-    /// Width of a pulse, an interval. Unit: s. Default: `[0.06, 0.25]`; irregular `[0.02, 0.08]`.
+    /// Width of a pulse, an interval; of a Gaussian one σ. Unit: s. Default: `[0.06, 0.25]`; gauss `[0.01, 0.04]`; irregular
+    /// `[0.02, 0.08]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub width: Option<[f64; 2]>,
-    /// Onset of a pulse, an interval. Unit: s. Default: `[0.0, 0.5]`.
+    /// Onset of a pulse, an interval; of a Gaussian one the time of its peak. Unit: s. Default: `[0.0, 0.5]`; gauss `[0.12, 0.4]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub onset: Option<[f64; 2]>,
     /// Position of the peak as a fraction of the width, an interval. Unit: 1. Default: `[0.35, 0.65]`; irregular
@@ -149,6 +159,10 @@ pub struct Stimuli {
     /// Amplitude of the second hit relative to the first, an interval; irregular only. Unit: 1. Default: `[0.2, 0.7]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rebound: Option<[f64; 2]>,
+    /// Probability that a panel is silent in a sample; samples in which all would be are drawn anew. Bell and gauss only. Unit: 1.
+    /// Default: 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub silent: Option<f64>,
     /// How far blows miss a panel's centroid, across its direction: the standard deviation of a normal draw per sample and
     /// panel. Such a blow turns the unit. Unit: mm. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -174,10 +188,17 @@ impl Stimuli {
     pub fn resolved(mut self) -> Self {
         let some = |deviation: &f64| *deviation != 0.0;
         (self.offset, self.angle) = (self.offset.filter(some), self.angle.filter(some));
+        self.silent = self.silent.filter(|probability| *probability != 0.0);
+        if self.kind == StimuliKind::Gauss {
+            self.amplitude.get_or_insert([0.1, 0.5]);
+            self.width.get_or_insert([0.01, 0.04]);
+            self.onset.get_or_insert([0.12, 0.4]);
+            return self;
+        }
         let [amplitude, width, onset, peak, power] = match self.kind {
             StimuliKind::Bell => [[0.15, 0.5], [0.06, 0.25], [0.0, 0.5], [0.35, 0.65], [1.5, 4.0]],
             StimuliKind::Irregular => [[0.3, 1.0], [0.02, 0.08], [0.0, 0.5], [0.2, 0.45], [1.0, 2.0]],
-            StimuliKind::Recorded => return self,
+            StimuliKind::Gauss | StimuliKind::Recorded => return self,
             StimuliKind::Mix => {
                 let whole = self.clone();
                 for part in self.mix.iter_mut().flatten().filter(|part| part.kind != StimuliKind::Mix) {

@@ -2,7 +2,7 @@
 
 use metasense_numerics::brains::fits;
 use metasense_numerics::dynamics::{Inertia, Mount};
-use metasense_numerics::stimuli::{Bell, Hand, Irregular, Source};
+use metasense_numerics::stimuli::{Bell, Gauss, Hand, Irregular, Source};
 use metasense_numerics::trial::{Disturbance, Size, Stimuli};
 use metasense_schemas::spec::{self, StimuliKind, TrialSpec};
 
@@ -17,7 +17,7 @@ pub(super) fn stimuli(trial: &TrialSpec) -> Result<Stimuli, Invalid> {
     if read_under(trial).any(|part| part.kind == StimuliKind::Recorded) && !has_records(&stimuli) {
         stimuli.recorded = None;
     }
-    let &spec::Stimuli { samples, test, holdout, .. } = &stimuli;
+    let &spec::Stimuli { samples, test, replacement, holdout, .. } = &stimuli;
     at_most("stimuli.samples", samples, SAMPLES_MAX)?;
     at_most("stimuli.holdout", holdout, SAMPLES_MAX)?;
     at_least("stimuli.test", test, 1)?;
@@ -29,7 +29,7 @@ pub(super) fn stimuli(trial: &TrialSpec) -> Result<Stimuli, Invalid> {
     )?;
     at_least("stimuli.holdout", holdout, 1)?;
     let instants = force_instants(trial)?;
-    Ok(Stimuli { source: source(trial, &stimuli, instants)?, instants, samples, test, holdout })
+    Ok(Stimuli { source: source(trial, &stimuli, instants)?, instants, samples, test, replacement, holdout })
 }
 
 /// Where the forces come from.
@@ -37,6 +37,7 @@ fn source(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result
     refuse_unread(stimuli)?;
     let source = match (stimuli.kind, &stimuli.recorded) {
         (StimuliKind::Bell, _) => Source::Bell(bell(trial, stimuli)?),
+        (StimuliKind::Gauss, _) => Source::Gauss(gauss(trial, stimuli)?),
         (StimuliKind::Irregular, _) => Source::Irregular(irregular(trial, stimuli)?),
         (StimuliKind::Recorded, Some(recorded)) => {
             Source::Recorded(records::recorded(trial, recorded, instants)?)
@@ -46,6 +47,10 @@ fn source(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result
         }
         (StimuliKind::Mix, _) => Source::Mix(mix(trial, stimuli, instants)?),
     };
+    let silent = stimuli.silent.unwrap_or_default();
+    let remedy = "must lie between 0 and 0.99";
+    require((0.0..=0.99).contains(&silent), "stimuli.silent", silent, remedy)?;
+    let source = if silent > 0.0 { Source::Silent(silent, Box::new(source)) } else { source };
     Ok(match hand(trial, stimuli)? {
         Some(hand) => Source::Struck(hand, Box::new(source)),
         None => source,
@@ -191,11 +196,13 @@ fn refuse_unread(stimuli: &spec::Stimuli) -> Result<(), Invalid> {
     let hand = hand.map(|(key, deviation)| (key, deviation.map(|d| d.to_string())));
     let files = [("recorded", stimuli.recorded.as_ref().map(|_| "{ … }".to_owned()))];
     let mix = [("mix", stimuli.mix.as_ref().map(|_| "[{ … }]".to_owned()))];
+    let silent = [("silent", stimuli.silent.map(|p| p.to_string()))];
     let unread: Vec<_> = match stimuli.kind {
         StimuliKind::Bell => blow.into_iter().chain(files).chain(mix).collect(),
-        StimuliKind::Irregular => files.into_iter().chain(mix).collect(),
-        StimuliKind::Recorded => pulse.into_iter().chain(blow).chain(mix).collect(),
-        StimuliKind::Mix => pulse.into_iter().chain(blow).chain(hand).collect(),
+        StimuliKind::Gauss => pulse.into_iter().skip(3).chain(blow).chain(files).chain(mix).collect(),
+        StimuliKind::Irregular => files.into_iter().chain(mix).chain(silent).collect(),
+        StimuliKind::Recorded => pulse.into_iter().chain(blow).chain(mix).chain(silent).collect(),
+        StimuliKind::Mix => pulse.into_iter().chain(blow).chain(hand).chain(silent).collect(),
     };
     for (key, value) in unread {
         if let Some(value) = value {
@@ -238,6 +245,19 @@ fn bell(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Bell, Invalid> {
     require(last + bell.width[1] > 0.0, "stimuli.onset", format!("[{first}, {last}]"), remedy)?;
     require(bell.amplitude[1] > 0.0, "stimuli.amplitude", shown, "must allow forces above 0")?;
     Ok(bell)
+}
+
+fn gauss(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Gauss, Invalid> {
+    let (above, any, duration) = (f64::MIN_POSITIVE, f64::INFINITY, trial.time.duration);
+    let remedy = format!("must lie in the sample, between 0 and time.duration = {duration} s");
+    let gauss = Gauss {
+        amplitude: interval("amplitude", stimuli.amplitude, 0.0, any, "must not be negative")?,
+        sigma: interval("width", stimuli.width, above, any, "must be above 0")?,
+        centre: interval("onset", stimuli.onset, 0.0, duration, &remedy)?,
+    };
+    let shown = format!("{:?}", gauss.amplitude);
+    require(gauss.amplitude[1] > 0.0, "stimuli.amplitude", shown, "must allow forces above 0")?;
+    Ok(gauss)
 }
 
 fn irregular(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Irregular, Invalid> {

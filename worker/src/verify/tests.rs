@@ -65,6 +65,30 @@ fn bodies_of_the_authors_are_as_they_print_them() {
     assert_eq!(layout(authors::disc(15)).ligaments.len(), 216);
 }
 
+/// The body files of the authors' scenes are what the generator makes of them. `METASENSE_UPDATE=1` writes them anew.
+#[test]
+fn body_files_of_the_authors_scenes_are_fresh() {
+    let mut files = vec![
+        ("authors-2".to_owned(), authors::planar(5, 4, 2)),
+        ("authors-4".to_owned(), authors::planar(11, 6, 4)),
+        ("authors-8".to_owned(), authors::planar(23, 6, 8)),
+    ];
+    for n in [10, 13, 15, 18, 20, 23, 25, 27, 30, 32, 35] {
+        files.push((format!("authors-disc-{n}"), authors::disc(n)));
+    }
+    for (name, body) in files {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../schemas/scenes");
+        let (path, text) = (Path::new(folder).join(name + ".body.toml"), authors::file(&body));
+        if std::env::var_os("METASENSE_UPDATE").is_some() {
+            std::fs::write(&path, &text).expect("written");
+        }
+        let committed = std::fs::read_to_string(&path).unwrap_or_default();
+        assert!(committed == text, "{}: stale; METASENSE_UPDATE=1 writes it anew", path.display());
+        let read = crate::polygons::read(&path).expect("a body");
+        crate::polygons::layout(&read).expect("a layout");
+    }
+}
+
 /// A folder without a case, broken JSON, an unknown kind, a missing array, an array cut short, a wrong number: each
 /// is a row that fails, and the rest goes on.
 #[test]

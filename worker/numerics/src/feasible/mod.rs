@@ -9,6 +9,7 @@
 //! No limit judges the shape of a rigid unit; what is beside it keeps its distance from each of its edges.
 
 mod exact;
+mod overlap;
 mod program;
 mod project;
 mod random;
@@ -17,6 +18,7 @@ mod rows;
 mod tests;
 
 pub use exact::{Kind, Violation};
+pub use overlap::{Overlaps, overlaps};
 pub use project::{Active, Projection, Stage, Status};
 
 use crate::body::{Freedom, Layout};
@@ -24,6 +26,8 @@ use crate::body::{Freedom, Layout};
 /// The limits of a castable design (rad, mm).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
+    /// Whether there are any; without, all finite designs pass.
+    pub enforced: bool,
     /// Least interior angle of a unit.
     pub min_block_angle: f64,
     /// Greatest interior angle of a unit.
@@ -44,6 +48,7 @@ pub struct Limits {
 impl Default for Limits {
     fn default() -> Self {
         Self {
+            enforced: true,
             min_block_angle: 25_f64.to_radians(),
             max_block_angle: 170_f64.to_radians(),
             min_void_angle: 5_f64.to_radians(),

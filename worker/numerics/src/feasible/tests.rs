@@ -196,6 +196,39 @@ fn a_rigid_plate_is_taken_as_it_is_and_kept_clear_of() {
     assert!(kinds.contains(&(Kind::Overlap, [4, 6])), "{kinds:?}");
 }
 
+/// Without limits every finite design comes back as it is; what it breaks is counted: a square moved onto its neighbour, and one turned over.
+#[test]
+fn without_limits_all_designs_pass_and_their_overlaps_are_counted() {
+    let square = |[x, y]: [f64; 2]| vec![[x, y], [x + 4.0, y], [x + 4.0, y + 4.0], [x, y + 4.0]];
+    // an angle with a reflex corner, of 4 × 4 less 2 × 2
+    let angle = [[9.0, 0.0], [13.0, 0.0], [13.0, 2.0], [11.0, 2.0], [11.0, 4.0], [9.0, 4.0]].to_vec();
+    let joint = [
+        [End { unit: 0, node: 2 }, End { unit: 1, node: 3 }],
+        [End { unit: 1, node: 0 }, End { unit: 2, node: 0 }],
+    ];
+    let body = [square([0.0, 0.0]), square([4.5, 0.0]), angle];
+    let layout = Layout::of_polygons(&body, &joint, &[], &[2], &[]);
+    let still = vec![0.0; layout.design_len()];
+    assert_eq!(overlaps(&layout, &still), Overlaps::default());
+    // the second square's right side moved by 6.5 mm: over the whole angle
+    let mut wide = still.clone();
+    for node in [1, 2] {
+        wide[2 * layout.groups[1][node].unwrap()] += 6.5;
+    }
+    let limits = Limits { enforced: false, ..Limits::default() };
+    let mut feasible = Feasible::new(&layout, limits, &[]);
+    let out = feasible.project(&still, &wide, None);
+    assert_eq!((out.status, &out.design, out.active.len()), (Status::Untouched, &wide, 0));
+    let Overlaps { pairs, area, inverted, .. } = overlaps(&layout, &wide);
+    assert!(pairs == 1 && inverted == 0 && (area - 12.0).abs() < 1e-12, "{pairs} {inverted} {area}");
+    let mut over = still.clone();
+    for node in [0, 3] {
+        over[2 * layout.groups[0][node].unwrap()] += 5.0;
+    }
+    let Overlaps { inverted, inverted_area, .. } = overlaps(&layout, &over);
+    assert!(inverted == 1 && (inverted_area - 4.0).abs() < 1e-12, "{inverted_area}");
+}
+
 /// Each kind of violation, made on purpose, is found by its name and its units.
 #[test]
 fn the_judge_names_what_is_broken() {
@@ -323,6 +356,7 @@ proptest! {
             _ => Layout::sheet(&Pattern::chiral(angle), columns, rows, 15.0, ligament),
         };
         let limits = Limits {
+            enforced: true,
             min_block_angle: block.to_radians(), max_block_angle: flat.to_radians(),
             min_void_angle: void.to_radians(), min_ligament_angle: beside.to_radians(),
             min_edge, clearance, ligament_clearance: bar,

@@ -65,6 +65,7 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
             instants: 40,
             samples: 16,
             test: 4,
+            replacement: false,
             holdout: 4,
         },
         channels: vec![0, 1, 2],

@@ -7,7 +7,6 @@ use crate::brain::linear::{Lags, Sizes};
 use crate::brains::{Fitted, Fresh, Inverse, TO_EACH_SIDE, predict_on, reader};
 use crate::dynamics::{Forces, simulate};
 use crate::random::Purpose;
-use crate::stimuli::split;
 use crate::trial::{
     BrainKind, Decoder, Failure, Problem, Samples, Scales, Trial, all_well, few_failed, pilot, silence,
     simulated, tuned,
@@ -54,7 +53,7 @@ pub fn replay(
     let trial = Trial::new(problem, pool)?;
     let (problem, solver) = (&trial.problem, trial.tuned(design).solver);
     let mut forces = all_forces(problem);
-    let (_, test) = split(problem.seed, problem.stimuli.samples, problem.stimuli.test);
+    let (_, test) = problem.stimuli.split(problem.seed);
     let mut kinds = vec![0; problem.stimuli.samples];
     test.iter().for_each(|&n| kinds[n] = 1);
     kinds.resize(forces.samples, 2);

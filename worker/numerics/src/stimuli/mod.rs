@@ -52,11 +52,24 @@ impl Bell {
     }
 }
 
+/// Intervals, `[least, most]`, from which the parameters of a Gaussian pulse A exp(−(t − c)²/2σ²) are drawn uniformly.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Gauss {
+    /// A (N).
+    pub amplitude: [f64; 2],
+    /// σ (s).
+    pub sigma: [f64; 2],
+    /// c (s).
+    pub centre: [f64; 2],
+}
+
 /// Where force histories come from.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Source {
     /// Bell pulses on every panel.
     Bell(Bell),
+    /// Gaussian pulses on every panel.
+    Gauss(Gauss),
     /// Blows of a hand-held hammer on one.
     Irregular(Irregular),
     /// Records.
@@ -65,6 +78,8 @@ pub enum Source {
     Mix(Vec<(f64, Source)>),
     /// Those of another source, each where a hand strikes.
     Struck(Hand, Box<Source>),
+    /// Those of another source, but that panels are silent with this probability.
+    Silent(f64, Box<Source>),
 }
 
 impl Source {
@@ -72,7 +87,7 @@ impl Source {
     pub fn parts(&self) -> Vec<&Self> {
         match self {
             Self::Mix(parts) => parts.iter().flat_map(|(_, part)| part.parts()).collect(),
-            Self::Struck(_, source) => source.parts(),
+            Self::Struck(_, source) | Self::Silent(_, source) => source.parts(),
             one => vec![one],
         }
     }
@@ -104,6 +119,19 @@ impl Hand {
             .flat_map(|sample| (0..panels.len()).map(move |k| (sample, k)))
             .map(|(i, k)| strike(i, k))
             .collect()
+    }
+}
+
+/// Which panels are silent in a sample, each with probability `silent` on the condition that one is not: a function of (purpose,
+/// seed, sample) alone.
+pub fn silenced(silent: f64, purpose: Purpose, seed: u64, sample: u64, panels: usize) -> Vec<bool> {
+    // counters that no kind of forces has
+    let mut stream = Stream::new(purpose, seed, [sample, u64::MAX - 2]);
+    loop {
+        let mask: Vec<bool> = (0..panels).map(|_| stream.uniform() < silent).collect();
+        if mask.contains(&false) {
+            return mask;
+        }
     }
 }
 
@@ -169,12 +197,43 @@ pub fn bells(
     duration: f64,
     instants: usize,
 ) -> Forces {
+    each_panel(samples, panels, instants, |sample, panel, history| {
+        let mut stream = Stream::new(purpose, seed, [sample, panel]);
+        bell.draw(&mut stream).history_into(duration, history);
+    })
+}
+
+/// Likewise of Gaussian pulses.
+pub fn gauss(
+    Gauss { amplitude, sigma, centre }: &Gauss,
+    purpose: Purpose,
+    seed: u64,
+    samples: Range<u64>,
+    panels: usize,
+    duration: f64,
+    instants: usize,
+) -> Forces {
+    each_panel(samples, panels, instants, |sample, panel, history| {
+        let mut stream = Stream::new(purpose, seed, [sample, panel]);
+        let [amplitude, sigma, centre] = [*amplitude, *sigma, *centre].map(|own| stream.between(own));
+        for (n, f) in history.iter_mut().enumerate() {
+            let z = (n as f64 * duration / instants as f64 - centre) / sigma;
+            *f = amplitude * (-0.5 * z * z).exp();
+        }
+    })
+}
+
+/// Histories that `draw` writes for each sample and panel.
+fn each_panel(
+    samples: Range<u64>,
+    panels: usize,
+    instants: usize,
+    mut draw: impl FnMut(u64, u64, &mut [f64]),
+) -> Forces {
     let count = (samples.end - samples.start) as usize;
     let mut values = vec![0.0; count * panels * (instants + 1)];
     for (slot, history) in values.chunks_exact_mut(instants + 1).enumerate() {
-        let key = [samples.start + (slot / panels) as u64, (slot % panels) as u64];
-        let mut stream = Stream::new(purpose, seed, key);
-        bell.draw(&mut stream).history_into(duration, history);
+        draw(samples.start + (slot / panels) as u64, (slot % panels) as u64, history);
     }
     Forces { samples: count, panels, instants, values, strikes: Vec::new() }
 }
@@ -197,8 +256,20 @@ pub fn targets(forces: &Forces, instants: usize, low_pass: bool) -> Vec<f64> {
     targets
 }
 
-/// A seeded shuffle of `samples` samples, cut into (training set, test set of `test`), both in ascending order.
-pub fn split(seed: u64, samples: usize, test: usize) -> (Vec<usize>, Vec<usize>) {
+/// A seeded shuffle of `samples` samples, cut into (training set, test set of `test`), both in ascending order; or a test set drawn with
+/// replacement, which may hold a sample twice, and the others as training set.
+///
+/// # Panics
+/// If no sample is left to train on.
+pub fn split(seed: u64, samples: usize, test: usize, replacement: bool) -> (Vec<usize>, Vec<usize>) {
+    if replacement {
+        let mut stream = Stream::new(Purpose::Split, seed, [samples as u64, 1]);
+        let mut drawn: Vec<usize> = (0..test).map(|_| stream.below(samples)).collect();
+        drawn.sort_unstable();
+        let training: Vec<usize> = (0..samples).filter(|i| !drawn.contains(i)).collect();
+        assert!(!training.is_empty(), "{test} of {samples} samples test");
+        return (training, drawn);
+    }
     let mut order = Stream::new(Purpose::Split, seed, [samples as u64, 0]).permutation(samples);
     let mut training = order.split_off(test);
     order.sort_unstable();

@@ -38,6 +38,8 @@ pub struct Deal {
     pub samples: usize,
     /// How many of them test.
     pub test: usize,
+    /// Whether the test set is drawn with replacement.
+    pub replacement: bool,
 }
 
 impl Recorded {
@@ -54,12 +56,12 @@ impl Recorded {
         panels: usize,
         duration: f64,
     ) -> Forces {
-        let Deal { seed, samples, test } = deal;
+        let Deal { seed, samples, test, replacement } = deal;
         let order = Stream::new(Purpose::Split, seed, [self.histories.samples as u64, 1])
             .permutation(self.histories.samples);
         let instants = self.histories.instants;
         let mut values = Vec::with_capacity(count * panels * (instants + 1));
-        let training = split(seed, samples, test).0;
+        let training = split(seed, samples, test, replacement).0;
         for number in first..first + count as u64 {
             let n = number as usize;
             match purpose {

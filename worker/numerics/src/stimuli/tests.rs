@@ -84,12 +84,40 @@ fn a_sample_depends_on_its_number_and_purpose_alone() {
 /// Training and test set are disjoint, complete, of the sizes asked for, and another seed cuts otherwise.
 #[test]
 fn a_split_is_a_partition() {
-    let (training, test) = split(3, 300, 30);
+    let (training, test) = split(3, 300, 30, false);
     assert_eq!((training.len(), test.len()), (270, 30));
     let mut all = [training.clone(), test.clone()].concat();
     all.sort_unstable();
     assert_eq!(all, (0..300).collect::<Vec<_>>());
-    assert_ne!(split(4, 300, 30).1, test);
+    assert_ne!(split(4, 300, 30, false).1, test);
+}
+
+/// A test set drawn with replacement may hold a sample twice; the training set is all others.
+#[test]
+fn a_split_with_replacement_trains_on_what_does_not_test() {
+    let (training, test) = split(3, 300, 30, true);
+    let distinct: std::collections::BTreeSet<usize> = test.iter().copied().collect();
+    assert_eq!((test.len(), training.len()), (30, 300 - distinct.len()));
+    assert!(training.iter().all(|sample| !distinct.contains(sample)));
+    let repeats = |seed| split(seed, 30, 20, true).0.len() > 10;
+    assert!((0..4).all(repeats));
+}
+
+/// A Gaussian pulse has its amplitude at its centre, and e^(−½) of it a σ beside; a panel is silent as often as asked, and never all.
+#[test]
+fn gaussian_pulses_and_silent_panels() {
+    let kind = Gauss { amplitude: [0.2, 0.2], sigma: [0.02, 0.02], centre: [0.5, 0.5] };
+    let forces = gauss(&kind, Purpose::Stimulus, 1, 0..2, 2, 1.0, 100);
+    let own = forces.sample(1);
+    for (n, f) in [(50, 0.2), (52, 0.2 * (-0.5f64).exp()), (46, 0.2 * (-2f64).exp())] {
+        assert!((own[n] - f).abs() < 1e-12, "{n}: {}", own[n]);
+    }
+    let masks: Vec<Vec<bool>> = (0..4000).map(|i| silenced(0.5, Purpose::Stimulus, 1, i, 2)).collect();
+    assert!(masks.iter().all(|mask| mask.contains(&false)));
+    let silent = masks.iter().flatten().filter(|silent| **silent).count() as f64 / 8000.0;
+    // of the four cases of two panels one is left out
+    assert!((silent - 1.0 / 3.0).abs() < 0.02, "{silent}");
+    assert_eq!(silenced(0.0, Purpose::Stimulus, 1, 7, 3), [false; 3]);
 }
 
 /// Targets leave out the instant 0 and put the panels last.
@@ -122,7 +150,7 @@ fn records_are_dealt_out_once_and_varied_when_drawn_afresh() {
         shift: [-0.1, 0.1],
         low_pass: true,
     };
-    let deal = Deal { seed: 3, samples: 8, test: 2 };
+    let deal = Deal { seed: 3, samples: 8, test: 2, replacement: false };
     let draw = |purpose, count| source.forces(deal, purpose, 0, count, 2, 1.0);
     let peaks = |forces: &Forces| -> Vec<f64> {
         (0..forces.samples).map(|i| forces.sample(i).iter().copied().fold(0.0, f64::max)).collect()
@@ -133,7 +161,7 @@ fn records_are_dealt_out_once_and_varied_when_drawn_afresh() {
     assert_eq!(sorted, (1..=12).map(f64::from).collect::<Vec<_>>());
     assert_ne!(both, sorted, "not shuffled");
 
-    let training: Vec<f64> = split(3, 8, 2).0.iter().map(|&i| both[i]).collect();
+    let training: Vec<f64> = split(3, 8, 2, false).0.iter().map(|&i| both[i]).collect();
     let fresh = draw(Purpose::Fresh, 100);
     let mut places = std::collections::HashSet::new();
     for (i, peak) in peaks(&fresh).iter().enumerate() {

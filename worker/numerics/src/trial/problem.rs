@@ -10,7 +10,7 @@ use crate::brain::linear::Sizes;
 use crate::dynamics::{Forces, Scene, Solver};
 use crate::feasible::{Feasible, Limits};
 use crate::random::Purpose;
-use crate::stimuli::{Deal, Source, bells, drawn, irregular, split, targets};
+use crate::stimuli::{Deal, Source, bells, drawn, gauss, irregular, silenced, split, targets};
 use crate::variation::Variation;
 use std::borrow::Cow;
 
@@ -83,8 +83,17 @@ pub struct Stimuli {
     pub samples: usize,
     /// How many of the N are the test set.
     pub test: usize,
+    /// Whether the test set is drawn with replacement.
+    pub replacement: bool,
     /// Samples that neither loop sees.
     pub holdout: usize,
+}
+
+impl Stimuli {
+    /// Numbers of the training and of the test set's samples.
+    pub fn split(&self, seed: u64) -> (Vec<usize>, Vec<usize>) {
+        split(seed, self.samples, self.test, self.replacement)
+    }
 }
 
 impl Problem {
@@ -192,7 +201,7 @@ impl Problem {
 
     /// The part of the mixture that each sample of the training and of the test set is of.
     pub(crate) fn parts(&self) -> [Vec<usize>; 2] {
-        let Stimuli { samples, test, ref source, .. } = self.stimuli;
+        let Stimuli { samples, ref source, .. } = self.stimuli;
         let of = match source {
             Source::Mix(parts) => {
                 let weights: Vec<f64> = parts.iter().map(|(weight, _)| *weight).collect();
@@ -200,7 +209,7 @@ impl Problem {
             }
             _ => vec![0; samples],
         };
-        let (train, test) = split(self.seed, samples, test);
+        let (train, test) = self.stimuli.split(self.seed);
         [train, test].map(|set| set.into_iter().map(|sample| of[sample]).collect())
     }
 
@@ -210,12 +219,13 @@ impl Problem {
         let samples = first..first + count as u64;
         match source {
             Source::Bell(bell) => bells(bell, purpose, self.seed, samples, panels, duration, instants),
+            Source::Gauss(kind) => gauss(kind, purpose, self.seed, samples, panels, duration, instants),
             Source::Irregular(kind) => {
                 irregular(kind, purpose, self.seed, samples, panels, duration, instants)
             }
             Source::Recorded(records) => {
-                let Stimuli { samples, test, .. } = self.stimuli;
-                let deal = Deal { seed: self.seed, samples, test };
+                let Stimuli { samples, test, replacement, .. } = self.stimuli;
+                let deal = Deal { seed: self.seed, samples, test, replacement };
                 records.forces(deal, purpose, first, count, panels, duration)
             }
             Source::Mix(parts) => {
@@ -230,6 +240,13 @@ impl Problem {
                 let strikes = (0..strikes).map(strike).collect();
                 Forces { samples: count, panels, instants, values: values.collect(), strikes }
             }
+            Source::Silent(silent, source) => {
+                let mut forces = self.forces_of(source, purpose, first, count);
+                let mask = samples.flat_map(|i| silenced(*silent, purpose, self.seed, i, panels));
+                let histories = forces.values.chunks_exact_mut(instants + 1);
+                histories.zip(mask).filter(|(_, silent)| *silent).for_each(|(own, _)| own.fill(0.0));
+                forces
+            }
             Source::Struck(hand, source) => {
                 let strikes = hand.strikes(&scene.panels, purpose, self.seed, samples);
                 Forces { strikes, ..self.forces_of(source, purpose, first, count) }
@@ -239,9 +256,8 @@ impl Problem {
 
     /// Training and test set.
     pub fn known(&self) -> [Forces; 2] {
-        let Stimuli { samples, test, .. } = self.stimuli;
-        let all = self.forces(Purpose::Stimulus, 0, samples);
-        let (train, test) = split(self.seed, samples, test);
+        let all = self.forces(Purpose::Stimulus, 0, self.stimuli.samples);
+        let (train, test) = self.stimuli.split(self.seed);
         [all.select(&train), all.select(&test)]
     }
 

@@ -42,7 +42,7 @@ fn problem(brain: BrainKind, spoilt: &[(Purpose, usize)], factor: f64) -> Proble
 #[test]
 fn samples_that_fail_count_as_read_entirely_wrong() {
     // numbers beyond the pilot's; one in the training set, one in the test set
-    let (train, test) = crate::stimuli::split(3, 32, 16);
+    let (train, test) = crate::stimuli::split(3, 32, 16, false);
     let late = |set: &[usize]| *set.last().expect("not empty");
     let spoilt = [(Purpose::Stimulus, late(&train)), (Purpose::Stimulus, late(&test)), (Purpose::Holdout, 2)];
     for brain in [BrainKind::Linear, BrainKind::Network, BrainKind::Stacked] {
@@ -91,7 +91,7 @@ fn samples_that_fail_count_as_read_entirely_wrong() {
 /// A training sample on which the initial body fails trains no body in `envelope`, and counts against every step.
 #[test]
 fn what_the_initial_body_fails_on_counts_against_every_step() {
-    let (train, _) = crate::stimuli::split(3, 32, 16);
+    let (train, _) = crate::stimuli::split(3, 32, 16, false);
     let last = *train.last().expect("not empty");
     let [failing, silent] = [1e200, 0.0].map(|factor| {
         let problem = problem(BrainKind::Linear, &[(Purpose::Stimulus, last)], factor);
@@ -110,7 +110,7 @@ fn what_the_initial_body_fails_on_counts_against_every_step() {
 /// The implicit term is the derivative of a fit to the samples that did not fail, however many others count against it.
 #[test]
 fn the_whole_gradient_holds_where_a_training_sample_fails() {
-    let (train, _) = crate::stimuli::split(3, 32, 16);
+    let (train, _) = crate::stimuli::split(3, 32, 16, false);
     let last = *train.last().expect("not empty");
     let mut problem = problem(BrainKind::Linear, &[(Purpose::Stimulus, last)], 1e200);
     let own = linear::linear(Protocol::Paper(Terms::Implicit(brain::Policy::Truncate)));

@@ -79,7 +79,7 @@ fn check_the_bound(problem: Problem, draws: usize) {
     let found = bound(&problem, &problem.initial, samples, &pool(2)).unwrap().unwrap();
 
     let all = problem.forces(Purpose::Stimulus, 0, 16);
-    let train = all.select(&split(problem.seed, 16, 4).0);
+    let train = all.select(&split(problem.seed, 16, 4, false).0);
     let f = targets(&train, 40, false);
     let (n, t, fine) = (train.samples, 40, 8);
     let scene = Scene { instants: fine * t, ..problem.scene.clone() };
