@@ -169,6 +169,11 @@ fn committed_specs_keep_their_hashes() {
     }
     digests.sort();
     insta::assert_snapshot!(digests.join("\n"), @r"
+    authors-fig2 f7f153ddf4b4f708
+    authors-fig2-paper f2a297b5cbda99ff
+    authors-fig3 0ec16490740632cb
+    authors-fig4 35a6bd632d3429ac
+    authors-fig5 a7bf12551fc4df69
     blows-map d3cdf14623ed2a3e
     brains-two-core 5eb82c6f08db37b1
     design-two-core 834a3cec86c88ac1
@@ -192,7 +197,7 @@ fn committed_specs_keep_their_hashes() {
     placed-two-core 6a5121d9e7f59190
     pressed db1612c5ed646b46
     protocol-map 462515f2d2ebde28
-    quickstart 932ec372654c30ed
+    quickstart 68d08d6f16f7ca41
     random 286d45edbe9c1528
     random-bodies-map f6bf43a608bfdcd3
     real-scale 4b4bf13906cbda4d

@@ -19,8 +19,8 @@ const UNKNOWNS_MAX: usize = 9600;
 const BODIES: usize = 8;
 /// … each older one counting less by this factor: the body has moved since.
 const FADING: f64 = 0.8;
-/// Outer steps from one choice of λ to the next.
-const RIDGE_EVERY: u32 = 50;
+/// Step of the first new choice of λ.
+const FIRST_CHOICE: u32 = 10;
 
 impl Decoder {
     /// Of the whole sample, both ways, or as much of it as can be solved for: what every body is read by.
@@ -161,6 +161,11 @@ pub(super) struct LinearLearner<'a> {
     linear: Option<(Linear, Option<linear::Fit>)>,
 }
 
+/// Whether λ is chosen anew at this step: at 10, 20, 40, 80, …, as a body changes most at first.
+fn is_due(step: u32) -> bool {
+    step > 0 && step.is_multiple_of(FIRST_CHOICE) && (step / FIRST_CHOICE).is_power_of_two()
+}
+
 impl<'a> LinearLearner<'a> {
     pub(super) fn new(trial: &'a Trial<'a>) -> Self {
         Self { trial, linear: None }
@@ -174,10 +179,10 @@ impl<'a> LinearLearner<'a> {
         &self.linear.as_ref().expect("it has been fitted").0
     }
 
-    /// λ of these training samples, chosen anew every `RIDGE_EVERY` steps.
+    /// λ of these training samples, chosen anew where that is due.
     fn ridge_at(&self, step: u32, train: &Plain, all: &Normal, learnt: &mut Learnt) -> Result<f64, Trouble> {
         match learnt.ridge {
-            Some(ridge) if !step.is_multiple_of(RIDGE_EVERY) => Ok(ridge),
+            Some(ridge) if !is_due(step) => Ok(ridge),
             _ => {
                 let problem = &self.trial.problem;
                 Ok(*learnt.ridge.insert(problem.decoder.ridge_of(problem.seed, train, all)?))
@@ -193,8 +198,8 @@ impl<'a> LinearLearner<'a> {
         }
     }
 
-    /// The weights for the samples of the last bodies, older ones counting less. Every `RIDGE_EVERY` steps λ is chosen by leaving
-    /// out the last `FOLDS` bodies, one after another.
+    /// The weights for the samples of the last bodies, older ones counting less. Where λ is due it is the one by which the
+    /// other bodies read the newest best.
     fn solve_recent(&self, bodies: &[Plain], step: u32, learnt: &mut Learnt) -> Result<Linear, Trouble> {
         let (trial, lags) = (self.trial, self.trial.problem.decoder.lags);
         let newest = bodies.len() - 1;
@@ -208,18 +213,15 @@ impl<'a> LinearLearner<'a> {
         }
         let normal = moments.normal(lags);
         self.first_ridge(learnt)?;
-        let due = step > 0 && step.is_multiple_of(RIDGE_EVERY) && newest > 0;
-        if due && trial.problem.decoder.ridge == Ridge::Auto {
-            let parts = (0..=newest).rev().take(ridge::FOLDS).map(|body| {
-                let judges = bodies[body].clone();
-                let mut own = Moments::new(judges.sizes, trial.pool);
-                own.add(&judges.x, &judges.y, &weighted(body));
-                Part { judges, others: normal.clone().plus(-1.0, &own.normal(lags)) }
-            });
-            let samples = bodies.iter().map(|samples| samples.w.len()).sum();
+        if newest > 0 && is_due(step) && trial.problem.decoder.ridge == Ridge::Auto {
+            let judges = bodies[newest].clone();
+            let mut own = Moments::new(judges.sizes, trial.pool);
+            own.add(&judges.x, &judges.y, &judges.w);
+            let others = normal.clone().plus(-1.0, &own.normal(lags));
             let errors = |part: &Part, ridge| part.errors(part.others.clone(), ridge);
-            let judged = ridge::judged(ridge::ridges(), samples, parts, errors);
-            learnt.ridge = ridge::greatest(&judged).ok().or(learnt.ridge);
+            let part = std::iter::once(Part { judges, others });
+            let judged = ridge::judged(ridge::ridges(), usize::MAX, part, errors);
+            learnt.ridge = ridge::least(&judged).ok().or(learnt.ridge);
         }
         Ok(solve(normal, learnt.ridge.unwrap_or_default())?.linear())
     }

@@ -14,7 +14,7 @@ use crate::stimuli::folds;
 use crate::trial::{Trouble, mean_error};
 
 /// Parts into which samples are divided.
-pub(super) const FOLDS: usize = 5;
+const FOLDS: usize = 5;
 /// λ from the greatest to the least, in decades.
 const RIDGES: std::ops::RangeInclusive<i32> = -2..=12;
 /// λ where no sample has a force to judge by.
@@ -84,7 +84,8 @@ pub(super) fn judged(
     errors: impl Fn(&Part, f64) -> Option<Vec<Option<f64>>>,
 ) -> Vec<(f64, Vec<Option<f64>>)> {
     let mut judged: Vec<(f64, Vec<Option<f64>>)> = values.map(|value| (value, Vec::new())).collect();
-    for (number, part) in parts.enumerate() {
+    let mut parts = parts.enumerate().peekable();
+    while let Some((number, part)) = parts.next() {
         let thins = number == 0 && samples >= FEW;
         let (mut least, mut without) = (f64::INFINITY, 0);
         judged.retain_mut(|(value, seen)| {
@@ -98,7 +99,7 @@ pub(super) fn judged(
             seen.extend(errors);
             true
         });
-        if thins {
+        if thins && parts.peek().is_some() {
             judged.retain(|(_, errors)| mean_error(errors).unwrap_or(0.0) <= WORSE * least);
             judged.truncate(CANDIDATES);
         }
