@@ -82,7 +82,7 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
         (
             "\"bell\"",
             "\"ball\"",
-            "a.toml:10: stimuli.kind = \"ball\": must be \"bell\", \"irregular\", \"recorded\" or \"mix\"",
+            "a.toml:10: stimuli.kind = \"ball\": must be \"bell\", \"gauss\", \"irregular\", \"recorded\" or \"mix\"",
         ),
         (
             "columns = 6",
