@@ -17,7 +17,7 @@ fn endless() -> String {
 }
 
 /// Does something to a database as any other program might.
-fn execute(db: &Path, sql: &str) {
+pub fn execute(db: &Path, sql: &str) {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
         let options =

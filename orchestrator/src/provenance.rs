@@ -4,6 +4,7 @@
 mod source;
 
 use metasense_schemas::record::Provenance;
+use metasense_worker::run::keeps_error;
 use metasense_worker::simd;
 
 use crate::files::host;
@@ -70,10 +71,11 @@ const EARLY: &str = "a sweep of this database has [until] or a [goal]: it may ha
     votes here are those of a number of trials that was fixed before, and hold the truth less often than they say; what `run` or \
     `design` answered keeps its confidence";
 
-/// A warning where no steps keep the error asked on a trial's initial or best body; `None` where steps do on both.
+/// A warning where no steps keep the error asked on a trial's initial or best body, by what its integrator says; `None` where steps
+/// do on both.
 #[must_use]
-pub fn unresolved([initial, best]: [bool; 2]) -> Option<String> {
-    let bodies = match [initial, best] {
+pub fn unresolved(solver: &str) -> Option<String> {
+    let bodies = match keeps_error(solver) {
         [true, true] => return None,
         [false, false] => "both bodies",
         [false, true] => "the initial body",
@@ -105,10 +107,10 @@ const SHOWN: usize = 5;
 ///
 /// # Errors
 /// Where SQLite fails.
-pub async fn caveats(reader: &mut Reader) -> Result<Vec<String>, StoreError> {
-    let (made, early) = (reader.made().await?, reader.may_stop_early().await?);
+pub async fn caveats(reader: &mut Reader, made: &[Made]) -> Result<Vec<String>, StoreError> {
+    let early = reader.may_stop_early().await?;
     let unresolved = unresolved_trials(&reader.unresolved().await?);
-    Ok(mixed(&made).into_iter().chain(early.then(|| EARLY.to_owned())).chain(unresolved).collect())
+    Ok(mixed(made).into_iter().chain(early.then(|| EARLY.to_owned())).chain(unresolved).collect())
 }
 
 #[cfg(test)]

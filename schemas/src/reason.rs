@@ -42,6 +42,12 @@ pub const PRUNED: &str = "pruned";
 /// Name of `Reason::Cancelled`, likewise.
 pub const CANCELLED: &str = "cancelled";
 
+/// Whether a trial that failed for this reason was given up on purpose.
+#[must_use]
+pub fn is_given_up(reason: &str) -> bool {
+    [PRUNED, CANCELLED].contains(&reason)
+}
+
 impl fmt::Display for Reason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

@@ -6,7 +6,7 @@ pub use metasense_numerics::questions::Bound;
 use metasense_numerics::trial::{Disturbance, Size};
 use metasense_schemas::spec::TrialSpec;
 
-use crate::run::{Failure, check_memory, pool, with_design};
+use crate::run::{Failure, pool, simulable};
 
 /// The bound of a body under the first `samples` of a trial's holdout, with its chips' noise or, in its place, with white noise of
 /// this part of each channel's RMS on the initial body.
@@ -20,8 +20,7 @@ pub fn bound(
     noise: Option<f64>,
     threads: usize,
 ) -> Result<Bound, Failure> {
-    check_memory(trial)?;
-    let mut problem = with_design(trial, design)?;
+    let mut problem = simulable(trial, design)?;
     if let Some(part) = noise {
         let chips = problem.disturbance.unwrap_or(Disturbance::NONE);
         problem.disturbance = Some(Disturbance { noise: Size::Relative(part), ..chips });

@@ -7,7 +7,7 @@ use metasense_schemas::record::CastReading;
 use metasense_schemas::spec::{TrialSpec, Variation};
 
 use crate::convert::cast_readings;
-use crate::run::{Failure, check_memory, pool, with_design};
+use crate::run::{Failure, pool, simulable};
 
 /// What a trial has whose casts cannot be asked for.
 pub const NO_VARIATION: &str = "no [variation] that says how casts scatter (a trial keeps it only with an objective over casts or evaluation.casts above 0)";
@@ -31,8 +31,7 @@ pub fn casts(
     if trial.variation.is_none() {
         return Err(Failure::Rejected(format!("it has {NO_VARIATION}; give --variation FILE")));
     }
-    check_memory(&trial)?;
-    let pool = pool(threads)?;
-    let (problem, _) = placed(&with_design(&trial, design)?, &pool)?;
+    let (designed, pool) = (simulable(&trial, design)?, pool(threads)?);
+    let (problem, _) = placed(&designed, &pool)?;
     Ok(cast_readings(&casts_of(&Trial::new(&problem, &pool)?, design, count, progress)))
 }

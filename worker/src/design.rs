@@ -83,6 +83,11 @@ pub fn check(what: &str, shape: &[usize], values: &[f64], length: usize) -> Resu
             length / 2
         ));
     }
+    finite(what, values)
+}
+
+/// Refuses NaN and infinity, by the first and where it stands.
+pub(crate) fn finite(what: &str, values: &[f64]) -> Result<(), String> {
     match values.iter().position(|x| !x.is_finite()) {
         None => Ok(()),
         Some(at) => Err(format!("{what}: number {at} is {}, which is not finite", values[at])),

@@ -26,7 +26,7 @@ const START: [u64; 2] = [32 << 20, 16 << 20];
 /// Descriptors of any command.
 const START_DESCRIPTORS: u64 = 8;
 /// Least free space in shared memory for each worker (bytes): its chunks for messages and some arrays.
-pub const SPACE_PER_WORKER: u64 = 16 << 20;
+const SPACE_PER_WORKER: u64 = 16 << 20;
 /// Files of a worker's domain there.
 const SHARED_FILES: u64 = 80;
 /// Least size that a file may have, and least free space of the disk of each (bytes).
@@ -198,7 +198,11 @@ fn user_threads(needed: u64) -> Option<Limit> {
     if user.is_root() || u64::from_str_radix(capable.trim(), 16).ok()? & MAY_EXCEED != 0 {
         return None;
     }
-    getrlimit(Resource::Nproc).current?;
+    // all threads of the machine are at least those of a user: no process needs to be looked at
+    let most = getrlimit(Resource::Nproc).current?;
+    if all_threads().is_some_and(|all| all.saturating_add(needed) <= most) {
+        return None;
+    }
     let entries = fs::read_dir("/proc").ok()?.flatten();
     let theirs = entries.filter_map(|entry| {
         entry.file_name().to_str()?.parse::<u32>().ok()?;
@@ -209,10 +213,14 @@ fn user_threads(needed: u64) -> Option<Limit> {
     resource(Resource::Nproc, what, theirs.sum(), needed, false)
 }
 
-/// Those of all users. What all processes have in use stands behind a stroke.
-fn machine_threads(needed: u64) -> Option<Limit> {
+/// Threads of all users: what all processes have in use stands behind a stroke.
+fn all_threads() -> Option<u64> {
     let load = fs::read_to_string("/proc/loadavg").ok()?;
-    let used = load.split_whitespace().nth(3)?.split_once('/')?.1.parse().ok()?;
+    load.split_whitespace().nth(3)?.split_once('/')?.1.parse().ok()
+}
+
+fn machine_threads(needed: u64) -> Option<Limit> {
+    let used = all_threads()?;
     let limit = |name: &str| number(&Path::new("/proc/sys/kernel").join(name));
     let most = limit("threads-max")?.min(limit("pid_max")?);
     let what = "threads of this machine (kernel.threads-max, kernel.pid_max)".into();
@@ -231,9 +239,8 @@ fn cgroup_tasks(needed: u64) -> Option<Limit> {
 /// What is only kept to be read again counts as free.
 fn cgroup_memory(needed: u64) -> Option<Limit> {
     let of = |group: &Path| {
-        let either = |names: [&str; 2]| names.iter().find_map(|name| number(&group.join(name)));
-        let most = either(["memory.max", "memory.limit_in_bytes"])?;
-        let used = either(["memory.current", "memory.usage_in_bytes"])?;
+        let most = memory_limit(group)?;
+        let used = either(group, ["memory.current", "memory.usage_in_bytes"])?;
         let text = fs::read_to_string(group.join("memory.stat")).unwrap_or_default();
         let sum = |names: [&str; 2]| names.iter().filter_map(|name| field(&text, name)).sum::<u64>();
         let kept = sum(["file ", "total_cache "]).saturating_sub(sum(["shmem ", "total_shmem "]));
@@ -269,25 +276,44 @@ fn existing(file: &Path) -> PathBuf {
     file.ancestors().find(|folder| folder.is_dir()).unwrap_or(Path::new("/")).to_owned()
 }
 
-/// Of the groups that this process is in, of one controller, the one that leaves least.
-fn tightest(controller: &str, of: impl Fn(&Path) -> Option<(u64, u64)>) -> Option<(u64, u64)> {
-    let groups = fs::read_to_string("/proc/self/cgroup").ok()?;
+/// The groups with this controller that a text as of /proc/self/cgroup names, and those that hold them.
+pub(crate) fn groups(text: &str, root: &Path, controller: &str) -> Vec<PathBuf> {
     let mut found = Vec::new();
-    for line in groups.lines() {
+    for line in text.lines() {
         let mut parts = line.splitn(3, ':').skip(1);
-        let (names, path) = (parts.next()?, parts.next()?);
+        let (Some(names), Some(path)) = (parts.next(), parts.next()) else { continue };
         let root = match names {
-            "" => PathBuf::from("/sys/fs/cgroup"),
-            names if names.split(',').any(|name| name == controller) => {
-                Path::new("/sys/fs/cgroup").join(controller)
-            }
+            "" => root.to_owned(),
+            names if names.split(',').any(|name| name == controller) => root.join(controller),
             _ => continue,
         };
         // in a container the path may be the host's: what is mounted is its own
         let own = root.join(path.trim_start_matches('/'));
-        found.extend(own.ancestors().take_while(|group| group.starts_with(&root)).filter_map(&of));
+        found.extend(own.ancestors().take_while(|group| group.starts_with(&root)).map(Path::to_owned));
     }
-    found.into_iter().min_by_key(|(most, used)| most.saturating_sub(*used))
+    found
+}
+
+/// Those of this process.
+pub(crate) fn own_groups(controller: &str) -> Vec<PathBuf> {
+    let text = fs::read_to_string("/proc/self/cgroup").unwrap_or_default();
+    groups(&text, Path::new("/sys/fs/cgroup"), controller)
+}
+
+/// Of the groups that this process is in, of one controller, the one that leaves least.
+fn tightest(controller: &str, of: impl Fn(&Path) -> Option<(u64, u64)>) -> Option<(u64, u64)> {
+    let found = own_groups(controller);
+    found.iter().filter_map(|group| of(group)).min_by_key(|(most, used)| most.saturating_sub(*used))
+}
+
+/// Memory that the processes of a group may have together (bytes); `None` without a limit.
+pub(crate) fn memory_limit(group: &Path) -> Option<u64> {
+    either(group, ["memory.max", "memory.limit_in_bytes"])
+}
+
+/// The number in the first of these files of a group that has one: they differ between versions of control groups.
+fn either(group: &Path, names: [&str; 2]) -> Option<u64> {
+    names.iter().find_map(|name| number(&group.join(name)))
 }
 
 /// `max` is none.
@@ -296,7 +322,7 @@ fn number(file: &Path) -> Option<u64> {
 }
 
 /// The number behind a name at the beginning of a line.
-fn field(text: &str, name: &str) -> Option<u64> {
+pub(crate) fn field(text: &str, name: &str) -> Option<u64> {
     text.lines().find_map(|line| line.strip_prefix(name))?.split_whitespace().next()?.parse().ok()
 }
 

@@ -3,6 +3,7 @@
 //! A file of its own says what stands where (`spec::Measured`). A record is moved as a whole where a trigger wants its
 //! blow. Before its first and after its last entry a signal is held, so that the low-pass does not see it jump.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use metasense_numerics::dynamics::Forces;
@@ -72,7 +73,7 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
         None => of_forces.zip(of_signals).map(|(forces, signals)| [forces, signals].concat()),
     };
     let form = Form::of_forces(recorded, "recorded", read);
-    let (mut forces, mut readings, mut seen) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut forces, mut readings, mut seen) = (Vec::new(), Vec::new(), Seen::new());
     for (n, file) in recorded.files.iter().enumerate() {
         let wrong = |what: String| records::at(file, what);
         let beside = signals.files.as_ref().map(|files| &files[n]);
@@ -154,27 +155,27 @@ fn faulty(file: &Path, what: impl Into<String>) -> Invalid {
     invalid("signals.files", format!("{:?}", file.display().to_string()), what)
 }
 
-/// Forces and signals of a record that has been read, and where it stands.
-type Seen = ([blake3::Hash; 2], String);
+/// Of the signals of each record that has been read: its forces, and where it stands.
+type Seen = HashMap<blake3::Hash, (blake3::Hash, String)>;
 
 /// Refuses signals that are a force, and those of an earlier record: copies would train and test the same brain.
-fn check_copies(seen: &mut Vec<Seen>, force: &Record, signal: &Record, place: String) -> Result<(), String> {
+fn check_copies(seen: &mut Seen, force: &Record, signal: &Record, place: String) -> Result<(), String> {
     let is_some = |values: &[f64]| values.iter().any(|x| *x != 0.0);
     if let Some(c) = signal.values.iter().position(|signal| is_some(signal) && force.values.contains(signal))
     {
         return Err(format!("holds the force as signal {c}: a brain would read it there"));
     }
-    let own = [force, signal].map(|record| fingerprint(&record.values.concat()));
+    let [own_force, own_signal] = [force, signal].map(|record| fingerprint(&record.values.concat()));
     let some = [force, signal].map(|record| record.values.iter().any(|values| is_some(values)));
-    if let Some((other, first)) = seen.iter().find(|(other, _)| other[1] == own[1]) {
-        if other[0] == own[0] && (some[0] || some[1]) {
+    if let Some((other, first)) = seen.get(&own_signal) {
+        if *other == own_force && (some[0] || some[1]) {
             return Err(format!("is the same record as {first}: a copy would train and test the same brain"));
         }
         if some[1] {
             return Err(format!("holds the signals of {first} under another force"));
         }
     }
-    seen.push((own, place));
+    seen.entry(own_signal).or_insert((own_force, place));
     Ok(())
 }
 

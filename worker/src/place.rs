@@ -7,7 +7,7 @@ use metasense_schemas::spec::{self, TrialSpec};
 use metasense_schemas::wire::Cause;
 
 use crate::convert;
-use crate::run::{Failure, check_memory, pool, with_design};
+use crate::run::{Failure, pool, simulable};
 
 /// Placements found for m = 1 … M sensors, beside random ones. Errors (%) are those of a linear brain on training samples
 /// that it has not seen.
@@ -32,8 +32,7 @@ pub fn look(trial: &TrialSpec, design: &[f64], given: usize, threads: usize) -> 
     let mut trial = trial.clone();
     trial.sensor_units.clear();
     trial.sensors.search = Some(spec::Search::Greedy);
-    check_memory(&trial)?;
-    let problem = with_design(&trial, design)?;
+    let problem = simulable(&trial, design)?;
     let search = problem.search.as_ref().expect("asked for");
     let pool = pool(threads)?;
     let cause = Cause::NowhereToSense;

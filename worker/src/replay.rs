@@ -19,7 +19,7 @@ pub use integers::{Integers, Rescaled};
 pub use layers::{Convolution, Single, holdout_error, layers};
 
 use crate::casts::NO_VARIATION;
-use crate::run::{Failure, check_length, check_memory, pool, prepared, with_design};
+use crate::run::{Failure, check_length, pool, prepared, simulable, with_design};
 
 /// A body to draw.
 #[derive(Debug, Clone, PartialEq)]
@@ -101,8 +101,7 @@ pub fn replay(
     inverse: usize,
     threads: usize,
 ) -> Result<Replay, Failure> {
-    check_memory(trial)?;
-    let problem = with_design(trial, design)?;
+    let problem = simulable(trial, design)?;
     if !weights.is_empty() {
         check_length("network", weights.len(), problem.reader_shape().weights())?;
     }
@@ -149,8 +148,7 @@ pub fn own(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<Own, F
 /// # Errors
 /// If nothing scatters, as [`replay`], or if it cannot be fitted.
 pub fn replay_for_casts(trial: &TrialSpec, design: &[f64], threads: usize) -> Result<(Replay, Own), Failure> {
-    check_memory(trial)?;
-    let (problem, pool) = (with_design(trial, design)?, pool(threads)?);
+    let (problem, pool) = (simulable(trial, design)?, pool(threads)?);
     if problem.variation.is_none() {
         return Err(Failure::Rejected(format!("the trial has {NO_VARIATION}")));
     }

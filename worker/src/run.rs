@@ -130,11 +130,14 @@ pub fn with_design(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure
 /// Whether `design` is one of the problem's body, and its units are bodies.
 ///
 /// # Errors
-/// If its length is another, a number is not finite, or a unit has no area: it is turned inside out, or crosses itself.
+/// If its length is another, a number is not finite, or a unit has no mass: without given masses those turned inside out have none.
 pub fn check_design(problem: &Problem, design: &[f64]) -> Result<(), Failure> {
     design::check("the design", &[design.len()], design, problem.initial.len()).map_err(Failure::Rejected)?;
     let geometry = problem.scene.geometry(design);
-    let sound = |unit: &usize| geometry.area[*unit] > 0.0 && geometry.moment[*unit] >= 0.0;
+    let sound = |unit: &usize| {
+        let [area, mass, moment] = [&geometry.area, &geometry.mass, &geometry.moment].map(|of| of[*unit]);
+        area != 0.0 && mass > 0.0 && moment >= 0.0
+    };
     match (0..problem.scene.layout.units()).find(|unit| !sound(unit)) {
         None => Ok(()),
         Some(unit) => Err(Failure::Rejected(format!(
@@ -144,11 +147,20 @@ pub fn check_design(problem: &Problem, design: &[f64]) -> Result<(), Failure> {
     }
 }
 
+/// The problem with this design, of which all samples are to be simulated here.
+///
+/// # Errors
+/// As of [`with_design`], or if this machine has not the memory for them.
+pub(crate) fn simulable(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure> {
+    check_memory(trial)?;
+    with_design(trial, design)
+}
+
 /// Whether this machine has the memory that the samples of a trial need.
 ///
 /// # Errors
 /// Names the key that asks for most.
-pub(crate) fn check_memory(trial: &TrialSpec) -> Result<(), Failure> {
+fn check_memory(trial: &TrialSpec) -> Result<(), Failure> {
     memory::check_here(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))
 }
 
@@ -165,12 +177,7 @@ pub(crate) fn check_length(what: &str, given: usize, expected: usize) -> Result<
 /// # Errors
 /// Names the first that is not finite, and where it stands.
 pub fn finite(what: &str, values: &[f64]) -> Result<(), Failure> {
-    match values.iter().position(|x| !x.is_finite()) {
-        None => Ok(()),
-        Some(at) => {
-            Err(Failure::Rejected(format!("{what}: number {at} is {}, which is not finite", values[at])))
-        }
-    }
+    design::finite(what, values).map_err(Failure::Rejected)
 }
 
 /// The problem that a spec stands for, on these threads, its sensors in place: searched for where that is to be done.

@@ -45,7 +45,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         return Err(Error::Usage("CSV and Parquet hold one table: choose it with --question".into()));
     }
     let (trials, caveats) = Reader::asked(Database::at(&args.db).await?, async |reader| {
-        Ok::<_, Error>((finished_trials(reader).await?, provenance::caveats(reader).await?))
+        let made = reader.made().await?;
+        Ok::<_, Error>((finished_trials(reader).await?, provenance::caveats(reader, &made).await?))
     })
     .await?;
     let mut objects = Vec::new();

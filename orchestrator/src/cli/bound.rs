@@ -54,7 +54,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let (hash, trial, design) = args.one.read().await?;
     let of = |trial: &TrialSpec, design: &[f64]| {
         bound(trial, design, args.samples.into(), args.noise, args.threads.into())
-            .map_err(|e| args.one.trial.refused(e))
+            .map_err(|e| args.one.trial.failed(e))
     };
     let own = args.one.trial.is_database() && args.one.design.is_none();
     let rows = match args.db.as_ref().or(own.then_some(&args.one.trial.source)) {

@@ -45,7 +45,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let (hash, trial, design) = args.one.read().await?;
     let variation = args.variation.as_deref().map(scatter).transpose()?;
     let count = usize::from(args.casts);
-    let found = read(&args, &trial, &design, variation).map_err(|e| args.one.trial.refused(e))?;
+    let found = read(&args, &trial, &design, variation).map_err(|e| args.one.trial.failed(e))?;
     let failed =
         found.iter().filter(|reading| reading.reader == "nominal" && reading.outcome != "ok").count();
     let holdout = trial.stimuli.holdout;

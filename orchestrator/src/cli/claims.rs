@@ -39,7 +39,8 @@ pub(super) struct Args {
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let (trials, caveats) = Reader::asked(Database::at(&args.db).await?, async |reader| {
-        Ok::<_, Error>((finished_trials(reader).await?, provenance::caveats(reader).await?))
+        let made = reader.made().await?;
+        Ok::<_, Error>((finished_trials(reader).await?, provenance::caveats(reader, &made).await?))
     })
     .await?;
     let found = tried(&trials);

@@ -7,7 +7,6 @@ use metasense_schemas::database::VIEWS;
 use metasense_worker::casts::NO_VARIATION;
 use metasense_worker::demands::Demands;
 use metasense_worker::replay::{Drawing, Own, Replay, drawing};
-use metasense_worker::run::keeps_error;
 
 use super::named::{Database, Named, Which};
 use super::query::answer_in;
@@ -137,9 +136,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             .await?;
     } else {
         let stored = args.trial.stored().await?;
-        provenance::unresolved(keeps_error(&stored.solver))
-            .iter()
-            .for_each(|caveat| say!("warning: {caveat}"));
+        provenance::unresolved(&stored.solver).iter().for_each(|caveat| say!("warning: {caveat}"));
         trial(&stored, &args)?;
     }
     print_line!("{}", out.display())?;

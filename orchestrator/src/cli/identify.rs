@@ -90,7 +90,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         bar.tick();
     };
     let fit = identify(trial, design, &measured, &free, args.threads.into(), &known, &mut watch);
-    let fit = fit.map_err(|e| args.one.trial.refused(e))?;
+    let fit = fit.map_err(|e| args.one.trial.failed(e))?;
     bar.finish_and_clear();
     let found = estimates(&fit);
     let shown = readable(&found);

@@ -5,7 +5,6 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use metasense_schemas::reason::Reason;
 use metasense_schemas::record::{BodyEvaluation, NetworkEvaluation, TrialResult, mean, most_above};
-use metasense_worker::run::keeps_error;
 use tokio::sync::Notify;
 
 use super::{duration, is_live};
@@ -73,7 +72,7 @@ impl Watch for Live<'_> {
             _ => percent(&result.initial) + " -> ",
         };
         self.say(&format!("done: {}: holdout error {before}{}", named(trial), percent(&result.optimised)));
-        if let Some(caveat) = provenance::unresolved(keeps_error(&result.solver)) {
+        if let Some(caveat) = provenance::unresolved(&result.solver) {
             self.say(&format!("warning: {}: {caveat}", named(trial)));
         }
     }

@@ -39,11 +39,11 @@ const FREQUENCIES: usize = 200;
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let (_, spec, design) = &args.one.read().await?;
-    let modes = slowest(spec, design, args.count.into()).map_err(|e| args.one.trial.refused(e))?;
+    let modes = slowest(spec, design, args.count.into()).map_err(|e| args.one.trial.failed(e))?;
     let (table, columns, (drawn, legend)) = match args.response {
         None => {
             let rows = modes.iter().enumerate().map(|(n, mode)| pictures::row(n, mode));
-            let drawn = pictures::shapes(spec, design, &modes).map_err(|e| args.one.trial.refused(e))?;
+            let drawn = pictures::shapes(spec, design, &modes).map_err(|e| args.one.trial.failed(e))?;
             (Table::new(pictures::COLUMNS, rows), modes.len().clamp(1, 4), drawn)
         }
         Some(unit) => {

@@ -8,6 +8,7 @@ use metasense_schemas::source::Source;
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::demands::memory;
 use metasense_worker::design::Feasible;
+use metasense_worker::run::Failure;
 use metasense_worker::{design, problem, simulate};
 
 use super::Error;
@@ -225,6 +226,14 @@ impl Named {
             false => {
                 self.spec().source().map_or_else(|e| e, |spec| spec.error_with(key, None, remedy).into())
             }
+        }
+    }
+
+    /// Why a question about it has no answer: the machine is short of something, or it cannot be asked.
+    pub fn failed(&self, failure: Failure) -> Error {
+        match failure {
+            Failure::Shortage(what) => Error::Short(what),
+            failure => self.refused(failure),
         }
     }
 

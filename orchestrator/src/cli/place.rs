@@ -37,13 +37,13 @@ pub(super) struct Args {
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let (_, spec, design) = &args.one.read_or(most_sensors).await?;
-    let found = look(spec, design, args.given, args.threads.into()).map_err(|e| args.one.trial.refused(e))?;
+    let found = look(spec, design, args.given, args.threads.into()).map_err(|e| args.one.trial.failed(e))?;
     print_rows(&table(&found), args.format)?;
     if found.placed.iter().any(|placed| placed.energies) {
         say!("read by a linear brain that sees |signal|² of each unit, too: it reads these forces better");
     }
     if let Some(out) = &args.out {
-        let drawn = metasense_worker::replay::drawing(spec, design).map_err(|e| args.one.trial.refused(e))?;
+        let drawn = metasense_worker::replay::drawing(spec, design).map_err(|e| args.one.trial.failed(e))?;
         let sensors = found.placed.last().map_or(Vec::new(), |placed| placed.units.clone());
         let drawn = sketch(&Drawing { sensors, active: Vec::new(), ..drawn }, &[]);
         let caption = format!(

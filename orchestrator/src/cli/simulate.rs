@@ -47,7 +47,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let cotangent = args.cotangent.as_deref().map(array).transpose()?;
     let cotangent = cotangent.as_ref().map(|(shape, values)| (&shape[..], &values[..]));
     let found = simulate(spec, design, (&shape, &forces), cotangent, args.threads.into());
-    let found = found.map_err(|e| args.one.trial.refused(e))?;
+    let found = found.map_err(|e| args.one.trial.failed(e))?;
 
     let Simulated { shape: [samples, instants, units, sensors], .. } = found;
     make_folder(&args.out_dir)?;

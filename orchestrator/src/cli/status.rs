@@ -3,8 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use metasense_schemas::reason::{CANCELLED, PRUNED};
-use metasense_worker::run::keeps_error;
+use metasense_schemas::reason::is_given_up;
 use serde_json::{Value, json};
 
 use super::named::{Database, Named};
@@ -114,10 +113,10 @@ async fn one(reader: &mut Reader, hash: &str, format: Format) -> Result<Exit, Er
         format!("SELECT attempt, at, level, text FROM v_log WHERE hash = {named} ORDER BY attempt, line");
     let [state, reason, solver] = [0, 1, 2].map(|i| state[i].as_str().unwrap_or_default().to_owned());
     say!("{}", format!("trial {hash}: {state} {reason}").trim_end());
-    provenance::unresolved(keeps_error(&solver)).iter().for_each(|caveat| say!("warning: {caveat}"));
+    provenance::unresolved(&solver).iter().for_each(|caveat| say!("warning: {caveat}"));
     say_attempts(reader, hash).await?;
     print_rows(&reader.query(&log).await?, format)?;
-    let failed = state == "failed" && ![PRUNED, CANCELLED].contains(&&*reason);
+    let failed = state == "failed" && !is_given_up(&reason);
     Ok(if failed { Exit::Failed } else { Exit::Done })
 }
 

@@ -9,6 +9,8 @@ use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
+use metasense_schemas::reason::PRUNED;
+
 use super::named::Spec;
 use super::{Error, duration, make_folder, write};
 use crate::cluster::home::{SUBMITTED_SPEC, attempts};
@@ -190,16 +192,19 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     run_here(&submission, &places, &mut notes).await
 }
 
-/// Trials that a database has settled, and whether they have failed; none where there is no database yet.
+/// Trials that a database has settled, and whether --retry-failed runs them again; none where there is no database yet.
 async fn settled(out: &Path) -> Result<HashMap<String, bool>, Error> {
     let mut settled = HashMap::new();
     if !out.metadata().is_ok_and(|file| file.len() > 0) {
         return Ok(settled);
     }
-    let sql = "SELECT hash, state = 'failed' AS failed FROM trial WHERE state IN ('done', 'failed')";
+    let sql = format!(
+        "SELECT hash, state = 'failed' AND reason IS NOT '{PRUNED}' AS failed FROM trial
+         WHERE state IN ('done', 'failed')"
+    );
     Reader::asked(out, async |reader| {
         reader
-            .each(sql, |row| {
+            .each(&sql, |row| {
                 settled.insert(row.text("hash").to_owned(), row.count("failed") > 0);
                 Ok::<_, Error>(())
             })

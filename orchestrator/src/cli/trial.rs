@@ -5,7 +5,7 @@ use std::time::Instant;
 use metasense_schemas::record::{
     BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, mean, most_above,
 };
-use metasense_worker::run::{Control, Failure, Observe, keeps_error, pool, run_trial};
+use metasense_worker::run::{Control, Failure, Observe, pool, run_trial};
 use serde_json::json;
 
 use super::named::Named;
@@ -73,7 +73,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     add("simd", json!(result.simd));
     table.rows.push(row);
     print_rows(&table, args.format)?;
-    provenance::unresolved(keeps_error(&result.solver)).iter().for_each(|caveat| say!("warning: {caveat}"));
+    provenance::unresolved(&result.solver).iter().for_each(|caveat| say!("warning: {caveat}"));
     say!("{}", duration(seconds));
     Ok(Exit::Done)
 }

@@ -43,8 +43,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let measured = measured::read(&args.records, trial)?;
     let begun = Instant::now();
     let found = twin::fit(trial, design, &measured, args.threads.into());
-    let found = found.map_err(|e| args.one.trial.refused(e))?;
-    print_rows(&estimates(trial, &found).map_err(|e| args.one.trial.refused(e))?, args.format)?;
+    let found = found.map_err(|e| args.one.trial.failed(e))?;
+    print_rows(&estimates(trial, &found).map_err(|e| args.one.trial.failed(e))?, args.format)?;
     if args.format == Format::Table {
         said(&found, measured.forces.samples).iter().try_for_each(|line| print_line!("{line}"))?;
     }

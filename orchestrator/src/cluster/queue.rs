@@ -126,7 +126,9 @@ pub fn jobs(folder: &Path) -> io::Result<Vec<Job>> {
 impl Job {
     /// Whether both are the same job, of which more is known by now.
     fn is(&self, other: &Self) -> bool {
-        let numbered = |job: &Self| [Some(job.scheduler.clone()), Some(job.job.clone()), job.cluster.clone()];
+        fn numbered(job: &Job) -> (&str, &str, &Option<String>) {
+            (&job.scheduler, &job.job, &job.cluster)
+        }
         match (&self.name, &other.name) {
             (Some(name), Some(other)) => name == other,
             _ => numbered(self) == numbered(other),

@@ -131,7 +131,6 @@ pub async fn run<'a>(
     watch: &'a mut dyn Watch,
 ) -> Result<Summary, EngineError> {
     let settings = &options.settings;
-    limits::make_use_of();
     let workers = settings.workers.min(trials.len() as u32);
     limits::check(&Needs { workers, threads: options.threads, files: &[store.path()] })?;
     let state = |priors: &[Prior]| State::new(settings.clone(), priors);

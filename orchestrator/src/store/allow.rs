@@ -50,15 +50,15 @@ pub(super) enum Allowed {
 pub(super) async fn allow(connection: &mut SqliteConnection, what: Allowed) -> sqlx::Result<()> {
     let mut handle = connection.lock_handle().await?;
     let db = handle.as_raw_handle().as_ptr();
-    let callback = match what {
-        Allowed::Reading => reads,
-        Allowed::Confined => reads_a_little,
-        Allowed::Describing => describes,
+    let data: &'static Allowed = match what {
+        Allowed::Reading => &Allowed::Reading,
+        Allowed::Confined => &Allowed::Confined,
+        Allowed::Describing => &Allowed::Describing,
     };
-    // SAFETY: the handle is locked and open; the callbacks have no data of their own.
+    // SAFETY: the handle is locked and open; the data lives as long as the program, and is only read.
     unsafe {
         ffi::sqlite3_limit(db, ffi::SQLITE_LIMIT_ATTACHED, 0);
-        ffi::sqlite3_set_authorizer(db, Some(callback), std::ptr::null_mut());
+        ffi::sqlite3_set_authorizer(db, Some(authorize), std::ptr::from_ref(data).cast_mut().cast());
     }
     Ok(())
 }
@@ -106,70 +106,47 @@ pub(super) async fn refusal(connection: &mut SqliteConnection, sql: &str) -> sql
 /// End of the messages about statements that are refused.
 pub(super) const NOT_READING: &str = "; only what reads rows is answered";
 
-/// A string from SQLite; empty for a null pointer.
-unsafe fn text<'a>(text: *const c_char) -> &'a [u8] {
-    if text.is_null() {
-        return &[];
-    }
+/// A string from SQLite; `None` for a null pointer.
+unsafe fn text<'a>(text: *const c_char) -> Option<&'a [u8]> {
     // SAFETY: the caller passes a pointer from SQLite: NUL-terminated and valid until the callback returns.
-    unsafe { CStr::from_ptr(text) }.to_bytes()
+    (!text.is_null()).then(|| unsafe { CStr::from_ptr(text) }.to_bytes())
 }
 
-unsafe extern "C" fn reads(
-    _: *mut c_void,
+unsafe extern "C" fn authorize(
+    data: *mut c_void,
     action: c_int,
     first: *const c_char,
     second: *const c_char,
     _: *const c_char,
     _: *const c_char,
 ) -> c_int {
-    // SAFETY: both are SQLite's.
-    let [name, argument] = unsafe { [text(first), text(second)] };
-    let is = |known: &[u8], name: &[u8]| known.eq_ignore_ascii_case(name);
-    let allowed = match action {
+    // SAFETY: the data is what `allow` has set, the strings are SQLite's.
+    let (what, [name, argument]) = unsafe { (*data.cast::<Allowed>(), [text(first), text(second)]) };
+    if is_allowed(what, action, name.unwrap_or_default(), argument) {
+        ffi::SQLITE_OK
+    } else {
+        ffi::SQLITE_DENY
+    }
+}
+
+fn is_allowed(what: Allowed, action: c_int, name: &[u8], argument: Option<&[u8]>) -> bool {
+    let is_one_of = |known: &[&[u8]]| known.iter().any(|known| known.eq_ignore_ascii_case(name));
+    match action {
         ffi::SQLITE_SELECT | ffi::SQLITE_READ | ffi::SQLITE_RECURSIVE => true,
-        ffi::SQLITE_FUNCTION => !is(b"load_extension", argument),
+        ffi::SQLITE_FUNCTION => !argument.unwrap_or_default().eq_ignore_ascii_case(b"load_extension"),
         ffi::SQLITE_PRAGMA => {
-            ABOUT_TABLES.iter().chain(&ABOUT_ALL).any(|known| is(known, name))
-                || second.is_null() && READING.iter().any(|known| is(known, name))
+            is_one_of(&ABOUT_TABLES)
+                || what != Allowed::Confined && is_one_of(&ABOUT_ALL)
+                || argument.is_none() && is_one_of(&READING)
+        }
+        ffi::SQLITE_CREATE_TEMP_VIEW
+        | ffi::SQLITE_DROP_TEMP_VIEW
+        | ffi::SQLITE_INSERT
+        | ffi::SQLITE_UPDATE
+        | ffi::SQLITE_DELETE => {
+            what == Allowed::Describing
+                && (name == TYPES_VIEW.as_bytes() || name.starts_with(b"sqlite_temp_"))
         }
         _ => false,
-    };
-    if allowed { ffi::SQLITE_OK } else { ffi::SQLITE_DENY }
-}
-
-unsafe extern "C" fn reads_a_little(
-    data: *mut c_void,
-    action: c_int,
-    first: *const c_char,
-    second: *const c_char,
-    schema: *const c_char,
-    inner: *const c_char,
-) -> c_int {
-    // SAFETY: it is SQLite's.
-    let name = unsafe { text(first) };
-    match action == ffi::SQLITE_PRAGMA && ABOUT_ALL.iter().any(|known| known.eq_ignore_ascii_case(name)) {
-        true => ffi::SQLITE_DENY,
-        // SAFETY: the arguments are SQLite's.
-        false => unsafe { reads(data, action, first, second, schema, inner) },
-    }
-}
-
-unsafe extern "C" fn describes(
-    data: *mut c_void,
-    action: c_int,
-    first: *const c_char,
-    second: *const c_char,
-    schema: *const c_char,
-    inner: *const c_char,
-) -> c_int {
-    // SAFETY: it is SQLite's.
-    let name = unsafe { text(first) };
-    let ours = name == TYPES_VIEW.as_bytes() || name.starts_with(b"sqlite_temp_");
-    match action {
-        ffi::SQLITE_CREATE_TEMP_VIEW | ffi::SQLITE_DROP_TEMP_VIEW if ours => ffi::SQLITE_OK,
-        ffi::SQLITE_INSERT | ffi::SQLITE_UPDATE | ffi::SQLITE_DELETE if ours => ffi::SQLITE_OK,
-        // SAFETY: the arguments are SQLite's.
-        _ => unsafe { reads(data, action, first, second, schema, inner) },
     }
 }

@@ -124,9 +124,8 @@ impl Presence {
 
     /// The path that the open file has now.
     fn name(&self) -> Option<PathBuf> {
-        let own = self.file.metadata().ok()?;
         let known = std::fs::read_link(format!("/proc/self/fd/{}", self.file.as_raw_fd())).ok()?;
-        (id_at(&known) == Some((own.dev(), own.ino()))).then_some(known)
+        super::is_still(&self.file, &known).then_some(known)
     }
 }
 
@@ -189,11 +188,17 @@ async fn copied(connection: &mut SqliteConnection, path: &Path) -> Result<PathBu
     for folder in [files::folder(path).to_owned(), PathBuf::from("."), std::env::temp_dir()] {
         let mut names = (0..).map(|n| folder.join(format!("{stem}.saved-{}-{n}.sqlite", std::process::id())));
         let copy = names.find(|name| !name.exists()).expect("numbers do not end");
-        let into = copy.to_string_lossy().into_owned();
-        match sqlx::query("VACUUM INTO ?").bind(into).execute(&mut *connection).await {
-            Ok(_) => return Ok(copy),
+        let part = folder.join(format!(".{stem}.{}.tmp", files::own_mark()));
+        let _ = std::fs::remove_file(&part);
+        let into = part.to_string_lossy().into_owned();
+        let made = sqlx::query("VACUUM INTO ?").bind(into).execute(&mut *connection).await;
+        let whole = made
+            .map_err(|error| error.to_string())
+            .and_then(|_| files::put_in_place(&part, &copy).map_err(|error| error.to_string()));
+        match whole {
+            Ok(()) => return Ok(copy),
             Err(error) => {
-                let _ = std::fs::remove_file(&copy);
+                let _ = std::fs::remove_file(&part);
                 why = format!("copying the recorded data to {} failed: {error}", copy.display());
             }
         }

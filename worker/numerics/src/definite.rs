@@ -4,7 +4,8 @@
 use crate::brain::linear::matrix;
 use faer::linalg::solvers::{SelfAdjointEigen, Solve};
 use faer::{Mat, MatRef, Side};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::allocator::Allocator;
+use nalgebra::{DMatrix, DefaultAllocator, Dim, Dyn, OMatrix};
 
 /// ½ ln |B| of such a B, whose eigenvalues are `least` and more; infinite of numbers that are none.
 pub(crate) fn half_log(b: MatRef<'_, f64>, least: f64) -> f64 {
@@ -25,13 +26,20 @@ pub(crate) fn solved(b: MatRef<'_, f64>, least: f64, x: MatRef<'_, f64>) -> Opti
 }
 
 /// The same by nalgebra's factor.
-pub(crate) fn solved_vector(b: DMatrix<f64>, least: f64, x: &DVector<f64>) -> Option<DVector<f64>> {
+pub(crate) fn solved_dense<C: Dim>(
+    b: DMatrix<f64>,
+    least: f64,
+    x: &OMatrix<f64, Dyn, C>,
+) -> Option<OMatrix<f64, Dyn, C>>
+where
+    DefaultAllocator: Allocator<Dyn, C>,
+{
     let n = b.nrows();
     let found = match b.clone().cholesky() {
         Some(factor) => factor.solve(x),
         None => {
-            let found = divided(matrix(b.as_slice(), n, n), least, matrix(x.as_slice(), n, 1))?;
-            DVector::from_fn(n, |i, _| found[(i, 0)])
+            let found = divided(matrix(b.as_slice(), n, n), least, matrix(x.as_slice(), n, x.ncols()))?;
+            OMatrix::from_fn_generic(Dyn(n), x.shape_generic().1, |i, j| found[(i, j)])
         }
     };
     found.iter().all(|x| x.is_finite()).then_some(found)
@@ -40,14 +48,7 @@ pub(crate) fn solved_vector(b: DMatrix<f64>, least: f64, x: &DVector<f64>) -> Op
 /// B⁻¹; `None` of numbers that are none.
 pub(crate) fn inverse(b: DMatrix<f64>, least: f64) -> Option<DMatrix<f64>> {
     let n = b.nrows();
-    let found = match b.clone().cholesky() {
-        Some(factor) => factor.inverse(),
-        None => {
-            let found = divided(matrix(b.as_slice(), n, n), least, Mat::<f64>::identity(n, n).as_ref())?;
-            DMatrix::from_fn(n, n, |i, j| found[(i, j)])
-        }
-    };
-    found.iter().all(|x| x.is_finite()).then_some(found)
+    solved_dense(b, least, &DMatrix::identity(n, n))
 }
 
 /// B⁻¹ x by eigenvalues, none below `least`.

@@ -8,9 +8,10 @@
 
 use metasense_schemas::spec::{BrainKind, Protocol, Search, TrialSpec};
 use rustix::process::{Resource, getrlimit};
-use std::path::Path;
+use std::path::PathBuf;
 
 use crate::invalid::{Invalid, invalid};
+use crate::limits::{field, memory_limit, own_groups};
 use crate::problem::{instants, lags, layout};
 
 /// A limit on memory (bytes), and what sets it.
@@ -25,18 +26,13 @@ pub struct Limit {
 /// The least of what this machine, its control group and its limits give a process; and `[run] memory` (MiB), where that is given.
 #[must_use]
 pub fn limit(of_run: Option<u64>) -> Option<Limit> {
-    let read = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
-    let kibibytes = |line: &str| line.split_whitespace().nth(1)?.parse::<f64>().ok();
-    let info = read("/proc/meminfo");
-    let of = |name: &str| info.lines().find(|line| line.starts_with(name)).and_then(kibibytes);
-    let machine = of("MemTotal:").map(|total| 1024.0 * (total + of("SwapTotal:").unwrap_or(0.0)));
+    let info = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
+    let machine = field(&info, "MemTotal:")
+        .map(|total| 1024.0 * (total + field(&info, "SwapTotal:").unwrap_or(0)) as f64);
     let own = |resource| getrlimit(resource).current.map(|bytes| bytes as f64);
     let all = [
         ("this machine has", machine),
-        (
-            "its control group (cgroup) allows",
-            of_groups(&read("/proc/self/cgroup"), Path::new("/sys/fs/cgroup")),
-        ),
+        ("its control group (cgroup) allows", of_groups(&own_groups("memory"))),
         ("ulimit -v allows", own(Resource::As)),
         ("ulimit -d allows", own(Resource::Data)),
         ("run.memory allows", of_run.map(|mebibytes| 1_048_576.0 * mebibytes as f64)),
@@ -45,23 +41,9 @@ pub fn limit(of_run: Option<u64>) -> Option<Limit> {
     known.min_by(|a, b| a.bytes.total_cmp(&b.bytes))
 }
 
-/// The least limit of the control groups that this text of /proc/self/cgroup names, and of those that hold them.
-fn of_groups(groups: &str, root: &Path) -> Option<f64> {
-    let limits = groups.lines().filter_map(|line| {
-        let (controllers, path) = line.split_once(':')?.1.split_once(':')?;
-        let (root, file) = match controllers {
-            "" => (root.to_owned(), "memory.max"),
-            named if named.split(',').any(|name| name == "memory") => {
-                (root.join("memory"), "memory.limit_in_bytes")
-            }
-            _ => return None,
-        };
-        let own = Path::new(path.trim_start_matches('/'));
-        let of =
-            |group: &Path| std::fs::read_to_string(root.join(group).join(file)).ok()?.trim().parse().ok();
-        own.ancestors().filter_map(of).min_by(f64::total_cmp)
-    });
-    limits.min_by(f64::total_cmp)
+/// The least limit of these control groups.
+fn of_groups(groups: &[PathBuf]) -> Option<f64> {
+    groups.iter().filter_map(|group| memory_limit(group)).min().map(|bytes| bytes as f64)
 }
 
 /// What takes memory: the key that multiplies it, its value, what it is, and how much (bytes).
@@ -174,15 +156,8 @@ pub fn check_here(trial: &TrialSpec) -> Result<(), Invalid> {
     check(trial, layout(&trial.body)?.units(), limit(None).as_ref())
 }
 
-/// Memory (bytes) that a trial of so many units needs at least.
-#[must_use]
-pub fn needed(trial: &TrialSpec, units: usize) -> f64 {
-    sum(&parts(trial, units))
-}
-
 /// Three digits and a unit.
-#[must_use]
-pub fn readable(bytes: f64) -> String {
+fn readable(bytes: f64) -> String {
     let units = [(1e15, "PB"), (1e12, "TB"), (1e9, "GB"), (1e6, "MB")];
     let (size, unit) = units.into_iter().find(|(size, _)| bytes >= *size).unwrap_or((1e3, "kB"));
     format!("{:.1} {unit}", bytes / size)

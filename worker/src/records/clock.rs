@@ -1,6 +1,6 @@
 //! The clock of a record, as a file has it: even, evened out, or refused.
 
-use super::{Pick, Record};
+use super::{Pick, Record, median};
 
 /// A clock may be uneven by so much of its step.
 const UNEVEN: f64 = 0.02;
@@ -83,10 +83,6 @@ pub(super) fn timed(
 
 /// The first step in which entries are missing, and how long a step is there.
 fn gap(steps: &[f64]) -> Option<(usize, f64)> {
-    let median = |steps: &[f64]| {
-        let mut sorted = steps.to_vec();
-        *sorted.select_nth_unstable_by(steps.len() / 2, f64::total_cmp).1
-    };
     let usual = median(steps);
     let is_whole = |step: &&f64| {
         let medians = *step / usual;

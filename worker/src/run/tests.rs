@@ -1,7 +1,9 @@
 use super::*;
+use crate::problem::tests::trial;
 use metasense_numerics::brain::TrainOutcome;
 use metasense_numerics::dynamics::Outcome;
 use metasense_numerics::trial::Trouble;
+use serde_json::json;
 
 /// Each trouble that ends a trial reaches the database under its own name, and each name there leads back to one.
 #[test]
@@ -24,4 +26,21 @@ fn every_trouble_is_a_cause_of_its_own() {
     }
     assert_eq!(all.len(), Cause::ALL.len());
     assert!(Cause::ALL.iter().all(|cause| Trouble::named(cause.name()).is_some()));
+}
+
+/// Without limits a design may turn a unit over. With given masses it is simulated, so it is a design; with its own it is none.
+#[test]
+fn a_unit_that_is_turned_over_needs_a_given_mass() {
+    let own = trial(&[("feasible.limits", json!(false))]);
+    let given = trial(&[("feasible.limits", json!(false)), ("body.inertia", json!("initial"))]);
+    let problem = prepared(&own).unwrap();
+    let (layout, unit) = (&problem.scene.layout, 14);
+    let mut design = problem.initial.clone();
+    for (base, group) in layout.shape[unit].iter().zip(&layout.groups[unit]) {
+        design[2 * group.unwrap()] -= 2.0 * layout.half * base[0];
+    }
+    assert!(problem.scene.geometry(&design).area[unit] < 0.0);
+    assert!(with_design(&given, &design).is_ok());
+    let Err(Failure::Rejected(why)) = with_design(&own, &design) else { panic!("it was taken") };
+    assert!(why.contains("unit 14 "), "{why}");
 }

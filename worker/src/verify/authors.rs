@@ -7,6 +7,7 @@
 use super::body::{States, TIGHT, outcomes, states};
 use super::case::{Case, CaseError};
 use super::{Row, relative};
+use crate::invalid::as_written;
 use crate::polygons;
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
@@ -204,13 +205,8 @@ pub fn file(body: &Polygons) -> String {
     };
     let unit = |nodes: &Vec<Point>| format!("[{}]", nodes.iter().map(point).collect::<Vec<_>>().join(", "));
     let ligaments: Vec<String> = body.ligaments.iter().map(|ends| format!("{ends:?}")).collect();
-    let by = |by: &FollowBy| match by {
-        FollowBy::X => "x",
-        FollowBy::Segment => "segment",
-        FollowBy::Angle => "angle",
-    };
     let follow =
-        |f: &Follow| format!("{{ node = {:?}, nodes = {:?}, by = \"{}\" }}", f.node, f.nodes, by(&f.by));
+        |f: &Follow| format!("{{ node = {:?}, nodes = {:?}, by = {} }}", f.node, f.nodes, as_written(&f.by));
     let denser = |d: &Denser| format!("{{ units = {:?}, factor = {} }}", d.units, d.factor);
     let panel = |p: &Struck| {
         let (unit, direction) = (p.unit.unwrap_or_default(), p.direction.unwrap_or_default());

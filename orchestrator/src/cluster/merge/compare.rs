@@ -159,6 +159,7 @@ pub(super) async fn compare(
          JOIN src.trial o ON o.id = c.old JOIN main.trial m ON m.id = k.new
          WHERE c.input = ? AND c.attempts > 0 AND (c.input <> k.input OR c.old <> k.old)";
     let rows = sqlx::query(sql).bind(input as i64).fetch_all(&mut *out).await?;
+    let tables = if rows.is_empty() { Vec::new() } else { compared(out).await? };
     for copied in rows.iter().map(Copied::of) {
         let copied = copied?;
         let Copied { hash, kept, state, kept_state, reason, kept_reason, attempts, steps, .. } = &copied;
@@ -171,7 +172,7 @@ pub(super) async fn compare(
             ("done", "done") if !copied.one_simd && !copied.contained => summary.not_compared += 1,
             // The same run, kept in a later state; or two that come to the same bits.
             (_, kept_state) if copied.contained || state == "done" && kept_state == "done" => {
-                match differing(out, &copied).await?.as_str() {
+                match differing(out, &tables, &copied).await?.as_str() {
                     "" => summary.covered += 1,
                     names => finding(Kind::Bits, names.to_owned()),
                 }
@@ -189,7 +190,7 @@ pub(super) async fn compare(
 
 /// Names of the result columns, arrays and tables in which two copies of a trial differ. Rows that only one copy has are ignored, because
 /// versions store different arrays.
-async fn differing(out: &mut SqliteConnection, copied: &Copied) -> sqlx::Result<String> {
+async fn differing(out: &mut SqliteConnection, tables: &[Compared], copied: &Copied) -> sqlx::Result<String> {
     let mut differ = vec![format!("CASE WHEN {SPECS_DIFFER} THEN 'spec ' ELSE '' END")];
     if copied.state == copied.kept_state {
         let own = if copied.contained { &OF_ONE_RUN[..] } else { &[] };
@@ -201,8 +202,7 @@ async fn differing(out: &mut SqliteConnection, copied: &Copied) -> sqlx::Result<
         differ.join(" || ")
     );
     let mut asked = vec![trial];
-    for (table, _) in copy::tables_of_trials(out).await? {
-        let Some((keys, numbers)) = numbers_of(out, &table).await? else { continue };
+    for Compared { table, keys, numbers } in tables {
         // a step that was repeated belongs to another attempt
         let attempt = if table == "step" && copied.contained { "AND o.attempt = m.attempt" } else { "" };
         let named = if table == "artifact" { "o.name" } else { &format!("'{table}'") };
@@ -222,8 +222,25 @@ async fn differing(out: &mut SqliteConnection, copied: &Copied) -> sqlx::Result<
     Ok(names.split_whitespace().collect::<Vec<_>>().join(" "))
 }
 
-/// SQL conditions for a table of trials: which rows of two copies correspond, and whether two rows differ in a number or in bytes. Times are
-/// not compared. `None` for tables without such columns.
+/// A table of trials, with SQL conditions: which rows of two copies correspond, and whether two rows differ in a number or in bytes.
+struct Compared {
+    table: String,
+    keys: String,
+    numbers: String,
+}
+
+/// The tables whose rows are compared.
+async fn compared(out: &mut SqliteConnection) -> sqlx::Result<Vec<Compared>> {
+    let mut compared = Vec::new();
+    for (table, _) in copy::tables_of_trials(out).await? {
+        if let Some((keys, numbers)) = numbers_of(out, &table).await? {
+            compared.push(Compared { table, keys, numbers });
+        }
+    }
+    Ok(compared)
+}
+
+/// The conditions of a table. Times are not compared. `None` for tables without such columns.
 async fn numbers_of(out: &mut SqliteConnection, table: &str) -> sqlx::Result<Option<(String, String)>> {
     if ["trial", "attempt", "checkpoint", "log", "elsewhere"].contains(&table) {
         return Ok(None);

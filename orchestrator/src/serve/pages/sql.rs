@@ -37,7 +37,7 @@ pub async fn page(
 ) -> Result<Html<String>, Refusal> {
     let answer = match asked.q.trim() {
         "" => None,
-        sql => Some(answer(&served, &at, sql, PAGE).await),
+        sql => Some(answer(&served, &at, sql, PAGE, false).await),
     };
     let shown = match answer {
         None => html! {},
@@ -90,7 +90,7 @@ async fn file(
     format: Format,
     kind: &'static str,
 ) -> Result<Response, Refusal> {
-    let Answered { table, cut, types } = answer(served, at, sql, FILE).await?;
+    let Answered { table, cut, types } = answer(served, at, sql, FILE, format == Format::Parquet).await?;
     if let Some(why) = cut {
         return Err(Refusal::Asked(format!("{why}. For more, use `metasense query`.")));
     }
@@ -102,11 +102,17 @@ struct Answered {
     table: Table,
     /// Why it is not complete.
     cut: Option<String>,
-    /// Declared types of the columns.
+    /// Declared types of the columns, if they were asked for.
     types: Vec<String>,
 }
 
-async fn answer(served: &Served, at: &str, sql: &str, limits: Limits) -> Result<Answered, Refusal> {
+async fn answer(
+    served: &Served,
+    at: &str,
+    sql: &str,
+    limits: Limits,
+    typed: bool,
+) -> Result<Answered, Refusal> {
     let db = file_of(served, at).await?;
     let turn = Arc::clone(&served.questions).acquire_owned().await.expect("it is never closed");
     let sql = sql.to_owned();
@@ -114,7 +120,7 @@ async fn answer(served: &Served, at: &str, sql: &str, limits: Limits) -> Result<
     let answering = tokio::spawn(async move {
         let mut reader = Reader::confined(&db).await?;
         let answer = reader.limited(&sql, limits).await;
-        let types = if answer.is_ok() { reader.types(&sql).await } else { Vec::new() };
+        let types = if typed && answer.is_ok() { reader.types(&sql).await } else { Vec::new() };
         reader.close().await;
         drop(turn);
         answer.map(|(table, cut)| Answered { table, cut, types })

@@ -7,7 +7,6 @@ use axum::response::Html;
 use maud::{Markup, html};
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::replay::drawing;
-use metasense_worker::run::keeps_error;
 use metasense_worker::simulate;
 use serde::Deserialize;
 
@@ -282,7 +281,7 @@ fn facts(seen: &Seen, trial: &Trial) -> Markup {
     html! {
         (trouble(seen))
         p class="question" { (trial.state) @if !trial.reason.is_empty() { ": " (trial.reason) } }
-        @if let Some(caveat) = trial.stored.as_ref().and_then(|stored| provenance::unresolved(keeps_error(&stored.solver))) {
+        @if let Some(caveat) = trial.stored.as_ref().and_then(|stored| provenance::unresolved(&stored.solver)) {
             p { "Warning: " (caveat) "." }
         }
         dl class="facts" {

@@ -63,55 +63,34 @@ pub(super) fn by_protocol(version: u8, bytes: &[u8]) -> Result<Checkpoint, Check
     read::<ByProtocol>(&[bytes, lacking].concat()).map(Checkpoint::from)
 }
 
-/// What comes before the comparison, by field.
-type BeforeComparison = (
-    u32,
-    Vec<f64>,
-    Moments<f64>,
-    Vec<f32>,
-    Moments<f32>,
-    Option<Best>,
-    f64,
-    u32,
-    Option<f64>,
-    Option<f64>,
-    Vec<Waypoint>,
-);
-
-/// Of versions 4 to 7: 4 ends before the casts, 5 before the bands.
+/// Of versions 4 to 7: 4 ends before the casts, 5 before the bands. Fields are read in the order in which they are written here.
 pub(super) fn by_name(version: u8, mut bytes: &[u8]) -> Result<Checkpoint, CheckpointError> {
     let rest = &mut bytes;
-    let before: BeforeComparison = take(rest)?;
-    let (step, design, design_moments, weights, weight_moments, best, ..) = before;
-    let (.., caution, setbacks, trend, ridge, trail) = before;
-    let comparison: Option<FormerComparison> = take(rest)?;
-    let (moves, found) = (take(rest)?, take(rest)?);
-    let casts: Vec<Vec<FormerCast>> = if version > 4 { take(rest)? } else { Vec::new() };
-    let bands = match version {
-        7 => take(rest)?,
-        6 => all(take::<Vec<Vec<FormerBand>>>(rest)?),
-        _ => Vec::new(),
+    let found = Checkpoint {
+        step: take(rest)?,
+        design: take(rest)?,
+        design_moments: take(rest)?,
+        weights: take(rest)?,
+        weight_moments: take(rest)?,
+        best: take(rest)?,
+        caution: take(rest)?,
+        setbacks: take(rest)?,
+        trend: take(rest)?,
+        ridge: take(rest)?,
+        trail: take(rest)?,
+        comparison: take::<Option<FormerComparison>>(rest)?.map(|former| Box::new(former.into())),
+        moves: take(rest)?,
+        found: take(rest)?,
+        casts: if version > 4 { all(take::<Vec<Vec<FormerCast>>>(rest)?) } else { Vec::new() },
+        bands: match version {
+            7 => take(rest)?,
+            6 => all(take::<Vec<Vec<FormerBand>>>(rest)?),
+            _ => Vec::new(),
+        },
     };
     // nothing is left
     read::<()>(rest)?;
-    Ok(Checkpoint {
-        step,
-        design,
-        design_moments,
-        weights,
-        weight_moments,
-        best,
-        caution,
-        setbacks,
-        trend,
-        ridge,
-        trail,
-        comparison: comparison.map(|former| Box::new(former.into())),
-        moves,
-        found,
-        casts: all(casts),
-        bands,
-    })
+    Ok(found)
 }
 
 /// Of each body.

@@ -6,6 +6,8 @@
 //! Angle    p = R(φ) p₀                    φ = ½ (∠(a₀ → a) + ∠(b₀ → b)) about the origin
 //! ```
 
+use super::geometry::{cross, difference, dot};
+
 type Point = [f64; 2];
 
 /// How a node follows two others.
@@ -30,15 +32,6 @@ pub struct Follower {
     pub by: Follows,
 }
 
-fn cross(a: Point, b: Point) -> f64 {
-    a[0] * b[1] - a[1] * b[0]
-}
-fn dot(a: Point, b: Point) -> f64 {
-    a[0] * b[0] + a[1] * b[1]
-}
-fn between(a: Point, b: Point) -> Point {
-    [b[0] - a[0], b[1] - a[1]]
-}
 /// s times a and t times a turned by 90°.
 fn along(a: Point, s: f64, t: f64) -> Point {
     [s * a[0] - t * a[1], s * a[1] + t * a[0]]
@@ -46,7 +39,7 @@ fn along(a: Point, s: f64, t: f64) -> Point {
 
 /// Length of the segment, its direction, and the node's place from its middle along and across it.
 fn frame([p, a, b]: [Point; 3]) -> (f64, Point, [f64; 2]) {
-    let away = between(a, b);
+    let away = difference(b, a);
     let length = away[0].hypot(away[1]);
     let t = away.map(|x| x / length);
     let from = [0, 1].map(|d| p[d] - 0.5 * (a[d] + b[d]));

@@ -129,9 +129,9 @@ impl Pooled {
             0 | 1 => 1.0,
             count => {
                 let shares = SHARES.map(|decade| 10_f64.powi(-decade));
-                let dealt = ridge::deal(seed, count);
+                let (dealt, thins) = (ridge::deal(seed, count), count >= ridge::FEW);
                 let errors = |part: &Part, share| part.errors(with(&part.others, share), ridge);
-                ridge::least(&ridge::judged(shares, count, ridge::parts(&own, &normal, &dealt), errors))?
+                ridge::least(&ridge::judged(shares, thins, ridge::parts(&own, &normal, &dealt), errors))?
             }
         };
         let linear = solve(with(&normal, share), ridge)?.linear();

@@ -215,12 +215,9 @@ impl<'a> LinearLearner<'a> {
         self.first_ridge(learnt)?;
         if newest > 0 && is_due(step) && trial.problem.decoder.ridge == Ridge::Auto {
             let judges = bodies[newest].clone();
-            let mut own = Moments::new(judges.sizes, trial.pool);
-            own.add(&judges.x, &judges.y, &judges.w);
-            let others = normal.clone().plus(-1.0, &own.normal(lags));
-            let errors = |part: &Part, ridge| part.errors(part.others.clone(), ridge);
+            let others = normal.clone().plus(-1.0, &judges.moments().normal(lags));
             let part = std::iter::once(Part { judges, others });
-            let judged = ridge::judged(ridge::ridges(), usize::MAX, part, errors);
+            let judged = ridge::judged(ridge::ridges(), true, part, Part::errors_of_others);
             learnt.ridge = ridge::least(&judged).ok().or(learnt.ridge);
         }
         Ok(solve(normal, learnt.ridge.unwrap_or_default())?.linear())

@@ -21,7 +21,7 @@ const RIDGES: std::ops::RangeInclusive<i32> = -2..=12;
 const NEUTRAL: f64 = 1e-6;
 /// With fewer samples all parts judge all values. With more, the first part judges no smaller values after so many without an
 /// improvement by a hundredth …
-const FEW: usize = 60;
+pub(super) const FEW: usize = 60;
 const WITHOUT: usize = 3;
 /// … and the others judge so many, the greatest of those whose error in the first is less than so many times the least.
 const CANDIDATES: usize = 4;
@@ -42,6 +42,11 @@ impl Part {
         let errors = self.judges.errors(&predicted);
         errors.iter().flatten().all(|error| error.is_finite()).then_some(errors)
     }
+
+    /// The same by weights that are fitted to the others alone.
+    pub(super) fn errors_of_others(&self, ridge: f64) -> Option<Vec<Option<f64>>> {
+        self.errors(self.others.clone(), ridge)
+    }
 }
 
 /// λ for these samples, of which `all` are the normal equations, in the parts to which they are dealt.
@@ -49,8 +54,8 @@ impl Part {
 /// # Errors
 /// If no λ has a solution.
 pub(super) fn ridge_of(samples: &Plain, all: &Normal, dealt: &[usize]) -> Result<f64, Trouble> {
-    let errors = |part: &Part, ridge| part.errors(part.others.clone(), ridge);
-    greatest(&judged(ridges(), samples.w.len(), parts(samples, all, dealt), errors))
+    let thins = samples.w.len() >= FEW;
+    greatest(&judged(ridges(), thins, parts(samples, all, dealt), Part::errors_of_others))
 }
 
 /// The part of each of so many samples.
@@ -76,17 +81,18 @@ pub(crate) fn ridges() -> impl Iterator<Item = f64> {
     RIDGES.map(|decade| 10_f64.powi(-decade))
 }
 
-/// Those of `values`, the preferred first, that have a solution in every part, with the errors of all judging samples.
+/// Those of `values`, the preferred first, that have a solution in every part, with the errors of all judging samples. `thins`:
+/// the first part leaves few values to the others.
 pub(super) fn judged(
     values: impl Iterator<Item = f64>,
-    samples: usize,
+    thins: bool,
     parts: impl Iterator<Item = Part>,
     errors: impl Fn(&Part, f64) -> Option<Vec<Option<f64>>>,
 ) -> Vec<(f64, Vec<Option<f64>>)> {
     let mut judged: Vec<(f64, Vec<Option<f64>>)> = values.map(|value| (value, Vec::new())).collect();
     let mut parts = parts.enumerate().peekable();
     while let Some((number, part)) = parts.next() {
-        let thins = number == 0 && samples >= FEW;
+        let thins = thins && number == 0;
         let (mut least, mut without) = (f64::INFINITY, 0);
         judged.retain_mut(|(value, seen)| {
             if thins && without == WITHOUT {

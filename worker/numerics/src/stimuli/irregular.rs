@@ -10,7 +10,7 @@
 use std::f64::consts::PI;
 use std::ops::Range;
 
-use super::{Bell, Pulse};
+use super::{Bell, Pulse, sampled};
 use crate::dynamics::Forces;
 use crate::random::{Purpose, Stream};
 
@@ -80,10 +80,7 @@ pub fn irregular(
             hits.push(Hit::new(second, roughness, &mut stream));
         }
         let history = &mut histories[panel * (instants + 1)..][..=instants];
-        for (n, f) in history.iter_mut().enumerate() {
-            let t = n as f64 * duration / instants as f64;
-            *f = hits.iter().map(|hit| hit.force(t)).sum();
-        }
+        sampled(history, duration, |t| hits.iter().map(|hit| hit.force(t)).sum());
     }
     Forces { samples: count, panels, instants, values, strikes: Vec::new() }
 }

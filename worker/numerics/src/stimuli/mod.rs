@@ -180,11 +180,14 @@ impl Pulse {
 
     /// Overwrites `history` with f(t_n), n = 0…T, where T + 1 is its length.
     pub fn history_into(&self, duration: f64, history: &mut [f64]) {
-        let instants = (history.len() - 1) as f64;
-        for (n, f) in history.iter_mut().enumerate() {
-            *f = self.force(n as f64 * duration / instants);
-        }
+        sampled(history, duration, |t| self.force(t));
     }
+}
+
+/// Overwrites `history` with f(t_n), n = 0…T, where T + 1 is its length.
+pub(super) fn sampled(history: &mut [f64], duration: f64, force: impl Fn(f64) -> f64) {
+    let instants = (history.len() - 1) as f64;
+    history.iter_mut().enumerate().for_each(|(n, f)| *f = force(n as f64 * duration / instants));
 }
 
 /// The force histories of the samples numbered `samples`: each is a function of (purpose, seed, sample, panel) alone.
@@ -197,9 +200,8 @@ pub fn bells(
     duration: f64,
     instants: usize,
 ) -> Forces {
-    each_panel(samples, panels, instants, |sample, panel, history| {
-        let mut stream = Stream::new(purpose, seed, [sample, panel]);
-        bell.draw(&mut stream).history_into(duration, history);
+    each_panel((purpose, seed), samples, panels, instants, |stream, history| {
+        bell.draw(stream).history_into(duration, history);
     })
 }
 
@@ -213,27 +215,28 @@ pub fn gauss(
     duration: f64,
     instants: usize,
 ) -> Forces {
-    each_panel(samples, panels, instants, |sample, panel, history| {
-        let mut stream = Stream::new(purpose, seed, [sample, panel]);
+    each_panel((purpose, seed), samples, panels, instants, |stream, history| {
         let [amplitude, sigma, centre] = [*amplitude, *sigma, *centre].map(|own| stream.between(own));
-        for (n, f) in history.iter_mut().enumerate() {
-            let z = (n as f64 * duration / instants as f64 - centre) / sigma;
-            *f = amplitude * (-0.5 * z * z).exp();
-        }
+        sampled(history, duration, |t| {
+            let z = (t - centre) / sigma;
+            amplitude * (-0.5 * z * z).exp()
+        });
     })
 }
 
-/// Histories that `draw` writes for each sample and panel.
+/// Histories that `draw` writes for each sample and panel, from a stream of their own.
 fn each_panel(
+    (purpose, seed): (Purpose, u64),
     samples: Range<u64>,
     panels: usize,
     instants: usize,
-    mut draw: impl FnMut(u64, u64, &mut [f64]),
+    draw: impl Fn(&mut Stream, &mut [f64]),
 ) -> Forces {
     let count = (samples.end - samples.start) as usize;
     let mut values = vec![0.0; count * panels * (instants + 1)];
     for (slot, history) in values.chunks_exact_mut(instants + 1).enumerate() {
-        draw(samples.start + (slot / panels) as u64, (slot % panels) as u64, history);
+        let of = [samples.start + (slot / panels) as u64, (slot % panels) as u64];
+        draw(&mut Stream::new(purpose, seed, of), history);
     }
     Forces { samples: count, panels, instants, values, strikes: Vec::new() }
 }
@@ -266,7 +269,7 @@ pub fn split(seed: u64, samples: usize, test: usize, replacement: bool) -> (Vec<
         let mut stream = Stream::new(Purpose::Split, seed, [samples as u64, 1]);
         let mut drawn: Vec<usize> = (0..test).map(|_| stream.below(samples)).collect();
         drawn.sort_unstable();
-        let training: Vec<usize> = (0..samples).filter(|i| !drawn.contains(i)).collect();
+        let training: Vec<usize> = (0..samples).filter(|i| drawn.binary_search(i).is_err()).collect();
         assert!(!training.is_empty(), "{test} of {samples} samples test");
         return (training, drawn);
     }

@@ -61,7 +61,10 @@ impl Recorded {
             .permutation(self.histories.samples);
         let instants = self.histories.instants;
         let mut values = Vec::with_capacity(count * panels * (instants + 1));
-        let training = split(seed, samples, test, replacement).0;
+        let training = match purpose {
+            Purpose::Fresh => split(seed, samples, test, replacement).0,
+            _ => Vec::new(),
+        };
         for number in first..first + count as u64 {
             let n = number as usize;
             match purpose {

@@ -12,7 +12,7 @@ fn a_control_group_has_the_limits_of_those_above_it() {
     group("job/step", "memory.max", "max\n");
     group("job", "memory.max", "5000\n");
     group("memory/old", "memory.limit_in_bytes", "3000\n");
-    let of = |text: &str| of_groups(text, folder.path());
+    let of = |text: &str| of_groups(&crate::limits::groups(text, folder.path(), "memory"));
     assert_eq!(of("0::/job/step\n"), Some(5000.0));
     assert_eq!(of("4:cpu,memory:/old\n1:name=systemd:/x\n0::/job/step\n"), Some(3000.0));
     assert_eq!(of("0::/\n3:cpu:/old\n"), None);

@@ -42,8 +42,8 @@ fn parts_judge_what_they_were_not_fitted_to() {
     let samples = samples(7, 0.1, &pool);
     let lags = crate::brain::linear::Lags { before: 1, after: 1 };
     let (all, dealt) = (samples.moments().normal(lags), deal(3, 7));
-    let errors = |part: &Part, ridge| part.errors(part.others.clone(), ridge);
-    let found = super::judged([1e-3].into_iter(), 7, parts(&samples, &all, &dealt), errors);
+    let own = parts(&samples, &all, &dealt);
+    let found = super::judged([1e-3].into_iter(), false, own, Part::errors_of_others);
     assert_eq!(found[0].1.len(), 7);
     let own: Vec<usize> = (0..7).filter(|&i| dealt[i] == 0).collect();
     let others: Vec<usize> = (0..7).filter(|&i| dealt[i] != 0).collect();
@@ -72,8 +72,8 @@ fn noise_asks_for_regularisation() {
         let of = |noise| {
             let samples = samples(count, noise, &pool);
             let (all, dealt) = (samples.moments().normal(lags), deal(3, count));
-            let errors = |part: &Part, ridge| part.errors(part.others.clone(), ridge);
-            let full = super::judged(ridges(), 0, parts(&samples, &all, &dealt), errors);
+            let own = parts(&samples, &all, &dealt);
+            let full = super::judged(ridges(), false, own, Part::errors_of_others);
             (ridge_of(&samples, &all, &dealt).unwrap(), greatest(&full).unwrap())
         };
         let [(quiet, quiet_by_all), (loud, loud_by_all)] = [1e-4, 2.0].map(of);

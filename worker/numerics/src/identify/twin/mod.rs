@@ -10,7 +10,7 @@
 mod objective;
 mod unknowns;
 
-use crate::definite::{inverse, solved_vector};
+use crate::definite::{inverse, solved_dense};
 use crate::dynamics::{Accuracy, Counters, Forces, Solver};
 use crate::identify::discrepancy::explained;
 use crate::identify::interval::grouped;
@@ -295,7 +295,7 @@ fn descend(
         let step = loop {
             let mut damped = curvature.clone();
             (0..damped.nrows()).for_each(|k| damped[(k, k)] += damping);
-            let Some(step) = along(&memory, &gradient, |q| solved_vector(damped, 1.0 + damping, q)) else {
+            let Some(step) = along(&memory, &gradient, |q| solved_dense(damped, 1.0 + damping, q)) else {
                 return Some((Ending::NoProgress, steps, point));
             };
             let step = -step;
