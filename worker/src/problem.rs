@@ -13,7 +13,7 @@ use metasense_numerics::dynamics::{
 use metasense_numerics::feasible::Limits;
 use metasense_numerics::place::CANDIDATES;
 use metasense_numerics::trial::{
-    BrainKind, Decoder, Evaluation, Optimise, Placing, Problem, Ridge, Schedule, Training,
+    BrainKind, Decoder, Evaluation, Optimise, Placing, Problem, Ridge, Scaling, Schedule, Training,
 };
 use metasense_schemas::spec::{self, Point, TrialSpec};
 
@@ -85,6 +85,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
             iterations: trial.brain.iterations,
             rate: trial.brain.learning_rate,
             architecture: architecture(trial)?,
+            scaling: scaling(trial)?,
         },
         optimise: Optimise {
             brain: if trial.optimise.linear() { BrainKind::Linear } else { BrainKind::Network },
@@ -155,6 +156,16 @@ fn check_clock_and_training(trial: &TrialSpec) -> Result<(), Invalid> {
     within("evaluation.long_iterations", trial.evaluation.long_iterations.unwrap_or(1), 1, ITERATIONS_MAX)?;
     within("evaluation.batch", trial.evaluation.batch.unwrap_or(1), 1, SAMPLES_MAX)?;
     within("evaluation.seeds", trial.evaluation.networks(), 1, 1000)
+}
+
+/// How the network's signals and forces are normalised. Scales of the initial body serve no casts of others.
+fn scaling(trial: &TrialSpec) -> Result<Scaling, Invalid> {
+    let extremes = trial.brain.scaling == spec::Scaling::MinMax;
+    let casts = trial.variation.is_some() || trial.optimise.objective.is_some();
+    let stacked = trial.brain.kind == spec::BrainKind::Stacked;
+    let remedy = "must be \"rms\" with casts, an optimise.objective, or brain.kind = \"stacked\"";
+    require(!(extremes && (casts || stacked)), "brain.scaling", "\"minmax\"", remedy)?;
+    Ok(if extremes { Scaling::Extremes } else { Scaling::Rms })
 }
 
 /// The layers of the network.

@@ -91,6 +91,9 @@ pub fn archive(
     zip.array("forces", &[samples, panels, instants + 1], &replay.forces.values);
     zip.array("split", &[samples], &replay.split);
     zip.array("signal_scale", &[inputs], &replay.signal_scale);
+    if replay.signal_offset.iter().any(|offset| *offset != 0.0) {
+        zip.array("signal_offset", &[inputs], &replay.signal_offset);
+    }
     if replays[1].signal_scale != replay.signal_scale {
         zip.array("signal_scale_optimised", &[inputs], &replays[1].signal_scale);
         let units: Vec<u64> = drawings[1].sensors.iter().map(|&unit| unit as u64).collect();

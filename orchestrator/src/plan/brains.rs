@@ -139,7 +139,7 @@ pub(super) fn refuse_unread<'a>(
     let read_by_network = any(&|spec| has_network(spec.brain.kind));
     let trained_by_network = any(&|spec| has_network(kinds(spec)[1]));
     let evaluation = Evaluation::default();
-    let keys: [(&str, bool, Given, &str); 17] = [
+    let keys: [(&str, bool, Given, &str); 18] = [
         ("brain.preset", network, &|s| s.brain.preset.is_some(), "cnn"),
         ("brain.width", network, &|s| s.brain.width.is_some(), "cnn"),
         ("brain.kernels", network, &|s| s.brain.kernels.is_some(), "cnn"),
@@ -147,6 +147,7 @@ pub(super) fn refuse_unread<'a>(
         ("brain.causal", network, &|s| s.brain.causal.is_some(), "cnn"),
         ("brain.memory", linear, &|s| s.brain.memory.is_some(), "linear"),
         ("brain.ridge", linear, &|s| s.brain.ridge.is_some(), "linear"),
+        ("brain.scaling", network, &|s| s.brain.scaling != none.scaling, "cnn"),
         ("brain.iterations", network, &|s| s.brain.iterations != none.iterations, "cnn"),
         ("brain.learning_rate", network, &|s| s.brain.learning_rate != none.learning_rate, "cnn"),
         ("evaluation.seeds", read_by_network, &|s| s.evaluation.seeds.is_some(), "cnn"),

@@ -28,7 +28,7 @@ pub use measured::{AccelerationUnit, AngularVelocityUnit, Measured, MeasuredSign
 pub use named::{NotOne, position_of};
 pub use optimise::{
     Auto, Brain, BrainKind, CastReader, Curvature, Evaluation, GradientTerms, Network, Objective,
-    ObjectiveName, Optimise, Preset, Protocol, Ridge, Schedule, Tail,
+    ObjectiveName, Optimise, Preset, Protocol, Ridge, Scaling, Schedule, Tail,
 };
 pub use sensors::{Channel, Disturbance, Frame, From as SearchFrom, Search, Sensors};
 pub use solver::{Method, Solver, Time};

@@ -56,6 +56,23 @@ pub enum Auto {
     Auto,
 }
 
+/// How a network's signals and forces are normalised.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Scaling {
+    /// Each signal channel is divided by the RMS of the body's training signals; forces have mean 0 and deviation 1.
+    #[default]
+    Rms,
+    /// Signals lie in [−1, 1] and forces in [0, 1] over the training samples of the initial body; the same scales serve every body.
+    MinMax,
+}
+
+impl Scaling {
+    fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
 /// The brain: what reads a body in the comparison at the end, and, unless `optimise.brain` is another, trains it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -75,6 +92,9 @@ pub struct Brain {
     pub iterations: usize,
     /// Adam's learning rate for the network. Unit: 1.
     pub learning_rate: f64,
+    /// Normalisation of the network's signals and forces. Default: `"rms"`.
+    #[serde(skip_serializing_if = "Scaling::is_default")]
+    pub scaling: Scaling,
     /// Shape of the network by name; `width`, `kernels`, `dilations` and `causal` replace parts of it. Default: `"paper"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub preset: Option<Preset>,
@@ -146,6 +166,7 @@ impl Default for Brain {
             ridge: None,
             iterations: 1000,
             learning_rate: 1e-2,
+            scaling: Scaling::Rms,
             preset: None,
             width: None,
             kernels: None,

@@ -251,12 +251,12 @@ fn gauss(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Gauss, Invalid> {
     let (above, any, duration) = (f64::MIN_POSITIVE, f64::INFINITY, trial.time.duration);
     let remedy = format!("must lie in the sample, between 0 and time.duration = {duration} s");
     let gauss = Gauss {
-        amplitude: interval("amplitude", stimuli.amplitude, 0.0, any, "must not be negative")?,
+        amplitude: interval("amplitude", stimuli.amplitude, -any, any, "")?,
         sigma: interval("width", stimuli.width, above, any, "must be above 0")?,
         centre: interval("onset", stimuli.onset, 0.0, duration, &remedy)?,
     };
     let shown = format!("{:?}", gauss.amplitude);
-    require(gauss.amplitude[1] > 0.0, "stimuli.amplitude", shown, "must allow forces above 0")?;
+    require(gauss.amplitude != [0.0; 2], "stimuli.amplitude", shown, "must allow a force")?;
     Ok(gauss)
 }
 

@@ -15,6 +15,7 @@ use metasense_numerics::trial::Samples;
 use metasense_schemas::spec::TrialSpec;
 
 use super::{LinearReplay, Own, Replay};
+use crate::invalid::invalid;
 use crate::run::{Failure, prepared};
 
 /// A layer of a brain.
@@ -145,6 +146,10 @@ impl Convolution {
 /// # Panics
 /// If the weights are not those of the trial's network.
 pub fn layers(trial: &TrialSpec, own: &Own, replay: &Replay) -> Result<Vec<Convolution>, Failure> {
+    if let Own::Network(_) = own && replay.signal_offset.iter().any(|offset| *offset != 0.0) {
+        let remedy = "has no layers to export: beyond its ends a signal is padded with the middle of its range. Export npz";
+        return Err(Failure::Rejected(invalid("brain.scaling", "\"minmax\"", remedy).to_string()));
+    }
     let mut layers = match own {
         Own::Linear(linear) => vec![of_linear(linear, replay)],
         Own::Network(weights) => of_network(trial, weights, replay)?,

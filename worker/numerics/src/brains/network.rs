@@ -228,12 +228,12 @@ impl<'a> NetworkLearner<'a> {
     }
 
     fn data<F: brain::Real>(&self, samples: &Samples) -> Data<F> {
-        data(self.shape, samples, &self.trial.scales)
+        data(self.shape, samples, &self.trial.network_scales)
     }
 
     /// Those whose loss is in N².
     fn physical_data<F: brain::Real>(&self, samples: &Samples) -> Data<F> {
-        let variances: Vec<f64> = self.trial.scales.deviation.iter().map(|d| d * d).collect();
+        let variances: Vec<f64> = self.trial.network_scales.deviation.iter().map(|d| d * d).collect();
         self.data(samples).with_output_weights(&variances)
     }
 
@@ -364,7 +364,7 @@ impl Learner for NetworkLearner<'_> {
         let (loss, gradient) =
             brain::input_gradient(&self.weights, data.all(), &mut self.workspace, self.trial.pool);
         let inputs: Vec<f64> = gradient.into_iter().map(f64::from).collect();
-        (Some(loss), self.trial.scales.inputs_vjp(&inputs))
+        (Some(loss), self.trial.network_scales.inputs_vjp(&inputs))
     }
 
     fn implicit(
@@ -377,13 +377,13 @@ impl Learner for NetworkLearner<'_> {
         let data = [self.data::<f64>(train), self.physical_data::<f64>(test)];
         let (inputs, found) = implicit::implicit_term(&data, &self.weights, policy, self.trial.pool);
         counters.hessian_products += found.iterations as u64;
-        (self.trial.scales.inputs_vjp(&inputs), Some(found))
+        (self.trial.network_scales.inputs_vjp(&inputs), Some(found))
     }
 
     fn error(&mut self, samples: &Samples) -> Option<f64> {
         let data = self.data(samples);
         let predicted =
-            predict(&self.weights, &data, &self.trial.scales, &mut self.workspace, self.trial.pool);
+            predict(&self.weights, &data, &self.trial.network_scales, &mut self.workspace, self.trial.pool);
         samples.error(&predicted)
     }
 }

@@ -139,7 +139,7 @@ fn weights_for(
     state: &mut State,
     log: &mut Log,
 ) -> Option<Result<Vec<f32>, Trouble>> {
-    let scales = [trial.scales.clone(), trial.scales.with_rms_of(&known.signals)];
+    let scales = trial.scales_of(&known.signals);
     let mut reader = match reader(trial.problem.recipe(), known, scales, trial.pool) {
         Ok(reader) => reader,
         Err(trouble) => return Some(Err(trouble)),

@@ -68,8 +68,7 @@ pub(super) fn evaluate(mould: &Mould, turn: usize, state: &mut State, log: &mut 
     }
     let mut reader = match &sets {
         Ok(sets) => {
-            // a network learns on its body's own scale: on the initial body's the louder body's would learn faster
-            let scales = [trial.scales.clone(), trial.scales.with_rms_of(&sets[0].signals)];
+            let scales = trial.scales_of(&sets[0].signals);
             log.timed(|s| &mut s.train, |_| reader(recipe, &sets[0], scales, trial.pool))
         }
         Err(trouble) => Err(*trouble),
@@ -153,7 +152,7 @@ pub(super) fn read(
     let unseen = reader.errors(&sets[2]);
     let (error_holdout, spread) = (mean_error(&unseen), Spread::of(&unseen));
     let keeps = number == 0 && !is_long;
-    let weights = if keeps { reader.weights_at(&trial.scales) } else { Vec::new() };
+    let weights = if keeps { reader.weights_at(&trial.network_scales) } else { Vec::new() };
     if keeps && let Some(calibration) = calibration {
         let (known, said) = (reader.predict_known(), reader.predict(&calibration.signals));
         let bands = Band::conformal((&sets[0], &known), (calibration, &said));

@@ -10,7 +10,7 @@ use crate::random::{Purpose, Stream};
 use crate::stimuli::{Bell, Source};
 use crate::trial::{
     BrainKind, Counters, Decoder, Disturbance, Evaluation, Going, Mould, Optimise, Problem, Protocol, Ridge,
-    Schedule, Size, Stimuli, Terms, Training, Trouble,
+    Scaling, Schedule, Size, Stimuli, Terms, Training, Trouble,
 };
 
 mod casts;
@@ -74,7 +74,7 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
         variation: None,
         reader: BrainKind::Network,
         decoder: Decoder { lags: Lags::whole(40), ridge: Ridge::Auto },
-        brain: Training { iterations: 30, rate: 1e-2, architecture: Architecture::paper(8) },
+        brain: Training { iterations: 30, rate: 1e-2, architecture: Architecture::paper(8), scaling: Scaling::Rms },
         optimise: Optimise {
             brain: BrainKind::Network,
             protocol,
@@ -522,6 +522,44 @@ fn the_direct_term_holds_through_disturbed_sensors() {
     check_the_direct_term(Some(disturbance), small(Protocol::Paper(Terms::Direct)));
 }
 
+/// And at scales by the extremes of the initial body's training samples.
+#[test]
+fn the_direct_term_holds_at_scales_by_extremes() {
+    let mut problem = small(Protocol::Paper(Terms::Direct));
+    problem.brain.scaling = Scaling::Extremes;
+    check_the_direct_term(None, problem);
+}
+
+/// Signals of the initial body lie in [−1, 1] and forces in [0, 1], both ends included; the comparison reads every body at
+/// these scales, and the network that is stored reads it again to the same error.
+#[test]
+fn scales_by_extremes_serve_every_body() {
+    let mut problem = small(Protocol::Joint(GOING));
+    problem.brain.scaling = Scaling::Extremes;
+    let mut stream = Stream::new(Purpose::Design, 2, [0, 0]);
+    let other: Vec<f64> = problem.initial.iter().map(|a| a + 0.4 * stream.normal()).collect();
+    let pool = pool(1);
+    let trial = Trial::new(&problem, &pool).unwrap();
+    let scales = &trial.network_scales;
+    let within = |values: Vec<f64>, width: usize, ends: [f64; 2]| {
+        for column in 0..width {
+            let column = values.iter().skip(column).step_by(width);
+            let [least, most] = column.fold([f64::MAX, f64::MIN], |[a, b], x| [a.min(*x), b.max(*x)]);
+            assert!((least - ends[0]).abs() < 1e-12 && (most - ends[1]).abs() < 1e-12, "{least} {most}");
+        }
+    };
+    within(scales.inputs(&trial.initial.signals), 3, [-1.0, 1.0]);
+    within(scales.targets(&trial.initial.targets), 2, [0.0, 1.0]);
+    let [_, network] = trial.scales_of(&[1.0; 3]);
+    assert_eq!(network, *scales);
+    let body = evaluate_designs(&trial, std::slice::from_ref(&other), &mut Keeper::default()).remove(0);
+    let replay = replay(&problem, &other, &body.networks[0].weights, &pool).unwrap();
+    let unseen = replay.split.iter().zip(&replay.errors).filter(|(split, _)| **split == 2);
+    let error = unseen.map(|(_, error)| error.unwrap()).sum::<f64>() / 4.0;
+    let stored = body.networks[0].error_holdout.unwrap();
+    assert!((error / stored - 1.0).abs() < 1e-5, "{error} {stored}");
+}
+
 /// And behind a low-pass, on a finer clock than that of the forces.
 #[test]
 fn the_direct_term_holds_behind_a_low_pass() {
@@ -616,19 +654,19 @@ fn check_the_direct_term(disturbance: Option<Disturbance>, problem: Problem) {
     let shape = problem.shape();
     let weights: Vec<f64> =
         brain::initial_weights(shape, 1, 0).into_iter().map(|w| f64::from(w as f32)).collect();
-    let variances: Vec<f64> = trial.scales.deviation.iter().map(|d| d * d).collect();
+    let variances: Vec<f64> = trial.network_scales.deviation.iter().map(|d| d * d).collect();
     let mut workspace = Workspace::<f64>::new(shape, pool.width());
     let mut loss = |design: &[f64]| {
         let counters = &mut Counters::default();
         let response = trial.simulate(design, &trial.test, &problem.solver, true, counters).unwrap();
         let (x, y) =
-            (trial.scales.inputs(&response.samples.signals), trial.scales.targets(&response.samples.targets));
+            (trial.network_scales.inputs(&response.samples.signals), trial.network_scales.targets(&response.samples.targets));
         let data = Data::<f64>::new(shape, &x, &y).with_output_weights(&variances);
         let (loss, inputs) = brain::input_gradient(&weights, data.all(), &mut workspace, &pool);
         (loss, inputs, response)
     };
     let (_, inputs, response) = loss(&problem.initial);
-    let cotangent = trial.scales.inputs_vjp(&inputs);
+    let cotangent = trial.network_scales.inputs_vjp(&inputs);
     let gradient = trial.vjp(&response, cotangent, &mut Counters::default()).unwrap();
 
     let mut stream = Stream::new(Purpose::Design, 1, [0, 0]);

@@ -29,11 +29,13 @@ pub struct Replay {
     pub errors: Vec<Option<f64>>,
     /// Whether a sample's simulation failed (N): it then has no signals, its forces stand as zero, its error is 100 %.
     pub failed: Vec<bool>,
-    /// What each signal channel is divided by (channels).
+    /// What is subtracted from each signal channel (channels): 0, or the middle of its range.
+    pub signal_offset: Vec<f64>,
+    /// What each signal channel is then divided by (channels): its RMS, or half its range.
     pub signal_scale: Vec<f64>,
-    /// Mean of each panel's training forces (N).
+    /// Mean of each panel's training forces (N), or their least.
     pub force_mean: Vec<f64>,
-    /// Their standard deviation (N).
+    /// Their standard deviation (N), or their range.
     pub force_deviation: Vec<f64>,
 }
 
@@ -70,7 +72,8 @@ pub fn replay(
         predictions = predicted(&trial, &all, weights, &kinds)?;
         errors = all.errors(&predictions);
     }
-    let Scales { channels, mean, deviation } = &trial.scales;
+    let scales = if problem.reader.is_network() { &trial.network_scales } else { &trial.scales };
+    let Scales { offset, channels, mean, deviation } = scales.clone();
     let mut replay = Replay {
         forces: problem.seen(forces),
         split: kinds,
@@ -79,9 +82,10 @@ pub fn replay(
         predictions,
         half_widths: Vec::new(),
         errors,
-        signal_scale: channels.clone(),
-        force_mean: mean.clone(),
-        force_deviation: deviation.clone(),
+        signal_offset: offset,
+        signal_scale: channels,
+        force_mean: mean,
+        force_deviation: deviation,
     };
     if problem.reader == BrainKind::Linear {
         let brain = replay.linear(problem, &problem.decoder, pool)?;
@@ -94,7 +98,7 @@ pub fn replay(
 fn predicted(trial: &Trial, all: &Samples, weights: &[f32], kinds: &[u8]) -> Result<Vec<f64>, Failure> {
     let training: Vec<usize> = (0..kinds.len()).filter(|&i| kinds[i] == 0).collect();
     let known = all.select(&training);
-    let scales = [(); 2].map(|()| trial.scales.clone());
+    let scales = [trial.scales.clone(), trial.network_scales.clone()];
     let mut reader = reader(trial.problem.recipe(), &known, scales, trial.pool).map_err(Failure::Initial)?;
     *reader.training().expect("a brain with weights is a network") = Some(Fresh::of(weights.to_vec()));
     let mut predictions = reader.predict(&all.signals);
@@ -179,6 +183,7 @@ impl Replay {
     /// If lengths do not fit the problem.
     pub fn read_on(&mut self, problem: &Problem, linear: &Fitted, weights: &[f32], pool: &Pool) {
         let scales = Scales {
+            offset: self.signal_offset.clone(),
             channels: self.signal_scale.clone(),
             mean: self.force_mean.clone(),
             deviation: self.force_deviation.clone(),

@@ -23,8 +23,8 @@ pub use samples::{FAILED, Samples, Spread, mean_error};
 pub(crate) use samples::{error_of_each, pick};
 pub(crate) use scales::Scales;
 pub use settings::{
-    BrainKind, CastReader, Casting, Decoder, Evaluation, Going, Optimise, Over, Protocol, Ridge, Schedule,
-    Terms, Training,
+    BrainKind, CastReader, Casting, Decoder, Evaluation, Going, Optimise, Over, Protocol, Ridge, Scaling,
+    Schedule, Terms, Training,
 };
 
 use crate::dynamics::{self, Forces, Outcome, Scene, Simulation, Solver, Tuned, Wrt, planned, tune};
@@ -57,6 +57,8 @@ pub struct Trial<'a> {
     pub(crate) train: Forces,
     pub(crate) test: Forces,
     pub(crate) scales: Scales,
+    /// Those of its networks.
+    pub(crate) network_scales: Scales,
     pub(crate) chip: Option<Chip>,
     /// Of its casts' node shifts.
     likeness: Vec<f64>,
@@ -150,6 +152,10 @@ impl<'a> Trial<'a> {
                 return Err(Failure::Initial(Trouble::Saturated));
             }
         }
+        let network_scales = match problem.brain.scaling {
+            Scaling::Rms => scales.clone(),
+            Scaling::Extremes => Scales::by_extremes(&initial),
+        };
         let likeness = problem.variation.map_or(Vec::new(), |v| v.likeness(&problem.scene.layout, pool));
         Ok(Self {
             problem,
@@ -161,11 +167,22 @@ impl<'a> Trial<'a> {
             train,
             test,
             scales,
+            network_scales,
             chip,
             likeness,
             initial,
             initial_ridge: OnceLock::new(),
         })
+    }
+
+    /// Scales of the decoders that read a body with these training signals (N, T, 3M): of the linear one, of the network. By the
+    /// RMS a network learns at its own body's scale: at the initial body's the louder body's would learn faster.
+    pub(crate) fn scales_of(&self, signals: &[f64]) -> [Scales; 2] {
+        let network = match self.problem.brain.scaling {
+            Scaling::Rms => self.scales.with_rms_of(signals),
+            Scaling::Extremes => self.network_scales.clone(),
+        };
+        [self.scales.clone(), network]
     }
 
     /// The accurate integrator tuned on a body; the work is that of its pilot, none of the initial body, which has had one.

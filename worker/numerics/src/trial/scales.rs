@@ -1,33 +1,48 @@
-//! Scales between physics and brains.
+//! Normalisation of signals and forces for the decoders.
 //!
 //! ```text
-//! x = A / rms(A₀)          y = (f − mean)/deviation        f̂ = mean + deviation·ŷ
+//! x = (A − offset)/scale          y = (f − mean)/deviation        f̂ = mean + deviation·ŷ
 //! ```
-//! rms of each channel of training signals A₀, mean and deviation of each panel's training forces. A linear brain, which
-//! needs no mean, takes f / rms(f).
+//! By default offset 0 and scale rms(A₀) of each channel of the training signals A₀, mean and standard deviation of each
+//! panel's training forces. By extremes: x in [−1, 1] and y in [0, 1] over the training samples. A linear decoder, which
+//! has its own constant, takes f / rms(f).
 
 use super::Samples;
 use crate::brain::Real;
 
-/// Scales between physics and brains.
+/// Normalisation of signals and forces.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Scales {
-    /// RMS of each signal channel (3M).
+    /// Value of each signal channel (3M) that becomes x = 0.
+    pub(crate) offset: Vec<f64>,
+    /// Value above the offset that becomes x = 1: the RMS of each channel (3M), or half its range.
     pub(crate) channels: Vec<f64>,
-    /// Mean force of each panel (N).
+    /// Force of each panel (N) that becomes y = 0: its mean, or its least.
     pub(crate) mean: Vec<f64>,
-    /// Standard deviation of each panel's force (N).
+    /// Force above it that becomes y = 1 (N): the standard deviation, or the range.
     pub(crate) deviation: Vec<f64>,
 }
 
 impl Scales {
-    /// Of training samples.
+    /// By mean squares of training samples.
     pub(crate) fn of(Samples { sizes, signals, targets, .. }: &Samples) -> Self {
         let force = moments(targets, sizes.outputs);
         Self {
+            offset: vec![0.0; sizes.channels],
             channels: rms(signals, sizes.channels),
             mean: force.iter().map(|m| m.0).collect(),
             deviation: force.iter().map(|m| above_zero((m.1 - m.0 * m.0).max(0.0).sqrt())).collect(),
+        }
+    }
+
+    /// By the extremes of training samples.
+    pub(crate) fn by_extremes(Samples { sizes, signals, targets, .. }: &Samples) -> Self {
+        let (signals, forces) = (extremes(signals, sizes.channels), extremes(targets, sizes.outputs));
+        Self {
+            offset: signals.iter().map(|[least, most]| 0.5 * (least + most)).collect(),
+            channels: signals.iter().map(|[least, most]| above_zero(0.5 * (most - least))).collect(),
+            mean: forces.iter().map(|[least, _]| *least).collect(),
+            deviation: forces.iter().map(|[least, most]| above_zero(most - least)).collect(),
         }
     }
 
@@ -36,14 +51,15 @@ impl Scales {
         Self { channels: rms(signals, self.channels.len()), ..self.clone() }
     }
 
-    /// x on other scales / x on these, a channel (3M).
+    /// x on other scales / x on these, per channel (3M); both have the same offset.
     pub(crate) fn over(&self, other: &Self) -> Vec<f64> {
         self.channels.iter().zip(&other.channels).map(|(own, other)| own / other).collect()
     }
 
     /// x of signals (N, T, 3M).
     pub(crate) fn inputs<F: Real>(&self, signals: &[f64]) -> Vec<F> {
-        signals.iter().zip(self.channels.iter().cycle()).map(|(a, s)| F::from_f64(a / s)).collect()
+        let channels = self.offset.iter().zip(&self.channels).cycle();
+        signals.iter().zip(channels).map(|(a, (offset, scale))| F::from_f64((a - offset) / scale)).collect()
     }
 
     /// Transpose of [`Scales::inputs`]: a cotangent on x as one on the signals.
@@ -79,6 +95,17 @@ fn moments(values: &[f64], width: usize) -> Vec<(f64, f64)> {
             (column().sum::<f64>() / count, column().map(|x| x * x).sum::<f64>() / count)
         })
         .collect()
+}
+
+/// Least and greatest value of each of `width` columns.
+fn extremes(values: &[f64], width: usize) -> Vec<[f64; 2]> {
+    let mut extremes = vec![[f64::INFINITY, f64::NEG_INFINITY]; width];
+    for row in values.chunks_exact(width) {
+        for ([least, most], x) in extremes.iter_mut().zip(row) {
+            (*least, *most) = (least.min(*x), most.max(*x));
+        }
+    }
+    extremes
 }
 
 /// RMS of each of `width` channels.

@@ -51,6 +51,17 @@ pub struct Training {
     pub rate: f64,
     /// Its layers.
     pub architecture: Architecture,
+    /// How its signals and forces are normalised.
+    pub scaling: Scaling,
+}
+
+/// Normalisation of a network's signals and forces.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Scaling {
+    /// Signals by the RMS of each body's training signals, forces by mean and standard deviation.
+    Rms,
+    /// Signals to [−1, 1] and forces to [0, 1] by the extremes of the initial body's training samples, for every body.
+    Extremes,
 }
 
 /// The outer loop.
