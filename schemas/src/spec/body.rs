@@ -7,9 +7,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum LayoutKind {
-    /// `rows` rows of `columns` units, or what `file` gives: the topmost units are struck downwards, the lowest held.
+    /// `rows` rows of `columns` units, or the body of `file`. Forces act downwards on the topmost units; the lowest units are
+    /// held.
     Planar,
-    /// The units of a lattice whose centres lie in a disc, `columns` spacings across: about a unit where that is odd, about a void where even.
+    /// The units whose centres lie in a disc of `columns` spacings in diameter. The centre is a unit for odd `columns` and a void
+    /// for even `columns`.
     Circular,
 }
 
@@ -17,14 +19,14 @@ pub enum LayoutKind {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Lattice {
-    /// Squares that turn against their neighbours, four ligaments each.
+    /// Counter-rotating squares with four ligaments each.
     #[default]
     Square,
-    /// Triangles that turn against their neighbours, three ligaments each, around voids of six.
+    /// Counter-rotating triangles with three ligaments each, around voids of six units.
     Kagome,
-    /// Hexagons that all turn alike, six ligaments each.
+    /// Hexagons with six ligaments each, all rotated in the same direction.
     Triangular,
-    /// Squares that all turn alike, so that ligaments lead aslant: four each.
+    /// Squares with four oblique ligaments each, all rotated in the same direction.
     Chiral,
 }
 
@@ -48,7 +50,7 @@ impl Lattice {
 pub enum Own {
     /// a file, relative to the spec: TOML of these keys, or NPZ of `block_centroids`, `centroid_node_vectors`, `bond_connectivity`.
     File(std::path::PathBuf),
-    /// `{ units = [ … ], ligaments = [ … ] }`, the polygons themselves, which is how a trial stores a file's.
+    /// `{ units = [ … ], ligaments = [ … ] }`, the polygons themselves, as a trial stores the contents of a file.
     Given(Polygons),
 }
 
@@ -56,15 +58,15 @@ pub enum Own {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Polygons {
-    /// Of each unit its 3 to 12 nodes, of a rigid one any number from 3 on, counter-clockwise. Unit: mm.
+    /// Nodes of each unit, counter-clockwise: 3 to 12, at least 3 in a rigid unit. Unit: mm.
     pub units: Vec<Vec<[f64; 2]>>,
-    /// From a node to a node: unit, node, unit, node, counted from 0. Both shift together.
+    /// Ligaments as unit, node, unit, node, counted from 0. Both nodes shift together.
     pub ligaments: Vec<[usize; 4]>,
     /// Further nodes (unit, node) that shift together. Default: none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub together: Vec<Vec<[usize; 2]>>,
-    /// Units whose shape is given, as plates: nodes with ligaments follow the design, the others stay. No limit judges their shape, which may
-    /// have reflex corners. Default: none.
+    /// Rigid units (plates): nodes with ligaments follow the design, the others stay. Their shape has no limits and may have
+    /// reflex corners. Default: none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub rigid: Vec<usize>,
     /// Nodes of rigid units that follow two nodes with ligaments instead of staying: `[{ node = [20, 3], nodes = [2, 4], by = "x" }]`.
@@ -74,10 +76,11 @@ pub struct Polygons {
     /// Units whose density is a multiple of the body's: `[{ units = [20, 21], factor = 2 }]`. Default: none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub density: Vec<Denser>,
-    /// Units that are held where `body.clamp` is left out; `[]`: none. Default: the lowest.
+    /// Units that are held if `body.clamp` is omitted; `[]`: none. Default: the lowest.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clamp: Option<Vec<usize>>,
-    /// Where forces act, of K panels the first K, where `body.panels` and `body.panel_units` are left out. Default: the topmost units.
+    /// Where forces act, if `body.panels` and `body.panel_units` are omitted; trials with K panels use the first K. Default: the
+    /// topmost units.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub panels: Vec<Struck>,
     /// Units that may carry sensors. Default: those of which every node holds a ligament.
@@ -91,7 +94,7 @@ pub struct Polygons {
 pub struct Denser {
     /// The units.
     pub units: Vec<usize>,
-    /// Their density by that of the body. Unit: 1.
+    /// Density of these units relative to that of the body. Unit: 1.
     pub factor: f64,
 }
 
@@ -99,9 +102,9 @@ pub struct Denser {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Follow {
-    /// The unit and the node, which no ligament holds.
+    /// Unit and node; the node has no ligament.
     pub node: [usize; 2],
-    /// Two nodes of the same unit that ligaments hold.
+    /// Two nodes of the same unit that have ligaments.
     pub nodes: [usize; 2],
     /// How the node follows them.
     pub by: FollowBy,
@@ -111,11 +114,11 @@ pub struct Follow {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum FollowBy {
-    /// It shifts along x by the mean of their shifts.
+    /// Shifts along x by the mean of their shifts.
     X,
-    /// It moves with the segment between them, as if fixed to its middle.
+    /// Moves with the segment between them, as if fixed to its middle.
     Segment,
-    /// It turns about `[0, 0]` by the mean of the angles by which they turn about it.
+    /// Rotates about `[0, 0]` by the mean of their angles of rotation.
     Angle,
 }
 
@@ -126,21 +129,22 @@ pub struct Struck {
     /// The unit. Default: must be given without `base`; with one, all that are held.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unit: Option<usize>,
-    /// Where its force points. Default: down, on a circular body inward.
+    /// Direction of the force. Default: down, on a circular body inward.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub direction: Option<[f64; 2]>,
-    /// The unit's node that the force acts on, wherever the design moves it. Default: the unit's centroid.
+    /// Node of the unit on which the force acts; it follows the design. Default: the unit's centroid.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub node: Option<usize>,
-    /// Where the force acts, from that point. Unit: mm. Default: `[0, 0]`.
+    /// Offset of the point of action from the node or centroid. Unit: mm. Default: `[0, 0]`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub at: Option<[f64; 2]>,
-    /// In place of one force two opposite ones, so far apart: they turn the unit, anticlockwise where this is above 0. Unit: mm.
+    /// A couple instead of a force: the distance of two opposite forces. Positive values rotate the unit anticlockwise. Unit: mm.
     /// Default: no couple.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub couple: Option<f64>,
-    /// In place of a force, an acceleration along the direction, the force over this mass: of what the held units are fixed to; or of the
-    /// `unit` alone, which then moves so whatever the ligaments pull, and does not turn. Unit: Mg. Default: a force.
+    /// A prescribed acceleration instead of a force: force divided by this mass, along the direction. It moves the base of the
+    /// held units, or, with `unit`, that unit alone, without rotation and whatever its ligaments pull. Unit: Mg. Default: a
+    /// force.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub base: Option<f64>,
 }
@@ -178,7 +182,7 @@ pub enum ClampRule {
 pub struct Guide {
     /// Which units: a list, or a rule of `body.clamp`.
     pub units: Clamp,
-    /// What is held of each: its ways along x and y, and its turning.
+    /// Held coordinates of each unit: displacement along x and y, and rotation.
     pub holds: Vec<Way>,
 }
 
@@ -190,7 +194,7 @@ pub enum Way {
     X,
     /// Along y.
     Y,
-    /// About its centroid.
+    /// Rotation about its centroid.
     Turn,
 }
 
@@ -200,16 +204,16 @@ pub enum Way {
 pub enum Design {
     /// a file, relative to the spec: NPY of α in the order of MODEL.md, of shape (n) or (n/2, 2), or CSV of nodes (`unit,node,x,y`, mm).
     File(std::path::PathBuf),
-    /// `{ random = SEED, spread = 0.25 }`, rotated squares with every node moved at random, by at most that part of the spacing,
-    /// projected onto the nearest castable design.
+    /// `{ random = SEED, spread = 0.25 }`, rotated squares with every node moved at random by at most this fraction of the
+    /// spacing, projected onto the nearest feasible design.
     Random {
         /// The seed.
         random: u64,
-        /// The most that a node is moved by along x and along y, as a part of the spacing.
+        /// Largest displacement of a node along x and along y, as a fraction of the spacing.
         #[serde(default = "Design::spread", skip_serializing_if = "Design::is_usual")]
         spread: f64,
     },
-    /// `{ shifts = [ … ] }`, α itself (mm), which is how a trial stores a file's design.
+    /// `{ shifts = [ … ] }`, α itself (mm), as a trial stores the design of a file.
     Shifts {
         /// α, in the order of MODEL.md.
         shifts: Vec<f64>,
@@ -233,10 +237,10 @@ impl Design {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Body {
-    /// Where the units are.
+    /// Arrangement of the units.
     #[serde(default = "planar")]
     pub layout: LayoutKind,
-    /// How the units repeat. Default: `"square"`.
+    /// Lattice of the units. Default: `"square"`.
     #[serde(default, skip_serializing_if = "Lattice::is_square")]
     pub lattice: Lattice,
     /// A body of any polygons, in place of `columns`, `rows`, `spacing`, `ligament_length` and `initial_angle`. Default: none.
@@ -245,36 +249,36 @@ pub struct Body {
     /// Units that are held. Default: `"bottom"` for a planar body, `"hub"` for a circular one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clamp: Option<Clamp>,
-    /// Units that are held in part, as on a roller or in a slot: `[{ units = "sides", holds = ["x"] }]`. Default: none.
+    /// Units with some coordinates held, as on a roller or in a slot: `[{ units = "sides", holds = ["x"] }]`. Default: none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub guides: Vec<Guide>,
-    /// By how much held units are brought together along x and y before a sample, as parts of the way between the outermost of them;
-    /// below 0: drawn apart. The sample begins where the body then is at rest. Unit: 1. Default: `[0, 0]`.
+    /// Compression along x and y before a sample, as a fraction of the distance between the outermost held units; negative:
+    /// extension. The sample begins at rest in the compressed body. Unit: 1. Default: `[0, 0]`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub compression: Option<[f64; 2]>,
-    /// Whether ligaments have linear strain measures; displacements of nodes stay exact.
+    /// Whether ligaments use linearised strains. Displacements of nodes stay exact.
     #[serde(default)]
     pub linearised: bool,
-    /// Units that are struck, on their centroids. Default: by the rule in MODEL.md.
+    /// Units on whose centroids forces act. Default: by the rule in MODEL.md.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel_units: Option<Vec<usize>>,
-    /// Where and how forces act, of K panels the first K, in place of `panel_units`: `[{ unit = 34, node = 1 }, { unit = 34, couple = 5 }]`.
-    /// Default: `panel_units`.
+    /// Where and how forces act, instead of `panel_units`; trials with K panels use the first K: `[{ unit = 34, node = 1 }, {
+    /// unit = 34, couple = 5 }]`. Default: `panel_units`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub panels: Vec<Struck>,
-    /// Angle by which the forces on all panels are turned, anticlockwise, from down on a planar body and from inward on a circular
-    /// one. Unit: degrees. Default: 0.
+    /// Angle by which all forces are rotated anticlockwise: from downwards on a planar body, from inward on a circular body.
+    /// Unit: degrees. Default: 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panel_angle: Option<f64>,
-    /// Units in a row; of a circular body its diameter in spacings. Default: must be given without `file`.
+    /// Units per row; diameter in spacings of a circular body. Default: must be given without `file`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub columns: Option<usize>,
-    /// Rows of units; must be left out of a circular body. Default: must be given for a planar body.
+    /// Rows of units; not for circular bodies. Default: must be given for a planar body.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rows: Option<usize>,
-    /// Diameter of a circular body. If given, `spacing` becomes `diameter / columns`; lengths of a unit, limits in mm and the
-    /// design's learning rate scale in proportion, `stiffness.bend` with the square: the same sheet cut finer. Unit: mm.
-    /// Default: none.
+    /// Diameter of a circular body. If given, `spacing` becomes `diameter / columns`. Lengths of units, limits in mm and the
+    /// design's learning rate scale in proportion, `stiffness.bend` with the square, as if the same sheet were cut finer. Unit:
+    /// mm. Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub diameter: Option<f64>,
     /// Width of a planar body along x, with the same effect as `diameter`. Unit: mm. Default: none.
@@ -283,7 +287,7 @@ pub struct Body {
     /// Distance between the centres of joined units. Unit: mm. Default: must be given without `file`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spacing: Option<f64>,
-    /// Length of a ligament at rest, of units that are not turned. Unit: mm. Default: must be given without `file`.
+    /// Length of a ligament at rest, for units that are not rotated. Unit: mm. Default: must be given without `file`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ligament_length: Option<f64>,
     /// Angle by which the units of the initial design are rotated. Unit: degrees.
@@ -295,29 +299,30 @@ pub struct Body {
     /// Mass per area. Unit: Mg/mm². Default: must be given without `material`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub density: Option<f64>,
-    /// Damping of each degree of freedom relative to its critical damping (ζ). Unit: 1.
+    /// Factor ζ of the dampers of each unit (formula in MODEL.md). It is not the modal damping ratio, which `metasense modes`
+    /// prints: slow modes have more damping. Unit: 1.
     #[serde(default = "damping_ratio")]
     pub damping_ratio: f64,
-    /// Damping of every unit along x, along y and in turning, in place of `damping_ratio`. Unit: N·s/mm, N·s/mm, N·mm·s. Default: none.
+    /// Damping coefficients of every unit along x, along y and in rotation, instead of `damping_ratio`. Unit: N·s/mm, N·s/mm,
+    /// N·mm·s. Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub damping: Option<[f64; 3]>,
-    /// Whose masses and moments of inertia units have. Default: `"design"`.
+    /// Design that sets the masses and moments of inertia of the units. Default: `"design"`.
     #[serde(default, skip_serializing_if = "Inertia::is_own")]
     pub inertia: Inertia,
     /// Stiffness of the ligaments. Default: must be given without `material`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stiffness: Option<Stiffness>,
-    /// What the body is cast of and how thick: gives `density` and `stiffness` by the formulas of MODEL.md, in their place.
-    /// Default: none.
+    /// Material and thickness; give `density` and `stiffness` by the formulas of MODEL.md. Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub material: Option<Material>,
     /// Contact between the edges of neighbouring units; without it units may pass through each other under strong forces. Default: no
     /// contact.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub contact: Option<Contact>,
-    /// Moment k_θ δ (1 + a δ + b δ²) of a ligament that bends by δ, in place of k_θ δ; two rests where a² > 4b. δ is above 0 where
-    /// its units turn on as a positive `initial_angle` turns them; where it turns none against another, or `file` gives the body, where the
-    /// unit at the ligament's second end turns anticlockwise. Default: none.
+    /// Bending moment k_θ δ (1 + a δ + b δ²) of a ligament at the angle δ, instead of k_θ δ; bistable for a² > 4b. δ > 0 where
+    /// its units rotate further in the sense of a positive `initial_angle`. In lattices without counter-rotation, and with
+    /// `file`, δ > 0 where the unit at the second end rotates anticlockwise. Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hinge: Option<Hinge>,
 }
@@ -326,10 +331,10 @@ pub struct Body {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Inertia {
-    /// Their own.
+    /// The current design.
     #[default]
     Design,
-    /// Those of the body without `design`, whatever shape training gives the units.
+    /// The body without `design`, whatever shape training gives the units.
     Initial,
 }
 
@@ -419,7 +424,7 @@ impl Rubber {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Material {
-    /// A rubber that one can buy: its modulus and density, where these keys are left out. Default: none.
+    /// A commercial rubber: sets modulus and density if these keys are omitted. Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rubber: Option<Rubber>,
     /// Young's modulus at small strain. Unit: MPa. Default: the rubber's (0.26 of Dragon Skin 10).
@@ -438,7 +443,7 @@ pub struct Material {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Hinge {
-    /// a. The second rest is the root of 1 + a δ + b δ² that is farther from 0, δ > 0 where a < 0. Unit: 1/rad.
+    /// a. The second rest angle is the root of 1 + a δ + b δ² farther from 0; it is positive for a < 0. Unit: 1/rad.
     #[serde(default)]
     pub quadratic: f64,
     /// b, above 0. Unit: 1/rad².

@@ -7,14 +7,14 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Feasible {
-    /// Whether designs are limited; `false`: any design passes, and a result states which of its units overlap. Default: true.
+    /// Whether designs are limited. `false`: any design is accepted, and results state overlapping units. Default: true.
     #[serde(skip_serializing_if = "is_true")]
     pub limits: bool,
     /// Smallest interior angle of a unit. Unit: degrees.
     pub min_block_angle: f64,
     /// Largest interior angle of a unit. Unit: degrees.
     pub max_block_angle: f64,
-    /// Smallest angle of the gap between two units at a ligament. Unit: degrees.
+    /// Smallest angle of the void between two units at a ligament. Unit: degrees.
     pub min_void_angle: f64,
     /// Smallest angle between a ligament and an edge. Unit: degrees.
     pub min_ligament_angle: f64,
@@ -24,10 +24,10 @@ pub struct Feasible {
     pub clearance: f64,
     /// Smallest distance between a ligament and a unit, or two ligaments. Unit: mm.
     pub ligament_clearance: f64,
-    /// Whether the units that are struck keep their initial shape. Default: false.
+    /// Whether units with panels keep their initial shape. Default: false.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub keep_panels: bool,
-    /// Whether the units that are held keep their initial shape. Default: false.
+    /// Whether held units keep their initial shape. Default: false.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub keep_clamped: bool,
 }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Decimal, Recorded, Separator, Signal, TimeUnit};
 
-/// What stands where: the forces as a spec has them, and the signals.
+/// Forces, as in a spec, and signals.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Measured {
@@ -22,14 +22,15 @@ pub struct Measured {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct MeasuredSignals {
-    /// Files, one for each of `recorded.files`. Default: the same files.
+    /// Signal files, one per entry of `recorded.files`. Default: the same files.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub files: Option<Vec<PathBuf>>,
-    /// Columns or arrays: a_x, a_y, ω of each sensor in turn (of them those in `sensors.channels`), 3M in all; or one array of shape (samples, entries, 3M) or
-    /// (samples, 3M, entries), of one record without samples. Default: all that an NPY holds.
+    /// Columns or arrays: a_x, a_y, ω of each sensor in turn (only the channels in `sensors.channels`), 3M in total; or one array
+    /// of shape (samples, entries, 3M) or (samples, 3M, entries). A single record has no dimension of samples. Default: all that
+    /// an NPY holds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub channels: Option<Vec<Signal>>,
-    /// The signals' clock, by column or array. Default: `rate`; without either, the clock of the forces.
+    /// Clock of the signals, as a column or array. Default: `rate`; without either, the clock of the forces.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time: Option<Signal>,
     /// Entries per second. Unit: 1/s. Default: `time`.
@@ -47,14 +48,14 @@ pub struct MeasuredSignals {
     /// Unit of `time`. Default: `recorded.time_unit`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub time_unit: Option<TimeUnit>,
-    /// Time on the forces' clock at which the signals' clock reads 0. Unit: s. Default: 0.
+    /// Time on the forces' clock at which the signals' clock is 0. Unit: s. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub start: Option<f64>,
     /// Unit of accelerations.
     pub acceleration_unit: AccelerationUnit,
     /// Unit of angular velocities.
     pub angular_velocity_unit: AngularVelocityUnit,
-    /// A factor for each channel, −1 if an axis points the other way. Unit: 1. Default: 1.
+    /// Factor per channel; −1 for an axis that points the other way. Unit: 1. Default: 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub factors: Option<Vec<f64>>,
 }

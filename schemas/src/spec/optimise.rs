@@ -10,9 +10,9 @@ use super::stimuli::{Part, Stimuli};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Preset {
-    /// The paper's: width 64, kernels 3, 3, 1; a force is read from five instants.
+    /// The paper's: width 64, kernels 3, 3, 1; uses five instants per estimate.
     Paper,
-    /// Width 24, kernels 9, 9, 9, 1, dilations 1, 4, 16, 1; a force is read from 169 instants.
+    /// Width 24, kernels 9, 9, 9, 1, dilations 1, 4, 16, 1; uses 169 instants per estimate.
     Long,
 }
 
@@ -25,10 +25,11 @@ pub enum BrainKind {
     Cnn,
     /// Linear least squares of the forces on the signals around each instant.
     Linear,
-    /// A network on the signals and on a linear brain's estimate; the body is trained with the linear brain or the network.
+    /// A network on the signals and on the estimate of a linear decoder. The body is trained with the linear decoder or the
+    /// network.
     Stacked,
-    /// The forces under which the body's own model gives the signals; the body is trained with the linear brain or the network. Its bands, and
-    /// whether the model explains a sample, suppose noise above what steps are off by (`sensors.noise`); without any they say nothing.
+    /// The body's model, inverted for the forces that explain the signals. The body is trained with the linear decoder or the
+    /// network. Bands and the check of the model require noise above the integration error (`sensors.noise`).
     Inverse,
 }
 
@@ -73,41 +74,41 @@ impl Scaling {
     }
 }
 
-/// The brain: what reads a body in the comparison at the end, and, unless `optimise.brain` is another, trains it.
+/// The decoder of the final comparison and, unless `optimise.brain` differs, of the training.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Brain {
-    /// What reads the bodies in the comparison at the end. Default: `"cnn"`.
+    /// Decoder of the final comparison. Default: `"cnn"`.
     #[serde(skip_serializing_if = "BrainKind::is_default")]
     pub kind: BrainKind,
-    /// How far a linear brain looks back and ahead, `[before, after]`; `after = 0` is what a device that answers at once can do. An inverse
-    /// brain looks back on everything, and as far ahead; a stacked brain that is `causal` on everything, and not ahead.
-    /// Unit: s. Default: the whole sample.
+    /// Memory of a linear decoder, `[before, after]` an instant; `after = 0` suits a device that estimates without delay. An
+    /// inverse decoder uses all earlier readings and this look-ahead; a `causal` stacked decoder uses all earlier readings and no
+    /// look-ahead. Unit: s. Default: the whole sample.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub memory: Option<[f64; 2]>,
-    /// Weight of the squares of a linear brain's weights (λ). Default: `"auto"`.
+    /// Regularisation λ of a linear decoder (ridge). Default: `"auto"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ridge: Option<Ridge>,
-    /// Full-batch Adam iterations of one training of the network, at most 10 000 000.
+    /// Full-batch Adam iterations per training of the network, at most 10 000 000.
     pub iterations: usize,
     /// Adam's learning rate for the network. Unit: 1.
     pub learning_rate: f64,
     /// Normalisation of the network's signals and forces. Default: `"rms"`.
     #[serde(skip_serializing_if = "Scaling::is_default")]
     pub scaling: Scaling,
-    /// Shape of the network by name; `width`, `kernels`, `dilations` and `causal` replace parts of it. Default: `"paper"`.
+    /// Named shape of the network; `width`, `kernels`, `dilations` and `causal` override parts of it. Default: `"paper"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub preset: Option<Preset>,
     /// Channels of every hidden layer; multiples of 16 run fastest. Default: 64.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub width: Option<usize>,
-    /// Kernel size of every layer, the output layer last; odd unless `causal`. Default: `[3, 3, 1]`.
+    /// Kernel size of every layer, output layer last; odd unless `causal`. Default: `[3, 3, 1]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub kernels: Option<Vec<usize>>,
     /// Instants between the entries of a kernel, for every layer. Default: 1 each.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub dilations: Option<Vec<usize>>,
-    /// Whether every layer looks back only, so that no force is read from later instants. Default: false.
+    /// Whether every layer uses earlier instants only, so that estimates need no look-ahead. Default: false.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub causal: Option<bool>,
 }
@@ -180,18 +181,18 @@ impl Default for Brain {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Protocol {
-    /// The paper's: each outer step trains a fresh network and takes the direct and implicit gradient of its test loss.
+    /// The paper's: each outer step trains a fresh network and uses the direct and implicit gradient of its test loss.
     Paper,
     /// Gone: see [`super::gone`].
     #[schemars(skip)]
     Warm,
-    /// One network is trained on from body to body; the gradient is that of the training loss on a random batch.
+    /// One network is trained continuously; the gradient is that of the training loss on a random batch.
     Envelope,
-    /// Body and network are stepped together, on samples drawn for each step.
+    /// Body and network are trained together, on samples drawn for each step.
     Joint,
-    /// Search without gradient: each step reads a random body near the initial one.
+    /// Search without gradient: each step evaluates a random body near the initial body.
     Random,
-    /// Search without gradient: each step reads a candidate of the evolution strategy CMA-ES.
+    /// Search without gradient: each step evaluates a candidate of the evolution strategy CMA-ES.
     Cmaes,
 }
 
@@ -199,11 +200,11 @@ pub enum Protocol {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum GradientTerms {
-    /// The direct term and the term through the brain's optimum.
+    /// The direct term and the term through the decoder's optimum.
     Implicit,
     /// The direct term only.
     Direct,
-    /// The term through the brain's optimum only, which alone the Methods of the paper print.
+    /// The term through the decoder's optimum only, as in the Methods of the paper.
     ImplicitOnly,
 }
 
@@ -213,9 +214,9 @@ pub enum GradientTerms {
 pub enum Curvature {
     /// Conjugate gradients on the Hessian, stopped before negative curvature.
     Truncate,
-    /// On the Hessian + `damping` times the identity.
+    /// Conjugate gradients on the Hessian + `damping` times the identity.
     Damped,
-    /// On the Gauss–Newton matrix + `damping` times the identity.
+    /// Conjugate gradients on the Gauss–Newton matrix + `damping` times the identity.
     GaussNewton,
 }
 
@@ -223,9 +224,9 @@ pub enum Curvature {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Objective {
-    /// A word.
+    /// a name.
     Named(ObjectiveName),
-    /// `{ cvar = q }`: the mean of the worst part 1 − q of the casts.
+    /// `{ cvar = q }`: the mean over the worst fraction 1 − q of the casts.
     Tail(Tail),
 }
 
@@ -233,7 +234,7 @@ pub enum Objective {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ObjectiveName {
-    /// `"nominal"`: the body as designed.
+    /// `"nominal"`: the design.
     Nominal,
     /// `"mean"`: the mean over casts.
     Mean,
@@ -276,72 +277,73 @@ impl Objective {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum CastReader {
-    /// One brain for all casts: for bodies that are read without calibration.
+    /// One decoder for all casts, for use without calibration.
     One,
-    /// A linear brain for each cast, fitted to its samples: for bodies whose brain is fitted anew to each.
+    /// A linear decoder per cast, fitted to its samples, for use with calibration.
     Each,
 }
 
-/// The outer loop over the body's design. What is left out gets the default of its protocol.
+/// The outer loop over the design. Omitted keys have the default of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Optimise {
-    /// The brain that the body is trained with: `"cnn"` or `"linear"`. Default: `brain.kind`, for `"stacked"` and `"inverse"` `"linear"`.
+    /// Decoder with which the body is trained: `"cnn"` or `"linear"`. Default: `brain.kind`, for `"stacked"` and `"inverse"`
+    /// `"linear"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub brain: Option<BrainKind>,
-    /// How body and brain are trained together; details in MODEL.md.
+    /// How body and decoder are trained together; details in MODEL.md.
     pub protocol: Protocol,
     /// Gone: see [`super::gone`].
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(skip)]
     pub placement: Option<String>,
-    /// Outer steps; of a search its candidates. Default: 350, with a linear brain 100; `"paper"`, `"envelope"` 100; searches
-    /// 80, with a linear brain 30, which take as long as `"joint"`.
+    /// Number of outer steps, or of candidates of a search. Default: 350, with a linear brain 100; `"paper"`, `"envelope"` 100;
+    /// searches 80, with a linear brain 30, which take as long as `"joint"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,
-    /// Adam's learning rate on the design; of a search the standard deviation of its first candidates. Unit: mm. Default: 0.2,
+    /// Adam's learning rate on the design, or standard deviation of the first candidates of a search. Unit: mm. Default: 0.2,
     /// with a linear brain 0.3; `"paper"`, `"envelope"` 0.1; searches 1.0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub learning_rate: Option<f64>,
-    /// Terms of the gradient, for `protocol = "paper"` only. Default: `"implicit"`.
+    /// Terms of the gradient, only for `protocol = "paper"`. Default: `"implicit"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gradient: Option<GradientTerms>,
-    /// How the brain's Hessian is inverted in the implicit term, for `protocol = "paper"` only. Default: `"truncate"`.
+    /// How the decoder's Hessian is inverted in the implicit term, only for `protocol = "paper"`. Default: `"truncate"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub curvature: Option<Curvature>,
-    /// What `curvature` adds to the diagonal. Unit: 1. Default: 0 for `"gauss_newton"`; must be given for `"damped"`.
+    /// Value that `curvature` adds to the diagonal. Unit: 1. Default: 0 for `"gauss_newton"`; must be given for `"damped"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub damping: Option<f64>,
-    /// Samples of each step whose gradient moves the body, at most 1 000 000; over casts of each cast. Default: 32 for `"joint"`, over casts 8,
-    /// with `reader = "each"` 24; 64 for `"envelope"`.
+    /// Samples per step whose gradient moves the body, at most 1 000 000; with an objective over casts, per cast. Default: 32 for
+    /// `"joint"`, over casts 8, with `reader = "each"` 24; 64 for `"envelope"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub batch: Option<usize>,
-    /// Iterations of the network in each outer step, at most 10 000 000; `"paper"` has `brain.iterations` instead. Default: 10.
+    /// Iterations of the network per outer step, at most 10 000 000; `"paper"` uses `brain.iterations` instead. Default: 10.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub brain_iterations: Option<usize>,
     /// Adam's learning rate of these iterations. Unit: 1. Default: 1e-3.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub brain_learning_rate: Option<f64>,
-    /// A cheaper integrator for the outer steps, for `"joint"` and `"envelope"`; looks at the test set and the comparison have
-    /// the other. Default: `{ method = "auto", tolerance = 0.03 }` for `"joint"`, none for `"envelope"`.
+    /// A cheaper integrator for the outer steps of `"joint"` and `"envelope"`. Evaluations on the test set and the final
+    /// comparison use `[solver]`. Default: `{ method = "auto", tolerance = 0.03 }` for `"joint"`, none for `"envelope"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coarse: Option<Solver>,
-    /// `[p, q]`: the nodes of p × q cells move together, those of each direction of ligaments apart, which leaves fewer design
+    /// `[p, q]`: the nodes of p × q cells move together, separately for each direction of ligaments. This gives fewer design
     /// parameters at the same size. Default: `[1, 1]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tie: Option<[usize; 2]>,
-    /// Units whose shape stays. Default: none.
+    /// Units whose shape does not change. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frozen: Option<Vec<usize>>,
-    /// Whose errors move the body: `"nominal"`, the body as designed; over casts that scatter as `[variation]` says, drawn
-    /// anew each step, `"mean"`, `"worst"` or `{ cvar = 0.9 }`, the mean of the worst tenth; without a `[variation]` the same
-    /// over the logarithms of the errors under each part of `stimuli.mix`; for `"joint"` only. Default: `"nominal"`.
+    /// Objective of the design: `"nominal"`, the error of the design itself; or, over casts of `[variation]` drawn per step,
+    /// `"mean"`, `"worst"` or `{ cvar = 0.9 }` (mean over the worst tenth). Without `[variation]`, the same over the logarithms
+    /// of the errors under each part of `stimuli.mix`. Only for `"joint"`. Default: `"nominal"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub objective: Option<Objective>,
-    /// Casts a step, `batch` samples each. Default: 4, with `reader = "each"` 3; over a mixture its parts.
+    /// Casts per step, with `batch` samples each. Default: 4, with `reader = "each"` 3; over a mixture its parts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub casts: Option<usize>,
-    /// The brain that reads them while the body is trained: `"one"` for all, or `"each"` its own. Default: `"one"`.
+    /// Decoder of the casts during training: `"one"` for all casts, or `"each"` for one per cast. Default: `"one"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reader: Option<CastReader>,
 }
@@ -450,34 +452,33 @@ pub enum Schedule {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Evaluation {
-    /// How many fresh networks are trained for each body; their errors differ by tens of per cent. A linear brain is solved for once.
-    /// Default: 3.
+    /// Number of fresh networks per body; their errors differ by tens of per cent. A linear decoder is fitted once. Default: 3.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seeds: Option<usize>,
-    /// Learning rate over their training.
+    /// Learning-rate schedule of their training.
     pub schedule: Schedule,
-    /// Training samples of an iteration of theirs, which take turns: about a quarter of all costs a quarter, at the same errors
-    /// (worker/README.md). As many as there are, or more, are all. Default: all, as the paper has it.
+    /// Training samples per iteration (mini-batch). A quarter of all samples costs about a quarter of the time, with the same
+    /// errors (worker/README.md). Larger values mean all samples. Default: all, as the paper has it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub batch: Option<usize>,
-    /// Iterations of as many further networks, trained longer (the paper's 10 000), at most 10 000 000. In `v_network` and `v_curve` they follow the
-    /// others. Default: none.
+    /// Iterations of further networks, as many as `seeds`, that are trained longer (10 000 in the paper), at most 10 000 000. In
+    /// `v_network` and `v_curve` they follow the others. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub long_iterations: Option<usize>,
-    /// Casts of the initial and of the optimised body, which no training has seen, that brains read in `v_cast`; 0: none.
-    /// Default: 24 where there is a `[variation]`.
+    /// Number of new casts of the initial and of the trained body on which decoders are evaluated (`v_cast`); 0: none. Default:
+    /// 24 where there is a `[variation]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub casts: Option<usize>,
-    /// Whether linear brains fitted to 10, 30, 100 and all training samples of a cast, beside those of other casts, read it, too: most of
-    /// the work on a cast; an inverse brain needs them. Default: true.
+    /// Whether linear decoders are also calibrated on 10, 30, 100 and all training samples of a cast. This is most of the work on
+    /// a cast; inverse decoders need it. Default: true.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub records: Option<bool>,
-    /// Kinds of forces under which linear brains read both bodies besides, whatever the body was trained for (`v_under`): tables
+    /// Further kinds of forces under which both bodies are evaluated with linear decoders (`v_under`): tables
     /// `[[evaluation.under]]` of `kind` and keys of that kind, each kind once. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub under: Option<Vec<Part>>,
-    /// Whether the initial body is compared, too: half of the comparison, which tells what training has gained. A search for a
-    /// design (`[goal]`) does not ask about it. Default: true.
+    /// Whether the initial body is evaluated, too, to measure the gain by training. It takes half of the comparison. A search for
+    /// a design (`[goal]`) does not need it. Default: true.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub initial: Option<bool>,
 }

@@ -12,7 +12,7 @@ pub enum Frame {
     /// Fixed axes.
     #[default]
     World,
-    /// Axes that turn with the unit, as of a chip glued to it.
+    /// Axes that rotate with the unit, as for a chip glued to it.
     Body,
 }
 
@@ -43,17 +43,17 @@ impl Channel {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Disturbance {
-    /// a number: relative to the RMS of each channel on the initial body, or that of `relative_to`.
+    /// a number: relative to the RMS of each channel on the initial body, or on the body of `relative_to`.
     Relative(f64),
-    /// two numbers: of accelerations (mm/s²) and of angular velocities (rad/s).
+    /// two numbers: for accelerations (mm/s²) and angular velocities (rad/s).
     Physical([f64; 2]),
 }
 
 /// A chip that one can buy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Part {
-    /// The paper's: 9 g in 23.5 × 32.5 mm, ±16 g in steps of 0.5 mg, ±2 000 °/s in steps of 0.061 °/s (WitMotion's data sheet of
-    /// the WT9011DCL-BT5.0; it has no figure of noise).
+    /// The paper's chip: 9 g, 23.5 × 32.5 mm, ±16 g in steps of 0.5 mg, ±2 000 °/s in steps of 0.061 °/s (WitMotion's data sheet
+    /// of the WT9011DCL-BT5.0, which does not state the noise).
     #[serde(rename = "WT9011DCL")]
     Wt9011dcl,
 }
@@ -64,7 +64,7 @@ pub enum Part {
 pub enum Search {
     /// At random, by seed.
     Random,
-    /// The units from which a linear brain reads the initial body's training samples best: greedily, then by exchange.
+    /// The units from which a linear decoder estimates the forces on the initial body best, found greedily, then by exchange.
     Greedy,
     /// Gone: see [`super::gone`].
     #[serde(rename = "d_optimal")]
@@ -91,60 +91,60 @@ pub enum From {
 pub struct Sensors {
     /// Axes of the accelerations.
     pub frame: Frame,
-    /// Signals that are read of each sensor. Default: `["ax", "ay", "omega"]`.
+    /// Signals that each sensor measures. Default: `["ax", "ay", "omega"]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub channels: Option<Vec<Channel>>,
-    /// Placements as lists of units, instead of `sweep.placements`; trials with M sensors take the lists of M units.
-    /// Default: none.
+    /// Placements as lists of units, instead of `sweep.placements`. Trials with M sensors use the lists with M units. Default:
+    /// none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub placements: Option<Vec<Vec<usize>>>,
-    /// How the `sweep.placements` placements are chosen. Of a search placement 0 is the best, 1 the best that contains
-    /// the second-best single unit, 2 that with the third-best. Default: `"random"`.
+    /// How the `sweep.placements` placements are chosen. In a search, placement 0 is the best, placement 1 the best that contains
+    /// the second-best single unit, and so on. Default: `"random"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub search: Option<Search>,
-    /// Units that a search may choose. Default: `"interior"`.
+    /// Candidate units of a search. Default: `"interior"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub from: Option<From>,
     /// Smallest distance between two sensors that a search places. Unit: mm. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub spacing: Option<f64>,
-    /// White noise of every reading, as a standard deviation. Default: none.
+    /// Standard deviation of the white noise of every reading. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub noise: Option<Disturbance>,
-    /// A constant offset of every channel, drawn for each sample, as a standard deviation. Default: none.
+    /// Standard deviation of the offset of every channel, constant during a sample and drawn per sample. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bias: Option<Disturbance>,
-    /// The body to whose signals a `noise` or `bias` that is a number is relative, as `body.design` names one.
-    /// Default: the body that the trial starts from.
+    /// The body to whose signals a scalar `noise` or `bias` is relative, in the form of `body.design`. Default: the body that the
+    /// trial starts from.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub relative_to: Option<Design>,
     /// Delay of the signals. Unit: s. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub delay: Option<f64>,
-    /// Cut-off of a Butterworth low-pass of order 2 through which the chip reads. Unit: Hz. Default: none.
+    /// Cut-off frequency of the chip's low-pass (Butterworth, order 2). Unit: Hz. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bandwidth: Option<f64>,
-    /// Largest readings of accelerations and angular velocities, either way; beyond, a reading stays there. Unit: mm/s², rad/s.
-    /// Default: none.
+    /// Largest absolute readings of accelerations and angular velocities; larger values are clipped. Unit: mm/s², rad/s. Default:
+    /// none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub range: Option<[f64; 2]>,
-    /// Steps in which accelerations and angular velocities are read. Unit: mm/s², rad/s. Default: none.
+    /// Resolution of accelerations and angular velocities. Unit: mm/s², rad/s. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub resolution: Option<[f64; 2]>,
-    /// A chip that one can buy: its mass, inertia, range and resolution, where these keys are left out. Default: none.
+    /// A commercial chip: sets mass, inertia, range and resolution if these keys are omitted. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub chip: Option<Part>,
-    /// Mass of each chip, on the centroid of its unit. Of `sensors.search` the candidates carry none. Unit: Mg. Default: 0.
+    /// Mass of each chip, on the centroid of its unit. Candidates of `sensors.search` carry no chip. Unit: Mg. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mass: Option<f64>,
-    /// Its moment of inertia about the centroid. Unit: Mg mm². Default: 0.
+    /// Moment of inertia of each chip about the centroid. Unit: Mg mm². Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub inertia: Option<f64>,
-    /// Where on its unit each chip reads: `[x, y]` from the centroid, in the unit's frame. Not beside `mass` or `inertia`, which sit
-    /// on the centroid. Unit: mm. Default: `[0, 0]`.
+    /// Position of each chip on its unit: `[x, y]` from the centroid, in the unit's frame. Cannot be combined with `mass` or
+    /// `inertia`, which act at the centroid. Unit: mm. Default: `[0, 0]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub offset: Option<[f64; 2]>,
-    /// Angle by which the axes of each chip are turned in the plane against those of `frame`. Unit: degrees. Default: 0.
+    /// In-plane angle of each chip's axes relative to those of `frame`. Unit: degrees. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tilt: Option<f64>,
 }
@@ -155,7 +155,7 @@ const GRAVITY: f64 = 9806.65;
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
 impl Sensors {
-    /// Signals that are read of each sensor.
+    /// Signals that each sensor measures.
     #[must_use]
     pub fn read(&self) -> &[Channel] {
         self.channels.as_deref().unwrap_or(&Channel::ALL)

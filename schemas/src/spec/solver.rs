@@ -44,8 +44,8 @@ pub enum Method {
 pub struct Solver {
     /// The integrator.
     pub method: Method,
-    /// Relative error of the signals that is asked for, root mean square over their channels. Whatever the method, a pilot on
-    /// the first samples finds the steps that keep it. Unit: 1.
+    /// Relative error of the signals, root mean square over the channels. A pilot on the first samples finds the steps that keep
+    /// it, with every method. Unit: 1.
     pub tolerance: f64,
 }
 

@@ -15,11 +15,11 @@ pub enum StimuliKind {
     Bell,
     /// Gaussian pulses, one on every panel: `width` is σ, `onset` the time of the peak.
     Gauss,
-    /// Blows of a hand-held hammer, rough, skewed and at times double, on one panel a sample.
+    /// Blows of a hand-held hammer on one panel per sample: rough, skewed and sometimes double.
     Irregular,
     /// Force histories from files, see `stimuli.recorded`.
     Recorded,
-    /// Each sample of one of the kinds of `stimuli.mix`, drawn by their weights.
+    /// A mixture: each sample has one of the kinds of `stimuli.mix`, drawn by weight.
     Mix,
 }
 
@@ -42,7 +42,7 @@ impl StimuliKind {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Part {
-    /// Of a mixture: probability that a sample is of this kind; those of all parts sum to 1. Unit: 1. Default: must be given.
+    /// Probability of this kind in a mixture; the probabilities of all parts sum to 1. Unit: 1. Default: must be given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weight: Option<f64>,
     /// Kind of forces: `"bell"`, `"gauss"`, `"irregular"` or `"recorded"`.
@@ -115,28 +115,29 @@ impl Part {
 pub struct Stimuli {
     /// Kind of forces.
     pub kind: StimuliKind,
-    /// Samples that train and test the brain (N), at most 1 000 000.
+    /// Samples of training and test set (N), at most 1 000 000.
     #[serde(default = "stimuli_samples")]
     pub samples: usize,
-    /// Those of the N that are the test set. The test error steers the body's design: with 30 samples the body that is chosen is more
-    /// than 5 % worse than the best in a quarter of trials, with 200 in one of fifty.
+    /// Number of the N samples that form the test set, which selects the trained body. With 30 samples, the selected body is more
+    /// than 5 % worse than the best in a quarter of trials; with 200, in one of fifty.
     #[serde(default = "stimuli_test")]
     pub test: usize,
-    /// Whether the test set is drawn with replacement: it may hold a sample twice, and training has all others. Default: false.
+    /// Whether the test set is drawn with replacement. It may then contain a sample twice; the training set contains all others.
+    /// Default: false.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub replacement: bool,
-    /// Further samples that training never sees, at most 1 000 000: the errors to quote.
+    /// Held-out samples, at most 1 000 000; they give the errors to quote.
     #[serde(default = "stimuli_holdout")]
     pub holdout: usize,
-    /// Amplitude of a pulse: an interval `[least, most]`, drawn from uniformly for each sample and panel. Unit: N. Default:
-    /// `[0.15, 0.5]`; gauss `[0.1, 0.5]`; irregular `[0.3, 1.0]`.
+    /// Amplitude of a pulse: an interval `[least, most]` of a uniform draw per sample and panel. Unit: N. Default: `[0.15, 0.5]`;
+    /// gauss `[0.1, 0.5]`; irregular `[0.3, 1.0]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub amplitude: Option<[f64; 2]>,
-    /// Width of a pulse, an interval; of a Gaussian one σ. Unit: s. Default: `[0.06, 0.25]`; gauss `[0.01, 0.04]`; irregular
+    /// Width of a pulse, an interval; σ of a Gaussian pulse. Unit: s. Default: `[0.06, 0.25]`; gauss `[0.01, 0.04]`; irregular
     /// `[0.02, 0.08]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub width: Option<[f64; 2]>,
-    /// Onset of a pulse, an interval; of a Gaussian one the time of its peak. Unit: s. Default: `[0.0, 0.5]`; gauss `[0.12, 0.4]`.
+    /// Onset of a pulse, an interval; time of the peak of a Gaussian pulse. Unit: s. Default: `[0.0, 0.5]`; gauss `[0.12, 0.4]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub onset: Option<[f64; 2]>,
     /// Position of the peak as a fraction of the width, an interval. Unit: 1. Default: `[0.35, 0.65]`; irregular
@@ -159,25 +160,25 @@ pub struct Stimuli {
     /// Amplitude of the second hit relative to the first, an interval; irregular only. Unit: 1. Default: `[0.2, 0.7]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rebound: Option<[f64; 2]>,
-    /// Probability that a panel is silent in a sample; samples in which all would be are drawn anew. Bell and gauss only. Unit: 1.
+    /// Probability that a panel has no force in a sample; samples without any force are redrawn. Bell and gauss only. Unit: 1.
     /// Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub silent: Option<f64>,
-    /// How far blows miss a panel's centroid, across its direction: the standard deviation of a normal draw per sample and
-    /// panel. Such a blow turns the unit. Unit: mm. Default: 0.
+    /// Standard deviation of the distance by which blows miss a panel's centroid, across its direction; a normal draw per sample
+    /// and panel. Such a blow rotates the unit. Unit: mm. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub offset: Option<f64>,
-    /// How far blows miss a panel's direction, likewise. Unit: degrees. Default: 0.
+    /// Standard deviation of the angle by which blows deviate from a panel's direction. Unit: degrees. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub angle: Option<f64>,
-    /// Instants of the forces' own clock in a sample, a multiple of `time.samples`. Default: `time.samples`.
+    /// Instants per sample of the clock of the forces, a multiple of `time.samples`. Default: `time.samples`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub force_samples: Option<usize>,
     /// Files of force histories, for `kind = "recorded"`. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub recorded: Option<Recorded>,
-    /// Kinds of forces that are mixed, for `kind = "mix"`: tables `[[stimuli.mix]]` of `weight`, `kind` and keys of that kind.
-    /// Default: none.
+    /// Parts of the mixture, for `kind = "mix"`: tables `[[stimuli.mix]]` of `weight`, `kind` and keys of that kind. Default:
+    /// none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mix: Option<Vec<Part>>,
 }
@@ -303,7 +304,7 @@ pub enum Resample {
     /// Through a low-pass filter at the new clock's limit.
     #[default]
     Antialias,
-    /// Linear between entries.
+    /// Linear interpolation between entries.
     Linear,
 }
 
@@ -311,9 +312,9 @@ pub enum Resample {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Trigger {
-    /// Force that the first entry of a blow reaches, in either direction, after `scale`. Unit: N.
+    /// Absolute force, after `scale`, that marks the beginning of a blow where it is first reached. Unit: N.
     pub threshold: f64,
-    /// Time of that entry in the sample. Unit: s. Default: room for the earliest of `augment.shift` and for 12 instants of
+    /// Time of the beginning of the blow in the sample. Unit: s. Default: room for the earliest of `augment.shift` and for 12 instants of
     /// `time.samples`, the low-pass's reach; of measured signals 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub before: Option<f64>,
@@ -339,19 +340,19 @@ impl Default for Augment {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Recorded {
-    /// CSV, NPY or NPZ files, relative to the spec. No record may be in them twice.
+    /// CSV, NPY or NPZ files, relative to the spec. A record may not occur twice.
     pub files: Vec<PathBuf>,
-    /// The clock of a file, by column or array. Default: `rate` must be given.
+    /// Clock of a file, as a column or array. Default: `rate` must be given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time: Option<Signal>,
     /// Entries per second, if a file has no clock; its first entry is at 0. Unit: 1/s. Default: `time` must be given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rate: Option<f64>,
-    /// The force, or one for each panel, by columns or arrays. Default: all that an array of shape (samples, panels, entries)
+    /// The force, or one force per panel, as columns or arrays. Default: all that an array of shape (samples, panels, entries)
     /// holds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub force: Option<Vec<Signal>>,
-    /// Whether the first line of a CSV names its columns. Must be given where that line holds numbers. Default: yes.
+    /// Whether the first line of a CSV names its columns. Must be given if that line contains numbers. Default: yes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub header: Option<bool>,
     /// What separates the fields of a CSV. Default: what divides all lines alike.
@@ -366,25 +367,25 @@ pub struct Recorded {
     /// Unit of the force.
     #[serde(default)]
     pub force_unit: ForceUnit,
-    /// Factor on all forces, to suit the blows to the body. Unit: 1.
+    /// Factor on all forces, to adapt the blows to the body. Unit: 1.
     #[serde(default = "one")]
     pub scale: f64,
-    /// Whether the median of each record, the force sensor's offset, is subtracted.
+    /// Whether the median of each record (the offset of the force sensor) is subtracted.
     #[serde(default)]
     pub remove_offset: bool,
-    /// Panel, from 0, that each record of one force strikes. Default: drawn by seed.
+    /// Panel, counted from 0, of each record with one force. Default: drawn by seed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub panels: Option<Vec<usize>>,
-    /// How records are resampled onto the clocks of the simulation and of the signals.
+    /// How records are resampled to the clocks of the simulation and of the signals.
     #[serde(default)]
     pub resample: Resample,
     /// Aligns blows by the first force above a threshold. Default: none, the file's clock counts from the sample's beginning.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trigger: Option<Trigger>,
-    /// How a record is varied to make fresh samples, for `optimise.protocol = "joint"`.
+    /// Variation of a record for fresh samples, for `optimise.protocol = "joint"`.
     #[serde(default)]
     pub augment: Augment,
-    /// BLAKE3 hash of the files' contents, which is part of the trial's hash; the paths are not. If given, it must agree.
+    /// BLAKE3 hash of the contents of the files. It is part of the trial's hash, the paths are not. If given, it must agree.
     /// Default: filled in.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub digest: Option<String>,

@@ -3,28 +3,28 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Questions that end a sweep when they are settled; the grid is then the most that it may become.
+/// Questions that end a sweep when they are answered; the grid is an upper limit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Until {
-    /// The gain: error of the initial over error of the optimised body, until its interval is this fraction of it wide.
-    /// Unit: 1. Default: not asked.
+    /// Gain by training (error of the initial body divided by that of the trained body), until the width of its interval is this
+    /// fraction of the gain. Unit: 1. Default: not asked.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub paired: Option<f64>,
-    /// The smallest M whose error on the optimised body exceeds the best M's by at most this fraction. Unit: 1. Default: not
+    /// The smallest M whose error on the trained body exceeds that of the best M by at most this fraction. Unit: 1. Default: not
     /// asked.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub within: Option<f64>,
-    /// The M beyond which more sensors on the optimised body gain little, where the logarithm of its error bends; needs four values of M.
-    /// `analyse` asks in per cent, too, and whether a smooth decay does as well, so that it may still find none.
+    /// The M beyond which more sensors on the trained body gain little: the elbow of the logarithm of its error. Needs four
+    /// values of M. `analyse` also tests errors in per cent and a smooth decay, so it may find no elbow.
     pub elbow: bool,
-    /// The fewest sensors on the optimised body that beat the most on the initial one.
+    /// The fewest sensors on the trained body that beat the most sensors on the initial body.
     pub fewer: bool,
-    /// Whether the optimised body's error falls with the number of design parameters.
+    /// Whether the error of the trained body falls with the number of design parameters.
     pub complexity: bool,
-    /// Probability that an answer is right, of each question and setting by itself. Unit: 1.
+    /// Probability that an answer is right, for each question and setting separately. Unit: 1.
     pub confidence: f64,
-    /// The most that may be run. Without it, that is what the lists of the sweep say.
+    /// Upper limits of the sweep. Without it, the lists of `[sweep]`.
     pub at_most: AtMost,
 }
 
@@ -52,7 +52,7 @@ pub struct AtMost {
     /// Seeds: those of `sweep.seeds`, then the numbers after the last one. Default: `sweep.seeds`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seeds: Option<usize>,
-    /// CPU time of all trials; beyond it no trial is begun. Unit: h. Default: no limit.
+    /// CPU time of all trials; beyond it no further trial starts. Unit: h. Default: no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hours: Option<f64>,
 }

@@ -3,8 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How castings scatter about the design: material by a factor common to a cast and by others of each ligament and unit, nodes
-/// and chips each by itself. A deviation of 0.05 is 5 %.
+/// Manufacturing variation: the material by a factor per cast and factors per ligament and unit, nodes and chips individually. A
+/// deviation of 0.05 is 5 %.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Variation {
@@ -26,21 +26,21 @@ pub struct Variation {
     /// Standard deviation of the logarithm of `body.contact.stiffness`. Unit: 1. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub contact: Option<f64>,
-    /// Standard deviation of each coordinate of each node shift, and how far such errors reach. Unit: mm. Default: 0.
+    /// Standard deviation of each coordinate of each node shift, and the correlation between nodes. Unit: mm. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub nodes: Option<Nodes>,
     /// Standard deviation of the logarithm of the gain of each channel of each chip. Unit: 1. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gain: Option<f64>,
-    /// Standard deviation of the angle by which each chip is turned in the plane. Unit: degrees. Default: 0.
+    /// Standard deviation of the in-plane angle of each chip. Unit: degrees. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub misalignment: Option<f64>,
-    /// Standard deviation of the logarithm of `body.ligament_length`, of all ligaments of a cast: units shrink by what they are longer, the
-    /// stiffnesses stay. Unit: 1. Default: 0.
+    /// Standard deviation of the logarithm of `body.ligament_length`, common to all ligaments of a cast. Units shrink by the
+    /// added length; stiffnesses stay. Unit: 1. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ligament_length: Option<f64>,
-    /// How ligaments relax in the casts that judge (`evaluation.casts`, `metasense casts`), which neither training nor any brain
-    /// fitted to other casts knows: a world that the model does not contain. Default: not at all.
+    /// Relaxation of the ligaments in the casts that evaluate a body (`evaluation.casts`, `metasense casts`). Training and
+    /// decoders fitted to other casts do not include it, so it tests a model error. Default: not at all.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub relaxation: Option<Relaxation>,
 }
@@ -49,10 +49,10 @@ pub struct Variation {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Relaxation {
-    /// Stiffness g of the other spring, by that of the ligament's. A motion of angular frequency ω loses g ωτ/(1 + ω²τ²) of the stiffness.
-    /// Unit: 1.
+    /// Stiffness g of the additional spring relative to that of the ligament. At the angular frequency ω, the loss modulus is g
+    /// ωτ/(1 + ω²τ²) of the stiffness. Unit: 1.
     pub share: f64,
-    /// Time τ in which the force of the other spring falls to 1/e. Unit: s.
+    /// Relaxation time τ, in which the force of the additional spring falls to 1/e. Unit: s.
     pub time: f64,
 }
 
@@ -62,7 +62,8 @@ pub struct Relaxation {
 pub enum Scatter<Parts> {
     /// a number: one factor for the whole cast.
     Common(f64),
-    /// `{ common = s, ligament = r }`, of the density `{ common = s, unit = r }`: beside that factor one of each, of deviation r.
+    /// `{ common = s, ligament = r }`, for the density `{ common = s, unit = r }`: a further factor per ligament or unit, of
+    /// deviation r.
     Parts(Parts),
 }
 
@@ -73,7 +74,7 @@ pub struct OfLigaments {
     /// Standard deviation of the logarithm of the factor that all ligaments of a cast share. Default: 0.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub common: f64,
-    /// Of the factor of each ligament.
+    /// Standard deviation of the logarithm of the factor of each ligament.
     pub ligament: f64,
 }
 
@@ -84,7 +85,7 @@ pub struct OfUnits {
     /// Standard deviation of the logarithm of the factor that all units of a cast share. Default: 0.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub common: f64,
-    /// Of the factor of each unit.
+    /// Standard deviation of the logarithm of the factor of each unit.
     pub unit: f64,
 }
 
@@ -129,9 +130,9 @@ impl<Parts: Copy + Into<[f64; 2]>> Scatter<Parts> {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Nodes {
-    /// a number: each node by itself.
+    /// a number: nodes are independent.
     Each(f64),
-    /// `{ scatter = s, correlation = c }`: nodes at a distance r alike with the correlation exp(−r²/2c²).
+    /// `{ scatter = s, correlation = c }`: nodes at the distance r have the correlation exp(−r²/2c²).
     Alike(Alike),
 }
 
