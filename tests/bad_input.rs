@@ -297,6 +297,16 @@ const EDITS: &[(&str, &str, &str)] = &[
         "stimuli.mix.offset = -0.5: must lie between",
     ),
     ("test = 4", "test = 4\nholdout = 0", "s.toml:13: stimuli.holdout = 0: "),
+    (
+        "test = 4",
+        "test = 4\namplitude = [0.0, 0.0]",
+        "s.toml:13: stimuli.amplitude = [0.0, 0.0]: must allow a force",
+    ),
+    (
+        "[sweep]\n",
+        "[brain]\nkind = \"stacked\"\nscaling = \"minmax\"\n[sweep]\n",
+        "brain.scaling = \"minmax\": must be \"rms\" with casts",
+    ),
     ("test = 4", "test = 4\namplitude = [0.5, 0.1]", "s.toml:13: stimuli.amplitude = [0.5, 0.1]: "),
     ("test = 4", "test = 4\npeak = [0.0, 1.5]", "s.toml:13: stimuli.peak = "),
     ("kind = \"bell\"", "kind = \"recorded\"", "s.toml:9: stimuli.recorded: must be given: the files"),

@@ -169,11 +169,11 @@ fn committed_specs_keep_their_hashes() {
     }
     digests.sort();
     insta::assert_snapshot!(digests.join("\n"), @r"
-    authors-fig2 f7f153ddf4b4f708
-    authors-fig2-paper f2a297b5cbda99ff
-    authors-fig3 0ec16490740632cb
-    authors-fig4 35a6bd632d3429ac
-    authors-fig5 a7bf12551fc4df69
+    authors-fig2 3853960b36d29b1b
+    authors-fig2-paper 5b4c0542cdd0e27a
+    authors-fig3 e9d4d49d13078d1a
+    authors-fig4 1a71aa5580a67a94
+    authors-fig5 5a98c363ec500c8c
     blows-map d3cdf14623ed2a3e
     brains-two-core 5eb82c6f08db37b1
     design-two-core 834a3cec86c88ac1

@@ -129,7 +129,8 @@ pub struct Stimuli {
     /// Held-out samples, at most 1 000 000; they give the errors to quote.
     #[serde(default = "stimuli_holdout")]
     pub holdout: usize,
-    /// Amplitude of a pulse: an interval `[least, most]` of a uniform draw per sample and panel. Unit: N. Default: `[0.15, 0.5]`;
+    /// Amplitude of a pulse: an interval `[least, most]` of a uniform draw per sample and panel; negative forces act against the
+    /// panel's direction. Unit: N. Default: `[0.15, 0.5]`;
     /// gauss `[0.1, 0.5]`; irregular `[0.3, 1.0]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub amplitude: Option<[f64; 2]>,

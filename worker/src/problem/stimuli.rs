@@ -231,7 +231,7 @@ fn interval(
 fn bell(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Bell, Invalid> {
     let (above, any) = (f64::MIN_POSITIVE, f64::INFINITY);
     let bell = Bell {
-        amplitude: interval("amplitude", stimuli.amplitude, 0.0, any, "must not be negative")?,
+        amplitude: interval("amplitude", stimuli.amplitude, -any, any, "")?,
         width: interval("width", stimuli.width, above, any, "must be above 0")?,
         onset: interval("onset", stimuli.onset, -any, any, "")?,
         peak: interval("peak", stimuli.peak, above, 1.0 - f64::EPSILON, "must lie between 0 and 1")?,
@@ -243,7 +243,7 @@ fn bell(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Bell, Invalid> {
     require(first < duration, "stimuli.onset", format!("[{first}, {last}]"), &remedy)?;
     let remedy = "must leave some of the widest pulse in the sample, which begins at 0 s";
     require(last + bell.width[1] > 0.0, "stimuli.onset", format!("[{first}, {last}]"), remedy)?;
-    require(bell.amplitude[1] > 0.0, "stimuli.amplitude", shown, "must allow forces above 0")?;
+    require(bell.amplitude != [0.0; 2], "stimuli.amplitude", shown, "must allow a force")?;
     Ok(bell)
 }
 

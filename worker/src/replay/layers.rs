@@ -146,7 +146,9 @@ impl Convolution {
 /// # Panics
 /// If the weights are not those of the trial's network.
 pub fn layers(trial: &TrialSpec, own: &Own, replay: &Replay) -> Result<Vec<Convolution>, Failure> {
-    if let Own::Network(_) = own && replay.signal_offset.iter().any(|offset| *offset != 0.0) {
+    if let Own::Network(_) = own
+        && replay.signal_offset.iter().any(|offset| *offset != 0.0)
+    {
         let remedy = "has no layers to export: beyond its ends a signal is padded with the middle of its range. Export npz";
         return Err(Failure::Rejected(invalid("brain.scaling", "\"minmax\"", remedy).to_string()));
     }

@@ -98,7 +98,7 @@ pub fn planar(columns: usize, rows: usize, panels: usize) -> Polygons {
         rigid: (n..=held).collect(),
         follow,
         clamp: Some(vec![held]),
-        panels: (n..held).map(|unit| struck(unit, [0.0, -1.0])).collect(),
+        panels: (n..held).map(|unit| struck(unit, [0.0, 1.0])).collect(),
         ..Polygons::default()
     }
 }
@@ -110,7 +110,8 @@ fn struck(unit: usize, direction: Point) -> Struck {
 /// Shells of a disc.
 const SHELLS: usize = 8;
 
-/// The disc cut out of n × n squares, its middle at the origin: the squares inside, then the shells, which forces push inward.
+/// The disc cut out of n × n squares, its middle at the origin: the squares inside, then the shells, which
+/// negative forces push inward.
 #[must_use]
 pub fn disc(n: usize) -> Polygons {
     let (angle, count) = (25f64.to_radians(), i32::try_from(n).expect("a few columns"));
@@ -178,9 +179,9 @@ pub fn disc(n: usize) -> Polygons {
         units.push(nodes);
     }
     let shells: Vec<usize> = (first..units.len()).collect();
-    let inward = |(k, &unit): (usize, &usize)| {
+    let outward = |(k, &unit): (usize, &usize)| {
         let (sin, cos) = (180.0 - part * (k as f64 + 0.5)).to_radians().sin_cos();
-        struck(unit, [-cos, -sin])
+        struck(unit, [cos, sin])
     };
     Polygons {
         units,
@@ -189,7 +190,7 @@ pub fn disc(n: usize) -> Polygons {
         follow,
         density: vec![Denser { units: shells.clone(), factor: 2.0 }],
         clamp: Some(Vec::new()),
-        panels: shells.iter().enumerate().map(inward).collect(),
+        panels: shells.iter().enumerate().map(outward).collect(),
         ..Polygons::default()
     }
 }

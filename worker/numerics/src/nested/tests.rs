@@ -74,7 +74,12 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
         variation: None,
         reader: BrainKind::Network,
         decoder: Decoder { lags: Lags::whole(40), ridge: Ridge::Auto },
-        brain: Training { iterations: 30, rate: 1e-2, architecture: Architecture::paper(8), scaling: Scaling::Rms },
+        brain: Training {
+            iterations: 30,
+            rate: 1e-2,
+            architecture: Architecture::paper(8),
+            scaling: Scaling::Rms,
+        },
         optimise: Optimise {
             brain: BrainKind::Network,
             protocol,
@@ -659,8 +664,10 @@ fn check_the_direct_term(disturbance: Option<Disturbance>, problem: Problem) {
     let mut loss = |design: &[f64]| {
         let counters = &mut Counters::default();
         let response = trial.simulate(design, &trial.test, &problem.solver, true, counters).unwrap();
-        let (x, y) =
-            (trial.network_scales.inputs(&response.samples.signals), trial.network_scales.targets(&response.samples.targets));
+        let (x, y) = (
+            trial.network_scales.inputs(&response.samples.signals),
+            trial.network_scales.targets(&response.samples.targets),
+        );
         let data = Data::<f64>::new(shape, &x, &y).with_output_weights(&variances);
         let (loss, inputs) = brain::input_gradient(&weights, data.all(), &mut workspace, &pool);
         (loss, inputs, response)
