@@ -11,146 +11,142 @@ use serde_json::Value;
 
 use super::{root, table};
 
-/// Words, what the paper says (empty: nothing), the keys of `fig2`, and what there is to say besides.
-const ROWS: &[(&str, &str, &[&str], &str)] = &[
+/// A row: what it states, what the paper prints, what its authors' code has (empty: nothing), and keys of the specs.
+type Row = (&'static str, &'static str, &'static str, &'static [&'static str]);
+
+/// Files of the authors' code at the commits that the page names: A, B, C, D.
+const ROWS: &[Row] = &[
     (
         "units (columns, rows)",
         "",
+        "5, 4; two force plates and a held plate beside them (A `structures.py`)",
         &["body.columns", "body.rows"],
-        "the pictures show lattices of some such size",
     ),
-    ("pitch (mm)", "", &["body.spacing"], "its chip, 23.5 × 32.5 mm, asks for more: `real-scale`"),
-    ("ligament length (mm)", "", &["body.ligament_length"], ""),
-    ("initial angle (°)", "", &["body.initial_angle"], ""),
+    ("pitch (mm)", "", "16.125 (A `geometry.py`)", &["body.spacing"]),
+    ("ligament length (mm)", "", "1.125 (A `geometry.py`)", &["body.ligament_length"]),
+    ("initial angle (°)", "", "−25 and 25 in turn (A `structures.py`)", &["body.initial_angle"]),
     (
         "stiffness: stretch, shear (N/mm), bend (N mm)",
         "identified, not printed",
+        "4.0; 0.84; 0.215216 (A `structures.py`)",
         &["body.stiffness.stretch", "body.stiffness.shear", "body.stiffness.bend"],
+    ),
+    ("strain of ligaments", "nonlinear", "linearised in planar bodies (A `energy.py`)", &["body.linearised"]),
+    ("density (Mg/mm²)", "Dragon Skin 10 Fast, cast", "3.2325226e-8 (A `structures.py`)", &["body.density"]),
+    (
+        "masses and moments of inertia",
         "",
+        "of the initial body for every design (A, B, C)",
+        &["body.inertia"],
     ),
     (
-        "density (Mg/mm²)",
-        "Dragon Skin 10 Fast, cast",
-        &["body.density"],
-        "its sheet: `body.material`, `real-scale`",
-    ),
-    (
-        "damping",
+        "damping: c_u, c_v (N s/mm), c_θ (N mm s), or a ratio",
         "viscous",
-        &["body.damping_ratio"],
-        "of the critical, by the square of angle 0, whatever the design",
+        "3.48719e-4, 3.48719e-4, 6.86211e-4 for every unit (A `structures.py`)",
+        &["body.damping", "body.damping_ratio"],
     ),
-    ("contact energy", "optional", &["body.contact"], "off; `body.contact` turns it on"),
-    ("where the body is held", "", &["body.clamp"], ""),
-    ("panels", "two on the top boundary", &["panel_units"], "which units and direction: ours"),
+    ("contact energy", "optional", "off (A `structures.py`); on in a script of B", &["body.contact"]),
+    ("held units", "", "the plate below all columns (A `structures.py`)", &["body.clamp"]),
     (
-        "sensor",
-        "one, near the centre",
-        &["sensor_units"],
-        "which unit: ours; several are at random, five placements",
+        "loaded units",
+        "two on the top boundary",
+        "one plate per two columns, at its centroid (A `structures.py`)",
+        &["panel_units"],
     ),
-    ("frame of the accelerations", "", &["sensors.frame"], "`\"body\"` turns with the unit"),
+    ("unit of the sensor", "one, near the centre", "7 (A `structures.py`)", &["sensor_units"]),
+    ("frame of the accelerations", "", "fixed axes (A `solver.py`)", &["sensors.frame"]),
     (
-        "the chip's mass, range, noise",
+        "mass (Mg), moment of inertia (Mg mm²) of the chip",
         "WT9011DCL",
-        &["sensors.chip"],
-        "an ideal chip; `sensors.chip` has that one's figures",
+        "8.58e-6, 1.1104e-3; 1 g and its moment by density (A `structures.py`)",
+        &["sensors.mass", "sensors.inertia"],
     ),
-    ("time (s), samples of it", "1, 200", &["time.duration", "time.samples"], ""),
+    ("noise of the sensor", "", "none", &["sensors.noise"]),
+    ("range, filter and mounting of the chip", "", "", &["sensors.range", "sensors.bandwidth"]),
     (
-        "integrator",
-        "Tsit5 (Diffrax), tolerance not printed",
-        &["solver.method", "solver.tolerance"],
-        "`auto` may choose splittings of less cost at equal error",
+        "time (s), samples",
+        "1, 200",
+        "1, 200 with the instant 0 (A `solver.py`)",
+        &["time.duration", "time.samples"],
     ),
-    ("samples that train and test the brain", "300", &["stimuli.samples"], ""),
+    (
+        "integrator, tolerance",
+        "Tsit5 (Diffrax)",
+        "Tsit5, 1e-4 (A `solver.py`): 2 … 13 % of the signals",
+        &["solver.method", "solver.tolerance"],
+    ),
+    ("training and test samples", "300", "300 (D `neural_networks.py`)", &["stimuli.samples"]),
     (
         "test samples",
         "30",
-        &["stimuli.test"],
-        "of these, so 270 train; whether they are in the paper's 300 is not printed",
+        "30, drawn with replacement (D `neural_networks.py`)",
+        &["stimuli.test", "stimuli.replacement"],
+    ),
+    ("held-out samples", "none", "none", &["stimuli.holdout"]),
+    (
+        "kind of virtual pulses",
+        "\"shapes\", \"time delays\"",
+        "Gaussian (names of files in A)",
+        &["stimuli.kind"],
     ),
     (
-        "further samples, that no loop sees",
-        "none",
-        &["stimuli.holdout"],
-        "the paper's errors are those of the set that steers its bodies",
+        "amplitude (N), width, onset of the pulses (s)",
+        "",
+        "",
+        &["stimuli.amplitude", "stimuli.width", "stimuli.onset"],
     ),
-    ("virtual pulses: amplitude (N)", "", &["stimuli.amplitude"], ""),
-    ("duration (s)", "", &["stimuli.width"], ""),
-    ("onset (s)", "\"time delays\"", &["stimuli.onset"], ""),
-    ("peak, as a part of the pulse", "\"shapes\"", &["stimuli.peak"], ""),
-    ("power of its flanks", "\"shapes\"", &["stimuli.power"], ""),
-    (
-        "blows",
-        "measured, 150 on each panel",
-        &[],
-        "not released: `stimuli.kind = \"irregular\"` is a model of them, `\"recorded\"` reads one's own",
-    ),
+    ("probability that a panel has no force", "", "", &["stimuli.silent"]),
+    ("measured blows", "150 per panel", "300 per body; rate, trigger and filter are in no file", &[]),
     (
         "network",
-        "convolutions of 64, 64 and K filters, kernels 3, 3, 1, ReLU, SAME",
+        "filters 64, 64, K; kernels 3, 3, 1; ReLU",
+        "the same (D `neural_networks.py`)",
         &["brain.preset"],
-        "the same, the default",
     ),
     (
-        "its training",
-        "1000 steps of Adam, rate 0.01",
+        "training of the network: iterations, rate of Adam",
+        "1000; 0.01",
+        "1000; 0.01 (D `neural_networks.py`)",
         &["brain.iterations", "brain.learning_rate"],
-        "the whole set in each",
     ),
     (
-        "inputs of the network",
-        "",
+        "scale of signals and forces",
+        "normalised",
+        "to [−1, 1] and [0, 1] by the initial body's training samples (D `neural_networks.py`)",
+        &["brain.scaling"],
+    ),
+    (
+        "loss of the body",
+        "mean square on the test set",
+        "the same, of scaled forces (B, C `cooptimize_*`)",
         &[],
-        "each over the RMS of its kind on the initial body's training signals",
     ),
-    ("training loss", "of normalised forces", &[], "each panel by mean and deviation of its training forces"),
-    ("loss of the body", "mean square on the test set (N²)", &[], "the same"),
     (
-        "gradient",
-        "main text: through the signals; Methods: through the trained weights",
+        "gradient of the test loss",
+        "main text: through signals; Methods: through weights",
+        "both terms (B, C `cooptimize_*`)",
         &["optimise.gradient"],
-        "the sum, which is the derivative; `\"direct\"` and `\"implicit_only\"` take what is printed there",
     ),
+    ("implicit system", "conjugate gradients, 1e-7, 20 iterations", "the same (C `cooptimize_*`)", &[]),
     (
-        "implicit systems",
-        "conjugate gradients, 10⁻⁷, 20 iterations",
-        &["optimise.curvature"],
-        "the same, stopped at negative curvature: training has not ended at a minimum",
-    ),
-    (
-        "steps of the body",
-        "100 of Adam, rate 0.1",
+        "outer steps, rate of Adam (mm)",
+        "100; 0.1",
+        "100; 0.1 (C `cooptimize_*`)",
         &["optimise.iterations", "optimise.learning_rate"],
-        "a rate in mm",
     ),
-    ("which body counts", "", &[], "the best by the test set"),
+    ("body that counts", "", "step 95 (Fig. 2) or the least test loss (B notebooks)", &[]),
+    ("limits of the design", "no overlap", "none (B, C `cooptimize_*`)", &["feasible.limits"]),
     (
-        "angles of corners (°), of voids, of ligaments",
-        "",
-        &[
-            "feasible.min_block_angle",
-            "feasible.max_block_angle",
-            "feasible.min_void_angle",
-            "feasible.min_ligament_angle",
-        ],
-        "no overlap in the paper; limits are ours",
-    ),
-    (
-        "least edge, clearances (mm)",
-        "",
-        &["feasible.min_edge", "feasible.clearance", "feasible.ligament_clearance"],
-        "",
-    ),
-    ("prediction error", "mean over samples of Σ(f − f̂)²/Σf²", &[], "the same, on test set and holdout"),
-    (
-        "fewer iterations",
-        "to the same accuracy, of one training",
+        "prediction error",
+        "mean over samples of Σ(f − f̂)²/Σf²",
+        "mean square of scaled forces on the test set",
         &[],
-        "to the worse of the two best values, by training loss and by holdout error",
     ),
 ];
+
+/// Keys that a body's file replaces.
+const FROM_FILE: [&str; 5] =
+    ["body.columns", "body.rows", "body.spacing", "body.ligament_length", "body.initial_angle"];
 
 /// A trial's spec by path.
 type Spec = BTreeMap<String, Value>;
@@ -163,6 +159,11 @@ fn at(spec: &Spec, path: &str) -> String {
             let digits = format!("{:.4e}", number.as_f64().unwrap());
             format!("{:?}", digits.parse::<f64>().unwrap())
         }
+        Value::Array(values) if values.len() == 3 && values.iter().all(Value::is_f64) => values
+            .iter()
+            .map(|value| format!("{:.5e}", value.as_f64().unwrap()))
+            .collect::<Vec<_>>()
+            .join(", "),
         other => other.to_string().replace(',', ", ").replace('"', ""),
     }
 }
@@ -175,31 +176,53 @@ fn trials(figure: &str) -> Vec<Spec> {
     plan.trials.iter().map(|trial| flatten(&serde_json::to_value(&trial.spec).expect("JSON"))).collect()
 }
 
-/// Words, what the paper says of Figs. 3 to 5, the keys whose values the figures' specs have.
-const OTHERS: &[(&str, &str, &[&str])] = &[
-    ("body", "Fig. 4C much larger, Fig. 5 circular", &["body.layout"]),
-    ("columns, rows", "", &["body.columns", "body.rows"]),
-    ("pitch, ligament length (mm)", "", &["body.spacing", "body.ligament_length"]),
-    ("bending (N mm), by the pitch squared", "", &["body.stiffness.bend"]),
+/// The same of Figs. 2 to 5, with keys of our reference scenes.
+const OTHERS: &[Row] = &[
+    ("body", "Fig. 4C much larger, Fig. 5 circular", "planar; circular", &["body.layout"]),
     (
-        "by the pitch: rate of the body's steps, least edge, clearances (mm)",
+        "columns, rows",
         "",
+        "K = 2: 5, 4; K = 4: 11, 6; K = 8: 23, 6; discs: 10 … 35, 11 sizes",
+        &["body.columns", "body.rows"],
+    ),
+    (
+        "pitch, ligament length (mm)",
+        "",
+        "16.125; 1.125, also in the discs, which grow",
+        &["body.spacing", "body.ligament_length"],
+    ),
+    ("bending (N mm)", "", "0.215216", &["body.stiffness.bend"]),
+    (
+        "rate of the body's steps, least edge, clearances (mm)",
+        "",
+        "0.1; no limits",
         &["optimise.learning_rate", "feasible.min_edge", "feasible.clearance", "feasible.ligament_clearance"],
     ),
-    ("where it is held", "", &["body.clamp"]),
-    ("cells whose shifts are tied", "none: units alone vary", &["optimise.tie"]),
-    ("forces K", "Fig. 3: 2, 4B: 4, 4C and 5: 8", &["point.panels"]),
-    ("sensors M", "Fig. 4: several, 4B to 6 at least; Fig. 5: 4", &["point.sensors"]),
-    ("placements", "Fig. 4: 5 for each M", &["point.placement"]),
-    ("seeds", "", &["point.seed"]),
-    ("iterations of further networks on both bodies", "Fig. 2: 10 000", &["evaluation.long_iterations"]),
-    ("forces: kind", "Fig. 3: measured blows", &["stimuli.kind"]),
-    ("amplitude (N)", "", &["stimuli.amplitude"]),
-    ("duration (s)", "", &["stimuli.width"]),
-    ("peak, as a part of a pulse; power of its flanks", "", &["stimuli.peak", "stimuli.power"]),
+    ("held units", "", "planar: the plate below; discs: none", &["body.clamp"]),
+    ("cells whose shifts are tied", "none: units alone vary", "none", &["optimise.tie"]),
+    ("forces K", "Fig. 3: 2, 4B: 4, 4C and 5: 8", "the same", &["point.panels"]),
     (
-        "roughness; a second blow: how often, after (s), how strong",
-        "",
+        "sensors M",
+        "Fig. 4: several, 4B to 6 at least; Fig. 5: 4",
+        "Fig. 4: 1 … 6; Fig. 5: 4",
+        &["point.sensors"],
+    ),
+    ("placements", "Fig. 4: 5 per M", "K = 4 and discs: lists; K = 8: in no file", &["point.placement"]),
+    ("seeds", "", "0", &["point.seed"]),
+    (
+        "iterations of further networks on both bodies",
+        "Fig. 2: 10 000",
+        "none",
+        &["evaluation.long_iterations"],
+    ),
+    ("kind of forces", "Fig. 3: measured blows", "Gaussian; Fig. 3: recorded", &["stimuli.kind"]),
+    ("amplitude (N)", "", "", &["stimuli.amplitude"]),
+    ("width (s)", "", "", &["stimuli.width"]),
+    ("peak, as a part of a pulse; power of its flanks", "", "Gaussian", &["stimuli.peak", "stimuli.power"]),
+    (
+        "roughness; a second blow: probability, delay (s), strength",
+        "measured",
+        "recorded",
         &["stimuli.roughness", "stimuli.double", "stimuli.gap", "stimuli.rebound"],
     ),
 ];
@@ -218,15 +241,15 @@ pub fn other_figures() -> String {
     };
     // in nothing else
     let told: Vec<&str> =
-        OTHERS.iter().flat_map(|row| row.2).copied().chain(["panel_units", "sensor_units"]).collect();
+        OTHERS.iter().flat_map(|row| row.3).copied().chain(["panel_units", "sensor_units"]).collect();
     let every: BTreeSet<&String> = figures.iter().flatten().flat_map(BTreeMap::keys).collect();
     let differs = |path: &&&String| {
         let of_each = figures.each_ref().map(|trials| values(trials, path));
         !told.contains(&path.as_str()) && of_each.iter().any(|own| *own != of_each[0])
     };
     assert_eq!(every.iter().filter(differs).collect::<Vec<_>>(), Vec::<&&String>::new());
-    let row = |(what, paper, keys): &(&str, &str, &[&str])| {
-        let mut cells = vec![(*what).to_owned(), unknown(paper)];
+    let row = |(what, paper, code, keys): &Row| {
+        let mut cells = vec![(*what).to_owned(), (*paper).to_owned(), known(paper, code)];
         cells.extend(
             figures
                 .each_ref()
@@ -234,19 +257,30 @@ pub fn other_figures() -> String {
         );
         cells
     };
-    table(&["what", "the paper", "`fig2`", "`fig3`", "`fig4b`", "`fig4c`", "`fig5`"], OTHERS.iter().map(row))
+    let columns =
+        ["what", "the paper", "the authors' code", "`fig2`", "`fig3`", "`fig4b`", "`fig4c`", "`fig5`"];
+    table(&columns, OTHERS.iter().map(row))
 }
 
-fn unknown(text: &str) -> String {
-    if text.is_empty() { "*unknown*".to_owned() } else { text.to_owned() }
+/// What the code has; unknown where the paper does not print it either.
+fn known(paper: &str, code: &str) -> String {
+    if paper.is_empty() && code.is_empty() { "*unknown*".to_owned() } else { code.to_owned() }
 }
 
 pub fn deviations() -> String {
-    let spec = trials("fig2").swap_remove(0);
-    let row = |(what, paper, keys, note): &(&str, &str, &[&str], &str)| {
-        let ours: Vec<String> = keys.iter().map(|key| at(&spec, key)).collect();
+    let specs = ["authors-fig2-paper", "fig2"].map(|figure| trials(figure).swap_remove(0));
+    let row = |(what, paper, code, keys): &Row| {
+        let of = |spec: &Spec| {
+            let drawn = keys.iter().any(|key| FROM_FILE.contains(key)) && !spec.contains_key("body.columns");
+            match drawn {
+                true => "by its file".to_owned(),
+                false => keys.iter().map(|key| at(spec, key)).collect::<Vec<_>>().join("; "),
+            }
+        };
         let keys: Vec<String> = keys.iter().map(|key| format!("`{key}`")).collect();
-        vec![(*what).to_owned(), unknown(paper), ours.join("; "), keys.join(", "), (*note).to_owned()]
+        let [theirs, ours] = specs.each_ref().map(of);
+        vec![(*what).to_owned(), (*paper).to_owned(), known(paper, code), theirs, ours, keys.join(", ")]
     };
-    table(&["what", "the paper", "ours", "key", "besides"], ROWS.iter().map(row))
+    let columns = ["what", "the paper", "the authors' code", "`authors-fig2-paper`", "`fig2`", "keys"];
+    table(&columns, ROWS.iter().map(row))
 }
