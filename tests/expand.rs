@@ -173,7 +173,7 @@ fn committed_specs_keep_their_hashes() {
     authors-fig2-paper 5b4c0542cdd0e27a
     authors-fig3 e9d4d49d13078d1a
     authors-fig4 1a71aa5580a67a94
-    authors-fig5 5a98c363ec500c8c
+    authors-fig5 da7bdf0a06c4ee29
     blows-map d3cdf14623ed2a3e
     brains-two-core 5eb82c6f08db37b1
     design-two-core 834a3cec86c88ac1

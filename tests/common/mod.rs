@@ -121,6 +121,18 @@ impl Bench {
         (file.shape().to_vec(), file.into_vec().unwrap())
     }
 
+    /// Numbers of an array in an NPZ, of whatever type.
+    pub fn member(&self, file: &str, name: &str) -> Vec<f64> {
+        let mut archive = zip::ZipArchive::new(std::fs::File::open(self.path(file)).unwrap()).unwrap();
+        let array = npyz::NpyFile::new(archive.by_name(&format!("{name}.npy")).unwrap()).unwrap();
+        match array.dtype().descr().as_str() {
+            "'<f8'" => array.into_vec().unwrap(),
+            "'<u8'" => array.into_vec::<u64>().unwrap().into_iter().map(|n| n as f64).collect(),
+            "'|u1'" => array.into_vec::<u8>().unwrap().into_iter().map(f64::from).collect(),
+            other => panic!("{name}: {other}"),
+        }
+    }
+
     /// Runs the program in the folder.
     pub fn metasense(&self, args: &[&str]) -> Output {
         Command::new(env!("CARGO_BIN_EXE_metasense"))

@@ -107,6 +107,22 @@ fn struck(unit: usize, direction: Point) -> Struck {
     Struck { unit: Some(unit), direction: Some(direction), ..Struck::default() }
 }
 
+/// The units that carry the authors' four sensors in discs of n × n squares (commit 2c0b29e3,
+/// notebooks/082625_new_simulation_circular_structure_large_size_train_nn.ipynb).
+const SENSORS: [(usize, [usize; 4]); 11] = [
+    (10, [5, 8, 17, 20]),
+    (13, [14, 18, 41, 45]),
+    (15, [14, 18, 78, 82]),
+    (18, [37, 42, 105, 110]),
+    (20, [33, 40, 117, 124]),
+    (23, [50, 56, 168, 174]),
+    (25, [67, 75, 217, 225]),
+    (27, [66, 74, 247, 255]),
+    (30, [79, 88, 298, 307]),
+    (32, [100, 110, 358, 368]),
+    (35, [150, 162, 414, 426]),
+];
+
 /// Shells of a disc.
 const SHELLS: usize = 8;
 
@@ -191,6 +207,7 @@ pub fn disc(n: usize) -> Polygons {
         density: vec![Denser { units: shells.clone(), factor: 2.0 }],
         clamp: Some(Vec::new()),
         panels: shells.iter().enumerate().map(outward).collect(),
+        sensors: SENSORS.iter().find(|(size, _)| *size == n).map(|(_, units)| units.to_vec()),
         ..Polygons::default()
     }
 }
@@ -223,6 +240,7 @@ pub fn file(body: &Polygons) -> String {
         lines("density", body.density.iter().map(denser).collect()),
         format!("clamp = {:?}\n", body.clamp.clone().unwrap_or_default()),
         lines("panels", body.panels.iter().map(panel).collect()),
+        body.sensors.as_ref().map_or(String::new(), |units| format!("sensors = {units:?}\n")),
     ]
     .concat()
 }
