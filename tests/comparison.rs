@@ -65,7 +65,7 @@ fn a_stop_on_request_ends_a_comparison_at_once_and_nothing_of_it_is_lost() {
             // Somewhere between the worker's start and its first saving.
             let worker = || children(run.0.id()).first().copied();
             eventually(Duration::from_secs(60), worker).expect("a worker is started");
-            std::thread::sleep(Duration::from_millis(500));
+            std::thread::sleep(Duration::from_millis(100));
         }
         let (code, took) = run.stop(signal);
         println!("ended {took:?} after signal {signal}, {} bytes saved, {before} before", saved());

@@ -107,7 +107,7 @@ pub fn evaluate(
     if brain != BrainKind::Cnn {
         solvable(trial, problem.decoder.lags).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
     }
-    let Measured { forces, signals, low_pass } = measured;
+    let Measured { forces, signals, low_pass, .. } = measured;
     let samples = forces.samples;
     if !(2..=samples).contains(&folds) {
         return Err(Failure::Rejected(format!(
@@ -199,7 +199,7 @@ pub fn by_model(
 ) -> Result<Evaluated, Failure> {
     let pool = pool(threads)?;
     let problem = placed(trial, &pool)?;
-    let Measured { forces, signals, low_pass } = measured;
+    let Measured { forces, signals, low_pass, .. } = measured;
     let records = Records::new(forces, signals.clone(), problem.scene.instants, *low_pass);
     let one = signals.len() / forces.samples;
     let mut found: Vec<Option<Network>> = (0..parts(forces.samples)).map(|part| kept.network(part)).collect();
@@ -248,7 +248,7 @@ pub fn by_twin(
     let pool = pool(threads)?;
     let problem = placed(trial, &pool)?;
     check_design(&problem, design)?;
-    let Measured { forces, signals, low_pass } = measured;
+    let Measured { forces, signals, low_pass, .. } = measured;
     let (ready, cast) = (Trial::new(&problem, &pool)?, Some(&twin.cast));
     let sensed = ready.samples(design, cast, forces.clone())?.signals;
     if effort.brain == BrainKind::Inverse {

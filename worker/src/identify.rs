@@ -1,7 +1,9 @@
 //! Material parameters from measured records, for a trial's body.
 
 pub use metasense_numerics::dynamics::Parameters;
-pub use metasense_numerics::identify::{BOX, Estimate, Identified, Iteration, Parameter, Turn, Verdict};
+pub use metasense_numerics::identify::{
+    BOX, Estimate, Identified, Iteration, Parameter, Turn, UNEXPLAINED, Verdict,
+};
 use metasense_numerics::identify::{Settings, fit};
 use metasense_schemas::spec::TrialSpec;
 

@@ -96,5 +96,6 @@ pub fn holdout(
         forces: forces.select(&ended),
         signals: samples.select(&ended).signals,
         low_pass: problem.low_pass(),
+        resampled: None,
     })
 }

@@ -1,7 +1,9 @@
 //! Measured records: forces and the signals that a body's sensors gave under them, on the clock of a trial.
 //!
-//! A file of its own says what stands where (`spec::Measured`). A record is moved as a whole where a trigger wants its
-//! blow. Before its first and after its last entry a signal is held, so that the low-pass does not see it jump.
+//! A file of its own states what stands where (`spec::Measured`). A record is moved as a whole where a trigger wants its
+//! blow. Signals at the rate of the trial's clock are not resampled: the record is moved by less than half a step, so that
+//! the readings fall on the clock's instants. Signals at another rate pass a low-pass and are held before their first and
+//! after their last entry.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -24,6 +26,20 @@ pub struct Measured {
     pub signals: Vec<f64>,
     /// Whether targets of a finer clock of the forces are read through a low-pass.
     pub low_pass: bool,
+    /// Rate of the first signals (1/s) that had to be resampled onto the trial's clock.
+    pub resampled: Option<f64>,
+}
+
+impl Measured {
+    /// What a user should know of signals that were resampled.
+    pub fn note(&self, trial: &TrialSpec) -> Option<String> {
+        let (rate, spec::Time { duration, samples, .. }) = (self.resampled?, trial.time.clone());
+        Some(format!(
+            "signals of {rate:.4} readings per second are resampled onto time.samples = {samples} in {duration} s; aliased signals are \
+             wrong between readings. Set time.samples = {:.0} to compare them as they were measured",
+            duration * rate
+        ))
+    }
 }
 
 /// Why records cannot be had.
@@ -105,8 +121,9 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
                 .map_err(wrong_beside)?;
             records::check_place(&picks[0], &force, duration).map_err(wrong)?;
             lasts(&force, &signal, duration, instants).map_err(wrong_beside)?;
+            let first = on_instants(&mut force, &mut signal, duration / instants as f64);
             forces.push(force);
-            readings.push(signal);
+            readings.push((signal, first));
         }
     }
     let Some(first) = forces.first() else {
@@ -135,16 +152,22 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
     }
     let low_pass = recorded.resample == Resample::Antialias;
     let clock = if low_pass { anti_aliased } else { resample };
-    let read = |record: &Record| -> Vec<f64> {
+    let read = |(record, first): &(Record, Option<i64>)| -> Vec<f64> {
         let delta = duration / instants as f64;
         let on_clock = |history: &Vec<f64>| {
+            if let Some(first) = first {
+                let last = history.len() as i64 - 1;
+                return (0..=instants as i64).map(|n| history[(n - first).clamp(0, last) as usize]).collect();
+            }
             let (start, held) = held(record, history, duration, delta);
             clock(&held, start, record.dt, duration, instants)
         };
         let histories: Vec<Vec<f64>> = record.values.iter().map(on_clock).collect();
         (1..=instants).flat_map(|n| histories.iter().map(move |h| h[n])).collect()
     };
+    let resampled = readings.iter().find(|(_, first)| first.is_none()).map(|(signal, _)| 1.0 / signal.dt);
     Ok(Measured {
+        resampled,
         signals: readings.iter().flat_map(read).collect(),
         forces: Forces { samples: forces.len(), panels, instants: own, values, strikes: Vec::new() },
         low_pass,
@@ -293,6 +316,23 @@ fn lasts(force: &Record, signal: &Record, duration: f64, instants: usize) -> Res
         "holds signals that end at {end:.4} s where a sample lasts {duration} s: shorten time.duration, \
          or let a trigger put the blow later"
     ))
+}
+
+/// Readings may lie so far from the instants at the end of a record, in steps.
+const DRIFT: f64 = 0.05;
+
+/// Moves force and signals by less than half a step, so that readings fall on the instants 0, Δ, 2Δ, …: what lies above half
+/// the rate of a chip is aliased and cannot be interpolated, the force can. The instant of the first reading; none where the
+/// readings have another step.
+fn on_instants(force: &mut Record, signal: &mut Record, delta: f64) -> Option<i64> {
+    let drift = (signal.dt - delta).abs() * (signal.values[0].len() - 1) as f64;
+    if drift > DRIFT * delta {
+        return None;
+    }
+    let first = (signal.start / delta).round();
+    force.start += first * delta - signal.start;
+    signal.start = first * delta;
+    Some(first as i64)
 }
 
 /// A history with its first and last value held as far as a low-pass looks, and its new start.

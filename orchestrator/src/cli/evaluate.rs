@@ -151,7 +151,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
                 let remedy = "an inverse brain must know the noise of measured signals: give it";
                 return Err(args.trial.refused_key("sensors.noise", remedy));
             }
-            None => (By::Measured, measured::read(file, spec)?),
+            None => {
+                let found = measured::read(file, spec)?;
+                found.note(spec).iter().for_each(|note| say!("{note}"));
+                (By::Measured, found)
+            }
         };
         Ok(Records { name: name.clone(), by, measured })
     };
@@ -231,7 +235,7 @@ fn compare(
         iterations: args.iterations.map_or(trial.brain.iterations, |n| n as usize),
     };
     let inputs: Vec<_> = (records.iter())
-        .map(|Records { name, measured: Measured { forces, signals, low_pass }, .. }| {
+        .map(|Records { name, measured: Measured { forces, signals, low_pass, .. }, .. }| {
             (name, forces.instants, &forces.values, signals, low_pass, designs.get(name))
         })
         .collect();

@@ -6,7 +6,7 @@ use std::time::Instant;
 use indicatif::ProgressBar;
 use metasense_schemas::spec::Body;
 use metasense_worker::identify::{
-    BOX, Estimate, Identified, Iteration, Parameter, Parameters, Turn, Verdict, identify,
+    BOX, Estimate, Identified, Iteration, Parameter, Parameters, Turn, UNEXPLAINED, Verdict, identify,
 };
 use metasense_worker::measured;
 use serde::{Deserialize, Serialize};
@@ -66,6 +66,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         return Err(args.one.trial.refused_key(key, remedy));
     }
     let measured = measured::read(&args.records, trial)?;
+    measured.note(trial).iter().for_each(|note| say!("{note}"));
     let free: Vec<Parameter> = args.fit.iter().map(|&f| Parameter::ALL[f as usize]).collect();
     let begun = Instant::now();
     let bar = ProgressBar::new_spinner();
@@ -223,7 +224,12 @@ fn said(fit: &Identified, body: &Body, records: usize) -> Vec<String> {
         };
         said.push(format!("not identifiable: {}; {factor}", parts.join("·")));
     }
-    if !fit.estimates.is_empty() {
+    if fit.outcome == Verdict::NotExplained {
+        said.push(format!(
+            "not explained: more than {UNEXPLAINED} % of the signals are left, so the values above mean nothing. Check the clock of the \
+             signals (signals.start), their units and the order of channels"
+        ));
+    } else if !fit.estimates.is_empty() {
         let p = fit.parameters;
         // a spec with a size or a material would scale or replace what is fitted
         let lengths = [("spacing", body.spacing), ("ligament_length", body.ligament_length)];

@@ -41,6 +41,7 @@ pub(super) struct Args {
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let (_, trial, design) = &args.one.read().await?;
     let measured = measured::read(&args.records, trial)?;
+    measured.note(trial).iter().for_each(|note| say!("{note}"));
     let begun = Instant::now();
     let found = twin::fit(trial, design, &measured, args.threads.into());
     let found = found.map_err(|e| args.one.trial.failed(e))?;

@@ -74,6 +74,8 @@ pub enum Verdict {
     NotIdentifiable,
     /// A parameter stands as far from the scene's as it may: the records ask for one beyond.
     AtTheBound,
+    /// The fitted motion leaves most of the signals: the records are not those of this body, clock or units.
+    NotExplained,
     /// The scene as it is given could not be simulated.
     StartFailed,
 }
@@ -87,6 +89,7 @@ impl Verdict {
             Self::IterationsSpent => "iterations spent",
             Self::NotIdentifiable => "not identifiable",
             Self::AtTheBound => "at the bound",
+            Self::NotExplained => "signals not explained",
             Self::StartFailed => "the start cannot be simulated",
         }
     }
@@ -153,6 +156,8 @@ const CLOSE: f64 = 0.01;
 const GROWTH: f64 = 1.4;
 /// Root of the sum of the squared misfits (%) of both kinds from which a window is lost: another start is tried.
 const LOST: f64 = 60.0;
+/// RMS of the residual (%), of accelerations or rotation rates, above which a fit has not explained the signals.
+pub const UNEXPLAINED: f64 = 50.0;
 /// Factors of other starts, on stretch, shear, bend and density.
 const SCALES: [f64; 3] = [1.0, 0.5, 2.0];
 /// Other starts that are tried, those of least misfit in the first window first.
@@ -225,6 +230,9 @@ pub fn fit(
         fit.outcome = Verdict::NotIdentifiable;
     }
     fit.misfit = [objective.misfit(&fit.signals[0]), objective.misfit(point.signals())];
+    if fit.misfit[1].iter().any(|left| *left > UNEXPLAINED) {
+        fit.outcome = Verdict::NotExplained;
+    }
     fit.noise = objective.residual_rms(point.signals());
     fit.signals[1] = point.signals().to_vec();
     let residual: Vec<f64> = recorded.iter().zip(&fit.signals[1]).map(|(y, a)| y - a).collect();
