@@ -7,8 +7,8 @@ use crate::synthetic;
 use serde_json::Value;
 
 fn metasense(db: &Path, args: &[&str]) -> (bool, String, String) {
-    let out =
-        Command::new(env!("CARGO_BIN_EXE_metasense")).arg(args[0]).arg(db).args(&args[1..]).output().unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));
+    let out = command.args(args[0].split(' ')).arg(db).args(&args[1..]).output().unwrap();
     let text = |bytes| String::from_utf8(bytes).unwrap();
     (out.status.success(), text(out.stdout), text(out.stderr))
 }
@@ -276,8 +276,11 @@ fn readers_leave_no_file_behind() {
                 at("b.npy"),
             ],
         ),
-        (false, vec!["evaluate".into(), trial, "--records".into(), records]),
-        (false, vec!["evaluate".into(), "no-such".into(), "--records".into(), "initial=none.toml".into()]),
+        (false, vec!["lab evaluate".into(), trial, "--records".into(), records]),
+        (
+            false,
+            vec!["lab evaluate".into(), "no-such".into(), "--records".into(), "initial=none.toml".into()],
+        ),
         (false, vec!["status".into()]),
     ] {
         let args: Vec<&str> = args.iter().map(String::as_str).collect();
@@ -294,7 +297,7 @@ fn readers_leave_no_file_behind() {
 #[test]
 fn claims_are_rated_by_what_was_put_into_the_database() {
     let (folder, db) = database();
-    let (ok, out, err) = metasense(&db, &["claims", "--format", "json"]);
+    let (ok, out, err) = metasense(&db, &["analyse", "--question", "claims", "--format", "json"]);
     assert!(ok, "{err}");
     let rows: Value = serde_json::from_str(&out).unwrap();
     let rating = |says: &str| {
@@ -305,8 +308,8 @@ fn claims_are_rated_by_what_was_put_into_the_database() {
     assert_eq!(rating("K = 4: trained with two sensors"), "holds");
     assert_eq!(rating("K = 8: the elbow"), "not tried");
     let out = folder.path().join("claims");
-    let (ok, evidence, err) =
-        metasense(&db, &["claims", "--evidence", "--format", "csv", "--out-dir", out.to_str().unwrap()]);
+    let asked = ["analyse", "--question", "evidence", "--format", "csv", "--out-dir", out.to_str().unwrap()];
+    let (ok, evidence, err) = metasense(&db, &asked);
     assert!(ok, "{err}");
     assert_eq!(
         evidence.lines().next(),

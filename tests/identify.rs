@@ -63,6 +63,7 @@ fn bench() -> Bench {
     };
     let run = |spec: &str, forces: &str, out: &str| {
         bench.output(&[
+            "body",
             "simulate",
             spec,
             "--hash",
@@ -134,7 +135,7 @@ fn records_tell_the_material() {
     let bench = bench();
     let hash = hash(&bench, "s.toml");
     let fit = |more: &[&str]| {
-        let call = [&["identify", "s.toml", "--hash", &hash, "--records", "r.toml"], more].concat();
+        let call = [&["lab", "identify", "s.toml", "--hash", &hash, "--records", "r.toml"], more].concat();
         bench.output(&call)
     };
     let one = fit(&["--format", "csv"]);
@@ -170,6 +171,7 @@ fn a_fit_goes_on_where_it_was_killed() {
     let hash = hash(&bench, "s.toml");
     let call = |out: &'static str| {
         [
+            "lab",
             "identify",
             "s.toml",
             "--hash",
@@ -197,8 +199,17 @@ fn a_record_with_a_clock_of_its_own_tells_the_material() {
     let spec = SPEC.replace("samples = 40", "samples = 400");
     bench.file("s.toml", &spec);
     let hash = hash(&bench, "s.toml");
-    let found =
-        bench.output(&["identify", "s.toml", "--hash", &hash, "--records", "csv.toml", "--format", "csv"]);
+    let found = bench.output(&[
+        "lab",
+        "identify",
+        "s.toml",
+        "--hash",
+        &hash,
+        "--records",
+        "csv.toml",
+        "--format",
+        "csv",
+    ]);
     assert_true(&estimates(&found), 0.1);
 }
 
@@ -210,7 +221,8 @@ fn records_that_determine_nothing_are_no_fit() {
         "damping_ratio = 0.03\ncontact = { min_angle = -175.0, cutoff_angle = -170.0, stiffness = 1.0 }";
     bench.file("contact.toml", &SPEC.replace("damping_ratio = 0.03", never));
     let fit = |free: &str| {
-        let call = ["identify", "contact.toml", "--records", "r.toml", "--fit", free, "--format", "csv"];
+        let call =
+            ["lab", "identify", "contact.toml", "--records", "r.toml", "--fit", free, "--format", "csv"];
         let run = bench.metasense(&call);
         assert_eq!(run.status.code(), Some(1), "{free}: {}", String::from_utf8_lossy(&run.stderr));
         let csv = String::from_utf8(run.stdout).unwrap();
@@ -227,7 +239,7 @@ fn what_cannot_be_fitted_is_refused() {
     bench.file("still.toml", &SPEC.replace("damping_ratio = 0.03", "damping_ratio = 0.0"));
     let refused = |spec: &str, records: &str, more: &[&str], says: &[&str]| {
         let hash = hash(&bench, spec);
-        let call = [&["identify", spec, "--hash", &hash, "--records", records], more].concat();
+        let call = [&["lab", "identify", spec, "--hash", &hash, "--records", records], more].concat();
         let run = bench.metasense(&call);
         let said = String::from_utf8_lossy(&run.stderr);
         assert!(run.status.code() == Some(2) && says.iter().all(|s| said.contains(s)), "{said}");

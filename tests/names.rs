@@ -11,17 +11,17 @@ fn hashes(bench: &Bench, spec: &[&str]) -> Vec<String> {
 /// Commands that take a trial, with what else they must have.
 const COMMANDS: &[&[&str]] = &[
     &["trial"],
-    &["simulate", "--forces", "f.npy", "--out-dir", "o"],
-    &["identify", "--records", "r.toml"],
+    &["body", "simulate", "--forces", "f.npy", "--out-dir", "o"],
+    &["lab", "identify", "--records", "r.toml"],
     &["status"],
-    &["bound"],
-    &["casts", "--casts", "1"],
-    &["modes"],
-    &["place"],
-    &["project", "--design", "d.npy", "--out", "o.npy"],
-    &["draw", "--out", "o.svg"],
+    &["body", "bound"],
+    &["body", "casts", "--casts", "1"],
+    &["body", "modes"],
+    &["body", "place"],
+    &["body", "project", "--design", "d.npy", "--out", "o.npy"],
+    &["body", "draw", "--out", "o.svg"],
     &["export", "--format", "npz", "--out", "o"],
-    &["evaluate", "--records", "initial=r.toml"],
+    &["lab", "evaluate", "--records", "initial=r.toml"],
 ];
 
 #[test]
@@ -52,7 +52,7 @@ fn a_trial_is_named_in_one_way_by_all_commands() {
     assert!(said.contains(&format!("trial {typed}: no trial begins so; the nearest is {b}")), "{said}");
     // The same trial by either.
     let of_spec = ["tiny.toml", "--hash", a];
-    for command in [&["modes", "--format", "csv"][..], &["draw", "--out", "o.svg"]] {
+    for command in [&["body", "modes", "--format", "csv"][..], &["body", "draw", "--out", "o.svg"]] {
         let answers = [&of_spec[..], &[db, a]].map(|name| {
             let out = bench.output(&[command, name].concat());
             (out, std::fs::read(bench.path("o.svg")).ok())
@@ -71,9 +71,9 @@ fn a_trial_is_named_in_one_way_by_all_commands() {
     let optimised = export(&of_spec);
     assert_eq!(optimised, export(&[db, a]));
     // The optimised body of a finished trial is another than the initial one.
-    let modes = |body: &str| bench.output(&["modes", db, a, "--body", body, "--format", "csv"]);
+    let modes = |body: &str| bench.output(&["body", "modes", db, a, "--body", body, "--format", "csv"]);
     assert!(modes("optimised") != modes("initial"));
-    let refused = bench.metasense(&["modes", "tiny.toml", "--body", "optimised"]);
+    let refused = bench.metasense(&["body", "modes", "tiny.toml", "--body", "optimised"]);
     assert_eq!(refused.status.code(), Some(2));
 }
 
@@ -87,7 +87,7 @@ fn changes_are_in_the_hash_as_if_written() {
     let changed = ["tiny.toml", "optimise.iterations=3", "sweep.sensors=[1]"];
     let hash = hashes(&bench, &changed);
     assert_eq!(hash, hashes(&bench, &["edited.toml"]));
-    let scripts = bench.output(&[&["submit", "slurm", "--dry-run"], &changed[..]].concat());
+    let scripts = bench.output(&[&["cluster", "submit", "slurm", "--dry-run"], &changed[..]].concat());
     assert!(scripts.contains("tiny.shards/spec.toml --shard"), "{scripts}");
     bench.output(&[&["run"], &changed[..]].concat());
     let again = bench.metasense(&[&["run"], &changed[..]].concat());

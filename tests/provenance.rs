@@ -107,7 +107,7 @@ async fn trials_of_a_file_that_has_changed_stay() {
     let drawn = |seed: u32| {
         let random = TINY.replace("columns = 4", &format!("design = {{ random = {seed} }}\ncolumns = 4"));
         bench.file("random.toml", &random);
-        bench.output(&["draw", "random.toml", "--out", "a.svg", "--design-out", "a.npy"]);
+        bench.output(&["body", "draw", "random.toml", "--out", "a.svg", "--design-out", "a.npy"]);
     };
     let text = TINY.replace("columns = 4", "design = \"a.npy\"\ncolumns = 4").replace("[1, 2]", "[1]");
     bench.file("s.toml", &text);

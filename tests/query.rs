@@ -114,7 +114,7 @@ async fn what_is_read_and_what_was_there_stay() {
         (&["query", "s.sqlite", "SELECT 1", "--out", "other.sqlite"], "it is a database"),
         (&["report", "s.sqlite", "--out", "./s.sqlite"], "is what `report` reads"),
         (&["report", "s.sqlite", "--out", "other.sqlite"], "it is a database"),
-        (&["draw", "s.toml", "--out", "s.toml"], "is what `draw` reads"),
+        (&["body", "draw", "s.toml", "--out", "s.toml"], "is what `draw` reads"),
         (&["query", "s.sqlite", "SELECT FROM", "--format", "csv", "--out", "rows.csv"], "syntax error"),
     ] {
         let output = bench.metasense(words);

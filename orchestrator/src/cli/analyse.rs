@@ -2,20 +2,30 @@
 
 use std::path::{Path, PathBuf};
 
+use maud::html;
 use serde_json::Value;
 
 use super::named::Database;
-use super::{Error, Format, print_rows};
+use super::report::write_figures;
+use super::{Error, Format, print_rows, write};
+use crate::analysis::claims::{claims_table, evidence_table, is_other, tried};
 use crate::analysis::compare::Comparison;
-use crate::analysis::{Question, Terms};
+use crate::analysis::{Question, Terms, Trial};
 use crate::exit::Exit;
+use crate::look::page;
 use crate::provenance;
+use crate::report::claims::{figure, trials_table};
 use crate::report::load::finished_trials;
 use crate::store::Reader;
 
 /// Answers a sweep's questions as tables: gain, sensors needed, complexity, time
 ///
 /// Is the optimised body better? How many sensors are enough? What does complexity buy? What did the error cost in time?
+///
+/// `--question claims` rates the claims of arXiv:2605.23967: a claim holds, is compatible with the paper's number, holds in part, makes
+/// no difference, fails, is open, or depends on the brain. First run the specs that it names into one database (run SPEC --db FILE).
+/// Trials of different settings (noise, damping, …) are rated separately. Trials with chips or fewer channels, placed sensors, frozen or
+/// pressed units, bodies of their own or another lattice count for the claims about random bodies only.
 #[derive(Debug, clap::Args)]
 #[command(visible_alias = "analyze")]
 pub(super) struct Args {
@@ -30,6 +40,9 @@ pub(super) struct Args {
     question: Vec<Question>,
     #[command(flatten)]
     terms: Terms,
+    /// With --question claims: also write both tables of the claims and the trials (CSV), the figure (SVG) and a page (index.html)
+    #[arg(long, value_name = "DIR", requires = "question")]
+    out_dir: Option<PathBuf>,
     /// The form of the tables; JSON of several is an object of lists by question, CSV and Parquet hold one
     #[arg(long, value_enum, default_value_t)]
     format: Format,
@@ -43,6 +56,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let questions = if all { Question::all() } else { &args.question };
     if matches!(args.format, Format::Csv | Format::Parquet) && questions.len() > 1 {
         return Err(Error::Usage("CSV and Parquet hold one table: choose it with --question".into()));
+    }
+    let rates_claims = [Question::Claims, Question::Evidence].iter().any(|q| args.question.contains(q));
+    if args.out_dir.is_some() && !rates_claims {
+        return Err(Error::Usage("--out-dir writes the claims: add --question claims".into()));
     }
     let (trials, caveats) = Reader::asked(Database::at(&args.db).await?, async |reader| {
         let made = reader.made().await?;
@@ -84,11 +101,42 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if !objects.is_empty() {
         print_line!("{{\n{}\n}}", objects.join(",\n"))?;
     }
+    if let Some(folder) = &args.out_dir {
+        write_claims(folder, &trials)?;
+    }
+    match trials.iter().filter(|trial| rates_claims && is_other(trial)).count() {
+        0 => {}
+        other => say!(
+            "{} of {} trials with chips or fewer channels, placed sensors, frozen or pressed units, bodies of their own or another \
+             lattice are not of the paper's scenes: only the claims about random bodies may count them",
+            other,
+            trials.len()
+        ),
+    }
     caveats.iter().for_each(|caveat| say!("{caveat}"));
     if trials.is_empty() {
         say!("no trial of {} is done yet", args.db.display());
     }
     Ok(Exit::Done)
+}
+
+/// Tables, trials, figure and page of the claims.
+fn write_claims(folder: &Path, trials: &[Trial]) -> Result<(), Error> {
+    let found = tried(trials);
+    let [claims, evidence] = [claims_table(&found), evidence_table(&found)];
+    let drawn: Vec<_> = figure(&found).into_iter().collect();
+    write_figures(folder, &drawn)?;
+    write(&folder.join("claims.csv"), claims.csv())?;
+    write(&folder.join("evidence.csv"), evidence.csv())?;
+    write(&folder.join("trials.csv"), trials_table(trials).csv())?;
+    let content = html! {
+        (claims.html(None))
+        @for figure in &drawn { (figure.html(&[])) }
+        h2 { "Evidence" }
+        (evidence.html(Some("evidence")))
+    };
+    let question = "Does what arXiv:2605.23967 claims hold, and with which brain?";
+    write(&folder.join("index.html"), page("The paper's claims", question, content))
 }
 
 async fn compare(first: &Path, second: &Path, format: Format) -> Result<Exit, Error> {

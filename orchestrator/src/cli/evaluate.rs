@@ -39,7 +39,7 @@ pub(super) struct Args {
     /// The design (.npy or .csv) of a body that is not the trial's own
     #[arg(long, value_name = "BODY=FILE", value_parser = pair)]
     design: Vec<(String, PathBuf)>,
-    /// A twin (TOML, of `metasense twin`) of a body whose design is known: networks trained on its simulated signals, or its inverse
+    /// A twin (TOML, of `metasense lab twin`) of a body whose design is known: networks trained on its simulated signals, or its inverse
     /// brain, read the body's records, too
     #[arg(long, value_name = "BODY=FILE", value_parser = pair)]
     twin: Vec<(String, PathBuf)>,

@@ -22,7 +22,7 @@ pub(super) struct Args {
     /// Only those of shard I of N
     #[arg(long, value_name = "I/N")]
     shard: Option<Shard>,
-    /// The folder of the shards, with their assignment; without it, the assignment that `submit` would make now
+    /// The folder of the shards, with their assignment; without it, the assignment that `cluster submit` would make now
     #[arg(long, value_name = "DIR", requires = "shard")]
     folder: Option<PathBuf>,
     #[command(flatten)]

@@ -61,7 +61,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     end_on_signal(args.out_dir.as_deref());
     let (_, trial, design) = &args.one.read().await?;
     if let Some(key) = trial.sensors.changed_by() {
-        let remedy = "must be left out here: a fit compares all three signals of each sensor as they are; `metasense twin` takes what \
+        let remedy = "must be left out here: a fit compares all three signals of each sensor as they are; `metasense lab twin` takes what \
                       is read";
         return Err(args.one.trial.refused_key(key, remedy));
     }

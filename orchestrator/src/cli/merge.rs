@@ -55,7 +55,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     let remedy = match args.facts {
         false => format!("metasense run SPEC --db {}", args.out.display()),
-        true => "metasense submit".to_owned(),
+        true => "metasense cluster submit".to_owned(),
     };
     say_never(&never_begun(&args.files, &args.out).await?, &remedy);
     let Summary { read, known, trials, covered, not_compared, .. } = summary;
@@ -84,7 +84,7 @@ pub(super) async fn after_the_last(folder: &Path, shard: Shard, out: &Path) -> R
     if let Err(error) = execute(Args::folder(folder, out)).await {
         // the shard has done its work; another one may be merging the same files
         error.say();
-        say!("merged by hand: metasense merge {} --out {}", folder.display(), out.display());
+        say!("merged by hand: metasense cluster merge {} --out {}", folder.display(), out.display());
     }
     Ok(())
 }

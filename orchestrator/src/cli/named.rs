@@ -287,7 +287,7 @@ impl Designed {
             let broken = Feasible::new(&layout, limits, &[]).violations(given);
             if let Some(first) = broken.first() {
                 say!(
-                    "warning: {} breaks {} of [feasible] and cannot be cast; the first: {first}. `metasense project` repairs it",
+                    "warning: {} breaks {} of [feasible] and cannot be cast; the first: {first}. `metasense body project` repairs it",
                     file.display(),
                     counted(broken.len(), "limit")
                 );

@@ -191,7 +191,7 @@ pub(super) fn not_in_shards(plan: &Plan) -> Result<(), Error> {
             .source
             .error(
                 "until",
-                "needs all results in one database: `metasense submit` runs its shards and merges them",
+                "needs all results in one database: `metasense cluster submit` runs its shards and merges them",
             )
             .into()),
     }

@@ -190,7 +190,7 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
     let Some(last) = jobs.last() else {
         let path = folder.display();
         return Err(Error::Usage(format!(
-            "{path} holds no shards that `submit` has submitted; name their folder"
+            "{path} holds no shards that `cluster submit` has submitted; name their folder"
         )));
     };
     let assignment = Assignment::in_folder(&folder, &[], last.shards)?;
@@ -229,13 +229,19 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
         return Ok(Exit::Done);
     }
     if !ended.is_empty() {
-        say!("{} have ended before their trials had: `metasense submit` goes on with them", ended.len());
+        say!(
+            "{} have ended before their trials had: `metasense cluster submit` goes on with them",
+            ended.len()
+        );
     }
     let never: Vec<String> = ended.iter().flat_map(|s| s.never.iter().cloned()).collect();
-    super::merge::say_never(&never, "metasense submit");
+    super::merge::say_never(&never, "metasense cluster submit");
     let failed: usize = states.iter().map(State::failed).sum();
     if failed > 0 {
-        say!("{} failed: `metasense submit` with --retry-failed runs them again", counted(failed, "trial"));
+        say!(
+            "{} failed: `metasense cluster submit` with --retry-failed runs them again",
+            counted(failed, "trial")
+        );
     }
     Ok(if failed > 0 { Exit::Failed } else { Exit::Done })
 }

@@ -169,7 +169,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     if which.is_empty() && queued.is_empty() {
         say!(
-            "nothing left to do: all {shards} shards are settled; metasense merge {} --out FILE",
+            "nothing left to do: all {shards} shards are settled; metasense cluster merge {} --out FILE",
             folder.display()
         );
         return Ok(Exit::Done);
@@ -295,7 +295,12 @@ impl Args {
             !hq,
             "HyperQueue starts as many as its workers have room for",
         )?;
-        given("hosts", self.hosts.is_some(), self.scheduler == Scheduler::Ssh, "it is for `submit ssh`")?;
+        given(
+            "hosts",
+            self.hosts.is_some(),
+            self.scheduler == Scheduler::Ssh,
+            "it is for `cluster submit ssh`",
+        )?;
         given(
             "further options",
             !self.further.is_empty(),
@@ -312,7 +317,7 @@ impl Args {
         };
         if !self.dry_run && !files::is_in_path(program) {
             return Err(Error::Usage(format!(
-                "submit {}: there is no `{program}` in PATH; go to a machine that has it, or run the shards here: `metasense submit \
+                "cluster submit {}: there is no `{program}` in PATH; go to a machine that has it, or run the shards here: `metasense cluster submit \
                  local`",
                 self.scheduler.name()
             )));
@@ -410,7 +415,7 @@ fn say(trials: &[Trial], assignment: &Assignment, submission: &Submission) {
     if longest > *seconds as f64 && submission.scheduler.has_queue() {
         let then = match submission.scheduler {
             Scheduler::Slurm => "queues again by itself",
-            _ => "goes on with the next `submit`",
+            _ => "goes on with the next `cluster submit`",
         };
         say!("that is more than the limit: what is cut off {then}");
     }

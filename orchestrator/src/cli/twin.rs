@@ -27,7 +27,7 @@ pub(super) struct Args {
     /// The records (TOML; keys in schemas/README.md)
     #[arg(long, value_name = "TOML")]
     records: PathBuf,
-    /// Writes the twin into this file (TOML), for `metasense evaluate --twin`
+    /// Writes the twin into this file (TOML), for `metasense lab evaluate --twin`
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Threads

@@ -308,7 +308,7 @@ impl Submission {
     }
 
     fn merge(&self) -> String {
-        format!("{} merge {} --out {}", self.command(), quoted(&self.folder), quoted(&self.out))
+        format!("{} cluster merge {} --out {}", self.command(), quoted(&self.folder), quoted(&self.out))
     }
 
     /// The program, with what goes before it.

@@ -80,7 +80,7 @@ pub(super) fn submit(
     before.extend(queue.jobs.iter().filter(|job| !jobs.iter().any(|known| known.job == **job)).cloned());
     let (merge_job, _) = run(&submission.submit_merge(&before)).map_err(|refused| {
         Error::Partly(format!(
-            "{refused}; the shards are queued, what merges them is not: the same command queues it, or afterwards `metasense merge \
+            "{refused}; the shards are queued, what merges them is not: the same command queues it, or afterwards `metasense cluster merge \
              {folder} --out {out}`"
         ))
     })?;
