@@ -28,17 +28,8 @@ fn sensors_are_searched_for() {
     let ways: Vec<&str> = found.iter().map(|row| row[0].as_str()).collect();
     assert_eq!(ways, ["greedy", "random"]);
     assert!(found.iter().all(|row| row[1].split_whitespace().count() == 2), "{found:?}");
-    let table = bench.output(&[
-        "body",
-        "place",
-        "s.toml",
-        "--hash",
-        &found[0][2],
-        "--out",
-        "p.svg",
-        "--format",
-        "json",
-    ]);
+    let table =
+        bench.output(&["body", "place", "s.toml", &found[0][2], "--out", "p.svg", "--format", "json"]);
     let units = found[0][1].trim_matches(['[', ']']);
     assert!(table.contains(&format!("\"units\":\"{units}\"")), "{units}: {table}");
     let svg = std::fs::read_to_string(bench.path("p.svg")).unwrap();

@@ -56,7 +56,7 @@ fn casts_of_finished_bodies_are_read() {
 
     let hash = rows.iter().find(|row| row["objective"] == "mean").unwrap()["hash"].as_str().unwrap();
     let asked =
-        ["body", "casts", db, hash, "--body", "optimised", "--casts", "4", "--each", "--format", "json"];
+        ["body", "casts", db, hash, "--design", "optimised", "--casts", "4", "--rows", "--format", "json"];
     let each = json(&bench.output(&asked));
     assert_eq!(each.len(), 4 * 3);
     for row in rows.iter().filter(|row| row["hash"] == hash && row["body"] == "optimised") {

@@ -125,7 +125,7 @@ fn what_is_frozen_stays_and_what_cannot_be_is_not_drawn() {
     assert_eq!(refused.status.code(), Some(2), "{}", String::from_utf8_lossy(&refused.stderr));
 }
 
-/// Of a sweep over bodies the trial says which; without `--hash` only where all its trials have one body.
+/// Of a sweep over bodies the trial says which; without a hash only where all its trials have one body.
 #[test]
 fn the_body_is_that_of_the_trial() {
     let bench = Bench::new();
@@ -133,29 +133,11 @@ fn the_body_is_that_of_the_trial() {
     let csv = bench.output(&["expand", "s.toml", "--format", "csv"]);
     let hashes: Vec<&str> = csv.lines().skip(1).map(|line| line.split(',').next().unwrap()).collect();
     for (hash, units) in hashes.iter().zip(["9 units", "12 units"]) {
-        let drawn = bench.output(&[
-            "body",
-            "draw",
-            "s.toml",
-            "--hash",
-            &hash[..8],
-            "--out",
-            "a.svg",
-            "--design-out",
-            "a.npy",
-        ]);
+        let drawn =
+            bench.output(&["body", "draw", "s.toml", &hash[..8], "--out", "a.svg", "--design-out", "a.npy"]);
         assert!(drawn.contains(units), "{drawn}");
-        let said = bench.output(&[
-            "body",
-            "project",
-            "s.toml",
-            "--hash",
-            &hash[..8],
-            "--design",
-            "a.npy",
-            "--out",
-            "b.npy",
-        ]);
+        let said =
+            bench.output(&["body", "project", "s.toml", &hash[..8], "--design", "a.npy", "--out", "b.npy"]);
         assert!(said.contains("untouched"), "{said}");
     }
     for call in [
@@ -164,9 +146,9 @@ fn the_body_is_that_of_the_trial() {
     ] {
         let refused = bench.metasense(call);
         let said = String::from_utf8_lossy(&refused.stderr);
-        assert!(refused.status.code() == Some(2) && said.contains("--hash"), "{call:?}: {said}");
+        assert!(refused.status.code() == Some(2) && said.contains(" HASH"), "{call:?}: {said}");
     }
-    let refused = bench.metasense(&["body", "draw", "s.toml", "--hash", "zz", "--out", "c.svg"]);
+    let refused = bench.metasense(&["body", "draw", "s.toml", "zz", "--out", "c.svg"]);
     assert_eq!(refused.status.code(), Some(2), "{}", String::from_utf8_lossy(&refused.stderr));
     // Seeds and sensors do not make another body.
     bench.file("s.toml", &(small("") + "seeds = [1, 2]\n"));

@@ -64,18 +64,8 @@ fn bench() -> (Bench, String) {
         forces.extend((0..=INSTANTS).map(|n| force(i, k, n)));
     }
     bench.write_array("forces.npy", &[RECORDS as u64, 2, INSTANTS as u64 + 1], &forces);
-    let simulate = [
-        "body",
-        "simulate",
-        "s.toml",
-        "--hash",
-        &hash,
-        "--forces",
-        "forces.npy",
-        "--format",
-        "csv",
-        "--out-dir",
-    ];
+    let simulate =
+        ["body", "simulate", "s.toml", &hash, "--forces", "forces.npy", "--format", "csv", "--out-dir"];
     bench.output(&[&simulate[..], &["a"]].concat());
     bench.output(&[&simulate[..], &["b", "--design", "other.npy"]].concat());
 
@@ -129,7 +119,7 @@ fn the_body_that_is_truly_better_is_found_so() {
     let call = |more: &[&str]| {
         let bodies = ["--records", "initial=bad.toml", "--records", "other=good.toml"];
         let rest = ["--folds", "3", "--seeds", "2", "--format", "csv"];
-        bench.output(&[&["lab", "evaluate", "s.toml", "--hash", &hash][..], &bodies, &rest, more].concat())
+        bench.output(&[&["lab", "evaluate", "s.toml", &hash][..], &bodies, &rest, more].concat())
     };
     let csv = call(&["--design", "other=other.npy", "--out-dir", "out"]);
     assert_eq!(csv, call(&["--design", "other=other.npy", "--threads", "2"]));
@@ -152,7 +142,7 @@ fn the_body_that_is_truly_better_is_found_so() {
         let bodies = ["--records", "initial=bad.toml", "--records", "other=good.toml"];
         bench.output(
             &[
-                &["lab", "evaluate", "s.toml", "--hash", &hash][..],
+                &["lab", "evaluate", "s.toml", &hash][..],
                 &bodies,
                 &["--brain", "linear", "--format", "csv"],
                 more,
@@ -297,13 +287,12 @@ fn bad_calls_are_refused() {
     ] {
         bench.file("one.toml", &std::fs::read_to_string(bench.path("bad.toml")).unwrap().replace(&rest, ""));
         bench.file("typo.toml", "[recorded]\nfile = [\"0.csv\"]\n");
-        let output = bench
-            .metasense(&[vec!["lab", "evaluate", "s.toml", "--hash", &hash], arguments.clone()].concat());
+        let output = bench.metasense(&[vec!["lab", "evaluate", "s.toml", &hash], arguments.clone()].concat());
         let errors = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {errors}");
         assert!(errors.contains(said), "{errors}\n{said}");
     }
-    let output = bench.metasense(&["lab", "evaluate", "s.toml", "--hash", "ffff", initial]);
+    let output = bench.metasense(&["lab", "evaluate", "s.toml", "ffff", initial]);
     assert!(String::from_utf8_lossy(&output.stderr).contains("no trial begins so"));
 }
 
@@ -314,8 +303,7 @@ fn an_evaluation_goes_on_where_it_was_killed() {
     let call = |out: &'static str| {
         let bodies = ["--records", "initial=good.toml", "--records", "b=bad.toml"];
         let effort = ["--folds", "3", "--seeds", "2", "--threads", "2", "--iterations", "200"];
-        [&["lab", "evaluate", "s.toml", "--hash", hash.as_str()], &bodies[..], &effort, &["--out-dir", out]]
-            .concat()
+        [&["lab", "evaluate", "s.toml", hash.as_str()], &bodies[..], &effort, &["--out-dir", out]].concat()
     };
     let (whole, again) = (bench.output(&call("whole")), call("again"));
     let (kills, last) = bench.killed_until_done(&again, "again/unfinished.bin");
@@ -334,19 +322,10 @@ fn an_evaluation_goes_on_where_it_was_killed() {
 #[test]
 fn commands_that_compute_in_one_piece_end_at_once_on_request() {
     let (bench, hash) = bench();
-    let evaluate = [
-        "lab",
-        "evaluate",
-        "s.toml",
-        "--hash",
-        &hash,
-        "--records",
-        "initial=good.toml",
-        "--iterations",
-        "1000000",
-    ];
-    let identify = ["lab", "identify", "s.toml", "--hash", &hash, "--records", "good.toml"];
-    let trial = ["trial", "s.toml", "--hash", &hash];
+    let evaluate =
+        ["lab", "evaluate", "s.toml", &hash, "--records", "initial=good.toml", "--iterations", "1000000"];
+    let identify = ["lab", "identify", "s.toml", &hash, "--records", "good.toml"];
+    let trial = ["trial", "s.toml", &hash];
     for (arguments, signal) in [
         (&evaluate[..], libc::SIGINT),
         (&evaluate, libc::SIGTERM),

@@ -146,7 +146,7 @@ fn a_hash_that_names_no_one_trial_is_refused() {
     let bench = Bench::new();
     bench.file("s.toml", SPEC);
     for (hash, why) in [("", "several trials begin so: "), ("xyz", "no trial begins so")] {
-        let output = bench.metasense(&["body", "modes", "s.toml", "--hash", hash]);
+        let output = bench.metasense(&["body", "modes", "s.toml", hash]);
         let errors = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{errors}");
         assert!(errors.contains(&format!("s.toml: trial {hash}: {why}")), "{errors}");

@@ -110,7 +110,7 @@ fn shards_survive_their_worker_and_are_not_submitted_twice() {
     for state in ["waiting", "running"] {
         let again = site.says("cluster submit hq tiny.toml --cpus 1 --time 10");
         assert!(again.contains("left out: shards 1-2") && again.contains("nothing to submit"), "{again}");
-        let status = site.says("status --cluster");
+        let status = site.says("status --folder");
         assert!(status.contains(state) && status.contains("2 in the queue"), "{status}");
         if state == "waiting" {
             site.worker();
@@ -127,11 +127,11 @@ fn shards_survive_their_worker_and_are_not_submitted_twice() {
 
     // Somebody cancels the job; what it had is handed in, or on the node, and the next one goes on.
     site.until("the job is cancelled", || site.hq("job cancel 1").status.success());
-    site.until("the queue is empty", || site.says("status --cluster").contains("0 in the queue"));
+    site.until("the queue is empty", || site.says("status --folder").contains("0 in the queue"));
     site.says(
         "cluster submit hq tiny.toml --cpus 1 --time 10 --prefix env --run=--copy-every=1 -- --max-fails 1",
     );
-    site.until("all is complete", || site.says("status --cluster").contains("2 of 2 shards complete"));
+    site.until("all is complete", || site.says("status --folder").contains("2 of 2 shards complete"));
     let merged = || site.bench.metasense(&["run", "tiny.toml", "--db", "results/tiny.sqlite"]);
     site.until("the merge is done", || site.hq("job wait all").status.success());
     assert!(String::from_utf8_lossy(&merged().stderr).contains("nothing left to do"));
@@ -146,12 +146,12 @@ fn a_search_in_jobs_is_the_search() {
     site.bench.file("tiny.toml", &(TINY.replace("[1, 2]", "[1]") + "placements = 2\n[goal]\nerror = 1e6\n"));
     site.says("design tiny.toml --db whole.sqlite");
     site.worker();
-    let said = site.says("cluster submit hq tiny.toml --design --shards 2 --cpus 1 --time 5");
+    let said = site.says("cluster submit hq tiny.toml --goal --shards 2 --cpus 1 --time 5");
     assert!(
         said.contains("submitted: job") && said.contains("the cheapest design that meets 1e6 %"),
         "{said}"
     );
     assert_eq!(results(&site.bench, "results/tiny.sqlite"), results(&site.bench, "whole.sqlite"));
-    let again = site.says("cluster submit hq tiny.toml --design");
+    let again = site.says("cluster submit hq tiny.toml --goal");
     assert!(!again.contains("submitted: job") && again.contains("the cheapest design"), "{again}");
 }

@@ -62,17 +62,7 @@ fn bench() -> Bench {
             .collect()
     };
     let run = |spec: &str, forces: &str, out: &str| {
-        bench.output(&[
-            "body",
-            "simulate",
-            spec,
-            "--hash",
-            &hash(&bench, spec),
-            "--forces",
-            forces,
-            "--out-dir",
-            out,
-        ]);
+        bench.output(&["body", "simulate", spec, &hash(&bench, spec), "--forces", forces, "--out-dir", out]);
         let bytes = std::fs::read(bench.path(&format!("{out}/signals.npy"))).unwrap();
         npyz::NpyFile::new(&bytes[..]).unwrap().into_vec::<f64>().unwrap()
     };
@@ -135,7 +125,7 @@ fn records_tell_the_material() {
     let bench = bench();
     let hash = hash(&bench, "s.toml");
     let fit = |more: &[&str]| {
-        let call = [&["lab", "identify", "s.toml", "--hash", &hash, "--records", "r.toml"], more].concat();
+        let call = [&["lab", "identify", "s.toml", &hash, "--records", "r.toml"], more].concat();
         bench.output(&call)
     };
     let one = fit(&["--format", "csv"]);
@@ -174,7 +164,6 @@ fn a_fit_goes_on_where_it_was_killed() {
             "lab",
             "identify",
             "s.toml",
-            "--hash",
             hash.as_str(),
             "--records",
             "r.toml",
@@ -199,17 +188,8 @@ fn a_record_with_a_clock_of_its_own_tells_the_material() {
     let spec = SPEC.replace("samples = 40", "samples = 400");
     bench.file("s.toml", &spec);
     let hash = hash(&bench, "s.toml");
-    let found = bench.output(&[
-        "lab",
-        "identify",
-        "s.toml",
-        "--hash",
-        &hash,
-        "--records",
-        "csv.toml",
-        "--format",
-        "csv",
-    ]);
+    let found =
+        bench.output(&["lab", "identify", "s.toml", &hash, "--records", "csv.toml", "--format", "csv"]);
     assert_true(&estimates(&found), 0.1);
 }
 
@@ -239,7 +219,7 @@ fn what_cannot_be_fitted_is_refused() {
     bench.file("still.toml", &SPEC.replace("damping_ratio = 0.03", "damping_ratio = 0.0"));
     let refused = |spec: &str, records: &str, more: &[&str], says: &[&str]| {
         let hash = hash(&bench, spec);
-        let call = [&["lab", "identify", spec, "--hash", &hash, "--records", records], more].concat();
+        let call = [&["lab", "identify", spec, &hash, "--records", records], more].concat();
         let run = bench.metasense(&call);
         let said = String::from_utf8_lossy(&run.stderr);
         assert!(run.status.code() == Some(2) && says.iter().all(|s| said.contains(s)), "{said}");

@@ -193,7 +193,7 @@ async fn one_statement_is_answered_and_none_panics() {
     for (words, why) in [
         (&["export", "s.sqlite", "v_trial", "abc", "--format", "csv", "--out", "x"][..], "v_trial is a view"),
         (&["analyse", "s.sqlite", "--compare", "s.sqlite", "--fall", "0.5"], "cannot be used with"),
-        (&["status", "--cluster", "s.shards", "more"], "cannot be used with"),
+        (&["status", "--folder", "s.shards", "more"], "cannot be used with"),
     ] {
         let output = bench.metasense(words);
         let said = String::from_utf8_lossy(&output.stderr);

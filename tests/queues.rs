@@ -112,7 +112,7 @@ fn jobs_are_known_on_their_cluster() {
         calls[1].contains("--dependency=afterany:101") && calls[1].contains("--clusters=gpu"),
         "{calls:?}"
     );
-    for said in [site.says(0, submit), site.says(0, "status --cluster results/tiny.shards")] {
+    for said in [site.says(0, submit), site.says(0, "status --folder results/tiny.shards")] {
         assert!(said.contains("shards 1-2") || said.contains("2 in the queue"), "{said}");
     }
     assert_eq!(site.calls(), calls, "nothing is submitted again");
@@ -152,7 +152,7 @@ fn a_job_whose_number_was_lost_is_not_submitted_again() {
     let site = Site::new(&four());
     site.0.file("kill", "");
     assert_eq!(site.call(SUBMIT).status.code(), None, "it was killed");
-    assert!(site.says(0, "status --cluster results/tiny.shards").contains("2 in the queue"));
+    assert!(site.says(0, "status --folder results/tiny.shards").contains("2 in the queue"));
     std::fs::remove_file(site.0.path("kill")).unwrap();
     site.says(0, SUBMIT);
     let calls = site.calls();
@@ -161,12 +161,12 @@ fn a_job_whose_number_was_lost_is_not_submitted_again() {
     // the end of a line that was being written then is overlooked, and the next one is whole
     let notes = site.read("results/tiny.shards/jobs.jsonl");
     site.0.file("results/tiny.shards/jobs.jsonl", &(notes + "{\"scheduler\": \"slurm\", \"jo"));
-    for arguments in [SUBMIT, "status --cluster results/tiny.shards", "cluster gc"] {
+    for arguments in [SUBMIT, "status --folder results/tiny.shards", "cluster gc"] {
         site.says(0, arguments);
     }
     assert_eq!(site.calls(), calls);
     site.0.file("results/tiny.shards/jobs.jsonl", "{\"scheduler\": \"slurm\", \"jo\n{}\n");
-    assert!(site.says(3, "status --cluster results/tiny.shards").contains("jobs.jsonl:1"));
+    assert!(site.says(3, "status --folder results/tiny.shards").contains("jobs.jsonl:1"));
 }
 
 /// What the merged database holds is not computed again, by any scheduler; what it does not hold is.

@@ -73,7 +73,7 @@ fn a_folder_of_shards_answers_questions_without_a_merge() {
     bench.file("tiny.toml", &four());
     bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
     let run = |shard: &str| {
-        bench.output(&["run", "tiny.toml", "--shard", shard, "--copy-to", "s.shards"]);
+        bench.output(&["run", "tiny.toml", "--shard", shard, "--folder", "s.shards"]);
     };
     let refused = bench.metasense(&["query", "s.shards", "SELECT 1"]);
     assert_eq!(refused.status.code(), Some(2), "{refused:?}");
@@ -160,7 +160,7 @@ fn start(bench: &Bench, node: &str) -> Child {
             "tiny.toml",
             "--shard",
             "1/1",
-            "--copy-to",
+            "--folder",
             "out",
             "--copy-every",
             "1",
@@ -254,7 +254,7 @@ fn a_shard_goes_on_on_another_node() {
 
     // A spec that has changed since it was submitted is not run.
     bench.file("out/spec.toml", &tiny.replace("[1, 2]", "[1]"));
-    let refused = bench.metasense(&["run", "tiny.toml", "--shard", "1/1", "--copy-to", "out"]);
+    let refused = bench.metasense(&["run", "tiny.toml", "--shard", "1/1", "--folder", "out"]);
     let said = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(refused.status.code() == Some(2) && said.contains("has changed since"), "{said}");
 }

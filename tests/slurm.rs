@@ -96,7 +96,7 @@ fn shard_process(folder: &Path) -> Option<i32> {
     std::fs::read_dir("/proc").unwrap().flatten().find_map(|entry| {
         let pid: i32 = entry.file_name().to_str()?.parse().ok()?;
         let command = std::fs::read_to_string(entry.path().join("cmdline")).ok()?;
-        (command.contains("--copy-to") && command.contains(&folder)).then_some(pid)
+        (command.contains("--folder") && command.contains(&folder)).then_some(pid)
     })
 }
 
@@ -120,7 +120,7 @@ fn a_sweep_in_shards_is_the_sweep() {
         "{}",
         site.read("results/tiny.shards/merge.out")
     );
-    let status = site.says(0, "status --cluster");
+    let status = site.says(0, "status --folder");
     assert!(status.contains("2 of 2 shards complete, 0 in the queue"), "{status}");
     assert!(site.says(0, "cluster submit slurm tiny.toml").contains("nothing left to do"));
     let jobs = "SELECT count(*) FROM v_run WHERE job LIKE 'slurm %\\__' ESCAPE '\\' AND outcome = 'complete'";
@@ -136,13 +136,13 @@ fn a_search_in_jobs_is_the_search() {
     std::fs::write(site.home.join("tiny.toml"), text).unwrap();
     site.says(0, "design tiny.toml --db whole.sqlite");
     let said =
-        site.says(0, "cluster submit slurm tiny.toml --design --shards 2 --cpus 1 --time 5 --partition main");
+        site.says(0, "cluster submit slurm tiny.toml --goal --shards 2 --cpus 1 --time 5 --partition main");
     assert!(
         said.contains("submitted: job") && said.contains("the cheapest design that meets 1e6 %"),
         "{said}"
     );
     assert_eq!(site.results("results/tiny.sqlite"), site.results("whole.sqlite"));
-    let again = site.says(0, "cluster submit slurm tiny.toml --design");
+    let again = site.says(0, "cluster submit slurm tiny.toml --goal");
     assert!(!again.contains("submitted: job") && again.contains("the cheapest design"), "{again}");
 }
 
@@ -167,7 +167,7 @@ fn arrays_are_cut_and_throttled() {
     site.slurm.until_empty(120);
     assert_eq!(site.results("results/tiny.sqlite"), site.results("whole.sqlite"));
     assert_eq!(site.rows("results/tiny.sqlite", "SELECT DISTINCT simd FROM v_trial"), "baseline");
-    let status = site.says(0, "status --cluster");
+    let status = site.says(0, "status --folder");
     assert!(status.contains("4 of 4 shards complete"), "{status}");
     let outputs =
         ["shard-2-of-4.out", "shard-2+2-of-4.out"].map(|name| format!("results/tiny.shards/{name}"));
@@ -187,7 +187,7 @@ fn a_shard_that_is_killed_or_requeued_goes_on() {
     // SAFETY: sends a signal to a process that this test has had started.
     unsafe { libc::kill(pid, libc::SIGKILL) };
     site.slurm.until_empty(60);
-    let status = site.says(0, "status --cluster results/slow.shards");
+    let status = site.says(0, "status --folder results/slow.shards");
     assert!(
         status.contains("0 of 1 shards complete") && status.contains("`metasense cluster submit` goes on"),
         "{status}"
@@ -205,7 +205,7 @@ fn a_shard_that_is_killed_or_requeued_goes_on() {
     });
     // pending, and for a moment completing, too
     site.slurm.until("status says so", 60, || {
-        site.says(0, "status --cluster results/slow.shards").contains("pending")
+        site.says(0, "status --folder results/slow.shards").contains("pending")
     });
     let interrupted = "SELECT outcome FROM v_run ORDER BY started_at DESC LIMIT 1";
     assert_eq!(site.rows(&site.handed_in("slow", 1).unwrap(), interrupted), "interrupted");
@@ -234,7 +234,7 @@ fn a_shard_queues_again_at_its_time_limit_and_not_when_it_is_cancelled() {
     let folder = "$(touch${IFS}pwned)#'%d.shards";
     site.says(
         0,
-        &format!("cluster submit slurm long.toml --shards 1 --cpus 1 --time 1 --out-dir {folder} -- --mem=0"),
+        &format!("cluster submit slurm long.toml --shards 1 --cpus 1 --time 1 --folder {folder} -- --mem=0"),
     );
     let waits = || site.slurm.tool("squeue", "-h -r -t pending -o %r").contains("BeginTime");
     site.slurm.until("the shard waits again", 100, waits);
@@ -252,7 +252,7 @@ fn a_shard_queues_again_at_its_time_limit_and_not_when_it_is_cancelled() {
     site.until_running(&format!("{folder}/shard-1-of-1.log"), 2);
     site.slurm.tool("scancel", &id);
     site.slurm.until_empty(60);
-    let status = site.says(0, &format!("status --cluster {folder}"));
+    let status = site.says(0, &format!("status --folder {folder}"));
     assert!(status.contains("partial") && status.contains("`metasense cluster submit` goes on"), "{status}");
     site.says(0, &format!("cluster merge {folder} --out late.sqlite"));
     let outcomes = "SELECT group_concat(outcome) FROM (SELECT outcome FROM v_run ORDER BY started_at)";

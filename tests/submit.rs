@@ -94,7 +94,7 @@ fn hyperqueue_is_handed_shards() {
     let queue = "echo '{}'";
     let again = with_hq(&bench, queue, &["cluster", "submit", "hq", "s.toml", "--shards", "3"]);
     assert!(again.status.code() == Some(2) && said(&again).contains("holds shards of 2"), "{}", said(&again));
-    let status = call(&["status", "--cluster"]);
+    let status = call(&["status", "--folder"]);
     assert!(status.contains("0 of 2 shards complete"), "{status}");
 }
 
@@ -106,11 +106,11 @@ fn what_was_accepted_is_written_down() {
     let output = with_hq(&bench, "echo 7", &["cluster", "submit", "hq", "s.toml", "--shards", "2"]);
     assert!(output.status.success(), "{}", said(&output));
     let running = r#"echo '{"7": [{"id": 1, "state": "running"}, {"id": 2, "state": "waiting"}]}'"#;
-    let status = with_hq(&bench, running, &["status", "--cluster"]);
+    let status = with_hq(&bench, running, &["status", "--folder"]);
     assert!(said(&status).contains("2 in the queue"), "{}", said(&status));
     std::fs::create_dir_all(bench.path("no/jobs.jsonl")).unwrap();
     let output =
-        with_hq(&bench, "touch called; echo 8", &["cluster", "submit", "hq", "s.toml", "--out-dir", "no"]);
+        with_hq(&bench, "touch called; echo 8", &["cluster", "submit", "hq", "s.toml", "--folder", "no"]);
     assert!(output.status.code() == Some(3) && !bench.path("called").exists(), "{}", said(&output));
 }
 
@@ -123,7 +123,7 @@ fn no_part_of_a_folder_is_run() {
     let output = with_hq(
         &bench,
         "echo 7",
-        &["cluster", "submit", "hq", "s.toml", "--shards", "1", "--out-dir", folder],
+        &["cluster", "submit", "hq", "s.toml", "--shards", "1", "--folder", folder],
     );
     assert!(output.status.success(), "{}", said(&output));
     // Damaged, so that the shard ends at once.
@@ -140,7 +140,7 @@ fn no_part_of_a_folder_is_run() {
     assert!(log.contains("jsonl:1") && !bench.path("pwned").exists(), "{log}");
     for (scheduler, folder) in [("hq", "a\nb"), ("slurm", "a\nb"), ("slurm", "a\"b"), ("slurm", "a\\b")] {
         let args =
-            ["cluster", "submit", scheduler, "s.toml", "--shards", "1", "--out-dir", folder, "--dry-run"];
+            ["cluster", "submit", scheduler, "s.toml", "--shards", "1", "--folder", folder, "--dry-run"];
         let output = bench.metasense(&args);
         assert!(output.status.code() == Some(2) && said(&output).contains("folder"), "{}", said(&output));
     }
@@ -209,9 +209,9 @@ fn a_submitted_shard_runs_the_trials_that_were_written_down() {
     };
     assert_eq!([trials(1).lines().count(), trials(2).lines().count()], [2, 2]);
     let spec = format!("{folder}/spec.toml");
-    let shard = |shard: &str| bench.metasense(&["run", &spec, "--shard", shard, "--copy-to", folder]);
+    let shard = |shard: &str| bench.metasense(&["run", &spec, "--shard", shard, "--folder", folder]);
     assert!(shard("1/2").status.success());
-    let status = call(&["status", "--cluster"]);
+    let status = call(&["status", "--folder"]);
     assert!(status.contains("1 of 2 shards complete, 0 in the queue"), "{status}");
     let mut hashes: Vec<String> =
         trials(2).lines().map(|line| line.split('"').nth(3).unwrap()[..8].to_owned()).collect();
@@ -230,7 +230,7 @@ fn a_submitted_shard_runs_the_trials_that_were_written_down() {
     );
     std::fs::remove_file(&file).unwrap();
     assert!(shard("2/2").status.success());
-    let status = call(&["status", "--cluster"]);
+    let status = call(&["status", "--folder"]);
     assert!(status.contains("2 of 2 shards complete") && !status.contains("never"), "{status}");
 }
 
@@ -247,8 +247,8 @@ fn failed_trials_are_told_and_run_again_on_request() {
     call(&["cluster", "submit", "hq", "tiny.toml", "--shards", "1"]);
     let folder = "results/tiny.shards";
     let spec = format!("{folder}/spec.toml");
-    bench.metasense(&["run", &spec, "--shard", "1/1", "--copy-to", folder]);
-    let status = call(&["status", "--cluster"]);
+    bench.metasense(&["run", &spec, "--shard", "1/1", "--folder", folder]);
+    let status = call(&["status", "--folder"]);
     assert!(status.contains("0 of 1 shards complete") && status.contains("2 trials failed"), "{status}");
     let again = call(&["cluster", "submit", "hq", "tiny.toml"]);
     assert!(again.contains("2 trials of shards 1 failed") && again.contains("nothing left to do"), "{again}");
@@ -376,7 +376,7 @@ fn shards_on_this_machine_are_the_sweep() {
     let log = |i: u32| bench.path(&format!("results/tiny.shards/shard-{i}-of-2.log"));
     let begun = |i| std::fs::read_to_string(log(i)).unwrap_or_default().contains("worker started");
     eventually(Duration::from_secs(60), || (begun(1) && begun(2)).then_some(())).expect("both shards begin");
-    let status = said(&bench.metasense(&["status", "--cluster"]));
+    let status = said(&bench.metasense(&["status", "--folder"]));
     assert!(status.contains("a submit is at work on them"), "{status}");
     let second = submit().wait_with_output().unwrap();
     assert!(
@@ -392,6 +392,6 @@ fn shards_on_this_machine_are_the_sweep() {
     assert_eq!(again.status.code(), Some(0), "{}", said(&again));
     assert_eq!(results(&bench, "results/tiny.sqlite"), results(&bench, "whole.sqlite"));
     assert_eq!(bench.path("tmp").read_dir().unwrap().count(), 0, "nothing is left on the machine");
-    let status = said(&bench.metasense(&["status", "--cluster"]));
+    let status = said(&bench.metasense(&["status", "--folder"]));
     assert!(status.contains("2 of 2 shards complete"), "{status}");
 }

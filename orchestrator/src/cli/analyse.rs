@@ -41,10 +41,10 @@ pub(super) struct Args {
     #[command(flatten)]
     terms: Terms,
     /// With --question claims: also write both tables of the claims and the trials (CSV), the figure (SVG) and a page (index.html)
-    #[arg(long, value_name = "DIR", requires = "question")]
+    #[arg(long, value_name = "DIR", requires = "question", help_heading = "Output")]
     out_dir: Option<PathBuf>,
     /// The form of the tables; JSON of several is an object of lists by question, CSV and Parquet hold one
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
 

@@ -20,15 +20,15 @@ pub(super) struct Args {
     #[command(flatten)]
     spec: Spec,
     /// Only those of shard I of N
-    #[arg(long, value_name = "I/N")]
+    #[arg(long, value_name = "I/N", help_heading = "Shards")]
     shard: Option<Shard>,
     /// The folder of the shards, with their assignment; without it, the assignment that `cluster submit` would make now
-    #[arg(long, value_name = "DIR", requires = "shard")]
+    #[arg(long, value_name = "DIR", requires = "shard", help_heading = "Shards")]
     folder: Option<PathBuf>,
     #[command(flatten)]
     simd: Simd,
     /// The form of the rows
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
 

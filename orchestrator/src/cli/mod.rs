@@ -298,6 +298,11 @@ fn end_with(parent: u32) -> bool {
     std::os::unix::process::parent_id() == parent
 }
 
+/// Threads of a command in the foreground: one per core that it may use. Results do not depend on their number.
+fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
 /// Reads and expands a spec file.
 ///
 /// # Errors

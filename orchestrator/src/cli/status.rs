@@ -21,38 +21,34 @@ use crate::store::{Nearest, Reader, quoted};
 
 /// Shows what is done, running, pending or failed, and why; or one trial, or shards
 ///
-/// Of a trial, by DB HASH or SPEC --hash HASH: its attempts and what was said of them. Of one that the database has not: the
+/// Of a trial, by DB HASH or SPEC HASH: its attempts and what was said of them. Of one that the database has not: the
 /// keys by which it differs from the nearest one there, and by what code that was made.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The database, or the spec whose database is meant; by default the one under results/ that was written last
-    #[arg(value_name = "DB|SPEC|DIR")]
+    #[arg(value_name = "DB|SPEC", conflicts_with = "folder")]
     source: Option<PathBuf>,
-    /// After DB: a trial, by its hash or the beginning of it. After SPEC: values in place of the spec's, as in `run`
-    #[arg(value_name = "HASH|KEY=VALUE", conflicts_with = "cluster")]
+    /// A trial, by its hash or the beginning of it, and after SPEC also values in place of the spec's, as in `run`
+    #[arg(value_name = "HASH|KEY=VALUE")]
     words: Vec<String>,
-    /// After SPEC: a trial, by its hash or the beginning of it
-    #[arg(long, conflicts_with = "cluster")]
-    hash: Option<String>,
     /// After SPEC: the database, where it is not results/NAME.sqlite
-    #[arg(long, value_name = "FILE", conflicts_with = "cluster")]
+    #[arg(long, value_name = "FILE", conflicts_with = "folder")]
     db: Option<PathBuf>,
-    /// Shows shards: by the queue, and by what they have handed in; DIR is their folder, by default the only
-    /// results/*.shards
-    #[arg(long)]
-    cluster: bool,
+    /// Shows the shards of this folder, by the queue and by what they have handed in; by default of the only results/*.shards
+    #[arg(long, value_name = "DIR", num_args = 0..=1, help_heading = "Shards")]
+    folder: Option<Option<PathBuf>>,
     /// The form of the rows
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let Args { source, words, hash, db, format, .. } = args;
-    if args.cluster {
-        return cluster(source, format).await;
+    let Args { source, words, db, folder, format } = args;
+    if let Some(folder) = folder {
+        return cluster(folder, format).await;
     }
     let source = source.map_or_else(|| newest("status"), Ok)?;
-    let named = Named { source, words, hash };
+    let named = Named { source, words };
     let db = if named.is_database() {
         if db.is_some() {
             return Err(Error::Usage("--db is for a spec; a database is named in its place".into()));
@@ -182,7 +178,7 @@ async fn attempts(reader: &mut Reader, hash: &str) -> Result<Vec<String>, Error>
 /// The shards of a folder.
 async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error> {
     let none = || {
-        Error::Usage("name the folder of the shards: metasense status --cluster results/NAME.shards".into())
+        Error::Usage("name the folder of the shards: metasense status --folder results/NAME.shards".into())
     };
     let folder = folder.or_else(|| only(Path::new("results"), "shards")).ok_or_else(none)?;
     let mut jobs = super::submit::submitted(&folder)?;

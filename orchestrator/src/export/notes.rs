@@ -139,7 +139,7 @@ pub fn notes(
     lines.push(format!(
         "    metasense lab evaluate DB {hash} --records {name}=records.toml --out-dir measured"
     ));
-    let of = format!("DB {hash} --body {name} --records records.toml");
+    let of = format!("DB {hash} --design {name} --records records.toml");
     lines.push(match spec.sensors.changed_by() {
         None => format!("    metasense lab identify {of} --out-dir material"),
         Some(_) => format!("    metasense lab twin {of} --out twin.toml"),

@@ -69,7 +69,7 @@ pub(super) fn submit(
     submission.cluster.clone_from(&queue.cluster);
     let new = submit_shards(submission, notes)?;
     let (folder, out) = (submission.folder.display(), submission.out.display());
-    say!("metasense status --cluster {folder} says how they are");
+    say!("metasense status --folder {folder} says how they are");
     if submission.scheduler == Scheduler::Hq {
         say!("the last shard to end merges them into {out}; what is cut off goes on with the same command");
         return Ok(());
