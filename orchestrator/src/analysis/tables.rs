@@ -128,9 +128,12 @@ impl Question {
     /// Whether the trials differ in what the question is about, so that there is something to say on it.
     pub fn was_put(self, trials: &[Trial]) -> bool {
         let varies = |of: fn(&Trial) -> u64| trials.iter().any(|t| of(t) != of(&trials[0]));
+        let ways = || trainings(&trials.iter().collect::<Vec<_>>());
         match self {
             Self::Sensors | Self::Elbow | Self::Fewer => varies(|t| t.sensors),
             Self::Sizes | Self::Complexity => varies(|t| t.design_parameters),
+            Self::Placements => varies(|t| t.cluster.placement),
+            Self::TimeTo | Self::Front => ways().iter().any(|(_, ways)| ways.len() > 1),
             Self::Claims | Self::Evidence => false,
             _ => true,
         }

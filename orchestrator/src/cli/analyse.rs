@@ -15,7 +15,7 @@ use crate::exit::Exit;
 use crate::look::page;
 use crate::provenance;
 use crate::report::claims::{figure, trials_table};
-use crate::report::load::finished_trials;
+use crate::report::load::{finished_trials, verdicts};
 use crate::store::Reader;
 
 /// Answers a sweep's questions as tables: gain, sensors needed, complexity, time
@@ -35,7 +35,7 @@ pub(super) struct Args {
     /// Compare the database, trial by trial, with this one, which comes first: ratios of errors and seconds
     #[arg(long, value_name = "FIRST", conflicts_with_all = ["question", "within", "fall", "price"])]
     compare: Option<PathBuf>,
-    /// Answer this question alone; may be given several times
+    /// Answer this question alone; may be given several times [default: the verdicts in words, and all that the sweep can answer]
     #[arg(long, value_enum)]
     question: Vec<Question>,
     #[command(flatten)]
@@ -53,24 +53,34 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         return compare(first, &args.db, args.format).await;
     }
     let all = args.question.is_empty();
-    let questions = if all { Question::all() } else { &args.question };
-    if matches!(args.format, Format::Csv | Format::Parquet) && questions.len() > 1 {
+    if matches!(args.format, Format::Csv | Format::Parquet) && (all || args.question.len() > 1) {
         return Err(Error::Usage("CSV and Parquet hold one table: choose it with --question".into()));
     }
     let rates_claims = [Question::Claims, Question::Evidence].iter().any(|q| args.question.contains(q));
     if args.out_dir.is_some() && !rates_claims {
         return Err(Error::Usage("--out-dir writes the claims: add --question claims".into()));
     }
-    let (trials, caveats) = Reader::asked(Database::at(&args.db).await?, async |reader| {
+    let sentences = all && args.format == Format::Table;
+    let (trials, verdicts, caveats) = Reader::asked(Database::at(&args.db).await?, async |reader| {
         let made = reader.made().await?;
-        Ok::<_, Error>((finished_trials(reader).await?, provenance::caveats(reader, &made).await?))
+        let trials = finished_trials(reader).await?;
+        let verdicts = if sentences { verdicts(reader, &trials, args.terms).await? } else { Vec::new() };
+        Ok::<_, Error>((trials, verdicts, provenance::caveats(reader, &made).await?))
     })
     .await?;
+    for verdict in &verdicts {
+        print_line!("{}\n", verdict.text)?;
+    }
+    let mut questions = args.question.clone();
+    if all {
+        questions = Question::all().iter().copied().filter(|question| question.was_put(&trials)).collect();
+    }
     let mut objects = Vec::new();
-    for &question in questions {
+    for &question in &questions {
         let table = question.answer(&trials, args.terms);
         match args.format {
-            Format::Json if questions.len() > 1 => {
+            Format::Json if all && table.rows.is_empty() => {}
+            Format::Json if all || questions.len() > 1 => {
                 let name = clap::ValueEnum::to_possible_value(&question).expect("none is hidden");
                 let rows = String::from_utf8(table.written(Format::Json)).expect("JSON is text");
                 objects.push(format!("{}: {}", Value::from(name.get_name()), rows.trim_end()));
@@ -98,7 +108,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             _ => print_rows(&table, args.format)?,
         }
     }
-    if !objects.is_empty() {
+    if args.format == Format::Json && (all || questions.len() > 1) {
         print_line!("{{\n{}\n}}", objects.join(",\n"))?;
     }
     if let Some(folder) = &args.out_dir {
