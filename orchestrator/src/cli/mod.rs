@@ -8,6 +8,7 @@ mod say;
 mod analyse;
 mod bound;
 mod casts;
+mod completions;
 mod control;
 mod design;
 mod draw;
@@ -17,8 +18,10 @@ mod expand;
 mod export;
 mod gc;
 mod identify;
+mod init;
 mod live;
 pub mod log;
+mod man;
 mod merge;
 mod modes;
 mod named;
@@ -125,7 +128,7 @@ macro_rules! commands {
 commands! {
     "A sweep": Run run, Design design, Expand expand, Trial trial, Status status, Watch watch, Serve serve, Control control;
     "Results": Query query, Analyse analyse, Report report, Export export, Remove remove;
-    "Setup": Schema schema;
+    "Setup": Init init, Schema schema, Completions completions, Man man;
     /// Computes properties of single bodies, without a sweep
     Body body: Draw draw, Simulate simulate, Modes modes, Bound bound, Operator operator, Place place, Casts casts, Project project;
     /// Compares bodies with measured records and reference data
