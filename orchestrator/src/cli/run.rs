@@ -454,7 +454,13 @@ impl Runs for Round<'_> {
         }
         log::start(log)?;
         let run = store.begin_run(&planned).await?;
-        let mut live = Live::new(open.len(), trials.len() - open.len(), options.settings.workers, asked);
+        let mut live = Live::new(
+            open.len(),
+            trials.len() - open.len(),
+            options.settings.workers,
+            asked,
+            plan.spec.sweep.keys(),
+        );
         let work = |trial: &Trial| serde_json::to_string(&trial.spec).expect("a trial is JSON");
         let ended = engine::run(store, &open, &work, options, signals, control, &mut live).await;
         let noted = match &ended {

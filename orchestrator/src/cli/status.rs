@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use metasense_schemas::reason::is_given_up;
+use metasense_schemas::spec::Sweep;
 use serde_json::{Value, json};
 
 use super::named::{Database, Named};
@@ -14,7 +15,7 @@ use crate::cluster::state::{self, State};
 use crate::control::is_held;
 use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
-use crate::plan::{Trial, counted};
+use crate::plan::{Trial, counted, point_in_words};
 use crate::progress::FAILED;
 use crate::provenance;
 use crate::store::{Nearest, Reader, quoted};
@@ -109,6 +110,16 @@ async fn one(reader: &mut Reader, hash: &str, format: Format) -> Result<Exit, Er
         format!("SELECT attempt, at, level, text FROM v_log WHERE hash = {named} ORDER BY attempt, line");
     let [state, reason, solver] = [0, 1, 2].map(|i| state[i].as_str().unwrap_or_default().to_owned());
     say!("{}", format!("trial {hash}: {state} {reason}").trim_end());
+    let sweep = format!(
+        "SELECT t.spec, s.spec->'$.sweep' FROM trial t JOIN sweep_trial x ON x.trial_id = t.id JOIN sweep s ON s.id = x.sweep_id
+         WHERE t.hash = {named} ORDER BY s.id DESC LIMIT 1"
+    );
+    for row in reader.query::<Table>(&sweep).await?.rows {
+        let [spec, sweep] = [0, 1].map(|i| row[i].as_str().unwrap_or_default());
+        if let (Ok(spec), Ok(sweep)) = (serde_json::from_str(spec), serde_json::from_str::<Sweep>(sweep)) {
+            say!("  {}", point_in_words(&spec, &sweep.keys()));
+        }
+    }
     provenance::unresolved(&solver).iter().for_each(|caveat| say!("warning: {caveat}"));
     say_attempts(reader, hash).await?;
     print_rows(&reader.query(&log).await?, format)?;
