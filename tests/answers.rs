@@ -7,8 +7,8 @@ use crate::synthetic;
 use serde_json::Value;
 
 fn metasense(db: &Path, args: &[&str]) -> (bool, String, String) {
-    let out =
-        Command::new(env!("CARGO_BIN_EXE_metasense")).arg(args[0]).arg(db).args(&args[1..]).output().unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));
+    let out = command.args(args[0].split(' ')).arg(db).args(&args[1..]).output().unwrap();
     let text = |bytes| String::from_utf8(bytes).unwrap();
     (out.status.success(), text(out.stdout), text(out.stderr))
 }
@@ -86,11 +86,26 @@ fn analyse_finds_what_was_put_into_the_database() {
     assert!((paired[0]["ratio"].as_f64().unwrap() / truth - 1.0).abs() < 1e-6, "{:#?}", paired[0]);
 }
 
+/// Without a question the verdicts of the report come first, then a table for each question that the trials can answer.
+#[test]
+fn analyse_begins_with_the_verdicts_of_the_report() {
+    let (folder, db) = database();
+    let (ok, out, err) = metasense(&db, &["analyse"]);
+    assert!(ok, "{err}");
+    let page = folder.path().join("r.html");
+    let (ok, _, err) = metasense(&db, &["report", "--out", page.to_str().unwrap()]);
+    assert!(ok, "{err}");
+    let html = std::fs::read_to_string(&page).unwrap().replace('\u{a0}', " ");
+    let first = out.lines().next().unwrap();
+    assert!(first.contains("the initial body's error is") && html.contains(&first[..40]), "{first}");
+    assert!(!out.contains("The claims of"), "{out}");
+}
+
 /// 28·e^(−0.7·min(M, 2) − 0.04·M): 6.4 % at M = 2, after which a sensor brings 4 %: M = 4 is 8 % off the best, and dearer
 /// than a price of 1 % a sensor.
 #[test]
 fn how_many_sensors_to_build_hangs_on_their_price() {
-    let (folder, db) = database();
+    let (_folder, db) = database();
     let asked = ["analyse", "--question", "elbow", "--format", "json", "--price", "1"];
     let (ok, out, err) = metasense(&db, &asked);
     assert!(ok, "{err}");
@@ -103,15 +118,13 @@ fn how_many_sensors_to_build_hangs_on_their_price() {
         assert_eq!(found[column], Value::from(m), "{column}: {found:#}");
     }
     assert!(found["price_votes"].as_f64().unwrap() > 0.95 && found["over"] == "5 placements", "{found:#}");
-    let page = folder.path().join("r.html");
-    let (ok, _, err) = metasense(&db, &["report", "--out", page.to_str().unwrap(), "--price", "1"]);
+    let (ok, sentences, err) = metasense(&db, &["analyse", "--price", "1"]);
     assert!(ok, "{err}");
-    let html = std::fs::read_to_string(&page).unwrap();
     for said in [
-        "smallest M within 10\u{a0}% of the best: optimised body 4 (",
-        "least error + 1\u{a0}% × M: optimised body 2 (",
+        "smallest M within 10 % of the best: optimised body 4 (",
+        "least error + 1 % × M: optimised body 2 (",
     ] {
-        assert!(html.contains(said), "the page does not say {said}");
+        assert!(sentences.contains(said), "{said}: {sentences}");
     }
     let (ok, _, err) = metasense(&db, &["analyse", "--price", "cheap"]);
     assert!(!ok && err.contains("cheap") && err.contains("--price"), "{err}");
@@ -276,8 +289,11 @@ fn readers_leave_no_file_behind() {
                 at("b.npy"),
             ],
         ),
-        (false, vec!["evaluate".into(), trial, "--records".into(), records]),
-        (false, vec!["evaluate".into(), "no-such".into(), "--records".into(), "initial=none.toml".into()]),
+        (false, vec!["lab evaluate".into(), trial, "--records".into(), records]),
+        (
+            false,
+            vec!["lab evaluate".into(), "no-such".into(), "--records".into(), "initial=none.toml".into()],
+        ),
         (false, vec!["status".into()]),
     ] {
         let args: Vec<&str> = args.iter().map(String::as_str).collect();
@@ -294,7 +310,7 @@ fn readers_leave_no_file_behind() {
 #[test]
 fn claims_are_rated_by_what_was_put_into_the_database() {
     let (folder, db) = database();
-    let (ok, out, err) = metasense(&db, &["claims", "--format", "json"]);
+    let (ok, out, err) = metasense(&db, &["analyse", "--question", "claims", "--format", "json"]);
     assert!(ok, "{err}");
     let rows: Value = serde_json::from_str(&out).unwrap();
     let rating = |says: &str| {
@@ -305,8 +321,8 @@ fn claims_are_rated_by_what_was_put_into_the_database() {
     assert_eq!(rating("K = 4: trained with two sensors"), "holds");
     assert_eq!(rating("K = 8: the elbow"), "not tried");
     let out = folder.path().join("claims");
-    let (ok, evidence, err) =
-        metasense(&db, &["claims", "--evidence", "--format", "csv", "--out-dir", out.to_str().unwrap()]);
+    let asked = ["analyse", "--question", "evidence", "--format", "csv", "--out-dir", out.to_str().unwrap()];
+    let (ok, evidence, err) = metasense(&db, &asked);
     assert!(ok, "{err}");
     assert_eq!(
         evidence.lines().next(),

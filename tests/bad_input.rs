@@ -804,7 +804,7 @@ fn files_and_databases_that_cannot_be_used_are_named() {
         ),
         (&["run", "s.toml", "--db", "."], "cannot write the database ."),
         (&["run", "s.toml", "--db", "x.log"], "x.log"),
-        (&["run", "s.toml", "--copy-every", "1e300", "--shard", "1/2", "--copy-to", "s"], "--copy-every"),
+        (&["run", "s.toml", "--copy-every", "1e300", "--shard", "1/2", "--folder", "s"], "--copy-every"),
         (&["run", "s.toml", "--grace", "3601"], "--grace"),
         (&["run", "s.toml", "--db", "file"], "file is not a metasense database"),
         (&["run", "s.toml", "--workers", "0"], "invalid value '0' for '--workers <N>'"),
@@ -812,7 +812,7 @@ fn files_and_databases_that_cannot_be_used_are_named() {
         (&["query", "file", "SELECT 1"], "file is not a metasense database"),
         (&["query", "empty.sqlite", "SELECT 1"], "empty.sqlite is not a metasense database"),
         (&["serve", "file", "--port", "0"], "file is not a metasense database"),
-        (&["report", "none.sqlite", "--threads", "3000"], "3000 is not in 1..=1024"),
+        (&["trial", "s.toml", "--threads", "3000"], "3000 is not in 1..=1024"),
         (&["status"], "there is no database under results/"),
         (&["analyse", "none.sqlite", "--within", "-1"], "invalid value '-1' for '--within <PART>'"),
         (

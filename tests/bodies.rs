@@ -57,11 +57,11 @@ fn every_lattice_runs_from_the_spec_to_the_mould() {
         };
         let drawn: Vec<usize> = svg.split("<polygon class=\"unit").skip(1).map(points).collect();
         assert_eq!(drawn, vec![corners; units], "{own}");
-        bench.output(&["casts", "s.sqlite", &trial[..8], "--casts", "2", "--variation", "v.toml"]);
+        bench.output(&["body", "casts", "s.sqlite", &trial[..8], "--casts", "2", "--variation", "v.toml"]);
         for asked in [
-            &["place", "s.toml", "--out", "p.svg"][..],
-            &["modes", "s.toml", "--count", "3", "--out", "m.svg"],
-            &["bound", "s.toml", "--samples", "1", "--noise", "0.05"],
+            &["body", "place", "s.toml", "--out", "p.svg"][..],
+            &["body", "modes", "s.toml", "--count", "3", "--out", "m.svg"],
+            &["body", "bound", "s.toml", "--samples", "1", "--noise", "0.05"],
         ] {
             bench.output(asked);
         }
@@ -69,7 +69,7 @@ fn every_lattice_runs_from_the_spec_to_the_mould() {
     }
     assert_eq!(hashes.len(), 7, "{hashes:?}");
     assert_eq!(
-        bench.output(&["operator", "s.sqlite", "--rows", "--format", "csv"]).lines().count(),
+        bench.output(&["body", "operator", "s.sqlite", "--rows", "--format", "csv"]).lines().count(),
         1 + 2 * 7
     );
     bench.output(&["report", "s.sqlite", "--out", "report.html"]);
@@ -101,14 +101,14 @@ fn a_body_from_a_file_is_what_it_holds() {
     assert_ne!(mine, hash(&bench, &spec.replace("mine.body", "other.body")));
 
     bench.file("s.toml", &spec);
-    let drawn = bench.output(&["draw", "s.toml", "--out", "a.svg", "--design-out", "a.csv"]);
+    let drawn = bench.output(&["body", "draw", "s.toml", "--out", "a.svg", "--design-out", "a.csv"]);
     assert!(drawn.contains("3 units, 8 shifts: feasible"), "{drawn}");
     let nodes = std::fs::read_to_string(bench.path("a.csv")).unwrap();
     assert_eq!(nodes.lines().count(), 1 + 3 + 4 + 4);
     assert!(nodes.contains("\n1,1,28,1\n"), "{nodes}");
     // corners in a table are a design of it
     bench.file("b.csv", &nodes.replace("\n1,1,28,1\n", "\n1,1,28.5,1\n"));
-    let drawn = bench.output(&["draw", "s.toml", "--design", "b.csv", "--out", "b.svg"]);
+    let drawn = bench.output(&["body", "draw", "s.toml", "--design", "b.csv", "--out", "b.svg"]);
     assert!(drawn.contains(" 0 broken"), "{drawn}");
 
     bench.output(&["run", "s.toml", "--db", "s.sqlite"]);
@@ -116,7 +116,7 @@ fn a_body_from_a_file_is_what_it_holds() {
     bench.output(&["export", "s.sqlite", &mine, "--format", "npz", "--out", "m.npz"]);
     bench.output(&["export", "s.sqlite", &mine, "--format", "stl", "--out", "m.stl"]);
     bench.file("v.toml", "[variation]\nnodes = 0.05\n");
-    bench.output(&["casts", "s.sqlite", &mine[..8], "--casts", "2", "--variation", "v.toml"]);
+    bench.output(&["body", "casts", "s.sqlite", &mine[..8], "--casts", "2", "--variation", "v.toml"]);
 }
 
 /// A force on a node and a couple on the same unit, and the base shaken: drawn, trained, reported, and told apart by six channels.
@@ -127,7 +127,7 @@ fn forces_act_on_nodes_and_turn_units() {
     let spec = linear(&format!("{LATTICE}panels = {panels}\n")).replace("sensors = [1]", "sensors = [2]");
     let spec = spec.replace("[sweep]\npanels = [2]", "[sweep]\npanels = [3]");
     bench.file("s.toml", &spec.replace("samples = 8", "samples = 40"));
-    bench.output(&["draw", "s.toml", "--out", "a.svg"]);
+    bench.output(&["body", "draw", "s.toml", "--out", "a.svg"]);
     let svg = std::fs::read_to_string(bench.path("a.svg")).unwrap();
     for panel in ["panel 0: unit 13", "panel 1: unit 13", "panel 2: unit 0"] {
         assert_eq!(svg.matches(panel).count(), 1, "{panel}");

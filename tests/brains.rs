@@ -29,7 +29,7 @@ fn sensors_are_searched_for() {
     assert_eq!(ways, ["greedy", "random"]);
     assert!(found.iter().all(|row| row[1].split_whitespace().count() == 2), "{found:?}");
     let table =
-        bench.output(&["place", "s.toml", "--hash", &found[0][2], "--out", "p.svg", "--format", "json"]);
+        bench.output(&["body", "place", "s.toml", &found[0][2], "--out", "p.svg", "--format", "json"]);
     let units = found[0][1].trim_matches(['[', ']']);
     assert!(table.contains(&format!("\"units\":\"{units}\"")), "{units}: {table}");
     let svg = std::fs::read_to_string(bench.path("p.svg")).unwrap();
@@ -88,7 +88,7 @@ fn a_body_is_read_by_its_own_model() {
     assert_eq!(rows(&bench, errors), rows(&one, errors));
     let hash = &rows(&bench, "SELECT hash FROM v_trial")[0][0];
     // `evaluate` reads the same holdout by the same brain
-    let call = ["evaluate", "results/tiny.sqlite", hash, "--records", "initial=holdout", "--records"];
+    let call = ["lab", "evaluate", "results/tiny.sqlite", hash, "--records", "initial=holdout", "--records"];
     let csv = bench.output(&[&call[..], &["optimised=holdout", "--format", "csv"]].concat());
     let stored =
         "SELECT v.holdout_error_initial, v.holdout_error_optimised, a.coverage, b.coverage FROM v_trial v

@@ -55,7 +55,8 @@ fn casts_of_finished_bodies_are_read() {
     assert_ne!(of("nominal", "optimised"), of("mean", "optimised"));
 
     let hash = rows.iter().find(|row| row["objective"] == "mean").unwrap()["hash"].as_str().unwrap();
-    let asked = ["casts", db, hash, "--body", "optimised", "--casts", "4", "--each", "--format", "json"];
+    let asked =
+        ["body", "casts", db, hash, "--design", "optimised", "--casts", "4", "--rows", "--format", "json"];
     let each = json(&bench.output(&asked));
     assert_eq!(each.len(), 4 * 3);
     for row in rows.iter().filter(|row| row["hash"] == hash && row["body"] == "optimised") {
@@ -64,8 +65,9 @@ fn casts_of_finished_bodies_are_read() {
     }
 
     bench.file("less.toml", "[variation]\nnodes = 0.001\n");
-    let less = json(&bench.output(&["casts", db, hash, "--variation", "less.toml", "--format", "json"]));
-    let more = json(&bench.output(&["casts", db, hash, "--format", "json"]));
+    let less =
+        json(&bench.output(&["body", "casts", db, hash, "--variation", "less.toml", "--format", "json"]));
+    let more = json(&bench.output(&["body", "casts", db, hash, "--format", "json"]));
     let median = |rows: &[Value]| rows[0]["median"].as_f64().unwrap();
     assert!(less[0]["reader"] == "nominal" && median(&less) < median(&more), "{less:?} {more:?}");
 
@@ -104,12 +106,12 @@ fn casts_of_finished_bodies_are_read() {
     bench.file("unknown.toml", "[variation]\nnode = 0.1\n");
     bench.file("tiny.toml", TINY);
     for (args, why) in [
-        (&["casts", db, hash, "--variation", "wrong.toml"][..], "variation.stretch = 2: "),
+        (&["body", "casts", db, hash, "--variation", "wrong.toml"][..], "variation.stretch = 2: "),
         (
-            &["casts", db, hash, "--variation", "unknown.toml"],
+            &["body", "casts", db, hash, "--variation", "unknown.toml"],
             "unknown.toml:2: variation.node = 0.1: unknown key",
         ),
-        (&["casts", "tiny.toml"], "has no [variation]"),
+        (&["body", "casts", "tiny.toml"], "has no [variation]"),
     ] {
         let output = bench.metasense(args);
         let said = String::from_utf8_lossy(&output.stderr);

@@ -218,7 +218,7 @@ fn the_initial_body_is_compared_only_where_somebody_asks() {
     assert_eq!(same, ["[2,1,1]"]);
     let hash = &rows(&bench.path("s.sqlite"), "SELECT hash FROM trial WHERE error_initial IS NULL")[0][2..34];
     let refused = bench
-        .metasense(&["export", "s.sqlite", hash, "--body", "initial", "--format", "c", "--out", "initial"]);
+        .metasense(&["export", "s.sqlite", hash, "--design", "initial", "--format", "c", "--out", "initial"]);
     let said = String::from_utf8_lossy(&refused.stderr);
     assert!(!refused.status.success() && said.contains("trained no network on this body"), "{said}");
     let page = bench.output(&["report", "s.sqlite", hash, "--out", "r.html"]);

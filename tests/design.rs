@@ -23,19 +23,19 @@ fn small(more: &str) -> String {
 fn any_design_goes_in_and_a_castable_one_comes_out() {
     let bench = Bench::new();
     bench.file("s.toml", &small(""));
-    bench.output(&["draw", "s.toml", "--out", "a.svg", "--design-out", "a.npy"]);
-    let said = bench.output(&["project", "s.toml", "--design", "a.npy", "--out", "b.npy"]);
+    bench.output(&["body", "draw", "s.toml", "--out", "a.svg", "--design-out", "a.npy"]);
+    let said = bench.output(&["body", "project", "s.toml", "--design", "a.npy", "--out", "b.npy"]);
     assert!(said.contains("untouched"), "{said}");
     let read = |name: &str| std::fs::read(bench.path(name)).unwrap();
     assert_eq!(read("a.npy"), read("b.npy"));
 
     let wild: Vec<f64> = (0..48).map(|i| 7.0 * f64::sin(1.7 * f64::from(i * i))).collect();
     std::fs::write(bench.path("wild.npy"), npy(&wild)).unwrap();
-    let drawn = bench.output(&["draw", "s.toml", "--design", "wild.npy", "--out", "wild.svg"]);
+    let drawn = bench.output(&["body", "draw", "s.toml", "--design", "wild.npy", "--out", "wild.svg"]);
     assert!(drawn.contains("mm") && drawn.contains('°') && drawn.contains("unit"), "{drawn}");
-    let said = bench.output(&["project", "s.toml", "--design", "wild.npy", "--out", "tame.csv"]);
+    let said = bench.output(&["body", "project", "s.toml", "--design", "wild.npy", "--out", "tame.csv"]);
     assert!(said.contains("status    projected") && said.contains("interior angle"), "{said}");
-    let drawn = bench.output(&["draw", "s.toml", "--design", "tame.csv", "--out", "tame.svg"]);
+    let drawn = bench.output(&["body", "draw", "s.toml", "--design", "tame.csv", "--out", "tame.svg"]);
     assert!(drawn.contains(" 0 broken"), "{drawn}");
 }
 
@@ -50,16 +50,16 @@ fn what_is_no_design_is_refused_wherever_one_is_read() {
     holed[7] = f64::INFINITY;
     std::fs::write(bench.path("inf.npy"), npy(&holed)).unwrap();
     bench.write_array("turned.npy", &[2, 24], &[0.5; 48]);
-    bench.output(&["draw", "s.toml", "--out", "a.svg", "--design-out", "a.NPY"]);
+    bench.output(&["body", "draw", "s.toml", "--out", "a.svg", "--design-out", "a.NPY"]);
     bench.write_array("f.npy", &[1, 2, 201], &[0.0; 402]);
     bench.file("n.csv", &(String::from("unit,node,x,y\n") + &"0,0,NaN,1\n".repeat(36)));
     for file in ["nan.npy", "inf.npy", "turned.npy", "n.csv"] {
         for call in [
-            &["draw", "s.toml", "--out", "b.svg", "--design", file][..],
-            &["project", "s.toml", "--out", "b.npy", "--design", file],
-            &["project", "s.toml", "--out", "b.npy", "--design", "a.NPY", "--from", file],
-            &["project", "s.toml", "--out", "b.npy", "--design", "a.NPY", "--weights", file],
-            &["simulate", "s.toml", "--forces", "f.npy", "--out-dir", "b", "--design", file],
+            &["body", "draw", "s.toml", "--out", "b.svg", "--design", file][..],
+            &["body", "project", "s.toml", "--out", "b.npy", "--design", file],
+            &["body", "project", "s.toml", "--out", "b.npy", "--design", "a.NPY", "--from", file],
+            &["body", "project", "s.toml", "--out", "b.npy", "--design", "a.NPY", "--weights", file],
+            &["body", "simulate", "s.toml", "--forces", "f.npy", "--out-dir", "b", "--design", file],
             &["expand", "s.toml", &format!("body.design=\"{file}\"")],
             &["expand", "s.toml", "sensors.noise=0.1", &format!("sensors.relative_to=\"{file}\"")],
         ] {
@@ -72,7 +72,7 @@ fn what_is_no_design_is_refused_wherever_one_is_read() {
     // (n/2, 2) is the other shape of a design
     let (_, shifts) = bench.array("a.NPY");
     bench.write_array("pairs.npy", &[24, 2], &shifts);
-    bench.output(&["project", "s.toml", "--design", "pairs.npy", "--out", "c.npy"]);
+    bench.output(&["body", "project", "s.toml", "--design", "pairs.npy", "--out", "c.npy"]);
     assert_eq!(bench.array("c.npy").1, shifts);
 }
 
@@ -81,10 +81,19 @@ fn what_is_no_design_is_refused_wherever_one_is_read() {
 fn what_is_frozen_stays_and_what_cannot_be_is_not_drawn() {
     let bench = Bench::new();
     bench.file("s.toml", &small(""));
-    bench.output(&["draw", "s.toml", "--out", "a.svg", "--design-out", "a.csv"]);
+    bench.output(&["body", "draw", "s.toml", "--out", "a.svg", "--design-out", "a.csv"]);
     let wild: Vec<f64> = (0..48).map(|i| 7.0 * f64::sin(1.7 * f64::from(i * i))).collect();
     std::fs::write(bench.path("wild.npy"), npy(&wild)).unwrap();
-    bench.output(&["project", "s.toml", "optimise.frozen=[4]", "--design", "wild.npy", "--out", "b.csv"]);
+    bench.output(&[
+        "body",
+        "project",
+        "s.toml",
+        "optimise.frozen=[4]",
+        "--design",
+        "wild.npy",
+        "--out",
+        "b.csv",
+    ]);
     let corners = |name: &str, unit: &str| -> Vec<f64> {
         let text = std::fs::read_to_string(bench.path(name)).unwrap();
         let lines = text.lines().filter(|line| line.starts_with(unit));
@@ -103,18 +112,20 @@ fn what_is_frozen_stays_and_what_cannot_be_is_not_drawn() {
         "sensors.placements=[[20]]",
         "sensors.placements=[[20, 20]]",
     ] {
-        let refused = bench.metasense(&["draw", "s.toml", "sweep.sensors=[1, 2]", panels, "--out", "c.svg"]);
+        let refused =
+            bench.metasense(&["body", "draw", "s.toml", "sweep.sensors=[1, 2]", panels, "--out", "c.svg"]);
         let said = String::from_utf8_lossy(&refused.stderr);
         assert!(refused.status.code() == Some(2) && said.contains("20"), "{said}");
     }
     // what moves has nothing to do with a drawing
     let ties = "sweep.\"optimise.tie\"=[[1, 1], [2, 2]]";
-    bench.output(&["draw", "s.toml", ties, "--out", "d.svg"]);
-    let refused = bench.metasense(&["project", "s.toml", ties, "--design", "wild.npy", "--out", "e.csv"]);
+    bench.output(&["body", "draw", "s.toml", ties, "--out", "d.svg"]);
+    let refused =
+        bench.metasense(&["body", "project", "s.toml", ties, "--design", "wild.npy", "--out", "e.csv"]);
     assert_eq!(refused.status.code(), Some(2), "{}", String::from_utf8_lossy(&refused.stderr));
 }
 
-/// Of a sweep over bodies the trial says which; without `--hash` only where all its trials have one body.
+/// Of a sweep over bodies the trial says which; without a hash only where all its trials have one body.
 #[test]
 fn the_body_is_that_of_the_trial() {
     let bench = Bench::new();
@@ -122,34 +133,26 @@ fn the_body_is_that_of_the_trial() {
     let csv = bench.output(&["expand", "s.toml", "--format", "csv"]);
     let hashes: Vec<&str> = csv.lines().skip(1).map(|line| line.split(',').next().unwrap()).collect();
     for (hash, units) in hashes.iter().zip(["9 units", "12 units"]) {
-        let drawn = bench.output(&[
-            "draw",
-            "s.toml",
-            "--hash",
-            &hash[..8],
-            "--out",
-            "a.svg",
-            "--design-out",
-            "a.npy",
-        ]);
+        let drawn =
+            bench.output(&["body", "draw", "s.toml", &hash[..8], "--out", "a.svg", "--design-out", "a.npy"]);
         assert!(drawn.contains(units), "{drawn}");
         let said =
-            bench.output(&["project", "s.toml", "--hash", &hash[..8], "--design", "a.npy", "--out", "b.npy"]);
+            bench.output(&["body", "project", "s.toml", &hash[..8], "--design", "a.npy", "--out", "b.npy"]);
         assert!(said.contains("untouched"), "{said}");
     }
     for call in [
-        &["draw", "s.toml", "--out", "c.svg"][..],
-        &["project", "s.toml", "--design", "a.npy", "--out", "c.npy"],
+        &["body", "draw", "s.toml", "--out", "c.svg"][..],
+        &["body", "project", "s.toml", "--design", "a.npy", "--out", "c.npy"],
     ] {
         let refused = bench.metasense(call);
         let said = String::from_utf8_lossy(&refused.stderr);
-        assert!(refused.status.code() == Some(2) && said.contains("--hash"), "{call:?}: {said}");
+        assert!(refused.status.code() == Some(2) && said.contains(" HASH"), "{call:?}: {said}");
     }
-    let refused = bench.metasense(&["draw", "s.toml", "--hash", "zz", "--out", "c.svg"]);
+    let refused = bench.metasense(&["body", "draw", "s.toml", "zz", "--out", "c.svg"]);
     assert_eq!(refused.status.code(), Some(2), "{}", String::from_utf8_lossy(&refused.stderr));
     // Seeds and sensors do not make another body.
     bench.file("s.toml", &(small("") + "seeds = [1, 2]\n"));
-    bench.output(&["draw", "s.toml", "--out", "a.svg"]);
+    bench.output(&["body", "draw", "s.toml", "--out", "a.svg"]);
 }
 
 /// A drawing is SVG, and is not written under another name.
@@ -158,7 +161,7 @@ fn a_drawing_of_another_kind_is_refused() {
     let bench = Bench::new();
     bench.file("s.toml", &small(""));
     for name in ["x.pdf", "x"] {
-        let out = bench.metasense(&["draw", "s.toml", "--out", name]);
+        let out = bench.metasense(&["body", "draw", "s.toml", "--out", name]);
         let message = String::from_utf8_lossy(&out.stderr);
         assert_eq!(out.status.code(), Some(2), "{name}: {message}");
         assert!(
@@ -183,11 +186,11 @@ fn a_spec_starts_from_the_design_that_it_names() {
     assert!(plain != one && one != hash(&small("design = { random = 2 }")));
     assert_eq!(one, hash(&small("design = { random = 1, spread = 0.25 }")), "the default");
     assert_ne!(one, hash(&small("design = { random = 1, spread = 0.1 }")));
-    bench.output(&["draw", "s.toml", "--out", "a.svg", "--design-out", "a.npy"]);
+    bench.output(&["body", "draw", "s.toml", "--out", "a.svg", "--design-out", "a.npy"]);
     let file = hash(&small("design = \"a.npy\""));
     std::fs::copy(bench.path("a.npy"), bench.path("b.npy")).unwrap();
     assert_eq!(file, hash(&small("design = \"b.npy\"")), "the name of the file is no part of a trial");
-    bench.output(&["draw", "s.toml", "--out", "a.svg", "--design-out", "b.csv"]);
+    bench.output(&["body", "draw", "s.toml", "--out", "a.svg", "--design-out", "b.csv"]);
     let axis = small("")
         .replace("sensors = [1]", "sensors = [1]\n\"body.design\" = [{ random = 1 }, { random = 2 }]");
     assert_eq!(hash(&axis), one);

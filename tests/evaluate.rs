@@ -65,7 +65,7 @@ fn bench() -> (Bench, String) {
     }
     bench.write_array("forces.npy", &[RECORDS as u64, 2, INSTANTS as u64 + 1], &forces);
     let simulate =
-        ["simulate", "s.toml", "--hash", &hash, "--forces", "forces.npy", "--format", "csv", "--out-dir"];
+        ["body", "simulate", "s.toml", &hash, "--forces", "forces.npy", "--format", "csv", "--out-dir"];
     bench.output(&[&simulate[..], &["a"]].concat());
     bench.output(&[&simulate[..], &["b", "--design", "other.npy"]].concat());
 
@@ -119,7 +119,7 @@ fn the_body_that_is_truly_better_is_found_so() {
     let call = |more: &[&str]| {
         let bodies = ["--records", "initial=bad.toml", "--records", "other=good.toml"];
         let rest = ["--folds", "3", "--seeds", "2", "--format", "csv"];
-        bench.output(&[&["evaluate", "s.toml", "--hash", &hash][..], &bodies, &rest, more].concat())
+        bench.output(&[&["lab", "evaluate", "s.toml", &hash][..], &bodies, &rest, more].concat())
     };
     let csv = call(&["--design", "other=other.npy", "--out-dir", "out"]);
     assert_eq!(csv, call(&["--design", "other=other.npy", "--threads", "2"]));
@@ -142,7 +142,7 @@ fn the_body_that_is_truly_better_is_found_so() {
         let bodies = ["--records", "initial=bad.toml", "--records", "other=good.toml"];
         bench.output(
             &[
-                &["evaluate", "s.toml", "--hash", &hash][..],
+                &["lab", "evaluate", "s.toml", &hash][..],
                 &bodies,
                 &["--brain", "linear", "--format", "csv"],
                 more,
@@ -183,7 +183,7 @@ fn an_export_is_read_back_as_measured() {
     let hash = hash.lines().nth(1).unwrap();
     bench.output(&["export", "results/s.sqlite", hash, "--format", "npz", "--out", "t.npz"]);
     let mut call: Vec<String> =
-        ["evaluate", "results/s.sqlite", &hash[..8], "--iterations", "5"].map(String::from).to_vec();
+        ["lab", "evaluate", "results/s.sqlite", &hash[..8], "--iterations", "5"].map(String::from).to_vec();
     for body in ["initial", "optimised"] {
         let text = format!(
             "[recorded]\nfiles = [\"t.npz\"]\nrate = 200.0\nforce = [\"forces\"]\n[signals]\nchannels = [\"signals_{body}\"]\n\
@@ -227,6 +227,7 @@ fn a_body_is_read_by_the_sensors_that_it_has() {
                 channels = [\"signals_optimised\"]\nstart = 0.005\n";
     bench.file("optimised.toml", text);
     let call = [
+        "lab",
         "evaluate",
         "results/s.sqlite",
         row[0],
@@ -286,13 +287,12 @@ fn bad_calls_are_refused() {
     ] {
         bench.file("one.toml", &std::fs::read_to_string(bench.path("bad.toml")).unwrap().replace(&rest, ""));
         bench.file("typo.toml", "[recorded]\nfile = [\"0.csv\"]\n");
-        let output =
-            bench.metasense(&[vec!["evaluate", "s.toml", "--hash", &hash], arguments.clone()].concat());
+        let output = bench.metasense(&[vec!["lab", "evaluate", "s.toml", &hash], arguments.clone()].concat());
         let errors = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {errors}");
         assert!(errors.contains(said), "{errors}\n{said}");
     }
-    let output = bench.metasense(&["evaluate", "s.toml", "--hash", "ffff", initial]);
+    let output = bench.metasense(&["lab", "evaluate", "s.toml", "ffff", initial]);
     assert!(String::from_utf8_lossy(&output.stderr).contains("no trial begins so"));
 }
 
@@ -303,7 +303,7 @@ fn an_evaluation_goes_on_where_it_was_killed() {
     let call = |out: &'static str| {
         let bodies = ["--records", "initial=good.toml", "--records", "b=bad.toml"];
         let effort = ["--folds", "3", "--seeds", "2", "--threads", "2", "--iterations", "200"];
-        [&["evaluate", "s.toml", "--hash", hash.as_str()], &bodies[..], &effort, &["--out-dir", out]].concat()
+        [&["lab", "evaluate", "s.toml", hash.as_str()], &bodies[..], &effort, &["--out-dir", out]].concat()
     };
     let (whole, again) = (bench.output(&call("whole")), call("again"));
     let (kills, last) = bench.killed_until_done(&again, "again/unfinished.bin");
@@ -323,9 +323,9 @@ fn an_evaluation_goes_on_where_it_was_killed() {
 fn commands_that_compute_in_one_piece_end_at_once_on_request() {
     let (bench, hash) = bench();
     let evaluate =
-        ["evaluate", "s.toml", "--hash", &hash, "--records", "initial=good.toml", "--iterations", "1000000"];
-    let identify = ["identify", "s.toml", "--hash", &hash, "--records", "good.toml"];
-    let trial = ["trial", "s.toml", "--hash", &hash];
+        ["lab", "evaluate", "s.toml", &hash, "--records", "initial=good.toml", "--iterations", "1000000"];
+    let identify = ["lab", "identify", "s.toml", &hash, "--records", "good.toml"];
+    let trial = ["trial", "s.toml", &hash];
     for (arguments, signal) in [
         (&evaluate[..], libc::SIGINT),
         (&evaluate, libc::SIGTERM),

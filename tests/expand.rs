@@ -1,6 +1,6 @@
 //! `expand` shows what would run, in the order of running; `schema` describes what may be written.
 
-use crate::common::{Bench, SPEC, without_cost};
+use crate::common::{Bench, SPEC, TINY, without_cost};
 
 /// Breadth first: each (K, M) of each body has its first placement before any has its second. Hashes are pinned: they
 /// name trials in databases that exist.
@@ -146,7 +146,7 @@ fn a_hash_that_names_no_one_trial_is_refused() {
     let bench = Bench::new();
     bench.file("s.toml", SPEC);
     for (hash, why) in [("", "several trials begin so: "), ("xyz", "no trial begins so")] {
-        let output = bench.metasense(&["modes", "s.toml", "--hash", hash]);
+        let output = bench.metasense(&["body", "modes", "s.toml", hash]);
         let errors = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{errors}");
         assert!(errors.contains(&format!("s.toml: trial {hash}: {why}")), "{errors}");
@@ -296,4 +296,23 @@ fn shards_are_dealt_by_cost_and_stay_as_they_are_written_down() {
     bench.file("assignment-of-3.csv", &format!("hash,shard\n{lines}"));
     let hashes = |rows: Vec<(String, f64)>| rows.into_iter().map(|row| row.0).collect::<Vec<_>>();
     assert_eq!(hashes(rows(&["--shard", "1/3", "--folder", "."])), hashes(rows(&[])));
+}
+
+/// Mass and natural frequencies are said; a body that weighs 10¹¹ times as much, or that is as stiff, is warned of.
+#[test]
+fn a_body_that_cannot_be_meant_is_warned_of() {
+    let bench = Bench::new();
+    bench.file("s.toml", TINY);
+    let said = |more: &str| {
+        let output = bench.metasense(&["expand", "s.toml", more]);
+        assert!(output.status.success());
+        String::from_utf8_lossy(&output.stderr).into_owned()
+    };
+    let usual = said("sweep.seeds=[1]");
+    assert!(usual.contains("mass of a body") && usual.contains(" Hz, highest "), "{usual}");
+    assert!(!usual.contains("warning"), "{usual}");
+    for more in ["body.density=1e3", "body.stiffness={ stretch = 3e20, shear = 5e19, bend = 1e20 }"] {
+        let warned = said(more);
+        assert!(warned.contains("warning: ") && warned.contains("body.density"), "{more}: {warned}");
+    }
 }

@@ -93,8 +93,8 @@ fn a_trial_that_no_memory_holds_is_refused_before_it_starts() {
     let bench = Bench::new();
     bench.file("s.toml", TINY);
     let many = ["stimuli.samples=1000000", "time.samples=100000"];
-    for command in ["expand", "run", "trial", "place", "bound"] {
-        let output = bench.metasense(&[&[command, "s.toml"][..], &many].concat());
+    for command in ["expand", "run", "trial", "body place", "body bound"] {
+        let output = bench.metasense(&[command.split(' ').collect(), vec!["s.toml"], many.to_vec()].concat());
         let said = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{command}: {said}");
         assert!(said.contains("stimuli.samples = 1000000") && said.contains("TB"), "{command}: {said}");

@@ -100,7 +100,7 @@ fn shards_find_the_design_of_one_run() {
     assert_eq!(code, Some(0), "{said}");
     let found = trials(&bench);
     std::fs::remove_file(bench.path("results/tiny.sqlite")).unwrap();
-    let args = ["submit", "local", "s.toml", "--design", "--cpus", "1", "--at-most", "2"];
+    let args = ["cluster", "submit", "local", "s.toml", "--goal", "--cpus", "1", "--at-most", "2"];
     let mut first = bench.start(&args);
     let begun = || {
         let log = std::fs::read_to_string(bench.path("results/tiny.shards/shard-1-of-2.log"));

@@ -103,14 +103,14 @@ fn shards_survive_their_worker_and_are_not_submitted_twice() {
     let text = TINY.replace("iterations = 4\n", "iterations = 300\n") + "seeds = [1, 2]\n";
     site.bench.file("tiny.toml", &text);
     site.says("run tiny.toml --db whole.sqlite");
-    let submitted = site.says("submit hq tiny.toml --shards 2 --cpus 1 --time 10");
+    let submitted = site.says("cluster submit hq tiny.toml --shards 2 --cpus 1 --time 10");
     assert_eq!(submitted.matches("submitted: job").count(), 1, "{submitted}");
 
     // Waiting, for want of a worker; then running: not again.
     for state in ["waiting", "running"] {
-        let again = site.says("submit hq tiny.toml --cpus 1 --time 10");
+        let again = site.says("cluster submit hq tiny.toml --cpus 1 --time 10");
         assert!(again.contains("left out: shards 1-2") && again.contains("nothing to submit"), "{again}");
-        let status = site.says("status --cluster");
+        let status = site.says("status --folder");
         assert!(status.contains(state) && status.contains("2 in the queue"), "{status}");
         if state == "waiting" {
             site.worker();
@@ -127,14 +127,16 @@ fn shards_survive_their_worker_and_are_not_submitted_twice() {
 
     // Somebody cancels the job; what it had is handed in, or on the node, and the next one goes on.
     site.until("the job is cancelled", || site.hq("job cancel 1").status.success());
-    site.until("the queue is empty", || site.says("status --cluster").contains("0 in the queue"));
-    site.says("submit hq tiny.toml --cpus 1 --time 10 --prefix env --run=--copy-every=1 -- --max-fails 1");
-    site.until("all is complete", || site.says("status --cluster").contains("2 of 2 shards complete"));
+    site.until("the queue is empty", || site.says("status --folder").contains("0 in the queue"));
+    site.says(
+        "cluster submit hq tiny.toml --cpus 1 --time 10 --prefix env --run=--copy-every=1 -- --max-fails 1",
+    );
+    site.until("all is complete", || site.says("status --folder").contains("2 of 2 shards complete"));
     let merged = || site.bench.metasense(&["run", "tiny.toml", "--db", "results/tiny.sqlite"]);
     site.until("the merge is done", || site.hq("job wait all").status.success());
     assert!(String::from_utf8_lossy(&merged().stderr).contains("nothing left to do"));
     assert_eq!(results(&site.bench, "results/tiny.sqlite"), results(&site.bench, "whole.sqlite"));
-    assert!(site.says("submit hq tiny.toml").contains("nothing left to do"));
+    assert!(site.says("cluster submit hq tiny.toml").contains("nothing left to do"));
 }
 
 /// A search whose trials are dealt to jobs round by round ends where one run does; it waits for the queue.
@@ -144,12 +146,12 @@ fn a_search_in_jobs_is_the_search() {
     site.bench.file("tiny.toml", &(TINY.replace("[1, 2]", "[1]") + "placements = 2\n[goal]\nerror = 1e6\n"));
     site.says("design tiny.toml --db whole.sqlite");
     site.worker();
-    let said = site.says("submit hq tiny.toml --design --shards 2 --cpus 1 --time 5");
+    let said = site.says("cluster submit hq tiny.toml --goal --shards 2 --cpus 1 --time 5");
     assert!(
         said.contains("submitted: job") && said.contains("the cheapest design that meets 1e6 %"),
         "{said}"
     );
     assert_eq!(results(&site.bench, "results/tiny.sqlite"), results(&site.bench, "whole.sqlite"));
-    let again = site.says("submit hq tiny.toml --design");
+    let again = site.says("cluster submit hq tiny.toml --goal");
     assert!(!again.contains("submitted: job") && again.contains("the cheapest design"), "{again}");
 }

@@ -62,16 +62,7 @@ fn bench() -> Bench {
             .collect()
     };
     let run = |spec: &str, forces: &str, out: &str| {
-        bench.output(&[
-            "simulate",
-            spec,
-            "--hash",
-            &hash(&bench, spec),
-            "--forces",
-            forces,
-            "--out-dir",
-            out,
-        ]);
+        bench.output(&["body", "simulate", spec, &hash(&bench, spec), "--forces", forces, "--out-dir", out]);
         let bytes = std::fs::read(bench.path(&format!("{out}/signals.npy"))).unwrap();
         npyz::NpyFile::new(&bytes[..]).unwrap().into_vec::<f64>().unwrap()
     };
@@ -151,7 +142,7 @@ fn assert_true(found: &[[f64; 3]], within: f64) {
 fn readings_are_compared_when_they_were_taken() {
     let bench = bench();
     let fit = |records: &str, more: &[&str]| {
-        bench.metasense(&[&["identify", "s_fine.toml", "--records", records], more].concat())
+        bench.metasense(&[&["lab", "identify", "s_fine.toml", "--records", records], more].concat())
     };
     let found = fit("between.toml", &["--format", "csv"]);
     assert!(found.status.success(), "{}", String::from_utf8_lossy(&found.stderr));
@@ -162,7 +153,7 @@ fn readings_are_compared_when_they_were_taken() {
     assert!(said.contains("signals not explained") && !said.contains("[body]"), "{said}");
     // at another rate the readings are resampled, and the program warns
     bench.file("slow.toml", &SPEC.replace("samples = 40", "samples = 50"));
-    let warned = bench.metasense(&["identify", "slow.toml", "--records", "between.toml"]);
+    let warned = bench.metasense(&["lab", "identify", "slow.toml", "--records", "between.toml"]);
     let warned = String::from_utf8(warned.stderr).unwrap();
     assert!(warned.contains("Set time.samples = 40"), "{warned}");
 }
@@ -174,7 +165,7 @@ fn records_tell_the_material() {
     let bench = bench();
     let hash = hash(&bench, "s.toml");
     let fit = |more: &[&str]| {
-        let call = [&["identify", "s.toml", "--hash", &hash, "--records", "r.toml"], more].concat();
+        let call = [&["lab", "identify", "s.toml", &hash, "--records", "r.toml"], more].concat();
         bench.output(&call)
     };
     let one = fit(&["--format", "csv"]);
@@ -210,9 +201,9 @@ fn a_fit_goes_on_where_it_was_killed() {
     let hash = hash(&bench, "s.toml");
     let call = |out: &'static str| {
         [
+            "lab",
             "identify",
             "s.toml",
-            "--hash",
             hash.as_str(),
             "--records",
             "r.toml",
@@ -238,7 +229,7 @@ fn a_record_with_a_clock_of_its_own_tells_the_material() {
     bench.file("s.toml", &spec);
     let hash = hash(&bench, "s.toml");
     let found =
-        bench.output(&["identify", "s.toml", "--hash", &hash, "--records", "csv.toml", "--format", "csv"]);
+        bench.output(&["lab", "identify", "s.toml", &hash, "--records", "csv.toml", "--format", "csv"]);
     assert_true(&estimates(&found), 0.1);
 }
 
@@ -250,7 +241,8 @@ fn records_that_determine_nothing_are_no_fit() {
         "damping_ratio = 0.03\ncontact = { min_angle = -175.0, cutoff_angle = -170.0, stiffness = 1.0 }";
     bench.file("contact.toml", &SPEC.replace("damping_ratio = 0.03", never));
     let fit = |free: &str| {
-        let call = ["identify", "contact.toml", "--records", "r.toml", "--fit", free, "--format", "csv"];
+        let call =
+            ["lab", "identify", "contact.toml", "--records", "r.toml", "--fit", free, "--format", "csv"];
         let run = bench.metasense(&call);
         assert_eq!(run.status.code(), Some(1), "{free}: {}", String::from_utf8_lossy(&run.stderr));
         let csv = String::from_utf8(run.stdout).unwrap();
@@ -268,7 +260,7 @@ fn what_cannot_be_fitted_is_refused() {
     bench.file("still.toml", &SPEC.replace("damping_ratio = 0.03", "damping_ratio = 0.0"));
     let refused = |spec: &str, records: &str, more: &[&str], says: &[&str]| {
         let hash = hash(&bench, spec);
-        let call = [&["identify", spec, "--hash", &hash, "--records", records], more].concat();
+        let call = [&["lab", "identify", spec, &hash, "--records", records], more].concat();
         let run = bench.metasense(&call);
         let said = String::from_utf8_lossy(&run.stderr);
         assert!(run.status.code() == Some(2) && says.iter().all(|s| said.contains(s)), "{said}");

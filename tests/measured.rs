@@ -294,9 +294,9 @@ fn every_command_refuses_records_that_mislead() {
                 .replace("a.csv\", \"bare", "bare"),
         );
         for call in [
-            &["evaluate", "s.toml", "--brain", "linear", "--records", "initial=r.toml"][..],
-            &["identify", "s.toml", "--records", "r.toml"],
-            &["twin", "s.toml", "--records", "r.toml"],
+            &["lab", "evaluate", "s.toml", "--brain", "linear", "--records", "initial=r.toml"][..],
+            &["lab", "identify", "s.toml", "--records", "r.toml"],
+            &["lab", "twin", "s.toml", "--records", "r.toml"],
         ] {
             let refused = bench.metasense(call);
             let errors = String::from_utf8_lossy(&refused.stderr);

@@ -448,7 +448,7 @@ fn a_shortage_of_descriptors_refuses_no_input() {
         let _ = std::fs::remove_file(&out);
         runtime.block_on(one(&out, "own", 0));
         let before = std::fs::read(&out).unwrap();
-        let script = format!("ulimit -n {limit}; exec \"$0\" merge in --out out.sqlite");
+        let script = format!("ulimit -n {limit}; exec \"$0\" cluster merge in --out out.sqlite");
         let mut command = std::process::Command::new("sh");
         command.args(["-c", &script, env!("CARGO_BIN_EXE_metasense")]).current_dir(folder.path());
         let output = command.output().unwrap();
@@ -582,10 +582,10 @@ fn gc_removes_what_holds_nothing_of_its_own() {
     for name in left.iter().chain(&stays) {
         std::fs::write(shards.join(name), "x").unwrap();
     }
-    let listed = bench.metasense(&["gc", "--format", "csv"]);
+    let listed = bench.metasense(&["cluster", "gc", "--format", "csv"]);
     assert_eq!(String::from_utf8_lossy(&listed.stdout).lines().count(), 4, "{listed:?}");
     assert_eq!(files(&shards).len(), 8);
-    bench.output(&["gc", "--yes"]);
+    bench.output(&["cluster", "gc", "--yes"]);
     let mut expected: Vec<PathBuf> = stays.iter().map(|name| shards.join(name)).collect();
     expected.extend([own_row, later]);
     expected.sort();

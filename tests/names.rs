@@ -11,17 +11,17 @@ fn hashes(bench: &Bench, spec: &[&str]) -> Vec<String> {
 /// Commands that take a trial, with what else they must have.
 const COMMANDS: &[&[&str]] = &[
     &["trial"],
-    &["simulate", "--forces", "f.npy", "--out-dir", "o"],
-    &["identify", "--records", "r.toml"],
+    &["body", "simulate", "--forces", "f.npy", "--out-dir", "o"],
+    &["lab", "identify", "--records", "r.toml"],
     &["status"],
-    &["bound"],
-    &["casts", "--casts", "1"],
-    &["modes"],
-    &["place"],
-    &["project", "--design", "d.npy", "--out", "o.npy"],
-    &["draw", "--out", "o.svg"],
+    &["body", "bound"],
+    &["body", "casts", "--casts", "1"],
+    &["body", "modes"],
+    &["body", "place"],
+    &["body", "project", "--design", "d.npy", "--out", "o.npy"],
+    &["body", "draw", "--out", "o.svg"],
     &["export", "--format", "npz", "--out", "o"],
-    &["evaluate", "--records", "initial=r.toml"],
+    &["lab", "evaluate", "--records", "initial=r.toml"],
 ];
 
 #[test]
@@ -34,7 +34,7 @@ fn a_trial_is_named_in_one_way_by_all_commands() {
     // No name of a trial, or one of both.
     for (name, why) in [("zz", "no trial begins so"), ("", "several trials begin so: ")] {
         for command in COMMANDS.iter().chain([&["report"][..]].iter()) {
-            let calls = [(db, vec![db, name]), ("tiny.toml", vec!["tiny.toml", "--hash", name])];
+            let calls = [(db, vec![db, name]), ("tiny.toml", vec!["tiny.toml", name])];
             for (source, call) in calls.into_iter().filter(|call| call.0 == db || command[0] != "report") {
                 let output = bench.metasense(&[command, &call[..]].concat());
                 let said = String::from_utf8_lossy(&output.stderr);
@@ -51,8 +51,8 @@ fn a_trial_is_named_in_one_way_by_all_commands() {
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(said.contains(&format!("trial {typed}: no trial begins so; the nearest is {b}")), "{said}");
     // The same trial by either.
-    let of_spec = ["tiny.toml", "--hash", a];
-    for command in [&["modes", "--format", "csv"][..], &["draw", "--out", "o.svg"]] {
+    let of_spec = ["tiny.toml", a];
+    for command in [&["body", "modes", "--format", "csv"][..], &["body", "draw", "--out", "o.svg"]] {
         let answers = [&of_spec[..], &[db, a]].map(|name| {
             let out = bench.output(&[command, name].concat());
             (out, std::fs::read(bench.path("o.svg")).ok())
@@ -71,9 +71,9 @@ fn a_trial_is_named_in_one_way_by_all_commands() {
     let optimised = export(&of_spec);
     assert_eq!(optimised, export(&[db, a]));
     // The optimised body of a finished trial is another than the initial one.
-    let modes = |body: &str| bench.output(&["modes", db, a, "--body", body, "--format", "csv"]);
+    let modes = |body: &str| bench.output(&["body", "modes", db, a, "--design", body, "--format", "csv"]);
     assert!(modes("optimised") != modes("initial"));
-    let refused = bench.metasense(&["modes", "tiny.toml", "--body", "optimised"]);
+    let refused = bench.metasense(&["body", "modes", "tiny.toml", "--design", "optimised"]);
     assert_eq!(refused.status.code(), Some(2));
 }
 
@@ -87,12 +87,12 @@ fn changes_are_in_the_hash_as_if_written() {
     let changed = ["tiny.toml", "optimise.iterations=3", "sweep.sensors=[1]"];
     let hash = hashes(&bench, &changed);
     assert_eq!(hash, hashes(&bench, &["edited.toml"]));
-    let scripts = bench.output(&[&["submit", "slurm", "--dry-run"], &changed[..]].concat());
+    let scripts = bench.output(&[&["cluster", "submit", "slurm", "--dry-run"], &changed[..]].concat());
     assert!(scripts.contains("tiny.shards/spec.toml --shard"), "{scripts}");
     bench.output(&[&["run"], &changed[..]].concat());
     let again = bench.metasense(&[&["run"], &changed[..]].concat());
     assert!(String::from_utf8_lossy(&again.stderr).contains("nothing left to do"), "{again:?}");
-    let status = bench.metasense(&[&["status"], &changed[..], &["--hash", &hash[0][..6]]].concat());
+    let status = bench.metasense(&[&["status"], &changed[..], &[&hash[0][..6]]].concat());
     assert!(String::from_utf8_lossy(&status.stderr).contains(&format!("trial {}: done", hash[0])));
     let text = bench.output(&["query", "results/tiny.sqlite", "SELECT text FROM sweep", "--format", "json"]);
     assert!(text.contains("iterations = 3"), "{text}");

@@ -18,14 +18,16 @@ fn refused(bench: &Bench, args: &[&str], expected: &str) {
 fn a_body_rings() {
     let bench = Bench::new();
     bench.file("s.toml", TINY);
-    let modes =
-        json(&bench.output(&["modes", "s.toml", "--count", "5", "--out", "m.svg", "--format", "json"]));
+    let modes = json(
+        &bench.output(&["body", "modes", "s.toml", "--count", "5", "--out", "m.svg", "--format", "json"]),
+    );
     let of = |key: &str| modes.iter().map(|mode| mode[key].as_f64().unwrap()).collect::<Vec<_>>();
     assert!(modes.len() == 5 && of("frequency").is_sorted() && of("frequency")[0] > 5.0, "{modes:?}");
     assert!(of("damping_ratio").iter().all(|ratio| (0.005..0.5).contains(ratio)), "{modes:?}");
     let svg = std::fs::read_to_string(bench.path("m.svg")).unwrap();
     assert_eq!(svg.matches("<polygon class=\"unit s").count(), 5 * 16);
-    let asked = ["modes", "s.toml", "--count", "5", "--response", "9", "--out", "r.svg", "--format", "json"];
+    let asked =
+        ["body", "modes", "s.toml", "--count", "5", "--response", "9", "--out", "r.svg", "--format", "json"];
     let responses = json(&bench.output(&asked));
     assert_eq!(responses.len(), 2 * 200);
     let first = responses.iter().filter(|row| row["panel"] == 0);
@@ -34,21 +36,21 @@ fn a_body_rings() {
     assert!(of("frequency").iter().any(|f| (f / most - 1.0).abs() < 0.1), "{most} {modes:?}");
     assert!(std::fs::read_to_string(bench.path("r.svg")).unwrap().contains("panel 1"));
 
-    let free = ["modes", "s.toml", "body.damping_ratio=0.0", "--count", "45", "--format", "json"];
+    let free = ["body", "modes", "s.toml", "body.damping_ratio=0.0", "--count", "45", "--format", "json"];
     let undamped = json(&bench.output(&free));
     assert!(
         undamped.iter().all(|mode| mode["damping_ratio"] == 0.0 && mode["decay_time"].is_null()),
         "{undamped:?}"
     );
 
-    refused(&bench, &["modes", "s.toml", "--response", "16"], "--response 16: ");
-    refused(&bench, &["modes", "s.toml", "--response", "0"], "unit 0: it is held");
-    refused(&bench, &["modes", "s.toml", "--hash", "zz"], "trial zz: no trial begins so");
+    refused(&bench, &["body", "modes", "s.toml", "--response", "16"], "--response 16: ");
+    refused(&bench, &["body", "modes", "s.toml", "--response", "0"], "unit 0: it is held");
+    refused(&bench, &["body", "modes", "s.toml", "zz"], "trial zz: no trial begins so");
     bench.file("loose.toml", &TINY.replacen("[time]", "clamp = []\n[time]", 1));
-    let loose = json(&bench.output(&["modes", "loose.toml", "--format", "json"]));
+    let loose = json(&bench.output(&["body", "modes", "loose.toml", "--format", "json"]));
     assert!(loose[..3].iter().all(|mode| mode["frequency"] == 0.0), "{loose:?}");
     assert!(loose[3]["frequency"].as_f64().unwrap() > 0.0);
-    refused(&bench, &["modes", "loose.toml", "body.damping_ratio=0.0"], "meets no stiffness");
+    refused(&bench, &["body", "modes", "loose.toml", "body.damping_ratio=0.0"], "meets no stiffness");
 }
 
 /// Every trial says what a linear model leaves of its signals; bounds of its two bodies stand beside what brains have achieved, an
@@ -70,7 +72,7 @@ fn a_finished_trial_stands_beside_its_bounds() {
     let answer = json(&bench.output(&asked));
     assert!(answer.len() == 8 && answer[0]["nonlinear"].as_f64() == Some(share("a")), "{answer:?}");
 
-    let own = ["bound", "s.toml", "--samples", "2", "--format", "json"];
+    let own = ["body", "bound", "s.toml", "--samples", "2", "--format", "json"];
     let alone = json(&bench.output(&own));
     let beside = json(&bench.output(&[&own[..], &["--db", "results/tiny.sqlite"]].concat()));
     let find = |rows: &[Value], body: &str, by: &str| {
@@ -103,6 +105,7 @@ fn a_finished_trial_stands_beside_its_bounds() {
     );
 
     let why = json(&bench.output(&[
+        "body",
         "operator",
         "results/tiny.sqlite",
         "--out",
@@ -110,7 +113,8 @@ fn a_finished_trial_stands_beside_its_bounds() {
         "--format",
         "json",
     ]));
-    let rows = json(&bench.output(&["operator", "results/tiny.sqlite", "--rows", "--format", "json"]));
+    let rows =
+        json(&bench.output(&["body", "operator", "results/tiny.sqlite", "--rows", "--format", "json"]));
     assert!(
         why.len() == 12
             && rows.len() == 4
@@ -129,20 +133,28 @@ fn a_finished_trial_stands_beside_its_bounds() {
         assert!(number(row, "bits") > 0.0 && number(row, "memory") > 0.0, "{row:?}");
         assert!((1.0..=96.0).contains(&number(row, "modes")), "{row:?}");
     }
-    refused(&bench, &["operator", "s.toml"], "s.toml");
+    refused(&bench, &["body", "operator", "s.toml"], "s.toml");
 
     bench.file("silent.toml", TINY);
-    refused(&bench, &["bound", "silent.toml"], "sensors.noise");
-    refused(&bench, &["bound", "silent.toml", "--db", "results/tiny.sqlite"], "no trial with the scene");
-    refused(&bench, &["bound", "s.toml", "--noise", "0"], "must be above 0");
+    refused(&bench, &["body", "bound", "silent.toml"], "sensors.noise");
+    refused(
+        &bench,
+        &["body", "bound", "silent.toml", "--db", "results/tiny.sqlite"],
+        "no trial with the scene",
+    );
+    refused(&bench, &["body", "bound", "s.toml", "--noise", "0"], "must be above 0");
     // noise below what f64 tells apart, a prior of one sample, no force at all: an answer or a name
-    let exact = bench.metasense(&["bound", "s.toml", "--noise", "1e-300", "--samples", "1"]);
+    let exact = bench.metasense(&["body", "bound", "s.toml", "--noise", "1e-300", "--samples", "1"]);
     assert!(matches!(exact.status.code(), Some(0 | 2)), "{}", String::from_utf8_lossy(&exact.stderr));
-    let one = ["bound", "s.toml", "stimuli.samples=3", "stimuli.test=2"];
+    let one = ["body", "bound", "s.toml", "stimuli.samples=3", "stimuli.test=2"];
     refused(&bench, &one, "stimuli.samples: there must be two training samples");
     let late = "stimuli.onset=[0.1999, 1000.0]";
-    for command in ["bound", "place", "trial"] {
-        refused(&bench, &[command, "s.toml", late], "no training sample has a force");
+    for command in ["body bound", "body place", "trial"] {
+        refused(
+            &bench,
+            &[command.split(' ').collect(), vec!["s.toml", late]].concat(),
+            "no training sample has a force",
+        );
     }
     refused(
         &bench,
@@ -202,7 +214,7 @@ fn a_press_is_an_axis() {
     bench.file("cast.toml", &linear);
     bench.file("pressed.toml", &linear.replacen("[time]", "compression = [0.05, 0.0]\n[time]", 1));
     let slowest = ["cast.toml", "pressed.toml"].map(|spec| {
-        let modes = json(&bench.output(&["modes", spec, "--count", "1", "--format", "json"]));
+        let modes = json(&bench.output(&["body", "modes", spec, "--count", "1", "--format", "json"]));
         modes[0]["frequency"].as_f64().unwrap()
     });
     assert!((slowest[0] / slowest[1] - 1.0).abs() > 1e-2, "{slowest:?}");
@@ -245,7 +257,7 @@ fn motion_that_no_step_resolves_is_warned_of() {
         &["status", db, hash],
         &["analyse", db, "--question", "seconds"],
         &["export", db, hash, "--format", "npy", "--out", "d.npy"],
-        &["simulate", "s.toml", "--forces", "f.npy", "--out-dir", "a"],
+        &["body", "simulate", "s.toml", "--forces", "f.npy", "--out-dir", "a"],
     ] {
         assert_eq!(said(shown), 1, "{shown:?}");
     }

@@ -35,6 +35,7 @@ mod reach;
 mod references;
 mod run;
 mod serve;
+mod setup;
 mod shards;
 mod shortages;
 mod simulate;

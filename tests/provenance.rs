@@ -107,7 +107,7 @@ async fn trials_of_a_file_that_has_changed_stay() {
     let drawn = |seed: u32| {
         let random = TINY.replace("columns = 4", &format!("design = {{ random = {seed} }}\ncolumns = 4"));
         bench.file("random.toml", &random);
-        bench.output(&["draw", "random.toml", "--out", "a.svg", "--design-out", "a.npy"]);
+        bench.output(&["body", "draw", "random.toml", "--out", "a.svg", "--design-out", "a.npy"]);
     };
     let text = TINY.replace("columns = 4", "design = \"a.npy\"\ncolumns = 4").replace("[1, 2]", "[1]");
     bench.file("s.toml", &text);
@@ -198,15 +198,14 @@ fn status_names_the_keys_by_which_a_trial_is_another() {
         rows.lines().nth(1).unwrap().split(',').next().unwrap().to_owned()
     };
     let hash = expanded("tiny.toml");
-    let own = said(&bench, &["status", "tiny.toml", "--hash", &hash]);
+    let own = said(&bench, &["status", "tiny.toml", &hash]);
     assert!(own.contains(&format!("trial {hash}: done")) && own.contains(provenance::code()), "{own}");
     bench.file(
         "other.toml",
         &TINY.replace("iterations = 4", "iterations = 5").replace("batch = 4", "batch = 3"),
     );
     let other = expanded("other.toml");
-    let why =
-        ["status", "other.toml", "--hash", &other[..8], "--db", "results/tiny.sqlite", "--format", "csv"];
+    let why = ["status", "other.toml", &other[..8], "--db", "results/tiny.sqlite", "--format", "csv"];
     assert_eq!(bench.output(&why), "key,here,nearest\noptimise.batch,3,4\noptimise.iterations,5,4\n");
     let said = said(&bench, &why);
     let told = [&*other, "is not in", &hash, "2 keys differ", provenance::code(), "rustc 1.", "4 steps"];

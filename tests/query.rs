@@ -114,7 +114,7 @@ async fn what_is_read_and_what_was_there_stay() {
         (&["query", "s.sqlite", "SELECT 1", "--out", "other.sqlite"], "it is a database"),
         (&["report", "s.sqlite", "--out", "./s.sqlite"], "is what `report` reads"),
         (&["report", "s.sqlite", "--out", "other.sqlite"], "it is a database"),
-        (&["draw", "s.toml", "--out", "s.toml"], "is what `draw` reads"),
+        (&["body", "draw", "s.toml", "--out", "s.toml"], "is what `draw` reads"),
         (&["query", "s.sqlite", "SELECT FROM", "--format", "csv", "--out", "rows.csv"], "syntax error"),
     ] {
         let output = bench.metasense(words);
@@ -193,7 +193,7 @@ async fn one_statement_is_answered_and_none_panics() {
     for (words, why) in [
         (&["export", "s.sqlite", "v_trial", "abc", "--format", "csv", "--out", "x"][..], "v_trial is a view"),
         (&["analyse", "s.sqlite", "--compare", "s.sqlite", "--fall", "0.5"], "cannot be used with"),
-        (&["status", "--cluster", "s.shards", "more"], "cannot be used with"),
+        (&["status", "--folder", "s.shards", "more"], "cannot be used with"),
     ] {
         let output = bench.metasense(words);
         let said = String::from_utf8_lossy(&output.stderr);

@@ -98,21 +98,21 @@ fn four() -> String {
     TINY.to_owned() + "seeds = [1, 2]\n"
 }
 
-const SUBMIT: &str = "submit slurm tiny.toml --shards 4";
+const SUBMIT: &str = "cluster submit slurm tiny.toml --shards 4";
 
 /// With several clusters a job's number is one of its cluster: there it is asked for, and the merge waits for it.
 #[test]
 fn jobs_are_known_on_their_cluster() {
     let site = Site::new(&four());
     site.0.file("cluster", ";gpu");
-    let submit = "submit slurm tiny.toml --shards 2 -- --clusters=cpu,gpu";
+    let submit = "cluster submit slurm tiny.toml --shards 2 -- --clusters=cpu,gpu";
     site.says(0, submit);
     let calls = site.calls();
     assert!(
         calls[1].contains("--dependency=afterany:101") && calls[1].contains("--clusters=gpu"),
         "{calls:?}"
     );
-    for said in [site.says(0, submit), site.says(0, "status --cluster results/tiny.shards")] {
+    for said in [site.says(0, submit), site.says(0, "status --folder results/tiny.shards")] {
         assert!(said.contains("shards 1-2") || said.contains("2 in the queue"), "{said}");
     }
     assert_eq!(site.calls(), calls, "nothing is submitted again");
@@ -152,7 +152,7 @@ fn a_job_whose_number_was_lost_is_not_submitted_again() {
     let site = Site::new(&four());
     site.0.file("kill", "");
     assert_eq!(site.call(SUBMIT).status.code(), None, "it was killed");
-    assert!(site.says(0, "status --cluster results/tiny.shards").contains("2 in the queue"));
+    assert!(site.says(0, "status --folder results/tiny.shards").contains("2 in the queue"));
     std::fs::remove_file(site.0.path("kill")).unwrap();
     site.says(0, SUBMIT);
     let calls = site.calls();
@@ -161,12 +161,12 @@ fn a_job_whose_number_was_lost_is_not_submitted_again() {
     // the end of a line that was being written then is overlooked, and the next one is whole
     let notes = site.read("results/tiny.shards/jobs.jsonl");
     site.0.file("results/tiny.shards/jobs.jsonl", &(notes + "{\"scheduler\": \"slurm\", \"jo"));
-    for arguments in [SUBMIT, "status --cluster results/tiny.shards", "gc"] {
+    for arguments in [SUBMIT, "status --folder results/tiny.shards", "cluster gc"] {
         site.says(0, arguments);
     }
     assert_eq!(site.calls(), calls);
     site.0.file("results/tiny.shards/jobs.jsonl", "{\"scheduler\": \"slurm\", \"jo\n{}\n");
-    assert!(site.says(3, "status --cluster results/tiny.shards").contains("jobs.jsonl:1"));
+    assert!(site.says(3, "status --folder results/tiny.shards").contains("jobs.jsonl:1"));
 }
 
 /// What the merged database holds is not computed again, by any scheduler; what it does not hold is.
@@ -185,16 +185,16 @@ fn trials_that_are_done_are_left_out() {
     }
     execute(&db, "UPDATE trial SET state = 'done', reason = NULL WHERE id = 1");
     site.0.file("tiny.toml", &four());
-    site.says(0, "submit slurm tiny.toml --shards 1");
+    site.says(0, "cluster submit slurm tiny.toml --shards 1");
     let trials = site.read("results/tiny.shards/shard-1-of-1.trials.jsonl");
     assert_eq!(trials.lines().count(), 2, "{trials}");
     std::fs::remove_dir_all(site.0.path("results/tiny.shards")).unwrap();
-    site.says(0, "submit local tiny.toml --shards 2 --cpus 1");
+    site.says(0, "cluster submit local tiny.toml --shards 2 --cpus 1");
     let attempts =
         site.0.output(&["query", "results/tiny.sqlite", "SELECT attempts FROM v_trial", "--format", "csv"]);
     assert_eq!(attempts, "attempts\n1\n1\n1\n1\n");
     site.0.file("other.sqlite", "notes of mine");
-    site.says(2, "submit slurm tiny.toml --out other.sqlite");
+    site.says(2, "cluster submit slurm tiny.toml --out other.sqlite");
 }
 
 /// Where there is no such scheduler, that is said, and nothing is written; a dry run needs none.
@@ -203,7 +203,7 @@ fn without_a_scheduler_nothing_is_written() {
     for scheduler in ["slurm", "hq"] {
         let site = Site::new(TINY);
         let call = |more: &str| {
-            let arguments = format!("submit {scheduler} tiny.toml --shards 1 {more}");
+            let arguments = format!("cluster submit {scheduler} tiny.toml --shards 1 {more}");
             site.command(env!("CARGO_BIN_EXE_metasense"), &arguments)
                 .env("PATH", "/nowhere")
                 .output()
@@ -224,7 +224,7 @@ fn the_last_shard_of_hyperqueue_merges() {
     let site = Site::new(&four());
     site.program("hq", "case \"$*\" in *task\\ list*) echo '{}';; *) echo \"$@\" >> calls; echo 7;; esac");
     site.0.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
-    site.says(0, "submit hq tiny.toml --shards 2 --cpus 2");
+    site.says(0, "cluster submit hq tiny.toml --shards 2 --cpus 2");
     assert_eq!(site.calls().len(), 1, "{:?}", site.calls());
     for shard in [2, 1] {
         assert!(!site.0.path("results/tiny.sqlite").exists(), "before shard {shard}");
@@ -236,8 +236,8 @@ fn the_last_shard_of_hyperqueue_merges() {
         }
     }
     assert_eq!(results(&site.0, "results/tiny.sqlite"), results(&site.0, "whole.sqlite"));
-    assert!(site.says(0, "submit hq tiny.toml").contains("nothing left to do"));
-    site.says(2, "submit hq tiny.toml -- --pin taskset -- --cpus 1");
+    assert!(site.says(0, "cluster submit hq tiny.toml").contains("nothing left to do"));
+    site.says(2, "cluster submit hq tiny.toml -- --pin taskset -- --cpus 1");
 }
 
 /// A shard on Slurm that is given notice finishes its step, whatever that takes, and queues again; what it had by then has been
@@ -246,7 +246,7 @@ fn the_last_shard_of_hyperqueue_merges() {
 fn a_shard_uses_its_notice_for_the_step_in_progress() {
     let slow = TINY.replace("samples = 8\n", "samples = 12000\n").replace("batch = 4", "batch = 11990");
     let site = Site::new(&slow.replace("[1, 2]", "[1]").replace("test = 2", "test = 8"));
-    site.says(0, "submit slurm tiny.toml --shards 1 --cpus 1");
+    site.says(0, "cluster submit slurm tiny.toml --shards 1 --cpus 1");
     let script = site.read("results/tiny.shards/shard.sh");
     assert!(script.contains("--grace 45") && script.contains("USR1@60"), "{script}");
     let handed_in = || {
@@ -269,7 +269,7 @@ fn a_shard_uses_its_notice_for_the_step_in_progress() {
     assert_eq!(site.0.number(db.to_str().unwrap(), "SELECT count(*) FROM v_step"), 1);
     // a grace of one's own is part of the notice; one that leaves no time is refused
     std::fs::remove_dir_all(site.0.path("results")).unwrap();
-    let dry = site.says(0, "submit slurm tiny.toml run.grace=100.5 --shards 1 --dry-run");
+    let dry = site.says(0, "cluster submit slurm tiny.toml run.grace=100.5 --shards 1 --dry-run");
     assert!(dry.contains("--grace 100.5") && dry.contains("USR1@116"), "{dry}");
-    site.says(2, "submit slurm tiny.toml run.grace=100 --shards 1 --time 1 --dry-run");
+    site.says(2, "cluster submit slurm tiny.toml run.grace=100 --shards 1 --time 1 --dry-run");
 }

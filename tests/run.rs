@@ -83,8 +83,7 @@ fn the_instruction_set_asked_for_is_the_one_used() {
         let sql = "SELECT simd, hash, holdout_error_optimised FROM v_trial";
         let ran = row(&bench.output(&["query", &db, sql, "--format", "json"]));
         let hash = ran["hash"].as_str().unwrap();
-        let alone =
-            row(&bench.output(&["trial", "tiny.toml", "--hash", hash, "--simd", simd, "--format", "json"]));
+        let alone = row(&bench.output(&["trial", "tiny.toml", hash, "--simd", simd, "--format", "json"]));
         assert_eq!([&ran["simd"], &alone["simd"]], [simd, simd]);
         assert_eq!(ran["holdout_error_optimised"], alone["holdout_error_optimised"], "{simd}");
     }
@@ -243,8 +242,7 @@ fn a_trial_in_the_foreground_is_the_trial_of_the_run() {
         "csv",
     ]);
     let hash = hash.lines().nth(1).unwrap();
-    let alone =
-        bench.output(&["trial", "tiny.toml", "--hash", &hash[..8], "--threads", "2", "--format", "csv"]);
+    let alone = bench.output(&["trial", "tiny.toml", &hash[..8], "--threads", "2", "--format", "csv"]);
     let sql = format!(
         "SELECT error_initial, error_optimised, holdout_error_initial, holdout_error_optimised FROM v_trial \
          WHERE hash = '{hash}'"

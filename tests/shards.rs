@@ -38,20 +38,20 @@ fn shards_merged_are_the_sweep() {
     parts.sort();
     assert_eq!(parts, all);
 
-    bench.output(&["merge", "s3.sqlite", "s1.sqlite", "--out", "merged.sqlite"]);
+    bench.output(&["cluster", "merge", "s3.sqlite", "s1.sqlite", "--out", "merged.sqlite"]);
     // Of databases that lie with their assignment, a merge knows what nobody has begun.
     let listed = bench.output(&["expand", "tiny.toml", "--format", "csv", "--shard", "2/3"]);
     let second: Vec<&str> = listed.lines().skip(1).map(|line| &line[..16]).collect();
     let hashes: String = all.iter().map(|line| format!("{},1\n", line.split(',').next().unwrap())).collect();
     bench.file("assignment-of-3.csv", &format!("hash,shard\n{hashes}"));
-    let said = bench.metasense(&["merge", "s1.sqlite", "--out", "merged.sqlite"]);
+    let said = bench.metasense(&["cluster", "merge", "s1.sqlite", "--out", "merged.sqlite"]);
     let said = String::from_utf8_lossy(&said.stderr).into_owned();
     assert!(said.contains(&format!("never begun: {} trial", second.len())), "{said}");
     assert!(second.iter().all(|hash| said.contains(&hash[..8])), "{said}");
     bench.output(&["run", "tiny.toml", "--db", "merged.sqlite"]);
     assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));
     // The trials of the missing shard have been done twice now, with the same bits.
-    let said = bench.metasense(&["merge", "merged.sqlite", "s2.sqlite", "--out", "merged.sqlite"]);
+    let said = bench.metasense(&["cluster", "merge", "merged.sqlite", "s2.sqlite", "--out", "merged.sqlite"]);
     let said = String::from_utf8_lossy(&said.stderr).into_owned();
     assert!(said.contains("4 trials from 2 databases"), "{said}");
     assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));
@@ -73,7 +73,7 @@ fn a_folder_of_shards_answers_questions_without_a_merge() {
     bench.file("tiny.toml", &four());
     bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
     let run = |shard: &str| {
-        bench.output(&["run", "tiny.toml", "--shard", shard, "--copy-to", "s.shards"]);
+        bench.output(&["run", "tiny.toml", "--shard", shard, "--folder", "s.shards"]);
     };
     let refused = bench.metasense(&["query", "s.shards", "SELECT 1"]);
     assert_eq!(refused.status.code(), Some(2), "{refused:?}");
@@ -121,9 +121,9 @@ fn a_folder_of_shards_answers_questions_without_a_merge() {
     assert_eq!(facts(), made, "written again with nothing new");
 
     // The whole merge of a folder takes no facts for a shard; without the files the rest of a trial is nowhere.
-    bench.output(&["merge", "s.shards", "--out", "merged.sqlite"]);
+    bench.output(&["cluster", "merge", "s.shards", "--out", "merged.sqlite"]);
     assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));
-    bench.output(&["merge", "s.shards", "--facts", "--out", "facts.sqlite"]);
+    bench.output(&["cluster", "merge", "s.shards", "--facts", "--out", "facts.sqlite"]);
     std::fs::remove_dir_all(bench.path("s.shards")).unwrap();
     let gone = bench.metasense(&["export", "facts.sqlite", hash, "--format", "npy", "--out", "gone.npy"]);
     let said = String::from_utf8_lossy(&gone.stderr).into_owned();
@@ -160,7 +160,7 @@ fn start(bench: &Bench, node: &str) -> Child {
             "tiny.toml",
             "--shard",
             "1/1",
-            "--copy-to",
+            "--folder",
             "out",
             "--copy-every",
             "1",
@@ -247,14 +247,14 @@ fn a_shard_goes_on_on_another_node() {
     // The last one holds all that the earlier two have handed in.
     assert_eq!(attempts().len(), 1, "{:?}", attempts());
     assert_eq!(results(&bench, &handed_in()), results(&bench, "whole.sqlite"));
-    bench.output(&["merge", "out", "--out", "merged.sqlite"]);
+    bench.output(&["cluster", "merge", "out", "--out", "merged.sqlite"]);
     assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));
     let outcomes = "SELECT count(*) FROM v_run WHERE outcome IN ('interrupted', 'complete')";
     assert_eq!(number(&bench, &handed_in(), outcomes), 2);
 
     // A spec that has changed since it was submitted is not run.
     bench.file("out/spec.toml", &tiny.replace("[1, 2]", "[1]"));
-    let refused = bench.metasense(&["run", "tiny.toml", "--shard", "1/1", "--copy-to", "out"]);
+    let refused = bench.metasense(&["run", "tiny.toml", "--shard", "1/1", "--folder", "out"]);
     let said = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(refused.status.code() == Some(2) && said.contains("has changed since"), "{said}");
 }
@@ -277,7 +277,7 @@ fn an_attempt_waits_for_one_that_ends_on_its_node() {
     signal(&first, libc::SIGTERM);
     signal(&first, libc::SIGCONT);
     assert_eq!((wait(&mut first), wait(&mut second)), (Some(4), Some(0)), "{}", log());
-    bench.output(&["merge", "out", "--out", "merged.sqlite"]);
+    bench.output(&["cluster", "merge", "out", "--out", "merged.sqlite"]);
     assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));
 }
 
@@ -314,7 +314,8 @@ fn kills_at_random_moments_lose_nothing_that_was_handed_in() {
             let last = names.filter(|name| name.starts_with("shard-1") && name.ends_with(".sqlite")).max();
             last.map_or(0, |name| number(&bench, &format!("out/{name}"), "SELECT count(*) FROM v_step"))
         };
-        let (merge, gc) = (["merge", "out", "--out", "merged.sqlite"], ["gc", ".", "--yes"]);
+        let (merge, gc) =
+            (["cluster", "merge", "out", "--out", "merged.sqlite"], ["cluster", "gc", ".", "--yes"]);
         for round in 0.. {
             let node = format!("node{}", round % 2);
             let before = handed_in();
@@ -341,7 +342,7 @@ fn kills_at_random_moments_lose_nothing_that_was_handed_in() {
         let left = std::fs::read_dir(bench.path("")).unwrap().flatten();
         let left: Vec<_> = left.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
         assert!(!left.iter().any(|name| name.contains(".merge-") || name.ends_with(".tmp")), "{left:?}");
-        bench.output(&["merge", "out", "--out", "again.sqlite"]);
+        bench.output(&["cluster", "merge", "out", "--out", "again.sqlite"]);
         assert_eq!(results(&bench, "again.sqlite"), results(&bench, "whole.sqlite"));
         assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));
     }

@@ -100,13 +100,13 @@ fn disks_without_room_are_named_before_the_first_worker_starts() {
     refused(&bench, &call("-o nr_inodes=20 tmpfs /dev/shm", run), "df -i");
     refused(
         &bench,
-        &call("-o nr_inodes=4 tmpfs results", "run tiny.toml --shard 1/2 --copy-to results/s"),
+        &call("-o nr_inodes=4 tmpfs results", "run tiny.toml --shard 1/2 --folder results/s"),
         "df -i",
     );
-    let submitted = call("-o noexec tmpfs results", "submit local tiny.toml --shards 2 --cpus 1");
+    let submitted = call("-o noexec tmpfs results", "cluster submit local tiny.toml --shards 2 --cpus 1");
     assert_eq!(submitted.status.code(), Some(2), "{}", said(&submitted));
     assert!(
-        said(&submitted).contains("noexec") && said(&submitted).contains("--out-dir"),
+        said(&submitted).contains("noexec") && said(&submitted).contains("--folder"),
         "{}",
         said(&submitted)
     );

@@ -12,7 +12,7 @@ fn a_body_is_simulated_under_given_forces() {
     let at = lines.next().and_then(|mut names| names.position(|name| name == "hash")).unwrap();
     let hash = lines.next().and_then(|mut row| row.nth(at)).unwrap();
     let simulate = |out: &str, more: &[&str]| {
-        let call = [&["simulate", "s.toml", "--hash", hash, "--out-dir", out], more].concat();
+        let call = [&["body", "simulate", "s.toml", hash, "--out-dir", out], more].concat();
         bench.output(&call)
     };
     let force = |s: f64, k: usize| 0.3 * (std::f64::consts::PI * s * (1.0 + k as f64)).sin().powi(2);
@@ -69,11 +69,11 @@ fn a_body_is_simulated_under_given_forces() {
     // a unit turned inside out is no body, and a design beyond the limits comes with a warning
     let design: Vec<f64> = (0..168).map(|i| 20.0 * (1.7 * i as f64).sin()).collect();
     bench.write_array("inside.npy", &[168], &design);
-    let call = ["simulate", "s.toml", "--hash", hash, "--out-dir", "i", "--forces", "f.npy", "--design"];
+    let call = ["body", "simulate", "s.toml", hash, "--out-dir", "i", "--forces", "f.npy", "--design"];
     let refused = bench.metasense(&[&call[..], &["inside.npy"]].concat());
     let said = String::from_utf8_lossy(&refused.stderr);
     assert!(refused.status.code() == Some(2) && said.contains("unit ") && said.contains("mm²"), "{said}");
-    bench.output(&["draw", "s.toml", "--out", "d.svg", "--design-out", "own.npy"]);
+    bench.output(&["body", "draw", "s.toml", "--out", "d.svg", "--design-out", "own.npy"]);
     let (_, mut close) = bench.array("own.npy");
     close[84] += 8.0;
     bench.write_array("close.npy", &[168], &close);
@@ -82,7 +82,7 @@ fn a_body_is_simulated_under_given_forces() {
     assert!(warned.status.success() && said.contains("warning") && said.contains("close.npy"), "{said}");
 
     bench.write_array("short.npy", &[1, 2, 200], &knots[..400]);
-    let call = ["simulate", "s.toml", "--hash", hash, "--out-dir", "e", "--forces", "short.npy"];
+    let call = ["body", "simulate", "s.toml", hash, "--out-dir", "e", "--forces", "short.npy"];
     let refused = bench.metasense(&call);
     let said = String::from_utf8_lossy(&refused.stderr);
     assert!(refused.status.code() == Some(2) && said.contains("(N, 2, 201)"), "{said}");

@@ -96,7 +96,7 @@ fn shard_process(folder: &Path) -> Option<i32> {
     std::fs::read_dir("/proc").unwrap().flatten().find_map(|entry| {
         let pid: i32 = entry.file_name().to_str()?.parse().ok()?;
         let command = std::fs::read_to_string(entry.path().join("cmdline")).ok()?;
-        (command.contains("--copy-to") && command.contains(&folder)).then_some(pid)
+        (command.contains("--folder") && command.contains(&folder)).then_some(pid)
     })
 }
 
@@ -107,10 +107,10 @@ fn a_sweep_in_shards_is_the_sweep() {
     std::fs::write(site.home.join("tiny.toml"), spec("tiny", 4, "[1, 2, 3, 4]")).unwrap();
     site.says(0, "run tiny.toml --db whole.sqlite");
     site.slurm.tool("scontrol", "update nodename=n2 state=drain reason=test");
-    let said = site.says(0, "submit slurm tiny.toml --shards 2 --cpus 1 --time 5 --partition main");
+    let said = site.says(0, "cluster submit slurm tiny.toml --shards 2 --cpus 1 --time 5 --partition main");
     assert!(said.contains("4 trials in 2 shards") && said.contains("submitted: job"), "{said}");
     site.slurm.until("the first shard is handed in", 60, || site.handed_in("tiny", 1).is_some());
-    let early = site.says(0, "merge results/tiny.shards --out early.sqlite");
+    let early = site.says(0, "cluster merge results/tiny.shards --out early.sqlite");
     assert!(early.contains("no database of 1 of its 2 shards: 2"), "{early}");
     site.slurm.tool("scontrol", "update nodename=n2 state=resume");
     site.slurm.until_empty(90);
@@ -120,9 +120,9 @@ fn a_sweep_in_shards_is_the_sweep() {
         "{}",
         site.read("results/tiny.shards/merge.out")
     );
-    let status = site.says(0, "status --cluster");
+    let status = site.says(0, "status --folder");
     assert!(status.contains("2 of 2 shards complete, 0 in the queue"), "{status}");
-    assert!(site.says(0, "submit slurm tiny.toml").contains("nothing left to do"));
+    assert!(site.says(0, "cluster submit slurm tiny.toml").contains("nothing left to do"));
     let jobs = "SELECT count(*) FROM v_run WHERE job LIKE 'slurm %\\__' ESCAPE '\\' AND outcome = 'complete'";
     assert_eq!(site.rows("results/tiny.sqlite", jobs), "2");
     assert_eq!(site.slurm.tool("ls", &site.home.parent().unwrap().join("tmp").display().to_string()), "");
@@ -135,13 +135,14 @@ fn a_search_in_jobs_is_the_search() {
     let text = spec("tiny", 24, "[1]") + "placements = 2\n[goal]\nerror = 1e6\n";
     std::fs::write(site.home.join("tiny.toml"), text).unwrap();
     site.says(0, "design tiny.toml --db whole.sqlite");
-    let said = site.says(0, "submit slurm tiny.toml --design --shards 2 --cpus 1 --time 5 --partition main");
+    let said =
+        site.says(0, "cluster submit slurm tiny.toml --goal --shards 2 --cpus 1 --time 5 --partition main");
     assert!(
         said.contains("submitted: job") && said.contains("the cheapest design that meets 1e6 %"),
         "{said}"
     );
     assert_eq!(site.results("results/tiny.sqlite"), site.results("whole.sqlite"));
-    let again = site.says(0, "submit slurm tiny.toml --design");
+    let again = site.says(0, "cluster submit slurm tiny.toml --goal");
     assert!(!again.contains("submitted: job") && again.contains("the cheapest design"), "{again}");
 }
 
@@ -153,7 +154,8 @@ fn arrays_are_cut_and_throttled() {
     site.says(0, "run tiny.toml --db whole.sqlite --simd baseline");
     let options =
         "--at-most 1 --prefix env --run=--simd=baseline -- --mem=100M -- --mem=50M --comment=behind";
-    let said = site.says(0, &format!("submit slurm tiny.toml --shards 4 --cpus 1 --time 5 {options}"));
+    let said =
+        site.says(0, &format!("cluster submit slurm tiny.toml --shards 4 --cpus 1 --time 5 {options}"));
     assert!(said.contains("shards 1-2") && said.contains("shards 3-4"), "{said}");
     let jobs = site.slurm.tool("scontrol", "show job");
     let merge = jobs.split("JobId=").find(|job| job.contains("Comment=behind")).expect("the merge is a job");
@@ -165,7 +167,7 @@ fn arrays_are_cut_and_throttled() {
     site.slurm.until_empty(120);
     assert_eq!(site.results("results/tiny.sqlite"), site.results("whole.sqlite"));
     assert_eq!(site.rows("results/tiny.sqlite", "SELECT DISTINCT simd FROM v_trial"), "baseline");
-    let status = site.says(0, "status --cluster");
+    let status = site.says(0, "status --folder");
     assert!(status.contains("4 of 4 shards complete"), "{status}");
     let outputs =
         ["shard-2-of-4.out", "shard-2+2-of-4.out"].map(|name| format!("results/tiny.shards/{name}"));
@@ -179,21 +181,21 @@ fn a_shard_that_is_killed_or_requeued_goes_on() {
     std::fs::write(site.home.join("slow.toml"), spec("slow", 600, "[1]")).unwrap();
     site.says(0, "run slow.toml --db whole.sqlite");
     let log = "results/slow.shards/shard-1-of-1.log";
-    site.says(0, "submit slurm slow.toml --shards 1 --cpus 1 --time 5");
+    site.says(0, "cluster submit slurm slow.toml --shards 1 --cpus 1 --time 5");
     site.until_running(log, 1);
     let pid = shard_process(&site.home.join("results/slow.shards")).expect("the shard is a process");
     // SAFETY: sends a signal to a process that this test has had started.
     unsafe { libc::kill(pid, libc::SIGKILL) };
     site.slurm.until_empty(60);
-    let status = site.says(0, "status --cluster results/slow.shards");
+    let status = site.says(0, "status --folder results/slow.shards");
     assert!(
-        status.contains("0 of 1 shards complete") && status.contains("`metasense submit` goes on"),
+        status.contains("0 of 1 shards complete") && status.contains("`metasense cluster submit` goes on"),
         "{status}"
     );
 
-    site.says(0, "submit slurm slow.toml --cpus 1 --time 5");
+    site.says(0, "cluster submit slurm slow.toml --cpus 1 --time 5");
     site.until_running(log, 2);
-    let again = site.says(0, "submit slurm slow.toml --cpus 1 --time 5");
+    let again = site.says(0, "cluster submit slurm slow.toml --cpus 1 --time 5");
     assert!(again.contains("left out: shards 1") && again.contains("nothing to submit"), "{again}");
     let job = site.slurm.tool("squeue", "-h -t running -o %A").trim().to_owned();
     site.slurm.tool("scontrol", &format!("requeue {job}"));
@@ -203,7 +205,7 @@ fn a_shard_that_is_killed_or_requeued_goes_on() {
     });
     // pending, and for a moment completing, too
     site.slurm.until("status says so", 60, || {
-        site.says(0, "status --cluster results/slow.shards").contains("pending")
+        site.says(0, "status --folder results/slow.shards").contains("pending")
     });
     let interrupted = "SELECT outcome FROM v_run ORDER BY started_at DESC LIMIT 1";
     assert_eq!(site.rows(&site.handed_in("slow", 1).unwrap(), interrupted), "interrupted");
@@ -214,7 +216,7 @@ fn a_shard_that_is_killed_or_requeued_goes_on() {
     site.slurm.tool("scontrol", &format!("update jobid={id} starttime=now"));
     site.slurm.until_empty(90);
     // now and then Slurm takes the requeue for the end that the job of the merge waits for: merged again, nothing is missing
-    site.says(0, "merge results/slow.shards --out results/slow.sqlite");
+    site.says(0, "cluster merge results/slow.shards --out results/slow.sqlite");
     assert_eq!(site.results("results/slow.sqlite"), site.results("whole.sqlite"));
     let runs =
         "SELECT group_concat(coalesce(outcome, 'lost')) FROM (SELECT outcome FROM v_run ORDER BY started_at)";
@@ -232,12 +234,12 @@ fn a_shard_queues_again_at_its_time_limit_and_not_when_it_is_cancelled() {
     let folder = "$(touch${IFS}pwned)#'%d.shards";
     site.says(
         0,
-        &format!("submit slurm long.toml --shards 1 --cpus 1 --time 1 --out-dir {folder} -- --mem=0"),
+        &format!("cluster submit slurm long.toml --shards 1 --cpus 1 --time 1 --folder {folder} -- --mem=0"),
     );
     let waits = || site.slurm.tool("squeue", "-h -r -t pending -o %r").contains("BeginTime");
     site.slurm.until("the shard waits again", 100, waits);
     assert!(site.home.join(folder).join("shard-1-of-1.out").exists() && !site.home.join("pwned").exists());
-    site.says(0, &format!("merge {folder} --out early.sqlite"));
+    site.says(0, &format!("cluster merge {folder} --out early.sqlite"));
     let outcome = "SELECT outcome, shards, estimated_seconds > 0 FROM v_run";
     assert_eq!(site.rows("early.sqlite", outcome), "interrupted,1,1");
     assert_ne!(site.rows("early.sqlite", "SELECT count(*) FROM v_step"), "0");
@@ -250,9 +252,9 @@ fn a_shard_queues_again_at_its_time_limit_and_not_when_it_is_cancelled() {
     site.until_running(&format!("{folder}/shard-1-of-1.log"), 2);
     site.slurm.tool("scancel", &id);
     site.slurm.until_empty(60);
-    let status = site.says(0, &format!("status --cluster {folder}"));
-    assert!(status.contains("partial") && status.contains("`metasense submit` goes on"), "{status}");
-    site.says(0, &format!("merge {folder} --out late.sqlite"));
+    let status = site.says(0, &format!("status --folder {folder}"));
+    assert!(status.contains("partial") && status.contains("`metasense cluster submit` goes on"), "{status}");
+    site.says(0, &format!("cluster merge {folder} --out late.sqlite"));
     let outcomes = "SELECT group_concat(outcome) FROM (SELECT outcome FROM v_run ORDER BY started_at)";
     assert_eq!(site.rows("late.sqlite", outcomes).trim_matches('"'), "interrupted,interrupted");
 }

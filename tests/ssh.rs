@@ -83,7 +83,18 @@ fn shards_by_ssh_are_the_sweep() {
     let scratch = format!("env TMPDIR={}", bench.path("tmp").display());
     let submit = || {
         let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));
-        command.args(["submit", "ssh", "tiny.toml", "--hosts", "hosts", "--shards", "2", "--cpus", "1"]);
+        command.args([
+            "cluster",
+            "submit",
+            "ssh",
+            "tiny.toml",
+            "--hosts",
+            "hosts",
+            "--shards",
+            "2",
+            "--cpus",
+            "1",
+        ]);
         command.args(["--prefix", &scratch, "--", "-F"]).arg(bench.path("ssh.conf"));
         command.current_dir(bench.path("")).stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap()
     };

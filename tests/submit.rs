@@ -10,7 +10,7 @@ use crate::common::{Bench, SPEC, TINY, results};
 /// Without the paths of this machine.
 fn dry_run(bench: &Bench, arguments: &[&str]) -> String {
     bench.file("s.toml", SPEC);
-    let text = bench.output(&[&["submit"], arguments, &["s.toml", "--dry-run"]].concat());
+    let text = bench.output(&[&["cluster", "submit"], arguments, &["s.toml", "--dry-run"]].concat());
     let folder = bench.path("").canonicalize().unwrap();
     assert!(!bench.path("results").exists(), "a dry run writes nothing");
     let text = text.replace(folder.to_str().unwrap(), "/home/user");
@@ -82,7 +82,7 @@ fn hyperqueue_is_handed_shards() {
         assert!(output.status.success(), "{}", said(&output));
         said(&output)
     };
-    call(&["submit", "hq", "s.toml", "--shards", "2", "--", "--pin", "taskset"]);
+    call(&["cluster", "submit", "hq", "s.toml", "--shards", "2", "--", "--pin", "taskset"]);
     let calls = std::fs::read_to_string(bench.path("calls")).unwrap();
     let calls: Vec<&str> = calls.lines().collect();
     assert!(
@@ -92,9 +92,9 @@ fn hyperqueue_is_handed_shards() {
     );
     assert_eq!(calls.len(), 1, "no job waits for others: {calls:?}");
     let queue = "echo '{}'";
-    let again = with_hq(&bench, queue, &["submit", "hq", "s.toml", "--shards", "3"]);
+    let again = with_hq(&bench, queue, &["cluster", "submit", "hq", "s.toml", "--shards", "3"]);
     assert!(again.status.code() == Some(2) && said(&again).contains("holds shards of 2"), "{}", said(&again));
-    let status = call(&["status", "--cluster"]);
+    let status = call(&["status", "--folder"]);
     assert!(status.contains("0 of 2 shards complete"), "{status}");
 }
 
@@ -103,13 +103,14 @@ fn hyperqueue_is_handed_shards() {
 fn what_was_accepted_is_written_down() {
     let bench = Bench::new();
     bench.file("s.toml", SPEC);
-    let output = with_hq(&bench, "echo 7", &["submit", "hq", "s.toml", "--shards", "2"]);
+    let output = with_hq(&bench, "echo 7", &["cluster", "submit", "hq", "s.toml", "--shards", "2"]);
     assert!(output.status.success(), "{}", said(&output));
     let running = r#"echo '{"7": [{"id": 1, "state": "running"}, {"id": 2, "state": "waiting"}]}'"#;
-    let status = with_hq(&bench, running, &["status", "--cluster"]);
+    let status = with_hq(&bench, running, &["status", "--folder"]);
     assert!(said(&status).contains("2 in the queue"), "{}", said(&status));
     std::fs::create_dir_all(bench.path("no/jobs.jsonl")).unwrap();
-    let output = with_hq(&bench, "touch called; echo 8", &["submit", "hq", "s.toml", "--out-dir", "no"]);
+    let output =
+        with_hq(&bench, "touch called; echo 8", &["cluster", "submit", "hq", "s.toml", "--folder", "no"]);
     assert!(output.status.code() == Some(3) && !bench.path("called").exists(), "{}", said(&output));
 }
 
@@ -119,7 +120,11 @@ fn no_part_of_a_folder_is_run() {
     let bench = Bench::new();
     bench.file("s.toml", SPEC);
     let folder = "a $(touch pwned) `touch pwned` 'b' $HOME %d";
-    let output = with_hq(&bench, "echo 7", &["submit", "hq", "s.toml", "--shards", "1", "--out-dir", folder]);
+    let output = with_hq(
+        &bench,
+        "echo 7",
+        &["cluster", "submit", "hq", "s.toml", "--shards", "1", "--folder", folder],
+    );
     assert!(output.status.success(), "{}", said(&output));
     // Damaged, so that the shard ends at once.
     std::fs::write(bench.path(folder).join("shard-1-of-1.trials.jsonl"), "{}\n").unwrap();
@@ -134,7 +139,8 @@ fn no_part_of_a_folder_is_run() {
     let log = std::fs::read_to_string(bench.path(folder).join("shard-1-of-1.out")).unwrap();
     assert!(log.contains("jsonl:1") && !bench.path("pwned").exists(), "{log}");
     for (scheduler, folder) in [("hq", "a\nb"), ("slurm", "a\nb"), ("slurm", "a\"b"), ("slurm", "a\\b")] {
-        let args = ["submit", scheduler, "s.toml", "--shards", "1", "--out-dir", folder, "--dry-run"];
+        let args =
+            ["cluster", "submit", scheduler, "s.toml", "--shards", "1", "--folder", folder, "--dry-run"];
         let output = bench.metasense(&args);
         assert!(output.status.code() == Some(2) && said(&output).contains("folder"), "{}", said(&output));
     }
@@ -154,7 +160,8 @@ fn what_the_queue_still_has_is_left_out() {
     };
     let call = |states: &str, more: &[&str]| {
         let _ = std::fs::remove_file(bench.path("calls"));
-        let output = with_hq(&bench, &tasks(states), &[&["submit", "hq", "s.toml"], more].concat());
+        let output =
+            with_hq(&bench, &tasks(states), &[&["cluster", "submit", "hq", "s.toml"], more].concat());
         assert!(output.status.success(), "{}", said(&output));
         (said(&output), std::fs::read_to_string(bench.path("calls")).unwrap_or_default())
     };
@@ -169,7 +176,7 @@ fn what_the_queue_still_has_is_left_out() {
     assert!(message.contains("left out: shards 1-2") && message.contains("nothing to submit"), "{message}");
     assert_eq!(calls, "");
     for (broken, expected) in [("echo broken >&2; exit 1", "broken"), ("echo 7", "not understood")] {
-        let output = with_hq(&bench, broken, &["submit", "hq", "s.toml"]);
+        let output = with_hq(&bench, broken, &["cluster", "submit", "hq", "s.toml"]);
         assert!(output.status.code() == Some(3) && said(&output).contains(expected), "{}", said(&output));
     }
     // Slurm: a controller that is away, and one that has long forgotten the job.
@@ -178,7 +185,7 @@ fn what_the_queue_still_has_is_left_out() {
     let squeue = |script: &str| {
         let file = bench.file("squeue", script);
         std::fs::set_permissions(file, PermissionsExt::from_mode(0o755)).unwrap();
-        with_hq(&bench, "echo 9", &["submit", "hq", "s.toml"])
+        with_hq(&bench, "echo 9", &["cluster", "submit", "hq", "s.toml"])
     };
     let away =
         squeue("#!/bin/sh\necho 'slurm_load_jobs error: Unable to contact slurm controller' >&2; exit 1\n");
@@ -195,22 +202,22 @@ fn a_submitted_shard_runs_the_trials_that_were_written_down() {
     bench.file("tiny.toml", &(TINY.to_owned() + "seeds = [1, 2]\n"));
     let hq = "case \"$*\" in *task\\ list*) echo '{}';; *) echo 7;; esac";
     let call = |arguments: &[&str]| said(&with_hq(&bench, hq, arguments));
-    call(&["submit", "hq", "tiny.toml", "--shards", "2"]);
+    call(&["cluster", "submit", "hq", "tiny.toml", "--shards", "2"]);
     let folder = "results/tiny.shards";
     let trials = |shard: u32| {
         std::fs::read_to_string(bench.path(&format!("{folder}/shard-{shard}-of-2.trials.jsonl"))).unwrap()
     };
     assert_eq!([trials(1).lines().count(), trials(2).lines().count()], [2, 2]);
     let spec = format!("{folder}/spec.toml");
-    let shard = |shard: &str| bench.metasense(&["run", &spec, "--shard", shard, "--copy-to", folder]);
+    let shard = |shard: &str| bench.metasense(&["run", &spec, "--shard", shard, "--folder", folder]);
     assert!(shard("1/2").status.success());
-    let status = call(&["status", "--cluster"]);
+    let status = call(&["status", "--folder"]);
     assert!(status.contains("1 of 2 shards complete, 0 in the queue"), "{status}");
     let mut hashes: Vec<String> =
         trials(2).lines().map(|line| line.split('"').nth(3).unwrap()[..8].to_owned()).collect();
     hashes.sort();
     assert!(status.contains(&format!("never begun: 2 trials ({})", hashes.join(", "))), "{status}");
-    let early = said(&bench.metasense(&["merge", folder, "--out", "early.sqlite"]));
+    let early = said(&bench.metasense(&["cluster", "merge", folder, "--out", "early.sqlite"]));
     assert!(early.contains("never begun: 2 trials"), "{early}");
     // A line that is not what this program makes of it.
     let file = bench.path(&format!("{folder}/shard-2-of-2.trials.jsonl"));
@@ -223,7 +230,7 @@ fn a_submitted_shard_runs_the_trials_that_were_written_down() {
     );
     std::fs::remove_file(&file).unwrap();
     assert!(shard("2/2").status.success());
-    let status = call(&["status", "--cluster"]);
+    let status = call(&["status", "--folder"]);
     assert!(status.contains("2 of 2 shards complete") && !status.contains("never"), "{status}");
 }
 
@@ -237,15 +244,15 @@ fn failed_trials_are_told_and_run_again_on_request() {
     bench.file("tiny.toml", &text.replace("[sweep]", "[run]\nmemory = 120\n[sweep]"));
     let hq = "case \"$*\" in *task\\ list*) echo '{}';; *) echo \"$@\" >> calls; echo 7;; esac";
     let call = |arguments: &[&str]| said(&with_hq(&bench, hq, arguments));
-    call(&["submit", "hq", "tiny.toml", "--shards", "1"]);
+    call(&["cluster", "submit", "hq", "tiny.toml", "--shards", "1"]);
     let folder = "results/tiny.shards";
     let spec = format!("{folder}/spec.toml");
-    bench.metasense(&["run", &spec, "--shard", "1/1", "--copy-to", folder]);
-    let status = call(&["status", "--cluster"]);
+    bench.metasense(&["run", &spec, "--shard", "1/1", "--folder", folder]);
+    let status = call(&["status", "--folder"]);
     assert!(status.contains("0 of 1 shards complete") && status.contains("2 trials failed"), "{status}");
-    let again = call(&["submit", "hq", "tiny.toml"]);
+    let again = call(&["cluster", "submit", "hq", "tiny.toml"]);
     assert!(again.contains("2 trials of shards 1 failed") && again.contains("nothing left to do"), "{again}");
-    let again = call(&["submit", "hq", "tiny.toml", "--retry-failed"]);
+    let again = call(&["cluster", "submit", "hq", "tiny.toml", "--retry-failed"]);
     assert!(again.contains("submitted: job 7, shards 1"), "{again}");
     let script = std::fs::read_to_string(bench.path(&format!("{folder}/shard.sh"))).unwrap();
     assert!(script.contains("--retry-failed"), "{script}");
@@ -263,10 +270,10 @@ fn options_that_nobody_has_are_refused_at_once() {
         ("hq s.toml --partition main", "only Slurm"),
         ("local s.toml --time 10", "without a limit"),
         ("ssh s.toml", "--hosts"),
-        ("local s.toml --hosts s.toml", "submit ssh"),
+        ("local s.toml --hosts s.toml", "cluster submit ssh"),
         ("ssh s.toml --hosts s.toml", "s.toml:1"),
     ] {
-        let words: Vec<&str> = ["submit"].into_iter().chain(arguments.split(' ')).collect();
+        let words: Vec<&str> = ["cluster", "submit"].into_iter().chain(arguments.split(' ')).collect();
         let output = bench.metasense(&words);
         let message = said(&output);
         assert!(output.status.code() == Some(2) && message.contains(expected), "{arguments}: {message}");
@@ -284,8 +291,19 @@ fn shards_beyond_the_largest_array_are_further_arrays() {
         .replace("sensors = [1, 2]", "sensors = [1, 2]\nseeds = [SEEDS]")
         .replace("SEEDS", &seeds.join(", "));
     bench.file("tiny.toml", &text);
-    let args =
-        ["submit", "slurm", "tiny.toml", "--shards", "2050", "--dry-run", "--", "--mem=9G", "--", "--mem=1G"];
+    let args = [
+        "cluster",
+        "submit",
+        "slurm",
+        "tiny.toml",
+        "--shards",
+        "2050",
+        "--dry-run",
+        "--",
+        "--mem=9G",
+        "--",
+        "--mem=1G",
+    ];
     let text = bench.output(&args);
     let commands: Vec<&str> = text.lines().filter(|line| line.starts_with('$')).collect();
     let expected = [
@@ -312,7 +330,7 @@ fn what_waits_is_run_by_the_program_that_was_submitted() {
     };
     let submit = |queue: &str| {
         let hq = format!("case \"$*\" in *task\\ list*) echo '{queue}';; *) echo 7;; esac");
-        let output = with_hq(&bench, &hq, &["submit", "hq", "s.toml", "--shards", "2"]);
+        let output = with_hq(&bench, &hq, &["cluster", "submit", "hq", "s.toml", "--shards", "2"]);
         assert!(output.status.success(), "{}", said(&output));
     };
     submit("{}");
@@ -339,7 +357,18 @@ fn shards_on_this_machine_are_the_sweep() {
     std::fs::create_dir(bench.path("tmp")).unwrap();
     let submit = || {
         let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));
-        command.args(["submit", "local", "tiny.toml", "--shards", "2", "--cpus", "1", "--at-most", "2"]);
+        command.args([
+            "cluster",
+            "submit",
+            "local",
+            "tiny.toml",
+            "--shards",
+            "2",
+            "--cpus",
+            "1",
+            "--at-most",
+            "2",
+        ]);
         command.current_dir(bench.path("")).env("TMPDIR", bench.path("tmp"));
         command.stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap()
     };
@@ -347,11 +376,11 @@ fn shards_on_this_machine_are_the_sweep() {
     let log = |i: u32| bench.path(&format!("results/tiny.shards/shard-{i}-of-2.log"));
     let begun = |i| std::fs::read_to_string(log(i)).unwrap_or_default().contains("worker started");
     eventually(Duration::from_secs(60), || (begun(1) && begun(2)).then_some(())).expect("both shards begin");
-    let status = said(&bench.metasense(&["status", "--cluster"]));
+    let status = said(&bench.metasense(&["status", "--folder"]));
     assert!(status.contains("a submit is at work on them"), "{status}");
     let second = submit().wait_with_output().unwrap();
     assert!(
-        second.status.code() == Some(3) && said(&second).contains("another `metasense submit`"),
+        second.status.code() == Some(3) && said(&second).contains("another `metasense cluster submit`"),
         "{}",
         said(&second)
     );
@@ -363,6 +392,6 @@ fn shards_on_this_machine_are_the_sweep() {
     assert_eq!(again.status.code(), Some(0), "{}", said(&again));
     assert_eq!(results(&bench, "results/tiny.sqlite"), results(&bench, "whole.sqlite"));
     assert_eq!(bench.path("tmp").read_dir().unwrap().count(), 0, "nothing is left on the machine");
-    let status = said(&bench.metasense(&["status", "--cluster"]));
+    let status = said(&bench.metasense(&["status", "--folder"]));
     assert!(status.contains("2 of 2 shards complete"), "{status}");
 }

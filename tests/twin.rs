@@ -38,7 +38,7 @@ fn bench() -> Bench {
     let forces: Vec<f64> = histories.flat_map(|(i, k)| (0..=INSTANTS).map(move |n| force(i, k, n))).collect();
     bench.write_array("f.npy", &[RECORDS as u64, 2, INSTANTS as u64 + 1], &forces);
     let cast = hash(&bench, "cast.toml");
-    let run = ["simulate", "cast.toml", "--hash", &cast, "--forces", "f.npy", "--design", "cast.npy"];
+    let run = ["body", "simulate", "cast.toml", &cast, "--forces", "f.npy", "--design", "cast.npy"];
     bench.output(&[&run[..], &["--out-dir", "a"]].concat());
     let signals = bench.array("a/signals.npy").1;
     // equidistributed, hence the same on every machine: the sum of twelve such numbers is close to normal
@@ -87,7 +87,7 @@ fn value_of(csv: &str, row: &str, column: &str) -> f64 {
 fn a_twin_tells_the_cast_and_teaches_brains() {
     let bench = bench();
     let of = |spec: &str, records: &str, more: &[&str]| {
-        let call = ["twin", spec, "--hash", &hash(&bench, spec), "--records", records];
+        let call = ["lab", "twin", spec, &hash(&bench, spec), "--records", records];
         bench.output(&[&call[..], more].concat())
     };
     let one = of("s.toml", "r.toml", &["--format", "csv", "--out", "t.toml"]);
@@ -98,7 +98,7 @@ fn a_twin_tells_the_cast_and_teaches_brains() {
     assert!(table.contains("converged after") && table.contains("node shifts: RMS 0."), "{table}");
 
     let hash = hash(&bench, "s.toml");
-    let call = ["evaluate", "s.toml", "--hash", &hash, "--records", "initial=r.toml", "--folds", "2"];
+    let call = ["lab", "evaluate", "s.toml", &hash, "--records", "initial=r.toml", "--folds", "2"];
     let csv = bench.output(&[&call[..], &["--twin", "initial=t.toml", "--format", "csv"]].concat());
     let value = |row: &str, column: &str| value_of(&csv, row, column);
     assert!(value("initial,twin", "difference") < 0.3 * value("initial,simulated", "difference"), "{csv}");
@@ -113,7 +113,7 @@ fn a_twin_tells_the_cast_and_teaches_brains() {
     let bells = "amplitude = [0.2, 0.4]\nwidth = [0.03, 0.1]\nonset = [0.0, 0.04]\nholdout = 6\n[sensors]\nnoise = 0.02\n[brain]";
     let noisy = trainable().replace("[brain]", bells);
     bench.file("noisy.toml", &noisy);
-    let call = ["evaluate", "noisy.toml", "--twin", "initial=t.toml", "--brain", "inverse"];
+    let call = ["lab", "evaluate", "noisy.toml", "--twin", "initial=t.toml", "--brain", "inverse"];
     let read = |records: &str, out: &str| {
         bench.output(&[&call[..], &["--records", records, "--format", "csv", "--out-dir", out]].concat())
     };
@@ -154,7 +154,7 @@ fn what_is_no_twin_is_refused() {
     };
     let spec = hash(&bench, "s.toml");
     let with = |file: &str, says: &[&str]| {
-        let call = ["evaluate", "s.toml", "--hash", &spec, "--records", "initial=r.toml", "--twin"];
+        let call = ["lab", "evaluate", "s.toml", &spec, "--records", "initial=r.toml", "--twin"];
         refused(&[&call[..], &[&format!("initial={file}")]].concat(), says);
     };
     bench.file("other.toml", &twin("1.0", ""));
@@ -163,7 +163,7 @@ fn what_is_no_twin_is_refused() {
     with("odd.toml", &["odd.toml:5", "mass"]);
     with("nowhere.toml", &["nowhere.toml"]);
     // of this body, and then broken
-    bench.output(&["twin", "s.toml", "--hash", &spec, "--records", "r.toml", "--out", "t.toml"]);
+    bench.output(&["lab", "twin", "s.toml", &spec, "--records", "r.toml", "--out", "t.toml"]);
     let text = std::fs::read_to_string(bench.path("t.toml")).unwrap();
     let at = text.find("stretch = ").unwrap();
     let end = at + text[at..].find('\n').unwrap();
@@ -173,12 +173,12 @@ fn what_is_no_twin_is_refused() {
     let end = noise + text[noise..].find('\n').unwrap();
     bench.file("quiet.toml", &format!("{}noise = [1.0]{}", &text[..noise], &text[end..]));
     with("quiet.toml", &["quiet.toml:", "noise = 1 entries", "must be 3 entries"]);
-    let call = ["evaluate", "s.toml", "--hash", &spec, "--records", "initial=r.toml", "--twin", "who=t.toml"];
+    let call = ["lab", "evaluate", "s.toml", &spec, "--records", "initial=r.toml", "--twin", "who=t.toml"];
     refused(&call, &["--twin who", "--records who=FILE"]);
     let two = trainable().replace("[brain]", "[sensors]\nchannels = [\"ax\", \"ay\"]\n[brain]");
     bench.file("two_channels.toml", &two);
     let read = hash(&bench, "two_channels.toml");
-    let call = ["identify", "two_channels.toml", "--hash", &read, "--records", "two.toml"];
-    refused(&call, &["two_channels.toml:18", "sensors.channels", "metasense twin"]);
-    refused(&["twin", "s.toml", "--hash", &spec, "--records", "two.toml"], &["two.toml", "must be 3"]);
+    let call = ["lab", "identify", "two_channels.toml", &read, "--records", "two.toml"];
+    refused(&call, &["two_channels.toml:18", "sensors.channels", "metasense lab twin"]);
+    refused(&["lab", "twin", "s.toml", &spec, "--records", "two.toml"], &["two.toml", "must be 3"]);
 }

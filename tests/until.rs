@@ -38,8 +38,8 @@ fn a_sweep_ends_when_it_knows_or_has_run_what_it_may() {
         "{again}"
     );
     assert_eq!(trials(&bench), four);
-    for asks in ["analyse", "claims"] {
-        let told = said(&[asks, "results/tiny.sqlite"]);
+    for asks in [&["analyse"][..], &["analyse", "--question", "claims"]] {
+        let told = said(&[asks, &["results/tiny.sqlite"]].concat());
         assert!(told.contains("[until]") && told.contains("less often than they say"), "{told}");
     }
 
@@ -63,7 +63,7 @@ fn shards_end_when_one_run_does() {
     let whole = trials(&bench);
     std::fs::remove_file(bench.path("results/tiny.sqlite")).unwrap();
     let submit = || {
-        let out = bench.metasense(&["submit", "local", "s.toml", "--cpus", "1", "--at-most", "2"]);
+        let out = bench.metasense(&["cluster", "submit", "local", "s.toml", "--cpus", "1", "--at-most", "2"]);
         assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
         String::from_utf8(out.stderr).unwrap()
     };
@@ -78,7 +78,7 @@ fn shards_end_when_one_run_does() {
         again.contains("nothing left to do: 8 trials settled") && !again.contains("begins on"),
         "{again}"
     );
-    let refused = bench.metasense(&["submit", "local", "s.toml", "--retry-failed"]);
+    let refused = bench.metasense(&["cluster", "submit", "local", "s.toml", "--retry-failed"]);
     assert_eq!(refused.status.code(), Some(2), "{}", String::from_utf8_lossy(&refused.stderr));
     let shard = bench.metasense(&["run", "s.toml", "--shard", "1/2"]);
     let said = String::from_utf8(shard.stderr).unwrap();

@@ -29,7 +29,7 @@ Exit codes:
   2  an error in the command line, the spec or the choice of database; nothing was started
      (`control`: no run holds the database)
   3  reading or writing failed: disk full, database in use, locked or damaged
-  4  stopped on request; the same `run` goes on from there, as do `evaluate` and `identify`
+  4  stopped on request; the same `run` goes on from there, as do `lab evaluate` and `lab identify`
      with --out-dir; other commands start again
   5  this machine is unfit: it is short of something that the message names (threads, memory,
      descriptors, room on a disk), no worker comes up, or trials die on it one after the

@@ -12,7 +12,7 @@ pub mod goal;
 mod size;
 mod until;
 
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
 use std::error::Error as _;
 use std::path::{Path, PathBuf};
 
@@ -27,6 +27,9 @@ use metasense_worker::problem::{self, Invalid, as_written};
 use metasense_worker::replay::Panel;
 use metasense_worker::{polygons, records};
 
+use serde_json::Value;
+
+use crate::cell::plain;
 use crate::control::WORKERS_MAX;
 use axes::Combination;
 use metasense_schemas::record::Parts;
@@ -44,6 +47,27 @@ pub struct Plan {
     pub spec: SweepSpec,
     /// The trials in the order of running.
     pub trials: Vec<Trial>,
+}
+
+/// The values of a trial's spec, as JSON, at some keys; lists and tables as texts.
+pub fn values_at(spec: &Value, keys: &BTreeSet<&str>) -> Vec<Value> {
+    let value = |key: &&str| match spec.pointer(&format!("/{}", key.replace('.', "/"))) {
+        None => Value::Null,
+        Some(value @ (Value::Array(_) | Value::Object(_))) => value.to_string().into(),
+        Some(scalar) => scalar.clone(),
+    };
+    keys.iter().map(value).collect()
+}
+
+/// A trial's K, M, placement, seed and what else the sweep varies, in words.
+pub fn point_in_words(spec: &Value, keys: &BTreeSet<&str>) -> String {
+    let point = |name: &str| plain(&spec["point"][name]);
+    let [k, m, placement, seed] = ["panels", "sensors", "placement", "seed"].map(point);
+    let mut words = format!("K={k} M={m} placement {placement} seed {seed}");
+    for (key, value) in keys.iter().zip(values_at(spec, keys)).filter(|(_, value)| !value.is_null()) {
+        words += &format!(" {key}={}", plain(&value));
+    }
+    words
 }
 
 impl Plan {

@@ -88,7 +88,7 @@ impl Reason {
                 "the system may be short of memory: take fewer workers, then run with --retry-failed"
             }
             Self::WorkerKilled(_) | Self::WorkerExited(_) | Self::Panicked => {
-                "this is a bug: see `metasense trial SPEC --hash HASH`, and report it with what it says"
+                "this is a bug: see `metasense trial SPEC HASH`, and report it with what it says"
             }
             Self::OutOfMemory => {
                 "raise `memory` in [run], or take fewer threads, samples or sensors, then run with --retry-failed"
@@ -112,9 +112,9 @@ impl Reason {
                  `brain.ridge` may help"
             }
             Self::Numerical(_) => {
-                "see `metasense trial SPEC --hash HASH`; a smaller `solver.tolerance` or learning rate may help"
+                "see `metasense trial SPEC HASH`; a smaller `solver.tolerance` or learning rate may help"
             }
-            Self::Rejected => "the spec is at fault: see `metasense trial SPEC --hash HASH`",
+            Self::Rejected => "the spec is at fault: see `metasense trial SPEC HASH`",
             Self::Pruned => "leave `prune` out of [run] to have it run to its end",
             Self::Cancelled => "run with --retry-failed to go on with it",
             Self::Stopped => "the same command goes on",

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::OnceLock;
 
-use metasense::analysis::claims::{CLAIMS, Evidence};
+use metasense::analysis::claims::{CLAIMS, Evidence, claims_table, evidence_table, tried};
 use metasense::analysis::numbers::distinct;
 use metasense::analysis::paired::iteration_ratio;
 use metasense::analysis::setting::Settings;
@@ -11,7 +11,7 @@ use metasense::analysis::{Cluster, Trial};
 use metasense::cell::plain;
 use metasense::look::{Table, file};
 use metasense::plan::Plan;
-use metasense::report::claims::{claims_table, evidence_table, figure, tried};
+use metasense::report::claims::figure;
 use metasense_schemas::source::Source;
 use serde_json::Value;
 

@@ -2,19 +2,27 @@
 
 use clap::ValueEnum;
 use metasense::analysis::Question;
-use metasense::cli::{GROUPS, command};
+use metasense::cli::{GROUPS, TOP, command};
 use metasense::exit::EXIT_CODES;
 use metasense::store::{Reader, Store};
 use metasense_schemas::database::VIEWS;
 
 use super::table;
 
-/// Each heading with its commands, built, so that they know their own full usage.
-fn groups() -> impl Iterator<Item = (&'static str, Vec<clap::Command>)> {
+/// Each heading with its commands, and each group with its, built, so that they know their own full usage.
+fn groups() -> impl Iterator<Item = (String, Vec<clap::Command>)> {
     let mut program = command();
     program.build();
-    let find = move |name: &&str| program.find_subcommand(name).unwrap().clone();
-    GROUPS.iter().map(move |(heading, names)| (*heading, names.iter().map(&find).collect()))
+    let all = |of: &clap::Command, names: &[&str]| -> Vec<clap::Command> {
+        names.iter().map(|name| of.find_subcommand(name).unwrap().clone()).collect()
+    };
+    let mut found: Vec<_> =
+        TOP.iter().map(|(heading, names)| ((*heading).to_owned(), all(&program, names))).collect();
+    for (group, names) in GROUPS {
+        let group = program.find_subcommand(group).unwrap();
+        found.push((line(group.get_about()), all(group, names)));
+    }
+    found.into_iter()
 }
 
 fn usage(command: &clap::Command) -> String {

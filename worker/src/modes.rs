@@ -1,13 +1,13 @@
 //! Eigenmodes of a trial's body at rest, and how its panels move its units there.
 
-use metasense_numerics::dynamics::{Rest, Scene, start, touches};
+use metasense_numerics::dynamics::{Rest, Scene, highest_frequency, start, touches};
 use metasense_numerics::modes::{self, NoModes};
 pub use metasense_numerics::modes::{Mode, Response};
 use metasense_numerics::place::placed;
 use metasense_numerics::trial::Problem;
 use metasense_schemas::spec::TrialSpec;
 
-use crate::run::{Failure, pool, with_design};
+use crate::run::{Failure, pool, prepared, with_design};
 
 /// The `count` slowest modes of a body; fewer where it has fewer.
 ///
@@ -27,6 +27,26 @@ pub fn slowest(trial: &TrialSpec, design: &[f64], count: usize) -> Result<Vec<Mo
         ),
     })
 }
+
+/// First and highest natural frequency (Hz) of the body that a trial starts from; the first that is above 0.
+///
+/// # Errors
+/// If the spec stands for no trial, or the body has no such motions.
+pub fn natural_frequencies(trial: &TrialSpec) -> Result<[f64; 2], Failure> {
+    let Problem { scene, initial, .. } = &prepared(trial)?;
+    check_rest(scene, initial)?;
+    let none = || Failure::Rejected("body: it has no modes".to_owned());
+    let modes =
+        modes::modes(&Rest::new(scene, initial), scene.layout.units(), SLOWEST).map_err(|_| none())?;
+    let highest = highest_frequency(scene, initial) / std::f64::consts::TAU;
+    let first = modes.iter().map(Mode::frequency).find(|hertz| *hertz > STILL * highest).ok_or_else(none)?;
+    Ok([first, highest])
+}
+
+/// Modes among which the first that moves is: a body that nothing holds has three that do not.
+const SLOWEST: usize = 6;
+/// Part of the highest frequency below which a mode stands still.
+const STILL: f64 = 1e-9;
 
 /// Responses of a unit to each panel at these frequencies (Hz): (frequencies, panels).
 ///

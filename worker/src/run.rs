@@ -141,7 +141,7 @@ pub fn check_design(problem: &Problem, design: &[f64]) -> Result<(), Failure> {
     match (0..problem.scene.layout.units()).find(|unit| !sound(unit)) {
         None => Ok(()),
         Some(unit) => Err(Failure::Rejected(format!(
-            "the design: unit {unit} has an area of {:.3} mm² and can be neither cast nor simulated; `metasense project` repairs a design",
+            "the design: unit {unit} has an area of {:.3} mm² and can be neither cast nor simulated; `metasense body project` repairs a design",
             geometry.area[unit]
         ))),
     }

@@ -124,7 +124,7 @@ impl Twin {
         self.twin.cast.design(&self.design).into_pyarray(py)
     }
 
-    /// Writes it into a file (TOML), as `metasense twin --out` does.
+    /// Writes it into a file (TOML), as `metasense lab twin --out` does.
     fn save(&self, file: PathBuf) -> PyResult<()> {
         metasense::files::write(&file, self.text().as_bytes())
             .map_err(|e| PyOSError::new_err(format!("cannot write {}: {e}", file.display())))

@@ -13,7 +13,7 @@ def test_signals_and_gradient_are_those_of_the_command(body, spec, command, tmp_
     cotangent = rng.standard_normal((3, body.instants, 3))
     for name, array in [("f", forces), ("a", alpha), ("c", cotangent)]:
         np.save(tmp_path / f"{name}.npy", array)
-    arguments = ["simulate", spec, "--hash", body.hash, "--forces", "f.npy", "--design", "a.npy"]
+    arguments = ["body", "simulate", spec, body.hash, "--forces", "f.npy", "--design", "a.npy"]
     command(*arguments, "--cotangent", "c.npy", "--out-dir", "o", cwd=tmp_path)
     simulation = body.simulate(alpha, forces)
     assert np.array_equal(simulation.signals, np.load(tmp_path / "o/signals.npy"))

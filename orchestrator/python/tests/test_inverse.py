@@ -21,7 +21,7 @@ def error(said, forces):
 
 def test_it_reads_as_the_command_does(noisy, command, tmp_path):
     body = metasense.Body.from_spec(noisy, threads=2)
-    call = ["evaluate", noisy, "--brain", "inverse", "--records", "initial=holdout", "--out-dir", "o"]
+    call = ["lab", "evaluate", noisy, "--brain", "inverse", "--records", "initial=holdout", "--out-dir", "o"]
     command(*call, cwd=tmp_path)
     with np.load(tmp_path / "o/records.npz") as file:
         trial = dict(file)

@@ -5,6 +5,8 @@
 //! and in logarithms. Test, holdout and the medians over its samples are judged alike; what is said in short goes by the holdout, and says where its
 //! medians lead elsewhere.
 
+mod tables;
+
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::data::{
@@ -21,6 +23,7 @@ use super::resample::{Interval, Resampling, holm};
 use super::sensors::spread;
 use super::tables::verdict_text;
 use super::trial::{Body, Cluster, Set, Trial};
+pub use tables::{claims_table, evidence_table, tried};
 
 /// The share of votes that settles a claim.
 const SURE: f64 = 0.95;

@@ -14,13 +14,13 @@ use super::resample::Resampling;
 #[derive(Debug, Clone, Copy, PartialEq, clap::Args)]
 pub struct Terms {
     /// Shows the smallest M whose error is at most this part above the least, beside the elbow
-    #[arg(long, value_name = "PART", default_value_t = Self::default().within, value_parser = at_least_zero)]
+    #[arg(long, value_name = "PART", default_value_t = Self::default().within, value_parser = at_least_zero, help_heading = "Decision on the number of sensors")]
     pub within: f64,
     /// Shows the smallest M with this part of the fall from 100 % (no sensor) to the least error, beside the elbow
-    #[arg(long, value_name = "PART", default_value_t = Self::default().fall, value_parser = part)]
+    #[arg(long, value_name = "PART", default_value_t = Self::default().fall, value_parser = part, help_heading = "Decision on the number of sensors")]
     pub fall: f64,
     /// Price of a sensor in % of error: shows the M of least error + price × M beside the elbow
-    #[arg(long, value_name = "PERCENT", value_parser = at_least_zero)]
+    #[arg(long, value_name = "PERCENT", value_parser = at_least_zero, help_heading = "Decision on the number of sensors")]
     pub price: Option<f64>,
 }
 

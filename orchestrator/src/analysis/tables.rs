@@ -5,6 +5,7 @@ use serde_json::{Value, json};
 
 use super::brains::{Read, reads};
 use super::casts;
+use super::claims::{claims_table, evidence_table, tried};
 use super::data::{
     BRAINS, COMPLEXITY, FREEDOM, Group, Level, Observation, SENSORS, TRAINING, apart, groups,
     groups_by_objective, levels, observations,
@@ -62,6 +63,10 @@ pub enum Question {
     Front,
     /// Where the time of each trial went (CPU seconds as in `v_trial`: a body that trials share counts for the one that trained it)
     Seconds,
+    /// The claims of arXiv:2605.23967, each rated by the trials that can test it, and the specs that do; only on request
+    Claims,
+    /// The evidence for each claim, one row per brain and set: ratio, interval and votes; only on request
+    Evidence,
 }
 
 impl Question {
@@ -113,22 +118,30 @@ impl Question {
             }
             Self::Front => "Pareto front of best test error so far (%) against CPU seconds",
             Self::Seconds => "Where the time went (CPU seconds a trial)",
+            Self::Claims => "The claims of arXiv:2605.23967, rated by finished trials",
+            Self::Evidence => {
+                "The evidence for the claims of arXiv:2605.23967 (ratios above 1: as claimed; 95 % intervals)"
+            }
         }
     }
 
     /// Whether the trials differ in what the question is about, so that there is something to say on it.
     pub fn was_put(self, trials: &[Trial]) -> bool {
         let varies = |of: fn(&Trial) -> u64| trials.iter().any(|t| of(t) != of(&trials[0]));
+        let ways = || trainings(&trials.iter().collect::<Vec<_>>());
         match self {
             Self::Sensors | Self::Elbow | Self::Fewer => varies(|t| t.sensors),
             Self::Sizes | Self::Complexity => varies(|t| t.design_parameters),
+            Self::Placements => varies(|t| t.cluster.placement),
+            Self::TimeTo | Self::Front => ways().iter().any(|(_, ways)| ways.len() > 1),
+            Self::Claims | Self::Evidence => false,
             _ => true,
         }
     }
 
     /// The answer; no rows where the trials cannot give one.
-    pub fn answer(self, trials: &[Trial], terms: Terms) -> Table {
-        let trials: Vec<&Trial> = trials.iter().collect();
+    pub fn answer(self, all: &[Trial], terms: Terms) -> Table {
+        let trials: Vec<&Trial> = all.iter().collect();
         match self {
             Self::Paired => paired_table(&trials),
             Self::Brains => brains_table(&trials),
@@ -148,6 +161,8 @@ impl Question {
             Self::TimeTo => time_table(&trials),
             Self::Front => front_table(&trials),
             Self::Seconds => seconds_table(&trials),
+            Self::Claims => claims_table(&tried(all)),
+            Self::Evidence => evidence_table(&tried(all)),
         }
     }
 }

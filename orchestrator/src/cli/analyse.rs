@@ -2,20 +2,30 @@
 
 use std::path::{Path, PathBuf};
 
+use maud::html;
 use serde_json::Value;
 
 use super::named::Database;
-use super::{Error, Format, print_rows};
+use super::report::write_figures;
+use super::{Error, Format, print_rows, write};
+use crate::analysis::claims::{claims_table, evidence_table, is_other, tried};
 use crate::analysis::compare::Comparison;
-use crate::analysis::{Question, Terms};
+use crate::analysis::{Question, Terms, Trial};
 use crate::exit::Exit;
+use crate::look::page;
 use crate::provenance;
-use crate::report::load::finished_trials;
+use crate::report::claims::{figure, trials_table};
+use crate::report::load::{finished_trials, verdicts};
 use crate::store::Reader;
 
 /// Answers a sweep's questions as tables: gain, sensors needed, complexity, time
 ///
 /// Is the optimised body better? How many sensors are enough? What does complexity buy? What did the error cost in time?
+///
+/// `--question claims` rates the claims of arXiv:2605.23967: a claim holds, is compatible with the paper's number, holds in part, makes
+/// no difference, fails, is open, or depends on the brain. First run the specs that it names into one database (run SPEC --db FILE).
+/// Trials of different settings (noise, damping, …) are rated separately. Trials with chips or fewer channels, placed sensors, frozen or
+/// pressed units, bodies of their own or another lattice count for the claims about random bodies only.
 #[derive(Debug, clap::Args)]
 #[command(visible_alias = "analyze")]
 pub(super) struct Args {
@@ -25,13 +35,16 @@ pub(super) struct Args {
     /// Compare the database, trial by trial, with this one, which comes first: ratios of errors and seconds
     #[arg(long, value_name = "FIRST", conflicts_with_all = ["question", "within", "fall", "price"])]
     compare: Option<PathBuf>,
-    /// Answer this question alone; may be given several times
+    /// Answer this question alone; may be given several times [default: the verdicts in words, and all that the sweep can answer]
     #[arg(long, value_enum)]
     question: Vec<Question>,
     #[command(flatten)]
     terms: Terms,
+    /// With --question claims: also write both tables of the claims and the trials (CSV), the figure (SVG) and a page (index.html)
+    #[arg(long, value_name = "DIR", requires = "question", help_heading = "Output")]
+    out_dir: Option<PathBuf>,
     /// The form of the tables; JSON of several is an object of lists by question, CSV and Parquet hold one
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
 
@@ -40,20 +53,34 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         return compare(first, &args.db, args.format).await;
     }
     let all = args.question.is_empty();
-    let questions = if all { Question::all() } else { &args.question };
-    if matches!(args.format, Format::Csv | Format::Parquet) && questions.len() > 1 {
+    if matches!(args.format, Format::Csv | Format::Parquet) && (all || args.question.len() > 1) {
         return Err(Error::Usage("CSV and Parquet hold one table: choose it with --question".into()));
     }
-    let (trials, caveats) = Reader::asked(Database::at(&args.db).await?, async |reader| {
+    let rates_claims = [Question::Claims, Question::Evidence].iter().any(|q| args.question.contains(q));
+    if args.out_dir.is_some() && !rates_claims {
+        return Err(Error::Usage("--out-dir writes the claims: add --question claims".into()));
+    }
+    let sentences = all && args.format == Format::Table;
+    let (trials, verdicts, caveats) = Reader::asked(Database::at(&args.db).await?, async |reader| {
         let made = reader.made().await?;
-        Ok::<_, Error>((finished_trials(reader).await?, provenance::caveats(reader, &made).await?))
+        let trials = finished_trials(reader).await?;
+        let verdicts = if sentences { verdicts(reader, &trials, args.terms).await? } else { Vec::new() };
+        Ok::<_, Error>((trials, verdicts, provenance::caveats(reader, &made).await?))
     })
     .await?;
+    for verdict in &verdicts {
+        print_line!("{}\n", verdict.text)?;
+    }
+    let mut questions = args.question.clone();
+    if all {
+        questions = Question::all().iter().copied().filter(|question| question.was_put(&trials)).collect();
+    }
     let mut objects = Vec::new();
-    for &question in questions {
+    for &question in &questions {
         let table = question.answer(&trials, args.terms);
         match args.format {
-            Format::Json if questions.len() > 1 => {
+            Format::Json if all && table.rows.is_empty() => {}
+            Format::Json if all || questions.len() > 1 => {
                 let name = clap::ValueEnum::to_possible_value(&question).expect("none is hidden");
                 let rows = String::from_utf8(table.written(Format::Json)).expect("JSON is text");
                 objects.push(format!("{}: {}", Value::from(name.get_name()), rows.trim_end()));
@@ -81,14 +108,45 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             _ => print_rows(&table, args.format)?,
         }
     }
-    if !objects.is_empty() {
+    if args.format == Format::Json && (all || questions.len() > 1) {
         print_line!("{{\n{}\n}}", objects.join(",\n"))?;
+    }
+    if let Some(folder) = &args.out_dir {
+        write_claims(folder, &trials)?;
+    }
+    match trials.iter().filter(|trial| rates_claims && is_other(trial)).count() {
+        0 => {}
+        other => say!(
+            "{} of {} trials with chips or fewer channels, placed sensors, frozen or pressed units, bodies of their own or another \
+             lattice are not of the paper's scenes: only the claims about random bodies may count them",
+            other,
+            trials.len()
+        ),
     }
     caveats.iter().for_each(|caveat| say!("{caveat}"));
     if trials.is_empty() {
         say!("no trial of {} is done yet", args.db.display());
     }
     Ok(Exit::Done)
+}
+
+/// Tables, trials, figure and page of the claims.
+fn write_claims(folder: &Path, trials: &[Trial]) -> Result<(), Error> {
+    let found = tried(trials);
+    let [claims, evidence] = [claims_table(&found), evidence_table(&found)];
+    let drawn: Vec<_> = figure(&found).into_iter().collect();
+    write_figures(folder, &drawn)?;
+    write(&folder.join("claims.csv"), claims.csv())?;
+    write(&folder.join("evidence.csv"), evidence.csv())?;
+    write(&folder.join("trials.csv"), trials_table(trials).csv())?;
+    let content = html! {
+        (claims.html(None))
+        @for figure in &drawn { (figure.html(&[])) }
+        h2 { "Evidence" }
+        (evidence.html(Some("evidence")))
+    };
+    let question = "Does what arXiv:2605.23967 claims hold, and with which brain?";
+    write(&folder.join("index.html"), page("The paper's claims", question, content))
 }
 
 async fn compare(first: &Path, second: &Path, format: Format) -> Result<Exit, Error> {

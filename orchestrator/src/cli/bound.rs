@@ -7,8 +7,8 @@ use metasense_schemas::spec::TrialSpec;
 use metasense_worker::bound::{Bound, bound};
 use serde_json::{Value, json};
 
-use super::named::{Database, Designed};
-use super::{Error, Format, print_rows};
+use super::named::{Database, Design, Designed};
+use super::{Error, Format, cores, print_rows};
 use crate::analysis::kinds::brains_of;
 use crate::exit::Exit;
 use crate::look::{Table, short_hash};
@@ -37,11 +37,8 @@ pub(super) struct Args {
     /// HASH, these errors of the initial and the optimised bodies, and the holdout errors of all brains that have read them
     #[arg(long, value_name = "FILE", conflicts_with = "design")]
     db: Option<PathBuf>,
-    /// Threads
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
-    threads: u16,
     /// The form of the rows
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
 
@@ -53,13 +50,13 @@ fn above_zero(text: &str) -> Result<f64, String> {
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let (hash, trial, design) = args.one.read().await?;
     let of = |trial: &TrialSpec, design: &[f64]| {
-        bound(trial, design, args.samples.into(), args.noise, args.threads.into())
-            .map_err(|e| args.one.trial.failed(e))
+        bound(trial, design, args.samples.into(), args.noise, cores()).map_err(|e| args.one.trial.failed(e))
     };
-    let own = args.one.trial.is_database() && args.one.design.is_none();
+    let given = matches!(args.one.design, Design::File(_));
+    let own = args.one.trial.is_database() && !given;
     let rows = match args.db.as_ref().or(own.then_some(&args.one.trial.source)) {
         None => {
-            let body = if args.one.design.is_some() { "given" } else { "initial" };
+            let body = if given { "given" } else { "initial" };
             bounds([json!(body), Value::Null], &of(&trial, &design)?)
         }
         Some(db) => achieved(db, &hash, &trial, of).await?,

@@ -10,7 +10,7 @@ use metasense_worker::casts::casts;
 use metasense_worker::problem::INVERTED_OF_A_CAST;
 
 use super::named::Designed;
-use super::{Error, Format, print_rows};
+use super::{Error, Format, cores, print_rows};
 use crate::analysis::numbers::quantile;
 use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
@@ -30,14 +30,11 @@ pub(super) struct Args {
     /// A TOML file with a [variation] table in place of the trial's
     #[arg(long, value_name = "FILE")]
     variation: Option<PathBuf>,
-    /// A row for each cast and brain in place of medians
-    #[arg(long)]
-    each: bool,
-    /// Threads
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
-    threads: u16,
+    /// One row per cast and brain, in place of medians
+    #[arg(long, help_heading = "Output")]
+    rows: bool,
     /// The form of the rows
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
 
@@ -49,7 +46,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let failed =
         found.iter().filter(|reading| reading.reader == "nominal" && reading.outcome != "ok").count();
     let holdout = trial.stimuli.holdout;
-    let table = if args.each { each(&found, holdout) } else { medians(&found, holdout) };
+    let table = if args.rows { each(&found, holdout) } else { medians(&found, holdout) };
     print_rows(&table, args.format)?;
     say!("trial {}: {count} casts, {failed} of which failed", short_hash(&hash));
     Ok(Exit::Done)
@@ -73,7 +70,7 @@ fn read(
             say!("{done} of {} casts", args.casts);
         }
     };
-    casts(trial, design, args.casts.into(), variation, args.threads.into(), &mut progress)
+    casts(trial, design, args.casts.into(), variation, cores(), &mut progress)
 }
 
 /// Seconds between two lines of progress.

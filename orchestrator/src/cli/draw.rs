@@ -24,10 +24,10 @@ pub(super) struct Args {
     #[arg(long, value_name = "FILE")]
     design: Option<PathBuf>,
     /// The file to write
-    #[arg(long, value_name = "FILE.svg")]
+    #[arg(long, value_name = "FILE.svg", help_heading = "Output")]
     out: PathBuf,
     /// Also writes the design that was drawn (.npy or .csv)
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", help_heading = "Output")]
     design_out: Option<PathBuf>,
 }
 

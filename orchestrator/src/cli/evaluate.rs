@@ -39,31 +39,31 @@ pub(super) struct Args {
     /// The design (.npy or .csv) of a body that is not the trial's own
     #[arg(long, value_name = "BODY=FILE", value_parser = pair)]
     design: Vec<(String, PathBuf)>,
-    /// A twin (TOML, of `metasense twin`) of a body whose design is known: networks trained on its simulated signals, or its inverse
+    /// A twin (TOML, of `metasense lab twin`) of a body whose design is known: networks trained on its simulated signals, or its inverse
     /// brain, read the body's records, too
     #[arg(long, value_name = "BODY=FILE", value_parser = pair)]
     twin: Vec<(String, PathBuf)>,
     /// Parts of the records; each is predicted by networks trained on all others [default: 10, at most as many as records]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..), help_heading = "Networks")]
     folds: Option<u32>,
     /// The brain that reads the forces [default: the trial's brain.kind]
-    #[arg(long, value_enum)]
+    #[arg(long, value_enum, help_heading = "Networks")]
     brain: Option<Brain>,
     /// Networks per fold, from different weights [default: the trial's evaluation.seeds]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000), help_heading = "Networks")]
     seeds: Option<u32>,
     /// Iterations of each network [default: the trial's brain.iterations]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), help_heading = "Networks")]
     iterations: Option<u32>,
     /// Writes into this folder a page (index.html), its figures, the table and every record's error (CSV), forces, predictions and
     /// signals (records.npz). While it runs, the folder keeps the trained networks; the same command goes on from there
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
     out_dir: Option<PathBuf>,
     /// Threads
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Workers")]
     threads: u16,
     /// The form of the table
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
 

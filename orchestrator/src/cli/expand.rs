@@ -3,6 +3,8 @@
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
+use metasense_worker::modes::natural_frequencies;
+use metasense_worker::problem::measures;
 use metasense_worker::simd::name;
 use serde_json::Value;
 
@@ -11,24 +13,26 @@ use super::simd::Simd;
 use super::{Error, Format, print_rows};
 use crate::cluster::{Assignment, Shard};
 use crate::exit::Exit;
-use crate::look::{Table, row};
-use crate::plan::{Trial, cost, counted};
+use crate::look::{Table, number, row};
+use crate::plan::{Trial, cost, counted, values_at};
 
 /// Lists the trials of a spec with hash, size and estimated cost; starts nothing
+///
+/// Also prints mass, first and highest natural frequency of the initial bodies, and warns where these cannot be meant.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
     spec: Spec,
     /// Only those of shard I of N
-    #[arg(long, value_name = "I/N")]
+    #[arg(long, value_name = "I/N", help_heading = "Shards")]
     shard: Option<Shard>,
-    /// The folder of the shards, with their assignment; without it, the assignment that `submit` would make now
-    #[arg(long, value_name = "DIR", requires = "shard")]
+    /// The folder of the shards, with their assignment; without it, the assignment that `cluster submit` would make now
+    #[arg(long, value_name = "DIR", requires = "shard", help_heading = "Shards")]
     folder: Option<PathBuf>,
     #[command(flatten)]
     simd: Simd,
     /// The form of the rows
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
 
@@ -46,13 +50,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         };
         assignment.restrict(shard, &mut plan);
     }
-    let sweep = &plan.spec.sweep;
-    let linked = sweep.points.iter().flat_map(|point| point.keys()).filter(|key| key.contains('.'));
-    let axes: BTreeSet<&String> = sweep.axes.keys().chain(linked).collect();
-    let axes: Vec<&String> = axes.into_iter().collect();
+    let axes = plan.spec.sweep.keys();
     let named = "hash panels sensors placement seed units panel_units sensor_units design_parameters \
         brain_parameters cost_seconds";
-    let columns = [named, &axes.iter().map(|axis| axis.as_str()).collect::<Vec<_>>().join(" ")].join(" ");
+    let columns = std::iter::once(named).chain(axes.iter().copied()).collect::<Vec<_>>().join(" ");
     let mut table = Table::new(&columns, plan.trials.iter().map(|trial| row(trial, &axes)));
     if args.format == Format::Table {
         table.rows.iter_mut().flatten().for_each(shorten);
@@ -62,7 +63,68 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let most = if plan.spec.until.is_some() { "at most " } else { "" };
     let (trials, time) = (counted(plan.trials.len(), "trial"), super::duration(total));
     say!("{most}{trials}, about {time} on one core with {}", name());
+    say_bodies(&plan.trials);
     Ok(Exit::Done)
+}
+
+/// Bodies whose mass and frequencies are said.
+const BODIES: usize = 8;
+/// Oscillations of the first mode in a sample, below which nothing of it is seen.
+const LEAST_OSCILLATIONS: f64 = 0.1;
+/// Mass (g) that no body of silicone on a table has.
+const MOST_GRAMS: f64 = 1e5;
+
+/// Mass, first and highest natural frequency of the bodies, and a warning where they cannot be meant.
+fn say_bodies(trials: &[Trial]) {
+    let mut known = BTreeSet::new();
+    let body =
+        |trial: &&Trial| known.insert(serde_json::to_string(&trial.spec.body).expect("a body is JSON"));
+    let bodies: Vec<&Trial> = trials.iter().filter(body).take(BODIES).collect();
+    let grams: Vec<f64> = bodies
+        .iter()
+        .filter_map(|trial| Some(measures(&trial.spec).ok()?[0]))
+        .filter(|m| m.is_finite())
+        .collect();
+    // a body without small motions about rest has none
+    let found: Vec<(&Trial, [f64; 2])> =
+        bodies.iter().filter_map(|trial| Some((*trial, natural_frequencies(&trial.spec).ok()?))).collect();
+    let range = |values: &[f64]| {
+        let [least, most] = [f64::min, f64::max].map(|pick| values.iter().copied().reduce(pick));
+        let [least, most] = [least, most].map(|x| number(x.unwrap_or(0.0)));
+        if least == most { least } else { format!("{least} to {most}") }
+    };
+    if grams.is_empty() {
+        return;
+    }
+    let of = |i: usize| range(&found.iter().map(|(_, hertz)| hertz[i]).collect::<Vec<_>>());
+    let frequencies = match found.is_empty() {
+        true => String::new(),
+        false => format!(", first natural frequency {} Hz, highest {} Hz", of(0), of(1)),
+    };
+    let some = if bodies.len() == BODIES { format!(" (the first {BODIES} bodies)") } else { String::new() };
+    say!("mass of a body {} g{frequencies}{some}", range(&grams));
+    let check = "check body.density (Mg/mm³), body.stiffness (N/mm) and time.duration (s)";
+    if grams.iter().any(|grams| *grams > MOST_GRAMS) {
+        say!("warning: a body of more than {} kg: {check}", MOST_GRAMS / 1e3);
+    }
+    if let Some((trial, [first, _])) =
+        found.iter().find(|(trial, [first, _])| first * trial.spec.time.duration < LEAST_OSCILLATIONS)
+    {
+        say!(
+            "warning: at {} Hz the slowest mode makes {} oscillations in a sample of {} s: {check}",
+            number(*first),
+            number(first * trial.spec.time.duration),
+            trial.spec.time.duration
+        );
+    }
+    let rate = |trial: &Trial| trial.spec.time.samples as f64 / trial.spec.time.duration;
+    if let Some((trial, [first, _])) = found.iter().find(|(trial, [first, _])| *first > rate(trial)) {
+        say!(
+            "warning: even the slowest mode, {} Hz, is faster than the signals' {} samples per second: {check}",
+            number(*first),
+            number(rate(trial))
+        );
+    }
 }
 
 /// Characters of a cell that is read; a mixture of forces has hundreds.
@@ -82,7 +144,7 @@ fn rounded(cost: f64) -> f64 {
     format!("{cost:.1e}").parse().expect("a number")
 }
 
-fn row(trial: &Trial, axes: &[&String]) -> Vec<Value> {
+fn row(trial: &Trial, axes: &BTreeSet<&str>) -> Vec<Value> {
     let Trial { hash, spec, units, design_parameters, brain_parameters, .. } = trial;
     let point = spec.point;
     let list = |units: &[usize]| units.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ");
@@ -101,12 +163,7 @@ fn row(trial: &Trial, axes: &[&String]) -> Vec<Value> {
     ];
     if !axes.is_empty() {
         let spec = serde_json::to_value(spec).expect("a trial is JSON");
-        row.extend(axes.iter().map(|path| {
-            spec.pointer(&format!("/{}", path.replace('.', "/"))).cloned().map_or(Value::Null, |v| match v {
-                Value::Array(_) | Value::Object(_) => Value::from(v.to_string()),
-                scalar => scalar,
-            })
-        }));
+        row.extend(values_at(&spec, axes));
     }
     row
 }

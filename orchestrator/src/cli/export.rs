@@ -10,7 +10,7 @@ use metasense_worker::replay::{Drawing, Own, Replay, drawing};
 
 use super::named::{Database, Named, Which};
 use super::query::answer_in;
-use super::{Error, make_folder, write};
+use super::{Error, cores, make_folder, write};
 use crate::analysis::Body;
 use crate::exit::Exit;
 use crate::export::device::Numbers;
@@ -56,38 +56,35 @@ pub(super) struct Args {
     #[command(flatten)]
     trial: Named,
     /// The form
-    #[arg(long, value_enum)]
+    #[arg(long, value_enum, help_heading = "Output")]
     format: Form,
     /// The file to write; of a device the folder
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", help_heading = "Output")]
     out: PathBuf,
-    /// Which body, for npy, svg, dxf, stl, c, onnx and device
-    #[arg(long, value_enum, default_value = "optimised")]
-    body: Which,
+    /// Which design, for npy, svg, dxf, stl, c, onnx and device
+    #[arg(long, value_enum, value_name = "DESIGN", default_value = "optimised")]
+    design: Which,
     /// Width of a ligament (mm), for dxf, stl and device [default: body.material's; 1 without]
-    #[arg(long)]
+    #[arg(long, help_heading = "Mould")]
     ligament_width: Option<f64>,
     /// Height of the cast body (mm), for stl and device [default: body.material's thickness; 10 without]
-    #[arg(long)]
+    #[arg(long, help_heading = "Mould")]
     height: Option<f64>,
     /// Thickness of the mould's floor and rim (mm), for stl and device [default: 3]
-    #[arg(long)]
+    #[arg(long, help_heading = "Mould")]
     wall: Option<f64>,
     /// Clearance between the body and the mould's cavity on every side (mm), for stl and device [default: 0]
-    #[arg(long)]
+    #[arg(long, help_heading = "Mould")]
     clearance: Option<f64>,
     /// Size of a pocket for the chip on each sensor's unit, along, across and deep, such as 6x5x2 (mm), for stl and device
-    #[arg(long, value_name = "AxBxC", value_parser = size)]
+    #[arg(long, value_name = "AxBxC", value_parser = size, help_heading = "Mould")]
     pocket: Option<[f64; 3]>,
     /// What the device computes with, for c and device [default: f32]
-    #[arg(long, value_enum)]
+    #[arg(long, value_enum, help_heading = "Decoder")]
     numbers: Option<Numbers>,
     /// What the brain is fitted to, for c, onnx and device [default: design]
-    #[arg(long, value_enum)]
+    #[arg(long, value_enum, help_heading = "Decoder")]
     reader: Option<Fit>,
-    /// Threads for simulating the trial again
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
-    threads: u16,
 }
 
 /// Thickness of a mould's floor and rim (mm), where none is asked for.
@@ -104,7 +101,7 @@ fn size(text: &str) -> Result<[f64; 3], String> {
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let Args { trial: named, out, .. } = &args;
-    let Named { source, words, hash } = named;
+    let Named { source, words } = named;
     let (brain, body) = ([Form::C, Form::Onnx], [Form::Dxf, Form::Stl]);
     let options = [
         ("numbers", args.numbers.is_some(), &brain[..1]),
@@ -127,7 +124,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             Form::Parquet => Format::Parquet,
             _ => return Err(Error::Usage(format!("{what} is a view: --format csv or parquet"))),
         };
-        if words.len() > 1 || hash.is_some() {
+        if words.len() > 1 {
             return Err(Error::Usage(format!("{what} is a view, of all trials: leave the rest out")));
         }
         let db = if named.is_database() { source.clone() } else { named.plan()?.default_database() };
@@ -144,7 +141,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 fn trial(stored: &Stored, args: &Args) -> Result<(), Error> {
-    let which = args.body as usize;
+    let which = args.design as usize;
     let body = &drawing(&stored.specs[which], &stored.designs[which]).map_err(unreadable(stored))?;
     let [width, height] = section(stored, args);
     for (name, value, least) in [
@@ -158,11 +155,9 @@ fn trial(stored: &Stored, args: &Args) -> Result<(), Error> {
         }
     }
     let bytes = match args.format {
-        Form::Npz => npz::of_trial(stored, args.threads.into(), &mut |what| say!("note: {what}"))?,
-        Form::Csv => series::table(stored, &replays(stored, args.threads.into())?).written(Format::Csv),
-        Form::Parquet => {
-            series::table(stored, &replays(stored, args.threads.into())?).written(Format::Parquet)
-        }
+        Form::Npz => npz::of_trial(stored, cores(), &mut |what| say!("note: {what}"))?,
+        Form::Csv => series::table(stored, &replays(stored, cores())?).written(Format::Csv),
+        Form::Parquet => series::table(stored, &replays(stored, cores())?).written(Format::Parquet),
         Form::Npy => design(stored, args),
         Form::Svg => picture(stored, body, args),
         Form::C => in_c(stored, args, &brain(stored, args)?)?,
@@ -179,7 +174,7 @@ fn trial(stored: &Stored, args: &Args) -> Result<(), Error> {
 
 /// The folder of a device: nothing of it is written unless all can be.
 fn device(stored: &Stored, body: &Drawing, args: &Args) -> Result<(), Error> {
-    let which = args.body as usize;
+    let which = args.design as usize;
     let (cavity, measures) = cavity(stored, body, args)?;
     let brain = match has_form(stored, which) {
         true => Some(brain(stored, args)?),
@@ -209,12 +204,12 @@ fn device(stored: &Stored, body: &Drawing, args: &Args) -> Result<(), Error> {
 }
 
 fn design(stored: &Stored, args: &Args) -> Vec<u8> {
-    let design = &stored.designs[args.body as usize];
+    let design = &stored.designs[args.design as usize];
     npy_bytes(&[design.len()], design)
 }
 
 fn picture(stored: &Stored, body: &Drawing, args: &Args) -> Vec<u8> {
-    let title = format!("{} body of trial {}", Body::ALL[args.body as usize].name(), stored.hash);
+    let title = format!("{} body of trial {}", Body::ALL[args.design as usize].name(), stored.hash);
     sketch(body, &[]).file(&title).into_bytes()
 }
 
@@ -225,14 +220,14 @@ fn outlines(stored: &Stored, body: &Drawing, args: &Args) -> Vec<u8> {
 
 /// Width and height of a ligament (mm): as asked for, or as the spec's material has them.
 fn section(stored: &Stored, args: &Args) -> [f64; 2] {
-    let own = stored.specs[args.body as usize].body.material;
+    let own = stored.specs[args.design as usize].body.material;
     let width = args.ligament_width.or(own.map(|m| m.ligament_width)).unwrap_or(1.0);
     [width, args.height.or(own.map(|m| m.thickness)).unwrap_or(10.0)]
 }
 
 /// The brain, and its body read once more.
 fn brain(stored: &Stored, args: &Args) -> Result<(Replay, Own), Error> {
-    let which = args.body as usize;
+    let which = args.design as usize;
     if !has_form(stored, which) {
         return Err(no_form("--format c or onnx"));
     }
@@ -240,12 +235,12 @@ fn brain(stored: &Stored, args: &Args) -> Result<(Replay, Own), Error> {
     if fit == Fit::Casts && stored.specs[which].variation.is_none() {
         return Err(Error::Usage(format!("--reader casts: the trial has {NO_VARIATION}")));
     }
-    Ok(brain_of(stored, which, fit, args.threads.into())?)
+    Ok(brain_of(stored, which, fit, cores())?)
 }
 
 fn in_c(stored: &Stored, args: &Args, brain: &(Replay, Own)) -> Result<Vec<u8>, Error> {
     let (numbers, fit) = (args.numbers.unwrap_or(Numbers::F32), args.reader.unwrap_or(Fit::Design));
-    Ok(device::c(stored, args.body as usize, fit, brain, numbers)?.into_bytes())
+    Ok(device::c(stored, args.design as usize, fit, brain, numbers)?.into_bytes())
 }
 
 /// What has no form in C is not left out in silence.
@@ -269,7 +264,7 @@ fn cavity(stored: &Stored, body: &Drawing, args: &Args) -> Result<(Outline, Moul
         return Err(Error::Usage(what));
     }
     let measures = Mould { width, height, wall: args.wall.unwrap_or(WALL), clearance, pocket };
-    let spec = &stored.specs[args.body as usize];
+    let spec = &stored.specs[args.design as usize];
     let (offset, tilt) = (spec.sensors.offset.unwrap_or_default(), spec.sensors.tilt.unwrap_or_default());
     let cavity = Outline::new(body, &measures)
         .and_then(|cavity| cavity.with_pockets(body, &measures, offset, tilt.to_radians()))

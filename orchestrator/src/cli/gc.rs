@@ -24,7 +24,7 @@ pub(super) struct Args {
     #[arg(long)]
     yes: bool,
     /// The form of the rows
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
 

@@ -36,14 +36,14 @@ pub(super) struct Args {
     #[arg(long, value_enum, value_delimiter = ',', default_value = "stretch,shear,bend,damping,density")]
     fit: Vec<Fitted>,
     /// Threads
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Workers")]
     threads: u16,
     /// Writes into this folder a page (index.html), its figures (SVG) with their data, and the fitted signals (NPY). While it runs,
     /// the folder keeps the iterations done; the same command goes on from there
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
     out_dir: Option<PathBuf>,
     /// The form of the estimates
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
 
@@ -61,7 +61,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     end_on_signal(args.out_dir.as_deref());
     let (_, trial, design) = &args.one.read().await?;
     if let Some(key) = trial.sensors.changed_by() {
-        let remedy = "must be left out here: a fit compares all three signals of each sensor as they are; `metasense twin` takes what \
+        let remedy = "must be left out here: a fit compares all three signals of each sensor as they are; `metasense lab twin` takes what \
                       is read";
         return Err(args.one.trial.refused_key(key, remedy));
     }

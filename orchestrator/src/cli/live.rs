@@ -1,5 +1,6 @@
 //! What `run` shows while it goes on: a bar with the time to go on a terminal, plain lines elsewhere.
 
+use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -12,7 +13,7 @@ use crate::control::Command;
 use crate::engine::{View, Watch};
 use crate::files::host;
 use crate::look::short_hash;
-use crate::plan::{Trial, counted};
+use crate::plan::{Trial, counted, point_in_words};
 use crate::provenance;
 use crate::scheduler::{Outcome, UNFIT_DEATHS};
 
@@ -39,22 +40,36 @@ pub struct Live<'a> {
     failed: String,
     /// Is told when somebody asks for the end.
     asked: &'a Notify,
+    /// The keys that the sweep varies.
+    axes: BTreeSet<&'a str>,
 }
 
 impl<'a> Live<'a> {
     /// For a run of this many trials, beside others that are settled already.
-    pub fn new(open: usize, settled: usize, workers: u32, asked: &'a Notify) -> Self {
+    pub fn new(
+        open: usize,
+        settled: usize,
+        workers: u32,
+        asked: &'a Notify,
+        axes: BTreeSet<&'a str>,
+    ) -> Self {
         let bar = is_live(&std::io::stderr()).then(|| {
             let style =
                 ProgressStyle::with_template("{bar:30} {percent:>3} %  {msg}").expect("the template is one");
             ProgressBar::with_draw_target(Some(BAR), ProgressDrawTarget::stderr_with_hz(5)).with_style(style)
         });
         let (said, failed) = (Instant::now(), String::new());
-        let live = Self { bar, said, before: None, estimates: Vec::new(), failed, asked };
+        let live = Self { bar, said, before: None, estimates: Vec::new(), failed, asked, axes };
         let before = if settled > 0 { format!(", {settled} settled before") } else { String::new() };
         let (open, workers) = (counted(open, "trial"), counted(workers as usize, "worker"));
         live.say(&format!("{open} to run on {workers}{before}"));
         live
+    }
+
+    fn named(&self, trial: &Trial) -> String {
+        let spec = serde_json::to_value(&trial.spec).expect("a trial is JSON");
+        let (point, units) = (point_in_words(&spec, &self.axes), counted(trial.units, "unit"));
+        format!("{point}, {units} ({})", short_hash(&trial.hash))
     }
 
     fn say(&self, line: &str) {
@@ -71,29 +86,34 @@ impl Watch for Live<'_> {
             Some(false) => String::new(),
             _ => percent(&result.initial) + " -> ",
         };
-        self.say(&format!("done: {}: holdout error {before}{}", named(trial), percent(&result.optimised)));
+        self.say(&format!(
+            "done: {}: holdout error {before}{}",
+            self.named(trial),
+            percent(&result.optimised)
+        ));
         if let Some(caveat) = provenance::unresolved(&result.solver) {
-            self.say(&format!("warning: {}: {caveat}", named(trial)));
+            self.say(&format!("warning: {}: {caveat}", self.named(trial)));
         }
     }
 
     fn attempt_failed(&mut self, trial: &Trial, attempt: u32, reason: Reason, settled: bool, text: &str) {
         if reason == Reason::Cancelled {
-            return self.say(&format!("given up: {}: on request", named(trial)));
+            return self.say(&format!("given up: {}: on request", self.named(trial)));
         }
         if reason == Reason::Pruned {
-            return self.say(&format!("given up: {}: worse than the median of its K and M", named(trial)));
+            return self
+                .say(&format!("given up: {}: worse than the median of its K and M", self.named(trial)));
         }
         let then = match settled {
             true => format!("failed for good; {}", reason.remedy()),
             false => "it is tried again".into(),
         };
         self.failed = text.chars().take(MOST_TEXT).collect();
-        self.say(&format!("attempt {attempt} failed: {}: {}; {then}", named(trial), self.failed));
+        self.say(&format!("attempt {attempt} failed: {}: {}; {then}", self.named(trial), self.failed));
     }
 
     fn begins_anew(&mut self, trial: &Trial, why: &str) {
-        self.say(&format!("begins anew, as its checkpoint is of no use: {}: {why}", named(trial)));
+        self.say(&format!("begins anew, as its checkpoint is of no use: {}: {why}", self.named(trial)));
     }
 
     fn warned(&mut self, text: &str) {
@@ -193,19 +213,6 @@ impl Watch for Live<'_> {
             );
         }
     }
-}
-
-fn named(trial: &Trial) -> String {
-    let point = trial.spec.point;
-    format!(
-        "K={} M={} placement {} seed {}, {} ({})",
-        point.panels,
-        point.sensors,
-        point.placement,
-        point.seed,
-        counted(trial.units, "unit"),
-        short_hash(&trial.hash)
-    )
 }
 
 /// Mean holdout error, with the median over samples and the number of samples above 100 %, if any.

@@ -24,20 +24,17 @@ pub(super) struct Args {
     #[arg(required = true, value_name = "DB")]
     files: Vec<PathBuf>,
     /// The merged database; its earlier contents stay
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", help_heading = "Output")]
     out: PathBuf,
     /// Takes over facts alone (settings, results, attempts: some kB a trial); steps, curves and arrays are read where they lie
     #[arg(long)]
     facts: bool,
-    /// The form of the list of disagreements and omissions
-    #[arg(long, value_enum, default_value_t)]
-    format: Format,
 }
 
 impl Args {
     /// The databases of a folder into one.
     pub fn folder(folder: &Path, out: &Path) -> Self {
-        Self { files: vec![folder.to_owned()], out: out.to_owned(), facts: false, format: Format::default() }
+        Self { files: vec![folder.to_owned()], out: out.to_owned(), facts: false }
     }
 }
 
@@ -45,7 +42,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let extent = if args.facts { Extent::Facts } else { Extent::Whole };
     let summary = merge(extent, &args.files, &args.out).await?;
     if !summary.findings.is_empty() {
-        print_rows(&table(&summary), args.format)?;
+        print_rows(&table(&summary), Format::Table)?;
     }
     for (file, why) in &summary.refused {
         say!("refused: {}: {why}", file.display());
@@ -55,7 +52,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     let remedy = match args.facts {
         false => format!("metasense run SPEC --db {}", args.out.display()),
-        true => "metasense submit".to_owned(),
+        true => "metasense cluster submit".to_owned(),
     };
     say_never(&never_begun(&args.files, &args.out).await?, &remedy);
     let Summary { read, known, trials, covered, not_compared, .. } = summary;
@@ -84,7 +81,7 @@ pub(super) async fn after_the_last(folder: &Path, shard: Shard, out: &Path) -> R
     if let Err(error) = execute(Args::folder(folder, out)).await {
         // the shard has done its work; another one may be merging the same files
         error.say();
-        say!("merged by hand: metasense merge {} --out {}", folder.display(), out.display());
+        say!("merged by hand: metasense cluster merge {} --out {}", folder.display(), out.display());
     }
     Ok(())
 }

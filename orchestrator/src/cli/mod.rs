@@ -1,6 +1,6 @@
-//! The command line: one file a command.
+//! The command line: one file per command.
 //!
-//! A new command is a file with `Args` and `execute`, and a word in the list [`commands!`] below.
+//! A new command is a file with `Args` and `execute`, and a word in the list [`commands!`] below, at the top or in a group.
 
 #[macro_use]
 mod say;
@@ -8,7 +8,7 @@ mod say;
 mod analyse;
 mod bound;
 mod casts;
-mod claims;
+mod completions;
 mod control;
 mod design;
 mod draw;
@@ -18,8 +18,10 @@ mod expand;
 mod export;
 mod gc;
 mod identify;
+mod init;
 mod live;
 pub mod log;
+mod man;
 mod merge;
 mod modes;
 mod named;
@@ -80,12 +82,16 @@ pub struct Cli {
     command: Command,
 }
 
-/// Commands, each its module, by what they are for.
+/// Commands, each its module, under headings; and groups of commands.
 macro_rules! commands {
-    ($($heading:literal: $($variant:ident $module:ident),+;)+) => {
+    (
+        $($heading:literal: $($variant:ident $module:ident),+;)+
+        $(#[doc = $about:literal] $Group:ident $group:ident: $($inner:ident $file:ident),+;)+
+    ) => {
         #[derive(Debug, Subcommand)]
         enum Command {
             $($($variant($module::Args),)+)+
+            $(#[doc = $about] #[command(subcommand)] $Group($Group),)+
             /// What the orchestrator starts; not for people.
             #[command(hide = true)]
             Worker {
@@ -94,14 +100,24 @@ macro_rules! commands {
             },
         }
 
-        /// The names of the commands under their headings.
-        pub const GROUPS: &[(&str, &[&str])] = &[$(($heading, &[$(stringify!($module)),+])),+];
+        $(#[doc = $about]
+        #[derive(Debug, Subcommand)]
+        enum $Group {
+            $($inner($file::Args),)+
+        })+
+
+        /// The names of the commands at the top, under their headings.
+        pub const TOP: &[(&str, &[&str])] = &[$(($heading, &[$(stringify!($module)),+])),+];
+
+        /// Groups of commands, with the names of their commands.
+        pub const GROUPS: &[(&str, &[&str])] = &[$((stringify!($group), &[$(stringify!($file)),+])),+];
 
         impl Command {
             async fn execute(self) -> Result<Exit, Error> {
                 match self {
                     // Boxed: each future as large as itself.
                     $($(Self::$variant(args) => Box::pin($module::execute(args)).await,)+)+
+                    $($(Self::$Group($Group::$inner(args)) => Box::pin($file::execute(args)).await,)+)+
                     Self::Worker { .. } => unreachable!("carried out before"),
                 }
             }
@@ -111,41 +127,58 @@ macro_rules! commands {
 
 commands! {
     "A sweep": Run run, Design design, Expand expand, Trial trial, Status status, Watch watch, Serve serve, Control control;
-    "A cluster": Submit submit, Merge merge, Gc gc;
-    "Results": Query query, Analyse analyse, Report report, Claims claims, Export export, Remove remove;
-    "Bodies": Simulate simulate, Modes modes, Bound bound, Operator operator, Casts casts, Place place, Project project, Draw draw;
-    "Measured data": Identify identify, Twin twin, Evaluate evaluate;
-    "Checks": Verify verify, Schema schema;
+    "Results": Query query, Analyse analyse, Report report, Export export, Remove remove;
+    "Setup": Init init, Schema schema, Completions completions, Man man;
+    /// Computes properties of single bodies, without a sweep
+    Body body: Draw draw, Simulate simulate, Modes modes, Bound bound, Operator operator, Place place, Casts casts, Project project;
+    /// Compares bodies with measured records and reference data
+    Lab lab: Identify identify, Twin twin, Evaluate evaluate, Verify verify;
+    /// Runs a sweep as shards on a cluster or on several machines
+    Cluster cluster: Submit submit, Merge merge, Gc gc;
 }
 
-/// The command line as clap has it, with the commands in groups.
+/// What a command that stood at the top is called now.
+fn renamed(name: &str) -> Option<String> {
+    let group = GROUPS.iter().find(|(_, names)| names.contains(&name));
+    match (name, group) {
+        ("claims", _) => Some("analyse --question claims".into()),
+        (_, group) => group.map(|(group, _)| format!("{group} {name}")),
+    }
+}
+
+/// The command line as clap has it; its help lists commands under headings, and the commands of each group.
 #[must_use]
 pub fn command() -> clap::Command {
     let command = Cli::command();
     let (header, literal) = (command.get_styles().get_header(), command.get_styles().get_literal());
+    let line = |name: &str| {
+        let about = command.find_subcommand(name).and_then(clap::Command::get_about);
+        let about = about.map(ToString::to_string).unwrap_or_default();
+        format!("  {literal}{name:12}{literal:#}{about}\n")
+    };
     let mut list = String::new();
-    for (heading, names) in GROUPS {
+    for (heading, names) in TOP {
         let _ = writeln!(list, "{header}{heading}:{header:#}");
-        for name in *names {
-            let about = command.find_subcommand(name).and_then(clap::Command::get_about);
-            let _ = writeln!(
-                list,
-                "  {literal}{name:10}{literal:#}{}",
-                about.map(ToString::to_string).unwrap_or_default()
-            );
-        }
+        names.iter().for_each(|name| list += &line(name));
         list.push('\n');
     }
+    let _ = writeln!(list, "{header}Groups of commands:{header:#}");
+    for (group, names) in GROUPS {
+        let _ = writeln!(list, "{}{:14}{}", line(group), "", names.join(", "));
+    }
     let template = format!(
-        "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{list}{header}Options:{header:#}\n{{options}}{{after-help}}"
+        "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{list}\n{header}Options:{header:#}\n{{options}}{{after-help}}"
     );
-    // a number below 0 is a value, to be refused by what it means
-    let lets_pass = |arg: clap::Arg| {
+    lets_pass(command).help_template(template)
+}
+
+/// A number below 0 is a value, to be refused by what it means.
+fn lets_pass(command: clap::Command) -> clap::Command {
+    let arg = |arg: clap::Arg| {
         let takes = arg.get_action().takes_values();
         if takes { arg.allow_negative_numbers(true) } else { arg }
     };
-    let command = command.mut_subcommands(|command| command.mut_args(lets_pass));
-    command.help_template(template)
+    command.mut_args(arg).mut_subcommands(lets_pass)
 }
 
 /// Carries out a command line, the name of the program first.
@@ -153,6 +186,11 @@ pub fn command() -> clap::Command {
 /// # Errors
 /// Bad input and failed I/O, each with its exit code.
 pub fn execute(args: impl Iterator<Item = OsString>) -> Result<Exit, Error> {
+    let args: Vec<OsString> = args.collect();
+    let first = args.get(1).and_then(|name| name.to_str());
+    if let Some((old, new)) = first.and_then(|old| Some((old, renamed(old)?))) {
+        return Err(Error::Usage(format!("`metasense {old}` is now `metasense {new}`")));
+    }
     let command = command().term_width(screen().unwrap_or(WIDEST).min(WIDEST)).color(colour());
     let matches = command.get_matches_from(args);
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|e| e.exit());
@@ -173,6 +211,9 @@ fn spares_what_it_reads(matches: &ArgMatches) -> Result<(), Error> {
     let Some((name, matches)) = matches.subcommand().filter(|(name, _)| *name != "merge") else {
         return Ok(());
     };
+    if matches.subcommand().is_some() {
+        return spares_what_it_reads(matches);
+    }
     let named = |id: &str| matches.try_get_raw(id).ok().flatten().into_iter().flatten();
     let inode = |path: &OsStr| {
         let file = std::fs::metadata(path).ok().filter(Metadata::is_file)?;
@@ -258,6 +299,11 @@ fn colour() -> clap::ColorChoice {
 fn end_with(parent: u32) -> bool {
     let _ = set_parent_process_death_signal(Some(Signal::TERM));
     std::os::unix::process::parent_id() == parent
+}
+
+/// Threads of a command in the foreground: one per core that it may use. Results do not depend on their number.
+fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
 }
 
 /// Reads and expands a spec file.

@@ -27,10 +27,10 @@ pub(super) struct Args {
     #[arg(long, value_name = "UNIT")]
     response: Option<usize>,
     /// Draws the modes' shapes, or the responses
-    #[arg(long, value_name = "FILE.svg")]
+    #[arg(long, value_name = "FILE.svg", help_heading = "Output")]
     out: Option<PathBuf>,
     /// The form of the rows
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
 

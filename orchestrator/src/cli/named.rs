@@ -1,5 +1,6 @@
-//! Specs with their changes, and trials by name: `SPEC --hash HASH` or `DB HASH`, the same in all commands.
+//! Specs with their changes, and trials by name: `SPEC HASH` or `DB HASH`, the same in all commands.
 
+use std::ffi::OsString;
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
@@ -55,12 +56,10 @@ pub(super) struct Named {
     /// The spec file or the database that has the trial
     #[arg(value_name = "SPEC|DB")]
     pub source: PathBuf,
-    /// After DB: the trial, by its hash or the beginning of it. After SPEC: values in place of the spec's, as in `run`
+    /// The trial, by its hash or the beginning of it (`metasense expand SPEC` lists them; of a SPEC the first trial by default), and
+    /// after SPEC also values in place of the spec's, as in `run`
     #[arg(value_name = "HASH|KEY=VALUE")]
     pub words: Vec<String>,
-    /// After SPEC: the trial, by its hash or the beginning of it; `metasense expand SPEC` lists them [default: the first]
-    #[arg(long, value_name = "HASH")]
-    pub hash: Option<String>,
 }
 
 /// A database to read: a file, or the facts of the shards of a folder.
@@ -109,6 +108,22 @@ pub(super) enum Which {
     Optimised,
 }
 
+/// A design for a trial: that of one of its bodies, or one from a file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum Design {
+    Of(Which),
+    File(PathBuf),
+}
+
+impl From<OsString> for Design {
+    fn from(text: OsString) -> Self {
+        match text.to_str().map(|name| Which::from_str(name, false)) {
+            Some(Ok(which)) => Self::Of(which),
+            _ => Self::File(text.into()),
+        }
+    }
+}
+
 impl Named {
     /// Whether a database is named, and not a spec.
     pub fn is_database(&self) -> bool {
@@ -119,14 +134,14 @@ impl Named {
     /// The hash that was asked for, or its beginning.
     pub fn asked(&self) -> Result<Option<&str>, Error> {
         let database = self.is_database();
-        let mut words = self.words.iter().filter(|word| !word.contains('=')).chain(&self.hash);
+        let mut words = self.words.iter().filter(|word| !word.contains('='));
         let asked = words.next().map(String::as_str);
         if database && self.words.iter().any(|word| word.contains('=')) {
             return Err(Error::Usage("KEY=VALUE changes a spec; a database's trials are as they are".into()));
         }
-        match words.next().is_some() || asked.is_some() && database == self.hash.is_some() {
-            true => Err(Error::Usage("name one trial: SPEC --hash HASH or DB HASH".into())),
-            false => Ok(asked),
+        match words.next() {
+            Some(_) => Err(Error::Usage("name one trial: SPEC HASH or DB HASH".into())),
+            None => Ok(asked),
         }
     }
 
@@ -205,7 +220,7 @@ impl Named {
         }
         OneBody::new(&self.spec().source()?)?.ok_or_else(|| {
             Error::Usage(format!(
-                "{path} has several bodies: choose a trial's with --hash; `metasense expand {path}` lists them"
+                "{path} has several bodies: name a trial, {path} HASH; `metasense expand {path}` lists them"
             ))
         })
     }
@@ -248,12 +263,9 @@ impl Named {
 pub(super) struct Designed {
     #[command(flatten)]
     pub trial: Named,
-    /// Of a trial that a database has finished: which body
-    #[arg(long, value_enum, default_value = "initial")]
-    body: Which,
-    /// The design (.npy or .csv) in place of the trial's
-    #[arg(long, value_name = "FILE")]
-    pub design: Option<PathBuf>,
+    /// Which design: `initial`, `optimised` (of a trial that a database has finished), or that of a file (.npy or .csv)
+    #[arg(long, value_name = "DESIGN|FILE", default_value = "initial")]
+    pub design: Design,
 }
 
 impl Designed {
@@ -267,32 +279,33 @@ impl Designed {
         &self,
         default: impl Fn(&Plan) -> &Trial,
     ) -> Result<(String, TrialSpec, Vec<f64>), Error> {
-        let (hash, spec, own) = match self.body {
-            Which::Initial => {
+        let (hash, spec, own) = match self.design {
+            Design::Of(Which::Initial) | Design::File(_) => {
                 let (hash, spec) = self.trial.read_or(default).await?;
                 (hash, spec, None)
             }
-            Which::Optimised if !self.trial.is_database() => {
-                return Err(Error::Usage("--body optimised: name a finished trial by DB HASH".into()));
+            Design::Of(Which::Optimised) if !self.trial.is_database() => {
+                return Err(Error::Usage("--design optimised: name a finished trial by DB HASH".into()));
             }
-            Which::Optimised => {
+            Design::Of(Which::Optimised) => {
                 let Stored { hash, specs: [_, spec], designs: [_, design], .. } = self.trial.stored().await?;
                 (hash, spec, Some(design))
             }
         };
         let (layout, initial) = simulate::body(&spec).map_err(|e| self.trial.refused(e))?;
-        let given = self.design.as_ref().map(|file| design::read(file, &layout)).transpose()?;
-        if let (Some(file), Some(given)) = (&self.design, &given) {
+        if let Design::File(file) = &self.design {
+            let given = design::read(file, &layout)?;
             let limits = problem::limits(&spec.feasible).map_err(|e| self.trial.refused(e))?;
-            let broken = Feasible::new(&layout, limits, &[]).violations(given);
+            let broken = Feasible::new(&layout, limits, &[]).violations(&given);
             if let Some(first) = broken.first() {
                 say!(
-                    "warning: {} breaks {} of [feasible] and cannot be cast; the first: {first}. `metasense project` repairs it",
+                    "warning: {} breaks {} of [feasible] and cannot be cast; the first: {first}. `metasense body project` repairs it",
                     file.display(),
                     counted(broken.len(), "limit")
                 );
             }
+            return Ok((hash, spec, given));
         }
-        Ok((hash, spec, given.or(own).unwrap_or(initial)))
+        Ok((hash, spec, own.unwrap_or(initial)))
     }
 }

@@ -28,14 +28,14 @@ pub(super) struct Args {
     /// The database
     #[arg(value_name = "DB")]
     db: PathBuf,
-    /// A row a trial and body, in place of the table of measures
-    #[arg(long)]
+    /// One row per trial and body, in place of the table of measures
+    #[arg(long, help_heading = "Output")]
     rows: bool,
     /// Draws what Wiener's filter would gain beside what was gained
-    #[arg(long, value_name = "FILE.svg")]
+    #[arg(long, value_name = "FILE.svg", help_heading = "Output")]
     out: Option<PathBuf>,
     /// The form of the table
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
 

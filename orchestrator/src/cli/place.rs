@@ -6,7 +6,7 @@ use metasense_worker::place::{Looked, look};
 use metasense_worker::replay::Drawing;
 
 use super::named::Designed;
-use super::{Error, Format, print_rows, write};
+use super::{Error, Format, cores, print_rows, write};
 use crate::exit::Exit;
 use crate::look::body::{Unit, frame};
 use crate::look::{Table, file, level, row};
@@ -16,28 +16,22 @@ use crate::report::body::sketch;
 /// Searches for the units that carry sensors best, and compares with random placements
 ///
 /// Errors are those of a linear brain on training samples that it has not seen; test set and holdout are not used. A sweep with
-/// sensors.search searches in the same way by itself. Without --hash: the first trial with the most sensors.
+/// sensors.search searches in the same way by itself. Without HASH: the first trial with the most sensors.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
     one: Designed,
     /// Draws the body: units coloured by the error with a sensor on them, the units chosen numbered
-    #[arg(long, value_name = "FILE.svg")]
+    #[arg(long, value_name = "FILE.svg", help_heading = "Output")]
     out: Option<PathBuf>,
-    /// Colours by the error of one more sensor beside the first M chosen
-    #[arg(long, value_name = "M", default_value_t = 0)]
-    given: usize,
-    /// Threads
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
-    threads: u16,
     /// The form of the rows
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let (_, spec, design) = &args.one.read_or(most_sensors).await?;
-    let found = look(spec, design, args.given, args.threads.into()).map_err(|e| args.one.trial.failed(e))?;
+    let found = look(spec, design, 0, cores()).map_err(|e| args.one.trial.failed(e))?;
     print_rows(&table(&found), args.format)?;
     if found.placed.iter().any(|placed| placed.energies) {
         say!("read by a linear brain that sees |signal|² of each unit, too: it reads these forces better");
@@ -47,11 +41,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let sensors = found.placed.last().map_or(Vec::new(), |placed| placed.units.clone());
         let drawn = sketch(&Drawing { sensors, active: Vec::new(), ..drawn }, &[]);
         let caption = format!(
-            "Error with {}: {:.1} % (strong) … {:.1} % (pale)",
-            match args.given {
-                0 => "a sensor there alone".to_owned(),
-                m => format!("a sensor there beside the first {m}"),
-            },
+            "Error with a sensor there alone: {:.1} % (strong) … {:.1} % (pale)",
             found.worth.first().map_or(0.0, |best| best.1),
             found.worth.last().map_or(0.0, |worst| worst.1),
         );

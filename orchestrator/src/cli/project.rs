@@ -28,11 +28,8 @@ pub(super) struct Args {
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
     /// The file to write (.npy or .csv)
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", help_heading = "Output")]
     out: PathBuf,
-    /// The form of the rows, one per constraint at its limit; the summary precedes a table, else it goes to standard error
-    #[arg(long, value_enum, default_value_t)]
-    format: Format,
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
@@ -43,7 +40,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         None => body.initial.clone(),
     };
     let weights = args.weights.as_ref().map(|file| design::read_array(file, &body.layout)).transpose()?;
-    let several = "optimise.tie or optimise.frozen differ from trial to trial: choose one with --hash";
+    let several = "optimise.tie or optimise.frozen differ from trial to trial: name one, SPEC HASH";
     let feasible = body.castable.as_mut().ok_or_else(|| args.trial.refused(several))?;
     let found = feasible.project(&previous, &target, weights.as_deref());
     let broken = feasible.violations(&target);
@@ -53,7 +50,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         summary.push(format!("written   {}", args.out.display()));
     }
     for line in summary {
-        match args.format {
+        match Format::Table {
             Format::Table => print_line!("{line}")?,
             _ => say!("{line}"),
         }
@@ -64,7 +61,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
         return Ok(Exit::Failed);
     }
-    print_rows(&rows(&found), args.format)?;
+    print_rows(&rows(&found), Format::Table)?;
     Ok(Exit::Done)
 }
 

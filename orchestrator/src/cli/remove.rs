@@ -26,9 +26,6 @@ pub(super) struct Args {
     /// Removes the listed trials; without it they are only listed
     #[arg(long)]
     yes: bool,
-    /// The form of the list
-    #[arg(long, value_enum, default_value_t)]
-    format: Format,
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
@@ -44,7 +41,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let [panels, sensors, placement, seed, error] = cells.map(|key| trial.cell(key));
         row![trial.hash.clone(), trial.state.clone(), panels, sensors, placement, seed, error]
     });
-    print_rows(&Table::new("hash state K M placement seed holdout_optimised", rows), args.format)?;
+    print_rows(&Table::new("hash state K M placement seed holdout_optimised", rows), Format::Table)?;
     let count = counted(found.len(), "trial");
     let Some(mut store) = store else {
         say!("{count} of {} would be removed: --yes", trials.rows.len());

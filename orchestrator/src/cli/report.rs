@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 
 use super::named::Database;
-use super::{Error, make_folder, write};
+use super::{Error, cores, make_folder, write};
 use crate::analysis::{Question, Terms};
 use crate::exit::Exit;
 use crate::look::{Figure, Legend, Picture, file};
@@ -21,22 +21,17 @@ pub(super) struct Args {
     /// The trial whose forces, bodies and waves are shown, by its hash or the beginning of it [default: the design of a search, else a typical one]
     hash: Option<String>,
     /// The file to write; by default beside the database
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", help_heading = "Output")]
     out: Option<PathBuf>,
     /// Also writes into this folder every figure (SVG) with its data, every answer and the trials (CSV), and the specs
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
     out_dir: Option<PathBuf>,
-    /// Threads for simulating the shown trial again
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
-    threads: u16,
-    #[command(flatten)]
-    terms: Terms,
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let asked = async |reader: &mut Reader| load::story(reader, args.hash.as_deref(), args.terms).await;
+    let asked = async |reader: &mut Reader| load::story(reader, args.hash.as_deref(), Terms::default()).await;
     let story = Reader::asked(Database::at(&args.db).await?, asked).await?;
-    let (drawn, missing) = figures(&story, args.threads.into());
+    let (drawn, missing) = figures(&story, cores());
     let out = args.out.unwrap_or_else(|| args.db.with_extension("html"));
     if let Some(folder) = &args.out_dir {
         write_parts(folder, &story, &drawn)?;

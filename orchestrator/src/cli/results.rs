@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use super::{Error, Format, print_rows};
 use crate::analysis::kinds::brains_of;
 use crate::look::Table;
-use crate::plan::{Plan, counted};
+use crate::plan::{Plan, counted, values_at};
 use crate::provenance;
 use crate::store::{Reader, quoted};
 
@@ -47,6 +47,9 @@ pub(super) async fn print_results(from: Results<'_>, plan: &Plan, format: Format
     })
     .await?;
     name_brains(&mut table, plan);
+    if format == Format::Table {
+        add_axes(&mut table, plan);
+    }
     if format == Format::Table && !table.rows.is_empty() {
         leave_out_the_usual(&mut table);
     }
@@ -83,6 +86,20 @@ fn name_brains(table: &mut Table, plan: &Plan) {
         let names = known.entry(of.to_string()).or_insert_with(|| brains_of(&of));
         [row[read], row[trained]] = names.clone().map(Value::from);
     }
+}
+
+/// What the sweep varies, as columns behind the first ones; brains are named already.
+fn add_axes(table: &mut Table, plan: &Plan) {
+    let mut axes = plan.spec.sweep.keys();
+    axes.remove("brain.kind");
+    let specs: HashMap<&str, &TrialSpec> = plan.trials.iter().map(|t| (t.hash.as_str(), &t.spec)).collect();
+    let [hash, behind] = ["hash", "units"].map(|name| table.column(name));
+    for row in &mut table.rows {
+        let spec = row[hash].as_str().and_then(|hash| specs.get(hash));
+        let spec = spec.map_or(Value::Null, |spec| json!(spec));
+        row.splice(behind + 1..behind + 1, values_at(&spec, &axes));
+    }
+    table.columns.splice(behind + 1..behind + 1, axes.into_iter().map(str::to_owned));
 }
 
 /// Leaves out columns that say the usual of every trial: done, sensors at random, the paper's brain, no sample above 100 %.

@@ -37,26 +37,26 @@ pub(super) struct Args {
     spec: Spec,
     #[command(flatten)]
     running: Running,
-    /// Runs only the trials of shard I of N. Shards are balanced by estimated time; the assignment in the folder of --copy-to
+    /// Runs only the trials of shard I of N. Shards are balanced by estimated time; the assignment in the folder of --folder
     /// counts where there is one
-    #[arg(long, value_name = "I/N")]
+    #[arg(long, value_name = "I/N", help_heading = "Shards")]
     shard: Option<Shard>,
     /// Of a shard: goes on from the database that an earlier attempt left in this folder, and puts its own there at the end,
     /// also by a signal. While it runs the database is on the node's own disk, in TMPDIR or at --db
-    #[arg(long, value_name = "DIR", requires = "shard")]
-    copy_to: Option<PathBuf>,
+    #[arg(long, value_name = "DIR", requires = "shard", help_heading = "Shards")]
+    folder: Option<PathBuf>,
     /// Also puts it there at this interval (s), in case the node is lost
-    #[arg(long, value_name = "S", default_value_t = 900.0, requires = "copy_to")]
+    #[arg(long, value_name = "S", default_value_t = 900.0, requires = "folder", help_heading = "Shards")]
     copy_every: f64,
     /// Stops in order after this time (s), for schedulers that do not announce the end by SIGTERM
-    #[arg(long, value_name = "S", requires = "copy_to")]
+    #[arg(long, value_name = "S", requires = "folder", help_heading = "Shards")]
     stop_after: Option<f64>,
     /// Stops in order when this process, which has started it, ends
     #[arg(long, hide = true, value_name = "PID")]
     parent: Option<u32>,
     /// Of a shard: once all shards of the folder have come to their ends, merges them into this database, for schedulers that start
     /// nothing when jobs have ended
-    #[arg(long, value_name = "FILE", requires = "copy_to")]
+    #[arg(long, value_name = "FILE", requires = "folder", help_heading = "Shards")]
     merge_into: Option<PathBuf>,
 }
 
@@ -67,28 +67,28 @@ pub(super) struct Running {
     #[arg(long, value_name = "FILE")]
     pub db: Option<PathBuf>,
     /// Worker processes, each with one trial at a time; by default `run.workers` of the spec, else one per core
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Workers")]
     pub workers: Option<u16>,
     /// Shows the run in a browser at this port (0: any free one). Prints the address with a token; its pages can steer the run.
     /// They are served by another process and do not slow the run
     #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "8017")]
     pub serve: Option<u16>,
     /// Threads per worker; by default `run.threads` of the spec, else 1
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Workers")]
     pub threads: Option<u16>,
     /// Longest wait for steps in progress when the run is stopped (s); by default `run.grace` of the spec, else 10
-    #[arg(long, value_name = "S", value_parser = grace)]
+    #[arg(long, value_name = "S", value_parser = grace, help_heading = "Workers")]
     pub grace: Option<f64>,
     /// Runs failed trials again, from their last step
-    #[arg(long)]
+    #[arg(long, help_heading = "Trials to repeat")]
     pub retry_failed: bool,
     /// Runs again, from the beginning, trials of the spec that were computed by other code; `status` names them
-    #[arg(long)]
+    #[arg(long, help_heading = "Trials to repeat")]
     pub redo_other_code: bool,
     #[command(flatten)]
     pub simd: Simd,
     /// The form of the final table
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     pub format: Format,
 }
 
@@ -120,7 +120,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         fixed: args.shard.map(|_| FIXED_SHARD),
         asked: &asked,
     };
-    let Some((shard, folder)) = args.shard.zip(args.copy_to.as_deref()) else {
+    let Some((shard, folder)) = args.shard.zip(args.folder.as_deref()) else {
         let mut plan = Plan::of(source)?;
         if args.shard.is_some() {
             not_in_shards(&plan)?;
@@ -191,7 +191,7 @@ pub(super) fn not_in_shards(plan: &Plan) -> Result<(), Error> {
             .source
             .error(
                 "until",
-                "needs all results in one database: `metasense submit` runs its shards and merges them",
+                "needs all results in one database: `metasense cluster submit` runs its shards and merges them",
             )
             .into()),
     }
@@ -454,7 +454,13 @@ impl Runs for Round<'_> {
         }
         log::start(log)?;
         let run = store.begin_run(&planned).await?;
-        let mut live = Live::new(open.len(), trials.len() - open.len(), options.settings.workers, asked);
+        let mut live = Live::new(
+            open.len(),
+            trials.len() - open.len(),
+            options.settings.workers,
+            asked,
+            plan.spec.sweep.keys(),
+        );
         let work = |trial: &Trial| serde_json::to_string(&trial.spec).expect("a trial is JSON");
         let ended = engine::run(store, &open, &work, options, signals, control, &mut live).await;
         let noted = match &ended {
@@ -506,7 +512,7 @@ pub(super) async fn end(
 
 /// The command line goes before the spec, the spec before what the machine suggests.
 fn options(run: &Run, args: &Running) -> Options {
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let cores = super::cores();
     let threads = args.threads.map(usize::from).or(run.threads).unwrap_or(1).max(1);
     let workers = args.workers.map(usize::from).or(run.workers).unwrap_or((cores / threads).max(1));
     let patience = run.no_progress.unwrap_or(PATIENCE);

@@ -25,18 +25,18 @@ pub(super) struct Args {
     #[arg(default_value = "results", value_name = "DB|FOLDER")]
     what: Vec<PathBuf>,
     /// The port; 0 takes any that is free
-    #[arg(long, default_value_t = 8017)]
+    #[arg(long, default_value_t = 8017, help_heading = "Address")]
     port: u16,
     /// The address to listen at. To any other than this machine's own, the connection can be read on the way
-    #[arg(long, value_name = "IP", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
+    #[arg(long, value_name = "IP", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST), help_heading = "Address")]
     listen: IpAddr,
     /// The path of a proxy in front of these pages, where the proxy leaves it on requests: /node/HOST/8017/ of Open OnDemand. A proxy
     /// that takes its path away, as JupyterHub's does, needs nothing
-    #[arg(long, value_name = "PATH")]
+    #[arg(long, value_name = "PATH", help_heading = "Address")]
     base: Option<String>,
     /// A host name by which a proxy serves these pages, beside localhost and numeric addresses; may be repeated. All pages of that
     /// host can read these, and steer if yours can
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", help_heading = "Address")]
     host_name: Vec<String>,
     /// Prints an address with a token; whoever has it can also steer this user's runs of these databases
     #[arg(long)]

@@ -8,7 +8,7 @@ use metasense_worker::simd::{NAMES, choose};
 #[derive(Debug, clap::Args)]
 pub struct Simd {
     /// Instruction set of the kernels; by default the widest that the machine has
-    #[arg(long, global = true, value_name = "SET", value_parser = PossibleValuesParser::new(NAMES))]
+    #[arg(long, global = true, value_name = "SET", value_parser = PossibleValuesParser::new(NAMES), help_heading = "Workers")]
     simd: Option<String>,
 }
 

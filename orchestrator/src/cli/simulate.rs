@@ -7,7 +7,7 @@ use metasense_worker::run::{finite, keeps_error};
 use metasense_worker::simulate::{Simulated, simulate};
 
 use super::named::Designed;
-use super::{Error, Format, make_folder, print_rows, write};
+use super::{Error, Format, cores, make_folder, print_rows, write};
 use crate::exit::Exit;
 use crate::look::{Table, row};
 use crate::store::npy_bytes;
@@ -28,16 +28,13 @@ pub(super) struct Args {
     #[arg(long, value_name = "NPY")]
     cotangent: Option<PathBuf>,
     /// The folder for the arrays; made where it is missing
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
     out_dir: PathBuf,
-    /// Threads
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
-    threads: u16,
-    /// A row per sample, instead of one per outcome
-    #[arg(long)]
+    /// One row per sample, in place of one per outcome
+    #[arg(long, help_heading = "Output")]
     rows: bool,
     /// The form of the rows
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
 
@@ -46,7 +43,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let (shape, forces) = array(&args.forces)?;
     let cotangent = args.cotangent.as_deref().map(array).transpose()?;
     let cotangent = cotangent.as_ref().map(|(shape, values)| (&shape[..], &values[..]));
-    let found = simulate(spec, design, (&shape, &forces), cotangent, args.threads.into());
+    let found = simulate(spec, design, (&shape, &forces), cotangent, cores());
     let found = found.map_err(|e| args.one.trial.failed(e))?;
 
     let Simulated { shape: [samples, instants, units, sensors], .. } = found;

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use metasense_schemas::reason::is_given_up;
+use metasense_schemas::spec::Sweep;
 use serde_json::{Value, json};
 
 use super::named::{Database, Named};
@@ -14,45 +15,41 @@ use crate::cluster::state::{self, State};
 use crate::control::is_held;
 use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
-use crate::plan::{Trial, counted};
+use crate::plan::{Trial, counted, point_in_words};
 use crate::progress::FAILED;
 use crate::provenance;
 use crate::store::{Nearest, Reader, quoted};
 
 /// Shows what is done, running, pending or failed, and why; or one trial, or shards
 ///
-/// Of a trial, by DB HASH or SPEC --hash HASH: its attempts and what was said of them. Of one that the database has not: the
+/// Of a trial, by DB HASH or SPEC HASH: its attempts and what was said of them. Of one that the database has not: the
 /// keys by which it differs from the nearest one there, and by what code that was made.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The database, or the spec whose database is meant; by default the one under results/ that was written last
-    #[arg(value_name = "DB|SPEC|DIR")]
+    #[arg(value_name = "DB|SPEC", conflicts_with = "folder")]
     source: Option<PathBuf>,
-    /// After DB: a trial, by its hash or the beginning of it. After SPEC: values in place of the spec's, as in `run`
-    #[arg(value_name = "HASH|KEY=VALUE", conflicts_with = "cluster")]
+    /// A trial, by its hash or the beginning of it, and after SPEC also values in place of the spec's, as in `run`
+    #[arg(value_name = "HASH|KEY=VALUE")]
     words: Vec<String>,
-    /// After SPEC: a trial, by its hash or the beginning of it
-    #[arg(long, conflicts_with = "cluster")]
-    hash: Option<String>,
     /// After SPEC: the database, where it is not results/NAME.sqlite
-    #[arg(long, value_name = "FILE", conflicts_with = "cluster")]
+    #[arg(long, value_name = "FILE", conflicts_with = "folder")]
     db: Option<PathBuf>,
-    /// Shows shards: by the queue, and by what they have handed in; DIR is their folder, by default the only
-    /// results/*.shards
-    #[arg(long)]
-    cluster: bool,
+    /// Shows the shards of this folder, by the queue and by what they have handed in; by default of the only results/*.shards
+    #[arg(long, value_name = "DIR", num_args = 0..=1, help_heading = "Shards")]
+    folder: Option<Option<PathBuf>>,
     /// The form of the rows
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let Args { source, words, hash, db, format, .. } = args;
-    if args.cluster {
-        return cluster(source, format).await;
+    let Args { source, words, db, folder, format } = args;
+    if let Some(folder) = folder {
+        return cluster(folder, format).await;
     }
     let source = source.map_or_else(|| newest("status"), Ok)?;
-    let named = Named { source, words, hash };
+    let named = Named { source, words };
     let db = if named.is_database() {
         if db.is_some() {
             return Err(Error::Usage("--db is for a spec; a database is named in its place".into()));
@@ -113,6 +110,16 @@ async fn one(reader: &mut Reader, hash: &str, format: Format) -> Result<Exit, Er
         format!("SELECT attempt, at, level, text FROM v_log WHERE hash = {named} ORDER BY attempt, line");
     let [state, reason, solver] = [0, 1, 2].map(|i| state[i].as_str().unwrap_or_default().to_owned());
     say!("{}", format!("trial {hash}: {state} {reason}").trim_end());
+    let sweep = format!(
+        "SELECT t.spec, s.spec->'$.sweep' FROM trial t JOIN sweep_trial x ON x.trial_id = t.id JOIN sweep s ON s.id = x.sweep_id
+         WHERE t.hash = {named} ORDER BY s.id DESC LIMIT 1"
+    );
+    for row in reader.query::<Table>(&sweep).await?.rows {
+        let [spec, sweep] = [0, 1].map(|i| row[i].as_str().unwrap_or_default());
+        if let (Ok(spec), Ok(sweep)) = (serde_json::from_str(spec), serde_json::from_str::<Sweep>(sweep)) {
+            say!("  {}", point_in_words(&spec, &sweep.keys()));
+        }
+    }
     provenance::unresolved(&solver).iter().for_each(|caveat| say!("warning: {caveat}"));
     say_attempts(reader, hash).await?;
     print_rows(&reader.query(&log).await?, format)?;
@@ -182,7 +189,7 @@ async fn attempts(reader: &mut Reader, hash: &str) -> Result<Vec<String>, Error>
 /// The shards of a folder.
 async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error> {
     let none = || {
-        Error::Usage("name the folder of the shards: metasense status --cluster results/NAME.shards".into())
+        Error::Usage("name the folder of the shards: metasense status --folder results/NAME.shards".into())
     };
     let folder = folder.or_else(|| only(Path::new("results"), "shards")).ok_or_else(none)?;
     let mut jobs = super::submit::submitted(&folder)?;
@@ -190,7 +197,7 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
     let Some(last) = jobs.last() else {
         let path = folder.display();
         return Err(Error::Usage(format!(
-            "{path} holds no shards that `submit` has submitted; name their folder"
+            "{path} holds no shards that `cluster submit` has submitted; name their folder"
         )));
     };
     let assignment = Assignment::in_folder(&folder, &[], last.shards)?;
@@ -229,13 +236,19 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
         return Ok(Exit::Done);
     }
     if !ended.is_empty() {
-        say!("{} have ended before their trials had: `metasense submit` goes on with them", ended.len());
+        say!(
+            "{} have ended before their trials had: `metasense cluster submit` goes on with them",
+            ended.len()
+        );
     }
     let never: Vec<String> = ended.iter().flat_map(|s| s.never.iter().cloned()).collect();
-    super::merge::say_never(&never, "metasense submit");
+    super::merge::say_never(&never, "metasense cluster submit");
     let failed: usize = states.iter().map(State::failed).sum();
     if failed > 0 {
-        say!("{} failed: `metasense submit` with --retry-failed runs them again", counted(failed, "trial"));
+        say!(
+            "{} failed: `metasense cluster submit` with --retry-failed runs them again",
+            counted(failed, "trial")
+        );
     }
     Ok(if failed > 0 { Exit::Failed } else { Exit::Done })
 }

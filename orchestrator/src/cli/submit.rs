@@ -30,7 +30,7 @@ use crate::store::Reader;
 /// Runs a sweep as shards, on a cluster or on some machines, and merges them
 ///
 /// A shard is an ordinary run on one node; they are merged when all have ended. `slurm` and `hq` queue them; `local` and `ssh` run
-/// them and end with them. Called again, it goes on with the shards that are not complete. With [until] or --design trials are dealt
+/// them and end with them. Called again, it goes on with the shards that are not complete. With [until] or --goal trials are dealt
 /// round by round, by what earlier ones have come to: it stays until the answer stands.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
@@ -40,40 +40,40 @@ pub(super) struct Args {
     spec: Spec,
     /// Shards; by default so many that each takes half of its time limit, by estimate, and four a place for `local` and `ssh`; of
     /// rounds one a place, and four for `slurm` and `hq`
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(Shard::MOST)))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(Shard::MOST)), help_heading = "Shards")]
     shards: Option<u32>,
     /// Cores of a shard
-    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=1024))]
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=1024), help_heading = "Nodes")]
     cpus: u32,
     /// Time limit of a shard: minutes, H:MM:SS or D-HH:MM:SS; by default 4:00:00. At its end a shard queues again by itself (Slurm)
-    #[arg(long, value_name = "TIME", value_parser = seconds)]
+    #[arg(long, value_name = "TIME", value_parser = seconds, help_heading = "Nodes")]
     time: Option<u64>,
     /// Shards at a time (not for HyperQueue); `local`: by default as many as there are cores for
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024), help_heading = "Nodes")]
     at_most: Option<u32>,
     /// Of `ssh`: a host a line, with how many shards it may have at a time behind it; all see the folder by the same path
-    #[arg(long, value_name = "FILE", required_if_eq("scheduler", "ssh"))]
+    #[arg(long, value_name = "FILE", required_if_eq("scheduler", "ssh"), help_heading = "Nodes")]
     hosts: Option<PathBuf>,
     /// Slurm's partition
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", help_heading = "Nodes")]
     partition: Option<String>,
     /// What goes before the program on a node, as a shell reads it: 'apptainer exec image.sif', or 'env TMPDIR=/scratch/$USER'
-    #[arg(long, value_name = "COMMAND")]
+    #[arg(long, value_name = "COMMAND", help_heading = "Nodes")]
     prefix: Option<String>,
     /// Options for each shard's `run`, for instance '--simd avx2 --copy-every 300'
     #[arg(long, value_name = "OPTIONS", allow_hyphen_values = true, default_value = "")]
     run: String,
-    /// Where scripts, outputs and databases of shards go; by default results/NAME.shards
-    #[arg(long, value_name = "DIR")]
-    out_dir: Option<PathBuf>,
+    /// The folder of the shards: their scripts, outputs and databases; by default results/NAME.shards
+    #[arg(long, value_name = "DIR", help_heading = "Shards")]
+    folder: Option<PathBuf>,
     /// The merged database; by default results/NAME.sqlite
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", help_heading = "Output")]
     out: Option<PathBuf>,
     /// Searches for the cheapest design that meets the requirement in [goal], as `design` does
     #[arg(long)]
-    design: bool,
+    goal: bool,
     /// Runs failed trials again, from their last step
-    #[arg(long)]
+    #[arg(long, help_heading = "Trials to repeat")]
     retry_failed: bool,
     /// Prints scripts and commands; writes and submits nothing
     #[arg(long)]
@@ -95,7 +95,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     args.check()?;
     let places = args.places()?;
     let folder = args.folder(&plan);
-    let in_rounds = args.design || plan.spec.until.is_some();
+    let in_rounds = args.goal || plan.spec.until.is_some();
     let mut jobs = submitted(&folder)?;
     // Before its files are looked at: what ends in between has been handed in then.
     let queue = queue::ask(&mut jobs)?;
@@ -110,7 +110,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         (Some(asked), Some(before)) if asked != before => {
             return Err(Error::Usage(format!(
                 "--shards {asked}: {} holds shards of {before}; leave --shards out to go on with them, or merge them \
-                 and choose another --out-dir",
+                 and choose another --folder",
                 folder.display()
             )));
         }
@@ -164,12 +164,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     // of a `submit` that could not submit it any more
     let merge_is_missing = args.scheduler == Scheduler::Slurm && !queue.has_merge(&jobs);
     if which.is_empty() && !queued.is_empty() && !merge_is_missing {
-        say!("nothing to submit; metasense status --cluster {} says how they are", folder.display());
+        say!("nothing to submit; metasense status --folder {} says how they are", folder.display());
         return Ok(Exit::Done);
     }
     if which.is_empty() && queued.is_empty() {
         say!(
-            "nothing left to do: all {shards} shards are settled; metasense merge {} --out FILE",
+            "nothing left to do: all {shards} shards are settled; metasense cluster merge {} --out FILE",
             folder.display()
         );
         return Ok(Exit::Done);
@@ -218,7 +218,7 @@ impl Args {
     /// Where shards go.
     fn folder(&self, plan: &Plan) -> PathBuf {
         let named = || Path::new("results").join(format!("{}.shards", plan.spec.name));
-        self.out_dir.clone().unwrap_or_else(named)
+        self.folder.clone().unwrap_or_else(named)
     }
 
     /// The merged database.
@@ -295,7 +295,12 @@ impl Args {
             !hq,
             "HyperQueue starts as many as its workers have room for",
         )?;
-        given("hosts", self.hosts.is_some(), self.scheduler == Scheduler::Ssh, "it is for `submit ssh`")?;
+        given(
+            "hosts",
+            self.hosts.is_some(),
+            self.scheduler == Scheduler::Ssh,
+            "it is for `cluster submit ssh`",
+        )?;
         given(
             "further options",
             !self.further.is_empty(),
@@ -312,7 +317,7 @@ impl Args {
         };
         if !self.dry_run && !files::is_in_path(program) {
             return Err(Error::Usage(format!(
-                "submit {}: there is no `{program}` in PATH; go to a machine that has it, or run the shards here: `metasense submit \
+                "cluster submit {}: there is no `{program}` in PATH; go to a machine that has it, or run the shards here: `metasense cluster submit \
                  local`",
                 self.scheduler.name()
             )));
@@ -325,7 +330,7 @@ impl Args {
         let most = self.at_most.unwrap_or(u32::MAX) as usize;
         match (self.scheduler, &self.hosts) {
             (Scheduler::Local, _) => {
-                let cores = std::thread::available_parallelism().map_or(1, usize::from);
+                let cores = super::cores();
                 let count = self.at_most.map_or((cores / self.cpus as usize).max(1), |most| most as usize);
                 Ok(vec![None; count])
             }
@@ -371,7 +376,7 @@ impl Program {
             Ok(status) if status.success() => {}
             Err(e) if e.kind() == ErrorKind::PermissionDenied => {
                 return Err(Error::Usage(format!(
-                    "{}: programs cannot be started there, as its disk is mounted noexec: choose another --out-dir",
+                    "{}: programs cannot be started there, as its disk is mounted noexec: choose another --folder",
                     folder.display()
                 )));
             }
@@ -410,7 +415,7 @@ fn say(trials: &[Trial], assignment: &Assignment, submission: &Submission) {
     if longest > *seconds as f64 && submission.scheduler.has_queue() {
         let then = match submission.scheduler {
             Scheduler::Slurm => "queues again by itself",
-            _ => "goes on with the next `submit`",
+            _ => "goes on with the next `cluster submit`",
         };
         say!("that is more than the limit: what is cut off {then}");
     }
@@ -467,7 +472,7 @@ fn note_here(submission: &Submission, notes: &mut Notes) -> Result<(), Error> {
     let (name, cluster, merge_job) = (None, None, None);
     let job = Job { scheduler, job, name, cluster, merge_job, shards: *shards, offset: 0 };
     notes.note(&job).map_err(Error::io("noting what is run in", folder))?;
-    say!("metasense status --cluster {} says how they are; Ctrl-C stops all of them", folder.display());
+    say!("metasense status --folder {} says how they are; Ctrl-C stops all of them", folder.display());
     Ok(())
 }
 

@@ -27,14 +27,14 @@ pub(super) struct Args {
     /// The records (TOML; keys in schemas/README.md)
     #[arg(long, value_name = "TOML")]
     records: PathBuf,
-    /// Writes the twin into this file (TOML), for `metasense evaluate --twin`
-    #[arg(long, value_name = "FILE")]
+    /// Writes the twin into this file (TOML), for `metasense lab evaluate --twin`
+    #[arg(long, value_name = "FILE", help_heading = "Output")]
     out: Option<PathBuf>,
     /// Threads
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Workers")]
     threads: u16,
     /// The form of the estimates
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
 

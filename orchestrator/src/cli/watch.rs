@@ -18,19 +18,16 @@ use crate::store::Reader;
 pub(super) struct Args {
     /// The database; by default the one under results/ that was written last
     db: Option<PathBuf>,
-    /// Time between two looks (s)
-    #[arg(long, value_name = "S", default_value_t = 1.0)]
-    every: f64,
     /// Look once
     #[arg(long)]
     once: bool,
 }
 
+/// Time between two looks.
+const EVERY: Duration = Duration::from_secs(1);
+
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let db = args.db.map_or_else(|| newest("watch"), Ok)?;
-    if !(0.1..=3600.0).contains(&args.every) {
-        return Err(Error::Usage(format!("--every {} is not between 0.1 and 3600 s", args.every)));
-    }
     let live = is_live(&std::io::stdout()) && !args.once;
     let mut looks = Looks::default();
     if looks.begin(&db).await {
@@ -53,6 +50,6 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         if args.once || seen.run.is_none() {
             return Ok(Exit::Done);
         }
-        tokio::time::sleep(Duration::from_secs_f64(args.every)).await;
+        tokio::time::sleep(EVERY).await;
     }
 }

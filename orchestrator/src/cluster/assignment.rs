@@ -48,7 +48,7 @@ pub enum AssignmentError {
         shards: u32,
     },
     /// A line of a shard's trials.
-    #[error("{}:{line}: {why}; `metasense submit` writes it anew", path.display())]
+    #[error("{}:{line}: {why}; `metasense cluster submit` writes it anew", path.display())]
     Trial {
         /// The file.
         path: PathBuf,

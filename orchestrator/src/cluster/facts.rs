@@ -122,7 +122,7 @@ impl Facts {
     pub fn said(&self) -> String {
         let folder = self.folder.display();
         format!(
-            "{folder}: facts of {} handed in; steps, curves and arrays are in these files: `metasense merge {folder} --out FILE` \
+            "{folder}: facts of {} handed in; steps, curves and arrays are in these files: `metasense cluster merge {folder} --out FILE` \
              makes one database of all",
             crate::plan::counted(self.of.len(), "database")
         )

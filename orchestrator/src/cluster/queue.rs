@@ -54,7 +54,7 @@ impl Notes {
         if let Err(TryLockError::WouldBlock) = file.try_lock() {
             return Err(io::Error::new(
                 ErrorKind::ResourceBusy,
-                "another `metasense submit` is at work on it",
+                "another `metasense cluster submit` is at work on it",
             ));
         }
         let bytes = std::fs::read(&path)?;

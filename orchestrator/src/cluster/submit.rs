@@ -275,7 +275,7 @@ impl Submission {
         let spec = self.folder.join(SUBMITTED_SPEC).display().to_string();
         let shard = format!("{shard}/{}", self.shards);
         let head = ["run", &spec, "--shard", &shard, "--workers", &workers.to_string()].map(str::to_owned);
-        let tail = ["--threads", &self.threads.to_string(), "--copy-to", &self.folder.display().to_string()]
+        let tail = ["--threads", &self.threads.to_string(), "--folder", &self.folder.display().to_string()]
             .map(str::to_owned);
         let mut more = Vec::new();
         if self.scheduler.has_queue() {
@@ -308,7 +308,7 @@ impl Submission {
     }
 
     fn merge(&self) -> String {
-        format!("{} merge {} --out {}", self.command(), quoted(&self.folder), quoted(&self.out))
+        format!("{} cluster merge {} --out {}", self.command(), quoted(&self.folder), quoted(&self.out))
     }
 
     /// The program, with what goes before it.

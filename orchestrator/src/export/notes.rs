@@ -136,11 +136,13 @@ pub fn notes(
          database of the trial: how well brains fitted to this cast read it, and what the cast is made of.\n"
             .into(),
     );
-    lines.push(format!("    metasense evaluate DB {hash} --records {name}=records.toml --out-dir measured"));
-    let of = format!("DB {hash} --body {name} --records records.toml");
+    lines.push(format!(
+        "    metasense lab evaluate DB {hash} --records {name}=records.toml --out-dir measured"
+    ));
+    let of = format!("DB {hash} --design {name} --records records.toml");
     lines.push(match spec.sensors.changed_by() {
-        None => format!("    metasense identify {of} --out-dir material"),
-        Some(_) => format!("    metasense twin {of} --out twin.toml"),
+        None => format!("    metasense lab identify {of} --out-dir material"),
+        Some(_) => format!("    metasense lab twin {of} --out twin.toml"),
     });
     lines.join("\n") + "\n"
 }

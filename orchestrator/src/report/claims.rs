@@ -1,58 +1,13 @@
-//! The paper's claims: a table of ratings, a table of the evidence, and its figure.
+//! The paper's claims: their trials and their figure.
 
 use serde_json::Value;
 
-use crate::analysis::claims::{CLAIMS, Evidence, Rating, by_medians, corrected, summary};
+use crate::analysis::claims::{CLAIMS, Evidence, Rating, evidence_table};
 use crate::analysis::numbers::geometric_mean;
 use crate::analysis::paired::Progress;
 use crate::analysis::setting::odd;
-use crate::analysis::tables::ends;
 use crate::analysis::{Body, Cluster, Set, Trial};
 use crate::look::{Axis, Figure, Plot, Scale, Table, legend, number, row};
-
-/// What a database's trials say of every claim, in the paper's order.
-pub fn tried(trials: &[Trial]) -> Vec<Vec<Evidence>> {
-    corrected(CLAIMS.iter().map(|claim| claim.evidence(trials)).collect())
-}
-
-/// A row a claim: what it comes to, by medians over samples where that is something else, and the specs that show it.
-pub fn claims_table(found: &[Vec<Evidence>]) -> Table {
-    let rows = CLAIMS.iter().zip(found).enumerate().map(|(i, (claim, evidence))| {
-        let specs: Vec<String> = claim.specs.iter().map(|spec| format!("schemas/{spec}.toml")).collect();
-        row![i + 1, claim.says, claim.source, summary(evidence).0, by_medians(evidence), specs.join(", ")]
-    });
-    let mut table = Table::new("claim says source rating by_medians specs", rows);
-    let at = table.column("by_medians");
-    if table.rows.iter().all(|row| row[at].is_null()) {
-        table.drop_columns(&["by_medians"]);
-    }
-    table
-}
-
-/// A row a claim, brain and set: the ratio with its interval, votes, and over what they are.
-pub fn evidence_table(found: &[Vec<Evidence>]) -> Table {
-    let mut rows = Vec::new();
-    for (i, (claim, evidence)) in CLAIMS.iter().zip(found).enumerate() {
-        for e in evidence {
-            let [low, high] = ends(e.interval);
-            let note = (!e.note.is_empty()).then_some(&e.note);
-            let ratio = row![
-                e.rating.name(),
-                claim.stated,
-                e.found,
-                low,
-                high,
-                e.chance,
-                e.tells,
-                note,
-                e.trials,
-                e.over
-            ];
-            rows.push([row![i + 1, e.who, e.set], ratio].concat());
-        }
-    }
-    Table::new("claim with set rating stated found low high chance tells note trials over", rows)
-}
 
 /// A row a trial: the settings in which they differ, and all numbers that the claims go by.
 pub fn trials_table(trials: &[Trial]) -> Table {

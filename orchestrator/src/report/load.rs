@@ -4,7 +4,8 @@ use std::collections::{BTreeSet, HashMap};
 
 use serde_json::Value;
 
-use super::search::Sought;
+use super::answers::answers;
+use super::search::{self, Sought};
 use super::{States, Story, Sweep};
 
 use crate::analysis::numbers::mean;
@@ -12,7 +13,7 @@ use crate::analysis::paired::{Progress, iteration_ratio};
 use crate::analysis::setting::{Settings, odd};
 use crate::analysis::trial::{CastBrain, CastReading, CurvePoint, Reading, UnderReading};
 use crate::analysis::{Body, Cluster, Set, Terms, Trial};
-use crate::look::{Data, MOST_ROWS, Table};
+use crate::look::{Answer, Data, MOST_ROWS, Table};
 use crate::provenance;
 use crate::store::{Reader, Row, StoreError, check, npy_values};
 use metasense_schemas::reason::is_given_up;
@@ -374,6 +375,36 @@ fn of_network(curves: &mut Vec<Vec<CurvePoint>>, network: usize) -> &mut Vec<Cur
 /// Where the database cannot be read, or does not hold the trial whole.
 pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Result<Story, StoreError> {
     let trials = finished_trials(reader).await?;
+    let sweeps = sweeps(reader).await?;
+    let states = states(reader, &odd(trials.iter().map(|trial| &trial.setting))).await?;
+    let searches = Sought::all(reader, &sweeps).await;
+    let design = searches.iter().flatten().find_map(|search| Some(&search.chosen()?.0.hash));
+    let replayed = trial.or(design.map(String::as_str));
+    let stored = match replayed.or_else(|| Some(&typical(&trials)?.hash)) {
+        Some(hash) => reader.stored(hash).await?,
+        None => None,
+    };
+    let made = reader.made().await?;
+    let caveats = provenance::caveats(reader, &made).await?;
+    Ok(Story { sweeps, states, trials, made, caveats, stored, terms, searches })
+}
+
+/// The verdicts of a report in words, without the report.
+///
+/// # Errors
+/// Where the database cannot be read.
+pub async fn verdicts(
+    reader: &mut Reader,
+    trials: &[Trial],
+    terms: Terms,
+) -> Result<Vec<Answer>, StoreError> {
+    let sweeps = sweeps(reader).await?;
+    let mut said = search::answers(&Sought::all(reader, &sweeps).await);
+    said.extend(answers(trials, terms));
+    Ok(said)
+}
+
+async fn sweeps(reader: &mut Reader) -> Result<Vec<Sweep>, StoreError> {
     let mut sweeps = Vec::new();
     reader
         .each(
@@ -387,17 +418,7 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
             },
         )
         .await?;
-    let states = states(reader, &odd(trials.iter().map(|trial| &trial.setting))).await?;
-    let searches = Sought::all(reader, &sweeps).await;
-    let design = searches.iter().flatten().find_map(|search| Some(&search.chosen()?.0.hash));
-    let replayed = trial.or(design.map(String::as_str));
-    let stored = match replayed.or_else(|| Some(&typical(&trials)?.hash)) {
-        Some(hash) => reader.stored(hash).await?,
-        None => None,
-    };
-    let made = reader.made().await?;
-    let caveats = provenance::caveats(reader, &made).await?;
-    Ok(Story { sweeps, states, trials, made, caveats, stored, terms, searches })
+    Ok(sweeps)
 }
 
 /// What of a trial the page shows.

@@ -24,7 +24,7 @@ pub enum StoreError {
     /// On a network file system.
     #[error(
         "the database {} would be on {system}, a network file system, where SQLite's write-ahead log does not work: \
-         name a file on a disk of this machine; `merge` copies the finished database anywhere",
+         name a file on a disk of this machine; `cluster merge` copies the finished database anywhere",
         path.display()
     )]
     NetworkDisk {
@@ -88,7 +88,7 @@ pub enum StoreError {
     },
     /// Trials without their steps, curves and arrays.
     #[error(
-        "{} holds facts alone, without steps, curves and arrays: nothing can go on from there; `metasense merge` makes a whole \
+        "{} holds facts alone, without steps, curves and arrays: nothing can go on from there; `metasense cluster merge` makes a whole \
          database of the files that they are of",
         path.display()
     )]

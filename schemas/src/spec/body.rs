@@ -299,7 +299,7 @@ pub struct Body {
     /// Mass per area. Unit: Mg/mm². Default: must be given without `material`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub density: Option<f64>,
-    /// Factor ζ of the dampers of each unit (formula in MODEL.md). It is not the modal damping ratio, which `metasense modes`
+    /// Factor ζ of the dampers of each unit (formula in MODEL.md). It is not the modal damping ratio, which `metasense body modes`
     /// prints: slow modes have more damping. Unit: 1.
     #[serde(default = "damping_ratio")]
     pub damping_ratio: f64,

@@ -129,6 +129,14 @@ pub struct Sweep {
     pub axes: std::collections::BTreeMap<String, Vec<serde_json::Value>>,
 }
 
+impl Sweep {
+    /// The keys of the spec that axes and points set, beside panels, sensors, placement and seed.
+    pub fn keys(&self) -> std::collections::BTreeSet<&str> {
+        let linked = self.points.iter().flat_map(|point| point.keys()).filter(|key| key.contains('.'));
+        self.axes.keys().chain(linked).map(String::as_str).collect()
+    }
+}
+
 fn one_placement() -> usize {
     1
 }

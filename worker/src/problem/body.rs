@@ -467,7 +467,7 @@ pub(super) fn check_castable(
             invalid("body.initial_angle", body.initial_angle, remedy)
         }
         Some(_) => {
-            let remedy = format!("this design is not feasible; `metasense project` repairs it:{list}");
+            let remedy = format!("this design is not feasible; `metasense body project` repairs it:{list}");
             invalid("body.design", shown(body), remedy)
         }
     })

@@ -9,7 +9,7 @@ fn hold(rows: &[Row], at_least: usize) {
     assert!(failed.is_empty() && rows.len() >= at_least, "{} rows: {failed:#?}", rows.len());
 }
 
-/// These and the next: every row that `metasense verify` prints.
+/// These and the next: every row that `metasense lab verify` prints.
 #[test]
 fn every_integrator_is_what_it_says() {
     hold(&numerics(&pool()), 30);

@@ -69,7 +69,7 @@ pub(super) fn submit(
     submission.cluster.clone_from(&queue.cluster);
     let new = submit_shards(submission, notes)?;
     let (folder, out) = (submission.folder.display(), submission.out.display());
-    say!("metasense status --cluster {folder} says how they are");
+    say!("metasense status --folder {folder} says how they are");
     if submission.scheduler == Scheduler::Hq {
         say!("the last shard to end merges them into {out}; what is cut off goes on with the same command");
         return Ok(());
@@ -80,7 +80,7 @@ pub(super) fn submit(
     before.extend(queue.jobs.iter().filter(|job| !jobs.iter().any(|known| known.job == **job)).cloned());
     let (merge_job, _) = run(&submission.submit_merge(&before)).map_err(|refused| {
         Error::Partly(format!(
-            "{refused}; the shards are queued, what merges them is not: the same command queues it, or afterwards `metasense merge \
+            "{refused}; the shards are queued, what merges them is not: the same command queues it, or afterwards `metasense cluster merge \
              {folder} --out {out}`"
         ))
     })?;

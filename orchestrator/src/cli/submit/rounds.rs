@@ -43,7 +43,7 @@ pub(super) async fn execute(
                    [goal]";
         return Err(Error::Usage(why.into()));
     }
-    let space = if args.design { Some(design::space(&plan)?) } else { None };
+    let space = if args.goal { Some(design::space(&plan)?) } else { None };
     let program = Program::own()?;
     let mut submission = Submission { merges: false, ..args.submission(&plan, shards, &program)? };
     submission.cluster.clone_from(&queue.cluster);

@@ -1,5 +1,6 @@
 //! All trials: a page of those that meet some terms, in some order.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use axum::extract::{Path, Query, State};
@@ -51,7 +52,7 @@ pub async fn page(
                 None => { (counted(found.len(), "trial")) " of " (seen.trials.rows.len()) }
             }
         }
-        @if !shown.is_empty() { (table(&at, &asked, shown)) }
+        @if !shown.is_empty() { (table(&at, &asked, shown, &seen.trials.keys)) }
         @if pages > 1 {
             nav class="pages" aria-label="Pages of trials" {
                 @if this > 1 { a href=(to(1)) { "First" } a href=(to(this - 1)) rel="prev" { "Previous" } }
@@ -95,9 +96,15 @@ fn keys(asked: &Asked, keys: &std::collections::BTreeMap<String, Vec<String>>) -
     }
 }
 
-fn table(at: &str, asked: &Asked, shown: &[&Arc<Row>]) -> Markup {
+/// Columns of what differs between trials; the rest is sorted and filtered by name.
+const MOST_KEYS: usize = 6;
+
+fn table(at: &str, asked: &Asked, shown: &[&Arc<Row>], keys: &BTreeMap<String, Vec<String>>) -> Markup {
     let (sorted, down) = asked.sort.strip_prefix('-').map_or((asked.sort.as_str(), false), |key| (key, true));
-    let extra = Some(sorted).filter(|key| !key.is_empty() && !known(key));
+    let mut extra: Vec<&str> = keys.keys().map(String::as_str).take(MOST_KEYS).collect();
+    if !sorted.is_empty() && !known(sorted) && !extra.contains(&sorted) {
+        extra.push(sorted);
+    }
     let head = |key: &str, text: &str| {
         let by = if sorted == key && !down { format!("-{key}") } else { key.to_owned() };
         let order = (sorted == key).then_some(if down { "descending" } else { "ascending" });
@@ -118,7 +125,7 @@ fn table(at: &str, asked: &Asked, shown: &[&Arc<Row>]) -> Markup {
             table class="trials" {
                 thead { tr {
                     (head("hash", "trial")) (head("state", "state"))
-                    @if let Some(key) = extra { (head(key, key)) }
+                    @for key in &extra { (head(key, key)) }
                     @for (name, text) in &numbers { (head(name, text)) }
                     (head("reason", "reason"))
                 } }
@@ -126,7 +133,7 @@ fn table(at: &str, asked: &Asked, shown: &[&Arc<Row>]) -> Markup {
                     tr class=[(row.state == "failed").then_some("failed")] {
                         td class="text" { a href=(to_trial(at, &row.hash)) { (short_hash(&row.hash)) } }
                         td class="text" { (row.state) }
-                        @if let Some(key) = extra { td class="text" { (text(&row.cell(key))) } }
+                        @for key in &extra { td class="text" { (text(&row.cell(key))) } }
                         @for (name, _) in &numbers { td { (text(&row.cell(name))) } }
                         td class="text" { (row.reason) }
                     }

@@ -1,0 +1,72 @@
+//! `init`: a commented spec to begin with.
+
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+
+use super::Error;
+use crate::exit::Exit;
+
+/// A spec that comes with the program; each stands alone.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Template {
+    /// One sensor or two, a network or a linear decoder, and virtual casts: two minutes on two cores
+    Quickstart,
+    /// A search for the cheapest design that meets a requirement ([goal])
+    DesignTwoCore,
+    /// Lattices of several families compared
+    Families,
+    /// A body that is pressed together before each sample
+    Pressed,
+    /// A body of 50 mm units, with a chip on each sensor's unit
+    RealScale,
+}
+
+impl Template {
+    fn text(self) -> &'static str {
+        match self {
+            Self::Quickstart => include_str!("../../../schemas/sweeps/quickstart.toml"),
+            Self::DesignTwoCore => include_str!("../../../schemas/sweeps/design-two-core.toml"),
+            Self::Families => include_str!("../../../schemas/sweeps/families.toml"),
+            Self::Pressed => include_str!("../../../schemas/sweeps/pressed.toml"),
+            Self::RealScale => include_str!("../../../schemas/sweeps/real-scale.toml"),
+        }
+    }
+}
+
+/// Writes a commented spec to begin with
+///
+/// The sweep takes the name of the file. A file that exists is not overwritten. The next command is `metasense expand FILE`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// What to begin with
+    #[arg(value_enum, default_value = "quickstart")]
+    template: Template,
+    /// The file to write; by default TEMPLATE.toml in this folder
+    #[arg(value_name = "FILE.toml")]
+    file: Option<PathBuf>,
+}
+
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    let template = args.template.to_possible_value().expect("none is hidden");
+    let file = args.file.unwrap_or_else(|| format!("{}.toml", template.get_name()).into());
+    let name = file.file_stem().unwrap_or_default().to_string_lossy();
+    if name.is_empty() || !name.chars().all(|c| c.is_ascii_alphanumeric() || c == '-' || c == '_') {
+        return Err(Error::Usage(format!(
+            "{}: the sweep takes the file's name: use letters, digits, - and _",
+            file.display()
+        )));
+    }
+    let text = args.template.text().replacen(
+        &format!("name = \"{}\"", template.get_name()),
+        &format!("name = \"{name}\""),
+        1,
+    );
+    let mut made =
+        OpenOptions::new().write(true).create_new(true).open(&file).map_err(Error::io("writing", &file))?;
+    made.write_all(text.as_bytes()).map_err(Error::io("writing", &file))?;
+    print_line!("{}", file.display())?;
+    Ok(Exit::Done)
+}
