@@ -1,5 +1,6 @@
 //! The comparison at the end of a trial is stopped, killed and gone on with like its outer steps: to the same bits.
 
+use std::collections::BTreeSet;
 use std::process::Child;
 use std::time::{Duration, Instant};
 
@@ -141,10 +142,12 @@ fn kills_in_the_middle_of_comparisons_leave_the_results_of_an_undisturbed_run() 
     while kills < least {
         let db = format!("killed-{sweeps}.sqlite");
         sweeps += 1;
-        let mut counted = 0;
+        // what each run was killed in: a run may be killed before it has found out what the one before was in
+        let mut counted = BTreeSet::new();
         let of = |state: &str| {
-            let sql = format!("SELECT count(*) FROM attempt WHERE state = '{state}' AND cpu_seconds > 0");
-            bench.number(&db, &sql)
+            let sql =
+                format!("SELECT trial_id, number FROM attempt WHERE state = '{state}' AND cpu_seconds > 0");
+            rows(&bench.path(&db), &sql).into_iter().collect::<BTreeSet<_>>()
         };
         let come = || {
             let sql = "SELECT (SELECT count(*) FROM step) + (SELECT count(*) FROM trial WHERE state = 'done') \
@@ -179,7 +182,7 @@ fn kills_in_the_middle_of_comparisons_leave_the_results_of_an_undisturbed_run() 
                             eventually(Duration::from_secs(5), gone).is_some(),
                             "workers outlive their run"
                         );
-                        counted += of("running");
+                        counted.extend(of("running"));
                         break;
                     }
                 }
@@ -187,7 +190,8 @@ fn kills_in_the_middle_of_comparisons_leave_the_results_of_an_undisturbed_run() 
         };
         assert_eq!(ended.code(), Some(0), "after {kills} kills");
         assert_eq!(results(&bench, &db), expected, "after {kills} kills");
-        assert!(of("failed") >= counted, "of {counted} killed attempts seconds were known");
+        let failed = of("failed");
+        assert!(failed.is_superset(&counted), "seconds of {counted:?} were known, of {failed:?} still are");
     }
     println!("{kills} kills in {sweeps} sweeps, {within} of them within a comparison");
 }
