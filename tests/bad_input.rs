@@ -595,12 +595,6 @@ const TABLES: &[(&str, &str)] = &[
         "[evaluation]\ncasts = 4",
         "s.toml:14: evaluation.casts = 4: means nothing here: no trial has a [variation]",
     ),
-    (
-        "[run]\nprune = { at = [0.5, 0.25] }",
-        "s.toml:14: run.prune.at = [0.5, 0.25]: must be parts of the steps between 0 and 1, ascending",
-    ),
-    ("[run]\nprune = { grace = 0 }", "s.toml:14: run.prune.grace = 0: must be at least 1"),
-    ("[run]\nprune = { after = 4 }", "s.toml:14: run.prune.after = 4: unknown key"),
     ("[run]\ntime_limit = nan", "s.toml:14: run.time_limit = nan: nan is no finite number"),
     ("[run]\ntime_limit = 2e9", "s.toml:14: run.time_limit = 2e9: must be at least 0.1, at most 1e9"),
     ("[run]\nno_progress = 0.01", "s.toml:14: run.no_progress = 0.01: must be at least 0.1, at most 1e9"),
@@ -654,10 +648,6 @@ const TABLES: &[(&str, &str)] = &[
     (
         "[until]\nelbow = true\nat_most = { seeds = 6 }",
         "s.toml:14: until.elbow = true: needs four numbers of sensors, and four placements or seeds",
-    ),
-    (
-        "[run]\nprune = { grace = 2 }\n[until]\nfewer = true\nat_most = { seeds = 6 }",
-        "s.toml:14: run.prune: gives up trials that [until] would count",
     ),
     (
         "[sensors]\nplacements = 4",

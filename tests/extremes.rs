@@ -54,7 +54,6 @@ const UNLIMITED: &[&str] = &[
     "evaluation.batch",
     "goal.operations",
     "run.memory",
-    "run.prune.grace",
     "sensors.relative_to.random",
 ];
 

@@ -97,7 +97,6 @@ async fn read(folder: &Path, file: &Path, plan: &Plan) {
     if let Ok(mut store) = Store::open(file).await {
         let _ = store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await;
         let _ = store.attempted().await;
-        let _ = store.reached(0.5).await;
         for trial in &plan.trials {
             let _ = store.checkpoint(&trial.hash).await;
         }

@@ -176,14 +176,6 @@ fn trials_that_are_done_are_left_out() {
     site.0.output(&["run", "tiny.toml"]);
     assert!(site.says(0, SUBMIT).contains("nothing left to do"));
     assert!(site.calls().is_empty() && !site.0.path("results/tiny.shards").exists());
-    // what was pruned has not failed: nothing runs it again
-    let db = site.0.path("results/tiny.sqlite");
-    execute(&db, "UPDATE trial SET state = 'failed', reason = 'pruned' WHERE id = 1");
-    for again in ["", " --retry-failed"] {
-        let said = site.says(0, &format!("{SUBMIT}{again}"));
-        assert!(said.contains("nothing left to do") && !said.contains("--retry-failed"), "{said}");
-    }
-    execute(&db, "UPDATE trial SET state = 'done', reason = NULL WHERE id = 1");
     site.0.file("tiny.toml", &four());
     site.says(0, "submit slurm tiny.toml --shards 1");
     let trials = site.read("results/tiny.shards/shard-1-of-1.trials.jsonl");

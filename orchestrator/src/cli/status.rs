@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use metasense_schemas::reason::is_given_up;
+use metasense_schemas::reason::CANCELLED;
 use serde_json::{Value, json};
 
 use super::named::{Database, Named};
@@ -116,7 +116,7 @@ async fn one(reader: &mut Reader, hash: &str, format: Format) -> Result<Exit, Er
     provenance::unresolved(&solver).iter().for_each(|caveat| say!("warning: {caveat}"));
     say_attempts(reader, hash).await?;
     print_rows(&reader.query(&log).await?, format)?;
-    let failed = state == "failed" && !is_given_up(&reason);
+    let failed = state == "failed" && reason != CANCELLED;
     Ok(if failed { Exit::Failed } else { Exit::Done })
 }
 

@@ -136,23 +136,6 @@ fn one_seed() -> Vec<u64> {
     vec![1]
 }
 
-/// Which trials are stopped early.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct Prune {
-    /// Fractions of a trial's outer steps at which its best test error so far is compared with that of other trials.
-    /// Unit: 1.
-    pub at: Vec<f64>,
-    /// Trials of equal K and M that must have reached this point before a trial is stopped.
-    pub grace: usize,
-}
-
-impl Default for Prune {
-    fn default() -> Self {
-        Self { at: vec![0.5], grace: 4 }
-    }
-}
-
 /// Limits of the run itself.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -192,7 +175,4 @@ pub struct Run {
     /// HyperQueue 45.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub grace: Option<f64>,
-    /// Stops a trial early if its best test error is above the median of other trials of equal K and M. Default: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub prune: Option<Prune>,
 }
