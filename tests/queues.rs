@@ -7,7 +7,6 @@ use std::time::Duration;
 
 use crate::common::processes::{children, eventually, kill};
 use crate::common::{Bench, TINY, results};
-use crate::files::execute;
 
 /// Writes down how it is called and queues what it gets. `refuse` holds numbers of calls that are refused; with `deaf` the answer is
 /// lost, with `kill` the caller dies before it has it; `cluster` is printed behind a number.

@@ -4,7 +4,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::common::processes::{eventually, kill};
-use crate::common::{Bench, SPEC, TINY, light, results};
+use crate::common::{Bench, SPEC, TINY, results};
 use metasense::fleet::{Seen, workers_of};
 use metasense::plan::Plan;
 use metasense::store::Store;

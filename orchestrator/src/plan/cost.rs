@@ -156,8 +156,8 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
         Protocol::Paper if optimise.linear() => simulate * (1.0 + REVERSE) + solve,
         Protocol::Warm | Protocol::Envelope if optimise.linear() => simulate + differentiate + solve,
         Protocol::Joint if optimise.linear() => casts * (fresh + solve),
-        Protocol::Random | Protocol::Cmaes if optimise.linear() => simulate + solve,
-        Protocol::Random | Protocol::Cmaes => simulate + AFRESH * ITERATION * forward + going,
+        Protocol::Random if optimise.linear() => simulate + solve,
+        Protocol::Random => simulate + AFRESH * ITERATION * forward + going,
         Protocol::Paper => simulate * (1.0 + REVERSE) + train + PRODUCTS * HESSIAN_PRODUCT * forward,
         Protocol::Warm | Protocol::Envelope => simulate + differentiate + going,
         // each iteration on as many samples as a batch, and the loss of four of them

@@ -27,8 +27,8 @@ pub use gone::{gone, gone_key};
 pub use measured::{AccelerationUnit, AngularVelocityUnit, Measured, MeasuredSignals};
 pub use named::{NotOne, position_of};
 pub use optimise::{
-    Auto, Brain, BrainKind, CastReader, Curvature, Evaluation, GradientTerms, Network, Objective,
-    ObjectiveName, Optimise, Preset, Protocol, Ridge, Scaling, Schedule, Tail,
+    Auto, Brain, BrainKind, CastReader, Evaluation, GradientTerms, Network, Objective, ObjectiveName,
+    Optimise, Preset, Protocol, Ridge, Scaling, Schedule, Tail,
 };
 pub use sensors::{Channel, Disturbance, Frame, From as SearchFrom, Search, Sensors};
 pub use solver::{Method, Solver, Time};

@@ -92,7 +92,7 @@ fn parts(trial: &TrialSpec, units: usize) -> Vec<Part> {
                 let bytes = forces(drawn) + signals(drawn) + states(drawn);
                 steps.push(("optimise.batch", batch, "samples of a step", bytes));
             }
-            Protocol::Random | Protocol::Cmaes => {}
+            Protocol::Random => {}
         }
     }
 
