@@ -450,21 +450,6 @@ const EDITS: &[(&str, &str, &str)] = &[
         "sensors = [1]\n\"body.contact.stiffness\" = [5, 6]\n[body.contact]\nstiffness = \"six\"",
         "s.toml:18: body.contact.stiffness = \"six\": must be a number",
     ),
-    (
-        "sensors = [1, 2]",
-        "sensors = [1]\n\"body.hinge.cubic\" = [10.0, 0.0]\n[body.hinge]\nquadratic = -7.0\ncubic = 10.0",
-        "s.toml:16: body.hinge.cubic = 0: must be a number above 0, or the energy of bending has no least value",
-    ),
-    (
-        "sensors = [1, 2]",
-        "sensors = [1]\npoints = [{ \"body.hinge.cubic\" = 10.0, \"body.linearised\" = true }]",
-        "s.toml:16: body.linearised = true: must be false beside body.hinge, which no linear measure has",
-    ),
-    (
-        "sensors = [1, 2]",
-        "sensors = [1]\n[body.hinge]\nquadratic = -7.0",
-        "s.toml:16: body.hinge.cubic: must be given, it has no default",
-    ),
     ("sensors = [1, 2]", "sensors = [1]\n\"body.colums\" = [5]", "nearest known one is \"body.columns\""),
     (
         "sensors = [1, 2]",

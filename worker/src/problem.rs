@@ -7,9 +7,7 @@ use metasense_numerics::body::Layout;
 use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::brain::{Architecture, LAYERS_MAX, Shape};
 use metasense_numerics::brains::fits;
-use metasense_numerics::dynamics::{
-    Accuracy, Contact, Frame, Hinge, Method, Parts, Scene, Solver, Stiffness,
-};
+use metasense_numerics::dynamics::{Accuracy, Contact, Frame, Method, Parts, Scene, Solver, Stiffness};
 use metasense_numerics::feasible::Limits;
 use metasense_numerics::place::CANDIDATES;
 use metasense_numerics::trial::{
@@ -407,7 +405,6 @@ fn scene(
             min_angle: angle(c.min_angle),
             cutoff_angle: angle(c.cutoff_angle),
         }),
-        hinge: body.hinge.map(|h| Hinge { quadratic: h.quadratic, cubic: h.cubic }),
         linearised: body.linearised,
         pressed: body::pressed(body, &layout, &clamped, &guided)?,
         clamped,

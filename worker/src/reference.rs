@@ -18,7 +18,6 @@ pub fn reference() -> Scene {
         damping: None,
         inertia: None,
         contact: None,
-        hinge: None,
         linearised: false,
         clamped: layout.bottom(),
         guided: Vec::new(),

@@ -18,8 +18,8 @@ mod until;
 mod variation;
 
 pub use body::{
-    Body, Clamp, ClampRule, Contact, Denser, Design, Follow, FollowBy, Guide, Hinge, Inertia, Lattice,
-    LayoutKind, Material, Own, Polygons, Rubber, Stiffness, Struck,
+    Body, Clamp, ClampRule, Contact, Denser, Design, Follow, FollowBy, Guide, Inertia, Lattice, LayoutKind,
+    Material, Own, Polygons, Rubber, Stiffness, Struck,
 };
 pub use feasible::Feasible;
 pub use goal::{Calibrated, Cost, Goal, GoalReader, GoalReaderName};

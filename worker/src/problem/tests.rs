@@ -63,8 +63,6 @@ fn an_impossible_value_is_named_by_its_key() {
         // Old databases hold it: read, not run.
         ("solver.method", json!("implicit"), "solver.method"),
         ("body.contact", json!({ "min_angle": 6.0 }), "body.contact.min_angle"),
-        ("body.hinge", json!({ "cubic": 0.0 }), "body.hinge.cubic"),
-        ("body.hinge", json!({ "quadratic": -7.0, "cubic": -1.0 }), "body.hinge.cubic"),
         ("body.clamp", json!("hub"), "body.clamp"),
         ("body.clamp", json!([3, 3]), "body.clamp"),
         ("body.clamp", json!([99]), "body.clamp"),

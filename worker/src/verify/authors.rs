@@ -273,7 +273,6 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
         damping: Some([resisted[0], resisted[1], resisted[2]]),
         inertia: None,
         contact: None,
-        hinge: None,
         linearised: case.flag("scene.linearised")?,
         clamped: held,
         guided: Vec::new(),

@@ -35,7 +35,6 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
             damping: None,
             inertia: None,
             contact: None,
-            hinge: None,
             linearised: false,
             clamped: vec![0, 1, 2, 3],
             guided: Vec::new(),

@@ -4,7 +4,7 @@ use super::super::{Row, dot, norm, relative};
 use crate::reference::{bells, reference};
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Accuracy, Contact, Forces, Frame, Hinge, Inertia, Method, Mount, Panel, Parameters, Parts, Plan, Scene,
+    Accuracy, Contact, Forces, Frame, Inertia, Method, Mount, Panel, Parameters, Parts, Plan, Scene,
     Simulation, Solver, Tangent, Tolerance, Wrt, choose, damping, energy, run, simulate,
 };
 use metasense_numerics::random::{Purpose, Stream};
@@ -198,12 +198,10 @@ fn loose(base: &Scene) -> Scene {
 fn transpose(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
     let (base, design, blow) = short();
     let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
-    let hinge = Some(Hinge { quadratic: -7.0, cubic: 10.0 });
     let scenes = [
         ("plain", base.clone(), 1),
         ("forces twice as fine", base.clone(), 2),
         ("contact, body frame", Scene { frame: Frame::Body, contact, ..base.clone() }, 1),
-        ("a hinge's law", Scene { hinge, ..base.clone() }, 1),
         ("linearised, body frame", Scene { linearised: true, frame: Frame::Body, ..base.clone() }, 1),
         ("undamped", Scene { damping_ratio: 0.0, ..base.clone() }, 1),
         ("heavily damped", Scene { damping_ratio: 0.5, ..base.clone() }, 1),
