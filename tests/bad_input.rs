@@ -602,7 +602,7 @@ const TABLES: &[(&str, &str)] = &[
     ("[optimise]\nfrozen = [99]", "s.toml:14: optimise.frozen = 99: the layout's units are 0 to 35"),
     (
         "[optimise]\nprotocol = \"random\"\nbatch = 4",
-        "s.toml:15: optimise.batch = 4: means nothing to this optimise.protocol, only to envelope and joint",
+        "s.toml:15: optimise.batch = 4: means nothing to this optimise.protocol, only to joint",
     ),
     (
         "[optimise]\nprotocol = \"random\"\ngradient = \"direct\"",
@@ -644,13 +644,19 @@ const TABLES: &[(&str, &str)] = &[
     ("[solver]\ntolerance = 0.0", "s.toml:14: solver.tolerance = 0: "),
     ("[solver]\ntolerance = 1e-13", "s.toml:14: solver.tolerance = 0.0000000000001: "),
     ("[solver]\nmethod = \"euler\"", "s.toml:14: solver.method = \"euler\": must be \"auto\", \"tsit5\", "),
-    (
-        "[solver]\nmethod = \"implicit\"",
-        "s.toml:14: solver.method = \"implicit\": is no longer an integrator: \"auto\" was cheaper in every scene",
-    ),
+    ("[solver]\nmethod = \"implicit\"", "s.toml:14: solver.method = \"implicit\": removed: "),
     (
         "[optimise]\ncoarse = { method = \"implicit\" }",
-        "s.toml:14: optimise.coarse.method = \"implicit\": is no longer an integrator",
+        "s.toml:14: optimise.coarse.method = \"implicit\": removed: ",
+    ),
+    ("[run]\nprune = { grace = 2 }", "s.toml:14: run.prune: removed: "),
+    ("[run.prune]\ngrace = 2", "s.toml:13: run.prune: removed: "),
+    ("[optimise]\nplacement = \"again\"", "s.toml:14: optimise.placement = \"again\": removed: "),
+    ("[optimise]\nprotocol = \"cmaes\"", "s.toml:14: optimise.protocol = \"cmaes\": removed: "),
+    ("[sensors]\nsearch = \"pivots\"", "s.toml:14: sensors.search = \"pivots\": removed: "),
+    (
+        "[[sweep.points]]\n\"body.hinge.cubic\" = 10.0",
+        "s.toml:14: sweep.points.\"body.hinge.cubic\" = 10.0: removed: ",
     ),
     ("[brain]\niterations = 0", "s.toml:14: brain.iterations = 0: "),
     ("[brain]\nlearning_rate = nan", "s.toml:14: brain.learning_rate = nan: "),

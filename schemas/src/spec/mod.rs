@@ -5,10 +5,10 @@
 mod body;
 mod feasible;
 mod goal;
-mod gone;
 mod measured;
 mod named;
 mod optimise;
+mod removed;
 mod sensors;
 mod solver;
 mod stimuli;
@@ -23,13 +23,13 @@ pub use body::{
 };
 pub use feasible::Feasible;
 pub use goal::{Calibrated, Cost, Goal, GoalReader, GoalReaderName};
-pub use gone::{gone, gone_key};
 pub use measured::{AccelerationUnit, AngularVelocityUnit, Measured, MeasuredSignals};
 pub use named::{NotOne, position_of};
 pub use optimise::{
     Auto, Brain, BrainKind, CastReader, Evaluation, GradientTerms, Network, Objective, ObjectiveName,
     Optimise, Preset, Protocol, Ridge, Scaling, Schedule, Tail,
 };
+pub use removed::removed;
 pub use sensors::{Channel, Disturbance, Frame, From as SearchFrom, Search, Sensors};
 pub use solver::{Method, Solver, Time};
 pub use stimuli::{

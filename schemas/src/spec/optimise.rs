@@ -183,7 +183,7 @@ impl Default for Brain {
 pub enum Protocol {
     /// The paper's: each outer step trains a fresh network and uses the direct and implicit gradient of its test loss.
     Paper,
-    /// One network is trained continuously; the gradient is that of the training loss on a random batch.
+    /// One network is trained on from body to body; the gradient is that of the training loss on a random batch.
     Envelope,
     /// Body and network are trained together, on samples drawn for each step.
     Joint,
@@ -274,10 +274,6 @@ pub struct Optimise {
     pub brain: Option<BrainKind>,
     /// How body and decoder are trained together; details in MODEL.md.
     pub protocol: Protocol,
-    /// Gone: see [`super::gone`].
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(skip)]
-    pub placement: Option<String>,
     /// Outer steps; of a search its candidates. Default: 350, with a linear brain 100; `"paper"`, `"envelope"` 100; `"random"`
     /// 80, with a linear brain 30, which take as long as `"joint"`.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -342,7 +338,7 @@ impl Optimise {
         let (iterations, learning_rate) = match self.protocol {
             Protocol::Random if self.linear() => (SEARCH_LINEAR, SEARCH_SPREAD),
             Protocol::Random => (SEARCH, SEARCH_SPREAD),
-            Protocol::Paper | Protocol::Warm | Protocol::Envelope => (100, 0.1),
+            Protocol::Paper | Protocol::Envelope => (100, 0.1),
             Protocol::Joint if self.linear() => (100, 0.3),
             Protocol::Joint => (350, 0.2),
         };
@@ -364,7 +360,7 @@ impl Optimise {
             self.brain_learning_rate.get_or_insert(1e-3);
         }
         match self.protocol {
-            Protocol::Paper | Protocol::Warm | Protocol::Random => {}
+            Protocol::Paper | Protocol::Random => {}
             Protocol::Envelope => {
                 self.batch.get_or_insert(64);
             }
@@ -394,7 +390,6 @@ impl Default for Optimise {
         Self {
             brain: None,
             protocol: Protocol::Joint,
-            placement: None,
             iterations: None,
             learning_rate: None,
             gradient: None,

@@ -83,7 +83,7 @@ fn parts(trial: &TrialSpec, units: usize) -> Vec<Part> {
             Protocol::Paper => {
                 steps.push(("stimuli.samples", samples, "states of a gradient", states(f(samples))));
             }
-            Protocol::Warm | Protocol::Envelope => {
+            Protocol::Envelope => {
                 let some = f(batch.min(samples));
                 steps.push(("optimise.batch", batch, "states of a gradient", states(some)));
             }

@@ -45,7 +45,7 @@ pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
             None | Some(spec::GradientTerms::Implicit) => Terms::Implicit,
             Some(spec::GradientTerms::Direct) => Terms::Direct,
         }),
-        spec::Protocol::Warm | spec::Protocol::Envelope => Protocol::Envelope(going),
+        spec::Protocol::Envelope => Protocol::Envelope(going),
         spec::Protocol::Joint => Protocol::Joint(going),
         spec::Protocol::Random => Protocol::Random(going),
     })

@@ -61,7 +61,6 @@ fn an_impossible_value_is_named_by_its_key() {
         ("body.stiffness.shear", json!(-0.5), "body.stiffness.shear"),
         ("body.contact", json!({ "stiffness": -1.0 }), "body.contact.stiffness"),
         // Old databases hold it: read, not run.
-        ("solver.method", json!("implicit"), "solver.method"),
         ("body.contact", json!({ "min_angle": 6.0 }), "body.contact.min_angle"),
         ("body.clamp", json!("hub"), "body.clamp"),
         ("body.clamp", json!([3, 3]), "body.clamp"),
@@ -154,21 +153,6 @@ fn each_protocol_refuses_the_keys_of_the_others() {
     }
     for protocol in ["paper", "envelope", "joint", "random"] {
         problem(&trial(&[("optimise.protocol", json!(protocol))])).unwrap();
-    }
-}
-
-/// What has not paid is gone: such a trial is refused, with what to write instead.
-#[test]
-fn what_is_gone_is_refused_with_what_to_write_instead() {
-    for (key, value, instead) in [
-        ("optimise.placement", "again", "leave it out"),
-        ("optimise.protocol", "warm", "envelope"),
-        ("sensors.search", "d_optimal", "greedy"),
-        ("sensors.search", "pivots", "greedy"),
-    ] {
-        let invalid = problem(&trial(&[(key, json!(value))])).unwrap_err();
-        assert_eq!((invalid.key.as_str(), invalid.value.as_str()), (key, value));
-        assert!(invalid.remedy.contains(instead), "{invalid}");
     }
 }
 
