@@ -11,6 +11,7 @@ use tempfile::TempDir;
 
 use super::allow::{Allowed, allow};
 use super::error::is_not_opened;
+use super::functions;
 use super::{OPENING, StoreError, beside, check_version, has_journal, is_still, options};
 use crate::files;
 use crate::leftovers;
@@ -40,6 +41,7 @@ pub(super) async fn connect(path: &Path, rows: Option<usize>) -> Result<Connecte
     if check_version(&mut found.connection, path).await? == 0 {
         return Err(StoreError::NotOurs { path: path.to_owned() });
     }
+    functions::register(&mut found.connection).await.map_err(at)?;
     allow(&mut found.connection, Allowed::Reading).await.map_err(at)?;
     Ok(found)
 }

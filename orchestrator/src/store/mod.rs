@@ -12,6 +12,7 @@ mod designs;
 mod digest;
 mod disk;
 mod error;
+mod functions;
 mod lock;
 mod log;
 mod looks;

@@ -49,21 +49,7 @@ pub struct Bar<S = f64> {
 impl Bar {
     /// Rounded to a kernel's scalar.
     pub fn rounded<S: Scalar>(&self) -> Bar<S> {
-        let Self {
-            index,
-            a,
-            b,
-            node_a,
-            node_b,
-            arm_a,
-            arm_b,
-            e,
-            length,
-            tension,
-            twist,
-            voids,
-            ..
-        } = *self;
+        let Self { index, a, b, node_a, node_b, arm_a, arm_b, e, length, tension, twist, voids, .. } = *self;
         Bar {
             index,
             a,
