@@ -274,19 +274,19 @@ pub struct Optimise {
     pub brain: Option<BrainKind>,
     /// How body and decoder are trained together; details in MODEL.md.
     pub protocol: Protocol,
-    /// Outer steps; of a search its candidates. Default: 350, with a linear brain 100; `"paper"`, `"envelope"` 100; `"random"`
-    /// 80, with a linear brain 30, which take as long as `"joint"`.
+    /// Number of outer steps, or of candidates of a search. Default: 350, with a linear brain 100; `"paper"`, `"envelope"` 100;
+    /// `"random"` 80, with a linear brain 30, which take as long as `"joint"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,
-    /// Adam's learning rate on the design; of `"random"` the standard deviation of its candidates. Unit: mm. Default: 0.2,
-    /// with a linear brain 0.3; `"paper"`, `"envelope"` 0.1; `"random"` 1.0.
+    /// Adam's learning rate on the design, or standard deviation of the candidates of a search. Unit: mm. Default: 0.2, with a
+    /// linear brain 0.3; `"paper"`, `"envelope"` 0.1; `"random"` 1.0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub learning_rate: Option<f64>,
     /// Terms of the gradient, only for `protocol = "paper"`. Default: `"implicit"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gradient: Option<GradientTerms>,
-    /// Samples of each step whose gradient moves the body, at most 1 000 000; over casts of each cast. Default: 32 for `"joint"`, over casts 8,
-    /// with `reader = "each"` 24; 64 for `"envelope"`.
+    /// Samples per step whose gradient moves the body, at most 1 000 000; with an objective over casts, per cast. Default: 32 for
+    /// `"joint"`, over casts 8, with `reader = "each"` 24; 64 for `"envelope"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub batch: Option<usize>,
     /// Iterations of the network per outer step, at most 10 000 000; `"paper"` uses `brain.iterations` instead. Default: 10.
