@@ -36,7 +36,6 @@ fn numbers(node: &Value, root: &Value, path: &str, found: &mut BTreeSet<(String,
 /// Tables that a spec may have, each whole but for one key.
 const TABLES: &[(&str, &str)] = &[
     ("body.contact", "body.contact={ cutoff_angle = 5.0, stiffness = 1.0 }"),
-    ("body.hinge", "body.hinge={ quadratic = 0.1, cubic = 0.1 }"),
     ("variation", "variation.stretch=0.05"),
     ("variation.relaxation", "variation.relaxation={ share = 0.1, time = 0.02 }"),
     ("variation.nodes", "variation.nodes={ scatter = 0.1, correlation = 20.0 }"),
@@ -54,7 +53,6 @@ const UNLIMITED: &[&str] = &[
     "evaluation.batch",
     "goal.operations",
     "run.memory",
-    "run.prune.grace",
     "sensors.relative_to.random",
 ];
 

@@ -177,14 +177,12 @@ fn as_other(bench: &Bench, args: &[&str]) -> Output {
     command.output().unwrap()
 }
 
-/// Finished databases, databases of an earlier version and those of a killed run can be read without write permission. No file changes.
+/// Finished databases and those of a killed run can be read without write permission. No file changes.
 #[tokio::test]
 async fn a_database_that_may_not_be_written_is_read() {
     let bench = Bench::new();
     bench.file("tiny.toml", TINY);
     bench.output(&["run", "tiny.toml", "--db", "new.sqlite", "sweep.sensors=[1]"]);
-    let old = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/databases/v13.sqlite");
-    std::fs::copy(old, bench.path("old.sqlite")).unwrap();
     // as a killed run leaves it: the connection is not closed before the files are copied
     let options = SqliteConnectOptions::new().filename(bench.path("new.sqlite")).disable_statement_logging();
     let mut left = options.connect().await.unwrap();
@@ -204,7 +202,7 @@ async fn a_database_that_may_not_be_written_is_read() {
     // nothing may be written; or others may write to the folder, where files of theirs would keep the owner out
     for (file, folder) in [(0o444, 0o555), (0o444, 0o777)] {
         mode(file, folder);
-        for db in ["new.sqlite", "old.sqlite", "left.sqlite"] {
+        for db in ["new.sqlite", "left.sqlite"] {
             for words in [
                 &["query", db, "SELECT count(*) FROM v_trial"][..],
                 &["status", db],

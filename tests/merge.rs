@@ -127,11 +127,11 @@ fn pool() -> &'static [PathBuf] {
             .await;
             database(&at("g-done"), &other, 2, &[(1, Life::Done(7.0, "avx2")), (4, Life::Steps(3))]).await;
             database(&at("h-open"), &other, 2, &[(1, Life::Steps(2)), (4, Life::Steps(2))]).await;
-            std::fs::copy(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/databases/v1.sqlite"), at("v1"))
+            std::fs::copy(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/databases/v15.sqlite"), at("v15"))
                 .unwrap();
         });
         let names =
-            ["a-later", "b-again", "c-partial", "d-wide", "e-differs", "f-failed", "g-done", "h-open", "v1"];
+            ["a-later", "b-again", "c-partial", "d-wide", "e-differs", "f-failed", "g-done", "h-open", "v15"];
         let files = names.iter().map(|name| at(name)).collect();
         (folder, files)
     };
@@ -224,7 +224,7 @@ proptest! {
 fn a_merge_of_one_database_is_that_database() {
     let folder = tempfile::tempdir().unwrap();
     for file in
-        pool().iter().filter(|file| !file.ends_with("v1.sqlite") && !file.ends_with("c-partial.sqlite"))
+        pool().iter().filter(|file| !file.ends_with("v15.sqlite") && !file.ends_with("c-partial.sqlite"))
     {
         let out = folder.path().join(file.file_name().unwrap());
         let before = std::fs::read(file).unwrap();

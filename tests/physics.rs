@@ -163,34 +163,6 @@ fn a_finished_trial_stands_beside_its_bounds() {
     );
 }
 
-/// Bodies of hinges are trained by sweeps over their law, each a trial of its own; a spec without hinges holds nothing of them.
-#[test]
-fn hinges_are_trained() {
-    let bench = Bench::new();
-    let linear = light()
-        .replace("iterations = 10\nwidth = 16\n", "kind = \"linear\"\n")
-        .replace("sensors = [1, 2]", "sensors = [1]");
-    let hinged = linear
-        .replacen("[time]", "hinge = { quadratic = -7.0, cubic = 10.0 }\n[time]", 1)
-        .replace("sensors = [1]", "sensors = [1]\n\"body.hinge.quadratic\" = [-7.0, 0.0]");
-    bench.file("plain.toml", &linear);
-    bench.file("hinged.toml", &hinged);
-    let mut found = Vec::new();
-    for spec in ["plain.toml", "hinged.toml"] {
-        let rows = json(&bench.output(&["run", spec, "--db", "s.sqlite", "--format", "json"]));
-        for row in &rows {
-            assert_eq!(row["state"], "done", "{rows:?}");
-            let error = |key: &str| row[key].as_f64().unwrap();
-            found.push([error("holdout_error_initial"), error("holdout_error_optimised")]);
-        }
-    }
-    let apart = |i: usize, j: usize| (0..2).all(|k| (found[i][k] / found[j][k] - 1.0).abs() > 1e-3);
-    assert!(found.len() == 3 && apart(0, 1) && apart(0, 2) && apart(1, 2), "{found:?}");
-    let specs = "SELECT count(*) AS n, sum(spec LIKE '%hinge%') AS hinged FROM trial";
-    let specs = json(&bench.output(&["query", "s.sqlite", specs, "--format", "json"]));
-    assert!(specs[0]["n"] == 3 && specs[0]["hinged"] == 2, "{specs:?}");
-}
-
 /// A press before every sample is an axis of a sweep: other readings, other modes. A straight body that buckles under it is named, with
 /// what to do.
 #[test]

@@ -7,7 +7,6 @@ use std::time::Duration;
 
 use crate::common::processes::{children, eventually, kill};
 use crate::common::{Bench, TINY, results};
-use crate::files::execute;
 
 /// Writes down how it is called and queues what it gets. `refuse` holds numbers of calls that are refused; with `deaf` the answer is
 /// lost, with `kill` the caller dies before it has it; `cluster` is printed behind a number.
@@ -176,14 +175,6 @@ fn trials_that_are_done_are_left_out() {
     site.0.output(&["run", "tiny.toml"]);
     assert!(site.says(0, SUBMIT).contains("nothing left to do"));
     assert!(site.calls().is_empty() && !site.0.path("results/tiny.shards").exists());
-    // what was pruned has not failed: nothing runs it again
-    let db = site.0.path("results/tiny.sqlite");
-    execute(&db, "UPDATE trial SET state = 'failed', reason = 'pruned' WHERE id = 1");
-    for again in ["", " --retry-failed"] {
-        let said = site.says(0, &format!("{SUBMIT}{again}"));
-        assert!(said.contains("nothing left to do") && !said.contains("--retry-failed"), "{said}");
-    }
-    execute(&db, "UPDATE trial SET state = 'done', reason = NULL WHERE id = 1");
     site.0.file("tiny.toml", &four());
     site.says(0, "cluster submit slurm tiny.toml --shards 1");
     let trials = site.read("results/tiny.shards/shard-1-of-1.trials.jsonl");

@@ -4,7 +4,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::common::processes::{eventually, kill};
-use crate::common::{Bench, SPEC, TINY, light, results};
+use crate::common::{Bench, SPEC, TINY, results};
 use metasense::fleet::{Seen, workers_of};
 use metasense::plan::Plan;
 use metasense::store::Store;
@@ -181,32 +181,6 @@ async fn a_failed_trial_is_run_again_on_request_alone() {
             .collect::<Vec<_>>(),
         ["1,failed,time_limit", "2,done,"]
     );
-}
-
-/// Of four trials that differ in their seed, some are worse than those before them: they are given up, and say so. Without
-/// `prune` they go on to what they would have come to.
-#[test]
-fn hopeless_trials_are_given_up_on_request_and_go_on_without_it() {
-    let bench = Bench::new();
-    // more steps than are done while a busy machine keeps the run from asking for its trial
-    let long = light().replace("iterations = 4\n", "iterations = 20\n");
-    let seeds = long.replace("sensors = [1, 2]", "sensors = [1]\nseeds = [1, 2, 3, 4]");
-    bench.file("whole.toml", &seeds);
-    bench.output(&["run", "whole.toml", "--db", "whole.sqlite"]);
-    let prune = "[run]\nprune = { at = [0.25], grace = 1 }\nworkers = 1\n[sweep]";
-    bench.file("pruned.toml", &seeds.replace("[sweep]", prune));
-    let ended = |sql| bench.output(&["query", "pruned.sqlite", sql, "--format", "csv"]);
-    let states =
-        "SELECT state, coalesce(reason, ''), count(*) > 0, max(steps) < 20 FROM v_trial GROUP BY 1, 2";
-    for said in ["given up: K=2 M=1", "nothing left to do"] {
-        let run = bench.metasense(&["run", "pruned.toml", "--db", "pruned.sqlite"]);
-        let messages = String::from_utf8_lossy(&run.stderr).into_owned();
-        assert_eq!(run.status.code(), Some(0), "{messages}");
-        assert!(messages.contains(said) && messages.contains("given up as hopeless"), "{messages}");
-        assert_eq!(ended(states).lines().skip(1).collect::<Vec<_>>(), ["done,,1,0", "failed,pruned,1,1"]);
-    }
-    bench.output(&["run", "whole.toml", "--db", "pruned.sqlite"]);
-    assert_eq!(results(&bench, "pruned.sqlite"), results(&bench, "whole.sqlite"));
 }
 
 /// A linear brain that needs more memory than its worker may have: the trial has failed for that, at the first attempt.

@@ -292,7 +292,7 @@ async fn counts_agree(reader: &mut Reader, db: &Path) {
     for (name, of_status, of_report, of_page) in [
         ("all", of_status("trials"), told.all, progress.trials[0]),
         ("done", in_state("done", &[]), told.done, progress.trials[1]),
-        ("failed", in_state("failed", &["pruned", "cancelled"]), told.failed, progress.trials[2]),
+        ("failed", in_state("failed", &["cancelled"]), told.failed, progress.trials[2]),
     ] {
         assert_eq!(
             (of_report as f64, of_page as f64),

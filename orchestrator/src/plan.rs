@@ -209,12 +209,8 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
 pub(crate) const GRACE_MAX: f64 = 3600.0;
 
 fn check_run(run: &Run, source: &Source) -> Result<(), SpecError> {
-    let at_least_1 = |n: Option<usize>| n.is_none_or(|n| n >= 1);
     let thousand = |n: Option<usize>| n.is_none_or(|n| (1..=WORKERS_MAX as usize).contains(&n));
     let seconds = |s: Option<f64>, least: f64| s.is_none_or(|s| s >= least && s <= 1e9);
-    let marks = run.prune.as_ref().map_or(&[0.5][..], |prune| &prune.at);
-    let within = marks.iter().all(|part| *part > 0.0 && *part < 1.0);
-    let grace = run.prune.as_ref().map(|prune| prune.grace);
     for (key, holds, remedy) in [
         ("run.workers", thousand(run.workers), "must be at least 1, at most 1024"),
         ("run.threads", thousand(run.threads), "must be at least 1, at most 1024"),
@@ -228,12 +224,6 @@ fn check_run(run: &Run, source: &Source) -> Result<(), SpecError> {
             "must be at least 0, at most 3600 s",
         ),
         ("run.lock_wait", seconds(run.lock_wait, 0.0), "must be at least 0, at most 1e9 s"),
-        (
-            "run.prune.at",
-            within && !marks.is_empty() && marks.is_sorted_by(|a, b| a < b),
-            "must be parts of the steps between 0 and 1, ascending",
-        ),
-        ("run.prune.grace", at_least_1(grace), "must be at least 1"),
         ("run.time_limit", seconds(run.time_limit, 0.1), "must be at least 0.1, at most 1e9 s"),
     ] {
         if !holds {

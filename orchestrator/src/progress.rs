@@ -27,10 +27,10 @@ LEFT JOIN step p ON p.trial_id = t.id AND p.step = (SELECT max(step) FROM step m
 WHERE t.state = 'running' ORDER BY 2, 3, 4, 5, 6";
 
 /// All trials by state; the estimated seconds of what is left of those that are open; steps, attempts; and how long
-/// attempts have taken against what was estimated for what they did; mean errors of what is done; what is given up; all
-/// estimated seconds; what is cancelled; mean medians of the samples' errors.
+/// attempts have taken against what was estimated for what they did; mean errors of what is done; all estimated
+/// seconds; what is cancelled; mean medians of the samples' errors.
 const WHOLE: &str = "
-SELECT count(*), sum(state = 'done'), sum(state = 'failed' AND reason NOT IN ('pruned', 'cancelled')), sum(state = 'running'),
+SELECT count(*), sum(state = 'done'), sum(state = 'failed' AND reason <> 'cancelled'), sum(state = 'running'),
   sum(CASE WHEN state IN ('pending', 'running') THEN cost ELSE 0 END)
     - (SELECT coalesce(sum(t.cost * c.step / json_extract(t.spec, '$.optimise.iterations')), 0)
        FROM checkpoint c JOIN trial t ON t.id = c.trial_id WHERE t.state IN ('pending', 'running')
@@ -40,7 +40,7 @@ SELECT count(*), sum(state = 'done'), sum(state = 'failed' AND reason NOT IN ('p
      / nullif(sum(CASE a.state WHEN 'done' THEN t.cost
         ELSE t.cost * a.steps / json_extract(t.spec, '$.optimise.iterations') END), 0)
    FROM attempt a JOIN trial t ON t.id = a.trial_id WHERE a.steps > 0 OR a.state = 'done'),
-  avg(holdout_error_initial), avg(holdout_error_optimised), sum(state = 'failed' AND reason = 'pruned'), sum(cost),
+  avg(holdout_error_initial), avg(holdout_error_optimised), sum(cost),
   sum(state = 'failed' AND reason = 'cancelled'), avg(holdout_median_initial), avg(holdout_median_optimised)
 FROM trial";
 
@@ -48,15 +48,15 @@ FROM trial";
 pub const FAILED: &str = "SELECT reason, text, min(hash), count(*) FROM
     (SELECT t.hash, t.reason, (SELECT l.text FROM log l WHERE l.trial_id = t.id AND l.level = 'error'
        ORDER BY l.attempt DESC, l.line DESC LIMIT 1) AS text FROM trial t
-     WHERE t.state = 'failed' AND coalesce(t.reason, '') NOT IN ('pruned', 'cancelled')) GROUP BY 1, 2 ORDER BY 4 DESC, 1, 2";
+     WHERE t.state = 'failed' AND t.reason IS NOT 'cancelled') GROUP BY 1, 2 ORDER BY 4 DESC, 1, 2";
 
 /// What can be seen of a run.
 #[derive(Debug, Clone, Default)]
 pub struct Progress {
     /// In a sentence.
     pub summary: String,
-    /// Trials: all, done, failed for good, running, given up as hopeless.
-    pub trials: [u64; 5],
+    /// Trials: all, done, failed for good, running.
+    pub trials: [u64; 4],
     /// The part of the estimated work that is done; `None` where nothing is estimated.
     pub part: Option<f64>,
     /// How long attempts have taken, over what was estimated for what they did.
@@ -90,10 +90,10 @@ impl Looks {
         let run = run_of(reader.path()).await;
         let workers = run.map(|run| look(run, &mut self.before)).unwrap_or_default();
         let number = |i: usize| whole.rows[0][i].as_f64();
-        let (left, all) = (number(4).unwrap_or(0.0), number(11).unwrap_or(0.0));
+        let (left, all) = (number(4).unwrap_or(0.0), number(10).unwrap_or(0.0));
         Ok(Progress {
             summary: summary(&whole, &mut self.first),
-            trials: [0, 1, 2, 3, 10].map(|i| number(i).unwrap_or(0.0) as u64),
+            trials: [0, 1, 2, 3].map(|i| number(i).unwrap_or(0.0) as u64),
             part: (all > 0.0).then(|| (1.0 - left / all).clamp(0.0, 1.0)),
             correction: number(7),
             workers: by_worker(&running, &workers),
@@ -159,7 +159,7 @@ fn summary(whole: &Table, first: &mut Option<(Instant, f64)>) -> String {
     let (total, done, failed, running) = (number(0), number(1), number(2), number(3));
     let mut text = format!(
         "{done} of {total} trials done, {failed} failed, {running} running, {} waiting; {} steps in {} attempts",
-        total - done - failed - running - number(10) - number(12),
+        total - done - failed - running - number(11),
         number(5),
         number(6),
     );
@@ -167,11 +167,8 @@ fn summary(whole: &Table, first: &mut Option<(Instant, f64)>) -> String {
     if number(5) > steps {
         text += &format!(", {:.1} a minute", 60.0 * (number(5) - steps) / began.elapsed().as_secs_f64());
     }
-    if number(10) > 0.0 {
-        text += &format!("; {} given up as hopeless", number(10));
-    }
-    if number(12) > 0.0 {
-        text += &format!("; {} cancelled", number(12));
+    if number(11) > 0.0 {
+        text += &format!("; {} cancelled", number(11));
     }
     let (left, correction) = (number(4), number(7));
     if correction > 0.0 && running > 0.0 {
@@ -179,8 +176,8 @@ fn summary(whole: &Table, first: &mut Option<(Instant, f64)>) -> String {
     }
     if done > 0.0 {
         text += &format!("; mean holdout error so far {:.2} -> {:.2} %", number(8), number(9));
-        if number(14) > 0.0 {
-            text += &format!(" (medians {:.2} -> {:.2} %)", number(13), number(14));
+        if number(13) > 0.0 {
+            text += &format!(" (medians {:.2} -> {:.2} %)", number(12), number(13));
         }
     }
     text

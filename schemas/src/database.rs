@@ -1,26 +1,13 @@
-//! The database: what marks it, how each version grows out of the one before, and the views that users build on.
+//! The database: what marks it, its schema, and the views that users build on.
 
 /// `PRAGMA application_id`: "mtsn".
 pub const APPLICATION_ID: i32 = 0x6d74_736e;
 
-/// Entry v − 1 makes version v (`PRAGMA user_version`) out of version v − 1. Entries are never changed, only added.
-pub const MIGRATIONS: &[&str] = &[
-    include_str!("../migrations/0001.sql"),
-    include_str!("../migrations/0002.sql"),
-    include_str!("../migrations/0003.sql"),
-    include_str!("../migrations/0004.sql"),
-    include_str!("../migrations/0005.sql"),
-    include_str!("../migrations/0006.sql"),
-    include_str!("../migrations/0007.sql"),
-    include_str!("../migrations/0008.sql"),
-    include_str!("../migrations/0009.sql"),
-    include_str!("../migrations/0010.sql"),
-    include_str!("../migrations/0011.sql"),
-    include_str!("../migrations/0012.sql"),
-    include_str!("../migrations/0013.sql"),
-    include_str!("../migrations/0014.sql"),
-    include_str!("../migrations/0015.sql"),
-];
+/// `PRAGMA user_version` of the databases that this program reads and writes.
+pub const VERSION: usize = 15;
+
+/// Makes an empty file a database of this version.
+pub const SCHEMA: &str = include_str!("../schema.sql");
 
 /// The stable views, and what a row of each is.
 pub const VIEWS: &[(&str, &str)] = &[

@@ -27,8 +27,6 @@ pub enum Reason {
     Rejected,
     /// A bug: the computation panicked.
     Panicked,
-    /// Worse than others of its kind, where `[run] prune` asks for that.
-    Pruned,
     /// A person does not want it.
     Cancelled,
     /// Handed back on request, or ended as that took too long; goes on with the next run.
@@ -37,16 +35,8 @@ pub enum Reason {
     Paused,
 }
 
-/// Name of `Reason::Pruned`, by which such trials are told from those that have failed.
-pub const PRUNED: &str = "pruned";
-/// Name of `Reason::Cancelled`, likewise.
+/// Name of `Reason::Cancelled`, which distinguishes such trials from those that have failed.
 pub const CANCELLED: &str = "cancelled";
-
-/// Whether a trial that failed for this reason was given up on purpose.
-#[must_use]
-pub fn is_given_up(reason: &str) -> bool {
-    [PRUNED, CANCELLED].contains(&reason)
-}
 
 impl fmt::Display for Reason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -61,7 +51,6 @@ impl fmt::Display for Reason {
             Self::Numerical(cause) => f.write_str(cause.name()),
             Self::Rejected => f.write_str("rejected"),
             Self::Panicked => f.write_str("panicked"),
-            Self::Pruned => f.write_str(PRUNED),
             Self::Cancelled => f.write_str(CANCELLED),
             Self::Stopped => f.write_str("stopped"),
             Self::Paused => f.write_str("paused"),
@@ -115,16 +104,10 @@ impl Reason {
                 "see `metasense trial SPEC HASH`; a smaller `solver.tolerance` or learning rate may help"
             }
             Self::Rejected => "the spec is at fault: see `metasense trial SPEC HASH`",
-            Self::Pruned => "leave `prune` out of [run] to have it run to its end",
             Self::Cancelled => "run with --retry-failed to go on with it",
             Self::Stopped => "the same command goes on",
             Self::Paused => "it goes on where a requirement needs it",
         }
-    }
-
-    /// Whether the trial was given up for what it is worth, not for what went wrong.
-    pub fn is_given_up(self) -> bool {
-        matches!(self, Self::Pruned | Self::Cancelled)
     }
 
     /// Whether another attempt may end otherwise: what happened to the process, not to the trial.

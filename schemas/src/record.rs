@@ -137,8 +137,6 @@ pub struct Seconds {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct ImplicitRecord {
-    /// What stood for H⁻¹: `truncate`, `damped`, `gauss_newton`, as the trial's spec says.
-    pub policy: String,
     /// Conjugate-gradient iterations.
     pub iterations: u32,
     /// ‖r‖/‖b‖ at the end.

@@ -11,7 +11,7 @@ use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-use crate::spec::{Measured, SweepSpec, gone_key};
+use crate::spec::{Measured, SweepSpec, removed};
 
 mod keys;
 mod layers;
@@ -144,9 +144,10 @@ impl Source {
 
     fn check_key(&self, place: &Place, known: &KnownKeys) -> Result<(), SpecError> {
         let key = place.key.as_str();
-        if let Some(remedy) = gone_key(key.strip_prefix("sweep.").map_or(key, |axis| axis.trim_matches('"')))
-        {
-            return Err(self.wrong(place, remedy));
+        let axis =
+            key.strip_prefix(POINTS).or_else(|| key.strip_prefix("sweep.")).unwrap_or(key).replace('"', "");
+        if let Some(why) = removed(&axis, if place.is_table { "" } else { self.written(place) }) {
+            return Err(self.wrong(place, why));
         }
         if let Some(linked) = key.strip_prefix(POINTS) {
             let linked = &linked.replace('"', "");

@@ -32,7 +32,6 @@ pub fn step_record(report: &nested::Report) -> StepRecord {
         projection: report.projection.map_or("none", |status| status.name()).into(),
         projection_distance: finite(report.projection_distance),
         implicit: report.implicit.map(|implicit| ImplicitRecord {
-            policy: implicit.policy.name().into(),
             iterations: implicit.iterations as u32,
             residual: implicit.residual,
             // infinite where no product was taken, which SQLite and JSON do not know

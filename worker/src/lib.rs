@@ -22,6 +22,7 @@ pub mod polygons;
 pub mod problem;
 pub mod process;
 pub mod records;
+pub mod reference;
 pub mod replay;
 pub mod run;
 pub mod simd;

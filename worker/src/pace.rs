@@ -1,8 +1,8 @@
 //! How fast a core of this machine does what trials are made of: a small piece of each kind of work, timed once.
 
 use crate::clock::cpu_seconds;
+use crate::reference::reference;
 use crate::simd::width;
-use crate::verify::reference;
 use metasense_numerics::brain::linear::factor;
 use metasense_numerics::brain::{Architecture, Data, Shape, Workspace, initial_weights, loss_gradient};
 use metasense_numerics::dynamics::{Forces, Method, Plan, Scene, run};

@@ -7,9 +7,7 @@ use metasense_numerics::body::Layout;
 use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::brain::{Architecture, LAYERS_MAX, Shape};
 use metasense_numerics::brains::fits;
-use metasense_numerics::dynamics::{
-    Accuracy, Contact, Frame, Hinge, Method, Parts, Scene, Solver, Stiffness,
-};
+use metasense_numerics::dynamics::{Accuracy, Contact, Frame, Method, Parts, Scene, Solver, Stiffness};
 use metasense_numerics::feasible::Limits;
 use metasense_numerics::place::CANDIDATES;
 use metasense_numerics::trial::{
@@ -55,9 +53,6 @@ const WEIGHTS_MAX: usize = 10_000_000;
 /// # Errors
 /// Names the first key whose value no trial can have, and what the value must be.
 pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
-    if let Some((key, value, remedy)) = spec::gone(trial) {
-        return Err(invalid(key, value, remedy));
-    }
     let layout = layout(&trial.body)?;
     let material = material(&trial.body)?;
     check_clock_and_training(trial)?;
@@ -72,7 +67,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
         frozen: frozen(&trial.optimise, &scene.layout)?,
         tie: tie(&trial.optimise)?,
         initial,
-        solver: solver("solver.method", &trial.solver)?,
+        solver: solver(&trial.solver),
         limits,
         stimuli: stimuli(trial)?,
         channels: channels(&trial.sensors)?,
@@ -93,7 +88,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
             iterations: u32::try_from(steps)
                 .map_err(|_| invalid("optimise.iterations", steps, "must be below 2^32"))?,
             rate: trial.optimise.clone().resolved().learning_rate.unwrap_or_default(),
-            coarse: coarse.as_ref().map(|coarse| solver("optimise.coarse.method", coarse)).transpose()?,
+            coarse: coarse.as_ref().map(solver),
             casting: casting(trial)?,
         },
         evaluation: Evaluation {
@@ -215,22 +210,15 @@ fn check_tolerance(key: &str, tolerance: f64) -> Result<(), Invalid> {
     require((1e-12..=0.5).contains(&tolerance), key, tolerance, "must lie in [1e-12, 0.5]")
 }
 
-fn solver(key: &str, solver: &spec::Solver) -> Result<Solver, Invalid> {
+fn solver(solver: &spec::Solver) -> Solver {
     let method = match solver.method {
         spec::Method::Auto => Method::Auto,
         spec::Method::Tsit5 => Method::Tsit5,
         spec::Method::Leapfrog => Method::Leapfrog,
         spec::Method::Nystrom4 => Method::Nystrom4,
         spec::Method::Nystrom6 => Method::Nystrom6,
-        spec::Method::Implicit => {
-            return Err(invalid(
-                key,
-                "\"implicit\"",
-                "is no longer an integrator: \"auto\" was cheaper in every scene",
-            ));
-        }
     };
-    Ok(Solver::new(method, Accuracy(solver.tolerance)))
+    Solver::new(method, Accuracy(solver.tolerance))
 }
 
 /// Of a linear brain's system: 3 GB and a minute a step.
@@ -407,7 +395,6 @@ fn scene(
             min_angle: angle(c.min_angle),
             cutoff_angle: angle(c.cutoff_angle),
         }),
-        hinge: body.hinge.map(|h| Hinge { quadratic: h.quadratic, cubic: h.cubic }),
         linearised: body.linearised,
         pressed: body::pressed(body, &layout, &clamped, &guided)?,
         clamped,

@@ -10,7 +10,7 @@ use metasense::exit::Exit;
 use metasense::look::Table;
 use metasense::row;
 use metasense_numerics::brain::{
-    Adam, Architecture, Curvature, Data, Matrix, Real, Shape, Workspace, initial_weights, loss, loss_gradient,
+    Adam, Architecture, Curvature, Data, Real, Shape, Workspace, initial_weights, loss, loss_gradient,
 };
 use metasense_numerics::random::{Purpose, Stream};
 use metasense_numerics::simd::Width;
@@ -48,8 +48,8 @@ pub struct Args {
     format: Format,
 }
 
-const COLUMNS: &str = "network precision simd threads forward_ms iteration_ms hessian_ms gauss_newton_ms \
-    hessian_iterations gauss_newton_iterations gflop peak_gflops share_of_peak";
+const COLUMNS: &str = "network precision simd threads forward_ms iteration_ms hessian_ms \
+    hessian_iterations gflop peak_gflops share_of_peak";
 
 pub fn execute(args: &Args) -> Result<Exit, Error> {
     let table = Table::new(COLUMNS, rows(args));
@@ -97,7 +97,7 @@ fn measured<F: Real>(args: &Args, threads: u16, width: Width, preset: Preset) ->
         work();
         begin.elapsed().as_secs_f64()
     };
-    let mut least = [f64::INFINITY; 4];
+    let mut least = [f64::INFINITY; 3];
     let mut peak = 0.0f64;
     for _ in 0..args.repeat.max(1) {
         let mut work = 0;
@@ -114,10 +114,8 @@ fn measured<F: Real>(args: &Args, threads: u16, width: Width, preset: Preset) ->
             }),
         ];
         let curvature = Curvature::new(&weights, data.all(), ws, &pool);
-        let mut product =
-            |matrix| timed(&mut || curvature.product(matrix, &direction, &mut gradient, ws, &pool));
-        let products = [product(Matrix::Hessian), product(Matrix::GaussNewton)];
-        for (least, time) in least.iter_mut().zip(times.into_iter().chain(products)) {
+        let product = timed(&mut || curvature.product(&direction, &mut gradient, ws, &pool));
+        for (least, time) in least.iter_mut().zip(times.into_iter().chain([product])) {
             *least = least.min(time * 1e3);
         }
     }
@@ -126,11 +124,10 @@ fn measured<F: Real>(args: &Args, threads: u16, width: Width, preset: Preset) ->
         Preset::Long => "long",
     };
     let precision = if size_of::<F>() == 4 { "f32" } else { "f64" };
-    let [forward, iteration, hessian, gauss_newton] = least;
+    let [forward, iteration, hessian] = least;
     // Of an iteration, direct convolutions counted; Winograd's saving can lift the share of the peak above 1.
     let gflop = (6 * samples * instants * layers) as f64 * 1e-9;
     let peak = peak * 1e-9;
-    let products = [hessian / iteration, gauss_newton / iteration];
     row![
         network,
         precision,
@@ -139,9 +136,7 @@ fn measured<F: Real>(args: &Args, threads: u16, width: Width, preset: Preset) ->
         forward,
         iteration,
         hessian,
-        gauss_newton,
-        products[0],
-        products[1],
+        hessian / iteration,
         gflop,
         peak,
         gflop / (iteration * 1e-3) / peak

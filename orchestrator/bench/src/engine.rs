@@ -113,7 +113,6 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
             time_limit: args.time_limit_ms,
             memory_limited: false,
             grace: args.grace_ms,
-            prune: None,
         },
         threads: 1,
         niceness: 0,

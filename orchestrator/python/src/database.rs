@@ -49,7 +49,7 @@ impl Database {
 
 #[pymethods]
 impl Database {
-    /// Opens a database; of an older one an upgraded copy is read.
+    /// Opens a database.
     #[new]
     fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         let database = Self { path };

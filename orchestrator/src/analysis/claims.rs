@@ -610,8 +610,7 @@ fn complexity(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
 fn implicit(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     let has = |t: &&Trial| t.setting.contains_key("optimise.gradient");
     let paper: Vec<&Trial> = two_forces(trials, "bell").into_iter().filter(has).collect();
-    let terms = ["optimise.gradient", "optimise.curvature", "optimise.damping"];
-    by_set(&groups(&paper, &terms), |group, set| {
+    by_set(&groups(&paper, &["optimise.gradient"]), |group, set| {
         let errors = |terms: &str| {
             each(&of_text(&group.trials, "optimise.gradient", terms), |t| t.error(Body::Optimised, set))
         };

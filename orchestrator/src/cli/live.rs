@@ -100,10 +100,6 @@ impl Watch for Live<'_> {
         if reason == Reason::Cancelled {
             return self.say(&format!("given up: {}: on request", self.named(trial)));
         }
-        if reason == Reason::Pruned {
-            return self
-                .say(&format!("given up: {}: worse than the median of its K and M", self.named(trial)));
-        }
         let then = match settled {
             true => format!("failed for good; {}", reason.remedy()),
             false => "it is tried again".into(),

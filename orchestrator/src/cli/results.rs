@@ -3,7 +3,7 @@
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
-use metasense_schemas::reason::{CANCELLED, PRUNED, is_given_up};
+use metasense_schemas::reason::CANCELLED;
 use metasense_schemas::spec::TrialSpec;
 use serde_json::{Value, json};
 
@@ -124,15 +124,9 @@ fn say_failures(Results { named, log, .. }: Results<'_>, settled: &Table) -> usi
     let of = |row: &'_ [Value], at: usize| row[at].as_str().unwrap_or_default().to_owned();
     let failed = settled.rows.iter().filter(|row| row[state] == "failed");
     let failed = failed.map(|row| (of(row, hash), of(row, reason)));
-    let (given_up, failed): (Vec<_>, Vec<_>) = failed.partition(|(_, why)| is_given_up(why));
-    for (reason, words) in [
-        (PRUNED, "given up as hopeless; without `prune` in [run] they go on"),
-        (CANCELLED, "cancelled on request; --retry-failed goes on with them"),
-    ] {
-        match given_up.iter().filter(|(_, why)| why == reason).count() {
-            0 => {}
-            count => say!("{} {words}", counted(count, "trial")),
-        }
+    let (cancelled, failed): (Vec<_>, Vec<_>) = failed.partition(|(_, why)| why == CANCELLED);
+    if !cancelled.is_empty() {
+        say!("{} cancelled on request; --retry-failed resumes them", counted(cancelled.len(), "trial"));
     }
     for (hash, reason) in failed.iter().take(MOST_ROWS) {
         say!("failed: trial {hash} ({reason})");

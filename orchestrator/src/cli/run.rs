@@ -282,12 +282,7 @@ async fn run_open(
         Some(port) => Some(Pages::start(store.path(), port).await?),
         None => None,
     };
-    // What was given up as hopeless is not, where nobody asks for that any more.
-    let again = Again {
-        pruned: plan.spec.run.prune.is_none(),
-        failed: how.running.retry_failed,
-        other_code: how.running.redo_other_code,
-    };
+    let again = Again { failed: how.running.retry_failed, other_code: how.running.redo_other_code };
     let mut options = options(&plan.spec.run, how.running);
     let (shard, asked, options) = (how.shard, how.asked, &mut options);
     let round = Round { store, plan, shard, log, signals, control, options, asked, stopping: false };
@@ -527,7 +522,6 @@ fn options(run: &Run, args: &Running) -> Options {
             time_limit: run.time_limit.map(millis),
             memory_limited: run.memory.is_some(),
             grace: millis(args.grace.or(run.grace).unwrap_or(GRACE)),
-            prune: run.prune.clone(),
         },
         threads: threads as u32,
         niceness: run.niceness.unwrap_or(0).into(),

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use metasense_schemas::reason::is_given_up;
+use metasense_schemas::reason::CANCELLED;
 use metasense_schemas::spec::Sweep;
 use serde_json::{Value, json};
 
@@ -123,7 +123,7 @@ async fn one(reader: &mut Reader, hash: &str, format: Format) -> Result<Exit, Er
     provenance::unresolved(&solver).iter().for_each(|caveat| say!("warning: {caveat}"));
     say_attempts(reader, hash).await?;
     print_rows(&reader.query(&log).await?, format)?;
-    let failed = state == "failed" && !is_given_up(&reason);
+    let failed = state == "failed" && reason != CANCELLED;
     Ok(if failed { Exit::Failed } else { Exit::Done })
 }
 

@@ -9,8 +9,6 @@ use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use metasense_schemas::reason::PRUNED;
-
 use super::named::Spec;
 use super::{Error, duration, make_folder, write};
 use crate::cluster::home::{SUBMITTED_SPEC, attempts};
@@ -198,13 +196,10 @@ async fn settled(out: &Path) -> Result<HashMap<String, bool>, Error> {
     if !out.metadata().is_ok_and(|file| file.len() > 0) {
         return Ok(settled);
     }
-    let sql = format!(
-        "SELECT hash, state = 'failed' AND reason IS NOT '{PRUNED}' AS failed FROM trial
-         WHERE state IN ('done', 'failed')"
-    );
+    let sql = "SELECT hash, state = 'failed' AS failed FROM trial WHERE state IN ('done', 'failed')";
     Reader::asked(out, async |reader| {
         reader
-            .each(&sql, |row| {
+            .each(sql, |row| {
                 settled.insert(row.text("hash").to_owned(), row.count("failed") > 0);
                 Ok::<_, Error>(())
             })

@@ -1,4 +1,4 @@
-//! `verify`: the maths against reference cases, or against itself.
+//! `verify`: the maths against reference cases.
 
 use std::path::PathBuf;
 
@@ -10,25 +10,20 @@ use super::{Error, Format, cores, print_rows};
 use crate::exit::Exit;
 use crate::look::{Table, row};
 
-/// Checks the maths against itself, or against reference cases
+/// Compares the maths with reference cases
 ///
 /// One row a quantity, with its error, tolerance and verdict; exit code 1 if any fails.
-/// Without --cases: energy balance, Taylor tests of the gradient, equal bits on any number of threads, and stiff and
-/// extreme scenes, each with its named outcome.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Compare with the reference cases in this folder instead: one folder a case, with case.json and .npy arrays
+    /// Folder of the reference cases: one folder per case, with case.json and .npy arrays
     #[arg(long, value_name = "DIR")]
-    cases: Option<PathBuf>,
+    cases: PathBuf,
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let pool =
         Pool::new(cores()).map_err(|e| Error::Usage(format!("cannot start {} threads: {e}", cores())))?;
-    let rows = match &args.cases {
-        Some(folder) => verify::cases(folder, &pool).map_err(|e| Error::Usage(e.to_string()))?,
-        None => [verify::numerics(&pool), verify::extremes(&pool)].concat(),
-    };
+    let rows = verify::cases(&args.cases, &pool).map_err(|e| Error::Usage(e.to_string()))?;
     let columns = "case quantity error tolerance pass note";
     print_rows(&Table::new(columns, rows.iter().map(values)), Format::Table)?;
     let failed = rows.iter().filter(|row| !row.pass).count();

@@ -116,14 +116,13 @@ impl Assignment {
         assignment
     }
 
-    /// As a folder has it, with the trials that are new. A file of the former name is read, too.
+    /// As a folder has it, with the trials that are new.
     ///
     /// # Errors
     /// If what is written there cannot be read, or is gone.
     pub fn in_folder(folder: &Path, trials: &[Trial], shards: u32) -> Result<Self, AssignmentError> {
         let mut assignment = Self { shards, of: BTreeMap::new() };
-        let [path, former] = [file_name(shards), former_name(shards)].map(|name| folder.join(name));
-        let path = if former.exists() && !path.exists() { former } else { path };
+        let path = folder.join(file_name(shards));
         match std::fs::read_to_string(&path) {
             Ok(text) => assignment.of = read(&text, shards, &path)?,
             Err(error) if error.kind() == ErrorKind::NotFound => {
@@ -172,7 +171,7 @@ impl Assignment {
             let name = entry.file_name();
             let (_, shards) = name.to_str()?.strip_suffix(".csv")?.rsplit_once("-of-")?;
             let shards = shards.parse().ok().filter(|shards| (1..=Shard::MOST).contains(shards))?;
-            [file_name(shards), former_name(shards)].contains(&name.to_str()?.into()).then_some(shards)
+            (name.to_str()? == file_name(shards)).then_some(shards)
         });
         let shards: BTreeSet<u32> = named.collect();
         shards.into_iter().map(|shards| Self::in_folder(folder, &[], shards)).collect()
@@ -254,11 +253,6 @@ const HEAD: &str = "hash,shard";
 
 fn file_name(shards: u32) -> String {
     format!("assignment-of-{shards}.csv")
-}
-
-/// Its name in folders of older programs.
-fn former_name(shards: u32) -> String {
-    format!("deal-of-{shards}.csv")
 }
 
 /// The trials of a shard as they were submitted; none where nobody has written them down.

@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use metasense_schemas::reason::is_given_up;
+use metasense_schemas::reason::CANCELLED;
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
@@ -160,7 +160,7 @@ async fn read(file: &Path) -> sqlx::Result<(Vec<(String, Stage)>, Option<Run>)> 
         let stage = |(hash, state, reason, attempts): (String, String, String, u32)| {
             let stage = match (state.as_str(), reason.as_str()) {
                 ("done", _) => Stage::Done,
-                ("failed", reason) if is_given_up(reason) => Stage::Done,
+                ("failed", CANCELLED) => Stage::Done,
                 ("failed", _) => Stage::Open(attempts.max(1), Ended::Failed),
                 _ => Stage::Open(attempts, Ended::Open),
             };

@@ -1,21 +1,18 @@
 //! Before a run: the sweep is recorded, and what earlier runs have left of its trials is read.
 
 use std::collections::{HashMap, HashSet};
-use std::hash::Hash;
 
-use metasense_schemas::spec::{Prune, SweepSpec};
+use metasense_schemas::spec::SweepSpec;
 
 use super::Signals;
 use crate::plan::Trial;
 use crate::provenance;
-use crate::scheduler::{Prior, State};
-use crate::store::{Attempted, Reopen, Store, StoreError};
+use crate::scheduler::Prior;
+use crate::store::{Attempted, Store, StoreError};
 
 /// Which settled trials are run again.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Again {
-    /// Those that were given up as hopeless.
-    pub pruned: bool,
     /// Those that have failed.
     pub failed: bool,
     /// Those that other code than this program's has worked on, from the beginning.
@@ -50,11 +47,9 @@ pub async fn begin<'a>(
 /// # Errors
 /// Where SQLite fails.
 pub async fn reopen(store: &mut Store, hashes: &[&str], again: Again) -> Result<(), StoreError> {
-    for (wanted, which) in [(again.pruned, Reopen::Pruned), (again.failed, Reopen::Failed)] {
-        if wanted {
-            let reopened = store.reopen(which, hashes).await?;
-            tracing::info!(reopened, ?which, "trials are run again");
-        }
+    if again.failed {
+        let reopened = store.reopen(hashes).await?;
+        tracing::info!(reopened, "failed trials are run again");
     }
     if again.other_code {
         store.set_provenance(provenance::here(1));
@@ -65,76 +60,37 @@ pub async fn reopen(store: &mut Store, hashes: &[&str], again: Again) -> Result<
 }
 
 /// What earlier runs have left of these trials.
-pub(super) async fn priors(
-    store: &mut Store,
-    trials: &[&Trial],
-    state: impl FnOnce(&[Prior]) -> State,
-    prune: Option<&Prune>,
-) -> Result<(Vec<Prior>, State, Kinds), StoreError> {
-    let (known, bodies) = (store.attempted().await?, store.bodies().await?);
-    let mut kinds = Kinds::new();
+pub(super) async fn priors(store: &mut Store, trials: &[&Trial]) -> Result<(Vec<Prior>, Bodies), StoreError> {
+    let (known, trained) = (store.attempted().await?, store.bodies().await?);
+    let mut bodies = Bodies::default();
     let prior = |trial: &&Trial| {
-        kinds.prior(trial, known.get(&trial.hash).copied().unwrap_or_default(), bodies.get(&trial.training))
+        bodies.prior(trial, known.get(&trial.hash).copied().unwrap_or_default(), trained.get(&trial.training))
     };
-    let mut priors: Vec<Prior> = trials.iter().map(prior).collect();
-    let mut reached = Vec::new();
-    for part in prune.map_or(&[][..], |prune| &prune.at) {
-        reached.push(store.reached(*part).await?);
-    }
-    let places: HashMap<&str, usize> =
-        trials.iter().enumerate().map(|(place, trial)| (trial.hash.as_str(), place)).collect();
-    for (mark, trials) in reached.iter().enumerate() {
-        for trial in trials {
-            if let Some(place) = places.get(trial.hash.as_str()) {
-                priors[*place].judged = mark + 1;
-            }
-        }
-    }
-    let mut state = state(&priors);
-    for (mark, trials) in reached.iter().enumerate() {
-        trials.iter().for_each(|trial| state.remember(kinds.points.number(trial.point), mark, trial.error));
-    }
-    Ok((priors, state, kinds))
+    let priors = trials.iter().map(prior).collect();
+    Ok((priors, bodies))
 }
 
-/// Numbers things in the order in which they come.
-#[derive(Debug)]
-struct Numbers<T>(HashMap<T, u32>);
-
-impl<T: Eq + Hash> Numbers<T> {
-    fn number(&mut self, thing: T) -> u32 {
-        let next = self.0.len() as u32;
-        *self.0.entry(thing).or_insert(next)
-    }
-}
-
-/// What trials share: pairs of K and M, and bodies, with those that some trial has begun to train.
-#[derive(Debug)]
-pub(super) struct Kinds {
-    points: Numbers<(u32, u32)>,
-    bodies: Numbers<String>,
+/// Numbers of the bodies that trials train, in the order in which they come.
+#[derive(Debug, Default)]
+pub(super) struct Bodies {
+    numbers: HashMap<String, u32>,
+    /// Those that some trial has begun to train.
     pub begun: HashSet<u32>,
 }
 
-impl Kinds {
-    fn new() -> Self {
-        Self { points: Numbers(HashMap::new()), bodies: Numbers(HashMap::new()), begun: HashSet::new() }
-    }
-
-    /// A trial that has come so far, and whose body has come so far by any trial.
+impl Bodies {
+    /// What is known of a trial, and of the steps that any trial has trained its body for.
     pub fn prior(&mut self, trial: &Trial, known: Attempted, body_steps: Option<&u32>) -> Prior {
-        let (point, steps) = (trial.spec.point, trial.spec.optimise.steps());
-        let body = self.bodies.number(trial.training.clone());
+        let (next, steps) = (self.numbers.len() as u32, trial.spec.optimise.steps());
+        let body = *self.numbers.entry(trial.training.clone()).or_insert(next);
         if body_steps.is_some() {
             self.begun.insert(body);
         }
         Prior {
             attempts: known.attempts,
             steps: known.steps,
-            kind: self.points.number((point.panels as u32, point.sensors as u32)),
             body,
             trained: steps <= body_steps.map_or(0, |steps| *steps as usize),
-            judged: 0,
         }
     }
 }

@@ -31,7 +31,7 @@ pub use signals::{Signals, ignores_hangup};
 pub use steer::{Control, Reread};
 pub use watch::{Silent, View, Watch};
 
-use begin::Kinds;
+use begin::Bodies;
 use clock::Clock;
 use links::Link;
 use spent::Ledger;
@@ -43,7 +43,7 @@ use crate::link::{Runtime, RuntimeError, Word};
 use crate::plan::Trial;
 use crate::provenance;
 use crate::scheduler::{
-    self, Action, Event, Mark, Outcome, Payload, Phase, Prior, Settings, Standing, State, WorkerId,
+    self, Action, Event, Mark, Outcome, Payload, Phase, Prior, Settings, State, WorkerId,
 };
 use crate::store::{Level, Presence, Store, StoreError, hurry};
 use writer::{Arrays, Entry, Write, Written};
@@ -84,7 +84,7 @@ pub struct Summary {
     pub done: usize,
     /// Trials that failed in this run.
     pub failed: usize,
-    /// Trials given up in this run, as hopeless or on request.
+    /// Trials given up in this run on request.
     pub given_up: usize,
     /// Messages of attempts that were not current.
     pub stale: usize,
@@ -133,8 +133,8 @@ pub async fn run<'a>(
     let settings = &options.settings;
     let workers = settings.workers.min(trials.len() as u32);
     limits::check(&Needs { workers, threads: options.threads, files: &[store.path()] })?;
-    let state = |priors: &[Prior]| State::new(settings.clone(), priors);
-    let (priors, state, kinds) = begin::priors(store, trials, state, settings.prune.as_ref()).await?;
+    let (priors, bodies) = begin::priors(store, trials).await?;
+    let state = State::new(settings.clone(), &priors);
     store.set_provenance(provenance::here(options.threads));
     let presence = store.presence();
     let runtime = Runtime::new()?;
@@ -163,7 +163,7 @@ pub async fn run<'a>(
         links: HashMap::new(),
         words: words_out,
         queue,
-        kinds,
+        bodies,
         begun_at: HashMap::new(),
         leases: HashMap::new(),
         said: Vec::new(),
@@ -238,7 +238,7 @@ struct Engine<'a> {
     runtime: Runtime,
     words: mpsc::Sender<(WorkerId, Word)>,
     queue: mpsc::Sender<Entry>,
-    kinds: Kinds,
+    bodies: Bodies,
     /// Steps that were behind trials when their last attempts began, where there were any.
     begun_at: HashMap<u32, u32>,
     view: View,
@@ -298,7 +298,7 @@ impl Engine<'_> {
                 self.record(Write::Begin(lease)).await;
                 self.view.forecast.assigned(lease.trial, self.began.elapsed());
                 let prior = self.priors[lease.trial as usize];
-                if prior.steps.is_some() || self.kinds.begun.contains(&prior.body) {
+                if prior.steps.is_some() || self.bodies.begun.contains(&prior.body) {
                     let pause = self.trials[lease.trial as usize].pause;
                     self.record(Write::Load(worker, lease, pause)).await;
                 } else {
@@ -309,7 +309,7 @@ impl Engine<'_> {
             Action::RecordStep(lease, (record, checkpoint)) => {
                 let prior = &mut self.priors[lease.trial as usize];
                 prior.steps = Some(checkpoint.step);
-                self.kinds.begun.insert(prior.body);
+                self.bodies.begun.insert(prior.body);
                 self.view.stepped(lease.trial, self.began.elapsed());
                 self.watch.step(self.trials[lease.trial as usize], &record);
                 self.record_spent(lease).await;
@@ -333,7 +333,7 @@ impl Engine<'_> {
                 let in_order = matches!(reason, Reason::Stopped | Reason::Paused);
                 if in_order {
                     tracing::debug!(hash, attempt, %reason, "the trial is handed back");
-                } else if settled && reason.is_given_up() {
+                } else if settled && reason == Reason::Cancelled {
                     tracing::info!(hash, attempt, %reason, "the trial is given up");
                 } else if settled {
                     tracing::error!(hash, attempt, %reason, remedy = reason.remedy(), "the trial has failed");
@@ -343,7 +343,7 @@ impl Engine<'_> {
                 let detail =
                     self.details.remove(&lease).map_or(String::new(), |detail| format!(": {detail}"));
                 let text = format!("{reason}{detail}");
-                let level = if reason.is_given_up() { Level::Info } else { Level::Error };
+                let level = if reason == Reason::Cancelled { Level::Info } else { Level::Error };
                 if !in_order {
                     self.watch.attempt_failed(trial, lease.attempt, reason, settled, &text);
                     self.record(Write::Log(lease, level, text)).await;
@@ -480,13 +480,8 @@ impl Engine<'_> {
             ToOrchestrator::Step { lease, record, checkpoint } => {
                 let steps =
                     self.trials.get(lease.trial as usize).map_or(1, |trial| trial.spec.optimise.steps());
-                let part = |step: u32| f64::from(step) / steps.max(1) as f64;
-                let standing = Standing {
-                    part: part(checkpoint.step),
-                    begun: part(self.begun_at.get(&lease.trial).copied().unwrap_or(0)),
-                    error: checkpoint.best.as_ref().map(|best| best.error),
-                };
-                Event::Step(worker, lease, standing, (record, Arc::from(checkpoint)))
+                let trained = checkpoint.step as usize >= steps.max(1);
+                Event::Step(worker, lease, trained, (record, Arc::from(checkpoint)))
             }
             ToOrchestrator::Saved { lease, checkpoint } => Event::Saved(worker, lease, Arc::from(checkpoint)),
             ToOrchestrator::Finished { lease, result, arrays: heads } => {

@@ -10,7 +10,7 @@ use super::Engine;
 use super::writer::{Entry, Fresh};
 use crate::control::{Command, Listener, Request, Said};
 use crate::plan::{Plan, Trial, counted};
-use crate::scheduler::{Answer, Event, Prior, Steer};
+use crate::scheduler::{Answer, Event, Steer};
 
 /// How a run can be steered.
 pub struct Control {
@@ -150,14 +150,11 @@ impl Engine<'_> {
         }
         drop(own);
         let plan = self.control.plans.keep(fresh.plan);
-        let prune = self.options.settings.prune.as_ref().map_or(&[][..], |prune| &prune.at);
         let mut priors = Vec::new();
         for (place, known) in fresh.trials {
             let trial: &Trial = &plan.trials[place];
-            let part = f64::from(known.steps.unwrap_or(0)) / trial.spec.optimise.steps().max(1) as f64;
-            let judged = prune.iter().filter(|mark| part >= **mark).count();
-            let prior = self.kinds.prior(trial, known, fresh.bodies.get(&trial.training));
-            priors.push(Prior { judged, ..prior });
+            let prior = self.bodies.prior(trial, known, fresh.bodies.get(&trial.training));
+            priors.push(prior);
             self.view.add(trial, if prior.trained { u32::MAX } else { known.steps.unwrap_or(0) });
             self.trials.push(trial);
         }

@@ -56,7 +56,7 @@ pub struct View {
     pub done: usize,
     /// Failed in this run.
     pub failed: usize,
-    /// Given up in this run, as hopeless or on request.
+    /// Given up in this run on request.
     pub given_up: usize,
     /// Steps that have come in.
     pub steps: u64,
@@ -141,7 +141,7 @@ impl View {
             self.forecast.settled(trial);
             *match reason {
                 Reason::Paused => &mut self.done,
-                reason if reason.is_given_up() => &mut self.given_up,
+                Reason::Cancelled => &mut self.given_up,
                 _ => &mut self.failed,
             } += 1;
         }

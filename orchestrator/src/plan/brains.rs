@@ -65,7 +65,6 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
     optimise.brain = (trainer == BrainKind::Linear).then_some(trainer);
     if trainer == BrainKind::Linear {
         (optimise.brain_iterations, optimise.brain_learning_rate) = (None, None);
-        (optimise.curvature, optimise.damping) = (None, None);
     }
     optimise.tie = optimise.tie.filter(|tie| *tie != [1, 1]);
     optimise.frozen = optimise.frozen.filter(|units| !units.is_empty()).map(|mut units| {
@@ -139,7 +138,7 @@ pub(super) fn refuse_unread<'a>(
     let read_by_network = any(&|spec| has_network(spec.brain.kind));
     let trained_by_network = any(&|spec| has_network(kinds(spec)[1]));
     let evaluation = Evaluation::default();
-    let keys: [(&str, bool, Given, &str); 18] = [
+    let keys: [(&str, bool, Given, &str); 16] = [
         ("brain.preset", network, &|s| s.brain.preset.is_some(), "cnn"),
         ("brain.width", network, &|s| s.brain.width.is_some(), "cnn"),
         ("brain.kernels", network, &|s| s.brain.kernels.is_some(), "cnn"),
@@ -161,8 +160,6 @@ pub(super) fn refuse_unread<'a>(
             &|s| s.optimise.brain_learning_rate.is_some(),
             "cnn",
         ),
-        ("optimise.curvature", trained_by_network, &|s| s.optimise.curvature.is_some(), "cnn"),
-        ("optimise.damping", trained_by_network, &|s| s.optimise.damping.is_some(), "cnn"),
     ];
     match keys.iter().find(|(_, read, given, _)| !read && any(*given)) {
         Some((key, _, _, kind)) => {

@@ -119,7 +119,7 @@ fn evaluations(solver: Solver, trial: &TrialSpec) -> f64 {
         Method::Nystrom4 => (14_000.0, 4, 6.0),
         Method::Leapfrog => (63_000.0, 2, 1.0),
         // Of the time of some 1.4 others each; steps are a sample's own.
-        Method::Tsit5 | Method::Implicit => (28_000.0, 6, 1.0),
+        Method::Tsit5 => (28_000.0, 6, 1.0),
     };
     let steps = trial.time.duration * at / stages / root(solver.tolerance / 1e-3, power);
     // A step ends at every instant of the motion, and wherever the forces' own clock has a kink.
@@ -154,12 +154,12 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
     let solve = STEP_FACTORS * factor(unknowns(trial, trial.brain.memory)) / pace.factor;
     let step = match optimise.protocol {
         Protocol::Paper if optimise.linear() => simulate * (1.0 + REVERSE) + solve,
-        Protocol::Warm | Protocol::Envelope if optimise.linear() => simulate + differentiate + solve,
+        Protocol::Envelope if optimise.linear() => simulate + differentiate + solve,
         Protocol::Joint if optimise.linear() => casts * (fresh + solve),
-        Protocol::Random | Protocol::Cmaes if optimise.linear() => simulate + solve,
-        Protocol::Random | Protocol::Cmaes => simulate + AFRESH * ITERATION * forward + going,
+        Protocol::Random if optimise.linear() => simulate + solve,
+        Protocol::Random => simulate + AFRESH * ITERATION * forward + going,
         Protocol::Paper => simulate * (1.0 + REVERSE) + train + PRODUCTS * HESSIAN_PRODUCT * forward,
-        Protocol::Warm | Protocol::Envelope => simulate + differentiate + going,
+        Protocol::Envelope => simulate + differentiate + going,
         // each iteration on as many samples as a batch, and the loss of four of them
         Protocol::Joint => casts * (fresh + (going + 4.0 * forward) * batch / train_samples.max(1.0)),
     };

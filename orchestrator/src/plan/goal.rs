@@ -68,7 +68,6 @@ pub(super) fn check(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> 
         ("goal.fresh", (3..=100).contains(&goal.fresh), "must be at least 3, at most 100"),
         ("goal.at_a_time", (1..=10_000).contains(&goal.at_a_time), "must be at least 1, at most 10000"),
         ("goal.hours", above(goal.hours), "must be a number above 0"),
-        ("run.prune", spec.run.prune.is_none(), "gives up trials that [goal] would go on with"),
         ("until", spec.until.is_none(), "cannot be given beside [goal]: it has questions of its own"),
     ] {
         if !holds {

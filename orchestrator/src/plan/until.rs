@@ -10,7 +10,7 @@ use crate::analysis::until::{self, Decision};
 /// The spec with the placements and seeds of `until.at_most`.
 ///
 /// # Errors
-/// Where a value of `[until]` makes no sense, or does not go with `run.prune`.
+/// Where a value of `[until]` makes no sense.
 pub(super) fn grid(mut spec: SweepSpec, source: &Source) -> Result<SweepSpec, SpecError> {
     let Some(until) = &spec.until else { return Ok(spec) };
     let part = |x: Option<f64>| x.is_none_or(|x| x > 0.0 && x.is_finite());
@@ -26,9 +26,6 @@ pub(super) fn grid(mut spec: SweepSpec, source: &Source) -> Result<SweepSpec, Sp
         if !holds {
             return Err(source.error(key, remedy));
         }
-    }
-    if spec.run.prune.is_some() {
-        return Err(source.error("run.prune", "gives up trials that [until] would count"));
     }
     spec.sweep.placements = until.at_most.placements.unwrap_or(spec.sweep.placements);
     if let Some(most) = until.at_most.seeds {

@@ -16,7 +16,7 @@ pub const PROGRAM: [&str; 8] = [
     "worker/src",
     "Cargo.toml",
     "orchestrator/src",
-    "schemas/migrations",
+    "schemas/schema.sql",
 ];
 
 /// Sixteen hex digits (FNV-1a, 64 bits) of names and bytes of the sources that compute.

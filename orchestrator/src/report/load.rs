@@ -16,7 +16,7 @@ use crate::analysis::{Body, Cluster, Set, Terms, Trial};
 use crate::look::{Answer, Data, MOST_ROWS, Table};
 use crate::provenance;
 use crate::store::{Reader, Row, StoreError, check, npy_values};
-use metasense_schemas::reason::is_given_up;
+use metasense_schemas::reason::CANCELLED;
 
 /// Parts of an outer step's time, as the columns of `v_step` and in words.
 pub(crate) const PARTS: [(&str, &str); 6] = [
@@ -449,7 +449,7 @@ async fn states(reader: &mut Reader, odd: &BTreeSet<&str>) -> Result<States, Sto
             data.row(&values);
             states.all += 1;
             states.done += usize::from(values[state] == "done");
-            let given_up = values[reason].as_str().is_some_and(is_given_up);
+            let given_up = values[reason].as_str() == Some(CANCELLED);
             states.failed += usize::from(values[state] == "failed" && !given_up);
             if states.first.rows.len() < MOST_ROWS {
                 values.truncate(shown);

@@ -3,7 +3,7 @@
 use metasense_schemas::reason::Reason;
 use metasense_schemas::wire::Lease;
 
-use super::{Answer, Millis, Standing, Steer, WorkerId};
+use super::{Answer, Millis, Steer, WorkerId};
 
 /// What passes through the scheduler unread.
 pub trait Payload {
@@ -26,8 +26,8 @@ pub enum Event<P: Payload> {
     Up(WorkerId),
     /// A sign of life.
     Beat(WorkerId, Lease),
-    /// An outer step is done.
-    Step(WorkerId, Lease, Standing, P::Step),
+    /// An outer step is done; whether it was the last one.
+    Step(WorkerId, Lease, bool, P::Step),
     /// The comparison at the end of the trial has come further.
     Saved(WorkerId, Lease, P::Saved),
     /// The trial is done.

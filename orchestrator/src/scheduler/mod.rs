@@ -7,7 +7,6 @@
 
 mod bodies;
 mod event;
-mod prune;
 mod shortage;
 mod steer;
 #[cfg(test)]
@@ -16,15 +15,12 @@ mod tests;
 use std::collections::BTreeSet;
 
 use metasense_schemas::reason::Reason;
-use metasense_schemas::spec::Prune;
 use metasense_schemas::wire::Lease;
 
 pub use event::{Action, Event, Mark, Outcome, Payload};
-pub use prune::Standing;
 pub use steer::{Answer, Refusal, Steer};
 
 use bodies::Bodies;
-use prune::Standings;
 use shortage::Shortage;
 
 /// Milliseconds since the run began.
@@ -64,8 +60,6 @@ pub struct Settings {
     pub memory_limited: bool,
     /// Longest wait for steps in progress once the run is to end.
     pub grace: Millis,
-    /// Which trials are given up early, if any.
-    pub prune: Option<Prune>,
 }
 
 impl Settings {
@@ -100,14 +94,10 @@ pub struct Prior {
     pub attempts: u32,
     /// Steps behind its checkpoint; a trial that has one goes first.
     pub steps: Option<u32>,
-    /// Trials that are compared have an equal one.
-    pub kind: u32,
     /// Trials that train the same body have an equal one: each goes on from where any of them has come to.
     pub body: u32,
     /// Whether one of them has trained it to the end.
     pub trained: bool,
-    /// Marks of `Prune::at` at which it was judged.
-    pub judged: usize,
 }
 
 /// What a trial is doing.
@@ -135,9 +125,7 @@ struct Trial {
     /// Shortages of the machine since the last step.
     shortages: u32,
     stepped: bool,
-    kind: u32,
     body: u32,
-    judged: usize,
     /// Not to be finished, and why: its worker is asked for it.
     unwanted: Option<Reason>,
     /// Its place before all that nobody has asked for first: the lower, the earlier.
@@ -153,9 +141,7 @@ impl Trial {
             deaths: 0,
             shortages: 0,
             stepped: false,
-            kind: prior.kind,
             body: prior.body,
-            judged: prior.judged,
             unwanted: None,
             first: None,
         }
@@ -220,7 +206,6 @@ pub struct State {
     delayed: BTreeSet<(Millis, u32)>,
     slots: Vec<Slot>,
     bodies: Bodies,
-    standings: Standings,
     unsettled: usize,
     unrecorded: usize,
     /// Since a worker has last come anywhere with its trial: deaths, the trials that died, and why the last one did.
@@ -258,13 +243,12 @@ pub fn on_event<P: Payload>(state: &mut State, event: Event<P>) -> Vec<Action<P>
         {
             out.push(Action::CountStale(lease));
         }
-        Event::Step(worker, lease, standing, record) => {
+        Event::Step(worker, lease, trained, record) => {
             state.progressed(worker, lease);
-            if standing.part >= 1.0 {
+            if trained {
                 state.bodies.trained(state.trials[lease.trial as usize].body);
             }
             out.push(Action::RecordStep(lease, record));
-            state.judge(lease, standing);
         }
         Event::Saved(worker, lease, record) => {
             state.progressed(worker, lease);
@@ -326,7 +310,6 @@ impl State {
             trials: Vec::with_capacity(trials.len()),
             slots: vec![Slot::EMPTY; settings.workers as usize],
             bodies: Bodies::default(),
-            standings: Standings::default(),
             unrecorded: 0,
             deaths: 0,
             dead: BTreeSet::new(),
@@ -360,11 +343,6 @@ impl State {
         if first {
             self.stopping_since = self.now;
         }
-    }
-
-    /// What an earlier run has seen of a trial of `kind` at a mark of `Prune::at`.
-    pub fn remember(&mut self, kind: u32, mark: usize, error: f64) {
-        self.standings.note(kind, mark, error);
     }
 
     /// What a trial is doing.
@@ -538,24 +516,6 @@ impl State {
         }
     }
 
-    /// A trial that is worse than the median of its kind at a mark that it has reached is not to be finished.
-    fn judge(&mut self, lease: Lease, standing: Standing) {
-        let (Some(prune), Some(error)) = (&self.settings.prune, standing.error) else { return };
-        let trial = &mut self.trials[lease.trial as usize];
-        while let Some(part) = prune.at.get(trial.judged).filter(|part| standing.part >= **part) {
-            let mark = trial.judged;
-            trial.judged += 1;
-            // passed before, maybe as another trial, by a better design than it had here
-            if standing.begun >= *part {
-                continue;
-            }
-            let (others, median) = self.standings.note(trial.kind, mark, error);
-            if others >= prune.grace && error > median {
-                trial.unwanted.get_or_insert(Reason::Pruned);
-            }
-        }
-    }
-
     /// An attempt came to nothing: again, later, or never.
     fn attempt_failed<P: Payload>(&mut self, lease: Lease, reason: Reason, out: &mut Vec<Action<P>>) {
         let own = reason == Reason::OutOfMemory && self.settings.memory_limited;
@@ -565,9 +525,9 @@ impl State {
         self.bodies.given_back(trial.body, lease.trial);
         let back = death || reason == Reason::Paused;
         let reason = trial.unwanted.filter(|_| back).unwrap_or(reason);
-        let [death, shortage] = [death, shortage].map(|is_so| is_so && !reason.is_given_up());
+        let [death, shortage] = [death, shortage].map(|is_so| is_so && reason != Reason::Cancelled);
         let by_request =
-            reason == Reason::Stopped || self.stopping >= Stopping::AtOnce && !reason.is_given_up();
+            reason == Reason::Stopped || self.stopping >= Stopping::AtOnce && reason != Reason::Cancelled;
         let stepped = std::mem::replace(&mut trial.stepped, false);
         if !by_request {
             if stepped {
@@ -596,7 +556,7 @@ impl State {
                 self.deaths += 1;
                 self.dead.insert(lease.trial);
                 self.died_of = Some(reason);
-            } else if !reason.is_given_up() && reason != Reason::TimeLimit {
+            } else if reason != Reason::Cancelled && reason != Reason::TimeLimit {
                 self.machine_works(); // the worker has lived to say what is wrong with the trial
             }
         }

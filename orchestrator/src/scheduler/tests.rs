@@ -2,9 +2,8 @@
 //! and people who pause, cancel, add and change their minds.
 //!
 //! The world is a queue of events at times, drawn from a seed. After every event: no trial is lost, none is with two
-//! workers, no attempt number is given twice, no result is recorded twice, and none is given up as hopeless that is not
-//! worse than enough others; no body is trained by two workers; nothing is handed out in a pause, nothing that is cancelled, nothing to more workers than are
-//! wanted; no shortage of the machine is charged to a trial; and every run ends, within its grace of being asked to. A seed that fails prints its history.
+//! workers, no attempt number is given twice, no result is recorded twice; no body is trained by two workers; nothing is
+//! handed out in a pause, nothing that is cancelled, nothing to more workers than are wanted; no shortage of the machine is charged to a trial; and every run ends, within its grace of being asked to. A seed that fails prints its history.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
@@ -51,12 +50,11 @@ enum Process {
     Gone,
 }
 
-/// A body, the steps that train it, and the error that it has from the first to the last.
+/// A body and the steps that train it.
 #[derive(Debug, Clone, Copy)]
 struct Body {
     number: u32,
     length: u32,
-    error: f64,
 }
 
 struct World {
@@ -114,7 +112,6 @@ impl World {
             time_limit: dice.percent(30).then_some(60_000),
             memory_limited: false,
             grace: dice.below(4) * 1_000,
-            prune: dice.percent(30).then(|| Prune { at: vec![0.3, 0.6], grace: 1 + dice.below(3) as usize }),
         };
         let (black_hole, mut bodies) = (dice.percent(3), Vec::new());
         let least = u32::from(black_hole);
@@ -407,7 +404,7 @@ impl World {
         assert!(self.state.busy() <= self.state.workers() as usize, "too many workers are busy");
         self.working.insert(worker, lease);
         let (trial, mut when) = (lease.trial, self.now);
-        let Body { length, error, .. } = self.bodies[trial as usize];
+        let Body { length, .. } = self.bodies[trial as usize];
         // it goes on from where any of those has come to that train the same body
         let begun = self.trained(trial);
         self.steps[trial as usize] = begun;
@@ -430,9 +427,7 @@ impl World {
                 return self.say(when, Event::Failed(worker, lease, Reason::Shortage));
             }
             self.say(when, Event::Beat(worker, lease));
-            let part = |steps: u32| f64::from(steps) / f64::from(length);
-            let standing = Standing { part: part(step + 1), begun: part(begun), error: Some(error) };
-            self.say(when, Event::Step(worker, lease, standing, (trial, step)));
+            self.say(when, Event::Step(worker, lease, step + 1 >= length, (trial, step)));
         }
         for _ in 0..self.dice.below(4) {
             when += 1 + self.dice.below(3_000);
@@ -475,24 +470,7 @@ impl World {
                 _ => assert!(!waits && !held.contains(&number), "trial {number} is settled and goes on"),
             }
             assert!(self.results[number as usize] <= 1, "trial {number} is done twice");
-            if trial.unwanted == Some(Reason::Pruned) || trial.phase == Phase::Failed(Reason::Pruned) {
-                self.check_hopeless(number);
-            }
         }
-    }
-
-    /// As many others of its kind as the grace asks for have come as far as a mark, and half of them are better.
-    fn check_hopeless(&self, number: u32) {
-        let prune = self.state.settings.prune.as_ref().expect("nobody asked for it");
-        let others: Vec<f64> = (0..self.bodies.len())
-            .filter(|&other| other != number as usize && other % 2 == number as usize % 2)
-            .filter(|&other| {
-                f64::from(self.steps[other]) >= prune.at[0] * f64::from(self.length(other as u32))
-            })
-            .map(|other| self.bodies[other].error)
-            .collect();
-        let better = others.iter().filter(|error| **error < self.bodies[number as usize].error).count();
-        assert!(others.len() >= prune.grace && better > 0, "trial {number} is not worse than {others:?}");
     }
 
     /// Holds at the end of a run.
@@ -549,16 +527,14 @@ fn prior(bodies: &mut Vec<Body>, least: u32, dice: &mut Dice) -> Prior {
     let body = if trial > 0 && dice.percent(40) {
         bodies[dice.below(trial.into()) as usize]
     } else {
-        Body { number: trial, length: dice.below(8) as u32 + least, error: dice.below(1000) as f64 }
+        Body { number: trial, length: dice.below(8) as u32 + least }
     };
     bodies.push(body);
     Prior {
         attempts: dice.below(3) as u32,
         steps: dice.percent(20).then_some(0),
-        kind: trial % 2,
         body: body.number,
         trained: body.length == 0,
-        judged: 0,
     }
 }
 
@@ -571,7 +547,7 @@ fn no_trial_is_lost_or_done_twice_and_every_run_ends_in_4000_random_worlds() {
     };
     let run = |world: &mut World| std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| world.run()));
     let mut outcomes: BTreeMap<String, usize> = BTreeMap::new();
-    let (mut pruned, mut answers) = (0, BTreeMap::<String, usize>::new());
+    let mut answers = BTreeMap::<String, usize>::new();
     for seed in seeds.clone() {
         let mut world = World::new(seed);
         if run(&mut world).is_err() {
@@ -580,7 +556,6 @@ fn no_trial_is_lost_or_done_twice_and_every_run_ends_in_4000_random_worlds() {
             let _ = run(&mut again);
             panic!("seed {seed} fails; its history:\n{}", again.history.unwrap().join("\n"));
         }
-        pruned += world.failed.iter().filter(|reason| **reason == Some(Reason::Pruned)).count();
         for answer in &world.answers {
             let what = format!("{answer:?}").split(['(', '[']).next().unwrap_or_default().to_owned();
             *answers.entry(what).or_default() += 1;
@@ -590,7 +565,6 @@ fn no_trial_is_lost_or_done_twice_and_every_run_ends_in_4000_random_worlds() {
     }
     if seeds.end - seeds.start > 1 {
         assert!(answers.len() == 8 && answers.values().all(|count| *count > 120), "{answers:?}");
-        assert!(pruned > 40, "{pruned} trials were given up as hopeless");
         for outcome in ["Complete", "Interrupted", "StoreBroken", "NoWorkers", "Unfit"] {
             let count = outcomes.get(outcome).copied().unwrap_or(0);
             assert!(count > 8, "{outcome} was met in {count} worlds only: {outcomes:?}");

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use metasense_schemas::database::VERSION;
 use metasense_schemas::spec::NotOne;
 use metasense_worker::limits::{Needs, check};
 
@@ -57,8 +58,7 @@ pub enum StoreError {
     },
     /// Written by a newer program.
     #[error(
-        "the database {} has version {version}, this program knows versions up to {known}: update metasense, or name \
-         another file",
+        "the database {} has version {version}, this program reads version {VERSION}: update metasense, or name another file",
         path.display()
     )]
     Newer {
@@ -66,12 +66,24 @@ pub enum StoreError {
         path: PathBuf,
         /// Its version.
         version: i64,
-        /// The newest that this program knows.
-        known: usize,
+    },
+    /// Written by a program older than release 1.0.
+    #[error(
+        "the database {} has version {version}, this program reads version {VERSION} only: it was written by an older version of \
+         metasense; read it with that program (`metasense query {} … --format csv` saves its rows), or run its spec again \
+         into another file",
+        path.display(),
+        path.display()
+    )]
+    Older {
+        /// The file.
+        path: PathBuf,
+        /// Its version.
+        version: usize,
     },
     /// It can only be read as a copy, and copying failed.
     #[error(
-        "{}: copying it to TMPDIR failed; a copy is needed because it is of an earlier version or cannot be read in place",
+        "{}: copying it to TMPDIR failed; a copy is needed because it cannot be read in place",
         path.display()
     )]
     NotCopied {

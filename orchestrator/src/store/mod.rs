@@ -12,6 +12,7 @@ mod designs;
 mod digest;
 mod disk;
 mod error;
+mod functions;
 mod lock;
 mod log;
 mod looks;
@@ -32,7 +33,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use metasense_schemas::database::{APPLICATION_ID, MIGRATIONS};
+use metasense_schemas::database::{APPLICATION_ID, SCHEMA, VERSION};
 use metasense_schemas::record::Provenance;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
@@ -50,11 +51,10 @@ pub use looks::Standing;
 pub use made::{Made, Nearest};
 pub use npy::{npy_bytes, npy_values};
 pub use presence::{Lost, Presence};
-pub use prior::{Attempted, Reached};
+pub use prior::Attempted;
 pub use read::{Answer, Artifact, Reader, Row, quoted};
 pub use runs::{RunKey, RunPlan};
 pub use stored::Stored;
-pub use sweep::Reopen;
 pub use wait::{hurry, wait_for_locks};
 pub use write::Array;
 pub(crate) use write::RELEASE_ORPHANS;
@@ -77,11 +77,11 @@ pub struct Store {
 }
 
 impl Store {
-    /// Opens or creates a database, brings it to the newest version and puts trials that a dead run left `running`
+    /// Opens or creates a database and puts trials that a dead run left `running`
     /// back to `pending`.
     ///
     /// # Errors
-    /// Unwritable, not ours, of a newer version, or in use by another run.
+    /// Unwritable, not ours, of another version, or in use by another run.
     pub async fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
         Self::open_file(path.as_ref().to_owned()).await.map_err(StoreError::on_opening)
     }
@@ -102,7 +102,7 @@ impl Store {
         for pragma in ["PRAGMA journal_mode = WAL", "PRAGMA synchronous = FULL"] {
             sqlx::query(pragma).execute(&mut connection).await.map_err(at)?;
         }
-        migrate(&mut connection, version).await.map_err(at)?;
+        add_schema(&mut connection, version).await.map_err(at)?;
         let mut store = Self {
             presence: Presence::new(Arc::clone(&lock), &path),
             connection,
@@ -183,8 +183,9 @@ pub(crate) async fn check_version(
         return Err(StoreError::NotOurs { path: path.to_owned() });
     }
     match usize::try_from(version) {
-        Ok(version) if version <= MIGRATIONS.len() => Ok(version),
-        _ => Err(StoreError::Newer { path: path.to_owned(), version, known: MIGRATIONS.len() }),
+        Ok(version @ (0 | VERSION)) => Ok(version),
+        Ok(version @ 1..VERSION) => Err(StoreError::Older { path: path.to_owned(), version }),
+        _ => Err(StoreError::Newer { path: path.to_owned(), version }),
     }
 }
 
@@ -193,26 +194,23 @@ pub(crate) async fn version(connection: &mut SqliteConnection) -> sqlx::Result<i
     sqlx::query_scalar("PRAGMA main.user_version").fetch_one(connection).await
 }
 
-/// Brings a copy of an older database to the newest version. Nobody else may know of it: nothing is locked.
-pub(crate) async fn upgrade(path: &Path) -> Result<(), StoreError> {
-    let at = |source| StoreError::sql(path, "upgrading", source);
+/// Makes an empty file a database. Nobody else may know of it: nothing is locked.
+pub(crate) async fn create(path: &Path) -> Result<(), StoreError> {
+    let at = |source| StoreError::sql(path, "creating", source);
     let mut connection = options(path).pragma("journal_mode", "MEMORY").connect().await.map_err(at)?;
-    let version = check_version(&mut connection, path).await?;
-    migrate(&mut connection, version).await.map_err(at)?;
+    add_schema(&mut connection, 0).await.map_err(at)?;
     connection.close().await.map_err(at)
 }
 
-/// Brings a database from `version` to the newest, all or nothing.
-pub(crate) async fn migrate(connection: &mut SqliteConnection, version: usize) -> sqlx::Result<()> {
+/// Gives a database of version 0, which is empty, the tables and views of this version, all or nothing.
+pub(crate) async fn add_schema(connection: &mut SqliteConnection, version: usize) -> sqlx::Result<()> {
+    if version > 0 {
+        return Ok(());
+    }
     let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
-    for sql in &MIGRATIONS[version..] {
-        sqlx::raw_sql(*sql).execute(&mut *transaction).await?;
-    }
-    if version < MIGRATIONS.len() {
-        let mark =
-            format!("PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {}", MIGRATIONS.len());
-        // Numbers of our own only.
-        sqlx::raw_sql(AssertSqlSafe(mark)).execute(&mut *transaction).await?;
-    }
+    sqlx::raw_sql(SCHEMA).execute(&mut *transaction).await?;
+    // Numbers of our own only.
+    let mark = format!("PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {VERSION}");
+    sqlx::raw_sql(AssertSqlSafe(mark)).execute(&mut *transaction).await?;
     transaction.commit().await
 }

@@ -18,17 +18,6 @@ pub struct Attempted {
     pub steps: Option<u32>,
 }
 
-/// What a trial of the sweep had at a part of its steps.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Reached {
-    /// The trial.
-    pub hash: String,
-    /// Its K and M.
-    pub point: (u32, u32),
-    /// Its best test error until then (%).
-    pub error: f64,
-}
-
 /// Trials `m` behind whose steps others can go on with the same body, all of their work by this program's code (`?2`) and
 /// instruction set (`?3`), with how far they have come: those that are done have all their steps behind them.
 const TRAINERS: &str = "
@@ -172,26 +161,5 @@ impl Store {
         .await
         .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
         Ok(rows.into_iter().map(|(hash, attempts, steps)| (hash, Attempted { attempts, steps })).collect())
-    }
-
-    /// The trials of the sweep that was begun which have done this part of their steps, and what they had then.
-    pub async fn reached(&mut self, part: f64) -> Result<Vec<Reached>, StoreError> {
-        let rows: Vec<(String, u32, u32, f64)> = sqlx::query_as(
-            "WITH some AS (SELECT t.id, t.hash, t.panels, t.sensors,
-                    (SELECT max(step) + 1 FROM step p WHERE p.trial_id = t.id) AS steps,
-                    ?1 * (t.spec->>'$.optimise.iterations') AS mark
-                  FROM sweep_trial x JOIN trial t ON t.id = x.trial_id WHERE x.sweep_id = ?2)
-             SELECT hash, panels, sensors, error FROM (SELECT some.*,
-                 (SELECT min(p.error_test) FROM step p WHERE p.trial_id = some.id AND p.step < mark) AS error
-               FROM some WHERE steps >= mark)
-             WHERE error IS NOT NULL ORDER BY hash",
-        )
-        .bind(part)
-        .bind(self.sweep)
-        .fetch_all(&mut self.connection)
-        .await
-        .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
-        let reached = |(hash, panels, sensors, error)| Reached { hash, point: (panels, sensors), error };
-        Ok(rows.into_iter().map(reached).collect())
     }
 }

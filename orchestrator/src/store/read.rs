@@ -109,10 +109,10 @@ impl Artifact {
 }
 
 impl Reader {
-    /// Opens a database for reading. A database of an earlier version is read through an upgraded copy; the file is not changed.
+    /// Opens a database for reading; the file is not changed.
     ///
     /// # Errors
-    /// Missing, not ours, of a newer version.
+    /// Missing, not ours, of another version.
     pub async fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
         Self::open_file(real(path.as_ref()), None).await.map_err(StoreError::on_opening)
     }

@@ -1,21 +1,11 @@
 //! The writer's methods for sweeps: their trials, recorded once, and which of them are settled.
 
-use metasense_schemas::reason::PRUNED;
 use metasense_schemas::record::{Found, Trial};
 use metasense_schemas::spec::SweepSpec;
 use sqlx::Connection;
 
 use super::write::VERSION;
 use super::{Store, StoreError};
-
-/// Trials that are to be run again.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Reopen {
-    /// Those that were given up as hopeless.
-    Pruned,
-    /// Those that have failed for any other reason.
-    Failed,
-}
 
 impl Store {
     /// Records a sweep and those of its trials that are new. Called again with the same: changes nothing; where recorded
@@ -89,14 +79,12 @@ impl Store {
         Ok(())
     }
 
-    /// Opens those of these trials that were given up: they go on with the next attempt, from their last step. Returns how many.
-    pub async fn reopen(&mut self, which: Reopen, hashes: &[&str]) -> Result<u64, StoreError> {
+    /// Opens those of these trials that have failed or were cancelled: they go on with the next attempt, from their last step. Returns how many.
+    pub async fn reopen(&mut self, hashes: &[&str]) -> Result<u64, StoreError> {
         let done = sqlx::query(
             "UPDATE trial SET state = 'pending', reason = NULL, finished_at = NULL WHERE state = 'failed'
-               AND (reason = ?1) = ?2 AND hash IN (SELECT value FROM json_each(?3))",
+               AND hash IN (SELECT value FROM json_each(?))",
         )
-        .bind(PRUNED)
-        .bind(which == Reopen::Pruned)
         .bind(serde_json::to_string(hashes).expect("texts are JSON"))
         .execute(&mut self.connection)
         .await

@@ -1,7 +1,5 @@
-//! What is needed to go on inside a trial, and how it is stored: postcard bytes behind a version byte. These bytes name no
-//! field, so that a field more, in what a checkpoint holds too, is a version more. Versions from 1 are read.
-
-mod former;
+//! What is needed to resume a trial, and how it is stored: postcard bytes behind a version byte. These bytes name no
+//! field, so that a field more, also of what a checkpoint holds, is a version more. One version is read.
 
 use serde::{Deserialize, Serialize};
 
@@ -154,29 +152,19 @@ impl Checkpoint {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CheckpointError> {
         match bytes.split_first() {
             Some((&Self::VERSION, rest)) => read(rest),
-            Some((version @ 4..=7, rest)) => former::by_name(*version, rest),
-            Some((version @ 1..=3, rest)) => former::by_protocol(*version, rest),
             Some((version, _)) => Err(CheckpointError::Version(*version)),
             None => Err(CheckpointError::Damaged("it is empty".into())),
         }
     }
 }
 
-/// All of some bytes.
-fn read<'a, T: Deserialize<'a>>(mut bytes: &'a [u8]) -> Result<T, CheckpointError> {
-    let value = take(&mut bytes)?;
-    match bytes {
-        [] => Ok(value),
-        more => Err(CheckpointError::Damaged(format!("{} bytes too many", more.len()))),
+/// The value that some bytes hold, all of them.
+fn read<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, CheckpointError> {
+    match postcard::take_from_bytes(bytes) {
+        Ok((value, [])) => Ok(value),
+        Ok((_, more)) => Err(CheckpointError::Damaged(format!("{} bytes too many", more.len()))),
+        Err(error) => Err(CheckpointError::Damaged(error.to_string())),
     }
-}
-
-/// The first value of some bytes, which are then those after it.
-fn take<'a, T: Deserialize<'a>>(bytes: &mut &'a [u8]) -> Result<T, CheckpointError> {
-    let (value, rest) =
-        postcard::take_from_bytes(bytes).map_err(|error| CheckpointError::Damaged(error.to_string()))?;
-    *bytes = rest;
-    Ok(value)
 }
 
 #[cfg(test)]

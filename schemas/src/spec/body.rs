@@ -320,11 +320,6 @@ pub struct Body {
     /// contact.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub contact: Option<Contact>,
-    /// Bending moment k_θ δ (1 + a δ + b δ²) of a ligament at the angle δ, instead of k_θ δ; bistable for a² > 4b. δ > 0 where
-    /// its units rotate further in the sense of a positive `initial_angle`. In lattices without counter-rotation, and with
-    /// `file`, δ > 0 where the unit at the second end rotates anticlockwise. Default: none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub hinge: Option<Hinge>,
 }
 
 /// Whose masses and moments of inertia the units of a design have.
@@ -437,17 +432,6 @@ pub struct Material {
     pub thickness: f64,
     /// Width of a ligament in the plane, across its length. Unit: mm.
     pub ligament_width: f64,
-}
-
-/// The law by which ligaments bend: k_θ δ (1 + a δ + b δ²).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Hinge {
-    /// a. The second rest angle is the root of 1 + a δ + b δ² farther from 0; it is positive for a < 0. Unit: 1/rad.
-    #[serde(default)]
-    pub quadratic: f64,
-    /// b, above 0. Unit: 1/rad².
-    pub cubic: f64,
 }
 
 /// Contact between the edges that face each other across a ligament.

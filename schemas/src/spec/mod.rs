@@ -5,10 +5,10 @@
 mod body;
 mod feasible;
 mod goal;
-mod gone;
 mod measured;
 mod named;
 mod optimise;
+mod removed;
 mod sensors;
 mod solver;
 mod stimuli;
@@ -18,18 +18,18 @@ mod until;
 mod variation;
 
 pub use body::{
-    Body, Clamp, ClampRule, Contact, Denser, Design, Follow, FollowBy, Guide, Hinge, Inertia, Lattice,
-    LayoutKind, Material, Own, Polygons, Rubber, Stiffness, Struck,
+    Body, Clamp, ClampRule, Contact, Denser, Design, Follow, FollowBy, Guide, Inertia, Lattice, LayoutKind,
+    Material, Own, Polygons, Rubber, Stiffness, Struck,
 };
 pub use feasible::Feasible;
 pub use goal::{Calibrated, Cost, Goal, GoalReader, GoalReaderName};
-pub use gone::{gone, gone_key};
 pub use measured::{AccelerationUnit, AngularVelocityUnit, Measured, MeasuredSignals};
 pub use named::{NotOne, position_of};
 pub use optimise::{
-    Auto, Brain, BrainKind, CastReader, Curvature, Evaluation, GradientTerms, Network, Objective,
-    ObjectiveName, Optimise, Preset, Protocol, Ridge, Scaling, Schedule, Tail,
+    Auto, Brain, BrainKind, CastReader, Evaluation, GradientTerms, Network, Objective, ObjectiveName,
+    Optimise, Preset, Protocol, Ridge, Scaling, Schedule, Tail,
 };
+pub use removed::removed;
 pub use sensors::{Channel, Disturbance, Frame, From as SearchFrom, Search, Sensors};
 pub use solver::{Method, Solver, Time};
 pub use stimuli::{
@@ -144,23 +144,6 @@ fn one_seed() -> Vec<u64> {
     vec![1]
 }
 
-/// Which trials are stopped early.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct Prune {
-    /// Fractions of a trial's outer steps at which its best test error so far is compared with that of other trials.
-    /// Unit: 1.
-    pub at: Vec<f64>,
-    /// Trials of equal K and M that must have reached this point before a trial is stopped.
-    pub grace: usize,
-}
-
-impl Default for Prune {
-    fn default() -> Self {
-        Self { at: vec![0.5], grace: 4 }
-    }
-}
-
 /// Limits of the run itself.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -200,7 +183,4 @@ pub struct Run {
     /// HyperQueue 45.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub grace: Option<f64>,
-    /// Stops a trial early if its best test error is above the median of other trials of equal K and M. Default: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub prune: Option<Prune>,
 }

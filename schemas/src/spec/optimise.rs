@@ -183,17 +183,12 @@ impl Default for Brain {
 pub enum Protocol {
     /// The paper's: each outer step trains a fresh network and uses the direct and implicit gradient of its test loss.
     Paper,
-    /// Gone: see [`super::gone`].
-    #[schemars(skip)]
-    Warm,
-    /// One network is trained continuously; the gradient is that of the training loss on a random batch.
+    /// One network is trained on from body to body; the gradient is that of the training loss on a random batch.
     Envelope,
     /// Body and network are trained together, on samples drawn for each step.
     Joint,
     /// Search without gradient: each step evaluates a random body near the initial body.
     Random,
-    /// Search without gradient: each step evaluates a candidate of the evolution strategy CMA-ES.
-    Cmaes,
 }
 
 /// Which terms of the gradient of the test loss are taken.
@@ -204,20 +199,6 @@ pub enum GradientTerms {
     Implicit,
     /// The direct term only.
     Direct,
-    /// The term through the decoder's optimum only, as in the Methods of the paper.
-    ImplicitOnly,
-}
-
-/// What stands for the inverse of the brain's Hessian in the implicit term, which a stopped training leaves indefinite.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Curvature {
-    /// Conjugate gradients on the Hessian, stopped before negative curvature.
-    Truncate,
-    /// Conjugate gradients on the Hessian + `damping` times the identity.
-    Damped,
-    /// Conjugate gradients on the Gauss–Newton matrix + `damping` times the identity.
-    GaussNewton,
 }
 
 /// Whose errors move the body.
@@ -293,27 +274,17 @@ pub struct Optimise {
     pub brain: Option<BrainKind>,
     /// How body and decoder are trained together; details in MODEL.md.
     pub protocol: Protocol,
-    /// Gone: see [`super::gone`].
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(skip)]
-    pub placement: Option<String>,
     /// Number of outer steps, or of candidates of a search. Default: 350, with a linear brain 100; `"paper"`, `"envelope"` 100;
-    /// searches 80, with a linear brain 30, which take as long as `"joint"`.
+    /// `"random"` 80, with a linear brain 30, which take as long as `"joint"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,
-    /// Adam's learning rate on the design, or standard deviation of the first candidates of a search. Unit: mm. Default: 0.2,
-    /// with a linear brain 0.3; `"paper"`, `"envelope"` 0.1; searches 1.0.
+    /// Adam's learning rate on the design, or standard deviation of the candidates of a search. Unit: mm. Default: 0.2, with a
+    /// linear brain 0.3; `"paper"`, `"envelope"` 0.1; `"random"` 1.0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub learning_rate: Option<f64>,
     /// Terms of the gradient, only for `protocol = "paper"`. Default: `"implicit"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gradient: Option<GradientTerms>,
-    /// How the decoder's Hessian is inverted in the implicit term, only for `protocol = "paper"`. Default: `"truncate"`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub curvature: Option<Curvature>,
-    /// Value that `curvature` adds to the diagonal. Unit: 1. Default: 0 for `"gauss_newton"`; must be given for `"damped"`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub damping: Option<f64>,
     /// Samples per step whose gradient moves the body, at most 1 000 000; with an objective over casts, per cast. Default: 32 for
     /// `"joint"`, over casts 8, with `reader = "each"` 24; 64 for `"envelope"`.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -365,9 +336,9 @@ impl Optimise {
     #[must_use]
     pub fn resolved(mut self) -> Self {
         let (iterations, learning_rate) = match self.protocol {
-            Protocol::Random | Protocol::Cmaes if self.linear() => (SEARCH_LINEAR, SEARCH_SPREAD),
-            Protocol::Random | Protocol::Cmaes => (SEARCH, SEARCH_SPREAD),
-            Protocol::Paper | Protocol::Warm | Protocol::Envelope => (100, 0.1),
+            Protocol::Random if self.linear() => (SEARCH_LINEAR, SEARCH_SPREAD),
+            Protocol::Random => (SEARCH, SEARCH_SPREAD),
+            Protocol::Paper | Protocol::Envelope => (100, 0.1),
             Protocol::Joint if self.linear() => (100, 0.3),
             Protocol::Joint => (350, 0.2),
         };
@@ -389,7 +360,7 @@ impl Optimise {
             self.brain_learning_rate.get_or_insert(1e-3);
         }
         match self.protocol {
-            Protocol::Paper | Protocol::Warm | Protocol::Random | Protocol::Cmaes => {}
+            Protocol::Paper | Protocol::Random => {}
             Protocol::Envelope => {
                 self.batch.get_or_insert(64);
             }
@@ -419,12 +390,9 @@ impl Default for Optimise {
         Self {
             brain: None,
             protocol: Protocol::Joint,
-            placement: None,
             iterations: None,
             learning_rate: None,
             gradient: None,
-            curvature: None,
-            damping: None,
             batch: None,
             brain_iterations: None,
             brain_learning_rate: None,

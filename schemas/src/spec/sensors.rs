@@ -66,13 +66,6 @@ pub enum Search {
     Random,
     /// The units from which a linear decoder estimates the forces on the initial body best, found greedily, then by exchange.
     Greedy,
-    /// Gone: see [`super::gone`].
-    #[serde(rename = "d_optimal")]
-    #[schemars(skip)]
-    DOptimal,
-    /// Likewise.
-    #[schemars(skip)]
-    Pivots,
 }
 
 /// Units among which a search looks.

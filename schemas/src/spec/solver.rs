@@ -33,9 +33,6 @@ pub enum Method {
     Nystrom4,
     /// Blanes and Moan's Runge–Kutta–Nyström splitting of order 6, equal steps.
     Nystrom6,
-    /// What old databases may hold; no longer an integrator.
-    #[schemars(skip)]
-    Implicit,
 }
 
 /// How the equations of motion are integrated.

@@ -30,7 +30,6 @@ fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
         damping: None,
         inertia: None,
         contact: None,
-        hinge: None,
         linearised: false,
         clamped: vec![0, 1, 2],
         guided: Vec::new(),

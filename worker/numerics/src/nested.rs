@@ -52,11 +52,11 @@ pub fn optimise(
     let problem = &trial.problem;
     let (mut castable, freedom) = (problem.castable(), problem.freedom());
     let mut state = resume.unwrap_or_else(|| State::new(problem));
-    let (mut search, mut session) = (GradientFree::new(problem, &state.found), Session::new(trial));
+    let (search, mut session) = (GradientFree::new(problem), Session::new(trial));
 
     while state.step < problem.optimise.iterations {
         let (before, mut log) = (state.clone(), Log::new(state.step, observer));
-        match (session.sense(&mut state, &mut log), &mut search) {
+        match (session.sense(&mut state, &mut log), &search) {
             (sensed, Some(search)) => search.step(sensed, &mut state, &mut castable, &mut log)?,
             (Ok(Sensed { gradient, loss_train, error_test }), None) => {
                 state.remember(loss_train, error_test);

@@ -30,7 +30,6 @@ fn body(clamped: Vec<usize>, panels: Vec<(usize, [f64; 2])>, sensor: usize, layo
         damping: None,
         inertia: None,
         contact: None,
-        hinge: None,
         linearised: false,
         clamped,
         guided: Vec::new(),

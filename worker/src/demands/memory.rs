@@ -83,7 +83,7 @@ fn parts(trial: &TrialSpec, units: usize) -> Vec<Part> {
             Protocol::Paper => {
                 steps.push(("stimuli.samples", samples, "states of a gradient", states(f(samples))));
             }
-            Protocol::Warm | Protocol::Envelope => {
+            Protocol::Envelope => {
                 let some = f(batch.min(samples));
                 steps.push(("optimise.batch", batch, "states of a gradient", states(some)));
             }
@@ -92,7 +92,7 @@ fn parts(trial: &TrialSpec, units: usize) -> Vec<Part> {
                 let bytes = forces(drawn) + signals(drawn) + states(drawn);
                 steps.push(("optimise.batch", batch, "samples of a step", bytes));
             }
-            Protocol::Random | Protocol::Cmaes => {}
+            Protocol::Random => {}
         }
     }
 

@@ -81,13 +81,5 @@ pub(super) fn material(body: &spec::Body) -> Result<(f64, Stiffness), Invalid> {
             "must be less than body.contact.cutoff_angle, both within ±180 degrees",
         )?;
     }
-    if let Some(hinge) = &body.hinge {
-        let finite = hinge.quadratic.is_finite();
-        require(finite, "body.hinge.quadratic", hinge.quadratic, "must be a number")?;
-        let remedy = "must be a number above 0, or the energy of bending has no least value";
-        require(hinge.cubic > 0.0 && hinge.cubic.is_finite(), "body.hinge.cubic", hinge.cubic, remedy)?;
-        let remedy = "must be false beside body.hinge, which no linear measure has";
-        require(!body.linearised, "body.linearised", body.linearised, remedy)?;
-    }
     Ok((density, Stiffness { stretch, shear, bend }))
 }

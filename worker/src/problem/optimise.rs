@@ -1,27 +1,17 @@
-//! The outer loop, from its spec: protocol, what stands for the Hessian's inverse, which shifts move.
+//! The outer loop, from its spec: protocol, which shifts move.
 
 use metasense_numerics::body::{Freedom, Layout};
-use metasense_numerics::brain::Policy;
 use metasense_numerics::feasible::{Feasible, Limits};
 use metasense_numerics::trial::{Going, Protocol, Terms};
 use metasense_schemas::spec::{self, TrialSpec};
 
 use super::{ITERATIONS_MAX, SAMPLES_MAX, check_units, held, kept};
-use crate::invalid::{Invalid, as_written, invalid, not_negative, positive, require, within};
+use crate::invalid::{Invalid, as_written, invalid, positive, require, within};
 
 /// How body and brain are trained together.
 pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
-    let &spec::Optimise {
-        protocol,
-        gradient,
-        curvature,
-        damping,
-        batch,
-        brain_iterations,
-        brain_learning_rate,
-        coarse,
-        ..
-    } = optimise;
+    let &spec::Optimise { protocol, gradient, batch, brain_iterations, brain_learning_rate, coarse, .. } =
+        optimise;
     // a key that a protocol does not read is refused: it would make trials differ that are the same
     let unread = |key: &str, given: Option<String>, readers: &str| match given {
         Some(value) => {
@@ -29,26 +19,12 @@ pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
         }
         None => Ok(()),
     };
-    let paper = protocol == spec::Protocol::Paper;
-    if paper {
-        unread(
-            "optimise.brain_iterations",
-            brain_iterations.map(|n| n.to_string()),
-            "envelope, joint, random and cmaes",
-        )?;
-        unread(
-            "optimise.brain_learning_rate",
-            brain_learning_rate.map(|r| r.to_string()),
-            "envelope, joint, random and cmaes",
-        )?;
+    if protocol == spec::Protocol::Paper {
+        let readers = "envelope, joint and random";
+        unread("optimise.brain_iterations", brain_iterations.map(|n| n.to_string()), readers)?;
+        unread("optimise.brain_learning_rate", brain_learning_rate.map(|r| r.to_string()), readers)?;
     } else {
         unread("optimise.gradient", gradient.map(|terms| as_written(&terms)), "paper")?;
-    }
-    let implicit = paper && gradient != Some(spec::GradientTerms::Direct);
-    if !implicit {
-        let reader = "paper with optimise.gradient = \"implicit\" or \"implicit_only\"";
-        unread("optimise.curvature", curvature.map(|c| as_written(&c)), reader)?;
-        unread("optimise.damping", damping.map(|d| d.to_string()), reader)?;
     }
     if !matches!(protocol, spec::Protocol::Envelope | spec::Protocol::Joint) {
         unread("optimise.batch", batch.map(|n| n.to_string()), "envelope and joint")?;
@@ -66,14 +42,12 @@ pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
     positive("optimise.brain_learning_rate", going.brain_rate)?;
     Ok(match protocol {
         spec::Protocol::Paper => Protocol::Paper(match gradient {
-            None | Some(spec::GradientTerms::Implicit) => Terms::Implicit(policy(curvature, damping)?),
+            None | Some(spec::GradientTerms::Implicit) => Terms::Implicit,
             Some(spec::GradientTerms::Direct) => Terms::Direct,
-            Some(spec::GradientTerms::ImplicitOnly) => Terms::ImplicitOnly(policy(curvature, damping)?),
         }),
-        spec::Protocol::Warm | spec::Protocol::Envelope => Protocol::Envelope(going),
+        spec::Protocol::Envelope => Protocol::Envelope(going),
         spec::Protocol::Joint => Protocol::Joint(going),
         spec::Protocol::Random => Protocol::Random(going),
-        spec::Protocol::Cmaes => Protocol::Cmaes(going),
     })
 }
 
@@ -120,25 +94,4 @@ pub fn castable(
 ) -> Result<Feasible, Invalid> {
     let (tie, frozen) = (tie(optimise)?, frozen(optimise, layout)?);
     Ok(Feasible::moving(layout, limits, tie, &frozen, kept))
-}
-
-/// What stands for the Hessian's inverse.
-fn policy(curvature: Option<spec::Curvature>, damping: Option<f64>) -> Result<Policy, Invalid> {
-    let lambda = damping.unwrap_or(0.0);
-    let shown = damping.map_or(String::new(), |lambda| lambda.to_string());
-    let least = "must be a number above 0 where optimise.curvature is \"damped\"";
-    not_negative("optimise.damping", lambda)?;
-    match curvature.unwrap_or(spec::Curvature::Truncate) {
-        spec::Curvature::Truncate => require(
-            damping.is_none(),
-            "optimise.damping",
-            shown,
-            "means nothing to optimise.curvature = \"truncate\", only to damped and gauss_newton",
-        )
-        .map(|()| Policy::Truncate),
-        spec::Curvature::Damped => {
-            require(lambda > 0.0, "optimise.damping", shown, least).map(|()| Policy::Damped(lambda))
-        }
-        spec::Curvature::GaussNewton => Ok(Policy::GaussNewton(lambda)),
-    }
 }

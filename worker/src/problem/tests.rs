@@ -1,10 +1,8 @@
 use super::*;
 use crate::{modes::slowest, operator::told};
 use metasense_numerics::body::Pattern;
-use metasense_numerics::brain::Policy;
 use metasense_numerics::dynamics::{Moves, Panel, Strike};
 use metasense_numerics::random::Purpose;
-use metasense_numerics::trial::{Protocol, Terms};
 use metasense_schemas::spec::{Brain, Evaluation, Feasible, Optimise, Sensors, Solver, Time};
 use serde_json::{Value, json};
 
@@ -63,10 +61,7 @@ fn an_impossible_value_is_named_by_its_key() {
         ("body.stiffness.shear", json!(-0.5), "body.stiffness.shear"),
         ("body.contact", json!({ "stiffness": -1.0 }), "body.contact.stiffness"),
         // Old databases hold it: read, not run.
-        ("solver.method", json!("implicit"), "solver.method"),
         ("body.contact", json!({ "min_angle": 6.0 }), "body.contact.min_angle"),
-        ("body.hinge", json!({ "cubic": 0.0 }), "body.hinge.cubic"),
-        ("body.hinge", json!({ "quadratic": -7.0, "cubic": -1.0 }), "body.hinge.cubic"),
         ("body.clamp", json!("hub"), "body.clamp"),
         ("body.clamp", json!([3, 3]), "body.clamp"),
         ("body.clamp", json!([99]), "body.clamp"),
@@ -94,8 +89,6 @@ fn an_impossible_value_is_named_by_its_key() {
         ("optimise.learning_rate", json!(0.0), "optimise.learning_rate"),
         ("optimise.batch", json!(8), "optimise.batch"),
         ("optimise.brain_iterations", json!(8), "optimise.brain_iterations"),
-        ("optimise.curvature", json!("damped"), "optimise.damping"),
-        ("optimise.damping", json!(0.1), "optimise.damping"),
         ("evaluation.seeds", json!(0), "evaluation.seeds"),
         ("evaluation.batch", json!(0), "evaluation.batch"),
         ("evaluation.long_iterations", json!(0), "evaluation.long_iterations"),
@@ -146,57 +139,20 @@ fn the_network_is_as_the_spec_says() {
     assert_eq!(network(&[long, ("time.samples", json!(32))]), Err("brain.dilations".into()));
 }
 
-/// The implicit term's policy by its key; the direct term alone has none.
-#[test]
-fn the_curvature_policy_is_as_the_spec_says() {
-    let terms = |changes: &[(&str, Value)]| {
-        let paper = [("optimise.protocol", json!("paper"))];
-        let all: Vec<_> = paper.iter().chain(changes).cloned().collect();
-        problem(&trial(&all)).map(|problem| problem.optimise.protocol)
-    };
-    let implicit = |policy| Ok(Protocol::Paper(Terms::Implicit(policy)));
-    let (curvature, damping) = ("optimise.curvature", ("optimise.damping", json!(0.25)));
-    assert_eq!(terms(&[]), implicit(Policy::Truncate));
-    assert_eq!(terms(&[(curvature, json!("damped")), damping.clone()]), implicit(Policy::Damped(0.25)));
-    assert_eq!(terms(&[(curvature, json!("gauss_newton"))]), implicit(Policy::GaussNewton(0.0)));
-    assert_eq!(terms(&[(curvature, json!("gauss_newton")), damping]), implicit(Policy::GaussNewton(0.25)));
-    let only = terms(&[("optimise.gradient", json!("implicit_only")), (curvature, json!("gauss_newton"))]);
-    assert_eq!(only, Ok(Protocol::Paper(Terms::ImplicitOnly(Policy::GaussNewton(0.0)))));
-    let direct = terms(&[("optimise.gradient", json!("direct")), (curvature, json!("truncate"))]);
-    assert_eq!(direct.unwrap_err().key, curvature);
-}
-
 /// A key that the protocol does not read is refused, not ignored.
 #[test]
 fn each_protocol_refuses_the_keys_of_the_others() {
     for (protocol, key, value) in [
         ("joint", "optimise.gradient", json!("direct")),
         ("envelope", "optimise.gradient", json!("implicit")),
-        ("joint", "optimise.curvature", json!("damped")),
-        ("random", "optimise.damping", json!(0.1)),
-        ("cmaes", "optimise.batch", json!(8)),
+        ("random", "optimise.batch", json!(8)),
         ("paper", "optimise.brain_learning_rate", json!(1e-3)),
     ] {
         let invalid = problem(&trial(&[("optimise.protocol", json!(protocol)), (key, value)])).unwrap_err();
         assert_eq!(invalid.key, key, "{protocol}");
     }
-    for protocol in ["paper", "envelope", "joint", "random", "cmaes"] {
+    for protocol in ["paper", "envelope", "joint", "random"] {
         problem(&trial(&[("optimise.protocol", json!(protocol))])).unwrap();
-    }
-}
-
-/// What has not paid is gone: such a trial is refused, with what to write instead.
-#[test]
-fn what_is_gone_is_refused_with_what_to_write_instead() {
-    for (key, value, instead) in [
-        ("optimise.placement", "again", "leave it out"),
-        ("optimise.protocol", "warm", "envelope"),
-        ("sensors.search", "d_optimal", "greedy"),
-        ("sensors.search", "pivots", "greedy"),
-    ] {
-        let invalid = problem(&trial(&[(key, json!(value))])).unwrap_err();
-        assert_eq!((invalid.key.as_str(), invalid.value.as_str()), (key, value));
-        assert!(invalid.remedy.contains(instead), "{invalid}");
     }
 }
 

@@ -7,7 +7,6 @@
 use super::body::{States, TIGHT, outcomes, states};
 use super::case::{Case, CaseError};
 use super::{Row, relative};
-use crate::invalid::as_written;
 use crate::polygons;
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
@@ -212,39 +211,6 @@ pub fn disc(n: usize) -> Polygons {
     }
 }
 
-/// A body as TOML, a unit a line; places to 1e-9 mm.
-#[must_use]
-pub fn file(body: &Polygons) -> String {
-    let place = |x: &f64| format!("{}", (x * 1e9).round() / 1e9 + 0.0);
-    let point = |[x, y]: &Point| format!("[{}, {}]", place(x), place(y));
-    let lines = |name: &str, entries: Vec<String>| match entries.is_empty() {
-        true => String::new(),
-        false => format!("{name} = [\n  {},\n]\n", entries.join(",\n  ")),
-    };
-    let unit = |nodes: &Vec<Point>| format!("[{}]", nodes.iter().map(point).collect::<Vec<_>>().join(", "));
-    let ligaments: Vec<String> = body.ligaments.iter().map(|ends| format!("{ends:?}")).collect();
-    let follow =
-        |f: &Follow| format!("{{ node = {:?}, nodes = {:?}, by = {} }}", f.node, f.nodes, as_written(&f.by));
-    let denser = |d: &Denser| format!("{{ units = {:?}, factor = {} }}", d.units, d.factor);
-    let panel = |p: &Struck| {
-        let (unit, direction) = (p.unit.unwrap_or_default(), p.direction.unwrap_or_default());
-        format!("{{ unit = {unit}, direction = {} }}", point(&direction))
-    };
-    [
-        "# Made by worker/src/verify/authors.rs; `cargo test -p metasense-worker --lib authors` checks it.\n"
-            .to_owned(),
-        lines("units", body.units.iter().map(unit).collect()),
-        lines("ligaments", ligaments.chunks(8).map(|row| row.join(", ")).collect()),
-        format!("rigid = {:?}\n", body.rigid),
-        lines("follow", body.follow.iter().map(follow).collect()),
-        lines("density", body.density.iter().map(denser).collect()),
-        format!("clamp = {:?}\n", body.clamp.clone().unwrap_or_default()),
-        lines("panels", body.panels.iter().map(panel).collect()),
-        body.sensors.as_ref().map_or(String::new(), |units| format!("sensors = {units:?}\n")),
-    ]
-    .concat()
-}
-
 /// The body of a case: as the authors build it, or, where that has other nodes, of the case's own polygons.
 fn body(case: &Case, corners: &[Vec<Point>], rigid: &[usize]) -> Result<Polygons, CaseError> {
     let built = match case.size("scene.n") {
@@ -307,7 +273,6 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
         damping: Some([resisted[0], resisted[1], resisted[2]]),
         inertia: None,
         contact: None,
-        hinge: None,
         linearised: case.flag("scene.linearised")?,
         clamped: held,
         guided: Vec::new(),

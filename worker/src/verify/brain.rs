@@ -3,8 +3,8 @@
 use super::case::{Case, CaseError};
 use super::{Row, dot, relative};
 use metasense_numerics::brain::{
-    Adam, Architecture, Curvature, Data, Matrix, Policy, Real, Shape, Workspace, full_gradient, predict,
-    prediction_error, solve_implicit, train,
+    Adam, Architecture, Curvature, Data, Real, Shape, Workspace, full_gradient, predict, prediction_error,
+    solve_implicit, train,
 };
 use metasense_numerics::simd::Width;
 
@@ -74,7 +74,7 @@ fn network_in<F: Real>(
     compare("gradient in the inputs", &inputs, &case.array("grad_x")?);
     let v: Vec<F> = cast(&flat(case, shape, "v_")?);
     let curvature = Curvature::new(&weights, data.all(), ws, pool);
-    curvature.product(Matrix::Hessian, &v, &mut gradient, ws, pool);
+    curvature.product(&v, &mut gradient, ws, pool);
     compare("Hessian-vector product", &gradient, &flat(case, shape, "Hv_")?);
     compare("mixed product", &curvature.mixed_product(&v, ws, pool), &case.array("mixed_v")?);
     let (mut trained, mut adam, mut losses) = (weights, Adam::new(shape.weights()), Vec::new());
@@ -118,7 +118,7 @@ pub fn implicit(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>
         let tolerance = (10.0 * number("cg_sensitivity_to_1e-12")?)
             .max(10.0 * number("cg_hand_relative_difference").unwrap_or(0.0))
             .max(1e-6);
-        let solve = solve_implicit(&curvature, &b, Policy::Damped(lambda), 1e-7, 20, ws, pool);
+        let solve = solve_implicit(&curvature, &b, lambda, 1e-7, 20, ws, pool);
         let expected = case.array_of(&format!("z_cg_{lambda}"), shape.weights())?;
         // From the recorded z: at small λ twenty iterations leave the term itself undetermined to a tenth.
         let mut term = curvature.mixed_product(&expected, ws, pool);

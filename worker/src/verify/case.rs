@@ -200,7 +200,6 @@ impl Case {
             damping: None,
             inertia: None,
             contact,
-            hinge: None,
             linearised: self.flag("scene.linearised")?,
             clamped: units("clamped")?,
             guided,

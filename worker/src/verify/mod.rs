@@ -7,12 +7,9 @@ pub mod authors;
 mod body;
 mod brain;
 mod case;
-mod checks;
-mod extreme;
 
 use case::{Case, CaseError};
-pub use checks::{bells, reference};
-use metasense_numerics::dynamics::{Accuracy, Method, Solver, Tolerance};
+use metasense_numerics::dynamics::{Accuracy, Method, Solver};
 use serde::Serialize;
 use std::path::Path;
 
@@ -78,22 +75,6 @@ pub fn cases(folder: &Path, pool: &metasense_numerics::Pool) -> Result<Vec<Row>,
         rows.extend(of_case(&name, compared));
     }
     Ok(rows)
-}
-
-/// Energy balance, Taylor tests and equal bits of every integrator.
-pub fn numerics(pool: &metasense_numerics::Pool) -> Vec<Row> {
-    let solvers = [
-        Solver::tsit5(Tolerance::both(1e-11)),
-        Solver::new(Method::Leapfrog, Accuracy(1e-3)),
-        Solver::new(Method::Nystrom4, Accuracy(1e-6)),
-        Solver::new(Method::Nystrom6, Accuracy(1e-7)),
-    ];
-    of_case("numerics", checks::rows(&solvers, pool))
-}
-
-/// Stiff and extreme scenes at default settings.
-pub fn extremes(pool: &metasense_numerics::Pool) -> Vec<Row> {
-    of_case("extreme", extreme::rows(DEFAULT, pool))
 }
 
 fn of_case(name: &str, rows: Vec<Row>) -> Vec<Row> {

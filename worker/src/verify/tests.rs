@@ -1,23 +1,39 @@
+//! Every committed case; and what needs none: energy balance, Taylor tests of the gradient, equal bits on any number of threads,
+//! and stiff and extreme scenes, each with its named outcome.
+
+mod checks;
+mod extreme;
+
 use super::*;
+use crate::invalid::as_written;
+use metasense_numerics::dynamics::Tolerance;
+use metasense_schemas::spec::{Denser, Follow, Polygons, Struck};
 
 fn pool() -> metasense_numerics::Pool {
     metasense_numerics::Pool::new(2).expect("threads")
 }
 
 fn hold(rows: &[Row], at_least: usize) {
+    rows.iter().for_each(|Row { quantity, error, note, .. }| println!("{quantity}: {error:?} {note}"));
     let failed: Vec<&Row> = rows.iter().filter(|row| !row.pass).collect();
     assert!(failed.is_empty() && rows.len() >= at_least, "{} rows: {failed:#?}", rows.len());
 }
 
-/// These and the next: every row that `metasense lab verify` prints.
+/// Prints its rows: `cargo test -p metasense-worker --lib verify -- --nocapture`.
 #[test]
 fn every_integrator_is_what_it_says() {
-    hold(&numerics(&pool()), 30);
+    let solvers = [
+        Solver::tsit5(Tolerance::both(1e-11)),
+        Solver::new(Method::Leapfrog, Accuracy(1e-3)),
+        Solver::new(Method::Nystrom4, Accuracy(1e-6)),
+        Solver::new(Method::Nystrom6, Accuracy(1e-7)),
+    ];
+    hold(&checks::rows(&solvers, &pool()), 30);
 }
 
 #[test]
 fn extreme_scenes_are_solved_at_default_settings() {
-    hold(&extremes(&pool()), 17);
+    hold(&extreme::rows(DEFAULT, &pool()), 17);
 }
 
 /// Every committed case, every quantity.
@@ -78,7 +94,7 @@ fn body_files_of_the_authors_scenes_are_fresh() {
     }
     for (name, body) in files {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../schemas/scenes");
-        let (path, text) = (Path::new(folder).join(name + ".body.toml"), authors::file(&body));
+        let (path, text) = (Path::new(folder).join(name + ".body.toml"), file(&body));
         if std::env::var_os("METASENSE_UPDATE").is_some() {
             std::fs::write(&path, &text).expect("written");
         }
@@ -121,4 +137,37 @@ fn what_cannot_be_read_or_does_not_agree_fails() {
     assert!(verdict("a_"), "{rows:#?}");
     assert!(["b_", "c_", "d_", "e_", "f_", "g_"].iter().all(|name| !verdict(name)), "{rows:#?}");
     assert!(cases(&folder.path().join("nowhere"), &pool()).is_err());
+}
+
+/// A body as TOML, a unit a line; places to 1e-9 mm.
+fn file(body: &Polygons) -> String {
+    let place = |x: &f64| format!("{}", (x * 1e9).round() / 1e9 + 0.0);
+    let point = |[x, y]: &[f64; 2]| format!("[{}, {}]", place(x), place(y));
+    let lines = |name: &str, entries: Vec<String>| match entries.is_empty() {
+        true => String::new(),
+        false => format!("{name} = [\n  {},\n]\n", entries.join(",\n  ")),
+    };
+    let unit =
+        |nodes: &Vec<[f64; 2]>| format!("[{}]", nodes.iter().map(point).collect::<Vec<_>>().join(", "));
+    let ligaments: Vec<String> = body.ligaments.iter().map(|ends| format!("{ends:?}")).collect();
+    let follow =
+        |f: &Follow| format!("{{ node = {:?}, nodes = {:?}, by = {} }}", f.node, f.nodes, as_written(&f.by));
+    let denser = |d: &Denser| format!("{{ units = {:?}, factor = {} }}", d.units, d.factor);
+    let panel = |p: &Struck| {
+        let (unit, direction) = (p.unit.unwrap_or_default(), p.direction.unwrap_or_default());
+        format!("{{ unit = {unit}, direction = {} }}", point(&direction))
+    };
+    [
+        "# Made by worker/src/verify/authors.rs; `cargo test -p metasense-worker --lib authors` checks it.\n"
+            .to_owned(),
+        lines("units", body.units.iter().map(unit).collect()),
+        lines("ligaments", ligaments.chunks(8).map(|row| row.join(", ")).collect()),
+        format!("rigid = {:?}\n", body.rigid),
+        lines("follow", body.follow.iter().map(follow).collect()),
+        lines("density", body.density.iter().map(denser).collect()),
+        format!("clamp = {:?}\n", body.clamp.clone().unwrap_or_default()),
+        lines("panels", body.panels.iter().map(panel).collect()),
+        body.sensors.as_ref().map_or(String::new(), |units| format!("sensors = {units:?}\n")),
+    ]
+    .concat()
 }

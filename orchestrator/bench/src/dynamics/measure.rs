@@ -12,8 +12,9 @@ use metasense_numerics::dynamics::{
     Wrt, highest_frequency, repeat_kernel, run, signal_error, tune,
 };
 use metasense_worker::clock::cpu_seconds;
+use metasense_worker::reference::{bells, reference};
 use metasense_worker::simd::width;
-use metasense_worker::verify::{bells, reference, relative};
+use metasense_worker::verify::relative;
 use serde_json::Value;
 use std::time::Instant;
 

@@ -132,6 +132,4 @@ fn what_cannot_be_read_is_no_deal() {
     std::fs::write(folder.path().join("shard-1-of-2.sqlite"), "").unwrap();
     assert!(matches!(Assignment::in_folder(folder.path(), &[], 2), Err(AssignmentError::Lost { .. })));
     assert!(Assignment::in_folder(folder.path(), &[], 3).is_ok());
-    std::fs::write(folder.path().join(former_name(2)), "hash,shard\nab,2\n").unwrap();
-    assert_eq!(Assignment::in_folder(folder.path(), &[], 2).unwrap().shard("ab"), 2);
 }

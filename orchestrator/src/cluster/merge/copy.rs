@@ -5,7 +5,6 @@
 
 use std::path::Path;
 
-use metasense_schemas::database::MIGRATIONS;
 use sqlx::sqlite::SqliteConnection;
 use sqlx::{AssertSqlSafe, ConnectOptions, Executor, Row};
 
@@ -30,7 +29,7 @@ pub(super) async fn open(path: &Path) -> sqlx::Result<SqliteConnection> {
         .await?;
     store::add_function(&mut out).await?;
     let version = store::version(&mut out).await? as usize;
-    store::migrate(&mut out, version.min(MIGRATIONS.len())).await?;
+    store::add_schema(&mut out, version).await?;
     out.execute(
         "CREATE TEMP TABLE candidate (input INTEGER, old INTEGER, hash TEXT, settled INTEGER, reached INTEGER,
            attempts INTEGER, redone INTEGER, since TEXT, ended INTEGER, open INTEGER, finished_at TEXT, last TEXT,

@@ -8,7 +8,6 @@ use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use metasense_schemas::database::MIGRATIONS;
 use sqlx::{ConnectOptions, Connection};
 
 use crate::exit::chain;
@@ -86,12 +85,12 @@ impl Input {
         let version =
             store::ask_unchanging(&path, async |db| Ok(store::check_version(db, &file).await)).await;
         let version = version.map_err(|source| StoreError::sql(&file, "opening", source)).and_then(|v| v)?;
-        if version < MIGRATIONS.len() {
+        if version == 0 {
             if path != copy {
                 std::fs::copy(&path, copy)?;
                 path = copy.to_owned();
             }
-            store::upgrade(copy).await?;
+            store::create(copy).await?;
         }
         Ok(Self { named: named.to_owned(), file, path, state, held })
     }

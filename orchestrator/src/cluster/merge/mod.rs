@@ -14,7 +14,7 @@ use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use metasense_schemas::database::MIGRATIONS;
+use metasense_schemas::database::VERSION;
 use sqlx::Connection;
 use sqlx::sqlite::SqliteConnection;
 
@@ -331,8 +331,7 @@ async fn build(
     for (i, input) in inputs.iter().enumerate() {
         let refused = attached(&mut out, i, input, async |out| {
             if let Some(column) = copy::foreign(out).await? {
-                let version = MIGRATIONS.len();
-                return Ok(Some(format!("its {column} is not a stored column as version {version} has it")));
+                return Ok(Some(format!("its {column} is not a stored column as version {VERSION} has it")));
             }
             if Some(i) != base && copy::extents(out, "src").await?[0] {
                 return Ok(Some("it holds facts alone: name the databases that they are of".to_owned()));

@@ -13,7 +13,7 @@ impl Payload for Nothing {
 }
 
 /// A new trial that waits for nobody.
-const ALONE: Prior = Prior { attempts: 0, steps: None, kind: 0, body: 0, trained: true, judged: 0 };
+const ALONE: Prior = Prior { attempts: 0, steps: None, body: 0, trained: true };
 
 type Actions = Vec<Action<Nothing>>;
 
@@ -32,7 +32,6 @@ fn run_of(priors: &[Prior], workers: u32) -> State {
         time_limit: None,
         memory_limited: false,
         grace: 2_500,
-        prune: None,
     };
     let mut state = State::new(settings, priors);
     up(&mut state, Event::Clock(0));
@@ -259,8 +258,7 @@ fn a_shortage_is_waited_out_and_charged_to_no_trial() {
     assert_eq!(ended, [Action::End(Outcome::Unfit(Reason::Shortage))]);
     assert_eq!(state.phase(0), Phase::Pending);
     // it comes further, and then is short again: counted from one
-    let standing = super::super::Standing { part: 0.5, begun: 0.0, error: None };
-    up(&mut further, Event::Step(id(0), lease(0, attempt), standing, ()));
+    up(&mut further, Event::Step(id(0), lease(0, attempt), false, ()));
     up(&mut further, Event::Failed(id(0), lease(0, attempt), Reason::Shortage));
     assert_eq!(up(&mut further, Event::Clock(now + 500)), [Action::Assign(id(0), lease(0, attempt + 1))]);
 

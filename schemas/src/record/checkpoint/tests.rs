@@ -1,21 +1,13 @@
 use super::*;
 use crate::record::{NetworkEvaluation, Reading, Spread};
 
-/// Versions up to the best design; what protocols carried until version 3, and the same by name.
+/// Up to the best design; the rest of the outer loop.
 const HEAD: &str = "ac02 02 000000000000e03f 00000000000000c0 01 000000000000f03f 01 0000000000000040 07 \
     01 0000803e 01 0000003f 00 c801 01 01 000000000000f83f 0000000000002940 ab02";
-const CAUTION: &str = "01 0000000000000840";
-const PROTOCOL: &str = "07 000000000000e03f 0000000000000040 000000000000d03f 000000000000c03f \
-    0000000000001440 000000000000f03f 000000000000f0bf";
 const NAMED: &str = "000000000000e03f 02 01 000000000000d03f 01 000000000000c03f \
     01 05 02 000000000000f03f 000000000000f0bf";
-const COMPARISON: &str = "01 \
-    0101000000000000e03f0101000000000000f03f00010000000000000040010000003f01010000000000001040010000803e \
-    026f6b01000000000000000103c801000000000000e03f01000000000000f03f000100000000000000400102ac0201010000 \
-    003f010000803e01000080beac02010000004001c80100000000000020400102030405d804000000000000f03f0000000000 \
-    0000400000000000000840000000000000104000000000000014400000000000001840";
 /// With the spread of the network and of the reading: 0.5 %, none, 300.
-const COMPARISON_8: &str = "01 \
+const COMPARISON: &str = "01 \
     0101000000000000e03f0101000000000000f03f00010000000000000040010000003f01010000000000001040010000803e \
     026f6b 01 01000000000000e03f 00 ac02 0100000000000000 00 0103c801000000000000e03f01000000000000f03f000100000000000000 \
     40 01 01000000000000e03f 00 ac02 0102ac02010100000 \
@@ -24,17 +16,12 @@ const COMPARISON_8: &str = "01 \
 const MOVES: &str = "01 c801 02 03 05";
 const FOUND: &str = "02 0000000000002940 000000000000f07f";
 
-/// Of two bodies: two readings, a cast, a name, records, 2.0 % and ok; none.
-const CASTS: &str = "02 02 00076e6f6d696e616c00 010000000000000040 026f6b 01077265636f726473ac02 010000000000000040 026f6b 00";
-
-/// And with spreads, λ and κ: of the first none, of the second 0.5 %, none, 300; 0.25 and 0.125.
-const CASTS_8: &str = "02 02 00076e6f6d696e616c00 010000000000000040 026f6b 00 00 00 01077265636f726473ac02 010000000000000040 026f6b \
+/// Of two bodies: two readings, a cast, a name, records, 2.0 %, ok, spread, λ and κ: of the first none, of the second 0.5 %, none, 300;
+/// 0.25 and 0.125.
+const CASTS: &str = "02 02 00076e6f6d696e616c00 010000000000000040 026f6b 00 00 00 01077265636f726473ac02 010000000000000040 026f6b \
     01 01000000000000e03f 00 ac02 01000000000000d03f 01000000000000c03f 00";
 
-/// Of two bodies: a band of no cast and one of cast 3; none; and with records.
-const BANDS_6: &str = "02 02 036f776e 00 09636f6e666f726d616c 07696e7374616e74 666666666666ee3f 63 01000000000000f03f 00 \
-    01000000000000c03f 026f6b 056361737473 0103 09636f6e666f726d616c 0673616d706c65 666666666666ee3f 63 00 \
-    01000000000000d03f 00 026f6b 00";
+/// Of two bodies: a band of no cast and one of cast 3; none.
 const BANDS: &str = "02 02 036f776e 00 00 09636f6e666f726d616c 07696e7374616e74 666666666666ee3f 63 01000000000000f03f 00 \
     01000000000000c03f 026f6b 056361737473 1e 0103 09636f6e666f726d616c 0673616d706c65 666666666666ee3f 63 00 \
     01000000000000d03f 00 026f6b 00";
@@ -45,20 +32,26 @@ fn bytes(digits: &str) -> Vec<u8> {
     digits.chunks(2).map(byte).collect()
 }
 
-/// What any version has written is read for ever: whoever changes `Checkpoint`, or what it holds, sees these bytes fail,
-/// and adds a version.
+/// Whoever changes `Checkpoint`, or what it holds, sees these bytes fail, and raises its version.
 #[test]
-fn checkpoints_of_all_versions_go_on() {
-    let first = Checkpoint {
+fn a_checkpoint_is_these_bytes() {
+    let mut whole = Checkpoint {
         step: 300,
         design: vec![0.5, -2.0],
         design_moments: Moments { first: vec![1.0], second: vec![2.0], steps: 7 },
         weights: vec![0.25],
         weight_moments: Moments { first: vec![0.5], second: Vec::new(), steps: 200 },
         best: Some(Best { design: vec![1.5], error: 12.5, step: 299 }),
-        caution: 3.0,
+        caution: 0.5,
+        setbacks: 2,
+        trend: Some(0.25),
+        ridge: Some(0.125),
+        trail: vec![Waypoint { step: 5, design: vec![1.0, -1.0] }],
+        moves: vec![(200, vec![3, 5])],
+        found: vec![12.5, f64::INFINITY],
         ..Default::default()
     };
+    let spread = Some(Spread { median: Some(0.5), p90: None, above: 300 });
     let network = NetworkEvaluation {
         error_train: Some(1.0),
         error_test: None,
@@ -67,7 +60,7 @@ fn checkpoints_of_all_versions_go_on() {
         errors: vec![(1, 4.0)],
         weights: vec![0.25],
         outcome: "ok".into(),
-        spread: None,
+        spread,
     };
     let reading = Reading {
         before: 3,
@@ -76,7 +69,7 @@ fn checkpoints_of_all_versions_go_on() {
         error_train: Some(1.0),
         error_test: None,
         error_holdout: Some(2.0),
-        spread: None,
+        spread,
     };
     let body = BodyEvaluation {
         design: vec![0.5],
@@ -102,17 +95,7 @@ fn checkpoints_of_all_versions_go_on() {
     let seconds =
         Seconds { simulate: 1.0, train: 2.0, differentiate: 3.0, implicit: 4.0, project: 5.0, store: 6.0 };
     let comparison = Comparison { bodies: vec![body], training: Some(training), counters, seconds };
-    let (comparison, moves) = (Some(Box::new(comparison)), vec![(200, vec![3, 5])]);
-    let second = Checkpoint { comparison, moves, ..first.clone() };
-    let third = Checkpoint {
-        caution: 0.5,
-        setbacks: 2,
-        trend: Some(0.25),
-        ridge: Some(0.125),
-        trail: vec![Waypoint { step: 5, design: vec![1.0, -1.0] }],
-        found: vec![12.5, f64::INFINITY],
-        ..second.clone()
-    };
+    whole.comparison = Some(Box::new(comparison));
     let reading = |cast, reader: &str, records| CastReading {
         cast,
         reader: reader.into(),
@@ -121,8 +104,9 @@ fn checkpoints_of_all_versions_go_on() {
         outcome: "ok".into(),
         ..CastReading::default()
     };
-    let casts = vec![vec![reading(0, "nominal", 0), reading(1, "records", 300)], Vec::new()];
-    let fifth = Checkpoint { casts, ..third.clone() };
+    let calibrated =
+        CastReading { spread, ridge: Some(0.25), share: Some(0.125), ..reading(1, "records", 300) };
+    whole.casts = vec![vec![reading(0, "nominal", 0), calibrated], Vec::new()];
     let band = |reader: &str, cast: Option<u32>, kind: &str, numbers: [Option<f64>; 2], half_width| Band {
         reader: reader.into(),
         records: cast.map_or(0, |_| 30),
@@ -136,45 +120,21 @@ fn checkpoints_of_all_versions_go_on() {
         half_width,
         outcome: "ok".into(),
     };
-    let bands = vec![
+    whole.bands = vec![
         vec![
             band("own", None, "instant", [Some(1.0), None], vec![0.125]),
             band("casts", Some(3), "sample", [None, Some(0.25)], Vec::new()),
         ],
         Vec::new(),
     ];
-    let seventh = Checkpoint { bands, ..fifth.clone() };
-    let mut sixth = seventh.clone();
-    sixth.bands[0][1].records = 0;
-    let mut eighth = seventh.clone();
-    let spread = Some(Spread { median: Some(0.5), p90: None, above: 300 });
-    let body = &mut eighth.comparison.as_mut().unwrap().bodies[0];
-    (body.networks[0].spread, body.readings[0].spread) = (spread, spread);
-    let cast = &mut eighth.casts[0][1];
-    (cast.spread, cast.ridge, cast.share) = (spread, Some(0.25), Some(0.125));
-    let version_1 = bytes(&["01", HEAD, CAUTION].concat());
-    let version_2 = bytes(&["02", HEAD, CAUTION, COMPARISON, MOVES].concat());
-    let version_3 = bytes(&["03", HEAD, PROTOCOL, COMPARISON, MOVES, FOUND].concat());
-    let version_4 = bytes(&["04", HEAD, NAMED, COMPARISON, MOVES, FOUND].concat());
-    let version_5 = bytes(&["05", HEAD, NAMED, COMPARISON, MOVES, FOUND, CASTS].concat());
-    assert_eq!(Checkpoint::from_bytes(&version_1), Ok(first));
-    assert_eq!(Checkpoint::from_bytes(&version_2), Ok(second));
-    assert_eq!(Checkpoint::from_bytes(&version_3), Ok(third.clone()));
-    assert_eq!(Checkpoint::from_bytes(&version_4), Ok(third.clone()));
-    let version_6 = bytes(&["06", HEAD, NAMED, COMPARISON, MOVES, FOUND, CASTS, BANDS_6].concat());
-    let version_7 = bytes(&["07", HEAD, NAMED, COMPARISON, MOVES, FOUND, CASTS, BANDS].concat());
-    assert_eq!(Checkpoint::from_bytes(&version_5), Ok(fifth));
-    assert_eq!(Checkpoint::from_bytes(&version_6), Ok(sixth));
-    assert_eq!(Checkpoint::from_bytes(&version_7), Ok(seventh));
-    let version_8 = bytes(&["08", HEAD, NAMED, COMPARISON_8, MOVES, FOUND, CASTS_8, BANDS].concat());
-    assert_eq!(Checkpoint::from_bytes(&version_8), Ok(eighth.clone()));
-    assert_eq!(eighth.to_bytes(), version_8);
-    assert_eq!(Checkpoint::from_bytes(&[99, 1, 2]), Err(CheckpointError::Version(99)));
-    let former = [version_1, version_2, version_3, version_4, version_5, version_6, version_7];
-    for stored in former.into_iter().chain([version_8]) {
-        for broken in [&stored[..stored.len() - 1], &[&stored[..], &[0]].concat(), &[]] {
-            assert!(matches!(Checkpoint::from_bytes(broken), Err(CheckpointError::Damaged(_))), "{broken:?}");
-        }
+    let stored = bytes(&["08", HEAD, NAMED, COMPARISON, MOVES, FOUND, CASTS, BANDS].concat());
+    assert_eq!(Checkpoint::from_bytes(&stored), Ok(whole.clone()));
+    assert_eq!(whole.to_bytes(), stored);
+    for version in [7, 99] {
+        assert_eq!(Checkpoint::from_bytes(&[version, 1, 2]), Err(CheckpointError::Version(version)));
+    }
+    for broken in [&stored[..stored.len() - 1], &[&stored[..], &[0]].concat(), &[]] {
+        assert!(matches!(Checkpoint::from_bytes(broken), Err(CheckpointError::Damaged(_))), "{broken:?}");
     }
 }
 

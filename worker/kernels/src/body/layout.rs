@@ -312,14 +312,6 @@ impl Layout {
         self.turning.iter().flat_map(|turn| turn.map(|t| t * tangent + 0.0)).collect()
     }
 
-    /// The sign of θ_b − θ_a where the units at a ligament's ends turn as they do in `initial_design`; 1 where they do not.
-    pub fn sense(&self, ligament: &Ligament) -> f64 {
-        let End { unit, node } = ligament.a;
-        let turning = self.groups[unit][node].map_or([0.0; 2], |group| self.turning[group]);
-        let ([x, y], [p, q]) = (self.shape[unit][node], turning);
-        if x * q - y * p > 0.0 { -1.0 } else { 1.0 }
-    }
-
     /// Positions of a unit's nodes relative to its reference point (mm).
     pub fn place(&self, design: &[f64], unit: usize, nodes: &mut [[f64; 2]]) {
         for ((node, base), group) in nodes.iter_mut().zip(&self.shape[unit]).zip(&self.groups[unit]) {

@@ -1,11 +1,11 @@
-//! Second derivatives by forward-over-reverse (Pearlmutter 1994): H·v, its Gauss–Newton part, and ∂/∂x ⟨∂L/∂β, v⟩.
+//! Second derivatives by forward-over-reverse (Pearlmutter 1994): H·v and ∂/∂x ⟨∂L/∂β, v⟩.
 //!
 //! ```text
 //! ż_l = a_(l−1) ∗ v_l + ȧ_(l−1) ∗ w_l + ḃ_l, ȧ_l = [a_l>0] ż_l, ȧ_0 = 0     Ġ_n = 2σ²/(NTK) ż_n     Hb_l = Σ Ġ_l
 //! Ġ_l = [a_l>0] (Ġ_(l+1) ∗ w_(l+1)ᵀ + g_(l+1) ∗ v_(l+1)ᵀ)                    Hw_l = a_(l−1)ᵀ Ġ_l + ȧ_(l−1)ᵀ g_l
 //! ```
 //! The activations are kept: a product costs six convolutions of the paper's second layer and seven of every one below the
-//! last of several, a Gauss–Newton one four.
+//! last of several.
 
 use super::data::Batch;
 use super::kernels::{Kernels, Real};
@@ -16,15 +16,6 @@ use super::network::{
 };
 use super::shape::Shape;
 use super::tiles::{Finish, Start};
-
-/// Which matrix a product is with.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Matrix {
-    /// ∂²L/∂β², possibly indefinite.
-    Hessian,
-    /// Jᵀ (∂²L/∂f̂²) J, positive semidefinite.
-    GaussNewton,
-}
 
 /// A batch with its network's activations: (n − 1)·T·width numbers a sample, and their padding.
 #[derive(Debug)]
@@ -51,18 +42,18 @@ impl<'a, F: Real> Curvature<'a, F> {
         Self { batch, packed: ws.packed.clone(), kept, no_bias: vec![F::ZERO; shape.outputs] }
     }
 
-    /// `matrix`·v into `out`, both in the flat order. Allocates nothing once the workspace has grown.
-    pub fn product(&self, matrix: Matrix, v: &[F], out: &mut [F], ws: &mut Workspace<F>, pool: &crate::Pool) {
+    /// H·v into `out`, both in the flat order; H may be indefinite. Allocates nothing once the workspace has grown.
+    pub fn product(&self, v: &[F], out: &mut [F], ws: &mut Workspace<F>, pool: &crate::Pool) {
         let (shape, batch) = (self.batch.shape(), self.batch);
         ws.packed.fill(&ws.kernels, shape, v);
         ws.over_chunks(batch, pool, |kernels, v, s, chunk, samples| {
             chunk.clear();
             for i in samples {
-                let mut dot = self.tangents(kernels, v, i, matrix, s);
+                let mut dot = self.tangents(kernels, v, i, s);
                 for l in 0..shape.layers() {
                     let a = self.input(i, l);
                     add_layer(kernels, shape, l, [a, &s.spread_a[l], &dot.g[l]], &mut dot.fold, chunk);
-                    if l > 0 && matrix == Matrix::Hessian {
+                    if l > 0 {
                         let (da, spread) = (&dot.a[l - 1], &dot.spread_a[l]);
                         add_layer(kernels, shape, l, [da, spread, &s.g[l]], &mut dot.fold, chunk);
                     }
@@ -81,7 +72,7 @@ impl<'a, F: Real> Curvature<'a, F> {
         ws.over_chunks(batch, pool, |kernels, v, s, chunk, samples| {
             chunk.out.clear();
             for i in samples {
-                let mut dot = self.tangents(kernels, v, i, Matrix::Hessian, s);
+                let mut dot = self.tangents(kernels, v, i, s);
                 self.back(kernels, i, 1, s);
                 input_product(kernels, shape, &self.packed, &dot.g[0], &mut dot.wide, Start::Zero);
                 input_product(kernels, shape, v, &s.g[0], &mut dot.wide, Start::Add);
@@ -118,16 +109,8 @@ impl<'a, F: Real> Curvature<'a, F> {
     }
 
     /// Tangents along v of sample i's activations and cotangents; g_n … g₂ into the scratch, whose tangent part is taken out.
-    /// A Gauss–Newton product has no use for g, and gets g_n alone.
-    fn tangents(
-        &self,
-        kernels: &Kernels<F>,
-        v: &Packed<F>,
-        i: usize,
-        matrix: Matrix,
-        s: &mut Scratch<F>,
-    ) -> Box<Scratch<F>> {
-        let (shape, w, exact) = (self.batch.shape(), &self.packed, matrix == Matrix::Hessian);
+    fn tangents(&self, kernels: &Kernels<F>, v: &Packed<F>, i: usize, s: &mut Scratch<F>) -> Box<Scratch<F>> {
+        let (shape, w) = (self.batch.shape(), &self.packed);
         let last = shape.layers() - 1;
         let mut dot = s.tangent.take().unwrap_or_else(|| Box::new(Scratch::new(shape)));
 
@@ -162,14 +145,11 @@ impl<'a, F: Real> Curvature<'a, F> {
             let (below, above) = dot.g.split_at_mut(l);
             let (dg, c) = (&above[0][..], output(shape, l - 1, &mut below[l - 1]));
             spread(kernels, sweep, dg, &mut dot.spread_g[l]);
-            let finish = if exact { Finish::Plain } else { gate };
-            convolve(kernels, sweep, [dg, &dot.spread_g[l]], &w.back[l], c, Start::Zero, finish);
-            if exact {
-                spread(kernels, sweep, &s.g[l], &mut s.spread_g[l]);
-                convolve(kernels, sweep, [&s.g[l], &s.spread_g[l]], &v.back[l], c, Start::Add, gate);
-                if l > 1 {
-                    self.back(kernels, i, l, s);
-                }
+            convolve(kernels, sweep, [dg, &dot.spread_g[l]], &w.back[l], c, Start::Zero, Finish::Plain);
+            spread(kernels, sweep, &s.g[l], &mut s.spread_g[l]);
+            convolve(kernels, sweep, [&s.g[l], &s.spread_g[l]], &v.back[l], c, Start::Add, gate);
+            if l > 1 {
+                self.back(kernels, i, l, s);
             }
         }
         dot

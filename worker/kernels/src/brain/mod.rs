@@ -20,11 +20,11 @@ mod tiles;
 mod train;
 mod winograd;
 
-pub use curvature::{Curvature, Matrix};
+pub use curvature::Curvature;
 pub use data::{Batch, Data};
 pub use kernels::{Kernels, Real};
 pub use metric::prediction_error;
 pub use network::{Workspace, full_gradient, input_gradient, loss, loss_gradient, predict};
 pub use shape::{Architecture, LAYERS_MAX, Layer, Shape, initial_weights, scale_inputs};
-pub use solve::{Policy, Solve, SolveOutcome, conjugate_gradient, solve_implicit};
+pub use solve::{Solve, SolveOutcome, conjugate_gradient, solve_implicit};
 pub use train::{Adam, TrainOutcome, cosine, milestones, train, train_on};

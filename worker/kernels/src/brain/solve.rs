@@ -1,31 +1,8 @@
-//! The linear system of the implicit term, H z = b, by conjugate gradients that notice when H is not positive.
-//!
-//! A stopped training leaves H singular and indefinite, so what H⁻¹ means is a choice: `Policy`.
+//! The linear system of the implicit term, H z = b, by conjugate gradients that end at the iterate before negative curvature: a stopped
+//! training leaves H singular and indefinite.
 
-use super::curvature::{Curvature, Matrix};
+use super::curvature::Curvature;
 use super::network::Workspace;
-
-/// What stands for H⁻¹.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Policy {
-    /// Conjugate gradients on H, ended at the iterate before negative curvature.
-    Truncate,
-    /// The same on H + λI.
-    Damped(f64),
-    /// The same on the Gauss–Newton matrix + λI.
-    GaussNewton(f64),
-}
-
-impl Policy {
-    /// Its name in specs and records.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Truncate => "truncate",
-            Self::Damped(_) => "damped",
-            Self::GaussNewton(_) => "gauss_newton",
-        }
-    }
-}
 
 /// How conjugate gradients ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -113,22 +90,17 @@ pub fn conjugate_gradient(
     Solve { z, iterations, residual, smallest_curvature, outcome }
 }
 
-/// z of the implicit term: `b` = ∂L_test/∂β, the curvature that of the training loss.
+/// z of the implicit term, of (H + `shift`·I) z = b: `b` = ∂L_test/∂β, H that of the training loss.
 pub fn solve_implicit(
     curvature: &Curvature<f64>,
     b: &[f64],
-    policy: Policy,
+    shift: f64,
     tolerance: f64,
     limit: usize,
     ws: &mut Workspace<f64>,
     pool: &crate::Pool,
 ) -> Solve {
-    let (matrix, shift) = match policy {
-        Policy::Truncate => (Matrix::Hessian, 0.0),
-        Policy::Damped(lambda) => (Matrix::Hessian, lambda),
-        Policy::GaussNewton(lambda) => (Matrix::GaussNewton, lambda),
-    };
-    conjugate_gradient(|v, out| curvature.product(matrix, v, out, ws, pool), b, shift, tolerance, limit)
+    conjugate_gradient(|v, out| curvature.product(v, out, ws, pool), b, shift, tolerance, limit)
 }
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {

@@ -104,7 +104,7 @@ impl<V: Vector> Balance<V> {
             }
         }
         let elastic = elastic - self.pressed;
-        // Hinges that have snapped to an energy below that at rest have put in as much as work has.
+        // A pressed body that has snapped to an energy below that at rest has put in as much as work has.
         let most = self.most + (-elastic).max(V::splat(0.0));
         kinetic + elastic + self.lost - self.work - V::splat(LEEWAY).mul_add(most, V::splat(self.floor))
     }

@@ -39,7 +39,7 @@ macro_rules! machine {
             type Bars<'a> = &'a [Bar<<$vector as Vector>::Scalar>];
 
             $(#[target_feature(enable = $feature)])?
-            unsafe fn gradient<const LINEAR: bool, const LAWS: bool>(
+            unsafe fn gradient<const LINEAR: bool, const CONTACT: bool>(
                 model: &Model,
                 bars: Bars<'_>,
                 x: &[Place<$vector>],
@@ -47,21 +47,21 @@ macro_rules! machine {
                 g: &mut [Unit<$vector>],
                 margin: &mut $vector,
             ) {
-                ligaments::gradient::<$vector, LINEAR, LAWS, false>(model, bars, x, turn, g, margin, &mut []);
+                ligaments::gradient::<$vector, LINEAR, CONTACT, false>(model, bars, x, turn, g, margin, &mut []);
             }
 
             $(#[target_feature(enable = $feature)])?
-            unsafe fn energy<const LINEAR: bool, const LAWS: bool>(
+            unsafe fn energy<const LINEAR: bool, const CONTACT: bool>(
                 model: &Model,
                 bars: Bars<'_>,
                 x: &[Place<$vector>],
                 turn: &[Turn<$vector>],
             ) -> $vector {
-                ligaments::energy::<$vector, LINEAR, LAWS>(model, bars, x, turn)
+                ligaments::energy::<$vector, LINEAR, CONTACT>(model, bars, x, turn)
             }
 
             $(#[target_feature(enable = $feature)])?
-            unsafe fn product<const LINEAR: bool, const LAWS: bool, const GRADIENT: bool, const PARAMETERS: bool>(
+            unsafe fn product<const LINEAR: bool, const CONTACT: bool, const GRADIENT: bool, const PARAMETERS: bool>(
                 model: &Model,
                 bars: Bars<'_>,
                 x: &[Place<$vector>],
@@ -71,19 +71,19 @@ macro_rules! machine {
                 h: &mut [Unit<$vector>],
                 shape: ShapeCotangent<'_, $vector>,
             ) {
-                ligaments::product::<$vector, LINEAR, LAWS, GRADIENT, PARAMETERS>(model, bars, x, w, turn, g, h, shape);
+                ligaments::product::<$vector, LINEAR, CONTACT, GRADIENT, PARAMETERS>(model, bars, x, w, turn, g, h, shape);
             }
 
-            /// Of what is compiled: `LAWS` is for contact, hinges or both, `product` adds ∂U/∂s, too, where cotangents of
+            /// Of what is compiled: `CONTACT` adds that of contact, `product` adds ∂U/∂s, too, where cotangents of
             /// parameters are asked for, and linear measures go with all that a kernel can do.
             fn kernels(scene: &Scene, parameters: bool) -> Kernels<$vector> {
                 type Of = (GradientKernel<$vector>, [ProductKernel<$vector>; 2]);
-                let energy: EnergyKernel<$vector> = match (scene.linearised, scene.has_laws()) {
+                let energy: EnergyKernel<$vector> = match (scene.linearised, scene.contact.is_some()) {
                     (false, false) => energy::<false, false>,
                     (false, true) => energy::<false, true>,
                     (true, _) => energy::<true, true>,
                 };
-                let (gradient, [second, alone]): Of = match (scene.linearised, scene.has_laws(), parameters) {
+                let (gradient, [second, alone]): Of = match (scene.linearised, scene.contact.is_some(), parameters) {
                     (false, false, false) => {
                         (gradient::<false, false>, [product::<false, false, true, false>, product::<false, false, false, false>])
                     }

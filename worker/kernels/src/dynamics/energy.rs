@@ -38,9 +38,6 @@ pub fn energy(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> Energ
         let bend = xb[2] - xa[2];
         let [k_l, k_s, k_t] = bar.stiffness;
         sum.elastic += 0.5 * (k_l * stretch.powi(2) + k_s * slide.powi(2) + k_t * bend.powi(2));
-        if let Some(hinge) = scene.hinge {
-            sum.elastic += k_t * (bar.quadratic / 3.0 * bend.powi(3) + hinge.cubic / 4.0 * bend.powi(4));
-        }
         if let Some(contact) = scene.contact {
             sum.contact +=
                 contact_energy(contact, bar.voids[0] - bend) + contact_energy(contact, bar.voids[1] + bend);
@@ -77,7 +74,7 @@ fn both(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> (Vec<[f64; 
     let (mut turn, mut g) = (vec![Turn::NONE; n], vec![[zero; 3]; n]);
     let mut cotangent = ModelCotangent::new(&model);
     let mut kept = vec![[[zero; 2]; 2]; model.bars.len()];
-    let kernel = match (scene.linearised, scene.has_laws()) {
+    let kernel = match (scene.linearised, scene.contact.is_some()) {
         (false, false) => gradient::<Sse2, false, false, true>,
         (false, true) => gradient::<Sse2, false, true, true>,
         (true, _) => gradient::<Sse2, true, true, true>,

@@ -6,9 +6,7 @@
 
 use super::model::heavy;
 use super::schemes::Drift;
-use super::{
-    Forces, Frame, Hinge, Inertia, Method, Mount, Parameters, Scene, Simulation, Tape, equilibrium, tsit5,
-};
+use super::{Forces, Frame, Inertia, Method, Mount, Parameters, Scene, Simulation, Tape, equilibrium, tsit5};
 use crate::body::{End, Follower, Follows, Geometry, Layout, edges};
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -317,10 +315,6 @@ impl<'a> Body<'a> {
                 (plus(d.map(|d| along * d), [-d[1], d[0]].map(|n| across * n)), shear)
             };
             let mut moment = bending * bend;
-            if let Some(Hinge { quadratic, cubic }) = scene.hinge {
-                let quadratic = layout.sense(ligament) * quadratic;
-                moment = moment * (Dual(1.0, 0.0) + quadratic * bend + cubic * (bend * bend));
-            }
             if let Some(contact) = scene.contact {
                 let edge = |from, to| minus(arms[layout.number(to)], arms[layout.number(from)]);
                 let (next, previous) = (|e| edge(e, layout.next(e)), |e| edge(e, layout.previous(e)));

@@ -2,13 +2,11 @@
 //!
 //! ```text
 //! U = Σ ½ k_l Δl² + ½ k_s (l₀ γ)² + ½ k_θ Δθ² + E_c    (Bordiga et al., Nat. Mater. 23, 1486)
-//! of a hinge ½ Δθ² + ⅓ a s Δθ³ + ¼ b Δθ⁴ in place of ½ Δθ², s = ±1 of each ligament
 //! γ = ∠(d) − ∠(R((θ_a+θ_b)/2) d₀),   E_c = ½ k_c w² x²/(1−x²),   x = (ψ − ψ_c)/w,   w = ψ_c − ψ_min
 //! ```
 //! γ is the angle of d less the turn of its reference, in (−π, π] however far units turn. A void angle is
 //! its value at rest plus the units' relative rotation: continuous, hence on the branch of the rest state.
 
-use super::Hinge;
 use super::model::{Bar, Model};
 use super::trigonometry::{angle, sin_cos1};
 use crate::lanes::{Vector, pair};
@@ -95,7 +93,7 @@ struct Reaction<V> {
     moments: [V; 2],
     /// dE_c/dψ and d²E_c/dψ².
     contact: [(V, V); 2],
-    /// Δl, l₀γ and Δθ, of a hinge its moment by k_θ: what a stiffness is multiplied by.
+    /// Δl, l₀γ and Δθ: what a stiffness is multiplied by.
     strains: [V; 3],
 }
 
@@ -111,10 +109,10 @@ struct ReactionTangent<V> {
 
 /// Adds ∂U/∂s at `x`, of which `turn` holds the turns, to `g`. Allocates nothing.
 ///
-/// With `LAWS` moments are those of the model's contact and hinge, too, and `margin` falls to the least ψ − ψ_min; with `KEEP`
+/// With `CONTACT` moments are those of the model's contact, too, and `margin` falls to the least ψ − ψ_min; with `KEEP`
 /// overwrites `kept`, one entry a ligament, by the force on its end at b and ∂U/∂ψ. A ligament of length zero gives NaN.
 #[inline(always)]
-pub fn gradient<V: Vector, const LINEAR: bool, const LAWS: bool, const KEEP: bool>(
+pub fn gradient<V: Vector, const LINEAR: bool, const CONTACT: bool, const KEEP: bool>(
     model: &Model,
     bars: &[Bar<V::Scalar>],
     x: &[Place<V>],
@@ -131,7 +129,7 @@ pub fn gradient<V: Vector, const LINEAR: bool, const LAWS: bool, const KEEP: boo
     let mut pipeline = Pipeline::new::<LINEAR>(bars, x, turn);
     for (q, bar) in bars.iter().enumerate() {
         let (at, gamma) = pipeline.next::<LINEAR>(q, bars, x, turn);
-        let reaction = reaction::<V, LINEAR, LAWS>(model, bar, at, gamma, margin);
+        let reaction = reaction::<V, LINEAR, CONTACT>(model, bar, at, gamma, margin);
         reaction.add_to(g, bar);
         if KEEP {
             kept[q] = [reaction.force, [reaction.contact[0].0, reaction.contact[1].0]];
@@ -141,7 +139,7 @@ pub fn gradient<V: Vector, const LINEAR: bool, const LAWS: bool, const KEEP: boo
 
 /// U at `x`, of which `turn` holds the turns. Allocates nothing.
 #[inline(always)]
-pub fn energy<V: Vector, const LINEAR: bool, const LAWS: bool>(
+pub fn energy<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     model: &Model,
     bars: &[Bar<V::Scalar>],
     x: &[Place<V>],
@@ -160,12 +158,7 @@ pub fn energy<V: Vector, const LINEAR: bool, const LAWS: bool>(
         for (k, strain) in bar.stiffness.into_iter().zip([stretched, slid, turned]) {
             sum = (V::splat(0.5) * V::of(k) * strain).mul_add(strain, sum);
         }
-        if LAWS && let Some(hinge) = model.hinge {
-            let quadratic = V::splat(1.0 / 3.0) * V::of(bar.quadratic);
-            let more = V::splat(hinge.cubic / 4.0).mul_add(turned, quadratic);
-            sum = (V::of(bar.stiffness[2]) * turned * more).mul_add(turned * turned, sum);
-        }
-        if LAWS && let Some(contact) = model.contact {
+        if CONTACT && let Some(contact) = model.contact {
             let psi = [V::of(bar.voids[0]) - turned, V::of(bar.voids[1]) + turned];
             psi.into_iter().for_each(|psi| sum = sum + contact_energy(contact, psi));
         }
@@ -177,12 +170,12 @@ pub fn energy<V: Vector, const LINEAR: bool, const LAWS: bool>(
 /// adds ∂U/∂s itself to `g`. Allocates nothing.
 ///
 /// Adds to `shape` the derivatives along `w` of ∂U/∂r and of ∂U/∂ψ at rest and, with `PARAMETERS`, ∂²U/∂s∂k·w:
-/// Σ strain · (strain's derivative along w), of a hinge its moment by k_θ in place of the strain.
+/// Σ strain · (strain's derivative along w).
 #[inline(always)]
 pub fn product<
     V: Vector,
     const LINEAR: bool,
-    const LAWS: bool,
+    const CONTACT: bool,
     const GRADIENT: bool,
     const PARAMETERS: bool,
 >(
@@ -207,11 +200,11 @@ pub fn product<
         let (at, gamma) = pipeline.next::<LINEAR>(q, bars, x, turn);
         let &Bar::<V::Scalar> { a, b, .. } = bar;
         let turns = [turn[a].rounded(x[a][2]), turn[b].rounded(x[b][2])];
-        let reaction = reaction::<V, LINEAR, LAWS>(model, bar, at, gamma, &mut { zero });
+        let reaction = reaction::<V, LINEAR, CONTACT>(model, bar, at, gamma, &mut { zero });
         if GRADIENT {
             reaction.add_to(g, bar);
         }
-        let tangent = reaction.tangent::<LINEAR, LAWS>(model, bar, [w[a], w[b]]);
+        let tangent = reaction.tangent::<LINEAR, CONTACT>(bar, [w[a], w[b]]);
         let [fx, fy] = tangent.force;
         let [hx, hy, ht] = h[a];
         h[a] = [hx + fx, hy + fy, ht - tangent.moments[0]];
@@ -235,7 +228,7 @@ pub fn product<
             omega.mul_sub_from(gy, s.mul_sub_from(ty, c1.mul_sub_from(tx, to[0]))),
             omega.mul_add(gx, s.mul_add(tx, c1.mul_sub_from(ty, to[1]))),
         ];
-        if LAWS {
+        if CONTACT {
             let to = &mut shape.voids[bar.index];
             *to = [to[0] + tangent.voids[0], to[1] + tangent.voids[1]];
         }
@@ -244,7 +237,7 @@ pub fn product<
             for k in 0..3 {
                 to[k] = reaction.strains[k].mul_add(tangent.strains[k], to[k]);
             }
-            if LAWS && let Some(contact) = model.contact {
+            if CONTACT && let Some(contact) = model.contact {
                 // ∂E_c/∂ψ is k_c times what does not depend on it
                 let turned = tangent.strains[2] * V::splat(1.0 / contact.stiffness);
                 let moment = reaction.contact[1].0 - reaction.contact[0].0;
@@ -256,7 +249,7 @@ pub fn product<
 
 /// What Maxwell's branches do where units are held at `x`: adds the gradient of their energies, `reach` times it, to `g` and lets
 /// the strains `past` of their dashpots, one entry a ligament, come to a part 1 − `keep` of the way after the ligaments'. They are
-/// linear, those of hinges too.
+/// linear.
 #[inline(always)]
 pub fn relax<V: Vector, const LINEAR: bool>(
     bars: &[Bar<V::Scalar>],
@@ -432,9 +425,9 @@ impl<V: Vector> Pipeline<V> {
     }
 }
 
-/// What a ligament does there, with contact and hinge.
+/// What a ligament does there, with contact.
 #[inline(always)]
-fn reaction<V: Vector, const LINEAR: bool, const LAWS: bool>(
+fn reaction<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     model: &Model,
     bar: &Bar<V::Scalar>,
     at: Kinematics<V>,
@@ -473,11 +466,7 @@ fn reaction<V: Vector, const LINEAR: bool, const LAWS: bool>(
         shear = V::splat(0.5) * twist;
         of.strains = [at.size - V::of(length), V::of(length) * gamma, relative];
     }
-    if LAWS && let Some(hinge) = model.hinge {
-        of.strains[2] = hinge_moment(bar, hinge, relative);
-        bend = V::of(k_t) * of.strains[2];
-    }
-    if LAWS && let Some(contact) = model.contact {
+    if CONTACT && let Some(contact) = model.contact {
         // ψ₁ falls and ψ₂ rises with θ_b − θ_a
         let psi = [V::of(bar.voids[0]) - relative, V::of(bar.voids[1]) + relative];
         for (s, sign) in [(0, -1.0), (1, 1.0)] {
@@ -520,9 +509,8 @@ impl<V: Vector> Reaction<V> {
     /// δg = stretch δd + side δd⊥ + k_l l₀/|d| ρ d + (k_s l₀² δγ/|d|² − 2 side ρ) d⊥
     /// ```
     #[inline(always)]
-    fn tangent<const LINEAR: bool, const LAWS: bool>(
+    fn tangent<const LINEAR: bool, const CONTACT: bool>(
         &self,
-        model: &Model,
         bar: &Bar<V::Scalar>,
         [wa, wb]: [[V; 3]; 2],
     ) -> ReactionTangent<V> {
@@ -550,10 +538,7 @@ impl<V: Vector> Reaction<V> {
         }
         let mut bend = V::of(bar.stiffness[2]) * relative;
         let mut voids = [zero; 2];
-        if LAWS && let Some(hinge) = model.hinge {
-            bend = bend * hinge_slope(bar, hinge, self.at.relative);
-        }
-        if LAWS {
+        if CONTACT {
             for (s, sign) in [(0, -1.0), (1, 1.0)] {
                 voids[s] = V::splat(sign) * self.contact[s].1 * relative;
                 bend = V::splat(sign).mul_add(voids[s], bend);
@@ -570,20 +555,6 @@ impl<V: Vector> Reaction<V> {
         let turned = omega * lever[0].mul_add(self.force[0], lever[1] * self.force[1]);
         lever[0].mul_sub_from(along[1], lever[1].mul_add(along[0], turned))
     }
-}
-
-/// Moment of a hinge by k_θ: Δθ (1 + a Δθ + b Δθ²).
-#[inline(always)]
-fn hinge_moment<V: Vector>(bar: &Bar<V::Scalar>, hinge: Hinge, turned: V) -> V {
-    let more = V::splat(hinge.cubic).mul_add(turned, V::of(bar.quadratic));
-    (more * turned).mul_add(turned, turned)
-}
-
-/// Its derivative: 1 + 2a Δθ + 3b Δθ².
-#[inline(always)]
-fn hinge_slope<V: Vector>(bar: &Bar<V::Scalar>, hinge: Hinge, turned: V) -> V {
-    let more = V::splat(3.0 * hinge.cubic).mul_add(turned, V::splat(2.0) * V::of(bar.quadratic));
-    more.mul_add(turned, V::splat(1.0))
 }
 
 /// E_c of a void angle.

@@ -1,6 +1,6 @@
 //! A scene with a design, in the form that the kernels read.
 
-use super::{Contact, Hinge, Inertia, Outcome, Panel, Parameters, Parts, Scene, Stiffness, Strike};
+use super::{Contact, Inertia, Outcome, Panel, Parameters, Parts, Scene, Stiffness, Strike};
 use crate::body::{End, Geometry, void_angles_vjp};
 use crate::lanes::Scalar;
 use std::f64::consts::{FRAC_PI_2, TAU};
@@ -44,29 +44,12 @@ pub struct Bar<S = f64> {
     pub twist: S,
     /// Void angles at rest, on the branch [−π/2, 3π/2).
     pub voids: [S; 2],
-    /// a of its hinge for Δθ = θ_b − θ_a; 0 in a scene without.
-    pub quadratic: S,
 }
 
 impl Bar {
     /// Rounded to a kernel's scalar.
     pub fn rounded<S: Scalar>(&self) -> Bar<S> {
-        let Self {
-            index,
-            a,
-            b,
-            node_a,
-            node_b,
-            arm_a,
-            arm_b,
-            e,
-            length,
-            tension,
-            twist,
-            voids,
-            quadratic,
-            ..
-        } = *self;
+        let Self { index, a, b, node_a, node_b, arm_a, arm_b, e, length, tension, twist, voids, .. } = *self;
         Bar {
             index,
             a,
@@ -84,7 +67,6 @@ impl Bar {
             tension: S::from_f64(tension),
             twist: S::from_f64(twist),
             voids: voids.map(S::from_f64),
-            quadratic: S::from_f64(quadratic),
         }
     }
 }
@@ -98,8 +80,6 @@ pub struct Model {
     pub ligaments: usize,
     /// Contact.
     pub contact: Option<Contact>,
-    /// How hinges bend.
-    pub hinge: Option<Hinge>,
     /// 1/(m, m, J) of each unit; zero where held, next to it where driven.
     pub inverse_mass: Vec<[f64; 3]>,
     /// C (N·s/mm, N·s/mm, N·mm·s).
@@ -168,7 +148,6 @@ impl Model {
                 tension: stiffness[0] * length,
                 twist: stiffness[1] * length * length,
                 voids: voids.map(branch),
-                quadratic: scene.hinge.map_or(0.0, |hinge| layout.sense(l) * hinge.quadratic),
             }
         };
         let bars = layout.ligaments.iter().zip(&voids).enumerate().map(bar).collect();
@@ -193,7 +172,6 @@ impl Model {
             bars,
             ligaments: layout.ligaments.len(),
             contact: scene.contact,
-            hinge: scene.hinge,
             inverse_mass,
             damping: damping(scene),
             driven,

@@ -1,7 +1,7 @@
 //! Motion where ligaments relax: beside each of k_l, k_s, k_θ stand a spring g k and a dashpot in series (Maxwell's branch).
 //!
 //! ```text
-//! σ = k ε + g k (ε − q),   τ q̇ = ε − q           ε = Δl, l₀γ, Δθ of each ligament, q = 0 at rest; a hinge's law is for k alone
+//! σ = k ε + g k (ε − q),   τ q̇ = ε − q           ε = Δl, l₀γ, Δθ of each ligament, q = 0 at rest
 //! kick b:  M δv = −b h (∂U − f) − Bᵀ g k (ε − q) τ (1 − e),   q → ε − (ε − q) e,   e = exp(−b h/τ),   B = ∂ε/∂s
 //! ```
 //! Both parts of a kick are exact while units are held; drifts are those of `splitting`. As the kick's force has a memory the

@@ -25,17 +25,6 @@ pub struct Contact {
     pub cutoff_angle: f64,
 }
 
-/// Ligaments that bend as hinges: of moment k_θ δ (1 + a δ + b δ²) and energy k_θ (½ δ² + ⅓ a δ³ + ¼ b δ⁴), δ being Δθ in the
-/// sense in which units turn in the initial design (`Layout::sense`). Where a² > 4b there is a second rest, at the root of
-/// 1 + a δ + b δ² that is farther from 0.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Hinge {
-    /// a (1/rad).
-    pub quadratic: f64,
-    /// b (1/rad²), above 0: the energy has a least value.
-    pub cubic: f64,
-}
-
 /// The material's parameters, what is done to them, or a gradient in them.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Parameters {
@@ -216,8 +205,6 @@ pub struct Scene {
     pub inertia: Option<Vec<f64>>,
     /// Contact; a scene without does not pay for it.
     pub contact: Option<Contact>,
-    /// How ligaments bend, if not in proportion to Δθ; likewise.
-    pub hinge: Option<Hinge>,
     /// Linear strain measures.
     pub linearised: bool,
     /// Held units.
@@ -263,11 +250,6 @@ impl Scene {
         mass.iter_mut().zip(units).for_each(|(m, by)| *m *= by);
         moment.iter_mut().zip(units).for_each(|(j, by)| *j *= by);
         geometry
-    }
-
-    /// Whether moments follow more than k_θ Δθ.
-    pub(super) fn has_laws(&self) -> bool {
-        self.contact.is_some() || self.hinge.is_some()
     }
 
     /// Whether each of u, v, θ of a unit is held.

@@ -59,7 +59,7 @@ pub(super) fn hessian(model: &Model, scene: &Scene, at: &[[f64; 3]], w: &[Vec<f6
     turns::<Sse2>(&x, &mut turn);
     let (mut arms, mut voids) =
         (vec![[zero; 2]; model.geometry.arms.len()], vec![[zero; 2]; model.ligaments]);
-    let kernel = match (scene.linearised, scene.has_laws()) {
+    let kernel = match (scene.linearised, scene.contact.is_some()) {
         (false, false) => product::<Sse2, false, false, false, false>,
         (false, true) => product::<Sse2, false, true, false, false>,
         (true, _) => product::<Sse2, true, true, false, false>,

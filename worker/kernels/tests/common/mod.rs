@@ -15,7 +15,6 @@ pub fn scene(columns: usize, rows: usize, instants: usize) -> Scene {
         damping: None,
         inertia: None,
         contact: None,
-        hinge: None,
         linearised: false,
         clamped: (0..columns).collect(),
         guided: Vec::new(),

@@ -1,7 +1,7 @@
 //! Forces: where and when they act, through panels and the base, and gradients in them.
 
 use crate::common::{norm, pool, relative};
-use crate::helpers::{BISTABLE, EQUAL_STEPS, plan, pushes, shaken, small_scene, struck};
+use crate::helpers::{EQUAL_STEPS, plan, pushes, shaken, small_scene, struck};
 use metasense_kernels::body::{Geometry, Layout};
 use metasense_kernels::dynamics::{
     Accuracy, Contact, Forces, Frame, Method, Moves, Outcome, Panel, Plan, Precision, Scene, Simulation,
@@ -196,8 +196,7 @@ fn gradients_in_the_forces_pass_a_taylor_test() {
     let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
     let base = small_scene();
     let mut slopes = Vec::new();
-    let hinge = Some(BISTABLE);
-    for scene in [base.clone(), Scene { frame: Frame::Body, contact, hinge, ..base }] {
+    for scene in [base.clone(), Scene { frame: Frame::Body, contact, ..base }] {
         let fine = Scene { instants: 2 * scene.instants, ..scene.clone() };
         let (design, forces) = (shaken(&scene), struck(&scene, pushes(&fine, 9, 0.15)));
         for (method, steps) in [(Method::Tsit5, 0), (Method::Leapfrog, 120), (Method::Nystrom6, 12)] {

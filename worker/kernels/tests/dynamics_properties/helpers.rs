@@ -2,7 +2,7 @@
 
 use crate::common::{norm, pool, scene};
 use metasense_kernels::dynamics::{
-    Accuracy, Contact, Forces, Hinge, Method, Outcome, Panel, Plan, Scene, Solver, Tolerance, run, simulate,
+    Accuracy, Contact, Forces, Method, Outcome, Panel, Plan, Scene, Solver, Tolerance, run, simulate,
 };
 use std::f64::consts::TAU;
 
@@ -17,9 +17,6 @@ pub fn small_scene() -> Scene {
         ..scene(3, 3, 20)
     }
 }
-
-/// With a second rest at ½ rad, beyond a hill at ⅕, where its energy is lower than at 0.
-pub const BISTABLE: Hinge = Hinge { quadratic: -7.0, cubic: 10.0 };
 
 /// Smooth pushes of up to `amplitude` N, another for each sample and panel.
 pub fn pushes(scene: &Scene, samples: usize, amplitude: f64) -> Forces {
@@ -62,15 +59,10 @@ pub fn plan(method: Method, steps: usize) -> Plan {
 pub const EQUAL_STEPS: [(Method, f64, usize); 3] =
     [(Method::Leapfrog, 2.0, 64), (Method::Nystrom4, 4.0, 36), (Method::Nystrom6, 6.0, 12)];
 
-/// The scene plain, in contact, with hinges and of linear measures.
-pub fn of_every_law(base: Scene) -> [Scene; 4] {
+/// The scene plain, in contact and of linear measures.
+pub fn of_every_law(base: Scene) -> [Scene; 3] {
     let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
-    [
-        base.clone(),
-        Scene { contact, ..base.clone() },
-        Scene { hinge: Some(BISTABLE), ..base.clone() },
-        Scene { linearised: true, ..base },
-    ]
+    [base.clone(), Scene { contact, ..base.clone() }, Scene { linearised: true, ..base }]
 }
 
 /// What runs at and beyond the limit of stability come to.

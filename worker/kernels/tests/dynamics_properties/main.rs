@@ -6,13 +6,10 @@ mod driven;
 mod forces;
 mod guided;
 mod helpers;
-mod hinges;
 mod pressed;
 
 use common::{norm, pool, relative, scene};
-use helpers::{
-    BISTABLE, EQUAL_STEPS, by_too_few_steps, of_every_law, plan, pushes, shaken, small_scene, struck,
-};
+use helpers::{EQUAL_STEPS, by_too_few_steps, of_every_law, plan, pushes, shaken, small_scene, struck};
 use metasense_kernels::body::{Geometry, Layout, Pattern};
 use metasense_kernels::dynamics::{
     Accuracy, Contact, Energy, Forces, Frame, Inertia, Method, Mount, Outcome, Panel, Parameters, Parts,
@@ -32,7 +29,6 @@ fn every_width_computes_the_same() {
     for scene in [
         base.clone(),
         Scene { linearised: true, ..base.clone() },
-        Scene { hinge: Some(BISTABLE), ..base.clone() },
         Scene { frame: Frame::Body, contact: Some(contact), ..base },
     ] {
         let (design, forces) = (shaken(&scene), struck(&scene, pushes(&scene, 11, 0.4)));
@@ -73,7 +69,6 @@ fn steps_in_single_precision_are_those_in_double() {
     for scene in [
         base.clone(),
         Scene { linearised: true, ..base.clone() },
-        Scene { hinge: Some(BISTABLE), ..base.clone() },
         Scene { frame: Frame::Body, contact: Some(contact), ..base },
     ] {
         let (design, forces) = (shaken(&scene), pushes(&scene, 19, 0.4));
@@ -287,7 +282,6 @@ fn a_pilot_keeps_the_accuracy_asked() {
         ("stiff", Scene { stiffness: Stiffness { stretch: 300.0, ..base.stiffness }, ..base.clone() }),
         ("damped", Scene { damping_ratio: 0.5, ..base.clone() }),
         ("contact", Scene { contact, ..base.clone() }),
-        ("hinge", Scene { hinge: Some(BISTABLE), ..base.clone() }),
         ("body frame", Scene { frame: Frame::Body, ..base.clone() }),
         ("linearised", Scene { linearised: true, ..base }),
     ] {

@@ -1,7 +1,7 @@
 //! Bodies whose held units have been moved before a sample: where they begin, and how that follows the design.
 
 use crate::common::{pool, relative};
-use crate::helpers::{BISTABLE, EQUAL_STEPS, plan, pushes, shaken, small_scene};
+use crate::helpers::{EQUAL_STEPS, plan, pushes, shaken, small_scene};
 use metasense_kernels::body::Layout;
 use metasense_kernels::dynamics::{
     Contact, Forces, Frame, Method, Mount, Moves, Outcome, Panel, Parameters, Plan, Precision, Relaxation,
@@ -82,7 +82,6 @@ fn gradients_follow_the_start() {
         Scene { frame: Frame::Body, mount: Some(Mount { offset: [1.5, -2.0], tilt: 0.4 }), ..base.clone() },
         Scene { contact, ..base.clone() },
         Scene { linearised: true, ..base.clone() },
-        Scene { hinge: Some(BISTABLE), ..base.clone() },
         Scene { panels: vec![driven, base.panels[1]], ..base.clone() },
         Scene { panels: vec![base.panels[0], shaken_base], ..base },
         Scene { panels: vec![Panel { node: Some(1), ..base.panels[0] }, shaken_base], ..guided(0.05) },
@@ -135,7 +134,7 @@ fn gradients_follow_the_start() {
 /// What a direction does to the signals, by dual numbers of their own, is the transpose of the gradient.
 #[test]
 fn the_two_derivatives_are_transposes() {
-    let scene = Scene { hinge: Some(BISTABLE), ..guided(0.05) };
+    let scene = guided(0.05);
     let (design, forces) = (shaken(&scene), pushes(&scene, 2, 0.3));
     let direction: Vec<f64> = (0..design.len()).map(|i| (2.3 * i as f64).cos()).collect();
     let parameters = Parameters { stretch: 0.7, shear: -0.1, bend: 0.4, ..Parameters::default() };
@@ -170,7 +169,7 @@ fn the_two_derivatives_are_transposes() {
 /// Small motions are those about where samples begin.
 #[test]
 fn the_linearisation_is_about_the_start() {
-    let scene = Scene { hinge: Some(BISTABLE), ..guided(0.05) };
+    let scene = guided(0.05);
     let design = shaken(&scene);
     let (rest, start) = (Rest::new(&scene, &design), start(&scene, &design).unwrap());
     let unknown = |i: usize| (rest.unknowns[i] / 3, rest.unknowns[i] % 3);
@@ -230,29 +229,17 @@ fn a_body_that_may_be_nowhere_comes_to_no_rest() {
 /// thousand times what the blow brings.
 #[test]
 fn weak_blows_on_a_pressed_body_are_heard() {
-    for hinge in [None, Some(BISTABLE)] {
-        let scene = Scene { hinge, ..pressed(0.08) };
-        let (design, forces) = (shaken(&scene), pushes(&scene, 3, 0.003));
-        let [single, double] = [Precision::Single, Precision::Double].map(|precision| {
-            let run = run(
-                &scene,
-                &design,
-                &forces,
-                &Plan { precision, ..plan(Method::Nystrom6, 24) },
-                true,
-                &pool(1),
-            );
-            assert_eq!(
-                (&run.outcomes[..], run.counters.rejected),
-                (&[Outcome::Ok; 3][..], 0),
-                "{precision:?}"
-            );
-            let gradient = run.vjp(&run.signals, Wrt::Design, &pool(1)).design;
-            (run.signals, gradient)
-        });
-        let off = [relative(&single.0, &double.0), relative(&single.1, &double.1)];
-        assert!(off[0] < 3e-2 && off[1] < 3e-2, "{off:?}");
-    }
+    let scene = pressed(0.08);
+    let (design, forces) = (shaken(&scene), pushes(&scene, 3, 0.003));
+    let [single, double] = [Precision::Single, Precision::Double].map(|precision| {
+        let run =
+            run(&scene, &design, &forces, &Plan { precision, ..plan(Method::Nystrom6, 24) }, true, &pool(1));
+        assert_eq!((&run.outcomes[..], run.counters.rejected), (&[Outcome::Ok; 3][..], 0), "{precision:?}");
+        let gradient = run.vjp(&run.signals, Wrt::Design, &pool(1)).design;
+        (run.signals, gradient)
+    });
+    let off = [relative(&single.0, &double.0), relative(&single.1, &double.1)];
+    assert!(off[0] < 3e-2 && off[1] < 3e-2, "{off:?}");
 }
 
 /// Ligaments that relax have done so when a sample begins.

@@ -7,7 +7,7 @@
 //! In f64 throughout: 20 products of an indefinite H amplify every rounding.
 
 use super::Implicit;
-use crate::brain::{self, Curvature, Data, Policy, Workspace};
+use crate::brain::{self, Curvature, Data, Workspace};
 
 /// Tolerance ‖r‖ ≤ 1e-7 ‖b‖ and limit of 20, the paper's.
 const TOLERANCE: f64 = 1e-7;
@@ -17,7 +17,6 @@ const PRODUCTS_MAX: usize = 20;
 pub(super) fn implicit_term(
     [train, test]: &[Data<f64>; 2],
     weights: &[f32],
-    policy: Policy,
     pool: &crate::Pool,
 ) -> (Vec<f64>, Implicit) {
     let mut workspace = Workspace::<f64>::new(train.shape(), pool.width());
@@ -25,9 +24,8 @@ pub(super) fn implicit_term(
     let mut b = vec![0.0; weights.len()];
     brain::loss_gradient(&weights, test.all(), &mut b, &mut workspace, pool);
     let curvature = Curvature::new(&weights, train.all(), &mut workspace, pool);
-    let solve = brain::solve_implicit(&curvature, &b, policy, TOLERANCE, PRODUCTS_MAX, &mut workspace, pool);
+    let solve = brain::solve_implicit(&curvature, &b, 0.0, TOLERANCE, PRODUCTS_MAX, &mut workspace, pool);
     let found = Implicit {
-        policy,
         iterations: solve.iterations,
         residual: solve.residual,
         smallest_curvature: solve.smallest_curvature,

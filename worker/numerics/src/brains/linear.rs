@@ -7,7 +7,6 @@
 use super::ridge::{self, Part};
 use super::{FitOn, Implicit, Learned, Learner, Learnt, Loss};
 use crate::Pool;
-use crate::brain::Policy;
 use crate::brain::linear::{self, Lags, Linear, Moments, Normal, Order, Sizes};
 use crate::trial::{
     Counters, Decoder, Ridge, Samples, Scales, Trial, Trouble, error_of_each, mean_error, pick,
@@ -273,7 +272,6 @@ impl Learner for LinearLearner<'_> {
         &mut self,
         train: &Samples,
         test: &Samples,
-        _: Policy,
         _: &mut Counters,
     ) -> (Vec<f64>, Option<Implicit>) {
         let [train, test] = [train, test].map(|samples| self.plain(samples));

@@ -30,7 +30,7 @@ pub use records::{Records, Unseen};
 pub(crate) use stacked::Stack;
 pub(crate) use stacked::predict_on;
 
-use crate::brain::{Adam, Architecture, Policy, SolveOutcome};
+use crate::brain::{Adam, Architecture, SolveOutcome};
 use crate::trial::{BrainKind, Counters, Decoder, Problem, Samples, Scales, Schedule, Trial, Trouble};
 
 /// How a brain that reads is made.
@@ -181,8 +181,6 @@ pub(crate) enum Loss {
 /// The linear system of the implicit term.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Implicit {
-    /// What stood for the inverse.
-    pub policy: Policy,
     /// Conjugate-gradient iterations.
     pub iterations: usize,
     /// ‖r‖/‖b‖ at the end.
@@ -222,7 +220,6 @@ pub(crate) trait Learner {
         &mut self,
         train: &Samples,
         test: &Samples,
-        policy: Policy,
         counters: &mut Counters,
     ) -> (Vec<f64>, Option<Implicit>);
 

@@ -2,7 +2,7 @@
 
 use super::stacked::Stack;
 use super::{FitOn, Implicit, Learned, Learner, Learnt, Loss, Reader, Recipe, implicit};
-use crate::brain::{self, Adam, Batch, Data, Policy, Shape, TrainOutcome, Workspace};
+use crate::brain::{self, Adam, Batch, Data, Shape, TrainOutcome, Workspace};
 use crate::trial::{BrainKind, Counters, Going, Protocol, Samples, Scales, Training, Trial, Trouble};
 
 /// Initial weights of readers are numbered from here, out of the way of the outer steps'.
@@ -219,10 +219,7 @@ impl<'a> NetworkLearner<'a> {
 
     fn going(&self) -> Going {
         match self.trial.problem.optimise.protocol {
-            Protocol::Envelope(going)
-            | Protocol::Joint(going)
-            | Protocol::Random(going)
-            | Protocol::Cmaes(going) => going,
+            Protocol::Envelope(going) | Protocol::Joint(going) | Protocol::Random(going) => going,
             Protocol::Paper(_) => panic!("the paper's networks are fresh"),
         }
     }
@@ -371,11 +368,10 @@ impl Learner for NetworkLearner<'_> {
         &mut self,
         train: &Samples,
         test: &Samples,
-        policy: Policy,
         counters: &mut Counters,
     ) -> (Vec<f64>, Option<Implicit>) {
         let data = [self.data::<f64>(train), self.physical_data::<f64>(test)];
-        let (inputs, found) = implicit::implicit_term(&data, &self.weights, policy, self.trial.pool);
+        let (inputs, found) = implicit::implicit_term(&data, &self.weights, self.trial.pool);
         counters.hessian_products += found.iterations as u64;
         (self.trial.network_scales.inputs_vjp(&inputs), Some(found))
     }

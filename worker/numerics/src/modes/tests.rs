@@ -18,7 +18,6 @@ fn scene(layout: Layout, clamped: Vec<usize>) -> Scene {
         damping: None,
         inertia: None,
         contact: None,
-        hinge: None,
         linearised: false,
         clamped,
         guided: Vec::new(),

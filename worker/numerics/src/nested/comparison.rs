@@ -38,14 +38,6 @@ pub(super) fn compared(trial: &Trial, mut state: State, observer: &mut dyn Obser
     let both = [(initial, &problem.solver), (&design, &tuned.solver)];
     let both = both.map(|(design, solver)| Mould { trial, design, solver });
     let moulds = problem.compared(&both);
-    // earlier versions compared a body that nothing has moved twice
-    if state.comparison.bodies.len() > moulds.len() {
-        let Comparison { bodies: compared, casts, bands, training, .. } = &mut state.comparison;
-        compared.truncate(moulds.len());
-        casts.truncate(moulds.len());
-        bands.truncate(moulds.len());
-        *training = None;
-    }
     for (turn, mould) in moulds.iter().enumerate() {
         evaluate(mould, turn, &mut state, &mut log)?;
     }

@@ -4,7 +4,7 @@
 //! paper     β*(A_train) afresh        dL_test/dα, direct and through β*
 //! envelope  β goes on, on A_train     dL_train/dα at fixed β, from a subset of samples
 //! joint     β goes on, on fresh f     dL_train/dα at fixed β, on samples drawn for the step alone
-//! random, cmaes                       no gradient: the test error of a candidate
+//! random                              no gradient: the test error of a candidate
 //! ```
 //! In `joint` nothing is seen twice, so nothing is over-fitted.
 
@@ -61,19 +61,15 @@ impl<'a> Session<'a> {
                 Some(Casting { reader: CastReader::Each, .. }) => self.joint_each(state, going, log),
                 _ => self.joint(state, going, log),
             },
-            Protocol::Random(_) | Protocol::Cmaes(_) => self.candidate(state, log),
+            Protocol::Random(_) => self.candidate(state, log),
         }
     }
 
     fn paper(&mut self, state: &mut State, terms: Terms, log: &mut Log) -> Result<Sensed, Trouble> {
         let trial = self.trial;
-        let (direct, through_brain) = match terms {
-            Terms::Implicit(policy) => (true, Some(policy)),
-            Terms::Direct => (true, None),
-            Terms::ImplicitOnly(policy) => (false, Some(policy)),
-        };
-        // A(α), with a tape only where a gradient is asked for
-        let tapes = [through_brain.is_some(), direct];
+        let through_brain = terms == Terms::Implicit;
+        // A(α), with a tape only where a gradient is needed
+        let tapes = [through_brain, true];
         let (sets, solver) = ([&trial.train, &trial.test], trial.problem.solver);
         let [train, test] = self.simulate(state, sets, tapes, solver, log)?;
 
@@ -83,22 +79,18 @@ impl<'a> Session<'a> {
         // dL_test/dα, directly
         let (loss_test, cotangent) = self.cotangent(&test.samples, Loss::Test, log);
         log.report.loss_test = loss_test;
-        let mut found = Vec::new();
-        if direct {
-            found.push(self.vjp(&test, cotangent, log)?);
-        }
+        let mut gradient = self.vjp(&test, cotangent, log)?;
 
         // and through β*
-        if let Some(policy) = through_brain {
+        if through_brain {
             let (cotangent, solved) = log.timed(
                 |s| &mut s.implicit,
-                |report| self.learner.implicit(&train.samples, &test.samples, policy, &mut report.counters),
+                |report| self.learner.implicit(&train.samples, &test.samples, &mut report.counters),
             );
             log.report.implicit = solved;
-            found.push(self.vjp(&train, cotangent, log)?);
+            let implicit = self.vjp(&train, cotangent, log)?;
+            gradient.iter_mut().zip(implicit).for_each(|(g, i)| *g += i);
         }
-        let sum = |a: Vec<f64>, b: Vec<f64>| a.iter().zip(b).map(|(a, b)| a + b).collect();
-        let gradient = found.into_iter().reduce(sum).expect("a term at least");
         let error_test = self.test_error(&test.samples, log);
         Ok(Sensed { gradient, loss_train, error_test })
     }

@@ -1,12 +1,9 @@
-//! Searches without a gradient, as baselines: every candidate is made castable and read, and the best is kept.
+//! Search without a gradient, as a baseline: every candidate is made castable and read, and the best is kept.
 //!
 //! ```text
-//! α = Π(α₀ + P z)     random: z ~ N(0, σ²)     cmaes: z of CMA-ES from σ on     fitness = e_test · (1 + (lost/asked)²)
+//! α = Π(α₀ + P z)     z ~ N(0, σ²)     fitness = e_test · (1 + (lost/asked)²)
 //! ```
-//! with what the projection took of a candidate's way as lost: CMA-ES goes on from where it asked, not from where it was
-//! put. A step reads one candidate, the first one the initial body.
-
-mod evolution;
+//! with what the projection took of a candidate's way as lost. A step reads one candidate, the first one the initial body.
 
 use super::observe::Log;
 use super::protocol::Sensed;
@@ -14,53 +11,28 @@ use super::state::{State, norm};
 use crate::body::Freedom;
 use crate::feasible::Feasible;
 use crate::random::{Purpose, Stream};
-use crate::trial::{Failure, Problem, Protocol, Trouble};
-use evolution::Evolution;
+use crate::trial::{Failure, Problem, Trouble};
 
 /// The candidates of a search at work.
 pub(super) struct GradientFree<'a> {
     problem: &'a Problem,
     freedom: Freedom,
-    evolution: Option<Evolution>,
 }
 
 impl<'a> GradientFree<'a> {
-    /// The problem's, where its protocol is one, as far as it had come with what `found` holds.
-    pub(super) fn new(problem: &'a Problem, found: &[f64]) -> Option<Self> {
-        let freedom = problem.freedom();
-        let evolution = match problem.optimise.protocol {
-            Protocol::Random(_) => None,
-            Protocol::Cmaes(_) => {
-                Some(Evolution::new(freedom.parameters(), problem.optimise.rate, problem.seed))
-            }
-            _ => return None,
-        };
-        let mut search = Self { problem, freedom, evolution };
-        found.iter().for_each(|fitness| search.tell(*fitness));
-        Some(search)
+    /// The problem's, where its protocol is one.
+    pub(super) fn new(problem: &'a Problem) -> Option<Self> {
+        problem.optimise.protocol.is_search().then(|| Self { problem, freedom: problem.freedom() })
     }
 
-    fn tell(&mut self, fitness: f64) {
-        if let Some(evolution) = &mut self.evolution {
-            evolution.tell(fitness);
-        }
-    }
-
-    /// The candidate after so many, as it is asked for.
+    /// The candidate after so many.
     fn target(&self, number: usize) -> Vec<f64> {
-        let coordinates = self.freedom.coordinates();
-        let drawn = match &self.evolution {
-            Some(evolution) => {
-                debug_assert_eq!(evolution.told(), number as u64);
-                evolution.ask()
-            }
-            None => {
-                let mut stream = Stream::new(Purpose::Search, self.problem.seed, [number as u64, 0]);
-                coordinates.iter().map(|_| self.problem.optimise.rate * stream.normal()).collect()
-            }
-        };
+        let mut stream = Stream::new(Purpose::Search, self.problem.seed, [number as u64, 0]);
         let mut z = vec![0.0; self.problem.initial.len()];
-        coordinates.into_iter().zip(drawn).for_each(|(i, x)| z[i] = x);
+        self.freedom
+            .coordinates()
+            .into_iter()
+            .for_each(|i| z[i] = self.problem.optimise.rate * stream.normal());
         self.problem.initial.iter().zip(self.freedom.spread(&z)).map(|(a, b)| a + b).collect()
     }
 
@@ -69,7 +41,7 @@ impl<'a> GradientFree<'a> {
     /// # Errors
     /// If the initial body could not be read.
     pub(super) fn step(
-        &mut self,
+        &self,
         sensed: Result<Sensed, Trouble>,
         state: &mut State,
         castable: &mut Feasible,
@@ -92,7 +64,6 @@ impl<'a> GradientFree<'a> {
             let [asked, lost] = [initial, &state.design].map(|from| distance(&target, from));
             let fitness = error * (1.0 + (lost / asked.max(f64::MIN_POSITIVE)).powi(2));
             state.found.push(fitness);
-            self.tell(fitness);
         }
         let target = self.target(state.found.len());
         let projection = log.timed(|s| &mut s.project, |_| castable.project(initial, &target, None));

@@ -35,7 +35,6 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
             damping: None,
             inertia: None,
             contact: None,
-            hinge: None,
             linearised: false,
             clamped: vec![0, 1, 2, 3],
             guided: Vec::new(),
@@ -129,12 +128,11 @@ pub(crate) fn on_lattices(problem: &Problem) -> Vec<(String, Problem)> {
 }
 
 pub(crate) const GOING: Going = Going { batch: 5, brain_iterations: 3, brain_rate: 1e-3 };
-const PROTOCOLS: [Protocol; 5] = [
-    Protocol::Paper(Terms::Implicit(brain::Policy::Truncate)),
+const PROTOCOLS: [Protocol; 4] = [
+    Protocol::Paper(Terms::Implicit),
     Protocol::Envelope(GOING),
     Protocol::Joint(GOING),
     Protocol::Random(GOING),
-    Protocol::Cmaes(GOING),
 ];
 
 /// Optimises the body of a problem, its sensors placed where they are to be searched for.
@@ -443,7 +441,7 @@ fn tied_shifts_stay_tied_and_castable() {
         let (protocol, last) = (problem.optimise.protocol, problem.scene.panels[0].unit);
         let other = (0..last).rev().find(|unit| !problem.scene.clamped.contains(unit)).expect("a unit");
         let mut problem = Problem { tie: [2, 1], frozen: vec![other], kept: vec![last], ..problem };
-        let search = matches!(protocol, Protocol::Random(_) | Protocol::Cmaes(_));
+        let search = protocol.is_search();
         (problem.optimise.rate, problem.optimise.iterations) = (if search { 5.0 } else { 2.0 }, 6);
         (problem.evaluation.seeds, problem.brain.iterations) = (1, 3);
         quicken(&mut problem);
@@ -469,42 +467,23 @@ fn tied_shifts_stay_tied_and_castable() {
 /// A search reads the initial body and then its candidates, and the best of all is the one that is kept.
 #[test]
 fn a_search_keeps_the_best_of_its_candidates() {
-    for protocol in [Protocol::Random(GOING), Protocol::Cmaes(GOING)] {
-        let mut problem = small(protocol);
-        (problem.optimise.iterations, problem.optimise.brain, problem.reader) =
-            (25, BrainKind::Linear, BrainKind::Linear);
-        problem.optimise.rate = 1.0;
-        let mut keeper = Keeper::default();
-        let found = optimise(&problem, None, &pool(2), &mut keeper).unwrap().unwrap();
-        let errors: Vec<f64> = keeper.reports.iter().map(|r| r.error_test.unwrap()).collect();
-        let least = errors.iter().copied().fold(f64::INFINITY, f64::min);
-        let at = errors.iter().position(|e| *e == least).unwrap();
-        assert_eq!(found.best_step as usize, at, "{errors:?}");
-        assert!(at > 0 && least < errors[0], "{errors:?}");
-        let last = keeper.states.last().unwrap();
-        assert_eq!(last.best.as_ref().unwrap().design, keeper.states[at - 1].design);
-        assert_eq!(last.found.len(), 24, "the first step reads the initial body");
-        let worse = last.found.iter().zip(&errors[1..]).all(|(fitness, error)| fitness >= error);
-        assert!(worse, "{:?} {errors:?}", last.found);
-    }
-}
-
-/// Both terms are the direct one and the one through the brain.
-#[test]
-fn the_terms_of_the_gradient_add_up() {
-    let policy = brain::Policy::Truncate;
-    let found = [Terms::Implicit(policy), Terms::Direct, Terms::ImplicitOnly(policy)].map(|terms| {
-        let (problem, pool) = (small(Protocol::Paper(terms)), pool(1));
-        let trial = Trial::new(&problem, &pool).unwrap();
-        let (mut state, mut keeper) = (State::new(&problem), Keeper::default());
-        let mut log = observe::Log::new(0, &mut keeper);
-        let gradient =
-            protocol::Session::new(&trial).sense(&mut state, &mut log).expect("a gradient").gradient;
-        assert!(log.report.loss_test.is_some() && gradient.iter().any(|g| g.abs() > 0.0), "{terms:?}");
-        gradient
-    });
-    let [both, direct, implicit] = &found;
-    assert!(direct.iter().zip(implicit).zip(both).all(|((d, i), both)| d + i == *both));
+    let protocol = Protocol::Random(GOING);
+    let mut problem = small(protocol);
+    (problem.optimise.iterations, problem.optimise.brain, problem.reader) =
+        (25, BrainKind::Linear, BrainKind::Linear);
+    problem.optimise.rate = 1.0;
+    let mut keeper = Keeper::default();
+    let found = optimise(&problem, None, &pool(2), &mut keeper).unwrap().unwrap();
+    let errors: Vec<f64> = keeper.reports.iter().map(|r| r.error_test.unwrap()).collect();
+    let least = errors.iter().copied().fold(f64::INFINITY, f64::min);
+    let at = errors.iter().position(|e| *e == least).unwrap();
+    assert_eq!(found.best_step as usize, at, "{errors:?}");
+    assert!(at > 0 && least < errors[0], "{errors:?}");
+    let last = keeper.states.last().unwrap();
+    assert_eq!(last.best.as_ref().unwrap().design, keeper.states[at - 1].design);
+    assert_eq!(last.found.len(), 24, "the first step reads the initial body");
+    let worse = last.found.iter().zip(&errors[1..]).all(|(fitness, error)| fitness >= error);
+    assert!(worse, "{:?} {errors:?}", last.found);
 }
 
 #[test]
@@ -758,17 +737,16 @@ fn a_loop_in_trouble_names_it_and_goes_on_from_the_body_before() {
 /// on from a state has the same networks, too.
 #[test]
 fn a_search_s_yardstick_does_not_move() {
-    for protocol in [Protocol::Random(GOING), Protocol::Cmaes(GOING)] {
-        let mut problem = small(protocol);
-        problem.optimise.iterations = 20;
-        let mut keeper = Keeper { stop_after: Some(12), ..Keeper::default() };
-        optimise(&problem, None, &pool(1), &mut keeper).unwrap();
-        let mut late = keeper.states[11].clone();
-        late.design.clone_from(&problem.initial);
-        let mut again = Keeper { stop_after: Some(1), ..Keeper::default() };
-        optimise(&problem, Some(late), &pool(1), &mut again).unwrap();
-        let (first, last) = (&keeper.reports[0], &again.reports[0]);
-        assert_eq!((last.step, first.error_test), (12, last.error_test), "{protocol:?}");
-        assert!(keeper.reports.iter().all(|report| report.counters.brain_iterations == 103), "{protocol:?}");
-    }
+    let protocol = Protocol::Random(GOING);
+    let mut problem = small(protocol);
+    problem.optimise.iterations = 20;
+    let mut keeper = Keeper { stop_after: Some(12), ..Keeper::default() };
+    optimise(&problem, None, &pool(1), &mut keeper).unwrap();
+    let mut late = keeper.states[11].clone();
+    late.design.clone_from(&problem.initial);
+    let mut again = Keeper { stop_after: Some(1), ..Keeper::default() };
+    optimise(&problem, Some(late), &pool(1), &mut again).unwrap();
+    let (first, last) = (&keeper.reports[0], &again.reports[0]);
+    assert_eq!((last.step, first.error_test), (12, last.error_test), "{protocol:?}");
+    assert!(keeper.reports.iter().all(|report| report.counters.brain_iterations == 103), "{protocol:?}");
 }

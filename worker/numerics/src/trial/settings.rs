@@ -1,7 +1,7 @@
 //! How a trial trains its body and brains: data alone.
 
+use crate::brain::Architecture;
 use crate::brain::linear::Lags;
-use crate::brain::{Architecture, Policy};
 use crate::dynamics::Solver;
 
 /// Which brain.
@@ -163,14 +163,12 @@ pub enum Protocol {
     Joint(Going),
     /// No gradient: candidates drawn about the initial body; a network starts afresh on each.
     Random(Going),
-    /// Likewise, drawn by CMA-ES.
-    Cmaes(Going),
 }
 
 impl Protocol {
     /// Whether bodies are candidates, each for itself.
     pub(crate) fn is_search(&self) -> bool {
-        matches!(self, Self::Random(_) | Self::Cmaes(_))
+        matches!(self, Self::Random(_))
     }
 }
 
@@ -189,11 +187,9 @@ pub struct Going {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Terms {
     /// Through the test signals and, by the implicit function theorem, through the trained weights.
-    Implicit(Policy),
+    Implicit,
     /// Through the test signals alone.
     Direct,
-    /// Through the trained weights alone.
-    ImplicitOnly(Policy),
 }
 
 /// The comparison at the end.

@@ -15,7 +15,6 @@ fn tangents_are_those_of_dual_numbers_and_of_the_adjoint() {
         damping: None,
         inertia: None,
         contact: None,
-        hinge: None,
         linearised: false,
         clamped: layout.bottom(),
         guided: Vec::new(),

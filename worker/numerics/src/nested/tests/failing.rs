@@ -113,7 +113,7 @@ fn the_whole_gradient_holds_where_a_training_sample_fails() {
     let (train, _) = crate::stimuli::split(3, 32, 16, false);
     let last = *train.last().expect("not empty");
     let mut problem = problem(BrainKind::Linear, &[(Purpose::Stimulus, last)], 1e200);
-    let own = linear::linear(Protocol::Paper(Terms::Implicit(brain::Policy::Truncate)));
+    let own = linear::linear(Protocol::Paper(Terms::Implicit));
     (problem.decoder, problem.optimise) = (own.decoder, own.optimise);
     problem.scene.density *= 4.0; // fewer steps
     linear::check_the_whole_gradient(problem, true);

@@ -8,13 +8,12 @@ use crate::dynamics::{Precision, planned, run};
 use crate::place::placed;
 use crate::trial::{Placing, Samples};
 
-const LINEAR: [Protocol; 6] = [
-    Protocol::Paper(Terms::Implicit(brain::Policy::Truncate)),
+const LINEAR: [Protocol; 5] = [
+    Protocol::Paper(Terms::Implicit),
     Protocol::Paper(Terms::Direct),
     Protocol::Envelope(GOING),
     Protocol::Joint(GOING),
     Protocol::Random(GOING),
-    Protocol::Cmaes(GOING),
 ];
 
 pub(super) fn linear(protocol: Protocol) -> Problem {

@@ -1,56 +1,13 @@
 //! Checks that need no reference: balance of energy, Taylor test of the gradient, and what several settings must agree on.
 
-use super::{Row, dot, norm, relative};
+use super::super::{Row, dot, norm, relative};
+use crate::reference::{bells, reference};
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Accuracy, Contact, Forces, Frame, Hinge, Inertia, Method, Mount, Panel, Parameters, Parts, Plan, Scene,
-    Simulation, Solver, Stiffness, Tangent, Tolerance, Wrt, choose, damping, energy, run, simulate,
+    Accuracy, Contact, Forces, Frame, Inertia, Method, Mount, Panel, Parameters, Parts, Plan, Scene,
+    Simulation, Solver, Tangent, Tolerance, Wrt, choose, damping, energy, run, simulate,
 };
 use metasense_numerics::random::{Purpose, Stream};
-use metasense_numerics::stimuli::{self, Bell};
-
-/// K = 2, M = 1 on 6 × 6 units: the reference scene of `MODEL.md`.
-#[must_use]
-pub fn reference() -> Scene {
-    let layout = Layout::planar(6, 6, 15.0, 2.25);
-    Scene {
-        density: 1e-8,
-        stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
-        parts: Parts::default(),
-        relaxation: None,
-        damping_ratio: 0.02,
-        damping: None,
-        inertia: None,
-        contact: None,
-        hinge: None,
-        linearised: false,
-        clamped: layout.bottom(),
-        guided: Vec::new(),
-        pressed: Vec::new(),
-        panels: [31, 34].map(|unit| Panel::central(unit, [0.0, -1.0])).to_vec(),
-        sensors: vec![21],
-        chip: None,
-        mount: None,
-        frame: Frame::World,
-        duration: 1.0,
-        instants: 200,
-        layout,
-    }
-}
-
-/// Bell pulses of the usual intervals, seed 1.
-#[must_use]
-pub fn bells(scene: &Scene, samples: u64) -> Forces {
-    let bell = Bell {
-        amplitude: [0.15, 0.5],
-        width: [0.06, 0.25],
-        onset: [0.0, 0.5],
-        peak: [0.35, 0.65],
-        power: [1.5, 4.0],
-    };
-    let (duration, instants) = (scene.duration, scene.instants);
-    stimuli::bells(&bell, Purpose::Stimulus, 1, 0..samples, scene.panels.len(), duration, instants)
-}
 
 /// A small scene on a fine clock, so that integrals over the instants are exact to well below the tolerances.
 fn fine() -> (Scene, Vec<f64>, Forces) {
@@ -241,12 +198,10 @@ fn loose(base: &Scene) -> Scene {
 fn transpose(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
     let (base, design, blow) = short();
     let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
-    let hinge = Some(Hinge { quadratic: -7.0, cubic: 10.0 });
     let scenes = [
         ("plain", base.clone(), 1),
         ("forces twice as fine", base.clone(), 2),
         ("contact, body frame", Scene { frame: Frame::Body, contact, ..base.clone() }, 1),
-        ("a hinge's law", Scene { hinge, ..base.clone() }, 1),
         ("linearised, body frame", Scene { linearised: true, frame: Frame::Body, ..base.clone() }, 1),
         ("undamped", Scene { damping_ratio: 0.0, ..base.clone() }, 1),
         ("heavily damped", Scene { damping_ratio: 0.5, ..base.clone() }, 1),

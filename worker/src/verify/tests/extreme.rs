@@ -1,8 +1,8 @@
 //! Stiff and extreme scenes, each a row with its named outcome: none may hang, panic or let a NaN into a result.
 
-use super::body::LEEWAY;
-use super::checks::{bells, reference};
-use super::{Row, norm};
+use super::super::body::LEEWAY;
+use super::super::{Row, norm};
+use crate::reference::{bells, reference};
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
     Contact, Forces, Outcome, Panel, Scene, Solver, Tolerance, Wrt, run, signal_error, simulate, tune,

@@ -1,0 +1,126 @@
+//! SQL functions that readers have beside SQLite's own: `exp`, `ln`, `pow`, `sqrt`; aggregates `median(X)` and `percentile(X, P)`.
+//! Where an argument is no number, or lies outside the domain, the result is NULL; aggregates skip NULL.
+
+use std::ffi::{CStr, c_int};
+
+use libsqlite3_sys as ffi;
+use sqlx::sqlite::SqliteConnection;
+
+type Arguments = *mut *mut ffi::sqlite3_value;
+type Function = unsafe extern "C" fn(*mut ffi::sqlite3_context, c_int, Arguments);
+
+const SCALARS: [(&CStr, c_int, Function); 4] =
+    [(c"exp", 1, exp), (c"ln", 1, ln), (c"pow", 2, pow), (c"sqrt", 1, sqrt)];
+const AGGREGATES: [(&CStr, c_int); 2] = [(c"median", 1), (c"percentile", 2)];
+
+/// Registers the functions on a connection.
+pub(super) async fn register(connection: &mut SqliteConnection) -> sqlx::Result<()> {
+    let mut handle = connection.lock_handle().await?;
+    let (db, data) = (handle.as_raw_handle().as_ptr(), std::ptr::null_mut());
+    let flags = ffi::SQLITE_UTF8 | ffi::SQLITE_DETERMINISTIC;
+    for (name, arguments, function) in SCALARS {
+        // SAFETY: the handle is locked and open; the function has no data of its own.
+        unsafe {
+            ffi::sqlite3_create_function_v2(
+                db,
+                name.as_ptr(),
+                arguments,
+                flags,
+                data,
+                Some(function),
+                None,
+                None,
+                None,
+            );
+        }
+    }
+    for (name, arguments) in AGGREGATES {
+        // SAFETY: likewise.
+        unsafe {
+            let (name, step, end) = (name.as_ptr(), Some(step as Function), Some(end as _));
+            ffi::sqlite3_create_function_v2(db, name, arguments, flags, data, None, step, end, None);
+        }
+    }
+    Ok(())
+}
+
+/// An argument, if it is a number.
+///
+/// # Safety
+/// SQLite must have passed so many arguments.
+unsafe fn number(arguments: Arguments, at: usize) -> Option<f64> {
+    // SAFETY: as above.
+    unsafe {
+        let value = *arguments.add(at);
+        let numeric =
+            [ffi::SQLITE_INTEGER, ffi::SQLITE_FLOAT].contains(&ffi::sqlite3_value_numeric_type(value));
+        numeric.then(|| ffi::sqlite3_value_double(value))
+    }
+}
+
+/// # Safety
+/// The context must be that of a call by SQLite.
+unsafe fn answer(context: *mut ffi::sqlite3_context, result: Option<f64>) {
+    match result.filter(|result| !result.is_nan()) {
+        // SAFETY: as above.
+        Some(result) => unsafe { ffi::sqlite3_result_double(context, result) },
+        // SAFETY: as above.
+        None => unsafe { ffi::sqlite3_result_null(context) },
+    }
+}
+
+macro_rules! scalar {
+    ($name:ident, |$($argument:ident),+| $result:expr) => {
+        unsafe extern "C" fn $name(context: *mut ffi::sqlite3_context, _: c_int, arguments: Arguments) {
+            let mut at = 0..;
+            // SAFETY: it is registered with so many arguments.
+            unsafe {
+                $(let $argument = number(arguments, at.next().unwrap_or_default());)+
+                answer(context, (|| { $(let $argument = $argument?;)+ $result })());
+            }
+        }
+    };
+}
+scalar!(exp, |x| Some(x.exp()));
+scalar!(ln, |x| (x > 0.0).then(|| x.ln()));
+scalar!(pow, |x, y| Some(x.powf(y)));
+scalar!(sqrt, |x| Some(x.sqrt()));
+
+/// What an aggregate has met: its values, and P of `percentile`.
+struct Values(Vec<f64>, f64);
+
+unsafe extern "C" fn step(context: *mut ffi::sqlite3_context, count: c_int, arguments: Arguments) {
+    // SAFETY: SQLite gives zeroed room for a pointer, the same for each row of a group, until `end` has been called.
+    unsafe {
+        let percent = if count == 1 { Some(50.0) } else { number(arguments, 1) };
+        let Some(percent) = percent.filter(|percent| (0.0..=100.0).contains(percent)) else {
+            let why = c"the second argument of percentile must be a number from 0 to 100";
+            return ffi::sqlite3_result_error(context, why.as_ptr(), -1);
+        };
+        let place =
+            ffi::sqlite3_aggregate_context(context, size_of::<*mut Values>() as c_int).cast::<*mut Values>();
+        if place.is_null() {
+            return ffi::sqlite3_result_error_nomem(context);
+        }
+        if (*place).is_null() {
+            *place = Box::into_raw(Box::new(Values(Vec::new(), percent)));
+        }
+        (**place).0.extend(number(arguments, 0));
+    }
+}
+
+unsafe extern "C" fn end(context: *mut ffi::sqlite3_context) {
+    // SAFETY: of size 0, SQLite gives the room that `step` has been given, or none; what lies there was boxed by it.
+    unsafe {
+        let place = ffi::sqlite3_aggregate_context(context, 0).cast::<*mut Values>();
+        if place.is_null() || (*place).is_null() {
+            return ffi::sqlite3_result_null(context);
+        }
+        let Values(mut values, percent) =
+            *Box::from_raw(std::mem::replace(&mut *place, std::ptr::null_mut()));
+        values.sort_by(f64::total_cmp);
+        let at = 0.01 * percent * values.len().saturating_sub(1) as f64;
+        let [low, high] = [at.floor(), at.ceil()].map(|at| values.get(at as usize).copied());
+        answer(context, low.zip(high).map(|(low, high)| low + (at - at.floor()) * (high - low)));
+    }
+}

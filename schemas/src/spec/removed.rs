@@ -1,0 +1,45 @@
+//! Keys and values that specs once had. A spec that has one is refused with its line of this table.
+
+/// A key, or where one is named its value, and why it was removed or what to use.
+const REMOVED: &[(&str, Option<&str>, &str)] = &[
+    (
+        "body.hinge",
+        None,
+        "removed: no result uses it; delete this key: ligaments bend in proportion to their angle",
+    ),
+    ("optimise.curvature", None, "removed: it moved no body farther; delete this key"),
+    ("optimise.damping", None, "removed with optimise.curvature; delete this key"),
+    ("optimise.gradient", Some("implicit_only"), "removed: it is half a gradient; use \"implicit\""),
+    (
+        "optimise.placement",
+        None,
+        "removed: no benefit; delete this key: sensors stay where sensors.search puts them",
+    ),
+    (
+        "optimise.protocol",
+        Some("cmaes"),
+        "removed: a search of so many parameters ends with it where it began; use \"joint\", or \"random\" as a baseline",
+    ),
+    ("optimise.protocol", Some("warm"), "removed: no benefit; use \"joint\", or \"envelope\""),
+    (
+        "run.prune",
+        None,
+        "removed: it left the better seeds of each setting, and every interval was one of theirs; delete this key",
+    ),
+    ("sensors.search", Some("d_optimal"), "removed: no benefit; use \"greedy\""),
+    ("sensors.search", Some("pivots"), "removed: no benefit; use \"greedy\""),
+    ("solver.method", Some("implicit"), "removed: \"auto\" was cheaper in every scene; use \"auto\""),
+    (
+        "optimise.coarse.method",
+        Some("implicit"),
+        "removed: \"auto\" was cheaper in every scene; use \"auto\"",
+    ),
+];
+
+/// Why a key, or its value as it is written, is refused, and what to use.
+#[must_use]
+pub fn removed(key: &str, value: &str) -> Option<&'static str> {
+    let is = |name: &str| key.strip_prefix(name).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
+    let named = |given: Option<&str>| given.is_none_or(|given| value.contains(&format!("\"{given}\"")));
+    REMOVED.iter().find(|(name, given, _)| is(name) && named(*given)).map(|(.., why)| *why)
+}

@@ -1,0 +1,48 @@
+//! The reference scene of `MODEL.md` and forces for it: what the pace of a machine is measured on, and what benches and checks compare.
+
+use metasense_numerics::body::Layout;
+use metasense_numerics::dynamics::{Forces, Frame, Panel, Parts, Scene, Stiffness};
+use metasense_numerics::random::Purpose;
+use metasense_numerics::stimuli::{self, Bell};
+
+/// K = 2, M = 1 on 6 × 6 units: the reference scene of `MODEL.md`.
+#[must_use]
+pub fn reference() -> Scene {
+    let layout = Layout::planar(6, 6, 15.0, 2.25);
+    Scene {
+        density: 1e-8,
+        stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
+        parts: Parts::default(),
+        relaxation: None,
+        damping_ratio: 0.02,
+        damping: None,
+        inertia: None,
+        contact: None,
+        linearised: false,
+        clamped: layout.bottom(),
+        guided: Vec::new(),
+        pressed: Vec::new(),
+        panels: [31, 34].map(|unit| Panel::central(unit, [0.0, -1.0])).to_vec(),
+        sensors: vec![21],
+        chip: None,
+        mount: None,
+        frame: Frame::World,
+        duration: 1.0,
+        instants: 200,
+        layout,
+    }
+}
+
+/// Bell pulses of the usual intervals, seed 1.
+#[must_use]
+pub fn bells(scene: &Scene, samples: u64) -> Forces {
+    let bell = Bell {
+        amplitude: [0.15, 0.5],
+        width: [0.06, 0.25],
+        onset: [0.0, 0.5],
+        peak: [0.35, 0.65],
+        power: [1.5, 4.0],
+    };
+    let (duration, instants) = (scene.duration, scene.instants);
+    stimuli::bells(&bell, Purpose::Stimulus, 1, 0..samples, scene.panels.len(), duration, instants)
+}
