@@ -562,7 +562,7 @@ const TABLES: &[(&str, &str)] = &[
     ),
     (
         "[variation]\nnodes = 0.1\n[optimise]\nprotocol = \"paper\"\nobjective = \"worst\"",
-        "s.toml:17: optimise.objective = \"worst\": means nothing to this optimise.protocol, only to joint",
+        "s.toml:17: optimise.objective = \"worst\": means nothing to this optimise.protocol, only to envelope and joint",
     ),
     (
         "[variation]\nnodes = 0.1\n[optimise]\nobjective = { cvar = 1.5 }",
@@ -602,7 +602,7 @@ const TABLES: &[(&str, &str)] = &[
     ("[optimise]\nfrozen = [99]", "s.toml:14: optimise.frozen = 99: the layout's units are 0 to 35"),
     (
         "[optimise]\nprotocol = \"random\"\nbatch = 4",
-        "s.toml:15: optimise.batch = 4: means nothing to this optimise.protocol, only to joint",
+        "s.toml:15: optimise.batch = 4: means nothing to this optimise.protocol, only to envelope and joint",
     ),
     (
         "[optimise]\nprotocol = \"random\"\ngradient = \"direct\"",

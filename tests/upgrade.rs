@@ -92,7 +92,7 @@ fn older_databases_are_refused() {
     for words in [
         &["query", "old.sqlite", "SELECT 1"][..],
         &["run", "tiny.toml", "--db", "old.sqlite"],
-        &["merge", "old.sqlite", "--out", "new.sqlite"],
+        &["cluster", "merge", "old.sqlite", "--out", "new.sqlite"],
     ] {
         let ended = bench.metasense(words);
         let said = String::from_utf8_lossy(&ended.stderr).into_owned();
