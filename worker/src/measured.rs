@@ -33,7 +33,7 @@ pub struct Measured {
 impl Measured {
     /// What a user should know of signals that were resampled.
     pub fn note(&self, trial: &TrialSpec) -> Option<String> {
-        let (rate, spec::Time { duration, samples, .. }) = (self.resampled?, trial.time.clone());
+        let (rate, spec::Time { duration, samples, .. }) = (self.resampled?, trial.time);
         Some(format!(
             "signals of {rate:.4} readings per second are resampled onto time.samples = {samples} in {duration} s; aliased signals are \
              wrong between readings. Set time.samples = {:.0} to compare them as they were measured",
