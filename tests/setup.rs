@@ -26,10 +26,10 @@ fn every_template_is_a_spec_of_its_own_name() {
 fn completions_and_manual_pages_have_all_commands() {
     let bench = Bench::new();
     for shell in ["bash", "zsh", "fish"] {
-        let script = bench.output(&["completions", shell]);
+        let script = bench.output(&["setup", "completions", shell]);
         assert!(script.contains("draw") && script.contains("retry-failed"), "{shell}: {script}");
     }
-    bench.output(&["man", "man1"]);
+    bench.output(&["setup", "man", "man1"]);
     for page in ["metasense.1", "metasense-run.1", "metasense-body.1", "metasense-body-draw.1"] {
         assert!(bench.path("man1").join(page).exists(), "{page}");
     }

@@ -329,7 +329,7 @@ fn lacking(table: &str, field: &str, known: &KnownKeys) -> String {
 fn unknown(nearest: Option<&str>) -> String {
     match nearest {
         Some(nearest) => format!("unknown key; the nearest known one is {nearest:?}"),
-        None => "unknown key; `metasense schema` lists those there are".into(),
+        None => "unknown key; `metasense setup schema` lists those there are".into(),
     }
 }
 

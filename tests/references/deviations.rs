@@ -33,12 +33,7 @@ const ROWS: &[Row] = &[
     ),
     ("strain of ligaments", "nonlinear", "linearised in planar bodies (A `energy.py`)", &["body.linearised"]),
     ("density (Mg/mm²)", "Dragon Skin 10 Fast, cast", "3.2325226e-8 (A `structures.py`)", &["body.density"]),
-    (
-        "masses and moments of inertia",
-        "",
-        "of the initial body for every design (A, B, C)",
-        &["body.inertia"],
-    ),
+    ("masses and moments of inertia", "", "kept from the initial body (A, B, C)", &["body.inertia"]),
     (
         "damping: c_u, c_v (N s/mm), c_θ (N mm s), or a ratio",
         "viscous",
@@ -72,7 +67,7 @@ const ROWS: &[Row] = &[
     (
         "integrator, tolerance",
         "Tsit5 (Diffrax)",
-        "Tsit5, 1e-4 (A `solver.py`): 2 … 13 % of the signals",
+        "Tsit5, 1e-4 (A `solver.py`): integration errors of 2 … 13 %",
         &["solver.method", "solver.tolerance"],
     ),
     ("training and test samples", "300", "300 (D `neural_networks.py`)", &["stimuli.samples"]),
@@ -134,7 +129,7 @@ const ROWS: &[Row] = &[
         "100; 0.1 (C `cooptimize_*`)",
         &["optimise.iterations", "optimise.learning_rate"],
     ),
-    ("body that counts", "", "step 95 (Fig. 2) or the least test loss (B notebooks)", &[]),
+    ("reported body", "", "step 95 (Fig. 2) or the least test loss (B notebooks)", &[]),
     ("limits of the design", "no overlap", "none (B, C `cooptimize_*`)", &["feasible.limits"]),
     (
         "prediction error",
@@ -273,7 +268,7 @@ pub fn deviations() -> String {
         let of = |spec: &Spec| {
             let drawn = keys.iter().any(|key| FROM_FILE.contains(key)) && !spec.contains_key("body.columns");
             match drawn {
-                true => "by its file".to_owned(),
+                true => "from the body file".to_owned(),
                 false => keys.iter().map(|key| at(spec, key)).collect::<Vec<_>>().join("; "),
             }
         };

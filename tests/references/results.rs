@@ -17,10 +17,10 @@ pub fn quickstart() -> String {
     table(
         &[
             "sensors M",
-            "trained with and read by",
+            "decoder, also in training",
             "error, initial body",
             "trained body",
-            "a linear decoder on the same bodies: initial",
+            "linear decoder, initial body",
             "trained",
         ],
         rows.iter().map(line),
@@ -61,23 +61,23 @@ pub fn findings() -> String {
     let senses = who_senses::finding();
     format!(
         "{senses}\n\
-         - **A body has to be trained for its casts.** One sensor, two forces, one linear decoder for all casts, median [90th \
-         percentile]: of a body that promises {} once trained as designed {} is left, of the untouched one {}. Trained over casts on \
-         as many samples it reads at {}, in three times the steps at {}, and calibrated on ten records of each cast at {} \
+         - **Train for manufacturing tolerances.** Error of one linear decoder for all casts, one sensor, two forces, median [90th \
+         percentile]: initial body {}; body trained without deviations {} ({} as designed); body trained over casts {}, after three \
+         times the steps {}, and with calibration on ten records of each cast {} \
          ([details](results/README.md#a-body-that-can-be-cast)).\n\
-         - **A decoder with memory gains more than a trained body; both together gain most.** One sensor, two forces, error of the \
-         initial → the trained body: {} with the paper's network, which sees 25 ms, and {} with a linear decoder of the whole second \
+         - **Decoder memory and training complement each other.** One sensor, two forces, initial → trained body: {} with the paper's \
+         network, which uses 25 ms of the signals; {} with a linear decoder of the whole second \
          ([details](results/README.md#body-or-decoder)).\n\
-         - **Placing sensors well is worth as much as more sensors; training the body pays on top.** Four placed sensors have {} error \
-         on the untouched body, six at random {}; on a trained body the four have {} \
+         - **Well placed sensors are worth as much as more sensors; training adds to it.** Four forces, linear decoder: on the initial \
+         body four placed sensors have {}, six random ones {}; on a trained body the four have {} \
          ([details](results/README.md#where-the-sensors-are)).\n\
-         - **Of {} claims of the paper {} hold with every decoder tried in our scenes, {} more with some or in part;** of the others {} \
-         fails, for the rest we see no effect, or cannot tell; of {} judged apart {} fail ([claim by claim](results/README.md#the-paper-claim-by-claim); [what our scenes \
-         are](results/DEVIATIONS.md)). Nine tenths of the fall of a linear decoder's error are done once sensors have a channel a force: six forces need {with}, \
-         {without} without gyroscopes ([details](results/README.md#how-many-sensors-k-forces-need)).",
-        percent(left("nominal", "casts", ""), "designed"),
-        spread(left("nominal", "casts", "")),
+         - **Of {} claims of the paper, {} hold with every decoder that we tried, {} with some or in part.** {} fails; the others show no \
+         effect or stay undecided. Of {} further claims, {} fail ([claim by claim](results/README.md#the-paper-claim-by-claim), \
+         [our scenes](results/DEVIATIONS.md)). A linear decoder gains 90 % of what sensors can add from one channel per force: six forces \
+         need {with} sensors, {without} without gyroscopes ([details](results/README.md#how-many-sensors-k-forces-need)).",
         spread(left("initial", "casts", "")),
+        spread(left("nominal", "casts", "")),
+        percent(left("nominal", "casts", ""), "designed"),
         spread(left("mean, one, iterations = 75", "casts", "")),
         spread(left(longer, "casts", "")),
         spread(left(longer, "records", "10")),

@@ -119,16 +119,15 @@ pub fn finding() -> String {
     let [linear, model, twin] = [DECODERS[0], DECODERS[6], DECODERS[8]];
     let reads = |decoder, body: usize, on: usize| share(sensed(decoder, SENSING[body])[on]);
     format!(
-        "- **An untouched body's one sensor has told nearly everything; training makes it cheap to read, and good to cast.** Two forces, 3 % noise, untouched → \
-         trained: {} → {} by a linear decoder in {}, {} → {} by the body's own model, inverted in {}. On casts the linear decoder reads at {} → {}, and a twin \
-         calibrated on 30 records, inverted, at {} → {}, of a body that was trained over casts at {} \
-         ([details](results/README.md#who-senses)).",
+        "- **One sensor of the initial body records nearly all the information; training lets a cheap decoder use it.** Two forces, 3 % \
+         noise, initial → trained body: linear decoder ({}) {} → {}; inverted model ({}) {} → {}. On casts: linear decoder {} → {}; model \
+         calibrated on 30 records of the cast {} → {}, and {} if the body was trained over casts ([details](results/README.md#who-senses)).",
+        takes(linear.2),
         reads(linear, 0, 0),
         reads(linear, 1, 0),
-        takes(linear.2),
+        takes(model.2),
         reads(model, 0, 0),
         reads(model, 1, 0),
-        takes(model.2),
         reads(linear, 0, 1),
         reads(linear, 1, 1),
         reads(twin, 0, 1),

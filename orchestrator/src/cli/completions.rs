@@ -9,7 +9,7 @@ use crate::exit::Exit;
 
 /// Prints the script by which a shell completes commands and options
 ///
-/// For instance `metasense completions bash > ~/.local/share/bash-completion/completions/metasense`.
+/// For instance `metasense setup completions bash > ~/.local/share/bash-completion/completions/metasense`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The shell

@@ -126,13 +126,14 @@ macro_rules! commands {
 }
 
 commands! {
-    "A sweep": Run run, Design design, Expand expand, Trial trial, Status status, Watch watch, Serve serve, Control control;
+    "A sweep": Init init, Run run, Design design, Expand expand, Trial trial, Status status, Watch watch, Serve serve, Control control;
     "Results": Query query, Analyse analyse, Report report, Export export, Remove remove;
-    "Setup": Init init, Schema schema, Completions completions, Man man;
     /// Computes properties of single bodies, without a sweep
     Body body: Draw draw, Simulate simulate, Modes modes, Bound bound, Operator operator, Place place, Casts casts, Project project;
     /// Compares bodies with measured records and reference data
     Lab lab: Identify identify, Twin twin, Evaluate evaluate, Verify verify;
+    /// Prints what editors, shells and manuals use
+    Setup setup: Schema schema, Completions completions, Man man;
     /// Runs a sweep as shards on a cluster or on several machines
     Cluster cluster: Submit submit, Merge merge, Gc gc;
 }

@@ -143,7 +143,7 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
         (
             "rows = 6",
             "colour = \"red\"",
-            "a.toml:4: body.colour = \"red\": unknown key; `metasense schema` lists",
+            "a.toml:4: body.colour = \"red\": unknown key; `metasense setup schema` lists",
         ),
         (
             "rows = 6",
