@@ -562,7 +562,7 @@ const TABLES: &[(&str, &str)] = &[
     ),
     (
         "[variation]\nnodes = 0.1\n[optimise]\nprotocol = \"paper\"\nobjective = \"worst\"",
-        "s.toml:17: optimise.objective = \"worst\": means nothing to this optimise.protocol, only to envelope and joint",
+        "s.toml:17: optimise.objective = \"worst\": means nothing to this optimise.protocol, only to joint",
     ),
     (
         "[variation]\nnodes = 0.1\n[optimise]\nobjective = { cvar = 1.5 }",

@@ -98,6 +98,7 @@ impl Store {
         let at = |source| StoreError::sql(&path, OPENING, source);
         let mut connection = options(&path).foreign_keys(true).connect().await.map_err(at)?;
         wait::wait_on(&mut connection).await.map_err(at)?;
+        functions::register(&mut connection).await.map_err(at)?;
         let version = check_version(&mut connection, &path).await?;
         for pragma in ["PRAGMA journal_mode = WAL", "PRAGMA synchronous = FULL"] {
             sqlx::query(pragma).execute(&mut connection).await.map_err(at)?;
