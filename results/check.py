@@ -839,20 +839,20 @@ def findings():
     reads = {line[0]: line[1:] for line in table("who senses")}
     linear, model, twin = (reads[name] for name in ("linear, fitted to the design", "the design's model, inverted", "a twin from 30 records, inverted"))
     on_casts = lambda cell: cell.split(" [")[0] + " %"
-    yield (said(senses, rf"trained: {share} → {share} by a linear decoder in ([^,]+), {share} → {share} by .*, inverted in ([\d.]+ s)"),
-           [linear[1], linear[3], linear[0], model[1], model[3], model[0]])
-    yield (said(senses, f"reads at {share} → {share}, .* at {share} → {share}, .* at {share}"),
+    yield (said(senses, rf"body: linear decoder \(([^)]+)\) {share} → {share}; inverted model \(([^)]+)\) {share} → {share}\. On"),
+           [linear[0], linear[1], linear[3], model[0], model[1], model[3]])
+    yield (said(senses, f"On casts: linear decoder {share} → {share}; .* cast {share} → {share}, and {share} if"),
            [on_casts(cell) for cell in (linear[2], linear[4], twin[2], twin[4], twin[6])])
     two = {line[1]: line[2:] for line in table("casts") if line[0] == "K = 2, M = 1"}
     longer = two["trained over casts, three times the steps"]
-    yield (said(casts, r"promises ([\d.]+ %) .* designed ([\d.]+ \[[\d.]+\]) % .* one ([\d.]+ \[[\d.]+\]) %.* at ([\d.]+ \[[\d.]+\]) %, .* at ([\d.]+ \[[\d.]+\]) %, .* at ([\d.]+ \[[\d.]+\]) %"),
-           [two["trained as designed"][0], *(cell.removesuffix(" %") for cell in
-            (two["trained as designed"][2], two["initial body"][2], two["trained over casts"][2], longer[2], longer[3]))])
+    band = r"([\d.]+ \[[\d.]+\] %)"
+    yield (said(casts, rf"initial body {band}; .* deviations {band} \(([\d.]+ %) .* casts {band}, .* steps {band}, .* cast {band}"),
+           [two["initial body"][2], two["trained as designed"][2], two["trained as designed"][0], two["trained over casts"][2], longer[2], longer[3]])
     alone = dict(zip(("network", "long", "linear"), next(line[2:5] for line in table("brains") if line[:2] == ["smooth pulses", "none"])))
-    yield said(memory, r"body: (.*?) with the paper.*, and (.*?) with a linear"), [alone["network"], alone["linear"]]
+    yield said(memory, r"body: (.*?) with the paper.*; (.*?) with a linear"), [alone["network"], alone["linear"]]
     at = {tuple(line[:2]): line[2:] for line in table("placed")}
     best, random = at["linear brain", "initial body, sensors placed"], at["linear brain", "initial body, sensors at random"]
-    yield said(places, f"have {share} error .* random {share}; .* have {share}"), [best[3], random[5], at["linear brain", "trained body, sensors placed"][3]]
+    yield said(places, f"sensors have {share}, six random ones {share}; .* have {share}"), [best[3], random[5], at["linear brain", "trained body, sensors placed"][3]]
     rated = {}
     for says, _, *cells in table("claims"):
         [claim] = [row["claim"] for row in rows("claims/claims.csv") if says.startswith(row["says"])]
@@ -864,7 +864,7 @@ def findings():
     results = (HERE / "README.md").read_text()
     apart = results.split("claims that have no row above")[1].split("\n\n")[1].split("- *")[1:]
     law = {tuple(line[:2]): line[6].split()[0] for line in table("elbow law asked")}
-    yield (said(paper, r"Of (\d+) .* paper (\d+) hold .* scenes, (\d+) more .* others (\d+) fails.* of (\d+) judged apart (\d+) fail .* need (\d), (\d) without"),
+    yield (said(paper, r"Of (\d+) .* paper, (\d+) hold .* tried, (\d+) with .* (\d+) fails; .* Of (\d+) further claims, (\d+) fail .* need (\d) sensors, (\d) without"),
            [str(n) for n in (len(rated), whole, sum(some > 0 for some in good) - whole, fails, len(apart), sum("fails" in text for text in apart))]
            + [law["6", "3"], law["6", "2"]])
 

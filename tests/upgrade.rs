@@ -11,7 +11,7 @@ use metasense::store::{Reader, Store};
 use metasense_schemas::database::VERSION;
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, NetworkEvaluation, StepRecord, TrialResult};
 
-fn database() -> PathBuf {
+pub fn database() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../tests/databases/v{VERSION}.sqlite"))
 }
 
