@@ -733,6 +733,19 @@ def of_protocol(name, folder, networks):
     yield last[1:], [*errors, better(folder), loss, holdout]
 
 
+def authors():
+    trials = rows("authors/trials.csv")
+    for scene, decoder, steps, noise, limits, *cells in table("authors"):
+        wanted = [scene, decoder, steps, "0" if noise == "none" else str(float(noise.split()[0]) / 100), limits]
+        own = [row for row in trials if [row[name] for name in ("scene", "decoder", "steps", "noise", "limits")] == wanted]
+        found = [str(len(own))]
+        for errors in ("test", "holdout"):
+            initial, trained = (numbers(own, f"{errors}_{body}") for body in ("initial", "trained"))
+            ratios = with_interval([a / b for a, b in zip(initial, trained, strict=True)])
+            found.append(f"{short(geometric(initial))} → {short(geometric(trained))} %, {ratios}")
+        yield cells, found
+
+
 def paper_protocol():
     yield from of_protocol("paper protocol", "fig2", "01")
 
@@ -869,7 +882,7 @@ def findings():
            + [law["6", "3"], law["6", "2"]])
 
 
-CHECKS = [quickstart, findings, who_senses, sensors, claims, claims_on_the_test_set, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
+CHECKS = [quickstart, findings, authors, who_senses, sensors, claims, claims_on_the_test_set, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

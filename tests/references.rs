@@ -3,6 +3,7 @@
 //! A block stands between `<!-- generated: NAME -->` and `<!-- end -->`. To write all blocks anew:
 //! `METASENSE_UPDATE=1 cargo test -p metasense --test program -- references::`.
 
+mod authors;
 mod bodies;
 mod brains;
 mod casts;
@@ -90,6 +91,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("evaluate", claims::evaluate),
     ("protocols", claims::protocols),
     ("downhill", claims::downhill),
+    ("authors", authors::gains),
     ("deviations", deviations::deviations),
     ("deviations of other figures", deviations::other_figures),
 ];
