@@ -130,7 +130,7 @@ async fn a_foreign_lock_is_waited_for_and_one_that_stays_ends_the_run() {
 #[test]
 fn a_damaged_checkpoint_is_named_and_changes_no_result() {
     let bench = Bench::new();
-    bench.file("tiny.toml", &TINY.replace("iterations = 4", "iterations = 60"));
+    bench.file("tiny.toml", &TINY.replace("iterations = 4", "iterations = 400"));
     bench.output(&["run", "tiny.toml", "--db", "whole.sqlite", "sweep.sensors=[1]"]);
     let hash = "SELECT hash FROM v_trial";
     let hash =
