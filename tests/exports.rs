@@ -256,7 +256,7 @@ fn a_brain_in_c_says_what_it_said_in_the_trial() {
             let refused = export(hash, &[]);
             let said = String::from_utf8_lossy(&refused.stderr);
             assert!(
-                refused.status.code() == Some(2) && said.contains("linear brains and networks"),
+                refused.status.code() == Some(2) && said.contains("linear decoders and networks"),
                 "{said}"
             );
             continue;
@@ -334,7 +334,7 @@ fn a_device_is_a_folder_with_all_that_is_built() {
             assert!(good, "{said}");
             source
         });
-        assert!(casts.contains("The brain for all casts of the optimised body"));
+        assert!(casts.contains("The decoder for all casts of the optimised body"));
         assert_ne!(between(&casts, "W0[]", "}"), between(&design, "W0[]", "}"));
     }
     bench.file("s.toml", TINY);

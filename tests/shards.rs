@@ -46,7 +46,7 @@ fn shards_merged_are_the_sweep() {
     bench.file("assignment-of-3.csv", &format!("hash,shard\n{hashes}"));
     let said = bench.metasense(&["cluster", "merge", "s1.sqlite", "--out", "merged.sqlite"]);
     let said = String::from_utf8_lossy(&said.stderr).into_owned();
-    assert!(said.contains(&format!("never begun: {} trial", second.len())), "{said}");
+    assert!(said.contains(&format!("never started: {} trial", second.len())), "{said}");
     assert!(second.iter().all(|hash| said.contains(&hash[..8])), "{said}");
     bench.output(&["run", "tiny.toml", "--db", "merged.sqlite"]);
     assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));

@@ -56,13 +56,13 @@ pub fn mixed(made: &[Made]) -> Option<String> {
         format!(
             "{} by {}{revisions}",
             crate::plan::counted(made.trials, "trial"),
-            made.code.replace(' ', " and then ")
+            made.code.replace(' ', " then ")
         )
     };
     (made.len() > 1).then(|| {
         let list = made.iter().map(named).collect::<Vec<_>>().join(", ");
-        format!("results of different code are mixed: {list}; `metasense run SPEC --redo-other-code` makes again what \
-            is not by {}, this program", code())
+        format!("results of different code are mixed: {list}; `metasense run SPEC --redo-other-code` repeats trials \
+            that were not computed by {}, this program", code())
     })
 }
 
@@ -79,7 +79,7 @@ pub fn unresolved(solver: &str) -> Option<String> {
         [true, true] => return None,
         [false, false] => "both bodies",
         [false, true] => "the initial body",
-        [true, false] => "the optimised body",
+        [true, false] => "the trained body",
     };
     Some(format!("no time step reaches solver.tolerance on {bodies}: {CHAOTIC}"))
 }

@@ -17,10 +17,10 @@ pub fn quickstart() -> String {
     table(
         &[
             "sensors M",
-            "trained with and read by",
+            "decoder, in training and evaluation",
             "error, initial body",
             "trained body",
-            "a linear decoder on the same bodies: initial",
+            "linear decoder on the same bodies: initial",
             "trained",
         ],
         rows.iter().map(line),
@@ -61,19 +61,19 @@ pub fn findings() -> String {
     let senses = who_senses::finding();
     format!(
         "{senses}\n\
-         - **A body has to be trained for its casts.** One sensor, two forces, one linear decoder for all casts, median [90th \
-         percentile]: of a body that promises {} once trained as designed {} is left, of the untouched one {}. Trained over casts on \
-         as many samples it reads at {}, in three times the steps at {}, and calibrated on ten records of each cast at {} \
+         - **A body must be trained for its casts.** One sensor, two forces, one linear decoder for all casts, median [90th \
+         percentile]: a body trained as designed has {} as designed but {} on casts; the initial body has {}. Trained over casts, it has {} \
+         with as many samples, {} with three times the steps, and then {} with a decoder calibrated on ten records of each cast \
          ([details](results/README.md#a-body-that-can-be-cast)).\n\
          - **A decoder with memory gains more than a trained body; both together gain most.** One sensor, two forces, error of the \
          initial → the trained body: {} with the paper's network, which sees 25 ms, and {} with a linear decoder of the whole second \
          ([details](results/README.md#body-or-decoder)).\n\
-         - **Placing sensors well is worth as much as more sensors; training the body pays on top.** Four placed sensors have {} error \
-         on the untouched body, six at random {}; on a trained body the four have {} \
+         - **Placing sensors well is worth as much as more sensors; training the body adds to this.** Four placed sensors have {} error \
+         on the initial body, six at random {}; on a trained body the four have {} \
          ([details](results/README.md#where-the-sensors-are)).\n\
-         - **Of {} claims of the paper {} hold with every decoder tried in our scenes, {} more with some or in part;** of the others {} \
-         fails, for the rest we see no effect, or cannot tell; of {} judged apart {} fail ([claim by claim](results/README.md#the-paper-claim-by-claim); [what our scenes \
-         are](results/DEVIATIONS.md)). Nine tenths of the fall of a linear decoder's error are done once sensors have a channel a force: six forces need {with}, \
+         - **Of {} claims of the paper, {} hold with every decoder tried in our scenes, {} more with some or in part;** of the others, {} \
+         fails and the rest show no effect or remain open; of {} judged separately, {} fail ([claim by claim](results/README.md#the-paper-claim-by-claim); [what our scenes \
+         are](results/DEVIATIONS.md)). A linear decoder reaches nine tenths of its fall in error with one channel per force: six forces need {with} sensors, \
          {without} without gyroscopes ([details](results/README.md#how-many-sensors-k-forces-need)).",
         percent(left("nominal", "casts", ""), "designed"),
         spread(left("nominal", "casts", "")),

@@ -21,7 +21,7 @@ const DECODERS: [Decoder; 9] = [
 type Decoder = (&'static str, &'static str, &'static str, &'static str);
 /// The bodies that they read: in words, which, and what it was trained for.
 const SENSING: [(&str, &str, &str); 3] = [
-    ("untouched", "initial", "nominal"),
+    ("initial body", "initial", "nominal"),
     ("trained as designed", "optimised", "nominal"),
     ("trained over casts", "optimised", "mean"),
 ];
@@ -67,7 +67,7 @@ fn takes(reader: &str) -> String {
 
 /// Bodies against decoders: as designed and on casts.
 pub fn all() -> String {
-    let mut head = vec!["read by".to_owned(), "a reading takes".to_owned()];
+    let mut head = vec!["decoder".to_owned(), "time per sample".to_owned()];
     head.extend(
         SENSING.iter().flat_map(|(words, ..)| [format!("{words}: as designed"), "on casts".to_owned()]),
     );
@@ -89,8 +89,8 @@ pub fn all() -> String {
 pub fn front() -> String {
     let error = |decoder: &Decoder, body| sensed(*decoder, body)[1];
     let all = DECODERS.iter().flat_map(|decoder| SENSING.map(|body| error(decoder, body)));
-    let x = Axis::new("CPU time of a reading (s)", Scale::Log, DECODERS.map(|decoder| seconds(decoder.2)));
-    let y = Axis::new("holdout error on the median cast (%)", Scale::Log, all);
+    let x = Axis::new("CPU time per sample (s)", Scale::Log, DECODERS.map(|decoder| seconds(decoder.2)));
+    let y = Axis::new("held-out error on the median cast (%)", Scale::Log, all);
     let mut plot = Plot::new("K = 2, M = 1, 3 % noise", x, y).sized(560.0, 340.0);
     let classes = ["initial", "optimised", "front"];
     for (body, class) in SENSING.into_iter().zip(classes) {
@@ -119,9 +119,9 @@ pub fn finding() -> String {
     let [linear, model, twin] = [DECODERS[0], DECODERS[6], DECODERS[8]];
     let reads = |decoder, body: usize, on: usize| share(sensed(decoder, SENSING[body])[on]);
     format!(
-        "- **An untouched body's one sensor has told nearly everything; training makes it cheap to read, and good to cast.** Two forces, 3 % noise, untouched → \
-         trained: {} → {} by a linear decoder in {}, {} → {} by the body's own model, inverted in {}. On casts the linear decoder reads at {} → {}, and a twin \
-         calibrated on 30 records, inverted, at {} → {}, of a body that was trained over casts at {} \
+        "- **One sensor on an untrained body already measures nearly enough; training lets cheap decoders succeed, also on casts.** Two forces, 3 % noise, initial → \
+         trained body: {} → {} with a linear decoder in {}, {} → {} with the body's model, inverted in {}. On casts {} → {} with the linear decoder and {} → {} with \
+         an inverted twin calibrated on 30 records; {} for a body trained over casts \
          ([details](results/README.md#who-senses)).",
         reads(linear, 0, 0),
         reads(linear, 1, 0),

@@ -36,7 +36,7 @@ pub enum AssignmentError {
         source: io::Error,
     },
     /// A line of it.
-    #[error("{}:{line}: {text:?} is no hash with a shard from 1 to {shards}; restore the file", path.display())]
+    #[error("{}:{line}: {text:?} is not a hash with a shard from 1 to {shards}; restore the file", path.display())]
     Line {
         /// The file.
         path: PathBuf,
@@ -48,7 +48,7 @@ pub enum AssignmentError {
         shards: u32,
     },
     /// A line of a shard's trials.
-    #[error("{}:{line}: {why}; `metasense cluster submit` writes it anew", path.display())]
+    #[error("{}:{line}: {why}; `metasense cluster submit` writes it again", path.display())]
     Trial {
         /// The file.
         path: PathBuf,

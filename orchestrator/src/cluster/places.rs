@@ -75,7 +75,7 @@ pub fn places(text: &str) -> Result<Vec<Place>, String> {
             Some(count) if !host.starts_with('-') => places.extend(vec![Some(host.to_owned()); count]),
             _ => {
                 return Err(format!(
-                    "{}: {line:?}: say HOST, or HOST and how many shards at a time",
+                    "{}: {line:?}: must be HOST, or HOST and its number of simultaneous shards",
                     number + 1
                 ));
             }
@@ -102,7 +102,7 @@ pub async fn run(
             && let Some(place) = free.pop()
         {
             let shard = waiting.pop_front().expect("it is not empty");
-            say(format!("shard {shard} begins on {}", name(&place)));
+            say(format!("shard {shard} starts on {}", name(&place)));
             *tries.entry(shard).or_default() += 1;
             running.spawn(one(place, shard, how.clone(), asked.clone()));
         }

@@ -101,7 +101,7 @@ pub enum EngineError {
     #[error(transparent)]
     Runtime(#[from] RuntimeError),
     /// The machine allows less than the workers need.
-    #[error("{host} allows less than the workers need: no trial was begun; the same command begins them", host = host())]
+    #[error("the limits of {host} are too low for the workers: no trial was started; the same command starts them", host = host())]
     Short(#[from] Shortage),
     /// The database.
     #[error(transparent)]
@@ -110,7 +110,7 @@ pub enum EngineError {
     #[error("cannot wait for signals")]
     Signals(#[source] std::io::Error),
     /// No worker comes up.
-    #[error("no worker process comes up on {host}; the last one: {0}", host = host())]
+    #[error("no worker process starts on {host}; the last one: {0}", host = host())]
     NoWorkers(String),
 }
 
@@ -522,7 +522,7 @@ impl Engine<'_> {
                     let trial = self.trials[lease.trial as usize];
                     tracing::error!(trial.hash, why, "the checkpoint is of no use; the trial begins anew");
                     self.watch.begins_anew(trial, &why);
-                    let text = format!("begins anew, as its checkpoint is of no use: {why}");
+                    let text = format!("restarted, because the checkpoint cannot be used: {why}");
                     self.said.push((lease, Level::Warn, text));
                     None
                 });

@@ -196,7 +196,7 @@ async fn pass_on(worker: WorkerId, errors: impl AsyncRead + Unpin, heard: Sender
                 ..LINES => {
                     String::from_utf8_lossy(line.trim_ascii_end()).replace(char::is_control, "\u{fffd}")
                 }
-                _ => "what the worker writes from here on is not kept".to_owned(),
+                _ => "later output of the worker is not kept".to_owned(),
             };
             line.clear();
             if lines <= LINES {

@@ -149,8 +149,7 @@ pub fn html(story: Story, figures: &[Figure], missing: Option<&str>) -> String {
         (provenance(&story))
         @if figures.iter().any(|figure| figure.moving.is_some()) { script { (PreEscaped(SCRIPT)) } }
     };
-    let question =
-        "Does training the body make sensing better, how many sensors are enough, and what did it cost?";
+    let question = "Does training the body reduce the error, how many sensors are enough, and how much time did it take?";
     // Of many trials, what they were is larger than the page.
     drop(story);
     page(&title, question, content)

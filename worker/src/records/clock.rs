@@ -32,7 +32,7 @@ pub(super) fn timed(
         return Err(format!("has {} entries of {}, {} of time", history.len(), pick.key, clock.len()));
     }
     if clock.len() < 2 {
-        return Err("must hold at least two entries".into());
+        return Err("must contain at least two entries".into());
     }
     let unit = pick.unit.seconds();
     let steps = || clock.windows(2).map(|w| w[1] - w[0]);
