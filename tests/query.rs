@@ -171,8 +171,8 @@ async fn one_statement_is_answered_and_none_panics() {
     }
     for format in ["table", "csv", "json", "parquet"] {
         for (sql, why) in [
-            ("", "no statement"),
-            (" ;", "no statement"),
+            ("", "the statement is empty"),
+            (" ;", "the statement is empty"),
             ("VACUUM INTO 'v.db'", "only statements that read"),
         ] {
             let output = bench.metasense(&["query", "s.sqlite", sql, "--format", format]);

@@ -103,7 +103,7 @@ fn a_folder_of_shards_answers_questions_without_a_merge() {
     let status = bench.metasense(&["status", "s.shards"]);
     let said = String::from_utf8_lossy(&status.stderr).into_owned();
     assert!(
-        said.contains("facts of 2 databases handed in; steps, curves and arrays are in these files"),
+        said.contains("facts of 2 databases merged; steps, curves and arrays are in these files"),
         "{said}"
     );
     let hash = bench.output(&["query", "s.shards", "SELECT hash FROM v_trial LIMIT 1", "--format", "csv"]);
@@ -234,7 +234,7 @@ fn a_shard_goes_on_on_another_node() {
     std::fs::rename(&out, &away).unwrap();
     signal(&ended, libc::SIGTERM);
     let log = || std::fs::read_to_string(away.join("shard-1-of-1.log")).unwrap_or_default();
-    while !log().contains("could not be handed in") && ended.try_wait().unwrap().is_none() {
+    while !log().contains("could not be copied to the folder") && ended.try_wait().unwrap().is_none() {
         std::thread::sleep(Duration::from_millis(20));
     }
     std::fs::rename(&away, &out).unwrap();

@@ -185,7 +185,7 @@ fn what_the_queue_still_has_is_left_out() {
         "{message}"
     );
     assert_eq!(calls, "");
-    for (broken, expected) in [("echo broken >&2; exit 1", "broken"), ("echo 7", "not understood")] {
+    for (broken, expected) in [("echo broken >&2; exit 1", "broken"), ("echo 7", "unexpected output")] {
         let output = with_hq(&bench, broken, &["cluster", "submit", "hq", "s.toml"]);
         assert!(output.status.code() == Some(3) && said(&output).contains(expected), "{}", said(&output));
     }

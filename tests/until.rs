@@ -40,7 +40,7 @@ fn a_sweep_ends_when_it_knows_or_has_run_what_it_may() {
     assert_eq!(trials(&bench), four);
     for asks in [&["analyse"][..], &["analyse", "--question", "claims"]] {
         let told = said(&[asks, &["results/tiny.sqlite"]].concat());
-        assert!(told.contains("[until]") && told.contains("less often than they say"), "{told}");
+        assert!(told.contains("[until]") && told.contains("lower than stated"), "{told}");
     }
 
     bench.file("s.toml", &spec("paired = 1e-9\n"));

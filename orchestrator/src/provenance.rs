@@ -68,8 +68,8 @@ pub fn mixed(made: &[Made]) -> Option<String> {
 
 /// What is to be said of the intervals where a sweep may end as soon as it knows enough.
 const EARLY: &str = "a sweep of this database has [until] or a [goal]: it may have stopped because its numbers looked clear. Intervals and \
-    votes here are those of a number of trials that was fixed before, and hold the truth less often than they say; what `run` or \
-    `design` answered keeps its confidence";
+    votes here assume a fixed number of trials, so their true coverage is lower than stated; the answers of `run` and \
+    `design` account for this";
 
 /// A warning where no steps keep the error asked on a trial's initial or best body, by what its integrator says; `None` where steps
 /// do on both.
@@ -85,7 +85,7 @@ pub fn unresolved(solver: &str) -> Option<String> {
 }
 
 const CHAOTIC: &str = "the motion is chaotic, so errors and predictions depend on the steps. Softer contact, weaker forces or more \
-    damping make the motion resolvable; v_trial.solver states the error that is left";
+    damping make the motion resolvable; v_trial.solver contains the remaining error";
 
 /// The same for trials of these hashes.
 #[must_use]

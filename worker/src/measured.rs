@@ -36,7 +36,7 @@ impl Measured {
         let (rate, spec::Time { duration, samples, .. }) = (self.resampled?, trial.time);
         Some(format!(
             "signals of {rate:.4} readings per second are resampled onto time.samples = {samples} in {duration} s; aliased signals are \
-             wrong between readings. Set time.samples = {:.0} to compare them as they were measured",
+             wrong between readings. Set time.samples = {:.0} to compare the original readings",
             duration * rate
         ))
     }
@@ -192,7 +192,7 @@ fn check_copies(seen: &mut Seen, force: &Record, signal: &Record, place: String)
     let some = [force, signal].map(|record| record.values.iter().any(|values| is_some(values)));
     if let Some((other, first)) = seen.get(&own_signal) {
         if *other == own_force && (some[0] || some[1]) {
-            return Err(format!("is the same record as {first}: a copy would train and test the same brain"));
+            return Err(format!("is the same record as {first}: a copy would train and test the same decoder"));
         }
         if some[1] {
             return Err(format!("contains the signals of {first} under another force"));
@@ -317,8 +317,8 @@ fn lasts(force: &Record, signal: &Record, duration: f64, instants: usize) -> Res
         return Ok(());
     }
     Err(format!(
-        "holds signals that end at {end:.4} s where a sample lasts {duration} s: shorten time.duration, \
-         or let a trigger put the blow later"
+        "contains signals that end at {end:.4} s, but a sample lasts {duration} s: reduce time.duration, \
+         or use a trigger that moves the blow later"
     ))
 }
 

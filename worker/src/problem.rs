@@ -277,8 +277,8 @@ pub(crate) fn solvable(trial: &TrialSpec, lags: Lags) -> Result<(), Invalid> {
     let (instants, channels) = (trial.time.samples, trial.signals());
     let readings = channels * instants;
     let remedy = format!(
-        "gives a linear brain {readings} readings a sample, time.samples × sensors.channels × sensors; at most {READINGS_MAX}, and \
-         10^8 of them times time.samples × panels"
+        "gives a linear decoder {readings} readings per sample (time.samples × sensors.channels × sensors); the limits are {READINGS_MAX}, and \
+         10^8 for readings × time.samples × panels"
     );
     require(
         fits(instants, channels, trial.panel_units.len()),
@@ -288,7 +288,7 @@ pub(crate) fn solvable(trial: &TrialSpec, lags: Lags) -> Result<(), Invalid> {
     )?;
     let unknowns = channels * lags.groups().len();
     let remedy = format!(
-        "gives {unknowns} unknowns a force, at most {UNKNOWNS_MAX} can be solved for: a shorter memory, fewer sensors \
+        "gives {unknowns} unknowns per force, at most {UNKNOWNS_MAX} are allowed: use a shorter memory, fewer sensors \
          or fewer time.samples"
     );
     let shown = trial.brain.memory.map_or(String::new(), |memory| format!("{memory:?}"));

@@ -275,8 +275,8 @@ pub(crate) fn check_place(pick: &Pick, record: &Record, duration: f64) -> Result
     }
     let (end, key) = (start + (values[0].len() - 1) as f64 * dt, pick.clock_key());
     Err(format!(
-        "has its blow outside of a sample, which lasts from 0 to {duration} s; the record from {start:.4} to {end:.4} s: is {key} \
-         right, or is a trigger missing?"
+        "has its blow outside of the sample (0 to {duration} s; the record: {start:.4} to {end:.4} s): check {key}, \
+         or set a trigger"
     ))
 }
 
@@ -331,7 +331,7 @@ pub(crate) fn check(recorded: &spec::Recorded) -> Result<(), Invalid> {
     check_form("stimuli.recorded", &recorded.files, recorded.header, recorded.separator, recorded.decimal)?;
     let Some(known) = &recorded.digest else { return Ok(()) };
     let now = digest(recorded)?;
-    let remedy = format!("the files' contents now give {now}");
+    let remedy = format!("the contents of the files have changed (now {now})");
     if *known == now { Ok(()) } else { Err(invalid("stimuli.recorded.digest", known, remedy)) }
 }
 

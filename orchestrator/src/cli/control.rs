@@ -17,7 +17,7 @@ use crate::exit::Exit;
 #[command(after_help = "\
 Exit codes:
   0  done; the answer is on standard output
-  1  the run refuses, and says why; nothing has changed
+  1  the run refused the command and printed the reason; nothing has changed
   2  no run holds the database, or the command line is at fault
   3  the run does not answer
 

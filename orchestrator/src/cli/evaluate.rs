@@ -368,7 +368,7 @@ fn well(body: &Body) -> bool {
     for (kind, evaluated) in kinds {
         let outcomes = evaluated.iter().flat_map(|evaluated| evaluated.outcomes.iter().flatten());
         for outcome in outcomes.filter(|outcome| *outcome != "ok") {
-            say!("{}, {kind} signals: a training ended with {outcome}", body.name);
+            say!("{}, {kind} signals: the training of a network ended with {outcome}", body.name);
             well = false;
         }
     }

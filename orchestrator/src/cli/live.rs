@@ -87,7 +87,7 @@ impl Watch for Live<'_> {
             _ => percent(&result.initial) + " -> ",
         };
         self.say(&format!(
-            "done: {}: holdout error {before}{}",
+            "done: {}: held-out error {before}{}",
             self.named(trial),
             percent(&result.optimised)
         ));

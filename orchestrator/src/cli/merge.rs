@@ -82,7 +82,7 @@ pub(super) async fn after_the_last(folder: &Path, shard: Shard, out: &Path) -> R
     if let Err(error) = execute(Args::folder(folder, out)).await {
         // the shard has done its work; another one may be merging the same files
         error.say();
-        say!("merged by hand: metasense cluster merge {} --out {}", folder.display(), out.display());
+        say!("to merge by hand: metasense cluster merge {} --out {}", folder.display(), out.display());
     }
     Ok(())
 }

@@ -260,7 +260,7 @@ impl Args {
             },
         };
         if let Some(unfit) = submission.unfit() {
-            return Err(Error::Usage(format!("{unfit}; it would stand in a script")));
+            return Err(Error::Usage(format!("{unfit}, because it is written into a script")));
         }
         let (notice, limit) = (submission.notice(), submission.seconds);
         if self.scheduler.has_queue() && submission.grace.is_some() && notice >= limit {

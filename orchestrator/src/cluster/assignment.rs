@@ -26,7 +26,7 @@ pub struct Assignment {
 #[derive(Debug, thiserror::Error)]
 pub enum AssignmentError {
     /// Reading or writing it.
-    #[error("cannot {doing} {}, which says what shard runs what trial", path.display())]
+    #[error("cannot {doing} {}, which assigns trials to shards", path.display())]
     File {
         /// What was being done.
         doing: &'static str,
@@ -59,7 +59,7 @@ pub enum AssignmentError {
     },
     /// Databases without it.
     #[error(
-        "{} holds databases of shards, but not {}, which says what shard runs what trial: restore it, or merge them \
+        "{} contains databases of shards, but not {}, which assigns trials to shards: restore it, or merge the databases \
          and choose another folder",
         folder.display(), file
     )]

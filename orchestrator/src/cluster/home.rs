@@ -251,7 +251,7 @@ impl Home {
             match self.hand_in().await {
                 Ok(()) => return Ok(()),
                 Err(error) if tokio::time::Instant::now() < end => {
-                    tracing::warn!(%error, "the database could not be handed in; it is tried again");
+                    tracing::warn!(%error, "the database could not be copied to the folder; retrying");
                     tokio::time::sleep(AGAIN).await;
                 }
                 Err(error) => {
@@ -292,7 +292,7 @@ impl Home {
                 }
             };
             if let Err(error) = handed_in {
-                tracing::warn!(%error, "the database could not be handed in; it will be tried again");
+                tracing::warn!(%error, "the database could not be copied to the folder; retrying later");
             }
         }
     }

@@ -172,7 +172,7 @@ impl Engine<'_> {
 
     fn answer(&mut self, Request { command, answer }: Request, done: bool, text: String) {
         if command != Command::State {
-            tracing::info!(%command, done, answer = text, "somebody steers the run");
+            tracing::info!(%command, done, answer = text, "command to the run");
             self.watch.steered(&command, done, &text);
         }
         // Whoever has asked may be gone.

@@ -17,8 +17,9 @@ pub fn notes(
     (brain, fit): (Option<&str>, Fit),
 ) -> String {
     let (spec, hash, name) = (&stored.specs[body], &stored.hash, Body::ALL[body].name());
+    let word = Body::ALL[body].word();
     let mut lines = vec![
-        format!("# The {name} body of trial {hash}\n"),
+        format!("# The {word} body of trial {hash}\n"),
         format!(
             "For a device, by metasense {}. Lengths in mm, x to the right, y upwards.\n",
             env!("CARGO_PKG_VERSION")
@@ -38,7 +39,7 @@ pub fn notes(
     }
     lines.push("\n## Cast\n".into());
     lines.push(format!(
-        "- The cavity holds {} ml at a height of {} mm; ligaments are {} mm wide, walls {} mm thick.",
+        "- The volume of the cavity is {} ml at a height of {} mm; ligaments are {} mm wide, walls {} mm thick.",
         number(1e-3 * cavity.volume(mould)),
         number(mould.height),
         number(mould.width),
@@ -51,8 +52,8 @@ pub fn notes(
         let of = match own {
             Some(_) => ", that of its `body.material`, which has these dimensions",
             None => {
-                ". Another one, or another height, is another body: put its numbers into `[body]` (`body.material`) and train \
-                 again, or identify it (below)"
+                ". With another material or height, the body behaves differently: set `[body]` (`body.material`) accordingly and train \
+                 again, or identify the material (below)"
             }
         };
         lines.push(format!(
@@ -72,8 +73,8 @@ pub fn notes(
             let side = largest_pocket(drawing, spec.sensors.offset.unwrap_or_default(), tilt);
             match side > 0.0 {
                 true => format!(
-                    "- The mould has no pockets; `--pocket LENGTHxWIDTHxDEPTH` makes one for each chip: of squares one of {side} mm has \
-                     place at most."
+                    "- The mould has no pockets; `--pocket LENGTHxWIDTHxDEPTH` makes one for each chip; the largest square pocket has a side \
+                     of {side} mm."
                 ),
                 false => "- The mould has no pockets for chips.".into(),
             }
@@ -83,15 +84,15 @@ pub fn notes(
         "- Cure according to the data sheet of the rubber: pot life ____ min, cure time ____ h, shore ____."
             .into(),
     );
-    lines.push(format!("- Units that are held: {}.", list(&drawing.clamped)));
+    lines.push(format!("- Held units: {}.", list(&drawing.clamped)));
     if !drawing.guided.is_empty() {
-        lines.push(format!("- Units that are held in part: {}.", list(&drawing.guided)));
+        lines.push(format!("- Partly held units: {}.", list(&drawing.guided)));
     }
     if let Some([x, y]) = spec.body.compression {
         let [x, y] = [x, y].map(|part| number(100.0 * part));
         lines.push(format!(
-            "- Before the body is struck, bring its held units together by {x} % along x and {y} % along y of the way between the outermost \
-             of them (below 0: apart): it was simulated so."
+            "- Before applying forces, move the held units together by {x} % along x and {y} % along y of the distance between the outermost \
+             held units (below 0: apart), as in the simulation."
         ));
     }
     lines.push(String::new());
@@ -114,7 +115,7 @@ pub fn notes(
         let unit = panel.unit;
         lines.push(match panel.moves {
             Some(Moves::Base(_)) => {
-                format!("| force {n} | all held units | | | shakes them along ({a}, {b}) |")
+                format!("| force {n} | all held units | | | moves them along ({a}, {b}) |")
             }
             Some(Moves::Unit(_)) => format!("| force {n} | {unit} | {x} | {y} | moves it along ({a}, {b}) |"),
             None if panel.direction == [0.0; 2] => {
@@ -136,8 +137,8 @@ pub fn notes(
         (Some(head), Fit::Casts) => told("fitted to casts that vary according to `[variation]`", head),
     });
     lines.push(
-        "\nWith some thirty blows whose forces you measure, as a file of records (schemas/README.md, Measured signals), DB being the \
-         database of the trial: how well brains fitted to this cast read it, and what the cast is made of.\n"
+        "\nRecord about thirty blows with measured forces, in a file of records (schemas/README.md, Measured signals). DB is the database of \
+         the trial. The following commands compute the error of decoders fitted to this cast, and its material.\n"
             .into(),
     );
     lines.push(format!(

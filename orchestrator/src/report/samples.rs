@@ -144,8 +144,8 @@ impl Replayed {
             "forces",
             "True and predicted forces",
             format!(
-                "Force histories of {which} of {}, and the predictions of each body's decoder, of networks \
-                 the first. Each panel's line is drawn {} N above the next. The titles give the sample's error on \
+                "Force histories of {which} of {}, and the predictions of each body's decoder (the first \
+                 network). Each panel's line is drawn {} N above the next. The titles give the sample's error on \
                  the initial and on the trained body, over all panels.{}",
                 self.who(),
                 number(step),

@@ -126,7 +126,7 @@ impl Sought {
             let least = (100.0 * meets + 1e-9).floor().min(99.0);
             lines.push(format!("{so_far}the cheapest design that meets {needed}: {}", trial.hash));
             lines.push(format!(
-                "it meets this on a further seed with a probability of at least {least} %: by {} seeds that had no part in its choice, \
+                "it meets this on a further seed with a probability of at least {least} %, from {} seeds not used in its choice, \
                  corrected for all attempts to confirm a design",
                 confirming(&space.goal)
             ));

@@ -100,8 +100,8 @@ pub enum StoreError {
     },
     /// Trials without their steps, curves and arrays.
     #[error(
-        "{} holds facts alone, without steps, curves and arrays: nothing can go on from there; `metasense cluster merge` makes a whole \
-         database of the files that they are of",
+        "{} contains only facts, without steps, curves and arrays, so trials cannot be resumed from it; `metasense cluster merge` without \
+         --facts makes a complete database",
         path.display()
     )]
     FactsAlone {

@@ -186,15 +186,15 @@ fn what_is_no_measured_record_is_refused_by_name() {
             "records.toml:14: signals.factors = [1.0, -1.0]: must be 3 numbers other than 0",
         ),
         ("a.csv", "none.csv", "none.csv\": cannot be read"),
-        ("a.csv", "short.csv", "short.csv\": holds signals that end at 0.0780 s where a sample lasts 0.1 s"),
+        ("a.csv", "short.csv", "short.csv\": contains signals that end at 0.0780 s, but a sample lasts 0.1 s"),
         ("a.csv", "nan.csv", "nan.csv\": line 9: x = \"NaN\": must be a finite number"),
         (
             "[\"x\", \"y\", \"w\"]",
             "[\"x\", \"y\", \"w\"]\nstart = 5.0",
-            "holds signals that begin at 4.9900 s of a sample, the force at 0.0200 s",
+            "contains signals that begin at 4.9900 s of a sample, the force at 0.0200 s",
         ),
         ("panels", "augment = { shift = [0, 0] }\npanels", "recorded.augment = { … }: must be left out"),
-        (own, &beside("s.npy"), "holds signals that end at 0.0090 s"),
+        (own, &beside("s.npy"), "contains signals that end at 0.0090 s"),
         (
             own,
             &beside("s.npy").replace("rate", "start"),
@@ -325,7 +325,7 @@ fn each_file_has_its_unit_of_time() {
             text.replace("s.csv", "seconds.csv")
                 .replace("[signals]", "trigger = { threshold = 0.1, before = 0.3 }\n[signals]"),
             "recorded.files = ",
-            "has its blow outside of a sample",
+            "has its blow outside of the sample",
         ),
         (
             text.replace("files = [\"s.csv\"]\n", "header = true\n"),

@@ -210,7 +210,7 @@ fn what_is_no_record_is_refused_by_name() {
         (
             &thrice,
             with("digest", json!("abc")),
-            "stimuli.recorded.digest = abc: the files' contents now give",
+            "stimuli.recorded.digest = abc: the contents of the files have changed",
         ),
         (&[], keys.clone(), "stimuli.recorded.files = []: must contain a file"),
     ] {
