@@ -81,7 +81,7 @@ def table(name, file="results/README.md"):
 BRAINS = {
     "the paper's network": ("", "13122"),
     "long network": ("", "11138"),
-    "linear brain": ("linear", "968"),
+    "linear decoder": ("linear", "968"),
     "stacked network": ("stacked", "14474"),
     "stacked long network": ("stacked", "12538"),
 }
@@ -89,7 +89,7 @@ BRAINS = {
 
 def quickstart():
     for line in table("quickstart", "README.md"):
-        brain = "linear" if line[1] == "linear brain" else "cnn"
+        brain = "linear" if line[1] == "linear decoder" else "cnn"
         [row] = rows("quickstart.csv", sensors=line[0], brain=brain)
         names = ["holdout_error_initial", "holdout_error_optimised"]
         yield line[2:], [short(float(row[name])) + " %" for name in names + ["linear_" + name for name in names]]
@@ -115,7 +115,7 @@ def who_senses():
 def over_sensors(words, **of):
     """Trials over M with a placement of each seed's own: of so many forces, read by a brain, with noise or without."""
     forces, brain, noise = words.split(", ")
-    linear = brain == "linear brain"
+    linear = brain == "linear decoder"
     if forces == "K = 8":
         return rows("eight-forces-map/trials.csv", brain="linear" if linear else "cnn", **of)
     file = "four-forces-map" if linear else "four-forces-map-network"
@@ -169,7 +169,7 @@ def claim_ratio(says, brain, of_set="holdout"):
     """The rows behind a claim's ratio, the kinds of units, the statistic."""
     initial, trained = f"{of_set}_error_initial", f"{of_set}_error_optimised"
     def brain_of(row):
-        return "linear brain" if row["brain.kind"] == "linear" else "long network" if row["brain.width"] else "the paper's network"
+        return "linear decoder" if row["brain.kind"] == "linear" else "long network" if row["brain.width"] else "the paper's network"
     def two(kind, sort=lambda row: not any(row[k] for k in ("body.design.random", "optimise.gradient", "long_" + INITIAL))):
         return [row for row in rows("claims/trials.csv") if brain_of(row) == brain and row["stimuli.kind"] == kind and sort(row)]
     by_seed = lambda of, column, like: next(float(row[column]) for row in of if row["seed"] == like["seed"])
@@ -189,7 +189,7 @@ def claim_ratio(says, brain, of_set="holdout"):
         bell = two("bell")
         gain_of = lambda row, of: by_seed(of, initial, row) / by_seed(of, trained, row)
         return two("irregular"), ["seed"], of_rows(lambda row: float(row[initial]) / float(row[trained]) / gain_of(row, bell))
-    if says.startswith("random bodies") or says.startswith("and so worse"):
+    if says.startswith("random bodies") or says.startswith("and a larger error"):
         than, regular = initial if says.startswith("random") else trained, two("bell")
         random_ones = two("bell", lambda row: row["body.design.random"])
         return random_ones, ["body.design.random", "seed"], of_rows(lambda row: float(row[initial]) / by_seed(regular, than, row))
@@ -199,8 +199,8 @@ def claim_ratio(says, brain, of_set="holdout"):
     if "with two sensors" in says:
         six = curve("6")
         return curve("2"), ["seed"], of_rows(lambda row: by_seed(six, INITIAL, row) / float(row[TRAINED]))
-    if "where sensors are" in says:
-        of = rows(f"four-forces-map{'' if brain == 'linear brain' else '-network'}/trials.csv", **MIDDLE | dict(noise="0.0"))
+    if "depends less on the placement" in says:
+        of = rows(f"four-forces-map{'' if brain == 'linear decoder' else '-network'}/trials.csv", **MIDDLE | dict(noise="0.0"))
         return of, ["placement", "seed"], scattered((lambda error: error) if "in %" in says else math.log)
     if "more design parameters" in says:
         disc = lambda columns, tie="": rows("disc-map/trials.csv", columns=columns, tie=tie)
@@ -211,7 +211,7 @@ def claim_ratio(says, brain, of_set="holdout"):
 
 
 # Second looks, after a first that had left the claim open: half of the chance was spent.
-SECOND_LOOKS = ("after 10 000", "a body of more design")
+SECOND_LOOKS = ("after 10 000", "a trained body with more design")
 
 
 def claim_rated(says, brain, cell, of_set="holdout"):
@@ -236,7 +236,7 @@ def claim_rated(says, brain, cell, of_set="holdout"):
 def claims():
     """Ratios with their intervals, their ratings, and elbows."""
     for says, _, *cells in table("claims"):
-        for cell, brain in zip(cells, ("the paper's network", "long network", "linear brain")):
+        for cell, brain in zip(cells, ("the paper's network", "long network", "linear decoder")):
             if not cell:
                 continue
             if "elbow" not in says:
@@ -261,7 +261,7 @@ def brains():
         kind = {"smooth pulses": "bell", "hammer blows": "irregular"}[line[0]]
         noise = {"none": "", "1 %": "0.01", "3 %": "0.03", "10 %": "0.1"}[line[1]]
         found = []
-        for brain, weights in [BRAINS[name] for name in ("the paper's network", "long network", "linear brain")]:
+        for brain, weights in [BRAINS[name] for name in ("the paper's network", "long network", "linear decoder")]:
             of = rows("brains-two-core/trials.csv", stimuli__kind=kind, sensors__noise=noise, brain__kind=brain, brain_parameters=weights)
             found.append(change(of))
         yield line[2:5], found
@@ -311,7 +311,7 @@ def transfer_networks():
 
 
 def why():
-    bodies = {"initial": (None, "initial"), "trained with a linear brain": ("linear", "optimised"),
+    bodies = {"initial": (None, "initial"), "trained with a linear decoder": ("linear", "optimised"),
               "trained with the paper's network": ("cnn", "optimised")}
     for words, *cells in table("why"):
         trained, body = bodies[words]
@@ -455,10 +455,10 @@ def elbow_law_asked():
 MIDDLE = dict(noise="0.03", damping_ratio="0.02", samples="150", width="[0.06,0.25]", columns="8")
 SETTINGS = {
     "the middle": {}, "without noise": dict(noise="0.0"), "10 % noise": dict(noise="0.1"),
-    "a quarter of the damping": dict(damping_ratio="0.005"), "60 samples in place of 150": dict(samples="60"),
-    "pulses of 20 to 80 ms": dict(width="[0.02,0.08]"), "4 columns in place of 8": dict(columns="4"),
-    "four times the damping": dict(damping_ratio="0.08"), "400 samples in place of 150": dict(samples="400"),
-    "14 columns in place of 8": dict(columns="14"),
+    "a quarter of the damping": dict(damping_ratio="0.005"), "60 samples instead of 150": dict(samples="60"),
+    "pulses of 20 to 80 ms": dict(width="[0.02,0.08]"), "4 columns instead of 8": dict(columns="4"),
+    "four times the damping": dict(damping_ratio="0.08"), "400 samples instead of 150": dict(samples="400"),
+    "14 columns instead of 8": dict(columns="14"),
 }
 
 
@@ -599,7 +599,7 @@ def sizes(name, file):
 
 
 def eight_forces_map():
-    brains, found = {"linear brain": "linear", "the paper's network": "cnn"}, []
+    brains, found = {"linear decoder": "linear", "the paper's network": "cnn"}, []
     for brain in brains.values():
         of = lambda m: rows("eight-forces-map/trials.csv", brain=brain, sensors=m)
         found += [less(logs(of(m), INITIAL), logs(of("4"), TRAINED)) for m in "46"]
@@ -864,8 +864,8 @@ def findings():
     alone = dict(zip(("network", "long", "linear"), next(line[2:5] for line in table("brains") if line[:2] == ["smooth pulses", "none"])))
     yield said(memory, r"body: (.*?) with the paper.*; (.*?) with a linear"), [alone["network"], alone["linear"]]
     at = {tuple(line[:2]): line[2:] for line in table("placed")}
-    best, random = at["linear brain", "initial body, sensors placed"], at["linear brain", "initial body, sensors at random"]
-    yield said(places, f"sensors have {share}, six random ones {share}; .* have {share}"), [best[3], random[5], at["linear brain", "trained body, sensors placed"][3]]
+    best, random = at["linear decoder", "initial body, sensors placed"], at["linear decoder", "initial body, sensors at random"]
+    yield said(places, f"sensors have {share}, six random ones {share}; .* have {share}"), [best[3], random[5], at["linear decoder", "trained body, sensors placed"][3]]
     rated = {}
     for says, _, *cells in table("claims"):
         [claim] = [row["claim"] for row in rows("claims/claims.csv") if says.startswith(row["says"])]

@@ -97,7 +97,7 @@ fn analyse_begins_with_the_verdicts_of_the_report() {
     assert!(ok, "{err}");
     let html = std::fs::read_to_string(&page).unwrap().replace('\u{a0}', " ");
     let first = out.lines().next().unwrap();
-    assert!(first.contains("the initial body's error is") && html.contains(&first[..40]), "{first}");
+    assert!(first.contains("the error of the initial body is") && html.contains(&first[..40]), "{first}");
     assert!(!out.contains("The claims of"), "{out}");
 }
 
@@ -120,10 +120,9 @@ fn how_many_sensors_to_build_hangs_on_their_price() {
     assert!(found["price_votes"].as_f64().unwrap() > 0.95 && found["over"] == "5 placements", "{found:#}");
     let (ok, sentences, err) = metasense(&db, &["analyse", "--price", "1"]);
     assert!(ok, "{err}");
-    for said in [
-        "smallest M within 10 % of the best: optimised body 4 (",
-        "least error + 1 % × M: optimised body 2 (",
-    ] {
+    for said in
+        ["smallest M within 10 % of the best: trained body 4 (", "smallest error + 1 % × M: trained body 2 ("]
+    {
         assert!(sentences.contains(said), "{said}: {sentences}");
     }
     let (ok, _, err) = metasense(&db, &["analyse", "--price", "cheap"]);
@@ -184,7 +183,7 @@ fn a_report_is_one_file_that_needs_nothing_else() {
     assert!(!html.contains("id=\"casts\""), "a figure of casts, of which there are none");
     for said in [
         "elbow at M = 2",
-        "the holdout error of 3 random bodies is 1.",
+        "the held-out error of 3 random bodies is 1.",
         "After 2000 iterations",
         "no elbow",
         "non_finite: sample 3",
@@ -318,8 +317,8 @@ fn claims_are_rated_by_what_was_put_into_the_database() {
         row.unwrap_or_else(|| panic!("{says}: not among {out}"))["rating"].as_str().unwrap().to_owned()
     };
     assert_eq!(rating("K = 4: its error has an elbow at M = 2"), "holds");
-    assert_eq!(rating("K = 4: trained with two sensors"), "holds");
-    assert_eq!(rating("K = 8: the elbow"), "not tried");
+    assert_eq!(rating("K = 4: the trained body with two sensors"), "holds");
+    assert_eq!(rating("K = 8: its error"), "not tried");
     let out = folder.path().join("claims");
     let asked = ["analyse", "--question", "evidence", "--format", "csv", "--out-dir", out.to_str().unwrap()];
     let (ok, evidence, err) = metasense(&db, &asked);

@@ -7,8 +7,8 @@ const MATERIAL: &str = "density = 1e-8\nstiffness = { stretch = 3.0, shear = 0.5
 
 /// What is replaced in the spec, by what, and what the message says.
 const EDITS: &[(&str, &str, &str)] = &[
-    ("name = \"s\"\n", "", "s.toml:1: name: must be given, it has no default"),
-    ("columns = 6\n", "", "s.toml:2: body.columns: must be given without body.file"),
+    ("name = \"s\"\n", "", "s.toml:1: name: must be set; it has no default"),
+    ("columns = 6\n", "", "s.toml:2: body.columns: must be set if body.file is not"),
     (
         "[sweep]",
         "[sweep]\n\"sensors.channels\" = [[\"az\"]]",
@@ -48,7 +48,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "rows = 6",
         "rows = 6\nlayout = \"circular\"",
-        "s.toml:4: body.rows = 6: must be left out of a circular body: body.columns counts across its diameter",
+        "s.toml:4: body.rows = 6: must be left out for a circular body: body.columns counts its units across",
     ),
     ("rows = 6", "rows = 1", "s.toml:4: body.rows = 1: must be at least 2"),
     ("columns = 6", "columns = 0", "s.toml:3: body.columns = 0: "),
@@ -57,7 +57,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     ("panels = [2]", "panels = [9223372036854775808]", "s.toml:14: sweep.panels = [9223372036854775808]: "),
     ("panels = [2]", "panels = [9223372036854775807]", "s.toml:14: sweep.panels = 9223372036854775807: "),
     ("[sweep]", "[time]\nduration = 1e300\n[sweep]", "s.toml:14: time.duration = 1e300: "),
-    ("spacing = 15.0", "spacing = nan", "s.toml:5: body.spacing = nan: nan is no finite number"),
+    ("spacing = 15.0", "spacing = nan", "s.toml:5: body.spacing = nan: nan is not a finite number"),
     ("spacing = 15.0", "spacing = -15.0", "s.toml:5: body.spacing = -15: "),
     (
         "spacing = 15.0",
@@ -67,7 +67,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "columns = 6",
         "columns = 6\ndiameter = 90.0",
-        "s.toml:4: body.diameter = 90: is a circular body's; a planar one has body.width",
+        "s.toml:4: body.diameter = 90: only for circular bodies; use body.width for a planar body",
     ),
     ("columns = 6", "columns = 6\nwidth = 0.0", "s.toml:4: body.width = 0: must be a number above 0"),
     (
@@ -77,16 +77,16 @@ const EDITS: &[(&str, &str, &str)] = &[
         "s.toml:16: evaluation.records = false: must be true: goal.reader is fitted to records of a cast",
     ),
     ("density = 1e-8", "density = 0.0", "s.toml:7: body.density = 0: "),
-    ("density = 1e-8\n", "", "body.density: must be given, or body.material in its place"),
+    ("density = 1e-8\n", "", "body.density: must be set, unless body.material is set"),
     (
         "density = 1e-8",
         "density = 1e-8\nmaterial = { rubber = \"Dragon Skin 10\", thickness = 10, ligament_width = 2 }",
-        "s.toml:7: body.density = 0.00000001: cannot be given beside body.material, which gives it",
+        "s.toml:7: body.density = 0.00000001: cannot be set together with body.material, which determines it",
     ),
     (
         "density = 1e-8",
         "material = { rubber = \"Dragon Skin 10\", thickness = 10, ligament_width = 2 }",
-        "s.toml:8: body.stiffness = { … }: cannot be given beside body.material, which gives it",
+        "s.toml:8: body.stiffness = { … }: cannot be set together with body.material, which determines it",
     ),
     (
         MATERIAL,
@@ -101,12 +101,12 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "ligament_length = 2.25\ndensity = 1e-8\nstiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }\n",
         "material = { rubber = \"Dragon Skin 10\", thickness = 10, ligament_width = 2 }\n",
-        "body.ligament_length: must be given without body.file",
+        "body.ligament_length: must be set if body.file is not",
     ),
     (
         MATERIAL,
         "material = { modulus = 0.2, thickness = 10, ligament_width = 2 }\n",
-        "body.material.density: must be given, or body.material.rubber in its place",
+        "body.material.density: must be set, unless body.material.rubber is set",
     ),
     (
         MATERIAL,
@@ -155,7 +155,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "density = 1e-8",
         "density = 1e-8\npanel_units = [31, 34]\npanels = [{ unit = 31 }]",
-        "body.panel_units = [31, 34]: cannot be given beside body.panels",
+        "body.panel_units = [31, 34]: cannot be set together with body.panels",
     ),
     (
         "density = 1e-8",
@@ -165,7 +165,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "density = 1e-8",
         "density = 1e-8\npanels = [{ unit = 31 }, { unit = 31, node = 7 }]",
-        "body.panels = panels[1]: there is no node 7 of unit 31",
+        "body.panels = panels[1]: unit 31 has no node 7",
     ),
     ("density = 1e-8", "density = 1e-8\npanel_units = [31, 77]", "s.toml:8: body.panel_units = 77: "),
     ("stretch = 3.0", "stretch = -3.0", "s.toml:8: body.stiffness.stretch = -3: "),
@@ -185,7 +185,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "[sweep]\n",
         "[[evaluation.under]]\nkind = \"bell\"\n[[evaluation.under]]\namplitude = [0.1, 0.2]\n[sweep]\n",
-        "evaluation.under.kind: must be given, it has no default",
+        "evaluation.under.kind: must be set; it has no default",
     ),
     (
         "test = 4\n",
@@ -200,7 +200,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "[sweep]\n",
         "[[evaluation.under]]\nkind = \"bell\"\n[[evaluation.under]]\nkind = \"bell\"\n[sweep]\n",
-        "evaluation.under = [\"bell\", \"bell\"]: must name kinds other than mix, and each once",
+        "evaluation.under = [\"bell\", \"bell\"]: must contain kinds other than mix, each once",
     ),
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
@@ -210,7 +210,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "[sweep]\n",
         "[[evaluation.under]]\nkind = \"bell\"\nweight = 0.5\n[sweep]\n",
-        "evaluation.under.weight = 0.5: means nothing here",
+        "evaluation.under.weight = 0.5: has no effect",
     ),
     (
         "[sweep]\n",
@@ -226,7 +226,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
         "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n[[stimuli.mix]]\nkind = \"bell\"\n[[stimuli.mix]]\nweight = 0.4\nkind = \"irregular\"\n",
-        "stimuli.mix.weight: must be given to each part",
+        "stimuli.mix.weight: must be set for each part",
     ),
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
@@ -241,32 +241,32 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
         "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n[[stimuli.mix]]\nweight = 1.0\nkind = \"bell\"\n",
-        "s.toml:13: stimuli.mix = [\"bell\"]: must be two tables [[stimuli.mix]] or more",
+        "s.toml:13: stimuli.mix = [\"bell\"]: must be at least two tables [[stimuli.mix]]",
     ),
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
         "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n",
-        "s.toml:9: stimuli.mix = []: must be two tables [[stimuli.mix]] or more",
+        "s.toml:9: stimuli.mix = []: must be at least two tables [[stimuli.mix]]",
     ),
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
         "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n[[stimuli.mix]]\nweight = 0.5\n[[stimuli.mix]]\nweight = 0.5\nkind = \"irregular\"\n",
-        "s.toml:13: stimuli.mix.kind: must be given, it has no default",
+        "s.toml:13: stimuli.mix.kind: must be set; it has no default",
     ),
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
         "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n[[stimuli.mix]]\nweight = 0.5\nkind = \"bell\"\n[[stimuli.mix]]\nweight = 0.5\nkind = \"mix\"\n",
-        "s.toml:13: stimuli.mix = [\"bell\", \"mix\"]: must not hold a mixture",
+        "s.toml:13: stimuli.mix = [\"bell\", \"mix\"]: must not be a mixture",
     ),
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
         "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n[[stimuli.mix]]\nweight = 0.5\nkind = \"bell\"\ndouble = 0.5\n[[stimuli.mix]]\nweight = 0.5\nkind = \"irregular\"\n",
-        "stimuli.mix.double = 0.5: means nothing to this stimuli.kind",
+        "stimuli.mix.double = 0.5: has no effect on this stimuli.kind",
     ),
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
         "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\nwidth = [0.1, 0.2]\n[[stimuli.mix]]\nweight = 0.5\nkind = \"bell\"\n[[stimuli.mix]]\nweight = 0.5\nkind = \"irregular\"\n",
-        "s.toml:13: stimuli.width = [0.1, 0.2]: means nothing to this stimuli.kind",
+        "s.toml:13: stimuli.width = [0.1, 0.2]: has no effect on this stimuli.kind",
     ),
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
@@ -279,7 +279,7 @@ const EDITS: &[(&str, &str, &str)] = &[
         "s.toml:13: stimuli.offset = -1: must lie between 0 and a quarter of a unit's diagonal, 3.1875 mm",
     ),
     ("test = 4", "test = 4\noffset = 4.0", "s.toml:13: stimuli.offset = 4: must lie between 0 and a quarter"),
-    ("test = 4", "test = 4\noffset = nan", "s.toml:13: stimuli.offset = nan: nan is no finite number"),
+    ("test = 4", "test = 4\noffset = nan", "s.toml:13: stimuli.offset = nan: nan is not a finite number"),
     ("test = 4", "test = 4\noffset = [1, 2]", "s.toml:13: stimuli.offset"),
     (
         "test = 4",
@@ -289,7 +289,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
         "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\nangle = 5\n[[stimuli.mix]]\nweight = 0.5\nkind = \"bell\"\n[[stimuli.mix]]\nweight = 0.5\nkind = \"irregular\"\n",
-        "s.toml:13: stimuli.angle = 5: means nothing to this stimuli.kind",
+        "s.toml:13: stimuli.angle = 5: has no effect on this stimuli.kind",
     ),
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
@@ -309,12 +309,12 @@ const EDITS: &[(&str, &str, &str)] = &[
     ),
     ("test = 4", "test = 4\namplitude = [0.5, 0.1]", "s.toml:13: stimuli.amplitude = [0.5, 0.1]: "),
     ("test = 4", "test = 4\npeak = [0.0, 1.5]", "s.toml:13: stimuli.peak = "),
-    ("kind = \"bell\"", "kind = \"recorded\"", "s.toml:9: stimuli.recorded: must be given: the files"),
+    ("kind = \"bell\"", "kind = \"recorded\"", "s.toml:9: stimuli.recorded: must be set: the files"),
     (
         "density = 1e-8",
         "density = 1e-8\ndesign = \"nothere.npy\"",
-        "s.toml:8: body.design = \"nothere.npy\": reading nothere.npy: No such file or directory (os error 2); names of \
-         files are taken from the folder of the spec",
+        "s.toml:8: body.design = \"nothere.npy\": reading nothere.npy: No such file or directory (os error 2); file \
+         names are relative to the folder of the spec",
     ),
     ("panels = [2]", "panels = [7]", "s.toml:14: sweep.panels = 7: "),
     ("panels = [2]", "", "s.toml:13: sweep.panels: needs at least one value"),
@@ -326,22 +326,22 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "panels = [2]",
         "points = [\n  { panels = 2 },\n  { panels = 7 },\n]",
-        "s.toml:16: sweep.panels = 7: the top row of 6 units has no place for as many panels",
+        "s.toml:16: sweep.panels = 7: the top row of 6 units has no room for 7 panels",
     ),
     (
         "panels = [2]",
         "points = [\n  { panels = 2 },\n  { \"body.columns\" = 7 },\n]",
-        "s.toml:14: sweep.points = [ { panels = 2 }, { \"body.columns\" = 7 }, ]: every point must have panels, or none",
+        "s.toml:14: sweep.points = [ { panels = 2 }, { \"body.columns\" = 7 }, ]: either all points must set panels, or none",
     ),
     (
         "panels = [2]",
         "panels = [2]\n\"body.columns\" = [6, 7]\npoints = [{ \"body.rows\" = 6, \"body.columns\" = 8 }]",
-        "s.toml:16: sweep.points.\"body.columns\" = 8: stands in a list of [sweep], too",
+        "s.toml:16: sweep.points.\"body.columns\" = 8: is also in a list of [sweep]",
     ),
     (
         "panels = [2]",
         "panels = [2]\npoints = [{ panels = 4 }]",
-        "s.toml:15: sweep.points.panels = 4: stands in a list of [sweep], too",
+        "s.toml:15: sweep.points.panels = 4: is also in a list of [sweep]",
     ),
     (
         "panels = [2]",
@@ -356,12 +356,12 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "panels = [2]",
         "panels = [2]\npoints = [{ \"body.columns\" = 8 }, { \"body.columns\" = 8 }]",
-        "s.toml:15: sweep.points = { \"body.columns\" = 8 }: is named twice",
+        "s.toml:15: sweep.points = { \"body.columns\" = 8 }: is listed twice",
     ),
     (
         "panels = [2]",
         "panels = [2]\npoints = [{ \"body.columns\" = 8 }]\nexclude = [{ \"body.rows\" = 8 }]",
-        "s.toml:16: sweep.exclude = 8: unknown key \"body.rows\"; those known here are body.columns, panels, \
+        "s.toml:16: sweep.exclude = 8: unknown key \"body.rows\"; known keys here: body.columns, panels, \
          placement, seed, sensors",
     ),
     (
@@ -386,12 +386,12 @@ const EDITS: &[(&str, &str, &str)] = &[
     ),
     ("panels = [2]", "panels = [0]", "s.toml:14: sweep.panels = 0: "),
     ("panels = [2]", "panels = []", "s.toml:14: sweep.panels = []: needs at least one value"),
-    ("panels = [2]", "panels = [2, 2]", "s.toml:14: sweep.panels = 2: is named twice"),
+    ("panels = [2]", "panels = [2, 2]", "s.toml:14: sweep.panels = 2: is listed twice"),
     ("sensors = [1, 2]", "sensors = [17]", "s.toml:15: sweep.sensors = 17: the body has 16 free units"),
     (
         "sensors = [1, 2]",
         "sensors = [17]\n\"sensors.search\" = [\"greedy\"]",
-        "sweep.sensors = 17: the body has 16 units where sensors.search may put one",
+        "sweep.sensors = 17: the body has 16 units on which sensors.search may place a sensor",
     ),
     (
         "sensors = [1, 2]",
@@ -402,22 +402,22 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "sensors = [1, 2]",
         "sensors = [1]\nown_placements = true\n[sensors]\nplacements = [[14]]",
-        "s.toml:16: sweep.own_placements = true: goes with sensors at random units alone",
+        "s.toml:16: sweep.own_placements = true: only for sensors at random units",
     ),
     (
         "sensors = [1, 2]",
         "sensors = [1]\nown_placements = true\nseeds = [1, 2, 3, 4]\n[until]\npaired = 0.1",
-        "s.toml:16: sweep.own_placements = true: cannot be given beside [until]",
+        "s.toml:16: sweep.own_placements = true: cannot be set together with [until]",
     ),
     (
         "sensors = [1, 2]",
         "sensors = [1]\nown_placements = true\nseeds = [1, 2, 3, 4]\n[goal]\nerror = 3.0",
-        "s.toml:16: sweep.own_placements = true: cannot be given beside [goal]",
+        "s.toml:16: sweep.own_placements = true: cannot be set together with [goal]",
     ),
     (
         "sensors = [1, 2]",
         "sensors = [1]\nown_placements = true\n\"sensors.search\" = [\"random\", \"greedy\"]",
-        "s.toml:16: sweep.own_placements = true: goes with sensors at random units alone",
+        "s.toml:16: sweep.own_placements = true: only for sensors at random units",
     ),
     (
         "sensors = [1, 2]",
@@ -443,7 +443,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "sensors = [1, 2]",
         "sensors = [1]\n\"body.columns\" = [5, 6]\n[body.contact]\nmin_angle = nan",
-        "s.toml:18: body.contact.min_angle = nan: nan is no finite number",
+        "s.toml:18: body.contact.min_angle = nan: nan is not a finite number",
     ),
     (
         "sensors = [1, 2]",
@@ -478,7 +478,7 @@ const TABLES: &[(&str, &str)] = &[
     ),
     (
         "[variation]\nbend = { common = nan, ligament = 0.03 }",
-        "s.toml:14: variation.bend.common = nan: nan is no finite number",
+        "s.toml:14: variation.bend.common = nan: nan is not a finite number",
     ),
     (
         "[variation]\ndensity = { unit = 1.5 }",
@@ -502,7 +502,10 @@ const TABLES: &[(&str, &str)] = &[
         "s.toml:14: variation.stretch: must be a number or a table { common, ligament }",
     ),
     ("[variation]\nstretch = { unit = 0.05 }", "s.toml:14: variation.stretch.unit = 0.05: unknown key"),
-    ("[variation]\nstretch = { ligament = 0.0 }", "s.toml:13: variation: must say what scatters"),
+    (
+        "[variation]\nstretch = { ligament = 0.0 }",
+        "s.toml:13: variation: must contain at least one deviation",
+    ),
     (
         "[variation]\nnodes = 0.4",
         "s.toml:14: variation.nodes = 0.4: must lie between 0 and 0.375 mm, a sixth of body.ligament_length",
@@ -517,7 +520,7 @@ const TABLES: &[(&str, &str)] = &[
     ),
     (
         "[variation]\ncontact = 0.1",
-        "s.toml:14: variation.contact = 0.1: means nothing here: the body has no body.contact",
+        "s.toml:14: variation.contact = 0.1: has no effect: the body has no body.contact",
     ),
     (
         "[sensors]\nmass = 9.0",
@@ -533,7 +536,7 @@ const TABLES: &[(&str, &str)] = &[
     ),
     (
         "[sensors]\ndelay = 0.01\n[time]\nsamples = 20000",
-        "s.toml:14: sensors.delay = 0.01: takes the motion 8 times a reading: at most for time.samples = 12500",
+        "s.toml:14: sensors.delay = 0.01: needs 8 instants of motion per reading: allowed up to time.samples = 12500",
     ),
     (
         "[sensors]\nchannels = []",
@@ -555,14 +558,14 @@ const TABLES: &[(&str, &str)] = &[
         "[variation]\nmisalignment = -2.0",
         "s.toml:14: variation.misalignment = -2: must be a standard deviation from 0 to 45 degrees",
     ),
-    ("[variation]\nnodes = 0.0", "s.toml:13: variation: must say what scatters"),
+    ("[variation]\nnodes = 0.0", "s.toml:13: variation: must contain at least one deviation"),
     (
         "[optimise]\nobjective = \"mean\"",
-        "s.toml:14: optimise.objective = \"mean\": needs a [variation] that says how casts scatter",
+        "s.toml:14: optimise.objective = \"mean\": needs a [variation] or a mixture",
     ),
     (
         "[variation]\nnodes = 0.1\n[optimise]\nprotocol = \"paper\"\nobjective = \"worst\"",
-        "s.toml:17: optimise.objective = \"worst\": means nothing to this optimise.protocol, only to joint",
+        "s.toml:17: optimise.objective = \"worst\": has no effect on this optimise.protocol, only on joint",
     ),
     (
         "[variation]\nnodes = 0.1\n[optimise]\nobjective = { cvar = 1.5 }",
@@ -570,17 +573,14 @@ const TABLES: &[(&str, &str)] = &[
     ),
     (
         "[variation]\nnodes = 0.1\n[optimise]\ncasts = 4",
-        "s.toml:16: optimise.casts = 4: means nothing here: no trial has an optimise.objective over casts",
+        "s.toml:16: optimise.casts = 4: has no effect: no trial has an optimise.objective over casts",
     ),
     (
         "[variation]\nstretch = 0.05\n[optimise]\nobjective = \"mean\"\nreader = \"each\"",
-        "s.toml:17: optimise.reader = \"each\": is for bodies trained with the linear brain",
+        "s.toml:17: optimise.reader = \"each\": only for bodies trained with the linear decoder",
     ),
-    (
-        "[evaluation]\ncasts = 4",
-        "s.toml:14: evaluation.casts = 4: means nothing here: no trial has a [variation]",
-    ),
-    ("[run]\ntime_limit = nan", "s.toml:14: run.time_limit = nan: nan is no finite number"),
+    ("[evaluation]\ncasts = 4", "s.toml:14: evaluation.casts = 4: has no effect: no trial has a [variation]"),
+    ("[run]\ntime_limit = nan", "s.toml:14: run.time_limit = nan: nan is not a finite number"),
     ("[run]\ntime_limit = 2e9", "s.toml:14: run.time_limit = 2e9: must be at least 0.1, at most 1e9"),
     ("[run]\nno_progress = 0.01", "s.toml:14: run.no_progress = 0.01: must be at least 0.1, at most 1e9"),
     ("[run]\nbackoff = 2e9", "s.toml:14: run.backoff = 2e9: must be at least 0, at most 1e9"),
@@ -595,18 +595,18 @@ const TABLES: &[(&str, &str)] = &[
     ),
     (
         "[sensors]\nresolution = [1e6, 0.0]\nchip = \"WT9011DCL\"",
-        "s.toml:14: sensors.resolution = [1000000.0, 0.0]: must be 0 or above, and less than sensors.range: [mm/s², rad/s]",
+        "s.toml:14: sensors.resolution = [1000000.0, 0.0]: must be at least 0 and less than sensors.range: [mm/s², rad/s]",
     ),
     ("[sensors]\nchip = \"MPU9250\"", "s.toml:14: sensors.chip"),
     ("[optimise]\ntie = [0, 2]", "s.toml:14: optimise.tie = [0, 2]: must be two numbers from 1 to 1000"),
     ("[optimise]\nfrozen = [99]", "s.toml:14: optimise.frozen = 99: the layout's units are 0 to 35"),
     (
         "[optimise]\nprotocol = \"random\"\nbatch = 4",
-        "s.toml:15: optimise.batch = 4: means nothing to this optimise.protocol, only to envelope and joint",
+        "s.toml:15: optimise.batch = 4: has no effect on this optimise.protocol, only on envelope and joint",
     ),
     (
         "[optimise]\nprotocol = \"random\"\ngradient = \"direct\"",
-        "s.toml:15: optimise.gradient = \"direct\": means nothing to this optimise.protocol, only to paper",
+        "s.toml:15: optimise.gradient = \"direct\": has no effect on this optimise.protocol, only on paper",
     ),
     ("[until]\npaired = 0.2\nconfidence = 1.5", "s.toml:15: until.confidence = 1.5: must lie in [0.5, 1)"),
     (
@@ -614,25 +614,25 @@ const TABLES: &[(&str, &str)] = &[
         "evaluation.under.width = [0.1, 0.2, 0.3]: must be a list of 2 numbers",
     ),
     ("[goal]\nerror = 0.0", "s.toml:14: goal.error = 0.0: must be a number above 0"),
-    ("[goal]\nerror = 3.0\nquantile = 1.5", "s.toml:15: goal.quantile = 1.5: must lie above 0"),
-    ("[goal]\nerror = 3.0\nquantile = 0.9", "s.toml:15: goal.quantile = 0.9: is over casts: give"),
+    ("[goal]\nerror = 3.0\nquantile = 1.5", "s.toml:15: goal.quantile = 1.5: must be above 0"),
+    ("[goal]\nerror = 3.0\nquantile = 0.9", "s.toml:15: goal.quantile = 0.9: applies to casts: set"),
     ("[goal]\nerror = 3.0\nfresh = 1", "s.toml:15: goal.fresh = 1: must be at least 3"),
     ("[goal]\nerror = 3.0\nmemry = 1", "s.toml:15: goal.memry = 1: unknown key; the nearest"),
-    ("[until]\npaired = 1.0\n[goal]\nerror = 3.0", "until: cannot be given beside [goal]"),
-    ("[evaluation]\nrecords = false", "s.toml:14: evaluation.records = false: means nothing here"),
+    ("[until]\npaired = 1.0\n[goal]\nerror = 3.0", "until: cannot be set together with [goal]"),
+    ("[evaluation]\nrecords = false", "s.toml:14: evaluation.records = false: has no effect"),
     ("[until]\nconfidence = 0.9", "s.toml:13: until: needs a question: paired, within,"),
     ("[until]\npared = 0.2", "s.toml:14: until.pared = 0.2: unknown key; the nearest known one is"),
     (
         "[evaluation]\ninitial = false\n[until]\npaired = 0.2",
-        "s.toml:14: evaluation.initial = false: must be true: until.paired and until.fewer ask about the initial body",
+        "s.toml:14: evaluation.initial = false: must be true: until.paired and until.fewer use the initial body",
     ),
     (
         "[until]\npaired = 0.2",
-        "s.toml:14: until.paired = 0.2: needs one point, and four placements or seeds of each",
+        "s.toml:14: until.paired = 0.2: needs one point with four placements or seeds of each",
     ),
     (
         "[until]\nelbow = true\nat_most = { seeds = 6 }",
-        "s.toml:14: until.elbow = true: needs four numbers of sensors, and four placements or seeds",
+        "s.toml:14: until.elbow = true: needs four numbers of sensors with four placements or seeds",
     ),
     (
         "[sensors]\nplacements = 4",
@@ -667,18 +667,18 @@ const TABLES: &[(&str, &str)] = &[
     ("[sensors]\nplacements = [[14], [14, 14]]", "s.toml:14: sensors.placements = 14: "),
     (
         "[sensors]\nplacements = [[14], [14, 15], [15, 14]]",
-        "s.toml:14: sensors.placements = [14, 15]: is named twice",
+        "s.toml:14: sensors.placements = [14, 15]: is listed twice",
     ),
     (
         "[sensors]\nplacements = [[14], [14, 15], [8, 9, 8]]",
-        "s.toml:14: sensors.placements = 8: is named twice",
+        "s.toml:14: sensors.placements = 8: is listed twice",
     ),
     ("[sensors]\nplacements = [[14], [2, 14]]", "s.toml:14: sensors.placements = 2: "),
     (
         "[sensors]\nplacements = [[14], [14, 20], [20, 14]]",
-        "s.toml:14: sensors.placements = [14, 20]: is named twice",
+        "s.toml:14: sensors.placements = [14, 20]: is listed twice",
     ),
-    ("[sensors]\nplacements = [[14]]", "s.toml:14: sensors.placements = [[14]]: holds no list of 2 units"),
+    ("[sensors]\nplacements = [[14]]", "s.toml:14: sensors.placements = [[14]]: contains no list of 2 units"),
     (
         "[sensors]\nplacements = [[99, 8]]",
         "s.toml:14: sensors.placements = 99: the layout's units are 0 to 35",
@@ -687,20 +687,20 @@ const TABLES: &[(&str, &str)] = &[
     ("[sensors]\nsearch = \"best\"", "s.toml:14: sensors.search = "),
     (
         "[sensors]\nsearch = \"greedy\"\nplacements = [[14]]",
-        "sensors.search = \"greedy\": cannot be given beside sensors.placements",
+        "sensors.search = \"greedy\": cannot be set together with sensors.placements",
     ),
-    ("[sensors]\noffset = [1.0, nan]", "s.toml:14: sensors.offset = [1.0, nan]: nan is no finite number"),
+    ("[sensors]\noffset = [1.0, nan]", "s.toml:14: sensors.offset = [1.0, nan]: nan is not a finite number"),
     (
         "[sensors]\nmass = 1e-6\noffset = [1.0, 0.0]",
-        "s.toml:15: sensors.offset = [1.0, 0.0]: cannot be given beside sensors.mass",
+        "s.toml:15: sensors.offset = [1.0, 0.0]: cannot be set together with sensors.mass",
     ),
     (
         "[sensors]\nchip = \"WT9011DCL\"\noffset = [1.0, 0.0]",
-        "s.toml:15: sensors.offset = [1.0, 0.0]: cannot be given beside sensors.mass",
+        "s.toml:15: sensors.offset = [1.0, 0.0]: cannot be set together with sensors.mass",
     ),
     ("[sensors]\ntilt = 361.0", "s.toml:14: sensors.tilt = 361: must lie between"),
-    ("[sensors]\nspacing = 20.0", "sensors.spacing = 20: is for sensors.search"),
-    ("[sensors]\nfrom = \"free\"", "sensors.from = \"free\": is for sensors.search"),
+    ("[sensors]\nspacing = 20.0", "sensors.spacing = 20: only for sensors.search"),
+    ("[sensors]\nfrom = \"free\"", "sensors.from = \"free\": only for sensors.search"),
     ("[sensors]\nsearch = \"greedy\"\nspacing = 200.0", "sensors.spacing = 200: leaves room for 1 sensors"),
 ];
 
@@ -777,7 +777,7 @@ fn files_and_databases_that_cannot_be_used_are_named() {
         (&["run", "binary.toml"], "cannot read binary.toml"),
         (
             &["run", "s.toml", "--db", "file/s.sqlite"],
-            "cannot write the database file/s.sqlite; name another file",
+            "cannot write the database file/s.sqlite; choose another file",
         ),
         (&["run", "s.toml", "--db", "."], "cannot write the database ."),
         (&["run", "s.toml", "--db", "x.log"], "x.log"),
@@ -790,11 +790,11 @@ fn files_and_databases_that_cannot_be_used_are_named() {
         (&["query", "empty.sqlite", "SELECT 1"], "empty.sqlite is not a metasense database"),
         (&["serve", "file", "--port", "0"], "file is not a metasense database"),
         (&["trial", "s.toml", "--threads", "3000"], "3000 is not in 1..=1024"),
-        (&["status"], "there is no database under results/"),
+        (&["status"], "no database in results/"),
         (&["analyse", "none.sqlite", "--within", "-1"], "invalid value '-1' for '--within <PART>'"),
         (
             &["export", "none.sqlite", "ab", "--format", "svg", "--wall", "2", "--out", "x"],
-            "--wall is for --format stl and device: leave it out",
+            "--wall: only for --format stl and device; leave it out",
         ),
         (&["run", "twice.toml"], "twice.toml:11: stimuli.recorded.files = "),
         (&["frobnicate"], "unrecognized subcommand 'frobnicate'"),
@@ -819,6 +819,9 @@ fn a_database_is_no_spec() {
         let output = bench.metasense(&[command, "x.sqlite"]);
         assert_eq!(output.status.code(), Some(2));
         let message = String::from_utf8_lossy(&output.stderr);
-        assert!(message.contains("x.sqlite is a database; SPEC is the .toml file of a sweep"), "{message}");
+        assert!(
+            message.contains("x.sqlite is a database; SPEC must be the .toml file of a sweep"),
+            "{message}"
+        );
     }
 }

@@ -150,12 +150,12 @@ fn a_body_that_cannot_be_is_refused_with_its_place() {
             "[5, 12], [14, 2]",
             "s.toml:3: body.file = \"bad.body.toml\", units[0]: its nodes must run counter-clockwise",
         ),
-        ("[0, 1, 1, 0]", "[0, 1, 1, 9]", "ligaments[0] = [0, 1, 1, 9]: there is no node 9 of a unit 1"),
-        ("[0, 2, 2, 0], [1, 3, 2, 1]", "[0, 2, 1, 3]", "units[2]: hangs on nothing"),
+        ("[0, 1, 1, 0]", "[0, 1, 1, 9]", "ligaments[0] = [0, 1, 1, 9]: unit 1 has no node 9"),
+        ("[0, 2, 2, 0], [1, 3, 2, 1]", "[0, 2, 1, 3]", "units[2]: is not connected"),
         ("[16, 0], [28, 1]", "[9, 4], [28, 1]", "\n  units 0 and 1 overlap"),
         ("[27, 11], [17, 12]", "[17, 12], [27, 11]", "unit 1: its edges cross"),
         ("clamp = [0]", "clamp = [0, 3]", "clamp: 3: the units are 0 to 2"),
-        ("unit = 2,", "unit = 3,", "panels[0]: there is no unit 3: the units are 0 to 2"),
+        ("unit = 2,", "unit = 3,", "panels[0]: unit 3 does not exist: the units are 0 to 2"),
         ("clamp", "clamps", "bad.body.toml: TOML parse error at line 7"),
     ] {
         assert!(MINE.contains(from), "{from}");
@@ -168,6 +168,6 @@ fn a_body_that_cannot_be_is_refused_with_its_place() {
     bench.file("s.toml", &spec.replace("file = ", "columns = 3\nfile = "));
     let refused = bench.metasense(&["run", "s.toml", "--db", "s.sqlite"]);
     let said = String::from_utf8_lossy(&refused.stderr);
-    assert!(said.contains("body.columns = 3: cannot be given beside body.file"), "{said}");
+    assert!(said.contains("body.columns = 3: cannot be set together with body.file"), "{said}");
     assert!(!bench.path("s.sqlite").exists(), "nothing was started");
 }

@@ -197,8 +197,8 @@ fn every_body_is_read_by_both_brains() {
     }
     bench.output(&["report", "results/tiny.sqlite", "--out", "r.html"]);
     let page = std::fs::read_to_string(bench.path("r.html")).unwrap();
-    assert!(page.contains("the error by a linear decoder of the whole sample is"), "{page}");
-    assert!(page.contains("Body or brain?"));
+    assert!(page.contains("the error of a linear decoder of the whole sample is"), "{page}");
+    assert!(page.contains("Body or decoder?"));
 
     let once = results(&bench, "results/tiny.sqlite");
     bench.output(&["run", "s.toml", "--workers", "1", "--db", "again.sqlite"]);
@@ -331,37 +331,32 @@ fn keys_of_another_brain_make_no_difference_or_are_refused() {
             &linear,
             "kind = \"linear\"",
             "kind = \"linear\"\niterations = 20",
-            "brain.iterations = 20: means nothing here: no trial has",
+            "brain.iterations = 20: has no effect: no trial has",
         ),
         (
             &linear,
             "batch = 4",
             "batch = 4\nbrain_iterations = 3",
-            "optimise.brain_iterations = 3: means nothing here",
+            "optimise.brain_iterations = 3: has no effect",
         ),
         (
             &linear,
             "batch = 4",
             "batch = 4\nbrain = \"inverse\"",
-            "optimise.brain = \"inverse\": stacked and inverse brains only read",
+            "optimise.brain = \"inverse\": stacked and inverse decoders cannot train bodies",
         ),
-        (
-            &linear,
-            "[solver]",
-            "[evaluation]\nseeds = 2\n[solver]",
-            "evaluation.seeds = 2: means nothing here",
-        ),
+        (&linear, "[solver]", "[evaluation]\nseeds = 2\n[solver]", "evaluation.seeds = 2: has no effect"),
         (
             &TINY.to_owned(),
             "iterations = 10",
             "iterations = 10\nmemory = [0.1, 0.1]",
-            "brain.memory = [0.1, 0.1]: means nothing here",
+            "brain.memory = [0.1, 0.1]: has no effect",
         ),
         (
             &TINY.to_owned(),
             "iterations = 10",
             "iterations = 10\nridge = 0.1",
-            "brain.ridge = 0.1: means nothing here",
+            "brain.ridge = 0.1: has no effect",
         ),
     ];
     for (spec, from, to, said) in edits {

@@ -259,7 +259,7 @@ fn a_run_is_steered_by_its_pages() {
     page.open(&format!("{plain}/0/trial/{hash}"));
     page.until("controls", |page| page.value("document.querySelector('#control')?.hidden") == false);
     assert!(page.nameless().is_empty());
-    press(&mut page, "next", "goes to the next worker");
+    press(&mut page, "next", "starts on the next free worker");
     press(&mut page, "cancel", "cancelled");
     let failed = "document.querySelector('#facts .question').textContent === 'failed: cancelled'";
     page.until("the end of the trial", |page| page.value(failed) == true);

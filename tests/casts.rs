@@ -98,7 +98,7 @@ fn casts_of_finished_bodies_are_read() {
     }
     bench.output(&["report", db, "--out", "r.html"]);
     let page = std::fs::read_to_string(bench.path("r.html")).unwrap();
-    for part in ["<h2 id=\"casts\">", "by one linear brain for all casts: initial ", "mean of casts"] {
+    for part in ["<h2 id=\"casts\">", "with one linear decoder for all casts: initial ", "mean of casts"] {
         assert!(page.contains(part), "the page lacks {part}");
     }
 

@@ -206,7 +206,7 @@ fn the_initial_body_is_compared_only_where_somebody_asks() {
     bench.file("alone.toml", &text.replace("seeds = 1\n", "seeds = 1\ninitial = false\n"));
     let said = bench.metasense(&["run", "alone.toml", "--db", "s.sqlite"]);
     let said = String::from_utf8_lossy(&said.stderr);
-    assert!(said.contains("holdout error ") && !said.contains("->") && !said.contains("unknown"), "{said}");
+    assert!(said.contains("held-out error ") && !said.contains("->") && !said.contains("unknown"), "{said}");
     bench.output(&["run", "both.toml", "--db", "s.sqlite"]);
     let found = rows(
         &bench.path("s.sqlite"),

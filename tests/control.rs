@@ -135,31 +135,31 @@ fn a_run_does_what_it_is_asked_and_comes_to_the_same_results() {
     run.busy("running: 1 of 1 worker busy");
     run.until(|| bench.number("s.sqlite", "SELECT count(*) FROM v_step") > 0);
 
-    run.asked(&["pause"], 0, "paused: 1 running trial is taken back");
+    run.asked(&["pause"], 0, "paused: 1 running trial stops");
     run.until(|| run.asks(&["state"]).1.contains("paused: 0 of 1 worker busy"));
     run.until(|| run.count("count(*) FROM v_attempt WHERE state = 'running'") == "0");
     let steps = run.count("count(*) FROM v_step");
     run.asked(&["cancel", &hashes[0]], 0, "cancelled\n");
     run.asked(&["cancel", &hashes[1][..12]], 0, "cancelled\n");
-    run.asked(&["next", &hashes[5]], 0, "goes to the next worker");
+    run.asked(&["next", &hashes[5]], 0, "starts on the next free worker");
     run.asked(&["workers", "2"], 0, "workers: 1 before, 2 from now on");
 
-    run.asked(&["cancel", &hashes[0]], 1, "refused: the trial is given up already (cancelled)");
+    run.asked(&["cancel", &hashes[0]], 1, "refused: the trial has already ended (cancelled)");
     run.asked(&["next", "no-such"], 1, "refused: trial no-such: no trial begins so");
     run.asked(&["workers", "0"], 2, "0 is not in");
-    run.asked(&["cancel", "a b"], 2, "no command");
+    run.asked(&["cancel", "a b"], 2, "unknown command");
     run.asked(&["dance"], 2, "unrecognized subcommand");
     bench.file("s.toml", &specs()[0].replace("samples = 8", "samples = -8"));
     run.asked(&["reload"], 1, "refused: s.toml");
     bench.file("s.toml", &specs()[0].replace("\"tiny\"", "\"other\""));
-    run.asked(&["reload"], 1, "its name is \"other\"");
+    run.asked(&["reload"], 1, "name = \"other\"");
     bench.file("s.toml", &specs()[1].replace("seeds = [1, ", "seeds = ["));
-    run.asked(&["reload"], 0, "trials added: 2; no longer in the spec, and run all the same: 2\n");
+    run.asked(&["reload"], 0, "trials added: 2; no longer in the spec, but still run: 2\n");
     bench.file("s.toml", &specs()[1]);
     run.asked(&["reload"], 0, "trials added: 0\n");
     assert_eq!(run.count("count(*) FROM v_step"), steps, "nothing has gone on");
 
-    run.asked(&["resume"], 0, "goes on: trials that wait: 6\n");
+    run.asked(&["resume"], 0, "resumed; pending trials: 6\n");
     assert_eq!(run.wait(), Some(0), "{}", run.told());
     run.asked(&["state"], 2, "no run holds s.sqlite");
     assert!(!bench.path("s.sqlite.control").exists());
@@ -196,14 +196,14 @@ fn what_runs_is_taken_back_and_what_is_killed_leaves_nothing_in_the_way() {
     run.until(|| run.bench.metasense(&["query", "s.sqlite", "SELECT 1"]).status.success());
     run.until(|| run.count("count(*) FROM v_attempt WHERE state = 'running'") == "2");
     let hash = run.count(running);
-    run.asked(&["next", &hash], 1, "refused: the trial is running already");
+    run.asked(&["next", &hash], 1, "refused: the trial is already running");
     run.asked(&["workers", "1"], 0, "workers: 2 before, 1 from now on");
     run.asked(&["cancel", &hash], 0, "it ends after its step in progress");
     let ended =
         format!("count(*) FROM v_trial WHERE hash = '{hash}' AND state = 'failed' AND reason = 'cancelled'");
     run.until(|| run.count(&ended) == "1");
     run.busy("1 of 1 worker busy");
-    run.asked(&["stop"], 0, "stopping: 1 running trial is taken back");
+    run.asked(&["stop"], 0, "stopping: 1 running trial stops");
     assert_eq!(run.wait(), Some(4), "{}", run.told());
     let others = "count(*) FROM v_attempt WHERE state = 'failed' AND reason NOT IN ('stopped', 'cancelled')";
     assert_eq!(run.count(others), "0", "something else has ended an attempt");
@@ -251,7 +251,7 @@ fn questions_and_shards_decide_themselves_what_is_run() {
     }
     run.until(|| run.count("count(*) FROM v_run") == "2");
     run.until(|| run.asks(&["state"]).1.starts_with("paused: 0 of 2 workers busy, 0 of 2 trials settled"));
-    run.asked(&["resume"], 0, "goes on");
+    run.asked(&["resume"], 0, "resumed");
     assert_eq!(run.wait(), Some(0), "{}", run.told());
     assert_eq!(
         run.count("group_concat(workers, ' ') FROM (SELECT workers FROM v_run ORDER BY started_at)"),
@@ -262,7 +262,7 @@ fn questions_and_shards_decide_themselves_what_is_run() {
     std::fs::remove_file(bench.path("s.sqlite")).unwrap();
     let mut run = Run::start(&bench, &["--workers", "1", "--shard", "1/2"]);
     run.busy("1 of 1 worker busy");
-    run.asked(&["reload"], 1, "refused: a shard's trials are assigned before it begins");
+    run.asked(&["reload"], 1, "refused: the trials of a shard are assigned before it starts");
     run.asked(&["stop"], 0, "stopping");
     assert_eq!(run.wait(), Some(4), "{}", run.told());
 }
@@ -292,9 +292,8 @@ fn a_run_that_is_steered_at_random_comes_to_the_same_results() {
             };
             let (code, said) = run.asks(&command);
             // the last one may come as the run ends
-            let late = ["no run holds", "takes no commands", "without an answer"]
-                .iter()
-                .any(|why| said.contains(why));
+            let late =
+                ["no run holds", "takes no commands", "without a reply"].iter().any(|why| said.contains(why));
             assert!(matches!(code, Some(0 | 1)) || late, "{command:?}: {said}");
             commands += 1;
             let workers = children(run.child.id());
@@ -434,9 +433,7 @@ fn pages_of_a_run_steer_it_and_nobody_else_does() {
     slow.write_all(format!("{line}{own}{bearer}Content-Length: 9\r\n\r\np").as_bytes()).unwrap();
     let steer = |body: &str| post(port, &format!("{line}{own}{bearer}"), body);
     let (status, answer) = steer("pause");
-    assert!(
-        status == 200 && answer.ends_with("paused: 1 running trial is taken back after its step in progress")
-    );
+    assert!(status == 200 && answer.ends_with("paused: 1 running trial stops after its step in progress"));
     run.until(|| run.asks(&["state"]).1.contains("paused: 0 of 1"));
     assert_eq!(steer("resume").0, 200);
     run.asked(&["state"], 0, "running");
@@ -453,7 +450,7 @@ fn pages_of_a_run_steer_it_and_nobody_else_does() {
     let at = format!("--serve={}", taken.local_addr().unwrap().port());
     let refused = bench.metasense(&["run", "s.toml", "--db", "t.sqlite", &at]);
     let said = String::from_utf8_lossy(&refused.stderr);
-    assert!(refused.status.code() == Some(2) && said.contains("--serve=0 any that is free"), "{said}");
+    assert!(refused.status.code() == Some(2) && said.contains("--serve=0 for any free port"), "{said}");
     // a run that is killed takes its pages with it
     bench.file("s.toml", &specs()[0].replace("[1, 2, 3]", "[7, 8, 9]"));
     let mut run = Run::start(&bench, &["--serve=0"]);

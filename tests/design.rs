@@ -164,10 +164,7 @@ fn a_drawing_of_another_kind_is_refused() {
         let out = bench.metasense(&["body", "draw", "s.toml", "--out", name]);
         let message = String::from_utf8_lossy(&out.stderr);
         assert_eq!(out.status.code(), Some(2), "{name}: {message}");
-        assert!(
-            message.contains(&format!("--out {name}: a drawing is SVG; name it so, as x.svg")),
-            "{message}"
-        );
+        assert!(message.contains(&format!("--out {name}: a drawing is an SVG file; use x.svg")), "{message}");
         assert!(!bench.path(name).exists(), "{name}");
     }
 }
@@ -231,7 +228,7 @@ fn a_design_that_cannot_be_cast_is_refused_with_the_list() {
     std::fs::write(bench.path("bad.npy"), npy(&wild)).unwrap();
     let said = refused("design = \"bad.npy\"");
     assert!(said.contains("s.toml:") && said.contains("body.design") && said.contains("unit 0"), "{said}");
-    assert!(refused("design = \"short.npy\"").contains("holds 47 numbers; α of this body has 48"));
+    assert!(refused("design = \"short.npy\"").contains("and 47 numbers; α of this body has 48"));
     assert!(refused("design = \"none.npy\"").contains("none.npy"));
     assert!(refused("design = { randon = 1 }").contains("random"));
     let sensors = "[sensors]\nnoise = 0.1\nrelative_to = { shifts = [0.0] }\n[sweep]";

@@ -158,7 +158,7 @@ fn the_body_that_is_truly_better_is_found_so() {
 
     let page = std::fs::read_to_string(bench.path("out/index.html")).unwrap();
     assert!(
-        page.contains("the initial body's error is") && page.matches("<svg class=\"plot\"").count() == 8,
+        page.contains("the error of the initial body is") && page.matches("<svg class=\"plot\"").count() == 8,
         "{page}"
     );
     let npz = std::fs::read(bench.path("out/records.npz")).unwrap();
@@ -250,38 +250,38 @@ fn bad_calls_are_refused() {
     let rest: String = (1..RECORDS).map(|i| format!(", \"{i}.csv\"")).collect();
     for (arguments, said) in [
         (vec![], "--records <BODY=FILE>"),
-        (vec!["--records", "bad.toml"], "must be BODY=FILE, for instance initial=records.toml"),
-        (vec!["--records", "a b=bad.toml"], "\"a b\" is no name: letters, digits, - and _"),
+        (vec!["--records", "bad.toml"], "must be BODY=FILE, such as initial=records.toml"),
+        (vec!["--records", "a b=bad.toml"], "\"a b\": a name consists of letters, digits, - and _"),
         (vec![initial, initial], "--records initial: given twice"),
         (vec!["--records", "initial=none.toml"], "cannot read none.toml"),
-        (vec![initial, "--design", "o=other.npy"], "--design o: there are no --records o=FILE"),
+        (vec![initial, "--design", "o=other.npy"], "--design o: pass --records o=FILE"),
         (vec![initial, "--design", "initial=none.npy"], "reading none.npy"),
         (
             vec![initial, "--folds", "13"],
-            "--records initial: --folds 13: must lie between 2 and the 12 records",
+            "--records initial: --folds 13: must lie between 2 and 12, the number of records",
         ),
         (vec![initial, "--brain", "linear", "--seeds", "2"], "--seeds means nothing to a linear brain"),
         (
             vec![initial, "--brain", "inverse", "--folds", "2"],
-            "--folds means nothing to an inverse brain, which is trained on no record",
+            "--folds: has no effect on an inverse decoder, which is not trained on records",
         ),
         (
             vec!["--records=o=bad.toml", "--brain", "inverse"],
-            "--records o=bad.toml: an inverse brain reads by the body's model: give --design BODY=FILE",
+            "--records o=bad.toml: an inverse decoder needs the model of the body: pass --design BODY=FILE",
         ),
         (
             vec![initial, "--brain", "inverse"],
-            "s.toml:1: sensors.noise: an inverse brain must know the noise",
+            "s.toml:1: sensors.noise: must be set: an inverse decoder needs the noise",
         ),
-        (vec!["--records=initial=holdout"], "--records initial=holdout: is for --brain inverse"),
+        (vec!["--records=initial=holdout"], "--records initial=holdout: only for --brain inverse"),
         (vec![initial, "--folds", "1"], "invalid value '1' for '--folds <N>'"),
         (
             vec!["--records=initial=one.toml"],
-            "--records initial=one.toml: holds one record: give two or more",
+            "--records initial=one.toml: contains one record: pass two or more",
         ),
         (
             vec![initial, "--records=b=bad.toml"],
-            "--records b=bad.toml: holds record 0 of --records initial=bad.toml",
+            "--records b=bad.toml: contains record 0 of --records initial=bad.toml",
         ),
         (vec!["--records", "initial=typo.toml"], "typo.toml:2: recorded.file = "),
     ] {

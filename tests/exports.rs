@@ -256,7 +256,7 @@ fn a_brain_in_c_says_what_it_said_in_the_trial() {
             let refused = export(hash, &[]);
             let said = String::from_utf8_lossy(&refused.stderr);
             assert!(
-                refused.status.code() == Some(2) && said.contains("linear brains and networks"),
+                refused.status.code() == Some(2) && said.contains("linear decoders and networks"),
                 "{said}"
             );
             continue;
@@ -326,7 +326,10 @@ fn a_device_is_a_folder_with_all_that_is_built() {
             bench.output(&[&call[..], &["--pocket", "3x2x1", "--out", reader]].concat());
             let read = |name: &str| std::fs::read_to_string(bench.path(&format!("{reader}/{name}"))).unwrap();
             let (notes, source) = (read("README.md"), read("brain.c"));
-            assert!(notes.contains("The cavity holds ") && notes.contains("| chip 0 |"), "{notes}");
+            assert!(
+                notes.contains("The volume of the cavity is ") && notes.contains("| chip 0 |"),
+                "{notes}"
+            );
             for name in ["mould.stl", "body.dxf", "body.svg", "design.npy", "brain.onnx"] {
                 assert!(notes.contains(name) && bench.path(&format!("{reader}/{name}")).is_file());
             }
@@ -334,7 +337,7 @@ fn a_device_is_a_folder_with_all_that_is_built() {
             assert!(good, "{said}");
             source
         });
-        assert!(casts.contains("The brain for all casts of the optimised body"));
+        assert!(casts.contains("The decoder for all casts of the optimised body"));
         assert_ne!(between(&casts, "W0[]", "}"), between(&design, "W0[]", "}"));
     }
     bench.file("s.toml", TINY);

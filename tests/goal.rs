@@ -131,7 +131,7 @@ fn what_cannot_be_met_is_said() {
     let (code, table, said) = design(&bench, &["--db", "few.sqlite"]);
     assert!(code == Some(0) && table.lines().count() == 2, "{table}{said}");
     assert!(
-        said.contains("goal.operations leaves out 2 trials; the least one needs 468 multiply-adds"),
+        said.contains("goal.operations excludes 2 trials; the smallest value is 468 multiply-adds"),
         "{said}"
     );
     let row: Vec<&str> = table.lines().nth(1).unwrap().split(',').collect();
@@ -140,13 +140,13 @@ fn what_cannot_be_met_is_said() {
         ["export", "few.sqlite", row.last().unwrap(), "--format", "c", "--out", brain.to_str().unwrap()];
     bench.output(&args);
     let text = std::fs::read_to_string(&brain).unwrap();
-    let head = text.lines().find(|line| line.contains("multiply-adds a reading")).unwrap();
+    let head = text.lines().find(|line| line.contains("multiply-adds per reading")).unwrap();
     let told: Vec<f64> =
         head.split(|c: char| !c.is_ascii_digit()).filter_map(|word| word.parse().ok()).collect();
     assert_eq!(told[told.len() - 1], row[1].parse::<f64>().unwrap(), "{head}");
     bench.file("s.toml", &linear("error = 1e6\nmemory = 0.001\n"));
     let (code, _, said) = design(&bench, &[]);
-    let least = said.split("the least one needs ").nth(1).and_then(|rest| rest.split(" kB").next());
+    let least = said.split("the smallest value is ").nth(1).and_then(|rest| rest.split(" kB").next());
     let bytes = told[told.len() - 3] + told[told.len() - 2];
     assert!(
         code == Some(2) && (least.unwrap().parse::<f64>().unwrap() - bytes / 1e3).abs() < 5e-3,
@@ -158,7 +158,7 @@ fn what_cannot_be_met_is_said() {
     for (key, least, unit) in [("mass", grams, "g"), ("size", 45.0 + 2.0 * h, "mm")] {
         bench.file("s.toml", &linear(&format!("error = 1e6\n{key} = 0.001\n")));
         let (code, _, said) = design(&bench, &[]);
-        let told = said.split("the least one needs ").nth(1).and_then(|rest| rest.split(unit).next());
+        let told = said.split("the smallest value is ").nth(1).and_then(|rest| rest.split(unit).next());
         let told: f64 = told.unwrap_or_else(|| panic!("{said}")).trim().parse().unwrap();
         assert!(code == Some(2) && (told / least - 1.0).abs() < 5e-3, "{told} {least}: {said}");
     }

@@ -109,7 +109,10 @@ fn shards_survive_their_worker_and_are_not_submitted_twice() {
     // Waiting, for want of a worker; then running: not again.
     for state in ["waiting", "running"] {
         let again = site.says("cluster submit hq tiny.toml --cpus 1 --time 10");
-        assert!(again.contains("left out: shards 1-2") && again.contains("nothing to submit"), "{again}");
+        assert!(
+            again.contains("running or queued: shards 1-2") && again.contains("nothing to submit"),
+            "{again}"
+        );
         let status = site.says("status --folder");
         assert!(status.contains(state) && status.contains("2 in the queue"), "{status}");
         if state == "waiting" {

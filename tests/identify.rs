@@ -216,7 +216,7 @@ fn a_fit_goes_on_where_it_was_killed() {
     let (whole, again) = (bench.output(&call("whole")), call("again"));
     let (kills, last) = bench.killed_until_done(&again, "again/unfinished.bin");
     let said = String::from_utf8_lossy(&last.stderr);
-    assert!(kills >= 3 && said.contains("iterations were done before"), "{kills} kills: {said}");
+    assert!(kills >= 3 && said.contains("resumed after"), "{kills} kills: {said}");
     assert!(last.status.success() && String::from_utf8_lossy(&last.stdout) == whole, "{said}");
     assert!(bench.files("again") == bench.files("whole"), "the files differ");
 }

@@ -136,7 +136,7 @@ fn bad_records_and_sensors_are_refused() {
         (
             "samples = 9",
             "samples = 10",
-            "s.toml:16: stimuli.samples = 10: with stimuli.holdout = 3 that is 13 records; the files hold 12",
+            "s.toml:16: stimuli.samples = 10: with stimuli.holdout = 3, 13 records are needed; the files contain 12",
         ),
         ("force = [\"force\"]", "force = [\"F\"]", "has no array \"F\", but force, time"),
         ("threshold = 0.1", "threshold = 50.0", "never reaches the trigger's 50 N"),
@@ -158,11 +158,11 @@ fn bad_records_and_sensors_are_refused() {
         (
             "force_samples = 160",
             "double = 0.5",
-            "s.toml:19: stimuli.double = 0.5: means nothing to this stimuli.kind",
+            "s.toml:19: stimuli.double = 0.5: has no effect on this stimuli.kind",
         ),
         ("delay = 0.004", "delay = -1.0", "s.toml:13: sensors.delay = -1: "),
         ("[0.0, 0.1]", "[0.0, -0.1]", "sensors.noise = [-0.1]: "),
-        ("\"recorded\"", "\"irregular\"", "stimuli.recorded = { … }: means nothing"),
+        ("\"recorded\"", "\"irregular\"", "stimuli.recorded = { … }: has no effect"),
     ] {
         assert!(SPEC.contains(from), "{from}");
         bench.file("s.toml", &SPEC.replacen(from, to, 1));

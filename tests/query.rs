@@ -170,9 +170,11 @@ async fn one_statement_is_answered_and_none_panics() {
         assert!(out.starts_with("one\n"), "{sql}: {out}");
     }
     for format in ["table", "csv", "json", "parquet"] {
-        for (sql, why) in
-            [("", "no statement"), (" ;", "no statement"), ("VACUUM INTO 'v.db'", "only what reads")]
-        {
+        for (sql, why) in [
+            ("", "the statement is empty"),
+            (" ;", "the statement is empty"),
+            ("VACUUM INTO 'v.db'", "only statements that read"),
+        ] {
             let output = bench.metasense(&["query", "s.sqlite", sql, "--format", format]);
             let message = String::from_utf8_lossy(&output.stderr);
             assert!(output.status.code() == Some(2) && message.contains(why), "{format} {sql}: {message}");
@@ -187,7 +189,7 @@ async fn one_statement_is_answered_and_none_panics() {
         }
         let twice = bench.metasense(&["query", "s.sqlite", "SELECT 1 AS a, 2 AS a", "--format", format]);
         let said = String::from_utf8_lossy(&twice.stderr);
-        let (code, why) = if format == "json" { (2, "two columns are called a") } else { (0, "") };
+        let (code, why) = if format == "json" { (2, "two columns are named a") } else { (0, "") };
         assert!(twice.status.code() == Some(code) && said.contains(why), "{format}: {said}");
     }
     for (words, why) in [
@@ -214,7 +216,7 @@ async fn a_database_that_is_damaged_or_in_use_gives_code_3() {
         (&["run", "s.toml", "--db", "s.sqlite"][..], "in use by another run"),
         (
             &["remove", "s.sqlite", "M=1", "--yes"],
-            "in use by another run; wait for it, or name another file\n",
+            "in use by another run; wait for it, or choose another file\n",
         ),
         (&["query", "half.sqlite", "SELECT * FROM v_trial"], "damaged"),
         (&["report", "half.sqlite", "--out", "r.html"], "damaged"),

@@ -46,7 +46,7 @@ fn shards_merged_are_the_sweep() {
     bench.file("assignment-of-3.csv", &format!("hash,shard\n{hashes}"));
     let said = bench.metasense(&["cluster", "merge", "s1.sqlite", "--out", "merged.sqlite"]);
     let said = String::from_utf8_lossy(&said.stderr).into_owned();
-    assert!(said.contains(&format!("never begun: {} trial", second.len())), "{said}");
+    assert!(said.contains(&format!("never started: {} trial", second.len())), "{said}");
     assert!(second.iter().all(|hash| said.contains(&hash[..8])), "{said}");
     bench.output(&["run", "tiny.toml", "--db", "merged.sqlite"]);
     assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));
@@ -103,7 +103,7 @@ fn a_folder_of_shards_answers_questions_without_a_merge() {
     let status = bench.metasense(&["status", "s.shards"]);
     let said = String::from_utf8_lossy(&status.stderr).into_owned();
     assert!(
-        said.contains("facts of 2 databases handed in; steps, curves and arrays are in these files"),
+        said.contains("facts of 2 databases merged; steps, curves and arrays are in these files"),
         "{said}"
     );
     let hash = bench.output(&["query", "s.shards", "SELECT hash FROM v_trial LIMIT 1", "--format", "csv"]);
@@ -234,7 +234,7 @@ fn a_shard_goes_on_on_another_node() {
     std::fs::rename(&out, &away).unwrap();
     signal(&ended, libc::SIGTERM);
     let log = || std::fs::read_to_string(away.join("shard-1-of-1.log")).unwrap_or_default();
-    while !log().contains("could not be handed in") && ended.try_wait().unwrap().is_none() {
+    while !log().contains("could not be copied to the folder") && ended.try_wait().unwrap().is_none() {
         std::thread::sleep(Duration::from_millis(20));
     }
     std::fs::rename(&away, &out).unwrap();

@@ -189,14 +189,14 @@ fn a_shard_that_is_killed_or_requeued_goes_on() {
     site.slurm.until_empty(60);
     let status = site.says(0, "status --folder results/slow.shards");
     assert!(
-        status.contains("0 of 1 shards complete") && status.contains("`metasense cluster submit` goes on"),
+        status.contains("0 of 1 shards complete") && status.contains("`metasense cluster submit` resumes"),
         "{status}"
     );
 
     site.says(0, "cluster submit slurm slow.toml --cpus 1 --time 5");
     site.until_running(log, 2);
     let again = site.says(0, "cluster submit slurm slow.toml --cpus 1 --time 5");
-    assert!(again.contains("left out: shards 1") && again.contains("nothing to submit"), "{again}");
+    assert!(again.contains("running or queued: shards 1") && again.contains("nothing to submit"), "{again}");
     let job = site.slurm.tool("squeue", "-h -t running -o %A").trim().to_owned();
     site.slurm.tool("scontrol", &format!("requeue {job}"));
     // Slurm lets it wait for two minutes, unless it is told otherwise.
@@ -253,7 +253,7 @@ fn a_shard_queues_again_at_its_time_limit_and_not_when_it_is_cancelled() {
     site.slurm.tool("scancel", &id);
     site.slurm.until_empty(60);
     let status = site.says(0, &format!("status --folder {folder}"));
-    assert!(status.contains("partial") && status.contains("`metasense cluster submit` goes on"), "{status}");
+    assert!(status.contains("partial") && status.contains("`metasense cluster submit` resumes"), "{status}");
     site.says(0, &format!("cluster merge {folder} --out late.sqlite"));
     let outcomes = "SELECT group_concat(outcome) FROM (SELECT outcome FROM v_run ORDER BY started_at)";
     assert_eq!(site.rows("late.sqlite", outcomes).trim_matches('"'), "interrupted,interrupted");

@@ -93,7 +93,11 @@ fn hyperqueue_is_handed_shards() {
     assert_eq!(calls.len(), 1, "no job waits for others: {calls:?}");
     let queue = "echo '{}'";
     let again = with_hq(&bench, queue, &["cluster", "submit", "hq", "s.toml", "--shards", "3"]);
-    assert!(again.status.code() == Some(2) && said(&again).contains("holds shards of 2"), "{}", said(&again));
+    assert!(
+        again.status.code() == Some(2) && said(&again).contains("contains shards of 2"),
+        "{}",
+        said(&again)
+    );
     let status = call(&["status", "--folder"]);
     assert!(status.contains("0 of 2 shards complete"), "{status}");
 }
@@ -170,12 +174,18 @@ fn what_the_queue_still_has_is_left_out() {
     bench.file("id", "9\n");
     let one = r#"{"id": 1, "state": "running"}, {"id": 2, "state": "failed"}"#;
     let (message, calls) = call(one, &[]);
-    assert!(message.contains("left out: shards 1") && calls.contains("--array 2 "), "{message}: {calls}");
+    assert!(
+        message.contains("running or queued: shards 1") && calls.contains("--array 2 "),
+        "{message}: {calls}"
+    );
     let both = r#"{"id": 1, "state": "running"}, {"id": 2, "state": "waiting"}"#;
     let (message, calls) = call(both, &[]);
-    assert!(message.contains("left out: shards 1-2") && message.contains("nothing to submit"), "{message}");
+    assert!(
+        message.contains("running or queued: shards 1-2") && message.contains("nothing to submit"),
+        "{message}"
+    );
     assert_eq!(calls, "");
-    for (broken, expected) in [("echo broken >&2; exit 1", "broken"), ("echo 7", "not understood")] {
+    for (broken, expected) in [("echo broken >&2; exit 1", "broken"), ("echo 7", "unexpected output")] {
         let output = with_hq(&bench, broken, &["cluster", "submit", "hq", "s.toml"]);
         assert!(output.status.code() == Some(3) && said(&output).contains(expected), "{}", said(&output));
     }
@@ -216,9 +226,9 @@ fn a_submitted_shard_runs_the_trials_that_were_written_down() {
     let mut hashes: Vec<String> =
         trials(2).lines().map(|line| line.split('"').nth(3).unwrap()[..8].to_owned()).collect();
     hashes.sort();
-    assert!(status.contains(&format!("never begun: 2 trials ({})", hashes.join(", "))), "{status}");
+    assert!(status.contains(&format!("never started: 2 trials ({})", hashes.join(", "))), "{status}");
     let early = said(&bench.metasense(&["cluster", "merge", folder, "--out", "early.sqlite"]));
-    assert!(early.contains("never begun: 2 trials"), "{early}");
+    assert!(early.contains("never started: 2 trials"), "{early}");
     // A line that is not what this program makes of it.
     let file = bench.path(&format!("{folder}/shard-2-of-2.trials.jsonl"));
     std::fs::write(&file, trials(2).replacen("\"seed\":", "\"seed\":7", 1)).unwrap();
@@ -377,7 +387,7 @@ fn shards_on_this_machine_are_the_sweep() {
     let begun = |i| std::fs::read_to_string(log(i)).unwrap_or_default().contains("worker started");
     eventually(Duration::from_secs(60), || (begun(1) && begun(2)).then_some(())).expect("both shards begin");
     let status = said(&bench.metasense(&["status", "--folder"]));
-    assert!(status.contains("a submit is at work on them"), "{status}");
+    assert!(status.contains("`cluster submit` is running them now"), "{status}");
     let second = submit().wait_with_output().unwrap();
     assert!(
         second.status.code() == Some(3) && said(&second).contains("another `metasense cluster submit`"),

@@ -60,7 +60,7 @@ fn one_trial_trains_for_all() {
         assert_eq!(made, ["4", "0", "0"], "{steps:?}");
         assert!(steps.iter().all(|row| row[2..] == ["4", "done"]), "{steps:?}");
         assert_eq!(sorted(&results(&bench, "results/tiny.sqlite")), sorted(&together), "{workers} workers");
-        let said = "SELECT count(*), count(DISTINCT l.text) FROM v_log l WHERE l.text LIKE 'goes on behind step 4 of trial %'";
+        let said = "SELECT count(*), count(DISTINCT l.text) FROM v_log l WHERE l.text LIKE 'resumes after step 4 of trial %'";
         assert_eq!(rows(&bench, said), [["2", "1"]]);
         let spent =
             "SELECT count(*) FROM v_step s JOIN v_attempt a ON a.hash = s.hash AND a.attempt = s.attempt";

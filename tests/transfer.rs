@@ -66,5 +66,5 @@ fn bodies_are_read_under_forces_that_did_not_train_them() {
     }
     bench.output(&["report", db, "--out", "r.html"]);
     let page = std::fs::read_to_string(bench.path("r.html")).unwrap();
-    assert!(page.contains("What is a body worth under forces that it was not trained for?"));
+    assert!(page.contains("How well does a body work under forces that it was not trained for?"));
 }

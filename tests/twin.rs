@@ -158,7 +158,7 @@ fn what_is_no_twin_is_refused() {
         refused(&[&call[..], &[&format!("initial={file}")]].concat(), says);
     };
     bench.file("other.toml", &twin("1.0", ""));
-    with("other.toml", &["other.toml:1", "body = 0", "is another body"]);
+    with("other.toml", &["other.toml:1", "body = 0", "belongs to another body"]);
     bench.file("odd.toml", &twin("1.0", "mass = 3.0"));
     with("odd.toml", &["odd.toml:5", "mass"]);
     with("nowhere.toml", &["nowhere.toml"]);

@@ -60,7 +60,7 @@ pub enum Command {
 /// A line that is no command.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "no command: {0:?}; there are state, pause, resume, stop, cancel HASH, next HASH, workers N (1 … {WORKERS_MAX}), reload"
+    "unknown command {0:?}; expected one of: state, pause, resume, stop, cancel HASH, next HASH, workers N (1 … {WORKERS_MAX}), reload"
 )]
 pub struct NoCommand(String);
 
@@ -133,14 +133,14 @@ pub enum ControlError {
         source: io::Error,
     },
     /// Nobody listens.
-    #[error("no run holds {}: begin one with `metasense run SPEC`", db.display())]
+    #[error("no run holds {}: start one with `metasense run SPEC`", db.display())]
     NoRun {
         /// The database.
         db: PathBuf,
     },
     /// Somebody writes to it, but does not listen.
     #[error(
-        "a process holds {}, and takes no commands: it begins or ends just now, or could not make its socket (see its log)",
+        "{} is in use by a process that takes no commands: it is starting or stopping, or could not create its socket (see its log); try again in a few seconds",
         db.display()
     )]
     Deaf {
@@ -222,7 +222,7 @@ fn address(db: &Path) -> io::Result<(File, PathBuf, PathBuf)> {
 fn refused(address: &Path, error: io::Error) -> io::Error {
     match address.as_os_str().len().saturating_sub(LONGEST) {
         0 => error,
-        bytes => io::Error::other(format!("the database's name is {bytes} bytes too long for a socket's")),
+        bytes => io::Error::other(format!("the name of the database is {bytes} bytes too long for a socket")),
     }
 }
 
@@ -317,7 +317,7 @@ pub async fn ask(db: &Path, command: &Command) -> Result<Said, ControlError> {
     match answer.split_once(' ') {
         Some(("done", text)) => Ok(Said { done: true, text: text.to_owned() }),
         Some(("refused", text)) => Ok(Said::refused(text)),
-        _ => Err(at(io::Error::new(io::ErrorKind::UnexpectedEof, "it has ended without an answer"))),
+        _ => Err(at(io::Error::new(io::ErrorKind::UnexpectedEof, "it ended without a reply"))),
     }
 }
 

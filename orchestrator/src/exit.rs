@@ -29,11 +29,11 @@ Exit codes:
   2  an error in the command line, the spec or the choice of database; nothing was started
      (`control`: no run holds the database)
   3  reading or writing failed: disk full, database in use, locked or damaged
-  4  stopped on request; the same `run` goes on from there, as do `lab evaluate` and `lab identify`
+  4  stopped on request; the same `run` command resumes, and so do `lab evaluate` and `lab identify`
      with --out-dir; other commands start again
-  5  this machine is unfit: it is short of something that the message names (threads, memory,
-     descriptors, room on a disk), no worker comes up, or trials die on it one after the
-     other; no trial is charged for it, and the same `run` goes on, better on another machine";
+  5  this machine is unfit: it lacks a resource that the message names (threads, memory,
+     descriptors, disk space), no worker starts, or all trials die without a step; trials
+     stay pending, and the same `run` command resumes them, preferably on another machine";
 
 impl From<Exit> for ExitCode {
     fn from(exit: Exit) -> Self {

@@ -105,7 +105,7 @@ impl Output {
         if before.is_some() && is_database(&path) {
             return Err(io::Error::new(
                 io::ErrorKind::AlreadyExists,
-                "it is a database, which nothing but `run` and `cluster merge` writes to; choose another file",
+                "it is a database, which only `run` and `cluster merge` may write; choose another file",
             ));
         }
         let name = path.file_name().ok_or(io::ErrorKind::InvalidFilename)?.to_string_lossy();

@@ -145,7 +145,10 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
     let sweep = &spec.sweep;
     let harmless = |c: char| c.is_alphanumeric() || "-_.".contains(c);
     if spec.name.is_empty() || spec.name.starts_with('.') || !spec.name.chars().all(harmless) {
-        return Err(source.error("name", "must be letters, digits, '-', '_' and '.': it names the database"));
+        return Err(source.error(
+            "name",
+            "must consist of letters, digits, '-', '_' and '.', because it names the database",
+        ));
     }
     for (list, key) in [(&sweep.panels, "sweep.panels"), (&sweep.sensors, "sweep.sensors")] {
         if !list.is_empty() || sweep.points.is_empty() {
@@ -176,18 +179,19 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
     for (asked, table) in [(spec.until.is_some(), "until"), (spec.goal.is_some(), "goal")] {
         if asked && sweep.own_placements {
             let remedy =
-                format!("cannot be given beside [{table}], which adds seeds and placements as it goes");
+                format!("cannot be set together with [{table}], which adds seeds and placements itself");
             return Err(source.error("sweep.own_placements", &remedy));
         }
     }
     if spec.sensors.placements.is_some() {
         if sweep.placements != 1 {
-            return Err(source.error("sweep.placements", "cannot be given beside sensors.placements"));
+            return Err(source.error("sweep.placements", "cannot be set together with sensors.placements"));
         }
         if spec.sensors.search.is_some() {
-            return Err(
-                source.error("sensors.search", "cannot be given beside sensors.placements, which says where")
-            );
+            return Err(source.error(
+                "sensors.search",
+                "cannot be set together with sensors.placements, which fixes the units",
+            ));
         }
     }
     let others = sweep.axes.values().map(Vec::len);
@@ -197,10 +201,8 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
         Some(n) if n <= MOST_TRIALS => Ok(()),
         n => {
             let n = n.map_or("too many".to_owned(), |n| n.to_string());
-            Err(source.error(
-                "sweep",
-                &format!("its lists multiply to {n} trials; at most {MOST_TRIALS} are allowed"),
-            ))
+            Err(source
+                .error("sweep", &format!("its lists give {n} trials; at most {MOST_TRIALS} are allowed")))
         }
     }
 }
@@ -239,9 +241,11 @@ fn check_placements(lists: &[Vec<usize>], source: &Source) -> Result<(), SpecErr
     let mut lists = lists.to_vec();
     lists.iter_mut().for_each(|list| list.sort_unstable());
     match lists.iter().flat_map(|list| list.windows(2)).find(|pair| pair[0] == pair[1]) {
-        Some(pair) => {
-            Err(source.error_with(key, Some(&pair[0].to_string()), "is named twice: a unit has one sensor"))
-        }
+        Some(pair) => Err(source.error_with(
+            key,
+            Some(&pair[0].to_string()),
+            "is listed twice: a unit has at most one sensor",
+        )),
         None => distinct(&lists, key, source),
     }
 }
@@ -252,7 +256,7 @@ fn distinct<T: serde::Serialize>(values: &[T], key: &str, source: &Source) -> Re
     }
     let mut seen = HashSet::new();
     match values.iter().find(|value| !seen.insert(serde_json::to_string(value).expect("it is JSON"))) {
-        Some(value) => Err(source.error_with(key, Some(&as_written(value)), "is named twice")),
+        Some(value) => Err(source.error_with(key, Some(&as_written(value)), "is listed twice")),
         None => Ok(()),
     }
 }
@@ -301,7 +305,7 @@ fn add_points(
     spec.sensors.placements.as_ref().map_or(Ok(()), |lists| check_placements(lists, source))?;
     let drawn = sweep.sweep.placements * if sweep.sweep.own_placements { sweep.sweep.seeds.len() } else { 1 };
     if sweep.sweep.own_placements && (searched || spec.sensors.placements.is_some()) {
-        return Err(source.error("sweep.own_placements", "goes with sensors at random units alone"));
+        return Err(source.error("sweep.own_placements", "only for sensors at random units"));
     }
     // of a million placements no more than what carries sensors is kept
     let most = spec.sweep.sensors.iter().copied().max().unwrap_or_default();
@@ -330,7 +334,7 @@ fn add_points(
                     problem::check_units("sensors.placements", list, &layout, &clamped).map_err(located)?;
                 }
                 let remedy =
-                    format!("holds no list of {}, which sweep.sensors asks for", counted(sensors, "unit"));
+                    format!("contains no list of {}, which sweep.sensors needs", counted(sensors, "unit"));
                 return Err(source.error("sensors.placements", &remedy));
             }
             if let Some(short) = placements.iter().find(|units| !searched && units.len() < sensors) {
@@ -365,7 +369,7 @@ fn add_points(
 
 /// What to know of a file that is not there.
 fn from_where(path: &Path) -> &'static str {
-    if path.exists() { "" } else { "; names of files are taken from the folder of the spec" }
+    if path.exists() { "" } else { "; file names are relative to the folder of the spec" }
 }
 
 /// A file of the body that cannot be read, or holds what it must not.
@@ -396,7 +400,7 @@ fn with_file(spec: &SweepSpec, source: &Source) -> Result<SweepSpec, SpecError> 
         ("optimise.tie", spec.optimise.tie.is_some()),
     ];
     if let Some((key, _)) = others.into_iter().find(|(_, given)| *given) {
-        return Err(source.error(key, "cannot be given beside body.file"));
+        return Err(source.error(key, "cannot be set together with body.file"));
     }
     let (given, name) = match own {
         Own::Given(given) => (given, String::new()),
@@ -569,7 +573,7 @@ fn layout(body: &Body) -> Result<Layout, Invalid> {
         (LayoutKind::Circular, Some(rows)) => Err(Invalid {
             key: "body.rows".into(),
             value: rows.to_string(),
-            remedy: "must be left out of a circular body: body.columns counts across its diameter".into(),
+            remedy: "must be left out for a circular body: body.columns counts its units across".into(),
         }),
         _ => problem::layout(body),
     }

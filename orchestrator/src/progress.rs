@@ -158,24 +158,24 @@ fn summary(whole: &Table, first: &mut Option<(Instant, f64)>) -> String {
     let number = |i: usize| row[i].as_f64().unwrap_or(0.0);
     let (total, done, failed, running) = (number(0), number(1), number(2), number(3));
     let mut text = format!(
-        "{done} of {total} trials done, {failed} failed, {running} running, {} waiting; {} steps in {} attempts",
+        "{done} of {total} trials done, {failed} failed, {running} running, {} pending; {} steps in {} attempts",
         total - done - failed - running - number(11),
         number(5),
         number(6),
     );
     let (began, steps) = *first.get_or_insert((Instant::now(), number(5)));
     if number(5) > steps {
-        text += &format!(", {:.1} a minute", 60.0 * (number(5) - steps) / began.elapsed().as_secs_f64());
+        text += &format!(", {:.1} per minute", 60.0 * (number(5) - steps) / began.elapsed().as_secs_f64());
     }
     if number(11) > 0.0 {
         text += &format!("; {} cancelled", number(11));
     }
     let (left, correction) = (number(4), number(7));
     if correction > 0.0 && running > 0.0 {
-        text += &format!("; some {} to go", duration(left * correction / running));
+        text += &format!("; about {} left", duration(left * correction / running));
     }
     if done > 0.0 {
-        text += &format!("; mean holdout error so far {:.2} -> {:.2} %", number(8), number(9));
+        text += &format!("; mean held-out error so far {:.2} -> {:.2} %", number(8), number(9));
         if number(13) > 0.0 {
             text += &format!(" (medians {:.2} -> {:.2} %)", number(12), number(13));
         }

@@ -56,20 +56,20 @@ pub fn mixed(made: &[Made]) -> Option<String> {
         format!(
             "{} by {}{revisions}",
             crate::plan::counted(made.trials, "trial"),
-            made.code.replace(' ', " and then ")
+            made.code.replace(' ', " then ")
         )
     };
     (made.len() > 1).then(|| {
         let list = made.iter().map(named).collect::<Vec<_>>().join(", ");
-        format!("results of different code are mixed: {list}; `metasense run SPEC --redo-other-code` makes again what \
-            is not by {}, this program", code())
+        format!("results of different code are mixed: {list}; `metasense run SPEC --redo-other-code` repeats trials \
+            that were not computed by {}, this program", code())
     })
 }
 
 /// What is to be said of the intervals where a sweep may end as soon as it knows enough.
 const EARLY: &str = "a sweep of this database has [until] or a [goal]: it may have stopped because its numbers looked clear. Intervals and \
-    votes here are those of a number of trials that was fixed before, and hold the truth less often than they say; what `run` or \
-    `design` answered keeps its confidence";
+    votes here assume a fixed number of trials, so their true coverage is lower than stated; the answers of `run` and \
+    `design` account for this";
 
 /// A warning where no steps keep the error asked on a trial's initial or best body, by what its integrator says; `None` where steps
 /// do on both.
@@ -79,13 +79,13 @@ pub fn unresolved(solver: &str) -> Option<String> {
         [true, true] => return None,
         [false, false] => "both bodies",
         [false, true] => "the initial body",
-        [true, false] => "the optimised body",
+        [true, false] => "the trained body",
     };
     Some(format!("no time step reaches solver.tolerance on {bodies}: {CHAOTIC}"))
 }
 
 const CHAOTIC: &str = "the motion is chaotic, so errors and predictions depend on the steps. Softer contact, weaker forces or more \
-    damping make the motion resolvable; v_trial.solver states the error that is left";
+    damping make the motion resolvable; v_trial.solver contains the remaining error";
 
 /// The same for trials of these hashes.
 #[must_use]

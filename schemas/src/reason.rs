@@ -74,39 +74,39 @@ impl Reason {
     pub fn remedy(self) -> &'static str {
         match self {
             Self::WorkerKilled(9) => {
-                "the system may be short of memory: take fewer workers, then run with --retry-failed"
+                "the system may be short of memory: use fewer workers, then run with --retry-failed"
             }
             Self::WorkerKilled(_) | Self::WorkerExited(_) | Self::Panicked => {
-                "this is a bug: see `metasense trial SPEC HASH`, and report it with what it says"
+                "this is a bug: run `metasense trial SPEC HASH`, and report its output"
             }
             Self::OutOfMemory => {
-                "raise `memory` in [run], or take fewer threads, samples or sensors, then run with --retry-failed"
+                "raise `memory` in [run], or use fewer threads, samples or sensors, then run with --retry-failed"
             }
             Self::SharedMemoryFull => {
-                "make room in /dev/shm, enlarge it (`mount -o remount,size=1G /dev/shm`, `docker run --shm-size 1g`), or \
-                 take fewer workers"
+                "free space in /dev/shm, enlarge it (`mount -o remount,size=1G /dev/shm`, `docker run --shm-size 1g`), or \
+                 use fewer workers"
             }
-            Self::Shortage => "raise the limit that the log names, or take fewer workers or threads",
+            Self::Shortage => "raise the limit that the log names, or use fewer workers or threads",
             Self::NoProgress => "raise `no_progress` in [run], then run with --retry-failed",
             Self::TimeLimit => "raise `time_limit` in [run], then run with --retry-failed",
             Self::Numerical(Cause::Saturated) => {
-                "raise `range` in [sensors] (mm/s², rad/s) or take a chip that reads further, strike more gently, or put the \
-                 sensors elsewhere"
+                "raise `range` in [sensors] (mm/s², rad/s), use a chip with a larger range, reduce the forces, or move the \
+                 sensors"
             }
             Self::Numerical(Cause::Buckled | Cause::NoEquilibrium) => {
-                "`body.compression` nearer to 0 may help, or units that are turned more to begin with (`body.initial_angle`)"
+                "set `body.compression` nearer to 0, or turn the units more at the start (`body.initial_angle`)"
             }
             Self::Numerical(Cause::Singular) => {
-                "are forces 0 in all samples (`stimuli.onset` and `time.duration`, or clock and scale of records)? If not, a larger \
-                 `brain.ridge` may help"
+                "check whether all forces are 0 (`stimuli.onset` and `time.duration`, or clock and scale of records); if not, raise \
+                 `brain.ridge`"
             }
             Self::Numerical(_) => {
-                "see `metasense trial SPEC HASH`; a smaller `solver.tolerance` or learning rate may help"
+                "run `metasense trial SPEC HASH`; reduce `solver.tolerance` or the learning rate"
             }
-            Self::Rejected => "the spec is at fault: see `metasense trial SPEC HASH`",
-            Self::Cancelled => "run with --retry-failed to go on with it",
-            Self::Stopped => "the same command goes on",
-            Self::Paused => "it goes on where a requirement needs it",
+            Self::Rejected => "the spec is at fault: run `metasense trial SPEC HASH`",
+            Self::Cancelled => "run with --retry-failed to resume it",
+            Self::Stopped => "the same command resumes it",
+            Self::Paused => "it resumes if a search needs it",
         }
     }
 

@@ -104,7 +104,7 @@ impl Source {
             p.key.strip_prefix("sweep.\"").and_then(|name| name.strip_suffix('"')).is_some_and(sets)
         };
         if let Some(axis) = self.places.iter().find(axis) {
-            return Some(format!("counts nowhere, as an axis has the values: {} = [ … ]", axis.key));
+            return Some(format!("has no effect, because an axis sets the values: {} = [ … ]", axis.key));
         }
         let sweep = toml::from_str::<Value>(&self.text).ok()?;
         let points =
@@ -114,7 +114,7 @@ impl Source {
         points
             .iter()
             .all(given)
-            .then(|| "counts nowhere, as each of sweep.points gives it: change them".to_owned())
+            .then(|| "has no effect, because all entries of sweep.points set it: change them".to_owned())
     }
 
     /// Reads the spec. Types and names are right afterwards; whether the values make sense is the plan's to say.
@@ -160,7 +160,7 @@ impl Source {
             let (quoted, axis) = (axis.starts_with('"'), axis.trim_matches('"'));
             if place.is_table && known.contains(axis) && !quoted {
                 let what = format!(
-                    "{key}: no table here; an axis is written in quotes, for instance \"{axis}.…\" = [ … ]"
+                    "{key}: must not be a table; write an axis in quotes, such as \"{axis}.…\" = [ … ]"
                 );
                 return Err(self.at(place, what));
             }
@@ -177,7 +177,7 @@ impl Source {
             let all = || known.paths().collect::<Vec<_>>().join(", ");
             let remedy = match known.contains("sweep") || nearest.is_some() {
                 true => unknown(nearest),
-                false => format!("unknown key; those there are here: {}", all()),
+                false => format!("unknown key; known keys here: {}", all()),
             };
             return Err(self.error(key, &remedy));
         }
@@ -215,13 +215,13 @@ impl Source {
                 let table = key.rsplit_once('.').map_or("", |(table, _)| table);
                 let own = |p: &&Place| p.key == table;
                 let place = place.filter(own).or_else(|| self.places.iter().find(own));
-                let what = format!("{key}: must be given, it has no default");
+                let what = format!("{key}: must be set; it has no default");
                 self.located(place, key, what)
             }
             (None, Some(place)) => {
                 let mut remedy = known.in_words(&place.key, &message);
                 if place.is_list && known.is_axis(&place.key) && !remedy.contains("list") {
-                    remedy += &format!("; an axis stands in [sweep]: sweep.\"{}\" = [ … ]", place.key);
+                    remedy += &format!("; write an axis in [sweep]: sweep.\"{}\" = [ … ]", place.key);
                 }
                 self.wrong(place, &remedy)
             }
@@ -329,24 +329,22 @@ fn lacking(table: &str, field: &str, known: &KnownKeys) -> String {
 fn unknown(nearest: Option<&str>) -> String {
     match nearest {
         Some(nearest) => format!("unknown key; the nearest known one is {nearest:?}"),
-        None => "unknown key; `metasense setup schema` lists those there are".into(),
+        None => "unknown key; `metasense setup schema` lists all keys".into(),
     }
 }
 
 /// Why something in `[sweep]` is no axis.
 fn no_axis(name: &str, known: &KnownKeys) -> String {
     match name.strip_prefix("sweep.").filter(|_| known.contains(name)) {
-        Some(own) => format!("a key of [sweep] itself, written without quotes and table: {own} = …"),
+        Some(own) => format!("a key of [sweep] itself: write it without quotes and table: {own} = …"),
         None if name.contains('.') && known.contains(name) => {
-            "no part of a trial, and cannot be swept".into()
+            "not part of a trial, and cannot be swept".into()
         }
         None if name.contains('.') => unknown(KnownKeys::nearest_of(name, known.axes())),
         None => match KnownKeys::nearest_of(&format!("sweep.{name}"), known.paths()) {
             Some(nearest) => unknown(Some(nearest)),
-            None => {
-                "unknown key; an axis is a key by its path in quotes, for instance \"body.columns\" = [5, 6]"
-                    .into()
-            }
+            None => "unknown key; an axis is the path of a key in quotes, such as \"body.columns\" = [5, 6]"
+                .into(),
         },
     }
 }

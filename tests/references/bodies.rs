@@ -32,18 +32,18 @@ pub fn why() -> String {
     };
     let bodies = [
         ("initial", "initial", None),
-        ("trained with a linear brain", "optimised", Some("linear")),
+        ("trained with a linear decoder", "optimised", Some("linear")),
         ("trained with the paper's network", "optimised", Some("cnn")),
     ];
     let head = [
         "body",
-        "error by its own brain",
-        "left by Wiener's filter",
+        "error of its decoder",
+        "error of Wiener's filter",
         "forces told apart",
         "condition",
-        "bits a second",
+        "bits per second",
         "memory",
-        "modes that take part",
+        "contributing modes",
     ];
     table(&head, bodies.map(line))
 }
@@ -58,7 +58,7 @@ pub fn why_correlated() -> String {
         };
         vec![measure.to_owned(), cell("K = 2, M = 1, linear"), cell("K = 2, M = 1, cnn")]
     };
-    table(&["measure", "linear brain", "the paper's network"], MEASURES.map(line))
+    table(&["measure", "linear decoder", "the paper's network"], MEASURES.map(line))
 }
 
 /// Bodies whose chip reads through a low-pass.
@@ -114,13 +114,13 @@ pub fn designs() -> String {
         ]
     };
     let head = [
-        "at most",
+        "required error",
         "seed",
-        "CPU time until then (of the grid's)",
+        "CPU time (part of the grid's)",
         "M, multiply-adds, units",
-        "expected, kept to",
-        "a cheaper class holds one",
-        "8 further seeds: mean, worst; meet it",
+        "expected error, bound",
+        "probability of a cheaper one",
+        "8 further seeds: mean, worst; meeting the limit",
     ];
     table(&head, searches.iter().map(line))
 }
@@ -169,12 +169,12 @@ pub fn warm_starts() -> String {
         "30 steps from squares",
         "30 steps from the other body",
         "60 steps from squares",
-        "the second by the first",
-        "by the third",
+        "second over first",
+        "second over third",
     ];
     let begun = [
-        ("that of one sensor", "warm-starts.csv", "2"),
-        ("that of two sensors", "warm-starts.csv", "3"),
+        ("body of one sensor", "warm-starts.csv", "2"),
+        ("body of two sensors", "warm-starts.csv", "3"),
         ("shifts tied by 2 × 2 cells", "warm-units.csv", "2"),
     ];
     table(&head, begun.map(line))
@@ -240,11 +240,11 @@ pub fn families() -> String {
     let head = [
         "units",
         "parameters",
-        "untouched",
+        "initial",
         "trained",
         "gain",
-        "untouched, by squares",
-        "trained, by squares",
+        "initial, over squares",
+        "trained, over squares",
     ];
     table(&[&["lattice"][..], &head].concat(), LATTICES.map(line))
 }
@@ -288,14 +288,14 @@ pub fn pressed() -> String {
         ]
     };
     let head = [
-        "a body",
-        "untouched",
+        "body",
+        "initial",
         "trained",
-        "untouched, by as cast",
-        "trained, by as cast",
-        "trained, read under the others",
-        "that by its own reading",
-        "that by untouched bodies there",
+        "initial, over as cast",
+        "trained, over as cast",
+        "trained, evaluated under the others",
+        "over its own press",
+        "over initial bodies there",
     ];
     table(&head, presses.map(line))
 }
@@ -327,6 +327,6 @@ sensors = [1]
     let names = ["square", "kagome", "triangular", "chiral"];
     let drawn = outlines.iter().flat_map(|outline| names.map(|name| (name, draw(outline, name))));
     let pictures: Vec<_> = drawn.map(|(name, body)| body.picture(body::frame([&body]), name)).collect();
-    let kinds = [("unit clamped", "held"), ("arrow", "struck"), ("dot sensor", "a sensor")];
+    let kinds = [("unit clamped", "held"), ("arrow", "force"), ("dot sensor", "sensor")];
     file(&pictures, names.len(), 900.0, &legend(&kinds))
 }

@@ -46,9 +46,9 @@ pub fn brains() -> String {
             "sensor noise",
             "the paper's network",
             "long network",
-            "linear brain",
-            "bodies of the paper's network, read by the linear brain",
-            "bodies of the long network, read by the linear brain",
+            "linear decoder",
+            "linear decoder on bodies of the paper's network",
+            "linear decoder on bodies of the long network",
         ],
         lines,
     )
@@ -67,13 +67,13 @@ pub fn linear_bodies() -> String {
         cells
     };
     let readers = ["cnn", "long", "linear", "stacked", "stacked, long"];
-    table(&["read by", "smooth pulses", "hammer blows"], readers.map(line))
+    table(&["decoder", "smooth pulses", "hammer blows"], readers.map(line))
 }
 
 pub fn placed() -> String {
     let all = rows("placed-two-core/answer-placed.csv");
     let readers = [
-        ("linear brain", "K = 4, linear, stimuli.kind = bell"),
+        ("linear decoder", "K = 4, linear, stimuli.kind = bell"),
         ("long network", "K = 4, trained with linear, read by long, stimuli.kind = bell"),
     ];
     let mut lines = Vec::new();
@@ -100,7 +100,7 @@ pub fn placed() -> String {
             lines.push([vec![reader.to_owned(), what.to_owned()], cells.to_vec()].concat());
         }
     }
-    table(&["read by", "", "M = 1", "2", "3", "4", "5", "6"], lines)
+    table(&["decoder", "", "M = 1", "2", "3", "4", "5", "6"], lines)
 }
 
 /// Error against the number of sensors, for the bodies of Figs. 4B and 4C.

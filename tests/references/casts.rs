@@ -55,7 +55,7 @@ pub fn casts() -> String {
         "{}\n{}",
         table(&[&head[..], &records].concat(), lines(&linear, "nominal", "casts", &["10", "100"])),
         table(
-            &["read by", "body", "as designed", "cast: network of the design", "one network for all casts"],
+            &["decoder", "body", "as designed", "cast: network of the design", "one network for all casts"],
             lines(&networks, "network", "network_casts", &[])
         )
     )
@@ -91,11 +91,11 @@ pub fn transfer() -> String {
     };
     let head = [
         "trained under",
-        "read under pulses",
+        "error under pulses",
         "under blows",
-        "of the pulses' gain",
-        "of the blows' gain",
-        "its own decoder: pulses",
+        "part of the pulses' gain",
+        "part of the blows' gain",
+        "decoder of the training forces: pulses",
         "blows",
     ];
     table(&head, bodies.iter().map(line))
@@ -121,10 +121,10 @@ pub fn transfer_recorded() -> String {
     ];
     let head = [
         "trained under",
-        "read under pulses",
+        "error under pulses",
         "under simulated blows",
         "under measured blows",
-        "of the measured blows' gain",
+        "part of the measured blows' gain",
     ];
     table(&head, bodies.map(line))
 }
@@ -156,8 +156,13 @@ pub fn transfer_networks() -> String {
         ("irregular", "blows"),
         ("mix", "both, the mean of logarithms, a decoder for each"),
     ];
-    let head =
-        ["trained under", "read under pulses", "under blows", "of the pulses' gain", "of the blows' gain"];
+    let head = [
+        "trained under",
+        "error under pulses",
+        "under blows",
+        "part of the pulses' gain",
+        "part of the blows' gain",
+    ];
     table(&head, bodies.map(line))
 }
 
@@ -214,7 +219,7 @@ pub fn quickstart_casts() -> String {
     let rows = rows("quickstart-casts.csv");
     table(
         &[
-            "read by a linear decoder",
+            "body, with a linear decoder",
             "as designed",
             "cast: decoder of the design",
             "one decoder for all casts",

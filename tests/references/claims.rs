@@ -137,7 +137,7 @@ pub fn claims() -> String {
             lines.push(cells);
         }
     }
-    table(&["claim", "in the paper", "the paper's network", "long network", "linear brain"], lines)
+    table(&["claim", "in the paper", "the paper's network", "long network", "linear decoder"], lines)
 }
 
 /// Where the test set, which steers the body and which the paper reports, says another word than the holdout.
@@ -156,7 +156,7 @@ pub fn on_the_test_set() -> String {
         (test["rating"] != holdout["rating"])
             .then(|| vec![says.to_owned(), reader, verdict(test), verdict(holdout)])
     });
-    table(&["claim", "read by", "on the test set", "on the holdout"], lines)
+    table(&["claim", "decoder", "on the test set", "on the held-out set"], lines)
 }
 
 pub fn evaluate() -> String {
@@ -173,7 +173,7 @@ pub fn evaluate() -> String {
             "body",
             "error on unseen records (%, 95 % interval over records)",
             "expected from the model",
-            "initial error over this one",
+            "initial error over this error",
             "expected from the model",
         ],
         ["initial", "optimised"].map(line),
@@ -222,9 +222,13 @@ pub fn paper_protocol_four_forces() -> String {
         [vec![sensors.to_owned(), placements(sensors)], sets.map(change).to_vec(), better].concat()
     };
     let few = sets.map(|set| times(&pairs("6", "2", set))).to_vec();
-    let last = [vec!["six untrained by two trained".to_owned(), placements("2")], few, vec![String::new()]];
+    let last = [
+        vec!["initial with six over trained with two".to_owned(), placements("2")],
+        few,
+        vec![String::new()],
+    ];
     table(
-        &["sensors", "placements", "test set", "holdout", "test samples read better"],
+        &["sensors", "placements", "test set", "held-out set", "test samples with less error"],
         ["1", "2", "3", "6"].map(line).into_iter().chain([last.concat()]),
     )
 }
@@ -279,14 +283,17 @@ fn of_protocol(folder: &str, of_body: &[&'static str]) -> String {
         })
     };
     let last = [
-        vec!["all, times less (95 %)".into()],
+        vec!["all, factor (95 %)".into()],
         sets.iter().map(times).collect(),
         vec![better(&samples, &[])],
         curved.map(|value| all(&|seed| fewer(seed, value))).to_vec(),
     ];
-    let errors = ["test set", "holdout", "10 000 iterations: test set", "holdout"];
-    let others =
-        ["test samples read better", "fewer iterations to equal training loss", "to equal holdout error"];
+    let errors = ["test set", "held-out set", "10 000 iterations: test set", "held-out set"];
+    let others = [
+        "test samples with less error",
+        "fewer iterations to equal training loss",
+        "to equal held-out error",
+    ];
     table(
         &[&["seed"], &errors[..sets.len()], &others].concat(),
         seeds.iter().copied().map(line).chain([last.concat()]),
@@ -306,7 +313,7 @@ pub fn protocols() -> String {
         vec![protocol, seconds, row["step"].to_string(), format!("{error} %")]
     };
     table(
-        &["protocol", "CPU seconds of outer steps", "outer steps", "holdout error"],
+        &["protocol", "CPU seconds of outer steps", "outer steps", "held-out error"],
         lines("protocols.jsonl").iter().map(line),
     )
 }

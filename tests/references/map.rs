@@ -25,12 +25,12 @@ pub(super) const SETTINGS: [(&str, &str, &str); 10] = [
     ("without noise", "noise", "0.0"),
     ("10 % noise", "noise", "0.1"),
     ("a quarter of the damping", "damping_ratio", "0.005"),
-    ("60 samples in place of 150", "samples", "60"),
+    ("60 samples instead of 150", "samples", "60"),
     ("pulses of 20 to 80 ms", "width", "[0.02,0.08]"),
-    ("4 columns in place of 8", "columns", "4"),
+    ("4 columns instead of 8", "columns", "4"),
     ("four times the damping", "damping_ratio", "0.08"),
-    ("400 samples in place of 150", "samples", "400"),
-    ("14 columns in place of 8", "columns", "14"),
+    ("400 samples instead of 150", "samples", "400"),
+    ("14 columns instead of 8", "columns", "14"),
 ];
 
 /// Whether it is at the placement of its seed's own that has all numbers of sensors.
@@ -158,9 +158,9 @@ pub fn four_forces_drawn() -> String {
         plot.picture()
     };
     let plots = [
-        ("Six untrained by two trained sensors", 0),
-        ("Scatter of placements in %, untrained by trained, two sensors", 1),
-        ("Untrained by trained, two sensors", 3),
+        ("Initial body with six sensors over trained body with two", 0),
+        ("Scatter over placements in %, initial over trained, two sensors", 1),
+        ("Initial over trained, two sensors", 3),
     ]
     .map(plot);
     let keys = [("fifth", "holds"), ("truth", "open"), ("optimised", "fails")];
@@ -189,10 +189,10 @@ fn four_forces_of(file: &str, settings: &[(&str, &str, &str)]) -> String {
         "elbow in %: with two",
         "in logarithms",
         "nine tenths of the fall: with two",
-        "two trained by six untrained",
-        "scatter of placements, in %",
+        "two trained over six initial",
+        "scatter over placements, in %",
         "in logarithms",
-        "trained by untrained, two sensors",
+        "trained over initial, two sensors",
     ];
     table(&head, settings.iter().enumerate().map(line))
 }
@@ -200,7 +200,7 @@ fn four_forces_of(file: &str, settings: &[(&str, &str, &str)]) -> String {
 /// A line a brain: errors of eight forces, where the fall ends, and what four trained sensors are beside four and six untrained.
 pub fn eight_forces() -> String {
     let all = rows("eight-forces-map/trials.csv");
-    let brains = [("linear", "linear brain"), ("cnn", "the paper's network")];
+    let brains = [("linear", "linear decoder"), ("cnn", "the paper's network")];
     let error = |brain, sensors, body| logs(&all, &[("brain", brain), ("sensors", sensors)], body);
     let of_brain =
         |(brain, _)| ["4", "6"].map(|m| less(error(brain, m, INITIAL), &error(brain, "4", TRAINED)));
@@ -212,11 +212,11 @@ pub fn eight_forces() -> String {
         [vec![words_of.to_owned(), errors(&curve), fall], said[2 * b..][..2].to_vec()].concat()
     };
     let head = [
-        "read by",
+        "decoder",
         "error with 1, 2, 3, 4, 6 sensors",
         "nine tenths of the fall: with four",
-        "trained by untrained, four sensors",
-        "four trained by six untrained",
+        "trained over initial, four sensors",
+        "four trained over six initial",
     ];
     table(&head, brains.into_iter().enumerate().map(line))
 }
@@ -263,7 +263,7 @@ pub fn discs() -> String {
         "",
         "error with 5, 8, 12 columns",
         "slope of ln(error) on ln(columns)",
-        "error by that of the untied",
+        "error over that of the untied",
         "gain with 5",
         "with 12",
     ];
@@ -344,9 +344,9 @@ pub fn random_bodies() -> String {
     };
     let head = [
         "squares turned by",
-        "error, untrained → trained",
-        "untrained by trained",
-        "random by regular, nodes moved by up to 0.1 of the spacing",
+        "error, initial → trained",
+        "initial over trained",
+        "random over regular, nodes moved by up to 0.1 of the spacing",
         "0.25",
         "0.5",
     ];
@@ -389,12 +389,12 @@ pub fn blows() -> String {
     };
     let head = [
         "forces",
-        "3 % noise: untrained → trained",
+        "3 % noise: initial → trained",
         "gain",
-        "by that under blows",
+        "over that under blows",
         "without noise",
         "gain",
-        "by that under blows",
+        "over that under blows",
     ];
     table(&head, BLOWS.into_iter().enumerate().map(line))
 }
@@ -420,10 +420,10 @@ fn sizes_of(file: &str) -> String {
     let units = ["16", "36", "64", "100"];
     let kind = |way, units| [("way", if units == "36" { "both" } else { way }), ("units", units)];
     let lines = [
-        ["grows", INITIAL, "units of 15 mm, untrained"],
+        ["grows", INITIAL, "units of 15 mm, initial"],
         ["grows", TRAINED, "units of 15 mm, trained"],
-        ["finer", INITIAL, "90 mm, cut finer, untrained"],
-        ["finer", TRAINED, "90 mm, cut finer, trained"],
+        ["finer", INITIAL, "90 mm, smaller units, initial"],
+        ["finer", TRAINED, "90 mm, smaller units, trained"],
     ];
     let slopes = lines
         .map(|[way, column, _]| slopes_over(units, units.map(|units| logs(&all, &kind(way, units), column))));
@@ -455,8 +455,8 @@ const TRAININGS: [(&str, [&str; 4]); 5] = [
     ("the middle", ["68", "cosine", "300", ""]),
     ("a constant rate", ["68", "constant", "300", ""]),
     ("the same, all samples in each iteration", ["", "constant", "300", ""]),
-    ("1000 samples in place of 300", ["68", "cosine", "1000", ""]),
-    ("bodies trained with the linear brain", ["68", "cosine", "300", "linear"]),
+    ("1000 samples instead of 300", ["68", "cosine", "1000", ""]),
+    ("bodies trained with the linear decoder", ["68", "cosine", "300", "linear"]),
 ];
 
 /// Networks of a kind on the initial and on the trained body, after so many iterations.
@@ -508,7 +508,7 @@ pub fn protocols() -> String {
         .map(|(words, setting)| (words, ["bell", "irregular"].map(|stimuli| own(stimuli, setting))))
         .collect();
     settings
-        .push(("the paper's protocol, against all samples at a constant rate", ["fig2", "fig3"].map(papers)));
+        .push(("the paper's protocol, over all samples at a constant rate", ["fig2", "fig3"].map(papers)));
     let gain = |setting: usize, stimuli: usize| settings[setting].1[stimuli].gain("1000");
     // the middle under blows against pulses; the paper's protocol against the setting that reads bodies as it does
     let beside = |setting, stimuli| match setting {
@@ -535,13 +535,13 @@ pub fn protocols() -> String {
     };
     let head = [
         "",
-        "pulses: untrained → trained",
-        "times less; the paper 2",
-        "by the middle",
+        "pulses: initial → trained",
+        "factor; the paper: 2",
+        "over the middle",
         "after 10 000 iterations",
-        "times less; the paper 5.8",
-        "blows: untrained → trained",
-        "times less; the paper 5.3",
+        "factor; the paper: 5.8",
+        "blows: initial → trained",
+        "factor; the paper: 5.3",
         "by the middle, this by pulses",
     ];
     table(&head, settings.iter().enumerate().map(line))

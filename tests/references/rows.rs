@@ -72,7 +72,7 @@ pub(super) fn brain(name: &str) -> &'static str {
     match name {
         "cnn" => "the paper's network",
         "long" => "long network",
-        "linear" => "linear brain",
+        "linear" => "linear decoder",
         "stacked" => "stacked network",
         "stacked, long" => "stacked long network",
         other => panic!("no words for the brain {other:?}"),

@@ -21,7 +21,7 @@ const DECODERS: [Decoder; 9] = [
 type Decoder = (&'static str, &'static str, &'static str, &'static str);
 /// The bodies that they read: in words, which, and what it was trained for.
 const SENSING: [(&str, &str, &str); 3] = [
-    ("untouched", "initial", "nominal"),
+    ("initial body", "initial", "nominal"),
     ("trained as designed", "optimised", "nominal"),
     ("trained over casts", "optimised", "mean"),
 ];
@@ -67,7 +67,7 @@ fn takes(reader: &str) -> String {
 
 /// Bodies against decoders: as designed and on casts.
 pub fn all() -> String {
-    let mut head = vec!["read by".to_owned(), "a reading takes".to_owned()];
+    let mut head = vec!["decoder".to_owned(), "time per sample".to_owned()];
     head.extend(
         SENSING.iter().flat_map(|(words, ..)| [format!("{words}: as designed"), "on casts".to_owned()]),
     );
@@ -89,8 +89,8 @@ pub fn all() -> String {
 pub fn front() -> String {
     let error = |decoder: &Decoder, body| sensed(*decoder, body)[1];
     let all = DECODERS.iter().flat_map(|decoder| SENSING.map(|body| error(decoder, body)));
-    let x = Axis::new("CPU time of a reading (s)", Scale::Log, DECODERS.map(|decoder| seconds(decoder.2)));
-    let y = Axis::new("holdout error on the median cast (%)", Scale::Log, all);
+    let x = Axis::new("CPU time per sample (s)", Scale::Log, DECODERS.map(|decoder| seconds(decoder.2)));
+    let y = Axis::new("held-out error on the median cast (%)", Scale::Log, all);
     let mut plot = Plot::new("K = 2, M = 1, 3 % noise", x, y).sized(560.0, 340.0);
     let classes = ["initial", "optimised", "front"];
     for (body, class) in SENSING.into_iter().zip(classes) {

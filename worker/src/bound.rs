@@ -28,7 +28,7 @@ pub fn bound(
     let pool = pool(threads)?;
     let (problem, _) = placed(&problem, &pool)?;
     questions::bound(&problem, design, samples, &pool)?.ok_or_else(|| {
-        let why = "sensors.noise: the bound needs noise in every channel, and more than f64 takes for none; give --noise";
+        let why = "sensors.noise: must be large enough in every channel for the bound; pass --noise";
         Failure::Rejected(why.to_owned())
     })
 }

@@ -10,7 +10,8 @@ use crate::convert::cast_readings;
 use crate::run::{Failure, pool, simulable};
 
 /// What a trial has whose casts cannot be asked for.
-pub const NO_VARIATION: &str = "no [variation] that says how casts scatter (a trial keeps it only with an objective over casts or evaluation.casts above 0)";
+pub const NO_VARIATION: &str =
+    "no [variation] (a trial keeps it only with an objective over casts or evaluation.casts above 0)";
 
 /// How `count` casts of a design are read by linear brains, those of the trial's own comparison first, or of another scatter.
 /// `progress` is told how many have been.
@@ -29,7 +30,7 @@ pub fn casts(
     trial.variation = variation.or(trial.variation).and_then(Variation::resolved);
     trial.evaluation.casts = Some(count);
     if trial.variation.is_none() {
-        return Err(Failure::Rejected(format!("it has {NO_VARIATION}; give --variation FILE")));
+        return Err(Failure::Rejected(format!("it has {NO_VARIATION}; pass --variation FILE")));
     }
     let (designed, pool) = (simulable(&trial, design)?, pool(threads)?);
     let (problem, _) = placed(&designed, &pool)?;

@@ -31,7 +31,7 @@ pub enum DesignError {
         source: std::io::Error,
     },
     /// The name ends in neither `.npy` nor `.csv`.
-    #[error("{}: a design is an .npy or a .csv file", path.display())]
+    #[error("{}: a design must be an .npy or a .csv file", path.display())]
     Ending {
         /// The file.
         path: PathBuf,
@@ -78,7 +78,7 @@ pub fn read_array(path: &Path, layout: &Layout) -> Result<Vec<f64>, DesignError>
 pub fn check(what: &str, shape: &[usize], values: &[f64], length: usize) -> Result<(), String> {
     if shape != [length] && shape != [length / 2, 2] {
         return Err(format!(
-            "{what} has shape {shape:?} and holds {} numbers; α of this body has {length}, in shape [{length}] or [{}, 2]",
+            "{what} has shape {shape:?} and {} numbers; α of this body has {length} numbers, in shape [{length}] or [{}, 2]",
             values.len(),
             length / 2
         ));
@@ -147,7 +147,7 @@ fn from_csv(bytes: &[u8], layout: &Layout) -> Result<Vec<f64>, String> {
         match &shifts[group] {
             Some(other) if (0..2).any(|c| (other[c] - shift[c]).abs() > AGREE) => {
                 return Err(at(
-                    "is shifted otherwise than its ligament's other end, or than the same node in another line",
+                    "has another shift than the other end of its ligament, or than the same node in another line",
                 ));
             }
             Some(_) => {}

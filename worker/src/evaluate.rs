@@ -111,7 +111,7 @@ pub fn evaluate(
     let samples = forces.samples;
     if !(2..=samples).contains(&folds) {
         return Err(Failure::Rejected(format!(
-            "--folds {folds}: must lie between 2 and the {samples} records"
+            "--folds {folds}: must lie between 2 and {samples}, the number of records"
         )));
     }
     let records = Records::new(forces, signals.clone(), problem.scene.instants, *low_pass);

@@ -59,7 +59,7 @@ pub fn text(bytes: &[u8]) -> Result<&str, String> {
     }
     if let Some(at) = bytes.iter().position(|byte| *byte == 0) {
         let line = 1 + bytes[..at].iter().filter(|byte| **byte == b'\n').count();
-        return Err(format!("line {line}: holds a zero byte, so it is UTF-16 or no text: {save}"));
+        return Err(format!("line {line}: contains a zero byte, so it is UTF-16 or not text: {save}"));
     }
     let text = std::str::from_utf8(bytes).map_err(|e| {
         let (before, at) = (&bytes[..e.valid_up_to()], bytes[e.valid_up_to()]);
@@ -118,7 +118,7 @@ pub fn content(path: &Path, bytes: &[u8], form: &Form) -> Result<Content, String
         "npy" => array(bytes).map(Content::Array),
         "npz" => archive(bytes, form).map(Content::Archive),
         _ => {
-            Err("must be a .csv, .npy or .npz file; a table of text is a .csv, whatever separates its fields"
+            Err("must be a .csv, .npy or .npz file; name a table of text .csv, whatever separates its fields"
                 .into())
         }
     }
@@ -129,16 +129,16 @@ pub fn content(path: &Path, bytes: &[u8], form: &Form) -> Result<Content, String
 /// # Errors
 /// Says what is wrong.
 pub fn array(mut bytes: &[u8]) -> Result<Array, String> {
-    let file = NpyFile::new(&mut bytes).map_err(|e| format!("is no NPY file: {e}"))?;
+    let file = NpyFile::new(&mut bytes).map_err(|e| format!("is not an NPY file: {e}"))?;
     let shape: Vec<usize> = file.shape().iter().map(|&n| n as usize).collect();
     let order = file.order();
     let count = shape.iter().try_fold(1usize, |count, &n| count.checked_mul(n));
     if count == Some(0) {
-        return Err(format!("holds no number: its shape is {shape:?}"));
+        return Err(format!("contains no numbers: its shape is {shape:?}"));
     }
     let mut values = numbers(file)?;
     if count != Some(values.len()) || !bytes.is_empty() {
-        return Err(format!("does not end with its one array, of shape {shape:?}"));
+        return Err(format!("contains more than its one array, of shape {shape:?}"));
     }
     if order == npyz::Order::Fortran && shape.len() > 1 {
         values = (0..values.len())
@@ -184,14 +184,14 @@ fn numbers(file: NpyFile<&mut &[u8]>) -> Result<Vec<f64>, String> {
         u64 => |x| (x <= 1 << 53).then_some(x as f64)
     );
     Err(format!(
-        "holds {}; must hold truth values, integers, or floats of 32 or 64 bits",
+        "contains {}; must contain truth values, integers, or floats of 32 or 64 bits",
         file.dtype().descr()
     ))
 }
 
 /// The arrays of an NPZ, a zip archive, as `numpy.savez` and `savez_compressed` write it.
 fn archive(bytes: &[u8], form: &Form) -> Result<BTreeMap<String, Option<Result<Array, String>>>, String> {
-    let mut zip = ZipArchive::new(Cursor::new(bytes)).map_err(|e| format!("is no NPZ file: {e}"))?;
+    let mut zip = ZipArchive::new(Cursor::new(bytes)).map_err(|e| format!("is not an NPZ file: {e}"))?;
     let mut arrays = BTreeMap::new();
     for i in 0..zip.len() {
         let name = zip.name_for_index(i).transpose().map_err(|e| e.to_string())?.unwrap_or_default();
@@ -204,7 +204,7 @@ fn archive(bytes: &[u8], form: &Form) -> Result<BTreeMap<String, Option<Result<A
             array(&held)
         });
         if arrays.insert(name.clone(), held).is_some() {
-            return Err(format!("holds two arrays that are called {name:?}"));
+            return Err(format!("contains two arrays named {name:?}"));
         }
     }
     Ok(arrays)

@@ -47,7 +47,7 @@ pub fn identify(
                 Parameter::Contact => "body.contact.stiffness",
             };
             return Err(Failure::Rejected(format!(
-                "{key} = {value}: a fit must start above 0; give a value, or leave {:?} out of --fit",
+                "{key} = {value}: a fit must start above 0; set a value, or leave {:?} out of --fit",
                 parameter.name()
             )));
         }

@@ -158,11 +158,11 @@ pub fn check_file_size(bytes: u64) -> Result<(), Shortage> {
     resource(Resource::Fsize, "size of a file (`ulimit -f`)", 0, bytes, true).map_or(Ok(()), Limit::check)
 }
 
-const RAISE: &str = "raise it, or take fewer workers or threads";
+const RAISE: &str = "raise it, or use fewer workers or threads";
 const RAISE_ALONE: &str = "raise it";
 const SHARED_SPACE: &str = "make room, enlarge it (`mount -o remount,size=1G /dev/shm`, `docker run --shm-size 1g`), or take \
                             fewer workers";
-const ON_DISK: &str = "make room, or name another folder";
+const ON_DISK: &str = "free space, or choose another folder";
 
 fn resource(limit: Resource, what: &str, used: u64, needed: u64, bytes: bool) -> Option<Limit> {
     let most = getrlimit(limit).current?;
@@ -224,7 +224,7 @@ fn machine_threads(needed: u64) -> Option<Limit> {
     let limit = |name: &str| number(&Path::new("/proc/sys/kernel").join(name));
     let most = limit("threads-max")?.min(limit("pid_max")?);
     let what = "threads of this machine (kernel.threads-max, kernel.pid_max)".into();
-    Some(Limit { what, most, used, needed, bytes: false, remedy: "take fewer workers or threads" })
+    Some(Limit { what, most, used, needed, bytes: false, remedy: "use fewer workers or threads" })
 }
 
 fn cgroup_tasks(needed: u64) -> Option<Limit> {
@@ -255,7 +255,7 @@ fn memory(needed: u64) -> Option<Limit> {
     let text = fs::read_to_string("/proc/meminfo").ok()?;
     let (total, free) = (field(&text, "MemTotal:")? << 10, field(&text, "MemAvailable:")? << 10);
     let (what, used) = ("memory of this machine".into(), total.saturating_sub(free));
-    Some(Limit { what, most: total, used, needed, bytes: true, remedy: "make room, or take fewer workers" })
+    Some(Limit { what, most: total, used, needed, bytes: true, remedy: "free memory, or use fewer workers" })
 }
 
 fn space(folder: &Path, needed: u64, remedy: &'static str) -> Option<Limit> {

@@ -36,7 +36,7 @@ impl Measured {
         let (rate, spec::Time { duration, samples, .. }) = (self.resampled?, trial.time);
         Some(format!(
             "signals of {rate:.4} readings per second are resampled onto time.samples = {samples} in {duration} s; aliased signals are \
-             wrong between readings. Set time.samples = {:.0} to compare them as they were measured",
+             wrong between readings. Set time.samples = {:.0} to compare the original readings",
             duration * rate
         ))
     }
@@ -103,7 +103,7 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
         };
         let read = read.map_err(wrong_beside)?;
         if read.len() != of_file.len() {
-            let what = format!("holds signals of {} records, forces of {}", read.len(), of_file.len());
+            let what = format!("contains signals of {} records, but forces of {}", read.len(), of_file.len());
             return Err(wrong_beside(what));
         }
         let count = read.len();
@@ -127,7 +127,7 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
         }
     }
     let Some(first) = forces.first() else {
-        return Err(records::at(&recorded.files[0], "holds no record"));
+        return Err(records::at(&recorded.files[0], "contains no records"));
     };
     records::check_panels(recorded, &forces, panels)?;
     if first.values.len() < panels && recorded.panels.is_none() {
@@ -186,16 +186,18 @@ fn check_copies(seen: &mut Seen, force: &Record, signal: &Record, place: String)
     let is_some = |values: &[f64]| values.iter().any(|x| *x != 0.0);
     if let Some(c) = signal.values.iter().position(|signal| is_some(signal) && force.values.contains(signal))
     {
-        return Err(format!("holds the force as signal {c}: a brain would read it there"));
+        return Err(format!("contains the force as signal {c}: a decoder would take it from there"));
     }
     let [own_force, own_signal] = [force, signal].map(|record| fingerprint(&record.values.concat()));
     let some = [force, signal].map(|record| record.values.iter().any(|values| is_some(values)));
     if let Some((other, first)) = seen.get(&own_signal) {
         if *other == own_force && (some[0] || some[1]) {
-            return Err(format!("is the same record as {first}: a copy would train and test the same brain"));
+            return Err(format!(
+                "is the same record as {first}: a copy would train and test the same decoder"
+            ));
         }
         if some[1] {
-            return Err(format!("holds the signals of {first} under another force"));
+            return Err(format!("contains the signals of {first} under another force"));
         }
     }
     seen.entry(own_signal).or_insert((own_force, place));
@@ -211,7 +213,7 @@ fn check(
     let wrong =
         |key: &str, value: String, remedy: String| Err(invalid(&format!("signals.{key}"), value, remedy));
     if recorded.augment != Augment::default() {
-        let remedy = "is not allowed here: measured records are used unchanged";
+        let remedy = "must be left out: measured records are used unchanged";
         return Err(invalid("stimuli.recorded.augment", "{ … }", remedy));
     }
     if let Some(files) = signals.files.as_ref().filter(|files| files.len() != recorded.files.len()) {
@@ -219,12 +221,16 @@ fn check(
         return wrong("files", format!("{} files", files.len()), remedy);
     }
     if signals.time.is_some() && signals.rate.is_some() {
-        let remedy = "give either time or rate".into();
+        let remedy = "set either time or rate".into();
         return wrong("rate", signals.rate.map_or(String::new(), |rate| rate.to_string()), remedy);
     }
     signals.rate.map_or(Ok(()), |rate| positive("signals.rate", rate))?;
     if signals.time_unit.is_some() && signals.time.is_none() {
-        return wrong("time_unit", String::new(), "is for signals.time: give recorded.time_unit".into());
+        return wrong(
+            "time_unit",
+            String::new(),
+            "has no effect without signals.time: set recorded.time_unit".into(),
+        );
     }
     let files = signals.files.as_deref().unwrap_or_default();
     records::check_form("signals", files, signals.header, signals.separator, signals.decimal)?;
@@ -234,7 +240,7 @@ fn check(
     let channels = trial.signals();
     match &signals.factors {
         Some(factors) if factors.len() != channels || factors.iter().any(|f| !f.is_finite() || *f == 0.0) => {
-            let remedy = format!("must be {channels} numbers other than 0, one a channel");
+            let remedy = format!("must be {channels} numbers other than 0, one per channel");
             wrong("factors", format!("{factors:?}"), remedy)
         }
         _ => Ok(()),
@@ -270,13 +276,13 @@ fn fit(
         let (held, channels) = (signal.values.len(), trial.signals());
         let read: Vec<&str> = trial.sensors.read().iter().map(|channel| channel.name()).collect();
         let read = read.join(", ");
-        return Err(format!("holds {held} signals a record; must be {channels}: {read} of each sensor"));
+        return Err(format!("contains {held} signals per record; must be {channels}: {read} of each sensor"));
     }
     let shared = signals.time.is_none() && signals.rate.is_none() && signals.start.is_none();
     let (found, expected) = (signal.values[0].len(), force.values[0].len());
     if shared && found != expected {
         return Err(format!(
-            "holds {found} entries of signals, {expected} of force: give the clock of the signals by signals.start, .rate or .time"
+            "contains {found} entries of signals and {expected} of force: set the clock of the signals with signals.start, .rate or .time"
         ));
     }
     Ok(())
@@ -305,7 +311,7 @@ fn lasts(force: &Record, signal: &Record, duration: f64, instants: usize) -> Res
     if signal.start > duration.min(struck.max(0.0)) + instant.max(signal.dt) {
         let force = if begins.is_some() { format!(", the force at {struck:.4} s") } else { String::new() };
         return Err(format!(
-            "holds signals that begin at {:.4} s of a sample{force}: mind signals.start",
+            "contains signals that begin at {:.4} s of a sample{force}: check signals.start",
             signal.start
         ));
     }
@@ -313,8 +319,8 @@ fn lasts(force: &Record, signal: &Record, duration: f64, instants: usize) -> Res
         return Ok(());
     }
     Err(format!(
-        "holds signals that end at {end:.4} s where a sample lasts {duration} s: shorten time.duration, \
-         or let a trigger put the blow later"
+        "contains signals that end at {end:.4} s, but a sample lasts {duration} s: reduce time.duration, \
+         or use a trigger that moves the blow later"
     ))
 }
 

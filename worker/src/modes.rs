@@ -19,11 +19,11 @@ pub fn slowest(trial: &TrialSpec, design: &[f64], count: usize) -> Result<Vec<Mo
     check_rest(scene, design)?;
     modes::modes(&Rest::new(scene, design), scene.layout.units(), count).map_err(|none| match none {
         NoModes::Loose => Failure::Rejected(
-            "body: some motion meets no stiffness, and no damping; hold a unit by body.clamp, or set body.damping_ratio above 0"
+            "body: some motion has neither stiffness nor damping; hold a unit with body.clamp, or set body.damping_ratio above 0"
                 .to_owned(),
         ),
         NoModes::NotFinite => Failure::Rejected(
-            "body: its modes are no finite numbers; check body.density, body.stiffness and body.damping_ratio".to_owned(),
+            "body: its modes are not finite; check body.density, body.stiffness and body.damping_ratio".to_owned(),
         ),
     })
 }
@@ -92,13 +92,13 @@ pub(crate) fn check_rest(scene: &Scene, design: &[f64]) -> Result<(), Failure> {
         )));
     }
     if touches(scene, design) {
-        let why = "body.contact: parts of the body touch as it is cast, so it is not at rest, and has no small motions about it";
+        let why = "body.contact: parts of the body touch as it is cast, so it is not at rest and small motions are undefined";
         return Err(Failure::Rejected(why.to_owned()));
     }
     match start(scene, design) {
         Ok(_) => Ok(()),
         Err(outcome) => Err(Failure::Rejected(format!(
-            "body.compression: {}: under it the body has no place to move about",
+            "body.compression: {}: the compressed body has no equilibrium for small motions",
             outcome.name()
         ))),
     }

@@ -14,7 +14,7 @@ use crate::run::{Failure, with_design};
 pub fn told(trial: &TrialSpec, design: &[f64]) -> Result<Told, Failure> {
     let problem = with_design(trial, design)?;
     if problem.search.is_some() {
-        let why = "sensors.placement: its sensors are still to be searched for".to_owned();
+        let why = "sensors.search: the sensors of this trial have not been placed yet".to_owned();
         return Err(Failure::Rejected(why));
     }
     check_rest(&problem.scene, design)?;

@@ -40,7 +40,7 @@ fn of_archive(path: &Path, bytes: &[u8]) -> Result<Polygons, String> {
     let names = ARRAYS.map(|name| Signal::Name(name.into()));
     let form = Form { read: Some(names.iter().collect()), ..Form::default() };
     let Content::Archive(arrays) = files::content(path, bytes, &form)? else {
-        return Err("is no archive".into());
+        return Err("is not an archive".into());
     };
     let array = |name: &str| -> Result<&Array, String> {
         let found =
@@ -113,22 +113,19 @@ pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
         let at = || format!("ligaments[{l}] = [{a}, {p}, {b}, {q}]");
         for [unit, node] in [[a, p], [b, q]] {
             if !exists([unit, node]) {
-                return wrong(
-                    at(),
-                    format!("there is no node {node} of a unit {unit}; both are counted from 0"),
-                );
+                return wrong(at(), format!("unit {unit} has no node {node}; both are counted from 0"));
             }
         }
         if a == b {
             return wrong(at(), "must join two units".into());
         }
         if !seen.insert(([a, p].min([b, q]), [a, p].max([b, q]))) {
-            return wrong(at(), "is there twice".into());
+            return wrong(at(), "is listed twice".into());
         }
         for [unit, node] in [[a, p], [b, q]] {
             if let Some(other) = taken.insert([unit, node], l) {
                 let remedy =
-                    "two ligaments at one node leave no clearance between them: give each a node of its own";
+                    "two ligaments at one node leave no clearance between them: use a separate node for each";
                 return wrong(
                     at(),
                     format!("node {node} of unit {unit} has ligaments[{other}] already; {remedy}"),
@@ -142,7 +139,7 @@ pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
     }
     for (group, ends) in given.together.iter().enumerate() {
         if let Some([unit, node]) = ends.iter().copied().find(|end| !exists(*end)) {
-            return wrong(format!("together[{group}]"), format!("there is no node {node} of a unit {unit}"));
+            return wrong(format!("together[{group}]"), format!("unit {unit} has no node {node}"));
         }
         if let Some(n) = (1..ends.len()).find(|n| ends[..*n].contains(&ends[*n])) {
             return wrong(
@@ -171,7 +168,7 @@ pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
     }
     followers(given, |end| taken.contains_key(end))?;
     if let Some(unit) = hangs(given) {
-        let remedy = "hangs on nothing: no ligaments lead from it to unit 0";
+        let remedy = "is not connected: no ligaments lead from it to unit 0";
         return wrong(format!("units[{unit}]"), remedy.into());
     }
     let ligaments: Vec<[End; 2]> = given
@@ -215,8 +212,7 @@ fn followers(given: &Polygons, joined: impl Fn(&[usize; 2]) -> bool) -> Result<(
     for (group, ends) in given.together.iter().enumerate() {
         let stays = ends.iter().find(|end| is_rigid(&end[0]) && !joined(end));
         if let Some([unit, node]) = stays {
-            let remedy =
-                format!("node {node} of the rigid unit {unit} holds no ligament, and is not shifted");
+            let remedy = format!("node {node} of the rigid unit {unit} has no ligament, and is not shifted");
             return Err(invalid("body.file", format!("together[{group}]"), remedy));
         }
     }
@@ -224,14 +220,14 @@ fn followers(given: &Polygons, joined: impl Fn(&[usize; 2]) -> bool) -> Result<(
         let [unit, place] = *node;
         let wrong = |remedy: String| Err(invalid("body.file", format!("follow[{f}]"), remedy));
         if !is_rigid(&unit) || place >= given.units[unit].len() {
-            return wrong(format!("there is no node {place} of a rigid unit {unit}"));
+            return wrong(format!("there is no rigid unit {unit} with a node {place}"));
         }
         if joined(node) {
-            return wrong(format!("node {place} of unit {unit} holds a ligament, and follows the design"));
+            return wrong(format!("node {place} of unit {unit} has a ligament, and follows the design"));
         }
         let leads = |other: &usize| joined(&[unit, *other]);
         if !nodes.iter().all(leads) || nodes[0] == nodes[1] {
-            return wrong(format!("its nodes must be two nodes of unit {unit} that hold ligaments"));
+            return wrong(format!("its nodes must be two nodes of unit {unit} with ligaments"));
         }
         if *by == FollowBy::Angle && nodes.iter().any(|other| given.units[unit][*other] == [0.0; 2]) {
             return wrong("a node at [0, 0] has no angle".into());

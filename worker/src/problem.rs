@@ -176,14 +176,14 @@ pub(crate) fn architecture(trial: &TrialSpec) -> Result<Architecture, Invalid> {
     let of_dilations = |holds: bool, remedy: &str| all("brain.dilations", &dilations, holds, remedy);
     of_kernels(
         (2..=LAYERS_MAX).contains(&kernels.len()),
-        &format!("must name 2 to {LAYERS_MAX} layers, the output's last"),
+        &format!("must contain 2 to {LAYERS_MAX} layers, the output layer last"),
     )?;
     of_dilations(
         dilations.len() == kernels.len(),
-        &format!("must have a number for each of brain.kernels = {kernels:?}"),
+        &format!("must contain one number per entry of brain.kernels = {kernels:?}"),
     )?;
-    of_kernels(!kernels.contains(&0), "must be numbers of 1 or above")?;
-    of_dilations(!dilations.contains(&0), "must be numbers of 1 or above")?;
+    of_kernels(!kernels.contains(&0), "must be numbers of at least 1")?;
+    of_dilations(!dilations.contains(&0), "must be numbers of at least 1")?;
     of_kernels(
         causal || kernels.iter().all(|k| k % 2 == 1),
         "must be odd where brain.causal = false: an even kernel has no middle",
@@ -191,7 +191,7 @@ pub(crate) fn architecture(trial: &TrialSpec) -> Result<Architecture, Invalid> {
     for (layer, (kernel, dilation)) in kernels.iter().zip(&dilations).enumerate() {
         let reach = (kernel - 1).saturating_mul(*dilation) / if causal { 1 } else { 2 };
         let remedy = format!(
-            "layer {} looks {reach} instants away: must be less than time.samples = {instants}",
+            "layer {} reaches over {reach} instants: must be less than time.samples = {instants}",
             layer + 1
         );
         let of = if *dilation > 1 { &of_dilations as &dyn Fn(_, &str) -> _ } else { &of_kernels };
@@ -277,8 +277,8 @@ pub(crate) fn solvable(trial: &TrialSpec, lags: Lags) -> Result<(), Invalid> {
     let (instants, channels) = (trial.time.samples, trial.signals());
     let readings = channels * instants;
     let remedy = format!(
-        "gives a linear brain {readings} readings a sample, time.samples × sensors.channels × sensors; at most {READINGS_MAX}, and \
-         10^8 of them times time.samples × panels"
+        "gives a linear decoder {readings} readings per sample (time.samples × sensors.channels × sensors); the limits are {READINGS_MAX}, and \
+         10^8 for readings × time.samples × panels"
     );
     require(
         fits(instants, channels, trial.panel_units.len()),
@@ -288,7 +288,7 @@ pub(crate) fn solvable(trial: &TrialSpec, lags: Lags) -> Result<(), Invalid> {
     )?;
     let unknowns = channels * lags.groups().len();
     let remedy = format!(
-        "gives {unknowns} unknowns a force, at most {UNKNOWNS_MAX} can be solved for: a shorter memory, fewer sensors \
+        "gives {unknowns} unknowns per force, at most {UNKNOWNS_MAX} are allowed: use a shorter memory, fewer sensors \
          or fewer time.samples"
     );
     let shown = trial.brain.memory.map_or(String::new(), |memory| format!("{memory:?}"));
@@ -343,7 +343,7 @@ fn scene(
 ) -> Result<Scene, Invalid> {
     let body = &trial.body;
     if layout.rigid.contains(&true) {
-        let remedy = "is not for bodies with rigid units";
+        let remedy = "must be left out for bodies with rigid units";
         require(body.contact.is_none(), "body.contact", "", remedy)?;
         let scattered = trial.variation.as_ref().and_then(|variation| variation.ligament_length);
         let none = scattered.unwrap_or(0.0) == 0.0;
@@ -358,14 +358,14 @@ fn scene(
         let idle = |(unit, held): &(usize, [bool; 3])| {
             *unit == panel.unit && (0..3).all(|d| held[d] || acts[d] == 0.0)
         };
-        let remedy = "holds what alone the force on this unit would move";
+        let remedy = "is held in the only direction in which the force on this unit could move it";
         require(!guided.iter().any(idle), "body.guides", panel.unit, remedy)?;
     }
     require(
         panels.len() == trial.point.panels && !panels.is_empty(),
         "sweep.panels",
         trial.point.panels,
-        &format!("the layout gives {} panels", panels.len()),
+        &format!("the layout has {} panels", panels.len()),
     )?;
     let sensors = check_units("sensors.placements", &trial.sensor_units, &layout, &clamped)?;
     let searched = trial.sensors.search.is_some() && sensors.is_empty();
@@ -414,7 +414,7 @@ fn scene(
     let pressed = !scene.pressed.is_empty();
     let shaken = scene.panels.iter().any(|panel| panel.shakes().is_some());
     if (pressed || shaken) && scene.is_loose() {
-        let remedy = "needs a body that cannot move as a whole: body.clamp and body.guides leave it free";
+        let remedy = "needs a body that cannot move as a whole: hold it with body.clamp and body.guides";
         return Err(match body.compression.filter(|_| pressed) {
             Some(parts) => invalid("body.compression", format!("{parts:?}"), remedy),
             None => invalid("body.panels", "base", remedy),
@@ -427,7 +427,7 @@ fn scene(
 fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> {
     let spec::Sensors { search, from, spacing, .. } = &trial.sensors;
     if matches!(search, None | Some(spec::Search::Random)) {
-        let remedy = "is for sensors.search = \"greedy\"";
+        let remedy = "only for sensors.search = \"greedy\"";
         let shown = from.map_or(String::new(), |from| as_written(&from));
         require(from.is_none(), "sensors.from", shown, remedy)?;
         require(spacing.is_none(), "sensors.spacing", spacing.unwrap_or_default(), remedy)?;
@@ -441,10 +441,11 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> 
     let open = |unit: &usize| !(told(unit) || inside && !scene.layout.carriers[*unit]);
     let candidates: Vec<usize> = (0..scene.layout.units()).filter(open).collect();
     let Point { sensors, placement, .. } = trial.point;
-    let remedy = format!("the body has {} units where sensors.search may put one", candidates.len());
+    let remedy =
+        format!("the body has {} units on which sensors.search may place a sensor", candidates.len());
     require((1..=candidates.len()).contains(&sensors), "sweep.sensors", sensors, &remedy)?;
     require(placement < candidates.len(), "sweep.placements", placement + 1, &remedy)?;
-    let of_best = format!("a search begins each placement with another one of its {CANDIDATES} best units");
+    let of_best = format!("a search starts each placement from another of its {CANDIDATES} best units");
     require(placement < CANDIDATES, "sweep.placements", placement + 1, &of_best)?;
     // one after another, row by row: hardly less than would fit at best
     let mut apart: Vec<usize> = Vec::new();
@@ -453,7 +454,7 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> 
             apart.push(unit);
         }
     }
-    let remedy = format!("leaves room for {} sensors, where sweep.sensors asks for {sensors}", apart.len());
+    let remedy = format!("leaves room for {} sensors, but sweep.sensors contains {sensors}", apart.len());
     require(sensors <= apart.len(), "sensors.spacing", spacing, &remedy)?;
     let given = !trial.sensor_units.is_empty();
     Ok((!given).then_some(Placing { candidates, sensors, turn: placement, spacing }))

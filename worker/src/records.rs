@@ -84,7 +84,7 @@ pub(crate) fn recorded(
     let wanted = trial.stimuli.samples + trial.stimuli.holdout;
     if records.len() < wanted {
         let remedy = format!(
-            "with stimuli.holdout = {} that is {wanted} records; the files hold {}",
+            "with stimuli.holdout = {}, {wanted} records are needed; the files contain {}",
             trial.stimuli.holdout,
             records.len()
         );
@@ -159,7 +159,7 @@ fn check_copies(trial: &TrialSpec, problem: &Problem) -> Result<(), Invalid> {
             seen.insert((fingerprint(force), panel), i).filter(|_| force.iter().any(|f| *f != 0.0))
         {
             let what = format!(
-                "holds the forces of {} once more: a copy would train and test the same brain",
+                "repeats the forces of {}: a copy would train and test the same decoder",
                 name(first)
             );
             return Err(invalid("stimuli.recorded.files", name(i), what));
@@ -186,10 +186,8 @@ fn check_shifts(problem: &Problem) -> Result<(), Invalid> {
     let instants = |time: f64| (time * histories.instants as f64 / problem.scene.duration).round() as usize;
     let [early, late] = [instants(-shift[0]), instants(shift[1])];
     let peak = |values: &[f64]| values.iter().fold(0.0, |peak: f64, f| peak.max(f.abs()));
-    let remedies = [
-        (early, "the beginning", "let trigger.before put it later"),
-        (late, "the end", "lengthen time.duration"),
-    ];
+    let remedies =
+        [(early, "the beginning", "raise trigger.before"), (late, "the end", "lengthen time.duration")];
     for (end, (cut, place, remedy)) in remedies.into_iter().enumerate() {
         for i in 0..histories.samples {
             let lost = |history: &[f64]| {
@@ -219,8 +217,8 @@ pub(crate) fn forces(pick: &Pick, held: &Content, panels: usize) -> Result<Vec<R
     let records = of_file(pick, held)?;
     match records.iter().map(|record| record.values.len()).find(|held| ![1, panels].contains(held)) {
         Some(held) => {
-            let most = if panels == 1 { String::new() } else { format!(" or {panels}, one a panel") };
-            Err(format!("holds {held} forces a record; must be 1{most}"))
+            let most = if panels == 1 { String::new() } else { format!(" or {panels}, one per panel") };
+            Err(format!("contains {held} forces per record; must be 1{most}"))
         }
         None => Ok(records),
     }
@@ -241,7 +239,7 @@ pub(crate) fn check_form(
     ];
     match keys.into_iter().find_map(|(key, given)| Some((key, given?))) {
         Some((key, value)) if !files.iter().any(|file| files::ending(file) == "csv") => {
-            let remedy = format!("means nothing here: none of {table}.files is a CSV");
+            let remedy = format!("has no effect: none of {table}.files is a CSV");
             Err(invalid(&format!("{table}.{key}"), value, remedy))
         }
         _ => Ok(()),
@@ -259,7 +257,7 @@ pub(crate) fn check_step(pick: &Pick, record: &Record, duration: f64) -> Result<
         return Ok(());
     }
     let (key, dt) = (pick.clock_key(), record.dt);
-    Err(format!("has a step of {dt} s, longer than a sample (time.duration = {duration} s): is {key} right?"))
+    Err(format!("has a step of {dt} s, longer than a sample (time.duration = {duration} s): check {key}"))
 }
 
 /// Refuses forces that are hardly any in the sample.
@@ -277,8 +275,8 @@ pub(crate) fn check_place(pick: &Pick, record: &Record, duration: f64) -> Result
     }
     let (end, key) = (start + (values[0].len() - 1) as f64 * dt, pick.clock_key());
     Err(format!(
-        "has its blow outside of a sample, which lasts from 0 to {duration} s; the record from {start:.4} to {end:.4} s: is {key} \
-         right, or is a trigger missing?"
+        "has its blow outside of the sample (0 to {duration} s; the record: {start:.4} to {end:.4} s): check {key}, \
+         or set a trigger"
     ))
 }
 
@@ -293,14 +291,14 @@ pub(crate) fn check_panels(
         return Err(invalid(
             "stimuli.recorded.force",
             "mixed",
-            "all files must hold as many forces a record",
+            "all files must contain the same number of forces per record",
         ));
     }
     let Some(struck) = &recorded.panels else { return Ok(()) };
     let remedy = match held {
         1 if struck.len() == records.len() && struck.iter().all(|&k| k < panels) => return Ok(()),
         1 => format!("must name one of panels 0 to {} for each of {} records", panels - 1, records.len()),
-        _ => format!("means nothing where a record holds {held} forces"),
+        _ => format!("has no effect if a record contains {held} forces"),
     };
     Err(invalid("stimuli.recorded.panels", format!("{struck:?}"), remedy))
 }
@@ -310,11 +308,11 @@ pub(crate) fn check(recorded: &spec::Recorded) -> Result<(), Invalid> {
     let key = |name: &str| format!("stimuli.recorded.{name}");
     let wrong = |name: &str, value: String, remedy: &str| Err(invalid(&key(name), value, remedy));
     if recorded.files.is_empty() {
-        return wrong("files", "[]".into(), "must name a file");
+        return wrong("files", "[]".into(), "must contain a file");
     }
     if recorded.time.is_some() == recorded.rate.is_some() {
         let given = recorded.rate.map_or(String::new(), |rate| rate.to_string());
-        return wrong("rate", given, "give either time or rate");
+        return wrong("rate", given, "set either time or rate");
     }
     recorded.rate.map_or(Ok(()), |rate| positive(&key("rate"), rate))?;
     if !(recorded.scale.is_finite() && recorded.scale != 0.0) {
@@ -333,7 +331,7 @@ pub(crate) fn check(recorded: &spec::Recorded) -> Result<(), Invalid> {
     check_form("stimuli.recorded", &recorded.files, recorded.header, recorded.separator, recorded.decimal)?;
     let Some(known) = &recorded.digest else { return Ok(()) };
     let now = digest(recorded)?;
-    let remedy = format!("the files' contents now give {now}");
+    let remedy = format!("the contents of the files have changed (now {now})");
     if *known == now { Ok(()) } else { Err(invalid("stimuli.recorded.digest", known, remedy)) }
 }
 
@@ -346,7 +344,7 @@ pub(crate) fn align(recorded: &spec::Recorded, record: &mut Record, room: f64) -
     let Some(trigger) = recorded.trigger else { return Ok(0.0) };
     let reached = |force: &Vec<f64>| force.iter().position(|f| f.abs() >= trigger.threshold);
     let Some(first) = record.values.iter().filter_map(reached).min() else {
-        return Err(format!("holds a record that never reaches the trigger's {} N", trigger.threshold));
+        return Err(format!("contains a record that never reaches the trigger's {} N", trigger.threshold));
     };
     let before = record.start;
     record.start = trigger.before.unwrap_or(room) - first as f64 * record.dt;
@@ -365,7 +363,7 @@ pub(crate) fn in_units(
             return Err(format!("entry {n} of {what} {h} is {}; must be a finite number", history[n]));
         }
         if history.is_empty() {
-            return Err("holds a record without entries".into());
+            return Err("contains a record without entries".into());
         }
         let offset = if remove_offset { median(history) } else { 0.0 };
         history.iter_mut().for_each(|x| *x = (*x - offset) * factor);

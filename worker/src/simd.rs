@@ -10,10 +10,10 @@ pub const NAMES: [&str; 3] = ["baseline", "avx2", "avx512"];
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SimdError {
     /// No such name.
-    #[error("`{0}` is no instruction set of the kernels: baseline, avx2 or avx512")]
+    #[error("`{0}` is not an instruction set of the kernels; expected baseline, avx2 or avx512")]
     Unknown(String),
     /// The machine cannot.
-    #[error("this machine has no {asked}; the most it has is {has}")]
+    #[error("this machine does not support {asked}; its widest set is {has}")]
     Lacking {
         /// Asked for.
         asked: &'static str,

@@ -77,11 +77,12 @@ fn checked(twin: stored::Twin, trial: &TrialSpec, design: &[f64]) -> Result<Twin
         units,
         material,
     } = twin;
-    let remedy = "is another body: its spec, its sensors' units or its design differ from those that the twin was fitted with";
+    let remedy =
+        "belongs to another body: its spec, its sensors' units or its design differ from those of the fit";
     require(digest == trial.body_digest(design), "body", &digest, remedy)?;
     let (layout, _) = body(trial).map_err(|e| invalid("body", &digest, e.to_string()))?;
     let (sensors, read) = (trial.point.sensors, trial.signals());
-    let remedy = format!("must be {read} entries, one a signal that is read");
+    let remedy = format!("must have {read} entries, one per signal");
     require(noise.len() == read, "noise", format!("{} entries", noise.len()), &remedy)?;
     for (key, given, own) in [
         ("gain", gain.len(), 3 * sensors),
@@ -90,7 +91,7 @@ fn checked(twin: stored::Twin, trial: &TrialSpec, design: &[f64]) -> Result<Twin
         ("ligaments", ligaments.len(), layout.ligaments.len()),
         ("units", units.len(), layout.units()),
     ] {
-        let remedy = format!("must be {own} entries, or left out");
+        let remedy = format!("must have {own} entries, or be left out");
         require(given == 0 || given == own, key, format!("{given} entries"), &remedy)?;
     }
     let Factors { stretch, shear, bend, damping, density, contact } = material;

@@ -54,7 +54,7 @@ def test_a_twin_reads_its_cast(noisy, spec, tmp_path, rng):
     again = body.read_twin(tmp_path / "t.toml")
     assert again.material == twin.material and again.ending is None
     other = body.alpha + 0.01
-    with pytest.raises(ValueError, match="is another body"):
+    with pytest.raises(ValueError, match="belongs to another body"):
         body.read_twin(tmp_path / "t.toml", other)
     with pytest.raises(OSError, match="none.toml"):
         body.read_twin(tmp_path / "none.toml")

@@ -213,7 +213,7 @@ pub const CLAIMS: [Claim; 15] = [
         find: |stated, trials| each_set(&two_forces(trials, "bell"), stated, long_ratio),
     },
     Claim {
-        says: "under hand-hammered blows a trained body has 5.3 times less error",
+        says: "under hand-hammered blows the error of a trained body is 5.3 times lower",
         source: "Fig. 3D, S5",
         stated: 5.3,
         chance: CHANCE,
@@ -229,7 +229,7 @@ pub const CLAIMS: [Claim; 15] = [
         find: blows_more,
     },
     Claim {
-        says: "random bodies read worse than the initial one",
+        says: "random bodies have a larger error than the initial body",
         source: "S4",
         stated: 1.0,
         chance: CHANCE,
@@ -237,7 +237,7 @@ pub const CLAIMS: [Claim; 15] = [
         find: |stated, trials| random_bodies(stated, trials, Body::Initial),
     },
     Claim {
-        says: "and so worse than the trained one",
+        says: "and a larger error than the trained body",
         source: "S4",
         stated: 1.0,
         chance: CHANCE,
@@ -261,7 +261,7 @@ pub const CLAIMS: [Claim; 15] = [
         find: |stated, trials| elbow_at(stated, &planar(trials, 4, "bell")),
     },
     Claim {
-        says: "K = 4: trained with two sensors it beats the initial one with six",
+        says: "K = 4: the trained body with two sensors has less error than the initial body with six",
         source: "Fig. 4B",
         stated: 1.0,
         chance: CHANCE,
@@ -269,7 +269,7 @@ pub const CLAIMS: [Claim; 15] = [
         find: |stated, trials| so_few(stated, 2, &planar(trials, 4, "bell")),
     },
     Claim {
-        says: "K = 4: where sensors are matters less on the trained body",
+        says: "K = 4: on the trained body the error depends less on the placement of sensors",
         source: "Fig. 4B",
         stated: 1.0,
         chance: CHANCE,
@@ -285,7 +285,7 @@ pub const CLAIMS: [Claim; 15] = [
         find: |stated, trials| every_number(stated, &planar(trials, 8, "bell")),
     },
     Claim {
-        says: "K = 8: the elbow is at M = 4",
+        says: "K = 8: its error has an elbow at M = 4",
         source: "Fig. 4C",
         stated: 4.0,
         chance: CHANCE,
@@ -293,7 +293,7 @@ pub const CLAIMS: [Claim; 15] = [
         find: |stated, trials| elbow_at(stated, &planar(trials, 8, "bell")),
     },
     Claim {
-        says: "a body of more design parameters, trained, has less error",
+        says: "a trained body with more design parameters has less error",
         source: "Fig. 5C",
         stated: 1.0,
         chance: CHANCE / 2.0, // four seeds had left it open
@@ -301,7 +301,7 @@ pub const CLAIMS: [Claim; 15] = [
         find: complexity,
     },
     Claim {
-        says: "not claimed: the implicit term, which the paper takes, makes better bodies",
+        says: "not claimed: the implicit term, which the paper uses, makes better bodies",
         source: "S2.4",
         stated: 1.0,
         chance: CHANCE,

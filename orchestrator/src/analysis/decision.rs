@@ -13,13 +13,13 @@ use super::resample::Resampling;
 /// What a decision weighs.
 #[derive(Debug, Clone, Copy, PartialEq, clap::Args)]
 pub struct Terms {
-    /// Shows the smallest M whose error is at most this part above the least, beside the elbow
+    /// Also shows the smallest M whose error is at most this fraction above the smallest error
     #[arg(long, value_name = "PART", default_value_t = Self::default().within, value_parser = at_least_zero, help_heading = "Decision on the number of sensors")]
     pub within: f64,
-    /// Shows the smallest M with this part of the fall from 100 % (no sensor) to the least error, beside the elbow
+    /// Also shows the smallest M with this fraction of the fall from 100 % (no sensor) to the smallest error
     #[arg(long, value_name = "PART", default_value_t = Self::default().fall, value_parser = part, help_heading = "Decision on the number of sensors")]
     pub fall: f64,
-    /// Price of a sensor in % of error: shows the M of least error + price × M beside the elbow
+    /// Price per sensor in % of error: also shows the M with the smallest error + price × M
     #[arg(long, value_name = "PERCENT", value_parser = at_least_zero, help_heading = "Decision on the number of sensors")]
     pub price: Option<f64>,
 }

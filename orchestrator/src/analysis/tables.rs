@@ -27,29 +27,29 @@ use crate::look::{Table, row};
 /// A question to finished trials.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Question {
-    /// Initial against optimised body, paired by trial: ratio of errors
+    /// Initial against trained body, paired by trial: ratio of errors
     Paired,
-    /// Error by brain and memory; bodies trained with one brain, forces read by another
+    /// Error by decoder and memory, also with other decoders in training and evaluation
     Brains,
-    /// What is left of a body once it is cast: error over virtual casts by body and brain, gain kept ([variation])
+    /// Error over virtual casts by body and decoder, and the part of the gain that is kept ([variation])
     Casts,
-    /// Bodies trained under one kind of forces, read under others (evaluation.under): error, gain kept of the specialist's
+    /// Bodies trained under one kind of forces and evaluated under others (evaluation.under): error, and the kept part of the specialist's gain
     Transfer,
-    /// Training iterations on the initial over those on the optimised body, to equal error and loss
+    /// Training iterations on the initial over those on the trained body, to equal error and loss
     Iterations,
-    /// Initial against optimised body after long training (evaluation.long_iterations)
+    /// Initial against trained body after long training (evaluation.long_iterations)
     Long,
-    /// Error against the number of sensors M, votes for an elbow of its logarithm, gain by the next sensor
+    /// Error against the number of sensors M, votes for an elbow of its logarithm, gain from the next sensor
     Sensors,
     /// The elbow of error against M, by three methods; the smallest M with nine tenths of the fall from 100 %, within 10 % of the best, the best at a price (--price)
     Elbow,
-    /// The fewest sensors with which the optimised body beats the initial one with the most
+    /// The fewest sensors with which the trained body has less error than the initial body with the most sensors
     Fewer,
     /// Spread of the error over sensor placements
     Placements,
-    /// Gain by a search for sensor places (sensors.search), and by training the body beyond that
+    /// Gain from a search for sensor places (sensors.search), and further gain from training the body
     Placed,
-    /// Random bodies (body.design = { random = SEED }) against the initial and the optimised one
+    /// Random bodies (body.design = { random = SEED }) against the initial and the trained body
     Random,
     /// Part of the signals that a linear model of the body at rest does not explain
     Nonlinear,
@@ -61,11 +61,11 @@ pub enum Question {
     TimeTo,
     /// Pareto front of CPU seconds and test error, as if each trial had trained its body itself
     Front,
-    /// Where the time of each trial went (CPU seconds as in `v_trial`: a body that trials share counts for the one that trained it)
+    /// CPU seconds by part of the computation (as in `v_trial`: a shared body counts for the trial that trained it)
     Seconds,
-    /// The claims of arXiv:2605.23967, each rated by the trials that can test it, and the specs that do; only on request
+    /// The claims of arXiv:2605.23967, each rated by the trials that can test it, with the specs of these trials; only on request
     Claims,
-    /// The evidence for each claim, one row per brain and set: ratio, interval and votes; only on request
+    /// The evidence for each claim, one row per decoder and set: ratio, interval and votes; only on request
     Evidence,
 }
 
@@ -79,45 +79,49 @@ impl Question {
     pub fn title(self) -> &'static str {
         match self {
             Self::Paired => {
-                "Initial over optimised error, paired by trial (above 1: the optimised body is better; 95 % interval)"
+                "Error of the initial over that of the trained body, paired by trial (above 1: the trained body is better; 95 % interval)"
             }
             Self::Brains => {
-                "Holdout error (%, geometric mean): the brain that the optimised body was trained with, the brain that reads it, and its memory (s before and after)"
+                "Held-out error (%, geometric mean) by the decoder in training, the decoder in evaluation, and its memory (s before and after)"
             }
             Self::Casts => {
-                "Error (%) on casts that no training has seen, by body and by the brain that reads them (fitted to the body as designed, to other casts, or to records of each cast): median and 90th percentile over casts, geometric means over trials; inverse and twin: over the first 16 samples of the holdout, others over all; kept: the gain on casts as a part of the gain as designed, in logarithms (95 % intervals)"
+                "Error (%) on casts not used in training, by body and decoder (fitted to the body as designed, to other casts, or to records of each cast): median and 90th percentile over casts, geometric means over trials; inverse and twin: over the first 16 held-out samples, others over all; kept: gain on casts as a fraction of the gain as designed, in logarithms (95 % intervals)"
             }
             Self::Transfer => {
-                "Holdout error (%, geometric mean) under a kind of forces, by the body and by the brain: fitted under these forces (own), or under those that trained the body (carried); kept: the gain as a part of that of the body trained under this kind, in logarithms, by brains fitted under it (95 % intervals)"
+                "Held-out error (%, geometric mean) under a kind of forces, by body and decoder: fitted under these forces (own), or under the training forces of the body (carried); kept: the gain as a fraction of that of the body trained under this kind, in logarithms, with decoders fitted under it (95 % intervals)"
             }
             Self::Iterations => {
-                "Iterations on the initial over those on the optimised body, to equal holdout error and training loss"
+                "Iterations on the initial over those on the trained body, to equal held-out error and training loss"
             }
-            Self::Long => "Initial over optimised error after long training, paired by trial (95 % interval)",
+            Self::Long => {
+                "Error of the initial over that of the trained body after long training, paired by trial (95 % interval)"
+            }
             Self::Sensors => "Error (%, geometric mean) against the number of sensors M",
             Self::Elbow => {
-                "Elbow of error against M; the smallest M with --fall of the fall from 100 %, within --within of the best, and of least error + --price × M, each also without the largest M"
+                "Elbow of error against M; the smallest M with the fraction --fall of the fall from 100 %, within --within of the best, and with the smallest error + --price × M, each also without the largest M"
             }
-            Self::Fewer => "Fewest sensors with which the optimised body beats the initial one with the most",
+            Self::Fewer => {
+                "Fewest sensors with which the trained body has less error than the initial body with the most sensors"
+            }
             Self::Placements => {
                 "Spread of error over placements at equal M and seed (standard deviation of ln error)"
             }
             Self::Placed => {
-                "Error (%, geometric mean) with sensors at random and placed by a search; by_placing: the first over the second on the initial body, by_training: initial over optimised body with sensors placed (95 % interval)"
+                "Error (%, geometric mean) with sensors at random and placed by a search; by_placing: random over placed on the initial body, by_training: initial over trained body with placed sensors (95 % interval)"
             }
             Self::Random => {
-                "Error (%, geometric mean) of random bodies, and its ratio to that of the initial and of the optimised body"
+                "Error (%, geometric mean) of random bodies, and its ratio to that of the initial and of the trained body"
             }
             Self::Nonlinear => {
-                "Part of the signals (%, mean over channels of squares) that a linear model of the body at rest does not explain"
+                "Part of the signals (%, mean over channels of squares) not explained by a linear model of the body at rest"
             }
             Self::Sizes => "Error (%, geometric mean) against the number of design parameters N",
             Self::Complexity => "Scaling law: error = a (N/N0)^(-b) + c (%, 95 % intervals)",
             Self::TimeTo => {
-                "CPU seconds until half of the trials have reached a test error (%; Kaplan and Meier's median, 95 % interval, open above where too few get there)"
+                "CPU seconds until half of the trials have reached a test error (%; Kaplan–Meier median, 95 % interval, open above if too few trials reach it)"
             }
             Self::Front => "Pareto front of best test error so far (%) against CPU seconds",
-            Self::Seconds => "Where the time went (CPU seconds a trial)",
+            Self::Seconds => "CPU seconds per trial by part of the computation",
             Self::Claims => "The claims of arXiv:2605.23967, rated by finished trials",
             Self::Evidence => {
                 "The evidence for the claims of arXiv:2605.23967 (ratios above 1: as claimed; 95 % intervals)"

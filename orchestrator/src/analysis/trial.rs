@@ -24,6 +24,14 @@ impl Body {
             Self::Optimised => "optimised",
         }
     }
+
+    /// Its name in texts: the "initial" or the "trained" body.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Initial => "initial",
+            Self::Optimised => "trained",
+        }
+    }
 }
 
 /// Which samples an error is of, and by what statistic.

@@ -18,32 +18,36 @@ use crate::report::claims::{figure, trials_table};
 use crate::report::load::{finished_trials, verdicts};
 use crate::store::Reader;
 
-/// Answers a sweep's questions as tables: gain, sensors needed, complexity, time
+/// Answers the questions of a sweep in tables: gain, sensors needed, complexity, time
 ///
-/// Is the optimised body better? How many sensors are enough? What does complexity buy? What did the error cost in time?
+/// Is the trained body better? How many sensors are enough? How does the error depend on complexity, and on computing time?
 ///
-/// `--question claims` rates the claims of arXiv:2605.23967: a claim holds, is compatible with the paper's number, holds in part, makes
-/// no difference, fails, is open, or depends on the brain. First run the specs that it names into one database (run SPEC --db FILE).
-/// Trials of different settings (noise, damping, …) are rated separately. Trials with chips or fewer channels, placed sensors, frozen or
-/// pressed units, bodies of their own or another lattice count for the claims about random bodies only.
+/// `--question claims` rates the claims of arXiv:2605.23967: a claim holds, is compatible with the paper's number, holds in
+/// part, makes no difference, fails, is open, or depends on the brain (the decoder). First run the specs that it names into
+/// one database (run SPEC --db FILE). Trials of different settings (noise, damping, …) are rated separately. Trials with
+/// chips or fewer channels, placed sensors, frozen or pressed units, custom bodies or another lattice count only for the
+/// claims about random bodies.
 #[derive(Debug, clap::Args)]
 #[command(visible_alias = "analyze")]
 pub(super) struct Args {
-    /// The database; of a folder of shards, their facts
+    /// The database, or a folder of shards: their facts
     #[arg(value_name = "DB|FOLDER")]
     db: PathBuf,
-    /// Compare the database, trial by trial, with this one, which comes first: ratios of errors and seconds
+    /// Compares the trials of FIRST with those of the database, in pairs: ratios of errors and seconds, FIRST over the
+    /// database
     #[arg(long, value_name = "FIRST", conflicts_with_all = ["question", "within", "fall", "price"])]
     compare: Option<PathBuf>,
-    /// Answer this question alone; may be given several times [default: the verdicts in words, and all that the sweep can answer]
+    /// Answers only this question; may be repeated [default: the verdicts in words, and all questions that the sweep can
+    /// answer]
     #[arg(long, value_enum)]
     question: Vec<Question>,
     #[command(flatten)]
     terms: Terms,
-    /// With --question claims: also write both tables of the claims and the trials (CSV), the figure (SVG) and a page (index.html)
+    /// With --question claims: also writes both tables of the claims and the trials (CSV), the figure (SVG) and a page
+    /// (index.html)
     #[arg(long, value_name = "DIR", requires = "question", help_heading = "Output")]
     out_dir: Option<PathBuf>,
-    /// The form of the tables; JSON of several is an object of lists by question, CSV and Parquet hold one
+    /// Format of the tables. JSON of several tables is an object of lists by question; CSV and Parquet hold one table
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
@@ -58,7 +62,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     let rates_claims = [Question::Claims, Question::Evidence].iter().any(|q| args.question.contains(q));
     if args.out_dir.is_some() && !rates_claims {
-        return Err(Error::Usage("--out-dir writes the claims: add --question claims".into()));
+        return Err(Error::Usage("--out-dir: only for the claims; add --question claims".into()));
     }
     let sentences = all && args.format == Format::Table;
     let (trials, verdicts, caveats) = Reader::asked(Database::at(&args.db).await?, async |reader| {
@@ -90,7 +94,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
                 print_line!("{}", question.title())?;
                 match table.sole_verdict() {
                     _ if table.rows.is_empty() => {
-                        print_line!("no finished trial of this database has what is asked about")?;
+                        print_line!("no finished trial of this database answers this question")?;
                     }
                     Some(verdict) => print_line!("{verdict}")?,
                     None => {
@@ -99,7 +103,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
                         let empty = table.columns.iter().filter(|c| !shown.columns.contains(c));
                         let empty: Vec<&str> = empty.map(String::as_str).collect();
                         if !empty.is_empty() {
-                            print_line!("columns without values are left out: {}", empty.join(", "))?;
+                            print_line!("omitted columns without values: {}", empty.join(", "))?;
                         }
                     }
                 }
@@ -117,8 +121,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     match trials.iter().filter(|trial| rates_claims && is_other(trial)).count() {
         0 => {}
         other => say!(
-            "{} of {} trials with chips or fewer channels, placed sensors, frozen or pressed units, bodies of their own or another \
-             lattice are not of the paper's scenes: only the claims about random bodies may count them",
+            "{} of {} trials have chips or fewer channels, placed sensors, frozen or pressed units, custom bodies or another \
+             lattice. They differ from the paper's scenes and count only for the claims about random bodies",
             other,
             trials.len()
         ),
@@ -145,7 +149,7 @@ fn write_claims(folder: &Path, trials: &[Trial]) -> Result<(), Error> {
         h2 { "Evidence" }
         (evidence.html(Some("evidence")))
     };
-    let question = "Does what arXiv:2605.23967 claims hold, and with which brain?";
+    let question = "Do the claims of arXiv:2605.23967 hold, and with which decoder?";
     write(&folder.join("index.html"), page("The paper's claims", question, content))
 }
 
@@ -169,14 +173,14 @@ async fn compare(first: &Path, second: &Path, format: Format) -> Result<Exit, Er
     );
     if found.pairs.is_empty() {
         return Err(Error::Usage(format!(
-            "--compare {}: no trial that is done has a partner in {}: pairs agree in all that varies within either",
+            "--compare {}: no finished trial has a partner in {}: partners must agree in all keys that vary in either database",
             first.display(),
             second.display()
         )));
     }
     if format == Format::Table {
         print_line!(
-            "First over second, paired (above 1: the second has less; geometric means, 95 % interval)"
+            "First over second database, in pairs (above 1: the second value is lower; geometric means, 95 % interval)"
         )?;
     }
     print_rows(&found.table(), format)?;

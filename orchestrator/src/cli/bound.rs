@@ -14,30 +14,33 @@ use crate::exit::Exit;
 use crate::look::{Table, short_hash};
 use crate::store::Reader;
 
-/// Computes the error of the best linear decoder, and what no decoder can go below
+/// Computes the error of the best linear decoder, and a lower bound for all decoders
 ///
-/// The first is no bound on all decoders. To first order, around each of the first holdout samples: the body is taken as linear there and
-/// known, the forces as normal with the mean and covariance of the training samples; the error is that of the posterior given the signals,
-/// of the samples' mean covariance with the weights that the training set gives the mean error ("mean"; the mean of few rows is another), and
-/// for the mean information ("mean information"), which is less. Of pulses (bell) the error that no decoder goes below in the mean, whatever it
-/// knows of body, noise and pulses, stands beside it with its standard error ("any decoder"): walks on the true posterior, eight for each sample,
-/// nonlinear motion and uniform parameters included. Error above that may be removed by a better brain; the bound itself only by another body,
-/// other places of sensors or less noise.
+/// The first value is not a bound for all decoders. The motion is linearised around each of the first held-out samples. The
+/// body is known; the forces are normal with the mean and covariance of the training samples; the error is that of the
+/// posterior given the signals. Row "mean": the mean covariance of the samples, with the weights that the training set
+/// gives the mean error (the mean of few rows differs). Row "mean information": the error for the mean information, which
+/// is smaller. For pulses (bell), "any decoder" is a lower bound on the mean error of all decoders, whatever they use about
+/// body, noise and pulses, with its standard error. It comes from walks on the true posterior, eight per sample, with
+/// nonlinear motion and uniform parameters. A better decoder may remove error above the bound. Only another body, other
+/// places of sensors or less noise lower the bound itself.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
     one: Designed,
-    /// How many samples of the holdout
+    /// Number of held-out samples
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u16).range(1..=10_000))]
     samples: u16,
-    /// White noise of every reading, as a part of each channel's RMS on the initial body [default: the spec's sensors.noise]
+    /// White noise of each reading, as a fraction of each channel's RMS on the initial body [default: the spec's
+    /// sensors.noise]
     #[arg(long, value_name = "σ", value_parser = above_zero)]
     noise: Option<f64>,
-    /// Beside SPEC: a database that has finished the trial, or others that differ from it in their brains alone. With one, as with DB
-    /// HASH, these errors of the initial and the optimised bodies, and the holdout errors of all brains that have read them
+    /// With SPEC: a database that contains the trial, finished, or trials that differ from it only in their decoders. With
+    /// it, as with DB HASH, prints these errors of the initial and trained bodies, and the held-out errors of all decoders
+    /// for these bodies
     #[arg(long, value_name = "FILE", conflicts_with = "design")]
     db: Option<PathBuf>,
-    /// The form of the rows
+    /// Format of the rows
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
@@ -110,7 +113,7 @@ async fn achieved(
     if trials.is_empty() {
         let (db, hash) = (db.display(), short_hash(hash));
         return Err(Error::Usage(format!(
-            "{db} has finished no trial with the scene of {hash}; `metasense status {db}` says what it holds"
+            "{db} contains no finished trial with the scene of {hash}; see `metasense status {db}`"
         )));
     }
     // bodies as bits: equal ones are looked at once

@@ -15,25 +15,26 @@ use crate::analysis::numbers::quantile;
 use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
 
-/// Casts a body virtually, and says what brains still read
+/// Casts a body virtually, and computes the errors of decoders on the casts
 ///
-/// Each cast has its own material and its own nodes, as `[variation]` scatters them, and each of its holdout samples is read by linear
-/// brains: one fitted to the body as designed (nominal), one to samples of 24 other casts (casts), and one to samples of the cast itself
-/// beside those (records). The first casts are those of the trial's own comparison, `v_cast`. A cast that cannot be simulated counts as 100 %.
+/// Each cast has its own material and node positions, drawn from `[variation]`. Linear decoders estimate the forces of its
+/// held-out samples. One is fitted to the body as designed (nominal), one to samples of 24 other casts (casts), and one to
+/// these samples and to samples of the cast itself (records). The first casts are those of the trial's own comparison,
+/// `v_cast`. A cast that cannot be simulated counts as 100 %.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
     one: Designed,
-    /// How many
+    /// Number of casts
     #[arg(long, value_name = "N", default_value_t = 24, value_parser = clap::value_parser!(u16).range(1..=10_000))]
     casts: u16,
-    /// A TOML file with a [variation] table in place of the trial's
+    /// A TOML file with a [variation] table that replaces the trial's
     #[arg(long, value_name = "FILE")]
     variation: Option<PathBuf>,
-    /// One row per cast and brain, in place of medians
+    /// Prints one row per cast and decoder instead of medians
     #[arg(long, help_heading = "Output")]
     rows: bool,
-    /// The form of the rows
+    /// Format of the rows
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }

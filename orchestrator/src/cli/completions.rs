@@ -7,7 +7,7 @@ use clap_complete::{Shell, generate};
 use super::{Error, command};
 use crate::exit::Exit;
 
-/// Prints the script by which a shell completes commands and options
+/// Prints the completion script of a shell for commands and options
 ///
 /// For instance `metasense setup completions bash > ~/.local/share/bash-completion/completions/metasense`.
 #[derive(Debug, clap::Args)]

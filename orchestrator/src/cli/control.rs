@@ -8,16 +8,16 @@ use super::Error;
 use crate::control::{self, Command, ControlError, WORKERS_MAX};
 use crate::exit::Exit;
 
-/// Steers a run: pauses or stops it, changes workers, cancels a trial, reloads its spec
+/// Controls a run: pause, stop, number of workers, cancel a trial, reload the spec
 ///
-/// It talks to the `run` that holds the database, through the socket DB.control beside it, which only its user may open. Trials stop
-/// after the step in progress and keep their checkpoints; `stop` waits for that no longer than Ctrl-C does (`run.grace`). The run's
-/// log records commands and answers.
+/// Commands go to the `run` that holds the database, through the socket DB.control beside it, which only its owner can
+/// open. Trials stop after the step in progress and keep their checkpoints. `stop` waits for this at most as long as Ctrl-C
+/// does (`run.grace`). The log of the run records commands and replies.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Exit codes:
   0  done; the answer is on standard output
-  1  the run refuses, and says why; nothing has changed
+  1  the run refused the command and printed the reason; nothing has changed
   2  no run holds the database, or the command line is at fault
   3  the run does not answer
 
@@ -34,33 +34,33 @@ pub(super) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Steer {
-    /// Says how the run is: running, paused or stopping, busy workers, settled and waiting trials
+    /// Prints the state of the run: running, paused or stopping, busy workers, settled and pending trials
     State,
-    /// Stops running trials after their step in progress and starts none, until `resume`; workers stay, idle
+    /// Stops trials after their step in progress and starts none until `resume`; workers stay idle
     Pause,
-    /// Goes on after a pause, each trial from its last step
+    /// Resumes the run after a pause, each trial from its last step
     Resume,
-    /// Ends the run in order, as one Ctrl-C does; `run SPEC` goes on
+    /// Ends the run cleanly, like one Ctrl-C; `run SPEC` resumes it
     Stop,
-    /// Gives a trial up; a running one ends after its step in progress. It counts as failed (`cancelled`), also in later runs;
-    /// `run SPEC --retry-failed` continues it from its last step
+    /// Cancels a trial; a running trial ends after its step in progress. It is stored as failed (`cancelled`), also for
+    /// later runs; `run SPEC --retry-failed` resumes it from its last step
     Cancel {
-        /// Its hash, or the beginning of it
+        /// Hash of the trial, or the beginning of it
         hash: String,
     },
-    /// Gives a waiting trial to the next free worker
+    /// Gives a pending trial to the next free worker
     Next {
-        /// Its hash, or the beginning of it
+        /// Hash of the trial, or the beginning of it
         hash: String,
     },
-    /// Changes the number of worker processes; surplus ones end when idle
+    /// Changes the number of worker processes; surplus workers end when idle
     Workers {
-        /// How many, from 1
+        /// Number of worker processes, at least 1
         #[arg(value_parser = clap::value_parser!(u32).range(1..=i64::from(WORKERS_MAX)))]
         count: u32,
     },
-    /// Reads the spec again and adds its new trials. Trials that it no longer has stay; [run] is not read again; a spec with an
-    /// error changes nothing
+    /// Reads the spec again and adds its new trials. Trials that the spec no longer contains stay; [run] is not read again;
+    /// a spec with an error changes nothing
     Reload,
 }
 

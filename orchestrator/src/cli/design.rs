@@ -53,7 +53,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 pub(super) fn space(plan: &Plan) -> Result<Space, Error> {
     let space = Space::new(plan)?;
     for out in &space.left_out {
-        say!("{} leaves out {}; the least one needs {}", out.key, counted(out.trials, "trial"), out.least);
+        say!("{} excludes {}; the smallest value is {}", out.key, counted(out.trials, "trial"), out.least);
     }
     Ok(space)
 }

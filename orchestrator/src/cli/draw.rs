@@ -14,7 +14,7 @@ use crate::report::body::sketch;
 
 /// Draws a design as SVG; by default the initial body
 ///
-/// Constraints at their limit are amber, broken ones red. Without a hash: the body that all trials of the spec have, with its
+/// Constraints at their limit are amber, violated ones red. Without a hash: the body of all trials of the spec, with its
 /// first panels and sensors.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
@@ -23,7 +23,7 @@ pub(super) struct Args {
     /// The design to draw (NPY of α, or CSV of nodes)
     #[arg(long, value_name = "FILE")]
     design: Option<PathBuf>,
-    /// The file to write
+    /// File to write
     #[arg(long, value_name = "FILE.svg", help_heading = "Output")]
     out: PathBuf,
     /// Also writes the design that was drawn (.npy or .csv)
@@ -35,7 +35,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if !args.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("svg")) {
         let named = args.out.with_extension("svg");
         return Err(Error::Usage(format!(
-            "--out {}: a drawing is SVG; name it so, as {}",
+            "--out {}: a drawing is an SVG file; use {}",
             args.out.display(),
             named.display()
         )));
@@ -85,7 +85,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         write(file, design::bytes(file, &body.layout, &drawn)?)?;
     }
     print_line!(
-        "{}: {caption}, {} constraints at their limit, {} broken",
+        "{}: {caption}, {} constraints at their limit, {} violated",
         args.out.display(),
         active.len(),
         violations.len()

@@ -63,14 +63,14 @@ pub enum Error {
     #[error(transparent)]
     Engine(#[from] EngineError),
     /// The machine allows too little.
-    #[error("{host} allows too little, and nothing was started: {0}", host = host())]
+    #[error("the limits of {host} are too low, and nothing was started: {0}", host = host())]
     Short(String),
     /// A merge.
     #[error(transparent)]
     Merge(#[from] MergeError),
     /// Shards that do not get further.
     #[error(
-        "shards {shards} have ended without a step or a result: their outputs in {} say why; the same command tries again",
+        "shards {shards} ended without a step or a result: see their outputs in {}; the same command tries again",
         folder.display()
     )]
     Shards {

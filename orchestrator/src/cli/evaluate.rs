@@ -23,46 +23,49 @@ use crate::exit::Exit;
 use crate::export::npz::Zip;
 use crate::report::records::{Body, Comparison};
 
-/// Compares bodies by measured signals: fresh networks read the forces from them
+/// Compares bodies on measured signals, with decoders fitted to the records
 ///
-/// The trial gives the panels, the sensors, the clock and the networks. Each record is predicted by networks that have not seen
-/// it (cross-validation). Where a body's design is known, the same forces are simulated on it, its signals are judged in the same
-/// way, and compared with the measured ones. schemas/README.md describes the files of records.
+/// The trial defines the panels, the sensors, the clock and the networks. Each record is predicted by networks that were
+/// not trained on it (cross-validation). If the design of a body is known, the same forces are simulated on it, the
+/// simulated signals are evaluated in the same way, and they are compared with the measured signals. schemas/README.md
+/// describes the files of records.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
     trial: Named,
-    /// A body and the file (TOML) of its records; once per body. Ratios are to the first. `initial` and `optimised` are the
-    /// trial's own bodies. To the inverse brain `holdout` is the trial's holdout, simulated on the body, or on its twin if it has one
+    /// A body and the file (TOML) of its records; once per body. Ratios are relative to the first body. `initial` and
+    /// `optimised` are the trial's own bodies. For the inverse decoder, `holdout` is the held-out set of the trial,
+    /// simulated on the body, or on its twin if it has one
     #[arg(long, value_name = "BODY=FILE", required = true, value_parser = pair)]
     records: Vec<(String, PathBuf)>,
     /// The design (.npy or .csv) of a body that is not the trial's own
     #[arg(long, value_name = "BODY=FILE", value_parser = pair)]
     design: Vec<(String, PathBuf)>,
-    /// A twin (TOML, of `metasense lab twin`) of a body whose design is known: networks trained on its simulated signals, or its inverse
-    /// brain, read the body's records, too
+    /// A twin (TOML, from `metasense lab twin`) of a body whose design is known. Networks trained on its simulated signals,
+    /// or its inverse decoder, also estimate the forces of the body's records
     #[arg(long, value_name = "BODY=FILE", value_parser = pair)]
     twin: Vec<(String, PathBuf)>,
-    /// Parts of the records; each is predicted by networks trained on all others [default: 10, at most as many as records]
+    /// Number of folds; each is predicted by networks trained on all others [default: 10, at most the number of records]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..), help_heading = "Networks")]
     folds: Option<u32>,
-    /// The brain that reads the forces [default: the trial's brain.kind]
+    /// The decoder [default: the trial's brain.kind]
     #[arg(long, value_enum, help_heading = "Networks")]
     brain: Option<Brain>,
-    /// Networks per fold, from different weights [default: the trial's evaluation.seeds]
+    /// Networks per fold, with different initial weights [default: the trial's evaluation.seeds]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000), help_heading = "Networks")]
     seeds: Option<u32>,
     /// Iterations of each network [default: the trial's brain.iterations]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), help_heading = "Networks")]
     iterations: Option<u32>,
-    /// Writes into this folder a page (index.html), its figures, the table and every record's error (CSV), forces, predictions and
-    /// signals (records.npz). While it runs, the folder keeps the trained networks; the same command goes on from there
+    /// Writes a page (index.html), its figures, the table and the error of each record (CSV), and forces, predictions and
+    /// signals (records.npz) into this folder. During the evaluation, the folder keeps the trained networks; the same
+    /// command resumes from there
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     out_dir: Option<PathBuf>,
     /// Threads
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Workers")]
     threads: u16,
-    /// The form of the table
+    /// Format of the table
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
@@ -74,9 +77,9 @@ enum Brain {
     Cnn,
     /// Least squares over the whole sample, or the trial's brain.memory
     Linear,
-    /// A network on the signals and on a linear brain's predictions
+    /// A network on the signals and on the predictions of a linear decoder
     Stacked,
-    /// The body's own model, inverted, with 95 % bands: of bodies whose design is known
+    /// The model of the body, inverted, with 95 % bands; only for bodies whose design is known
     Inverse,
 }
 
@@ -89,10 +92,10 @@ fn pair(text: &str) -> Result<(String, PathBuf), String> {
         Some((name, file)) if !name.is_empty() && !file.is_empty() => {
             match name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-') {
                 true => Ok((name.to_owned(), PathBuf::from(file))),
-                false => Err(format!("{name:?} is no name: letters, digits, - and _")),
+                false => Err(format!("{name:?}: a name consists of letters, digits, - and _")),
             }
         }
-        _ => Err("must be BODY=FILE, for instance initial=records.toml".into()),
+        _ => Err("must be BODY=FILE, such as initial=records.toml".into()),
     }
 }
 
@@ -116,7 +119,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     for (name, file) in &args.design {
         if !args.records.iter().any(|(other, _)| other == name) {
-            return Err(Error::Usage(format!("--design {name}: there are no --records {name}=FILE")));
+            return Err(Error::Usage(format!("--design {name}: pass --records {name}=FILE as well")));
         }
         designs.insert(name.clone(), metasense_worker::design::read(file, &layout)?);
     }
@@ -125,7 +128,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let known = designs.get(name).filter(|_| args.records.iter().any(|(other, _)| other == name));
         let Some(design) = known else {
             return Err(Error::Usage(format!(
-                "--twin {name}: there are no --records {name}=FILE of a body whose design is known"
+                "--twin {name}: pass --records {name}=FILE of a body whose design is known"
             )));
         };
         twins.insert(name.clone(), twin::read(file, of_body(&specs, name), design)?);
@@ -134,12 +137,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let (spec, design) = (of_body(&specs, name), designs.get(name));
         let refused = |why: &str| Error::Usage(format!("--records {name}={}: {why}", file.display()));
         if inverse && design.is_none() {
-            return Err(refused("an inverse brain reads by the body's model: give --design BODY=FILE"));
+            return Err(refused("an inverse decoder needs the model of the body: pass --design BODY=FILE"));
         }
         let (by, measured) = match design.filter(|_| file.as_os_str() == HOLDOUT) {
             Some(_) if !inverse => {
                 return Err(refused(
-                    "is for --brain inverse; how others read it is among the trial's errors",
+                    "only for --brain inverse; the trial contains the errors of other decoders",
                 ));
             }
             Some(design) => {
@@ -148,7 +151,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
                 (By::Holdout, found.map_err(|e| refused(&e.to_string()))?)
             }
             None if inverse && spec.sensors.noise.is_none() => {
-                let remedy = "an inverse brain must know the noise of measured signals: give it";
+                let remedy = "must be set: an inverse decoder needs the noise of measured signals";
                 return Err(args.trial.refused_key("sensors.noise", remedy));
             }
             None => {
@@ -197,14 +200,15 @@ fn brain(args: &Args, trial: &TrialSpec) -> Result<BrainKind, Error> {
     };
     let (unread, why) = match brain {
         BrainKind::Cnn | BrainKind::Stacked => return Ok(brain),
-        BrainKind::Linear => (&["--seeds", "--iterations"][..], "a linear brain, which is solved exactly"),
-        BrainKind::Inverse => {
-            (&["--seeds", "--iterations", "--folds"][..], "an inverse brain, which is trained on no record")
-        }
+        BrainKind::Linear => (&["--seeds", "--iterations"][..], "a linear decoder, which is solved exactly"),
+        BrainKind::Inverse => (
+            &["--seeds", "--iterations", "--folds"][..],
+            "an inverse decoder, which is not trained on records",
+        ),
     };
     let given = [("--seeds", args.seeds), ("--iterations", args.iterations), ("--folds", args.folds)];
     match given.iter().find(|(option, given)| given.is_some() && unread.contains(option)) {
-        Some((option, _)) => Err(Error::Usage(format!("{option} means nothing to {why}"))),
+        Some((option, _)) => Err(Error::Usage(format!("{option}: has no effect on {why}"))),
         None => Ok(brain),
     }
 }
@@ -253,7 +257,7 @@ fn compare(
         }
         _ => (1 + usize::from(modelled(of))) * effort.folds * effort.seeds,
     };
-    let what = if brain == BrainKind::Inverse { "parts read" } else { "networks trained" };
+    let what = if brain == BrainKind::Inverse { "parts decoded" } else { "networks trained" };
     let all = records.iter().map(of_body).sum();
     let progress = Progress::new(what, all, &unfinished, kept.unwrap_or_default());
     let threads = usize::from(args.threads);
@@ -319,7 +323,7 @@ fn check_records(
     };
     if let Some(of) = records.iter().find(|of| brain != BrainKind::Inverse && of.measured.forces.samples < 2)
     {
-        let why = "holds one record: give two or more, as each is predicted by a brain of the others";
+        let why = "contains one record: pass two or more, because each is predicted by a decoder fitted to the others";
         return Err(Error::Usage(format!("{}: {why}", file(of))));
     }
     let body = |of: &Records| designs.get(&of.name).map(|design| (of_body(specs, &of.name), design));
@@ -334,7 +338,7 @@ fn check_records(
                 other.measured.signals.chunks(samples(other)).position(|signals| shared(&signals))
             {
                 let why = format!(
-                    "holds record {record} of {}: two bodies cannot have given the same signals",
+                    "contains record {record} of {}: two bodies cannot have the same signals",
                     file(other)
                 );
                 return Err(Error::Usage(format!("{}: {why}", file(of))));
@@ -364,7 +368,7 @@ fn well(body: &Body) -> bool {
     for (kind, evaluated) in kinds {
         let outcomes = evaluated.iter().flat_map(|evaluated| evaluated.outcomes.iter().flatten());
         for outcome in outcomes.filter(|outcome| *outcome != "ok") {
-            say!("{}, {kind} signals: a training ended with {outcome}", body.name);
+            say!("{}, {kind} signals: the training of a network ended with {outcome}", body.name);
             well = false;
         }
     }
@@ -428,7 +432,7 @@ impl<'a> Progress<'a> {
     fn new(what: &'static str, all: usize, unfinished: &'a Unfinished<Networks>, kept: Networks) -> Self {
         let (start, before) = (Instant::now(), kept.len());
         if before > 0 {
-            say!("{before} of {all} {what} before");
+            say!("resumed: {before} of {all} {what}");
         }
         Self { what, all, unfinished, start, before, said: Mutex::new((kept, start)) }
     }
@@ -463,7 +467,7 @@ impl Kept for Judged<'_> {
         } else if said.1.elapsed() >= LINE_EVERY {
             said.1 = Instant::now();
             let left = duration(spent * (all - done) as f64 / (done - before) as f64);
-            say!("{done} of {all} {what}, now {body} by {kind} signals; {left} to go");
+            say!("{done} of {all} {what}, now {body}, {kind} signals; {left} left");
         }
     }
 }

@@ -18,20 +18,21 @@ use crate::plan::{Trial, cost, counted, values_at};
 
 /// Lists the trials of a spec with hash, size and estimated cost; starts nothing
 ///
-/// Also prints mass, first and highest natural frequency of the initial bodies, and warns where these cannot be meant.
+/// Also prints mass and first and highest natural frequency of the initial bodies, and warns if these values are
+/// implausible.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
     spec: Spec,
-    /// Only those of shard I of N
+    /// Lists only the trials of shard I of N
     #[arg(long, value_name = "I/N", help_heading = "Shards")]
     shard: Option<Shard>,
-    /// The folder of the shards, with their assignment; without it, the assignment that `cluster submit` would make now
+    /// The folder of the shards with their assignment; by default the assignment that `cluster submit` would make now
     #[arg(long, value_name = "DIR", requires = "shard", help_heading = "Shards")]
     folder: Option<PathBuf>,
     #[command(flatten)]
     simd: Simd,
-    /// The form of the rows
+    /// Format of the rows
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
@@ -43,7 +44,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if let Some(shard) = args.shard {
         let assignment = match &args.folder {
             Some(folder) if !folder.is_dir() => {
-                return Err(Error::Usage(format!("--folder {}: there is no such folder", folder.display())));
+                return Err(Error::Usage(format!("--folder {}: no such folder", folder.display())));
             }
             Some(folder) => Assignment::in_folder(folder, &plan.trials, shard.count())?,
             None => Assignment::new(&plan.trials, shard.count()),

@@ -28,46 +28,47 @@ use crate::store::{Reader, Stored, npy_bytes};
 enum Form {
     /// The whole trial as NumPy arrays: designs, signals, predictions, weights, forces, split, scales, scene
     Npz,
-    /// Forces, signals and predictions as a table, a row per sample and instant; or a view's rows
+    /// Forces, signals and predictions as a table, one row per sample and instant; or the rows of a view
     Csv,
     /// The same as a Parquet file
     Parquet,
-    /// The design alone (α), as specs and commands read it
+    /// Only the design (α), in the form that specs and commands read
     Npy,
-    /// The body, drawn
+    /// A drawing of the body
     Svg,
     /// The body as closed polylines in mm, by layer: units, ligaments, panels, sensors
     Dxf,
-    /// The mould to cast the body in, as a closed surface in mm
+    /// The mould for casting the body, as a closed surface in mm
     Stl,
-    /// The brain as C99 source for a device, with its test
+    /// The decoder as C99 source for a device, with its test
     C,
-    /// The same as an ONNX graph, from signals of whole samples to forces
+    /// The decoder as an ONNX graph, from signals of whole samples to forces
     Onnx,
-    /// A folder with what one builds: mould, outline, design, brain, and notes on casting and reading
+    /// A folder with all files to build a device: mould, outline, design, decoder, and notes on casting and decoding
     Device,
 }
 
 /// Writes a trial or a view for other programs: NumPy, CSV, SVG, DXF, STL, C, ONNX
 ///
-/// A view's name goes in place of the hash: DB VIEW. Of a SPEC, the trial is taken from the database that it writes to.
+/// To export a view, pass its name in place of the hash: DB VIEW. With SPEC, the trial is read from the database of the
+/// spec.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
     trial: Named,
-    /// The form
+    /// Format
     #[arg(long, value_enum, help_heading = "Output")]
     format: Form,
-    /// The file to write; of a device the folder
+    /// File to write; for a device the folder
     #[arg(long, value_name = "FILE", help_heading = "Output")]
     out: PathBuf,
-    /// Which design, for npy, svg, dxf, stl, c, onnx and device
+    /// The design, for npy, svg, dxf, stl, c, onnx and device
     #[arg(long, value_enum, value_name = "DESIGN", default_value = "optimised")]
     design: Which,
-    /// Width of a ligament (mm), for dxf, stl and device [default: body.material's; 1 without]
+    /// Width of a ligament (mm), for dxf, stl and device [default: that of body.material, else 1]
     #[arg(long, help_heading = "Mould")]
     ligament_width: Option<f64>,
-    /// Height of the cast body (mm), for stl and device [default: body.material's thickness; 10 without]
+    /// Height of the cast body (mm), for stl and device [default: the thickness of body.material, else 10]
     #[arg(long, help_heading = "Mould")]
     height: Option<f64>,
     /// Thickness of the mould's floor and rim (mm), for stl and device [default: 3]
@@ -76,13 +77,13 @@ pub(super) struct Args {
     /// Clearance between the body and the mould's cavity on every side (mm), for stl and device [default: 0]
     #[arg(long, help_heading = "Mould")]
     clearance: Option<f64>,
-    /// Size of a pocket for the chip on each sensor's unit, along, across and deep, such as 6x5x2 (mm), for stl and device
+    /// Size of a pocket for the chip on each sensor's unit: length, width and depth, such as 6x5x2 (mm), for stl and device
     #[arg(long, value_name = "AxBxC", value_parser = size, help_heading = "Mould")]
     pocket: Option<[f64; 3]>,
-    /// What the device computes with, for c and device [default: f32]
+    /// Number format of the device, for c and device [default: f32]
     #[arg(long, value_enum, help_heading = "Decoder")]
     numbers: Option<Numbers>,
-    /// What the brain is fitted to, for c, onnx and device [default: design]
+    /// The data to which the decoder is fitted, for c, onnx and device [default: design]
     #[arg(long, value_enum, help_heading = "Decoder")]
     reader: Option<Fit>,
 }
@@ -116,16 +117,18 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if let Some((name, _, forms)) = options.iter().find(|(_, given, forms)| *given && !has(forms)) {
         let name_of = |form: &Form| form.to_possible_value().expect("none is hidden").get_name().to_owned();
         let forms = forms.iter().map(name_of).collect::<Vec<_>>().join(", ");
-        return Err(Error::Usage(format!("--{name} is for --format {forms} and device: leave it out")));
+        return Err(Error::Usage(format!("--{name}: only for --format {forms} and device; leave it out")));
     }
     if let Some((what, _)) = VIEWS.iter().find(|(view, _)| words.iter().any(|word| word == view)) {
         let format = match args.format {
             Form::Csv => Format::Csv,
             Form::Parquet => Format::Parquet,
-            _ => return Err(Error::Usage(format!("{what} is a view: --format csv or parquet"))),
+            _ => return Err(Error::Usage(format!("{what} is a view: use --format csv or parquet"))),
         };
         if words.len() > 1 {
-            return Err(Error::Usage(format!("{what} is a view, of all trials: leave the rest out")));
+            return Err(Error::Usage(format!(
+                "{what} is a view of all trials: leave out the options of single trials"
+            )));
         }
         let db = if named.is_database() { source.clone() } else { named.plan()?.default_database() };
         let sql = format!("SELECT * FROM {what}");
@@ -209,7 +212,7 @@ fn design(stored: &Stored, args: &Args) -> Vec<u8> {
 }
 
 fn picture(stored: &Stored, body: &Drawing, args: &Args) -> Vec<u8> {
-    let title = format!("{} body of trial {}", Body::ALL[args.design as usize].name(), stored.hash);
+    let title = format!("{} body of trial {}", Body::ALL[args.design as usize].word(), stored.hash);
     sketch(body, &[]).file(&title).into_bytes()
 }
 
@@ -246,7 +249,7 @@ fn in_c(stored: &Stored, args: &Args, brain: &(Replay, Own)) -> Result<Vec<u8>, 
 /// What has no form in C is not left out in silence.
 fn no_form(what: &str) -> Error {
     Error::Usage(format!(
-        "{what} writes linear brains and networks; this trial's brain inverts its body's model"
+        "{what} writes linear decoders and networks; the decoder of this trial inverts the model of its body"
     ))
 }
 
@@ -272,7 +275,7 @@ fn cavity(stored: &Stored, body: &Drawing, args: &Args) -> Result<(Outline, Moul
     say!("note: the cavity holds {:.1} ml", 1e-3 * cavity.volume(&measures));
     if cavity.parted > 0 {
         say!(
-            "note: ligaments {width} mm wide touch what they do not join and part {} voids: cast, the body is \
+            "note: ligaments {width} mm wide touch parts that they do not join and divide {} voids; the cast body is \
              stiffer there than simulated; make them narrower with --ligament-width",
             cavity.parted
         );

@@ -11,19 +11,19 @@ use crate::leftovers::{abandoned, is_abandoned, remove};
 use crate::look::{Table, row};
 use crate::plan::counted;
 
-/// Lists what can go: what killed processes left, and copies of shards
+/// Lists files that can be removed: of killed processes, and copies of shards
 ///
-/// A copy of a shard is listed if every row of it is in that shard's last one. What another machine has left is listed when it is
-/// a day old. Looks into the folders and the folders in them.
+/// A copy of a shard is listed if the last copy of that shard contains all its rows. Files from another machine are listed
+/// when they are one day old. Folders inside the given folders are searched as well.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Folders
     #[arg(value_name = "DIR", default_value = "results")]
     folders: Vec<PathBuf>,
-    /// Removes it; without it that is only listed
+    /// Removes the files; by default they are only listed
     #[arg(long)]
     yes: bool,
-    /// The form of the rows
+    /// Format of the rows
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
@@ -74,10 +74,10 @@ async fn superseded(folder: &Path, found: &mut Vec<(PathBuf, String)>) {
                 continue;
             }
             match contains(&last, &file).await {
-                Ok(true) => found.push((file, format!("all of it is in {}", last.display()))),
+                Ok(true) => found.push((file, format!("all its rows are in {}", last.display()))),
                 Ok(false) => {}
                 Err(_) if !file.exists() => {}
-                Err(error) => say!("{} cannot be compared, and stays: {error}", file.display()),
+                Err(error) => say!("{} cannot be compared and is kept: {error}", file.display()),
             }
         }
     }

@@ -23,8 +23,8 @@ use crate::store::npy_bytes;
 
 /// Fits stiffness, damping and density to measured records, with 95 % intervals
 ///
-/// Starts from the spec's values. Records are forces and the signals that sensors gave under them, described by a TOML file.
-/// Exit code 1 if the fit does not converge, or the records do not determine all parameters that were asked for.
+/// Starts from the values of the spec. A TOML file describes the records: forces, and the signals of the sensors under
+/// these forces. Exit code 1 if the fit does not converge, or if the records do not determine all fitted parameters.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
@@ -32,17 +32,17 @@ pub(super) struct Args {
     /// The records (TOML; keys in schemas/README.md)
     #[arg(long, value_name = "TOML")]
     records: PathBuf,
-    /// The parameters that are fitted; the others stay at the spec's values
+    /// The parameters to fit; the others keep the values of the spec
     #[arg(long, value_enum, value_delimiter = ',', default_value = "stretch,shear,bend,damping,density")]
     fit: Vec<Fitted>,
     /// Threads
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Workers")]
     threads: u16,
-    /// Writes into this folder a page (index.html), its figures (SVG) with their data, and the fitted signals (NPY). While it runs,
-    /// the folder keeps the iterations done; the same command goes on from there
+    /// Writes a page (index.html), its figures (SVG) with their data, and the fitted signals (NPY) into this folder. During
+    /// the fit, the folder keeps the finished iterations; the same command resumes from there
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     out_dir: Option<PathBuf>,
-    /// The form of the estimates
+    /// Format of the estimates
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
@@ -61,8 +61,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     end_on_signal(args.out_dir.as_deref());
     let (_, trial, design) = &args.one.read().await?;
     if let Some(key) = trial.sensors.changed_by() {
-        let remedy = "must be left out here: a fit compares all three signals of each sensor as they are; `metasense lab twin` takes what \
-                      is read";
+        let remedy = "must be left out: a fit compares all three signals of each sensor unchanged; use `metasense lab twin` for other \
+                      readings";
         return Err(args.one.trial.refused_key(key, remedy));
     }
     let measured = measured::read(&args.records, trial)?;
@@ -78,7 +78,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let mut kept: Vec<Kept> = kept.unwrap_or_default();
     let known: Vec<Turn> = kept.iter().map(Kept::turn).collect();
     if !known.is_empty() {
-        say!("{} iterations were done before", known.len());
+        say!("resumed after {} iterations", known.len());
     }
     let mut watch = |turn: &Turn| {
         kept.push(Kept::of(turn));
@@ -202,14 +202,14 @@ fn said(fit: &Identified, body: &Body, records: usize) -> Vec<String> {
     ];
     if let Some(part) = fit.unmodelled.filter(|part| *part >= DISCREPANCY && end[0].max(end[1]) >= LEFT) {
         said.push(format!(
-            "discrepancy: the motion explains {:.0} % of what is left, on records that were not asked; the body does what the model does \
-             not contain, and the intervals do not know of it",
+            "discrepancy: the motion explains {:.0} % of the residual, on records not used for this estimate; the model does not contain \
+             this behaviour of the body, and the intervals do not include it",
             100.0 * part
         ));
     }
     for e in fit.estimates.iter().filter(|e| e.at_the_bound) {
         said.push(format!(
-            "at the bound: {} is {} times what the spec says, the farthest that a fit may lead; begin from a spec with a value \
+            "at the bound: {} is {} times the value of the spec, the limit of a fit; start from a spec with a value \
              beyond it",
             e.parameter.name(),
             if e.value > e.start { BOX } else { 1.0 / BOX }
@@ -220,13 +220,13 @@ fn said(fit: &Identified, body: &Body, records: usize) -> Vec<String> {
         let parts: Vec<String> = parts.map(|(x, e)| format!("{}^{x:.2}", e.parameter.name())).collect();
         let factor = match direction.factor {
             f if f.is_finite() && f < 1e6 => format!("it may be {f:.1} times larger or smaller"),
-            _ => "nothing depends on it".to_owned(),
+            _ => "it has no effect".to_owned(),
         };
         said.push(format!("not identifiable: {}; {factor}", parts.join("·")));
     }
     if fit.outcome == Verdict::NotExplained {
         said.push(format!(
-            "not explained: more than {UNEXPLAINED} % of the signals are left, so the values above mean nothing. Check the clock of the \
+            "not explained: more than {UNEXPLAINED} % of the signals remain, so the values above are meaningless. Check the clock of the \
              signals (signals.start), their units and the order of channels"
         ));
     } else if !fit.estimates.is_empty() {

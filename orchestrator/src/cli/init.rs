@@ -16,9 +16,9 @@ enum Template {
     Quickstart,
     /// A search for the cheapest design that meets a requirement ([goal])
     DesignTwoCore,
-    /// Lattices of several families compared
+    /// A comparison of several lattice families
     Families,
-    /// A body that is pressed together before each sample
+    /// A body that is compressed before each sample
     Pressed,
     /// A body of 50 mm units, with a chip on each sensor's unit
     RealScale,
@@ -36,15 +36,15 @@ impl Template {
     }
 }
 
-/// Writes a commented spec to begin with
+/// Writes a commented spec to start from
 ///
-/// The sweep takes the name of the file. A file that exists is not overwritten. The next command is `metasense expand FILE`.
+/// The sweep takes the name of the file. An existing file is not overwritten. Continue with `metasense expand FILE`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// What to begin with
+    /// The template
     #[arg(value_enum, default_value = "quickstart")]
     template: Template,
-    /// The file to write; by default TEMPLATE.toml in this folder
+    /// File to write; by default TEMPLATE.toml in the current folder
     #[arg(value_name = "FILE.toml")]
     file: Option<PathBuf>,
 }
@@ -55,7 +55,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let name = file.file_stem().unwrap_or_default().to_string_lossy();
     if name.is_empty() || !name.chars().all(|c| c.is_ascii_alphanumeric() || c == '-' || c == '_') {
         return Err(Error::Usage(format!(
-            "{}: the sweep takes the file's name: use letters, digits, - and _",
+            "{}: the file's name becomes the name of the sweep: use letters, digits, - and _",
             file.display()
         )));
     }

@@ -87,7 +87,7 @@ impl Watch for Live<'_> {
             _ => percent(&result.initial) + " -> ",
         };
         self.say(&format!(
-            "done: {}: holdout error {before}{}",
+            "done: {}: held-out error {before}{}",
             self.named(trial),
             percent(&result.optimised)
         ));
@@ -98,18 +98,18 @@ impl Watch for Live<'_> {
 
     fn attempt_failed(&mut self, trial: &Trial, attempt: u32, reason: Reason, settled: bool, text: &str) {
         if reason == Reason::Cancelled {
-            return self.say(&format!("given up: {}: on request", self.named(trial)));
+            return self.say(&format!("cancelled: {}", self.named(trial)));
         }
         let then = match settled {
-            true => format!("failed for good; {}", reason.remedy()),
-            false => "it is tried again".into(),
+            true => format!("not retried; {}", reason.remedy()),
+            false => "retrying".into(),
         };
         self.failed = text.chars().take(MOST_TEXT).collect();
         self.say(&format!("attempt {attempt} failed: {}: {}; {then}", self.named(trial), self.failed));
     }
 
     fn begins_anew(&mut self, trial: &Trial, why: &str) {
-        self.say(&format!("begins anew, as its checkpoint is of no use: {}: {why}", self.named(trial)));
+        self.say(&format!("restarting, because the checkpoint cannot be used: {}: {why}", self.named(trial)));
     }
 
     fn warned(&mut self, text: &str) {
@@ -120,7 +120,7 @@ impl Watch for Live<'_> {
         self.asked.notify_one();
         self.say(&match again {
             false => format!(
-                "stopping: steps that end within {} s are recorded, others are done again by the next run (Ctrl-C again stops at \
+                "stopping: steps that end within {} s are recorded; the next run repeats the others (Ctrl-C again stops at \
                  once)",
                 grace.as_secs_f64()
             ),
@@ -189,22 +189,22 @@ impl Watch for Live<'_> {
         }
         if outcome == Outcome::Interrupted {
             let open = view.total - view.settled();
-            say!("stopped with {} open; the same command goes on from there", counted(open, "trial"));
+            say!("stopped with {} open; the same command resumes them", counted(open, "trial"));
         }
         if let Outcome::Unfit(reason) = outcome {
             let open = counted(view.total - view.settled(), "trial");
             let remedy = match reason {
-                Reason::OutOfMemory => "take fewer workers or threads, or a machine with more memory",
+                Reason::OutOfMemory => "use fewer workers or threads, or a machine with more memory",
                 reason => reason.remedy(),
             };
             let why = match reason.is_shortage() {
-                true => format!("no trial comes further there for {}", self.failed),
+                true => format!("no trial makes progress there: {}", self.failed),
                 false => format!(
-                    "{UNFIT_DEATHS} attempts died there one after the other without a step, the last one of {reason}"
+                    "{UNFIT_DEATHS} attempts in a row died there without a step, the last of {reason}"
                 ),
             };
             say!(
-                "{} is unfit: {why}; {remedy}. {open} left open go on with the same command, here or elsewhere",
+                "{} is unfit: {why}; {remedy}. {open} still open; the same command resumes them, here or elsewhere",
                 host()
             );
         }

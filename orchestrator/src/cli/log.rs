@@ -19,7 +19,7 @@ const FILTER: &str = "METASENSE_LOG";
 pub fn path(database: &Path) -> Result<PathBuf, Error> {
     match database.extension().is_some_and(|ending| ending == "log") {
         true => Err(Error::Usage(format!(
-            "--db {}: the log of the run would be this file; give the database another ending",
+            "--db {}: the log of the run would be this file; use another extension for the database",
             database.display()
         ))),
         false => Ok(database.with_extension("log")),

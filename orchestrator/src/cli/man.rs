@@ -8,7 +8,7 @@ use crate::exit::Exit;
 /// Writes a manual page per command into a folder
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The folder, for instance ~/.local/share/man/man1; made where it is missing
+    /// The folder, such as ~/.local/share/man/man1; created if missing
     #[arg(value_name = "DIR")]
     folder: PathBuf,
 }

@@ -14,19 +14,20 @@ use crate::plan::counted;
 
 /// Merges databases into one
 ///
-/// The rows do not depend on the order of the files, nor on how often they are merged. Of each trial the most advanced copy is
-/// kept; of equally advanced copies one that is not damaged. Damage, disagreements and omissions are listed. Two copies of a trial are
-/// compared bit by bit if they are of the same run or the same instruction set.
-/// Inputs are not changed, and those that FILE holds already are not read again; `run SPEC --db FILE` runs what is missing.
+/// The rows depend neither on the order of the files nor on the number of merges. The most advanced copy of each trial is
+/// kept; undamaged copies are preferred. Damage, disagreements and omissions are listed. Two copies of a trial are compared
+/// bit by bit if they are of the same run or the same instruction set.
+/// Inputs are not changed. Inputs that FILE already contains are not read again. `run SPEC --db FILE` runs missing trials.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Databases, also of other versions or of runs in progress; of a folder, every *.sqlite in it
+    /// Databases, also of other versions or of runs in progress; for a folder, each *.sqlite in it
     #[arg(required = true, value_name = "DB")]
     files: Vec<PathBuf>,
-    /// The merged database; its earlier contents stay
+    /// The merged database; its earlier contents are kept
     #[arg(long, value_name = "FILE", help_heading = "Output")]
     out: PathBuf,
-    /// Takes over facts alone (settings, results, attempts: some kB a trial); steps, curves and arrays are read where they lie
+    /// Merges only facts (settings, results, attempts: some kB per trial); steps, curves and arrays stay in the files of
+    /// the shards
     #[arg(long)]
     facts: bool,
 }
@@ -60,7 +61,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     say!("{} from {}{before}", counted(trials, "trial"), counted(read, "database"));
     if covered + not_compared > 0 {
         say!(
-            "there more than once: {covered} with nothing new, {not_compared} not compared, as their instruction sets \
+            "repeated copies: {covered} with nothing new, {not_compared} not compared, because their instruction sets \
              differ"
         );
     }
@@ -81,7 +82,7 @@ pub(super) async fn after_the_last(folder: &Path, shard: Shard, out: &Path) -> R
     if let Err(error) = execute(Args::folder(folder, out)).await {
         // the shard has done its work; another one may be merging the same files
         error.say();
-        say!("merged by hand: metasense cluster merge {} --out {}", folder.display(), out.display());
+        say!("to merge by hand: metasense cluster merge {} --out {}", folder.display(), out.display());
     }
     Ok(())
 }
@@ -96,7 +97,7 @@ pub(super) fn say_never(never: &[String], remedy: &str) {
     if never.len() > MOST {
         list += &format!(" and {} more", never.len() - MOST);
     }
-    say!("never begun: {} ({list}); `{remedy}` runs what is missing", counted(never.len(), "trial"));
+    say!("never started: {} ({list}); `{remedy}` runs them", counted(never.len(), "trial"));
 }
 
 fn table(summary: &Summary) -> Table {

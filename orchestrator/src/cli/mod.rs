@@ -71,10 +71,12 @@ pub use error::Error;
 /// The longest line of a help text.
 const WIDEST: usize = 100;
 
-/// Trains bodies of flexible metamaterial together with the neural networks that read them, many variants at a time.
+/// Trains bodies of flexible metamaterial together with the decoders that estimate forces from their signals, in sweeps of
+/// many variants.
 ///
-/// A sweep is a spec file (TOML); it expands into trials; each trial trains one body with its brain. `run` works through
-/// the trials with worker processes and keeps everything in one SQLite file; stopped or killed, the same command goes on.
+/// A sweep is a spec file (TOML) that expands into trials. Each trial trains one body with its decoder. `run` runs the
+/// trials in worker processes and stores everything in one SQLite file. After a stop or a crash, the same command resumes
+/// the run.
 #[derive(Debug, Parser)]
 #[command(name = "metasense", version, after_help = EXIT_CODES, max_term_width = WIDEST)]
 pub struct Cli {
@@ -225,7 +227,9 @@ fn spares_what_it_reads(matches: &ArgMatches) -> Result<(), Error> {
         let read = matches.ids().map(clap::Id::as_str).filter(|id| !written.contains(id)).flat_map(named);
         if inode(out).is_some_and(|place| read.into_iter().any(|path| inode(path) == Some(place))) {
             let out = out.display();
-            return Err(Error::Usage(format!("{out} is what `{name}` reads: choose another file to write")));
+            return Err(Error::Usage(format!(
+                "{out}: `{name}` reads this file; choose another file to write"
+            )));
         }
     }
     Ok(())
@@ -272,7 +276,7 @@ fn end_on_signal(kept: Option<&Path>) {
             libc::_exit(Exit::Interrupted as i32)
         }
     }
-    let next = kept.map_or("starts again", |_| "goes on from here");
+    let next = kept.map_or("starts again", |_| "resumes from here");
     SAID.get_or_init(|| format!("stopped; the same command {next}\n"));
     let hangup = Some(libc::SIGHUP).filter(|_| !ignores_hangup());
     for signal in [libc::SIGINT, libc::SIGTERM].into_iter().chain(hangup) {

@@ -10,26 +10,26 @@ use crate::exit::Exit;
 use crate::look::{Table, file, row};
 use crate::report::modes as pictures;
 
-/// Computes a body's eigenmodes at rest, or how a panel's force moves a unit there
+/// Computes a body's eigenmodes at rest, or the response of a unit to the force on a panel
 ///
-/// For small motions only: under a sweep's stimuli bodies move strongly nonlinearly (`v_trial` has the error of the linear model).
-/// Modes go as exp(s t) with complex s: the frequency is |s|/2π, the damping ratio −Re s/|s|. A mode of damping ratio 1 does not
-/// oscillate; one of damping ratio 0 has no decay time.
+/// Valid for small motions only: the stimuli of a sweep cause strongly nonlinear motion (`v_trial` contains the error of
+/// the linear model). Modes are proportional to exp(s t) with complex s: the frequency is |s|/2π, the damping ratio −Re
+/// s/|s|. A mode with damping ratio 1 does not oscillate; a mode with damping ratio 0 has no decay time.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
     one: Designed,
-    /// How many modes, from the slowest on
+    /// Number of modes, the slowest first
     #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u16).range(1..=1000))]
     count: u16,
-    /// Instead of the modes: acceleration (mm/s²) and angular velocity (rad/s) of this unit under 1 N on each panel, as amplitudes
-    /// and phases (degrees), at 200 frequencies up to that of the last mode
+    /// Instead of the modes, prints acceleration (mm/s²) and angular velocity (rad/s) of this unit under 1 N on each panel,
+    /// as amplitudes and phases (degrees), at 200 frequencies up to that of the last mode
     #[arg(long, value_name = "UNIT")]
     response: Option<usize>,
-    /// Draws the modes' shapes, or the responses
+    /// Draws the shapes of the modes, or the responses
     #[arg(long, value_name = "FILE.svg", help_heading = "Output")]
     out: Option<PathBuf>,
-    /// The form of the rows
+    /// Format of the rows
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }

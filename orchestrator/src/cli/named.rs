@@ -23,10 +23,11 @@ use crate::store::{Reader, StoreError, Stored, quoted};
 /// A spec with changes.
 #[derive(Debug, Clone, clap::Args)]
 pub(super) struct Spec {
-    /// The spec file (TOML), for instance schemas/sweeps/quickstart.toml
+    /// The spec file (TOML), such as schemas/sweeps/quickstart.toml
     #[arg(value_name = "SPEC")]
     pub file: PathBuf,
-    /// Values in place of the spec's, as it would have them: optimise.iterations=20 sensors.noise=0.03 'sweep.seeds=[1, 2]'
+    /// Values that replace those of the spec, in TOML syntax: optimise.iterations=20 sensors.noise=0.03 'sweep.seeds=[1,
+    /// 2]'
     #[arg(value_name = "KEY=VALUE")]
     pub changes: Vec<String>,
 }
@@ -37,7 +38,7 @@ impl Spec {
         if files::is_database(&self.file) {
             let file = self.file.display();
             return Err(Error::Usage(format!(
-                "{file} is a database; SPEC is the .toml file of a sweep (metasense query {file} \"SELECT text FROM sweep\")"
+                "{file} is a database; SPEC must be the .toml file of a sweep (metasense query {file} \"SELECT text FROM sweep\")"
             )));
         }
         let text = std::fs::read_to_string(&self.file).map_err(Error::unreadable(&self.file))?;
@@ -53,11 +54,11 @@ impl Spec {
 /// One trial.
 #[derive(Debug, Clone, clap::Args)]
 pub(super) struct Named {
-    /// The spec file or the database that has the trial
+    /// The spec file, or the database that contains the trial
     #[arg(value_name = "SPEC|DB")]
     pub source: PathBuf,
-    /// The trial, by its hash or the beginning of it (`metasense expand SPEC` lists them; of a SPEC the first trial by default), and
-    /// after SPEC also values in place of the spec's, as in `run`
+    /// The trial, by its hash or the beginning of it (`metasense expand SPEC` lists the hashes; with SPEC, the first trial
+    /// by default). After SPEC also values that replace those of the spec, as in `run`
     #[arg(value_name = "HASH|KEY=VALUE")]
     pub words: Vec<String>,
 }
@@ -77,7 +78,7 @@ impl Database {
         }
         if attempts(path).is_empty() {
             return Err(Error::Usage(format!(
-                "{} holds no database of a shard; name a database in it",
+                "{} contains no database of a shard; pass a database in it",
                 path.display()
             )));
         }
@@ -102,9 +103,9 @@ impl AsRef<Path> for Database {
 /// Which body of a trial.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(super) enum Which {
-    /// Before the outer loop
+    /// Before training
     Initial,
-    /// After it
+    /// After training
     Optimised,
 }
 
@@ -137,7 +138,9 @@ impl Named {
         let mut words = self.words.iter().filter(|word| !word.contains('='));
         let asked = words.next().map(String::as_str);
         if database && self.words.iter().any(|word| word.contains('=')) {
-            return Err(Error::Usage("KEY=VALUE changes a spec; a database's trials are as they are".into()));
+            return Err(Error::Usage(
+                "KEY=VALUE changes a spec; the trials of a database cannot be changed".into(),
+            ));
         }
         match words.next() {
             Some(_) => Err(Error::Usage("name one trial: SPEC HASH or DB HASH".into())),
@@ -263,7 +266,7 @@ impl Named {
 pub(super) struct Designed {
     #[command(flatten)]
     pub trial: Named,
-    /// Which design: `initial`, `optimised` (of a trial that a database has finished), or that of a file (.npy or .csv)
+    /// The design: `initial`, `optimised` (of a finished trial in a database), or a file (.npy or .csv)
     #[arg(long, value_name = "DESIGN|FILE", default_value = "initial")]
     pub design: Design,
 }
@@ -299,7 +302,7 @@ impl Designed {
             let broken = Feasible::new(&layout, limits, &[]).violations(&given);
             if let Some(first) = broken.first() {
                 say!(
-                    "warning: {} breaks {} of [feasible] and cannot be cast; the first: {first}. `metasense body project` repairs it",
+                    "warning: {} violates {} of [feasible] and cannot be cast; the first: {first}. `metasense body project` repairs it",
                     file.display(),
                     counted(broken.len(), "limit")
                 );

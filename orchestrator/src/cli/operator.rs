@@ -15,26 +15,28 @@ use crate::exit::Exit;
 use crate::look::{Axis, Legend, Plot, Scale, Table, file, number, row, short_hash};
 use crate::store::Reader;
 
-/// Computes why training helps: what the sensors of each body can tell, before any brain
+/// Computes why training helps: the information in each body's signals, before any decoder
 ///
-/// Of small motions about rest: the linear operator from the forces' spectrum to the signals, relative to the sensors' noise (1 % of each
-/// channel's RMS on the initial body where there is none). What Wiener's filter, the best of all linear decoders, would leave; how many
-/// forces are told apart (the exponential of the entropy of squared singular values, from 1 to K); the condition, from the first singular
-/// value to the last; bits a second; the mean time of what follows an impulse; how many modes take part, by the energies of their own
-/// signals (E: (ΣE)²/ΣE²). Each in the geometric mean over the trials of a setting, with the rank correlation of its change with the gain and
-/// its 95 % interval (Fisher's z with the deviation √(1.06/(n − 3)), n the seeds or placements, whichever are fewer).
+/// Valid for small motions about rest. Computed from the linear operator that maps the spectrum of the forces to the
+/// signals, relative to the sensors' noise (1 % of each channel's RMS on the initial body if the spec has none). The
+/// measures are: the error of Wiener's filter, the best linear decoder; the number of forces that can be told apart (the
+/// exponential of the entropy of squared singular values, from 1 to K); the condition number, the first singular value over
+/// the last; bits per second; the mean duration of the response to an impulse; the number of modes that contribute, by the
+/// energies E of their own signals ((ΣE)²/ΣE²). Each is a geometric mean over the trials of a setting. Also printed: the
+/// rank correlation of its change with the gain, with a 95 % interval (Fisher's z with the standard deviation √(1.06/(n −
+/// 3)); n is the number of seeds or of placements, whichever is smaller).
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The database
     #[arg(value_name = "DB")]
     db: PathBuf,
-    /// One row per trial and body, in place of the table of measures
+    /// Prints one row per trial and body instead of the table of measures
     #[arg(long, help_heading = "Output")]
     rows: bool,
-    /// Draws what Wiener's filter would gain beside what was gained
+    /// Draws the gain of Wiener's filter and the measured gain
     #[arg(long, value_name = "FILE.svg", help_heading = "Output")]
     out: Option<PathBuf>,
-    /// The form of the table
+    /// Format of the table
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
@@ -70,7 +72,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             let by = if brain == trained_with {
                 brain.clone()
             } else {
-                format!("{trained_with}, read by {brain}")
+                format!("{trained_with}, decoder {brain}")
             };
             let setting = format!("K = {}, M = {}, {by}", row[1], row[2]);
             let change = Change { setting, cluster, errors, told: measures };
@@ -82,9 +84,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     .await?;
     if seen.is_empty() {
         let db = args.db.display();
-        return Err(Error::Usage(format!(
-            "{db} has no finished trial; `metasense status {db}` says what it holds"
-        )));
+        return Err(Error::Usage(format!("{db} contains no finished trial; see `metasense status {db}`")));
     }
     if args.rows {
         print_rows(&rows(&seen), args.format)?;
@@ -124,8 +124,8 @@ fn drawn(seen: &[Seen]) -> String {
     };
     let points: Vec<(f64, f64)> = seen.iter().map(gains).collect();
     let x = Axis::new("gain of Wiener's filter, small motions", Scale::Log, points.iter().map(|p| p.0));
-    let y = Axis::new("gain of the trial's brain, holdout", Scale::Log, points.iter().map(|p| p.1));
-    let mut plot = Plot::new("What training makes the sensors tell, and what it gains", x, y);
+    let y = Axis::new("gain of the trial's decoder, held-out set", Scale::Log, points.iter().map(|p| p.1));
+    let mut plot = Plot::new("Gain by training: of Wiener's filter, and of the trial's decoder", x, y);
     let (low, high) =
         points.iter().fold((f64::INFINITY, 0.0f64), |(l, h), p| (l.min(p.0.max(p.1)), h.max(p.0.min(p.1))));
     plot.line("equal", [(low, low), (high, high)]);

@@ -45,10 +45,10 @@ impl Pages {
         if address.is_empty() {
             // it has said why
             return Err(Error::Usage(format!(
-                "there are no pages at port {port}: --serve=PORT takes another, --serve=0 any that is free"
+                "port {port} cannot be used: pass another with --serve=PORT, or --serve=0 for any free port"
             )));
         }
-        say!("pages, for as long as it runs; whoever has the address can steer the run: {}", address.trim());
+        say!("pages, during the run (everyone who has the address can control the run): {}", address.trim());
         Ok(Self(child))
     }
 

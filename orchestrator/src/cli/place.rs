@@ -13,18 +13,18 @@ use crate::look::{Table, file, level, row};
 use crate::plan::{Plan, Trial};
 use crate::report::body::sketch;
 
-/// Searches for the units that carry sensors best, and compares with random placements
+/// Searches for the best units for sensors, and compares them with random placements
 ///
-/// Errors are those of a linear brain on training samples that it has not seen; test set and holdout are not used. A sweep with
-/// sensors.search searches in the same way by itself. Without HASH: the first trial with the most sensors.
+/// Errors are those of a linear decoder on training samples to which it was not fitted. The test and held-out sets are not
+/// used. A sweep with sensors.search runs the same search. Without HASH: the first trial with the most sensors.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
     one: Designed,
-    /// Draws the body: units coloured by the error with a sensor on them, the units chosen numbered
+    /// Draws the body: units coloured by the error with a sensor on them; the chosen units are numbered
     #[arg(long, value_name = "FILE.svg", help_heading = "Output")]
     out: Option<PathBuf>,
-    /// The form of the rows
+    /// Format of the rows
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
@@ -34,14 +34,14 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let found = look(spec, design, 0, cores()).map_err(|e| args.one.trial.failed(e))?;
     print_rows(&table(&found), args.format)?;
     if found.placed.iter().any(|placed| placed.energies) {
-        say!("read by a linear brain that sees |signal|² of each unit, too: it reads these forces better");
+        say!("the linear decoder also uses |signal|² of each unit, which lowers its error for these forces");
     }
     if let Some(out) = &args.out {
         let drawn = metasense_worker::replay::drawing(spec, design).map_err(|e| args.one.trial.failed(e))?;
         let sensors = found.placed.last().map_or(Vec::new(), |placed| placed.units.clone());
         let drawn = sketch(&Drawing { sensors, active: Vec::new(), ..drawn }, &[]);
         let caption = format!(
-            "Error with a sensor there alone: {:.1} % (strong) … {:.1} % (pale)",
+            "Error with a sensor on this unit only: {:.1} % (strong) … {:.1} % (pale)",
             found.worth.first().map_or(0.0, |best| best.1),
             found.worth.last().map_or(0.0, |worst| worst.1),
         );
@@ -52,7 +52,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             Some(format!("unit {}", level(part * part)))
         };
         let mut key = drawn.legend();
-        key.push(("speed", "what a sensor there is worth".to_owned()));
+        key.push(("speed", "value of a sensor on the unit".to_owned()));
         let unit = |u| Unit { class: shade(u), ..Unit::default() };
         let picture = drawn.drawn(frame([&drawn]), &caption, true, unit);
         let text = file(&[picture], 1, 640.0, &key);

@@ -9,11 +9,12 @@ use super::{Error, Format, print_rows, write};
 use crate::exit::Exit;
 use crate::look::{Table, row};
 
-/// Projects a design onto the nearest one that can be cast
+/// Projects a design onto the nearest design that can be cast
 ///
-/// Units that `optimise.frozen` or `[feasible]` keep stay as they are in the previous design, shifts that `optimise.tie` ties move together.
-/// Where none is found, the result is the previous design. Without a hash: the body that all trials of the spec have. Prints
-/// status, distance and the constraints at their limit. Exit code 1, and no file, if the previous design cannot be cast either.
+/// Units that `optimise.frozen` or `[feasible]` keep stay as in the previous design; shifts that `optimise.tie` ties move
+/// together. If no feasible design is found, the result is the previous design. Without a hash: the body of all trials of
+/// the spec. Prints status, distance and the constraints at their limit. Exit code 1, and no file, if the previous design
+/// cannot be cast either.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
@@ -21,7 +22,7 @@ pub(super) struct Args {
     /// The design to project (NPY of α, or CSV of nodes)
     #[arg(long, value_name = "FILE")]
     design: PathBuf,
-    /// The previous design, the result where no feasible one is found [default: the initial body]
+    /// The previous design, which is the result if no feasible design is found [default: the initial body]
     #[arg(long, value_name = "FILE")]
     from: Option<PathBuf>,
     /// Weights of the metric, one per coordinate of α (NPY) [default: Euclidean]
@@ -40,7 +41,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         None => body.initial.clone(),
     };
     let weights = args.weights.as_ref().map(|file| design::read_array(file, &body.layout)).transpose()?;
-    let several = "optimise.tie or optimise.frozen differ from trial to trial: name one, SPEC HASH";
+    let several = "optimise.tie or optimise.frozen differ between trials: name a trial, SPEC HASH";
     let feasible = body.castable.as_mut().ok_or_else(|| args.trial.refused(several))?;
     let found = feasible.project(&previous, &target, weights.as_deref());
     let broken = feasible.violations(&target);
@@ -67,18 +68,18 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 
 fn summary(found: &Projection, previous: &[f64], broken: usize) -> Vec<String> {
     let meaning = match found.status {
-        Status::Untouched => "the design is feasible and comes back bit for bit",
-        Status::Projected => "the nearest feasible design that was found",
+        Status::Untouched => "the design is feasible and is returned unchanged",
+        Status::Projected => "the nearest feasible design found",
         Status::Kept => "no feasible design was found; the previous one is kept",
         Status::NotFinite => "the design or the weights are not finite; the previous design is kept",
         Status::Infeasible => {
-            "no feasible design was found, and the previous one breaks what is listed below"
+            "no feasible design was found, and the previous one violates the constraints below"
         }
     };
     let moved = found.design.iter().zip(previous).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
     vec![
         format!("status    {}: {meaning}", found.status.name()),
-        format!("input     breaks {broken} constraints"),
+        format!("input     violates {broken} constraints"),
         format!("distance  {:.6} mm from the input, {moved:.6} mm from the previous design", found.distance),
         format!("work      {} programs, {} interior-point iterations", found.programs, found.iterations),
         format!("active    {} constraints at their limit", found.active.len()),

@@ -13,25 +13,25 @@ use crate::look::{RowWriter, Table, lines, screen, standard_output};
 use crate::spool::Spool;
 use crate::store::Reader;
 
-/// Asks a database in SQL, read-only, also while a run writes to it
+/// Runs an SQL query on a database, read-only, also while a run writes to it
 ///
 /// For instance:
 ///   metasense query results/quickstart.sqlite "SELECT sensors, avg(holdout_error_optimised) FROM v_trial GROUP BY 1"
 #[derive(Debug, clap::Args)]
 #[command(verbatim_doc_comment)]
 pub(super) struct Args {
-    /// The database; of a folder of shards, their facts
+    /// The database, or a folder of shards: their facts
     #[arg(value_name = "DB|FOLDER")]
     db: PathBuf,
-    /// One SQL statement; without it, the views and their columns are listed
+    /// One SQL statement; by default, lists the views and their columns
     sql: Option<String>,
     /// Lists the views and their columns
     #[arg(long, conflicts_with = "sql")]
     views: bool,
-    /// The form of the rows
+    /// Format of the rows
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
-    /// The file to write, instead of standard output
+    /// File to write instead of standard output
     #[arg(long, value_name = "FILE", help_heading = "Output")]
     out: Option<PathBuf>,
 }
@@ -84,7 +84,9 @@ async fn answer(
     let columns = reader.columns(sql).await?;
     let twice = columns.iter().enumerate().find(|(i, name)| columns[..*i].contains(name));
     if let (Some((_, name)), Format::Json) = (twice, format) {
-        let why = format!("two columns are called {name}, and an object has one: name them with AS");
+        let why = format!(
+            "two columns are named {name}, but a JSON object can contain only one: rename them with AS"
+        );
         return Err(Error::Usage(why));
     }
     let mut writer = RowWriter::new(out, format, &columns, screen)?;
@@ -103,7 +105,7 @@ async fn answer(
         .await?;
     writer.end()?;
     if format == Format::Table && count > MOST_ROWS {
-        say!("… and {} more rows: --format csv, json or parquet has all", count - MOST_ROWS);
+        say!("… and {} more rows: --format csv, json or parquet prints all", count - MOST_ROWS);
     }
     Ok(())
 }

@@ -9,21 +9,21 @@ use crate::plan::counted;
 use crate::serve::Trials;
 use crate::store::{Store, StoreError};
 
-/// Lists the trials that meet conditions, and takes them out of the database
+/// Lists trials that meet conditions, and removes them from the database
 ///
 /// For instance: metasense remove results/x.sqlite state=failed "M<=3" optimise.brain=linear 'reason=took too long'
-/// Their results, steps, networks and arrays go with them; `run` makes trials of its spec again that are gone. The room is used by
-/// what comes; `sqlite3 DB VACUUM` gives it back.
+/// Their results, steps, networks and arrays are removed as well. `run` repeats removed trials of its spec. New rows use
+/// the freed space; `sqlite3 DB VACUUM` returns it to the disk.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The database; no run may hold it
     db: PathBuf,
-    /// KEY=VALUE, also with != < > <= >= and ~ (contains); all of them hold. KEY is K, M, placement, seed, units, state, reason,
-    /// hash, an error (holdout_initial, holdout_optimised, test_initial, test_optimised), or a path of the spec. reason=""
-    /// (with the quotes) means an empty value
+    /// KEY=VALUE, also with != < > <= >= and ~ (contains); all conditions must hold. KEY is K, M, placement, seed, units,
+    /// state, reason, hash, an error (holdout_initial, holdout_optimised, test_initial, test_optimised), or a path of the
+    /// spec. reason="" (with the quotes) matches an empty value
     #[arg(required = true, value_name = "CONDITION")]
     conditions: Vec<String>,
-    /// Removes the listed trials; without it they are only listed
+    /// Removes the listed trials; by default they are only listed
     #[arg(long)]
     yes: bool,
 }

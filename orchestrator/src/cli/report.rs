@@ -12,18 +12,19 @@ use crate::look::{Figure, Legend, Picture, file};
 use crate::report::{Story, figures, html, load};
 use crate::store::Reader;
 
-/// Writes answers and figures of a database as one HTML file
+/// Writes the answers and figures of a database into one HTML file
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The database; of a folder of shards, their facts
+    /// The database, or a folder of shards: their facts
     #[arg(value_name = "DB|FOLDER")]
     db: PathBuf,
-    /// The trial whose forces, bodies and waves are shown, by its hash or the beginning of it [default: the design of a search, else a typical one]
+    /// The trial whose forces, bodies and waves are shown, by its hash or the beginning of it [default: the design of a
+    /// search, else a typical trial]
     hash: Option<String>,
-    /// The file to write; by default beside the database
+    /// File to write; by default beside the database
     #[arg(long, value_name = "FILE", help_heading = "Output")]
     out: Option<PathBuf>,
-    /// Also writes into this folder every figure (SVG) with its data, every answer and the trials (CSV), and the specs
+    /// Also writes each figure (SVG) with its data, each answer and the trials (CSV), and the specs into this folder
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     out_dir: Option<PathBuf>,
 }

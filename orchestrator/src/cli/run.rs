@@ -26,36 +26,36 @@ use crate::plan::{GRACE_MAX, Plan, Trial, cost, counted};
 use crate::scheduler::{Outcome, Settings};
 use crate::store::{RunPlan, Store, StoreError, wait_for_locks};
 
-/// Runs the trials of a spec, or goes on where an earlier run has stopped
+/// Runs the trials of a spec, or resumes an earlier run
 ///
-/// Every step is kept in an SQLite file as it is done: after Ctrl-C, `kill -9` or a power cut the same command goes on.
-/// Trials that are finished are never run again; trials that a changed spec adds are run beside them. `metasense control DB`
-/// steers it from another terminal.
+/// Each step is stored in an SQLite file as soon as it is done. After Ctrl-C, `kill -9` or a power cut, the same command
+/// resumes the run. Finished trials are not repeated; trials that were added to the spec are run as well. `metasense
+/// control DB` controls the run from another terminal.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
     spec: Spec,
     #[command(flatten)]
     running: Running,
-    /// Runs only the trials of shard I of N. Shards are balanced by estimated time; the assignment in the folder of --folder
-    /// counts where there is one
+    /// Runs only the trials of shard I of N. Shards are balanced by estimated time, unless --folder contains an assignment
     #[arg(long, value_name = "I/N", help_heading = "Shards")]
     shard: Option<Shard>,
-    /// Of a shard: goes on from the database that an earlier attempt left in this folder, and puts its own there at the end,
-    /// also by a signal. While it runs the database is on the node's own disk, in TMPDIR or at --db
+    /// The folder of the shards. The shard resumes from the database that an earlier attempt left there. At the end, also
+    /// after a signal, it copies its database there. During the run the database is on the node's disk, in TMPDIR or at
+    /// --db
     #[arg(long, value_name = "DIR", requires = "shard", help_heading = "Shards")]
     folder: Option<PathBuf>,
-    /// Also puts it there at this interval (s), in case the node is lost
+    /// Also copies the database to --folder at this interval (s), in case the node fails
     #[arg(long, value_name = "S", default_value_t = 900.0, requires = "folder", help_heading = "Shards")]
     copy_every: f64,
-    /// Stops in order after this time (s), for schedulers that do not announce the end by SIGTERM
+    /// Stops cleanly after this time (s), for schedulers that do not send SIGTERM before the end
     #[arg(long, value_name = "S", requires = "folder", help_heading = "Shards")]
     stop_after: Option<f64>,
-    /// Stops in order when this process, which has started it, ends
+    /// Stops cleanly when this parent process ends
     #[arg(long, hide = true, value_name = "PID")]
     parent: Option<u32>,
-    /// Of a shard: once all shards of the folder have come to their ends, merges them into this database, for schedulers that start
-    /// nothing when jobs have ended
+    /// When all shards of the folder have ended, merges them into this database, for schedulers that cannot start a job
+    /// after others
     #[arg(long, value_name = "FILE", requires = "folder", help_heading = "Shards")]
     merge_into: Option<PathBuf>,
 }
@@ -69,25 +69,25 @@ pub(super) struct Running {
     /// Worker processes, each with one trial at a time; by default `run.workers` of the spec, else one per core
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Workers")]
     pub workers: Option<u16>,
-    /// Shows the run in a browser at this port (0: any free one). Prints the address with a token; its pages can steer the run.
-    /// They are served by another process and do not slow the run
+    /// Shows the run in a browser at this port (0: any free port). Prints an address with a token; everyone who has it can
+    /// control the run. Another process serves the pages, so they do not slow the run
     #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "8017")]
     pub serve: Option<u16>,
     /// Threads per worker; by default `run.threads` of the spec, else 1
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Workers")]
     pub threads: Option<u16>,
-    /// Longest wait for steps in progress when the run is stopped (s); by default `run.grace` of the spec, else 10
+    /// Longest wait for steps in progress when the run stops (s); by default `run.grace` of the spec, else 10
     #[arg(long, value_name = "S", value_parser = grace, help_heading = "Workers")]
     pub grace: Option<f64>,
-    /// Runs failed trials again, from their last step
+    /// Resumes failed trials from their last step
     #[arg(long, help_heading = "Trials to repeat")]
     pub retry_failed: bool,
-    /// Runs again, from the beginning, trials of the spec that were computed by other code; `status` names them
+    /// Restarts trials of the spec that other code computed; `status` lists them
     #[arg(long, help_heading = "Trials to repeat")]
     pub redo_other_code: bool,
     #[command(flatten)]
     pub simd: Simd,
-    /// The form of the final table
+    /// Format of the final table
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     pub format: Format,
 }
@@ -151,11 +151,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     };
     let mut home = Home::new(&plan.spec.name, shard, folder, args.running.db.clone())?;
     check(&Needs { files: &[home.handed_in()], ..Needs::default() })?;
-    let waits =
-        || say!("an earlier attempt of this shard has not ended on this node yet; this one waits for it");
+    let waits = || say!("an earlier attempt of this shard is still running on this node; waiting for it");
     if let Some(aside) = home.take_in(waits).await? {
         say!(
-            "the shard's database on this node was damaged: it is now {}; the shard goes on from what was handed in",
+            "the shard's database on this node was damaged and is now {}; the shard resumes from its copy in the folder",
             aside.display()
         );
     }
@@ -202,7 +201,7 @@ fn check_submitted(folder: &Path, source: &Source) -> Result<(), Error> {
     let submitted = folder.join(SUBMITTED_SPEC);
     match std::fs::read_to_string(&submitted) {
         Ok(text) if text != source.text => Err(Error::Usage(format!(
-            "{} has changed since its shards were submitted ({}): put it back, or submit again",
+            "{} has changed since its shards were submitted ({}): restore it, or submit again",
             source.file.display(),
             submitted.display()
         ))),
@@ -224,7 +223,7 @@ pub(super) struct How<'a> {
 }
 
 /// Why a shard's spec is not read again.
-const FIXED_SHARD: &str = "a shard's trials are assigned before it begins: submit the edited spec";
+const FIXED_SHARD: &str = "the trials of a shard are assigned before it starts: submit the edited spec";
 
 /// Runs what `drive` wants, and closes the database; with the plan as it is by then.
 pub(super) async fn run(
@@ -241,8 +240,8 @@ pub(super) async fn run(
     };
     if let Some([last, duration]) = plan.trials.iter().find_map(late) {
         say!(
-            "stimuli.onset: pulses begin as late as {last} s, where a sample (time.duration) lasts {duration} s: a sample whose \
-             force has not begun by its end has no error that means anything"
+            "stimuli.onset: pulses start as late as {last} s, but a sample (time.duration) lasts {duration} s; the error of a sample \
+             that ends before its force starts is meaningless"
         );
     }
     plan.check_memory()?;
@@ -297,7 +296,7 @@ async fn run_open(
 fn listener(db: &Path) -> Option<Listener> {
     Listener::new(db)
         .inspect_err(|error| {
-            say!("`metasense control` cannot reach this run: no socket beside its database: {error}")
+            say!("`metasense control` cannot reach this run: the socket beside its database cannot be created: {error}")
         })
         .ok()
 }
@@ -313,10 +312,13 @@ fn reread(plan: &Plan, how: &How) -> Arc<Reread> {
         let plan = spec.plan().map_err(|error| chain(&error))?;
         plan.check_memory().map_err(|error| chain(&error))?;
         if asks || plan.spec.until.is_some() {
-            return Err("[until] decides which trials are run: stop the run, the same command goes on by the edited spec".into());
+            return Err(
+                "[until] decides which trials are run: stop the run, then resume it with the edited spec"
+                    .into(),
+            );
         }
         if plan.spec.name != name {
-            return Err(format!("its name is {:?}, that of the run {name:?}", plan.spec.name));
+            return Err(format!("name = {:?}: must be {name:?}, the name of the run", plan.spec.name));
         }
         Ok(plan)
     })
@@ -390,7 +392,7 @@ pub(super) async fn rounds(mut round: impl Runs, mut again: Again) -> Result<Opt
             // what later rounds want may be by other code, too
             Some(Outcome::Complete) => again = Again { other_code: again.other_code, ..Again::default() },
             None if !decision.is_settled() => {
-                say!("questions are left open: the most that [until] allows has been run");
+                say!("some questions are still open: all trials that [until] allows have been run");
                 return Ok(None);
             }
             ended => return Ok(ended),
@@ -400,7 +402,7 @@ pub(super) async fn rounds(mut round: impl Runs, mut again: Again) -> Result<Opt
 
 /// Somebody has asked for the end, and nothing is open.
 pub(super) fn stopped_between() -> Outcome {
-    say!("stopped between two rounds; the same command goes on");
+    say!("stopped between two rounds; the same command resumes the run");
     Outcome::Interrupted
 }
 
@@ -429,7 +431,7 @@ impl Runs for Round<'_> {
         let Self { store, plan, shard, log, signals, control, options, asked, .. } = self;
         let sweep = (&plan.spec, &*plan.source.text);
         let Some(open) = engine::begin(store, sweep, trials, again, signals).await? else {
-            say!("stopped before any trial was begun; the same command begins");
+            say!("stopped before the first trial; the same command starts the run");
             return Ok(Some(Outcome::Interrupted));
         };
         let planned = RunPlan {

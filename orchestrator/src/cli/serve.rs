@@ -15,33 +15,33 @@ use crate::store::Reader;
 
 /// Shows databases in a browser, live, until Ctrl-C
 ///
-/// How far a run is, what its trials answer so far, every trial, and SQL. Whoever has the printed address can read; other users
-/// of the machine cannot.
-/// It only reads databases and does not disturb runs. From another machine: ssh -L 8017:localhost:8017 HOST. With --control,
-/// its pages can steer runs (see `control`).
+/// The pages show progress, answers so far, all trials, and SQL queries. Everyone who has the printed address can read
+/// them; other users of the machine cannot.
+/// The server only reads databases and does not disturb runs. From another machine: ssh -L 8017:localhost:8017 HOST. With
+/// --control, the pages can control runs (see `control`).
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Databases, folders of shards (each as one database), folders of databases
     #[arg(default_value = "results", value_name = "DB|FOLDER")]
     what: Vec<PathBuf>,
-    /// The port; 0 takes any that is free
+    /// Port; 0 takes any free port
     #[arg(long, default_value_t = 8017, help_heading = "Address")]
     port: u16,
-    /// The address to listen at. To any other than this machine's own, the connection can be read on the way
+    /// IP address on which the server listens. Connections to other machines are not encrypted
     #[arg(long, value_name = "IP", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST), help_heading = "Address")]
     listen: IpAddr,
-    /// The path of a proxy in front of these pages, where the proxy leaves it on requests: /node/HOST/8017/ of Open OnDemand. A proxy
-    /// that takes its path away, as JupyterHub's does, needs nothing
+    /// The path that a proxy in front of these pages keeps in requests, such as /node/HOST/8017/ of Open OnDemand. Not
+    /// needed for a proxy that removes its path, such as that of JupyterHub
     #[arg(long, value_name = "PATH", help_heading = "Address")]
     base: Option<String>,
-    /// A host name by which a proxy serves these pages, beside localhost and numeric addresses; may be repeated. All pages of that
-    /// host can read these, and steer if yours can
+    /// A host name under which a proxy serves these pages, besides localhost and numeric addresses; may be repeated. All
+    /// pages of this host can read these pages, and control runs if these pages can
     #[arg(long, value_name = "NAME", help_heading = "Address")]
     host_name: Vec<String>,
-    /// Prints an address with a token; whoever has it can also steer this user's runs of these databases
+    /// Prints an address with a token; everyone who has it can also control this user's runs of these databases
     #[arg(long)]
     control: bool,
-    /// Ends with this process, which has started it
+    /// Ends with this parent process
     #[arg(long, hide = true, value_name = "PID")]
     parent: Option<u32>,
 }
@@ -72,19 +72,19 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
     let paths: Vec<PathBuf> = args.what.iter().flat_map(|path| databases(path)).collect();
     if paths.is_empty() {
         return Err(Error::Usage(format!(
-            "there is no database in {}; `metasense run SPEC` makes one",
+            "no database in {}; `metasense run SPEC` creates one",
             args.what.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ")
         )));
     }
     if let Some(missing) = args.what.iter().find(|path| !path.exists()) {
-        return Err(Error::Usage(format!("{}: there is no such database or folder", missing.display())));
+        return Err(Error::Usage(format!("{}: no such database or folder", missing.display())));
     }
     for path in args.what.iter().filter(|path| path.is_file()) {
         Reader::open(path).await?.close().await;
     }
     if args.control && !args.listen.is_loopback() {
         return Err(Error::Usage(
-            "--control is for this machine's own address: what goes to another can be read on the way; ssh -L brings it there".into(),
+            "--control: only for this machine's own address, because other connections are not encrypted; use ssh -L".into(),
         ));
     }
     let address = Address::new(args.base.as_deref(), &args.host_name).map_err(Error::Usage)?;
@@ -102,9 +102,7 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
         steering.map_or((None, String::new()), |(token, text)| (Some(token), format!("#token={text}")));
     print_line!("http://{at}{}/?key={key}{behind}", address.base())?;
     if !at.ip().is_loopback() {
-        say!(
-            "whoever can listen on the way to {at} can read these databases: the connection is not encrypted"
-        );
+        say!("connections to {at} are not encrypted: others on the network can read these databases");
     }
     if let [only] = &sources[..] {
         // it is read by the time that somebody looks

@@ -7,7 +7,7 @@ use metasense_worker::simd::{NAMES, choose};
 /// Which kernels a command uses.
 #[derive(Debug, clap::Args)]
 pub struct Simd {
-    /// Instruction set of the kernels; by default the widest that the machine has
+    /// Instruction set of the kernels; by default the widest that the machine supports
     #[arg(long, global = true, value_name = "SET", value_parser = PossibleValuesParser::new(NAMES), help_heading = "Workers")]
     simd: Option<String>,
 }

@@ -15,25 +15,26 @@ use crate::store::npy_bytes;
 /// Simulates a body under given forces: signals, motion, energies and a gradient
 ///
 /// Writes signals.npy (N, T, 3M), displacements.npy and velocities.npy (N, T, units, 3), energies.npy (N, T) and, with
-/// --cotangent, gradient.npy, in the units and orders of MODEL.md. Force evaluations are those per sample of the simulation and of the
-/// gradient; the pilot that chose the steps comes once, before. Exit code 1 if a sample does not reach its end.
+/// --cotangent, gradient.npy, in the units and orders of MODEL.md. Force evaluations are counted per sample, for the
+/// simulation and for the gradient. The pilot that chooses the steps runs once before. Exit code 1 if a sample does not
+/// reach its end.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
     one: Designed,
-    /// Force histories (N, K, T + 1) in N, as NPY; T may also be a multiple of the spec's
+    /// Force histories (N, K, T + 1) in N, as NPY; T may also be a multiple of the spec's value
     #[arg(long, value_name = "NPY")]
     forces: PathBuf,
-    /// Also writes the gradient dα of Σ cotangent·signals; an NPY of the signals' shape
+    /// Also writes the gradient dα of Σ cotangent·signals; an NPY array with the shape of the signals
     #[arg(long, value_name = "NPY")]
     cotangent: Option<PathBuf>,
-    /// The folder for the arrays; made where it is missing
+    /// The folder for the arrays; created if missing
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     out_dir: PathBuf,
-    /// One row per sample, in place of one per outcome
+    /// Prints one row per sample instead of one per outcome
     #[arg(long, help_heading = "Output")]
     rows: bool,
-    /// The form of the rows
+    /// Format of the rows
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }

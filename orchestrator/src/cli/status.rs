@@ -20,25 +20,26 @@ use crate::progress::FAILED;
 use crate::provenance;
 use crate::store::{Nearest, Reader, quoted};
 
-/// Shows what is done, running, pending or failed, and why; or one trial, or shards
+/// Shows the state of trials and the causes of failures; or one trial, or shards
 ///
-/// Of a trial, by DB HASH or SPEC HASH: its attempts and what was said of them. Of one that the database has not: the
-/// keys by which it differs from the nearest one there, and by what code that was made.
+/// For a trial, named by DB HASH or SPEC HASH, prints its attempts and their log. If the database does not contain the
+/// trial, prints the keys in which the nearest stored trial differs, and the code that computed it.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The database, or the spec whose database is meant; by default the one under results/ that was written last
+    /// The database, or the spec of the database; by default the most recently written database in results/
     #[arg(value_name = "DB|SPEC", conflicts_with = "folder")]
     source: Option<PathBuf>,
-    /// A trial, by its hash or the beginning of it, and after SPEC also values in place of the spec's, as in `run`
+    /// A trial, by its hash or the beginning of it; after SPEC also values that replace those of the spec, as in `run`
     #[arg(value_name = "HASH|KEY=VALUE")]
     words: Vec<String>,
-    /// After SPEC: the database, where it is not results/NAME.sqlite
+    /// After SPEC: the database, if it is not results/NAME.sqlite
     #[arg(long, value_name = "FILE", conflicts_with = "folder")]
     db: Option<PathBuf>,
-    /// Shows the shards of this folder, by the queue and by what they have handed in; by default of the only results/*.shards
+    /// Shows the shards of this folder: their state in the queue and their results so far; by default the only
+    /// results/*.shards
     #[arg(long, value_name = "DIR", num_args = 0..=1, help_heading = "Shards")]
     folder: Option<Option<PathBuf>>,
-    /// The form of the rows
+    /// Format of the rows
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
@@ -52,7 +53,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let named = Named { source, words };
     let db = if named.is_database() {
         if db.is_some() {
-            return Err(Error::Usage("--db is for a spec; a database is named in its place".into()));
+            return Err(Error::Usage("--db: only for a SPEC; pass a database as the first argument".into()));
         }
         if let Some(hash) = named.asked()? {
             return Reader::asked(Database::at(&named.source).await?, async |reader| {
@@ -94,9 +95,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     caveats.for_each(|caveat| say!("{caveat}"));
     let state = table.columns.iter().position(|column| column == "state");
     if state.is_some_and(|state| table.rows.iter().any(|row| row[state] == "running")) && !is_held(&db) {
-        say!(
-            "no run is at work on it: what is running here was left so, and `metasense run` goes on with it"
-        );
+        say!("no run is active: trials in state running were interrupted, and `metasense run` resumes them");
     }
     Ok(if failed.rows.is_empty() { Exit::Done } else { Exit::Failed })
 }
@@ -132,14 +131,14 @@ async fn planned(db: &Path, trial: &Trial, format: Format) -> Result<Exit, Error
     let spec = serde_json::to_value(&trial.spec).expect("a trial is JSON");
     Reader::asked(db, async |reader| {
         let Some(nearest) = reader.nearest(&spec).await? else {
-            return Err(Error::Usage(format!("{} holds no trial at all", db.display())));
+            return Err(Error::Usage(format!("{} contains no trials", db.display())));
         };
         if nearest.hash == trial.hash {
             return one(reader, &trial.hash, format).await;
         }
         let Nearest { hash, state, differs } = nearest;
         say!("trial {} is not in {}", trial.hash, db.display());
-        say!("the nearest there: {hash}, {state}; {} keys differ", differs.len());
+        say!("nearest stored trial: {hash}, {state}; {} keys differ", differs.len());
         say_attempts(reader, &hash).await?;
         let shown =
             |value: &Option<Value>| value.as_ref().map_or(Value::Null, |value| json!(value.to_string()));
@@ -168,7 +167,7 @@ async fn attempts(reader: &mut Reader, hash: &str) -> Result<Vec<String>, Error>
             let text = |column| Some(row.text(column)).filter(|text| !text.is_empty());
             let words = [
                 text("reason").map(|reason| format!(" ({reason})")),
-                (row.count("redone") > 0).then(|| ", thrown away".to_owned()),
+                (row.count("redone") > 0).then(|| ", discarded".to_owned()),
                 Some(format!(", {}", counted(row.count("steps") as usize, "step"))),
                 Some(format!("; code {}", text("code").unwrap_or("unknown"))),
                 text("revision").map(|revision| format!(" ({revision})")),
@@ -189,7 +188,7 @@ async fn attempts(reader: &mut Reader, hash: &str) -> Result<Vec<String>, Error>
 /// The shards of a folder.
 async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error> {
     let none = || {
-        Error::Usage("name the folder of the shards: metasense status --folder results/NAME.shards".into())
+        Error::Usage("pass the folder of the shards: metasense status --folder results/NAME.shards".into())
     };
     let folder = folder.or_else(|| only(Path::new("results"), "shards")).ok_or_else(none)?;
     let mut jobs = super::submit::submitted(&folder)?;
@@ -197,7 +196,7 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
     let Some(last) = jobs.last() else {
         let path = folder.display();
         return Err(Error::Usage(format!(
-            "{path} holds no shards that `cluster submit` has submitted; name their folder"
+            "{path} contains no shards that `cluster submit` has submitted; pass their folder"
         )));
     };
     let assignment = Assignment::in_folder(&folder, &[], last.shards)?;
@@ -232,21 +231,18 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
         waiting.len()
     );
     if queue::is_held(&folder) {
-        say!("a submit is at work on them");
+        say!("`cluster submit` is running them now");
         return Ok(Exit::Done);
     }
     if !ended.is_empty() {
-        say!(
-            "{} have ended before their trials had: `metasense cluster submit` goes on with them",
-            ended.len()
-        );
+        say!("{} ended with unfinished trials: `metasense cluster submit` resumes them", ended.len());
     }
     let never: Vec<String> = ended.iter().flat_map(|s| s.never.iter().cloned()).collect();
     super::merge::say_never(&never, "metasense cluster submit");
     let failed: usize = states.iter().map(State::failed).sum();
     if failed > 0 {
         say!(
-            "{} failed: `metasense cluster submit` with --retry-failed runs them again",
+            "{} failed: `metasense cluster submit` with --retry-failed resumes them",
             counted(failed, "trial")
         );
     }
@@ -266,9 +262,7 @@ pub(super) fn newest(command: &str) -> Result<PathBuf, Error> {
         |path: &PathBuf| path.metadata().and_then(|m| m.modified()).unwrap_or(SystemTime::UNIX_EPOCH);
     let entries = std::fs::read_dir("results").into_iter().flatten().flatten().map(|entry| entry.path());
     let newest = entries.filter(|path| path.extension().is_some_and(|e| e == "sqlite")).max_by_key(written);
-    newest.ok_or_else(|| {
-        Error::Usage(format!("there is no database under results/; name one: metasense {command} DB"))
-    })
+    newest.ok_or_else(|| Error::Usage(format!("no database in results/; pass one: metasense {command} DB")))
 }
 
 /// Kinds of failures that are told one by one.

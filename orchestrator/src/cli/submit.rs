@@ -25,40 +25,42 @@ use crate::files;
 use crate::plan::{Plan, Trial, cost, counted};
 use crate::store::Reader;
 
-/// Runs a sweep as shards, on a cluster or on some machines, and merges them
+/// Runs a sweep as shards on a cluster or on several machines, and merges them
 ///
-/// A shard is an ordinary run on one node; they are merged when all have ended. `slurm` and `hq` queue them; `local` and `ssh` run
-/// them and end with them. Called again, it goes on with the shards that are not complete. With [until] or --goal trials are dealt
-/// round by round, by what earlier ones have come to: it stays until the answer stands.
+/// A shard is an ordinary run on one node. Shards are merged when all have ended. `slurm` and `hq` put shards into a queue;
+/// `local` and `ssh` run shards until all have ended. The same command resumes incomplete shards. With [until] or --goal,
+/// trials depend on earlier results and are distributed in rounds: the command stays active until the answer is final.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Who starts shards
+    /// The program that starts shards
     scheduler: Scheduler,
     #[command(flatten)]
     spec: Spec,
-    /// Shards; by default so many that each takes half of its time limit, by estimate, and four a place for `local` and `ssh`; of
-    /// rounds one a place, and four for `slurm` and `hq`
+    /// Number of shards; by default, each takes half of its time limit by estimate, and `local` and `ssh` have four per
+    /// place. With rounds: one per place, and four for `slurm` and `hq`
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(Shard::MOST)), help_heading = "Shards")]
     shards: Option<u32>,
-    /// Cores of a shard
+    /// Cores per shard
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=1024), help_heading = "Nodes")]
     cpus: u32,
-    /// Time limit of a shard: minutes, H:MM:SS or D-HH:MM:SS; by default 4:00:00. At its end a shard queues again by itself (Slurm)
+    /// Time limit of a shard: minutes, H:MM:SS or D-HH:MM:SS; by default 4:00:00. At the limit, Slurm queues an unfinished
+    /// shard again
     #[arg(long, value_name = "TIME", value_parser = seconds, help_heading = "Nodes")]
     time: Option<u64>,
-    /// Shards at a time (not for HyperQueue); `local`: by default as many as there are cores for
+    /// Largest number of simultaneous shards (not for HyperQueue); for `local` by default as many as the cores allow
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024), help_heading = "Nodes")]
     at_most: Option<u32>,
-    /// Of `ssh`: a host a line, with how many shards it may have at a time behind it; all see the folder by the same path
+    /// For `ssh`: a file with one host per line, followed by its number of simultaneous shards. All hosts must see the
+    /// folder under the same path
     #[arg(long, value_name = "FILE", required_if_eq("scheduler", "ssh"), help_heading = "Nodes")]
     hosts: Option<PathBuf>,
-    /// Slurm's partition
+    /// Partition of Slurm
     #[arg(long, value_name = "NAME", help_heading = "Nodes")]
     partition: Option<String>,
-    /// What goes before the program on a node, as a shell reads it: 'apptainer exec image.sif', or 'env TMPDIR=/scratch/$USER'
+    /// Prefix of the program on a node, in shell syntax: 'apptainer exec image.sif', or 'env TMPDIR=/scratch/$USER'
     #[arg(long, value_name = "COMMAND", help_heading = "Nodes")]
     prefix: Option<String>,
-    /// Options for each shard's `run`, for instance '--simd avx2 --copy-every 300'
+    /// Options for each shard's `run`, such as '--simd avx2 --copy-every 300'
     #[arg(long, value_name = "OPTIONS", allow_hyphen_values = true, default_value = "")]
     run: String,
     /// The folder of the shards: their scripts, outputs and databases; by default results/NAME.shards
@@ -70,13 +72,14 @@ pub(super) struct Args {
     /// Searches for the cheapest design that meets the requirement in [goal], as `design` does
     #[arg(long)]
     goal: bool,
-    /// Runs failed trials again, from their last step
+    /// Resumes failed trials from their last step
     #[arg(long, help_heading = "Trials to repeat")]
     retry_failed: bool,
     /// Prints scripts and commands; writes and submits nothing
     #[arg(long)]
     dry_run: bool,
-    /// Options for sbatch, `hq submit` or ssh: --account=NAME --mem=16G. Behind a second `--` those for the merge, else the same
+    /// Options for sbatch, `hq submit` or ssh: --account=NAME --mem=16G. Options after a second `--` are for the merge,
+    /// which otherwise gets the same options
     #[arg(last = true, value_name = "OPTIONS")]
     further: Vec<String>,
 }
@@ -107,7 +110,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let shards = match (args.shards, before) {
         (Some(asked), Some(before)) if asked != before => {
             return Err(Error::Usage(format!(
-                "--shards {asked}: {} holds shards of {before}; leave --shards out to go on with them, or merge them \
+                "--shards {asked}: {} contains shards of {before}; leave --shards out to resume them, or merge them \
                  and choose another --folder",
                 folder.display()
             )));
@@ -123,10 +126,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         return rounds::execute(&args, plan, places, shards, jobs, &queue).await;
     }
     if !left_out.is_empty() {
-        say!("{} left out: settled in {}", counted(left_out.len(), "trial"), out.display());
+        say!("{} skipped: settled in {}", counted(left_out.len(), "trial"), out.display());
         let failed = left_out.iter().filter(|trial| settled[&trial.hash]).count();
         if failed > 0 {
-            say!("{} of them failed: --retry-failed runs them again", counted(failed, "trial"));
+            say!("{} of them failed: --retry-failed resumes them", counted(failed, "trial"));
         }
     }
     if plan.trials.is_empty() {
@@ -143,7 +146,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if !with_failures.is_empty() && !args.retry_failed {
         let trials = counted(with_failures.iter().map(|state| failed(state)).sum(), "trial");
         let shards: Vec<u32> = with_failures.iter().map(|state| state.shard.index()).collect();
-        say!("{trials} of shards {} failed: --retry-failed runs them again", ranges(&shards));
+        say!("{trials} of shards {} failed: --retry-failed resumes them", ranges(&shards));
     }
     let unsettled = |hashes: &[String]| hashes.iter().any(|hash| !is_settled(hash));
     // of a shard that has handed nothing in its database is missing, also where it has no trial
@@ -157,12 +160,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         .map(|state| state.shard.index())
         .partition(|shard| queue.shards.contains_key(shard));
     if !queued.is_empty() {
-        say!("running or waiting already, and left out: shards {}", ranges(&queued));
+        say!("skipped, because they are running or queued: shards {}", ranges(&queued));
     }
     // of a `submit` that could not submit it any more
     let merge_is_missing = args.scheduler == Scheduler::Slurm && !queue.has_merge(&jobs);
     if which.is_empty() && !queued.is_empty() && !merge_is_missing {
-        say!("nothing to submit; metasense status --folder {} says how they are", folder.display());
+        say!("nothing to submit; metasense status --folder {} shows the shards", folder.display());
         return Ok(Exit::Done);
     }
     if which.is_empty() && queued.is_empty() {
@@ -257,7 +260,7 @@ impl Args {
             },
         };
         if let Some(unfit) = submission.unfit() {
-            return Err(Error::Usage(format!("{unfit}; it would stand in a script")));
+            return Err(Error::Usage(format!("{unfit}, because it is written into a script")));
         }
         let (notice, limit) = (submission.notice(), submission.seconds);
         if self.scheduler.has_queue() && submission.grace.is_some() && notice >= limit {
@@ -282,13 +285,13 @@ impl Args {
             false => Ok(()),
         };
         let (slurm, hq) = (self.scheduler == Scheduler::Slurm, self.scheduler == Scheduler::Hq);
-        given("partition", self.partition.is_some(), slurm, "only Slurm has them")?;
+        given("partition", self.partition.is_some(), slurm, "only Slurm has partitions")?;
         given("time", self.time.is_some(), slurm || hq, "shards run here without a limit")?;
         given(
             "at-most",
             self.at_most.is_some(),
             !hq,
-            "HyperQueue starts as many as its workers have room for",
+            "HyperQueue starts as many shards as fit on its workers",
         )?;
         given(
             "hosts",
@@ -300,7 +303,7 @@ impl Args {
             "further options",
             !self.further.is_empty(),
             self.scheduler != Scheduler::Local,
-            "there is nobody to have them",
+            "no scheduler receives them",
         )?;
         let for_merge = self.further.iter().any(|word| word == "--");
         given("further options behind a second --", for_merge, slurm, "no job merges")?;
@@ -312,7 +315,7 @@ impl Args {
         };
         if !self.dry_run && !files::is_in_path(program) {
             return Err(Error::Usage(format!(
-                "cluster submit {}: there is no `{program}` in PATH; go to a machine that has it, or run the shards here: `metasense cluster submit \
+                "cluster submit {}: `{program}` is not in PATH; use a machine that has it, or run the shards here: `metasense cluster submit \
                  local`",
                 self.scheduler.name()
             )));
@@ -334,7 +337,7 @@ impl Args {
                 let wrong = |why| Error::Usage(format!("{}:{why}", file.display()));
                 let mut places = places::places(&text).map_err(wrong)?;
                 if places.is_empty() {
-                    return Err(wrong(" it names no host".into()));
+                    return Err(wrong(" contains no host".into()));
                 }
                 places.truncate(most);
                 Ok(places)
@@ -371,7 +374,7 @@ impl Program {
             Ok(status) if status.success() => {}
             Err(e) if e.kind() == ErrorKind::PermissionDenied => {
                 return Err(Error::Usage(format!(
-                    "{}: programs cannot be started there, as its disk is mounted noexec: choose another --folder",
+                    "{}: programs cannot be started there, because its disk is mounted noexec: choose another --folder",
                     folder.display()
                 )));
             }
@@ -405,14 +408,14 @@ fn say(trials: &[Trial], assignment: &Assignment, submission: &Submission) {
         }
     );
     if which.len() < *shards as usize {
-        say!("{} of them are not complete: {}", which.len(), ranges(which));
+        say!("{} of them are incomplete: {}", which.len(), ranges(which));
     }
     if longest > *seconds as f64 && submission.scheduler.has_queue() {
         let then = match submission.scheduler {
-            Scheduler::Slurm => "queues again by itself",
-            _ => "goes on with the next `cluster submit`",
+            Scheduler::Slurm => "is queued again by Slurm",
+            _ => "is resumed by the next `cluster submit`",
         };
-        say!("that is more than the limit: what is cut off {then}");
+        say!("this exceeds the limit: an interrupted shard {then}");
     }
 }
 
@@ -467,7 +470,7 @@ fn note_here(submission: &Submission, notes: &mut Notes) -> Result<(), Error> {
     let (name, cluster, merge_job) = (None, None, None);
     let job = Job { scheduler, job, name, cluster, merge_job, shards: *shards, offset: 0 };
     notes.note(&job).map_err(Error::io("noting what is run in", folder))?;
-    say!("metasense status --folder {} says how they are; Ctrl-C stops all of them", folder.display());
+    say!("metasense status --folder {} shows the shards; Ctrl-C stops all of them", folder.display());
     Ok(())
 }
 
@@ -490,7 +493,7 @@ async fn run_here(submission: &Submission, places: &[Place], notes: &mut Notes) 
         false => super::merge::execute(super::merge::Args::folder(folder, &submission.out)).await?,
     };
     if !ended.left.is_empty() {
-        say!("left: shards {}; the same command goes on with them", ranges(&ended.left));
+        say!("left: shards {}; the same command resumes them", ranges(&ended.left));
     }
     Ok(match ended {
         Ended { asked: true, .. } => Exit::Interrupted,

@@ -15,9 +15,9 @@ use crate::exit::Exit;
 use crate::look::Table;
 use crate::provenance;
 
-/// Runs one trial in the foreground, without a database: to reproduce or profile it
+/// Runs one trial in the foreground without a database, to reproduce or profile it
 ///
-/// The result equals that of a run to the bit. Steps are shown on standard error as they are done.
+/// The result is bit-identical to that of a run. Each step is printed to standard error.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
@@ -27,7 +27,7 @@ pub(super) struct Args {
     threads: u16,
     #[command(flatten)]
     simd: Simd,
-    /// The form of the result
+    /// Format of the result
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }

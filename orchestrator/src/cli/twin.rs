@@ -18,8 +18,9 @@ use crate::look::{Table, digits, row};
 
 /// Fits a twin to measured records: material, chips and node positions of a cast
 ///
-/// The unknowns are what the spec's [variation] scatters, each with that scatter before any record; without one stretch, shear and
-/// bend 5 %, damping 20 %, density 3 %, nodes 0.1 mm. Intervals (95 %) know of what the model lacks. Exit code 1 if the fit does not converge.
+/// The unknowns are the quantities that [variation] of the spec varies; its standard deviations are the prior. Without
+/// [variation]: stretch, shear and bend 5 %, damping 20 %, density 3 %, nodes 0.1 mm. The 95 % intervals include the error
+/// of the model. Exit code 1 if the fit does not converge.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
@@ -33,7 +34,7 @@ pub(super) struct Args {
     /// Threads
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Workers")]
     threads: u16,
-    /// The form of the estimates
+    /// Format of the estimates
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
@@ -93,14 +94,14 @@ fn estimates(trial: &TrialSpec, fit: &Fit) -> Result<Table, Failure> {
 /// What there is to say beside.
 fn said(fit: &Fit, records: usize) -> Vec<String> {
     let mut said = vec![format!(
-        "{} after {} steps on {records} records; what is left of the signals is {:.2} times the chips' noise, where the spec has some",
+        "{} after {} steps on {records} records; the residual of the signals is {:.2} times the noise of the chips, where the spec has some",
         fit.ending.name(),
         fit.steps,
         fit.twin.misfit
     )];
     if let Some(part) = fit.unmodelled.filter(|part| *part >= DISCREPANCY) {
         said.push(format!(
-            "discrepancy: the motion explains {:.0} % of what is left, on records that were not asked; the intervals are wider for it",
+            "discrepancy: the motion explains {:.0} % of the residual, on records not used for this estimate; the intervals are wider for it",
             100.0 * part
         ));
     }
@@ -118,7 +119,7 @@ fn said(fit: &Fit, records: usize) -> Vec<String> {
         };
         let untold = of.iter().filter(|e| e.left > UNTOLD).count();
         said.push(format!(
-            "{name}: RMS {:.3} {unit}, of {:.3} before; not told by the records: {untold} of {}; what is left unknown of all: {:.3}",
+            "{name}: RMS {:.3} {unit}, {:.3} before; not determined by the records: {untold} of {}; remaining uncertainty of all: {:.3}",
             first.scatter * rms(&|e| e.found),
             first.scatter,
             of.len(),

@@ -53,7 +53,7 @@ impl<T: Serialize + DeserializeOwned> Unfinished<T> {
         match state {
             Some(state) => Ok((ours, Some(state))),
             None => Err(Error::Usage(format!(
-                "{} holds the progress of another command, of other inputs or of another build: remove it, or choose \
+                "{} contains the progress of another command, of other inputs or of another build: remove it, or choose \
                  another --out-dir",
                 path.display()
             ))),
@@ -68,7 +68,7 @@ impl<T: Serialize + DeserializeOwned> Unfinished<T> {
         let beside = path.with_extension("new");
         let kept = std::fs::write(&beside, bytes).and_then(|()| put_in_place(&beside, path));
         if let Err(why) = kept {
-            say!("the progress cannot be kept: {why}");
+            say!("the progress cannot be stored: {why}");
         }
     }
 

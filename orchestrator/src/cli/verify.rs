@@ -10,9 +10,9 @@ use super::{Error, Format, cores, print_rows};
 use crate::exit::Exit;
 use crate::look::{Table, row};
 
-/// Compares the maths with reference cases
+/// Compares the numerics with reference cases
 ///
-/// One row a quantity, with its error, tolerance and verdict; exit code 1 if any fails.
+/// Prints one row per quantity, with its error, tolerance and verdict. Exit code 1 if any quantity fails.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Folder of the reference cases: one folder per case, with case.json and .npy arrays

@@ -10,15 +10,15 @@ use crate::exit::Exit;
 use crate::progress::Looks;
 use crate::store::Reader;
 
-/// Watches a run in a terminal: workers, steps, errors, time to go
+/// Shows a run in the terminal: workers, steps, errors, remaining time
 ///
-/// It does not disturb the run, and ends with it. `silent_s` is the time since the last record of a trial, `cpu_%` the worker's
-/// share of a core since the last look.
+/// It does not slow the run and ends with it. `silent_s` is the time since a trial was last recorded; `cpu_%` is the
+/// worker's share of a core since the last update.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The database; by default the one under results/ that was written last
+    /// The database; by default the most recently written one in results/
     db: Option<PathBuf>,
-    /// Look once
+    /// Prints the state once
     #[arg(long)]
     once: bool,
 }
@@ -45,7 +45,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
         std::io::stdout().flush()?;
         if seen.run.is_none() {
-            print_line!("no run is at work on it")?;
+            print_line!("no run is active")?;
         }
         if args.once || seen.run.is_none() {
             return Ok(Exit::Done);

@@ -26,7 +26,7 @@ pub struct Assignment {
 #[derive(Debug, thiserror::Error)]
 pub enum AssignmentError {
     /// Reading or writing it.
-    #[error("cannot {doing} {}, which says what shard runs what trial", path.display())]
+    #[error("cannot {doing} {}, which assigns trials to shards", path.display())]
     File {
         /// What was being done.
         doing: &'static str,
@@ -36,7 +36,7 @@ pub enum AssignmentError {
         source: io::Error,
     },
     /// A line of it.
-    #[error("{}:{line}: {text:?} is no hash with a shard from 1 to {shards}; restore the file", path.display())]
+    #[error("{}:{line}: {text:?} is not a hash with a shard from 1 to {shards}; restore the file", path.display())]
     Line {
         /// The file.
         path: PathBuf,
@@ -48,7 +48,7 @@ pub enum AssignmentError {
         shards: u32,
     },
     /// A line of a shard's trials.
-    #[error("{}:{line}: {why}; `metasense cluster submit` writes it anew", path.display())]
+    #[error("{}:{line}: {why}; `metasense cluster submit` writes it again", path.display())]
     Trial {
         /// The file.
         path: PathBuf,
@@ -59,7 +59,7 @@ pub enum AssignmentError {
     },
     /// Databases without it.
     #[error(
-        "{} holds databases of shards, but not {}, which says what shard runs what trial: restore it, or merge them \
+        "{} contains databases of shards, but not {}, which assigns trials to shards: restore it, or merge the databases \
          and choose another folder",
         folder.display(), file
     )]

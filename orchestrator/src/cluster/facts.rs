@@ -122,8 +122,8 @@ impl Facts {
     pub fn said(&self) -> String {
         let folder = self.folder.display();
         format!(
-            "{folder}: facts of {} handed in; steps, curves and arrays are in these files: `metasense cluster merge {folder} --out FILE` \
-             makes one database of all",
+            "{folder}: facts of {} merged; steps, curves and arrays are in these files: `metasense cluster merge {folder} --out FILE` \
+             makes one complete database",
             crate::plan::counted(self.of.len(), "database")
         )
     }

@@ -55,10 +55,10 @@ pub enum HomeError {
         source: io::Error,
     },
     /// The folder of another user.
-    #[error("{} belongs to another user; set TMPDIR, or name a database with --db", .0.display())]
+    #[error("{} belongs to another user; set TMPDIR, or pass a database with --db", .0.display())]
     Foreign(PathBuf),
     /// What an earlier attempt has handed in.
-    #[error("{} cannot be gone on with: {why}; move it away to go on without it", path.display())]
+    #[error("{} cannot be resumed: {why}; move it away to run without it", path.display())]
     Refused {
         /// The file.
         path: PathBuf,
@@ -66,7 +66,7 @@ pub enum HomeError {
         why: String,
     },
     /// After many attempts.
-    #[error("the database of the shard could not be handed in; it is left in {}", live.display())]
+    #[error("the database of the shard could not be copied to the folder; it stays in {}", live.display())]
     NotHandedIn {
         /// Where it is, on this node.
         live: PathBuf,
@@ -251,7 +251,7 @@ impl Home {
             match self.hand_in().await {
                 Ok(()) => return Ok(()),
                 Err(error) if tokio::time::Instant::now() < end => {
-                    tracing::warn!(%error, "the database could not be handed in; it is tried again");
+                    tracing::warn!(%error, "the database could not be copied to the folder; retrying");
                     tokio::time::sleep(AGAIN).await;
                 }
                 Err(error) => {
@@ -292,7 +292,7 @@ impl Home {
                 }
             };
             if let Err(error) = handed_in {
-                tracing::warn!(%error, "the database could not be handed in; it will be tried again");
+                tracing::warn!(%error, "the database could not be copied to the folder; retrying later");
             }
         }
     }

@@ -75,7 +75,7 @@ pub fn places(text: &str) -> Result<Vec<Place>, String> {
             Some(count) if !host.starts_with('-') => places.extend(vec![Some(host.to_owned()); count]),
             _ => {
                 return Err(format!(
-                    "{}: {line:?}: say HOST, or HOST and how many shards at a time",
+                    "{}: {line:?}: must be HOST, or HOST and its number of simultaneous shards",
                     number + 1
                 ));
             }
@@ -102,7 +102,7 @@ pub async fn run(
             && let Some(place) = free.pop()
         {
             let shard = waiting.pop_front().expect("it is not empty");
-            say(format!("shard {shard} begins on {}", name(&place)));
+            say(format!("shard {shard} starts on {}", name(&place)));
             *tries.entry(shard).or_default() += 1;
             running.spawn(one(place, shard, how.clone(), asked.clone()));
         }
@@ -110,7 +110,7 @@ pub async fn run(
             None => {
                 say(match ended.asked {
                     false => format!(
-                        "stopping: what there is by now is handed in, and steps that end within {} s (again stops at once)",
+                        "stopping: steps that end within {} s are recorded, and databases are copied to the folder (again stops at once)",
                         how.grace
                     ),
                     true => "stopping at once".into(),
@@ -181,12 +181,12 @@ impl Verdict {
 
     fn words(self) -> &'static str {
         match self {
-            Self::Done => "all is done",
+            Self::Done => "all trials are done",
             Self::Failed => "trials have failed",
             Self::Stopped => "stopped on request",
-            Self::Refused => "it could not go on",
+            Self::Refused => "it could not continue",
             Self::Unfit => {
-                "the machine is unfit, cannot be reached or does not see the folder: it gets no more"
+                "the machine is unfit, cannot be reached or does not see the folder: it gets no more shards"
             }
             Self::Died => "it died",
         }
@@ -228,7 +228,7 @@ async fn one(
         let line = last_line(file, before).ok()??;
         Some(format!(": {line} ({})", file.display()))
     });
-    let said = said.unwrap_or_else(|| format!("; nothing stands in {}", outputs[0].display()));
+    let said = said.unwrap_or_else(|| format!("; {} is empty", outputs[0].display()));
     let how = status.map_or(String::new(), |status| format!(" ({status})"));
     (place, shard, status.and_then(|status| status.code()), how + &said)
 }

@@ -54,7 +54,7 @@ impl Notes {
         if let Err(TryLockError::WouldBlock) = file.try_lock() {
             return Err(io::Error::new(
                 ErrorKind::ResourceBusy,
-                "another `metasense cluster submit` is at work on it",
+                "another `metasense cluster submit` is using it",
             ));
         }
         let bytes = std::fs::read(&path)?;
@@ -151,7 +151,7 @@ pub struct Queue {
 #[derive(Debug, thiserror::Error)]
 pub enum QueueError {
     /// There is no such program here.
-    #[error("cannot start `{command}`: what runs or waits is not known")]
+    #[error("cannot start `{command}`, so the state of the queue is unknown")]
     Start {
         /// The command.
         command: String,
@@ -159,7 +159,7 @@ pub enum QueueError {
         source: io::Error,
     },
     /// It says that something is wrong.
-    #[error("`{command}` failed ({status}), so that what runs or waits is not known: {said}")]
+    #[error("`{command}` failed ({status}), so the state of the queue is unknown: {said}")]
     Failed {
         /// The command.
         command: String,
@@ -169,7 +169,7 @@ pub enum QueueError {
         said: String,
     },
     /// It says what we do not understand.
-    #[error("`{command}` answered what is not understood: {answer}")]
+    #[error("`{command}` printed unexpected output: {answer}")]
     Answer {
         /// The command.
         command: String,

@@ -12,7 +12,7 @@ pub struct Shard {
 
 /// Not a shard.
 #[derive(Debug, Clone, thiserror::Error, PartialEq, Eq)]
-#[error("{0:?} is not a shard: say I/N, with I from 1 to N, for instance 3/10")]
+#[error("{0:?} is not a shard: use I/N, with I from 1 to N, such as 3/10")]
 pub struct ShardError(String);
 
 impl Shard {

@@ -154,7 +154,7 @@ impl Submission {
             format!("{name} {path:?}: must be text without line ends, quotes and backslashes")
         })
         .or_else(|| prefix.map(|prefix| format!("prefix {prefix:?}: must be text without line ends")))
-        .or_else(|| partition.map(|name| format!("partition {name:?}: is no name of a partition")))
+        .or_else(|| partition.map(|name| format!("partition {name:?}: is not the name of a partition")))
     }
 
     /// How long a shard that is stopped waits for steps in progress (s).
@@ -438,7 +438,7 @@ fn clock(seconds: u64) -> String {
 /// # Errors
 /// If it is none.
 pub fn seconds(text: &str) -> Result<u64, String> {
-    let wrong = || format!("{text:?} is no time: say minutes, H:MM:SS or D-HH:MM:SS, for instance 4:00:00");
+    let wrong = || format!("{text:?} is not a time: use minutes, H:MM:SS or D-HH:MM:SS, such as 4:00:00");
     let (days, clock) = text.split_once('-').map_or((None, text), |(days, clock)| (Some(days), clock));
     // as wide as no sum of them is
     let whole = |part: &str| part.parse::<u64>().ok().map(u128::from);
@@ -456,7 +456,7 @@ pub fn seconds(text: &str) -> Result<u64, String> {
     if (60..=365 * 86_400).contains(&total) {
         Ok(total as u64)
     } else {
-        Err(format!("{text:?} is not between a minute and a year"))
+        Err(format!("{text:?} must lie between a minute and a year"))
     }
 }
 

@@ -67,7 +67,7 @@ async fn a_run_is_asked_by_its_database() {
         let _ = stream.write_all(words.as_bytes()).await;
         let mut answer = String::new();
         let _ = stream.read_to_string(&mut answer).await;
-        assert!(answer.starts_with("refused no command: ") || words.len() > 100, "{answer}");
+        assert!(answer.starts_with("refused unknown command ") || words.len() > 100, "{answer}");
     }
     let mut gone = connect().await.unwrap();
     gone.write_all(b"stop\n").await.unwrap();
@@ -97,7 +97,7 @@ async fn a_run_is_asked_by_its_database() {
     File::create(&long).unwrap();
     let why = Listener::new(&long).map(drop).unwrap_err().to_string();
     assert!(
-        why.starts_with("the database's name is ") && why.ends_with(" bytes too long for a socket's"),
+        why.starts_with("the name of the database is ") && why.ends_with(" bytes too long for a socket"),
         "{why}"
     );
     assert!(matches!(ask(&long, &Command::Pause).await, Err(ControlError::Io { .. })));

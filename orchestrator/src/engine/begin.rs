@@ -49,12 +49,12 @@ pub async fn begin<'a>(
 pub async fn reopen(store: &mut Store, hashes: &[&str], again: Again) -> Result<(), StoreError> {
     if again.failed {
         let reopened = store.reopen(hashes).await?;
-        tracing::info!(reopened, "failed trials are run again");
+        tracing::info!(reopened, "failed trials are resumed");
     }
     if again.other_code {
         store.set_provenance(provenance::here(1));
         let reopened = store.redo_other_code(hashes).await?;
-        tracing::info!(reopened, "trials that other code has made are made again");
+        tracing::info!(reopened, "trials computed by other code are repeated");
     }
     Ok(())
 }

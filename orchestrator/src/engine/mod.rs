@@ -101,7 +101,7 @@ pub enum EngineError {
     #[error(transparent)]
     Runtime(#[from] RuntimeError),
     /// The machine allows less than the workers need.
-    #[error("{host} allows less than the workers need: no trial was begun; the same command begins them", host = host())]
+    #[error("the limits of {host} are too low for the workers: no trial was started; the same command starts them", host = host())]
     Short(#[from] Shortage),
     /// The database.
     #[error(transparent)]
@@ -110,7 +110,7 @@ pub enum EngineError {
     #[error("cannot wait for signals")]
     Signals(#[source] std::io::Error),
     /// No worker comes up.
-    #[error("no worker process comes up on {host}; the last one: {0}", host = host())]
+    #[error("no worker process starts on {host}; the last one: {0}", host = host())]
     NoWorkers(String),
 }
 
@@ -332,13 +332,13 @@ impl Engine<'_> {
                 let (hash, attempt) = (&trial.hash, lease.attempt);
                 let in_order = matches!(reason, Reason::Stopped | Reason::Paused);
                 if in_order {
-                    tracing::debug!(hash, attempt, %reason, "the trial is handed back");
+                    tracing::debug!(hash, attempt, %reason, "the trial was stopped on request");
                 } else if settled && reason == Reason::Cancelled {
-                    tracing::info!(hash, attempt, %reason, "the trial is given up");
+                    tracing::info!(hash, attempt, %reason, "the trial was cancelled");
                 } else if settled {
                     tracing::error!(hash, attempt, %reason, remedy = reason.remedy(), "the trial has failed");
                 } else {
-                    tracing::warn!(hash, attempt, %reason, "the attempt has failed; the trial is tried again");
+                    tracing::warn!(hash, attempt, %reason, "the attempt failed; the trial is retried");
                 }
                 let detail =
                     self.details.remove(&lease).map_or(String::new(), |detail| format!(": {detail}"));
@@ -355,7 +355,7 @@ impl Engine<'_> {
             Action::RecordCancelled(lease) => {
                 let trial = self.trials[lease.trial as usize];
                 self.view.attempt_failed(lease.trial, Reason::Cancelled, true, self.began.elapsed());
-                tracing::info!(trial.hash, "the trial is given up before it was begun, or begun again");
+                tracing::info!(trial.hash, "the trial was cancelled before an attempt");
                 self.record(Write::Cancelled(lease)).await;
             }
             Action::Answer(asker, answer) => self.answered(asker, answer),
@@ -496,7 +496,7 @@ impl Engine<'_> {
             ToOrchestrator::Failed { lease, trouble, detail } => {
                 let reason = Reason::from(trouble);
                 let trial = self.trials.get(lease.trial as usize).map(|trial| trial.hash.as_str());
-                tracing::error!(trial, lease.attempt, %reason, detail, "the worker gave the trial up");
+                tracing::error!(trial, lease.attempt, %reason, detail, "the worker reported a failure of the trial");
                 self.details.insert(lease, detail);
                 Event::Failed(worker, lease, reason)
             }
@@ -520,9 +520,9 @@ impl Engine<'_> {
             Written::Loaded(worker, lease, checkpoint) => {
                 let checkpoint = checkpoint.unwrap_or_else(|why| {
                     let trial = self.trials[lease.trial as usize];
-                    tracing::error!(trial.hash, why, "the checkpoint is of no use; the trial begins anew");
+                    tracing::error!(trial.hash, why, "the checkpoint cannot be used; the trial restarts");
                     self.watch.begins_anew(trial, &why);
-                    let text = format!("begins anew, as its checkpoint is of no use: {why}");
+                    let text = format!("restarted, because the checkpoint cannot be used: {why}");
                     self.said.push((lease, Level::Warn, text));
                     None
                 });

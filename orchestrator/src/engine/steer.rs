@@ -119,7 +119,7 @@ impl Engine<'_> {
         let workers = counted(state.workers() as usize, "worker");
         let (busy, settled, waiting) = (state.busy(), view.settled(), state.waiting());
         format!(
-            "{how}: {busy} of {workers} busy, {settled} of {} settled, {waiting} waiting",
+            "{how}: {busy} of {workers} busy, {settled} of {} settled, {waiting} pending",
             counted(view.total, "trial")
         )
     }
@@ -146,7 +146,7 @@ impl Engine<'_> {
             asker.note += &format!("; settled before: {}", fresh.settled);
         }
         if vanished > 0 {
-            asker.note += &format!("; no longer in the spec, and run all the same: {vanished}");
+            asker.note += &format!("; no longer in the spec, but still run: {vanished}");
         }
         drop(own);
         let plan = self.control.plans.keep(fresh.plan);
@@ -172,7 +172,7 @@ impl Engine<'_> {
 
     fn answer(&mut self, Request { command, answer }: Request, done: bool, text: String) {
         if command != Command::State {
-            tracing::info!(%command, done, answer = text, "somebody steers the run");
+            tracing::info!(%command, done, answer = text, "command to the run");
             self.watch.steered(&command, done, &text);
         }
         // Whoever has asked may be gone.

@@ -62,9 +62,9 @@ pub fn replay_of(stored: &Stored, body: usize, threads: usize) -> Result<Replay,
 /// Whom a brain is fitted to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Fit {
-    /// The body as designed: the trial's brain
+    /// The body as designed: the decoder of the trial
     Design,
-    /// Casts of it: one brain for all, fitted once more as the trial's comparison did
+    /// Casts of the body: one decoder for all, fitted again as in the trial's comparison
     Casts,
 }
 

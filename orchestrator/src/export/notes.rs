@@ -17,26 +17,29 @@ pub fn notes(
     (brain, fit): (Option<&str>, Fit),
 ) -> String {
     let (spec, hash, name) = (&stored.specs[body], &stored.hash, Body::ALL[body].name());
+    let word = Body::ALL[body].word();
     let mut lines = vec![
-        format!("# The {name} body of trial {hash}\n"),
+        format!("# The {word} body of trial {hash}\n"),
         format!(
             "For a device, by metasense {}. Lengths in mm, x to the right, y upwards.\n",
             env!("CARGO_PKG_VERSION")
         ),
-        "| file | is |\n|---|---|".into(),
+        "| file | contents |\n|---|---|".into(),
         "| mould.stl | the mould, open above |".into(),
         "| body.dxf, body.svg | its outline with chips and panels |".into(),
         "| design.npy | α, for `--design` and `body.design` |".into(),
     ];
     if brain.is_some() {
         lines.push(
-            "| brain.c | the brain, C99; its head says how it is called, tested, and what it needs |".into(),
+            "| brain.c | the decoder, C99; its head describes how to call and test it, and what it needs |"
+                .into(),
         );
-        lines.push("| brain.onnx | the same as an ONNX graph in 32-bit floats, for whole samples |".into());
+        lines
+            .push("| brain.onnx | the decoder as an ONNX graph in 32-bit floats, for whole samples |".into());
     }
     lines.push("\n## Cast\n".into());
     lines.push(format!(
-        "- The cavity holds {} ml at a height of {} mm; ligaments are {} mm wide, walls {} mm thick.",
+        "- The volume of the cavity is {} ml at a height of {} mm; ligaments are {} mm wide, walls {} mm thick.",
         number(1e-3 * cavity.volume(mould)),
         number(mould.height),
         number(mould.width),
@@ -47,14 +50,14 @@ pub fn notes(
         let own =
             spec.body.material.filter(|m| (m.ligament_width, m.thickness) == (mould.width, mould.height));
         let of = match own {
-            Some(_) => ", that of its `body.material`, which has these measures",
+            Some(_) => ", that of its `body.material`, which has these dimensions",
             None => {
-                ". Another one, or another height, is another body: put its numbers into `[body]` (`body.material`) and train \
-                 again, or identify it (below)"
+                ". With another material or height, the body behaves differently: set `[body]` (`body.material`) accordingly and train \
+                 again, or identify the material (below)"
             }
         };
         lines.push(format!(
-            "- The model's units weigh {} g in all: of a material of {} g/ml{of}.",
+            "- The units of the model weigh {} g in total, with a material of {} g/ml{of}.",
             number(grams),
             number(1e3 * grams / (drawing.area() * mould.height))
         ));
@@ -62,7 +65,7 @@ pub fn notes(
     lines.push(match mould.pocket {
         Some([a, b, c]) => {
             format!(
-                "- Each chip has a pocket of {a} × {b} mm, {c} mm deep, open below: its cable leaves there."
+                "- Each chip has a pocket of {a} × {b} mm, {c} mm deep, open below for its cable."
             )
         }
         None => {
@@ -70,25 +73,26 @@ pub fn notes(
             let side = largest_pocket(drawing, spec.sensors.offset.unwrap_or_default(), tilt);
             match side > 0.0 {
                 true => format!(
-                    "- The mould has no pockets; `--pocket LENGTHxWIDTHxDEPTH` makes one for each chip: of squares one of {side} mm has \
-                     place at most."
+                    "- The mould has no pockets; `--pocket LENGTHxWIDTHxDEPTH` makes one for each chip; the largest square pocket has a side \
+                     of {side} mm."
                 ),
-                false => "- The mould has no pockets: a chip's unit has no place for one.".into(),
+                false => "- The mould has no pockets for chips.".into(),
             }
         }
     });
     lines.push(
-        "- Cure as the rubber's data sheet says: pot life ____ min, cure time ____ h, shore ____.".into(),
+        "- Cure according to the data sheet of the rubber: pot life ____ min, cure time ____ h, shore ____."
+            .into(),
     );
-    lines.push(format!("- Units that are held: {}.", list(&drawing.clamped)));
+    lines.push(format!("- Held units: {}.", list(&drawing.clamped)));
     if !drawing.guided.is_empty() {
-        lines.push(format!("- Units that are held in part: {}.", list(&drawing.guided)));
+        lines.push(format!("- Partly held units: {}.", list(&drawing.guided)));
     }
     if let Some([x, y]) = spec.body.compression {
         let [x, y] = [x, y].map(|part| number(100.0 * part));
         lines.push(format!(
-            "- Before the body is struck, bring its held units together by {x} % along x and {y} % along y of the way between the outermost \
-             of them (below 0: apart): it was simulated so."
+            "- Before applying forces, move the held units together by {x} % along x and {y} % along y of the distance between the outermost \
+             held units (below 0: apart), as in the simulation."
         ));
     }
     lines.push(String::new());
@@ -111,7 +115,7 @@ pub fn notes(
         let unit = panel.unit;
         lines.push(match panel.moves {
             Some(Moves::Base(_)) => {
-                format!("| force {n} | all that are held | | | shakes them along ({a}, {b}) |")
+                format!("| force {n} | all held units | | | moves them along ({a}, {b}) |")
             }
             Some(Moves::Unit(_)) => format!("| force {n} | {unit} | {x} | {y} | moves it along ({a}, {b}) |"),
             None if panel.direction == [0.0; 2] => {
@@ -123,17 +127,18 @@ pub fn notes(
             None => format!("| force {n} | {unit} | {x} | {y} | along ({a}, {b}) |"),
         });
     }
-    lines.push("\n## Read\n".into());
+    lines.push("\n## Decode\n".into());
     lines.push(match (brain, fit) {
-        (None, _) => "The trial's brain has no form for a device.".into(),
-        (Some(head), Fit::Design) => {
-            told("fitted to the body as designed: a cast that scatters reads worse", head)
-        }
-        (Some(head), Fit::Casts) => told("one for all casts that scatter as `[variation]` says", head),
+        (None, _) => "The decoder of this trial cannot be exported for a device.".into(),
+        (Some(head), Fit::Design) => told(
+            "fitted to the body as designed; its error on casts that deviate from the design is higher",
+            head,
+        ),
+        (Some(head), Fit::Casts) => told("fitted to casts that vary according to `[variation]`", head),
     });
     lines.push(
-        "\nWith some thirty blows whose forces you measure, as a file of records (schemas/README.md, Measured signals), DB being the \
-         database of the trial: how well brains fitted to this cast read it, and what the cast is made of.\n"
+        "\nRecord about thirty blows with measured forces, in a file of records (schemas/README.md, Measured signals). DB is the database of \
+         the trial. The following commands compute the error of decoders fitted to this cast, and its material.\n"
             .into(),
     );
     lines.push(format!(
@@ -149,7 +154,7 @@ pub fn notes(
 
 /// Whose brain it is, and the head of its file.
 fn told(whom: &str, head: &str) -> String {
-    format!("The brain is {whom}. Its file says:\n\n```text\n{}\n```", head.trim())
+    format!("The decoder is {whom}. Its file contains:\n\n```text\n{}\n```", head.trim())
 }
 
 fn list(units: &[usize]) -> String {

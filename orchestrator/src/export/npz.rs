@@ -28,7 +28,7 @@ pub fn of_trial(
     let mut read = |b: usize| match linear(&stored.specs[b], &replays[b]) {
         Ok(brain) => brain,
         Err(why) => {
-            note(format!("no linear brain reads a body: {why}"));
+            note(format!("no linear decoder can be fitted: {why}"));
             None
         }
     };

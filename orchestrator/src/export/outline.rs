@@ -49,12 +49,12 @@ pub struct Outline {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Invalid {
     /// The body is not one piece.
-    #[error("the body falls apart into {0} pieces, which no mould casts as one; --format svg shows it")]
+    #[error(
+        "the body consists of {0} separate pieces and cannot be cast in one mould; --format svg shows them"
+    )]
     Apart(usize),
     /// Ligaments grow together over a void.
-    #[error(
-        "ligaments {width} mm wide leave {left} of the body's {voids} voids; make them narrower with --ligament-width"
-    )]
+    #[error("ligaments {width} mm wide leave {left} of the body's {voids} voids; reduce --ligament-width")]
     TooWide {
         /// Width (mm).
         width: f64,
@@ -78,7 +78,7 @@ pub enum Invalid {
         unit: usize,
     },
     /// The cavity runs into itself.
-    #[error("a clearance of {0} mm closes or parts a void of the body; choose less with --clearance")]
+    #[error("a clearance of {0} mm closes or divides a void of the body; reduce --clearance")]
     Closed(f64),
 }
 

@@ -137,7 +137,7 @@ async fn watch(
         Some(status) => reason(status, out_of_memory),
         None => {
             let state = processes::state(pid).map_or(String::new(), |state| format!(" (state {state})"));
-            tracing::error!(%worker, pid, "the process does not end though it was killed{state}: it waits for the system; it is left behind");
+            tracing::error!(%worker, pid, "the killed process does not end{state}, because it waits for the system; the run continues without it");
             Reason::WorkerKilled(libc::SIGKILL)
         }
     };
@@ -196,11 +196,11 @@ async fn pass_on(worker: WorkerId, errors: impl AsyncRead + Unpin, heard: Sender
                 ..LINES => {
                     String::from_utf8_lossy(line.trim_ascii_end()).replace(char::is_control, "\u{fffd}")
                 }
-                _ => "what the worker writes from here on is not kept".to_owned(),
+                _ => "later output of the worker is not kept".to_owned(),
             };
             line.clear();
             if lines <= LINES {
-                tracing::warn!(%worker, "worker says: {text}");
+                tracing::warn!(%worker, "worker output: {text}");
                 if heard.send((worker, Heard::Line(text))).await.is_err() {
                     break;
                 }

@@ -39,7 +39,7 @@ pub fn print_rows(table: &Table, format: Format) -> io::Result<()> {
 pub fn standard_output(format: Format) -> io::Result<io::Stdout> {
     let out = io::stdout();
     if format == Format::Parquet && out.is_terminal() {
-        return Err(io::Error::other("Parquet is not for a terminal: send it to a file"));
+        return Err(io::Error::other("Parquet cannot be written to a terminal: redirect it to a file"));
     }
     Ok(out)
 }

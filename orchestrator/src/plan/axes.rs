@@ -110,12 +110,12 @@ fn check_points(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
             path => sweep.axes.contains_key(path),
         };
         if listed {
-            let (key, remedy) = (format!("sweep.points.{}", quoted(key)), "stands in a list of [sweep], too");
+            let (key, remedy) = (format!("sweep.points.{}", quoted(key)), "is also in a list of [sweep]");
             return Err(source.error_with(&key, Some(&value.to_string()), remedy));
         }
         if !key.contains('.') && value.as_u64().is_none_or(|n| n == 0) {
             let key = format!("sweep.points.{key}");
-            return Err(source.error_with(&key, Some(&value.to_string()), "must be a number from 1 up"));
+            return Err(source.error_with(&key, Some(&value.to_string()), "must be a number of at least 1"));
         }
     }
     for (key, list) in [("panels", &sweep.panels), ("sensors", &sweep.sensors)] {
@@ -123,7 +123,7 @@ fn check_points(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
         if list.is_empty() && linked < sweep.points.len().max(1) {
             return Err(match linked {
                 0 => source.error(&format!("sweep.{key}"), "needs at least one value"),
-                _ => source.error("sweep.points", &format!("every point must have {key}, or none")),
+                _ => source.error("sweep.points", &format!("either all points must set {key}, or none")),
             });
         }
     }
@@ -174,11 +174,7 @@ fn check_excludes(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
     let known = numbers::distinct(known);
     for entry in &spec.sweep.exclude {
         if entry.is_empty() {
-            return Err(source.error_with(
-                "sweep.exclude",
-                Some("{}"),
-                "an empty entry leaves out everything",
-            ));
+            return Err(source.error_with("sweep.exclude", Some("{}"), "an empty entry excludes all trials"));
         }
         for (key, value) in entry {
             if !known.contains(&key.as_str()) {
@@ -186,12 +182,12 @@ fn check_excludes(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
                     Some(nearest) => {
                         format!("unknown key {key:?}; the nearest known one here is {nearest:?}")
                     }
-                    None => format!("unknown key {key:?}; those known here are {}", known.join(", ")),
+                    None => format!("unknown key {key:?}; known keys here: {}", known.join(", ")),
                 };
                 return Err(source.error_with("sweep.exclude", Some(&value.to_string()), &remedy));
             }
             if !key.contains('.') && value.as_u64().is_none() {
-                let remedy = format!("{key:?} must be a number from 0 up");
+                let remedy = format!("{key:?} must be a number of at least 0");
                 return Err(source.error_with("sweep.exclude", Some(&value.to_string()), &remedy));
             }
         }

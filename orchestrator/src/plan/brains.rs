@@ -100,18 +100,18 @@ pub(super) fn refuse_unread<'a>(
     let none = Brain::default();
     let any = |what: &dyn Fn(&SweepSpec) -> bool| specs.clone().any(what);
     if any(&|spec| matches!(spec.optimise.brain, Some(BrainKind::Stacked | BrainKind::Inverse))) {
-        let remedy = "stacked and inverse brains only read: must be \"cnn\" or \"linear\"";
+        let remedy = "stacked and inverse decoders cannot train bodies: must be \"cnn\" or \"linear\"";
         return Err(source.error("optimise.brain", remedy));
     }
     let ahead = |spec: &SweepSpec| spec.brain.memory.is_some_and(|[_, after]| after > 0.0);
     if any(&|spec| looks_back_alone(spec) && ahead(spec)) {
-        let remedy = "a causal network reads this brain's estimates: must be [before, 0]";
+        let remedy = "a causal network uses the estimates of this decoder: must be [before, 0]";
         return Err(source.error("brain.memory", remedy));
     }
     let robust = any(&|spec| spec.optimise.objective.and_then(Objective::tail).is_some());
     let varied = any(&|spec| spec.variation.is_some());
-    let no_objective = "means nothing here: no trial has an optimise.objective over casts";
-    let no_variation = "means nothing here: no trial has a [variation]";
+    let no_objective = "has no effect: no trial has an optimise.objective over casts";
+    let no_variation = "has no effect: no trial has a [variation]";
     let calibrates = varied && any(&|spec| spec.brain.kind != BrainKind::Inverse);
     let of_casts: [(&str, bool, Given, &str); 5] = [
         ("optimise.casts", robust, &|s| s.optimise.casts.is_some(), no_objective),
@@ -121,13 +121,13 @@ pub(super) fn refuse_unread<'a>(
             "evaluation.records",
             calibrates,
             &|s| s.evaluation.records.is_some(),
-            "means nothing here: no trial has a [variation] and another brain than an inverse one",
+            "has no effect: no trial has a [variation] and a decoder other than inverse",
         ),
         (
             "variation",
             false,
             &|s| s.variation.is_some_and(|v| v.resolved().is_none()),
-            "must say what scatters",
+            "must contain at least one deviation",
         ),
     ];
     if let Some((key, _, _, remedy)) = of_casts.iter().find(|(_, read, given, _)| !read && any(*given)) {
@@ -164,7 +164,7 @@ pub(super) fn refuse_unread<'a>(
     match keys.iter().find(|(_, read, given, _)| !read && any(*given)) {
         Some((key, _, _, kind)) => {
             let role = if key.starts_with("optimise.") { "optimise.brain" } else { "brain.kind" };
-            Err(source.error(key, &format!("means nothing here: no trial has {role} = \"{kind}\"")))
+            Err(source.error(key, &format!("has no effect: no trial has {role} = \"{kind}\"")))
         }
         None => Ok(()),
     }

@@ -33,20 +33,16 @@ pub(super) fn check(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> 
     let casts = spec.variation.is_some() && spec.evaluation.casts != Some(0);
     for (key, holds, remedy) in [
         ("goal.error", above(Some(goal.error)), "must be a number above 0"),
-        (
-            "goal.quantile",
-            goal.quantile.is_none_or(|q| q > 0.0 && q <= 1.0),
-            "must lie above 0, at most at 1",
-        ),
+        ("goal.quantile", goal.quantile.is_none_or(|q| q > 0.0 && q <= 1.0), "must be above 0 and at most 1"),
         (
             "goal.quantile",
             goal.quantile.is_none() || casts,
-            "is over casts: give a [variation], and leave evaluation.casts above 0",
+            "applies to casts: set [variation], and keep evaluation.casts above 0",
         ),
         (
             "goal.reader",
             goal.reader.is_none() || goal.quantile.is_some(),
-            "reads casts: give goal.quantile, too",
+            "applies to casts: set goal.quantile as well",
         ),
         ("goal.reader.records", records, "must be 10, 30 or 100"),
         (
@@ -63,12 +59,12 @@ pub(super) fn check(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> 
         ("goal.operations", goal.operations != Some(0), "must be at least 1"),
         ("goal.mass", above(goal.mass), "must be a number of g above 0"),
         ("goal.size", above(goal.size), "must be a number of mm above 0"),
-        ("goal.cost", prices, "must hold numbers from 0 up"),
+        ("goal.cost", prices, "must contain numbers of at least 0"),
         ("goal.confidence", (0.5..1.0).contains(&goal.confidence), "must lie in [0.5, 1)"),
         ("goal.fresh", (3..=100).contains(&goal.fresh), "must be at least 3, at most 100"),
         ("goal.at_a_time", (1..=10_000).contains(&goal.at_a_time), "must be at least 1, at most 10000"),
         ("goal.hours", above(goal.hours), "must be a number above 0"),
-        ("until", spec.until.is_none(), "cannot be given beside [goal]: it has questions of its own"),
+        ("until", spec.until.is_none(), "cannot be set together with [goal]"),
     ] {
         if !holds {
             return Err(source.error(key, remedy));
@@ -121,7 +117,7 @@ impl Space {
     /// If it has none, no trial may meet it, or a brain cannot read what is asked for.
     pub fn new(plan: &Plan) -> Result<Self, SpecError> {
         let Some(goal) = plan.spec.goal.clone() else {
-            return Err(plan.source.error("goal", "must be given: what is the design to do?"));
+            return Err(plan.source.error("goal", "must be set: the requirement of the design"));
         };
         let limits = limits(&goal);
         let (mut places, mut asked) = (Vec::new(), Vec::new());
@@ -146,7 +142,7 @@ impl Space {
             let beyond: Vec<f64> =
                 asked.iter().map(|asks| asks[l]).filter(|asked| *asked > limit.most).collect();
             let least = match beyond.iter().copied().fold(f64::INFINITY, f64::min) {
-                f64::INFINITY => "a brain with a form for devices".into(),
+                f64::INFINITY => "a decoder that can be exported for devices".into(),
                 least => format!("{} {}", number(least), limit.unit),
             };
             if !beyond.is_empty() {
@@ -155,7 +151,7 @@ impl Space {
         }
         if places.is_empty() {
             let because = left_out.iter().max_by_key(|out| out.trials).expect("something has left them out");
-            let remedy = format!("no trial of the sweep keeps to it: the least one needs {}", because.least);
+            let remedy = format!("no trial of the sweep meets it: the smallest value is {}", because.least);
             return Err(plan.source.error(because.key, &remedy));
         }
         let trials: Vec<&Trial> = places.iter().map(|place| &plan.trials[place.trial]).collect();
@@ -248,7 +244,9 @@ fn reader(goal: &Goal, trial: &TrialSpec) -> Result<Option<CastBrain>, &'static 
         (GoalReader::Named(GoalReaderName::Design), _) => CastBrain::Network,
         (GoalReader::Named(GoalReaderName::Casts), BrainKind::Linear) => CastBrain::Casts,
         (GoalReader::Named(GoalReaderName::Casts), BrainKind::Inverse) => {
-            return Err("an inverse brain knows no other casts: must be \"design\" or { records = 10 }");
+            return Err(
+                "an inverse decoder is not fitted to other casts: must be \"design\" or { records = 10 }",
+            );
         }
         (GoalReader::Named(GoalReaderName::Casts), _) => CastBrain::NetworkCasts,
         (GoalReader::Calibrated(of), BrainKind::Linear) => CastBrain::Records(of.records),

@@ -23,12 +23,12 @@ pub(super) fn of_size(spec: &SweepSpec) -> Result<(SweepSpec, f64), Invalid> {
         LayoutKind::Circular => (
             ("body.diameter", body.diameter.take()),
             ("body.width", body.width.take()),
-            "is a planar body's; a circular one has body.diameter",
+            "only for planar bodies; use body.diameter for a circular body",
         ),
         LayoutKind::Planar => (
             ("body.width", body.width.take()),
             ("body.diameter", body.diameter.take()),
-            "is a circular body's; a planar one has body.width",
+            "only for circular bodies; use body.width for a planar body",
         ),
     };
     let invalid = |(key, value): (&str, Option<f64>), remedy: &str| Invalid {

@@ -47,7 +47,7 @@ pub(super) fn check(until: Option<&Until>, trials: &[Trial], source: &Source) ->
     }
     let left_out = trials.iter().any(|trial| trial.spec.evaluation.initial == Some(false));
     if left_out && (until.paired.is_some() || until.fewer) {
-        let remedy = "must be true: until.paired and until.fewer ask about the initial body";
+        let remedy = "must be true: until.paired and until.fewer use the initial body";
         return Err(source.error_with("evaluation.initial", Some("false"), remedy));
     }
     match until::unanswerable(until, trials) {
@@ -59,7 +59,7 @@ pub(super) fn check(until: Option<&Until>, trials: &[Trial], source: &Source) ->
                 _ => "two numbers of sensors",
             };
             let remedy = format!(
-                "needs {what}, and four placements or seeds of each: no setting of the sweep has them"
+                "needs {what} with four placements or seeds of each; no setting of the sweep has them"
             );
             Err(source.error(question.key(), &remedy))
         }

@@ -23,22 +23,19 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
     let mut said = Vec::new();
     let of_trials = of_each(&refs);
     let kinds = distinct(of_trials.clone());
-    let sets = [
-        (Set::Holdout, "unseen samples (holdout)"),
-        (Set::Test, "the test set, by which the body was chosen"),
-    ];
+    let sets = [(Set::Holdout, "the held-out set"), (Set::Test, "the test set, which selected the body")];
     for kind in &kinds {
         let own = refs.iter().zip(&of_trials).filter(|(_, of)| *of == kind);
         let refs: Vec<&Trial> = own.map(|(trial, _)| *trial).collect();
         let who = match (&kind[0], &kind[1]) {
             _ if kinds.len() == 1 => String::new(),
-            (by, with) => format!("Body trained with {with}, forces read by {by}. "),
+            (by, with) => format!("Body trained with {with}, decoder {by}. "),
         };
         let settings = groups(&refs, &[]).len();
         let pooled = match settings {
             1 => String::new(),
             _ => format!(
-                " Over {settings} settings together: `metasense analyse --question paired` tells them apart."
+                " This pools {settings} settings; `metasense analyse --question paired` lists them separately."
             ),
         };
         for (set, what) in sets {
@@ -54,8 +51,8 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
                 figure,
                 verdict(&r),
                 format!(
-                    "{who}On {what}, the initial body's error is {} times the optimised body's ({initial} % against \
-                     {optimised} %, {}); the optimised one is better in {} of {}.{medians}{pooled}",
+                    "{who}On {what}, the error of the initial body is {} times that of the trained body ({initial} % against \
+                     {optimised} %, {}); the trained body is better in {} of {}.{medians}{pooled}",
                     number(r.ratio),
                     interval(&r),
                     r.above_one,
@@ -87,8 +84,8 @@ fn linear_model(trials: &[&Trial]) -> Option<Answer> {
         "modes",
         None,
         format!(
-            "A linear model of the body at rest leaves {a} % of the initial body's accelerations and {w} % of its angular \
-             velocities unexplained; of the optimised body's, {b} % and {v} % (means over trials)."
+            "A linear model of the body at rest does not explain {a} % of the accelerations and {w} % of the angular velocities \
+             of the initial body; for the trained body, {b} % and {v} % (means over trials)."
         ),
     ))
 }
@@ -101,7 +98,7 @@ fn verdict(ratio: &Ratio) -> Option<bool> {
 fn by_medians(ratio: impl Fn(Set) -> Option<Ratio>) -> String {
     let said = |(ratio, verdicts): (Ratio, String)| {
         format!(
-            " Means and medians over samples disagree ({verdicts}): by medians it is {} times ({}).",
+            " Means and medians over samples disagree ({verdicts}): by medians the ratio is {} ({}).",
             number(ratio.ratio),
             interval(&ratio)
         )
@@ -126,8 +123,8 @@ fn long(trials: &[&Trial]) -> Option<Answer> {
         "losses",
         verdict(&ratio),
         format!(
-            "After {iterations} iterations of the brain, the initial body's holdout error is still {} times the optimised \
-             body's ({initial} % against {optimised} %, {}).{}",
+            "After {iterations} iterations of the decoder, the held-out error of the initial body is still {} times that of the trained \
+             body ({initial} % against {optimised} %, {}).{}",
             number(ratio.ratio),
             interval(&ratio),
             by_medians(|set| paired::long_ratio(&trials, set))
@@ -149,8 +146,8 @@ fn placing(found: &Placed) -> Option<Answer> {
         "placed",
         verdict(&by_training),
         format!(
-            "{}, M = {}: sensors placed by a search instead of at random lower the initial body's error from {} to {} % ({} \
-             times less, {}). Training the body lowers it further to {} % ({} times less, {}).{} Sensors needed for an error \
+            "{}, M = {}: sensors placed by a search instead of at random reduce the error of the initial body from {} to {} % (factor \
+             {}, {}). Training the body reduces it further to {} % (factor {}, {}).{} Sensors needed for an error \
              of 20, 10 and 5 % (95 % interval): initial body {} at random, {} placed; trained body {} at random, {} placed.",
             found.label,
             level.sensors,
@@ -202,7 +199,7 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
     });
     let text = match initial == optimised {
         true => format!("{}: both bodies: {initial}.", group.label),
-        false => format!("{}: optimised body: {optimised}. Initial body: {initial}.", group.label),
+        false => format!("{}: trained body: {optimised}. Initial body: {initial}.", group.label),
     };
     let mut said = vec![Answer::new("sensors", None, text)];
     for (body, height) in Body::ALL.into_iter().flat_map(|body| Height::ALL.map(|height| (body, height))) {
@@ -214,7 +211,7 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
             let text = format!(
                 "{}: means and medians over samples disagree on the {} body ({}): {} by means, {} by medians.",
                 group.label,
-                body.name(),
+                body.word(),
                 height.name(),
                 verdict_text(mean.verdict),
                 verdict_text(median.verdict)
@@ -223,7 +220,7 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
         }
     }
     let [initial, optimised] = Body::ALL.map(|body| decide(&curve(body), terms));
-    let price = terms.price.map_or(String::new(), |p| format!("least error + {} % × M", number(p)));
+    let price = terms.price.map_or(String::new(), |p| format!("smallest error + {} % × M", number(p)));
     let within = format!("smallest M within {} % of the best", number(100.0 * terms.within));
     for (what, of) in [
         (within, (|d| Some(&d.within)) as fn(&Decisions) -> Option<&Decision>),
@@ -234,23 +231,25 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
             said.push(Answer::new(
                 "sensors",
                 None,
-                format!("{}: {what}: optimised body {optimised}; initial body {initial}.", group.label),
+                format!("{}: {what}: trained body {optimised}; initial body {initial}.", group.label),
             ));
         }
     }
     if let Some(f) = fewer(&curve(Body::Initial), &curve(Body::Optimised)) {
-        let initial = format!("the initial one with M = {} ({} %)", f.most, number(f.initial_error));
+        let initial = format!("the initial body with M = {} ({} %)", f.most, number(f.initial_error));
         let text = match (f.fewest, f.optimised_error) {
             (Some(m), Some(error)) => {
-                let least = if m == f.most { ", and with fewer it does not" } else { "" };
+                let least = if m == f.most { ", but not with fewer" } else { "" };
                 let votes =
                     f.share.map_or(f.over.clone(), |share| format!("{:.0} % of votes", 100.0 * share));
                 format!(
-                    "the optimised body with M = {m} ({} %) beats {initial}{least} ({votes})",
+                    "the trained body with M = {m} ({} %) has less error than {initial}{least} ({votes})",
                     number(error)
                 )
             }
-            _ => format!("the optimised body beats {initial} with no number of sensors that was tried"),
+            _ => format!(
+                "the trained body has less error than {initial} for none of the tried numbers of sensors"
+            ),
         };
         let verdict = match f.fewest {
             Some(_) => f.share.is_some_and(|share| share >= SURE).then_some(true),
@@ -282,8 +281,8 @@ fn random_bodies(group: &Group) -> Option<Answer> {
         "random",
         verdict(&optimised),
         format!(
-            "{}: the holdout error of {} random bodies is {} times the initial body's ({} of {} are worse) and {} times the \
-             optimised body's ({}).{}",
+            "{}: the held-out error of {} random bodies is {} times that of the initial body ({} of {} are worse) and {} times that of \
+             the trained body ({}).{}",
             group.label,
             found.errors.len(),
             number(initial.ratio),

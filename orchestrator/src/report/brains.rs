@@ -36,13 +36,13 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
         let reach = |r: &Read| r.memory[0].max(r.memory[1]).max(1e-4);
         let all = [even.clone(), networks.clone()].concat();
         let x = Axis::new("memory, each way (s)", Scale::Log, all.iter().map(|r| reach(r)));
-        let mut memory = Plot::new(label, x, Axis::new("holdout error (%)", Scale::Log, errors(&all)));
+        let mut memory = Plot::new(label, x, Axis::new("held-out error (%)", Scale::Log, errors(&all)));
         curves(&mut memory, &even, &with, reach);
         for read in &networks {
             let class = class(&with, &read.trained_with);
             let text = |body: Body| {
                 let error = number(read.errors[body as usize]);
-                format!("{}, error by {}: {error} %", whose(body, &read.trained_with), read.by)
+                format!("{}, error of {}: {error} %", whose(body, &read.trained_with), read.by)
             };
             let at = |body: Body| ((reach(read), read.errors[body as usize]), text(body));
             memory.dots("initial", [at(Body::Initial)]);
@@ -51,8 +51,8 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
         pictures.push(memory.picture());
         // the whole past, and ever more of what comes after
         let waits = past.iter().map(|r| r.memory[1]);
-        let x = Axis::new("wait after the instant, whole past before (s)", Scale::Linear, waits);
-        let mut delay = Plot::new(label, x, Axis::new("holdout error (%)", Scale::Log, errors(&past)));
+        let x = Axis::new("delay after the instant, with the whole past (s)", Scale::Linear, waits);
+        let mut delay = Plot::new(label, x, Axis::new("held-out error (%)", Scale::Log, errors(&past)));
         curves(&mut delay, &past, &with, |r| r.memory[1]);
         pictures.push(delay.picture());
     }
@@ -60,11 +60,11 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
     entries.extend(with.iter().map(|name| (class(&with, name), format!("body trained with {name}"))));
     Figure::some(
         "brains",
-        "Body or brain?",
+        "Body or decoder?",
         format!(
-            "Lines: prediction error on the holdout by a linear decoder, which fits the forces to the signals around each \
-             instant by least squares. Left: against how far it looks back and ahead. Right: with the whole past, against how \
-             long it waits after the instant. Dots beside the lines: networks, at the memory that their shape has.{}",
+            "Lines: held-out error of a linear decoder, fitted by least squares to the signals around each \
+             instant. Left: against its memory before and after the instant. Right: with the whole past, against its \
+             delay after the instant. Dots: networks, at the memory given by their shape.{}",
             left_out(drawn.len(), MOST_SETTINGS)
         ),
         entries,
@@ -126,7 +126,7 @@ fn sentence(label: &str, reads: &[Read]) -> Option<String> {
             let untouched = whole(&best.trained_with).or(trained)?.errors[0];
             let than = if untouched < best.errors[1] { "less" } else { "more" };
             let mut text = format!(
-                "the error by a linear decoder of the whole sample is {} % on the initial body, {than} than by {} on the \
+                "the error of a linear decoder of the whole sample is {} % on the initial body, {than} than that of {} on the \
                  body trained with {} ({} %)",
                 number(untouched),
                 best.by,
@@ -147,7 +147,7 @@ fn sentence(label: &str, reads: &[Read]) -> Option<String> {
         (None, Some(read)) => {
             let [initial, optimised] = read.errors.map(number);
             format!(
-                "the error by a linear decoder of the whole sample is {initial} % on the initial body and {optimised} % on the \
+                "the error of a linear decoder of the whole sample is {initial} % on the initial body and {optimised} % on the \
                  body trained with it"
             )
         }

@@ -25,13 +25,13 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
     let names = told_apart(read.map(|body| &body.name[..]));
     Figure::some(
         "casts",
-        "What is left once the body is cast?",
+        "How does casting affect the error?",
         format!(
-            "Prediction error on the holdout over casts that no training has seen, which scatter as [variation] says. Dots: \
-             the median cast; lines: from there up to the 90th percentile; geometric means over trials. First place: the body \
-             as designed. Then the brains that read the casts: one fitted to the body as designed, one to other casts, and \
-             one to so many records of each cast beside those. Trained: for the body as designed (nominal), or over casts by \
-             objective and by whether one brain reads all or each its own.{}",
+            "Held-out error on casts that were not used in training and vary according to [variation]. Dots: \
+             the median cast; lines: up to the 90th percentile; geometric means over trials. First position: the body \
+             as designed. Others: decoders fitted to the body as designed, to other casts, and \
+             to these casts and records of each cast. Trained: for the body as designed (nominal), or over casts, by \
+             objective and by one decoder for all casts or one for each.{}",
             left_out(found.len(), MOST_SETTINGS)
         ),
         legend(&names),
@@ -73,7 +73,7 @@ pub(super) fn side_by_side(label: &str, places: Vec<String>, marks: Vec<(&str, V
     let places = places.into_iter().enumerate().map(|(i, name)| (i as f64, name)).collect();
     let x = Axis::new("", Scale::Linear, [-0.5, count - 0.5]).with_names(places);
     let errors: Vec<f64> = marks.iter().flat_map(|(_, marks)| marks.iter().flat_map(|mark| mark.1)).collect();
-    let y = Axis::new("holdout error (%)", Scale::Log, errors);
+    let y = Axis::new("held-out error (%)", Scale::Log, errors);
     let mut plot = Plot::new(label, x, y).sized((45.0 + 85.0 * count).max(320.0), 300.0);
     for (class, marks) in marks {
         for (x, ends, _) in &marks {
@@ -114,14 +114,14 @@ fn brain(by: CastBrain) -> String {
     match by {
         CastBrain::Network => "the network of the body as designed".into(),
         CastBrain::NetworkCasts => "one network for all casts".into(),
-        CastBrain::Nominal => "the linear brain of the body as designed".into(),
-        CastBrain::Casts => "one linear brain for all casts".into(),
+        CastBrain::Nominal => "the linear decoder of the body as designed".into(),
+        CastBrain::Casts => "one linear decoder for all casts".into(),
         CastBrain::Records(records) => {
-            format!("a linear brain fitted to {records} records of each cast")
+            format!("a linear decoder fitted to {records} records of each cast")
         }
         CastBrain::Inverse => format!("the model of the design, inverted ({})", some()),
         CastBrain::TwinLinear(records) => {
-            format!("a linear brain fitted to a twin, calibrated on {records} records of each cast")
+            format!("a linear decoder fitted to a twin, calibrated on {records} records of each cast")
         }
         CastBrain::Twin(records) => {
             format!("a twin calibrated on {records} records of each cast, inverted ({})", some())
@@ -131,7 +131,7 @@ fn brain(by: CastBrain) -> String {
 
 /// Inverse brains do not read the whole holdout of a cast.
 fn some() -> String {
-    format!("at most {INVERTED_OF_A_CAST} samples of the holdout")
+    format!("at most {INVERTED_OF_A_CAST} held-out samples")
 }
 
 fn tick(by: CastBrain) -> String {
@@ -164,7 +164,7 @@ pub fn answers(trials: &[Trial]) -> Vec<Answer> {
             };
             let told: Vec<String> = setting.bodies.iter().filter_map(told).collect();
             let text = format!(
-                "{}, error on the median cast [on the 90th percentile] by {}: {}.",
+                "{}, error on the median cast [90th percentile] with {}: {}.",
                 setting.label,
                 brain(by),
                 told.join("; ")

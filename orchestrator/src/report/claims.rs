@@ -91,7 +91,7 @@ pub fn figure(found: &[Vec<Evidence>]) -> Option<Figure> {
     (!rows.is_empty()).then(|| {
         Figure::new(
             "claims",
-            "Beside the paper's numbers",
+            "Comparison with the paper's numbers",
             "Ratios on unseen samples (holdout), with 95 % intervals over seeds and placements. Claims have the numbers of the \
              table.",
             legend(&keys),

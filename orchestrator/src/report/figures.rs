@@ -15,7 +15,7 @@ use crate::analysis::{Body, Height, Interval, Question, Set, Terms, Trial, Verdi
 use crate::look::{Axis, Figure, Plot, Scale, Table, legend, number, row};
 
 /// The usual legend.
-pub const BODIES: [(&str, &str); 2] = [("initial", "initial body"), ("optimised", "optimised body")];
+pub const BODIES: [(&str, &str); 2] = [("initial", "initial body"), ("optimised", "trained body")];
 
 /// Dots of a way of training each; further ones share one.
 const DOTS: [&str; 5] = ["dot optimised", "dot front", "dot fourth", "dot fifth", "dot truth"];
@@ -30,7 +30,7 @@ const MOST_PLOTS: usize = 6;
 type Point = (f64, f64);
 
 fn errors(values: impl IntoIterator<Item = f64>) -> Axis {
-    Axis::new("holdout error (%)", Scale::Log, values)
+    Axis::new("held-out error (%)", Scale::Log, values)
 }
 
 /// M, with a tick at each that there is.
@@ -49,7 +49,7 @@ pub fn pairs(trials: &[Trial]) -> Option<Figure> {
     }
     let all: Vec<f64> = points.iter().flat_map(|p| [p.1, p.2]).collect();
     let axis = |label| Axis::new(label, Scale::Log, all.iter().copied());
-    let (x, y) = (axis("holdout error, initial body (%)"), axis("holdout error, optimised body (%)"));
+    let (x, y) = (axis("held-out error, initial body (%)"), axis("held-out error, trained body (%)"));
     let mut plot = Plot::new("Each trial", x, y);
     let (low, high) = all.iter().fold((f64::INFINITY, 0.0f64), |(l, h), e| (l.min(*e), h.max(*e)));
     plot.line("equal", [(low, low), (high, high)]);
@@ -87,10 +87,10 @@ pub fn pairs(trials: &[Trial]) -> Option<Figure> {
     );
     Some(Figure::new(
         "pairs",
-        "Did the body get better?",
-        "Prediction error on the holdout: samples that were used neither to train the brain nor to choose the body. A dot \
-         is a trial; the same kind of brain was trained on its initial and on its optimised body. Below the dotted line \
-         the optimised body is better.",
+        "Does training improve the body?",
+        "Held-out error: on samples used neither to train the decoder nor to select the body. Each dot is \
+         a trial; the same kind of decoder was trained on its initial and on its trained body. Below the dotted line \
+         the trained body is better.",
         keys,
         vec![plot.picture()],
         data,
@@ -107,13 +107,13 @@ pub fn sensors(trials: &[Trial], terms: Terms) -> Option<Figure> {
         let mut plot = Plot::new(&group.label, sensors_axis(&group.trials), errors(all));
         let mut marked = 0;
         for (body, points) in &curves {
-            let (name, curve) = (body.name(), levels(points));
+            let (name, word, curve) = (body.name(), body.word(), levels(points));
             plot.band(name, &curve.iter().map(|l| (l.at, l.least, l.most)).collect::<Vec<_>>());
             plot.line(name, curve.iter().map(|l| (l.at, l.mean)));
             let dots = curve.iter().map(|l| {
                 let [mean, least, most] = [l.mean, l.least, l.most].map(number);
                 let text =
-                    format!("{name} body, M = {}: {mean} % ({least} to {most} %, {} trials)", l.at, l.trials);
+                    format!("{word} body, M = {}: {mean} % ({least} to {most} %, {} trials)", l.at, l.trials);
                 ((l.at, l.mean), text)
             });
             plot.dots(name, dots);
@@ -134,8 +134,8 @@ pub fn sensors(trials: &[Trial], terms: Terms) -> Option<Figure> {
         "sensors",
         "How many sensors are enough?",
         format!(
-            "Prediction error on the holdout against the number of sensors: geometric mean over placements and seeds, \
-             shaded from the best to the worst of them. A dotted line marks the elbow, where there is one (broken stick \
+            "Held-out error against the number of sensors: geometric mean over placements and seeds, \
+             shaded from the best to the worst of them. A dotted line marks the elbow, if there is one (broken stick \
              on ln error; votes by bootstrap over placements and seeds).{rest}"
         ),
         legend(&BODIES),
@@ -162,7 +162,7 @@ pub fn placed_sensors(trials: &[Trial]) -> Option<Figure> {
             let (way, style) = if *searched { ("placed", "") } else { ("at random", " thin") };
             let class = format!("{}{style}", body.name());
             plot.line(&class, points.iter().copied());
-            let text = |m, error| format!("{} body, M = {m} {way}: {} %", body.name(), number(error));
+            let text = |m, error| format!("{} body, M = {m} {way}: {} %", body.word(), number(error));
             plot.dots(&class, points.iter().map(|&(m, error)| ((m, error), text(m, error))));
         }
         pictures.push(plot.picture());
@@ -170,8 +170,8 @@ pub fn placed_sensors(trials: &[Trial]) -> Option<Figure> {
     Figure::some(
         "placed",
         "Place sensors well, or train the body?",
-        "Prediction error on the holdout against the number of sensors. Faint: sensors at random. Strong: sensors placed by \
-         a search that sees training samples alone. Geometric means over placements and seeds.",
+        "Held-out error against the number of sensors. Faint: sensors at random. Strong: sensors placed by \
+         a search that uses only training samples. Geometric means over placements and seeds.",
         legend(&BODIES),
         pictures,
         || Question::Placed.answer(trials, Terms::default()),
@@ -204,9 +204,9 @@ pub fn random_bodies(trials: &[Trial]) -> Option<Figure> {
     };
     Figure::some(
         "random",
-        "Would any other body have done?",
-        "Prediction error on the holdout of random castable bodies, of the initial and of the optimised body, with equal \
-         sensors, stimuli and training of the network. A dot is a trial. The data also hold the errors of the random \
+        "Would any other body do?",
+        "Held-out error of random castable bodies, of the initial and of the trained body, with equal \
+         sensors, stimuli and training of the network. Each dot is a trial. The data also contain the errors of the random \
          bodies after training.",
         vec![],
         random_groups(&refs).into_iter().filter_map(picture).collect(),
@@ -235,7 +235,7 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
     type Curves = fn(&Trial) -> &[Vec<Vec<CurvePoint>>; 2];
     let ways: [(&str, &str, Curves); 3] = [
         ("", "training loss (normalised)", |t| &t.curves),
-        ("", "holdout error (%)", |t| &t.error_curves),
+        ("", "held-out error (%)", |t| &t.error_curves),
         (", long training", "training loss (normalised)", |t| &t.long_curves),
     ];
     let groups = groups(&refs, &[SENSORS, COMPLEXITY].concat());
@@ -249,7 +249,7 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
         }
         let label = format!("{}{way}", group.label);
         let all = || curves.iter().flat_map(|c| c.1.iter());
-        let x = Axis::new("brain iterations", Scale::Log, all().map(|p| p.0));
+        let x = Axis::new("decoder iterations", Scale::Log, all().map(|p| p.0));
         let y = Axis::new(quantity, Scale::Log, all().flat_map(|p| [p.1, p.3]));
         let mut plot = Plot::new(&label, x, y);
         for (body, curve) in &curves {
@@ -261,11 +261,11 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
     }
     Some(Figure::new(
         "losses",
-        "Is the body easier to learn from?",
+        "Does the network need fewer iterations?",
         format!(
-            "Fresh networks of one architecture and budget, trained on the initial and on the optimised body: median over \
-             trials, the middle half shaded. The target is the best value that the worse of the two bodies reaches. To \
-             reach it, a network on the initial body takes a multiple of the iterations of one on the optimised body: {}.",
+            "New networks of one architecture and budget, trained on the initial and on the trained body: median over \
+             trials, the middle half shaded. The target is the best value that the worse of the two bodies reaches. \
+             Iterations to the target, initial over trained body: {}.",
             ratios.join(", ")
         ),
         legend(&BODIES),
@@ -313,7 +313,7 @@ pub fn complexity(trials: &[Trial]) -> Option<Figure> {
         }
         let mut plot = Plot::new(&group.label, x, errors(all().map(|o| o.error)));
         for (body, points) in &curves {
-            let (name, curve) = (body.name(), levels(points));
+            let (name, word, curve) = (body.name(), body.word(), levels(points));
             let found = scaling(points);
             let law = match &found {
                 Err(why) => why.to_string(),
@@ -324,7 +324,7 @@ pub fn complexity(trials: &[Trial]) -> Option<Figure> {
                     format!("b = {}{exponent}, c = {} %", number(found.law.exponent), number(found.law.floor))
                 }
             };
-            laws.push((format!("{}, {name} body", group.label), law));
+            laws.push((format!("{}, {word} body", group.label), law));
             match found.ok().filter(|found| found.not_identifiable.is_none()) {
                 Some(found) => {
                     let (low, high) = (curve[0].at, curve[curve.len() - 1].at);
@@ -335,17 +335,17 @@ pub fn complexity(trials: &[Trial]) -> Option<Figure> {
                 }
                 None => plot.line(name, curve.iter().map(|l| (l.at, l.mean))),
             }
-            let text = |at, error| format!("{name} body, N = {at}: {} %", number(error));
+            let text = |at, error| format!("{word} body, N = {at}: {} %", number(error));
             plot.dots(name, points.iter().map(|o| ((o.at, o.error), text(o.at, o.error))));
         }
         pictures.push(plot.picture());
     }
     Figure::some(
         "complexity",
-        "What does a more complex body buy?",
+        "Does a more complex body have less error?",
         format!(
-            "Prediction error on the holdout against the number of design parameters of the body, for one task, its \
-             sensors and its network. A dot is a trial. Where the law L = a·(N/N₀)^(−b) + c is identified, its fit is \
+            "Held-out error against the number of design parameters of the body, for one task, its \
+             sensors and its network. Each dot is a trial. Where the law L = a·(N/N₀)^(−b) + c is identified, its fit is \
              drawn with a 95 % band; elsewhere a line joins the means. {}.",
             told(&laws)
         ),
@@ -413,16 +413,16 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
         }
         pictures.push(plot.picture());
     }
-    let key = [("thin", "trial"), ("optimised", "mean of a way of training"), ("front", "Pareto front")];
-    let of_many = if sparsest > 1 { format!(" (at most {MOST_LINES} a setting)") } else { String::new() };
+    let key = [("thin", "trial"), ("optimised", "mean of a training method"), ("front", "Pareto front")];
+    let of_many = if sparsest > 1 { format!(" (at most {MOST_LINES} per setting)") } else { String::new() };
     let caption = format!(
-        "Best test error so far of the brain inside the outer loop, against the CPU seconds of training its body, as if \
-         each trial had trained it itself (without the evaluation). Thin: single trials{of_many}. Thick: geometric mean of each way of training. On the Pareto front \
+        "Best test error so far of the decoder in the outer loop, against the CPU seconds of training its body, as if \
+         each trial had trained its body itself (without the evaluation). Thin: single trials{of_many}. Thick: geometric mean of each training method. For a trial on the Pareto front, \
          no other trial has both less error and less time.{}",
         left_out(settings.len(), MOST_PLOTS)
     );
     let data = || Table::new("hash protocol seconds best_error_test", rows);
-    Figure::some("run_time", "What did the error cost in time?", caption, legend(&key), pictures, data)
+    Figure::some("run_time", "How much time did the error take?", caption, legend(&key), pictures, data)
 }
 
 /// A history as a staircase.

@@ -19,7 +19,7 @@ pub fn html(title: &str, found: &Table, notes: &[String], figures: &[Figure]) ->
         @for note in notes { pre { (note) } }
         @for figure in figures { (figure.html(&[])) }
     };
-    page(title, "Which material gave these records?", content)
+    page(title, "Which material explains these records?", content)
 }
 
 /// The records of least, middle and most misfit: acceleration and rotation rate of the sensor that moves most.
@@ -138,7 +138,7 @@ fn course(fit: &Identified) -> Figure {
     let columns = format!("iteration window_seconds misfit_acceleration misfit_rotation{names}");
     Figure::new(
         "convergence",
-        "How did the fit go?",
+        "How did the fit converge?",
         "Misfit within a window that starts at each record's first force and grows. Where the fit fails in a window, it \
          starts again from other values.",
         vec![("truth", "accelerations".into()), ("front", "rotation rates".into())],

@@ -110,8 +110,8 @@ pub fn figures(story: &Story, threads: usize) -> (Vec<Figure>, Option<String>) {
 }
 
 /// What an error is, at the head of the page.
-const RATIO_OF_ENERGIES: &str = "An error is a ratio of energies, 100·Σ(f − f̂)²/Σf² of a sample, averaged over samples: an error of \
-    5.7 % is an RMS error of 24 %. A median is over the same samples; it does not follow a few samples of large error.";
+const RATIO_OF_ENERGIES: &str = "An error is a ratio of energies, 100·Σ(f − f̂)²/Σf² per sample, averaged over samples: an error of \
+    5.7 % is an RMS error of 24 %. A median is over the same samples and is robust against a few large errors.";
 
 /// The whole page.
 pub fn html(story: Story, figures: &[Figure], missing: Option<&str>) -> String {
@@ -149,8 +149,7 @@ pub fn html(story: Story, figures: &[Figure], missing: Option<&str>) -> String {
         (provenance(&story))
         @if figures.iter().any(|figure| figure.moving.is_some()) { script { (PreEscaped(SCRIPT)) } }
     };
-    let question =
-        "Does training the body make sensing better, how many sensors are enough, and what did it cost?";
+    let question = "Does training the body reduce the error, how many sensors are enough, and how much time did it take?";
     // Of many trials, what they were is larger than the page.
     drop(story);
     page(&title, question, content)
@@ -182,11 +181,11 @@ fn provenance(story: &Story) -> Markup {
             }
         }
         p {
-            "Seeds of the trials that are done: " (if seeds.is_empty() { "none" } else { &seeds }) ". Bootstrap: all ways to draw, or "
+            "Seeds of the finished trials: " (if seeds.is_empty() { "none" } else { &seeds }) ". Bootstrap: all ways to draw, or "
             (REPLICATES) " of them, seed " (SEED) ". Report by metasense " (env!("CARGO_PKG_VERSION")) "."
         }
         @for sweep in &story.sweeps {
-            p { "Sweep " b { (sweep.name) } ", begun " (sweep.created_at) " by metasense " (sweep.version) ":" }
+            p { "Sweep " b { (sweep.name) } ", started " (sweep.created_at) " by metasense " (sweep.version) ":" }
             pre { (sweep.text) }
         }
     }

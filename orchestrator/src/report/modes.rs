@@ -46,14 +46,14 @@ pub fn figure(stored: &Stored, drawings: &[Sketch; 2], who: &str) -> Result<Figu
     for body in Body::ALL {
         let modes = slowest(&stored.specs[body as usize], &stored.designs[body as usize], SHOWN)?;
         for (n, mode) in modes.iter().enumerate() {
-            let label = format!("{} {}", body.name(), title(n, mode));
+            let label = format!("{} {}", body.word(), title(n, mode));
             pictures.push(swinging(&drawings[body as usize], frame, mode, &label));
             rows.push([row![body.name()], row(n, mode)].concat());
         }
     }
     Ok(Figure::new(
         "modes",
-        "How the bodies ring",
+        "Eigenmodes of the bodies",
         format!(
             "The slowest modes of small motions about rest of {who}: the initial body's above, the optimised body's below. \
              Titles give frequency and damping relative to critical. Motion is drawn far out of scale; units are coloured \

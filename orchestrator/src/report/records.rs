@@ -134,11 +134,14 @@ impl Comparison {
             let (name, error, n) = (&body.name, shown(judged.error()), judged.errors.len());
             let mut text = match judged.posterior {
                 Some(said) => {
-                    format!("The {name} body: error {error} % on {n} records by its model{}", held(said))
+                    format!(
+                        "The {name} body: error {error} % on {n} records with its model inverted{}",
+                        held(said)
+                    )
                 }
                 None => format!(
-                    "The {name} body: error {error} % on {n} records that its network has not seen, {} % on those it was \
-                     trained on",
+                    "The {name} body: error {error} % on {n} records not used to train its network, {} % on its training \
+                     records",
                     shown(judged.error_train)
                 ),
             };
@@ -148,8 +151,8 @@ impl Comparison {
             if let Some(taught) = self.of(body, By::Twin) {
                 let (error, whose) = (shown(taught.error()), taught.posterior);
                 text += &match whose {
-                    Some(said) => format!("; {error} % by its twin{}", held(said)),
-                    None => format!("; {error} % by networks trained on its twin"),
+                    Some(said) => format!("; {error} % with its twin{}", held(said)),
+                    None => format!("; {error} % with networks trained on its twin"),
                 };
             }
             said.push(Answer::new("", None, text + "."));
@@ -164,8 +167,8 @@ impl Comparison {
             let promised = ratio(By::Simulated)
                 .map_or(String::new(), |r| format!("; {} times with simulated signals", number(r.ratio)));
             let text = format!(
-                "On {} the {} body's error is {} times the {} body's{interval}{promised}.",
-                if body.by == By::Holdout { "the holdout" } else { "unseen records" },
+                "On {} the error of the {} body is {} times that of the {} body{interval}{promised}.",
+                if body.by == By::Holdout { "the held-out set" } else { "unseen records" },
                 self.bodies[0].name,
                 number(found.ratio),
                 body.name
@@ -205,10 +208,10 @@ impl Comparison {
             (self.table().html(Some("table")))
         };
         let question = match self.inverse() {
-            true => "How well does the inverse brain read forces from signals?",
-            false => "How well do fresh networks read forces from measured signals?",
+            true => "How well does the inverse decoder estimate forces?",
+            false => "How well do new networks estimate forces from measured signals?",
         };
-        page("metasense: bodies judged by records", question, content)
+        page("metasense: bodies compared on records", question, content)
     }
 
     /// Whether the inverse brain reads.
@@ -270,10 +273,10 @@ impl Comparison {
         entries.extend(self.legend());
         let mut data = Table::new("body record panel seconds force predicted low high", rows);
         let by = match self.inverse() {
-            true => "the inverse brain, with its 95 % bands",
+            true => "the inverse decoder, with its 95 % bands",
             false => {
                 data.drop_columns(&["low", "high"]);
-                "networks that have not seen these records (first seed)"
+                "networks not trained on these records (first seed)"
             }
         };
         Figure::new(
@@ -310,12 +313,12 @@ impl Comparison {
         };
         Figure::new(
             "errors",
-            "Error of every record",
+            "Error of each record",
             format!(
                 "Prediction error of each record by {}{}.",
                 match self.inverse() {
-                    true => "the inverse brain",
-                    false => "networks that have not seen it, means over seeds",
+                    true => "the inverse decoder",
+                    false => "networks not trained on it, means over seeds",
                 },
                 if self.paired { "; the bodies' errors under the same blow are joined" } else { "" }
             ),
@@ -330,7 +333,7 @@ impl Comparison {
         let curves =
             || judged.iter().filter(|judged| judged.by == By::Measured).map(|judged| &judged.progress);
         let points = || curves().flatten();
-        let x = Axis::new("iterations of the brain", Scale::Log, points().map(|p| f64::from(p.0)));
+        let x = Axis::new("iterations of the decoder", Scale::Log, points().map(|p| f64::from(p.0)));
         let y = Axis::new("error on unseen records (%)", Scale::Log, points().map(|p| p.1));
         let mut plot = Plot::new("Networks during training, measured signals", x, y);
         for (b, curve) in curves().enumerate() {

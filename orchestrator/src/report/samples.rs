@@ -80,7 +80,7 @@ impl Replayed {
         let (k, m, placement, seed) = (p.panels, p.sensors, p.placement, p.seed);
         let [by, with] = brains_of(&serde_json::to_value(self.stored.spec()).unwrap_or_default());
         format!(
-            "trial {short} (K = {k}, M = {m}, placement {placement}, seed {seed}; trained with {with}, read by {by})"
+            "trial {short} (K = {k}, M = {m}, placement {placement}, seed {seed}; trained with {with}, decoder {by})"
         )
     }
 
@@ -136,21 +136,23 @@ impl Replayed {
         let (pictures, step) = strips(&samples, &names, " N", duration);
         let which = match chosen {
             [one] => format!("test sample {one}"),
-            _ => "test samples at the 12th, 37th, 62nd and 87th percentile of the optimised body's error"
-                .into(),
+            _ => {
+                "test samples at the 12th, 37th, 62nd and 87th percentile of the trained body's error".into()
+            }
         };
         Figure::new(
             "forces",
             "True and predicted forces",
             format!(
-                "Force histories of {which} of {}, and the predictions by each body's brain, of networks \
-                 the first. Each panel's line is drawn {} N above the next. The titles give the sample's error on \
-                 the initial and on the optimised body, over all panels.{}",
+                "Force histories of {which} of {}, and the predictions of each body's decoder (the first \
+                 network). Each panel's line is drawn {} N above the next. The titles give the sample's error on \
+                 the initial and on the trained body, over all panels.{}",
                 self.who(),
                 number(step),
                 match self.stored.bands[1][0].is_empty() && replays[1].half_widths.is_empty() {
                     true => "",
-                    false => " At every instant the true force lies in the shaded band of a body with 95 %.",
+                    false =>
+                        " At each instant the shaded band of a body contains the true force with probability 95 %.",
                 }
             ),
             legend(&[("truth", "true force"), BODIES[0], BODIES[1]]),
@@ -168,17 +170,17 @@ impl Replayed {
         pairs.sort_by(|a, b| a.1.total_cmp(&b.1));
         let bodies = Body::ALL.map(|body| Errors {
             class: body.name(),
-            body: body.name(),
+            body: body.word(),
             errors: pairs.iter().map(|p| (p.0, [p.1, p.2][body as usize])).collect(),
         });
-        let plot = dots("Every test sample", "test samples, by the initial body's error", &bodies, true);
+        let plot = dots("Each test sample", "test samples, by the initial body's error", &bodies, true);
         let better = pairs.iter().filter(|p| p.2 < p.1).count();
         Figure::new(
             "samples",
-            "Error of every test sample",
+            "Error of each test sample",
             format!(
                 "Prediction error of each test sample of {}. A line joins the sample's error on the initial body and on \
-                 the optimised one. The optimised body is better in {better} of {} samples.",
+                 the trained body. The trained body is better in {better} of {} samples.",
                 self.who(),
                 pairs.len()
             ),
@@ -193,8 +195,8 @@ impl Replayed {
         let [initial, optimised] = &self.stored.designs;
         let moved = initial.iter().zip(optimised).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         let caption = format!(
-            "Initial and optimised body of {}: units, ligaments, input panels (arrows in the direction of the blow), \
-             sensors (dots); clamped units have a shade of their own. Constraints at their limit: {} and {}{}. The \
+            "Initial and trained body of {}: units, ligaments, input panels (arrows in the direction of the force), \
+             sensors (dots); clamped units are shaded. Constraints at their limit: {} and {}{}. The \
              largest change of a shift is {} mm.{}",
             self.who(),
             held[0],
@@ -204,7 +206,7 @@ impl Replayed {
             self.unlimited()
         );
         let drawn = Body::ALL.map(|body| {
-            (format!("{} body", body.name()), body.name().to_owned(), self.bodies[body as usize].clone())
+            (format!("{} body", body.word()), body.name().to_owned(), self.bodies[body as usize].clone())
         });
         body::figure("bodies", "The body before and after", caption, &drawn)
     }
@@ -215,7 +217,7 @@ impl Replayed {
         match metasense_worker::problem::layout(&spec.body) {
             Ok(layout) if !spec.feasible.limits => {
                 format!(
-                    " Nothing limits designs: of the optimised body {}.",
+                    " Designs are not limited: in the trained body {}.",
                     overlaps(&layout, &self.stored.designs[1])
                 )
             }
@@ -268,8 +270,8 @@ impl Replayed {
             "waves",
             "The wave in the body",
             format!(
-                "Speed of every unit (0 to {} mm/s; colour goes by its square root) at four instants and as an animation, \
-                 under test sample {sample} of {}. Both bodies receive the same blows and are drawn as displaced.",
+                "Speed of each unit (0 to {} mm/s; the colour follows its square root) at four instants and as an animation, \
+                 under test sample {sample} of {}. The same forces act on both bodies, drawn as displaced.",
                 number(most),
                 self.who()
             ),

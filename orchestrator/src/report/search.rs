@@ -29,10 +29,10 @@ pub struct Sought {
 
 /// Marks by how far a class's best candidate has come, and what a legend says of them.
 const STAGES: [(&str, &str); 4] = [
-    ("initial", "predicted, not begun"),
+    ("initial", "predicted, not started"),
     ("fourth", "partly trained"),
     ("front", "trained"),
-    ("optimised", "read on fresh seeds"),
+    ("optimised", "evaluated on fresh seeds"),
 ];
 
 /// What the columns of the table mean, a line each.
@@ -43,7 +43,7 @@ pub const COLUMNS: [&str; 6] = [
     "meets: of a confirmed design the probability that its error on a further seed is at most goal.error; of others the probability that \
      they will be confirmed",
     "any_meets: the same for any candidate of the class",
-    "begun: how many of the candidates of the class have at least part of their training",
+    "begun: number of candidates of the class that are at least partly trained",
 ];
 
 impl Sought {
@@ -116,7 +116,7 @@ impl Sought {
         )];
         if self.failed > 0 {
             let failed = counted(self.failed, "trial");
-            lines.push(format!("{failed} failed and cannot be chosen; --retry-failed runs them again"));
+            lines.push(format!("{failed} failed and cannot be chosen; --retry-failed resumes them"));
         }
         let needed = self.requirement();
         let is_over = decision.work.is_empty();
@@ -126,7 +126,7 @@ impl Sought {
             let least = (100.0 * meets + 1e-9).floor().min(99.0);
             lines.push(format!("{so_far}the cheapest design that meets {needed}: {}", trial.hash));
             lines.push(format!(
-                "it meets this on a further seed with a probability of at least {least} %: by {} seeds that had no part in its choice, \
+                "it meets this on a further seed with a probability of at least {least} %, from {} seeds not used in its choice, \
                  corrected for all attempts to confirm a design",
                 confirming(&space.goal)
             ));

@@ -15,11 +15,11 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
     let names = told_apart(found.iter().flat_map(|setting| &setting.bodies).map(|body| &body.name[..]));
     Figure::some(
         "transfer",
-        "What is a body worth under forces that it was not trained for?",
+        "How well does a body work under forces that it was not trained for?",
         format!(
-            "Prediction error on the holdout under each kind of forces by linear brains, geometric means over trials. Dots: \
-             fitted to samples under these forces; lines: from there to a brain fitted under those that trained the body. \
-             Trained: under which forces.{}",
+            "Held-out error of linear decoders under each kind of forces, geometric means over trials. Dots: \
+             decoders fitted under these forces; lines: up to decoders fitted under the training forces of the body. \
+             Trained: the training forces.{}",
             left_out(found.len(), MOST_SETTINGS)
         ),
         legend(&names),
@@ -59,7 +59,7 @@ pub fn answers(trials: &[Trial]) -> Vec<Answer> {
     let said = settings(&refs).into_iter().map(|setting| {
         let bodies: Vec<String> = setting.bodies.iter().map(|body| told(&setting, body)).collect();
         let text = format!(
-            "{}, error by a linear brain fitted under the forces that it reads, by what trained the body: {}.",
+            "{}, error of a linear decoder fitted under the same forces, by the training forces of the body: {}.",
             setting.label,
             bodies.join("; ")
         );

@@ -78,15 +78,15 @@ impl fmt::Display for Answer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let back = |f: &mut fmt::Formatter<'_>, running: usize| match running {
             0 => f.write_str("no trial is running"),
-            1 => f.write_str("1 running trial is taken back after its step in progress"),
-            n => write!(f, "{n} running trials are taken back after their steps in progress"),
+            1 => f.write_str("1 running trial stops after its step in progress"),
+            n => write!(f, "{n} running trials stop after their steps in progress"),
         };
         match self {
             Self::Paused(running) => {
                 f.write_str("paused: ")?;
                 back(f, *running)
             }
-            Self::Resumed(waiting) => write!(f, "goes on: trials that wait: {waiting}"),
+            Self::Resumed(waiting) => write!(f, "resumed; pending trials: {waiting}"),
             Self::Stopping(running, grace) => {
                 f.write_str("stopping: ")?;
                 back(f, *running)?;
@@ -97,16 +97,16 @@ impl fmt::Display for Answer {
             }
             Self::Cancelled(false) => f.write_str("cancelled"),
             Self::Cancelled(true) => f.write_str("cancelled: it ends after its step in progress"),
-            Self::Next(false) => f.write_str("goes to the next worker that is free"),
-            Self::Next(true) => f.write_str(
-                "goes to the next worker that is free once its body, which another trial trains, is trained",
-            ),
+            Self::Next(false) => f.write_str("starts on the next free worker"),
+            Self::Next(true) => {
+                f.write_str("starts on the next free worker when another trial has trained its body")
+            }
             Self::Workers([before, after]) => write!(f, "workers: {before} before, {after} from now on"),
             Self::Added(count) => write!(f, "trials added: {count}"),
-            Self::Refused(Refusal::Stopping) => f.write_str("the run is about to end"),
+            Self::Refused(Refusal::Stopping) => f.write_str("the run is stopping"),
             Self::Refused(Refusal::Done) => f.write_str("the trial is done"),
-            Self::Refused(Refusal::Failed(reason)) => write!(f, "the trial is given up already ({reason})"),
-            Self::Refused(Refusal::Running) => f.write_str("the trial is running already"),
+            Self::Refused(Refusal::Failed(reason)) => write!(f, "the trial has already ended ({reason})"),
+            Self::Refused(Refusal::Running) => f.write_str("the trial is already running"),
         }
     }
 }

@@ -71,7 +71,7 @@ fn slashed(base: &str, query: Option<&str>) -> String {
 fn refused(served: &Served, request: &Request) -> Option<(StatusCode, &'static str)> {
     let steers = request.method() == Method::POST && request.uri().path().ends_with("/control");
     if ![Method::GET, Method::HEAD].contains(request.method()) && !steers {
-        return Some((StatusCode::METHOD_NOT_ALLOWED, "pages can only be read"));
+        return Some((StatusCode::METHOD_NOT_ALLOWED, "pages are read-only"));
     }
     let headers = request.headers();
     let host = only(headers, &header::HOST);
@@ -91,7 +91,7 @@ fn refused(served: &Served, request: &Request) -> Option<(StatusCode, &'static s
     if steers && !origin {
         return Some((
             StatusCode::FORBIDDEN,
-            "the request comes from no page: other programs use `metasense control`",
+            "the request does not come from a page: use `metasense control` in other programs",
         ));
     }
     let fetched = |name: &'static str| only(headers, &HeaderName::from_static(name));

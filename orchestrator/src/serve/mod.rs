@@ -208,7 +208,7 @@ struct Refused(String);
 impl IntoResponse for Refusal {
     fn into_response(self) -> Response {
         let (status, why) = match self {
-            Self::NoPage => (StatusCode::NOT_FOUND, "there is no such page".to_owned()),
+            Self::NoPage => (StatusCode::NOT_FOUND, "no such page".to_owned()),
             Self::Asked(why) => (StatusCode::BAD_REQUEST, why),
             Self::Busy => {
                 (StatusCode::SERVICE_UNAVAILABLE, "too many pages are open: close some of them".to_owned())

@@ -38,12 +38,12 @@ async fn steer(served: &Served, at: &str, headers: &HeaderMap, body: Body) -> Re
         return no(StatusCode::UNAUTHORIZED, "needs the token of the address that `metasense serve` printed");
     }
     let Some(db) = source(served, at).ok().and_then(|source| source.db.as_ref()) else {
-        return no(StatusCode::NOT_FOUND, "there is no such database, or it is a folder of shards");
+        return no(StatusCode::NOT_FOUND, "no such database, or it is a folder of shards");
     };
     let bytes = match tokio::time::timeout(ASKING, to_bytes(body, LINE)).await {
         Ok(Ok(bytes)) => bytes,
         Ok(Err(_)) => return no(StatusCode::PAYLOAD_TOO_LARGE, "the command is too long"),
-        Err(_) => return no(StatusCode::REQUEST_TIMEOUT, "the command did not come"),
+        Err(_) => return no(StatusCode::REQUEST_TIMEOUT, "the command did not arrive"),
     };
     let command = String::from_utf8_lossy(&bytes).parse::<Command>();
     let command = command.map_err(|e| (StatusCode::BAD_REQUEST, e.to_string()))?;
@@ -82,8 +82,8 @@ fn panel(
 pub fn of_run(served: &Served, at: &str) -> Markup {
     let buttons = [
         ("pause", "Pause the run"),
-        ("resume", "Resume it"),
-        ("stop", "Stop it"),
+        ("resume", "Resume the run"),
+        ("stop", "Stop the run"),
         ("reload", "Read the spec again"),
     ];
     let workers = html! {
@@ -95,7 +95,7 @@ pub fn of_run(served: &Served, at: &str) -> Markup {
     panel(
         served,
         (at, "control"),
-        "Steer the run",
+        "Control the run",
         &buttons.map(|(line, text)| (line.to_owned(), text)),
         &workers,
     )
@@ -103,6 +103,7 @@ pub fn of_run(served: &Served, at: &str) -> Markup {
 
 /// The panel of a trial that is not done.
 pub fn of_trial(served: &Served, at: &str, hash: &str) -> Markup {
-    let buttons = [(format!("next {hash}"), "Run it next"), (format!("cancel {hash}"), "Cancel it")];
-    panel(served, (at, "../control"), "Steer this trial", &buttons, &html! {})
+    let buttons =
+        [(format!("next {hash}"), "Run this trial next"), (format!("cancel {hash}"), "Cancel this trial")];
+    panel(served, (at, "../control"), "Control this trial", &buttons, &html! {})
 }

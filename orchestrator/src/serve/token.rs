@@ -67,7 +67,7 @@ pub(super) fn turned_away(served: &Served, request: &Request) -> Option<Response
     let mut pairs = cookies.flat_map(|value| value.split(';')).filter_map(|pair| pair.trim().split_once('='));
     let known = pairs.any(|(name, value)| name == cookie && reads(value))
         || bearer(headers).is_some_and(|given| reads(given) || steers(given));
-    let why = "open the whole address that `metasense serve` printed: the key to these pages is in it; programs send it as \
+    let why = "open the complete address that `metasense serve` printed; it contains the key. Programs send the key as \
                `Authorization: Bearer KEY`";
     (!known).then(|| (StatusCode::UNAUTHORIZED, why).into_response())
 }

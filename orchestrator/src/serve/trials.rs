@@ -19,14 +19,14 @@ pub const NUMBERS: [(&str, &str); 18] = [
     ("placement", "placement"),
     ("seed", "seed"),
     ("units", "units"),
-    ("holdout_initial", "holdout, initial (%)"),
-    ("holdout_optimised", "optimised (%)"),
+    ("holdout_initial", "held-out, initial (%)"),
+    ("holdout_optimised", "trained (%)"),
     ("median_initial", "median sample, initial (%)"),
-    ("median_optimised", "optimised (%)"),
+    ("median_optimised", "trained (%)"),
     ("above_initial", "samples above 100 %, initial"),
-    ("above_optimised", "optimised"),
+    ("above_optimised", "trained"),
     ("test_initial", "test, initial (%)"),
-    ("test_optimised", "optimised (%)"),
+    ("test_optimised", "trained (%)"),
     ("best_step", "best step"),
     ("steps", "steps"),
     ("attempts", "attempts"),
@@ -255,7 +255,7 @@ pub fn terms(text: &str) -> Result<Vec<Term>, String> {
 impl Term {
     /// Parses one term. Blanks within the value belong to it.
     fn new(text: &str) -> Result<Self, String> {
-        let none = || format!("`{text}` is not a condition; `M<=3` is one");
+        let none = || format!("`{text}` is not a condition; a condition is, for instance, `M<=3`");
         let found = RELATIONS.iter().filter_map(|r| Some((text.find(r)?, *r)));
         let (at, relation) =
             found.min_by_key(|(at, r)| (*at, std::cmp::Reverse(r.len()))).ok_or_else(none)?;
@@ -339,15 +339,15 @@ impl Trials {
         for term in &terms {
             if term.value.is_empty() && !term.quoted {
                 let (key, relation) = (&term.key, term.relation);
-                return Err(format!("`{term}`: no value is named; {key}{relation}\"\" means an empty one"));
+                return Err(format!(
+                    "`{term}`: the value is missing; {key}{relation}\"\" matches an empty value"
+                ));
             }
             let named =
                 || self.rows.iter().any(|row| term.order(&row.cell(&term.key)) == Some(Ordering::Equal));
             if term.relation == "!=" && !self.rows.is_empty() && !named() {
                 let key = &term.key;
-                return Err(format!(
-                    "`{term}`: no trial has this {key}, so that it would hold of every trial"
-                ));
+                return Err(format!("`{term}`: no trial has this {key}, so all trials would match"));
             }
         }
         Ok(self.found(&terms, ""))
@@ -361,7 +361,7 @@ impl Trials {
             let columns = NUMBERS.map(|(name, _)| name).join(", ");
             let key = &term.key;
             return Err(format!(
-                "no trial has `{key}`: it is no path of a spec here, and no column (hash, state, reason, {columns})"
+                "no trial has `{key}`: it is neither a path of a spec here nor a column (hash, state, reason, {columns})"
             ));
         }
         terms.iter().try_for_each(|term| self.is_comparable(term))
@@ -370,22 +370,20 @@ impl Trials {
     fn is_comparable(&self, term: &Term) -> Result<(), String> {
         let (key, value) = (&term.key, &term.value);
         if key == "state" && term.is_equality() && !STATES.contains(&value.as_str()) {
-            return Err(format!("no trial can be `{value}`: state is {}", STATES.join(", ")));
+            return Err(format!("no trial can be `{value}`: the states are {}", STATES.join(", ")));
         }
         let cells: Vec<Value> =
             self.rows.iter().map(|row| row.cell(key)).filter(|cell| !cell.is_null()).collect();
         let numbers = !cells.is_empty() && cells.iter().all(Value::is_number);
         match term.relation {
             "~" if value.is_empty() => {
-                Err(format!("`{term}`: every text contains an empty one; name a part"))
+                Err(format!("`{term}`: every text contains an empty text; pass a part of the text"))
             }
-            "~" if numbers => {
-                Err(format!("`{term}`: {key} is a number, in which ~ finds no text; compare it"))
-            }
+            "~" if numbers => Err(format!("`{term}`: {key} is a number; use a comparison instead of ~")),
             "=" | "!=" if value.is_empty() => Ok(()),
             "~" => Ok(()),
             _ if numbers && term.number().is_none() => {
-                Err(format!("`{term}`: {key} is a number, `{value}` is none"))
+                Err(format!("`{term}`: {key} is a number, but `{value}` is not"))
             }
             "=" | "!=" => Ok(()),
             _ if !numbers && !cells.is_empty() => {

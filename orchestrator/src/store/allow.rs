@@ -91,7 +91,7 @@ pub(super) async fn refusal(connection: &mut SqliteConnection, sql: &str) -> sql
                 reads
             };
             if known {
-                return Ok(Some("one statement at a time; more follows the first one's `;`".into()));
+                return Ok(Some("one statement at a time; there is more after the first `;`".into()));
             }
             if !reads {
                 return Ok(Some(format!("it writes{NOT_READING}")));
@@ -104,7 +104,7 @@ pub(super) async fn refusal(connection: &mut SqliteConnection, sql: &str) -> sql
 }
 
 /// End of the messages about statements that are refused.
-pub(super) const NOT_READING: &str = "; only what reads rows is answered";
+pub(super) const NOT_READING: &str = "; only statements that read rows are allowed";
 
 /// A string from SQLite; `None` for a null pointer.
 unsafe fn text<'a>(text: *const c_char) -> Option<&'a [u8]> {

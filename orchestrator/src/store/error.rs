@@ -15,7 +15,7 @@ pub(super) const OPENING: &str = "opening";
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// The file or its folder cannot be written.
-    #[error("cannot write the database {}; name another file", path.display())]
+    #[error("cannot write the database {}; choose another file", path.display())]
     Unwritable {
         /// The file.
         path: PathBuf,
@@ -25,7 +25,7 @@ pub enum StoreError {
     /// On a network file system.
     #[error(
         "the database {} would be on {system}, a network file system, where SQLite's write-ahead log does not work: \
-         name a file on a disk of this machine; `cluster merge` copies the finished database anywhere",
+         choose a file on a disk of this machine; `cluster merge` copies the finished database anywhere",
         path.display()
     )]
     NetworkDisk {
@@ -35,7 +35,7 @@ pub enum StoreError {
         system: String,
     },
     /// Another run holds it.
-    #[error("the database {} is in use by another run; wait for it, or name another file", path.display())]
+    #[error("the database {} is in use by another run; wait for it, or choose another file", path.display())]
     InUse {
         /// The file.
         path: PathBuf,
@@ -58,7 +58,7 @@ pub enum StoreError {
     },
     /// Written by a newer program.
     #[error(
-        "the database {} has version {version}, this program reads version {VERSION}: update metasense, or name another file",
+        "the database {} has version {version}, this program reads version {VERSION}: update metasense, or choose another file",
         path.display()
     )]
     Newer {
@@ -100,8 +100,8 @@ pub enum StoreError {
     },
     /// Trials without their steps, curves and arrays.
     #[error(
-        "{} holds facts alone, without steps, curves and arrays: nothing can go on from there; `metasense cluster merge` makes a whole \
-         database of the files that they are of",
+        "{} contains only facts, without steps, curves and arrays, so trials cannot be resumed from it; `metasense cluster merge` without \
+         --facts makes a complete database",
         path.display()
     )]
     FactsAlone {
@@ -125,7 +125,7 @@ pub enum StoreError {
         source: Box<StoreError>,
     },
     /// There is no such file.
-    #[error("there is no database {}; `metasense run SPEC` makes one", path.display())]
+    #[error("no database {}; `metasense run SPEC` creates it", path.display())]
     Missing {
         /// The file.
         path: PathBuf,
@@ -155,7 +155,7 @@ pub enum StoreError {
         attempt: i64,
     },
     /// No such trial.
-    #[error("the database {} holds no trial {hash}", path.display())]
+    #[error("the database {} contains no trial {hash}", path.display())]
     UnknownTrial {
         /// The file.
         path: PathBuf,
@@ -296,10 +296,10 @@ fn hint(source: &sqlx::Error) -> &'static str {
             " failed: another program holds a lock on it and did not release it in time; end that program and run again, nothing \
              recorded is lost"
         }
-        Some(8) => " failed: it is read-only; allow writing, or name another file",
+        Some(8) => " failed: it is read-only; allow writing, or choose another file",
         Some(10) => " failed: the disk reports an error",
         Some(11) => " failed: the file is damaged; restore it from a copy",
-        Some(13) => " failed: the disk is full; make room and run again, nothing recorded is lost",
+        Some(13) => " failed: the disk is full; free space and run again; nothing recorded is lost",
         Some(14) => " failed: it cannot be opened; check the folder and its permissions",
         _ => " failed",
     }

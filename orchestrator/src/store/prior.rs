@@ -105,7 +105,7 @@ impl Store {
             store.touch(id, attempt, 0, 1).await
         })
         .await?;
-        let said = format!("goes on behind step {reached} of trial {name}, which trains the same body");
+        let said = format!("resumes after step {reached} of trial {name}, which trains the same body");
         self.log(hash, attempt, Level::Info, &said).await?;
         Ok(Some(body))
     }

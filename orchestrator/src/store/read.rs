@@ -190,10 +190,10 @@ impl Reader {
     pub async fn columns(&mut self, sql: &str) -> Result<Vec<String>, StoreError> {
         // It ends sqlx's thread, and whoever has asked waits for ever.
         if sql.contains('\0') {
-            return Err(StoreError::Query { message: "a statement holds no NUL".into() });
+            return Err(StoreError::Query { message: "a statement must not contain NUL".into() });
         }
         if sql.chars().all(|c| c.is_whitespace() || c == ';') {
-            return Err(StoreError::Query { message: "there is no statement".into() });
+            return Err(StoreError::Query { message: "the statement is empty".into() });
         }
         if let Some(message) = self.refusal(sql).await? {
             return Err(StoreError::Query { message });

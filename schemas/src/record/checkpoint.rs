@@ -125,7 +125,7 @@ impl Checkpoint {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CheckpointError {
     /// Of another program.
-    #[error("it is of version {0}, this program knows version {known}", known = Checkpoint::VERSION)]
+    #[error("it has version {0}, this program reads version {known}", known = Checkpoint::VERSION)]
     Version(u8),
     /// Cut short, or of another shape than its version says.
     #[error("it is damaged: {0}")]

@@ -89,7 +89,7 @@ impl KnownKeys {
             ["invalid type", "invalid value", "invalid length", "data did not match", "unknown variant"];
         match self.allowed.get(key).filter(|_| OF_THE_VALUE.iter().any(|start| message.starts_with(start))) {
             // TOML reads what serde's own integers do not hold.
-            Some(_) if message.contains(" as i128") => "is too large a number".into(),
+            Some(_) if message.contains(" as i128") => "is too large".into(),
             Some(allowed) => format!("must be {allowed}"),
             None => message.to_owned(),
         }

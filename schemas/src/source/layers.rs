@@ -33,16 +33,16 @@ impl Layer {
         let mut files = vec![canonical(&own.file)];
         while below.places.iter().any(|place| place.key == BASE) {
             let Some(Value::String(base)) = below.layers[0].table()?.remove(BASE) else {
-                return Err(below.error(BASE, "must be the name of a file, in quotes"));
+                return Err(below.error(BASE, "must be a file name in quotes"));
             };
             let file = folder(&below.file).join(base);
             if files.contains(&canonical(&file)) {
-                return Err(below.error(BASE, "leads back to a spec that stands on this one"));
+                return Err(below.error(BASE, "refers back to a spec that is based on this one"));
             }
             let text = std::fs::read_to_string(&file).map_err(|e| {
                 below.error(
                     BASE,
-                    &format!("cannot be read: {e}; names of files are taken from the folder of the spec"),
+                    &format!("cannot be read: {e}; file names are relative to the folder of the spec"),
                 )
             })?;
             files.push(canonical(&file));
@@ -71,10 +71,10 @@ impl Layer {
             what: format!("{text}: {what}"),
         };
         match found {
-            Some(_) if key == BASE => Err(wrong("a base is named in the spec")),
+            Some(_) if key == BASE => Err(wrong("can be set only in the spec")),
             Some(layer) => Ok(layer),
             None => Err(wrong(
-                "must be KEY=VALUE, the value as in a spec, for instance optimise.iterations=20 or sensors.search=greedy",
+                "must be KEY=VALUE with a value as in a spec, such as optimise.iterations=20 or sensors.search=greedy",
             )),
         }
     }
@@ -240,10 +240,10 @@ fn find_places(table: &DeTable<'_>, prefix: &str, layer: usize, places: &mut Vec
 fn no_number(value: &DeValue<'_>) -> Option<String> {
     match value {
         DeValue::Float(x) if !x.as_str().parse().is_ok_and(f64::is_finite) => {
-            Some(format!("{x} is no finite number"))
+            Some(format!("{x} is not a finite number"))
         }
         DeValue::Integer(n) if i64::from_str_radix(n.as_str(), n.radix()).is_err() => {
-            Some("is too large a number: whole numbers lie between -2^63 and 2^63 - 1".into())
+            Some("is too large: whole numbers must lie between -2^63 and 2^63 - 1".into())
         }
         DeValue::Array(values) => values.iter().find_map(|v| no_number(v.get_ref())),
         DeValue::Table(table) => table.values().find_map(|v| no_number(v.get_ref())),

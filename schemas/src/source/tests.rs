@@ -63,7 +63,7 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
         (
             "\"body.columns\" = [5, 6]",
             "body.columns = [5, 6]",
-            "a.toml:14: sweep.body: no table here; an axis is written in quotes, for instance \"body.…\" = [ … ]",
+            "a.toml:14: sweep.body: must not be a table; write an axis in quotes, such as \"body.…\" = [ … ]",
         ),
         (
             "\"body.columns\" = [5, 6]",
@@ -77,8 +77,8 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
         ),
         ("rows = 6", "rows = \"six\"", "a.toml:4: body.rows = \"six\": must be a whole number from 0 up"),
         ("rows = 6", "rows = -6", "a.toml:4: body.rows = -6: must be a whole number from 0 up"),
-        (", bend = 1.0", "", "a.toml:8: body.stiffness.bend: must be given, it has no default"),
-        ("[stimuli]\nkind = \"bell\"\n", "", "a.toml:1: stimuli: must be given, it has no default"),
+        (", bend = 1.0", "", "a.toml:8: body.stiffness.bend: must be set; it has no default"),
+        ("[stimuli]\nkind = \"bell\"\n", "", "a.toml:1: stimuli: must be set; it has no default"),
         (
             "\"bell\"",
             "\"ball\"",
@@ -89,11 +89,11 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
             "columns = \"six\"",
             "a.toml:3: body.columns = \"six\": must be a whole number from 0 up",
         ),
-        ("spacing = 15.0", "spacing = -inf", "a.toml:5: body.spacing = -inf: -inf is no finite number"),
+        ("spacing = 15.0", "spacing = -inf", "a.toml:5: body.spacing = -inf: -inf is not a finite number"),
         (
             "\"body.columns\" = [5, 6]",
             "\"body.spacing\" = [15.0, nan]",
-            "a.toml:14: sweep.\"body.spacing\" = [15.0, nan]: nan is no finite number",
+            "a.toml:14: sweep.\"body.spacing\" = [15.0, nan]: nan is not a finite number",
         ),
         (
             "rows = 6",
@@ -128,12 +128,12 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
         (
             "\"body.columns\" = [5, 6]",
             "\"foo\" = [5, 6]",
-            "a.toml:14: sweep.foo = [5, 6]: unknown key; an axis is a key by its path in quotes, for instance",
+            "a.toml:14: sweep.foo = [5, 6]: unknown key; an axis is the path of a key in quotes, such as",
         ),
         (
             "panels = [2]",
             "\"sweep.panels\" = [2]",
-            "a.toml:12: sweep.\"sweep.panels\" = [2]: a key of [sweep] itself, written without quotes and table: panels = …",
+            "a.toml:12: sweep.\"sweep.panels\" = [2]: a key of [sweep] itself: write it without quotes and table: panels = …",
         ),
         (
             "\"body.columns\" = [5, 6]",
@@ -148,7 +148,7 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
         (
             "rows = 6",
             "rows = 99999999999999999999",
-            "a.toml:4: body.rows = 99999999999999999999: is too large a",
+            "a.toml:4: body.rows = 99999999999999999999: is too large",
         ),
         ("rows = 6", "rows = ", "a.toml:4: not valid TOML: "),
         (
@@ -215,33 +215,33 @@ fn errors_of_changes_name_them() {
         (&["body.rows=six"], "command line: body.rows = \"six\": must be a whole number from 0 up"),
         (
             &["body.rows=[5, 6]"],
-            "command line: body.rows = [5, 6]: must be a whole number from 0 up; an axis stands in [sweep]: sweep.\"body.rows\" = [ … ]",
+            "command line: body.rows = [5, 6]: must be a whole number from 0 up; write an axis in [sweep]: sweep.\"body.rows\" = [ … ]",
         ),
         (&["body.rows=1", "body.rows=six"], "command line: body.rows = \"six\": must be a whole number"),
-        (&["body.spacing=nan"], "command line: body.spacing = nan: nan is no finite number"),
+        (&["body.spacing=nan"], "command line: body.spacing = nan: nan is not a finite number"),
         (&["sweep.body.column=[7]"], "command line: sweep.\"body.column\" = [7]: unknown key; the nearest"),
         (
             &["body.stiffness.bend=5", "sweep.body.stiffness=[{ stretch = 1.0, shear = 1.0, bend = 1.0 }]"],
-            "command line: body.stiffness.bend = 5: counts nowhere, as an axis has the values: sweep.\"body.stiffness\"",
+            "command line: body.stiffness.bend = 5: has no effect, because an axis sets the values: sweep.\"body.stiffness\"",
         ),
         (
             &[
                 "brain.kind=cnn",
                 "sweep.points=[{ \"brain.kind\" = \"linear\" }, { \"brain.kind\" = \"cnn\" }]",
             ],
-            "command line: brain.kind = \"cnn\": counts nowhere, as each of sweep.points gives it",
+            "command line: brain.kind = \"cnn\": has no effect, because all entries of sweep.points set it",
         ),
         (
             &["body.columns=7"],
-            "command line: body.columns = 7: counts nowhere, as an axis has the values: sweep.\"body.columns\" = [ … ]",
+            "command line: body.columns = 7: has no effect, because an axis sets the values: sweep.\"body.columns\" = [ … ]",
         ),
         (
             &["body.rows"],
-            "command line: body.rows: must be KEY=VALUE, the value as in a spec, for instance optimise",
+            "command line: body.rows: must be KEY=VALUE with a value as in a spec, such as optimise",
         ),
         (&["body.rows="], "command line: body.rows=: must be KEY=VALUE"),
         (&["=3"], "command line: =3: must be KEY=VALUE"),
-        (&["base=b.toml"], "command line: base=b.toml: a base is named in the spec"),
+        (&["base=b.toml"], "command line: base=b.toml: can be set only in the spec"),
     ] {
         let complaint = changed(changes).unwrap_err();
         assert!(complaint.starts_with(expected), "{complaint}\n{expected}");
@@ -313,10 +313,10 @@ fn errors_name_the_file_that_has_the_key() {
         ("a.toml", "b.toml:4: body.rows = -6: must be a whole number from 0 up"),
         ("c.toml", "c.toml:3: sweep.points.pannels = 3: unknown key"),
         ("e.toml", "f/f.toml:4: body.base = \"../e.toml\": unknown key"),
-        ("g.toml", "g.toml:1: base = \"g.toml\": leads back to a spec that stands on this one"),
+        ("g.toml", "g.toml:1: base = \"g.toml\": refers back to a spec that is based on this one"),
         ("h.toml", "h.toml:2: base = \"nowhere.toml\": cannot be read: No such file"),
-        ("i.toml", "i.toml:1: base = 5: must be the name of a file, in quotes"),
-        ("j.toml", "k.toml:1: base = \"j.toml\": leads back to a spec that stands on this one"),
+        ("i.toml", "i.toml:1: base = 5: must be a file name in quotes"),
+        ("j.toml", "k.toml:1: base = \"j.toml\": refers back to a spec that is based on this one"),
         ("l.toml", "m.toml:2: not valid TOML: "),
     ] {
         let complaint = read(&folder, file).and_then(|source| source.parse()).unwrap_err().to_string();

@@ -87,7 +87,7 @@ fn a_file_that_is_no_design_is_refused_by_name() {
     for (text, said) in [
         (lines[..4].join("\n") + "\n" + &lines[5..].join("\n"), "unit 0, node 3 is missing"),
         (good.replace("0,0,", "9,0,"), "line 2: unit = 9: must be a whole number from 0 to 3"),
-        (good.replacen("0,0,6", "0,0,7", 1), "line 8: is shifted otherwise than its ligament's other end"),
+        (good.replacen("0,0,6", "0,0,7", 1), "line 8: has another shift than the other end of its ligament"),
         (good.replacen("0,0,6", "0,0,x", 1), "line 2: x = \"x"),
         (good.replacen("0,0,", "0,0.5,", 1), "line 2: node = 0.5: must be a whole number from 0 to 3"),
         (good.replacen("0,0,", "-1,0,", 1), "line 2: unit = -1: must be a whole number from 0 to 3"),
@@ -103,6 +103,6 @@ fn a_file_that_is_no_design_is_refused_by_name() {
     let (_folder, path) = somewhere("a.npy");
     write(&path, &Layout::planar(3, 2, 15.0, 2.25), &[0.0; 34]);
     let error = read(&path, &layout).expect_err("refused").to_string();
-    assert!(error.contains("holds 34 numbers; α of this body has 24"), "{error}");
+    assert!(error.contains("and 34 numbers; α of this body has 24"), "{error}");
     assert!(read(Path::new("a.txt"), &layout).is_err());
 }

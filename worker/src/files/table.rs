@@ -180,11 +180,9 @@ impl Table {
         let mut of_name = (0..self.names.len()).filter(|c| self.names[*c] == *name);
         match (of_name.next(), of_name.next()) {
             (Some(column), None) => Ok(column),
-            (Some(_), Some(_)) => {
-                Err(format!("has two columns that are called {name:?}: read one by its number"))
-            }
+            (Some(_), Some(_)) => Err(format!("has two columns named {name:?}: select one by its number")),
             _ if self.names.is_empty() => {
-                Err(format!("has no signal {name:?}: its columns have no names, but numbers from 0"))
+                Err(format!("has no signal {name:?}: its columns have no names; use numbers from 0"))
             }
             _ => {
                 let divided = if self.width() == 1 { divided_by(NONE) } else { "" };
@@ -237,11 +235,11 @@ impl Table {
                     return Err(match field {
                         _ if fields.iter().map(bare).eq(&table.names) => {
                             format!(
-                                "line {line}: repeats the names of line {first_line}: a file holds one table"
+                                "line {line}: repeats the names of line {first_line}: a file must contain one table"
                             )
                         }
                         "" => format!("{} is empty", at()),
-                        _ => format!("{} = {field:?} is no number{}", at(), divided_by(separator)),
+                        _ => format!("{} = {field:?} is not a number{}", at(), divided_by(separator)),
                     });
                 };
                 if !value.is_finite() {
@@ -253,7 +251,7 @@ impl Table {
             table.lines.push(line);
         }
         if table.lines.is_empty() {
-            return Err(format!("holds no line of numbers after line {first_line}"));
+            return Err(format!("contains no line of numbers after line {first_line}"));
         }
         marks.check(separator, form).map(|()| table)
     }

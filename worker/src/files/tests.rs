@@ -40,17 +40,17 @@ fn a_table_is_read_and_its_faults_named() {
         ("t,f\n0,1\n0\n", "line 3: 1 fields where line 1 has 2"),
         ("t,f\n0,1,\n", "line 2: 3 fields where line 1 has 2"),
         ("# made by me\nt,f\n0,1\n", "line 2: 2 fields where line 1 has 1"),
-        ("t,f\n0,x\n", "line 2: f = \"x\" is no number"),
-        ("t,f\ns,N\n0,1\n", "line 2: t = \"s\" is no number"),
+        ("t,f\n0,x\n", "line 2: f = \"x\" is not a number"),
+        ("t,f\ns,N\n0,1\n", "line 2: t = \"s\" is not a number"),
         ("t f\n0 1\n", "has no signal \"f\", but t f; fields must be separated by"),
-        (" \nt,f\r\n0,1\r\n\r\n \r\n0,x\r\n", "line 6: f = \"x\" is no number"),
-        ("t,f\n\n\n0,x\n", "line 4: f = \"x\" is no number"),
+        (" \nt,f\r\n0,1\r\n\r\n \r\n0,x\r\n", "line 6: f = \"x\" is not a number"),
+        ("t,f\n\n\n0,x\n", "line 4: f = \"x\" is not a number"),
         ("t,f\n0,1\n1,\n", "line 3: f is empty"),
         ("t,f\n0,1\n,\n", "line 3: t is empty"),
         ("t,f\n0,1\nt,f\n0,1\n", "line 3: repeats the names of line 1"),
         ("t,f\n0,1\n1,NaN\n", "line 3: f = \"NaN\": must be a finite number"),
         ("t,f\n0,1e999\n", "line 2: f = \"1e999\": must be a finite number"),
-        ("t,f,t,f\n0,1,2,3\n", "has two columns that are called \"f\""),
+        ("t,f,t,f\n0,1,2,3\n", "has two columns named \"f\""),
         ("t,g\n0,1\n", "has no signal \"f\", but t, g"),
     ] {
         let error = read(text, &["f", "t"]).unwrap_err();
@@ -195,7 +195,7 @@ fn what_may_be_read_in_two_ways_is_refused_with_the_key_that_settles_it() {
     }
     for text in ["t;f\n0;1.234,5\n", "t;f\n0;1,234,567\n", "t;f\n0;1 234,5\n"] {
         let error = columns(text, &named(&["f"]), Form::default()).unwrap_err();
-        assert!(error.contains("line 2: f = ") && error.contains("is no number"), "{text:?}: {error}");
+        assert!(error.contains("line 2: f = ") && error.contains("is not a number"), "{text:?}: {error}");
     }
     // read both, they are two
     let both = columns("ms,mN\n0,500\n1,498\n", &named(&["ms", "mN"]), form(None, None));
@@ -254,17 +254,17 @@ fn arrays_of_real_numbers_are_read_and_others_named() {
     }
     let one = npy("'|u1'", "(1,)", &[7]);
     for (bytes, said) in [
-        (npy("'<c16'", "(1,)", &[0; 16]), "must hold truth values, integers, or floats"),
-        (npy("'<U1'", "(1,)", &[0; 4]), "must hold truth values"),
-        (npy("'|O'", "(1,)", &[0; 4]), "must hold truth values"),
+        (npy("'<c16'", "(1,)", &[0; 16]), "must contain truth values, integers, or floats"),
+        (npy("'<U1'", "(1,)", &[0; 4]), "must contain truth values"),
+        (npy("'|O'", "(1,)", &[0; 4]), "must contain truth values"),
         (
             npy("'<i8'", "(2,)", &[[0; 8], (1i64 << 60).to_le_bytes()].concat()),
             "number 1 is an integer beyond 2^53",
         ),
-        (npy("'<f8'", "(0, 3)", &[]), "holds no number: its shape is [0, 3]"),
+        (npy("'<f8'", "(0, 3)", &[]), "contains no numbers: its shape is [0, 3]"),
         (npy("'|u1'", "(3,)", &[1, 2]), ""),
-        ([one.clone(), one].concat(), "does not end with its one array, of shape [1]"),
-        (b"t,f\n0,1\n".to_vec(), "is no NPY file"),
+        ([one.clone(), one].concat(), "contains more than its one array, of shape [1]"),
+        (b"t,f\n0,1\n".to_vec(), "is not an NPY file"),
     ] {
         let error = array(&bytes).unwrap_err();
         assert!(error.contains(said), "{error}\n{said}");
@@ -330,7 +330,7 @@ fn zip(held: &[u8], method: CompressionMethod) -> Vec<u8> {
     zip.write_all(held).unwrap();
     let whole = zip.finish().unwrap().into_inner();
     let Ok(Content::Archive(arrays)) = content(Path::new("a.npz"), &whole, &Form::default()) else {
-        panic!("no archive")
+        panic!("not an archive")
     };
     assert!(arrays["a"].as_ref().is_some_and(Result::is_ok), "{arrays:?}");
     whole

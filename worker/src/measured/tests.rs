@@ -178,7 +178,7 @@ fn what_is_no_measured_record_is_refused_by_name() {
         ),
         ("\"w\"]", "\"o\"]", "records.toml:2: recorded.files = "),
         ("\"w\"]", "\"o\"]", "has no signal \"o\", but ms, F, x, y, w"),
-        (", \"w\"]", "]", "holds 2 signals a record; must be 3: ax, ay, omega of each sensor"),
+        (", \"w\"]", "]", "contains 2 signals per record; must be 3: ax, ay, omega of each sensor"),
         ("\"g\"", "\"G\"", "records.toml:12: signals.acceleration_unit = \"G\": must be "),
         (
             "[1, -1, 1]",
@@ -186,28 +186,32 @@ fn what_is_no_measured_record_is_refused_by_name() {
             "records.toml:14: signals.factors = [1.0, -1.0]: must be 3 numbers other than 0",
         ),
         ("a.csv", "none.csv", "none.csv\": cannot be read"),
-        ("a.csv", "short.csv", "short.csv\": holds signals that end at 0.0780 s where a sample lasts 0.1 s"),
+        (
+            "a.csv",
+            "short.csv",
+            "short.csv\": contains signals that end at 0.0780 s, but a sample lasts 0.1 s",
+        ),
         ("a.csv", "nan.csv", "nan.csv\": line 9: x = \"NaN\": must be a finite number"),
         (
             "[\"x\", \"y\", \"w\"]",
             "[\"x\", \"y\", \"w\"]\nstart = 5.0",
-            "holds signals that begin at 4.9900 s of a sample, the force at 0.0200 s",
+            "contains signals that begin at 4.9900 s of a sample, the force at 0.0200 s",
         ),
-        ("panels", "augment = { shift = [0, 0] }\npanels", "recorded.augment = { … }: is not allowed here"),
-        (own, &beside("s.npy"), "holds signals that end at 0.0090 s"),
+        ("panels", "augment = { shift = [0, 0] }\npanels", "recorded.augment = { … }: must be left out"),
+        (own, &beside("s.npy"), "contains signals that end at 0.0090 s"),
         (
             own,
             &beside("s.npy").replace("rate", "start"),
-            "s.npy\": has three dimensions, so no clock: give rate",
+            "s.npy\": has three dimensions, so no clock: set rate",
         ),
-        (own, &beside("two.npy"), "two.npy\": holds signals of 2 records, forces of 1"),
-        (own, &beside("four.npy"), "four.npy\": holds 201 signals a record; must be 3"),
+        (own, &beside("two.npy"), "two.npy\": contains signals of 2 records, but forces of 1"),
+        (own, &beside("four.npy"), "four.npy\": contains 201 signals per record; must be 3"),
         (
             own,
             &beside("s.npy").replace("npy\"]", "npy\", \"s.npy\"]"),
             "signals.files = 2 files: must be one for each of the 1",
         ),
-        (own, &(beside("s.npy") + "time = \"t\"\n"), "signals.rate = 1000: give either time or rate"),
+        (own, &(beside("s.npy") + "time = \"t\"\n"), "signals.rate = 1000: set either time or rate"),
     ] {
         assert!(CSV.contains(from), "{from}");
         let error = folder.read(&CSV.replacen(from, to, 1), &trial).unwrap_err();
@@ -218,7 +222,7 @@ fn what_is_no_measured_record_is_refused_by_name() {
     let error = folder.read(short, &trial).unwrap_err();
     assert!(
         error.contains(
-            "holds 20 entries of signals, 21 of force: give the clock of the signals by signals.start"
+            "contains 20 entries of signals and 21 of force: set the clock of the signals with signals.start"
         ),
         "{error}"
     );
@@ -260,14 +264,14 @@ fn a_record_is_read_once() {
     assert_eq!(read("[\"a.csv\", \"other.csv\"]", "").unwrap().forces.samples, 2);
     let error = read("[\"a.csv\", \"b.csv\"]", "").unwrap_err();
     assert!(
-        error.contains("b.csv\": holds the signals of ") && error.contains("under another force"),
+        error.contains("b.csv\": contains the signals of ") && error.contains("under another force"),
         "{error}"
     );
     let error = read("[\"a.csv\", \"other.csv\"]", "files = [\"other.csv\", \"other.csv\"]").unwrap_err();
     assert!(error.contains("signals.files = ") && error.contains("is the same record as"), "{error}");
     let forces = CSV.replace("[\"x\", \"y\", \"w\"]", "[\"F\", \"y\", \"w\"]");
     let error = folder.read(&forces, &trial).unwrap_err();
-    assert!(error.contains("holds the force as signal 0"), "{error}");
+    assert!(error.contains("contains the force as signal 0"), "{error}");
     let twice = CSV.replace("[\"x\", \"y\", \"w\"]", "[\"x\", \"x\", \"w\"]");
     let error = folder.read(&twice, &trial).unwrap_err();
     assert!(error.contains("x is read twice"), "{error}");
@@ -319,13 +323,13 @@ fn each_file_has_its_unit_of_time() {
             format!("{text}start = 0.0\n")
                 .replace("\ntime = \"t\"\nchannels", "\ntime_unit = \"ms\"\nchannels"),
             "signals.time_unit",
-            "is for signals.time",
+            "has no effect without signals.time",
         ),
         (
             text.replace("s.csv", "seconds.csv")
                 .replace("[signals]", "trigger = { threshold = 0.1, before = 0.3 }\n[signals]"),
             "recorded.files = ",
-            "has its blow outside of a sample",
+            "has its blow outside of the sample",
         ),
         (
             text.replace("files = [\"s.csv\"]\n", "header = true\n"),

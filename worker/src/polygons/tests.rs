@@ -44,7 +44,7 @@ fn bad_polygons_are_refused_by_name() {
         ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0], [0, 1, 1, 3]]", "ligaments[1]", "has ligaments[0] already"),
         ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0], [1, 0, 0, 2]]", "ligaments[1]", "node 0 of unit 1"),
         ("[14, 0]", "[10, 0]", "ligaments[0]", "no length"),
-        ("[[0, 1, 1, 0]]", "[]", "units[1]", "hangs on nothing"),
+        ("[[0, 1, 1, 0]]", "[]", "units[1]", "is not connected"),
         ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0]]\ntogether = [[[0, 0], [1, 4]]]", "together[0]", "no node 4"),
         ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0]]\nclamp = [2]", "clamp: 2", "0 to 1"),
         ("[[0, 1, 1, 0]]", "[[0, 1, 1, 0]]\ntogether = [[[0, 0], [1, 1], [0, 0]]]", "together[0]", "twice"),
@@ -74,7 +74,7 @@ fn bad_polygons_are_refused_by_name() {
             "[[0, 1, 1, 0]]",
             "[[0, 1, 1, 0]]\nrigid = [1]\nfollow = [{ node = [1, 0], nodes = [0, 2], by = \"x\" }]",
             "follow[0]",
-            "holds a ligament",
+            "has a ligament",
         ),
         (
             "[[0, 1, 1, 0]]",
@@ -148,7 +148,7 @@ fn an_npz_of_blocks_is_polygons() {
             "must be [units, 2]",
         ),
         (archive(&[centroids, nodes]), "has no array bond_connectivity"),
-        (whole[..whole.len() / 2].to_vec(), "is no NPZ file"),
+        (whole[..whole.len() / 2].to_vec(), "is not an NPZ file"),
     ] {
         let (_folder, path) = file("blocks.npz", &arrays);
         let error = read(&path).unwrap_err().to_string();

@@ -15,7 +15,7 @@ use crate::polygons;
 /// Where no layout has these sizes.
 pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
     if let Some(spec::Own::File(file)) = &body.file {
-        let remedy = "a trial holds the polygons themselves, not their file";
+        let remedy = "must be left out: a trial contains the polygons themselves";
         return Err(invalid("body.file", file.display(), remedy));
     }
     if let Some(given) = body.polygons() {
@@ -52,7 +52,7 @@ pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
                 rows >= 2,
                 "body.rows",
                 rows,
-                "must be at least 2: the bottom row is clamped, the top row struck",
+                "must be at least 2: the bottom row is clamped, and forces act on the top row",
             )?;
             Ok(Layout::sheet(&pattern, columns, rows, spacing, ligament_length))
         }
@@ -72,7 +72,7 @@ pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
 
 /// A key that a body needs unless a file gives its units.
 fn given<T>(key: &str, value: Option<T>) -> Result<T, Invalid> {
-    value.ok_or_else(|| invalid(key, "", "must be given without body.file"))
+    value.ok_or_else(|| invalid(key, "", "must be set if body.file is not"))
 }
 
 /// `spacing` and `ligament_length` (mm), which a plan fills in from a file.
@@ -183,7 +183,7 @@ impl Listed {
                 }
                 if beside[2..] != [false; 3] {
                     return wrong(
-                        "a base moves along its direction and does not turn: no node, at or couple beside it"
+                        "a base moves along its direction and does not turn: leave out node, at and couple"
                             .into(),
                     );
                 }
@@ -201,20 +201,20 @@ impl Listed {
             if let Some(unit) = unit {
                 if *unit >= layout.units() {
                     return wrong(format!(
-                        "there is no unit {unit}: the units are 0 to {}",
+                        "unit {unit} does not exist: the units are 0 to {}",
                         layout.units() - 1
                     ));
                 }
                 let driven = |other: &Struck| other.unit == Some(*unit) && other.base.is_some();
                 if let Some(other) = given.iter().position(driven).filter(|_| base.is_none()) {
                     return wrong(format!(
-                        "unit {unit} moves as panels[{other}] says: no force changes that"
+                        "unit {unit} moves as panels[{other}] prescribes; a force has no effect on it"
                     ));
                 }
                 let nodes = layout.shape[*unit].len();
                 if let Some(node) = node.filter(|node| *node >= nodes) {
                     return wrong(format!(
-                        "there is no node {node} of unit {unit}, which has {nodes}, counted from 0"
+                        "unit {unit} has no node {node}, but {nodes} nodes, counted from 0"
                     ));
                 }
                 if at.is_some_and(|at| at.iter().any(|x| !x.is_finite())) {
@@ -225,12 +225,12 @@ impl Listed {
                 }
                 if couple.is_some() && beside != [true, false, false, false, true] {
                     return wrong(
-                        "a couple turns its unit wherever it acts: no direction, node or at beside it".into(),
+                        "a couple turns its unit wherever it acts: leave out direction, node and at".into(),
                     );
                 }
             }
             if let Some(other) = given[..k].iter().position(|other| other == struck) {
-                return wrong(format!("is panels[{other}] once more: nothing could tell their forces apart"));
+                return wrong(format!("repeats panels[{other}]: their forces could not be distinguished"));
             }
         }
         Ok(())
@@ -273,7 +273,7 @@ pub fn clamp(body: &spec::Body) -> Clamp {
 pub fn panel_units(body: &spec::Body, layout: &Layout, panels: usize) -> Result<Vec<usize>, Invalid> {
     let none = |remedy: String| invalid("sweep.panels", panels, remedy);
     if let Some(units) = &body.panel_units {
-        let remedy = "cannot be given beside body.panels";
+        let remedy = "cannot be set together with body.panels";
         require(body.panels.is_empty(), "body.panel_units", format!("{units:?}"), remedy)?;
         check_units("body.panel_units", units, layout, &[])?;
         let remedy = format!("body.panel_units names {} units", units.len());
@@ -290,7 +290,7 @@ pub fn panel_units(body: &spec::Body, layout: &Layout, panels: usize) -> Result<
     match body.layout {
         LayoutKind::Planar => layout.top_panels(panels).ok_or_else(|| {
             let top = layout.top().len();
-            none(format!("the top row of {top} units has no place for as many panels"))
+            none(format!("the top row of {top} units has no room for {panels} panels"))
         }),
         LayoutKind::Circular => layout
             .circular_panels(panels)
@@ -370,7 +370,7 @@ pub fn guided(body: &spec::Body, layout: &Layout) -> Result<Vec<(usize, [bool; 3
             return wrong("its holds must name \"x\", \"y\" or \"turn\"");
         }
         if held == [true; 3] {
-            return wrong("holds all of its units: name them in body.clamp");
+            return wrong("holds all motions of its units: list them in body.clamp");
         }
         let of = named(key, units, body, layout)?;
         if matches!(units, Clamp::Units(_)) {
@@ -506,6 +506,6 @@ pub fn initial_design(body: &spec::Body, layout: &Layout, limits: Limits) -> Res
         Some(Design::Shifts { .. }) => {
             Err(wrong(format!("α of this body has {} numbers", layout.design_len())))
         }
-        Some(Design::File(_)) => Err(wrong("a trial holds the design itself, not its file".into())),
+        Some(Design::File(_)) => Err(wrong("must be left out: a trial contains the design itself".into())),
     }
 }

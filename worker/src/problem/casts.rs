@@ -34,7 +34,7 @@ pub(super) fn variation(trial: &TrialSpec, units: usize) -> Result<Option<Variat
         trial.body.contact.is_some() || contact.is_none(),
         "variation.contact",
         of_contact,
-        "means nothing here: the body has no body.contact",
+        "has no effect: the body has no body.contact",
     )?;
     let (key, nodes, correlation) = match nodes {
         None => ("variation.nodes", 0.0, 0.0),
@@ -52,7 +52,7 @@ pub(super) fn variation(trial: &TrialSpec, units: usize) -> Result<Option<Variat
         correlation,
         "must lie between 0 and 10000 mm",
     )?;
-    let remedy = format!("the body has {units} units; nodes scatter alike on at most {ALIKE_MAX}");
+    let remedy = format!("the body has {units} units; correlated nodes need at most {ALIKE_MAX}");
     require(correlation == 0.0 || units <= ALIKE_MAX, "variation.nodes.correlation", correlation, &remedy)?;
     let [stretch, shear, bend] = [
         deviations("stretch", stretch, "ligament")?,
@@ -87,7 +87,7 @@ pub(super) fn variation(trial: &TrialSpec, units: usize) -> Result<Option<Variat
 fn relaxing(spec::Relaxation { share, time }: spec::Relaxation) -> Result<Relaxation, Invalid> {
     let remedy = "must lie between 0 and 1, a part of the ligament's stiffness";
     require((0.0..=1.0).contains(&share), "variation.relaxation.share", share, remedy)?;
-    let remedy = "must lie between 1e-4 and 1000 s: a quicker branch is no more than damping";
+    let remedy = "must lie between 1e-4 and 1000 s: a faster branch acts as damping only";
     require((1e-4..=1e3).contains(&time), "variation.relaxation.time", time, remedy)?;
     Ok(Relaxation { share, time })
 }
@@ -123,10 +123,10 @@ pub(super) fn casting(trial: &TrialSpec) -> Result<Option<Casting>, Invalid> {
     let shown = as_written(&objective);
     let parts = trial.stimuli.mix.as_ref().filter(|_| trial.variation.is_none()).map(Vec::len);
     if trial.variation.is_none() && parts.is_none() {
-        let remedy = "needs a [variation] that says how casts scatter, or a mixture of stimuli";
+        let remedy = "needs a [variation] or a mixture of stimuli";
         return Err(invalid("optimise.objective", shown, remedy));
     }
-    let remedy = "means nothing to this optimise.protocol, only to joint";
+    let remedy = "has no effect on this optimise.protocol, only on joint";
     require(protocol == spec::Protocol::Joint, "optimise.objective", shown, remedy)?;
     let remedy = "must lie between 0 and 1";
     require((0.0..=1.0).contains(&tail), "optimise.objective.cvar", 1.0 - tail, remedy)?;
@@ -139,7 +139,7 @@ pub(super) fn casting(trial: &TrialSpec) -> Result<Option<Casting>, Invalid> {
     let reader = match reader {
         Some(spec::CastReader::Each) => {
             let remedy =
-                "is for bodies trained with the linear brain: a network is not trained for each cast";
+                "only for bodies trained with the linear decoder: a network is not trained for each cast";
             require(trial.optimise.linear(), "optimise.reader", "\"each\"", remedy)?;
             CastReader::Each
         }
@@ -153,7 +153,7 @@ pub(super) fn casts(trial: &TrialSpec) -> Result<usize, Invalid> {
     let casts = trial.evaluation.casts.unwrap_or(0);
     at_most("evaluation.casts", casts, CASTS_MAX)?;
     let readable = fits(trial.time.samples, trial.signals(), trial.point.panels);
-    let remedy = "must be 0 here: a linear brain of such long samples does not fit into memory";
+    let remedy = "must be 0: a linear decoder of such long samples does not fit into memory";
     require(casts == 0 || readable, "evaluation.casts", casts, remedy)?;
     Ok(casts)
 }

@@ -12,7 +12,7 @@ use crate::invalid::{Invalid, invalid, not_negative, positive, require};
 /// # Errors
 /// Where it has neither, or both.
 pub fn sheet(body: &spec::Body) -> Result<spec::Body, Invalid> {
-    let missing = |key| invalid(key, "", "must be given, or body.material in its place");
+    let missing = |key| invalid(key, "", "must be set, unless body.material is set");
     let Some(material) = body.material else {
         body.density.ok_or_else(|| missing("body.density"))?;
         body.stiffness.ok_or_else(|| missing("body.stiffness"))?;
@@ -24,13 +24,17 @@ pub fn sheet(body: &spec::Body) -> Result<spec::Body, Invalid> {
     ];
     for (key, value) in given {
         if let Some(value) = value {
-            return Err(invalid(key, value, "cannot be given beside body.material, which gives it"));
+            return Err(invalid(
+                key,
+                value,
+                "cannot be set together with body.material, which determines it",
+            ));
         }
     }
     let Material { rubber, modulus, density, thickness, ligament_width } = material;
     let (stress, heavy) = rubber.map(Rubber::figures).unzip();
     let found = |key: &str, own: Option<f64>, rubber: Option<f64>| {
-        let missing = || invalid(key, "", "must be given, or body.material.rubber in its place");
+        let missing = || invalid(key, "", "must be set, unless body.material.rubber is set");
         let value = own.or(rubber).ok_or_else(missing)?;
         positive(key, value).map(|()| value)
     };
@@ -63,9 +67,9 @@ pub(super) fn material(body: &spec::Body) -> Result<(f64, Stiffness), Invalid> {
     not_negative("body.damping_ratio", body.damping_ratio)?;
     if let Some(damping) = body.damping {
         let sound = damping.iter().all(|c| *c >= 0.0 && c.is_finite());
-        require(sound, "body.damping", format!("{damping:?}"), "must be three numbers of 0 or above")?;
+        require(sound, "body.damping", format!("{damping:?}"), "must be three numbers of at least 0")?;
         let usual = body.damping_ratio == spec::Body::DAMPING_RATIO;
-        require(usual, "body.damping_ratio", body.damping_ratio, "cannot be given beside body.damping")?;
+        require(usual, "body.damping_ratio", body.damping_ratio, "cannot be set together with body.damping")?;
     }
     positive("body.stiffness.stretch", stretch)?;
     positive("body.stiffness.shear", shear)?;

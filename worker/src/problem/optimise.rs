@@ -15,7 +15,7 @@ pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
     // a key that a protocol does not read is refused: it would make trials differ that are the same
     let unread = |key: &str, given: Option<String>, readers: &str| match given {
         Some(value) => {
-            Err(invalid(key, value, format!("means nothing to this optimise.protocol, only to {readers}")))
+            Err(invalid(key, value, format!("has no effect on this optimise.protocol, only on {readers}")))
         }
         None => Ok(()),
     };
@@ -77,7 +77,12 @@ pub fn design_parameters(trial: &TrialSpec, layout: &Layout) -> Result<usize, In
     let (tie, frozen) = (tie(&trial.optimise)?, frozen(&trial.optimise, layout)?);
     let kept = kept(&trial.feasible, &trial.panel_units, &held(&trial.body, layout)?);
     let parameters = Freedom::of(layout, tie, &frozen, &kept).parameters();
-    require(parameters > 0, "optimise.frozen", format!("{frozen:?}"), "must leave a unit's shape free")?;
+    require(
+        parameters > 0,
+        "optimise.frozen",
+        format!("{frozen:?}"),
+        "must leave the shape of at least one unit free",
+    )?;
     Ok(parameters)
 }
 

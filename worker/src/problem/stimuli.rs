@@ -25,7 +25,7 @@ pub(super) fn stimuli(trial: &TrialSpec) -> Result<Stimuli, Invalid> {
         test < samples,
         "stimuli.test",
         test,
-        &format!("must be less than stimuli.samples = {samples}: the rest trains the brain"),
+        &format!("must be less than stimuli.samples = {samples}: the rest trains the decoder"),
     )?;
     at_least("stimuli.holdout", holdout, 1)?;
     let instants = force_instants(trial)?;
@@ -43,7 +43,7 @@ fn source(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result
             Source::Recorded(records::recorded(trial, recorded, instants)?)
         }
         (StimuliKind::Recorded, None) => {
-            return Err(invalid("stimuli.recorded", "", "must be given: the files and what stands in them"));
+            return Err(invalid("stimuli.recorded", "", "must be set: the files and their contents"));
         }
         (StimuliKind::Mix, _) => Source::Mix(mix(trial, stimuli, instants)?),
     };
@@ -71,7 +71,7 @@ fn hand(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Option<Hand>, Inva
     let struck = trial.body.panels.is_empty() || trial.body.panels.iter().any(|panel| panel.base.is_none());
     for (key, value) in [("stimuli.offset", offset), ("stimuli.angle", angle)] {
         let remedy =
-            "is for panels that are struck: each of body.panels has a base, which moves as it is told";
+            "only for panels on which forces act: each of body.panels has a base with prescribed motion";
         require(struck || value == 0.0, key, value, remedy)?;
     }
     Ok((offset > 0.0 || angle > 0.0).then_some(Hand { offset, angle: angle.to_radians() }))
@@ -89,25 +89,25 @@ fn mix(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result<Ve
         parts.len() > 1,
         key,
         &kinds,
-        "must be two tables [[stimuli.mix]] or more, each with weight and kind",
+        "must be at least two tables [[stimuli.mix]], each with weight and kind",
     )?;
     require(
         parts.iter().all(|part| part.kind != StimuliKind::Mix),
         key,
         &kinds,
-        "must not hold a mixture: give its parts their weights here",
+        "must not be a mixture: list its parts here, with their weights",
     )?;
     let weights: Option<Vec<f64>> = parts.iter().map(|part| part.weight).collect();
     let Some(weights) = weights else {
-        return Err(invalid("stimuli.mix.weight", "", "must be given to each part"));
+        return Err(invalid("stimuli.mix.weight", "", "must be set for each part"));
     };
     let records = parts.iter().filter(|part| part.kind == StimuliKind::Recorded).count();
-    require(records < 2, key, &kinds, "must name the records once: stimuli.recorded holds them all")?;
+    require(records < 2, key, &kinds, "must contain the records once: stimuli.recorded lists them all")?;
     if stimuli.recorded.is_some() && records == 0 {
         return Err(invalid(
             "stimuli.recorded",
             "{ … }",
-            "means nothing here: no part of stimuli.mix is recorded",
+            "has no effect: no part of stimuli.mix is recorded",
         ));
     }
     let (shown, sum) = (format!("{weights:?}"), weights.iter().sum::<f64>());
@@ -149,13 +149,13 @@ pub(super) fn under(trial: &TrialSpec) -> Result<Vec<Source>, Invalid> {
     let shown = as_written(&kinds);
     for (n, part) in read_under(trial).enumerate() {
         let sound = part.kind != StimuliKind::Mix && !kinds[..n].contains(&part.kind);
-        require(sound, key, &shown, "must name kinds other than mix, and each once")?;
+        require(sound, key, &shown, "must contain kinds other than mix, each once")?;
         if let Some(weight) = part.weight {
-            return Err(invalid("evaluation.under.weight", weight, "means nothing here: leave it out"));
+            return Err(invalid("evaluation.under.weight", weight, "has no effect: leave it out"));
         }
     }
     let readable = fits(trial.time.samples, trial.signals(), trial.point.panels);
-    let remedy = "must be left out here: a linear brain of such long samples does not fit into memory";
+    let remedy = "must be left out: a linear decoder of such long samples does not fit into memory";
     require(kinds.is_empty() || readable, key, &shown, remedy)?;
     let instants = force_instants(trial)?;
     read_under(trial).map(|part| alone(trial, key, part, &trial.stimuli, instants)).collect()
@@ -206,7 +206,7 @@ fn refuse_unread(stimuli: &spec::Stimuli) -> Result<(), Invalid> {
     };
     for (key, value) in unread {
         if let Some(value) = value {
-            return Err(invalid(&format!("stimuli.{key}"), value, "means nothing to this stimuli.kind"));
+            return Err(invalid(&format!("stimuli.{key}"), value, "has no effect on this stimuli.kind"));
         }
     }
     Ok(())
@@ -304,13 +304,13 @@ pub(super) fn disturbance(
             sound,
             key,
             format!("{values:?}"),
-            "must be 0 or above: a part of the RMS, or [mm/s², rad/s]",
+            "must be at least 0: a fraction of the RMS, or [mm/s², rad/s]",
         )?;
         Ok(size)
     };
     let (noise, bias) = (size("sensors.noise", sensors.noise)?, size("sensors.bias", sensors.bias)?);
     let delay = sensors.delay.unwrap_or(0.0);
-    let remedy = "must be 0 or above, and less than time.duration (s)";
+    let remedy = "must be at least 0 and less than time.duration (s)";
     require(delay >= 0.0 && delay < time.duration, "sensors.delay", delay, remedy)?;
     let bandwidth = sensors.bandwidth.unwrap_or(f64::INFINITY);
     let interval = time.duration / time.samples as f64;
@@ -321,14 +321,14 @@ pub(super) fn disturbance(
     let (range, resolution) = (sensors.range.unwrap_or(wide), sensors.resolution.unwrap_or_default());
     let remedy = "must be above 0: [mm/s², rad/s]";
     require(range.iter().all(|most| *most > 0.0), "sensors.range", format!("{range:?}"), remedy)?;
-    let remedy = "must be 0 or above, and less than sensors.range: [mm/s², rad/s]";
+    let remedy = "must be at least 0 and less than sensors.range: [mm/s², rad/s]";
     let fine = resolution.iter().zip(range).all(|(step, most)| (0.0..most).contains(step));
     require(fine, "sensors.resolution", format!("{resolution:?}"), remedy)?;
     let disturbance = Disturbance { noise, bias, delay, bandwidth, range, resolution };
     let clock = disturbance.clock(interval);
     let (key, value) = if delay > 0.0 { ("sensors.delay", delay) } else { ("sensors.bandwidth", bandwidth) };
     let most = INSTANTS_MAX / clock;
-    let remedy = format!("takes the motion {clock} times a reading: at most for time.samples = {most}");
+    let remedy = format!("needs {clock} instants of motion per reading: allowed up to time.samples = {most}");
     require(time.samples * clock <= INSTANTS_MAX, key, value, &remedy)?;
     Ok((disturbance != Disturbance::NONE).then_some(disturbance))
 }
@@ -355,7 +355,7 @@ pub(super) fn mount(sensors: &spec::Sensors) -> Result<Option<Mount>, Invalid> {
     require((-360.0..=360.0).contains(&tilt), "sensors.tilt", tilt, "must lie between -360 and 360 degrees")?;
     let weighs = sensors.mass.unwrap_or_default() > 0.0 || sensors.inertia.unwrap_or_default() > 0.0;
     let off = offset != [0.0; 2];
-    let remedy = "cannot be given beside sensors.mass or sensors.inertia, which sit on the centroid";
+    let remedy = "cannot be set together with sensors.mass or sensors.inertia, which act at the centroid";
     require(!(off && weighs), "sensors.offset", &shown, remedy)?;
     Ok((off || tilt != 0.0).then_some(Mount { offset, tilt: tilt.to_radians() }))
 }

@@ -277,14 +277,14 @@ fn forces_act_where_the_list_of_panels_says() {
         (json!([{ "base": 0 }]), "panels[0]", "a mass above 0"),
         (json!([{ "base": 1e-5, "unit": 34, "node": 1 }]), "panels[0]", "no node"),
         (json!([{ "base": 1e-5, "unit": 2 }]), "panels[0]", "leave it out of body.clamp"),
-        (json!([{ "base": 1e-5, "unit": 36 }]), "panels[0]", "there is no unit 36"),
+        (json!([{ "base": 1e-5, "unit": 36 }]), "panels[0]", "unit 36 does not exist"),
         (json!([{ "unit": 34 }, { "base": 1e-5, "unit": 34 }]), "panels[0]", "moves as panels[1] says"),
         (json!([{ "unit": 36 }]), "panels[0]", "units are 0 to 35"),
         (json!([{ "unit": 34 }, { "unit": 34, "node": 4 }]), "panels[1]", "which has 4"),
         (json!([{ "unit": 34, "direction": [0, 0] }]), "panels[0]", "not zero"),
         (json!([{ "unit": 34, "couple": 0 }]), "panels[0]", "not zero"),
-        (json!([{ "unit": 34, "couple": 2, "node": 1 }]), "panels[0]", "beside it"),
-        (json!([{ "unit": 34 }, { "unit": 31 }, { "unit": 34 }]), "panels[2]", "panels[0] once more"),
+        (json!([{ "unit": 34, "couple": 2, "node": 1 }]), "panels[0]", "leave out"),
+        (json!([{ "unit": 34 }, { "unit": 31 }, { "unit": 34 }]), "panels[2]", "repeats panels[0]"),
         (json!([{ "unit": 2 }, { "unit": 34 }]), "2", "is clamped"),
     ] {
         let unit = |struck: &Value| struck.get("unit").cloned().unwrap_or(json!(0));

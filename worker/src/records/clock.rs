@@ -32,7 +32,7 @@ pub(super) fn timed(
         return Err(format!("has {} entries of {}, {} of time", history.len(), pick.key, clock.len()));
     }
     if clock.len() < 2 {
-        return Err("must hold at least two entries".into());
+        return Err("must contain at least two entries".into());
     }
     let unit = pick.unit.seconds();
     let steps = || clock.windows(2).map(|w| w[1] - w[0]);
@@ -43,8 +43,8 @@ pub(super) fn timed(
     if let Some((n, usual)) = gap(&steps().collect::<Vec<_>>()) {
         let (length, step) = ((clock[n + 1] - clock[n]) * unit, usual * unit);
         return Err(format!(
-            "{} = {} comes {length:.6} s after the entry before, where a step takes {step:.6} s: entries are missing. Leave the record \
-             out, or cut it before the gap",
+            "{} = {} comes {length:.6} s after the entry before, but a step is {step:.6} s: entries are missing. Remove the record, \
+             or cut it before the gap",
             place(n + 1),
             clock[n + 1]
         ));
@@ -62,7 +62,7 @@ pub(super) fn timed(
     let count = (span / finest).ceil();
     if count > LONGEST as f64 {
         return Err(format!(
-            "time is uneven, and its finest step, {finest}, is too small to resample at: resample it first"
+            "time is uneven, and its finest step, {finest}, is too small: resample the record first"
         ));
     }
     let dt = span / count;

@@ -63,11 +63,11 @@ pub(crate) fn of_file(pick: &Pick, held: &Content) -> Result<Vec<Record>, String
         Content::Table(table) => table,
         Content::Array(array) if array.shape.len() == 3 => {
             if pick.time.is_some() {
-                return Err("has three dimensions, so no clock: give rate".into());
+                return Err("has three dimensions, so no clock: set rate".into());
             }
             if pick.signals.is_some() {
                 return Err(format!(
-                    "has three dimensions, so no names and numbers of signals: leave out {}",
+                    "has three dimensions, so its signals have no names or numbers: leave out {}",
                     pick.key
                 ));
             }
@@ -83,7 +83,7 @@ pub(crate) fn of_file(pick: &Pick, held: &Content) -> Result<Vec<Record>, String
         Some(signals) => signals.iter().map(|signal| table.column(signal)).collect::<Result<_, _>>()?,
         None if table.width() == pick.count.unwrap_or(1) => (0..table.width()).collect(),
         None => {
-            return Err(format!("has {} signals: name the ones to read in {}", table.width(), pick.key));
+            return Err(format!("has {} signals: list the signals to read in {}", table.width(), pick.key));
         }
     };
     let time = pick.time.map(|time| table.column(time)).transpose()?;
@@ -114,7 +114,7 @@ fn of_archive(
     let key = pick.key;
     let named = |signal: &Signal| -> Result<(&str, &Array), String> {
         let Signal::Name(name) = signal else {
-            return Err(format!("holds arrays by name: {key} and time must be names"));
+            return Err(format!("contains named arrays: {key} and time must be names"));
         };
         let names = || arrays.keys().map(String::as_str).collect::<Vec<_>>().join(", ");
         let (name, array) =
@@ -123,7 +123,7 @@ fn of_archive(
         Ok((name, array.map_err(|what| format!("{name} {what}"))?))
     };
     let Some(signals) = pick.signals else {
-        return Err(format!("has arrays by name: name the ones to read in {key}"));
+        return Err(format!("contains named arrays: list the arrays to read in {key}"));
     };
     let all: Vec<&Signal> = signals.iter().chain(pick.time).collect();
     if let Some(n) = (1..all.len()).find(|n| all[..*n].contains(&all[*n])) {
@@ -139,7 +139,7 @@ fn of_archive(
         }
         if records.len() != held.len() {
             let (these, others) = (held.len(), records.len());
-            return Err(format!("{name} holds {these} samples, another of {key} {others}"));
+            return Err(format!("{name} contains {these} samples, another array of {key} {others}"));
         }
         records.iter_mut().zip(held).for_each(|(record, values)| record.extend(values));
     }
@@ -165,7 +165,7 @@ fn histories(pick: &Pick, Array { shape, values }: &Array) -> Result<Vec<Vec<Vec
     };
     let last = pick.count == Some(columns);
     if last && rows == columns && rows > 1 {
-        let remedy = "one axis must be of entries, the other of signals: give more entries";
+        let remedy = "one axis must be entries and the other signals: add entries";
         return Err(format!("is of shape {shape:?}, of as many entries as signals: {remedy}"));
     }
     let value = |i: usize, row: usize, column: usize| values[(i * rows + row) * columns + column];

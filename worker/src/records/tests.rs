@@ -187,7 +187,7 @@ fn what_is_no_record_is_refused_by_name() {
         (
             &["good.csv"; 2][..],
             keys.clone(),
-            "stimuli.samples = 2: with stimuli.holdout = 1 that is 3 records; the files hold 2",
+            "stimuli.samples = 2: with stimuli.holdout = 1, 3 records are needed; the files contain 2",
         ),
         (&["none.csv"], keys.clone(), "none.csv\": cannot be read"),
         (
@@ -196,10 +196,10 @@ fn what_is_no_record_is_refused_by_name() {
             "back.csv\": line 5: time = 2200 must be later than the entry before, at 2200",
         ),
         (&["nan.csv"], keys.clone(), "nan.csv\": line 6: force = \"nan\": must be a finite number"),
-        (&["wide.npy"], json!({ "rate": 10.0 }), "holds 3 forces a record; must be 1 or 2"),
+        (&["wide.npy"], json!({ "rate": 10.0 }), "contains 3 forces per record; must be 1 or 2"),
         (&["deep.npy"], json!({ "rate": 10.0 }), "is of shape [1, 1, 1, 4]"),
         (&thrice, with("force", json!(["F"])), "has no signal \"F\", but time, force"),
-        (&thrice, with("rate", json!(10.0)), "stimuli.recorded.rate = 10: give either time or rate"),
+        (&thrice, with("rate", json!(10.0)), "stimuli.recorded.rate = 10: set either time or rate"),
         (&thrice, with("trigger", json!({ "threshold": 9.0 })), "never reaches the trigger's 9 N"),
         (
             &thrice,
@@ -210,9 +210,9 @@ fn what_is_no_record_is_refused_by_name() {
         (
             &thrice,
             with("digest", json!("abc")),
-            "stimuli.recorded.digest = abc: the files' contents now give",
+            "stimuli.recorded.digest = abc: the contents of the files have changed",
         ),
-        (&[], keys.clone(), "stimuli.recorded.files = []: must name a file"),
+        (&[], keys.clone(), "stimuli.recorded.files = []: must contain a file"),
     ] {
         let error = folder.read(names, keys).unwrap_err().to_string();
         assert!(error.contains(said), "{error}\n{said}");

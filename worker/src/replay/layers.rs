@@ -149,7 +149,8 @@ pub fn layers(trial: &TrialSpec, own: &Own, replay: &Replay) -> Result<Vec<Convo
     if let Own::Network(_) = own
         && replay.signal_offset.iter().any(|offset| *offset != 0.0)
     {
-        let remedy = "has no layers to export: beyond its ends a signal is padded with the middle of its range. Export npz";
+        let remedy =
+            "has no layers to export, because signals are padded with the middle of their range: export npz";
         return Err(Failure::Rejected(invalid("brain.scaling", "\"minmax\"", remedy).to_string()));
     }
     let mut layers = match own {

@@ -30,6 +30,6 @@ fn a_twin_is_read_as_it_was_written() {
         assert_eq!(read(file.path(), &trial, &design).unwrap(), twin);
         let other: Vec<f64> = design.iter().map(|a| a + 0.1).collect();
         let said = read(file.path(), &trial, &other).unwrap_err().to_string();
-        assert!(said.contains("is another body"), "{said}");
+        assert!(said.contains("belongs to another body"), "{said}");
     }
 }

@@ -54,8 +54,8 @@ impl fmt::Display for Answer {
             Self::Ratio([ratio, low, high]) => write!(f, "{ratio:.3} ({low:.3} … {high:.3})"),
             Self::Sensors(Some(m)) => write!(f, "M = {m}"),
             Self::Sensors(None) => f.write_str("none"),
-            Self::Falls(true) => f.write_str("error falls with complexity"),
-            Self::Falls(false) => f.write_str("error grows with complexity"),
+            Self::Falls(true) => f.write_str("error decreases with complexity"),
+            Self::Falls(false) => f.write_str("error increases with complexity"),
         }
     }
 }

@@ -51,12 +51,12 @@ fn left(submission: &Submission, jobs: &[Job], refused: &[u32]) -> String {
     let from = submission.which.iter().position(|shard| refused.contains(shard)).unwrap_or(0);
     let queued: Vec<&str> = jobs.iter().map(|job| job.job.as_str()).collect();
     let queued = match queued.is_empty() {
-        true => "it is not known whether it was accepted".to_owned(),
+        true => "it is unknown whether it was accepted".to_owned(),
         false => format!("queued: jobs {}", queued.join(", ")),
     };
-    let merge = if submission.merges { " and what merges them" } else { "" };
+    let merge = if submission.merges { " and the merge" } else { "" };
     let left = ranges(&submission.which[from..]);
-    format!("{queued}; not queued: shards {left}{merge}. The same command goes on with those")
+    format!("{queued}; not queued: shards {left}{merge}. The same command submits them")
 }
 
 /// Queues shards, and the merge behind them and behind what is in the queue.
@@ -69,9 +69,9 @@ pub(super) fn submit(
     submission.cluster.clone_from(&queue.cluster);
     let new = submit_shards(submission, notes)?;
     let (folder, out) = (submission.folder.display(), submission.out.display());
-    say!("metasense status --folder {folder} says how they are");
+    say!("metasense status --folder {folder} shows the shards");
     if submission.scheduler == Scheduler::Hq {
-        say!("the last shard to end merges them into {out}; what is cut off goes on with the same command");
+        say!("the last shard to end merges them into {out}; the same command resumes interrupted shards");
         return Ok(());
     }
     jobs.retain(|job| queue.jobs.contains(&job.job));
@@ -80,11 +80,11 @@ pub(super) fn submit(
     before.extend(queue.jobs.iter().filter(|job| !jobs.iter().any(|known| known.job == **job)).cloned());
     let (merge_job, _) = run(&submission.submit_merge(&before)).map_err(|refused| {
         Error::Partly(format!(
-            "{refused}; the shards are queued, what merges them is not: the same command queues it, or afterwards `metasense cluster merge \
+            "{refused}; the shards are queued, but not the merge: run the same command to queue it, or later `metasense cluster merge \
              {folder} --out {out}`"
         ))
     })?;
-    say!("submitted: job {merge_job}, which merges them into {out}");
+    say!("submitted: job {merge_job}, the merge into {out}");
     for job in &mut jobs {
         job.merge_job = Some(merge_job.clone());
         notes.note(job).map_err(Error::io("noting what was submitted in", &submission.folder))?;

@@ -39,7 +39,7 @@ pub(super) async fn execute(
     queue: &Queue,
 ) -> Result<Exit, Error> {
     if args.retry_failed {
-        let why = "--retry-failed: rounds go on from what trials have come to; leave it out, or `run` them again, by `design` those of a \
+        let why = "--retry-failed: not for rounds, which depend on earlier results; leave it out, or use `run`, or `design` for a \
                    [goal]";
         return Err(Error::Usage(why.into()));
     }
@@ -61,7 +61,7 @@ pub(super) async fn execute(
     let room = shards.workers();
     if let Some(few) = space.as_ref().map(|space| space.goal.at_a_time).filter(|few| *few < room as usize) {
         let shards = counted(shards.submission.shards as usize, "shard");
-        say!("goal.at_a_time = {few}: so many trials a round, where {shards} have room for {room}");
+        say!("goal.at_a_time = {few}: {few} trials per round, but {shards} have room for {room}");
     }
     // what an earlier `submit` has left running
     let outcome = match shards.wait().await? {
@@ -171,7 +171,7 @@ impl Shards<'_> {
                 Err(error) => return Err(error.into()),
             }
             if self.signals.unless(tokio::time::sleep(LOOK)).await.is_none() {
-                say!("the shards in the queue go on; the same command goes on with what comes of them");
+                say!("the shards in the queue continue; the same command resumes with their results");
                 return Ok(false);
             }
         }

@@ -63,7 +63,7 @@ impl Input {
     /// `copy` is where its copy goes, if it needs one; `held`: writers are kept out already.
     pub async fn open(named: &Path, copy: &Path, held: bool) -> Result<Self, Refusal> {
         if !named.is_file() {
-            return Err(Refusal::Input("there is no such file".into()));
+            return Err(Refusal::Input("no such file".into()));
         }
         let file = store::real(named);
         let lock = File::open(&file)?;

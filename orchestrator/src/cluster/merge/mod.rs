@@ -72,7 +72,7 @@ pub enum MergeError {
     },
     /// There is something in the result's place that cannot be merged.
     #[error(
-        "{} was there before and cannot be merged with; it stays as it is: move it away, or name another file",
+        "{} exists and cannot be merged with; it is unchanged: move it away, or choose another file",
         path.display()
     )]
     Result {
@@ -82,7 +82,7 @@ pub enum MergeError {
         source: Box<StoreError>,
     },
     /// Facts into whole trials.
-    #[error("{} holds whole trials; facts alone go into a file of their own", .0.display())]
+    #[error("{} contains whole trials; merge facts into another file", .0.display())]
     NotFacts(PathBuf),
     /// An input could not be read, and is not at fault.
     #[error("cannot merge {} into {}; nothing was changed", input.display(), out.display())]
@@ -272,7 +272,7 @@ async fn merge_in(
 }
 
 /// What is said of an input that is another one at every look.
-const CHANGES: &str = "it changes all the time: merge again when runs and merges into it have ended";
+const CHANGES: &str = "it keeps changing: merge again when runs and merges into it have ended";
 /// Looks at an input that changes meanwhile.
 const LOOKS: usize = 5;
 
@@ -331,10 +331,12 @@ async fn build(
     for (i, input) in inputs.iter().enumerate() {
         let refused = attached(&mut out, i, input, async |out| {
             if let Some(column) = copy::foreign(out).await? {
-                return Ok(Some(format!("its {column} is not a stored column as version {VERSION} has it")));
+                return Ok(Some(format!("its {column} is not a stored column of version {VERSION}")));
             }
             if Some(i) != base && copy::extents(out, "src").await?[0] {
-                return Ok(Some("it holds facts alone: name the databases that they are of".to_owned()));
+                return Ok(Some(
+                    "it contains only facts: pass the databases of the shards instead".to_owned(),
+                ));
             }
             copy::survey(out, i).await.map(|()| None)
         });

@@ -24,7 +24,7 @@ pub enum Numbers {
     F32,
     /// 16-bit integers
     I16,
-    /// 8-bit weights, 16-bit readings and activations
+    /// 8-bit weights, 16-bit signals and activations
     I8,
 }
 
@@ -77,7 +77,7 @@ pub fn c(
             let weights = if numbers == Numbers::I8 { 8 } else { 16 };
             let sums = if wide { 64 } else { 32 };
             format!(
-                "{weights}-bit weights, 16-bit readings and activations, {sums}-bit sums (none passes {})",
+                "{weights}-bit weights, 16-bit signals and activations, {sums}-bit sums (none passes {})",
                 integers.bound
             )
         }
@@ -87,19 +87,19 @@ pub fn c(
     let interval = spec.time.duration / spec.time.samples as f64;
     let units = spec.sensors.read().iter().map(|channel| channel.name()).collect::<Vec<_>>().join(", ");
     let mut text = format!(
-        "/* The brain {of}the {name} body of trial {hash}, by metasense {version}: C99, no heap, no library.
+        "/* The decoder {of}the {name} body of trial {hash}, by metasense {version}: C99, no heap, no library.
 
    Every {interval} s one reading: {units} of each sensor, one sensor after the other, in mm/s^2 and rad/s.
-   It answers with the forces (N) on {panels} panels, {delay} readings ({late:.3} s) later.
+   Output: the forces (N) on {panels} panels, {delay} readings ({late:.3} s) later.
 
      void brain_reset(void);                           before the first reading
      int brain_read(const float *reading, float *force);  1: force is that of BRAIN_DELAY readings ago; 0: not yet
-     int brain_end(float *force);                      after the last reading, until it returns 0: those that are left
+     int brain_end(float *force);                      after the last reading, until it returns 0: the remaining forces
 
    Numbers: {said}.
-   Error on the holdout of the body as designed: {errors}.
-   On a 32-bit device: constants {constants} bytes, memory {memory} bytes, {operations} multiply-adds a reading.
-   To test it: cc -std=c99 -O2 -DBRAIN_TEST brain.c -o brain && ./brain */
+   Held-out error of the body as designed: {errors}.
+   On a 32-bit device: constants {constants} bytes, memory {memory} bytes, {operations} multiply-adds per reading.
+   To test: cc -std=c99 -O2 -DBRAIN_TEST brain.c -o brain && ./brain */
 ",
         of = if fit == Fit::Casts { "for all casts of " } else { "of " },
         name = Body::ALL[body].name(),
@@ -115,7 +115,7 @@ pub fn c(
 #define BRAIN_PANELS {panels}
 #define BRAIN_DELAY {delay}
 #define LAYERS {count}
-#define LINEAR {} /* whether the first of these is a linear brain */
+#define LINEAR {} /* whether the first layer is a linear decoder */
 #define WIDEST {widest}
 
 {}{}

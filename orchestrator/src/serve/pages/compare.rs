@@ -39,7 +39,7 @@ pub async fn page(
         ["", ""] if other == at => Ok(html! {}),
         ["", ""] => databases(&served, &at, &other).await,
         ["", _] | [_, ""] => {
-            Ok(html! { p class="quiet" { "Name both trials, each by the beginning of its hash." } })
+            Ok(html! { p class="quiet" { "Enter both trials, each by the beginning of its hash." } })
         }
         [a, b] => trials(&served, [&at, &other], [a, b]).await,
     };
@@ -62,7 +62,7 @@ pub async fn page(
             button { "Compare" }
         }
         @if served.sources.len() > 1 {
-            p class="quiet" { "Without trials, two databases are compared: trials are paired that agree in every setting that varies within a database." }
+            p class="quiet" { "Without trials, two databases are compared. Trials that agree in all settings that vary within a database form pairs." }
         }
         (shown)
     };
@@ -114,7 +114,7 @@ async fn trials(served: &Served, at: [&str; 2], hashes: [&str; 2]) -> Result<Mar
         trial.column("error_test").into_iter().map(|(step, error)| row![who, step, error]).collect()
     };
     let data = Table::new("trial step error_test", [("first", a), ("second", b)].into_iter().flat_map(steps));
-    let errors = curves("Test error while the body is trained", ["outer step", "test error (%)"], &lines);
+    let errors = curves("Test error during training of the body", ["outer step", "test error (%)"], &lines);
     Ok(html! {
         p {
             "First: " a href=(to_trial(at[0], &a.hash)) { (short_hash(&a.hash)) } " (" (a.state) "); second: "

@@ -21,10 +21,10 @@ use crate::serve::{Refusal, source};
 
 /// What cells may be coloured by, and in words.
 const BY: [(&str, &str); 5] = [
-    ("holdout_optimised", "holdout error of the optimised body (%)"),
-    ("holdout_initial", "holdout error of the initial body (%)"),
-    ("test_optimised", "test error of the optimised body (%)"),
-    ("gain", "the initial body's holdout error over the optimised one's"),
+    ("holdout_optimised", "held-out error of the trained body (%)"),
+    ("holdout_initial", "held-out error of the initial body (%)"),
+    ("test_optimised", "test error of the trained body (%)"),
+    ("gain", "held-out error of the initial body over that of the trained body"),
     ("cpu_seconds", "CPU time (s)"),
 ];
 /// Grids on a page, and cells along a side of one.
@@ -51,7 +51,7 @@ pub async fn page(
         @if let Some(wrong) = &wrong { p class="trouble" role="alert" { (wrong) } }
         p class="quiet" {
             (counted(found.len(), "trial")) ". A cell shows the geometric mean over its trials (seeds and all differences but \
-             these). Colour goes from pale (the smallest value of all cells) to strong (the largest), by factors. A click \
+             these). The colour scale is logarithmic, from pale (smallest value of all cells) to strong (largest). A click \
              shows its trials."
         }
         div class="grids" { @for picture in &pictures { figure { h2 { (picture.title) } (picture.svg(Some(picture.view))) } } }

@@ -37,7 +37,7 @@ fn progress(seen: &Seen) -> Markup {
         (trouble(seen))
         @if seen.checked.is_some() { p class="question" { (progress.summary) } }
         @if let Some(part) = progress.part {
-            progress max="1" value=(format!("{part:.4}")) aria-label="part of the estimated work that is done" {}
+            progress max="1" value=(format!("{part:.4}")) aria-label="finished part of the estimated work" {}
             p class="quiet" {
                 (number((1000.0 * part).floor() / 10.0)) " % of the estimated work"
                 @if let Some(correction) = progress.correction {
@@ -48,8 +48,8 @@ fn progress(seen: &Seen) -> Markup {
         }
         @if seen.checked.is_some() { p class="quiet" {
             @match progress.run {
-                Some(run) => { "A run is working on it (process " (run) ")." }
-                None => "No run on this machine is working on it.",
+                Some(run) => { "A run is active (process " (run) ")." }
+                None => "No run on this machine is active.",
             }
         } }
     }
@@ -68,7 +68,7 @@ fn failures(at: &str, seen: &Seen) -> Markup {
     html! {
         @if !seen.failures.rows.is_empty() {
             h2 { "Failures" }
-            p class="quiet" { "By reason and last message. Each trial's page has its log." }
+            p class="quiet" { "By reason and last message. The page of each trial contains its log." }
             @let mut table = seen.failures.clone();
             @let () = table.columns = ["reason", "message", "trial", "trials"].map(String::from).into();
             (table.linked(None, trial_links(at)))
@@ -87,7 +87,7 @@ fn answered(seen: &Seen) -> Markup {
                 " done. Intervals are over placements and seeds, because trials that share these are not independent."
             }
             (answers(found.said.iter().filter(|answer| !drawn(answer.figure))))
-            @if found.left > 0 { p class="quiet" { "… and " (found.left) " more: `metasense report` has all." } }
+            @if found.left > 0 { p class="quiet" { "… and " (found.left) " more: `metasense report` contains all." } }
             @for figure in &found.figures { (figure.html(&found.said)) }
         }
     }

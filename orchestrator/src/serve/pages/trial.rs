@@ -99,7 +99,7 @@ impl Trial {
             reader.stored(&hash).await?.filter(|stored| stored.designs.iter().all(|d| !d.is_empty()));
         let mut designs = Vec::new();
         if let Some(stored) = &stored {
-            for (b, name) in ["initial body", "optimised body"].into_iter().enumerate() {
+            for (b, name) in ["initial body", "trained body"].into_iter().enumerate() {
                 designs.push((name.to_owned(), stored.specs[b].clone(), stored.designs[b].clone()));
             }
         } else if let Ok(spec) = serde_json::from_str::<TrialSpec>(&spec) {
@@ -228,7 +228,7 @@ pub async fn page(
                     @for figure in figures.iter().filter(|f| f.name != "bodies" && f.name != "modes") { (figure.html(&[])) }
                 }
                 (None, Some(_)) => {
-                    p { a href="?replay=1#replay" { "Simulate both bodies again" } ", to see true and predicted forces sample by sample, and the wave. This takes as long as one outer step on one thread." }
+                    p { a href="?replay=1#replay" { "Simulate both bodies again" } " to see true and predicted forces of each sample, and the wave. This takes as long as one outer step on one thread." }
                 }
                 (None, None) => p class="quiet" { "Available once the trial is done." }
             }
@@ -297,12 +297,12 @@ fn facts(seen: &Seen, trial: &Trial) -> Markup {
 
 fn curves_of(trial: &Trial) -> Markup {
     let (test, train) = (trial.column("error_test"), trial.column("error_train"));
-    let mut keys = legend(&[("optimised", "test set, by which the body is chosen")]);
+    let mut keys = legend(&[("optimised", "test set, which selects the body")]);
     if !train.is_empty() {
         keys.push(("front", "training set".into()));
     }
     let steps = curves(
-        "Error while the body is trained",
+        "Error during training of the body",
         ["outer step", "error (%)"],
         &[("front", train), ("optimised", test)],
     );
@@ -311,17 +311,17 @@ fn curves_of(trial: &Trial) -> Markup {
         own.filter_map(|row| row[2].as_f64().zip(row[3].as_f64())).collect()
     };
     let lines = [("initial", of("initial")), ("optimised", of("optimised"))];
-    let axes = ["iteration of the brain", "holdout error (%)"];
-    let fresh = curves("A fresh network on each body", axes, &lines);
+    let axes = ["iteration of the decoder", "held-out error (%)"];
+    let fresh = curves("New network on each body", axes, &lines);
     let data = trial.steps.clone();
     html! {
         @if let Some(steps) = steps {
-            (Figure::new("steps", "Steps", "Error of the brain that is trained together with the body, after every outer step.", keys, vec![steps], data).html(&[]))
+            (Figure::new("steps", "Steps", "Error of the decoder that is trained together with the body, after each outer step.", keys, vec![steps], data).html(&[]))
         }
         @if let Some(fresh) = fresh {
             (Figure::new(
-                "fresh", "Fresh brains", "Holdout error of the comparison's first network while it is trained, on the initial and on the optimised body.",
-                legend(&[("initial", "initial body"), ("optimised", "optimised body")]), vec![fresh], trial.curves.clone(),
+                "fresh", "New networks", "Held-out error of the first network of the comparison during its training, on the initial and the trained body.",
+                legend(&[("initial", "initial body"), ("optimised", "trained body")]), vec![fresh], trial.curves.clone(),
             ).html(&[]))
         }
     }
@@ -332,7 +332,7 @@ fn bodies_of(trial: &Trial) -> Markup {
     if drawings.is_empty() {
         return html! {};
     }
-    let caption = "Units, ligaments, panels, sensors (mm). Clamped units have a shade of their own.";
+    let caption = "Units, ligaments, panels, sensors (mm). Clamped units are shaded.";
     body::figure("body", "Bodies", caption, &drawings).html(&[])
 }
 
@@ -349,7 +349,7 @@ fn course_of(trial: &Trial) -> Markup {
             h2 id="course" { "The body from step to step" }
             figure {
                 div class="plots" { div { (course(&designs, steps)) } }
-                figcaption { "The design after some of the outer steps; when played, each passes into the next. Panels and sensors move with it." }
+                figcaption { "The design after selected outer steps, with interpolation between them. Panels and sensors move with it." }
             }
         }
     }
@@ -357,9 +357,9 @@ fn course_of(trial: &Trial) -> Markup {
 
 fn networks(trial: &Trial) -> Markup {
     html! {
-        @if !trial.networks.rows.is_empty() { h2 { "Brains on both bodies" } (trial.networks.without_empty_columns().html(None)) }
+        @if !trial.networks.rows.is_empty() { h2 { "Networks on both bodies" } (trial.networks.without_empty_columns().html(None)) }
         @if !trial.readings.rows.is_empty() {
-            h2 { "Linear decoders, by how far they look back and ahead" }
+            h2 { "Linear decoders by memory (time before and after the instant)" }
             (trial.readings.without_empty_columns().html(None))
         }
     }
