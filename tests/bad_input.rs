@@ -180,7 +180,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "kind = \"bell\"",
         "kind = \"gauss\"\npeak = [0.3, 0.4]",
-        "s.toml:11: stimuli.peak = [0.3, 0.4]: means nothing",
+        "s.toml:11: stimuli.peak = [0.3, 0.4]: has no effect",
     ),
     (
         "[sweep]\n",
@@ -217,7 +217,7 @@ const EDITS: &[(&str, &str, &str)] = &[
         "[[evaluation.under]]\nkind = \"irregular\"\ndouble = 2.0\n[sweep]\n",
         "evaluation.under.double = 2: must lie between 0 and 1",
     ),
-    ("[sweep]\n", "[[evaluation.under]]\nkind = \"recorded\"\n[sweep]\n", "stimuli.recorded: must be given"),
+    ("[sweep]\n", "[[evaluation.under]]\nkind = \"recorded\"\n[sweep]\n", "stimuli.recorded: must be set"),
     (
         "[sweep]\n",
         "[[evaluation.under]]\nkind = \"bell\"\nwdth = [0.1, 0.2]\n[sweep]\n",
@@ -785,7 +785,7 @@ fn files_and_databases_that_cannot_be_used_are_named() {
         (&["run", "s.toml", "--grace", "3601"], "--grace"),
         (&["run", "s.toml", "--db", "file"], "file is not a metasense database"),
         (&["run", "s.toml", "--workers", "0"], "invalid value '0' for '--workers <N>'"),
-        (&["query", "none.sqlite", "SELECT 1"], "there is no database none.sqlite"),
+        (&["query", "none.sqlite", "SELECT 1"], "no database none.sqlite"),
         (&["query", "file", "SELECT 1"], "file is not a metasense database"),
         (&["query", "empty.sqlite", "SELECT 1"], "empty.sqlite is not a metasense database"),
         (&["serve", "file", "--port", "0"], "file is not a metasense database"),
