@@ -326,7 +326,10 @@ fn a_device_is_a_folder_with_all_that_is_built() {
             bench.output(&[&call[..], &["--pocket", "3x2x1", "--out", reader]].concat());
             let read = |name: &str| std::fs::read_to_string(bench.path(&format!("{reader}/{name}"))).unwrap();
             let (notes, source) = (read("README.md"), read("brain.c"));
-            assert!(notes.contains("The volume of the cavity is ") && notes.contains("| chip 0 |"), "{notes}");
+            assert!(
+                notes.contains("The volume of the cavity is ") && notes.contains("| chip 0 |"),
+                "{notes}"
+            );
             for name in ["mould.stl", "body.dxf", "body.svg", "design.npy", "brain.onnx"] {
                 assert!(notes.contains(name) && bench.path(&format!("{reader}/{name}")).is_file());
             }

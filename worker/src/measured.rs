@@ -192,7 +192,9 @@ fn check_copies(seen: &mut Seen, force: &Record, signal: &Record, place: String)
     let some = [force, signal].map(|record| record.values.iter().any(|values| is_some(values)));
     if let Some((other, first)) = seen.get(&own_signal) {
         if *other == own_force && (some[0] || some[1]) {
-            return Err(format!("is the same record as {first}: a copy would train and test the same decoder"));
+            return Err(format!(
+                "is the same record as {first}: a copy would train and test the same decoder"
+            ));
         }
         if some[1] {
             return Err(format!("contains the signals of {first} under another force"));

@@ -186,7 +186,11 @@ fn what_is_no_measured_record_is_refused_by_name() {
             "records.toml:14: signals.factors = [1.0, -1.0]: must be 3 numbers other than 0",
         ),
         ("a.csv", "none.csv", "none.csv\": cannot be read"),
-        ("a.csv", "short.csv", "short.csv\": contains signals that end at 0.0780 s, but a sample lasts 0.1 s"),
+        (
+            "a.csv",
+            "short.csv",
+            "short.csv\": contains signals that end at 0.0780 s, but a sample lasts 0.1 s",
+        ),
         ("a.csv", "nan.csv", "nan.csv\": line 9: x = \"NaN\": must be a finite number"),
         (
             "[\"x\", \"y\", \"w\"]",
