@@ -140,7 +140,8 @@ pub enum ControlError {
     },
     /// Somebody writes to it, but does not listen.
     #[error(
-        "{} is in use by a process that takes no commands: it is starting or stopping, or could not create its socket (see its log); try again in a few seconds",
+        "{} is in use by a process that takes no commands: it is starting or stopping (try again in a few seconds), or could not create its \
+         socket (see its log)",
         db.display()
     )]
     Deaf {

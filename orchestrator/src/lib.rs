@@ -1,4 +1,4 @@
-//! metasense: trains bodies of flexible metamaterial together with the neural networks that read them.
+//! metasense: trains bodies of flexible metamaterial together with the decoders that estimate forces from their signals.
 
 // They panic where the reader has gone: `cli::say` has what to use instead.
 #![warn(clippy::print_stdout, clippy::print_stderr)]

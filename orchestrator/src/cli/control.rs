@@ -8,7 +8,7 @@ use super::Error;
 use crate::control::{self, Command, ControlError, WORKERS_MAX};
 use crate::exit::Exit;
 
-/// Controls a run: pause, stop, number of workers, cancel a trial, reload the spec
+/// Controls a run: pauses or stops it, changes workers, cancels trials, reloads its spec
 ///
 /// Commands go to the `run` that holds the database, through the socket DB.control beside it, which only its owner can
 /// open. Trials stop after the step in progress and keep their checkpoints. `stop` waits for this at most as long as Ctrl-C

@@ -10,7 +10,7 @@ use crate::exit::Exit;
 use crate::look::{Table, file, row};
 use crate::report::modes as pictures;
 
-/// Computes a body's eigenmodes at rest, or the response of a unit to the force on a panel
+/// Computes a body's eigenmodes at rest, or the response of a unit to a panel's force
 ///
 /// Valid for small motions only: the stimuli of a sweep cause strongly nonlinear motion (`v_trial` contains the error of
 /// the linear model). Modes are proportional to exp(s t) with complex s: the frequency is |s|/2π, the damping ratio −Re
