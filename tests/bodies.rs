@@ -109,7 +109,7 @@ fn a_body_from_a_file_is_what_it_holds() {
     // corners in a table are a design of it
     bench.file("b.csv", &nodes.replace("\n1,1,28,1\n", "\n1,1,28.5,1\n"));
     let drawn = bench.output(&["body", "draw", "s.toml", "--design", "b.csv", "--out", "b.svg"]);
-    assert!(drawn.contains(" 0 broken"), "{drawn}");
+    assert!(drawn.contains(" 0 violated"), "{drawn}");
 
     bench.output(&["run", "s.toml", "--db", "s.sqlite"]);
     std::fs::remove_file(bench.path("mine.body.toml")).unwrap();

@@ -36,7 +36,7 @@ fn any_design_goes_in_and_a_castable_one_comes_out() {
     let said = bench.output(&["body", "project", "s.toml", "--design", "wild.npy", "--out", "tame.csv"]);
     assert!(said.contains("status    projected") && said.contains("interior angle"), "{said}");
     let drawn = bench.output(&["body", "draw", "s.toml", "--design", "tame.csv", "--out", "tame.svg"]);
-    assert!(drawn.contains(" 0 broken"), "{drawn}");
+    assert!(drawn.contains(" 0 violated"), "{drawn}");
 }
 
 /// NaN, infinity, and axes that are turned are refused wherever a design or its weights are read, by file; nothing is written.
