@@ -134,7 +134,7 @@ fn a_twin_tells_the_cast_and_teaches_brains() {
         assert!(text.contains(held), "{held}");
     }
     let page = std::fs::read_to_string(bench.path("measured/index.html")).unwrap();
-    assert!(page.contains("by its twin, ") && page.contains("class=\"band fine initial\""), "{page}");
+    assert!(page.contains("with its twin, ") && page.contains("class=\"band fine initial\""), "{page}");
 }
 
 /// With file, line, key and remedy.
@@ -172,7 +172,7 @@ fn what_is_no_twin_is_refused() {
     let noise = text.find("noise = ").unwrap();
     let end = noise + text[noise..].find('\n').unwrap();
     bench.file("quiet.toml", &format!("{}noise = [1.0]{}", &text[..noise], &text[end..]));
-    with("quiet.toml", &["quiet.toml:", "noise = 1 entries", "must be 3 entries"]);
+    with("quiet.toml", &["quiet.toml:", "noise = 1 entries", "must have 3 entries"]);
     let call = ["lab", "evaluate", "s.toml", &spec, "--records", "initial=r.toml", "--twin", "who=t.toml"];
     refused(&call, &["--twin who", "--records who=FILE"]);
     let two = trainable().replace("[brain]", "[sensors]\nchannels = [\"ax\", \"ay\"]\n[brain]");
