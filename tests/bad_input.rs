@@ -180,7 +180,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "kind = \"bell\"",
         "kind = \"gauss\"\npeak = [0.3, 0.4]",
-        "s.toml:11: stimuli.peak = [0.3, 0.4]: means nothing",
+        "s.toml:11: stimuli.peak = [0.3, 0.4]: has no effect",
     ),
     (
         "[sweep]\n",
@@ -217,7 +217,7 @@ const EDITS: &[(&str, &str, &str)] = &[
         "[[evaluation.under]]\nkind = \"irregular\"\ndouble = 2.0\n[sweep]\n",
         "evaluation.under.double = 2: must lie between 0 and 1",
     ),
-    ("[sweep]\n", "[[evaluation.under]]\nkind = \"recorded\"\n[sweep]\n", "stimuli.recorded: must be given"),
+    ("[sweep]\n", "[[evaluation.under]]\nkind = \"recorded\"\n[sweep]\n", "stimuli.recorded: must be set"),
     (
         "[sweep]\n",
         "[[evaluation.under]]\nkind = \"bell\"\nwdth = [0.1, 0.2]\n[sweep]\n",

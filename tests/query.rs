@@ -109,12 +109,12 @@ async fn what_is_read_and_what_was_there_stay() {
     let kept = ["s.sqlite", "other.sqlite", "s.toml", "rows.csv"];
     let before = kept.map(read);
     for (words, why) in [
-        (&["query", "s.sqlite", "SELECT 1", "--out", "s.sqlite"][..], "is what `query` reads"),
-        (&["query", "s.sqlite", "SELECT 1", "--out=link.sqlite"], "is what `query` reads"),
+        (&["query", "s.sqlite", "SELECT 1", "--out", "s.sqlite"][..], "`query` reads this file"),
+        (&["query", "s.sqlite", "SELECT 1", "--out=link.sqlite"], "`query` reads this file"),
         (&["query", "s.sqlite", "SELECT 1", "--out", "other.sqlite"], "it is a database"),
-        (&["report", "s.sqlite", "--out", "./s.sqlite"], "is what `report` reads"),
+        (&["report", "s.sqlite", "--out", "./s.sqlite"], "`report` reads this file"),
         (&["report", "s.sqlite", "--out", "other.sqlite"], "it is a database"),
-        (&["body", "draw", "s.toml", "--out", "s.toml"], "is what `draw` reads"),
+        (&["body", "draw", "s.toml", "--out", "s.toml"], "`draw` reads this file"),
         (&["query", "s.sqlite", "SELECT FROM", "--format", "csv", "--out", "rows.csv"], "syntax error"),
     ] {
         let output = bench.metasense(words);
@@ -260,7 +260,7 @@ async fn trials_are_taken_out_by_conditions() {
         (&["remove", "s.sqlite"][..], "CONDITION"),
         (&["remove", "s.sqlite", "sensor!=7", "--yes"], "no trial has `sensor`"),
         (&["remove", "s.sqlite", "M", "--yes"], "`M` is not a condition"),
-        (&["remove", "s.sqlite", "M<two", "--yes"], "M is a number, `two` is none"),
+        (&["remove", "s.sqlite", "M<two", "--yes"], "M is a number, but `two` is not"),
         (&["remove", "s.sqlite", "M>", "--yes"], "`M>`"),
         (&["remove", "s.sqlite", "K!=", "--yes"], "`K!=`"),
         (&["remove", "s.sqlite", "reason~", "--yes"], "`reason~`"),

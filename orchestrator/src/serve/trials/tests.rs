@@ -79,7 +79,7 @@ fn numbers_are_compared_with_numbers() {
         assert_eq!(trials.asked(text, "").1, Some(wrong), "{text}");
     }
     let wrong = trials.asked("state!=doen", "").1.unwrap();
-    assert_eq!(wrong, "no trial can be `doen`: state is pending, running, done, failed");
+    assert_eq!(wrong, "no trial can be `doen`: the states are pending, running, done, failed");
     for text in ["M<2.5", "x=", "state=done", "state~do", "optimise.brain=linear", "reason!=7x", "reason="] {
         assert!(trials.asked(text, "").1.is_none(), "{text}");
     }
