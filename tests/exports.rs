@@ -337,7 +337,7 @@ fn a_device_is_a_folder_with_all_that_is_built() {
             assert!(good, "{said}");
             source
         });
-        assert!(casts.contains("The decoder for all casts of the optimised body"));
+        assert!(casts.contains("The decoder for all casts of the trained body"));
         assert_ne!(between(&casts, "W0[]", "}"), between(&design, "W0[]", "}"));
     }
     bench.file("s.toml", TINY);

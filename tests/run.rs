@@ -75,7 +75,10 @@ fn the_instruction_set_asked_for_is_the_one_used() {
         let run = bench.metasense(&["run", "tiny.toml", "--simd", simd, "--db", &db]);
         let said = String::from_utf8_lossy(&run.stderr);
         if run.status.code() == Some(2) {
-            assert!(said.contains(&format!("this machine has no {simd}")) && simd != NAMES[0], "{said}");
+            assert!(
+                said.contains(&format!("this machine does not support {simd}")) && simd != NAMES[0],
+                "{said}"
+            );
             assert!(!bench.path(&db).exists(), "{simd} was begun");
             continue;
         }

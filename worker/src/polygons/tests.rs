@@ -68,7 +68,7 @@ fn bad_polygons_are_refused_by_name() {
             "[[0, 1, 1, 0]]",
             "[[0, 1, 1, 0]]\nfollow = [{ node = [1, 1], nodes = [0, 2], by = \"x\" }]",
             "follow[0]",
-            "no node 1 of a rigid unit 1",
+            "no rigid unit 1 with a node 1",
         ),
         (
             "[[0, 1, 1, 0]]",

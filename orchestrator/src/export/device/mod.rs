@@ -102,7 +102,7 @@ pub fn c(
    To test: cc -std=c99 -O2 -DBRAIN_TEST brain.c -o brain && ./brain */
 ",
         of = if fit == Fit::Casts { "for all casts of " } else { "of " },
-        name = Body::ALL[body].name(),
+        name = Body::ALL[body].word(),
         hash = stored.hash,
         version = env!("CARGO_PKG_VERSION"),
         late = delay as f64 * interval,
