@@ -138,7 +138,7 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
         (
             "\"body.columns\" = [5, 6]",
             "\"run.workers\" = [5, 6]",
-            "a.toml:14: sweep.\"run.workers\" = [5, 6]: no part of a trial, and cannot be swept",
+            "a.toml:14: sweep.\"run.workers\" = [5, 6]: not part of a trial, and cannot be swept",
         ),
         (
             "rows = 6",

@@ -308,16 +308,16 @@ fn each_file_has_its_unit_of_time() {
     let seconds = folder.read(&text.replace("s.csv", "seconds.csv"), &trial).unwrap();
     assert!(furthest(&right.signals, &seconds.signals) < 1e-9);
     for (text, key, said) in [
-        (text.to_owned(), "signals.files = ", "is signals.time_unit right?"),
+        (text.to_owned(), "signals.files = ", "check signals.time_unit"),
         (
             text.replace("\ntime = \"t\"\nchannels", "\nrate = 2.0\nchannels"),
             "signals.files = ",
-            "is signals.rate right?",
+            "check signals.rate",
         ),
         (
             text.replace("\ntime = \"t\"\nforce", "\nrate = 5.0\nforce"),
             "recorded.files = ",
-            "is recorded.rate right?",
+            "check recorded.rate",
         ),
         (
             format!("{text}start = 0.0\n")

@@ -230,7 +230,9 @@ pub fn fit(
         fit.outcome = Verdict::NotIdentifiable;
     }
     fit.misfit = [objective.misfit(&fit.signals[0]), objective.misfit(point.signals())];
-    if fit.misfit[1].iter().any(|left| *left > UNEXPLAINED) {
+    // what is at the bound or undetermined is the nearer cause
+    let has_a_cause = matches!(fit.outcome, Verdict::AtTheBound | Verdict::NotIdentifiable);
+    if !has_a_cause && fit.misfit[1].iter().any(|left| *left > UNEXPLAINED) {
         fit.outcome = Verdict::NotExplained;
     }
     fit.noise = objective.residual_rms(point.signals());

@@ -2,7 +2,6 @@ use super::*;
 use crate::body::{Layout, Pattern};
 use crate::brain::linear::Lags;
 use crate::brain::{self, Architecture, Data, TrainOutcome, Workspace};
-use crate::brains::Fresh;
 use crate::dynamics::{Accuracy, Frame, Method, Panel, Parts, Scene, Solver, Stiffness};
 use crate::feasible::{Feasible, Limits};
 use crate::questions::{UnderReading, bound, nonlinear, replay, sense};
@@ -358,13 +357,6 @@ fn bodies_are_compared_with_the_same_networks() {
     assert_eq!(first.zero_samples, [0; 3]);
     let result = optimise(&problem, None, &pool, &mut Keeper::default()).unwrap().unwrap();
     assert_eq!([&result.initial, &result.optimised], [&first; 2]);
-    // from the state of an earlier version, which was within its second training of the same body
-    let mut state = State::new(&problem);
-    let second = BodyEvaluation { networks: Vec::new(), ..first.clone() };
-    state.comparison.bodies = vec![first.clone(), second];
-    state.comparison.training = Some(Fresh::of(first.networks[0].weights.clone()));
-    let resumed = optimise(&problem, Some(state), &pool, &mut Keeper::default()).unwrap().unwrap();
-    assert_eq!([&resumed.initial, &resumed.optimised], [&first; 2]);
     assert_eq!(result.counters.brain_iterations, 2 * 30);
 }
 
