@@ -104,7 +104,7 @@ fn say_bodies(trials: &[Trial]) {
     };
     let some = if bodies.len() == BODIES { format!(" (the first {BODIES} bodies)") } else { String::new() };
     say!("mass of a body {} g{frequencies}{some}", range(&grams));
-    let check = "check body.density (Mg/mm³), body.stiffness (N/mm) and time.duration (s)";
+    let check = "check body.density (Mg/mm²), body.stiffness (N/mm) and time.duration (s)";
     if grams.iter().any(|grams| *grams > MOST_GRAMS) {
         say!("warning: a body of more than {} kg: {check}", MOST_GRAMS / 1e3);
     }
