@@ -10,11 +10,11 @@ use metasense_worker::evaluate::{
     Effort, Evaluated, Kept, Network, by_model, by_twin, evaluate, parts, simulated,
 };
 use metasense_worker::inverse::holdout;
-use metasense_worker::measured::{self, Measured};
+use metasense_worker::measured::Measured;
 use metasense_worker::run::Failure;
 use metasense_worker::twin::{self, Twin};
 
-use super::named::Named;
+use super::named::{Named, read_records};
 use super::report::write_figures;
 use super::unfinished::Unfinished;
 use super::{Error, Format, duration, end_on_signal, print_rows, write};
@@ -154,11 +154,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
                 let remedy = "must be set: an inverse decoder needs the noise of measured signals";
                 return Err(args.trial.refused_key("sensors.noise", remedy));
             }
-            None => {
-                let found = measured::read(file, spec)?;
-                found.note(spec).iter().for_each(|note| say!("{note}"));
-                (By::Measured, found)
-            }
+            None => (By::Measured, read_records(file, spec)?),
         };
         Ok(Records { name: name.clone(), by, measured })
     };

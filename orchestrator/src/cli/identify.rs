@@ -8,11 +8,10 @@ use metasense_schemas::spec::Body;
 use metasense_worker::identify::{
     BOX, Estimate, Identified, Iteration, Parameter, Parameters, Turn, UNEXPLAINED, Verdict, identify,
 };
-use metasense_worker::measured;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::named::Designed;
+use super::named::{Designed, read_records};
 use super::report::write_figures;
 use super::unfinished::Unfinished;
 use super::{Error, Format, duration, end_on_signal, print_rows, write};
@@ -65,8 +64,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
                       readings";
         return Err(args.one.trial.refused_key(key, remedy));
     }
-    let measured = measured::read(&args.records, trial)?;
-    measured.note(trial).iter().for_each(|note| say!("{note}"));
+    let measured = read_records(&args.records, trial)?;
     let free: Vec<Parameter> = args.fit.iter().map(|&f| Parameter::ALL[f as usize]).collect();
     let begun = Instant::now();
     let bar = ProgressBar::new_spinner();

@@ -9,6 +9,7 @@ use metasense_schemas::source::Source;
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::demands::memory;
 use metasense_worker::design::Feasible;
+use metasense_worker::measured::{self, Measured};
 use metasense_worker::run::Failure;
 use metasense_worker::{design, problem, simulate};
 
@@ -19,6 +20,13 @@ use crate::files;
 use crate::look::Table;
 use crate::plan::{OneBody, Plan, Trial, counted};
 use crate::store::{Reader, StoreError, Stored, quoted};
+
+/// Measured records of a trial's body. Prints a note if their signals had to be resampled.
+pub(super) fn read_records(file: &Path, trial: &TrialSpec) -> Result<Measured, Error> {
+    let measured = measured::read(file, trial)?;
+    measured.note(trial).iter().for_each(|note| say!("{note}"));
+    Ok(measured)
+}
 
 /// A spec with changes.
 #[derive(Debug, Clone, clap::Args)]

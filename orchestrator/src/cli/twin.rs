@@ -5,13 +5,12 @@ use std::time::Instant;
 
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::identify::Parameters;
-use metasense_worker::measured;
 use metasense_worker::run::{Failure, prepared};
 use metasense_worker::twin::{self, Ending, Estimate, Fit, Unknown};
 use serde_json::Value;
 
 use super::identify::DISCREPANCY;
-use super::named::Designed;
+use super::named::{Designed, read_records};
 use super::{Error, Format, duration, print_rows, write};
 use crate::exit::Exit;
 use crate::look::{Table, digits, row};
@@ -41,8 +40,7 @@ pub(super) struct Args {
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let (_, trial, design) = &args.one.read().await?;
-    let measured = measured::read(&args.records, trial)?;
-    measured.note(trial).iter().for_each(|note| say!("{note}"));
+    let measured = read_records(&args.records, trial)?;
     let begun = Instant::now();
     let found = twin::fit(trial, design, &measured, args.threads.into());
     let found = found.map_err(|e| args.one.trial.failed(e))?;

@@ -91,7 +91,7 @@ pub fn archive(
     zip.array("forces", &[samples, panels, instants + 1], &replay.forces.values);
     zip.array("split", &[samples], &replay.split);
     zip.array("signal_scale", &[inputs], &replay.signal_scale);
-    if replay.signal_offset.iter().any(|offset| *offset != 0.0) {
+    if replay.has_offset() {
         zip.array("signal_offset", &[inputs], &replay.signal_offset);
     }
     if replays[1].signal_scale != replay.signal_scale {

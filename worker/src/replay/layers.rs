@@ -147,7 +147,7 @@ impl Convolution {
 /// If the weights are not those of the trial's network.
 pub fn layers(trial: &TrialSpec, own: &Own, replay: &Replay) -> Result<Vec<Convolution>, Failure> {
     if let Own::Network(_) = own
-        && replay.signal_offset.iter().any(|offset| *offset != 0.0)
+        && replay.has_offset()
     {
         let remedy =
             "has no layers to export, because signals are padded with the middle of their range: export npz";

@@ -127,6 +127,11 @@ pub struct LinearReplay {
 }
 
 impl Replay {
+    /// Whether a signal of 0 is not 0 for the network.
+    pub fn has_offset(&self) -> bool {
+        self.signal_offset.iter().any(|offset| *offset != 0.0)
+    }
+
     fn samples(&self, problem: &Problem) -> Samples {
         let (instants, outputs) = (problem.scene.instants, problem.scene.panels.len());
         let sizes = Sizes { instants, channels: self.signal_scale.len(), outputs };
