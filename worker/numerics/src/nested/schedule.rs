@@ -2,8 +2,9 @@
 
 use crate::trial::{CastReader, Optimise, Problem, Protocol};
 
-/// Looks at the test set in a loop, where a protocol does not need it anyway: so many, at least ten steps apart.
-const LOOKS: u32 = 20;
+/// Evaluations on the test set in a loop whose protocol does not need them: about so many, at least ten steps apart. The rate falls, so
+/// the best design is nearly always among the last ones.
+const LOOKS: u32 = 5;
 const APART: u32 = 10;
 
 /// Outer steps from one look at the test set to the next, of so many.
