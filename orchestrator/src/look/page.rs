@@ -141,9 +141,23 @@ impl Figure {
     }
 }
 
-/// Text whose units stay on the line of their numbers.
-fn prose(text: &str) -> String {
-    text.replace(" %", "\u{a0}%").replace(" mm", "\u{a0}mm")
+/// Text whose units stay on the line of their numbers; what stands between backticks is code.
+fn prose(text: &str) -> Markup {
+    let text = text.replace(" %", "\u{a0}%").replace(" mm", "\u{a0}mm");
+    html! {
+        @for (part, number) in text.split('`').zip(0..) {
+            @if number % 2 == 1 { code { (part) } } @else { (part) }
+        }
+    }
+}
+
+/// Links to the figures of a page, in their order.
+pub fn contents(figures: &[Figure]) -> Markup {
+    html! {
+        @if figures.len() > 2 {
+            ol class="quiet contents" { @for figure in figures { li { a href={ "#" (figure.name) } { (figure.title) } } } }
+        }
+    }
 }
 
 /// A link that holds a table as CSV.

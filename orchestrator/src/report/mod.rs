@@ -22,7 +22,7 @@ use crate::analysis::numbers::distinct;
 use crate::analysis::resample::{REPLICATES, SEED};
 use crate::analysis::{Question, Terms, Trial};
 use crate::look::wave::SCRIPT;
-use crate::look::{Answer, Figure, Table, answers as listed, download, more, page};
+use crate::look::{Answer, Figure, Table, answers as listed, contents, download, more, page};
 use crate::store::{Made, Stored};
 
 /// Everything that a report tells.
@@ -130,6 +130,7 @@ pub fn html(story: Story, figures: &[Figure], missing: Option<&str>) -> String {
     let content = html! {
         p { (RATIO_OF_ENERGIES) }
         (listed(first.chain(&state(&story))))
+        (contents(figures))
         @for figure in figures { (figure.html(&said)) }
         @if let Some(why) = missing {
             p class="quiet" { "Forces, samples, bodies and waves cannot be drawn: " (why) "." }
