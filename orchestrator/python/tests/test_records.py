@@ -76,6 +76,53 @@ PREAMBLES = {
 }
 
 
+LVM = """LabVIEW Measurement\t
+Separator\tTab
+Date\t2026/10/02
+Time\t07:48:45.123
+***End_of_Header***\t
+\t
+Channels\t4\t\t\t\t
+Samples\t60\t60\t60\t60\t
+X0\t0.0\t0.0\t0.0\t0.0\t
+Delta_X\t0.01\t0.01\t0.01\t0.01\t
+***End_of_Header***\t\t\t\t\t
+"""
+WRITTEN = {
+    "labview": lambda truth: LVM + table(truth, "\t").replace("w\n", "w\tComment\n"),
+    "delimiter at the end": lambda truth: "".join(
+        line + ",\n" * (n > 0) + "\n" * (n == 0) for n, line in enumerate(table(truth).splitlines())
+    ),
+    "text with another delimiter": lambda truth: "\n".join(
+        f"{'name' if n == 0 else 'sensor 1, left'};{line}" for n, line in enumerate(table(truth, ";").splitlines())
+    ),
+    "minus sign": lambda truth: table(truth).replace("-", "\u2212"),
+    "blank lines and a footer": lambda truth: table(truth).replace("\n", "\r\r") + "End of data",
+    "names in a comment": lambda truth: "# exported\n# " + table(truth),
+    "aligned": lambda truth: table(truth, ",").replace(",", "    "),
+    "blanks after delimiters": lambda truth: table(truth, ",").replace(",", ", "),
+    "milliseconds": lambda truth: table(truth, time=[str(10 * n) for n in range(N)]).replace("t,f", "t (ms),f"),
+    "units below": lambda truth: table(truth, ";", time=[str(10 * n) for n in range(N)]).replace("w\n", "w\nms;N;g;g;dps\n"),
+    "separate date": lambda truth: "\n".join(
+        ("date;" if n == 0 else "2026-10-02;") + line
+        for n, line in enumerate(table(truth, ";", time=stamps(STAMPS["clock"])).splitlines())
+    ),
+}
+
+
+@pytest.mark.parametrize("write", WRITTEN.values(), ids=WRITTEN)
+def test_tables_are_read_as_instruments_write_them(truth, tmp_path, write):
+    (tmp_path / "a.csv").write_bytes(write(truth).encode())
+    pick = {**PICK, "time": "X_Value"} if "X_Value" in write(truth) else PICK
+    check(convert(tmp_path / "a.csv", tmp_path / "r.npz", **pick)[0], truth)
+
+
+def test_digits_in_groups_have_one_meaning_with_a_decimal_mark(tmp_path):
+    (tmp_path / "a.csv").write_text("t;f\n" + "".join(f"{n};1.{n:03}.250,5\n" for n in range(9)))
+    [held] = loaded(convert(tmp_path / "a.csv", tmp_path / "r.npz", time="t", force="f")[0])
+    assert np.array_equal(held["force"][0], [1_000_250.5 + 1000 * n for n in range(9)])
+
+
 @pytest.mark.parametrize("preamble", PREAMBLES.values(), ids=PREAMBLES)
 def test_a_preamble_is_left_out(truth, tmp_path, preamble):
     (tmp_path / "a.csv").write_text(preamble + table(truth))

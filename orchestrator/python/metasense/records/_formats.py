@@ -29,6 +29,8 @@ def read_file(file: Path, form: Form) -> list[Recording]:
         data = file.read_bytes()
     except OSError as error:
         raise RecordsError(f"{file}: cannot be read: {error.strerror}") from None
+    if data.startswith(b"\x1f\x8b"):
+        raise RecordsError(f"{file}: is compressed: run gunzip first")
     if data.startswith(b"MATLAB 7.3") or data.startswith(b"\x89HDF\r\n\x1a\n"):
         return _hdf5(file, is_matlab=data.startswith(b"MATLAB"))
     if data.startswith(b"MATLAB 5.0"):

@@ -23,6 +23,12 @@ def number_form(decimal: str) -> re.Pattern[str]:
     return re.compile(rf"[+-]?(\d+{mark}?\d*|{mark}\d+)([eE][+-]?\d+)?$")
 
 
+def grouped_form(decimal: str) -> re.Pattern[str]:
+    """The form of a number with the other mark between groups of three digits, and this decimal mark after them."""
+    other = "," if decimal == "." else r"\."
+    return re.compile(rf"[+-]?\d{{1,3}}({other}\d{{3}})+{re.escape(decimal)}\d*$")
+
+
 def split_unit(name: str) -> tuple[str, str]:
     """Name and unit of `Force (N)` or `Force [N]`; the unit is empty where none is stated."""
     parts = _UNIT.match(name)
@@ -123,15 +129,21 @@ class Recording:
             if values.dtype.kind in "iu" and (read.astype(values.dtype) != values).any():
                 raise self.fail(f"{column.name!r} contains integers beyond 2^53, which no float holds exactly")
         else:
-            form = number_form(self.decimal)
+            form, other = number_form(self.decimal), "," if self.decimal == "." else "."
+            grouped = grouped_form(self.decimal)
             cells = [column.values[row] for row in rows]
-            for row, cell in zip(rows, cells, strict=True):
-                if not form.match(cell):
-                    other = "," if self.decimal == "." else "."
-                    remedy = f'decimal="{other}"' if number_form(other).match(cell) else "skip, table or encoding"
-                    raise self.fail(
-                        f"{self.place(int(row))}: {column.name!r} = {cell!r} is not a number: pass {remedy}, or another column"
+            for i, cell in enumerate(cells):
+                if form.match(cell):
+                    continue
+                if not grouped.match(cell):
+                    what = f"{self.place(int(rows[i]))}: {column.name!r} = {cell!r} is not a number"
+                    remedy = (
+                        f'pass decimal="{other}"'
+                        if number_form(other).match(cell)
+                        else "choose another column, or pass skip or table"
                     )
+                    raise self.fail(f"{what}: {remedy}")
+                cells[i] = cell.replace(other, "")
             thousands = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}$")
             marked = [cell for cell in cells if "," in cell]
             if marked and not self.is_decimal_given and all(thousands.match(cell) for cell in marked):

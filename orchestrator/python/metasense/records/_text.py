@@ -6,10 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from metasense.records._clock import is_stamp
-from metasense.records._recording import Column, Recording, RecordsError, number_form, split_unit
+from metasense.records._recording import Column, Recording, RecordsError, grouped_form, number_form, split_unit
 
 _DELIMITERS = {"\t": "tab", ";": ";", ",": ",", "|": "|", " ": "space"}
 _LEAST = 3
+# Lines that tell the delimiter and the decimal mark
+_SAMPLE = 5000
 
 
 @dataclass(frozen=True)
@@ -41,11 +43,15 @@ class _Table:
         """Whether each number takes two fields, since commas separate fields and are decimal marks, without quotes."""
         return self.delimiter == self.decimal and not any(self.decimal in cell for _, row in self.rows for cell in row)
 
+    def drop_last_if_empty(self) -> None:
+        """Takes off what a delimiter at the end of all rows makes."""
+        if self.width > 1 and not any(row[-1] for _, row in self.rows):
+            self.rows = [(n, row[:-1]) for n, row in self.rows]
+
     def rank(self) -> tuple[float, int, float]:
         """Of rows, part of fields that are numbers, and whether there are several columns."""
-        form = number_form(self.decimal)
         sample = self.rows[:200]
-        read = sum(bool(form.match(cell)) or is_stamp(cell) for _, row in sample for cell in row)
+        read = sum(_is_value(cell, self.decimal) for _, row in sample for cell in row)
         filled = sum(cell != "" for _, row in sample for cell in row)
         return round(read / max(filled, 1), 6), len(self.rows), read / len(sample)
 
@@ -77,27 +83,32 @@ def read_text(file: Path, data: bytes, form: Form) -> Recording:
         allowed = list(_DELIMITERS) if name == "delimiter" else [".", ","]
         if value is not None and value not in allowed:
             raise RecordsError(f"{name} = {value!r}: must be one of {allowed}")
-    lines = decoded(file, data, form.encoding).splitlines()
+    lines = decoded(file, data, form.encoding).replace("\u2212", "-").splitlines()
     hint = re.match(r"sep=(.)$", lines[0].strip()) if lines else None
     delimiter = form.delimiter or (hint[1] if hint and hint[1] in _DELIMITERS else None)
     comments = (form.comment,) if form.comment else ("#", "%", "//")
     numbered = [(n + 1, line) for n, line in enumerate(lines) if n >= (form.skip or 0) and line.strip()]
     numbered = numbered[1:] if hint and not form.skip else numbered
     bodies = [(n, line) for n, line in numbered if not line.lstrip().startswith(comments)]
-    tables = []
-    for of in [delimiter] if delimiter else [d for d in _DELIMITERS if any(d in line for _, line in bodies[:500])] or ["\t"]:
+    found = []
+    sample = bodies[:_SAMPLE]
+    for of in [delimiter] if delimiter else [d for d in _DELIMITERS if any(d in line for _, line in sample[:500])] or ["\t"]:
         for decimal in [form.decimal] if form.decimal else [".", ","]:
-            if (of != decimal or form.decimal or '"' in bodies[-1][1]) and (found := _table(bodies, of, decimal, form.table)):
-                tables.append(found)
-    if not tables:
+            if (of != decimal or form.decimal or '"' in bodies[-1][1]) and (table := _table(sample, of, decimal, None)):
+                found.append(table)
+    longest = max((len(table.rows) for table in found), default=0)
+    found = [table for table in found if 2 * len(table.rows) >= longest]
+    several = [table for table in found if table.width > 1] or found
+    chosen = max(several, key=_Table.rank, default=None)
+    best = chosen and _table(bodies, chosen.delimiter, chosen.decimal, form.table)
+    if chosen is None or best is None:
         raise RecordsError(
             f"{file}: contains no table of at least {_LEAST} lines with the same number of fields: pass delimiter, decimal, skip or comment"
         )
-    longest = max(len(table.rows) for table in tables)
-    tables = [table for table in tables if 2 * len(table.rows) >= longest]
-    several = [table for table in tables if table.width > 1] or tables
-    best = max(several, key=_Table.rank)
-    _check(file, best, several, numbered, form)
+    _check(file, best, chosen, several, numbered, form)
+    above = _above(numbered, best)
+    if not above or len(_fields(above[0], best.delimiter)) != best.width:
+        best.drop_last_if_empty()
     names, units = _names(numbered, best, comments)
     if best.is_paired:
         if not names or 2 * len(names) != best.width:
@@ -118,7 +129,7 @@ def read_text(file: Path, data: bytes, form: Form) -> Recording:
     return Recording(file, columns, [n for n, _ in best.rows], best.decimal, form.decimal is not None)
 
 
-def _check(file: Path, best: _Table, several: list[_Table], numbered: list[tuple[int, str]], form: Form) -> None:
+def _check(file: Path, best: _Table, chosen: _Table, several: list[_Table], numbered: list[tuple[int, str]], form: Form) -> None:
     """Refuses a second table, and a second way to divide the lines that is as good."""
     if form.table is None and len(best.others) > 1:
         at = ", ".join(map(str, best.others))
@@ -126,10 +137,10 @@ def _check(file: Path, best: _Table, several: list[_Table], numbered: list[tuple
             f"{file}: contains {len(best.others)} tables, from lines {at}: pass table (--table 1 … {len(best.others)})"
         )
     for other in several:
-        as_good = other.rank()[0] >= best.rank()[0] and len(other.rows) == len(best.rows)
-        same = [row for _, row in other.rows[:50]] == [row for _, row in best.rows[:50]]
-        if other is not best and as_good and other.delimiter != best.delimiter and not same:
-            choices = " or ".join(sorted({_DELIMITERS[t.delimiter] for t in (best, other)}))
+        as_good = other.rank()[0] >= chosen.rank()[0] and len(other.rows) == len(chosen.rows)
+        rows, own = ([[cell for cell in row if cell] for _, row in table.rows[:50]] for table in (other, chosen))
+        if as_good and other.delimiter != chosen.delimiter and rows != own:
+            choices = " or ".join(sorted({_DELIMITERS[t.delimiter] for t in (chosen, other)}))
             raise RecordsError(f"{file}: line {best.rows[0][0]}: can be divided in several ways: pass delimiter ({choices})")
     if best.width == 2 and best.delimiter == "," and form.delimiter is None and form.decimal is None:
         above = [line for n, line in numbered if n < best.rows[0][0]]
@@ -146,6 +157,10 @@ def _fields(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
+def _is_value(cell: str, decimal: str) -> bool:
+    return bool(number_form(decimal).match(cell) or grouped_form(decimal).match(cell)) or is_stamp(cell)
+
+
 def _table(lines: list[tuple[int, str]], delimiter: str, decimal: str, wanted: int | None) -> _Table | None:
     """The longest run of lines with the same number of fields, of which some are numbers; or the run of this number."""
     is_number = number_form(decimal).match
@@ -160,11 +175,14 @@ def _table(lines: list[tuple[int, str]], delimiter: str, decimal: str, wanted: i
             runs.append([])
             width = len(row)
         runs[-1].append((n, row))
-    runs = [run for run in runs if len(run) >= _LEAST]
-    if not runs:
+    if not any(len(run) >= _LEAST for run in runs):
         return None
     longest = max(runs, key=len)
-    alike = [run for run in runs if len(run) >= max(_LEAST, len(longest) // 20)]
+
+    def kinds(run: list[tuple[int, list[str]]]) -> list[bool]:
+        return [_is_value(cell, decimal) for cell in run[0][1]]
+
+    alike = [run for run in runs if kinds(run) == kinds(longest)]
     if wanted is not None:
         if not 1 <= wanted <= len(alike):
             return None
@@ -186,6 +204,8 @@ def _names(numbered: list[tuple[int, str]], table: _Table, comments: tuple[str, 
             line = line.lstrip().removeprefix(comment)
         row = _fields(line, table.delimiter)
         form = number_form(table.decimal)
+        if len(row) == width + 1 and row[-1] in ("", "Comment"):  # LabVIEW names comments that rows leave out
+            row.pop()
         if len(row) != width or any(form.match(cell) for cell in row) or not any(row):
             break
         rows.append(row)
