@@ -118,7 +118,8 @@ pub fn content(path: &Path, bytes: &[u8], form: &Form) -> Result<Content, String
         "npy" => array(bytes).map(Content::Array),
         "npz" => archive(bytes, form).map(Content::Archive),
         _ => {
-            Err("must be a .csv, .npy or .npz file; name a table of text .csv, whatever separates its fields"
+            Err("must be a .csv, .npy or .npz file; name a table of text .csv, or convert it with `python -m metasense.records` (also \
+                 MATLAB, HDF5, UFF, TDMS)"
                 .into())
         }
     }

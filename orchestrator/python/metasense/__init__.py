@@ -5,7 +5,9 @@
     forces = body.stimuli("train")                        # (N, K, T + 1) in N
     simulation = body.simulate(body.alpha, forces)        # .signals (N, T, 3M), .vjp, .jvp
 
-`metasense.jax.signals` and `metasense.torch.signals` are the simulation as a function that JAX and PyTorch can differentiate.
+Commands are functions: `run`, `expand`, `trial`, `design`, `evaluate`, `identify`, `casts`, `report`, `export`. `metasense.records`
+imports files of instruments and `metasense.plot` draws (optional extras). `metasense.jax.signals` and `metasense.torch.signals` are
+the simulation as a function that JAX and PyTorch can differentiate.
 Lengths are in mm, forces in N, times in s, masses in Mg; MODEL.md has the physics and the order of every array.
 """
 
@@ -14,13 +16,16 @@ from os import PathLike
 import numpy as np
 from numpy.typing import NDArray
 
-from metasense._metasense import Body, Inverse, LinearBrain, Simulation, SimulationError, Table, Twin
+from metasense._commands import casts, design, evaluate, expand, export, identify, report, trial
+from metasense._errors import error, targets
+from metasense._metasense import Body, Inverse, LinearBrain, Simulation, SimulationError, Table, Twin, __version__
 from metasense._results import Database, Event, program, run, watch
 from metasense._values import plain
 
 __all__ = [
-    "Body", "Database", "Event", "Inverse", "LinearBrain", "Simulation", "SimulationError", "Table",
-    "Twin", "body", "program", "run", "stimuli", "watch",
+    "Body", "Database", "Event", "Inverse", "LinearBrain", "Simulation", "SimulationError", "Table", "Twin", "__version__",
+    "body", "casts", "design", "error", "evaluate", "expand", "export", "identify", "program", "report", "run", "stimuli", "targets",
+    "trial", "watch",
 ]  # fmt: skip
 
 

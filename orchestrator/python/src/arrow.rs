@@ -91,6 +91,11 @@ impl Table {
         py.import("pandas")?.getattr("DataFrame")?.call((self.to_dict(py)?,), Some(&columns))
     }
 
+    /// The table as a polars.DataFrame.
+    fn to_polars<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        slf.py().import("polars")?.getattr("DataFrame")?.call1((slf,))
+    }
+
     /// The rows, each a dictionary.
     fn __iter__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyIterator>> {
         let rows = self.rows.rows.iter().map(|row| {

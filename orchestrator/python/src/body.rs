@@ -11,6 +11,7 @@ use metasense_numerics::dynamics::{self, Forces, Parameters, Scene, tune};
 use metasense_numerics::feasible::Feasible;
 use metasense_numerics::random::Purpose;
 use metasense_numerics::trial::Problem;
+use metasense_schemas::source::Source;
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::design;
 use metasense_worker::replay::drawing;
@@ -159,11 +160,12 @@ fn unplaced(said: &str) -> String {
     said.lines().map(bare).collect::<Vec<_>>().join("\n")
 }
 
-/// The trials of a spec file.
-pub fn read_plan(spec: &Path) -> PyResult<Plan> {
+/// The trials of a spec file with changes, each `KEY=VALUE`.
+pub fn read_plan(spec: &Path, changes: &[String]) -> PyResult<Plan> {
     let text = std::fs::read_to_string(spec)
         .map_err(|e| PyOSError::new_err(format!("cannot read {}: {e}", spec.display())))?;
-    Plan::new(spec, text).map_err(|e| PyValueError::new_err(chain(&e)))
+    let plan = Source::spec(spec, text, changes).and_then(Plan::of);
+    plan.map_err(|e| PyValueError::new_err(chain(&e)))
 }
 
 /// A trial as JSON, its hash, the number of threads, the solver.
@@ -225,7 +227,7 @@ impl Body {
         hash: Option<&str>,
         #[pyo3(from_py_with = threads)] threads: usize,
     ) -> PyResult<Self> {
-        py.detach(|| Self::of_plan(&read_plan(&spec)?, hash, threads))
+        py.detach(|| Self::of_plan(&read_plan(&spec, &[])?, hash, threads))
     }
 
     /// The body of the first trial of a spec whose tables are the keywords of `metasense.body`, as JSON.

@@ -134,8 +134,8 @@ impl Database {
     }
 }
 
-/// The file that `metasense run` writes for this spec if `--db` is not given.
+/// The file that `metasense run` writes for this spec with these changes (KEY=VALUE) if `--db` is not given.
 #[pyfunction]
-pub fn default_database(spec: PathBuf) -> PyResult<PathBuf> {
-    Ok(read_plan(&spec)?.default_database())
+pub fn default_database(spec: PathBuf, changes: Vec<String>) -> PyResult<PathBuf> {
+    Ok(read_plan(&spec, &changes)?.default_database())
 }

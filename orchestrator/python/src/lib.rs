@@ -55,6 +55,10 @@ fn unpickler<'py>(py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
 mod _metasense {
     #[pymodule_export]
     use super::SimulationError;
+    /// Version of the package.
+    #[pymodule_export]
+    #[expect(non_upper_case_globals, reason = "Python's name for it")]
+    const __version__: &str = env!("CARGO_PKG_VERSION");
     #[pymodule_export]
     use super::arrow::{Table, unpickle_table};
     #[pymodule_export]

@@ -1,7 +1,6 @@
 """What tests share: a small body, and the command that was installed with the module."""
 
 import subprocess
-import sysconfig
 from pathlib import Path
 
 import metasense
@@ -61,10 +60,9 @@ def rng() -> np.random.Generator:
 @pytest.fixture(scope="session")
 def command():
     """Runs the installed `metasense` and gives what it wrote to standard output."""
-    program = Path(sysconfig.get_path("scripts")) / "metasense"
 
     def run(*arguments: object, cwd: Path) -> str:
-        done = subprocess.run([program, *map(str, arguments)], cwd=cwd, capture_output=True, text=True)
+        done = subprocess.run([metasense.program(), *map(str, arguments)], cwd=cwd, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         return done.stdout
 

@@ -169,7 +169,7 @@ fn readable(found: &Table) -> Table {
     for row in &mut shown.rows {
         let [Some(fitted), Some(low), Some(high)] = [3, 4, 5].map(|i| row[i].as_f64()) else { continue };
         let parts = (fitted.abs() / (high - low)).max(1.0).log10();
-        let count = (parts.ceil() as usize + 2).clamp(4, 13);
+        let count = (parts.ceil().min(11.0) as usize + 2).max(4); // equal ends: all digits
         for value in &mut row[2..=5] {
             *value = value.as_f64().map_or(Value::Null, |x| json!(digits(x, count)));
         }
