@@ -135,7 +135,7 @@ fn sanitizes(compiler: &str, folder: &Path) -> bool {
 }
 
 /// What stands in a text between two others.
-fn between<'a>(text: &'a str, before: &str, after: &str) -> &'a str {
+pub fn between<'a>(text: &'a str, before: &str, after: &str) -> &'a str {
     let text = text.split_once(before).unwrap_or_else(|| panic!("no `{before}` in {text}")).1;
     text.split_once(after).unwrap_or_else(|| panic!("no `{after}` after `{before}`")).0
 }

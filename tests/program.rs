@@ -33,6 +33,7 @@ mod query;
 mod queues;
 mod reach;
 mod references;
+mod roundtrip;
 mod run;
 mod serve;
 mod setup;

@@ -68,7 +68,7 @@ if have("ezdxf"):
     assert not doc.audit().errors
     columns, rows = scene["body"]["columns"], scene["body"]["rows"]
     ligaments = (columns - 1) * rows + columns * (rows - 1)
-    assert count == {"units": columns * rows, "ligaments": ligaments, "panels": K, "sensors": M}, count
+    assert count == {"units": columns * rows, "ligaments": ligaments, "panels": K, "sensors": M, "notes": 1}, count
     print("ezdxf")
 
 if have("trimesh"):

@@ -27,12 +27,12 @@ pub use body::{
     check_units, clamp, clamped, driven, guided, held, initial_design, layout, panel_units, panels,
 };
 pub use metasense_numerics::brains::READINGS_MAX;
+pub use metasense_numerics::material::{Ligament, shore_a};
 pub use metasense_numerics::nested::INVERTED_OF_A_CAST;
 
 use body::{check_castable, struck};
 use casts::{casting, casts, variation};
-use material::material;
-pub use material::sheet;
+pub use material::{material, sheet};
 pub use optimise::{castable, design_parameters};
 use optimise::{frozen, protocol, tie};
 use stimuli::{channels, disturbance, inertia, mount, stimuli, under};

@@ -4,6 +4,7 @@ use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
+use metasense::export::ligament::Cast;
 use metasense::plan::Plan;
 use metasense::report::body::sketch;
 use metasense_numerics::body::Ligament;
@@ -480,7 +481,8 @@ impl Body {
     fn draw(&self, alpha: Option<&Bound<'_, PyAny>>) -> PyResult<String> {
         let alpha = self.design_or_initial(alpha)?;
         let drawing = drawing(&self.trial, &alpha).map_err(|e| raised(&e))?;
-        Ok(sketch(&drawing, &[]).file("a metamaterial body"))
+        let cast = Cast::new(&self.trial, &drawing, 1.0).map_err(|e| raised(&e))?;
+        Ok(sketch(&drawing, &[]).file("a metamaterial body", cast.ligament.width))
     }
 
     /// A pickle holds the trial's settings: the body is built again from them, with threads of the process that reads it.

@@ -13,6 +13,7 @@ use super::simd::Simd;
 use super::{Error, Format, print_rows};
 use crate::cluster::{Assignment, Shard};
 use crate::exit::Exit;
+use crate::export::ligament::impossible;
 use crate::look::{Table, number, row};
 use crate::plan::{Trial, cost, counted, values_at};
 
@@ -81,6 +82,9 @@ fn say_bodies(trials: &[Trial]) {
     let body =
         |trial: &&Trial| known.insert(serde_json::to_string(&trial.spec.body).expect("a body is JSON"));
     let bodies: Vec<&Trial> = trials.iter().filter(body).take(BODIES).collect();
+    if let Some(why) = bodies.iter().find_map(|trial| impossible(&trial.spec)) {
+        say!("warning: {why}");
+    }
     let grams: Vec<f64> = bodies
         .iter()
         .filter_map(|trial| Some(measures(&trial.spec).ok()?[0]))

@@ -6,6 +6,7 @@ use clap::ValueEnum;
 use metasense_schemas::database::VIEWS;
 use metasense_worker::casts::NO_VARIATION;
 use metasense_worker::demands::Demands;
+use metasense_worker::problem::Ligament;
 use metasense_worker::replay::{Drawing, Own, Replay, drawing};
 
 use super::named::{Database, Named, Which};
@@ -14,6 +15,7 @@ use super::{Error, cores, make_folder, write};
 use crate::analysis::Body;
 use crate::exit::Exit;
 use crate::export::device::Numbers;
+use crate::export::ligament::Cast;
 use crate::export::notes::notes;
 use crate::export::{
     Fit, Mould, Outline, brain_of, device, dxf, mould, npz, onnx, replays, series, unreadable,
@@ -65,9 +67,6 @@ pub(super) struct Args {
     /// The design, for npy, svg, dxf, stl, c, onnx and device
     #[arg(long, value_enum, value_name = "DESIGN", default_value = "optimised")]
     design: Which,
-    /// Width of a ligament (mm), for dxf, stl and device [default: that of body.material, else 1]
-    #[arg(long, help_heading = "Mould")]
-    ligament_width: Option<f64>,
     /// Height of the cast body (mm), for stl and device [default: the thickness of body.material, else 10]
     #[arg(long, help_heading = "Mould")]
     height: Option<f64>,
@@ -103,15 +102,14 @@ fn size(text: &str) -> Result<[f64; 3], String> {
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let Args { trial: named, out, .. } = &args;
     let Named { source, words } = named;
-    let (brain, body) = ([Form::C, Form::Onnx], [Form::Dxf, Form::Stl]);
+    let (brain, body) = ([Form::C, Form::Onnx], [Form::Stl]);
     let options = [
         ("numbers", args.numbers.is_some(), &brain[..1]),
         ("reader", args.reader.is_some(), &brain[..]),
-        ("ligament-width", args.ligament_width.is_some(), &body[..]),
-        ("height", args.height.is_some(), &body[1..]),
-        ("wall", args.wall.is_some(), &body[1..]),
-        ("clearance", args.clearance.is_some(), &body[1..]),
-        ("pocket", args.pocket.is_some(), &body[1..]),
+        ("height", args.height.is_some(), &body[..]),
+        ("wall", args.wall.is_some(), &body[..]),
+        ("clearance", args.clearance.is_some(), &body[..]),
+        ("pocket", args.pocket.is_some(), &body[..]),
     ];
     let has = |forms: &[Form]| args.format == Form::Device || forms.contains(&args.format);
     if let Some((name, _, forms)) = options.iter().find(|(_, given, forms)| *given && !has(forms)) {
@@ -146,9 +144,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 fn trial(stored: &Stored, args: &Args) -> Result<(), Error> {
     let which = args.design as usize;
     let body = &drawing(&stored.specs[which], &stored.designs[which]).map_err(unreadable(stored))?;
-    let [width, height] = section(stored, args);
+    let height = height(stored, args);
+    let cast = || Cast::new(&stored.specs[which], body, height).map_err(unreadable(stored));
     for (name, value, least) in [
-        ("ligament-width", width, MEASURES.0),
         ("height", height, MEASURES.0),
         ("wall", args.wall.unwrap_or(WALL), MEASURES.0),
         ("clearance", args.clearance.unwrap_or(0.0), 0.0),
@@ -162,23 +160,27 @@ fn trial(stored: &Stored, args: &Args) -> Result<(), Error> {
         Form::Csv => series::table(stored, &replays(stored, cores())?).written(Format::Csv),
         Form::Parquet => series::table(stored, &replays(stored, cores())?).written(Format::Parquet),
         Form::Npy => design(stored, args),
-        Form::Svg => picture(stored, body, args),
+        Form::Svg => picture(stored, body, &cast()?, args),
         Form::C => in_c(stored, args, &brain(stored, args)?)?,
         Form::Onnx => onnx::onnx(stored, which, &brain(stored, args)?)?,
-        Form::Dxf => outlines(stored, body, args),
+        Form::Dxf => {
+            let cast = cast()?;
+            tell(&cast, body);
+            outlines(body, &cast)
+        }
         Form::Stl => {
-            let (cavity, measures) = cavity(stored, body, args)?;
+            let (cavity, measures) = cavity(stored, body, &cast()?, args)?;
             mould::stl(&cavity, &measures)
         }
-        Form::Device => return device(stored, body, args),
+        Form::Device => return device(stored, body, &cast()?, args),
     };
     write(&args.out, bytes)
 }
 
 /// The folder of a device: nothing of it is written unless all can be.
-fn device(stored: &Stored, body: &Drawing, args: &Args) -> Result<(), Error> {
+fn device(stored: &Stored, body: &Drawing, cast: &Cast, args: &Args) -> Result<(), Error> {
     let which = args.design as usize;
-    let (cavity, measures) = cavity(stored, body, args)?;
+    let (cavity, measures) = cavity(stored, body, cast, args)?;
     let brain = match has_form(stored, which) {
         true => Some(brain(stored, args)?),
         false if args.numbers.is_some() || args.reader.is_some() => {
@@ -193,11 +195,11 @@ fn device(stored: &Stored, body: &Drawing, args: &Args) -> Result<(), Error> {
     let text = brain.as_ref().map(|(c, _)| String::from_utf8_lossy(c));
     let head = text.as_deref().and_then(|text| text.split_once("*/")).map(|(head, _)| &head[2..]);
     let fit = args.reader.unwrap_or(Fit::Design);
-    let notes = notes(stored, which, body, (&cavity, &measures), (head, fit));
+    let notes = notes(stored, which, body, (cast, &cavity, &measures), (head, fit));
     let mut files = vec![
         ("mould.stl", mould::stl(&cavity, &measures)),
-        ("body.dxf", outlines(stored, body, args)),
-        ("body.svg", picture(stored, body, args)),
+        ("body.dxf", outlines(body, cast)),
+        ("body.svg", picture(stored, body, cast, args)),
         ("design.npy", design(stored, args)),
         ("README.md", notes.into_bytes()),
     ];
@@ -211,21 +213,25 @@ fn design(stored: &Stored, args: &Args) -> Vec<u8> {
     npy_bytes(&[design.len()], design)
 }
 
-fn picture(stored: &Stored, body: &Drawing, args: &Args) -> Vec<u8> {
+fn picture(stored: &Stored, body: &Drawing, cast: &Cast, args: &Args) -> Vec<u8> {
     let title = format!("{} body of trial {}", Body::ALL[args.design as usize].word(), stored.hash);
-    sketch(body, &[]).file(&title).into_bytes()
+    sketch(body, &[]).file(&title, cast.ligament.width).into_bytes()
 }
 
-fn outlines(stored: &Stored, body: &Drawing, args: &Args) -> Vec<u8> {
-    let [width, _] = section(stored, args);
-    dxf::dxf(body, width, 0.17 * body.spacing).into_bytes()
+fn outlines(body: &Drawing, cast: &Cast) -> Vec<u8> {
+    dxf::dxf(body, cast.ligament.width, 0.17 * body.spacing).into_bytes()
 }
 
-/// Width and height of a ligament (mm): as asked for, or as the spec's material has them.
-fn section(stored: &Stored, args: &Args) -> [f64; 2] {
+/// Height of a body (mm): as asked for, or as the spec's material has it.
+fn height(stored: &Stored, args: &Args) -> f64 {
     let own = stored.specs[args.design as usize].body.material;
-    let width = args.ligament_width.or(own.map(|m| m.ligament_width)).unwrap_or(1.0);
-    [width, args.height.or(own.map(|m| m.thickness)).unwrap_or(10.0)]
+    args.height.or(own.map(|m| m.thickness)).unwrap_or(10.0)
+}
+
+/// Says what a cast needs, and where it will not move as simulated.
+fn tell(cast: &Cast, body: &Drawing) {
+    cast.needs(body).iter().for_each(|need| say!("note: {need}"));
+    cast.warnings(body).iter().for_each(|warning| say!("warning: {warning}"));
 }
 
 /// The brain, and its body read once more.
@@ -259,8 +265,8 @@ fn has_form(stored: &Stored, which: usize) -> bool {
 }
 
 /// What of a mould is left for the body; says what to know of it.
-fn cavity(stored: &Stored, body: &Drawing, args: &Args) -> Result<(Outline, Mould), Error> {
-    let [width, height] = section(stored, args);
+fn cavity(stored: &Stored, body: &Drawing, cast: &Cast, args: &Args) -> Result<(Outline, Mould), Error> {
+    let Ligament { width, thickness: height, .. } = cast.ligament;
     let (clearance, pocket) = (args.clearance.unwrap_or(0.0), args.pocket);
     if let Some([_, _, depth]) = pocket.filter(|pocket| pocket[2] >= height) {
         let what = format!("--pocket {depth} mm deep: must be less than the body's --height {height}");
@@ -270,13 +276,14 @@ fn cavity(stored: &Stored, body: &Drawing, args: &Args) -> Result<(Outline, Moul
     let spec = &stored.specs[args.design as usize];
     let (offset, tilt) = (spec.sensors.offset.unwrap_or_default(), spec.sensors.tilt.unwrap_or_default());
     let cavity = Outline::new(body, &measures)
-        .and_then(|cavity| cavity.with_pockets(body, &measures, offset, tilt.to_radians()))
+        .and_then(|cavity| cavity.with_inserts(body, &measures, offset, tilt.to_radians()))
         .map_err(|e| Error::Usage(e.to_string()))?;
+    tell(cast, body);
     say!("note: the cavity holds {:.1} ml", 1e-3 * cavity.volume(&measures));
     if cavity.parted > 0 {
         say!(
-            "note: ligaments {width} mm wide touch parts that they do not join and divide {} voids; the cast body is \
-             stiffer there than simulated; make them narrower with --ligament-width",
+            "warning: ligaments {width:.2} mm wide touch parts that they do not join and divide {} voids; the cast body is \
+             stiffer there than simulated",
             cavity.parted
         );
     }

@@ -1,14 +1,18 @@
 //! A body as DXF (R12, ASCII, mm): closed polylines on the layers `units`, `ligaments`, `panels`, `sensors`.
 //!
 //! Units are their corners; a ligament is the rectangle of its width; a panel is the outline of the unit that is struck;
-//! a sensor is a circle of 24 corners about its unit's centroid.
+//! a sensor is a circle of 24 corners about its unit's centroid. `holes` has the holes for screws as circles, `notes` the numbers of
+//! units and a scale bar.
 
 use std::fmt::Write as _;
 
 use metasense_worker::replay::Drawing;
 
+use super::outline::{HOLE, screwed};
+
 /// Layers with the colour by which programs show them.
-const LAYERS: [(&str, u8); 4] = [("units", 7), ("ligaments", 8), ("panels", 4), ("sensors", 1)];
+const LAYERS: [(&str, u8); 6] =
+    [("units", 7), ("ligaments", 8), ("panels", 4), ("sensors", 1), ("holes", 2), ("notes", 3)];
 
 /// The drawing. `width` is that of a ligament, `radius` that of a sensor (mm).
 pub fn dxf(drawing: &Drawing, width: f64, radius: f64) -> String {
@@ -41,8 +45,26 @@ pub fn dxf(drawing: &Drawing, width: f64, radius: f64) -> String {
             .collect();
         polyline(&mut text, "sensors", &circle);
     }
+    for unit in screwed(drawing) {
+        let [x, y] = drawing.centroids[unit];
+        let _ = write!(text, "0\nCIRCLE\n8\nholes\n10\n{x:.9}\n20\n{y:.9}\n30\n0.0\n40\n{}\n", 0.5 * HOLE);
+    }
+    let tall = 0.1 * drawing.spacing;
+    for (unit, at) in drawing.centroids.iter().enumerate() {
+        note(&mut text, *at, tall, &unit.to_string());
+    }
+    let corners = || drawing.units.iter().flatten();
+    let [left, below] = [0, 1].map(|d| corners().map(|q| q[d]).fold(f64::INFINITY, f64::min));
+    let bar = 10f64.powf(drawing.spacing.log10().ceil());
+    let y = below - 4.0 * tall;
+    polyline(&mut text, "notes", &[[left, y], [left + bar, y], [left + bar, y - tall], [left, y - tall]]);
+    note(&mut text, [left, y + tall], tall, &format!("{bar} mm"));
     text.push_str("0\nENDSEC\n0\nEOF\n");
     text
+}
+
+fn note(text: &mut String, [x, y]: [f64; 2], tall: f64, what: &str) {
+    let _ = write!(text, "0\nTEXT\n8\nnotes\n10\n{x:.9}\n20\n{y:.9}\n30\n0.0\n40\n{tall:.3}\n1\n{what}\n");
 }
 
 fn polyline(text: &mut String, layer: &str, corners: &[[f64; 2]]) {

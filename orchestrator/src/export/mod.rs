@@ -2,6 +2,7 @@
 
 pub mod device;
 pub mod dxf;
+pub mod ligament;
 pub mod mould;
 pub mod notes;
 pub mod npz;

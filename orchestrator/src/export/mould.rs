@@ -2,7 +2,7 @@
 //!
 //! A plate with the body's shape sunk into it: floor `wall` thick, cavity `height` deep, `wall` around it. The surface
 //! is the rectangle below, its four sides, the plate's face with the cavity cut out, the cavity's sides, its bottom, out of which
-//! a block stands for each chip's pocket. All share the outline's corners, so that the surface closes by construction; it is
+//! a block stands for each chip's pocket and a pin for each screw's hole. All share the outline's corners, so that the surface closes by construction; it is
 //! checked nevertheless.
 
 use std::collections::HashMap;
@@ -73,13 +73,15 @@ fn surface(cavity: &Outline, mould: &Mould) -> Vec<Triangle> {
     // The bottom with its blocks, and the face: voids' islands, and the rectangle around the outer loop.
     let reversed = |corners: &[Point]| corners.iter().rev().copied().collect::<Vec<_>>();
     let block = floor + mould.pocket.map_or(0.0, |pocket| pocket[2]);
-    for corners in &cavity.pockets {
+    let pockets = cavity.pockets.iter().map(|corners| (corners, block));
+    let inserts: Vec<_> = pockets.chain(cavity.holes.iter().map(|corners| (corners, face))).collect();
+    for &(corners, top) in &inserts {
         for (i, &a) in corners.iter().enumerate() {
-            wall(&mut triangles, a, corners[(i + 1) % corners.len()], [floor, block]);
+            wall(&mut triangles, a, corners[(i + 1) % corners.len()], [floor, top]);
         }
-        triangles.extend(filled(&vec![corners.clone()]).map(|t| t.map(|p| at(p, block))));
+        triangles.extend(filled(&vec![corners.clone()]).map(|t| t.map(|p| at(p, top))));
     }
-    let bottom = cavity.loops.iter().cloned().chain(cavity.pockets.iter().map(|corners| reversed(corners)));
+    let bottom = cavity.loops.iter().cloned().chain(inserts.iter().map(|(corners, _)| reversed(corners)));
     triangles.extend(filled(&bottom.collect()).map(|t| t.map(|p| at(p, floor))));
     for void in &cavity.loops[1..] {
         triangles.extend(filled(&vec![reversed(void)]).map(|t| t.map(|p| at(p, face))));

@@ -2,7 +2,8 @@
 
 use metasense_worker::replay::{Drawing, Moves};
 
-use super::outline::largest_pocket;
+use super::ligament::Cast;
+use super::outline::{HOLE, largest_pocket, screwed};
 use super::{Fit, Mould, Outline};
 use crate::analysis::Body;
 use crate::look::number;
@@ -13,7 +14,7 @@ pub fn notes(
     stored: &Stored,
     body: usize,
     drawing: &Drawing,
-    (cavity, mould): (&Outline, &Mould),
+    (cast, cavity, mould): (&Cast, &Outline, &Mould),
     (brain, fit): (Option<&str>, Fit),
 ) -> String {
     let (spec, hash, name) = (&stored.specs[body], &stored.hash, Body::ALL[body].name());
@@ -38,29 +39,16 @@ pub fn notes(
             .push("| brain.onnx | the decoder as an ONNX graph in 32-bit floats, for whole samples |".into());
     }
     lines.push("\n## Cast\n".into());
+    lines.extend(cast.needs(drawing).iter().map(|need| format!("- {need}")));
+    lines.extend(cast.warnings(drawing).iter().map(|warning| format!("- **Warning:** {warning}.")));
     lines.push(format!(
-        "- The volume of the cavity is {} ml at a height of {} mm; ligaments are {} mm wide, walls {} mm thick.",
+        "- The volume of the cavity is {} ml; walls are {} mm thick.",
         number(1e-3 * cavity.volume(mould)),
-        number(mould.height),
-        number(mould.width),
         number(mould.wall)
     ));
-    if let Some(density) = spec.body.density {
-        let grams = 1e6 * density * drawing.area();
-        let own =
-            spec.body.material.filter(|m| (m.ligament_width, m.thickness) == (mould.width, mould.height));
-        let of = match own {
-            Some(_) => ", that of its `body.material`, which has these dimensions",
-            None => {
-                ". With another material or height, the body behaves differently: set `[body]` (`body.material`) accordingly and train \
-                 again, or identify the material (below)"
-            }
-        };
-        lines.push(format!(
-            "- The units of the model weigh {} g in total, with a material of {} g/ml{of}.",
-            number(grams),
-            number(1e3 * grams / (drawing.area() * mould.height))
-        ));
+    let screwed: Vec<usize> = screwed(drawing).collect();
+    if !screwed.is_empty() {
+        lines.push(format!("- Holes of {HOLE} mm (M3 screws) hold the units {} to a base.", list(&screwed)));
     }
     lines.push(match mould.pocket {
         Some([a, b, c]) => {

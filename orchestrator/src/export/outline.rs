@@ -43,6 +43,8 @@ pub struct Outline {
     pub parted: usize,
     /// Pockets in the body's lower side, counter-clockwise.
     pub pockets: Vec<IntContour<i32>>,
+    /// Holes for screws through held units, likewise.
+    pub holes: Vec<IntContour<i32>>,
 }
 
 /// Why there is no outline.
@@ -54,7 +56,10 @@ pub enum Invalid {
     )]
     Apart(usize),
     /// Ligaments grow together over a void.
-    #[error("ligaments {width} mm wide leave {left} of the body's {voids} voids; reduce --ligament-width")]
+    #[error(
+        "ligaments {width:.2} mm wide, the width that body.stiffness implies, leave {left} of the body's {voids} voids; reduce \
+         body.stiffness.bend (or body.material.ligament_width) and train again"
+    )]
     TooWide {
         /// Width (mm).
         width: f64,
@@ -82,7 +87,10 @@ pub enum Invalid {
     Closed(f64),
 }
 
-/// What a pocket leaves of its unit around it at least (mm).
+/// Diameter of a screw's hole (mm): that of an M3 screw, ISO 273, medium.
+pub const HOLE: f64 = 3.4;
+
+/// What a pocket or a hole leaves of its unit around it at least (mm).
 pub const POCKET_WALL: f64 = 1.0;
 
 /// Corners (mm) of a pocket in a unit, and what it leaves of it at them at least (mm).
@@ -113,6 +121,15 @@ pub fn largest_pocket(drawing: &Drawing, offset: [f64; 2], tilt: f64) -> f64 {
     (1..=200).map(|halves| 0.5 * f64::from(halves)).take_while(fits).last().unwrap_or(0.0)
 }
 
+/// Held units without a chip that have place for a screw at their centroid.
+pub fn screwed(drawing: &Drawing) -> impl Iterator<Item = usize> {
+    let place = |&unit: &usize| {
+        depth_within(&drawing.units[unit], drawing.centroids[unit]) >= 0.5 * HOLE + POCKET_WALL
+            && !drawing.sensors.contains(&unit)
+    };
+    drawing.clamped.iter().copied().filter(place)
+}
+
 /// What an arc's chords may be away from it (mm).
 const SAGITTA: f64 = 0.005;
 
@@ -137,27 +154,33 @@ impl Outline {
             return Err(Invalid::TooWide { width: mould.width, left, voids });
         };
         if mould.clearance == 0.0 {
-            return Ok(Self { loops: body, pitch, parted, pockets: Vec::new() });
+            return Ok(Self { loops: body, pitch, parted, pockets: Vec::new(), holes: Vec::new() });
         }
         let loops = united(drawing, 0.5 * mould.width + mould.clearance, mould.clearance, pitch)?;
         let within = |void: &IntContour<i32>| loops[1..].iter().filter(|l| void.contains_point(l[0])).count();
         match body[1..].iter().all(|void| within(void) == 1) {
-            true => Ok(Self { loops, pitch, parted, pockets: Vec::new() }),
+            true => Ok(Self { loops, pitch, parted, pockets: Vec::new(), holes: Vec::new() }),
             false => Err(Invalid::Closed(mould.clearance)),
         }
     }
 
-    /// With a pocket for a chip on each sensor's unit, `offset` (mm) from its centroid and turned by `tilt` (rad).
+    /// With a pocket for a chip on each sensor's unit, `offset` (mm) from its centroid and turned by `tilt` (rad), and a hole for a
+    /// screw in each held unit that has place for it ([`screwed`]).
     ///
     /// # Errors
     /// If one would leave less than [`POCKET_WALL`] of its unit around it.
-    pub fn with_pockets(
+    pub fn with_inserts(
         mut self,
         drawing: &Drawing,
         mould: &Mould,
         offset: [f64; 2],
         tilt: f64,
     ) -> Result<Self, Invalid> {
+        let circle = |[x, y]: [f64; 2]| {
+            let turns = (0..24).map(|i| (f64::from(i) * std::f64::consts::TAU / 24.0).sin_cos());
+            turns.map(|(sin, cos)| onto([x + 0.5 * HOLE * cos, y + 0.5 * HOLE * sin], self.pitch)).collect()
+        };
+        self.holes = screwed(drawing).map(|unit| circle(drawing.centroids[unit])).collect();
         let Some([along, across, _]) = mould.pocket else { return Ok(self) };
         for &unit in &drawing.sensors {
             let (corners, left) = pocket(drawing, unit, [along, across], offset, tilt);
@@ -181,7 +204,8 @@ impl Outline {
 
     /// Volume that the cavity holds (mm³).
     pub fn volume(&self, mould: &Mould) -> f64 {
-        self.area() * mould.height - self.mm2(&self.pockets) * mould.pocket.map_or(0.0, |pocket| pocket[2])
+        (self.area() - self.mm2(&self.holes)) * mould.height
+            - self.mm2(&self.pockets) * mould.pocket.map_or(0.0, |pocket| pocket[2])
     }
 
     fn mm2(&self, loops: &[IntContour<i32>]) -> f64 {

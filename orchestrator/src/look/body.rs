@@ -126,10 +126,20 @@ impl Sketch {
         Picture { title: title.into(), class: "body", view, marks }
     }
 
-    /// A file of its own, without the constraints that hold the body.
-    pub fn file(mut self, title: &str) -> String {
+    /// A file of its own, without the constraints that hold the body, its ligaments of a width (mm), with numbers and a scale bar.
+    pub fn file(mut self, title: &str, width: f64) -> String {
         self.held.clear();
-        file(&[self.picture(frame([&self]), title)], 1, 640.0, &Legend::default())
+        let view = frame([&self]);
+        let mut picture = self.drawn(view, title, true, |_| Unit::default());
+        let bar = 10f64.powf(self.spacing.log10().ceil());
+        let [x, y] = [view[0] + 0.5 * self.spacing, view[1] + view[3] - 0.25 * self.spacing];
+        picture.marks = html! {
+            style { ".body .ligament{stroke-width:" (format!("{width:.3}")) "}" }
+            (picture.marks)
+            path class="ligament" style="stroke-width:0.5" d=(format!("M{x:.3} {y:.3}h{bar}")) {}
+            text class="index" x=(format!("{:.3}", x + 0.5 * bar)) y=(format!("{:.3}", y - 1.0)) { (bar) " mm" }
+        };
+        file(&[picture], 1, 640.0, &Legend::default())
     }
 
     /// What there is to see, by number.

@@ -28,6 +28,12 @@ pub struct Ligament {
 }
 
 impl Ligament {
+    /// The ligament that has these stiffnesses in stretch and bending: w = √(12 k_θ/k_l), E t = k_l l/w. Its shear is what it is.
+    pub fn of(stiffness: &Stiffness, length: f64, thickness: f64) -> Self {
+        let width = (12.0 * stiffness.bend / stiffness.stretch).sqrt();
+        Self { modulus: stiffness.stretch * length / (thickness * width), thickness, width, length }
+    }
+
     /// Its stiffnesses.
     pub fn stiffness(&self) -> Stiffness {
         let Self { modulus, thickness, width, length } = *self;
@@ -45,6 +51,13 @@ impl Ligament {
 /// incompressible neo-Hookean, σ = E/3 (λ − λ⁻²) at λ = 2.
 pub fn modulus_at_rest(stress_at_100_percent: f64) -> f64 {
     3.0 * stress_at_100_percent / (2.0 - 0.25)
+}
+
+/// Shore A hardness of rubber of this Young's modulus (MPa): E = 0.0981 (56 + 7.62336 S)/(0.137505 (254 − 2.54 S)), by Gent 1958
+/// (doi:10.5254/1.3542351). Below 0: too soft for that scale.
+pub fn shore_a(modulus: f64) -> f64 {
+    let lifted = 0.137505 * modulus;
+    (254.0 * lifted - 0.0981 * 56.0) / (0.0981 * 7.62336 + 2.54 * lifted)
 }
 
 #[cfg(test)]

@@ -54,7 +54,10 @@ pub fn sheet(body: &spec::Body) -> Result<spec::Body, Invalid> {
 }
 
 /// Mass per area and stiffnesses, checked with what else there is of a material. A trial has them beside the material that they are of.
-pub(super) fn material(body: &spec::Body) -> Result<(f64, Stiffness), Invalid> {
+///
+/// # Errors
+/// Where one is missing or out of its range.
+pub fn material(body: &spec::Body) -> Result<(f64, Stiffness), Invalid> {
     let (density, stiffness) = match body.density.zip(body.stiffness) {
         Some(both) => both,
         None => {

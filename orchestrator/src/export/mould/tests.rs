@@ -17,8 +17,9 @@ fn volume(triangles: &[Triangle]) -> f64 {
 /// Closed, and its volume is that of the plate less that of the cavity.
 fn check(drawing: &Drawing, mould: &Mould, what: &str) -> Outline {
     let cavity =
-        Outline::new(drawing, mould).and_then(|cavity| cavity.with_pockets(drawing, mould, [0.3, -0.2], 0.4));
+        Outline::new(drawing, mould).and_then(|cavity| cavity.with_inserts(drawing, mould, [0.3, -0.2], 0.4));
     let cavity = cavity.unwrap_or_else(|e| panic!("{what}: {e}"));
+    assert_eq!(cavity.holes.len(), drawing.clamped.iter().filter(|u| !drawing.sensors.contains(u)).count());
     let triangles = surface(&cavity, mould);
     assert!(is_closed(&triangles), "{what}");
     let size = |k: usize| {
@@ -50,12 +51,12 @@ fn chips_have_their_pockets() {
         cavity.volume(&mould)
     });
     assert!((bare - own - 2.0 * 5.0 * 4.0 * 2.5).abs() < 1e-3, "{own} {bare}");
-    let refused = plain.with_pockets(&drawing, &with([9.0, 4.0, 2.5]), [0.0; 2], 0.0).unwrap_err();
+    let refused = plain.with_inserts(&drawing, &with([9.0, 4.0, 2.5]), [0.0; 2], 0.0).unwrap_err();
     assert!(matches!(refused, super::super::outline::Invalid::Pocket { unit: 0, .. }), "{refused}");
     let side = super::super::outline::largest_pocket(&drawing, [0.0; 2], 0.0);
     let fits = |side: f64| {
         check(&drawing, &mould(1.0), "")
-            .with_pockets(&drawing, &with([side, side, 1.0]), [0.0; 2], 0.0)
+            .with_inserts(&drawing, &with([side, side, 1.0]), [0.0; 2], 0.0)
             .is_ok()
     };
     assert!(side > 0.0 && fits(side) && !fits(side + 0.5), "{side}");

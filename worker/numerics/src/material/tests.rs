@@ -27,6 +27,16 @@ fn the_energy_of_a_ligament_is_the_work_that_bends_a_timoshenko_beam() {
     }
 }
 
+/// A ligament is that of its own stiffnesses; Gent's formula gives 2.45 MPa at Shore A 50, that of 0.26 MPa is about 4.
+#[test]
+fn stiffnesses_have_their_ligament_and_a_modulus_its_hardness() {
+    let own = Ligament { modulus: 0.26, thickness: 8.0, width: 1.5, length: 4.0 };
+    let found = Ligament::of(&own.stiffness(), 4.0, 8.0);
+    assert!((found.width / 1.5 - 1.0).abs() < 1e-12 && (found.modulus / 0.26 - 1.0).abs() < 1e-12);
+    assert!((shore_a(2.4558) - 50.0).abs() < 0.1, "{}", shore_a(2.4558));
+    assert!(shore_a(0.15) < 0.0 && shore_a(0.26) > 3.0);
+}
+
 /// MODEL.md's reference body was not computed by these formulas. Its three stiffnesses are still those of one ligament, within a
 /// quarter: 2 mm wide, of E t = 3.375 N/mm.
 #[test]
