@@ -735,14 +735,21 @@ def of_protocol(name, folder, networks):
 
 def authors():
     trials = rows("authors/trials.csv")
+    names = ("scene", "decoder", "steps", "noise", "limits")
     for scene, decoder, steps, noise, limits, *cells in table("authors"):
-        wanted = [scene, decoder, steps, "0" if noise == "none" else str(float(noise.split()[0]) / 100), limits]
-        own = [row for row in trials if [row[name] for name in ("scene", "decoder", "steps", "noise", "limits")] == wanted]
-        found = [str(len(own))]
+        noise = "0" if noise == "none" else str(float(noise.split()[0]) / 100)
+
+        def own(scene):
+            return [row for row in trials if [row[name] for name in names] == [scene, decoder, steps, noise, limits]]
+
+        # a comparison has one scene per body
+        initial, _, trained = scene.partition(" over trained ")
+        few, many = own(trained or scene), own(initial.removeprefix("initial "))
+        found = [str(len(few))]
         for errors in ("test", "holdout"):
-            initial, trained = (numbers(own, f"{errors}_{body}") for body in ("initial", "trained"))
-            ratios = with_interval([a / b for a, b in zip(initial, trained, strict=True)])
-            found.append(f"{short(geometric(initial))} → {short(geometric(trained))} %, {ratios}")
+            before, after = numbers(many, f"{errors}_initial"), numbers(few, f"{errors}_trained")
+            ratios = with_interval([a / b for a, b in zip(before, after, strict=True)])
+            found.append(f"{short(geometric(before))} → {short(geometric(after))} %, {ratios}")
         yield cells, found
 
 
