@@ -92,6 +92,20 @@ fn bench() -> Bench {
     let between: Vec<f64> =
         noisy(&run("half.toml", "h.npy", "c")).chunks(6).flat_map(|two| two[..3].to_vec()).collect();
     bench.write_array("between.npy", &[3, 40, 3], &between);
+    // each record's clock off by its own time: 1.5, 4 and 3 ms late
+    bench.file("fine.toml", &made.replace("samples = 40", "samples = 400"));
+    let fine = noisy(&run("fine.toml", "h.npy", "d"));
+    let late = |(record, by): (usize, usize)| {
+        let at = move |n: usize| 3 * (400 * record + (10 * n + by).min(400) - 1);
+        (1..=40).flat_map(move |n| at(n)..at(n) + 3)
+    };
+    let clocks: Vec<f64> = [3, 8, 6].into_iter().enumerate().flat_map(late).map(|i| fine[i]).collect();
+    bench.write_array("clocks.npy", &[3, 40, 3], &clocks);
+    bench.file(
+        "clocks.toml",
+        "[recorded]\nfiles = [\"h.npy\"]\nrate = 2000.0\n[signals]\nfiles = [\"clocks.npy\"]\nrate = 200.0\nstart = 0.005\n\
+         start_deviation = 0.003\n",
+    );
     bench.file("s_fine.toml", &SPEC.replace("[stimuli]", "[stimuli]\nforce_samples = 400"));
     for (name, start) in [("between", 0.0025), ("late", 0.0125)] {
         bench.file(
@@ -101,7 +115,6 @@ fn bench() -> Bench {
             ),
         );
     }
-    bench.file("fine.toml", &made.replace("samples = 40", "samples = 400"));
     bench.write_array("g.npy", &[1, 2, 401], &forces(1, 400));
     let signals = noisy(&run("fine.toml", "g.npy", "b"));
     let mut csv = String::from("ms,left,right,ax,ay,spin\n");
@@ -147,6 +160,14 @@ fn readings_are_compared_when_they_were_taken() {
     let found = fit("between.toml", &["--format", "csv"]);
     assert!(found.status.success(), "{}", String::from_utf8_lossy(&found.stderr));
     assert_true(&estimates(&String::from_utf8(found.stdout).unwrap()), 0.03);
+    // moved by a trigger, in a shorter sample
+    let text = std::fs::read_to_string(bench.path("between.toml")).unwrap();
+    let trigger = "[recorded]\ntrigger = { threshold = 0.02, before = 0.0111 }";
+    bench.file("trigger.toml", &text.replace("[recorded]", trigger));
+    let short = ["time.duration=0.16", "time.samples=32", "stimuli.force_samples=320", "--format", "csv"];
+    let found = fit("trigger.toml", &short);
+    assert!(found.status.success(), "{}", String::from_utf8_lossy(&found.stderr));
+    assert_true(&estimates(&String::from_utf8(found.stdout).unwrap()), 0.03);
     let late = fit("late.toml", &[]);
     let said = String::from_utf8(late.stdout).unwrap();
     assert_eq!(late.status.code(), Some(1), "{said}");
@@ -156,6 +177,65 @@ fn readings_are_compared_when_they_were_taken() {
     let warned = bench.metasense(&["lab", "identify", "slow.toml", "--records", "between.toml"]);
     let warned = String::from_utf8(warned.stderr).unwrap();
     assert!(warned.contains("Set time.samples = 40"), "{warned}");
+}
+
+/// Clocks that are late, each record's by its own time, are fitted with the material and with a twin. What is printed for the file of
+/// the records is what these clocks were.
+#[test]
+fn clocks_that_are_off_are_fitted() {
+    const LATE: [f64; 3] = [1.5e-3, 4e-3, 3e-3];
+    let bench = bench();
+    let fit = |command: &str, spec: &str, records: &str, format: &str| {
+        bench.output(&["lab", command, spec, "--records", records, "--format", format])
+    };
+    let assert_late = |csv: &str| {
+        let rows = csv.lines().filter(|line| line.starts_with("start of record"));
+        let rows: Vec<Vec<&str>> = rows.map(|line| line.split(',').collect()).collect();
+        assert_eq!(rows.len(), LATE.len(), "{csv}");
+        for (row, late) in rows.iter().zip(LATE) {
+            let [value, low, high] = [3, 4, 5].map(|i| row[i].parse::<f64>().unwrap());
+            assert!((value - late).abs() < 2e-4 && low < late && late < high, "{late}\n{csv}");
+        }
+    };
+    let csv = fit("identify", "s_fine.toml", "clocks.toml", "csv");
+    assert_late(&csv);
+    assert_true(&estimates(&csv)[..5], 0.03);
+    bench.file("true_fine.toml", &made_of(SPEC, TRUE).replace("[stimuli]", "[stimuli]\nforce_samples = 400"));
+    assert_late(&fit("twin", "true_fine.toml", "clocks.toml", "csv"));
+    let table = fit("identify", "s_fine.toml", "clocks.toml", "table");
+    let line = table.lines().find(|line| line.starts_with("start = [")).unwrap_or_else(|| panic!("{table}"));
+    let text = std::fs::read_to_string(bench.path("clocks.toml")).unwrap();
+    let known = text.replace("start = 0.005", line).replace("start_deviation = 0.003", "");
+    bench.file("known.toml", &known);
+    let csv = fit("identify", "s_fine.toml", "known.toml", "csv");
+    assert_true(&estimates(&csv), 0.03);
+
+    let refused = |call: &[&str], says: &[&str]| {
+        let run = bench.metasense(call);
+        let said = String::from_utf8_lossy(&run.stderr);
+        assert!(run.status.code() == Some(2) && says.iter().all(|s| said.contains(s)), "{said}");
+    };
+    refused(
+        &["lab", "evaluate", "s_fine.toml", "--records", "initial=clocks.toml"],
+        &["clocks.toml", "signals.start_deviation", "signals.start", "lab identify"],
+    );
+    for (from, to, says) in [
+        (
+            "start_deviation = 0.003",
+            "start_deviation = -0.003",
+            ["start_deviation = -0.003", "between 0 and 0.02"],
+        ),
+        (
+            "start_deviation = 0.003",
+            "start_deviation = 0.03",
+            ["start_deviation = 0.03", "between 0 and 0.02"],
+        ),
+        ("start = 0.005", "start = [0.005, 0.005]", ["start = 2 numbers", "each of the 3 records"]),
+    ] {
+        bench.file("wrong.toml", &text.replace(from, to));
+        let says = [&["wrong.toml:"], &says[..]].concat();
+        refused(&["lab", "identify", "s_fine.toml", "--records", "wrong.toml"], &says);
+    }
 }
 
 /// The material comes back from arrays, with the same digits on one thread and two; the page, its figures, data and the

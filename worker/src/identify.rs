@@ -2,7 +2,7 @@
 
 pub use metasense_numerics::dynamics::Parameters;
 pub use metasense_numerics::identify::{
-    BOX, Estimate, Identified, Iteration, Parameter, Turn, UNEXPLAINED, Verdict,
+    BOX, Estimate, Identified, Iteration, Offset, Parameter, Turn, UNEXPLAINED, Verdict,
 };
 use metasense_numerics::identify::{Settings, fit};
 use metasense_schemas::spec::TrialSpec;
@@ -52,6 +52,7 @@ pub fn identify(
             )));
         }
     }
-    let settings = Settings { free, solver: problem.solver, iterations: ITERATIONS };
+    let offset = measured.start_deviation;
+    let settings = Settings { free, solver: problem.solver, iterations: ITERATIONS, offset };
     Ok(fit(scene, design, &measured.forces, &measured.signals, &settings, &pool, known, watch))
 }

@@ -92,10 +92,5 @@ pub fn holdout(
     let twin = twin.map(|twin| &twin.cast);
     let samples = Trial::new(&problem, &pool)?.samples(design, twin, forces.clone())?;
     let ended: Vec<usize> = (0..samples.count()).filter(|&i| !samples.failed[i]).collect();
-    Ok(Measured {
-        forces: forces.select(&ended),
-        signals: samples.select(&ended).signals,
-        low_pass: problem.low_pass(),
-        resampled: None,
-    })
+    Ok(Measured::of(forces.select(&ended), samples.select(&ended).signals, problem.low_pass()))
 }

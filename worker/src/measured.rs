@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use metasense_numerics::dynamics::Forces;
 use metasense_numerics::stimuli::{anti_aliased, resample};
 use metasense_schemas::source::{Source, SpecError};
-use metasense_schemas::spec::{self, Augment, Channel, Resample, TrialSpec};
+use metasense_schemas::spec::{self, Augment, Channel, Resample, Start, TrialSpec};
 
 use crate::files::Form;
 use crate::invalid::{Invalid, invalid, positive};
@@ -28,9 +28,19 @@ pub struct Measured {
     pub low_pass: bool,
     /// Rate of the first signals (1/s) that had to be resampled onto the trial's clock.
     pub resampled: Option<f64>,
+    /// Each record's `signals.start` (s); empty: the clocks are exact.
+    pub starts: Vec<f64>,
+    /// Standard deviation of its unknown error (s).
+    pub start_deviation: f64,
 }
 
 impl Measured {
+    /// Of simulated signals, whose clock is that of the forces.
+    #[must_use]
+    pub fn of(forces: Forces, signals: Vec<f64>, low_pass: bool) -> Self {
+        Self { forces, signals, low_pass, resampled: None, starts: Vec::new(), start_deviation: 0.0 }
+    }
+
     /// What a user should know of signals that were resampled.
     pub fn note(&self, trial: &TrialSpec) -> Option<String> {
         let (rate, spec::Time { duration, samples, .. }) = (self.resampled?, trial.time);
@@ -90,6 +100,7 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
     };
     let form = Form::of_forces(recorded, "recorded", read);
     let (mut forces, mut readings, mut seen) = (Vec::new(), Vec::new(), Seen::new());
+    let mut starts = Vec::new();
     for (n, file) in recorded.files.iter().enumerate() {
         let wrong = |what: String| records::at(file, what);
         let beside = signals.files.as_ref().map(|files| &files[n]);
@@ -114,6 +125,9 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
             records::check_step(&picks[0], &force, duration).map_err(wrong)?;
             records::check_step(&picks[1], &signal, duration).map_err(wrong_beside)?;
             let place = format!("{:?}, record {i}", beside.unwrap_or(file).display().to_string());
+            let start = signals.start.as_ref().map_or(0.0, |start| start.of(starts.len()));
+            signal.start += start;
+            starts.push(start);
             check_copies(&mut seen, &force, &signal, place).map_err(wrong_beside)?;
             let later = records::align(recorded, &mut force, 0.0).map_err(wrong)?;
             signal.start += later;
@@ -129,6 +143,12 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
     let Some(first) = forces.first() else {
         return Err(records::at(&recorded.files[0], "contains no records"));
     };
+    if let Some(Start::Each(given)) = &signals.start
+        && given.len() != forces.len()
+    {
+        let remedy = format!("must be one number, or one for each of the {} records", forces.len());
+        return Err(invalid("signals.start", format!("{} numbers", given.len()), remedy));
+    }
     records::check_panels(recorded, &forces, panels)?;
     if first.values.len() < panels && recorded.panels.is_none() {
         let remedy = format!("must name the panel, from 0 to {}, that each record strikes", panels - 1);
@@ -168,6 +188,8 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
     let resampled = readings.iter().find(|(_, first)| first.is_none()).map(|(signal, _)| 1.0 / signal.dt);
     Ok(Measured {
         resampled,
+        starts,
+        start_deviation: signals.start_deviation.unwrap_or(0.0),
         signals: readings.iter().flat_map(read).collect(),
         forces: Forces { samples: forces.len(), panels, instants: own, values, strikes: Vec::new() },
         low_pass,
@@ -234,8 +256,17 @@ fn check(
     }
     let files = signals.files.as_deref().unwrap_or_default();
     records::check_form("signals", files, signals.header, signals.separator, signals.decimal)?;
-    if let Some(start) = signals.start.filter(|start| !start.is_finite()) {
+    let starts = match &signals.start {
+        Some(Start::Each(starts)) => starts,
+        start => &start.iter().map(|start| start.of(0)).collect(),
+    };
+    if let Some(start) = starts.iter().find(|start| !start.is_finite()) {
         return wrong("start", start.to_string(), "must be a finite number (s)".into());
+    }
+    let most = trial.time.duration / 10.0;
+    if let Some(deviation) = signals.start_deviation.filter(|s| !(0.0..=most).contains(s)) {
+        let remedy = format!("must lie between 0 and {most} s, a tenth of time.duration");
+        return wrong("start_deviation", deviation.to_string(), remedy);
     }
     let channels = trial.signals();
     match &signals.factors {
@@ -260,7 +291,6 @@ fn pick<'a>(recorded: &'a spec::Recorded, signals: &'a spec::MeasuredSignals, ch
         rate,
         unit: signals.time_unit.unwrap_or(recorded.time_unit),
         clock: if signals.time.is_some() || signals.rate.is_some() { "signals" } else { "recorded" },
-        start: signals.start.unwrap_or(0.0),
         count: Some(channels),
     }
 }

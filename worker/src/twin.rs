@@ -22,7 +22,8 @@ pub fn fit(trial: &TrialSpec, design: &[f64], measured: &Measured, threads: usiz
     let pool = pool(threads)?;
     let problem = placed(trial, &pool)?;
     check_design(&problem, design)?;
-    Ok(Fit::of_records(&problem, design, (&measured.forces, &measured.signals), &pool))
+    let records = (&measured.forces, &measured.signals[..], measured.start_deviation);
+    Ok(Fit::of_records(&problem, design, records, &pool))
 }
 
 /// As it is stored.

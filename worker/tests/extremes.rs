@@ -154,11 +154,11 @@ fn ask(trial: &TrialSpec) -> usize {
         for factor in [1.0, 0.0, 1e-200, 1e200] {
             let signals: Vec<f64> = simulated.signals.iter().map(|s| factor * s).collect();
             let free = vec![Parameter::Stretch, Parameter::Density];
-            let settings = Settings { free, solver: problem.solver, iterations: 3 };
+            let settings = Settings { free, solver: problem.solver, iterations: 3, offset: 0.0 };
             if signals.iter().all(|s| s.is_finite()) {
                 fit(&problem.scene, design, &forces, &signals, &settings, &pool, &[], &mut |_| ());
                 if width == 3 * problem.scene.sensors.len() {
-                    twin::Fit::of_records(&problem, design, (&forces, &signals), &pool);
+                    twin::Fit::of_records(&problem, design, (&forces, &signals, 0.0), &pool);
                 }
             }
         }

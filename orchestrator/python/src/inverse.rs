@@ -46,7 +46,7 @@ impl Twin {
         let scene = &body.problem.scene;
         let forces = metasense_worker::simulate::forces(scene, &shape, values).map_err(|e| raised(&e))?;
         let signals = signals_of(body, Some(forces.samples), signals)?;
-        let measured = Measured { forces, signals, low_pass: false, resampled: None };
+        let measured = Measured::of(forces, signals, false);
         let found = py.detach(|| fit(&body.trial, &design, &measured, body.threads.count()));
         let twin::Fit { twin, ending, .. } = found.map_err(|e| raised(&e))?;
         Ok(Self { twin, trial: body.trial.clone(), design, ending: Some(ending.name().to_owned()) })

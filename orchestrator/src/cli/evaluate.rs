@@ -156,6 +156,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             }
             None => (By::Measured, read_records(file, spec)?),
         };
+        if measured.start_deviation > 0.0 {
+            return Err(refused(
+                "signals.start_deviation: must be left out: clocks are taken as exact here; set signals.start as `metasense lab identify` or \
+                 `lab twin` prints it for these records",
+            ));
+        }
         Ok(Records { name: name.clone(), by, measured })
     };
     let records = args.records.iter().map(read).collect::<Result<Vec<_>, Error>>()?;

@@ -6,8 +6,9 @@ use std::time::Instant;
 use indicatif::ProgressBar;
 use metasense_schemas::spec::Body;
 use metasense_worker::identify::{
-    BOX, Estimate, Identified, Iteration, Parameter, Parameters, Turn, UNEXPLAINED, Verdict, identify,
+    BOX, Estimate, Identified, Iteration, Offset, Parameter, Parameters, Turn, UNEXPLAINED, Verdict, identify,
 };
+use metasense_worker::measured::Measured;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -71,7 +72,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let forces = (measured.forces.instants, &measured.forces.values);
     let names: Vec<&str> = free.iter().map(|parameter| parameter.name()).collect();
     let spec = serde_json::to_string(trial).expect("a trial is JSON");
-    let inputs = (spec, design, forces, &measured.signals, measured.low_pass, names);
+    let signals = (&measured.signals, measured.start_deviation);
+    let inputs = (spec, design, forces, signals, measured.low_pass, names);
     let (unfinished, kept) = Unfinished::new(args.out_dir.as_deref(), "identify", &inputs)?;
     let mut kept: Vec<Kept> = kept.unwrap_or_default();
     let known: Vec<Turn> = kept.iter().map(Kept::turn).collect();
@@ -98,7 +100,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         _ => print_rows(&found, args.format)?,
     }
     let records = measured.forces.samples;
-    let said = said(&fit, &trial.body, records);
+    let mut said = said(&fit, &trial.body, records);
+    said.extend(starts(&measured, fit.offsets.iter().copied().map(Some)));
     if args.format == Format::Table {
         print_rows(&correlations(&fit), args.format)?;
         said.iter().try_for_each(|line| print_line!("{line}"))?;
@@ -160,7 +163,47 @@ fn estimates(fit: &Identified) -> Table {
         };
         row![e.parameter.name(), e.parameter.unit(), e.start, value, lower, upper, half, outcome.name()]
     };
-    Table::new(columns, fit.estimates.iter().map(row))
+    let of = |(n, offset): (usize, &Offset)| {
+        let [lower, upper] = ends(offset);
+        let outcome = if offset.half.is_some() { fit.outcome } else { Verdict::AtTheBound };
+        row![name_of_start(n), "s", 0.0, offset.value, lower, upper, Value::Null, outcome.name()]
+    };
+    let rows = fit.estimates.iter().map(row);
+    Table::new(columns, rows.chain(fit.offsets.iter().enumerate().map(of)))
+}
+
+/// How the error of a record's `signals.start` is called.
+pub(super) fn name_of_start(record: usize) -> String {
+    format!("start of record {record}")
+}
+
+/// The 95 % interval of an offset.
+pub(super) fn ends(offset: &Offset) -> [Option<f64>; 2] {
+    [-1.0, 1.0].map(|way| offset.half.map(|half| offset.value + way * half))
+}
+
+/// The line of the records' file with the fitted clocks, and which of them are at their bound.
+pub(super) fn starts(measured: &Measured, offsets: impl Iterator<Item = Option<Offset>>) -> Vec<String> {
+    let all: Vec<(f64, Option<Offset>)> = measured.starts.iter().copied().zip(offsets).collect();
+    if all.is_empty() {
+        return Vec::new();
+    }
+    let fitted = all.iter().map(|(start, offset)| exact(start + offset.map_or(0.0, |o| o.value)));
+    let lines = format!(
+        "for the file of the records, without start_deviation:\n[signals]\nstart = [{}]",
+        fitted.collect::<Vec<_>>().join(", ")
+    );
+    let bound = all.iter().enumerate().filter(|(_, (_, o))| o.is_some_and(|o| o.half.is_none()));
+    let bound: Vec<String> = bound.map(|(n, _)| n.to_string()).collect();
+    let warning = (!bound.is_empty()).then(|| {
+        format!(
+            "at the bound: the start of record {} is off by three times signals.start_deviation = {}; correct signals.start or raise \
+             start_deviation",
+            bound.join(", "),
+            measured.start_deviation
+        )
+    });
+    warning.into_iter().chain([lines]).collect()
 }
 
 /// With as many digits as tell the ends of an interval apart.
@@ -201,7 +244,7 @@ fn said(fit: &Identified, body: &Body, records: usize) -> Vec<String> {
     if let Some(part) = fit.unmodelled.filter(|part| *part >= DISCREPANCY && end[0].max(end[1]) >= LEFT) {
         said.push(format!(
             "discrepancy: the motion explains {:.0} % of the residual, on records not used for this estimate; the model does not contain \
-             this behaviour of the body, and the intervals do not include it",
+             this behaviour of the body; the intervals are wider for it",
             100.0 * part
         ));
     }

@@ -4,12 +4,12 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::identify::Parameters;
+use metasense_worker::identify::{Offset, Parameters};
 use metasense_worker::run::{Failure, prepared};
 use metasense_worker::twin::{self, Ending, Estimate, Fit, Unknown};
 use serde_json::Value;
 
-use super::identify::DISCREPANCY;
+use super::identify::{DISCREPANCY, ends, name_of_start, starts};
 use super::named::{Designed, read_records};
 use super::{Error, Format, duration, print_rows, write};
 use crate::exit::Exit;
@@ -46,7 +46,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let found = found.map_err(|e| args.one.trial.failed(e))?;
     print_rows(&estimates(trial, &found).map_err(|e| args.one.trial.failed(e))?, args.format)?;
     if args.format == Format::Table {
-        said(&found, measured.forces.samples).iter().try_for_each(|line| print_line!("{line}"))?;
+        let mut said = said(&found, measured.forces.samples);
+        said.extend(starts(&measured, found.offsets.iter().copied()));
+        said.iter().try_for_each(|line| print_line!("{line}"))?;
     }
     say!("{}", duration(begun.elapsed().as_secs_f64()));
     if let Some(file) = &args.out {
@@ -86,7 +88,17 @@ fn estimates(trial: &TrialSpec, fit: &Fit) -> Result<Table, Failure> {
         let outcome = if e.left > UNTOLD { "not identifiable" } else { fit.ending.name() };
         row![name, unit, begun, shown(e.found), ends[0], ends[1], 100.0 * e.left, outcome]
     };
-    Ok(Table::new(columns, fit.estimates.iter().filter(|e| !is_of_parts(e)).map(row)))
+    let of = |(n, offset): (usize, &Option<Offset>)| {
+        let offset = offset.as_ref()?;
+        let [value, lower, upper] = {
+            let [lower, upper] = ends(offset);
+            [Some(offset.value), lower, upper].map(|x| x.map(|x| Value::from(digits(x, DIGITS))))
+        };
+        let outcome = if offset.half.is_some() { fit.ending.name() } else { "at the bound" };
+        Some(row![name_of_start(n), "s", 0.0, value, lower, upper, Value::Null, outcome])
+    };
+    let rows = fit.estimates.iter().filter(|e| !is_of_parts(e)).map(row);
+    Ok(Table::new(columns, rows.chain(fit.offsets.iter().enumerate().filter_map(of))))
 }
 
 /// What there is to say beside.

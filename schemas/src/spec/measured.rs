@@ -50,7 +50,11 @@ pub struct MeasuredSignals {
     pub time_unit: Option<TimeUnit>,
     /// Time on the forces' clock at which the signals' clock is 0. Unit: s. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub start: Option<f64>,
+    pub start: Option<Start>,
+    /// Standard deviation of the unknown error of each record's `start`. `lab identify` and `lab twin` fit these errors, up to three
+    /// deviations. Unit: s. Default: 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub start_deviation: Option<f64>,
     /// Unit of accelerations.
     pub acceleration_unit: AccelerationUnit,
     /// Unit of angular velocities.
@@ -58,6 +62,27 @@ pub struct MeasuredSignals {
     /// Factor per channel; −1 for an axis that points the other way. Unit: 1. Default: 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub factors: Option<Vec<f64>>,
+}
+
+/// When the clock of the signals is 0, on that of the forces (s).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Start {
+    /// Of all records.
+    All(f64),
+    /// Of each record, in the order of the files.
+    Each(Vec<f64>),
+}
+
+impl Start {
+    /// That of a record.
+    #[must_use]
+    pub fn of(&self, record: usize) -> f64 {
+        match self {
+            Self::All(start) => *start,
+            Self::Each(starts) => starts.get(record).copied().unwrap_or(0.0),
+        }
+    }
 }
 
 /// Unit of measured accelerations.

@@ -80,7 +80,7 @@ fn records(scene: &Scene, design: &[f64], forces: &Forces, noise: f64, memory: f
 
 fn settings(free: &[Parameter]) -> Settings {
     let solver = Solver::new(Method::Auto, Accuracy(1e-3));
-    Settings { free: free.to_vec(), solver, iterations: 1000 }
+    Settings { free: free.to_vec(), solver, iterations: 1000, offset: 0.0 }
 }
 
 fn off_by(scene: &Scene, factors: [f64; 5]) -> Scene {
@@ -194,6 +194,54 @@ fn intervals_of_95_percent_hold_the_truth() {
         }
         assert!(held.iter().all(|h| *h >= 16), "{samples} records, memory {memory}: {held:?} of 20");
     }
+}
+
+/// Readings whose clocks are late by up to 5 ms, each record's by its own time: material and clocks come back, and intervals hold
+/// them. Clocks that are taken as exact give another material.
+#[test]
+fn clocks_that_are_off_are_fitted_with_the_material() {
+    const RECORDS: usize = 6;
+    const FINE: usize = 50;
+    let scene = scene(3, 2, 2);
+    let design = scene.layout.initial_design(0.4363);
+    let forces = blows(&scene, RECORDS as u64);
+    let moving = Scene { instants: FINE * scene.instants, ..scene.clone() };
+    let truth = Parameters::of(&scene).array();
+    let (mut held, mut clocks) = ([0; 5], 0);
+    for seed in 0..4 {
+        let signals = records(&moving, &design, &forces.on(&moving), 0.03, 0.0, 50 + seed);
+        let mut stream = Stream::new(Purpose::Search, seed, [7, 0]);
+        let late: Vec<usize> = (0..RECORDS).map(|_| stream.below(FINE)).collect();
+        let read = |(signals, late): (&[f64], &usize)| {
+            let at = |n: usize| (FINE * n + late).min(moving.instants) - 1;
+            (1..=scene.instants).flat_map(|n| signals[3 * at(n)..][..3].to_vec()).collect::<Vec<f64>>()
+        };
+        let readings: Vec<f64> = signals.chunks(3 * moving.instants).zip(&late).flat_map(read).collect();
+        let start = off_by(&scene, std::array::from_fn(|_| (0.2 * stream.normal()).exp()));
+        let of = |offset: f64| {
+            let settings = Settings { offset, ..settings(&Parameter::ALL[..5]) };
+            fit(&start, &design, &forces, &readings, &settings, &pool(2), &[], &mut |_| ())
+        };
+        let found = of(4e-3);
+        let right = errors(&found, &scene);
+        assert!(found.outcome == Verdict::Converged && right.iter().all(|e| e.abs() < 0.02), "{right:?}");
+        if seed == 0 {
+            let exact = of(0.0);
+            let wrong = errors(&exact, &scene)[0].abs() > 0.02;
+            assert!(exact.offsets.is_empty() && (exact.outcome != Verdict::Converged || wrong), "{exact:?}");
+        }
+        for (held, e) in held.iter_mut().zip(&found.estimates) {
+            let [low, high] = e.interval.expect("identifiable");
+            *held += usize::from((low..=high).contains(&truth[e.parameter as usize]));
+        }
+        let interval = moving.duration / moving.instants as f64;
+        for (offset, late) in found.offsets.iter().zip(&late) {
+            let off = (offset.value - *late as f64 * interval).abs();
+            assert!(off < 5e-5, "{offset:?} {late}");
+            clocks += usize::from(off < offset.half.expect("within the bound"));
+        }
+    }
+    assert!(held.iter().all(|held| *held >= 3) && clocks >= 20, "{held:?} of 4, {clocks} of 24");
 }
 
 /// One unit on one ligament, pushed along it, with its design, blows and records: stretching and mass show, shearing and

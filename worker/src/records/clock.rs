@@ -51,7 +51,7 @@ pub(super) fn timed(
     }
     let span = clock[clock.len() - 1] - clock[0];
     let mean = span / (clock.len() - 1) as f64;
-    let start = pick.start + clock[0] * unit;
+    let start = clock[0] * unit;
     let drift = |(n, t): (usize, &f64)| (t - clock[0] - n as f64 * mean).abs();
     if steps().all(|step| (step - mean).abs() <= UNEVEN * mean)
         && clock.iter().enumerate().map(drift).all(|off| off <= DRIFT * mean)

@@ -24,8 +24,6 @@ pub(crate) struct Pick<'a> {
     pub unit: TimeUnit,
     /// The table of keys that has `time_unit` and `rate`.
     pub clock: &'static str,
-    /// When the clock reads 0 (s).
-    pub start: f64,
     /// Histories a record, where known: an array may then have them along its last side, too.
     pub count: Option<usize>,
 }
@@ -40,7 +38,6 @@ impl<'a> Pick<'a> {
             rate: recorded.rate,
             unit: recorded.time_unit,
             clock: keys,
-            start: 0.0,
             count: None,
         }
     }
@@ -180,5 +177,5 @@ fn histories(pick: &Pick, Array { shape, values }: &Array) -> Result<Vec<Vec<Vec
 }
 
 fn even(pick: &Pick, values: Vec<Vec<f64>>) -> Record {
-    Record { start: pick.start, dt: 1.0 / pick.rate.unwrap_or(1.0), values }
+    Record { start: 0.0, dt: 1.0 / pick.rate.unwrap_or(1.0), values }
 }

@@ -1,14 +1,15 @@
 //! How well records tell parameters.
 //!
 //! ```text
-//! covariance = (G − 1)/G Σ_g (δ_g − δ̄)(δ_g − δ̄)ᵀ,   δ_g = −(H − H_g)⁻¹ (∇F − ∇F_g),   H = JᵀJ
+//! covariance = (1 + u (G − 1)) (G − 1)/G Σ_g (δ_g − δ̄)(δ_g − δ̄)ᵀ,   δ_g = −(H − H_g)⁻¹ (∇F − ∇F_g),   H = JᵀJ
 //! ```
 //! The jackknife of one step (Efron, The Jackknife, the Bootstrap and Other Resampling Plans, 1982): each group of residuals
 //! left out once. A group is a record, or, of fewer than ten records, a part of one in time, so that noise may be
-//! correlated within it. 95 % by Student's t with G − 1 degrees of freedom.
+//! correlated within it. The share u of the residual that the model lacks is alike in all of them. 95 % by Student's t with
+//! G − 1 degrees of freedom.
 
 use super::objective::{Objective, Point};
-use super::{BOX, Parameter};
+use super::{BOX, Offset, Parameter};
 use crate::student::student;
 use nalgebra::{DMatrix, DVector};
 
@@ -51,6 +52,7 @@ pub struct Spread {
     pub undetermined: Vec<Direction>,
     pub correlation: Vec<Vec<f64>>,
     pub condition: f64,
+    pub offsets: Vec<Offset>,
     /// Half the 95 % interval of each logarithm.
     half: Vec<Option<f64>>,
 }
@@ -68,10 +70,12 @@ impl Spread {
     }
 }
 
-/// At the end of a fit.
-pub fn spread(objective: &Objective<'_>, point: &Point, jacobian: &DMatrix<f64>) -> Spread {
+/// At the end of a fit whose model lacks the share `unmodelled` of the residual.
+pub fn spread(objective: &Objective<'_>, point: &Point, jacobian: &DMatrix<f64>, unmodelled: f64) -> Spread {
     let free = jacobian.ncols();
-    let residual = objective.residual(point.signals());
+    let residual = objective.residual_before(point);
+    let (group, count) = groups(objective);
+    let alike = 1.0 + unmodelled * (count - 1) as f64;
     let h = jacobian.tr_mul(jacobian);
     let eigen = h.clone().symmetric_eigen();
     let largest = eigen.eigenvalues.max();
@@ -94,12 +98,12 @@ pub fn spread(objective: &Objective<'_>, point: &Point, jacobian: &DMatrix<f64>)
         false => {
             let known: Vec<_> = known.iter().map(|&k| eigen.eigenvectors.column(k)).collect();
             let basis = DMatrix::from_columns(&known);
-            let within = jackknife(&groups(objective), &(jacobian * &basis), &residual);
-            &basis * within * basis.transpose()
+            let within = jackknife((&group, count), &(jacobian * &basis), &residual);
+            &basis * (alike * within) * basis.transpose()
         }
     };
     let unknown = |k: usize| undetermined.iter().map(|d| d.exponents[k].powi(2)).sum::<f64>() > SHARE;
-    let t = student(groups(objective).1 - 1);
+    let t = student(count - 1);
     let deviation: Vec<f64> = (0..free).map(|k| covariance[(k, k)].max(0.0).sqrt()).collect();
     let correlation = |i: usize, j: usize| match (unknown(i) || unknown(j), deviation[i] * deviation[j]) {
         (false, scale) if scale > 0.0 => covariance[(i, j)] / scale,
@@ -116,6 +120,7 @@ pub fn spread(objective: &Objective<'_>, point: &Point, jacobian: &DMatrix<f64>)
         half: (0..free).map(|k| (!unknown(k)).then(|| t * deviation[k])).collect(),
         correlation: (0..free).map(|i| (0..free).map(|j| correlation(i, j)).collect()).collect(),
         condition: if least > 0.0 { (largest / least).sqrt() } else { f64::INFINITY },
+        offsets: objective.offsets(point, jacobian, &(t * t * covariance), unmodelled),
         undetermined,
     }
 }
@@ -136,14 +141,10 @@ pub fn grouped([records, length, width]: [usize; 3]) -> (Vec<usize>, usize) {
 }
 
 /// Covariance in the columns of `jacobian`.
-fn jackknife(
-    (group, count): &(Vec<usize>, usize),
-    jacobian: &DMatrix<f64>,
-    residual: &[f64],
-) -> DMatrix<f64> {
+fn jackknife((group, count): (&[usize], usize), jacobian: &DMatrix<f64>, residual: &[f64]) -> DMatrix<f64> {
     let free = jacobian.ncols();
-    let mut h = vec![DMatrix::<f64>::zeros(free, free); *count];
-    let mut g = vec![DVector::<f64>::zeros(free); *count];
+    let mut h = vec![DMatrix::<f64>::zeros(free, free); count];
+    let mut g = vec![DVector::<f64>::zeros(free); count];
     for (i, (&at, r)) in group.iter().zip(residual).enumerate() {
         for k in 0..free {
             g[at][k] -= jacobian[(i, k)] * r;
@@ -158,8 +159,8 @@ fn jackknife(
         let left = (&whole - &h[at]).cholesky().or_else(|| whole.clone().cholesky());
         left.map_or_else(|| DVector::zeros(free), |left| -left.solve(&(&slope - &g[at])))
     };
-    let steps: Vec<DVector<f64>> = (0..*count).map(step).collect();
-    let mean = steps.iter().sum::<DVector<f64>>() / *count as f64;
+    let steps: Vec<DVector<f64>> = (0..count).map(step).collect();
+    let mean = steps.iter().sum::<DVector<f64>>() / count as f64;
     let spread = |s: &DVector<f64>| (s - &mean) * (s - &mean).transpose();
-    steps.iter().map(spread).sum::<DMatrix<f64>>() * ((*count - 1) as f64 / *count as f64)
+    steps.iter().map(spread).sum::<DMatrix<f64>>() * ((count - 1) as f64 / count as f64)
 }

@@ -7,12 +7,14 @@
 //! tangents. A wave's phase makes F hilly far from its minimum, so the fit begins with the first part of each record
 //! and lengthens it, from another start where it loses it. The last term decides only where records do not.
 
+mod clock;
 mod discrepancy;
 mod interval;
 mod objective;
 pub mod twin;
 
 use crate::dynamics::{Counters, Forces, Parameters, Scene, Solver};
+pub use clock::Offset;
 pub use interval::{Direction, Estimate};
 use nalgebra::{DMatrix, DVector};
 use objective::{Objective, Point};
@@ -59,6 +61,8 @@ pub struct Settings {
     pub solver: Solver,
     /// Most iterations, those of the beginnings of the records included.
     pub iterations: usize,
+    /// Standard deviation of the unknown offset of each record's clock (s); 0: clocks are exact.
+    pub offset: f64,
 }
 
 /// How a fit ended.
@@ -124,6 +128,8 @@ pub struct Identified {
     pub parameters: Parameters,
     /// Of each fitted parameter.
     pub estimates: Vec<Estimate>,
+    /// By how much later each record's readings were taken than it says; empty where clocks are exact.
+    pub offsets: Vec<Offset>,
     /// Combinations that the records do not tell.
     pub undetermined: Vec<Direction>,
     /// Correlations of the estimates, zero with what is not identifiable.
@@ -156,6 +162,8 @@ const CLOSE: f64 = 0.01;
 const GROWTH: f64 = 1.4;
 /// Root of the sum of the squared misfits (%) of both kinds from which a window is lost: another start is tried.
 const LOST: f64 = 60.0;
+/// The same where clocks may be off: their offsets explain much of the signals of another material.
+const LOST_BY_CLOCKS: f64 = 30.0;
 /// RMS of the residual (%), of accelerations or rotation rates, above which a fit has not explained the signals.
 pub const UNEXPLAINED: f64 = 50.0;
 /// Factors of other starts, on stretch, shear, bend and density.
@@ -190,12 +198,11 @@ pub fn fit(
 ) -> Identified {
     let len = forces.samples * scene.instants * 3 * scene.sensors.len();
     assert_eq!(signals.len(), len, "length of the signals");
-    let recorded = signals;
     let start = Parameters::of(scene).array();
     let free = &settings.free;
     assert!(!free.is_empty() && free.iter().all(|&k| start[k as usize] > 0.0), "{free:?} of {start:?}");
     let asked = settings.solver;
-    let mut objective = Objective::new(scene, design, forces, signals, asked, free, pool);
+    let mut objective = Objective::new(scene, design, forces, signals, asked, (free, settings.offset), pool);
     let solver = objective.tune(&start, &asked);
     let left = settings.iterations;
     let mut search = Search { objective, known, watch, iterations: Vec::new(), left, asked, solver };
@@ -206,6 +213,7 @@ pub fn fit(
         outcome,
         parameters: Parameters::from_array(start),
         estimates: Vec::new(),
+        offsets: Vec::new(),
         undetermined: Vec::new(),
         correlation: Vec::new(),
         condition: f64::INFINITY,
@@ -218,13 +226,17 @@ pub fn fit(
         counters: objective.counters,
     };
     let Some(point) = point else { return fit };
+    let residual = objective.left(point.signals());
+    fit.unmodelled =
+        discrepancy::explained(point.signals(), &residual, forces.samples, 3 * scene.sensors.len());
     let jacobian = objective.jacobian(&point);
-    let spread = interval::spread(&objective, &point, &jacobian);
+    let spread = interval::spread(&objective, &point, &jacobian, fit.unmodelled.unwrap_or(0.0));
     fit.parameters = Parameters::from_array(point.parameters);
     fit.estimates = spread.estimates(free, &start, &point.parameters);
     (fit.undetermined, fit.correlation, fit.condition) =
         (spread.undetermined, spread.correlation, spread.condition);
-    if fit.estimates.iter().any(|e| e.at_the_bound) {
+    fit.offsets = spread.offsets;
+    if fit.estimates.iter().any(|e| e.at_the_bound) || fit.offsets.iter().any(|o| o.half.is_none()) {
         fit.outcome = Verdict::AtTheBound;
     } else if !fit.undetermined.is_empty() && fit.outcome == Verdict::Converged {
         fit.outcome = Verdict::NotIdentifiable;
@@ -237,9 +249,6 @@ pub fn fit(
     }
     fit.noise = objective.residual_rms(point.signals());
     fit.signals[1] = point.signals().to_vec();
-    let residual: Vec<f64> = recorded.iter().zip(&fit.signals[1]).map(|(y, a)| y - a).collect();
-    fit.unmodelled =
-        discrepancy::explained(&fit.signals[1], &residual, forces.samples, 3 * scene.sensors.len());
     fit.counters = objective.counters;
     fit
 }
@@ -263,13 +272,14 @@ impl Search<'_> {
         let Some(first) = self.objective.at(&start) else { return (Verdict::StartFailed, None, None) };
         let (mut best, mut farthest) = (start, (0, f64::INFINITY));
         let mut starts = vec![start];
+        let lost = self.lost();
         for tried in 0..=TRIES {
             let Some(&from) = starts.get(tried) else { break };
             let (found, (window, misfit)) = self.lengthen(from);
             if window > farthest.0 || (window == farthest.0 && misfit < farthest.1) {
                 (best, farthest) = (found, (window, misfit));
             }
-            if misfit < LOST || self.left == 0 {
+            if misfit < lost || self.left == 0 {
                 break;
             }
             if tried == 0 {
@@ -305,13 +315,17 @@ impl Search<'_> {
             let (_, point) = self.descend(point, most, 0.1);
             parameters = point.parameters;
             let [a, b] = self.objective.misfit(point.signals());
-            if a.hypot(b) > LOST {
+            if a.hypot(b) > self.lost() {
                 return (parameters, (window, a.hypot(b)));
             }
             window = ((window as f64 * GROWTH).ceil() as usize).max(window + 1);
             most = GLANCES;
         }
         (parameters, (window, 0.0))
+    }
+
+    fn lost(&self) -> f64 {
+        if self.objective.clock.is_some() { LOST_BY_CLOCKS } else { LOST }
     }
 
     /// All combinations of `SCALES` on the start, those of least misfit in the first window first.
@@ -337,7 +351,8 @@ impl Search<'_> {
     }
 
     /// Levenberg and Marquardt's steps until what is left is below `close` standard errors.
-    fn descend(&mut self, mut point: Point, most: usize, close: f64) -> (Verdict, Point) {
+    fn descend(&mut self, point: Point, most: usize, close: f64) -> (Verdict, Point) {
+        let mut point = self.objective.again(point);
         let (mut damping, mut turns) = (1e-2, 0);
         // What is known is gone through without a simulation, but for that of where it ends.
         let mut there = None;

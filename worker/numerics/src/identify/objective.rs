@@ -3,7 +3,8 @@
 //! Tangents are one-sided differences with the steps held, five simulations in lanes for five parameters; the plain dual
 //! numbers of `jvp` check them. Exact to 1e-4, they leave the gradient to the adjoint.
 
-use super::{BOX, Parameter, TRUST};
+use super::clock::Clock;
+use super::{BOX, Offset, Parameter, TRUST};
 use crate::dynamics::{
     Counters, Forces, Outcome, Parameters, Plan, Scene, Simulation, Solver, Wrt, choose, run, tune,
 };
@@ -23,17 +24,22 @@ pub struct Point {
     pub parameters: [f64; 6],
     plan: Plan,
     simulation: Simulation,
+    /// Where clocks may be off: by how much each record's is (s), and signals and their derivatives by it, 0 of one at its bound.
+    pub offsets: Vec<f64>,
+    read: Vec<f64>,
+    slopes: Vec<f64>,
 }
 
 impl Point {
     /// (N, n, 3M), n the instants of the window.
     pub fn signals(&self) -> &[f64] {
-        &self.simulation.signals
+        if self.offsets.is_empty() { &self.simulation.signals } else { &self.read }
     }
 
     pub fn cost(&self, objective: &Objective<'_>) -> f64 {
         let fit: f64 = objective.residual(self.signals()).iter().map(|r| r * r).sum();
-        0.5 * (fit + objective.distrust(&self.parameters).norm_squared())
+        let clocks: f64 = self.offsets.iter().map(|offset| (offset / objective.deviation).powi(2)).sum();
+        0.5 * (fit + clocks + objective.distrust(&self.parameters).norm_squared())
     }
 }
 
@@ -45,6 +51,11 @@ pub struct Objective<'a> {
     solver: Solver,
     free: &'a [Parameter],
     pool: &'a crate::Pool,
+    /// Standard deviation of the clocks' offsets (s), and the clock of the motion where that is not 0.
+    deviation: f64,
+    pub clock: Option<Clock>,
+    /// Scene and forces on the clock of the motion.
+    moving: (Scene, Forces),
     /// First instant of each record's force.
     onsets: Vec<usize>,
     /// Instants that are looked at, from each onset.
@@ -65,7 +76,7 @@ impl<'a> Objective<'a> {
         forces: &'a Forces,
         signals: &'a [f64],
         solver: Solver,
-        free: &'a [Parameter],
+        (free, deviation): (&'a [Parameter], f64),
         pool: &'a crate::Pool,
     ) -> Self {
         let mut objective = Self {
@@ -75,6 +86,9 @@ impl<'a> Objective<'a> {
             solver,
             free,
             pool,
+            deviation,
+            clock: None,
+            moving: (scene.clone(), forces.clone()),
             onsets: onsets(scene, forces),
             window: 0,
             scene: scene.clone(),
@@ -90,7 +104,14 @@ impl<'a> Objective<'a> {
     /// Finds steps that keep what is `asked` at these parameters, on whole records; what it came to.
     pub fn tune(&mut self, parameters: &[f64; 6], asked: &Solver) -> String {
         let scene = Parameters::from_array(*parameters).set(self.base);
-        let tuned = tune(&scene, self.design, self.whole.0, asked, self.pool);
+        let forces = self.whole.0;
+        self.clock = Clock::new(self.deviation, 0.0, 1, (&scene, self.design), forces, asked, self.pool);
+        if let Some(clock) = self.clock {
+            self.moving = clock.in_motion(self.base, forces);
+            self.look_at(self.window);
+        }
+        let scene = Parameters::from_array(*parameters).set(&self.moving.0);
+        let tuned = tune(&scene, self.design, &self.moving.1, asked, self.pool);
         self.counters += tuned.counters;
         self.solver = tuned.solver;
         tuned.plan.reason
@@ -118,7 +139,7 @@ impl<'a> Objective<'a> {
 
     /// Instants of the window from the beginning of the records.
     pub fn length(&self) -> usize {
-        self.scene.instants
+        self.scene.instants / self.clock.map_or(1, |clock| clock.finer)
     }
 
     /// The first window: as long as it takes the signals to hold a small part of their energy.
@@ -144,19 +165,24 @@ impl<'a> Objective<'a> {
     }
 
     /// Looks at so many instants of each record, from its onset.
+    ///
+    /// Where clocks may be off, by as many more as signals may be late.
     pub fn look_at(&mut self, window: usize) {
-        let (forces, signals) = self.whole;
+        let signals = self.whole.1;
         let (all, width) = (self.instants(), self.width());
         self.window = window;
-        let n = self.onsets.iter().map(|o| (o + window).min(all)).max().unwrap_or(all);
-        (self.scene, self.forces) = forces.beginning(self.base, n);
+        let (finer, margin) = self.clock.map_or((1, 0), |clock| (clock.finer, clock.margin()));
+        let n = self.onsets.iter().map(|o| (o + window + 2 * margin).min(all)).max().unwrap_or(all);
+        (self.scene, self.forces) = self.moving.1.beginning(&self.moving.0, finer * n);
         self.signals = signals.chunks(all * width).flat_map(|record| &record[..n * width]).copied().collect();
     }
 
     /// Whether an entry of the signals lies in its record's window.
     fn seen(&self, entry: usize) -> bool {
-        let a_record = self.length() * self.width();
-        (entry % a_record) / self.width() < self.onsets[entry / a_record] + self.window
+        let (length, margin) = (self.length(), self.clock.map_or(0, |clock| clock.margin()));
+        let a_record = length * self.width();
+        let n = (entry % a_record) / self.width();
+        n < self.onsets[entry / a_record] + self.window + margin && n + margin < length
     }
 
     /// The scene with these parameters.
@@ -171,7 +197,62 @@ impl<'a> Objective<'a> {
         let simulation = run(&scene, self.design, &self.forces, &plan, true, self.pool);
         self.counters += simulation.counters;
         let all = simulation.outcomes.iter().all(|o| *o == Outcome::Ok);
-        all.then_some(Point { parameters: *parameters, plan, simulation })
+        let (offsets, read, slopes) = (Vec::new(), Vec::new(), Vec::new());
+        let point = Point { parameters: *parameters, plan, simulation, offsets, read, slopes };
+        all.then(|| self.again(point))
+    }
+
+    /// The same with the best offsets of the clocks under the weights that are now.
+    pub fn again(&self, mut point: Point) -> Point {
+        let Some(clock) = self.clock else { return point };
+        let (width, motion) = (self.width(), &point.simulation.signals);
+        let (record, moved) = (self.length() * width, self.scene.instants * width);
+        let of = |(i, motion): (usize, &[f64])| {
+            let whiten = |own: &mut [f64]| self.whiten(i * record, own);
+            let offset = clock.settle(motion, &self.signals[i * record..][..record], width, &whiten);
+            let slope = clock.slope(motion, width, offset);
+            (offset, clock.read(motion, width, offset, 0), slope)
+        };
+        let all: Vec<_> = self.pool.install(|| motion.par_chunks_exact(moved).enumerate().map(of).collect());
+        point.offsets = all.iter().map(|(offset, ..)| *offset).collect();
+        point.read = all.iter().flat_map(|(_, read, _)| read).copied().collect();
+        point.slopes = all.into_iter().flat_map(|(.., slope)| slope).collect();
+        point
+    }
+
+    /// Entries from number `first` on in units of the noise, zero outside the window.
+    fn whiten(&self, first: usize, of: &mut [f64]) {
+        for (i, x) in of.iter_mut().enumerate() {
+            let at = first + i;
+            *x = if self.seen(at) { *x / self.noise[kind(at % self.width())] } else { 0.0 };
+        }
+    }
+
+    /// Derivatives of the signals by the clocks' offsets, whitened; empty where no clock may be off.
+    pub fn slopes(&self, point: &Point) -> Vec<f64> {
+        let mut slopes = point.slopes.clone();
+        self.whiten(0, &mut slopes);
+        slopes
+    }
+
+    /// Overwrites whitened values (N, n, 3M) by what is left of them where the offsets are not known.
+    fn forget_offsets(&self, slopes: &[f64], of: &mut [f64]) {
+        if let Some(clock) = self.clock {
+            let record = self.length() * self.width();
+            let each = of.chunks_exact_mut(record).zip(slopes.chunks_exact(record));
+            each.for_each(|(own, slopes)| clock.whiten(slopes, own));
+        }
+    }
+
+    /// The residual that goes with [`Self::jacobian`]: as if the offsets were not known.
+    pub fn residual_before(&self, point: &Point) -> Vec<f64> {
+        let (mut left, slopes) = (self.residual(point.signals()), self.slopes(point));
+        let record = self.length() * self.width();
+        for (i, slope) in slopes.iter().enumerate() {
+            left[i] += slope * point.offsets[i / record];
+        }
+        self.forget_offsets(&slopes, &mut left);
+        left
     }
 
     /// p·e^step in the free parameters, no farther from the scene's than `BOX`.
@@ -206,10 +287,14 @@ impl<'a> Objective<'a> {
 
     /// (y − a)/s within the window, zero outside.
     pub fn residual(&self, signals: &[f64]) -> Vec<f64> {
-        let of = |(i, (y, a)): (usize, (&f64, &f64))| match self.seen(i) {
-            true => (y - a) / self.noise[kind(i % self.width())],
-            false => 0.0,
-        };
+        let mut left = self.left(signals);
+        left.iter_mut().enumerate().for_each(|(i, r)| *r /= self.noise[kind(i % self.width())]);
+        left
+    }
+
+    /// y − a within the window, zero outside.
+    pub fn left(&self, signals: &[f64]) -> Vec<f64> {
+        let of = |(i, (y, a)): (usize, (&f64, &f64))| if self.seen(i) { y - a } else { 0.0 };
         self.signals.iter().zip(signals).enumerate().map(of).collect()
     }
 
@@ -220,12 +305,35 @@ impl<'a> Objective<'a> {
         DVector::from_iterator(self.free.len(), self.free.iter().map(of))
     }
 
+    /// The clocks' offsets with their intervals, from [`Self::jacobian`] and the parameters' covariance times t².
+    pub fn offsets(
+        &self,
+        point: &Point,
+        jacobian: &DMatrix<f64>,
+        covariance: &DMatrix<f64>,
+        unmodelled: f64,
+    ) -> Vec<Offset> {
+        let Some(clock) = self.clock else { return Vec::new() };
+        let (slopes, left) = (self.slopes(point), self.residual(point.signals()));
+        let record = self.length() * self.width();
+        let of = |(i, value): (usize, &f64)| {
+            let own = i * record..(i + 1) * record;
+            let rows = jacobian.rows(own.start, record).into_owned();
+            clock.offset(*value, [&slopes[own.clone()], &left[own]], &rows, covariance, unmodelled)
+        };
+        point.offsets.iter().enumerate().map(of).collect()
+    }
+
     /// Gradient of F in the free logarithms, by the adjoint.
     pub fn gradient(&mut self, point: &Point) -> DVector<f64> {
         let residual = self.residual(point.signals());
-        let width = self.width();
-        let cotangent: Vec<f64> =
+        let (width, record) = (self.width(), self.length() * self.width());
+        let mut cotangent: Vec<f64> =
             residual.iter().enumerate().map(|(i, r)| -r / self.noise[kind(i % width)]).collect();
+        if let Some(clock) = self.clock {
+            let each = cotangent.chunks_exact(record).zip(&point.offsets);
+            cotangent = each.flat_map(|(bar, offset)| clock.read_vjp(bar, width, *offset)).collect();
+        }
         let found = point.simulation.vjp(&cotangent, Wrt::Parameters, self.pool);
         self.counters += found.counters;
         let slopes = found.parameters.unwrap_or_default().array();
@@ -234,7 +342,7 @@ impl<'a> Objective<'a> {
         fit + self.distrust(&point.parameters) / TRUST
     }
 
-    /// da/dq/s in the window, a column a free parameter.
+    /// da/dq/s in the window, a column a free parameter; less what the clocks' offsets can take up.
     pub fn jacobian(&mut self, point: &Point) -> DMatrix<f64> {
         let of = |k: usize| {
             let scene = self.with(&self.nudged(&point.parameters, k));
@@ -243,13 +351,19 @@ impl<'a> Objective<'a> {
         let free = self.free.len();
         let nudged: Vec<Simulation> = self.pool.install(|| (0..free).into_par_iter().map(of).collect());
         let mut jacobian = DMatrix::zeros(self.signals.len(), free);
-        for (k, nudged) in nudged.iter().enumerate() {
+        let (slopes, width) = (self.slopes(point), self.width());
+        for (k, mut nudged) in nudged.into_iter().enumerate() {
             self.counters += nudged.counters;
+            if let Some(clock) = self.clock {
+                let each = nudged.signals.chunks_exact(self.scene.instants * width).zip(&point.offsets);
+                nudged.signals = each.flat_map(|(own, offset)| clock.read(own, width, *offset, 0)).collect();
+            }
             for (i, (there, here)) in nudged.signals.iter().zip(point.signals()).enumerate() {
                 if self.seen(i) {
-                    jacobian[(i, k)] = (there - here) / (NUDGE * self.noise[kind(i % self.width())]);
+                    jacobian[(i, k)] = (there - here) / (NUDGE * self.noise[kind(i % width)]);
                 }
             }
+            self.forget_offsets(&slopes, jacobian.column_mut(k).as_mut_slice());
         }
         jacobian
     }

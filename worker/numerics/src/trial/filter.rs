@@ -46,6 +46,32 @@ impl Disturbance {
 }
 
 impl Disturbance {
+    /// Overwrites signals (N, instants, width) whose instants are a `step` (s) apart by their low-pass, if there is one.
+    pub(crate) fn low_pass(&self, signals: &mut [f64], samples: usize, width: usize, step: f64) {
+        self.each(signals, samples, width, step, LowPass::run);
+    }
+
+    /// Its transpose.
+    pub(crate) fn low_pass_vjp(&self, cotangent: &mut [f64], samples: usize, width: usize, step: f64) {
+        self.each(cotangent, samples, width, step, LowPass::run_vjp);
+    }
+
+    fn each(
+        &self,
+        of: &mut [f64],
+        samples: usize,
+        width: usize,
+        step: f64,
+        run: fn(&LowPass, &mut [f64], usize),
+    ) {
+        if self.bandwidth.is_finite() {
+            let (low_pass, one) = (LowPass::new(TAU * self.bandwidth * step), of.len() / samples.max(1));
+            for sample in of.chunks_exact_mut(one.max(1)) {
+                (0..width).for_each(|c| run(&low_pass, &mut sample[c..], width));
+            }
+        }
+    }
+
     /// What the filter makes of a steady signal of this frequency (Hz).
     pub(crate) fn passes(&self, hertz: f64) -> c64 {
         let part = hertz / self.bandwidth;

@@ -150,6 +150,11 @@ impl Problem {
         (Cow::Owned(scene), Cow::Owned(forces))
     }
 
+    /// Instants of the motion for each reading that chips ask for, and how late they give it (s).
+    pub(crate) fn clock_and_delay(&self) -> (usize, f64) {
+        self.disturbance.map_or((1, 0.0), |d| (d.clock(self.interval()), d.delay))
+    }
+
     fn filter(&self) -> Option<Filter> {
         let some = |d: &Disturbance| d.clock(self.interval()) > 1;
         self.disturbance.filter(some).map(|d| Filter::new(&d, self.interval()))
@@ -158,10 +163,7 @@ impl Problem {
     /// Of what all sensors could tell (N, ·, 3M) of `samples` samples, on the clock of the motion, what is read (N, T, channels): the
     /// channels that are, behind low-pass and delay.
     pub(crate) fn read(&self, signals: Vec<f64>, samples: usize) -> Vec<f64> {
-        let some = match self.channels.len() {
-            3 => signals,
-            _ => signals.chunks_exact(3).flat_map(|all| self.channels.iter().map(|&c| all[c])).collect(),
-        };
+        let some = self.chosen(signals);
         match self.filter() {
             Some(filter) => filter.run(some, samples, self.shape().inputs),
             None => some,
@@ -170,10 +172,39 @@ impl Problem {
 
     /// Transpose of [`Problem::read`].
     pub(crate) fn read_vjp(&self, cotangent: Vec<f64>, samples: usize) -> Vec<f64> {
-        let cotangent = match self.filter() {
+        self.chosen_vjp(match self.filter() {
             Some(filter) => filter.run_vjp(&cotangent, samples, self.shape().inputs),
             None => cotangent,
-        };
+        })
+    }
+
+    /// The channels that are read (N, ·, channels) behind their low-pass, on a clock of `finer` instants for each reading.
+    pub(crate) fn felt(&self, signals: Vec<f64>, samples: usize, finer: usize) -> Vec<f64> {
+        let mut some = self.chosen(signals);
+        if let Some(disturbance) = &self.disturbance {
+            disturbance.low_pass(&mut some, samples, self.shape().inputs, self.interval() / finer as f64);
+        }
+        some
+    }
+
+    /// Transpose of [`Problem::felt`].
+    pub(crate) fn felt_vjp(&self, mut cotangent: Vec<f64>, samples: usize, finer: usize) -> Vec<f64> {
+        if let Some(disturbance) = &self.disturbance {
+            let step = self.interval() / finer as f64;
+            disturbance.low_pass_vjp(&mut cotangent, samples, self.shape().inputs, step);
+        }
+        self.chosen_vjp(cotangent)
+    }
+
+    /// The channels that are read of all.
+    fn chosen(&self, signals: Vec<f64>) -> Vec<f64> {
+        match self.channels.len() {
+            3 => signals,
+            _ => signals.chunks_exact(3).flat_map(|all| self.channels.iter().map(|&c| all[c])).collect(),
+        }
+    }
+
+    fn chosen_vjp(&self, cotangent: Vec<f64>) -> Vec<f64> {
         if self.channels.len() == 3 {
             return cotangent;
         }

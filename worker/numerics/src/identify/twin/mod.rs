@@ -12,6 +12,7 @@ mod unknowns;
 
 use crate::definite::{inverse, solved_dense};
 use crate::dynamics::{Accuracy, Counters, Forces, Solver};
+use crate::identify::Offset;
 use crate::identify::discrepancy::explained;
 use crate::identify::interval::grouped;
 use crate::student::student;
@@ -84,6 +85,9 @@ pub struct Fit {
     pub twin: Twin,
     /// Of each unknown.
     pub estimates: Vec<Estimate>,
+    /// By how much later each record's readings were taken than it says, where clocks may be off and intervals were asked for; none of
+    /// a record that the body cannot be simulated under.
+    pub offsets: Vec<Option<Offset>>,
     /// How the fit ended.
     pub ending: Ending,
     /// Share of what is left that the motion explains on records that were not asked, where several were fitted and intervals asked for:
@@ -126,17 +130,19 @@ impl Fit {
         let &Mould { trial, design, solver } = mould;
         let variation = trial.problem.variation.unwrap_or(Variation::USUAL);
         let chip = trial.chip.as_ref();
+        let records = (records.0, records.1, 0.0);
         fit(&trial.problem, chip, design, solver, records, &variation, false, trial.pool, go_on)
     }
 
-    /// The same of a problem's body, from measured records, with intervals. Noise that the spec has relative is so to the records.
+    /// The same of a problem's body, from measured records, with intervals. Noise that the spec has relative is so to the records, whose
+    /// clocks are off by a standard deviation (s).
     ///
     /// # Panics
     /// Likewise.
     pub fn of_records(
         problem: &Problem,
         design: &[f64],
-        records: (&Forces, &[f64]),
+        records: (&Forces, &[f64], f64),
         pool: &crate::Pool,
     ) -> Self {
         let width = problem.shape().inputs;
@@ -159,7 +165,7 @@ fn fit(
     chip: Option<&Chip>,
     design: &[f64],
     solver: &Solver,
-    records: (&Forces, &[f64]),
+    records: (&Forces, &[f64], f64),
     variation: &Variation,
     intervals: bool,
     pool: &crate::Pool,
@@ -172,6 +178,7 @@ fn fit(
     let mut fit = Fit {
         twin: Twin { cast, misfit: f64::INFINITY, noise: Vec::new() },
         estimates: Vec::new(),
+        offsets: Vec::new(),
         ending: Ending::StartFailed,
         unmodelled: None,
         steps: 0,
@@ -251,9 +258,9 @@ impl Fit {
     /// may be correlated within a group, and its share u that is not noise, or follows from the motion alike in all of them, does not average out.
     fn bound(&mut self, objective: &Objective, point: &Point, columns: &Columns) {
         let (records, jacobian) = (columns.records.len(), objective.jacobian(columns));
-        let [read, residual] = objective.parts(point, &columns.records);
+        let [read, left, residual] = objective.parts(point, &columns.records);
         let width = self.twin.noise.len();
-        self.unmodelled = explained(&read, &residual, records, width);
+        self.unmodelled = explained(&read, &left, records, width);
         let (group, count) = grouped([records, residual.len() / (records * width), width]);
         let mut scores = DMatrix::zeros(count, jacobian.ncols());
         for (k, column) in jacobian.column_iter().enumerate() {
@@ -265,11 +272,13 @@ impl Fit {
             covariance(jacobian.tr_mul(&jacobian) + DMatrix::identity(scores.ncols(), scores.ncols()));
         let beyond = 1.0 - self.twin.misfit.max(1.0).powi(-2);
         let alike = 1.0 + self.unmodelled.unwrap_or(0.0).max(beyond) * (count - 1) as f64;
-        let moved = scores * &inverse;
+        let (moved, t) = (scores * &inverse, student(count - 1));
+        let covariance = t * t * (alike * moved.tr_mul(&moved) + &inverse * &inverse);
+        let shared = (alike - 1.0) / (count - 1).max(1) as f64;
+        self.offsets = objective.offsets(point, columns, &jacobian, &covariance, shared);
         for (k, estimate) in self.estimates.iter_mut().enumerate() {
-            let variance = alike * moved.column(k).norm_squared() + inverse.column(k).norm_squared();
             estimate.left = inverse[(k, k)].sqrt();
-            estimate.half = Some(student(count - 1) * variance.sqrt());
+            estimate.half = Some(covariance[(k, k)].sqrt());
         }
     }
 }

@@ -4,12 +4,14 @@ use super::unknowns::{Unknown, Unknowns};
 use crate::dynamics::{
     Accuracy, Counters, Forces, Method, Outcome, Plan, Scene, Simulation, Solver, Wrt, planned, run,
 };
+use crate::identify::clock::{Clock, Offset};
 use crate::identify::objective::onsets;
 use crate::random::Draw;
 use crate::trial::{Chip, Problem};
 use crate::variation::Cast;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
+use std::borrow::Cow;
 
 /// Of z, for differences: 10⁻⁴ standard deviations with the steps held.
 const NUDGE: f64 = 1e-4;
@@ -27,6 +29,9 @@ pub struct Point {
     felt: Vec<f64>,
     /// What is read of them (n, window, channels).
     read: Vec<f64>,
+    /// Where clocks may be off: by how much each record's is (s), and the derivatives of `read` by it.
+    offsets: Vec<f64>,
+    slopes: Vec<f64>,
 }
 
 /// Columns of da/dz, an unknown each, of some records.
@@ -36,13 +41,19 @@ pub struct Columns {
     stands: Vec<f64>,
     /// (records, window, channels).
     of: Vec<Vec<f64>>,
+    /// The same by the clocks' offsets, each record's by its own; empty where clocks are exact.
+    slopes: Vec<f64>,
 }
 
 /// Body, records, window and weights.
 pub struct Objective<'a> {
     problem: &'a Problem,
     design: &'a [f64],
-    whole: (&'a Forces, &'a [f64]),
+    recordings: &'a [f64],
+    /// Scene and forces of whole records, on the clock of the motion where clocks may be off.
+    moving: (Scene, Forces),
+    deviation: f64,
+    clock: Option<Clock>,
     chip: Option<&'a Chip>,
     pool: &'a crate::Pool,
     pub unknowns: Unknowns,
@@ -56,6 +67,8 @@ pub struct Objective<'a> {
     /// Records that count: those that the body as designed can be simulated under.
     counts: Vec<bool>,
     window: usize,
+    /// Readings of a record as far as the window.
+    readings: usize,
     /// The records as far as that.
     scene: Scene,
     forces: Forces,
@@ -73,19 +86,31 @@ impl<'a> Objective<'a> {
         problem: &'a Problem,
         chip: Option<&'a Chip>,
         design: &'a [f64],
-        (forces, signals): (&'a Forces, &'a [f64]),
+        (forces, recordings, deviation): (&'a Forces, &'a [f64], f64),
         unknowns: Unknowns,
         solver: &Solver,
         pool: &'a crate::Pool,
     ) -> Self {
         let width = problem.shape().inputs;
-        let (scene, moved) = problem.in_motion(&problem.scene, forces);
+        let (least, delay) = problem.clock_and_delay();
+        let body = (&problem.scene, design);
+        let clock = Clock::new(deviation, delay, least, body, forces, &solver.in_equal_steps(), pool);
+        let moving = match clock {
+            Some(clock) => clock.in_motion(&problem.scene, forces),
+            None => (problem.scene.clone(), forces.clone()),
+        };
+        let (scene, moved) = match clock {
+            Some(_) => (Cow::Borrowed(&moving.0), Cow::Borrowed(&moving.1)),
+            None => problem.in_motion(&problem.scene, forces),
+        };
         let plan = planned(&scene, design, &moved, &solver.in_equal_steps()).double();
         let coarse = planned(&scene, design, &moved, &Solver::new(Method::Nystrom6, COARSE)).double();
         let mut objective = Self {
             problem,
             design,
-            whole: (forces, signals),
+            recordings,
+            deviation,
+            clock,
             chip,
             pool,
             unknowns,
@@ -95,8 +120,10 @@ impl<'a> Objective<'a> {
             onsets: onsets(&problem.scene, forces),
             counts: vec![true; forces.samples],
             window: 0,
+            readings: 0,
             scene: problem.scene.clone(),
             forces: forces.clone(),
+            moving,
             recorded: Vec::new(),
             seen: Vec::new(),
             noise: vec![1.0; width],
@@ -122,21 +149,26 @@ impl<'a> Objective<'a> {
         self.noise.len()
     }
 
-    /// Looks at so many instants of each record, from its onset.
+    /// Looks at so many instants of each record, from its onset; where clocks may be off, by as many more as signals may be late.
     pub fn look_at(&mut self, window: usize) {
-        let ((forces, signals), all) = (self.whole, self.problem.scene.instants);
+        let all = self.problem.scene.instants;
         self.window = window;
-        let n = self.onsets.iter().map(|o| (o + window).min(all)).max().unwrap_or(all);
-        (self.scene, self.forces) = forces.beginning(&self.problem.scene, n);
+        let (finer, margin) = self.clock.map_or((1, 0), |clock| (clock.finer, clock.margin()));
+        let n = self.onsets.iter().map(|o| (o + window + 2 * margin).min(all)).max().unwrap_or(all);
+        self.readings = n;
+        (self.scene, self.forces) = self.moving.1.beginning(&self.moving.0, finer * n);
         let width = self.width();
         self.recorded =
-            signals.chunks(all * width).flat_map(|record| &record[..n * width]).copied().collect();
+            self.recordings.chunks(all * width).flat_map(|record| &record[..n * width]).copied().collect();
         self.see();
     }
 
     fn simulate(&self, plan: &Plan, cast: &Cast, forces: &Forces, keep_tape: bool) -> Simulation {
         let own = cast.scene(&self.scene);
-        let (scene, forces) = self.problem.in_motion(&own, forces);
+        let (scene, forces) = match self.clock {
+            Some(_) => (Cow::Borrowed(&own), Cow::Borrowed(forces)),
+            None => self.problem.in_motion(&own, forces),
+        };
         run(&scene, &cast.design(self.design), &forces, plan, keep_tape, self.pool)
     }
 
@@ -151,28 +183,102 @@ impl<'a> Objective<'a> {
         }
         let mut felt = std::mem::take(&mut simulation.signals);
         cast.chips.read(&mut felt);
-        let read = self.problem.read(felt.clone(), self.forces.samples);
-        let scene = cast.scene(&self.scene);
-        let mut point = Point { z, cost: 0.0, cast, scene, simulation, felt, read };
-        point.cost = self.cost(&point);
-        Some(point)
+        let (read, scene) = (Vec::new(), cast.scene(&self.scene));
+        let (offsets, slopes) = (Vec::new(), Vec::new());
+        let point = Point { z, cost: 0.0, cast, scene, simulation, felt, read, offsets, slopes };
+        Some(self.again(point))
     }
 
     fn cost(&self, point: &Point) -> f64 {
         let misfit: f64 = self.residual(&point.read).iter().map(|r| r * r).sum();
-        0.5 * (misfit + point.z.norm_squared())
+        let clocks: f64 = point.offsets.iter().map(|offset| (offset / self.deviation).powi(2)).sum();
+        0.5 * (misfit + clocks + point.z.norm_squared())
     }
 
-    /// The same under the weights that are now.
-    pub fn again(&self, point: Point) -> Point {
+    /// The same under the weights that are now, with the best offsets of the clocks.
+    pub fn again(&self, mut point: Point) -> Point {
+        let (samples, width) = (self.forces.samples, self.width());
+        let Some(clock) = self.clock else {
+            if point.read.is_empty() {
+                point.read = self.problem.read(point.felt.clone(), samples);
+            }
+            return Point { cost: self.cost(&point), ..point };
+        };
+        let felt = self.problem.felt(point.felt.clone(), samples, clock.finer);
+        let record = self.readings * width;
+        let of = |(i, felt): (usize, &[f64])| {
+            let whiten = |own: &mut [f64]| self.whiten_record(i, own);
+            let offset = clock.settle(felt, &self.recorded[i * record..][..record], width, &whiten);
+            (offset, clock.read(felt, width, offset, 0), clock.slope(felt, width, offset))
+        };
+        let each = felt.par_chunks_exact(record * clock.finer).enumerate();
+        let all: Vec<_> = self.pool.install(|| each.map(of).collect());
+        point.offsets = all.iter().map(|(offset, ..)| *offset).collect();
+        point.read = all.iter().flat_map(|(_, read, _)| read).copied().collect();
+        point.slopes = all.into_iter().flat_map(|(.., slope)| slope).collect();
         Point { cost: self.cost(&point), ..point }
     }
 
-    /// What is read (n, window, channels), and R^{-½}(y − a), of the records listed.
-    pub fn parts(&self, point: &Point, records: &[usize]) -> [Vec<f64>; 2] {
-        let record = self.scene.instants * self.width();
+    /// What is read of signals of all sensors by records whose clocks are off by this much.
+    fn read(&self, felt: Vec<f64>, samples: usize, offsets: &[f64]) -> Vec<f64> {
+        let Some(clock) = self.clock else { return self.problem.read(felt, samples) };
+        let (felt, width) = (self.problem.felt(felt, samples, clock.finer), self.width());
+        let each = felt.chunks_exact(self.readings * width * clock.finer).zip(offsets);
+        each.flat_map(|(own, offset)| clock.read(own, width, *offset, 0)).collect()
+    }
+
+    /// Transpose of the same.
+    fn read_vjp(&self, cotangent: Vec<f64>, samples: usize, offsets: &[f64]) -> Vec<f64> {
+        let Some(clock) = self.clock else { return self.problem.read_vjp(cotangent, samples) };
+        let width = self.width();
+        let each = cotangent.chunks_exact(self.readings * width).zip(offsets);
+        let felt = each.flat_map(|(own, offset)| clock.read_vjp(own, width, *offset)).collect();
+        self.problem.felt_vjp(felt, samples, clock.finer)
+    }
+
+    /// What is read (n, window, channels), R^{-½}(y − a), and the same as if the clocks' offsets were not known, of the records listed.
+    pub fn parts(&self, point: &Point, records: &[usize]) -> [Vec<f64>; 3] {
+        let record = self.readings * self.width();
         let of = |all: &[f64]| records.iter().flat_map(|i| &all[i * record..][..record]).copied().collect();
-        [of(&point.read), of(&self.residual(&point.read))]
+        let left = self.residual(&point.read);
+        let (mut before, mut slopes) = (left.clone(), point.slopes.clone());
+        self.whiten(&mut slopes);
+        for (i, slope) in slopes.iter().enumerate() {
+            before[i] += slope * point.offsets[i / record];
+        }
+        self.forget_offsets(&slopes, &mut before);
+        [of(&point.read), of(&left), of(&before)]
+    }
+
+    /// Overwrites whitened values (n, window, channels) by what is left of them where the offsets are not known.
+    fn forget_offsets(&self, slopes: &[f64], of: &mut [f64]) {
+        if let Some(clock) = self.clock {
+            let record = self.readings * self.width();
+            let each = of.chunks_exact_mut(record).zip(slopes.chunks_exact(record));
+            each.for_each(|(own, slopes)| clock.whiten(slopes, own));
+        }
+    }
+
+    /// The clocks' offsets with their intervals, from [`Self::jacobian`] of all records and the covariance of z times t².
+    pub fn offsets(
+        &self,
+        point: &Point,
+        columns: &Columns,
+        jacobian: &DMatrix<f64>,
+        covariance: &DMatrix<f64>,
+        unmodelled: f64,
+    ) -> Vec<Option<Offset>> {
+        let Some(clock) = self.clock else { return Vec::new() };
+        let (record, left, mut slopes) =
+            (self.readings * self.width(), self.residual(&point.read), point.slopes.clone());
+        self.whiten(&mut slopes);
+        let of = |i: usize| {
+            let at = columns.records.iter().position(|of| *of == i)?;
+            let (own, rows) = (i * record..(i + 1) * record, jacobian.rows(at * record, record).into_owned());
+            let both = [&slopes[own.clone()], &left[own]];
+            Some(clock.offset(point.offsets[i], both, &rows, covariance, unmodelled))
+        };
+        (0..self.counts.len()).map(of).collect()
     }
 
     /// R^{-½}(y − a), zero of what is not seen.
@@ -184,10 +290,12 @@ impl<'a> Objective<'a> {
 
     /// Nothing counts that is outside the window, of a record that does not count, or at the end of its range.
     fn see(&mut self) {
-        let (width, record) = (self.width(), self.scene.instants * self.width());
+        let (width, record) = (self.width(), self.readings * self.width());
+        let margin = self.clock.map_or(0, |clock| clock.margin());
         let mut seen = vec![1.0; self.recorded.len()];
         for (i, own) in seen.chunks_exact_mut(record).enumerate() {
-            let end = if self.counts[i] { self.onsets[i] + self.window } else { 0 };
+            let end = (self.onsets[i] + self.window + margin).min(self.readings.saturating_sub(margin));
+            let end = if self.counts[i] { end } else { 0 };
             own.iter_mut().skip(end * width).for_each(|seen| *seen = 0.0);
         }
         if let Some(chip) = self.chip {
@@ -199,18 +307,22 @@ impl<'a> Objective<'a> {
     /// R^{-½} x = (x − s x̄)/σ for R = σ² + b² 1 1ᵀ of the n readings of a record's channel that are seen, (1 − s)² = σ²/(σ² + n b²);
     /// symmetric. The others become zero.
     fn whiten(&self, of: &mut [f64]) {
-        let (width, record) = (self.width(), self.scene.instants * self.width());
-        for (own, seen) in of.chunks_exact_mut(record).zip(self.seen.chunks_exact(record)) {
-            for c in 0..width {
-                let (noise, bias) = (self.noise[c], self.bias[c]);
-                let seen = || seen[c..].iter().step_by(width);
-                let n = seen().filter(|seen| **seen).count().max(1) as f64;
-                let counts = own[c..].iter().step_by(width).zip(seen()).filter(|(_, seen)| **seen);
-                let mean = counts.map(|(x, _)| x).sum::<f64>() / n;
-                let part = 1.0 - noise / noise.hypot(n.sqrt() * bias);
-                let each = own[c..].iter_mut().step_by(width).zip(seen());
-                each.for_each(|(x, seen)| *x = if *seen { (*x - part * mean) / noise } else { 0.0 });
-            }
+        let record = self.readings * self.width();
+        of.chunks_exact_mut(record).enumerate().for_each(|(i, own)| self.whiten_record(i, own));
+    }
+
+    /// The same of one record.
+    fn whiten_record(&self, i: usize, own: &mut [f64]) {
+        let (width, seen) = (self.width(), &self.seen[i * own.len()..][..own.len()]);
+        for c in 0..width {
+            let (noise, bias) = (self.noise[c], self.bias[c]);
+            let seen = || seen[c..].iter().step_by(width);
+            let n = seen().filter(|seen| **seen).count().max(1) as f64;
+            let counts = own[c..].iter().step_by(width).zip(seen()).filter(|(_, seen)| **seen);
+            let mean = counts.map(|(x, _)| x).sum::<f64>() / n;
+            let part = 1.0 - noise / noise.hypot(n.sqrt() * bias);
+            let each = own[c..].iter_mut().step_by(width).zip(seen());
+            each.for_each(|(x, seen)| *x = if *seen { (*x - part * mean) / noise } else { 0.0 });
         }
     }
 
@@ -221,12 +333,12 @@ impl<'a> Objective<'a> {
         cotangent.iter_mut().for_each(|bar| *bar = -*bar);
         let length = self.unknowns.all().iter().position(|of| *of == Unknown::LigamentLength);
         let of_length = length.map(|k| {
-            let nudged = self.nudged(&self.plan, point, |z| z[k] += NUDGE, &self.forces);
+            let nudged = self.nudged(&self.plan, point, |z| z[k] += NUDGE, (&self.forces, &point.offsets));
             self.counters += nudged.1;
             let moved = nudged.0.iter().zip(&point.read).zip(&cotangent);
             moved.map(|((there, here), bar)| (there - here) / NUDGE * bar).sum::<f64>()
         });
-        let mut cotangent = self.problem.read_vjp(cotangent, self.forces.samples);
+        let mut cotangent = self.read_vjp(cotangent, self.forces.samples, &point.offsets);
         let chips = point.cast.chips.own_vjp(&point.felt, &cotangent);
         point.cast.chips.read_vjp(&mut cotangent);
         let gradient = point.simulation.vjp(&cotangent, Wrt::Parameters, self.pool);
@@ -244,7 +356,7 @@ impl<'a> Objective<'a> {
         plan: &Plan,
         point: &Point,
         nudge: impl Fn(&mut DVector<f64>),
-        forces: &Forces,
+        (forces, offsets): (&Forces, &[f64]),
     ) -> (Vec<f64>, Counters) {
         let mut z = point.z.clone();
         nudge(&mut z);
@@ -252,20 +364,20 @@ impl<'a> Objective<'a> {
         let simulation = self.simulate(plan, &cast, forces, false);
         let mut felt = simulation.signals;
         cast.chips.read(&mut felt);
-        (self.problem.read(felt, forces.samples), simulation.counters)
+        (self.read(felt, forces.samples, offsets), simulation.counters)
     }
 
     /// How far a nudge of all unknowns together moves each record, Σ R^{-½} da of it squared.
     fn moved(&mut self, point: &Point) -> Vec<f64> {
         let mut draw = Draw::numbered(0, 0);
         let along = DVector::from_fn(point.z.len(), |_, _| NUDGE * draw.normal());
-        let [here, there] =
-            [0.0, 1.0].map(|by| self.nudged(&self.coarse, point, |z| *z += by * &along, &self.forces));
+        let all = (&self.forces, &point.offsets[..]);
+        let [here, there] = [0.0, 1.0].map(|by| self.nudged(&self.coarse, point, |z| *z += by * &along, all));
         self.counters += here.1;
         self.counters += there.1;
         let mut moved: Vec<f64> = there.0.iter().zip(&here.0).map(|(there, here)| there - here).collect();
         self.whiten(&mut moved);
-        let record = self.scene.instants * self.width();
+        let record = self.readings * self.width();
         moved.chunks_exact(record).map(|own| own.iter().map(|x| x * x).sum()).collect()
     }
 
@@ -285,22 +397,26 @@ impl<'a> Objective<'a> {
             stands.resize(most, rest.len() as f64 / some as f64);
         }
         let forces = self.forces.select(&records);
+        let offsets: Vec<f64> = records.iter().filter_map(|i| point.offsets.get(*i)).copied().collect();
         let unknowns = self.unknowns.all().len();
         let of = |k: usize| match k {
-            0 => self.nudged(&self.coarse, point, |_| (), &forces),
-            k => self.nudged(&self.coarse, point, |z| z[k - 1] += NUDGE, &forces),
+            0 => self.nudged(&self.coarse, point, |_| (), (&forces, &offsets)),
+            k => self.nudged(&self.coarse, point, |z| z[k - 1] += NUDGE, (&forces, &offsets)),
         };
         let mut read: Vec<(Vec<f64>, Counters)> =
             self.pool.install(|| (0..=unknowns).into_par_iter().map(of).collect());
         read.iter().for_each(|(_, counters)| self.counters += *counters);
         let here = read.remove(0).0;
         let column = |there: Vec<f64>| there.iter().zip(&here).map(|(a, b)| (a - b) / NUDGE).collect();
-        Columns { records, stands, of: read.into_iter().map(|(there, _)| column(there)).collect() }
+        let of = read.into_iter().map(|(there, _)| column(there)).collect();
+        Columns { records, stands, of, slopes: point.slopes.clone() }
     }
 
-    /// R^{-½} da/dz, record by record.
-    pub fn jacobian(&self, Columns { records, of, .. }: &Columns) -> DMatrix<f64> {
-        let record = self.scene.instants * self.width();
+    /// R^{-½} da/dz, record by record; less what the clocks' offsets can take up.
+    pub fn jacobian(&self, Columns { records, of, slopes, .. }: &Columns) -> DMatrix<f64> {
+        let record = self.readings * self.width();
+        let mut slopes = slopes.clone();
+        self.whiten(&mut slopes);
         let mut jacobian = DMatrix::zeros(records.len() * record, of.len());
         let mut whole = vec![0.0; self.recorded.len()];
         for (k, column) in of.iter().enumerate() {
@@ -308,6 +424,7 @@ impl<'a> Objective<'a> {
                 whole[i * record..][..record].copy_from_slice(own);
             }
             self.whiten(&mut whole);
+            self.forget_offsets(&slopes, &mut whole);
             let own = records.iter().flat_map(|i| &whole[i * record..][..record]);
             jacobian.column_mut(k).iter_mut().zip(own).for_each(|(to, x)| *to = *x);
         }
@@ -317,7 +434,7 @@ impl<'a> Objective<'a> {
     /// JᵀJ + 1, some records in the place of all.
     pub fn curvature(&self, columns: &Columns) -> DMatrix<f64> {
         let mut jacobian = self.jacobian(columns);
-        let record = self.scene.instants * self.width();
+        let record = self.readings * self.width();
         for (i, stands) in columns.stands.iter().enumerate() {
             jacobian.rows_mut(i * record, record).scale_mut(stands.sqrt());
         }

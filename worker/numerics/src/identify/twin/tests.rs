@@ -113,16 +113,16 @@ fn check_a_twin(what: &str, mut problem: Problem, count: usize, most: f64) {
 }
 
 /// F(z + εd) − F(z − εd) = 2ε ∇F·d + O(ε³) along each kind of unknown, with chips that filter, have a bias and leave channels out,
-/// contact, and nodes that scatter alike; and where a third of the readings are at the end of their range.
+/// contact, and nodes that scatter alike; where a third of the readings are at the end of their range; and where clocks may be off.
 #[test]
 fn the_gradient_of_a_twin_holds_in_every_unknown() {
-    for range in [f64::INFINITY, 0.8] {
-        check_the_gradient(range);
+    for (range, deviation) in [(f64::INFINITY, 0.0), (0.8, 0.0), (f64::INFINITY, 1e-3)] {
+        check_the_gradient(range, deviation);
     }
 }
 
-/// `range`: of each channel's RMS.
-fn check_the_gradient(range: f64) {
+/// `range`: of each channel's RMS; `deviation`: of the clocks (s).
+fn check_the_gradient(range: f64, deviation: f64) {
     let mut problem = problem(3, 3, 24, 8);
     problem.scene.contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
     problem.solver.accuracy = Accuracy(1e-6);
@@ -155,7 +155,7 @@ fn check_the_gradient(range: f64) {
     let (forces, signals) = records(&trial, &cast, 3);
     let unknowns = Unknowns::new(&problem.scene, &variation, &pool);
     let (chip, solver) = (trial.chip.as_ref(), &trial.problem.solver);
-    let all = (&forces, &signals[..]);
+    let all = (&forces, &signals[..], deviation);
     let mut objective = Objective::new(&trial.problem, chip, &problem.initial, all, unknowns, solver, &pool);
     objective.look_at(20);
     let mut draw = Stream::new(Purpose::Design, 1, [0, 0]);
@@ -210,7 +210,7 @@ fn what_records_do_not_tell_is_left_as_it_was() {
     let pool = crate::Pool::new(1).expect("threads");
     let (forces, signals) = (problem.known()[0].select(&[0]), vec![0.0; 2 * 24]);
     let problem = Problem { scene, ..problem };
-    let all = (&forces, &signals[..]);
+    let all = (&forces, &signals[..], 0.0);
     let variation = Variation::USUAL;
     let twin =
         fit(&problem, None, &problem.initial, &problem.solver, all, &variation, false, &pool, &mut || true);
@@ -232,7 +232,7 @@ fn a_metric_of_few_records_has_those_that_outweigh_the_others() {
         forces.values[own.clone()].iter_mut().for_each(|f| *f *= 10.0);
         let unknowns = Unknowns::new(&problem.scene, &Variation::USUAL, &pool);
         let (chip, solver) = (trial.chip.as_ref(), &trial.problem.solver);
-        let all = (&forces, &signals[..]);
+        let all = (&forces, &signals[..], 0.0);
         let mut objective =
             Objective::new(&trial.problem, chip, &problem.initial, all, unknowns, solver, &pool);
         let point = objective.at(DVector::zeros(objective.unknowns.all().len())).expect("a body that moves");
