@@ -1,10 +1,11 @@
 //! What training gains in the scenes of the paper's authors.
 
-use super::rows::{Row, geometric, number, of, rows, short, with_interval};
+use super::rows::{Row, geometric, number, rows, short, with_interval};
 use super::table;
 
 /// A line per setting, in the order of the rows: geometric means of the errors of the initial and of the trained body, and their
-/// ratio with its interval over seeds, or over placements where there are more.
+/// ratio with its interval over seeds, or over placements where there are more. Then the initial body with six sensors against the trained
+/// one with two.
 pub fn gains() -> String {
     let rows = rows("authors/trials.csv");
     let mut settings: Vec<[&str; 5]> = Vec::new();
@@ -17,39 +18,46 @@ pub fn gains() -> String {
             settings.push(setting);
         }
     }
-    let line = |&[scene, decoder, steps, noise, limits]: &[&str; 5]| {
-        let wanted =
-            [("scene", scene), ("decoder", decoder), ("steps", steps), ("noise", noise), ("limits", limits)];
-        let own: Vec<&Row> = of(&rows, &wanted).collect();
-        let gain = |set: &str| {
-            let ends = ["initial", "trained"]
-                .map(|body| own.iter().map(move |row| number(row, &format!("{set}_{body}"))));
-            let logs: Vec<f64> = own
-                .iter()
-                .map(|row| {
-                    (number(row, &format!("{set}_initial")) / number(row, &format!("{set}_trained"))).ln()
-                })
-                .collect();
-            let [initial, trained] = ends.map(geometric);
-            format!("{initial} → {trained} %, {}", with_interval(&logs, f64::exp))
+    let pairs: Vec<([String; 5], &Row)> = named.iter().cloned().zip(&rows).collect();
+    let own = |scene: &str, of_it: [&str; 4]| -> Vec<&Row> {
+        let is_own = |named: &&([String; 5], &Row)| {
+            named.0[0] == scene && named.0[1..].iter().zip(of_it).all(|(cell, wanted)| cell == wanted)
         };
-        let noise = if noise == "0" {
-            "none".to_owned()
-        } else {
-            format!("{} %", short(&(100.0 * noise.parse::<f64>().unwrap()).to_string()))
-        };
-        let count = own.len().to_string();
-        vec![
-            scene.to_owned(),
-            decoder.to_owned(),
-            steps.to_owned(),
-            noise,
-            limits.to_owned(),
-            count,
-            gain("test"),
-            gain("holdout"),
-        ]
+        pairs.iter().filter(is_own).map(|(_, row)| *row).collect()
     };
+    // of initial and trained bodies, pair by pair
+    let line =
+        |label: String, [decoder, steps, noise, limits]: [&str; 4], initial: &[&Row], trained: &[&Row]| {
+            let gain = |set: &str| {
+                let errors = |of: &[&Row], body| -> Vec<f64> {
+                    of.iter().map(|row| number(row, &format!("{set}_{body}"))).collect()
+                };
+                let (before, after) = (errors(initial, "initial"), errors(trained, "trained"));
+                let logs: Vec<f64> = before.iter().zip(&after).map(|(a, b)| (a / b).ln()).collect();
+                format!(
+                    "{} → {} %, {}",
+                    geometric(before.into_iter()),
+                    geometric(after.into_iter()),
+                    with_interval(&logs, f64::exp)
+                )
+            };
+            let noise = if noise == "0" {
+                "none".to_owned()
+            } else {
+                format!("{} %", short(&(100.0 * noise.parse::<f64>().unwrap()).to_string()))
+            };
+            let count = trained.len().to_string();
+            let cells = [decoder, steps, &noise, limits, &count, &gain("test"), &gain("holdout")];
+            std::iter::once(label).chain(cells.map(str::to_owned)).collect::<Vec<_>>()
+        };
+    let by_setting = settings.iter().map(|&[scene, of_it @ ..]| {
+        let own = own(scene, of_it);
+        line(scene.to_owned(), of_it, &own, &own)
+    });
+    let (few, many) = ("K = 4, M = 2", "K = 4, M = 6");
+    let compared = settings.iter().filter(|setting| setting[0] == few).map(|&[_, of_it @ ..]| {
+        line(format!("initial {many} over trained {few}"), of_it, &own(many, of_it), &own(few, of_it))
+    });
     let columns = [
         "scene",
         "decoder",
@@ -60,5 +68,5 @@ pub fn gains() -> String {
         "test set, gain",
         "held-out set, gain",
     ];
-    table(&columns, settings.iter().map(line))
+    table(&columns, by_setting.chain(compared))
 }

@@ -68,9 +68,9 @@ pub struct MeasuredSignals {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Start {
-    /// Of all records.
+    /// a number, for all records.
     All(f64),
-    /// Of each record, in the order of the files.
+    /// a list, one per record in the order of the files.
     Each(Vec<f64>),
 }
 
