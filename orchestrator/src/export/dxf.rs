@@ -55,7 +55,7 @@ pub fn dxf(drawing: &Drawing, width: f64, radius: f64) -> String {
     }
     let corners = || drawing.units.iter().flatten();
     let [left, below] = [0, 1].map(|d| corners().map(|q| q[d]).fold(f64::INFINITY, f64::min));
-    let bar = 10f64.powf(drawing.spacing.log10().ceil());
+    let bar = 10f64.powf(drawing.spacing.log10().floor());
     let y = below - 4.0 * tall;
     polyline(&mut text, "notes", &[[left, y], [left + bar, y], [left + bar, y - tall], [left, y - tall]]);
     note(&mut text, [left, y + tall], tall, &format!("{bar} mm"));

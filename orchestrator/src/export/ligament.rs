@@ -95,12 +95,13 @@ impl Cast {
         ];
         if let Some(added) = self.added {
             said.push(format!(
-                "The units weigh {} g. The ligaments add {} g ({} %), which the model does not count; a material of {} g/ml keeps the \
-                 total.",
+                "The units weigh {} g. The ligaments add {} g ({} %), which the model does not count: cast a material of {} g/ml, or \
+                 train with a density greater by the factor {}.",
                 number(grams),
                 number(1e6 * density * added),
                 number(100.0 * added / drawing.area()),
-                number(per_ml * drawing.area() / (drawing.area() + added))
+                number(per_ml * drawing.area() / (drawing.area() + added)),
+                number((drawing.area() + added) / drawing.area())
             ));
         }
         said

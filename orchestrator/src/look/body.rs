@@ -131,7 +131,7 @@ impl Sketch {
         self.held.clear();
         let view = frame([&self]);
         let mut picture = self.drawn(view, title, true, |_| Unit::default());
-        let bar = 10f64.powf(self.spacing.log10().ceil());
+        let bar = 10f64.powf(self.spacing.log10().floor());
         let [x, y] = [view[0] + 0.5 * self.spacing, view[1] + view[3] - 0.25 * self.spacing];
         picture.marks = html! {
             style { ".body .ligament{stroke-width:" (format!("{width:.3}")) "}" }
