@@ -38,7 +38,7 @@ enum Form {
     Npy,
     /// A drawing of the body
     Svg,
-    /// The body as closed polylines in mm, by layer: units, ligaments, panels, sensors
+    /// The body as closed polylines in mm, by layer: units, ligaments, panels, sensors, holes and notes
     Dxf,
     /// The mould for casting the body, as a closed surface in mm
     Stl,
@@ -67,7 +67,7 @@ pub(super) struct Args {
     /// The design, for npy, svg, dxf, stl, c, onnx and device
     #[arg(long, value_enum, value_name = "DESIGN", default_value = "optimised")]
     design: Which,
-    /// Height of the cast body (mm), for stl and device [default: the thickness of body.material, else 10]
+    /// Height of the cast body (mm), for dxf, stl and device [default: the thickness of body.material, else 10]
     #[arg(long, help_heading = "Mould")]
     height: Option<f64>,
     /// Thickness of the mould's floor and rim (mm), for stl and device [default: 3]
@@ -106,7 +106,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let options = [
         ("numbers", args.numbers.is_some(), &brain[..1]),
         ("reader", args.reader.is_some(), &brain[..]),
-        ("height", args.height.is_some(), &body[..]),
+        ("height", args.height.is_some(), &[Form::Dxf, Form::Stl][..]),
         ("wall", args.wall.is_some(), &body[..]),
         ("clearance", args.clearance.is_some(), &body[..]),
         ("pocket", args.pocket.is_some(), &body[..]),

@@ -101,10 +101,14 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     let records = measured.forces.samples;
     let mut said = said(&fit, &trial.body, records);
-    said.extend(starts(&measured, fit.offsets.iter().copied().map(Some)));
+    if fit.outcome != Verdict::NotExplained {
+        said.extend(starts(&measured, fit.offsets.iter().copied().map(Some)));
+    }
     if args.format == Format::Table {
         print_rows(&correlations(&fit), args.format)?;
         said.iter().try_for_each(|line| print_line!("{line}"))?;
+    } else {
+        said.iter().for_each(|line| say!("{line}"));
     }
     say!("{}, {}", duration(begun.elapsed().as_secs_f64()), fit.solver);
     if let Some(folder) = &args.out_dir {
@@ -165,7 +169,11 @@ fn estimates(fit: &Identified) -> Table {
     };
     let of = |(n, offset): (usize, &Offset)| {
         let [lower, upper] = ends(offset);
-        let outcome = if offset.half.is_some() { fit.outcome } else { Verdict::AtTheBound };
+        let outcome = match (offset.half, fit.outcome) {
+            (None, _) => Verdict::AtTheBound,
+            (Some(_), Verdict::NotIdentifiable | Verdict::AtTheBound) => Verdict::Converged,
+            (Some(_), outcome) => outcome,
+        };
         row![name_of_start(n), "s", 0.0, offset.value, lower, upper, Value::Null, outcome.name()]
     };
     let rows = fit.estimates.iter().map(row);
@@ -188,7 +196,8 @@ pub(super) fn starts(measured: &Measured, offsets: impl Iterator<Item = Option<O
     if all.is_empty() {
         return Vec::new();
     }
-    let fitted = all.iter().map(|(start, offset)| exact(start + offset.map_or(0.0, |o| o.value)));
+    // to the nanosecond, wherever a clock begins
+    let fitted = all.iter().map(|(start, offset)| format!("{:.9}", start + offset.map_or(0.0, |o| o.value)));
     let lines = format!(
         "for the file of the records, without start_deviation:\n[signals]\nstart = [{}]",
         fitted.collect::<Vec<_>>().join(", ")

@@ -45,10 +45,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let found = twin::fit(trial, design, &measured, args.threads.into());
     let found = found.map_err(|e| args.one.trial.failed(e))?;
     print_rows(&estimates(trial, &found).map_err(|e| args.one.trial.failed(e))?, args.format)?;
-    if args.format == Format::Table {
-        let mut said = said(&found, measured.forces.samples);
-        said.extend(starts(&measured, found.offsets.iter().copied()));
-        said.iter().try_for_each(|line| print_line!("{line}"))?;
+    let mut said = said(&found, measured.forces.samples);
+    said.extend(starts(&measured, found.offsets.iter().copied()));
+    match args.format {
+        Format::Table => said.iter().try_for_each(|line| print_line!("{line}"))?,
+        _ => said.iter().for_each(|line| say!("{line}")),
     }
     say!("{}", duration(begun.elapsed().as_secs_f64()));
     if let Some(file) = &args.out {

@@ -9,7 +9,7 @@ use metasense_schemas::spec::{
 };
 use metasense_worker::demands::Demands;
 use metasense_worker::problem::{self, Invalid};
-use metasense_worker::{RECORDS, between_looks};
+use metasense_worker::{RECORDS, look_near};
 use serde_json::Value;
 
 use super::{Plan, cost};
@@ -321,9 +321,7 @@ pub const RUNGS: [f64; LEVELS - 1] = [1.0 / 9.0, 1.0 / 3.0];
 #[must_use]
 pub fn rungs(trial: &TrialSpec) -> [Option<u32>; LEVELS - 1] {
     let steps = trial.optimise.steps() as u32;
-    let apart = between_looks(steps);
-    let near = |part: f64| (f64::from(steps) * part / f64::from(apart)).round().max(1.0) as u32 * apart + 1;
-    let [first, second] = RUNGS.map(near);
+    let [first, second] = RUNGS.map(|part| look_near(steps, part) + 1);
     let rung = |step: u32, behind: u32| (step > behind && step < steps).then_some(step);
     [rung(first, 0), rung(second, first)]
 }

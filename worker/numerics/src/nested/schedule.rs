@@ -2,14 +2,21 @@
 
 use crate::trial::{CastReader, Optimise, Problem, Protocol};
 
-/// Evaluations on the test set in a loop whose protocol does not need them: about so many, at least ten steps apart. The rate falls, so
-/// the best design is nearly always among the last ones.
-const LOOKS: u32 = 5;
+/// Parts of a loop after which a design is evaluated on the test set, where the protocol does not need it anyway, and at the last step.
+/// The rate falls, so the best design is nearly always among the last ones; a search for a design stops trials at the earlier ones.
+const LOOKS: [f64; 5] = [0.0, 1.0 / 9.0, 1.0 / 3.0, 0.6, 0.8];
+/// Steps of which their steps are multiples.
 const APART: u32 = 10;
 
-/// Outer steps from one look at the test set to the next, of so many.
-pub fn between_looks(steps: u32) -> u32 {
-    (steps / LOOKS).max(APART)
+/// The step of the evaluation nearest to a part of so many steps, behind the first one unless the part is 0.
+pub fn look_near(steps: u32, part: f64) -> u32 {
+    let nearest = (f64::from(steps) * part / f64::from(APART)).round() as u32;
+    nearest.max(u32::from(part > 0.0)) * APART
+}
+
+/// Part of so many steps that have an evaluation on the test set.
+pub fn looked_at(steps: u32) -> f64 {
+    (LOOKS.len() + 1) as f64 / f64::from(steps.max(APART))
 }
 
 impl Optimise {
@@ -35,7 +42,7 @@ impl Optimise {
     pub(super) fn looks_at_test(&self, step: u32) -> bool {
         // a brain of its own for each cast knows too little of it for its error to choose a body by
         let each = self.casting.is_some_and(|casting| casting.reader == CastReader::Each);
-        let due = step.is_multiple_of(between_looks(self.iterations)) && !each;
+        let due = LOOKS.iter().any(|part| look_near(self.iterations, *part) == step) && !each;
         due || step + 1 == self.iterations
     }
 }
