@@ -41,11 +41,17 @@ def _options(given: Mapping[str, object]) -> list[str]:
     return words
 
 
-def _said(words: Sequence[str], bar: Bar | None = None, lines: bool = False) -> tuple[int, str, str]:
-    """Exit code, standard output and messages of a command; raises at codes other than 0 and 1."""
+def _said(words: Sequence[str], bar: Bar | None = None, lines: bool = False, level: int = 3) -> tuple[int, str, str]:
+    """Exit code, standard output and messages of a command; raises at codes other than 0 and 1.
+
+    At code 0 its warnings and notes are warnings of the caller that is `level` calls up.
+    """
     code, out, said = conducted([fspath(program()), *words], lines=lines, bar=bar, apart=True)
     if code not in (0, 1):
         raise ERRORS.get(code, RuntimeError)(said)
+    for line in said.splitlines() if code == 0 else []:
+        if line.startswith(("warning:", "note:")):
+            warnings.warn(line, RuntimeWarning, stacklevel=level)
     return code, out, said
 
 
@@ -58,7 +64,7 @@ def _table(text: str) -> _metasense.Table:
 
 def _rows(words: Sequence[str], bar: Bar | None = None, lines: bool = False) -> _metasense.Table:
     """The rows that a command prints. A check that failed (exit code 1) is a warning if there are rows, else a RuntimeError."""
-    code, out, said = _said([*words, "--format=json"], bar, lines)
+    code, out, said = _said([*words, "--format=json"], bar, lines, level=4)
     if not out.strip():
         raise RuntimeError(said)
     if code == 1:

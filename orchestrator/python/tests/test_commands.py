@@ -145,6 +145,16 @@ def test_without_a_terminal_lines_are_printed(spec, tmp_path, capsys):
     assert "done: K=1 M=1" in capsys.readouterr().out
 
 
+def test_warnings_and_notes_of_a_command_that_succeeds_are_warnings(monkeypatch, tmp_path):
+    said = "reading\nwarning: chaotic\nnote: two voids"
+    monkeypatch.setattr(metasense._commands, "conducted", lambda *_, **__: (0, '[{"hash": "a"}]', said))
+    for call in [lambda: metasense.expand("a.toml"), lambda: metasense.export("a.sqlite", format="npz", out=tmp_path / "a")]:
+        with pytest.warns(RuntimeWarning) as seen:
+            call()
+        assert [str(w.message) for w in seen] == ["warning: chaotic", "note: two voids"]
+        assert {w.filename for w in seen} == {__file__}
+
+
 def test_the_version_is_that_of_the_command(command, tmp_path):
     assert command("--version", cwd=tmp_path).split()[1] == metasense.__version__
 

@@ -231,6 +231,17 @@ REFUSED = {
     "force as signal": (lambda text: text, {"signals": ["f", "ax", "ay"]}, "'f' is chosen as force and as signal"),
     "never": (lambda text: text, {"trigger": 7.0, "length": 0.1}, "trigger = 7.0: the force never reaches it; its peak"),
     "unit": (lambda text: text, {"force_unit": "lbf"}, "force_unit = 'lbf': must be one of N, mN, kN"),
+    "nothing": (lambda _: "", {}, "a.csv: is empty"),
+    "blank lines": (lambda _: "\n \n", {}, "a.csv: is empty"),
+    "comments": (lambda _: "# t,f\n# 0,1\n", {}, "a.csv: contains no lines but comments"),
+    "one row": (
+        lambda text: "\n".join(line if n < 2 else line.split(",")[0] + ",,,," for n, line in enumerate(text.splitlines())),
+        {"empty": "skip"},
+        r"columns \['f', 't'\] have values together in 1 of 51 rows",
+    ),
+    "pattern": (lambda text: text, {"panel_pattern": "P("}, r"panel_pattern = 'P\(': is no regular expression"),
+    "no signals": (lambda text: text, {"signals": None, "signal_files": ["s.csv"]}, r"signal_files: pass signals"),
+    "count": (lambda text: text, {"signal_files": "s.csv", "signals": "ax"}, r"s.csv: cannot be read"),
 }
 
 
@@ -339,6 +350,8 @@ def test_rows_without_a_slower_sensor_are_left_out_where_asked(truth, tmp_path):
     [held] = loaded(convert(tmp_path / "a.csv", tmp_path / "r.npz", **PICK, empty="skip")[0])
     assert held["force"].shape == (1, N) and np.array_equal(held["signal_time"], truth["t"][::2])
     assert np.array_equal(held["signals"][0, :, 1], truth["ay"][::2])
+    with pytest.raises(RecordsError, match="line 3: has no signals, so signal_rate would count .* pass signal_time"):
+        convert(tmp_path / "a.csv", tmp_path / "r.npz", **PICK, empty="skip", signal_rate=RATE / 2)
 
 
 def test_matlab_files_of_both_versions(truth, tmp_path):
@@ -382,6 +395,66 @@ def test_hdf5_groups_are_records_and_units_are_read(truth, tmp_path):
     check(convert(tmp_path / "c.h5", tmp_path / "r.npz", time="t", force="daq/f", signals=["imu[0]", "imu[1]", "imu[2]"])[0], truth)
 
 
+UNITS = [
+    ("f", "lbf", {"force_unit": "N"}),
+    ("f", "MN", {"force_unit": "mN"}),
+    ("ax", "mg", {"acceleration_unit": "g"}),
+    ("w", "rpm", {"angular_velocity_unit": "rad/s"}),
+]
+
+
+@pytest.mark.parametrize(("column", "unit", "option"), UNITS)
+def test_a_stated_unit_that_is_unknown_is_refused_unless_the_option_is_given(truth, tmp_path, column, unit, option):
+    names = [f"{name} ({unit})" if name == column else name for name in ("t", *ORDER)]
+    (tmp_path / "a.csv").write_text(table(truth, names=names))
+    [(key, value)] = option.items()
+    known = {"force_unit": "N, mN, kN", "acceleration_unit": "g, m/s2, mm/s2", "angular_velocity_unit": "deg/s, rad/s"}[key]
+    stated = rf"a.csv: column '{column} \({unit}\)' states the unit '{unit}'; known are {known}: convert it, or pass {key}"
+    with pytest.raises(RecordsError, match=stated):
+        convert(tmp_path / "a.csv", tmp_path / "r.npz", **PICK)
+    toml, _ = convert(tmp_path / "a.csv", tmp_path / "r.npz", **PICK, **option)
+    check(toml, truth)
+    said = tomllib.loads(toml.read_text())
+    assert {**said["recorded"], **said["signals"]}[key] == value
+
+
+TIMES = [("usec", 1e-6), ("microseconds", 1e-6), ("Milliseconds", 1e-3), ("hours", 3600.0), ("local", 1.0)]
+
+
+@pytest.mark.parametrize(("unit", "seconds"), TIMES)
+def test_units_of_time_are_known_by_name_or_refused(truth, tmp_path, unit, seconds):
+    for stated, option in [(unit, {}), ("ticks", {"time_unit": "s"})]:
+        names = [f"t ({stated})", *ORDER]
+        (tmp_path / "a.csv").write_text(table(truth, names=names))
+        [held] = loaded(convert(tmp_path / "a.csv", tmp_path / "r.npz", **PICK, **option)[0])
+        assert np.allclose(held["time"], truth["t"] * (1.0 if option else seconds), rtol=1e-12, atol=0.0)
+    with pytest.raises(RecordsError, match=r"'t \(ticks\)' states the unit 'ticks'; known are d, h, .*: pass time_unit"):
+        convert(tmp_path / "a.csv", tmp_path / "r.npz", **PICK)
+
+
+@pytest.mark.parametrize("wrong", ["24:00:00.100", "07:60:00.100", "07:00:60.100"])
+def test_times_beyond_a_day_an_hour_or_a_minute_are_refused(truth, tmp_path, wrong):
+    (tmp_path / "a.csv").write_text(table(truth, time=[*stamps(STAMPS["clock"])[:-1], wrong]))
+    with pytest.raises(RecordsError, match=f"line 52: 't' = '{wrong}' is no time of day"):
+        convert(tmp_path / "a.csv", tmp_path / "r.npz", **PICK)
+
+
+def test_a_file_is_universal_by_the_number_of_its_first_data_set(tmp_path):
+    (tmp_path / "a.csv").write_text("".join(f"{-1.5 + n},{58 + n * n}.5,2.5\n" for n in range(5)))
+    assert read(tmp_path / "a.csv")[0].columns[0].values[0] == "-1.5"
+    for kind in ["   151", "   164", "    58b     1", "    58"]:
+        (tmp_path / "a.uff").write_bytes(f"    -1\r\n{kind}\r\n".encode())
+        with pytest.raises((RecordsError, ImportError), match="UFF|data set 58|pyuff"):
+            read(tmp_path / "a.uff")
+
+
+def test_archives_contain_the_arrays_alone(truth, tmp_path, monkeypatch):
+    seen = {}
+    monkeypatch.setattr(np, "savez_compressed", lambda path, **arrays: seen.update(arrays))
+    records.save(tmp_path / "r.npz", [records.Record(truth["t"], truth["f"])])
+    assert set(seen) == {"time", "force"}
+
+
 @pytest.mark.parametrize("kind", [0, 1])
 def test_universal_files_in_text_and_binary(truth, tmp_path, kind):
     pyuff = pytest.importorskip("pyuff")
@@ -406,8 +479,14 @@ def test_tdms_groups_are_records(truth, tmp_path):
     nptdms = pytest.importorskip("nptdms")
     with nptdms.TdmsWriter(tmp_path / "a.tdms") as file:
         for blow in range(2):
-            properties = {"wf_increment": 1 / RATE, "wf_start_offset": 0.0, "unit_string": "N"}
-            of = [nptdms.ChannelObject(f"blow {blow}", name, truth[name] * (1 + blow), properties) for name in ORDER]
+            properties = {"wf_increment": 1 / RATE, "wf_start_offset": 0.0}
+            units = {"f": "N", "w": "rad/s"}
+            of = [
+                nptdms.ChannelObject(
+                    f"blow {blow}", name, truth[name] * (1 + blow), {**properties, "unit_string": units.get(name, "g")}
+                )
+                for name in ORDER
+            ]
             file.write_segment(of)
     [held] = loaded(convert(tmp_path / "a.tdms", tmp_path / "r.npz", force="f", signals=ORDER[1:])[0])
     assert np.array_equal(held["force"], np.stack([truth["f"], 2 * truth["f"]]))

@@ -27,7 +27,8 @@ from metasense.records._text import Form
 __all__ = ["Column", "Record", "Recording", "RecordsError", "blows", "convert", "read", "save"]
 
 Key = str | int
-_FORCE = {"n": "N", "newton": "N", "mn": "mN", "kn": "kN"}
+# By name as it stands, else in small letters; mN and kN only as they stand, since MN is not mN
+_FORCE = {"n": "N", "newton": "N", "newtons": "N", "mN": "mN", "kN": "kN"}
 _ACCELERATION = {
     "g": "g",
     "gn": "g",
@@ -127,6 +128,8 @@ class _Options:
     panel_pattern: str | None
     first_panel: int
     empty: str
+    given: frozenset[str]
+    """Units that the user states."""
 
 
 def _clock(
@@ -147,9 +150,22 @@ def _clock(
     return Clock(own[0][rows])
 
 
-def _stated(of: Recording, columns: list[Column], known: dict[str, str], option: str) -> str | None:
-    """The unit that columns state, if it is one of `known`."""
-    units = {known.get(column.unit.strip().replace(" ", "").casefold()) for column in columns}
+def _unit(column: Column, known: dict[str, str]) -> str | None:
+    """The unit that a column states, if it is one of `known`."""
+    unit = column.unit.strip().replace(" ", "")
+    return known.get(unit, known.get(unit.casefold()))
+
+
+def _stated(of: Recording, columns: list[Column], known: dict[str, str], option: str, o: _Options) -> str | None:
+    """The unit that columns state; None if they state none or the user does. RecordsError if it is not one of `known`."""
+    if option in o.given:
+        return None
+    for column in columns:
+        if column.unit.strip() and _unit(column, known) is None:
+            names = ", ".join(dict.fromkeys(known.values()))
+            what = f"column {column.name!r} states the unit {column.unit.strip()!r}; known are {names}"
+            raise of.fail(f"{what}: convert it, or pass {option} (--{option.replace('_', '-')}) if its values are in one of these")
+    units = {_unit(column, known) for column in columns}
     if len(units) > 1:
         raise of.fail(f"columns {[c.name for c in columns]} state different units: pass {option}")
     return units.pop() if units else None
@@ -163,7 +179,7 @@ def _record(of: Recording, beside: Recording | None, o: _Options) -> tuple[Recor
     rows = of.rows([*forces, *timed], o.empty)
     clock = _clock(of, forces, rows, o.time, o.rate, o)
     values = np.array([of.numbers(column, rows) for column in forces])
-    units = {"force_unit": _stated(of, forces, _FORCE, "force_unit")}
+    units = {"force_unit": _stated(of, forces, _FORCE, "force_unit", o)}
     record = Record(clock.seconds, values[0] if len(keys) == 1 else values, source=str(of.file))
     if o.signals is not None:
         there = beside or of
@@ -176,6 +192,10 @@ def _record(of: Recording, beside: Recording | None, o: _Options) -> tuple[Recor
         is_own = is_own or any(not np.array_equal(own, clocks[-1]) for own in clocks)
         time, rate = (o.signal_time, o.signal_rate) if o.signal_time is not None or o.signal_rate is not None else (o.time, o.rate)
         of_signals = there.rows([*chosen, *([] if time is None else [there.column(time)])], o.empty)
+        gaps = np.flatnonzero(np.diff(of_signals) != 1)
+        if beside is None and o.signal_rate is not None and len(gaps):
+            what = f"{there.place(int(of_signals[gaps[0]]) + 1)}: has no signals, so signal_rate would count other rows than theirs"
+            raise there.fail(f"{what}: pass signal_time (a column), or signal_files of their own")
         is_own = is_own or not np.array_equal(of_signals, rows)
         record.signals = np.stack([there.numbers(column, of_signals) for column in chosen], axis=1)
         if is_own:
@@ -186,10 +206,13 @@ def _record(of: Recording, beside: Recording | None, o: _Options) -> tuple[Recor
             record.signal_time = own.seconds + o.signal_start + (own.zero - clock.zero) * 1e-9 * (own.kind == clock.kind)
         elif o.signal_start != 0.0:
             record.signal_time = clock.seconds + o.signal_start
-        angular = [c for c in chosen if c.unit.strip().replace(" ", "").casefold() in _ANGULAR]
-        others = [c for c in chosen if c not in angular] if angular else [c for i, c in enumerate(chosen) if i % 3 != 2]
-        units["acceleration_unit"] = _stated(there, others, _ACCELERATION, "acceleration_unit")
-        units["angular_velocity_unit"] = _stated(there, angular, _ANGULAR, "angular_velocity_unit")
+        # by unit, and by place where the unit does not tell
+        is_angular = [
+            _unit(c, _ANGULAR) is not None or (i % 3 == 2 and _unit(c, _ACCELERATION) is None) for i, c in enumerate(chosen)
+        ]
+        angular, others = ([c for c, is_of in zip(chosen, is_angular, strict=True) if is_of is kind] for kind in (True, False))
+        units["acceleration_unit"] = _stated(there, others, _ACCELERATION, "acceleration_unit", o)
+        units["angular_velocity_unit"] = _stated(there, angular, _ANGULAR, "angular_velocity_unit", o)
     record.units = {key: unit for key, unit in units.items() if unit is not None}
     return record, of
 
@@ -247,8 +270,8 @@ def convert(
     out: str | PathLike[str],
     *,
     force: Key | Sequence[Key],
-    signals: Sequence[Key] | None = None,
-    signal_files: Sequence[str | PathLike[str]] | None = None,
+    signals: Key | Sequence[Key] | None = None,
+    signal_files: Sequence[str | PathLike[str]] | str | PathLike[str] | None = None,
     time: Key | None = None,
     rate: float | None = None,
     signal_time: Key | None = None,
@@ -286,7 +309,8 @@ def convert(
     - `trigger`, `length`, `before`, `rearm`: cuts several blows from a long recording, see `blows`. Default: a file is one record.
     - `panel`: a column with the panel's number; `panel_pattern`: a regular expression whose first group is its number in the file's
       name; `first_panel`: the number of the first panel (0 or 1).
-    - `force_unit` (N, mN, kN), `acceleration_unit` (mm/s2, m/s2, g), `angular_velocity_unit` (rad/s, deg/s): default: as columns state.
+    - `force_unit` (N, mN, kN), `acceleration_unit` (mm/s2, m/s2, g), `angular_velocity_unit` (rad/s, deg/s): default: as columns
+      state. Another unit that they state is refused.
     - `empty`: "skip" leaves out rows with empty cells, separately for forces and signals.
     - The others: see `read`.
 
@@ -295,6 +319,10 @@ def convert(
     files = [files] if isinstance(files, (str, PathLike)) else list(files)
     if not files:
         raise RecordsError("files = []: pass at least one file")
+    signals = [signals] if isinstance(signals, (str, int)) else signals
+    signal_files = [signal_files] if isinstance(signal_files, (str, PathLike)) else signal_files
+    if signal_files is not None and signals is None:
+        raise RecordsError("signal_files: pass signals (--signals), the columns to take from them")
     if signal_files is not None and len(signal_files) != len(files):
         raise RecordsError(f"signal_files: {len(signal_files)} files, but {len(files)} of forces; must be one for each")
     if empty not in ("refuse", "skip"):
@@ -303,13 +331,18 @@ def convert(
         raise RecordsError("trigger and length: pass both to cut blows from a recording, or neither")
     if panel is not None and panel_pattern is not None:
         raise RecordsError("pass either panel or panel_pattern")
+    try:
+        re.compile(panel_pattern or "")
+    except re.error as error:
+        raise RecordsError(f"panel_pattern = {panel_pattern!r}: is no regular expression: {error}") from None
     given = {"force_unit": force_unit, "acceleration_unit": acceleration_unit, "angular_velocity_unit": angular_velocity_unit}
     for key, known in [("force_unit", _FORCE), ("acceleration_unit", _ACCELERATION), ("angular_velocity_unit", _ANGULAR)]:
         if given[key] is not None and given[key] not in known.values():
             raise RecordsError(f"{key} = {given[key]!r}: must be one of {', '.join(dict.fromkeys(known.values()))}")
     keys = [force] if isinstance(force, (str, int)) else list(force)
     o = _Options(
-        keys, signals, time, rate, signal_time, signal_rate, signal_start, time_unit, time_format, panel, panel_pattern, first_panel, empty
+        keys, signals, time, rate, signal_time, signal_rate, signal_start, time_unit, time_format, panel, panel_pattern, first_panel,
+        empty, frozenset(key for key, unit in given.items() if unit is not None),
     )  # fmt: skip
     form = Form(delimiter, decimal, encoding, skip, comment, table)
     notes: list[str] = []
@@ -378,13 +411,13 @@ def save(out: str | PathLike[str], found: Sequence[Record]) -> Path:
     together = [found] if all(_same(record, first) for record in found) else [[record] for record in found]
     names = []
     for i, group in enumerate(together):
-        arrays = {"time": group[0].time, "force": np.stack([record.force for record in group])}
+        arrays: dict[str, Any] = {"time": group[0].time, "force": np.stack([record.force for record in group])}
         if group[0].signals is not None:
             arrays["signals"] = np.stack([record.signals for record in group if record.signals is not None])
         if group[0].signal_time is not None:
             arrays["signal_time"] = group[0].signal_time
         path = out if len(together) == 1 else out.with_name(f"{out.stem}-{i:03}.npz")
-        np.savez_compressed(path, allow_pickle=False, **arrays)
+        np.savez_compressed(path, **arrays)
         names.append(path.name)
     of_signals = {"acceleration_unit", "angular_velocity_unit"}
     lines = ["[recorded]", f"files = {json.dumps(names, ensure_ascii=False)}", 'time = "time"', 'force = ["force"]']

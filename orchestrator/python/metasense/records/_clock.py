@@ -11,7 +11,21 @@ from numpy.typing import NDArray
 from metasense.records._recording import Column, Recording, number_form
 
 UNITS = {"d": "86400", "h": "3600", "min": "60", "s": "1", "ms": "1e-3", "us": "1e-6", "ns": "1e-9"}
-_NAMES = {"sec": "s", "second": "s", "seconds": "s", "secs": "s", "秒": "s", "毫秒": "ms", "msec": "ms", "μs": "us", "µs": "us"}
+_NAMES = {
+    name: unit
+    for unit, names in {
+        "s": "s sec secs second seconds sek sekunde sekunden 秒",
+        "ms": "msec msecs millisec millisecond milliseconds millisekunden 毫秒",
+        "us": "μs usec usecs μsec microsec microsecond microseconds mikrosekunden 微秒",
+        "ns": "nsec nsecs nanosecond nanoseconds nanosekunden 纳秒",
+        "min": "min mins minute minutes minuten 分钟",
+        "h": "h hr hrs hour hours stunde stunden 小时",
+        "d": "d day days tag tage 天",
+    }.items()
+    for name in names.split()
+}
+# What parentheses after a name of a clock may hold that is no unit
+_WORDS = {"utc", "gmt", "local", "rel", "relative", "abs", "absolute", "elapsed", "unix", "posix", "epoch"}
 _STAMP = re.compile(
     r"(?:(\d{1,4})([-/.年])(\d{1,2})[-/.月](\d{1,4})日?[T ]+)?(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d{1,9}))?)?"
     r"(?: ?([AaPp])\.?[Mm]\.?)?(?: ?(Z|UTC|[+-]\d{2}:?\d{2}))?$"
@@ -71,7 +85,10 @@ def _read(of: Recording, column: Column, rows: NDArray[np.intp], unit: str | Non
 
 def _numbers(of: Recording, column: Column, values: NDArray[np.float64], first: Decimal | None, unit: str | None) -> Clock:
     """A clock of numbers: as it stands, or relative to a large `first`."""
-    stated = _NAMES.get(column.unit.casefold(), column.unit)
+    stated = _NAMES.get(column.unit.strip().casefold(), column.unit.strip())
+    if unit is None and stated and stated not in UNITS and stated.casefold() not in _WORDS:
+        what = f"column {column.name!r} states the unit {stated!r}; known are {', '.join(UNITS)}"
+        raise of.fail(f"{what}: pass time_unit (--time-unit), one of these, or rate (entries per second) in place of time")
     unit = unit or (stated if stated in UNITS else None)
     if first is None:
         factor = float(UNITS[unit or "s"])
@@ -111,6 +128,8 @@ def _stamps(of: Recording, column: Column, cells: list[str], rows: NDArray[np.in
         if part is None:
             raise wrong(n, 'is no time stamp: pass time_format, such as "%d/%m/%Y %H:%M:%S.%f", or rate')
         first, mark, second, third, hour, minute, second_of, fraction, half, zone = part.groups()
+        if int(hour) > 23 or int(minute) > 59 or int(second_of or 0) > 59:
+            raise wrong(n, "is no time of day, which ends at 23:59:59: pass rate (entries per second) in place of time")
         hours = int(hour) % 12 + (12 if half in ("p", "P") else 0) if half else int(hour)
         tick = (hours * 3600 + int(minute) * 60 + int(second_of or 0)) * 10**9 + int((fraction or "0").ljust(9, "0"))
         if fraction and len(fraction) < 3 and cells[n][part.start(8) - 1] == ":":

@@ -1,6 +1,7 @@
 """Files that are no text: MATLAB, HDF5, TDMS, UFF 58 and NPZ, by the libraries of the extra `records`."""
 
 import importlib
+import re
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 from metasense.records._recording import Column, Recording, RecordsError
 from metasense.records._text import Form, read_text
 
+# -1 in columns 5 and 6, and the number of the first data set, such as 58b, 151 or 164
+_UFF = re.compile(rb"\s*    -1[ ]*\r?\n[ ]*\d{2,5}b?[ \r\n]")
 _PACKAGES = {"scipy.io": "scipy", "h5py": "h5py", "pyuff": "pyuff", "nptdms": "npTDMS"}
 
 
@@ -37,7 +40,7 @@ def read_file(file: Path, form: Form) -> list[Recording]:
         return _matlab(file)
     if data.startswith(b"TDSm"):
         return _tdms(file)
-    if data.lstrip()[:2] == b"-1" and b"58" in data.lstrip()[2:30]:
+    if _UFF.match(data):
         return _uff(file)
     if data.startswith((b"\x93NUMPY", b"PK\x03\x04")):
         return _numpy(file)

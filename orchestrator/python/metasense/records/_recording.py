@@ -117,7 +117,11 @@ class Recording:
                 what = f"{self.place(row)}: {column.name!r} is empty ({int(gaps.sum())} of {len(gaps)} rows)"
                 raise self.fail(f'{what}: pass empty="skip" (--empty skip) to leave such rows out')
             missing |= gaps
-        return np.flatnonzero(~missing)
+        found = np.flatnonzero(~missing)
+        if len(found) < 2:
+            names = [column.name for column in columns]
+            raise self.fail(f"columns {names} have values together in {len(found)} of {len(missing)} rows: must be 2 or more")
+        return found
 
     def numbers(self, column: Column, rows: NDArray[np.intp]) -> NDArray[np.float64]:
         """Values of a column in these rows."""

@@ -90,6 +90,9 @@ def read_text(file: Path, data: bytes, form: Form) -> Recording:
     numbered = [(n + 1, line) for n, line in enumerate(lines) if n >= (form.skip or 0) and line.strip()]
     numbered = numbered[1:] if hint and not form.skip else numbered
     bodies = [(n, line) for n, line in numbered if not line.lstrip().startswith(comments)]
+    if not bodies:
+        what = "contains no lines but comments" if numbered else "contains no lines after skip" if form.skip else "is empty"
+        raise RecordsError(f"{file}: {what}: pass a file with a table, or other values of skip and comment")
     found = []
     sample = bodies[:_SAMPLE]
     for of in [delimiter] if delimiter else [d for d in _DELIMITERS if any(d in line for _, line in sample[:500])] or ["\t"]:
