@@ -58,7 +58,7 @@ pub fn findings() -> String {
         one(&cast, &wanted)
     };
     let longer = "mean, one, iterations = 225";
-    let senses = who_senses::finding();
+    let (senses, against) = (who_senses::finding(), super::authors::two_against_six());
     format!(
         "{senses}\n\
          - **Train for manufacturing tolerances.** Error of one linear decoder for all casts, one sensor, two forces, median [90th \
@@ -73,7 +73,7 @@ pub fn findings() -> String {
          ([details](results/README.md#where-the-sensors-are)).\n\
          - **Of {} claims of the paper, {} hold with every decoder that we tried, {} with some or in part.** {} fails; the others show no \
          effect or stay undecided. Of {} further claims, {} fail ([claim by claim](results/README.md#the-paper-claim-by-claim), \
-         [our scenes](results/DEVIATIONS.md)). In the scene that its authors published, two sensors on a trained body beat six on an initial \
+         [our scenes](results/DEVIATIONS.md)). In the scene that its authors published, two sensors on a trained body {against} six on an initial \
          one, with a linear decoder ([details](results/README.md#the-authors-own-scene)). A linear decoder gains 90 % of what sensors can add from one channel per force: six forces \
          need {with} sensors, {without} without gyroscopes ([details](results/README.md#how-many-sensors-k-forces-need)).",
         spread(left("initial", "casts", "")),
