@@ -81,7 +81,7 @@ pub fn two_against_six() -> &'static str {
     let less = |noise: &&str| {
         sum("K = 4, M = 2", noise, "holdout_trained") < sum("K = 4, M = 6", noise, "holdout_initial")
     };
-    match ["0", "0.03"].iter().filter(less).count() {
+    match ["0", "0.03"].into_iter().filter(less).count() {
         2 => "beat",
         1 => "do not always beat",
         _ => "do not beat",
