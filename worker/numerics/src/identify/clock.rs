@@ -236,6 +236,19 @@ impl Clock {
         }
     }
 
+    /// R^{-½} of whitened values, record by record of so many; `slopes` has each record's d.
+    pub fn whiten_each(&self, slopes: &[f64], record: usize, of: &mut [f64]) {
+        let each = of.chunks_exact_mut(record).zip(slopes.chunks_exact(record));
+        each.for_each(|(own, d)| self.whiten(d, own));
+    }
+
+    /// The same of a residual at fitted `offsets`: first without what they explain.
+    pub fn whiten_residual(&self, slopes: &[f64], offsets: &[f64], record: usize, residual: &mut [f64]) {
+        let all = residual.iter_mut().zip(slopes).enumerate();
+        all.for_each(|(i, (left, slope))| *left += slope * offsets[i / record]);
+        self.whiten_each(slopes, record, residual);
+    }
+
     /// What R^{-½} leaves along d.
     fn known(&self, square: f64) -> f64 {
         (1.0 + square * self.deviation * self.deviation).sqrt().recip()

@@ -235,23 +235,13 @@ impl<'a> Objective<'a> {
         slopes
     }
 
-    /// Overwrites whitened values (N, n, 3M) by what is left of them where the offsets are not known.
-    fn forget_offsets(&self, slopes: &[f64], of: &mut [f64]) {
-        if let Some(clock) = self.clock {
-            let record = self.length() * self.width();
-            let each = of.chunks_exact_mut(record).zip(slopes.chunks_exact(record));
-            each.for_each(|(own, slopes)| clock.whiten(slopes, own));
-        }
-    }
-
     /// The residual that goes with [`Self::jacobian`]: as if the offsets were not known.
     pub fn residual_before(&self, point: &Point) -> Vec<f64> {
-        let (mut left, slopes) = (self.residual(point.signals()), self.slopes(point));
-        let record = self.length() * self.width();
-        for (i, slope) in slopes.iter().enumerate() {
-            left[i] += slope * point.offsets[i / record];
+        let mut left = self.residual(point.signals());
+        if let Some(clock) = self.clock {
+            let record = self.length() * self.width();
+            clock.whiten_residual(&self.slopes(point), &point.offsets, record, &mut left);
         }
-        self.forget_offsets(&slopes, &mut left);
         left
     }
 
@@ -363,7 +353,10 @@ impl<'a> Objective<'a> {
                     jacobian[(i, k)] = (there - here) / (NUDGE * self.noise[kind(i % width)]);
                 }
             }
-            self.forget_offsets(&slopes, jacobian.column_mut(k).as_mut_slice());
+            if let Some(clock) = self.clock {
+                let record = self.length() * width;
+                clock.whiten_each(&slopes, record, jacobian.column_mut(k).as_mut_slice());
+            }
         }
         jacobian
     }

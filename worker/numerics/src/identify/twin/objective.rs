@@ -243,20 +243,10 @@ impl<'a> Objective<'a> {
         let left = self.residual(&point.read);
         let (mut before, mut slopes) = (left.clone(), point.slopes.clone());
         self.whiten(&mut slopes);
-        for (i, slope) in slopes.iter().enumerate() {
-            before[i] += slope * point.offsets[i / record];
-        }
-        self.forget_offsets(&slopes, &mut before);
-        [of(&point.read), of(&left), of(&before)]
-    }
-
-    /// Overwrites whitened values (n, window, channels) by what is left of them where the offsets are not known.
-    fn forget_offsets(&self, slopes: &[f64], of: &mut [f64]) {
         if let Some(clock) = self.clock {
-            let record = self.readings * self.width();
-            let each = of.chunks_exact_mut(record).zip(slopes.chunks_exact(record));
-            each.for_each(|(own, slopes)| clock.whiten(slopes, own));
+            clock.whiten_residual(&slopes, &point.offsets, record, &mut before);
         }
+        [of(&point.read), of(&left), of(&before)]
     }
 
     /// The clocks' offsets with their intervals, from [`Self::jacobian`] of all records and the covariance of z times t².
@@ -424,7 +414,9 @@ impl<'a> Objective<'a> {
                 whole[i * record..][..record].copy_from_slice(own);
             }
             self.whiten(&mut whole);
-            self.forget_offsets(&slopes, &mut whole);
+            if let Some(clock) = self.clock {
+                clock.whiten_each(&slopes, record, &mut whole);
+            }
             let own = records.iter().flat_map(|i| &whole[i * record..][..record]);
             jacobian.column_mut(k).iter_mut().zip(own).for_each(|(to, x)| *to = *x);
         }
