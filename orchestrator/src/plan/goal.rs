@@ -7,6 +7,7 @@ use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{
     BrainKind, Cost, Design, Goal, GoalReader, GoalReaderName, Point, SweepSpec, TrialSpec, flatten,
 };
+pub use metasense_worker::RUNGS;
 use metasense_worker::demands::Demands;
 use metasense_worker::problem::{self, Invalid};
 use metasense_worker::{RECORDS, look_near};
@@ -313,9 +314,6 @@ fn scaled(numbers: &[f64]) -> Vec<f64> {
     // what differs by its last bit may have one logarithm
     values.iter().map(|x| (x - low) / (high - low).max(f64::MIN_POSITIVE)).collect()
 }
-
-/// The parts of the outer steps after which a trial may pause.
-pub const RUNGS: [f64; LEVELS - 1] = [1.0 / 9.0, 1.0 / 3.0];
 
 /// Outer steps at the end of the rungs of a trial, just behind a look at the test set; fewer rungs of few steps.
 #[must_use]

@@ -29,7 +29,7 @@ pub use evaluation::{
 pub use inversion::INVERTED_OF_A_CAST;
 pub use observe::{Control, Nobody, Observe};
 pub use report::{Report, Seconds};
-pub use schedule::{look_near, looked_at};
+pub use schedule::{RUNGS, look_near, looked_at};
 pub use state::{Best, State, Waypoint};
 
 use comparison::compared;

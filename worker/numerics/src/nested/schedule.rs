@@ -2,21 +2,28 @@
 
 use crate::trial::{CastReader, Optimise, Problem, Protocol};
 
-/// Parts of a loop after which a design is evaluated on the test set, where the protocol does not need it anyway, and at the last step.
-/// The rate falls, so the best design is nearly always among the last ones; a search for a design stops trials at the earlier ones.
-const LOOKS: [f64; 5] = [0.0, 1.0 / 9.0, 1.0 / 3.0, 0.6, 0.8];
+/// Parts of a loop after which a search for a design may stop a trial.
+pub const RUNGS: [f64; 2] = [1.0 / 9.0, 1.0 / 3.0];
+/// Parts of a loop after which a design is evaluated on the test set, where the protocol does not need it anyway. The rate falls, so the
+/// best design is nearly always among the last ones.
+const LOOKS: [f64; 5] = [0.0, RUNGS[0], RUNGS[1], 0.6, 0.8];
 /// Steps of which their steps are multiples.
 const APART: u32 = 10;
 
-/// The step of the evaluation nearest to a part of so many steps, behind the first one unless the part is 0.
+/// The multiple of `APART` nearest to a part of so many steps; not 0 unless the part is.
 pub fn look_near(steps: u32, part: f64) -> u32 {
     let nearest = (f64::from(steps) * part / f64::from(APART)).round() as u32;
     nearest.max(u32::from(part > 0.0)) * APART
 }
 
-/// Part of so many steps that have an evaluation on the test set.
+/// Whether a step of so many has an evaluation on the test set; the last one has.
+fn is_look(steps: u32, step: u32) -> bool {
+    step + 1 == steps || LOOKS.iter().any(|part| look_near(steps, *part) == step)
+}
+
+/// Share of so many steps that have one.
 pub fn looked_at(steps: u32) -> f64 {
-    (LOOKS.len() + 1) as f64 / f64::from(steps.max(APART))
+    (0..steps).filter(|step| is_look(steps, *step)).count() as f64 / f64::from(steps.max(1))
 }
 
 impl Optimise {
@@ -42,8 +49,7 @@ impl Optimise {
     pub(super) fn looks_at_test(&self, step: u32) -> bool {
         // a brain of its own for each cast knows too little of it for its error to choose a body by
         let each = self.casting.is_some_and(|casting| casting.reader == CastReader::Each);
-        let due = LOOKS.iter().any(|part| look_near(self.iterations, *part) == step) && !each;
-        due || step + 1 == self.iterations
+        is_look(self.iterations, step) && !each || step + 1 == self.iterations
     }
 }
 
