@@ -21,8 +21,6 @@ pub struct Cast {
     lengths: [f64; 2],
     /// The shortest edge of a unit at the end of a ligament.
     edge: f64,
-    /// Area that the ligaments add to the units (mm²); none where there is no outline.
-    added: Option<f64>,
     /// The length by which `body.material` gives stiffnesses.
     nominal: Option<f64>,
 }
@@ -60,9 +58,12 @@ impl Cast {
             density,
             lengths: [lengths().fold(f64::INFINITY, f64::min), lengths().fold(0.0, f64::max)],
             edge: edges.fold(f64::INFINITY, f64::min),
-            added: Outline::new(drawing, &bare(ligament.width)).ok().map(|o| o.area() - drawing.area()),
             nominal: spec.body.material.map(|_| spec.body.lengths()[1]),
         })
+    }
+
+    fn outline(&self, drawing: &Drawing) -> Result<Outline, Invalid> {
+        Outline::new(drawing, &bare(self.ligament.width))
     }
 
     /// What a cast must have to move as simulated, a sentence each.
@@ -93,7 +94,8 @@ impl Cast {
                 digits(per_ml, 4)
             ),
         ];
-        if let Some(added) = self.added {
+        if let Ok(outline) = self.outline(drawing) {
+            let added = outline.area() - drawing.area();
             said.push(format!(
                 "The units weigh {} g. The ligaments add {} g ({} %), which the model does not count: cast a material of {} g/ml, or \
                  train with a density greater by the factor {}.",
@@ -181,7 +183,7 @@ impl Cast {
         ligaments().filter(merges).count()
     }
 
-    /// Why ligaments of this width are none.
+    /// That no ligament can have this width, if so.
     fn too_wide(&self) -> Option<String> {
         let width = self.ligament.width;
         (width > self.edge).then(|| {
@@ -215,7 +217,7 @@ fn distance([x, y]: [f64; 2], [[ax, ay], [bx, by]]: [[f64; 2]; 2]) -> f64 {
 pub fn impossible(spec: &TrialSpec) -> Option<String> {
     let body = drawing(spec, &prepared(spec).ok()?.initial).ok()?;
     let cast = Cast::new(spec, &body, 1.0).ok()?;
-    let why = cast.too_wide().or_else(|| match Outline::new(&body, &bare(cast.ligament.width)) {
+    let why = cast.too_wide().or_else(|| match cast.outline(&body) {
         Err(Invalid::TooWide { left, voids, .. }) => Some(format!(
             "ligaments {} mm wide leave {left} of the body's {voids} voids",
             number(cast.ligament.width)
