@@ -106,10 +106,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     if args.format == Format::Table {
         print_rows(&correlations(&fit), args.format)?;
-        said.iter().try_for_each(|line| print_line!("{line}"))?;
-    } else {
-        said.iter().for_each(|line| say!("{line}"));
     }
+    tell(&said, args.format)?;
     say!("{}, {}", duration(begun.elapsed().as_secs_f64()), fit.solver);
     if let Some(folder) = &args.out_dir {
         let title = format!(
@@ -127,6 +125,17 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     unfinished.done()?;
     Ok(if fit.outcome == Verdict::Converged { Exit::Done } else { Exit::Failed })
+}
+
+/// Lines that stand beside rows: below a table, else among the messages.
+pub(super) fn tell(lines: &[String], format: Format) -> Result<(), Error> {
+    match format {
+        Format::Table => lines.iter().try_for_each(|line| Ok(print_line!("{line}")?)),
+        _ => {
+            lines.iter().for_each(|line| say!("{line}"));
+            Ok(())
+        }
+    }
 }
 
 /// A turn on disk.
@@ -154,26 +163,26 @@ impl Kept {
 /// A row a parameter.
 fn estimates(fit: &Identified) -> Table {
     let columns = "parameter unit start fitted lower upper interval_percent outcome";
+    // of what has an interval, whatever others lack
+    let determined = match fit.outcome {
+        Verdict::NotIdentifiable | Verdict::AtTheBound => Verdict::Converged,
+        outcome => outcome,
+    };
     let row = |e: &Estimate| {
         let [lower, upper] = e.interval.map_or([None; 2], |i| i.map(Some));
         let half = e.interval.map(|[low, high]| 50.0 * (high - low) / e.value);
         let bound = e.at_the_bound;
         let value = (bound || e.interval.is_some()).then_some(e.value);
-        let outcome = match (e.interval, fit.outcome) {
+        let outcome = match e.interval {
             _ if bound => Verdict::AtTheBound,
-            (None, _) => Verdict::NotIdentifiable,
-            (Some(_), Verdict::NotIdentifiable | Verdict::AtTheBound) => Verdict::Converged,
-            (Some(_), outcome) => outcome,
+            None => Verdict::NotIdentifiable,
+            Some(_) => determined,
         };
         row![e.parameter.name(), e.parameter.unit(), e.start, value, lower, upper, half, outcome.name()]
     };
     let of = |(n, offset): (usize, &Offset)| {
         let [lower, upper] = ends(offset);
-        let outcome = match (offset.half, fit.outcome) {
-            (None, _) => Verdict::AtTheBound,
-            (Some(_), Verdict::NotIdentifiable | Verdict::AtTheBound) => Verdict::Converged,
-            (Some(_), outcome) => outcome,
-        };
+        let outcome = if offset.half.is_some() { determined } else { Verdict::AtTheBound };
         row![name_of_start(n), "s", 0.0, offset.value, lower, upper, Value::Null, outcome.name()]
     };
     let rows = fit.estimates.iter().map(row);

@@ -9,7 +9,7 @@ use metasense_worker::run::{Failure, prepared};
 use metasense_worker::twin::{self, Ending, Estimate, Fit, Unknown};
 use serde_json::Value;
 
-use super::identify::{DISCREPANCY, ends, name_of_start, starts};
+use super::identify::{DISCREPANCY, ends, name_of_start, starts, tell};
 use super::named::{Designed, read_records};
 use super::{Error, Format, duration, print_rows, write};
 use crate::exit::Exit;
@@ -47,10 +47,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     print_rows(&estimates(trial, &found).map_err(|e| args.one.trial.failed(e))?, args.format)?;
     let mut said = said(&found, measured.forces.samples);
     said.extend(starts(&measured, found.offsets.iter().copied()));
-    match args.format {
-        Format::Table => said.iter().try_for_each(|line| print_line!("{line}"))?,
-        _ => said.iter().for_each(|line| say!("{line}")),
-    }
+    tell(&said, args.format)?;
     say!("{}", duration(begun.elapsed().as_secs_f64()));
     if let Some(file) = &args.out {
         let text = toml::to_string(&twin::store(trial, design, &found.twin)).expect("a twin is TOML");
