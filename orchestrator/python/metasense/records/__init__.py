@@ -171,8 +171,8 @@ def _stated(of: Recording, columns: list[Column], known: dict[str, str], option:
     return units.pop() if units else None
 
 
-def _record(of: Recording, beside: Recording | None, o: _Options) -> tuple[Record, Recording]:
-    """A recording as one record."""
+def _record(of: Recording, beside: Recording | None, o: _Options) -> tuple[Record, NDArray[np.intp]]:
+    """A recording as one record, and the rows of its forces."""
     keys = list(o.force)
     forces = [of.column(key) for key in keys]
     timed = [] if o.time is None else [of.column(o.time)]
@@ -214,7 +214,7 @@ def _record(of: Recording, beside: Recording | None, o: _Options) -> tuple[Recor
         units["acceleration_unit"] = _stated(there, others, _ACCELERATION, "acceleration_unit", o)
         units["angular_velocity_unit"] = _stated(there, angular, _ANGULAR, "angular_velocity_unit", o)
     record.units = {key: unit for key, unit in units.items() if unit is not None}
-    return record, of
+    return record, rows
 
 
 def _panels(of: Recording, rows: NDArray[np.intp], o: _Options) -> NDArray[np.int64] | int | None:
@@ -357,18 +357,17 @@ def convert(
                     f"{signal_files[i]}: contains {len(besides)} records, {file} {len(recordings)}: pass files of one each"
                 )
         for of, beside in zip(recordings, besides, strict=True):
-            record, there = _record(of, beside, o)
-            rows = there.rows([there.column(key) for key in [*keys, *([] if time is None else [time])]], empty)
-            panels = _panels(there, rows, o)
+            record, rows = _record(of, beside, o)
+            panels = _panels(of, rows, o)
             if trigger is not None and length is not None:
                 starts = blows(record.time, record.force, trigger, length=length, before=before, rearm=rearm)
                 if not starts:
                     peak = np.abs(record.force - np.median(record.force)).max()
-                    raise there.fail(f"trigger = {trigger}: the force never reaches it; its peak above the median is {peak:.4g}")
+                    raise of.fail(f"trigger = {trigger}: the force never reaches it; its peak above the median is {peak:.4g}")
                 found += _cut(record, starts, before, length, panels, notes)
                 continue
             if panels is not None and np.min(panels) != np.max(panels):
-                raise there.fail("names several panels: pass trigger and length to cut its blows")
+                raise of.fail("names several panels: pass trigger and length to cut its blows")
             record.panel = None if panels is None else int(np.min(panels))
             found.append(record)
     for record in found:
