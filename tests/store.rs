@@ -299,10 +299,10 @@ async fn a_reader_that_queries_all_the_time_causes_no_lock_error() {
     let mut store = Store::open(&db).await.unwrap();
     store.begin_sweep(&sweep(), "text", &trials).await.unwrap();
     let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
+    let (first, read_once) = tokio::sync::oneshot::channel::<()>();
     let path = db.clone();
     let reading = tokio::spawn(async move {
-        let mut stopped = stopped;
-        let mut queries = 0;
+        let (mut stopped, mut first) = (stopped, Some(first));
         let mut reader = Reader::open(&path).await.unwrap();
         while stopped.try_recv().is_err() {
             reader
@@ -311,10 +311,12 @@ async fn a_reader_that_queries_all_the_time_causes_no_lock_error() {
                 )
                 .await
                 .unwrap();
-            queries += 1;
+            if let Some(first) = first.take() {
+                first.send(()).unwrap();
+            }
         }
-        queries
     });
+    read_once.await.unwrap();
     let small = TrialResult::default();
     let start = std::time::Instant::now();
     for batch in trials.chunks(16) {
@@ -331,7 +333,7 @@ async fn a_reader_that_queries_all_the_time_causes_no_lock_error() {
     }
     println!("{:.0} trials/s", 400.0 / start.elapsed().as_secs_f64());
     stop.send(()).unwrap();
-    assert!(reading.await.unwrap() > 0);
+    reading.await.unwrap();
     assert_eq!(store.settled().await.unwrap().len(), 400);
 }
 
