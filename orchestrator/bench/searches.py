@@ -1,4 +1,4 @@
-"""Made-up spaces of orchestrator/src/analysis/goal/tests.rs, searched by what others offer: the comparison of schemas/README.md.
+"""Made-up spaces of orchestrator/analysis/src/goal/tests.rs, searched by what others offer: the comparison of schemas/README.md.
 
     SPACES=50 SPACES_FILE=spaces.json cargo test -p metasense --lib goal::
     pip install optuna numpy scipy && python orchestrator/bench/searches.py spaces.json

@@ -3,8 +3,6 @@
 // They panic where the reader has gone: `cli::say` has what to use instead.
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
-pub mod analysis;
-pub mod cell;
 pub mod cli;
 pub mod cluster;
 pub mod control;
@@ -15,7 +13,6 @@ pub mod files;
 pub mod fleet;
 pub mod leftovers;
 pub mod link;
-pub mod look;
 pub mod plan;
 pub mod progress;
 pub mod provenance;
@@ -24,3 +21,7 @@ pub mod scheduler;
 pub mod serve;
 pub mod spool;
 pub mod store;
+
+pub use metasense_analysis as analysis;
+pub use metasense_render as look;
+pub use metasense_render::cell;

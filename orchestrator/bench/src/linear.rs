@@ -8,7 +8,7 @@ use std::time::Instant;
 use metasense::cli::{Error, Format, print_rows};
 use metasense::exit::Exit;
 use metasense::look::Table;
-use metasense::row;
+use metasense::look::row;
 use metasense_numerics::Pool;
 use metasense_numerics::brain::linear::{Fit, Lags, Moments, Order, Sizes};
 use metasense_numerics::random::{Purpose, Stream};

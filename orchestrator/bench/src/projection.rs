@@ -8,7 +8,7 @@ use std::time::Instant;
 use metasense::cli::{Error, Format, print_rows};
 use metasense::exit::Exit;
 use metasense::look::Table;
-use metasense::row;
+use metasense::look::row;
 use metasense_worker::design::{
     Feasible, Layout, Limits, Pattern, Projection, Purpose, Stage, Status, Stream,
 };

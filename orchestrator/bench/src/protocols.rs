@@ -10,8 +10,9 @@ use std::path::{Path, PathBuf};
 
 use metasense::cli::{Error, Format, print_rows, read_plan};
 use metasense::exit::Exit;
+use metasense::look::row;
 use metasense::look::{Axis, Plot, SERIES, Scale, Table, file};
-use metasense::{row, say};
+use metasense::say;
 use metasense_schemas::record::{BodyEvaluation, mean};
 use metasense_schemas::spec::{Optimise, Protocol, TrialSpec};
 use metasense_worker::run::{Failure, evaluate_designs};

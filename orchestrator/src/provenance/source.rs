@@ -8,13 +8,15 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// What a program is made of, from the workspace's root; the first five compute.
-pub const PROGRAM: [&str; 8] = [
+pub const PROGRAM: [&str; 10] = [
     "Cargo.lock",
     "schemas/src",
     "worker/kernels/src",
     "worker/numerics/src",
     "worker/src",
     "Cargo.toml",
+    "orchestrator/render/src",
+    "orchestrator/analysis/src",
     "orchestrator/src",
     "schemas/schema.sql",
 ];

@@ -1,9 +1,9 @@
 //! A trial's body as `look` draws it.
 
 use metasense_worker::design::{Active, Kind, Violation};
-use metasense_worker::replay::Drawing;
+use metasense_worker::replay::{Drawing, Panel};
 
-use crate::look::body::{Mark, Point, Sketch, frame, middle};
+use crate::look::body::{Arrow, Mark, Point, Sketch, frame, middle};
 use crate::look::{Figure, Table, legend, row};
 
 /// The body with its constraints at their limit, and those that are broken.
@@ -11,13 +11,19 @@ pub fn sketch(drawing: &Drawing, violations: &[Violation]) -> Sketch {
     let Drawing { units, centroids, ligaments, joints, panels, sensors, clamped, guided, spacing, .. } =
         drawing;
     let held = |a: &Active| mark(a.kind, a.units, Some(a.node), units);
+    let arrow = |&(panel, foot): &(Panel, Point)| Arrow {
+        unit: panel.unit,
+        foot,
+        direction: (!panel.is_couple()).then_some(panel.direction),
+        sense: panel.moment.signum(),
+    };
     let broken = |v: &Violation| mark(v.kind, v.units, v.node, units);
     Sketch {
         units: units.clone(),
         centroids: centroids.clone(),
         ligaments: ligaments.clone(),
         joints: joints.clone(),
-        panels: panels.clone(),
+        panels: panels.iter().map(arrow).collect(),
         sensors: sensors.clone(),
         clamped: clamped.clone(),
         guided: guided.clone(),

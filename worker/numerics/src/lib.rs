@@ -10,7 +10,6 @@ pub mod material;
 pub mod modes;
 pub mod nested;
 pub mod place;
-pub mod predict;
 pub mod questions;
 pub mod stimuli;
 pub mod student;

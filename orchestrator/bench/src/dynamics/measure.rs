@@ -4,7 +4,8 @@
 //! The truth of a scene is `nystrom6` with steps so short that its error is far below all that is drawn; the tightest
 //! run of Tsit5, another method, is a point of the diagram and says by its own error how true it is.
 
-use metasense::{row, say};
+use metasense::look::row;
+use metasense::say;
 use metasense_numerics::Pool;
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{

@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::export::tests::squares;
+use crate::look::body::Arrow;
 use crate::look::wave::course;
-use metasense_worker::replay::Panel;
 
 /// A gap as a line between its units, an angle as a dot at its corner; y downward.
 #[test]
@@ -26,8 +26,8 @@ fn a_course_has_every_design_and_where_its_marks_have_gone() {
     let squares = || sketch(&squares(), &[]);
     let mut designs = [(0, squares()), (8, squares())];
     for (_, sketch) in &mut designs {
-        (sketch.panels, sketch.sensors) =
-            (vec![(Panel::central(0, [1.0, 0.0]), sketch.centroids[0])], vec![1]);
+        let panel = Arrow { unit: 0, foot: sketch.centroids[0], direction: Some([1.0, 0.0]), sense: 0.0 };
+        (sketch.panels, sketch.sensors) = (vec![panel], vec![1]);
     }
     let [_, (_, last)] = &mut designs;
     last.units[0].iter_mut().for_each(|[x, y]| (*x, *y) = (*x + 1.5, *y - 0.25));

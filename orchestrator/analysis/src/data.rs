@@ -1,0 +1,416 @@
+//! The groups within which trials are compared, and the errors of a group along an axis.
+
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::hash::Hash;
+use std::rc::Rc;
+use std::sync::Arc;
+
+use serde_json::Value;
+
+use super::kinds::{brains, in_words, objective};
+use super::numbers::{distinct, geometric_mean};
+use super::trial::{Body, Cluster, Set, Trial};
+use metasense_render::cell::plain;
+
+/// An error (%) at some place of an axis: a number of sensors, of design parameters.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Observation {
+    /// The place on the axis.
+    pub at: f64,
+    /// Placement and seed.
+    pub cluster: Cluster,
+    /// Prediction error (%), above 0.
+    pub error: f64,
+}
+
+/// Trials that agree in everything but what a question varies.
+#[derive(Debug, Clone)]
+pub struct Group<'a> {
+    /// What sets it apart from the database's other groups, for instance `K = 4, 6 × 4 units`.
+    pub label: String,
+    /// Its trials, in the order given.
+    pub trials: Vec<&'a Trial>,
+}
+
+impl Group<'_> {
+    /// Whether its trials differ in a number.
+    pub fn varies(&self, number: fn(&Trial) -> u64) -> bool {
+        self.trials.iter().any(|t| number(t) != number(self.trials[0]))
+    }
+}
+
+/// What placements and seeds vary, and what leaves the ordinary comparison as it is.
+const CLUSTER: &[&str] = &["point.placement", "point.seed", "sensor_units", "sensors.placements", LONG];
+const LONG: &str = "evaluation.long_iterations";
+
+/// What judges finished bodies in further worlds. It tells trials apart only where two that say it disagree: training over casts
+/// has an objective that is told.
+const JUDGING: &[&str] = &["evaluation.casts", "evaluation.under", "variation."];
+
+/// What the number of sensors varies, besides.
+pub const SENSORS: &[&str] = &["point.sensors"];
+
+/// What the way of placing sensors varies.
+pub const SEARCH: &[&str] = &["sensors.search", "sensors.from", "sensors.spacing"];
+
+/// What the complexity of the body varies: the lengths of a circular body shrink as its units grow in number.
+pub const COMPLEXITY: &[&str] = &[
+    "body.columns",
+    "body.rows",
+    "body.spacing",
+    "body.ligament_length",
+    "body.panel_units",
+    "body.panels",
+    "panel_units",
+    "feasible.min_edge",
+    "feasible.clearance",
+    "feasible.ligament_clearance",
+];
+
+/// What the freedom of a body's design varies at one size.
+pub const FREEDOM: &[&str] = &["optimise.tie", "optimise.frozen"];
+
+/// What a body of a given size brings along where its units shrink, and the power of the spacing that it goes with.
+pub(super) const WITH_SPACING: [(&str, i32); 4] = [
+    ("body.stiffness.bend", 2),
+    ("body.contact.stiffness", 2),
+    ("body.material.ligament_width", 1),
+    ("optimise.learning_rate", 1),
+];
+
+/// What random bodies vary, and how far they are trained.
+pub const DESIGN: &[&str] = &["body.design", "body.design.", "optimise.", "optimise.tie", "optimise.frozen"];
+
+/// What brains vary, and the training that goes with them.
+pub const BRAINS: &[&str] = &["brain.", "optimise.", "evaluation."];
+
+/// What the way of training varies; a linear brain is solved for once and whole, where networks are several and train in batches.
+pub const TRAINING: &[&str] = &["optimise.", "brain.", "solver.", "evaluation.seeds", "evaluation.batch"];
+
+type Key = Vec<(String, Value)>;
+
+/// Groups by everything but placement, seed and the paths named (a path that ends in a dot: all below it), in the order
+/// of their first trials.
+pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
+    let disputed = disputed(trials);
+    // how free a body's design is, is no way of training it: ignored only by its name
+    let ignored = |path: &str| {
+        CLUSTER.iter().chain(but).any(|b| is_of(path, b) && (*b == path || !FREEDOM.contains(&path)))
+            || JUDGING.iter().any(|b| is_of(path, b)) && !disputed.contains(path)
+    };
+    let spacing = |trial: &Trial| trial.setting.number("body.spacing");
+    let first = trials.first().and_then(|trial| spacing(trial));
+    // as it would be at the first trial's spacing, where spacings are not told apart
+    let value = |trial: &Trial, path: &str, value: &Value| -> Value {
+        let power = WITH_SPACING.iter().find(|(p, _)| ignored("body.spacing") && path == *p);
+        let (Some((_, power)), Some(own), Some(first), Some(number)) =
+            (power, spacing(trial), first, value.as_f64())
+        else {
+            return value.clone();
+        };
+        let scaled = number * (first / own).powi(*power);
+        // the first's own, too, or it would agree with none
+        Value::from((scaled * 1e9).round() / 1e9)
+    };
+    let told = |trial: &Trial, leaves: &BTreeMap<String, Value>| -> String {
+        let told = leaves.iter().filter(|(path, _)| !ignored(path));
+        told.map(|(path, v)| format!("{path} = {}\n", value(trial, path, v))).collect()
+    };
+    let key = |trial: &Trial| -> Key {
+        let leaves = trial.setting.leaves().into_iter().filter(|(path, _)| !ignored(path));
+        leaves.map(|(path, v)| (path.to_owned(), value(trial, path, v))).collect()
+    };
+    // What trials share is told once.
+    let mut shared: HashMap<*const BTreeMap<String, Value>, usize> = HashMap::new();
+    let mut texts: HashMap<String, usize> = HashMap::new();
+    let mut places: HashMap<(usize, String), usize> = HashMap::new();
+    let mut found: Vec<(Key, Vec<&'a Trial>)> = Vec::new();
+    for trial in trials {
+        let common = *shared.entry(Arc::as_ptr(trial.setting.shared())).or_insert_with(|| {
+            let count = texts.len();
+            *texts.entry(told(trial, trial.setting.shared())).or_insert(count)
+        });
+        let place = *places.entry((common, told(trial, trial.setting.own()))).or_insert_with(|| {
+            found.push((key(trial), Vec::new()));
+            found.len() - 1
+        });
+        found[place].1.push(trial);
+    }
+    let kinds = found.iter().map(|(key, trials)| kind(key, trials[0])).collect();
+    let labels = labels(&found.iter().map(|(k, _)| k).collect::<Vec<_>>(), kinds);
+    labels.into_iter().zip(found).map(|(label, (_, trials))| Group { label, trials }).collect()
+}
+
+/// Whether a path says how a body was trained, which how free its design is does not.
+fn trains(path: &str) -> bool {
+    path.starts_with("optimise.") && !FREEDOM.contains(&path)
+}
+
+/// Groups within which the outer loop has one error: that over casts is another than that as designed.
+pub fn groups_by_objective<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
+    let part = |group: &Group<'a>, over: &Option<String>| {
+        let trials: Vec<_> =
+            group.trials.iter().copied().filter(|trial| objective(&trial.setting) == *over).collect();
+        let told = over.as_ref().map_or(String::new(), |over| format!(", {over}"));
+        (!trials.is_empty()).then(|| Group { label: format!("{}{told}", group.label), trials })
+    };
+    let over = distinct(trials.iter().map(|trial| objective(&trial.setting)));
+    let found = groups(trials, but);
+    found.iter().flat_map(|group| over.iter().filter_map(|over| part(group, over))).collect()
+}
+
+/// Whether a path is the one named, or below it where the name ends in a dot.
+fn is_of(path: &str, name: &str) -> bool {
+    path == name || (name.ends_with('.') && path.starts_with(name))
+}
+
+/// Paths of [`JUDGING`] at which two trials differ that say anything of its kind; one that says nothing agrees with all.
+fn disputed(trials: &[&Trial]) -> HashSet<String> {
+    let (mut shared, mut first, mut disputed) = (HashMap::new(), HashMap::new(), HashSet::new());
+    for trial in trials {
+        let common = trial.setting.shared();
+        let common = shared.entry(Arc::as_ptr(common)).or_insert_with(|| judging(common));
+        let said: Vec<_> = common.iter().copied().chain(judging(trial.setting.own())).collect();
+        for name in JUDGING {
+            let own: BTreeMap<_, _> = said.iter().copied().filter(|(path, _)| is_of(path, name)).collect();
+            if own.is_empty() {
+                continue;
+            }
+            let first = first.entry(name).or_insert_with(|| own.clone());
+            let differs = |path: &&&String| first.get(**path) != own.get(**path);
+            disputed.extend(own.keys().chain(first.keys()).filter(differs).map(|path| (*path).clone()));
+        }
+    }
+    disputed
+}
+
+/// The leaves that judge.
+fn judging(leaves: &BTreeMap<String, Value>) -> Vec<(&String, &Value)> {
+    leaves.iter().filter(|(path, _)| JUDGING.iter().any(|name| is_of(path, name))).collect()
+}
+
+/// What is found of trials, of those that differ only in what judges their bodies the first that has it: they are one trial, read
+/// again. Of a body that was trained over casts the variation is no judge.
+pub fn once<'a, V>(
+    trials: &[&'a Trial],
+    found: impl Fn(&Trial) -> Option<V>,
+) -> impl Iterator<Item = (&'a Trial, V)> {
+    let judges = |path: &str, over_casts: bool| {
+        path == LONG
+            || JUDGING.iter().any(|name| is_of(path, name)) && !(over_casts && path.starts_with("variation."))
+    };
+    let (mut kinds, mut known, mut seen) = (HashMap::new(), Vec::new(), HashSet::new());
+    trials.iter().filter_map(move |&trial| {
+        let found = found(trial)?;
+        let [shared, own] = [trial.setting.shared(), trial.setting.own()];
+        let kind = *kinds.entry(Arc::as_ptr(shared)).or_insert_with(|| {
+            let over_casts = shared.keys().any(|path| path.starts_with("optimise.objective"));
+            let left: Vec<_> = shared.iter().filter(|(path, _)| !judges(path, over_casts)).collect();
+            known.iter().position(|known| *known == left).unwrap_or_else(|| {
+                known.push(left);
+                known.len() - 1
+            })
+        });
+        seen.insert((kind, Arc::as_ptr(own))).then_some((trial, found))
+    })
+}
+
+/// The value at a path of a key; keys are sorted.
+fn at<'k>(key: &'k Key, path: &str) -> Option<&'k Value> {
+    key.binary_search_by(|(p, _)| p.as_str().cmp(path)).ok().map(|i| &key[i].1)
+}
+
+/// Paths at which not all of these are alike.
+fn differing<'k>(keys: &[&'k Key]) -> HashSet<&'k str> {
+    let Some(first) = keys.first() else { return HashSet::new() };
+    let mut differing = HashSet::new();
+    for key in keys {
+        let odd = key.iter().filter(|(path, value)| at(first, path) != Some(value));
+        differing.extend(odd.map(|(path, _)| path.as_str()));
+        let missing = first.iter().filter(|(path, _)| at(key, path).is_none());
+        differing.extend(missing.map(|(path, _)| path.as_str()));
+    }
+    differing
+}
+
+/// The same, among those of one kind.
+fn differing_within<'k, K: Hash + Eq>(keys: &[&'k Key], kinds: &[K]) -> Vec<Rc<HashSet<&'k str>>> {
+    let mut of_kind: HashMap<&K, Vec<&'k Key>> = HashMap::new();
+    keys.iter().zip(kinds).for_each(|(key, kind)| of_kind.entry(kind).or_default().push(key));
+    let differing: HashMap<&K, Rc<HashSet<&str>>> =
+        of_kind.into_iter().map(|(kind, keys)| (kind, Rc::new(differing(&keys)))).collect();
+    kinds.iter().map(|kind| Rc::clone(&differing[kind])).collect()
+}
+
+/// The brains of a group: of its trials, which know what their bodies were trained for, where training tells them apart.
+fn kind(key: &Key, first: &Trial) -> [String; 2] {
+    // what a brain brings along differs with it: that alone is told
+    if key.iter().any(|(path, _)| trains(path)) && key.iter().any(|(path, _)| path.starts_with("brain.")) {
+        return brains(&first.setting);
+    }
+    brains(&key.iter().cloned().collect())
+}
+
+/// K always, M where fixed; of the rest what differs among the groups. Panel units follow from K and layout and say
+/// nothing more.
+fn labels(all: &[&Key], kinds: Vec<[String; 2]>) -> Vec<String> {
+    // and what a kind of stimuli has by default differs with it
+    let stimuli: Vec<Option<String>> =
+        all.iter().map(|key| at(key, "stimuli.kind").map(Value::to_string)).collect();
+    let differs = differing(all);
+    let (alike, struck) = (differing_within(all, &kinds), differing_within(all, &stimuli));
+    let one_kind = kinds.iter().all(|kind| *kind == kinds[0]);
+    let told = all.iter().zip(&kinds).zip(alike.iter().zip(&struck));
+    told.map(|((key, own), (alike, struck))| label(key, own, one_kind, [&differs, alike, struck])).collect()
+}
+
+/// `differ`: paths at which groups differ, those of its brains, those of its stimuli.
+fn label(key: &Key, own: &[String; 2], one_kind: bool, differ: [&HashSet<&str>; 3]) -> String {
+    let value = |path: &str| at(key, path);
+    let [differs, alike, struck] = differ;
+    let of_brains =
+        |path: &str| BRAINS.iter().any(|table| path.starts_with(table)) && !FREEDOM.contains(&path);
+    let mut parts = Vec::new();
+    for (name, path) in [("K", "point.panels"), ("M", "point.sensors")] {
+        parts.extend(value(path).map(|v| format!("{name} = {v}")));
+    }
+    const SIZES: [&str; 2] = ["body.columns", "body.rows"];
+    match SIZES.map(value) {
+        [Some(columns), Some(rows)] if SIZES.iter().any(|p| differs.contains(p)) => {
+            parts.push(format!("{columns} × {rows} units"));
+        }
+        [Some(columns), None] if differs.contains(SIZES[0]) => parts.push(format!("{columns} units across")),
+        _ => {}
+    }
+    if !one_kind {
+        let training_told = key.iter().any(|(path, _)| trains(path));
+        parts.push(if training_told { in_words(own) } else { own[0].clone() });
+    }
+    for (path, value) in key {
+        // a material says what it gives
+        let given = path == "body.density" || path.starts_with("body.stiffness.");
+        let told = path.starts_with("point.")
+            || path.ends_with("panel_units")
+            || SIZES.contains(&path.as_str())
+            || given && at(key, "body.material.thickness").is_some();
+        let apart = match path.as_str() {
+            path if of_brains(path) => alike.contains(path),
+            path if path.starts_with("stimuli.") && path != "stimuli.kind" => struck.contains(path),
+            path => differs.contains(path),
+        };
+        if !told && apart {
+            parts.push(format!("{path} = {}", short(value)));
+        }
+    }
+    parts.join(", ")
+}
+
+/// A value in a label: a design by how many numbers it has and by its name, as nobody reads them.
+fn short(value: &Value) -> String {
+    const MOST: usize = 12;
+    match value {
+        Value::Array(numbers) if numbers.len() > MOST => {
+            let name = blake3::hash(value.to_string().as_bytes()).to_hex();
+            format!("{} numbers ({})", numbers.len(), &name[..6])
+        }
+        Value::String(digest) if digest.len() == 64 && digest.bytes().all(|b| b.is_ascii_hexdigit()) => {
+            digest[..6].to_owned()
+        }
+        other => plain(other),
+    }
+}
+
+/// The errors of a group's trials along an axis.
+pub fn observations(trials: &[&Trial], body: Body, set: Set, at: fn(&Trial) -> u64) -> Vec<Observation> {
+    once(trials, |t| t.error(body, set))
+        .map(|(t, error)| Observation { at: at(t) as f64, cluster: t.cluster, error })
+        .collect()
+}
+
+/// The places of the axis, each once, in order.
+pub fn places(observations: &[Observation]) -> Vec<f64> {
+    let mut places: Vec<f64> = observations.iter().map(|o| o.at).collect();
+    places.sort_by(f64::total_cmp);
+    places.dedup();
+    places
+}
+
+/// Errors along an axis, ready to be weighed by cluster many times over.
+#[derive(Debug, Clone)]
+pub struct Grid {
+    /// The places of the axis, in order.
+    pub places: Vec<f64>,
+    /// Cluster, place and ln e of every observation, by number.
+    pub points: Vec<(usize, usize, f64)>,
+}
+
+impl Grid {
+    /// Of observations whose clusters are among these, which are sorted.
+    ///
+    /// # Panics
+    /// If one is not.
+    pub fn new(observations: &[Observation], clusters: &[Cluster]) -> Self {
+        let places = places(observations);
+        let point = |o: &Observation| {
+            let cluster = clusters.binary_search(&o.cluster).expect("a cluster of the observations");
+            let place = places.binary_search_by(|p| p.total_cmp(&o.at)).expect("a place of the observations");
+            (cluster, place, o.error.ln())
+        };
+        Self { points: observations.iter().map(point).collect(), places }
+    }
+
+    /// Geometric mean of the error at every place, by weights of clusters; `None` where nothing weighs.
+    pub fn means(&self, weights: &[f64]) -> Vec<Option<f64>> {
+        let mut sums = vec![[0.0; 2]; self.places.len()];
+        for &(cluster, place, log) in &self.points {
+            sums[place][0] += weights[cluster] * log;
+            sums[place][1] += weights[cluster];
+        }
+        sums.into_iter().map(|[sum, n]| (n > 0.0).then(|| (sum / n).exp())).collect()
+    }
+}
+
+/// The clusters of observations, each once, in order.
+pub fn clusters<'a>(observations: impl IntoIterator<Item = &'a Observation>) -> Vec<Cluster> {
+    distinct(observations.into_iter().map(|o| o.cluster))
+}
+
+/// Errors at one place of an axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Level {
+    /// The place.
+    pub at: f64,
+    /// Trials.
+    pub trials: usize,
+    /// Geometric mean of the error (%).
+    pub mean: f64,
+    /// Least error (%).
+    pub least: f64,
+    /// Greatest error (%).
+    pub most: f64,
+}
+
+/// Mean and range of the error at every place.
+pub fn levels(observations: &[Observation]) -> Vec<Level> {
+    places(observations)
+        .into_iter()
+        .map(|at| {
+            let errors: Vec<f64> = observations.iter().filter(|o| o.at == at).map(|o| o.error).collect();
+            Level {
+                at,
+                trials: errors.len(),
+                mean: geometric_mean(&errors),
+                least: errors.iter().copied().fold(f64::INFINITY, f64::min),
+                most: errors.iter().copied().fold(0.0, f64::max),
+            }
+        })
+        .collect()
+}
+
+/// The parts of a group's label that say more than K and M.
+pub(super) fn apart(label: &str) -> Vec<&str> {
+    label.split(", ").filter(|part| !part.starts_with("K = ") && !part.starts_with("M = ")).collect()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,128 @@
+//! Why training helps: how what a body's sensors can tell changes with it, and whether that says how much the error falls.
+//!
+//! Rank correlations (Spearman) are of ln(optimised/initial) of a measure with ln(initial/optimised) of the error, over trials.
+
+use serde_json::Value;
+
+use super::Resampling;
+use super::numbers::{distinct, geometric_mean, mean};
+use super::trial::Cluster;
+use metasense_render::{Table, row};
+
+/// What is measured of a body.
+pub const MEASURES: [&str; 6] = [
+    "error of Wiener's filter (%)",
+    "forces told apart",
+    "condition",
+    "bits a second",
+    "memory (s)",
+    "modes that take part",
+];
+
+/// Half-width of a 95 % interval of z, times √(n − 3): z of a rank correlation deviates by √(1.06/(n − 3)) (Fieller, Hartley and Pearson
+/// 1957, doi:10.1093/biomet/44.3-4.470).
+const TO_EACH_SIDE: f64 = 1.959_964 * 1.029_563;
+/// A correlation of ±1 has no z.
+const MOST: f64 = 0.9999;
+
+/// A trial's bodies.
+#[derive(Debug, Clone)]
+pub struct Change {
+    /// Which trials it belongs to: those of the same K and M, trained with and read by the same brains.
+    pub setting: String,
+    /// Its placement and seed.
+    pub cluster: Cluster,
+    /// Holdout errors (%), of the initial and the optimised body.
+    pub errors: [f64; 2],
+    /// Measures of either.
+    pub told: [[f64; MEASURES.len()]; 2],
+}
+
+/// A row a setting and measure: its geometric means, and whether trials in which it changed more have gained more.
+pub fn table(changes: &[Change]) -> Table {
+    let columns = "setting measure initial optimised ratio correlation correlation_low correlation_high over";
+    let settings = distinct(changes.iter().map(|change| &change.setting));
+    let of = |setting: &String| {
+        let own: Vec<&Change> = changes.iter().filter(|change| change.setting == *setting).collect();
+        rows(setting, &own)
+    };
+    Table::new(columns, settings.into_iter().flat_map(of))
+}
+
+fn rows(setting: &str, changes: &[&Change]) -> Vec<Vec<Value>> {
+    let clusters: Vec<Cluster> = changes.iter().map(|change| change.cluster).collect();
+    let resampling = Resampling::new(&clusters);
+    let half =
+        resampling.units().map(|units| TO_EACH_SIDE / (distinct(units.iter()).len() as f64 - 3.0).sqrt());
+    let gains = ranks(&changes.iter().map(|c| (c.errors[0] / c.errors[1]).ln()).collect::<Vec<_>>());
+    let of = |(m, name): (usize, &str)| {
+        let mean = |body: usize| geometric_mean(&changes.iter().map(|c| c.told[body][m]).collect::<Vec<_>>());
+        let grown: Vec<f64> = changes.iter().map(|c| (c.told[1][m] / c.told[0][m]).ln()).collect();
+        let grown = ranks(&grown);
+        let all = correlation(&grown, &gains);
+        // by Fisher's z: a correlation ends at ±1
+        let end = |sign: f64| Some((all?.clamp(-MOST, MOST).atanh() + sign * half?).tanh());
+        let [low, high] = [-1.0, 1.0].map(end);
+        let [initial, optimised] = [0, 1].map(mean);
+        row![setting, name, initial, optimised, optimised / initial, all, low, high, resampling.over()]
+    };
+    MEASURES.into_iter().enumerate().map(of).collect()
+}
+
+/// Ranks from 1, those of equal numbers their mean.
+fn ranks(values: &[f64]) -> Vec<f64> {
+    let below = |x: f64| values.iter().filter(|y| **y < x).count() as f64;
+    let equal = |x: f64| values.iter().filter(|y| **y == x).count() as f64;
+    values.iter().map(|x| below(*x) + 0.5 * (equal(*x) + 1.0)).collect()
+}
+
+/// Pearson's; `None` where some do not vary.
+fn correlation(x: &[f64], y: &[f64]) -> Option<f64> {
+    let (at_x, at_y) = (mean(x)?, mean(y)?);
+    let product = |a: &[f64], at: f64, b: &[f64], bt: f64| -> f64 {
+        a.iter().zip(b).map(|(a, b)| (a - at) * (b - bt)).sum()
+    };
+    let size = (product(x, at_x, x, at_x) * product(y, at_y, y, at_y)).sqrt();
+    (size > 0.0).then(|| product(x, at_x, y, at_y) / size)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A measure that falls as the error does is correlated by −1, one that has nothing to do with it by little, one that stays by nothing;
+    /// equal numbers share their ranks.
+    #[test]
+    fn what_goes_with_the_gain_is_found() {
+        assert_eq!(ranks(&[3.0, 1.0, 3.0, 2.0]), [3.5, 1.0, 3.5, 2.0]);
+        let change = |i: u32| {
+            let gain = f64::from(i * 7 % 11 + 1);
+            let chance = f64::from(i * 5 % 12 + 1);
+            Change {
+                setting: "one".to_owned(),
+                cluster: Cluster { placement: 0, seed: u64::from(i) },
+                errors: [gain, 1.0],
+                told: [[1.0; 6], [1.0 / gain.powi(2), gain.ln() + 1.0, chance, 1.0, gain, gain.sqrt()]],
+            }
+        };
+        let changes: Vec<Change> = (0..12).map(change).collect();
+        let table = table(&changes);
+        let cell = |measure: usize, column: &str| {
+            let at = table.columns.iter().position(|c| c == column).unwrap();
+            table.rows[measure][at].as_f64()
+        };
+        let correlations: Vec<Option<f64>> = (0..5).map(|m| cell(m, "correlation")).collect();
+        assert!(
+            (correlations[0].unwrap() + 1.0).abs() < 1e-12 && (correlations[4].unwrap() - 1.0).abs() < 1e-12
+        );
+        assert!(correlations[2].unwrap().abs() < 0.6 && correlations[3].is_none(), "{correlations:?}");
+        assert!(cell(2, "correlation_low") < Some(0.0) && cell(2, "correlation_high") > Some(0.0));
+        // twelve: z = 0 ± 1.96 · 1.0296/3; one of ±1 has an interval, too
+        let (r, low) = (cell(2, "correlation").unwrap(), cell(2, "correlation_low").unwrap());
+        assert!((r.atanh() - low.atanh() - 0.672_65).abs() < 1e-4, "{r} {low}");
+        assert!(cell(0, "correlation_high") > Some(-1.0));
+        assert_eq!(cell(3, "ratio"), Some(1.0));
+        let other = Change { setting: "other".to_owned(), ..changes[0].clone() };
+        assert_eq!(super::table(&[&changes[..], &[other]].concat()).rows.len(), 12);
+    }
+}

@@ -1,0 +1,63 @@
+//! Tests of `placed`.
+
+use super::*;
+use crate::setting::flatten;
+use serde_json::json;
+
+/// Random 40/m, trained 20/m; placed 16/m, trained 4/m, at four seeds with factors that ratios do not see.
+#[test]
+fn placing_and_training_are_told_apart() {
+    let mut trials = Vec::new();
+    for seed in 1..=4u64 {
+        for m in 1..=4u64 {
+            for (searched, placement) in [(false, 0), (false, 1), (true, 0), (true, 1)] {
+                let sensors = if searched { json!({"search": "greedy"}) } else { json!({}) };
+                let spec = json!({"sensors": sensors, "point": {"panels": 4, "sensors": m, "seed": seed}});
+                let level = f64::from(seed as u32) / m as f64;
+                // the second searched placement is another question's
+                let [initial, trained] = match (searched, placement) {
+                    (false, p) => [40.0, 20.0].map(|e| e * level * [0.5, 2.0][p as usize]),
+                    (true, 0) => [16.0, 4.0].map(|e| e * level),
+                    (true, _) => [99.0, 99.0],
+                };
+                trials.push(Trial {
+                    setting: flatten(&spec).into_iter().collect(),
+                    panels: 4,
+                    sensors: m,
+                    cluster: Cluster { placement, seed },
+                    errors: [[Some(initial); 2], [Some(trained); 2]],
+                    ..Trial::default()
+                });
+            }
+        }
+    }
+    let refs: Vec<&Trial> = trials.iter().collect();
+    let found = placed(&refs);
+    assert_eq!((found.len(), found[0].levels.len()), (1, 4));
+    let level = &found[0].levels[1];
+    let seeds = 24f64.powf(0.25);
+    for (searched, body, expected) in [
+        (false, Body::Initial, 20.0),
+        (false, Body::Optimised, 10.0),
+        (true, Body::Initial, 8.0),
+        (true, Body::Optimised, 2.0),
+    ] {
+        let error = level.error(searched, body, Set::Holdout).unwrap();
+        assert!((error / (expected * seeds) - 1.0).abs() < 1e-12, "{error}");
+    }
+    let placing = level.by_placing(Set::Holdout).unwrap();
+    let training = level.by_training(Set::Holdout).unwrap();
+    assert!((placing.ratio - 2.5).abs() < 1e-12 && (training.ratio - 4.0).abs() < 1e-12);
+    assert!(training.interval.is_some() && training.over == "4 seeds", "{training:?}");
+    // 16 seeds/m <= 10.5 from m = 4 on: 16 · 2.21 / 4 = 8.85; 4 · 2.21 / 1 = 8.85 from the first on
+    let needed = |searched, body| found[0].needed(searched, body, Set::Holdout, 10.5);
+    let [initial, optimised] = Body::ALL.map(|body| needed(true, body));
+    assert_eq!((initial.sensors, optimised.sensors), (Some(4), Some(1)));
+    // errors go with the seed, 1 to 4 times 16/m: one draw needs less, another more than there are
+    let (low, high) = initial.range.unwrap();
+    assert!(low.unwrap() < 4 && high.is_none(), "{initial}");
+    assert_eq!(needed(false, Body::Initial).to_string(), "–");
+    // without a search there is no such question
+    let random: Vec<&Trial> = refs.iter().filter(|t| search(t).is_none()).copied().collect();
+    assert!(placed(&random).is_empty());
+}

@@ -1,0 +1,284 @@
+//! What is independent of what, and the intervals and votes that follow from it.
+//!
+//! Trials of one seed share stimuli, split and first weights, those of one placement their sensors, be they more or
+//! fewer, at every seed: never trials but seeds and placements, crossed, are the *units* of inference; where each seed
+//! has placements of its own, seeds are. A kind with four units or more is drawn anew; one with fewer is held, and what is
+//! said holds for those it has.
+//! ```text
+//! V = Σ_kinds V_k − Σ_pairs V_kl + …,   V_k = (n−1)/n Σ (θ₋ᵢ − θ̄₋)²   by leaving out one unit at a time
+//! ```
+//! (Cameron, Gelbach and Miller 2011), with Student's t at Satterthwaite's degrees of freedom. Votes are by bootstrap, over all ways
+//! to draw where these are few.
+
+use std::collections::BTreeMap;
+
+use super::numbers::distinct;
+use super::trial::Cluster;
+use metasense_numerics::random::Draw;
+use metasense_numerics::student::{chance_above, student, student_above};
+
+/// Units of a kind below which it is not drawn anew: of three, leaving one out says next to nothing about the spread.
+pub const LEAST_UNITS: usize = 4;
+
+/// Replicates of a bootstrap, and the most where every way to draw is one.
+pub const REPLICATES: usize = 1000;
+
+/// The seed of all bootstraps, so that an analysis repeated gives the same numbers.
+pub const SEED: u64 = 1;
+
+/// Ends of a 95 % interval.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Interval {
+    /// 2.5 % of the time the truth lies below.
+    pub low: f64,
+    /// 2.5 % of the time the truth lies above.
+    pub high: f64,
+}
+
+impl Interval {
+    /// Both ends through an increasing function.
+    pub fn map(self, f: impl Fn(f64) -> f64) -> Self {
+        Self { low: f(self.low), high: f(self.high) }
+    }
+
+    /// Of a ratio: whether all of it is above 1, or below; `None` where it may be either.
+    pub fn is_above_one(self) -> Option<bool> {
+        (self.low > 1.0 || self.high < 1.0).then_some(self.low > 1.0)
+    }
+}
+
+/// What units are called, one and several.
+pub const PLACEMENTS: [&str; 2] = ["placement", "placements"];
+/// Likewise.
+pub const SEEDS: [&str; 2] = ["seed", "seeds"];
+
+/// Likewise, where no two are at the same placement.
+const OWN_PLACEMENTS: [&str; 2] =
+    ["seed with placements of its own", "seeds, each with placements of its own"];
+
+/// A kind of unit: its name, of one and of several, how many there are, and which is each trial's.
+#[derive(Debug, Clone)]
+struct Kind {
+    name: [&'static str; 2],
+    count: usize,
+    of_trial: Vec<usize>,
+}
+
+/// The units of some trials, ready to be left out and to be drawn anew.
+#[derive(Debug, Clone)]
+pub struct Resampling {
+    trials: usize,
+    kinds: Vec<Kind>,
+}
+
+impl Resampling {
+    /// Placements and seeds, one entry a trial.
+    pub fn new(clusters: &[Cluster]) -> Self {
+        let of = |pick: fn(&Cluster) -> u64| clusters.iter().map(pick).collect::<Vec<u64>>();
+        let (placements, seeds) = (of(|c| c.placement), of(|c| c.seed));
+        let count = |of: &[u64]| distinct(of.iter().copied()).len();
+        let several = distinct(clusters.iter().copied()).len();
+        let enough = count(&seeds) >= LEAST_UNITS || count(&seeds) == several;
+        if several > 1 && count(&placements) == several && enough {
+            return Self::of([(OWN_PLACEMENTS, seeds)]);
+        }
+        Self::of([(PLACEMENTS, placements), (SEEDS, seeds)])
+    }
+
+    /// Other kinds of units: a name, and each trial's.
+    pub fn of(kinds: impl IntoIterator<Item = ([&'static str; 2], Vec<u64>)>) -> Self {
+        let kind = |(name, of_trial): ([&'static str; 2], Vec<u64>)| {
+            let values = distinct(of_trial.iter().copied());
+            let find = |value| values.binary_search(value).expect("collected above");
+            Kind { name, count: values.len(), of_trial: of_trial.iter().map(find).collect() }
+        };
+        let kinds: Vec<Kind> = kinds.into_iter().map(kind).collect();
+        Self { trials: kinds.first().map_or(0, |k| k.of_trial.len()), kinds }
+    }
+
+    fn drawn(&self) -> Vec<&Kind> {
+        self.kinds.iter().filter(|k| k.count >= LEAST_UNITS).collect()
+    }
+
+    /// Whether there are enough units of some kind to tell anything beyond them.
+    pub fn can_tell(&self) -> bool {
+        !self.drawn().is_empty()
+    }
+
+    /// Over what an interval or vote is: `5 placements`, `6 placements at 2 seeds`, `too few to tell: 3 seeds`.
+    pub fn over(&self) -> String {
+        let list = |kinds: &[&Kind]| -> String {
+            let each = kinds.iter().map(|k| format!("{} {}", k.count, k.name[usize::from(k.count > 1)]));
+            each.collect::<Vec<_>>().join(" × ")
+        };
+        let held: Vec<&Kind> = self.kinds.iter().filter(|k| (2..LEAST_UNITS).contains(&k.count)).collect();
+        match (self.can_tell(), held.is_empty()) {
+            (true, true) => list(&self.drawn()),
+            (true, false) => format!("{} at {}", list(&self.drawn()), list(&held)),
+            (false, false) => format!("too few to tell: {}", list(&held)),
+            (false, true) => format!("too few to tell: {}", list(&self.kinds.iter().collect::<Vec<_>>())),
+        }
+    }
+
+    /// The unit of each trial, of the kind that is drawn and has the fewest; `None` where there are too few of every kind.
+    pub fn units(&self) -> Option<&[usize]> {
+        self.drawn().into_iter().min_by_key(|k| k.count).map(|k| &k.of_trial[..])
+    }
+
+    /// Weights by which every trial counts once.
+    pub(super) fn even(&self) -> Vec<f64> {
+        vec![1.0; self.trials]
+    }
+
+    /// How often each trial counts in a replicate: of n units n − 1 are drawn with replacement, so that a mean's variance
+    /// comes out right (Rao and Wu 1988).
+    pub fn weights(&self, replicate: usize) -> Vec<f64> {
+        let mut draw = Draw::numbered(SEED, replicate as u64);
+        self.weighed(|count| draw.below(count))
+    }
+
+    /// Likewise, by a function that draws one of so many units.
+    fn weighed(&self, mut below: impl FnMut(usize) -> usize) -> Vec<f64> {
+        let mut weights = self.even();
+        for kind in self.drawn() {
+            let mut counts = vec![0.0; kind.count];
+            for _ in 1..kind.count {
+                counts[below(kind.count)] += kind.count as f64 / (kind.count - 1) as f64;
+            }
+            for (weight, unit) in weights.iter_mut().zip(&kind.of_trial) {
+                *weight *= counts[*unit];
+            }
+        }
+        weights
+    }
+
+    /// A statistic of every replicate, in their order; replicates without one are left out. None where there are too few
+    /// units.
+    pub fn replicates<T>(&self, statistic: impl FnMut(Vec<f64>) -> Option<T>) -> Vec<T> {
+        if !self.can_tell() {
+            return Vec::new();
+        }
+        let ways = self.drawn().iter().fold(1usize, |ways, kind| {
+            ways.saturating_mul(kind.count.saturating_pow((kind.count - 1) as u32))
+        });
+        if ways > REPLICATES {
+            return (0..REPLICATES).map(|r| self.weights(r)).filter_map(statistic).collect();
+        }
+        let way = |mut number: usize| {
+            self.weighed(|count| {
+                let drawn = number % count;
+                number /= count;
+                drawn
+            })
+        };
+        (0..ways).map(way).filter_map(statistic).collect()
+    }
+
+    /// A statistic of all trials, and with each unit left out; `None` where there are too few units, or one of them leaves
+    /// no statistic.
+    pub fn jackknife<T>(&self, mut statistic: impl FnMut(&[f64]) -> Option<T>) -> Option<Jackknife<T>> {
+        let drawn = self.drawn();
+        let fewest = drawn.iter().map(|k| k.count).min()?;
+        let whole = statistic(&self.even())?;
+        let mut parts = Vec::new();
+        for chosen in 1usize..1 << drawn.len() {
+            let kinds: Vec<&&Kind> =
+                (0..drawn.len()).filter(|i| chosen >> i & 1 == 1).map(|i| &drawn[i]).collect();
+            let unit = |trial: usize| kinds.iter().fold(0, |unit, k| unit * k.count + k.of_trial[trial]);
+            let mut members: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+            (0..self.trials).for_each(|trial| members.entry(unit(trial)).or_default().push(trial));
+            let mut weights = self.even();
+            let mut without = |members: &Vec<usize>| {
+                members.iter().for_each(|&trial| weights[trial] = 0.0);
+                let found = statistic(&weights);
+                members.iter().for_each(|&trial| weights[trial] = 1.0);
+                found
+            };
+            let left_out = members.values().map(&mut without).collect::<Option<Vec<T>>>()?;
+            parts.push((kinds.len(), left_out));
+        }
+        Some(Jackknife { whole, fewest, parts })
+    }
+
+    /// The 95 % interval of a statistic of weighted trials.
+    pub fn interval(&self, statistic: impl FnMut(&[f64]) -> Option<f64>) -> Option<Interval> {
+        self.judged(statistic).map(|judged| judged.interval)
+    }
+
+    /// The same with what is said of a statistic that is 0 if there is nothing to it.
+    pub fn judged(&self, statistic: impl FnMut(&[f64]) -> Option<f64>) -> Option<Judged> {
+        self.jackknife(statistic)?.judged(|x| *x)
+    }
+}
+
+/// What units say of a statistic that is 0 if there is nothing to it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Judged {
+    /// The 95 % interval.
+    pub interval: Interval,
+    /// The chance that a statistic which is 0 in truth comes out as far from it, on either side.
+    pub chance: f64,
+    /// The true value that as many units of this scatter would tell from 0, by the interval, in four of five sweeps: some (t.975 + t.8)
+    /// standard errors.
+    pub tells: f64,
+}
+
+/// A statistic with units left out, one at a time, of each kind and of each crossing of kinds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Jackknife<T> {
+    /// Of all trials.
+    pub whole: T,
+    fewest: usize,
+    parts: Vec<(usize, Vec<T>)>,
+}
+
+impl<T> Jackknife<T> {
+    /// The 95 % interval of a number had from the statistic.
+    pub fn interval(&self, number: impl Fn(&T) -> f64) -> Option<Interval> {
+        self.judged(number).map(|judged| judged.interval)
+    }
+
+    fn judged(&self, number: impl Fn(&T) -> f64) -> Option<Judged> {
+        let (mut variance, mut most, mut squares) = (0.0, 0.0f64, 0.0);
+        for (kinds, left_out) in &self.parts {
+            let values: Vec<f64> = left_out.iter().map(&number).collect();
+            let n = values.len() as f64;
+            let mean = values.iter().sum::<f64>() / n;
+            let part = (n - 1.0) / n * values.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
+            if *kinds == 1 {
+                most = most.max(part);
+                squares += part * part / (n - 1.0);
+            }
+            variance += if kinds % 2 == 1 { part } else { -part };
+        }
+        let (whole, variance) = (number(&self.whole), variance.max(most));
+        let freedom = if squares > 0.0 { variance * variance / squares } else { 0.0 };
+        let freedom = freedom.max((self.fewest - 1) as f64);
+        let between = |of: &dyn Fn(usize) -> f64| {
+            let [below, above] = [freedom.floor(), freedom.ceil()].map(|f| of(f as usize));
+            below + (freedom - freedom.floor()) * (above - below)
+        };
+        let half = between(&student) * variance.sqrt();
+        let tells = half + between(&|freedom| student_above(freedom, 0.2)) * variance.sqrt();
+        let t = if whole == 0.0 { 0.0 } else { whole.abs() / variance.sqrt() };
+        let chance = 2.0 * between(&|freedom| chance_above(freedom, t));
+        let interval = Interval { low: whole - half, high: whole + half };
+        (whole.is_finite() && half.is_finite()).then_some(Judged { interval, chance, tells })
+    }
+}
+
+/// What chances of several findings come to together (Holm, Scand. J. Stat. 6, 1979): where the greatest is at most x, all of them
+/// are but chance with probability x at most.
+pub fn holm(chances: &[f64]) -> Vec<f64> {
+    let mut order: Vec<usize> = (0..chances.len()).collect();
+    order.sort_by(|a, b| chances[*a].total_cmp(&chances[*b]));
+    let (mut corrected, mut most) = (vec![0.0; chances.len()], 0.0f64);
+    for (rank, i) in order.into_iter().enumerate() {
+        most = most.max((chances.len() - rank) as f64 * chances[i]).min(1.0);
+        corrected[i] = most;
+    }
+    corrected
+}
+
+#[cfg(test)]
+mod tests;

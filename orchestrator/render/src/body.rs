@@ -1,0 +1,235 @@
+//! A body: units, ligaments, what is at its limit or broken, panels with the direction of the blow, sensors.
+
+use maud::{Markup, html};
+
+use super::picture::{Legend, Picture, file};
+
+/// x and y (mm).
+pub type Point = [f64; 2];
+
+/// What a picture lies within: left, top, width, height (mm), y downward.
+pub type Frame = [f64; 4];
+
+/// A body to be drawn; lengths in mm, y upward.
+#[derive(Debug, Clone, Default)]
+pub struct Sketch {
+    /// Corners of every unit.
+    pub units: Vec<Vec<Point>>,
+    /// Their centroids.
+    pub centroids: Vec<Point>,
+    /// Ends of every ligament.
+    pub ligaments: Vec<[Point; 2]>,
+    /// The two corners (unit, node) that each ligament joins.
+    pub joints: Vec<[(usize, usize); 2]>,
+    /// Input panels.
+    pub panels: Vec<Arrow>,
+    /// Units that carry sensors.
+    pub sensors: Vec<usize>,
+    /// Units that are held.
+    pub clamped: Vec<usize>,
+    /// Units that are held in part.
+    pub guided: Vec<usize>,
+    /// Constraints at their limit.
+    pub held: Vec<Mark>,
+    /// Broken constraints.
+    pub broken: Vec<Mark>,
+    /// Units that a broken constraint is about as a whole.
+    pub wrong: Vec<usize>,
+    /// Pitch of the grid.
+    pub spacing: f64,
+}
+
+/// An input panel: what a positive force does.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Arrow {
+    /// The unit.
+    pub unit: usize,
+    /// Where the force acts (mm, y upward).
+    pub foot: Point,
+    /// Unit vector of the force; none: a couple.
+    pub direction: Option<[f64; 2]>,
+    /// Sign of a couple: 1 is anticlockwise.
+    pub sense: f64,
+}
+
+/// Where a constraint is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Mark {
+    /// Between two points.
+    Line(Point, Point),
+    /// At a point, with the dot's radius.
+    Dot(Point, f64),
+}
+
+/// A frame around all of these bodies, so that they are drawn alike.
+pub fn frame<'a>(bodies: impl IntoIterator<Item = &'a Sketch>) -> Frame {
+    let (mut low, mut high, mut spacing) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2], None);
+    for sketch in bodies {
+        spacing.get_or_insert(sketch.spacing);
+        for corner in sketch.units.iter().flatten() {
+            for i in 0..2 {
+                low[i] = low[i].min(corner[i]);
+                high[i] = high[i].max(corner[i]);
+            }
+        }
+    }
+    let air = 0.75 * spacing.unwrap_or(1.0);
+    [low[0] - air, -high[1] - air, high[0] - low[0] + 2.0 * air, high[1] - low[1] + 2.0 * air]
+}
+
+/// How a unit is drawn.
+#[derive(Debug, Clone, Default)]
+pub struct Unit {
+    /// Its class in place of the usual one.
+    pub class: Option<String>,
+    /// Where it is moved to.
+    pub transform: Option<String>,
+    /// Its style.
+    pub style: Option<String>,
+}
+
+/// How far towards its unit's middle a node's number stands.
+const INWARD: f64 = 0.25;
+
+impl Sketch {
+    /// The body, its units as usual.
+    pub fn picture(&self, view: Frame, title: &str) -> Picture {
+        self.drawn(view, title, false, |_| Unit::default())
+    }
+
+    /// The body. `numbers`: units, their nodes and sensors are numbered.
+    pub fn drawn(&self, view: Frame, title: &str, numbers: bool, unit: impl Fn(usize) -> Unit) -> Picture {
+        let class = |u: usize| {
+            let held = match (self.clamped.contains(&u), self.guided.contains(&u)) {
+                (true, _) => " clamped",
+                (_, true) => " guided",
+                _ => "",
+            };
+            format!("unit{held}{}", if self.wrong.contains(&u) { " broken" } else { "" })
+        };
+        let marks = html! {
+            @for [[ax, ay], [bx, by]] in &self.ligaments {
+                path class="ligament" d=(format!("M{ax:.3} {:.3}L{bx:.3} {:.3}", -ay, -by)) {}
+            }
+            @for (u, corners) in self.units.iter().enumerate() {
+                @let points = corners.iter().map(|[x, y]| format!("{x:.3},{:.3}", -y)).collect::<Vec<_>>().join(" ");
+                @let Unit { class: other, transform, style } = unit(u);
+                polygon class=(other.unwrap_or_else(|| class(u))) points=(points) transform=[transform] style=[style] {}
+            }
+            @for at in &self.held { (mark(at, ["active", "active-node"])) }
+            @for at in &self.broken { (mark(at, ["wrong", "wrong-node"])) }
+            @if numbers {
+                @for (u, corners) in self.units.iter().enumerate() {
+                    @let [x, y] = middle(corners);
+                    // above a sensor's disc
+                    @let down = if self.sensors.contains(&u) { -0.2 * self.spacing } else { 0.7 };
+                    text class="index" x=(format!("{x:.2}")) y=(format!("{:.2}", down - y)) { (u) }
+                }
+                @for corners in &self.units {
+                    @let [x, y] = middle(corners);
+                    @for (p, q) in corners.iter().enumerate() {
+                        @let [at_x, at_y] = [q[0] + INWARD * (x - q[0]), q[1] + INWARD * (y - q[1])];
+                        text class="index node" x=(format!("{at_x:.2}")) y=(format!("{:.2}", 0.4 - at_y)) { (p) }
+                    }
+                }
+            }
+            (panels_and_sensors(self, numbers))
+        };
+        Picture { title: title.into(), class: "body", view, marks }
+    }
+
+    /// A file of its own, without the constraints that hold the body, its ligaments of a width (mm), with numbers and a scale bar.
+    pub fn file(mut self, title: &str, width: f64) -> String {
+        self.held.clear();
+        let view = frame([&self]);
+        let mut picture = self.drawn(view, title, true, |_| Unit::default());
+        let bar = 10f64.powf(self.spacing.log10().floor());
+        let [x, y] = [view[0] + 0.5 * self.spacing, view[1] + view[3] - 0.25 * self.spacing];
+        picture.marks = html! {
+            style { ".body .ligament{stroke-width:" (format!("{width:.3}")) "}" }
+            (picture.marks)
+            path class="ligament" style="stroke-width:0.5" d=(format!("M{x:.3} {y:.3}h{bar}")) {}
+            text class="index" x=(format!("{:.3}", x + 0.5 * bar)) y=(format!("{:.3}", y - 1.0)) { (bar) " mm" }
+        };
+        file(&[picture], 1, 640.0, &Legend::default())
+    }
+
+    /// What there is to see, by number.
+    pub fn legend(&self) -> Legend {
+        let kinds = [
+            (self.clamped.len(), "unit clamped", "clamped unit", "clamped units"),
+            (self.guided.len(), "unit guided", "unit held in part", "units held in part"),
+            (self.panels.len(), "arrow", "input panel", "input panels"),
+            (self.sensors.len(), "dot sensor", "sensor", "sensors"),
+            (self.held.len(), "active", "constraint at its limit", "constraints at their limit"),
+            (self.broken.len(), "wrong", "broken constraint", "broken constraints"),
+        ];
+        let told = |(n, class, one, many)| (class, format!("{n} {}", if n == 1 { one } else { many }));
+        kinds.into_iter().filter(|kind| kind.0 > 0).map(told).collect()
+    }
+}
+
+/// Arrows at the panels and dots at the sensors.
+fn panels_and_sensors(sketch: &Sketch, numbers: bool) -> Markup {
+    let pitch = sketch.spacing;
+    let arrow = |panel: &Arrow| {
+        // it ends where the force acts, or before it where a number stands there, and begins outside
+        let [x, y] = panel.foot;
+        let Some([dx, dy]) = panel.direction.map(|[dx, dy]| [dx, -dy]) else {
+            return turning(panel.sense, [x, -y], pitch);
+        };
+        let before = if numbers && panel.foot == sketch.centroids[panel.unit] { 0.5 } else { 0.0 };
+        let at = |along: f64, aside: f64| {
+            let along = along - before;
+            [x + pitch * (along * dx - aside * dy), -y + pitch * (along * dy + aside * dx)]
+        };
+        let ([a, b], [c, d]) = (at(0.5 * before - 0.95, 0.0), at(-0.3, 0.0));
+        let tip = [at(-0.3, 0.14), at(-0.3, -0.14), at(0.0, 0.0)].map(|[x, y]| format!("{x:.2},{y:.2}"));
+        (format!("M{a:.2} {b:.2}L{c:.2} {d:.2}"), tip.join(" "))
+    };
+    html! {
+        @for (k, panel) in sketch.panels.iter().enumerate() {
+            @let (shaft, tip) = arrow(panel);
+            g class="panel" { title { "panel " (k) ": unit " (panel.unit) } path d=(shaft) {} polygon points=(tip) {} }
+        }
+        @for (m, &unit) in sketch.sensors.iter().enumerate() {
+            @let [x, y] = sketch.centroids[unit];
+            circle class="sensor" cx=(format!("{x:.2}")) cy=(format!("{:.2}", -y)) r=(format!("{:.2}", 0.17 * pitch)) {
+                title { "sensor " (m) ": unit " (unit) }
+            }
+            @if numbers {
+                text class="number" x=(format!("{x:.2}")) y=(format!("{:.2}", 1.0 - y)) { (m) }
+            }
+        }
+    }
+}
+
+/// Three quarters of a circle around a point of the page, and its tip: anticlockwise where `sense` is 1.
+fn turning(sense: f64, [x, y]: Point, pitch: f64) -> (String, String) {
+    let r = 0.36 * pitch;
+    let at = |along: f64, aside: f64| format!("{:.2},{:.2}", x + sense * aside * pitch, y + along * pitch);
+    let shaft = format!(
+        "M{:.2} {y:.2}A{r:.2} {r:.2} 0 1 {} {x:.2} {:.2}",
+        x - sense * r,
+        if sense > 0.0 { 0 } else { 1 },
+        y - r
+    );
+    (shaft, [at(-0.5, 0.05), at(-0.22, 0.05), at(-0.36, -0.25)].join(" "))
+}
+
+/// A mark of a class for lines, or one for dots.
+fn mark(at: &Mark, [line, dot]: [&str; 2]) -> Markup {
+    match at {
+        Mark::Line([x, y], [s, t]) => {
+            html! { path class=(line) d=(format!("M{x:.3} {:.3}L{s:.3} {:.3}", -y, -t)) {} }
+        }
+        Mark::Dot([x, y], r) => {
+            html! { circle class=(dot) cx=(format!("{x:.3}")) cy=(format!("{:.3}", -y)) r=(r) {} }
+        }
+    }
+}
+
+/// The mean of a unit's corners.
+pub fn middle(corners: &[Point]) -> Point {
+    [0, 1].map(|c| corners.iter().map(|q| q[c]).sum::<f64>() / corners.len() as f64)
+}

@@ -1,0 +1,24 @@
+//! One renderer for everything that is looked at: numbers, cells, tables and their writers, plots, bodies, waves, pages.
+
+pub mod body;
+pub mod cell;
+mod fit;
+pub mod grid;
+mod number;
+mod page;
+mod parquet;
+mod picture;
+mod plot;
+mod style;
+mod table;
+pub mod wave;
+mod write;
+
+pub use fit::screen;
+pub use number::{digits, duration, number};
+pub use page::{Answer, Encoded, Figure, MOST_ROWS, answers, contents, document, download, more, page};
+pub use picture::{Legend, Picture, file, legend, lines};
+pub use plot::{Axis, Plot, Scale};
+pub use style::{SERIES, level, of_page};
+pub use table::{Table, readable, short_hash};
+pub use write::{Data, Format, RowWriter, print_rows, standard_output};

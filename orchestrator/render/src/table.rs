@@ -1,0 +1,118 @@
+//! Rows of values under names.
+
+use serde_json::Value;
+
+use super::number::digits;
+use crate::cell::plain;
+
+/// An answer.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Table {
+    /// Names of the columns.
+    pub columns: Vec<String>,
+    /// Rows of as many values; a blob stands as the text `blob of N bytes`.
+    pub rows: Vec<Vec<Value>>,
+}
+
+/// A row of a table, from anything that is JSON; after a semicolon, what holds more of it.
+#[macro_export]
+macro_rules! row {
+    ($($cell:expr),* $(,)?) => { vec![$(serde_json::json!($cell)),*] };
+    ($($cell:expr),*; $rest:expr) => {
+        [$(serde_json::json!($cell)),*].into_iter().chain($rest.into_iter().map(|cell| serde_json::json!(cell))).collect::<Vec<_>>()
+    };
+}
+
+/// As a database answers: names of the columns, and rows.
+impl From<(Vec<String>, Vec<Vec<Value>>)> for Table {
+    fn from((columns, rows): (Vec<String>, Vec<Vec<Value>>)) -> Self {
+        Self { columns, rows }
+    }
+}
+
+impl Table {
+    /// Rows under columns of these names, which blanks part.
+    pub fn new(columns: &str, rows: impl IntoIterator<Item = Vec<Value>>) -> Self {
+        Self {
+            columns: columns.split_whitespace().map(str::to_owned).collect(),
+            rows: rows.into_iter().collect(),
+        }
+    }
+
+    /// What stands under `verdict` in every row, where rows say nothing else but what they are about.
+    pub fn sole_verdict(&self) -> Option<&str> {
+        let at = self.columns.iter().position(|column| column == "verdict")?;
+        let verdict = self.rows.first()?[at].as_str()?;
+        let alone = |row: &Vec<Value>| row[at] == verdict && row[at + 1..].iter().all(Value::is_null);
+        self.rows.iter().all(alone).then_some(verdict)
+    }
+
+    /// Where a column of this name stands.
+    ///
+    /// # Panics
+    /// If there is none.
+    pub fn column(&self, name: &str) -> usize {
+        self.columns.iter().position(|column| column == name).expect("a column of the table")
+    }
+
+    /// Leaves columns of these names out.
+    pub fn drop_columns(&mut self, names: &[&str]) {
+        let kept: Vec<bool> = self.columns.iter().map(|column| !names.contains(&column.as_str())).collect();
+        let keep = |i: &mut usize| {
+            *i += 1;
+            kept[*i - 1]
+        };
+        let mut at = 0;
+        self.columns.retain(|_| keep(&mut at));
+        for row in &mut self.rows {
+            let mut at = 0;
+            row.retain(|_| keep(&mut at));
+        }
+    }
+
+    /// Leaves out those of the columns that stand beside a mean error ([`SPREAD`]) in which every row has nothing, or zero.
+    pub fn leave_out_spread(&mut self) {
+        let says = |at: usize| self.rows.iter().any(|row| !row[at].is_null() && row[at] != 0);
+        let found = self.columns.iter().enumerate();
+        let empty = found.filter(|(at, column)| SPREAD.contains(&column.as_str()) && !says(*at));
+        let empty: Vec<String> = empty.map(|(_, column)| column.clone()).collect();
+        self.drop_columns(&empty.iter().map(String::as_str).collect::<Vec<_>>());
+    }
+
+    /// Without the columns in which nothing stands.
+    pub fn without_empty_columns(&self) -> Self {
+        let full: Vec<usize> =
+            (0..self.columns.len()).filter(|&i| self.rows.iter().any(|row| !row[i].is_null())).collect();
+        let pick = |row: &Vec<Value>| full.iter().map(|&i| row[i].clone()).collect();
+        Self {
+            columns: full.iter().map(|&i| self.columns[i].clone()).collect(),
+            rows: self.rows.iter().map(pick).collect(),
+        }
+    }
+}
+
+/// Columns that stand beside the mean holdout errors: medians (%), and numbers of samples above 100 %.
+pub const SPREAD: [&str; 4] = [
+    "holdout_median_initial",
+    "holdout_median_optimised",
+    "holdout_above_initial",
+    "holdout_above_optimised",
+];
+
+/// The beginning of a hash, as much as names a trial.
+pub fn short_hash(hash: &str) -> &str {
+    hash.char_indices().nth(8).map_or(hash, |(end, _)| &hash[..end])
+}
+
+/// A value to read: numbers with a point or an exponent by `shown`, the rest in full.
+pub fn readable(value: &Value, shown: impl Fn(f64) -> String) -> String {
+    value.as_f64().filter(|_| value.is_f64()).map_or_else(|| plain(value), shown)
+}
+
+/// To four significant digits.
+pub(super) fn rounded(value: &Value) -> String {
+    readable(value, |x| digits(x, 4))
+}
+
+#[cfg(test)]
+mod tests;
