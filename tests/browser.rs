@@ -178,7 +178,7 @@ impl Page {
 /// `metasense serve` on these, and its address.
 fn served(dbs: &[&Path]) -> (Process, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));
-    command.arg("serve").args(dbs).args(["--port", "0"]).stdout(Stdio::piped());
+    command.arg("serve").args(dbs).args(["--listen", "0"]).stdout(Stdio::piped());
     let mut process = Process(command.spawn().unwrap());
     let mut line = String::new();
     BufReader::new(process.0.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();

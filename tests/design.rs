@@ -57,8 +57,6 @@ fn what_is_no_design_is_refused_wherever_one_is_read() {
         for call in [
             &["body", "draw", "s.toml", "--out", "b.svg", "--design", file][..],
             &["body", "project", "s.toml", "--out", "b.npy", "--design", file],
-            &["body", "project", "s.toml", "--out", "b.npy", "--design", "a.NPY", "--from", file],
-            &["body", "project", "s.toml", "--out", "b.npy", "--design", "a.NPY", "--weights", file],
             &["body", "simulate", "s.toml", "--forces", "f.npy", "--out-dir", "b", "--design", file],
             &["expand", "s.toml", &format!("body.design=\"{file}\"")],
             &["expand", "s.toml", "sensors.noise=0.1", &format!("sensors.relative_to=\"{file}\"")],

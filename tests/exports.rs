@@ -323,7 +323,7 @@ fn a_device_is_a_folder_with_all_that_is_built() {
     for hash in bench.output(&["query", "results/tiny.sqlite", sql, "--format", "csv"]).lines().skip(1) {
         let [casts, design] = ["casts", "design"].map(|reader| {
             let call = ["export", "results/tiny.sqlite", hash, "--format", "device", "--reader", reader];
-            bench.output(&[&call[..], &["--pocket", "3x2x1", "--out", reader]].concat());
+            bench.output(&[&call[..], &["--mould", "pocket=3x2x1", "--out", reader]].concat());
             let read = |name: &str| std::fs::read_to_string(bench.path(&format!("{reader}/{name}"))).unwrap();
             let (notes, source) = (read("README.md"), read("brain.c"));
             assert!(

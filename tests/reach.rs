@@ -68,8 +68,8 @@ async fn behind_a_proxy_every_link_stays_behind_it() {
         dbs.push(bench.path(&format!("{name}.sqlite")));
     }
     for takes in [true, false] {
-        let base = (!takes).then_some(FRONT);
-        let address = Address::new(base, &[NAME.into()]).unwrap();
+        let path = if takes { "" } else { FRONT };
+        let address = Address::new(&[format!("https://{NAME}{path}/")]).unwrap();
         let (token, text) = Token::new().unwrap();
         let server = Server::at(&dbs, Some(token), address).await;
         let proxy = proxy(server.port, takes);
@@ -144,16 +144,17 @@ fn a_path_or_a_name_that_is_none_is_refused() {
     bench.file("s.toml", TINY);
     bench.output(&["run", "s.toml", "--db", "s.sqlite"]);
     for wrong in [
-        ["--base", "node/8017"],
-        ["--base", "/a b"],
-        ["--base", "/a;Domain=x"],
-        ["--base", "/a?b"],
-        ["--host-name", "https://hub.example.org"],
-        ["--host-name", "hub.example.org:443"],
-        ["--host-name", "hub.example.org/user"],
-        ["--host-name", "*"],
+        ["--listen", "host"],
+        ["--listen", "127.0.0.1:port"],
+        ["--proxy", "hub.example.org"],
+        ["--proxy", "https://*/"],
+        ["--proxy", "https://user@hub.example.org/"],
+        ["--proxy", "https:///node/8017"],
+        ["--proxy", "https://hub.example.org/a b"],
+        ["--proxy", "https://hub.example.org/a;Domain=x"],
+        ["--proxy", "https://hub.example.org/a?b"],
     ] {
-        let output = bench.metasense(&["serve", "s.sqlite", "--port", "0", wrong[0], wrong[1]]);
+        let output = bench.metasense(&["serve", "s.sqlite", wrong[0], wrong[1]]);
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.code() == Some(2) && said.contains(wrong[0]), "{wrong:?}: {said}");
     }

@@ -107,7 +107,8 @@ fn a_sweep_in_shards_is_the_sweep() {
     std::fs::write(site.home.join("tiny.toml"), spec("tiny", 4, "[1, 2, 3, 4]")).unwrap();
     site.says(0, "run tiny.toml --db whole.sqlite");
     site.slurm.tool("scontrol", "update nodename=n2 state=drain reason=test");
-    let said = site.says(0, "cluster submit slurm tiny.toml --shards 2 --cpus 1 --time 5 --partition main");
+    let said =
+        site.says(0, "cluster submit slurm tiny.toml --shards 2 --cpus 1 --time 5 -- --partition=main");
     assert!(said.contains("4 trials in 2 shards") && said.contains("submitted: job"), "{said}");
     site.slurm.until("the first shard is handed in", 60, || site.handed_in("tiny", 1).is_some());
     let early = site.says(0, "cluster merge results/tiny.shards --out early.sqlite");
@@ -135,8 +136,8 @@ fn a_search_in_jobs_is_the_search() {
     let text = spec("tiny", 24, "[1]") + "placements = 2\n[goal]\nerror = 1e6\n";
     std::fs::write(site.home.join("tiny.toml"), text).unwrap();
     site.says(0, "design tiny.toml --db whole.sqlite");
-    let said =
-        site.says(0, "cluster submit slurm tiny.toml --goal --shards 2 --cpus 1 --time 5 --partition main");
+    let said = site
+        .says(0, "cluster submit slurm tiny.toml --goal --shards 2 --cpus 1 --time 5 -- --partition=main");
     assert!(
         said.contains("submitted: job") && said.contains("the cheapest design that meets 1e6 %"),
         "{said}"

@@ -10,7 +10,8 @@ use crate::common::{Bench, SPEC, TINY, results};
 /// Without the paths of this machine.
 fn dry_run(bench: &Bench, arguments: &[&str]) -> String {
     bench.file("s.toml", SPEC);
-    let text = bench.output(&[&["cluster", "submit"], arguments, &["s.toml", "--dry-run"]].concat());
+    let text = bench
+        .output(&[&["cluster", "submit", arguments[0], "s.toml", "--dry-run"], &arguments[1..]].concat());
     let folder = bench.path("").canonicalize().unwrap();
     assert!(!bench.path("results").exists(), "a dry run writes nothing");
     let text = text.replace(folder.to_str().unwrap(), "/home/user");
@@ -27,14 +28,14 @@ fn scripts_for_slurm_are_readable() {
             "slurm",
             "--shards",
             "12",
-            "--partition",
-            "main",
             "--time",
             "1-12",
             "--cpus",
             "8",
             "--at-most",
-            "3"
+            "3",
+            "--",
+            "--partition=main"
         ]
     ));
 }
@@ -277,7 +278,6 @@ fn options_that_nobody_has_are_refused_at_once() {
         ("slurm s.toml --run=--no-such", "unexpected argument"),
         ("slurm s.toml --run=--workers=3", "cannot be used multiple times"),
         ("hq s.toml --at-most 3", "HyperQueue"),
-        ("hq s.toml --partition main", "only Slurm"),
         ("local s.toml --time 10", "without a limit"),
         ("ssh s.toml", "--hosts"),
         ("local s.toml --hosts s.toml", "cluster submit ssh"),

@@ -42,8 +42,8 @@ fn tables_fit_the_terminal() {
             "query s.sqlite 'SELECT * FROM v_trial'",
             "status s.sqlite",
             "expand tiny.toml",
-            "query s.sqlite --views",
-            "watch s.sqlite --once",
+            "query s.sqlite",
+            "watch s.sqlite",
             "run --help",
         ] {
             let shown = on_terminal(&bench, columns, "dumb", &more, args);

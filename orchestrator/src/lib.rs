@@ -17,6 +17,7 @@ pub mod plan;
 pub mod progress;
 pub mod provenance;
 pub mod report;
+pub mod rounds;
 pub mod scheduler;
 pub mod serve;
 pub mod spool;

@@ -5,12 +5,13 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use metasense_numerics::identify::{Parameter, Settings, fit, twin};
+use metasense_numerics::random::Draw;
 use metasense_numerics::random::Purpose;
 use metasense_schemas::record::{Checkpoint, StepRecord};
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::problem::problem;
 use metasense_worker::run::{Control, Observe, pool, run_trial};
-use metasense_worker::{Draw, bound, casts, modes, operator, place, replay, simulate};
+use metasense_worker::{bound, casts, modes, operator, place, replay, simulate};
 use serde_json::{Value, json};
 
 struct Silent;

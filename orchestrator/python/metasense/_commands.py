@@ -186,7 +186,7 @@ def export(source: Source, hash: str | None = None, *, format: str, out: File, *
     """Writes a trial (or a view, in place of the hash) for other programs, and returns the path of what it wrote.
 
     `format`: npz, csv, parquet, npy, svg, dxf, stl, c, onnx or device. `options` are those of `metasense export`, such as
-    design="initial" or height=12 (mm).
+    design="initial" or mould="height=12" (mm).
     """
     _said(["export", *_words(source, hash, {}), *_options({"format": format, "out": out, **options})])
     return Path(out)

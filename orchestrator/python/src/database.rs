@@ -63,7 +63,7 @@ impl Database {
         self.path.clone()
     }
 
-    /// The answer to one SQL statement, which cannot change the database; `metasense query --views` lists the views.
+    /// The answer to one SQL statement, which cannot change the database; `metasense query DB` lists the views.
     fn query(&self, py: Python<'_>, sql: &str) -> PyResult<Table> {
         Ok(self.asked(py, async |reader| reader.query::<Rows>(sql).await)?.into())
     }

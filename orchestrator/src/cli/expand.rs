@@ -1,7 +1,6 @@
 //! `expand`: the trials that a spec stands for; starts nothing.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
 
 use metasense_worker::modes::natural_frequencies;
 use metasense_worker::problem::measures;
@@ -25,12 +24,9 @@ use crate::plan::{Trial, cost, counted, values_at};
 pub(super) struct Args {
     #[command(flatten)]
     spec: Spec,
-    /// Lists only the trials of shard I of N
+    /// Lists only the trials of shard I of N, as `cluster submit` would assign them now
     #[arg(long, value_name = "I/N", help_heading = "Shards")]
     shard: Option<Shard>,
-    /// The folder of the shards with their assignment; by default the assignment that `cluster submit` would make now
-    #[arg(long, value_name = "DIR", requires = "shard", help_heading = "Shards")]
-    folder: Option<PathBuf>,
     #[command(flatten)]
     simd: Simd,
     /// Format of the rows
@@ -43,14 +39,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let mut plan = args.spec.plan()?;
     plan.check_memory()?;
     if let Some(shard) = args.shard {
-        let assignment = match &args.folder {
-            Some(folder) if !folder.is_dir() => {
-                return Err(Error::Usage(format!("--folder {}: no such folder", folder.display())));
-            }
-            Some(folder) => Assignment::in_folder(folder, &plan.trials, shard.count())?,
-            None => Assignment::new(&plan.trials, shard.count()),
-        };
-        assignment.restrict(shard, &mut plan);
+        Assignment::new(&plan.trials, shard.count()).restrict(shard, &mut plan);
     }
     let axes = plan.spec.sweep.keys();
     let named = "hash panels sensors placement seed units panel_units sensor_units design_parameters \

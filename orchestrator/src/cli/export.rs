@@ -67,18 +67,11 @@ pub(super) struct Args {
     /// The design, for npy, svg, dxf, stl, c, onnx and device
     #[arg(long, value_enum, value_name = "DESIGN", default_value = "optimised")]
     design: Which,
-    /// Height of the cast body (mm), for dxf, stl and device [default: the thickness of body.material, else 10]
-    #[arg(long, help_heading = "Mould")]
-    height: Option<f64>,
-    /// Thickness of the mould's floor and rim (mm), for stl and device [default: 3]
-    #[arg(long, help_heading = "Mould")]
-    wall: Option<f64>,
-    /// Clearance between the body and the mould's cavity on every side (mm), for stl and device [default: 0]
-    #[arg(long, help_heading = "Mould")]
-    clearance: Option<f64>,
-    /// Size of a pocket for the chip on each sensor's unit: length, width and depth, such as 6x5x2 (mm), for stl and device
-    #[arg(long, value_name = "AxBxC", value_parser = size, help_heading = "Mould")]
-    pocket: Option<[f64; 3]>,
+    /// Lengths of the mould (mm), for dxf, stl and device, such as height=12,wall=3,clearance=0.1,pocket=6x5x2: height of the
+    /// cast body [default: the thickness of body.material, else 10], thickness of floor and rim [default: 3], clearance
+    /// between body and cavity on every side [default: 0], length, width and depth of a pocket for each chip [default: none]
+    #[arg(long, value_name = "KEY=VALUE,...", value_parser = lengths)]
+    mould: Option<Lengths>,
     /// Number format of the device, for c and device [default: f32]
     #[arg(long, value_enum, help_heading = "Decoder")]
     numbers: Option<Numbers>,
@@ -90,26 +83,53 @@ pub(super) struct Args {
 /// Thickness of a mould's floor and rim (mm), where none is asked for.
 const WALL: f64 = 3.0;
 
-/// Three lengths.
-fn size(text: &str) -> Result<[f64; 3], String> {
-    let numbers: Option<Vec<f64>> = text.split('x').map(|number| number.trim().parse().ok()).collect();
-    let sides: Option<[f64; 3]> = numbers.and_then(|numbers| numbers.try_into().ok());
-    let sides = sides.filter(|sides| sides.iter().all(|side| (MEASURES.0..=MEASURES.1).contains(side)));
-    sides
-        .ok_or_else(|| format!("must be three lengths of {} to {} mm, such as 6x5x2", MEASURES.0, MEASURES.1))
+/// Lengths of a mould (mm), where they are given.
+#[derive(Debug, Clone, Copy, Default)]
+struct Lengths {
+    height: Option<f64>,
+    wall: Option<f64>,
+    clearance: Option<f64>,
+    pocket: Option<[f64; 3]>,
+}
+
+/// Lengths by name; each at most once.
+fn lengths(text: &str) -> Result<Lengths, String> {
+    let mut found = Lengths::default();
+    let (least, most) = MEASURES;
+    for part in text.split(',') {
+        let (key, value) = part.split_once('=').ok_or("must be KEY=VALUE, such as height=12")?;
+        let numbers: Option<Vec<f64>> = value.split('x').map(|number| number.trim().parse().ok()).collect();
+        let numbers = numbers.unwrap_or_default();
+        let fits = |least: f64| numbers.iter().all(|number| (least..=most).contains(number));
+        let is_new = match (key, &numbers[..]) {
+            ("height", &[mm]) if fits(least) => found.height.replace(mm).is_none(),
+            ("wall", &[mm]) if fits(least) => found.wall.replace(mm).is_none(),
+            ("clearance", &[mm]) if fits(0.0) => found.clearance.replace(mm).is_none(),
+            ("pocket", &[a, b, c]) if fits(least) => found.pocket.replace([a, b, c]).is_none(),
+            ("height" | "wall", _) => {
+                return Err(format!("{part}: must be a length of {least} to {most} mm"));
+            }
+            ("clearance", _) => return Err(format!("{part}: must be a length of 0 to {most} mm")),
+            ("pocket", _) => {
+                return Err(format!("{part}: must be three lengths of {least} to {most} mm, such as 6x5x2"));
+            }
+            _ => return Err(format!("{key}: unknown; the keys are height, wall, clearance and pocket")),
+        };
+        if !is_new {
+            return Err(format!("{key}: given twice"));
+        }
+    }
+    Ok(found)
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let Args { trial: named, out, .. } = &args;
     let Named { source, words } = named;
-    let (brain, body) = ([Form::C, Form::Onnx], [Form::Stl]);
+    let brain = [Form::C, Form::Onnx];
     let options = [
         ("numbers", args.numbers.is_some(), &brain[..1]),
         ("reader", args.reader.is_some(), &brain[..]),
-        ("height", args.height.is_some(), &[Form::Dxf, Form::Stl][..]),
-        ("wall", args.wall.is_some(), &body[..]),
-        ("clearance", args.clearance.is_some(), &body[..]),
-        ("pocket", args.pocket.is_some(), &body[..]),
+        ("mould", args.mould.is_some(), &[Form::Dxf, Form::Stl][..]),
     ];
     let has = |forms: &[Form]| args.format == Form::Device || forms.contains(&args.format);
     if let Some((name, _, forms)) = options.iter().find(|(_, given, forms)| *given && !has(forms)) {
@@ -146,15 +166,6 @@ fn trial(stored: &Stored, args: &Args) -> Result<(), Error> {
     let body = &drawing(&stored.specs[which], &stored.designs[which]).map_err(unreadable(stored))?;
     let height = height(stored, args);
     let cast = || Cast::new(&stored.specs[which], body, height).map_err(unreadable(stored));
-    for (name, value, least) in [
-        ("height", height, MEASURES.0),
-        ("wall", args.wall.unwrap_or(WALL), MEASURES.0),
-        ("clearance", args.clearance.unwrap_or(0.0), 0.0),
-    ] {
-        if !(least..=MEASURES.1).contains(&value) {
-            return Err(Error::Usage(format!("--{name} {value}: must be {least} to {} mm", MEASURES.1)));
-        }
-    }
     let bytes = match args.format {
         Form::Npz => npz::of_trial(stored, cores(), &mut |what| say!("note: {what}"))?,
         Form::Csv => series::table(stored, &replays(stored, cores())?).written(Format::Csv),
@@ -225,7 +236,7 @@ fn outlines(body: &Drawing, cast: &Cast) -> Vec<u8> {
 /// Height of a body (mm): as asked for, or as the spec's material has it.
 fn height(stored: &Stored, args: &Args) -> f64 {
     let own = stored.specs[args.design as usize].body.material;
-    args.height.or(own.map(|m| m.thickness)).unwrap_or(10.0)
+    args.mould.unwrap_or_default().height.or(own.map(|m| m.thickness)).unwrap_or(10.0)
 }
 
 /// Says what a cast needs, and where it will not move as simulated.
@@ -267,12 +278,14 @@ fn has_form(stored: &Stored, which: usize) -> bool {
 /// What of a mould is left for the body; says what to know of it.
 fn cavity(stored: &Stored, body: &Drawing, cast: &Cast, args: &Args) -> Result<(Outline, Mould), Error> {
     let Ligament { width, thickness: height, .. } = cast.ligament;
-    let (clearance, pocket) = (args.clearance.unwrap_or(0.0), args.pocket);
+    let Lengths { wall, clearance, pocket, .. } = args.mould.unwrap_or_default();
     if let Some([_, _, depth]) = pocket.filter(|pocket| pocket[2] >= height) {
-        let what = format!("--pocket {depth} mm deep: must be less than the body's --height {height}");
+        let what =
+            format!("--mould pocket {depth} mm deep: must be less than the height of the body, {height} mm");
         return Err(Error::Usage(what));
     }
-    let measures = Mould { width, height, wall: args.wall.unwrap_or(WALL), clearance, pocket };
+    let measures =
+        Mould { width, height, wall: wall.unwrap_or(WALL), clearance: clearance.unwrap_or(0.0), pocket };
     let spec = &stored.specs[args.design as usize];
     let (offset, tilt) = (spec.sensors.offset.unwrap_or_default(), spec.sensors.tilt.unwrap_or_default());
     let cavity = Outline::new(body, &measures)

@@ -29,7 +29,7 @@ impl Pages {
         let failed = Error::io("serving the pages of", db);
         let own = std::process::id();
         let mut child = Command::new("/proc/self/exe")
-            .args(["serve", "--control", "--port", &port.to_string(), "--parent", &own.to_string()])
+            .args(["serve", "--control", "--listen", &port.to_string(), "--parent", &own.to_string()])
             .arg("--")
             .arg(db)
             .stdin(Stdio::null())

@@ -11,10 +11,10 @@ use crate::look::{Table, row};
 
 /// Projects a design onto the nearest design that can be cast
 ///
-/// Units that `optimise.frozen` or `[feasible]` keep stay as in the previous design; shifts that `optimise.tie` ties move
-/// together. If no feasible design is found, the result is the previous design. Without a hash: the body of all trials of
-/// the spec. Prints status, distance and the constraints at their limit. Exit code 1, and no file, if the previous design
-/// cannot be cast either.
+/// Units that `optimise.frozen` or `[feasible]` keep stay as in the initial body; shifts that `optimise.tie` ties move
+/// together. If no feasible design is found, the result is the initial body. Without a hash: the body of all trials of the
+/// spec. Prints status, distance and the constraints at their limit. Exit code 1, and no file, if the initial body cannot be
+/// cast either.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
@@ -22,12 +22,6 @@ pub(super) struct Args {
     /// The design to project (NPY of α, or CSV of nodes)
     #[arg(long, value_name = "FILE")]
     design: PathBuf,
-    /// The previous design, which is the result if no feasible design is found [default: the initial body]
-    #[arg(long, value_name = "FILE")]
-    from: Option<PathBuf>,
-    /// Weights of the metric, one per coordinate of α (NPY) [default: Euclidean]
-    #[arg(long, value_name = "FILE")]
-    weights: Option<PathBuf>,
     /// The file to write (.npy or .csv)
     #[arg(long, value_name = "FILE", help_heading = "Output")]
     out: PathBuf,
@@ -36,14 +30,10 @@ pub(super) struct Args {
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let mut body = args.trial.body().await?;
     let target = design::read(&args.design, &body.layout)?;
-    let previous = match &args.from {
-        Some(file) => design::read(file, &body.layout)?,
-        None => body.initial.clone(),
-    };
-    let weights = args.weights.as_ref().map(|file| design::read_array(file, &body.layout)).transpose()?;
+    let previous = body.initial.clone();
     let several = "optimise.tie or optimise.frozen differ between trials: name a trial, SPEC HASH";
     let feasible = body.castable.as_mut().ok_or_else(|| args.trial.refused(several))?;
-    let found = feasible.project(&previous, &target, weights.as_deref());
+    let found = feasible.project(&previous, &target, None);
     let broken = feasible.violations(&target);
     let mut summary = summary(&found, &previous, broken.len());
     if found.status.is_feasible() {
@@ -51,10 +41,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         summary.push(format!("written   {}", args.out.display()));
     }
     for line in summary {
-        match Format::Table {
-            Format::Table => print_line!("{line}")?,
-            _ => say!("{line}"),
-        }
+        print_line!("{line}")?;
     }
     if !found.status.is_feasible() {
         for violation in feasible.violations(&found.design) {
@@ -70,17 +57,17 @@ fn summary(found: &Projection, previous: &[f64], broken: usize) -> Vec<String> {
     let meaning = match found.status {
         Status::Untouched => "the design is feasible and is returned unchanged",
         Status::Projected => "the nearest feasible design found",
-        Status::Kept => "no feasible design was found; the previous one is kept",
-        Status::NotFinite => "the design or the weights are not finite; the previous design is kept",
+        Status::Kept => "no feasible design was found; the initial body is kept",
+        Status::NotFinite => "the design is not finite; the initial body is kept",
         Status::Infeasible => {
-            "no feasible design was found, and the previous one violates the constraints below"
+            "no feasible design was found, and the initial body violates the constraints below"
         }
     };
     let moved = found.design.iter().zip(previous).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
     vec![
         format!("status    {}: {meaning}", found.status.name()),
         format!("input     violates {broken} constraints"),
-        format!("distance  {:.6} mm from the input, {moved:.6} mm from the previous design", found.distance),
+        format!("distance  {:.6} mm from the input, {moved:.6} mm from the initial body", found.distance),
         format!("work      {} programs, {} interior-point iterations", found.programs, found.iterations),
         format!("active    {} constraints at their limit", found.active.len()),
     ]

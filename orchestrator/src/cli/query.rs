@@ -25,9 +25,6 @@ pub(super) struct Args {
     db: PathBuf,
     /// One SQL statement; by default, lists the views and their columns
     sql: Option<String>,
-    /// Lists the views and their columns
-    #[arg(long, conflicts_with = "sql")]
-    views: bool,
     /// Format of the rows
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
@@ -37,7 +34,7 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let Args { db, sql, format, out, .. } = args;
+    let Args { db, sql, format, out } = args;
     Reader::asked(Database::at(&db).await?, async |reader| {
         let Some(sql) = &sql else {
             return Ok(print_rows(&views(reader, format).await?, format)?);

@@ -23,6 +23,7 @@ use crate::control::{Listener, WORKERS_MAX};
 use crate::engine::{self, Again, Control, EngineError, GRACE, Options, Reread, Signals};
 use crate::exit::{Exit, chain};
 use crate::plan::{GRACE_MAX, Plan, Trial, cost, counted};
+use crate::rounds::{Runs, rounds};
 use crate::scheduler::{Outcome, Settings};
 use crate::store::{RunPlan, Store, StoreError, wait_for_locks};
 
@@ -49,14 +50,14 @@ pub(super) struct Args {
     #[arg(long, value_name = "S", default_value_t = 900.0, requires = "folder", help_heading = "Shards")]
     copy_every: f64,
     /// Stops cleanly after this time (s), for schedulers that do not send SIGTERM before the end
-    #[arg(long, value_name = "S", requires = "folder", help_heading = "Shards")]
+    #[arg(long, hide = true, value_name = "S", requires = "folder")]
     stop_after: Option<f64>,
     /// Stops cleanly when this parent process ends
     #[arg(long, hide = true, value_name = "PID")]
     parent: Option<u32>,
     /// When all shards of the folder have ended, merges them into this database, for schedulers that cannot start a job
     /// after others
-    #[arg(long, value_name = "FILE", requires = "folder", help_heading = "Shards")]
+    #[arg(long, hide = true, value_name = "FILE", requires = "folder")]
     merge_into: Option<PathBuf>,
 }
 
@@ -339,29 +340,6 @@ pub(super) struct Round<'a> {
     stopping: bool,
 }
 
-/// Who runs trials, round by round: the workers of this process, or shards.
-pub(super) trait Runs {
-    fn plan(&self) -> &Plan;
-
-    /// What the results of earlier rounds are in.
-    fn database(&self) -> &Path;
-
-    /// Trials at a time.
-    fn workers(&self) -> u32;
-
-    /// What trials have come to.
-    async fn found(&mut self) -> Result<Vec<Found>, Error>;
-
-    /// Opens settled ones of these trials before a search looks at what they have come to.
-    async fn reopen(&mut self, hashes: &[&str], again: Again) -> Result<(), Error>;
-
-    /// Runs those of some trials that are open; `None` where there are none.
-    async fn run(&mut self, trials: &[Trial], again: Again) -> Result<Option<Outcome>, Error>;
-
-    /// Whether somebody has asked for the end while the last open trial of a round came to its own.
-    fn is_stopping(&self) -> bool;
-}
-
 /// Runs all trials of a plan, or those that its questions need.
 async fn wanted(round: Round<'_>, again: Again) -> Result<Option<Outcome>, Error> {
     match round.plan.spec.until {
@@ -375,38 +353,9 @@ async fn all(mut round: Round<'_>, again: Again) -> Result<Option<Outcome>, Erro
     round.run(&round.plan.trials, again).await
 }
 
-/// Runs the trials that the sweep's questions need, until they are settled.
-pub(super) async fn rounds(mut round: impl Runs, mut again: Again) -> Result<Option<Outcome>, Error> {
-    let mut said = Vec::new();
-    loop {
-        let found = round.found().await?;
-        let (decision, wanted) = round.plan().decide(&found, round.workers()).expect("it has questions");
-        for line in decision.standings.iter().map(ToString::to_string) {
-            if !said.contains(&line) {
-                say!("{line}");
-                said.push(line);
-            }
-        }
-        match round.run(&wanted, again).await? {
-            Some(Outcome::Complete) if round.is_stopping() => return Ok(Some(stopped_between())),
-            // what later rounds want may be by other code, too
-            Some(Outcome::Complete) => again = Again { other_code: again.other_code, ..Again::default() },
-            None if !decision.is_settled() => {
-                say!("some questions are still open: all trials that [until] allows have been run");
-                return Ok(None);
-            }
-            ended => return Ok(ended),
-        }
-    }
-}
-
-/// Somebody has asked for the end, and nothing is open.
-pub(super) fn stopped_between() -> Outcome {
-    say!("stopped between two rounds; the same command resumes the run");
-    Outcome::Interrupted
-}
-
 impl Runs for Round<'_> {
+    type Error = Error;
+
     fn plan(&self) -> &Plan {
         self.plan
     }
@@ -476,6 +425,10 @@ impl Runs for Round<'_> {
 
     fn is_stopping(&self) -> bool {
         self.stopping
+    }
+
+    fn say(&self, line: &str) {
+        say!("{line}");
     }
 }
 

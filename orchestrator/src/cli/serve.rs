@@ -1,6 +1,6 @@
 //! `serve`: a sweep in a browser, while it runs and afterwards.
 
-use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -24,26 +24,29 @@ pub(super) struct Args {
     /// Databases, folders of shards (each as one database), folders of databases
     #[arg(default_value = "results", value_name = "DB|FOLDER")]
     what: Vec<PathBuf>,
-    /// Port; 0 takes any free port
-    #[arg(long, default_value_t = 8017, help_heading = "Address")]
-    port: u16,
-    /// IP address on which the server listens. Connections to other machines are not encrypted
-    #[arg(long, value_name = "IP", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST), help_heading = "Address")]
-    listen: IpAddr,
-    /// The path that a proxy in front of these pages keeps in requests, such as /node/HOST/8017/ of Open OnDemand. Not
-    /// needed for a proxy that removes its path, such as that of JupyterHub
-    #[arg(long, value_name = "PATH", help_heading = "Address")]
-    base: Option<String>,
-    /// A host name under which a proxy serves these pages, besides localhost and numeric addresses; may be repeated. All
-    /// pages of this host can read these pages, and control runs if these pages can
-    #[arg(long, value_name = "NAME", help_heading = "Address")]
-    host_name: Vec<String>,
+    /// Port, or IP:PORT, at which the server listens; port 0 takes any free port. Connections to other machines are not
+    /// encrypted
+    #[arg(long, value_name = "[IP:]PORT", default_value = "8017", value_parser = address, help_heading = "Address")]
+    listen: SocketAddr,
+    /// The address of these pages behind a proxy, such as https://hub.example.org/node/HOST/8017/; may be repeated. Leave
+    /// out a path that the proxy removes, as that of JupyterHub does. All pages of this host can read these pages, and
+    /// control runs if these pages can
+    #[arg(long, value_name = "URL", help_heading = "Address")]
+    proxy: Vec<String>,
     /// Prints an address with a token; everyone who has it can also control this user's runs of these databases
     #[arg(long)]
     control: bool,
     /// Ends with this parent process
     #[arg(long, hide = true, value_name = "PID")]
     parent: Option<u32>,
+}
+
+/// A port of this machine's own address, or an address with its port.
+fn address(text: &str) -> Result<SocketAddr, String> {
+    match text.parse() {
+        Ok(port) => Ok(SocketAddr::new(Ipv4Addr::LOCALHOST.into(), port)),
+        Err(_) => text.parse().map_err(|_| "must be PORT or IP:PORT, such as 8017 or 0.0.0.0:8017".into()),
+    }
 }
 
 /// Added to the niceness: what a sweep needs goes first.
@@ -82,15 +85,14 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
     for path in args.what.iter().filter(|path| path.is_file()) {
         Reader::open(path).await?.close().await;
     }
-    if args.control && !args.listen.is_loopback() {
+    if args.control && !args.listen.ip().is_loopback() {
         return Err(Error::Usage(
             "--control: only for this machine's own address, because other connections are not encrypted; use ssh -L".into(),
         ));
     }
-    let address = Address::new(args.base.as_deref(), &args.host_name).map_err(Error::Usage)?;
-    let at = SocketAddr::new(args.listen, args.port);
-    let failed = Error::io("listening at", at.to_string());
-    let listener = TcpListener::bind(at).await.map_err(&failed)?;
+    let address = Address::new(&args.proxy).map_err(Error::Usage)?;
+    let failed = Error::io("listening at", args.listen.to_string());
+    let listener = TcpListener::bind(args.listen).await.map_err(&failed)?;
     let at = listener.local_addr().map_err(failed)?;
     let scratch = Error::io("making a folder in", std::env::temp_dir());
     let sources =

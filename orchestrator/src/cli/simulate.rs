@@ -31,10 +31,7 @@ pub(super) struct Args {
     /// The folder for the arrays; created if missing
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     out_dir: PathBuf,
-    /// Prints one row per sample instead of one per outcome
-    #[arg(long, help_heading = "Output")]
-    rows: bool,
-    /// Format of the rows
+    /// Format of the rows: one per outcome in a table, else one per sample
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
@@ -59,7 +56,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if let Some(gradient) = &found.gradient {
         write("gradient.npy", &[gradient.len()], gradient)?;
     }
-    print_rows(&table(&found, args.rows), args.format)?;
+    print_rows(&table(&found, args.format != Format::Table), args.format)?;
     if !keeps_error(&found.solver)[0] {
         say!(
             "warning: no time step reaches solver.tolerance: the motion is chaotic, so signals depend on the steps (see the column solver)"

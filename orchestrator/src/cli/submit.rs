@@ -54,9 +54,6 @@ pub(super) struct Args {
     /// folder under the same path
     #[arg(long, value_name = "FILE", required_if_eq("scheduler", "ssh"), help_heading = "Nodes")]
     hosts: Option<PathBuf>,
-    /// Partition of Slurm
-    #[arg(long, value_name = "NAME", help_heading = "Nodes")]
-    partition: Option<String>,
     /// Prefix of the program on a node, in shell syntax: 'apptainer exec image.sif', or 'env TMPDIR=/scratch/$USER'
     #[arg(long, value_name = "COMMAND", help_heading = "Nodes")]
     prefix: Option<String>,
@@ -78,7 +75,7 @@ pub(super) struct Args {
     /// Prints scripts and commands; writes and submits nothing
     #[arg(long)]
     dry_run: bool,
-    /// Options for sbatch, `hq submit` or ssh: --account=NAME --mem=16G. Options after a second `--` are for the merge,
+    /// Options for sbatch, `hq submit` or ssh: --partition=NAME --account=NAME --mem=16G. Options after a second `--` are for the merge,
     /// which otherwise gets the same options
     #[arg(last = true, value_name = "OPTIONS")]
     further: Vec<String>,
@@ -250,7 +247,6 @@ impl Args {
             merges: true,
             cluster: None,
             at_most: self.at_most,
-            partition: self.partition.clone(),
             run: self.run.split_whitespace().chain(again).map(str::to_owned).collect(),
             for_shards: for_shards.to_vec(),
             for_merge: for_merge.to_vec(),
@@ -285,7 +281,6 @@ impl Args {
             false => Ok(()),
         };
         let (slurm, hq) = (self.scheduler == Scheduler::Slurm, self.scheduler == Scheduler::Hq);
-        given("partition", self.partition.is_some(), slurm, "only Slurm has partitions")?;
         given("time", self.time.is_some(), slurm || hq, "shards run here without a limit")?;
         given(
             "at-most",

@@ -18,9 +18,6 @@ use crate::store::Reader;
 pub(super) struct Args {
     /// The database; by default the most recently written one in results/
     db: Option<PathBuf>,
-    /// Prints the state once
-    #[arg(long)]
-    once: bool,
 }
 
 /// Time between two looks.
@@ -28,7 +25,7 @@ const EVERY: Duration = Duration::from_secs(1);
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let db = args.db.map_or_else(|| newest("watch"), Ok)?;
-    let live = is_live(&std::io::stdout()) && !args.once;
+    let live = is_live(&std::io::stdout());
     let mut looks = Looks::default();
     if looks.begin(&db).await {
         tokio::time::sleep(Duration::from_millis(200)).await;
@@ -47,7 +44,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         if seen.run.is_none() {
             print_line!("no run is active")?;
         }
-        if args.once || seen.run.is_none() {
+        if seen.run.is_none() {
             return Ok(Exit::Done);
         }
         tokio::time::sleep(EVERY).await;

@@ -89,8 +89,6 @@ pub struct Submission {
     pub cluster: Option<String>,
     /// Shards at a time, where that is limited.
     pub at_most: Option<u32>,
-    /// Where the scheduler has several queues.
-    pub partition: Option<String>,
     /// Further options of each shard's `run`.
     pub run: Vec<String>,
     /// Passed on to the command that submits shards.
@@ -148,13 +146,11 @@ impl Submission {
         let path = paths.into_iter().find(|(name, path)| {
             path.to_str().is_none_or(|text| control(text) || *name == "folder" && directive(text))
         });
-        let partition = self.partition.as_ref().filter(|p| p.contains(char::is_whitespace) || control(p));
         let prefix = self.prefix.as_ref().filter(|prefix| control(prefix));
         path.map(|(name, path)| {
             format!("{name} {path:?}: must be text without line ends, quotes and backslashes")
         })
         .or_else(|| prefix.map(|prefix| format!("prefix {prefix:?}: must be text without line ends")))
-        .or_else(|| partition.map(|name| format!("partition {name:?}: is not the name of a partition")))
     }
 
     /// How long a shard that is stopped waits for steps in progress (s).
@@ -189,7 +185,6 @@ impl Submission {
              #SBATCH --ntasks=1\n\
              #SBATCH --cpus-per-task={cpus}\n\
              #SBATCH --time={}\n\
-             {}\
              #SBATCH --signal=B:USR1@{notice}\n\
              #SBATCH --requeue\n\
              #SBATCH --open-mode=append\n\
@@ -209,7 +204,6 @@ impl Submission {
              fi\n\
              exit $code\n",
             clock(self.seconds),
-            self.partition_line(),
             self.directive(&format!("shard-%a-of-{shards}.out")),
             self.run("$shard", None),
             Exit::Interrupted as u8,
@@ -222,13 +216,11 @@ impl Submission {
              #SBATCH --job-name={}-merge\n\
              #SBATCH --ntasks=1\n\
              #SBATCH --cpus-per-task=1\n\
-             {}\
              #SBATCH --open-mode=append\n\
              #SBATCH --output={}\n\
              # When all shards have ended, however: what there is becomes one database.\n\
              exec {}\n",
             self.name,
-            self.partition_line(),
             self.directive("merge.out"),
             self.merge()
         )
@@ -315,10 +307,6 @@ impl Submission {
     fn command(&self) -> String {
         let prefix = self.prefix.as_ref().map_or(String::new(), |prefix| format!("{prefix} "));
         prefix + &quoted(&self.program)
-    }
-
-    fn partition_line(&self) -> String {
-        self.partition.as_ref().map_or(String::new(), |p| format!("#SBATCH --partition={p}\n"))
     }
 
     /// A file of the folder, as a directive wants it: `%` would begin a pattern.

@@ -61,7 +61,7 @@ pub fn notes(
             let side = largest_pocket(drawing, spec.sensors.offset.unwrap_or_default(), tilt);
             match side > 0.0 {
                 true => format!(
-                    "- The mould has no pockets; `--pocket LENGTHxWIDTHxDEPTH` makes one for each chip; the largest square pocket has a side \
+                    "- The mould has no pockets; `--mould pocket=LENGTHxWIDTHxDEPTH` makes one for each chip; the largest square pocket has a side \
                      of {side} mm."
                 ),
                 false => "- The mould has no pockets for chips.".into(),

@@ -83,7 +83,7 @@ pub enum Invalid {
         unit: usize,
     },
     /// The cavity runs into itself.
-    #[error("a clearance of {0} mm closes or divides a void of the body; reduce --clearance")]
+    #[error("a clearance of {0} mm closes or divides a void of the body; reduce clearance in --mould")]
     Closed(f64),
 }
 

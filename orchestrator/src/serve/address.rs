@@ -16,20 +16,34 @@ pub struct Address {
 pub struct Front(pub String);
 
 impl Address {
-    /// Behind the path `base`, where there is one, and by these host names.
+    /// Behind proxies that have these addresses: their host names, and the path that they have in common.
     ///
     /// # Errors
-    /// With what is no path or no name, and what it must be.
-    pub fn new(base: Option<&str>, names: &[String]) -> Result<Self, String> {
-        let base = base.unwrap_or_default().trim_end_matches('/');
-        if !(base.is_empty() || is_path(base)) {
-            return Err(format!("--base {base}: must be a path such as /node/HOST/8017/"));
+    /// With what is no address, and what it must be; with two paths.
+    pub fn new(proxies: &[String]) -> Result<Self, String> {
+        let mut own = Self::default();
+        for proxy in proxies {
+            let wrong = |what| format!("--proxy {proxy}: {what}");
+            let parts = ["https://", "http://"].iter().find_map(|scheme| proxy.strip_prefix(scheme));
+            let at = parts.map(|rest| rest.split_at(rest.find('/').unwrap_or(rest.len())));
+            let named = at.and_then(|(at, path)| Some((at.parse::<Authority>().ok()?, path)));
+            let harmless = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
+            let named = named.filter(|(at, path)| {
+                let is_name = !at.host().is_empty() && at.host().bytes().all(harmless);
+                is_name && !at.as_str().contains('@') && (path.is_empty() || is_path(path))
+            });
+            let Some((at, path)) = named else {
+                return Err(wrong(
+                    "must be the address in the browser, such as https://hub.example.org/node/HOST/8017/",
+                ));
+            };
+            let base = path.trim_end_matches('/');
+            if !own.names.is_empty() && own.base != base {
+                return Err(wrong("has another path than the first --proxy; start a second `serve` for it"));
+            }
+            (own.base, own.names) = (base.to_owned(), [own.names, vec![at.host().to_owned()]].concat());
         }
-        let harmless = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
-        if let Some(wrong) = names.iter().find(|name| name.is_empty() || !name.bytes().all(harmless)) {
-            return Err(format!("--host-name {wrong}: must be a name without scheme, port and path"));
-        }
-        Ok(Self { base: base.to_owned(), names: names.to_vec() })
+        Ok(own)
     }
 
     /// The path in front, without a slash at its end.

@@ -81,7 +81,7 @@ fn refused(served: &Served, request: &Request) -> Option<(StatusCode, &'static s
         return Some((
             StatusCode::MISDIRECTED_REQUEST,
             "use localhost or the numeric address of this machine: any other name may belong to somebody else. The name of a proxy is \
-             given by --host-name",
+             given by --proxy",
         ));
     };
     let origin = headers.contains_key(header::ORIGIN);

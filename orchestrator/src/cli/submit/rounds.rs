@@ -11,8 +11,7 @@ use metasense_schemas::record::{Found, Trial};
 use super::queued::submit_shards;
 use super::{Args, Program, deal, how, note_here, prepare, print};
 use crate::cli::results::Results;
-use crate::cli::run::{self, Runs};
-use crate::cli::{Error, Format, design};
+use crate::cli::{Error, Format, design, run};
 use crate::cluster::home::attempts;
 use crate::cluster::merge::{Extent, Kind, merge};
 use crate::cluster::places::{self, Place};
@@ -22,6 +21,7 @@ use crate::cluster::{Assignment, ranges};
 use crate::engine::{Again, Signals};
 use crate::exit::Exit;
 use crate::plan::{Plan, counted};
+use crate::rounds::{self, Runs};
 use crate::scheduler::Outcome;
 use crate::store::{Reader, Store};
 
@@ -69,8 +69,8 @@ pub(super) async fn execute(
         true => {
             shards.gather().await?;
             match &space {
-                Some(space) => design::search(shards, space, Again::default()).await?,
-                None => run::rounds(shards, Again::default()).await?,
+                Some(space) => rounds::search(shards, space, Again::default()).await?,
+                None => rounds::rounds(shards, Again::default()).await?,
             }
         }
     };
@@ -96,6 +96,8 @@ struct Shards<'a> {
 }
 
 impl Runs for Shards<'_> {
+    type Error = Error;
+
     fn plan(&self) -> &Plan {
         self.plan
     }
@@ -156,6 +158,10 @@ impl Runs for Shards<'_> {
 
     fn is_stopping(&self) -> bool {
         false // then a round is interrupted
+    }
+
+    fn say(&self, line: &str) {
+        say!("{line}");
     }
 }
 

@@ -1,0 +1,105 @@
+//! The search for the design of [goal], round by round.
+
+use std::collections::HashSet;
+
+use super::{Runs, stopped_between};
+use crate::analysis::goal::{Decision, LEVELS, Work, confirming, fresh_after, most_fresh};
+use crate::engine::Again;
+use crate::look::number;
+use crate::plan::goal::{Space, on_fresh_seeds, rungs};
+use crate::plan::{Plan, Trial};
+use crate::report::search::{Bodies, Known, begun};
+use crate::scheduler::Outcome;
+use crate::store::Reader;
+
+/// Runs what the search asks for, until it is over.
+///
+/// # Errors
+/// If a round cannot be run.
+pub async fn search<R: Runs>(mut round: R, space: &Space, again: Again) -> Result<Option<Outcome>, R::Error> {
+    let (mut bodies, mut search) = (Bodies::new(), begun(space));
+    let own: Vec<String> = round.plan().trials.iter().map(|trial| trial.hash.clone()).collect();
+    round.reopen(&own.iter().map(String::as_str).collect::<Vec<_>>(), again).await?;
+    let mut opened = HashSet::new();
+    loop {
+        let known = Reader::asked(round.database(), async |reader| {
+            Known::of(reader, space, round.plan(), &mut bodies).await
+        })
+        .await?;
+        // what has judged a body is opened once the body is there, each once
+        if again.failed || again.other_code {
+            let mut fresh = fresh(space, round.plan(), &bodies);
+            fresh.retain(|hash| opened.insert(hash.clone()));
+            if !fresh.is_empty() {
+                round.reopen(&fresh.iter().map(String::as_str).collect::<Vec<_>>(), again).await?;
+                continue;
+            }
+        }
+        let decision = search.follow(&known.candidates);
+        if decision.work.is_empty() {
+            return Ok(None);
+        }
+        if space.goal.hours.is_some_and(|hours| known.seconds >= 3600.0 * hours) {
+            round.say("the search is not finished: goal.hours are spent");
+            return Ok(None);
+        }
+        round.say(&intent(space, &decision));
+        let trials: Vec<Trial> = decision
+            .work
+            .iter()
+            .flat_map(|&(i, work)| ordered(space, round.plan(), &bodies, i, work))
+            .collect();
+        match round.run(&trials, Again::default()).await? {
+            Some(Outcome::Complete) if round.is_stopping() => return Ok(Some(stopped_between(&round))),
+            Some(Outcome::Complete) => {}
+            ended => return Ok(ended),
+        }
+    }
+}
+
+/// The trials that judge the bodies that are there, or may.
+fn fresh(space: &Space, plan: &Plan, bodies: &Bodies) -> Vec<String> {
+    let trained = space.places.iter().filter_map(|place| {
+        let trial = &plan.trials[place.trial];
+        bodies.get(&trial.hash).map(|body| on_fresh_seeds(plan, trial, body, most_fresh(&space.goal)))
+    });
+    trained.flatten().map(|judge| judge.hash).collect()
+}
+
+/// The trials that some work is.
+fn ordered(space: &Space, plan: &Plan, bodies: &Bodies, candidate: usize, work: Work) -> Vec<Trial> {
+    let trial = &plan.trials[space.places[candidate].trial];
+    match work {
+        Work::Level(level) => {
+            let pause = rungs(&trial.spec).get(level).copied().flatten();
+            vec![Trial { pause, ..trial.clone() }]
+        }
+        Work::Screen | Work::Confirm(_) => {
+            let seeds = fresh_after(&space.goal, work);
+            on_fresh_seeds(plan, trial, &bodies[&trial.hash], seeds).collect()
+        }
+    }
+}
+
+/// What is done next, in a line.
+fn intent(space: &Space, decision: &Decision) -> String {
+    let count = |of: fn(&Work) -> bool| decision.work.iter().filter(|(_, work)| of(work)).count();
+    let goal = &space.goal;
+    let parts = [
+        (count(|w| matches!(w, Work::Level(level) if level + 1 < LEVELS)), "train in part".to_owned()),
+        (count(|w| matches!(w, Work::Level(level) if level + 1 == LEVELS)), "train to the end".to_owned()),
+        (count(|w| *w == Work::Screen), format!("screen on {} fresh seeds", goal.fresh)),
+        (count(|w| matches!(w, Work::Confirm(_))), format!("confirm on {} other seeds", confirming(goal))),
+    ];
+    let parts: Vec<String> = parts
+        .iter()
+        .filter(|(n, _)| *n > 0)
+        .map(|(n, what)| format!("{what}: {n} {}", if *n == 1 { "body" } else { "bodies" }))
+        .collect();
+    format!(
+        "{} (probability that the cheapest class of these has a design for {} %: {:.0} %)",
+        parts.join("; "),
+        number(goal.error),
+        100.0 * decision.open
+    )
+}
