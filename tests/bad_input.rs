@@ -602,7 +602,7 @@ const TABLES: &[(&str, &str)] = &[
     ("[optimise]\nfrozen = [99]", "s.toml:14: optimise.frozen = 99: the layout's units are 0 to 35"),
     (
         "[optimise]\nprotocol = \"random\"\nbatch = 4",
-        "s.toml:15: optimise.batch = 4: has no effect on this optimise.protocol, only on envelope and joint",
+        "s.toml:15: optimise.batch = 4: has no effect on this optimise.protocol, only on joint",
     ),
     (
         "[optimise]\nprotocol = \"random\"\ngradient = \"direct\"",

@@ -305,7 +305,7 @@ pub fn protocols() -> String {
     let line = |row: &Value| {
         let protocol = match row["protocol"].as_str().unwrap() {
             "initial" => "(initial body)".into(),
-            "warm" => "`warm`, since removed".into(),
+            removed @ ("warm" | "envelope") => format!("`{removed}`, since removed"),
             other => format!("`{other}`"),
         };
         let seconds = format!("{:.0}", row["cpu_seconds"].as_f64().unwrap());

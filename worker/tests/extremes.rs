@@ -81,7 +81,7 @@ fn choices() -> Vec<(&'static str, Vec<Value>)> {
         ("/brain/memory", vec![json!([0.0, 0.0])]),
         ("/brain/learning_rate", vec![json!(1e-300), json!(1e300)]),
         ("/optimise/brain", vec![json!("cnn")]),
-        ("/optimise/protocol", vec![json!("paper"), json!("envelope"), json!("random")]),
+        ("/optimise/protocol", vec![json!("paper"), json!("random")]),
         ("/optimise/learning_rate", vec![json!(1e-300), json!(1e300)]),
         ("/optimise/objective", vec![json!("mean"), json!("worst"), json!({ "cvar": 0.5 })]),
         ("/evaluation/casts", vec![json!(1)]),

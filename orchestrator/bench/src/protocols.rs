@@ -31,7 +31,7 @@ pub struct Args {
     #[arg(long, conflicts_with = "spec")]
     redraw: bool,
     /// Protocols, each at its own defaults; the protocol of the spec with the keys of the spec
-    #[arg(long, value_delimiter = ',', default_values = ["paper", "envelope", "joint"])]
+    #[arg(long, value_delimiter = ',', default_values = ["paper", "joint"])]
     protocols: Vec<String>,
     /// CPU seconds at which the body is evaluated, ascending; the last one ends a protocol
     #[arg(long, value_delimiter = ',', default_values_t = [15.0, 30.0, 60.0, 120.0, 240.0])]
@@ -93,7 +93,7 @@ fn failed(failure: Failure) -> Error {
 /// The spec's trial under another protocol, at that one's defaults.
 fn with_protocol(spec: &TrialSpec, name: &str) -> Result<TrialSpec, Error> {
     let protocol: Protocol = serde_json::from_value(json!(name))
-        .map_err(|_| Error::Usage(format!("--protocols {name}: must be paper, envelope or joint")))?;
+        .map_err(|_| Error::Usage(format!("--protocols {name}: must be paper or joint")))?;
     let optimise = match spec.optimise.protocol == protocol {
         true => spec.optimise.clone(),
         false => Optimise { protocol, ..Optimise::default() }.resolved(),

@@ -147,7 +147,6 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
     let train = trial.brain.iterations as f64 * ITERATION * forward;
     let batch = optimise.batch.unwrap_or(stimuli.test) as f64;
     let going = optimise.brain_iterations.unwrap_or_default() as f64 * ITERATION * forward;
-    let differentiate = batch * ringing * (1.0 + REVERSE);
     // By the coarse integrator, and now and then the test set by the other
     let coarse = GROWN * sample_by(optimise.coarse.unwrap_or(trial.solver));
     let looks = looked_at(optimise.steps() as u32);
@@ -156,12 +155,10 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
     let solve = STEP_FACTORS * factor(unknowns(trial, trial.brain.memory)) / pace.factor;
     let step = match optimise.protocol {
         Protocol::Paper if optimise.linear() => simulate * (1.0 + REVERSE) + solve,
-        Protocol::Envelope if optimise.linear() => simulate + differentiate + solve,
         Protocol::Joint if optimise.linear() => casts * (fresh + solve),
         Protocol::Random if optimise.linear() => simulate + solve,
         Protocol::Random => simulate + AFRESH * ITERATION * forward + going,
         Protocol::Paper => simulate * (1.0 + REVERSE) + train + PRODUCTS * HESSIAN_PRODUCT * forward,
-        Protocol::Envelope => simulate + differentiate + going,
         // each iteration on as many samples as a batch, and the loss of four of them
         Protocol::Joint => casts * (fresh + (going + 4.0 * forward) * batch / train_samples.max(1.0)),
     };

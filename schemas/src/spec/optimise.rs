@@ -183,8 +183,6 @@ impl Default for Brain {
 pub enum Protocol {
     /// The paper's: each outer step trains a fresh network and uses the direct and implicit gradient of its test loss.
     Paper,
-    /// One network is trained on from body to body; the gradient is that of the training loss on a random batch.
-    Envelope,
     /// Body and network are trained together, on samples drawn for each step.
     Joint,
     /// Search without gradient: each step evaluates a random body near the initial body.
@@ -274,19 +272,19 @@ pub struct Optimise {
     pub brain: Option<BrainKind>,
     /// How body and decoder are trained together; details in MODEL.md.
     pub protocol: Protocol,
-    /// Number of outer steps, or of candidates of a search. Default: 350, with a linear brain 100; `"paper"`, `"envelope"` 100;
+    /// Number of outer steps, or of candidates of a search. Default: 350, with a linear brain 100; `"paper"` 100;
     /// `"random"` 80, with a linear brain 30, which take as long as `"joint"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,
     /// Adam's learning rate on the design, or standard deviation of the candidates of a search. Unit: mm. Default: 0.2, with a
-    /// linear brain 0.3; `"paper"`, `"envelope"` 0.1; `"random"` 1.0.
+    /// linear brain 0.3; `"paper"` 0.1; `"random"` 1.0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub learning_rate: Option<f64>,
     /// Terms of the gradient, only for `protocol = "paper"`. Default: `"implicit"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gradient: Option<GradientTerms>,
     /// Samples per step whose gradient moves the body, at most 1 000 000; with an objective over casts, per cast. Default: 32 for
-    /// `"joint"`, over casts 8, with `reader = "each"` 24; 64 for `"envelope"`.
+    /// `"joint"`, over casts 8, with `reader = "each"` 24.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub batch: Option<usize>,
     /// Iterations of the network per outer step, at most 10 000 000; `"paper"` uses `brain.iterations` instead. Default: 10.
@@ -295,8 +293,8 @@ pub struct Optimise {
     /// Adam's learning rate of these iterations. Unit: 1. Default: 1e-3.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub brain_learning_rate: Option<f64>,
-    /// A cheaper integrator for the outer steps of `"joint"` and `"envelope"`. Evaluations on the test set and the final
-    /// comparison use `[solver]`. Default: `{ method = "auto", tolerance = 0.03 }` for `"joint"`, none for `"envelope"`.
+    /// A cheaper integrator for the outer steps of `"joint"`. Evaluations on the test set and the final comparison use
+    /// `[solver]`. Default: `{ method = "auto", tolerance = 0.03 }`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub coarse: Option<Solver>,
     /// `[p, q]`: the nodes of p × q cells move together, separately for each direction of ligaments. This gives fewer design
@@ -338,7 +336,7 @@ impl Optimise {
         let (iterations, learning_rate) = match self.protocol {
             Protocol::Random if self.linear() => (SEARCH_LINEAR, SEARCH_SPREAD),
             Protocol::Random => (SEARCH, SEARCH_SPREAD),
-            Protocol::Paper | Protocol::Envelope => (100, 0.1),
+            Protocol::Paper => (100, 0.1),
             Protocol::Joint if self.linear() => (100, 0.3),
             Protocol::Joint => (350, 0.2),
         };
@@ -361,9 +359,6 @@ impl Optimise {
         }
         match self.protocol {
             Protocol::Paper | Protocol::Random => {}
-            Protocol::Envelope => {
-                self.batch.get_or_insert(64);
-            }
             Protocol::Joint => {
                 self.batch.get_or_insert(batch);
                 self.coarse.get_or_insert(Solver { method: Method::Auto, tolerance: 0.03 });

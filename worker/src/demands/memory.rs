@@ -83,10 +83,6 @@ fn parts(trial: &TrialSpec, units: usize) -> Vec<Part> {
             Protocol::Paper => {
                 steps.push(("stimuli.samples", samples, "states of a gradient", states(f(samples))));
             }
-            Protocol::Envelope => {
-                let some = f(batch.min(samples));
-                steps.push(("optimise.batch", batch, "states of a gradient", states(some)));
-            }
             Protocol::Joint => {
                 let drawn = f(optimise.casts.unwrap_or(1)) * f(batch);
                 let bytes = forces(drawn) + signals(drawn) + states(drawn);

@@ -20,15 +20,15 @@ pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
         None => Ok(()),
     };
     if protocol == spec::Protocol::Paper {
-        let readers = "envelope, joint and random";
+        let readers = "joint and random";
         unread("optimise.brain_iterations", brain_iterations.map(|n| n.to_string()), readers)?;
         unread("optimise.brain_learning_rate", brain_learning_rate.map(|r| r.to_string()), readers)?;
     } else {
         unread("optimise.gradient", gradient.map(|terms| as_written(&terms)), "paper")?;
     }
-    if !matches!(protocol, spec::Protocol::Envelope | spec::Protocol::Joint) {
-        unread("optimise.batch", batch.map(|n| n.to_string()), "envelope and joint")?;
-        unread("optimise.coarse", coarse.map(|solver| as_written(&solver)), "envelope and joint")?;
+    if protocol != spec::Protocol::Joint {
+        unread("optimise.batch", batch.map(|n| n.to_string()), "joint")?;
+        unread("optimise.coarse", coarse.map(|solver| as_written(&solver)), "joint")?;
     }
     let resolved = optimise.clone().resolved();
     // what a protocol does not read stays open, and does not matter
@@ -45,7 +45,6 @@ pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
             None | Some(spec::GradientTerms::Implicit) => Terms::Implicit,
             Some(spec::GradientTerms::Direct) => Terms::Direct,
         }),
-        spec::Protocol::Envelope => Protocol::Envelope(going),
         spec::Protocol::Joint => Protocol::Joint(going),
         spec::Protocol::Random => Protocol::Random(going),
     })

@@ -144,14 +144,13 @@ fn the_network_is_as_the_spec_says() {
 fn each_protocol_refuses_the_keys_of_the_others() {
     for (protocol, key, value) in [
         ("joint", "optimise.gradient", json!("direct")),
-        ("envelope", "optimise.gradient", json!("implicit")),
         ("random", "optimise.batch", json!(8)),
         ("paper", "optimise.brain_learning_rate", json!(1e-3)),
     ] {
         let invalid = problem(&trial(&[("optimise.protocol", json!(protocol)), (key, value)])).unwrap_err();
         assert_eq!(invalid.key, key, "{protocol}");
     }
-    for protocol in ["paper", "envelope", "joint", "random"] {
+    for protocol in ["paper", "joint", "random"] {
         problem(&trial(&[("optimise.protocol", json!(protocol))])).unwrap();
     }
 }

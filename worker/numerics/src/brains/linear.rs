@@ -245,7 +245,7 @@ impl Learner for LinearLearner<'_> {
                 self.linear = Some((self.solve_recent(&bodies, step, learnt)?, None));
                 bodies.pop().expect("the newest")
             }
-            FitOn::Optimum(train) | FitOn::GoOn(train) | FitOn::Alike(train) | FitOn::Cast(train) => {
+            FitOn::Optimum(train) | FitOn::Alike(train) | FitOn::Cast(train) => {
                 let train = self.plain(train);
                 let all = train.moments().normal(self.trial.problem.decoder.lags);
                 let ridge = match on {

@@ -151,13 +151,11 @@ impl Learnt {
 pub(crate) enum FitOn<'a> {
     /// Afresh, to its optimum: β*(A).
     Optimum(&'a Samples),
-    /// On from the last body.
-    GoOn(&'a Samples),
     /// Afresh, of the same initial weights and iterations for every body.
     Alike(&'a Samples),
-    /// Likewise, on a few samples of one cast of the body.
+    /// On from the last body, on a few samples of one cast of this one.
     Cast(&'a Samples),
-    /// Likewise, on the last bodies, the newest last.
+    /// On from the last body, on the last bodies, the newest last.
     Recent(&'a [&'a Samples]),
 }
 

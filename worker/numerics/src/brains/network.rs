@@ -219,7 +219,7 @@ impl<'a> NetworkLearner<'a> {
 
     fn going(&self) -> Going {
         match self.trial.problem.optimise.protocol {
-            Protocol::Envelope(going) | Protocol::Joint(going) | Protocol::Random(going) => going,
+            Protocol::Joint(going) | Protocol::Random(going) => going,
             Protocol::Paper(_) => panic!("the paper's networks are fresh"),
         }
     }
@@ -342,7 +342,7 @@ impl Learner for NetworkLearner<'_> {
         self.first_training(first, learnt, counters)?;
         let loss = match on {
             FitOn::Optimum(_) => unreachable!("returned above"),
-            FitOn::GoOn(train) | FitOn::Cast(train) | FitOn::Alike(train) => {
+            FitOn::Cast(train) | FitOn::Alike(train) => {
                 let data = self.data(train);
                 self.go_on(data.all(), learnt, counters)?
             }

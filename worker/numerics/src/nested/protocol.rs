@@ -2,7 +2,6 @@
 //!
 //! ```text
 //! paper     β*(A_train) afresh        dL_test/dα, direct and through β*
-//! envelope  β goes on, on A_train     dL_train/dα at fixed β, from a subset of samples
 //! joint     β goes on, on fresh f     dL_train/dα at fixed β, on samples drawn for the step alone
 //! random                              no gradient: the test error of a candidate
 //! ```
@@ -13,7 +12,7 @@ use super::state::{State, Waypoint};
 use crate::brain::TrainOutcome;
 use crate::brains::{FitOn, Learner, Loss, learner};
 use crate::dynamics::{Forces, Solver};
-use crate::random::{Purpose, Stream};
+use crate::random::Purpose;
 use crate::trial::{
     CastReader, Casting, Counters, FAILED, Going, Over, Protocol, Response, Samples, Terms, Trial, Trouble,
 };
@@ -56,7 +55,6 @@ impl<'a> Session<'a> {
     pub(super) fn sense(&mut self, state: &mut State, log: &mut Log) -> Result<Sensed, Trouble> {
         match self.trial.problem.optimise.protocol {
             Protocol::Paper(terms) => self.paper(state, terms, log),
-            Protocol::Envelope(going) => self.envelope(state, going, log),
             Protocol::Joint(going) => match self.trial.problem.optimise.casting {
                 Some(Casting { reader: CastReader::Each, .. }) => self.joint_each(state, going, log),
                 _ => self.joint(state, going, log),
@@ -92,18 +90,6 @@ impl<'a> Session<'a> {
             gradient.iter_mut().zip(implicit).for_each(|(g, i)| *g += i);
         }
         let error_test = self.test_error(&test.samples, log);
-        Ok(Sensed { gradient, loss_train, error_test })
-    }
-
-    /// The training loss at its minimum over β moves with α as at fixed β: no implicit term.
-    fn envelope(&mut self, state: &mut State, going: Going, log: &mut Log) -> Result<Sensed, Trouble> {
-        let (trial, some) = (self.trial, self.subset(state.step, going));
-        let (sets, solver) = ([&trial.train, &some], self.solver());
-        let [train, some] = self.simulate(state, sets, [false, true], solver, log)?;
-        let loss_train = self.fit(FitOn::GoOn(&train.samples), state, log)?;
-        let (_, cotangent) = self.cotangent(&some.samples, Loss::Training, log);
-        let gradient = self.vjp(&some, cotangent, log)?;
-        let error_test = self.look_at_test(state, log)?;
         Ok(Sensed { gradient, loss_train, error_test })
     }
 
@@ -372,15 +358,6 @@ impl<'a> Session<'a> {
         let [first, _] = self.first(casting, going, log)?;
         log.report.error_test = Some(casting.objective(&errors, first).0);
         Ok(log.report.error_test)
-    }
-
-    /// Training samples drawn for a step of `envelope`.
-    fn subset(&self, step: u32, going: Going) -> Forces {
-        let trial = self.trial;
-        let mut order = Stream::new(Purpose::Batch, trial.problem.seed, [u64::from(step), 0])
-            .permutation(trial.train.samples);
-        order.truncate(going.batch);
-        trial.train.select(&order)
     }
 
     /// A body under the samples that are drawn for a step of `joint` alone, each of the step's casts under its own; those of

@@ -103,7 +103,7 @@ impl Problem {
     fn step_share(&self) -> f64 {
         match self.optimise.protocol {
             Protocol::Paper(_) => 1.0,
-            Protocol::Envelope(_) | Protocol::Random(_) => 0.1,
+            Protocol::Random(_) => 0.1,
             Protocol::Joint(_) => 0.05,
         }
     }

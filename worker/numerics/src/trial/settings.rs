@@ -75,7 +75,7 @@ pub struct Optimise {
     pub iterations: u32,
     /// Adam's rate on α (mm); of a search the standard deviation of its first candidates.
     pub rate: f64,
-    /// A cheaper integrator for the outer steps; looks at the test set have the accurate one. `joint` and `envelope`.
+    /// A cheaper integrator for the outer steps; looks at the test set have the accurate one. `joint` only.
     pub coarse: Option<Solver>,
     /// Casts whose errors move the body; `None`: the body as designed. `joint`.
     pub casting: Option<Casting>,
@@ -157,8 +157,6 @@ impl Casting {
 pub enum Protocol {
     /// A fresh network each outer step, trained `Training::iterations`; the test loss moves the body.
     Paper(Terms),
-    /// The network goes on; the training loss moves the body, from a subset of samples.
-    Envelope(Going),
     /// The network goes on; the loss on samples drawn for the step alone moves the body.
     Joint(Going),
     /// No gradient: candidates drawn about the initial body; a network starts afresh on each.

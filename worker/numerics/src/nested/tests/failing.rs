@@ -9,7 +9,7 @@ use std::sync::Arc;
 /// 16 training, test and holdout samples from records; those of `spoilt` (purpose, number there) are of no force, or of one
 /// that nothing survives.
 fn problem(brain: BrainKind, spoilt: &[(Purpose, usize)], factor: f64) -> Problem {
-    let mut problem = small(Protocol::Envelope(GOING));
+    let mut problem = small(Protocol::Random(GOING));
     problem.stimuli = Stimuli { samples: 32, test: 16, holdout: 16, ..problem.stimuli };
     (problem.reader, problem.optimise.brain) = (brain, brain);
     if brain == BrainKind::Stacked {
@@ -88,7 +88,7 @@ fn samples_that_fail_count_as_read_entirely_wrong() {
     }
 }
 
-/// A training sample on which the initial body fails trains no body in `envelope`, and counts against every step.
+/// A training sample on which the initial body fails counts against every step.
 #[test]
 fn what_the_initial_body_fails_on_counts_against_every_step() {
     let (train, _) = crate::stimuli::split(3, 32, 16, false);

@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector};
 
 /// The small problem with forces of so many times the usual amplitude.
 fn with_amplitude(times: f64) -> Problem {
-    of_amplitude(small(PROTOCOLS[3]), times)
+    of_amplitude(small(PROTOCOLS[2]), times)
 }
 
 fn of_amplitude(mut problem: Problem, times: f64) -> Problem {
@@ -60,7 +60,7 @@ fn the_nonlinear_part_does_not_depend_on_the_integrator() {
 /// by normal equations over simulated signals and by drawn noise.
 #[test]
 fn of_a_linear_body_the_bound_is_met_by_the_best_linear_decoder() {
-    let problem = small(PROTOCOLS[3]);
+    let problem = small(PROTOCOLS[2]);
     check_the_bound(problem.clone(), 400);
     // a disc of triangles and a sheet of hexagons
     on_lattices(&problem).into_iter().skip(1).take(2).for_each(|(_, problem)| check_the_bound(problem, 0));
