@@ -235,7 +235,7 @@ def claim_rated(says, brain, cell, of_set="holdout"):
 
 def claims():
     """Ratios with their intervals, their ratings, and elbows."""
-    for says, _, *cells in table("claims"):
+    for says, _, _, *cells in table("claims"):  # what is in the authors' scenes, `authors` checks
         for cell, brain in zip(cells, ("the paper's network", "long network", "linear decoder")):
             if not cell:
                 continue
@@ -874,7 +874,7 @@ def findings():
     best, random = at["linear decoder", "initial body, sensors placed"], at["linear decoder", "initial body, sensors at random"]
     yield said(places, f"sensors have {share}, six random ones {share}; .* have {share}"), [best[3], random[5], at["linear decoder", "trained body, sensors placed"][3]]
     rated = {}
-    for says, _, *cells in table("claims"):
+    for says, _, _, *cells in table("claims"):  # what is in the authors' scenes, `authors` checks
         [claim] = [row["claim"] for row in rows("claims/claims.csv") if says.startswith(row["says"])]
         if not says.startswith("not claimed"):
             rated.setdefault(claim, []).extend(cell.rsplit(": ")[-1] for cell in cells if cell)

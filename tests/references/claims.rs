@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::OnceLock;
 
-use metasense::analysis::claims::{CLAIMS, Evidence, claims_table, evidence_table, tried};
+use metasense::analysis::claims::{CLAIMS, Evidence, claims_table, evidence_table, tried, tried_elsewhere};
 use metasense::analysis::numbers::distinct;
 use metasense::analysis::paired::iteration_ratio;
 use metasense::analysis::setting::Settings;
@@ -13,7 +13,7 @@ use metasense::look::{Table, file};
 use metasense::plan::Plan;
 use metasense::report::claims::figure;
 use metasense_schemas::source::Source;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::brains::with;
 use super::rows::{
@@ -88,6 +88,33 @@ fn found() -> &'static [Vec<Evidence>] {
     FOUND.get_or_init(|| tried(&trials()))
 }
 
+/// What the trials in the scenes of the paper's authors say, without limits of the design, as theirs are.
+fn in_the_authors_scenes() -> Vec<Row> {
+    let mut settings = Settings::default();
+    let rows = rows("authors/trials.csv");
+    let trial = |row: &Row| {
+        let (brain, noise) =
+            (if row["decoder"] == "linear" { "linear" } else { "cnn" }, number(row, "noise"));
+        let whole = |name: &str| number(row, name) as u64;
+        let errors = |body: &str| ["test", "holdout"].map(|set| Some(number(row, &format!("{set}_{body}"))));
+        Trial {
+            setting: settings.of(&json!({
+                "brain": { "kind": brain },
+                "sensors": { "noise": noise },
+                "point": { "sensors": row["sensors"], "placement": row["placement"], "seed": row["seed"] },
+            })),
+            panels: row["scene"]["K = ".len()..].split(',').next().unwrap().parse().unwrap(),
+            sensors: whole("sensors"),
+            cluster: Cluster { placement: whole("placement"), seed: whole("seed") },
+            errors: ["initial", "trained"].map(errors),
+            hash: row.values().cloned().collect::<Vec<_>>().join(" "),
+            ..Trial::default()
+        }
+    };
+    let trials: Vec<Trial> = rows.iter().filter(|row| row["limits"] == "no").map(trial).collect();
+    as_rows(evidence_table(&tried_elsewhere(&trials)))
+}
+
 /// A table as rows that have been read.
 fn as_rows(table: Table) -> Vec<Row> {
     let row = |cells: &Vec<Value>| table.columns.iter().cloned().zip(cells.iter().map(plain)).collect();
@@ -108,6 +135,10 @@ pub fn files() -> [String; 3] {
 
 pub fn claims() -> String {
     let evidence = as_rows(evidence_table(found()));
+    let authors = in_the_authors_scenes();
+    for r in &authors {
+        eprintln!("{} | {} | {} | {}", r["claim"], r["with"], r["set"], verdict(r));
+    }
     let mut lines = Vec::new();
     for claim in rated() {
         let of_claim: Vec<&Row> = evidence
@@ -132,12 +163,29 @@ pub fn claims() -> String {
                 row.map_or(String::new(), |row| verdict(row))
             };
             let says = if kind.is_empty() { String::new() } else { format!(" ({kind})") };
-            let mut cells = vec![format!("{}{says}", claim["says"]), claim["source"].clone()];
+            let theirs =
+                authors.iter().filter(|row| row["claim"] == claim["claim"] && row["set"] == "holdout");
+            let theirs: Vec<String> = theirs.filter_map(|row| in_short(row, &kind)).collect();
+            let mut cells =
+                vec![format!("{}{says}", claim["says"]), claim["source"].clone(), theirs.join("; ")];
             cells.extend(["cnn", "long", "linear"].map(cell));
             lines.push(cells);
         }
     }
-    table(&["claim", "in the paper", "the paper's network", "long network", "linear decoder"], lines)
+    let ours = ["the paper's network", "long network", "linear decoder"];
+    table(&[&["claim", "in the paper", "in the authors' scenes"], &ours[..]].concat(), lines)
+}
+
+/// Decoder, noise and verdict of a line of evidence in the authors' scenes, if it is by this height of a curve, or by none.
+fn in_short(row: &Row, kind: &str) -> Option<String> {
+    let heights = ["in %", "in logarithms"];
+    let height = heights.into_iter().find(|height| row["with"].ends_with(height));
+    if height != heights.into_iter().find(|height| *height == kind) {
+        return None;
+    }
+    let decoder = if row["with"].starts_with("cnn") { "network" } else { "linear" };
+    let noise = if row["with"].contains("noise = 0.03") { ", 3 % noise" } else { "" };
+    Some(format!("{decoder}{noise}: {}", verdict(row)))
 }
 
 /// Where the test set, which steers the body and which the paper reports, says another word than the holdout.

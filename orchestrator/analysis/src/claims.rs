@@ -23,7 +23,7 @@ use super::resample::{Interval, Resampling, holm};
 use super::sensors::spread;
 use super::tables::verdict_text;
 use super::trial::{Body, Cluster, Set, Trial};
-pub use tables::{claims_table, evidence_table, tried};
+pub use tables::{claims_table, evidence_table, tried, tried_elsewhere};
 
 /// The share of votes that settles a claim.
 const SURE: f64 = 0.95;
@@ -113,7 +113,17 @@ pub struct Claim {
     pub chance: f64,
     /// The specs in `schemas` whose trials show it.
     pub specs: &'static [&'static str],
+    /// Of which trials `find` speaks; none: it looks for them itself.
+    scene: Option<Scene>,
     find: fn(f64, &[&Trial]) -> Vec<Evidence>,
+}
+
+/// So many forces of a kind on a planar body, and so many sensors where that is fixed.
+#[derive(Debug, Clone, Copy)]
+struct Scene {
+    panels: u64,
+    sensors: Option<u64>,
+    stimuli: &'static str,
 }
 
 impl Claim {
@@ -122,7 +132,25 @@ impl Claim {
     pub fn evidence(&self, trials: &[Trial]) -> Vec<Evidence> {
         let whole = |t: &Trial| matches!(t.setting.text("optimise.gradient"), None | Some("implicit"));
         let counts = |t: &&Trial| self.specs == GRADIENT || whole(t);
-        (self.find)(self.stated, &trials.iter().filter(counts).collect::<Vec<_>>())
+        let trials: Vec<&Trial> = trials.iter().filter(counts).collect();
+        let own = |scene: Scene| {
+            let planar = planar(&trials, scene.panels, scene.stimuli).into_iter();
+            planar.filter(|t| scene.has(t)).collect()
+        };
+        (self.find)(self.stated, &self.scene.map_or(trials.clone(), own))
+    }
+
+    /// What trials of another scene say of a claim about smooth pulses on a planar body: of its forces and sensors, whatever else they are.
+    fn evidence_elsewhere(&self, trials: &[Trial]) -> Vec<Evidence> {
+        let Some(scene) = self.scene.filter(|scene| scene.stimuli == "bell") else { return Vec::new() };
+        let own: Vec<&Trial> = trials.iter().filter(|t| t.panels == scene.panels && scene.has(t)).collect();
+        (self.find)(self.stated, &own)
+    }
+}
+
+impl Scene {
+    fn has(&self, trial: &Trial) -> bool {
+        self.sensors.is_none_or(|sensors| trial.sensors == sensors)
     }
 }
 
@@ -185,6 +213,9 @@ fn summed<'a>(evidence: impl Iterator<Item = &'a Evidence>) -> (String, Option<R
 
 const FOUR_FORCES: &[&str] = &["claims/four-forces"];
 const GRADIENT: &[&str] = &["claims/gradient"];
+const TWO_FORCES: Option<Scene> = Some(Scene { panels: 2, sensors: Some(1), stimuli: "bell" });
+const FOUR: Option<Scene> = Some(Scene { panels: 4, sensors: None, stimuli: "bell" });
+const EIGHT: Option<Scene> = Some(Scene { panels: 8, sensors: None, stimuli: "bell" });
 
 /// All of them, in the paper's order.
 pub const CLAIMS: [Claim; 15] = [
@@ -194,7 +225,8 @@ pub const CLAIMS: [Claim; 15] = [
         stated: 2.0,
         chance: CHANCE,
         specs: &["claims/two-forces"],
-        find: |stated, trials| each_set(&two_forces(trials, "bell"), stated, error_ratio),
+        scene: TWO_FORCES,
+        find: |stated, trials| each_set(trials, stated, error_ratio),
     },
     Claim {
         says: "its network needs 2.9 times fewer iterations to the same error",
@@ -202,6 +234,7 @@ pub const CLAIMS: [Claim; 15] = [
         stated: 2.9,
         chance: CHANCE,
         specs: &["claims/two-forces"],
+        scene: TWO_FORCES,
         find: iterations,
     },
     Claim {
@@ -210,7 +243,8 @@ pub const CLAIMS: [Claim; 15] = [
         stated: 5.8,
         chance: CHANCE / 2.0, // four seeds had left it open
         specs: &["claims/long-training"],
-        find: |stated, trials| each_set(&two_forces(trials, "bell"), stated, long_ratio),
+        scene: TWO_FORCES,
+        find: |stated, trials| each_set(trials, stated, long_ratio),
     },
     Claim {
         says: "under hand-hammered blows the error of a trained body is 5.3 times lower",
@@ -218,7 +252,8 @@ pub const CLAIMS: [Claim; 15] = [
         stated: 5.3,
         chance: CHANCE,
         specs: &["claims/two-forces"],
-        find: |stated, trials| each_set(&two_forces(trials, "irregular"), stated, error_ratio),
+        scene: Some(Scene { panels: 2, sensors: Some(1), stimuli: "irregular" }),
+        find: |stated, trials| each_set(trials, stated, error_ratio),
     },
     Claim {
         says: "training gains more under blows than under smooth pulses",
@@ -226,6 +261,7 @@ pub const CLAIMS: [Claim; 15] = [
         stated: 1.0,
         chance: CHANCE,
         specs: &["claims/two-forces"],
+        scene: None,
         find: blows_more,
     },
     Claim {
@@ -234,6 +270,7 @@ pub const CLAIMS: [Claim; 15] = [
         stated: 1.0,
         chance: CHANCE,
         specs: &["claims/two-forces", "claims/random"],
+        scene: None,
         find: |stated, trials| random_bodies(stated, trials, Body::Initial),
     },
     Claim {
@@ -242,6 +279,7 @@ pub const CLAIMS: [Claim; 15] = [
         stated: 1.0,
         chance: CHANCE,
         specs: &["claims/two-forces", "claims/random"],
+        scene: None,
         find: |stated, trials| random_bodies(stated, trials, Body::Optimised),
     },
     Claim {
@@ -250,7 +288,8 @@ pub const CLAIMS: [Claim; 15] = [
         stated: 1.0,
         chance: CHANCE,
         specs: FOUR_FORCES,
-        find: |stated, trials| every_number(stated, &planar(trials, 4, "bell")),
+        scene: FOUR,
+        find: every_number,
     },
     Claim {
         says: "K = 4: its error has an elbow at M = 2",
@@ -258,7 +297,8 @@ pub const CLAIMS: [Claim; 15] = [
         stated: 2.0,
         chance: CHANCE,
         specs: FOUR_FORCES,
-        find: |stated, trials| elbow_at(stated, &planar(trials, 4, "bell")),
+        scene: FOUR,
+        find: elbow_at,
     },
     Claim {
         says: "K = 4: the trained body with two sensors has less error than the initial body with six",
@@ -266,7 +306,8 @@ pub const CLAIMS: [Claim; 15] = [
         stated: 1.0,
         chance: CHANCE,
         specs: FOUR_FORCES,
-        find: |stated, trials| so_few(stated, 2, &planar(trials, 4, "bell")),
+        scene: FOUR,
+        find: |stated, trials| so_few(stated, 2, trials),
     },
     Claim {
         says: "K = 4: on the trained body the error depends less on the placement of sensors",
@@ -274,7 +315,8 @@ pub const CLAIMS: [Claim; 15] = [
         stated: 1.0,
         chance: CHANCE,
         specs: FOUR_FORCES,
-        find: |stated, trials| placements(stated, &planar(trials, 4, "bell")),
+        scene: FOUR,
+        find: placements,
     },
     Claim {
         says: "K = 8: the trained body is better with every number of sensors",
@@ -282,7 +324,8 @@ pub const CLAIMS: [Claim; 15] = [
         stated: 1.0,
         chance: CHANCE,
         specs: &["sweeps/eight-forces-map"],
-        find: |stated, trials| every_number(stated, &planar(trials, 8, "bell")),
+        scene: EIGHT,
+        find: every_number,
     },
     Claim {
         says: "K = 8: its error has an elbow at M = 4",
@@ -290,7 +333,8 @@ pub const CLAIMS: [Claim; 15] = [
         stated: 4.0,
         chance: CHANCE,
         specs: &["sweeps/eight-forces-map"],
-        find: |stated, trials| elbow_at(stated, &planar(trials, 8, "bell")),
+        scene: EIGHT,
+        find: elbow_at,
     },
     Claim {
         says: "a trained body with more design parameters has less error",
@@ -298,6 +342,7 @@ pub const CLAIMS: [Claim; 15] = [
         stated: 1.0,
         chance: CHANCE / 2.0, // four seeds had left it open
         specs: &["sweeps/disc-map"],
+        scene: None,
         find: complexity,
     },
     Claim {
@@ -306,6 +351,7 @@ pub const CLAIMS: [Claim; 15] = [
         stated: 1.0,
         chance: CHANCE,
         specs: GRADIENT,
+        scene: None,
         find: implicit,
     },
 ];
@@ -390,7 +436,7 @@ fn of_text<'a>(trials: &[&'a Trial], path: &str, value: &str) -> Vec<&'a Trial> 
 }
 
 fn iterations(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
-    let groups = groups(&two_forces(trials, "bell"), &[]);
+    let groups = groups(trials, &[]);
     let of_curve = |(group, by): (&Group, Progress)| {
         let ratio = paired::iterations(&group.trials, by)?;
         Some(of_ratio(who(group), by.name(), ratio, stated, String::new()))

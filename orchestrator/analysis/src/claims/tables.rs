@@ -10,6 +10,11 @@ pub fn tried(trials: &[Trial]) -> Vec<Vec<Evidence>> {
     corrected(CLAIMS.iter().map(|claim| claim.evidence(trials)).collect())
 }
 
+/// What trials of another scene, such as the one of the paper's authors, say of each claim about smooth pulses on a planar body.
+pub fn tried_elsewhere(trials: &[Trial]) -> Vec<Vec<Evidence>> {
+    corrected(CLAIMS.iter().map(|claim| claim.evidence_elsewhere(trials)).collect())
+}
+
 /// One row per claim: what it comes to, by medians over samples where that is something else, and the specs that show it.
 pub fn claims_table(found: &[Vec<Evidence>]) -> Table {
     let rows = CLAIMS.iter().zip(found).enumerate().map(|(i, (claim, evidence))| {
