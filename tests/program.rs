@@ -5,6 +5,7 @@ mod common;
 mod synthetic;
 
 mod answers;
+mod archive;
 mod authors;
 mod bad_input;
 mod bodies;

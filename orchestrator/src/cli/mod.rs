@@ -6,6 +6,7 @@
 mod say;
 
 mod analyse;
+mod archive;
 mod bound;
 mod casts;
 mod completions;
@@ -129,7 +130,7 @@ macro_rules! commands {
 
 commands! {
     "A sweep": Init init, Run run, Design design, Expand expand, Trial trial, Status status, Watch watch, Serve serve, Control control;
-    "Results": Query query, Analyse analyse, Report report, Export export, Remove remove;
+    "Results": Query query, Analyse analyse, Report report, Export export, Archive archive, Remove remove;
     /// Computes properties of single bodies, without a sweep
     Body body: Draw draw, Simulate simulate, Modes modes, Bound bound, Operator operator, Place place, Casts casts, Project project;
     /// Compares bodies with measured records and reference data

@@ -45,7 +45,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-fn write_parts(folder: &Path, story: &Story, drawn: &[Figure]) -> Result<(), Error> {
+pub(super) fn write_parts(folder: &Path, story: &Story, drawn: &[Figure]) -> Result<(), Error> {
     write_figures(folder, drawn)?;
     for question in Question::all() {
         let table = question.answer(&story.trials, story.terms);
@@ -62,7 +62,7 @@ fn write_parts(folder: &Path, story: &Story, drawn: &[Figure]) -> Result<(), Err
 }
 
 /// Names as names of files, each its own: whoever made the database may have called a sweep anything.
-fn file_names<'a>(names: impl Iterator<Item = &'a str>) -> Vec<String> {
+pub(super) fn file_names<'a>(names: impl Iterator<Item = &'a str>) -> Vec<String> {
     let mut taken: Vec<String> = Vec::new();
     for name in names {
         let harmless = |(i, c): (usize, char)| c.is_alphanumeric() || "-_".contains(c) || i > 0 && c == '.';

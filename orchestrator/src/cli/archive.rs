@@ -1,0 +1,202 @@
+//! `archive`: what the results of a database follow from, as a folder to publish.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
+
+use super::named::Database;
+use super::report::{file_names, write_parts};
+use super::{Error, cores, make_folder, write};
+use crate::analysis::Terms;
+use crate::cluster::merge::{Extent, merge};
+use crate::exit::Exit;
+use crate::look::{Format, Table};
+use crate::plan::counted;
+use crate::report::{Story, figures, html, load};
+use crate::store::Reader;
+
+/// Writes a folder with everything that the results of a database follow from, for a repository of research data
+///
+/// The folder has the specs, the database, trials, answers and figures, the report, code and machines of all trials, a README with the
+/// commands that re-run the sweep and compare every bit, and an RO-Crate 1.1 manifest with the SHA-256 of each file.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The database, or a folder of shards
+    #[arg(value_name = "DB|FOLDER")]
+    db: PathBuf,
+    /// The folder to write; it must be new or empty
+    #[arg(value_name = "DIR")]
+    dir: PathBuf,
+}
+
+const DATABASE: &str = "results.sqlite";
+const REPORT: &str = "report.html";
+const PROVENANCE: &str = "provenance.json";
+const README: &str = "README.md";
+const MANIFEST: &str = "ro-crate-metadata.json";
+/// Specs, figures with their data, answers, trials.
+const RESULTS: &str = "results";
+
+/// The code and the machines that computed the results.
+const MADE: &str = "SELECT version, code, revision, rustc, cpu, simd, threads, count(DISTINCT trial_id) AS trials,
+    min(started_at) AS first, max(ended_at) AS last FROM attempt WHERE NOT redone AND state = 'done' GROUP BY 1, 2, 3, 4, 5, 6, 7
+  ORDER BY trials DESC, 1, 2, 3, 4, 5, 6, 7";
+
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    let Args { db, dir } = &args;
+    if std::fs::read_dir(dir).is_ok_and(|mut entries| entries.next().is_some()) || dir.is_file() {
+        return Err(Error::Usage(format!("{}: must be a new or an empty folder", dir.display())));
+    }
+    let asked = async |reader: &mut Reader| {
+        let story = load::story(reader, None, Terms::default()).await?;
+        Ok::<_, Error>((story, reader.query::<Table>(MADE).await?))
+    };
+    let (story, made) = Reader::asked(Database::at(db).await?, asked).await?;
+    if made.rows.is_empty() {
+        return Err(Error::Usage(format!("{} contains no finished trial", db.display())));
+    }
+    let names = file_names(story.sweeps.iter().map(|sweep| sweep.name.as_str()));
+    let open = story.states.all - story.states.done - story.states.failed;
+    if open > 0 {
+        say!("warning: {} not finished; `metasense run` resumes them", counted(open, "trial"));
+    }
+    make_folder(dir)?;
+    let (drawn, missing) = figures(&story, cores());
+    write_parts(&dir.join(RESULTS), &story, &drawn)?;
+    for (sweep, name) in story.sweeps.iter().zip(&names) {
+        with_its_files(&dir.join(RESULTS), name, &sweep.text)?;
+    }
+    merge(Extent::Whole, std::slice::from_ref(db), &dir.join(DATABASE)).await?;
+    write(&dir.join(PROVENANCE), made.written(Format::Json))?;
+    write(&dir.join(README), readme(&story, &names, &made))?;
+    let title = story.sweeps.iter().map(|sweep| sweep.name.as_str()).collect::<Vec<_>>().join(", ");
+    write(&dir.join(REPORT), html(story, &drawn, missing.as_deref()))?;
+    write(&dir.join(MANIFEST), manifest(dir, &title, &names, &made)?)?;
+    print_line!("{}", dir.display())?;
+    Ok(Exit::Done)
+}
+
+/// Adds the files that a spec names by their whole path, and the spec that names the copies; says which are missing.
+fn with_its_files(folder: &Path, name: &str, text: &str) -> Result<(), Error> {
+    let mut own = text.to_owned();
+    for file in files_of(text) {
+        let path = Path::new(&file);
+        match path.file_name().filter(|_| path.is_absolute() && path.is_file()) {
+            Some(last) => {
+                let copy = format!("{name}-{}", last.to_string_lossy());
+                write(&folder.join(&copy), std::fs::read(path).map_err(Error::unreadable(path))?)?;
+                own = own.replace(&format!("\"{file}\""), &format!("\"{copy}\""));
+            }
+            None => say!("warning: {name}.toml reads {file}: add this file to {}", folder.display()),
+        }
+    }
+    write(&folder.join(format!("{name}.toml")), own)
+}
+
+/// Files that a spec names.
+fn files_of(text: &str) -> Vec<String> {
+    fn find(value: &toml::Value, found: &mut Vec<String>) {
+        match value {
+            toml::Value::String(text) => {
+                let ending = Path::new(text).extension().and_then(|ending| ending.to_str());
+                if ending.is_some_and(|ending| ["toml", "csv", "npy", "npz"].contains(&ending)) {
+                    found.push(text.clone());
+                }
+            }
+            toml::Value::Array(values) => values.iter().for_each(|value| find(value, found)),
+            toml::Value::Table(table) => {
+                table.iter().filter(|(key, _)| *key != "base").for_each(|(_, value)| find(value, found));
+            }
+            _ => {}
+        }
+    }
+    let mut found = Vec::new();
+    if let Ok(table) = text.parse::<toml::Table>() {
+        find(&toml::Value::Table(table), &mut found);
+    }
+    found
+}
+
+/// A cell of the first row, which most trials have.
+fn first<'a>(made: &'a Table, column: &str) -> &'a str {
+    made.rows[0][made.column(column)].as_str().unwrap_or("unknown")
+}
+
+fn readme(story: &Story, names: &[String], made: &Table) -> String {
+    let [version, code, revision, simd] =
+        ["version", "code", "revision", "simd"].map(|name| first(made, name));
+    let mut text = format!(
+        "# {}\n\nResults of [metasense]({MANIFEST}) {version}, code {code}, commit {revision}, instruction set {simd}: {}, {} of them \
+         finished. Before you publish this folder, add authors and a licence to `{MANIFEST}`.\n\n\
+         | file | contents |\n|---|---|\n\
+         | `{REPORT}` | answers and figures |\n\
+         | `{RESULTS}/` | specs (TOML), trials and answers (CSV), figures (SVG) with their data (CSV) |\n\
+         | `{DATABASE}` | all rows (SQLite); `metasense query {DATABASE}` lists the views |\n\
+         | `{PROVENANCE}` | code, compiler, processor and instruction set of all finished trials |\n\
+         | `{MANIFEST}` | RO-Crate 1.1: every file with its SHA-256 |\n\n## Run it again\n\n\
+         The same code gives the same bits with the same instruction set, on any machine that has it. The last command compares each trial \
+         and ends with exit code 1 if any bit differs.\n\n",
+        names.join(", "),
+        counted(story.states.all, "trial"),
+        story.states.done
+    );
+    for name in names {
+        text += &format!("    metasense run {RESULTS}/{name}.toml --simd {simd} --db again.sqlite\n");
+    }
+    text + &format!("    metasense cluster merge {DATABASE} again.sqlite --out both.sqlite\n")
+}
+
+/// What lies in a folder and below it, by its path from there, in order.
+fn contents(folder: &Path, below: &str, found: &mut Vec<String>) -> std::io::Result<()> {
+    for entry in std::fs::read_dir(folder)? {
+        let entry = entry?;
+        let name = format!("{below}{}", entry.file_name().to_string_lossy());
+        match entry.file_type()?.is_dir() {
+            true => contents(&entry.path(), &format!("{name}/"), found)?,
+            false => found.push(name),
+        }
+    }
+    found.sort();
+    Ok(())
+}
+
+/// The manifest (RO-Crate 1.1) of what a folder has so far.
+fn manifest(dir: &Path, title: &str, names: &[String], made: &Table) -> Result<String, Error> {
+    let failed = Error::io("reading", dir);
+    let mut files = Vec::new();
+    contents(dir, "", &mut files).map_err(&failed)?;
+    let refers = |name: &String| json!({ "@id": name });
+    let mut graph = vec![
+        json!({ "@id": MANIFEST, "@type": "CreativeWork", "about": { "@id": "./" },
+            "conformsTo": { "@id": "https://w3id.org/ro/crate/1.1" } }),
+        json!({ "@id": "./", "@type": "Dataset", "name": format!("metasense: {title}"),
+            "description": "Bodies of metamaterial sensors, trained together with the decoders that read them",
+            "datePublished": first(made, "last"), "mentions": { "@id": "#run" },
+            "hasPart": files.iter().map(refers).collect::<Vec<_>>() }),
+        json!({ "@id": "#metasense", "@type": "SoftwareApplication", "name": "metasense",
+            "softwareVersion": first(made, "version"), "identifier": first(made, "code") }),
+        json!({ "@id": "#run", "@type": "CreateAction", "name": "metasense run", "instrument": { "@id": "#metasense" },
+            "endTime": first(made, "last"), "result": { "@id": DATABASE },
+            "object": names.iter().map(|name| refers(&format!("{RESULTS}/{name}.toml"))).collect::<Vec<_>>() }),
+    ];
+    for name in &files {
+        let bytes = std::fs::read(dir.join(name)).map_err(&failed)?;
+        let digest: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+        let format = match Path::new(name).extension().and_then(|ending| ending.to_str()) {
+            Some("csv") => "text/csv",
+            Some("html") => "text/html",
+            Some("json") => "application/json",
+            Some("md") => "text/markdown",
+            Some("sqlite") => "application/vnd.sqlite3",
+            Some("svg") => "image/svg+xml",
+            Some("toml") => "application/toml",
+            _ => "application/octet-stream",
+        };
+        graph.push(json!({ "@id": name, "@type": "File", "encodingFormat": format,
+            "contentSize": bytes.len().to_string(), "sha256": digest }));
+    }
+    let crate_ = json!({ "@context": ["https://w3id.org/ro/crate/1.1/context",
+        { "sha256": "https://w3id.org/ro/terms/workflow-run#sha256" }], "@graph": Value::Array(graph) });
+    Ok(serde_json::to_string_pretty(&crate_).expect("JSON") + "\n")
+}
