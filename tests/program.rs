@@ -47,6 +47,7 @@ mod ssh;
 mod store;
 mod submit;
 mod sums;
+mod tasks;
 mod terminal;
 mod training;
 mod transfer;

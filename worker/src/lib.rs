@@ -27,6 +27,7 @@ pub mod replay;
 pub mod run;
 pub mod simd;
 pub mod simulate;
+pub mod tasks;
 pub mod twin;
 pub mod verify;
 

@@ -28,6 +28,7 @@ pub mod scaling;
 pub mod sensors;
 pub mod setting;
 pub mod tables;
+pub mod tasks;
 pub mod transfer;
 pub mod trial;
 pub mod until;

@@ -41,6 +41,7 @@ pub mod simd;
 mod simulate;
 mod status;
 mod submit;
+mod tasks;
 mod trial;
 mod twin;
 mod unfinished;
@@ -132,7 +133,7 @@ commands! {
     "A sweep": Init init, Run run, Design design, Expand expand, Trial trial, Status status, Watch watch, Serve serve, Control control;
     "Results": Query query, Analyse analyse, Report report, Export export, Archive archive, Remove remove;
     /// Computes properties of single bodies, without a sweep
-    Body body: Draw draw, Simulate simulate, Modes modes, Bound bound, Operator operator, Place place, Casts casts, Project project;
+    Body body: Draw draw, Simulate simulate, Modes modes, Bound bound, Operator operator, Place place, Casts casts, Tasks tasks, Project project;
     /// Compares bodies with measured records and reference data
     Lab lab: Identify identify, Twin twin, Evaluate evaluate, Verify verify;
     /// Prints what editors, shells and manuals use

@@ -5,6 +5,7 @@ mod chain;
 mod nonlinear;
 mod operator;
 mod replay;
+pub mod tasks;
 mod under;
 
 pub use bound::{Bound, bound};

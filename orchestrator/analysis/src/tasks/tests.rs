@@ -1,0 +1,31 @@
+//! Ratios of made-up errors.
+
+use super::*;
+
+#[test]
+fn gains_are_paired_by_trial() {
+    let read = |seed: u64, task: (&'static str, &'static str), errors: [f64; 2]| Read {
+        setting: "K = 2".into(),
+        cluster: Cluster { placement: 0, seed },
+        task,
+        readout: "direct",
+        errors,
+        trivial: 50.0,
+        samples: 100,
+    };
+    let (peak, panel) = (("peak", "N"), ("panel", "%"));
+    let all: Vec<Read> = (0..6)
+        .flat_map(|seed| {
+            let hard = 1.0 + seed as f64;
+            [read(seed, peak, [0.4 * hard, 0.1 * hard]), read(seed, panel, [8.0, 0.0])]
+        })
+        .collect();
+    let table = table(&all);
+    let number = |row: usize, column: &str| table.rows[row][table.column(column)].as_f64().unwrap();
+    // by name: panel, peak
+    for (row, gain) in [(1, 4.0), (0, 16.0)] {
+        assert!((number(row, "ratio") - gain).abs() < 1e-9, "{table:?}");
+        assert!(number(row, "ratio_low") <= gain + 1e-9 && gain <= number(row, "ratio_high") + 1e-9);
+    }
+    assert_eq!((number(0, "initial"), number(0, "optimised"), number(1, "trials")), (8.0, 0.0, 6.0));
+}

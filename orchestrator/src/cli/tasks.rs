@@ -1,0 +1,103 @@
+//! `tasks`: what else than forces the bodies of finished trials can sense.
+
+use std::path::PathBuf;
+
+use metasense_worker::tasks::tasks;
+use serde_json::json;
+
+use super::named::Database;
+use super::{Error, Format, cores, print_rows};
+use crate::analysis::Cluster;
+use crate::analysis::kinds::brains_of;
+use crate::analysis::tasks::{Read, table};
+use crate::exit::Exit;
+use crate::look::{Table, row, short_hash};
+use crate::store::Reader;
+
+/// Reads other tasks than forces from the initial and the trained bodies: which panel, how many, how hard, when
+///
+/// Each task is read in two ways on the held-out set. `direct`: ridge regression on the signals of the whole record. `decoded`: from the
+/// forces that a linear decoder estimates. The table has means over the trials of a setting, the error of a predictor without signals
+/// (trivial), and the ratio initial over trained with its 95 % interval over seeds and placements. Other formats have a row per trial,
+/// body, task and readout, with a 95 % interval over samples. Tasks: panel, the panel with the greatest force (% wrong); count, the
+/// number of panels with more than a tenth of it (% wrong); peak (N) and impulse (mN s) of each panel; onset, when a force first exceeds
+/// a tenth of the greatest (ms). A task whose label is the same in all samples is left out.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The database
+    #[arg(value_name = "DB")]
+    db: PathBuf,
+    /// One trial, by its hash or the beginning of it [default: all finished trials]
+    hash: Option<String>,
+    /// Format: a table of means, or rows
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
+    format: Format,
+}
+
+pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
+    let stored = Reader::asked(Database::at(&args.db).await?, async |reader| -> Result<_, Error> {
+        let hashes = match &args.hash {
+            Some(hash) => vec![reader.hash_of(hash).await?],
+            None => {
+                let sql = "SELECT hash FROM v_trial WHERE state = 'done' ORDER BY panels, sensors, placement, seed, hash";
+                let rows = reader.query::<Table>(sql).await?.rows;
+                rows.iter().filter_map(|row| row[0].as_str().map(str::to_owned)).collect()
+            }
+        };
+        let mut stored = Vec::new();
+        for hash in hashes {
+            stored.extend(reader.stored(&hash).await?);
+        }
+        Ok(stored)
+    })
+    .await?;
+    if stored.is_empty() {
+        let db = args.db.display();
+        return Err(Error::Usage(format!("{db} contains no finished trial; see `metasense status {db}`")));
+    }
+    let (mut rows, mut all) = (Vec::new(), Vec::new());
+    for trial in &stored {
+        let point = &trial.specs[1].point;
+        let [_, with] = brains_of(&json!(trial.specs[1]));
+        let setting = format!("K = {}, M = {}, {with}", point.panels, point.sensors);
+        let cluster = Cluster { placement: point.placement as u64, seed: point.seed };
+        let mut bodies = Vec::new();
+        for (body, name) in ["initial", "optimised"].into_iter().enumerate() {
+            let (found, constant) = tasks(&trial.specs[body], &trial.designs[body], cores())
+                .map_err(|e| Error::Usage(format!("trial {}: {e}", short_hash(&trial.hash))))?;
+            if body == 0 && rows.is_empty() && !constant.is_empty() {
+                let names: Vec<&str> = constant.iter().map(|task| task.name().0).collect();
+                say!("the same in all samples, left out: {}", names.join(", "));
+            }
+            for reading in &found {
+                let (task, unit) = reading.task.name();
+                let [low, high] = reading.interval;
+                let head =
+                    row![trial.hash, point.panels, point.sensors, point.placement, point.seed, with, name];
+                let own = row![
+                    task,
+                    reading.readout,
+                    unit,
+                    reading.error,
+                    low,
+                    high,
+                    reading.trivial,
+                    reading.samples
+                ];
+                rows.push([head, own].concat());
+            }
+            bodies.push(found);
+        }
+        for (initial, trained) in bodies[0].iter().zip(&bodies[1]) {
+            let (setting, task, readout) = (setting.clone(), initial.task.name(), initial.readout);
+            let (errors, trivial) = ([initial.error, trained.error], initial.trivial);
+            all.push(Read { setting, cluster, task, readout, errors, trivial, samples: initial.samples });
+        }
+    }
+    let columns = "hash panels sensors placement seed trained_with body task readout unit error low high trivial samples";
+    match args.format {
+        Format::Table => print_rows(&table(&all), Format::Table)?,
+        format => print_rows(&Table::new(columns, rows), format)?,
+    }
+    Ok(Exit::Done)
+}
