@@ -753,6 +753,27 @@ def authors():
         yield cells, found
 
 
+def tasks():
+    every = rows("tasks/rows.csv")
+    for noise, task, unit, without, *cells in table("tasks"):
+        noise = "0" if noise == "none" else str(float(noise.split()[0]) / 100)
+
+        def errors(readout, body):
+            own = [row for row in every if [row["noise"], row["task"], row["readout"], row["body"]] == [noise, task, readout, body]]
+            return sorted(own, key=lambda row: int(row["seed"]))
+
+        def at_least(row):
+            return max(float(row["error"]), float(row["least"]))
+
+        found = [short(statistics.fmean(numbers(errors("direct", "initial"), "trivial")))]
+        for readout in ("direct", "decoded"):
+            before, after = errors(readout, "initial"), errors(readout, "optimised")
+            means = [statistics.fmean(numbers(of, "error")) for of in (before, after)]
+            gains = with_interval([at_least(a) / at_least(b) for a, b in zip(before, after, strict=True)])
+            found.append(f"{' → '.join(short(mean) if mean else '0' for mean in means)}, {gains}")
+        yield [without, *cells], found
+
+
 def paper_protocol():
     yield from of_protocol("paper protocol", "fig2", "01")
 
@@ -889,7 +910,7 @@ def findings():
            + [law["6", "3"], law["6", "2"]])
 
 
-CHECKS = [quickstart, findings, authors, who_senses, sensors, claims, claims_on_the_test_set, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
+CHECKS = [quickstart, findings, authors, tasks, who_senses, sensors, claims, claims_on_the_test_set, brains, linear_bodies, placed, transfer_networks, why, why_correlated, elbow_law_asked, four_forces_map, four_forces_map_network, eight_forces_map, disc_map, random_bodies_map, blows_map, size_map, size_map_network, protocol_map, real_scale, families, families_sensors, pressed, filtered, designs, paper_protocol, paper_protocol_blows, paper_protocol_four_forces, race, warm_starts, relaxing]
 
 if __name__ == "__main__":
     if "--power" in sys.argv:

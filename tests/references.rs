@@ -15,6 +15,8 @@ mod program;
 mod results;
 mod rows;
 mod spec;
+mod tasks;
+
 mod who_senses;
 
 use std::path::{Path, PathBuf};
@@ -92,6 +94,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("protocols", claims::protocols),
     ("downhill", claims::downhill),
     ("authors", authors::gains),
+    ("tasks", tasks::tasks),
     ("deviations", deviations::deviations),
     ("deviations of other figures", deviations::other_figures),
 ];

@@ -1,6 +1,6 @@
 //! Sensing tasks beside the force histories: how much better the trained body serves them than the initial one.
 
-use super::numbers::{distinct, geometric_mean};
+use super::numbers::distinct;
 use super::paired::Ratio;
 use super::trial::Cluster;
 use metasense_render::{Table, row};
@@ -20,12 +20,12 @@ pub struct Read {
     pub errors: [f64; 2],
     /// The error without signals.
     pub trivial: f64,
-    /// Samples that judge.
-    pub samples: usize,
+    /// What an error counts at least in a ratio.
+    pub least: f64,
 }
 
 /// A row per setting, task and readout: means over trials, and the ratio initial over trained with its 95 % interval over placements and
-/// seeds. An error of no wrong sample counts as half a sample in the ratio.
+/// seeds. In the ratio an error counts as half of one sample's at least.
 pub fn table(all: &[Read]) -> Table {
     let columns = "setting task readout unit trials trivial initial optimised ratio ratio_low ratio_high";
     let kinds = distinct(all.iter().map(|read| (&read.setting, read.task, read.readout)));
@@ -34,20 +34,13 @@ pub fn table(all: &[Read]) -> Table {
             .iter()
             .filter(|read| (&read.setting, read.task, read.readout) == (setting, task, readout))
             .collect();
-        let least = |read: &Read| if task.1 == "%" { 50.0 / read.samples as f64 } else { f64::MIN_POSITIVE };
         let ratio = |read: &&Read| {
-            let [initial, trained] = read.errors.map(|error| error.max(least(read)));
+            let [initial, trained] = read.errors.map(|error| error.max(read.least).max(f64::MIN_POSITIVE));
             (read.cluster, initial / trained)
         };
         let found = Ratio::of(&own.iter().map(ratio).collect::<Vec<_>>());
         let mean =
             |of: &dyn Fn(&Read) -> f64| own.iter().map(|read| of(read)).sum::<f64>() / own.len() as f64;
-        let center = |body: usize| match task.1 {
-            "%" => mean(&|read| read.errors[body]),
-            _ => geometric_mean(
-                &own.iter().map(|read| read.errors[body].max(f64::MIN_POSITIVE)).collect::<Vec<_>>(),
-            ),
-        };
         let interval = found.as_ref().and_then(|ratio| ratio.interval);
         let head = row![
             setting,
@@ -56,8 +49,8 @@ pub fn table(all: &[Read]) -> Table {
             task.1,
             own.len(),
             mean(&|read| read.trivial),
-            center(0),
-            center(1)
+            mean(&|read| read.errors[0]),
+            mean(&|read| read.errors[1])
         ];
         let [low, high] = [interval.map(|i| i.low), interval.map(|i| i.high)];
         [head, row![found.map(|ratio| ratio.ratio), low, high]].concat()

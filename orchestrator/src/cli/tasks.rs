@@ -18,7 +18,7 @@ use crate::store::Reader;
 ///
 /// Each task is read in two ways on the held-out set. `direct`: ridge regression on the signals of the whole record. `decoded`: from the
 /// forces that a linear decoder estimates. The table has means over the trials of a setting, the error of a predictor without signals
-/// (trivial), and the ratio initial over trained with its 95 % interval over seeds and placements. Other formats have a row per trial,
+/// (trivial), and the ratio initial over trained with its 95 % interval over seeds and placements; an error counts as half of one sample's at least. Other formats have a row per trial,
 /// body, task and readout, with a 95 % interval over samples. Tasks: panel, the panel with the greatest force (% wrong); count, the
 /// number of panels with more than a tenth of it (% wrong); peak (N) and impulse (mN s) of each panel; onset, when a force first exceeds
 /// a tenth of the greatest (ms). A task whose label is the same in all samples is left out.
@@ -81,6 +81,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
                     reading.error,
                     low,
                     high,
+                    reading.least,
                     reading.trivial,
                     reading.samples
                 ];
@@ -91,10 +92,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         for (initial, trained) in bodies[0].iter().zip(&bodies[1]) {
             let (setting, task, readout) = (setting.clone(), initial.task.name(), initial.readout);
             let (errors, trivial) = ([initial.error, trained.error], initial.trivial);
-            all.push(Read { setting, cluster, task, readout, errors, trivial, samples: initial.samples });
+            all.push(Read { setting, cluster, task, readout, errors, trivial, least: initial.least });
         }
     }
-    let columns = "hash panels sensors placement seed trained_with body task readout unit error low high trivial samples";
+    let columns = "hash panels sensors placement seed trained_with body task readout unit error low high least trivial samples";
     match args.format {
         Format::Table => print_rows(&table(&all), Format::Table)?,
         format => print_rows(&Table::new(columns, rows), format)?,

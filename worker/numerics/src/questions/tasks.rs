@@ -97,6 +97,8 @@ pub struct Reading {
     pub error: f64,
     /// Lower and upper end.
     pub interval: [f64; 2],
+    /// The least error that these samples can show, half of one sample's: of a wrong class, or of one instant; 0: no such.
+    pub least: f64,
     /// The error of the most frequent class, or of the training samples' mean.
     pub trivial: f64,
     /// Samples that judge.
@@ -121,7 +123,12 @@ pub fn tasks(seen: &Observations) -> (Vec<Reading>, Vec<Task>) {
         let trivial = Score::of(*task, &truth, &trivial).error;
         [("direct", direct), ("decoded", decoded)].map(|(readout, found)| {
             let Score { error, interval } = Score::of(*task, &truth, &found);
-            Reading { task: *task, readout, error, interval, trivial, samples: truth.len() }
+            let least = match task {
+                Task::Panel | Task::Count => 50.0 / truth.len() as f64,
+                Task::Onset => 500.0 * seen.interval / truth.len() as f64,
+                Task::Peak | Task::Impulse => 0.0,
+            };
+            Reading { task: *task, readout, error, interval, least, trivial, samples: truth.len() }
         })
     };
     (varied.iter().flat_map(read).collect(), constant)
