@@ -61,10 +61,12 @@ pub fn optimise(
             (Ok(Sensed { gradient, loss_train, error_test }), None) => {
                 state.remember(loss_train, error_test);
                 let bodies = session.bodies();
-                log.timed(
-                    |s| &mut s.project,
-                    |report| state.move_body(problem, &freedom, &gradient, &mut castable, bodies, report),
-                );
+                if problem.optimise.moves_body(state.step) {
+                    log.timed(
+                        |s| &mut s.project,
+                        |report| state.move_body(problem, &freedom, &gradient, &mut castable, bodies, report),
+                    );
+                }
             }
             (Err(trouble), None) => state = before.taken_back(trouble, &mut log.report)?,
         }
@@ -75,6 +77,7 @@ pub fn optimise(
             return Ok(None);
         }
     }
+    drop(session); // the memory of its brain
     Ok(compared(trial, state, observer))
 }
 

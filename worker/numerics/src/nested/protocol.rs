@@ -23,7 +23,7 @@ const LOOKED_AT: usize = 8;
 
 /// What a protocol finds out about the state's design.
 pub(super) struct Sensed {
-    /// dL/dα; empty of a search without gradient.
+    /// dL/dα; empty of a search without gradient, and of a step that does not move the body.
     pub(super) gradient: Vec<f64>,
     /// Training loss after training (normalised).
     pub(super) loss_train: f64,
@@ -64,10 +64,10 @@ impl<'a> Session<'a> {
     }
 
     fn paper(&mut self, state: &mut State, terms: Terms, log: &mut Log) -> Result<Sensed, Trouble> {
-        let trial = self.trial;
-        let through_brain = terms == Terms::Implicit;
+        let (trial, moves) = (self.trial, self.moves(state.step));
+        let through_brain = terms == Terms::Implicit && moves;
         // A(α), with a tape only where a gradient is needed
-        let tapes = [through_brain, true];
+        let tapes = [through_brain, moves];
         let (sets, solver) = ([&trial.train, &trial.test], trial.problem.solver);
         let [train, test] = self.simulate(state, sets, tapes, solver, log)?;
 
@@ -109,7 +109,7 @@ impl<'a> Session<'a> {
         // a loop that goes on simulates them again: work counts once
         log.report.counters = counted;
         self.recent.sort_by_key(|(known, _)| *known);
-        let newest = self.fresh(&state.design, step, going, true, log)?;
+        let newest = self.fresh(&state.design, step, going, self.moves(step), log)?;
         self.recent.push((step, joined(&newest)));
 
         let recent = std::mem::take(&mut self.recent);
@@ -135,7 +135,7 @@ impl<'a> Session<'a> {
 
     /// The same with a brain a cast, fitted to its samples alone.
     fn joint_each(&mut self, state: &mut State, going: Going, log: &mut Log) -> Result<Sensed, Trouble> {
-        let newest = self.fresh(&state.design, state.step, going, true, log)?;
+        let newest = self.fresh(&state.design, state.step, going, self.moves(state.step), log)?;
         let mut found = Vec::with_capacity(newest.len());
         for cast in &newest {
             let error = self.learn(FitOn::Cast(&cast.samples), state, log)?;
@@ -282,13 +282,20 @@ impl<'a> Session<'a> {
         Ok(of_one.into_iter().next().unwrap_or_default())
     }
 
-    /// dL/dα of casts by the cotangents on their signals, side by side.
+    fn moves(&self, step: u32) -> bool {
+        self.trial.problem.optimise.moves_body(step)
+    }
+
+    /// dL/dα of casts by the cotangents on their signals, side by side; empty where the step does not move the body.
     fn vjps(
         &self,
         casts: &[Response],
         cotangents: &[Vec<f64>],
         log: &mut Log,
     ) -> Result<Vec<Vec<f64>>, Trouble> {
+        if !self.moves(log.report.step) {
+            return Ok(vec![Vec::new(); casts.len()]);
+        }
         let one =
             |at: usize, counters: &mut Counters| self.trial.vjp(&casts[at], cotangents[at].clone(), counters);
         log.timed(

@@ -45,6 +45,11 @@ impl Optimise {
         }
     }
 
+    /// Whether a step moves the body: the last one only evaluates it.
+    pub(super) fn moves_body(&self, step: u32) -> bool {
+        step + 1 < self.iterations
+    }
+
     /// Whether a step looks at the test set: some do, and the last.
     pub(super) fn looks_at_test(&self, step: u32) -> bool {
         // a brain of its own for each cast knows too little of it for its error to choose a body by
