@@ -158,6 +158,8 @@ pub(super) struct LinearLearner<'a> {
     trial: &'a Trial<'a>,
     /// That of this step, and its factor where it may be asked how it would change.
     linear: Option<(Linear, Option<linear::Fit>)>,
+    /// Memory for the moments of a step.
+    moments: Option<Moments>,
 }
 
 /// Whether λ is chosen anew at this step: at 10, 20, 40, 80, …, as a body changes most at first.
@@ -167,7 +169,7 @@ fn is_due(step: u32) -> bool {
 
 impl<'a> LinearLearner<'a> {
     pub(super) fn new(trial: &'a Trial<'a>) -> Self {
-        Self { trial, linear: None }
+        Self { trial, linear: None, moments: None }
     }
 
     fn plain(&self, samples: &Samples) -> Plain {
@@ -199,14 +201,15 @@ impl<'a> LinearLearner<'a> {
 
     /// The weights for the samples of the last bodies, older ones counting less. Where λ is due it is the one by which the
     /// other bodies read the newest best.
-    fn solve_recent(&self, bodies: &[Plain], step: u32, learnt: &mut Learnt) -> Result<Linear, Trouble> {
+    fn solve_recent(&mut self, bodies: &[Plain], step: u32, learnt: &mut Learnt) -> Result<Linear, Trouble> {
         let (trial, lags) = (self.trial, self.trial.problem.decoder.lags);
         let newest = bodies.len() - 1;
         let weighted = |body: usize| -> Vec<f64> {
             let fading = FADING.powi((newest - body) as i32);
             bodies[body].w.iter().map(|w| w * fading).collect()
         };
-        let mut moments = Moments::new(bodies[newest].sizes, trial.pool);
+        let moments = self.moments.get_or_insert_with(|| Moments::new(bodies[newest].sizes, trial.pool));
+        moments.clear();
         for (body, samples) in bodies.iter().enumerate() {
             moments.add(&samples.x, &samples.y, &weighted(body));
         }

@@ -74,6 +74,13 @@ impl Moments {
         }
     }
 
+    /// Forgets all samples and keeps the memory: the system gives the 0.1 GB of six sensors page by page.
+    pub fn clear(&mut self) {
+        let Self { second, cross, signals, forces, weight, power, .. } = self;
+        [second, cross, signals, forces].into_iter().for_each(|sums| sums.fill(0.0));
+        (*weight, *power) = (0.0, 0.0);
+    }
+
     /// Takes in samples x (N, T, C), f (N, T, K) of weights w (N).
     ///
     /// # Panics
