@@ -254,7 +254,7 @@ fn a_table_without_names_needs_a_word() {
     assert!(refused.status.code() == Some(2) && said.contains("stimuli.recorded.header"), "{said}");
 }
 
-/// `evaluate`, `identify` and `twin` read records by one reader: a copy, a gap and a table without names end each of them, by file.
+/// `evaluate` and `identify` read records by one reader: a copy, a gap and a table without names end each of them, by file.
 #[test]
 fn every_command_refuses_records_that_mislead() {
     let bench = Bench::new();
@@ -296,7 +296,6 @@ fn every_command_refuses_records_that_mislead() {
         for call in [
             &["lab", "evaluate", "s.toml", "--brain", "linear", "--records", "initial=r.toml"][..],
             &["lab", "identify", "s.toml", "--records", "r.toml"],
-            &["lab", "twin", "s.toml", "--records", "r.toml"],
         ] {
             let refused = bench.metasense(call);
             let errors = String::from_utf8_lossy(&refused.stderr);

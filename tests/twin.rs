@@ -1,4 +1,4 @@
-//! `twin`: records of a cast in, the cast out, and brains that are trained on it.
+//! Twins: records of a cast in, the cast out, and brains that are trained on it.
 
 use crate::common::Bench;
 use crate::identify::{SPEC, made_of};
@@ -87,7 +87,7 @@ fn value_of(csv: &str, row: &str, column: &str) -> f64 {
 fn a_twin_tells_the_cast_and_teaches_brains() {
     let bench = bench();
     let of = |spec: &str, records: &str, more: &[&str]| {
-        let call = ["lab", "twin", spec, &hash(&bench, spec), "--records", records];
+        let call = ["lab", "identify", spec, &hash(&bench, spec), "--records", records, "--fit", "variation"];
         bench.output(&[&call[..], more].concat())
     };
     let one = of("s.toml", "r.toml", &["--format", "csv", "--out", "t.toml"]);
@@ -163,7 +163,7 @@ fn what_is_no_twin_is_refused() {
     with("odd.toml", &["odd.toml:5", "mass"]);
     with("nowhere.toml", &["nowhere.toml"]);
     // of this body, and then broken
-    bench.output(&["lab", "twin", "s.toml", &spec, "--records", "r.toml", "--out", "t.toml"]);
+    bench.output(&["lab", "identify", "s.toml", &spec, "--records", "r.toml", "--out", "t.toml"]);
     let text = std::fs::read_to_string(bench.path("t.toml")).unwrap();
     let at = text.find("stretch = ").unwrap();
     let end = at + text[at..].find('\n').unwrap();
@@ -175,10 +175,11 @@ fn what_is_no_twin_is_refused() {
     with("quiet.toml", &["quiet.toml:", "noise = 1 entries", "must have 3 entries"]);
     let call = ["lab", "evaluate", "s.toml", &spec, "--records", "initial=r.toml", "--twin", "who=t.toml"];
     refused(&call, &["--twin who", "--records who=FILE"]);
-    let two = trainable().replace("[brain]", "[sensors]\nchannels = [\"ax\", \"ay\"]\n[brain]");
-    bench.file("two_channels.toml", &two);
-    let read = hash(&bench, "two_channels.toml");
-    let call = ["lab", "identify", "two_channels.toml", &read, "--records", "two.toml"];
-    refused(&call, &["two_channels.toml:18", "sensors.channels", "metasense lab twin"]);
-    refused(&["lab", "twin", "s.toml", &spec, "--records", "two.toml"], &["two.toml", "must be 3"]);
+    let identify = ["lab", "identify", "s.toml", &spec, "--records"];
+    refused(&[&identify[..], &["two.toml"]].concat(), &["two.toml", "must be 3"]);
+    let both = ["r.toml", "--fit", "variation,stretch"];
+    refused(&[&identify[..], &both].concat(), &["--fit variation", "must stand alone"]);
+    for old in [&["lab", "twin"][..], &["twin"]] {
+        refused(&[old, &["s.toml"]].concat(), &["is now `metasense lab identify --fit variation`"]);
+    }
 }

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What `metasense lab twin` writes and `metasense lab evaluate` reads. Empty lists stand for what did not scatter.
+/// What `metasense lab identify --out` writes and `metasense lab evaluate` reads. Empty lists stand for what did not scatter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Twin {

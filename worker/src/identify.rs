@@ -1,25 +1,21 @@
-//! Material parameters from measured records, for a trial's body.
+//! The cast that explains measured records of a trial's body.
 
 pub use metasense_numerics::dynamics::Parameters;
 pub use metasense_numerics::identify::{
-    BOX, Estimate, Identified, Iteration, Offset, Parameter, Turn, UNEXPLAINED, Verdict,
+    BOX, Ending, Estimate, Fit, Iteration, Offset, Parameter, Turn, UNEXPLAINED, Unknown,
 };
-use metasense_numerics::identify::{Settings, fit};
 use metasense_schemas::spec::TrialSpec;
 
 use crate::measured::Measured;
-use crate::run::{Failure, placed, pool};
+use crate::run::{Failure, check_design, placed, pool};
 
-/// Most iterations, those on the beginnings of the records included.
-const ITERATIONS: usize = 1000;
-
-/// Fits `free` parameters of the trial's body, of this design, to records; the others stay at the spec's values.
+/// Fits a cast of the trial's body, of this design, to records: `free` parameters, and what `[variation]` scatters. The other parameters
+/// stay at the spec's values; if none is free, they scatter, too.
 ///
-/// Signals are compared as sensors of the trial's frame read them, without what its chips add and filter. `watch` sees
-/// every turn but those that are `known` from before.
+/// `watch` sees every turn but those that are `known` from before.
 ///
 /// # Errors
-/// If the spec stands for no trial, or a parameter does not start above 0.
+/// If the spec stands for no trial, the design is of another body, or a free parameter does not start above 0.
 pub fn identify(
     trial: &TrialSpec,
     design: &[f64],
@@ -28,15 +24,15 @@ pub fn identify(
     threads: usize,
     known: &[Turn],
     watch: &mut dyn FnMut(&Turn),
-) -> Result<Identified, Failure> {
+) -> Result<Fit, Failure> {
     let pool = pool(threads)?;
     let problem = placed(trial, &pool)?;
-    let scene = &problem.scene;
+    check_design(&problem, design)?;
     let mut free = free.to_vec();
     free.sort_unstable();
     free.dedup();
     for parameter in &free {
-        let value = Parameters::of(scene).array()[*parameter as usize];
+        let value = Parameters::of(&problem.scene).array()[*parameter as usize];
         if value <= 0.0 {
             let key = match parameter {
                 Parameter::Stretch => "body.stiffness.stretch",
@@ -52,7 +48,6 @@ pub fn identify(
             )));
         }
     }
-    let offset = measured.start_deviation;
-    let settings = Settings { free, solver: problem.solver, iterations: ITERATIONS, offset };
-    Ok(fit(scene, design, &measured.forces, &measured.signals, &settings, &pool, known, watch))
+    let records = (&measured.forces, &measured.signals[..], measured.start_deviation);
+    Ok(Fit::of_records(&problem, design, records, &free, &pool, known, watch))
 }

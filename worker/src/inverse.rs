@@ -5,9 +5,10 @@ use metasense_numerics::trial::{Problem, Trial};
 use metasense_schemas::spec::TrialSpec;
 use serde::{Deserialize, Serialize};
 
+use crate::identify::Ending;
 use crate::measured::Measured;
 use crate::run::{Failure, Pool, check_design, placed, pool};
-use crate::twin::{Ending, Twin};
+use crate::twin::Twin;
 
 /// What an inverse brain says of some samples.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]

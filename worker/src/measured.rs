@@ -9,6 +9,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use metasense_numerics::dynamics::Forces;
+use metasense_numerics::identify::margin;
 use metasense_numerics::stimuli::{anti_aliased, resample};
 use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{self, Augment, Channel, Resample, Start, TrialSpec};
@@ -170,6 +171,9 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
             }
         }
     }
+    let forces_on_clock =
+        Forces { samples: forces.len(), panels, instants: own, values, strikes: Vec::new() };
+    check_margin(signals.start_deviation.unwrap_or(0.0), &forces_on_clock, trial.time)?;
     let low_pass = recorded.resample == Resample::Antialias;
     let clock = if low_pass { anti_aliased } else { resample };
     let read = |(record, first): &(Record, Option<i64>)| -> Vec<f64> {
@@ -191,9 +195,35 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
         starts,
         start_deviation: signals.start_deviation.unwrap_or(0.0),
         signals: readings.iter().flat_map(read).collect(),
-        forces: Forces { samples: forces.len(), panels, instants: own, values, strikes: Vec::new() },
+        forces: forces_on_clock,
         low_pass,
     })
+}
+
+/// Readings after the beginning of a force that a clock must leave.
+const JUDGED: f64 = 4.0;
+/// Simulated instants for each reading, at least, where clocks are uncertain.
+const FINER: usize = 4;
+
+/// Refuses clocks that are so uncertain that of some record no reading after its force counts.
+fn check_margin(deviation: f64, forces: &Forces, time: spec::Time) -> Result<(), Invalid> {
+    let delta = time.duration / time.samples as f64;
+    let margin = if deviation > 0.0 { margin(deviation, delta, FINER) as f64 * delta } else { return Ok(()) };
+    for i in 0..forces.samples {
+        let all = forces.sample(i);
+        let peak = all.iter().fold(0.0f64, |peak, f| peak.max(f.abs()));
+        let begun = |history: &[f64]| history.iter().position(|f| f.abs() > records::CUT * peak);
+        let Some(first) = all.chunks(forces.instants + 1).filter_map(begun).min() else { continue };
+        let struck = first as f64 * time.duration / forces.instants as f64;
+        if struck + JUDGED * delta > time.duration - margin {
+            let remedy = format!(
+                "leaves too few readings of record {i}: its force begins at {struck:.4} s, and the last {margin:.4} s of a sample may be \
+                 late; reduce start_deviation, increase time.duration, or use a trigger that moves the blow earlier"
+            );
+            return Err(invalid("signals.start_deviation", deviation, remedy));
+        }
+    }
+    Ok(())
 }
 
 fn faulty(file: &Path, what: impl Into<String>) -> Invalid {

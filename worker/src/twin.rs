@@ -1,30 +1,17 @@
-//! Twins: fitted to measured records of a trial's body, and the casts that files of them stand for.
+//! Files of twins, and the casts that they stand for.
 
 use std::path::Path;
 
 use metasense_numerics::dynamics::{Parameters, Parts};
-pub use metasense_numerics::identify::twin::{Ending, Estimate, Fit, Twin, Unknown};
+pub use metasense_numerics::identify::Twin;
 use metasense_numerics::variation::{Cast, Chips};
 use metasense_schemas::source::Source;
 use metasense_schemas::spec::TrialSpec;
 use metasense_schemas::twin::{self as stored, Factors};
 
 use crate::invalid::{Invalid, invalid, positive, require};
-use crate::measured::{Measured, MeasuredError};
-use crate::run::{Failure, check_design, placed, pool};
+use crate::measured::MeasuredError;
 use crate::simulate::body;
-
-/// Fits a twin to records of the trial's body of this design.
-///
-/// # Errors
-/// If the spec stands for no trial, or the design is of another body.
-pub fn fit(trial: &TrialSpec, design: &[f64], measured: &Measured, threads: usize) -> Result<Fit, Failure> {
-    let pool = pool(threads)?;
-    let problem = placed(trial, &pool)?;
-    check_design(&problem, design)?;
-    let records = (&measured.forces, &measured.signals[..], measured.start_deviation);
-    Ok(Fit::of_records(&problem, design, records, &pool))
-}
 
 /// As it is stored.
 pub fn store(trial: &TrialSpec, design: &[f64], twin: &Twin) -> stored::Twin {

@@ -4,7 +4,7 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use metasense_numerics::identify::{Parameter, Settings, fit, twin};
+use metasense_numerics::identify::{Fit, Parameter};
 use metasense_numerics::random::Draw;
 use metasense_numerics::random::Purpose;
 use metasense_schemas::record::{Checkpoint, StepRecord};
@@ -154,12 +154,10 @@ fn ask(trial: &TrialSpec) -> usize {
         let width = problem.shape().inputs;
         for factor in [1.0, 0.0, 1e-200, 1e200] {
             let signals: Vec<f64> = simulated.signals.iter().map(|s| factor * s).collect();
-            let free = vec![Parameter::Stretch, Parameter::Density];
-            let settings = Settings { free, solver: problem.solver, iterations: 3, offset: 0.0 };
-            if signals.iter().all(|s| s.is_finite()) {
-                fit(&problem.scene, design, &forces, &signals, &settings, &pool, &[], &mut |_| ());
-                if width == 3 * problem.scene.sensors.len() {
-                    twin::Fit::of_records(&problem, design, (&forces, &signals, 0.0), &pool);
+            if signals.iter().all(|s| s.is_finite()) && width == 3 * problem.scene.sensors.len() {
+                for free in [&[][..], &[Parameter::Stretch, Parameter::Density]] {
+                    let records = (&forces, &signals[..], 0.0);
+                    Fit::of_records(&problem, design, records, free, &pool, &[], &mut |_| ());
                 }
             }
         }

@@ -470,7 +470,7 @@ impl Body {
         Twin::fitted(py, self, self.design_or_initial(alpha)?, forces, signals)
     }
 
-    /// Reads a twin (TOML, of `metasense lab twin` or `Twin.save`) of this design, by default the initial one.
+    /// Reads a twin (TOML, of `metasense lab identify --out` or `Twin.save`) of this design, by default the initial one.
     #[pyo3(signature = (file, alpha=None))]
     fn read_twin(&self, file: PathBuf, alpha: Option<&Bound<'_, PyAny>>) -> PyResult<Twin> {
         Twin::read(self, self.design_or_initial(alpha)?, file)

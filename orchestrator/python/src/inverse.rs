@@ -5,14 +5,14 @@ use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex};
 
 use metasense_numerics::dynamics::Parameters;
-use metasense_numerics::identify::twin;
 use metasense_numerics::trial::Problem;
 use metasense_schemas::source::Source;
 use metasense_schemas::spec::TrialSpec;
+use metasense_worker::identify::{Fit, identify};
 use metasense_worker::inverse::{Posterior, with_brain};
 use metasense_worker::measured::{Measured, MeasuredError};
 use metasense_worker::run::{Failure, Pool};
-use metasense_worker::twin::{fit, parse, read, store};
+use metasense_worker::twin::{self, parse, read, store};
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
 use pyo3::exceptions::{PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -47,8 +47,9 @@ impl Twin {
         let forces = metasense_worker::simulate::forces(scene, &shape, values).map_err(|e| raised(&e))?;
         let signals = signals_of(body, Some(forces.samples), signals)?;
         let measured = Measured::of(forces, signals, false);
-        let found = py.detach(|| fit(&body.trial, &design, &measured, body.threads.count()));
-        let twin::Fit { twin, ending, .. } = found.map_err(|e| raised(&e))?;
+        let threads = body.threads.count();
+        let found = py.detach(|| identify(&body.trial, &design, &measured, &[], threads, &[], &mut |_| ()));
+        let Fit { twin, ending, .. } = found.map_err(|e| raised(&e))?;
         Ok(Self { twin, trial: body.trial.clone(), design, ending: Some(ending.name().to_owned()) })
     }
 
@@ -124,7 +125,7 @@ impl Twin {
         self.twin.cast.design(&self.design).into_pyarray(py)
     }
 
-    /// Writes it into a file (TOML), as `metasense lab twin --out` does.
+    /// Writes it into a file (TOML), as `metasense lab identify --out` does.
     fn save(&self, file: PathBuf) -> PyResult<()> {
         metasense::files::write(&file, self.text().as_bytes())
             .map_err(|e| PyOSError::new_err(format!("cannot write {}: {e}", file.display())))

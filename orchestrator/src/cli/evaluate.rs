@@ -41,7 +41,7 @@ pub(super) struct Args {
     /// The design (.npy or .csv) of a body that is not the trial's own
     #[arg(long, value_name = "BODY=FILE", value_parser = pair)]
     design: Vec<(String, PathBuf)>,
-    /// A twin (TOML, from `metasense lab twin`) of a body whose design is known. Networks trained on its simulated signals,
+    /// A twin (TOML, from `metasense lab identify --out`) of a body whose design is known. Networks trained on its simulated signals,
     /// or its inverse decoder, also estimate the forces of the body's records
     #[arg(long, value_name = "BODY=FILE", value_parser = pair)]
     twin: Vec<(String, PathBuf)>,
@@ -158,8 +158,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         };
         if measured.start_deviation > 0.0 {
             return Err(refused(
-                "signals.start_deviation: must be left out: clocks are taken as exact here; set signals.start as `metasense lab identify` or \
-                 `lab twin` prints it for these records",
+                "signals.start_deviation: must be left out: clocks are taken as exact here; set signals.start as `metasense lab identify` \
+                 prints it for these records",
             ));
         }
         Ok(Records { name: name.clone(), by, measured })

@@ -43,7 +43,6 @@ mod status;
 mod submit;
 mod tasks;
 mod trial;
-mod twin;
 mod unfinished;
 mod verify;
 mod watch;
@@ -135,18 +134,19 @@ commands! {
     /// Computes properties of single bodies, without a sweep
     Body body: Draw draw, Simulate simulate, Modes modes, Bound bound, Operator operator, Place place, Casts casts, Tasks tasks, Project project;
     /// Compares bodies with measured records and reference data
-    Lab lab: Identify identify, Twin twin, Evaluate evaluate, Verify verify;
+    Lab lab: Identify identify, Evaluate evaluate, Verify verify;
     /// Prints what editors, shells and manuals use
     Setup setup: Schema schema, Completions completions, Man man;
     /// Runs a sweep as shards on a cluster or on several machines
     Cluster cluster: Submit submit, Merge merge, Gc gc;
 }
 
-/// What a command that stood at the top is called now.
+/// What a command that stood at the top, or was merged with another, is called now.
 fn renamed(name: &str) -> Option<String> {
     let group = GROUPS.iter().find(|(_, names)| names.contains(&name));
     match (name, group) {
         ("claims", _) => Some("analyse --question claims".into()),
+        ("twin" | "lab twin", _) => Some("lab identify --fit variation".into()),
         (_, group) => group.map(|(group, _)| format!("{group} {name}")),
     }
 }
@@ -192,8 +192,9 @@ fn lets_pass(command: clap::Command) -> clap::Command {
 /// Bad input and failed I/O, each with its exit code.
 pub fn execute(args: impl Iterator<Item = OsString>) -> Result<Exit, Error> {
     let args: Vec<OsString> = args.collect();
-    let first = args.get(1).and_then(|name| name.to_str());
-    if let Some((old, new)) = first.and_then(|old| Some((old, renamed(old)?))) {
+    let words: Vec<&str> = args.iter().skip(1).take(2).map_while(|word| word.to_str()).collect();
+    let names = [words.first().map(|name| (*name).to_owned()), Some(words.join(" "))];
+    if let Some((new, old)) = names.into_iter().flatten().find_map(|old| Some((renamed(&old)?, old))) {
         return Err(Error::Usage(format!("`metasense {old}` is now `metasense {new}`")));
     }
     let command = command().term_width(screen().unwrap_or(WIDEST).min(WIDEST)).color(colour());

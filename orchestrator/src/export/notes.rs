@@ -132,11 +132,9 @@ pub fn notes(
     lines.push(format!(
         "    metasense lab evaluate DB {hash} --records {name}=records.toml --out-dir measured"
     ));
-    let of = format!("DB {hash} --design {name} --records records.toml");
-    lines.push(match spec.sensors.changed_by() {
-        None => format!("    metasense lab identify {of} --out-dir material"),
-        Some(_) => format!("    metasense lab twin {of} --out twin.toml"),
-    });
+    lines.push(format!(
+        "    metasense lab identify DB {hash} --design {name} --records records.toml --out-dir material"
+    ));
     lines.join("\n") + "\n"
 }
 

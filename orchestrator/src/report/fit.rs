@@ -1,13 +1,13 @@
 //! The figures of an identification: records with the fit, and how the fit went.
 
 use maud::html;
-use metasense_schemas::spec::TrialSpec;
-use metasense_worker::identify::Identified;
+use metasense_schemas::spec::{Channel, TrialSpec};
+use metasense_worker::identify::{Estimate, Fit, Unknown};
 
 use crate::look::{Axis, Figure, Plot, Scale, Table, number, page, row};
 
-/// The figures about a fit to `signals` (N, T, 3M).
-pub fn figures(trial: &TrialSpec, signals: &[f64], fit: &Identified) -> Vec<Figure> {
+/// The figures about a fit to `signals` (N, T, channels).
+pub fn figures(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Vec<Figure> {
     let followed = (!fit.signals[1].is_empty()).then(|| records(trial, signals, fit));
     followed.into_iter().chain([course(fit)]).collect()
 }
@@ -23,8 +23,8 @@ pub fn html(title: &str, found: &Table, notes: &[String], figures: &[Figure]) ->
 }
 
 /// The records of least, middle and most misfit: acceleration and rotation rate of the sensor that moves most.
-fn records(trial: &TrialSpec, signals: &[f64], fit: &Identified) -> Figure {
-    let (instants, width) = (trial.time.samples, 3 * trial.sensor_units.len());
+fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
+    let (instants, width, read) = (trial.time.samples, trial.signals(), trial.sensors.read());
     let len = instants * width;
     let count = signals.len() / len;
     let dt = trial.time.duration / instants as f64;
@@ -33,19 +33,19 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Identified) -> Figure {
         (0..instants).map(|n| values[r * len + n * width + c]).collect()
     };
     let size = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>();
-    let channel = |kinds: &[usize]| -> usize {
+    let is_rate = |c: usize| read[c % read.len()] == Channel::Omega;
+    let channel = |rate: bool| {
         let energy = |c: &usize| (0..count).map(|r| size(&of(signals, r, *c))).sum::<f64>();
-        let channels = (0..width).filter(|c| kinds.contains(&(c % 3)));
-        channels.max_by(|a, b| energy(a).total_cmp(&energy(b))).unwrap_or(0)
+        (0..width).filter(|c| is_rate(*c) == rate).max_by(|a, b| energy(a).total_cmp(&energy(b)))
     };
-    let shown = [channel(&[0, 1]), channel(&[2])];
+    let shown: Vec<usize> = [false, true].into_iter().filter_map(channel).collect();
     let misfit = |r: usize| -> f64 {
         let off = |c: usize| {
             let (measured, fitted) = (of(signals, r, c), of(after, r, c));
             let rest: Vec<f64> = measured.iter().zip(&fitted).map(|(y, a)| y - a).collect();
             (size(&rest) / size(&measured).max(f64::MIN_POSITIVE)).sqrt()
         };
-        100.0 * off(shown[0]).hypot(off(shown[1])) / 2f64.sqrt()
+        100.0 * (shown.iter().map(|c| off(*c).powi(2)).sum::<f64>() / shown.len() as f64).sqrt()
     };
     let mut order: Vec<usize> = (0..count).collect();
     order.sort_by(|a, b| misfit(*a).total_cmp(&misfit(*b)));
@@ -55,10 +55,14 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Identified) -> Figure {
     for &r in &chosen {
         for &c in &shown {
             let [measured, started, fitted] = [signals, before, after].map(|v| of(v, r, c));
-            let unit = trial.sensor_units[c / 3];
-            let name = ["a_x", "a_y", "ω"][c % 3];
+            let unit = trial.sensor_units[c / read.len()];
+            let name = match read[c % read.len()] {
+                Channel::Ax => "a_x",
+                Channel::Ay => "a_y",
+                Channel::Omega => "ω",
+            };
             // In m/s², whose numbers are short
-            let (scale, units) = if c % 3 == 2 { (1.0, "rad/s") } else { (1e-3, "m/s²") };
+            let (scale, units) = if is_rate(c) { (1.0, "rad/s") } else { (1e-3, "m/s²") };
             let label = format!("{name} of unit {unit} ({units})");
             let time = |n: usize| (n + 1) as f64 * dt;
             // A start far off is cut at the frame rather than setting its scale.
@@ -109,7 +113,7 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Identified) -> Figure {
 }
 
 /// Misfit and parameters against iterations.
-fn course(fit: &Identified) -> Figure {
+fn course(fit: &Fit) -> Figure {
     let steps: Vec<f64> = (1..=fit.iterations.len()).map(|i| i as f64).collect();
     let axis = || Axis::new("iteration", Scale::Linear, [0.0, steps.len() as f64]);
     let misfits = fit.iterations.iter().flat_map(|i| i.misfit);
@@ -119,22 +123,28 @@ fn course(fit: &Identified) -> Figure {
         off.line(class, steps.iter().zip(&fit.iterations).map(|(n, i)| (*n, i.misfit[kind])));
     }
     let mut pictures = vec![off.picture()];
-    for e in &fit.estimates {
-        let way = fit.iterations.iter().map(|i| i.parameters.array()[e.parameter as usize]);
+    let material = |e: &Estimate| match e.unknown {
+        Unknown::Material(parameter) => Some(parameter),
+        _ => None,
+    };
+    let fitted: Vec<_> = fit.estimates.iter().filter_map(material).collect();
+    for &parameter in &fitted {
+        let way = fit.iterations.iter().map(|i| i.parameters.array()[parameter as usize]);
         let unit =
-            if e.parameter.unit().is_empty() { String::new() } else { format!(" ({})", e.parameter.unit()) };
-        let label = format!("{}{unit}", e.parameter.name());
-        let span = way.clone().chain([0.8 * e.value, 1.25 * e.value]);
-        let title = format!("{}: {}", e.parameter.name(), number(e.value));
+            if parameter.unit().is_empty() { String::new() } else { format!(" ({})", parameter.unit()) };
+        let label = format!("{}{unit}", parameter.name());
+        let value = way.clone().next_back().unwrap_or(1.0);
+        let span = way.clone().chain([0.8 * value, 1.25 * value]);
+        let title = format!("{}: {}", parameter.name(), number(value));
         let mut plot = Plot::new(&title, axis(), Axis::new(&label, Scale::Log, span)).sized(560.0, 280.0);
         plot.line("optimised", steps.iter().copied().zip(way));
         pictures.push(plot.picture());
     }
     let rows = fit.iterations.iter().enumerate().map(|(n, i)| {
-        let found = fit.estimates.iter().map(|e| i.parameters.array()[e.parameter as usize]);
+        let found = fitted.iter().map(|parameter| i.parameters.array()[*parameter as usize]);
         row![n + 1, i.window, i.misfit[0], i.misfit[1]; found]
     });
-    let names: String = fit.estimates.iter().map(|e| format!(" {}", e.parameter.name())).collect();
+    let names: String = fitted.iter().map(|parameter| format!(" {}", parameter.name())).collect();
     let columns = format!("iteration window_seconds misfit_acceleration misfit_rotation{names}");
     Figure::new(
         "convergence",

@@ -51,7 +51,7 @@ pub struct MeasuredSignals {
     /// Time on the forces' clock at which the signals' clock is 0. Unit: s. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub start: Option<Start>,
-    /// Standard deviation of the unknown error of each record's `start`. `lab identify` and `lab twin` fit these errors, up to three
+    /// Standard deviation of the unknown error of each record's `start`. `lab identify` fits these errors, up to three
     /// deviations. Unit: s. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub start_deviation: Option<f64>,

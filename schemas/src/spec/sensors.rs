@@ -154,18 +154,6 @@ impl Sensors {
         self.channels.as_deref().unwrap_or(&Channel::ALL)
     }
 
-    /// The first key by which readings are not all three signals of each sensor as they are, which `identify` compares and `twin`
-    /// need not.
-    #[must_use]
-    pub fn changed_by(&self) -> Option<&'static str> {
-        let keys = [
-            ("sensors.channels", self.channels.is_some()),
-            ("sensors.bandwidth", self.bandwidth.is_some()),
-            ("sensors.delay", self.delay.is_some()),
-        ];
-        keys.into_iter().find(|(_, given)| *given).map(|(key, _)| key)
-    }
-
     /// The same with the chip's figures in place of its name, and the channels in order, named only if some are left out.
     #[must_use]
     pub fn resolved(mut self) -> Self {

@@ -1,4 +1,4 @@
-"""Files of instruments as measured records: NPZ and the TOML that `metasense lab identify`, `twin` and `evaluate` read.
+"""Files of instruments as measured records: NPZ and the TOML that `metasense lab identify` and `evaluate` read.
 
     from metasense import records
     records.convert(["run.csv"], "records.npz", time="t", force="F", signals=["ax", "ay", "wz"], trigger=0.5, length=0.5)

@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     for note in notes:
         print(f"note: {note}", file=sys.stderr)
-    print(f"{toml}: for metasense lab identify, twin and evaluate (--records)")
+    print(f"{toml}: for metasense lab identify and evaluate (--records)")
     return 0
 
 

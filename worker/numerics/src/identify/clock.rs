@@ -66,6 +66,12 @@ fn weights(p: f64) -> [[f64; TAPS]; 3] {
     all
 }
 
+/// Readings at the end of a record that do not count where clocks are off by a `deviation` (s): those that may be late, and as many as
+/// interpolation needs, on motion so many times as fine as the readings are, `interval` apart (s).
+pub fn margin(deviation: f64, interval: f64, finer: usize) -> usize {
+    (REACH * deviation / interval + TAPS as f64 / finer as f64).ceil() as usize
+}
+
 impl Clock {
     /// Of records under `forces`, off by a `deviation` (s); none if that is 0. Motion is taken `least` times as often as readings
     /// or so often that its interpolation misses little.
@@ -111,7 +117,7 @@ impl Clock {
 
     /// Readings by which a window is longer, as signals may be that late; and by which motion must go on behind the last that counts.
     pub fn margin(&self) -> usize {
-        ((self.limit() + TAPS as f64 * self.step) / self.interval).ceil() as usize
+        margin(self.deviation, self.interval, self.finer)
     }
 
     /// First instant, counted from that of the first reading, and where between it and the next the reading is.

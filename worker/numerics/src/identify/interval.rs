@@ -1,17 +1,18 @@
-//! How well records tell parameters.
+//! How well records tell what was fitted.
 //!
 //! ```text
-//! covariance = (1 + u (G − 1)) (G − 1)/G Σ_g (δ_g − δ̄)(δ_g − δ̄)ᵀ,   δ_g = −(H − H_g)⁻¹ (∇F − ∇F_g),   H = JᵀJ
+//! covariance = H⁻¹ ((1 + u (G − 1)) Σ_g s_g s_gᵀ + 1) H⁻¹,   H = JᵀJ + 1,   s_g = J_gᵀ r_g
 //! ```
-//! The jackknife of one step (Efron, The Jackknife, the Bootstrap and Other Resampling Plans, 1982): each group of residuals
-//! left out once. A group is a record, or, of fewer than ten records, a part of one in time, so that noise may be
-//! correlated within it. The share u of the residual that the model lacks is alike in all of them. 95 % by Student's t with
-//! G − 1 degrees of freedom.
+//! A group g is a record, or, of fewer than ten records, a part of one in time, so that noise may be correlated within it. The share u
+//! of the residual that is not noise, or follows from the motion alike in all groups, does not average out. 95 % by Student's t with G − 1
+//! degrees of freedom. That of a free parameter is marginal: it contains what the other unknowns may be.
 
-use super::objective::{Objective, Point};
-use super::{BOX, Offset, Parameter};
+use super::descent::covariance;
+use super::discrepancy::explained;
+use super::objective::{Columns, Objective, Point};
+use super::{BOX, Fit};
 use crate::student::student;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 
 /// Records from which each is a group, and groups at least where they are parts of records.
 const ENOUGH: usize = 10;
@@ -23,22 +24,7 @@ const ROUNDED: f64 = 1e-12;
 /// Part of a parameter's direction that may be unknown.
 const SHARE: f64 = 0.05;
 
-/// A fitted parameter.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Estimate {
-    /// Which.
-    pub parameter: Parameter,
-    /// Where it started.
-    pub start: f64,
-    /// What was found; of one that is not identifiable, where it happens to stand.
-    pub value: f64,
-    /// 95 %; none where it is not identifiable, or at the bound.
-    pub interval: Option<[f64; 2]>,
-    /// Whether records that tell it ask for a value farther from its start than a fit may lead.
-    pub at_the_bound: bool,
-}
-
-/// A combination Π pᵏ of the fitted parameters that the records do not tell.
+/// A combination Π pᵏ of the free parameters that the records do not tell.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Direction {
     /// The exponents, of length 1, in the order of the estimates.
@@ -47,43 +33,60 @@ pub struct Direction {
     pub factor: f64,
 }
 
-/// What is known about a point.
-pub struct Spread {
-    pub undetermined: Vec<Direction>,
-    pub correlation: Vec<Vec<f64>>,
-    pub condition: f64,
-    pub offsets: Vec<Offset>,
-    /// Half the 95 % interval of each logarithm.
-    half: Vec<Option<f64>>,
-}
-
-impl Spread {
-    pub fn estimates(&self, free: &[Parameter], start: &[f64; 6], found: &[f64; 6]) -> Vec<Estimate> {
-        let of = |(&parameter, half): (&Parameter, &Option<f64>)| {
-            let (start, value) = (start[parameter as usize], found[parameter as usize]);
-            let at_the_bound = half.is_some() && (value / start).ln().abs() > BOX.ln() - 1e-9;
-            let within = half.filter(|_| !at_the_bound);
-            let interval = within.map(|h| [value * (-h).exp(), value * h.exp()]);
-            Estimate { parameter, start, value, interval, at_the_bound }
-        };
-        free.iter().zip(&self.half).map(of).collect()
+/// Gives a fit its intervals, from columns of all records that count.
+pub fn bound(fit: &mut Fit, objective: &Objective<'_>, point: &Point, columns: &Columns) {
+    let (records, jacobian) = (columns.records.len(), objective.jacobian(columns));
+    let [read, left, residual] = objective.parts(point, &columns.records);
+    let width = fit.twin.noise.len();
+    fit.unmodelled = explained(&read, &left, records, width);
+    let (group, count) = grouped([records, residual.len() / (records * width), width]);
+    let mut scores = DMatrix::zeros(count, jacobian.ncols());
+    for (k, column) in jacobian.column_iter().enumerate() {
+        for ((&group, r), j) in group.iter().zip(&residual).zip(column.iter()) {
+            scores[(group, k)] += r * j;
+        }
     }
+    let inverse = covariance(jacobian.tr_mul(&jacobian) + DMatrix::identity(scores.ncols(), scores.ncols()));
+    let beyond = 1.0 - fit.twin.misfit.max(1.0).powi(-2);
+    let alike = 1.0 + fit.unmodelled.unwrap_or(0.0).max(beyond) * (count - 1) as f64;
+    let (moved, t) = (scores * &inverse, student(count - 1));
+    let covariance = t * t * (alike * moved.tr_mul(&moved) + &inverse * &inverse);
+    let shared = (alike - 1.0) / (count - 1).max(1) as f64;
+    fit.offsets = objective.offsets(point, columns, &jacobian, &covariance, shared);
+    for (k, estimate) in fit.estimates.iter_mut().enumerate() {
+        estimate.left = inverse[(k, k)].sqrt();
+        estimate.half = Some(covariance[(k, k)].sqrt());
+    }
+    let free = objective.unknowns.free();
+    if free == 0 {
+        return;
+    }
+    fit.undetermined =
+        undetermined(&inverse.view((0, 0), (free, free)).into_owned(), objective.unknowns.log());
+    let undetermined = &fit.undetermined;
+    let unknown = |k: usize| undetermined.iter().map(|d| d.exponents[k].powi(2)).sum::<f64>() > SHARE;
+    for (k, estimate) in fit.estimates[..free].iter_mut().enumerate() {
+        let determined = !unknown(k);
+        estimate.at_the_bound = determined && (estimate.scatter * estimate.found).abs() > BOX.ln() - 1e-9;
+        estimate.half = estimate.half.filter(|_| determined && !estimate.at_the_bound);
+    }
+    let correlation = |i: usize, j: usize| match unknown(i) || unknown(j) {
+        _ if i == j => 1.0,
+        true => 0.0,
+        false => covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt(),
+    };
+    fit.correlation = (0..free).map(|i| (0..free).map(|j| correlation(i, j)).collect()).collect();
 }
 
-/// At the end of a fit whose model lacks the share `unmodelled` of the residual.
-pub fn spread(objective: &Objective<'_>, point: &Point, jacobian: &DMatrix<f64>, unmodelled: f64) -> Spread {
-    let free = jacobian.ncols();
-    let residual = objective.residual_before(point);
-    let (group, count) = groups(objective);
-    let alike = 1.0 + unmodelled * (count - 1) as f64;
-    let h = jacobian.tr_mul(jacobian);
-    let eigen = h.clone().symmetric_eigen();
+/// The directions that records leave open of free parameters, from their covariance with the prior in units of `log`.
+fn undetermined(inverse: &DMatrix<f64>, log: f64) -> Vec<Direction> {
+    let told = covariance_of_prior(inverse);
+    let eigen = told.symmetric_eigen();
     let largest = eigen.eigenvalues.max();
-    let (mut known, mut undetermined) = (Vec::new(), Vec::new());
+    let mut undetermined = Vec::new();
     for (k, &value) in eigen.eigenvalues.iter().enumerate() {
-        let factor = (1.96 / value.max(0.0).sqrt()).exp();
+        let factor = (1.96 * log / value.max(0.0).sqrt()).exp();
         if factor < KNOWN && value > ROUNDED * largest {
-            known.push(k);
             continue;
         }
         let column = eigen.eigenvectors.column(k);
@@ -93,74 +96,22 @@ pub fn spread(objective: &Objective<'_>, point: &Point, jacobian: &DMatrix<f64>,
         undetermined.push(Direction { exponents: column.iter().map(|c| sign * c).collect(), factor });
     }
     undetermined.sort_by(|a, b| b.factor.total_cmp(&a.factor));
-    let covariance = match known.is_empty() {
-        true => DMatrix::zeros(free, free),
-        false => {
-            let known: Vec<_> = known.iter().map(|&k| eigen.eigenvectors.column(k)).collect();
-            let basis = DMatrix::from_columns(&known);
-            let within = jackknife((&group, count), &(jacobian * &basis), &residual);
-            &basis * (alike * within) * basis.transpose()
-        }
-    };
-    let unknown = |k: usize| undetermined.iter().map(|d| d.exponents[k].powi(2)).sum::<f64>() > SHARE;
-    let t = student(count - 1);
-    let deviation: Vec<f64> = (0..free).map(|k| covariance[(k, k)].max(0.0).sqrt()).collect();
-    let correlation = |i: usize, j: usize| match (unknown(i) || unknown(j), deviation[i] * deviation[j]) {
-        (false, scale) if scale > 0.0 => covariance[(i, j)] / scale,
-        _ => {
-            if i == j {
-                1.0
-            } else {
-                0.0
-            }
-        }
-    };
-    let least = eigen.eigenvalues.min().max(0.0);
-    Spread {
-        half: (0..free).map(|k| (!unknown(k)).then(|| t * deviation[k])).collect(),
-        correlation: (0..free).map(|i| (0..free).map(|j| correlation(i, j)).collect()).collect(),
-        condition: if least > 0.0 { (largest / least).sqrt() } else { f64::INFINITY },
-        offsets: objective.offsets(point, jacobian, &(t * t * covariance), unmodelled),
-        undetermined,
-    }
+    undetermined
 }
 
-/// The group of every entry of the signals, and how many groups there are.
-fn groups(objective: &Objective<'_>) -> (Vec<usize>, usize) {
-    grouped([objective.records(), objective.length(), objective.width()])
+/// What the records alone tell: the inverse without the prior's 1.
+fn covariance_of_prior(inverse: &DMatrix<f64>) -> DMatrix<f64> {
+    let free = inverse.nrows();
+    let whole = inverse.clone().try_inverse().unwrap_or_else(|| DMatrix::identity(free, free));
+    0.5 * (&whole + whole.transpose()) - DMatrix::identity(free, free)
 }
 
-/// The same of signals (records, length, width).
-pub fn grouped([records, length, width]: [usize; 3]) -> (Vec<usize>, usize) {
+/// The group of every entry of signals (records, length, width), and how many groups there are.
+fn grouped([records, length, width]: [usize; 3]) -> (Vec<usize>, usize) {
     let parts = if records >= ENOUGH { 1 } else { PARTS.div_ceil(records).min(length) };
     let of = |entry: usize| {
         let (record, n) = (entry / (length * width), entry / width % length);
         record * parts + n * parts / length
     };
     ((0..records * length * width).map(of).collect(), records * parts)
-}
-
-/// Covariance in the columns of `jacobian`.
-fn jackknife((group, count): (&[usize], usize), jacobian: &DMatrix<f64>, residual: &[f64]) -> DMatrix<f64> {
-    let free = jacobian.ncols();
-    let mut h = vec![DMatrix::<f64>::zeros(free, free); count];
-    let mut g = vec![DVector::<f64>::zeros(free); count];
-    for (i, (&at, r)) in group.iter().zip(residual).enumerate() {
-        for k in 0..free {
-            g[at][k] -= jacobian[(i, k)] * r;
-            for l in 0..free {
-                h[at][(k, l)] += jacobian[(i, k)] * jacobian[(i, l)];
-            }
-        }
-    }
-    let (whole, slope) = (h.iter().sum::<DMatrix<f64>>(), g.iter().sum::<DVector<f64>>());
-    // Where nothing is left to tell without a group, the whole stands in.
-    let step = |at: usize| {
-        let left = (&whole - &h[at]).cholesky().or_else(|| whole.clone().cholesky());
-        left.map_or_else(|| DVector::zeros(free), |left| -left.solve(&(&slope - &g[at])))
-    };
-    let steps: Vec<DVector<f64>> = (0..count).map(step).collect();
-    let mean = steps.iter().sum::<DVector<f64>>() / count as f64;
-    let spread = |s: &DVector<f64>| (s - &mean) * (s - &mean).transpose();
-    steps.iter().map(spread).sum::<DMatrix<f64>>() * ((count - 1) as f64 / count as f64)
 }

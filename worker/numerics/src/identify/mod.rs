@@ -1,23 +1,28 @@
-//! Material parameters from recorded signals: weighted least squares in the logarithms of the parameters.
+//! The cast that best explains measured records: its material, and what else manufacture scatters.
 //!
 //! ```text
-//! min over q = ln p:  F = ½ Σ (y − a(p))²/s_c² + ½ Σ (q − q₀)²/ln²10,   y recorded, a simulated, s_c the noise of a kind
+//! min over z:  F = ½ ‖R^{-½} (y − a(z))‖² + ½ ‖z‖²      z standard normal, of what a [`Variation`] scatters; R noise and bias
 //! ```
-//! Levenberg and Marquardt's method (Marquardt, SIAM J. Appl. Math. 11, 1963): the gradient by the adjoint, JᵀJ from
-//! tangents. A wave's phase makes F hilly far from its minimum, so the fit begins with the first part of each record
-//! and lengthens it, from another start where it loses it. The last term decides only where records do not.
+//! The maximum a posteriori estimate. A parameter that is free may differ from its start by a factor of `BOX`; what else scatters is fitted
+//! with it, so that its interval contains what shifted nodes look like. `descent` has the steps, `search` the way to them.
 
 mod clock;
+mod descent;
 mod discrepancy;
 mod interval;
 mod objective;
-pub mod twin;
+mod search;
+mod unknowns;
 
-use crate::dynamics::{Counters, Forces, Parameters, Scene, Solver};
-pub use clock::Offset;
-pub use interval::{Direction, Estimate};
-use nalgebra::{DMatrix, DVector};
-use objective::{Objective, Point};
+use crate::dynamics::{Accuracy, Counters, Forces, Parameters};
+use crate::trial::{Chip, Mould, Problem, tuned};
+use crate::variation::{Cast, Variation};
+pub use clock::{Offset, margin};
+use descent::Descent;
+pub use interval::Direction;
+use objective::Objective;
+pub use unknowns::Unknown;
+use unknowns::Unknowns;
 
 /// A parameter that can be fitted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -52,45 +57,43 @@ impl Parameter {
     }
 }
 
-/// What is fitted and how.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Settings {
-    /// The parameters that move, each once; the others stay at the scene's.
-    pub free: Vec<Parameter>,
-    /// How to integrate; steps are tuned on the scene as it is given, and again where the beginnings of the records led.
-    pub solver: Solver,
-    /// Most iterations, those of the beginnings of the records included.
-    pub iterations: usize,
-    /// Standard deviation of the unknown offset of each record's clock (s); 0: clocks are exact.
-    pub offset: f64,
-}
-
 /// How a fit ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Verdict {
-    /// What is left of a step is below a hundredth of the standard errors.
+pub enum Ending {
+    /// What is left of a step is a part of a standard error.
     Converged,
-    /// No step lowers F any more, though the gradient asks for one.
+    /// No step lowers what is minimised any more, though its gradient asks for one.
     NoProgress,
-    /// All iterations are spent.
-    IterationsSpent,
-    /// The records do not tell some combination of parameters.
+    /// All steps are spent.
+    StepsSpent,
+    /// The records do not determine some combination of free parameters.
     NotIdentifiable,
-    /// A parameter stands as far from the scene's as it may: the records ask for one beyond.
+    /// A free parameter or a clock is as far from its start as it may be: the records ask for more.
     AtTheBound,
     /// The fitted motion leaves most of the signals: the records are not those of this body, clock or units.
     NotExplained,
-    /// The scene as it is given could not be simulated.
+    /// Where it was to begin, the body cannot be simulated.
     StartFailed,
 }
 
-impl Verdict {
+impl Ending {
+    /// All, in their order.
+    pub const ALL: [Self; 7] = [
+        Self::Converged,
+        Self::NoProgress,
+        Self::StepsSpent,
+        Self::NotIdentifiable,
+        Self::AtTheBound,
+        Self::NotExplained,
+        Self::StartFailed,
+    ];
+
     /// The name by which people know it.
     pub fn name(self) -> &'static str {
         match self {
             Self::Converged => "converged",
             Self::NoProgress => "no progress",
-            Self::IterationsSpent => "iterations spent",
+            Self::StepsSpent => "steps spent",
             Self::NotIdentifiable => "not identifiable",
             Self::AtTheBound => "at the bound",
             Self::NotExplained => "signals not explained",
@@ -99,341 +102,210 @@ impl Verdict {
     }
 }
 
-/// One iteration.
+/// Asked in the course of long work whether it is to go on.
+pub type GoOn<'a> = dyn FnMut() -> bool + 'a;
+
+/// Steps in one window and metric.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Iteration {
     /// How much of each record was looked at (s), from its first force.
     pub window: f64,
-    /// RMS of the residual in % of the signals', accelerations and rotation rates, within the window.
+    /// RMS of the residual in % of the signals', accelerations and rotation rates, within the window, after them.
     pub misfit: [f64; 2],
-    /// The parameters.
+    /// The parameters after them.
     pub parameters: Parameters,
 }
 
 /// An iteration and what came of it: with all of them a fit goes on to the same bits from where it was.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Turn {
-    /// Where it began.
+    /// What it was.
     pub iteration: Iteration,
-    /// The next point, and Marquardt's damping there; none where the descent was over.
-    pub next: Option<([f64; 6], f64)>,
+    /// z after it.
+    pub z: Vec<f64>,
+    /// How it ended.
+    pub ending: Ending,
+    /// Steps taken.
+    pub steps: usize,
 }
 
-/// A fit.
+/// What is known of one unknown.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Estimate {
+    /// Which.
+    pub unknown: Unknown,
+    /// Its standard deviation before any record: of a logarithm, in rad, in mm.
+    pub scatter: f64,
+    /// z: where it was found, in those.
+    pub found: f64,
+    /// Its standard deviation after the records, in those; 1: they tell nothing.
+    pub left: f64,
+    /// Half its 95 % interval, in those, which knows of what the model lacks; of measured records. None of a free parameter that is not
+    /// identifiable or at the bound.
+    pub half: Option<f64>,
+    /// Whether it is a free parameter as far from its start as it may be.
+    pub at_the_bound: bool,
+}
+
+/// A twin.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Identified {
-    /// How it ended.
-    pub outcome: Verdict,
-    /// The parameters found, those held included.
-    pub parameters: Parameters,
-    /// Of each fitted parameter.
+pub struct Twin {
+    /// The cast that explains the records best; as designed where none was found.
+    pub cast: Cast,
+    /// Root mean square over the channels of what is left of the signals by the noise of the chips; 1 where that is not known, and what is
+    /// left stands for it.
+    pub misfit: f64,
+    /// What stands for the noise of each channel that is read (mm/s², rad/s): what is left, but no less than the chips'.
+    pub noise: Vec<f64>,
+}
+
+/// How a twin was found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fit {
+    /// It.
+    pub twin: Twin,
+    /// Of each unknown; free parameters come first.
     pub estimates: Vec<Estimate>,
-    /// By how much later each record's readings were taken than it says; empty where clocks are exact.
-    pub offsets: Vec<Offset>,
-    /// Combinations that the records do not tell.
-    pub undetermined: Vec<Direction>,
-    /// Correlations of the estimates, zero with what is not identifiable.
-    pub correlation: Vec<Vec<f64>>,
-    /// Root of the ratio of the extreme eigenvalues of JᵀJ in ln p.
-    pub condition: f64,
-    /// RMS of the residual in % of the signals', accelerations and rotation rates: at the start and at the end.
-    pub misfit: [[f64; 2]; 2],
-    /// RMS of the residual at the end (mm/s², rad/s).
-    pub noise: [f64; 2],
-    /// Share of the residual that the motion explains on records that were not asked, where several were fitted: what the model lacks.
+    /// By how much later each record's readings were taken than it says, where clocks may be off and intervals were asked for; none of
+    /// a record that the body cannot be simulated under.
+    pub offsets: Vec<Option<Offset>>,
+    /// How the fit ended.
+    pub ending: Ending,
+    /// Share of what is left that the motion explains on records that were not asked, where several were fitted and intervals asked for:
+    /// what the model lacks.
     pub unmodelled: Option<f64>,
-    /// Simulated signals (N, T, 3M) at the start and at the end.
+    /// Combinations of free parameters that the records do not determine.
+    pub undetermined: Vec<Direction>,
+    /// Correlations of the free parameters' estimates, zero with what is not identifiable.
+    pub correlation: Vec<Vec<f64>>,
+    /// RMS of the residual in % of the signals', accelerations and rotation rates: at the start and at the end; of measured records.
+    pub misfit: [[f64; 2]; 2],
+    /// RMS of the residual at the end (mm/s², rad/s), likewise.
+    pub residual: [f64; 2],
+    /// Simulated readings (N, T, channels) at the start and at the end, likewise.
     pub signals: [Vec<f64>; 2],
-    /// All iterations.
+    /// Iterations on measured records.
     pub iterations: Vec<Iteration>,
-    /// How it was integrated.
+    /// How those were integrated.
     pub solver: String,
+    /// Steps taken.
+    pub steps: usize,
     /// Work done.
     pub counters: Counters,
 }
 
-/// ln 10: what the start is trusted to.
-const TRUST: f64 = std::f64::consts::LN_10;
-/// Largest change of a logarithm in a step.
-const STRIDE: f64 = std::f64::consts::LN_2;
-/// Part of a standard error below which a step is nothing.
-const CLOSE: f64 = 0.01;
-/// By how much a window is lengthened.
-const GROWTH: f64 = 1.4;
-/// Root of the sum of the squared misfits (%) of both kinds from which a window is lost: another start is tried.
-const LOST: f64 = 60.0;
-/// The same where clocks may be off: their offsets explain much of the signals of another material.
-const LOST_BY_CLOCKS: f64 = 30.0;
+/// Farthest from the spec's value that a free parameter may be, as a factor.
+pub const BOX: f64 = 8.0;
 /// RMS of the residual (%), of accelerations or rotation rates, above which a fit has not explained the signals.
 pub const UNEXPLAINED: f64 = 50.0;
-/// Factors of other starts, on stretch, shear, bend and density.
-const SCALES: [f64; 3] = [1.0, 0.5, 2.0];
-/// Other starts that are tried, those of least misfit in the first window first.
-const TRIES: usize = 24;
-/// Farthest from the scene's values that a fit may lead, as a factor.
-pub const BOX: f64 = 8.0;
-/// Iterations of the first window.
-const FIRST: usize = 12;
-/// Iterations of a window but the last.
-const GLANCES: usize = 6;
-/// Rounds of noise and fit at the end.
-const ROUNDS: usize = 6;
+/// Error of the signals by steps under measured records, in which it does not average out.
+const FINE: Accuracy = Accuracy(1e-4);
 
-/// Fits the free parameters of `scene` to `signals` (N, T, 3M) under `forces`, from those of the scene on.
-///
-/// The result does not depend on the number of threads. `watch` sees every turn but those that are `known`, of the same fit
-/// before; they are not computed again.
-///
-/// # Panics
-/// If lengths do not fit together, no parameter is free, or a free one is not above 0.
-pub fn fit(
-    scene: &Scene,
-    design: &[f64],
-    forces: &Forces,
-    signals: &[f64],
-    settings: &Settings,
-    pool: &crate::Pool,
-    known: &[Turn],
-    watch: &mut dyn FnMut(&Turn),
-) -> Identified {
-    let len = forces.samples * scene.instants * 3 * scene.sensors.len();
-    assert_eq!(signals.len(), len, "length of the signals");
-    let start = Parameters::of(scene).array();
-    let free = &settings.free;
-    assert!(!free.is_empty() && free.iter().all(|&k| start[k as usize] > 0.0), "{free:?} of {start:?}");
-    let asked = settings.solver;
-    let mut objective = Objective::new(scene, design, forces, signals, asked, (free, settings.offset), pool);
-    let solver = objective.tune(&start, &asked);
-    let left = settings.iterations;
-    let mut search = Search { objective, known, watch, iterations: Vec::new(), left, asked, solver };
-    let (outcome, point, first) = search.all(start);
-    let Search { mut objective, iterations, solver, .. } = search;
-    let signals = [first.map_or_else(Vec::new, |p| p.signals().to_vec()), Vec::new()];
-    let mut fit = Identified {
-        outcome,
-        parameters: Parameters::from_array(start),
-        estimates: Vec::new(),
-        offsets: Vec::new(),
-        undetermined: Vec::new(),
-        correlation: Vec::new(),
-        condition: f64::INFINITY,
-        misfit: [[100.0; 2]; 2],
-        noise: [0.0; 2],
-        unmodelled: None,
-        signals,
-        iterations,
-        solver,
-        counters: objective.counters,
+/// Records of one body: forces, readings (N, T, channels) as its chips give them, and the standard deviation of the error of each record's
+/// clock (s).
+pub type Records<'a> = (&'a Forces, &'a [f64], f64);
+
+impl Fit {
+    fn begun(unknowns: &Unknowns) -> Self {
+        let cast = unknowns.cast(&vec![0.0; unknowns.all().len()]);
+        Self {
+            twin: Twin { cast, misfit: f64::INFINITY, noise: Vec::new() },
+            estimates: Vec::new(),
+            offsets: Vec::new(),
+            ending: Ending::StartFailed,
+            unmodelled: None,
+            undetermined: Vec::new(),
+            correlation: Vec::new(),
+            misfit: [[100.0; 2]; 2],
+            residual: [0.0; 2],
+            signals: [Vec::new(), Vec::new()],
+            iterations: Vec::new(),
+            solver: String::new(),
+            steps: 0,
+            counters: Counters::default(),
+        }
+    }
+
+    /// Of a trial's body from signals (N, T, channels) as its chips give them under `forces`. What
+    /// scatters is the trial's variation, or [`Variation::USUAL`]. Samples that failed must be left out. `None` if it is told meanwhile not to
+    /// go on.
+    ///
+    /// # Panics
+    /// If lengths do not fit together.
+    pub(crate) fn of(mould: &Mould, (forces, signals): (&Forces, &[f64]), go_on: &mut GoOn) -> Option<Self> {
+        let &Mould { trial, design, solver } = mould;
+        let variation = trial.problem.variation.unwrap_or(Variation::USUAL);
+        let unknowns = Unknowns::new(&trial.problem.scene, &variation, trial.pool);
+        let all = (forces, signals, 0.0);
+        let problem = &trial.problem;
+        let objective =
+            Objective::new(problem, trial.chip.as_ref(), design, all, unknowns, solver, trial.pool);
+        Self::of_cast(objective, go_on)
+    }
+
+    fn of_cast(objective: Objective<'_>, go_on: &mut GoOn) -> Option<Self> {
+        let mut fit = Self::begun(&objective.unknowns);
+        let watch: &mut dyn FnMut(&Turn) = &mut |_| ();
+        let mut descent = Descent::new(objective, go_on, &[], watch);
+        if descent.objective.leave_out() > 0 {
+            fit.ending = Ending::NoProgress;
+            if let Some((point, columns)) = descent.by_windows(&mut fit.ending)? {
+                fit.tell(&descent.objective, &point, &columns);
+            }
+        }
+        (fit.steps, fit.counters) = (descent.steps, descent.objective.counters);
+        Some(fit)
+    }
+
+    /// Of a problem's body of this design from measured records, with intervals. `free` parameters may take any value, others are the
+    /// spec's; if none is free, all scatter as the trial's variation says, or [`Variation::USUAL`]. The rest scatters so in any case. Noise
+    /// that the spec has relative is so to the records.
+    ///
+    /// The result does not depend on the number of threads. `watch` sees every turn but those that are `known`, of the same fit before.
+    ///
+    /// # Panics
+    /// If lengths do not fit together, or a free parameter is not above 0.
+    pub fn of_records(
+        problem: &Problem,
+        design: &[f64],
+        records: Records<'_>,
+        free: &[Parameter],
+        pool: &crate::Pool,
+        known: &[Turn],
+        watch: &mut dyn FnMut(&Turn),
+    ) -> Self {
+        let own = Parameters::of(&problem.scene).array();
+        assert!(free.iter().all(|&k| own[k as usize] > 0.0), "{free:?} of {own:?}");
+        let chip = chip(problem, records.1);
+        let asked = problem.solver.at_most(FINE);
+        let tuned = tuned(problem, &problem.scene, design, records.0, &asked, pool);
+        let variation = problem.variation.unwrap_or(Variation::USUAL);
+        let unknowns = Unknowns::of_records(&problem.scene, &variation, free, pool);
+        let mut fit = Self::begun(&unknowns);
+        fit.solver = tuned.plan.reason;
+        let mut objective =
+            Objective::new(problem, chip.as_ref(), design, records, unknowns, &tuned.solver, pool);
+        objective.counters += tuned.counters;
+        let go_on: &mut GoOn = &mut || true;
+        let mut descent = Descent::new(objective, go_on, known, watch);
+        if descent.objective.leave_out() > 0 {
+            descent.fit(&mut fit, records.0, &asked, free.is_empty());
+        }
+        (fit.steps, fit.counters) = (descent.steps, descent.objective.counters);
+        fit.iterations = descent.iterations;
+        fit
+    }
+}
+
+/// The chips, what is relative in them so to these readings.
+fn chip(problem: &Problem, readings: &[f64]) -> Option<Chip> {
+    let width = problem.shape().inputs;
+    let rms = |c: usize| {
+        let of = readings[c..].iter().step_by(width);
+        (of.map(|y| y * y).sum::<f64>() * width as f64 / readings.len() as f64).sqrt()
     };
-    let Some(point) = point else { return fit };
-    let residual = objective.left(point.signals());
-    fit.unmodelled =
-        discrepancy::explained(point.signals(), &residual, forces.samples, 3 * scene.sensors.len());
-    let jacobian = objective.jacobian(&point);
-    let spread = interval::spread(&objective, &point, &jacobian, fit.unmodelled.unwrap_or(0.0));
-    fit.parameters = Parameters::from_array(point.parameters);
-    fit.estimates = spread.estimates(free, &start, &point.parameters);
-    (fit.undetermined, fit.correlation, fit.condition) =
-        (spread.undetermined, spread.correlation, spread.condition);
-    fit.offsets = spread.offsets;
-    if fit.estimates.iter().any(|e| e.at_the_bound) || fit.offsets.iter().any(|o| o.half.is_none()) {
-        fit.outcome = Verdict::AtTheBound;
-    } else if !fit.undetermined.is_empty() && fit.outcome == Verdict::Converged {
-        fit.outcome = Verdict::NotIdentifiable;
-    }
-    fit.misfit = [objective.misfit(&fit.signals[0]), objective.misfit(point.signals())];
-    // what is at the bound or undetermined is the nearer cause
-    let has_a_cause = matches!(fit.outcome, Verdict::AtTheBound | Verdict::NotIdentifiable);
-    if !has_a_cause && fit.misfit[1].iter().any(|left| *left > UNEXPLAINED) {
-        fit.outcome = Verdict::NotExplained;
-    }
-    fit.noise = objective.residual_rms(point.signals());
-    fit.signals[1] = point.signals().to_vec();
-    fit.counters = objective.counters;
-    fit
+    problem.chip(&(0..width).map(rms).collect::<Vec<_>>())
 }
 
-/// A fit in progress.
-struct Search<'a> {
-    objective: Objective<'a>,
-    known: &'a [Turn],
-    watch: &'a mut dyn FnMut(&Turn),
-    iterations: Vec<Iteration>,
-    left: usize,
-    /// What is asked of the integrator, and what it came to.
-    asked: Solver,
-    solver: String,
-}
-
-impl Search<'_> {
-    /// Window after window from one start after the other until one stays with the records, then noise and fit in turns.
-    /// The last point, and that of the start.
-    fn all(&mut self, start: [f64; 6]) -> (Verdict, Option<Point>, Option<Point>) {
-        let Some(first) = self.objective.at(&start) else { return (Verdict::StartFailed, None, None) };
-        let (mut best, mut farthest) = (start, (0, f64::INFINITY));
-        let mut starts = vec![start];
-        let lost = self.lost();
-        for tried in 0..=TRIES {
-            let Some(&from) = starts.get(tried) else { break };
-            let (found, (window, misfit)) = self.lengthen(from);
-            if window > farthest.0 || (window == farthest.0 && misfit < farthest.1) {
-                (best, farthest) = (found, (window, misfit));
-            }
-            if misfit < lost || self.left == 0 {
-                break;
-            }
-            if tried == 0 {
-                starts.extend(self.others(&start));
-            }
-        }
-        self.solver = self.objective.tune(&best, &self.asked);
-        let Some(mut point) = self.whole(&best) else {
-            return (Verdict::NoProgress, Some(first.clone()), Some(first));
-        };
-        for _ in 0..ROUNDS {
-            let changed = self.objective.weigh(&point);
-            let (outcome, found) = self.descend(point, usize::MAX, CLOSE);
-            point = found;
-            if outcome != Verdict::Converged || changed < 0.02 {
-                return (outcome, Some(point), Some(first));
-            }
-        }
-        (Verdict::Converged, Some(point), Some(first))
-    }
-
-    /// From the first window on until the whole record is looked at or lost: what was found, the last window and its misfit.
-    fn lengthen(&mut self, start: [f64; 6]) -> ([f64; 6], (usize, f64)) {
-        let mut parameters = start;
-        let mut window = self.objective.first_window();
-        let mut most = FIRST;
-        while window < self.objective.instants() && self.left > 0 {
-            self.objective.look_at(window);
-            let Some(point) = self.objective.at(&parameters) else {
-                return (parameters, (window, f64::INFINITY));
-            };
-            self.objective.weigh(&point);
-            let (_, point) = self.descend(point, most, 0.1);
-            parameters = point.parameters;
-            let [a, b] = self.objective.misfit(point.signals());
-            if a.hypot(b) > self.lost() {
-                return (parameters, (window, a.hypot(b)));
-            }
-            window = ((window as f64 * GROWTH).ceil() as usize).max(window + 1);
-            most = GLANCES;
-        }
-        (parameters, (window, 0.0))
-    }
-
-    fn lost(&self) -> f64 {
-        if self.objective.clock.is_some() { LOST_BY_CLOCKS } else { LOST }
-    }
-
-    /// All combinations of `SCALES` on the start, those of least misfit in the first window first.
-    fn others(&mut self, start: &[f64; 6]) -> Vec<[f64; 6]> {
-        let objective = &mut self.objective;
-        objective.look_at(objective.first_window());
-        let mut others: Vec<(f64, [f64; 6])> = (1..81usize)
-            .map(|n| [n / 27, n / 9 % 3, n / 3 % 3, n % 3].map(|k| SCALES[k]))
-            .filter_map(|scales| {
-                let there = objective.scaled(start, scales)?;
-                let point = objective.at(&there)?;
-                let [a, b] = objective.misfit(point.signals());
-                Some((a.hypot(b), there))
-            })
-            .collect();
-        others.sort_by(|a, b| a.0.total_cmp(&b.0));
-        others.into_iter().map(|o| o.1).collect()
-    }
-
-    fn whole(&mut self, parameters: &[f64; 6]) -> Option<Point> {
-        self.objective.look_at(self.objective.instants());
-        self.objective.at(parameters)
-    }
-
-    /// Levenberg and Marquardt's steps until what is left is below `close` standard errors.
-    fn descend(&mut self, point: Point, most: usize, close: f64) -> (Verdict, Point) {
-        let mut point = self.objective.again(point);
-        let (mut damping, mut turns) = (1e-2, 0);
-        // What is known is gone through without a simulation, but for that of where it ends.
-        let mut there = None;
-        while let Some(Turn { iteration, next: Some((to, eased)) }) = self.known.get(self.iterations.len())
-            && turns < most
-        {
-            self.iterations.push(*iteration);
-            (self.left, turns, damping, there) = (self.left - 1, turns + 1, *eased, Some(to));
-        }
-        if let Some(there) = there {
-            point = self.objective.at(there).expect("it was simulated before");
-        }
-        for _ in turns..most {
-            let objective = &mut self.objective;
-            let record = Iteration {
-                window: objective.seconds(),
-                misfit: objective.misfit(point.signals()),
-                parameters: Parameters::from_array(point.parameters),
-            };
-            self.iterations.push(record);
-            if self.left == 0 {
-                return (Verdict::IterationsSpent, point);
-            }
-            self.left -= 1;
-            let number = self.iterations.len();
-            let mut tell = |next: Option<([f64; 6], f64)>| {
-                if number > self.known.len() {
-                    (self.watch)(&Turn { iteration: record, next });
-                }
-            };
-            let gradient = objective.gradient(&point);
-            let jacobian = objective.jacobian(&point);
-            let curvature = objective.curvature(&jacobian);
-            let Some(newton) = solve(&curvature, &gradient, 0.0) else {
-                tell(None);
-                return (Verdict::NoProgress, point);
-            };
-            let decrement = gradient.dot(&newton).max(0.0).sqrt();
-            if decrement < close || newton.amax() < 1e-10 {
-                tell(None);
-                return (Verdict::Converged, point);
-            }
-            let mut accepted = None;
-            while damping < 1e9 {
-                let Some(mut step) = solve(&curvature, &gradient, damping) else { break };
-                let longest = step.amax();
-                if longest > STRIDE {
-                    step *= STRIDE / longest;
-                }
-                let there = objective.moved(&point.parameters, &-&step);
-                let promised = gradient.dot(&step) - 0.5 * step.dot(&(&curvature * &step));
-                let found = objective.at(&there);
-                let gained = found.as_ref().map(|p| point.cost(objective) - p.cost(objective));
-                match (found, gained) {
-                    (Some(found), Some(gained)) if gained > 0.0 => {
-                        damping *= if gained > 0.75 * promised { 0.1 } else { 1.0 };
-                        damping = if gained < 0.25 * promised { damping * 4.0 } else { damping }.max(1e-12);
-                        accepted = Some(found);
-                        break;
-                    }
-                    _ => damping = (damping * 8.0).max(1e-6),
-                }
-                if longest < 1e-12 {
-                    break;
-                }
-            }
-            tell(accepted.as_ref().map(|found| (found.parameters, damping)));
-            match accepted {
-                Some(found) => point = found,
-                None => return (Verdict::NoProgress, point),
-            }
-        }
-        (Verdict::Converged, point)
-    }
-}
-
-/// (H + damping·diag H)⁻¹ g.
-fn solve(h: &DMatrix<f64>, g: &DVector<f64>, damping: f64) -> Option<DVector<f64>> {
-    let mut h = h.clone();
-    for k in 0..h.nrows() {
-        h[(k, k)] *= 1.0 + damping;
-    }
-    Some(h.cholesky()?.solve(g))
-}
+#[cfg(test)]
+mod tests;

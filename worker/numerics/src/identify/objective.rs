@@ -1,145 +1,485 @@
-//! What is minimised, its gradient by the adjoint and its tangents.
-//!
-//! Tangents are one-sided differences with the steps held, five simulations in lanes for five parameters; the plain dual
-//! numbers of `jvp` check them. Exact to 1e-4, they leave the gradient to the adjoint.
+//! What is minimised, and its gradient by the adjoint.
 
-use super::clock::Clock;
-use super::{BOX, Offset, Parameter, TRUST};
+use super::clock::{Clock, Offset};
+use super::unknowns::{Unknown, Unknowns};
 use crate::dynamics::{
-    Counters, Forces, Outcome, Parameters, Plan, Scene, Simulation, Solver, Wrt, choose, run, tune,
+    Accuracy, Counters, Forces, Method, Outcome, Parameters, Plan, Scene, Simulation, Solver, Wrt, planned,
+    run,
 };
+use crate::trial::{Chip, Problem, tuned as tune_in_motion};
+use crate::variation::Cast;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
+use std::borrow::Cow;
 
-/// Of the logarithm, for tangents.
-const NUDGE: f64 = 1e-6;
+/// Of z, for differences: 10⁻⁴ standard deviations with the steps held.
+const NUDGE: f64 = 1e-4;
 /// Part of the largest force from which a record counts as begun.
 const BEGUN: f64 = 0.01;
 /// Part of the signals' energy that the first window holds.
 const GLANCE: f64 = 0.02;
+/// Error of the signals by the steps that columns are taken with.
+const COARSE: Accuracy = Accuracy(3e-2);
 
-/// A set of parameters with what it gives.
-#[derive(Debug, Clone)]
+mod columns;
+
+pub use columns::Columns;
+
+/// z with what it gives.
 pub struct Point {
-    pub parameters: [f64; 6],
+    pub z: DVector<f64>,
+    pub cost: f64,
+    pub cast: Cast,
+    scene: Scene,
     plan: Plan,
     simulation: Simulation,
-    /// Where clocks may be off: by how much each record's is (s), and signals and their derivatives by it, 0 of one at its bound.
-    pub offsets: Vec<f64>,
-    read: Vec<f64>,
+    /// What the chips of the cast make of all signals, on the clock of the motion.
+    felt: Vec<f64>,
+    /// What is read of them (n, window, channels).
+    pub read: Vec<f64>,
+    /// Where clocks may be off: by how much each record's is (s), and the derivatives of `read` by it.
+    offsets: Vec<f64>,
     slopes: Vec<f64>,
 }
 
-impl Point {
-    /// (N, n, 3M), n the instants of the window.
-    pub fn signals(&self) -> &[f64] {
-        if self.offsets.is_empty() { &self.simulation.signals } else { &self.read }
-    }
-
-    pub fn cost(&self, objective: &Objective<'_>) -> f64 {
-        let fit: f64 = objective.residual(self.signals()).iter().map(|r| r * r).sum();
-        let clocks: f64 = self.offsets.iter().map(|offset| (offset / objective.deviation).powi(2)).sum();
-        0.5 * (fit + clocks + objective.distrust(&self.parameters).norm_squared())
-    }
-}
-
-/// Scene, records, window and weights.
+/// Body, records, window and weights.
 pub struct Objective<'a> {
-    base: &'a Scene,
+    problem: &'a Problem,
     design: &'a [f64],
-    whole: (&'a Forces, &'a [f64]),
-    solver: Solver,
-    free: &'a [Parameter],
-    pool: &'a crate::Pool,
-    /// Standard deviation of the clocks' offsets (s), and the clock of the motion where that is not 0.
-    deviation: f64,
-    pub clock: Option<Clock>,
-    /// Scene and forces on the clock of the motion.
+    recordings: &'a [f64],
+    /// Scene and forces of whole records, on the clock of the motion where clocks may be off.
     moving: (Scene, Forces),
+    /// On that clock: what makes the forces smooth.
+    sharper: Forces,
+    deviation: f64,
+    clock: Option<Clock>,
+    chip: Option<&'a Chip>,
+    pool: &'a crate::Pool,
+    pub unknowns: Unknowns,
+    /// How many unknowns move, the first so many.
+    pub moves: usize,
+    /// By which steps are chosen, and those for the body as designed and for columns of it, of which a metric is made.
+    solver: Solver,
+    plan: Plan,
+    coarse: Plan,
+    /// What steps leave of the signals.
+    least: f64,
     /// First instant of each record's force.
     onsets: Vec<usize>,
-    /// Instants that are looked at, from each onset.
+    /// Records that count: those that the body as designed can be simulated under.
+    counts: Vec<bool>,
     window: usize,
+    /// Readings of a record as far as the window.
+    readings: usize,
     /// The records as far as that.
     scene: Scene,
     forces: Forces,
-    signals: Vec<f64>,
-    /// Of accelerations and rotation rates.
-    noise: [f64; 2],
+    sharp: Forces,
+    recorded: Vec<f64>,
+    /// Whether each recorded reading counts.
+    seen: Vec<bool>,
+    /// Standard deviation of each channel's noise, and of its bias.
+    pub noise: Vec<f64>,
+    bias: Vec<f64>,
     pub counters: Counters,
 }
 
 impl<'a> Objective<'a> {
     pub fn new(
-        scene: &'a Scene,
+        problem: &'a Problem,
+        chip: Option<&'a Chip>,
         design: &'a [f64],
-        forces: &'a Forces,
-        signals: &'a [f64],
-        solver: Solver,
-        (free, deviation): (&'a [Parameter], f64),
+        (forces, recordings, deviation): (&'a Forces, &'a [f64], f64),
+        unknowns: Unknowns,
+        solver: &Solver,
         pool: &'a crate::Pool,
     ) -> Self {
+        let width = problem.shape().inputs;
+        let sharper = sharper(forces);
         let mut objective = Self {
-            base: scene,
+            problem,
             design,
-            whole: (forces, signals),
-            solver,
-            free,
-            pool,
+            recordings,
             deviation,
             clock: None,
-            moving: (scene.clone(), forces.clone()),
-            onsets: onsets(scene, forces),
+            chip,
+            pool,
+            moves: unknowns.all().len(),
+            unknowns,
+            solver: *solver,
+            least: solver.accuracy.0.clamp(1e-6, 1e-2),
+            plan: Plan::equal(Method::Nystrom6, 1),
+            coarse: Plan::equal(Method::Nystrom6, 1),
+            onsets: onsets(&problem.scene, forces),
+            counts: vec![true; forces.samples],
             window: 0,
-            scene: scene.clone(),
+            readings: 0,
+            scene: problem.scene.clone(),
             forces: forces.clone(),
-            signals: signals.to_vec(),
-            noise: [1.0; 2],
+            sharp: sharper.clone(),
+            moving: (problem.scene.clone(), forces.clone()),
+            sharper,
+            recorded: Vec::new(),
+            seen: Vec::new(),
+            noise: vec![1.0; width],
+            bias: chip.map_or_else(|| vec![0.0; width], |chip| chip.bias.clone()),
             counters: Counters::default(),
         };
-        objective.look_at(scene.instants);
+        objective.choose_clock(&problem.scene, design, forces, solver);
+        objective.look_at(problem.scene.instants);
         objective
     }
 
-    /// Finds steps that keep what is `asked` at these parameters, on whole records; what it came to.
-    pub fn tune(&mut self, parameters: &[f64; 6], asked: &Solver) -> String {
-        let scene = Parameters::from_array(*parameters).set(self.base);
-        let forces = self.whole.0;
-        self.clock = Clock::new(self.deviation, 0.0, 1, (&scene, self.design), forces, asked, self.pool);
+    /// Chooses steps by `solver`, and the clock of the motion, for a body under the records' forces.
+    fn choose_clock(&mut self, body: &Scene, design: &[f64], forces: &Forces, solver: &Solver) {
+        let (problem, solver) = (self.problem, solver.in_equal_steps());
+        let (least, delay) = problem.clock_and_delay();
+        self.clock = Clock::new(self.deviation, delay, least, (body, design), forces, &solver, self.pool);
         if let Some(clock) = self.clock {
-            self.moving = clock.in_motion(self.base, forces);
-            self.look_at(self.window);
+            self.moving = clock.in_motion(&problem.scene, forces);
+            self.sharper = clock.in_motion(&problem.scene, &sharper(forces)).1;
         }
-        let scene = Parameters::from_array(*parameters).set(&self.moving.0);
-        let tuned = tune(&scene, self.design, &self.moving.1, asked, self.pool);
+        self.solver = solver;
+        let body = Scene { instants: self.moving.0.instants, ..body.clone() };
+        let forces = self.moving.1.clone();
+        [self.plan, self.coarse] = self.plans(&body, design, &forces);
+    }
+
+    /// Tunes steps, and chooses the clock of the motion, for the cast of z; how steps were chosen. A window must be looked at anew.
+    pub fn tune(&mut self, z: &DVector<f64>, forces: &Forces, asked: &Solver) -> String {
+        let cast = self.unknowns.cast(z.as_slice());
+        let (scene, design) = (cast.scene(&self.problem.scene), cast.design(self.design));
+        let tuned = tune_in_motion(self.problem, &scene, &design, forces, asked, self.pool);
         self.counters += tuned.counters;
-        self.solver = tuned.solver;
+        self.choose_clock(&scene, &design, forces, &tuned.solver);
         tuned.plan.reason
     }
 
-    /// Instants of a whole record.
-    pub fn instants(&self) -> usize {
-        self.base.instants
+    /// Steps for a scene under forces on its clock: accurate ones, and those for columns.
+    fn plans(&self, scene: &Scene, design: &[f64], forces: &Forces) -> [Plan; 2] {
+        let (scene, forces) = self.in_motion(scene, forces);
+        [self.solver, Solver::new(Method::Nystrom6, COARSE)]
+            .map(|solver| planned(&scene, design, &forces, &solver).double())
+    }
+
+    /// Where chips filter, on their clock, if that of uncertain clocks does not stand for it.
+    fn in_motion<'b>(&self, scene: &'b Scene, forces: &'b Forces) -> (Cow<'b, Scene>, Cow<'b, Forces>) {
+        match self.clock {
+            Some(_) => (Cow::Borrowed(scene), Cow::Borrowed(forces)),
+            None => self.problem.in_motion(scene, forces),
+        }
+    }
+
+    /// Leaves out records that the body as designed cannot be simulated under; how many are left.
+    pub fn leave_out(&mut self) -> usize {
+        let cast = self.unknowns.cast(&vec![0.0; self.unknowns.all().len()]);
+        let found = self.simulate(&self.plan, &cast, &self.forces, false);
+        self.counters += found.counters;
+        self.counts = found.outcomes.iter().map(|outcome| *outcome == Outcome::Ok).collect();
+        self.see();
+        self.counted()
+    }
+
+    /// Channels of a reading.
+    fn width(&self) -> usize {
+        self.noise.len()
+    }
+
+    /// Looks at so many instants of each record, from its onset; where clocks may be off, by as many more as signals may be late.
+    pub fn look_at(&mut self, window: usize) {
+        let all = self.problem.scene.instants;
+        self.window = window;
+        let (finer, margin) = self.clock.map_or((1, 0), |clock| (clock.finer, clock.margin()));
+        let n = self.onsets.iter().map(|o| (o + window + 2 * margin).min(all)).max().unwrap_or(all);
+        self.readings = n;
+        (self.scene, self.forces) = self.moving.1.beginning(&self.moving.0, finer * n);
+        self.sharp = self.sharper.beginning(&self.moving.0, finer * n).1;
+        let width = self.width();
+        self.recorded =
+            self.recordings.chunks(all * width).flat_map(|record| &record[..n * width]).copied().collect();
+        self.see();
+    }
+
+    fn simulate(&self, plan: &Plan, cast: &Cast, forces: &Forces, keep_tape: bool) -> Simulation {
+        let own = cast.scene(&self.scene);
+        let (scene, forces) = self.in_motion(&own, forces);
+        run(&scene, &cast.design(self.design), &forces, plan, keep_tape, self.pool)
+    }
+
+    /// The forces of all records, or of those listed, as z has them between their instants.
+    fn forces(&self, z: &DVector<f64>, records: Option<&[usize]>) -> Cow<'_, Forces> {
+        let of = |all: &'_ Forces| records.map(|records| all.select(records));
+        let by = self.unknowns.sharpness(z.as_slice());
+        let forces = of(&self.forces).map_or(Cow::Borrowed(&self.forces), Cow::Owned);
+        if by == 0.0 {
+            return forces;
+        }
+        let (mut forces, sharp) = (forces.into_owned(), of(&self.sharp));
+        let sharp = sharp.as_ref().unwrap_or(&self.sharp);
+        forces.values.iter_mut().zip(&sharp.values).for_each(|(f, sharp)| *f += by * sharp);
+        Cow::Owned(forces)
+    }
+
+    /// Simulates; none where a record that counts does not reach its end. Free parameters stay within their limits.
+    pub fn at(&mut self, mut z: DVector<f64>) -> Option<Point> {
+        for k in 0..self.unknowns.free() {
+            let limit = self.unknowns.limit(k);
+            z[k] = z[k].clamp(-limit, limit);
+        }
+        let cast = self.unknowns.cast(z.as_slice());
+        let (scene, forces) = (cast.scene(&self.scene), self.forces(&z, None));
+        let plan = match self.unknowns.free() {
+            0 => self.plan.clone(),
+            _ => self.plans(&scene, &cast.design(self.design), &forces)[0].clone(),
+        };
+        let mut simulation = self.simulate(&plan, &cast, &forces, true);
+        self.counters += simulation.counters;
+        let well = |(outcome, counts): (&Outcome, &bool)| !counts || *outcome == Outcome::Ok;
+        if !simulation.outcomes.iter().zip(&self.counts).all(well) {
+            return None;
+        }
+        let mut felt = std::mem::take(&mut simulation.signals);
+        cast.chips.read(&mut felt);
+        let (read, offsets, slopes) = (Vec::new(), Vec::new(), Vec::new());
+        let point = Point { z, cost: 0.0, cast, scene, plan, simulation, felt, read, offsets, slopes };
+        Some(self.again(point))
+    }
+
+    fn cost(&self, point: &Point) -> f64 {
+        let misfit: f64 = self.residual(&point.read).iter().map(|r| r * r).sum();
+        let clocks: f64 = point.offsets.iter().map(|offset| (offset / self.deviation).powi(2)).sum();
+        0.5 * (misfit + clocks + point.z.norm_squared())
+    }
+
+    /// The same under the weights that are now, with the best offsets of the clocks.
+    pub fn again(&self, mut point: Point) -> Point {
+        let (samples, width) = (self.forces.samples, self.width());
+        let Some(clock) = self.clock else {
+            if point.read.is_empty() {
+                point.read = self.problem.read(point.felt.clone(), samples);
+            }
+            return Point { cost: self.cost(&point), ..point };
+        };
+        let felt = self.problem.felt(point.felt.clone(), samples, clock.finer);
+        let record = self.readings * width;
+        let of = |(i, felt): (usize, &[f64])| {
+            let whiten = |own: &mut [f64]| self.whiten_record(i, own);
+            let offset = clock.settle(felt, &self.recorded[i * record..][..record], width, &whiten);
+            (offset, clock.read(felt, width, offset, 0), clock.slope(felt, width, offset))
+        };
+        let each = felt.par_chunks_exact(record * clock.finer).enumerate();
+        let all: Vec<_> = self.pool.install(|| each.map(of).collect());
+        point.offsets = all.iter().map(|(offset, ..)| *offset).collect();
+        point.read = all.iter().flat_map(|(_, read, _)| read).copied().collect();
+        point.slopes = all.into_iter().flat_map(|(.., slope)| slope).collect();
+        Point { cost: self.cost(&point), ..point }
+    }
+
+    /// What is read of signals of all sensors by records whose clocks are off by this much.
+    fn read(&self, felt: Vec<f64>, samples: usize, offsets: &[f64]) -> Vec<f64> {
+        let Some(clock) = self.clock else { return self.problem.read(felt, samples) };
+        let (felt, width) = (self.problem.felt(felt, samples, clock.finer), self.width());
+        let each = felt.chunks_exact(self.readings * width * clock.finer).zip(offsets);
+        each.flat_map(|(own, offset)| clock.read(own, width, *offset, 0)).collect()
+    }
+
+    /// Transpose of the same.
+    fn read_vjp(&self, cotangent: Vec<f64>, samples: usize, offsets: &[f64]) -> Vec<f64> {
+        let Some(clock) = self.clock else { return self.problem.read_vjp(cotangent, samples) };
+        let width = self.width();
+        let each = cotangent.chunks_exact(self.readings * width).zip(offsets);
+        let felt = each.flat_map(|(own, offset)| clock.read_vjp(own, width, *offset)).collect();
+        self.problem.felt_vjp(felt, samples, clock.finer)
+    }
+
+    /// What is read (n, window, channels), R^{-½}(y − a), and the same as if the clocks' offsets were not known, of the records listed.
+    pub fn parts(&self, point: &Point, records: &[usize]) -> [Vec<f64>; 3] {
+        let record = self.readings * self.width();
+        let of = |all: &[f64]| records.iter().flat_map(|i| &all[i * record..][..record]).copied().collect();
+        let left = self.residual(&point.read);
+        let (mut before, mut slopes) = (left.clone(), point.slopes.clone());
+        self.whiten(&mut slopes);
+        if let Some(clock) = self.clock {
+            clock.whiten_residual(&slopes, &point.offsets, record, &mut before);
+        }
+        [of(&point.read), of(&left), of(&before)]
+    }
+
+    /// The clocks' offsets with their intervals, from [`Self::jacobian`] of all records and the covariance of z times t².
+    pub fn offsets(
+        &self,
+        point: &Point,
+        columns: &Columns,
+        jacobian: &DMatrix<f64>,
+        covariance: &DMatrix<f64>,
+        unmodelled: f64,
+    ) -> Vec<Option<Offset>> {
+        let Some(clock) = self.clock else { return Vec::new() };
+        let (record, left, mut slopes) =
+            (self.readings * self.width(), self.residual(&point.read), point.slopes.clone());
+        self.whiten(&mut slopes);
+        let of = |i: usize| {
+            let at = columns.records.iter().position(|of| *of == i)?;
+            let (own, rows) = (i * record..(i + 1) * record, jacobian.rows(at * record, record).into_owned());
+            let both = [&slopes[own.clone()], &left[own]];
+            Some(clock.offset(point.offsets[i], both, &rows, covariance, unmodelled))
+        };
+        (0..self.counts.len()).map(of).collect()
+    }
+
+    /// R^{-½}(y − a), zero of what is not seen.
+    pub fn residual(&self, read: &[f64]) -> Vec<f64> {
+        let mut left: Vec<f64> = self.recorded.iter().zip(read).map(|(y, a)| y - a).collect();
+        self.whiten(&mut left);
+        left
+    }
+
+    /// Nothing counts that is outside the window, of a record that does not count, or at the end of its range.
+    fn see(&mut self) {
+        let (width, record) = (self.width(), self.readings * self.width());
+        let margin = self.clock.map_or(0, |clock| clock.margin());
+        let mut seen = vec![1.0; self.recorded.len()];
+        for (i, own) in seen.chunks_exact_mut(record).enumerate() {
+            let end = (self.onsets[i] + self.window + margin).min(self.readings.saturating_sub(margin));
+            let end = if self.counts[i] { end } else { 0 };
+            own.iter_mut().skip(end * width).for_each(|seen| *seen = 0.0);
+        }
+        if let Some(chip) = self.chip {
+            chip.disturb_vjp(&mut seen, &self.recorded);
+        }
+        self.seen = seen.into_iter().map(|seen| seen != 0.0).collect();
+    }
+
+    /// R^{-½} x = (x − s x̄)/σ for R = σ² + b² 1 1ᵀ of the n readings of a record's channel that are seen, (1 − s)² = σ²/(σ² + n b²);
+    /// symmetric. The others become zero.
+    fn whiten(&self, of: &mut [f64]) {
+        let record = self.readings * self.width();
+        of.chunks_exact_mut(record).enumerate().for_each(|(i, own)| self.whiten_record(i, own));
+    }
+
+    /// The same of one record.
+    fn whiten_record(&self, i: usize, own: &mut [f64]) {
+        let (width, seen) = (self.width(), &self.seen[i * own.len()..][..own.len()]);
+        for c in 0..width {
+            let (noise, bias) = (self.noise[c], self.bias[c]);
+            let seen = || seen[c..].iter().step_by(width);
+            let n = seen().filter(|seen| **seen).count().max(1) as f64;
+            let counts = own[c..].iter().step_by(width).zip(seen()).filter(|(_, seen)| **seen);
+            let mean = counts.map(|(x, _)| x).sum::<f64>() / n;
+            let part = 1.0 - noise / noise.hypot(n.sqrt() * bias);
+            let each = own[c..].iter_mut().step_by(width).zip(seen());
+            each.for_each(|(x, seen)| *x = if *seen { (*x - part * mean) / noise } else { 0.0 });
+        }
+    }
+
+    /// dF/dz of the unknowns that move.
+    pub fn gradient(&mut self, point: &Point) -> DVector<f64> {
+        let mut cotangent = self.residual(&point.read);
+        self.whiten(&mut cotangent);
+        cotangent.iter_mut().for_each(|bar| *bar = -*bar);
+        let mut by_difference = Vec::new();
+        for k in 0..self.moves {
+            if matches!(self.unknowns.all()[k], Unknown::LigamentLength | Unknown::Sharpness) {
+                let nudged = self.nudged(&point.plan, point, |z| z[k] += NUDGE, None);
+                self.counters += nudged.1;
+                let moved = nudged.0.iter().zip(&point.read).zip(&cotangent);
+                let slope = moved.map(|((there, here), bar)| (there - here) / NUDGE * bar).sum::<f64>();
+                by_difference.push((k, slope));
+            }
+        }
+        let mut cotangent = self.read_vjp(cotangent, self.forces.samples, &point.offsets);
+        let chips = point.cast.chips.own_vjp(&point.felt, &cotangent);
+        point.cast.chips.read_vjp(&mut cotangent);
+        let gradient = point.simulation.vjp(&cotangent, Wrt::Parameters, self.pool);
+        self.counters += gradient.counters;
+        let mut slope = DVector::from(self.unknowns.pull(&point.scene, &point.cast, &gradient, &chips));
+        by_difference.into_iter().for_each(|(k, of)| slope[k] = of);
+        (slope + &point.z).rows(0, self.moves).into_owned()
+    }
+
+    /// That of the chips, where each channel that is read has some.
+    pub fn known_noise(&self) -> Option<Vec<f64>> {
+        self.chip.map(Chip::deviations).filter(|all| all.iter().all(|noise| *noise > 0.0))
+    }
+
+    /// Standard deviation of each channel's noise by what is left, and by what the chips have, where they have any, and steps leave.
+    pub fn noises(&self, point: &Point) -> [Vec<f64>; 2] {
+        let width = self.width();
+        let mut left = self.residual(&point.read);
+        left.iter_mut().enumerate().for_each(|(i, r)| *r *= self.noise[i % width]);
+        let seen = |c: usize| self.seen[c..].iter().step_by(width).filter(|seen| **seen).count() as f64;
+        let rms = |of: &[f64], c: usize, n: f64| {
+            (of[c..].iter().step_by(width).map(|x| x * x).sum::<f64>() / n.max(1.0)).sqrt()
+        };
+        let instants = (self.recorded.len() / width) as f64;
+        let chip = self.chip.map_or_else(|| vec![0.0; width], Chip::deviations);
+        let least = |c: usize| chip[c].max(self.least * rms(&self.recorded, c, instants));
+        [(0..width).map(|c| rms(&left, c, seen(c))).collect(), (0..width).map(least).collect()]
+    }
+
+    /// Takes what is left for the noise of each channel, but no less than what chips have and steps leave; by how much that changes
+    /// it, relative.
+    pub fn weigh(&mut self, point: &Point) -> f64 {
+        let [left, least] = self.noises(point);
+        let noise = left.iter().zip(&least).map(|(left, least)| left.max(*least));
+        let noise: Vec<f64> = noise.map(|noise| if noise > 0.0 { noise } else { 1.0 }).collect();
+        let changed = noise.iter().zip(&self.noise).map(|(now, before)| (now / before - 1.0).abs());
+        let changed = changed.fold(0.0, f64::max);
+        self.noise = noise;
+        changed
+    }
+
+    /// Records that count.
+    pub fn counted(&self) -> usize {
+        self.counts.iter().filter(|counts| **counts).count()
+    }
+
+    /// Whether clocks may be off.
+    pub fn has_clocks(&self) -> bool {
+        self.clock.is_some()
+    }
+
+    /// Whether records are those of instruments.
+    pub fn is_measured(&self) -> bool {
+        self.unknowns.all().contains(&Unknown::Sharpness)
+    }
+
+    /// Those of the spec.
+    pub fn parameters(&self) -> [f64; 6] {
+        Parameters::of(&self.problem.scene).array()
+    }
+
+    /// Free parameters at a limit beyond which the gradient leads.
+    pub fn held(&self, point: &Point, gradient: &DVector<f64>) -> Vec<usize> {
+        let is = |k: &usize| {
+            point.z[*k].abs() >= self.unknowns.limit(*k) * (1.0 - 1e-12) && point.z[*k] * gradient[*k] < 0.0
+        };
+        (0..self.unknowns.free()).filter(is).collect()
+    }
+
+    /// By how many of the longest steps that any unknown may take it moves.
+    pub fn strides(&self, step: &DVector<f64>) -> f64 {
+        step.iter().enumerate().fold(0.0, |most, (k, by)| most.max(self.unknowns.strides(k, *by)))
+    }
+
+    /// A step of the unknowns that move as one of all.
+    pub fn padded(&self, step: &DVector<f64>) -> DVector<f64> {
+        step.clone().resize_vertically(self.unknowns.all().len(), 0.0)
     }
 
     /// Length of the window (s).
     pub fn seconds(&self) -> f64 {
-        self.window as f64 * self.base.duration / self.base.instants as f64
+        self.window as f64 * self.problem.scene.duration / self.instants() as f64
     }
 
-    /// Channels of an instant.
-    pub fn width(&self) -> usize {
-        3 * self.base.sensors.len()
+    /// Readings of a whole record.
+    pub fn instants(&self) -> usize {
+        self.problem.scene.instants
     }
 
-    /// Records.
-    pub fn records(&self) -> usize {
-        self.forces.samples
-    }
-
-    /// Instants of the window from the beginning of the records.
-    pub fn length(&self) -> usize {
-        self.scene.instants / self.clock.map_or(1, |clock| clock.finer)
+    /// 0 of an acceleration, 1 of a rotation rate.
+    fn kind(&self, channel: usize) -> usize {
+        usize::from(self.problem.channels[channel % self.problem.channels.len()] == 2)
     }
 
     /// The first window: as long as it takes the signals to hold a small part of their energy.
@@ -148,8 +488,8 @@ impl<'a> Objective<'a> {
         let mut energy = vec![[0.0; 2]; instants + 1];
         for (i, &onset) in self.onsets.iter().enumerate() {
             for n in onset..instants {
-                let at = &self.whole.1[(i * instants + n) * width..][..width];
-                at.iter().enumerate().for_each(|(c, y)| energy[n - onset + 1][kind(c)] += y * y);
+                let at = &self.recordings[(i * instants + n) * width..][..width];
+                at.iter().enumerate().for_each(|(c, y)| energy[n - onset + 1][self.kind(c)] += y * y);
             }
         }
         let total = energy.iter().fold([0.0; 2], |s, e| [s[0] + e[0], s[1] + e[1]]);
@@ -164,251 +504,33 @@ impl<'a> Objective<'a> {
         instants
     }
 
-    /// Looks at so many instants of each record, from its onset.
-    ///
-    /// Where clocks may be off, by as many more as signals may be late.
-    pub fn look_at(&mut self, window: usize) {
-        let signals = self.whole.1;
-        let (all, width) = (self.instants(), self.width());
-        self.window = window;
-        let (finer, margin) = self.clock.map_or((1, 0), |clock| (clock.finer, clock.margin()));
-        let n = self.onsets.iter().map(|o| (o + window + 2 * margin).min(all)).max().unwrap_or(all);
-        (self.scene, self.forces) = self.moving.1.beginning(&self.moving.0, finer * n);
-        self.signals = signals.chunks(all * width).flat_map(|record| &record[..n * width]).copied().collect();
-    }
-
-    /// Whether an entry of the signals lies in its record's window.
-    fn seen(&self, entry: usize) -> bool {
-        let (length, margin) = (self.length(), self.clock.map_or(0, |clock| clock.margin()));
-        let a_record = length * self.width();
-        let n = (entry % a_record) / self.width();
-        n < self.onsets[entry / a_record] + self.window + margin && n + margin < length
-    }
-
-    /// The scene with these parameters.
-    fn with(&self, parameters: &[f64; 6]) -> Scene {
-        Parameters::from_array(*parameters).set(&self.scene)
-    }
-
-    /// Simulates; none where a sample does not reach its end.
-    pub fn at(&mut self, parameters: &[f64; 6]) -> Option<Point> {
-        let scene = self.with(parameters);
-        let plan = choose(&scene, self.design, &self.solver).double();
-        let simulation = run(&scene, self.design, &self.forces, &plan, true, self.pool);
-        self.counters += simulation.counters;
-        let all = simulation.outcomes.iter().all(|o| *o == Outcome::Ok);
-        let (offsets, read, slopes) = (Vec::new(), Vec::new(), Vec::new());
-        let point = Point { parameters: *parameters, plan, simulation, offsets, read, slopes };
-        all.then(|| self.again(point))
-    }
-
-    /// The same with the best offsets of the clocks under the weights that are now.
-    pub fn again(&self, mut point: Point) -> Point {
-        let Some(clock) = self.clock else { return point };
-        let (width, motion) = (self.width(), &point.simulation.signals);
-        let (record, moved) = (self.length() * width, self.scene.instants * width);
-        let of = |(i, motion): (usize, &[f64])| {
-            let whiten = |own: &mut [f64]| self.whiten(i * record, own);
-            let offset = clock.settle(motion, &self.signals[i * record..][..record], width, &whiten);
-            let slope = clock.slope(motion, width, offset);
-            (offset, clock.read(motion, width, offset, 0), slope)
-        };
-        let all: Vec<_> = self.pool.install(|| motion.par_chunks_exact(moved).enumerate().map(of).collect());
-        point.offsets = all.iter().map(|(offset, ..)| *offset).collect();
-        point.read = all.iter().flat_map(|(_, read, _)| read).copied().collect();
-        point.slopes = all.into_iter().flat_map(|(.., slope)| slope).collect();
-        point
-    }
-
-    /// Entries from number `first` on in units of the noise, zero outside the window.
-    fn whiten(&self, first: usize, of: &mut [f64]) {
-        for (i, x) in of.iter_mut().enumerate() {
-            let at = first + i;
-            *x = if self.seen(at) { *x / self.noise[kind(at % self.width())] } else { 0.0 };
+    /// RMS of the residual of accelerations and rotation rates (mm/s², rad/s), and in % of that of the signals; of what is seen.
+    pub fn misfit(&self, point: &Point) -> [[f64; 2]; 2] {
+        let (mut off, mut size, mut count) = ([0.0; 2], [0.0; 2], [0.0f64; 2]);
+        let each = self.recorded.iter().zip(&point.read).zip(&self.seen).enumerate();
+        for (i, ((y, a), _)) in each.filter(|(_, (_, seen))| **seen) {
+            let kind = self.kind(i % self.width());
+            off[kind] += (y - a).powi(2);
+            size[kind] += y * y;
+            count[kind] += 1.0;
         }
-    }
-
-    /// Derivatives of the signals by the clocks' offsets, whitened; empty where no clock may be off.
-    pub fn slopes(&self, point: &Point) -> Vec<f64> {
-        let mut slopes = point.slopes.clone();
-        self.whiten(0, &mut slopes);
-        slopes
-    }
-
-    /// The residual that goes with [`Self::jacobian`]: as if the offsets were not known.
-    pub fn residual_before(&self, point: &Point) -> Vec<f64> {
-        let mut left = self.residual(point.signals());
-        if let Some(clock) = self.clock {
-            let record = self.length() * self.width();
-            clock.whiten_residual(&self.slopes(point), &point.offsets, record, &mut left);
-        }
-        left
-    }
-
-    /// p·e^step in the free parameters, no farther from the scene's than `BOX`.
-    pub fn moved(&self, parameters: &[f64; 6], step: &DVector<f64>) -> [f64; 6] {
-        let (mut moved, start) = (*parameters, Parameters::of(self.base).array());
-        for (&k, s) in self.free.iter().zip(step.iter()) {
-            let k = k as usize;
-            moved[k] = (moved[k] * s.exp()).clamp(start[k] / BOX, start[k] * BOX);
-        }
-        moved
-    }
-
-    /// The parameters with the `k`-th free one times e^`NUDGE`, also out of the box: at its edge records tell no less.
-    fn nudged(&self, parameters: &[f64; 6], k: usize) -> [f64; 6] {
-        let mut nudged = *parameters;
-        nudged[self.free[k] as usize] *= NUDGE.exp();
-        nudged
-    }
-
-    /// Parameters with stretch, shear, bend and density scaled; none where that would move one that is held.
-    pub fn scaled(&self, parameters: &[f64; 6], scales: [f64; 4]) -> Option<[f64; 6]> {
-        let mut scaled = *parameters;
-        let places = [Parameter::Stretch, Parameter::Shear, Parameter::Bend, Parameter::Density];
-        for (k, scale) in places.into_iter().zip(scales).filter(|(_, scale)| *scale != 1.0) {
-            if !self.free.contains(&k) {
-                return None;
-            }
-            scaled[k as usize] *= scale;
-        }
-        Some(scaled)
-    }
-
-    /// (y − a)/s within the window, zero outside.
-    pub fn residual(&self, signals: &[f64]) -> Vec<f64> {
-        let mut left = self.left(signals);
-        left.iter_mut().enumerate().for_each(|(i, r)| *r /= self.noise[kind(i % self.width())]);
-        left
-    }
-
-    /// y − a within the window, zero outside.
-    pub fn left(&self, signals: &[f64]) -> Vec<f64> {
-        let of = |(i, (y, a)): (usize, (&f64, &f64))| if self.seen(i) { y - a } else { 0.0 };
-        self.signals.iter().zip(signals).enumerate().map(of).collect()
-    }
-
-    /// (q − q₀)/ln 10.
-    fn distrust(&self, parameters: &[f64; 6]) -> DVector<f64> {
-        let start = Parameters::of(self.base).array();
-        let of = |k: &Parameter| (parameters[*k as usize] / start[*k as usize]).ln() / TRUST;
-        DVector::from_iterator(self.free.len(), self.free.iter().map(of))
-    }
-
-    /// The clocks' offsets with their intervals, from [`Self::jacobian`] and the parameters' covariance times t².
-    pub fn offsets(
-        &self,
-        point: &Point,
-        jacobian: &DMatrix<f64>,
-        covariance: &DMatrix<f64>,
-        unmodelled: f64,
-    ) -> Vec<Offset> {
-        let Some(clock) = self.clock else { return Vec::new() };
-        let (slopes, left) = (self.slopes(point), self.residual(point.signals()));
-        let record = self.length() * self.width();
-        let of = |(i, value): (usize, &f64)| {
-            let own = i * record..(i + 1) * record;
-            let rows = jacobian.rows(own.start, record).into_owned();
-            clock.offset(*value, [&slopes[own.clone()], &left[own]], &rows, covariance, unmodelled)
-        };
-        point.offsets.iter().enumerate().map(of).collect()
-    }
-
-    /// Gradient of F in the free logarithms, by the adjoint.
-    pub fn gradient(&mut self, point: &Point) -> DVector<f64> {
-        let residual = self.residual(point.signals());
-        let (width, record) = (self.width(), self.length() * self.width());
-        let mut cotangent: Vec<f64> =
-            residual.iter().enumerate().map(|(i, r)| -r / self.noise[kind(i % width)]).collect();
-        if let Some(clock) = self.clock {
-            let each = cotangent.chunks_exact(record).zip(&point.offsets);
-            cotangent = each.flat_map(|(bar, offset)| clock.read_vjp(bar, width, *offset)).collect();
-        }
-        let found = point.simulation.vjp(&cotangent, Wrt::Parameters, self.pool);
-        self.counters += found.counters;
-        let slopes = found.parameters.unwrap_or_default().array();
-        let of = |k: &Parameter| slopes[*k as usize] * point.parameters[*k as usize];
-        let fit = DVector::from_iterator(self.free.len(), self.free.iter().map(of));
-        fit + self.distrust(&point.parameters) / TRUST
-    }
-
-    /// da/dq/s in the window, a column a free parameter; less what the clocks' offsets can take up.
-    pub fn jacobian(&mut self, point: &Point) -> DMatrix<f64> {
-        let of = |k: usize| {
-            let scene = self.with(&self.nudged(&point.parameters, k));
-            run(&scene, self.design, &self.forces, &point.plan, false, self.pool)
-        };
-        let free = self.free.len();
-        let nudged: Vec<Simulation> = self.pool.install(|| (0..free).into_par_iter().map(of).collect());
-        let mut jacobian = DMatrix::zeros(self.signals.len(), free);
-        let (slopes, width) = (self.slopes(point), self.width());
-        for (k, mut nudged) in nudged.into_iter().enumerate() {
-            self.counters += nudged.counters;
-            if let Some(clock) = self.clock {
-                let each = nudged.signals.chunks_exact(self.scene.instants * width).zip(&point.offsets);
-                nudged.signals = each.flat_map(|(own, offset)| clock.read(own, width, *offset, 0)).collect();
-            }
-            for (i, (there, here)) in nudged.signals.iter().zip(point.signals()).enumerate() {
-                if self.seen(i) {
-                    jacobian[(i, k)] = (there - here) / (NUDGE * self.noise[kind(i % width)]);
-                }
-            }
-            if let Some(clock) = self.clock {
-                let record = self.length() * width;
-                clock.whiten_each(&slopes, record, jacobian.column_mut(k).as_mut_slice());
-            }
-        }
-        jacobian
-    }
-
-    /// JᵀJ and the trust in the start.
-    pub fn curvature(&self, jacobian: &DMatrix<f64>) -> DMatrix<f64> {
-        let mut h = jacobian.tr_mul(jacobian);
-        (0..h.nrows()).for_each(|k| h[(k, k)] += TRUST.powi(-2));
-        h
-    }
-
-    /// Root mean squares of residual and signals within the window.
-    fn sizes(&self, signals: &[f64]) -> [[f64; 2]; 2] {
-        let mut sums = [[0.0; 2]; 2];
-        let mut count = [0.0f64; 2];
-        for (i, (y, a)) in self.signals.iter().zip(signals).enumerate().filter(|(i, _)| self.seen(*i)) {
-            let c = kind(i % self.width());
-            sums[0][c] += (y - a) * (y - a);
-            sums[1][c] += y * y;
-            count[c] += 1.0;
-        }
-        sums.map(|of| [0, 1].map(|c| (of[c] / count[c].max(1.0)).sqrt()))
-    }
-
-    /// RMS of the residual (mm/s², rad/s).
-    pub fn residual_rms(&self, signals: &[f64]) -> [f64; 2] {
-        self.sizes(signals)[0]
-    }
-
-    /// In % of the signals'.
-    pub fn misfit(&self, signals: &[f64]) -> [f64; 2] {
-        let [off, size] = self.sizes(signals);
-        [0, 1].map(|c| if size[c] > 0.0 { 100.0 * off[c] / size[c] } else { 0.0 })
-    }
-
-    /// Takes the residual's size for the noise of each kind, but no less than what the steps leave; by how much that
-    /// changes it, relative.
-    pub fn weigh(&mut self, point: &Point) -> f64 {
-        let [off, size] = self.sizes(point.signals());
-        let least = self.solver.accuracy.0.clamp(1e-6, 1e-2);
-        let noise = [0, 1].map(|c| {
-            let noise = off[c].max(least * size[c]);
-            if noise > 0.0 { noise } else { 1.0 }
-        });
-        let changed = [0, 1].map(|c| (noise[c] / self.noise[c] - 1.0).abs());
-        self.noise = noise;
-        changed[0].max(changed[1])
+        let part = |c: usize| if size[c] > 0.0 { 100.0 * (off[c] / size[c]).sqrt() } else { 0.0 };
+        [[0, 1].map(|c| (off[c] / count[c].max(1.0)).sqrt()), [0, 1].map(part)]
     }
 }
 
+/// −δ²f/12 at each instant: what forces that are linear between instants lack of smooth ones of the same samples, to second order.
+fn sharper(forces: &Forces) -> Forces {
+    let of = |history: &[f64]| {
+        let inner = history.windows(3).map(|f| (2.0 * f[1] - f[0] - f[2]) / 12.0);
+        std::iter::once(0.0).chain(inner).chain([0.0]).collect::<Vec<f64>>()
+    };
+    let values = forces.values.chunks(forces.instants + 1).flat_map(of).collect();
+    Forces { values, ..forces.clone() }
+}
+
 /// The instant at which each record's force begins.
-pub fn onsets(scene: &Scene, forces: &Forces) -> Vec<usize> {
+fn onsets(scene: &Scene, forces: &Forces) -> Vec<usize> {
     let onset = |i: usize| {
         let history = forces.sample(i);
         let largest = history.iter().fold(0.0f64, |m, f| m.max(f.abs()));
@@ -420,11 +542,3 @@ pub fn onsets(scene: &Scene, forces: &Forces) -> Vec<usize> {
     };
     (0..forces.samples).map(onset).collect()
 }
-
-/// 0 of accelerations, 1 of rotation rates.
-fn kind(channel: usize) -> usize {
-    usize::from(channel % 3 == 2)
-}
-
-#[cfg(test)]
-mod tests;

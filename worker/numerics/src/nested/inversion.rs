@@ -4,7 +4,7 @@ use super::evaluation::{BandReading, CastBrain, CastReading, NetworkEvaluation, 
 use super::observe::Log;
 use super::state::State;
 use crate::brains::{Band, BandKind, Estimate, Fitted, Inverse, TO_EACH_SIDE};
-use crate::identify::twin::{Fit, GoOn};
+use crate::identify::{Fit, GoOn};
 use crate::trial::{Counters, Mould, Samples, Spread, Trouble, held, mean_error};
 
 /// Records of a cast that twins are calibrated on.

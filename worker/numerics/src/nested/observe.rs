@@ -2,7 +2,7 @@
 
 use super::report::{Report, Seconds};
 use super::state::State;
-use crate::identify::twin::GoOn;
+use crate::identify::GoOn;
 use crate::trial::Problem;
 
 /// Who watches an outer loop. The maths has no clock of its own.

@@ -258,7 +258,7 @@ pub fn sense(
     forces: &Forces,
     pool: &crate::Pool,
 ) -> Result<Vec<f64>, Failure> {
-    let solver = tuned(problem, design, forces, &problem.solver, pool).solver;
+    let solver = tuned(problem, &problem.scene, design, forces, &problem.solver, pool).solver;
     let simulation = simulated(problem, &problem.scene, design, forces, &solver, false, pool);
     all_well(&simulation.outcomes).map_err(Failure::Initial)?;
     match problem.disturbance {

@@ -319,18 +319,19 @@ impl<'a> Trial<'a> {
 /// An integrator tuned on a body, by its first training samples.
 pub(crate) fn pilot(problem: &Problem, design: &[f64], solver: &Solver, pool: &crate::Pool) -> Tuned {
     let forces = problem.forces(Purpose::Stimulus, 0, problem.stimuli.samples.min(PILOT));
-    tuned(problem, design, &forces, solver, pool)
+    tuned(problem, &problem.scene, design, &forces, solver, pool)
 }
 
-/// The same under given forces.
+/// The same of any scene of the problem under given forces.
 pub(crate) fn tuned(
     problem: &Problem,
+    scene: &Scene,
     design: &[f64],
     forces: &Forces,
     solver: &Solver,
     pool: &crate::Pool,
 ) -> Tuned {
-    let (scene, forces) = problem.in_motion(&problem.scene, forces);
+    let (scene, forces) = problem.in_motion(scene, forces);
     tune(&scene, design, &forces, solver, pool)
 }
 

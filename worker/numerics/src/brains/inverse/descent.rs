@@ -10,7 +10,7 @@ use super::model::Model;
 use super::prior::Prior;
 use crate::definite::{half_log, solved};
 use crate::dynamics::Outcome;
-use crate::identify::twin::{Ending, GoOn};
+use crate::identify::{Ending, GoOn};
 use crate::trial::{Counters, Trial};
 use faer::{Col, Mat, Scale};
 use rayon::prelude::*;

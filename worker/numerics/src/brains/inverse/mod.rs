@@ -13,7 +13,7 @@ mod prior;
 use super::Fitted;
 use crate::definite::solved;
 use crate::dynamics::{Forces, Solver};
-use crate::identify::twin::{Ending, GoOn, Twin};
+use crate::identify::{Ending, GoOn, Twin};
 use crate::random::Purpose;
 use crate::trial::{Counters, Failure, Mould, Problem, Samples, Trial, Trouble};
 use descent::{Descent, Noise, Start};

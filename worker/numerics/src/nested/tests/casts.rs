@@ -6,7 +6,7 @@ use super::*;
 use crate::brain::linear::Lags;
 use crate::brains::{FitOn, Fitted, Fresh, Loss, Plain, learner, predict_on, reader, solve};
 use crate::dynamics::{Parameters, Relaxation, planned, run, signal_error};
-use crate::identify::twin::Fit;
+use crate::identify::Fit;
 use crate::stimuli::Irregular;
 use crate::trial::{CastReader, Casting, Disturbance, Over, Samples, Size, Spread, mean_error};
 use crate::variation::{Casts, Variation};

@@ -1,15 +1,12 @@
-//! Parameters that a fit must find again in records made with them.
+//! Free parameters from records of bodies that are known.
 
-use metasense_numerics::body::{Layout, Pattern};
-use metasense_numerics::dynamics::{
-    Accuracy, Forces, Frame, Method, Panel, Parameters, Parts, Relaxation, Scene, Solver, Stiffness, simulate,
-};
-use metasense_numerics::identify::{BOX, Identified, Parameter, Settings, Turn, Verdict, fit};
-use metasense_numerics::random::{Purpose, Stream};
-use metasense_numerics::stimuli::{self, Bell};
+use super::*;
+use crate::body::Pattern;
+use crate::dynamics::{Frame, Parts, Relaxation, Stiffness, simulate};
+use crate::stimuli::{self, Bell};
 
-fn pool(threads: usize) -> metasense_numerics::Pool {
-    metasense_numerics::Pool::new(threads).expect("a pool")
+fn pool(threads: usize) -> crate::Pool {
+    crate::Pool::new(threads).expect("a pool")
 }
 
 /// Columns and rows of units, one or two panels, read for 0.3 s at 60 instants.
@@ -78,10 +75,45 @@ fn records(scene: &Scene, design: &[f64], forces: &Forces, noise: f64, memory: f
     signals
 }
 
-fn settings(free: &[Parameter]) -> Settings {
-    let solver = Solver::new(Method::Auto, Accuracy(1e-3));
-    Settings { free: free.to_vec(), solver, iterations: 1000, offset: 0.0 }
+/// Of bodies of exact moulds, on so many threads.
+fn fit_on(
+    threads: usize,
+    (start, design): (&Scene, &[f64]),
+    records: Records<'_>,
+    free: &[Parameter],
+    known: &[Turn],
+    watch: &mut dyn FnMut(&Turn),
+) -> Fit {
+    fit_of(Variation::default(), threads, (start, design), records, free, known, watch)
 }
+
+fn fit_of(
+    variation: Variation,
+    threads: usize,
+    (start, design): (&Scene, &[f64]),
+    records: Records<'_>,
+    free: &[Parameter],
+    known: &[Turn],
+    watch: &mut dyn FnMut(&Turn),
+) -> Fit {
+    let problem = Problem {
+        scene: start.clone(),
+        initial: design.to_vec(),
+        disturbance: None,
+        variation: Some(variation),
+        ..problem(2, 2, start.instants, 8)
+    };
+    Fit::of_records(&problem, design, records, free, &pool(threads), known, watch)
+}
+
+fn fit(body: (&Scene, &[f64]), forces: &Forces, signals: &[f64], free: &[Parameter]) -> Fit {
+    fit_on(2, body, (forces, signals, 0.0), free, &[], &mut |_| ())
+}
+
+const FIVE: &[Parameter] = {
+    let [five @ .., _] = &Parameter::ALL;
+    five
+};
 
 fn off_by(scene: &Scene, factors: [f64; 5]) -> Scene {
     let mut at = Parameters::of(scene).array();
@@ -89,9 +121,30 @@ fn off_by(scene: &Scene, factors: [f64; 5]) -> Scene {
     Parameters::from_array(at).set(scene)
 }
 
-fn errors(fit: &Identified, truth: &Scene) -> Vec<f64> {
-    let truth = Parameters::of(truth).array();
-    fit.estimates.iter().map(|e| e.value / truth[e.parameter as usize] - 1.0).collect()
+fn errors(fit: &Fit, truth: &Scene, start: &Scene) -> Vec<f64> {
+    of_free(fit).map(|(k, e)| value(e, k, start, 0.0) / Parameters::of(truth).array()[k] - 1.0).collect()
+}
+
+/// The free parameters' numbers and estimates.
+fn of_free(fit: &Fit) -> impl Iterator<Item = (usize, &Estimate)> {
+    fit.estimates.iter().filter_map(|e| match e.unknown {
+        Unknown::Material(parameter) => Some((parameter as usize, e)),
+        _ => None,
+    })
+}
+
+/// That of a parameter, by so many half intervals from its estimate.
+fn value(e: &Estimate, k: usize, start: &Scene, by: f64) -> f64 {
+    Parameters::of(start).array()[k] * (e.scatter * (e.found + by * e.half.unwrap_or(0.0))).exp()
+}
+
+/// Counts the intervals that hold.
+fn count_held(held: &mut [usize; 5], fit: &Fit, truth: &Scene, start: &Scene) {
+    for (held, (k, e)) in held.iter_mut().zip(of_free(fit)) {
+        assert!(e.half.is_some(), "{e:?}");
+        let [low, high] = [-1.0, 1.0].map(|way| value(e, k, start, way));
+        *held += usize::from((low..=high).contains(&Parameters::of(truth).array()[k]));
+    }
 }
 
 /// Five parameters, each wrong by a factor of two, this way or that, under noise of 3 %.
@@ -116,32 +169,17 @@ fn check_a_start(scene: &Scene, factors: [f64; 5]) {
     let design = scene.layout.initial_design(0.4363);
     let forces = blows(scene, 4);
     let signals = records(scene, &design, &forces, 0.03, 0.0, 1);
-    {
-        let start = off_by(scene, factors);
-        let found = fit(
-            &start,
-            &design,
-            &forces,
-            &signals,
-            &settings(&Parameter::ALL[..5]),
-            &pool(2),
-            &[],
-            &mut |_| (),
-        );
-        let errors = errors(&found, scene);
-        let what = format!(
-            "{} units, {factors:?}: {:?}, {errors:?}, {:?}",
-            scene.layout.units(),
-            found.outcome,
-            found.misfit
-        );
-        assert_eq!(found.outcome, Verdict::Converged, "{what}");
-        assert!(
-            errors.iter().take(3).chain(&errors[4..]).all(|e| e.abs() < 0.02) && errors[3].abs() < 0.1,
-            "{what}"
-        );
-        assert!(found.misfit[1].iter().all(|m| (2.0..4.0).contains(m)), "{what}");
-    }
+    let start = off_by(scene, factors);
+    let found = fit((&start, &design), &forces, &signals, FIVE);
+    let errors = errors(&found, scene, &start);
+    let units = scene.layout.units();
+    let what = format!("{units} units, {factors:?}: {:?}, {errors:?}, {:?}", found.ending, found.misfit);
+    assert_eq!(found.ending, Ending::Converged, "{what}");
+    assert!(
+        errors.iter().take(3).chain(&errors[4..]).all(|e| e.abs() < 0.02) && errors[3].abs() < 0.1,
+        "{what}"
+    );
+    assert!(found.misfit[1].iter().all(|m| (2.0..4.0).contains(m)), "{what}");
 }
 
 /// Where ligaments relax a fit leaves more than noise, and says so: the motion explains much of it on records that were not asked.
@@ -154,8 +192,7 @@ fn what_the_model_lacks_is_told_from_noise() {
     let relaxing = Scene { relaxation: Some(Relaxation { share: 0.3, time: 3e-3 }), ..scene.clone() };
     let of = |truth: &Scene, memory: f64| {
         let signals = records(truth, &design, &forces, 0.02, memory, 5);
-        let settings = settings(&Parameter::ALL[..5]);
-        let found = fit(&scene, &design, &forces, &signals, &settings, &pool(2), &[], &mut |_| ());
+        let found = fit((&scene, &design), &forces, &signals, FIVE);
         (found.unmodelled.expect("eight records"), found.misfit[1])
     };
     let [known, remembered, lacking] = [of(&scene, 0.0), of(&scene, 0.7), of(&relaxing, 0.0)];
@@ -175,22 +212,9 @@ fn intervals_of_95_percent_hold_the_truth() {
         let mut held = [0; 5];
         for seed in 0..20 {
             let signals = records(&scene, &design, &forces, 0.05, memory, 10 + seed);
-            let found = fit(
-                &start,
-                &design,
-                &forces,
-                &signals,
-                &settings(&Parameter::ALL[..5]),
-                &pool(2),
-                &[],
-                &mut |_| (),
-            );
-            assert_eq!(found.outcome, Verdict::Converged, "seed {seed}");
-            let truth = Parameters::of(&scene).array();
-            for (held, e) in held.iter_mut().zip(&found.estimates) {
-                let [low, high] = e.interval.expect("identifiable");
-                *held += usize::from((low..=high).contains(&truth[e.parameter as usize]));
-            }
+            let found = fit((&start, &design), &forces, &signals, FIVE);
+            assert_eq!(found.ending, Ending::Converged, "seed {seed}");
+            count_held(&mut held, &found, &scene, &start);
         }
         assert!(held.iter().all(|h| *h >= 16), "{samples} records, memory {memory}: {held:?} of 20");
     }
@@ -206,7 +230,6 @@ fn clocks_that_are_off_are_fitted_with_the_material() {
     let design = scene.layout.initial_design(0.4363);
     let forces = blows(&scene, RECORDS as u64);
     let moving = Scene { instants: FINE * scene.instants, ..scene.clone() };
-    let truth = Parameters::of(&scene).array();
     let (mut held, mut clocks) = ([0; 5], 0);
     for seed in 0..4 {
         let signals = records(&moving, &design, &forces.on(&moving), 0.03, 0.0, 50 + seed);
@@ -218,24 +241,19 @@ fn clocks_that_are_off_are_fitted_with_the_material() {
         };
         let readings: Vec<f64> = signals.chunks(3 * moving.instants).zip(&late).flat_map(read).collect();
         let start = off_by(&scene, std::array::from_fn(|_| (0.2 * stream.normal()).exp()));
-        let of = |offset: f64| {
-            let settings = Settings { offset, ..settings(&Parameter::ALL[..5]) };
-            fit(&start, &design, &forces, &readings, &settings, &pool(2), &[], &mut |_| ())
-        };
+        let of =
+            |offset: f64| fit_on(2, (&start, &design), (&forces, &readings, offset), FIVE, &[], &mut |_| ());
         let found = of(4e-3);
-        let right = errors(&found, &scene);
-        assert!(found.outcome == Verdict::Converged && right.iter().all(|e| e.abs() < 0.02), "{right:?}");
+        let right = errors(&found, &scene, &start);
+        assert!(found.ending == Ending::Converged && right.iter().all(|e| e.abs() < 0.02), "{right:?}");
         if seed == 0 {
             let exact = of(0.0);
-            let wrong = errors(&exact, &scene)[0].abs() > 0.02;
-            assert!(exact.offsets.is_empty() && (exact.outcome != Verdict::Converged || wrong), "{exact:?}");
+            let wrong = errors(&exact, &scene, &start)[0].abs() > 0.02;
+            assert!(exact.offsets.is_empty() && (exact.ending != Ending::Converged || wrong), "{exact:?}");
         }
-        for (held, e) in held.iter_mut().zip(&found.estimates) {
-            let [low, high] = e.interval.expect("identifiable");
-            *held += usize::from((low..=high).contains(&truth[e.parameter as usize]));
-        }
+        count_held(&mut held, &found, &scene, &start);
         let interval = moving.duration / moving.instants as f64;
-        for (offset, late) in found.offsets.iter().zip(&late) {
+        for (offset, late) in found.offsets.iter().flatten().zip(&late) {
             let off = (offset.value - *late as f64 * interval).abs();
             assert!(off < 5e-5, "{offset:?} {late}");
             clocks += usize::from(off < offset.half.expect("within the bound"));
@@ -261,16 +279,16 @@ fn what_records_do_not_tell_is_said_to_be_not_identifiable() {
     let (scene, design, forces, signals) = pushed();
     let start = off_by(&scene, [1.2, 1.2, 1.2, 1.0, 0.9]);
     let free = [Parameter::Stretch, Parameter::Shear, Parameter::Bend, Parameter::Density];
-    let found = fit(&start, &design, &forces, &signals, &settings(&free), &pool(1), &[], &mut |_| ());
-    assert_eq!(found.outcome, Verdict::NotIdentifiable, "{:?}", found.estimates);
-    let known: Vec<bool> = found.estimates.iter().map(|e| e.interval.is_some()).collect();
+    let found = fit((&start, &design), &forces, &signals, &free);
+    assert_eq!(found.ending, Ending::NotIdentifiable, "{:?}", found.estimates);
+    let known: Vec<bool> = of_free(&found).map(|(_, e)| e.half.is_some()).collect();
     assert_eq!(known, [true, false, false, true], "{:?}", found.estimates);
     let [_, shear, bend, _] = found.undetermined.iter().fold([0.0; 4], |mut sum, d| {
         sum.iter_mut().zip(&d.exponents).for_each(|(s, e)| *s += e * e);
         sum
     });
     assert!(shear > 0.9 && bend > 0.9, "{:?}", found.undetermined);
-    assert!(errors(&found, &scene)[0].abs() < 0.02, "{:?}", found.estimates);
+    assert!(errors(&found, &scene, &start)[0].abs() < 0.02, "{:?}", found.estimates);
 }
 
 /// A parameter that lies farther from the scene's than a fit may lead ends at the bound; that is not what records do not tell.
@@ -280,11 +298,12 @@ fn what_lies_beyond_the_bound_is_said_to_be_at_the_bound() {
     for (factor, bound) in [(0.1, BOX), (0.12, BOX), (8.5, 1.0 / BOX)] {
         let start = off_by(&scene, [factor, 1.0, 1.0, 1.0, 1.0]);
         let free = [Parameter::Stretch];
-        let found = fit(&start, &design, &forces, &signals, &settings(&free), &pool(1), &[], &mut |_| ());
-        let [stretch] = found.estimates[..] else { panic!("{:?}", found.estimates) };
-        assert_eq!(found.outcome, Verdict::AtTheBound, "{stretch:?}");
-        assert!((stretch.value / stretch.start / bound - 1.0).abs() < 1e-9, "{stretch:?}");
-        assert!(stretch.interval.is_none() && found.undetermined.is_empty(), "{:?}", found.undetermined);
+        let found = fit((&start, &design), &forces, &signals, &free);
+        let (k, stretch) = of_free(&found).next().expect("a free parameter");
+        assert_eq!(found.ending, Ending::AtTheBound, "{stretch:?}");
+        let by = value(stretch, k, &start, 0.0) / start.stiffness.stretch;
+        assert!((by / bound - 1.0).abs() < 1e-9, "{stretch:?}");
+        assert!(stretch.half.is_none() && found.undetermined.is_empty(), "{:?}", found.undetermined);
     }
 }
 
@@ -296,31 +315,52 @@ fn a_fit_does_not_depend_on_threads_and_goes_on_from_any_turn() {
     let forces = blows(&scene, 3);
     let signals = records(&scene, &design, &forces, 0.03, 0.0, 5);
     let start = off_by(&scene, [1.3, 1.0, 0.8, 1.0, 1.0]);
-    let free = settings(&[Parameter::Stretch, Parameter::Bend]);
+    let free = [Parameter::Stretch, Parameter::Bend];
     let run = |threads, known: &[Turn]| {
         let mut turns = known.to_vec();
-        let watch = &mut |turn: &Turn| turns.push(*turn);
-        let found = fit(&start, &design, &forces, &signals, &free, &pool(threads), known, watch);
+        let watch = &mut |turn: &Turn| turns.push(turn.clone());
+        let found = fit_on(threads, (&start, &design), (&forces, &signals, 0.0), &free, known, watch);
         (found, turns)
     };
     let ((one, turns), two) = (run(1, &[]), run(2, &[]));
     assert_eq!((&one, &turns), (&two.0, &two.1));
-    let errors = errors(&one, &scene);
-    assert!(errors.iter().all(|e| e.abs() < 0.02), "{errors:?}");
-    assert_eq!((one.parameters.shear, one.parameters.density), (0.5, 1e-8));
-    assert!(turns.len() > 5 && turns.iter().any(|turn| turn.next.is_none()), "{turns:?}");
+    let errors = errors(&one, &scene, &start);
+    assert!(errors.len() == 2 && errors.iter().all(|e| e.abs() < 0.02), "{errors:?}");
+    assert!(turns.len() > 5, "{turns:?}");
     for known in 1..=turns.len() {
         let (found, same) = run(1, &turns[..known]);
         let (less, all) = (found.counters, one.counters);
-        assert_eq!(
-            (Identified { counters: all, ..found }, &same),
-            (one.clone(), &turns),
-            "from turn {known}"
-        );
+        assert_eq!((Fit { counters: all, ..found }, &same), (one.clone(), &turns), "from turn {known}");
         assert!(less.force_evaluations <= all.force_evaluations, "{less:?} {all:?}");
         assert!(
             known < turns.len() || 4 * less.force_evaluations < 3 * all.force_evaluations,
             "{less:?} {all:?}"
         );
     }
+}
+
+/// Casts whose nodes are shifted by 0.1 mm: of sixteen at least fourteen intervals hold each parameter. Of fits that take nodes as exact
+/// fewer do.
+#[test]
+fn intervals_hold_the_material_of_casts_whose_nodes_are_shifted() {
+    const CASTS: u64 = 16;
+    let scene = Scene { duration: 0.2, instants: 40, ..scene(3, 2, 2) };
+    let design = scene.layout.initial_design(0.4363);
+    let forces = blows(&scene, 8);
+    let start = off_by(&scene, [1.1, 0.95, 1.05, 1.2, 0.95]);
+    let of_nodes = Variation { nodes: 0.1, ..Variation::default() };
+    let (mut held, mut by_exact) = ([0; 5], [0; 5]);
+    for seed in 0..CASTS {
+        let mut stream = Stream::new(Purpose::Cast, 400 + seed, [3, 0]);
+        let shifted: Vec<f64> = design.iter().map(|a| a + 0.1 * stream.normal()).collect();
+        let signals = records(&scene, &shifted, &forces, 0.02, 0.0, 70 + seed);
+        for (variation, held) in [(of_nodes, &mut held), (Variation::default(), &mut by_exact)] {
+            let records = (&forces, &signals[..], 0.0);
+            let found = fit_of(variation, 2, (&start, &design), records, FIVE, &[], &mut |_| ());
+            assert_eq!(found.ending, Ending::Converged, "cast {seed}");
+            count_held(held, &found, &scene, &start);
+        }
+    }
+    assert!(held.iter().all(|held| *held >= 14), "{held:?} of {CASTS}");
+    assert!(by_exact.iter().any(|held| *held < 12), "{by_exact:?} of {CASTS}");
 }

@@ -1,8 +1,8 @@
-//! What a twin is fitted in: z standard normal, of all that a variation scatters, and the cast that it stands for.
+//! What is fitted: z standard normal, of all that a variation scatters, and the cast that it stands for.
 
 use crate::Pool;
 use crate::dynamics::{Gradient, Parameters, Parts, Scene};
-use crate::identify::Parameter;
+use crate::identify::{BOX, Parameter};
 use crate::variation::{Cast, Chips, Variation, shared, shared_vjp};
 use std::ops::Range;
 
@@ -13,6 +13,9 @@ pub enum Unknown {
     Material(Parameter),
     /// l₀ of all ligaments.
     LigamentLength,
+    /// How forces run between the instants of their clock: at s z = 0 linearly, at 1 as smoothly as their samples. It belongs to the
+    /// records, not to the cast.
+    Sharpness,
     /// The gain of a channel (of 3M).
     Gain(usize),
     /// The turn of a chip.
@@ -25,9 +28,19 @@ pub enum Unknown {
     Unit(usize),
 }
 
+/// ln 10: standard deviation of the logarithm of a free parameter.
+const TRUST: f64 = std::f64::consts::LN_10;
+/// s. Where the forces' clock is twice as fine as that of their record, they are smooth at 4.
+const SHARPNESS: f64 = 5.0;
+/// Longest step of an unknown; of a free parameter, of its logarithm.
+pub const STRIDE: f64 = 2.0;
+const FREE_STRIDE: f64 = std::f64::consts::LN_2;
+
 /// The unknowns of a body with its sensors, in this order: those of the cast as a whole, its chips, its nodes, its parts.
 pub struct Unknowns {
     variation: Variation,
+    /// How many are free parameters; they come first.
+    free: usize,
     likeness: Vec<f64>,
     all: Vec<Unknown>,
     ligaments: usize,
@@ -36,6 +49,7 @@ pub struct Unknowns {
 }
 
 impl Unknowns {
+    /// Of a cast.
     pub fn new(scene: &Scene, variation: &Variation, pool: &Pool) -> Self {
         let (layout, sensors) = (&scene.layout, scene.sensors.len());
         let own = Parameters::of(scene).array();
@@ -56,6 +70,7 @@ impl Unknowns {
         }
         all.extend((0..count(variation.units, layout.units())).map(Unknown::Unit));
         Self {
+            free: 0,
             variation: *variation,
             likeness: variation.likeness(layout, pool),
             all,
@@ -65,8 +80,45 @@ impl Unknowns {
         }
     }
 
+    /// Of a cast with these parameters free, the others held, or, if there are none, all as they scatter; and of its records' forces.
+    pub fn of_records(scene: &Scene, variation: &Variation, free: &[Parameter], pool: &Pool) -> Self {
+        let material = std::array::from_fn(|k| if free.contains(&Parameter::ALL[k]) { TRUST } else { 0.0 });
+        let material = if free.is_empty() { variation.material } else { Parameters::from_array(material) };
+        let mut unknowns = Self::new(scene, &Variation { material, ..*variation }, pool);
+        let is_material = |unknown: &&Unknown| matches!(unknown, Unknown::Material(_));
+        let first = unknowns.all.iter().filter(is_material).count();
+        unknowns.all.insert(first, Unknown::Sharpness);
+        unknowns.free = if free.is_empty() { 0 } else { first };
+        unknowns
+    }
+
     pub fn all(&self) -> &[Unknown] {
         &self.all
+    }
+
+    /// How many are free parameters; they come first.
+    pub fn free(&self) -> usize {
+        self.free
+    }
+
+    /// The logarithm of z = 1 of a free parameter.
+    pub fn log(&self) -> f64 {
+        TRUST
+    }
+
+    /// Largest |z| of the `k`-th.
+    pub fn limit(&self, k: usize) -> f64 {
+        if k < self.free { BOX.ln() / TRUST } else { f64::INFINITY }
+    }
+
+    /// By how many of its longest steps the `k`-th moves in a step.
+    pub fn strides(&self, k: usize, step: f64) -> f64 {
+        step.abs() / if k < self.free { FREE_STRIDE / TRUST } else { STRIDE }
+    }
+
+    /// By which part forces are smooth.
+    pub fn sharpness(&self, z: &[f64]) -> f64 {
+        self.all.iter().position(|of| *of == Unknown::Sharpness).map_or(0.0, |k| SHARPNESS * z[k])
     }
 
     /// Its standard deviation: of a logarithm, in rad, in mm.
@@ -75,6 +127,7 @@ impl Unknowns {
         match unknown {
             Unknown::Material(parameter) => of.material.array()[parameter as usize],
             Unknown::LigamentLength => of.ligament_length,
+            Unknown::Sharpness => SHARPNESS,
             Unknown::Gain(_) => of.gain,
             Unknown::Turn(_) => of.misalignment,
             Unknown::Shift(_) => of.nodes,
@@ -108,6 +161,7 @@ impl Unknowns {
             match unknown {
                 Unknown::Material(parameter) => material[parameter as usize] = by.exp(),
                 Unknown::LigamentLength => ligament_length = by.exp(),
+                Unknown::Sharpness => {}
                 Unknown::Gain(channel) => chips.gain[channel] = by.exp(),
                 Unknown::Turn(chip) => chips.turn[chip] = by,
                 Unknown::Shift(i) => shifts[i] = by,
@@ -123,7 +177,7 @@ impl Unknowns {
     }
 
     /// dF/dz of a gradient in the parameters, parts and design of the scene of `cast`, and in the logarithms of its chips' gains and
-    /// in their turns. Nothing of the length.
+    /// in their turns. Nothing of the length and of the forces.
     pub fn pull(&self, scene: &Scene, cast: &Cast, gradient: &Gradient, chips: &Chips) -> Vec<f64> {
         let parameters = gradient.parameters.expect("asked for").array();
         let at = Parameters::of(scene).array();
@@ -135,7 +189,7 @@ impl Unknowns {
         let of = |&unknown: &Unknown| {
             let slope = match unknown {
                 Unknown::Material(parameter) => parameters[parameter as usize] * at[parameter as usize],
-                Unknown::LigamentLength => 0.0,
+                Unknown::LigamentLength | Unknown::Sharpness => 0.0,
                 Unknown::Gain(channel) => chips.gain[channel],
                 Unknown::Turn(chip) => chips.turn[chip],
                 Unknown::Shift(i) => shifts[i],
