@@ -70,6 +70,7 @@ def test_delimiters_decimal_marks_quotes_and_encodings_are_found(truth, tmp_path
 
 PREAMBLES = {
     "comment": "# made by me\n",
+    "apart": "Operator,M,of,this,rig\n\n",
     "meta": "Device: WT901\nRate,100 Hz\n\n",
     "numbers": "Version;2\nRate;2048\nChannels;4\nBits;16\n\n",
     "excel": "sep=,\n",

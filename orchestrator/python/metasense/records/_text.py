@@ -199,10 +199,11 @@ def _above(numbered: list[tuple[int, str]], table: _Table) -> list[str]:
 
 
 def _names(numbered: list[tuple[int, str]], table: _Table, comments: tuple[str, ...]) -> tuple[list[str], list[str]]:
-    """Names and units of the columns, from one or two lines above the first row; empty where there are none."""
+    """Names and units of the columns, from one line above the first row or two adjacent ones; empty where there are none."""
     rows = []
     width = table.width // 2 if table.is_paired else table.width
-    for line in _above(numbered, table)[:2]:
+    above = [(n, line) for n, line in reversed(numbered) if n < table.rows[0][0]][:2]
+    for _, line in above[: 1 if len(above) > 1 and above[0][0] - above[1][0] > 1 else 2]:
         for comment in comments:
             line = line.lstrip().removeprefix(comment)
         row = _fields(line, table.delimiter)
