@@ -30,6 +30,8 @@ width = 16
 [optimise]
 iterations = 2
 batch = 4
+[evaluation]
+seeds = 2
 [sweep]
 panels = [2]
 sensors = [1]
@@ -118,7 +120,7 @@ fn the_body_that_is_truly_better_is_found_so() {
     let (bench, hash) = bench();
     let call = |more: &[&str]| {
         let bodies = ["--records", "initial=bad.toml", "--records", "other=good.toml"];
-        let rest = ["--folds", "3", "--seeds", "2", "--format", "csv"];
+        let rest = ["--folds", "3", "--format", "csv"];
         bench.output(&[&["lab", "evaluate", "s.toml", &hash][..], &bodies, &rest, more].concat())
     };
     let csv = call(&["--design", "other=other.npy", "--out-dir", "out"]);
@@ -183,7 +185,7 @@ fn an_export_is_read_back_as_measured() {
     let hash = hash.lines().nth(1).unwrap();
     bench.output(&["export", "results/s.sqlite", hash, "--format", "npz", "--out", "t.npz"]);
     let mut call: Vec<String> =
-        ["lab", "evaluate", "results/s.sqlite", &hash[..8], "--iterations", "5"].map(String::from).to_vec();
+        ["lab", "evaluate", "results/s.sqlite", &hash[..8]].map(String::from).to_vec();
     for body in ["initial", "optimised"] {
         let text = format!(
             "[recorded]\nfiles = [\"t.npz\"]\nrate = 200.0\nforce = [\"forces\"]\n[signals]\nchannels = [\"signals_{body}\"]\n\
@@ -260,7 +262,6 @@ fn bad_calls_are_refused() {
             vec![initial, "--folds", "13"],
             "--records initial: --folds 13: must lie between 2 and 12, the number of records",
         ),
-        (vec![initial, "--brain", "linear", "--seeds", "2"], "--seeds: has no effect on a linear decoder"),
         (
             vec![initial, "--brain", "inverse", "--folds", "2"],
             "--folds: has no effect on an inverse decoder, which is not trained on records",
@@ -302,8 +303,8 @@ fn an_evaluation_goes_on_where_it_was_killed() {
     let (bench, hash) = bench();
     let call = |out: &'static str| {
         let bodies = ["--records", "initial=good.toml", "--records", "b=bad.toml"];
-        let effort = ["--folds", "3", "--seeds", "2", "--threads", "2", "--iterations", "200"];
-        [&["lab", "evaluate", "s.toml", hash.as_str()], &bodies[..], &effort, &["--out-dir", out]].concat()
+        let effort = ["brain.iterations=200", "--folds", "3", "--threads", "2"];
+        [&["lab", "evaluate", "s.toml"], &bodies[..], &effort, &["--out-dir", out]].concat()
     };
     let (whole, again) = (bench.output(&call("whole")), call("again"));
     let (kills, last) = bench.killed_until_done(&again, "again/unfinished.bin");
@@ -323,7 +324,7 @@ fn an_evaluation_goes_on_where_it_was_killed() {
 fn commands_that_compute_in_one_piece_end_at_once_on_request() {
     let (bench, hash) = bench();
     let evaluate =
-        ["lab", "evaluate", "s.toml", &hash, "--records", "initial=good.toml", "--iterations", "1000000"];
+        ["lab", "evaluate", "s.toml", "brain.iterations=1000000", "--records", "initial=good.toml"];
     let identify = ["lab", "identify", "s.toml", &hash, "--records", "good.toml"];
     let trial = ["trial", "s.toml", &hash];
     for (arguments, signal) in [

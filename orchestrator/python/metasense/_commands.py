@@ -119,8 +119,6 @@ def evaluate(
     twins: Mapping[str, File] | None = None,
     brain: str | None = None,
     folds: int | None = None,
-    seeds: int | None = None,
-    iterations: int | None = None,
     out_dir: File | None = None,
     **overrides: object,
 ) -> _metasense.Table:
@@ -130,7 +128,7 @@ def evaluate(
     """
     of_bodies = [("--records", records), ("--design", designs or {}), ("--twin", twins or {})]
     named = [word for option, files in of_bodies for body, file in files.items() for word in (option, f"{body}={fspath(file)}")]
-    options = _options({"brain": brain, "folds": folds, "seeds": seeds, "iterations": iterations, "out_dir": out_dir})
+    options = _options({"brain": brain, "folds": folds, "out_dir": out_dir})
     return _rows(["lab", "evaluate", *_words(source, hash, overrides), *named, *options])
 
 

@@ -51,12 +51,6 @@ pub(super) struct Args {
     /// The decoder [default: the trial's brain.kind]
     #[arg(long, value_enum, help_heading = "Networks")]
     brain: Option<Brain>,
-    /// Networks per fold, with different initial weights [default: the trial's evaluation.seeds]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000), help_heading = "Networks")]
-    seeds: Option<u32>,
-    /// Iterations of each network [default: the trial's brain.iterations]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), help_heading = "Networks")]
-    iterations: Option<u32>,
     /// Writes a page (index.html), its figures, the table and the error of each record (CSV), and forces, predictions and
     /// signals (records.npz) into this folder. During the evaluation, the folder keeps the trained networks; the same
     /// command resumes from there
@@ -200,18 +194,11 @@ fn brain(args: &Args, trial: &TrialSpec) -> Result<BrainKind, Error> {
         Some(Brain::Stacked) => BrainKind::Stacked,
         Some(Brain::Inverse) => BrainKind::Inverse,
     };
-    let (unread, why) = match brain {
-        BrainKind::Cnn | BrainKind::Stacked => return Ok(brain),
-        BrainKind::Linear => (&["--seeds", "--iterations"][..], "a linear decoder, which is solved exactly"),
-        BrainKind::Inverse => (
-            &["--seeds", "--iterations", "--folds"][..],
-            "an inverse decoder, which is not trained on records",
-        ),
-    };
-    let given = [("--seeds", args.seeds), ("--iterations", args.iterations), ("--folds", args.folds)];
-    match given.iter().find(|(option, given)| given.is_some() && unread.contains(option)) {
-        Some((option, _)) => Err(Error::Usage(format!("{option}: has no effect on {why}"))),
-        None => Ok(brain),
+    match args.folds {
+        Some(_) if brain == BrainKind::Inverse => Err(Error::Usage(
+            "--folds: has no effect on an inverse decoder, which is not trained on records".into(),
+        )),
+        _ => Ok(brain),
     }
 }
 
@@ -237,8 +224,8 @@ fn compare(
     let effort = Effort {
         brain,
         folds: args.folds.map_or(FOLDS.min(fewest).max(2), |n| n as usize),
-        seeds: if networks { args.seeds.map_or(trial.evaluation.networks(), |n| n as usize) } else { 1 },
-        iterations: args.iterations.map_or(trial.brain.iterations, |n| n as usize),
+        seeds: if networks { trial.evaluation.networks() } else { 1 },
+        iterations: trial.brain.iterations,
     };
     let inputs: Vec<_> = (records.iter())
         .map(|Records { name, measured: Measured { forces, signals, low_pass, .. }, .. }| {

@@ -23,9 +23,6 @@ pub(super) struct Args {
     /// Removes the files; by default they are only listed
     #[arg(long)]
     yes: bool,
-    /// Format of the rows
-    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
-    format: Format,
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
@@ -42,7 +39,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     found.dedup(); // of folders within one another
     let size = |path: &Path| path.metadata().map_or(0, |m| m.len());
     let rows = found.iter().map(|(path, why)| row![path.display().to_string(), size(path), why]);
-    print_rows(&Table::new("file bytes why", rows), args.format)?;
+    print_rows(&Table::new("file bytes why", rows), Format::Table)?;
     if args.yes {
         for (path, _) in &found {
             match remove(path) {

@@ -16,7 +16,7 @@ use crate::look::{Table, row};
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Folder of the reference cases: one folder per case, with case.json and .npy arrays
-    #[arg(long, value_name = "DIR")]
+    #[arg(value_name = "DIR")]
     cases: PathBuf,
 }
 
