@@ -3,6 +3,7 @@
 pub mod arrays;
 pub mod bound;
 pub mod casts;
+pub mod check;
 pub mod clock;
 pub mod convert;
 pub mod demands;

@@ -69,11 +69,32 @@ pub enum MeasuredError {
     Spec(#[from] SpecError),
 }
 
-/// Reads the records that `file` (TOML) describes, for a trial's panels, sensors and clock.
-///
-/// # Errors
-/// Names file, key and value of what no record can have, or does not fit the trial.
-pub fn read(file: &Path, trial: &TrialSpec) -> Result<Measured, MeasuredError> {
+/// A record as its instruments wrote it.
+#[derive(Debug, Clone)]
+pub struct Raw {
+    /// Its file, and its place among the records of that file if it is not alone there.
+    pub place: String,
+    /// Force (N) and signals (mm/s², rad/s), on the clock on which the body's sample begins at 0.
+    pub(crate) force: Record,
+    pub(crate) signal: Record,
+    /// Entries of both, as they are in the file.
+    pub read: [Vec<Vec<f64>>; 2],
+    /// The panel of a single history.
+    pub panel: Option<usize>,
+    /// Its `signals.start` (s).
+    pub start: f64,
+}
+
+/// Records that a file describes, each or what is wrong with it.
+pub struct Described {
+    /// The file with its keys.
+    pub spec: spec::Measured,
+    /// In its order.
+    pub records: Vec<Result<Raw, String>>,
+}
+
+/// The file of records and what it describes.
+fn described(file: &Path) -> Result<(Source, spec::Measured), MeasuredError> {
     let text = std::fs::read_to_string(file)
         .map_err(|source| MeasuredError::Unreadable { path: file.to_owned(), source })?;
     let source = Source::new(file, text)?;
@@ -81,17 +102,50 @@ pub fn read(file: &Path, trial: &TrialSpec) -> Result<Measured, MeasuredError> {
     let folder = file.parent().unwrap_or(Path::new(""));
     let paths = spec.recorded.files.iter_mut().chain(spec.signals.files.iter_mut().flatten());
     paths.for_each(|path| *path = folder.join(&path));
-    measured(&spec, trial).map_err(|Invalid { key, value, remedy }| {
-        let key = key.strip_prefix("stimuli.").unwrap_or(&key);
-        source.error_with(key, Some(&value), &remedy).into()
-    })
+    Ok((source, spec))
 }
 
-fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invalid> {
+fn refused(source: &Source, Invalid { key, value, remedy }: Invalid) -> MeasuredError {
+    let key = key.strip_prefix("stimuli.").unwrap_or(&key);
+    source.error_with(key, Some(&value), &remedy).into()
+}
+
+/// Reads the records that `file` (TOML) describes, for a trial's panels, sensors and clock.
+///
+/// # Errors
+/// Names file, key and value of what no record can have, or does not fit the trial.
+pub fn read(file: &Path, trial: &TrialSpec) -> Result<Measured, MeasuredError> {
+    let (source, spec) = described(file)?;
+    measured(&spec, trial).map_err(|invalid| refused(&source, invalid))
+}
+
+/// Reads the same records as their instruments wrote them; a record that `read` refuses is a text.
+///
+/// # Errors
+/// Names file, key and value of what is wrong with all records.
+pub fn read_raw(file: &Path, trial: &TrialSpec) -> Result<Described, MeasuredError> {
+    let (source, spec) = described(file)?;
+    let mut records = Vec::new();
+    let all = raw(&spec, trial, false, &mut |record| {
+        records.push(record.map_err(|e: Invalid| refused(&source, e).to_string()));
+        Ok(())
+    });
+    let forces: Vec<&Record> = records.iter().flatten().map(|raw: &Raw| &raw.force).collect();
+    let all = all.and_then(|()| check_counts(&spec, &forces, records.len(), trial));
+    all.map_err(|invalid| refused(&source, invalid))?;
+    Ok(Described { spec, records })
+}
+
+/// Passes each record to `each`, which may refuse it; if they are to be `whole`, only those whose signals cover the sample.
+fn raw(
+    spec: &spec::Measured,
+    trial: &TrialSpec,
+    whole: bool,
+    each: &mut dyn FnMut(Result<Raw, Invalid>) -> Result<(), Invalid>,
+) -> Result<(), Invalid> {
     let spec::Measured { recorded, signals } = spec;
     check(recorded, signals, trial)?;
-    let (panels, channels) = (trial.panel_units.len(), trial.signals());
-    let (duration, instants) = (trial.time.duration, trial.time.samples);
+    let (panels, channels, duration) = (trial.panel_units.len(), trial.signals(), trial.time.duration);
     let picks = [Pick::forces(recorded, "recorded"), pick(recorded, signals, channels)];
     let [of_forces, of_signals] = picks.each_ref().map(Pick::read);
     let own = Form::of_signals(signals, of_signals.clone());
@@ -100,61 +154,87 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
         None => of_forces.zip(of_signals).map(|(forces, signals)| [forces, signals].concat()),
     };
     let form = Form::of_forces(recorded, "recorded", read);
-    let (mut forces, mut readings, mut seen) = (Vec::new(), Vec::new(), Seen::new());
-    let mut starts = Vec::new();
+    let (mut seen, mut number) = (Seen::new(), 0);
     for (n, file) in recorded.files.iter().enumerate() {
         let wrong = |what: String| records::at(file, what);
         let beside = signals.files.as_ref().map(|files| &files[n]);
         let wrong_beside =
             |what: String| beside.map_or_else(|| wrong(what.clone()), |file| faulty(file, &*what));
-        let held = records::open(file, &form).map_err(wrong)?;
-        let of_file = records::forces(&picks[0], &held, panels).map_err(wrong)?;
-        let read = match beside {
-            Some(file) => records::open(file, &own).and_then(|held| records::of_file(&picks[1], &held)),
-            None => records::of_file(&picks[1], &held),
+        let of_file = || {
+            let held = records::open(file, &form).map_err(wrong)?;
+            let of_file = records::forces(&picks[0], &held, panels).map_err(wrong)?;
+            let read = match beside {
+                Some(file) => records::open(file, &own).and_then(|held| records::of_file(&picks[1], &held)),
+                None => records::of_file(&picks[1], &held),
+            };
+            let read = read.map_err(wrong_beside)?;
+            if read.len() != of_file.len() {
+                let what =
+                    format!("contains signals of {} records, but forces of {}", read.len(), of_file.len());
+                return Err(wrong_beside(what));
+            }
+            Ok((of_file, read))
         };
-        let read = read.map_err(wrong_beside)?;
-        if read.len() != of_file.len() {
-            let what = format!("contains signals of {} records, but forces of {}", read.len(), of_file.len());
-            return Err(wrong_beside(what));
-        }
+        let (of_file, read) = match of_file() {
+            Ok(both) => both,
+            Err(invalid) => {
+                number += 1;
+                each(Err(invalid))?;
+                continue;
+            }
+        };
         let count = read.len();
         for (i, (mut force, mut signal)) in of_file.into_iter().zip(read).enumerate() {
             let wrong = |what| wrong(records::numbered(i, count, what));
             let wrong_beside = |what| wrong_beside(records::numbered(i, count, what));
-            fit(signals, &force, &signal, trial).map_err(wrong_beside)?;
-            records::check_step(&picks[0], &force, duration).map_err(wrong)?;
-            records::check_step(&picks[1], &signal, duration).map_err(wrong_beside)?;
+            let start = signals.start.as_ref().map_or(0.0, |start| start.of(number));
             let place = format!("{:?}, record {i}", beside.unwrap_or(file).display().to_string());
-            let start = signals.start.as_ref().map_or(0.0, |start| start.of(starts.len()));
-            signal.start += start;
-            starts.push(start);
-            check_copies(&mut seen, &force, &signal, place).map_err(wrong_beside)?;
-            let later = records::align(recorded, &mut force, 0.0).map_err(wrong)?;
-            signal.start += later;
-            records::in_units("signal", &mut signal.values, &factors(signals, trial), recorded.remove_offset)
+            number += 1;
+            let one = || {
+                fit(signals, &force, &signal, trial).map_err(wrong_beside)?;
+                records::check_step(&picks[0], &force, duration).map_err(wrong)?;
+                records::check_step(&picks[1], &signal, duration).map_err(wrong_beside)?;
+                signal.start += start;
+                check_copies(&mut seen, &force, &signal, place).map_err(wrong_beside)?;
+                let read = [force.values.clone(), signal.values.clone()];
+                let later = records::align(recorded, &mut force, 0.0).map_err(wrong)?;
+                signal.start += later;
+                records::in_units(
+                    "signal",
+                    &mut signal.values,
+                    &factors(signals, trial),
+                    recorded.remove_offset,
+                )
                 .map_err(wrong_beside)?;
-            records::check_place(&picks[0], &force, duration).map_err(wrong)?;
-            lasts(&force, &signal, duration, instants).map_err(wrong_beside)?;
-            let first = on_instants(&mut force, &mut signal, duration / instants as f64);
-            forces.push(force);
-            readings.push((signal, first));
+                records::check_place(&picks[0], &force, duration).map_err(wrong)?;
+                if whole {
+                    lasts(&force, &signal, duration, trial.time.samples).map_err(wrong_beside)?;
+                }
+                let panel = recorded.panels.as_ref().and_then(|struck| struck.get(number - 1).copied());
+                let name = beside.unwrap_or(file).file_name().unwrap_or_default().display();
+                let place = if count == 1 { name.to_string() } else { format!("{name}, record {i}") };
+                Ok(Raw { place, force, signal, read, panel, start })
+            };
+            each(one())?;
         }
     }
-    let Some(first) = forces.first() else {
-        return Err(records::at(&recorded.files[0], "contains no records"));
-    };
-    if let Some(Start::Each(given)) = &signals.start
-        && given.len() != forces.len()
-    {
-        let remedy = format!("must be one number, or one for each of the {} records", forces.len());
-        return Err(invalid("signals.start", format!("{} numbers", given.len()), remedy));
-    }
-    records::check_panels(recorded, &forces, panels)?;
-    if first.values.len() < panels && recorded.panels.is_none() {
-        let remedy = format!("must name the panel, from 0 to {}, that each record strikes", panels - 1);
-        return Err(invalid("stimuli.recorded.panels", "", remedy));
-    }
+    Ok(())
+}
+
+fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invalid> {
+    let spec::Measured { recorded, signals } = spec;
+    let panels = trial.panel_units.len();
+    let (duration, instants) = (trial.time.duration, trial.time.samples);
+    let (mut forces, mut readings, mut starts) = (Vec::new(), Vec::new(), Vec::new());
+    raw(spec, trial, true, &mut |record| {
+        let Raw { mut force, mut signal, start, .. } = record?;
+        let first = on_instants(&mut force, &mut signal, duration / instants as f64);
+        starts.push(start);
+        forces.push(force);
+        readings.push((signal, first));
+        Ok(())
+    })?;
+    check_counts(spec, &forces.iter().collect::<Vec<_>>(), forces.len(), trial)?;
     let clock = records::clock(recorded.resample);
     let own = trial.stimuli.force_samples.unwrap_or(instants);
     let mut values = Vec::with_capacity(forces.len() * panels * (own + 1));
@@ -222,6 +302,31 @@ fn check_margin(deviation: f64, forces: &Forces, time: spec::Time) -> Result<(),
             );
             return Err(invalid("signals.start_deviation", deviation, remedy));
         }
+    }
+    Ok(())
+}
+
+/// Whether keys with an entry per record have as many entries as there are records.
+fn check_counts(
+    spec::Measured { recorded, signals }: &spec::Measured,
+    forces: &[&Record],
+    count: usize,
+    trial: &TrialSpec,
+) -> Result<(), Invalid> {
+    let panels = trial.panel_units.len();
+    let Some(first) = forces.first() else {
+        return if count > 0 { Ok(()) } else { Err(records::at(&recorded.files[0], "contains no records")) };
+    };
+    if let Some(Start::Each(given)) = &signals.start
+        && given.len() != count
+    {
+        let remedy = format!("must be one number, or one for each of the {count} records");
+        return Err(invalid("signals.start", format!("{} numbers", given.len()), remedy));
+    }
+    records::check_panels(recorded, forces, count, panels)?;
+    if first.values.len() < panels && recorded.panels.is_none() {
+        let remedy = format!("must name the panel, from 0 to {}, that each record strikes", panels - 1);
+        return Err(invalid("stimuli.recorded.panels", "", remedy));
     }
     Ok(())
 }

@@ -30,6 +30,8 @@ pub(crate) struct Record {
     pub dt: f64,
     /// The histories, equally long.
     pub values: Vec<Vec<f64>>,
+    /// How far a step of the clock was from their mean, at most, relative to it.
+    pub jitter: f64,
 }
 
 /// BLAKE3 over the lengths and contents of the files, in their order: 32 hex digits.
@@ -90,7 +92,7 @@ pub(crate) fn recorded(
         );
         return Err(invalid("stimuli.samples", trial.stimuli.samples, remedy));
     }
-    check_panels(recorded, &records, panels)?;
+    check_panels(recorded, &records.iter().collect::<Vec<_>>(), records.len(), panels)?;
     let clock = clock(recorded.resample);
     let values = records
         .iter()
@@ -262,7 +264,7 @@ pub(crate) fn check_step(pick: &Pick, record: &Record, duration: f64) -> Result<
 
 /// Refuses forces that are hardly any in the sample.
 pub(crate) fn check_place(pick: &Pick, record: &Record, duration: f64) -> Result<(), String> {
-    let Record { start, dt, values } = record;
+    let Record { start, dt, values, .. } = record;
     let peak = |within: &dyn Fn(f64) -> bool| {
         let forces = values.iter().flat_map(|history| history.iter().enumerate());
         let forces = forces.filter(|(n, _)| within(start + *n as f64 * dt));
@@ -283,7 +285,8 @@ pub(crate) fn check_place(pick: &Pick, record: &Record, duration: f64) -> Result
 /// Whether all records hold as many forces, and `panels` says which is struck where it may.
 pub(crate) fn check_panels(
     recorded: &spec::Recorded,
-    records: &[Record],
+    records: &[&Record],
+    count: usize,
     panels: usize,
 ) -> Result<(), Invalid> {
     let held = records.first().map_or(1, |record| record.values.len());
@@ -296,8 +299,8 @@ pub(crate) fn check_panels(
     }
     let Some(struck) = &recorded.panels else { return Ok(()) };
     let remedy = match held {
-        1 if struck.len() == records.len() && struck.iter().all(|&k| k < panels) => return Ok(()),
-        1 => format!("must name one of panels 0 to {} for each of {} records", panels - 1, records.len()),
+        1 if struck.len() == count && struck.iter().all(|&k| k < panels) => return Ok(()),
+        1 => format!("must name one of panels 0 to {} for each of {count} records", panels - 1),
         _ => format!("has no effect if a record contains {held} forces"),
     };
     Err(invalid("stimuli.recorded.panels", format!("{struck:?}"), remedy))

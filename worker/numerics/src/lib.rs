@@ -3,6 +3,7 @@
 //! No I/O, no clock, no environment, no randomness but a seed passed in. Physics and conventions: `MODEL.md`.
 
 pub mod brains;
+pub mod check;
 mod definite;
 pub mod feasible;
 pub mod identify;

@@ -52,11 +52,11 @@ pub(super) fn timed(
     let span = clock[clock.len() - 1] - clock[0];
     let mean = span / (clock.len() - 1) as f64;
     let start = clock[0] * unit;
+    let off = steps().fold(0.0f64, |most, step| most.max((step - mean).abs()));
+    let jitter = off / mean;
     let drift = |(n, t): (usize, &f64)| (t - clock[0] - n as f64 * mean).abs();
-    if steps().all(|step| (step - mean).abs() <= UNEVEN * mean)
-        && clock.iter().enumerate().map(drift).all(|off| off <= DRIFT * mean)
-    {
-        return Ok(Record { start, dt: mean * unit, values });
+    if off <= UNEVEN * mean && clock.iter().enumerate().map(drift).all(|off| off <= DRIFT * mean) {
+        return Ok(Record { start, dt: mean * unit, values, jitter });
     }
     let finest = steps().fold(f64::INFINITY, f64::min);
     let count = (span / finest).ceil();
@@ -78,7 +78,7 @@ pub(super) fn timed(
         };
         (0..=count as usize).map(value).collect()
     };
-    Ok(Record { start, dt: dt * unit, values: values.iter().map(read).collect() })
+    Ok(Record { start, dt: dt * unit, values: values.iter().map(read).collect(), jitter })
 }
 
 /// The first step in which entries are missing, and how long a step is there.

@@ -177,5 +177,5 @@ fn histories(pick: &Pick, Array { shape, values }: &Array) -> Result<Vec<Vec<Vec
 }
 
 fn even(pick: &Pick, values: Vec<Vec<f64>>) -> Record {
-    Record { start: 0.0, dt: 1.0 / pick.rate.unwrap_or(1.0), values }
+    Record { start: 0.0, dt: 1.0 / pick.rate.unwrap_or(1.0), values, jitter: 0.0 }
 }

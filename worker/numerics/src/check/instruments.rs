@@ -1,0 +1,94 @@
+//! What records tell of their instruments without any model.
+
+use super::{History, Record};
+
+/// One record's instruments.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Instruments {
+    /// Largest force (N), and its impulse over all panels (N·s).
+    pub peak: f64,
+    /// Likewise.
+    pub impulse: f64,
+    /// Blows on the panel that has most.
+    pub blows: usize,
+    /// Standard deviation of the force before the blow (N); none with too few entries.
+    pub force_noise: Option<f64>,
+    /// Mean and standard deviation of each channel before the blow; none with too few readings.
+    pub quiet: Option<Vec<[f64; 2]>>,
+    /// RMS of each channel from the blow on.
+    pub size: Vec<f64>,
+}
+
+/// Readings before the blow that are enough to measure noise.
+const FEWEST: usize = 5;
+/// Part of the peak that a force must exceed to be a blow, and below which it must fall between two.
+const BLOW: f64 = 0.2;
+const BETWEEN: f64 = 0.08;
+/// Entries that a range cuts off are as large as the largest; so many of them are no chance, if the channel has so many steps.
+const CLIPPED: usize = 3;
+const STEPS: f64 = 50.0;
+
+impl Instruments {
+    /// Those of a record.
+    pub fn of(record: &Record) -> Self {
+        let [onset, _] = record.blow();
+        let histories = &record.force.values;
+        let largest = |f: &Vec<f64>| f.iter().fold(0.0f64, |m, x| m.max(x.abs()));
+        let quiet = |h: &History| (0..h.entries()).take_while(|n| h.time(*n) < onset - 1.5 * h.dt).count();
+        let of_force = quiet(&record.force);
+        let force_noise = (of_force >= FEWEST)
+            .then(|| histories.iter().map(|f| statistics(&f[..of_force])[1]).fold(0.0, f64::max));
+        let before = quiet(&record.signals);
+        let signals = &record.signals.values;
+        Self {
+            peak: histories.iter().map(largest).fold(0.0, f64::max),
+            impulse: record.force.dt * histories.iter().flatten().sum::<f64>().abs(),
+            blows: histories.iter().map(|f| blows(f)).max().unwrap_or(0),
+            force_noise,
+            quiet: (before >= FEWEST).then(|| signals.iter().map(|y| statistics(&y[..before])).collect()),
+            size: signals.iter().map(|y| rms(&y[before.min(y.len().saturating_sub(1))..])).collect(),
+        }
+    }
+}
+
+fn rms(values: &[f64]) -> f64 {
+    (values.iter().map(|x| x * x).sum::<f64>() / values.len().max(1) as f64).sqrt()
+}
+
+/// Mean and standard deviation.
+fn statistics(values: &[f64]) -> [f64; 2] {
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    let off: Vec<f64> = values.iter().map(|x| x - mean).collect();
+    [mean, rms(&off)]
+}
+
+/// Blows in a history: a force that has fallen and rises again counts anew.
+pub fn blows(force: &[f64]) -> usize {
+    let peak = force.iter().fold(0.0f64, |m, x| m.max(x.abs()));
+    let (mut count, mut within) = (0, false);
+    for f in force.iter().map(|f| f.abs()) {
+        if !within && f > BLOW * peak {
+            (count, within) = (count + 1, true);
+        }
+        within &= f > BETWEEN * peak;
+    }
+    count
+}
+
+/// Of the histories of a channel, one per record, how many entries of each lie at an end of the range; none does if the largest entries
+/// are no more alike than those of a signal.
+pub fn clipped(histories: &[&[f64]]) -> Vec<usize> {
+    let mut all: Vec<f64> = histories.iter().flat_map(|h| h.iter().copied()).collect();
+    all.sort_by(f64::total_cmp);
+    let (low, high) = (all.first().copied().unwrap_or(0.0), all.last().copied().unwrap_or(0.0));
+    let step = all.windows(2).map(|w| w[1] - w[0]).filter(|d| *d > 0.0).fold(f64::INFINITY, f64::min);
+    let ends = [low, high].map(|end| {
+        let near = |x: &f64| (x - end).abs() <= 1e-9 * end.abs();
+        // an end lies far from most entries, which else are steps of a quiet channel
+        let far = (end - all[all.len() / 2]).abs() > STEPS * step;
+        let counts: Vec<usize> = histories.iter().map(|h| h.iter().filter(|x| near(x)).count()).collect();
+        let is_end = far && counts.iter().sum::<usize>() >= CLIPPED;
+        if is_end { counts } else { vec![0; histories.len()] }
+    });
+    ends[0].iter().zip(&ends[1]).map(|(a, b)| a + b).collect()
+}
