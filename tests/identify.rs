@@ -46,7 +46,7 @@ pub fn made_of(spec: &str, [stretch, shear, bend, damping, density]: [f64; 5]) -
 
 /// Three blows on both panels, and what the body of `TRUE` gives under them, 2 % of noise added; told by two files: the arrays
 /// as `simulate` writes them, and a CSV of one record whose signals have a clock ten times as fine, and other units.
-fn bench() -> Bench {
+pub fn bench() -> Bench {
     let bench = Bench::new();
     bench.file("s.toml", SPEC);
     let made = made_of(SPEC, TRUE);

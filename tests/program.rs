@@ -12,6 +12,7 @@ mod bodies;
 mod brains;
 mod browser;
 mod casts;
+mod check;
 mod comparison;
 mod control;
 mod design;

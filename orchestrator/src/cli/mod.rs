@@ -9,6 +9,7 @@ mod analyse;
 mod archive;
 mod bound;
 mod casts;
+mod check;
 mod completions;
 mod control;
 mod design;
@@ -134,7 +135,7 @@ commands! {
     /// Computes properties of single bodies, without a sweep
     Body body: Draw draw, Simulate simulate, Modes modes, Bound bound, Operator operator, Place place, Casts casts, Tasks tasks, Project project;
     /// Compares bodies with measured records and reference data
-    Lab lab: Identify identify, Evaluate evaluate, Verify verify;
+    Lab lab: Check check, Identify identify, Evaluate evaluate, Verify verify;
     /// Prints what editors, shells and manuals use
     Setup setup: Schema schema, Completions completions, Man man;
     /// Runs a sweep as shards on a cluster or on several machines

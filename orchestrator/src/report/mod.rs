@@ -4,6 +4,7 @@ pub mod answers;
 pub mod body;
 pub mod brains;
 pub mod casts;
+pub mod check;
 pub mod claims;
 pub mod figures;
 pub mod fit;

@@ -1,0 +1,227 @@
+//! Records before any fit: tables and figures.
+
+use std::path::Path;
+
+use maud::html;
+use metasense_schemas::spec::TrialSpec;
+use metasense_worker::check::{Checked, Level, Looked};
+use metasense_worker::modes::responses;
+use serde_json::Value;
+
+use crate::look::{
+    Answer, Axis, Figure, Plot, SERIES, Scale, Table, answers, digits, legend, number, page, row,
+};
+
+/// A row per finding.
+pub fn findings(checked: &Checked) -> Table {
+    let rows = checked.findings.iter().map(|f| row![f.check, f.level.name(), f.place, f.found, f.remedy]);
+    Table::new("check outcome place found remedy", rows)
+}
+
+/// A row per record: force (N, N·s), readings (1/s), noise before the blow (mm/s², rad/s), and how it follows the model.
+pub fn records(checked: &Checked) -> Table {
+    let columns = "record file panel peak impulse blows readings rate jitter_percent clipped noise_acceleration noise_rotation \
+                   correlation lag_ms";
+    let row = |(i, of): (usize, &Looked)| {
+        let Looked { record, instruments, .. } = of;
+        let turns = |c: usize| checked.channels[c].starts_with('ω');
+        let noise = |turning: bool| {
+            let quiet = instruments.quiet.iter().flatten().enumerate().filter(|(c, _)| turns(*c) == turning);
+            quiet.map(|(_, quiet)| quiet[1]).reduce(f64::max).map(|noise| digits(noise, 3))
+        };
+        let told = checked.found.as_ref().map(|found| &found.records[i]);
+        let clipped: usize = of.clipped.iter().flatten().sum();
+        row![
+            of.number,
+            of.place,
+            record.panel,
+            digits(instruments.peak, 3),
+            digits(instruments.impulse, 3),
+            instruments.blows,
+            record.signals.entries(),
+            digits(record.signals.dt.recip(), 5),
+            digits(100.0 * of.jitter, 2),
+            clipped,
+            noise(false),
+            noise(true),
+            told.map(|told| format!("{:.2}", told.correlation)),
+            told.map(|told| format!("{:.1}", 1e3 * told.lag)),
+        ]
+    };
+    Table::new(columns, checked.records.iter().enumerate().map(row))
+}
+
+/// A row per ringing of the records (Hz, s), beside the design's mode that is nearest in frequency.
+pub fn rings(checked: &Checked) -> Table {
+    let row = |[frequency, damping, decay]: &[f64; 3]| {
+        let far = |hertz: f64| (hertz / frequency).ln().abs();
+        let modes = checked.modes.iter().enumerate();
+        let near = modes.min_by(|a, b| far(a.1.frequency()).total_cmp(&far(b.1.frequency())));
+        let near = near.filter(|(_, mode)| far(mode.frequency()) < NEAR);
+        let shown = |value: Option<f64>| value.map_or(Value::Null, |value| digits(value, 3).into());
+        let of = |value: fn(&metasense_worker::modes::Mode) -> Option<f64>| {
+            shown(near.and_then(|(_, mode)| value(mode)))
+        };
+        row![
+            shown(Some(*frequency)),
+            shown(Some(*damping)),
+            shown(Some(*decay)),
+            near.map(|(n, _)| n + 1),
+            of(|mode| Some(mode.frequency())),
+            of(|mode| Some(mode.damping_ratio())),
+            of(metasense_worker::modes::Mode::decay_time),
+            shown(near.map(|(_, mode)| frequency / mode.frequency())),
+        ]
+    };
+    let rings = checked.spectra.iter().flat_map(|spectra| &spectra.rings);
+    let columns = "rings_at damping_ratio decay_time mode design_frequency design_damping design_decay ratio";
+    Table::new(columns, rings.map(row))
+}
+
+/// ln of the factor by which a mode may be from what rings.
+const NEAR: f64 = 0.25;
+/// Lines of responses.
+const PANELS: [&str; 2] = ["truth", "front"];
+
+/// The page.
+pub fn html(file: &Path, checked: &Checked, figures: &[Figure]) -> String {
+    let answer = |f: &metasense_worker::check::Finding| {
+        let place = if f.place.is_empty() { String::new() } else { format!("{}: ", f.place) };
+        Answer::new(
+            "",
+            (f.level == Level::Fault).then_some(false),
+            format!("{place}{}. Remedy: {}.", f.found, f.remedy),
+        )
+    };
+    let said: Vec<Answer> = checked.findings.iter().filter(|f| f.level != Level::Ok).map(answer).collect();
+    let good = [Answer::new("", Some(true), "No fault found.".into())];
+    let content = html! {
+        (answers(if said.is_empty() { &good[..] } else { &said }))
+        @for figure in figures { (figure.html(&[])) }
+        h2 { "Records" } (records(checked).html(Some("records")))
+        h2 { "Ringing beside the design's modes" } (rings(checked).html(Some("rings")))
+        h2 { "All checks" } (findings(checked).html(Some("findings")))
+    };
+    let title = format!("{}: a look before any fit", file.file_name().unwrap_or_default().display());
+    page(&title, "Are these records what their file says?", content)
+}
+
+/// Records beside the model, and responses.
+pub fn figures(trial: &TrialSpec, design: &[f64], checked: &Checked) -> Vec<Figure> {
+    followed(checked).into_iter().chain(response(trial, design, checked)).collect()
+}
+
+/// The records that follow the model least, medium and best.
+fn followed(checked: &Checked) -> Option<Figure> {
+    let found = checked.found.as_ref()?;
+    let mut order: Vec<usize> = (0..found.records.len()).collect();
+    order.sort_by(|a, b| found.records[*a].correlation.total_cmp(&found.records[*b].correlation));
+    let mut chosen = vec![order[0], order[order.len() / 2], order[order.len() - 1]];
+    chosen.dedup();
+    let (mut pictures, mut rows) = (Vec::new(), Vec::new());
+    for i in chosen {
+        let (signals, model) = (&checked.records[i].record.signals, &found.simulated[i]);
+        let (number_of, end) = (checked.records[i].number, model.time(model.entries()));
+        for turning in [false, true] {
+            let size = |c: &usize| signals.values[*c].iter().map(|x| x * x).sum::<f64>();
+            let channels =
+                (0..checked.channels.len()).filter(|c| checked.channels[*c].starts_with('ω') == turning);
+            let Some(c) = channels.max_by(|a, b| size(a).total_cmp(&size(b))) else { continue };
+            let measured =
+                (0..signals.entries()).map(|n| (signals.time(n) + found.lags[i], signals.values[c][n]));
+            let measured: Vec<(f64, f64)> = measured.filter(|(t, _)| (0.0..=end).contains(t)).collect();
+            let (d, sign) = found.source[c];
+            let simulated: Vec<(f64, f64)> =
+                (0..model.entries()).map(|n| (model.time(n), sign * model.values[d][n])).collect();
+            let scale = |of: &[(f64, f64)]| of.iter().fold(f64::MIN_POSITIVE, |m, (_, y)| m.max(y.abs()));
+            let scales = [scale(&measured), scale(&simulated)];
+            let name = checked.channels[c].split(" (").next().unwrap_or_default();
+            let correlation = found.records[i].correlation;
+            let mut plot = Plot::new(
+                &format!("Record {number_of}, {name}: correlation {correlation:.2}"),
+                Axis::new("time (s)", Scale::Linear, [0.0, end]),
+                Axis::new("by its largest value", Scale::Linear, [-1.1, 1.1]),
+            )
+            .sized(560.0, 240.0);
+            for (class, line, scale) in
+                [("optimised", &simulated, scales[1]), ("truth", &measured, scales[0])]
+            {
+                plot.line(class, line.iter().map(|(t, y)| (*t, y / scale)));
+                rows.extend(line.iter().map(|(t, y)| {
+                    row![number_of, name, if class == "truth" { "measured" } else { "simulated" }, t, y]
+                }));
+            }
+            pictures.push(plot.picture());
+        }
+    }
+    let caption = format!(
+        "The records that follow the model least, medium and best, each with the acceleration and the rotation rate that move most; the \
+         model is {} times as stiff as the design and smoothed as in the comparison, and has the clocks and axes that were found.",
+        number(found.stiffness)
+    );
+    let marks = [("truth", "measured"), ("optimised", "model")];
+    let data = Table::new("record channel signal seconds value", rows);
+    Some(Figure::new("followed", "Do the records follow the model?", caption, legend(&marks), pictures, data))
+}
+
+/// H₁ of each channel beside the design's, and the coherence.
+fn response(trial: &TrialSpec, design: &[f64], checked: &Checked) -> Option<Figure> {
+    let spectra = checked.spectra.as_ref()?;
+    let frequencies = &spectra.frequencies;
+    let read = trial.sensors.read();
+    let (mut pictures, mut rows) = (Vec::new(), Vec::new());
+    for (c, panels) in spectra.response.iter().enumerate() {
+        let unit = trial.sensor_units.get(c / read.len());
+        let kind = read[c % read.len()] as usize;
+        let model = unit.and_then(|unit| responses(trial, design, *unit, frequencies).ok());
+        let of_model = |n: usize, k: usize| model.as_ref().map(|model| model[n][k][kind].norm());
+        let all = panels.iter().flatten().copied();
+        let drawn = all.chain(
+            (0..frequencies.len()).flat_map(|n| (0..panels.len()).filter_map(move |k| of_model(n, k))),
+        );
+        let name = checked.channels[c].split(" (").next().unwrap_or_default();
+        let label = if kind == 2 { "rad/s per N" } else { "mm/s² per N" };
+        let drawn: Vec<f64> = drawn.collect();
+        let mut plot = Plot::new(
+            name,
+            Axis::new("frequency (Hz)", Scale::Linear, [0.0, frequencies[frequencies.len() - 1]]),
+            Axis::new(label, Scale::Log, drawn),
+        );
+        for (k, of) in panels.iter().enumerate() {
+            let line = |of: &dyn Fn(usize) -> Option<f64>| -> Vec<(f64, f64)> {
+                (0..frequencies.len()).filter_map(|n| Some((frequencies[n], of(n)?))).collect()
+            };
+            plot.line(&format!("{} fine", SERIES[k % SERIES.len()]), line(&|n| of_model(n, k)));
+            plot.line(SERIES[k % SERIES.len()], line(&|n| of.get(n).copied()));
+            let coherent = |n: usize| spectra.coherence.as_ref().and_then(|of| of[c].get(n).copied());
+            rows.extend(
+                (0..of.len()).map(|n| row![name, k, frequencies[n], of[n], of_model(n, k), coherent(n)]),
+            );
+        }
+        pictures.push(plot.picture());
+    }
+    if let Some(coherence) = &spectra.coherence {
+        let mut plot = Plot::new(
+            "Coherence: least and median of the channels",
+            Axis::new("frequency (Hz)", Scale::Linear, [0.0, frequencies[frequencies.len() - 1]]),
+            Axis::new("γ²", Scale::Linear, [0.0, 1.0]),
+        );
+        for (class, part) in PANELS.into_iter().zip([0.5, 0.0]) {
+            let at = |n: usize| {
+                let mut all: Vec<f64> = coherence.iter().filter_map(|of| of.get(n).copied()).collect();
+                all.sort_by(f64::total_cmp);
+                all.get((part * all.len() as f64) as usize).copied()
+            };
+            plot.line(class, (0..frequencies.len()).filter_map(|n| Some((frequencies[n], at(n)?))));
+        }
+        pictures.push(plot.picture());
+    }
+    let panels = spectra.response.first().map_or(0, Vec::len);
+    let mut marks: Vec<(&str, String)> =
+        (0..panels).map(|k| (SERIES[k % SERIES.len()], format!("panel {k}; thin: the design"))).collect();
+    marks.extend([("truth", "median coherence".to_owned()), ("front", "least coherence".to_owned())]);
+    let caption = "Frequency responses H₁ over all records, beside those of small motions of the design. Readings above half the rate of \
+                   the chip appear at lower frequencies. A low coherence at resonances and zeros of the force is usual.";
+    let data = Table::new("channel panel frequency response design coherence", rows);
+    Some(Figure::new("response", "How does the body respond?", caption, marks, pictures, data))
+}

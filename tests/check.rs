@@ -1,0 +1,66 @@
+//! `check`: records as they should be raise no alarm; each mistake is named with the key that mends it.
+
+use serde_json::Value;
+
+use crate::common::Bench;
+use crate::identify;
+
+/// Outcome, place, what and remedy of each finding that is not ok, and the exit code.
+fn look(bench: &Bench, records: &str, more: &[&str]) -> (Option<i32>, Vec<[String; 3]>) {
+    let call = ["lab", "check", "s.toml", "--records", records, "--format", "json"];
+    let done = bench.metasense(&[&call[..], more].concat());
+    let rows: Vec<Value> = serde_json::from_slice(&done.stdout)
+        .unwrap_or_else(|e| panic!("{e}: {}", String::from_utf8_lossy(&done.stderr)));
+    let text = |row: &Value, key: &str| row[key].as_str().unwrap_or_default().to_owned();
+    let wrong = rows.iter().filter(|row| row["outcome"] != "ok");
+    (done.status.code(), wrong.map(|row| ["place", "found", "remedy"].map(|key| text(row, key))).collect())
+}
+
+#[test]
+fn what_is_wrong_is_named_with_its_remedy() {
+    let bench = identify::bench();
+    assert_eq!(look(&bench, "r.toml", &["--out-dir", "look"]), (Some(0), Vec::new()));
+    for (file, start) in [
+        ("index.html", "<!DOCTYPE html>"),
+        ("followed.csv", "record,channel"),
+        ("response-1.svg", "<svg"),
+        ("findings.csv", "check,outcome"),
+        ("records.csv", "record,file"),
+    ] {
+        let text = std::fs::read_to_string(bench.path(&format!("look/{file}"))).unwrap();
+        assert!(text.starts_with(start), "{file}: {}", &text[..40]);
+    }
+    let table = bench.output(&["lab", "check", "s.toml", "--records", "r.toml"]);
+    assert!(table.contains("| design_frequency") && table.contains("mean correlation"), "{table}");
+
+    let text = std::fs::read_to_string(bench.path("r.toml")).unwrap();
+    let (shape, values) = bench.array("y.npy");
+    let written = |change: &dyn Fn(&mut [f64])| {
+        let mut changed = values.clone();
+        changed.chunks_mut(3).for_each(change);
+        bench.write_array("z.npy", &shape, &changed);
+    };
+    let other = text.replace("y.npy", "z.npy");
+    let wrong = |says: &[&str], text: &str| {
+        bench.file("wrong.toml", text);
+        let (code, rows) = look(&bench, "wrong.toml", &[]);
+        assert!(
+            code == Some(1) && rows.iter().any(|row| says.iter().all(|s| row.concat().contains(s))),
+            "{says:?}: {rows:?}"
+        );
+    };
+    written(&|of| of.swap(0, 1));
+    wrong(&["a_x of sensor 0 looks like a_y", "signals.channels"], &other);
+    written(&|of| of[2] = -of[2]);
+    wrong(&["ω of sensor 0 looks like minus itself", "signals.factors = [1.0, 1.0, -1.0]"], &other);
+    written(&|of| of[1] = 7.0);
+    wrong(&["a_y of sensor 0", "dead", "sensors.channels"], &other);
+    wrong(&["signals.acceleration_unit = \"mm/s2\""], &format!("{text}acceleration_unit = \"g\"\n"));
+    wrong(&["recorded.force_unit = \"N\""], &text.replace("[recorded]", "[recorded]\nforce_unit = \"mN\""));
+    wrong(&["recorded.scale = -1"], &text.replace("[recorded]", "[recorded]\nscale = -1.0"));
+    // a record that cannot be read is named, and the others are looked at
+    let (shape, mut forces) = bench.array("f.npy");
+    forces[7] = f64::NAN;
+    bench.write_array("f.npy", &shape, &forces);
+    wrong(&["record 0", "must be a finite number"], &text);
+}
