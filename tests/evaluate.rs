@@ -300,7 +300,7 @@ fn bad_calls_are_refused() {
 /// Killed after every network or two: the same files as in one go, of both bodies; what is kept serves no other command.
 #[test]
 fn an_evaluation_goes_on_where_it_was_killed() {
-    let (bench, hash) = bench();
+    let (bench, _) = bench();
     let call = |out: &'static str| {
         let bodies = ["--records", "initial=good.toml", "--records", "b=bad.toml"];
         let effort = ["brain.iterations=200", "--folds", "3", "--threads", "2"];

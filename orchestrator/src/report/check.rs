@@ -141,8 +141,7 @@ fn followed(checked: &Checked) -> Option<Figure> {
                 &format!("Record {number_of}, {name}: correlation {correlation:.2}"),
                 Axis::new("time (s)", Scale::Linear, [0.0, end]),
                 Axis::new("by its largest value", Scale::Linear, [-1.1, 1.1]),
-            )
-            .sized(560.0, 240.0);
+            );
             for (class, line, scale) in
                 [("optimised", &simulated, scales[1]), ("truth", &measured, scales[0])]
             {

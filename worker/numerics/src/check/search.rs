@@ -11,7 +11,7 @@ const PERIODS: f64 = 3.0;
 const GOOD: f64 = 0.6;
 /// By how much a mistake must raise a mean correlation, and what each turned sign, and each exchange, must add to that.
 const RISE: f64 = 0.2;
-const TURNED: f64 = 0.02;
+const TURNED: f64 = 0.04;
 const EXCHANGED: f64 = 0.05;
 /// What another order of panels, or another clock, must add to a mean correlation.
 const MOVED: f64 = 0.03;
@@ -322,7 +322,7 @@ impl<'a> Session<'a> {
             for other in 0..sensors {
                 for order in &orders {
                     let changed = order.iter().enumerate().filter(|(k, d)| k != *d).count();
-                    let mut paid = EXCHANGED * (changed + own * usize::from(other != m)) as f64;
+                    let mut paid = EXCHANGED * (changed + usize::from(other != m)) as f64;
                     let (mut value, mut sources) = (0.0, Vec::new());
                     for (k, d) in order.iter().enumerate() {
                         let rho = all.correlation(m * own + k, other * own + d);
