@@ -1,4 +1,4 @@
-"""`lab check` names what went wrong in a virtual laboratory, and nothing where nothing did; its chain ends in a material."""
+"""`lab check` names what went wrong in a virtual laboratory, and nothing where nothing did."""
 
 import json
 import os
@@ -9,10 +9,12 @@ import metasense
 import pytest
 from test_examples import load
 
-# No threshold was chosen on these seeds. METASENSE_SETS=20 for as many good sets as the program is measured with
-GOOD = range(9000, 9000 + int(os.environ.get("METASENSE_SETS", "4")))
-BAD = 9500
+# No threshold was chosen on these seeds. METASENSE_SETS=20: as many good sets, and all mistakes in place of every third
+SETS = os.environ.get("METASENSE_SETS")
+GOOD = range(9000, 9000 + int(SETS or 2))
+BAD = 10000
 laboratory = load("laboratory")
+MISTAKES = dict(list(laboratory.MISTAKES.items())[:: 1 if SETS else 3])
 
 
 def look(toml: Path) -> tuple[int, list[dict]]:
@@ -27,7 +29,7 @@ def sets(tmp_path_factory):
     """The TOML of each set, by name of its mistake, or by its seed."""
     folder = tmp_path_factory.mktemp("laboratory")
     (folder / "spec.toml").write_text(laboratory.SPEC)
-    mistakes = {name: laboratory.Set(BAD + i, **how[0]) for i, (name, how) in enumerate(laboratory.MISTAKES.items())}
+    mistakes = {name: laboratory.Set(BAD + i, **how[0]) for i, (name, how) in enumerate(MISTAKES.items())}
     named = {**{seed: laboratory.Set(seed) for seed in GOOD}, **mistakes}
     blows = laboratory.motion(metasense.Body.from_spec(folder / "spec.toml"), list(named.values()))
     found = {}
@@ -44,10 +46,10 @@ def test_good_sets_raise_no_alarm(sets):
 
 def test_mistakes_are_named(sets):
     missed = {}
-    for name, (_, check, words) in laboratory.MISTAKES.items():
+    for name, (_, check, words) in MISTAKES.items():
         code, rows = look(sets[name])
         wrong = [row for row in rows if row["outcome"] != "ok"]
         named = [row for row in wrong if row["check"] == check and words in f"{row['place']} {row['found']} {row['remedy']}"]
         if not named or code != (1 if any(row["outcome"] == "fault" for row in wrong) else 0):
             missed[name] = wrong
-    assert len(missed) <= 0.1 * len(laboratory.MISTAKES), missed
+    assert len(missed) <= 0.1 * len(MISTAKES), missed
