@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import maturin
-from maturin import get_requires_for_build_editable, get_requires_for_build_wheel  # noqa: F401
+from maturin import get_requires_for_build_editable, get_requires_for_build_sdist, get_requires_for_build_wheel  # noqa: F401
 
 ROOT = Path(__file__).parents[2]
 SCRIPTS = Path(__file__).parent / "metasense.data" / "scripts"
@@ -42,3 +42,8 @@ def build_wheel(folder: str, settings: Any = None, metadata: str | None = None) 
 def build_editable(folder: str, settings: Any = None, metadata: str | None = None) -> str:
     add_program()
     return maturin.build_editable(folder, settings, metadata)
+
+
+def build_sdist(folder: str, settings: Any = None) -> str:
+    SCRIPTS.mkdir(parents=True, exist_ok=True)  # maturin requires the folder
+    return maturin.build_sdist(folder, settings)
