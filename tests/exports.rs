@@ -162,7 +162,7 @@ fn sections(source: &Path) -> [usize; 2] {
     [of(".rodata"), of(".bss")]
 }
 
-/// The compiler of orchestrator/README.md for a Cortex-M4, with nothing to warn of.
+/// The compiler of docs/reference/exports.md for a Cortex-M4, with nothing to warn of.
 fn device_compiler() -> Command {
     let mut compiler = Command::new("arm-none-eabi-gcc");
     compiler.args(["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror"]);

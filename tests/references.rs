@@ -24,19 +24,25 @@ use std::process::Command;
 
 use crate::common::skip;
 
-/// Every document of the project, from its root.
-const DOCUMENTS: &[&str] = &[
-    "README.md",
-    "CONTRIBUTING.md",
-    "schemas/README.md",
-    "orchestrator/README.md",
-    "orchestrator/python/README.md",
-    "worker/README.md",
-    "worker/numerics/MODEL.md",
-    "results/README.md",
-    "results/DEVIATIONS.md",
-    "tests/README.md",
-];
+/// Every document of the project, from its root: Markdown outside hidden folders and what is built.
+fn documents() -> Vec<String> {
+    let (mut found, mut folders) = (Vec::new(), vec![PathBuf::new()]);
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(root().join(&folder)).unwrap() {
+            let entry = entry.unwrap();
+            let name = entry.file_name().into_string().unwrap();
+            let path = folder.join(&name);
+            if entry.file_type().unwrap().is_dir() {
+                if !name.starts_with('.') && name != "target" && path != Path::new("results/committed") {
+                    folders.push(path);
+                }
+            } else if name.ends_with(".md") {
+                found.push(path.into_os_string().into_string().unwrap());
+            }
+        }
+    }
+    found
+}
 
 type Render = fn() -> String;
 
@@ -54,6 +60,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("tests", program::tests),
     ("quickstart", results::quickstart),
     ("quickstart casts", casts::quickstart_casts),
+    ("evening casts", casts::evening_casts),
     ("findings", results::findings),
     ("who senses", who_senses::all),
     ("casts", casts::casts),
@@ -132,7 +139,7 @@ fn generated_blocks_are_fresh() {
     let update = std::env::var_os("METASENSE_UPDATE").is_some();
     let mut found = Vec::new();
     let mut stale = Vec::new();
-    for document in DOCUMENTS {
+    for document in &documents() {
         let text = read(document);
         let (fresh, names) = rendered(document, &text);
         found.extend(names);
@@ -225,7 +232,7 @@ fn tables_follow_from_the_rows_by_another_program() {
 #[test]
 fn links_lead_somewhere() {
     let mut broken = Vec::new();
-    for document in DOCUMENTS {
+    for document in &documents() {
         let text = read(document);
         let folder = root().join(document).parent().unwrap().to_owned();
         for link in links(&text).filter(|link| !link.contains("://")) {

@@ -1,6 +1,6 @@
-"""Made-up spaces of orchestrator/analysis/src/goal/tests.rs, searched by what others offer: the comparison of schemas/README.md.
+"""Made-up spaces of orchestrator/analysis/src/goal/tests.rs, searched by what others offer: the comparison of docs/explanation/statistics.md.
 
-    SPACES=50 SPACES_FILE=spaces.json cargo test -p metasense --lib goal::
+    SPACES=50 SPACES_FILE=spaces.json cargo test -p metasense-analysis --lib goal::
     pip install optuna numpy scipy && python orchestrator/bench/searches.py spaces.json
 
 Each search goes up in M, and for the same M in multiply-adds, and looks for the least error among the candidates there. A result that

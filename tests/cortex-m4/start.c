@@ -1,5 +1,5 @@
 /* Starts a program on a Cortex-M4 in QEMU (machine mps2-an386) and counts its instructions: SysTick runs at 25 MHz, and with
-   `-icount shift=3` an instruction takes 8 ns, so that a tick is 5 instructions. For the calls see orchestrator/README.md. */
+   `-icount shift=3` an instruction takes 8 ns, so that a tick is 5 instructions. For the calls see docs/reference/exports.md. */
 #include <stdint.h>
 
 extern void _start(void);

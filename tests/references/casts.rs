@@ -216,7 +216,16 @@ pub fn relaxing() -> String {
 
 /// What is left of the quickstart's bodies once they are cast.
 pub fn quickstart_casts() -> String {
-    let rows = rows("quickstart-casts.csv");
+    lines("quickstart-casts.csv")
+}
+
+/// The same of the tutorial's bodies.
+pub fn evening_casts() -> String {
+    lines("evening-casts.csv")
+}
+
+fn lines(file: &str) -> String {
+    let rows = rows(file);
     table(
         &[
             "body, with a linear decoder",

@@ -50,7 +50,7 @@ pub fn commands() -> String {
 pub fn options() -> String {
     let mut text = String::new();
     for command in groups().flat_map(|(_, commands)| commands) {
-        text += &format!("#### {}\n\n", command.get_name());
+        text += &format!("### {}\n\n", command.get_name());
         add_options(&command, &mut text);
     }
     text

@@ -58,7 +58,7 @@ fn tables(schema: &Value) -> String {
         }
         let mut rows = Vec::new();
         add_rows(body, schema, "", &mut rows);
-        text += &format!("#### [{name}]\n\n{}\n\n", first_of(&doc(inner), &doc(body)));
+        text += &format!("### [{name}]\n\n{}\n\n", first_of(&doc(inner), &doc(body)));
         text += &table(&["key", "default", "unit", "meaning"], rows);
         text += "\n";
     }
@@ -197,7 +197,7 @@ pub fn files() -> String {
             let head = head.collect::<Vec<_>>().join(" ");
             rows.insert(
                 (folder != "sweeps", name.to_owned()),
-                vec![format!("[`{folder}/{name}`]({folder}/{file})"), head],
+                vec![format!("[`{folder}/{name}`](../../schemas/{folder}/{file})"), head],
             );
         }
     }

@@ -19,7 +19,7 @@ use crate::report::check as pictures;
 pub(super) struct Args {
     #[command(flatten)]
     one: Designed,
-    /// The records (TOML; keys in schemas/README.md)
+    /// The records (TOML; keys in docs/reference/measured.md)
     #[arg(long, value_name = "TOML")]
     records: PathBuf,
     /// Writes a page (index.html), its figures (SVG) and their data into this folder

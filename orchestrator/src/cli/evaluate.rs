@@ -27,8 +27,8 @@ use crate::report::records::{Body, Comparison};
 ///
 /// The trial defines the panels, the sensors, the clock and the networks. Each record is predicted by networks that were
 /// not trained on it (cross-validation). If the design of a body is known, the same forces are simulated on it, the
-/// simulated signals are evaluated in the same way, and they are compared with the measured signals. schemas/README.md
-/// describes the files of records.
+/// simulated signals are evaluated in the same way, and they are compared with the measured signals.
+/// docs/reference/measured.md describes the files of records.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]

@@ -34,7 +34,7 @@ use crate::store::npy_bytes;
 pub(super) struct Args {
     #[command(flatten)]
     one: Designed,
-    /// The records (TOML; keys in schemas/README.md)
+    /// The records (TOML; keys in docs/reference/measured.md)
     #[arg(long, value_name = "TOML")]
     records: PathBuf,
     /// The parameters to fit; the others keep the values of the spec. `variation` fits those that [variation] varies, with its

@@ -125,7 +125,7 @@ pub fn notes(
         (Some(head), Fit::Casts) => told("fitted to casts that vary according to `[variation]`", head),
     });
     lines.push(
-        "\nRecord about thirty blows with measured forces, in a file of records (schemas/README.md, Measured signals). DB is the database of \
+        "\nRecord about thirty blows with measured forces, in a file of records (docs/reference/measured.md). DB is the database of \
          the trial. The following commands compute the error of decoders fitted to this cast, and its material.\n"
             .into(),
     );

@@ -179,7 +179,7 @@ impl Found {
 /// Whole spaces, three requirements of different tightness: what is chosen has about as few sensors as the cheapest design that meets
 /// the requirement, and takes a small part of the whole grid.
 #[test]
-#[expect(clippy::print_stdout, reason = "the table of schemas/README.md")]
+#[expect(clippy::print_stdout, reason = "the table of docs/explanation/statistics.md")]
 fn what_is_chosen_meets_the_requirement_and_is_cheap() {
     let asked = std::env::var("SPACES").map(|count| count.parse().unwrap());
     let worlds: u64 = asked.clone().unwrap_or(WORLDS);

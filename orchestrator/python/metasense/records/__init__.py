@@ -90,7 +90,7 @@ def blows(
     before: float = 0.01,
     rearm: float | None = None,
 ) -> list[int]:
-    """Entries at which blows begin: where |force − its median| reaches `trigger` (the unit of the force).
+    """Entries at which blows begin: where the force deviates from its median by `trigger` (the unit of the force).
 
     The next blow counts after `length − before` (s), once the force has been below the level for `rearm` (s, default: `before`).
     `force` has shape (n) or (K, n).
