@@ -216,8 +216,9 @@ fn an_export_is_read_back_as_measured() {
 fn a_body_is_read_by_the_sensors_that_it_has() {
     let bench = Bench::new();
     let searched = "[optimise]\nbrain = \"linear\"\nlearning_rate = 1.0\niterations = 15\nbatch = 8\n\
-                    [sensors]\nsearch = \"greedy\"\n[sweep]\nseeds = [2]";
-    bench.file("s.toml", &SPEC.replace("[optimise]\niterations = 2\nbatch = 4\n[sweep]", searched));
+                    [sensors]\nsearch = \"greedy\"\n";
+    let spec = SPEC.replace("[optimise]\niterations = 2\nbatch = 4\n", searched);
+    bench.file("s.toml", &spec.replace("[sweep]\n", "[sweep]\nseeds = [2]\n"));
     bench.output(&["run", "s.toml"]);
     let sql =
         "SELECT t.hash, v.sensor_units, t.spec->>'$.sensor_units' FROM trial t JOIN v_trial v USING (hash)";
