@@ -280,7 +280,7 @@ impl Findings<'_> {
         {
             let Some(usual) = gains[kind(c)] else { continue };
             let ratio = of.gain.abs() / usual;
-            if ratio > OWN || ratio < 1.0 / OWN {
+            if !(1.0 / OWN..=OWN).contains(&ratio) {
                 let text = format!("{} times as large as the other channels have it", significant(ratio));
                 let remedy = format!("set signals.factors, {} for this channel", significant(1.0 / ratio));
                 self.add("unit", Level::Fault, self.channels[c].clone(), text, remedy);

@@ -55,7 +55,7 @@ impl Descent<'_> {
         fit.ending = Ending::NoProgress;
         let found = match as_scattered {
             true => self.by_windows(&mut fit.ending).expect("told to go on"),
-            false => self.from_free(fit, start, forces, asked),
+            false => self.free_first(fit, start, forces, asked),
         };
         let Some((point, mut columns)) = found else { return };
         if columns.records.len() < self.objective.counted() {
@@ -78,7 +78,7 @@ impl Descent<'_> {
     }
 
     /// Window after window from one start after the other until one stays with the records; then free parameters, then all unknowns.
-    fn from_free(
+    fn free_first(
         &mut self,
         fit: &mut Fit,
         start: DVector<f64>,
