@@ -30,7 +30,7 @@ fn comes_further(bench: &Bench, before: u64) {
 #[test]
 fn whatever_ends_a_run_the_same_command_goes_on() {
     let bench = Bench::new();
-    bench.file("s.toml", &TINY.replace("iterations = 4\n", "iterations = 150\n"));
+    bench.file("s.toml", &TINY.replace("iterations = 4\n", "iterations = 450\n"));
     bench.output(&["run", "s.toml", "--db", "whole.sqlite"]);
     let ways = ["int", "term", "hup", "stop", "kill", "short"];
     for way in ways {

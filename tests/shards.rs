@@ -197,7 +197,7 @@ fn wait(child: &mut Child) -> Option<i32> {
 fn a_shard_goes_on_on_another_node() {
     let bench = Bench::new();
     // Long enough that a node is lost, and another ended, with most of the work still to be done
-    let tiny = four().replace("iterations = 4\n", "iterations = 80\n");
+    let tiny = four().replace("iterations = 4\n", "iterations = 240\n");
     bench.file("tiny.toml", &tiny);
     bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
     // Of each attempt one file; named by when it began.

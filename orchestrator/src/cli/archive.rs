@@ -16,7 +16,7 @@ use crate::plan::counted;
 use crate::report::{Story, figures, html, load};
 use crate::store::Reader;
 
-/// Writes a folder with everything that the results of a database follow from, for a repository of research data
+/// Writes a folder with all that results follow from, for a data repository
 ///
 /// The folder has the specs, the database, trials, answers and figures, the report, code and machines of all trials, a README with the
 /// commands that re-run the sweep and compare every bit, and an RO-Crate 1.1 manifest with the SHA-256 of each file.

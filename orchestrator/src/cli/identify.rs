@@ -24,7 +24,7 @@ use crate::look::{Table, digits, row};
 use crate::report::fit as pictures;
 use crate::store::npy_bytes;
 
-/// Fits stiffness, damping and density, or a twin, to measured records, with 95 % intervals
+/// Fits material and twins to measured records, with 95 % intervals
 ///
 /// Starts from the values of the spec. A TOML file describes the records: forces, and the signals of the sensors under
 /// these forces. What [variation] varies beside the material is fitted, too, with its standard deviations as the prior.

@@ -14,7 +14,7 @@ use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
 use crate::store::Reader;
 
-/// Reads other tasks than forces from the initial and the trained bodies: which panel, how many, how hard, when
+/// Reads other tasks than forces from finished bodies: where, how many, how hard, when
 ///
 /// Each task is read in two ways on the held-out set. `direct`: ridge regression on the signals of the whole record. `decoded`: from the
 /// forces that a linear decoder estimates. The table has means over the trials of a setting, the error of a predictor without signals

@@ -1,7 +1,7 @@
 //! How well records tell what was fitted.
 //!
 //! ```text
-//! covariance = H⁻¹ ((1 + u (G − 1)) Σ_g s_g s_gᵀ + 1) H⁻¹,   H = JᵀJ + 1,   s_g = J_gᵀ r_g
+//! covariance = H⁻¹ ((1 + u (G − 1)) G/(G − 1) Σ_g s_g s_gᵀ + 1) H⁻¹,   H = JᵀJ + 1,   s_g = J_gᵀ r_g
 //! ```
 //! A group g is a record, or, of fewer than ten records, a part of one in time, so that noise may be correlated within it. The share u
 //! of the residual that is not noise, or follows from the motion alike in all groups, does not average out. 95 % by Student's t with G − 1
@@ -49,8 +49,9 @@ pub fn bound(fit: &mut Fit, objective: &Objective<'_>, point: &Point, columns: &
     let inverse = covariance(jacobian.tr_mul(&jacobian) + DMatrix::identity(scores.ncols(), scores.ncols()));
     let beyond = 1.0 - fit.twin.misfit.max(1.0).powi(-2);
     let alike = 1.0 + fit.unmodelled.unwrap_or(0.0).max(beyond) * (count - 1) as f64;
+    let few = count as f64 / (count - 1).max(1) as f64;
     let (moved, t) = (scores * &inverse, student(count - 1));
-    let covariance = t * t * (alike * moved.tr_mul(&moved) + &inverse * &inverse);
+    let covariance = t * t * (alike * few * moved.tr_mul(&moved) + &inverse * &inverse);
     let shared = (alike - 1.0) / (count - 1).max(1) as f64;
     fit.offsets = objective.offsets(point, columns, &jacobian, &covariance, shared);
     for (k, estimate) in fit.estimates.iter_mut().enumerate() {
