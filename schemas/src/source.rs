@@ -17,6 +17,7 @@ mod keys;
 mod layers;
 
 pub use keys::KnownKeys;
+pub use layers::each_file;
 use layers::{Layer, merged};
 
 /// Something wrong in a spec file.

@@ -1,13 +1,12 @@
 //! Measured records looked at before any fit: what instruments, units, axes, clocks and panels may have wrong, each with its remedy.
 
-use std::path::Path;
-
 use metasense_numerics::check::{
     Found, History, Instruments, Model, Record, Spectra, clipped, compare, spectra,
 };
-use metasense_schemas::spec::{Channel, TrialSpec};
+use metasense_schemas::spec::TrialSpec;
 
-use crate::measured::{Described, MeasuredError, Raw, read_raw};
+pub use crate::measured::read_raw as read;
+use crate::measured::{Described, Raw};
 use crate::modes::{Mode, slowest};
 use crate::run::{Failure, check_design, placed, pool};
 
@@ -52,14 +51,6 @@ pub struct Looked {
 /// Modes of the design that are listed.
 const MODES: usize = 12;
 
-/// Looks at the records that `file` (TOML) describes, for a trial's body of this design.
-///
-/// # Errors
-/// As `measured::read`, but for what is wrong with single records.
-pub fn read(file: &Path, trial: &TrialSpec) -> Result<Described, MeasuredError> {
-    read_raw(file, trial)
-}
-
 /// Compares them with the body's model.
 ///
 /// # Errors
@@ -100,14 +91,9 @@ fn names(described: &Described, trial: &TrialSpec, sensors: &[usize]) -> Vec<Str
     let read = trial.sensors.read();
     let name = |c: usize| {
         let (m, kind) = (c / read.len(), read[c % read.len()]);
-        let signal = match kind {
-            Channel::Ax => "a_x",
-            Channel::Ay => "a_y",
-            Channel::Omega => "ω",
-        };
         let column = columns
             .map_or(String::new(), |columns| format!(", column {}", crate::invalid::as_written(&columns[c])));
-        format!("{signal} of sensor {m} (unit {}{column})", sensors[m])
+        format!("{} of sensor {m} (unit {}{column})", kind.symbol(), sensors[m])
     };
     (0..trial.signals()).map(name).collect()
 }

@@ -2,6 +2,7 @@
 
 use metasense_numerics::questions::tasks::{Observations, tasks as read};
 pub use metasense_numerics::questions::tasks::{Reading, Task};
+use metasense_numerics::stimuli::targets;
 use metasense_schemas::spec::TrialSpec;
 
 use crate::replay::{linear, replay};
@@ -26,13 +27,7 @@ pub fn tasks(
     let (panels, channels) = (replay.forces.panels, replay.signal_scale.len());
     let samples = replay.split.len();
     let instants = replay.signals.len() / (samples * channels);
-    let every = replay.forces.instants / instants;
-    let clock = replay.forces.instants + 1;
-    let forces: Vec<f64> = (0..samples)
-        .flat_map(|i| (1..=instants).map(move |n| (i, n)))
-        .flat_map(|(i, n)| (0..panels).map(move |k| (i * panels + k) * clock + n * every))
-        .map(|at| replay.forces.values[at])
-        .collect();
+    let forces = targets(&replay.forces, instants, false);
     let signals: Vec<f64> = replay
         .signals
         .chunks_exact(channels)

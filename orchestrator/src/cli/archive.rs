@@ -1,5 +1,6 @@
 //! `archive`: what the results of a database follow from, as a folder to publish.
 
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
@@ -15,6 +16,7 @@ use crate::look::{Format, Table};
 use crate::plan::counted;
 use crate::report::{Story, figures, html, load};
 use crate::store::Reader;
+use metasense_schemas::source::each_file;
 
 /// Writes a folder with all that results follow from, for a data repository
 ///
@@ -63,9 +65,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     make_folder(dir)?;
     let (drawn, missing) = figures(&story, cores());
-    write_parts(&dir.join(RESULTS), &story, &drawn)?;
+    let results = dir.join(RESULTS);
+    write_parts(&results, &story, &drawn)?;
     for (sweep, name) in story.sweeps.iter().zip(&names) {
-        with_its_files(&dir.join(RESULTS), name, &sweep.text)?;
+        with_its_files(&results, name, &sweep.text)?;
     }
     merge(Extent::Whole, std::slice::from_ref(db), &dir.join(DATABASE)).await?;
     write(&dir.join(PROVENANCE), made.written(Format::Json))?;
@@ -96,24 +99,9 @@ fn with_its_files(folder: &Path, name: &str, text: &str) -> Result<(), Error> {
 
 /// Files that a spec names.
 fn files_of(text: &str) -> Vec<String> {
-    fn find(value: &toml::Value, found: &mut Vec<String>) {
-        match value {
-            toml::Value::String(text) => {
-                let ending = Path::new(text).extension().and_then(|ending| ending.to_str());
-                if ending.is_some_and(|ending| ["toml", "csv", "npy", "npz"].contains(&ending)) {
-                    found.push(text.clone());
-                }
-            }
-            toml::Value::Array(values) => values.iter().for_each(|value| find(value, found)),
-            toml::Value::Table(table) => {
-                table.iter().filter(|(key, _)| *key != "base").for_each(|(_, value)| find(value, found));
-            }
-            _ => {}
-        }
-    }
     let mut found = Vec::new();
     if let Ok(table) = text.parse::<toml::Table>() {
-        find(&toml::Value::Table(table), &mut found);
+        each_file(&mut toml::Value::Table(table), &mut |file| found.push(file.clone()));
     }
     found
 }
@@ -181,8 +169,9 @@ fn manifest(dir: &Path, title: &str, names: &[String], made: &Table) -> Result<S
             "object": names.iter().map(|name| refers(&format!("{RESULTS}/{name}.toml"))).collect::<Vec<_>>() }),
     ];
     for name in &files {
-        let bytes = std::fs::read(dir.join(name)).map_err(&failed)?;
-        let digest: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+        let (mut file, mut digest) = (File::open(dir.join(name)).map_err(&failed)?, Sha256::new());
+        let size = std::io::copy(&mut file, &mut digest).map_err(&failed)?;
+        let digest: String = digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
         let format = match Path::new(name).extension().and_then(|ending| ending.to_str()) {
             Some("csv") => "text/csv",
             Some("html") => "text/html",
@@ -194,7 +183,7 @@ fn manifest(dir: &Path, title: &str, names: &[String], made: &Table) -> Result<S
             _ => "application/octet-stream",
         };
         graph.push(json!({ "@id": name, "@type": "File", "encodingFormat": format,
-            "contentSize": bytes.len().to_string(), "sha256": digest }));
+            "contentSize": size.to_string(), "sha256": digest }));
     }
     let crate_ = json!({ "@context": ["https://w3id.org/ro/crate/1.1/context",
         { "sha256": "https://w3id.org/ro/terms/workflow-run#sha256" }], "@graph": Value::Array(graph) });

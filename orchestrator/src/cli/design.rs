@@ -47,7 +47,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     end(&db, plan, space, args.running.format, outcome).await
 }
 
-/// What is searched; says what is not.
+/// The space that is searched. Prints the trials that limits of the search exclude.
 pub(super) fn space(plan: &Plan) -> Result<Space, Error> {
     let space = Space::new(plan)?;
     for out in &space.left_out {

@@ -273,10 +273,7 @@ fn readable(found: &Table) -> Table {
 }
 
 fn correlations(fit: &Fit) -> Table {
-    let name = |e: &Estimate| match e.unknown {
-        Unknown::Material(parameter) => parameter.name(),
-        _ => unreachable!("a free parameter"),
-    };
+    let name = |e: &Estimate| e.unknown.parameter().expect("it is free").name();
     let names: String = fit.estimates[..free(fit)].iter().map(|e| format!(" {}", name(e))).collect();
     let columns = format!("correlation{names}");
     let row = |(e, row): (&Estimate, &Vec<f64>)| row![name(e); row];
@@ -310,10 +307,7 @@ fn said(trial: &TrialSpec, begun: &Parameters, fit: &Fit, records: usize) -> Vec
             100.0 * part
         ));
     }
-    let named = |k: usize| match fit.estimates[k].unknown {
-        Unknown::Material(parameter) => parameter.name(),
-        _ => "",
-    };
+    let named = |k: usize| fit.estimates[k].unknown.parameter().map_or("", Parameter::name);
     for (k, e) in fit.estimates.iter().enumerate().filter(|(_, e)| e.at_the_bound) {
         said.push(format!(
             "at the bound: {} is {} times the value of the spec, the limit of a fit; start from a spec with a value \
@@ -357,7 +351,7 @@ fn said(trial: &TrialSpec, begun: &Parameters, fit: &Fit, records: usize) -> Vec
                 None => format!("damping_ratio = {}", exact(p.damping_ratio)),
             },
         ));
-        if fit.estimates.iter().any(|e| e.unknown == Unknown::Material(Parameter::Contact)) {
+        if fit.estimates.iter().any(|e| e.unknown.parameter() == Some(Parameter::Contact)) {
             said.push(format!("contact.stiffness = {}", exact(p.contact)));
         }
     }

@@ -36,6 +36,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let out = args.out.unwrap_or_else(|| args.db.with_extension("html"));
     if let Some(folder) = &args.out_dir {
         write_parts(folder, &story, &drawn)?;
+        let names = file_names(story.sweeps.iter().map(|s| s.name.as_str()));
+        for (sweep, name) in story.sweeps.iter().zip(names) {
+            write(&folder.join(format!("{name}.toml")), &sweep.text)?;
+        }
     }
     write(&out, html(story, &drawn, missing.as_deref()))?;
     print_line!("{}", out.display())?;
@@ -45,6 +49,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
+/// Figures, answers and trials.
 pub(super) fn write_parts(folder: &Path, story: &Story, drawn: &[Figure]) -> Result<(), Error> {
     write_figures(folder, drawn)?;
     for question in Question::all() {
@@ -54,11 +59,7 @@ pub(super) fn write_parts(folder: &Path, story: &Story, drawn: &[Figure]) -> Res
             write(&folder.join(format!("answer-{}.csv", name.get_name())), table.csv())?;
         }
     }
-    write(&folder.join("trials.csv"), &story.states.csv)?;
-    for (sweep, name) in story.sweeps.iter().zip(file_names(story.sweeps.iter().map(|s| s.name.as_str()))) {
-        write(&folder.join(format!("{name}.toml")), &sweep.text)?;
-    }
-    Ok(())
+    write(&folder.join("trials.csv"), &story.states.csv)
 }
 
 /// Names as names of files, each its own: whoever made the database may have called a sweep anything.

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use metasense_worker::tasks::tasks;
-use serde_json::json;
+use metasense_worker::tasks::{Reading, tasks};
+use serde_json::{Value, json};
 
 use super::named::Database;
 use super::{Error, Format, cores, print_rows};
@@ -12,7 +12,7 @@ use crate::analysis::kinds::brains_of;
 use crate::analysis::tasks::{Read, table};
 use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
-use crate::store::Reader;
+use crate::store::{Reader, Stored};
 
 /// Reads other tasks than forces from finished bodies: where, how many, how hard, when
 ///
@@ -35,65 +35,28 @@ pub(super) struct Args {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let stored = Reader::asked(Database::at(&args.db).await?, async |reader| -> Result<_, Error> {
-        let hashes = match &args.hash {
+    let sql = "SELECT hash FROM v_trial WHERE state = 'done' ORDER BY panels, sensors, placement, seed, hash";
+    let (mut trials, mut rows, mut all) = (0, Vec::new(), Vec::new());
+    Reader::asked(Database::at(&args.db).await?, async |reader| -> Result<_, Error> {
+        let hashes: Vec<String> = match &args.hash {
             Some(hash) => vec![reader.hash_of(hash).await?],
             None => {
-                let sql = "SELECT hash FROM v_trial WHERE state = 'done' ORDER BY panels, sensors, placement, seed, hash";
-                let rows = reader.query::<Table>(sql).await?.rows;
-                rows.iter().filter_map(|row| row[0].as_str().map(str::to_owned)).collect()
+                let found = reader.query::<Table>(sql).await?.rows;
+                found.iter().filter_map(|row| row[0].as_str().map(str::to_owned)).collect()
             }
         };
-        let mut stored = Vec::new();
         for hash in hashes {
-            stored.extend(reader.stored(&hash).await?);
+            if let Some(stored) = reader.stored(&hash).await? {
+                trials += 1;
+                of_trial(&stored, &mut rows, &mut all)?;
+            }
         }
-        Ok(stored)
+        Ok(())
     })
     .await?;
-    if stored.is_empty() {
+    if trials == 0 {
         let db = args.db.display();
         return Err(Error::Usage(format!("{db} contains no finished trial; see `metasense status {db}`")));
-    }
-    let (mut rows, mut all) = (Vec::new(), Vec::new());
-    for trial in &stored {
-        let point = &trial.specs[1].point;
-        let [_, with] = brains_of(&json!(trial.specs[1]));
-        let setting = format!("K = {}, M = {}, {with}", point.panels, point.sensors);
-        let cluster = Cluster { placement: point.placement as u64, seed: point.seed };
-        let mut bodies = Vec::new();
-        for (body, name) in ["initial", "optimised"].into_iter().enumerate() {
-            let (found, constant) = tasks(&trial.specs[body], &trial.designs[body], cores())
-                .map_err(|e| Error::Usage(format!("trial {}: {e}", short_hash(&trial.hash))))?;
-            if body == 0 && rows.is_empty() && !constant.is_empty() {
-                let names: Vec<&str> = constant.iter().map(|task| task.name().0).collect();
-                say!("the same in all samples, left out: {}", names.join(", "));
-            }
-            for reading in &found {
-                let (task, unit) = reading.task.name();
-                let [low, high] = reading.interval;
-                let head =
-                    row![trial.hash, point.panels, point.sensors, point.placement, point.seed, with, name];
-                let own = row![
-                    task,
-                    reading.readout,
-                    unit,
-                    reading.error,
-                    low,
-                    high,
-                    reading.least,
-                    reading.trivial,
-                    reading.samples
-                ];
-                rows.push([head, own].concat());
-            }
-            bodies.push(found);
-        }
-        for (initial, trained) in bodies[0].iter().zip(&bodies[1]) {
-            let (setting, task, readout) = (setting.clone(), initial.task.name(), initial.readout);
-            let (errors, trivial) = ([initial.error, trained.error], initial.trivial);
-            all.push(Read { setting, cluster, task, readout, errors, trivial, least: initial.least });
-        }
     }
     let columns = "hash panels sensors placement seed trained_with body task readout unit error low high least trivial samples";
     match args.format {
@@ -101,4 +64,38 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         format => print_rows(&Table::new(columns, rows), format)?,
     }
     Ok(Exit::Done)
+}
+
+/// Adds the readings of both bodies as rows, and in pairs.
+fn of_trial(trial: &Stored, rows: &mut Vec<Vec<Value>>, all: &mut Vec<Read>) -> Result<(), Error> {
+    let point = &trial.specs[1].point;
+    let [_, with] = brains_of(&json!(trial.specs[1]));
+    let cluster = Cluster { placement: point.placement as u64, seed: point.seed };
+    let mut bodies = Vec::new();
+    for (body, name) in ["initial", "optimised"].into_iter().enumerate() {
+        let (found, constant) = tasks(&trial.specs[body], &trial.designs[body], cores())
+            .map_err(|e| Error::Usage(format!("trial {}: {e}", short_hash(&trial.hash))))?;
+        if body == 0 && rows.is_empty() && !constant.is_empty() {
+            let names: Vec<&str> = constant.iter().map(|task| task.name().0).collect();
+            say!("the same in all samples, left out: {}", names.join(", "));
+        }
+        for reading in &found {
+            let (task, unit) = reading.task.name();
+            let [low, high] = reading.interval;
+            let head = row![trial.hash, point.panels, point.sensors, point.placement, point.seed, with, name];
+            let Reading { readout, error, least, trivial, samples, .. } = reading;
+            rows.push([head, row![task, readout, unit, error, low, high, least, trivial, samples]].concat());
+        }
+        bodies.push(found);
+    }
+    all.extend(bodies[0].iter().zip(&bodies[1]).map(|(initial, trained)| Read {
+        setting: format!("K = {}, M = {}, {with}", point.panels, point.sensors),
+        cluster,
+        task: initial.task.name(),
+        readout: initial.readout,
+        errors: [initial.error, trained.error],
+        trivial: initial.trivial,
+        least: initial.least,
+    }));
+    Ok(())
 }

@@ -2,7 +2,7 @@
 
 use maud::html;
 use metasense_schemas::spec::{Channel, TrialSpec};
-use metasense_worker::identify::{Estimate, Fit, Unknown};
+use metasense_worker::identify::Fit;
 
 use crate::look::{Axis, Figure, Plot, Scale, Table, number, page, row};
 
@@ -56,12 +56,7 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
         for &c in &shown {
             let [measured, started, fitted] = [signals, before, after].map(|v| of(v, r, c));
             let unit = trial.sensor_units[c / read.len()];
-            let name = match read[c % read.len()] {
-                Channel::Ax => "a_x",
-                Channel::Ay => "a_y",
-                Channel::Omega => "ω",
-            };
-            // In m/s², whose numbers are short
+            let name = read[c % read.len()].symbol();
             let (scale, units) = if is_rate(c) { (1.0, "rad/s") } else { (1e-3, "m/s²") };
             let label = format!("{name} of unit {unit} ({units})");
             let time = |n: usize| (n + 1) as f64 * dt;
@@ -123,11 +118,7 @@ fn course(fit: &Fit) -> Figure {
         off.line(class, steps.iter().zip(&fit.iterations).map(|(n, i)| (*n, i.misfit[kind])));
     }
     let mut pictures = vec![off.picture()];
-    let material = |e: &Estimate| match e.unknown {
-        Unknown::Material(parameter) => Some(parameter),
-        _ => None,
-    };
-    let fitted: Vec<_> = fit.estimates.iter().filter_map(material).collect();
+    let fitted: Vec<_> = fit.estimates.iter().filter_map(|e| e.unknown.parameter()).collect();
     for &parameter in &fitted {
         let way = fit.iterations.iter().map(|i| i.parameters.array()[parameter as usize]);
         let unit =

@@ -148,7 +148,12 @@ pub(super) fn merged(layers: &[Layer], file: &Path) -> Result<(String, Vec<Place
         table.remove(BASE);
         if layer.file != Path::new(COMMAND_LINE) && folder(&layer.file) != folder(file) {
             let mut value = Value::Table(std::mem::take(&mut table));
-            from_folder(&mut value, "", &canonical(folder(&layer.file)));
+            let folder = canonical(folder(&layer.file));
+            each_file(&mut value, &mut |file| {
+                if let Some(path) = folder.join(&*file).to_str() {
+                    *file = path.to_owned();
+                }
+            });
             let Value::Table(moved) = value else { unreachable!("it was one") };
             table = moved;
         }
@@ -177,8 +182,12 @@ fn add_below(table: &mut Table, below: Table) {
     }
 }
 
-/// Names of files in a spec from this folder.
-fn from_folder(value: &mut Value, path: &str, folder: &Path) {
+/// Visits the names of files in a spec.
+pub fn each_file(spec: &mut Value, visit: &mut dyn FnMut(&mut String)) {
+    files_at("", spec, visit);
+}
+
+fn files_at(path: &str, value: &mut Value, visit: &mut dyn FnMut(&mut String)) {
     match value {
         Value::Table(table) => {
             for (key, value) in table {
@@ -193,15 +202,11 @@ fn from_folder(value: &mut Value, path: &str, folder: &Path) {
                     ("sweep", axis) => axis.to_owned(),
                     (path, key) => format!("{path}.{key}"),
                 };
-                from_folder(value, &path, folder);
+                files_at(&path, value, visit);
             }
         }
-        Value::Array(values) => values.iter_mut().for_each(|value| from_folder(value, path, folder)),
-        Value::String(file) if FILES.contains(&path) => {
-            if let Some(path) = folder.join(&*file).to_str() {
-                *file = path.to_owned();
-            }
-        }
+        Value::Array(values) => values.iter_mut().for_each(|value| files_at(path, value, visit)),
+        Value::String(file) if FILES.contains(&path) => visit(file),
         _ => {}
     }
 }

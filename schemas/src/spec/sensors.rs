@@ -37,6 +37,12 @@ impl Channel {
     pub fn name(self) -> &'static str {
         ["ax", "ay", "omega"][self as usize]
     }
+
+    /// Its symbol in MODEL.md.
+    #[must_use]
+    pub fn symbol(self) -> &'static str {
+        ["a_x", "a_y", "ω"][self as usize]
+    }
 }
 
 /// Size of what a chip adds to its signals: standard deviations.

@@ -1,6 +1,6 @@
-//! What records tell of their instruments without any model.
+//! What can be said of the instruments without a model: peaks, noise, repeated blows, clipped readings.
 
-use super::{History, Record};
+use super::Record;
 
 /// One record's instruments.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -34,11 +34,10 @@ impl Instruments {
         let [onset, _] = record.blow();
         let histories = &record.force.values;
         let largest = |f: &Vec<f64>| f.iter().fold(0.0f64, |m, x| m.max(x.abs()));
-        let quiet = |h: &History| (0..h.entries()).take_while(|n| h.time(*n) < onset - 1.5 * h.dt).count();
-        let of_force = quiet(&record.force);
+        let of_force = record.force.before(onset);
         let force_noise = (of_force >= FEWEST)
             .then(|| histories.iter().map(|f| statistics(&f[..of_force])[1]).fold(0.0, f64::max));
-        let before = quiet(&record.signals);
+        let before = record.signals.before(onset);
         let signals = &record.signals.values;
         Self {
             peak: histories.iter().map(largest).fold(0.0, f64::max),

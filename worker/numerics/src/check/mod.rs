@@ -39,6 +39,11 @@ impl History {
         self.values.first().map_or(0, Vec::len)
     }
 
+    /// How many entries lie before what begins at `onset` (s), with room for its first step.
+    fn before(&self, onset: f64) -> usize {
+        (0..self.entries()).take_while(|n| self.time(*n) < onset - 1.5 * self.dt).count()
+    }
+
     /// Without what lies above this frequency (Hz, −3 dB), by a Gaussian; ends count as often as they are within reach.
     #[must_use]
     fn smooth(&self, cutoff: f64) -> Self {

@@ -194,8 +194,7 @@ impl<'a> Session<'a> {
         let smooth = |record: &Record| {
             let [onset, _] = record.blow();
             let mut smooth = record.signals.smooth(cutoff);
-            let quiet =
-                (0..smooth.entries()).take_while(|n| smooth.time(*n) < onset - 1.5 * smooth.dt).count();
+            let quiet = smooth.before(onset);
             for (history, raw) in smooth.values.iter_mut().zip(&record.signals.values) {
                 let rest = raw[..quiet].iter().sum::<f64>() / quiet.max(1) as f64;
                 history.iter_mut().for_each(|y| *y -= rest);

@@ -28,6 +28,14 @@ pub enum Unknown {
     Unit(usize),
 }
 
+impl Unknown {
+    /// The parameter that it moves, if it moves one of all ligaments or units alike.
+    #[must_use]
+    pub fn parameter(self) -> Option<Parameter> {
+        if let Self::Material(parameter) = self { Some(parameter) } else { None }
+    }
+}
+
 /// ln 10: standard deviation of the logarithm of a free parameter.
 const TRUST: f64 = std::f64::consts::LN_10;
 /// s. Where the forces' clock is twice as fine as that of their record, they are smooth at 4.
