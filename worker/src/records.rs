@@ -10,6 +10,7 @@ use std::sync::Arc;
 
 use metasense_numerics::dynamics::Forces;
 use metasense_numerics::stimuli::{REACH, Recorded, Source, felt, resample};
+use metasense_numerics::student::median;
 use metasense_numerics::trial::{Problem, Protocol};
 use metasense_schemas::spec::{self, Decimal, Resample, Separator, TrialSpec};
 
@@ -372,11 +373,6 @@ pub(crate) fn in_units(
         history.iter_mut().for_each(|x| *x = (*x - offset) * factor);
     }
     Ok(())
-}
-
-fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    *sorted.select_nth_unstable_by(values.len() / 2, f64::total_cmp).1
 }
 
 #[cfg(test)]

@@ -1,4 +1,14 @@
-//! Student's t, by which few observations have honest intervals.
+//! Statistics of few observations: Student's t, by which they have honest intervals, and the median.
+
+/// The median; of an even count the greater of the two in the middle.
+///
+/// # Panics
+/// If there are no values.
+#[must_use]
+pub fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    *sorted.select_nth_unstable_by(values.len() / 2, f64::total_cmp).1
+}
 
 /// 97.5 % quantile of Student's t.
 #[must_use]

@@ -1,6 +1,7 @@
 //! Findings in words: what is wrong, by which numbers, and the key or option that mends it.
 
 use metasense_numerics::check::{Found, OfRecord};
+use metasense_numerics::student::median;
 use metasense_schemas::spec::{AccelerationUnit, AngularVelocityUnit, ForceUnit, Start};
 
 use super::{Described, Looked};
@@ -208,10 +209,9 @@ impl Findings<'_> {
         let kind = |c: usize| usize::from(read[c % read.len()] == 2);
         let gain = |of: usize| {
             let channels = (0..self.channels.len()).filter(|c| kind(*c) == of && !found.channels[*c].silent);
-            let mut gains: Vec<f64> =
+            let gains: Vec<f64> =
                 channels.map(|c| found.channels[c].gain.abs()).filter(|g| *g > 0.0).collect();
-            gains.sort_by(f64::total_cmp);
-            gains.get(gains.len() / 2).copied()
+            (!gains.is_empty()).then(|| median(&gains))
         };
         let gains = [gain(0), gain(1)];
         let (recorded, signals) = (&self.described.spec.recorded, &self.described.spec.signals);
@@ -301,11 +301,7 @@ impl Findings<'_> {
             if all.len() * 2 <= self.looked.len() {
                 continue;
             }
-            let middle = |i: usize| {
-                let mut values: Vec<f64> = all.iter().map(|of| of[i]).collect();
-                values.sort_by(f64::total_cmp);
-                values[values.len() / 2]
-            };
+            let middle = |i: usize| median(&all.iter().map(|of| of[i]).collect::<Vec<_>>());
             let [offset, noise, size] = [0, 1, 2].map(middle);
             if offset.abs() <= (OFFSET[0] * noise).max(OFFSET[1] * size) {
                 continue;

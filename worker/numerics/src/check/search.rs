@@ -1,6 +1,7 @@
 //! The search for what explains records: stiffness, panels, clock, axes, places of sensors; then records one by one.
 
 use super::{History, Model, Record};
+use crate::student::median;
 
 /// Factors on all stiffnesses of the design.
 const STIFFNESS: [f64; 5] = [0.7, 0.84, 1.0, 1.19, 1.41];
@@ -432,9 +433,7 @@ impl<'a> Session<'a> {
             (sensor..sensor + own).map(|d| all.correlation(c, d).abs()).fold(0.0, f64::max)
         };
         let follows = |c: usize| all.correlation(c, state.source[c].0) * state.source[c].1;
-        let mut sorted: Vec<f64> = (0..state.source.len()).map(follows).collect();
-        sorted.sort_by(f64::total_cmp);
-        let usual = sorted[sorted.len() / 2];
+        let usual = median(&(0..state.source.len()).map(follows).collect::<Vec<_>>());
         self.silent = (0..state.source.len()).map(|c| usual > GOOD && strongest(c) < SILENT).collect();
         let channels = (0..state.source.len()).map(|c| {
             let (d, sign) = state.source[c];
@@ -473,9 +472,7 @@ impl<'a> Session<'a> {
         let own: Vec<usize> = (0..self.records.len()).map(|r| self.order(r, &state.panels)).collect();
         let alone = |r: usize| agreement(r, own[r], state.lags[r]).unwrap_or(0.0);
         let follow: Vec<f64> = (0..self.records.len()).map(alone).collect();
-        let mut sorted = follow.clone();
-        sorted.sort_by(f64::total_cmp);
-        let usual = sorted[sorted.len() / 2];
+        let usual = median(&follow);
         let of = |record: usize| {
             let (correlation, lag) = (follow[record], state.lags[record]);
             let near = (-24..=24).map(|n| lag + n as f64 / 8.0 * self.dt);
@@ -539,7 +536,7 @@ impl<'a> Session<'a> {
     }
 }
 
-/// All orders of so many.
+/// All permutations of 0 … count − 1.
 fn permutations(count: usize) -> Vec<Vec<usize>> {
     if count == 0 {
         return vec![Vec::new()];

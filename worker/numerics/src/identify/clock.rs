@@ -242,7 +242,7 @@ impl Clock {
         }
     }
 
-    /// R^{-½} of whitened values, record by record of so many; `slopes` has each record's d.
+    /// Applies `whiten` to each record of `record` entries; `slopes` has each record's d.
     pub fn whiten_each(&self, slopes: &[f64], record: usize, of: &mut [f64]) {
         let each = of.chunks_exact_mut(record).zip(slopes.chunks_exact(record));
         each.for_each(|(own, d)| self.whiten(d, own));

@@ -1,4 +1,4 @@
-//! How well records tell what was fitted.
+//! Intervals of what was fitted, and what the records do not determine.
 //!
 //! ```text
 //! covariance = H⁻¹ ((1 + u (G − 1)) G/(G − 1) Σ_g s_g s_gᵀ + 1) H⁻¹,   H = JᵀJ + 1,   s_g = J_gᵀ r_g
@@ -81,8 +81,7 @@ pub fn bound(fit: &mut Fit, objective: &Objective<'_>, point: &Point, columns: &
 
 /// The directions that records leave open of free parameters, from their covariance with the prior in units of `log`.
 fn undetermined(inverse: &DMatrix<f64>, log: f64) -> Vec<Direction> {
-    let told = covariance_of_prior(inverse);
-    let eigen = told.symmetric_eigen();
+    let eigen = information(inverse).symmetric_eigen();
     let largest = eigen.eigenvalues.max();
     let mut undetermined = Vec::new();
     for (k, &value) in eigen.eigenvalues.iter().enumerate() {
@@ -100,8 +99,8 @@ fn undetermined(inverse: &DMatrix<f64>, log: f64) -> Vec<Direction> {
     undetermined
 }
 
-/// What the records alone tell: the inverse without the prior's 1.
-fn covariance_of_prior(inverse: &DMatrix<f64>) -> DMatrix<f64> {
+/// The information of the records alone: the inverse of the covariance, without the prior's 1.
+fn information(inverse: &DMatrix<f64>) -> DMatrix<f64> {
     let free = inverse.nrows();
     let whole = inverse.clone().try_inverse().unwrap_or_else(|| DMatrix::identity(free, free));
     0.5 * (&whole + whole.transpose()) - DMatrix::identity(free, free)

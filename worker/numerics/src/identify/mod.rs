@@ -134,14 +134,14 @@ pub struct Turn {
 pub struct Estimate {
     /// Which.
     pub unknown: Unknown,
-    /// Its standard deviation before any record: of a logarithm, in rad, in mm.
+    /// Standard deviation of its prior: of a logarithm, in rad, in mm.
     pub scatter: f64,
-    /// z: where it was found, in those.
+    /// Its estimate z, in units of `scatter`.
     pub found: f64,
-    /// Its standard deviation after the records, in those; 1: they tell nothing.
+    /// Standard deviation of its posterior, in units of `scatter`; 1 if the records do not determine it.
     pub left: f64,
-    /// Half its 95 % interval, in those, which knows of what the model lacks; of measured records. None of a free parameter that is not
-    /// identifiable or at the bound.
+    /// Half width of its 95 % interval, in units of `scatter`, with the discrepancy of the model; of measured records. None for a free
+    /// parameter that is not identifiable or at the bound.
     pub half: Option<f64>,
     /// Whether it is a free parameter as far from its start as it may be.
     pub at_the_bound: bool,
@@ -152,8 +152,8 @@ pub struct Estimate {
 pub struct Twin {
     /// The cast that explains the records best; as designed where none was found.
     pub cast: Cast,
-    /// Root mean square over the channels of what is left of the signals by the noise of the chips; 1 where that is not known, and what is
-    /// left stands for it.
+    /// RMS over the channels of the residual, divided by the noise of the chips; 1 if that noise is unknown and estimated from the
+    /// residual.
     pub misfit: f64,
     /// What stands for the noise of each channel that is read (mm/s², rad/s): what is left, but no less than the chips'.
     pub noise: Vec<f64>,
