@@ -4,8 +4,7 @@
 //! ż_l = a_(l−1) ∗ v_l + ȧ_(l−1) ∗ w_l + ḃ_l, ȧ_l = [a_l>0] ż_l, ȧ_0 = 0     Ġ_n = 2σ²/(NTK) ż_n     Hb_l = Σ Ġ_l
 //! Ġ_l = [a_l>0] (Ġ_(l+1) ∗ w_(l+1)ᵀ + g_(l+1) ∗ v_(l+1)ᵀ)                    Hw_l = a_(l−1)ᵀ Ġ_l + ȧ_(l−1)ᵀ g_l
 //! ```
-//! Activations are stored. A product costs six convolutions of the paper's second layer, in deeper networks also seven per layer below the
-//! last hidden one.
+//! Activations are stored. A product costs about six convolutions of layer 2 and seven of each of the layers 3 … n − 1.
 
 use super::data::Batch;
 use super::kernels::{Kernels, Real};

@@ -67,12 +67,12 @@ struct Kinematics<V> {
     levers: [[V; 2]; 2],
     /// d; in linearised scenes d − d₀.
     d: [V; 2],
-    /// d| and 1/|d|; zero in linearised scenes, as are `seen` and `square`.
+    /// |d| and 1/|d|; zero in linearised scenes, as are `seen` and `square`.
     size: V,
     inverse: V,
     /// d in the axes (d₀, d₀⊥).
     seen: [V; 2],
-    /// d|² − l₀², only in f32.
+    /// |d|² − l₀², only in f32.
     square: V,
     /// (θ_a + θ_b)/2, θ_b − θ_a.
     mean: V,
@@ -503,7 +503,7 @@ impl<V: Vector> Reaction<V> {
         g[bar.b] = [x + fx, y + fy, t + lb[1].mul_sub_from(fx, lb[0].mul_add(fy, mb))];
     }
 
-    /// Derivative along the velocities `wa`, `wb` of both units:
+    /// Derivative along the directions `wa`, `wb` of both units:
     /// ```text
     /// δd = δu_b − δu_a + ω_b (R r_b)⊥ − ω_a (R r_a)⊥,   ρ = d·δd/|d|²,   δγ = d⊥·δd/|d|² − ½(ω_a + ω_b)
     /// δg = stretch δd + side δd⊥ + k_l l₀/|d| ρ d + (k_s l₀² δγ/|d|² − 2 side ρ) d⊥

@@ -294,7 +294,7 @@ pub fn forward<V: Vector>(
     Counters { force_evaluations: lanes * (1 + steps * stages as u64), steps: lanes * steps, rejected: 0 }
 }
 
-/// Cotangents of the states, and the weights of the next force evaluation.
+/// Cotangents of the states and of the next force evaluation.
 struct Bars<V> {
     x: Vec<Unit<V>>,
     v: Vec<Unit<V>>,

@@ -52,7 +52,7 @@ pub struct Cotangent<V> {
     pub(super) start: Vec<Unit<V>>,
 }
 
-/// Data that convert cotangents of accelerations into weights of the derivatives of forces.
+/// Data to compute cotangents w of forces from those of accelerations.
 pub struct Weigh<'a, V: Vector> {
     /// 1/(m, m, J).
     pub inverse_mass: &'a [[V::Scalar; 3]],
@@ -419,7 +419,7 @@ impl<'a, V: Vector> System<'a, V> {
         }
     }
 
-    /// Data that compute weights of forces.
+    /// Data to compute cotangents of forces.
     #[inline(always)]
     pub fn weigh(&mut self) -> Weigh<'_, V> {
         let Self { inverse_mass, damping, cotangent, .. } = self;
@@ -437,7 +437,7 @@ impl<'a, V: Vector> System<'a, V> {
         unsafe { (self.kernels.product)(self.model, &self.bars, x, w, &self.turn, unread, curved, shape) };
     }
 
-    /// Adds the cotangent of C for forces of weights `w` at velocities `v`.
+    /// Adds the cotangent of C for forces with the cotangents `w` at velocities `v`.
     #[inline(always)]
     pub fn add_damping_cotangent(&mut self, w: &[Unit<V>], v: &[Place<V>]) {
         damping_cotangent(&mut self.cotangent.damping, w, v);

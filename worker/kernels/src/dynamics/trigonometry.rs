@@ -4,11 +4,11 @@
 use crate::lanes::{Scalar, Vector};
 use std::f64::consts::TAU;
 
-/// angle| up to which `sin_cos1` uses polynomials: the coefficients of Sun's fdlibm (k_sin.c, k_cos.c), with errors below 2⁻⁵⁸.
+/// |angle| up to which `sin_cos1` uses polynomials: the coefficients of Sun's fdlibm (k_sin.c, k_cos.c), with errors below 2⁻⁵⁸.
 const TURN_LIMIT: f64 = std::f64::consts::FRAC_PI_4;
-/// tan(angle/2)| up to which `angle` uses a polynomial (29°).
+/// |tan(angle/2)| up to which `angle` uses a polynomial (29°).
 const HALF_TANGENT_LIMIT: f64 = 0.25;
-/// mean| up to which such an angle minus `mean` lies in (−π, π].
+/// |mean| up to which such an angle minus `mean` lies in (−π, π].
 const MEAN_LIMIT: f64 = 2.5;
 
 /// Horner's scheme, highest power first. In f32, omits the first `spare` coefficients, which are below rounding.

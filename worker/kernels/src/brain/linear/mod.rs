@@ -43,7 +43,7 @@ pub struct Lags {
 
 /// Lags up to this many instants have a weight each.
 const SINGLE: usize = 40;
-/// Beyond, this many neighbouring lags share a weight, because single weights do not improve the error (MODEL.md).
+/// Beyond, this many neighbouring lags share a weight (MODEL.md).
 const SHARED: usize = 4;
 
 impl Lags {
