@@ -227,7 +227,7 @@ pub fn initial_weights(shape: Shape, seed: u64, which: u64) -> Vec<f64> {
     weights
 }
 
-/// Multiplies the weights of input c by `factors`[c], so that predictions from x equal earlier predictions from x · `factors`
+/// Multiplies the weights of input c by `factors[c]`, so that predictions from x equal earlier predictions from x · `factors`
 /// (3M). Inputs beyond the factors keep their weights.
 pub fn scale_inputs(shape: Shape, weights: &mut [f32], factors: &[f64]) {
     let Conv { inputs, outputs, .. } = shape.conv(0);

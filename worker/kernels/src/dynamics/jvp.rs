@@ -2,7 +2,7 @@
 //!
 //! Uses plain dual numbers a + ε b, ε² = 0, without lanes. It shares coefficients of the methods, drift factors, equilibrium
 //! and recorded steps with the production code. Geometry, forces and steps are implemented again, so equal signals also verify
-//! those.
+//! these parts.
 
 use super::model::heavy;
 use super::schemes::Drift;

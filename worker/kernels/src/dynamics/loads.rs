@@ -63,7 +63,7 @@ impl<'a, V: Vector> LockstepForces<'a, V> {
         }
     }
 
-    /// Likewise for forces at the end of a ramp that shake the base; `bar_a` is the cotangent of the measured accelerations.
+    /// As `add_vjp`, for forces at the end of a ramp that shake the base; `bar_a` is the cotangent of the measured accelerations.
     #[inline(always)]
     pub fn add_felt_vjp(&mut self, system: &System<'_, V>, bar_a: &[Unit<V>]) {
         let (Some(kink), false) = (self.kink, self.cotangent.is_empty()) else { return };

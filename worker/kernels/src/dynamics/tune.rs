@@ -218,7 +218,7 @@ impl Pilot<'_> {
         let mut coarse = self.run(six, start);
         while refined < REFINED {
             let fine = self.run(six, 2 * refined * start);
-            // A sample repeated with finer steps may be identical in both runs, which says nothing about its error.
+            // A sample repeated with finer steps may be identical in both runs; the difference does not measure its error.
             let error = if coarse.counters.rejected > 0 {
                 f64::INFINITY
             } else {
