@@ -1,4 +1,4 @@
-//! What a trial records as its seconds. A test binary of its own: the clock is the whole process's.
+//! CPU seconds in the records of a trial. A separate test binary, because the clock measures the whole process.
 
 use std::time::{Duration, Instant};
 
@@ -7,7 +7,7 @@ use metasense_schemas::spec::TrialSpec;
 use metasense_worker::run::{Control, Observe, pool, run_trial};
 use serde_json::json;
 
-/// Sleeps after each step, as a worker does that waits for a core or for the database.
+/// Sleeps after each step, like a worker that waits for a core or the database.
 #[derive(Default)]
 struct Sleeper {
     recorded: f64,
@@ -35,7 +35,7 @@ impl Observe for Sleeper {
     }
 }
 
-/// Three steps of some milliseconds, and naps of 0.15 s after each of them: what is recorded is the work.
+/// Three steps of some milliseconds, each followed by 0.15 s of sleep: the record contains the CPU time only.
 #[test]
 fn a_trials_seconds_are_those_of_the_cpu_and_not_of_the_wall_clock() {
     let trial: TrialSpec = serde_json::from_value(json!({
@@ -56,7 +56,7 @@ fn a_trials_seconds_are_those_of_the_cpu_and_not_of_the_wall_clock() {
     let result = run_trial(&trial, None, &pool(1).unwrap(), &mut sleeper).unwrap();
     let (wall, recorded) = (began.elapsed().as_secs_f64(), sleeper.recorded + result.seconds_evaluation);
     assert!(recorded > 0.0, "{recorded} s recorded");
-    // Signs of life within every step, not one at its end alone.
+    // progress is reported within every step, not only at its end
     let within = |steps: &[usize]| steps[1] - steps[0];
     assert!(sleeper.by_step.windows(2).all(|steps| within(steps) >= 4), "{:?}", sleeper.by_step);
     assert!(recorded < wall - 2.9 * NAP.as_secs_f64(), "{recorded} s recorded, {wall} s by the wall clock");

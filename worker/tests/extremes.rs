@@ -1,6 +1,6 @@
-//! Small trials whose numbers are extreme: each question about them has an answer or an error, and none panics.
+//! Small trials with extreme values: every command returns a result or an error, and none panics.
 //!
-//! Draws are numbered; `EXTREMES_SEED=N` begins with another one, `EXTREMES_CASES=N` takes so many.
+//! Trials are drawn by number. `EXTREMES_SEED=N` sets the first number, `EXTREMES_CASES=N` the count.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -45,7 +45,7 @@ fn usual() -> Value {
     })
 }
 
-/// Keys, and what they may be in place of the usual.
+/// Keys and extreme values for them.
 fn choices() -> Vec<(&'static str, Vec<Value>)> {
     vec![
         ("/time/samples", vec![json!(3), json!(4), json!(40)]),
@@ -130,7 +130,7 @@ fn trial(draw: &mut Draw) -> Option<TrialSpec> {
     serde_json::from_value(spec).ok()
 }
 
-/// Everything that can be asked of a trial; how many had an answer.
+/// Runs all commands on a trial; returns the number of results.
 fn ask(trial: &TrialSpec) -> usize {
     let Ok(problem) = problem(trial) else { return 0 };
     let (design, pool) = (&problem.initial, pool(1).unwrap());

@@ -1,17 +1,18 @@
-//! Lanes of f64 or f32, as many as a register of the instruction set holds: a sample each in the dynamics, a column in the brain.
+//! SIMD vectors of f64 or f32. A lane holds one sample in the dynamics and one column in the decoders.
 //!
-//! Everything is inlined into entry points that enable the instruction set, so an operation is one instruction or two.
-//! A closure would not be, for it does not take on their instruction set: none computes with vectors (`tests/disassembly.rs`).
-//! Lanes never mix but in `sum`, and each operation is correctly rounded but `rsqrt` and, without FMA, `mul_add`.
+//! All functions are inlined into entry points that enable the instruction set, so each operation compiles to one or two
+//! instructions. Closures do not inherit the enabled instruction set; therefore no closure computes with vectors
+//! (`tests/disassembly.rs`). Only `sum` combines lanes. All operations are correctly rounded except `rsqrt` and, without FMA,
+//! `mul_add` and `mul_sub_from`.
 
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
 
-/// Lanes of the widest vector of f64: samples integrated together.
+/// Lanes of the widest f64 vector: the number of samples integrated together.
 pub const LANES: usize = 8;
-/// Lanes of the widest vector.
+/// Lanes of the widest vector (f32).
 pub const MOST: usize = 16;
 
-/// What a lane holds.
+/// Element type of a vector.
 pub trait Scalar:
     Copy
     + Default
@@ -28,9 +29,9 @@ pub trait Scalar:
 {
     /// 0.
     const ZERO: Self;
-    /// The nearest value.
+    /// The nearest representable value.
     fn from_f64(x: f64) -> Self;
-    /// Exact.
+    /// Exact conversion.
     fn to_f64(self) -> f64;
     /// √self.
     fn sqrt(self) -> Self;
@@ -64,29 +65,29 @@ macro_rules! scalar {
 scalar!(f32);
 scalar!(f64);
 
-/// Some lanes.
+/// A SIMD vector.
 pub trait Vector:
     Copy + Send + Sync + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Neg<Output = Self>
 {
-    /// Of one lane.
+    /// Type of a lane.
     type Scalar: Scalar;
-    /// As many lanes of f64.
+    /// The f64 vector with the same number of lanes.
     type Wide: Vector<Scalar = f64, Wide = Self::Wide>;
-    /// How many.
+    /// Number of lanes.
     const LANES: usize;
     /// 0 in all lanes.
     const ZERO: Self;
     /// Whether lanes hold f32.
     const SINGLE: bool = size_of::<Self::Scalar>() == 4;
-    /// The same number in all lanes.
+    /// A vector with `x` in all lanes.
     fn of(x: Self::Scalar) -> Self;
-    /// Rounded.
+    /// Rounds each lane of `wide`.
     fn narrow(wide: Self::Wide) -> Self;
-    /// Exact.
+    /// Converts each lane to f64, exactly.
     fn widen(self) -> Self::Wide;
-    /// Lane by lane.
+    /// The lanes as a slice.
     fn lanes(&self) -> &[Self::Scalar];
-    /// Likewise.
+    /// The lanes as a mutable slice.
     fn lanes_mut(&mut self) -> &mut [Self::Scalar];
     /// self·a + b.
     fn mul_add(self, a: Self, b: Self) -> Self;
@@ -98,7 +99,7 @@ pub trait Vector:
     fn rsqrt(self) -> Self;
     /// |self|.
     fn abs(self) -> Self;
-    /// The larger; the second where one is NaN.
+    /// The maximum; `other` where either is NaN.
     fn max(self, other: Self) -> Self;
     /// self where a < b, else other.
     fn where_less(self, a: Self, b: Self, other: Self) -> Self;
@@ -108,33 +109,33 @@ pub trait Vector:
     fn all_within(self, limit: f64) -> bool;
     /// The sum of the lanes.
     fn sum(self) -> Self::Scalar;
-    /// Reads lanes that lie one after the other.
+    /// Reads `LANES` consecutive scalars.
     ///
     /// # Safety
-    /// So many scalars must be readable there; any alignment.
+    /// `LANES` scalars must be readable at `from`; any alignment.
     unsafe fn load(from: *const Self::Scalar) -> Self;
-    /// Writes them likewise.
+    /// Writes the lanes to consecutive scalars.
     ///
     /// # Safety
-    /// So many scalars must be writable there; any alignment.
+    /// `LANES` scalars must be writable at `to`; any alignment.
     unsafe fn store(self, to: *mut Self::Scalar);
 
-    /// The same number in all lanes: for constants, which are rounded where they are compiled.
+    /// A vector with `x` in all lanes, for constants: they are rounded at compile time.
     #[inline(always)]
     fn splat(x: f64) -> Self {
         Self::of(Self::Scalar::from_f64(x))
     }
-    /// One lane.
+    /// Value of one lane.
     #[inline(always)]
     fn lane(&self, lane: usize) -> f64 {
         self.lanes()[lane].to_f64()
     }
-    /// Overwrites one lane.
+    /// Sets one lane.
     #[inline(always)]
     fn set_lane(&mut self, lane: usize, x: f64) {
         self.lanes_mut()[lane] = Self::Scalar::from_f64(x);
     }
-    /// From what each lane is to hold.
+    /// A vector whose lanes are the values of `from`.
     #[inline(always)]
     fn gather(from: &[f64]) -> Self {
         let mut all = Self::ZERO;
@@ -145,7 +146,7 @@ pub trait Vector:
     }
 }
 
-/// Either number in all lanes of a vector of its own.
+/// Two vectors, one with `x` and one with `y` in all lanes.
 #[inline(always)]
 pub fn pair<V: Vector>([x, y]: [V::Scalar; 2]) -> [V; 2] {
     [V::of(x), V::of(y)]
@@ -187,15 +188,15 @@ macro_rules! operators {
 pub use x86::{Avx2, Avx512, Half, HalfSingleAvx512, Pair, SingleAvx2, SingleAvx512, SingleSse2, Sse2};
 
 mod x86 {
-    // SAFETY (this module): every x86-64 has SSE2; values of the other types are made only inside the entry points of `dispatch`
-    // and of the brain's `kernels`, which run only where `Width::detect` has seen the instructions; but for `load` and `store`,
-    // whose callers promise it room, the intrinsics touch no memory, and slices are of the value itself.
+    // SAFETY (this module): every x86-64 machine has SSE2. Values of the other types are created only inside the entry points of
+    // `dispatch` and of the brain's `kernels`, which run only where `Width::detect` has found the instructions. Except for `load`
+    // and `store`, whose callers guarantee the memory, the intrinsics access no memory. Slices refer to the value itself.
     #![expect(clippy::undocumented_unsafe_blocks, reason = "one argument for all, above")]
     use super::{Add, Mul, Neg, Sub, Vector};
     use std::arch::x86_64::*;
     use std::slice::{from_raw_parts, from_raw_parts_mut};
 
-    /// Operations that are one instruction.
+    /// Operations that compile to one instruction.
     macro_rules! instructions {
         ($($operation:ident($($o:ident),*) = $instruction:ident;)*) => {
             $(
@@ -207,7 +208,7 @@ mod x86 {
         };
     }
 
-    /// A register of one instruction set and scalar.
+    /// Defines the vector type of one register.
     macro_rules! register {
         ($name:ident: $register:ty, $scalar:ty, $lanes:literal;
          $set:ident, $load:ident, $store:ident, $add:ident, $sub:ident, $mul:ident, $fmadd:ident, $fnmadd:ident, $div:ident, $max:ident;
@@ -308,7 +309,7 @@ mod x86 {
         _mm512_div_pd, _mm512_max_pd;
         abs(a): _mm512_abs_pd(a),
         rsqrt(x): {
-            // 14 bits, then a step of fourth order: e is below 2⁻¹³, and 35/128 e⁴ below an ulp's third
+            // initial estimate of 14 bits, then one step of fourth order: |e| < 2⁻¹³, and 35/128 e⁴ is below a third of an ulp
             let y = Self(unsafe { _mm512_rsqrt14_pd(x.0) });
             let e = x.times(y).mul_sub_from(y, Self::splat(1.0));
             let p = e.mul_add(Self::splat(0.3125), Self::splat(0.375)).mul_add(e, Self::splat(0.5));
@@ -326,7 +327,7 @@ mod x86 {
     _mm512_div_ps, _mm512_max_ps;
     abs(a): _mm512_abs_ps(a),
     rsqrt(x): {
-        // 14 bits, then a step of second order: 3/8 e² is below an ulp's tenth
+        // initial estimate of 14 bits, then one step of second order: 3/8 e² is below a tenth of an ulp
         let y = Self(unsafe { _mm512_rsqrt14_ps(x.0) });
         let e = x.times(y).mul_sub_from(y, Self::splat(1.0));
         y.times(e).mul_add(Self::splat(0.5), y)
@@ -346,7 +347,7 @@ mod x86 {
         Pair(Avx512(_mm512_cvtps_pd(_mm512_castps512_ps256(x.0))), Avx512(_mm512_cvtps_pd(high)))
     });
 
-    // Of `SingleAvx512` the half, with its bits.
+    // Half of a `SingleAvx512`; results are identical bit by bit.
     register!(HalfSingleAvx512: __m256, f32, 8;
     _mm256_set1_ps, _mm256_loadu_ps, _mm256_storeu_ps, _mm256_add_ps, _mm256_sub_ps, _mm256_mul_ps, _mm256_fmadd_ps, _mm256_fnmadd_ps,
     _mm256_div_ps, _mm256_max_ps;
@@ -397,7 +398,7 @@ mod x86 {
         Pair(Half(_mm256_cvtps_pd(low)), Half(_mm256_cvtps_pd(high)))
     });
 
-    // What every x86-64 has. No fused multiply-add, which would be a library call.
+    // Available on every x86-64 machine. `mul_add` is not fused, because that would be a library call.
     register!(Sse2: __m128d, f64, 2;
     _mm_set1_pd, _mm_loadu_pd, _mm_storeu_pd, _mm_add_pd, _mm_sub_pd, _mm_mul_pd, mul_add_pd, mul_sub_from_pd,
     _mm_div_pd, _mm_max_pd;
@@ -452,12 +453,12 @@ mod x86 {
         unsafe { _mm_sub_ps(c, _mm_mul_ps(a, b)) }
     }
 
-    /// Two vectors as one.
+    /// Two vectors that act as one.
     #[derive(Clone, Copy)]
     #[repr(C, align(64))]
     pub struct Pair<L>(L, L);
 
-    /// Two registers: as many lanes as AVX-512 has, and two chains of operations at once.
+    /// Two registers: as many lanes as AVX-512, and two independent chains of instructions.
     pub type Avx2 = Pair<Half>;
 
     impl<L: Vector> Pair<L> {
@@ -476,7 +477,7 @@ mod x86 {
     }
     operators!([L: Vector] Pair<L>);
 
-    /// Operations done on either half.
+    /// Operations applied to both halves.
     macro_rules! halves {
         ($($operation:ident($($o:ident),*);)*) => {
             $(

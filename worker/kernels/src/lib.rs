@@ -1,7 +1,9 @@
-//! What every sample of a trial goes through: the body, its motion and their derivatives, the brain's arithmetic.
+//! Numerical kernels that run for every sample of a trial: geometry of the body, integration of motion, adjoints,
+//! decoders.
 //!
-//! A crate of its own as it holds what is compiled once an instruction set, most of the work of a build. Pure: no I/O, no
-//! clock, no environment, no randomness but a seed passed in. Physics and conventions: `../numerics/MODEL.md`.
+//! This code is compiled once per instruction set, which takes most of the build time; therefore it is a separate crate.
+//! It has no I/O, clock or environment, and random numbers depend only on the given seed. Physics and conventions:
+//! `../numerics/MODEL.md`.
 
 pub mod body;
 pub mod brain;

@@ -1,30 +1,31 @@
-//! The threads that work, the instruction set of their kernels, and a count of what they have done.
+//! Worker threads, the instruction set of their kernels, and a counter of completed work.
 //!
-//! Whoever computes is given a pool: nothing about how is kept by the process.
+//! Functions receive a pool as an argument; there is no global state.
 
 use crate::simd::Width;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Signs of life: a count of pieces of some milliseconds: an interval of eight samples, a chunk of an iteration, a factor.
-/// Whoever sees it stand still for long looks at a hang. Clones count together; nothing is computed from it.
+/// Counts completed pieces of work, each of a few milliseconds: an interval of eight samples, a chunk of an iteration, a
+/// factorisation. A counter that stands still for long indicates a hang. Clones share the counter; no result depends on
+/// it.
 #[derive(Debug, Clone, Default)]
 pub struct Heartbeat(Arc<AtomicU64>);
 
 impl Heartbeat {
-    /// Another piece is done.
+    /// Counts one completed piece.
     #[inline]
     pub fn beat(&self) {
         self.0.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Pieces done so far.
+    /// Number of pieces completed so far.
     pub fn count(&self) -> u64 {
         self.0.load(Ordering::Relaxed)
     }
 }
 
-/// Threads and how they work. Clones share them.
+/// Threads, instruction set and heartbeat. Clones share the threads.
 #[derive(Debug, Clone)]
 pub struct Pool {
     threads: Arc<rayon::ThreadPool>,
@@ -33,21 +34,21 @@ pub struct Pool {
 }
 
 impl Pool {
-    /// So many threads, the widest kernels that the machine has.
+    /// Creates a pool of `threads` threads with the widest supported kernels.
     ///
     /// # Errors
-    /// If the system does not start them.
+    /// If the system cannot start the threads.
     pub fn new(threads: usize) -> Result<Self, rayon::ThreadPoolBuildError> {
         Self::with(threads, Width::detect(), Heartbeat::default())
     }
 
-    /// So many threads with the kernels of this instruction set, counting there.
+    /// Creates a pool of `threads` threads with the kernels of `width`, counting in `heartbeat`.
     ///
     /// # Errors
-    /// If the system does not start them.
+    /// If the system cannot start the threads.
     ///
     /// # Panics
-    /// If the machine lacks it.
+    /// If the machine does not support `width`.
     pub fn with(
         threads: usize,
         width: Width,
@@ -63,22 +64,22 @@ impl Pool {
         self.width
     }
 
-    /// The count.
+    /// The counter of completed work.
     pub fn heartbeat(&self) -> &Heartbeat {
         &self.heartbeat
     }
 
-    /// How many threads.
+    /// Number of threads.
     pub fn threads(&self) -> usize {
         self.threads.current_num_threads()
     }
 
-    /// Runs on the threads: rayon's iterators in `work` spread over them.
+    /// Runs `work` in the pool: its rayon iterators use these threads.
     pub fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
         self.threads.install(work)
     }
 
-    /// Runs on every thread at once.
+    /// Runs `work` once on every thread and returns all results.
     pub fn broadcast<R: Send>(&self, work: impl Fn() -> R + Sync) -> Vec<R> {
         self.threads.broadcast(|_| work())
     }

@@ -1,46 +1,46 @@
-//! Counter-based random streams: a draw depends on its key alone, never on who drew before.
+//! Counter-based random streams: a draw depends only on its key, not on earlier draws.
 //!
-//! A stream is ChaCha8 keyed by (purpose, seed, two counters), so trials of equal seed and K share stimuli and split.
+//! A stream is ChaCha8 keyed by (purpose, seed, two counters). Trials of equal seed and K therefore share forces and split.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-/// What a stream is for; streams of two purposes share no draws.
+/// Purpose of a stream. Streams of different purposes share no draws.
 ///
-/// Within `Stimulus` two uses do: the panel of a recorded force and the panel of an irregular blow share a stream where record and sample
-/// have the same number. In a mixture of both these two panels are not independent.
+/// One stream of `Stimulus` has two uses: it selects the panel of a recorded force and that of an irregular blow. In a mixture of both,
+/// these panels are dependent where record and sample have the same number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u64)]
 pub enum Purpose {
     /// Parameters of a force history; counters: sample, panel.
     Stimulus = 1,
-    /// The holdout's force histories; counters: sample, panel.
+    /// Force histories of the held-out set; counters: sample, panel.
     Holdout = 2,
     /// Fresh samples of the `joint` protocol; counters: sample, panel.
     Fresh = 3,
     /// The split into training and test set.
     Split = 4,
-    /// Initial weights of a brain; counters: which brain, layer.
+    /// Initial weights of a network; counters: network, layer.
     Weights = 5,
     /// Sensor placements; counters: placement, number of units.
     Placement = 6,
     /// Subsets and batches; counters: outer step, inner step.
     Batch = 7,
-    /// Random designs; counters: which design, attempt.
+    /// Random designs; counters: design, attempt.
     Design = 8,
-    /// Noise and bias of sensors; counters: the sample's history, channel.
+    /// Noise and bias of sensors; counters: history of the sample, channel.
     Chip = 9,
-    /// Candidates of a search without gradient; counters: candidate, nothing.
+    /// Candidates of a search without gradient; counters: candidate, unused.
     Search = 10,
-    /// Casts of a body; counters: what for and which, material or mould.
+    /// Casts of a body; counters: use and number of the cast, material or mould.
     Cast = 11,
-    /// Where a blow lands; counters: the purpose of the samples and which, panel.
+    /// Position of a blow; counters: purpose and number of the sample, panel.
     Strike = 12,
 }
 
-/// Where a stream has its bits from.
+/// A source of random bits.
 pub trait Bits {
-    /// The next 64.
+    /// The next 64 bits.
     fn next(&mut self) -> u64;
 }
 
@@ -68,11 +68,11 @@ impl Bits for SplitMix {
 #[derive(Debug, Clone)]
 pub struct Stream<B = ChaCha8Rng>(B);
 
-/// Draws of a bootstrap.
+/// A stream for bootstrap draws.
 pub type Draw = Stream<SplitMix>;
 
 impl Draw {
-    /// The stream of this seed and number.
+    /// The stream of this seed and number, at its beginning.
     #[must_use]
     pub fn numbered(seed: u64, number: u64) -> Self {
         let mut bits = SplitMix(seed);
@@ -115,7 +115,7 @@ impl<B: Bits> Stream<B> {
         ((u128::from(self.0.next()) * n as u128) >> 64) as usize
     }
 
-    /// A uniformly drawn order of 0…n−1 (Fisher and Yates).
+    /// A uniform random permutation of 0…n−1 (Fisher and Yates).
     pub fn permutation(&mut self, n: usize) -> Vec<usize> {
         let mut order: Vec<usize> = (0..n).collect();
         for i in (1..n).rev() {

@@ -1,9 +1,10 @@
-//! Which instruction set the hot kernels use, chosen at run time so that one binary serves every x86-64 machine.
+//! Instruction sets of the numerical kernels. The choice is made at run time, so one binary runs on every x86-64
+//! machine.
 
 /// An instruction set that the kernels are compiled for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Width {
-    /// What every machine of the target has.
+    /// SSE2, which every x86-64 machine supports.
     Baseline,
     /// AVX2 and FMA: 4 × f64, 8 × f32.
     Avx2,
@@ -12,16 +13,16 @@ pub enum Width {
 }
 
 impl Width {
-    /// All, narrowest first.
+    /// All instruction sets, narrowest first.
     pub const ALL: [Self; 3] = [Self::Baseline, Self::Avx2, Self::Avx512];
 
     /// # Panics
-    /// If the machine lacks it.
+    /// If the machine does not support this instruction set.
     pub(crate) fn check(self) {
         assert!(self <= Self::detect(), "this machine has no {}", self.name());
     }
 
-    /// The widest that this machine has.
+    /// The widest instruction set that this machine supports.
     pub fn detect() -> Self {
         if is_x86_feature_detected!("avx512f")
             && is_x86_feature_detected!("avx512dq")

@@ -1,4 +1,4 @@
-//! The implicit term against what it stands for: the derivative through every step of a training.
+//! The implicit term, compared with the derivative through every step of a training.
 
 use metasense_kernels::brain::*;
 use metasense_kernels::random::{Purpose, Stream};
@@ -7,9 +7,9 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// The reverse sweep through all steps of a gradient descent and −∂²L/∂x∂β (H + ρI)⁻¹ ∂L_test/∂β must give the same
-/// dL_test/dx_train. The ridge ρ/2 |β − β₀|² makes the optimum one; small weights and biases of ±2 keep the units clear of their kinks,
-/// where optima of ReLU networks gather and gradient descent would rattle for ever.
+/// The reverse sweep through all steps of gradient descent and −∂²L/∂x∂β (H + ρI)⁻¹ ∂L_test/∂β give the same dL_test/dx_train. The
+/// ridge ρ/2 |β − β₀|² makes the optimum unique. Small weights and biases of ±2 keep units away from the kinks of ReLU, near which
+/// gradient descent would not converge.
 #[test]
 fn the_implicit_term_is_the_derivative_through_a_training_to_the_optimum() {
     let shape = Shape { instants: 12, inputs: 3, outputs: 2, architecture: Architecture::paper(8) };
@@ -26,7 +26,7 @@ fn the_implicit_term_is_the_derivative_through_a_training_to_the_optimum() {
     let pool = metasense_kernels::Pool::new(1).expect("threads");
     let ws = &mut Workspace::new(shape, pool.width());
 
-    // Training, every iterate kept.
+    // training; every iterate is stored
     let mut gradient = vec![0.0; shape.weights()];
     let mut fresh: Vec<f64> = initial_weights(shape, 2, 0).iter().map(|w| 0.3 * w).collect();
     fresh[..2 * shape.architecture.width()]
@@ -44,7 +44,7 @@ fn the_implicit_term_is_the_derivative_through_a_training_to_the_optimum() {
     let mut b = vec![0.0; shape.weights()];
     let loss_test = loss_gradient(optimum, test.all(), &mut b, ws, &pool);
 
-    // Reverse sweep: λ ← λ − rate (H + ρ) λ, and −rate ∂²L/∂x∂β λ of each step is its share.
+    // reverse sweep: λ ← λ − rate (H + ρ) λ; each step contributes −rate ∂²L/∂x∂β λ
     let (mut lambda, mut h) = (b.clone(), vec![0.0; shape.weights()]);
     let mut unrolled = vec![0.0; train.samples() * shape.instants * shape.inputs];
     for weights in path[..steps].iter().rev() {

@@ -1,4 +1,4 @@
-//! The linear brain: what is fitted is the minimum, pulled back it is the transpose, and its sensitivity solves H z = V.
+//! Linear decoder: the fit is the minimum, gradients are adjoint to predictions, and the sensitivity solves H z = V.
 
 use metasense_kernels::Pool;
 use metasense_kernels::brain::linear::{
@@ -7,7 +7,7 @@ use metasense_kernels::brain::linear::{
 use metasense_kernels::random::{Purpose, Stream};
 
 const SIZES: Sizes = Sizes { instants: 9, channels: 3, outputs: 2 };
-/// Long enough for lags that share a weight.
+/// Long enough for lags with shared weights.
 const LONG: Sizes = Sizes { instants: 50, channels: 2, outputs: 1 };
 const SAMPLES: usize = 7;
 
@@ -38,7 +38,7 @@ fn power(set: &Set) -> f64 {
     set.f.iter().enumerate().map(|(j, f)| set.w[j / one] * f * f).sum()
 }
 
-/// What is minimised, instant by instant as it is written.
+/// The objective, computed instant by instant from its definition.
 fn objective(set: &Set, linear: &Linear, ridge: f64) -> f64 {
     let Sizes { instants, channels, outputs } = set.sizes;
     let Lags { before, after } = linear.lags;
@@ -72,7 +72,7 @@ const MEMORIES: [(Sizes, usize, usize); 9] = [
     (LONG, 3, 42),
 ];
 
-/// Every lag is in one group, in order; a longer memory begins with the groups of each that ends where a group does.
+/// Every lag is in exactly one group, in order. Memories that end at a group have all their groups in common with longer memories.
 #[test]
 fn groups_hold_every_lag_once() {
     for (_, before, after) in MEMORIES {
@@ -84,8 +84,8 @@ fn groups_hold_every_lag_once() {
     assert_eq!([0, 40, 41, 42, 47, 80].map(Lags::whole_groups), [0, 40, 40, 44, 48, 80]);
 }
 
-/// No move of any weight or bias, up or down, lowers the objective, for memories of all kinds; predictions are those of
-/// the sum as it is written.
+/// No change of a weight or bias, up or down, lowers the objective, for all kinds of memory. Predictions equal the sum in the
+/// definition.
 #[test]
 fn weights_are_the_minimum_of_the_weighted_squares_on_the_window() {
     let ridge = 0.05;
@@ -119,7 +119,7 @@ fn weights_are_the_minimum_of_the_weighted_squares_on_the_window() {
     }
 }
 
-/// Blocks of one factor are the factors of shorter memories; moments of parts add up.
+/// Blocks of one factor are the factors of shorter memories; moments of disjoint sets add up.
 #[test]
 fn one_factor_serves_every_shorter_memory() {
     let ridge = 0.03;
@@ -158,7 +158,7 @@ fn one_factor_serves_every_shorter_memory() {
     close(&fit(all.plus(-1.0, &part).normal(lags)), &fit(rest.normal(lags)));
 }
 
-/// ⟨c, W ∗ x⟩ = ⟨vjp(c), x⟩ = ⟨weights_vjp(c), W⟩ but for the bias.
+/// ⟨c, W ∗ x⟩ = ⟨vjp(c), x⟩ = ⟨weights_vjp(c), W⟩, with zero bias.
 #[test]
 fn predictions_and_pull_backs_are_transposes() {
     for (sizes, before, after) in MEMORIES {
@@ -176,8 +176,8 @@ fn predictions_and_pull_backs_are_transposes() {
     }
 }
 
-/// The minimum moves with a force ε(V, v) on the weights as the sensitivity says: the objective plus −ε(V·W + v·b) has
-/// its gradient zero at W + ε z to first order, and solves (H z = V) by differences of the gradient.
+/// The minimum of the objective minus ε(V·W + v·b) is W + ε z to first order, with z the sensitivity. Tests H z = V by differences
+/// of the gradient.
 #[test]
 fn the_sensitivity_solves_the_second_derivative() {
     let ridge = 0.02;
@@ -192,7 +192,7 @@ fn the_sensitivity_solves_the_second_derivative() {
         let linear = fit.linear();
         let force = linear.weights_vjp(&other.x, &other.f);
         let z = fit.sensitivity(&force);
-        // H z, the objective being quadratic: gradient at W + z less that at W, 0
+        // the objective is quadratic, so H z is the gradient at W + z minus that at W, which is 0
         let mut moved = linear.clone();
         moved.w.iter_mut().zip(&z.w).for_each(|(w, z)| *w += z);
         moved.b.iter_mut().zip(&z.b).for_each(|(b, z)| *b += z);
@@ -219,7 +219,7 @@ fn the_sensitivity_solves_the_second_derivative() {
     }
 }
 
-/// Signals that repeat each other have no factor without a ridge, and one with it.
+/// Linearly dependent signals have no factor without a ridge, and one with it.
 #[test]
 fn a_singular_matrix_is_named() {
     let mut set = set(SIZES, 7);
@@ -230,8 +230,8 @@ fn a_singular_matrix_is_named() {
     assert!(fit(1e-6).is_ok());
 }
 
-/// The factor is that of `faer` on one thread to the last bit, whatever the number of threads, and what is not positive definite is
-/// told in any block.
+/// The factor is identical bit by bit to that of `faer` on one thread, for any number of threads. A matrix that is not positive
+/// definite is reported from any block.
 #[test]
 fn a_factor_is_the_same_on_any_number_of_threads() {
     use faer::linalg::cholesky::llt::factor::{cholesky_in_place, cholesky_in_place_scratch};
@@ -269,7 +269,7 @@ fn a_factor_is_the_same_on_any_number_of_threads() {
     }
 }
 
-/// Moments of blocks of columns are the same on any number of threads, and what is fitted to them.
+/// Moments and decoders do not depend on the number of threads.
 #[test]
 fn a_brain_is_the_same_on_any_number_of_threads() {
     let sizes = Sizes { instants: 60, channels: 6, outputs: 2 };

@@ -1,5 +1,5 @@
-//! Networks of many shapes against a convolution written down plainly, and their derivatives against differences, on every
-//! instruction set that the machine has.
+//! Networks of many shapes, compared with a direct convolution, and their derivatives, compared with differences, on every
+//! supported instruction set.
 
 use metasense_kernels::brain::*;
 use metasense_kernels::random::{Purpose, Stream};
@@ -7,8 +7,9 @@ use metasense_kernels::simd::Width;
 
 const SAMPLES: usize = 3;
 
-/// The paper's shape, with odd T; the long one; causal ones; no look-around at all; a last layer that looks around; widths
-/// that fill no register, one and three; kernels longer than half a sample; more outputs than inputs; as many layers as may be.
+/// The paper's shape with odd T; the long one; causal ones; kernels of length 1 only; a last layer with a longer kernel; widths
+/// that are not a multiple of a register, that need one and three registers; kernels longer than half a sample; more outputs
+/// than inputs; the largest number of layers.
 fn shapes() -> Vec<Shape> {
     let of = |instants, [inputs, outputs]: [usize; 2], architecture| Shape {
         instants,
@@ -59,7 +60,7 @@ fn plus(a: &[f64], step: f64, direction: &[f64]) -> Vec<f64> {
     a.iter().zip(direction).map(|(a, d)| a + step * d).collect()
 }
 
-/// A network of a shape with biases that are not 0, signals and targets, and a workspace.
+/// A network with nonzero biases, signals and targets, and a workspace.
 struct Task {
     shape: Shape,
     weights: Vec<f64>,
@@ -112,7 +113,7 @@ impl Task {
     }
 }
 
-/// Answers (N, T, K) by the sums of `shape` as they are written there.
+/// Predictions (N, T, K) by the formulas in `shape`, evaluated directly.
 fn plainly(shape: Shape, causal: bool, weights: &[f64], x: &[f64]) -> Vec<f64> {
     let (layers, t) = (shape.architecture.layers(), shape.instants);
     let mut all = Vec::new();
@@ -156,7 +157,7 @@ fn answers<F: Real>(task: &Task, width: Width) -> Vec<F> {
     predict(&cast::<F>(&task.weights), data.all(), ws, &task.pool)
 }
 
-/// In both precisions.
+/// Compares predictions in f64 and f32.
 #[test]
 fn every_shape_is_the_convolution_written_plainly() {
     for (shape, width) in shapes().into_iter().flat_map(|s| widths().map(move |w| (s, w))) {
@@ -168,8 +169,8 @@ fn every_shape_is_the_convolution_written_plainly() {
     }
 }
 
-/// L(β + εδ) = L(β) + ε g·δ + O(ε²), in weights and in inputs: of half the step a quarter remains. Steps so short that hardly
-/// a unit crosses its kink.
+/// L(β + εδ) = L(β) + ε g·δ + O(ε²), in weights and in inputs: half the step leaves a quarter of the remainder. Steps are so
+/// short that hardly any unit crosses its kink.
 #[test]
 fn first_derivatives_leave_a_remainder_of_second_order() {
     for (shape, width) in shapes().into_iter().flat_map(|s| widths().map(move |w| (s, w))) {
@@ -191,7 +192,7 @@ fn first_derivatives_leave_a_remainder_of_second_order() {
     }
 }
 
-/// Steps so short that no unit crosses its kink; ‖H v − differences‖ relative to H v. H is symmetric.
+/// Steps are so short that no unit crosses its kink. The error is ‖H v − differences‖/‖differences‖. H is symmetric.
 #[test]
 fn hessian_products_are_differences_of_gradients() {
     let step = 1e-7;
@@ -210,7 +211,7 @@ fn hessian_products_are_differences_of_gradients() {
     }
 }
 
-/// ∂/∂x ⟨∂L/∂β, v⟩ along dx is v against the difference of gradients along dx; and the whole of it is the difference of input
+/// Along dx, ∂/∂x ⟨∂L/∂β, v⟩ equals v times the difference of weight gradients. The whole vector equals the difference of input
 /// gradients along v.
 #[test]
 fn mixed_products_are_differences_of_gradients() {
@@ -236,7 +237,7 @@ fn mixed_products_are_differences_of_gradients() {
     }
 }
 
-/// Inputs after an instant are changed: a causal network's answers up to it keep their bits, another's do not.
+/// If inputs from an instant on change, the earlier predictions of a causal network stay identical, those of others change.
 #[test]
 fn a_causal_network_does_not_look_ahead() {
     for shape in shapes() {
@@ -257,7 +258,7 @@ fn a_causal_network_does_not_look_ahead() {
     }
 }
 
-/// Bits of trainings and of second derivatives, on one thread, two and three.
+/// Training and second derivatives are identical bit by bit on one, two and three threads.
 #[test]
 fn any_number_of_threads_gives_the_same_bits_in_every_shape() {
     for shape in shapes() {
@@ -284,7 +285,7 @@ fn any_number_of_threads_gives_the_same_bits_in_every_shape() {
     }
 }
 
-/// Each hidden layer, silenced, is named by its number.
+/// If a hidden layer is inactive, the outcome contains its number.
 #[test]
 fn any_dead_layer_is_named() {
     for shape in shapes() {
@@ -304,7 +305,7 @@ fn any_dead_layer_is_named() {
     }
 }
 
-/// The flat order of the paper's shape is b₁, b₂, b₃, w₁, w₂, w₃; the long one has its count.
+/// The flat order of the paper's shape is b₁, b₂, b₃, w₁, w₂, w₃; the number of weights of the long shape.
 #[test]
 fn weights_are_counted() {
     let [paper, long] =
@@ -316,7 +317,7 @@ fn weights_are_counted() {
     assert_eq!(long.weights(), 9 * 3 * 24 + 24 + 2 * (9 * 24 * 24 + 24) + 24 * 2 + 2);
 }
 
-/// A batch of indices is the data set of those samples.
+/// A batch of indices is equivalent to a data set of those samples.
 #[test]
 fn a_batch_is_its_samples() {
     let shape = Shape { instants: 21, inputs: 3, outputs: 2, architecture: Architecture::paper(8) };
@@ -333,7 +334,7 @@ fn a_batch_is_its_samples() {
     assert!(a == b && gradients[0] == gradients[1], "{} {}", a.0, b.0);
 }
 
-/// NaN and divergence are named, and the weights stay finite.
+/// NaN and divergence are reported, and the weights stay finite.
 #[test]
 fn trainings_gone_wrong_are_named() {
     let shape = Shape { instants: 21, inputs: 3, outputs: 2, architecture: Architecture::paper(8) };

@@ -1,7 +1,7 @@
-//! The hot kernels as the machine runs them: this very test binary, disassembled.
+//! Checks the machine code of the kernels by disassembling this test binary.
 //!
-//! An intrinsic of `core::arch` is one instruction where it is inlined, which it is into code of its instruction set alone. A
-//! closure in `#[inline(always)]` code is not such code: intrinsics in it are called, with operands in memory.
+//! An intrinsic of `core::arch` compiles to one instruction if it is inlined, which requires code of the same instruction
+//! set. Closures in `#[inline(always)]` code do not fulfil this: their intrinsics become calls with operands in memory.
 
 #[path = "../../../tests/common/skip.rs"]
 mod skip;
@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 use std::hint::black_box;
 use std::process::Command;
 
-/// Entries of every width, as their mangled names have them: without them the test would see nothing.
+/// Entry points of every width by their mangled names. The test fails if it does not find them.
 const ENTRIES: [&str; 11] = [
     "8dispatch8baseline8gradient",
     "8dispatch4avx28gradient",
@@ -27,8 +27,8 @@ const ENTRIES: [&str; 11] = [
     "7kernels10avx512_f645pairs",
 ];
 
-/// Functions of the dynamics and of the brain, in this binary because it names them: no intrinsic on floats is left as a
-/// function. (Those on integers are the random numbers', those that faer's products call are its own affair.)
+/// No floating-point intrinsic remains a function in the code of dynamics and decoders, which this binary contains because it
+/// refers to it. (Excluded: integer intrinsics, used by random numbers, and functions of faer's products.)
 #[test]
 fn no_kernel_calls_an_intrinsic() {
     black_box((run as *const (), Simulation::vjp as *const (), repeat_kernel as *const ()));
@@ -44,7 +44,7 @@ fn no_kernel_calls_an_intrinsic() {
     let listing = String::from_utf8_lossy(&listing.stdout);
 
     let (mut function, mut seen) = ("", [false; ENTRIES.len()]);
-    // Callers by what they call
+    // callers of each intrinsic
     let mut left: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
     for line in listing.lines() {
         let Some((before, name)) = line.split_once('<') else { continue };

@@ -1,4 +1,4 @@
-//! What takes long gives signs of life on the way.
+//! Long computations report progress by heartbeats.
 
 use metasense_kernels::Pool;
 use metasense_kernels::body::Layout;
@@ -8,14 +8,15 @@ use metasense_kernels::dynamics::{
     Accuracy, Forces, Frame, Method, Panel, Parts, Scene, Solver, Stiffness, Tolerance, Wrt, simulate,
 };
 
-/// How much the count grows.
+/// Runs `work` and returns its result and the number of heartbeats.
 fn beats<T>(pool: &Pool, work: impl FnOnce() -> T) -> (T, u64) {
     let before = pool.heartbeat().count();
     let found = work();
     (found, pool.heartbeat().count() - before)
 }
 
-/// At least one for each interval of eight samples, forwards and backwards, for each iteration, moment and factor.
+/// At least one heartbeat per interval of eight samples, forwards and backwards, per iteration, per set of moments and
+/// per factorisation.
 #[test]
 fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
     let (samples, instants) = (20, 30);
@@ -58,7 +59,7 @@ fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
         let cotangent = vec![1.0; simulation.signals.len()];
         let (_, backwards) = beats(&pool, || simulation.vjp(&cotangent, Wrt::Design, &pool));
         let least = (instants * samples.div_ceil(8)) as u64;
-        // Tsit5 sweeps several blocks of eight in one
+        // one sweep of Tsit5 includes several vectors of samples
         assert!(forwards >= least && backwards >= instants as u64, "{method:?}: {forwards}, {backwards}");
         signals = simulation.signals;
     }

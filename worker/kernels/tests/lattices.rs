@@ -1,4 +1,4 @@
-//! Bodies of other units than squares: lattices of every pattern, and polygons with any number of nodes.
+//! Bodies with other units than squares: lattices of every pattern, and polygons with any number of nodes.
 
 mod common;
 
@@ -8,7 +8,7 @@ use metasense_kernels::dynamics::{
     Contact, Forces, Frame, Method, Moves, Panel, Plan, Scene, Tangent, Wrt, run,
 };
 
-/// A square above a triangle and a hexagon, which is below another triangle; the hexagon rigid or not.
+/// Four polygons: a triangle, a hexagon (rigid or not), a square above the first triangle, and a triangle above the hexagon.
 fn mixed(rigid: bool) -> Layout {
     let regular = |count: usize, [x, y]: [f64; 2], from: f64| -> Vec<[f64; 2]> {
         let turn = |p: usize| (from + 360.0 * p as f64 / count as f64).to_radians().sin_cos();
@@ -32,10 +32,10 @@ fn mixed(rigid: bool) -> Layout {
     Layout::of_polygons(&units, &joints, &together, &[], &[])
 }
 
-/// A pattern by the angle of its units (rad).
+/// A pattern as a function of its rotation angle (rad).
 type Turned = fn(f64) -> Pattern;
 
-/// Turned by an angle where a lattice's units turn alike.
+/// All patterns; those with equally rotated units use the angle.
 const PATTERNS: [(&str, Turned); 4] = [
     ("square", |_| Pattern::square()),
     ("kagome", |_| Pattern::kagome()),
@@ -61,7 +61,7 @@ fn shaken(layout: &Layout, size: f64) -> Vec<f64> {
     layout.initial_design(0.4).into_iter().enumerate().map(shake).collect()
 }
 
-/// Struck on a node of its last unit, read there and at the first that moves; its base is shaken.
+/// A scene with a force on a node of the last unit and a shaken base; sensors on the last and on the first free unit.
 fn struck(layout: Layout) -> (Scene, Forces) {
     let (clamped, last) = (layout.bottom(), layout.units() - 1);
     let free = (0..last).find(|u| !clamped.contains(u)).expect("a unit that moves");
@@ -75,7 +75,7 @@ fn struck(layout: Layout) -> (Scene, Forces) {
     (scene, Forces { samples: 3, panels: 2, instants: 20, values: values.collect(), strikes: Vec::new() })
 }
 
-/// Both ends of a ligament shift alike: whatever the design, they are apart by its reference, and every node has a group.
+/// Both ends of a ligament shift equally: in every design their distance is the reference vector, and every node has a group.
 #[test]
 fn ligaments_have_their_length_in_every_design() {
     for (name, layout) in bodies() {
@@ -90,7 +90,7 @@ fn ligaments_have_their_length_in_every_design() {
         assert!(layout.groups.iter().flatten().all(exists), "{name}");
         assert_eq!(layout.nodes(), layout.groups.iter().map(Vec::len).sum::<usize>());
     }
-    // nodes that shift together by wish do
+    // nodes declared to shift together do so
     let mixed = mixed(false);
     assert_eq!(mixed.groups[1][4], mixed.groups[1][5]);
     assert_eq!(mixed.groups[1][2], mixed.groups[2][3]);
@@ -98,7 +98,7 @@ fn ligaments_have_their_length_in_every_design() {
     assert_eq!(mixed.group_count, 16 - 5 - 1);
 }
 
-/// Kagome's triangles have three neighbours and turn against them, around voids of six; hexagons have six, and turn alike.
+/// Kagome triangles have three neighbours, rotated in the opposite direction; hexagons have six, rotated equally.
 #[test]
 fn units_have_the_neighbours_of_their_lattice() {
     for (pattern, nodes, turn) in
@@ -116,7 +116,7 @@ fn units_have_the_neighbours_of_their_lattice() {
             (p[0] - q[0]).hypot(p[1] - q[1])
         };
         assert!(layout.ligaments.iter().all(|l| (away(l.a.unit, l.b.unit) - 15.0).abs() < 1e-9));
-        // by how much a unit is turned, from its first node
+        // rotation of a unit, from its first node
         let design = layout.initial_design(0.3);
         let turned = |u: usize| {
             let (mut at, from) = (vec![[0.0; 2]; nodes], layout.shape[u][0]);
@@ -129,8 +129,8 @@ fn units_have_the_neighbours_of_their_lattice() {
     }
 }
 
-/// Of whatever lattice: all units in the disc and none beyond, joined to one piece, and itself when turned. The hub is the unit in its middle
-/// or those around its void; from five across on panels of all eight directions are units of their own.
+/// In every lattice, a disc contains all units within its radius and no others, is connected, and is symmetric under rotation. The hub is
+/// the central unit, or the units around the central void. From five units across, panels in all eight directions are different units.
 #[test]
 fn discs_are_whole_and_turn_into_themselves() {
     for (name, pattern) in PATTERNS {
@@ -143,7 +143,7 @@ fn discs_are_whole_and_turn_into_themselves() {
             let at = |place: [f64; 2]| {
                 layout.centres.iter().position(|c| radius([c[0] - place[0], c[1] - place[1]]) < 1e-9)
             };
-            // what a free node would lead to is outside; all others lead to a unit
+            // a free node points to a position outside the disc; every other node is joined to a unit
             let mut reached = vec![layout.hub()[0]];
             for n in 0..layout.units() {
                 let unit = *reached.get(n).unwrap_or_else(|| panic!("{name}, {across}: in pieces"));
@@ -185,8 +185,8 @@ fn discs_are_whole_and_turn_into_themselves() {
     }
 }
 
-/// Of a rigid unit only nodes that ligaments hold are part of the design. The others stay, or follow: along x by the mean of two shifts, at
-/// their place beside the segment of two nodes, or at their radius by the mean of two turns.
+/// Only the nodes of a rigid unit that have ligaments belong to the design. The others are fixed or follow: in x by the mean of two shifts,
+/// at a fixed place beside the segment of two nodes, or at a fixed radius by the mean of two rotations.
 #[test]
 fn nodes_of_rigid_units_stay_or_follow() {
     let layout = mixed(true);
@@ -210,7 +210,7 @@ fn nodes_of_rigid_units_stay_or_follow() {
     assert!((radius(after[4]) - radius(before[4])).abs() < 1e-12);
 }
 
-/// A lattice made with longer ligaments is the one whose ligaments have been made longer.
+/// Creating a lattice with longer ligaments is equivalent to lengthening its ligaments.
 #[test]
 fn longer_ligaments_make_the_lattice_of_their_length() {
     for (name, pattern) in PATTERNS {
@@ -223,7 +223,7 @@ fn longer_ligaments_make_the_lattice_of_their_length() {
     }
 }
 
-/// Squares given by their corners are the planar body: the same signals and gradient, group by group.
+/// Squares given by their corners are equivalent to the square sheet: same signals, and same gradient group by group.
 #[test]
 fn squares_from_corners_are_the_planar_body() {
     let planar = Layout::planar(4, 3, 15.0, 2.25);
@@ -261,8 +261,8 @@ fn squares_from_corners_are_the_planar_body() {
     assert!(relative(&back, &gradient) < 1e-9, "{}", relative(&back, &gradient));
 }
 
-/// Gradients in the design of every lattice and of mixed polygons, in contact, with the masses of another design and units of other densities,
-/// too, are those of differences; and the forward derivative is the backward one's transpose.
+/// Gradients in the design equal differences for every lattice and for mixed polygons, with contact, and with masses of another design and
+/// units of different densities. The forward derivative is adjoint to the gradient.
 #[test]
 fn gradients_in_the_design_are_those_of_differences() {
     let touching = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
@@ -287,7 +287,7 @@ fn gradients_in_the_design_are_those_of_differences() {
                 let moved: Vec<f64> = design.iter().zip(&along).map(|(a, d)| a + by * d).collect();
                 0.5 * norm(&at(&moved).signals).powi(2) / size
             };
-            // so near that no contact begins or ends in between; with masses of another design little but rounding would be left
+            // so small that no contact begins or ends; with masses of another design, rounding would dominate at this step
             let near = if masses { 1e-5 } else { 1e-6 };
             let difference = (energy(near) - energy(-near)) / (2.0 * near);
             assert!(

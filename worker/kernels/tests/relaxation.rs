@@ -1,4 +1,4 @@
-//! Ligaments that relax, against closed forms and against scenes that do not.
+//! Relaxing ligaments, compared with closed formulas and with scenes without relaxation.
 
 mod common;
 
@@ -29,17 +29,17 @@ fn relaxing(scene: &Scene, share: f64, time: f64) -> Scene {
     Scene { relaxation: Some(Relaxation { share, time }), ..scene.clone() }
 }
 
-/// A unit on one ligament under F sin ωt: F/x = k(1 + g iωτ/(1 + iωτ)) − mω² + iωc, so that the loss, Im(F/x) − ωc by k, is
-/// gωτ/(1 + ω²τ²) and the storage, Re(F/x) + mω² by k, is 1 + gω²τ²/(1 + ω²τ²).
+/// A unit on one ligament under F sin ωt: F/x = k(1 + g iωτ/(1 + iωτ)) − mω² + iωc. The loss (Im(F/x) − ωc)/k is gωτ/(1 + ω²τ²), and
+/// the storage (Re(F/x) + mω²)/k is 1 + gω²τ²/(1 + ω²τ²).
 #[test]
 fn losses_are_those_of_a_maxwell_branch() {
     let mut apart = Vec::new();
     for linearised in [true, false] {
         for of_rate in [0.1, 1.0, 10.0] {
-            // so many points a cycle that what linear pieces have beside their sine is little
+            // so many points per cycle that a piecewise linear force is nearly a sine
             let (omega, share, cycles, points) = (TAU * 150.0, 0.3, 60, 512);
             let base = Scene {
-                // struck along its one ligament, of no shifts
+                // the force acts along the only ligament; zero design
                 panels: vec![Panel::central(1, [0.0, 1.0])],
                 damping_ratio: 0.4,
                 linearised,
@@ -54,14 +54,14 @@ fn losses_are_those_of_a_maxwell_branch() {
             let design = vec![0.0; scene.layout.design_len()];
             let plan = Plan::equal(Method::Nystrom6, 1);
             let found = run(&scene, &design, &forces, &plan, false, &pool(1));
-            // a_y = −ω² x over the last half of the cycles: x = p sin + q cos
+            // fits a_y = −ω² x over the second half of the cycles: x = p sin + q cos
             let (mut p, mut q, from) = (0.0, 0.0, scene.instants / 2);
             for n in from..scene.instants {
                 let x = -found.signals[3 * n + 1] / omega.powi(2);
                 (p, q) = (p + x * at(n + 1).sin(), q + x * at(n + 1).cos());
             }
             let by = 2.0 / (scene.instants - from) as f64;
-            // of the force, linear between instants, this much is at ω
+            // amplitude at ω of the piecewise linear force
             let half = 0.5 * TAU / points as f64;
             let size = small * (half.sin() / half).powi(2);
             let (p, q) = (by * p / size, by * q / size);
@@ -81,8 +81,8 @@ fn losses_are_those_of_a_maxwell_branch() {
     assert!(apart.iter().all(|(_, _, loss, storage)| close(*loss) && close(*storage)), "{apart:?}");
 }
 
-/// A branch that never relaxes is a stiffness of (1 + g)k, one that relaxes at once none, and one of no share nothing; with contact and
-/// in linear measures, too. C, which goes with the ligaments' stiffness alone, is held.
+/// A branch that never relaxes is equivalent to the stiffness (1 + g)k; one that relaxes at once, or with g = 0, has no effect. Holds
+/// with contact and linear strains too. C is constant, because it depends only on the ligaments' stiffness.
 #[test]
 fn slow_and_quick_branches_are_springs() {
     let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
@@ -101,13 +101,13 @@ fn slow_and_quick_branches_are_springs() {
             });
         let apart = relative(&plain, &stiff);
         let [none, slow, quick, quicker] = off;
-        // what is left of a quick one is damping, in proportion to its time
+        // a fast branch leaves damping in proportion to its time
         let vanishes = quick < 0.1 * apart && (0.4..0.7).contains(&(quicker / quick));
         assert!(none < 1e-5 && slow < 1e-5 && vanishes && apart > 0.1, "{off:?} {apart}");
     }
 }
 
-/// Halved steps leave a sixteenth of the error.
+/// Halving the steps reduces the error to a sixteenth.
 #[test]
 fn the_order_is_four() {
     let base = scene(3, 3, 20);

@@ -1,5 +1,5 @@
-//! The parts that stand alone. Modules that nobody outside sees bring tests of their own, and are compiled here by themselves:
-//! with the crate as a whole its kernels would be compiled a second time.
+//! Unit tests of independent parts. Private modules with tests are included here by path, because testing the whole crate
+//! would compile its kernels a second time.
 #![allow(dead_code, missing_docs, unused_imports, reason = "what only the crate uses")]
 
 #[path = "../src/lanes.rs"]
@@ -13,8 +13,8 @@ use metasense_kernels::body::{Freedom, Layout, Pattern};
 use metasense_kernels::brain::{SolveOutcome, conjugate_gradient};
 use metasense_kernels::random::{Purpose, Stream};
 
-/// ⟨w, P z⟩ = ⟨Pᵀ w, z⟩, and z has as many numbers as there are blocks that move: of 4 × 3 units in pairs along x 3 · 3
-/// of the horizontal groups, 2 · 4 of the vertical ones.
+/// ⟨w, P z⟩ = ⟨Pᵀ w, z⟩, and z has two numbers per free block. With 4 × 3 units tied in pairs along x: 3 · 3 blocks of
+/// horizontal groups, 2 · 4 of vertical ones.
 #[test]
 fn what_is_pulled_back_is_the_transpose_of_what_is_spread() {
     let planar = Layout::planar(4, 3, 15.0, 2.25);
@@ -27,7 +27,7 @@ fn what_is_pulled_back_is_the_transpose_of_what_is_spread() {
         (&planar, [9, 9], &[], 4),
         (&planar, [1, 1], &[5], planar.design_len() - 8),
         (&planar, [9, 9], &[5], 4),
-        // one shift a kind of ligament, whichever way rows slant
+        // one shift per kind of ligament, also for oblique rows
         (&kagome, [9, 9], &[], 6),
         (&hexagons, [9, 9], &[], 6),
         (&hexagons, [1, 1], &[9], hexagons.design_len() - 12),
@@ -47,7 +47,7 @@ fn what_is_pulled_back_is_the_transpose_of_what_is_spread() {
     }
 }
 
-/// Equal keys give equal draws; a change of any part of the key gives others.
+/// Equal keys give equal draws; a change in any part of the key changes the draws.
 #[test]
 fn a_stream_is_its_key() {
     let draw = |p, s, c| Stream::new(p, s, c).uniform();
@@ -63,7 +63,7 @@ fn a_stream_is_its_key() {
     }
 }
 
-/// Mean 0 and variance 1 within four standard errors of 10 000 draws.
+/// Mean 0 within four standard errors of 10 000 draws, variance 1 within 0.06.
 #[test]
 fn normal_draws_have_unit_variance() {
     let mut stream = Stream::new(Purpose::Weights, 7, [0, 0]);
@@ -77,7 +77,7 @@ fn diagonal<'a>(d: &'a [f64]) -> impl FnMut(&[f64], &mut [f64]) + 'a {
     move |v, out| out.iter_mut().zip(v).zip(d).for_each(|((o, v), d)| *o = d * v)
 }
 
-/// As many iterations as distinct eigenvalues solve it.
+/// The number of iterations equals the number of distinct eigenvalues.
 #[test]
 fn three_eigenvalues_take_three_iterations() {
     let solve = conjugate_gradient(diagonal(&[1.0, 1.0, 4.0, 9.0]), &[1.0, 2.0, 4.0, 9.0], 0.0, 1e-10, 20);
@@ -86,7 +86,8 @@ fn three_eigenvalues_take_three_iterations() {
     assert!(error < 1e-9, "{error}");
 }
 
-/// An indefinite matrix ends it with the iterate before; enough damping cures it; NaN is named, not returned.
+/// An indefinite matrix stops the iteration with the preceding iterate; a large enough shift avoids this; NaN is reported, not
+/// returned.
 #[test]
 fn negative_curvature_and_nan_are_named() {
     let (d, b) = ([5.0, 1.0, -0.5], [1.0, 1.0, 1.0]);

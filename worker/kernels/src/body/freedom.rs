@@ -1,24 +1,24 @@
-//! Which shifts of a design move, and which move together.
+//! Constraints on a design: which shifts are frozen, and which are tied.
 //!
 //! ```text
-//! α = α₀ + P z      dL/dz = Pᵀ dL/dα      P: a column a block of node groups and axis, entries 0 and 1
+//! α = α₀ + P z      dL/dz = Pᵀ dL/dα      P: one column per block and axis, entries 0 and 1
 //! ```
-//! A block holds the groups of p × q cells with one direction of ligament; frozen groups have rows of zeros. Designs and
-//! gradients keep the length of α: a block's number stands at its first group, its leader, and is spread to the others.
+//! A block consists of the groups of p × q cells with the same kind of ligament; frozen groups have rows of zeros. Vectors in z keep the
+//! length of α: the value of a block is stored at its first group, the leader.
 
 use super::{GroupCell, Layout};
 use std::collections::BTreeMap;
 
-/// P.
+/// The matrix P.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Freedom {
-    /// Of each group the first one of its block; its own number where it moves alone.
+    /// First group of each group's block; a free group is its own leader.
     leader: Vec<usize>,
     frozen: Vec<bool>,
 }
 
 impl Freedom {
-    /// Blocks of p × q cells in which groups move together, but for those of the units named, which do not move.
+    /// Ties the groups in blocks of p × q cells and freezes all groups of `frozen_units`.
     ///
     /// # Panics
     /// If p or q is 0.
@@ -27,7 +27,7 @@ impl Freedom {
         let of = |unit: &usize| layout.groups[*unit].iter().flatten();
         frozen_units.iter().flat_map(of).for_each(|&group| frozen[group] = true);
         let mut first: BTreeMap<GroupCell, usize> = BTreeMap::new();
-        // blocks begin at the body's own corner, which in slanting rows is left of cell 0
+        // blocks start at the body's lower left corner; with oblique rows it lies left of cell 0
         let least = |d: usize| layout.group_cells.iter().map(|(_, cell)| cell[d]).min().unwrap_or(0);
         let [left, low] = [least(0), least(1)];
         let leader = layout.group_cells.iter().enumerate().map(|(group, &(kind, [i, j]))| {
@@ -37,24 +37,24 @@ impl Freedom {
         Self { leader: leader.collect(), frozen }
     }
 
-    /// The same beside units whose shapes are kept: alone those have always counted in a gradient's length, and stay by the feasible set;
-    /// where shifts are tied or frozen they do not move either.
+    /// As [`Freedom::new`], for a body with units of fixed shape (`kept`). If shifts are tied or frozen, these units are frozen too.
+    /// Otherwise the feasible set keeps their shape, and their gradient counts in the length of the gradient.
     pub fn of(layout: &Layout, tie: [usize; 2], frozen: &[usize], kept: &[usize]) -> Self {
         let whole = tie == [1, 1] && frozen.is_empty();
         Self::new(layout, tie, &if whole { Vec::new() } else { [frozen, kept].concat() })
     }
 
-    /// Whether every shift moves alone.
+    /// Whether all shifts are independent.
     pub fn is_whole(&self) -> bool {
         !self.is_tied() && !self.frozen.contains(&true)
     }
 
-    /// Whether some move together.
+    /// Whether any shifts are tied.
     pub fn is_tied(&self) -> bool {
         self.leader.iter().enumerate().any(|(group, &leader)| leader != group)
     }
 
-    /// Of each group the first one of its block.
+    /// First group of each group's block.
     pub fn leaders(&self) -> &[usize] {
         &self.leader
     }
@@ -68,12 +68,12 @@ impl Freedom {
         self.leader[group] == group && !self.frozen[group]
     }
 
-    /// Coordinates of α at which z stands.
+    /// Indices in α at which z is stored.
     pub fn coordinates(&self) -> Vec<usize> {
         (0..2 * self.leader.len()).filter(|i| self.leads(i / 2)).collect()
     }
 
-    /// Pᵀ of a gradient in α: at the leaders, zero elsewhere.
+    /// Pᵀ applied to a gradient in α. The result is stored at the leaders and is zero elsewhere.
     pub fn vjp(&self, gradient: &[f64]) -> Vec<f64> {
         let mut reduced = vec![0.0; gradient.len()];
         for (i, g) in gradient.iter().enumerate().filter(|(i, _)| !self.frozen[i / 2]) {
@@ -82,13 +82,13 @@ impl Freedom {
         reduced
     }
 
-    /// P of what stands at the leaders.
+    /// P applied to the z stored at the leaders.
     pub fn spread(&self, z: &[f64]) -> Vec<f64> {
         let at = |i: usize| if self.frozen[i / 2] { 0.0 } else { z[2 * self.leader[i / 2] + i % 2] };
         (0..z.len()).map(at).collect()
     }
 
-    /// The design α₀ + P z that has the leaders of `design` where they are.
+    /// The design α₀ + P z whose leaders have the shifts of `design`.
     pub fn snap(&self, initial: &[f64], design: Vec<f64>) -> Vec<f64> {
         if self.is_whole() {
             return design;

@@ -1,21 +1,21 @@
-//! Geometry of a design: centroids, arms, areas, masses and moments of inertia of the units, and their transpose.
+//! Geometry of a design: centroids, arms, areas, masses and moments of inertia of the units, and their adjoint.
 //!
 //! ```text
 //! A = ½ Σ q_p × q_p+1,   c = Σ (q_p + q_p+1)(q_p × q_p+1) / 6A,   r_p = q_p − c
 //! m = ρ A,   J = ρ/12 Σ (r_p × r_p+1)(r_p·r_p + r_p·r_p+1 + r_p+1·r_p+1)
 //! ```
-//! The two ends of a ligament move together, so that its reference vector does not depend on the design.
+//! The two ends of a ligament shift together, so its reference vector does not depend on the design.
 
 use super::Layout;
 
-/// What the dynamics need to know of a design.
+/// Geometric quantities that the dynamics use.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Geometry {
     /// Absolute node positions of each unit (mm).
     pub vertices: Vec<Vec<[f64; 2]>>,
     /// Area centroids (mm).
     pub centroids: Vec<[f64; 2]>,
-    /// r: from its unit's centroid to each node (mm).
+    /// r: vector from the unit's centroid to each node (mm).
     pub arms: Vec<[f64; 2]>,
     /// Areas (mm²).
     pub area: Vec<f64>,
@@ -43,7 +43,7 @@ fn add_scaled(to: &mut [f64; 2], s: f64, a: [f64; 2]) {
 }
 
 impl Geometry {
-    /// Geometry of `design` with plane density `density` (Mg/mm²), which each unit has a multiple of.
+    /// Geometry of `design`. The density of unit u is `density` (Mg/mm²) times `layout.density[u]`.
     pub fn new(layout: &Layout, design: &[f64], density: f64) -> Self {
         let vertices = layout.vertices(design);
         let n = layout.units();
@@ -129,7 +129,7 @@ impl Geometry {
     }
 }
 
-/// The edges of a polygon of so many nodes.
+/// Index pairs of the edges of a polygon with `count` nodes.
 pub fn edges(count: usize) -> impl Iterator<Item = (usize, usize)> + Clone {
     (0..count).map(move |p| (p, if p + 1 == count { 0 } else { p + 1 }))
 }
@@ -141,7 +141,7 @@ fn polar(r: &[[f64; 2]]) -> f64 {
     edges(r.len()).map(edge).fold(0.0, |sum, edge| sum + edge)
 }
 
-/// Twice the area of a polygon, below 0 where it runs clockwise, and its centroid.
+/// Twice the signed area of a polygon (negative if clockwise), and its centroid.
 fn doubled_and_centroid(nodes: &[[f64; 2]]) -> (f64, [f64; 2]) {
     let (mut doubled, mut first) = (0.0, [0.0; 2]);
     for (p, s) in edges(nodes.len()) {
@@ -154,19 +154,19 @@ fn doubled_and_centroid(nodes: &[[f64; 2]]) -> (f64, [f64; 2]) {
 /// Moments of a polygon.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Moments {
-    /// Its area, below 0 where it runs clockwise.
+    /// Signed area; negative if clockwise.
     pub area: f64,
-    /// 12 times its polar second moment of area about its centroid.
+    /// 12 times the polar second moment of area about the centroid.
     pub polar: f64,
 }
 
-/// Moments of a polygon.
+/// Computes the moments of a polygon.
 pub fn moments(nodes: &[[f64; 2]]) -> Moments {
     let (doubled, centroid) = doubled_and_centroid(nodes);
     Moments { area: 0.5 * doubled, polar: polar(nodes) - 6.0 * doubled * dot(centroid, centroid) }
 }
 
-/// For each void angle of each ligament the edges it opens from and to, as the numbers of (node, other node).
+/// The two edges of each void angle of each ligament, first and second, as pairs (node, other node) of node numbers.
 fn void_edges(layout: &Layout) -> impl Iterator<Item = [[(usize, usize); 2]; 2]> + '_ {
     layout.ligaments.iter().map(|l| {
         let next = |e| (layout.number(e), layout.number(layout.next(e)));
@@ -184,7 +184,7 @@ pub fn void_angles_vjp(
 ) {
     for (pair, bars) in void_edges(layout).zip(bar_angles) {
         for (ends, &bar) in pair.iter().zip(bars) {
-            // The angle falls with that of the first edge and rises with that of the second.
+            // ψ decreases with the direction of the first edge and increases with that of the second.
             for (&(p, s), sign) in ends.iter().zip([-bar, bar]) {
                 let e = difference(geometry.arms[s], geometry.arms[p]);
                 let turn = [-e[1] / dot(e, e), e[0] / dot(e, e)];

@@ -1,8 +1,8 @@
-//! Layouts: which units there are, which nodes the ligaments join, and which nodes move together.
+//! Layouts: the units, the nodes that ligaments join, and the nodes that shift together.
 //!
-//! A unit is a polygon, its nodes numbered counter-clockwise; undisplaced, node p lies at h·(its place in the unit's shape) from
-//! the unit's reference point, h = (spacing − ligament length)/2. Each node group has a 2-vector of the design α, and the ends of
-//! a ligament are in one group. Lattices repeat a [`Pattern`]; a square's node p lies at h·(cos pπ/2, sin pπ/2).
+//! A unit is a polygon whose nodes are numbered counter-clockwise. Node p of an undisplaced unit lies at h·`shape[unit][p]` from the
+//! reference point, h = (spacing − ligament length)/2. Each node group has a 2-vector of the design α; both ends of a ligament are in one
+//! group. Lattices repeat a [`Pattern`]; node p of a square lies at h·(cos pπ/2, sin pπ/2).
 
 use super::geometry::moments;
 use super::pattern::{End, Pattern};
@@ -13,15 +13,15 @@ use std::collections::{BTreeMap, BTreeSet};
 /// An elastic ligament between two nodes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ligament {
-    /// Where it begins; in a square lattice the right or top node of the left or lower unit.
+    /// First end; in a square lattice the right or top node of the left or lower unit.
     pub a: End,
-    /// Where it ends.
+    /// Second end.
     pub b: End,
-    /// d₀ (mm), from a to b.
+    /// Reference vector d₀ from a to b (mm).
     pub reference: [f64; 2],
 }
 
-/// Where a node group is in a lattice: the pattern's ligament that its nodes belong to, and the cell where that ends.
+/// Place of a node group in a lattice: index of the pattern's link, and the cell where that link ends.
 pub type GroupCell = (usize, [i32; 2]);
 
 /// A body without its design.
@@ -29,48 +29,48 @@ pub type GroupCell = (usize, [i32; 2]);
 pub struct Layout {
     /// Reference points of the units (mm).
     pub centres: Vec<[f64; 2]>,
-    /// Cells (i, j) of the lattice that the units lie in, i to the right, j upward; of a body from a file all (0, 0).
+    /// Lattice cell (i, j) of each unit, i to the right, j upward; (0, 0) in a body from a file.
     pub grid: Vec<[i32; 2]>,
-    /// Nodes of each unit relative to its reference point, undisplaced, in units of h.
+    /// Undisplaced nodes of each unit relative to its reference point, in units of h.
     pub shape: Vec<Vec<[f64; 2]>>,
-    /// Number of the first node of each unit where all nodes are counted, and how many there are.
+    /// Global number of the first node of each unit; the last entry is the number of all nodes.
     pub first: Vec<usize>,
     /// h (mm).
     pub half: f64,
-    /// l₀ (mm), of a ligament along the line between two reference points; of a body from a file the mean.
+    /// l₀ (mm) of a ligament that lies on the line between two reference points; in a body from a file the mean length.
     pub ligament_length: f64,
-    /// Distance of neighbouring reference points (mm); of a body from a file the mean.
+    /// Distance of joined reference points (mm); in a body from a file the mean.
     pub spacing: f64,
-    /// One kind of the pattern after another, by cells (j outer, i inner).
+    /// Ligaments, ordered by kind, then by cell (j outer, i inner).
     pub ligaments: Vec<Ligament>,
-    /// Node group of each node of each unit; none of nodes that are no part of the design: they stay, or follow others.
+    /// Node group of each node of each unit. `None`: the node is not part of the design, and is fixed or follows others.
     pub groups: Vec<Vec<Option<usize>>>,
-    /// Of each unit whether its shape is given, and no limit judges it.
+    /// Whether each unit has a given shape, to which the limits of feasibility do not apply.
     pub rigid: Vec<bool>,
-    /// By what the plane density of each unit is multiplied.
+    /// Factor on the plane density of each unit.
     pub density: Vec<f64>,
-    /// Of each unit its nodes that follow others.
+    /// Followers among the nodes of each unit.
     pub followers: Vec<Vec<Follower>>,
-    /// Of each node group.
+    /// Link and cell of each node group.
     pub group_cells: Vec<GroupCell>,
     /// Number of node groups.
     pub group_count: usize,
-    /// How a group shifts where units turn against their neighbours, per tangent of the angle, in units of h.
+    /// Shift of each group in the initial design per tangent of the angle, in units of h.
     turning: Vec<[f64; 2]>,
-    /// Whether a node of a unit holds no ligament.
+    /// Whether each unit has a node without a ligament.
     pub boundary: Vec<bool>,
-    /// Whether a unit may carry a sensor: those inside, or what a file says.
+    /// Whether each unit may carry a sensor: in lattices the interior units.
     pub carriers: Vec<bool>,
 }
 
-/// The units of a layout: reference points, cells, nodes relative to them.
+/// Units of a layout: reference points, cells, and nodes relative to the reference points.
 struct Units {
     centres: Vec<[f64; 2]>,
     grid: Vec<[i32; 2]>,
     shape: Vec<Vec<[f64; 2]>>,
 }
 
-/// The node groups of a layout: of each node, and each one's cell and turning.
+/// Node groups of a layout: the group of each node, and the cell and initial shift of each group.
 struct Groups {
     of_nodes: Vec<Vec<Option<usize>>>,
     cells: Vec<GroupCell>,
@@ -83,21 +83,21 @@ impl Layout {
         Self::sheet(&Pattern::square(), columns, rows, spacing, ligament_length)
     }
 
-    /// `rows` rows of `columns` units of a lattice, one above the other, row by row from the left.
+    /// A sheet of `rows` rows of `columns` units of a lattice, numbered row by row from the left.
     pub fn sheet(pattern: &Pattern, columns: usize, rows: usize, spacing: f64, ligament_length: f64) -> Self {
         let row = |j: i32| (0..columns as i32).map(move |n| (j, n));
         let units = (0..rows as i32).flat_map(row).map(|(j, n)| pattern.in_row(j, n)).collect();
         Self::of_pattern(pattern, units, [0.0, 0.0], spacing, ligament_length)
     }
 
-    /// The units of a lattice whose reference points lie in the disc of diameter `across`·spacing about 0, row by row from the left. In the
-    /// middle is a unit where `across` is odd, a void where it is even.
+    /// The units of a lattice whose reference points lie in the disc of diameter `across`·spacing about the origin, row by row from the
+    /// left. The centre is a unit if `across` is odd, and a void if it is even.
     pub fn circular(pattern: &Pattern, across: usize, spacing: f64, ligament_length: f64) -> Self {
         let (units, centre) = pattern.in_disc(across as i32);
         Self::of_pattern(pattern, units, centre.map(|c| -c * spacing), spacing, ligament_length)
     }
 
-    /// Units of a pattern by cell and place in it, in the order given.
+    /// The given units of a pattern, each by cell and index in the cell, in this order.
     fn of_pattern(
         pattern: &Pattern,
         units: Vec<([i32; 2], usize)>,
@@ -158,10 +158,9 @@ impl Layout {
         Self::assembled(places, [spacing, ligament_length], &ligaments, groups)
     }
 
-    /// A body of any polygons, each by its nodes (mm) counter-clockwise, joined by ligaments; `together` are further nodes that shift
-    /// together. Reference points are the means of a polygon's nodes. Nodes of `rigid` units that no ligament holds stay, but for
-    /// those that follow others (of a unit each). Spacing and ligament length are the means over ligaments between other units, if
-    /// there are any.
+    /// A body of arbitrary polygons with nodes in mm, counter-clockwise. Reference points are the means of the nodes. Each entry of
+    /// `together` is a set of nodes that shift together. In `rigid` units, nodes without ligaments are fixed unless listed in `followers`
+    /// as (unit, follower). Spacing and ligament length are means over the ligaments between units that are not rigid, if any exist.
     pub fn of_polygons(
         polygons: &[Vec<[f64; 2]>],
         ligaments: &[[End; 2]],
@@ -188,7 +187,7 @@ impl Layout {
             points.iter().map(|q| between(*c, *q).map(|x| x / half)).collect()
         };
 
-        // The least end of those that shift together stands for them.
+        // Each set of nodes that shift together is represented by its least end.
         let mut joined: BTreeMap<End, End> = BTreeMap::new();
         let root = |joined: &BTreeMap<End, End>, mut end: End| {
             while let Some(&next) = joined.get(&end) {
@@ -268,7 +267,7 @@ impl Layout {
         layout
     }
 
-    /// Ligaments from node to node of the undisplaced units: l₀ long where they lie on the line between two reference points.
+    /// Sets the reference vectors of the undisplaced body. A ligament on the line between two reference points has the length l₀.
     fn refer(&mut self) {
         let place = |end: End| {
             let ([x, y], [p, q]) = (self.centres[end.unit], self.shape[end.unit][end.node]);
@@ -288,7 +287,7 @@ impl Layout {
         self.ligaments.iter_mut().zip(references).for_each(|(ligament, d)| ligament.reference = d);
     }
 
-    /// The same lattice with ligaments of another length: its units are smaller by what they are longer.
+    /// The same layout with another ligament length; the units shrink as the ligaments grow.
     #[must_use]
     pub fn with_ligament_length(&self, ligament_length: f64) -> Self {
         let mut own = Self { half: 0.5 * (self.spacing - ligament_length), ligament_length, ..self.clone() };
@@ -301,12 +300,12 @@ impl Layout {
         self.centres.len()
     }
 
-    /// Length of α: one 2-vector a node group.
+    /// Length of α: two per node group.
     pub fn design_len(&self) -> usize {
         2 * self.group_count
     }
 
-    /// Units turned by ±`angle` (rad) against their neighbours; where a lattice cannot, or a file gives the units, as they are.
+    /// The design whose units are rotated by ±`angle` (rad) against their neighbours; zeros if the lattice or the file does not allow that.
     pub fn initial_design(&self, angle: f64) -> Vec<f64> {
         let tangent = self.half * angle.tan();
         self.turning.iter().flat_map(|turn| turn.map(|t| t * tangent + 0.0)).collect()
@@ -325,7 +324,7 @@ impl Layout {
         }
     }
 
-    /// Where a follower and those that it follows are undisplaced (mm).
+    /// Undisplaced positions of a follower and of its two leaders (mm).
     pub(crate) fn bases(&self, unit: usize, follower: &Follower) -> [[f64; 2]; 3] {
         let ([x, y], Follower { node, of: [a, b], .. }) = (self.centres[unit], *follower);
         [node, a, b].map(|node| {
@@ -334,14 +333,14 @@ impl Layout {
         })
     }
 
-    /// Where those are that it follows (mm).
+    /// Present positions of the two leaders of a follower (mm).
     fn leaders(&self, unit: usize, follower: &Follower, nodes: &[[f64; 2]]) -> [[f64; 2]; 2] {
         let [x, y] = self.centres[unit];
         follower.of.map(|node| [x + nodes[node][0], y + nodes[node][1]])
     }
 
-    /// Adds to `design` what cotangents of a unit's nodes make of it, these being where they are. Those of followers go to those
-    /// that they follow.
+    /// Adds to `design` the gradient for the cotangents `bar` of a unit's nodes at positions `nodes`. The cotangent of a follower passes to
+    /// its leaders.
     pub fn place_vjp(&self, unit: usize, nodes: &[[f64; 2]], bar: &mut [[f64; 2]], design: &mut [f64]) {
         for follower in &self.followers[unit] {
             let own = std::mem::take(&mut bar[follower.node]);
@@ -370,28 +369,28 @@ impl Layout {
         (0..self.units()).map(unit).collect()
     }
 
-    /// How many nodes all units have.
+    /// Number of nodes of all units.
     pub fn nodes(&self) -> usize {
         self.first[self.units()]
     }
 
-    /// A node's place among all.
+    /// Global number of a node.
     pub fn number(&self, end: End) -> usize {
         self.first[end.unit] + end.node
     }
 
-    /// The node after one on its unit.
+    /// The next node of the same unit, counter-clockwise.
     pub fn next(&self, end: End) -> End {
         End { node: (end.node + 1) % self.shape[end.unit].len(), ..end }
     }
 
-    /// The node before one on its unit.
+    /// The previous node of the same unit.
     pub fn previous(&self, end: End) -> End {
         let count = self.shape[end.unit].len();
         End { node: (end.node + count - 1) % count, ..end }
     }
 
-    /// Mean area A of the undisplaced units (mm²), and their mean polar second moment of area by A²/6: 1 for squares.
+    /// Mean area A of the undisplaced units (mm²), and their mean polar second moment of area divided by A²/6 (1 for squares).
     pub fn mean_unit(&self) -> (f64, f64) {
         let (mut area, mut polar) = (0.0, 0.0);
         for nodes in &self.shape {
@@ -403,8 +402,8 @@ impl Layout {
         (area * self.half.powi(2), 0.5 * (polar / count) / area.powi(2))
     }
 
-    /// The k input panels of a sheet, from left to right: of its topmost units, symmetric about their middle.
-    /// None where they would not be k different units.
+    /// The k panels of a sheet, from left to right: k of the topmost units, symmetric about their middle. `None` if the topmost units do
+    /// not yield k different panels.
     pub fn top_panels(&self, k: usize) -> Option<Vec<usize>> {
         let top = self.top();
         let columns = top.len();
@@ -425,14 +424,14 @@ impl Layout {
         top
     }
 
-    /// Units whose reference points are so high (mm).
+    /// Units whose reference points have the height `height` (mm).
     fn level(&self, height: f64) -> Vec<usize> {
         let near = |u: &usize| (self.centres[*u][1] - height).abs() < 1e-6 * self.spacing;
         (0..self.units()).filter(near).collect()
     }
 
-    /// k of the eight input panels of a circular body, evenly spaced from direction 0 on, with their inward directions.
-    /// None unless k divides eight and the units differ.
+    /// k of the eight panels of a disc with their inward directions, evenly spaced from angle 0. `None` unless k divides eight and the
+    /// units differ.
     pub fn circular_panels(&self, k: usize) -> Option<Vec<(usize, [f64; 2])>> {
         if k == 0 || 8 % k != 0 {
             return None;
@@ -440,7 +439,7 @@ impl Layout {
         let panel = |q: usize| {
             let angle = (q * 8 / k) as f64 * std::f64::consts::FRAC_PI_4;
             let (s, c) = angle.sin_cos();
-            // Nearest in angle; of two as near the one further anticlockwise, then the outer one.
+            // Smallest difference of angle; ties go to the unit further anticlockwise, then to the outer one.
             let key = |u: usize| {
                 let [x, y] = self.centres[u];
                 let off = (c * y - s * x).atan2(c * x + s * y);
@@ -461,14 +460,14 @@ impl Layout {
         self.level(self.centres.iter().map(|c| c[1]).fold(f64::INFINITY, f64::min))
     }
 
-    /// The lowest and the topmost units of a planar body, in order.
+    /// The lowest and the topmost units of a sheet, in ascending order.
     pub fn ends(&self) -> Vec<usize> {
         let (bottom, top) = (self.bottom(), self.top());
         (0..self.units()).filter(|u| bottom.contains(u) || top.contains(u)).collect()
     }
 
-    /// The leftmost and the rightmost unit of every row of a lattice; of a body from a file those as far to a side as neighbours of
-    /// the outermost are not.
+    /// The leftmost and the rightmost unit of every row of a lattice. In a body from a file: the units within 0.6 spacings of the left or
+    /// right extreme.
     pub fn sides(&self) -> Vec<usize> {
         let is_lattice = self.grid.iter().any(|cell| *cell != self.grid[0]);
         let (row, leeway) = (|u: usize| self.grid[u][1], if is_lattice { 1e-6 } else { 0.6 } * self.spacing);
@@ -485,20 +484,20 @@ impl Layout {
         (0..self.units()).filter(is_end).collect()
     }
 
-    /// The innermost unit of a circular body, or those around the void in its middle.
+    /// The innermost unit of a disc, or the units around its central void.
     pub fn hub(&self) -> Vec<usize> {
         let radius = |u: usize| self.centres[u][0].hypot(self.centres[u][1]);
         let least = (0..self.units()).map(radius).fold(f64::INFINITY, f64::min);
         (0..self.units()).filter(|&u| radius(u) < least + 0.1 * self.spacing).collect()
     }
 
-    /// Whether the cells of two units are at least so far apart (mm).
+    /// Whether the reference points of two units are at least `distance` apart (mm).
     pub fn apart(&self, a: usize, b: usize, distance: f64) -> bool {
         let [p, q] = [a, b].map(|unit| self.centres[unit]);
         (p[0] - q[0]).hypot(p[1] - q[1]) >= distance * (1.0 - 1e-9)
     }
 
-    /// Placement `p`: an order of the interior free units, of which a body with M sensors takes the first M.
+    /// Placement `p`: a permutation of the units that may carry sensors and are not clamped. A body with M sensors uses the first M.
     pub fn placement(&self, p: u64, clamped: &[usize]) -> Vec<usize> {
         let interior: Vec<usize> =
             (0..self.units()).filter(|u| self.carriers[*u] && !clamped.contains(u)).collect();

@@ -1,6 +1,6 @@
-//! The body: units and the ligaments between them, and the geometry that a design gives them.
+//! The body: rigid units joined by elastic ligaments.
 //!
-//! A layout says who is joined to whom; the design α moves node groups; geometry follows from both.
+//! A layout defines units and ligaments, the design α shifts node groups, and both together determine the geometry.
 
 mod freedom;
 mod geometry;

@@ -1,65 +1,64 @@
-//! Patterns: what a lattice repeats.
+//! Patterns: the repeated cell of a lattice.
 //!
-//! A cell holds one unit, or two; ligaments lead from a node to one of the same or another cell. Lengths are in pitches, the distance
-//! of joined units, and of nodes in units of h. Where neighbours turn against each other (squares, Kagome's triangles) the initial
-//! design does so; where three units meet in a ring they cannot, and the pattern's units are turned alike instead.
+//! A cell contains one or two units; a ligament joins nodes of the same or of different cells. Lengths are in pitches (distance of joined
+//! units), nodes in units of h. In square and Kagome lattices, the initial design rotates neighbours in opposite directions. Where three
+//! units form a ring, this is impossible; the pattern then rotates all units by the same angle.
 
 /// A node of a unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct End {
     /// Unit index.
     pub unit: usize,
-    /// Its place among the unit's nodes; of a square 0 right, 1 top, 2 left, 3 bottom.
+    /// Index of the node in its unit; in a square 0 right, 1 top, 2 left, 3 bottom.
     pub node: usize,
 }
 
 /// A unit of a cell.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Member {
-    /// Where it is in the cell (pitches).
+    /// Reference point in the cell (pitches).
     pub at: [f64; 2],
-    /// Its nodes, counter-clockwise.
+    /// Nodes, counter-clockwise (units of h).
     pub nodes: Vec<[f64; 2]>,
 }
 
 /// The ligaments of one kind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Link {
-    /// Unit of the cell and node where they begin.
+    /// First end: unit of the cell and node.
     pub from: End,
-    /// Where they end.
+    /// Second end.
     pub to: End,
-    /// In which cell, from the one where they begin.
+    /// Cell of the second end relative to that of the first.
     pub cells: [i32; 2],
 }
 
-/// What a lattice repeats.
+/// The repeated cell of a lattice.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Pattern {
-    /// From a cell to the next in i, and in j (pitches).
+    /// Vectors from a cell to the next in i and in j (pitches).
     pub steps: [[f64; 2]; 2],
     /// The units of a cell.
     pub units: Vec<Member>,
-    /// Ligaments, by kind.
+    /// Kinds of ligaments.
     pub links: Vec<Link>,
-    /// Where the middle of a void is in the cell (pitches), of the largest ones.
+    /// Centre of a largest void in the cell (pitches).
     pub void: [f64; 2],
-    /// How units turn in the initial design.
     turns: Turns,
 }
 
-/// How units turn in the initial design.
+/// Rotation of units in the initial design.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Turns {
-    /// As on a chessboard.
+    /// Opposite in neighbouring cells, as on a chessboard.
     Cells,
-    /// The units of a cell one against the other.
+    /// Opposite for the two units of a cell.
     Members,
-    /// Alike, which is in the pattern.
+    /// Equal for all units, and already part of the pattern.
     Alike,
 }
 
-/// `count` nodes of a regular polygon, the first at an angle (degrees); nodes on an axis lie on it to the bit.
+/// `count` nodes of a regular polygon, the first at the angle `from` (degrees). Nodes on an axis have exact coordinates.
 fn regular(count: usize, from: f64) -> Vec<[f64; 2]> {
     let exact = |x: f64| {
         if x.abs() < 1e-15 {
@@ -82,12 +81,12 @@ fn link([unit, node]: [usize; 2], [other, at]: [usize; 2], cells: [i32; 2]) -> L
 }
 
 impl Pattern {
-    /// Squares, each joined to four others at its corners.
+    /// Squares, each joined at its corners to four others.
     pub fn square() -> Self {
         Self::squares(0.0, Turns::Cells)
     }
 
-    /// Squares that all turn by one angle (rad), so that ligaments lead aslant from corner to corner: a chiral lattice.
+    /// Chiral lattice: squares all rotated by `angle` (rad), with oblique ligaments from corner to corner.
     pub fn chiral(angle: f64) -> Self {
         Self::squares(angle, Turns::Alike)
     }
@@ -102,7 +101,7 @@ impl Pattern {
         }
     }
 
-    /// Triangles that point up and down, each joined to three others at its corners, around voids of six.
+    /// Kagome lattice: triangles that point up and down, each joined at its corners to three others. Six triangles surround a void.
     pub fn kagome() -> Self {
         let (half, third) = (0.5 * 3f64.sqrt(), 1.5);
         Self {
@@ -111,7 +110,7 @@ impl Pattern {
                 Member { at: [0.0; 2], nodes: regular(3, -30.0) },
                 Member { at: [half, -0.5], nodes: regular(3, 30.0) },
             ],
-            // from the right, the top and the left node of one that points up
+            // from the right, top and left node of a triangle that points up
             links: vec![
                 link([0, 0], [1, 1], [0, 0]),
                 link([0, 2], [1, 0], [-1, 0]),
@@ -122,7 +121,7 @@ impl Pattern {
         }
     }
 
-    /// Hexagons, each joined to six others at its corners, all turned by one angle (rad).
+    /// Hexagons, each joined at its corners to six others, all rotated by `angle` (rad).
     pub fn triangular(angle: f64) -> Self {
         Self {
             steps: [[1.0, 0.0], [0.5, 0.5 * 3f64.sqrt()]],
@@ -137,7 +136,7 @@ impl Pattern {
         }
     }
 
-    /// Where a unit of a cell is (pitches).
+    /// Reference point of a unit (pitches).
     pub fn centre(&self, cell: [i32; 2], member: usize) -> [f64; 2] {
         self.place(cell, self.units[member].at)
     }
@@ -147,19 +146,19 @@ impl Pattern {
         [0, 1].map(|d| i * self.steps[0][d] + j * self.steps[1][d] + at[d])
     }
 
-    /// Unit n of row j of a sheet, from the left: its cell and its place there. Odd rows of slanting cells are half a cell to the right.
+    /// Cell and index in the cell of unit n in row j of a sheet. With oblique cells, odd rows start half a cell to the right.
     pub fn in_row(&self, j: i32, n: i32) -> ([i32; 2], usize) {
         let back = if self.steps[1][0] == 0.0 { 0 } else { j.div_euclid(2) };
         let count = self.units.len() as i32;
         ([n.div_euclid(count) - back, j], n.rem_euclid(count) as usize)
     }
 
-    /// The units whose reference points lie in a disc, by cells (j outer, i inner), and its centre (pitches): where the diameter `across` is odd
-    /// at a unit, where it is even in the middle of a void.
+    /// The units whose reference points lie in a disc of diameter `across`, by cells (j outer, i inner), and the centre of the disc
+    /// (pitches): a unit if `across` is odd, the centre of a void if it is even.
     pub fn in_disc(&self, across: i32) -> (Vec<([i32; 2], usize)>, [f64; 2]) {
         let middle = (across - 1).div_euclid(2);
         let centre = self.place([middle; 2], if across % 2 == 0 { self.void } else { self.units[0].at });
-        // Squares of distances and of the radius are multiples of a twelfth: what lies on the rim is inside, whatever rounding says.
+        // Squared distances and the squared radius are multiples of 1/12, so the margin 0.01 includes points on the rim despite rounding.
         let most = 0.25 * f64::from(across).powi(2) + 0.01;
         let is_inside = |&(cell, member): &([i32; 2], usize)| {
             let [x, y] = self.centre(cell, member);
@@ -172,7 +171,7 @@ impl Pattern {
         (units.filter(is_inside).collect(), centre)
     }
 
-    /// Which way a unit of a cell turns in the initial design, or 0.
+    /// Sense of a unit's rotation in the initial design: 1, −1 or 0.
     pub fn sense(&self, [i, j]: [i32; 2], member: usize) -> f64 {
         match self.turns {
             Turns::Cells if (i + j).rem_euclid(2) == 0 => 1.0,

@@ -1,8 +1,8 @@
-//! Nodes of rigid units that no ligament holds, and that follow two nodes of their unit, a and b, which ligaments hold.
+//! Nodes of rigid units without ligaments that follow two nodes a and b of the same unit, which have ligaments.
 //!
 //! ```text
 //! MeanX    p = p₀ + (½ (a_x − a₀_x + b_x − b₀_x), 0)
-//! Segment  p = ½ (a + b) + s t + w n      t = (b − a)/|b − a|, n = t turned by 90°; s, w those of the undisplaced unit
+//! Segment  p = ½ (a + b) + s t + w n      t = (b − a)/|b − a|, n = t turned by 90°; s, w from the undisplaced unit
 //! Angle    p = R(φ) p₀                    φ = ½ (∠(a₀ → a) + ∠(b₀ → b)) about the origin
 //! ```
 
@@ -13,22 +13,22 @@ type Point = [f64; 2];
 /// How a node follows two others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Follows {
-    /// Along x, by the mean of their shifts.
+    /// In x, by the mean shift of both nodes.
     MeanX,
-    /// With the segment between them, as if fixed to its middle.
+    /// Fixed to the middle and direction of the segment between both nodes.
     Segment,
-    /// About the origin, by the mean of their turns.
+    /// Rotated about the origin by the mean rotation of both nodes.
     Angle,
 }
 
-/// A node that follows two others of its unit.
+/// A node that follows two other nodes of its unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Follower {
-    /// The node.
+    /// Index of the node.
     pub node: usize,
-    /// Those that it follows.
+    /// Indices of the two leading nodes.
     pub of: [usize; 2],
-    /// How.
+    /// Rule of the motion.
     pub by: Follows,
 }
 
@@ -37,7 +37,7 @@ fn along(a: Point, s: f64, t: f64) -> Point {
     [s * a[0] - t * a[1], s * a[1] + t * a[0]]
 }
 
-/// Length of the segment, its direction, and the node's place from its middle along and across it.
+/// Length and direction of the segment ab, and coordinates of p along and across it from its middle.
 fn frame([p, a, b]: [Point; 3]) -> (f64, Point, [f64; 2]) {
     let away = difference(b, a);
     let length = away[0].hypot(away[1]);
@@ -47,7 +47,8 @@ fn frame([p, a, b]: [Point; 3]) -> (f64, Point, [f64; 2]) {
 }
 
 impl Follower {
-    /// Where the node is, from where it and those that it follows are undisplaced (mm), and where these are.
+    /// Position of the node (mm), given the undisplaced positions of node and leaders, and the present ones of the
+    /// leaders.
     pub fn place(&self, base @ [p, a0, b0]: [Point; 3], [a, b]: [Point; 2]) -> Point {
         match self.by {
             Follows::MeanX => [p[0] + 0.5 * (a[0] - a0[0] + (b[0] - b0[0])), p[1]],
@@ -65,14 +66,14 @@ impl Follower {
         }
     }
 
-    /// The cotangents of a and b that one of the node makes.
+    /// Cotangents of a and b for the cotangent `bar` of the node.
     pub fn vjp(&self, base @ [p, _, _]: [Point; 3], now @ [a, b]: [Point; 2], bar: Point) -> [Point; 2] {
         match self.by {
             Follows::MeanX => [[0.5 * bar[0], 0.0]; 2],
             Follows::Segment => {
                 let (_, _, [s, w]) = frame(base);
                 let (length, t, _) = frame([p, a, b]);
-                // t turns by n·(db − da)/|b − a|, and the node with it
+                // t and the node turn by n·(db − da)/|b − a|
                 let turn = dot(along(t, -w, s), bar) / length;
                 let half = bar.map(|x| 0.5 * x);
                 [-turn, turn].map(|turn| [0, 1].map(|d| half[d] + along(t, 0.0, turn)[d]))

@@ -4,8 +4,7 @@
 //! ż_l = a_(l−1) ∗ v_l + ȧ_(l−1) ∗ w_l + ḃ_l, ȧ_l = [a_l>0] ż_l, ȧ_0 = 0     Ġ_n = 2σ²/(NTK) ż_n     Hb_l = Σ Ġ_l
 //! Ġ_l = [a_l>0] (Ġ_(l+1) ∗ w_(l+1)ᵀ + g_(l+1) ∗ v_(l+1)ᵀ)                    Hw_l = a_(l−1)ᵀ Ġ_l + ȧ_(l−1)ᵀ g_l
 //! ```
-//! The activations are kept: a product costs six convolutions of the paper's second layer and seven of every one below the
-//! last of several.
+//! Activations are stored. A product costs about six convolutions of layer 2 and seven of each of the layers 3 … n − 1.
 
 use super::data::Batch;
 use super::kernels::{Kernels, Real};
@@ -17,7 +16,7 @@ use super::network::{
 use super::shape::Shape;
 use super::tiles::{Finish, Start};
 
-/// A batch with its network's activations: (n − 1)·T·width numbers a sample, and their padding.
+/// A batch with the activations of its network, (n − 1)·T·width numbers per sample and padding.
 #[derive(Debug)]
 pub struct Curvature<'a, F> {
     batch: Batch<'a, F>,
@@ -27,7 +26,7 @@ pub struct Curvature<'a, F> {
 }
 
 impl<'a, F: Real> Curvature<'a, F> {
-    /// Evaluates the network once and keeps its activations.
+    /// Evaluates the network once and stores its activations.
     pub fn new(weights: &[F], batch: Batch<'a, F>, ws: &mut Workspace<F>, pool: &crate::Pool) -> Self {
         let shape = batch.shape();
         ws.packed.fill(&ws.kernels, shape, weights);
@@ -42,7 +41,7 @@ impl<'a, F: Real> Curvature<'a, F> {
         Self { batch, packed: ws.packed.clone(), kept, no_bias: vec![F::ZERO; shape.outputs] }
     }
 
-    /// H·v into `out`, both in the flat order; H may be indefinite. Allocates nothing once the workspace has grown.
+    /// Writes H·v to `out`, both in the flat order; H may be indefinite. Allocates nothing once the workspace has grown.
     pub fn product(&self, v: &[F], out: &mut [F], ws: &mut Workspace<F>, pool: &crate::Pool) {
         let (shape, batch) = (self.batch.shape(), self.batch);
         ws.packed.fill(&ws.kernels, shape, v);
@@ -83,7 +82,7 @@ impl<'a, F: Real> Curvature<'a, F> {
         ws.join_outputs(batch.len())
     }
 
-    /// The padded input of layer l + 1 for sample i: x or a_l.
+    /// Padded input of layer l + 1 for sample i: x or a_l.
     fn input(&self, i: usize, l: usize) -> &[F] {
         let shape = self.batch.shape();
         if l == 0 {
@@ -94,12 +93,12 @@ impl<'a, F: Real> Curvature<'a, F> {
         &self.kept[start..start + len(l..l + 1)]
     }
 
-    /// What the activations a_l of sample i let through.
+    /// Gate of the ReLU for the activations a_l of sample i.
     fn gate(&self, i: usize, l: usize) -> Finish<'_, F> {
         Finish::Gate(&self.input(i, l)[self.batch.shape().conv(l).input_start()..])
     }
 
-    /// g_l of sample i from g_(l+1), both in the scratch.
+    /// Computes g_l of sample i from g_(l+1), both in the scratch memory.
     fn back(&self, kernels: &Kernels<F>, i: usize, l: usize, s: &mut Scratch<F>) {
         let shape = self.batch.shape();
         let (below, above) = s.g.split_at_mut(l);
@@ -108,13 +107,13 @@ impl<'a, F: Real> Curvature<'a, F> {
         convolve(kernels, sweep, g, &self.packed.back[l], c, Start::Zero, self.gate(i, l));
     }
 
-    /// Tangents along v of sample i's activations and cotangents; g_n … g₂ into the scratch, whose tangent part is taken out.
+    /// Tangents along v of the activations and cotangents of sample i. Writes g_n … g₂ to the scratch memory and takes its
+    /// tangent part.
     fn tangents(&self, kernels: &Kernels<F>, v: &Packed<F>, i: usize, s: &mut Scratch<F>) -> Box<Scratch<F>> {
         let (shape, w) = (self.batch.shape(), &self.packed);
         let last = shape.layers() - 1;
         let mut dot = s.tangent.take().unwrap_or_else(|| Box::new(Scratch::new(shape)));
 
-        // Forward.
         for l in 0..last {
             let (a, sweep, gate) = (self.input(i, l), shape.conv(l).forward(), self.gate(i, l + 1));
             let (below, above) = dot.a.split_at_mut(l);
@@ -132,7 +131,7 @@ impl<'a, F: Real> Curvature<'a, F> {
         answer(kernels, shape, a, v, v.block(shape, last), &mut dot.out);
         answer(kernels, shape, &dot.a[last - 1], w, &self.no_bias, g);
 
-        // Backward. The loss is quadratic: ġ_n is g_n with f̂ − f replaced by its tangent.
+        // The loss is quadratic, so ġ_n is g_n with the tangent in place of f̂ − f.
         let output_weights = self.batch.output_weights();
         let elements = self.batch.len() * shape.instants * shape.outputs;
         residual(shape, self.batch.sample(i).1, output_weights, elements, s);
@@ -156,7 +155,7 @@ impl<'a, F: Real> Curvature<'a, F> {
     }
 }
 
-/// The rows of the instants of a padded cotangent of layer l + 1, and what follows them.
+/// A padded cotangent of layer l + 1 from its first instant on.
 fn output<F>(shape: Shape, l: usize, g: &mut [F]) -> &mut [F] {
     &mut g[shape.conv(l).output_start()..]
 }

@@ -1,10 +1,10 @@
-//! Signals and targets in the layout that the kernels read, and batches of them, which copy nothing.
+//! Signals and targets in the layout of the kernels, and batches that refer to them without copying.
 
 use super::kernels::Real;
 use super::shape::Shape;
 
-/// Samples: x (N, before + T + after, 3M) with the rows of zeros that the first layer reads, y (N, T, K), both normalised by
-/// the caller.
+/// Samples: x (N, before + T + after, 3M) including the rows of zeros that the first layer reads, y (N, T, K). The caller
+/// normalises both.
 #[derive(Debug, Clone)]
 pub struct Data<F> {
     shape: Shape,
@@ -15,10 +15,10 @@ pub struct Data<F> {
 }
 
 impl<F: Real> Data<F> {
-    /// From x (N, T, 3M) and y (N, T, K).
+    /// Data from x (N, T, 3M) and y (N, T, K).
     ///
     /// # Panics
-    /// If the lengths do not belong to one N.
+    /// If the lengths do not match the same N.
     pub fn new(shape: Shape, x: &[F], y: &[F]) -> Self {
         let samples = y.len() / (shape.instants * shape.outputs);
         let mut data = Self::zeros(shape, samples);
@@ -31,7 +31,7 @@ impl<F: Real> Data<F> {
         data
     }
 
-    /// Room for N samples, to be `set`.
+    /// Memory for N samples, to be filled by `set`.
     pub fn zeros(shape: Shape, samples: usize) -> Self {
         Self {
             shape,
@@ -42,10 +42,10 @@ impl<F: Real> Data<F> {
         }
     }
 
-    /// Counts the squared error of output k this many times in the loss: σ_k² makes a loss in normalised units physical.
+    /// Sets the weights of the outputs in the loss. σ_k² converts a loss of normalised targets to physical units.
     ///
     /// # Panics
-    /// If there is not one weight an output.
+    /// If the number of weights is not K.
     #[must_use]
     pub fn with_output_weights(mut self, weights: &[f64]) -> Self {
         assert_eq!(weights.len(), self.shape.outputs);
@@ -53,7 +53,7 @@ impl<F: Real> Data<F> {
         self
     }
 
-    /// Overwrites sample n by x (T, 3M) and y (T, K).
+    /// Sets sample n to x (T, 3M) and y (T, K).
     ///
     /// # Panics
     /// If n or a length is out of range.
@@ -68,7 +68,7 @@ impl<F: Real> Data<F> {
         self.samples
     }
 
-    /// The network's sizes.
+    /// Sizes of the network.
     pub fn shape(&self) -> Shape {
         self.shape
     }
@@ -78,17 +78,17 @@ impl<F: Real> Data<F> {
         Batch { data: self, which: None }
     }
 
-    /// These samples, in this order.
+    /// The given samples, in the given order.
     ///
     /// # Panics
-    /// If there is no such sample.
+    /// If an index is out of range.
     pub fn batch<'a>(&'a self, which: &'a [usize]) -> Batch<'a, F> {
         assert!(which.iter().all(|&n| n < self.samples), "of {} samples: {which:?}", self.samples);
         Batch { data: self, which: Some(which) }
     }
 }
 
-/// Some samples of `Data`.
+/// A selection of samples of `Data`.
 #[derive(Debug, Clone, Copy)]
 pub struct Batch<'a, F> {
     data: &'a Data<F>,
@@ -96,17 +96,17 @@ pub struct Batch<'a, F> {
 }
 
 impl<'a, F: Real> Batch<'a, F> {
-    /// How many.
+    /// Number of samples.
     pub fn len(&self) -> usize {
         self.which.map_or(self.data.samples, <[usize]>::len)
     }
 
-    /// Whether there is none.
+    /// Whether the batch is empty.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// The network's sizes.
+    /// Sizes of the network.
     pub fn shape(&self) -> Shape {
         self.data.shape
     }
@@ -116,7 +116,7 @@ impl<'a, F: Real> Batch<'a, F> {
         &self.data.output_weights
     }
 
-    /// Padded x and y (T, K) of the i-th sample of the batch.
+    /// Padded x, and y (T, K), of sample i of the batch.
     pub(super) fn sample(&self, i: usize) -> (&'a [F], &'a [F]) {
         let n = self.which.map_or(i, |which| which[i]);
         let shape = self.data.shape;
@@ -124,7 +124,7 @@ impl<'a, F: Real> Batch<'a, F> {
         (&self.data.x[n * nx..(n + 1) * nx], &self.data.y[n * ny..(n + 1) * ny])
     }
 
-    /// Mean square of the weighted targets: the loss of a network that answers 0.
+    /// Weighted mean square of the targets: the loss of the prediction 0.
     pub fn target_power(&self) -> f64 {
         let mut sum = 0.0;
         for i in 0..self.len() {

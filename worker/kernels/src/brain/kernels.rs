@@ -1,13 +1,14 @@
-//! The brain's products on each instruction set, in both precisions: f32 to train, f64 for Hessian products and checks.
+//! Matrix products of the network for each instruction set and precision: f32 for training, f64 for Hessian products and checks.
 //!
-//! `product`, `outer`, `dots`: `tiles`. `pairs`: a k = 3 convolution's rows 2h and 2h + 1 by `winograd`, 4 products instead of 6.
+//! `tiles` contains `product`, `outer` and `dots`; `winograd` contains `pairs`, a k = 3 convolution with 4 products per pair of
+//! rows instead of 6.
 
 use super::tiles::{self, COLUMNS, Dots, Outer, Product, panel};
 use super::winograd;
 use crate::lanes::{Avx512, Half, Pair, Scalar, SingleAvx2, SingleAvx512, SingleSse2, Sse2, Vector};
 use crate::simd::Width;
 
-/// The kernels of one precision on one instruction set.
+/// Kernels of one precision and instruction set.
 #[derive(Debug, Clone, Copy)]
 pub struct Kernels<F> {
     lanes: usize,
@@ -32,14 +33,14 @@ impl<F: Scalar> Kernels<F> {
         let reach = (p.rows - 1) * p.lda + (p.taps - 1) * p.step + p.depth;
         assert!(p.a.len() >= reach, "A: {} of {reach}", p.a.len());
         p.check_result(p.taps * p.depth);
-        // SAFETY: lengths checked above; the machine has the instruction set, or these kernels would not exist.
+        // SAFETY: lengths are checked above; these kernels exist only if the machine supports the instruction set.
         unsafe { (self.product)(&mut p) }
     }
 
-    /// C = start + a ∗ w for even `rows`, where A is the `spread` of a and the panels hold w's four forms.
+    /// C = start + a ∗ w for even `rows`; A is the `spread` of a, and the panels contain the four forms of w.
     ///
     /// # Panics
-    /// If an operand is too short or `rows` odd.
+    /// If an operand is too short or `rows` is odd.
     pub fn pairs(&self, mut p: Product<F>) {
         assert!(p.rows > 0 && p.columns.is_multiple_of(COLUMNS), "{} rows, {} columns", p.rows, p.columns);
         assert!(p.rows.is_multiple_of(2) && p.lda >= p.depth, "{} rows, stride {}", p.rows, p.lda);
@@ -52,7 +53,7 @@ impl<F: Scalar> Kernels<F> {
     /// out[·, h] = (a₀ − a₂, a₁ + a₂, a₂ − a₁, a₁ − a₃) of the rows 2h … 2h + 3 of `a`, (T + 2, columns).
     ///
     /// # Panics
-    /// If a length does not fit, or T is odd.
+    /// If a length does not match, or T is odd.
     pub fn spread(&self, a: &[F], out: &mut [F], columns: usize) {
         let pairs = (a.len() / columns - 2) / 2;
         assert!(
@@ -68,7 +69,7 @@ impl<F: Scalar> Kernels<F> {
     /// out[·, h] = (a₀, a₀ + a₁, a₀ − a₁, a₁) of the rows 2h and 2h + 1 of `a`, (T, columns).
     ///
     /// # Panics
-    /// If a length does not fit, or T is odd.
+    /// If a length does not match, or T is odd.
     pub fn fold(&self, a: &[F], out: &mut [F], columns: usize) {
         assert!(
             columns.is_multiple_of(COLUMNS) && a.len().is_multiple_of(2 * columns),
@@ -105,10 +106,10 @@ impl<F: Scalar> Kernels<F> {
         unsafe { (self.dots)(&mut p) }
     }
 
-    /// Adds the rows of A, as long as `c`, to `c`.
+    /// Adds the rows of A, each as long as `c`, to `c`.
     ///
     /// # Panics
-    /// If `c` is no multiple of `COLUMNS` long.
+    /// If the length of `c` is not a multiple of `COLUMNS`.
     pub fn add_rows(&self, a: &[F], c: &mut [F]) {
         assert!(
             c.len().is_multiple_of(COLUMNS) && a.len().is_multiple_of(c.len()),
@@ -120,14 +121,14 @@ impl<F: Scalar> Kernels<F> {
         unsafe { (self.sums)(a, c) }
     }
 
-    /// Multiply-adds on registers alone, the yardstick of the other kernels; returns how many operations they were.
+    /// Multiply-adds on registers only, a reference for the speed of the other kernels. Returns the number of operations.
     pub fn burst(&self, rounds: u64) -> u64 {
         // SAFETY: as above.
         std::hint::black_box(unsafe { (self.burst)(rounds) });
         rounds * self.burst_work
     }
 
-    /// Writes B (depth, columns), given row by row by its entries, in panels.
+    /// Stores B (depth, columns) in panels; `row` returns the entries of a row.
     pub fn pack<E: Fn(usize) -> F>(
         &self,
         depth: usize,
@@ -148,12 +149,12 @@ impl<F: Scalar> Kernels<F> {
     }
 }
 
-/// A generic function made an entry of an instruction set, in which all that it calls is inlined.
+/// Compiles a generic function for an instruction set, with all callees inlined.
 macro_rules! entry {
     ($features:tt $name:ident($($argument:ident: $type:ty),*) $(-> $result:ty)? = $generic:expr) => {
         entry!(@ $features
             unsafe fn $name($($argument: $type),*) $(-> $result)? {
-                // SAFETY: the caller's promise.
+                // SAFETY: guaranteed by the caller.
                 unsafe { $generic($($argument),*) }
             });
     };
@@ -162,7 +163,7 @@ macro_rules! entry {
 }
 
 macro_rules! entries {
-    // Rows of a tile of `product`, `outer` and `pairs`: two registers wide, and three.
+    // rows of a tile of `product`, `outer` and `pairs`: for panels of up to two registers, and of three
     ($name:ident, $vector:ty, [$rows:literal, $outer_rows:literal, $pair_rows:literal],
      [$rows3:literal, $outer_rows3:literal, $pair_rows3:literal], $features:tt) => {
         mod $name {
@@ -200,15 +201,15 @@ entries!(avx2_f64, Half, [6, 6, 3], [1, 1, 1], ["avx2,fma"]);
 entries!(avx512_f32, SingleAvx512, [10, 12, 5], [8, 8, 4], ["avx512f,avx512dq,avx512vl,avx512bw,fma"]);
 entries!(avx512_f64, Avx512, [10, 12, 5], [1, 1, 1], ["avx512f,avx512dq,avx512vl,avx512bw,fma"]);
 
-/// A scalar with kernels of its own.
+/// A scalar type with kernels.
 pub trait Real: Scalar {
-    /// Whether the forward pass must sum in the reference's order, as checks in f64 do: a unit that training parked at
-    /// its kink is on or off by its last bit, and H with it (seen: 0.7 % of z).
+    /// Whether the forward pass must add in the order of the reference implementation, as f64 checks require. A unit that
+    /// training left at the kink of its ReLU is on or off depending on its last bit, and H with it.
     const REFERENCE_ORDER: bool;
-    /// The kernels for this instruction set.
+    /// Kernels for this instruction set.
     ///
     /// # Panics
-    /// If the machine lacks it.
+    /// If the machine does not support `width`.
     fn kernels(width: Width) -> Kernels<Self>;
 }
 

@@ -1,11 +1,12 @@
-//! Weights as the kernels read them: rows padded to whole registers, and panels for both directions.
+//! Weights in the layout of the kernels: rows padded to whole registers, and panels for both directions.
 
 use super::kernels::{Kernels, Real};
 use super::shape::{Conv, Shape};
 use super::winograd::form;
 use std::ops::Range;
 
-/// Where b₁ … b_n, w₁ … w_n (0 … 2n − 1) lie in the padded order: a w (kernel, in, stride), the last (kernel, K, stride).
+/// Range of block b₁ … b_n, w₁ … w_n (0 … 2n − 1) in the padded order: each w is (kernel, in, stride), the last (kernel,
+/// K, stride).
 pub fn padded_range(shape: Shape, block: usize) -> Range<usize> {
     let n = shape.layers();
     let length = |block: usize| {
@@ -25,7 +26,7 @@ pub fn padded_len(shape: Shape) -> usize {
     padded_range(shape, 2 * shape.layers() - 1).end
 }
 
-/// Where Q₀, Q₁, Q₂, −Q₃ of layer l + 1 (`winograd`) lie among those of all layers; nowhere if it has none.
+/// Range of Q₀, Q₁, Q₂, −Q₃ of layer l + 1 (`winograd`) among those of all layers; empty if the layer has none.
 pub fn pairs_range(shape: Shape, l: usize) -> Range<usize> {
     let length = |l: usize| {
         let conv = shape.conv(l);
@@ -35,7 +36,7 @@ pub fn pairs_range(shape: Shape, l: usize) -> Range<usize> {
     start..start + length(l)
 }
 
-/// Calls `pair(flat, padded)` with the position of every weight in the flat and in the padded order.
+/// Calls `pair(flat, padded)` with the positions of every weight in the flat and in the padded order.
 #[inline(always)]
 fn pairs(shape: Shape, mut pair: impl FnMut(usize, usize)) {
     let n = shape.layers();
@@ -57,17 +58,17 @@ fn pairs(shape: Shape, mut pair: impl FnMut(usize, usize)) {
     }
 }
 
-/// Writes a padded gradient in the flat order.
+/// Copies a padded gradient to the flat order.
 pub fn unpad<F: Real>(shape: Shape, padded: &[F], flat: &mut [F]) {
     pairs(shape, |f, p| flat[f] = padded[p]);
 }
 
-/// A row that lies in one piece, for `Kernels::pack`.
+/// Entries of a contiguous row, for `Kernels::pack`.
 fn entries<F: Real>(row: &[F]) -> impl Fn(usize) -> F {
     move |c| row[c]
 }
 
-/// One layer's weights for one direction.
+/// Weights of one layer for one direction.
 #[derive(Debug, Clone, Default)]
 pub struct Panels<F> {
     /// (kernel·in, out), for `Kernels::product`.
@@ -76,18 +77,18 @@ pub struct Panels<F> {
     pub pairs: Vec<F>,
 }
 
-/// One set of weights in all forms that the sweeps need.
+/// Weights in all layouts of the sweeps.
 #[derive(Debug, Clone)]
 pub struct Packed<F> {
     padded: Vec<F>,
-    /// From inputs to outputs, by layer; of the last none.
+    /// From inputs to outputs, for every layer except the last.
     pub forward: Vec<Panels<F>>,
-    /// From outputs to inputs, by layer: flipped in time, transposed.
+    /// From outputs to inputs, for every layer: reversed in time and transposed.
     pub back: Vec<Panels<F>>,
 }
 
 impl<F: Real> Packed<F> {
-    /// All weights 0.
+    /// Zero weights.
     pub fn zeros(shape: Shape) -> Self {
         let panels = |conv: Conv, rows: usize, columns: usize, direct: bool| Panels {
             direct: vec![F::ZERO; if direct { conv.kernel * rows * columns } else { 0 }],
@@ -104,10 +105,10 @@ impl<F: Real> Packed<F> {
         }
     }
 
-    /// Overwrites every form by these weights. Allocates nothing.
+    /// Sets all layouts to these weights. Does not allocate.
     ///
     /// # Panics
-    /// If there are not `shape.weights()` of them.
+    /// If their number is not `shape.weights()`.
     pub fn fill(&mut self, kernels: &Kernels<F>, shape: Shape, flat: &[F]) {
         assert_eq!(flat.len(), shape.weights(), "weights of {shape:?}");
         let n = shape.layers();
@@ -121,7 +122,7 @@ impl<F: Real> Packed<F> {
                 let row = |d: usize| entries(&w[d * p..][..p]);
                 kernels.pack(kernel * inputs, p, row, &mut forward.direct);
             }
-            // Columns back beyond the inputs stay 0.
+            // Columns of `back` beyond the inputs stay 0.
             let columns = conv.back().columns;
             if conv.paired {
                 let row = |d: usize| {
@@ -151,7 +152,7 @@ impl<F: Real> Packed<F> {
         kernels.pack(kernel * outputs, p, row, &mut self.back[n - 1].direct);
     }
 
-    /// A bias b₁ … b_n or the last w (block 0 … n − 1, 2n − 1), padded.
+    /// A padded bias b₁ … b_n or the last w (block 0 … n − 1, 2n − 1).
     pub fn block(&self, shape: Shape, block: usize) -> &[F] {
         &self.padded[padded_range(shape, block)]
     }

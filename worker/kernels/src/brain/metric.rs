@@ -1,11 +1,11 @@
-//! The headline figure: how much of the force's square a prediction misses.
+//! Prediction error: the share of the squared force that a prediction misses.
 
-/// 100·Σ(f − f̂)²/Σf² of each sample, in percent, over panels and time; `None` where the force is zero throughout.
+/// 100·Σ(f − f̂)²/Σf² of each sample, in percent, summed over panels and instants. `None` if the force is zero.
 ///
-/// Both arrays are (N, T, K), in physical units.
+/// Both arrays have the shape (N, T, K), in physical units.
 ///
 /// # Panics
-/// If the lengths differ or are no multiple of T·K.
+/// If the lengths differ or are not multiples of T·K.
 pub fn prediction_error(
     force: &[f64],
     predicted: &[f64],

@@ -1,11 +1,11 @@
-//! The brain: a 1D CNN from sensor signals to forces, its training and its second derivatives, in f32 and f64.
+//! Decoders: a 1D CNN from signals to forces, its training and second derivatives, in f32 and f64, and a linear decoder.
 //!
 //! ```text
 //! let data = Data::new(shape, &x, &y);                     x (N, T, 3M), y (N, T, K), normalised
 //! train(&mut weights, &mut adam, data.all(), &cosine(1e-2, 1000), 1000, &mut losses, &mut ws, &pool)
 //! let curvature = Curvature::new(&weights, data.all(), …)   then .product(…), .mixed_product(…), solve_implicit(…)
 //! ```
-//! Weights are flat: b₁ … b_n, w₁ … w_n (`shape`). Any number of threads gives the same bits.
+//! Weights are flat: b₁ … b_n, w₁ … w_n (`shape`). Results do not depend on the number of threads.
 
 mod curvature;
 mod data;

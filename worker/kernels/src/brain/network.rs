@@ -1,9 +1,9 @@
-//! Loss, predictions and gradients of the network: one sample forward and backward at a time, while it is in cache.
+//! Loss, predictions and gradients of the network, one sample at a time, forward and backward, while it is in cache.
 //!
 //! ```text
-//! L = 1/(N T K) Σ σ_k² (f̂ − f)²      σ_k² the weights of the outputs, 1 unless `Data` says otherwise
+//! L = 1/(N T K) Σ σ_k² (f̂ − f)²      σ_k² the weights of the outputs, 1 unless set in `Data`
 //! ```
-//! Threads take chunks of `CHUNK` samples; each chunk has its own sums, added in chunk order.
+//! Threads process chunks of `CHUNK` samples. Each chunk has its own sums, which are added in the order of chunks.
 
 use super::data::Batch;
 use super::kernels::{Kernels, Real};
@@ -15,10 +15,10 @@ use crate::simd::Width;
 use rayon::prelude::*;
 use std::sync::Mutex;
 
-/// Samples of a chunk: what is summed apart, whatever the number of threads.
+/// Samples per chunk. Sums per chunk make results independent of the number of threads.
 pub const CHUNK: usize = 15;
 
-/// Scratch and sums of the sweeps, for one shape. Grows to the largest batch and pool it meets, and then allocates no more.
+/// Scratch memory and sums for one shape. Grows to the largest batch and pool used; then allocates no more.
 #[derive(Debug)]
 pub struct Workspace<F> {
     pub(super) shape: Shape,
@@ -28,11 +28,11 @@ pub struct Workspace<F> {
     pub(super) scratch: Vec<Mutex<Scratch<F>>>,
 }
 
-/// What a chunk leaves behind.
+/// Results of a chunk.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Chunk<F> {
     pub gradient: Vec<F>,
-    /// Q₀, Q₁, Q₂, −Q₃ of the layers that go by pairs (`winograd`).
+    /// Q₀, Q₁, Q₂, −Q₃ of the layers computed by `winograd`.
     pub pairs: Vec<F>,
     pub loss: f64,
     pub out: Vec<F>,
@@ -46,20 +46,20 @@ impl<F: Real> Chunk<F> {
     }
 }
 
-/// One sample's activations and cotangents, padded by the rows of zeros that convolutions read (`Conv`).
+/// Activations and cotangents of one sample, padded by the rows of zeros that convolutions read (`Conv`).
 #[derive(Debug, Clone, Default)]
 pub(super) struct Scratch<F> {
     /// a₁ … a_(n−1).
     pub a: Vec<Vec<F>>,
     pub out: Vec<F>,
-    /// g_l = ∂L/∂z_l, l = 1 … n, z_l what a layer has before its ReLU.
+    /// g_l = ∂L/∂z_l, l = 1 … n, z_l the input of the ReLU of layer l.
     pub g: Vec<Vec<F>>,
     pub wide: Vec<F>,
-    /// Inputs and cotangents of the layers that go by pairs, as `winograd` multiplies them.
+    /// Inputs and cotangents of the layers computed by `winograd`, transformed.
     pub spread_a: Vec<Vec<F>>,
     pub spread_g: Vec<Vec<F>>,
     pub fold: Vec<F>,
-    /// The same of the tangent, empty until a curvature asks.
+    /// Scratch memory of the tangent; allocated by the first curvature product.
     pub tangent: Option<Box<Scratch<F>>>,
 }
 
@@ -83,7 +83,7 @@ impl<F: Real> Scratch<F> {
     }
 }
 
-/// What a pass over a batch leaves in the chunks.
+/// Requested results of a pass over a batch.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Want {
     Loss,
@@ -94,17 +94,18 @@ enum Want {
 }
 
 impl<F: Real> Workspace<F> {
-    /// For this instruction set.
+    /// Scratch memory for this instruction set.
     ///
     /// # Panics
-    /// If the machine lacks it, or a size is 0.
+    /// If the machine does not support `width`, or a size is 0.
     pub fn new(shape: Shape, width: Width) -> Self {
         assert!(shape.instants * shape.inputs * shape.outputs > 0, "{shape:?}");
         let (kernels, packed) = (F::kernels(width), Packed::zeros(shape));
         Self { shape, kernels, packed, chunks: Vec::new(), scratch: Vec::new() }
     }
 
-    /// Runs `task` on every chunk of the batch: (scratch of the thread, chunk of the chunk, its samples' positions).
+    /// Runs `task` on every chunk of the batch: (scratch memory of the thread, results of the chunk, positions of its
+    /// samples).
     pub(super) fn over_chunks(
         &mut self,
         batch: Batch<F>,
@@ -164,7 +165,7 @@ impl<F: Real> Workspace<F> {
             / elements as f64
     }
 
-    /// The chunks' gradients, summed in order, in the flat order of weights.
+    /// Sums the gradients of the chunks in order, in the flat order of weights.
     pub(super) fn sum_gradients(&mut self, samples: usize, gradient: &mut [F]) {
         assert_eq!(gradient.len(), self.shape.weights(), "gradient of {:?}", self.shape);
         let Some((first, rest)) = self.chunks[..samples.div_ceil(CHUNK)].split_first_mut() else {
@@ -182,7 +183,7 @@ impl<F: Real> Workspace<F> {
         unpad(self.shape, &first.gradient, gradient);
     }
 
-    /// The chunks' outputs, in order.
+    /// Concatenates the outputs of the chunks.
     pub(super) fn join_outputs(&self, samples: usize) -> Vec<F> {
         self.chunks[..samples.div_ceil(CHUNK)].iter().flat_map(|chunk| chunk.out.iter().copied()).collect()
     }
@@ -191,12 +192,13 @@ impl<F: Real> Workspace<F> {
 /// L of the batch.
 ///
 /// # Panics
-/// As all functions here: if the workspace is for another shape than the batch, or a length is not of that shape.
+/// As all functions here: if the shapes of workspace and batch differ, or a length does not match the shape.
 pub fn loss<F: Real>(weights: &[F], batch: Batch<F>, ws: &mut Workspace<F>, pool: &crate::Pool) -> f64 {
     ws.pass(weights, batch, Want::Loss, pool)
 }
 
-/// L of the batch; ∂L/∂β into `gradient`, in the flat order. Allocates nothing once the workspace has grown.
+/// Returns L of the batch and writes ∂L/∂β to `gradient`, in the flat order. Allocates nothing once the workspace has
+/// grown.
 pub fn loss_gradient<F: Real>(
     weights: &[F],
     batch: Batch<F>,
@@ -220,7 +222,7 @@ pub fn input_gradient<F: Real>(
     (loss, ws.join_outputs(batch.len()))
 }
 
-/// L of the batch and ∂L/∂x (N, T, 3M); ∂L/∂β into `gradient`: both in one pass.
+/// Returns L of the batch and ∂L/∂x (N, T, 3M), and writes ∂L/∂β to `gradient`, in one pass.
 pub fn full_gradient<F: Real>(
     weights: &[F],
     batch: Batch<F>,
@@ -233,20 +235,20 @@ pub fn full_gradient<F: Real>(
     (loss, ws.join_outputs(batch.len()))
 }
 
-/// What the network answers, (N, T, K), in the units of the targets. Targets are not looked at.
+/// Predictions (N, T, K) in the units of the targets. Targets are ignored.
 pub fn predict<F: Real>(weights: &[F], batch: Batch<F>, ws: &mut Workspace<F>, pool: &crate::Pool) -> Vec<F> {
     ws.pass(weights, batch, Want::Outputs, pool);
     ws.join_outputs(batch.len())
 }
 
-/// Prepares a padded activation or cotangent for `convolve`.
+/// Transforms a padded activation or cotangent for `convolve`, if the layer uses `winograd`.
 pub(super) fn spread<F: Real>(kernels: &Kernels<F>, sweep: Convolution, a: &[F], spread: &mut [F]) {
     if sweep.paired {
         kernels.spread(a, spread, sweep.lda);
     }
 }
 
-/// c = finish(start + a ∗ w), `a` padded, with w in the panels of the sweep's direction.
+/// c = finish(start + a ∗ w) with padded `a`; `panels` contains w for the direction of the sweep.
 pub(super) fn convolve<F: Real>(
     kernels: &Kernels<F>,
     sweep: Convolution,
@@ -282,7 +284,7 @@ pub(super) fn answer<F: Real>(
     kernels.dots(Dots { a, columns, rows: shape.instants, taps, step: conv.dilation * columns, w, bias, c });
 }
 
-/// a₁ … a_(n−1) and f̂ of one sample.
+/// Computes a₁ … a_(n−1) and f̂ of one sample.
 pub(super) fn forward<F: Real>(
     kernels: &Kernels<F>,
     shape: Shape,
@@ -304,7 +306,7 @@ pub(super) fn forward<F: Real>(
     answer(kernels, shape, &s.a[last - 1], w, w.block(shape, last), &mut s.out);
 }
 
-/// Σ σ² (f̂ − f)² of one sample; g_n = ∂L/∂f̂ into the scratch.
+/// Returns Σ σ² (f̂ − f)² of one sample and writes g_n = ∂L/∂f̂ to the scratch memory.
 pub(super) fn residual<F: Real>(
     shape: Shape,
     y: &[F],
@@ -327,7 +329,7 @@ pub(super) fn residual<F: Real>(
     sum
 }
 
-/// g_(n−1) … g₁ from g_n.
+/// Computes g_(n−1) … g₁ from g_n.
 pub(super) fn backward<F: Real>(kernels: &Kernels<F>, shape: Shape, w: &Packed<F>, s: &mut Scratch<F>) {
     for l in (1..shape.layers()).rev() {
         let (below, above) = s.g.split_at_mut(l);
@@ -351,14 +353,14 @@ pub(super) fn input_product<F: Real>(
     convolve(kernels, shape.conv(0).back(), [g1, &[]], &w.back[0], wide, start, Finish::Plain);
 }
 
-/// Appends the (T, 3M) that stand in the padded rows of `wide`.
+/// Appends the inputs' part (T, 3M) of the padded rows of `wide`.
 pub(super) fn take_inputs<F: Real>(shape: Shape, wide: &[F], out: &mut Vec<F>) {
     for row in wide.chunks_exact(shape.conv(0).back().columns) {
         out.extend_from_slice(&row[..shape.inputs]);
     }
 }
 
-/// Adds one sample's ∂L/∂β, in the padded order.
+/// Adds ∂L/∂β of one sample, in the padded order.
 fn add_weight_gradient<F: Real>(
     kernels: &Kernels<F>,
     shape: Shape,
@@ -373,7 +375,7 @@ fn add_weight_gradient<F: Real>(
     }
 }
 
-/// Adds aᵀ·g to the gradient of w of layer l + 1, from its padded input a and cotangent g; `fold` is scratch.
+/// Adds aᵀ·g to the gradient of w of layer l + 1, with the padded input a and cotangent g; `fold` is scratch memory.
 pub(super) fn add_layer<F: Real>(
     kernels: &Kernels<F>,
     shape: Shape,
@@ -394,7 +396,7 @@ pub(super) fn add_layer<F: Real>(
             kernels.outer(Outer { a, lda, rows: rows / 2, depth: conv.inputs, b, columns, c });
         }
     } else if l + 1 == n {
-        // Transposed: few outputs, many inputs.
+        // transposed, because there are few outputs and many inputs
         let taps = gradient.chunks_exact_mut(conv.outputs * lda);
         for (tap, c) in taps.enumerate() {
             let b = &a[tap * conv.dilation * lda..];
@@ -408,7 +410,7 @@ pub(super) fn add_layer<F: Real>(
     }
 }
 
-/// Adds the sums over the instants of a padded cotangent to the gradient of the bias of layer l + 1.
+/// Adds the sum over instants of a padded cotangent to the gradient of the bias of layer l + 1.
 pub(super) fn add_biases<F: Real>(
     kernels: &Kernels<F>,
     shape: Shape,

@@ -1,29 +1,29 @@
-//! The network's layers and sizes, its flat order of weights, and how weights start.
+//! Layers and sizes of a network, the flat order of its weights, and their initial values.
 //!
 //! ```text
 //! a_l[t] = relu(b_l + Σ_i a_(l−1)[t + i·d_l − before_l] w_l[i])   l = 1 … n − 1, a_0 = x (T, 3M), zero outside
 //! f̂[t]   = b_n + Σ_i a_(n−1)[t + i·d_n − before_n] w_n[i]         width → K
 //! before_l = (k_l − 1) d_l / 2, or all of (k_l − 1) d_l where causal
 //! ```
-//! Flat: b₁ … b_n, w₁ … w_n, each w (kernel, in, out) in C order. The paper's: kernels 3, 3, 1, width 64.
+//! Flat: b₁ … b_n, w₁ … w_n, each w (kernel, in, out) in C order. The paper uses kernels 3, 3, 1 and width 64.
 
 use super::tiles::COLUMNS;
 use crate::random::{Purpose, Stream};
 use std::ops::Range;
 
-/// The most layers that a network may have.
+/// Largest number of layers.
 pub const LAYERS_MAX: usize = 16;
 
-/// The kernel of a layer.
+/// Kernel of a layer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Layer {
-    /// Its taps k; odd, unless the network is causal.
+    /// Number of taps k; odd unless the network is causal.
     pub kernel: usize,
-    /// Instants d from a tap to the next.
+    /// Instants d between taps.
     pub dilation: usize,
 }
 
-/// A network without its inputs and outputs.
+/// Layers of a network; numbers of inputs and outputs are in [`Shape`].
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Architecture {
     width: usize,
@@ -33,10 +33,11 @@ pub struct Architecture {
 }
 
 impl Architecture {
-    /// Hidden layers of `width` channels and an output layer; each convolution looks to both sides, or, if `causal`, back only.
+    /// Hidden layers of `width` channels and an output layer. Convolutions are centred, or use only earlier instants if
+    /// `causal`.
     ///
     /// # Panics
-    /// If there are fewer than 2 layers or more than `LAYERS_MAX`, a size is 0, or a kernel that looks to both sides is even.
+    /// If the number of layers is not in 2 … `LAYERS_MAX`, a size is 0, or a centred kernel is even.
     pub fn new(width: usize, kernels: &[usize], dilations: &[usize], causal: bool) -> Self {
         let count = kernels.len();
         assert!((2..=LAYERS_MAX).contains(&count) && dilations.len() == count, "{kernels:?} {dilations:?}");
@@ -49,7 +50,7 @@ impl Architecture {
         Self { width, causal, count, layers }
     }
 
-    /// The paper's, of any width.
+    /// The paper's layers with any width.
     pub fn paper(width: usize) -> Self {
         Self::new(width, &[3, 3, 1], &[1, 1, 1], false)
     }
@@ -59,7 +60,7 @@ impl Architecture {
         self.width
     }
 
-    /// Whether no answer depends on a later instant.
+    /// Whether predictions depend only on the present and earlier instants.
     pub fn causal(&self) -> bool {
         self.causal
     }
@@ -78,7 +79,7 @@ impl std::fmt::Debug for Architecture {
     }
 }
 
-/// Sizes of a network and its signals.
+/// Sizes of a network and of its signals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shape {
     /// T.
@@ -102,7 +103,7 @@ impl Shape {
         self.architecture.count
     }
 
-    /// Where b₁ … b_n, w₁ … w_n (0 … 2n − 1) lie in the flat order.
+    /// Range of block b₁ … b_n, w₁ … w_n (0 … 2n − 1) in the flat order.
     pub fn range(&self, block: usize) -> Range<usize> {
         let n = self.layers();
         let length = |block: usize| {
@@ -136,13 +137,14 @@ impl Shape {
         }
     }
 
-    /// Channels of a row of hidden activations in memory; those beyond the width stay 0.
+    /// Padded number of channels of hidden activations in memory; channels beyond the width stay 0.
     pub(super) fn stride(&self) -> usize {
         self.architecture.width.next_multiple_of(COLUMNS)
     }
 }
 
-/// A layer's sizes. Its input is padded by `before` and `after` rows of zeros, the cotangent of its output the other way round.
+/// Sizes of a layer. Its input is padded by `before` rows of zeros at the start and `after` at the end, the cotangent of its
+/// output by `after` and `before`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Conv {
     pub instants: usize,
@@ -152,40 +154,40 @@ pub(super) struct Conv {
     pub after: usize,
     pub inputs: usize,
     pub outputs: usize,
-    /// From a row of the input, or of the output, to the next.
+    /// Distances between rows of the input and of the output.
     pub input_stride: usize,
     pub output_stride: usize,
-    /// Whether it goes by pairs of instants (`winograd`).
+    /// Whether `winograd` computes pairs of instants.
     pub paired: bool,
 }
 
 impl Conv {
-    /// Numbers of a padded input.
+    /// Length of a padded input.
     pub fn input_len(&self) -> usize {
         (self.before + self.instants + self.after) * self.input_stride
     }
 
-    /// Where its first instant begins.
+    /// Index of the first instant in a padded input.
     pub fn input_start(&self) -> usize {
         self.before * self.input_stride
     }
 
-    /// Numbers of a padded cotangent of the output.
+    /// Length of a padded cotangent of the output.
     pub fn output_len(&self) -> usize {
         (self.before + self.instants + self.after) * self.output_stride
     }
 
-    /// Where its first instant begins.
+    /// Index of the first instant in a padded cotangent.
     pub fn output_start(&self) -> usize {
         self.after * self.output_stride
     }
 
-    /// From inputs to outputs, weights as they are.
+    /// Convolution from inputs to outputs.
     pub fn forward(&self) -> Convolution {
         self.sweep(self.inputs, self.input_stride, self.output_stride)
     }
 
-    /// From cotangents of outputs to those of inputs, weights flipped in time and transposed.
+    /// Convolution from cotangents of outputs to those of inputs; weights reversed in time and transposed.
     pub fn back(&self) -> Convolution {
         self.sweep(self.outputs, self.output_stride, self.input_stride.next_multiple_of(COLUMNS))
     }
@@ -198,7 +200,7 @@ impl Conv {
     }
 }
 
-/// A convolution as `kernels` take it: rows that follow each other without a gap are one tap.
+/// A convolution in the form of `kernels`: contiguous rows form one tap.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Convolution {
     pub rows: usize,
@@ -211,7 +213,7 @@ pub(super) struct Convolution {
     pub paired: bool,
 }
 
-/// Normal weights of variance 2/fan_in (last layer 1/fan_in), biases 0; `which` tells apart the networks of one seed.
+/// Initial weights: normal with variance 2/fan_in (last layer 1/fan_in), biases 0. `which` numbers the networks of one seed.
 pub fn initial_weights(shape: Shape, seed: u64, which: u64) -> Vec<f64> {
     let mut weights = vec![0.0; shape.weights()];
     let n = shape.layers();
@@ -225,7 +227,8 @@ pub fn initial_weights(shape: Shape, seed: u64, which: u64) -> Vec<f64> {
     weights
 }
 
-/// Weights that say of x what they said of x · `factors` (3M); inputs beyond the factors stay as they are.
+/// Multiplies the weights of input c by `factors[c]`, so that predictions from x equal earlier predictions from x · `factors`
+/// (3M). Inputs beyond the factors keep their weights.
 pub fn scale_inputs(shape: Shape, weights: &mut [f32], factors: &[f64]) {
     let Conv { inputs, outputs, .. } = shape.conv(0);
     for tap in weights[shape.range(shape.layers())].chunks_exact_mut(inputs * outputs) {

@@ -1,24 +1,24 @@
-//! The linear system of the implicit term, H z = b, by conjugate gradients that end at the iterate before negative curvature: a stopped
-//! training leaves H singular and indefinite.
+//! Solves the linear system H z = b of the implicit term by conjugate gradients. They stop before a direction of negative curvature,
+//! because H of an unfinished training is singular and indefinite.
 
 use super::curvature::Curvature;
 use super::network::Workspace;
 
-/// How conjugate gradients ended.
+/// Outcome of conjugate gradients.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SolveOutcome {
     /// ‖r‖ ≤ tolerance·‖b‖.
     Converged,
-    /// Out of iterations.
+    /// The limit of iterations was reached.
     IterationLimit,
-    /// A direction p with pᵀHp ≤ 0; z is the iterate before it.
+    /// A direction p has pᵀHp ≤ 0; z is the iterate before it.
     NegativeCurvature,
-    /// NaN or infinity; z is the last finite iterate.
+    /// A number was NaN or infinite; z is the last finite iterate.
     NonFinite,
 }
 
 impl SolveOutcome {
-    /// As it stands in the record.
+    /// Name in records.
     pub fn name(self) -> &'static str {
         match self {
             Self::Converged => "converged",
@@ -29,22 +29,22 @@ impl SolveOutcome {
     }
 }
 
-/// The best z so far, and what is known of it.
+/// Result of conjugate gradients.
 #[derive(Debug, Clone)]
 pub struct Solve {
-    /// The iterate.
+    /// The last iterate.
     pub z: Vec<f64>,
-    /// Products with the matrix that were taken.
+    /// Number of products with the matrix.
     pub iterations: usize,
-    /// ‖b − Hz‖/‖b‖ by its recurrence; 0 for b = 0.
+    /// ‖b − Hz‖/‖b‖ from the recurrence; 0 for b = 0.
     pub residual: f64,
-    /// The least pᵀHp/pᵀp met, shift included; infinite if none was.
+    /// Least pᵀHp/pᵀp of all directions, including the shift; infinite if there was none.
     pub smallest_curvature: f64,
-    /// How it ended.
+    /// Outcome.
     pub outcome: SolveOutcome,
 }
 
-/// Solves (A + `shift`·I) z = b from z = 0, `apply(v, out)` being out = A v.
+/// Solves (A + `shift`·I) z = b from z = 0; `apply(v, out)` computes out = A v.
 pub fn conjugate_gradient(
     mut apply: impl FnMut(&[f64], &mut [f64]),
     b: &[f64],
@@ -90,7 +90,7 @@ pub fn conjugate_gradient(
     Solve { z, iterations, residual, smallest_curvature, outcome }
 }
 
-/// z of the implicit term, of (H + `shift`·I) z = b: `b` = ∂L_test/∂β, H that of the training loss.
+/// Solves (H + `shift`·I) z = b of the implicit term: `b` = ∂L_test/∂β, H the Hessian of the training loss.
 pub fn solve_implicit(
     curvature: &Curvature<f64>,
     b: &[f64],

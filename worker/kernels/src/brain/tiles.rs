@@ -1,18 +1,19 @@
-//! The products that a convolution and its derivatives are made of, in register tiles, for any vector.
+//! Matrix products of convolutions and of their derivatives, in register tiles, for any vector type.
 //!
 //! ```text
 //! product: C[t, c] = start + Σ_i Σ_d A[t·lda + i·step + d] B[i, d, c]   rows may overlap: no im2col
 //! outer:   C[j, c] += Σ_t A[t·lda + j] B[t, c]
 //! ```
-//! B of `product` comes in panels of some registers' columns (`panel`), each all its rows long, so that a panel stays in L1.
+//! B of `product` is stored in panels, each with all rows and the columns of a few registers (`panel`), so that a panel stays in
+//! L1.
 
 use crate::lanes::Vector;
 
-/// Columns of activations and packed weights are padded to a multiple of this: the widest register.
+/// Columns of activations and packed weights are padded to a multiple of this, the number of lanes of the widest register.
 pub const COLUMNS: usize = 16;
 
-/// Registers of the panel that begins where so many columns are left: two, or the three or the one that an odd number of
-/// registers ends with, where a register is as wide as `COLUMNS`.
+/// Registers of the next panel when `columns` columns are left: two. For registers as wide as `COLUMNS`, the last panel has
+/// three or one if the number of registers is odd.
 #[inline(always)]
 pub fn panel(columns: usize, lanes: usize) -> usize {
     match columns / lanes {
@@ -21,41 +22,41 @@ pub fn panel(columns: usize, lanes: usize) -> usize {
     }
 }
 
-/// What a product starts from.
+/// Initial value of a product.
 #[derive(Clone, Copy)]
 pub enum Start<'a, F> {
     /// 0.
     Zero,
     /// The same row for all t.
     Bias(&'a [F]),
-    /// What C holds.
+    /// The present C.
     Add,
 }
 
-/// What happens to a finished sum.
+/// Final operation on a sum.
 #[derive(Clone, Copy)]
 pub enum Finish<'a, F> {
-    /// Nothing.
+    /// None.
     Plain,
     /// max(·, 0).
     Relu,
-    /// Kept where this, laid out as C, is positive; else 0.
+    /// Keeps the sum where the corresponding entry (same layout as C) is positive; else 0.
     Gate(&'a [F]),
 }
 
 /// Operands of `product`.
 pub struct Product<'a, F> {
-    /// A, from its first row.
+    /// A, starting with its first row.
     pub a: &'a [F],
-    /// From a row of A to the next.
+    /// Distance between rows of A.
     pub lda: usize,
     /// Rows of A and C.
     pub rows: usize,
-    /// Length of a row of A that a tap reads.
+    /// Elements of a row of A that a tap reads.
     pub depth: usize,
-    /// How many pieces of A a row of C reads, and how far apart they are.
+    /// Number of taps: pieces of A that a row of C reads.
     pub taps: usize,
-    /// As `taps`.
+    /// Distance between taps in A.
     pub step: usize,
     /// B in panels.
     pub panels: &'a [F],
@@ -71,11 +72,11 @@ pub struct Product<'a, F> {
 
 /// Operands of `outer`.
 pub struct Outer<'a, F> {
-    /// A, from its first row.
+    /// A, starting with its first row.
     pub a: &'a [F],
-    /// From a row of A to the next.
+    /// Distance between rows of A.
     pub lda: usize,
-    /// Rows of A and B: the length of the sum.
+    /// Rows of A and B, over which `outer` sums.
     pub rows: usize,
     /// Rows of C.
     pub depth: usize,
@@ -83,11 +84,11 @@ pub struct Outer<'a, F> {
     pub b: &'a [F],
     /// Columns of B and C, a multiple of `COLUMNS`.
     pub columns: usize,
-    /// C, added to.
+    /// C, to which the product is added.
     pub c: &'a mut [F],
 }
 
-/// Operands of `dots`: C[t, k] = bias[k] + Σ_i Σ_c A[t·columns + i·step + c] W[i, k, c], for few k.
+/// Operands of `dots`, for few k: C[t, k] = bias[k] + Σ_i Σ_c A[t·columns + i·step + c] W[i, k, c].
 pub struct Dots<'a, F> {
     /// A, rows of `columns`.
     pub a: &'a [F],
@@ -95,21 +96,21 @@ pub struct Dots<'a, F> {
     pub columns: usize,
     /// Rows of C.
     pub rows: usize,
-    /// How many rows of A a row of C reads, and how far apart they are.
+    /// Number of taps: rows of A that a row of C reads.
     pub taps: usize,
-    /// As `taps`.
+    /// Distance between taps in A.
     pub step: usize,
     /// W.
     pub w: &'a [F],
-    /// One a k.
+    /// Bias, one per k.
     pub bias: &'a [F],
-    /// Rows of as many as `bias`.
+    /// C, rows of `bias.len()`.
     pub c: &'a mut [F],
 }
 
 impl<F> Product<'_, F> {
     /// # Panics
-    /// If what a result needs is too short.
+    /// If an operand of the result is too short.
     pub fn check_result(&self, panel_rows: usize) {
         let elements = self.rows * self.columns;
         assert!(
@@ -126,14 +127,14 @@ impl<F> Product<'_, F> {
     }
 }
 
-/// `Product`.
+/// Computes a [`Product`].
 ///
 /// # Safety
-/// As `Kernels::product` checks it; the machine has the vector's instruction set.
+/// Requires the checks of `Kernels::product`, and a machine that supports the vector's instruction set.
 #[inline(always)]
 pub unsafe fn product<V: Vector, const R: usize, const R3: usize>(p: &mut Product<V::Scalar>) {
-    // A known stride spares the row addresses their registers.
-    // SAFETY: the caller's promise.
+    // A constant stride saves the registers of row addresses.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         match p.lda {
             64 => product_by_stride::<V, R, R3>(p, 64),
@@ -147,7 +148,7 @@ unsafe fn product_by_stride<V: Vector, const R: usize, const R3: usize>(
     p: &mut Product<V::Scalar>,
     lda: usize,
 ) {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         let mut column = 0;
         while column < p.columns {
@@ -168,7 +169,7 @@ unsafe fn product_panel<V: Vector, const R: usize, const W: usize>(
     lda: usize,
     column: usize,
 ) {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         let b = p.panels.as_ptr().add(column * p.taps * p.depth);
         let mut t = 0;
@@ -194,7 +195,7 @@ unsafe fn product_tile<V: Vector, const R: usize, const W: usize>(
     t: usize,
     column: usize,
 ) {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         let mut sum = [[V::ZERO; W]; R];
         let mut a = p.a.as_ptr().add(t * lda);
@@ -220,7 +221,7 @@ pub unsafe fn accumulate<V: Vector, const R: usize, const W: usize>(
     b: *const V::Scalar,
     depth: usize,
 ) {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         for d in 0..depth {
             let mut row = [V::ZERO; W];
@@ -237,7 +238,8 @@ pub unsafe fn accumulate<V: Vector, const R: usize, const W: usize>(
     }
 }
 
-/// Starts, finishes and stores the sums of R rows of C that begin at `at` and are `ldc` apart.
+/// Adds the initial values to the sums of R rows of C, applies the final operation, and stores them. Rows start at `at` and are
+/// `ldc` apart.
 ///
 /// # Safety
 /// As `product`.
@@ -249,10 +251,11 @@ pub unsafe fn close<V: Vector, const R: usize, const W: usize>(
     ldc: usize,
     column: usize,
 ) {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         let c = p.c.as_mut_ptr().add(at);
-        // What a sum starts from comes last, as in the reference: a trained network may hold a unit at its kink to the last bit.
+        // The initial value is added last, as in the reference implementation: a trained network may have units exactly at the
+        // kink of the ReLU.
         match p.start {
             Start::Zero => {}
             Start::Bias(bias) => {
@@ -299,13 +302,13 @@ pub unsafe fn close<V: Vector, const R: usize, const W: usize>(
     }
 }
 
-/// `Outer`.
+/// Computes an [`Outer`].
 ///
 /// # Safety
-/// As `Kernels` checks it; the machine has the vector's instruction set.
+/// Requires the checks of `Kernels`, and a machine that supports the vector's instruction set.
 #[inline(always)]
 pub unsafe fn outer<V: Vector, const R: usize, const R3: usize>(p: &mut Outer<V::Scalar>) {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         let mut column = 0;
         while column < p.columns {
@@ -322,7 +325,7 @@ pub unsafe fn outer<V: Vector, const R: usize, const R3: usize>(p: &mut Outer<V:
 
 #[inline(always)]
 unsafe fn outer_panel<V: Vector, const R: usize, const W: usize>(p: &mut Outer<V::Scalar>, column: usize) {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         let mut j = 0;
         while j + R <= p.depth {
@@ -349,7 +352,7 @@ unsafe fn outer_tile<V: Vector, const R: usize, const W: usize>(
     j: usize,
     column: usize,
 ) {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         let (lda, ldc) = (p.lda, p.columns);
         let mut sum = [[V::ZERO; W]; R];
@@ -379,13 +382,13 @@ unsafe fn outer_tile<V: Vector, const R: usize, const W: usize>(
     }
 }
 
-/// `Dots`.
+/// Computes [`Dots`].
 ///
 /// # Safety
-/// As `Kernels` checks it; the machine has the vector's instruction set.
+/// Requires the checks of `Kernels`, and a machine that supports the vector's instruction set.
 #[inline(always)]
 pub unsafe fn dots<V: Vector>(p: &mut Dots<V::Scalar>) {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         let outputs = p.bias.len();
         for t in 0..p.rows {
@@ -411,13 +414,13 @@ pub unsafe fn dots<V: Vector>(p: &mut Dots<V::Scalar>) {
     }
 }
 
-/// c += the rows of A.
+/// Adds the rows of A to c.
 ///
 /// # Safety
-/// As `Kernels` checks it; the machine has the vector's instruction set.
+/// Requires the checks of `Kernels`, and a machine that supports the vector's instruction set.
 #[inline(always)]
 pub unsafe fn sums<V: Vector>(a: &[V::Scalar], c: &mut [V::Scalar]) {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         let mut column = 0;
         while column < c.len() {
@@ -437,7 +440,7 @@ pub unsafe fn sums<V: Vector>(a: &[V::Scalar], c: &mut [V::Scalar]) {
 
 #[inline(always)]
 unsafe fn sums_of<V: Vector, const W: usize>(a: &[V::Scalar], c: &mut [V::Scalar], column: usize) {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         let rows = a.len() / c.len();
         let mut sum = [[V::ZERO; W]; 4];
@@ -456,13 +459,13 @@ unsafe fn sums_of<V: Vector, const W: usize>(a: &[V::Scalar], c: &mut [V::Scalar
     }
 }
 
-/// Chains of multiply-adds, enough to hide the latency.
+/// Independent chains of multiply-adds, enough to hide the latency.
 pub const CHAINS: usize = 12;
 
-/// Multiply-adds on registers alone.
+/// Multiply-adds on registers only.
 ///
 /// # Safety
-/// The machine has the vector's instruction set.
+/// The machine must support the vector's instruction set.
 #[inline(always)]
 pub unsafe fn burst<V: Vector>(rounds: u64) -> V::Scalar {
     let factor = V::splat(std::hint::black_box(0.5));

@@ -1,10 +1,10 @@
-//! Adam (Kingma and Ba 2015) on the network, and the names of what may go wrong.
+//! Training of the network by Adam (Kingma and Ba 2015), and its outcomes.
 
 use super::data::Batch;
 use super::kernels::Real;
 use super::network::{Workspace, loss_gradient};
 
-/// Moments and count of steps; β₁ = 0.9, ε = 1e-8 added to the root of the bias-corrected second moment.
+/// State of Adam: moments and number of steps. β₁ = 0.9; ε = 1e-8 is added to the root of the bias-corrected second moment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Adam<F> {
     /// First moment.
@@ -16,12 +16,12 @@ pub struct Adam<F> {
 }
 
 impl<F: Real> Adam<F> {
-    /// Moments of zero.
+    /// Zero moments.
     pub fn new(weights: usize) -> Self {
         Self { m: vec![F::ZERO; weights], v: vec![F::ZERO; weights], t: 0 }
     }
 
-    /// One step down the gradient, β₂ = 0.999.
+    /// One step along the negative gradient with β₂ = 0.999.
     ///
     /// # Panics
     /// If the lengths differ.
@@ -29,7 +29,7 @@ impl<F: Real> Adam<F> {
         self.step_with(weights, gradient, rate, 0.999);
     }
 
-    /// One step down the gradient with another β₂, the same in all calls.
+    /// One step with β₂ = `beta`, which must be the same in all calls.
     ///
     /// # Panics
     /// If the lengths differ.
@@ -50,21 +50,21 @@ impl<F: Real> Adam<F> {
     }
 }
 
-/// How a training ended.
+/// Outcome of a training.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TrainOutcome {
-    /// As planned.
+    /// Completed.
     Ok,
-    /// No unit of this hidden layer (1 … n − 1) fired for any sample: its gradient is zero, so it stays so. Training ended there.
+    /// All units of this hidden layer (1 … n − 1) were inactive in all samples. Its gradient then stays zero; training stopped.
     DeadLayer(usize),
-    /// The loss exceeded a hundred times that of the start and of the answer 0. Training ended there.
+    /// The loss exceeded a hundred times both the initial loss and the loss of the prediction 0; training stopped.
     Diverged,
-    /// NaN or infinity in the loss; the weights are the last whose loss was finite.
+    /// The loss was NaN or infinite. The weights are the last with a finite loss.
     NonFinite,
 }
 
 impl TrainOutcome {
-    /// As it stands in the record.
+    /// Name in records.
     pub fn name(self) -> &'static str {
         match self {
             Self::Ok => "ok",
@@ -75,7 +75,7 @@ impl TrainOutcome {
     }
 }
 
-/// Takes Adam steps on the whole batch, at rate `schedule(i)` for i = 0…; appends the loss before each to `losses`.
+/// Takes Adam steps on the whole batch at the rates `schedule(i)`, i = 0…, and appends the loss before each step to `losses`.
 ///
 /// After `Ok` and `iterations` steps, moments and weights are those of an uninterrupted run: calls can be chained.
 pub fn train<F: Real>(
@@ -95,9 +95,9 @@ pub fn train<F: Real>(
     outcome.expect("nobody pauses it")
 }
 
-/// As [`train`], each iteration on a batch of its own, with the iterations that are left of `iterations` after those whose `losses`
-/// are there: a training that has paused goes on to the same bits. Shows `watch` the number, from 0, of each iteration whose loss is finite and the
-/// weights before its step; where that says `false`, it pauses before the iteration: `None`.
+/// As [`train`], with a separate batch per iteration. `losses` contains the losses of completed iterations; the remaining ones of
+/// `iterations` follow, with the same results bit by bit as without a pause. For each iteration with a finite loss, calls `watch` with its
+/// number (from 0) and the weights before its step. If `watch` returns `false`, pauses before this iteration and returns `None`.
 pub fn train_on<'a, F: Real>(
     weights: &mut [F],
     adam: &mut Adam<F>,
@@ -112,7 +112,7 @@ pub fn train_on<'a, F: Real>(
     let shape = ws.shape;
     let n = shape.layers();
     let mut gradient = vec![F::ZERO; weights.len()];
-    // Where it goes on after a pause, the loss is finite: it was before.
+    // after a pause, the loss of these weights is finite, as before the pause
     let mut last = weights.to_vec();
     losses.reserve(iterations.saturating_sub(losses.len()));
     for i in losses.len()..iterations {
@@ -129,7 +129,7 @@ pub fn train_on<'a, F: Real>(
         if loss > 100.0 * f64::from(losses[0]) && loss > 100.0 * batch.target_power() {
             return Some(TrainOutcome::Diverged);
         }
-        // A dead layer leaves the weights behind it without a gradient, and its biases without one.
+        // The gradient of a dead layer's biases is zero, as is that of the next layer's weights.
         let silent = |block| gradient[shape.range(block)].iter().all(|&g| g == F::ZERO);
         let dead = |layer: &usize| silent(n + layer) && (layer + 1 == n || silent(layer - 1));
         if let Some(layer) = (1..n).rev().find(|layer| loss > 0.0 && dead(layer)) {
@@ -141,13 +141,12 @@ pub fn train_on<'a, F: Real>(
     Some(TrainOutcome::Ok)
 }
 
-/// A rate that falls from `rate` to 0 by a cosine over `iterations`.
+/// A rate that decreases from `rate` to 0 as a cosine over `iterations`.
 pub fn cosine(rate: f64, iterations: usize) -> impl Fn(usize) -> f64 {
     move |i| 0.5 * rate * (1.0 + (std::f64::consts::PI * i as f64 / iterations as f64).cos())
 }
 
-/// Iterations, from 1, at which a curve of `n` points is kept: all of a short one, some 200 of a long one, closer
-/// together where a loss falls fastest.
+/// Iterations, counted from 1, at which a curve of `n` points is kept: all up to 200, otherwise about 200, denser at the start.
 pub fn milestones(n: usize) -> Vec<usize> {
     const KEPT: usize = 200;
     if n <= KEPT {

@@ -1,17 +1,17 @@
-//! A k = 3 convolution in pairs of rows by Winograd's F(2, 3): four products where six would be direct.
+//! Convolution with k = 3 by Winograd's F(2, 3): four products per pair of rows instead of six.
 //!
 //! ```text
 //! U = (g₀, (g₀+g₁+g₂)/2, (g₀−g₁+g₂)/2, g₂)     V = (a₀−a₂, a₁+a₂, a₂−a₁, a₁−a₃) of the rows 2h … 2h+3
 //! Mᵢ = Vᵢ Uᵢ      c₀ = M₀ + M₁ + M₂            c₁ = M₁ − M₂ − M₃
 //! ∂g: Qᵢ = Vᵢᵀ Eᵢ, E = (e₀, e₀+e₁, e₀−e₁, −e₁): g̅₀ = Q₀ + (Q₁+Q₂)/2, g̅₁ = (Q₁−Q₂)/2, g̅₂ = (Q₁+Q₂)/2 + Q₃
 //! ```
-//! The four forms lie one after the other: rows further apart (4 × 64) would share too few sets of L1.
+//! The four forms are stored one after the other. Interleaved rows (4 × 64 apart) would use too few sets of L1.
 //! Lavin and Gray, arXiv:1509.09308, in one dimension. U₃ is stored negated.
 
 use super::tiles::{Product, accumulate, close, panel};
 use crate::lanes::{Scalar, Vector};
 
-/// Entry of the i-th form of the weights, of which `g(k)` is the same entry.
+/// Entry of the i-th form of the weights, from the same entry `g(k)` of the taps.
 #[inline(always)]
 pub fn form<F: Scalar>(i: usize, g: impl Fn(usize) -> F) -> F {
     let half = F::from_f64(0.5);
@@ -23,7 +23,7 @@ pub fn form<F: Scalar>(i: usize, g: impl Fn(usize) -> F) -> F {
     }
 }
 
-/// Adds the gradient (3, n) that belongs to Q₀, Q₁, Q₂, −Q₃, each n long.
+/// Adds the gradient (3, n) that follows from Q₀, Q₁, Q₂, −Q₃, each of length n.
 pub fn add_gradient<F: Scalar>(q: &[F], gradient: &mut [F]) {
     let n = gradient.len() / 3;
     let half = F::from_f64(0.5);
@@ -36,10 +36,10 @@ pub fn add_gradient<F: Scalar>(q: &[F], gradient: &mut [F]) {
 }
 
 /// # Safety
-/// As `Kernels::pairs` checks it; the machine has the vector's instruction set.
+/// Requires the checks of `Kernels::pairs`, and a machine that supports the vector's instruction set.
 #[inline(always)]
 pub unsafe fn pairs<V: Vector, const R: usize, const R3: usize>(p: &mut Product<V::Scalar>) {
-    // SAFETY: the caller's promise; known lengths spare the row addresses their registers.
+    // SAFETY: guaranteed by the caller. Constant lengths save the registers of row addresses.
     unsafe {
         match (p.lda, p.depth) {
             (64, 64) => pairs_by_stride::<V, R, R3>(p, 64, 64),
@@ -54,7 +54,7 @@ unsafe fn pairs_by_stride<V: Vector, const R: usize, const R3: usize>(
     lda: usize,
     depth: usize,
 ) {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         let mut column = 0;
         while column < p.columns {
@@ -76,7 +76,7 @@ unsafe fn pairs_panel<V: Vector, const R: usize, const W: usize>(
     depth: usize,
     column: usize,
 ) {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         let u = p.panels.as_ptr().add(column * 4 * depth);
         let mut h = 0;
@@ -100,7 +100,7 @@ unsafe fn tile<V: Vector, const R: usize, const W: usize>(
     h: usize,
     column: usize,
 ) {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         let (a, form) = (p.a.as_ptr().add(h * lda), p.rows / 2 * lda);
         let block = depth * W * V::LANES;
@@ -124,10 +124,10 @@ unsafe fn tile<V: Vector, const R: usize, const W: usize>(
 }
 
 /// # Safety
-/// As `Kernels::spread` checks it; the machine has the vector's instruction set.
+/// Requires the checks of `Kernels::spread`, and a machine that supports the vector's instruction set.
 #[inline(always)]
 pub unsafe fn spread<V: Vector>(a: &[V::Scalar], out: &mut [V::Scalar], columns: usize) {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         let form = out.len() / 4;
         for h in 0..form / columns {
@@ -145,10 +145,10 @@ pub unsafe fn spread<V: Vector>(a: &[V::Scalar], out: &mut [V::Scalar], columns:
 }
 
 /// # Safety
-/// As `Kernels::fold` checks it; the machine has the vector's instruction set.
+/// Requires the checks of `Kernels::fold`, and a machine that supports the vector's instruction set.
 #[inline(always)]
 pub unsafe fn fold<V: Vector>(a: &[V::Scalar], out: &mut [V::Scalar], columns: usize) {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         let form = out.len() / 4;
         for h in 0..form / columns {

@@ -1,42 +1,42 @@
-//! Whether equal steps still integrate anything: no motion has energy that no force has put in.
+//! Energy balance that detects unstable equal steps.
 //!
 //! ```text
 //! ½ v·M v + U + dissipated = W,   W = U(rest) + ∫ f·dx     (contact may act at rest)
 //! ```
-//! Where held units have been moved U is what it exceeds that at the beginning by: nothing of that comes back but by a snap.
-//! A driven unit is outside: what it does to the body is the work of the forces ∂U/∂x that it needs against its ligaments.
-//! Steps too long for the highest mode feed energy into it that nobody has put in; signals can then be finite and huge.
+//! In compressed bodies, U counts from its value at the start; only snapping releases energy stored there. Driven units are not
+//! part of the balance: the forces ∂U/∂x that move them do work on the body. Steps that are too long for the highest mode create
+//! energy; signals may then be finite and huge.
 
 use super::energy::contact_energy;
 use super::ligaments::Place;
 use super::system::{System, Unit};
 use crate::lanes::Vector;
 
-/// Part of the most work done so far by which the left side may exceed the right: 0.001 by steps that follow the motion, 0.03 where
-/// that is chaotic (MODEL.md).
+/// Tolerated excess of the left side, as a fraction of the largest W so far. Steps that resolve the motion need 0.001, chaotic
+/// motion 0.03.
 const LEEWAY: f64 = 0.05;
 
-/// Work done by the panels' forces on up to eight samples.
+/// Energy balance of the samples in one vector.
 pub struct Balance<V> {
-    /// (m, m, J), zero where held or driven.
+    /// (m, m, J) of each unit; zero if held or driven.
     mass: Vec<[f64; 3]>,
-    /// Of each panel: how far its units are along the force, and the force.
+    /// For each panel, displacement along the force, and the force, at the previous instant.
     before: Vec<[V; 2]>,
-    /// Of each driven unit: where it is and what it needs; and what it needs now.
+    /// For each driven unit, position and driving force at the previous instant; `needs`: its present driving force.
     driven: Vec<[Unit<V>; 2]>,
     needs: Vec<Unit<V>>,
-    /// W, its largest value so far, and what has been dissipated.
+    /// W, the largest W so far, and the dissipated energy.
     work: V,
     most: V,
     lost: V,
-    /// Energy of ligaments and contacts at the beginning, where held units have been moved.
+    /// Energy of ligaments and contacts at the start of samples of a compressed body.
     pressed: V,
-    /// What rounding alone may move.
+    /// Bound on changes due to rounding.
     floor: f64,
 }
 
 impl<V: Vector> Balance<V> {
-    /// At the beginning `x`, which the system is prepared for, under the forces there.
+    /// Starts at the state `x`, for which the system is prepared, under the initial forces.
     #[inline(always)]
     pub fn new(system: &mut System<'_, V>, x: &[Place<V>], force: &[V]) -> Self {
         let (model, zero) = (system.model, V::splat(0.0));
@@ -68,7 +68,7 @@ impl<V: Vector> Balance<V> {
         Self { mass, before, driven, needs, work, most: work, lost: zero, pressed, floor }
     }
 
-    /// Adds the work on the way to the places `x`, where `force` acts, and the energy that was `lost` on it.
+    /// Adds the work done up to the positions `x` and the forces `force`, and the energy `lost` since the previous call.
     #[inline(always)]
     pub fn add(&mut self, system: &mut System<'_, V>, x: &[Place<V>], force: &[V], lost: V) {
         self.lost = self.lost + lost;
@@ -92,8 +92,8 @@ impl<V: Vector> Balance<V> {
         self.most = self.most.max(self.work);
     }
 
-    /// Energy, `elastic` that of ligaments and contacts, less all that there can be: positive in a lane that makes energy out of
-    /// nothing.
+    /// Energy (with `elastic` that of ligaments and contacts) minus the largest possible energy: positive in lanes that create
+    /// energy.
     #[inline(always)]
     pub fn excess(&self, elastic: V, v: &[Place<V>]) -> V {
         let mut kinetic = V::splat(0.0);
@@ -104,13 +104,13 @@ impl<V: Vector> Balance<V> {
             }
         }
         let elastic = elastic - self.pressed;
-        // A pressed body that has snapped to an energy below that at rest has put in as much as work has.
+        // A compressed body that snaps below its energy at rest releases energy, which counts like work.
         let most = self.most + (-elastic).max(V::splat(0.0));
         kinetic + elastic + self.lost - self.work - V::splat(LEEWAY).mul_add(most, V::splat(self.floor))
     }
 }
 
-/// How far the units that a panel's force acts on are along it, but for driven ones, which are outside.
+/// Displacement along a panel's force of the units on which it acts, except driven units.
 #[inline(always)]
 fn way<V: Vector>(system: &System<'_, V>, panel: usize, x: &[Place<V>]) -> V {
     let mut at = V::ZERO;

@@ -1,12 +1,12 @@
-//! Which integrator and how many steps: from the scene's own highest frequency and the accuracy asked.
+//! Selects integrator and number of steps from the scene's highest frequency and the requested accuracy.
 
 use super::model::Model;
 use super::stiffness::hessian;
 use super::{Accuracy, Method, Plan, Precision, Scene, Solver, Tolerance};
 
-/// Highest angular frequency of small motions about where samples begin (rad/s), undamped: the largest eigenvalue of M^-½ H M^-½ by
-/// Lanczos' method, whose estimate is good to a per mille long before its vectors lose orthogonality. Ligaments that relax are as stiff
-/// as they are at once.
+/// Highest angular frequency of small undamped motion about the start of samples (rad/s): the square root of the largest eigenvalue of
+/// M^-½ H M^-½ by Lanczos' method, accurate to 1e-3 before its vectors lose orthogonality. Relaxing ligaments count with their
+/// instantaneous stiffness.
 pub fn highest_frequency(scene: &Scene, design: &[f64]) -> f64 {
     let model = Model::new(scene, design);
     let root: Vec<f64> = model.inverse_mass.as_flattened().iter().map(|m| m.sqrt()).collect();
@@ -17,7 +17,7 @@ pub fn highest_frequency(scene: &Scene, design: &[f64]) -> f64 {
         curved.iter().zip(&root).map(|(h, r)| h * r).collect()
     };
     let norm = |y: &[f64]| y.iter().map(|y| y * y).sum::<f64>().sqrt();
-    // Any start that no symmetry of the lattice leaves without a part in the highest mode
+    // a starting vector without symmetry, so that it contains the highest mode
     let mut q: Vec<f64> =
         (0..n).map(|i| if root[i] > 0.0 { (1.0 + 7.3 * i as f64).sin() } else { 0.0 }).collect();
     let size = norm(&q);
@@ -52,17 +52,17 @@ pub fn highest_frequency(scene: &Scene, design: &[f64]) -> f64 {
     (stiffer * tridiagonal.symmetric_eigenvalues().max().max(0.0)).sqrt()
 }
 
-/// Error of the signals, relative, against w = ω h/stages, ω the highest frequency: factor · wᵖ.
+/// Relative error of the signals: factor · wᵖ with w = ω h/stages, ω the highest frequency.
 ///
-/// Fitted on the reference scene, where 2e-3 … 7e-8 follow the powers within a third. Elsewhere the factor is another:
-/// ringing of many periods between instants, sharp forces, contact. `tune` measures it.
+/// Fitted on the reference scene for errors from 2e-3 to 7e-8, within a third. Other scenes have other factors: many periods between
+/// instants, sharp forces, contact. `tune` measures the factor.
 pub(super) struct Law {
     pub(super) method: Method,
     pub(super) power: f64,
     factor: f64,
-    /// Largest w that is used, for stability in motion far from rest.
+    /// Largest w, for stability of motion far from rest.
     limit: f64,
-    /// Cost of a step, in forces.
+    /// Force evaluations per step.
     pub(super) work: usize,
 }
 
@@ -72,56 +72,55 @@ const LAWS: [Law; 3] = [
     Law { method: Method::Nystrom6, power: 6.0, factor: 1.5, limit: 0.5, work: 11 },
 ];
 
-/// Relative error of the signals by f32 under pulses as quick as the reference scene's, of slower ones more: ROUNDING · (ω Δ)², Δ an
-/// interval, as accelerations are differences of elastic forces that much greater. Measured: 1.4e-4 at 21 rad (reference scene, with
-/// contact too), 1e-3 … 4e-3 at 185 (k_stretch × 100).
+/// Relative error of signals due to f32: ROUNDING · (ω Δ)², Δ the interval, because accelerations are small differences of elastic
+/// forces. It holds for pulses as fast as the reference scene's; slower pulses have larger errors.
 const ROUNDING: f64 = 3e-7;
-/// It is no less where instants are closer: the motion is the same.
+/// Lower limit of ω Δ (rad): shorter intervals do not reduce the error, because the motion is the same.
 const RADIANS_MIN: f64 = 20.0;
-/// There gradients are off by 1e-2.
+/// Upper limit of ω Δ (rad), at which gradients have errors of 1e-2.
 const RADIANS_MAX: f64 = 66.0;
 
-/// A method of equal steps in a scene.
+/// A method of equal steps for a scene.
 pub(super) struct Candidate {
     pub(super) law: &'static Law,
     /// Highest frequency (rad/s).
     pub(super) highest: f64,
     /// Length of an interval (s).
     pub(super) interval: f64,
-    /// Kinks of the forces in an interval, each of which ends a step.
+    /// Kinks of the forces per interval, each of which ends a step.
     pub(super) kinks: usize,
 }
 
 impl Candidate {
-    /// Steps an interval by the law.
+    /// Steps per interval by the law.
     pub(super) fn steps(&self, Accuracy(error): Accuracy) -> usize {
         let w = (error / self.law.factor).powf(1.0 / self.law.power).min(self.law.limit);
         self.whole(self.highest * self.interval / (w * self.stages()))
     }
 
-    /// So many steps or a few more: as many from kink to kink.
+    /// The next multiple of `kinks`, at least `steps`.
     pub(super) fn whole(&self, steps: f64) -> usize {
         (steps / self.kinks as f64).ceil().clamp(1.0, 1e6) as usize * self.kinks
     }
 
-    /// The accuracy for which the law gives so many steps, rounded up.
+    /// The error for which the law gives `steps` steps after rounding up.
     pub(super) fn accuracy(&self, steps: f64) -> Accuracy {
         let w = self.highest * self.interval / (steps * self.stages());
         Accuracy(self.law.factor * w.powf(self.law.power))
     }
 
-    /// In f64.
+    /// A plan with these steps in f64.
     pub(super) fn plan(&self, steps: usize, reason: String) -> Plan {
         Plan { reason, ..Plan::equal(self.law.method, steps) }
     }
 
-    /// Highest frequency (rad/s) up to which f32's rounding is by its law at most a third of the error asked.
+    /// Highest frequency (rad/s) at which the rounding law of f32 gives at most a third of the requested error.
     pub(super) fn single(&self, Accuracy(error): Accuracy) -> f64 {
         let radians = (error / (3.0 * ROUNDING)).sqrt();
         if radians < RADIANS_MIN { 0.0 } else { radians.min(RADIANS_MAX) / self.interval }
     }
 
-    /// The method and its steps, why, and the frequency that decides about them, in words.
+    /// Text with method, steps, reason and highest frequency.
     pub(super) fn reason(&self, steps: usize, why: &str) -> String {
         format!(
             "{}, {steps} steps an interval of {} ms: {why}; highest frequency {:.0} Hz",
@@ -136,23 +135,23 @@ impl Candidate {
     }
 }
 
-/// Every method of equal steps in this scene, under forces with so many kinks an interval.
+/// All methods of equal steps for this scene, under forces with `kinks` kinks per interval.
 pub(super) fn candidates(scene: &Scene, design: &[f64], kinks: usize) -> Vec<Candidate> {
     let highest = highest_frequency(scene, design);
     let interval = scene.duration / scene.instants as f64;
     LAWS.iter().map(|law| Candidate { law, highest, interval, kinks }).collect()
 }
 
-/// Turns a solver into a plan for this scene and design, under forces on the scene's clock.
+/// Selects the plan of a solver for a scene and design, under forces on the scene's clock.
 pub fn choose(scene: &Scene, design: &[f64], solver: &Solver) -> Plan {
     choose_under(scene, design, 1, solver)
 }
 
-/// The same under forces with so many kinks an interval.
+/// As [`choose`], under forces with `kinks` kinks per interval.
 pub(super) fn choose_under(scene: &Scene, design: &[f64], kinks: usize, solver: &Solver) -> Plan {
     let Solver { method, accuracy, tolerance, single } = *solver;
-    // The scheme of `relaxing` errs by at most the law of `nystrom4`, for τ from 0.1 ms and g up to 1 on. An accuracy that a pilot has
-    // found by another method's law serves: what makes a scene harder than one law says makes it as much harder than the other says.
+    // For τ ≥ 0.1 ms and g ≤ 1, the law of `nystrom4` bounds the error of the scheme of `relaxing`. An accuracy found by a pilot with
+    // another method is valid too: a difficult scene increases the factors of all laws alike.
     let method = if scene.relaxation.is_some() { Method::Nystrom4 } else { method };
     if method == Method::Tsit5 {
         let tolerance = tolerance.unwrap_or_else(|| Tolerance::from(accuracy));

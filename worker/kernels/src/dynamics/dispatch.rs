@@ -1,4 +1,4 @@
-//! Entry points of each instruction set and precision.
+//! Entry points for each instruction set and precision.
 
 use super::jobs::{Backward, Queue, take};
 use super::ligaments::{self, Place, ShapeCotangent, Turn};
@@ -9,25 +9,25 @@ use crate::Heartbeat;
 use crate::lanes::{Avx2, Avx512, HalfSingleAvx512, SingleAvx2, SingleAvx512, SingleSse2, Sse2, Vector};
 use crate::simd::Width;
 
-/// (scene, model, forces, plan, checkpoints an interval, queue, heartbeat).
+/// Arguments: (scene, model, forces, plan, checkpoints per interval, queue, heartbeat).
 pub type Forward = unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &Queue<'_, '_>, &Heartbeat) -> Counters;
-/// (scene, model, forces, plan, checkpoints an interval, samples, what is asked for, heartbeat).
+/// Arguments: (scene, model, forces, plan, checkpoints per interval, samples, requested gradient, heartbeat).
 pub type Reverse =
     unsafe fn(&Scene, &Model, &Forces, &Plan, usize, &[Backward<'_>], Wrt, &Heartbeat) -> Swept;
 
-/// The cotangents of a block's model and, where asked for, of each of its histories, (n, K, R+1), and the work done.
+/// Cotangents of the model, cotangents of the histories (n, K, R+1) if requested, and the work done.
 pub type Swept = (ModelCotangent, Vec<f64>, Counters);
 
-/// The code of one instruction set and precision.
+/// Compiled code of one instruction set and precision.
 pub struct Machine {
     /// Integrates the samples of a queue.
     pub forward: Forward,
-    /// The same where ligaments relax.
+    /// As `forward`, with relaxing ligaments.
     pub relaxing: Forward,
-    /// Sweeps a block of samples backwards.
+    /// Runs the reverse sweep of several samples.
     pub reverse: Reverse,
     repeat: unsafe fn(&Scene, &Model, usize, bool),
-    /// Samples that go together.
+    /// Number of samples integrated together.
     pub lanes: usize,
 }
 
@@ -74,8 +74,8 @@ macro_rules! machine {
                 ligaments::product::<$vector, LINEAR, CONTACT, GRADIENT, PARAMETERS>(model, bars, x, w, turn, g, h, shape);
             }
 
-            /// Of what is compiled: `CONTACT` adds that of contact, `product` adds ∂U/∂s, too, where cotangents of
-            /// parameters are asked for, and linear measures go with all that a kernel can do.
+            /// Selects compiled variants. To limit their number, kernels for parameters always compute ∂U/∂s, and those for linear
+            /// strains compute everything.
             fn kernels(scene: &Scene, parameters: bool) -> Kernels<$vector> {
                 type Of = (GradientKernel<$vector>, [ProductKernel<$vector>; 2]);
                 let energy: EnergyKernel<$vector> = match (scene.linearised, scene.contact.is_some()) {
@@ -174,7 +174,7 @@ macro_rules! machine {
                 let mut system = System::<$vector>::new(scene, model, kernels(scene, false), true, false);
                 let (mut x, mut w) = (system.places(), system.zeros());
                 for (i, (x, w)) in x.as_flattened_mut().iter_mut().zip(w.as_flattened_mut()).enumerate() {
-                    // Turns as of bodies at work: for far larger ones, trigonometry goes lane by lane.
+                    // Typical rotations; far larger ones would take the slow path of the trigonometry.
                     *x = <$vector as Vector>::Wide::splat(0.01 * (i as f64).sin());
                     *w = <$vector>::splat((i as f64).cos());
                 }
@@ -193,7 +193,7 @@ macro_rules! machine {
     };
 }
 
-/// In place of `tsit5` where forces are f32: adaptive steps, which no rounding may steer, are never so.
+/// Replaces `tsit5` for f32: plans use adaptive steps only in f64, because rounding must not affect step sizes.
 mod no_tsit5 {
     use super::*;
     use crate::dynamics::Tolerance;
@@ -227,11 +227,11 @@ machine!(avx512, Avx512, tsit5, "avx512f,avx512dq,avx512vl,avx512bw,fma");
 machine!(single_avx512, SingleAvx512, no_tsit5, "avx512f,avx512dq,avx512vl,avx512bw,fma");
 machine!(half_single_avx512, HalfSingleAvx512, no_tsit5, "avx512f,avx512dq,avx512vl,avx512bw,fma");
 
-/// The code for so many samples: of few such as they fill, as half-empty vectors cost as much as full ones, and a step over casts has
-/// few samples of each. A sample's motion has the same bits by either.
+/// The code for `samples` samples. Few samples use a narrower vector: a half-empty vector costs as much as a full one, and a training
+/// step over casts has few samples per cast. Results are identical bit by bit.
 ///
 /// # Panics
-/// If the machine lacks `width`.
+/// If the machine does not support `width`.
 pub fn machine(width: Width, precision: Precision, samples: usize) -> Machine {
     width.check();
     match (width, precision) {
@@ -247,11 +247,11 @@ pub fn machine(width: Width, precision: Precision, samples: usize) -> Machine {
     }
 }
 
-/// Evaluates the forces, or with `second` their derivatives along a direction, so many times on all lanes of one state, to be
-/// timed; returns ligaments times lanes times `times`, without ligaments between held units, which none evaluates.
+/// Evaluates the forces (with `second`, their derivatives along a direction) `times` times on all lanes, for timing. Returns
+/// ligaments × lanes × `times`; ligaments between held units are not evaluated.
 ///
 /// # Panics
-/// If the machine lacks `width`.
+/// If the machine does not support `width`.
 pub fn repeat_kernel(
     (width, precision): (Width, Precision),
     scene: &Scene,

@@ -1,4 +1,4 @@
-//! Energy of one state, its gradient and its derivative in the design: for checks and reports, not for time steps.
+//! Energy of one state and its gradients in state and design, for checks and reports.
 
 use super::ligaments::{Turn, gradient, turns};
 use super::model::{Model, ModelCotangent};
@@ -8,13 +8,13 @@ use crate::lanes::{Sse2, Vector};
 /// Elastic and contact energy (N·mm).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Energy {
-    /// Of the ligaments.
+    /// Energy of the ligaments.
     pub elastic: f64,
-    /// Of the contacts.
+    /// Energy of the contacts.
     pub contact: f64,
 }
 
-/// Energy of a displacement (u, v, θ) of every unit, with the standard library's trigonometry.
+/// Energy at the displacements (u, v, θ) of all units, with the standard library's trigonometry.
 pub fn energy(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> Energy {
     let model = Model::cast(scene, design);
     let mut sum = Energy { elastic: 0.0, contact: 0.0 };
@@ -56,7 +56,7 @@ pub fn contact_energy(contact: Contact, psi: f64) -> f64 {
     0.5 * contact.stiffness * width.powi(2) * x.powi(2) / (1.0 - x.powi(2))
 }
 
-/// ∂U/∂s, by the kernel that the time steps use.
+/// ∂U/∂s, computed by the kernel of the integrators.
 pub fn energy_gradient(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> Vec<[f64; 3]> {
     both(scene, design, displacement).0
 }

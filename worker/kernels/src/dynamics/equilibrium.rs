@@ -1,11 +1,11 @@
-//! Where a body comes to rest whose held units have been moved, and how that place follows the design.
+//! Equilibrium of a compressed body, and its derivative in the design.
 //!
 //! ```text
-//! ∂U/∂s(s*, α) = 0 of the units that move,   ds*/dα = −K⁻¹ ∂²U/∂s∂α,   K = ∂²U/∂s² there
+//! ∂U/∂s(s*, α) = 0 for the free coordinates,   ds*/dα = −K⁻¹ ∂²U/∂s∂α,   K = ∂²U/∂s² at s*
 //! ```
-//! Held units go their way in small parts, and Newton's method, each step as long as the energy falls, brings the others after
-//! (Nocedal & Wright, Numerical Optimization, 2006, ch. 3). As K keeps positive definite, the place is the stable one that
-//! a slow press leads to; where it ceases to be, the body buckles, and may go one way or another.
+//! Held units move in small increments. After each, Newton's method with a line search on the energy moves the other units
+//! (Nocedal & Wright, Numerical Optimization, 2006, ch. 3). While K stays positive definite, this is the stable equilibrium of
+//! slow compression. Where K loses that, the body buckles, and its direction is undetermined.
 
 use super::ligaments::{ShapeCotangent, Turn, energy, gradient, product, turns};
 use super::model::{Model, ModelCotangent};
@@ -16,19 +16,19 @@ use faer::linalg::solvers::Solve;
 use faer::sparse::linalg::solvers::Llt;
 use faer::{Mat, Side};
 
-/// Way of held units in a part, in lengths of a ligament, and into how many smaller ones it may be cut.
+/// Largest and smallest increment of held units, in ligament lengths.
 const PART: f64 = 0.25;
 const SMALLEST: f64 = PART / 64.0;
-/// Newton steps of a part, and how often one is halved.
+/// Newton steps per increment, and halvings per step.
 const STEPS: usize = 30;
 const HALVED: i32 = 12;
-/// The step after one as short as this, in lengths of a ligament or rad, is below rounding.
+/// After a step as short as this (ligament lengths, rad), the next step is below rounding.
 const SHORT: f64 = 1e-8;
 
 type Places = Vec<[f64; 3]>;
 
 impl Model {
-    /// The model of `scene` with `design`, where its samples begin.
+    /// Model of `scene` with `design` at the start of its samples.
     pub fn new(scene: &Scene, design: &[f64]) -> Self {
         let cast = Self::cast(scene, design);
         match scene.pressed.is_empty() {
@@ -38,31 +38,31 @@ impl Model {
     }
 }
 
-/// Where every unit of a body is, (u, v, θ), when a sample begins.
+/// State (u, v, θ) of every unit at the start of a sample.
 ///
 /// # Errors
-/// Says whether the body buckles on the way there, or comes to rest nowhere.
+/// `Buckled` or `NoEquilibrium` if compression fails.
 ///
 /// # Panics
-/// If the design's length is not that of the scene's layout.
+/// If the design's length does not match the scene's layout.
 pub fn start(scene: &Scene, design: &[f64]) -> Result<Vec<[f64; 3]>, Outcome> {
     let units = scene.layout.units();
     let start = Model::new(scene, design).start?;
     Ok(if start.is_empty() { vec![[0.0; 3]; units] } else { start })
 }
 
-/// Whether parts touch in the body as cast, which then is no place of rest.
+/// Whether contact acts in the body before compression, which then is no equilibrium.
 ///
 /// # Panics
-/// If the design's length is not that of the scene's layout.
+/// If the design's length does not match the scene's layout.
 pub fn touches(scene: &Scene, design: &[f64]) -> bool {
     Model::new(scene, design).touches()
 }
 
-/// The same of a body whose held units are moved.
+/// Equilibrium of a compressed body.
 ///
 /// # Errors
-/// Likewise.
+/// `Buckled` or `NoEquilibrium`.
 pub fn find(scene: &Scene, model: &Model) -> Result<Places, Outcome> {
     assert_eq!(scene.pressed.len(), scene.clamped.len() + scene.guided.len(), "ways of held units");
     let lengths = model.bars.iter().map(|bar| bar.length);
@@ -85,7 +85,7 @@ pub fn find(scene: &Scene, model: &Model) -> Result<Places, Outcome> {
     Ok(x)
 }
 
-/// Newton's method from `x` on, its held units where they are.
+/// Newton's method from `x` with held units fixed.
 fn settle(scene: &Scene, model: &Model, mut x: Places, short: f64) -> Result<Places, Outcome> {
     let mut at = Slope::at(scene, model, &x).ok_or(Outcome::NoEquilibrium)?;
     for _ in 0..STEPS {
@@ -104,7 +104,7 @@ fn settle(scene: &Scene, model: &Model, mut x: Places, short: f64) -> Result<Pla
         let steps = (0..HALVED).map(|half| 0.5_f64.powi(half));
         let better = |by: f64| {
             let next = Slope::at(scene, model, &moved(by))?;
-            // where energies are equal but for rounding, forces tell
+            // where energies differ only by rounding, the forces decide
             let falls = next.energy <= at.energy - 1e-4 * by * slope || next.largest() < 0.5 * at.largest();
             falls.then_some((by, next))
         };
@@ -114,14 +114,14 @@ fn settle(scene: &Scene, model: &Model, mut x: Places, short: f64) -> Result<Pla
     Err(Outcome::NoEquilibrium)
 }
 
-/// The energy of all units at some places, and its gradient in those that nothing holds, zero in others.
+/// Energy of a state, and its gradient in the free coordinates (zero in others).
 struct Slope {
     energy: f64,
     gradient: Places,
 }
 
 impl Slope {
-    /// Nothing where contact forbids them.
+    /// `None` if contact forbids the state.
     fn at(scene: &Scene, model: &Model, x: &[[f64; 3]]) -> Option<Self> {
         let zero = Sse2::splat(0.0);
         let places: Vec<[Sse2; 3]> = x.iter().map(|x| x.map(Sse2::splat)).collect();
@@ -149,21 +149,21 @@ impl Slope {
     }
 }
 
-/// The displacements that nothing holds, among all: a driven unit stays where it is until a sample drives it.
+/// Indices of the coordinates that are neither held nor driven: driven units stay in place until a sample starts.
 fn loose(model: &Model) -> Vec<usize> {
     let mut loose = unknowns(model);
     loose.retain(|i| !model.driven.contains(&(i / 3)));
     loose
 }
 
-/// The factor of K at some places; nothing where it is not positive definite.
+/// Cholesky factor of K at the state `x`; `None` if K is not positive definite.
 fn stiffness(scene: &Scene, model: &Model, x: &[[f64; 3]]) -> Option<Llt<usize, f64>> {
     let loose = loose(model);
     let entries = columns(&loose, model.units(), |w| hessian(model, scene, x, w));
     sparse(loose.len(), &entries).sp_cholesky(Side::Lower).ok()
 }
 
-/// K⁻¹ y; zero where units are held.
+/// K⁻¹ y; zero in held coordinates.
 fn solve(factor: &Llt<usize, f64>, model: &Model, y: &[[f64; 3]]) -> Places {
     let loose = loose(model);
     let of = |i: usize| (loose[i] / 3, loose[i] % 3);
@@ -176,7 +176,7 @@ fn solve(factor: &Llt<usize, f64>, model: &Model, y: &[[f64; 3]]) -> Places {
     whole
 }
 
-/// What a change of the places' derivative `rate`, ∂²U/∂s∂p along a direction p, makes of them.
+/// Change of the equilibrium, −K⁻¹ `rate`, for `rate` = ∂²U/∂s∂p along a direction p.
 pub fn follow(scene: &Scene, model: &Model, rate: &[[f64; 3]]) -> Places {
     let factor = stiffness(scene, model, model.start()).expect("stable where a sample began");
     let mut moved = solve(&factor, model, rate);
@@ -184,12 +184,12 @@ pub fn follow(scene: &Scene, model: &Model, rate: &[[f64; 3]]) -> Places {
     moved
 }
 
-/// Adds what the cotangent of the places at the beginning passes on to the model's others; nothing in a body as cast.
+/// Passes the cotangent of the starting state to the model's other cotangents, if the body is compressed.
 pub fn pull_back(scene: &Scene, model: &Model, cotangent: &mut ModelCotangent) {
     if model.start().is_empty() {
         return;
     }
-    // less λᵀ ∂²U/∂s∂α, λ = K⁻¹ of it
+    // −λᵀ ∂²U/∂s∂α with λ = K⁻¹ times that cotangent
     let w: Vec<[Sse2; 3]> = follow(scene, model, &cotangent.start).iter().map(|w| w.map(one_lane)).collect();
     let zero = Sse2::splat(0.0);
     let x: Vec<[Sse2; 3]> = model.start().iter().map(|x| x.map(Sse2::splat)).collect();

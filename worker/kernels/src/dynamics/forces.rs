@@ -3,11 +3,10 @@
 use super::scene::{Panel, Scene};
 use std::borrow::Cow;
 
-/// Force histories (N, K, R+1), f_k at t_n = n·duration/R, n = 0…R, linear in between.
+/// Force histories (N, K, R+1): f_k at t_n = n·duration/R, n = 0…R, linear in between.
 ///
-/// R is `instants`: that of the scene, T, or a whole multiple of it, for histories with more detail than T instants hold
-/// (recorded ones). Every method ends a step at each of the R kinks; signals are those of the T instants all the same,
-/// every (R/T)-th.
+/// R is the number T of instants of the scene or a multiple of it, as for recorded forces with more detail. Every method ends a
+/// step at each of the R kinks. Signals always have T instants.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Forces {
     /// N.
@@ -16,36 +15,38 @@ pub struct Forces {
     pub panels: usize,
     /// R, a multiple of T.
     pub instants: usize,
-    /// (N, K, R+1) (N).
+    /// Forces (N), shape (N, K, R+1).
     pub values: Vec<f64>,
-    /// (N, K): how each force acts. Empty: as its panel says.
+    /// How each force acts, shape (N, K). Empty: as the panels define.
     pub strikes: Vec<Strike>,
 }
 
-/// What a force of 1 N does to its unit: (f_u, f_v, moment about the panel's point) (1, 1, mm), whatever way the unit has turned.
+/// Force and moment on the unit per newton: (f_u, f_v, moment about the panel's point) (1, 1, mm), independent of the unit's
+/// rotation.
 pub type Strike = [f64; 3];
 
 impl Panel {
-    /// As the panel says.
+    /// Force and moment without deviation.
     pub fn straight(&self) -> Strike {
         [self.direction[0], self.direction[1], self.moment]
     }
 
-    /// Along the direction turned by `angle` (rad), at `offset` (mm) to its left from where it should act; a couple as it is.
+    /// Force and moment of a blow whose direction is rotated by `angle` (rad) and whose point is shifted by `offset` (mm) to the
+    /// left. Couples do not change.
     pub fn struck(&self, offset: f64, angle: f64) -> Strike {
         let ([x, y], (s, c)) = (self.direction, angle.sin_cos());
         let missed = if self.is_couple() { 0.0 } else { -offset * c };
         [c * x - s * y, c * y + s * x, self.moment + missed]
     }
 
-    /// Whether it turns its unit and does not push it.
+    /// Whether the panel exerts a moment and no force.
     pub fn is_couple(&self) -> bool {
         self.direction == [0.0; 2]
     }
 }
 
 impl Forces {
-    /// R/T: kinks an interval of the scene.
+    /// R/T: kinks per interval of the scene.
     pub fn kinks(&self, scene: &Scene) -> usize {
         self.instants / scene.instants
     }
@@ -56,12 +57,12 @@ impl Forces {
         &self.values[i * len..][..len]
     }
 
-    /// How the force on a panel acts in sample i.
+    /// Force and moment per newton on a panel in sample i.
     pub fn strike(&self, panels: &[Panel], i: usize, panel: usize) -> Strike {
         self.strikes.get(i * self.panels + panel).copied().unwrap_or_else(|| panels[panel].straight())
     }
 
-    /// The same histories on a clock that suits the scene's: as they are where theirs does.
+    /// The same forces with a number of instants that is a multiple of the scene's T; borrowed if it already is.
     pub fn on(&self, scene: &Scene) -> Cow<'_, Self> {
         let (mut by, own) = (1, self.instants);
         while !(by * own).is_multiple_of(scene.instants) {
@@ -80,7 +81,7 @@ impl Forces {
         Cow::Owned(Self { instants: by * own, values, strikes: self.strikes.clone(), ..*self })
     }
 
-    /// The first `n` instants of a scene and of its forces.
+    /// The first `n` instants of a scene and its forces.
     pub fn beginning(&self, scene: &Scene, n: usize) -> (Scene, Self) {
         let instants = n * self.kinks(scene);
         let values = self.values.chunks_exact(self.instants + 1).flat_map(|f| &f[..=instants]).copied();
@@ -89,7 +90,7 @@ impl Forces {
         (Scene { duration, instants: n, ..scene.clone() }, forces)
     }
 
-    /// The samples listed, in the order listed.
+    /// The given samples, in the given order.
     #[must_use]
     pub fn select(&self, samples: &[usize]) -> Self {
         let values = samples.iter().flat_map(|&i| self.sample(i)).copied().collect();
@@ -98,7 +99,7 @@ impl Forces {
         Self { samples: samples.len(), values, strikes, ..*self }
     }
 
-    /// The interval of the scene in which a history, (K, R+1), begins to act; T where it never does.
+    /// Index of the scene's interval in which a history (K, R+1) starts to act; T if all forces are zero.
     pub(crate) fn onset(&self, scene: &Scene, history: &[f64]) -> usize {
         let acts = |panel: &[f64]| panel.iter().position(|f| *f != 0.0);
         let first = history.chunks(self.instants + 1).filter_map(acts).min();

@@ -1,4 +1,4 @@
-//! Samples forwards and backwards: their division among lanes and threads.
+//! Simulation and reverse sweep of samples, distributed over lanes and threads.
 
 use super::dispatch::{Machine, Swept, machine};
 use super::jobs::{Backward, Job};
@@ -11,13 +11,13 @@ use super::{
 use rayon::prelude::*;
 use std::sync::Mutex;
 
-/// Vectors of samples that a reverse sweep of Tsit5 has at most, to make up blocks from.
+/// Largest number of vectors of samples per reverse sweep of Tsit5, which groups their samples.
 const BLOCKS: usize = 5;
 
-/// Integrates all samples and reads the sensors.
+/// Integrates all samples and computes the signals.
 ///
 /// # Panics
-/// If lengths or indices of scene, design and forces do not fit together.
+/// If lengths or indices of scene, design and forces do not match.
 pub fn simulate(
     scene: &Scene,
     design: &[f64],
@@ -29,12 +29,12 @@ pub fn simulate(
     run(scene, design, forces, &planned(scene, design, forces, solver), keep_tape, pool)
 }
 
-/// What [`simulate`] carries out.
+/// The plan that [`simulate`] uses.
 pub fn planned(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver) -> Plan {
     choose::choose_under(scene, design, forces.kinks(scene), solver)
 }
 
-/// Integrates as `plan` says; its steps are rounded up to a multiple of the forces' kinks in an interval.
+/// Integrates with `plan`. Its steps are rounded up to a multiple of the forces' kinks per interval.
 ///
 /// # Panics
 /// As `simulate`.
@@ -65,7 +65,7 @@ pub fn run(
     };
     let mut tapes: Vec<SampleTape> = Vec::new();
     if keep_tape {
-        // until its first force a sample is where it begins
+        // until its first force, a sample stays in its starting state
         let states = || {
             let mut states = vec![0.0; scene.instants * parts * 6 * model.free.len()];
             if !model.start().is_empty() {
@@ -78,7 +78,7 @@ pub fn run(
     }
     let mut kept: Vec<Option<&mut SampleTape>> = tapes.iter_mut().map(Some).collect();
     kept.resize_with(n, || None);
-    // A scene without sensors still has one empty slice a sample.
+    // a scene without sensors needs one empty slice per sample
     let mut rest = signals.as_mut_slice();
     let mut jobs: Vec<Job<'_>> = Vec::with_capacity(n);
     for (index, (outcome, tape)) in outcomes.iter_mut().zip(kept).enumerate() {
@@ -88,14 +88,14 @@ pub fn run(
     }
     let adaptive = matches!(plan.steps, Steps::Adaptive(_));
     if !adaptive {
-        // Lanes that begin together wait together.
+        // samples that start together share a vector, so all its lanes wait together
         jobs.sort_by_key(|s| forces.onset(scene, forces.sample(s.index)));
     }
     if let Err(outcome) = model.start {
         jobs.drain(..).for_each(|job| *job.outcome = outcome);
     }
     let mut total = integrate(&machine, scene, &model, forces, plan, parts, &mut jobs, pool);
-    // Equal steps that one sample's motion or contact is too quick for are halved for it alone, and again.
+    // samples for which equal steps are too long are repeated with finer steps
     for refined in [2, 4, 8] {
         let mut failed: Vec<Job<'_>> = Vec::new();
         for job in &mut jobs {
@@ -117,7 +117,7 @@ pub fn run(
     }
     for (i, outcome) in outcomes.iter().enumerate() {
         if *outcome != Outcome::Ok {
-            // What a failed sample read before it failed would teach a brain nothing.
+            // signals before a failure are useless to a decoder
             signals[i * len..][..len].fill(0.0);
         }
     }
@@ -154,7 +154,7 @@ fn integrate(
     let counters: Vec<Counters> = pool.install(|| {
         (0..tasks)
             .into_par_iter()
-            // SAFETY: `machine` is of a width that this machine has.
+            // SAFETY: `machine` has checked that this machine supports its width.
             .map(|_| unsafe { forward(scene, model, forces, plan, parts, &queue, pool.heartbeat()) })
             .collect()
     });
@@ -164,11 +164,11 @@ fn integrate(
 }
 
 impl Simulation {
-    /// Gradient of Σ cotangent·signals, cotangent (N, T, 3M), by the method and instruction set of the simulation. Samples
-    /// that failed add nothing.
+    /// Gradient of Σ cotangent·signals, cotangent (N, T, 3M), with the method and instruction set of the simulation.
+    /// Failed samples contribute zero.
     ///
     /// # Panics
-    /// If the simulation kept no tape, or the length is another.
+    /// If the simulation has no tape, or the length does not match.
     pub fn vjp(&self, cotangent: &[f64], wrt: Wrt, pool: &crate::Pool) -> Gradient {
         let tape = self.tape.as_ref().expect("the simulation kept its tape");
         let Tape { scene, forces, parts, samples, .. } = tape;
@@ -186,7 +186,7 @@ impl Simulation {
                 cotangent: &cotangent[at * len..][..len],
             })
             .collect();
-        // Lanes of one block take the same steps.
+        // all lanes of a vector have the same number of steps
         let mut blocks: Vec<(Plan, Vec<Backward<'_>>)> = Vec::new();
         for refined in [1, 2, 4, 8] {
             let finer = Plan { steps: plan.steps.times(refined), ..plan.clone() };
@@ -196,8 +196,8 @@ impl Simulation {
                 _ => forces.onset(scene, s.history),
             });
             let lanes: Vec<&[&Backward<'_>]> = group.chunks(machine.lanes).collect();
-            // Tsit5 makes up its own blocks, of samples that take about as many steps; but threads want work, too, of as
-            // much each: every task gets of all lengths.
+            // Tsit5 groups samples with similar numbers of steps, but threads need equal work: each task receives samples
+            // of all lengths.
             let tasks = match plan.method {
                 Method::Tsit5 => lanes.len().div_ceil(BLOCKS).max(lanes.len().min(4)),
                 _ => lanes.len(),
@@ -213,7 +213,7 @@ impl Simulation {
         let swept: Vec<Swept> = pool.install(|| {
             blocks
                 .par_iter()
-                // SAFETY: `machine` has checked that this machine has the simulation's width.
+                // SAFETY: `machine` has checked that this machine supports the simulation's width.
                 .map(|(plan, sweeps)| unsafe {
                     (machine.reverse)(scene, &model, forces, plan, *parts, sweeps, wrt, pool.heartbeat())
                 })

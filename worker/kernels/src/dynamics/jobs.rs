@@ -1,25 +1,25 @@
-//! What lanes are given to do: samples to integrate, from a queue, and samples to sweep backwards.
+//! Work items: samples to integrate, in a queue, and samples for the reverse sweep.
 
 use super::Outcome;
 use super::simulation::SampleTape;
 use std::sync::{Mutex, PoisonError};
 
-/// A sample to integrate, and where its results go.
+/// A sample to integrate, and the memory for its results.
 pub struct Job<'a> {
-    /// (T, 3M).
+    /// Signals (T, 3M).
     pub signals: &'a mut [f64],
-    /// How it ended.
+    /// Outcome of the simulation.
     pub outcome: &'a mut Outcome,
-    /// For the reverse sweep.
+    /// Tape for the reverse sweep.
     pub tape: Option<&'a mut SampleTape>,
-    /// Its forces.
+    /// Index of the sample's forces.
     pub index: usize,
 }
 
-/// Samples that nobody has taken up yet, in order.
+/// Samples that are not yet taken, in order.
 pub type Queue<'s, 'a> = Mutex<&'s mut [Job<'a>]>;
 
-/// The next samples of a queue, up to `most`.
+/// Removes up to `most` samples from a queue.
 pub fn take<'s, 'a>(queue: &Queue<'s, 'a>, most: usize) -> &'s mut [Job<'a>] {
     let mut queue = queue.lock().unwrap_or_else(PoisonError::into_inner);
     let all = std::mem::take(&mut *queue);
@@ -28,15 +28,15 @@ pub fn take<'s, 'a>(queue: &Queue<'s, 'a>, most: usize) -> &'s mut [Job<'a>] {
     taken
 }
 
-/// A sample to sweep backwards.
+/// A sample for the reverse sweep.
 #[derive(Clone, Copy)]
 pub struct Backward<'a> {
-    /// Its number.
+    /// Number of the sample.
     pub at: usize,
     /// Its tape.
     pub tape: &'a SampleTape,
-    /// Its forces.
+    /// Force history.
     pub history: &'a [f64],
-    /// (T, 3M).
+    /// Cotangents of the signals (T, 3M).
     pub cotangent: &'a [f64],
 }

@@ -1,8 +1,8 @@
-//! Derivative of one sample's signals along a direction in design, parameters and forces: the transpose of `vjp`, to check it.
+//! Derivative of one sample's signals along a direction in design, parameters and forces, to check its adjoint `vjp`.
 //!
-//! Plain dual numbers a + ε b, ε² = 0, unit by unit and without lanes. Of the production code it takes the coefficients of
-//! the methods, the factors of a drift and the recorded steps; geometry, forces and steps are written out once more, so
-//! that signals which agree to rounding check those too.
+//! Uses plain dual numbers a + ε b, ε² = 0, without lanes. It shares coefficients of the methods, drift factors, equilibrium
+//! and recorded steps with the production code. Geometry, forces and steps are implemented again, so equal signals also verify
+//! these parts.
 
 use super::model::heavy;
 use super::schemes::Drift;
@@ -13,7 +13,7 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 struct Dual(f64, f64);
 
-/// What an operator makes of a left and a right side.
+/// Implements an operator for given operand types.
 macro_rules! operator {
     ($operator:ident::$method:ident($left:ty, $right:ty) = |$a:ident, $b:ident| $result:expr) => {
         impl $operator<$right> for $left {
@@ -55,7 +55,7 @@ impl Dual {
 }
 
 type Pair = [Dual; 2];
-/// (u, v, θ), or what belongs to it, of every unit.
+/// (u, v, θ) of every unit, or their rates.
 type State = Vec<[Dual; 3]>;
 
 fn plus(a: Pair, b: Pair) -> Pair {
@@ -84,7 +84,7 @@ fn add(to: &mut State, from: &State) {
     }
 }
 
-/// Where a node is that follows others of its unit, relative to its reference point.
+/// Position of a follower relative to the reference point of its unit.
 fn followed(layout: &Layout, unit: usize, follower: &Follower, nodes: &[Pair]) -> Pair {
     let constant = |at: [f64; 2]| at.map(|x| Dual(x, 0.0));
     let centre = constant(layout.centres[unit]);
@@ -111,18 +111,18 @@ fn followed(layout: &Layout, unit: usize, follower: &Follower, nodes: &[Pair]) -
     minus(place, centre)
 }
 
-/// Along what a derivative is taken.
+/// Direction of a derivative.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Tangent<'a> {
-    /// In the design; empty: held.
+    /// Direction in the design; empty: zero.
     pub design: &'a [f64],
-    /// In the scene's parameters.
+    /// Direction in the scene's parameters.
     pub parameters: Parameters,
-    /// In the sample's histories, (K, R+1); empty: held.
+    /// Direction in the sample's histories, (K, R+1); empty: zero.
     pub forces: &'a [f64],
 }
 
-/// A scene with a design that moves.
+/// A scene and design with their rates.
 struct Body<'a> {
     scene: &'a Scene,
     arms: Vec<Pair>,
@@ -133,7 +133,7 @@ struct Body<'a> {
     /// C.
     damping: [Dual; 3],
     history: &'a [f64],
-    /// Of the history.
+    /// Direction in the history.
     along: &'a [f64],
     forces: &'a Forces,
     tape: &'a Tape,
@@ -206,7 +206,7 @@ impl<'a> Body<'a> {
         vec![[Dual::default(); 3]; self.mass.len()]
     }
 
-    /// Where the sample begins, and how that follows the design and the parameters.
+    /// State at the start of the sample, with its derivative in design and parameters.
     fn start(&self) -> State {
         let Tape { scene, forces, .. } = self.tape;
         let mut x = self.still();
@@ -224,7 +224,7 @@ impl<'a> Body<'a> {
             ..*self
         };
         let pulled = still.acceleration(&x, &self.still(), [Dual::default(); 3], (0, 0.0));
-        // less the forces' derivative: they are zero, and so is that of the masses by which they are divided
+        // minus the derivative of the forces; the forces are zero, so the derivative of the masses has no effect
         let rate = |(a, m): (&[Dual; 3], &[Dual; 3])| std::array::from_fn(|d| -(m[d].0 * a[d].1));
         let rate: Vec<[f64; 3]> = pulled.iter().zip(&self.mass).map(rate).collect();
         for (x, moved) in x.iter_mut().zip(equilibrium::follow(scene, &model, &rate)) {
@@ -233,8 +233,8 @@ impl<'a> Body<'a> {
         x
     }
 
-    /// Gives the state at instant n the values that `vjp` starts from: own rounding, much amplified in
-    /// accelerations, would let the two run apart.
+    /// Sets the state at instant n to the tape's values, from which `vjp` starts: rounding, amplified in accelerations, would
+    /// otherwise let both runs diverge.
     fn meet(&self, n: usize, x: &mut State, v: &mut State) {
         let (at, speed) = self.tape.state(self.sample, n);
         for (own, kept) in [(x, at), (v, speed)] {
@@ -251,7 +251,7 @@ impl<'a> Body<'a> {
         start + w * (end - start)
     }
 
-    /// M⁻¹(−∂U/∂s − C v + f), zero where held.
+    /// M⁻¹(−∂U/∂s − C v + f), zero in held coordinates.
     fn acceleration(&self, x: &State, v: &State, damping: [Dual; 3], (interval, w): (usize, f64)) -> State {
         let Self { scene, arms, stiffness: [stretch, shearing, bending, touch], .. } = self;
         let (stretch, shearing, bending, touch) = (*stretch, *shearing, *bending, *touch);
@@ -291,7 +291,7 @@ impl<'a> Body<'a> {
             let e = ligament.reference.map(|d| Dual(d / length, 0.0));
             let mean = 0.5 * (x[a][2] + x[b][2]);
             let bend = x[b][2] - x[a][2];
-            // An end's displacement, and its derivative in θ
+            // displacement of an end, and its derivative in θ
             let end = |x: [Dual; 3], r: Pair| -> (Pair, Pair) {
                 let (s, c) = x[2].sin_cos();
                 let at = [c * r[0] - s * r[1], s * r[0] + c * r[1]];
@@ -299,7 +299,7 @@ impl<'a> Body<'a> {
             };
             let ((ua, ta), (ub, tb)) = (end(x[a], ra), end(x[b], rb));
             let du = minus(ub, ua);
-            // Force on the end at b, and k_s l₀² γ
+            // force on end b, and k_s l₀² γ
             let (pull, shear) = if scene.linearised {
                 let slide = cross(e, du) - length * mean;
                 let along = stretch * dot(du, e);
@@ -349,7 +349,7 @@ impl<'a> Body<'a> {
         net
     }
 
-    /// Adds the sensors' readings at an instant, numbered from 1.
+    /// Appends the signals at an instant, counted from 1.
     fn read(&self, x: &State, v: &State, a: &State, instant: usize, signals: &mut Vec<Dual>) {
         let mut a = a.clone();
         for (k, panel) in self.scene.panels.iter().enumerate() {
@@ -376,17 +376,17 @@ impl<'a> Body<'a> {
     }
 }
 
-/// The entry of a tangent, which may be empty.
+/// Entry of a direction; zero if the direction is empty.
 fn or_zero(tangent: &[f64], at: usize) -> f64 {
     if tangent.is_empty() { 0.0 } else { tangent[at] }
 }
 
 impl Simulation {
-    /// Signals (T, 3M) of one sample, and their derivative along `tangent`, its steps held, from the tape's state at each
-    /// instant to the next.
+    /// Signals (T, 3M) of one sample and their derivative along `tangent` at constant steps. Each interval starts from the
+    /// tape's state.
     ///
     /// # Panics
-    /// If the simulation kept no tape, the sample failed, or lengths do not fit together.
+    /// If the simulation has no tape, the sample failed, or lengths do not match.
     pub fn jvp(&self, sample: usize, tangent: Tangent<'_>) -> (Vec<f64>, Vec<f64>) {
         let tape = self.tape.as_ref().expect("the simulation kept its tape");
         for (along, of) in [(tangent.design, &tape.design[..]), (tangent.forces, tape.forces.sample(sample))]

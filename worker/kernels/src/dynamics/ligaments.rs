@@ -4,30 +4,30 @@
 //! U = Σ ½ k_l Δl² + ½ k_s (l₀ γ)² + ½ k_θ Δθ² + E_c    (Bordiga et al., Nat. Mater. 23, 1486)
 //! γ = ∠(d) − ∠(R((θ_a+θ_b)/2) d₀),   E_c = ½ k_c w² x²/(1−x²),   x = (ψ − ψ_c)/w,   w = ψ_c − ψ_min
 //! ```
-//! γ is the angle of d less the turn of its reference, in (−π, π] however far units turn. A void angle is
-//! its value at rest plus the units' relative rotation: continuous, hence on the branch of the rest state.
+//! γ is reduced to (−π, π] for any rotation. A void angle is its value at rest plus the relative rotation of the units; it is therefore
+//! continuous, on the branch of the rest state.
 
 use super::model::{Bar, Model};
 use super::trigonometry::{angle, sin_cos1};
 use crate::lanes::{Vector, pair};
 
-/// Of one unit.
+/// Rotation of one unit.
 #[derive(Clone, Copy)]
 pub struct Turn<V: Vector> {
     /// sin θ and cos θ − 1.
     pub(super) exact: [V::Wide; 2],
-    /// Where forces are f32 these and θ, rounded once for all ligaments of the unit; else unused.
+    /// sin θ, cos θ − 1 and θ rounded to f32, once for all ligaments of the unit; unused in f64.
     rounded: [V; 3],
 }
 
-/// Likewise: (u, v, θ). Ligaments stretch by a hundredth of what their ends move: f64, also where forces are f32.
+/// Position (u, v, θ) of one unit, always f64: ligaments stretch by about a hundredth of the displacement of their ends.
 pub type Place<V> = [<V as Vector>::Wide; 3];
 
 impl<V: Vector> Turn<V> {
-    /// None.
+    /// No rotation.
     pub const NONE: Self = Self { exact: [V::Wide::ZERO; 2], rounded: [V::ZERO; 3] };
 
-    /// Overwrites it by a turn by θ.
+    /// Sets the rotation to θ.
     #[inline(always)]
     pub fn set(&mut self, theta: V::Wide) {
         self.exact = sin_cos1(theta);
@@ -37,7 +37,7 @@ impl<V: Vector> Turn<V> {
         }
     }
 
-    /// sin θ, cos θ − 1 and θ, with θ as given.
+    /// sin θ, cos θ − 1 and the given θ, rounded.
     #[inline(always)]
     fn rounded(&self, theta: V::Wide) -> [V; 3] {
         if V::SINGLE {
@@ -48,69 +48,69 @@ impl<V: Vector> Turn<V> {
     }
 }
 
-/// Where a kernel adds cotangents of the arms (node by node), of the void angles at rest and of the stiffnesses.
+/// Sums of cotangents of arms, void angles at rest and stiffnesses.
 pub struct ShapeCotangent<'a, V> {
-    /// One entry a node.
+    /// One entry per node.
     pub arms: &'a mut [[V; 2]],
-    /// One entry a ligament.
+    /// One entry per ligament.
     pub voids: &'a mut [[V; 2]],
-    /// Of k_l, k_s, k_θ, one entry a ligament; touched with `PARAMETERS` alone, as is the next.
+    /// Of k_l, k_s, k_θ, one entry per ligament; only used with `PARAMETERS`.
     pub stiffness: &'a mut [[V; 3]],
-    /// Of k_c.
+    /// Of k_c; only used with `PARAMETERS`.
     pub contact: &'a mut V,
 }
 
-/// Where the ends of a ligament are.
+/// Kinematics of a ligament.
 #[derive(Clone, Copy)]
 struct Kinematics<V> {
-    /// R r of either end.
+    /// R r of both ends.
     levers: [[V; 2]; 2],
     /// d; in linearised scenes d − d₀.
     d: [V; 2],
-    /// |d| and 1/|d|; zero in linearised scenes, as are the next two.
+    /// |d| and 1/|d|; zero in linearised scenes, as are `seen` and `square`.
     size: V,
     inverse: V,
-    /// d seen from the reference at rest.
+    /// d in the axes (d₀, d₀⊥).
     seen: [V; 2],
-    /// |d|² − l₀², of f32 alone.
+    /// |d|² − l₀², only in f32.
     square: V,
     /// (θ_a + θ_b)/2, θ_b − θ_a.
     mean: V,
     relative: V,
 }
 
-/// What a ligament does to the units at its ends.
+/// Forces and moments of a ligament on its units.
 struct Reaction<V> {
     at: Kinematics<V>,
-    /// 1/|d|²; zero in linearised scenes, as are the next two.
+    /// 1/|d|²; zero in linearised scenes, as are `stretch` and `side`.
     inverse_square: V,
     /// The force is stretch·d + side·d⊥, d⊥ = (−d_y, d_x).
     stretch: V,
     side: V,
-    /// ∂U/∂(node of b), the negative of that of a.
+    /// ∂U/∂(node of b); ∂U/∂(node of a) is the negative.
     force: [V; 2],
-    /// ∂U/∂θ of either unit, but for the lever of the force.
+    /// ∂U/∂θ of both units without the moment of `force`.
     moments: [V; 2],
     /// dE_c/dψ and d²E_c/dψ².
     contact: [(V, V); 2],
-    /// Δl, l₀γ and Δθ: what a stiffness is multiplied by.
+    /// Strains Δl, l₀γ and Δθ.
     strains: [V; 3],
 }
 
-/// Its derivative along a direction.
+/// Derivative of a [`Reaction`] along a direction.
 struct ReactionTangent<V> {
     force: [V; 2],
-    /// Of ∂U/∂θ of either unit.
+    /// Derivative of ∂U/∂θ of both units.
     moments: [V; 2],
-    /// Of ∂U/∂ψ.
+    /// Derivative of ∂U/∂ψ.
     voids: [V; 2],
     strains: [V; 3],
 }
 
-/// Adds ∂U/∂s at `x`, of which `turn` holds the turns, to `g`. Allocates nothing.
+/// Adds ∂U/∂s at `x` to `g`; `turn` contains the rotations of `x`. Does not allocate.
 ///
-/// With `CONTACT` moments are those of the model's contact, too, and `margin` falls to the least ψ − ψ_min; with `KEEP`
-/// overwrites `kept`, one entry a ligament, by the force on its end at b and ∂U/∂ψ. A ligament of length zero gives NaN.
+/// With `CONTACT`, includes contact and lowers `margin` to the least ψ − ψ_min. With `KEEP`, stores the force on end b and ∂U/∂ψ of each
+/// ligament in `kept`. A ligament of length zero yields NaN.
 #[inline(always)]
 pub fn gradient<V: Vector, const LINEAR: bool, const CONTACT: bool, const KEEP: bool>(
     model: &Model,
@@ -137,7 +137,7 @@ pub fn gradient<V: Vector, const LINEAR: bool, const CONTACT: bool, const KEEP: 
     }
 }
 
-/// U at `x`, of which `turn` holds the turns. Allocates nothing.
+/// U at `x`; `turn` contains the rotations of `x`. Does not allocate.
 #[inline(always)]
 pub fn energy<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     model: &Model,
@@ -166,11 +166,11 @@ pub fn energy<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     sum
 }
 
-/// Takes the derivative of ∂U/∂s along `w` from `h`, what forces of cotangent `w` pass on to states, and with `GRADIENT`
-/// adds ∂U/∂s itself to `g`. Allocates nothing.
+/// Subtracts the derivative of ∂U/∂s along `w` from `h`: the cotangent of the state for the cotangent `w` of the forces. With `GRADIENT`,
+/// adds ∂U/∂s to `g`. Does not allocate.
 ///
-/// Adds to `shape` the derivatives along `w` of ∂U/∂r and of ∂U/∂ψ at rest and, with `PARAMETERS`, ∂²U/∂s∂k·w:
-/// Σ strain · (strain's derivative along w).
+/// Adds to `shape` the derivatives along `w` of ∂U/∂r and of ∂U/∂ψ at rest and, with `PARAMETERS`, ∂²U/∂s∂k·w: Σ strain · (derivative of
+/// the strain along w).
 #[inline(always)]
 pub fn product<
     V: Vector,
@@ -210,7 +210,7 @@ pub fn product<
         h[a] = [hx + fx, hy + fy, ht - tangent.moments[0]];
         let [hx, hy, ht] = h[b];
         h[b] = [hx - fx, hy - fy, ht - tangent.moments[1]];
-        // (R − I)ᵀ ∂U/∂node at b, its negative at a; a turn of R by ω is one of the force by −ω
+        // (R − I)ᵀ ∂U/∂node at b, its negative at a; rotating R by ω is equivalent to rotating the force by −ω
         let [gx, gy] = reaction.force;
         let [s, c1, _] = turns[1];
         let omega = w[b][2];
@@ -238,7 +238,7 @@ pub fn product<
                 to[k] = reaction.strains[k].mul_add(tangent.strains[k], to[k]);
             }
             if CONTACT && let Some(contact) = model.contact {
-                // ∂E_c/∂ψ is k_c times what does not depend on it
+                // ∂E_c/∂ψ is proportional to k_c
                 let turned = tangent.strains[2] * V::splat(1.0 / contact.stiffness);
                 let moment = reaction.contact[1].0 - reaction.contact[0].0;
                 *shape.contact = moment.mul_add(turned, *shape.contact);
@@ -247,9 +247,8 @@ pub fn product<
     }
 }
 
-/// What Maxwell's branches do where units are held at `x`: adds the gradient of their energies, `reach` times it, to `g` and lets
-/// the strains `past` of their dashpots, one entry a ligament, come to a part 1 − `keep` of the way after the ligaments'. They are
-/// linear.
+/// Acts on Maxwell branches with units at rest at `x`: adds the gradient of the branch energies times `reach` to `g`, and multiplies the
+/// difference between the ligaments' strains and the dashpots' strains `past` by `keep`.
 #[inline(always)]
 pub fn relax<V: Vector, const LINEAR: bool>(
     bars: &[Bar<V::Scalar>],
@@ -297,7 +296,7 @@ pub fn relax<V: Vector, const LINEAR: bool>(
     }
 }
 
-/// Overwrites `turn`.
+/// Sets `turn` to the rotations of `x`.
 #[inline(always)]
 pub fn turns<V: Vector>(x: &[Place<V>], turn: &mut [Turn<V>]) {
     for (turn, x) in turn.iter_mut().zip(x) {
@@ -305,7 +304,7 @@ pub fn turns<V: Vector>(x: &[Place<V>], turn: &mut [Turn<V>]) {
     }
 }
 
-/// Where a ligament is.
+/// Computes the kinematics of a ligament, except γ.
 #[inline(always)]
 fn kinematics<V: Vector, const LINEAR: bool>(
     bar: &Bar<V::Scalar>,
@@ -347,7 +346,7 @@ fn kinematics<V: Vector, const LINEAR: bool>(
         at.inverse = square.rsqrt();
         at.size = square * at.inverse;
         if V::SINGLE {
-            // from d − d₀, a hundredth of d
+            // from d − d₀, about a hundredth of d
             let [along, across] = [du[0].mul_add(e[0], du[1] * e[1]), du[0].mul_sub_from(e[1], du[1] * e[0])];
             at.seen = [length + along, across];
             at.square = along.mul_add(length + at.seen[0], across * across);
@@ -358,7 +357,7 @@ fn kinematics<V: Vector, const LINEAR: bool>(
     at
 }
 
-/// Both rounded.
+/// Rounds both coordinates.
 #[inline(always)]
 fn narrow<V: Vector>([x, y]: [V::Wide; 2]) -> [V; 2] {
     [V::narrow(x), V::narrow(y)]
@@ -382,7 +381,7 @@ fn moved_from<W: Vector>(x: [W; 2], [s, c1]: [W; 2], r: [W; 2]) -> [W; 2] {
     [s.mul_add(r[1], c1.mul_sub_from(r[0], x[0])), s.mul_sub_from(r[0], c1.mul_sub_from(r[1], x[1]))]
 }
 
-/// γ there; zero in linearised scenes.
+/// γ; zero in linearised scenes.
 #[inline(always)]
 fn shear_angle<V: Vector, const LINEAR: bool>(at: &Kinematics<V>) -> V {
     if LINEAR {
@@ -391,10 +390,10 @@ fn shear_angle<V: Vector, const LINEAR: bool>(at: &Kinematics<V>) -> V {
     angle(at.seen[1].over(at.size + at.seen[0]), at.seen, at.mean)
 }
 
-/// Software pipelining: where the next two ligaments are, and γ of the first. A ligament is a long chain of dependent operations, and while
-/// it waits processors look ahead by about a hundred others, of which a third each may well belong to three ligaments.
+/// Software pipelining: kinematics of the next two ligaments, and γ of the first. A ligament is a long chain of dependent operations. While
+/// it waits, processors look ahead by about a hundred operations, which this order fills from three ligaments.
 struct Pipeline<V> {
-    /// Of ligament q at q modulo 4: none is ever moved.
+    /// Kinematics of ligament q at index q modulo 4, so that none is copied.
     at: [Kinematics<V>; 4],
     gamma: V,
 }
@@ -407,7 +406,7 @@ impl<V: Vector> Pipeline<V> {
         Self { at: [first, second, first, first], gamma: shear_angle::<V, LINEAR>(&first) }
     }
 
-    /// Of ligament q, and takes up that after the next.
+    /// Returns kinematics and γ of ligament q, and starts ligament q + 2.
     #[inline(always)]
     fn next<const LINEAR: bool>(
         &mut self,
@@ -425,7 +424,7 @@ impl<V: Vector> Pipeline<V> {
     }
 }
 
-/// What a ligament does there, with contact.
+/// Computes the reaction of a ligament, including contact.
 #[inline(always)]
 fn reaction<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     model: &Model,
@@ -446,8 +445,8 @@ fn reaction<V: Vector, const LINEAR: bool, const CONTACT: bool>(
         contact: [(zero, zero); 2],
         strains: [zero; 3],
     };
-    // −∂U/∂θ of either unit, as the reference of the shear turns with both; and ∂U/∂θ_b of bending and contact, the
-    // negative of that of a
+    // `shear`: −∂U/∂θ of each unit, because the reference of γ turns with both units. `bend`: ∂U/∂θ_b of bending and contact, the negative
+    // of ∂U/∂θ_a.
     let shear;
     let mut bend = V::of(k_t) * relative;
     if LINEAR {
@@ -467,7 +466,7 @@ fn reaction<V: Vector, const LINEAR: bool, const CONTACT: bool>(
         of.strains = [at.size - V::of(length), V::of(length) * gamma, relative];
     }
     if CONTACT && let Some(contact) = model.contact {
-        // ψ₁ falls and ψ₂ rises with θ_b − θ_a
+        // ψ₁ decreases and ψ₂ increases with θ_b − θ_a
         let psi = [V::of(bar.voids[0]) - relative, V::of(bar.voids[1]) + relative];
         for (s, sign) in [(0, -1.0), (1, 1.0)] {
             *margin = -Vector::max(-*margin, V::splat(contact.min_angle) - psi[s]);
@@ -481,7 +480,7 @@ fn reaction<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     of
 }
 
-/// Force, moment and strains of linear measures: linear in displacement, mean and difference of rotations.
+/// Force, moment and strains of the linearised ligament.
 #[inline(always)]
 fn linear<V: Vector>(bar: &Bar<V::Scalar>, du: [V; 2], mean: V, relative: V) -> ([V; 2], V, [V; 3]) {
     let ([k_l, k_s, _], e, length) = (bar.stiffness, pair(bar.e), V::of(bar.length));
@@ -504,6 +503,7 @@ impl<V: Vector> Reaction<V> {
         g[bar.b] = [x + fx, y + fy, t + lb[1].mul_sub_from(fx, lb[0].mul_add(fy, mb))];
     }
 
+    /// Derivative along the directions `wa`, `wb` of both units:
     /// ```text
     /// δd = δu_b − δu_a + ω_b (R r_b)⊥ − ω_a (R r_a)⊥,   ρ = d·δd/|d|²,   δγ = d⊥·δd/|d|² − ½(ω_a + ω_b)
     /// δg = stretch δd + side δd⊥ + k_l l₀/|d| ρ d + (k_s l₀² δγ/|d|² − 2 side ρ) d⊥
@@ -549,7 +549,7 @@ impl<V: Vector> Reaction<V> {
         ReactionTangent { force, moments, voids, strains }
     }
 
-    /// Derivative of the moment of the force at a lever that turns by ω, where that of the force is `along`.
+    /// Derivative of the force's moment about the centroid, for an arm that rotates with ω and a force with the derivative `along`.
     #[inline(always)]
     fn lever_along(&self, lever: [V; 2], omega: V, along: [V; 2]) -> V {
         let turned = omega * lever[0].mul_add(self.force[0], lever[1] * self.force[1]);
@@ -567,7 +567,7 @@ fn contact_energy<V: Vector>(contact: super::Contact, psi: V) -> V {
     V::splat(0.5 * contact.stiffness * width * width) * square.over(one - square)
 }
 
-/// dE_c/dψ = k_c w x/(1−x²)² and d²E_c/dψ² = k_c (1+3x²)/(1−x²)³; zero from ψ_c on and below ψ_min.
+/// dE_c/dψ = k_c w x/(1−x²)² and d²E_c/dψ² = k_c (1+3x²)/(1−x²)³; zero for ψ ≥ ψ_c and ψ ≤ ψ_min.
 #[inline(always)]
 fn contact_slope<V: Vector>(contact: super::Contact, psi: V) -> (V, V) {
     let width = contact.cutoff_angle - contact.min_angle;

@@ -1,27 +1,27 @@
-//! The panels' forces in lanes: of lanes in lockstep, at equal steps, and of lanes on clocks of their own.
+//! Panel forces in lanes, for samples with common equal steps and for samples with separate clocks.
 
 use super::system::{System, Unit};
 use super::{Forces, Scene};
 use crate::lanes::{LANES, Vector};
 
-/// Forces of up to eight samples at equal steps, which end at every kink.
+/// Forces of samples at equal steps, which end at every kink.
 pub struct LockstepForces<'a, V> {
     forces: &'a Forces,
     histories: Vec<&'a [f64]>,
-    /// Steps from kink to kink.
+    /// Steps between kinks.
     span: usize,
-    /// The kink that the present ramp begins at.
+    /// Kink at which the current ramp starts.
     kink: Option<usize>,
     start: Vec<V>,
     rise: Vec<V>,
-    /// Of that ramp, where forces were taken last.
+    /// Fraction of the current ramp at the last call of `at`.
     part: f64,
-    /// Of the histories, (K, R+1), where asked for.
+    /// Cotangents of the histories (K, R+1), if requested.
     cotangent: Vec<V>,
 }
 
 impl<'a, V: Vector> LockstepForces<'a, V> {
-    /// Of the samples' histories, one a lane, `substeps` steps an interval of the scene.
+    /// Forces of the histories, one per lane, with `substeps` steps per interval of the scene.
     #[inline(always)]
     pub fn new(scene: &Scene, forces: &'a Forces, histories: Vec<&'a [f64]>, substeps: usize) -> Self {
         let zero = vec![V::splat(0.0); forces.panels];
@@ -30,7 +30,7 @@ impl<'a, V: Vector> LockstepForces<'a, V> {
         Self { forces, histories, span, kink: None, start, rise, part: 0.0, cotangent: Vec::new() }
     }
 
-    /// Overwrites `force` by the forces at the fraction c of a step, counted from the beginning of the sample.
+    /// Overwrites `force` with the forces at the fraction c of step `step`, counted from the start of the sample.
     #[inline(always)]
     pub fn at(&mut self, step: usize, c: f64, force: &mut [V]) {
         let kink = step / self.span;
@@ -44,13 +44,13 @@ impl<'a, V: Vector> LockstepForces<'a, V> {
         }
     }
 
-    /// From now on `add_vjp` adds.
+    /// Requests cotangents of the histories: `add_vjp` then adds to them.
     #[inline(always)]
     pub fn ask(&mut self) {
         self.cotangent = vec![V::ZERO; self.forces.panels * (self.forces.instants + 1)];
     }
 
-    /// Adds what the forces given last, whose work on the units has the cotangent `w`, pass on to the histories, where asked.
+    /// Adds to the cotangents of the histories for the forces of the last `at`; `w` is the cotangent of the units' forces.
     #[inline(always)]
     pub fn add_vjp(&mut self, system: &System<'_, V>, w: &[Unit<V>]) {
         let (Some(kink), false) = (self.kink, self.cotangent.is_empty()) else { return };
@@ -63,7 +63,7 @@ impl<'a, V: Vector> LockstepForces<'a, V> {
         }
     }
 
-    /// Likewise what the forces given last, at the end of a ramp, add to readings whose accelerations have the cotangent `bar_a`.
+    /// As `add_vjp`, for forces at the end of a ramp that shake the base; `bar_a` is the cotangent of the measured accelerations.
     #[inline(always)]
     pub fn add_felt_vjp(&mut self, system: &System<'_, V>, bar_a: &[Unit<V>]) {
         let (Some(kink), false) = (self.kink, self.cotangent.is_empty()) else { return };
@@ -74,7 +74,7 @@ impl<'a, V: Vector> LockstepForces<'a, V> {
         }
     }
 
-    /// Of each history in turn, (lanes, K, R+1), or nothing.
+    /// Cotangents of the histories (lanes, K, R+1); empty if not requested.
     #[inline(always)]
     pub fn cotangent(&self) -> Vec<f64> {
         let mut all = Vec::with_capacity(self.histories.len() * self.cotangent.len());
@@ -103,9 +103,9 @@ impl<'a, V: Vector> LockstepForces<'a, V> {
     }
 }
 
-/// Forces of lanes on clocks of their own, each in an interval of its own.
+/// Forces of lanes with separate clocks.
 pub struct FreeForces {
-    /// f_k at either end of the lane's interval.
+    /// f_k at both ends of each lane's interval.
     ends: Vec<[[f64; LANES]; 2]>,
 }
 
@@ -115,7 +115,7 @@ impl FreeForces {
         Self { ends: vec![[[0.0; LANES]; 2]; panels] }
     }
 
-    /// A lane takes up an interval of a history.
+    /// Loads an interval of a history into a lane.
     pub fn load(&mut self, lane: usize, forces: &Forces, history: &[f64], interval: usize) {
         for (k, [start, end]) in self.ends.iter_mut().enumerate() {
             let f = &history[k * (forces.instants + 1) + interval..][..2];
@@ -123,14 +123,14 @@ impl FreeForces {
         }
     }
 
-    /// No forces on a lane.
+    /// Sets the forces of a lane to zero.
     pub fn clear(&mut self, lane: usize) {
         for [start, end] in &mut self.ends {
             (start[lane], end[lane]) = (0.0, 0.0);
         }
     }
 
-    /// Overwrites `force` by the forces at the fractions w of the intervals.
+    /// Overwrites `force` with the forces at the fractions w of the intervals.
     #[inline(always)]
     pub fn at<V: Vector>(&self, w: V, force: &mut [V]) {
         for (f, [start, end]) in force.iter_mut().zip(&self.ends) {

@@ -1,10 +1,10 @@
-//! The body's motion under forces, its sensors' signals, and the gradient of a function of the signals in the design.
+//! Motion of the body under forces, signals of its sensors, and gradients of functions of the signals.
 //!
 //! ```text
-//! M s̈ = −∂U/∂s − C ṡ + f(t),   s = (u, v, θ) of every unit, clamped ones held, at rest at t = 0
+//! M s̈ = −∂U/∂s − C ṡ + f(t),   s = (u, v, θ) of each unit; clamped units fixed; at rest at t = 0
 //! ```
-//! Samples are integrated eight at a time or more, one a lane; a sample's result does not depend on the others, on the number
-//! of threads or on which samples are asked for. Gradients are those of the discrete method.
+//! Vectors integrate several samples at once, one per lane. The result of a sample does not depend on other samples or on the
+//! number of threads. Gradients are those of the discrete method.
 
 mod balance;
 mod choose;

@@ -1,42 +1,42 @@
-//! A scene with a design, in the form that the kernels read.
+//! Combines a scene with a design in the form that the kernels use.
 
 use super::{Contact, Inertia, Outcome, Panel, Parameters, Parts, Scene, Stiffness, Strike};
 use crate::body::{End, Geometry, void_angles_vjp};
 use crate::lanes::Scalar;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-/// Mass of a driven unit by that of the mean one. Ligaments pull at most a thousand times as hard as it takes to accelerate a mean unit
-/// so: the driven one's motion is off by 1e-9. What moves it is far from the limits of f32.
+/// Mass of a driven unit divided by the mean mass of a unit. If ligament forces are at most a thousand times those that accelerate a
+/// mean unit equally, the relative error of the driven motion is 1e-9. The driving forces stay far from the limits of f32.
 const HEAVY: f64 = 1e12;
 
-/// A ligament with what the kernel needs of its ends.
+/// A ligament with the data of its ends.
 #[derive(Debug, Clone, Copy)]
 pub struct Bar<S = f64> {
-    /// Its place among the layout's ligaments.
+    /// Index among the layout's ligaments.
     pub index: usize,
-    /// Units at the ends.
+    /// Unit at end a.
     pub a: usize,
-    /// Likewise.
+    /// Unit at end b.
     pub b: usize,
-    /// Nodes at the ends, by their numbers among all.
+    /// Global number of the node at end a.
     pub node_a: usize,
-    /// Likewise.
+    /// Global number of the node at end b.
     pub node_b: usize,
-    /// Arms from the centroids to the ends (mm).
+    /// Arm from the centroid of unit a to its node (mm).
     pub arm_a: [f64; 2],
-    /// Likewise.
+    /// Arm from the centroid of unit b to its node (mm).
     pub arm_b: [f64; 2],
-    /// The same, in a kernel's scalar.
+    /// `arm_a` in the kernel's scalar type.
     pub lever_a: [S; 2],
-    /// Likewise.
+    /// `arm_b` in the kernel's scalar type.
     pub lever_b: [S; 2],
-    /// Unit vector along the reference.
+    /// Unit vector along d₀.
     pub e: [S; 2],
-    /// l₀ (mm).
+    /// Length |d₀| (mm).
     pub length: S,
     /// k_l, k_s, k_θ.
     pub stiffness: [S; 3],
-    /// By how much they are those of the scene.
+    /// Factors on the scene's k_l, k_s, k_θ.
     pub factors: [S; 3],
     /// k_l l₀ (N).
     pub tension: S,
@@ -47,7 +47,7 @@ pub struct Bar<S = f64> {
 }
 
 impl Bar {
-    /// Rounded to a kernel's scalar.
+    /// Converts to a kernel's scalar type.
     pub fn rounded<S: Scalar>(&self) -> Bar<S> {
         let Self { index, a, b, node_a, node_b, arm_a, arm_b, e, length, tension, twist, voids, .. } = *self;
         Bar {
@@ -76,30 +76,30 @@ impl Bar {
 pub struct Model {
     /// Ligaments.
     pub bars: Vec<Bar>,
-    /// How many the layout has.
+    /// Number of ligaments of the layout.
     pub ligaments: usize,
     /// Contact.
     pub contact: Option<Contact>,
-    /// 1/(m, m, J) of each unit; zero where held, next to it where driven.
+    /// 1/(m, m, J) of each unit; 0 for held coordinates, nearly 0 for driven units.
     pub inverse_mass: Vec<[f64; 3]>,
     /// C (N·s/mm, N·s/mm, N·mm·s).
     pub damping: [f64; 3],
-    /// Units that move, in order.
+    /// Units that are not clamped, in ascending order.
     pub free: Vec<usize>,
-    /// Units whose motion is given, in order; they are among the free ones.
+    /// Units with prescribed motion, in ascending order; a subset of `free`.
     pub driven: Vec<usize>,
-    /// Of each panel that drives its unit what 1 N does to it.
+    /// Force and moment on the unit per newton, for each panel that drives its unit.
     pub drives: Vec<Option<Strike>>,
-    /// The design's geometry.
+    /// Geometry of the design.
     pub geometry: Geometry,
-    /// Of each panel the number, among all, of the node that it acts on.
+    /// Global number of the node on which each panel acts, if it acts on a node.
     pub struck: Vec<Option<usize>>,
-    /// Where each unit is when a sample begins; empty where none has been moved. Or why there is no such place.
+    /// State of each unit at the start of a sample, empty if all are zero; or the reason why no such state exists.
     pub start: Result<Vec<[f64; 3]>, Outcome>,
 }
 
-/// C = ζ(2√(m̂ k_s), 2√(m̂ k_s), 2√(Ĵ k_θ)) of the mean undisplaced unit, so that damping does not depend on the design; or ζ times
-/// what the scene gives.
+/// C = ζ(2√(m̂ k_s), 2√(m̂ k_s), 2√(Ĵ k_θ)) for the mean undisplaced unit, so damping does not depend on the design; or ζ times the
+/// given C.
 pub fn damping(scene: &Scene) -> [f64; 3] {
     if let Some(given) = scene.damping {
         return given.map(|c| scene.damping_ratio * c);
@@ -111,7 +111,7 @@ pub fn damping(scene: &Scene) -> [f64; 3] {
     [shift, shift, turn]
 }
 
-/// (m, m, J) of a driven unit, of no design.
+/// (m, m, J) of a driven unit; independent of the design.
 pub(super) fn heavy(scene: &Scene) -> [f64; 3] {
     let (area, round) = scene.layout.mean_unit();
     let mass = HEAVY * scene.density * area;
@@ -119,7 +119,7 @@ pub(super) fn heavy(scene: &Scene) -> [f64; 3] {
 }
 
 impl Model {
-    /// The model of `scene` with `design` as cast, whatever its held units are moved by.
+    /// Model of `scene` with `design` before compression.
     pub fn cast(scene: &Scene, design: &[f64]) -> Self {
         let layout = &scene.layout;
         let geometry = scene.geometry(design);
@@ -183,18 +183,18 @@ impl Model {
         }
     }
 
-    /// Where each unit is when a sample begins; empty: as cast. So is a body that has no such place, whose samples all fail.
+    /// State of each unit at the start of a sample; empty if all are zero or no start exists (then all samples fail).
     pub fn start(&self) -> &[[f64; 3]] {
         self.start.as_deref().unwrap_or(&[])
     }
 
-    /// Mass of a unit that moves, its chip's with it (Mg); 0 of one that does but turn.
+    /// Mass of a unit including its chip (Mg); 0 if the unit cannot translate.
     pub fn mass(&self, unit: usize) -> f64 {
         let [x, y, _] = self.inverse_mass[unit];
         if x == 0.0 && y == 0.0 { 0.0 } else { x.max(y).recip() }
     }
 
-    /// What a strike on a panel does about the centroid of its unit; one that drives it strikes nowhere else.
+    /// Converts a force on a panel to force and moment about the centroid of its unit. Panels that drive their unit ignore `strike`.
     pub fn about_centroid(&self, panel: usize, [x, y, moment]: Strike) -> Strike {
         if let Some(drives) = self.drives[panel] {
             return drives;
@@ -203,7 +203,7 @@ impl Model {
         [x, y, moment + (p * y - q * x)]
     }
 
-    /// Without the ligaments between held units, which never change; but for those whose contact is forbidden from the start.
+    /// Removes ligaments between held units, except those in forbidden contact, which must make samples fail.
     pub fn moving(mut self) -> Self {
         let moves = |u: usize| self.inverse_mass[u] != [0.0; 3];
         let least = self.contact.map_or(f64::NEG_INFINITY, |c| c.min_angle);
@@ -211,7 +211,7 @@ impl Model {
         self
     }
 
-    /// Whether contact may act at rest, against which nothing holds the body as it is cast.
+    /// Whether contact acts at rest in a body without compression, which then has no equilibrium.
     pub fn touches(&self) -> bool {
         if !self.start().is_empty() {
             return false;
@@ -220,7 +220,7 @@ impl Model {
         self.bars.iter().any(|b| b.voids.iter().any(|psi| *psi < cutoff))
     }
 
-    /// From the first to the last unit that moves.
+    /// Index range from the first to the last free unit.
     pub fn moving_range(&self) -> std::ops::Range<usize> {
         self.free.first().map_or(0..0, |first| *first..self.free[self.free.len() - 1] + 1)
     }
@@ -231,27 +231,27 @@ impl Model {
     }
 }
 
-/// Cotangents of what a model takes from its design.
+/// Cotangents of the quantities that a model derives from its design.
 #[derive(Debug, Clone)]
 pub struct ModelCotangent {
-    /// Of the arms.
+    /// Cotangent of the arms.
     pub arms: Vec<[f64; 2]>,
-    /// Of (m, m, J).
+    /// Cotangent of (m, m, J) of each unit.
     pub mass: Vec<[f64; 3]>,
-    /// Of the void angles at rest.
+    /// Cotangent of the void angles at rest.
     pub voids: Vec<[f64; 2]>,
-    /// Of k_l, k_s, k_θ of each ligament, where asked for, C held.
+    /// Cotangent of k_l, k_s, k_θ of each ligament at constant C; only for parameters.
     pub stiffness: Vec<[f64; 3]>,
-    /// Of k_c, likewise.
+    /// Cotangent of k_c; only for parameters.
     pub contact: f64,
-    /// Of C, where asked for.
+    /// Cotangent of C; only for parameters.
     pub damping: [f64; 3],
-    /// Of where units are when a sample begins.
+    /// Cotangent of the state at the start of a sample.
     pub start: Vec<[f64; 3]>,
 }
 
 impl ModelCotangent {
-    /// Zero.
+    /// All zero.
     pub fn new(model: &Model) -> Self {
         let n = model.units();
         Self {
@@ -265,7 +265,7 @@ impl ModelCotangent {
         }
     }
 
-    /// Adds another.
+    /// Adds `other`.
     pub fn add(&mut self, other: &Self) {
         let add = |to: &mut [f64], from: &[f64]| to.iter_mut().zip(from).for_each(|(t, f)| *t += f);
         add(self.arms.as_flattened_mut(), other.arms.as_flattened());
@@ -277,7 +277,7 @@ impl ModelCotangent {
         add(self.start.as_flattened_mut(), other.start.as_flattened());
     }
 
-    /// Gradient in the parameters, where it was asked for: C ∝ ζ √ρ (√k_s, √k_s, √k_θ), or ζ alone where it is given; masses ∝ ρ.
+    /// Gradient in the parameters, if computed: C ∝ ζ √ρ (√k_s, √k_s, √k_θ), or C ∝ ζ if C is given; masses ∝ ρ.
     pub fn parameters(&self, model: &Model, scene: &Scene) -> Parameters {
         let follows = if scene.damping.is_some() { 0.0 } else { 1.0 };
         let c: [f64; 3] = std::array::from_fn(|d| follows * self.damping[d] * model.damping[d]);
@@ -297,7 +297,7 @@ impl ModelCotangent {
         }
     }
 
-    /// Gradient in the factors of parts, likewise.
+    /// Gradient in the factors of ligaments and units, if computed.
     pub fn parts(&self, model: &Model, scene: &Scene) -> Parts {
         let Stiffness { stretch, shear, bend } = scene.stiffness;
         let by = |own: &[f64; 3]| [stretch * own[0], shear * own[1], bend * own[2]];

@@ -1,12 +1,12 @@
-//! Motion where ligaments relax: beside each of k_l, k_s, k_θ stand a spring g k and a dashpot in series (Maxwell's branch).
+//! Motion with relaxing ligaments: a spring g k and a dashpot in series (Maxwell branch) parallel to each of k_l, k_s, k_θ.
 //!
 //! ```text
 //! σ = k ε + g k (ε − q),   τ q̇ = ε − q           ε = Δl, l₀γ, Δθ of each ligament, q = 0 at rest
 //! kick b:  M δv = −b h (∂U − f) − Bᵀ g k (ε − q) τ (1 − e),   q → ε − (ε − q) e,   e = exp(−b h/τ),   B = ∂ε/∂s
 //! ```
-//! Both parts of a kick are exact while units are held; drifts are those of `splitting`. As the kick's force has a memory the
-//! conditions of Runge–Kutta–Nyström schemes do not hold: the scheme is one that asks nothing of either flow, S₆ of S. Blanes,
-//! P. C. Moan, J. Comput. Appl. Math. 142 (2002) 313–330. Forwards alone.
+//! A kick is exact for units at rest; drifts are those of `splitting`. The force of a kick depends on past strains, so the
+//! conditions of Runge–Kutta–Nyström schemes do not hold. The scheme is S₆, which holds for arbitrary flows: S. Blanes, P. C.
+//! Moan, J. Comput. Appl. Math. 142 (2002) 313–330. There is no reverse sweep.
 
 use super::jobs::{Job, Queue, take};
 use super::ligaments::relax;
@@ -17,7 +17,7 @@ use super::{Counters, Forces, Outcome, Relaxation};
 use crate::Heartbeat;
 use crate::lanes::Vector;
 
-/// Integrates the samples of `queue` with `substeps` steps an interval. `system` has no damping of its own.
+/// Integrates the samples of `queue` with `substeps` steps per interval. `system` must be undamped.
 #[inline(always)]
 pub fn forward<V: Vector, const LINEAR: bool>(
     mut system: System<'_, V>,
@@ -70,7 +70,7 @@ fn block<V: Vector, const LINEAR: bool>(
     let mut margin = V::splat(1.0);
     loads.at(0, 0.0, &mut force);
     system.prepare(&x, &mut g);
-    // what held units have been moved by is relaxed
+    // the branches are relaxed in the starting state
     relax::<V, LINEAR>(system.bars(), &x, &system.turn, (0.0, 0.0), &mut past, &mut pull);
     system.add_forces(&x, &force, &mut g, &mut margin);
     for interval in 0..scene.instants {

@@ -1,35 +1,35 @@
-//! The body's linearisation where samples begin: M s̈ + C ṡ + K s = f, K the Hessian of the energy there.
+//! Linearisation about the state at the start of samples: M s̈ + C ṡ + K s = f, with K the Hessian of the energy there.
 
 use super::Scene;
 use super::model::Model;
 use super::stiffness::{columns, hessian, unknowns};
 
-/// Masses, damping and stiffness of what moves.
+/// Masses, damping and stiffness of the free coordinates.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rest {
-    /// Of each unknown its number among the displacements of all units, 3·unit + d, d = u, v, θ; in order.
+    /// Index of each unknown among the coordinates of all units: 3·unit + d, d = 0, 1, 2 for u, v, θ; ascending.
     pub unknowns: Vec<usize>,
-    /// Diagonal of M: m, m, J of each (Mg, Mg, Mg·mm²).
+    /// Diagonal of M: m, m, J per unit (Mg, Mg, Mg·mm²).
     pub mass: Vec<f64>,
     /// Diagonal of C (N·s/mm, N·s/mm, N·mm·s).
     pub damping: Vec<f64>,
-    /// Whether some motion of the body as a whole meets no stiffness.
+    /// Whether the body can move as a whole.
     pub loose: bool,
-    /// (row, column, value) of K by columns, both triangles, without zeros.
+    /// Nonzero entries (row, column, value) of K by columns, both triangles.
     pub stiffness: Vec<(usize, usize, f64)>,
-    /// What 1 N on each panel does to the unknowns: (unknown, N or N·mm), without zeros.
+    /// Nonzero forces on the unknowns per newton on each panel: (unknown, N or N·mm).
     pub pushes: Vec<Vec<(usize, f64)>>,
-    /// The acceleration of the base under 1 N on each (mm/s²), which sensors feel beside their own.
+    /// Acceleration of the base per newton on each panel (mm/s²), which sensors also measure.
     pub shakes: Vec<[f64; 2]>,
-    /// By how much each unit is turned there (rad); empty where none is.
+    /// Rotation of each unit at the start (rad); empty if not compressed.
     pub turned: Vec<f64>,
 }
 
 impl Rest {
-    /// Of a scene with a design.
+    /// Linearises a scene with a design.
     ///
     /// # Panics
-    /// If the design's length is not that of the scene's layout, or a unit is driven, which is no part of such a system.
+    /// If the design's length does not match the scene's layout, or a unit is driven.
     pub fn new(scene: &Scene, design: &[f64]) -> Self {
         assert!(scene.panels.iter().all(|panel| panel.drives().is_none()), "a driven unit");
         assert_eq!(design.len(), scene.layout.design_len(), "length of the design");
@@ -49,7 +49,7 @@ impl Rest {
     }
 }
 
-/// What 1 N on a panel does to the unknowns.
+/// Nonzero forces on the unknowns per newton on panel k.
 fn pushes(model: &Model, scene: &Scene, unknowns: &[usize], k: usize) -> Vec<(usize, f64)> {
     let panel = &scene.panels[k];
     let strike = model.about_centroid(k, panel.straight());

@@ -1,4 +1,4 @@
-//! What is simulated, but for design and forces: body, material, contact, where it is struck and where it is read.
+//! A scene: body, material, contact, panels and sensors; everything except design and forces.
 
 use crate::body::{Geometry, Layout};
 use nalgebra::{MatrixXx3, RowVector3};
@@ -19,13 +19,13 @@ pub struct Stiffness {
 pub struct Contact {
     /// k_c (N·mm/rad²).
     pub stiffness: f64,
-    /// ψ_min (rad): no state has a smaller void angle.
+    /// ψ_min (rad): smaller void angles are forbidden.
     pub min_angle: f64,
-    /// ψ_c (rad): no contact from here on.
+    /// ψ_c (rad): void angle below which contact acts.
     pub cutoff_angle: f64,
 }
 
-/// The material's parameters, what is done to them, or a gradient in them.
+/// Parameters of the material, factors on them, or a gradient in them.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Parameters {
     /// k_l.
@@ -36,21 +36,21 @@ pub struct Parameters {
     pub bend: f64,
     /// ζ.
     pub damping_ratio: f64,
-    /// Plane density.
+    /// ρ.
     pub density: f64,
     /// k_c.
     pub contact: f64,
 }
 
 impl Parameters {
-    /// Those of a scene; `contact` is zero in one without.
+    /// Parameters of a scene; `contact` is 0 without contact.
     pub fn of(scene: &Scene) -> Self {
         let Stiffness { stretch, shear, bend } = scene.stiffness;
         let contact = scene.contact.map_or(0.0, |c| c.stiffness);
         Self { stretch, shear, bend, damping_ratio: scene.damping_ratio, density: scene.density, contact }
     }
 
-    /// The scene with these.
+    /// `scene` with these parameters.
     pub fn set(self, scene: &Scene) -> Scene {
         let Self { stretch, shear, bend, damping_ratio, density, contact: stiffness } = self;
         let contact = scene.contact.map(|c| Contact { stiffness, ..c });
@@ -63,47 +63,47 @@ impl Parameters {
         }
     }
 
-    /// In the order of the fields.
+    /// Values in the order of the fields.
     pub fn array(self) -> [f64; 6] {
         let Self { stretch, shear, bend, damping_ratio, density, contact } = self;
         [stretch, shear, bend, damping_ratio, density, contact]
     }
 
-    /// Likewise.
+    /// From values in the order of the fields.
     pub fn from_array([stretch, shear, bend, damping_ratio, density, contact]: [f64; 6]) -> Self {
         Self { stretch, shear, bend, damping_ratio, density, contact }
     }
 }
 
-/// How the parts of one body differ from its material, or a gradient in that.
+/// Factors of single ligaments and units, or a gradient in them.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Parts {
-    /// By what k_l, k_s, k_θ of each ligament are multiplied; empty where all are alike. C does not depend on it.
+    /// Factors on k_l, k_s, k_θ of each ligament; empty if all are 1. C does not depend on them.
     pub ligaments: Vec<[f64; 3]>,
-    /// By what the density of each unit is multiplied; likewise.
+    /// Factor on the density of each unit; empty if all are 1.
     pub units: Vec<f64>,
 }
 
-/// Maxwell's branch of every ligament: beside each of its stiffnesses a spring and a dashpot in series.
+/// Maxwell branch: a spring and a dashpot in series, parallel to each stiffness of every ligament.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Relaxation {
-    /// g: the spring's stiffness by that of the ligament.
+    /// g: stiffness of the spring divided by that of the ligament.
     pub share: f64,
-    /// τ (s) in which its force falls to 1/e.
+    /// τ (s): time in which the branch force falls to 1/e.
     pub time: f64,
 }
 
-/// Mass on the centroid of a unit.
+/// Additional mass on the centroid of a unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Inertia {
-    /// m (Mg).
+    /// Mass (Mg).
     pub mass: f64,
-    /// J about the centroid (Mg·mm²).
+    /// Moment of inertia about the centroid (Mg·mm²).
     pub moment: f64,
 }
 
 impl Inertia {
-    /// Of the chip on a unit of a scene: (m, m, J), zero where it carries none.
+    /// (m, m, J) of the chip on a unit; zero without a chip.
     pub(super) fn on(scene: &Scene, unit: usize) -> [f64; 3] {
         match scene.chip {
             Some(Self { mass, moment }) if scene.sensors.contains(&unit) => [mass, mass, moment],
@@ -112,56 +112,56 @@ impl Inertia {
     }
 }
 
-/// How a chip sits on its unit.
+/// Position and orientation of a chip on its unit.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Mount {
-    /// r from the centroid, in the unit's frame (mm): the chip reads the acceleration there.
+    /// r from the centroid to the chip, in the unit's frame (mm).
     pub offset: [f64; 2],
-    /// By how much its axes are turned against the frame's (rad).
+    /// Rotation of the chip's axes against the frame (rad).
     pub tilt: f64,
 }
 
-/// The frame in which accelerations are read.
+/// Frame of measured accelerations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Frame {
     /// Fixed axes.
     World,
-    /// Turning with the unit: the acceleration rotated by −θ.
+    /// Rotates with the unit: the acceleration rotated by −θ.
     Body,
 }
 
-/// Where and how a force acts on a unit; it keeps its direction, and its lever at rest, however the unit turns.
+/// A force on a unit. Direction and undeformed arm stay constant while the unit rotates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Panel {
     /// The unit.
     pub unit: usize,
-    /// Unit vector along which a positive force pushes; zero of a couple.
+    /// Unit vector of a positive force; zero for a couple.
     pub direction: [f64; 2],
-    /// The unit's node that it acts on, which the design moves; none: the centroid.
+    /// Node of the unit on which the force acts; `None`: the centroid.
     pub node: Option<usize>,
-    /// Moment of 1 N about that point (mm): of a force beside it, or of a couple.
+    /// Moment of 1 N about that point (mm), for an offset force or a couple.
     pub moment: f64,
-    /// What is accelerated along the direction in place of a force on the unit; none: nothing.
+    /// Motion prescribed by the history in place of a force, if any.
     pub moves: Option<Moves>,
 }
 
-/// What a panel moves as its history says, whatever the ligaments pull: its acceleration is f over this mass (Mg).
+/// Prescribed motion: the acceleration is f divided by this mass (Mg).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Moves {
-    /// What all held units are fixed to; the panel's unit is one of them. The scene's places are then those in its frame, and sensors
-    /// read what they feel, the base's motion with it.
+    /// Base to which all held units are fixed, including the panel's unit. Displacements are relative to the base; sensors measure
+    /// absolute accelerations.
     Base(f64),
-    /// The panel's unit alone, which does not turn. No panel pushes it, and it is none of the held ones.
+    /// The panel's unit, which then does not rotate. It must not be held, and no other panel may push it.
     Unit(f64),
 }
 
 impl Panel {
-    /// On the centroid of a unit.
+    /// A force on the centroid of a unit.
     pub fn central(unit: usize, direction: [f64; 2]) -> Self {
         Self { unit, direction, node: None, moment: 0.0, moves: None }
     }
 
-    /// The acceleration of the base under 1 N (mm/s²).
+    /// Acceleration of the base per newton (mm/s²), if the panel shakes the base.
     pub fn shakes(&self) -> Option<[f64; 2]> {
         match self.moves {
             Some(Moves::Base(mass)) => Some(self.direction.map(|d| d / mass)),
@@ -169,7 +169,7 @@ impl Panel {
         }
     }
 
-    /// The acceleration of the unit under 1 N (mm/s²), where it is the panel that moves it.
+    /// Acceleration of the unit per newton (mm/s²), if the panel drives its unit.
     pub fn drives(&self) -> Option<[f64; 2]> {
         match self.moves {
             Some(Moves::Unit(mass)) => Some(self.direction.map(|d| d / mass)),
@@ -177,64 +177,65 @@ impl Panel {
         }
     }
 
-    /// Where it acts on a unit of this centroid and these corners: the foot of its line, of a couple the centroid.
+    /// Point of application for a unit with this centroid and these corners: the foot of the line of force; for a couple, the
+    /// centroid.
     pub fn foot(&self, centroid: [f64; 2], corners: &[[f64; 2]]) -> [f64; 2] {
         let ([x, y], [p, q]) = (self.node.map_or(centroid, |node| corners[node]), self.direction);
         [x + self.moment * q, y - self.moment * p]
     }
 }
 
-/// Everything of a simulation but design and forces.
+/// All inputs of a simulation except design and forces.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
     /// Units and ligaments.
     pub layout: Layout,
     /// Plane density (Mg/mm²).
     pub density: f64,
-    /// Ligaments.
+    /// Stiffnesses of the ligaments.
     pub stiffness: Stiffness,
-    /// How single ligaments and units differ.
+    /// Factors of single ligaments and units.
     pub parts: Parts,
-    /// How ligaments relax, in worlds that training never sees: such a scene has no gradient.
+    /// Relaxation of ligaments, only for evaluation: such a scene has no gradient.
     pub relaxation: Option<Relaxation>,
-    /// ζ; by what C is multiplied where `damping` gives that.
+    /// ζ; a factor on C if `damping` is given.
     pub damping_ratio: f64,
-    /// C of every unit (N·s/mm, N·s/mm, N·mm·s) for ζ = 1, if not that of the mean unit.
+    /// C of every unit (N·s/mm, N·s/mm, N·mm·s) at ζ = 1. `None`: computed from the mean unit.
     pub damping: Option<[f64; 3]>,
-    /// α (mm) of the design whose masses and moments of inertia all designs have, if not their own.
+    /// Design α (mm) that sets the masses and moments of inertia of all designs. `None`: each design sets its own.
     pub inertia: Option<Vec<f64>>,
-    /// Contact; a scene without does not pay for it.
+    /// Contact, if any; scenes without contact use faster kernels.
     pub contact: Option<Contact>,
-    /// Linear strain measures.
+    /// Whether strains are linear in the displacements.
     pub linearised: bool,
-    /// Held units.
+    /// Clamped units.
     pub clamped: Vec<usize>,
-    /// Units that are held in part, as on a roller or in a guide, and whether each of u, v, θ is.
+    /// Guided units, each with whether u, v, θ is held.
     pub guided: Vec<(usize, [bool; 3])>,
-    /// By how much the clamped units, and after them the guided ones where they are held, have been moved before a sample (mm), which
-    /// begins where the others then are at rest; empty: by nothing, and the body is as cast.
+    /// Displacement imposed on the clamped units, then on the guided units, before each sample (mm). Empty: none. Samples start in
+    /// the resulting equilibrium.
     pub pressed: Vec<[f64; 2]>,
-    /// K input panels.
+    /// The K panels.
     pub panels: Vec<Panel>,
     /// Units of the M sensors.
     pub sensors: Vec<usize>,
-    /// What each sensor's chip adds to its unit; a scene without does not pay for it.
+    /// Mass and inertia that each chip adds to its unit, if any.
     pub chip: Option<Inertia>,
-    /// How they sit; on the centroid and straight in a scene without, which does not pay for it.
+    /// Position and orientation of all chips; `None`: on the centroid, not tilted.
     pub mount: Option<Mount>,
-    /// How sensors read.
+    /// Frame of measured accelerations.
     pub frame: Frame,
     /// Length of a sample (s).
     pub duration: f64,
-    /// T.
+    /// T, number of instants.
     pub instants: usize,
 }
 
 impl Scene {
-    /// What a design is in it.
+    /// Geometry, masses and moments of inertia of `design`.
     ///
     /// # Panics
-    /// If the design's length is not the layout's, or a part's factor is missing.
+    /// If the length of the design or of a list of factors does not match the layout.
     pub fn geometry(&self, design: &[f64]) -> Geometry {
         let Parts { ligaments, units } = &self.parts;
         let counts = [ligaments.len(), units.len()];
@@ -252,15 +253,15 @@ impl Scene {
         geometry
     }
 
-    /// Whether each of u, v, θ of a unit is held.
+    /// Whether u, v, θ of a unit are held.
     pub fn holds(&self, unit: usize) -> [bool; 3] {
         let guided = self.guided.iter().find(|(other, _)| *other == unit);
         if self.clamped.contains(&unit) { [true; 3] } else { guided.map_or([false; 3], |(_, held)| *held) }
     }
 
-    /// Whether the body as a whole can move or turn against nothing that is held.
+    /// Whether the body can move as a whole.
     pub fn is_loose(&self) -> bool {
-        // of each held displacement what a shift along x, along y and a turn by a pitch do to it
+        // change of each held displacement under a shift along x, a shift along y, and a rotation
         let held = (0..self.layout.units()).flat_map(|unit| {
             let [x, y] = self.layout.centres[unit].map(|x| x / self.layout.spacing);
             let rows = [[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]];
@@ -270,18 +271,18 @@ impl Scene {
         rows.is_empty() || MatrixXx3::from_rows(&rows).rank(1e-9) < 3
     }
 
-    /// Every unit that is held somehow with its way before a sample.
+    /// Held units with their displacements before a sample.
     pub(super) fn ways(&self) -> impl Iterator<Item = (usize, [f64; 2])> {
         let held = self.clamped.iter().copied().chain(self.guided.iter().map(|guided| guided.0));
         held.zip(self.pressed.iter().copied())
     }
 
-    /// Whether a unit's motion is given.
+    /// Whether a panel prescribes the motion of a unit.
     pub fn is_driven(&self, unit: usize) -> bool {
         self.panels.iter().any(|panel| panel.unit == unit && panel.drives().is_some())
     }
 
-    /// The acceleration of the base under these histories, (K, R+1), at a kink (mm/s²).
+    /// Acceleration of the base (mm/s²) at a kink of the histories (K, R+1).
     pub(super) fn base_at(&self, history: &[f64], kink: usize) -> [f64; 2] {
         let row = history.len() / self.panels.len().max(1);
         let mut base = [0.0; 2];
@@ -292,7 +293,7 @@ impl Scene {
         base
     }
 
-    /// Whether readings depend on how units have turned.
+    /// Whether signals depend on the rotation of units.
     pub(super) fn reads_turns(&self) -> bool {
         self.frame == Frame::Body || self.mount.is_some()
     }

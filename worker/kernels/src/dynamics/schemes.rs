@@ -1,23 +1,23 @@
-//! Coefficients of the splitting schemes, and the factors of their drifts.
+//! Coefficients of the splitting schemes, and factors of damped drifts.
 
 use crate::lanes::Scalar;
 
-/// Coefficients of one step, first half; both lists are symmetric.
+/// Coefficients of one step. Both lists are symmetric.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scheme {
-    /// b: one more than drifts.
+    /// b: one more than the drifts.
     pub kicks: Vec<f64>,
     /// a.
     pub drifts: Vec<f64>,
 }
 
 impl Scheme {
-    /// Störmer, Verlet: order 2, 1 force a step.
+    /// Störmer–Verlet: order 2, 1 force evaluation per step.
     pub fn leapfrog() -> Self {
         Self { kicks: vec![0.5, 0.5], drifts: vec![1.0] }
     }
 
-    /// Blanes and Moan's SRKN₆ᵇ: order 4, 6 forces a step.
+    /// SRKN₆ᵇ of Blanes and Moan: order 4, 6 force evaluations per step.
     pub fn fourth() -> Self {
         let (b, a) = (
             [0.0829844064174052, 0.396309801498368, -0.0390563049223486],
@@ -31,7 +31,7 @@ impl Scheme {
         }
     }
 
-    /// Blanes and Moan's S₆: order 4 whatever kicks and drifts are, 6 forces a step.
+    /// S₆ of Blanes and Moan: order 4 for arbitrary kicks and drifts, 6 force evaluations per step.
     pub fn any_fourth() -> Self {
         let b = [0.0792036964311957, 0.353172906049774, -0.0420650803577195];
         let a = [0.209515106613362, -0.143851773179818];
@@ -42,7 +42,7 @@ impl Scheme {
         }
     }
 
-    /// Blanes and Moan's SRKN₁₁ᵇ: order 6, 11 forces a step.
+    /// SRKN₁₁ᵇ of Blanes and Moan: order 6, 11 force evaluations per step.
     pub fn sixth() -> Self {
         let b = [
             0.0414649985182624,
@@ -64,13 +64,13 @@ impl Scheme {
         Self { kicks, drifts }
     }
 
-    /// Forces a step.
+    /// Force evaluations per step.
     pub fn stages(&self) -> usize {
         self.drifts.len()
     }
 }
 
-/// e and (1 − e)/γ of a drift over τ, and the derivatives of both in γ.
+/// e = exp(−γτ) and (1 − e)/γ of a drift over the time τ, and their derivatives in γ.
 #[derive(Clone, Copy)]
 pub struct Drift<S = f64> {
     /// e.
@@ -86,11 +86,11 @@ pub struct Drift<S = f64> {
 }
 
 impl Drift {
-    /// For τ = `tau`.
+    /// Factors of a drift over the time `tau` at the damping rate `gamma`.
     pub fn new(gamma: f64, tau: f64) -> Self {
         let z = gamma * tau;
         let keep = (-z).exp();
-        // (1 − e⁻ᶻ)/z and (z e⁻ᶻ − 1 + e⁻ᶻ)/z², by series where they cancel
+        // (1 − e⁻ᶻ)/z and (z e⁻ᶻ − 1 + e⁻ᶻ)/z², by series where terms cancel
         let (reach, slope) = if z.abs() < 0.3 {
             let (mut reach, mut slope, mut term) = (0.0, 0.0, 1.0);
             for k in 1..16 {
@@ -112,7 +112,7 @@ impl Drift {
         }
     }
 
-    /// With slopes that are rounded to a kernel's scalar.
+    /// Rounds the slopes to a kernel's scalar type.
     pub fn rounded<S: Scalar>(self) -> Drift<S> {
         let Self { keep, restore, reach, keep_slope, reach_slope } = self;
         let [keep_slope, reach_slope] = [keep_slope, reach_slope].map(S::from_f64);

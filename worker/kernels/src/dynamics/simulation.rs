@@ -1,4 +1,4 @@
-//! What a simulation and a reverse sweep give, and what the sweep starts from.
+//! Results of a simulation and of a reverse sweep, and the tape between them.
 
 use super::forces::Forces;
 use super::model::Model;
@@ -6,29 +6,29 @@ use super::scene::{Parameters, Parts, Scene};
 use super::solver::Plan;
 use crate::simd::Width;
 
-/// How a sample ended.
+/// Outcome of a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Outcome {
-    /// Reached the end.
+    /// Success.
     Ok,
-    /// Took more steps than any reasonable scene needs.
+    /// More steps than any reasonable scene needs.
     StepLimit,
-    /// Steps fell below what the clock resolves.
+    /// Steps below the resolution of the clock.
     StepTooSmall,
     /// A state was not a finite number.
     NonFinite,
-    /// Void angles below the least allowed could not be avoided.
+    /// Void angles below ψ_min were unavoidable.
     ForbiddenContact,
-    /// Steps too long for the highest mode made kinetic energy out of nothing.
+    /// Steps too long for the highest mode created energy.
     Unstable,
-    /// Before the sample the body lost its stability while its held units were moved: from there on it may be in several places.
+    /// The body lost stability during compression; its further state is undetermined.
     Buckled,
-    /// While these were moved it came to rest nowhere.
+    /// No equilibrium exists under compression.
     NoEquilibrium,
 }
 
 impl Outcome {
-    /// Each of them.
+    /// All outcomes.
     pub const ALL: [Self; 8] = [
         Self::Ok,
         Self::StepLimit,
@@ -40,7 +40,7 @@ impl Outcome {
         Self::NoEquilibrium,
     ];
 
-    /// The name by which records know it.
+    /// Name in records.
     pub fn name(self) -> &'static str {
         match self {
             Self::Ok => "ok",
@@ -58,11 +58,11 @@ impl Outcome {
 /// Work done, summed over samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Counters {
-    /// Evaluations of the forces, plain or with derivatives, per sample.
+    /// Evaluations of the forces, with or without derivatives.
     pub force_evaluations: u64,
     /// Accepted steps.
     pub steps: u64,
-    /// Rejected steps.
+    /// Rejected steps; with equal steps, samples repeated with finer steps.
     pub rejected: u64,
 }
 
@@ -74,28 +74,28 @@ impl std::ops::AddAssign for Counters {
     }
 }
 
-/// What a reverse sweep starts from: what was simulated, the state at every instant and the steps in between.
+/// Input of a reverse sweep: what was simulated, the state at every instant and the steps in between.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tape {
     pub(super) scene: Scene,
     pub(super) design: Vec<f64>,
     pub(super) forces: Forces,
-    /// Where units are when a sample begins; empty: as cast.
+    /// State of each unit at the start of samples; empty if zero.
     pub(super) start: Vec<[f64; 3]>,
-    /// Checkpoints an interval.
+    /// Checkpoints per interval.
     pub(super) parts: usize,
-    /// One a sample.
+    /// One tape per sample.
     pub(super) samples: Vec<SampleTape>,
 }
 
 impl Tape {
-    /// Memory that the samples hold: the states at the instants and, of adaptive methods, a byte or two a step.
+    /// Memory of the samples in bytes: states at the checkpoints and, for adaptive steps, one or two bytes per step.
     pub fn bytes(&self) -> usize {
         let of = |s: &SampleTape| 8 * s.states.capacity() + s.steps.capacity() + 4 * s.counts.capacity();
         self.samples.iter().map(of).sum()
     }
 
-    /// The model that was simulated; where its samples begin is kept.
+    /// The simulated model, with the starting state of its samples.
     pub(super) fn model(&self) -> Model {
         Model { start: Ok(self.start.clone()), ..Model::cast(&self.scene, &self.design) }
     }
@@ -115,60 +115,62 @@ impl Tape {
     }
 }
 
-/// Of one sample.
+/// Tape of one sample.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct SampleTape {
-    /// (T, parts, free units, 6): displacement and velocity at each part's end, the last that of instant n = 1…T.
+    /// Displacement and velocity at each checkpoint, (T, parts, free units, 6); the last of each interval is that of instant n =
+    /// 1…T.
     pub states: Vec<f64>,
-    /// Accepted steps, empty where steps are equal: each as the number of such that were left in the interval, coded.
+    /// Accepted adaptive steps: the code of the number of such steps that would fill the rest of the interval. Empty for equal
+    /// steps.
     pub steps: Vec<u8>,
-    /// How many of them belong to each interval of the forces.
+    /// Number of accepted steps per interval of the forces.
     pub counts: Vec<u32>,
-    /// By how much equal steps were refined, after the plan's had failed.
+    /// Factor by which equal steps were refined after the plan's steps failed; 1 if not.
     pub refined: usize,
 }
 
-/// A simulation's result.
+/// Result of a simulation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Simulation {
-    /// (N, T, 3M): (a_x, a_y, ω) of each sensor at n = 1…T (mm/s², rad/s); zero after a sample has failed.
+    /// Signals (N, T, 3M): (a_x, a_y, ω) of each sensor at n = 1…T (mm/s², rad/s); zero for failed samples.
     pub signals: Vec<f64>,
-    /// How each sample ended.
+    /// Outcome of each sample.
     pub outcomes: Vec<Outcome>,
     /// Work done.
     pub counters: Counters,
-    /// How it was integrated, and why so.
+    /// Integration method and steps, with the reason.
     pub plan: Plan,
-    /// By which kernels.
+    /// Instruction set of the kernels.
     pub width: Width,
-    /// For derivatives.
+    /// Input of derivatives, if kept.
     pub tape: Option<Tape>,
 }
 
-/// What a reverse sweep gives.
+/// Result of a reverse sweep.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Gradient {
-    /// Gradient in α of the sum of cotangent · signals.
+    /// Gradient in α of Σ cotangent·signals.
     pub design: Vec<f64>,
-    /// Likewise in the parameters, where asked for.
+    /// Gradient in the parameters, if requested.
     pub parameters: Option<Parameters>,
-    /// With them, in the factors of all ligaments and units.
+    /// Gradient in the factors of all ligaments and units, if the parameters were requested.
     pub parts: Option<Parts>,
-    /// Likewise in the histories, (N, K, R+1), where asked for.
+    /// Gradient in the histories (N, K, R+1), if requested.
     pub forces: Option<Vec<f64>>,
     /// Work done.
     pub counters: Counters,
 }
 
-/// With respect to what a reverse sweep differentiates.
+/// Variables of a gradient.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Wrt {
-    /// The design alone.
+    /// The design.
     Design,
-    /// The design, the scene's parameters, those on which damping depends through its formula too, and the factors of its parts.
+    /// The design, the scene's parameters (damping follows them by its formula), and the factors of single ligaments and units.
     Parameters,
-    /// The design and the forces at their instants. As these would move a sample before its first force, it is swept back to its
-    /// beginning: the gradient in the design is the same but for rounding. Steps are held: where nothing moves, Tsit5's are as
-    /// long as an interval, and what forces would do there is known no better than by these.
+    /// The design and the forces at their instants. Because early forces would move a sample earlier, the sweep extends to its
+    /// start; this changes the gradient in the design only by rounding. Step sizes are constant: where nothing moves, Tsit5's
+    /// steps are whole intervals, which limits the accuracy of the gradient there.
     Forces,
 }

@@ -1,7 +1,7 @@
-//! What is asked of an integrator, and what is carried out.
+//! Settings of an integrator, and the plan that follows from them.
 //!
-//! Three numbers that are easily confused have types of their own: the error asked of the signals, the tolerance of Tsit5's
-//! error norm, and the precision of the lanes.
+//! Three similar numbers have separate types: the requested error of the signals, the tolerance of Tsit5's error norm, and the
+//! precision of lanes.
 
 use super::schemes::Scheme;
 
@@ -10,9 +10,9 @@ use super::schemes::Scheme;
 pub enum Method {
     /// Chosen from the scene and the accuracy.
     Auto,
-    /// Tsitouras 5(4), error control a sample.
+    /// Tsitouras 5(4) with error control per sample.
     Tsit5,
-    /// Störmer and Verlet's, equal steps, order 2.
+    /// Störmer–Verlet, equal steps, order 2.
     Leapfrog,
     /// Blanes and Moan's Runge–Kutta–Nyström splitting, equal steps, order 4.
     Nystrom4,
@@ -21,7 +21,7 @@ pub enum Method {
 }
 
 impl Method {
-    /// The name by which specs and records know it.
+    /// Name in specs and records.
     pub fn name(self) -> &'static str {
         match self {
             Self::Auto => "auto",
@@ -32,12 +32,12 @@ impl Method {
         }
     }
 
-    /// Forces a step of equal steps.
+    /// Force evaluations per step of methods with equal steps.
     pub fn stages(self) -> Option<usize> {
         self.scheme().map(|s| s.stages())
     }
 
-    /// The splitting scheme, if it is one.
+    /// The splitting scheme, if the method is a splitting.
     pub(super) fn scheme(self) -> Option<Scheme> {
         match self {
             Self::Leapfrog => Some(Scheme::leapfrog()),
@@ -53,34 +53,34 @@ impl Method {
 pub struct Accuracy(pub f64);
 
 impl Accuracy {
-    /// The stricter of two.
+    /// The smaller of two errors.
     #[must_use]
     pub fn min(self, other: Self) -> Self {
         Self(self.0.min(other.0))
     }
 }
 
-/// Tolerance of Tsit5's error norm of a step; a state's error may be `absolute` + `relative` · its size (mm, rad, per second).
+/// Tolerance per step of Tsit5's error norm: `absolute` + `relative` · |state| (mm, rad, per second).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tolerance {
-    /// Part of the state.
+    /// Factor on the size of the state.
     pub relative: f64,
-    /// Where the state is small.
+    /// Constant part.
     pub absolute: f64,
 }
 
 impl Tolerance {
-    /// The least that a pilot asks for: below it rounding decides.
+    /// Smallest tolerance that a pilot tries; below it rounding dominates.
     pub(super) const LEAST: f64 = 1e-13;
-    /// By an accuracy of the signals, before a pilot has found better.
+    /// Tolerance divided by the requested error of the signals, before a pilot.
     const BY_ACCURACY: f64 = 1e-3;
 
-    /// The same number for both.
+    /// Sets both parts to `tolerance`.
     pub const fn both(tolerance: f64) -> Self {
         Self { relative: tolerance, absolute: tolerance }
     }
 
-    /// The same steps for a motion `by` times as large, where it is linear.
+    /// The tolerance that gives the same steps for a linear motion `by` times as large.
     #[must_use]
     pub fn of_motion(self, by: f64) -> Self {
         Self { absolute: by * self.absolute, ..self }
@@ -93,49 +93,49 @@ impl From<Accuracy> for Tolerance {
     }
 }
 
-/// What lanes hold.
+/// Scalar type of the lanes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Precision {
-    /// f32: twice as many lanes, for steps so coarse that rounding hardly shows.
+    /// f32: twice as many lanes; for steps so coarse that rounding is negligible.
     Single,
     /// f64.
     Double,
 }
 
-/// How to integrate.
+/// Settings of the integration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Solver {
     /// The integrator.
     pub method: Method,
-    /// Asked of the signals; of equal steps that a pilot has found, the accuracy for which the method's law gives them.
+    /// Requested error of the signals. After a pilot of equal steps: the error for which the method's law gives the pilot's
+    /// steps.
     pub accuracy: Accuracy,
-    /// Tsit5's, where a pilot has found it.
+    /// Tolerance of Tsit5, if set by a pilot.
     pub tolerance: Option<Tolerance>,
-    /// Forces are f32 in bodies whose highest frequency (rad/s) is no more: where a pilot has found that rounding keeps the error
-    /// asked; else 0.
+    /// Highest frequency of a body (rad/s) up to which forces are f32. A pilot sets it if rounding permits; otherwise 0.
     pub single: f64,
 }
 
 impl Solver {
-    /// By what is asked of the signals.
+    /// A solver for this error of the signals.
     pub const fn new(method: Method, accuracy: Accuracy) -> Self {
         Self { method, accuracy, tolerance: None, single: 0.0 }
     }
 
-    /// Tsit5 by its own error norm.
+    /// Tsit5 with this tolerance of its error norm.
     pub const fn tsit5(tolerance: Tolerance) -> Self {
         let accuracy = Accuracy(tolerance.relative / Tolerance::BY_ACCURACY);
         Self { tolerance: Some(tolerance), ..Self::new(Method::Tsit5, accuracy) }
     }
 
-    /// The same by steps that no other body changes, for differences.
+    /// This solver with equal steps, for finite differences: the steps then do not change with the body.
     #[must_use]
     pub fn in_equal_steps(self) -> Self {
         let method = if self.method == Method::Tsit5 { Method::Auto } else { self.method };
         Self { method, ..self }
     }
 
-    /// The same, of at most this error of the signals, in f64: what a pilot has found of f32 was found for other steps.
+    /// This solver with at most this error of the signals, in f64: a pilot's choice of f32 is valid only for its own steps.
     #[must_use]
     pub fn at_most(self, error: Accuracy) -> Self {
         let stricter = (error.0 / self.accuracy.0).min(1.0);
@@ -150,14 +150,14 @@ impl Solver {
 /// Steps of a sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Steps {
-    /// Tsit5's, by error control.
+    /// Steps of Tsit5 by error control.
     Adaptive(Tolerance),
-    /// So many an interval. A sample that fails with them is tried again with more.
+    /// Number of steps per interval. A sample that fails is repeated with more.
     Equal(usize),
 }
 
 impl Steps {
-    /// Equal ones an interval; 0 of adaptive ones.
+    /// Number of equal steps per interval; 0 if adaptive.
     pub fn count(self) -> usize {
         match self {
             Self::Adaptive(_) => 0,
@@ -165,7 +165,7 @@ impl Steps {
         }
     }
 
-    /// So many times as many, where they are equal.
+    /// Multiplies the number of equal steps by `by`.
     pub(super) fn times(self, by: usize) -> Self {
         match self {
             Self::Adaptive(_) => self,
@@ -174,16 +174,16 @@ impl Steps {
     }
 }
 
-/// What `choose` made of a solver for one scene, and why.
+/// The integration that `choose` has selected for one scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
     /// Never `Auto`.
     pub method: Method,
-    /// Adaptive of Tsit5, equal of the others.
+    /// Adaptive for Tsit5, equal for the others.
     pub steps: Steps,
-    /// Single of equal steps alone.
+    /// `Single` only with equal steps.
     pub precision: Precision,
-    /// Why, in words.
+    /// Reason for the choice, as text.
     pub reason: String,
 }
 
@@ -194,13 +194,13 @@ impl Plan {
         Self { method: Method::Tsit5, steps, precision: Precision::Double, reason: String::new() }
     }
 
-    /// A method of so many equal steps an interval, in f64.
+    /// A method with `steps` equal steps per interval, in f64.
     pub fn equal(method: Method, steps: usize) -> Self {
         let steps = Steps::Equal(steps);
         Self { method, steps, precision: Precision::Double, reason: String::new() }
     }
 
-    /// The same in f64 whatever its steps are, for runs whose differences count.
+    /// This plan in f64, for runs whose differences are used.
     #[must_use]
     pub fn double(self) -> Self {
         Self { precision: Precision::Double, ..self }

@@ -1,15 +1,13 @@
-//! Splitting schemes of equal steps for second-order systems, and their discrete adjoints.
+//! Splitting schemes with equal steps for second-order systems, and their discrete adjoints.
 //!
 //! ```text
 //! drift a:  x += (1 − e)/γ v,  v *= e,  e = exp(−γ a h),  γ = C/M,  t += a h      (ẋ = v, v̇ = −γ v, exact)
 //! kick  b:  v += b h G,  G = M⁻¹(−∂U(x) + f(t))
 //! ```
-//! Kicks and drifts alternate, a kick at either end; steps share the force there, and sensors read from it. Damping
-//! sits in the drift: then G depends on x and t alone and drifts are linear in v, which is all that the
-//! Runge–Kutta–Nyström order conditions ask. S. Blanes, P. C. Moan, J. Comput. Appl. Math. 142 (2002) 313–330.
-//!
-//! The schemes run backwards too: the reverse sweep rebuilds states from the next checkpoint, with the forces that
-//! its evaluations of second derivatives yield on the way.
+//! Kicks and drifts alternate, starting and ending with a kick. Consecutive steps share that force, and sensors use it. Damping
+//! is part of the drift: G then depends on x and t only and drifts are linear in v, as the Runge–Kutta–Nyström order conditions
+//! require (S. Blanes, P. C. Moan, J. Comput. Appl. Math. 142 (2002) 313–330). The reverse sweep recomputes states backwards
+//! from the next checkpoint, with the forces that the evaluations of second derivatives also return.
 
 use super::balance::Balance;
 use super::jobs::{Backward, Job};
@@ -22,11 +20,11 @@ use super::{Counters, Forces, Outcome, Scene};
 use crate::Heartbeat;
 use crate::lanes::{MOST, Scalar, Vector};
 
-/// Intervals from one look at the balance of energy to the next: what is made of nothing stays in it, and the energy costs as
-/// much as a force.
+/// Intervals between checks of the energy balance. Created energy stays in the system, so rare checks suffice; the energy costs
+/// as much as a force.
 const LOOK_EVERY: usize = 8;
 
-/// Into how many parts an interval is cut by checkpoints, so that running backwards loses at most some e⁶ to damping.
+/// Number of checkpoints per interval, chosen so that damping amplifies rounding by at most about e⁶ in the reverse sweep.
 pub fn segments(scene: &Scene, model: &super::model::Model, substeps: usize) -> usize {
     let delta = scene.duration / scene.instants as f64;
     let rates = model.inverse_mass.iter().flat_map(|m| (0..3).map(|d| m[d] * model.damping[d]));
@@ -34,19 +32,19 @@ pub fn segments(scene: &Scene, model: &super::model::Model, substeps: usize) -> 
     ((fastest * delta / 6.0).ceil() as usize).clamp(1, substeps)
 }
 
-/// Where segment `k` of `segments` ends, in steps.
+/// Step at which segment `k` of `segments` ends.
 fn segment_end(k: usize, segments: usize, substeps: usize) -> usize {
     (k + 1) * substeps / segments
 }
 
-/// A scheme made ready for one model and step.
+/// Coefficients of a scheme for one model and step size.
 struct Ready<S> {
     kicks: Vec<f64>,
-    /// Drift by drift, one entry a unit and degree of freedom.
+    /// For each drift, one entry per unit and coordinate.
     drifts: Vec<Vec<[Drift<S>; 3]>>,
-    /// ½ (1 − e²) of m and J, drift by drift, one entry a unit: the kinetic energy that a drift takes, by squares of velocities.
+    /// ½ (1 − e²) m and ½ (1 − e²) J, for each drift and unit: kinetic energy lost in the drift per squared velocity.
     losses: Vec<Vec<[S; 2]>>,
-    /// Where in the step each force is taken, as a part of it: after each drift.
+    /// Time of each force evaluation (after each drift) as a fraction of the step.
     clock: Vec<f64>,
     gamma: Vec<[S; 3]>,
 }
@@ -64,7 +62,7 @@ impl<S: Scalar> Ready<S> {
                 })
             };
             let mut losses: Vec<[S; 2]> = model.inverse_mass.iter().zip(&gamma).map(of).collect();
-            // whatever moves a driven unit pays for its damping
+            // the damping of a driven unit takes no energy from the body
             model.driven.iter().for_each(|u| losses[*u] = [S::from_f64(0.0); 2]);
             losses
         };
@@ -82,11 +80,11 @@ impl<S: Scalar> Ready<S> {
     }
 }
 
-/// What both directions start from.
+/// Common data of both directions.
 struct Course<'a, V: Vector> {
     ready: Ready<V::Scalar>,
     stages: usize,
-    /// The kicks at either end of a step.
+    /// Kicks at the start and end of a step.
     first: f64,
     last: f64,
     loads: LockstepForces<'a, V>,
@@ -117,16 +115,16 @@ impl<'a, V: Vector> Course<'a, V> {
     }
 }
 
-/// The samples of a block by when each begins to move.
+/// When the samples of a vector start to move.
 struct Begin {
-    /// The interval of each lane; one without a sample never does.
+    /// Interval of each lane; T in lanes without a sample.
     lanes: [usize; MOST],
-    /// Of the earliest.
+    /// Earliest of these intervals.
     first: usize,
 }
 
 impl Begin {
-    /// By their forces, or all `at_once`.
+    /// From the forces of the samples; interval 0 for all with `at_once`.
     fn new(scene: &Scene, model: &Model, forces: &Forces, histories: &[&[f64]], at_once: bool) -> Self {
         let mut lanes = [scene.instants; MOST];
         let at_once = at_once || model.touches();
@@ -136,7 +134,7 @@ impl Begin {
         Self { lanes, first: lanes.into_iter().min().unwrap_or(scene.instants) }
     }
 
-    /// 1 in lanes that move in an interval; the others are held at rest, whatever forces rounding makes there.
+    /// 1 in lanes that move in an interval. The others (0) stay at rest despite rounding of forces.
     #[inline(always)]
     fn awake<V: Vector>(&self, interval: usize) -> V {
         V::gather(&self.lanes.map(|begin| f64::from(u8::from(begin <= interval))))
@@ -156,7 +154,7 @@ impl<V: Vector> System<'_, V> {
         }
     }
 
-    /// That kick, a drift, and all that the next evaluation asks for, in one pass; returns the energy that the drift took.
+    /// A kick, a drift, and the preparation of the next force evaluation, in one pass. Returns the energy lost in the drift.
     #[inline(always)]
     fn advance(
         &mut self,
@@ -193,10 +191,10 @@ impl<V: Vector> System<'_, V> {
     }
 }
 
-/// Integrates up to a vector of samples with `substeps` steps an interval, checkpoints after each of `parts` parts. `system`
-/// has no damping of its own.
+/// Integrates samples, at most one per lane, with `substeps` steps per interval and a checkpoint after each of `parts` parts.
+/// `system` must be undamped.
 ///
-/// Begins with the first force of any of them: until its own a lane is at rest.
+/// Starts at the first force of any sample; a lane stays at rest until its own first force.
 #[inline(always)]
 pub fn forward<V: Vector>(
     system: &mut System<'_, V>,
@@ -296,17 +294,17 @@ pub fn forward<V: Vector>(
     Counters { force_evaluations: lanes * (1 + steps * stages as u64), steps: lanes * steps, rejected: 0 }
 }
 
-/// The cotangents of a block's states, and what its next evaluation weighs.
+/// Cotangents of the states and of the next force evaluation.
 struct Bars<V> {
     x: Vec<Unit<V>>,
     v: Vec<Unit<V>>,
-    /// Of the forces.
+    /// Cotangents of the forces.
     w: Vec<Unit<V>>,
 }
 
 impl<V: Vector> System<'_, V> {
-    /// Undoes `advance`: the kick b by the evaluation just done, then the drift before it; passes their cotangents back and
-    /// makes the next evaluation, that of the kick `next`, ready. One pass.
+    /// Reverses `advance` in one pass: undoes the kick b with the forces just evaluated, then the preceding drift; propagates
+    /// the cotangents; and prepares the next evaluation, for the kick `next`.
     #[inline(always)]
     fn retreat(
         &mut self,
@@ -341,7 +339,7 @@ impl<V: Vector> System<'_, V> {
                 g[u][d] = V::ZERO;
                 let (to_x, to_v) = (bar_x[u][d], bar_v[u][d]);
                 let slope = V::of(drift.reach_slope).mul_add(to_x, V::of(drift.keep_slope) * to_v);
-                // Cotangent of γ = C/m
+                // cotangent of γ = C/m
                 let rate = V::of(inverse) * (slope * V::narrow(before));
                 damping[d] = damping[d] + rate;
                 mass[u][d] = V::of(gamma[u][d]).mul_sub_from(rate, w[u][d].mul_add(pull, mass[u][d]));
@@ -354,8 +352,8 @@ impl<V: Vector> System<'_, V> {
     }
 }
 
-/// Sweeps up to a vector of samples backwards, adding to the cotangents of `system`, which has no damping of its own; returns
-/// those of the histories, (samples, K, R+1), if `forces_asked`.
+/// Reverse sweep of samples, at most one per lane. Adds to the cotangents of `system`, which must be undamped. With
+/// `forces_asked`, returns the cotangents of the histories (samples, K, R+1).
 #[inline(always)]
 pub fn reverse<V: Vector>(
     system: &mut System<'_, V>,
@@ -376,7 +374,7 @@ pub fn reverse<V: Vector>(
     let zero = V::splat(0.0);
     let histories: Vec<&[f64]> = sweeps.iter().map(|s| s.history).collect();
     sweeps.iter().enumerate().for_each(|(lane, sweep)| system.strike(lane, forces, sweep.at));
-    // What moves from its first force on would by others move before.
+    // a sample that moves from its first force on would move earlier under an earlier force
     let begin = Begin::new(scene, model, forces, &histories, forces_asked);
     let Course { ready, stages, first, last, mut loads, mut force } =
         Course::new(system, scheme, substeps, forces, histories);
@@ -398,7 +396,7 @@ pub fn reverse<V: Vector>(
         let awake: V::Wide = begin.awake(interval);
         let mut step = substeps;
         for part in (0..parts).rev() {
-            // The checkpoint: the state after the last kick of a step
+            // the checkpoint: the state after the last kick of a step
             let len = 6 * free.len();
             let states = std::array::from_fn(|l| {
                 sweeps.get(l).map(|s| &s.tape.states[(interval * parts + part) * len..][..len])
@@ -475,7 +473,7 @@ pub fn reverse<V: Vector>(
                         &mut g,
                         &mut bars,
                     );
-                    // The first kick of a segment belongs to the checkpoint before it.
+                    // the first kick of a segment belongs to the preceding checkpoint
                     if j == 0 && step == begins {
                         continue;
                     }
@@ -489,7 +487,7 @@ pub fn reverse<V: Vector>(
             }
         }
     }
-    // The first kick, from rest
+    // the first kick, from rest
     x = system.start();
     loads.at(begin.first * substeps, 0.0, &mut force);
     let b = begin.awake::<V>(begin.first) * V::splat(first);

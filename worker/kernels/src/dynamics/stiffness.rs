@@ -1,4 +1,4 @@
-//! The stiffness of what moves: the Hessian of the energy, by products with several directions at a time.
+//! Stiffness matrix of the free coordinates: the Hessian of the energy, from products with several directions at once.
 
 use super::Scene;
 use super::ligaments::{ShapeCotangent, Turn, product, turns};
@@ -7,17 +7,16 @@ use crate::lanes::{Sse2, Vector};
 use faer::sparse::{SparseColMat, Triplet};
 use faer::traits::ComplexField;
 
-/// Columns of the stiffness that are found together.
+/// Columns of the matrix that are computed together.
 const COLUMNS: usize = <Sse2 as Vector>::LANES;
 
-/// What moves, among the displacements of all units.
+/// Indices of the coordinates that are not held, among the coordinates of all units.
 pub(super) fn unknowns(model: &Model) -> Vec<usize> {
     let inverse = model.inverse_mass.as_flattened();
     (0..inverse.len()).filter(|i| inverse[*i] != 0.0).collect()
 }
 
-/// (row, column, value) of a matrix of some displacements of so many units, by columns, without zeros, from its products with
-/// directions.
+/// Nonzero entries (row, column, value) of a matrix over the coordinates `unknowns`, by columns, from its products with directions.
 pub(super) fn columns(
     unknowns: &[usize],
     units: usize,
@@ -39,13 +38,13 @@ pub(super) fn columns(
     entries
 }
 
-/// The n × n matrix of these (row, column, value).
+/// The sparse n × n matrix with these entries (row, column, value).
 pub fn sparse<T: ComplexField>(n: usize, entries: &[(usize, usize, T)]) -> SparseColMat<usize, T> {
     let entries: Vec<_> = entries.iter().map(|(i, j, value)| Triplet::new(*i, *j, value.clone())).collect();
     SparseColMat::try_new_from_triplets(n, n, &entries).expect("entries of an n × n matrix")
 }
 
-/// Products of the Hessian of the energy at places of all units, or as cast where there are none, with up to so many w, one a lane.
+/// Products of the Hessian of the energy with up to `COLUMNS` directions w, at the state `at`; empty: zero displacement.
 pub(super) fn hessian(model: &Model, scene: &Scene, at: &[[f64; 3]], w: &[Vec<f64>]) -> [Vec<f64>; COLUMNS] {
     let zero = Sse2::splat(0.0);
     let units = model.units();

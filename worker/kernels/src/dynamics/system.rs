@@ -1,22 +1,22 @@
-//! The equations of motion in lanes: accelerations, their transpose, and the sensors, for every integrator.
+//! The equations of motion in vectors of samples: accelerations, their adjoint, and the sensors, for every integrator.
 
 use super::ligaments::{Place, ShapeCotangent, Turn, turns};
 use super::model::{Bar, Model, ModelCotangent};
 use super::{Forces, Frame, Mount, Scene};
 use crate::lanes::{MOST, Scalar, Vector};
 
-/// (u, v, θ), or what belongs to it, of one unit, in lanes.
+/// (u, v, θ) of one unit, or their cotangents, in lanes.
 pub type Unit<V> = [V; 3];
 
-/// (model, its ligaments, x, turns, where to add ∂U/∂s, margin): lowers the margin to the least ψ − ψ_min.
+/// Arguments: (model, ligaments, x, turns, g, margin). Adds ∂U/∂s to `g` and lowers `margin` to the least ψ − ψ_min.
 pub type GradientKernel<V> =
     unsafe fn(&Model, &[Bar<<V as Vector>::Scalar>], &[Place<V>], &[Turn<V>], &mut [Unit<V>], &mut V);
 
-/// (model, its ligaments, x, turns): the energy.
+/// Arguments: (model, ligaments, x, turns). Returns the energy.
 pub type EnergyKernel<V> = unsafe fn(&Model, &[Bar<<V as Vector>::Scalar>], &[Place<V>], &[Turn<V>]) -> V;
 
-/// (model, its ligaments, x, w, turns, where to add ∂U/∂s if at all, where to take its derivative along w from, and where to add that of
-/// arms, void angles and stiffnesses).
+/// Arguments: (model, ligaments, x, w, turns, g, h, shape). Adds ∂U/∂s to `g` (optional), subtracts its derivative along w from `h`, and
+/// adds the derivative in arms, void angles and stiffnesses to `shape`.
 pub type ProductKernel<V> = unsafe fn(
     &Model,
     &[Bar<<V as Vector>::Scalar>],
@@ -28,19 +28,19 @@ pub type ProductKernel<V> = unsafe fn(
     ShapeCotangent<'_, V>,
 );
 
-/// The kernels of one instruction set, for one kind of scene.
+/// Kernels of one instruction set for one kind of scene.
 pub struct Kernels<V: Vector> {
     /// Gradient of the energy.
     pub gradient: GradientKernel<V>,
-    /// The energy.
+    /// Energy.
     pub energy: EnergyKernel<V>,
     /// Gradient and second derivatives along a direction.
     pub second: ProductKernel<V>,
-    /// The same, by those who do not ask for the gradient.
+    /// As `second`; the gradient is optional.
     pub product: ProductKernel<V>,
 }
 
-/// Cotangents of the model, in lanes, as negatives of the arms', void angles' and stiffnesses'.
+/// Cotangents of the model in lanes. Those of arms, void angles and stiffnesses have the opposite sign.
 pub struct Cotangent<V> {
     arms: Vec<[V; 2]>,
     voids: Vec<[V; 2]>,
@@ -48,11 +48,11 @@ pub struct Cotangent<V> {
     stiffness: Vec<[V; 3]>,
     contact: V,
     pub(super) damping: [V; 3],
-    /// Of where units are when a sample begins.
+    /// Cotangent of the state at the start of a sample.
     pub(super) start: Vec<Unit<V>>,
 }
 
-/// What makes cotangents of accelerations into weights of the forces' derivatives.
+/// Data to compute cotangents w of forces from those of accelerations.
 pub struct Weigh<'a, V: Vector> {
     /// 1/(m, m, J).
     pub inverse_mass: &'a [[V::Scalar; 3]],
@@ -62,21 +62,21 @@ pub struct Weigh<'a, V: Vector> {
     pub mass: &'a mut [Unit<V>],
 }
 
-/// A model with scratch, for one block of lanes.
+/// A model with scratch memory, for one vector of samples.
 pub struct System<'a, V: Vector> {
     /// The scene.
     pub scene: &'a Scene,
-    /// With its design.
+    /// The scene with its design.
     pub model: &'a Model,
     kernels: Kernels<V>,
-    /// The model's, or none where the integrator treats damping apart.
+    /// C of the model, or zero if the integrator treats damping separately.
     pub damping: [f64; 3],
-    /// Whether `damping` is the model's and its cotangent asked for.
+    /// Whether to compute the cotangent of `damping`.
     pub damping_asked: bool,
     bars: Vec<Bar<V::Scalar>>,
-    /// Those of driven units.
+    /// Ligaments of driven units.
     held: Vec<Bar<V::Scalar>>,
-    /// How each panel's force acts.
+    /// Force and moment on the unit per newton on each panel.
     strikes: Vec<Unit<V>>,
     pub(super) inverse_mass: Vec<[V::Scalar; 3]>,
     pub(super) turn: Vec<Turn<V>>,
@@ -86,8 +86,7 @@ pub struct System<'a, V: Vector> {
 }
 
 impl<'a, V: Vector> System<'a, V> {
-    /// Allocates the scratch. With `parameters` cotangents of stiffnesses and damping are summed, too; `kernels` must be
-    /// those that do.
+    /// Allocates memory. With `parameters`, cotangents of stiffnesses and damping are computed too; `kernels` must support that.
     #[inline(always)]
     pub fn new(
         scene: &'a Scene,
@@ -128,25 +127,25 @@ impl<'a, V: Vector> System<'a, V> {
         }
     }
 
-    /// The model's ligaments, in lanes' scalars.
+    /// Ligaments in the scalar type of the lanes.
     #[inline(always)]
     pub fn bars(&self) -> &[Bar<V::Scalar>] {
         &self.bars
     }
 
-    /// A zeroed array of one entry a unit.
+    /// Zeros, one entry per unit.
     #[inline(always)]
     pub fn zeros(&self) -> Vec<Unit<V>> {
         vec![[V::ZERO; 3]; self.model.units()]
     }
 
-    /// As many places or their velocities, all zero.
+    /// Zero positions or velocities, one per unit.
     #[inline(always)]
     pub fn places(&self) -> Vec<Place<V>> {
         vec![[V::Wide::ZERO; 3]; self.model.units()]
     }
 
-    /// The places at which samples begin.
+    /// Positions at the start of a sample.
     #[inline(always)]
     pub fn start(&self) -> Vec<Place<V>> {
         let mut x = self.places();
@@ -158,7 +157,7 @@ impl<'a, V: Vector> System<'a, V> {
         x
     }
 
-    /// Overwrites `a` by M⁻¹(−∂U/∂s − C v + f) and lowers `margin` to the least ψ − ψ_min.
+    /// Overwrites `a` with M⁻¹(−∂U/∂s − C v + f) and lowers `margin` to the least ψ − ψ_min.
     #[inline(always)]
     pub fn acceleration(
         &mut self,
@@ -173,28 +172,28 @@ impl<'a, V: Vector> System<'a, V> {
         self.finish(v, a);
     }
 
-    /// Overwrites `g` by ∂U/∂s.
+    /// Overwrites `g` with ∂U/∂s.
     #[inline(always)]
     pub fn gradient(&mut self, x: &[Place<V>], g: &mut [Unit<V>]) {
         self.prepare(x, g);
         self.add_forces(x, &[], g, &mut { V::splat(0.0) });
     }
 
-    /// What the kernels ask for at `x`: its turns, and `g` cleared.
+    /// Prepares the kernels for `x`: computes its rotations and clears `g`.
     #[inline(always)]
     pub fn prepare(&mut self, x: &[Place<V>], g: &mut [Unit<V>]) {
         g.fill([V::splat(0.0); 3]);
         turns::<V>(x, &mut self.turn);
     }
 
-    /// U at `x`, the one prepared.
+    /// U at the prepared `x`.
     #[inline(always)]
     pub fn energy(&self, x: &[Place<V>]) -> V {
         // SAFETY: as in `add_forces`.
         unsafe { (self.kernels.energy)(self.model, &self.bars, x, &self.turn) }
     }
 
-    /// Overwrites `reaction` by ∂U/∂s at `x`, the one prepared, of each driven unit.
+    /// Overwrites `reaction` with ∂U/∂s of each driven unit at the prepared `x`.
     #[inline(always)]
     pub fn react(&mut self, x: &[Place<V>], reaction: &mut [Unit<V>]) {
         for bar in &self.held {
@@ -211,7 +210,7 @@ impl<'a, V: Vector> System<'a, V> {
         }
     }
 
-    /// Adds ∂U/∂s − f at `x`, the one prepared, to `g` and lowers `margin` to the least ψ − ψ_min.
+    /// Adds ∂U/∂s − f at the prepared `x` to `g` and lowers `margin` to the least ψ − ψ_min.
     #[inline(always)]
     pub fn add_forces(&mut self, x: &[Place<V>], force: &[V], g: &mut [Unit<V>], margin: &mut V) {
         // SAFETY: the entry points of `dispatch` choose kernels whose instructions this machine has.
@@ -219,7 +218,7 @@ impl<'a, V: Vector> System<'a, V> {
         self.push(force, g);
     }
 
-    /// The same, and transpose: adds what forces of cotangent `w` pass on to `bar_x` and to the model's cotangents.
+    /// `add_forces` and its adjoint: for the cotangent `w` of the forces, adds to `bar_x` and to the model's cotangents.
     #[inline(always)]
     pub fn add_forces_vjp(
         &mut self,
@@ -237,15 +236,14 @@ impl<'a, V: Vector> System<'a, V> {
         self.push_vjp(force, w);
     }
 
-    /// Whether what forces do depends on the design: on a node that they act on, or on the masses that they shake.
+    /// Whether the effect of forces depends on the design: forces on nodes, or inertial forces of a shaken base.
     #[inline(always)]
     pub fn levered(&self) -> bool {
         self.model.struck.iter().any(Option::is_some)
             || self.scene.panels.iter().any(|p| p.shakes().is_some())
     }
 
-    /// Adds what forces, whose work on the units has the cotangent `w`, pass on to the arms of the nodes that they act on, and to the
-    /// masses that they shake.
+    /// For the cotangent `w` of the units' forces, adds the cotangents of the arms of struck nodes, and of the masses on a shaken base.
     #[inline(always)]
     pub fn push_vjp(&mut self, force: &[V], w: &[Unit<V>]) {
         if let Some(base) = self.base(force) {
@@ -260,7 +258,7 @@ impl<'a, V: Vector> System<'a, V> {
             let Some(node) = *node else { continue };
             let ([x, y, _], moment) = (self.strikes[k], w[self.scene.panels[k].unit][2] * force[k]);
             let [p, q] = self.cotangent.arms[node];
-            // with the sign of those of ∂U/∂s
+            // with the sign of the cotangents of ∂U/∂s
             self.cotangent.arms[node] = [moment.mul_sub_from(y, p), moment.mul_add(x, q)];
         }
     }
@@ -277,14 +275,14 @@ impl<'a, V: Vector> System<'a, V> {
         }
     }
 
-    /// The units that the force on a panel acts on: its own, or all that move where it shakes the base.
+    /// Units on which a panel's force acts: its own unit, or all free units if it shakes the base.
     #[inline(always)]
     pub fn pushed(&self, panel: usize) -> &[usize] {
         let at = &self.scene.panels[panel];
         if at.shakes().is_some() { &self.model.free } else { std::slice::from_ref(&at.unit) }
     }
 
-    /// What 1 N on a panel does to one of them.
+    /// Force and moment on `unit` per newton on `panel`.
     #[inline(always)]
     fn does(&self, panel: usize, unit: usize) -> Unit<V> {
         match self.scene.panels[panel].shakes() {
@@ -296,15 +294,15 @@ impl<'a, V: Vector> System<'a, V> {
         }
     }
 
-    /// Transpose of what a force does to a unit: the part of `y`, the unit's, along it, such as the way that it went or, of the work on
-    /// the unit, the cotangent of the force.
+    /// Scalar product of `y` with force and moment on the unit per newton on the panel. `y` is a displacement, or the cotangent of the
+    /// unit's force.
     #[inline(always)]
     pub fn along(&self, panel: usize, unit: usize, y: Unit<V>) -> V {
         let [p, q, r] = self.does(panel, unit);
         p * y[0] + q * y[1] + r * y[2]
     }
 
-    /// The same of all the units that it acts on.
+    /// Sum of `along` over all units on which the panel acts.
     #[inline(always)]
     pub fn along_all(&self, panel: usize, y: &[Unit<V>]) -> V {
         let mut sum = V::ZERO;
@@ -314,7 +312,7 @@ impl<'a, V: Vector> System<'a, V> {
         sum
     }
 
-    /// The acceleration of the base; none in a scene that holds still.
+    /// Acceleration of the base; `None` if no panel shakes it.
     #[inline(always)]
     pub fn base(&self, force: &[V]) -> Option<[V; 2]> {
         let mut base = None;
@@ -326,7 +324,7 @@ impl<'a, V: Vector> System<'a, V> {
         base
     }
 
-    /// Adds it to the accelerations of the units that carry sensors: what they feel.
+    /// Adds the acceleration of the base to those of the units with sensors.
     #[inline(always)]
     pub fn feel(&self, force: &[V], a: &mut [Unit<V>]) {
         let Some(base) = self.base(force) else { return };
@@ -335,7 +333,8 @@ impl<'a, V: Vector> System<'a, V> {
         }
     }
 
-    /// Of readings whose accelerations have the cotangent `bar_a`, that of the force that shakes the base: what it adds to them.
+    /// Cotangent of the force on `panel` through the base acceleration in the signals; `bar_a` is the cotangent of the units'
+    /// accelerations.
     #[inline(always)]
     pub fn felt(&self, panel: usize, bar_a: &[Unit<V>]) -> Option<V> {
         let [x, y] = self.scene.panels[panel].shakes()?;
@@ -346,7 +345,7 @@ impl<'a, V: Vector> System<'a, V> {
         Some(sum)
     }
 
-    /// From now on a lane's forces act as those of a sample.
+    /// Sets how forces act in `lane` to how they act in `sample`.
     #[inline(always)]
     pub fn strike(&mut self, lane: usize, forces: &Forces, sample: usize) {
         if forces.strikes.is_empty() {
@@ -360,13 +359,13 @@ impl<'a, V: Vector> System<'a, V> {
         }
     }
 
-    /// What cotangents of accelerations were made into by the last `acceleration_vjp`: those of forces.
+    /// Cotangents of the forces that the last `acceleration_vjp` computed.
     #[inline(always)]
     pub fn weights(&self) -> &[Unit<V>] {
         &self.w
     }
 
-    /// Turns ∂U/∂s − f into accelerations.
+    /// Converts ∂U/∂s − f into accelerations.
     #[inline(always)]
     fn finish(&self, v: &[Place<V>], a: &mut [Unit<V>]) {
         let moving = self.model.moving_range();
@@ -381,8 +380,8 @@ impl<'a, V: Vector> System<'a, V> {
         }
     }
 
-    /// Transpose of `acceleration`: overwrites `bar_x` and `bar_v`, adds to the model's cotangents, leaves the
-    /// acceleration at (x, v) in `a`.
+    /// Adjoint of `acceleration`: overwrites `bar_x` and `bar_v`, adds to the model's cotangents, and stores the acceleration at (x, v)
+    /// in `a`.
     #[inline(always)]
     pub fn acceleration_vjp(
         &mut self,
@@ -420,14 +419,14 @@ impl<'a, V: Vector> System<'a, V> {
         }
     }
 
-    /// What weights of forces are made by.
+    /// Data to compute cotangents of forces.
     #[inline(always)]
     pub fn weigh(&mut self) -> Weigh<'_, V> {
         let Self { inverse_mass, damping, cotangent, .. } = self;
         Weigh { inverse_mass, damping: *damping, mass: &mut cotangent.mass }
     }
 
-    /// Overwrites `curved` by −∂²U w at x and adds to the model's cotangents but those of masses and damping.
+    /// Overwrites `curved` with −∂²U w at x, and adds to the model's cotangents except those of masses and damping.
     #[inline(always)]
     pub fn product(&mut self, x: &[Place<V>], w: &[Unit<V>], curved: &mut [Unit<V>]) {
         self.prepare(x, curved);
@@ -438,13 +437,13 @@ impl<'a, V: Vector> System<'a, V> {
         unsafe { (self.kernels.product)(self.model, &self.bars, x, w, &self.turn, unread, curved, shape) };
     }
 
-    /// Adds to the cotangent of C, of forces of weights `w` at velocities `v`.
+    /// Adds the cotangent of C for forces with the cotangents `w` at velocities `v`.
     #[inline(always)]
     pub fn add_damping_cotangent(&mut self, w: &[Unit<V>], v: &[Place<V>]) {
         damping_cotangent(&mut self.cotangent.damping, w, v);
     }
 
-    /// Adds the cotangent of the sensors' readings, `bar`[3m + channel], to those of state and acceleration.
+    /// Adds the cotangents of state and acceleration for the cotangent `bar`[3m + channel] of the signals.
     #[inline(always)]
     pub fn read_vjp(
         &self,
@@ -456,7 +455,7 @@ impl<'a, V: Vector> System<'a, V> {
         bar_v: &mut [Unit<V>],
         bar_a: &mut [Unit<V>],
     ) {
-        // A held unit reads zeros; sweeps keep no cotangents of its state.
+        // Signals of held units are zero; the sweeps keep no cotangents of their state.
         let moves = |u: usize| self.model.inverse_mass[u] != [0.0; 3];
         for (m, &u) in self.scene.sensors.iter().enumerate().filter(|(_, u)| moves(**u)) {
             let (p, q, o) = (bar[3 * m], bar[3 * m + 1], bar[3 * m + 2]);
@@ -502,7 +501,7 @@ impl<'a, V: Vector> System<'a, V> {
         for (to, from) in sum.mass.iter_mut().zip(&mut self.cotangent.mass) {
             *to = std::array::from_fn(|d| total(&mut from[d]));
         }
-        // a driven unit moves as it does whatever its mass
+        // the prescribed motion of a driven unit does not depend on its mass
         self.model.driven.iter().for_each(|u| sum.mass[*u] = [0.0; 3]);
         for (to, from) in sum.stiffness.iter_mut().zip(&mut self.cotangent.stiffness) {
             *to = std::array::from_fn(|k| -total(&mut from[k]));
@@ -532,11 +531,11 @@ fn damping_cotangent<V: Vector>(damping: &mut [V; 3], w: &[Unit<V>], v: &[Place<
     }
 }
 
-/// A chip off its unit's centroid, or tilted on it, at an instant.
+/// A chip off the centroid of its unit, or tilted, at one instant.
 struct Mounted<V> {
-    /// Its offset in fixed axes.
+    /// Offset in fixed axes (mm).
     arm: [V; 2],
-    /// Cosine and sine of the angle of its axes.
+    /// Cosine and sine of the angle of the chip's axes.
     axes: (V, V),
 }
 
@@ -560,7 +559,7 @@ impl<V: Vector> Mounted<V> {
         [c * x + s * y, c * y - s * x]
     }
 
-    /// From the chip's axes to fixed ones.
+    /// Rotates from the chip's axes to fixed axes.
     #[inline(always)]
     fn back(&self, [p, q]: [V; 2]) -> [V; 2] {
         let (c, s) = self.axes;
@@ -568,7 +567,7 @@ impl<V: Vector> Mounted<V> {
     }
 }
 
-/// (cos, sin) by the standard library: once a sensor and instant.
+/// (cos, sin) by the standard library; called once per sensor and instant.
 #[inline(always)]
 pub fn cos_sin<V: Vector>(theta: V) -> (V, V) {
     let (mut c, mut s) = (V::ZERO, V::ZERO);
@@ -580,7 +579,7 @@ pub fn cos_sin<V: Vector>(theta: V) -> (V, V) {
     (c, s)
 }
 
-/// The readings of one lane at an instant, into (3M), on a base of this acceleration.
+/// Writes the readings of one lane at one instant to `out` (3M); `base` is the acceleration of the base.
 #[inline(always)]
 pub fn read_lane<V: Vector>(
     scene: &Scene,
@@ -611,7 +610,7 @@ pub fn read_lane<V: Vector>(
     }
 }
 
-/// Writes a lane's state into (free units, 6).
+/// Writes the state of one lane to `out` (free units, 6).
 #[inline(always)]
 pub fn store_lane<W: Vector>(free: &[usize], x: &[Unit<W>], v: &[Unit<W>], lane: usize, out: &mut [f64]) {
     for (&u, out) in free.iter().zip(out.chunks_exact_mut(6)) {
@@ -622,7 +621,7 @@ pub fn store_lane<W: Vector>(free: &[usize], x: &[Unit<W>], v: &[Unit<W>], lane:
     }
 }
 
-/// Reads the lanes' states, each (free units, 6); a lane that has none is still where units are at `rest`, or at zero if this is empty.
+/// Loads the states of the lanes, each (free units, 6). A lane without a state is at rest at `rest`, or at zero if `rest` is empty.
 #[inline(always)]
 pub fn load_lanes<W: Vector>(
     free: &[usize],
@@ -644,7 +643,7 @@ pub fn load_lanes<W: Vector>(
     }
 }
 
-/// Adds one array to another.
+/// Adds `from` to `to`.
 #[inline(always)]
 pub fn add_into<V: Vector>(to: &mut [Unit<V>], from: &[Unit<V>]) {
     for (t, f) in to.as_flattened_mut().iter_mut().zip(from.as_flattened()) {

@@ -1,17 +1,17 @@
-//! Trigonometry in lanes, by polynomials on the range that bodies move in; a lane outside it takes the standard
-//! library's function, so that a result never depends on the other lanes.
+//! Trigonometry in lanes, by polynomials for typical angles. A lane outside their range calls the standard library, so
+//! the result of a lane never depends on other lanes.
 
 use crate::lanes::{Scalar, Vector};
 use std::f64::consts::TAU;
 
-/// |angle| up to which `sin_cos1` is polynomial, with the coefficients of Sun's fdlibm (k_sin.c, k_cos.c): below 2⁻⁵⁸.
+/// |angle| up to which `sin_cos1` uses polynomials: the coefficients of Sun's fdlibm (k_sin.c, k_cos.c), with errors below 2⁻⁵⁸.
 const TURN_LIMIT: f64 = std::f64::consts::FRAC_PI_4;
-/// |tan(angle/2)| up to which `angle` is polynomial (29°).
+/// |tan(angle/2)| up to which `angle` uses a polynomial (29°).
 const HALF_TANGENT_LIMIT: f64 = 0.25;
-/// |mean| up to which an angle of that range less `mean` is within (−π, π].
+/// |mean| up to which such an angle minus `mean` lies in (−π, π].
 const MEAN_LIMIT: f64 = 2.5;
 
-/// Coefficients from the highest power on; in f32 without the first `spare`, which are below its rounding.
+/// Horner's scheme, highest power first. In f32, omits the first `spare` coefficients, which are below rounding.
 #[inline(always)]
 fn horner<V: Vector, const N: usize>(z: V, coefficients: [f64; N], spare: usize) -> V {
     let first = if V::SINGLE { spare } else { 0 };
@@ -65,7 +65,7 @@ pub fn sin_cos1<V: Vector>(x: V) -> [V; 2] {
 fn far_sin_cos1<V: Vector>(x: V, [sin, cos1]: &mut [V; 2]) {
     for i in 0..V::LANES {
         let x = x.lane(i);
-        // A NaN goes this way too.
+        // true for NaN, too, which then reaches the standard library
         if x.abs() <= limit::<V>(TURN_LIMIT) {
             continue;
         }
@@ -74,12 +74,12 @@ fn far_sin_cos1<V: Vector>(x: V, [sin, cos1]: &mut [V; 2]) {
     }
 }
 
-/// As lanes compare with it.
+/// `limit` as rounded in the comparison of lanes.
 fn limit<V: Vector>(limit: f64) -> f64 {
     V::Scalar::from_f64(limit).to_f64()
 }
 
-/// The angle of the vector (x, y) less `mean`, in (−π, π], given the tangent t = y/(|(x, y)| + x) of half the angle.
+/// The angle of the vector (x, y) minus `mean`, in (−π, π], given the tangent t = y/(|(x, y)| + x) of half the angle.
 #[inline(always)]
 pub fn angle<V: Vector>(t: V, [x, y]: [V; 2], mean: V) -> V {
     let near = half_arctangent_series(t * t).mul_add(t, -mean);
@@ -92,9 +92,10 @@ pub fn angle<V: Vector>(t: V, [x, y]: [V; 2], mean: V) -> V {
     }
 }
 
-/// 2 atan(t)/t, z = t² ≤ 1/16: the polynomial that is exact at the nine Chebyshev nodes, off by 5e-18 elsewhere.
+/// 2 atan(t)/t with z = t² ≤ 1/16, interpolated at nine Chebyshev nodes; largest error 5e-18.
 ///
-/// Summed by pairs: a ligament's longest chain of dependent operations is this sum, and Horner's would be twice as long.
+/// Summed in pairs: this sum is the longest chain of dependent operations of a ligament, and Horner's scheme would
+/// double it.
 #[inline(always)]
 fn half_arctangent_series<V: Vector>(z: V) -> V {
     const C: [f64; 9] = [
@@ -110,7 +111,7 @@ fn half_arctangent_series<V: Vector>(z: V) -> V {
     ];
     let z2 = z * z;
     if V::SINGLE {
-        // The next is below rounding
+        // further terms are below rounding
         let high = z2.mul_add(line(z, [C[4], C[5]]), line(z, [C[2], C[3]]));
         return z2.mul_add(high, line(z, [C[0], C[1]]));
     }

@@ -1,11 +1,12 @@
-//! Tsitouras 5(4) with error control a sample, and its discrete adjoint.
+//! Tsitouras 5(4) with error control per sample, and its discrete adjoint.
 //!
-//! Ch. Tsitouras, Comput. Math. Appl. 62 (2011) 770–775. As ẋ = v, a step needs the stages' accelerations A alone:
+//! Ch. Tsitouras, Comput. Math. Appl. 62 (2011) 770–775. Because ẋ = v, a step only needs the accelerations A of the
+//! stages:
 //!
 //! ```text
 //! V_i = v + h Σ a_ij A_j,   X_i = x + c_i h v + h² Σ ā_ij A_j,   ā = a·a,   A_i = M⁻¹(−∂U(X_i) − C V_i + f)
 //! ```
-//! Lanes step on their own clocks and take up the next sample when one is done. Every instant is hit exactly.
+//! Each lane has its own clock and takes the next sample when one is done. Steps end exactly at every instant.
 
 mod reverse;
 mod stages;
@@ -22,20 +23,20 @@ pub use stages::{A, A2, C};
 use stages::{land, landed, stage};
 pub use steps::sizes;
 
-/// Attempted steps after which a sample is given up.
+/// Attempted steps after which a sample fails.
 const STEP_LIMIT: u64 = 4_000_000;
-/// A step below this part of an interval is no step.
+/// Smallest step, as a fraction of an interval.
 const LEAST_STEP: f64 = 1e-11;
 
-/// Where a lane is.
+/// State of a lane.
 struct Lane<'s, 'a> {
     job: Option<&'s mut Job<'a>>,
     interval: usize,
-    /// Time since the interval's beginning.
+    /// Time since the start of the interval.
     tau: f64,
     /// Proposed step.
     proposed: f64,
-    /// This step: one of so many equal ones that would end on the instant.
+    /// Current step: 1/`parts` of the time left in the interval.
     h: f64,
     parts: f64,
     count: u32,
@@ -43,7 +44,7 @@ struct Lane<'s, 'a> {
     last_error: f64,
 }
 
-/// Integrates the samples of `queue`, until there is none left. Allocates its scratch once.
+/// Integrates the samples of `queue` until it is empty. Allocates scratch memory once.
 #[inline(always)]
 pub fn forward<V: Vector<Wide = V>>(
     mut system: System<'_, V>,
@@ -53,7 +54,7 @@ pub fn forward<V: Vector<Wide = V>>(
     heartbeat: &Heartbeat,
 ) -> Counters {
     let scene = system.scene;
-    // Intervals of the forces, each `kinks`-th of which ends at an instant of the scene
+    // intervals of the forces; every `kinks`-th ends at an instant of the scene
     let (instants, kinks) = (forces.instants, forces.kinks(scene));
     let delta = scene.duration / instants as f64;
     let free = &system.model.free;
@@ -81,7 +82,7 @@ pub fn forward<V: Vector<Wide = V>>(
     });
     let lanes = &mut lanes[..V::LANES];
     loop {
-        // Idle lanes take up the next samples, at rest.
+        // idle lanes take the next samples, at rest
         for (l, lane) in lanes.iter_mut().enumerate() {
             if lane.job.is_none() {
                 copy_lane(&mut x, &start, l);
@@ -89,7 +90,7 @@ pub fn forward<V: Vector<Wide = V>>(
                 lane.h = 0.0;
                 if let Some(job) = take(queue, 1).first_mut() {
                     system.strike(l, forces, job.index);
-                    // Not the push alone: contact may act at rest.
+                    // includes contact, which may act at rest
                     let history = forces.sample(job.index);
                     for (f, history) in force.iter_mut().zip(history.chunks(instants + 1)) {
                         *f = V::splat(history[0]);
@@ -123,7 +124,7 @@ pub fn forward<V: Vector<Wide = V>>(
             return counters;
         }
 
-        // Six stages, the last of which is the new state's acceleration
+        // six stages; the last is the acceleration of the new state
         let (mut h, mut tau, mut lands) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
         for (l, lane) in lanes.iter().enumerate() {
             (h[l], tau[l], lands[l]) = (lane.h, lane.tau, f64::from(u8::from(lane.parts == 1.0)));
@@ -148,7 +149,7 @@ pub fn forward<V: Vector<Wide = V>>(
             system.acceleration(&xs, &vs, &force, &mut a[i], &mut margin);
         }
 
-        // Error relative to the tolerance, a lane
+        // error of each lane relative to the tolerance
         let square = landed(square, &within, &a);
         let mut accepted = [0.0; LANES];
         for l in 0..V::LANES {
@@ -188,7 +189,7 @@ pub fn forward<V: Vector<Wide = V>>(
             }
         }
 
-        // Accepted lanes move on, most often all
+        // accepted lanes advance, usually all
         if accepted[..V::LANES].iter().all(|a| *a == 1.0) {
             std::mem::swap(&mut x, &mut xs);
             std::mem::swap(&mut v, &mut vs);

@@ -1,9 +1,9 @@
-//! Which integrator and how many steps, by measurement: a pilot of the first samples before all others.
+//! Pilot: selects integrator and number of steps by measurement on the first samples.
 //!
-//! The laws of `choose` hold for the reference scene; sharp forces, contact or long ringing between instants have other
-//! factors. The pilot's truth is `nystrom6`, its steps doubled until two runs agree to the asked error. Then the method of
-//! least work by its law is measured at this many steps, and at more or fewer, until no cheaper one is left; at the end once
-//! more in f32, which is taken where that keeps the error, too.
+//! The laws of `choose` hold for the reference scene; sharp forces, contact and many periods between instants change their
+//! factors. The reference solution is `nystrom6`, with steps doubled until two runs agree to the requested error. Then the method
+//! with the least work by its law is measured at this number of steps, at more and at fewer, until no cheaper method is left. The
+//! last run tests f32.
 
 use super::choose::{Candidate, candidates, choose_under};
 use super::{
@@ -11,39 +11,38 @@ use super::{
 };
 use crate::lanes::LANES;
 
-/// What a pilot made of a solver.
+/// Result of a pilot.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tuned {
-    /// Never `Auto`; by its accuracy or tolerance other designs keep the asked error, too.
+    /// Solver with a definite method. Its accuracy or tolerance also gives the requested error for other designs.
     pub solver: Solver,
-    /// What that is for the design of the pilot, and why.
+    /// Plan of this solver for the pilot's design.
     pub plan: Plan,
-    /// Relative error of the pilot's signals; none where it was not, or could not be, measured.
+    /// Relative error of the pilot's signals; `None` if not measured.
     pub error: Option<f64>,
-    /// The pilot's work.
+    /// Work of the pilot.
     pub counters: Counters,
 }
 
-/// The asked error by the measured one, at least: other samples and the bodies to come are not those of the pilot.
+/// Least ratio of requested to measured error: later samples and bodies differ from the pilot's.
 const SAFETY: f64 = 1.25;
-/// By how much the law's steps may have to be refined: from there on motion is chaotic rather than quick.
+/// Largest refinement of the law's steps. Motion that needs more is chaotic.
 const REFINED: usize = 8;
-/// Runs of one method.
+/// Largest number of runs per method.
 const TRIES: usize = 6;
-/// How the reason of a plan says that no steps keep the error asked.
+/// Part of a plan's reason if no steps give the requested error.
 const UNREACHED: &str = "of the pilot reached the error asked";
 
-/// Whether a plan of this reason keeps the error asked, as far as a pilot has measured it: motion that no steps resolve has other
-/// signals by other steps.
+/// Whether a plan with this reason gives the requested error, as far as measured. Chaotic motion does not: its signals change
+/// with the steps.
 pub fn keeps_error(reason: &str) -> bool {
     !reason.contains(UNREACHED)
 }
 
-/// Finds the cheapest way to keep the solver's accuracy in this scene under these forces.
+/// Finds the cheapest integration with the solver's accuracy, for this scene and these forces.
 ///
-/// Takes the first eight samples, in the order given; the same inputs give the same answer on any number of threads.
-/// Where no steps reach it, those of least error remain and the plan's reason says so. `Tsit5` comes back with the tolerance of
-/// its own error norm that keeps the error asked.
+/// Uses the first eight samples; the result does not depend on the number of threads. If no steps are accurate enough, returns
+/// those with the least error, and the plan's reason states this. For `Tsit5`, returns the tolerance of its error norm.
 ///
 /// # Panics
 /// As `simulate`.
@@ -100,7 +99,7 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
     let mut open: Vec<Candidate> =
         all.into_iter().filter(|c| solver.method == Method::Auto || solver.method == c.law.method).collect();
     let mut best: Option<(Candidate, Fewest)> = None;
-    // By their laws, the cheapest first; none is tried that would do more work than the best that was measured.
+    // Cheapest by their laws first. A method with more work than the best measured one is skipped.
     open.sort_by_key(|c| c.steps(solver.accuracy) * c.law.work);
     for candidate in open {
         let work = |steps: usize| steps * candidate.law.work;
@@ -129,19 +128,19 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
     Tuned { solver, plan, error: Some(error), counters: pilot.counters }
 }
 
-/// The fewest steps that keep an error.
+/// The fewest steps that give an error.
 struct Fewest {
     steps: usize,
-    /// How many it would be, were steps not whole: just above `steps` − 1 at least.
+    /// Fractional number of steps, between `steps` − `kinks` and `steps`.
     exact: f64,
     /// Relative error measured at `steps`.
     error: f64,
 }
 
-/// Steps, or by how much they are refined, and the relative error of the signals then.
+/// Steps, or their refinement, and the relative error of the signals.
 type Measured = (usize, f64);
 
-/// The first samples, run again and again.
+/// The first samples, for repeated runs.
 struct Pilot<'a> {
     scene: &'a Scene,
     design: &'a [f64],
@@ -155,7 +154,7 @@ impl Pilot<'_> {
         3 * self.scene.sensors.len()
     }
 
-    /// Error of a plan's steps in f32, where that is no more than asked.
+    /// Error of a plan in f32, if it is at most `asked`.
     fn rounded(&mut self, candidate: &Candidate, plan: &Plan, truth: &Simulation, asked: f64) -> Option<f64> {
         if candidate.highest > candidate.single(Accuracy(asked)) {
             return None;
@@ -174,7 +173,8 @@ impl Pilot<'_> {
         simulation
     }
 
-    /// Error against the truth; infinite where samples failed that need not, or steps were halved, which is not cheap.
+    /// Error against the reference solution. Infinite if additional samples fail, or if samples were repeated with finer steps,
+    /// which is expensive.
     fn error(&self, simulation: &Simulation, truth: &Simulation) -> f64 {
         let fails = |(a, b): (&Outcome, &Outcome)| *a != Outcome::Ok && *b == Outcome::Ok;
         let halved = simulation.plan.steps.count() > 0 && simulation.counters.rejected > 0;
@@ -184,7 +184,7 @@ impl Pilot<'_> {
         distance(simulation, truth, self.channels())
     }
 
-    /// The largest tolerance of Tsit5's own norm found to keep the error, with safety, and the error.
+    /// The largest tolerance found for Tsit5 with at most the error `asked`, including the safety factor, and its error.
     fn tolerance(&mut self, truth: &Simulation, asked: f64) -> Option<(f64, f64)> {
         let mut tolerance = Tolerance::from(Accuracy(asked)).relative;
         let mut good: Option<(f64, f64)> = None;
@@ -195,11 +195,11 @@ impl Pilot<'_> {
             if keeps && good.is_none_or(|(t, _)| tolerance > t) {
                 good = Some((tolerance, error));
             }
-            // Work is as its fifth root: a few times too small is near enough.
+            // Work varies as the fifth root of the tolerance, so a few times too small is acceptable.
             if keeps && error > 0.2 * asked {
                 break;
             }
-            // Errors are about as the tolerance, until steps no longer resolve the motion.
+            // The error is about proportional to the tolerance while steps resolve the motion.
             let factor = (0.5 * asked / (SAFETY * error)).clamp(1e-2, 1e2);
             let next = (tolerance * factor).clamp(Tolerance::LEAST, 0.5);
             if next == tolerance || good.is_some_and(|(t, _)| next <= t) {
@@ -210,15 +210,15 @@ impl Pilot<'_> {
         good
     }
 
-    /// Signals that are exact to well below `asked`, with steps and error of the run before; or by how much the law's steps
-    /// are best refined, and the error left: the least, or up to twice that for fewer steps, as where motion is chaotic.
+    /// The reference solution, much more accurate than `asked`, with steps and error of the run before it. Otherwise the best
+    /// refinement of the law's steps and its error: the least one, or, with fewer steps, at most twice that.
     fn truth(&mut self, six: &Candidate, asked: f64) -> Result<(Simulation, Measured), Measured> {
         let start = six.steps(Accuracy(asked.min(0.01)));
         let (mut refined, mut errors) = (1, Vec::new());
         let mut coarse = self.run(six, start);
         while refined < REFINED {
             let fine = self.run(six, 2 * refined * start);
-            // A sample whose steps were halved has the same bits in both, whatever its error.
+            // A sample repeated with finer steps may be identical in both runs; the difference does not measure its error.
             let error = if coarse.counters.rejected > 0 {
                 f64::INFINITY
             } else {
@@ -233,15 +233,15 @@ impl Pilot<'_> {
         let least = errors.iter().fold(f64::INFINITY, |least, (_, error)| least.min(*error));
         let first = errors.into_iter().find(|(_, error)| *error <= 2.0 * least).expect("at least one");
         Err(match least {
-            // To the end contact asked for shorter steps than these, and got them.
+            // Contact required finer steps in every run, and samples succeeded with them.
             f64::INFINITY if coarse.outcomes.iter().all(|o| *o == Outcome::Ok) => (REFINED, least),
-            // An error as large as the signals is no better for any steps.
+            // If the error is as large as the signals, more steps do not help.
             0.1.. => (1, least),
             _ => first,
         })
     }
 
-    /// The fewest steps of a method whose error, with safety, is at most `asked`.
+    /// The fewest steps of a method with at most the error `asked`, including the safety factor.
     fn fewest(
         &mut self,
         candidate: &Candidate,
@@ -250,7 +250,7 @@ impl Pilot<'_> {
         known: Option<Measured>,
     ) -> Option<Fewest> {
         let start = candidate.steps(Accuracy(asked));
-        // What stability asks for whatever the error
+        // required for stability
         let least = candidate.steps(Accuracy(f64::INFINITY));
         let most = REFINED * start.max(least);
         let mut tried: Vec<(usize, f64)> = Vec::new();
@@ -275,7 +275,7 @@ impl Pilot<'_> {
                 steps = candidate.whole(2.0 * steps as f64).min(most);
                 continue;
             }
-            // Where forces or contacts are not smooth, errors fall more slowly than the method's order has it.
+            // For forces or contacts that are not smooth, the observed order is below the method's order.
             let seen = match tried[..] {
                 [.., (n, e), (m, f)] if n != m => (e / f).ln() / (m as f64 / n as f64).ln(),
                 _ => power,
@@ -298,7 +298,7 @@ impl Pilot<'_> {
     }
 }
 
-/// `signal_error` of the samples that ended well in both; infinite where there is none.
+/// `signal_error` over the samples that succeed in both simulations; infinite if there are none.
 fn distance(a: &Simulation, b: &Simulation, channels: usize) -> f64 {
     let len = b.signals.len() / b.outcomes.len().max(1);
     let well = |i: &usize| a.outcomes[*i] == Outcome::Ok && b.outcomes[*i] == Outcome::Ok;
@@ -308,12 +308,11 @@ fn distance(a: &Simulation, b: &Simulation, channels: usize) -> f64 {
     signal_error(&of(a), &of(b), channels)
 }
 
-/// Relative error of signals (N, T, `channels`) as networks see them: the root mean square over the channels of
-/// ‖a − b‖/‖b‖ of each, so that a gyroscope counts as much as an accelerometer. Channels in which b is nothing but rounding are
-/// left out; infinite where none is left.
+/// Relative error of signals (N, T, `channels`): the root mean square of ‖a − b‖/‖b‖ over the channels, so gyroscopes and
+/// accelerometers have equal weight. Channels in which b is only rounding are omitted; infinite if none remains.
 ///
 /// # Panics
-/// If lengths differ.
+/// If the lengths differ.
 pub fn signal_error(a: &[f64], b: &[f64], channels: usize) -> f64 {
     assert_eq!(a.len(), b.len(), "lengths of the signals");
     let (mut off, mut size) = (vec![0.0; channels], vec![0.0; channels]);

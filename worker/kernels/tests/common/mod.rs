@@ -1,9 +1,9 @@
-//! What the property tests share.
+//! Functions shared by the property tests.
 
 use metasense_kernels::body::Layout;
 use metasense_kernels::dynamics::{Frame, Panel, Parts, Scene, Stiffness};
 
-/// A lattice of the reference material, clamped below, struck and read at its last unit, for 0.1 s.
+/// A square lattice of the reference material, clamped below, with panel and sensor on its last unit, for 0.1 s.
 pub fn scene(columns: usize, rows: usize, instants: usize) -> Scene {
     Scene {
         layout: Layout::planar(columns, rows, 15.0, 2.25),

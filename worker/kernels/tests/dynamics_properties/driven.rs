@@ -1,4 +1,4 @@
-//! Driven units: their motion is given, and the body follows.
+//! Driven units: their motion is prescribed, and the body follows.
 
 use crate::common::{norm, pool, relative};
 use crate::helpers::{by_too_few_steps, plan, pushes, shaken, small_scene};
@@ -7,20 +7,20 @@ use metasense_kernels::dynamics::{
     highest_frequency, run,
 };
 
-/// 0.4 N move it by 1 mm in 0.1 s.
+/// Mass (Mg) for which 0.4 N move the unit by about 1 mm in 0.1 s.
 const MASS: f64 = 1e-3;
 
 fn drives(unit: usize) -> Panel {
     Panel { moves: Some(Moves::Unit(MASS)), ..Panel::central(unit, [0.6, 0.8]) }
 }
 
-/// Unit 6 is driven, and read beside one that follows; another is struck on a node.
+/// Unit 6 is driven; a force acts on a node of another. Sensors are on unit 6 and on a free unit.
 fn scene() -> Scene {
     let base = small_scene();
     Scene { panels: vec![drives(6), base.panels[1]], sensors: vec![6, 4], ..base }
 }
 
-/// x = d ∬ f/M, a = d f/M and no turn, by every method; its unit's shape is nothing to it, nor is its mass to the highest frequency.
+/// For every method x = d ∬ f/M, a = d f/M, and the unit does not rotate. The highest frequency is that with the unit held.
 #[test]
 fn a_driven_unit_moves_as_its_history_says() {
     let scene = scene();
@@ -29,7 +29,7 @@ fn a_driven_unit_moves_as_its_history_says() {
     let single = |plan: Plan| Plan { precision: Precision::Single, ..plan };
     for (plan, off) in [
         (plan(Method::Tsit5, 0), 1e-8),
-        (plan(Method::Leapfrog, 120), 1e-4), // of order 2
+        (plan(Method::Leapfrog, 120), 1e-4), // order 2
         (plan(Method::Nystrom6, 12), 1e-8),
         (single(plan(Method::Nystrom6, 12)), 1e-6),
     ] {
@@ -61,7 +61,7 @@ fn a_driven_unit_moves_as_its_history_says() {
     assert!((driven / held - 1.0).abs() < 1e-6, "{driven} {held}");
 }
 
-/// To drive all units that were held is to shake the base, but for damping: the same signals, and gradients in design and forces.
+/// Driving all held units is equivalent to a shaken base without damping: signals and gradients in design and forces are equal.
 #[test]
 fn driving_all_held_units_is_shaking_the_base() {
     let base = small_scene();
@@ -95,7 +95,7 @@ fn driving_all_held_units_is_shaking_the_base() {
     }
 }
 
-/// Gradients in design and forces are those of differences, the driven unit's own nodes among them, and jvp and vjp transposes.
+/// Gradients in design and forces equal differences, also for the driven unit's own nodes; jvp and vjp are adjoint.
 #[test]
 fn gradients_beside_a_driven_unit_are_those_of_differences() {
     let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
@@ -144,8 +144,8 @@ fn gradients_beside_a_driven_unit_are_those_of_differences() {
     }
 }
 
-/// What a driven unit's ligaments need is the work on the body: steps that make energy of nothing are found, others are not taken for them.
-/// Ringing of 1/20 of the work, which is allowed, is many times the signals here, as most of the work bends ligaments.
+/// The forces of a driven unit's ligaments do work on the body: unstable steps are detected, and stable ones are not rejected. Vibrations
+/// with the tolerated 1/20 of the work are many times the signals here, because most work bends ligaments.
 #[test]
 fn a_driven_unit_hides_no_instability() {
     let (mut named, mut refined, mut worst) = (0, 0, 0.0f64);

@@ -1,4 +1,4 @@
-//! Forces: where and when they act, through panels and the base, and gradients in them.
+//! Forces: position and time of action, through panels and the base, and gradients in them.
 
 use crate::common::{norm, pool, relative};
 use crate::helpers::{EQUAL_STEPS, plan, pushes, shaken, small_scene, struck};
@@ -8,15 +8,15 @@ use metasense_kernels::dynamics::{
     Solver, Wrt, run, tune,
 };
 
-/// Before its force a sample says nothing at all, and what it says then, and its gradient, are its own alone: whoever shares
-/// its lanes, and however early they begin.
+/// Before its first force, a sample's signals are zero. Later signals and the gradient do not depend on the other samples in its
+/// vector.
 #[test]
 fn samples_begin_with_their_forces() {
     for frame in [Frame::World, Frame::Body] {
         let scene = Scene { frame, ..small_scene() };
         let (design, mut forces) = (shaken(&scene), pushes(&scene, 21, 0.4));
         let (instants, width) = (scene.instants, 3 * scene.sensors.len());
-        // The last one has no force at all.
+        // the last sample has no force
         let onset = |i: usize| (7 * i) % (instants + 1);
         for i in 0..forces.samples {
             let begin = if i + 1 == forces.samples { instants + 1 } else { onset(i) };
@@ -51,8 +51,8 @@ fn samples_begin_with_their_forces() {
     }
 }
 
-/// A free unit without damping: a = d f/m and ω = (r × d)∫f/J, of each sample its own, whoever had its lane before. A force on
-/// the centroid turns nothing, one on a node as the design moves that, a couple nothing else.
+/// A free unit without damping: a = d f/m and ω = (r × d)∫f/J, independent of earlier samples in the lane. A force on the centroid
+/// causes no rotation; the effect of a force on a node follows the design; a couple only rotates.
 #[test]
 fn a_blow_off_the_centroid_turns_the_unit() {
     let layout = Layout::planar(1, 1, 15.0, 2.25);
@@ -98,12 +98,12 @@ fn a_blow_off_the_centroid_turns_the_unit() {
         let [px, py] = panel.foot([0.0; 2], &arms);
         assert!(panel.is_couple() || (px * -0.8 - py * 0.6 - turns).abs() < 1e-12, "{panel:?}");
     }
-    // 2 mm to the left of a blow to the right: above the centroid, so that it turns clockwise
+    // 2 mm to the left of a blow to the right is above the centroid: clockwise rotation
     assert_eq!(Panel::central(0, [1.0, 0.0]).struck(2.0, 0.0), [1.0, 0.0, -2.0]);
 }
 
-/// A shaken base is a force −m a_B on every unit that moves, which sensors read with a_B beside; a unit that nothing holds feels
-/// nothing. Gradients in design and forces are those of differences.
+/// A shaken base is equivalent to a force −m a_B on every free unit plus a_B in the readings; a body without supports reads zero.
+/// Gradients in design and forces equal differences.
 #[test]
 fn a_shaken_base_is_felt() {
     let mass_of_base = 3e-5;
@@ -115,7 +115,7 @@ fn a_shaken_base_is_felt() {
             let (design, forces) = (shaken(&scene), pushes(&scene, 9, 0.15));
             let here = run(&scene, &design, &forces, &plan, true, &pool(1));
 
-            // the same by a force on each unit
+            // the same motion by a force on each unit
             let mass = scene.geometry(&design).mass;
             let free: Vec<usize> = (0..mass.len()).filter(|u| !scene.clamped.contains(u)).collect();
             let each = free.iter().map(|u| Panel::central(*u, [-0.6, -0.8])).chain([scene.panels[1]]);
@@ -190,7 +190,7 @@ fn a_shaken_base_is_felt() {
     assert!(norm(&run.signals) < 1e-9 * 0.4 / mass_of_base, "{:e}", norm(&run.signals));
 }
 
-/// |J(f + εδ) − J(f) − ε g·δ| falls with slope 2 in the forces, J half the square of the signals' norm, with two kinks an interval.
+/// |J(f + εδ) − J(f) − ε g·δ| has slope 2 in ε, with J half the squared norm of the signals and two kinks per interval.
 #[test]
 fn gradients_in_the_forces_pass_a_taylor_test() {
     let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
@@ -222,8 +222,8 @@ fn gradients_in_the_forces_pass_a_taylor_test() {
     assert!(slopes.iter().all(|(_, a, b)| [a, b].iter().all(|s| (1.9..2.1).contains(*s))), "{slopes:?}");
 }
 
-/// Forces that are zero have a gradient, too: before a sample's first force, and of one that has none; a sample that failed has
-/// none. Who asks for no such gradient pays for none: sweeps begin with the forces, and dα is the same.
+/// Zero forces have a gradient too: before a sample's first force, and in samples without force. Failed samples have none. With
+/// `Wrt::Design`, sweeps start at the first force; dα is the same.
 #[test]
 fn forces_of_zero_have_a_gradient() {
     let scene = small_scene();
@@ -254,7 +254,7 @@ fn forces_of_zero_have_a_gradient() {
         assert_eq!(less < more, method != Method::Tsit5, "{method:?}: {less} {more}");
         let found = gradient.forces.expect("asked for");
         assert!(found[3 * 2 * row..].iter().all(|g| *g == 0.0));
-        // Where nothing moves, adaptive steps are too long to tell what would: differences take others.
+        // Where nothing moves, adaptive steps are too long for an accurate gradient: differences use other steps.
         let entries = [10, 2 * row + 7, 3 * row, 5, row + 3, 4 * row, 5 * row + 12];
         for at_entry in &entries[..if method == Method::Tsit5 { 3 } else { 7 }] {
             let value = |step: f64| {
@@ -273,8 +273,8 @@ fn forces_of_zero_have_a_gradient() {
     }
 }
 
-/// Histories with four kinks an interval: signals and gradients are those of a clock four times as fine, read at every
-/// fourth instant; steps that do not hit the kinks are rounded up; a pilot takes them into account.
+/// Histories with four kinks per interval give the signals and gradients of a clock four times as fine, at every fourth instant.
+/// Steps that miss kinks are rounded up; a pilot respects the kinks.
 #[test]
 fn forces_may_have_a_finer_clock_than_the_signals() {
     let coarse = Scene { frame: Frame::Body, ..small_scene() };
@@ -306,7 +306,7 @@ fn forces_may_have_a_finer_clock_than_the_signals() {
     assert!(tuned.plan.steps.count().is_multiple_of(4) && tuned.error.is_some_and(|e| e < 1e-3), "{tuned:?}");
 }
 
-/// The rule of MODEL.md and the examples it names.
+/// The rule and the examples in MODEL.md.
 #[test]
 fn planar_panels_follow_the_rule() {
     let panels = |columns, rows, k| Layout::planar(columns, rows, 15.0, 2.25).top_panels(k);

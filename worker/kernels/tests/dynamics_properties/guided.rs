@@ -1,4 +1,4 @@
-//! Units that are held in part.
+//! Guided units.
 
 use crate::common::{pool, relative};
 use crate::helpers::{plan, pushes, small_scene};
@@ -7,8 +7,8 @@ use metasense_kernels::dynamics::{
     Contact, Method, Moves, Outcome, Panel, Precision, Scene, Wrt, highest_frequency, run,
 };
 
-/// Upright squares, three in a row, struck in the middle and shaken along it: a mirror keeps the units of the middle column from going
-/// aside and from turning. So do guides there.
+/// Unrotated squares in three columns, with a force and base motion along the middle column. By mirror symmetry, units of this column
+/// neither move sideways nor rotate, so guides that prevent both change nothing.
 fn mirrored(guided: bool) -> Scene {
     let layout = Layout::planar(3, 4, 15.0, 2.25);
     let guides = if guided { vec![1, 4, 7, 10] } else { Vec::new() };
@@ -24,7 +24,7 @@ fn mirrored(guided: bool) -> Scene {
     }
 }
 
-/// Signals and forces' gradients are those of the mirror, by every kind of step.
+/// Signals and gradients in the forces equal those without guides, for every kind of steps.
 #[test]
 fn guides_on_a_mirror_change_nothing() {
     let scenes = [mirrored(false), mirrored(true)];
@@ -45,7 +45,7 @@ fn guides_on_a_mirror_change_nothing() {
                 let (x, v) = run.tape.as_ref().unwrap().state(1, 20);
                 (run.signals, gradient.forces.expect("asked for"), x, v)
             });
-            // each run of f32 has rounding of its own, 1.4e-4 of signals (MODEL.md)
+            // each f32 run has its own rounding, 1.4e-4 of the signals (MODEL.md)
             let near = if precision == Precision::Single { 2e-4 } else { 1e-7 };
             let off = [relative(&held.0, &free.0), relative(&held.1, &free.1)];
             assert!(off.iter().all(|off| *off < near), "{method:?} {precision:?}: {off:?}");

@@ -1,4 +1,4 @@
-//! A small scene, forces on it, and steps.
+//! A small scene, forces and plans.
 
 use crate::common::{norm, pool, scene};
 use metasense_kernels::dynamics::{
@@ -6,7 +6,7 @@ use metasense_kernels::dynamics::{
 };
 use std::f64::consts::TAU;
 
-/// A 3 × 3 lattice read for 0.1 s at 20 instants.
+/// A 3 × 3 lattice, 0.1 s with 20 instants.
 pub fn small_scene() -> Scene {
     Scene {
         panels: vec![
@@ -18,7 +18,7 @@ pub fn small_scene() -> Scene {
     }
 }
 
-/// Smooth pushes of up to `amplitude` N, another for each sample and panel.
+/// Smooth forces of up to `amplitude` N, different for each sample and panel.
 pub fn pushes(scene: &Scene, samples: usize, amplitude: f64) -> Forces {
     let (panels, instants) = (scene.panels.len(), scene.instants);
     let mut values = Vec::new();
@@ -33,7 +33,7 @@ pub fn pushes(scene: &Scene, samples: usize, amplitude: f64) -> Forces {
     Forces { samples, panels, instants, values, strikes: Vec::new() }
 }
 
-/// The same forces off the centroids and their panels' directions, another way for each sample and panel.
+/// The same forces with deviating points and directions, different for each sample and panel.
 pub fn struck(scene: &Scene, forces: Forces) -> Forces {
     let strike = |n: usize| {
         let (offset, angle) = (3.0 * (1.1 * n as f64).cos(), 0.4 * (2.3 * n as f64).sin());
@@ -42,7 +42,7 @@ pub fn struck(scene: &Scene, forces: Forces) -> Forces {
     Forces { strikes: (0..forces.samples * forces.panels).map(strike).collect(), ..forces }
 }
 
-/// The initial design, shaken.
+/// The initial design with a perturbation.
 pub fn shaken(scene: &Scene) -> Vec<f64> {
     let mut design = scene.layout.initial_design(0.4363);
     design.iter_mut().enumerate().for_each(|(i, a)| *a += 0.3 * (1.7 * i as f64).sin());
@@ -59,23 +59,23 @@ pub fn plan(method: Method, steps: usize) -> Plan {
 pub const EQUAL_STEPS: [(Method, f64, usize); 3] =
     [(Method::Leapfrog, 2.0, 64), (Method::Nystrom4, 4.0, 36), (Method::Nystrom6, 6.0, 12)];
 
-/// The scene plain, in contact and of linear measures.
+/// The scene without contact, with contact, and with linear strains.
 pub fn of_every_law(base: Scene) -> [Scene; 3] {
     let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
     [base.clone(), Scene { contact, ..base.clone() }, Scene { linearised: true, ..base }]
 }
 
-/// What runs at and beyond the limit of stability come to.
+/// Results of runs near and beyond the limit of stability.
 pub struct TooFew {
-    /// Samples that ended as unstable.
+    /// Number of samples with the outcome `unstable`.
     pub named: usize,
-    /// Samples that were tried again.
+    /// Number of repeated samples.
     pub refined: u64,
-    /// The greatest signals, by the true ones.
+    /// Largest norm of the signals divided by that of the reference solution.
     pub worst: f64,
 }
 
-/// Runs of three samples by every method of equal steps, an interval in 1 to 21 of them.
+/// Runs three samples with every method of equal steps, with 1 to 21 steps per interval.
 pub fn by_too_few_steps(scene: &Scene) -> TooFew {
     let (design, forces) = (shaken(scene), pushes(scene, 3, 0.4));
     let tight = Solver::new(Method::Nystrom6, Accuracy(1e-4));

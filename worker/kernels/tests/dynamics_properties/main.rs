@@ -1,4 +1,4 @@
-//! Properties that the integrators, their adjoints and the body's layouts have by construction.
+//! Exact properties of the integrators, their adjoints and the body's layouts.
 
 #[path = "../common/mod.rs"]
 mod common;
@@ -20,7 +20,7 @@ use metasense_kernels::simd::Width;
 use metasense_kernels::{Heartbeat, Pool};
 use std::f64::consts::TAU;
 
-/// What the kernels of one instruction set compute, those of another do, to rounding; their tapes are swept back by their own.
+/// All instruction sets agree up to rounding; each tape is swept by the instruction set that created it.
 #[test]
 fn every_width_computes_the_same() {
     let contact = Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.6 };
@@ -59,8 +59,7 @@ fn every_width_computes_the_same() {
     assert!(apart.iter().all(|(_, _, off)| *off < 1e-9), "{apart:?}");
 }
 
-/// Steps with forces in f32 and places in f64: signals and gradient are those of the same steps in f64 but for rounding, by every
-/// instruction set.
+/// With forces in f32 and positions in f64, signals and gradient equal those in f64 up to rounding, for every instruction set.
 #[test]
 fn steps_in_single_precision_are_those_in_double() {
     let contact = Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.3 };
@@ -90,8 +89,8 @@ fn steps_in_single_precision_are_those_in_double() {
     assert!(apart.iter().flatten().all(|off| (1e-9..3e-5).contains(off)), "{apart:?}");
 }
 
-/// Samples that fill a narrower register have in it the bits that they have among more, and so have their gradients but for the
-/// order of a sum.
+/// Samples in a narrower vector have results identical bit by bit to those among more samples; gradients differ only by the order of a
+/// sum.
 #[test]
 fn a_sample_moves_alike_among_few_and_many() {
     let scene = small_scene();
@@ -117,7 +116,7 @@ fn a_sample_moves_alike_among_few_and_many() {
     }
 }
 
-/// The reference scene for a second, under pulses of 60 to 250 ms.
+/// The reference scene for one second, with pulses of 60 to 250 ms.
 fn second() -> (Scene, Forces) {
     let layout = Layout::planar(6, 6, 15.0, 2.25);
     let scene = Scene { layout, clamped: (0..6).collect(), sensors: vec![14], ..scene(6, 6, 200) };
@@ -133,7 +132,7 @@ fn second() -> (Scene, Forces) {
     (scene, forces)
 }
 
-/// What f32 leaves of signals and gradients of a second of pulses is below the law that `choose` has for it.
+/// Rounding errors of signals and gradients with f32 are below the law of `choose`, for pulses within one second.
 #[test]
 fn rounding_of_forces_keeps_its_law() {
     let (base, forces) = second();
@@ -158,8 +157,8 @@ fn rounding_of_forces_keeps_its_law() {
     assert!(apart.iter().all(|[_, gradient]| (1e-10..5e-6).contains(gradient)), "{apart:?}");
 }
 
-/// Parts that differ from the scene's material all alike are a scene of that material, C held: in energy, its gradients, signals and
-/// their gradient in the design and in the logarithms of the parameters; where they differ by 1, to the bit.
+/// Equal factors on all ligaments or units are equivalent to a scene with that material and the same C: energy, its gradients, signals,
+/// and their gradients in design and in the logarithms of the parameters. Factors of 1 give identical results bit by bit.
 #[test]
 fn parts_that_are_alike_are_the_material() {
     for scene in of_every_law(small_scene()) {
@@ -209,8 +208,8 @@ fn parts_that_are_alike_are_the_material() {
     }
 }
 
-/// E(e^{εd} f) − E(e^{−εd} f) = 2ε Σ d f ∂E/∂f + O(ε³) in the factors f of every ligament and unit; along all alike it is that of the
-/// material, C held.
+/// E(e^{εd} f) − E(e^{−εd} f) = 2ε Σ d f ∂E/∂f + O(ε³) for the factors f of all ligaments and units. Along equal factors, this is the
+/// derivative in the material at constant C.
 #[test]
 fn gradients_in_parts_are_those_of_differences() {
     let base = Scene { chip: Some(Inertia { mass: 3e-6, moment: 1e-4 }), ..small_scene() };
@@ -245,8 +244,8 @@ fn gradients_in_parts_are_those_of_differences() {
     }
 }
 
-/// One stiff ligament raises the highest frequency, by which steps are chosen, to that of a body all as stiff, and a unit half as
-/// heavy does as much as it can.
+/// One stiff ligament raises the highest frequency, which determines the steps, close to that of an equally stiff body. Halving all
+/// densities raises it by √2.
 #[test]
 fn the_highest_frequency_is_that_of_the_stiffest_ligament() {
     let scene = small_scene();
@@ -261,7 +260,7 @@ fn the_highest_frequency_is_that_of_the_stiffest_ligament() {
     assert!((light / plain - 2f64.sqrt()).abs() < 1e-6, "{light} {plain}");
 }
 
-/// Lanczos' estimate against the reference scene's highest mode, 664 Hz.
+/// Lanczos' estimate, compared with the highest mode of the reference scene, 664 Hz.
 #[test]
 fn the_highest_frequency_is_that_of_the_model() {
     let scene =
@@ -271,8 +270,8 @@ fn the_highest_frequency_is_that_of_the_model() {
     assert!((hertz - 664.0).abs() < 1.0, "{hertz}");
 }
 
-/// Signals at the tuned steps are as good as asked, by every method that a spec may name, for one scene of each kind, and
-/// the tuned accuracy makes the law give these steps.
+/// Signals have the requested error at the tuned steps, for every method that a spec may contain and one scene of each kind. With the
+/// tuned accuracy, the law gives these steps.
 #[test]
 fn a_pilot_keeps_the_accuracy_asked() {
     let base = small_scene();
@@ -304,8 +303,8 @@ fn a_pilot_keeps_the_accuracy_asked() {
     }
 }
 
-/// Forces are f32 where a pilot has found that this keeps the error asked, of bodies of like frequencies: for 1e-3 of the reference
-/// scene, not for 1e-4, nor where ligaments are stiff or forces so slow that rounding is more than the motion's accelerations.
+/// Forces are f32 if a pilot finds the error small enough: for 1e-3 on the reference scene, but not for 1e-4, for stiff ligaments, or
+/// for slow forces with accelerations below rounding.
 #[test]
 fn a_pilot_takes_single_precision_where_it_keeps_the_error() {
     let (scene, pulses) = second();
@@ -327,7 +326,7 @@ fn a_pilot_takes_single_precision_where_it_keeps_the_error() {
     assert!(!single(&scene, &slow, 1e-3));
 }
 
-/// Every channel counts alike: a gyroscope that says nothing is as far off as an accelerometer that does.
+/// All channels have equal weight: a missing gyroscope counts as much as a missing accelerometer.
 #[test]
 fn the_error_of_signals_is_by_channel() {
     let truth: Vec<f64> = (0..60).map(|i| [1e4, 2e4, 3.0][i % 3] * (0.3 * i as f64).sin()).collect();
@@ -337,14 +336,15 @@ fn the_error_of_signals_is_by_channel() {
         let error = signal_error(&without, &truth, 3);
         assert!((error - (1f64 / 3.0).sqrt()).abs() < 1e-12, "channel {silent}: {error}");
     }
-    // A channel that never stirs but for rounding is none.
+    // a channel that contains only rounding is omitted
     let still: Vec<f64> = truth.iter().enumerate().map(|(i, a)| if i % 3 == 2 { 1e-9 } else { *a }).collect();
     let off: Vec<f64> =
         still.iter().enumerate().map(|(i, a)| if i % 3 == 2 { 0.0 } else { 1.01 * a }).collect();
     assert!((signal_error(&off, &still, 3) - 0.01).abs() < 1e-9);
 }
 
-/// Samples whose steps contact halves have the same bits in two runs of the pilot: no measure of their error.
+/// Samples repeated with finer steps because of contact are identical in two runs of the pilot, so their difference does not measure
+/// the error.
 #[test]
 fn a_pilot_is_not_blind_to_steps_that_contact_halves() {
     let contact = Some(Contact { stiffness: 0.02, min_angle: 0.3, cutoff_angle: 0.62 });
@@ -370,11 +370,11 @@ fn a_pilot_is_not_blind_to_steps_that_contact_halves() {
     assert!(halved > 0, "no steps were halved");
 }
 
-/// Without forces there is nothing to measure; what is out of reach is said to be, at the steps of
-/// least error, or at the law's where none is better.
+/// Without forces, nothing is measured. An unreachable accuracy is reported; the steps are those of least error, or the law's if none
+/// is better.
 #[test]
 fn a_pilot_says_what_it_cannot_measure() {
-    // on a lever the lesser factor would be chaos, too
+    // with an offset force, motion would be chaotic at the smaller factor too
     let scene = Scene {
         panels: vec![Panel::central(6, [0.0, -1.0]), Panel::central(8, [0.6, -0.8])],
         ..small_scene()
@@ -382,7 +382,7 @@ fn a_pilot_says_what_it_cannot_measure() {
     let (design, mut forces) = (shaken(&scene), pushes(&scene, 1, 0.4));
     let auto = Solver::new(Method::Auto, Accuracy(1e-3));
     let law = choose(&scene, &design, &auto).steps.count();
-    // So hard that errors fall but not to 1e-3, and so hard that motion is chaotic
+    // forces for which errors decrease but not to 1e-3, and forces with chaotic motion
     for (factor, refined) in [(300.0, 8), (10_000.0, 1)] {
         let values = forces.values.iter().map(|f| factor * f).collect();
         let forces = Forces { values, ..forces.clone() };
@@ -390,7 +390,7 @@ fn a_pilot_says_what_it_cannot_measure() {
         assert!(wild.error.is_none() && wild.plan.reason.contains("no steps of the pilot"), "{wild:?}");
         assert_eq!(wild.plan.steps.count(), refined * law, "{factor}: {}", wild.plan.reason);
     }
-    // one sample of eight stands for none of the seven that cannot be simulated
+    // one successful sample of eight does not represent the seven that fail
     let mut eight = pushes(&scene, 8, 0.4);
     let one = eight.values.len() / 8;
     eight.values[one..].iter_mut().for_each(|f| *f *= 1e200);
@@ -401,7 +401,7 @@ fn a_pilot_says_what_it_cannot_measure() {
     assert!(still.error.is_none() && still.counters.steps == 0, "{still:?}");
 }
 
-/// A sensor on a held unit reads zeros whatever the design: its cotangent changes no gradient.
+/// A sensor on a held unit reads zero for every design: its cotangent changes no gradient.
 #[test]
 fn a_sensor_on_a_held_unit_asks_for_no_gradient() {
     let base = small_scene();
@@ -421,7 +421,7 @@ fn a_sensor_on_a_held_unit_asks_for_no_gradient() {
     }
 }
 
-/// Steps that a blow a hundred times as hard makes unstable are refined for that sample alone.
+/// Steps that a 40 times stronger force makes unstable are refined for that sample only.
 #[test]
 fn a_sample_that_fails_is_tried_again_with_smaller_steps() {
     let scene = Scene {
@@ -438,8 +438,8 @@ fn a_sample_that_fails_is_tried_again_with_smaller_steps() {
     assert!(run.signals.iter().all(|s| s.is_finite()));
 }
 
-/// Equal steps at and beyond the limit of stability: what ends well has signals as large as the truth's, the rest is
-/// refined or named, some of it as unstable. Wild motion with steps that follow it is not taken for it.
+/// Equal steps near and beyond the limit of stability: successful samples have signals of the right size, the others are refined or
+/// reported, some as unstable. Large motion with sufficient steps is not rejected.
 #[test]
 fn steps_that_make_energy_of_nothing_are_unstable() {
     let (mut named, mut refined) = (0, 0);
@@ -463,7 +463,7 @@ fn steps_that_make_energy_of_nothing_are_unstable() {
     }
 }
 
-/// A cutoff above the voids of the body at rest: it is pushed apart from the first instant on, also where no force acts.
+/// With a cutoff above the voids at rest, contact pushes the body apart from the first instant on, also without forces.
 #[test]
 fn contact_that_acts_at_rest_moves_the_body_from_the_start() {
     let scene = Scene {
@@ -485,7 +485,7 @@ fn contact_that_acts_at_rest_moves_the_body_from_the_start() {
     assert!(still > 1.0 && off < 1e-8, "norm {still:.1e} without force, {off:.1e} apart");
 }
 
-/// Units in the disc, four neighbours inside, and the group order of a planar body with absent groups left out.
+/// Discs: units inside the radius, a group for every node, and areas, hub and panels as defined.
 #[test]
 fn circular_bodies_are_bodies() {
     for across in 3..12 {
@@ -514,8 +514,8 @@ fn circular_bodies_are_bodies() {
     }
 }
 
-/// Just beyond the limit of stability motion of the highest mode grows slowly. A leapfrog whose kinetic energy alone was looked at
-/// called signals well that were 28 times the truth's; accelerations of that mode are so loud that 1/20 of the work still doubles them.
+/// Just beyond the limit of stability, the highest mode grows slowly. A check of the kinetic energy alone would miss it. Accelerations
+/// of that mode are so large that the tolerated 1/20 of the work can double the signals.
 #[test]
 fn motion_that_steps_have_made_is_found_before_it_drowns_the_signals() {
     let base = small_scene();
@@ -537,7 +537,7 @@ fn motion_that_steps_have_made_is_found_before_it_drowns_the_signals() {
     assert!(well > 20 && worst < 3.0, "{worst} times the truth's signals, {well} runs");
 }
 
-/// Chips as heavy as their units are a body of twice the density, but for its damping; chips elsewhere are another body.
+/// Chips as heavy as their units are equivalent to twice the density, without damping.
 #[test]
 fn chips_weigh() {
     let base = Scene { damping_ratio: 0.0, sensors: vec![3, 4, 5, 6, 7, 8], ..small_scene() };
@@ -553,7 +553,7 @@ fn chips_weigh() {
     assert!(relative(&heavy, &signals(&base)) > 0.1);
 }
 
-/// Gradients in design and density of a body that carries chips are those of differences: what a chip adds does not hang on them.
+/// Gradients in design and density equal differences if units carry chips, whose mass does not depend on either.
 #[test]
 fn gradients_hold_where_chips_weigh() {
     let scene = Scene { chip: Some(Inertia { mass: 3e-6, moment: 1e-4 }), ..small_scene() };
@@ -575,8 +575,8 @@ fn gradients_hold_where_chips_weigh() {
     assert!((difference / slope - 1.0).abs() < 1e-6, "{difference} {slope}");
 }
 
-/// A chip off the centroid of a free unit that a rigid rotation carries reads α×r − ω²r along its axes: by hand from θ, ω and α,
-/// which a chip on the centroid and the tape tell.
+/// A chip off the centroid measures a + α×r − ω²r along its axes, compared with values computed from a chip on the centroid and the
+/// tape.
 #[test]
 fn chips_off_the_centroid_read_turning() {
     let mount = Mount { offset: [1.5, -2.0], tilt: 0.4 };
@@ -589,7 +589,7 @@ fn chips_off_the_centroid_read_turning() {
             let scene = Scene { mount: Some(Mount { offset: by, tilt: 0.0 }), frame, ..base.clone() };
             run(&scene, &design, &forces, &plan, false, &pool(1)).signals
         };
-        // no offset and no tilt is no mount
+        // a mount with zero offset and tilt changes nothing
         assert_eq!(off([0.0; 2], Frame::World), plain.signals);
         let read = run(
             &Scene { mount: Some(mount), frame, ..base.clone() },
@@ -627,7 +627,7 @@ fn chips_off_the_centroid_read_turning() {
     }
 }
 
-/// Gradients in the design are those of differences, and jvp and vjp transposes, where chips sit off the centroid and tilted.
+/// Gradients in the design equal differences if chips are off the centroid and tilted.
 #[test]
 fn gradients_hold_where_chips_are_mounted() {
     let mount = Some(Mount { offset: [1.5, -2.0], tilt: 0.4 });

@@ -1,4 +1,4 @@
-//! Bodies whose held units have been moved before a sample: where they begin, and how that follows the design.
+//! Compressed bodies: their starting state, and its derivative in the design.
 
 use crate::common::{pool, relative};
 use crate::helpers::{EQUAL_STEPS, plan, pushes, shaken, small_scene};
@@ -8,7 +8,7 @@ use metasense_kernels::dynamics::{
     Rest, Scene, Tangent, Wrt, energy_gradient, run, start,
 };
 
-/// Held below and at one unit of the top, which comes down by this part of the way between them.
+/// Clamped below and at one unit of the top row, which moves down by the fraction `strain` of the distance.
 fn pressed(strain: f64) -> Scene {
     let base = small_scene();
     let clamped = vec![0, 1, 2, 7];
@@ -17,7 +17,7 @@ fn pressed(strain: f64) -> Scene {
     Scene { clamped, pressed, panels, sensors: vec![4, 8], ..base }
 }
 
-/// The same; two units have guides, one of which is moved along.
+/// As `pressed`, with two guided units, one of which is displaced.
 fn guided(strain: f64) -> Scene {
     let base = pressed(strain);
     let guided = vec![(5, [true, false, true]), (6, [false, true, false])];
@@ -28,14 +28,13 @@ fn half_sum_of_squares(signals: &[f64]) -> f64 {
     0.5 * signals.iter().map(|a| a * a).sum::<f64>()
 }
 
-/// Of fourth order.
+/// Derivative at 0 by differences of order 4.
 fn slope_at_zero(f: impl Fn(f64) -> f64) -> f64 {
     let h = 1e-4;
     (8.0 * (f(h) - f(-h)) - (f(2.0 * h) - f(-2.0 * h))) / (12.0 * h)
 }
 
-/// Nothing pulls at a unit that moves, held ones are where they were moved to, and a body that nobody strikes reads nothing until
-/// somebody does.
+/// At the start, free units are in equilibrium and held units have their imposed displacements. Signals are zero until the first force.
 #[test]
 fn a_sample_begins_at_rest() {
     for scene in [pressed(0.08), pressed(-0.08), Scene { linearised: true, ..pressed(0.08) }, guided(0.05)] {
@@ -69,8 +68,8 @@ fn a_sample_begins_at_rest() {
     }
 }
 
-/// Gradients in the design, in parameters and in parts are those of differences, by every method, with contact, of readings that
-/// turn with their units, of a shaken base and a driven unit.
+/// Gradients in design and parameters equal differences, for every method, with contact, body-fixed readings, a shaken base and a
+/// driven unit.
 #[test]
 fn gradients_follow_the_start() {
     let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
@@ -88,7 +87,7 @@ fn gradients_follow_the_start() {
     ];
     for (i, scene) in scenes.iter().enumerate() {
         let (design, mut forces) = (shaken(scene), pushes(scene, 3, 0.3));
-        // the second begins when the others move
+        // the second sample's forces start later
         forces.values[42..84].chunks_exact_mut(21).for_each(|history| history[..9].fill(0.0));
         let methods =
             EQUAL_STEPS.map(|(method, ..)| (method, if method == Method::Nystrom6 { 12 } else { 24 }));
@@ -104,7 +103,7 @@ fn gradients_follow_the_start() {
             };
             let difference = slope_at_zero(energy);
             let slope: f64 = gradient.design.iter().zip(&direction).map(|(g, d)| g * d).sum();
-            // Tsit5's differences have other steps
+            // differences of Tsit5 have different steps
             let near = if method == Method::Tsit5 { 1e-4 } else { 1e-5 };
             assert!((difference / slope - 1.0).abs() < near, "{i} {method:?}: {difference} {slope}");
 
@@ -131,7 +130,7 @@ fn gradients_follow_the_start() {
     }
 }
 
-/// What a direction does to the signals, by dual numbers of their own, is the transpose of the gradient.
+/// The derivative of signals along a direction (`jvp`) is adjoint to the gradient.
 #[test]
 fn the_two_derivatives_are_transposes() {
     let scene = guided(0.05);
@@ -166,7 +165,7 @@ fn the_two_derivatives_are_transposes() {
     }
 }
 
-/// Small motions are those about where samples begin.
+/// Small motions are linearised about the starting state.
 #[test]
 fn the_linearisation_is_about_the_start() {
     let scene = guided(0.05);
@@ -190,8 +189,8 @@ fn the_linearisation_is_about_the_start() {
     }
 }
 
-/// A lattice of squares that are not turned stands straight under a press until it buckles; so does every sample. One that is turned
-/// gives way from the beginning.
+/// A lattice of squares that are not rotated stays straight under compression until it buckles; then all samples fail. A lattice of
+/// rotated squares deforms from the start.
 #[test]
 fn a_straight_body_buckles() {
     let layout = Layout::planar(3, 5, 15.0, 2.25);
@@ -217,7 +216,7 @@ fn a_straight_body_buckles() {
     assert!(gradient.design.iter().all(|g| *g == 0.0));
 }
 
-/// A body whose voids are narrower than contact allows is nowhere at rest.
+/// A body whose voids are narrower than contact permits has no equilibrium.
 #[test]
 fn a_body_that_may_be_nowhere_comes_to_no_rest() {
     let contact = Some(Contact { stiffness: 1.0, min_angle: 1.4, cutoff_angle: 1.5 });
@@ -225,8 +224,8 @@ fn a_body_that_may_be_nowhere_comes_to_no_rest() {
     assert_eq!(start(&scene, &scene.layout.initial_design(0.4363)), Err(Outcome::NoEquilibrium));
 }
 
-/// A weak blow on a strongly pressed body is no instability, and its signals in f32 are those in f64, though what the press stores is a
-/// thousand times what the blow brings.
+/// A weak blow on a strongly compressed body is stable, and signals in f32 are close to those in f64, although the stored energy is a
+/// thousand times that of the blow.
 #[test]
 fn weak_blows_on_a_pressed_body_are_heard() {
     let scene = pressed(0.08);
@@ -242,7 +241,7 @@ fn weak_blows_on_a_pressed_body_are_heard() {
     assert!(off[0] < 3e-2 && off[1] < 3e-2, "{off:?}");
 }
 
-/// Ligaments that relax have done so when a sample begins.
+/// Relaxing ligaments are relaxed at the start of a sample.
 #[test]
 fn a_press_is_relaxed_when_a_sample_begins() {
     let scene = Scene { relaxation: Some(Relaxation { share: 0.3, time: 0.01 }), ..pressed(0.08) };

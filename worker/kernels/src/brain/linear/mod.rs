@@ -1,12 +1,12 @@
-//! The linear brain: least squares of the forces on the signals around each instant, exact on the sample's window.
+//! Linear decoder: least-squares regression of the forces on the signals around each instant, exact at the ends of a sample.
 //!
 //! ```text
 //! f̂_k(n) = b_k + Σ_c Σ_l W_kcl x_c(n + l),  l = −before … after,  x = 0 outside the sample
-//! W_kcl one weight for all l of a group: each lag to ±SINGLE alone, those beyond by SHARED
+//! W_kcl equal for all l of a group: one lag each up to ±SINGLE, SHARED lags each beyond
 //! W, b = argmin Σ_i w_i Σ_kn (f̂ − f)² / Σ_i w_i Σ_kn f² + λ|W|²
-//! w_i = 1/Σ f² of a sample: the mean reported error, as a part of 1
+//! w_i = 1/Σ f² of a sample: the loss is then the mean error as a fraction
 //! ```
-//! Its inner problem is convex and solved exactly, by `faer`'s Cholesky factor of the normal matrix, in f64.
+//! The problem is convex and solved exactly by a Cholesky factor of the normal matrix (`faer`), in f64.
 
 mod moments;
 mod solve;
@@ -21,7 +21,7 @@ use faer::{Accum, MatMut, MatRef, Par};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Instants, signal channels and forces of a sample.
+/// Numbers of instants, signal channels and forces of a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sizes {
     /// T.
@@ -35,29 +35,29 @@ pub struct Sizes {
 /// The memory: lags l = −before … after of x(n + l), in instants.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Lags {
-    /// How far it looks back.
+    /// Past instants.
     pub before: usize,
-    /// How far it looks ahead; 0 is causal.
+    /// Future instants (look-ahead); 0 is causal.
     pub after: usize,
 }
 
-/// Lags up to so many instants have a weight each …
+/// Lags up to this many instants have a weight each.
 const SINGLE: usize = 40;
-/// … and beyond, so many neighbours share one: measured to lose nothing, in 0.4 of the unknowns (MODEL.md).
+/// Beyond, this many neighbouring lags share a weight (MODEL.md).
 const SHARED: usize = 4;
 
 impl Lags {
-    /// The whole of a sample of T instants, both ways.
+    /// All lags in a sample of T instants.
     pub fn whole(instants: usize) -> Self {
         Self { before: instants - 1, after: instants - 1 }
     }
 
-    /// How many.
+    /// Number of lags.
     pub fn count(self) -> usize {
         self.before + self.after + 1
     }
 
-    /// Lags of one weight, from the first on.
+    /// Groups of lags that share a weight, in ascending order of lags.
     pub fn groups(self) -> Vec<Range<usize>> {
         let beyond = |reach: usize| {
             let ends = (SINGLE..reach).step_by(SHARED);
@@ -74,24 +74,24 @@ impl Lags {
         groups
     }
 
-    /// The reach nearest to this one at which a group ends, that is, of which longer memories hold every group.
+    /// The reach nearest to `reach` at which a group ends. All groups are then also groups of longer memories.
     pub fn whole_groups(reach: usize) -> usize {
         let beyond = reach.saturating_sub(SINGLE);
         reach.min(SINGLE) + (beyond + SHARED / 2) / SHARED * SHARED
     }
 
-    /// Lags that can see nothing of a sample of T instants, left out.
+    /// Without the lags that always lie outside a sample of T instants.
     pub fn within(self, instants: usize) -> Self {
         Self { before: self.before.min(instants - 1), after: self.after.min(instants - 1) }
     }
 }
 
-/// Weights of a linear brain.
+/// Weights of a linear decoder.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Linear {
     /// T, C, K.
     pub sizes: Sizes,
-    /// Its memory.
+    /// Memory.
     pub lags: Lags,
     /// W (K, lags, C).
     pub w: Vec<f64>,
@@ -104,16 +104,17 @@ pub fn matrix(values: &[f64], rows: usize, columns: usize) -> MatRef<'_, f64> {
     MatRef::from_column_major_slice(values, rows, columns)
 }
 
-/// As `matrix`, to be written.
+/// A writable column-major (rows, columns) view.
 pub fn matrix_mut(values: &mut [f64], rows: usize, columns: usize) -> MatMut<'_, f64> {
     MatMut::from_column_major_slice_mut(values, rows, columns)
 }
 
-/// Columns that one thread takes of a matrix at a time: as many whatever the number of threads, so that sums are the same.
+/// Columns of a matrix that one thread processes at once, independent of the number of threads so that sums are
+/// reproducible.
 const BLOCK: usize = 128;
 
-/// S ± X Xᵀ in the lower triangle of the last columns of a symmetric matrix (n, n), of which X (so many, k) has the rows.
-/// Blocks of columns are dealt to the threads of the pool that runs this.
+/// Adds ± X Xᵀ to the lower triangle of the trailing block of a symmetric matrix (n, n); X has the shape (size of the
+/// block, k). The threads of the current pool process blocks of columns.
 fn add_symmetric(columns: &mut [f64], n: usize, x: MatRef<'_, f64>, sign: f64) {
     let first = n - x.nrows();
     columns.par_chunks_mut(BLOCK * n).enumerate().for_each(|(block, columns)| {
@@ -132,7 +133,7 @@ impl Linear {
     /// f̂ (N, T, K) of signals x (N, T, C).
     ///
     /// # Panics
-    /// If the length is not that of whole samples.
+    /// If the length is not a multiple of T·C.
     pub fn predict(&self, x: &[f64]) -> Vec<f64> {
         let Sizes { instants, outputs, .. } = self.sizes;
         let mut predicted: Vec<f64> =
@@ -141,10 +142,10 @@ impl Linear {
         predicted
     }
 
-    /// Transpose of [`Linear::predict`] but for b: a cotangent on f̂ (N, T, K) as one on x (N, T, C).
+    /// Adjoint of [`Linear::predict`] without b: converts a cotangent on f̂ (N, T, K) to one on x (N, T, C).
     ///
     /// # Panics
-    /// If the length is not that of whole samples.
+    /// If the length is not a multiple of T·K.
     pub fn predict_vjp(&self, cotangent: &[f64]) -> Vec<f64> {
         let Sizes { instants, channels, outputs } = self.sizes;
         let (rows, columns) = (instants * channels, instants * outputs);
@@ -184,7 +185,7 @@ impl Linear {
         x.len() / one
     }
 
-    /// W as a matrix from (t, c) to (n, k), column-major: it holds W_kcl at l = t − n.
+    /// W as a matrix from (t, c) to (n, k), column-major, with entries W_kcl at l = t − n.
     fn toeplitz(&self) -> Vec<f64> {
         let Sizes { instants, channels, outputs } = self.sizes;
         let Lags { before, after } = self.lags;

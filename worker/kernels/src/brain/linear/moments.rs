@@ -1,12 +1,12 @@
-//! Weighted second moments of samples, from which the normal equations of every memory follow.
+//! Weighted second moments of samples, which determine the normal equations of every memory.
 //!
 //! ```text
 //! R[(s,c), (t,d)] = Σ_i w_i x_ic(s) x_id(t)      P[(t,c), (n,k)] = Σ_i w_i x_ic(t) f_ik(n)
 //! G[(l,c), (m,d)] = Σ_n R[(n+l,c), (n+m,d)]      Q[(l,c), k]     = Σ_n P[(n+l,c), (n,k)]
 //! ```
 //! Rows and columns of lags that share a weight are summed.
-//! Along a diagonal G changes by one entry of R at either end of the window (the covariance method of linear
-//! prediction; Makhoul, Proc. IEEE 63, 561, 1975), so that G costs O(N·D²), not O(N·T·D²).
+//! Along a diagonal, G changes by one entry of R at each end of the window (the covariance method of linear
+//! prediction; Makhoul, Proc. IEEE 63, 561, 1975). G therefore costs O(N·D²), not O(N·T·D²).
 
 use super::{BLOCK, Lags, Sizes, add_symmetric, matrix, matrix_mut};
 use crate::Pool;
@@ -15,12 +15,12 @@ use faer::{Accum, Par};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Moments of some samples; those of two sets add up.
+/// Moments of a set of samples; moments of disjoint sets add up.
 #[derive(Debug, Clone)]
 pub struct Moments {
     pub(super) sizes: Sizes,
     pub(super) pool: Pool,
-    /// R (T·C, T·C), column-major; its lower triangle.
+    /// R (T·C, T·C), column-major, lower triangle.
     second: Vec<f64>,
     /// P (T·C, T·K), column-major.
     cross: Vec<f64>,
@@ -30,36 +30,36 @@ pub struct Moments {
     forces: Vec<f64>,
     /// Σ w.
     weight: f64,
-    /// Σ w Σ f²: what weights are relative to.
+    /// Σ w Σ f², by which the loss is divided.
     power: f64,
 }
 
-/// The normal equations of one memory; those of two sets of samples add up.
+/// Normal equations of one memory; those of disjoint sets of samples add up.
 #[derive(Debug, Clone)]
 pub struct Normal {
     pub(super) sizes: Sizes,
     pub(super) lags: Lags,
     pub(super) pool: Pool,
-    /// Lags of one weight.
+    /// Groups of lags that share a weight.
     pub(super) groups: Vec<Range<usize>>,
     /// D = groups of lags · C.
     pub(super) unknowns: usize,
-    /// G (D, D), column-major; its lower triangle.
+    /// G (D, D), column-major, lower triangle.
     pub(super) g: Vec<f64>,
     /// Q (D, K), column-major.
     pub(super) q: Vec<f64>,
-    /// Sum of each lagged channel (D).
+    /// Weighted sum of each lagged channel (D).
     pub(super) mean: Vec<f64>,
-    /// Sum of each force (K).
+    /// Weighted sum of each force (K).
     pub(super) mean_force: Vec<f64>,
-    /// s, the second derivative in b but for its factor of 2.
+    /// s = T Σ w: half the second derivative of the loss in b.
     pub(super) weight: f64,
     /// Σ w Σ f².
     power: f64,
 }
 
 impl Moments {
-    /// Of no sample; what is done with them is done there.
+    /// Moments of no samples. `pool` performs all operations on them.
     pub fn new(sizes: Sizes, pool: &Pool) -> Self {
         let (rows, columns) = (sizes.instants * sizes.channels, sizes.instants * sizes.outputs);
         Self {
@@ -74,17 +74,17 @@ impl Moments {
         }
     }
 
-    /// Forgets all samples and keeps the memory: the system gives the 0.1 GB of six sensors page by page.
+    /// Removes all samples but keeps the memory: fresh pages (0.1 GB for six sensors) would cost time.
     pub fn clear(&mut self) {
         let Self { second, cross, signals, forces, weight, power, .. } = self;
         [second, cross, signals, forces].into_iter().for_each(|sums| sums.fill(0.0));
         (*weight, *power) = (0.0, 0.0);
     }
 
-    /// Takes in samples x (N, T, C), f (N, T, K) of weights w (N).
+    /// Adds samples x (N, T, C), f (N, T, K) with weights w (N).
     ///
     /// # Panics
-    /// If the lengths do not belong to one N.
+    /// If the lengths do not match the same N.
     pub fn add(&mut self, x: &[f64], f: &[f64], w: &[f64]) {
         let Sizes { instants, channels, outputs } = self.sizes;
         let (rows, columns, samples) = (instants * channels, instants * outputs, w.len());
@@ -114,7 +114,7 @@ impl Moments {
         });
     }
 
-    /// These and so many times those: −1 takes out samples that both hold.
+    /// Adds `times` times the moments of `others`; −1 removes samples that both contain.
     ///
     /// # Panics
     /// If the sizes differ.
@@ -130,7 +130,7 @@ impl Moments {
         self
     }
 
-    /// The normal equations of this memory.
+    /// Normal equations of a memory.
     pub fn normal(&self, lags: Lags) -> Normal {
         let Sizes { instants, channels, outputs } = self.sizes;
         let (rows, all) = (instants * channels, lags.count() * channels);
@@ -138,7 +138,8 @@ impl Moments {
         let groups = lags.groups();
         let unknowns = groups.len() * channels;
 
-        // below its diagonal a column is that of the lag before, moved down by C; ends of the window come and go
+        // below the diagonal, a column equals the previous lag's column shifted down by C, except for one instant at
+        // each end of the window
         let mut g = vec![0.0; unknowns * unknowns];
         let mut columns: Vec<_> = (0..channels).map(|_| Vec::with_capacity(groups.len())).collect();
         for (j, below) in g.chunks_exact_mut(unknowns).enumerate() {
@@ -171,7 +172,7 @@ impl Moments {
         };
         let mut within: Vec<_> =
             self.pool.install(|| columns.into_par_iter().enumerate().map(of_channel).collect());
-        // within a group, (l, c) and (m, d) meet twice: as themselves and mirrored
+        // within a group, (l, c) and (m, d) occur twice: as they are and mirrored
         for (b, group) in groups.iter().enumerate() {
             for (l, c) in group.clone().flat_map(|l| (0..channels).map(move |c| (l, c))) {
                 let j = l * channels + c;
@@ -199,7 +200,7 @@ impl Normal {
         self.lags
     }
 
-    /// These and so many times those: −1 takes out samples that both hold.
+    /// Adds `times` times the normal equations of `others`; −1 removes samples that both contain.
     ///
     /// # Panics
     /// If sizes or memories differ.
@@ -215,7 +216,7 @@ impl Normal {
         self
     }
 
-    /// With the bias eliminated and divided by the samples' weighted power: G − g gᵀ/s, Q − g hᵀ/s, means g/s and h/s.
+    /// Eliminates the bias and divides by the weighted power: G − g gᵀ/s, Q − g hᵀ/s, means g/s and h/s.
     pub(super) fn eliminated(mut self) -> Self {
         let Self { unknowns, g, q, mean, mean_force, weight, power, .. } = &mut self;
         let s = *weight;
@@ -233,7 +234,7 @@ impl Normal {
     }
 }
 
-/// Σ_n P[(n+l,c), (n,k)] as (D, K), column-major, of a P (T·C, T·K) given by its columns.
+/// Σ_n P[(n+l,c), (n,k)], (D, K) column-major; `column` returns the columns of P (T·C, T·K).
 pub(super) fn lagged<'a>(
     sizes: Sizes,
     lags: Lags,
@@ -254,7 +255,7 @@ pub(super) fn lagged<'a>(
     sums
 }
 
-/// Columns (lags · C, K) with the rows of each group of lags summed: (D, K).
+/// Sums the rows of each group of lags: from (lags · C, K) to (D, K).
 pub(super) fn by_group(groups: &[Range<usize>], channels: usize, columns: &[f64]) -> Vec<f64> {
     let all = groups.iter().map(|group| group.len()).sum::<usize>() * channels;
     let mut sums = Vec::with_capacity(columns.len());
@@ -269,7 +270,7 @@ pub(super) fn by_group(groups: &[Range<usize>], channels: usize, columns: &[f64]
     sums
 }
 
-/// a += s·b, as far as both reach.
+/// a += s·b, over the shorter length.
 fn accumulate(a: &mut [f64], b: &[f64], s: f64) {
     a.iter_mut().zip(b).for_each(|(a, b)| *a += s * b);
 }

@@ -1,7 +1,7 @@
-//! The factor of the normal matrix: weights of a memory and of every shorter one that begins alike, and what they follow.
+//! Cholesky factor of the normal matrix: weights of a memory and of shorter ones, and their sensitivities.
 //!
-//! A memory whose lags come first has the leading block of G, whose factor is the leading block of G's: one factor serves
-//! them all.
+//! The normal matrix of a memory whose lags come first is a leading block of G, and its factor is the leading block of G's
+//! factor: one factor serves all such memories.
 
 use super::moments::{Normal, by_group, lagged};
 use super::{BLOCK, Lags, Linear, Sizes, add_symmetric, matrix, matrix_mut};
@@ -14,42 +14,42 @@ use faer::{Accum, Par, Spec};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// The normal matrix is not positive definite to rounding: the ridge is too small for these signals.
+/// Error: the normal matrix is numerically not positive definite, because the ridge is too small for these signals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Singular;
 
-/// Which lags come first.
+/// Order of lags in the factor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
-    /// From the past on: shorter memories have the whole past and less ahead.
+    /// From the past to the future: shorter memories have the whole past and less look-ahead.
     Ascending,
-    /// 0, −1, 1, −2, …: shorter memories reach as far both ways.
+    /// 0, −1, 1, −2, …: shorter memories reach equally far in both directions.
     Outward,
 }
 
-/// A factor, with what solutions need beside it.
+/// A factor, with the other data of solutions.
 #[derive(Debug, Clone)]
 pub struct Fit {
     sizes: Sizes,
     lags: Lags,
-    /// Lags of one weight, in its order.
+    /// Groups of lags that share a weight, in the factor's order.
     groups: Vec<Range<usize>>,
     unknowns: usize,
-    /// L, column-major in its order; lower triangle.
+    /// L, column-major in the factor's order, lower triangle.
     lower: Vec<f64>,
     /// L⁻¹ Q (D, K).
     half: Vec<f64>,
-    /// Of each lagged channel, in its order.
+    /// Mean of each lagged channel, in the factor's order.
     mean: Vec<f64>,
     mean_force: Vec<f64>,
     weight: f64,
 }
 
 impl Fit {
-    /// Factors G + λI.
+    /// Factorises G + λI.
     ///
     /// # Errors
-    /// If it is not positive definite.
+    /// If the matrix is not positive definite.
     pub fn new(normal: Normal, ridge: f64, order: Order) -> Result<Self, Singular> {
         let normal = normal.eliminated();
         let Normal {
@@ -76,7 +76,7 @@ impl Fit {
                 sorted
             }
         };
-        // λ|W|²: a shared weight counts once a lag
+        // λ|W|²: a shared weight counts once per lag
         for (u, d) in lower.iter_mut().step_by(unknowns + 1).enumerate() {
             *d += ridge * groups[u / channels].len() as f64;
         }
@@ -95,15 +95,15 @@ impl Fit {
         }
     }
 
-    /// The brain of the whole memory.
+    /// The decoder of the whole memory.
     pub fn linear(&self) -> Linear {
         self.shorter(self.lags)
     }
 
-    /// The brain of a memory whose lags come first in this factor's order.
+    /// The decoder of a memory whose lags come first in this factor's order.
     ///
     /// # Panics
-    /// If they do not.
+    /// If they do not come first.
     pub fn shorter(&self, lags: Lags) -> Linear {
         let (groups, later) = (lags.groups(), self.lags.before - lags.before);
         let first = &self.groups[..groups.len()];
@@ -118,8 +118,8 @@ impl Fit {
         Linear { sizes: self.sizes, lags, w: self.each_lag(lags, &w), b }
     }
 
-    /// How the brain of the whole memory answers a force on its weights: H⁻¹ (V, v), H the second derivative of what it
-    /// minimises; (V, v) a gradient as of [`Linear::weights_vjp`].
+    /// H⁻¹ (V, v) for the decoder of the whole memory, with H the second derivative of its objective and (V, v) a gradient as of
+    /// [`Linear::weights_vjp`].
     pub fn sensitivity(&self, gradient: &Linear) -> Linear {
         let unknowns = self.unknowns;
         let mut z = by_group(&self.groups, self.sizes.channels, &gradient.w);
@@ -137,7 +137,7 @@ impl Fit {
         Linear { sizes: self.sizes, lags: self.lags, w: self.each_lag(self.lags, &z), b }
     }
 
-    /// L⁻ᵀ of the leading block.
+    /// Applies L⁻ᵀ of the leading block.
     fn back(&self, unknowns: usize, right: &mut [f64]) {
         let lower = matrix(&self.lower, self.unknowns, self.unknowns);
         solve_upper_triangular_in_place(
@@ -147,7 +147,7 @@ impl Fit {
         );
     }
 
-    /// The weight of each lag, in their order, from those of its groups.
+    /// Weights of all lags, in ascending order, from the weights of the groups.
     fn each_lag(&self, lags: Lags, solved: &[f64]) -> Vec<f64> {
         let Sizes { channels, outputs, .. } = self.sizes;
         let (unknowns, later) = (solved.len() / outputs, self.lags.before - lags.before);
@@ -164,10 +164,10 @@ impl Fit {
 }
 
 impl Linear {
-    /// Transpose of f̂ in the weights: a cotangent on f̂ (N, T, K) of signals x (N, T, C) as one on W and b.
+    /// Adjoint of f̂ in the weights: converts a cotangent on f̂ (N, T, K) for signals x (N, T, C) to one on W and b.
     ///
     /// # Panics
-    /// If the lengths do not belong to one N.
+    /// If the lengths do not match the same N.
     pub fn weights_vjp(&self, x: &[f64], cotangent: &[f64]) -> Self {
         let Sizes { instants, channels, outputs } = self.sizes;
         let (rows, columns) = (instants * channels, instants * outputs);
@@ -192,11 +192,11 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// Overwrites a symmetric matrix (n, n), of which the lower triangle counts, with its Cholesky factor: block by block of columns,
-/// of which each is taken out of those behind it (Golub and Van Loan, Matrix Computations, 4.2.9).
+/// Overwrites a symmetric matrix (n, n), given by its lower triangle, with its Cholesky factor. Processes blocks of columns, each
+/// of which updates the following ones (Golub and Van Loan, Matrix Computations, 4.2.9).
 ///
 /// # Errors
-/// If it is not positive definite.
+/// If the matrix is not positive definite.
 pub fn factor(pool: &Pool, lower: &mut [f64], n: usize) -> Result<(), Singular> {
     pool.install(|| {
         let mut memory = MemBuffer::new(cholesky_in_place_scratch::<f64>(BLOCK, Par::Seq, Spec::default()));

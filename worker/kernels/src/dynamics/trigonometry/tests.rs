@@ -1,7 +1,8 @@
 use super::*;
 use crate::lanes::{LANES, SingleSse2, Sse2};
 
-/// Angles and turns from none to many times round, each lane by itself: polynomials and the standard library agree.
+/// Largest errors of `angle` and `sin_cos1` against the standard library, from zero to many rotations, with different
+/// ranges per lane.
 fn worst<V: Vector>() -> [f64; 2] {
     let mut worst = [0.0f64; 2];
     for k in 0..4000 {
@@ -17,7 +18,7 @@ fn worst<V: Vector>() -> [f64; 2] {
             let [s, c1] = sin_cos1(V::gather(mean));
             for (l, (delta, mean)) in delta.iter().zip(mean).enumerate() {
                 assert!(gamma.lane(l).abs() <= 3.15, "{k} {l}: {}", gamma.lane(l));
-                // Half a turn is one way or the other.
+                // the sign of half a rotation is arbitrary
                 worst[0] = worst[0].max((0.5 * (gamma.lane(l) - (delta - mean))).sin().abs());
                 worst[1] = worst[1].max((s.lane(l) - mean.sin()).abs());
                 worst[1] = worst[1].max((c1.lane(l) + 2.0 * (0.5 * mean).sin().powi(2)).abs());

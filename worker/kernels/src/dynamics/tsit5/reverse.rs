@@ -1,7 +1,7 @@
-//! The reverse sweep of Tsit5: each interval is repeated from its checkpoint and then swept, step by step backwards.
+//! Reverse sweep of Tsit5: repeats each interval from its checkpoint, then sweeps its steps backwards.
 //!
-//! Steps are a sample's own. The lanes of a block go in lockstep through one interval, so blocks are made up anew for
-//! each, of samples whose steps in it are about as many: an idle lane costs as much as a busy one.
+//! Every sample has its own steps, but the lanes of a vector run through an interval together, and an idle lane costs as much as
+//! a busy one. Each interval therefore groups samples with similar numbers of steps.
 
 use super::super::jobs::Backward;
 use super::super::loads::FreeForces;
@@ -12,34 +12,34 @@ use super::steps;
 use crate::Heartbeat;
 use crate::lanes::{LANES, MOST, Vector};
 
-/// What a sweep keeps of one step.
+/// Stored data of one step.
 struct Step<V> {
-    /// States of the stages.
+    /// Positions of the stages.
     x: Stages<V>,
-    /// Velocity at the beginning.
+    /// Velocity at the start.
     v: Vec<Unit<V>>,
     /// Accelerations of the stages.
     a: Stages<V>,
     h: V,
-    /// Where the stages take their forces, as parts of the intervals that begin at these kinks.
+    /// Times of the stages' forces, as fractions of the intervals that start at `kinks`.
     parts: [V; 6],
     kinks: [usize; LANES],
 }
 
-/// Where a lane is among its steps.
+/// Position of a lane in its steps.
 #[derive(Clone, Copy, Default)]
 struct Cursor {
-    /// The code of its next step, and how many are left in the interval and before the next kink.
+    /// Index of the next step's code; steps left in the interval; steps left before the next kink.
     code: usize,
     left: usize,
     until: usize,
-    /// Of the forces.
+    /// Index of the kink in the forces.
     kink: usize,
     tau: f64,
 }
 
-/// Sweeps samples backwards, adding to the cotangents of `system`; returns those of the histories, (samples, K, R+1), if
-/// `forces_asked`.
+/// Reverse sweep of samples. Adds to the cotangents of `system`. With `forces_asked`, returns the cotangents of the histories
+/// (samples, K, R+1).
 #[inline(always)]
 pub fn reverse<V: Vector<Wide = V>>(
     system: &mut System<'_, V>,
@@ -67,7 +67,7 @@ pub fn reverse<V: Vector<Wide = V>>(
     let mut loads = FreeForces::new(scene.panels.len());
     let mut force = vec![zero; scene.panels.len()];
     let mut bar = vec![zero; width];
-    // Of each sample: the cotangents of its state, and where the steps of the interval end
+    // for each sample: the cotangents of its state, and where the codes of the interval's steps end
     let mut bars = vec![vec![0.0; len]; sweeps.len()];
     let mut ends: Vec<usize> = sweeps.iter().map(|s| s.tape.steps.len()).collect();
     let mut order: Vec<usize> = (0..sweeps.len()).collect();
@@ -89,7 +89,7 @@ pub fn reverse<V: Vector<Wide = V>>(
             let given = std::array::from_fn(|l| lanes.get(l).map(|&s| bars[s].as_slice()));
             load_lanes(free, &[], &given, &mut bar_x, &mut bar_v);
 
-            // The sensors at the interval's end
+            // sensors at the end of the interval
             load_lanes(free, start, &state(interval + 1), &mut xs, &mut vs);
             for (k, b) in bar.iter_mut().enumerate() {
                 let at = |l: usize| lanes.get(l).map_or(0.0, |&s| sweeps[s].cotangent[interval * width + k]);
@@ -120,7 +120,7 @@ pub fn reverse<V: Vector<Wide = V>>(
                 }
             }
 
-            // The interval again, keeping the stages of every step
+            // repeat the interval, storing the stages of every step
             let mut places = [Cursor::default(); LANES];
             for (place, &s) in places.iter_mut().zip(lanes) {
                 let left = total(s);
@@ -174,7 +174,7 @@ pub fn reverse<V: Vector<Wide = V>>(
                 }
             }
 
-            // Backwards
+            // sweep backwards
             for step in kept[..longest].iter().rev() {
                 for (l, &s) in lanes.iter().enumerate().filter(|_| system.levered()) {
                     loads.load(l, forces, sweeps[s].history, step.kinks[l]);
@@ -225,8 +225,8 @@ pub fn reverse<V: Vector<Wide = V>>(
     (pushed, counters)
 }
 
-/// Adds what forces pass on to the histories, (samples, K, R+1), of the samples in `lanes`: taken at `part` of the interval that
-/// begins at the lane's kink, they had the cotangent `w` of their work on the units.
+/// Adds the cotangents of the histories (samples, K, R+1) for the samples in `lanes`. The forces act at `part` of the interval
+/// that starts at the lane's kink; `w` is the cotangent of the units' forces.
 #[inline(always)]
 fn push_vjp<V: Vector<Wide = V>>(
     system: &System<'_, V>,
@@ -249,7 +249,7 @@ fn push_vjp<V: Vector<Wide = V>>(
     }
 }
 
-/// Transpose of the sensors' readings at a state: overwrites `to_x` and `to_v`.
+/// Adjoint of the signals at a state: overwrites `to_x` and `to_v`.
 #[inline(always)]
 fn sensors_vjp<V: Vector<Wide = V>>(
     system: &mut System<'_, V>,

@@ -1,15 +1,14 @@
-//! Tsit5's coefficients, and its sums over stages with the number of terms known to the compiler: written as loops
-//! they took as long as half the forces.
+//! Coefficients of Tsit5, and sums over stages whose number of terms is a constant, so that the compiler unrolls them.
 
 use super::super::Tolerance;
 use super::super::system::{Unit, Weigh};
 use crate::lanes::Vector;
 use std::ops::Range;
 
-/// What belongs to each of the six stages that a step evaluates.
+/// One entry for each of the six stages that a step evaluates.
 pub type Stages<V> = [Vec<Unit<V>>; 6];
 
-/// a_ij of the seven stages; the last row is also the weights b.
+/// Coefficients a_ij of the seven stages; the last row also contains the weights b.
 pub const A: [[f64; 6]; 7] = [
     [0.0; 6],
     [0.161, 0.0, 0.0, 0.0, 0.0, 0.0],
@@ -19,9 +18,9 @@ pub const A: [[f64; 6]; 7] = [
     [5.86145544294642, -12.92096931784711, 8.159367898576159, -0.071584973281401, -0.028269050394068383, 0.0],
     [0.09646076681806523, 0.01, 0.4798896504144996, 1.379008574103742, -3.290069515436081, 2.324710524099774],
 ];
-/// Clock of the stages.
+/// Times c_i of the stages.
 pub const C: [f64; 7] = [0.0, 0.161, 0.327, 0.9, 0.9800255409045097, 1.0, 1.0];
-/// b − b̂.
+/// Weights b − b̂ of the velocity's error.
 const E: [f64; 7] = [
     -0.001780011052225777,
     -0.0008164344596567469,
@@ -32,7 +31,7 @@ const E: [f64; 7] = [
     0.015151515151515152,
 ];
 
-/// ā = a·a; row i of stage i.
+/// ā = a·a.
 const fn squared() -> [[f64; 6]; 7] {
     let mut s = [[0.0; 6]; 7];
     let mut i = 0;
@@ -53,7 +52,7 @@ const fn squared() -> [[f64; 6]; 7] {
 /// ā.
 pub const A2: [[f64; 6]; 7] = squared();
 
-/// Σ_j e_j a_jm: the weights of the displacement's error.
+/// Σ_j e_j a_jm, with e = `E`.
 const fn error_squared() -> [f64; 7] {
     let mut s = [0.0; 7];
     let mut m = 0;
@@ -70,7 +69,7 @@ const fn error_squared() -> [f64; 7] {
 /// Weights of the displacement's error.
 const E2: [f64; 7] = error_squared();
 
-/// State of stage i = 1…6 (the last: the new state) of the units `within`, from the accelerations of those before.
+/// State of stage i = 1…6 (6: the new state) of the units `within`, from the accelerations of the preceding stages.
 #[inline(always)]
 pub fn stage<V: Vector>(
     i: usize,
@@ -90,7 +89,7 @@ pub fn stage<V: Vector>(
     }
 }
 
-/// The numbers of some units.
+/// The coordinates of the units `within`.
 #[inline(always)]
 fn of<'a, V>(y: &'a [Unit<V>], within: &Range<usize>) -> &'a [V] {
     y[within.clone()].as_flattened()
@@ -123,11 +122,11 @@ fn nth_stage<V: Vector, const I: usize>(
     }
 }
 
-/// The new state, as `stage(6)`, and of the error estimate what the first six accelerations tell.
+/// The new state, as `stage(6)`, and the part of the error estimate that the first six accelerations determine.
 ///
-/// Errors are relative to the tolerance. Returns the sum of the squares of the displacements'; that of a velocity is
-/// p + q a of the new state's acceleration a: p and q overwrite the accelerations of the stages 1 and 2, which a step
-/// needs no more.
+/// Errors are relative to the tolerance. Returns the sum of squares of the displacements' errors. The error of a velocity
+/// is p + q a with the new acceleration a; p and q overwrite the accelerations of stages 1 and 2, which are no longer
+/// needed.
 #[inline(always)]
 pub fn land<V: Vector>(
     h: V,
@@ -165,7 +164,7 @@ pub fn land<V: Vector>(
         vs[k] = h.mul_add(first, v[k]);
         let sx = x[k].abs().max(xs[k].abs()).mul_add(relative, absolute);
         let sv = v[k].abs().max(vs[k].abs()).mul_add(relative, absolute);
-        // Both quotients by one division
+        // one division for both quotients
         let inverse = one.over(sx * sv);
         let (ix, iv) = (sv * inverse, sx * inverse);
         let rx = (h2 * ex) * ix;
@@ -175,7 +174,7 @@ pub fn land<V: Vector>(
     square
 }
 
-/// `square`, with those of the velocities' errors added.
+/// Adds the squares of the velocities' errors to `square`.
 #[inline(always)]
 pub fn landed<V: Vector>(mut square: V, within: &Range<usize>, [_, p, q, .., end]: &[Vec<Unit<V>>; 7]) -> V {
     let (p, q, end) = (of(p, within), of(q, within), of(end, within));
@@ -186,10 +185,11 @@ pub fn landed<V: Vector>(mut square: V, within: &Range<usize>, [_, p, q, .., end
     square
 }
 
-/// Transpose of a step in the accelerations a of stage i = 0…5: overwrites `w` by M⁻¹ times their cotangent and takes w a
-/// from that of (m, m, J).
+/// Adjoint of a step in the accelerations a of stage i = 0…5: overwrites `w` with M⁻¹ times their cotangent and subtracts
+/// w a from the cotangent of (m, m, J).
 ///
-/// `later` holds −∂²U w and w of later stages; what those pass on to their states is the first, to their velocities −C w.
+/// `later` contains −∂²U w and w of the later stages: the cotangents of their positions are −∂²U w, those of their
+/// velocities −C w.
 #[inline(always)]
 pub fn stage_vjp<V: Vector>(
     i: usize,
@@ -244,7 +244,7 @@ fn nth_stage_vjp<'a, V: Vector, const I: usize>(
     }
 }
 
-/// Passes a step's cotangents from its end to its beginning.
+/// Propagates cotangents from the end to the start of a step.
 #[inline(always)]
 pub fn step_vjp<'a, V: Vector>(
     h: V,

@@ -1,10 +1,10 @@
-//! Step sizes in a byte or two each, and exactly.
+//! Compact, exact storage of step sizes, in one or two bytes each.
 //!
-//! A step is (Δ − τ)/n, where Δ is the interval, τ the time in it and n the number of equal steps that would fill the
-//! rest: so the n of the steps give their sizes back to the bit. They are coded in seven bits a byte, the last without
-//! the eighth.
+//! A step is (Δ − τ)/n: Δ is the interval, τ the time since its start, and n the number of equal steps that would fill
+//! the rest. The sequence of n therefore reproduces all sizes exactly. Numbers are coded with seven bits per byte; the
+//! eighth bit is set except in the last byte.
 
-/// Appends a number.
+/// Appends the code of n.
 pub fn push(codes: &mut Vec<u8>, mut n: u64) {
     while n >= 128 {
         codes.push(n as u8 | 128);
@@ -13,7 +13,7 @@ pub fn push(codes: &mut Vec<u8>, mut n: u64) {
     codes.push(n as u8);
 }
 
-/// The number that begins at `at`, which moves on to the next.
+/// Decodes the number at index `at`, and advances `at`.
 #[inline]
 pub fn next(codes: &[u8], at: &mut usize) -> u64 {
     let (mut n, mut shift) = (0, 0);
@@ -28,7 +28,7 @@ pub fn next(codes: &[u8], at: &mut usize) -> u64 {
     }
 }
 
-/// Where the number begins that is `count` before the one at `at`.
+/// Index of the number `count` numbers before `at`.
 pub fn back(codes: &[u8], mut at: usize, count: usize) -> usize {
     for _ in 0..count {
         at -= 1;
@@ -39,7 +39,7 @@ pub fn back(codes: &[u8], mut at: usize, count: usize) -> usize {
     at
 }
 
-/// All sizes, of `counts` steps in the intervals of length `delta`.
+/// Step sizes of all intervals, each of length `delta` with the given number of steps.
 pub fn sizes(codes: &[u8], counts: &[u32], delta: f64) -> Vec<f64> {
     let (mut sizes, mut at) = (Vec::new(), 0);
     for &count in counts {

@@ -1,6 +1,6 @@
 use super::*;
 
-/// Numbers of one to ten bytes, forwards, and backwards from any to any.
+/// Numbers of one to ten bytes, decoded forwards, and located backwards between any two positions.
 #[test]
 fn numbers_come_back_from_either_side() {
     let numbers = [1, 127, 128, 300, 1, 16_383, 16_384, u64::from(u32::MAX), u64::MAX, 2];
