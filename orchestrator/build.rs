@@ -8,8 +8,8 @@ use std::process::Command;
 
 fn main() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-    // Cargo rebuilds a release of this package after each commit; a debug build gets the new revision with the next
-    // source change.
+    // Cargo rebuilds a release of this package after each commit; a debug build gets the new revision with the next source
+    // change.
     let release = std::env::var("PROFILE").is_ok_and(|profile| profile == "release");
     let commits = if release { source::moves_with_commits(&root) } else { Vec::new() };
     for path in source::PROGRAM.map(|path| root.join(path)).into_iter().chain(commits) {

@@ -1,5 +1,4 @@
-//! Commands to a running sweep: one line per connection, through a Unix socket beside its database that only its user
-//! may open.
+//! Commands to a running sweep: one line per connection, through a Unix socket beside its database that only its user may open.
 //!
 //! ```text
 //! results/two-core.sqlite.control     exists while the run lives; the next run removes that of a killed one
@@ -177,8 +176,7 @@ pub struct Listener {
 }
 
 impl Listener {
-    /// Opens the socket of a database. The caller must hold the lock of the database for longer than the listener
-    /// lives.
+    /// Opens the socket of a database. The caller must hold the lock of the database for longer than the listener lives.
     ///
     /// # Errors
     /// If the file system has no sockets or the database's name is too long.
@@ -209,9 +207,8 @@ impl Drop for Listener {
 /// Longest socket address (bytes), without the final 0.
 const LONGEST: usize = 107;
 
-/// The socket of a database: its folder, its address, its file. An address has room for `LONGEST` bytes, so it names
-/// the folder by its
-/// descriptor.
+/// The socket of a database: its folder, its address, its file. An address has room for `LONGEST` bytes, so it names the folder
+/// by its descriptor.
 fn address(db: &Path) -> io::Result<(File, PathBuf, PathBuf)> {
     let db = db.canonicalize()?;
     let mut name = OsString::from(db.file_name().unwrap_or_default());

@@ -1,6 +1,5 @@
-//! Atomic file writes: to a temporary file in the same folder, renamed when complete. Readers find the old or the new
-//! file, even after a
-//! power cut.
+//! Atomic file writes: to a temporary file in the same folder, renamed when complete. Readers find the old or the new file,
+//! even after a power cut.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
@@ -74,7 +73,7 @@ pub fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
 /// Copies a file and its permissions atomically with [`Output`].
 ///
 /// # Errors
-/// As [`write`], or where `from` cannot be read.
+/// As [`write`], or if `from` cannot be read.
 pub fn copy(from: &Path, path: &Path) -> io::Result<()> {
     let mut from = File::open(from)?;
     let mut output = Output::create(path)?;
@@ -83,9 +82,8 @@ pub fn copy(from: &Path, path: &Path) -> io::Result<()> {
     output.finish()
 }
 
-/// A temporary file that [`Output::finish`] renames to its target; dropping it before deletes it. Pipes and terminals
-/// are written to
-/// directly; symbolic links and permissions are kept.
+/// A temporary file that [`Output::finish`] renames to its target; dropping it before deletes it. Pipes and terminals are
+/// written to directly; symbolic links and permissions are kept.
 #[derive(Debug)]
 pub struct Output {
     file: File,

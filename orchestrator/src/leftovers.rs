@@ -1,5 +1,4 @@
-//! Finds and removes files and folders of killed processes. Their names end with the mark of the process
-//! ([`own_mark`]).
+//! Finds and removes files and folders of killed processes. Their names end with the mark of the process ([`own_mark`]).
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -13,8 +12,7 @@ use crate::files::own_mark;
 const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 
 /// Whether the process whose mark ends this name (before `.tmp` or `.sqlite`) has abandoned the file or folder. On this
-/// machine: the
-/// process has ended. On another machine: nothing was written for a day.
+/// machine: the process has ended. On another machine: nothing was written for a day.
 #[must_use]
 pub fn is_abandoned(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -25,9 +23,8 @@ pub fn is_abandoned(path: &Path) -> bool {
     };
     let own = own_mark();
     let host = own.rsplit_once('-').map_or("", |(host, _)| host);
-    // Another host's name may end with this one's. Therefore a dot or "merge-" must precede the host name; in a copy of
-    // a shard, the start
-    // time.
+    // Another host's name may end with this one's. Therefore a dot or "merge-" must precede the host name; in a copy of a
+    // shard, the start time.
     let began = |part: &str| !part.is_empty() && part.bytes().all(|c| c.is_ascii_digit());
     let here = before.strip_suffix(host).is_some_and(|rest| match rest.rsplit('.').next() {
         None | Some("" | "merge-") => true,

@@ -1,6 +1,6 @@
 //! metasense: trains bodies of flexible metamaterial together with the decoders that estimate forces from their signals.
 
-// These macros panic if the reader has closed the pipe; use the functions of `cli::say` instead.
+// These macros panic if the reader has closed the pipe; use those of `cli::say` instead.
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod cli;

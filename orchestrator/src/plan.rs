@@ -1,8 +1,7 @@
 //! Expands a spec into an ordered list of trials with stable hashes. Reads only the files that the spec names.
 //!
-//! The order is breadth first: the first placement and seed of every point (axes, K, M) precede the second of any.
-//! Layouts, panels and
-//! placements are computed once per body, and problems checked once per point, so that 10⁵ trials take seconds.
+//! The order is breadth first: the first placement and seed of every point (axes, K, M) precede the second of any. Layouts,
+//! panels and placements are computed once per body, and problems checked once per point, so that 10⁵ trials take seconds.
 
 mod axes;
 mod brains;
@@ -342,8 +341,8 @@ fn add_points(
                 return Err(source.error_with("sweep.sensors", Some(&sensors.to_string()), &remedy));
             }
             let template = template(spec, scale, panels, &panel_units, sensors);
-            // Random placements are valid by construction, and searched ones are empty, so checking the last suffices;
-            // lists by users are all checked.
+            // Random placements are valid by construction, and searched ones are empty, so checking the last suffices; lists by
+            // users are all checked.
             let to_check = if spec.sensors.placements.is_some() { 0 } else { placements.len() - 1 };
             for (placement, units) in placements.iter().enumerate().skip(to_check) {
                 let trial = at(&template, placement, units, sweep.sweep.seeds[0]);
@@ -382,8 +381,7 @@ pub(crate) fn counted(n: usize, what: &str) -> String {
     format!("{n} {what}{}", if n == 1 { "" } else { "s" })
 }
 
-/// The spec with the polygons of its body's file and their mean lengths, so that the trial's hash depends on the
-/// content.
+/// The spec with the polygons of its body's file and their mean lengths, so that the trial's hash depends on the content.
 fn with_file(spec: &SweepSpec, source: &Source) -> Result<SweepSpec, SpecError> {
     let mut spec = spec.clone();
     let body = &mut spec.body;
@@ -567,8 +565,7 @@ impl OneBody {
     }
 }
 
-/// The layout of a body in a spec. Specs of circular bodies must omit rows; only their trials have them, equal to
-/// columns.
+/// The layout of a body in a spec. Specs of circular bodies must omit rows; only their trials have them, equal to columns.
 fn layout(body: &Body) -> Result<Layout, Invalid> {
     match (body.layout, body.rows) {
         (LayoutKind::Circular, Some(rows)) => Err(Invalid {

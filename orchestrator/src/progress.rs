@@ -1,6 +1,5 @@
-//! Progress of a run, without a request to the run: trials and steps from its database, its process from its socket,
-//! its workers from
-//! /proc.
+//! Progress of a run, without a request to the run: trials and steps from its database, its process from its socket, its
+//! workers from /proc.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -27,10 +26,9 @@ FROM trial t JOIN attempt a ON a.trial_id = t.id AND a.state = 'running'
 LEFT JOIN step p ON p.trial_id = t.id AND p.step = (SELECT max(step) FROM step m WHERE m.trial_id = t.id)
 WHERE t.state = 'running' ORDER BY 2, 3, 4, 5, 6";
 
-/// One row: trials by state; estimated seconds of open trials less what checkpoints cover; steps; attempts; seconds of
-/// attempts over
-/// their estimate; mean held-out errors of finished trials; estimated seconds of all trials; cancelled trials; mean
-/// median errors.
+/// One row: trials by state; estimated seconds of open trials less what checkpoints cover; steps; attempts; seconds of attempts
+/// over their estimate; mean held-out errors of finished trials; estimated seconds of all trials; cancelled trials; mean median
+/// errors.
 const WHOLE: &str = "
 SELECT count(*), sum(state = 'done'), sum(state = 'failed' AND reason <> 'cancelled'), sum(state = 'running'),
   sum(CASE WHEN state IN ('pending', 'running') THEN cost ELSE 0 END)

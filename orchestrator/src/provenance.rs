@@ -71,9 +71,8 @@ const EARLY: &str = "a sweep of this database has [until] or a [goal]: it may ha
     votes here assume a fixed number of trials, so their true coverage is lower than stated; the answers of `run` and \
     `design` account for this";
 
-/// Warns if no time step keeps the requested error on the initial or the best body, according to the trial's `solver`
-/// column; `None` if
-/// both are resolved.
+/// Warns if no time step keeps the requested error on the initial or the best body, according to the trial's `solver` column;
+/// `None` if both are resolved.
 #[must_use]
 pub fn unresolved(solver: &str) -> Option<String> {
     let bodies = match keeps_error(solver) {

@@ -1,5 +1,4 @@
-//! A writer that does not block: output that the reader has not taken yet is held in memory, and beyond `MEMORY` in an
-//! unnamed
+//! A writer that does not block: output that the reader has not taken yet is held in memory, and beyond `MEMORY` in an unnamed
 //! temporary file. A slow reader must not keep a database snapshot open, because the write-ahead log grows meanwhile.
 
 use std::collections::VecDeque;

@@ -1,8 +1,7 @@
 //! `answers`: time and memory of `status`, `query`, `analyse` and `report` on a large database.
 //!
-//! Shows how many trials a database may contain. Trials are synthetic, planned from a real spec: 5 values of M × 20
-//! placements × 10 seeds give
-//! 1000 per ligament length.
+//! Shows how many trials a database may contain. Trials are synthetic, planned from a real spec: 5 values of M × 20 placements
+//! × 10 seeds give 1000 per ligament length.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -18,7 +17,7 @@ use serde_json::json;
 
 use crate::made_up::{Made, Scratch, at, count};
 
-/// Seconds and peak memory of questions to databases with many trials
+/// Time and peak memory of queries to databases with many trials
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Trials of each database, in thousands.

@@ -60,9 +60,8 @@ pub fn execute(args: &Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-/// Rows for both precisions, on one thread and on `args.threads`; on one thread for narrower instruction sets; and for
-/// the long network in f32
-/// on one thread.
+/// Rows for both precisions, on one thread and on `args.threads`; on one thread for narrower instruction sets; and for the long
+/// network in f32 on one thread.
 fn rows(args: &Args) -> Vec<Vec<Value>> {
     let mut rows = Vec::new();
     for width in widths() {

@@ -1,9 +1,7 @@
-//! `dynamics`: error of the signals and of dα against milliseconds per sample, for every integrator, with conclusions
-//! per scene; or the
-//! race.
+//! `dynamics`: error of the signals and of dα against milliseconds per sample, for every integrator, with conclusions per
+//! scene; or the race.
 //!
-//! Shows which integrator `auto` should pick and whether stiff scenes need their own; `--race` compares with other
-//! programs.
+//! Shows which integrator `auto` should pick and whether stiff scenes need their own; `--race` compares with other programs.
 
 mod judgement;
 mod measure;

@@ -1,8 +1,7 @@
 //! `engine`: runs trials without computation through the real engine: processes, shared memory, database.
 //!
-//! Shows whether the engine limits a sweep. Tests of the engine use it, too: the result of a trial depends on each of
-//! its steps, and the
-//! database can be kept and resumed.
+//! Shows whether the engine limits a sweep. Tests of the engine use it, too: the result of a trial depends on each of its
+//! steps, and the database can be kept and resumed.
 
 pub mod noop;
 mod soak;

@@ -1,7 +1,6 @@
 //! `linear`: time to fit a linear decoder, by sensors and memory.
 //!
-//! Shows which memory a step can afford: the factorisation takes D³/3 operations for D unknowns, everything else at
-//! most O(D²).
+//! Shows which memory a step can afford: the factorisation takes D³/3 operations for D unknowns, everything else at most O(D²).
 
 use std::path::PathBuf;
 use std::time::Instant;

@@ -1,8 +1,7 @@
 //! `projection`: time to project a design onto the feasible set, with a check of the results.
 //!
-//! Shows whether the projection takes less than 2 % of an outer step. A walk keeps its direction, with noise, so that
-//! it runs into and
-//! along the constraints, as an optimiser does. Single steps start from rotated squares.
+//! Shows whether the projection takes less than 2 % of an outer step. A walk keeps its direction, with noise, so that it runs
+//! into and along the constraints, as an optimiser does. Single steps start from rotated squares.
 
 use std::time::Instant;
 
@@ -130,8 +129,8 @@ fn measure(columns: usize, rows: usize, step: f64, calls: u64) -> (Vec<Value>, u
     (row, broken)
 }
 
-/// Random projections: bodies of 2 × 2 to 8 × 8 units and discs, steps up to the spacing, from rotated squares or
-/// random designs.
+/// Random projections: bodies of 2 × 2 to 8 × 8 units and discs, steps up to the spacing, from rotated squares or random
+/// designs.
 fn random(count: u64, format: Format) -> Result<Exit, Error> {
     let begin = Instant::now();
     let outcomes: Vec<(Status, usize)> = (0..count).into_par_iter().map(one).collect();

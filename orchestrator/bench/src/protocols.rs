@@ -1,8 +1,7 @@
 //! `protocols`: held-out error of each protocol's body against CPU seconds of its training.
 //!
-//! Shows the best default of `optimise.protocol`. All bodies are evaluated with new networks from the same initial
-//! weights; the time of
-//! evaluations does not count.
+//! Shows the best default of `optimise.protocol`. All bodies are evaluated with new networks from the same initial weights; the
+//! time of evaluations does not count.
 
 mod course;
 

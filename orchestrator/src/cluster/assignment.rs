@@ -1,10 +1,8 @@
-//! Assigns trials to shards: the longest first, by weight, each to the least busy shard or to one that trains its body.
-//! The result is the
-//! same on every machine.
+//! Assigns trials to shards: the longest first, by weight, each to the least busy shard or to one that trains its body. The
+//! result is the same on every machine.
 //!
-//! The assignment is stored with the shards and never changes; new trials of a sweep are added. Equal trials give equal
-//! files. The trials
-//! of each shard are stored, too, so that shards need not expand the spec.
+//! The assignment is stored with the shards and never changes; new trials of a sweep are added. Equal trials give equal files.
+//! The trials of each shard are stored, too, so that shards need not expand the spec.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
@@ -97,8 +95,8 @@ impl<'a> Dealt<'a> {
         self.order.insert((*load, shard));
     }
 
-    /// The shard that trains the trial's body, unless its load is so high that training the body again on the least
-    /// busy shard pays.
+    /// The shard that trains the trial's body, unless its load is so high that training the body again on the least busy shard
+    /// pays.
     fn shard_for(&self, trial: &Trial) -> u32 {
         let (least, shard) = *self.order.first().expect("there is a shard");
         let homes = self.homes.get(&*trial.training).into_iter().flatten();

@@ -1,6 +1,5 @@
-//! Keeps a database of facts of a folder of shards, which answers queries about the folder. New copies of shards are
-//! added first; steps,
-//! curves and arrays stay in their files.
+//! Keeps a database of facts of a folder of shards, which answers queries about the folder. New copies of shards are added
+//! first; steps, curves and arrays stay in their files.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};

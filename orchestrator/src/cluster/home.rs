@@ -1,10 +1,8 @@
 //! The database of a shard: in use on a disk of its node, and copied to the results folder.
 //!
-//! At the start it merges copies of earlier attempts, so that a shard can resume on another node. It is copied when the
-//! run ends, also by a
-//! signal, and periodically, in case the node is lost. Each attempt has its own file name, so none overwrites another;
-//! copies are
-//! renamed into place when complete.
+//! At the start it merges copies of earlier attempts, so that a shard can resume on another node. It is copied when the run
+//! ends, also by a signal, and periodically, in case the node is lost. Each attempt has its own file name, so none overwrites
+//! another; copies are renamed into place when complete.
 
 use std::collections::BTreeMap;
 use std::fs::{DirBuilder, File, TryLockError};
@@ -25,8 +23,7 @@ use crate::store::{self, StoreError};
 
 /// Pause between attempts at the last copy, and between checks for an earlier attempt that is ending.
 const AGAIN: Duration = Duration::from_secs(1);
-/// Longest wait for an earlier attempt on the same node that is stopping; it has half of this time to copy its
-/// database.
+/// Longest wait for an earlier attempt on the same node that is stopping; it has half of this time to copy its database.
 const PREDECESSOR: Duration = Duration::from_secs(120);
 
 /// Name of the submitted spec in a folder of shards.
@@ -85,9 +82,8 @@ pub enum HomeError {
 }
 
 impl Home {
-    /// Paths for a shard of the sweep `name` with results in `folder`. By default, the database is in `TMPDIR`, under a
-    /// name that the next
-    /// attempt on the same node finds.
+    /// Paths for a shard of the sweep `name` with results in `folder`. By default, the database is in `TMPDIR`, under a name
+    /// that the next attempt on the same node finds.
     ///
     /// # Errors
     /// If the folder cannot be created.
@@ -146,15 +142,13 @@ impl Home {
         self.folder.join(format!("{}.log", self.shard.file_stem()))
     }
 
-    /// Merges copies of earlier attempts into the live database. Call this before opening the database. Returns the new
-    /// path of a damaged live
-    /// database, which is moved to the results folder; the shard continues without it. A scheduler may start an attempt
-    /// while the previous
-    /// one ends on the same node: this waits for it, after calling `waits` once.
+    /// Merges copies of earlier attempts into the live database. Call this before opening the database. Returns the new path of
+    /// a damaged live database, which is moved to the results folder; the shard continues without it. A scheduler may start an
+    /// attempt while the previous one ends on the same node: this waits for it, after calling `waits` once.
     ///
     /// # Errors
-    /// If an earlier attempt does not end, a copy is unreadable, or the live database is of a newer version or not a
-    /// metasense database.
+    /// If an earlier attempt does not end, a copy is unreadable, or the live database is of a newer version or not a metasense
+    /// database.
     pub async fn take_in(&mut self, waits: impl FnOnce()) -> Result<Option<PathBuf>, HomeError> {
         let (end, mut waits) = (Instant::now() + PREDECESSOR, Some(waits));
         loop {
@@ -266,10 +260,9 @@ impl Home {
         }
     }
 
-    /// Copies the database every `period` until `stopped`, and when a stop is `asked`, as steps in progress may outlast
-    /// the notice of the
-    /// scheduler. When the run ends, a copy in progress is cancelled to leave time for the last one, unless it was made
-    /// for the stop.
+    /// Copies the database every `period` until `stopped`, and when a stop is `asked`, as steps in progress may outlast the
+    /// notice of the scheduler. When the run ends, a copy in progress is cancelled to leave time for the last one, unless it
+    /// was made for the stop.
     pub async fn hand_in_every(
         &self,
         period: Duration,
@@ -303,8 +296,7 @@ impl Home {
         }
     }
 
-    /// Removes the scratch folder and earlier copies that this attempt's copy contains. Call this only after the last
-    /// copy.
+    /// Removes the scratch folder and earlier copies that this attempt's copy contains. Call this only after the last copy.
     pub async fn leave(self) {
         for earlier in attempts(&self.folder).remove(&self.shard).unwrap_or_default() {
             if earlier < self.handed_in

@@ -1,9 +1,7 @@
-//! Runs shards on machines without a scheduler: one at a time per place, on this machine or by `ssh`, until all have
-//! run.
+//! Runs shards on machines without a scheduler: one at a time per place, on this machine or by `ssh`, until all have run.
 //!
-//! An unreachable or unfit host gets no more shards; its shards go to other hosts. A stop is passed on to every shard:
-//! by SIGTERM here, by
-//! Ctrl-C through the terminal that `ssh` opens on other hosts.
+//! An unreachable or unfit host gets no more shards; its shards go to other hosts. A stop is passed on to every shard: by
+//! SIGTERM here, by Ctrl-C through the terminal that `ssh` opens on other hosts.
 
 use std::collections::{HashMap, VecDeque};
 use std::fs::OpenOptions;

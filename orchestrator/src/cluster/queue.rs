@@ -178,8 +178,8 @@ pub enum QueueError {
     },
 }
 
-/// Queries the schedulers of these jobs. Looks up missing ids; removes jobs that are not found, because they were not
-/// accepted or have ended.
+/// Queries the schedulers of these jobs. Looks up missing ids; removes jobs that are not found, because they were not accepted
+/// or have ended.
 ///
 /// # Errors
 /// If a scheduler does not answer.

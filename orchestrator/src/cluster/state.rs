@@ -17,9 +17,8 @@ use crate::store::ask_unchanging;
 pub struct State {
     /// The shard.
     pub shard: Shard,
-    /// State in the queue or, if it is not queued, of its database: `complete`, `failed` (all trials ended, some
-    /// failed), `partial`, `nothing`
-    /// (no copy), or an error.
+    /// State in the queue if it is queued and unfinished, else of its database: `complete`, `failed` (all trials ended, some
+    /// failed), `partial`, `nothing` (no copy), or an error.
     pub state: String,
     /// Numbers of trials, finished ones and failed ones; `None` without a readable copy.
     pub trials: Option<[usize; 3]>,
@@ -64,9 +63,8 @@ impl State {
     }
 }
 
-/// Progress of a trial. The greatest value among copies counts: a finished one; else that with most attempts; among
-/// equals the open one,
-/// because it may have been reopened after a failure.
+/// Progress of a trial. The greatest value among copies counts: a finished one; else that with most attempts; among equals the
+/// open one, because it may have been reopened after a failure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Stage {
     /// Number of attempts so far.
@@ -215,8 +213,7 @@ fn folder_of(file: &Path) -> &Path {
 mod tests {
     use super::{Ended, Stage};
 
-    /// A trial that was reopened after a failure counts as open until its next attempt ends; a finished trial stays
-    /// finished.
+    /// A trial that was reopened after a failure counts as open until its next attempt ends; a finished trial stays finished.
     #[test]
     fn the_copy_that_came_later_counts() {
         let failed = Stage::Open(1, Ended::Failed);

@@ -36,9 +36,8 @@ fn a_line_is_the_command_that_it_was_made_of() {
     }
 }
 
-/// Commands arrive and are answered until the listener ends. A long path and the socket of a killed run do no harm;
-/// silent, oversized
-/// and vanished clients are ignored.
+/// Commands arrive and are answered until the listener ends. A long path and the socket of a killed run do no harm; silent,
+/// oversized and vanished clients are ignored.
 #[tokio::test]
 async fn a_run_is_asked_by_its_database() {
     let folder = tempfile::tempdir().unwrap();

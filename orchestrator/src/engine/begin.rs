@@ -19,8 +19,8 @@ pub struct Again {
     pub other_code: bool,
 }
 
-/// Records a sweep with its trials and returns the open ones. `None`: a signal came first, and nothing new of the sweep
-/// was recorded.
+/// Records a sweep with its trials and returns the open ones. `None`: a signal came first, and nothing new of the sweep was
+/// recorded.
 ///
 /// # Errors
 /// If SQLite fails.

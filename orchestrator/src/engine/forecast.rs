@@ -1,10 +1,9 @@
 //! Estimates the remaining time: the plan's estimates, corrected by the time of steps and final evaluations so far.
 //!
-//! A trial consists of steps and a final evaluation ("comparison"). A step of a running trial takes the mean of its
-//! earlier steps. Other
-//! steps take the plan's estimate times the ratio of measured to planned time of all steps; the same holds for
-//! comparisons. The remaining
-//! work is assigned to workers in the order of the plan; the last worker to finish gives the end of the run.
+//! A trial consists of steps and a final evaluation ("comparison"). A step of a running trial takes the mean of its earlier
+//! steps. Other steps take the plan's estimate times the ratio of measured to planned time of all steps; the same holds for
+//! comparisons. The remaining work is assigned to workers in the order of the plan; the last worker to finish gives the end of
+//! the run.
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
@@ -154,8 +153,8 @@ impl Forecast {
         self.trials[trial as usize].open = false;
     }
 
-    /// Ratios of measured to planned time of steps and of comparisons; overdue comparisons count. An unknown ratio is
-    /// replaced by the other.
+    /// Ratios of measured to planned time of steps and of comparisons; overdue comparisons count. An unknown ratio is replaced
+    /// by the other.
     fn ratios(&self, now: Duration) -> Option<(f64, f64)> {
         let (steps, comparisons) = (self.of_steps.value(), self.of_comparisons.value());
         let (of_steps, known) = (steps.or(comparisons)?, comparisons.or(steps)?);

@@ -1,6 +1,5 @@
-//! Opens, starts, observes and ends worker processes and their links. A process counts as lost when it has ended and
-//! all its messages are
-//! read.
+//! Opens, starts, observes and ends worker processes and their links. A process counts as lost when it has ended and all its
+//! messages are read.
 
 use std::time::{Duration, Instant};
 

@@ -1,9 +1,8 @@
-//! The main loop of a run: turns messages, deaths, signals, commands and time into events for the scheduler, and
-//! carries out its actions.
+//! The main loop of a run: turns messages, deaths, signals, commands and time into events for the scheduler, and carries out
+//! its actions.
 //!
-//! The scheduler decides; fleet (processes), link (shared memory) and writer (database) act. A result counts, and is
-//! shown, once it is on
-//! disk.
+//! The scheduler decides; fleet (processes), link (shared memory) and writer (database) act. A result counts, and is shown,
+//! once it is on disk.
 
 mod begin;
 mod clock;
@@ -118,9 +117,8 @@ pub enum EngineError {
 
 /// Runs trials until all have ended or a stop is requested. `control` receives commands.
 ///
-/// `work` returns the job of a trial in the form that workers read. Call this from the main thread, because workers die
-/// with the thread
-/// that started them.
+/// `work` returns the job of a trial in the form that workers read. Call this from the main thread, because workers die with
+/// the thread that started them.
 ///
 /// # Errors
 /// If the machine's limits are too low, nothing can be recorded, or no worker starts.

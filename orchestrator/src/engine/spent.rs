@@ -1,6 +1,5 @@
-//! CPU seconds of attempts, measured from the processes of their workers. They include set-up, repeated steps and the
-//! work of killed
-//! workers.
+//! CPU seconds of attempts, measured from the processes of their workers. They include set-up, repeated steps and the work of
+//! killed workers.
 
 use std::collections::HashMap;
 use std::time::{Duration, Instant};

@@ -100,8 +100,8 @@ impl Engine<'_> {
             },
             Command::Reload => {
                 let (reread, read) = (Arc::clone(&self.control.reread), self.rereads.clone());
-                // Reading 10⁵ trials takes seconds. If the receiver is gone, the run has ended, and the client gets
-                // that answer.
+                // Reading 10⁵ trials takes seconds. If the receiver is gone, the run has ended, and the client gets that
+                // answer.
                 drop(tokio::task::spawn_blocking(move || drop(read.send((reread(), request)))));
                 return;
             }

@@ -1,7 +1,7 @@
 //! The only writer to the store: takes entries from a queue and writes them in shared transactions.
 //!
-//! All entries that wait when a transaction begins share it, so that one fsync serves many records. `Written` is sent
-//! after the commit.
+//! All entries that wait when a transaction begins share it, so that one fsync serves many records. `Written` is sent after the
+//! commit.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;

@@ -2,8 +2,8 @@ use std::os::unix::fs::{PermissionsExt, symlink};
 
 use super::*;
 
-/// A file can be created, overwritten with its permissions kept, and written through a link or to a device; errors
-/// leave the old one.
+/// A file can be created, overwritten with its permissions kept, and written through a link or to a device; errors leave the
+/// old one.
 #[test]
 fn a_file_is_the_old_one_or_the_new_one() {
     let bench = tempfile::tempdir().unwrap();

@@ -1,8 +1,7 @@
 //! Starts, watches and ends worker processes. The operating system reports whether a worker is alive.
 //!
-//! A worker runs the same program (`/proc/self/exe`), so that both are always the same build. It is killed when the
-//! *thread* that
-//! started it ends: call `Fleet::spawn` from a thread that lives as long as the run.
+//! A worker runs the same program (`/proc/self/exe`), so that both are always the same build. It is killed when the *thread*
+//! that started it ends: call `Fleet::spawn` from a thread that lives as long as the run.
 
 mod processes;
 
@@ -145,8 +144,7 @@ async fn watch(
     let _ = heard.send((worker, Heard::End(reason))).await;
 }
 
-/// Waits for a process to end by itself or by `kill` on request. `None`: it did not end `within` this time after the
-/// kill.
+/// Waits for a process to end by itself or by `kill` on request. `None`: it did not end `within` this time after the kill.
 async fn end<T, K>(
     wait: impl Future<Output = T>,
     killed: &mut oneshot::Receiver<()>,
@@ -180,9 +178,8 @@ const OUT_OF_MEMORY: &[u8] = b"memory allocation of ";
 const LINE: usize = 4096;
 const LINES: usize = 1000;
 
-/// Forwards a worker's standard error to the log and to `heard`. Reads everything, so that the worker never blocks.
-/// Returns whether the
-/// worker ran out of memory.
+/// Forwards a worker's standard error to the log and to `heard`. Reads everything, so that the worker never blocks. Returns
+/// whether the worker ran out of memory.
 async fn pass_on(worker: WorkerId, errors: impl AsyncRead + Unpin, heard: Sender<(WorkerId, Heard)>) -> bool {
     let (mut errors, mut line) = (BufReader::new(errors), Vec::new());
     let (mut lines, mut out_of_memory) = (0, false);

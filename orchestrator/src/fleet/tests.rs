@@ -32,8 +32,7 @@ async fn a_process_ends_by_itself_or_by_the_kill() {
     }
 }
 
-/// Invalid text, a very long unterminated line and too many lines are all read; what is forwarded is text of bounded
-/// length.
+/// Invalid text, a very long unterminated line and too many lines are all read; what is forwarded is text of bounded length.
 #[tokio::test]
 async fn whatever_a_worker_writes_is_read_and_bounded() {
     let worker = WorkerId { slot: 0, generation: 1 };

@@ -1,8 +1,6 @@
-
 use super::*;
 
-/// Marks of an ended process on this host count as abandoned; fresh ones of a host whose name ends like this one do
-/// not.
+/// Marks of an ended process on this host count as abandoned; fresh ones of a host whose name ends like this one do not.
 #[test]
 fn marks_of_other_machines_are_not_ours() {
     let own = own_mark();

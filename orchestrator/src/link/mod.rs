@@ -1,8 +1,7 @@
 //! The orchestrator's side of iceoryx2: one domain per worker process, and a thread that reads from it.
 //!
-//! The thread forwards messages to a tokio channel. Nothing waits for the thread without a time limit: if iceoryx2
-//! hangs in the domain of
-//! a killed process, the run continues.
+//! The thread forwards messages to a tokio channel. Nothing waits for the thread without a time limit: if iceoryx2 hangs in the
+//! domain of a killed process, the run continues.
 
 mod runtime;
 

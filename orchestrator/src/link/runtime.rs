@@ -6,8 +6,7 @@
 //! /dev/shm/metasense-ID_3.12_…    its segments
 //! ```
 //! A directory whose lock is free is abandoned, and so are segments without a directory. Those of other users cannot be
-//! removed, but do no
-//! harm: no two runs share a name.
+//! removed, but do no harm: no two runs share a name.
 
 use std::fs::{DirBuilder, File};
 use std::io;

@@ -6,9 +6,8 @@ use metasense_schemas::spec::{
 };
 use metasense_worker::problem::lags;
 
-/// Kind of the decoder of the bodies, and of the decoder that trains them. Stacked and inverse decoders do not train;
-/// linear ones replace
-/// them.
+/// Kind of the decoder of the bodies, and of the decoder that trains them. Stacked and inverse decoders do not train; linear
+/// ones replace them.
 fn kinds(spec: &SweepSpec) -> [BrainKind; 2] {
     let own = match spec.brain.kind {
         BrainKind::Stacked | BrainKind::Inverse => BrainKind::Linear,
@@ -30,8 +29,7 @@ fn looks_back_alone(spec: &SweepSpec) -> bool {
     spec.brain.kind == BrainKind::Stacked && spec.brain.network().causal
 }
 
-/// Decoder, training, evaluation and deviations of a combination, with defaults, without keys that its decoders do not
-/// use.
+/// Decoder, training, evaluation and deviations of a combination, with defaults, without keys that its decoders do not use.
 pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option<Variation>) {
     let ([reader, trainer], none) = (kinds(spec), Brain::default());
     let (mut brain, mut optimise, mut evaluation) = (
@@ -74,8 +72,7 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
         units.sort_unstable();
         units
     });
-    // without deviations, an objective runs over the parts of a mixture; by default, the parts share the batch of a
-    // single body
+    // without deviations, an objective runs over the parts of a mixture; by default, the parts share the batch of a single body
     if let (Some(_), None, Some(parts)) = (optimise.objective, spec.variation, &spec.stimuli.mix) {
         optimise.casts.get_or_insert(parts.len());
         optimise.batch.get_or_insert(Optimise::BATCH.div_ceil(parts.len().max(1)));

@@ -18,8 +18,7 @@ const SINGLE: f64 = 0.65;
 const SINGLE_FROM: f64 = 1e-3;
 /// Steps of trained bodies relative to the initial one: their natural frequencies are higher.
 const GROWN: f64 = 1.3;
-/// Time per sample of casts relative to one body: few samples leave half of the SIMD lanes empty, and casts need more
-/// steps.
+/// Time per sample of casts relative to one body: few samples leave half of the SIMD lanes empty, and casts need more steps.
 const FEW: f64 = 2.0;
 /// Time of the reverse sweep, including forward recomputation, relative to the simulation.
 const REVERSE: f64 = 1.7;
@@ -40,8 +39,7 @@ const CAST_FACTORS: f64 = 70.0;
 const INVERSION: f64 = 250.0;
 const TWINS: f64 = 12_000.0;
 
-/// Number of the decoder's weights, biases included: of a network, a linear decoder (per lag), or both for a stacked
-/// decoder.
+/// Number of the decoder's weights, biases included: of a network, a linear decoder (per lag), or both for a stacked decoder.
 pub(super) fn brain_parameters(trial: &TrialSpec) -> usize {
     let linear = || trial.point.panels * (unknowns(trial, trial.brain.memory) + 1);
     match trial.brain.kind {
@@ -88,9 +86,8 @@ fn root(x: f64, n: i32) -> f64 {
     y
 }
 
-/// Seconds of a trial on one core of this machine, and its weight: milliseconds on the rated core, at least 1, the same
-/// on every
-/// machine.
+/// Seconds of a trial on one core of this machine, and its weight: milliseconds on the rated core, at least 1, the same on
+/// every machine.
 #[must_use]
 pub fn of(trial: &TrialSpec, units: usize) -> (Parts<f64>, Parts<u64>) {
     let whole = |seconds: f64| (seconds * 1e3).round().clamp(1.0, MOST_WEIGHT) as u64;
@@ -201,8 +198,7 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
     Parts { steps: optimise.steps() as f64 * step, comparison }
 }
 
-/// Seconds of trials on some workers with some threads each: the work divided evenly, but at least that of the longest
-/// trial.
+/// Seconds of trials on some workers with some threads each: the work divided evenly, but at least that of the longest trial.
 #[must_use]
 pub fn seconds_on(trials: &[&Trial], workers: u32, threads: u32) -> f64 {
     let longest = trials.iter().map(|trial| trial.cost.sum(true)).fold(0.0, f64::max);

@@ -160,8 +160,8 @@ impl Space {
         let named: Vec<&String> =
             sweep.axes.keys().chain(sweep.points.iter().flat_map(|point| point.keys())).collect();
         let (axes, coordinates) = coordinates(&trials, &named);
-        // `looks` numbers kinds of test errors: those of the decoder in training, on the body as designed or over its
-        // training casts
+        // `looks` numbers kinds of test errors: those of the decoder in training, on the body as designed or over its training
+        // casts
         let loops = trials.iter().map(|trial| &trial.spec.optimise);
         let looks = numbered(loops.map(|o| (o.protocol, o.brain, o.objective)));
         let sensors = numbered(trials.iter().map(|t| (t.units, &t.spec.sensor_units, &t.spec.panel_units)));
@@ -260,8 +260,7 @@ fn reader(goal: &Goal, trial: &TrialSpec) -> Result<Option<CastBrain>, &'static 
 }
 
 /// Keys in which the trials' settings differ, one per pattern of values, keys of the sweep first; and the settings as
-/// coordinates from 0
-/// to 1: scaled logarithms of numbers, one coordinate per value of anything else.
+/// coordinates from 0 to 1: scaled logarithms of numbers, one coordinate per value of anything else.
 fn coordinates(trials: &[&Trial], named: &[&String]) -> (Vec<String>, Vec<Vec<f64>>) {
     const NOT: [&str; 2] = ["point.placement", "point.seed"];
     let all: Vec<BTreeMap<String, Value>> = trials
@@ -317,9 +316,8 @@ fn scaled(numbers: &[f64]) -> Vec<f64> {
     values.iter().map(|x| (x - low) / (high - low).max(f64::MIN_POSITIVE)).collect()
 }
 
-/// Outer steps at which the partial trainings (rungs) of a trial end, just after an evaluation of the test set; `None`
-/// for rungs that short
-/// trainings lack.
+/// Outer steps at which the partial trainings (rungs) of a trial end, just after an evaluation of the test set; `None` for
+/// rungs that short trainings lack.
 #[must_use]
 pub fn rungs(trial: &TrialSpec) -> [Option<u32>; LEVELS - 1] {
     let steps = trial.optimise.steps() as u32;
@@ -328,9 +326,8 @@ pub fn rungs(trial: &TrialSpec) -> [Option<u32>; LEVELS - 1] {
     [rung(first, 0), rung(second, first)]
 }
 
-/// Trials that evaluate a trial's trained body on the first `seeds` fresh seeds: only decoders are trained. Sensors
-/// have the disturbances
-/// of the trial.
+/// Trials that evaluate a trial's trained body on the first `seeds` fresh seeds: only decoders are trained. Sensors have the
+/// disturbances of the trial.
 ///
 /// # Panics
 /// If `body` is not a body of a trial.

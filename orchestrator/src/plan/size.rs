@@ -3,17 +3,14 @@
 //! ```text
 //! s = diameter / (columns · spacing)      lengths × s      k_θ, k_c × s²      Adam's rate on α × s
 //! ```
-//! A ligament of width w and length l in a sheet of thickness t has k_l ~ E t w/l and k_s ~ E t (w/l)³, which scaling
-//! keeps, and
-//! k_θ ~ E t w³/l. The disc thus keeps its mass and its resistance to deformation; only its units become smaller. The
-//! formulas of a
-//! material (`problem::sheet`) use the lengths as written.
+//! A ligament of width w and length l in a sheet of thickness t has k_l ~ E t w/l and k_s ~ E t (w/l)³, which scaling keeps,
+//! and k_θ ~ E t w³/l. The disc thus keeps its mass and its resistance to deformation; only its units become smaller. The
+//! formulas of a material (`problem::sheet`) use the lengths as written.
 
 use metasense_schemas::spec::{Body, LayoutKind, SweepSpec};
 use metasense_worker::problem::{Invalid, sheet};
 
-/// The spec with the lengths for `body.diameter` or `body.width` and the properties of `body.material`; and the scale
-/// s.
+/// The spec with the lengths for `body.diameter` or `body.width` and the properties of `body.material`; and the scale s.
 ///
 /// # Errors
 /// If a size is invalid or belongs to the other layout; if the material is missing or given twice.

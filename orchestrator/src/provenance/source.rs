@@ -1,8 +1,7 @@
 //! The sources of the program, for its build script: a digest of the code that affects results, and the git commit.
 //!
-//! Trials depend on the digest only. It distinguishes uncommitted states and needs no git; changes of documents or the
-//! report do not
-//! change it. The commit is for people.
+//! Trials depend on the digest only. It distinguishes uncommitted states and needs no git; changes of documents or the report
+//! do not change it. The commit is for people.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -53,8 +52,7 @@ fn add_files(root: &Path, path: &Path, files: &mut Vec<PathBuf>) -> io::Result<(
     Ok(())
 }
 
-/// Twelve digits of the commit, with `-dirty` if the sources have uncommitted changes; `None` if git does not track
-/// them.
+/// Twelve digits of the commit, with `-dirty` if the sources have uncommitted changes; `None` if git does not track them.
 pub fn revision(root: &Path) -> Option<String> {
     git(root, &["ls-files", "--error-unmatch", "Cargo.toml"])?;
     let commit = git(root, &["rev-parse", "--short=12", "HEAD"])?;

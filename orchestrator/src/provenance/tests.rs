@@ -8,8 +8,8 @@ fn git(root: &Path, arguments: &[&str]) {
     assert!(done.is_ok_and(|output| output.status.success()), "git {arguments:?}");
 }
 
-/// Without git there is a digest but no commit. Sources that affect results change the digest; other sources only make
-/// the build dirty.
+/// Without git there is a digest but no commit. Sources that affect results change the digest; other sources only make the
+/// build dirty.
 #[test]
 fn code_is_told_with_git_and_without() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,6 +1,5 @@
-//! Sweeps whose trials depend on earlier results: rounds of trials for the questions of [until], or for the search of
-//! [goal]. [`Runs`] is
-//! implemented by whatever runs trials: the workers of this process, or shards.
+//! Sweeps whose trials depend on earlier results: rounds of trials for the questions of [until], or for the search of [goal].
+//! [`Runs`] is implemented by whatever runs trials: the workers of this process, or shards.
 
 mod search;
 
@@ -55,7 +54,7 @@ pub trait Runs {
 /// If a round cannot be run.
 ///
 /// # Panics
-/// If the sweep has no questions.
+/// If the sweep has no [until].
 pub async fn rounds<R: Runs>(mut round: R, mut again: Again) -> Result<Option<Outcome>, R::Error> {
     let mut said = Vec::new();
     loop {

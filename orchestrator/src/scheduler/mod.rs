@@ -1,10 +1,8 @@
 //! All decisions of a run: `on_event(&mut State, Event) -> Vec<Action>`, without clock, randomness or I/O.
 //!
-//! A trial is `pending → running → recording → done`, or `failed`, or pending again; a worker's slot is `empty →
-//! starting → idle ⇄ busy →
-//! ending → empty`. Every message carries its lease (trial, attempt); a message whose lease its worker does not hold is
-//! counted and
-//! dropped. The scheduler passes records on without reading them ([`Payload`]).
+//! A trial is `pending → running → recording → done`, or `failed`, or pending again; a worker's slot is `empty → starting →
+//! idle ⇄ busy → ending → empty`. Every message carries its lease (trial, attempt); a message whose lease its worker does not
+//! hold is counted and dropped. The scheduler passes records on without reading them ([`Payload`]).
 
 mod bodies;
 mod event;

@@ -1,6 +1,5 @@
-//! Shortages of the machine (memory, threads, …). After each, no trials are assigned for a while, longer each time,
-//! until a trial makes
-//! progress or the machine is given up.
+//! Shortages of the machine (memory, threads, …). After each, no trials are assigned for a while, longer each time, until a
+//! trial makes progress or the machine is given up.
 
 use metasense_schemas::reason::Reason;
 
@@ -18,8 +17,8 @@ pub(super) struct Shortage {
 }
 
 impl Shortage {
-    /// Notes that an attempt failed for this reason; `wait` maps the number of consecutive shortages to a time.
-    /// Simultaneous ones count once.
+    /// Notes that an attempt failed for this reason; `wait` maps the number of consecutive shortages to a time. Simultaneous
+    /// ones count once.
     pub fn met(&mut self, reason: Reason, now: Millis, wait: impl FnOnce(u32) -> Millis) {
         self.of = Some(reason);
         if now >= self.until {

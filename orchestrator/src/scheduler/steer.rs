@@ -1,7 +1,7 @@
 //! Commands to a running sweep: each is an event and gets one answer; a refused command changes nothing.
 //!
-//! A pause stops running trials after their steps in progress and frees the machine; a trial itself may run for hours.
-//! Workers stay idle.
+//! A pause stops running trials after their steps in progress and frees the machine; a trial itself may run for hours. Workers
+//! stay idle.
 
 use std::fmt;
 

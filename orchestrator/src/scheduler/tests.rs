@@ -1,14 +1,10 @@
-//! Simulates the scheduler's environment: workers that die, hang, lag, repeat messages, send them late or stop slowly,
-//! and people who
-//! pause, cancel, add and change their minds.
+//! Simulates the scheduler's environment: workers that die, hang, lag, repeat messages, send them late or stop slowly, and
+//! people who pause, cancel, add and change their minds.
 //!
-//! Events come from a queue ordered by time, drawn from a seed. After every event: no trial is lost, with two workers
-//! or recorded twice;
-//! no attempt number is reused; no body is trained by two workers; nothing is assigned in a pause, after its
-//! cancellation, or to more
-//! workers than requested; no shortage counts against a trial. Every run ends, within its grace after a stop. A failing
-//! seed prints its
-//! history.
+//! Events come from a queue ordered by time, drawn from a seed. After every event: no trial is lost, with two workers or
+//! recorded twice; no attempt number is reused; no body is trained by two workers; nothing is assigned in a pause, after its
+//! cancellation, or to more workers than requested; no shortage counts against a trial. Every run ends, within its grace after
+//! a stop. A failing seed prints its history.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
@@ -241,8 +237,7 @@ impl World {
         self.at(when, event);
     }
 
-    /// Schedules a message. Messages of a worker keep their order; an echo may come at any time, even after the
-    /// worker's death.
+    /// Schedules a message. Messages of a worker keep their order; an echo may come at any time, even after the worker's death.
     fn say(&mut self, when: Millis, event: Event<Simulated>) {
         if self.dice.percent(self.chance_of_echo) {
             let late = when + self.dice.below(30_000);

@@ -17,9 +17,8 @@ impl Write for Slow {
     }
 }
 
-/// Writing twice the memory limit to a blocked reader does not block. All bytes arrive in order, also those written
-/// after the file was
-/// emptied.
+/// Writing twice the memory limit to a blocked reader does not block. All bytes arrive in order, also those written after the
+/// file was emptied.
 #[test]
 fn what_is_not_taken_waits_and_arrives_in_order() {
     let (go, wait) = mpsc::channel();

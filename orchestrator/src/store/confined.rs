@@ -21,9 +21,8 @@ pub struct Limits {
     pub time: Duration,
 }
 
-/// Longest text or blob that SQLite may read or create (bytes). It keeps every function below one second, except those
-/// in `SLOW`. Specs and
-/// results are shorter; most arrays are longer.
+/// Longest text or blob that SQLite may read or create (bytes). It keeps every function below one second, except those in
+/// `SLOW`. Specs and results are shorter; most arrays are longer.
 const LONGEST: c_int = 256 << 10;
 /// Longest pattern of LIKE and GLOB (bytes).
 const PATTERN: c_int = 500;
@@ -35,9 +34,8 @@ const ROWS_AHEAD: usize = 4;
 const OPERATIONS: c_int = 20;
 
 impl Reader {
-    /// Opens a database for untrusted SQL. As [`Reader::open`], but limits the length of values and thereby the time of
-    /// a single operation, which
-    /// cannot be interrupted.
+    /// Opens a database for untrusted SQL. As [`Reader::open`], but limits the length of values and thereby the time of a
+    /// single operation, which cannot be interrupted.
     ///
     /// # Errors
     /// As [`Reader::open`].

@@ -1,5 +1,4 @@
-//! Opens a database for reading and never changes it. If the file or its folder is not writable, no journal files are
-//! created.
+//! Opens a database for reading and never changes it. If the file or its folder is not writable, no journal files are created.
 
 use std::fs::{File, Metadata};
 use std::os::unix::fs::MetadataExt;

@@ -12,9 +12,8 @@ const KEPT: usize = 20;
 const NAME: &str = "design_step_";
 
 impl Store {
-    /// Keeps a checkpoint's design if its step is due: the last step, and every n-th step counted back from it, n =
-    /// steps / `KEPT` rounded up. The
-    /// choice does not depend on interruptions.
+    /// Keeps a checkpoint's design if its step is due: the last step, and every n-th step counted back from it, n = steps /
+    /// `KEPT` rounded up. The choice does not depend on interruptions.
     pub(super) async fn insert_design(&mut self, id: i64, checkpoint: &Checkpoint) -> sqlx::Result<()> {
         let (steps, step) = (self.optimise(id).await?.steps(), checkpoint.step);
         let apart = steps.div_ceil(KEPT).max(1);

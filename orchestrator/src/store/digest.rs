@@ -1,5 +1,5 @@
-//! BLAKE3 checksums of checkpoints and arrays, stored with the bytes and verified on every read. Rows without a
-//! checksum are not verified.
+//! BLAKE3 checksums of checkpoints and arrays, stored with the bytes and verified on every read. Rows without a checksum are
+//! not verified.
 
 use std::ffi::c_int;
 

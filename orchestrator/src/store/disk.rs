@@ -1,6 +1,5 @@
-//! Detects network file systems. They lack the shared memory and reliable locks that SQLite's write-ahead log needs: a
-//! database in use
-//! there is eventually corrupted.
+//! Detects network file systems. They lack the shared memory and reliable locks that SQLite's write-ahead log needs: a database
+//! in use there is eventually corrupted.
 
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
@@ -64,8 +63,8 @@ const BY_SUBTYPE: &[&str] = &[
     "virtiofs",
 ];
 
-/// Name of a network file system, given `f_type` and, for FUSE, the type in the mount table (`fuse.sshfs`); `None` for
-/// a local one.
+/// Name of a network file system, given `f_type` and, for FUSE, the type in the mount table (`fuse.sshfs`); `None` for a local
+/// one.
 #[must_use]
 pub fn network(magic: u64, mounted_as: &str) -> Option<String> {
     if magic == FUSE {

@@ -1,6 +1,5 @@
-//! Additional SQL functions for readers: `exp`, `ln`, `pow`, `sqrt`; aggregates `median(X)` and `percentile(X, P)`. The
-//! result is NULL if an
-//! argument is not a number or outside the domain; aggregates skip NULL.
+//! Additional SQL functions for readers: `exp`, `ln`, `pow`, `sqrt`; aggregates `median(X)` and `percentile(X, P)`. The result
+//! is NULL if an argument is not a number or outside the domain; aggregates skip NULL.
 
 use std::ffi::{CStr, c_int};
 

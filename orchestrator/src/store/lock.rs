@@ -7,9 +7,8 @@ use std::time::Duration;
 
 use super::StoreError;
 
-/// Attempts at a lock, and the pause between them: a reader that tidies up holds the lock for some milliseconds, a run
-/// for its whole
-/// duration.
+/// Attempts at a lock, and the pause between them: a reader that tidies up holds the lock for some milliseconds, a run for its
+/// whole duration.
 const ATTEMPTS: usize = 20;
 const PAUSE: Duration = Duration::from_millis(10);
 
@@ -33,8 +32,7 @@ pub(crate) fn has_journal(file: &Path) -> bool {
 /// Excludes other writers from a file while the handle exists; `create`: creates a missing file.
 ///
 /// # Errors
-/// `InUse` if another process holds the lock; `Unwritable` if the file cannot be opened or locked, or is not a regular
-/// file.
+/// `InUse` if another process holds the lock; `Unwritable` if the file cannot be opened or locked, or is not a regular file.
 pub(crate) fn lock(path: &Path, create: bool) -> Result<File, StoreError> {
     let unwritable = |source| StoreError::Unwritable { path: path.to_owned(), source };
     for attempt in 0..ATTEMPTS {

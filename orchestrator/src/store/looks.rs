@@ -84,9 +84,8 @@ impl Reader {
         Ok(found)
     }
 
-    /// CPU seconds per trial of the sweep with this text, by hash: of all attempts, and of those that made the result,
-    /// if the trial is done
-    /// and they are known.
+    /// CPU seconds per trial of the sweep with this text, by hash: of all attempts, and of those that made the result, if the
+    /// trial is done and they are known.
     ///
     /// # Errors
     /// If SQLite fails.
@@ -111,9 +110,8 @@ impl Reader {
 }
 
 impl Standing {
-    /// After `steps` outer steps: the best test error (%), or the last training error without any test; the inner
-    /// `None` without both. The
-    /// outer `None`: fewer steps are done.
+    /// After `steps` outer steps: the best test error (%), or the last training error without any test; the inner `None`
+    /// without both. The outer `None`: fewer steps are done.
     #[must_use]
     pub fn after(&self, steps: u32) -> Option<Option<f64>> {
         let until: Vec<&Look> = self.looks.iter().take_while(|look| look.step < steps).collect();

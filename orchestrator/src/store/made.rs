@@ -61,9 +61,8 @@ impl Reader {
         Ok(rows.into_iter().map(made).collect())
     }
 
-    /// Whether a sweep may have stopped early, depending on its results: it has `[until]`, or `[goal]` and unfinished
-    /// trials, which `design`
-    /// leaves but `run` does not.
+    /// Whether a sweep may have stopped early, depending on its results: it has `[until]`, or `[goal]` and unfinished trials,
+    /// which `design` leaves but `run` does not.
     ///
     /// # Errors
     /// If SQLite fails.
@@ -94,8 +93,7 @@ impl Reader {
         Ok(hashes)
     }
 
-    /// The trial that differs from a spec in the fewest keys; if several do, the first by hash. `None` if there are no
-    /// trials.
+    /// The trial that differs from a spec in the fewest keys; if several do, the first by hash. `None` if there are no trials.
     ///
     /// # Errors
     /// If SQLite fails or a stored spec is not JSON.

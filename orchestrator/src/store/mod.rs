@@ -1,10 +1,8 @@
 //! The store: one SQLite file per database, one writer, any number of readers.
 //!
-//! In WAL mode with `synchronous = FULL`, data is on disk when a method returns, and survives `kill -9` and power loss.
-//! Each transaction
-//! costs one fsync; `begin_batch` … `commit_batch` shares it among many records. A file lock excludes a second writer
-//! while a `Store`
-//! exists. All methods fail if SQLite does; their documentation lists other errors.
+//! In WAL mode with `synchronous = FULL`, data is on disk when a method returns, and survives `kill -9` and power loss. Each
+//! transaction costs one fsync; `begin_batch` … `commit_batch` shares it among many records. A file lock excludes a second
+//! writer while a `Store` exists. All methods fail if SQLite does; their documentation lists other errors.
 
 mod allow;
 mod confined;
@@ -81,8 +79,8 @@ impl Store {
     /// Opens or creates a database, and sets trials that a dead run left `running` to `pending`.
     ///
     /// # Errors
-    /// If the file is unwritable, not a metasense database, of another version, on a network file system, or used by
-    /// another run.
+    /// If the file is unwritable, not a metasense database, of another version, on a network file system, or used by another
+    /// run.
     pub async fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
         Self::open_file(path.as_ref().to_owned()).await.map_err(StoreError::on_opening)
     }

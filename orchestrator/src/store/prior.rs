@@ -18,9 +18,8 @@ pub struct Attempted {
     pub steps: Option<u32>,
 }
 
-/// Trials `m` whose steps other trials with the same body can take over, and the number of these steps. All work on `m`
-/// must be by this
-/// program's code (`?2`) and instruction set (`?3`). Finished trials have all their steps.
+/// Trials `m` whose steps other trials with the same body can take over, and the number of these steps. All work on `m` must be
+/// by this program's code (`?2`) and instruction set (`?3`). Finished trials have all their steps.
 const TRAINERS: &str = "
     SELECT m.id, m.hash, m.training, m.best_step,
       CASE m.state WHEN 'done' THEN CAST(m.spec->>'$.optimise.iterations' AS INTEGER) ELSE c.step END AS reached
@@ -47,9 +46,8 @@ impl Store {
         Ok(rows.into_iter().collect())
     }
 
-    /// The checkpoint from which an attempt resumes: its own, or that of a trial that has trained the same body
-    /// further, whose steps it takes
-    /// over; at most `pause` steps. `None`: it starts from the beginning.
+    /// The checkpoint from which an attempt resumes: its own, or that of a trial that has trained the same body further, whose
+    /// steps it takes over; at most `pause` steps. `None`: it starts from the beginning.
     ///
     /// # Errors
     /// If SQLite fails; or its own checkpoint is damaged or of another version, and no other trial has a usable one.
@@ -112,9 +110,8 @@ impl Store {
         Ok(Some(body))
     }
 
-    /// The body that a trial has trained for `reached` steps: from its checkpoint, or from its result if it is done.
-    /// The inner error: the stored
-    /// data cannot be used.
+    /// The body that a trial has trained for `reached` steps: from its checkpoint, or from its result if it is done. The inner
+    /// error: the stored data cannot be used.
     async fn body_of(
         &mut self,
         id: i64,

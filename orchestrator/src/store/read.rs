@@ -1,7 +1,7 @@
 //! Read-only queries of a database, also while a run writes to it.
 //!
-//! A read-only connection creates missing journal files, but cannot remove them. `close` does, unless another process
-//! uses the database.
+//! A read-only connection creates missing journal files, but cannot remove them. `close` does, unless another process uses the
+//! database.
 
 use std::path::{Path, PathBuf};
 
@@ -172,7 +172,7 @@ impl Reader {
     /// Answers a single statement that reads.
     ///
     /// # Errors
-    /// With SQLite's message.
+    /// With SQLite's message, if the statement is invalid or refused.
     pub async fn query<T: From<Answer>>(&mut self, sql: &str) -> Result<T, StoreError> {
         let (columns, mut rows) = (self.columns(sql).await?, Vec::new());
         self.each(sql, |row| {
@@ -186,7 +186,7 @@ impl Reader {
     /// The column names of an answer.
     ///
     /// # Errors
-    /// With SQLite's message.
+    /// With SQLite's message, if the statement is invalid or refused.
     pub async fn columns(&mut self, sql: &str) -> Result<Vec<String>, StoreError> {
         // A NUL kills sqlx's thread, and the caller would wait forever.
         if sql.contains('\0') {
@@ -229,8 +229,7 @@ impl Reader {
         types
     }
 
-    /// Passes the rows of one statement to `take`, until it fails. [`Reader::columns`] must have accepted the
-    /// statement.
+    /// Passes the rows of one statement to `take`, until it fails. [`Reader::columns`] must have accepted the statement.
     ///
     /// # Errors
     /// If SQLite or `take` fails.
@@ -291,8 +290,7 @@ impl Reader {
         found.map_err(|source| StoreError::sql(&self.path, "reading", source))
     }
 
-    /// Opens the database with a trial's steps, curves and arrays if only its facts are stored here. The caller must
-    /// close it.
+    /// Opens the database with a trial's steps, curves and arrays if only its facts are stored here. The caller must close it.
     ///
     /// # Errors
     /// `Elsewhere` if that database cannot be read or lacks the trial.

@@ -19,8 +19,7 @@ pub struct Stored {
     pub losses: [Vec<f32>; 2],
     /// The time integrator and why it was chosen.
     pub solver: String,
-    /// Half-widths (N) of the bands around the estimated forces, T × K: per instant and per sample; empty if not
-    /// stored.
+    /// Half-widths (N) of the bands around the estimated forces, T × K: per instant and per sample; empty if not stored.
     pub bands: [[Vec<f64>; 2]; 2],
 }
 

@@ -8,9 +8,8 @@ use super::write::VERSION;
 use super::{Store, StoreError};
 
 impl Store {
-    /// Records a sweep and its new trials. If nothing is new, changes nothing, except that it updates changed paths of
-    /// recorded forces and
-    /// replaces damaged specs.
+    /// Records a sweep and its new trials. If nothing is new, changes nothing, except that it updates changed paths of recorded
+    /// forces and replaces damaged specs.
     ///
     /// # Errors
     /// `FactsAlone` if the database contains only facts, from which trials cannot resume.

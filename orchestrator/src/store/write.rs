@@ -28,8 +28,7 @@ pub struct Array<'a> {
     pub npy: &'a [u8],
 }
 
-/// Ends attempts that a dead run left running, at the time of their last recorded step. Gives the same result whenever
-/// it runs.
+/// Ends attempts that a dead run left running, at the time of their last recorded step. Gives the same result whenever it runs.
 pub(crate) const RELEASE_ORPHANS: &str = "
     UPDATE main.attempt AS a SET state = 'failed', reason = 'orchestrator_lost',
       ended_at = coalesce(a.ended_at, (SELECT max(p.recorded_at) FROM main.step p
@@ -272,9 +271,8 @@ impl Store {
         Ok(())
     }
 
-    /// Records the result of a trial with its arrays, sets it to done and deletes its checkpoint. Designs, weights and
-    /// losses may be in the
-    /// result or, under their names in the database, among the arrays.
+    /// Records the result of a trial with its arrays, sets it to done and deletes its checkpoint. Designs, weights and losses
+    /// may be in the result or, under their names in the database, among the arrays.
     ///
     /// # Errors
     /// `Stale` if the attempt is not the current one.
@@ -516,8 +514,8 @@ impl Store {
         self.end(hash, attempt, reason, "failed").await
     }
 
-    /// Sets a pending trial to `failed`; its data stays. Records an attempt, so that a merge recognises the later of
-    /// two copies.
+    /// Sets a pending trial to `failed`; its data stays. Records an attempt, so that a merge recognises the later of two
+    /// copies.
     pub async fn settle(&mut self, hash: &str, reason: &str) -> Result<(), StoreError> {
         let attempt = self.begin_attempt(hash).await?;
         self.fail(hash, attempt, reason).await
@@ -542,8 +540,7 @@ impl Store {
         .await
     }
 
-    /// Ends the current attempt; false if it is not current. The clock may have been set back, but times never
-    /// decrease.
+    /// Ends the current attempt; false if it is not current. The clock may have been set back, but times never decrease.
     async fn end_attempt(
         &mut self,
         id: i64,

@@ -1,5 +1,4 @@
-//! Conclusions from the diagram: the cheapest method at an error of 1e-3, the choice of `auto`, and Tsit5 at equal
-//! error.
+//! Conclusions from the diagram: the cheapest method at an error of 1e-3, the choice of `auto`, and Tsit5 at equal error.
 
 use super::picture::{METHODS, Mark, SCENES};
 

@@ -1,10 +1,8 @@
-//! Measures the integrators: error of the signals and of dα against milliseconds per sample, and the race over 300
-//! samples for comparison
-//! with another program.
+//! Measures the integrators: error of the signals and of dα against milliseconds per sample, and the race over 300 samples for
+//! comparison with another program.
 //!
-//! The reference solution of a scene is `nystrom6` with steps so short that its error is far below all measured ones.
-//! The tightest run of
-//! Tsit5, a different method, is a point of the diagram; its error bounds that of the reference.
+//! The reference solution of a scene is `nystrom6` with steps so short that its error is far below all measured ones. The
+//! tightest run of Tsit5, a different method, is a point of the diagram; its error bounds that of the reference.
 
 use metasense::look::row;
 use metasense::say;
@@ -74,8 +72,7 @@ impl BenchScene {
     }
 }
 
-/// Phase of the highest mode per force evaluation of the reference solution (rad); smaller for contact, which is not
-/// smooth.
+/// Phase of the highest mode per force evaluation of the reference solution (rad); smaller for contact, which is not smooth.
 fn truth(kind: BenchScene) -> f64 {
     if kind == BenchScene::Contact { 0.03 } else { 0.12 }
 }
@@ -128,8 +125,8 @@ impl Subject {
         Self { scene, design, forces, cotangent: Vec::new() }
     }
 
-    /// Sets the cotangent, so that dα is the gradient of half the mean square of these signals, each channel divided by
-    /// its RMS.
+    /// Sets the cotangent, so that dα is the gradient of half the mean square of these signals, each channel divided by its
+    /// RMS.
     fn differentiate(&mut self, signals: &[f64]) {
         let channels = 3 * self.scene.sensors.len();
         let mut square = vec![0.0; channels];
@@ -218,18 +215,17 @@ pub fn work_precision(kind: BenchScene, samples: usize, instants: usize) -> Vec<
     points
 }
 
-/// Columns of the race: forward alone, and with gradient. Cycles are per ligament and lane: of a force evaluation with
-/// the rest of its
-/// step, then of the kernels alone, without and with derivatives.
+/// Columns of the race: forward alone, and with gradient. Cycles are per ligament and lane: of a force evaluation with the rest
+/// of its step, then of the kernels alone, without and with derivatives.
 pub const LAP: &str = "solver simd threads samples forward_s forward_cpu_s gradient_s gradient_cpu_s \
     cycles_a_ligament_and_lane kernel_cycles dual_kernel_cycles";
 
 /// Evaluations per timing of the kernels: some 10 ms.
 const KERNELS: usize = 10_000;
 
-/// Times Tsit5 at 1e-6 of its own error norm, as the other program runs, the default and the default of coarse steps,
-/// on one thread and
-/// on `threads`; the last two also with narrower instruction sets on one thread. The fastest of `repeat` runs counts.
+/// Times Tsit5 at 1e-6 of its own error norm, as the other program runs, the default and the default of coarse steps, on one
+/// thread and on `threads`; the last two also with narrower instruction sets on one thread. The fastest of `repeat` runs
+/// counts.
 pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> Vec<Vec<Value>> {
     let mut subject = Subject::new(reference(), samples, instants);
     let mut laps = Vec::new();
@@ -288,8 +284,8 @@ pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> V
     laps
 }
 
-/// Cycles per second of this thread, from dependent multiplications, which take three cycles each on all x86-64
-/// processors with AVX2.
+/// Cycles per second of this thread, from dependent multiplications, which take three cycles each on all x86-64 processors with
+/// AVX2.
 fn clock_frequency() -> f64 {
     const ROUNDS: u32 = 1_000_000;
     let (x, time) = timed(|| {

@@ -1,6 +1,5 @@
-//! A trial without computation, to measure and test the engine. Steps have a known duration. The result depends on each
-//! step, so that lost,
-//! repeated or swapped steps are detected.
+//! A trial without computation, to measure and test the engine. Steps have a known duration. The result depends on each step,
+//! so that lost, repeated or swapped steps are detected.
 
 use std::time::{Duration, Instant};
 

@@ -18,9 +18,8 @@ pub struct Milestone {
     pub design: Vec<f64>,
 }
 
-/// Runs a trial's outer steps on `threads` threads until it is done or the last of `seconds` (ascending) is over.
-/// Records the design at the
-/// first step after each of them and at the end.
+/// Runs a trial's outer steps on `threads` threads until it is done or the last of `seconds` (ascending) is over. Records the
+/// design at the first step after each of them and at the end.
 ///
 /// # Errors
 /// As `run_trial`.

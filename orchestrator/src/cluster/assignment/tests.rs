@@ -37,9 +37,8 @@ fn ratio(assignment: &Assignment, trials: &[Trial]) -> f64 {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Costs vary by a factor of twenty. With at least 10 trials per shard, no shard exceeds 1.15 times the mean, even
-    /// if half as many are
-    /// added later. Assignments never change, and the order of trials has no effect.
+    /// Costs vary by a factor of twenty. With at least 10 trials per shard, no shard exceeds 1.15 times the mean, even if half
+    /// as many are added later. Assignments never change, and the order of trials has no effect.
     #[test]
     fn shards_are_even_and_trials_stay_in_theirs(
         shards in 2_u32..40,
@@ -77,9 +76,8 @@ fn readers(mut trials: Vec<Trial>, each: usize) -> Vec<Trial> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// If trials share bodies, no shard exceeds what a list of whole groups could give it, and several shards train a
-    /// body only if that pays;
-    /// also when trials are added to each body.
+    /// If trials share bodies, no shard exceeds what a list of whole groups could give it, and several shards train a body only
+    /// if that pays; also when trials are added to each body.
     #[test]
     fn trials_of_a_body_stay_together_where_that_pays(
         shards in 1_u32..30,

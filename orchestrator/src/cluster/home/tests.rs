@@ -15,9 +15,8 @@ async fn what_cannot_be_handed_in_stays_where_it_is_said_to_be() {
     assert_eq!(attempts(&folder).into_values().map(|files| files.len()).sum::<usize>(), 1);
 }
 
-/// A damaged live database is moved to the results folder with its log, and the shard resumes from copies. A database
-/// of a newer version,
-/// or another file, is refused and stays.
+/// A damaged live database is moved to the results folder with its log, and the shard resumes from copies. A database of a
+/// newer version, or another file, is refused and stays.
 #[tokio::test]
 async fn a_damaged_live_database_is_set_aside_and_no_other() {
     let bench = tempfile::tempdir().unwrap();

@@ -188,9 +188,8 @@ pub(super) async fn compare(
     Ok(())
 }
 
-/// Names of the result columns, arrays and tables that differ between two copies of a trial. Ignores rows that only one
-/// copy has, because
-/// versions store different arrays.
+/// Names of the result columns, arrays and tables that differ between two copies of a trial. Ignores rows that only one copy
+/// has, because versions store different arrays.
 async fn differing(out: &mut SqliteConnection, tables: &[Compared], copied: &Copied) -> sqlx::Result<String> {
     let mut differ = vec![format!("CASE WHEN {SPECS_DIFFER} THEN 'spec ' ELSE '' END")];
     if copied.state == copied.kept_state {
@@ -223,8 +222,7 @@ async fn differing(out: &mut SqliteConnection, tables: &[Compared], copied: &Cop
     Ok(names.split_whitespace().collect::<Vec<_>>().join(" "))
 }
 
-/// A table to compare, with SQL conditions: whether rows of two copies correspond, and whether their numbers or bytes
-/// differ.
+/// A table to compare, with SQL conditions: whether rows of two copies correspond, and whether their numbers or bytes differ.
 struct Compared {
     table: String,
     keys: String,

@@ -14,9 +14,8 @@ const PAIRS: &str = "
     CREATE TEMP TABLE sweeps AS SELECT s.id AS old, m.id AS new
       FROM src.sweep s LEFT JOIN main.sweep m ON m.name = s.name AND m.text = s.text";
 
-/// Queries for rows that the whole lacks. A trial that has continued in the whole must have all attempts, and a more
-/// advanced, undamaged
-/// checkpoint.
+/// Queries for rows that the whole lacks. A trial that has continued in the whole must have all attempts, and a more advanced,
+/// undamaged checkpoint.
 const LACKING: [&str; 5] = [
     "SELECT 1 FROM temp.pair WHERE new IS NULL UNION ALL SELECT 1 FROM temp.sweeps WHERE new IS NULL",
     "SELECT 1 FROM temp.pair p JOIN src.trial s ON s.id = p.old JOIN main.trial m ON m.id = p.new

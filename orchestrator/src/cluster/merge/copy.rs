@@ -1,9 +1,8 @@
-//! SQL statements of a merge. They read the lists of tables and columns from the schema, so additions of later versions
-//! are included.
+//! SQL statements of a merge. They read the lists of tables and columns from the schema, so additions of later versions are
+//! included.
 //!
-//! First all copies of trials are listed (`candidate`), then the best copy of each is chosen (`kept`), then each input
-//! in turn is copied, so
-//! that tables only grow at their ends.
+//! First all copies of trials are listed (`candidate`), then the best copy of each is chosen (`kept`), then each input in turn
+//! is copied, so that tables only grow at their ends.
 
 use std::path::Path;
 
@@ -45,9 +44,8 @@ pub(super) async fn open(path: &Path) -> sqlx::Result<SqliteConnection> {
     Ok(out)
 }
 
-/// A column of the attached input that is not as in this program's schema. Views in place of tables, computed columns
-/// or defaults could
-/// expand a small file to a huge one. Additional tables and columns are ignored.
+/// A column of the attached input that is not as in this program's schema. Views in place of tables, computed columns or
+/// defaults could expand a small file to a huge one. Additional tables and columns are ignored.
 pub(super) async fn foreign(out: &mut SqliteConnection) -> sqlx::Result<Option<String>> {
     let columns = |schema: &str| {
         format!(
@@ -61,9 +59,8 @@ pub(super) async fn foreign(out: &mut SqliteConnection) -> sqlx::Result<Option<S
     sqlx::query_scalar(AssertSqlSafe(sql)).fetch_optional(out).await
 }
 
-/// Lists an input's sweeps and trials. Progress is ordered by steps, then by the size of the checkpoint, which grows in
-/// the final
-/// evaluation.
+/// Lists an input's sweeps and trials. Progress is ordered by steps, then by the size of the checkpoint, which grows in the
+/// final evaluation.
 pub(super) async fn survey(out: &mut SqliteConnection, input: usize) -> sqlx::Result<()> {
     for sql in [
         "INSERT INTO temp.candidate (input, old, hash, settled, reached, attempts, redone, since, ended, open, finished_at, last, simd,
@@ -95,9 +92,8 @@ pub(super) async fn survey(out: &mut SqliteConnection, input: usize) -> sqlx::Re
     Ok(())
 }
 
-/// Verifies the checksums of an input's checkpoints and arrays and notes mismatches. For the former result (`base`),
-/// verifies only trials
-/// that another input has, too. A damaged checkpoint counts as no progress.
+/// Verifies the checksums of an input's checkpoints and arrays and notes mismatches. For the former result (`base`), verifies
+/// only trials that another input has, too. A damaged checkpoint counts as no progress.
 pub(super) async fn verify(out: &mut SqliteConnection, input: usize, base: bool) -> sqlx::Result<()> {
     let twice = if base {
         "AND EXISTS (SELECT 1 FROM temp.candidate d WHERE d.hash = c.hash AND d.input <> c.input)"
@@ -126,13 +122,10 @@ pub(super) async fn verify(out: &mut SqliteConnection, input: usize, base: bool)
     Ok(())
 }
 
-/// Chooses a copy of each trial, by these criteria in order: its work was not discarded by another copy for a
-/// recomputation with other code;
-/// done; fewest damaged parts; recomputed; most steps; most attempts if not done; ended properly; open again after a
-/// failure; finished
-/// first. Among equals the former result (`base`) takes precedence; among equal facts the last input, because its file
-/// exists longest.
-/// Sweep ids decrease with age, as in the store.
+/// Chooses a copy of each trial, by these criteria in order: its work was not discarded by another copy for a recomputation
+/// with other code; done; fewest damaged parts; recomputed; most steps; most attempts if not done; ended properly; open again
+/// after a failure; finished first. Among equals the former result (`base`) takes precedence; among equal facts the last input,
+/// because its file exists longest. Sweep ids decrease with age, as in the store.
 pub(super) async fn choose(
     out: &mut SqliteConnection,
     base: Option<usize>,
@@ -167,8 +160,8 @@ pub(super) async fn choose(
     Ok(())
 }
 
-/// Deletes trials of the former result, input `base`, of which another copy is kept, with all their rows. Sweeps get
-/// their new ids.
+/// Deletes trials of the former result, input `base`, of which another copy is kept, with all their rows. Sweeps get their new
+/// ids.
 pub(super) async fn make_room(out: &mut SqliteConnection, base: usize) -> sqlx::Result<()> {
     let mut sql = format!(
         "BEGIN;

@@ -1,8 +1,8 @@
-//! An input of a merge. It is attached directly if no process writes to it; otherwise, or if it has a journal or is
-//! empty, through a copy.
+//! An input of a merge. It is attached directly if no process writes to it; otherwise, or if it has a journal or is empty,
+//! through a copy.
 //!
-//! Only one input is open at a time. Size and modification time show whether an input has changed in between; a changed
-//! input is copied.
+//! Only one input is open at a time. Size and modification time show whether an input has changed in between; a changed input
+//! is copied.
 
 use std::fs::File;
 use std::io;
@@ -147,9 +147,8 @@ pub(super) async fn fold(file: &Path, alone: bool) -> Result<(), StoreError> {
     }
 }
 
-/// Copies a consistent state of a database to a file without a journal, even while a run writes to it. `ours`: journals
-/// may be removed;
-/// otherwise the database is opened read-only. Stops when `goes_on` returns false.
+/// Copies a consistent state of a database to a file without a journal, even while a run writes to it. `ours`: journals may be
+/// removed; otherwise the database is opened read-only. Stops when `goes_on` returns false.
 ///
 /// # Errors
 /// If SQLite fails.

@@ -1,10 +1,8 @@
 //! Merges databases into one. The rows of the result do not depend on the order of the files or on duplicates.
 //!
-//! Keeps the most advanced copy of each trial as a whole, with its attempts, steps, networks and arrays; or only its
-//! facts and the path of
-//! the file with the rest. The result is built in a temporary folder and renamed into place, so a killed merge changes
-//! nothing. An existing
-//! result is copied and extended, without reading its sources again. Inputs are never changed.
+//! Keeps the most advanced copy of each trial as a whole, with its attempts, steps, networks and arrays; or only its facts and
+//! the path of the file with the rest. The result is built in a temporary folder and renamed into place, so a killed merge
+//! changes nothing. An existing result is copied and extended, without reading its sources again. Inputs are never changed.
 
 mod compare;
 mod contains;
@@ -123,9 +121,8 @@ fn first(refused: &[(PathBuf, String)]) -> String {
     refused.first().map_or(String::new(), |(path, why)| format!("; {}: {why}", path.display()))
 }
 
-/// Merges `files` into `out`, an existing `out` included, and excludes runs and other merges from it meanwhile. For
-/// facts, the last
-/// file with a trial takes precedence.
+/// Merges `files` into `out`, an existing `out` included, and excludes runs and other merges from it meanwhile. For facts, the
+/// last file with a trial takes precedence.
 ///
 /// # Errors
 /// If the result is in use, unwritable, unreadable or of another extent, or if no file can be read.
@@ -297,9 +294,8 @@ async fn check_result(out: &Path) -> Result<(), StoreError> {
     version.map_err(|source| StoreError::sql(out, "reading", source))?.map(|_| ())
 }
 
-/// Replaces the former result, which is complete until then. Its log is moved into it and deleted first, because SQLite
-/// would apply it to
-/// the new file.
+/// Replaces the former result, which is complete until then. Its log is moved into it and deleted first, because SQLite would
+/// apply it to the new file.
 async fn put_in_place(built: &Path, out: &Path, lock: &File) -> Result<(), MergeError> {
     let unwritable = |source| MergeError::Unwritable { path: out.to_owned(), source };
     if !store::is_still(lock, out) {

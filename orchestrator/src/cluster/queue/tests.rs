@@ -28,9 +28,8 @@ fn the_queue_is_read() {
     assert_eq!(queue.jobs, ["7", "8"]);
 }
 
-/// A kill within a line loses only that line, and the next line starts anew. A job whose id was recorded later is one
-/// job. The error for an
-/// invalid line contains its number.
+/// A kill within a line loses only that line, and the next line starts anew. A job whose id was recorded later is one job. The
+/// error for an invalid line contains its number.
 #[test]
 fn notes_are_read_up_to_where_they_were_written() {
     let folder = tempfile::tempdir().unwrap();

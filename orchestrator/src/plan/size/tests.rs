@@ -10,8 +10,8 @@ fn plan(text: &str) -> Plan {
     Plan::new("s.toml", text.to_owned()).unwrap()
 }
 
-/// A disc with five to twelve units across has scaled lengths, limits and rate. With ten, its trial equals that without
-/// a given size.
+/// A disc with five to twelve units across has scaled lengths, limits and rate. With ten, its trial equals that without a given
+/// size.
 #[test]
 fn a_disc_keeps_its_size_while_its_units_grow_in_number() {
     let disc = std::fs::read_to_string(DISC).unwrap();

@@ -79,8 +79,8 @@ const fn failed(trial: u32, reason: Reason, settled: bool) -> Action<Nothing> {
     Action::RecordFailure { lease: lease(trial, 1), reason, settled }
 }
 
-/// A pause stops running trials; trials that end for other reasons wait, too. The same trials resume, those with
-/// progress first.
+/// A pause stops running trials; trials that end for other reasons wait, too. The same trials resume, those with progress
+/// first.
 #[test]
 fn a_pause_takes_trials_back_and_hands_out_none() {
     let mut state = run(3, 2);
@@ -98,9 +98,8 @@ fn a_pause_takes_trials_back_and_hands_out_none() {
     assert_eq!(actions, [Action::Assign(id(0), lease(0, 2)), Action::Assign(id(1), lease(2, 1))]);
 }
 
-/// A trial that has done its requested steps ends for this run, and after the last one the run ends. If it was
-/// cancelled meanwhile, it is
-/// recorded as cancelled.
+/// A trial that has done its requested steps ends for this run, and after the last one the run ends. If it was cancelled
+/// meanwhile, it is recorded as cancelled.
 #[test]
 fn a_trial_at_its_pause_is_over_for_this_run() {
     let mut state = run(3, 2);
@@ -166,8 +165,8 @@ fn what_is_to_be_next_goes_first() {
     assert_eq!(steer(&mut state, Steer::Next(2)).0, Answer::Next(true));
 }
 
-/// New workers start at once, also in slots that were given up; of surplus workers, idle ones end first, then the first
-/// to finish.
+/// New workers start at once, also in slots that were given up; of surplus workers, idle ones end first, then the first to
+/// finish.
 #[test]
 fn workers_become_more_and_fewer() {
     let mut state = run(6, 1);
@@ -192,8 +191,7 @@ fn workers_become_more_and_fewer() {
     assert_eq!(actions[0], Action::Spawn(WorkerId { slot: 1, generation: 2 }));
 }
 
-/// Added trials run in order, even when everything else has ended; they are never refused, as they are already in the
-/// database.
+/// Added trials run in order, even when everything else has ended; they are never refused, as they are already in the database.
 #[test]
 fn added_trials_are_run() {
     let mut state = run(1, 1);
@@ -237,9 +235,8 @@ fn a_stop_waits_for_its_grace_and_a_second_one_does_not() {
     }
 }
 
-/// Shortages do not count against trials, which wait longer each time and stay pending; if a shortage lasts, the run
-/// ends. A worker that
-/// ends, or progress of a trial, resets the wait.
+/// Shortages do not count against trials, which wait longer each time and stay pending; if a shortage lasts, the run ends. A
+/// worker that ends, or progress of a trial, resets the wait.
 #[test]
 fn a_shortage_is_waited_out_and_charged_to_no_trial() {
     let mut state = run(1, 1);
