@@ -173,7 +173,7 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
         true => FACTORS * factor(unknowns(trial, None).min(READINGS_MAX)) / pace.factor,
         false => 0.0,
     };
-    // Simulated samples, and factorisations, for casts and other forces; casts of the known decoder add four sets.
+    // Simulated samples, and factorisations, for casts and other forces; the known casts count as four sets of samples
     let each = (stimuli.samples + stimuli.holdout) as f64;
     let [casts_read, under] =
         [trial.evaluation.casts.unwrap_or(0), trial.evaluation.under.as_ref().map_or(0, Vec::len)];

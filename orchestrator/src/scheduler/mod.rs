@@ -298,7 +298,7 @@ pub fn on_event<P: Payload>(state: &mut State, event: Event<P>) -> Vec<Action<P>
 }
 
 impl State {
-    /// A run of these trials, in the order of the plan. The first event must be `Event::Clock`.
+    /// A run of these trials, in the order of the plan. The first event should be `Event::Clock`.
     pub fn new(settings: Settings, trials: &[Prior]) -> Self {
         assert!(settings.workers > 0, "a run needs a worker");
         let mut state = Self {

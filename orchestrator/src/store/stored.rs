@@ -24,7 +24,7 @@ pub struct Stored {
 }
 
 impl Stored {
-    /// The spec of the initial body.
+    /// The settings that both bodies share, with the sensors of the initial one.
     #[must_use]
     pub fn spec(&self) -> &TrialSpec {
         &self.specs[0]
