@@ -1,4 +1,4 @@
-//! What code this is, written into the program, which records it with every attempt.
+//! Embeds a digest of the sources and the git revision in the program, which records both with every attempt.
 
 #[path = "src/provenance/source.rs"]
 mod source;
@@ -8,7 +8,8 @@ use std::process::Command;
 
 fn main() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-    // A release is built anew after a commit, this package alone; a debug build learns of it with the next change of sources.
+    // Cargo rebuilds a release of this package after each commit; a debug build gets the new revision with the next source
+    // change.
     let release = std::env::var("PROFILE").is_ok_and(|profile| profile == "release");
     let commits = if release { source::moves_with_commits(&root) } else { Vec::new() };
     for path in source::PROGRAM.map(|path| root.join(path)).into_iter().chain(commits) {

@@ -1,7 +1,7 @@
-//! What people may ask of a run that goes on: a line each, through a socket beside its database that its user alone may open.
+//! Commands to a running sweep: one line per connection, through a Unix socket beside its database that only its user may open.
 //!
 //! ```text
-//! results/two-core.sqlite.control     for as long as the run lives; what a killed one leaves, the next one removes
+//! results/two-core.sqlite.control     exists while the run lives; the next run removes that of a killed one
 //! cancel 3f6a\n  →                    ← done cancelled: it ends after its step in progress
 //! ```
 
@@ -24,40 +24,40 @@ use tokio::time::timeout;
 
 use crate::files;
 
-/// The longest question and answer (bytes).
+/// Longest request and answer (bytes).
 const LINE: u64 = 4 << 10;
 const ANSWER: u64 = 64 << 10;
-/// The time in which a question must have come.
+/// Time limit for receiving a request.
 const ASKING: Duration = Duration::from_secs(5);
-/// How long an answer is waited for: a run that begins may have a large sweep to record.
+/// Time limit for an answer: a starting run may have a large sweep to record.
 const ANSWERING: Duration = Duration::from_secs(60);
-/// Connections at a time; more wait.
+/// Simultaneous connections; further ones wait.
 const CONNECTIONS: usize = 8;
-/// Worker processes that a run may have.
+/// Largest number of worker processes of a run.
 pub const WORKERS_MAX: u32 = 1024;
 
-/// What is asked. `Display` and `FromStr` are the line.
+/// A command. `Display` and `FromStr` convert to and from its line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Command {
-    /// How the run is.
+    /// Print the state of the run.
     State,
-    /// Nothing is begun, and what runs is taken back.
+    /// Start no trials, and stop the running ones so that they can resume.
     Pause,
-    /// It goes on.
+    /// Continue after a pause.
     Resume,
-    /// It ends in order.
+    /// Stop in order.
     Stop,
-    /// The trial whose hash begins so is given up.
+    /// Cancel the trial whose hash starts so.
     Cancel(String),
-    /// It goes to the next worker that is free.
+    /// Give this trial to the next free worker.
     Next(String),
-    /// So many worker processes.
+    /// Set the number of worker processes.
     Workers(u32),
-    /// The spec is read again: trials that it has gained are added.
+    /// Read the spec again and add its new trials.
     Reload,
 }
 
-/// A line that is no command.
+/// An unknown command.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "unknown command {0:?}; expected one of: state, pause, resume, stop, cancel HASH, next HASH, workers N (1 … {WORKERS_MAX}), reload"
@@ -105,40 +105,40 @@ impl FromStr for Command {
     }
 }
 
-/// What a run says to it.
+/// The answer of a run.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Said {
-    /// It is done; otherwise nothing has changed.
+    /// Whether the command was carried out; if not, nothing has changed.
     pub done: bool,
-    /// In words.
+    /// Text for people.
     pub text: String,
 }
 
 impl Said {
-    /// That nothing has changed, and why.
+    /// A refusal with its reason: nothing has changed.
     pub fn refused(why: impl Into<String>) -> Self {
         Self { done: false, text: why.into() }
     }
 }
 
-/// Why there is no answer.
+/// Why a run gave no answer.
 #[derive(Debug, thiserror::Error)]
 pub enum ControlError {
-    /// There is no such file.
+    /// The database does not exist.
     #[error("no database: {}", db.display())]
     NoDatabase {
         /// The file.
         db: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
-    /// Nobody listens.
+    /// No run uses the database.
     #[error("no run holds {}: start one with `metasense run SPEC`", db.display())]
     NoRun {
         /// The database.
         db: PathBuf,
     },
-    /// Somebody writes to it, but does not listen.
+    /// A process writes to the database, but has no socket.
     #[error(
         "{} is in use by a process that takes no commands: it is starting or stopping (try again in a few seconds), or could not create its \
          socket (see its log)",
@@ -148,26 +148,26 @@ pub enum ControlError {
         /// The database.
         db: PathBuf,
     },
-    /// The socket does not work.
+    /// The socket failed.
     #[error("asking the run that holds {}", db.display())]
     Io {
         /// The database.
         db: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
 }
 
-/// A question that waits for its answer.
+/// A command that waits for its answer.
 #[derive(Debug)]
 pub struct Request {
-    /// What is asked.
+    /// The command.
     pub command: Command,
-    /// Where the answer goes; closed where nobody waits for it any more.
+    /// Takes the answer; closed if the client has disconnected.
     pub answer: oneshot::Sender<Said>,
 }
 
-/// Hears what is asked of a run, from when it is made until it is dropped.
+/// Receives commands for a run until it is dropped.
 #[derive(Debug)]
 pub struct Listener {
     file: PathBuf,
@@ -176,13 +176,13 @@ pub struct Listener {
 }
 
 impl Listener {
-    /// Listens beside a database, whose lock is held for longer than this lives.
+    /// Opens the socket of a database. The caller must hold the lock of the database for longer than the listener lives.
     ///
     /// # Errors
-    /// Where the file system has no sockets, or the database's name leaves no room for the socket's.
+    /// If the file system has no sockets or the database's name is too long.
     pub fn new(db: &Path) -> io::Result<Self> {
         let (_folder, address, file) = address(db)?;
-        // Of a run that was killed: nobody else may be listening, as the database is ours.
+        // Left by a killed run: no one else can be listening, as this process holds the database.
         let _ = std::fs::remove_file(&file);
         let listener = UnixListener::bind(&address).map_err(|error| refused(&address, error))?;
         std::fs::set_permissions(&file, Permissions::from_mode(0o600))?;
@@ -191,7 +191,7 @@ impl Listener {
         Ok(Self { file, task, requests: Mutex::new(requests) })
     }
 
-    /// The next question.
+    /// The next command.
     pub async fn next(&self) -> Option<Request> {
         self.requests.lock().await.recv().await
     }
@@ -204,11 +204,11 @@ impl Drop for Listener {
     }
 }
 
-/// Bytes of a socket's address, without the 0 at its end.
+/// Longest socket address (bytes), without the final 0.
 const LONGEST: usize = 107;
 
-/// The socket of a database: its folder, its address by way of that, as there is room for a hundred bytes alone in one, and
-/// its file.
+/// The socket of a database: its folder, its address, its file. An address has room for `LONGEST` bytes, so it names the folder
+/// by its descriptor.
 fn address(db: &Path) -> io::Result<(File, PathBuf, PathBuf)> {
     let db = db.canonicalize()?;
     let mut name = OsString::from(db.file_name().unwrap_or_default());
@@ -219,7 +219,7 @@ fn address(db: &Path) -> io::Result<(File, PathBuf, PathBuf)> {
     Ok((folder, address, file))
 }
 
-/// Why a socket cannot be had: by how much the database's name is too long, where it is.
+/// If the database's name is too long for a socket, an error that says by how much.
 fn refused(address: &Path, error: io::Error) -> io::Error {
     match address.as_os_str().len().saturating_sub(LONGEST) {
         0 => error,
@@ -240,7 +240,7 @@ async fn listen(listener: UnixListener, out: mpsc::Sender<Request>) {
                 continue;
             }
         };
-        // Whoever came before the permissions were set is looked at, too.
+        // Checked again, as clients may have connected before the permissions were set.
         if stream.peer_cred().is_ok_and(|peer| peer.uid() == own || peer.uid() == 0) {
             let out = out.clone();
             tokio::spawn(async move {
@@ -253,7 +253,7 @@ async fn listen(listener: UnixListener, out: mpsc::Sender<Request>) {
     }
 }
 
-/// Takes a question and brings the answer. Of one whose asker goes away nothing comes, unless it is taken up already.
+/// Reads a command and sends the answer. If the client disconnects before the run takes the command, it has no effect.
 async fn converse(mut stream: UnixStream, out: mpsc::Sender<Request>) -> io::Result<()> {
     let (from, mut to) = stream.split();
     let mut from = BufReader::new(from.take(LINE));
@@ -280,22 +280,22 @@ async fn converse(mut stream: UnixStream, out: mpsc::Sender<Request>) -> io::Res
     timeout(ASKING, to.write_all(format!("{word} {}", said.text).as_bytes())).await?
 }
 
-/// The process that runs the sweep of a database. It is not asked anything: a busy or stopped one is found, too.
+/// Process id of the run of a database, from the socket: works for a busy or stopped run, too.
 pub async fn run_of(db: &Path) -> Option<u32> {
     let (_folder, address, _) = address(db).ok()?;
     let pid = UnixStream::connect(address).await.ok()?.peer_cred().ok()?.pid();
     pid.and_then(|pid| pid.try_into().ok())
 }
 
-/// Whether somebody writes to a database. A run that begins just then tries its lock again.
+/// Whether a process writes to a database. A run that starts at this moment retries its lock.
 pub fn is_held(db: &Path) -> bool {
     File::open(db).is_ok_and(|file| files::is_held(&file))
 }
 
-/// Asks the run that holds a database.
+/// Sends a command to the run of a database.
 ///
 /// # Errors
-/// Where none does, or it does not answer.
+/// If there is no run or it does not answer.
 pub async fn ask(db: &Path, command: &Command) -> Result<Said, ControlError> {
     let at = |source| ControlError::Io { db: db.to_owned(), source };
     let (_folder, address, _) =

@@ -1,12 +1,12 @@
-//! The exit codes, all of them; and errors in words.
+//! Exit codes, and errors as text.
 
 use std::process::ExitCode;
 
-/// How the program ends.
+/// Exit code of the program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Exit {
-    /// All that was asked is done.
+    /// Everything requested is done.
     Done = 0,
     /// A check failed, trials failed, or a run refused a command.
     Failed = 1,
@@ -14,13 +14,13 @@ pub enum Exit {
     BadInput = 2,
     /// Reading or writing failed: disk full, database in use, locked or damaged.
     Io = 3,
-    /// Stopped on request; `run` goes on from there, as do commands that keep their progress.
+    /// Stopped on request; `run` and other commands that keep their progress can resume.
     Interrupted = 4,
-    /// This machine is at fault: it is short of something, no worker comes up, or trials die one after the other.
+    /// This machine is unfit: it lacks a resource, no worker starts, or trials fail one after another.
     Unfit = 5,
 }
 
-/// The codes with their meaning, as `--help` shows them.
+/// Exit codes and their meanings, as `--help` prints them.
 pub const EXIT_CODES: &str = "\
 Exit codes:
   0  done
@@ -41,7 +41,7 @@ impl From<Exit> for ExitCode {
     }
 }
 
-/// An error with its causes.
+/// Formats an error with its causes, separated by ": ".
 #[must_use]
 pub fn chain(error: &dyn std::error::Error) -> String {
     let causes = std::iter::successors(error.source(), |e| e.source());

@@ -1,5 +1,5 @@
-//! Whole files: written beside their place and renamed into it. Whoever reads finds the old one or the new one, also after
-//! a power cut.
+//! Atomic file writes: to a temporary file in the same folder, renamed when complete. Readers find the old or the new file,
+//! even after a power cut.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::SystemTime;
 
-/// The folder that a file is in.
+/// The folder that contains a file; "." for a bare file name.
 #[must_use]
 pub fn folder(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
@@ -19,18 +19,18 @@ pub fn host() -> String {
     std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default().trim().to_owned()
 }
 
-/// A machine, as part of a file's name.
+/// A host name as part of a file name.
 pub(crate) fn mark_of(host: &str) -> String {
     host.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect()
 }
 
-/// This machine and process, as part of a file's name that no other has.
+/// Host name and process id of this process, as a unique part of file names.
 #[must_use]
 pub fn own_mark() -> String {
     format!("{}-{}", mark_of(&host()), std::process::id())
 }
 
-/// This machine, process and moment in a few characters, for names that no other thing has.
+/// Eight hex digits that are unique to this machine, process and call.
 #[must_use]
 pub fn fresh_mark() -> String {
     static COUNT: AtomicU32 = AtomicU32::new(0);
@@ -38,42 +38,42 @@ pub fn fresh_mark() -> String {
     blake3::hash(format!("{mark} {now:?} {count}").as_bytes()).to_hex()[..8].to_owned()
 }
 
-/// Whether a program of this name can be started.
+/// Whether PATH contains a program of this name.
 #[must_use]
 pub fn is_in_path(program: &str) -> bool {
     let paths = std::env::var_os("PATH").unwrap_or_default();
     std::env::split_paths(&paths).any(|folder| folder.join(program).is_file())
 }
 
-/// Whether somebody has a file to itself. Where there are no locks, nobody has.
+/// Whether another process has an exclusive lock on a file; false if the file system has no locks.
 pub(crate) fn is_held(file: &File) -> bool {
     matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock))
 }
 
-/// Puts a finished file in another's place, on the same file system. When this returns, it is on disk.
+/// Moves a finished file over another on the same file system. On return, the result is on disk.
 ///
 /// # Errors
-/// Where the system fails; what lay there before does so still, unless it is the folder that cannot be written to disk.
+/// If the system fails. The old file remains, unless only syncing the folder failed.
 pub fn put_in_place(finished: &Path, path: &Path) -> io::Result<()> {
     File::open(finished)?.sync_all()?;
     std::fs::rename(finished, path)?;
     File::open(folder(path))?.sync_all()
 }
 
-/// Writes a whole file, as [`Output`] does.
+/// Writes a whole file atomically with [`Output`].
 ///
 /// # Errors
-/// Where the system fails or a database lies there; what lay there before does so still.
+/// If the system fails or the target is a database; the old file remains.
 pub fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut output = Output::create(path)?;
     output.write_all(bytes)?;
     output.finish()
 }
 
-/// Copies a whole file with its permissions, as [`Output`] writes one.
+/// Copies a file and its permissions atomically with [`Output`].
 ///
 /// # Errors
-/// As [`write`], or where `from` cannot be read.
+/// As [`write`], or if `from` cannot be read.
 pub fn copy(from: &Path, path: &Path) -> io::Result<()> {
     let mut from = File::open(from)?;
     let mut output = Output::create(path)?;
@@ -82,20 +82,20 @@ pub fn copy(from: &Path, path: &Path) -> io::Result<()> {
     output.finish()
 }
 
-/// A file that is written beside its place, and put there when it is whole; dropped before that, it leaves nothing. What is
-/// no file (a pipe, a terminal) is written to as it is; a link stays one; permissions stay.
+/// A temporary file that [`Output::finish`] renames to its target; dropping it before deletes it. Pipes and terminals are
+/// written to directly; symbolic links and permissions are kept.
 #[derive(Debug)]
 pub struct Output {
     file: File,
-    /// The file beside, and its place.
+    /// Temporary path and target.
     whole: Option<(PathBuf, PathBuf)>,
 }
 
 impl Output {
-    /// Begins a file.
+    /// Creates the temporary file.
     ///
     /// # Errors
-    /// Where the system fails, or a database lies there: nothing that writes whole files may take its place.
+    /// If the system fails or the target is a database, which must not be replaced.
     pub fn create(path: &Path) -> io::Result<Self> {
         let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
         let before = path.metadata().ok();
@@ -116,10 +116,10 @@ impl Output {
         Ok(output)
     }
 
-    /// Puts the file in its place. When this returns, it is on disk.
+    /// Renames the file to its target. On return, it is on disk.
     ///
     /// # Errors
-    /// Where the system fails; what lay there before does so still.
+    /// If the system fails; the old file remains.
     pub fn finish(mut self) -> io::Result<()> {
         if let Some((beside, path)) = &self.whole {
             put_in_place(beside, path)?;
@@ -147,7 +147,7 @@ impl Drop for Output {
     }
 }
 
-/// Whether a file begins as SQLite's do.
+/// Whether a file starts with the SQLite signature.
 pub(crate) fn is_database(path: &Path) -> bool {
     const MAGIC: &[u8] = b"SQLite format 3\0";
     let mut head = Vec::new();

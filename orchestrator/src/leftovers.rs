@@ -1,4 +1,4 @@
-//! What processes that were killed have left: files and folders whose names end with the mark of their process.
+//! Finds and removes files and folders of killed processes. Their names end with the mark of the process ([`own_mark`]).
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -8,11 +8,11 @@ use tempfile::TempDir;
 
 use crate::files::own_mark;
 
-/// What an ended process has left is taken for that when it is older than this, where it ran on another machine.
+/// Minimum age before a file of another machine counts as abandoned.
 const ABANDONED: Duration = Duration::from_secs(24 * 3600);
 
-/// Whether a file or folder whose name ends with the mark of a process (and `.tmp` or `.sqlite`) was left behind by it: on this machine
-/// the process has ended; of another machine's, nothing has been written for a day.
+/// Whether the process whose mark ends this name (before `.tmp` or `.sqlite`) has abandoned the file or folder. On this
+/// machine: the process has ended. On another machine: nothing was written for a day.
 #[must_use]
 pub fn is_abandoned(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -23,8 +23,8 @@ pub fn is_abandoned(path: &Path) -> bool {
     };
     let own = own_mark();
     let host = own.rsplit_once('-').map_or("", |(host, _)| host);
-    // the end of another machine's name may be this one's: before a name stands a dot, or what makes such a mark; of a shard's
-    // copies when they were begun
+    // Another host's name may end with this one's. Therefore a dot or "merge-" must precede the host name; in a copy of a
+    // shard, the start time.
     let began = |part: &str| !part.is_empty() && part.bytes().all(|c| c.is_ascii_digit());
     let here = before.strip_suffix(host).is_some_and(|rest| match rest.rsplit('.').next() {
         None | Some("" | "merge-") => true,
@@ -37,33 +37,33 @@ pub fn is_abandoned(path: &Path) -> bool {
     }
 }
 
-/// What ended processes have left in a folder, of these names.
+/// Abandoned files and folders in a folder whose names satisfy `is_one`.
 pub fn abandoned(folder: &Path, is_one: impl Fn(&str) -> bool) -> impl Iterator<Item = PathBuf> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let named = entries.filter(move |entry| is_one(&entry.file_name().to_string_lossy()));
     named.map(|entry| entry.path()).filter(|path| is_abandoned(path))
 }
 
-/// Removes it, as far as it can be.
+/// Removes abandoned files and folders; ignores failures.
 pub fn remove_abandoned(folder: &Path, is_one: impl Fn(&str) -> bool) {
     for path in abandoned(folder, is_one) {
         let _ = remove(&path);
     }
 }
 
-/// A folder in TMPDIR that goes when it is dropped; those of ended processes go now.
+/// A new folder in TMPDIR that is removed when dropped; also removes folders of ended processes.
 ///
 /// # Errors
-/// Where it cannot be made.
+/// If it cannot be created.
 pub fn scratch(prefix: &str) -> io::Result<TempDir> {
     remove_abandoned(&std::env::temp_dir(), |name| name.starts_with(prefix));
     tempfile::Builder::new().prefix(prefix).suffix(&format!(".{}", own_mark())).tempdir()
 }
 
-/// Removes a file, or a folder with all in it.
+/// Removes a file, or a folder with its contents.
 ///
 /// # Errors
-/// Where the system fails.
+/// If the system fails.
 pub fn remove(path: &Path) -> io::Result<()> {
     match path.symlink_metadata()?.is_dir() {
         true => std::fs::remove_dir_all(path),

@@ -1,6 +1,6 @@
 //! metasense: trains bodies of flexible metamaterial together with the decoders that estimate forces from their signals.
 
-// They panic where the reader has gone: `cli::say` has what to use instead.
+// These macros panic if the reader has closed the pipe; use those of `cli::say` instead.
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod cli;

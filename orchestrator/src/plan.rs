@@ -1,9 +1,7 @@
-//! The plan: a spec becomes an ordered list of trials with stable hashes. Pure, but for the design
-//! files that a spec names.
+//! Expands a spec into an ordered list of trials with stable hashes. Reads only the files that the spec names.
 //!
-//! Breadth first: the first placement and seed of every point (axes, K, M) come before the second of any. Layouts,
-//! panels and placements are worked out once a body, and what problems can be made of them is checked once a point, so
-//! that a hundred thousand trials take seconds.
+//! The order is breadth first: the first placement and seed of every point (axes, K, M) precede the second of any. Layouts,
+//! panels and placements are computed once per body, and problems checked once per point, so that 10⁵ trials take seconds.
 
 mod axes;
 mod brains;
@@ -35,21 +33,21 @@ use axes::Combination;
 use metasense_schemas::record::Parts;
 pub use metasense_schemas::record::Trial;
 
-/// More trials than this are taken for a mistake.
+/// Specs with more trials are rejected as mistakes.
 const MOST_TRIALS: usize = 1_000_000;
 
-/// A spec file, read, and the trials it stands for.
+/// A spec file and its trials.
 #[derive(Debug, Clone)]
 pub struct Plan {
-    /// The file's text.
+    /// Text of the file.
     pub source: Source,
-    /// What it says.
+    /// The parsed spec.
     pub spec: SweepSpec,
-    /// The trials in the order of running.
+    /// The trials, in the order in which they run.
     pub trials: Vec<Trial>,
 }
 
-/// The values of a trial's spec, as JSON, at some keys; lists and tables as texts.
+/// Values of a trial's spec at the given keys; lists and tables as text, missing keys as null.
 pub fn values_at(spec: &Value, keys: &BTreeSet<&str>) -> Vec<Value> {
     let value = |key: &&str| match spec.pointer(&format!("/{}", key.replace('.', "/"))) {
         None => Value::Null,
@@ -59,7 +57,7 @@ pub fn values_at(spec: &Value, keys: &BTreeSet<&str>) -> Vec<Value> {
     keys.iter().map(value).collect()
 }
 
-/// A trial's K, M, placement, seed and what else the sweep varies, in words.
+/// Text with a trial's K, M, placement, seed, and its values of `keys`.
 pub fn point_in_words(spec: &Value, keys: &BTreeSet<&str>) -> String {
     let point = |name: &str| plain(&spec["point"][name]);
     let [k, m, placement, seed] = ["panels", "sensors", "placement", "seed"].map(point);
@@ -71,10 +69,10 @@ pub fn point_in_words(spec: &Value, keys: &BTreeSet<&str>) -> String {
 }
 
 impl Plan {
-    /// Expands a spec file's text.
+    /// Expands the text of a spec file.
     ///
     /// # Errors
-    /// At the first key that is unknown, or whose value no trial can have.
+    /// For the first key that is unknown or has an impossible value.
     pub fn new(file: impl AsRef<Path>, text: String) -> Result<Self, SpecError> {
         Self::of(Source::spec(file, text, &[])?)
     }
@@ -101,28 +99,28 @@ impl Plan {
         Ok(Self { source, spec, trials })
     }
 
-    /// Of trials that were expanded from it before.
+    /// A plan with trials that were expanded earlier.
     ///
     /// # Errors
-    /// Where the spec is none.
+    /// If the spec is invalid.
     pub fn listed(source: Source, trials: Vec<Trial>) -> Result<Self, SpecError> {
         let spec = until::grid(source.parse()?, &source)?;
         Ok(Self { source, spec, trials })
     }
 
-    /// The one trial whose hash begins so.
+    /// The only trial whose hash starts with `hash`.
     ///
     /// # Errors
-    /// If none does, or several.
+    /// If no trial or several match.
     pub fn find(&self, hash: &str) -> Result<&Trial, NotOne> {
         let at = position_of(hash, self.trials.iter().map(|trial| trial.hash.as_str()))?;
         Ok(&self.trials[at])
     }
 
-    /// Refuses trials that need more memory than a worker has here: by `[run] memory`, this machine or its limits.
+    /// Checks that each trial fits into the memory of a worker, limited by `[run] memory`, the machine and its limits.
     ///
     /// # Errors
-    /// At the key that asks for most.
+    /// Names the key that needs the most memory.
     pub fn check_memory(&self) -> Result<(), SpecError> {
         let limit = memory::limit(self.spec.run.memory);
         let refused = |e: Invalid| self.source.error_with(&e.key, Some(&e.value), &e.remedy);
@@ -130,17 +128,17 @@ impl Plan {
         self.trials.iter().try_for_each(check).map_err(refused)
     }
 
-    /// The database where none is named.
+    /// Path of the database by default.
     #[must_use]
     pub fn default_database(&self) -> PathBuf {
         Path::new("results").join(format!("{}.sqlite", self.spec.name))
     }
 }
 
-/// The greatest seed: what reads numbers as f64 tells it from the next, and [until] and [goal] can count on from it.
+/// Largest seed: f64 represents it and the seeds that [until] and [goal] add to it exactly.
 const MOST_SEED: u64 = 1 << 52;
 
-/// The lists of `[sweep]`, and the name, which becomes a file's.
+/// Checks the lists of `[sweep]`, and the name, which becomes a file name.
 fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
     let sweep = &spec.sweep;
     let harmless = |c: char| c.is_alphanumeric() || "-_.".contains(c);
@@ -207,7 +205,7 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
     }
 }
 
-/// Longest grace of a run that is stopped (s).
+/// Largest `run.grace` (s).
 pub(crate) const GRACE_MAX: f64 = 3600.0;
 
 fn check_run(run: &Run, source: &Source) -> Result<(), SpecError> {
@@ -235,7 +233,7 @@ fn check_run(run: &Run, source: &Source) -> Result<(), SpecError> {
     Ok(())
 }
 
-/// Refuses lists that name a unit twice, or the units of another list in whatever order: no two placements may be one.
+/// Rejects lists that contain a unit twice, and lists with the same units as another, in any order.
 fn check_placements(lists: &[Vec<usize>], source: &Source) -> Result<(), SpecError> {
     let key = "sensors.placements";
     let mut lists = lists.to_vec();
@@ -261,10 +259,10 @@ fn distinct<T: serde::Serialize>(values: &[T], key: &str, source: &Source) -> Re
     }
 }
 
-/// All trials of one combination of axes, K and M: they differ in placement and seed.
+/// All trials of one combination of axes, K and M; they differ in placement and seed.
 struct PointPlan {
     template: TrialSpec,
-    /// Sensors by placement.
+    /// Sensor units per placement.
     placements: Vec<Vec<usize>>,
     excluded: Vec<axes::Exclusion>,
     units: usize,
@@ -307,7 +305,7 @@ fn add_points(
     if sweep.sweep.own_placements && (searched || spec.sensors.placements.is_some()) {
         return Err(source.error("sweep.own_placements", "only for sensors at random units"));
     }
-    // of a million placements no more than what carries sensors is kept
+    // keep only the units that carry sensors: there may be a million placements
     let most = spec.sweep.sensors.iter().copied().max().unwrap_or_default();
     let order = |p: usize| {
         let mut order = placement(&spec.body, &layout, p as u64, &clamped);
@@ -324,12 +322,12 @@ fn add_points(
             }
             let placements: Vec<Vec<usize>> = match &spec.sensors.placements {
                 Some(lists) => lists.iter().filter(|list| list.len() == sensors).cloned().collect(),
-                // a worker finds them
+                // the worker chooses the units
                 None if searched => vec![Vec::new(); drawn],
                 None => seeded.iter().map(|order| order.iter().copied().take(sensors).collect()).collect(),
             };
             if placements.is_empty() {
-                // A list of units that are none may be why.
+                // An invalid unit may be the cause.
                 for list in spec.sensors.placements.iter().flatten() {
                     problem::check_units("sensors.placements", list, &layout, &clamped).map_err(located)?;
                 }
@@ -343,8 +341,8 @@ fn add_points(
                 return Err(source.error_with("sweep.sensors", Some(&sensors.to_string()), &remedy));
             }
             let template = template(spec, scale, panels, &panel_units, sensors);
-            // Seeded placements are sound by construction, of a search the last one tells; lists are as good as who
-            // wrote them.
+            // Random placements are valid by construction, and searched ones are empty, so checking the last suffices; lists by
+            // users are all checked.
             let to_check = if spec.sensors.placements.is_some() { 0 } else { placements.len() - 1 };
             for (placement, units) in placements.iter().enumerate().skip(to_check) {
                 let trial = at(&template, placement, units, sweep.sweep.seeds[0]);
@@ -367,12 +365,12 @@ fn add_points(
     Ok(())
 }
 
-/// What to know of a file that is not there.
+/// Advice about a file that does not exist.
 fn from_where(path: &Path) -> &'static str {
     if path.exists() { "" } else { "; file names are relative to the folder of the spec" }
 }
 
-/// A file of the body that cannot be read, or holds what it must not.
+/// The error for a file of the body that cannot be read or is invalid.
 fn unread(key: &str, file: &Path, path: &Path, error: &DesignError, source: &Source) -> SpecError {
     let because = error.source().map_or(String::new(), |cause| format!(": {cause}{}", from_where(path)));
     source.error_with(key, Some(&format!("{file:?}")), &format!("{error}{because}"))
@@ -383,7 +381,7 @@ pub(crate) fn counted(n: usize, what: &str) -> String {
     format!("{n} {what}{}", if n == 1 { "" } else { "s" })
 }
 
-/// The spec with the polygons of its body's file and their mean lengths, so that the trial's hash covers the content.
+/// The spec with the polygons of its body's file and their mean lengths, so that the trial's hash depends on the content.
 fn with_file(spec: &SweepSpec, source: &Source) -> Result<SweepSpec, SpecError> {
     let mut spec = spec.clone();
     let body = &mut spec.body;
@@ -417,7 +415,7 @@ fn with_file(spec: &SweepSpec, source: &Source) -> Result<SweepSpec, SpecError> 
     Ok(spec)
 }
 
-/// A design read from its file, so that the trial's hash covers the content; any other as it is.
+/// A design with the content of its file, so that the trial's hash depends on the content; other designs unchanged.
 fn with_design(
     key: &str,
     design: Option<&Design>,
@@ -430,12 +428,12 @@ fn with_design(
     Ok(Some(Design::Shifts { shifts }))
 }
 
-/// Placement `p` of a body; a driven unit tells its own history, whatever the body does, and carries no sensor.
+/// Placement `p` of a body. Excludes driven units: their motion is prescribed, whatever the body does.
 fn placement(body: &Body, layout: &Layout, p: u64, clamped: &[usize]) -> Vec<usize> {
     layout.placement(p, &[clamped, &problem::driven(body)].concat())
 }
 
-/// The stimuli with the files of their records where a worker finds them, and the digest of what these hold.
+/// The stimuli with absolute paths of their records, for workers, and the digest of the contents.
 fn with_records(stimuli: &Stimuli, source: &Source) -> Result<Stimuli, SpecError> {
     let mut stimuli = stimuli.clone();
     if let Some(recorded) = &mut stimuli.recorded {
@@ -460,33 +458,33 @@ fn with_records(stimuli: &Stimuli, source: &Source) -> Result<Stimuli, SpecError
     Ok(stimuli)
 }
 
-/// One body of a spec, for commands that look at a design and not at trials.
+/// A single body of a spec, for commands about designs rather than trials.
 pub struct OneBody {
-    /// The body as it is written, with its design.
+    /// The body as written, with its design.
     pub body: Body,
     /// Its layout.
     pub layout: Layout,
-    /// Its limits.
+    /// Limits of its designs.
     pub limits: Limits,
-    /// The designs that can be cast and had; none of a sweep that moves its bodies in several ways.
+    /// Feasible designs; `None` if the trials of the sweep move the body in different ways.
     pub castable: Option<Feasible>,
-    /// The design that it starts from; it may be infeasible.
+    /// The initial design; it may be infeasible.
     pub initial: Vec<f64>,
     /// Clamped units.
     pub clamped: Vec<usize>,
-    /// Units that are held in part.
+    /// Units that are partly held.
     pub guided: Vec<usize>,
-    /// Input panels of the sweep's first K.
+    /// Input panels for the first K of the sweep.
     pub panels: Vec<Panel>,
-    /// Sensors of the sweep's first M in the first placement.
+    /// Sensor units of the first placement for the first M of the sweep.
     pub sensors: Vec<usize>,
 }
 
 impl OneBody {
-    /// The body of a spec; none of a sweep over bodies.
+    /// The body of a spec; `None` if the sweep has several.
     ///
     /// # Errors
-    /// At the first key that is unknown, or whose value no body can have.
+    /// For the first key that is unknown or has an impossible value.
     pub fn new(source: &Source) -> Result<Option<Self>, SpecError> {
         let sweep = source.parse()?;
         let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
@@ -547,7 +545,7 @@ impl OneBody {
     /// The body of a trial.
     ///
     /// # Errors
-    /// Where no body can have its values; a plan's trials have been checked.
+    /// If the values are impossible; the trials of a plan are valid.
     pub fn of_trial(trial: &TrialSpec) -> Result<Self, Invalid> {
         let layout = problem::layout(&trial.body)?;
         let limits = problem::limits(&trial.feasible)?;
@@ -567,7 +565,7 @@ impl OneBody {
     }
 }
 
-/// The layout that a spec asks for. Of a circular body trials alone carry rows, as many as columns.
+/// The layout of a body in a spec. Specs of circular bodies must omit rows; only their trials have them, equal to columns.
 fn layout(body: &Body) -> Result<Layout, Invalid> {
     match (body.layout, body.rows) {
         (LayoutKind::Circular, Some(rows)) => Err(Invalid {
@@ -579,7 +577,7 @@ fn layout(body: &Body) -> Result<Layout, Invalid> {
     }
 }
 
-/// What trials of a point share. What can be said in two ways is said in one, so that equal trials have equal hashes.
+/// The common part of the trials of a point, in a canonical form, so that equal trials have equal hashes.
 fn template(spec: &SweepSpec, scale: f64, panels: usize, panel_units: &[usize], sensors: usize) -> TrialSpec {
     let mut body = spec.body.clone();
     body.panel_units = None;
@@ -589,7 +587,7 @@ fn template(spec: &SweepSpec, scale: f64, panels: usize, panel_units: &[usize], 
     body.rows = body.rows.or(body.columns);
     body.clamp = Some(problem::clamp(&body));
     if body.file.is_some() || matches!(body.design, Some(Design::Shifts { .. })) && body.lattice.turns() {
-        body.initial_angle = 0.0; // not read
+        body.initial_angle = 0.0; // not used
     }
     let mut read = spec.sensors.clone().resolved();
     read.placements = None;
@@ -652,7 +650,7 @@ fn trials(spec: &SweepSpec, points: &[PointPlan]) -> Vec<Trial> {
                 }
                 let spec = at(&point.template, placement, units, seed);
                 let hash = spec.hash();
-                // Axes may say the same thing in two ways.
+                // Different axis values may give the same trial.
                 if seen.insert(hash.clone()) {
                     trials.push(Trial {
                         hash,

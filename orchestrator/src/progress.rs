@@ -1,5 +1,5 @@
-//! How a run is: its trials and steps by its database, its process by its socket, its workers by /proc. The run itself is
-//! not asked.
+//! Progress of a run, without a request to the run: trials and steps from its database, its process from its socket, its
+//! workers from /proc.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -13,7 +13,7 @@ use crate::fleet::{Seen, workers_of};
 use crate::look::{Table, duration, short_hash};
 use crate::store::{Reader, StoreError};
 
-/// The trials that run, with their last step, and the seconds since it was recorded.
+/// Running trials with their last step and the seconds since it was recorded.
 const RUNNING: &str = "
 SELECT t.hash, t.panels AS K, t.sensors AS M, t.placement, t.seed, t.units, 1 + p.step AS step,
   json_extract(t.spec, '$.optimise.iterations') AS of,
@@ -26,9 +26,9 @@ FROM trial t JOIN attempt a ON a.trial_id = t.id AND a.state = 'running'
 LEFT JOIN step p ON p.trial_id = t.id AND p.step = (SELECT max(step) FROM step m WHERE m.trial_id = t.id)
 WHERE t.state = 'running' ORDER BY 2, 3, 4, 5, 6";
 
-/// All trials by state; the estimated seconds of what is left of those that are open; steps, attempts; and how long
-/// attempts have taken against what was estimated for what they did; mean errors of what is done; all estimated
-/// seconds; what is cancelled; mean medians of the samples' errors.
+/// One row: trials by state; estimated seconds of open trials less what checkpoints cover; steps; attempts; seconds of attempts
+/// over their estimate; mean held-out errors of finished trials; estimated seconds of all trials; cancelled trials; mean median
+/// errors.
 const WHOLE: &str = "
 SELECT count(*), sum(state = 'done'), sum(state = 'failed' AND reason <> 'cancelled'), sum(state = 'running'),
   sum(CASE WHEN state IN ('pending', 'running') THEN cost ELSE 0 END)
@@ -44,30 +44,30 @@ SELECT count(*), sum(state = 'done'), sum(state = 'failed' AND reason <> 'cancel
   sum(state = 'failed' AND reason = 'cancelled'), avg(holdout_median_initial), avg(holdout_median_optimised)
 FROM trial";
 
-/// Failures by reason and by what was said of the last attempt, with one of their trials.
+/// Failures by reason and last error message, each with one of their trials and their number.
 pub const FAILED: &str = "SELECT reason, text, min(hash), count(*) FROM
     (SELECT t.hash, t.reason, (SELECT l.text FROM log l WHERE l.trial_id = t.id AND l.level = 'error'
        ORDER BY l.attempt DESC, l.line DESC LIMIT 1) AS text FROM trial t
      WHERE t.state = 'failed' AND t.reason IS NOT 'cancelled') GROUP BY 1, 2 ORDER BY 4 DESC, 1, 2";
 
-/// What can be seen of a run.
+/// Progress of a run at one time.
 #[derive(Debug, Clone, Default)]
 pub struct Progress {
-    /// In a sentence.
+    /// One sentence for people.
     pub summary: String,
-    /// Trials: all, done, failed for good, running.
+    /// Numbers of trials: all, done, failed (without cancelled ones), running.
     pub trials: [u64; 4],
-    /// The part of the estimated work that is done; `None` where nothing is estimated.
+    /// Fraction of the estimated work that is done; `None` without estimates.
     pub part: Option<f64>,
-    /// How long attempts have taken, over what was estimated for what they did.
+    /// Time that attempts took over the time estimated for their work.
     pub correction: Option<f64>,
-    /// A row a worker, with its trial if it has one; then the trials whose worker is not seen from here.
+    /// One row per worker, with its trial if it has one; then trials whose worker is not visible on this machine.
     pub workers: Table,
-    /// The process of the run.
+    /// Process id of the run.
     pub run: Option<u32>,
 }
 
-/// Looks at one run, again and again: rates are since the first look, parts of a core since the one before.
+/// Observes a run repeatedly. Step rates count from the first look, CPU use from the previous look.
 #[derive(Debug, Default)]
 pub struct Looks {
     first: Option<(Instant, f64)>,
@@ -75,16 +75,16 @@ pub struct Looks {
 }
 
 impl Looks {
-    /// Looks at what workers compute, so that the next look can say how fast. Whether there is a run.
+    /// Records the CPU time of the workers, as a reference for the next look. Returns whether a run exists.
     pub async fn begin(&mut self, db: &Path) -> bool {
         let run = run_of(db).await;
         run.inspect(|run| drop(look(*run, &mut self.before))).is_some()
     }
 
-    /// Looks.
+    /// Reads the progress now.
     ///
     /// # Errors
-    /// Where the database cannot be read.
+    /// If the database cannot be read.
     pub async fn look(&mut self, reader: &mut Reader) -> Result<Progress, StoreError> {
         let (whole, running) = (reader.query::<Table>(WHOLE).await?, reader.query::<Table>(RUNNING).await?);
         let run = run_of(reader.path()).await;
@@ -102,7 +102,7 @@ impl Looks {
     }
 }
 
-/// The workers of a run, with the part of a core (%) that each has used since the look before.
+/// The workers of a run with the CPU use of each since the previous look (% of a core).
 fn look(run: u32, before: &mut HashMap<u32, (Instant, u64)>) -> Vec<(Seen, Option<f64>)> {
     let now = Instant::now();
     let seen = workers_of(run).into_iter().map(|worker| {
@@ -115,7 +115,7 @@ fn look(run: u32, before: &mut HashMap<u32, (Instant, u64)>) -> Vec<(Seen, Optio
     seen.collect()
 }
 
-/// A row a worker, with its trial if it has one; then the trials whose worker is not seen from here.
+/// One row per worker, with its trial if it has one; then trials without a visible worker.
 fn by_worker(running: &Table, workers: &[(Seen, Option<f64>)]) -> Table {
     let hash = |row: &[Value]| row[0].as_str().unwrap_or_default().to_owned();
     let mut columns: Vec<String> = ["worker", "pid", "state", "cpu_%"].map(String::from).into();
@@ -152,7 +152,7 @@ fn by_worker(running: &Table, workers: &[(Seen, Option<f64>)]) -> Table {
     Table { rows, columns: columns.clone() }
 }
 
-/// `first`: when the watch began, and the steps there were then.
+/// `first`: time and number of steps at the first look.
 fn summary(whole: &Table, first: &mut Option<(Instant, f64)>) -> String {
     let row = &whole.rows[0];
     let number = |i: usize| row[i].as_f64().unwrap_or(0.0);

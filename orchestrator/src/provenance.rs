@@ -1,4 +1,4 @@
-//! By what code, and where, a trial is computed.
+//! Which code computed a trial, and on which machine.
 
 #[cfg(test)]
 mod source;
@@ -11,7 +11,7 @@ use crate::files::host;
 use crate::look::short_hash;
 use crate::store::{Made, Reader, StoreError};
 
-/// Of this program on this machine, with so many threads a worker.
+/// Provenance of this program on this machine with `threads` threads per worker.
 #[must_use]
 pub fn here(threads: u32) -> Provenance {
     Provenance {
@@ -25,13 +25,13 @@ pub fn here(threads: u32) -> Provenance {
     }
 }
 
-/// Digest of the sources of this program that compute.
+/// Digest of the sources of this program that affect results.
 #[must_use]
 pub fn code() -> &'static str {
     env!("METASENSE_CODE")
 }
 
-/// The commit of this program, where it was built with git.
+/// Git commit of this program; `None` if it was built without git.
 #[must_use]
 pub fn revision() -> Option<&'static str> {
     option_env!("METASENSE_REVISION")
@@ -44,7 +44,7 @@ fn cpu() -> Option<String> {
     Some(line.split_once(':')?.1.trim().to_owned())
 }
 
-/// What is to be said where different code has been at work; `None` where it was one.
+/// A warning if different code computed the results; `None` if the code is the same.
 #[must_use]
 pub fn mixed(made: &[Made]) -> Option<String> {
     let named = |made: &Made| {
@@ -66,13 +66,13 @@ pub fn mixed(made: &[Made]) -> Option<String> {
     })
 }
 
-/// What is to be said of the intervals where a sweep may end as soon as it knows enough.
+/// Warning about intervals of a sweep that may stop early.
 const EARLY: &str = "a sweep of this database has [until] or a [goal]: it may have stopped because its numbers looked clear. Intervals and \
     votes here assume a fixed number of trials, so their true coverage is lower than stated; the answers of `run` and \
     `design` account for this";
 
-/// A warning where no steps keep the error asked on a trial's initial or best body, by what its integrator says; `None` where steps
-/// do on both.
+/// Warns if no time step keeps the requested error on the initial or the best body, according to the trial's `solver` column;
+/// `None` if both are resolved.
 #[must_use]
 pub fn unresolved(solver: &str) -> Option<String> {
     let bodies = match keeps_error(solver) {
@@ -87,7 +87,7 @@ pub fn unresolved(solver: &str) -> Option<String> {
 const CHAOTIC: &str = "the motion is chaotic, so errors and predictions depend on the steps. Softer contact, weaker forces or more \
     damping make the motion resolvable; v_trial.solver contains the remaining error";
 
-/// The same for trials of these hashes.
+/// The same warning for several trials.
 #[must_use]
 pub fn unresolved_trials(hashes: &[String]) -> Option<String> {
     let shown: Vec<&str> = hashes.iter().take(SHOWN).map(|hash| short_hash(hash)).collect();
@@ -99,14 +99,13 @@ pub fn unresolved_trials(hashes: &[String]) -> Option<String> {
     (!hashes.is_empty()).then(text)
 }
 
-/// Hashes that are named.
+/// Number of hashes in a message.
 const SHOWN: usize = 5;
 
-/// What is to be said beside the numbers of a database: that different code made them, that the sweep may have ended early, and that
-/// motion was not resolved.
+/// Warnings about the numbers of a database: results of different code, possible early stopping, unresolved motion.
 ///
 /// # Errors
-/// Where SQLite fails.
+/// If SQLite fails.
 pub async fn caveats(reader: &mut Reader, made: &[Made]) -> Result<Vec<String>, StoreError> {
     let early = reader.may_stop_early().await?;
     let unresolved = unresolved_trials(&reader.unresolved().await?);

@@ -1,6 +1,5 @@
-//! A writer that does not keep its user waiting: what the other end does not take yet lies in memory, and beyond that in a file
-//! without a name. Whoever reads a database must not hold a state of it for as long as somebody reads the answer: the log of a run
-//! grows meanwhile.
+//! A writer that does not block: output that the reader has not taken yet is held in memory, and beyond `MEMORY` in an unnamed
+//! temporary file. A slow reader must not keep a database snapshot open, because the write-ahead log grows meanwhile.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -9,12 +8,12 @@ use std::os::unix::fs::FileExt;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::thread::JoinHandle;
 
-/// Bytes that wait in memory.
+/// Largest number of bytes held in memory.
 const MEMORY: usize = 4 << 20;
-/// Bytes that are read back at a time.
+/// Bytes read back from the file at a time.
 const PART: u64 = 1 << 16;
 
-/// See above. What is written last is with the other end after [`Spool::finish`].
+/// See the module. [`Spool::finish`] waits until the reader has everything.
 #[derive(Debug)]
 pub struct Spool {
     shared: Arc<Shared>,
@@ -29,7 +28,7 @@ struct Shared {
 
 #[derive(Debug, Default)]
 struct Waiting {
-    /// In order: first these, then the file from `taken` on.
+    /// Order: first `memory`, then the file from offset `taken` on.
     memory: VecDeque<Vec<u8>>,
     bytes: usize,
     file: Option<File>,
@@ -46,7 +45,7 @@ impl Shared {
 }
 
 impl Spool {
-    /// Passes on to `out`, by a thread.
+    /// Starts a thread that writes to `out`.
     pub fn new(out: impl Write + Send + 'static) -> Self {
         let shared = Arc::new(Shared::default());
         let passing = Arc::clone(&shared);
@@ -58,10 +57,10 @@ impl Spool {
         Self { shared, passing: Some(passing) }
     }
 
-    /// Waits until the other end has all.
+    /// Waits until `out` has everything.
     ///
     /// # Errors
-    /// Where it takes no more.
+    /// If writing to `out` fails.
     pub fn finish(mut self) -> io::Result<()> {
         self.end();
         self.shared.locked().error.take().map_or(Ok(()), Err)
@@ -88,7 +87,7 @@ impl Write for Spool {
         if let Some(error) = waiting.error.take() {
             return Err(error);
         }
-        // As long as something is in the file, what comes belongs behind it.
+        // While the file contains unread bytes, new ones must follow them there.
         if waiting.bytes + bytes.len() <= MEMORY && waiting.taken == waiting.written {
             waiting.bytes += bytes.len();
             waiting.memory.push_back(bytes.to_vec());
@@ -110,7 +109,7 @@ impl Write for Spool {
     }
 }
 
-/// Until there is no more.
+/// Writes to `out` until the spool has ended and is empty.
 fn pass_on(shared: &Shared, mut out: impl Write) -> io::Result<()> {
     loop {
         let mut waiting = shared.locked();
@@ -125,7 +124,7 @@ fn pass_on(shared: &Shared, mut out: impl Write) -> io::Result<()> {
                 waiting.file.as_ref().expect("something was written to it").read_exact_at(&mut part, at)?;
                 waiting.taken += part.len() as u64;
                 if waiting.taken == waiting.written {
-                    // All of it is taken: its room is given back.
+                    // Everything was read: free the disk space.
                     (waiting.file, waiting.taken, waiting.written) = (None, 0, 0);
                 }
                 break part;

@@ -1,7 +1,7 @@
-//! `answers`: what `status`, `query`, `analyse` and `report` cost on a large database.
+//! `answers`: time and memory of `status`, `query`, `analyse` and `report` on a large database.
 //!
-//! It decides how many trials one database can be asked about. Its trials are made up, planned from a real spec: five M in
-//! twenty placements at ten seeds are a thousand, of one size after another.
+//! Shows how many trials a database may contain. Trials are synthetic, planned from a real spec: 5 values of M × 20 placements
+//! × 10 seeds give 1000 per ligament length.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -17,19 +17,19 @@ use serde_json::json;
 
 use crate::made_up::{Made, Scratch, at, count};
 
-/// Seconds and peak memory of questions to databases with many trials
+/// Time and peak memory of queries to databases with many trials
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Trials of each database, in thousands.
     #[arg(long, value_delimiter = ',', default_value = "1,10")]
     thousands: Vec<usize>,
-    /// Outer steps of a trial.
+    /// Outer steps per trial.
     #[arg(long, default_value_t = 100)]
     steps: u32,
-    /// Iterations of a brain, and points of its losses.
+    /// Training iterations per network, and points of its loss curve.
     #[arg(long, default_value_t = 500)]
     iterations: u32,
-    /// Where the databases are made, and removed again.
+    /// Folder for the temporary databases.
     #[arg(long, default_value = "results", value_name = "DIR")]
     folder: PathBuf,
 }
@@ -64,7 +64,7 @@ async fn measure(args: &Args, folder: &Path) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-/// Seconds by the wall clock, CPU seconds, and the most memory (MiB) that the process had.
+/// Wall-clock seconds, CPU seconds and peak memory (MiB) of a command.
 pub fn asked(arguments: &[&str]) -> Result<(f64, f64, f64), Error> {
     let failed = |source| Error::Io { doing: "asking by", path: arguments.join(" ").into(), source };
     let began = Instant::now();
@@ -84,7 +84,7 @@ pub fn asked(arguments: &[&str]) -> Result<(f64, f64, f64), Error> {
     }
 }
 
-/// A database whose trials are done; errors fall with M and by training, by laws of their own.
+/// Creates a database of finished trials. Errors fall with M and with training, by formulas.
 async fn make(file: &Path, thousands: usize, args: &Args) -> Result<(), Error> {
     let lengths: Vec<String> =
         (0..thousands).map(|i| format!("{:.4}", 2.0 + 0.5 * i as f64 / thousands as f64)).collect();
@@ -101,7 +101,7 @@ async fn make(file: &Path, thousands: usize, args: &Args) -> Result<(), Error> {
     store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await?;
     store.close().await?;
     let mut made = Made::begin(file).await?;
-    // noise of a trial, ± 10 %
+    // noise per trial, ± 10 %
     let noise = "(1.0 + 0.2 * ((t.id * 7919) % 101) / 101.0 - 0.1)";
     let sql = [
         format!(

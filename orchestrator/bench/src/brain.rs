@@ -1,6 +1,6 @@
-//! `brain`: what an iteration of training costs, beside the machine's own multiply-add peak.
+//! `brain`: time of a training iteration and of a Hessian-vector product, relative to the machine's multiply-add peak.
 //!
-//! It decides whether the kernels leave anything to gain, and what a Hessian-vector product costs in iterations.
+//! Shows how much faster the kernels could be.
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -34,7 +34,7 @@ pub struct Args {
     /// Panels K
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u16).range(1..=100))]
     panels: u16,
-    /// Repetitions, of which the quickest counts
+    /// Repetitions; the fastest counts
     #[arg(long, default_value_t = 20)]
     repeat: usize,
     /// Threads of the second pair of rows; rows of narrower instruction sets use one
@@ -60,8 +60,8 @@ pub fn execute(args: &Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-/// Both precisions, on one thread and on `args.threads`, and with narrower instruction sets on one; the long network in f32,
-/// on one thread of each.
+/// Rows for both precisions, on one thread and on `args.threads`; on one thread for narrower instruction sets; and for the long
+/// network in f32 on one thread.
 fn rows(args: &Args) -> Vec<Vec<Value>> {
     let mut rows = Vec::new();
     for width in widths() {
@@ -75,7 +75,7 @@ fn rows(args: &Args) -> Vec<Vec<Value>> {
     rows
 }
 
-/// A row; peak and kernels are measured by turns, so that all meet the same machine.
+/// Measures a row. Peak and kernels alternate, so that both see the same load of the machine.
 fn measured<F: Real>(args: &Args, threads: u16, width: Width, preset: Preset) -> Vec<Value> {
     let [samples, instants, sensors, panels] =
         [args.samples, args.instants, args.sensors, args.panels].map(usize::from);
@@ -103,7 +103,7 @@ fn measured<F: Real>(args: &Args, threads: u16, width: Width, preset: Preset) ->
         let mut work = 0;
         let seconds = timed(&mut || work = pool.broadcast(|| kernels.burst(300_000)).iter().sum());
         peak = peak.max(work as f64 / seconds);
-        // A step of length 0 costs the same and leaves the weights for the next round.
+        // A step of length 0 takes as long and keeps the weights.
         let times = [
             timed(&mut || {
                 loss(&weights, data.all(), ws, &pool);
@@ -125,7 +125,7 @@ fn measured<F: Real>(args: &Args, threads: u16, width: Width, preset: Preset) ->
     };
     let precision = if size_of::<F>() == 4 { "f32" } else { "f64" };
     let [forward, iteration, hessian] = least;
-    // Of an iteration, direct convolutions counted; Winograd's saving can lift the share of the peak above 1.
+    // Counts direct convolutions; Winograd's algorithm needs fewer, so the share of the peak can exceed 1.
     let gflop = (6 * samples * instants * layers) as f64 * 1e-9;
     let peak = peak * 1e-9;
     row![

@@ -1,7 +1,7 @@
-//! `dynamics`: error of the signals and of dα against milliseconds a sample, for every integrator, and what that
-//! says of each scene; or the race.
+//! `dynamics`: error of the signals and of dα against milliseconds per sample, for every integrator, with conclusions per
+//! scene; or the race.
 //!
-//! It decides what `auto` picks and whether a stiff scene has a method of its own; `--race` is what is set beside a peer.
+//! Shows which integrator `auto` should pick and whether stiff scenes need their own; `--race` compares with other programs.
 
 mod judgement;
 mod measure;
@@ -18,29 +18,29 @@ use serde_json::json;
 use crate::append;
 use measure::{BenchScene, LAP, POINT, race, work_precision};
 
-/// Error of the signals and of dα against milliseconds a sample, for every integrator; or the race against a peer
+/// Error of signals and of dα against milliseconds per sample, for every integrator; or a race against other programs
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Scenes of the diagram, cheapest first
     #[arg(long, value_enum, value_delimiter = ',', default_values = ["reference", "contact", "stretch100", "stretch10000"])]
     scenes: Vec<BenchScene>,
-    /// Samples: sixteen fill the lanes, of f32 too; of the race 300
+    /// Samples (default 16, which fill all SIMD lanes; race: 300)
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..))]
     samples: Option<u16>,
-    /// A tenth of a second, with blows ten times as fast, instead of a second
+    /// Simulate 0.1 s with forces ten times as fast, instead of 1 s
     #[arg(long)]
     quick: bool,
-    /// Forward and gradient of the reference scene by tsit5 at 1e-6 and by the default, on one thread and on two, and by
-    /// the default with narrower instruction sets
+    /// Time forward and gradient of the reference scene with tsit5 at 1e-6 and with the default, on one thread and on
+    /// `--threads`, and with narrower instruction sets
     #[arg(long, conflicts_with = "redraw")]
     race: bool,
-    /// Threads of the race's second rows
+    /// Threads of the second rows of the race
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: u16,
-    /// Repetitions of the race, of which the quickest counts
+    /// Repetitions of the race; the fastest counts
     #[arg(long, default_value_t = 2)]
     repeat: usize,
-    /// Measure nothing; draw the rows that are there
+    /// Measure nothing; draw the rows in the file
     #[arg(long)]
     redraw: bool,
     /// File to which the rows are appended as JSON lines
@@ -68,7 +68,7 @@ pub fn execute(args: &Args) -> Result<Exit, Error> {
     let mut all = Vec::new();
     for &scene in args.scenes.iter().filter(|_| !args.redraw) {
         let rows = work_precision(scene, samples.into(), instants.into());
-        // Scene by scene: the stiffest takes most of the time, and what is before it should not be lost with it.
+        // Written per scene: the stiffest takes longest, and an interruption then loses only the current one.
         let head = json!({"bench": "dynamics", "samples": samples, "instants": instants});
         append(&args.append, &head, &Table::new(POINT, rows.clone()))?;
         all.extend(rows);

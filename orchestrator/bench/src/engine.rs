@@ -1,7 +1,7 @@
-//! `engine`: trials without maths through the real engine: processes, shared memory, database.
+//! `engine`: runs trials without computation through the real engine: processes, shared memory, database.
 //!
-//! It decides whether the engine is ever what a sweep waits for. The tests of the engine use it too: the result of such
-//! a trial depends on every step of it, and its database can be kept, interrupted and gone on with.
+//! Shows whether the engine limits a sweep. Tests of the engine use it, too: the result of a trial depends on each of its
+//! steps, and the database can be kept and resumed.
 
 pub mod noop;
 mod soak;
@@ -23,7 +23,7 @@ use noop::{Fault, Noop};
 use serde_json::json;
 use soak::Soak;
 
-/// Recorded trials a second, and the rate of arrays, of an engine whose trials do nothing
+/// Recorded trials per second and rate of arrays of an engine with empty trials
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Trials.
@@ -32,31 +32,31 @@ pub struct Args {
     /// Worker processes.
     #[arg(long, default_value_t = 2)]
     workers: u32,
-    /// Steps of a trial, each recorded with its checkpoint.
+    /// Steps per trial, each recorded with its checkpoint.
     #[arg(long, default_value_t = 0)]
     steps: u32,
-    /// Length of a step (ms).
+    /// Duration of a step (ms).
     #[arg(long, default_value_t = 0)]
     step_ms: u32,
-    /// Length of an array that comes with each result (float64).
+    /// Length of the array of each result (float64).
     #[arg(long, default_value_t = 0)]
     array: u64,
-    /// Read the arrays without recording them: the rate of shared memory alone.
+    /// Read the arrays without recording them, to measure shared memory only.
     #[arg(long)]
     drop_arrays: bool,
-    /// Run for this long while workers are killed at random, with a row of memory each minute; ask for enough trials.
+    /// Run for this long, kill workers at random and print a row per minute; set enough trials.
     #[arg(long, value_name = "MINUTES")]
     soak: Option<f64>,
-    /// Keep the database, and go on with it if there is one.
+    /// Keep the database; resume an existing one.
     #[arg(long, value_name = "FILE")]
     db: Option<PathBuf>,
-    /// What goes wrong in every trial.
+    /// Fault of every trial.
     #[arg(long, hide = true, value_enum)]
     fault: Option<Fault>,
     /// Longest time without a sign of life (ms).
     #[arg(long, hide = true, default_value_t = 60_000)]
     no_progress_ms: u64,
-    /// Longest time of an attempt (ms).
+    /// Longest duration of an attempt (ms).
     #[arg(long, hide = true)]
     time_limit_ms: Option<u64>,
     /// Longest wait for steps in progress at a stop (ms).

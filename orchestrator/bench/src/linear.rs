@@ -1,6 +1,6 @@
-//! `linear`: what it costs to solve for a linear brain, by sensors and memory.
+//! `linear`: time to fit a linear decoder, by sensors and memory.
 //!
-//! It decides what memory a step can afford: the factor takes D³/3 operations, all else grows with D² at most.
+//! Shows which memory a step can afford: the factorisation takes D³/3 operations for D unknowns, everything else at most O(D²).
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 
 use crate::append;
 
-/// Time to solve for a linear brain on one thread: moments of the samples, normal matrix with its factor, answers, pull-back
+/// Time to fit a linear decoder on one thread: moments, normal matrix with factorisation, estimates, gradient
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Samples N
@@ -31,7 +31,7 @@ pub struct Args {
     /// Panels K
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u16).range(1..=100))]
     panels: u16,
-    /// Memories, each way, in instants
+    /// Memories before and after an instant, in instants
     #[arg(long, value_delimiter = ',', default_value = "40,100,199")]
     memories: Vec<u16>,
     /// File to which the rows are appended as JSON lines
@@ -53,7 +53,7 @@ pub fn execute(args: &Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-/// A row: solves once for white noise.
+/// Measures a row with white noise.
 fn measured(args: &Args, sensors: u8, memory: u16) -> Vec<Value> {
     let [samples, instants, panels] = [args.samples, args.instants, args.panels].map(usize::from);
     let reach = usize::from(memory).min(instants - 1);
@@ -78,7 +78,7 @@ fn measured(args: &Args, sensors: u8, memory: u16) -> Vec<Value> {
     let third = passed();
     std::hint::black_box(linear.predict_vjp(&answers));
     let unknowns = lags.groups().len() * sizes.channels;
-    // Were the factor all that a solve does
+    // Counts the factorisation only
     let gflops = (unknowns as f64).powi(3) / 3.0 / (1e6 * second);
     row![sensors, memory, unknowns, first, second, third, passed(), gflops]
 }

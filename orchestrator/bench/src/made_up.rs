@@ -1,4 +1,4 @@
-//! Databases of made-up trials, filled by SQL of our own.
+//! Databases of synthetic trials, filled by SQL.
 
 use std::path::{Path, PathBuf};
 
@@ -22,7 +22,7 @@ impl Drop for Scratch {
     }
 }
 
-/// A database of the store's, open in a transaction of statements that are not flushed to the disk.
+/// A database in an open transaction, without syncs to disk.
 pub struct Made<'a> {
     file: &'a Path,
     pub db: SqliteConnection,
@@ -47,12 +47,12 @@ impl<'a> Made<'a> {
     }
 }
 
-/// An error of SQLite in making this file.
+/// Converts SQLite errors while creating this file.
 pub fn at(file: &Path) -> impl Fn(sqlx::Error) -> Error {
     move |source| Error::Store(StoreError::sql(file, "making", source))
 }
 
-/// The table `n (i)` of the numbers from 0 to below `n`, to begin a statement with.
+/// Start of a statement that defines the table `n (i)` with the numbers 0 … n − 1.
 pub fn count(n: u32) -> String {
     format!("WITH RECURSIVE n (i) AS (SELECT 0 UNION ALL SELECT i + 1 FROM n WHERE i + 1 < {n})")
 }

@@ -1,4 +1,5 @@
-//! The `metasense-bench` command: how fast metasense is on this machine, in rows that can be compared over the years.
+//! The `metasense-bench` command: measures the speed of metasense on this machine, in rows that stay comparable between
+//! versions.
 
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
@@ -28,7 +29,7 @@ use metasense_numerics::{Heartbeat, Pool};
 use metasense_worker::simd::width;
 use serde_json::{Value, json};
 
-/// Measures what metasense costs on this machine. For development: `cargo run --release -p metasense-bench -- BENCH`
+/// Measures the speed of metasense on this machine. For development: `cargo run --release -p metasense-bench -- BENCH`
 #[derive(Debug, Parser)]
 #[command(version, after_help = EXIT_CODES, max_term_width = 100)]
 struct Cli {
@@ -48,13 +49,13 @@ enum What {
     Merge(merge::Args),
     Projection(projection::Args),
     Protocols(protocols::Args),
-    /// What the engine starts as its workers.
+    /// Runs a worker of the engine.
     #[command(hide = true)]
     Worker {
-        /// Where to connect to.
+        /// Address of the engine.
         start: String,
     },
-    /// The `metasense` command, which `answers` starts.
+    /// The `metasense` command, for `answers`.
     #[command(hide = true, disable_help_flag = true)]
     Metasense {
         /// Its arguments.
@@ -90,7 +91,7 @@ fn dispatch(cli: Cli) -> Result<Exit, Error> {
     }
 }
 
-/// Appends rows as JSON lines: the fields of `head`, the version and the instruction set, then those of the row.
+/// Appends rows as JSON lines: the fields of `head`, version and instruction set, then those of the row.
 fn append(path: &Path, head: &Value, table: &Table) -> Result<(), Error> {
     let failed = |source| Error::Io { doing: "appending to", path: path.to_owned(), source };
     if let Some(folder) = path.parent() {
@@ -108,12 +109,12 @@ fn append(path: &Path, head: &Value, table: &Table) -> Result<(), Error> {
     Ok(())
 }
 
-/// The name of a file, for such a head.
+/// File name of a path, for `head`.
 fn file_name(path: &Path) -> String {
     path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// The instruction sets up to the process's own, that first.
+/// The instruction sets up to the process's own, widest first.
 fn widths() -> impl Iterator<Item = Width> {
     Width::ALL.into_iter().rev().filter(|narrow| *narrow <= width())
 }
@@ -122,7 +123,7 @@ fn pool(threads: usize, width: Width) -> Pool {
     Pool::with(threads, width, Heartbeat::default()).expect("threads")
 }
 
-/// Most memory that this process has had.
+/// Peak resident memory of this process (MiB).
 fn peak_mib() -> f64 {
     metasense::fleet::peak_mib(std::process::id()).unwrap_or(f64::NAN)
 }

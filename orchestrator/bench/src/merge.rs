@@ -1,6 +1,6 @@
-//! `merge`: databases of shards, made up, into one.
+//! `merge`: merges synthetic databases of shards.
 //!
-//! It decides how many trials one merge, and one file, can hold. Rows and bytes of a trial are options.
+//! Shows how many trials one merge and one file can handle.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -16,28 +16,28 @@ use serde_json::json;
 use crate::answers::asked;
 use crate::made_up::{Made, Scratch, count};
 
-/// Trials a second, and bytes a second, of a merge of made-up shards.
+/// Trials and bytes per second of a merge of synthetic shards.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Databases.
+    /// Number of databases.
     #[arg(long, default_value_t = 20)]
     shards: u32,
-    /// Trials of each.
+    /// Trials per database.
     #[arg(long, default_value_t = 100)]
     trials: u32,
-    /// Outer steps of a trial.
+    /// Outer steps per trial.
     #[arg(long, default_value_t = 200)]
     steps: u32,
-    /// Points of the loss curves of a trial.
+    /// Points of the loss curves per trial.
     #[arg(long, default_value_t = 400)]
     points: u32,
-    /// Bytes of the arrays of a trial, in six.
+    /// Bytes of six arrays per trial.
     #[arg(long, default_value_t = 120_000)]
     bytes: u32,
-    /// Takes over facts alone, and asks `status` of them.
+    /// Merge only facts, and time `status` on them.
     #[arg(long)]
     facts: bool,
-    /// Where the databases are made, and removed again.
+    /// Folder for the temporary databases.
     #[arg(long, default_value = "results", value_name = "DIR")]
     folder: PathBuf,
 }
@@ -91,7 +91,7 @@ fn size(file: &Path) -> u64 {
     file.metadata().map_or(0, |m| m.len())
 }
 
-/// A shard whose trials are done, as the engine leaves them.
+/// Creates the database of a shard with finished trials, as the engine would.
 async fn make(file: &Path, shard: Shard, args: &Args) -> Result<(), Error> {
     Store::open(file).await?.close().await?;
     let mut made = Made::begin(file).await?;

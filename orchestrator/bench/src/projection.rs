@@ -1,7 +1,7 @@
-//! `projection`: what making a design castable costs, and that it always does.
+//! `projection`: time to project a design onto the feasible set, with a check of the results.
 //!
-//! It decides whether the projection stays below 2 % of an outer step. A walk keeps its direction, with noise, so that
-//! it runs into the constraints and along them, as an optimiser does; single steps start from rotated squares.
+//! Shows whether the projection takes less than 2 % of an outer step. A walk keeps its direction, with noise, so that it runs
+//! into and along the constraints, as an optimiser does. Single steps start from rotated squares.
 
 use std::time::Instant;
 
@@ -19,19 +19,19 @@ const SPACING: f64 = 15.0;
 const LIGAMENT: f64 = 2.25;
 const ANGLE: f64 = 25.0;
 
-/// Time of a projection against size and step length, share of the stages, Clarabel's iterations
+/// Time of a projection by size and step length, share of its stages, iterations of Clarabel
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Bodies, columns × rows
     #[arg(long, value_delimiter = ',', value_parser = size, default_value = "2x2,6x6,12x12,24x16,40x40")]
     sizes: Vec<(usize, usize)>,
-    /// Largest shift of a step (mm); above 1 mm single steps, below it a walk
+    /// Largest displacement per step (mm): single steps above 1 mm, a walk below
     #[arg(long, value_delimiter = ',', default_value = "0.1,0.15,4,7.5")]
     steps: Vec<f64>,
-    /// Projections a row
+    /// Projections per row
     #[arg(long, default_value_t = 100)]
     calls: u64,
-    /// Instead: so many random projections of random bodies, planar and circular, and a count of violations
+    /// Instead, run N random projections of random planar and circular bodies, and count violations
     #[arg(long, value_name = "N")]
     random: Option<u64>,
     /// Format of the rows
@@ -61,7 +61,7 @@ pub fn execute(args: &Args) -> Result<Exit, Error> {
     let mut violations = 0;
     for &(columns, rows) in &args.sizes {
         for &step in &args.steps {
-            // Large bodies take fewer single steps: they cost seconds.
+            // Large bodies get fewer single steps, which take seconds each.
             let calls = if step > 1.0 {
                 (args.calls * 36 / (columns * rows) as u64).clamp(1, args.calls)
             } else {
@@ -84,7 +84,7 @@ fn measure(columns: usize, rows: usize, step: f64, calls: u64) -> (Vec<Value>, u
     let direction: Vec<f64> = start.iter().map(|_| draw.between([-1.0, 1.0]).signum()).collect();
     let walk = step <= 1.0;
     let mut x = start;
-    // A walk is measured once it has reached the constraints.
+    // Measure a walk only after it has reached the constraints.
     let ahead = if walk { (2.5 / step) as u64 } else { 0 };
     let (mut times, mut found, mut broken) = (Vec::new(), Vec::new(), 0);
     for call in 0..ahead + calls {
@@ -129,7 +129,8 @@ fn measure(columns: usize, rows: usize, step: f64, calls: u64) -> (Vec<Value>, u
     (row, broken)
 }
 
-/// Bodies of 2 × 2 to 8 × 8 units and discs, steps of up to a spacing, from rotated squares or from random designs.
+/// Random projections: bodies of 2 × 2 to 8 × 8 units and discs, steps up to the spacing, from rotated squares or random
+/// designs.
 fn random(count: u64, format: Format) -> Result<Exit, Error> {
     let begin = Instant::now();
     let outcomes: Vec<(Status, usize)> = (0..count).into_par_iter().map(one).collect();
@@ -158,7 +159,7 @@ fn one(number: u64) -> (Status, usize) {
     };
     let mut feasible = Feasible::new(&layout, Limits::default(), &[]);
     let regular = layout.initial_design(draw.between([0.2, 0.5]));
-    // From 0.1 mm to a spacing, evenly in the logarithm.
+    // Log-uniform from 0.1 mm to the spacing.
     let size = 0.1 * (SPACING / 0.1).powf(draw.uniform());
     let start = match draw.below(2) {
         0 => regular,

@@ -1,7 +1,7 @@
-//! `protocols`: the holdout error that each protocol's body has reached against the CPU seconds that it took.
+//! `protocols`: held-out error of each protocol's body against CPU seconds of its training.
 //!
-//! It decides the default of `optimise.protocol`. All bodies meet fresh networks of the same initial weights; these
-//! evaluations are not counted.
+//! Shows the best default of `optimise.protocol`. All bodies are evaluated with new networks from the same initial weights; the
+//! time of evaluations does not count.
 
 mod course;
 
@@ -21,10 +21,10 @@ use serde_json::{Value, json};
 use crate::{append, file_name};
 use course::course;
 
-/// Holdout error against CPU seconds, a line a protocol
+/// Held-out error against CPU seconds, one line per protocol
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The spec file (TOML), whose first trial is the scene
+    /// Spec file (TOML); its first trial is the scene
     #[arg(required_unless_present = "redraw")]
     spec: Option<PathBuf>,
     /// Measure nothing; draw the rows of the file again
@@ -33,10 +33,10 @@ pub struct Args {
     /// Protocols, each at its own defaults; the protocol of the spec with the keys of the spec
     #[arg(long, value_delimiter = ',', default_values = ["paper", "joint"])]
     protocols: Vec<String>,
-    /// CPU seconds at which the body is evaluated, ascending; the last one ends a protocol
+    /// CPU seconds at which the body is evaluated, ascending; the last ends a protocol
     #[arg(long, value_delimiter = ',', default_values_t = [15.0, 30.0, 60.0, 120.0, 240.0])]
     seconds: Vec<f64>,
-    /// File to which the rows are appended as JSON lines; a plot of all of them goes beside it, as .svg
+    /// File to which the rows are appended as JSON lines; a plot of all rows is written beside it, as .svg
     #[arg(long, value_name = "FILE", default_value = "results/protocols.jsonl")]
     append: PathBuf,
     /// Format of the rows
@@ -90,7 +90,7 @@ fn failed(failure: Failure) -> Error {
     Error::Usage(failure.to_string())
 }
 
-/// The spec's trial under another protocol, at that one's defaults.
+/// The spec's trial with another protocol and its defaults.
 fn with_protocol(spec: &TrialSpec, name: &str) -> Result<TrialSpec, Error> {
     let protocol: Protocol = serde_json::from_value(json!(name))
         .map_err(|_| Error::Usage(format!("--protocols {name}: must be paper or joint")))?;
@@ -115,7 +115,7 @@ fn test(body: &BodyEvaluation) -> Option<f64> {
     mean(&body.networks, |network| network.error_test)
 }
 
-/// A plot of JSON lines, one line a protocol, as a file of its own.
+/// Plots JSON lines as an SVG file, one line per protocol.
 fn draw(rows: &str) -> String {
     let (mut lines, mut initial) = (BTreeMap::<String, Vec<(f64, f64)>>::new(), None);
     for row in rows.lines().filter_map(|row| serde_json::from_str::<Value>(row).ok()) {

@@ -1,8 +1,8 @@
-//! Which shard runs which trial: the longest first, by their weight, each to the shard that has least to do, or has its body
-//! trained. Every machine comes to the same.
+//! Assigns trials to shards: the longest first, by weight, each to the least busy shard or to one that trains its body. The
+//! result is the same on every machine.
 //!
-//! The assignment is written down with the shards, and stays: trials that a sweep gains later are added to it. Equal trials
-//! give equal files. What is submitted has the trials of each shard written out as well, so that a shard expands no spec.
+//! The assignment is stored with the shards and never changes; new trials of a sweep are added. Equal trials give equal files.
+//! The trials of each shard are stored, too, so that shards need not expand the spec.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
@@ -22,42 +22,42 @@ pub struct Assignment {
     of: BTreeMap<String, u32>,
 }
 
-/// Why shards cannot be assigned.
+/// An error of an assignment.
 #[derive(Debug, thiserror::Error)]
 pub enum AssignmentError {
-    /// Reading or writing it.
+    /// The file cannot be read or written.
     #[error("cannot {doing} {}, which assigns trials to shards", path.display())]
     File {
-        /// What was being done.
+        /// "read" or "write".
         doing: &'static str,
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
-    /// A line of it.
+    /// A line of the file is invalid.
     #[error("{}:{line}: {text:?} is not a hash with a shard from 1 to {shards}; restore the file", path.display())]
     Line {
         /// The file.
         path: PathBuf,
-        /// Which line.
+        /// Line number.
         line: usize,
-        /// What it says.
+        /// Text of the line.
         text: String,
-        /// How many shards there are.
+        /// Number of shards.
         shards: u32,
     },
-    /// A line of a shard's trials.
+    /// A line of a shard's list of trials is invalid.
     #[error("{}:{line}: {why}; `metasense cluster submit` writes it again", path.display())]
     Trial {
         /// The file.
         path: PathBuf,
-        /// Which line.
+        /// Line number.
         line: usize,
-        /// What is wrong with it.
+        /// What is wrong.
         why: String,
     },
-    /// Databases without it.
+    /// The folder contains databases, but no assignment.
     #[error(
         "{} contains databases of shards, but not {}, which assigns trials to shards: restore it, or merge the databases \
          and choose another folder",
@@ -71,13 +71,13 @@ pub enum AssignmentError {
     },
 }
 
-/// What shards have to do. Each trains the bodies that its trials have.
+/// Work of the shards. Each shard trains the bodies of its trials.
 struct Dealt<'a> {
-    /// By shard.
+    /// Load by shard.
     loads: Vec<u64>,
-    /// The same, ascending.
+    /// Loads with their shards, ascending.
     order: BTreeSet<(u64, u32)>,
-    /// Shards that train a body.
+    /// Shards that train each body.
     homes: HashMap<&'a str, BTreeSet<u32>>,
 }
 
@@ -95,7 +95,8 @@ impl<'a> Dealt<'a> {
         self.order.insert((*load, shard));
     }
 
-    /// Where its body is trained, unless that shard has so much more to do than the least busy one that another training pays.
+    /// The shard that trains the trial's body, unless its load is so high that training the body again on the least busy shard
+    /// pays.
     fn shard_for(&self, trial: &Trial) -> u32 {
         let (least, shard) = *self.order.first().expect("there is a shard");
         let homes = self.homes.get(&*trial.training).into_iter().flatten();
@@ -108,7 +109,7 @@ impl<'a> Dealt<'a> {
 }
 
 impl Assignment {
-    /// Of trials that have not been assigned yet.
+    /// Assigns new trials.
     #[must_use]
     pub fn new(trials: &[Trial], shards: u32) -> Self {
         let mut assignment = Self { shards, of: BTreeMap::new() };
@@ -116,10 +117,10 @@ impl Assignment {
         assignment
     }
 
-    /// As a folder has it, with the trials that are new.
+    /// Reads the assignment of a folder and adds new trials.
     ///
     /// # Errors
-    /// If what is written there cannot be read, or is gone.
+    /// If the file is unreadable, or lost although databases exist.
     pub fn in_folder(folder: &Path, trials: &[Trial], shards: u32) -> Result<Self, AssignmentError> {
         let mut assignment = Self { shards, of: BTreeMap::new() };
         let path = folder.join(file_name(shards));
@@ -136,20 +137,20 @@ impl Assignment {
         Ok(assignment)
     }
 
-    /// Writes it down, where that has not been done.
+    /// Writes the assignment if it has changed.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// If the file cannot be written.
     pub fn write(&self, folder: &Path) -> Result<(), AssignmentError> {
         let lines = self.of.iter().map(|(hash, shard)| format!("{hash},{shard}\n"));
         let text = iter::once(format!("{HEAD}\n")).chain(lines).collect();
         write(folder.join(file_name(self.shards)), text)
     }
 
-    /// Writes the trials of each shard, a line each.
+    /// Writes the trials of each shard, one per line.
     ///
     /// # Errors
-    /// If one cannot be written.
+    /// If a file cannot be written.
     pub fn write_trials(&self, folder: &Path, trials: &[Trial]) -> Result<(), AssignmentError> {
         let mut texts = vec![String::new(); self.shards as usize];
         for trial in trials {
@@ -161,10 +162,10 @@ impl Assignment {
         shards.zip(texts).try_for_each(|(shard, text)| write(trials_file(folder, shard), text))
     }
 
-    /// Those that a folder has, of whatever number of shards.
+    /// All assignments in a folder, for any number of shards.
     ///
     /// # Errors
-    /// If one cannot be read.
+    /// If an assignment cannot be read.
     pub fn all_in(folder: &Path) -> Result<Vec<Self>, AssignmentError> {
         let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
         let named = entries.filter_map(|entry| {
@@ -177,29 +178,29 @@ impl Assignment {
         shards.into_iter().map(|shards| Self::in_folder(folder, &[], shards)).collect()
     }
 
-    /// How many shards there are.
+    /// Number of shards.
     #[must_use]
     pub fn shards(&self) -> u32 {
         self.shards
     }
 
-    /// The hashes of all trials, each with its shard.
+    /// Hashes of all trials with their shards.
     pub fn hashes(&self) -> impl Iterator<Item = (&str, u32)> {
         self.of.iter().map(|(hash, shard)| (hash.as_str(), *shard))
     }
 
-    /// Only these trials; what a spec no longer has is nobody's any more.
+    /// Removes all other trials, which the spec no longer contains.
     pub fn keep<'a>(&mut self, trials: impl Iterator<Item = &'a Trial>) {
         let kept: HashSet<&str> = trials.map(|trial| trial.hash.as_str()).collect();
         self.of.retain(|hash, _| kept.contains(hash.as_str()));
     }
 
-    /// Without these trials.
+    /// Removes these trials.
     pub fn leave_out(&mut self, hashes: &HashSet<&str>) {
         self.of.retain(|hash, _| !hashes.contains(hash.as_str()));
     }
 
-    /// Assigns what has not been, and leaves the rest where it is: first a trial of each body, then those that find it trained.
+    /// Assigns unassigned trials only: first one trial per body, then those whose body is already in training.
     fn add(&mut self, trials: &[Trial]) {
         let (mut dealt, mut new) = (Dealt::new(self.shards), BTreeMap::<&str, Vec<&Trial>>::new());
         for trial in trials {
@@ -225,19 +226,19 @@ impl Assignment {
         }
     }
 
-    /// The shard of a trial that has been assigned.
+    /// The shard of an assigned trial.
     #[must_use]
     pub fn shard(&self, hash: &str) -> u32 {
         *self.of.get(hash).unwrap_or_else(|| panic!("trial {hash} has not been assigned to a shard"))
     }
 
-    /// Leaves a plan only the trials of one shard, in their places.
+    /// Keeps only the trials of one shard in a plan, in their order.
     pub fn restrict(&self, shard: Shard, plan: &mut Plan) {
         plan.trials.retain(|trial| self.shard(&trial.hash) == shard.index());
         cost::first_trains(&mut plan.trials);
     }
 
-    /// Estimated core-seconds of each shard.
+    /// Estimated core-seconds per shard.
     #[must_use]
     pub fn costs(&self, trials: &[Trial]) -> Vec<f64> {
         let (mut costs, mut trained) = (vec![0.0; self.shards as usize], HashSet::new());
@@ -255,10 +256,10 @@ fn file_name(shards: u32) -> String {
     format!("assignment-of-{shards}.csv")
 }
 
-/// The trials of a shard as they were submitted; none where nobody has written them down.
+/// The submitted trials of a shard; `None` if there is no list.
 ///
 /// # Errors
-/// If they cannot be read, or are not what this program makes of them.
+/// If the list cannot be read, or this program gives other hashes.
 pub fn trials_of(folder: &Path, shard: Shard) -> Result<Option<Vec<Trial>>, AssignmentError> {
     let path = trials_file(folder, shard);
     let text = match std::fs::read_to_string(&path) {

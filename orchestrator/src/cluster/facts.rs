@@ -1,5 +1,5 @@
-//! The facts of the shards of a folder, as one database that is kept there: questions to the folder are put to it. What has been
-//! handed in since is added first; steps, curves and arrays stay where they are.
+//! Keeps a database of facts of a folder of shards, which answers queries about the folder. New copies of shards are added
+//! first; steps, curves and arrays stay in their files.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
@@ -12,31 +12,31 @@ use super::merge::{Extent, MergeError, merge};
 use crate::leftovers;
 use crate::store::ask_unchanging;
 
-/// Its name in the folder, by which no merge takes it for a shard's.
+/// File name in the folder; merges do not take it for a shard's database.
 const NAME: &str = "facts.db";
-/// How long another process may take to add what is new, and between two looks at whether it has.
+/// Longest wait for another process that adds copies, and the time between two checks.
 const PATIENCE: Duration = Duration::from_secs(600);
 const AGAIN: Duration = Duration::from_millis(200);
 
-/// The facts of a folder.
+/// The database of facts of a folder.
 #[derive(Debug)]
 pub struct Facts {
     folder: PathBuf,
     db: PathBuf,
-    /// Where they lie if the folder cannot be written to.
+    /// Holds the database if the folder is not writable.
     _scratch: Option<TempDir>,
-    /// What they were made of at the last look.
+    /// The merged files at the last call of `look`: path, size, modification time.
     of: Vec<(PathBuf, u64, Option<SystemTime>)>,
 }
 
-/// Files that could not be read, each with why.
+/// Unreadable files, with reasons.
 pub type Refused = Vec<(PathBuf, String)>;
 
 impl Facts {
-    /// Of this folder; nothing is read yet.
+    /// For this folder; reads nothing yet.
     ///
     /// # Errors
-    /// Where neither the folder nor TMPDIR can be written to.
+    /// If neither the folder nor TMPDIR is writable.
     pub fn of(folder: &Path) -> std::io::Result<Self> {
         let writable = access(folder, Access::WRITE_OK).is_ok();
         let scratch = (!writable).then(|| leftovers::scratch("metasense-facts-")).transpose()?;
@@ -44,16 +44,16 @@ impl Facts {
         Ok(Self { folder: folder.to_owned(), db, _scratch: scratch, of: Vec::new() })
     }
 
-    /// The database.
+    /// Path of the database.
     #[must_use]
     pub fn db(&self) -> &Path {
         &self.db
     }
 
-    /// Adds what has been handed in since.
+    /// Adds new copies of shards.
     ///
     /// # Errors
-    /// `Nothing` where nothing has been handed in, or as a merge.
+    /// `Nothing` if there are none, or an error of the merge.
     pub async fn look(&mut self) -> Result<Refused, MergeError> {
         let files: Vec<PathBuf> = attempts(&self.folder).into_values().flatten().collect();
         let stamp = |path: &PathBuf| {
@@ -68,7 +68,7 @@ impl Facts {
         let begun = Instant::now();
         let refused = loop {
             match self.add(&files).await {
-                // Deleted meanwhile, because a later copy contains it: list the folder again.
+                // A file was deleted because a later copy contains it: list the folder again.
                 Ok(refused)
                     if refused.iter().any(|(file, _)| !file.exists()) && begun.elapsed() < PATIENCE =>
                 {
@@ -85,7 +85,7 @@ impl Facts {
     }
 
     async fn add(&self, files: &[PathBuf]) -> Result<Refused, MergeError> {
-        // Of it nothing is lost: all is in the shards.
+        // Recreating the database loses nothing: the shards contain everything.
         let summary = match merge(Extent::Facts, files, &self.db).await {
             Err(MergeError::Result { .. } | MergeError::NotFacts(_)) => self.anew(files).await?,
             Ok(_) if self.points_nowhere().await => self.anew(files).await?,
@@ -100,7 +100,7 @@ impl Facts {
         merge(Extent::Facts, files, &self.db).await
     }
 
-    /// Whether a trial's file is gone, as a shard removes copies that a later one contains.
+    /// Whether the file of a trial is gone: shards remove copies that later ones contain.
     async fn points_nowhere(&self) -> bool {
         let sql = "SELECT id, file FROM source";
         let used = "SELECT DISTINCT source_id FROM elsewhere";
@@ -117,7 +117,7 @@ impl Facts {
         asked.await.unwrap_or(true)
     }
 
-    /// In words, for whoever asks the folder.
+    /// Message about the folder for people.
     #[must_use]
     pub fn said(&self) -> String {
         let folder = self.folder.display();

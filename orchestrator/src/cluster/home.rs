@@ -1,8 +1,8 @@
-//! A shard's database: live on a disk of its node, handed in to the results folder as one file.
+//! The database of a shard: in use on a disk of its node, and copied to the results folder.
 //!
-//! What earlier attempts have handed in is taken in first, so that a shard can go on on another node. It is handed in when
-//! the run ends, by itself or by a signal, and from time to time, should the node be lost. Each attempt has a file of its own
-//! name, so that none overwrites another's, and one that is there is whole: it is renamed into its place.
+//! At the start it merges copies of earlier attempts, so that a shard can resume on another node. It is copied when the run
+//! ends, also by a signal, and periodically, in case the node is lost. Each attempt has its own file name, so none overwrites
+//! another; copies are renamed into place when complete.
 
 use std::collections::BTreeMap;
 use std::fs::{DirBuilder, File, TryLockError};
@@ -21,72 +21,72 @@ use super::merge::{self, Extent, MergeError};
 use crate::files;
 use crate::store::{self, StoreError};
 
-/// Between two attempts to hand in for the last time, and two looks at an earlier attempt that ends.
+/// Pause between attempts at the last copy, and between checks for an earlier attempt that is ending.
 const AGAIN: Duration = Duration::from_secs(1);
-/// For how long an attempt waits for one on the same node that has been told to end: that one has half of this to hand in.
+/// Longest wait for an earlier attempt on the same node that is stopping; it has half of this time to copy its database.
 const PREDECESSOR: Duration = Duration::from_secs(120);
 
-/// In a folder of shards: the spec that they were submitted with.
+/// Name of the submitted spec in a folder of shards.
 pub const SUBMITTED_SPEC: &str = "spec.toml";
 
-/// Where a shard's database is, and where it goes.
+/// Paths of a shard's database.
 #[derive(Debug)]
 pub struct Home {
     live: PathBuf,
-    /// The folder of `live` is ours, and goes with it.
+    /// The folder of `live`, if it is ours to remove.
     scratch: Option<PathBuf>,
     folder: PathBuf,
     shard: Shard,
-    /// What this attempt hands in.
+    /// Path of this attempt's copy.
     handed_in: PathBuf,
-    /// Keeps later attempts out of `scratch` until this one has left it.
+    /// Locks `scratch` against later attempts.
     alone: Option<File>,
 }
 
-/// Why a shard's database cannot be had, or handed in.
+/// Errors of a shard's database.
 #[derive(Debug, thiserror::Error)]
 pub enum HomeError {
-    /// A folder.
+    /// A folder or file cannot be used.
     #[error("cannot use {}", path.display())]
     Folder {
         /// The folder or file.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
-    /// The folder of another user.
+    /// The folder belongs to another user.
     #[error("{} belongs to another user; set TMPDIR, or pass a database with --db", .0.display())]
     Foreign(PathBuf),
-    /// What an earlier attempt has handed in.
+    /// The copy of an earlier attempt cannot be merged.
     #[error("{} cannot be resumed: {why}; move it away to run without it", path.display())]
     Refused {
         /// The file.
         path: PathBuf,
-        /// Why not.
+        /// The reason.
         why: String,
     },
-    /// After many attempts.
+    /// Copying failed repeatedly.
     #[error("the database of the shard could not be copied to the folder; it stays in {}", live.display())]
     NotHandedIn {
-        /// Where it is, on this node.
+        /// Path of the database on this node.
         live: PathBuf,
-        /// The last attempt.
+        /// Error of the last attempt.
         source: Box<HomeError>,
     },
-    /// Merging it.
+    /// Merging failed.
     #[error(transparent)]
     Merge(#[from] MergeError),
-    /// Copying it.
+    /// Copying failed.
     #[error(transparent)]
     Store(#[from] StoreError),
 }
 
 impl Home {
-    /// For a shard of the sweep `name` whose results go to `folder`; by default the database is in `TMPDIR`, under a name
-    /// by which the next attempt on the same node finds it.
+    /// Paths for a shard of the sweep `name` with results in `folder`. By default, the database is in `TMPDIR`, under a name
+    /// that the next attempt on the same node finds.
     ///
     /// # Errors
-    /// If a folder cannot be made.
+    /// If the folder cannot be created.
     pub fn new(name: &str, shard: Shard, folder: &Path, db: Option<PathBuf>) -> Result<Self, HomeError> {
         let at = |path: &Path, source| HomeError::Folder { path: path.to_owned(), source };
         std::fs::create_dir_all(folder).map_err(|e| at(folder, e))?;
@@ -106,7 +106,7 @@ impl Home {
         Ok(Self { live, scratch, folder, shard, handed_in, alone: None })
     }
 
-    /// Makes the scratch folder, for this attempt alone: one that ends takes the folder away with what is in it.
+    /// Creates and locks the scratch folder. An attempt removes its folder with all contents when it ends.
     fn claim(&mut self) -> Result<(), HomeError> {
         let Some(ours) = self.scratch.as_ref().filter(|_| self.alone.is_none()) else { return Ok(()) };
         let at = |source| HomeError::Folder { path: ours.clone(), source };
@@ -115,7 +115,7 @@ impl Home {
             return Err(HomeError::Foreign(ours.clone()));
         }
         let folder = File::open(ours).map_err(at)?;
-        // A disk without locks is no reason not to write there.
+        // Continue on disks without locks.
         let taken = matches!(folder.try_lock(), Err(TryLockError::WouldBlock));
         if taken || !store::is_still(&folder, ours) {
             return Err(StoreError::InUse { path: self.live.clone() }.into());
@@ -124,32 +124,31 @@ impl Home {
         Ok(())
     }
 
-    /// What this attempt hands in.
+    /// Path of this attempt's copy.
     #[must_use]
     pub fn handed_in(&self) -> &Path {
         &self.handed_in
     }
 
-    /// The live database.
+    /// Path of the database in use.
     #[must_use]
     pub fn live(&self) -> &Path {
         &self.live
     }
 
-    /// The run's log: in the results folder, where it outlives the node.
+    /// Path of the run's log, in the results folder, because the node's disk may be lost.
     #[must_use]
     pub fn log(&self) -> PathBuf {
         self.folder.join(format!("{}.log", self.shard.file_stem()))
     }
 
-    /// Takes in what earlier attempts have handed in. To be called before the database is opened. Returns where the live
-    /// database is now, if it was damaged: in the results folder, so that the shard goes on without it and it is not lost.
-    /// A scheduler may begin an attempt while the one before it ends on the same node: it waits for that, and says so by
-    /// `waits`, once.
+    /// Merges copies of earlier attempts into the live database. Call this before opening the database. Returns the new path of
+    /// a damaged live database, which is moved to the results folder; the shard continues without it. A scheduler may start an
+    /// attempt while the previous one ends on the same node: this waits for it, after calling `waits` once.
     ///
     /// # Errors
-    /// If an earlier attempt does not end, what was handed in cannot be read, or the live database is of a newer version or
-    /// none of ours.
+    /// If an earlier attempt does not end, a copy is unreadable, or the live database is of a newer version or not a metasense
+    /// database.
     pub async fn take_in(&mut self, waits: impl FnOnce()) -> Result<Option<PathBuf>, HomeError> {
         let (end, mut waits) = (Instant::now() + PREDECESSOR, Some(waits));
         loop {
@@ -158,7 +157,7 @@ impl Home {
                 Err(e) => Err(e),
             };
             match taken_in {
-                // Deleted meanwhile, because a later copy contains it: list the folder again.
+                // The file was deleted because a later copy contains it: list the folder again.
                 Err(HomeError::Refused { path, .. }) if !path.exists() && Instant::now() < end => continue,
                 Err(HomeError::Store(StoreError::InUse { .. })) if Instant::now() < end => {}
                 Err(HomeError::Merge(e)) if e.is_in_use() && Instant::now() < end => {}
@@ -200,19 +199,19 @@ impl Home {
         }
     }
 
-    /// Whether a disk has done this to the live database; in a folder of our own also where nothing of it can be known.
+    /// Whether the live database is damaged; in our own folder, also if it is not recognised as a database.
     fn is_damage(&self, error: &StoreError) -> bool {
         error.is_damage() || self.scratch.is_some() && matches!(error, StoreError::NotOurs { .. })
     }
 
-    /// Moves the live database with its log to the results folder, under a name by which no merge takes it.
+    /// Moves the live database with its log to the results folder, under a name that merges ignore.
     fn set_aside(&self) -> Result<PathBuf, HomeError> {
         let aside = self.handed_in.with_extension("damaged");
         for end in ["-wal", ""] {
             let (from, to) = (store::beside(&self.live, end), store::beside(&aside, end));
             let at = |source| HomeError::Folder { path: to.clone(), source };
             if from.exists() {
-                // From one disk to another.
+                // A rename does not work between disks.
                 std::fs::copy(&from, &to).and_then(|_| File::open(&to)?.sync_all()).map_err(at)?;
                 std::fs::remove_file(&from).map_err(at)?;
             }
@@ -221,30 +220,30 @@ impl Home {
         Ok(aside)
     }
 
-    /// Copies the database, live or not, to the results folder.
+    /// Copies the database, in use or not, to the results folder.
     ///
     /// # Errors
-    /// If it cannot be copied; what this attempt has handed in before still lies there.
+    /// If copying fails; the previous copy remains.
     pub async fn hand_in(&self) -> Result<(), HomeError> {
         self.hand_in_while(|| true).await
     }
 
-    /// The same, given up when `goes_on` says no.
+    /// As `hand_in`, but stops when `goes_on` returns false.
     async fn hand_in_while(&self, goes_on: impl FnMut() -> bool + Send + 'static) -> Result<(), HomeError> {
         let copy = self.handed_in.with_extension("tmp");
         let _ = std::fs::remove_file(&copy);
         merge::snapshot(&self.live, &copy, true, goes_on).await?;
         let place = self.handed_in.clone();
-        // On a thread of its own: a network's disk may take its time, and the run goes on meanwhile.
+        // On another thread, because a network disk may be slow while the run continues.
         let put = tokio::task::spawn_blocking(move || files::put_in_place(&copy, &place));
         let put = put.await.unwrap_or_else(|e| Err(io::Error::other(e)));
         put.map_err(|source| HomeError::Folder { path: self.handed_in.clone(), source })
     }
 
-    /// Hands in for the last time, again and again until it has worked or `notice` is over.
+    /// Makes the last copy; retries until it succeeds or `notice` is over.
     ///
     /// # Errors
-    /// The last attempt's.
+    /// Error of the last attempt.
     pub async fn hand_in_within(&self, notice: Duration) -> Result<(), HomeError> {
         let end = tokio::time::Instant::now() + notice;
         loop {
@@ -261,9 +260,9 @@ impl Home {
         }
     }
 
-    /// Hands in every so often until `stopped` says that the run is over, and when somebody has `asked` for the end: steps in
-    /// progress may last longer than whoever ends the job waits. What is being copied when the run is over is given up, as the
-    /// last copy is to be made within the time that is left; unless it is the one that was made for the end.
+    /// Copies the database every `period` until `stopped`, and when a stop is `asked`, as steps in progress may outlast the
+    /// notice of the scheduler. When the run ends, a copy in progress is cancelled to leave time for the last one, unless it
+    /// was made for the stop.
     pub async fn hand_in_every(
         &self,
         period: Duration,
@@ -297,8 +296,7 @@ impl Home {
         }
     }
 
-    /// Leaves the node as it was found, and of what earlier attempts have handed in only what this one's does not hold. Only
-    /// after handing in.
+    /// Removes the scratch folder and earlier copies that this attempt's copy contains. Call this only after the last copy.
     pub async fn leave(self) {
         for earlier in attempts(&self.folder).remove(&self.shard).unwrap_or_default() {
             if earlier < self.handed_in
@@ -313,7 +311,7 @@ impl Home {
     }
 }
 
-/// The databases that shards have handed in to a folder.
+/// Copies of the shards' databases in a folder, sorted.
 #[must_use]
 pub fn attempts(folder: &Path) -> BTreeMap<Shard, Vec<PathBuf>> {
     let mut attempts = BTreeMap::<Shard, Vec<PathBuf>>::new();
@@ -327,11 +325,11 @@ pub fn attempts(folder: &Path) -> BTreeMap<Shard, Vec<PathBuf>> {
     attempts
 }
 
-/// Asks this process to end, as SIGTERM does, when so much time has passed: for a scheduler that gives no notice.
+/// Sends SIGTERM to this process after some time, for schedulers that give no notice.
 pub fn end_after(time: Duration) {
     tokio::spawn(async move {
         tokio::time::sleep(time).await;
-        // This process handles it.
+        // This process handles the signal.
         let _ = kill_process(getpid(), Signal::TERM);
     });
 }

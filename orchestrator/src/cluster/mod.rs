@@ -1,8 +1,7 @@
-//! Beyond one machine: shards of a sweep, and their databases merged.
+//! Shards of a sweep on several machines, and merging of their databases.
 //!
-//! A shard is an ordinary run, with its own orchestrator, workers and database on a disk of its node; the cluster's own
-//! scheduler starts it. Shards know nothing of each other: trials are assigned to them, and what comes back is a database
-//! each.
+//! A shard is an ordinary run with its own orchestrator, workers and database on a disk of its node, started by the cluster's
+//! scheduler. Shards do not communicate: each gets a list of trials and returns a database.
 
 mod assignment;
 pub mod facts;

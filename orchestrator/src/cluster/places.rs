@@ -1,7 +1,7 @@
-//! Shards on machines without a scheduler: one at a time in each place, on this machine or by `ssh`, until all have been run.
+//! Runs shards on machines without a scheduler: one at a time per place, on this machine or by `ssh`, until all have run.
 //!
-//! A host that cannot be reached, or is unfit, gets no more; what it had goes to another. Whoever asks for the end asks every
-//! shard: SIGTERM here, Ctrl-C through the terminal that `ssh` has made there.
+//! An unreachable or unfit host gets no more shards; its shards go to other hosts. A stop is passed on to every shard: by
+//! SIGTERM here, by Ctrl-C through the terminal that `ssh` opens on other hosts.
 
 use std::collections::{HashMap, VecDeque};
 use std::fs::OpenOptions;
@@ -21,46 +21,46 @@ use crate::engine::Signals;
 use crate::exit::Exit;
 use crate::files::{self, host};
 
-/// How often a shard is begun that dies, or whose host goes away.
+/// Most starts of a shard that dies or whose host becomes unreachable.
 const MOST_TRIES: u32 = 3;
-/// What `ssh` says of itself, and our script of a folder that is not there.
+/// Exit code of a failed `ssh`, and of our script if the folder does not exist.
 const UNREACHABLE: i32 = 255;
-/// `ssh` gives a host up that says nothing for four times so long (s).
+/// `ssh` disconnects after four such intervals without an answer (s).
 const ALIVE_EVERY: u32 = 15;
 
-/// Room for a shard at a time: on a host, or here.
+/// A place for one shard at a time: a host; `None`: this machine.
 pub type Place = Option<String>;
 
-/// How shards are begun.
+/// How shards are started.
 #[derive(Debug, Clone)]
 pub struct How {
-    /// The folder, with the script.
+    /// Folder of the shards, with the script.
     pub folder: PathBuf,
-    /// Shards of the sweep.
+    /// Number of shards of the sweep.
     pub shards: u32,
-    /// Options of `ssh`.
+    /// Options for `ssh`.
     pub options: Vec<String>,
-    /// How long a shard that is stopped waits for steps in progress (s).
+    /// Longest wait of a stopped shard for steps in progress (s).
     pub grace: f64,
 }
 
-/// What came of it.
+/// Result of running shards.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Ended {
-    /// Shards that have not come to their end.
+    /// Shards that are not finished.
     pub left: Vec<u32>,
-    /// Somebody has asked for the end.
+    /// Whether a stop was requested.
     pub asked: bool,
-    /// Trials have failed.
+    /// Whether trials have failed.
     pub failed: bool,
-    /// No place is left that can be used.
+    /// Whether no usable place is left.
     pub deserted: bool,
 }
 
-/// The places of a file: a host a line, with how many shards it may have at a time behind it; `#` begins a remark.
+/// Parses a list of hosts, one per line with an optional number of simultaneous shards; `#` starts a comment.
 ///
 /// # Errors
-/// The first line that is none.
+/// For the first invalid line.
 pub fn places(text: &str) -> Result<Vec<Place>, String> {
     let mut places = Vec::new();
     for (number, line) in text.lines().enumerate() {
@@ -84,7 +84,7 @@ pub fn places(text: &str) -> Result<Vec<Place>, String> {
     Ok(places)
 }
 
-/// Runs shards in these places. `say` is told what happens.
+/// Runs shards in these places; `say` receives messages for people.
 pub async fn run(
     places: &[Place],
     which: &[u32],
@@ -174,7 +174,7 @@ impl Verdict {
         matches!(self, Self::Unfit | Self::Died)
     }
 
-    /// Whether what the shard said last is of interest.
+    /// Whether to print the shard's last message.
     fn is_told(self) -> bool {
         matches!(self, Self::Refused | Self::Unfit | Self::Died)
     }
@@ -197,7 +197,7 @@ fn name(place: &Place) -> String {
     place.clone().unwrap_or_else(host)
 }
 
-/// Runs a shard to its end; its exit code, and what it said last.
+/// Runs a shard to its end. Returns its place and number, its exit code and its last message.
 async fn one(
     place: Place,
     shard: u32,
@@ -210,7 +210,7 @@ async fn one(
     let before = outputs.each_ref().map(|file| file.metadata().map_or(0, |file| file.len()));
     let status = match begin(&place, shard, &how) {
         Ok(mut child) => {
-            // Taken out, as waiting would close it; an end of its input is no end for what runs there.
+            // Taken out, because `wait` would close it; closing it does not stop the remote shard.
             let mut terminal = child.stdin.take();
             loop {
                 tokio::select! {
@@ -233,10 +233,10 @@ async fn one(
     (place, shard, status.and_then(|status| status.code()), how + &said)
 }
 
-/// Bytes from which the last line of an output is told.
+/// Bytes at the end of an output in which the last line is searched.
 const LAST: u64 = 2000;
 
-/// The last line that is not empty of what was written to a file behind `before`, if there is any.
+/// The last non-empty line of a file after offset `before`, if any.
 fn last_line(file: &Path, before: u64) -> io::Result<Option<String>> {
     let mut file = std::fs::File::open(file)?;
     let from = before.max(file.metadata()?.len().saturating_sub(LAST));
@@ -267,11 +267,11 @@ fn begin(place: &Place, shard: u32, how: &How) -> io::Result<Child> {
         }
     };
     let log = log(&how.folder, place)?;
-    // A group of its own: Ctrl-C comes to us alone, and we ask once.
+    // Its own process group: Ctrl-C reaches only this process, which passes it on once.
     command.process_group(0).stdout(log.try_clone()?).stderr(log).spawn()
 }
 
-/// What a script says that does not come to write to its shard's output, and what `ssh` says.
+/// Log of `ssh`, and of scripts that fail before they write to the shard's output.
 fn log(folder: &Path, place: &Place) -> io::Result<std::fs::File> {
     OpenOptions::new().create(true).append(true).open(log_file(folder, place))
 }
@@ -280,7 +280,7 @@ fn log_file(folder: &Path, place: &Place) -> PathBuf {
     folder.join(format!("{}.out", files::mark_of(&name(place))))
 }
 
-/// Asks a shard to end: through the terminal that it has on its host, or by a signal here.
+/// Stops a shard: by Ctrl-C through its terminal on another host, or by a signal here.
 async fn end(child: &Child, terminal: Option<&mut ChildStdin>) {
     if let Some(terminal) = terminal {
         let _ = terminal.write_all(b"\x03").await;

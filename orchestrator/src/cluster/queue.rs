@@ -1,4 +1,4 @@
-//! What the scheduler says of the shards that were submitted. Only its queue is asked: there need be no accounting.
+//! States of submitted shards in the scheduler's queue. Accounting is not required.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::{File, OpenOptions, TryLockError};
@@ -11,46 +11,46 @@ use serde_json::Value;
 
 use crate::files;
 
-/// In a folder of shards: what was submitted, a line each time.
+/// File in a folder of shards that lists submitted jobs, one per line.
 const JOBS: &str = "jobs.jsonl";
 
-/// A job that was submitted.
+/// A submitted job.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Job {
     /// `slurm`, `hq`, `local` or `ssh`.
     pub scheduler: String,
-    /// Its number there; empty from before it is submitted until it has one.
+    /// Job id; empty while it is unknown.
     #[serde(default)]
     pub job: String,
-    /// Its name there, which no other job has: by it a job is found whose number could not be written down any more.
+    /// Unique job name: finds the job if its id could not be recorded.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Slurm's cluster, where there are several.
+    /// Slurm cluster, if there are several.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cluster: Option<String>,
-    /// That of the merge behind it, once that has been submitted.
+    /// Job id of the merge, once submitted.
     #[serde(default)]
     pub merge_job: Option<String>,
-    /// Shards of the sweep.
+    /// Number of shards of the sweep.
     pub shards: u32,
-    /// Added to the scheduler's indices, it gives the shards.
+    /// Shard number = offset + index in the job array.
     #[serde(default)]
     pub offset: u32,
 }
 
-/// What was submitted from a folder, open before anything is: what a scheduler has accepted can be written down.
+/// The list of jobs of a folder. It is opened before submission, to ensure that accepted jobs can be recorded.
 #[derive(Debug)]
 pub struct Notes(File);
 
 impl Notes {
-    /// For this process alone, as long as it is open. A last line that was not written to its end goes.
+    /// Opens and locks the list; removes an incomplete last line.
     ///
     /// # Errors
-    /// If nothing can be written there, or another `submit` is at work.
+    /// If it is not writable or another `submit` uses it.
     pub fn open(folder: &Path) -> io::Result<Self> {
         let path = folder.join(JOBS);
         let mut file = OpenOptions::new().create(true).append(true).open(&path)?;
-        // Not every network file system has locks.
+        // Continue on network file systems without locks.
         if let Err(TryLockError::WouldBlock) = file.try_lock() {
             return Err(io::Error::new(
                 ErrorKind::ResourceBusy,
@@ -66,7 +66,7 @@ impl Notes {
         Ok(Self(file))
     }
 
-    /// Notes a job; again, with its merge.
+    /// Records a job; a second record with its merge replaces the first.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -77,23 +77,23 @@ impl Notes {
     }
 }
 
-/// Whether a `submit` is at work on a folder.
+/// Whether a `submit` uses a folder.
 #[must_use]
 pub fn is_held(folder: &Path) -> bool {
     File::open(folder.join(JOBS)).is_ok_and(|file| files::is_held(&file))
 }
 
-/// The bytes of the lines that have an end, and what stands behind them, where that is a whole job.
+/// Number of bytes in complete lines, and the rest if it is a complete job without a line end.
 fn lines(bytes: &[u8]) -> (usize, &[u8]) {
     let whole = bytes.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
     let rest = &bytes[whole..];
     (whole, if serde_json::from_slice::<Job>(rest).is_ok() { rest } else { &[] })
 }
 
-/// The jobs of a folder, oldest first; none where nothing was submitted. A last line that was not written to its end is none.
+/// The jobs of a folder, oldest first; empty if nothing was submitted. Ignores an incomplete last line.
 ///
 /// # Errors
-/// If they cannot be read.
+/// If the list cannot be read.
 pub fn jobs(folder: &Path) -> io::Result<Vec<Job>> {
     let file = folder.join(JOBS);
     let damaged = |number: usize, error: serde_json::Error| {
@@ -124,7 +124,7 @@ pub fn jobs(folder: &Path) -> io::Result<Vec<Job>> {
 }
 
 impl Job {
-    /// Whether both are the same job, of which more is known by now.
+    /// Whether `other` is a later record of the same job.
     fn is(&self, other: &Self) -> bool {
         fn numbered(job: &Job) -> (&str, &str, &Option<String>) {
             (&job.scheduler, &job.job, &job.cluster)
@@ -136,53 +136,53 @@ impl Job {
     }
 }
 
-/// What schedulers have of jobs that have not ended.
+/// Unfinished jobs in the queues of schedulers.
 #[derive(Debug, Default, PartialEq)]
 pub struct Queue {
-    /// Shards that run or wait, in the scheduler's own words.
+    /// State of each running or waiting shard, in the scheduler's words.
     pub shards: HashMap<u32, String>,
-    /// Jobs, those of merges included.
+    /// Ids of jobs, including merges.
     pub jobs: Vec<String>,
-    /// Slurm's cluster that they are on, where there are several.
+    /// Slurm cluster of the jobs, if there are several.
     pub cluster: Option<String>,
 }
 
-/// A queue that does not answer: nothing is known of the shards then.
+/// Errors of a queue. The state of shards is unknown then.
 #[derive(Debug, thiserror::Error)]
 pub enum QueueError {
-    /// There is no such program here.
+    /// The program cannot be started.
     #[error("cannot start `{command}`, so the state of the queue is unknown")]
     Start {
         /// The command.
         command: String,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
-    /// It says that something is wrong.
+    /// The command failed.
     #[error("`{command}` failed ({status}), so the state of the queue is unknown: {said}")]
     Failed {
         /// The command.
         command: String,
-        /// How it ended.
+        /// Its exit status.
         status: ExitStatus,
-        /// What it said.
+        /// Its message.
         said: String,
     },
-    /// It says what we do not understand.
+    /// The output cannot be parsed.
     #[error("`{command}` printed unexpected output: {answer}")]
     Answer {
         /// The command.
         command: String,
-        /// Its answer.
+        /// Its output.
         answer: String,
     },
 }
 
-/// Asks the schedulers of these jobs. Those whose numbers could not be written down get them; those that nobody knows are left out:
-/// they were not accepted, or have ended.
+/// Queries the schedulers of these jobs. Looks up missing ids; removes jobs that are not found, because they were not accepted
+/// or have ended.
 ///
 /// # Errors
-/// If one does not answer.
+/// If a scheduler does not answer.
 pub fn ask(jobs: &mut Vec<Job>) -> Result<Queue, QueueError> {
     for job in jobs.iter_mut().filter(|job| job.job.is_empty()) {
         look_up(job)?;
@@ -203,7 +203,7 @@ pub fn ask(jobs: &mut Vec<Job>) -> Result<Queue, QueueError> {
     Ok(queue)
 }
 
-/// Gives a job its number, by its name, where it is in its queue.
+/// Looks up the id of a job by its name; leaves it empty if the job is not in the queue.
 ///
 /// # Errors
 /// If the scheduler does not answer.
@@ -241,7 +241,7 @@ fn squeue(format: &str, which: &str, cluster: Option<&str>) -> Vec<String> {
     words.into_iter().chain(cluster.map(|name| format!("--clusters={name}"))).collect()
 }
 
-/// Numbers of jobs and of the merges behind them.
+/// Comma-separated ids of jobs and their merges.
 fn numbers(jobs: &[&Job]) -> String {
     let numbers = jobs.iter().flat_map(|job| std::iter::once(&*job.job).chain(job.merge_job.as_deref()));
     numbers.collect::<Vec<_>>().join(",")
@@ -252,7 +252,7 @@ fn slurm(jobs: &[&Job], cluster: Option<&str>, queue: &mut Queue) -> Result<(), 
     let before = queue.jobs.len();
     match output(&squeue("--format=%F|%K|%T|%r", &ids, cluster)) {
         Ok(text) => queue.add_slurm(&text, jobs),
-        // What it says of a job that has left the queue, where no other is asked for.
+        // Slurm's error if the only requested job has left the queue.
         Err(QueueError::Failed { said, .. }) if said.contains("Invalid job id") => {}
         Err(error) => return Err(error),
     }
@@ -281,13 +281,13 @@ fn output(words: &[String]) -> Result<String, QueueError> {
     if output.status.success() {
         return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
     }
-    // `hq` says in JSON what is wrong.
+    // `hq` prints errors as JSON.
     let said = [&output.stderr[..], &output.stdout].concat();
     let said = String::from_utf8_lossy(&said).trim().chars().take(500).collect();
     Err(QueueError::Failed { command: command(), status: output.status, said })
 }
 
-/// Slurm's `MaxArraySize`, where it says.
+/// Slurm's `MaxArraySize`, if available.
 #[must_use]
 pub fn max_array_size() -> Option<u32> {
     let config = output(&["scontrol", "show", "config"].map(str::to_owned)).ok()?;
@@ -296,7 +296,7 @@ pub fn max_array_size() -> Option<u32> {
 }
 
 impl Queue {
-    /// Whether a merge waits behind every job of shards.
+    /// Whether every queued job of shards has a queued merge.
     #[must_use]
     pub fn has_merge(&self, jobs: &[Job]) -> bool {
         let is_queued = |job: &String| self.jobs.contains(job);
@@ -310,7 +310,7 @@ impl Queue {
         }
     }
 
-    /// Lines of `squeue`: job, index, state, and why it waits.
+    /// Adds lines of `squeue`: job, index, state, and reason for waiting.
     fn add_slurm(&mut self, text: &str, jobs: &[&Job]) {
         for line in text.lines() {
             let mut parts = line.split('|').map(str::trim);
@@ -329,7 +329,7 @@ impl Queue {
         }
     }
 
-    /// Lists of tasks by job.
+    /// Adds lists of tasks per job.
     fn add_hq(&mut self, tasks: &serde_json::Map<String, Value>, jobs: &[&Job]) {
         for (job, tasks) in tasks {
             for task in tasks.as_array().into_iter().flatten() {

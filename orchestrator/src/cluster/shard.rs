@@ -1,9 +1,9 @@
-//! A shard, and how it is written.
+//! Shards and their notation.
 
 use std::fmt;
 use std::str::FromStr;
 
-/// Shard `index` of `count`, counted from 1; written `3/10`.
+/// Shard `index` of `count`, from 1; written as `3/10`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Shard {
     index: u32,
@@ -19,31 +19,31 @@ impl Shard {
     /// Most shards of a sweep.
     pub const MOST: u32 = 100_000;
 
-    /// Shard `index`, from 1, of `count`; none where there is no such shard.
+    /// Shard `index`, from 1, of `count`; `None` if it does not exist.
     #[must_use]
     pub fn new(index: u32, count: u32) -> Option<Self> {
         (1 <= index && index <= count && count <= Self::MOST).then_some(Self { index, count })
     }
 
-    /// Its number, from 1.
+    /// Number of the shard, from 1.
     #[must_use]
     pub fn index(self) -> u32 {
         self.index
     }
 
-    /// How many there are.
+    /// Number of shards.
     #[must_use]
     pub fn count(self) -> u32 {
         self.count
     }
 
-    /// What names of its files begin with: `shard-3-of-10`.
+    /// Start of the names of its files: `shard-3-of-10`.
     #[must_use]
     pub fn file_stem(self) -> String {
         format!("shard-{}-of-{}", self.index, self.count)
     }
 
-    /// The shard whose file has this name: `shard-3-of-10.sqlite`.
+    /// The shard of a file name such as `shard-3-of-10.sqlite`.
     #[must_use]
     pub fn of_file(name: &str) -> Option<Self> {
         let (index, count) = name.split('.').next()?.strip_prefix("shard-")?.split_once("-of-")?;
@@ -51,7 +51,7 @@ impl Shard {
     }
 }
 
-/// Numbers in runs, as schedulers take them: `1-3,7`.
+/// Formats sorted numbers as ranges for schedulers: `1-3,7`.
 #[must_use]
 pub fn ranges(numbers: &[u32]) -> String {
     let mut runs: Vec<(u32, u32)> = Vec::new();

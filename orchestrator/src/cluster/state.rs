@@ -1,4 +1,4 @@
-//! How the shards of a folder are: by the databases that they have handed in, and by the queue.
+//! States of the shards of a folder, from their databases and the queue.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -12,73 +12,73 @@ use super::home::attempts;
 use super::{Assignment, AssignmentError, Shard};
 use crate::store::ask_unchanging;
 
-/// A shard.
+/// State of a shard.
 #[derive(Debug, Clone, PartialEq)]
 pub struct State {
-    /// Which one.
+    /// The shard.
     pub shard: Shard,
-    /// `complete`, `failed` (all settled, but not all done), `partial` or `nothing` handed in, or what is wrong with it; what
-    /// the queue says goes before.
+    /// State in the queue if it is queued and unfinished, else of its database: `complete`, `failed` (all trials ended, some
+    /// failed), `partial`, `nothing` (no copy), or an error.
     pub state: String,
-    /// Trials, those done, and those that have failed, where something was handed in.
+    /// Numbers of trials, finished ones and failed ones; `None` without a readable copy.
     pub trials: Option<[usize; 3]>,
-    /// Trials that no attempt has begun.
+    /// Trials without an attempt.
     pub never: Vec<String>,
-    /// Trials that are not settled, those among them.
+    /// Open trials, including those without an attempt.
     pub open: Vec<String>,
-    /// Trials that have failed.
+    /// Failed trials.
     pub failures: Vec<String>,
     /// Its last run.
     pub run: Option<Run>,
-    /// Since it was handed in (s).
+    /// Age of the newest copy (s).
     pub age: Option<f64>,
 }
 
-/// A run of a shard: estimated and actual time (s), where it ran, and how it ended.
+/// A run of a shard.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Run {
-    /// When it began.
+    /// Start time.
     pub started_at: String,
-    /// Thought to take (s).
+    /// Estimated time (s).
     pub estimated_seconds: f64,
-    /// Took (s).
+    /// Elapsed time (s).
     pub seconds: Option<f64>,
     /// Host and job.
     pub place: String,
-    /// How it ended.
+    /// Outcome, if it has ended.
     pub outcome: Option<String>,
 }
 
 impl State {
-    /// Whether something was handed in, and all trials are settled.
+    /// Whether all trials have ended.
     #[must_use]
     pub fn is_settled(&self) -> bool {
         ["complete", "failed"].contains(&self.state.as_str())
     }
 
-    /// Trials that have failed.
+    /// Number of failed trials.
     #[must_use]
     pub fn failed(&self) -> usize {
         self.failures.len()
     }
 }
 
-/// How far a trial has come. Of several copies that were handed in the greatest counts: of those that are not done the one of most
-/// attempts, and of as many the one that is open, which may have been asked for anew.
+/// Progress of a trial. The greatest value among copies counts: a finished one; else that with most attempts; among equals the
+/// open one, because it may have been reopened after a failure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Stage {
-    /// With so many attempts.
+    /// Number of attempts so far.
     Open(u32, Ended),
-    /// Or given up on purpose.
+    /// Done or cancelled.
     Done,
 }
 
-/// How the last attempt of a trial that is not done ended.
+/// State of the last attempt of an unfinished trial.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Ended {
-    /// For good.
+    /// Failed.
     Failed,
-    /// Not, or there was none.
+    /// Not ended, or no attempt.
     Open,
 }
 
@@ -86,7 +86,7 @@ impl Stage {
     const NEVER: Self = Self::Open(0, Ended::Open);
 }
 
-/// The shards of a folder. `queued`: what the scheduler says of each.
+/// The shards of a folder. `queued`: states in the queue, by shard.
 pub async fn states(folder: &Path, assignment: &Assignment, queued: &HashMap<u32, String>) -> Vec<State> {
     let mut trials = vec![HashMap::new(); assignment.shards() as usize];
     for (hash, shard) in assignment.hashes() {
@@ -97,7 +97,7 @@ pub async fn states(folder: &Path, assignment: &Assignment, queued: &HashMap<u32
     for (index, trials) in (1..).zip(trials) {
         let Some(shard) = Shard::new(index, assignment.shards()) else { break };
         let mut state = of_shard(shard, &attempts.remove(&shard).unwrap_or_default(), trials).await;
-        // A shard that has handed its last database in may still be in the queue for a moment.
+        // A finished shard may stay in the queue for a moment.
         if let Some(queued) = queued.get(&index).filter(|_| !state.is_settled()) {
             state.state.clone_from(queued);
         }
@@ -181,10 +181,10 @@ async fn read(file: &Path) -> sqlx::Result<(Vec<(String, Stage)>, Option<Run>)> 
     .await
 }
 
-/// Trials that were assigned to shards in the folders of these files, and that a database of them all has not begun.
+/// Trials assigned to shards in the folders of these files, without an attempt in the merged database.
 ///
 /// # Errors
-/// If an assignment cannot be read; a database that cannot has begun nothing.
+/// If an assignment cannot be read. An unreadable database counts as empty.
 pub async fn never_begun(files: &[PathBuf], db: &Path) -> Result<Vec<String>, AssignmentError> {
     let mut assigned = HashSet::new();
     let folders: HashSet<&Path> = files.iter().map(|file| folder_of(file)).collect();
@@ -213,7 +213,7 @@ fn folder_of(file: &Path) -> &Path {
 mod tests {
     use super::{Ended, Stage};
 
-    /// What was asked for anew after a failure is open, until an attempt of its own has ended; what is done stays so.
+    /// A trial that was reopened after a failure counts as open until its next attempt ends; a finished trial stays finished.
     #[test]
     fn the_copy_that_came_later_counts() {
         let failed = Stage::Open(1, Ended::Failed);

@@ -1,4 +1,4 @@
-//! What is handed to a cluster's scheduler: scripts to read, and the commands that submit them. Pure.
+//! Creates the scripts for a cluster's scheduler and the commands that submit them, without I/O.
 
 use std::path::{Path, PathBuf};
 
@@ -9,22 +9,22 @@ use crate::engine::GRACE;
 use crate::exit::Exit;
 use crate::plan::{Trial, cost};
 
-/// A shard is told so long before its time limit (s), or longer, where steps in progress may take longer.
+/// Time before its time limit at which a shard is stopped (s), or more if `run.grace` requires it.
 pub const NOTICE: u64 = 60;
-/// What of that the last copy has (s).
+/// Part of this time for the last copy of the database (s).
 const HAND_IN: u64 = 15;
-/// Longest wait for steps in progress of a shard that a scheduler ends (s), where the spec says nothing.
+/// Default wait of a shard under a scheduler for steps in progress (s).
 const QUEUED_GRACE: f64 = (NOTICE - HAND_IN) as f64;
-/// Most shards that are planned; more have to be asked for.
+/// Most shards by default; larger numbers must be requested.
 const MOST_PLANNED: u32 = 1000;
-/// Slurm's `MaxArraySize`, one more than the largest index of an array, where nobody has changed it.
+/// Slurm's default `MaxArraySize`: one more than the largest array index.
 pub const MAX_ARRAY_SIZE: u32 = 1001;
-/// The script that merges, in the folder.
+/// Name of the merge script in the folder.
 pub const MERGE: &str = "merge.sh";
-/// How often a shard queues again by itself at its time limit.
+/// Most times a shard requeues itself at its time limit.
 const REQUEUES: u32 = 20;
 
-/// Who starts shards.
+/// Schedulers that start shards.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum Scheduler {
     /// Slurm, by `sbatch`
@@ -38,7 +38,7 @@ pub enum Scheduler {
 }
 
 impl Scheduler {
-    /// As the list of jobs has it.
+    /// Name in the list of jobs.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -49,7 +49,7 @@ impl Scheduler {
         }
     }
 
-    /// Whether it has a queue of its own, that outlives `submit`.
+    /// Whether it has a queue that outlives `submit`.
     #[must_use]
     pub fn has_queue(self) -> bool {
         matches!(self, Self::Slurm | Self::Hq)
@@ -59,65 +59,65 @@ impl Scheduler {
 /// Shards to submit.
 #[derive(Debug, Clone)]
 pub struct Submission {
-    /// To whom.
+    /// The scheduler.
     pub scheduler: Scheduler,
-    /// The sweep.
+    /// Name of the sweep.
     pub name: String,
-    /// The copy of this program in the folder.
+    /// Copy of this program in the folder.
     pub program: PathBuf,
-    /// What goes before the program, as a shell reads it.
+    /// Shell text before the program.
     pub prefix: Option<String>,
-    /// Where scripts, spec, outputs and databases of shards are.
+    /// Folder for scripts, spec, outputs and databases of shards.
     pub folder: PathBuf,
     /// The merged database.
     pub out: PathBuf,
-    /// Shards of the sweep.
+    /// Number of shards of the sweep.
     pub shards: u32,
-    /// Those to submit, from 1.
+    /// Shards to submit, from 1.
     pub which: Vec<u32>,
-    /// Cores of each.
+    /// Cores per shard.
     pub cpus: u32,
-    /// Threads of a worker.
+    /// Threads per worker.
     pub threads: u32,
     /// Time limit (s).
     pub seconds: u64,
-    /// Longest wait for steps in progress of a shard that is stopped (s), where the spec says so.
+    /// Longest wait of a stopped shard for steps in progress (s), if given.
     pub grace: Option<f64>,
-    /// Whether what has been handed in is merged in the end; otherwise whoever has submitted does.
+    /// Whether a job merges the databases in the end; otherwise the submitting process does.
     pub merges: bool,
-    /// The cluster on which all jobs are to be, of those that Slurm has here.
+    /// Slurm cluster for all jobs, if there are several.
     pub cluster: Option<String>,
-    /// Shards at a time, where that is limited.
+    /// Most simultaneous shards, if limited.
     pub at_most: Option<u32>,
-    /// Further options of each shard's `run`.
+    /// Additional options of each shard's `run`.
     pub run: Vec<String>,
-    /// Passed on to the command that submits shards.
+    /// Options for the command that submits shards.
     pub for_shards: Vec<String>,
-    /// Passed on to the command that submits the merge.
+    /// Options for the command that submits the merge.
     pub for_merge: Vec<String>,
-    /// Largest index of an array.
+    /// Largest array index.
     pub most_index: u32,
 }
 
-/// Shards that are submitted together: `offset` and an index each.
+/// Shards that are submitted as one job array.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Array {
-    /// Shard = offset + index.
+    /// Shard number = offset + index.
     pub offset: u32,
-    /// From 1.
+    /// Indices, from 1.
     pub indices: Vec<u32>,
 }
 
-/// A file to write.
+/// A script.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Script {
-    /// Its name in the folder.
+    /// File name in the folder.
     pub name: &'static str,
-    /// What it says.
+    /// Its text.
     pub text: String,
 }
 
-/// As many shards as make each take half of its time limit, by an estimate that is good to a factor of two.
+/// Number of shards for which each takes half of its time limit by estimate; estimates are accurate to a factor of two.
 #[must_use]
 pub fn planned(trials: &[Trial], cpus: u32, seconds: u64) -> u32 {
     let total = cost::total(trials);
@@ -125,7 +125,7 @@ pub fn planned(trials: &[Trial], cpus: u32, seconds: u64) -> u32 {
     (shards.max(1.0) as u32).min(MOST_PLANNED).min(trials.len().try_into().unwrap_or(u32::MAX))
 }
 
-/// Estimated seconds of the mean and of the longest shard, each on its cores.
+/// Estimated seconds of the average and the longest shard on its cores.
 #[must_use]
 pub fn estimate(trials: &[Trial], assignment: &Assignment, cpus: u32) -> (f64, f64) {
     let costs = assignment.costs(trials);
@@ -136,11 +136,11 @@ pub fn estimate(trials: &[Trial], assignment: &Assignment, cpus: u32) -> (f64, f
 }
 
 impl Submission {
-    /// What cannot stand in a script's lines, if anything: paths go into them as they are, or quoted.
+    /// Describes a path or prefix that scripts cannot contain, if there is one.
     #[must_use]
     pub fn unfit(&self) -> Option<String> {
         let control = |text: &str| text.chars().any(char::is_control);
-        // Slurm reads its directives itself, with quotes and backslashes of its own.
+        // Slurm parses its directives itself, with different quoting rules.
         let directive = |text: &str| self.scheduler == Scheduler::Slurm && text.contains(['"', '\\']);
         let paths = [("folder", &self.folder), ("out", &self.out)];
         let path = paths.into_iter().find(|(name, path)| {
@@ -153,19 +153,19 @@ impl Submission {
         .or_else(|| prefix.map(|prefix| format!("prefix {prefix:?}: must be text without line ends")))
     }
 
-    /// How long a shard that is stopped waits for steps in progress (s).
+    /// Longest wait of a stopped shard for steps in progress (s).
     #[must_use]
     pub fn grace(&self) -> f64 {
         self.grace.unwrap_or(if self.scheduler.has_queue() { QUEUED_GRACE } else { GRACE })
     }
 
-    /// How long before its time limit a shard is stopped (s).
+    /// Time before its time limit at which a shard is stopped (s).
     #[must_use]
     pub fn notice(&self) -> u64 {
         (self.grace().ceil() as u64 + HAND_IN).max(NOTICE)
     }
 
-    /// The scripts: of a shard, and of the merge.
+    /// The scripts of shards and of the merge.
     #[must_use]
     pub fn scripts(&self) -> [Script; 2] {
         let (shard, merge) = match self.scheduler {
@@ -254,13 +254,13 @@ impl Submission {
         format!("#!/bin/sh\n# What there is becomes one database.\nexec {}\n", self.merge())
     }
 
-    /// Worker processes of a shard.
+    /// Number of workers of a shard.
     #[must_use]
     pub fn workers(&self) -> u32 {
         (self.cpus / self.threads).max(1)
     }
 
-    /// The words of a shard's run, but for its number, which stands in a variable of the shell.
+    /// Arguments of a shard's run; `shard`: the shell variable with its number.
     #[must_use]
     pub fn run_words(&self, shard: &str, stop_after: Option<u64>) -> Vec<String> {
         let workers = self.workers();
@@ -276,7 +276,7 @@ impl Submission {
         if let Some(seconds) = stop_after {
             more.extend(["--stop-after".to_owned(), seconds.to_string()]);
         }
-        // A merge that waited in HyperQueue would keep a core from a shard.
+        // A queued merge would keep a core of HyperQueue from a shard.
         if self.scheduler == Scheduler::Hq && self.merges {
             more.extend(["--merge-into".to_owned(), self.out.display().to_string()]);
         }
@@ -294,7 +294,7 @@ impl Submission {
         format!("{} {} \\\n  {}", self.command(), words[..4].join(" "), words[4..].join(" "))
     }
 
-    /// A shard's output, appended to.
+    /// Redirection that appends to a shard's output.
     fn output(&self, shard: &str) -> String {
         format!("\\\n  >> {}/shard-\"{shard}\"-of-{}.out 2>&1", quoted(&self.folder), self.shards)
     }
@@ -303,18 +303,18 @@ impl Submission {
         format!("{} cluster merge {} --out {}", self.command(), quoted(&self.folder), quoted(&self.out))
     }
 
-    /// The program, with what goes before it.
+    /// The program with its prefix.
     fn command(&self) -> String {
         let prefix = self.prefix.as_ref().map_or(String::new(), |prefix| format!("{prefix} "));
         prefix + &quoted(&self.program)
     }
 
-    /// A file of the folder, as a directive wants it: `%` would begin a pattern.
+    /// A file of the folder in a directive; escapes `%`, which starts a pattern.
     fn directive(&self, file: &str) -> String {
         format!("\"{}/{file}\"", self.folder.display().to_string().replace('%', "%%"))
     }
 
-    /// What is submitted together: Slurm's arrays have a largest index.
+    /// The job arrays to submit; Slurm limits their indices.
     #[must_use]
     pub fn arrays(&self) -> Vec<Array> {
         let most = if self.scheduler == Scheduler::Slurm { self.most_index.max(1) } else { Shard::MOST };
@@ -329,7 +329,7 @@ impl Submission {
         arrays
     }
 
-    /// The command that submits shards under a name; it prints the job's number.
+    /// The command that submits shards under a name and prints the job id.
     #[must_use]
     pub fn submit_shards(&self, array: &Array, name: &str) -> Vec<String> {
         let script = self.folder.join("shard.sh").display().to_string();
@@ -346,7 +346,7 @@ impl Submission {
             (array.offset.to_string(), format!("shard-%a+{}-of-{}.out", array.offset, self.shards));
         let folder = self.folder.display().to_string().replace('%', "%%");
         let output = format!("--output={folder}/{file}");
-        // Further arrays count from 1, too. Of options that are given twice Slurm takes the last.
+        // Indices of further arrays start from 1, too. Slurm uses the last of repeated options.
         let (mut head, mut tail) = (vec!["sbatch", "--parsable", &which], vec![&*script]);
         if array.offset > 0 {
             head.push(&output);
@@ -356,12 +356,12 @@ impl Submission {
         words(&head, &[&self.for_shards[..], &named].concat(), &tail)
     }
 
-    /// Jobs wait for jobs of their own cluster alone.
+    /// Option for the cluster: jobs can depend only on jobs of the same cluster.
     fn on_cluster(&self) -> Vec<String> {
         self.cluster.iter().map(|cluster| format!("--clusters={cluster}")).collect()
     }
 
-    /// Slurm's command that submits the merge behind jobs.
+    /// The Slurm command that submits the merge after these jobs.
     #[must_use]
     pub fn submit_merge(&self, jobs: &[String]) -> Vec<String> {
         let script = self.folder.join(MERGE).display().to_string();
@@ -370,7 +370,7 @@ impl Submission {
         words(&["sbatch", "--parsable", &after], &options, &[&script])
     }
 
-    /// The clusters that options of `sbatch` name.
+    /// The clusters in options of `sbatch`.
     #[must_use]
     pub fn clusters_of(options: &[String]) -> Option<String> {
         let mut words = options.iter();
@@ -387,7 +387,7 @@ impl Submission {
     }
 }
 
-/// What stands in every script of a shard, up to when it ends.
+/// Comment in every script of a shard; the times of its end follow.
 const ABOUT: &str = "\
 # A shard of the sweep: an ordinary run with its database on the node's own disk, under TMPDIR. It goes on
 # from what an earlier attempt has left here, and puts its database here when it ends:
@@ -398,7 +398,7 @@ fn words(head: &[&str], further: &[String], tail: &[&str]) -> Vec<String> {
     [own(head), further.to_vec(), own(tail)].concat()
 }
 
-/// A command as a shell reads it.
+/// A shell command of these words.
 #[must_use]
 pub fn line(words: &[String]) -> String {
     words.iter().map(|word| quoted(Path::new(word))).collect::<Vec<_>>().join(" ")
@@ -414,21 +414,21 @@ pub(super) fn quoted(path: &Path) -> String {
     }
 }
 
-/// Seconds as Slurm writes them.
+/// Formats seconds for Slurm.
 fn clock(seconds: u64) -> String {
     let (days, rest) = (seconds / 86_400, seconds % 86_400);
     let clock = format!("{:02}:{:02}:{:02}", rest / 3600, rest / 60 % 60, rest % 60);
     if days > 0 { format!("{days}-{clock}") } else { clock }
 }
 
-/// Seconds of a time as `sbatch --time` takes it: `30` (minutes), `30:00`, `4:00:00`, `1-12`, `1-12:00:00`.
+/// Parses a time as `sbatch --time` does, to seconds: `30` (minutes), `30:00`, `4:00:00`, `1-12`, `1-12:00:00`.
 ///
 /// # Errors
-/// If it is none.
+/// If the time is invalid or not between a minute and a year.
 pub fn seconds(text: &str) -> Result<u64, String> {
     let wrong = || format!("{text:?} is not a time: use minutes, H:MM:SS or D-HH:MM:SS, such as 4:00:00");
     let (days, clock) = text.split_once('-').map_or((None, text), |(days, clock)| (Some(days), clock));
-    // as wide as no sum of them is
+    // u128, so that sums cannot overflow
     let whole = |part: &str| part.parse::<u64>().ok().map(u128::from);
     let parts: Option<Vec<u128>> = clock.split(':').map(whole).collect();
     let days = days.map_or(Some(0), whole).ok_or_else(wrong)?;

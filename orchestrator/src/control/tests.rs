@@ -36,8 +36,8 @@ fn a_line_is_the_command_that_it_was_made_of() {
     }
 }
 
-/// Questions come through, are answered, and end with the listener; a deep folder with a long name, and what a killed run
-/// has left, are in nobody's way; whoever says nothing, or too much, or goes away, is no question.
+/// Commands arrive and are answered until the listener ends. A long path and the socket of a killed run do no harm; silent,
+/// oversized and vanished clients are ignored.
 #[tokio::test]
 async fn a_run_is_asked_by_its_database() {
     let folder = tempfile::tempdir().unwrap();
@@ -47,7 +47,7 @@ async fn a_run_is_asked_by_its_database() {
     assert!(matches!(ask(&db, &Command::Pause).await, Err(ControlError::NoDatabase { .. })));
     File::create(&db).unwrap();
     assert!(matches!(ask(&db, &Command::Pause).await, Err(ControlError::NoRun { .. })));
-    // left by a killed one
+    // left by a killed run
     let (_folder, left, file) = address(&db).unwrap();
     drop(std::os::unix::net::UnixListener::bind(left).unwrap());
     assert!(matches!(ask(&db, &Command::Pause).await, Err(ControlError::NoRun { .. })));
@@ -92,7 +92,7 @@ async fn a_run_is_asked_by_its_database() {
     assert!(!file.exists());
     store.close().await.unwrap();
 
-    // what there is no room for is an error of its own
+    // a name that is too long has its own error
     let long = deep.join("s".repeat(120));
     File::create(&long).unwrap();
     let why = Listener::new(&long).map(drop).unwrap_err().to_string();

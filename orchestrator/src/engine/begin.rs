@@ -1,4 +1,4 @@
-//! Before a run: the sweep is recorded, and what earlier runs have left of its trials is read.
+//! Start of a run: records the sweep and reads the state of its trials from earlier runs.
 
 use std::collections::{HashMap, HashSet};
 
@@ -10,20 +10,20 @@ use crate::provenance;
 use crate::scheduler::Prior;
 use crate::store::{Attempted, Store, StoreError};
 
-/// Which settled trials are run again.
+/// Which finished trials run again.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Again {
-    /// Those that have failed.
+    /// Resume failed trials.
     pub failed: bool,
-    /// Those that other code than this program's has worked on, from the beginning.
+    /// Restart trials that other code has computed, even in part.
     pub other_code: bool,
 }
 
-/// Records a sweep with its trials, and returns those that are open; `None` where a signal came first: then nothing of
-/// the sweep was recorded that was not there before.
+/// Records a sweep with its trials and returns the open ones. `None`: a signal came first, and nothing new of the sweep was
+/// recorded.
 ///
 /// # Errors
-/// Where SQLite fails.
+/// If SQLite fails.
 pub async fn begin<'a>(
     store: &mut Store,
     (spec, text): (&SweepSpec, &str),
@@ -42,10 +42,10 @@ pub async fn begin<'a>(
     signals.unless(work).await.transpose()
 }
 
-/// Opens settled trials among these.
+/// Reopens finished trials among these.
 ///
 /// # Errors
-/// Where SQLite fails.
+/// If SQLite fails.
 pub async fn reopen(store: &mut Store, hashes: &[&str], again: Again) -> Result<(), StoreError> {
     if again.failed {
         let reopened = store.reopen(hashes).await?;
@@ -59,7 +59,7 @@ pub async fn reopen(store: &mut Store, hashes: &[&str], again: Again) -> Result<
     Ok(())
 }
 
-/// What earlier runs have left of these trials.
+/// State of these trials from earlier runs.
 pub(super) async fn priors(store: &mut Store, trials: &[&Trial]) -> Result<(Vec<Prior>, Bodies), StoreError> {
     let (known, trained) = (store.attempted().await?, store.bodies().await?);
     let mut bodies = Bodies::default();
@@ -70,16 +70,16 @@ pub(super) async fn priors(store: &mut Store, trials: &[&Trial]) -> Result<(Vec<
     Ok((priors, bodies))
 }
 
-/// Numbers of the bodies that trials train, in the order in which they come.
+/// Numbers of the trials' bodies, in order of appearance.
 #[derive(Debug, Default)]
 pub(super) struct Bodies {
     numbers: HashMap<String, u32>,
-    /// Those that some trial has begun to train.
+    /// Bodies with recorded steps of any trial.
     pub begun: HashSet<u32>,
 }
 
 impl Bodies {
-    /// What is known of a trial, and of the steps that any trial has trained its body for.
+    /// State of a trial, given its attempts and the steps that any trial has trained its body.
     pub fn prior(&mut self, trial: &Trial, known: Attempted, body_steps: Option<&u32>) -> Prior {
         let (next, steps) = (self.numbers.len() as u32, trial.spec.optimise.steps());
         let body = *self.numbers.entry(trial.training.clone()).or_insert(next);

@@ -1,9 +1,9 @@
-//! The time that deadlines count: time in which we were looking. What passes while this process is stopped, or stuck on a
-//! disk, is nobody's silence: whoever is late by it has not been heard, or was stopped as well.
+//! Clock for deadlines that counts only time in which the engine observes. While this process is stopped or blocked by a disk,
+//! workers must not time out: their messages were not read, or they were stopped as well.
 
 use std::time::{Duration, Instant};
 
-/// Longest time between two looks that counts in full; the loop looks every `TICK`.
+/// Longest gap between two looks that counts in full; the loop looks every `TICK`.
 const GAP: Duration = Duration::from_secs(1);
 
 /// See the module.
@@ -18,7 +18,7 @@ impl Clock {
         Self { looked: Instant::now(), counted: Duration::ZERO }
     }
 
-    /// Milliseconds since the start, without those that went by unseen.
+    /// Milliseconds since the start, without unobserved time.
     pub fn look(&mut self) -> u64 {
         let now = Instant::now();
         self.pass(now.duration_since(self.looked));

@@ -5,14 +5,14 @@ use std::time::{Duration, Instant};
 use super::{Engine, Event, Events};
 use crate::store::StoreError;
 
-/// Time between two checks of the database's files.
+/// Time between two checks.
 const LOOK: Duration = Duration::from_secs(1);
-/// Size of the database's log from which the run warns (bytes). SQLite moves the log into the file every few MB unless a reader holds an
-/// older state.
+/// Size of the write-ahead log at which the run warns (bytes). SQLite moves the log into the database every few MB unless a
+/// reader holds an older snapshot.
 pub(super) const LOG_LARGE: u64 = 256 << 20;
 
 impl Engine<'_> {
-    /// Ends the run if the files of the database were taken away, so that the recorded data can be saved. Warns of a growing log.
+    /// Ends the run if the database files have disappeared, so that the data can be saved. Warns if the log grows large.
     pub(super) fn check_database(&mut self, events: &mut Events) {
         if self.looked.elapsed() < LOOK {
             return;

@@ -1,8 +1,9 @@
-//! How long it will take: the plan's estimates, corrected by what steps and comparisons have taken so far.
+//! Estimates the remaining time: the plan's estimates, corrected by the time of steps and final evaluations so far.
 //!
-//! A trial is steps and a comparison at its end. A step of a running trial takes what its own steps took, one of another
-//! trial what the plan says times what recorded steps took against that; so for comparisons, apart. What is left is
-//! handed to the workers in the order of the plan, and the last one to end says when the run does.
+//! A trial consists of steps and a final evaluation ("comparison"). A step of a running trial takes the mean of its earlier
+//! steps. Other steps take the plan's estimate times the ratio of measured to planned time of all steps; the same holds for
+//! comparisons. The remaining work is assigned to workers in the order of the plan; the last worker to finish gives the end of
+//! the run.
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
@@ -12,25 +13,25 @@ use metasense_schemas::record::Parts;
 
 use crate::plan::Trial;
 
-/// More open trials than this are spread evenly instead of one by one.
+/// With more open trials than this, the work is divided evenly among workers.
 const ONE_BY_ONE: usize = 2000;
 
-/// A step or a comparison that takes longer than was thought takes at least this part of the time that it has taken so far.
+/// A step or comparison that exceeds its estimate is assumed to take this fraction of its elapsed time longer.
 const OVERDUE: f64 = 0.25;
 
-/// What a trial is thought to take, before it has run (s).
+/// Planned time of a trial (s).
 #[derive(Debug, Clone, Copy)]
 pub struct Planned {
     step: f64,
     comparison: f64,
     steps: u32,
-    /// Behind its checkpoint.
+    /// Steps up to its checkpoint.
     behind: u32,
     open: bool,
 }
 
 impl Planned {
-    /// A trial that has `behind` steps behind it.
+    /// A trial that has done `behind` steps.
     pub fn new(trial: &Trial, behind: u32) -> Self {
         let steps = trial.spec.optimise.steps().max(1) as u32;
         let Parts { steps: all, comparison } = trial.cost;
@@ -40,20 +41,20 @@ impl Planned {
     }
 }
 
-/// A running trial: what its worker has done of it.
+/// Progress of a running trial.
 #[derive(Debug, Clone, Copy)]
 struct Running {
     since: Duration,
-    /// All of its comparison was to come when the worker got it.
+    /// Whether the comparison had not begun when the worker got the trial.
     whole: bool,
-    /// Its first step has come in, and with it all that a worker does before that.
+    /// Whether the first step has arrived; its time includes the worker's set-up.
     warm: bool,
-    /// Further ones.
+    /// Steps after the first.
     steps: u32,
     seconds: f64,
 }
 
-/// Seconds against what was planned for the same work.
+/// Measured and planned seconds of the same work.
 #[derive(Debug, Clone, Copy, Default)]
 struct Ratio {
     seconds: f64,
@@ -73,7 +74,7 @@ impl Ratio {
     }
 }
 
-/// The estimate of a run's time.
+/// Forecast of the time of a run.
 #[derive(Debug, Clone)]
 pub struct Forecast {
     trials: Vec<Planned>,
@@ -84,7 +85,7 @@ pub struct Forecast {
 }
 
 impl Forecast {
-    /// Of these trials, in the order of the plan.
+    /// A forecast for these trials, in the order of the plan.
     pub fn new(trials: Vec<Planned>, workers: u32) -> Self {
         Self {
             trials,
@@ -95,24 +96,24 @@ impl Forecast {
         }
     }
 
-    /// A trial more.
+    /// Adds a trial.
     pub fn add(&mut self, trial: Planned) {
         self.trials.push(trial);
     }
 
-    /// So many workers from now on.
+    /// Sets the number of workers.
     pub fn set_workers(&mut self, workers: u32) {
         self.workers = workers.max(1) as usize;
     }
 
-    /// A worker has the trial.
+    /// A worker got the trial.
     pub fn assigned(&mut self, trial: u32, now: Duration) {
         let Planned { behind, steps, .. } = self.trials[trial as usize];
         let whole = behind < steps;
         self.running.insert(trial, Running { since: now, whole, warm: false, steps: 0, seconds: 0.0 });
     }
 
-    /// It goes on behind so many steps, which another trial may have made; `whole`: with all of its comparison to come.
+    /// The trial resumes after `behind` steps, perhaps of another trial. `whole`: its comparison has not begun.
     pub fn goes_on(&mut self, trial: u32, behind: u32, whole: bool) {
         let planned = &mut self.trials[trial as usize];
         planned.behind = behind.min(planned.steps);
@@ -121,7 +122,7 @@ impl Forecast {
         }
     }
 
-    /// A step has come in.
+    /// A step has arrived.
     pub fn stepped(&mut self, trial: u32, now: Duration) {
         let planned = &mut self.trials[trial as usize];
         planned.behind = (planned.behind + 1).min(planned.steps);
@@ -136,7 +137,7 @@ impl Forecast {
         }
     }
 
-    /// The worker has no longer got it; `done`: since it has a result.
+    /// The trial left its worker; `done`: with a result.
     pub fn returned(&mut self, trial: u32, done: bool, now: Duration) {
         if let Some(running) = self.running.remove(&trial)
             && done
@@ -147,12 +148,13 @@ impl Forecast {
         }
     }
 
-    /// Nothing more will be done for it.
+    /// The trial has ended.
     pub fn settled(&mut self, trial: u32) {
         self.trials[trial as usize].open = false;
     }
 
-    /// What steps and comparisons take against their plan; a guess is taken for what is not known. A comparison that is overdue counts.
+    /// Ratios of measured to planned time of steps and of comparisons; overdue comparisons count. An unknown ratio is replaced
+    /// by the other.
     fn ratios(&self, now: Duration) -> Option<(f64, f64)> {
         let (steps, comparisons) = (self.of_steps.value(), self.of_comparisons.value());
         let (of_steps, known) = (steps.or(comparisons)?, comparisons.or(steps)?);
@@ -167,7 +169,7 @@ impl Forecast {
         Some((of_steps, of_comparisons.value().unwrap_or(known)))
     }
 
-    /// Part of the work that is done, 0 to 1, also by earlier runs.
+    /// Fraction of the work that is done, in this run and before, 0 to 1.
     pub fn part(&self, now: Duration) -> f64 {
         let ratios = self.ratios(now).unwrap_or((1.0, 1.0));
         let (mut left, mut whole) = (0.0, 0.0);
@@ -178,7 +180,7 @@ impl Forecast {
         if whole > 0.0 { (1.0 - left / whole).clamp(0.0, 1.0) } else { 1.0 }
     }
 
-    /// Seconds that a trial still takes on its worker.
+    /// Remaining seconds of a trial on its worker.
     fn left(&self, trial: u32, (of_steps, of_comparisons): (f64, f64), now: Duration) -> f64 {
         let planned = self.trials[trial as usize];
         let steps = f64::from(planned.steps - planned.behind);
@@ -195,7 +197,7 @@ impl Forecast {
         steps * step + comparison - in_progress + (in_progress - spent).max(OVERDUE * spent)
     }
 
-    /// Time to go, once a step or a result has come in.
+    /// Remaining time of the run; `None` before the first measured step or result.
     pub fn to_go(&self, now: Duration) -> Option<Duration> {
         let ratios = self.ratios(now)?;
         let mut workers: Vec<f64> = self.running.keys().map(|trial| self.left(*trial, ratios, now)).collect();
@@ -209,7 +211,7 @@ impl Forecast {
             let all = workers.iter().chain(&waiting).sum::<f64>() / workers.len() as f64;
             return Duration::try_from_secs_f64(all).ok();
         }
-        // In milliseconds, which have an order.
+        // In milliseconds: integers can be ordered.
         let mut ends: BinaryHeap<Reverse<u64>> =
             workers.iter().map(|left| Reverse((1000.0 * left) as u64)).collect();
         for left in waiting {

@@ -1,5 +1,5 @@
-//! Worker processes and their links: opened, started, heard and ended. A process counts as lost when it is gone and all that
-//! it has sent is read.
+//! Opens, starts, observes and ends worker processes and their links. A process counts as lost when it has ended and all its
+//! messages are read.
 
 use std::time::{Duration, Instant};
 
@@ -14,24 +14,24 @@ use crate::link::Line;
 use crate::scheduler::{Event, WorkerId};
 use crate::store::Level;
 
-/// Longest wait for the link of a process that has ended; what it had not read then counts as not sent.
+/// Longest wait for the link of an ended process; later messages are lost.
 const LINK_GRACE: Duration = Duration::from_millis(700);
 
-/// A worker's process and link, from the making of its domain until both are gone.
+/// Process and link of a worker, from the creation of its domain until both have ended.
 #[derive(Debug)]
 pub(super) struct Link {
     pub line: Line,
     pub started: bool,
-    /// Not to be started any more.
+    /// The process must not be started.
     pub cancelled: bool,
     pub ended: Option<(Reason, Instant)>,
-    /// Why we have ended it, where its process does not know.
+    /// Why we killed the process, if its exit status does not show it.
     pub why: Option<Reason>,
     pub closed: bool,
 }
 
 impl Engine<'_> {
-    /// Makes the domain of a worker; it is started when that is there.
+    /// Creates the domain of a worker, whose process starts when the domain exists.
     pub(super) fn open(&mut self, worker: WorkerId, events: &mut Events) {
         let needs = Needs { workers: 1, threads: self.options.threads, files: &[] };
         let line = limits::check(&needs).map_err(|short| short.to_string()).and_then(|()| {
@@ -48,7 +48,7 @@ impl Engine<'_> {
         }
     }
 
-    /// A worker whose domain is still being made is not started.
+    /// Prevents the start of a worker whose domain is still being created.
     pub(super) fn cancel(&mut self, worker: WorkerId) {
         if let Some(link) = self.links.get_mut(&worker)
             && !link.started
@@ -98,10 +98,10 @@ impl Engine<'_> {
 
     pub(super) fn heard(&mut self, worker: WorkerId, heard: Heard, events: &mut Events) {
         match heard {
-            // Of the trial that it has, or had last.
+            // The line belongs to the current or last trial of the worker.
             Heard::Line(line) => match self.leases.get(&worker) {
                 Some(lease) => {
-                    // what it says first is why, what follows where
+                    // the first line gives the error, later ones the location
                     if !line.is_empty() {
                         self.details.entry(*lease).or_insert_with(|| line.clone());
                     }
@@ -113,7 +113,7 @@ impl Engine<'_> {
         }
     }
 
-    /// The process is gone: what it has sent is read before it counts as lost.
+    /// Handles the end of a process: it counts as lost after all its messages are read.
     fn ended(&mut self, worker: WorkerId, reason: Reason, events: &mut Events) {
         if let Some(link) = self.links.get_mut(&worker) {
             link.ended = Some((reason, Instant::now()));

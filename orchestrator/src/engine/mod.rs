@@ -1,7 +1,8 @@
-//! The loop of a run: turns what happens (messages, deaths, signals, commands, time) into events, and actions into effects.
+//! The main loop of a run: turns messages, deaths, signals, commands and time into events for the scheduler, and carries out
+//! its actions.
 //!
-//! It waits, and decides nothing: that is the scheduler's. Effects are the fleet's (processes), the link's (shared
-//! memory) and the writer's (database). A result counts, and is shown, when it is on disk.
+//! The scheduler decides; fleet (processes), link (shared memory) and writer (database) act. A result counts, and is shown,
+//! once it is on disk.
 
 mod begin;
 mod clock;
@@ -48,79 +49,79 @@ use crate::scheduler::{
 use crate::store::{Level, Presence, Store, StoreError, hurry};
 use writer::{Arrays, Entry, Write, Written};
 
-/// Time between two looks at deadlines, and between two views.
+/// Time between two checks of deadlines and updates of the view.
 const TICK: Duration = Duration::from_millis(200);
-/// Words of links, and records before the writer, that may wait.
+/// Capacity of the channels of link events and of records for the writer.
 const QUEUE: usize = 512;
 
-/// Longest wait for steps in progress of a run that is stopped (s), where nobody says: somebody sits there and waits, too.
+/// Default wait for steps in progress when a run is stopped (s), short because a person may be waiting.
 pub const GRACE: f64 = 10.0;
 
-/// How a run is carried out.
+/// Options of a run.
 #[derive(Debug, Clone)]
 pub struct Options {
-    /// Limits for the scheduler.
+    /// Settings of the scheduler.
     pub settings: Settings,
-    /// Threads a worker.
+    /// Threads per worker.
     pub threads: u32,
-    /// Added to the workers' niceness.
+    /// Added to the niceness of workers.
     pub niceness: i32,
-    /// Limit of a worker's memory (MiB).
+    /// Memory limit per worker (MiB).
     pub memory_mib: Option<u64>,
-    /// Record the arrays of results; otherwise they are read and let go, which measures their way here alone.
+    /// Whether to record the arrays of results; if not, they are read and discarded, to measure their transport only.
     pub keep_arrays: bool,
-    /// The program whose hidden subcommand is the worker.
+    /// The program that contains the hidden `worker` subcommand.
     pub program: PathBuf,
 }
 
-/// What a run came to.
+/// Result of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Summary {
     /// How it ended.
     pub outcome: Outcome,
-    /// Whether somebody has asked it to stop.
+    /// Whether a stop was requested.
     pub stopping: bool,
     /// Trials done in this run.
     pub done: usize,
     /// Trials that failed in this run.
     pub failed: usize,
-    /// Trials given up in this run on request.
+    /// Trials cancelled in this run.
     pub given_up: usize,
-    /// Messages of attempts that were not current.
+    /// Messages of outdated attempts.
     pub stale: usize,
-    /// Worker processes that are wanted by now.
+    /// Requested number of workers at the end.
     pub workers: u32,
-    /// Whether it has ended in a pause.
+    /// Whether the run ended during a pause.
     pub paused: bool,
 }
 
-/// Why a run could not go on.
+/// Why a run failed.
 #[derive(Debug, thiserror::Error)]
 pub enum EngineError {
-    /// No place in shared memory.
+    /// No directory in shared memory.
     #[error(transparent)]
     Runtime(#[from] RuntimeError),
-    /// The machine allows less than the workers need.
+    /// The limits of the machine are too low for the workers.
     #[error("the limits of {host} are too low for the workers: no trial was started; the same command starts them", host = host())]
     Short(#[from] Shortage),
-    /// The database.
+    /// The database failed.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// Signals cannot be waited for.
+    /// Signals cannot be received.
     #[error("cannot wait for signals")]
     Signals(#[source] std::io::Error),
-    /// No worker comes up.
+    /// No worker starts.
     #[error("no worker process starts on {host}; the last one: {0}", host = host())]
     NoWorkers(String),
 }
 
-/// Runs trials until all are settled or somebody wants it to end. What people want beside that comes by `control`.
+/// Runs trials until all have ended or a stop is requested. `control` receives commands.
 ///
-/// `work` gives the job of a trial as its worker reads it. To be called from the main thread: workers end with the thread
-/// that has started them.
+/// `work` returns the job of a trial in the form that workers read. Call this from the main thread, because workers die with
+/// the thread that started them.
 ///
 /// # Errors
-/// If the machine allows too little, nothing can be recorded, or no worker comes up.
+/// If the machine's limits are too low, nothing can be recorded, or no worker starts.
 pub async fn run<'a>(
     store: &mut Store,
     trials: &[&'a Trial],
@@ -143,7 +144,7 @@ pub async fn run<'a>(
     let (queue, entries) = mpsc::channel(QUEUE);
     let (said, mut written) = mpsc::unbounded_channel();
     let hashes = trials.iter().map(|trial| trial.hash.clone()).collect();
-    // On this task, not one of its own: arrays in shared memory may move between threads, not be shared by them.
+    // Runs on this task: arrays in shared memory may move between threads, but must not be shared by two.
     let writing = writer::write(store, hashes, entries, said);
     let (rereads, mut reads) = mpsc::unbounded_channel();
     let mut ticks = tokio::time::interval(TICK);
@@ -213,7 +214,7 @@ pub async fn run<'a>(
     tokio::join!(writing, running).1
 }
 
-/// What the scheduler passes on unread.
+/// Types of the records that the scheduler passes on unread.
 #[derive(Debug)]
 enum Records {}
 
@@ -232,30 +233,30 @@ struct Engine<'a> {
     options: &'a Options,
     began: Instant,
     clock: Clock,
-    // Before the runtime: processes go before the directory that they use.
+    // Declared before `runtime`: processes must end before the directory that they use is removed.
     fleet: Fleet,
     links: HashMap<WorkerId, Link>,
     runtime: Runtime,
     words: mpsc::Sender<(WorkerId, Word)>,
     queue: mpsc::Sender<Entry>,
     bodies: Bodies,
-    /// Steps that were behind trials when their last attempts began, where there were any.
+    /// Steps of trials before their last attempts, if any.
     begun_at: HashMap<u32, u32>,
     view: View,
-    /// What each worker was given last.
+    /// Last lease of each worker.
     leases: HashMap<WorkerId, Lease>,
-    /// On its way to the writer.
+    /// Log lines that the writer does not have yet.
     said: Vec<(Lease, Level, String)>,
-    /// What went wrong with attempts, in words; until they end.
+    /// Error messages of attempts that have not ended.
     details: HashMap<Lease, String>,
     spent: Ledger,
-    /// Attempts whose CPU seconds are to be recorded.
+    /// Attempts whose CPU time must be recorded.
     due: Vec<Lease>,
     stale: usize,
-    /// The files of the database, and when they were checked last.
+    /// Presence of the database files, and the time of the last check.
     presence: Presence,
     looked: Instant,
-    /// Size of the database's log for the next warning (bytes).
+    /// Size of the write-ahead log at which to warn next (bytes).
     log_warned: u64,
     store_error: Option<StoreError>,
     last_words: String,
@@ -272,7 +273,7 @@ impl Engine<'_> {
         self.queue.capacity() > QUEUE / 2
     }
 
-    /// Puts the events to the scheduler, and carries out what it wants. The outcome, once the run is over.
+    /// Passes the events to the scheduler and carries out its actions. Returns the outcome when the run is over.
     async fn carry_out(&mut self, events: &mut Events) -> Option<Outcome> {
         let now = self.clock.look();
         let mut actions: VecDeque<_> = scheduler::on_event(&mut self.state, Event::Clock(now)).into();
@@ -287,7 +288,7 @@ impl Engine<'_> {
         }
     }
 
-    /// Carries an action out; the outcome, if it is the end.
+    /// Carries out an action. Returns the outcome if the run ends.
     async fn act(&mut self, action: Action<Records>, events: &mut Events) -> Option<Outcome> {
         match action {
             Action::End(outcome) => return Some(outcome),
@@ -386,7 +387,7 @@ impl Engine<'_> {
         None
     }
 
-    /// Waits while the writer's queue is full. Once the store is broken, there is nobody to write.
+    /// Queues a record; waits while the queue is full. Does nothing after the store has failed.
     async fn record(&mut self, write: Write) {
         self.enqueue(Entry::Write(write)).await;
     }

@@ -1,4 +1,4 @@
-//! SIGINT, SIGTERM and SIGHUP as messages: a person wants the end. Under `nohup` SIGHUP is none.
+//! Receives SIGINT, SIGTERM and SIGHUP as requests to stop. SIGHUP is ignored under `nohup`.
 
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::mpsc;
@@ -6,15 +6,15 @@ use tokio::sync::mpsc;
 use super::EngineError;
 use crate::store::hurry;
 
-/// Signals since it was made; none of them ends the process any more.
+/// A stream of signals. While it exists, and after, signals do not end the process.
 #[derive(Debug)]
 pub struct Signals(mpsc::Receiver<()>);
 
 impl Signals {
-    /// From here on, signals are messages; a hangup that whoever started us has had ignored stays ignored.
+    /// Starts receiving signals. SIGHUP stays ignored if it is ignored at the start.
     ///
     /// # Errors
-    /// If the system does not let us wait for them.
+    /// If the system cannot deliver signals.
     pub fn new() -> Result<Self, EngineError> {
         let (out, signals) = mpsc::channel(4);
         let hangup = Some(SignalKind::hangup()).filter(|_| !ignores_hangup());
@@ -25,14 +25,14 @@ impl Signals {
         Ok(Self(signals))
     }
 
-    /// The next one.
+    /// The next signal.
     pub(super) async fn next(&mut self) -> Option<()> {
         let next = self.0.recv().await;
         hurry();
         next
     }
 
-    /// Does `work`, unless a signal comes first: then it is dropped where it stands, and this is `None`.
+    /// Runs `work`; drops it and returns `None` if a signal comes first.
     pub async fn unless<T>(&mut self, work: impl Future<Output = T>) -> Option<T> {
         tokio::select! {
             biased;
@@ -42,7 +42,7 @@ impl Signals {
     }
 }
 
-/// Whether this process ignores SIGHUP, the first bit of what the system says.
+/// Whether this process ignores SIGHUP: bit 0 of the `SigIgn` mask.
 pub fn ignores_hangup() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));

@@ -1,5 +1,5 @@
-//! CPU seconds of attempts, by what the system says of their workers' processes: set-up, steps that are done again and what a
-//! killed worker has done count like all else.
+//! CPU seconds of attempts, measured from the processes of their workers. They include set-up, repeated steps and the work of
+//! killed workers.
 
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
@@ -9,21 +9,21 @@ use metasense_schemas::wire::Lease;
 use crate::fleet::Fleet;
 use crate::scheduler::WorkerId;
 
-/// Time between two looks at a process: what is not seen of one that is killed.
+/// Time between two measurements: at most this much of a killed process is lost.
 const LOOK: Duration = Duration::from_secs(1);
-/// Time between two records where nothing else is recorded: what is not known if this process is killed.
+/// Longest time between two records: at most this much is lost if this process is killed.
 const RECORD: Duration = Duration::from_secs(10);
 
 #[derive(Debug)]
 struct Spent {
     worker: WorkerId,
-    /// The process's when it was given the trial.
+    /// CPU seconds of the process when it got the trial.
     before: f64,
     seconds: f64,
     recorded: f64,
 }
 
-/// Those of the attempts in progress.
+/// CPU seconds of the attempts in progress.
 #[derive(Debug)]
 pub(super) struct Ledger {
     attempts: HashMap<Lease, Spent>,
@@ -45,7 +45,7 @@ impl Ledger {
         self.attempts.remove(&lease);
     }
 
-    /// The seconds of an attempt until now, if there are more than when they were asked for last.
+    /// CPU seconds of an attempt so far, if they have grown since the last call.
     pub fn more(&mut self, lease: Lease, fleet: &Fleet) -> Option<f64> {
         let spent = self.attempts.get_mut(&lease)?;
         spent.look(fleet);
@@ -53,7 +53,7 @@ impl Ledger {
         (spent.seconds > before).then_some(spent.seconds)
     }
 
-    /// Looks at all processes from time to time; from time to time, the attempts whose seconds are to be recorded.
+    /// Measures all processes every `LOOK`; every `RECORD`, returns the attempts whose seconds must be recorded.
     pub fn tick(&mut self, fleet: &Fleet) -> Vec<Lease> {
         if self.looked.elapsed() >= LOOK {
             self.looked = Instant::now();

@@ -1,4 +1,4 @@
-//! What people ask of a run: their commands become events of the scheduler, whose answers go back to them.
+//! Handles commands to a run: passes them to the scheduler as events and returns its answers.
 
 use std::collections::HashSet;
 use std::fmt;
@@ -12,28 +12,28 @@ use crate::control::{Command, Listener, Request, Said};
 use crate::plan::{Plan, Trial, counted};
 use crate::scheduler::{Answer, Event, Steer};
 
-/// How a run can be steered.
+/// Source of commands to a run.
 pub struct Control {
     listener: Option<Listener>,
     reread: Arc<Reread>,
     plans: Plans,
 }
 
-/// Reads the spec again, or says why that cannot be.
+/// Reads the spec again; the error is text for people.
 pub type Reread = dyn Fn() -> Result<Plan, String> + Send + Sync;
 
 impl Control {
-    /// By what comes through a listener.
+    /// Takes commands from a listener, if any.
     pub fn new(listener: Option<Listener>, reread: Arc<Reread>) -> Self {
         Self { listener, reread, plans: Plans::default() }
     }
 
-    /// By nobody.
+    /// Takes no commands.
     pub fn none() -> Self {
         Self::new(None, Arc::new(|| Err("this run has no spec file".into())))
     }
 
-    /// The plan by which trials were added last; behind its own it has those of the plans before it, of which `first` is the first.
+    /// The last plan that was read, starting from `first`, with the trials of earlier plans that it lacks appended.
     pub fn last_plan(&self, first: Plan) -> Plan {
         let mut plan = first;
         let mut kept = &self.plans;
@@ -58,7 +58,7 @@ impl fmt::Debug for Control {
     }
 }
 
-/// Plans that came later: they stay, as trials of a run are borrowed from them.
+/// Plans of reloads, as a linked list: they stay in memory, because the run borrows their trials.
 #[derive(Default)]
 struct Plans(OnceLock<Box<(Arc<Plan>, Plans)>>);
 
@@ -71,18 +71,18 @@ impl Plans {
     }
 }
 
-/// Who waits for the scheduler's answer, and what is said beside it.
+/// A request that waits for the scheduler's answer, and text to append to the answer.
 #[derive(Debug)]
 pub(super) struct Asker {
     request: Request,
     note: String,
 }
 
-/// A plan that was read, for whoever has asked.
+/// The result of a reload, with its request.
 pub(super) type Read = (Result<Plan, String>, Request);
 
 impl Engine<'_> {
-    /// A command has come.
+    /// Handles a command.
     pub(super) fn asked(&mut self, request: Request, events: &mut super::Events) {
         if request.answer.is_closed() {
             return;
@@ -100,7 +100,8 @@ impl Engine<'_> {
             },
             Command::Reload => {
                 let (reread, read) = (Arc::clone(&self.control.reread), self.rereads.clone());
-                // 10⁵ trials take seconds. Where nobody listens any more the run has ended, and the asker is told so.
+                // Reading 10⁵ trials takes seconds. If the receiver is gone, the run has ended, and the client gets that
+                // answer.
                 drop(tokio::task::spawn_blocking(move || drop(read.send((reread(), request)))));
                 return;
             }
@@ -108,7 +109,7 @@ impl Engine<'_> {
         events.push_back(Event::Steer(steer, Asker { request, note: String::new() }));
     }
 
-    /// How the run is.
+    /// State of the run as text.
     fn in_words(&self) -> String {
         let (state, view) = (&self.state, &self.view);
         let how = match (state.is_stopping(), state.is_paused()) {
@@ -124,12 +125,12 @@ impl Engine<'_> {
         )
     }
 
-    /// The one trial of this run whose hash begins so.
+    /// The only trial of this run whose hash starts with `hash`.
     fn find(&self, hash: &str) -> Result<u32, NotOne> {
         position_of(hash, self.trials.iter().map(|trial| trial.hash.as_str())).map(|at| at as u32)
     }
 
-    /// A spec has been read again: its trials are recorded, in case that there are new ones.
+    /// Sends a reloaded plan to the writer, which records new trials.
     pub(super) async fn read(&mut self, (plan, request): Read) {
         match plan {
             Err(why) => self.answer(request, false, why),
@@ -137,7 +138,7 @@ impl Engine<'_> {
         }
     }
 
-    /// They are on disk.
+    /// Adds the recorded new trials to the run.
     pub(super) fn planned(&mut self, fresh: Fresh, request: Request, events: &mut super::Events) {
         let mut asker = Asker { request, note: String::new() };
         let own: HashSet<&str> = fresh.plan.trials.iter().map(|trial| trial.hash.as_str()).collect();
@@ -162,7 +163,7 @@ impl Engine<'_> {
         events.push_back(Event::Steer(Steer::Add(priors), asker));
     }
 
-    /// The scheduler has answered.
+    /// Sends the scheduler's answer to the client.
     pub(super) fn answered(&mut self, asker: Asker, answer: Answer) {
         self.view.set_workers(self.state.workers());
         self.view.paused = self.state.is_paused();
@@ -175,7 +176,7 @@ impl Engine<'_> {
             tracing::info!(%command, done, answer = text, "command to the run");
             self.watch.steered(&command, done, &text);
         }
-        // Whoever has asked may be gone.
+        // The client may have disconnected.
         let _ = answer.send(Said { done, text });
     }
 }

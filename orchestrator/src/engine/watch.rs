@@ -1,4 +1,4 @@
-//! What a person may see of a run while it goes on.
+//! Progress of a run for people.
 
 use std::collections::HashSet;
 use std::time::Duration;
@@ -11,13 +11,13 @@ use crate::control::Command;
 use crate::plan::Trial;
 use crate::scheduler::{Outcome, Prior, Settings};
 
-/// Who watches a run.
+/// Observer of a run.
 pub trait Watch {
-    /// A step has come in.
+    /// A step has arrived.
     fn step(&mut self, _trial: &Trial, _record: &StepRecord) {}
     /// A result is on disk.
     fn done(&mut self, _trial: &Trial, _result: &TrialResult) {}
-    /// An attempt has come to nothing; `settled`: for good. `_text`: the reason, with what was said of it.
+    /// An attempt has failed; `settled`: the trial, too. `_text`: the reason and its details.
     fn attempt_failed(
         &mut self,
         _trial: &Trial,
@@ -27,46 +27,46 @@ pub trait Watch {
         _text: &str,
     ) {
     }
-    /// A trial's checkpoint is of no use: it begins anew.
+    /// The trial restarts, as its checkpoint cannot be used.
     fn begins_anew(&mut self, _trial: &Trial, _why: &str) {}
     /// A warning for the user.
     fn warned(&mut self, _text: &str) {}
-    /// Somebody wants the run to end; `_again`: not for the first time. Steps in progress are waited for at most `_grace`.
+    /// A stop was requested; `_again`: not for the first time. Steps in progress may take up to `_grace`.
     fn interrupted(&mut self, _again: bool, _grace: Duration) {}
-    /// Somebody has steered the run; `done`: and something has changed.
+    /// A command was answered; `done`: it took effect.
     fn steered(&mut self, _command: &Command, _done: bool, _said: &str) {}
-    /// Some time has passed.
+    /// Called about five times per second.
     fn tick(&mut self, _view: &View) {}
     /// The run is over.
     fn end(&mut self, _view: &View, _outcome: Outcome) {}
 }
 
-/// Nobody watches.
+/// Observer that does nothing.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Silent;
 
 impl Watch for Silent {}
 
-/// Where a run stands.
+/// Progress of a run.
 #[derive(Debug, Clone)]
 pub struct View {
     /// Trials of this run.
     pub total: usize,
-    /// Done in this run, or as far as it is to go.
+    /// Trials done in this run, or paused at their requested step.
     pub done: usize,
-    /// Failed in this run.
+    /// Trials failed in this run.
     pub failed: usize,
-    /// Given up in this run on request.
+    /// Trials cancelled in this run.
     pub given_up: usize,
-    /// Steps that have come in.
+    /// Steps that have arrived.
     pub steps: u64,
-    /// Worker processes.
+    /// Requested number of workers.
     pub workers: u32,
-    /// Those with a trial.
+    /// Workers that have a trial.
     pub busy: usize,
-    /// Nothing is handed out for the time being.
+    /// Whether the run is paused.
     pub paused: bool,
-    /// Since the beginning.
+    /// Time since the start.
     pub elapsed: Duration,
     pub(super) forecast: Forecast,
 }
@@ -74,7 +74,7 @@ pub struct View {
 impl View {
     pub(super) fn new(trials: &[&Trial], priors: &[Prior], settings: &Settings) -> Self {
         let workers = settings.workers;
-        // of trials with one body the first trains it
+        // of the trials with the same body, the first trains it
         let mut bodies = HashSet::new();
         let planned = |(trial, prior): (&&Trial, &Prior)| {
             let trains = bodies.insert(prior.body) && !prior.trained;
@@ -94,22 +94,22 @@ impl View {
         }
     }
 
-    /// Trials that are settled in this run.
+    /// Number of trials that have ended in this run.
     pub fn settled(&self) -> usize {
         self.done + self.failed + self.given_up
     }
 
-    /// Part of the estimated work that is done, 0 to 1.
+    /// Fraction of the estimated work that is done, 0 to 1.
     pub fn fraction(&self) -> f64 {
         self.forecast.part(self.elapsed)
     }
 
-    /// Estimated time to go, once there is something to judge by.
+    /// Estimated remaining time; `None` before the first measurement.
     pub fn eta(&self) -> Option<Duration> {
         self.forecast.to_go(self.elapsed)
     }
 
-    /// A trial more, of which so many steps are done.
+    /// Adds a trial that has done `behind` steps.
     pub(super) fn add(&mut self, trial: &Trial, behind: u32) {
         self.total += 1;
         self.forecast.add(Planned::new(trial, behind));
@@ -125,7 +125,7 @@ impl View {
         self.forecast.stepped(trial, now);
     }
 
-    /// Its result has come in; it counts when it is on disk.
+    /// A result has arrived; it counts as done once it is on disk.
     pub(super) fn finished(&mut self, trial: u32, now: Duration) {
         self.forecast.returned(trial, true, now);
         self.forecast.settled(trial);

@@ -1,7 +1,7 @@
-//! The one writer: a queue in front of the store, whose entries share transactions.
+//! The only writer to the store: takes entries from a queue and writes them in shared transactions.
 //!
-//! What waits when a transaction begins goes into it together, so that one fsync serves many records. `Written` is
-//! said only after the commit.
+//! All entries that wait when a transaction begins share it, so that one fsync serves many records. `Written` is sent after the
+//! commit.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
@@ -16,65 +16,65 @@ use crate::plan::Plan;
 use crate::scheduler::{Mark, WorkerId};
 use crate::store::{Array, Attempted, Level, Store, StoreError};
 
-/// Most entries of one transaction.
+/// Most entries per transaction.
 const BATCH: usize = 128;
 
-/// An entry of the queue.
+/// A record in the queue.
 #[derive(Debug)]
 pub enum Write {
-    /// An attempt begins.
+    /// The start of an attempt.
     Begin(Lease),
     /// A step.
     Step(Lease, Box<StepRecord>, Arc<Checkpoint>),
-    /// How far a comparison has come.
+    /// A checkpoint of the final evaluation.
     Checkpoint(Lease, Arc<Checkpoint>),
     /// A result with its arrays, which stay in shared memory until they are recorded.
     Result(Lease, Box<TrialResult>, Option<Arrays>),
-    /// An attempt has come to nothing.
+    /// The end of an attempt without a result; `true`: the trial has failed.
     Failure(Lease, Reason, bool),
     /// CPU seconds of an attempt so far.
     Spent(Lease, f64),
-    /// What is said of an attempt.
+    /// A log line of an attempt.
     Log(Lease, Level, String),
-    /// Where a trial goes on, at most behind so many steps, is wanted for a worker.
+    /// Request for a trial's checkpoint, of at most this many steps.
     Load(WorkerId, Lease, Option<u32>),
-    /// A trial that waits is not to be run.
+    /// The cancellation of a pending trial.
     Cancelled(Lease),
 }
 
-/// What comes through the queue.
+/// An entry of the queue.
 #[derive(Debug)]
 pub enum Entry {
-    /// What shares a transaction with its neighbours.
+    /// A record; consecutive ones share a transaction.
     Write(Write),
-    /// The spec as it is by now, in transactions of its own, for whoever has asked for it.
+    /// The reloaded plan, which gets its own transactions, and the request for it.
     Plan(Arc<Plan>, Request),
 }
 
-/// Trials of a plan that was read again.
+/// New trials of a reloaded plan.
 #[derive(Debug)]
 pub struct Fresh {
     /// The plan.
     pub plan: Arc<Plan>,
-    /// Those that are new to the run, by their places in the plan, and how far earlier runs have come with them.
+    /// Trials that are new to the run: index in the plan, and state after earlier runs.
     pub trials: Vec<(usize, Attempted)>,
-    /// How far their bodies have come.
+    /// Recorded steps per body.
     pub bodies: HashMap<String, u32>,
-    /// Of the others: how many were settled before this run began.
+    /// Number of other new trials that had ended before this run.
     pub settled: usize,
 }
 
 /// The arrays of a result, in shared memory.
 #[derive(Debug)]
 pub struct Arrays {
-    /// What they are, and where.
+    /// Name, shape and place of each array.
     pub heads: Vec<ArrayHead>,
-    /// Where they all lie.
+    /// The shared memory that contains them.
     pub sample: Sample,
 }
 
 impl Arrays {
-    /// Reads every byte, and does nothing with it.
+    /// Reads every byte and discards it.
     pub fn read(&self) {
         let (mut sum, bytes) = (0u64, self.sample.payload());
         let (before, words, after) = bytemuck::pod_align_to::<u8, u64>(bytes);
@@ -94,22 +94,22 @@ impl Arrays {
     }
 }
 
-/// What the writer says.
+/// A message of the writer.
 #[derive(Debug)]
 pub enum Written {
-    /// It is on disk.
+    /// A record is on disk.
     Recorded(Lease, Mark),
-    /// So is a result.
+    /// A result is on disk.
     Done(Lease, Box<TrialResult>),
-    /// The checkpoint that was wanted; or why the one that is there is of no use.
+    /// The requested checkpoint, or why the stored one cannot be used.
     Loaded(WorkerId, Lease, Result<Option<Box<Checkpoint>>, String>),
-    /// The trials that are to be run beside the others are on disk; they are numbered on.
+    /// New trials are on disk.
     Planned(Fresh, Request),
-    /// Nothing can be recorded any more.
+    /// The database failed.
     Broken(StoreError),
 }
 
-/// Writes until the queue is closed. `hashes` are those of the run's trials.
+/// Writes entries until the queue is closed. `hashes`: hashes of the run's trials, by number.
 pub async fn write(
     store: &mut Store,
     mut hashes: Vec<String>,
@@ -145,7 +145,7 @@ pub async fn write(
     }
 }
 
-/// Records a plan; the trials that are new to the run, and open, are its trials from here on.
+/// Records a plan, and appends the hashes of its new, open trials to `hashes`.
 async fn add(store: &mut Store, hashes: &mut Vec<String>, plan: Arc<Plan>) -> Result<Fresh, StoreError> {
     store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await?;
     let settled: HashSet<String> = store.settled().await?.into_iter().collect();

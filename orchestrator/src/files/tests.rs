@@ -2,7 +2,8 @@ use std::os::unix::fs::{PermissionsExt, symlink};
 
 use super::*;
 
-/// New, written over with its permissions kept, through a link, to a device; where it cannot be, what was there stays.
+/// A file can be created, overwritten with its permissions kept, and written through a link or to a device; errors leave the
+/// old one.
 #[test]
 fn a_file_is_the_old_one_or_the_new_one() {
     let bench = tempfile::tempdir().unwrap();
@@ -22,7 +23,7 @@ fn a_file_is_the_old_one_or_the_new_one() {
     assert_eq!(names.len(), 2, "nothing is left beside: {names:?}");
 }
 
-/// What is not finished leaves the former file, and nothing beside it; a database is never written over.
+/// An unfinished file leaves the old file and no temporary one; a database is never overwritten.
 #[test]
 fn an_unfinished_file_and_one_over_a_database_leave_what_was_there() {
     let bench = tempfile::tempdir().unwrap();

@@ -1,7 +1,7 @@
-//! Worker processes: started, watched and ended. Whether one is alive is what the operating system says.
+//! Starts, watches and ends worker processes. The operating system reports whether a worker is alive.
 //!
-//! A worker is this program again (`/proc/self/exe`), so that both are always the same build. It dies with the
-//! *thread* that started it: `Fleet::spawn` is to be called from one that lives as long as the run.
+//! A worker runs the same program (`/proc/self/exe`), so that both are always the same build. It is killed when the *thread*
+//! that started it ends: call `Fleet::spawn` from a thread that lives as long as the run.
 
 mod processes;
 
@@ -35,38 +35,38 @@ pub struct Fleet {
     heard: Sender<(WorkerId, Heard)>,
 }
 
-/// What is heard of a process.
+/// An event of a worker process.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Heard {
     /// A line on its standard error.
     Line(String),
-    /// It has ended, and no more lines come.
+    /// It has ended; no more lines follow.
     End(Reason),
 }
 
-/// Longest wait for the last lines of a process that has ended: something that it has started may hold them back.
+/// Longest wait for the last lines of an ended process: its child processes may keep standard error open.
 const LINES_GRACE: Duration = Duration::from_millis(300);
-/// Longest wait for a process that was killed: one that waits for a disk or a device ends when that answers, and may never.
+/// Longest wait for a killed process: one that waits for a disk or a device ends only when that responds.
 const UNKILLABLE: Duration = Duration::from_secs(5);
 
 #[derive(Debug)]
 struct Process {
     pid: u32,
-    /// Its end is the sign for the worker to end.
+    /// Closing this tells the worker to end.
     input: Option<ChildStdin>,
     kill: Option<oneshot::Sender<()>>,
 }
 
 impl Fleet {
-    /// `program` is asked for its hidden subcommand `worker`.
+    /// `program` must have the hidden subcommand `worker`.
     pub fn new(program: PathBuf, heard: Sender<(WorkerId, Heard)>) -> Self {
         Self { program, processes: HashMap::new(), heard }
     }
 
-    /// Starts a process.
+    /// Starts a worker process.
     ///
     /// # Errors
-    /// If the system does not.
+    /// If the system cannot start it.
     pub fn spawn(&mut self, worker: WorkerId, start: &Start) -> std::io::Result<()> {
         let argument = serde_json::to_string(start).expect("strings and numbers are JSON");
         let mut child = Command::new(&self.program)
@@ -88,31 +88,31 @@ impl Fleet {
         Ok(())
     }
 
-    /// Ends a process in order: it sees the end of its input.
+    /// Ends a process in order by closing its input.
     pub fn close(&mut self, worker: WorkerId) {
         if let Some(process) = self.processes.get_mut(&worker) {
             process.input = None;
         }
     }
 
-    /// Ends a process at once.
+    /// Kills a process.
     pub fn kill(&mut self, worker: WorkerId) {
         if let Some(kill) = self.processes.get_mut(&worker).and_then(|process| process.kill.take()) {
             let _ = kill.send(());
         }
     }
 
-    /// Forgets a process that has ended.
+    /// Removes a process that has ended from the table.
     pub fn forget(&mut self, worker: WorkerId) {
         self.processes.remove(&worker);
     }
 
-    /// CPU seconds that the process of a worker has used so far, of all threads.
+    /// CPU seconds that all threads of a worker have used so far.
     pub fn cpu_seconds(&self, worker: WorkerId) -> Option<f64> {
         processes::cpu_seconds(self.pid(worker)?)
     }
 
-    /// Process id of a worker that has not been forgotten.
+    /// Process id of a worker that has not been removed.
     pub fn pid(&self, worker: WorkerId) -> Option<u32> {
         self.processes.get(&worker).map(|process| process.pid)
     }
@@ -127,7 +127,7 @@ async fn watch(
     heard: Sender<(WorkerId, Heard)>,
 ) {
     let pid = child.id().unwrap_or_default();
-    // It is not reaped before `wait` is over, and has its number until then.
+    // The pid stays valid until `wait` returns, as the process is not reaped before.
     let kill = || Pid::from_raw(pid as i32).map(|pid| kill_process(pid, Signal::KILL));
     let status = end(child.wait(), &mut killed, kill, UNKILLABLE).await;
     let mut out_of_memory = matches!(timeout(LINES_GRACE, &mut lines).await, Ok(Ok(true)));
@@ -144,7 +144,7 @@ async fn watch(
     let _ = heard.send((worker, Heard::End(reason))).await;
 }
 
-/// How a process ends: by itself, or killed when that is asked for; `None`: not `within` this time after that.
+/// Waits for a process to end by itself or by `kill` on request. `None`: it did not end `within` this time after the kill.
 async fn end<T, K>(
     wait: impl Future<Output = T>,
     killed: &mut oneshot::Receiver<()>,
@@ -164,22 +164,22 @@ fn reason(status: std::io::Result<ExitStatus>, out_of_memory: bool) -> Reason {
     match (signal, code) {
         (Some(libc::SIGABRT | libc::SIGKILL), _) if out_of_memory => Reason::OutOfMemory,
         (_, Some(process::SHORT)) => Reason::Shortage,
-        // A page of shared memory that is not to be had.
+        // A page of shared memory could not be allocated.
         (Some(libc::SIGBUS), _) | (_, Some(process::NO_ROOM)) => Reason::SharedMemoryFull,
         (Some(signal), _) => Reason::WorkerKilled(signal),
         (None, code) => Reason::WorkerExited(code.unwrap_or(-1)),
     }
 }
 
-/// What the standard library says before it aborts as there is no memory.
+/// Start of the standard library's message before it aborts for lack of memory.
 const OUT_OF_MEMORY: &[u8] = b"memory allocation of ";
 
-/// Bytes of a line that are passed on, and lines of a worker; the rest is read, and let go.
+/// Largest number of bytes per line and of lines per worker that are forwarded; the rest is read and discarded.
 const LINE: usize = 4096;
 const LINES: usize = 1000;
 
-/// What a worker writes to its standard error goes to the log, and to whoever listens: whatever it is, it is read, so that the
-/// worker can go on. Whether it ran out of memory.
+/// Forwards a worker's standard error to the log and to `heard`. Reads everything, so that the worker never blocks. Returns
+/// whether the worker ran out of memory.
 async fn pass_on(worker: WorkerId, errors: impl AsyncRead + Unpin, heard: Sender<(WorkerId, Heard)>) -> bool {
     let (mut errors, mut line) = (BufReader::new(errors), Vec::new());
     let (mut lines, mut out_of_memory) = (0, false);

@@ -1,25 +1,25 @@
-//! What `/proc` says of processes that somebody else may have started.
+//! Information from `/proc` about processes that another program may have started.
 
 use std::path::Path;
 
 use metasense_schemas::wire::Start;
 
-/// A worker process, seen from outside.
+/// A worker process as seen in `/proc`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Seen {
-    /// Its process id.
+    /// Process id.
     pub pid: u32,
-    /// Slot and generation, as in the log: `0.3`.
+    /// Slot and generation, as in the log, for example `0.3`.
     pub worker: String,
-    /// What it calls itself: the first fifteen bytes of its trial's hash, or `process::IDLE`.
+    /// Process name: the first fifteen bytes of its trial's hash, or `process::IDLE`.
     pub name: String,
-    /// The kernel's letter: R runs, S waits, T is stopped, Z has ended.
+    /// The kernel's state letter: R running, S waiting, T stopped, Z ended.
     pub state: char,
-    /// CPU time so far, in ticks of a hundredth of a second.
+    /// CPU time so far (ticks of 10 ms).
     pub ticks: u64,
 }
 
-/// The worker processes of a run, in order.
+/// The worker processes of a run, sorted by worker.
 #[must_use]
 pub fn workers_of(orchestrator: u32) -> Vec<Seen> {
     let mut workers: Vec<Seen> = children(orchestrator).into_iter().filter_map(seen).collect();
@@ -27,7 +27,7 @@ pub fn workers_of(orchestrator: u32) -> Vec<Seen> {
     workers
 }
 
-/// Process ids whose parent this is.
+/// Process ids of the children of a process.
 #[must_use]
 pub fn children(parent: u32) -> Vec<u32> {
     let Ok(entries) = std::fs::read_dir("/proc") else { return Vec::new() };
@@ -44,13 +44,13 @@ fn seen(pid: u32) -> Option<Seen> {
     Some(Seen { pid, worker, name, state, ticks })
 }
 
-/// CPU time of a process so far (s), to a hundredth; `None` once it is gone.
+/// CPU time of a process so far (s), in steps of 10 ms; `None` if it does not exist.
 #[must_use]
 pub fn cpu_seconds(pid: u32) -> Option<f64> {
     stat(pid).map(|stat| stat.ticks as f64 / 100.0)
 }
 
-/// The most memory that a process has had resident (MiB); `None` once it is gone.
+/// Peak resident memory of a process (MiB); `None` if it does not exist.
 #[must_use]
 pub fn peak_mib(pid: u32) -> Option<f64> {
     let text = std::fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
@@ -58,7 +58,7 @@ pub fn peak_mib(pid: u32) -> Option<f64> {
     line.split_whitespace().next()?.parse::<f64>().ok().map(|kib| kib / 1024.0)
 }
 
-/// The kernel's letter for what a process does; `None` once it is gone.
+/// The kernel's state letter of a process; `None` if it does not exist.
 #[must_use]
 pub fn state(pid: u32) -> Option<char> {
     stat(pid).map(|stat| stat.state)
@@ -71,7 +71,7 @@ struct Stat {
     ticks: u64,
 }
 
-/// `/proc/PID/stat`: the name stands in parentheses and may hold any.
+/// Parses `/proc/PID/stat`. The name is in parentheses and can itself contain some.
 fn stat(pid: u32) -> Option<Stat> {
     let text = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
     let (head, tail) = text.rsplit_once(") ")?;

@@ -2,7 +2,7 @@ use std::cell::Cell;
 
 use super::*;
 
-/// A process that the system holds in an uninterruptible wait is killed in vain: after the limit it counts as ended.
+/// A process in an uninterruptible wait ignores the kill: after the limit it counts as ended.
 #[tokio::test]
 async fn a_process_that_cannot_be_killed_is_not_waited_for() {
     let (kill, mut killed) = oneshot::channel();
@@ -14,7 +14,7 @@ async fn a_process_that_cannot_be_killed_is_not_waited_for() {
     assert_eq!(asked.get(), 1);
 }
 
-/// One that can be is waited for, and one that ends by itself is not killed.
+/// A process that can be killed is waited for; a process that ends by itself is not killed.
 #[tokio::test]
 async fn a_process_ends_by_itself_or_by_the_kill() {
     for by_itself in [true, false] {
@@ -32,8 +32,7 @@ async fn a_process_ends_by_itself_or_by_the_kill() {
     }
 }
 
-/// Bytes that are no text, a line without an end that is longer than any, and more lines than anybody reads: all is read, and what
-/// is passed on is text of a bounded length.
+/// Invalid text, a very long unterminated line and too many lines are all read; what is forwarded is text of bounded length.
 #[tokio::test]
 async fn whatever_a_worker_writes_is_read_and_bounded() {
     let worker = WorkerId { slot: 0, generation: 1 };

@@ -1,14 +1,12 @@
-//! Tests of `leftovers`.
-
 use super::*;
 
-/// Marks of a process that is no more: this machine's are left behind, fresh ones of a machine whose name ends like this one's are not.
+/// Marks of an ended process on this host count as abandoned; fresh ones of a host whose name ends like this one do not.
 #[test]
 fn marks_of_other_machines_are_not_ours() {
     let own = own_mark();
     let (host, _) = own.rsplit_once('-').unwrap();
     let folder = tempfile::tempdir().unwrap();
-    let none = 4_194_304; // above any process number
+    let none = 4_194_304; // above any process id
     for (begins, ends, ours) in [
         (".a.sqlite.", ".tmp", true),
         (".a.sqlite.merge-", "", true),

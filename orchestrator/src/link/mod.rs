@@ -1,7 +1,7 @@
-//! The orchestrator's end of iceoryx2: for every worker process a domain, and a thread that reads from it.
+//! The orchestrator's side of iceoryx2: one domain per worker process, and a thread that reads from it.
 //!
-//! The thread turns messages into words on a tokio channel. It is never waited for without a time limit: should
-//! iceoryx2 not return from a domain in which a process was killed, the run goes on without it.
+//! The thread forwards messages to a tokio channel. Nothing waits for the thread without a time limit: if iceoryx2 hangs in the
+//! domain of a killed process, the run continues.
 
 mod runtime;
 
@@ -20,21 +20,21 @@ pub use runtime::{Domain, Runtime, RuntimeError, SHARED_MEMORY, remove_stale};
 
 use crate::scheduler::WorkerId;
 
-/// Longest wait for the writer to let arrays go.
+/// Longest wait for the database writer to release arrays.
 const HOLD_MAX: Duration = Duration::from_secs(60);
 
-/// What comes from a worker's link.
+/// An event from a worker's link.
 #[derive(Debug)]
 pub enum Word {
-    /// The domain is there: the process may start.
+    /// The domain exists: the process may start.
     Open,
-    /// A message, with the arrays that belong to it; they are all there.
+    /// A message with all arrays that belong to it.
     Message(Box<ToOrchestrator>, Option<Sample>),
     /// A sign of life.
     Beat(Progress),
-    /// The link does not work.
+    /// The link failed.
     Broken(LinkError),
-    /// After `Line::close`: everything that was sent has been read, and the domain is gone.
+    /// After `Line::close`: everything sent has been read, and the domain is removed.
     Closed,
 }
 
@@ -58,7 +58,7 @@ struct Ports {
 }
 
 impl Line {
-    /// Makes the domain on a thread of its own, from which words come.
+    /// Creates the domain on a new thread, which sends the link's events to `words`.
     pub fn open(domain: Domain, worker: WorkerId, words: Sender<(WorkerId, Word)>) -> std::io::Result<Self> {
         let shared = Arc::new(Shared::default());
         let theirs = Arc::clone(&shared);
@@ -74,10 +74,10 @@ impl Line {
         Ok(Self { shared })
     }
 
-    /// Sends; never waits. False: the worker does not read.
+    /// Sends without waiting. Returns false if the worker does not read.
     ///
     /// # Errors
-    /// If there is no room in shared memory for it.
+    /// If shared memory is full.
     pub fn send(&self, message: &ToWorker) -> Result<bool, LinkError> {
         match &*self.shared.ports.lock().unwrap_or_else(PoisonError::into_inner) {
             None => Ok(false),
@@ -85,14 +85,14 @@ impl Line {
                 let bytes = wire::encode(message);
                 make_room(bytes.len())?;
                 let sent = wire::send(&ports.down, &bytes)?;
-                // A wake-up that fails is made good by the worker's own polling.
+                // If the wake-up fails, the worker's polling finds the message.
                 let _ = ports.wake_worker.notify();
                 Ok(sent)
             }
         }
     }
 
-    /// Asks the thread to read what is left, and to end. Only once the process is gone.
+    /// Tells the thread to read the rest and end. Call this only after the process has ended.
     pub fn close(&self) {
         self.shared.closing.store(true, Ordering::Release);
         if let Some(ports) = &*self.shared.ports.lock().unwrap_or_else(PoisonError::into_inner) {
@@ -101,7 +101,6 @@ impl Line {
     }
 }
 
-/// The receiving ends.
 struct Receivers {
     up: MessageReceiver,
     arrays: MessageReceiver,
@@ -109,9 +108,9 @@ struct Receivers {
     sleeper: Sleeper,
 }
 
-/// Makes the domain, and reads from it until told to end.
+/// Creates the domain, and reads from it until told to end.
 fn read(domain: &Domain, shared: &Shared, say: &dyn Fn(Word) -> bool) -> Result<(), LinkError> {
-    // Its errors come back as values; what it says besides is about processes that were killed.
+    // Errors are returned as values; other messages of iceoryx2 concern killed processes.
     iceoryx2::prelude::set_log_level(iceoryx2::prelude::LogLevel::Fatal);
     std::fs::create_dir(&domain.root).map_err(LinkError::of("making the domain's directory"))?;
     let config = wire::config(&domain.root.to_string_lossy(), &domain.prefix)
@@ -132,7 +131,7 @@ fn read(domain: &Domain, shared: &Shared, say: &dyn Fn(Word) -> bool) -> Result<
     *shared.ports.lock().unwrap_or_else(PoisonError::into_inner) = Some(ports);
     let mut heard = say(Word::Open);
     while heard {
-        // Asked before reading: what was sent until then is read below.
+        // Loaded before reading, so that everything sent before `close` is read below.
         let closing = shared.closing.load(Ordering::Acquire);
         heard = receivers.read_all(say)?;
         if closing {
@@ -144,7 +143,7 @@ fn read(domain: &Domain, shared: &Shared, say: &dyn Fn(Word) -> bool) -> Result<
 }
 
 impl Receivers {
-    /// False: nobody listens any more.
+    /// Forwards all pending beats and messages. False: nothing receives them any more.
     fn read_all(&self, say: &dyn Fn(Word) -> bool) -> Result<bool, LinkError> {
         let mut beat = None;
         while let Some(sample) = self.beats.receive().map_err(LinkError::of("receiving progress"))? {

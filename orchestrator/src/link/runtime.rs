@@ -1,12 +1,12 @@
-//! The place of a run in shared memory, and what is left there by runs that are gone.
+//! A run's directory in shared memory, and the removal of what dead runs left.
 //!
 //! ```text
-//! /dev/shm/metasense-ID/lock      held for as long as the run lives
+//! /dev/shm/metasense-ID/lock      locked while the run lives
 //! /dev/shm/metasense-ID/3.12/     root path of the domain of worker 3.12
 //! /dev/shm/metasense-ID_3.12_…    its segments
 //! ```
-//! A directory whose lock can be taken belongs to nobody, and so do segments without a directory. What another user's
-//! run has left cannot be removed, and is in nobody's way: no two runs share a name.
+//! A directory whose lock is free is abandoned, and so are segments without a directory. Those of other users cannot be
+//! removed, but do no harm: no two runs share a name.
 
 use std::fs::{DirBuilder, File};
 use std::io;
@@ -18,25 +18,25 @@ pub use metasense_schemas::wire::SHARED_MEMORY;
 
 use crate::scheduler::WorkerId;
 
-/// What every name of ours begins with.
+/// Prefix of all our names.
 const STEM: &str = "metasense-";
-/// A directory without a lock in it may be a run that begins right now; after this long it is not.
+/// A directory without a lock file may belong to a run that is starting, up to this age.
 const BIRTH: Duration = Duration::from_secs(60);
 
-/// Why a run has no place in shared memory.
+/// Why a run has no directory in shared memory.
 #[derive(Debug, thiserror::Error)]
 pub enum RuntimeError {
-    /// The directory cannot be made.
+    /// The directory cannot be created.
     #[error("cannot make {}; check that {SHARED_MEMORY} is mounted and writable", path.display())]
     Unwritable {
         /// The directory.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
 }
 
-/// A run's place. Dropped, it removes everything in it.
+/// A run's directory in shared memory; dropping it removes everything in it.
 #[derive(Debug)]
 pub struct Runtime {
     shared: PathBuf,
@@ -45,7 +45,7 @@ pub struct Runtime {
     _lock: File,
 }
 
-/// Where a worker's domain is.
+/// Location of a worker's domain.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Domain {
     shared: PathBuf,
@@ -56,10 +56,10 @@ pub struct Domain {
 }
 
 impl Runtime {
-    /// Makes a place of its own for a run, after removing what dead runs have left.
+    /// Creates a directory for a run, after removing those of dead runs.
     ///
     /// # Errors
-    /// If there is no directory to be made.
+    /// If no directory can be created.
     pub fn new() -> Result<Self, RuntimeError> {
         let shared = PathBuf::from(SHARED_MEMORY);
         let removed = remove_stale(&shared);
@@ -79,7 +79,7 @@ impl Runtime {
             }
             let lock = File::create(path.join("lock"));
             let lock = lock.map_err(|source| RuntimeError::Unwritable { path: path.clone(), source })?;
-            // Between these lines another run may have taken the new directory for an abandoned one.
+            // Between creation and lock, another run may have removed the directory as abandoned.
             if lock.try_lock().is_ok() && path.join("lock").exists() {
                 tracing::info!(place = name, "the run has a place in {SHARED_MEMORY}");
                 return Ok(Self { shared, name, _lock: lock });
@@ -87,7 +87,7 @@ impl Runtime {
         }
     }
 
-    /// The domain of a worker; made by whoever creates its services.
+    /// The domain of a worker; creating its services creates it.
     pub fn domain(&self, worker: WorkerId) -> Domain {
         Domain {
             shared: self.shared.clone(),
@@ -105,7 +105,7 @@ impl Drop for Runtime {
 }
 
 impl Domain {
-    /// Removes everything of it, whatever state a killed worker has left it in.
+    /// Removes the whole domain, in whatever state a killed worker left it.
     pub fn remove(&self) {
         remove_segments(&self.shared, &self.prefix);
         let _ = std::fs::remove_dir_all(&self.root);
@@ -118,7 +118,7 @@ fn remove_segments(shared: &Path, prefix: &str) -> usize {
     entries.flatten().filter(ours).filter(|entry| std::fs::remove_file(entry.path()).is_ok()).count()
 }
 
-/// Removes directories and segments of runs that are gone; returns how many. What is not ours to remove stays.
+/// Removes directories and segments of dead runs and returns their number. Those of other users stay.
 pub fn remove_stale(shared: &Path) -> usize {
     let Ok(entries) = std::fs::read_dir(shared) else { return 0 };
     let mut removed = 0;
@@ -142,7 +142,7 @@ pub fn remove_stale(shared: &Path) -> usize {
     removed
 }
 
-/// A handle, and the lock where there is one, on the directory of a run that is gone.
+/// Opens the lock, or without one the directory, of a dead run; `None` if the run may be alive.
 fn abandoned(directory: &Path) -> Option<File> {
     match File::open(directory.join("lock")) {
         Ok(lock) => lock.try_lock().is_ok().then_some(lock),

@@ -1,18 +1,18 @@
-//! Axes beyond K, M, placement and seed: any key by its path, in lists or linked in points; and the points that are left out.
+//! Axes over other keys than K, M, placement and seed: lists per key, or points that set several keys; and exclusions.
 
 use crate::analysis::numbers;
 use metasense_schemas::source::{KnownKeys, Source, SpecError};
 use metasense_schemas::spec::SweepSpec;
 use serde_json::{Map, Value};
 
-/// The spec at one value of every axis.
+/// The spec at one value per axis.
 pub(super) struct Combination {
     pub spec: SweepSpec,
-    /// Entries of `exclude` that agree with the axes, without those.
+    /// Entries of `exclude` that match the axes, without the keys of the axes.
     excludes: Vec<Map<String, Value>>,
 }
 
-/// What remains of an entry of `exclude` once axes, K and M agree.
+/// Remainder of an entry of `exclude` that matches axes, K and M.
 #[derive(Debug, Clone)]
 pub(super) struct Exclusion {
     placement: Option<Value>,
@@ -20,7 +20,7 @@ pub(super) struct Exclusion {
 }
 
 impl Exclusion {
-    /// Whether it leaves out all placements and seeds.
+    /// Whether it excludes all placements and seeds.
     pub fn is_total(&self) -> bool {
         self.placement.is_none() && self.seed.is_none()
     }
@@ -47,7 +47,7 @@ impl Combination {
     }
 }
 
-/// The product of all points and axes, the last axis (in the order of names) varying fastest, points slowest.
+/// All combinations of points and axis values. The last axis by name varies fastest, points slowest.
 pub(super) fn combinations(spec: &SweepSpec, source: &Source) -> Result<Vec<Combination>, SpecError> {
     let axes: Vec<(&str, &Vec<Value>)> = spec.sweep.axes.iter().map(|(path, v)| (path.as_str(), v)).collect();
     check_points(spec, source)?;
@@ -73,7 +73,7 @@ pub(super) fn combinations(spec: &SweepSpec, source: &Source) -> Result<Vec<Comb
     for point in points {
         let keys: Vec<_> = point.iter().map(|(key, value)| (key.as_str(), value)).collect();
         if with(&keys).is_err() {
-            // a key may need others of its point beside it: one that is wrong by itself is named first
+            // a key may need other keys of its point: report a key that is wrong by itself first
             let alone = keys.iter().filter_map(|key| Some((*key, with(&[*key]).err()?)));
             let wrong = alone.min_by_key(|(_, e)| e.to_string().starts_with("missing field"));
             if let Some(((key, value), e)) = wrong {
@@ -100,7 +100,7 @@ pub(super) fn combinations(spec: &SweepSpec, source: &Source) -> Result<Vec<Comb
     Ok(combinations)
 }
 
-/// Each key of a point stands there alone, and K and M, which have no value of their own, in every point or in none.
+/// Checks that no key of a point is also an axis, and that all points or none set K, and likewise M.
 fn check_points(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
     let sweep = &spec.sweep;
     for (key, value) in sweep.points.iter().flatten() {
@@ -130,12 +130,12 @@ fn check_points(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
     Ok(())
 }
 
-/// A key as a spec has it.
+/// A key in TOML syntax.
 fn quoted(key: &str) -> String {
     if key.contains('.') { format!("\"{key}\"") } else { key.to_owned() }
 }
 
-/// A value that its key cannot have; within a table, only serde knows where.
+/// The error for an impossible value of a key; for tables, only serde's message locates it.
 fn refused(path: &str, value: &Value, e: &serde_json::Error, source: &Source) -> SpecError {
     let message = match value {
         Value::Object(_) => e.to_string(),
@@ -144,7 +144,7 @@ fn refused(path: &str, value: &Value, e: &serde_json::Error, source: &Source) ->
     source.error_with(path, Some(&value.to_string()), &message)
 }
 
-/// The entry without its axes, or `None` where one of them disagrees, or is a point's that is not chosen.
+/// The entry without its axis keys; `None` if one of them differs from `chosen` or is a key of other points only.
 fn without_axes(entry: &Map<String, Value>, chosen: &[(&str, &Value)]) -> Option<Map<String, Value>> {
     let mut rest = entry.clone();
     for (path, value) in chosen {
@@ -158,7 +158,7 @@ fn without_axes(entry: &Map<String, Value>, chosen: &[(&str, &Value)]) -> Option
     rest.keys().all(|key| !key.contains('.')).then_some(rest)
 }
 
-/// Equal, numbers by their value.
+/// Whether two values are equal; compares numbers by value.
 fn same(a: &Value, b: &Value) -> bool {
     match (a.as_f64(), b.as_f64()) {
         (Some(a), Some(b)) => a == b,
@@ -195,7 +195,7 @@ fn check_excludes(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
     Ok(())
 }
 
-/// Sets a key by its path, K or M; tables on the way that are left out come into being.
+/// Sets a key, K or M; creates missing tables on its path.
 fn set(spec: &mut Value, path: &str, value: &Value) {
     if !path.contains('.') {
         spec["sweep"][path] = Value::Array(vec![value.clone()]);

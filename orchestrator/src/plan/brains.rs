@@ -1,4 +1,4 @@
-//! Which brains a trial has, and that it carries the keys of no other: equal trials have equal hashes.
+//! Resolves the decoders of a trial, and removes keys that they do not use, so that equal trials have equal hashes.
 
 use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{
@@ -6,7 +6,8 @@ use metasense_schemas::spec::{
 };
 use metasense_worker::problem::lags;
 
-/// The brain that reads the bodies, and the one that trains them. A stacked one does not train.
+/// Kind of the decoder of the bodies, and of the decoder that trains them. Stacked and inverse decoders do not train; linear
+/// ones replace them.
 fn kinds(spec: &SweepSpec) -> [BrainKind; 2] {
     let own = match spec.brain.kind {
         BrainKind::Stacked | BrainKind::Inverse => BrainKind::Linear,
@@ -23,12 +24,12 @@ fn has_linear(kind: BrainKind) -> bool {
     kind != BrainKind::Cnn
 }
 
-/// Whether a causal network reads a linear brain's estimates, which then may not look ahead either.
+/// Whether a causal network uses a linear decoder's estimates, which then must not look ahead either.
 fn looks_back_alone(spec: &SweepSpec) -> bool {
     spec.brain.kind == BrainKind::Stacked && spec.brain.network().causal
 }
 
-/// Brain, outer loop and comparison of a combination, without keys that its brains do not read, defaults in place.
+/// Decoder, training, evaluation and deviations of a combination, with defaults, without keys that its decoders do not use.
 pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option<Variation>) {
     let ([reader, trainer], none) = (kinds(spec), Brain::default());
     let (mut brain, mut optimise, mut evaluation) = (
@@ -36,7 +37,7 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
         spec.optimise.clone(),
         spec.evaluation.clone().resolved(spec.variation.is_some(), &spec.stimuli),
     );
-    // of a body that nothing moves there is one to compare
+    // without training there is only one body
     evaluation.initial = evaluation.initial.filter(|compared| !compared && spec.optimise.steps() > 0);
     if !has_network(reader) && !has_network(trainer) {
         brain = Brain { kind: brain.kind, memory: brain.memory, ridge: brain.ridge, ..none };
@@ -44,10 +45,10 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
     if !has_network(reader) {
         evaluation = evaluation.of_linear();
     }
-    // as many as there are, or more, are all; a network for casts has more
+    // a batch of all samples is no batch; with casts, a network has more samples
     let known = spec.stimuli.samples.saturating_sub(spec.stimuli.test);
     evaluation.batch = evaluation.batch.filter(|batch| *batch < known || evaluation.casts.is_some());
-    // an inverse brain calibrates a twin on them
+    // an inverse decoder calibrates a twin on the records
     let spared = evaluation.casts.is_some() && reader != BrainKind::Inverse;
     evaluation.records = evaluation.records.filter(|read| !read && spared);
     if !has_linear(reader) && !has_linear(trainer) {
@@ -56,12 +57,12 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
     if looks_back_alone(spec) {
         brain.memory.get_or_insert([spec.time.duration, 0.0]);
     }
-    // what can be said in two ways is said in one
+    // one canonical form of equivalent settings
     brain.ridge = brain.ridge.filter(|ridge| matches!(ridge, Ridge::Given(_)));
     let whole = |memory: &[f64; 2]| lags(&spec.time, Some(*memory)) == lags(&spec.time, None);
     brain.memory =
         brain.memory.filter(|memory| memory.iter().any(|s| *s > spec.time.duration) || !whole(memory));
-    // named where it is not the paper's, whatever reads
+    // set only if it is not the paper's network
     optimise.brain = (trainer == BrainKind::Linear).then_some(trainer);
     if trainer == BrainKind::Linear {
         (optimise.brain_iterations, optimise.brain_learning_rate) = (None, None);
@@ -71,7 +72,7 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
         units.sort_unstable();
         units
     });
-    // without scatter an objective is over the parts of a mixture, as many samples of all of them as of the body alone
+    // without deviations, an objective runs over the parts of a mixture; by default, the parts share the batch of a single body
     if let (Some(_), None, Some(parts)) = (optimise.objective, spec.variation, &spec.stimuli.mix) {
         optimise.casts.get_or_insert(parts.len());
         optimise.batch.get_or_insert(Optimise::BATCH.div_ceil(parts.len().max(1)));
@@ -81,18 +82,18 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
         Some(_) => (optimise, true),
         None => (Optimise { casts: None, reader: None, ..optimise }, false),
     };
-    // where no key asks about casts they scatter as they like
+    // deviations matter only if an objective or the evaluation uses casts
     let variation = spec.variation.filter(|_| robust || evaluation.casts.is_some());
     (brain, optimise, evaluation, variation.and_then(Variation::resolved))
 }
 
-/// Whether a spec gives a key.
+/// Whether a spec sets a key.
 type Given<'a> = &'a dyn Fn(&SweepSpec) -> bool;
 
-/// Refuses keys that no brain of the sweep reads.
+/// Rejects keys that no decoder of the sweep uses.
 ///
 /// # Errors
-/// Names the first.
+/// Names the first such key.
 pub(super) fn refuse_unread<'a>(
     specs: impl Iterator<Item = &'a SweepSpec> + Clone,
     source: &Source,

@@ -1,6 +1,6 @@
-//! What a trial costs, roughly, before it has run: counts of work, by how fast a core of this machine does such work.
+//! Estimates the time of a trial before it runs: counts of operations over the speed of one core of this machine.
 //!
-//! The engine replaces it by what steps have taken once there are some.
+//! During a run, measured times correct the estimate (`engine::forecast`).
 
 use std::collections::HashSet;
 
@@ -11,40 +11,40 @@ use metasense_worker::looked_at;
 use metasense_worker::pace::Pace;
 use metasense_worker::problem::{INVERTED_OF_A_CAST, READINGS_MAX, instants, lags};
 
-/// A core with AVX-512, for weights that are the same on every machine.
+/// Speed of a core with AVX-512, for weights that are equal on every machine.
 const RATED: Pace = Pace { evaluations: 2.9e8, training: 1.1e11, factor: 2.5e10 };
-/// Part of a force evaluation's time where forces are f32, and the tolerance from which on they mostly are.
+/// Time of a force evaluation in f32 relative to f64, and the tolerance from which most are in f32.
 const SINGLE: f64 = 0.65;
 const SINGLE_FROM: f64 = 1e-3;
-/// Steps of a body in training, and once trained, against those of the initial one: it rings higher.
+/// Steps of trained bodies relative to the initial one: their natural frequencies are higher.
 const GROWN: f64 = 1.3;
-/// Time of a cast's few samples against as many of one body: they leave half of the lanes empty, and casts ring higher still.
+/// Time per sample of casts relative to one body: few samples leave half of the SIMD lanes empty, and casts need more steps.
 const FEW: f64 = 2.0;
-/// Of the reverse sweep, forward recomputation included, to the simulation.
+/// Time of the reverse sweep, including forward recomputation, relative to the simulation.
 const REVERSE: f64 = 1.7;
-/// Of an iteration (forward, backward) and of a Hessian-vector product to a forward pass.
+/// Time of a training iteration (forward, backward) and of a Hessian-vector product relative to a forward pass.
 const ITERATION: f64 = 3.0;
 const HESSIAN_PRODUCT: f64 = 6.3;
-/// Iterations of a search's network on each candidate, before the spec's own.
+/// Extra training iterations of a network on each candidate of a random search.
 const AFRESH: f64 = 100.0;
-/// Products of the implicit term.
+/// Hessian-vector products per implicit term.
 const PRODUCTS: f64 = 21.0;
 
-/// Factors of the comparison, a body, and of a step, looks for a ridge included.
+/// Matrix factorisations per body in the final evaluation, and per step, including the choice of the ridge.
 const FACTORS: f64 = 8.0;
 const STEP_FACTORS: f64 = 1.5;
-/// Of the brains fitted to a cast.
+/// Matrix factorisations per cast.
 const CAST_FACTORS: f64 = 70.0;
-/// Simulations in the time of an inverse brain's descent, a sample and panel, and in that of the twins of a cast.
+/// Time of inverting the model per sample and panel, and of calibrating the twins of a cast, in simulations.
 const INVERSION: f64 = 250.0;
 const TWINS: f64 = 12_000.0;
 
-/// Weights of the brain: of a network those of its kernels, of a linear one those of its lags, of a stacked one both; with biases.
+/// Number of the decoder's weights, biases included: of a network, a linear decoder (per lag), or both for a stacked decoder.
 pub(super) fn brain_parameters(trial: &TrialSpec) -> usize {
     let linear = || trial.point.panels * (unknowns(trial, trial.brain.memory) + 1);
     match trial.brain.kind {
         BrainKind::Cnn => network_weights(trial),
-        // an inverse one has those that it begins with
+        // an inverse decoder starts from a linear estimate
         BrainKind::Linear | BrainKind::Inverse => linear(),
         BrainKind::Stacked => network_weights(trial) + linear(),
     }
@@ -61,18 +61,18 @@ fn network_weights(trial: &TrialSpec) -> usize {
     layers.sum()
 }
 
-/// Unknowns of a linear brain with this memory, a force.
+/// Unknowns of a linear decoder with this memory, per force.
 fn unknowns(trial: &TrialSpec, memory: Option<[f64; 2]>) -> usize {
     trial.signals() * lags(&trial.time, memory).groups().len()
 }
 
-/// Multiply-adds of a factor.
+/// Multiply-adds of a factorisation.
 fn factor(unknowns: usize) -> f64 {
     let n = unknowns as f64;
     n * n * n / 6.0
 }
 
-/// The n-th root of x > 0, by Newton: a library's power may differ in its last bit from machine to machine.
+/// The n-th root of x > 0 by Newton's method: the last bit of a library's power may differ between machines.
 fn root(x: f64, n: i32) -> f64 {
     let mut y = 1.0;
     for _ in 0..100 {
@@ -86,8 +86,8 @@ fn root(x: f64, n: i32) -> f64 {
     y
 }
 
-/// Seconds of a trial on one core of this machine, and what it weighs against others, in whole milliseconds on AVX-512: the same
-/// numbers on every machine, and nothing is for free.
+/// Seconds of a trial on one core of this machine, and its weight: milliseconds on the rated core, at least 1, the same on
+/// every machine.
 #[must_use]
 pub fn of(trial: &TrialSpec, units: usize) -> (Parts<f64>, Parts<u64>) {
     let whole = |seconds: f64| (seconds * 1e3).round().clamp(1.0, MOST_WEIGHT) as u64;
@@ -95,16 +95,16 @@ pub fn of(trial: &TrialSpec, units: usize) -> (Parts<f64>, Parts<u64>) {
     (seconds(trial, units, Pace::here()), Parts { steps: whole(steps), comparison: whole(comparison) })
 }
 
-/// Of a part of a trial (30 years): a million of them still add up.
+/// Largest weight of a part of a trial (30 years): the sum of 10⁶ does not overflow.
 const MOST_WEIGHT: f64 = 1e12;
 
-/// Seconds of trials on one core, each body trained once.
+/// Seconds of trials on one core if each body is trained once.
 pub fn total<'a>(trials: impl IntoIterator<Item = &'a Trial>) -> f64 {
     let mut trained = HashSet::new();
     trials.into_iter().map(|trial| trial.cost.sum(trained.insert(&trial.training))).sum()
 }
 
-/// Of trials with one body the first trains it.
+/// Marks the first trial of each body as the one that trains it.
 pub(crate) fn first_trains(trials: &mut [Trial]) {
     let mut trained = HashSet::new();
     for trial in trials {
@@ -112,18 +112,18 @@ pub(crate) fn first_trains(trials: &mut [Trial]) {
     }
 }
 
-/// Force evaluations of one sample's motion, by the diagram of the reference scene (`results/committed/work-precision.svg`).
+/// Force evaluations per sample, from the diagram of the reference scene (`results/committed/work-precision.svg`).
 fn evaluations(solver: Solver, trial: &TrialSpec) -> f64 {
-    // In a second at an error of 1e-3, the power by which an error falls with them, and how many a step makes.
+    // Evaluations per second of motion at an error of 1e-3, order of convergence, and evaluations per step.
     let (at, power, stages) = match solver.method {
         Method::Auto | Method::Nystrom6 => (12_000.0, 6, 11.0),
         Method::Nystrom4 => (14_000.0, 4, 6.0),
         Method::Leapfrog => (63_000.0, 2, 1.0),
-        // Of the time of some 1.4 others each; steps are a sample's own.
+        // Each takes about 1.4 times as long as those of other methods; each sample has its own steps.
         Method::Tsit5 => (28_000.0, 6, 1.0),
     };
     let steps = trial.time.duration * at / stages / root(solver.tolerance / 1e-3, power);
-    // A step ends at every instant of the motion, and wherever the forces' own clock has a kink.
+    // Steps end at every instant of the motion and at every kink of the forces.
     let kinks = trial.stimuli.force_samples.unwrap_or(trial.time.samples).max(instants(trial)) as f64;
     (steps / kinks).ceil() * kinks * stages
 }
@@ -137,7 +137,7 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
         evaluations(solver, trial) * units as f64 * if single { SINGLE } else { 1.0 } / pace.evaluations
     };
     let one_sample = sample_by(trial.solver);
-    // of the bodies on the way
+    // simulation of a trained body
     let ringing = GROWN * one_sample;
     let simulate = stimuli.samples as f64 * ringing;
     let network = matches!(trial.brain.kind, BrainKind::Cnn | BrainKind::Stacked);
@@ -147,7 +147,7 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
     let train = trial.brain.iterations as f64 * ITERATION * forward;
     let batch = optimise.batch.unwrap_or(stimuli.test) as f64;
     let going = optimise.brain_iterations.unwrap_or_default() as f64 * ITERATION * forward;
-    // By the coarse integrator, and now and then the test set by the other
+    // Fresh samples use the coarse integrator; the test set, at some steps, uses the other.
     let coarse = GROWN * sample_by(optimise.coarse.unwrap_or(trial.solver));
     let looks = looked_at(optimise.steps() as u32);
     let fresh = batch * coarse * (1.0 + REVERSE) + looks * stimuli.test as f64 * ringing;
@@ -159,21 +159,21 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
         Protocol::Random if optimise.linear() => simulate + solve,
         Protocol::Random => simulate + AFRESH * ITERATION * forward + going,
         Protocol::Paper => simulate * (1.0 + REVERSE) + train + PRODUCTS * HESSIAN_PRODUCT * forward,
-        // each iteration on as many samples as a batch, and the loss of four of them
+        // each iteration uses a batch, and the loss takes four forward passes
         Protocol::Joint => casts * (fresh + (going + 4.0 * forward) * batch / train_samples.max(1.0)),
     };
     let long = trial.evaluation.long_iterations.unwrap_or(0) as f64 / trial.brain.iterations.max(1) as f64;
-    // one more is trained on casts
+    // one more network is trained on casts
     let of_casts = if trial.evaluation.casts.is_some_and(|casts| casts > 0) { 1.0 } else { 0.0 };
     let networks = trial.evaluation.networks() as f64 * (1.0 + long) + of_casts;
     let part = trial.evaluation.batch.map_or(1.0, |batch| (batch as f64 / train_samples.max(1.0)).min(1.0));
     let trainings = if network { networks * part } else { 0.0 };
-    // as much as fits
+    // limited by the memory of the matrix
     let readings = match trial.signals() * trial.time.samples <= READINGS_MAX {
         true => FACTORS * factor(unknowns(trial, None).min(READINGS_MAX)) / pace.factor,
         false => 0.0,
     };
-    // Samples that are simulated, and factors, of casts and of other forces; those of many casts are known beforehand
+    // Simulated samples, and factorisations, for casts and other forces; the known casts count as four sets of samples
     let each = (stimuli.samples + stimuli.holdout) as f64;
     let [casts_read, under] =
         [trial.evaluation.casts.unwrap_or(0), trial.evaluation.under.as_ref().map_or(0, Vec::len)];
@@ -185,7 +185,7 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
     let factors = fitted * CAST_FACTORS * factor(unknowns(trial, trial.brain.memory)) / pace.factor;
     let inverted = if trial.brain.kind == BrainKind::Inverse {
         let sample = INVERSION * trial.point.panels as f64;
-        // by the model of the design and by two twins
+        // for the model of the design and for two twins
         let of_a_cast = TWINS + 3.0 * stimuli.holdout.min(INVERTED_OF_A_CAST) as f64 * sample;
         (stimuli.test + stimuli.holdout) as f64 * sample + casts_read as f64 * of_a_cast
     } else {
@@ -198,7 +198,7 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
     Parts { steps: optimise.steps() as f64 * step, comparison }
 }
 
-/// Seconds that trials take on so many workers of so many threads: the work shared out, but no less than the longest.
+/// Seconds of trials on some workers with some threads each: the work divided evenly, but at least that of the longest trial.
 #[must_use]
 pub fn seconds_on(trials: &[&Trial], workers: u32, threads: u32) -> f64 {
     let longest = trials.iter().map(|trial| trial.cost.sum(true)).fold(0.0, f64::max);

@@ -1,4 +1,4 @@
-//! A plan with a requirement: which of its trials may meet it, what each costs, and where it stands in the space of settings.
+//! Plans with a [goal]: which trials may meet it, their costs, and their coordinates in the space of settings.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,10 +18,10 @@ use crate::analysis::goal::{Candidate, LEVELS, Setting};
 use crate::analysis::trial::CastBrain;
 use crate::look::number;
 
-/// Refuses a requirement that no trial could be held to.
+/// Checks the values of [goal].
 ///
 /// # Errors
-/// Names the key.
+/// Names the invalid key.
 pub(super) fn check(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
     let Some(goal) = &spec.goal else { return Ok(()) };
     let above = |x: Option<f64>| x.is_none_or(|x| x > 0.0 && x.is_finite());
@@ -74,48 +74,48 @@ pub(super) fn check(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> 
     Ok(())
 }
 
-/// A trial that may meet the requirement.
+/// A trial that may meet the goal.
 #[derive(Debug, Clone)]
 pub struct Place {
-    /// Its place in the plan.
+    /// Index in the plan.
     pub trial: usize,
-    /// Whose readings of its casts count; `None`: the body as designed counts.
+    /// The decoder whose errors on casts count; `None`: errors of the body as designed.
     pub reader: Option<CastBrain>,
-    /// What its brain asks of a device; `None` of a brain without a form for one.
+    /// What the decoder needs on a device; `None` if it cannot be exported for devices.
     pub demands: Option<Demands>,
-    /// Cost and coordinates, nothing known.
+    /// Cost and coordinates, without results.
     pub candidate: Candidate,
 }
 
-/// What leaves trials out before they run.
+/// A limit that excludes trials before they run.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LeftOut {
-    /// The key.
+    /// Key of the limit.
     pub key: &'static str,
-    /// How many trials it leaves out.
+    /// Number of trials that it excludes.
     pub trials: usize,
-    /// The least value that would leave in one of them, in words.
+    /// The smallest limit that would admit one of them, as text.
     pub least: String,
 }
 
-/// The space that is searched.
+/// The search space.
 #[derive(Debug, Clone)]
 pub struct Space {
-    /// The requirement.
+    /// The goal.
     pub goal: Goal,
-    /// Its trials, in the order of the plan.
+    /// Admitted trials, in the order of the plan.
     pub places: Vec<Place>,
-    /// What has left others out.
+    /// Limits that exclude other trials.
     pub left_out: Vec<LeftOut>,
-    /// Keys in which its settings differ.
+    /// Keys that differ between settings.
     pub axes: Vec<String>,
 }
 
 impl Space {
-    /// Of a plan with a requirement.
+    /// The search space of a plan with a [goal].
     ///
     /// # Errors
-    /// If it has none, no trial may meet it, or a brain cannot read what is asked for.
+    /// If there is no [goal], no trial may meet it, or a decoder does not support `goal.reader`.
     pub fn new(plan: &Plan) -> Result<Self, SpecError> {
         let Some(goal) = plan.spec.goal.clone() else {
             return Err(plan.source.error("goal", "must be set: the requirement of the design"));
@@ -160,7 +160,8 @@ impl Space {
         let named: Vec<&String> =
             sweep.axes.keys().chain(sweep.points.iter().flat_map(|point| point.keys())).collect();
         let (axes, coordinates) = coordinates(&trials, &named);
-        // test errors of the brain within the loop, on the body as designed or over the casts that it is trained for
+        // `looks` numbers kinds of test errors: those of the decoder in training, on the body as designed or over its training
+        // casts
         let loops = trials.iter().map(|trial| &trial.spec.optimise);
         let looks = numbered(loops.map(|o| (o.protocol, o.brain, o.objective)));
         let sensors = numbered(trials.iter().map(|t| (t.units, &t.spec.sensor_units, &t.spec.panel_units)));
@@ -172,7 +173,7 @@ impl Space {
     }
 }
 
-/// A limit of the requirement on what is known before a trial runs.
+/// A limit of the goal on a value that is known before a trial runs.
 struct Limit {
     key: &'static str,
     most: f64,
@@ -180,16 +181,16 @@ struct Limit {
     of: Of,
 }
 
-/// What a limit is on.
+/// Quantity that a limit applies to.
 enum Of {
-    /// What the brain asks of a device.
+    /// Demand of the decoder on a device.
     Brain(fn(&TrialSpec, &Demands) -> f64),
-    /// Mass or size of the body.
+    /// Mass (0) or size (1) of the body.
     Body(usize),
 }
 
 impl Limit {
-    /// What a trial asks; without end of a brain that has no form for a device.
+    /// The trial's value; infinite if its decoder cannot be exported for devices.
     fn asked(&self, trial: &TrialSpec, demands: Option<&Demands>, measures: [f64; 2]) -> f64 {
         match self.of {
             Of::Brain(of) => demands.map_or(f64::INFINITY, |demands| of(trial, demands)),
@@ -201,7 +202,7 @@ impl Limit {
 fn limits(goal: &Goal) -> Vec<Limit> {
     let limit = |key, most: Option<f64>, unit, of| Some(Limit { key, most: most?, unit, of });
     let of_brain = |key, most, unit, of| limit(key, most, unit, Of::Brain(of));
-    // what would take more by rounding alone is the same
+    // rounding errors must not exceed a limit
     let nearly = |most: Option<f64>| most.map(|most| most * (1.0 + 1e-9));
     let all = [
         of_brain("goal.delay", nearly(goal.delay), "s", |trial, d| {
@@ -223,17 +224,17 @@ fn of_cost(cost: Option<Cost>, trial: &Trial, demands: Option<&Demands>) -> [f64
     match cost {
         None => all,
         Some(Cost { sensor, operation, unit }) => {
-            // what costs nothing adds nothing, be it without end
+            // an infinite quantity without a price adds nothing
             let priced = [sensor, operation, unit].into_iter().zip(all).filter(|(price, _)| *price > 0.0);
             [priced.map(|(price, n)| price * n).sum(), 0.0, 0.0]
         }
     }
 }
 
-/// Whose readings of a trial's casts count; `None`: the body as designed counts.
+/// The decoder whose errors on casts of a trial count; `None`: errors of the body as designed.
 ///
 /// # Errors
-/// Where no such brain reads casts of this trial.
+/// If the trial has no such decoder.
 fn reader(goal: &Goal, trial: &TrialSpec) -> Result<Option<CastBrain>, &'static str> {
     if goal.quantile.is_none() {
         return Ok(None);
@@ -258,8 +259,8 @@ fn reader(goal: &Goal, trial: &TrialSpec) -> Result<Option<CastBrain>, &'static 
     }))
 }
 
-/// The keys in which settings differ, those that are named first, each once where several differ alike; and the settings as
-/// coordinates of 0 … 1: numbers by their logarithm, of anything else one for each value.
+/// Keys in which the trials' settings differ, one per pattern of values, keys of the sweep first; and the settings as
+/// coordinates from 0 to 1: scaled logarithms of numbers, one coordinate per value of anything else.
 fn coordinates(trials: &[&Trial], named: &[&String]) -> (Vec<String>, Vec<Vec<f64>>) {
     const NOT: [&str; 2] = ["point.placement", "point.seed"];
     let all: Vec<BTreeMap<String, Value>> = trials
@@ -271,7 +272,7 @@ fn coordinates(trials: &[&Trial], named: &[&String]) -> (Vec<String>, Vec<Vec<f6
         .collect();
     let mut paths: Vec<&String> =
         all.iter().flat_map(BTreeMap::keys).collect::<BTreeSet<_>>().into_iter().collect();
-    // what the spec names goes before what follows from it
+    // keys of the sweep precede keys that follow from them
     paths.sort_by_key(|path| !named.contains(path));
     let (mut axes, mut columns, mut patterns) = (Vec::new(), Vec::new(), BTreeSet::new());
     for path in paths.into_iter().filter(|path| !NOT.contains(&path.as_str())) {
@@ -285,7 +286,7 @@ fn coordinates(trials: &[&Trial], named: &[&String]) -> (Vec<String>, Vec<Vec<f6
         let numbers: Option<Vec<f64>> = values.iter().map(|value| value.and_then(Value::as_f64)).collect();
         match numbers {
             Some(numbers) => columns.push(scaled(&numbers)),
-            // a coordinate each value, all equally far from one another
+            // one coordinate per value makes all values equally distant
             None => columns.extend(
                 (0..count).map(|k| pattern.iter().map(|value| if *value == k { 0.7 } else { 0.0 }).collect()),
             ),
@@ -294,7 +295,7 @@ fn coordinates(trials: &[&Trial], named: &[&String]) -> (Vec<String>, Vec<Vec<f6
     (axes, (0..trials.len()).map(|i| columns.iter().map(|column: &Vec<f64>| column[i]).collect()).collect())
 }
 
-/// Equal values have the same number.
+/// Numbers values from 0; equal values get the same number.
 fn numbered<T: PartialEq>(values: impl Iterator<Item = T>) -> Vec<usize> {
     let mut known: Vec<T> = Vec::new();
     let number = |value| {
@@ -311,11 +312,12 @@ fn scaled(numbers: &[f64]) -> Vec<f64> {
     let values: Vec<f64> = numbers.iter().map(|x| if positive { x.ln() } else { *x }).collect();
     let (low, high) =
         values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(*x), high.max(*x)));
-    // what differs by its last bit may have one logarithm
+    // nearly equal numbers may have equal logarithms: avoid 0/0
     values.iter().map(|x| (x - low) / (high - low).max(f64::MIN_POSITIVE)).collect()
 }
 
-/// Outer steps at the end of the rungs of a trial, just behind a look at the test set; fewer rungs of few steps.
+/// Outer steps at which the partial trainings (rungs) of a trial end, just after an evaluation of the test set; `None` for
+/// rungs that short trainings lack.
 #[must_use]
 pub fn rungs(trial: &TrialSpec) -> [Option<u32>; LEVELS - 1] {
     let steps = trial.optimise.steps() as u32;
@@ -324,10 +326,11 @@ pub fn rungs(trial: &TrialSpec) -> [Option<u32>; LEVELS - 1] {
     [rung(first, 0), rung(second, first)]
 }
 
-/// The body of a trial on the first so many fresh seeds: nothing is trained but what reads it, by chips that add what they do in the trial.
+/// Trials that evaluate a trial's trained body on the first `seeds` fresh seeds: only decoders are trained. Sensors have the
+/// disturbances of the trial.
 ///
 /// # Panics
-/// If `body` is no trial's.
+/// If `body` is not a body of a trial.
 pub fn on_fresh_seeds<'a>(
     plan: &'a Plan,
     trial: &'a Trial,
@@ -346,7 +349,7 @@ pub fn on_fresh_seeds<'a>(
     }
     spec.body.design = Some(Design::Shifts { shifts: design.clone() });
     if spec.body.lattice.turns() {
-        spec.body.initial_angle = 0.0; // not read
+        spec.body.initial_angle = 0.0; // not used
     }
     spec.optimise.iterations = Some(0);
     spec.sensors.search = None;
@@ -355,7 +358,7 @@ pub fn on_fresh_seeds<'a>(
         let spec = TrialSpec { point: Point { seed, ..spec.point }, ..spec.clone() };
         let ((cost, weight), hash) = (cost::of(&spec, trial.units), spec.hash());
         Trial {
-            training: hash.clone(), // its own: nothing is trained
+            training: hash.clone(), // unique, because no body is trained
             hash,
             trains: true,
             cost,

@@ -1,21 +1,21 @@
-//! A body of a given size: the same sheet, cut into more units or fewer.
+//! Scales a body to a given size: the same sheet, divided into more or fewer units.
 //!
 //! ```text
 //! s = diameter / (columns · spacing)      lengths × s      k_θ, k_c × s²      Adam's rate on α × s
 //! ```
-//! A ligament of width w and length l in a sheet of thickness t has k_l ~ E t w/l and k_s ~ E t (w/l)³, which similar ones
-//! share, and k_θ ~ E t w³/l. So the disc keeps its mass and what it opposes to being deformed, and its units alone
-//! become smaller. A material's formulas (`problem::sheet`) meet the lengths as they are written.
+//! A ligament of width w and length l in a sheet of thickness t has k_l ~ E t w/l and k_s ~ E t (w/l)³, which scaling keeps,
+//! and k_θ ~ E t w³/l. The disc thus keeps its mass and its resistance to deformation; only its units become smaller. The
+//! formulas of a material (`problem::sheet`) use the lengths as written.
 
 use metasense_schemas::spec::{Body, LayoutKind, SweepSpec};
 use metasense_worker::problem::{Invalid, sheet};
 
-/// The spec with the lengths that `body.diameter` or `body.width` asks for and with what `body.material` gives, and s.
+/// The spec with the lengths for `body.diameter` or `body.width` and the properties of `body.material`; and the scale s.
 ///
 /// # Errors
-/// Where it is no length, or the other layout's; where there is no material, or it is given twice.
+/// If a size is invalid or belongs to the other layout; if the material is missing or given twice.
 pub(super) fn of_size(spec: &SweepSpec) -> Result<(SweepSpec, f64), Invalid> {
-    // the material stays beside what follows from it: it says what to cast
+    // keep the material, which says what to cast
     let body = Body { material: spec.body.material, ..sheet(&spec.body)? };
     let mut spec = SweepSpec { body, ..spec.clone() };
     let body = &mut spec.body;

@@ -1,4 +1,4 @@
-//! A plan with questions: the grid that they may grow to, and whether it can answer them.
+//! Plans with [until]: the grid to which the sweep may grow, and whether it can answer the questions.
 
 use metasense_schemas::record::Found;
 use metasense_schemas::source::{Source, SpecError};
@@ -10,7 +10,7 @@ use crate::analysis::until::{self, Decision};
 /// The spec with the placements and seeds of `until.at_most`.
 ///
 /// # Errors
-/// Where a value of `[until]` makes no sense.
+/// If a value of `[until]` is invalid.
 pub(super) fn grid(mut spec: SweepSpec, source: &Source) -> Result<SweepSpec, SpecError> {
     let Some(until) = &spec.until else { return Ok(spec) };
     let part = |x: Option<f64>| x.is_none_or(|x| x > 0.0 && x.is_finite());
@@ -38,7 +38,7 @@ pub(super) fn grid(mut spec: SweepSpec, source: &Source) -> Result<SweepSpec, Sp
     Ok(spec)
 }
 
-/// Refuses a question that no setting of the plan can answer.
+/// Rejects questions that no setting of the plan can answer.
 pub(super) fn check(until: Option<&Until>, trials: &[Trial], source: &Source) -> Result<(), SpecError> {
     let Some(until) = until else { return Ok(()) };
     if *until == (Until { confidence: until.confidence, at_most: until.at_most.clone(), ..Until::default() })
@@ -68,8 +68,8 @@ pub(super) fn check(until: Option<&Until>, trials: &[Trial], source: &Source) ->
 }
 
 impl Plan {
-    /// Where the questions stand by what is in the database, and the trials that are wanted, in the order of the plan; `None`
-    /// of a plan without questions.
+    /// Decides from the results in the database where the questions stand, and which trials are needed, in the order of the
+    /// plan; `None` without [until].
     #[must_use]
     pub fn decide(&self, found: &[Found], workers: u32) -> Option<(Decision, Vec<Trial>)> {
         let decision = until::of_plan(self.spec.until.as_ref()?, &self.trials, found, workers);

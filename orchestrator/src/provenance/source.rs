@@ -1,13 +1,13 @@
-//! The sources of a program, as its build script finds them: a digest of what computes, and the commit if there is one.
+//! The sources of the program, for its build script: a digest of the code that affects results, and the git commit.
 //!
-//! Trials depend on the digest alone: it tells uncommitted states apart, needs no git, and a commit that changes words
-//! or the report leaves it as it is. The commit is for people.
+//! Trials depend on the digest only. It distinguishes uncommitted states and needs no git; changes of documents or the report
+//! do not change it. The commit is for people.
 
 use std::io;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// What a program is made of, from the workspace's root; the first five compute.
+/// Sources of the program, relative to the workspace root; the first five affect results.
 pub const PROGRAM: [&str; 10] = [
     "Cargo.lock",
     "schemas/src",
@@ -21,10 +21,10 @@ pub const PROGRAM: [&str; 10] = [
     "schemas/schema.sql",
 ];
 
-/// Sixteen hex digits (FNV-1a, 64 bits) of names and bytes of the sources that compute.
+/// Sixteen hex digits: FNV-1a (64 bits) of names and contents of the sources that affect results.
 ///
 /// # Errors
-/// If one cannot be read.
+/// If a source cannot be read.
 pub fn digest(root: &Path) -> io::Result<String> {
     let mut files = Vec::new();
     for path in &PROGRAM[..5] {
@@ -52,8 +52,7 @@ fn add_files(root: &Path, path: &Path, files: &mut Vec<PathBuf>) -> io::Result<(
     Ok(())
 }
 
-/// Twelve digits of the commit, and `-dirty` where the program has changes that it lacks; `None` where git does not know
-/// these files, as of an archive.
+/// Twelve digits of the commit, with `-dirty` if the sources have uncommitted changes; `None` if git does not track them.
 pub fn revision(root: &Path) -> Option<String> {
     git(root, &["ls-files", "--error-unmatch", "Cargo.toml"])?;
     let commit = git(root, &["rev-parse", "--short=12", "HEAD"])?;
@@ -61,7 +60,7 @@ pub fn revision(root: &Path) -> Option<String> {
     Some(if changes.is_empty() { commit } else { format!("{commit}-dirty") })
 }
 
-/// Files of git's that change when the commit does.
+/// Files in the git directory that change with each commit.
 #[allow(dead_code, reason = "the build script's")]
 pub fn moves_with_commits(root: &Path) -> Vec<PathBuf> {
     let path = |name| Some(root.join(git(root, &["rev-parse", "--git-path", name])?));

@@ -8,7 +8,8 @@ fn git(root: &Path, arguments: &[&str]) {
     assert!(done.is_ok_and(|output| output.status.success()), "git {arguments:?}");
 }
 
-/// An archive has a digest and no commit; what computes changes the digest, what does not makes a build dirty at most.
+/// Without git there is a digest but no commit. Sources that affect results change the digest; other sources only make the
+/// build dirty.
 #[test]
 fn code_is_told_with_git_and_without() {
     let folder = tempfile::tempdir().unwrap();

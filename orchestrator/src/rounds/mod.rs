@@ -1,5 +1,5 @@
-//! Sweeps whose trials depend on earlier results: rounds of trials that answer the questions of [until], or that a search for the
-//! design of [goal] asks for. Whoever runs trials implements [`Runs`]: the workers of this process, or shards.
+//! Sweeps whose trials depend on earlier results: rounds of trials for the questions of [until], or for the search of [goal].
+//! [`Runs`] is implemented by whatever runs trials: the workers of this process, or shards.
 
 mod search;
 
@@ -14,47 +14,47 @@ use crate::store::StoreError;
 
 pub use search::search;
 
-/// Who runs trials, round by round: the workers of this process, or shards.
+/// Runs trials round by round: with workers of this process, or with shards.
 pub trait Runs {
-    /// Why a round could not be run.
+    /// Error of a round.
     type Error: From<StoreError>;
 
     /// All trials of the sweep.
     fn plan(&self) -> &Plan;
 
-    /// What the results of earlier rounds are in.
+    /// Database with the results of earlier rounds.
     fn database(&self) -> &Path;
 
-    /// Trials at a time.
+    /// Number of trials that run at the same time.
     fn workers(&self) -> u32;
 
-    /// What trials have come to.
+    /// Results of the trials so far.
     fn found(&mut self) -> impl Future<Output = Result<Vec<Found>, Self::Error>>;
 
-    /// Opens settled ones of these trials before a search looks at what they have come to.
+    /// Reopens finished trials among these, before a search reads their results.
     fn reopen(&mut self, hashes: &[&str], again: Again) -> impl Future<Output = Result<(), Self::Error>>;
 
-    /// Runs those of some trials that are open; `None` where there are none.
+    /// Runs the open trials among these; `None` if there are none.
     fn run(
         &mut self,
         trials: &[Trial],
         again: Again,
     ) -> impl Future<Output = Result<Option<Outcome>, Self::Error>>;
 
-    /// Whether somebody has asked for the end while the last open trial of a round came to its own.
+    /// Whether a stop was requested while the last open trial of a round ended.
     fn is_stopping(&self) -> bool;
 
-    /// Tells people.
+    /// Prints a line for people.
     fn say(&self, line: &str);
 }
 
-/// Runs the trials that the sweep's questions need, until they are settled.
+/// Runs rounds of trials until the sweep's questions are answered.
 ///
 /// # Errors
 /// If a round cannot be run.
 ///
 /// # Panics
-/// If the sweep has no questions.
+/// If the sweep has no [until].
 pub async fn rounds<R: Runs>(mut round: R, mut again: Again) -> Result<Option<Outcome>, R::Error> {
     let mut said = Vec::new();
     loop {
@@ -68,7 +68,7 @@ pub async fn rounds<R: Runs>(mut round: R, mut again: Again) -> Result<Option<Ou
         }
         match round.run(&wanted, again).await? {
             Some(Outcome::Complete) if round.is_stopping() => return Ok(Some(stopped_between(&round))),
-            // what later rounds want may be by other code, too
+            // trials of later rounds may also have results of other code
             Some(Outcome::Complete) => again = Again { other_code: again.other_code, ..Again::default() },
             None if !decision.is_settled() => {
                 round.say("some questions are still open: all trials that [until] allows have been run");
@@ -79,7 +79,7 @@ pub async fn rounds<R: Runs>(mut round: R, mut again: Again) -> Result<Option<Ou
     }
 }
 
-/// Somebody has asked for the end, and nothing is open.
+/// Reports a stop between two rounds, when no trial is open.
 fn stopped_between(round: &impl Runs) -> Outcome {
     round.say("stopped between two rounds; the same command resumes the run");
     Outcome::Interrupted

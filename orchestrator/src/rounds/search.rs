@@ -12,7 +12,7 @@ use crate::report::search::{Bodies, Known, begun};
 use crate::scheduler::Outcome;
 use crate::store::Reader;
 
-/// Runs what the search asks for, until it is over.
+/// Runs the trials that the search requests until it ends.
 ///
 /// # Errors
 /// If a round cannot be run.
@@ -26,7 +26,7 @@ pub async fn search<R: Runs>(mut round: R, space: &Space, again: Again) -> Resul
             Known::of(reader, space, round.plan(), &mut bodies).await
         })
         .await?;
-        // what has judged a body is opened once the body is there, each once
+        // trials that evaluate a body are reopened once each, when the body exists
         if again.failed || again.other_code {
             let mut fresh = fresh(space, round.plan(), &bodies);
             fresh.retain(|hash| opened.insert(hash.clone()));
@@ -57,7 +57,7 @@ pub async fn search<R: Runs>(mut round: R, space: &Space, again: Again) -> Resul
     }
 }
 
-/// The trials that judge the bodies that are there, or may.
+/// Hashes of the trials that may evaluate the existing bodies on fresh seeds.
 fn fresh(space: &Space, plan: &Plan, bodies: &Bodies) -> Vec<String> {
     let trained = space.places.iter().filter_map(|place| {
         let trial = &plan.trials[place.trial];
@@ -66,7 +66,7 @@ fn fresh(space: &Space, plan: &Plan, bodies: &Bodies) -> Vec<String> {
     trained.flatten().map(|judge| judge.hash).collect()
 }
 
-/// The trials that some work is.
+/// The trials of a piece of work.
 fn ordered(space: &Space, plan: &Plan, bodies: &Bodies, candidate: usize, work: Work) -> Vec<Trial> {
     let trial = &plan.trials[space.places[candidate].trial];
     match work {
@@ -81,7 +81,7 @@ fn ordered(space: &Space, plan: &Plan, bodies: &Bodies, candidate: usize, work: 
     }
 }
 
-/// What is done next, in a line.
+/// One line that describes the next round.
 fn intent(space: &Space, decision: &Decision) -> String {
     let count = |of: fn(&Work) -> bool| decision.work.iter().filter(|(_, work)| of(work)).count();
     let goal = &space.goal;

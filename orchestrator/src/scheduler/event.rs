@@ -1,95 +1,95 @@
-//! What may happen in a run, and what is to be done.
+//! Events of a run and actions in response.
 
 use metasense_schemas::reason::Reason;
 use metasense_schemas::wire::Lease;
 
 use super::{Answer, Millis, Steer, WorkerId};
 
-/// What passes through the scheduler unread.
+/// Types of the data that the scheduler passes on unread.
 pub trait Payload {
-    /// An outer step.
+    /// Record of an outer step.
     type Step;
-    /// A checkpoint behind the last step.
+    /// Checkpoint after the last step.
     type Saved;
-    /// A result.
+    /// Result of a trial.
     type Result;
-    /// Who has given a command, and waits for the answer.
+    /// Sender of a command, who waits for the answer.
     type Asker;
 }
 
-/// What may happen.
+/// An event of a run.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Event<P: Payload> {
     /// Time has passed.
     Clock(Millis),
-    /// A worker has said hello.
+    /// A worker is ready.
     Up(WorkerId),
-    /// A sign of life.
+    /// A sign of life of a busy worker.
     Beat(WorkerId, Lease),
-    /// An outer step is done; whether it was the last one.
+    /// An outer step is done; `true`: it was the last.
     Step(WorkerId, Lease, bool, P::Step),
-    /// The comparison at the end of the trial has come further.
+    /// A checkpoint of the final evaluation.
     Saved(WorkerId, Lease, P::Saved),
     /// The trial is done.
     Finished(WorkerId, Lease, P::Result),
-    /// The attempt came to no result; the worker goes on.
+    /// The attempt failed; the worker continues.
     Failed(WorkerId, Lease, Reason),
-    /// A worker is gone, and everything it said has been read.
+    /// A worker has ended, and all its messages have been read.
     Lost(WorkerId, Reason),
-    /// What an action asked to record is on disk.
+    /// A record is on disk.
     Recorded(Lease, Mark),
-    /// Nothing can be recorded any more.
+    /// The database fails.
     StoreBroken,
-    /// A person wants the run to end.
+    /// A person requests the end of the run.
     Interrupt,
-    /// A person gives a command.
+    /// A person sends a command.
     Steer(Steer, P::Asker),
 }
 
-/// What was recorded.
+/// Kind of a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mark {
-    /// A step, or a checkpoint behind the last one.
+    /// A step, or a checkpoint of the final evaluation.
     Step,
     /// A result.
     Result,
-    /// The end of an attempt without one.
+    /// A failed attempt.
     Failure,
 }
 
-/// What is to be done.
+/// An action that the engine must carry out.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Action<P: Payload> {
     /// Start this worker process.
     Spawn(WorkerId),
-    /// Record that the attempt begins, and give the trial to the worker, from its last checkpoint.
+    /// Record the start of the attempt, and give the trial with its last checkpoint to the worker.
     Assign(WorkerId, Lease),
     /// Record a step.
     RecordStep(Lease, P::Step),
-    /// Record how far the comparison has come.
+    /// Record a checkpoint of the final evaluation.
     RecordCheckpoint(Lease, P::Saved),
     /// Record a result.
     RecordResult(Lease, P::Result),
-    /// Record that the attempt came to nothing; `settled`: and so did the trial.
+    /// Record a failed attempt.
     RecordFailure {
-        /// Which attempt.
+        /// The attempt.
         lease: Lease,
-        /// Why.
+        /// The reason.
         reason: Reason,
-        /// No further attempt follows.
+        /// Whether the trial has failed, too: no further attempt follows.
         settled: bool,
     },
-    /// Record that a trial which waits is not to be run.
+    /// Record that a pending trial is cancelled.
     RecordCancelled(Lease),
-    /// Tell a person what came of the command.
+    /// Answer a command.
     Answer(P::Asker, Answer),
-    /// Ask for the trial back after the step in progress, or in the middle of the comparison.
+    /// Tell the worker to stop its trial after the step in progress, or within the final evaluation.
     AskStop(WorkerId),
     /// End the process in order.
     Close(WorkerId),
-    /// End the process at once.
+    /// Kill the process.
     Kill(WorkerId),
-    /// A message came of an attempt that is not current.
+    /// Count a message with an outdated lease.
     CountStale(Lease),
     /// The run is over.
     End(Outcome),
@@ -98,14 +98,14 @@ pub enum Action<P: Payload> {
 /// How a run ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Outcome {
-    /// Every trial is settled.
+    /// Every trial has ended.
     Complete,
-    /// By request.
+    /// Stopped on request.
     Interrupted,
-    /// Nothing could be recorded any more.
+    /// The database failed.
     StoreBroken,
-    /// No worker process comes up.
+    /// No worker process starts.
     NoWorkers,
-    /// Trials die on this machine one after the other without a step, the last one for this.
+    /// The machine is unfit: trials die one after another without a step, or a shortage lasts. The last reason.
     Unfit(Reason),
 }

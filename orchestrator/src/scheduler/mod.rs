@@ -1,9 +1,8 @@
 //! All decisions of a run: `on_event(&mut State, Event) -> Vec<Action>`, without clock, randomness or I/O.
 //!
-//! A trial is `pending → running → recording → done`, or `failed`, or pending again; a worker's slot is
-//! `empty → starting → idle ⇄ busy → ending → empty`. Every message carries the lease (trial, attempt) it speaks of, and
-//! one whose lease its worker does not hold is counted and dropped. [`Payload`] is what is recorded, which the scheduler
-//! passes on unread.
+//! A trial is `pending → running → recording → done`, or `failed`, or pending again; a worker's slot is `empty → starting →
+//! idle ⇄ busy → ending → empty`. Every message carries its lease (trial, attempt); a message whose lease its worker does not
+//! hold is counted and dropped. The scheduler passes records on without reading them ([`Payload`]).
 
 mod bodies;
 mod event;
@@ -23,10 +22,10 @@ pub use steer::{Answer, Refusal, Steer};
 use bodies::Bodies;
 use shortage::Shortage;
 
-/// Milliseconds since the run began.
+/// Milliseconds since the start of the run.
 pub type Millis = u64;
 
-/// A worker process: its slot, and which process in it.
+/// A worker process: its slot and the number of the process in this slot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct WorkerId {
     /// From 0.
@@ -41,29 +40,29 @@ impl std::fmt::Display for WorkerId {
     }
 }
 
-/// Limits of a run.
+/// Settings of a run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
-    /// Worker processes.
+    /// Number of worker processes.
     pub workers: u32,
-    /// Nothing is handed out until somebody wants it.
+    /// Start paused: assign no trials until `Steer::Resume`.
     pub paused: bool,
-    /// How often a trial is tried again after deaths without a step in between.
+    /// Retries of a trial after deaths without a step in between.
     pub retries: u32,
-    /// Wait before the first such retry; doubles up to `BACKOFF_MAX`.
+    /// Wait before the first retry; doubles up to `BACKOFF_MAX`.
     pub backoff: Millis,
-    /// Longest time without a sign of life.
+    /// Longest time without a sign of life of a busy worker.
     pub no_progress: Millis,
-    /// Longest time of an attempt.
+    /// Longest duration of an attempt.
     pub time_limit: Option<Millis>,
-    /// Workers have a limit of memory of their own: a trial that needs more needs it on every machine.
+    /// Whether workers have a memory limit of their own: a trial that exceeds it would do so on every machine.
     pub memory_limited: bool,
-    /// Longest wait for steps in progress once the run is to end.
+    /// Longest wait for steps in progress when the run stops.
     pub grace: Millis,
 }
 
 impl Settings {
-    /// Wait after so many failures in a row.
+    /// Backoff after this many consecutive failures.
     fn wait(&self, failures: u32) -> Millis {
         (self.backoff << failures.saturating_sub(1).min(20)).min(BACKOFF_MAX)
     }
@@ -71,47 +70,47 @@ impl Settings {
 
 /// Longest wait before a retry.
 pub const BACKOFF_MAX: Millis = 60_000;
-/// Longest time between the start of a process and its hello.
+/// Longest time between the start of a process and its first message.
 pub const STARTING_MAX: Millis = 30_000;
-/// Longest time between asking a process to end and killing it.
+/// Longest time between closing a process and killing it.
 pub const ENDING_MAX: Millis = 1_000;
-/// Processes of a slot that may fail to come up in a row before the slot is given up.
+/// Consecutive failed starts after which a slot is given up.
 pub const MISFIRES_MAX: u32 = 4;
-/// Results of a worker that may wait for the disk before it gets a further trial.
+/// Unrecorded results of a worker at which it gets no further trial.
 pub const RESULTS_MAX: usize = 64;
-/// Records that may wait for the disk before no further trial is handed out.
+/// Unrecorded records of the run at which no trial is assigned.
 pub const UNRECORDED_MAX: usize = 256;
 
-/// Deaths in a row without a step that say that the machine is at fault and not the trials …
+/// Consecutive deaths without a step after which the machine counts as unfit …
 pub const UNFIT_DEATHS: u32 = 10;
-/// … where so many trials are among them.
+/// … if they include this many trials.
 pub const UNFIT_TRIALS: usize = 3;
 
-/// A trial as the run finds it.
+/// State of a trial at the start of the run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Prior {
-    /// Attempts of earlier runs.
+    /// Attempts in earlier runs.
     pub attempts: u32,
-    /// Steps behind its checkpoint; a trial that has one goes first.
+    /// Steps up to its checkpoint; trials with a checkpoint start first.
     pub steps: Option<u32>,
-    /// Trials that train the same body have an equal one: each goes on from where any of them has come to.
+    /// Number of the trial's body. Trials with the same body share its training and its checkpoints.
     pub body: u32,
-    /// Whether one of them has trained it to the end.
+    /// Whether one of these trials has trained the body completely.
     pub trained: bool,
 }
 
-/// What a trial is doing.
+/// Phase of a trial.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Phase {
-    /// Waits.
+    /// Waits for a worker.
     Pending,
-    /// With a worker.
+    /// Runs on a worker.
     Running(WorkerId),
-    /// Its result is on the way to the disk.
+    /// Its result is being written to disk.
     Recording(WorkerId),
-    /// Its result is on the disk.
+    /// Its result is on disk.
     Done,
-    /// Given up.
+    /// Ended without a result.
     Failed(Reason),
 }
 
@@ -126,9 +125,9 @@ struct Trial {
     shortages: u32,
     stepped: bool,
     body: u32,
-    /// Not to be finished, and why: its worker is asked for it.
+    /// Why the trial must not be finished, if so; its worker is told to stop it.
     unwanted: Option<Reason>,
-    /// Its place before all that nobody has asked for first: the lower, the earlier.
+    /// Rank of a trial that a `Next` command moved ahead of the others: the lower, the earlier.
     first: Option<i64>,
 }
 
@@ -147,7 +146,7 @@ impl Trial {
         }
     }
 
-    /// Its place among those that may be handed out: one that came to nothing lets the others go first.
+    /// Rank in the queue, lowest first. Failed attempts move a trial back.
     fn rank(&self) -> i64 {
         self.first.unwrap_or(2 * i64::from(self.deaths + self.shortages) + i64::from(!self.begun))
     }
@@ -167,7 +166,7 @@ enum Work {
 struct Slot {
     generation: u32,
     misfires: u32,
-    /// Results of this worker on their way to the disk.
+    /// Results of this worker that are being written to disk.
     unrecorded: usize,
     work: Work,
 }
@@ -175,13 +174,13 @@ struct Slot {
 impl Slot {
     const EMPTY: Self = Self { generation: 0, misfires: 0, unrecorded: 0, work: Work::Empty { until: 0 } };
 
-    /// Whether its worker has a trial, or can have one.
+    /// Whether its worker has a trial or can get one.
     fn is_alive(&self) -> bool {
         matches!(self.work, Work::Starting { .. } | Work::Idle | Work::Busy { .. })
     }
 }
 
-/// Slots, each with the worker process that it has now.
+/// All slots with the ids of their current worker processes.
 fn with_workers(slots: &mut [Slot]) -> impl Iterator<Item = (WorkerId, &mut Slot)> {
     slots.iter_mut().zip(0..).map(|(state, slot)| (WorkerId { slot, generation: state.generation }, state))
 }
@@ -194,13 +193,13 @@ enum Stopping {
     Broken,
 }
 
-/// Everything the scheduler knows.
+/// State of the scheduler.
 #[derive(Debug, Clone)]
 pub struct State {
     settings: Settings,
     now: Millis,
     trials: Vec<Trial>,
-    /// Trials that wait for a worker, or for their body: those asked for first, begun ones, then in the order of the plan; behind them those that died.
+    /// Trials that wait for a worker or for their body, by rank, then in the order of the plan.
     ready: BTreeSet<(i64, u32)>,
     /// Trials that wait for a time.
     delayed: BTreeSet<(Millis, u32)>,
@@ -208,18 +207,18 @@ pub struct State {
     bodies: Bodies,
     unsettled: usize,
     unrecorded: usize,
-    /// Since a worker has last come anywhere with its trial: deaths, the trials that died, and why the last one did.
+    /// Deaths without progress of any worker in between, their trials, and the reason of the last.
     deaths: u32,
     dead: BTreeSet<u32>,
     died_of: Option<Reason>,
     shortage: Shortage,
     stopping: Stopping,
-    /// Since when.
+    /// Time of the request to stop.
     stopping_since: Millis,
     ended: bool,
 }
 
-/// The only place that decides.
+/// Updates the state and returns the actions. All decisions are made here.
 #[must_use = "actions must be carried out"]
 pub fn on_event<P: Payload>(state: &mut State, event: Event<P>) -> Vec<Action<P>> {
     let mut actions = Vec::new();
@@ -336,7 +335,7 @@ impl State {
         self.unsettled += priors.len();
     }
 
-    /// Somebody wants the run to end: in order at first, then at once.
+    /// Requests the end of the run: the first request ends it in order, the second at once.
     fn interrupt(&mut self) {
         let first = self.stopping == Stopping::No;
         self.stopping = self.stopping.max(if first { Stopping::Asked } else { Stopping::AtOnce });
@@ -345,42 +344,42 @@ impl State {
         }
     }
 
-    /// What a trial is doing.
+    /// The phase of a trial.
     pub fn phase(&self, trial: u32) -> Phase {
         self.trials[trial as usize].phase
     }
 
-    /// Whether a person has asked for the end.
+    /// Whether the run is stopping.
     pub fn is_stopping(&self) -> bool {
         self.stopping != Stopping::No
     }
 
-    /// Whether nothing is handed out for the time being.
+    /// Whether the run is paused.
     pub fn is_paused(&self) -> bool {
         self.settings.paused
     }
 
-    /// Worker processes that are wanted.
+    /// Requested number of worker processes.
     pub fn workers(&self) -> u32 {
         self.settings.workers
     }
 
-    /// Trials that wait for a worker.
+    /// Number of trials that wait for a worker.
     pub fn waiting(&self) -> usize {
         self.ready.len() + self.delayed.len()
     }
 
-    /// Workers that have a trial.
+    /// Number of workers that have a trial.
     pub fn busy(&self) -> usize {
         self.slots.iter().filter(|slot| matches!(slot.work, Work::Busy { .. })).count()
     }
 
-    /// The slot of a worker, if that process is the current one.
+    /// The slot of a worker, if it contains this process.
     fn slot(&mut self, worker: WorkerId) -> Option<&mut Slot> {
         self.slots.get_mut(worker.slot as usize).filter(|slot| slot.generation == worker.generation)
     }
 
-    /// A worker that is being ended still holds its trial: what it said before it went counts.
+    /// Whether a worker holds a lease. An ending worker still holds its lease: its last messages count.
     fn holds(&mut self, worker: WorkerId, lease: Lease) -> bool {
         self.slot(worker).is_some_and(|slot| match slot.work {
             Work::Busy { lease: held, .. } => held == lease,
@@ -396,7 +395,7 @@ impl State {
         }
     }
 
-    /// A worker has come further with its trial than a death could take back, once that is recorded.
+    /// Notes progress that a death of the worker cannot undo once it is recorded.
     fn progressed(&mut self, worker: WorkerId, lease: Lease) {
         self.beat(worker);
         self.came_further(worker);
@@ -405,13 +404,13 @@ impl State {
         self.unrecorded += 1;
     }
 
-    /// Trials that may be handed out, in their order: those of which nobody else trains the body.
+    /// Trials that may be assigned, in order: those whose body no other trial is training.
     fn free(&self) -> impl Iterator<Item = (i64, u32)> {
         let waits = |number: u32| self.bodies.is_in_training(self.trials[number as usize].body);
         self.ready.iter().copied().filter(move |(_, number)| !waits(*number))
     }
 
-    /// A worker has come further with its trial.
+    /// Notes progress of a worker.
     fn came_further(&mut self, worker: WorkerId) {
         self.machine_works();
         if let Some(&mut Slot { work: Work::Busy { since, .. }, .. }) = self.slot(worker) {
@@ -419,32 +418,32 @@ impl State {
         }
     }
 
-    /// A worker has come somewhere: this machine can do it.
+    /// Notes that trials can succeed on this machine.
     fn machine_works(&mut self) {
         self.deaths = 0;
         self.dead.clear();
     }
 
-    /// Why this machine is given up, where it is: deaths, or shortages that no worker's end can relieve.
+    /// Why this machine is unfit, if so: repeated deaths, or a shortage while no busy worker can free anything.
     fn unfit(&self) -> Option<Reason> {
         let short = self.shortage.lasting(self.settings.retries).filter(|_| self.busy() == 0);
         let died = self.deaths >= UNFIT_DEATHS && self.dead.len() >= UNFIT_TRIALS;
         short.or(self.died_of.filter(|_| died))
     }
 
-    /// Whether trials and workers are begun at present.
+    /// Whether trials may be assigned and workers started now.
     fn hands_out(&self) -> bool {
         let waits = self.settings.paused || self.shortage.is_waited_for(self.now);
         self.stopping == Stopping::No && !waits && self.unfit().is_none()
     }
 
-    /// How many more workers there may be; below 0 where there are too many.
+    /// Number of workers that may be started; negative if there are too many.
     fn room(&self) -> isize {
         let alive = self.slots.iter().filter(|slot| slot.is_alive()).count();
         self.settings.workers as isize - alive as isize
     }
 
-    /// Takes the trial from a worker that holds one.
+    /// Takes the lease from a worker.
     fn release(&mut self, worker: WorkerId) {
         if let Some(slot) = self.slot(worker) {
             match &mut slot.work {
@@ -495,7 +494,7 @@ impl State {
 
     fn lost<P: Payload>(&mut self, worker: WorkerId, reason: Reason, out: &mut Vec<Action<P>>) {
         let now = self.now;
-        // whoever ends the run may end its workers, too
+        // whoever kills the run may kill its workers, too
         let with_the_run = self.stopping != Stopping::No && reason == Reason::WorkerKilled(9);
         let reason = if with_the_run { Reason::Stopped } else { reason };
         let Some(slot) = self.slot(worker) else { return };
@@ -516,7 +515,7 @@ impl State {
         }
     }
 
-    /// An attempt came to nothing: again, later, or never.
+    /// Ends an attempt without a result; the trial is retried or failed.
     fn attempt_failed<P: Payload>(&mut self, lease: Lease, reason: Reason, out: &mut Vec<Action<P>>) {
         let own = reason == Reason::OutOfMemory && self.settings.memory_limited;
         let shortage = reason.is_shortage() && !own;
@@ -557,14 +556,14 @@ impl State {
                 self.dead.insert(lease.trial);
                 self.died_of = Some(reason);
             } else if reason != Reason::Cancelled && reason != Reason::TimeLimit {
-                self.machine_works(); // the worker has lived to say what is wrong with the trial
+                self.machine_works(); // the worker survived and reported the error
             }
         }
         self.unrecorded += 1;
         out.push(Action::RecordFailure { lease, reason, settled });
     }
 
-    /// Ends workers where the run is to end.
+    /// Stops the workers if the run must end.
     fn stop<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
         let finished = self.unsettled == 0 || self.unfit().is_some() && self.busy() == 0;
         if self.stopping == Stopping::No && !finished {
@@ -591,7 +590,7 @@ impl State {
         }
     }
 
-    /// Asks for the trials back that are not to be finished, all of them in a pause.
+    /// Stops unwanted trials; in a pause, all trials.
     fn take_back<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
         for (worker, slot) in with_workers(&mut self.slots) {
             if let Work::Busy { lease, asked: asked @ false, .. } = &mut slot.work
@@ -603,7 +602,7 @@ impl State {
         }
     }
 
-    /// Ends idle workers where there are more than are wanted.
+    /// Closes surplus idle workers.
     fn shrink<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
         let surplus = usize::try_from(-self.room()).unwrap_or(0);
         let idle = |(_, slot): &(_, &mut Slot)| matches!(slot.work, Work::Starting { .. } | Work::Idle);
@@ -613,7 +612,7 @@ impl State {
         }
     }
 
-    /// Hands trials to idle workers.
+    /// Assigns trials to idle workers.
     fn assign<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
         if !self.hands_out() {
             return;
@@ -634,7 +633,7 @@ impl State {
         }
     }
 
-    /// Starts as many workers as there are trials that wait for one, and not for another trial to train their body.
+    /// Starts workers for the trials that wait for one; trials whose body is in training do not count.
     fn spawn<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
         if !self.hands_out() {
             return;
@@ -657,10 +656,10 @@ impl State {
         }
     }
 
-    /// Says so when the run is over.
+    /// Ends the run when nothing is left to do.
     fn end<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
         let deserted = self.slots.iter().all(|slot| matches!(slot.work, Work::Empty { .. } | Work::GivenUp));
-        // A broken store records nothing more: also not what a worker said before it went.
+        // A broken store records nothing more, so pending records are not waited for.
         let recording = self.unrecorded > 0 && self.stopping != Stopping::Broken;
         if !deserted || recording {
             return;

@@ -1,5 +1,5 @@
-//! What the machine is short of. Nothing is handed out for a while then, each time for longer, until trials come further again or
-//! the machine is given up.
+//! Shortages of the machine (memory, threads, …). After each, no trials are assigned for a while, longer each time, until a
+//! trial makes progress or the machine is given up.
 
 use metasense_schemas::reason::Reason;
 
@@ -8,16 +8,17 @@ use super::Millis;
 /// See the module.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Shortage {
-    /// The last one.
+    /// Reason of the last shortage.
     of: Option<Reason>,
-    /// Since a trial that was handed out after one has come further.
+    /// Consecutive shortages without progress of a trial assigned after them.
     in_a_row: u32,
-    /// Nothing is handed out before this time.
+    /// Time before which no trials are assigned.
     until: Millis,
 }
 
 impl Shortage {
-    /// An attempt came to nothing for it; `wait` after so many. Those of several workers at the same time are one.
+    /// Notes that an attempt failed for this reason; `wait` maps the number of consecutive shortages to a time. Simultaneous
+    /// ones count once.
     pub fn met(&mut self, reason: Reason, now: Millis, wait: impl FnOnce(u32) -> Millis) {
         self.of = Some(reason);
         if now >= self.until {
@@ -26,25 +27,25 @@ impl Shortage {
         }
     }
 
-    /// A trial that was handed out at this time has come further.
+    /// Notes progress of a trial that was assigned at this time.
     pub fn came_further(&mut self, since: Millis) {
         if since >= self.until {
             self.in_a_row = 0;
         }
     }
 
-    /// A worker has come to an end, and what it had is free again: that is tried before the machine is given up.
+    /// A worker has freed its resources: assign trials again before the machine is given up.
     pub fn relieved(&mut self, now: Millis, retries: u32) {
         self.in_a_row = self.in_a_row.min(retries);
         self.until = self.until.min(now);
     }
 
-    /// Whether it is waited for.
+    /// Whether assignments wait.
     pub fn is_waited_for(&self, now: Millis) -> bool {
         now < self.until
     }
 
-    /// What has been short more often than is tried again.
+    /// The reason, if there were more consecutive shortages than retries.
     pub fn lasting(&self, retries: u32) -> Option<Reason> {
         self.of.filter(|_| self.in_a_row > retries)
     }

@@ -1,7 +1,7 @@
-//! What a person may command of a run that goes on: each command is an event and gets one answer; a refused one changes nothing.
+//! Commands to a running sweep: each is an event and gets one answer; a refused command changes nothing.
 //!
-//! A pause takes running trials back after the step in progress, however long that takes: who pauses wants the machine, and what it
-//! costs is the beginning of another attempt, while a trial may go on for hours. Workers stay, idle.
+//! A pause stops running trials after their steps in progress and frees the machine; a trial itself may run for hours. Workers
+//! stay idle.
 
 use std::fmt;
 
@@ -10,61 +10,60 @@ use metasense_schemas::wire::Lease;
 
 use super::{Action, Millis, Payload, Phase, Prior, Slot, State, Stopping, Work};
 
-/// A command.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Steer {
-    /// Hand no trial out, and take those that run back.
+    /// Assign no trials, and stop the running ones.
     Pause,
-    /// Hand trials out again.
+    /// Assign trials again.
     Resume,
-    /// End the run in order; the first `Event::Interrupt` is the same.
+    /// End the run in order, as does the first `Event::Interrupt`.
     Stop,
-    /// Give this trial up, with what is recorded of it.
+    /// Cancel this trial; its records stay.
     Cancel(u32),
-    /// Give this one to the next worker that is free.
+    /// Give this trial to the next free worker.
     Next(u32),
-    /// So many worker processes: idle ones end first, others when their trial does.
+    /// Set the number of workers; if there are too many, idle ones end first, busy ones after their trial.
     Workers(u32),
-    /// Trials that were not known before; they are numbered on, and come after those that wait.
+    /// Add trials; they get the next numbers and wait behind the others.
     Add(Vec<Prior>),
 }
 
-/// What came of it.
+/// The answer to a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Answer {
-    /// Nothing is handed out; so many trials are on their way back.
+    /// Paused; number of trials that are stopping.
     Paused(usize),
-    /// Trials are handed out; so many wait.
+    /// Resumed; number of trials that wait.
     Resumed(usize),
-    /// The run ends; so many trials are on their way back, and are waited for so long.
+    /// The run is stopping; number of trials that are stopping, and the longest wait for them.
     Stopping(usize, Millis),
-    /// The trial is given up; `true`: once its worker has finished the step in progress.
+    /// The trial is cancelled; `true`: after its step in progress.
     Cancelled(bool),
-    /// The trial is the next one; `true`: once another has trained its body.
+    /// The trial is next; `true`: when another has trained its body.
     Next(bool),
-    /// Worker processes before and from now on.
+    /// Number of workers before and after.
     Workers([u32; 2]),
-    /// So many trials more.
+    /// Number of trials added.
     Added(usize),
-    /// Nothing has changed.
+    /// The command was refused.
     Refused(Refusal),
 }
 
-/// Why nothing has changed.
+/// Why a command was refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Refusal {
-    /// The run is about to end.
+    /// The run is stopping.
     Stopping,
-    /// The trial has its result.
+    /// The trial is done.
     Done,
-    /// The trial has come to nothing.
+    /// The trial has failed.
     Failed(Reason),
-    /// The trial is with a worker.
+    /// The trial is running.
     Running,
 }
 
 impl Refusal {
-    /// Of a trial that does not wait.
+    /// The refusal for a trial that is not pending.
     fn of(phase: Phase) -> Self {
         match phase {
             Phase::Failed(reason) => Self::Failed(reason),
@@ -170,13 +169,13 @@ impl State {
         }
     }
 
-    /// Takes a trial that waits out of where it does.
+    /// Removes a pending trial from its queue.
     fn dequeue(&mut self, number: u32) {
         self.ready.remove(&(self.trials[number as usize].rank(), number));
         self.delayed.retain(|(_, trial)| *trial != number);
     }
 
-    /// Slots that were given up are tried again: a person who asks for workers wants them.
+    /// Sets the number of workers. Slots that were given up are tried again.
     fn set_workers(&mut self, workers: u32) -> Answer {
         assert!(workers > 0, "a run needs a worker");
         let before = std::mem::replace(&mut self.settings.workers, workers);

@@ -1,9 +1,10 @@
-//! The scheduler in a world of its own: workers that die, hang, lag, repeat themselves, speak too late and are slow to stop,
-//! and people who pause, cancel, add and change their minds.
+//! Simulates the scheduler's environment: workers that die, hang, lag, repeat messages, send them late or stop slowly, and
+//! people who pause, cancel, add and change their minds.
 //!
-//! The world is a queue of events at times, drawn from a seed. After every event: no trial is lost, none is with two
-//! workers, no attempt number is given twice, no result is recorded twice; no body is trained by two workers; nothing is
-//! handed out in a pause, nothing that is cancelled, nothing to more workers than are wanted; no shortage of the machine is charged to a trial; and every run ends, within its grace of being asked to. A seed that fails prints its history.
+//! Events come from a queue ordered by time, drawn from a seed. After every event: no trial is lost, with two workers or
+//! recorded twice; no attempt number is reused; no body is trained by two workers; nothing is assigned in a pause, after its
+//! cancellation, or to more workers than requested; no shortage counts against a trial. Every run ends, within its grace after
+//! a stop. A failing seed prints its history.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
@@ -30,7 +31,7 @@ impl Dice {
     }
 }
 
-/// What is recorded of a trial in the simulated store, its steps or its result: which trial, which step.
+/// Records of the simulated store: trial and step.
 #[derive(Debug, Clone, PartialEq)]
 struct Simulated;
 
@@ -61,40 +62,40 @@ struct World {
     dice: Dice,
     state: State,
     now: Millis,
-    /// What will happen, by time and order of scheduling.
+    /// Future events, by time and order of scheduling.
     queue: BTreeMap<(Millis, u64), Event<Simulated>>,
     scheduled: u64,
     processes: HashMap<WorkerId, Process>,
     working: HashMap<WorkerId, Lease>,
-    /// Steps on the simulated disk.
+    /// Steps on the simulated disk, by trial.
     steps: Vec<u32>,
     results: Vec<u32>,
     failed: Vec<Option<Reason>>,
     /// The body that each trial trains.
     bodies: Vec<Body>,
     leases: HashSet<Lease>,
-    /// Deaths, hangs and so on in percent.
+    /// Percentages.
     chance_of_death: u64,
     chance_of_hanging: u64,
     chance_of_trouble: u64,
     chance_of_misfire: u64,
     chance_of_echo: u64,
-    /// Of a worker that goes on with what it does for long after it was asked to stop.
+    /// Chance that a worker stops late.
     chance_of_slowness: u64,
     chance_of_shortage: u64,
-    /// A machine on which every trial dies at its first step.
+    /// Every trial dies at its first step on this machine.
     black_hole: bool,
     /// Shortages so far.
     shortages: u32,
-    /// Deaths of workers with a trial since one has last come anywhere, and of which trials.
+    /// Trials whose workers have died since the last progress, one entry per death.
     deaths: Vec<u32>,
     interrupt: bool,
     interrupted: Option<Millis>,
-    /// Trials that a person has cancelled, and the answers to commands.
+    /// Cancelled trials, and the answers to commands.
     cancelled: BTreeSet<u32>,
     answers: Vec<Answer>,
     store_breaks: bool,
-    /// Kept on the second run of a seed that has failed.
+    /// Recorded when a failed seed runs again.
     history: Option<Vec<String>>,
     outcome: Option<Outcome>,
 }
@@ -171,7 +172,7 @@ impl World {
         world
     }
 
-    /// A trial of the plan.
+    /// Adds a trial of the plan.
     fn add(&mut self, prior: &Prior, trial: u32) {
         self.leases.extend((1..=prior.attempts).map(|attempt| Lease { trial, attempt }));
         self.steps.push(0);
@@ -183,14 +184,14 @@ impl World {
         self.bodies[trial as usize].length
     }
 
-    /// Steps on the disk of those trials that train the same body.
+    /// Largest number of steps on disk among the trials with the same body.
     fn trained(&self, trial: u32) -> u32 {
         let number = self.bodies[trial as usize].number;
         let mates = self.bodies.iter().zip(&self.steps).filter(|(body, _)| body.number == number);
         mates.map(|(_, steps)| *steps).max().unwrap_or(0)
     }
 
-    /// What people will want, at times; who pauses goes on in the end. Trials are drawn when it comes to them.
+    /// Schedules random commands; the last one ends any pause. Their trials are drawn when they happen.
     fn command(&mut self) {
         for _ in 0..1 + self.dice.below(12) {
             let when = self.dice.below(30_000);
@@ -208,7 +209,7 @@ impl World {
         self.at(30_000, Event::Steer(Steer::Resume, ()));
     }
 
-    /// The command with the trial or trials that it is about.
+    /// The command with randomly drawn trials.
     fn drawn(&mut self, steer: Steer) -> Steer {
         let trials = self.bodies.len();
         match steer {
@@ -236,7 +237,7 @@ impl World {
         self.at(when, event);
     }
 
-    /// Messages of a worker keep their order; an echo of one may come at any time, also after the worker's death.
+    /// Schedules a message. Messages of a worker keep their order; an echo may come at any time, even after the worker's death.
     fn say(&mut self, when: Millis, event: Event<Simulated>) {
         if self.dice.percent(self.chance_of_echo) {
             let late = when + self.dice.below(30_000);
@@ -267,7 +268,7 @@ impl World {
         self.check_end();
     }
 
-    /// What a process that is gone would still have done does not happen; what it has said does.
+    /// Whether an event takes place: a dead process does nothing, but messages that it sent before arrive.
     fn happens(&mut self, event: &Event<Simulated>) -> bool {
         match event {
             Event::Lost(worker, _) => {
@@ -277,7 +278,7 @@ impl World {
                 }
                 gone.is_some_and(|process| process != Process::Gone)
             }
-            // A store that is broken says nothing more.
+            // A broken store confirms nothing more.
             Event::Recorded(..) => self.state.stopping != Stopping::Broken,
             Event::Up(worker) => {
                 let process = self.processes.get_mut(worker).expect("was spawned");
@@ -387,7 +388,7 @@ impl World {
                     self.say(when, Event::Failed(worker, lease, Reason::Stopped));
                 }
             }
-            // The end of its input is seen by a process that hangs, too.
+            // A hung process, too, ends when its input is closed.
             Action::Close(worker) => self.soon(20, Event::Lost(worker, Reason::WorkerExited(0))),
             Action::Kill(worker) => self.soon(20, Event::Lost(worker, Reason::WorkerKilled(9))),
             Action::CountStale(_) => {}
@@ -395,7 +396,7 @@ impl World {
         }
     }
 
-    /// A worker works through a trial from its last step, as long as it lives.
+    /// Schedules the messages of a worker that runs a trial from its last step.
     fn work(&mut self, worker: WorkerId, lease: Lease) {
         assert_eq!(self.processes.get(&worker), Some(&Process::Up), "{worker} gets a trial");
         assert!(self.leases.insert(lease), "{lease:?} is given twice");
@@ -405,7 +406,7 @@ impl World {
         self.working.insert(worker, lease);
         let (trial, mut when) = (lease.trial, self.now);
         let Body { length, .. } = self.bodies[trial as usize];
-        // it goes on from where any of those has come to that train the same body
+        // it resumes from the last step of any trial with the same body
         let begun = self.trained(trial);
         self.steps[trial as usize] = begun;
         for step in begun..length {
@@ -439,12 +440,12 @@ impl World {
         when += self.dice.below(1_000);
         self.say(when, Event::Finished(worker, lease, (trial, 0)));
         if self.dice.percent(self.chance_of_death) {
-            // Dies after its last word.
+            // The worker dies after its last message.
             self.at(when, Event::Lost(worker, Reason::WorkerKilled(11)));
         }
     }
 
-    /// Holds after every event.
+    /// Checks invariants after every event.
     fn check(&mut self) {
         let (mut held, mut training) = (BTreeSet::new(), BTreeSet::new());
         for slot in &self.state.slots {
@@ -473,7 +474,7 @@ impl World {
         }
     }
 
-    /// Holds at the end of a run.
+    /// Checks invariants at the end of a run.
     fn check_end(&mut self) {
         let outcome = self.outcome.expect("the run has ended");
         let dead: HashSet<u32> = self.deaths.iter().copied().collect();
@@ -486,7 +487,7 @@ impl World {
             assert!(self.state.waiting() > 0, "nothing is left to be done elsewhere");
         }
         if self.black_hole {
-            let most = UNFIT_DEATHS as usize + 2 * 6; // of two trials alone, six each; others are with workers by then
+            let most = UNFIT_DEATHS as usize + 2 * 6; // two trials die six times each before others are assigned
             assert!(self.deaths.len() <= most, "{} attempts were burned", self.deaths.len());
         }
         assert!(self.interrupt || outcome != Outcome::Interrupted, "nobody has interrupted");
@@ -521,7 +522,7 @@ impl World {
     }
 }
 
-/// A trial more, of a body of its own or of one that another trains, too.
+/// A further trial, with a new body or that of another trial.
 fn prior(bodies: &mut Vec<Body>, least: u32, dice: &mut Dice) -> Prior {
     let trial = bodies.len() as u32;
     let body = if trial > 0 && dice.percent(40) {
@@ -538,7 +539,7 @@ fn prior(bodies: &mut Vec<Body>, least: u32, dice: &mut Dice) -> Prior {
     }
 }
 
-/// Four thousand worlds. To see one again, put its seed in `METASENSE_SEED`.
+/// Runs 4000 random worlds. To repeat one, set `METASENSE_SEED` to its seed.
 #[test]
 fn no_trial_is_lost_or_done_twice_and_every_run_ends_in_4000_random_worlds() {
     let seeds = match std::env::var("METASENSE_SEED").ok().and_then(|seed| seed.parse().ok()) {

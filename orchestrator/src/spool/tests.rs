@@ -2,7 +2,7 @@ use std::sync::mpsc;
 
 use super::*;
 
-/// Takes nothing before it is told to.
+/// Takes nothing before a message arrives.
 struct Slow(mpsc::Receiver<()>, Arc<Mutex<Vec<u8>>>);
 
 impl Write for Slow {
@@ -17,8 +17,8 @@ impl Write for Slow {
     }
 }
 
-/// Twice what memory takes is written to somebody who takes nothing, without waiting, and arrives in order; so does what comes
-/// later, when all is with the other end.
+/// Writing twice the memory limit to a blocked reader does not block. All bytes arrive in order, also those written after the
+/// file was emptied.
 #[test]
 fn what_is_not_taken_waits_and_arrives_in_order() {
     let (go, wait) = mpsc::channel();
@@ -43,7 +43,7 @@ fn what_is_not_taken_waits_and_arrives_in_order() {
     assert!(*taken.lock().unwrap() == sent, "{} bytes of {}", taken.lock().unwrap().len(), sent.len());
 }
 
-/// Whoever has had enough is not written to.
+/// A closed reader makes the next write or `finish` fail.
 #[test]
 fn an_end_that_is_closed_is_an_error() {
     struct Closed;

@@ -1,4 +1,4 @@
-//! Questions from whoever: nothing but the database's own rows can be read, and answers have limits.
+//! Queries by untrusted users: they can read only the database's own rows, within limits.
 
 use std::ffi::{CStr, c_int};
 use std::path::Path;
@@ -10,32 +10,32 @@ use super::allow::{Allowed, allow};
 use super::read::Answer;
 use super::{OPENING, Reader, StoreError, real};
 
-/// What an answer may come to.
+/// Limits of an answer.
 #[derive(Debug, Clone, Copy)]
 pub struct Limits {
     /// Rows.
     pub rows: usize,
-    /// Bytes of its values, as JSON has them.
+    /// Bytes of its values as JSON.
     pub bytes: usize,
     /// Time.
     pub time: Duration,
 }
 
-/// Longest text or blob that SQLite may read or create (bytes). With this limit every function takes less than a second, except
-/// [`SLOW`]. Specs and results are shorter; most arrays are longer.
+/// Longest text or blob that SQLite may read or create (bytes). It keeps every function below one second, except those in
+/// `SLOW`. Specs and results are shorter; most arrays are longer.
 const LONGEST: c_int = 256 << 10;
 /// Longest pattern of LIKE and GLOB (bytes).
 const PATTERN: c_int = 500;
-/// Functions of two arguments whose run time is the product of their lengths, at a nanosecond or more per step.
+/// Functions of two arguments whose run time grows as the product of their lengths.
 const SLOW: [&CStr; 5] = [c"trim", c"ltrim", c"rtrim", c"json_patch", c"jsonb_patch"];
-/// Rows between SQLite and us.
+/// Rows buffered between SQLite and the reader.
 const ROWS_AHEAD: usize = 4;
 /// SQLite operations between two checks of the time limit. Each may call a function.
 const OPERATIONS: c_int = 20;
 
 impl Reader {
-    /// Opens a database for SQL that anybody may have entered. As [`Reader::open`], and values are limited in length: this bounds the time
-    /// of a single operation, which cannot be interrupted.
+    /// Opens a database for untrusted SQL. As [`Reader::open`], but limits the length of values and thereby the time of a
+    /// single operation, which cannot be interrupted.
     ///
     /// # Errors
     /// As [`Reader::open`].
@@ -70,10 +70,10 @@ impl Reader {
         Ok(reader)
     }
 
-    /// Answers one statement as far as the limits allow; beside the rows, what ended them early.
+    /// Answers one statement within limits. Returns the rows and, if they were cut off, the reason.
     ///
     /// # Errors
-    /// With SQLite's message, or where no row has come in time.
+    /// If SQLite fails or no row arrives in time.
     pub async fn limited<T: From<Answer>>(
         &mut self,
         sql: &str,
@@ -125,7 +125,7 @@ impl Reader {
     }
 }
 
-/// Replaces a function that can run for minutes.
+/// Replaces a function that could run for minutes.
 unsafe extern "C" fn refuse(context: *mut ffi::sqlite3_context, _: c_int, _: *mut *mut ffi::sqlite3_value) {
     let why =
         c"trim, ltrim, rtrim and json_patch of two arguments are not available here; use `metasense query`";

@@ -1,4 +1,4 @@
-//! Opening a database for reading. The file is never changed. If the file or its folder is not writable, the database is read without creating journal files.
+//! Opens a database for reading and never changes it. If the file or its folder is not writable, no journal files are created.
 
 use std::fs::{File, Metadata};
 use std::os::unix::fs::MetadataExt;
@@ -87,15 +87,15 @@ pub(super) fn state(path: &Path) -> Result<String, StoreError> {
     path.metadata().map(|m| state_of(&m)).map_err(failed)
 }
 
-/// What tells a file from what it was before: device, inode, size, time of its last change.
+/// A string that differs if a file was changed or replaced: device, inode, size, modification time.
 pub(crate) fn state_of(m: &Metadata) -> String {
     format!("{} {} {} {}.{:09}", m.dev(), m.ino(), m.size(), m.mtime(), m.mtime_nsec())
 }
 
-/// Copies a database that nobody writes to, with what lies in its journal.
+/// Copies a database that no process writes to, with its write-ahead log.
 ///
 /// # Errors
-/// `InUse` where somebody does; `NotCopied` where the system fails.
+/// `InUse` if a process writes to it; `NotCopied` if the system fails.
 pub(crate) fn copy_with_journal(path: &Path, copy: &Path) -> Result<(), StoreError> {
     let failed = |source| StoreError::NotCopied { path: path.to_owned(), source };
     let lock = File::open(path).map_err(failed)?;
@@ -108,8 +108,7 @@ pub(crate) fn copy_with_journal(path: &Path, copy: &Path) -> Result<(), StoreErr
     Ok(())
 }
 
-/// Asks a database that nobody writes to, as a file that does not change: neither locks nor a journal are looked for. It may
-/// be of any version.
+/// Queries a database that no process writes to. Uses neither locks nor journals, and accepts any version.
 pub async fn ask_unchanging<T>(
     path: &Path,
     ask: impl AsyncFnOnce(&mut SqliteConnection) -> sqlx::Result<T>,

@@ -1,32 +1,32 @@
-//! Designs on a trial's way, as far as they are kept.
+//! Designs that are kept during the training of a trial.
 
 use metasense_schemas::record::Checkpoint;
 use metasense_schemas::spec::Optimise;
 
 use super::{Reader, Store, StoreError, npy_bytes};
 
-/// So many of a trial at most.
+/// Most designs kept per trial.
 const KEPT: usize = 20;
 
-/// Their names among the arrays: after this, how many outer steps led there.
+/// Prefix of the array names; the number of outer steps follows.
 const NAME: &str = "design_step_";
 
 impl Store {
-    /// Keeps a checkpoint's design where it is one of those to be kept: the last one and, back from it, each that is as many
-    /// steps before the next, as the trial's own number of steps has it; however often it is taken up again, the same ones.
+    /// Keeps a checkpoint's design if its step is due: the last step, and every n-th step counted back from it, n = steps /
+    /// `KEPT` rounded up. The choice does not depend on interruptions.
     pub(super) async fn insert_design(&mut self, id: i64, checkpoint: &Checkpoint) -> sqlx::Result<()> {
         let (steps, step) = (self.optimise(id).await?.steps(), checkpoint.step);
         let apart = steps.div_ceil(KEPT).max(1);
         if checkpoint.design.is_empty() || !steps.abs_diff(step as usize).is_multiple_of(apart) {
             return Ok(());
         }
-        // to be looked at, not to go on from: half the bytes
+        // for inspection, not for resuming: 32 bits suffice
         let (shape, design) =
             ([checkpoint.design.len()], checkpoint.design.iter().map(|x| *x as f32).collect::<Vec<_>>());
         self.insert_artifact(id, &format!("{NAME}{step}"), &shape, npy_bytes(&shape, &design)).await
     }
 
-    /// The outer loop of a trial.
+    /// The `[optimise]` settings of a trial.
     pub(super) async fn optimise(&mut self, id: i64) -> sqlx::Result<Optimise> {
         let optimise: String = sqlx::query_scalar("SELECT spec->'$.optimise' FROM trial WHERE id = ?")
             .bind(id)
@@ -35,7 +35,7 @@ impl Store {
         serde_json::from_str(&optimise).map_err(|e| sqlx::Error::Decode(e.into()))
     }
 
-    /// What is kept of the designs of another trial, which trains the same body, is kept of this one, too.
+    /// Copies the kept designs of another trial with the same body to this one.
     pub(super) async fn take_over_designs(&mut self, other: i64, id: i64) -> sqlx::Result<()> {
         sqlx::query(
             "INSERT OR IGNORE INTO artifact (trial_id, name, shape, digest, bytes)
@@ -51,10 +51,10 @@ impl Store {
 }
 
 impl Reader {
-    /// What is kept of a trial's designs: after how many outer steps, and α (mm) to seven digits.
+    /// Kept designs of a trial: number of outer steps, and α (mm, 32-bit precision).
     ///
     /// # Errors
-    /// Where SQLite fails, or one of them cannot be read.
+    /// If SQLite fails or an array cannot be read.
     pub async fn designs_of(&mut self, hash: &str) -> Result<Vec<(u32, Vec<f64>)>, StoreError> {
         let mut designs = Vec::new();
         for array in self.arrays_of(hash).await? {

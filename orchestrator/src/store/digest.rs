@@ -1,5 +1,5 @@
-//! Checksums (BLAKE3) of checkpoints and arrays. They are stored with the bytes and verified on every read. Rows written by earlier versions
-//! have no checksum and are not verified.
+//! BLAKE3 checksums of checkpoints and arrays, stored with the bytes and verified on every read. Rows without a checksum are
+//! not verified.
 
 use std::ffi::c_int;
 
@@ -16,7 +16,7 @@ pub(super) fn digest(bytes: &[u8]) -> Vec<u8> {
 /// Verifies stored bytes of a trial. An empty checksum is not verified.
 ///
 /// # Errors
-/// `Damaged` where they differ.
+/// `Damaged` if they differ.
 pub(crate) fn check(hash: &str, what: &str, bytes: &[u8], checksum: &[u8]) -> Result<(), StoreError> {
     match checksum.is_empty() || checksum == blake3::hash(bytes).as_bytes() {
         true => Ok(()),

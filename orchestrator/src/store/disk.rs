@@ -1,15 +1,15 @@
-//! Whether a folder lies on a network file system. SQLite's write-ahead log needs memory shared between processes and
-//! locks that hold, which those do not give: a live database there is damaged sooner or later.
+//! Detects network file systems. They lack the shared memory and reliable locks that SQLite's write-ahead log needs: a database
+//! in use there is eventually corrupted.
 
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
 use rustix::fs::{major, minor, statfs};
 
-/// `f_type` of FUSE: what is behind it stands in the mount table alone.
+/// `f_type` of FUSE; only the mount table gives the program behind it.
 const FUSE: u64 = 0x6573_5546;
 
-/// Network file systems by `f_type` (statfs(2), and the headers of those that are not in the kernel).
+/// Network file systems by `f_type` (statfs(2); headers of file systems outside the kernel).
 const BY_MAGIC: &[(u64, &str)] = &[
     (0x6969, "NFS"),
     (0x517b, "SMB"),
@@ -31,7 +31,7 @@ const BY_MAGIC: &[(u64, &str)] = &[
     (0x786f_4256, "vboxsf"),
 ];
 
-/// Programs behind FUSE that fetch their files over a network, by the subtype in the mount table.
+/// FUSE programs that access files over a network, by subtype in the mount table.
 const BY_SUBTYPE: &[&str] = &[
     "afp",
     "beegfs",
@@ -63,8 +63,8 @@ const BY_SUBTYPE: &[&str] = &[
     "virtiofs",
 ];
 
-/// Name of a network file system, by `f_type` and, for FUSE, the type in the mount table (`fuse.sshfs`); none for a
-/// local one.
+/// Name of a network file system, given `f_type` and, for FUSE, the type in the mount table (`fuse.sshfs`); `None` for a local
+/// one.
 #[must_use]
 pub fn network(magic: u64, mounted_as: &str) -> Option<String> {
     if magic == FUSE {
@@ -74,7 +74,7 @@ pub fn network(magic: u64, mounted_as: &str) -> Option<String> {
     BY_MAGIC.iter().find(|(known, _)| *known == magic).map(|(_, name)| (*name).to_owned())
 }
 
-/// Name of the network file system that a folder lies on. What cannot be asked counts as local.
+/// Name of the network file system that contains a folder. Counts as local if the system gives no answer.
 #[must_use]
 pub fn network_of(folder: &Path) -> Option<String> {
     let magic = statfs(folder).ok()?.f_type as u64 & 0xffff_ffff;
@@ -82,7 +82,7 @@ pub fn network_of(folder: &Path) -> Option<String> {
     network(magic, &mounted_as(device, &std::fs::read_to_string("/proc/self/mountinfo").unwrap_or_default()))
 }
 
-/// Type of the file system with a device number, by the mount table (proc_pid_mountinfo(5)).
+/// Type of the file system with this device number, from the mount table (proc_pid_mountinfo(5)).
 fn mounted_as(device: u64, table: &str) -> String {
     let number = format!("{}:{}", major(device), minor(device));
     let line = table.lines().find(|line| line.split(' ').nth(2) == Some(&number));

@@ -1,4 +1,4 @@
-//! What can go wrong with a database, and what to do about it.
+//! Errors of databases, with advice.
 
 use std::path::{Path, PathBuf};
 
@@ -8,10 +8,10 @@ use metasense_worker::limits::{Needs, check};
 
 use super::presence::Lost;
 
-/// What is being done when nothing has been started yet.
+/// `doing` of errors before anything was started.
 pub(super) const OPENING: &str = "opening";
 
-/// A failure of the store.
+/// An error of the store.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// The file or its folder cannot be written.
@@ -19,10 +19,10 @@ pub enum StoreError {
     Unwritable {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// On a network file system.
+    /// The database is on a network file system.
     #[error(
         "the database {} would be on {system}, a network file system, where SQLite's write-ahead log does not work: \
          choose a file on a disk of this machine; `cluster merge` copies the finished database anywhere",
@@ -34,29 +34,29 @@ pub enum StoreError {
         /// The file system.
         system: String,
     },
-    /// Another run holds it.
+    /// Another run uses the database.
     #[error("the database {} is in use by another run; wait for it, or choose another file", path.display())]
     InUse {
         /// The file.
         path: PathBuf,
     },
-    /// Its files were taken away while it was open for writing.
+    /// The database files disappeared while it was open for writing.
     #[error("the database {} {} during the run: {}", path.display(), lost.words(), saved_words(path, saved))]
     Lost {
         /// The file.
         path: PathBuf,
         /// What happened.
         lost: Lost,
-        /// The file that has all recorded data, or why there is none.
+        /// Path of the file with all recorded data, or why there is none.
         saved: Result<PathBuf, String>,
     },
-    /// Some other program's.
+    /// The file belongs to another program.
     #[error("{} is not a metasense database; choose another file", path.display())]
     NotOurs {
         /// The file.
         path: PathBuf,
     },
-    /// Written by a newer program.
+    /// Written by a newer version.
     #[error(
         "the database {} has version {version}, this program reads version {VERSION}: update metasense, or choose another file",
         path.display()
@@ -67,7 +67,7 @@ pub enum StoreError {
         /// Its version.
         version: i64,
     },
-    /// Written by a program older than release 1.0.
+    /// Written by a version before 1.0.
     #[error(
         "the database {} has version {version}, this program reads version {VERSION} only: it was written by an older version of \
          metasense; read it with that program (`metasense query {} … --format csv` saves its rows), or run its spec again \
@@ -81,7 +81,7 @@ pub enum StoreError {
         /// Its version.
         version: usize,
     },
-    /// It can only be read as a copy, and copying failed.
+    /// The database can only be read as a copy, and copying failed.
     #[error(
         "{}: copying it to TMPDIR failed; a copy is needed because it cannot be read in place",
         path.display()
@@ -89,16 +89,16 @@ pub enum StoreError {
     NotCopied {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// It was read without locks and has changed meanwhile.
+    /// The database was read without locks and has changed meanwhile.
     #[error("{}: has changed while it was read; run the command again", path.display())]
     Changed {
         /// The file.
         path: PathBuf,
     },
-    /// Trials without their steps, curves and arrays.
+    /// The database contains trials without their steps, curves and arrays.
     #[error(
         "{} contains only facts, without steps, curves and arrays, so trials cannot be resumed from it; `metasense cluster merge` without \
          --facts makes a complete database",
@@ -108,45 +108,45 @@ pub enum StoreError {
         /// The file.
         path: PathBuf,
     },
-    /// The file that has the rest of a trial whose facts were merged.
+    /// The file with the other data of a trial whose facts were merged cannot be read.
     #[error(
         "{}: the steps, curves and arrays of trial {hash} were in {}, which cannot be read: merge the facts again",
         path.display(),
         file.display()
     )]
     Elsewhere {
-        /// The facts.
+        /// The database of facts.
         path: PathBuf,
         /// The trial.
         hash: String,
-        /// Where the rest was.
+        /// File with the other data.
         file: PathBuf,
         /// Why it cannot be read.
         source: Box<StoreError>,
     },
-    /// There is no such file.
+    /// The file does not exist.
     #[error("no database {}; `metasense run SPEC` creates it", path.display())]
     Missing {
         /// The file.
         path: PathBuf,
     },
-    /// SQLite refused.
+    /// An SQLite error.
     #[error("{doing} the database {}{}{}", path.display(), hint(source), shortage(path, source))]
     Sql {
         /// The file.
         path: PathBuf,
-        /// What was being done.
+        /// The failed operation.
         doing: &'static str,
-        /// What SQLite said.
+        /// SQLite's error.
         source: sqlx::Error,
     },
-    /// What was asked of the database is not SQL that it answers.
+    /// A query is not valid SQL or is not allowed.
     #[error("the query failed: {message}")]
     Query {
-        /// What SQLite said.
+        /// SQLite's message.
         message: String,
     },
-    /// A record of an attempt that is no longer the current one.
+    /// A record of an outdated attempt.
     #[error("trial {hash}: attempt {attempt} is not the current one; its record was dropped")]
     Stale {
         /// The trial.
@@ -154,7 +154,7 @@ pub enum StoreError {
         /// The attempt.
         attempt: i64,
     },
-    /// No such trial.
+    /// The trial does not exist.
     #[error("the database {} contains no trial {hash}", path.display())]
     UnknownTrial {
         /// The file.
@@ -162,12 +162,12 @@ pub enum StoreError {
         /// The trial.
         hash: String,
     },
-    /// The beginning of a hash that names no trial, or several.
+    /// The prefix of a hash matches no trial or several.
     #[error("{}: {which}", path.display())]
     NotOne {
         /// The file.
         path: PathBuf,
-        /// Which there are.
+        /// The matching hashes.
         which: NotOne,
     },
     /// A checkpoint or array whose checksum does not match.
@@ -178,7 +178,7 @@ pub enum StoreError {
     Damaged {
         /// The trial.
         hash: String,
-        /// The checkpoint, or which array.
+        /// "checkpoint", or the array.
         what: String,
     },
     /// A stored value that this program cannot read.
@@ -186,7 +186,7 @@ pub enum StoreError {
     Unreadable {
         /// The trial.
         hash: String,
-        /// Which value.
+        /// The value.
         what: &'static str,
         /// Why.
         message: String,
@@ -194,7 +194,7 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// An error of SQLite while `doing` something to this database.
+    /// An SQLite error while `doing` something to a database.
     #[must_use]
     pub fn sql(path: &Path, doing: &'static str, source: sqlx::Error) -> Self {
         let code = source.as_database_error().and_then(|e| e.code().map(|c| c.into_owned()));
@@ -204,7 +204,7 @@ impl StoreError {
         }
     }
 
-    /// From here on it is the opening that has failed.
+    /// Changes the failed operation to opening.
     pub(super) fn on_opening(self) -> Self {
         match self {
             Self::Sql { path, source, .. } => Self::Sql { path, doing: OPENING, source },
@@ -218,7 +218,7 @@ impl StoreError {
         matches!(self, Self::Sql { source, .. } if code(source) == Some(11))
     }
 
-    /// Whether what was asked for is at fault, rather than the disk, the file's state or who else is at work on it.
+    /// Whether the user's input is wrong, rather than the disk, the state of the file or another process.
     #[must_use]
     pub fn is_bad_input(&self) -> bool {
         match self {
@@ -238,7 +238,7 @@ impl StoreError {
     }
 }
 
-/// Where the recorded data is.
+/// Text about where the recorded data is.
 fn saved_words(path: &Path, saved: &Result<PathBuf, String>) -> String {
     match saved {
         Ok(saved) if saved == path || Some(saved) == path.canonicalize().ok().as_ref() => {
@@ -258,30 +258,30 @@ fn code(source: &sqlx::Error) -> Option<u32> {
     code.parse().ok().map(|code: u32| code & 0xff)
 }
 
-/// Whether the file is locked or damaged, or the disk full or failing: nothing that another statement would mend.
+/// Whether the file is locked or damaged, or the disk full or failing, so that every statement would fail.
 pub(super) fn is_trouble(source: &sqlx::Error) -> bool {
     matches!(source, sqlx::Error::Io(_)) || matches!(code(source), Some(5 | 6 | 10 | 11 | 13))
 }
 
-/// Whether a cell that must hold JSON holds something else.
+/// Whether the error is malformed JSON in a column.
 pub(super) fn is_no_json(source: &sqlx::Error) -> bool {
     source.as_database_error().is_some_and(|e| e.message() == NO_JSON)
 }
 
-/// SQLite's message in this case.
+/// SQLite's message for malformed JSON.
 pub(super) const NO_JSON: &str = "malformed JSON";
 
-/// Whether a file beside the database could not be opened, or not be written.
+/// Whether a file of the database could not be opened or written.
 pub(super) fn is_not_opened(source: &sqlx::Error) -> bool {
     matches!(code(source), Some(8 | 14))
 }
 
-/// Whether it is not the file that is read that is at fault: memory, the disk, descriptors.
+/// Whether memory, the disk or descriptors are short, rather than the file faulty.
 pub(crate) fn is_shortage(source: &sqlx::Error) -> bool {
     matches!(source, sqlx::Error::Io(_)) || matches!(code(source), Some(7 | 8 | 10 | 13 | 14))
 }
 
-/// What the machine is short of, where SQLite cannot write or open a file.
+/// The resource that is short, if SQLite cannot write or open a file; otherwise empty.
 fn shortage(path: &Path, source: &sqlx::Error) -> String {
     let journal = super::beside(path, "-wal");
     let needs = Needs { files: &[path, &journal], ..Needs::default() };
@@ -289,7 +289,7 @@ fn shortage(path: &Path, source: &sqlx::Error) -> String {
     short.map_or(String::new(), |short| format!(" ({short})"))
 }
 
-/// What to do, by SQLite's primary result code.
+/// Advice by SQLite's primary result code.
 fn hint(source: &sqlx::Error) -> &'static str {
     match code(source) {
         Some(5 | 6) => {

@@ -1,5 +1,5 @@
-//! SQL functions that readers have beside SQLite's own: `exp`, `ln`, `pow`, `sqrt`; aggregates `median(X)` and `percentile(X, P)`.
-//! Where an argument is no number, or lies outside the domain, the result is NULL; aggregates skip NULL.
+//! Additional SQL functions for readers: `exp`, `ln`, `pow`, `sqrt`; aggregates `median(X)` and `percentile(X, P)`. The result
+//! is NULL if an argument is not a number or outside the domain; aggregates skip NULL.
 
 use std::ffi::{CStr, c_int};
 
@@ -44,10 +44,10 @@ pub(super) async fn register(connection: &mut SqliteConnection) -> sqlx::Result<
     Ok(())
 }
 
-/// An argument, if it is a number.
+/// An argument as a number; `None` if it is not one.
 ///
 /// # Safety
-/// SQLite must have passed so many arguments.
+/// SQLite must have passed more than `at` arguments.
 unsafe fn number(arguments: Arguments, at: usize) -> Option<f64> {
     // SAFETY: as above.
     unsafe {
@@ -73,7 +73,7 @@ macro_rules! scalar {
     ($name:ident, |$($argument:ident),+| $result:expr) => {
         unsafe extern "C" fn $name(context: *mut ffi::sqlite3_context, _: c_int, arguments: Arguments) {
             let mut at = 0..;
-            // SAFETY: it is registered with so many arguments.
+            // SAFETY: the function is registered with this number of arguments.
             unsafe {
                 $(let $argument = number(arguments, at.next().unwrap_or_default());)+
                 answer(context, (|| { $(let $argument = $argument?;)+ $result })());
@@ -86,11 +86,11 @@ scalar!(ln, |x| (x > 0.0).then(|| x.ln()));
 scalar!(pow, |x, y| Some(x.powf(y)));
 scalar!(sqrt, |x| Some(x.sqrt()));
 
-/// What an aggregate has met: its values, and P of `percentile`.
+/// State of an aggregate: its values, and P of `percentile`.
 struct Values(Vec<f64>, f64);
 
 unsafe extern "C" fn step(context: *mut ffi::sqlite3_context, count: c_int, arguments: Arguments) {
-    // SAFETY: SQLite gives zeroed room for a pointer, the same for each row of a group, until `end` has been called.
+    // SAFETY: SQLite provides zeroed memory for a pointer, the same for all rows of a group, until `end` is called.
     unsafe {
         let percent = if count == 1 { Some(50.0) } else { number(arguments, 1) };
         let Some(percent) = percent.filter(|percent| (0.0..=100.0).contains(percent)) else {
@@ -110,7 +110,7 @@ unsafe extern "C" fn step(context: *mut ffi::sqlite3_context, count: c_int, argu
 }
 
 unsafe extern "C" fn end(context: *mut ffi::sqlite3_context) {
-    // SAFETY: of size 0, SQLite gives the room that `step` has been given, or none; what lies there was boxed by it.
+    // SAFETY: for size 0, SQLite returns the memory of `step`, or null; `step` boxed the value behind the pointer.
     unsafe {
         let place = ffi::sqlite3_aggregate_context(context, 0).cast::<*mut Values>();
         if place.is_null() || (*place).is_null() {

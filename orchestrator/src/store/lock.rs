@@ -1,4 +1,4 @@
-//! Files of a database: where it really lies, what lies beside it, and the lock that keeps other writers out.
+//! The files of a database: the target of links, files beside it, and the lock that excludes other writers.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
@@ -7,32 +7,32 @@ use std::time::Duration;
 
 use super::StoreError;
 
-/// Attempts at a lock, and the pause between two: a reader that tidies up holds it for some milliseconds, a run for as long
-/// as it lasts.
+/// Attempts at a lock, and the pause between them: a reader that tidies up holds the lock for some milliseconds, a run for its
+/// whole duration.
 const ATTEMPTS: usize = 20;
 const PAUSE: Duration = Duration::from_millis(10);
 
-/// The file behind links: its log lies beside it, not beside the link.
+/// Resolves links: the write-ahead log lies beside the file, not beside the link.
 pub(crate) fn real(path: &Path) -> PathBuf {
     path.canonicalize().unwrap_or_else(|_| path.to_owned())
 }
 
-/// A file beside a database, behind links.
+/// Path of the file beside a database whose name has `end` appended; resolves links.
 pub(crate) fn beside(file: &Path, end: &str) -> PathBuf {
     let mut name = real(file).into_os_string();
     name.push(end);
     name.into()
 }
 
-/// Whether there is a write-ahead log with something in it.
+/// Whether a non-empty write-ahead log exists.
 pub(crate) fn has_journal(file: &Path) -> bool {
     beside(file, "-wal").metadata().is_ok_and(|m| m.len() > 0)
 }
 
-/// Keeps other writers away from a file for as long as the handle lives; `create`: makes it where it is missing.
+/// Excludes other writers from a file while the handle exists; `create`: creates a missing file.
 ///
 /// # Errors
-/// `InUse` where another holds it, `Unwritable` where it cannot be opened, is no file, or cannot be locked.
+/// `InUse` if another process holds the lock; `Unwritable` if the file cannot be opened or locked, or is not a regular file.
 pub(crate) fn lock(path: &Path, create: bool) -> Result<File, StoreError> {
     let unwritable = |source| StoreError::Unwritable { path: path.to_owned(), source };
     for attempt in 0..ATTEMPTS {
@@ -43,11 +43,11 @@ pub(crate) fn lock(path: &Path, create: bool) -> Result<File, StoreError> {
             return Err(unwritable(std::io::Error::other("it is no file")));
         }
         let mut options = OpenOptions::new();
-        // Where a pipe has come meanwhile, opening does not wait for its other end.
+        // If a pipe has replaced the file, opening must not wait for its other end.
         options.read(true).write(true).create(create).custom_flags(libc::O_NONBLOCK);
         let file = options.open(path).map_err(unwritable)?;
         match file.try_lock() {
-            // What was locked may have been renamed over, or removed, before it was.
+            // The file may have been replaced or removed before it was locked.
             Ok(()) if is_still(&file, path) => return Ok(file),
             Ok(()) | Err(TryLockError::WouldBlock) => {}
             Err(TryLockError::Error(source)) => return Err(unwritable(source)),
@@ -56,7 +56,7 @@ pub(crate) fn lock(path: &Path, create: bool) -> Result<File, StoreError> {
     Err(StoreError::InUse { path: path.to_owned() })
 }
 
-/// Whether an open file is the one that a path names.
+/// Whether a path still refers to an open file.
 pub(crate) fn is_still(file: &File, path: &Path) -> bool {
     let names = |m: std::fs::Metadata| (m.dev(), m.ino());
     file.metadata().ok().map(names) == path.metadata().ok().map(names)

@@ -1,20 +1,20 @@
-//! What is said of an attempt, kept with it.
+//! The log lines of an attempt.
 
 use super::{Store, StoreError};
 
-/// Lines that are kept of an attempt; the last one says that there are more.
+/// Most lines per attempt; the last one says that more exist.
 pub const LINES: u32 = 100;
-/// Characters that are kept of a line.
+/// Most characters per line.
 pub const CHARACTERS: usize = 2000;
 
-/// How bad what is said is.
+/// Severity of a log line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Level {
-    /// It is not.
+    /// Information.
     Info,
-    /// Something went wrong, and the trial goes on.
+    /// Something failed, but the trial continues.
     Warn,
-    /// The attempt came to nothing for it.
+    /// The attempt failed.
     Error,
 }
 
@@ -29,7 +29,7 @@ impl Level {
 }
 
 impl Store {
-    /// Keeps a line with an attempt, bounded in length and number; an error always has room.
+    /// Stores a line of an attempt, limited in length and number; errors are always stored.
     pub async fn log(
         &mut self,
         hash: &str,

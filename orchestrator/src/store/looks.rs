@@ -1,4 +1,4 @@
-//! How far trials have come, and with what errors: what a search for a design decides by.
+//! Progress and errors of trials, for searches.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -6,35 +6,35 @@ use metasense_worker::FAILED;
 
 use super::{Reader, StoreError, quoted};
 
-/// What an outer step has told of a body.
+/// Errors at an outer step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Look {
     /// Outer step, from 0.
     pub step: u32,
-    /// Test error (%), where it looked at the test set.
+    /// Test error (%), if the step evaluated the test set.
     pub test: Option<f64>,
     /// Training error (%).
     pub train: Option<f64>,
 }
 
-/// What is stored of a trial that a search may go on with.
+/// Stored state of a trial in a search.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Standing {
     /// `pending`, `running`, `done`, `failed`.
     pub state: String,
-    /// Its outer steps.
+    /// Its outer steps, in order.
     pub looks: Vec<Look>,
-    /// Holdout error of the optimised body (%).
+    /// Held-out error of the optimised body (%).
     pub holdout: Option<f64>,
-    /// Errors (%) of its casts by reader and records.
+    /// Errors (%) on casts, by decoder and number of calibration records.
     pub casts: HashMap<(String, u32), Vec<f64>>,
 }
 
 impl Reader {
-    /// Outer steps and settled trials so far, counted together.
+    /// Number of outer steps plus number of finished trials so far.
     ///
     /// # Errors
-    /// Where SQLite fails.
+    /// If SQLite fails.
     pub async fn progress(&mut self) -> Result<u64, StoreError> {
         let sql = "SELECT (SELECT count(*) FROM step)
             + (SELECT count(*) FROM trial WHERE state IN ('done', 'failed')) AS progress";
@@ -47,10 +47,10 @@ impl Reader {
         Ok(progress)
     }
 
-    /// How all trials stand, by hash.
+    /// The state of all trials, by hash.
     ///
     /// # Errors
-    /// Where SQLite fails.
+    /// If SQLite fails.
     pub async fn standings(&mut self) -> Result<HashMap<String, Standing>, StoreError> {
         let mut found: HashMap<String, Standing> = HashMap::new();
         self.each("SELECT hash, state, holdout_error_optimised AS holdout FROM v_trial", |row| {
@@ -84,11 +84,11 @@ impl Reader {
         Ok(found)
     }
 
-    /// CPU seconds of all attempts at each trial of a sweep with this text, by its hash, and of a finished one those that made its
-    /// result, where they are known.
+    /// CPU seconds per trial of the sweep with this text, by hash: of all attempts, and of those that made the result, if the
+    /// trial is done and they are known.
     ///
     /// # Errors
-    /// Where SQLite fails.
+    /// If SQLite fails.
     pub async fn spent(&mut self, text: &str) -> Result<BTreeMap<String, (f64, Option<f64>)>, StoreError> {
         let mut spent = BTreeMap::new();
         let sql = format!(
@@ -110,8 +110,8 @@ impl Reader {
 }
 
 impl Standing {
-    /// Whether so many outer steps are done, and what they have told by then (%): the best test error; of steps without one
-    /// the training error of the last.
+    /// After `steps` outer steps: the best test error (%), or the last training error without any test; the inner `None`
+    /// without both. The outer `None`: fewer steps are done.
     #[must_use]
     pub fn after(&self, steps: u32) -> Option<Option<f64>> {
         let until: Vec<&Look> = self.looks.iter().take_while(|look| look.step < steps).collect();
@@ -120,8 +120,7 @@ impl Standing {
         reached.then(|| test().or_else(|| until.iter().rev().find_map(|look| look.train)))
     }
 
-    /// The error (%) of the body: the quantile over its casts by a reader, or where none is asked for that of the body as
-    /// designed; `None` where there is none.
+    /// Error (%) of the body as designed, or the given quantile over its casts with a decoder; `None` if not stored.
     #[must_use]
     pub fn error(&self, casts: Option<(&(String, u32), f64)>) -> Option<f64> {
         let Some((reader, quantile)) = casts else { return self.holdout };

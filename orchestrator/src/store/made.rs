@@ -1,4 +1,4 @@
-//! What code has made the trials of a database, and which trial is like another.
+//! Which code computed the trials of a database, and which trial resembles another most.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -8,30 +8,30 @@ use serde_json::Value;
 
 use super::{Reader, StoreError};
 
-/// Trials that one code has worked on, or several in turn.
+/// Trials computed by one code version, or by the same sequence of versions.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Made {
-    /// Its digest, `unknown` of what versions before 6 made; of several in the order of their work, with blanks between.
+    /// Digest of the code; `unknown` for versions before 6; several in order of work, separated by spaces.
     pub code: String,
-    /// Commits whose builds were this code.
+    /// Commits that were built to this code.
     pub revisions: Vec<String>,
-    /// How many.
+    /// Number of trials.
     pub trials: usize,
 }
 
-/// The trial of a database that differs least from another.
+/// The trial that differs least from a given spec.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Nearest {
     /// Its hash.
     pub hash: String,
     /// Its state.
     pub state: String,
-    /// Keys by which they differ, with the value there and here; `None`: the key is not there.
+    /// Keys that differ, with their stored and given values; `None`: the key is absent.
     pub differs: Vec<(String, [Option<Value>; 2])>,
 }
 
 impl Reader {
-    /// The codes that have worked on trials, those of most trials first.
+    /// Code versions that computed trials, by decreasing number of trials.
     pub async fn made(&mut self) -> Result<Vec<Made>, StoreError> {
         let at = |path: &std::path::Path, source| StoreError::sql(path, "reading", source);
         let revisions: Vec<(String, String)> = sqlx::query_as(
@@ -43,7 +43,7 @@ impl Reader {
         let mut of_code: HashMap<String, Vec<String>> = HashMap::new();
         revisions.into_iter().for_each(|(code, revision)| of_code.entry(code).or_default().push(revision));
         let rows: Vec<(String, i64)> = sqlx::query_as(
-            // In the order of their work only where there are several: few trials have them.
+            // The view orders code versions; it is slow, so use it only for trials with several.
             "SELECT CASE several WHEN 0 THEN code ELSE
                  (SELECT v.code FROM v_trial v JOIN trial t ON t.hash = v.hash WHERE t.id = trial_id) END, count(*) FROM
                (SELECT trial_id, min(coalesce(code, 'unknown')) AS code,
@@ -61,11 +61,11 @@ impl Reader {
         Ok(rows.into_iter().map(made).collect())
     }
 
-    /// Whether a sweep of the database may have ended as soon as it knew enough: one with `[until]`, or with a `[goal]` and trials
-    /// that are not done, as `design` leaves them and `run` does not.
+    /// Whether a sweep may have stopped early, depending on its results: it has `[until]`, or `[goal]` and unfinished trials,
+    /// which `design` leaves but `run` does not.
     ///
     /// # Errors
-    /// Where SQLite fails.
+    /// If SQLite fails.
     pub async fn may_stop_early(&mut self) -> Result<bool, StoreError> {
         let sql = "SELECT EXISTS (SELECT 1 FROM sweep s WHERE s.spec->'$.until' IS NOT NULL OR s.spec->'$.goal' IS NOT NULL
                      AND EXISTS (SELECT 1 FROM sweep_trial x JOIN trial t ON t.id = x.trial_id
@@ -76,10 +76,10 @@ impl Reader {
             .map_err(|e| StoreError::sql(&self.path, "reading", e))
     }
 
-    /// Hashes of the trials that are done by steps which do not keep the error asked, on one of their bodies.
+    /// Hashes of finished trials whose time steps exceed the requested error on one of their bodies.
     ///
     /// # Errors
-    /// Where SQLite fails.
+    /// If SQLite fails.
     pub async fn unresolved(&mut self) -> Result<Vec<String>, StoreError> {
         let mut hashes = Vec::new();
         let sql = "SELECT hash, solver FROM trial WHERE state = 'done' AND solver IS NOT NULL ORDER BY hash";
@@ -93,10 +93,10 @@ impl Reader {
         Ok(hashes)
     }
 
-    /// The trial that differs by the fewest keys from this one; of several the first by hash. `None` of no trials.
+    /// The trial that differs from a spec in the fewest keys; if several do, the first by hash. `None` if there are no trials.
     ///
     /// # Errors
-    /// Where SQLite fails, or a stored spec is no JSON.
+    /// If SQLite fails or a stored spec is not JSON.
     pub async fn nearest(&mut self, spec: &Value) -> Result<Option<Nearest>, StoreError> {
         let here = keys(spec);
         let mut nearest: Option<Nearest> = None;
@@ -127,7 +127,7 @@ impl Reader {
     }
 }
 
-/// What names a trial, by path: of recorded forces what they hold, not where they lie.
+/// The keys that identify a trial, by path. The location of recorded forces is excluded; their contents count.
 fn keys(spec: &Value) -> BTreeMap<String, Value> {
     let mut keys = flatten(spec);
     keys.remove("stimuli.recorded.files");

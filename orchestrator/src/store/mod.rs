@@ -1,9 +1,8 @@
-//! The store: one SQLite file a database, one writer, any number of readers.
+//! The store: one SQLite file per database, one writer, any number of readers.
 //!
-//! Journal in WAL mode with `synchronous = FULL`: what a method has returned from is on disk, and survives `kill -9`
-//! and power loss alike. The price is one fsync a transaction, which `begin_batch` … `commit_batch` shares between
-//! many records. A lock on the file keeps a second writer out for as long as a `Store` lives.
-//! All methods fail where SQLite does; what else can go wrong is said with each.
+//! In WAL mode with `synchronous = FULL`, data is on disk when a method returns, and survives `kill -9` and power loss. Each
+//! transaction costs one fsync; `begin_batch` … `commit_batch` shares it among many records. A file lock excludes a second
+//! writer while a `Store` exists. All methods fail if SQLite does; their documentation lists other errors.
 
 mod allow;
 mod confined;
@@ -59,29 +58,29 @@ pub use wait::{hurry, wait_for_locks};
 pub use write::Array;
 pub(crate) use write::RELEASE_ORPHANS;
 
-/// The writer. All methods are cancel-safe only as a whole: drop the store, not a call.
+/// The writer. Cancelling a call leaves it in an undefined state: then drop the store.
 #[derive(Debug)]
 pub struct Store {
     connection: SqliteConnection,
     path: PathBuf,
     ids: HashMap<String, i64>,
-    /// The sweep that was begun.
+    /// Id of the current sweep.
     sweep: Option<i64>,
     in_batch: bool,
-    /// Of the attempts that are begun, where it is known.
+    /// Recorded with each attempt, if known.
     provenance: Option<Provenance>,
     /// Start of each attempt in progress, by a monotonic clock.
     begun: HashMap<(i64, u32), Instant>,
-    // Last field: it owns the locked file; closing that before the connection would drop SQLite's locks.
+    // Last field: it owns the locked file. Closing that before the connection would drop SQLite's locks.
     presence: Presence,
 }
 
 impl Store {
-    /// Opens or creates a database and puts trials that a dead run left `running`
-    /// back to `pending`.
+    /// Opens or creates a database, and sets trials that a dead run left `running` to `pending`.
     ///
     /// # Errors
-    /// Unwritable, not ours, of another version, or in use by another run.
+    /// If the file is unwritable, not a metasense database, of another version, on a network file system, or used by another
+    /// run.
     pub async fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
         Self::open_file(path.as_ref().to_owned()).await.map_err(StoreError::on_opening)
     }
@@ -115,32 +114,32 @@ impl Store {
             begun: HashMap::new(),
         };
         store.release_orphans().await?;
-        // the log exists now
+        // the write-ahead log exists now
         store.presence = Presence::new(lock, &store.path);
         Ok(store)
     }
 
-    /// The file.
+    /// Path of the database.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// From here on this is recorded with each attempt and run.
+    /// Sets the provenance to record with each attempt and run from now on.
     pub fn set_provenance(&mut self, provenance: Provenance) {
         self.provenance = Some(provenance);
     }
 
-    /// Checks the files of the database while it is open.
+    /// A checker for the database files.
     #[must_use]
     pub fn presence(&self) -> Presence {
         self.presence.clone()
     }
 
-    /// Folds the journal into the file and closes it, so that one file alone is left.
+    /// Moves the write-ahead log into the database and closes it, so that a single file remains.
     ///
     /// # Errors
-    /// If SQLite fails; `Lost` if the files were taken away, which says where the recorded data is.
+    /// If SQLite fails; `Lost` if the files have disappeared, with the path of the saved data.
     pub async fn close(self) -> Result<(), StoreError> {
         let Self { connection, path, presence, .. } = self;
         if let Some(lost) = presence.look() {
@@ -150,7 +149,7 @@ impl Store {
     }
 }
 
-/// A connection that waits for others, and says nothing of what it is asked.
+/// Options of a connection that waits for locks and logs no statements.
 pub(crate) fn options(path: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new()
         .filename(real(path))
@@ -158,7 +157,7 @@ pub(crate) fn options(path: &Path) -> SqliteConnectOptions {
         .disable_statement_logging()
 }
 
-/// The version of a database, 0 for an empty file.
+/// Version of a database, 0 for an empty file.
 pub(crate) async fn check_version(
     connection: &mut SqliteConnection,
     path: &Path,
@@ -171,7 +170,7 @@ pub(crate) async fn check_version(
         .fetch_one(&mut *connection)
         .await
         .map_err(at)?;
-    // A name that is no text ends sqlx's thread, and whoever has asked waits for ever.
+    // sqlx's thread dies on a name that is not UTF-8, and the caller would wait forever; therefore read names as blobs.
     let schema: Vec<Vec<u8>> =
         sqlx::query_scalar("SELECT CAST(name || coalesce(sql, '') AS BLOB) FROM sqlite_schema")
             .fetch_all(&mut *connection)
@@ -190,12 +189,12 @@ pub(crate) async fn check_version(
     }
 }
 
-/// What a database says that its version is.
+/// The stored version number of a database.
 pub(crate) async fn version(connection: &mut SqliteConnection) -> sqlx::Result<i64> {
     sqlx::query_scalar("PRAGMA main.user_version").fetch_one(connection).await
 }
 
-/// Makes an empty file a database. Nobody else may know of it: nothing is locked.
+/// Creates a database in an empty file, without locks: no other process may know the file.
 pub(crate) async fn create(path: &Path) -> Result<(), StoreError> {
     let at = |source| StoreError::sql(path, "creating", source);
     let mut connection = options(path).pragma("journal_mode", "MEMORY").connect().await.map_err(at)?;
@@ -203,14 +202,14 @@ pub(crate) async fn create(path: &Path) -> Result<(), StoreError> {
     connection.close().await.map_err(at)
 }
 
-/// Gives a database of version 0, which is empty, the tables and views of this version, all or nothing.
+/// Creates tables and views in an empty database (version 0), in one transaction.
 pub(crate) async fn add_schema(connection: &mut SqliteConnection, version: usize) -> sqlx::Result<()> {
     if version > 0 {
         return Ok(());
     }
     let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
     sqlx::raw_sql(SCHEMA).execute(&mut *transaction).await?;
-    // Numbers of our own only.
+    // Safe: contains only our own integers.
     let mark = format!("PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {VERSION}");
     sqlx::raw_sql(AssertSqlSafe(mark)).execute(&mut *transaction).await?;
     transaction.commit().await

@@ -5,7 +5,7 @@ pub use metasense_worker::files::npy_bytes;
 /// The values of an `.npy` file in C order.
 ///
 /// # Errors
-/// Where the bytes are no array of this type.
+/// If the bytes are not an array of this type.
 pub fn npy_values<T: npyz::Deserialize>(bytes: &[u8]) -> std::io::Result<Vec<T>> {
     npyz::NpyFile::new(bytes).and_then(npyz::NpyFile::into_vec)
 }

@@ -1,4 +1,4 @@
-//! What earlier runs have left of the trials of a sweep.
+//! State of the trials of a sweep after earlier runs.
 
 use std::collections::HashMap;
 
@@ -9,17 +9,17 @@ use super::digest::check;
 use super::write::read_checkpoint;
 use super::{Level, Store, StoreError, npy_values};
 
-/// How far earlier runs have come with a trial.
+/// Progress of a trial in earlier runs.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Attempted {
-    /// Attempts at it.
+    /// Number of attempts.
     pub attempts: u32,
-    /// Steps behind its checkpoint, if it has one.
+    /// Steps up to its checkpoint, if any.
     pub steps: Option<u32>,
 }
 
-/// Trials `m` behind whose steps others can go on with the same body, all of their work by this program's code (`?2`) and
-/// instruction set (`?3`), with how far they have come: those that are done have all their steps behind them.
+/// Trials `m` whose steps other trials with the same body can take over, and the number of these steps. All work on `m` must be
+/// by this program's code (`?2`) and instruction set (`?3`). Finished trials have all their steps.
 const TRAINERS: &str = "
     SELECT m.id, m.hash, m.training, m.best_step,
       CASE m.state WHEN 'done' THEN CAST(m.spec->>'$.optimise.iterations' AS INTEGER) ELSE c.step END AS reached
@@ -29,12 +29,12 @@ const TRAINERS: &str = "
         AND NOT a.redone AND (a.code IS NOT ?2 OR a.simd IS NOT ?3) AND (a.steps > 0 OR a.saves > 0 OR a.state = 'done'))";
 
 impl Store {
-    /// How many outer steps trials have behind them whose bodies open trials train, too, by [`TrialSpec::training`].
+    /// Most outer steps per body of open trials, over all trials that train it, by [`TrialSpec::training`].
     ///
     /// [`TrialSpec::training`]: metasense_schemas::spec::TrialSpec::training
     pub async fn bodies(&mut self) -> Result<HashMap<String, u32>, StoreError> {
         let made = self.provenance.as_ref();
-        // Names of our own schema only.
+        // Safe: contains only our own SQL.
         let sql = format!("SELECT training, max(reached) FROM ({TRAINERS}) GROUP BY training");
         let rows: Vec<(String, u32)> = sqlx::query_as(AssertSqlSafe(sql))
             .bind(None::<i64>)
@@ -46,11 +46,11 @@ impl Store {
         Ok(rows.into_iter().collect())
     }
 
-    /// Where a trial goes on of which this attempt has begun: behind its own last step, or that of a trial that has come
-    /// further with the same body, whose steps are then this one's, too; no further than `pause`. `None` where it starts anew.
+    /// The checkpoint from which an attempt resumes: its own, or that of a trial that has trained the same body further, whose
+    /// steps it takes over; at most `pause` steps. `None`: it starts from the beginning.
     ///
     /// # Errors
-    /// Where SQLite fails; or its own checkpoint is damaged or of another program, and no other trial has one that is of use.
+    /// If SQLite fails; or its own checkpoint is damaged or of another version, and no other trial has a usable one.
     pub async fn goes_on_from(
         &mut self,
         hash: &str,
@@ -101,7 +101,7 @@ impl Store {
             store.take_over_steps(other, reached, id).await?;
             store.take_over_designs(other, id).await?;
             store.insert_checkpoint(id, &body).await?;
-            // work of this attempt, by its code: nobody else is to take it for other code's
+            // counts as work of this attempt, by its own code
             store.touch(id, attempt, 0, 1).await
         })
         .await?;
@@ -110,8 +110,8 @@ impl Store {
         Ok(Some(body))
     }
 
-    /// The body that a trial has trained for `reached` steps: from its checkpoint, or from its result if it is done. The inner error says
-    /// that the stored data cannot be used.
+    /// The body that a trial has trained for `reached` steps: from its checkpoint, or from its result if it is done. The inner
+    /// error: the stored data cannot be used.
     async fn body_of(
         &mut self,
         id: i64,
@@ -135,12 +135,12 @@ impl Store {
         Ok(checked.map(|()| best.map(|best| Checkpoint::trained(reached, best, best_step))))
     }
 
-    /// Steps of another trial, before this one, become those of this trial where it lacks them, by no attempt of its own.
+    /// Copies the steps of another trial before step `before` that this trial lacks, with attempt 0.
     async fn take_over_steps(&mut self, other: i64, before: u32, id: i64) -> sqlx::Result<()> {
         let columns = "SELECT group_concat(name, ', ') FROM pragma_table_info('step')
             WHERE name NOT IN ('trial_id', 'attempt', 'recorded_at')";
         let columns: String = sqlx::query_scalar(columns).fetch_one(&mut self.connection).await?;
-        // Names of our own schema only.
+        // Safe: contains only names of our own schema.
         let sql = format!(
             "INSERT OR IGNORE INTO step (trial_id, attempt, recorded_at, {columns})
              SELECT ?, 0, strftime('%Y-%m-%dT%H:%M:%fZ'), {columns} FROM step WHERE trial_id = ? AND step < ?"
@@ -150,7 +150,7 @@ impl Store {
         Ok(())
     }
 
-    /// How far each trial came that has been attempted and is not settled, by its hash.
+    /// Progress of each open trial that was attempted, by hash.
     pub async fn attempted(&mut self) -> Result<HashMap<String, Attempted>, StoreError> {
         let rows: Vec<(String, u32, Option<u32>)> = sqlx::query_as(
             "SELECT t.hash, max(a.number), (SELECT c.step FROM checkpoint c WHERE c.trial_id = t.id)

@@ -1,7 +1,7 @@
-//! Read-only questions to a database, also while a run writes to it.
+//! Read-only queries of a database, also while a run writes to it.
 //!
-//! A read-only connection makes the journal's two files where they are missing and cannot remove them again: `close`
-//! does, unless somebody else is at work on the database.
+//! A read-only connection creates missing journal files, but cannot remove them. `close` does, unless another process uses the
+//! database.
 
 use std::path::{Path, PathBuf};
 
@@ -23,39 +23,39 @@ use crate::cell;
 use metasense_schemas::record::Checkpoint;
 use metasense_schemas::spec::position_of;
 
-/// An answer in whole: names of its columns, and its rows; a blob stands as the text `blob of N bytes`.
+/// A complete answer: column names, and rows; blobs are replaced by the text `blob of N bytes`.
 pub type Answer = (Vec<String>, Vec<Vec<Value>>);
 
-/// A row of an answer, as SQLite holds it.
+/// A row of an answer.
 #[derive(Debug)]
 pub struct Row<'a>(&'a SqliteRow);
 
 impl Row<'_> {
-    /// A text; empty where there is none.
+    /// A text; empty if it is missing.
     #[must_use]
     pub fn text(&self, column: &str) -> &str {
         std::str::from_utf8(self.bytes(column)).unwrap_or_default()
     }
 
-    /// A text's or blob's bytes; none where there is neither.
+    /// The bytes of a text or blob; empty if it is missing.
     #[must_use]
     pub fn bytes(&self, column: &str) -> &[u8] {
         self.0.try_get_unchecked(column).unwrap_or_default()
     }
 
-    /// A number, where there is one.
+    /// A number; `None` if it is missing.
     #[must_use]
     pub fn number(&self, column: &str) -> Option<f64> {
         self.0.try_get_unchecked::<Option<f64>, _>(column).unwrap_or_default()
     }
 
-    /// A whole number, 0 where there is none.
+    /// A non-negative integer; 0 if it is missing.
     #[must_use]
     pub fn count(&self, column: &str) -> u64 {
         self.0.try_get_unchecked(column).map_or(0, |n: i64| n.max(0) as u64)
     }
 
-    /// All its values; a blob stands as the text `blob of N bytes`.
+    /// All values; blobs are replaced by the text `blob of N bytes`.
     #[must_use]
     pub fn values(&self) -> Vec<Value> {
         values(self.0)
@@ -69,7 +69,7 @@ pub struct Reader {
     pub(super) path: PathBuf,
     /// Which statements it accepts.
     pub(super) allowed: Allowed,
-    /// No other connection existed when it was opened.
+    /// Whether no other connection existed when it was opened.
     alone: bool,
 }
 
@@ -89,16 +89,16 @@ impl Artifact {
     /// The NPY file.
     ///
     /// # Errors
-    /// Where it is damaged.
+    /// If it is damaged.
     pub fn npy(&self) -> Result<&[u8], StoreError> {
         let checksum = self.digest.as_deref().unwrap_or_default();
         check(&self.hash, &format!("array {}", self.name), &self.bytes, checksum).map(|()| &*self.bytes)
     }
 
-    /// Its values in C order.
+    /// The values in C order.
     ///
     /// # Errors
-    /// Where it is damaged, or no array of this type.
+    /// If it is damaged or not an array of this type.
     pub fn values<T: npyz::Deserialize>(&self) -> Result<Vec<T>, StoreError> {
         npy_values(self.npy()?).map_err(|e| StoreError::Unreadable {
             hash: self.hash.clone(),
@@ -112,7 +112,7 @@ impl Reader {
     /// Opens a database for reading; the file is not changed.
     ///
     /// # Errors
-    /// Missing, not ours, of another version.
+    /// If the file is missing, not a metasense database, or of another version.
     pub async fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
         Self::open_file(real(path.as_ref()), None).await.map_err(StoreError::on_opening)
     }
@@ -131,7 +131,7 @@ impl Reader {
         Ok(Self { connected, path, allowed: Allowed::Reading, alone })
     }
 
-    /// Opens a database, asks it, and closes it, whatever came of that.
+    /// Opens a database, calls `ask`, and closes the database in any case.
     ///
     /// # Errors
     /// As [`Reader::open`], or as `ask`; `Changed` if the file was read without locks and has changed meanwhile.
@@ -154,10 +154,10 @@ impl Reader {
         self.connected.unchanging.as_ref().is_none_or(same)
     }
 
-    /// Closes the connection and leaves no file behind that was not there before.
+    /// Closes the connection and removes the files that it created.
     pub async fn close(self) {
         let Self { connected, path, alone, .. } = self;
-        // Whatever goes wrong here harms nobody: the next writer tidies up as well.
+        // Failures do no harm here: the next writer tidies up as well.
         let closed = connected.connection.close().await;
         if closed.is_ok()
             && alone
@@ -169,10 +169,10 @@ impl Reader {
         }
     }
 
-    /// Answers one statement. A write is refused, and so are several statements: their rows have no common columns.
+    /// Answers a single statement that reads.
     ///
     /// # Errors
-    /// With SQLite's message.
+    /// With SQLite's message, if the statement is invalid or refused.
     pub async fn query<T: From<Answer>>(&mut self, sql: &str) -> Result<T, StoreError> {
         let (columns, mut rows) = (self.columns(sql).await?, Vec::new());
         self.each(sql, |row| {
@@ -183,12 +183,12 @@ impl Reader {
         Ok(T::from((columns, rows)))
     }
 
-    /// The names of an answer's columns.
+    /// The column names of an answer.
     ///
     /// # Errors
-    /// With SQLite's message.
+    /// With SQLite's message, if the statement is invalid or refused.
     pub async fn columns(&mut self, sql: &str) -> Result<Vec<String>, StoreError> {
-        // It ends sqlx's thread, and whoever has asked waits for ever.
+        // A NUL kills sqlx's thread, and the caller would wait forever.
         if sql.contains('\0') {
             return Err(StoreError::Query { message: "a statement must not contain NUL".into() });
         }
@@ -229,10 +229,10 @@ impl Reader {
         types
     }
 
-    /// Answers one statement, which [`Reader::columns`] has found to be one, row by row until `take` has had enough or fails.
+    /// Passes the rows of one statement to `take`, until it fails. [`Reader::columns`] must have accepted the statement.
     ///
     /// # Errors
-    /// With SQLite's message, or as `take`.
+    /// If SQLite or `take` fails.
     pub async fn each<E: From<StoreError>>(
         &mut self,
         sql: &str,
@@ -261,18 +261,18 @@ impl Reader {
         Some(StoreError::Unreadable { hash, what, message: "it is not JSON".into() })
     }
 
-    /// The file.
+    /// Path of the database.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The one trial whose hash begins so.
+    /// The hash of the only trial whose hash starts with `beginning`.
     ///
     /// # Errors
-    /// `NotOne` where there is none, or are several.
+    /// `NotOne` if no trial or several match.
     pub async fn hash_of(&mut self, beginning: &str) -> Result<String, StoreError> {
-        // Hashes are hex digits, none of which comes after f.
+        // Hashes are hex digits, all below 'g'.
         let sql = "SELECT hash FROM trial WHERE hash >= ?1 AND hash < ?1 || 'g' LIMIT 2";
         if let [hash] = &self.hashes(sql, beginning).await?[..] {
             return Ok(hash.clone());
@@ -290,10 +290,10 @@ impl Reader {
         found.map_err(|source| StoreError::sql(&self.path, "reading", source))
     }
 
-    /// The database that has a trial's steps, curves and arrays, where its facts alone are here; to be closed.
+    /// Opens the database with a trial's steps, curves and arrays if only its facts are stored here. The caller must close it.
     ///
     /// # Errors
-    /// `Elsewhere` where that does not have it any more.
+    /// `Elsewhere` if that database cannot be read or lacks the trial.
     pub async fn rest_of(&mut self, hash: &str) -> Result<Option<Self>, StoreError> {
         let sql = "SELECT s.file FROM trial t JOIN elsewhere e ON e.trial_id = t.id JOIN source s ON s.id = e.source_id
              WHERE t.hash = ?";
@@ -316,10 +316,10 @@ impl Reader {
         opened.await.map(Some).map_err(gone)
     }
 
-    /// A trial's last checkpoint; `None` where it has none.
+    /// Last checkpoint of a trial; `None` without one.
     ///
     /// # Errors
-    /// Where SQLite fails, or the checkpoint is damaged or of another program.
+    /// If SQLite fails, or the checkpoint is damaged or of another version.
     pub async fn checkpoint(&mut self, hash: &str) -> Result<Option<Checkpoint>, StoreError> {
         let sql =
             "SELECT c.bytes, c.digest FROM checkpoint c JOIN trial t ON t.id = c.trial_id WHERE t.hash = ?";
@@ -331,7 +331,7 @@ impl Reader {
         stored.map(|stored| read_checkpoint(hash, stored)).transpose()
     }
 
-    /// The stored arrays of a trial, by name, wherever they lie.
+    /// The stored arrays of a trial by name, from the database that contains them.
     pub async fn arrays_of(&mut self, hash: &str) -> Result<Vec<Artifact>, StoreError> {
         if let Some(mut rest) = self.rest_of(hash).await? {
             let arrays = rest.own_arrays_of(hash).await;
@@ -356,13 +356,13 @@ impl Reader {
     }
 }
 
-/// A text as SQL has it: databases from elsewhere may name trials as they like.
+/// A text as an SQL literal. Databases from elsewhere may contain any hash.
 #[must_use]
 pub fn quoted(text: &str) -> String {
     format!("'{}'", text.replace('\'', "''"))
 }
 
-/// What SQLite says of a statement that a person has put.
+/// The error of a user's statement.
 fn wrong(path: &Path, source: sqlx::Error) -> StoreError {
     match &source {
         sqlx::Error::Database(e) if !is_trouble(&source) => {
@@ -386,7 +386,7 @@ fn value(row: &SqliteRow, i: usize) -> Value {
         "INTEGER" => Value::from(row.get_unchecked::<i64, _>(i)),
         "REAL" => cell::real(row.get_unchecked(i)),
         "BLOB" => Value::from(format!("blob of {} bytes", row.get_unchecked::<&[u8], _>(i).len())),
-        // Not all that SQLite calls text is UTF-8.
+        // SQLite text need not be UTF-8.
         _ => Value::from(String::from_utf8_lossy(row.get_unchecked::<&[u8], _>(i))),
     }
 }

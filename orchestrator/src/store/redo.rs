@@ -1,35 +1,35 @@
-//! Trials that other code has made, to be made again; trials that are taken out.
+//! Resets trials that other code computed, and removes trials.
 
 use sqlx::sqlite::SqliteConnection;
 use sqlx::{AssertSqlSafe, Connection};
 
 use super::{Store, StoreError};
 
-/// Those of the trials `?1` of which some work that counts was done by other code than `?2`; those that have failed stay.
+/// Selects the trials among `?1` whose result includes work by other code than `?2`, except failed ones.
 const OTHERS: &str =
     "INSERT INTO temp.chosen SELECT t.id FROM json_each(?1) j JOIN trial t ON t.hash = j.value
     JOIN v_trial v ON v.hash = t.hash WHERE t.state <> 'failed' AND v.code <> ?2";
 
-/// Trials that something is done to.
+/// Table of the selected trials.
 const CHOSEN: &str = "DROP TABLE IF EXISTS temp.chosen; CREATE TEMP TABLE chosen (id INTEGER PRIMARY KEY)";
 
-/// Tables of what belongs to trials.
+/// Tables with rows of trials.
 const OF_TRIALS: &str =
     "SELECT t.name FROM sqlite_schema t, pragma_table_info(t.name) c WHERE t.type = 'table'
     AND c.name = 'trial_id' ORDER BY t.name";
 
-/// Deletes what belongs to the chosen trials, but for these tables.
+/// Deletes the rows of the selected trials from all tables except these.
 async fn clear(db: &mut SqliteConnection, but: &[&str]) -> sqlx::Result<()> {
     let tables: Vec<String> = sqlx::query_scalar(OF_TRIALS).fetch_all(&mut *db).await?;
     for table in tables.iter().filter(|table| !but.contains(&table.as_str())) {
-        // Names of our own schema only.
+        // Safe: contains only names of our own schema.
         let sql = format!("DELETE FROM {table} WHERE trial_id IN (SELECT id FROM temp.chosen)");
         sqlx::query(AssertSqlSafe(sql)).execute(&mut *db).await?;
     }
     Ok(())
 }
 
-/// What becomes of the trials themselves. Attempts stay, marked, and so does what was said of them.
+/// Resets the selected trials. Their attempts stay, marked as redone, and so do their logs.
 const EMPTY: &str = "
     UPDATE attempt SET redone = 1 WHERE trial_id IN (SELECT id FROM temp.chosen);
     UPDATE trial SET state = 'pending', reason = NULL, error_initial = NULL, error_optimised = NULL,
@@ -40,7 +40,7 @@ const EMPTY: &str = "
       result = NULL, finished_at = NULL WHERE id IN (SELECT id FROM temp.chosen)";
 
 impl Store {
-    /// Takes trials out, with all that belongs to them; hashes that are not there are none.
+    /// Removes trials with all their data; ignores unknown hashes.
     pub async fn remove(&mut self, hashes: impl Iterator<Item = &str>) -> Result<(), StoreError> {
         let at = self.at("removing trials from");
         let mut tx = self.connection.begin_with("BEGIN IMMEDIATE").await.map_err(&at)?;
@@ -52,15 +52,14 @@ impl Store {
             self.ids.remove(hash);
         }
         clear(&mut tx, &[]).await.map_err(&at)?;
-        // What they were merged of has them still, and may bring them again.
+        // The source files still contain these trials: let a later merge read them again.
         let trials =
             "DELETE FROM trial WHERE id IN (SELECT id FROM temp.chosen); UPDATE source SET state = NULL";
         sqlx::raw_sql(trials).execute(&mut *tx).await.map_err(&at)?;
         tx.commit().await.map_err(&at)
     }
 
-    /// Empties those of these trials which other code than this program's has worked on: they are open, and begin anew. Returns how
-    /// many.
+    /// Resets the trials among these that other code has computed, even in part; they restart. Returns their number.
     pub async fn redo_other_code(&mut self, hashes: &[&str]) -> Result<usize, StoreError> {
         let at = self.at("reopening trials in");
         let hashes = serde_json::to_string(hashes).expect("texts are JSON");

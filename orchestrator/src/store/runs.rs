@@ -1,23 +1,23 @@
-//! Calls of `run`: what was planned, and what came of it.
+//! Calls of `run`: plan and outcome.
 
 use std::time::Instant;
 
 use super::{Store, StoreError};
 
-/// A run as it begins.
+/// Plan of a run at its start.
 #[derive(Debug, Clone, Copy)]
 pub struct RunPlan {
-    /// Which shard, of how many; (1, 1) is the whole sweep.
+    /// Number of the shard and of shards; (1, 1) is the whole sweep.
     pub shard: (u32, u32),
-    /// Worker processes and threads of each.
+    /// Number of workers, and threads per worker.
     pub workers: (u32, u32),
-    /// Trials to run.
+    /// Number of trials to run.
     pub trials: usize,
     /// Estimated time (s).
     pub estimated_seconds: f64,
 }
 
-/// A run in the database, to be ended.
+/// Identifies a run in the database until its end.
 #[derive(Debug, Clone)]
 pub struct RunKey {
     sweep: i64,
@@ -28,7 +28,7 @@ pub struct RunKey {
 }
 
 impl Store {
-    /// Records that a run of the sweep begins that was begun.
+    /// Records the start of a run of the current sweep.
     pub async fn begin_run(&mut self, plan: &RunPlan) -> Result<RunKey, StoreError> {
         let host = self.provenance.as_ref().map_or(String::new(), |made| made.host.clone());
         let (sweep, started_at): (i64, String) = sqlx::query_as(
@@ -52,7 +52,7 @@ impl Store {
         Ok(RunKey { sweep, started_at, host, shard: plan.shard, begun: Instant::now() })
     }
 
-    /// Records what came of it.
+    /// Records the end of a run.
     pub async fn end_run(
         &mut self,
         key: &RunKey,
@@ -80,7 +80,7 @@ impl Store {
     }
 }
 
-/// What the cluster's scheduler calls this run.
+/// Job id of this run on the cluster, if any.
 fn job() -> Option<String> {
     let variable = |name| std::env::var(name).ok();
     let slurm = || {

@@ -1,30 +1,30 @@
-//! A finished trial as it is stored: its two bodies, with the weights that read them.
+//! A finished trial as stored: its two bodies and the weights of their decoders.
 
 use metasense_schemas::spec::TrialSpec;
 
 use super::{Reader, StoreError, quoted};
 
-/// What is stored of a trial's two bodies: α (mm) and the weights of the first network, `[initial, optimised]`.
+/// Designs and weights of a trial's two bodies, `[initial, optimised]`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Stored {
-    /// Names the trial.
+    /// Hash of the trial.
     pub hash: String,
-    /// What it is, by its sensors on either body: on the optimised one they may have moved.
+    /// Spec with the sensors of each body: training may have moved them.
     pub specs: [TrialSpec; 2],
-    /// α.
+    /// α (mm).
     pub designs: [Vec<f64>; 2],
-    /// Flat weights; empty where none were kept.
+    /// Flat weights of the first network; empty if not stored.
     pub weights: [Vec<f32>; 2],
     /// Training loss of the first network after every iteration.
     pub losses: [Vec<f32>; 2],
-    /// The integrator, and why.
+    /// The time integrator and why it was chosen.
     pub solver: String,
-    /// Half-widths (T, K) (N) of the bands about what the body's brain says, at each instant and over a sample; empty without.
+    /// Half-widths (N) of the bands around the estimated forces, T × K: per instant and per sample; empty if not stored.
     pub bands: [[Vec<f64>; 2]; 2],
 }
 
 impl Stored {
-    /// What both bodies share.
+    /// The settings that both bodies share, with the sensors of the initial one.
     #[must_use]
     pub fn spec(&self) -> &TrialSpec {
         &self.specs[0]
@@ -32,10 +32,10 @@ impl Stored {
 }
 
 impl Reader {
-    /// Designs and weights of a trial; `None` where it is not done.
+    /// Designs and weights of a trial; `None` if it is not done.
     ///
     /// # Errors
-    /// Where there is no such trial, or what is stored of it cannot be read.
+    /// If the trial does not exist or its data cannot be read.
     pub async fn stored(&mut self, hash: &str) -> Result<Option<Stored>, StoreError> {
         let named = quoted(&self.hash_of(hash).await?);
         let columns = ["hash", "state", "spec", "sensor_units", "sensor_units_optimised", "solver"];

@@ -1,4 +1,4 @@
-//! The writer's methods for sweeps: their trials, recorded once, and which of them are settled.
+//! The writer's methods for sweeps: record their trials, and list those that have ended.
 
 use metasense_schemas::record::{Found, Trial};
 use metasense_schemas::spec::SweepSpec;
@@ -8,11 +8,11 @@ use super::write::VERSION;
 use super::{Store, StoreError};
 
 impl Store {
-    /// Records a sweep and those of its trials that are new. Called again with the same: changes nothing; where recorded
-    /// forces lie elsewhere by now, it learns that. A damaged spec of a trial is replaced.
+    /// Records a sweep and its new trials. If nothing is new, changes nothing, except that it updates changed paths of recorded
+    /// forces and replaces damaged specs.
     ///
     /// # Errors
-    /// `FactsAlone` where trials are here without what they would go on from.
+    /// `FactsAlone` if the database contains only facts, from which trials cannot resume.
     pub async fn begin_sweep(
         &mut self,
         spec: &SweepSpec,
@@ -24,7 +24,7 @@ impl Store {
         if sqlx::query_scalar(facts).fetch_one(&mut self.connection).await.map_err(&at)? {
             return Err(StoreError::FactsAlone { path: self.path.clone() });
         }
-        // One for all: they move together.
+        // Recorded forces of all trials move together, so the first trial represents all.
         let first = trials.first().map(|t| serde_json::to_string(&t.spec).expect("a trial is JSON"));
         let hashes: Vec<&str> = trials.iter().map(|t| t.hash.as_str()).collect();
         let known: Option<i64> = sqlx::query_scalar(
@@ -46,7 +46,7 @@ impl Store {
         let mut sweep = known;
         if known.is_none() {
             let resolved = serde_json::to_string(spec).expect("a spec is JSON");
-            // Numbered downward: `v_trial` names the sweep of the highest number, the one that first brought the trial.
+            // Ids decrease: `v_trial` shows the sweep with the highest id, which is the first with the trial.
             let mut tx = self.connection.begin_with("BEGIN IMMEDIATE").await.map_err(&at)?;
             let id: i64 = sqlx::query_scalar(
                 "INSERT INTO sweep (id, name, text, spec, version, created_at)
@@ -79,7 +79,7 @@ impl Store {
         Ok(())
     }
 
-    /// Opens those of these trials that have failed or were cancelled: they go on with the next attempt, from their last step. Returns how many.
+    /// Reopens the failed and cancelled trials among these; they resume from their last steps. Returns their number.
     pub async fn reopen(&mut self, hashes: &[&str]) -> Result<u64, StoreError> {
         let done = sqlx::query(
             "UPDATE trial SET state = 'pending', reason = NULL, finished_at = NULL WHERE state = 'failed'
@@ -92,7 +92,7 @@ impl Store {
         Ok(done.rows_affected())
     }
 
-    /// Hashes of the trials that are done or have failed for good.
+    /// Hashes of the trials that are done or failed.
     pub async fn settled(&mut self) -> Result<Vec<String>, StoreError> {
         sqlx::query_scalar("SELECT hash FROM trial WHERE state IN ('done', 'failed')")
             .fetch_all(&mut self.connection)
@@ -100,7 +100,7 @@ impl Store {
             .map_err(|source| StoreError::sql(&self.path, "reading", source))
     }
 
-    /// What these trials have come to.
+    /// Errors and CPU seconds of all trials that are done or failed.
     pub async fn found(&mut self) -> Result<Vec<Found>, StoreError> {
         type Row = (String, Option<f64>, Option<f64>, Option<f64>);
         let rows: Vec<Row> = sqlx::query_as(
@@ -119,7 +119,7 @@ impl Store {
     }
 }
 
-/// Trials that one statement inserts, as a JSON list: a hundred thousand take a second, one by one they took five.
+/// Trials per INSERT statement, as a JSON list; this is five times faster than one statement per trial.
 const CHUNK: usize = 500;
 
 const INSERT_TRIALS: &str = "
@@ -136,7 +136,7 @@ const INSERT_SWEEP_TRIALS: &str = "
     SELECT ?2, t.id, value->>14 FROM json_each(?1) JOIN trial t ON t.hash = value->>0 WHERE true
     ON CONFLICT (sweep_id, trial_id) DO UPDATE SET position = excluded.position";
 
-/// A trial as the statements above take it.
+/// The row of a trial for the statements above.
 fn row(trial: &Trial) -> serde_json::Value {
     let spec = &trial.spec;
     serde_json::json!([

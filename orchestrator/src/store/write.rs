@@ -14,29 +14,28 @@ use super::digest::{check, digest};
 use super::error::is_no_json;
 use super::{Store, StoreError, npy_bytes, npy_values};
 
-/// The version of this program, as attempts and sweeps record it.
+/// Version of this program, recorded with attempts and sweeps.
 pub(super) const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// An array to keep with a trial.
+/// An array of a trial to store.
 #[derive(Debug, Clone, Copy)]
 pub struct Array<'a> {
-    /// Its name within the trial, for instance `signals_initial`.
+    /// Name within the trial, for instance `signals_initial`.
     pub name: &'a str,
-    /// Its shape, outermost index first.
+    /// Shape, outermost index first.
     pub shape: &'a [usize],
-    /// It as an NPY file.
+    /// The array as an NPY file.
     pub npy: &'a [u8],
 }
 
-/// Attempts that a dead run has left running: each ended, as far as anybody knows, with the last step that it recorded, whoever
-/// finds it, and whenever.
+/// Ends attempts that a dead run left running, at the time of their last recorded step. Gives the same result whenever it runs.
 pub(crate) const RELEASE_ORPHANS: &str = "
     UPDATE main.attempt AS a SET state = 'failed', reason = 'orchestrator_lost',
       ended_at = coalesce(a.ended_at, (SELECT max(p.recorded_at) FROM main.step p
         WHERE p.trial_id = a.trial_id AND p.attempt = a.number), a.started_at) WHERE state = 'running';
     UPDATE main.trial SET state = 'pending', reason = 'orchestrator_lost' WHERE state = 'running';";
 
-/// A trial's checkpoint out of its bytes and their checksum.
+/// Decodes a trial's checkpoint and verifies its checksum.
 pub(super) fn read_checkpoint(
     hash: &str,
     (bytes, checksum): (Vec<u8>, Option<Vec<u8>>),
@@ -50,7 +49,7 @@ pub(super) fn read_checkpoint(
 }
 
 impl Store {
-    /// From here to `commit_batch`, records share one transaction: durable, and to be spoken of, only after that.
+    /// Starts a batch: records share one transaction until `commit_batch`, and are durable only after it.
     pub async fn begin_batch(&mut self) -> Result<(), StoreError> {
         assert!(!self.in_batch, "batches do not nest");
         self.execute("BEGIN IMMEDIATE", "beginning to write to").await?;
@@ -58,16 +57,16 @@ impl Store {
         Ok(())
     }
 
-    /// Ends a batch: all of it is on disk.
+    /// Commits the batch: on return it is on disk.
     ///
     /// # Errors
-    /// Where SQLite fails, as on a full disk: none of the batch was recorded.
+    /// If SQLite fails, for instance on a full disk: nothing of the batch was recorded.
     pub async fn commit_batch(&mut self) -> Result<(), StoreError> {
         assert!(self.in_batch, "no batch was begun");
         self.in_batch = false;
         let done = self.execute("COMMIT", "committing to").await;
         if done.is_err() {
-            // A failed COMMIT may leave the transaction open; a failed ROLLBACK says that it did not.
+            // A failed COMMIT may leave the transaction open; if it does not, ROLLBACK fails, too.
             let _ = self.connection.execute("ROLLBACK").await;
         }
         done
@@ -85,10 +84,10 @@ impl Store {
         done.map(|_| ()).map_err(self.at(doing))
     }
 
-    /// Where a trial can go on; `None` where it starts anew.
+    /// Last checkpoint of a trial; `None` without one.
     ///
     /// # Errors
-    /// Where SQLite fails, or the checkpoint is damaged or of another program.
+    /// If SQLite fails, or the checkpoint is damaged or of another version.
     pub async fn checkpoint(&mut self, hash: &str) -> Result<Option<Checkpoint>, StoreError> {
         let id = self.id(hash)?;
         let stored = sqlx::query_as("SELECT bytes, digest FROM checkpoint WHERE trial_id = ?")
@@ -107,7 +106,7 @@ impl Store {
 
     async fn insert_attempt(&mut self, id: i64) -> sqlx::Result<u32> {
         let made = self.provenance.as_ref();
-        // An attempt that was not ended by name was superseded.
+        // A new attempt supersedes one that is still running.
         sqlx::query(
             "UPDATE attempt SET state = 'failed', reason = coalesce(reason, 'superseded'),
                ended_at = max(started_at, strftime('%Y-%m-%dT%H:%M:%fZ'))
@@ -140,10 +139,10 @@ impl Store {
         Ok(number)
     }
 
-    /// Records an outer step and the checkpoint behind it, together; of some steps the design stays for good.
+    /// Records an outer step and the checkpoint after it in one transaction. The designs of some steps are kept.
     ///
     /// # Errors
-    /// `Stale` where the attempt is not the current one.
+    /// `Stale` if the attempt is not the current one.
     pub async fn record_step(
         &mut self,
         hash: &str,
@@ -161,7 +160,7 @@ impl Store {
         .await
     }
 
-    /// Notes the CPU seconds that the current attempt has taken so far.
+    /// Records the CPU seconds of the current attempt so far.
     pub async fn spend(&mut self, hash: &str, attempt: u32, seconds: f64) -> Result<(), StoreError> {
         let id = self.id(hash)?;
         sqlx::query(
@@ -176,10 +175,10 @@ impl Store {
         Ok(())
     }
 
-    /// Records a checkpoint within the comparison at the end.
+    /// Records a checkpoint of the final evaluation.
     ///
     /// # Errors
-    /// `Stale` where the attempt is not the current one.
+    /// `Stale` if the attempt is not the current one.
     pub async fn record_checkpoint(
         &mut self,
         hash: &str,
@@ -196,7 +195,7 @@ impl Store {
         .await
     }
 
-    /// Counts steps of the current attempt, and savings of its comparison; false where it is not the current one.
+    /// Adds to the numbers of steps and of evaluation checkpoints of an attempt; false if it is not the current one.
     pub(super) async fn touch(
         &mut self,
         id: i64,
@@ -272,11 +271,11 @@ impl Store {
         Ok(())
     }
 
-    /// Records the result of a trial with its arrays, and drops its checkpoint: done. Designs, weights and losses may be
-    /// in the result, or among the arrays under the names that they have in the database.
+    /// Records the result of a trial with its arrays, sets it to done and deletes its checkpoint. Designs, weights and losses
+    /// may be in the result or, under their names in the database, among the arrays.
     ///
     /// # Errors
-    /// `Stale` where the attempt is not the current one.
+    /// `Stale` if the attempt is not the current one.
     pub async fn finish(
         &mut self,
         hash: &str,
@@ -358,7 +357,7 @@ impl Store {
         evaluation: &BodyEvaluation,
         arrays: &[Array<'_>],
     ) -> sqlx::Result<()> {
-        // networks trained long are numbered on from the ordinary ones, and told by their iterations
+        // networks with long training get the next numbers; their iterations distinguish them
         let (ordinary, long) = (&evaluation.networks, &evaluation.long);
         for (seed, network) in ordinary.iter().chain(long).enumerate() {
             let kind = if seed < ordinary.len() { "losses" } else { "long_losses" };
@@ -494,10 +493,10 @@ impl Store {
         Ok(())
     }
 
-    /// Ends an attempt by name. The trial goes back to `pending`; `fail` settles it.
+    /// Ends an attempt and sets its trial to `pending`.
     ///
     /// # Errors
-    /// `Stale` where the attempt is not the current one.
+    /// `Stale` if the attempt is not the current one.
     pub async fn give_up_attempt(
         &mut self,
         hash: &str,
@@ -507,16 +506,16 @@ impl Store {
         self.end(hash, attempt, reason, "pending").await
     }
 
-    /// Ends an attempt and its trial: failed for good.
+    /// Ends an attempt and sets its trial to `failed`.
     ///
     /// # Errors
-    /// `Stale` where the attempt is not the current one.
+    /// `Stale` if the attempt is not the current one.
     pub async fn fail(&mut self, hash: &str, attempt: u32, reason: &str) -> Result<(), StoreError> {
         self.end(hash, attempt, reason, "failed").await
     }
 
-    /// Settles a trial that waits: it has failed for good, with what is recorded of it. That is an attempt, by which a merge knows the
-    /// later of two copies.
+    /// Sets a pending trial to `failed`; its data stays. Records an attempt, so that a merge recognises the later of two
+    /// copies.
     pub async fn settle(&mut self, hash: &str, reason: &str) -> Result<(), StoreError> {
         let attempt = self.begin_attempt(hash).await?;
         self.fail(hash, attempt, reason).await
@@ -541,7 +540,7 @@ impl Store {
         .await
     }
 
-    /// A clock that was set back on the way gives no negative time.
+    /// Ends the current attempt; false if it is not current. The clock may have been set back, but times never decrease.
     async fn end_attempt(
         &mut self,
         id: i64,
@@ -565,7 +564,7 @@ impl Store {
         Ok(done.rows_affected() == 1)
     }
 
-    /// A run that was killed leaves attempts `running`; the lock says that none of them still is.
+    /// Ends attempts that a killed run left `running`; the lock ensures that none of them still runs.
     pub(super) async fn release_orphans(&mut self) -> Result<(), StoreError> {
         self.together("tidying", async |store| {
             sqlx::raw_sql(RELEASE_ORPHANS).execute(&mut store.connection).await
@@ -581,7 +580,7 @@ impl Store {
             .ok_or_else(|| StoreError::UnknownTrial { path: self.path.clone(), hash: hash.to_owned() })
     }
 
-    /// Does something, or nothing of it: within the batch, or in a transaction of its own.
+    /// Does all of `work` or nothing: within the batch, or in its own transaction.
     pub(super) async fn together<T>(
         &mut self,
         doing: &'static str,
@@ -601,7 +600,7 @@ impl Store {
         done.map_err(self.at(doing))
     }
 
-    /// Does something for an attempt; `work` gets its trial, and says whether the attempt is the current one.
+    /// Runs `work` for an attempt. `work` gets the id of the trial and returns whether the attempt is the current one.
     async fn of_current(
         &mut self,
         hash: &str,
@@ -623,19 +622,19 @@ impl Store {
         }
     }
 
-    /// What was being done when SQLite failed.
+    /// Converts errors of SQLite during an operation.
     pub(super) fn at(&self, doing: &'static str) -> impl Fn(sqlx::Error) -> StoreError + use<> {
         let path = self.path.clone();
         move |source| StoreError::sql(&path, doing, source)
     }
 }
 
-/// Non-finite numbers are stored as absent, on purpose; the outcome column says why.
+/// Non-finite numbers are stored as NULL; the outcome column gives the reason.
 fn finite(value: Option<f64>) -> Option<f64> {
     value.filter(|v| v.is_finite())
 }
 
-/// The result as JSON; designs, loss curves and weights have their own places.
+/// The result as JSON, without the data that is stored elsewhere.
 fn without_bulk(result: &TrialResult) -> String {
     let mut small = result.clone();
     small.casts = Default::default();

@@ -1,11 +1,11 @@
-//! What the diagram says in words: the cheapest method at an error of 1e-3, what `auto` takes, and Tsit5 at equal error.
+//! Conclusions from the diagram: the cheapest method at an error of 1e-3, the choice of `auto`, and Tsit5 at equal error.
 
 use super::picture::{METHODS, Mark, SCENES};
 
-/// The error asked.
+/// Requested error.
 const ASKED: f64 = 1e-3;
 
-/// A line a scene and quantity, of what has been measured.
+/// One line per measured scene and quantity.
 pub(super) fn lines(marks: &[Mark]) -> Vec<String> {
     let mut lines = Vec::new();
     for (scene, title) in SCENES {
@@ -21,7 +21,7 @@ fn judge(marks: &[&Mark], row: usize) -> Option<String> {
     let curve = |name: &str| curve(marks, name, row);
     let least = |points: &[(f64, f64)]| points.iter().map(|p| p.1).fold(f64::INFINITY, f64::min);
     let tsit5 = curve("tsit5");
-    // What one of the others and Tsit5 both reach, 1e-3 if they do
+    // The smallest error that Tsit5 and another method both reach, at least 1e-3
     let others = METHODS.iter().filter(|name| **name != "tsit5");
     let reached = others.clone().map(|name| least(&curve(name))).fold(f64::INFINITY, f64::min);
     let error = ASKED.max(reached).max(least(&tsit5));
@@ -43,7 +43,7 @@ fn judge(marks: &[&Mark], row: usize) -> Option<String> {
     ))
 }
 
-/// Milliseconds and error of a method, the cheapest first.
+/// Milliseconds and errors of a method, cheapest first.
 fn curve(marks: &[&Mark], method: &str, row: usize) -> Vec<(f64, f64)> {
     let of = marks.iter().filter(|m| m.method == method && !m.auto);
     let mut points: Vec<(f64, f64)> = of.filter_map(|m| m.points[row]).collect();
@@ -51,8 +51,7 @@ fn curve(marks: &[&Mark], method: &str, row: usize) -> Vec<(f64, f64)> {
     points
 }
 
-/// What an error costs, on straight lines between the logarithms of neighbouring points; the cheapest point's cost where
-/// that errs less already.
+/// Cost at an error, by linear interpolation of logarithms; the cost of the first point if its error is smaller.
 fn cost(curve: &[(f64, f64)], error: f64) -> Option<f64> {
     let first = curve.iter().position(|p| p.1 <= error)?;
     let (cost, there) = curve[first];

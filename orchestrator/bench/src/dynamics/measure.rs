@@ -1,8 +1,8 @@
-//! Clocks around the integrators: error of the signals and of dα against milliseconds a sample, and the race of 300
-//! samples that is set beside a peer's.
+//! Measures the integrators: error of the signals and of dα against milliseconds per sample, and the race over 300 samples for
+//! comparison with another program.
 //!
-//! The truth of a scene is `nystrom6` with steps so short that its error is far below all that is drawn; the tightest
-//! run of Tsit5, another method, is a point of the diagram and says by its own error how true it is.
+//! The reference solution of a scene is `nystrom6` with steps so short that its error is far below all measured ones. The
+//! tightest run of Tsit5, a different method, is a point of the diagram; its error bounds that of the reference.
 
 use metasense::look::row;
 use metasense::say;
@@ -24,13 +24,13 @@ use crate::{pool, widths};
 /// A scene of the diagram.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum BenchScene {
-    /// K = 2, M = 1 on 6 × 6 units.
+    /// K = 2, M = 1 on 6 × 6 units
     Reference,
-    /// 8 × 4 units, K = 3, M = 2, contact from 30° on, so that these forces reach it.
+    /// 8 × 4 units, K = 3, M = 2, contact from 30° on, which these forces reach
     Contact,
-    /// The reference scene with a hundred times its k_stretch.
+    /// The reference scene with k_stretch × 100
     Stretch100,
-    /// With ten thousand times.
+    /// The reference scene with k_stretch × 10 000
     Stretch10000,
 }
 
@@ -62,7 +62,7 @@ impl BenchScene {
         scene
     }
 
-    /// Tolerances of Tsit5: it needs smaller ones where modes are stiffer, and gives nothing but noise at greater ones.
+    /// Tolerances of Tsit5: stiffer modes need smaller ones; with larger ones the results are noise.
     fn tolerances(self) -> &'static [f64] {
         match self {
             Self::Reference | Self::Contact => &[1e-4, 1e-5, 1e-6, 1e-7, 1e-8],
@@ -72,14 +72,14 @@ impl BenchScene {
     }
 }
 
-/// Parts of a radian of the highest mode that a force of the truth's stands for; fewer where contact is not smooth.
+/// Phase of the highest mode per force evaluation of the reference solution (rad); smaller for contact, which is not smooth.
 fn truth(kind: BenchScene) -> f64 {
     if kind == BenchScene::Contact { 0.03 } else { 0.12 }
 }
 
-/// The same of the points of a method of equal steps.
+/// The same for the points of a method with equal steps.
 ///
-/// On the stiffest scene the long points say all: leapfrog's error stays that of the ringing it does not follow.
+/// On the stiffest scene long steps suffice: leapfrog's error stays that of the oscillations that it does not resolve.
 fn ladder(kind: BenchScene, method: Method) -> &'static [f64] {
     match (method, kind) {
         (Method::Leapfrog, BenchScene::Stretch10000) => &[1.4, 0.7],
@@ -89,15 +89,15 @@ fn ladder(kind: BenchScene, method: Method) -> &'static [f64] {
     }
 }
 
-/// A point of the diagram: one run forward and back. A point with failed samples has no errors.
+/// Columns of a point of the diagram: one run with its gradient. Errors are empty if samples failed.
 pub const POINT: &str = "scene method setting auto force_evaluations forward_ms gradient_ms signals_error \
     gradient_error failed";
 
-/// Seconds of the wall clock and of the CPU.
+/// Wall-clock and CPU seconds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Time {
     wall: f64,
-    /// All threads of this process.
+    /// Of all threads of this process.
     cpu: f64,
 }
 
@@ -107,7 +107,7 @@ fn timed<R>(work: impl FnOnce() -> R) -> (R, Time) {
     (result, Time { wall: wall.elapsed().as_secs_f64(), cpu: cpu_seconds() - cpu })
 }
 
-/// A scene with design, forces and the cotangent that stands for a loss.
+/// A scene with its design, forces and the cotangent of the signals.
 struct Subject {
     scene: Scene,
     design: Vec<f64>,
@@ -120,12 +120,13 @@ impl Subject {
         let part = instants as f64 / scene.instants as f64;
         scene.instants = instants;
         let forces = bells(&scene, samples as u64);
-        scene.duration *= part; // the same blows, so much faster
+        scene.duration *= part; // the same forces, faster by this factor
         let design = scene.layout.initial_design(25f64.to_radians());
         Self { scene, design, forces, cotangent: Vec::new() }
     }
 
-    /// Makes dα the gradient of half the mean square of these signals, each channel divided by its own RMS.
+    /// Sets the cotangent, so that dα is the gradient of half the mean square of these signals, each channel divided by its
+    /// RMS.
     fn differentiate(&mut self, signals: &[f64]) {
         let channels = 3 * self.scene.sensors.len();
         let mut square = vec![0.0; channels];
@@ -145,20 +146,20 @@ impl Subject {
         (gradient.design, time)
     }
 
-    /// Steps an interval for one force in so many radians of the highest mode.
+    /// Steps per interval for one force evaluation per `radians` of the highest mode.
     fn steps(&self, method: Method, radians: f64) -> usize {
         let interval = self.scene.duration / self.scene.instants as f64;
         let stages = method.stages().expect("equal steps") as f64;
         (highest_frequency(&self.scene, &self.design) * interval / (radians * stages)).ceil() as usize
     }
 
-    /// One force in so many radians of the highest mode, in f64.
+    /// A plan in f64 with one force evaluation per `radians` of the highest mode.
     fn plan(&self, method: Method, radians: f64) -> Plan {
         Plan::equal(method, self.steps(method, radians))
     }
 }
 
-/// The points of one scene, `samples` samples of `instants` instants (200: one second), on one thread.
+/// Measures the points of a scene on one thread. `instants`: 200 are one second.
 pub fn work_precision(kind: BenchScene, samples: usize, instants: usize) -> Vec<Vec<Value>> {
     let pool = pool(1, width());
     let mut subject = Subject::new(kind.scene(), samples, instants);
@@ -214,21 +215,22 @@ pub fn work_precision(kind: BenchScene, samples: usize, instants: usize) -> Vec<
     points
 }
 
-/// A row of the race: forward alone, and with the gradient. CPU cycles are those of a force evaluation forward with all else that
-/// its step does; then of the kernels alone, plain and with derivatives, over the ligaments that they take.
+/// Columns of the race: forward alone, and with gradient. Cycles are per ligament and lane: of a force evaluation with the rest
+/// of its step, then of the kernels alone, without and with derivatives.
 pub const LAP: &str = "solver simd threads samples forward_s forward_cpu_s gradient_s gradient_cpu_s \
     cycles_a_ligament_and_lane kernel_cycles dual_kernel_cycles";
 
-/// Evaluations by which kernels are timed: some hundredths of a second.
+/// Evaluations per timing of the kernels: some 10 ms.
 const KERNELS: usize = 10_000;
 
-/// Tsit5 at 1e-6 of its own error norm, as the peer runs, the default and the default of coarse steps, each on one thread
-/// and on `threads`, the last two on one thread with narrower instruction sets, too; least of `repeat` runs.
+/// Times Tsit5 at 1e-6 of its own error norm, as the other program runs, the default and the default of coarse steps, on one
+/// thread and on `threads`; the last two also with narrower instruction sets on one thread. The fastest of `repeat` runs
+/// counts.
 pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> Vec<Vec<Value>> {
     let mut subject = Subject::new(reference(), samples, instants);
     let mut laps = Vec::new();
     for (method, asked) in [(Method::Tsit5, 1e-6), (Method::Auto, 1e-3), (Method::Auto, 3e-2)] {
-        // The pilot of a trial comes once, before its hundreds of simulations.
+        // Tuned outside the timing, because a trial tunes once before hundreds of simulations.
         let plan = match method {
             Method::Tsit5 => Plan::tsit5(Tolerance::both(asked)),
             _ => {
@@ -282,13 +284,13 @@ pub fn race(samples: usize, instants: usize, threads: usize, repeat: usize) -> V
     laps
 }
 
-/// Cycles a second that this thread gets, by multiplications that wait for each other: three cycles each on every
-/// x86-64 processor with AVX2.
+/// Cycles per second of this thread, from dependent multiplications, which take three cycles each on all x86-64 processors with
+/// AVX2.
 fn clock_frequency() -> f64 {
     const ROUNDS: u32 = 1_000_000;
     let (x, time) = timed(|| {
         let (mut x, mut left) = (std::hint::black_box(3u64), ROUNDS);
-        // eight a round: of the loop itself, whatever the compiler makes of it, little is seen
+        // eight multiplications per round hide the cost of the loop
         while left > 0 {
             x = x.wrapping_mul(x).wrapping_mul(x).wrapping_mul(x).wrapping_mul(x);
             x = x.wrapping_mul(x).wrapping_mul(x).wrapping_mul(x).wrapping_mul(x);

@@ -1,4 +1,4 @@
-//! The work-precision diagram: rows of JSON lines as log-log panels, a column a scene, signals above dα.
+//! Draws the work-precision diagram from JSON lines: log-log panels, one column per scene, signals above dα.
 
 use std::path::Path;
 
@@ -10,14 +10,13 @@ use metasense::look::{Axis, Legend, Picture, Plot, SERIES, Scale, file};
 /// A panel's size (px).
 const PANEL: [f64; 2] = [310.0, 250.0];
 
-/// Scenes and what a panel calls them.
+/// Scenes and titles of their panels.
 pub(super) const SCENES: [(&str, &str); 4] = [
     ("reference", "reference scene, 6 × 6"),
     ("contact", "contact, 8 × 4"),
     ("stretch100", "k_stretch × 100"),
     ("stretch10000", "k_stretch × 10 000"),
 ];
-/// Integrators.
 pub(super) const METHODS: [&str; 5] = ["tsit5", "leapfrog", "nystrom4", "nystrom6", "nystrom4_f32"];
 
 /// One measured run.
@@ -27,13 +26,13 @@ pub(super) struct Mark {
     pub method: String,
     pub setting: String,
     pub auto: bool,
-    /// Milliseconds a sample and error: signals forward, then dα with its sweep.
+    /// Milliseconds per sample and error: of the signals (forward), of dα (forward and gradient).
     pub points: [Option<(f64, f64)>; 2],
 }
 
 fn mark(row: &Value) -> Option<Mark> {
     let text = |key: &str| row[key].as_str().map(str::to_owned);
-    // A run with the truth's own steps has no error that a logarithm could show.
+    // A zero error, of a run with the steps of the reference, has no logarithm.
     let point = |cost: &str, error: &str| {
         let error = row[error].as_f64().filter(|e| *e > 0.0)?;
         Some((row[cost].as_f64()?, error))
@@ -47,7 +46,7 @@ fn mark(row: &Value) -> Option<Mark> {
     })
 }
 
-/// The newest row of each setting with so many instants.
+/// The newest row of each setting with this number of instants.
 fn newest(lines: &str, instants: u16) -> Vec<Mark> {
     let mut marks: Vec<Mark> = Vec::new();
     for line in lines.lines() {
@@ -64,10 +63,10 @@ fn newest(lines: &str, instants: u16) -> Vec<Mark> {
     marks
 }
 
-/// Draws what `rows` holds into `picture` and returns it.
+/// Draws the rows of file `rows` into file `picture` and returns them.
 ///
 /// # Errors
-/// Where reading or writing fails.
+/// If reading or writing fails.
 pub(super) fn write(rows: &Path, picture: &Path, instants: u16) -> Result<Vec<Mark>, Error> {
     let failed = |doing, path: &Path| {
         let path = path.to_owned();
@@ -99,7 +98,7 @@ fn draw(marks: &[Mark]) -> String {
 fn panel(title: &str, marks: &[&Mark], row: usize) -> Picture {
     let what = ["relative error of the signals", "relative error of dα"][row];
     let cost = ["forward (CPU ms a sample)", "forward and gradient (CPU ms a sample)"][row];
-    // errors above 1 are none
+    // clip errors at 1
     let points = |m: &Mark| m.points[row].map(|p| (p.0, p.1.min(1.0)));
     let errors = || marks.iter().filter_map(|m| Some(points(m)?.1)).chain([1e-4, 1.0]);
     let decades = |low: f64| (low.log10().ceil() as i32..=0).map(|p| 10f64.powi(p)).collect::<Vec<f64>>();

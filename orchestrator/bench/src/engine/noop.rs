@@ -1,5 +1,5 @@
-//! A trial without maths, to measure and to test the engine: steps of a known length, and a result that depends
-//! on every one of them, so that a step lost, repeated or out of order shows.
+//! A trial without computation, to measure and test the engine. Steps have a known duration. The result depends on each step,
+//! so that lost, repeated or swapped steps are detected.
 
 use std::time::{Duration, Instant};
 
@@ -9,37 +9,37 @@ use metasense_schemas::wire::Cause;
 use metasense_worker::run::{Control, Failure, Observe};
 use serde::{Deserialize, Serialize};
 
-/// What a no-op trial is: the text of its job.
+/// The job of a no-op trial.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub struct Noop {
     /// Outer steps.
     pub steps: u32,
-    /// Length of a step (ms).
+    /// Duration of a step (ms).
     pub millis: u32,
-    /// Length of an array that comes with the result; none if 0.
+    /// Length of the result's array; 0: none.
     pub array: u64,
-    /// Makes results differ.
+    /// Seed of the result.
     pub seed: u64,
-    /// What goes wrong, if anything.
+    /// Fault, if any.
     pub fault: Option<Fault>,
 }
 
-/// What goes wrong.
+/// A fault.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize, clap::ValueEnum)]
 pub enum Fault {
-    /// The step never ends and gives no sign of life.
+    /// A step never ends and sends no sign of life.
     Hang,
-    /// The worker kills itself at once.
+    /// The worker aborts at once.
     Die,
     /// The result is not finite.
     NonFinite,
-    /// The trial is refused.
+    /// The trial is rejected.
     Reject,
-    /// The machine is short of something.
+    /// The machine lacks a resource.
     Short,
 }
 
-/// Runs it from a checkpoint or from the start, as `metasense_worker::process::Perform`.
+/// Runs the trial from its start or a checkpoint, as `metasense_worker::process::Perform`.
 pub fn perform(
     job: &str,
     checkpoint: Option<Checkpoint>,

@@ -1,4 +1,4 @@
-//! A run that is watched for hours: its workers are killed at random, its memory is looked at.
+//! Observes a long run: kills workers at random and reports memory.
 
 use std::time::Duration;
 
@@ -10,12 +10,12 @@ use metasense_schemas::record::TrialResult;
 use rustix::process::{Pid, Signal, getpid, kill_process};
 use serde_json::json;
 
-/// Mean time between two kills.
+/// Mean time between kills.
 const KILL_EVERY: Duration = Duration::from_secs(2);
-/// Time between two rows.
+/// Time between rows.
 const ROW_EVERY: Duration = Duration::from_secs(60);
 
-/// Kills a worker now and then, prints a row a minute, and asks for the end when the time is over.
+/// Kills workers at random, prints a row per minute, and stops the run after its duration.
 #[derive(Debug)]
 pub struct Soak {
     length: Duration,
@@ -55,7 +55,7 @@ impl Soak {
             "kills": self.kills,
             "trials": self.done,
         });
-        // The table at the end is what counts.
+        // Ignore errors: only the last row matters.
         let _ = print_line!("{row}");
     }
 }
@@ -85,13 +85,13 @@ impl Watch for Soak {
         if view.elapsed >= self.length && !self.over {
             self.over = true;
             self.row(view.elapsed);
-            // As Ctrl-C does
+            // As Ctrl-C
             let _ = kill_process(getpid(), Signal::INT);
         }
     }
 }
 
-/// Resident size of this process now.
+/// Resident memory of this process (MiB).
 fn resident_mib() -> f64 {
     let statm = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
     let pages: f64 = statm.split(' ').nth(1).and_then(|pages| pages.parse().ok()).unwrap_or(f64::NAN);

@@ -1,25 +1,25 @@
-//! The course of a trial: what its body is worth after so many CPU seconds. Decides between protocols.
+//! Records the designs that a trial has reached after given CPU seconds, to compare protocols.
 
 use metasense_schemas::record::{Checkpoint, StepRecord};
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::clock::cpu_seconds;
 use metasense_worker::run::{Control, Failure, Observe, pool, run_trial};
 
-/// A body that a trial had reached.
+/// A design during a trial.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Milestone {
-    /// CPU seconds of this process since the trial began.
+    /// CPU seconds of this process since the start of the trial.
     pub seconds: f64,
     /// Outer steps done.
     pub step: u32,
-    /// Samples drawn beside the N.
+    /// Additional samples drawn so far, besides the N.
     pub fresh_samples: u64,
-    /// α of the best body so far by the test set, or of the present one where none has been tested (mm).
+    /// α (mm) of the best body so far on the test set; of the current body before the first test.
     pub design: Vec<f64>,
 }
 
-/// Runs a trial's outer steps on `threads` threads until it is done or has used the last of `seconds`, which ascend;
-/// keeps the body at the first step after each of them and at the end.
+/// Runs a trial's outer steps on `threads` threads until it is done or the last of `seconds` (ascending) is over. Records the
+/// design at the first step after each of them and at the end.
 ///
 /// # Errors
 /// As `run_trial`.

@@ -1,6 +1,6 @@
 use super::*;
 
-/// Rows of two runs, a protocol's in both: one line a protocol through all its points in order of time.
+/// Rows of two runs: one line per protocol through all its points, sorted by time.
 #[test]
 fn rows_of_several_runs_make_one_line_a_protocol() {
     let row = |name: &str, seconds: f64, error: f64| {

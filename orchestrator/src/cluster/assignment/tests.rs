@@ -28,7 +28,7 @@ const SPEC: &str = "name = \"s\"\n[body]\ncolumns = 4\nrows = 4\nspacing = 15.0\
     density = 1e-8\nstiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }\n[stimuli]\nkind = \"bell\"\n\
     samples = 8\ntest = 2\n[sweep]\npanels = [2]\nsensors = [1]\n";
 
-/// Longest over mean.
+/// Largest load divided by the mean.
 fn ratio(assignment: &Assignment, trials: &[Trial]) -> f64 {
     let costs = assignment.costs(trials);
     costs.iter().copied().fold(0.0, f64::max) * costs.len() as f64 / costs.iter().sum::<f64>()
@@ -37,8 +37,8 @@ fn ratio(assignment: &Assignment, trials: &[Trial]) -> f64 {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Costs over a factor of twenty, as over the sensors of a sweep: from 10 trials a shard on, no shard has more
-    /// than 1.15 times the mean, also when half as many are added; what was assigned stays; the order of trials is nothing.
+    /// Costs vary by a factor of twenty. With at least 10 trials per shard, no shard exceeds 1.15 times the mean, even if half
+    /// as many are added later. Assignments never change, and the order of trials has no effect.
     #[test]
     fn shards_are_even_and_trials_stay_in_theirs(
         shards in 2_u32..40,
@@ -63,7 +63,7 @@ proptest! {
     }
 }
 
-/// The bodies of some trials with so many readers each.
+/// Groups trials so that each `each` share a body.
 fn readers(mut trials: Vec<Trial>, each: usize) -> Vec<Trial> {
     let firsts: Vec<Trial> = trials.chunks(each).map(|group| group[0].clone()).collect();
     for (i, trial) in trials.iter_mut().enumerate() {
@@ -76,8 +76,8 @@ fn readers(mut trials: Vec<Trial>, each: usize) -> Vec<Trial> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Where several trials share a body, no shard has more to do than a list of whole groups could give it, and more shards than one
-    /// train a body only where that pays; also when readers are added to each body.
+    /// If trials share bodies, no shard exceeds what a list of whole groups could give it, and several shards train a body only
+    /// if that pays; also when trials are added to each body.
     #[test]
     fn trials_of_a_body_stay_together_where_that_pays(
         shards in 1_u32..30,
@@ -103,7 +103,7 @@ proptest! {
     }
 }
 
-/// The issue's two: four trials on two shards, thirty on twelve.
+/// Four trials on two shards, and thirty on twelve.
 #[test]
 fn small_sweeps_are_dealt_evenly() {
     let sizes = |count: usize, shards: u32| {

@@ -15,8 +15,8 @@ async fn what_cannot_be_handed_in_stays_where_it_is_said_to_be() {
     assert_eq!(attempts(&folder).into_values().map(|files| files.len()).sum::<usize>(), 1);
 }
 
-/// A damaged live database is kept in the results folder, with its log, and the shard goes on from what was handed in; one of
-/// a newer version, or notes, are refused and stay.
+/// A damaged live database is moved to the results folder with its log, and the shard resumes from copies. A database of a
+/// newer version, or another file, is refused and stays.
 #[tokio::test]
 async fn a_damaged_live_database_is_set_aside_and_no_other() {
     let bench = tempfile::tempdir().unwrap();
@@ -47,7 +47,7 @@ async fn a_damaged_live_database_is_set_aside_and_no_other() {
     }
 }
 
-/// A run that ends while a large database is being copied does not wait for that copy.
+/// At the end of a run, a large copy in progress is cancelled.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_last_hand_in_does_not_wait_for_a_periodic_one() {
     use sqlx::ConnectOptions;

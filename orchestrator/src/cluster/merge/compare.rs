@@ -1,4 +1,4 @@
-//! What the copies that were not kept hold: nothing new, equal bits, something that disagrees, or work that is left out.
+//! Compares discarded copies with kept ones: nothing new, equal bits, differences, or discarded work.
 
 use std::collections::{BTreeMap, HashSet};
 use std::path::PathBuf;
@@ -10,18 +10,18 @@ use super::input::Input;
 use super::{Summary, copy};
 use crate::cluster::Shard;
 
-/// What is to be said of a copy that was not kept.
+/// A finding about a discarded copy.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Finding {
-    /// What kind.
+    /// Its kind.
     pub kind: Kind,
     /// The trial.
     pub hash: String,
-    /// Whose copy was kept.
+    /// File of the kept copy.
     pub kept: PathBuf,
-    /// Whose was not.
+    /// File of the discarded copy.
     pub other: PathBuf,
-    /// What differs, or what is left out.
+    /// What differs or is discarded.
     pub what: String,
 }
 
@@ -30,16 +30,16 @@ pub struct Finding {
 pub enum Kind {
     /// Checkpoints or arrays whose checksums do not match.
     Damaged,
-    /// One instruction set, one trial, other bits.
+    /// Results differ despite equal instruction sets.
     Bits,
-    /// Done in one, given up in the other.
+    /// Done in one copy, failed in the other.
     Outcome,
-    /// Attempts that are not in the result, as the other copy has come farther.
+    /// Attempts that the result lacks, because the kept copy is more advanced.
     LeftOut,
 }
 
 impl Kind {
-    /// As tables have it.
+    /// Name in tables.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -51,7 +51,7 @@ impl Kind {
     }
 }
 
-/// Columns of a result that are equal to the bit between runs of one instruction set.
+/// Columns of a result that must be bit-identical between runs with the same instruction set.
 const COMPARED: [&str; 8] = [
     "error_initial",
     "error_optimised",
@@ -63,33 +63,33 @@ const COMPARED: [&str; 8] = [
     "solver",
 ];
 
-/// Further columns that are equal in two copies of one run.
+/// Further columns that must be equal in two copies of the same run.
 const OF_ONE_RUN: [&str; 3] = ["result", "seconds_evaluation", "finished_at"];
 
-/// Columns that earlier versions left empty.
+/// Columns that are empty in earlier versions.
 const LATER: [&str; 4] = ["median", "p90", "ridge", "kappa"];
 
 /// Whether two specs differ in anything but the paths of recorded forces.
 const SPECS_DIFFER: &str = "CASE WHEN json_valid(o.spec) AND json_valid(m.spec)
     THEN json_remove(o.spec, '$.stimuli.recorded.files') <> json_remove(m.spec, '$.stimuli.recorded.files') ELSE o.spec <> m.spec END";
 
-/// A copy that was not kept, compared with the kept one.
+/// A discarded copy, compared with the kept one.
 struct Copied {
     hash: String,
-    /// The input of the kept one.
+    /// Input of the kept copy.
     kept: i64,
     state: String,
     kept_state: String,
     reason: String,
     kept_reason: String,
     one_simd: bool,
-    /// All its attempts are in the kept copy: both are of the same run.
+    /// Whether the kept copy has all its attempts: both are of the same run.
     contained: bool,
-    /// The kept copy was computed again by other code since.
+    /// Whether other code has computed the kept copy again since.
     redone: bool,
     attempts: i64,
     steps: i64,
-    /// Numbers of the trial here and there.
+    /// Ids of the trial in the input and in the result.
     old: i64,
     new: i64,
 }
@@ -130,7 +130,7 @@ pub(super) async fn damaged(
     Ok(())
 }
 
-/// Inputs with copies of tried trials that were not kept.
+/// Inputs with discarded copies of attempted trials.
 pub(super) async fn losers(out: &mut SqliteConnection) -> sqlx::Result<HashSet<usize>> {
     let rows: Vec<i64> = sqlx::query_scalar(
         "SELECT DISTINCT c.input FROM temp.candidate c JOIN temp.kept k ON k.hash = c.hash
@@ -141,7 +141,7 @@ pub(super) async fn losers(out: &mut SqliteConnection) -> sqlx::Result<HashSet<u
     Ok(rows.into_iter().map(|i| i as usize).collect())
 }
 
-/// Looks at those of one input, attached as `src`.
+/// Compares the discarded copies of one input, attached as `src`.
 pub(super) async fn compare(
     out: &mut SqliteConnection,
     input: usize,
@@ -170,7 +170,7 @@ pub(super) async fn compare(
         match (state.as_str(), kept_state.as_str()) {
             _ if copied.contained && copied.redone => summary.covered += 1,
             ("done", "done") if !copied.one_simd && !copied.contained => summary.not_compared += 1,
-            // The same run, kept in a later state; or two that come to the same bits.
+            // Copies of the same run, or two results that must be bit-identical.
             (_, kept_state) if copied.contained || state == "done" && kept_state == "done" => {
                 match differing(out, &tables, &copied).await?.as_str() {
                     "" => summary.covered += 1,
@@ -188,8 +188,8 @@ pub(super) async fn compare(
     Ok(())
 }
 
-/// Names of the result columns, arrays and tables in which two copies of a trial differ. Rows that only one copy has are ignored, because
-/// versions store different arrays.
+/// Names of the result columns, arrays and tables that differ between two copies of a trial. Ignores rows that only one copy
+/// has, because versions store different arrays.
 async fn differing(out: &mut SqliteConnection, tables: &[Compared], copied: &Copied) -> sqlx::Result<String> {
     let mut differ = vec![format!("CASE WHEN {SPECS_DIFFER} THEN 'spec ' ELSE '' END")];
     if copied.state == copied.kept_state {
@@ -214,7 +214,7 @@ async fn differing(out: &mut SqliteConnection, tables: &[Compared], copied: &Cop
     }
     let mut names = String::new();
     for sql in asked {
-        // Names of our own schema only.
+        // Safe: contains only names of our own schema.
         let query = sqlx::query_scalar::<_, String>(AssertSqlSafe(sql)).bind(copied.old).bind(copied.new);
         names += &query.fetch_one(&mut *out).await?;
         names += " ";
@@ -222,7 +222,7 @@ async fn differing(out: &mut SqliteConnection, tables: &[Compared], copied: &Cop
     Ok(names.split_whitespace().collect::<Vec<_>>().join(" "))
 }
 
-/// A table of trials, with SQL conditions: which rows of two copies correspond, and whether two rows differ in a number or in bytes.
+/// A table to compare, with SQL conditions: whether rows of two copies correspond, and whether their numbers or bytes differ.
 struct Compared {
     table: String,
     keys: String,
@@ -240,7 +240,7 @@ async fn compared(out: &mut SqliteConnection) -> sqlx::Result<Vec<Compared>> {
     Ok(compared)
 }
 
-/// The conditions of a table. Times are not compared. `None` for tables without such columns.
+/// The conditions of a table; excludes times. `None` for tables without columns to compare.
 async fn numbers_of(out: &mut SqliteConnection, table: &str) -> sqlx::Result<Option<(String, String)>> {
     if ["trial", "attempt", "checkpoint", "log", "elsewhere"].contains(&table) {
         return Ok(None);
@@ -259,7 +259,7 @@ async fn numbers_of(out: &mut SqliteConnection, table: &str) -> sqlx::Result<Opt
     Ok(Some((keys, compared)).filter(|(_, compared)| !compared.is_empty()))
 }
 
-/// Shards of which no database has a run; none once a run of the whole sweep has completed it.
+/// Shards without a run in any database; empty after a complete run of the whole sweep.
 pub(super) async fn missing_shards(out: &mut SqliteConnection) -> sqlx::Result<Vec<(String, u32, Vec<u32>)>> {
     let rows: Vec<(String, i64, u32, u32)> = sqlx::query_as(
             "SELECT s.name, -s.id, r.shards, r.shard FROM main.run r JOIN main.sweep s ON s.id = r.sweep_id

@@ -1,4 +1,4 @@
-//! Whether one database holds all that another does, row by row.
+//! Checks row by row whether one database contains another.
 
 use std::path::Path;
 
@@ -7,15 +7,15 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor};
 use super::{copy, input};
 use crate::store;
 
-/// Its trials and sweeps with those of the whole.
+/// Pairs trials and sweeps of the part with those of the whole.
 const PAIRS: &str = "
     CREATE TEMP TABLE pair AS SELECT s.id AS old, m.id AS new FROM src.trial s LEFT JOIN main.trial m ON m.hash = s.hash;
     CREATE INDEX temp.pair_old ON pair (old);
     CREATE TEMP TABLE sweeps AS SELECT s.id AS old, m.id AS new
       FROM src.sweep s LEFT JOIN main.sweep m ON m.name = s.name AND m.text = s.text";
 
-/// What of it the whole lacks. A trial may have gone on there: its attempts are then all there, and its checkpoint is farther, and
-/// not damaged.
+/// Queries for rows that the whole lacks. A trial that has continued in the whole must have all attempts, and a more advanced,
+/// undamaged checkpoint.
 const LACKING: [&str; 5] = [
     "SELECT 1 FROM temp.pair WHERE new IS NULL UNION ALL SELECT 1 FROM temp.sweeps WHERE new IS NULL",
     "SELECT 1 FROM temp.pair p JOIN src.trial s ON s.id = p.old JOIN main.trial m ON m.id = p.new
@@ -37,10 +37,10 @@ const LACKING: [&str; 5] = [
      WHERE NOT EXISTS (SELECT 1 FROM main.sweep_trial m WHERE m.sweep_id = w.new AND m.trial_id = p.new)",
 ];
 
-/// Whether `whole` holds every row of `part`. Both are files that do not change, of one version; of others it says no.
+/// Whether `whole` contains every row of `part`. Both files must not change. False for different versions.
 ///
 /// # Errors
-/// Where SQLite fails.
+/// If SQLite fails.
 pub async fn contains(whole: &Path, part: &Path) -> sqlx::Result<bool> {
     if store::has_journal(whole) || store::has_journal(part) {
         return Ok(false);
@@ -65,7 +65,7 @@ pub async fn contains(whole: &Path, part: &Path) -> sqlx::Result<bool> {
             }
         }
         for sql in questions {
-            // Names of our own schema only.
+            // Safe: contains only names of our own schema.
             let sql = format!("SELECT EXISTS ({sql})");
             lacking = sqlx::query_scalar(AssertSqlSafe(sql)).fetch_one(&mut db).await?;
             if lacking {

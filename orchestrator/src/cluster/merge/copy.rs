@@ -1,7 +1,8 @@
-//! The statements of a merge. Tables and columns are asked for, not named: what a later version adds comes along.
+//! SQL statements of a merge. They read the lists of tables and columns from the schema, so additions of later versions are
+//! included.
 //!
-//! Copies of trials are surveyed first (`candidate`), of each the best is chosen (`kept`), and then every input in turn
-//! hands over its share, so that each table grows at its end alone.
+//! First all copies of trials are listed (`candidate`), then the best copy of each is chosen (`kept`), then each input in turn
+//! is copied, so that tables only grow at their ends.
 
 use std::path::Path;
 
@@ -11,11 +12,10 @@ use sqlx::{AssertSqlSafe, ConnectOptions, Executor, Row};
 use super::Extent;
 use crate::store;
 
-/// Tables of what takes most of a trial's bytes: all others hold its facts.
+/// Tables with most of the bytes of a trial; all others contain its facts.
 const BULK: [&str; 4] = ["step", "curve", "artifact", "checkpoint"];
 
-/// A database, new or as it is, written to at the speed of the disk: if the machine goes down in the middle, nothing has been
-/// done.
+/// Opens or creates the database to build, without durability: after a crash it is discarded.
 pub(super) async fn open(path: &Path) -> sqlx::Result<SqliteConnection> {
     let mut out = store::options(path)
         .create_if_missing(true)
@@ -44,8 +44,8 @@ pub(super) async fn open(path: &Path) -> sqlx::Result<SqliteConnection> {
     Ok(out)
 }
 
-/// What of the attached input is no table of this program: a view in its place, a computed column, or a default that rows
-/// do not hold make much out of a small file. Tables and columns that are more than ours are left alone.
+/// A column of the attached input that is not as in this program's schema. Views in place of tables, computed columns or
+/// defaults could expand a small file to a huge one. Additional tables and columns are ignored.
 pub(super) async fn foreign(out: &mut SqliteConnection) -> sqlx::Result<Option<String>> {
     let columns = |schema: &str| {
         format!(
@@ -54,13 +54,13 @@ pub(super) async fn foreign(out: &mut SqliteConnection) -> sqlx::Result<Option<S
              WHERE t.schema = '{schema}' AND t.type = 'table' AND substr(t.name, 1, 7) <> 'sqlite_'"
         )
     };
-    // Names of our own schema only.
+    // Safe: contains only names of our own schema.
     let sql = format!("SELECT name FROM ({} EXCEPT {}) LIMIT 1", columns("main"), columns("src"));
     sqlx::query_scalar(AssertSqlSafe(sql)).fetch_optional(out).await
 }
 
-/// Notes an input's sweeps, and how far it has come with each trial: by steps, behind the last one by what a checkpoint
-/// holds of the comparison.
+/// Lists an input's sweeps and trials. Progress is ordered by steps, then by the size of the checkpoint, which grows in the
+/// final evaluation.
 pub(super) async fn survey(out: &mut SqliteConnection, input: usize) -> sqlx::Result<()> {
     for sql in [
         "INSERT INTO temp.candidate (input, old, hash, settled, reached, attempts, redone, since, ended, open, finished_at, last, simd,
@@ -92,8 +92,8 @@ pub(super) async fn survey(out: &mut SqliteConnection, input: usize) -> sqlx::Re
     Ok(())
 }
 
-/// Verifies the checksums of an input's checkpoints and arrays and notes the mismatches. Of the previous result (`base`) only trials that
-/// another input has too are verified. A damaged checkpoint counts as no progress.
+/// Verifies the checksums of an input's checkpoints and arrays and notes mismatches. For the former result (`base`), verifies
+/// only trials that another input has, too. A damaged checkpoint counts as no progress.
 pub(super) async fn verify(out: &mut SqliteConnection, input: usize, base: bool) -> sqlx::Result<()> {
     let twice = if base {
         "AND EXISTS (SELECT 1 FROM temp.candidate d WHERE d.hash = c.hash AND d.input <> c.input)"
@@ -116,17 +116,16 @@ pub(super) async fn verify(out: &mut SqliteConnection, input: usize, base: bool)
            (SELECT count(*) FROM temp.damage d WHERE d.input = c.input AND d.old = c.old) WHERE input = ?1"
             .to_owned(),
     ] {
-        // Names of our own schema only.
+        // Safe: contains only names of our own schema.
         sqlx::query(AssertSqlSafe(sql)).bind(input as i64).execute(&mut *out).await?;
     }
     Ok(())
 }
 
-/// Of each trial the copy that has come farthest: one whose attempts no other has thrown away, to make them again by other code; of
-/// these one that is done, first one of which nothing is damaged, then one that was made again; else with most steps behind it, then most attempts. A trial that
-/// failed and is open again has been asked for anew. Of several that are done, the first one. Of equals the one that is in the
-/// result already (`base`) stays; of equal facts the last input's counts, as its file stays longest. Sweeps are numbered as the
-/// store numbers them, the first one highest.
+/// Chooses a copy of each trial, by these criteria in order: its work was not discarded by another copy for a recomputation
+/// with other code; done; fewest damaged parts; recomputed; most steps; most attempts if not done; ended properly; open again
+/// after a failure; finished first. Among equals the former result (`base`) takes precedence; among equal facts the last input,
+/// because its file exists longest. Sweep ids decrease with age, as in the store.
 pub(super) async fn choose(
     out: &mut SqliteConnection,
     base: Option<usize>,
@@ -137,7 +136,7 @@ pub(super) async fn choose(
         Extent::Whole => format!("input <> {base}, input"),
         Extent::Facts => format!("input = {base}, input DESC"),
     };
-    // Numbers and names of our own only.
+    // Safe: contains only our own numbers and names.
     out.execute(AssertSqlSafe(format!(
         "INSERT INTO temp.kept
          SELECT coalesce(there, (SELECT coalesce(max(old), 0) FROM temp.candidate WHERE input = {base})
@@ -161,8 +160,8 @@ pub(super) async fn choose(
     Ok(())
 }
 
-/// Makes room in the result, which was input `base`: trials of which another copy is kept go, with all that is theirs; sweeps get
-/// their new numbers.
+/// Deletes trials of the former result, input `base`, of which another copy is kept, with all their rows. Sweeps get their new
+/// ids.
 pub(super) async fn make_room(out: &mut SqliteConnection, base: usize) -> sqlx::Result<()> {
     let mut sql = format!(
         "BEGIN;
@@ -173,7 +172,7 @@ pub(super) async fn make_room(out: &mut SqliteConnection, base: usize) -> sqlx::
     for (table, key) in tables_of_trials(out).await? {
         sql += &format!("DELETE FROM main.{table} WHERE {key} IN (SELECT old FROM temp.replaced);");
     }
-    // By way of numbers that no row has.
+    // Via unused ids, to avoid collisions.
     for (table, key) in [("sweep", "id"), ("run", "sweep_id"), ("sweep_trial", "sweep_id")] {
         sql += &format!(
             "UPDATE main.{table} AS x SET {key} = s.new + (1 << 40) FROM temp.sweeps s
@@ -181,12 +180,12 @@ pub(super) async fn make_room(out: &mut SqliteConnection, base: usize) -> sqlx::
              UPDATE main.{table} SET {key} = {key} - (1 << 40) WHERE {key} > (1 << 40);"
         );
     }
-    // Numbers and names of our own only.
+    // Safe: contains only our own numbers and names.
     out.execute(AssertSqlSafe(sql + "COMMIT")).await?;
     Ok(())
 }
 
-/// Takes over what is chosen from an input, which is this file.
+/// Copies the chosen rows of an input, which is this file.
 pub(super) async fn copy(
     out: &mut SqliteConnection,
     input: usize,
@@ -232,7 +231,7 @@ pub(super) async fn copy(
                 values = values.replace(&format!("x.\"{column}\""), value);
             }
         }
-        // CROSS JOIN: in this order, so that rows come as they are to lie.
+        // CROSS JOIN fixes the loop order, so that rows arrive in the order of the result.
         statements.push(format!(
             "INSERT INTO main.{table} ({key}, {columns}) SELECT k.new, {values} FROM temp.kept k
              CROSS JOIN src.{table} x ON x.{key} = k.old WHERE k.input = ?1"
@@ -245,14 +244,14 @@ pub(super) async fn copy(
         ));
     }
     for sql in statements {
-        // Names of our own schema only.
+        // Safe: contains only names of our own schema.
         sqlx::query(AssertSqlSafe(sql)).bind(input as i64).execute(&mut *out).await?;
     }
     out.execute("COMMIT").await?;
     Ok(())
 }
 
-/// What steps say of an attempt, where the attempt itself does not: facts alone have no steps.
+/// Values of attempts that are computed from their steps if missing, because facts contain no steps.
 const FROM_STEPS: [(&str, &str); 2] = [
     (
         "cpu_seconds",
@@ -269,7 +268,7 @@ const FROM_STEPS: [(&str, &str); 2] = [
     ),
 ];
 
-/// Files that are merged with nothing left out, as they were: they are not read again while they are that.
+/// Notes the state of fully merged files, which are not read again while unchanged.
 pub(super) async fn note(
     out: &mut SqliteConnection,
     sources: impl Iterator<Item = (&Path, &str)>,
@@ -283,7 +282,7 @@ pub(super) async fn note(
     Ok(())
 }
 
-/// What is left when all is there: attempts that a dead run, or one that goes on elsewhere, has left running.
+/// Completes the result: ends attempts that a dead run, or one that continues elsewhere, left running.
 pub(super) async fn finish(out: &mut SqliteConnection) -> sqlx::Result<()> {
     out.execute(store::RELEASE_ORPHANS).await?;
     out.execute(
@@ -293,9 +292,9 @@ pub(super) async fn finish(out: &mut SqliteConnection) -> sqlx::Result<()> {
     Ok(())
 }
 
-/// Whether a database holds trials by their facts alone, and whether it holds whole ones.
+/// Whether a database contains trials with facts only, and whether it contains whole trials.
 pub(super) async fn extents(db: &mut SqliteConnection, schema: &str) -> sqlx::Result<[bool; 2]> {
-    // Names of our own only.
+    // Safe: contains only our own names.
     let sql = format!(
         "SELECT EXISTS (SELECT 1 FROM {schema}.elsewhere),
            (SELECT count(*) FROM {schema}.trial) > (SELECT count(*) FROM {schema}.elsewhere)"
@@ -304,13 +303,13 @@ pub(super) async fn extents(db: &mut SqliteConnection, schema: &str) -> sqlx::Re
     Ok([facts, whole])
 }
 
-/// Trials in the result.
+/// Number of trials in the result.
 pub(super) async fn trials(out: &mut SqliteConnection) -> sqlx::Result<usize> {
     let count: i64 = sqlx::query_scalar("SELECT count(*) FROM main.trial").fetch_one(out).await?;
     Ok(count as usize)
 }
 
-/// `trial`, and the tables whose rows belong to one, with the column that says to which.
+/// `trial` and the tables with rows of trials, each with its column for the trial's id.
 pub(super) async fn tables_of_trials(out: &mut SqliteConnection) -> sqlx::Result<Vec<(String, String)>> {
     let children = sqlx::query(
         "SELECT t.name FROM main.sqlite_schema t, pragma_table_info(t.name) c
@@ -322,7 +321,7 @@ pub(super) async fn tables_of_trials(out: &mut SqliteConnection) -> sqlx::Result
     Ok([("trial".to_owned(), "id".to_owned())].into_iter().chain(children).collect())
 }
 
-/// The columns of a table but for one, as a list.
+/// All columns of a table except `but`, as an SQL list.
 pub(super) async fn columns(out: &mut SqliteConnection, table: &str, but: &str) -> sqlx::Result<String> {
     let names: Vec<String> =
         sqlx::query_scalar("SELECT name FROM pragma_table_info(?, 'main') WHERE name <> ? ORDER BY cid")

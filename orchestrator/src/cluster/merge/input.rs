@@ -1,8 +1,8 @@
-//! A database to be merged: attached as it is where nobody writes to it, through a copy where a run does, where it has a
-//! journal, or where it is of an older version.
+//! An input of a merge. It is attached directly if no process writes to it; otherwise, or if it has a journal or is empty,
+//! through a copy.
 //!
-//! One input at a time is open. That it is between two looks what it was is seen by its size and time; one that is not is
-//! taken as a copy.
+//! Only one input is open at a time. Size and modification time show whether an input has changed in between; a changed input
+//! is copied.
 
 use std::fs::File;
 use std::io;
@@ -17,26 +17,26 @@ use crate::store::{self, StoreError};
 /// An input that can be attached.
 #[derive(Debug)]
 pub(super) struct Input {
-    /// As it was named.
+    /// Path as given.
     pub named: PathBuf,
-    /// The file behind links.
+    /// Real path of the file.
     pub file: PathBuf,
-    /// What is attached: the file, or its copy.
+    /// Path to attach: the file or its copy.
     pub path: PathBuf,
-    /// What the file was, where nobody was at work on it.
+    /// State of the file if no process was writing to it.
     pub state: Option<String>,
-    /// Writers are kept out of it already.
+    /// Whether writers are already excluded.
     held: bool,
 }
 
 /// Why an input cannot be attached.
 #[derive(Debug)]
 pub(super) enum Refusal {
-    /// It is at fault.
+    /// The input is faulty.
     Input(String),
-    /// Something else: the disk, memory, descriptors.
+    /// The disk, memory or descriptors are short.
     Shortage(sqlx::Error),
-    /// A run writes to it, or has.
+    /// A run writes to it or has changed it.
     Changed,
 }
 
@@ -60,7 +60,7 @@ impl From<StoreError> for Refusal {
 }
 
 impl Input {
-    /// `copy` is where its copy goes, if it needs one; `held`: writers are kept out already.
+    /// Opens an input. `copy`: path for a copy if one is needed; `held`: writers are already excluded.
     pub async fn open(named: &Path, copy: &Path, held: bool) -> Result<Self, Refusal> {
         if !named.is_file() {
             return Err(Refusal::Input("no such file".into()));
@@ -75,7 +75,7 @@ impl Input {
             (path, state) = (copy.to_owned(), None);
         } else if store::has_journal(&file) {
             match store::copy_with_journal(&file, copy) {
-                // begun since
+                // a run has started since
                 Err(StoreError::InUse { .. }) => return Err(Refusal::Changed),
                 copied => copied?,
             }
@@ -95,7 +95,7 @@ impl Input {
         Ok(Self { named: named.to_owned(), file, path, state, held })
     }
 
-    /// Keeps writers out for as long as the handle lives; of a copy there is none.
+    /// Excludes writers while the handle exists; `None` for copies.
     pub fn hold(&self) -> Result<Option<File>, Refusal> {
         if self.path != self.file || self.held {
             return Ok(None);
@@ -108,25 +108,24 @@ impl Input {
         }
     }
 
-    /// To attach.
+    /// URI to attach.
     pub fn uri(&self) -> String {
         uri(&self.path)
     }
 }
 
-/// What a file is now.
+/// Current state of a file.
 fn state_of(file: &File) -> io::Result<String> {
     file.metadata().map(|m| store::state_of(&m))
 }
 
-/// Whether a file, behind links, is what it was, and nobody has left a log beside it.
+/// Whether a file (real path) has the given state and no log.
 pub(super) fn is_as_before(file: &Path, state: &str) -> bool {
     let now = File::open(file).and_then(|file| state_of(&file));
     now.is_ok_and(|now| now == state) && !store::has_journal(file)
 }
 
-/// Folds what a killed run has left in the log into the file, so that nothing is lost with the log. `alone`: nobody else
-/// knows of the file.
+/// Moves the log of a killed run into the file, so that its data is not lost. `alone`: no other process knows the file.
 pub(super) async fn fold(file: &Path, alone: bool) -> Result<(), StoreError> {
     if !store::has_journal(file) {
         return Ok(());
@@ -134,11 +133,11 @@ pub(super) async fn fold(file: &Path, alone: bool) -> Result<(), StoreError> {
     let at = |source| StoreError::sql(file, "folding the log into", source);
     let mut options = store::options(file);
     if alone {
-        // Without an index in shared memory, which network file systems may not have.
+        // Needs no index in shared memory, which network file systems may lack.
         options = options.pragma("locking_mode", "EXCLUSIVE");
     }
     let mut connection = options.connect().await.map_err(at)?;
-    // Busy, frames in the log, those of them that are in the file.
+    // Whether busy, frames in the log, frames moved into the file.
     let folded: (i64, i64, i64) =
         sqlx::query_as("PRAGMA wal_checkpoint(TRUNCATE)").fetch_one(&mut connection).await.map_err(at)?;
     connection.close().await.map_err(at)?;
@@ -148,11 +147,11 @@ pub(super) async fn fold(file: &Path, alone: bool) -> Result<(), StoreError> {
     }
 }
 
-/// One consistent state of a database, whoever writes to it, as a file without a journal. `ours`: it may be tidied up
-/// behind us; otherwise it is only read. It is given up when `goes_on` says no.
+/// Copies a consistent state of a database to a file without a journal, even while a run writes to it. `ours`: journals may be
+/// removed; otherwise the database is opened read-only. Stops when `goes_on` returns false.
 ///
 /// # Errors
-/// Where SQLite fails.
+/// If SQLite fails.
 pub(in crate::cluster) async fn snapshot(
     file: &Path,
     copy: &Path,
@@ -167,20 +166,20 @@ pub(in crate::cluster) async fn snapshot(
     done.map(|_| ()).map_err(at)
 }
 
-/// SQLite's operations between two looks at whether a copy is still wanted: some milliseconds.
+/// SQLite operations between two calls of `goes_on`: some milliseconds.
 const OPERATIONS: i32 = 10_000;
 
-/// A file that does not change while it is read: neither locks nor a journal are asked for.
+/// URI of a file that does not change: SQLite uses neither locks nor a journal.
 pub(super) fn uri(file: &Path) -> String {
     format!("file:{}?immutable=1", escaped(file))
 }
 
-/// A file that nobody else knows of: no locks, which network file systems may not have.
+/// URI of a file that no other process knows: no locks, which network file systems may lack.
 pub(super) fn writable_uri(file: &Path) -> String {
     format!("file:{}?nolock=1", escaped(file))
 }
 
-/// As SQLite's URIs want it.
+/// Escapes a path for SQLite's URIs.
 fn escaped(file: &Path) -> String {
     let file = std::path::absolute(file).unwrap_or_else(|_| file.to_owned());
     let escape = |c: char| match c {

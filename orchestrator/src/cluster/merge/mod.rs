@@ -1,8 +1,8 @@
-//! Databases into one: the same rows whatever the order of the files, and however often each is named.
+//! Merges databases into one. The rows of the result do not depend on the order of the files or on duplicates.
 //!
-//! Of each trial the copy that has come farthest is kept, whole: its attempts, steps, networks and arrays; or its facts alone,
-//! with the file that has the rest. The result is built beside its place and renamed into it, so that a merge that is killed has
-//! done nothing. An existing result is copied and added to; what it was made of is not read again. Inputs are never written to.
+//! Keeps the most advanced copy of each trial as a whole, with its attempts, steps, networks and arrays; or only its facts and
+//! the path of the file with the rest. The result is built in a temporary folder and renamed into place, so a killed merge
+//! changes nothing. An existing result is copied and extended, without reading its sources again. Inputs are never changed.
 
 mod compare;
 mod contains;
@@ -26,51 +26,51 @@ pub use contains::contains;
 pub(super) use input::snapshot;
 use input::{Input, Refusal};
 
-/// What of trials a merge takes over.
+/// Which parts of a trial are merged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Extent {
-    /// All that they are.
+    /// All.
     Whole,
-    /// All but steps, curves, arrays and checkpoints: some kB a trial.
+    /// All except steps, curves, arrays and checkpoints: some kB per trial.
     Facts,
 }
 
-/// What a merge came to.
+/// Result of a merge.
 #[derive(Debug, Default)]
 pub struct Summary {
-    /// Databases in the result, with `known`.
+    /// Number of databases in the result, including `known`.
     pub read: usize,
-    /// Those of them that were in it before, as they are now: they were not read again.
+    /// Number of unchanged databases that were in the result before and were not read again.
     pub known: usize,
-    /// Files that could not be read, and why; nothing of theirs is in the result.
+    /// Unreadable files with reasons; they contribute nothing.
     pub refused: Vec<(PathBuf, String)>,
-    /// Trials in the result.
+    /// Number of trials in the result.
     pub trials: usize,
-    /// Copies of trials that hold nothing that is not in the result: older states of the same run, or equal results.
+    /// Number of discarded copies without new data: earlier states of the same run, or equal results.
     pub covered: usize,
-    /// Copies whose results were not compared with those kept: other instruction sets.
+    /// Number of discarded copies with other instruction sets, whose results were not compared.
     pub not_compared: usize,
-    /// What is left out or disagrees.
+    /// Discarded data and differences.
     pub findings: Vec<Finding>,
-    /// Shards that no database has a run of, by their number: (sweep, shards, missing).
+    /// Shards without a run in any database: (sweep, number of shards, missing ones).
     pub missing: Vec<(String, u32, Vec<u32>)>,
 }
 
-/// Why nothing could be merged.
+/// Errors of a merge.
 #[derive(Debug, thiserror::Error)]
 pub enum MergeError {
-    /// The result.
+    /// The result cannot be used.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// The result cannot be made.
+    /// The result cannot be written.
     #[error("cannot write the merged database {}", path.display())]
     Unwritable {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// There is something in the result's place that cannot be merged.
+    /// The existing result cannot be merged with.
     #[error(
         "{} exists and cannot be merged with; it is unchanged: move it away, or choose another file",
         path.display()
@@ -78,40 +78,40 @@ pub enum MergeError {
     Result {
         /// The file.
         path: PathBuf,
-        /// Why not.
+        /// The reason.
         source: Box<StoreError>,
     },
-    /// Facts into whole trials.
+    /// Facts cannot be merged into whole trials.
     #[error("{} contains whole trials; merge facts into another file", .0.display())]
     NotFacts(PathBuf),
-    /// An input could not be read, and is not at fault.
+    /// An input could not be read for lack of a resource.
     #[error("cannot merge {} into {}; nothing was changed", input.display(), out.display())]
     Stopped {
         /// The input.
         input: PathBuf,
         /// The result.
         out: PathBuf,
-        /// The disk, memory, or descriptors.
+        /// Error of the disk, memory, or descriptors.
         source: Box<sqlx::Error>,
     },
-    /// SQLite refused.
+    /// An SQLite error.
     #[error("cannot write the merged database {}", path.display())]
     Sql {
         /// The file.
         path: PathBuf,
-        /// What it said.
+        /// SQLite's error.
         source: sqlx::Error,
     },
-    /// A folder without databases, or files that are all refused.
+    /// The folder has no databases, or all files are unreadable.
     #[error("nothing to merge: none of the files is a database that can be read{}", first(refused))]
     Nothing {
-        /// Files, and why they were refused.
+        /// Unreadable files with reasons.
         refused: Vec<(PathBuf, String)>,
     },
 }
 
 impl MergeError {
-    /// Whether a run or another merge has the result.
+    /// Whether a run or another merge uses the result.
     pub(super) fn is_in_use(&self) -> bool {
         matches!(self, Self::Store(StoreError::InUse { .. }))
     }
@@ -121,13 +121,13 @@ fn first(refused: &[(PathBuf, String)]) -> String {
     refused.first().map_or(String::new(), |(path, why)| format!("; {}: {why}", path.display()))
 }
 
-/// Merges `files` into `out`, which is one of them if it exists. While it is made, no run and no other merge has it. Of facts, the
-/// last file that holds a trial counts.
+/// Merges `files` into `out`, an existing `out` included, and excludes runs and other merges from it meanwhile. For facts, the
+/// last file with a trial takes precedence.
 ///
 /// # Errors
-/// If the result is in use, cannot be written, holds what cannot be read or another extent, or nothing can be read.
+/// If the result is in use, unwritable, unreadable or of another extent, or if no file can be read.
 pub async fn merge(extent: Extent, files: &[PathBuf], out: &Path) -> Result<Summary, MergeError> {
-    // A copy of a shard may be deleted during the merge because a later copy contains it. The folder is then listed again.
+    // A shard may delete a copy during the merge, because a later copy contains it. Then list the folder again.
     let gone = |(file, _): &(PathBuf, String)| !file.exists() && !files.contains(file);
     for _ in 1..LOOKS {
         match merge_once(extent, files, out).await {
@@ -161,10 +161,10 @@ async fn merge_once(extent: Extent, files: &[PathBuf], out: &Path) -> Result<Sum
     summary
 }
 
-/// Keeps runs and other merges away from the result until it is renamed into its place; makes it where it is missing.
+/// Locks the result against runs and other merges until it is renamed into place; creates it if missing.
 fn keep_writers_out(out: &Path) -> Result<File, MergeError> {
     match store::lock(out, true) {
-        // A file system without locks is no reason not to write there.
+        // Continue on file systems without locks.
         Err(StoreError::Unwritable { source, .. }) if has_no_locks(&source) => {
             File::open(out).map_err(|source| MergeError::Unwritable { path: out.to_owned(), source })
         }
@@ -250,7 +250,7 @@ async fn merge_in(
             }
             Err(Trouble::Refused(i, Refusal::Input(why))) => (i, why),
             Err(Trouble::Refused(i, Refusal::Changed)) => {
-                // As it is now: a copy, which does not change any more, where somebody is at work on it.
+                // Read it as it is now; if a process writes to it, make a copy, which does not change.
                 match opened(&inputs[i].named, &mut copy, false).await {
                     Ok(input) => {
                         inputs[i] = input;
@@ -271,12 +271,12 @@ async fn merge_in(
     Ok(summary)
 }
 
-/// What is said of an input that is another one at every look.
+/// Message for an input that changes again and again.
 const CHANGES: &str = "it keeps changing: merge again when runs and merges into it have ended";
-/// Looks at an input that changes meanwhile.
+/// Attempts to read a changing input.
 const LOOKS: usize = 5;
 
-/// An input as it is now, though a run may begin or end on it meanwhile.
+/// Opens an input; retries if a run starts or ends on it meanwhile.
 async fn opened(file: &Path, copy: &mut impl FnMut() -> PathBuf, held: bool) -> Result<Input, Refusal> {
     for _ in 1..LOOKS {
         match Input::open(file, &copy(), held).await {
@@ -287,15 +287,15 @@ async fn opened(file: &Path, copy: &mut impl FnMut() -> PathBuf, held: bool) -> 
     Input::open(file, &copy(), held).await
 }
 
-/// Whether what the result holds so far can be merged. What a killed run has left in its log is folded into it.
+/// Checks that the existing result can be merged with, after moving the log of a killed run into it.
 async fn check_result(out: &Path) -> Result<(), StoreError> {
     input::fold(out, false).await?;
     let version = store::ask_unchanging(out, async |db| Ok(store::check_version(db, out).await)).await;
     version.map_err(|source| StoreError::sql(out, "reading", source))?.map(|_| ())
 }
 
-/// Puts what was built where the former result lies, which is whole until then: its log, which has been folded into it,
-/// would be taken for the new one's.
+/// Replaces the former result, which is complete until then. Its log is moved into it and deleted first, because SQLite would
+/// apply it to the new file.
 async fn put_in_place(built: &Path, out: &Path, lock: &File) -> Result<(), MergeError> {
     let unwritable = |source| MergeError::Unwritable { path: out.to_owned(), source };
     if !store::is_still(lock, out) {
@@ -308,7 +308,7 @@ async fn put_in_place(built: &Path, out: &Path, lock: &File) -> Result<(), Merge
     files::put_in_place(built, out).map_err(unwritable)
 }
 
-/// Where something went wrong: in an input, or in what is made.
+/// An error with its place: an input, or the result.
 #[derive(Debug)]
 enum Trouble {
     Input(usize, sqlx::Error),
@@ -316,7 +316,7 @@ enum Trouble {
     Output(sqlx::Error),
 }
 
-/// `base`: which input is the result as it was, to be added to.
+/// Builds the result. `base`: index of the input that is the former result, which is extended.
 async fn build(
     path: &Path,
     extent: Extent,
@@ -366,7 +366,7 @@ async fn build(
         }
         summary.findings.sort();
     }
-    // What there was something to say of is read, and said, again.
+    // Files with findings are read and reported again by the next merge, so do not note their state.
     let is_said = |input: &Input| summary.findings.iter().any(|f| f.other == input.named);
     let noted = inputs.iter().filter(|input| !is_said(input));
     let noted = noted.filter_map(|input| Some((&*input.file, input.state.as_deref()?)));
@@ -376,10 +376,10 @@ async fn build(
     out.close().await.map_err(Trouble::Output)
 }
 
-/// Files that a result was made of, behind links, each with what it was then.
+/// Files in a result by real path, with their states at that time.
 type Known = HashMap<PathBuf, String>;
 
-/// What a result holds, as [`copy::extents`] has it, and what it was made of.
+/// The extents of a result, as in [`copy::extents`], and its files.
 async fn made_of(out: &Path) -> sqlx::Result<([bool; 2], Known)> {
     let sql = "SELECT file, state FROM source WHERE state IS NOT NULL";
     store::ask_unchanging(out, async |db| {
@@ -393,10 +393,10 @@ async fn made_of(out: &Path) -> sqlx::Result<([bool; 2], Known)> {
     .await
 }
 
-/// The first version of a database that knows what it was made of.
+/// First version of databases with a list of merged files.
 const MERGED: i64 = 7;
 
-/// Does something with an input attached as `src`.
+/// Runs `work` with an input attached as `src`.
 async fn attached<T>(
     out: &mut SqliteConnection,
     i: usize,
@@ -406,13 +406,13 @@ async fn attached<T>(
     let _lock = input.hold().map_err(|why| Trouble::Refused(i, why))?;
     let blame = |e: sqlx::Error| Trouble::Input(i, e);
     sqlx::query("ATTACH ? AS src").bind(input.uri()).execute(&mut *out).await.map_err(blame)?;
-    // What has failed may hold it attached; the file that is built goes then.
+    // After an error it may stay attached; then the built file is discarded.
     let done = work(out).await.map_err(blame)?;
     sqlx::query("DETACH src").execute(&mut *out).await.map_err(Trouble::Output)?;
     Ok(done)
 }
 
-/// Each file once, the databases of a folder for the folder, and the result if there is one already.
+/// Paths without duplicates, folders replaced by their databases, plus an existing result.
 fn distinct(files: &[PathBuf], out: &Path) -> Vec<PathBuf> {
     let is_database = |path: &PathBuf| path.extension().is_some_and(|e| e == "sqlite");
     let mut all = Vec::new();
@@ -422,12 +422,12 @@ fn distinct(files: &[PathBuf], out: &Path) -> Vec<PathBuf> {
             Err(_) => all.push(file.clone()),
         }
     }
-    // What is empty was made by us, to be locked.
+    // An empty file was created by `keep_writers_out`.
     match out.metadata().is_ok_and(|m| m.len() > 0) {
         true => all.push(out.to_owned()),
         false => all.retain(|file| store::real(file) != out),
     }
-    // Sorted, so that also the order of rows without an order is the same.
+    // Sorted, so that rows without an order are in the same order, too.
     all.sort();
     let mut seen = std::collections::HashSet::new();
     all.retain(|file| seen.insert(store::real(file)));

@@ -1,6 +1,6 @@
 use super::*;
 
-/// As far as the rename, which fails here as a crash would: what a killed run had left in the log is still there.
+/// If the final rename fails, as after a crash, the log of a killed run is still complete.
 #[tokio::test]
 async fn until_the_new_file_is_in_place_nothing_of_the_old_one_is_gone() {
     let folder = tempfile::tempdir().unwrap();
@@ -11,13 +11,13 @@ async fn until_the_new_file_is_in_place_nothing_of_the_old_one_is_gone() {
         samples = 8\ntest = 2\n[sweep]\npanels = [2]\nsensors = [1, 2]\n";
     let plan = crate::plan::Plan::new("s.toml", spec.into()).unwrap();
     store.begin_sweep(&plan.spec, spec, &plan.trials).await.unwrap();
-    // As a killed run leaves them.
+    // The files as a killed run leaves them.
     for end in ["", "-wal"] {
         std::fs::copy(store::beside(&live, end), store::beside(&out, end)).unwrap();
     }
     assert!(store::has_journal(&out));
     let built = folder.path().join("built.sqlite");
-    // A folder that is not empty takes no file's place, and cannot take one's.
+    // Renaming a non-empty folder over a file fails.
     std::fs::create_dir(&built).unwrap();
     std::fs::write(built.join("x"), "").unwrap();
     let lock = store::lock(&out, false).unwrap();

@@ -10,7 +10,7 @@ fn hosts_are_read_with_their_places() {
     }
 }
 
-/// A script stands in for shards: it writes down what it is asked, and ends as the test wants.
+/// A script replaces the shards: it records its arguments and exits as the test requires.
 #[tokio::test]
 async fn shards_that_die_are_begun_again_and_a_machine_that_is_unfit_gets_no_more() {
     let folder = tempfile::tempdir().unwrap();
@@ -37,7 +37,7 @@ async fn shards_that_die_are_begun_again_and_a_machine_that_is_unfit_gets_no_mor
     let (ended, calls) = run("[ $1 = 2 ] && kill -9 $$; [ $1 = 3 ] && exit 3; exit 1", &[1, 2, 3]).await;
     assert_eq!(ended, Ended { left: vec![2, 3], failed: true, ..Ended::default() });
     assert_eq!(calls, [1, 2, 2, 2, 3]);
-    // whatever stands in an output, what a shard said last is told, and where more of it is
+    // whatever an output contains, the shard's last message and the name of the file are printed
     std::fs::write(folder.path().join("shard-1-of-9.out"), "of an earlier attempt\n").unwrap();
     let script = "printf 'first\\n\\377\\000last words\\n\\n' >> shard-$1-of-9.out; kill -9 $$";
     run(script, &[1]).await;

@@ -28,8 +28,8 @@ fn the_queue_is_read() {
     assert_eq!(queue.jobs, ["7", "8"]);
 }
 
-/// A kill in the middle of a line loses that line alone, and the next one stands on a line of its own; a job whose number was
-/// written down later is one job. What else is no job is named by its line.
+/// A kill within a line loses only that line, and the next line starts anew. A job whose id was recorded later is one job. The
+/// error for an invalid line contains its number.
 #[test]
 fn notes_are_read_up_to_where_they_were_written() {
     let folder = tempfile::tempdir().unwrap();
@@ -40,7 +40,7 @@ fn notes_are_read_up_to_where_they_were_written() {
         std::fs::write(&file, text).unwrap();
         jobs(folder.path())
     };
-    // a process that another test forks has the lock until it is another program
+    // a process forked by another test holds the lock until its exec
     let open = || {
         let opened = (0..500).find_map(|_| {
             let notes = Notes::open(folder.path()).ok();
@@ -61,7 +61,7 @@ fn notes_are_read_up_to_where_they_were_written() {
         notes.note(&serde_json::from_str(job).unwrap()).unwrap();
         assert_eq!(numbers(jobs(folder.path()).unwrap()), ["7"], "{rest:?}");
     }
-    // whole, but for its end
+    // complete except for the line end
     assert_eq!(numbers(read(job.as_bytes()).unwrap()), ["7"]);
     let other: Job = serde_json::from_str(&job.replace('7', "8").replace("s.1", "s.2")).unwrap();
     open().note(&other).unwrap();

@@ -1,7 +1,7 @@
 use super::*;
 
-/// Three trials of ten steps of 1 s and a comparison of 4 s, of which the plan knows half, one of them half done,
-/// on two workers: the end at 23 s is foreseen from the second step on, and the part that is done grows to 1.
+/// Three trials, each with ten steps of 1 s and a comparison of 4 s, on two workers; the plan assumes half of these times, and
+/// one trial is half done. From the second step on, the forecast ends at 23 s, and the part done grows to 1.
 #[test]
 fn an_estimate_holds_for_resumed_trials_and_for_the_last_one_alone() {
     let planned = |behind| Planned { step: 0.5, comparison: 2.0, steps: 10, behind, open: true };
@@ -35,8 +35,8 @@ fn an_estimate_holds_for_resumed_trials_and_for_the_last_one_alone() {
     assert!(parts.is_sorted() && parts[0] > 0.1 && parts[23] == 1.0, "{parts:?}");
 }
 
-/// A comparison that takes ten times what the plan says: from then on some of it is always left, the longer the more, and the next
-/// trial's is expected to be as long.
+/// A comparison takes ten times its planned time: once overdue, its remaining time grows, and the next trial's comparison is
+/// expected to be as long.
 #[test]
 fn what_is_overdue_is_not_nearly_done() {
     let planned = Planned { step: 1.0, comparison: 4.0, steps: 10, behind: 0, open: true };

@@ -1,6 +1,6 @@
 use super::*;
 
-/// A run's directory, and what carries its name, go with it; another run's stay.
+/// Dropping a run's place removes its directory and segments, but not those of another run.
 #[test]
 fn a_place_is_removed_as_a_whole_and_alone() {
     let (first, second) = (Runtime::new().unwrap(), Runtime::new().unwrap());

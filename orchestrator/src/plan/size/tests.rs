@@ -10,8 +10,8 @@ fn plan(text: &str) -> Plan {
     Plan::new("s.toml", text.to_owned()).unwrap()
 }
 
-/// Five to twelve units across the same disc: similar units of proportional lengths, limits and rate, and ten across
-/// are the trial that is written without a size.
+/// A disc with five to twelve units across has scaled lengths, limits and rate. With ten, its trial equals that without a given
+/// size.
 #[test]
 fn a_disc_keeps_its_size_while_its_units_grow_in_number() {
     let disc = std::fs::read_to_string(DISC).unwrap();
@@ -37,7 +37,7 @@ fn a_disc_keeps_its_size_while_its_units_grow_in_number() {
     }
 }
 
-/// The material that a trial keeps gives the mass and the stiffnesses that it has, whatever its lengths were scaled by.
+/// A trial's material reproduces its density and stiffnesses, although its lengths were scaled.
 #[test]
 fn a_trial_keeps_the_material_of_its_stiffnesses() {
     let text = "name = \"s\"\n[body]\ncolumns = 5\nrows = 4\nspacing = 30.0\nligament_length = 4.0\nwidth = 60.0\n\

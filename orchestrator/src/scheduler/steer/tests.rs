@@ -1,7 +1,7 @@
 use super::super::{Event, Mark, Outcome, Settings, WorkerId, on_event};
 use super::*;
 
-/// Nothing is recorded, and answers are for nobody.
+/// Records and answers are empty.
 #[derive(Debug, Clone, PartialEq)]
 struct Nothing;
 
@@ -12,12 +12,12 @@ impl Payload for Nothing {
     type Asker = ();
 }
 
-/// A new trial that waits for nobody.
+/// A new trial that does not wait for its body.
 const ALONE: Prior = Prior { attempts: 0, steps: None, body: 0, trained: true };
 
 type Actions = Vec<Action<Nothing>>;
 
-/// A run whose workers are up: they have the first trials.
+/// A run whose workers are up and have the first trials.
 fn run(trials: usize, workers: u32) -> State {
     run_of(&vec![ALONE; trials], workers)
 }
@@ -38,7 +38,7 @@ fn run_of(priors: &[Prior], workers: u32) -> State {
     state
 }
 
-/// An event, after which workers that it starts come up; all actions.
+/// Handles an event, then starts the workers that it spawned; returns all actions.
 fn up(state: &mut State, event: Event<Nothing>) -> Actions {
     let mut actions = on_event(state, event);
     let spawned: Vec<WorkerId> =
@@ -79,7 +79,8 @@ const fn failed(trial: u32, reason: Reason, settled: bool) -> Action<Nothing> {
     Action::RecordFailure { lease: lease(trial, 1), reason, settled }
 }
 
-/// Also trials that come back for other reasons meanwhile wait; the same trials go on, begun ones first.
+/// A pause stops running trials; trials that end for other reasons wait, too. The same trials resume, those with progress
+/// first.
 #[test]
 fn a_pause_takes_trials_back_and_hands_out_none() {
     let mut state = run(3, 2);
@@ -89,7 +90,7 @@ fn a_pause_takes_trials_back_and_hands_out_none() {
     assert_eq!(steer(&mut state, Steer::Pause), (Answer::Paused(2), vec![]), "nobody is asked twice");
     let back = up(&mut state, Event::Failed(id(0), lease(0, 1), Reason::Stopped));
     assert_eq!(back, [failed(0, Reason::Stopped, false)]);
-    // this one was quicker than the pause
+    // this trial finished before the pause took effect
     assert_eq!(finish(&mut state, 1, 1), [Action::RecordResult(lease(1, 1), ())]);
     assert_eq!(up(&mut state, Event::Clock(60_000)), []);
     let (answer, actions) = steer(&mut state, Steer::Resume);
@@ -97,8 +98,8 @@ fn a_pause_takes_trials_back_and_hands_out_none() {
     assert_eq!(actions, [Action::Assign(id(0), lease(0, 2)), Action::Assign(id(1), lease(2, 1))]);
 }
 
-/// A trial that has done the steps that were asked for is over for this run, and with the last one the run; one that somebody has
-/// cancelled meanwhile is cancelled.
+/// A trial that has done its requested steps ends for this run, and after the last one the run ends. If it was cancelled
+/// meanwhile, it is recorded as cancelled.
 #[test]
 fn a_trial_at_its_pause_is_over_for_this_run() {
     let mut state = run(3, 2);
@@ -111,7 +112,7 @@ fn a_trial_at_its_pause_is_over_for_this_run() {
     assert_eq!(last, [failed(2, Reason::Paused, true), Action::Close(id(0)), Action::Close(id(1))]);
 }
 
-/// One that waits, one that runs and stops, one whose worker dies before, one that is done before; none is given out again.
+/// Cancels a waiting trial, a running one, one whose worker dies and one that finishes first; none is assigned again.
 #[test]
 fn what_is_cancelled_is_recorded_and_not_given_out_again() {
     let mut state = run(5, 3);
@@ -139,7 +140,7 @@ fn what_is_cancelled_is_recorded_and_not_given_out_again() {
     assert_eq!(ended.concat(), [Action::End(Outcome::Complete)]);
 }
 
-/// The last one that was asked for goes before the others, also one that has just died and would have to wait.
+/// The trial of the last `Next` command goes first, even if it has just died and would have to wait.
 #[test]
 fn what_is_to_be_next_goes_first() {
     let mut state = run(5, 1);
@@ -159,12 +160,13 @@ fn what_is_to_be_next_goes_first() {
     let (answer, _) = steer(&mut state, Steer::Next(0));
     assert_eq!(answer, Answer::Next(false));
     assert!(matches!(state.phase(0), Phase::Running(_)) || state.ready.first() == Some(&(-1, 0)));
-    // of one body: the second waits until the first has trained it
+    // with one body for all trials, the second waits until the first has trained it
     let mut state = run_of(&[Prior { trained: false, ..ALONE }; 3], 2);
     assert_eq!(steer(&mut state, Steer::Next(2)).0, Answer::Next(true));
 }
 
-/// More: started at once, given up slots again, too. Fewer: the idle one, then the first one whose trial ends.
+/// New workers start at once, also in slots that were given up; of surplus workers, idle ones end first, then the first to
+/// finish.
 #[test]
 fn workers_become_more_and_fewer() {
     let mut state = run(6, 1);
@@ -172,7 +174,7 @@ fn workers_become_more_and_fewer() {
     assert_eq!(answer, Answer::Workers([1, 3]));
     assert_eq!(actions[..2], [Action::Spawn(id(1)), Action::Spawn(id(2))]);
     assert_eq!((state.busy(), state.waiting()), (3, 3));
-    // one becomes idle in a pause
+    // one worker becomes idle in a pause
     steer(&mut state, Steer::Pause);
     finish(&mut state, 1, 1);
     let (answer, actions) = steer(&mut state, Steer::Workers(1));
@@ -189,8 +191,7 @@ fn workers_become_more_and_fewer() {
     assert_eq!(actions[0], Action::Spawn(WorkerId { slot: 1, generation: 2 }));
 }
 
-/// In the order in which they come, also where all else is settled and workers are about to end; refused by nothing, as
-/// they are in the database by then.
+/// Added trials run in order, even when everything else has ended; they are never refused, as they are already in the database.
 #[test]
 fn added_trials_are_run() {
     let mut state = run(1, 1);
@@ -217,7 +218,7 @@ fn added_trials_are_run() {
     assert_eq!(ended, [Action::End(Outcome::Interrupted)]);
 }
 
-/// A stop waits for steps in progress as long as it is allowed to, and for no longer; a second one does not wait.
+/// A stop waits for steps in progress for `grace` and no longer; a second stop does not wait.
 #[test]
 fn a_stop_waits_for_its_grace_and_a_second_one_does_not() {
     for at_once in [false, true] {
@@ -234,8 +235,8 @@ fn a_stop_waits_for_its_grace_and_a_second_one_does_not() {
     }
 }
 
-/// A shortage is the machine's: trials wait longer each time and stay pending, and the run ends when it lasts. A worker that ends,
-/// or a trial that comes further, is a reason to go on.
+/// Shortages do not count against trials, which wait longer each time and stay pending; if a shortage lasts, the run ends. A
+/// worker that ends, or progress of a trial, resets the wait.
 #[test]
 fn a_shortage_is_waited_out_and_charged_to_no_trial() {
     let mut state = run(1, 1);
@@ -257,18 +258,18 @@ fn a_shortage_is_waited_out_and_charged_to_no_trial() {
     let ended = up(&mut state, Event::Lost(id(0), Reason::WorkerExited(0)));
     assert_eq!(ended, [Action::End(Outcome::Unfit(Reason::Shortage))]);
     assert_eq!(state.phase(0), Phase::Pending);
-    // it comes further, and then is short again: counted from one
+    // after progress, the count of shortages starts again at one
     up(&mut further, Event::Step(id(0), lease(0, attempt), false, ()));
     up(&mut further, Event::Failed(id(0), lease(0, attempt), Reason::Shortage));
     assert_eq!(up(&mut further, Event::Clock(now + 500)), [Action::Assign(id(0), lease(0, attempt + 1))]);
 
-    // two workers where there is room for one: the other trial's end is waited for, and is a reason to try again
+    // two workers, but memory for one: when the other trial ends, the failed one is retried
     let mut state = run(2, 2);
     up(&mut state, Event::Failed(id(1), lease(1, 1), Reason::OutOfMemory));
     assert_eq!(up(&mut state, Event::Clock(499)), [], "nothing is handed out meanwhile");
     let done = finish(&mut state, 0, 0);
     assert!(matches!(done[1], Action::Assign(_, Lease { trial: 1, attempt: 2 })), "{done:?}");
-    // a limit of the worker's own is no shortage
+    // exceeding the worker's own memory limit is no shortage
     let mut state = run(1, 1);
     state.settings.memory_limited = true;
     let own = up(&mut state, Event::Lost(id(0), Reason::OutOfMemory));

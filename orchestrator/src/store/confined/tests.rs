@@ -3,7 +3,7 @@ use crate::store::Store;
 
 const LIMITS: Limits = Limits { rows: 10, bytes: 1000, time: Duration::from_millis(300) };
 
-/// Whatever would touch another file, or change anything, is refused, also behind another statement.
+/// Statements that access other files or change anything are refused, also after another statement.
 #[tokio::test]
 async fn nothing_but_rows_can_be_had() {
     let bench = tempfile::tempdir().unwrap();
@@ -34,7 +34,7 @@ async fn nothing_but_rows_can_be_had() {
     assert_eq!((table.1[0][0].as_i64(), cut), (Some(0), None));
 }
 
-/// Rows, bytes, time and the length of a value.
+/// Answers respect the limits of rows, bytes, time and length of values.
 #[tokio::test]
 async fn answers_end_at_their_limits() {
     let bench = tempfile::tempdir().unwrap();

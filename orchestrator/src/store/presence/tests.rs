@@ -6,7 +6,7 @@ const SPEC: &str = "name = \"s\"\n[body]\ncolumns = 4\nrows = 4\nspacing = 15.0\
     density = 1e-8\nstiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }\n[stimuli]\nkind = \"bell\"\n\
     samples = 8\ntest = 2\n[sweep]\npanels = [2]\nsensors = [1, 2]\n";
 
-/// The trials that a file has, where it is whole.
+/// The number of trials in a file; `None` if it cannot be read.
 async fn trials(db: &Path) -> Option<u64> {
     let mut reader = Reader::open(db).await.ok()?;
     let found: crate::store::Answer = reader.query("SELECT count(*) FROM v_trial").await.ok()?;

@@ -2,7 +2,7 @@ use super::*;
 use crate::store::Store;
 use metasense_schemas::database::VIEWS;
 
-/// By these a Parquet file of an answer without values has the types of one with values.
+/// With these types, a Parquet file of an empty answer has the same schema as one with rows.
 #[tokio::test]
 async fn every_column_of_a_view_has_a_type() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,6 +1,6 @@
 use super::*;
 
-/// Half a decade of error on a line of slope −2 in the logarithms; beyond the curve nothing, before it its first point.
+/// Interpolates half a decade on a line of slope −2 in logarithms; `None` beyond the curve, the first point before it.
 #[test]
 fn costs_lie_on_lines_between_logarithms() {
     let curve = [(1.0, 1e-2), (10.0, 1e-4)];
@@ -9,7 +9,7 @@ fn costs_lie_on_lines_between_logarithms() {
     assert_eq!([cost(&curve, 1e-5), cost(&curve, 1e-1), cost(&[], 1.0)], [None, Some(1.0), None]);
 }
 
-/// Of three methods, one of which never reaches the error, the cheapest is named, with Tsit5 at equal error and `auto`.
+/// One of three methods never reaches the error. The line names the cheapest, with Tsit5 at equal error and `auto`.
 #[test]
 fn the_cheapest_is_named() {
     let mark = |method: &str, setting: &str, points: [Option<(f64, f64)>; 2]| Mark {

@@ -8,7 +8,7 @@ fn row(method: &str, setting: &str, milliseconds: f64) -> String {
     )
 }
 
-/// A run that is measured again replaces what it measured before; other lines of the file are left out.
+/// A repeated measurement replaces the earlier row of its setting; other lines are ignored.
 #[test]
 fn the_newest_row_of_each_setting_is_drawn() {
     let lines = [row("tsit5", "1e-6", 8.0), "{\"bench\":\"brain\"}".into(), row("leapfrog", "9 steps", 2.0)]

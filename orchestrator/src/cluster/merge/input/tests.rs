@@ -1,7 +1,7 @@
 use super::*;
 use crate::store::Store;
 
-/// No run can begin on what is attached as it is, before the merge has let go of it; one that did between two looks is seen.
+/// No run can start on an attached input; a run between two accesses is detected.
 #[tokio::test]
 async fn an_input_is_locked_while_it_is_attached_and_known_to_have_changed() {
     let folder = tempfile::tempdir().unwrap();
