@@ -83,7 +83,7 @@ impl Decoder {
     }
 }
 
-/// Samples of several casts: fits a decoder for all casts, and supports that of a further cast.
+/// Samples of several casts: fits a decoder for all casts, and helps to fit one for a further cast.
 #[derive(Debug, Clone)]
 pub(crate) struct Pooled {
     normal: Normal,

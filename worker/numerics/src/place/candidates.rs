@@ -83,7 +83,7 @@ impl Candidates {
         self.of(&best)
     }
 
-    /// Each unit that is not chosen, with the error (%) of a linear decoder of it and the chosen ones, best first.
+    /// Each unit that is not chosen, with the error (%) of a linear decoder of the chosen units and this one, best first.
     pub fn worth(
         &self,
         chosen: &[usize],

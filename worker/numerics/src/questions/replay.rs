@@ -23,7 +23,7 @@ pub struct Replay {
     pub signals: Vec<f64>,
     /// Estimated forces (N, T, K) (N); empty without weights, NaN for samples that an inverse decoder skipped.
     pub predictions: Vec<f64>,
-    /// Half-widths (N, T, K) (N) of the 95 % bands of an inverse decoder, likewise.
+    /// Half-widths (N, T, K) (N) of the 95 % bands of an inverse decoder, NaN for skipped samples; empty for others.
     pub half_widths: Vec<f64>,
     /// Error of each sample (%); `None` without force, empty without weights.
     pub errors: Vec<Option<f64>>,

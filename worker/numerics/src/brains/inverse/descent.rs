@@ -274,7 +274,7 @@ impl Descent {
         self.at.phi + half_log(self.curvature().as_ref(), LEAST)
     }
 
-    /// B; without readings that of the prior, 1.
+    /// B; the identity, as for the prior, without readings.
     pub(super) fn curvature(&self) -> Mat<f64> {
         let all = self.at.z.len();
         self.curvature.clone().unwrap_or_else(|| Mat::identity(all, all))

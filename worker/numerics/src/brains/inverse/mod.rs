@@ -87,8 +87,8 @@ struct Guess {
 
 impl<'a> Inverse<'a> {
     /// Inverse decoder of a design, simulated with the solver tuned on it, or of its twin. A linear decoder fitted to `known`,
-    /// samples of that model, starts the descents. The prior is that of fresh forces of the trial; of the training samples if
-    /// forces are recorded.
+    /// samples of that model, starts the descents. The prior comes from fresh forces of the trial, or from the training
+    /// samples if forces are recorded.
     ///
     /// # Errors
     /// If the linear decoder has no solution, or all force histories are equal.

@@ -4,7 +4,7 @@ use crate::random::{Purpose, Stream};
 use crate::stimuli::folds;
 use crate::trial::{BrainKind, Decoder, Schedule};
 
-/// One record has false signals: a decoder that was fitted to it reproduces its forces, that of its own fold cannot.
+/// One record has false signals: a decoder that was fitted to it reproduces its forces, the decoder of its own fold does not.
 #[test]
 fn a_fold_s_network_has_not_seen_its_records() {
     let (samples, instants) = (12, 16);
