@@ -1,12 +1,11 @@
-//! The arrays of a result on their way to the database: NPY files, one behind the other, each value written once, into
-//! shared memory.
+//! Arrays of a result, written once into shared memory on their way to the database, as consecutive NPY files.
 
 use std::mem::MaybeUninit;
 
 use metasense_schemas::record::TrialResult;
 use metasense_schemas::wire::ArrayHead;
 
-/// The values of an array with one index.
+/// Values of a one-dimensional array.
 #[derive(Debug, Clone, PartialEq)]
 enum Values {
     /// Single precision.
@@ -35,25 +34,25 @@ impl Values {
     }
 }
 
-/// The beginning of an NPY file of `len` values.
+/// Header of an NPY file of `len` values.
 fn header<T: npyz::AutoSerialize>(len: usize) -> Vec<u8> {
     use npyz::WriterBuilder;
     let mut bytes = Vec::with_capacity(128);
     let options = npyz::WriteOptions::<T>::new().default_dtype().shape(&[len as u64]);
-    // Dropped without its values: those follow in shared memory.
+    // `write` appends the values in shared memory; drop the writer without them.
     drop(options.writer(&mut bytes).begin_nd().expect("writing to memory"));
     bytes
 }
 
-/// Arrays that are sent as one.
+/// The arrays of one result.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Arrays {
     parts: Vec<(String, Vec<u8>, Values)>,
 }
 
 impl Arrays {
-    /// Takes designs, weights and losses out of a result, under the names that they have in the database. A result
-    /// whose arrays are of less than `least` bytes keeps them: it is sent as it is.
+    /// Moves designs, weights and losses out of a result, under their names in the database. Leaves a result with less than
+    /// `least` bytes of arrays unchanged.
     pub fn of(result: &mut TrialResult, least: usize) -> Self {
         let mut arrays = Self::default();
         if bytes(result) < least {
@@ -80,17 +79,17 @@ impl Arrays {
         self.parts.push((name, values.header(), values));
     }
 
-    /// Bytes of all.
+    /// Total size, headers included (bytes).
     pub fn len(&self) -> usize {
         self.parts.iter().map(|(_, header, values)| header.len() + values.bytes()).sum()
     }
 
-    /// Whether there are none.
+    /// Whether there are no arrays.
     pub fn is_empty(&self) -> bool {
         self.parts.is_empty()
     }
 
-    /// Name, shape and place of each.
+    /// Name, shape and byte range of each array.
     pub fn heads(&self) -> Vec<ArrayHead> {
         let mut end = 0;
         let head = |(name, header, values): &(String, Vec<u8>, Values)| {
@@ -104,7 +103,7 @@ impl Arrays {
     /// Writes every byte of `target`.
     ///
     /// # Panics
-    /// If it is not of `len` bytes.
+    /// If `target.len()` differs from [`Arrays::len`].
     pub fn write(&self, target: &mut [MaybeUninit<u8>]) {
         assert_eq!(target.len(), self.len(), "room for the arrays");
         let mut rest = target;
@@ -121,7 +120,7 @@ impl Arrays {
     }
 }
 
-/// Bytes of the arrays of a result.
+/// Size of the arrays of a result (bytes).
 fn bytes(result: &TrialResult) -> usize {
     let body = |evaluation: &metasense_schemas::record::BodyEvaluation| {
         let networks = evaluation.networks.iter().chain(&evaluation.long);

@@ -1,4 +1,4 @@
-//! What can be known of forces from a body's signals: by the best linear decoder around each motion, and at most.
+//! Bounds on the error of a body's decoders: of the best linear decoder around each motion, and of any decoder.
 
 use metasense_numerics::place::placed;
 use metasense_numerics::questions;
@@ -8,11 +8,11 @@ use metasense_schemas::spec::TrialSpec;
 
 use crate::run::{Failure, pool, simulable};
 
-/// The bound of a body under the first `samples` of a trial's holdout, with its chips' noise or, in its place, with white noise of
-/// this part of each channel's RMS on the initial body.
+/// The bounds of a body for the first `samples` held-out samples of a trial. The chips have their own noise, or white noise of
+/// `noise` times each channel's RMS on the initial body.
 ///
 /// # Errors
-/// If the spec stands for no trial, the design is of another length or cannot be simulated, or readings are exact.
+/// If the spec is invalid, the design has the wrong length or cannot be simulated, or readings have no noise.
 pub fn bound(
     trial: &TrialSpec,
     design: &[f64],

@@ -1,4 +1,4 @@
-//! What is left of a design once it is cast, for any trial and any scatter.
+//! Errors of a design when it is cast, for any trial and any deviations.
 
 use metasense_numerics::nested::casts_of;
 use metasense_numerics::place::placed;
@@ -9,15 +9,15 @@ use metasense_schemas::spec::{TrialSpec, Variation};
 use crate::convert::cast_readings;
 use crate::run::{Failure, pool, simulable};
 
-/// What a trial has whose casts cannot be asked for.
+/// End of the error message for a trial without `[variation]`.
 pub const NO_VARIATION: &str =
     "no [variation] (a trial keeps it only with an objective over casts or evaluation.casts above 0)";
 
-/// How `count` casts of a design are read by linear brains, those of the trial's own comparison first, or of another scatter.
-/// `progress` is told how many have been.
+/// Errors of linear decoders on `count` casts of a design, the casts of the trial's own comparison first. `variation` replaces
+/// that of the trial. Calls `progress` with the number of casts done.
 ///
 /// # Errors
-/// If the spec stands for no trial, the design is of another length, nothing scatters, or the initial body cannot be simulated.
+/// If the spec is invalid, the design has the wrong length, there is no variation, or the initial body cannot be simulated.
 pub fn casts(
     trial: &TrialSpec,
     design: &[f64],

@@ -1,4 +1,4 @@
-//! Measured records looked at before any fit: what instruments, units, axes, clocks and panels may have wrong, each with its remedy.
+//! Checks measured records before any fit for faults of instruments, units, axes, clocks and panels. Each fault has a remedy.
 
 use metasense_numerics::check::{
     Found, History, Instruments, Model, Record, Spectra, clipped, compare, spectra,
@@ -14,47 +14,47 @@ mod findings;
 
 pub use findings::{Finding, Level};
 
-/// What a look at records has found.
+/// Result of a check of measured records.
 #[derive(Debug, Clone)]
 pub struct Checked {
-    /// In the order of the checks.
+    /// Findings, in the order of the checks.
     pub findings: Vec<Finding>,
-    /// Names of the channels.
+    /// Channel names.
     pub channels: Vec<String>,
-    /// Those that can be read.
+    /// The readable records.
     pub records: Vec<Looked>,
-    /// Compared with the model, if a record can be read and the model simulated.
+    /// Comparison with the model; `None` without a readable record or if the simulation fails.
     pub found: Option<Found>,
-    /// Responses and ringing, if a record can be read.
+    /// Responses and natural frequencies; `None` without a readable record.
     pub spectra: Option<Spectra>,
-    /// The design's slowest modes; empty if it has none.
+    /// Slowest modes of the design; empty if it has none.
     pub modes: Vec<Mode>,
 }
 
-/// One record.
+/// A readable record.
 #[derive(Debug, Clone)]
 pub struct Looked {
-    /// Its number, from 0.
+    /// Number of the record, from 0.
     pub number: usize,
-    /// File, and number in the file.
+    /// File, and number within the file.
     pub place: String,
-    /// In N, mm/s² and rad/s.
+    /// Forces (N) and signals (mm/s², rad/s).
     pub record: Record,
-    /// Without a model.
+    /// Properties measured from the record alone, without the model.
     pub instruments: Instruments,
-    /// Deviation of the least even step of its clocks from the mean step, relative to that.
+    /// Largest deviation of a time step from the mean step of its clock, relative to the mean step.
     pub jitter: f64,
-    /// Entries of the forces, and of each channel, at an end of the range.
+    /// Number of entries at an end of the range: per force, then per channel.
     pub clipped: [Vec<usize>; 2],
 }
 
-/// Modes of the design that are listed.
+/// Number of modes listed.
 const MODES: usize = 12;
 
-/// Compares them with the body's model.
+/// Compares records with the model of a design.
 ///
 /// # Errors
-/// If the spec stands for no trial, or the design is of another body.
+/// If the spec is invalid, or the design belongs to another body.
 pub fn check(
     trial: &TrialSpec,
     design: &[f64],
@@ -84,7 +84,7 @@ pub fn check(
     Ok(Checked { findings, channels, records, found, spectra, modes })
 }
 
-/// Names of channels: as signals of sensors, with their columns if the file names one for each.
+/// Name of each channel: its signal and sensor, and its column if the file names one per channel.
 fn names(described: &Described, trial: &TrialSpec, sensors: &[usize]) -> Vec<String> {
     let columns =
         described.spec.signals.channels.as_deref().filter(|columns| columns.len() == trial.signals());

@@ -1,6 +1,6 @@
-//! The clock of all that is recorded and compared: CPU time, which other work on the machine does not change.
+//! The clock of all recorded times: CPU time, which other processes on the machine do not change.
 
-/// CPU time of this process so far, all threads (s).
+/// CPU time of this process, all threads (s).
 #[must_use]
 pub fn cpu_seconds() -> f64 {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);

@@ -1,4 +1,4 @@
-//! The maths' reports and states as what is stored, and back. Stored types age slowly, maths types are free to change.
+//! Conversions between the numerical types and the stored records, so that the former can change without the latter.
 
 use metasense_numerics::brain::Adam;
 use metasense_numerics::brain::linear::Lags;
@@ -13,12 +13,12 @@ use metasense_schemas::record::{
 };
 use metasense_schemas::spec::TrialSpec;
 
-/// Not a number becomes absent.
+/// `None` for NaN and ±∞.
 pub(crate) fn finite(value: Option<f64>) -> Option<f64> {
     value.filter(|x| x.is_finite())
 }
 
-/// A step's report.
+/// Record of a step.
 pub fn step_record(report: &nested::Report) -> StepRecord {
     StepRecord {
         step: report.step,
@@ -34,7 +34,7 @@ pub fn step_record(report: &nested::Report) -> StepRecord {
         implicit: report.implicit.map(|implicit| ImplicitRecord {
             iterations: implicit.iterations as u32,
             residual: implicit.residual,
-            // infinite where no product was taken, which SQLite and JSON do not know
+            // Infinite if no product was computed; SQLite and JSON cannot store infinity.
             smallest_curvature: finite(Some(implicit.smallest_curvature)).unwrap_or(0.0),
             outcome: implicit.outcome.name().into(),
         }),
@@ -45,7 +45,7 @@ pub fn step_record(report: &nested::Report) -> StepRecord {
     }
 }
 
-/// Counts of work.
+/// Counts of computations.
 pub fn counters(counters: &trial::Counters) -> Counters {
     Counters {
         force_evaluations: counters.dynamics.force_evaluations,
@@ -73,7 +73,7 @@ fn spread_of(spread: Spread) -> trial::Spread {
     trial::Spread { median: known(spread.median), p90: known(spread.p90), above: spread.above }
 }
 
-/// A body with its fresh networks.
+/// Stored form of a body's evaluation.
 pub fn body_evaluation(body: nested::BodyEvaluation) -> BodyEvaluation {
     let network = |network: nested::NetworkEvaluation| NetworkEvaluation {
         error_train: finite(network.error_train),
@@ -94,7 +94,7 @@ pub fn body_evaluation(body: nested::BodyEvaluation) -> BodyEvaluation {
     }
 }
 
-/// What a search for sensors found.
+/// Result of a sensor search.
 pub fn placed(placed: metasense_numerics::place::Placed) -> Placed {
     let (runner_up, runner_up_error) = placed.runner_up.unzip();
     Placed {
@@ -119,7 +119,7 @@ fn reading(reading: &brains::Reading) -> Reading {
     }
 }
 
-/// What is needed to go on.
+/// Checkpoint from which a run resumes.
 pub fn checkpoint(state: &State) -> Checkpoint {
     let State { step, caution, setbacks, trend, .. } = *state;
     let Learnt { weights, adam, ridge } = &state.learnt;
@@ -145,12 +145,12 @@ pub fn checkpoint(state: &State) -> Checkpoint {
     }
 }
 
-/// A brain that reads a cast, by its name and how many samples it is fitted to.
+/// The decoder of a cast with this name and number of records.
 fn brain_of_cast(reader: &str, records: u32) -> Result<CastBrain, String> {
     CastBrain::named(reader, records).ok_or_else(|| format!("a cast that is read by {reader:?}"))
 }
 
-/// Bands of a body and its casts.
+/// Prediction bands of a body and its casts.
 pub fn bands(bands: &[nested::BandReading]) -> Vec<record::Band> {
     let band = |nested::BandReading { cast, band, width, coverage }: &nested::BandReading| {
         let (reader, records) = cast.map_or(("own", 0), |(_, by)| (by.name(), by.records().unwrap_or(0)));
@@ -195,7 +195,7 @@ fn banded(bands: &[record::Band]) -> Result<Vec<nested::BandReading>, String> {
     bands.iter().map(reading).collect()
 }
 
-/// How casts of a body are read.
+/// Errors on the casts of a body.
 pub fn cast_readings(casts: &[nested::CastReading]) -> Vec<CastReading> {
     let reading = |reading: &nested::CastReading| CastReading {
         cast: reading.cast,
@@ -210,7 +210,7 @@ pub fn cast_readings(casts: &[nested::CastReading]) -> Vec<CastReading> {
     casts.iter().map(reading).collect()
 }
 
-/// How both bodies are read under the kinds of forces that the trial names.
+/// Errors of both bodies under the further kinds of forces of the trial.
 pub fn under_readings(trial: &TrialSpec, under: &[Vec<questions::UnderReading>; 2]) -> Vec<UnderReading> {
     let kinds: Vec<_> = trial.evaluation.under.iter().flatten().map(|part| part.kind.name()).collect();
     let bodies = ["initial", "optimised"].into_iter().zip(under);
@@ -238,7 +238,7 @@ fn casts_read(casts: &[CastReading]) -> Result<Vec<nested::CastReading>, String>
     casts.iter().map(reading).collect()
 }
 
-/// What went wrong, by its name.
+/// Failure by its name in `outcome`.
 fn trouble(outcome: &str) -> Result<Option<trial::Trouble>, String> {
     match outcome {
         "ok" => Ok(None),
@@ -272,7 +272,7 @@ fn comparison(comparison: &nested::Comparison) -> Comparison {
 /// The inverse of [`checkpoint`].
 ///
 /// # Errors
-/// If the checkpoint is not of such a trial.
+/// If the checkpoint does not match the trial.
 pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String> {
     let parameters = problem.initial.len();
     let Checkpoint { step, design, design_moments, weights, weight_moments, best, trail, .. } = checkpoint;

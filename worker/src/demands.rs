@@ -1,5 +1,5 @@
-//! What a brain asks of the device that it runs on, array by array as `metasense export --format c` declares them; what a trial asks of the
-//! machine.
+//! Resources that a decoder needs on a device, counted from the arrays that `metasense export --format c` declares; memory of a
+//! trial.
 
 pub mod memory;
 
@@ -8,31 +8,32 @@ use metasense_schemas::spec::{BrainKind, TrialSpec};
 use crate::problem::{Invalid, architecture, lags};
 use crate::replay::Convolution;
 
-/// Of one brain on a 32-bit device.
+/// Resources of one decoder on a 32-bit device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Demands {
-    /// Instants that it looks ahead.
+    /// Look-ahead (instants).
     pub delay: usize,
-    /// Bytes of constants (.rodata), each array in whole words.
+    /// Constants in .rodata (bytes), each array in whole words.
     pub constants: usize,
-    /// Bytes of memory (.bss) likewise.
+    /// Memory in .bss (bytes), each array in whole words.
     pub memory: usize,
-    /// Multiply-adds a reading.
+    /// Multiply-adds per reading.
     pub operations: usize,
 }
 
-/// Bytes of a weight, of what goes from layer to layer, and of a sum, in 32-bit floats.
+/// Bytes per weight, per value between layers and per sum, in 32-bit floats.
 const FLOATS: [usize; 3] = [4; 3];
 
 impl Demands {
-    /// Of layers whose weights, values between layers, and sums have so many bytes; weights of less than four are integers.
+    /// Resources for layers with these sizes (bytes) of weights, values between layers, and sums; weights of less than four bytes
+    /// are integers.
     #[must_use]
     pub fn of(layers: &[Convolution], [weight, value, sum]: [usize; 3]) -> Self {
         let integers = weight < 4;
         let words = |bytes: usize| bytes.next_multiple_of(4);
         let (mut constants, mut memory) = (0, 0);
         for (l, layer) in layers.iter().enumerate() {
-            // weights, biases, a row of the table of layers
+            // Weights, biases, and one row of the layer table.
             constants += words(weight * layer.weights.len()) + 4 * layer.bias.len();
             constants += if integers { 44 } else { 36 };
             if layer.linear {
@@ -57,10 +58,10 @@ impl Demands {
         Self { delay, constants, memory, operations }
     }
 
-    /// Of a trial's brain in 32-bit floats; `None` of an inverse one, which has no form for a device.
+    /// Resources of a trial's decoder in 32-bit floats; `None` for an inverse decoder, which has no export for devices.
     ///
     /// # Errors
-    /// If the trial has no such network.
+    /// If the trial's network is invalid.
     pub fn of_trial(trial: &TrialSpec) -> Result<Option<Self>, Invalid> {
         let (inputs, outputs) = (trial.signals(), trial.point.panels);
         let linear = || vec![Convolution::linear(lags(&trial.time, trial.brain.memory), inputs, outputs)];

@@ -1,4 +1,4 @@
-//! Design files: α as NPY (flat, the order of MODEL.md) or as CSV of nodes (`unit,node,x,y` in mm).
+//! Design files: α as NPY (flat, in the order of MODEL.md) or as CSV of nodes (`unit,node,x,y` in mm).
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -13,10 +13,10 @@ use metasense_schemas::spec::Signal;
 
 use crate::files::{self, Array, Form, Table};
 
-/// Ends of one ligament may disagree by this much in a CSV of nodes (mm).
+/// Largest difference between the shifts of the two ends of a ligament in a CSV of nodes (mm).
 const AGREE: f64 = 1e-6;
 
-/// A design file that cannot be read, written or understood.
+/// A design file that cannot be read or written, or has invalid content.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DesignError {
@@ -27,7 +27,7 @@ pub enum DesignError {
         doing: &'static str,
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
     /// The name ends in neither `.npy` nor `.csv`.
@@ -46,10 +46,10 @@ pub enum DesignError {
     },
 }
 
-/// The design in a file, by its ending: NPY of α, or CSV of nodes.
+/// Reads a design: NPY of α, or CSV of nodes, by the file's extension.
 ///
 /// # Errors
-/// Names the file, and what is wrong with it.
+/// Names the file and the fault.
 pub fn read(path: &Path, layout: &Layout) -> Result<Vec<f64>, DesignError> {
     let content = |what| DesignError::Content { path: path.into(), what };
     match files::ending(path).as_str() {
@@ -59,10 +59,10 @@ pub fn read(path: &Path, layout: &Layout) -> Result<Vec<f64>, DesignError> {
     }
 }
 
-/// Numbers of the shape of α in an NPY.
+/// Reads an NPY file with the shape of α.
 ///
 /// # Errors
-/// Names the file, and what is wrong with it.
+/// Names the file and the fault.
 pub fn read_array(path: &Path, layout: &Layout) -> Result<Vec<f64>, DesignError> {
     let found = files::array(&bytes_of(path)?).and_then(|Array { shape, values }| {
         check("the array", &shape, &values, layout.design_len())?;
@@ -71,7 +71,7 @@ pub fn read_array(path: &Path, layout: &Layout) -> Result<Vec<f64>, DesignError>
     found.map_err(|what| DesignError::Content { path: path.into(), what })
 }
 
-/// Whether an array is a design of `length` numbers: of shape (n), or (n/2, 2) with x and y of a shift in a row.
+/// Checks that an array is a design of `length` numbers: of shape (n), or (n/2, 2) with one shift (x, y) per row.
 ///
 /// # Errors
 /// Names the shape, or the first number that is not finite.
@@ -86,7 +86,7 @@ pub fn check(what: &str, shape: &[usize], values: &[f64], length: usize) -> Resu
     finite(what, values)
 }
 
-/// Refuses NaN and infinity, by the first and where it stands.
+/// Rejects NaN and infinity; names the index of the first.
 pub(crate) fn finite(what: &str, values: &[f64]) -> Result<(), String> {
     match values.iter().position(|x| !x.is_finite()) {
         None => Ok(()),
@@ -94,15 +94,15 @@ pub(crate) fn finite(what: &str, values: &[f64]) -> Result<(), String> {
     }
 }
 
-/// The bytes of a file of a body.
+/// Contents of a design file.
 pub(crate) fn bytes_of(path: &Path) -> Result<Vec<u8>, DesignError> {
     files::read(path).map_err(|source| DesignError::Io { doing: "reading", path: path.into(), source })
 }
 
-/// A design as the bytes of a file, by the ending of its name.
+/// Encodes a design in the format of the file's extension.
 ///
 /// # Errors
-/// Where it is another ending.
+/// If the extension is neither `.npy` nor `.csv`.
 pub fn bytes(path: &Path, layout: &Layout, design: &[f64]) -> Result<Vec<u8>, DesignError> {
     match files::ending(path).as_str() {
         "npy" => Ok(files::npy_bytes(&[design.len()], design)),
@@ -142,7 +142,7 @@ fn from_csv(bytes: &[u8], layout: &Layout) -> Result<Vec<f64>, String> {
         let node = whole("node", *node, layout.shape[unit].len())?;
         let [x0, y0] = undisplaced[unit][node];
         let shift = [x - x0, y - y0];
-        // nodes of rigid units that stay, or follow others
+        // Nodes of rigid units that stay or follow other nodes have no shift.
         let Some(group) = layout.groups[unit][node] else { continue };
         match &shifts[group] {
             Some(other) if (0..2).any(|c| (other[c] - shift[c]).abs() > AGREE) => {

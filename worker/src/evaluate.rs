@@ -1,4 +1,4 @@
-//! A body compared by given records: fresh networks predict each record without having seen it, or the inverse brain reads it.
+//! Errors of decoders on given records: fresh networks by cross-validation, or the inverse decoder.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -18,45 +18,44 @@ use crate::problem::{self, solvable};
 use crate::run::{Failure, check_design, placed, pool, prepared};
 use crate::twin::Twin;
 
-/// How many networks, and how long they train.
+/// Number of networks and length of their training.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Effort {
-    /// Parts into which the records are divided, each predicted by networks trained on the others; at least 2, without meaning to an
-    /// inverse brain.
+    /// Number of folds of the cross-validation, at least 2. The inverse decoder ignores it.
     pub folds: usize,
-    /// Networks a fold.
+    /// Networks per fold.
     pub seeds: usize,
-    /// Adam iterations of each.
+    /// Adam iterations per network.
     pub iterations: usize,
-    /// Kind of brain; of linear ones there is one for each fold.
+    /// Kind of decoder. Linear decoders have one fit per fold.
     pub brain: BrainKind,
 }
 
-/// How well fresh networks, or the inverse brain, read the forces of records.
+/// Estimated forces and errors of records.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evaluated {
     /// The fold of each record (N).
     pub folds: Vec<usize>,
     /// True forces (N, T, K) (N).
     pub targets: Vec<f64>,
-    /// Forces as the first seed's networks that have not seen a record predict them (N, T, K) (N).
+    /// Out-of-fold forces (N, T, K) (N) estimated by the networks of the first seed.
     pub predictions: Vec<f64>,
-    /// Errors (%) by seed, then record; `None` where there is no force.
+    /// Errors (%) by seed, then record; `None` for a record without force.
     pub errors: Vec<Vec<Option<f64>>>,
-    /// Mean error on its training records (%), by seed, then fold.
+    /// Mean error on the training records (%), by seed, then fold.
     pub errors_train: Vec<Vec<Option<f64>>>,
-    /// (Iteration, mean error on unseen records (%) there), by seed, then fold.
+    /// (iteration, mean error on the left-out records (%)), by seed, then fold.
     pub progress: Vec<Vec<Vec<(u32, f64)>>>,
-    /// How each training ended, likewise.
+    /// Outcome of each training, by seed, then fold.
     pub outcomes: Vec<Vec<String>>,
-    /// Of the inverse brain: what it says besides.
+    /// Posterior of the inverse decoder.
     pub posterior: Option<Posterior>,
 }
 
-/// Predictions and errors of a fold's network; of a part of the records by the inverse brain its posterior alone.
+/// Estimates and errors of the network of one fold; from the inverse decoder, only the posterior of one batch of records.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Network {
-    /// Predicted forces (n, T, K) (N) of the fold's n records; of the first seed's networks alone.
+    /// Estimated forces (n, T, K) (N) of the fold's n records; first seed only.
     predictions: Vec<f64>,
     errors: Vec<Option<f64>>,
     error_train: Option<f64>,
@@ -80,21 +79,22 @@ impl Network {
     }
 }
 
-/// The networks that are there already, by number, and what hears of each new one.
+/// Store of finished networks, by number.
 pub trait Kept: Sync {
-    /// That of this number.
+    /// The stored network of this number.
     fn network(&self, number: usize) -> Option<Network>;
-    /// It is done.
+    /// Stores a finished network.
     fn done(&self, number: usize, network: &Network);
 }
 
-/// Trains `effort.seeds` networks a fold on measured or simulated signals, on `threads` threads, but those that are `kept`.
+/// Cross-validates `effort.seeds` networks per fold on measured or simulated signals, on `threads` threads. Networks in `kept`
+/// are not trained again.
 ///
 /// # Errors
-/// If the spec stands for no trial, or there are fewer records than folds.
+/// If the spec is invalid, or there are fewer records than folds.
 ///
 /// # Panics
-/// If the records are not of this trial's panels, sensors and clock.
+/// If the records do not match the trial's panels, sensors and clock.
 pub fn evaluate(
     trial: &TrialSpec,
     measured: &Measured,
@@ -118,7 +118,7 @@ pub fn evaluate(
     let recipe = Recipe { kind: problem::kind(brain), ..problem.recipe() };
     let dealt = stimuli::folds(problem.seed, samples, folds);
 
-    // a network a thread: few records would not keep more of them busy
+    // One network per thread: a few records cannot use more threads.
     let next = AtomicUsize::new(0);
     let work = || -> Result<Vec<(usize, Network)>, Failure> {
         let (pool, mut found) = (pool(1)?, Vec::new());
@@ -178,18 +178,19 @@ fn each<T>(by_seed: &[Vec<Network>], what: impl Fn(&Network) -> T) -> Vec<Vec<T>
     by_seed.iter().map(|networks| networks.iter().map(&what).collect()).collect()
 }
 
-/// Records that the inverse brain reads together: as many as its lanes take.
+/// Records per batch of the inverse decoder: the lanes of its simulation.
 const TOGETHER: usize = 32;
 
-/// How many parts the inverse brain reads records in.
+/// Number of batches of the inverse decoder.
 pub fn parts(records: usize) -> usize {
     records.div_ceil(TOGETHER)
 }
 
-/// Reads records by the inverse brain of a design, or of its twin, in [`parts`], but those that are `kept`.
+/// Estimates the forces of records with the inverse decoder of a design or its twin, in [`parts`]. Parts in `kept` are not
+/// computed again.
 ///
 /// # Errors
-/// If the spec stands for no trial, the design is another body's, or its model cannot be simulated.
+/// If the spec is invalid, the design belongs to another body, or its model cannot be simulated.
 pub fn by_model(
     trial: &TrialSpec,
     own: (&[f64], Option<&Twin>),
@@ -231,11 +232,11 @@ pub fn by_model(
     })
 }
 
-/// The same of brains that are trained on a twin of the body, on its simulated training samples, or of its inverse brain, and read all of
-/// the records; and the signals (N, T, channels) that the twin gives under the same forces. `folds` are those of [`evaluate`].
+/// As [`evaluate`], with decoders fitted to a twin's simulated training samples, or with its inverse decoder. Also returns the
+/// signals (N, T, channels) of the twin under the records' forces. `folds` are those of [`evaluate`].
 ///
 /// # Errors
-/// If the spec stands for no trial, or the twin cannot be simulated.
+/// If the spec is invalid, or the twin cannot be simulated.
 pub fn by_twin(
     trial: &TrialSpec,
     (design, twin): (&[f64], &Twin),
@@ -273,10 +274,10 @@ pub fn by_twin(
     Ok((sensed, evaluated))
 }
 
-/// Signals (N, T, 3M) that the trial's model of `design` gives under the same forces, its chips' noise included.
+/// Signals (N, T, 3M) of the trial's model of `design` under the same forces, with the noise of its chips.
 ///
 /// # Errors
-/// If the spec stands for no trial, the design is of another length, or a sample does not reach its end.
+/// If the spec is invalid, the design has the wrong length, or a simulation fails.
 pub fn simulated(
     trial: &TrialSpec,
     design: &[f64],

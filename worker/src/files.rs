@@ -1,6 +1,6 @@
-//! Numbers from files that others wrote: the one reader of CSV tables, NPY arrays and NPZ archives of arrays.
+//! Reads numbers from users' files: CSV tables, NPY arrays and NPZ archives.
 //!
-//! What has one meaning is read. What could have two is refused, with its place and the key that settles it.
+//! Ambiguous content is rejected, with its location and the key that resolves it.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -16,13 +16,13 @@ mod table;
 
 pub use table::{Form, Table};
 
-/// A file, or an array of an archive, may be so large (bytes).
+/// Largest accepted file, or array of an archive (bytes).
 const LARGEST: u64 = 4 << 30;
 
-/// Opens an ordinary file. Whoever made a database has named it: a pipe would be waited for, a device has no end.
+/// Opens a regular file. Others can name the path, so pipes, which block, and devices, which never end, are rejected.
 ///
 /// # Errors
-/// If it cannot be opened, is no ordinary file, or is too large.
+/// If it cannot be opened, is not a regular file, or is too large.
 pub fn open(path: &Path) -> io::Result<File> {
     let file = File::options().read(true).custom_flags(libc::O_NONBLOCK).open(path)?;
     let known = file.metadata()?;
@@ -32,26 +32,26 @@ pub fn open(path: &Path) -> io::Result<File> {
     }
 }
 
-/// The bytes of an ordinary file.
+/// Reads a regular file.
 ///
 /// # Errors
-/// As `open`, or if it cannot be read.
+/// As [`open`], or if it cannot be read.
 pub fn read(path: &Path) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     open(path)?.take(LARGEST).read_to_end(&mut bytes)?;
     Ok(bytes)
 }
 
-/// The ending of a file's name, in small letters.
+/// Extension of a file name, in lower case.
 #[must_use]
 pub fn ending(path: &Path) -> String {
     path.extension().map_or(String::new(), |ending| ending.to_string_lossy().to_lowercase())
 }
 
-/// A file's text without its byte order mark.
+/// Decodes UTF-8 and strips the byte order mark.
 ///
 /// # Errors
-/// Names the line and the encoding that it seems to have.
+/// Names the line and the probable encoding.
 pub fn text(bytes: &[u8]) -> Result<&str, String> {
     let save = "save it as UTF-8";
     if bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff") {
@@ -69,19 +69,19 @@ pub fn text(bytes: &[u8]) -> Result<&str, String> {
     Ok(text.strip_prefix('\u{feff}').unwrap_or(text))
 }
 
-/// An array of any shape, the last index fastest.
+/// An array of any shape, in C order.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Array {
-    /// Its shape.
+    /// Shape.
     pub shape: Vec<usize>,
-    /// Its numbers.
+    /// Values.
     pub values: Vec<f64>,
 }
 
-/// The bytes of an `.npy` file.
+/// Encodes an `.npy` file.
 ///
 /// # Panics
-/// If the shape does not hold as many values as there are.
+/// If the shape does not match the number of values.
 pub fn npy_bytes<T: AutoSerialize + Copy>(shape: &[usize], values: &[T]) -> Vec<u8> {
     assert_eq!(shape.iter().product::<usize>(), values.len(), "shape {shape:?}");
     let shape: Vec<u64> = shape.iter().map(|&n| n as u64).collect();
@@ -97,21 +97,21 @@ pub fn npy_bytes<T: AutoSerialize + Copy>(shape: &[usize], values: &[T]) -> Vec<
     bytes
 }
 
-/// What a file holds.
+/// Contents of a file.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Content {
-    /// A CSV.
+    /// A CSV file.
     Table(Table),
-    /// An NPY.
+    /// An NPY file.
     Array(Array),
-    /// The arrays of an NPZ by name: none of those that nobody reads; of those that hold no numbers, why not.
+    /// Arrays of an NPZ file by name: `None` if `Form::read` excludes it, an error if it contains no numbers.
     Archive(BTreeMap<String, Option<Result<Array, String>>>),
 }
 
-/// Takes a file's bytes apart, by the ending of its name.
+/// Parses a file by its extension.
 ///
 /// # Errors
-/// Says what is wrong, and where.
+/// Describes the fault and its location.
 pub fn content(path: &Path, bytes: &[u8], form: &Form) -> Result<Content, String> {
     match ending(path).as_str() {
         "csv" => Table::parse(bytes, form).map(Content::Table),
@@ -125,10 +125,11 @@ pub fn content(path: &Path, bytes: &[u8], form: &Form) -> Result<Content, String
     }
 }
 
-/// An NPY of real numbers, in either order: truth values, integers of 8 to 64 bits that `f64` holds exactly, floats of 32 and 64 bits.
+/// Parses an NPY of real numbers in C or Fortran order: booleans, integers of 8 to 64 bits that `f64` represents exactly, floats
+/// of 32 and 64 bits.
 ///
 /// # Errors
-/// Says what is wrong.
+/// Describes the fault.
 pub fn array(mut bytes: &[u8]) -> Result<Array, String> {
     let file = NpyFile::new(&mut bytes).map_err(|e| format!("is not an NPY file: {e}"))?;
     let shape: Vec<usize> = file.shape().iter().map(|&n| n as usize).collect();
@@ -190,7 +191,7 @@ fn numbers(file: NpyFile<&mut &[u8]>) -> Result<Vec<f64>, String> {
     ))
 }
 
-/// The arrays of an NPZ, a zip archive, as `numpy.savez` and `savez_compressed` write it.
+/// Arrays of an NPZ as `numpy.savez` and `savez_compressed` write it.
 fn archive(bytes: &[u8], form: &Form) -> Result<BTreeMap<String, Option<Result<Array, String>>>, String> {
     let mut zip = ZipArchive::new(Cursor::new(bytes)).map_err(|e| format!("is not an NPZ file: {e}"))?;
     let mut arrays = BTreeMap::new();

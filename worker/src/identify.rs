@@ -1,4 +1,4 @@
-//! The cast that explains measured records of a trial's body.
+//! Fits the cast that best explains measured records of a trial's body.
 
 pub use metasense_numerics::dynamics::Parameters;
 pub use metasense_numerics::identify::{
@@ -9,13 +9,13 @@ use metasense_schemas::spec::TrialSpec;
 use crate::measured::Measured;
 use crate::run::{Failure, check_design, placed, pool};
 
-/// Fits a cast of the trial's body, of this design, to records: `free` parameters, and what `[variation]` scatters. The other parameters
-/// stay at the spec's values; if none is free, they scatter, too.
+/// Fits a cast of `design` to records. Unknowns are the parameters in `free` and whatever `[variation]` varies. Other parameters
+/// keep the spec's values; if `free` is empty, they vary, too.
 ///
-/// `watch` sees every turn but those that are `known` from before.
+/// `watch` receives every turn that is not in `known`, the turns of an earlier run.
 ///
 /// # Errors
-/// If the spec stands for no trial, the design is of another body, or a free parameter does not start above 0.
+/// If the spec is invalid, the design belongs to another body, or a free parameter starts at or below 0.
 pub fn identify(
     trial: &TrialSpec,
     design: &[f64],

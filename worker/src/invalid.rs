@@ -1,18 +1,18 @@
-//! A value that no trial can have: by its key, with the remedy; and the tests of numbers that most keys need.
+//! Invalid values of keys, with remedies; checks of numbers that most keys need.
 
 use std::fmt::Display;
 
 use serde::Serialize;
 
-/// A value that no trial can be made of.
+/// A key whose value makes a trial impossible.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{key}{}{value}: {remedy}", if value.is_empty() { "" } else { " = " })]
 pub struct Invalid {
-    /// The key by its path in the spec, for instance `body.stiffness.stretch`.
+    /// Path of the key in the spec, such as `body.stiffness.stretch`.
     pub key: String,
-    /// The value that it has; empty where it is left out.
+    /// Its value; empty if missing.
     pub value: String,
-    /// What it must be.
+    /// What the value must be.
     pub remedy: String,
 }
 
@@ -20,7 +20,7 @@ pub(crate) fn invalid(key: &str, value: impl Display, remedy: impl Into<String>)
     Invalid { key: key.into(), value: value.to_string(), remedy: remedy.into() }
 }
 
-/// A value as a spec has it; none as nothing.
+/// Formats a value as in a spec; `None` as an empty string.
 #[must_use]
 pub fn as_written(value: &impl Serialize) -> String {
     toml::Value::try_from(value).map_or(String::new(), |value| value.to_string())
@@ -42,13 +42,13 @@ pub(crate) fn at_least(key: &str, value: usize, least: usize) -> Result<(), Inva
     require(value >= least, key, value, &format!("must be at least {least}"))
 }
 
-/// Both.
+/// Checks both limits.
 pub(crate) fn within(key: &str, value: usize, least: usize, most: usize) -> Result<(), Invalid> {
     at_least(key, value, least)?;
     at_most(key, value, most)
 }
 
-/// More than this cannot be meant: the memory for it is not there.
+/// Rejects values for which memory cannot suffice.
 pub(crate) fn at_most(key: &str, value: usize, most: usize) -> Result<(), Invalid> {
     require(value <= most, key, value, &format!("must be at most {most}"))
 }

@@ -1,4 +1,4 @@
-//! Bodies read by the inverse brain: by the model of a design, or of what a twin says that a cast of it is.
+//! The inverse decoder of a design, or of the twin of a cast.
 
 use metasense_numerics::brains::{Estimate, Inverse, TO_EACH_SIDE};
 use metasense_numerics::trial::{Problem, Trial};
@@ -10,25 +10,25 @@ use crate::measured::Measured;
 use crate::run::{Failure, Pool, check_design, placed, pool};
 use crate::twin::Twin;
 
-/// What an inverse brain says of some samples.
+/// Forces that an inverse decoder estimates from samples, with uncertainties.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Posterior {
-    /// Forces (N, T, K) (N).
+    /// Most probable forces (N, T, K) (N).
     pub forces: Vec<f64>,
-    /// Lower end of their 95 % bands (N), likewise.
+    /// Lower ends of their 95 % bands (N, T, K) (N).
     pub low: Vec<f64>,
-    /// The upper.
+    /// Upper ends (N, T, K) (N).
     pub high: Vec<f64>,
-    /// How many descents did not converge.
+    /// Number of descents that did not converge.
     pub unconverged: usize,
-    /// How many samples the model does not explain: their residual is above 1.5 times the noise's square.
+    /// Number of samples that the model does not explain: mean squared residual above 1.5 σ².
     pub unexplained: usize,
-    /// CPU time of reading them (s).
+    /// CPU time of the estimates (s).
     pub seconds: f64,
 }
 
 impl Posterior {
-    /// Of estimates.
+    /// Collects estimates.
     pub fn of(found: &[Estimate]) -> Self {
         let end = |sign: f64| {
             let of = found.iter().flat_map(|one| one.forces.iter().zip(&one.deviations));
@@ -44,7 +44,7 @@ impl Posterior {
         }
     }
 
-    /// Adds those of further samples.
+    /// Appends the posterior of further samples.
     pub fn extend(&mut self, other: &Self) {
         self.forces.extend_from_slice(&other.forces);
         self.low.extend_from_slice(&other.low);
@@ -54,18 +54,18 @@ impl Posterior {
         self.seconds += other.seconds;
     }
 
-    /// The part of true forces (N, T, K) (N) that lies in the bands.
+    /// Share of the true forces (N, T, K) (N) that lie in the bands.
     pub fn coverage(&self, truth: &[f64]) -> f64 {
         let inside = truth.iter().zip(&self.low).zip(&self.high);
         inside.filter(|((f, low), high)| (*low..=*high).contains(f)).count() as f64 / truth.len() as f64
     }
 }
 
-/// Lets the inverse brain of a design, or of its twin, read. It begins with a linear brain fitted to the training samples, simulated
-/// on that model.
+/// Calls `read` with the inverse decoder of a design or its twin. The descent starts from a linear decoder fitted to simulated
+/// training samples.
 ///
 /// # Errors
-/// If the design is another body's, or its model cannot be simulated.
+/// If the design belongs to another body, or its model cannot be simulated.
 pub fn with_brain<T>(
     problem: &Problem,
     (design, twin): (&[f64], Option<&Twin>),
@@ -77,10 +77,10 @@ pub fn with_brain<T>(
     Ok(read(&mut Inverse::of(&trial, design, twin)?))
 }
 
-/// The trial's holdout on a body, or on its twin, as its chips read it; samples that cannot be simulated are left out.
+/// Held-out samples of a body or its twin, with chip effects. Failed samples are left out.
 ///
 /// # Errors
-/// If the spec stands for no trial, the design is another body's, or more samples fail than may in a comparison.
+/// If the spec is invalid, the design belongs to another body, or more samples fail than a comparison accepts.
 pub fn holdout(
     trial: &TrialSpec,
     (design, twin): (&[f64], Option<&Twin>),

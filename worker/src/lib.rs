@@ -1,4 +1,4 @@
-//! The process around the maths of metasense: job in, records out, heartbeat, stop.
+//! The worker process: receives jobs, sends records and heartbeats, stops on request.
 
 pub mod arrays;
 pub mod bound;

@@ -1,7 +1,7 @@
-//! What the machine allows this process and its user: threads, descriptors, memory, sizes of files, shared memory, disks.
+//! System limits of this process and user: threads, file descriptors, memory, file sizes, shared memory, disks.
 //!
-//! A limit that leaves too little is named with its value, what is in use, what is needed and what to do: before the first
-//! worker starts, and where a worker meets it. Needs are what every trial has; what a trial needs beyond that it asks for itself.
+//! A limit that is too low is reported with its value, the use, the need and a remedy, before the first worker starts or when a
+//! worker meets the limit. Needs are those of every trial; `demands::memory` checks those of single trials.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,61 +11,61 @@ use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 use crate::process::free_space;
 
-/// Descriptors of a worker's domain in the orchestrator, and of a worker; each with some to spare.
+/// File descriptors per worker in the orchestrator, and in a worker; both with a margin.
 const DESCRIPTORS: [u64; 2] = [48, 72];
-/// Threads of a worker beside those that compute, and of the orchestrator for each worker.
+/// Threads of a worker besides computing ones; threads of the orchestrator per worker.
 const THREADS: [u64; 2] = [3, 1];
-/// Stack of a thread (bytes), as the standard library asks for it.
+/// Stack of a thread (bytes), the standard library's default.
 const STACK: u64 = 2 << 20;
 /// Least memory of a worker (bytes).
 const MEMORY: u64 = 64 << 20;
-/// Address space, and data of it, beyond what a process has when it starts (bytes).
+/// Address space and data that a worker needs beyond those of this process, without stacks (bytes).
 const SPACE: [u64; 2] = [64 << 20, 32 << 20];
-/// The same of any command.
+/// Address space and data that any command needs (bytes).
 const START: [u64; 2] = [32 << 20, 16 << 20];
-/// Descriptors of any command.
+/// File descriptors that any command needs.
 const START_DESCRIPTORS: u64 = 8;
-/// Least free space in shared memory for each worker (bytes): its chunks for messages and some arrays.
+/// Least free shared memory per worker (bytes): chunks for messages and some arrays.
 const SPACE_PER_WORKER: u64 = 16 << 20;
-/// Files of a worker's domain there.
+/// Files per worker in shared memory.
 const SHARED_FILES: u64 = 80;
-/// Least size that a file may have, and least free space of the disk of each (bytes).
+/// Least limit on file sizes, and least free space on the disk of each file (bytes).
 const FILE: u64 = 8 << 20;
-/// Files beside a database: its log, its journal, what is renamed into its place.
+/// Files beside a database: WAL, journal and temporary files.
 const FILES: u64 = 8;
-/// Least stack of a program's main thread (bytes), and what it is raised to where that may be.
+/// Least stack of the main thread, and the value to which it is raised if possible (bytes).
 const MAIN_STACK: [u64; 2] = [2 << 20, 8 << 20];
 
-/// The machine is short of something.
+/// A limit that is too low.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{}; {remedy}", self.fact())]
 pub struct Shortage {
-    /// The limit.
+    /// Name of the limit.
     pub what: String,
-    /// Its value.
+    /// Value of the limit.
     pub most: Amount,
-    /// What of it is in use.
+    /// Amount in use.
     pub used: Amount,
-    /// What is needed beside.
+    /// Additional amount needed.
     pub needed: Amount,
-    /// What to do.
+    /// Remedy.
     pub remedy: &'static str,
 }
 
 impl Shortage {
-    /// Without what to do.
+    /// Message without the remedy.
     fn fact(&self) -> String {
         let Self { what, most, used, needed, .. } = self;
         format!("{what}: {}, {} in use, {} needed", amount(*most), amount(*used), amount(*needed))
     }
 }
 
-/// A number of things, or of bytes.
+/// A count, or a size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Amount {
-    /// So many.
+    /// A count.
     Count(u64),
-    /// So many bytes.
+    /// A size (bytes).
     Bytes(u64),
 }
 
@@ -77,18 +77,18 @@ fn amount(amount: Amount) -> String {
     }
 }
 
-/// What is to be started, beside what runs.
+/// Resources that are needed in addition to those in use.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Needs<'a> {
-    /// Worker processes; 0: what this process needs to go on.
+    /// Number of worker processes; 0: needs of this process.
     pub workers: u32,
-    /// Threads of each that compute; without workers: of this process.
+    /// Computing threads per worker; without workers: of this process.
     pub threads: u32,
-    /// Files that are written and grow; they need not exist.
+    /// Files that will be written; they need not exist.
     pub files: &'a [&'a Path],
 }
 
-/// A limit, what of it is used, and what is needed.
+/// A limit, its use and the additional need.
 struct Limit {
     what: String,
     most: u64,
@@ -110,10 +110,10 @@ impl Limit {
     }
 }
 
-/// Whether the machine allows what is needed.
+/// Checks the needs against all limits.
 ///
 /// # Errors
-/// The first limit that does not.
+/// The first limit that is too low.
 pub fn check(needs: &Needs) -> Result<(), Shortage> {
     let (workers, threads) = (u64::from(needs.workers), u64::from(needs.threads));
     let most_threads = threads.max(workers) + THREADS[0];
@@ -150,10 +150,10 @@ pub fn check(needs: &Needs) -> Result<(), Shortage> {
     limits.into_iter().flatten().try_for_each(Limit::check)
 }
 
-/// Whether a file may have so many bytes.
+/// Checks the limit on file sizes.
 ///
 /// # Errors
-/// The limit, where it may not.
+/// The limit, if it is below `bytes`.
 pub fn check_file_size(bytes: u64) -> Result<(), Shortage> {
     resource(Resource::Fsize, "size of a file (`ulimit -f`)", 0, bytes, true).map_or(Ok(()), Limit::check)
 }
@@ -170,7 +170,7 @@ fn resource(limit: Resource, what: &str, used: u64, needed: u64, bytes: bool) ->
     Some(Limit { what: what.into(), most, used, needed, bytes, remedy })
 }
 
-/// Address space, and data, of this process or of one that has as much.
+/// Limits on address space and data of this process, or of a process of equal size.
 fn memory_of_process(needed: [u64; 2]) -> [Option<Limit>; 2] {
     let own = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let [space, data] = ["VmSize:", "VmData:"].map(|name| field(&own, name).unwrap_or(0) << 10);
@@ -180,13 +180,13 @@ fn memory_of_process(needed: [u64; 2]) -> [Option<Limit>; 2] {
     ]
 }
 
-/// Those of this process; what the soft limit allows has been raised.
+/// Limit on descriptors of this process; `make_use_of` has raised the soft limit.
 fn descriptors(needed: u64) -> Option<Limit> {
     let used = fs::read_dir("/proc/self/fd").map_or(0, Iterator::count) as u64;
     resource(Resource::Nofile, "descriptors of a process (`ulimit -n`)", used, needed, false)
 }
 
-/// The kernel counts threads, of all processes of a user that we can see; those of root it lets pass.
+/// Limit on the threads of a user. The kernel exempts root and capable processes. Counts the visible processes.
 fn user_threads(needed: u64) -> Option<Limit> {
     if needed == 0 {
         return None;
@@ -198,7 +198,7 @@ fn user_threads(needed: u64) -> Option<Limit> {
     if user.is_root() || u64::from_str_radix(capable.trim(), 16).ok()? & MAY_EXCEED != 0 {
         return None;
     }
-    // all threads of the machine are at least those of a user: no process needs to be looked at
+    // If all threads of the machine fit, so do those of the user; this avoids a scan of /proc.
     let most = getrlimit(Resource::Nproc).current?;
     if all_threads().is_some_and(|all| all.saturating_add(needed) <= most) {
         return None;
@@ -213,7 +213,7 @@ fn user_threads(needed: u64) -> Option<Limit> {
     resource(Resource::Nproc, what, theirs.sum(), needed, false)
 }
 
-/// Threads of all users: what all processes have in use stands behind a stroke.
+/// Threads of all users; the fourth field of /proc/loadavg is running/total.
 fn all_threads() -> Option<u64> {
     let load = fs::read_to_string("/proc/loadavg").ok()?;
     load.split_whitespace().nth(3)?.split_once('/')?.1.parse().ok()
@@ -236,7 +236,7 @@ fn cgroup_tasks(needed: u64) -> Option<Limit> {
     Some(Limit { what, most, used, needed, bytes: false, remedy: RAISE })
 }
 
-/// What is only kept to be read again counts as free.
+/// Limit on the memory of the control group. The page cache counts as free.
 fn cgroup_memory(needed: u64) -> Option<Limit> {
     let of = |group: &Path| {
         let most = memory_limit(group)?;
@@ -263,20 +263,20 @@ fn space(folder: &Path, needed: u64, remedy: &'static str) -> Option<Limit> {
     Some(Limit { what, most: free_space(folder)?, used: 0, needed, bytes: true, remedy })
 }
 
-/// Some file systems have no number of files.
+/// `None` for file systems without a limit on inodes.
 fn inodes(folder: &Path, needed: u64, remedy: &'static str) -> Option<Limit> {
     let disk = rustix::fs::statvfs(folder).ok().filter(|disk| disk.f_files > 0)?;
     let what = format!("free inodes (`df -i`) in {}", folder.display());
     Some(Limit { what, most: disk.f_favail, used: 0, needed, bytes: false, remedy })
 }
 
-/// The folder of a file, or the one that it would be made in.
+/// The closest existing parent folder of a file.
 fn existing(file: &Path) -> PathBuf {
     let file = std::path::absolute(file).unwrap_or_else(|_| file.to_owned());
     file.ancestors().find(|folder| folder.is_dir()).unwrap_or(Path::new("/")).to_owned()
 }
 
-/// The groups with this controller that a text as of /proc/self/cgroup names, and those that hold them.
+/// The groups of this controller in a text such as /proc/self/cgroup, and their parents.
 pub(crate) fn groups(text: &str, root: &Path, controller: &str) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for line in text.lines() {
@@ -287,46 +287,46 @@ pub(crate) fn groups(text: &str, root: &Path, controller: &str) -> Vec<PathBuf> 
             names if names.split(',').any(|name| name == controller) => root.join(controller),
             _ => continue,
         };
-        // in a container the path may be the host's: what is mounted is its own
+        // In a container the path may be the host's. Then only the mounted root exists.
         let own = root.join(path.trim_start_matches('/'));
         found.extend(own.ancestors().take_while(|group| group.starts_with(&root)).map(Path::to_owned));
     }
     found
 }
 
-/// Those of this process.
+/// The control groups of this process.
 pub(crate) fn own_groups(controller: &str) -> Vec<PathBuf> {
     let text = fs::read_to_string("/proc/self/cgroup").unwrap_or_default();
     groups(&text, Path::new("/sys/fs/cgroup"), controller)
 }
 
-/// Of the groups that this process is in, of one controller, the one that leaves least.
+/// Limit and use of the control group, among those of this process, with the least remaining.
 fn tightest(controller: &str, of: impl Fn(&Path) -> Option<(u64, u64)>) -> Option<(u64, u64)> {
     let found = own_groups(controller);
     found.iter().filter_map(|group| of(group)).min_by_key(|(most, used)| most.saturating_sub(*used))
 }
 
-/// Memory that the processes of a group may have together (bytes); `None` without a limit.
+/// Memory limit of a control group (bytes); `None` without a limit.
 pub(crate) fn memory_limit(group: &Path) -> Option<u64> {
     either(group, ["memory.max", "memory.limit_in_bytes"])
 }
 
-/// The number in the first of these files of a group that has one: they differ between versions of control groups.
+/// The number in the first file that contains one; names differ between cgroup versions.
 fn either(group: &Path, names: [&str; 2]) -> Option<u64> {
     names.iter().find_map(|name| number(&group.join(name)))
 }
 
-/// `max` is none.
+/// The number in a file; `None` for `max`.
 fn number(file: &Path) -> Option<u64> {
     fs::read_to_string(file).ok()?.trim().parse().ok()
 }
 
-/// The number behind a name at the beginning of a line.
+/// The number after a name at the start of a line.
 pub(crate) fn field(text: &str, name: &str) -> Option<u64> {
     text.lines().find_map(|line| line.strip_prefix(name))?.split_whitespace().next()?.parse().ok()
 }
 
-/// How often the system has ended a process of this container or job for want of memory.
+/// Number of processes of this container or job that the system killed for lack of memory.
 #[must_use]
 pub fn killed_for_memory() -> u64 {
     let of = |group: &Path| {
@@ -337,12 +337,11 @@ pub fn killed_for_memory() -> u64 {
     tightest("memory", of).map_or(0, |(_, kills)| kills)
 }
 
-/// Errors of the system that say that something is short, and nothing of who asked for it: EAGAIN, ENOMEM, ENFILE, EMFILE,
-/// EFBIG, ENOSPC, EDQUOT.
+/// Error codes of shortages: EAGAIN, ENOMEM, ENFILE, EMFILE, EFBIG, ENOSPC, EDQUOT.
 const SHORT: [i32; 7] =
     [libc::EAGAIN, libc::ENOMEM, libc::ENFILE, libc::EMFILE, libc::EFBIG, libc::ENOSPC, libc::EDQUOT];
 
-/// Whether words that tell of an error of the system tell of a shortage.
+/// Whether an error message contains the code of a shortage.
 #[must_use]
 pub fn tells_of_shortage(text: &str) -> bool {
     SHORT.iter().any(|code| {
@@ -350,26 +349,25 @@ pub fn tells_of_shortage(text: &str) -> bool {
     })
 }
 
-/// Words that tell of a shortage, with the limit behind it where that is still to be seen.
+/// Appends the exceeded limit to a message, if one is still exceeded.
 #[must_use]
 pub fn explained(text: &str, needs: &Needs) -> String {
     check(needs).map_or_else(|short| format!("{text}; {}", short.fact()), |()| text.to_owned())
 }
 
-/// A worker's domain has more descriptors than the usual soft limit has for twenty of them: it is raised to the hard one. A file
-/// that grows beyond its limit is an error of whoever writes it, not the end of the process.
+/// Raises the soft limit on descriptors to the hard limit; the usual soft limit is too low for twenty workers. Ignores SIGXFSZ,
+/// so that writing beyond the size limit is an error and does not end the process.
 pub fn make_use_of() {
     let maximum = getrlimit(Resource::Nofile).maximum;
     let _ = setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum });
-    // SAFETY: no handler runs.
+    // SAFETY: SIG_IGN installs no handler.
     unsafe { libc::signal(libc::SIGXFSZ, libc::SIG_IGN) };
 }
 
-/// Whether a program can be carried out at all. Makes the stack of its main thread, and of workers, large enough where that may be
-/// done. To be called before it is needed.
+/// Checks that a program can run. Raises the stack of its main thread, and of workers, if possible. Call it at program start.
 ///
 /// # Errors
-/// The limit that is too low, and cannot be raised.
+/// The limit that is too low and cannot be raised.
 pub fn check_start() -> Result<(), Shortage> {
     let [least, usual] = MAIN_STACK;
     let Rlimit { current, maximum } = getrlimit(Resource::Stack);

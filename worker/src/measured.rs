@@ -1,9 +1,8 @@
-//! Measured records: forces and the signals that a body's sensors gave under them, on the clock of a trial.
+//! Measured records: forces, and the signals of a body's sensors, on the clock of a trial.
 //!
-//! A file of its own states what stands where (`spec::Measured`). A record is moved as a whole where a trigger wants its
-//! blow. Signals at the rate of the trial's clock are not resampled: the record is moved by less than half a step, so that
-//! the readings fall on the clock's instants. Signals at another rate pass a low-pass and are held before their first and
-//! after their last entry.
+//! A TOML file (`spec::Measured`) describes the columns. A trigger shifts a whole record. Signals at the rate of the trial's
+//! clock are not interpolated: the record is shifted by less than half a step, so that readings fall on instants. Signals at
+//! another rate pass a low-pass, with their first and last value held outside the record.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -18,31 +17,31 @@ use crate::files::Form;
 use crate::invalid::{Invalid, invalid, positive};
 use crate::records::{self, Pick, Record, fingerprint};
 
-/// Records of one body.
+/// Measured records of one body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Measured {
-    /// (N, K, R + 1) (N), on the clock of the trial's forces.
+    /// Forces (N, K, R + 1) (N), on the clock of the trial's forces.
     pub forces: Forces,
-    /// (N, T, channels) (mm/s², rad/s).
+    /// Signals (N, T, channels) (mm/s², rad/s).
     pub signals: Vec<f64>,
-    /// Whether targets of a finer clock of the forces are read through a low-pass.
+    /// Whether targets on a finer clock of the forces pass a low-pass.
     pub low_pass: bool,
-    /// Rate of the first signals (1/s) that had to be resampled onto the trial's clock.
+    /// Sampling rate (1/s) of the first signals that were resampled; `None`: none were.
     pub resampled: Option<f64>,
-    /// Each record's `signals.start` (s); empty: the clocks are exact.
+    /// `signals.start` of each record (s); empty: the clocks are exact.
     pub starts: Vec<f64>,
-    /// Standard deviation of its unknown error (s).
+    /// Standard deviation of the unknown clock error (s).
     pub start_deviation: f64,
 }
 
 impl Measured {
-    /// Of simulated signals, whose clock is that of the forces.
+    /// Simulated signals, which share the clock of the forces.
     #[must_use]
     pub fn of(forces: Forces, signals: Vec<f64>, low_pass: bool) -> Self {
         Self { forces, signals, low_pass, resampled: None, starts: Vec::new(), start_deviation: 0.0 }
     }
 
-    /// What a user should know of signals that were resampled.
+    /// Note for users about resampled signals.
     pub fn note(&self, trial: &TrialSpec) -> Option<String> {
         let (rate, spec::Time { duration, samples, .. }) = (self.resampled?, trial.time);
         Some(format!(
@@ -53,47 +52,47 @@ impl Measured {
     }
 }
 
-/// Why records cannot be had.
+/// Failure to read records.
 #[derive(Debug, thiserror::Error)]
 pub enum MeasuredError {
-    /// The file that describes them.
+    /// The file that describes them is unreadable.
     #[error("cannot read {}", path.display())]
     Unreadable {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// What it says.
+    /// A key is invalid.
     #[error(transparent)]
     Spec(#[from] SpecError),
 }
 
-/// A record as its instruments wrote it.
+/// A record before resampling.
 #[derive(Debug, Clone)]
 pub struct Raw {
-    /// Its file, and its place among the records of that file if it is not alone there.
+    /// File name, and the record's number if the file contains several.
     pub place: String,
-    /// Force (N) and signals (mm/s², rad/s), on the clock on which the body's sample begins at 0.
+    /// Force (N) and signals (mm/s², rad/s), with time 0 at the start of the sample.
     pub(crate) force: Record,
     pub(crate) signal: Record,
-    /// Entries of both, as they are in the file.
+    /// Values of forces and signals as in the file.
     pub read: [Vec<Vec<f64>>; 2],
-    /// The panel of a single history.
+    /// The struck panel, for a record with a single history.
     pub panel: Option<usize>,
-    /// Its `signals.start` (s).
+    /// `signals.start` of the record (s).
     pub start: f64,
 }
 
-/// Records that a file describes, each or what is wrong with it.
+/// The records of a description.
 pub struct Described {
-    /// The file with its keys.
+    /// The description.
     pub spec: spec::Measured,
-    /// In its order.
+    /// Per record, its data or the fault, in file order.
     pub records: Vec<Result<Raw, String>>,
 }
 
-/// The file of records and what it describes.
+/// Parses a description of records.
 fn described(file: &Path) -> Result<(Source, spec::Measured), MeasuredError> {
     let text = std::fs::read_to_string(file)
         .map_err(|source| MeasuredError::Unreadable { path: file.to_owned(), source })?;
@@ -113,16 +112,16 @@ fn refused(source: &Source, Invalid { key, value, remedy }: Invalid) -> Measured
 /// Reads the records that `file` (TOML) describes, for a trial's panels, sensors and clock.
 ///
 /// # Errors
-/// Names file, key and value of what no record can have, or does not fit the trial.
+/// Names file, key and value of what is invalid or does not fit the trial.
 pub fn read(file: &Path, trial: &TrialSpec) -> Result<Measured, MeasuredError> {
     let (source, spec) = described(file)?;
     measured(&spec, trial).map_err(|invalid| refused(&source, invalid))
 }
 
-/// Reads the same records as their instruments wrote them; a record that `read` refuses is a text.
+/// Reads the same records without resampling. A record that [`read`] rejects becomes an error text.
 ///
 /// # Errors
-/// Names file, key and value of what is wrong with all records.
+/// Names file, key and value of faults that concern all records.
 pub fn read_raw(file: &Path, trial: &TrialSpec) -> Result<Described, MeasuredError> {
     let (source, spec) = described(file)?;
     let mut records = Vec::new();
@@ -136,7 +135,7 @@ pub fn read_raw(file: &Path, trial: &TrialSpec) -> Result<Described, MeasuredErr
     Ok(Described { spec, records })
 }
 
-/// Passes each record to `each`, which may refuse it; if they are to be `whole`, only those whose signals cover the sample.
+/// Passes each record to `each`, which may reject it. `whole`: signals must cover the sample.
 fn raw(
     spec: &spec::Measured,
     trial: &TrialSpec,
@@ -280,12 +279,12 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
     })
 }
 
-/// Readings after the beginning of a force that a clock must leave.
+/// Least number of readings between the start of a force and the uncertain end of a sample.
 const JUDGED: f64 = 4.0;
-/// Simulated instants for each reading, at least, where clocks are uncertain.
+/// Least number of simulated instants per reading if clocks are uncertain.
 const FINER: usize = 4;
 
-/// Refuses clocks that are so uncertain that of some record no reading after its force counts.
+/// Rejects a clock uncertainty that leaves too few usable readings after some force.
 fn check_margin(deviation: f64, forces: &Forces, time: spec::Time) -> Result<(), Invalid> {
     let delta = time.duration / time.samples as f64;
     let margin = if deviation > 0.0 { margin(deviation, delta, FINER) as f64 * delta } else { return Ok(()) };
@@ -306,7 +305,7 @@ fn check_margin(deviation: f64, forces: &Forces, time: spec::Time) -> Result<(),
     Ok(())
 }
 
-/// Whether keys with an entry per record have as many entries as there are records.
+/// Checks the lengths of keys with one entry per record.
 fn check_counts(
     spec::Measured { recorded, signals }: &spec::Measured,
     forces: &[&Record],
@@ -335,10 +334,10 @@ fn faulty(file: &Path, what: impl Into<String>) -> Invalid {
     invalid("signals.files", format!("{:?}", file.display().to_string()), what)
 }
 
-/// Of the signals of each record that has been read: its forces, and where it stands.
+/// Per hash of signals: the hash of their forces, and their location.
 type Seen = HashMap<blake3::Hash, (blake3::Hash, String)>;
 
-/// Refuses signals that are a force, and those of an earlier record: copies would train and test the same brain.
+/// Rejects signals that equal a force or repeat an earlier record: a copy would train and test the same decoder.
 fn check_copies(seen: &mut Seen, force: &Record, signal: &Record, place: String) -> Result<(), String> {
     let is_some = |values: &[f64]| values.iter().any(|x| *x != 0.0);
     if let Some(c) = signal.values.iter().position(|signal| is_some(signal) && force.values.contains(signal))
@@ -413,7 +412,7 @@ fn check(
     }
 }
 
-/// The signals of a file; their clock is that of the forces where they have none of their own.
+/// Signals of a file; without a clock of their own they use that of the forces.
 fn pick<'a>(recorded: &'a spec::Recorded, signals: &'a spec::MeasuredSignals, channels: usize) -> Pick<'a> {
     let (time, rate) = match (&signals.time, signals.rate) {
         (None, None) => (recorded.time.as_ref(), recorded.rate),
@@ -430,7 +429,7 @@ fn pick<'a>(recorded: &'a spec::Recorded, signals: &'a spec::MeasuredSignals, ch
     }
 }
 
-/// Whether a record's signals are as many as the sensors', and as long as the forces where they share a clock.
+/// Checks the number of signals, and their length if they share the clock of the forces.
 fn fit(
     signals: &spec::MeasuredSignals,
     force: &Record,
@@ -453,7 +452,7 @@ fn fit(
     Ok(())
 }
 
-/// Of each channel, to mm/s² and rad/s.
+/// Factor per channel to mm/s² and rad/s.
 fn factors(signals: &spec::MeasuredSignals, trial: &TrialSpec) -> Vec<f64> {
     let units = [signals.acceleration_unit.factor(), signals.angular_velocity_unit.factor()];
     let own = |c: usize| signals.factors.as_ref().map_or(1.0, |factors| factors[c]);
@@ -461,8 +460,8 @@ fn factors(signals: &spec::MeasuredSignals, trial: &TrialSpec) -> Vec<f64> {
     read.map(|(c, channel)| units[usize::from(*channel == Channel::Omega)] * own(c)).collect()
 }
 
-/// Signals that begin after the force, before which the body rests, or end before the sample does, would be made up: refused, but
-/// for an instant.
+/// Rejects signals that begin after the force or end before the sample, with a tolerance of one instant: the missing readings
+/// would be invented.
 fn lasts(force: &Record, signal: &Record, duration: f64, instants: usize) -> Result<(), String> {
     let end = signal.start + (signal.values[0].len() - 1) as f64 * signal.dt;
     let instant = 1.000_001 * duration / instants as f64;
@@ -489,12 +488,11 @@ fn lasts(force: &Record, signal: &Record, duration: f64, instants: usize) -> Res
     ))
 }
 
-/// Readings may lie so far from the instants at the end of a record, in steps.
+/// Largest drift between readings and instants over a record, in steps.
 const DRIFT: f64 = 0.05;
 
-/// Moves force and signals by less than half a step, so that readings fall on the instants 0, Δ, 2Δ, …: what lies above half
-/// the rate of a chip is aliased and cannot be interpolated, the force can. The instant of the first reading; none where the
-/// readings have another step.
+/// Shifts force and signals by less than half a step, so that readings fall on the instants 0, Δ, 2Δ, …: readings with aliased
+/// content cannot be interpolated, forces can. Returns the instant of the first reading; `None` if the time steps differ.
 fn on_instants(force: &mut Record, signal: &mut Record, delta: f64) -> Option<i64> {
     let drift = (signal.dt - delta).abs() * (signal.values[0].len() - 1) as f64;
     if drift > DRIFT * delta {
@@ -506,7 +504,7 @@ fn on_instants(force: &mut Record, signal: &mut Record, delta: f64) -> Option<i6
     Some(first as i64)
 }
 
-/// A history with its first and last value held as far as a low-pass looks, and its new start.
+/// Extends a history by its first and last value over the reach of the low-pass. Returns the new start and the values.
 fn held(record: &Record, history: &[f64], duration: f64, delta: f64) -> (f64, Vec<f64>) {
     const REACH: f64 = 13.0;
     let end = record.start + (history.len() - 1) as f64 * record.dt;

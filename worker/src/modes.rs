@@ -1,4 +1,4 @@
-//! Eigenmodes of a trial's body at rest, and how its panels move its units there.
+//! Modes of a trial's body at rest, and responses of its units to its panels.
 
 use metasense_numerics::dynamics::{Rest, Scene, highest_frequency, start, touches};
 use metasense_numerics::modes::{self, NoModes};
@@ -9,10 +9,10 @@ use metasense_schemas::spec::TrialSpec;
 
 use crate::run::{Failure, pool, prepared, with_design};
 
-/// The `count` slowest modes of a body; fewer where it has fewer.
+/// The `count` slowest modes of a body, or all if it has fewer.
 ///
 /// # Errors
-/// If the spec stands for no trial, the design is of another length, or the body has no modes.
+/// If the spec is invalid, the design has the wrong length, or the body has no modes.
 pub fn slowest(trial: &TrialSpec, design: &[f64], count: usize) -> Result<Vec<Mode>, Failure> {
     let problem = weighed(trial, design)?;
     let scene = &problem.scene;
@@ -28,10 +28,10 @@ pub fn slowest(trial: &TrialSpec, design: &[f64], count: usize) -> Result<Vec<Mo
     })
 }
 
-/// First and highest natural frequency (Hz) of the body that a trial starts from; the first that is above 0.
+/// First natural frequency above 0, and highest one, of a trial's initial body (Hz).
 ///
 /// # Errors
-/// If the spec stands for no trial, or the body has no such motions.
+/// If the spec is invalid, or the body has no such modes.
 pub fn natural_frequencies(trial: &TrialSpec) -> Result<[f64; 2], Failure> {
     let Problem { scene, initial, .. } = &prepared(trial)?;
     check_rest(scene, initial)?;
@@ -43,15 +43,15 @@ pub fn natural_frequencies(trial: &TrialSpec) -> Result<[f64; 2], Failure> {
     Ok([first, highest])
 }
 
-/// Modes among which the first that moves is: a body that nothing holds has three that do not.
+/// Number of slowest modes that include the first elastic one: an unsupported body has three rigid ones.
 const SLOWEST: usize = 6;
-/// Part of the highest frequency below which a mode stands still.
+/// Frequency, relative to the highest, below which a mode counts as rigid.
 const STILL: f64 = 1e-9;
 
 /// Responses of a unit to each panel at these frequencies (Hz): (frequencies, panels).
 ///
 /// # Errors
-/// If the spec stands for no trial, the design is of another length, or there is no such unit.
+/// If the spec is invalid, the design has the wrong length, or the unit does not exist or is clamped.
 pub fn responses(
     trial: &TrialSpec,
     design: &[f64],
@@ -73,7 +73,7 @@ pub fn responses(
     Ok(found.into_iter().map(|panels| panels.into_iter().flatten().collect()).collect())
 }
 
-/// The problem, with sensors where a search finds them if their chips have a mass.
+/// The problem of a design. Runs the sensor search if the chips have mass.
 fn weighed(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure> {
     let problem = with_design(trial, design)?;
     if problem.search.is_none() || problem.scene.chip.is_none() {
@@ -82,7 +82,7 @@ fn weighed(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure> {
     Ok(placed(&problem, &pool(1)?)?.0)
 }
 
-/// Refuses a scene whose linearisation is no body's under forces, and a body that is nowhere to linearise about.
+/// Rejects scenes with driven units and bodies without equilibrium, which cannot be linearised.
 pub(crate) fn check_rest(scene: &Scene, design: &[f64]) -> Result<(), Failure> {
     if let Some(panel) = scene.panels.iter().find(|panel| panel.drives().is_some()) {
         return Err(Failure::Rejected(format!(

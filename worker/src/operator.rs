@@ -1,4 +1,4 @@
-//! Why a body is easy to read, or hard.
+//! How well a body's sensors distinguish forces.
 
 use metasense_numerics::questions;
 pub use metasense_numerics::questions::Told;
@@ -7,10 +7,10 @@ use metasense_schemas::spec::TrialSpec;
 use crate::modes::check_rest;
 use crate::run::{Failure, with_design};
 
-/// What the sensors of a body can tell of a trial's forces, by small motions.
+/// Information on a trial's forces in the signals of a body, for small motions.
 ///
 /// # Errors
-/// If the spec stands for no trial, its sensors are still to be searched for, or the design is of another length.
+/// If the spec is invalid, its sensors are not yet placed, or the design has the wrong length.
 pub fn told(trial: &TrialSpec, design: &[f64]) -> Result<Told, Failure> {
     let problem = with_design(trial, design)?;
     if problem.search.is_some() {

@@ -1,4 +1,4 @@
-//! How fast a core of this machine does what trials are made of: a small piece of each kind of work, timed once.
+//! Speed of one core: times a small piece of each kind of computation.
 
 use crate::clock::cpu_seconds;
 use crate::reference::reference;
@@ -10,38 +10,39 @@ use metasense_numerics::random::{Purpose, Stream};
 use metasense_numerics::{Heartbeat, Pool};
 use std::sync::OnceLock;
 
-/// Repetitions of a piece, of which the middle one counts.
+/// Repetitions per piece; the median counts.
 const REPEAT: usize = 3;
-/// Samples of the piece of dynamics, as many as lanes take at once, instants, steps an interval, and force (N) from the first instant on.
+/// Piece of dynamics: samples (one per lane), instants, steps per interval, constant force (N).
 const SAMPLES: usize = 8;
 const INSTANTS: usize = 20;
 const STEPS: usize = 7;
 const FORCE: f64 = 0.3;
-/// Samples and instants of the piece of training, by the paper's network.
+/// Piece of training with the paper's network: samples, instants.
 const BATCH: [usize; 2] = [30, 200];
-/// Unknowns of the factor.
+/// Order of the matrix to factorise.
 const UNKNOWNS: usize = 400;
 
-/// Work a second of one core.
+/// Operations per second of one core.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pace {
-    /// Force evaluations of one unit in f64, with all else of a step.
+    /// Force evaluations of one unit in f64, including the rest of a step.
     pub evaluations: f64,
-    /// Multiply-adds of a network's training, three forward passes an iteration.
+    /// Multiply-adds of a network's training, three forward passes per iteration.
     pub training: f64,
-    /// Multiply-adds of a Cholesky factor.
+    /// Multiply-adds of a Cholesky factorisation.
     pub factor: f64,
 }
 
 impl Pace {
-    /// Of this machine by the instruction set that this process uses, measured at the first call: a few hundredths of a second.
+    /// Speed of this machine with the instruction set of this process, measured at the first call in a few hundredths of a
+    /// second.
     pub fn here() -> Self {
         static HERE: OnceLock<Pace> = OnceLock::new();
         *HERE.get_or_init(|| Self { evaluations: evaluations(), training: training(), factor: factors() })
     }
 }
 
-/// CPU seconds of a piece of work.
+/// CPU time of a piece (s).
 fn seconds(mut work: impl FnMut()) -> f64 {
     let mut times = [0.0; REPEAT].map(|_: f64| {
         let begin = cpu_seconds();
@@ -90,7 +91,7 @@ fn training() -> f64 {
 
 fn factors() -> f64 {
     let n = UNKNOWNS;
-    // of a matrix whose diagonal outweighs its rows
+    // Of a diagonally dominant matrix.
     let all: Vec<f64> = (0..n * n).map(|i| if i % (n + 1) == 0 { n as f64 } else { 0.5 }).collect();
     let (mut matrix, pool) = (all.clone(), pool());
     let seconds = seconds(|| {

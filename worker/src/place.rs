@@ -1,4 +1,4 @@
-//! Where a trial's sensors are best placed, and the error with others.
+//! The best placements of a trial's sensors, compared with others.
 
 use metasense_numerics::place::Candidates;
 use metasense_numerics::trial::Placing;
@@ -9,25 +9,25 @@ use metasense_schemas::wire::Cause;
 use crate::convert;
 use crate::run::{Failure, pool, simulable};
 
-/// Placements found for m = 1 … M sensors, beside random ones. Errors (%) are those of a linear brain on training samples
-/// that it has not seen.
+/// Placements found for m = 1 … M sensors, compared with random ones. Errors (%) are cross-validated on the training samples with
+/// a linear decoder.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Looked {
-    /// What the search found.
+    /// Placements found.
     pub placed: Vec<Placed>,
-    /// Each candidate with the first `given` of the M units placed, and the error, best first.
+    /// Each candidate together with the first `given` of the M units, and the error, best first.
     pub worth: Vec<(usize, f64)>,
-    /// Of random placements: best, median, worst.
+    /// Errors of random placements per m: best, median, worst.
     pub random: Vec<[f64; 3]>,
 }
 
-/// Random placements beside the one that is searched for.
+/// Number of random placements.
 pub const RANDOM: u64 = 30;
 
-/// Searches for a trial's sensors on this design.
+/// Searches for the best placements of a trial's sensors on a design.
 ///
 /// # Errors
-/// If the spec stands for no trial, the design is of another length or cannot be simulated, or there is no placement.
+/// If the spec is invalid, the design has the wrong length or cannot be simulated, or no placement exists.
 pub fn look(trial: &TrialSpec, design: &[f64], given: usize, threads: usize) -> Result<Looked, Failure> {
     let mut trial = trial.clone();
     trial.sensor_units.clear();
@@ -45,7 +45,7 @@ pub fn look(trial: &TrialSpec, design: &[f64], given: usize, threads: usize) -> 
         .map(|m| scores.search(&of(m)).map_err(nowhere))
         .collect::<Result<_, Failure>>()?;
 
-    // errors of the first m units of each random placement
+    // Errors of the first m units of each random placement.
     let of_order = |p: u64| -> Option<Vec<f64>> {
         let order = problem.scene.layout.placement(p, &problem.scene.clamped);
         let order: Vec<usize> = order.into_iter().filter(|unit| all.units.contains(unit)).collect();

@@ -1,4 +1,4 @@
-//! Bodies of any polygons: from a file, and as a layout.
+//! Bodies of arbitrary polygons, read from files and converted to layouts.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -10,18 +10,18 @@ use crate::design::{self, DesignError};
 use crate::files::{self, Array, Content, Form};
 use crate::invalid::{Invalid, invalid};
 
-/// Nodes of a unit that is not rigid, and of one that is.
+/// Number of nodes of an ordinary and of a rigid unit.
 const NODES: std::ops::RangeInclusive<usize> = 3..=12;
 const NODES_OF_RIGID: std::ops::RangeInclusive<usize> = 3..=1000;
-/// Units at most, as of a lattice.
+/// Largest number of units, as for lattices.
 const UNITS_MAX: usize = 10_000;
 
-/// The polygons of a file, by its ending: TOML of [`Polygons`], or NPZ as DifFlexMM lays bodies out: `block_centroids` (units, 2),
-/// `centroid_node_vectors` (units, nodes, 2), `bond_connectivity` (ligaments, 2) of nodes counted through all units. They need not
-/// make sense; [`layout`] tells.
+/// Reads polygons: TOML of [`Polygons`], or an NPZ as DifFlexMM describes bodies: `block_centroids` (units, 2),
+/// `centroid_node_vectors` (units, nodes, 2), `bond_connectivity` (ligaments, 2) of nodes counted over all units. [`layout`]
+/// checks their consistency.
 ///
 /// # Errors
-/// Names the file, and what is wrong with it.
+/// Names the file and the fault.
 pub fn read(path: &Path) -> Result<Polygons, DesignError> {
     let bytes = design::bytes_of(path)?;
     let content = |what: String| DesignError::Content { path: path.into(), what };
@@ -33,7 +33,7 @@ pub fn read(path: &Path) -> Result<Polygons, DesignError> {
     }
 }
 
-/// The arrays of an NPZ that make a body.
+/// The arrays that an NPZ must contain.
 const ARRAYS: [&str; 3] = ["block_centroids", "centroid_node_vectors", "bond_connectivity"];
 
 fn of_archive(path: &Path, bytes: &[u8]) -> Result<Polygons, String> {
@@ -83,10 +83,10 @@ fn of_archive(path: &Path, bytes: &[u8]) -> Result<Polygons, String> {
     })
 }
 
-/// The layout of polygons. Whether they overlap, or are turned over, is the judge's business.
+/// Layout of polygons. Does not check for overlaps and inverted units; feasibility does.
 ///
 /// # Errors
-/// Names the unit, ligament or node that cannot be.
+/// Names the invalid unit, ligament or node.
 pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
     let wrong = |at: String, remedy: String| Err(invalid("body.file", at, remedy));
     let count = given.units.len();
@@ -206,7 +206,7 @@ fn follower(follow: &Follow) -> (usize, Follower) {
     (unit, Follower { node, of: nodes, by })
 }
 
-/// Refuses nodes that cannot stay or follow as the file says; `joined` tells which nodes ligaments hold.
+/// Checks which nodes stay or follow others; `joined` is true for nodes with ligaments.
 fn followers(given: &Polygons, joined: impl Fn(&[usize; 2]) -> bool) -> Result<(), Invalid> {
     let is_rigid = |unit: &usize| given.rigid.contains(unit);
     for (group, ends) in given.together.iter().enumerate() {
@@ -239,7 +239,7 @@ fn followers(given: &Polygons, joined: impl Fn(&[usize; 2]) -> bool) -> Result<(
     Ok(())
 }
 
-/// The first unit that no ligaments join to unit 0.
+/// The first unit without a path of ligaments to unit 0.
 fn hangs(given: &Polygons) -> Option<usize> {
     let mut joined = vec![false; given.units.len()];
     let (mut next, mut neighbours) = (vec![0], vec![Vec::new(); given.units.len()]);
@@ -255,7 +255,7 @@ fn hangs(given: &Polygons) -> Option<usize> {
     joined.iter().position(|joined| !joined)
 }
 
-/// A direction at length 1.
+/// Scales a vector to length 1.
 pub(crate) fn unit_vector([x, y]: [f64; 2]) -> [f64; 2] {
     let length = x.hypot(y);
     [x / length, y / length]

@@ -1,8 +1,8 @@
-//! The worker process: takes a job, runs it and sends its result. It never decides anything.
+//! The worker process: receives jobs, runs them and sends their results.
 //!
-//! It lives as long as its orchestrator: the kernel kills it when that dies, and the end of its standard input ends
-//! it at once, in the middle of whatever it does. Nothing needs to be put in order then, since the orchestrator removes
-//! the whole iceoryx2 domain. Ctrl-C and SIGTERM are the orchestrator's business, which asks for a stop.
+//! It ends with its orchestrator: the kernel kills it when that process dies, and the end of standard input ends it at once,
+//! without cleanup, since the orchestrator removes the whole iceoryx2 domain. It ignores Ctrl-C and SIGTERM; the orchestrator
+//! handles them and requests a stop.
 
 use std::io::Read;
 use std::os::unix::fs::MetadataExt;
@@ -24,23 +24,23 @@ use crate::limits::{Needs, check, check_file_size, explained, tells_of_shortage}
 use crate::run::{self, Control, Failure, Observe};
 use crate::simd;
 
-/// Exit code of a worker whose orchestrator is another build.
+/// Exit code: the orchestrator has another build.
 pub const OTHER_BUILD: i32 = 64;
-/// Exit code of a worker that cannot reach its orchestrator.
+/// Exit code: the orchestrator cannot be reached.
 pub const NO_LINK: i32 = 65;
-/// Exit code of a worker whose orchestrator was gone before it came up.
+/// Exit code: the orchestrator ended before the worker started.
 pub const ORPHAN: i32 = 66;
-/// Exit code of a worker that finds no room in shared memory.
+/// Exit code: shared memory is full.
 pub const NO_ROOM: i32 = 67;
-/// Exit code of a worker that the machine does not allow what every worker needs.
+/// Exit code: a system limit is too low for any worker.
 pub const SHORT: i32 = 68;
 
-/// Shortest time between two beats.
+/// Least interval between two heartbeats.
 const BEAT: Duration = Duration::from_millis(50);
-/// Time between two looks at what the maths has done, where it does not return for long.
+/// Interval between checks of the computation's progress, during long calls.
 const PULSE: Duration = Duration::from_millis(500);
 
-/// Names this build: version, and the identity of the executable that runs.
+/// Identifies this build: version and identity of the running executable.
 pub fn build() -> String {
     let exe = std::fs::metadata("/proc/self/exe");
     let (inode, size, modified) =
@@ -48,15 +48,15 @@ pub fn build() -> String {
     format!("{}-{inode:x}-{size:x}-{modified:x}", env!("CARGO_PKG_VERSION"))
 }
 
-/// On standard error, if anybody reads that.
+/// Prints to standard error; ignores failures.
 fn complain(what: std::fmt::Arguments) {
     let _ = std::io::Write::write_fmt(&mut std::io::stderr(), format_args!("{what}\n"));
 }
 
-/// Has glibc keep large pieces of memory that are freed: a linear brain of six sensors takes 100 MB a step anew, which the system
-/// would clear page by page. A sixth of such a trial's time on one thread, a third on two, for a third more memory.
+/// Makes glibc keep large freed blocks. A linear decoder of six sensors allocates 100 MB per step, whose pages the kernel would
+/// clear again. This saves a sixth of such a trial's time on one thread and a third on two, for a third more memory.
 pub fn keep_memory() {
-    // SAFETY: sets limits of the allocator.
+    // SAFETY: sets parameters of the allocator only.
     #[cfg(target_env = "gnu")]
     unsafe {
         libc::mallopt(libc::M_MMAP_MAX, 0);
@@ -64,7 +64,7 @@ pub fn keep_memory() {
     }
 }
 
-/// Does the work of a job, from a checkpoint or from the start, on so many threads; counts what it has done.
+/// Runs a job from a checkpoint, or from the start, on this many threads; the heartbeat counts its progress.
 pub type Perform =
     fn(&str, Option<Checkpoint>, usize, Heartbeat, &mut dyn Observe) -> Result<TrialResult, Failure>;
 
@@ -83,7 +83,7 @@ pub fn perform_trial(
     run::run_trial(&trial, checkpoint, &run::pool_counting(threads, heartbeat)?, observer)
 }
 
-/// The hidden subcommand: `start` is a `wire::Start` as JSON. Returns the exit code.
+/// Runs the hidden subcommand; `start` is a `wire::Start` as JSON. Returns the exit code.
 pub fn run(start: &str, perform: Perform) -> i32 {
     let start: Start = match serde_json::from_str(start) {
         Ok(start) => start,
@@ -124,12 +124,12 @@ pub fn run(start: &str, perform: Perform) -> i32 {
 /// Ties the process to its orchestrator and sets its limits.
 ///
 /// # Errors
-/// If the system starts no thread.
+/// If the system cannot start a thread.
 fn bind_to_parent(start: &Start) -> std::io::Result<()> {
-    // What the kernel refuses is not worth a trial.
+    // Failures of these calls are ignored: the trial can still run.
     let _ = process::set_parent_process_death_signal(Some(process::Signal::KILL));
     for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP, libc::SIGXFSZ] {
-        // SAFETY: no handler runs, and no other thread of this process exists yet.
+        // SAFETY: SIG_IGN installs no handler, and no other thread of this process exists yet.
         unsafe { libc::signal(signal, libc::SIG_IGN) };
     }
     if start.niceness != 0 {
@@ -143,13 +143,13 @@ fn bind_to_parent(start: &Start) -> std::io::Result<()> {
     let until_closed = || {
         let mut sink = [0; 64];
         while std::io::stdin().read(&mut sink).is_ok_and(|n| n > 0) {}
-        // SAFETY: ends the process without running destructors, which is the point: computations are in progress.
+        // SAFETY: ends the process without destructors, as intended during a computation.
         unsafe { libc::_exit(0) }
     };
     std::thread::Builder::new().stack_size(64 << 10).spawn(until_closed).map(drop)
 }
 
-/// The worker's end of its domain. Ports are dropped before the node.
+/// The worker's ports. Ports are dropped before the node.
 struct Worker {
     perform: Perform,
     up: MessageSender,
@@ -182,17 +182,18 @@ impl Worker {
         Ok(worker)
     }
 
-    /// Sends and wakes the orchestrator. Waits while its buffer is full: if it never reads again, this process ends too.
+    /// Sends a message and wakes the orchestrator. Waits while its buffer is full; if it never reads again, this process ends
+    /// too.
     fn send(&self, message: &ToOrchestrator) -> Result<(), LinkError> {
         let bytes = wire::encode(message);
         make_room(bytes.len())?;
         patiently(|| Ok(wire::send(&self.up, &bytes)?.then_some(())))?;
-        // A wake-up that fails is made good by the orchestrator's own polling.
+        // If the wake-up fails, the orchestrator still polls.
         let _ = self.waker.notify();
         Ok(())
     }
 
-    /// Takes jobs for as long as the process lives.
+    /// Receives jobs until the process ends.
     fn serve(&mut self) -> Result<(), LinkError> {
         let _keep_open = &self.services;
         name_process(IDLE);
@@ -202,7 +203,7 @@ impl Worker {
                 Some(ToWorker::Job { lease, .. }) if unwanted == Some(lease) => {
                     self.send(&ToOrchestrator::Stopped { lease })?;
                 }
-                // what another attempt has done before its end was heard
+                // An earlier attempt reached the pause step before the orchestrator knew.
                 Some(ToWorker::Job { lease, checkpoint: Some(done), pause: Some(step), .. })
                     if done.step >= step =>
                 {
@@ -239,7 +240,7 @@ impl Worker {
                 .spawn_scoped(scope, || beats.while_work_is_done(&done));
             let ended = std::panic::catch_unwind(AssertUnwindSafe(perform));
             done.store(true, Ordering::Release);
-            // Without the thread there are fewer beats.
+            // Without this thread there are fewer heartbeats.
             if let Ok(beats) = beats {
                 beats.thread().unpark();
             }
@@ -268,7 +269,7 @@ impl Worker {
         self.send(&message)
     }
 
-    /// Puts the arrays of a result into shared memory, where they are written once.
+    /// Writes the arrays of a result into shared memory.
     fn finished(&self, lease: Lease, mut result: TrialResult) -> Result<ToOrchestrator, LinkError> {
         let arrays = Arrays::of(&mut result, wire::APART);
         if !arrays.is_empty() {
@@ -277,7 +278,7 @@ impl Worker {
         Ok(ToOrchestrator::Finished { lease, result: Box::new(result), arrays: arrays.heads() })
     }
 
-    /// Loans a chunk, writes the arrays into it, and sends it; waits while the orchestrator holds all it may hold.
+    /// Loans a chunk, writes the arrays into it and sends it. Waits while the orchestrator holds all its chunks.
     fn send_arrays(&self, arrays: &Arrays) -> Result<(), LinkError> {
         make_room(arrays.len())?;
         let mut chunk = patiently(|| match self.arrays.loan_slice_uninit(arrays.len()) {
@@ -293,7 +294,7 @@ impl Worker {
     }
 }
 
-/// Asks again, after longer and longer pauses, until there is something.
+/// Repeats `ask` with growing pauses until it returns a value.
 fn patiently<T>(mut ask: impl FnMut() -> Result<Option<T>, LinkError>) -> Result<T, LinkError> {
     let mut pause = Duration::from_micros(50);
     loop {
@@ -305,25 +306,25 @@ fn patiently<T>(mut ask: impl FnMut() -> Result<Option<T>, LinkError>) -> Result
     }
 }
 
-/// Name of a process that has no trial.
+/// Process name of a worker without a trial.
 pub const IDLE: &str = "idle";
 
-/// Names this process as `top` shows it, and as `metasense watch` reads it: the kernel keeps fifteen bytes.
+/// Sets the name of this process, for `top` and `metasense watch`; the kernel keeps 15 bytes.
 fn name_process(name: &str) {
     if let Ok(name) = std::ffi::CString::new(name) {
         let _ = rustix::thread::set_name(&name);
     }
 }
 
-/// What a `LinkError` says it tried where shared memory is full.
+/// `LinkError::step` if shared memory is full.
 pub const MAKING_ROOM: &str = "making room";
-/// And where files there may not be as large.
+/// `LinkError::step` if the limit on file sizes is too low.
 pub const FILE_SIZE: &str = "enlarging a file";
 
-/// Whether so many bytes fit into shared memory: writing to a full one would be the end of this process.
+/// Checks that `bytes` fit into shared memory. Writing to full shared memory would kill this process.
 ///
 /// # Errors
-/// If they do not, or hardly.
+/// If they do not fit, with a margin.
 pub fn make_room(bytes: usize) -> Result<(), LinkError> {
     check_file_size(wire::segment(bytes))
         .map_err(|short| LinkError { step: FILE_SIZE, cause: short.to_string() })?;
@@ -344,22 +345,22 @@ pub fn free_space(path: &std::path::Path) -> Option<u64> {
     rustix::fs::statvfs(path).ok().map(|stat| stat.f_bavail * stat.f_frsize)
 }
 
-/// The heartbeat of an attempt.
+/// Heartbeat of an attempt.
 struct Beats<'a> {
     sender: &'a BeatSender,
     lease: Lease,
-    /// Of the maths.
+    /// Progress counter of the computation.
     heartbeat: Heartbeat,
 }
 
 impl Beats<'_> {
     fn send(&self) {
         let Lease { trial, attempt } = self.lease;
-        // A beat may be lost.
+        // A lost beat does no harm.
         let _ = self.sender.send_copy(Progress { trial, attempt });
     }
 
-    /// Beats as long as the maths comes further, until `done`.
+    /// Sends beats while the computation progresses, until `done`.
     fn while_work_is_done(&self, done: &AtomicBool) {
         let mut seen = self.heartbeat.count();
         while !done.load(Ordering::Acquire) {
@@ -372,11 +373,11 @@ impl Beats<'_> {
     }
 }
 
-/// What a trial sees of the outside.
+/// Connects a trial to the orchestrator.
 struct Reporter<'a> {
     worker: &'a Worker,
     lease: Lease,
-    /// The outer step after which no more is wanted.
+    /// Outer step after which the trial pauses.
     pause: Option<u32>,
     beats: &'a Beats<'a>,
     beaten: Option<Instant>,
@@ -385,7 +386,7 @@ struct Reporter<'a> {
 }
 
 impl Reporter<'_> {
-    /// Sends, and hears whether a stop is wanted.
+    /// Sends a message, then checks for a stop request.
     fn tell(&mut self, message: &ToOrchestrator) {
         match self.worker.send(message) {
             Ok(()) => self.listen(),

@@ -1,7 +1,7 @@
-//! Recorded force histories: from files with a clock of their own to samples on the clock of a simulation.
+//! Recorded force histories: from files with their own clock to samples on the clock of a simulation.
 //!
-//! A file is a table (CSV, or NPY of two dimensions: one record, signals along the shorter side), an NPY of
-//! (samples, panels, entries), or an NPZ whose arrays hold (entries), (samples, entries) or (samples, panels, entries).
+//! A file is a table (CSV, or two-dimensional NPY: one record, signals along the shorter side), an NPY of (samples, panels,
+//! entries), or an NPZ with arrays of (entries), (samples, entries) or (samples, panels, entries).
 
 use std::collections::HashMap;
 use std::io;
@@ -22,20 +22,20 @@ mod pick;
 
 pub(crate) use pick::{Pick, of_file};
 
-/// Histories on an even clock: one of each panel, or of the one that was struck; or one of each channel.
+/// Histories on an even clock: one per panel, a single one for the struck panel, or one per channel.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Record {
-    /// When the first entry is (s).
+    /// Time of the first entry (s).
     pub start: f64,
-    /// Time between two entries (s).
+    /// Interval between entries (s).
     pub dt: f64,
-    /// The histories, equally long.
+    /// Histories of equal length.
     pub values: Vec<Vec<f64>>,
-    /// How far a step of the clock was from their mean, at most, relative to it.
+    /// Largest deviation of a time step from the mean step, relative to it.
     pub jitter: f64,
 }
 
-/// BLAKE3 over the lengths and contents of the files, in their order: 32 hex digits.
+/// BLAKE3 hash of the lengths and contents of the files, in order: 32 hex digits.
 ///
 /// # Errors
 /// Names a file that cannot be read.
@@ -54,13 +54,13 @@ pub(crate) fn at(file: &Path, what: impl Into<String>) -> Invalid {
     invalid("stimuli.recorded.files", format!("{:?}", file.display().to_string()), what)
 }
 
-/// A file taken apart.
+/// Reads and parses a file.
 pub(crate) fn open(file: &Path, form: &Form) -> Result<Content, String> {
     let bytes = files::read(file).map_err(|e| format!("cannot be read: {e}"))?;
     files::content(file, &bytes, form)
 }
 
-/// The records of a trial as the maths take them, on a clock of `instants` instants.
+/// The records of a trial in numerical form, on a clock of `instants` instants.
 pub(crate) fn recorded(
     trial: &TrialSpec,
     recorded: &spec::Recorded,
@@ -116,10 +116,10 @@ pub(crate) fn recorded(
     })
 }
 
-/// How a history is read onto another clock: (history, start, dt, duration, instants).
+/// Resamples a history: (history, start, dt, duration, instants).
 pub(crate) type Clock = fn(&[f64], f64, f64, f64, usize) -> Vec<f64>;
 
-/// That of a force.
+/// The resampling function for forces.
 pub(crate) fn clock(kind: Resample) -> Clock {
     match kind {
         Resample::Antialias => felt,
@@ -127,12 +127,12 @@ pub(crate) fn clock(kind: Resample) -> Clock {
     }
 }
 
-/// Part of its peak that a force may have where a shift cuts it off: of a half sine's impulse less than 0.1 % is below it, and
-/// noise of a force sensor may reach 0.02 in the record of a weak blow.
+/// Largest force, relative to its peak, at which a shift may cut it off. A half sine cut there loses less than 0.1 % of its
+/// impulse; sensor noise may reach 0.02 in the record of a weak blow.
 pub(crate) const CUT: f64 = 0.05;
 
-/// Whether a trial can be made of its records: no two are copies, and shifts leave their forces whole. The plan asks; trials that
-/// were run before it did are still read.
+/// Checks that no two records are copies and that shifts do not cut forces off. Called when trials are planned; replays of older
+/// trials skip it.
 ///
 /// # Errors
 /// Names the record.
@@ -141,7 +141,7 @@ pub fn check_records(trial: &TrialSpec, problem: &Problem) -> Result<(), Invalid
     check_shifts(problem)
 }
 
-/// Refuses two records of one force on one panel: one would train a brain that the other tests.
+/// Rejects two records of the same force on the same panel: a copy would train and test the same decoder.
 fn check_copies(trial: &TrialSpec, problem: &Problem) -> Result<(), Invalid> {
     let sources = std::iter::once(&problem.stimuli.source).chain(&problem.under);
     let records = sources.flat_map(Source::parts).find_map(|part| match part {
@@ -171,12 +171,12 @@ fn check_copies(trial: &TrialSpec, problem: &Problem) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// What tells numbers from others.
+/// Hash of an array.
 pub(crate) fn fingerprint(values: &[f64]) -> blake3::Hash {
     blake3::hash(bytemuck::cast_slice(values))
 }
 
-/// Whether the fresh samples of `joint`, or of a brain for all casts, have the whole force of their records, however these are shifted.
+/// Checks that shifted fresh samples, of `joint` or of a decoder for all casts, contain the whole force of their records.
 fn check_shifts(problem: &Problem) -> Result<(), Invalid> {
     if !matches!(problem.optimise.protocol, Protocol::Joint(_)) && problem.evaluation.casts == 0 {
         return Ok(());
@@ -215,7 +215,7 @@ fn check_shifts(problem: &Problem) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// The forces of a file: of all panels a record, or of one.
+/// Forces of a file: one history per panel, or a single one per record.
 pub(crate) fn forces(pick: &Pick, held: &Content, panels: usize) -> Result<Vec<Record>, String> {
     let records = of_file(pick, held)?;
     match records.iter().map(|record| record.values.len()).find(|held| ![1, panels].contains(held)) {
@@ -227,7 +227,7 @@ pub(crate) fn forces(pick: &Pick, held: &Content, panels: usize) -> Result<Vec<R
     }
 }
 
-/// Refuses keys that say how a CSV is written where no file is one.
+/// Rejects keys of the CSV format if no file is a CSV.
 pub(crate) fn check_form(
     table: &str,
     files: &[PathBuf],
@@ -249,12 +249,12 @@ pub(crate) fn check_form(
     }
 }
 
-/// What is wrong with a record, of a file of so many.
+/// Adds the record's number to an error message if the file contains several.
 pub(crate) fn numbered(record: usize, count: usize, what: String) -> String {
     if count == 1 { what } else { format!("record {record}: {what}") }
 }
 
-/// Refuses a clock that is read in another unit than it was written in.
+/// Rejects a time step longer than a sample: probably a wrong unit.
 pub(crate) fn check_step(pick: &Pick, record: &Record, duration: f64) -> Result<(), String> {
     if record.dt <= duration {
         return Ok(());
@@ -263,7 +263,7 @@ pub(crate) fn check_step(pick: &Pick, record: &Record, duration: f64) -> Result<
     Err(format!("has a step of {dt} s, longer than a sample (time.duration = {duration} s): check {key}"))
 }
 
-/// Refuses forces that are hardly any in the sample.
+/// Rejects a record whose force lies outside the sample.
 pub(crate) fn check_place(pick: &Pick, record: &Record, duration: f64) -> Result<(), String> {
     let Record { start, dt, values, .. } = record;
     let peak = |within: &dyn Fn(f64) -> bool| {
@@ -271,7 +271,7 @@ pub(crate) fn check_place(pick: &Pick, record: &Record, duration: f64) -> Result
         let forces = forces.filter(|(n, _)| within(start + *n as f64 * dt));
         forces.fold(0.0f64, |peak, (_, force)| peak.max(force.abs()))
     };
-    // an entry acts on what is within a step of it
+    // Forces are interpolated, so an entry acts within one step of it.
     let inside = peak(&|time| (-dt..=duration + dt).contains(&time));
     if inside >= CUT * peak(&|_| true) {
         return Ok(());
@@ -283,7 +283,7 @@ pub(crate) fn check_place(pick: &Pick, record: &Record, duration: f64) -> Result
     ))
 }
 
-/// Whether all records hold as many forces, and `panels` says which is struck where it may.
+/// Checks that all records contain the same number of forces, and that `panels` is valid.
 pub(crate) fn check_panels(
     recorded: &spec::Recorded,
     records: &[&Record],
@@ -307,7 +307,7 @@ pub(crate) fn check_panels(
     Err(invalid("stimuli.recorded.panels", format!("{struck:?}"), remedy))
 }
 
-/// Refuses keys that cannot be meant, and files that are not those of the digest.
+/// Rejects invalid keys, and files whose contents differ from the digest.
 pub(crate) fn check(recorded: &spec::Recorded) -> Result<(), Invalid> {
     let key = |name: &str| format!("stimuli.recorded.{name}");
     let wrong = |name: &str, value: String, remedy: &str| Err(invalid(&key(name), value, remedy));
@@ -339,8 +339,8 @@ pub(crate) fn check(recorded: &spec::Recorded) -> Result<(), Invalid> {
     if *known == now { Ok(()) } else { Err(invalid("stimuli.recorded.digest", known, remedy)) }
 }
 
-/// Puts forces into newtons, without offset, and the blow where the trigger wants it, where it does not say at `room` (s).
-/// Returns by how much that is later than it was (s).
+/// Converts forces to newtons, removes the offset, and shifts the blow to the time of the trigger, `room` (s) by default. Returns
+/// the shift (s).
 pub(crate) fn align(recorded: &spec::Recorded, record: &mut Record, room: f64) -> Result<f64, String> {
     let factor = recorded.force_unit.newtons() * recorded.scale;
     let factors = vec![factor; record.values.len()];
@@ -355,7 +355,7 @@ pub(crate) fn align(recorded: &spec::Recorded, record: &mut Record, room: f64) -
     Ok(record.start - before)
 }
 
-/// Multiplies each history by its factor, its median taken off first where asked.
+/// Multiplies each history by its factor; optionally subtracts its median first.
 pub(crate) fn in_units(
     what: &str,
     values: &mut [Vec<f64>],

@@ -1,11 +1,11 @@
-//! The reference scene of `MODEL.md` and forces for it: what the pace of a machine is measured on, and what benches and checks compare.
+//! The reference scene of `MODEL.md` and its forces, for speed measurements, benchmarks and checks.
 
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{Forces, Frame, Panel, Parts, Scene, Stiffness};
 use metasense_numerics::random::Purpose;
 use metasense_numerics::stimuli::{self, Bell};
 
-/// K = 2, M = 1 on 6 × 6 units: the reference scene of `MODEL.md`.
+/// The reference scene: two panels, one sensor, 6 × 6 units.
 #[must_use]
 pub fn reference() -> Scene {
     let layout = Layout::planar(6, 6, 15.0, 2.25);
@@ -33,7 +33,7 @@ pub fn reference() -> Scene {
     }
 }
 
-/// Bell pulses of the usual intervals, seed 1.
+/// Bell pulses with the default intervals, seed 1.
 #[must_use]
 pub fn bells(scene: &Scene, samples: u64) -> Forces {
     let bell = Bell {

@@ -1,5 +1,5 @@
-//! A finished trial computed again from its stored design and weights: geometry, signals, predictions, motion; its brain as
-//! layers, in the numbers of a device.
+//! Recomputes a finished trial from its stored design and weights: geometry, signals, estimates, motion. Converts its decoder to
+//! layers, also in integers for a device.
 
 use metasense_numerics::body::moments;
 use metasense_numerics::brains::fits;
@@ -21,7 +21,7 @@ pub use layers::{Convolution, Single, holdout_error, layers};
 use crate::casts::NO_VARIATION;
 use crate::run::{Failure, check_length, pool, prepared, simulable, with_design};
 
-/// A body to draw.
+/// Geometry for drawings of a body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Drawing {
     /// Corners of every unit (mm), counter-clockwise.
@@ -30,19 +30,19 @@ pub struct Drawing {
     pub centroids: Vec<[f64; 2]>,
     /// Ends of every ligament (mm).
     pub ligaments: Vec<[[f64; 2]; 2]>,
-    /// The two corners (unit, node) that each ligament joins.
+    /// The two nodes (unit, node) that each ligament joins.
     pub joints: Vec<[(usize, usize); 2]>,
-    /// Panels, and where their forces act (mm).
+    /// Panels, and the points where their forces act (mm).
     pub panels: Vec<(Panel, [f64; 2])>,
-    /// Units that carry sensors.
+    /// Units with sensors.
     pub sensors: Vec<usize>,
-    /// Units that are held.
+    /// Clamped units.
     pub clamped: Vec<usize>,
-    /// Units that are held in part.
+    /// Guided units.
     pub guided: Vec<usize>,
-    /// Constraints at their limit.
+    /// Active constraints.
     pub active: Vec<Active>,
-    /// Pitch of the grid (mm).
+    /// Grid spacing (mm).
     pub spacing: f64,
     /// Instants (s) of signals and motion.
     pub clock: Vec<f64>,
@@ -55,10 +55,10 @@ impl Drawing {
     }
 }
 
-/// Where everything of a body lies.
+/// Geometry of a body.
 ///
 /// # Errors
-/// If the spec stands for no trial, or the design is not one of its body.
+/// If the spec is invalid, or the design belongs to another body.
 pub fn drawing(trial: &TrialSpec, design: &[f64]) -> Result<Drawing, Failure> {
     let problem = with_design(trial, design)?;
     let scene = &problem.scene;
@@ -78,7 +78,7 @@ pub fn drawing(trial: &TrialSpec, design: &[f64]) -> Result<Drawing, Failure> {
         sensors: scene.sensors.clone(),
         clamped: scene.clamped.clone(),
         guided: scene.guided.iter().map(|guided| guided.0).collect(),
-        // the initial body may be given beyond a limit: then it is not at it
+        // An initial body may violate a limit; such constraints are not active.
         active: Feasible::new(&scene.layout, problem.limits, &[])
             .active(design)
             .into_iter()
@@ -89,11 +89,11 @@ pub fn drawing(trial: &TrialSpec, design: &[f64]) -> Result<Drawing, Failure> {
     })
 }
 
-/// Signals of a body under all samples of its trial, and the predictions of its brain: of a network where `weights` are
-/// given, of a linear one always; of an inverse one those of the first `inverse` test samples and of as many of the holdout.
+/// Signals of a body under all samples of its trial, and the estimates of its decoder. Networks need `weights`. An inverse
+/// decoder estimates the first `inverse` test samples and as many held-out samples.
 ///
 /// # Errors
-/// If the spec stands for no trial, lengths do not fit it, or a simulation does not end well.
+/// If the spec is invalid, lengths do not match it, or a simulation fails.
 pub fn replay(
     trial: &TrialSpec,
     design: &[f64],
@@ -114,21 +114,21 @@ pub fn replay(
     Ok(replay)
 }
 
-/// A trial's brain.
+/// The decoder of a trial.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Own {
-    /// A linear one.
+    /// A linear decoder.
     Linear(LinearReplay),
-    /// Weights of a network.
+    /// The weights of a network.
     Network(Vec<f32>),
-    /// A linear one, and weights of a network on it.
+    /// A linear decoder, and the weights of the network stacked on it.
     Stacked(LinearReplay, Vec<f32>),
 }
 
-/// The brain of a replay: the network with these weights, the linear one fitted to its training samples, or one on the other.
+/// The decoder of a replay: the network with these weights, a linear decoder fitted to the training samples, or both stacked.
 ///
 /// # Errors
-/// If the spec stands for no trial, its network has no weights, or the linear brain cannot be solved for.
+/// If the spec is invalid, the network has no weights, or the fit fails.
 pub fn own(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<Own, Failure> {
     let (problem, weights) = (prepared(trial)?, weights.to_vec());
     if problem.reader.is_network() && weights.is_empty() {
@@ -142,11 +142,10 @@ pub fn own(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<Own, F
     })
 }
 
-/// As [`replay`] of a brain that is fitted to casts of the design once more, as the trial's comparison does; with
-/// this brain.
+/// As [`replay`], with a decoder fitted again to casts of the design, as in the trial's comparison. Also returns the decoder.
 ///
 /// # Errors
-/// If nothing scatters, as [`replay`], or if it cannot be fitted.
+/// As [`replay`]; if there is no variation, or if the fit fails.
 pub fn replay_for_casts(trial: &TrialSpec, design: &[f64], threads: usize) -> Result<(Replay, Own), Failure> {
     let (problem, pool) = (simulable(trial, design)?, pool(threads)?);
     if problem.variation.is_none() {
@@ -172,10 +171,10 @@ pub fn replay_for_casts(trial: &TrialSpec, design: &[f64], threads: usize) -> Re
     })
 }
 
-/// The linear brain of the whole sample on a replay's signals: what every body is read by. None where it is too large.
+/// The linear decoder of the whole sample, with which every body is compared; `None` if it is too large.
 ///
 /// # Errors
-/// If the spec stands for no trial, or the brain cannot be solved for.
+/// If the spec is invalid, or the fit fails.
 pub fn linear(trial: &TrialSpec, replay: &Replay) -> Result<Option<LinearReplay>, Failure> {
     let problem = prepared(trial)?;
     let (instants, channels) = (problem.scene.instants, replay.signal_scale.len());

@@ -1,4 +1,4 @@
-//! One trial from its spec to its result, for a worker process or in the foreground.
+//! Runs one trial from its spec to its result, in a worker process or in the foreground.
 
 use metasense_numerics::Heartbeat;
 pub use metasense_numerics::Pool;
@@ -18,43 +18,43 @@ use crate::limits::{Needs, explained};
 use crate::problem::problem;
 use crate::simd;
 
-/// Who watches a trial.
+/// Observer of a trial.
 pub trait Observe {
-    /// A sign of life: before and after every simulation, training, gradient and projection, and at every iteration of the
-    /// comparison at the end.
+    /// Reports progress: before and after every simulation, training, gradient and projection, and at every iteration of the
+    /// final comparison.
     fn progress(&mut self) -> Control;
-    /// A finished outer step, and what is needed to go on after it.
+    /// Reports a finished outer step, and the checkpoint after it.
     fn step(&mut self, record: StepRecord, checkpoint: Checkpoint) -> Control;
-    /// What is needed to go on within the comparison at the end.
+    /// Receives a checkpoint within the final comparison.
     fn save(&mut self, checkpoint: Checkpoint);
 }
 
 /// Why a trial has no result.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Failure {
-    /// The observer said stop.
+    /// The observer requested a stop.
     #[error("stopped")]
     Stopped,
-    /// The spec stands for no trial, or the checkpoint belongs to another one.
+    /// The spec is invalid, or the checkpoint belongs to another trial.
     #[error("rejected: {0}")]
     Rejected(String),
-    /// The maths got into trouble that no smaller step leads out of.
+    /// The computation failed, and smaller steps did not help.
     #[error("numerical: {detail}")]
     Numerical {
-        /// What it was.
+        /// Kind of failure.
         cause: Cause,
-        /// And where.
+        /// Details, with the place.
         detail: String,
     },
-    /// The machine is short of something; says of what.
+    /// A system resource is exhausted.
     #[error("short of something: {0}")]
     Shortage(String),
 }
 
-/// Runs a trial, from the beginning or from a checkpoint of its own.
+/// Runs a trial from the start, or from one of its checkpoints.
 ///
 /// # Errors
-/// Says why there is no result. Whatever `observer` was given before then holds.
+/// Why there is no result. Everything that `observer` received before stays valid.
 pub fn run_trial(
     trial: &TrialSpec,
     checkpoint: Option<Checkpoint>,
@@ -109,28 +109,28 @@ fn result(trial: &TrialSpec, optimised: Optimised, placed: Option<Placed>, pool:
     }
 }
 
-/// The problem that a spec stands for.
+/// Converts a spec to a problem.
 ///
 /// # Errors
-/// If it stands for no trial.
+/// If the spec is invalid.
 pub fn prepared(trial: &TrialSpec) -> Result<Problem, Failure> {
     problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))
 }
 
-/// The problem that a spec stands for, and that `design` is one of its body.
+/// Converts a spec to a problem, and checks that `design` fits its body.
 ///
 /// # Errors
-/// If the spec stands for no trial, or as `check_design`.
+/// If the spec is invalid, or as [`check_design`].
 pub fn with_design(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure> {
     let problem = prepared(trial)?;
     check_design(&problem, design)?;
     Ok(problem)
 }
 
-/// Whether `design` is one of the problem's body, and its units are bodies.
+/// Checks that `design` fits the problem's body and gives its units mass.
 ///
 /// # Errors
-/// If its length is another, a number is not finite, or a unit has no mass: without given masses those turned inside out have none.
+/// If the length is wrong, a number is not finite, or a unit has no mass, as inverted units do unless masses are given.
 pub fn check_design(problem: &Problem, design: &[f64]) -> Result<(), Failure> {
     design::check("the design", &[design.len()], design, problem.initial.len()).map_err(Failure::Rejected)?;
     let geometry = problem.scene.geometry(design);
@@ -147,24 +147,24 @@ pub fn check_design(problem: &Problem, design: &[f64]) -> Result<(), Failure> {
     }
 }
 
-/// The problem with this design, of which all samples are to be simulated here.
+/// As [`with_design`], for callers that simulate all samples.
 ///
 /// # Errors
-/// As of [`with_design`], or if this machine has not the memory for them.
+/// As [`with_design`], or if this machine lacks the memory.
 pub(crate) fn simulable(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure> {
     check_memory(trial)?;
     with_design(trial, design)
 }
 
-/// Whether this machine has the memory that the samples of a trial need.
+/// Checks that this machine has the memory for the samples of a trial.
 ///
 /// # Errors
-/// Names the key that asks for most.
+/// Names the key with the largest share.
 fn check_memory(trial: &TrialSpec) -> Result<(), Failure> {
     memory::check_here(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))
 }
 
-/// Whether there are as many numbers as a trial has.
+/// Checks the length of an array.
 pub(crate) fn check_length(what: &str, given: usize, expected: usize) -> Result<(), Failure> {
     match given == expected {
         true => Ok(()),
@@ -172,24 +172,24 @@ pub(crate) fn check_length(what: &str, given: usize, expected: usize) -> Result<
     }
 }
 
-/// Refuses NaN and infinity.
+/// Rejects NaN and infinity.
 ///
 /// # Errors
-/// Names the first that is not finite, and where it stands.
+/// Names the first number that is not finite, and its index.
 pub fn finite(what: &str, values: &[f64]) -> Result<(), Failure> {
     design::finite(what, values).map_err(Failure::Rejected)
 }
 
-/// The problem that a spec stands for, on these threads, its sensors in place: searched for where that is to be done.
+/// Converts a spec to a problem and places its sensors, by a search if the spec requires it.
 ///
 /// # Errors
-/// If the spec stands for no trial, this machine has not the memory for one, or the search comes to nothing.
+/// If the spec is invalid, this machine lacks the memory, or the search fails.
 pub fn placed(trial: &TrialSpec, pool: &Pool) -> Result<Problem, Failure> {
     check_memory(trial)?;
     Ok(place::placed(&prepared(trial)?, pool)?.0)
 }
 
-/// Fresh networks on each design, all of the same initial weights: the comparison at the end of a trial.
+/// The final comparison of a trial: fresh networks on each design, all with the same initial weights.
 ///
 /// # Errors
 /// As `run_trial`.
@@ -204,18 +204,18 @@ pub fn evaluate_designs(
     Ok(bodies.into_iter().map(convert::body_evaluation).collect())
 }
 
-/// Threads for the maths; 0 counts as 1.
+/// Pool of computing threads; 0 counts as 1.
 ///
 /// # Errors
-/// If the system does not start them.
+/// If the system cannot start them.
 pub fn pool(threads: usize) -> Result<Pool, Failure> {
     pool_counting(threads, Heartbeat::default())
 }
 
-/// The same, what they do counted there.
+/// As [`pool`]; `heartbeat` counts the progress of the threads.
 ///
 /// # Errors
-/// If the system does not start them.
+/// If the system cannot start them.
 pub fn pool_counting(threads: usize, heartbeat: Heartbeat) -> Result<Pool, Failure> {
     Pool::with(threads.max(1), simd::width(), heartbeat).map_err(|error| {
         let needs = Needs { threads: threads as u32, ..Needs::default() };
@@ -223,15 +223,15 @@ pub fn pool_counting(threads: usize, heartbeat: Heartbeat) -> Result<Pool, Failu
     })
 }
 
-/// Gives the maths a clock, that of the process's CPU time (a process runs one trial at a time), and its reports the form in which they are stored.
+/// Adapts an observer to the numerics: supplies the process's CPU time (one trial per process), and converts reports to records.
 struct Watch<'a> {
     observer: &'a mut dyn Observe,
-    /// CPU seconds that the observer took with the last step; they stand in the next one's record.
+    /// CPU time of the observer at the last step (s); stored in the next step's record.
     store: f64,
 }
 
 impl nested::Observe for Watch<'_> {
-    /// Asked where a part of a step begins and ends, which makes it a sign of life.
+    /// Called before and after each part of a step, so it also reports progress.
     fn seconds(&mut self) -> f64 {
         self.observer.progress();
         cpu_seconds()

@@ -1,48 +1,48 @@
-//! The instruction set of this process's kernels, by its name.
+//! The instruction set of this process's kernels.
 
 use metasense_numerics::simd::Width;
 use std::sync::OnceLock;
 
-/// Of all instruction sets, narrowest first.
+/// Names of all instruction sets, narrowest first.
 pub const NAMES: [&str; 3] = ["baseline", "avx2", "avx512"];
 
-/// Why kernels cannot use what was asked for.
+/// Why an instruction set cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SimdError {
-    /// No such name.
+    /// The name is unknown.
     #[error("`{0}` is not an instruction set of the kernels; expected baseline, avx2 or avx512")]
     Unknown(String),
-    /// The machine cannot.
+    /// The machine does not support it.
     #[error("this machine does not support {asked}; its widest set is {has}")]
     Lacking {
-        /// Asked for.
+        /// The requested set.
         asked: &'static str,
-        /// The widest there is.
+        /// The widest set of this machine.
         has: &'static str,
     },
 }
 
-/// The process's own, as its command line has it: kernels know of none but that of their pool.
+/// The instruction set of this process; kernels use that of their pool.
 static CHOSEN: OnceLock<Width> = OnceLock::new();
 
-/// What the pools of this process use: what it was told to by `choose`, else the widest that this machine has.
+/// The instruction set of new pools: the one set by [`choose`], else the widest of this machine.
 pub fn width() -> Width {
     *CHOSEN.get_or_init(Width::detect)
 }
 
-/// Its name.
+/// Name of this instruction set.
 #[must_use]
 pub fn name() -> &'static str {
     width().name()
 }
 
-/// Makes them use this; once, before they are used.
+/// Sets the instruction set; call it before the first use.
 ///
 /// # Errors
-/// An unknown name, or one that the machine lacks.
+/// If the name is unknown, or the machine does not support it.
 ///
 /// # Panics
-/// If they use another already.
+/// If another set is already in use.
 pub fn choose(name: &str) -> Result<(), SimdError> {
     let asked = find(name, Width::detect())?;
     let chosen = *CHOSEN.get_or_init(|| asked);

@@ -1,4 +1,4 @@
-//! One body under given forces: signals, motion and, of a cotangent on the signals, the gradient in the design.
+//! One body under given forces: signals, motion and, for a cotangent on the signals, the gradient in the design.
 
 use metasense_numerics::Pool;
 use metasense_numerics::dynamics::{
@@ -9,35 +9,35 @@ use metasense_schemas::spec::TrialSpec;
 use crate::demands::memory::check_states;
 use crate::run::{Failure, check_design, finite, placed, pool, prepared};
 
-/// What a body does; N samples, T instants, M sensors.
+/// Result of a simulation of N samples, T instants, M sensors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Simulated {
-    /// (N, T, 3M) (mm/s², rad/s).
+    /// Signals (N, T, 3M) (mm/s², rad/s).
     pub signals: Vec<f64>,
     /// (u, v, θ) of every unit at every instant, (N, T, units, 3) (mm, rad).
     pub displacements: Vec<f64>,
-    /// Likewise (mm/s, rad/s).
+    /// Velocities, (N, T, units, 3) (mm/s, rad/s).
     pub velocities: Vec<f64>,
     /// Elastic energy, contact included, (N, T) (N·mm).
     pub energies: Vec<f64>,
-    /// dα of Σ cotangent·signals, where one was given.
+    /// Gradient of Σ cotangent·signals in α, if a cotangent was given.
     pub gradient: Option<Vec<f64>>,
-    /// How each sample ended.
+    /// Outcome of each sample.
     pub outcomes: Vec<&'static str>,
     /// N, T, units, M.
     pub shape: [usize; 4],
-    /// The integrator, and why.
+    /// The integrator, and why it was chosen.
     pub solver: String,
-    /// Evaluations of the forces, those of the reverse sweep included, without the pilot's.
+    /// Force evaluations, including the reverse sweep, without the pilot.
     pub force_evaluations: u64,
-    /// Those of the pilot that chose the steps.
+    /// Force evaluations of the pilot.
     pub pilot_evaluations: u64,
 }
 
-/// Forces (N, K, R + 1) of an array of this shape, R the scene's T or a multiple of it.
+/// Forces from an array of shape (N, K, R + 1), R the scene's T or a multiple of it.
 ///
 /// # Errors
-/// If the shape does not fit the scene, or a number is not finite.
+/// If the shape does not match the scene, or a number is not finite.
 pub fn forces(scene: &Scene, shape: &[usize], values: Vec<f64>) -> Result<Forces, Failure> {
     let (panels, instants) = (scene.panels.len(), scene.instants);
     finite("the forces", &values)?;
@@ -54,10 +54,10 @@ pub fn forces(scene: &Scene, shape: &[usize], values: Vec<f64>) -> Result<Forces
     }
 }
 
-/// Whether the shape of a cotangent is that of the signals.
+/// Checks that a cotangent has the shape of the signals.
 ///
 /// # Errors
-/// If it is not, or a number is not finite.
+/// If it has not, or a number is not finite.
 pub fn check_cotangent(
     scene: &Scene,
     samples: usize,
@@ -73,7 +73,7 @@ pub fn check_cotangent(
     finite("the cotangent", values)
 }
 
-/// A simulation at the solver's error, as a trial carries it out: tuned on the first samples, then run.
+/// Simulates as a trial does: runs the pilot on the first samples, then all samples.
 pub fn strike(
     scene: &Scene,
     design: &[f64],
@@ -87,10 +87,10 @@ pub fn strike(
     (tuned, run)
 }
 
-/// Simulates `design` under `forces` (N, K, R + 1), R the trial's T or a multiple of it, at the trial's solver settings.
+/// Simulates `design` under `forces` (N, K, R + 1), R the trial's T or a multiple of it, with the trial's solver settings.
 ///
 /// # Errors
-/// If the spec stands for no trial, or shapes do not fit it.
+/// If the spec is invalid, or shapes do not match it.
 pub fn simulate(
     trial: &TrialSpec,
     design: &[f64],
@@ -125,7 +125,7 @@ pub fn simulate(
     };
     for (sample, outcome) in run.outcomes.iter().enumerate() {
         for n in 1..=instants {
-            // As the signals: what a failed sample did before it failed is not told.
+            // As in the signals, a failed sample is zero throughout.
             let (x, v) = match (outcome, &run.tape) {
                 (Outcome::Ok, Some(tape)) => tape.state(sample, n),
                 _ => (vec![[0.0; 3]; units], vec![[0.0; 3]; units]),
@@ -148,7 +148,7 @@ pub fn simulate(
 /// The layout of a trial's body, and its initial design.
 ///
 /// # Errors
-/// If the spec stands for no trial.
+/// If the spec is invalid.
 pub fn body(trial: &TrialSpec) -> Result<(crate::design::Layout, Vec<f64>), Failure> {
     let problem = prepared(trial)?;
     Ok((problem.scene.layout, problem.initial))

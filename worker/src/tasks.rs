@@ -1,4 +1,4 @@
-//! What else than force histories can be read from a body's signals.
+//! Estimates of other quantities than force histories from a body's signals.
 
 use metasense_numerics::questions::tasks::{Observations, tasks as read};
 pub use metasense_numerics::questions::tasks::{Reading, Task};
@@ -8,10 +8,10 @@ use metasense_schemas::spec::TrialSpec;
 use crate::replay::{linear, replay};
 use crate::run::Failure;
 
-/// The tasks whose labels vary among a trial's training samples, read from this body's signals on its held-out set; and the other tasks.
+/// Estimates, on the held-out set, of the tasks whose labels vary among the training samples; and the other tasks.
 ///
 /// # Errors
-/// If the spec stands for no trial, the design is of another length or cannot be simulated, or there are too few samples.
+/// If the spec is invalid, the design has the wrong length or cannot be simulated, or there are too few samples.
 pub fn tasks(
     trial: &TrialSpec,
     design: &[f64],
@@ -50,5 +50,5 @@ pub fn tasks(
     Ok(read(&Observations { signals, forces, decoded, train, judge, instants, panels, interval }))
 }
 
-/// Samples of which a readout can be fitted, or judged.
+/// Least number of samples to fit or test a task.
 const LEAST: usize = 10;

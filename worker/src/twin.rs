@@ -1,4 +1,4 @@
-//! Files of twins, and the casts that they stand for.
+//! Files of twins, and the casts that they describe.
 
 use std::path::Path;
 
@@ -13,7 +13,7 @@ use crate::invalid::{Invalid, invalid, positive, require};
 use crate::measured::MeasuredError;
 use crate::simulate::body;
 
-/// As it is stored.
+/// Converts a twin to its stored form.
 pub fn store(trial: &TrialSpec, design: &[f64], twin: &Twin) -> stored::Twin {
     let Cast { material, parts, ligament_length, shifts, chips, .. } = &twin.cast;
     let [stretch, shear, bend, damping, density, contact] = material.array();
@@ -31,20 +31,20 @@ pub fn store(trial: &TrialSpec, design: &[f64], twin: &Twin) -> stored::Twin {
     }
 }
 
-/// The twin that a file holds.
+/// Reads a twin from a file.
 ///
 /// # Errors
-/// Names file, key and value of what is no twin of this body.
+/// Names file, key and value of what is invalid or belongs to another body.
 pub fn read(file: &Path, trial: &TrialSpec, design: &[f64]) -> Result<Twin, MeasuredError> {
     let text = std::fs::read_to_string(file)
         .map_err(|source| MeasuredError::Unreadable { path: file.to_owned(), source })?;
     parse(&Source::new(file, text)?, trial, design)
 }
 
-/// The twin that a text holds.
+/// Parses a twin.
 ///
 /// # Errors
-/// As `read`.
+/// As [`read`].
 pub fn parse(source: &Source, trial: &TrialSpec, design: &[f64]) -> Result<Twin, MeasuredError> {
     let stored: stored::Twin = source.parse_as()?;
     checked(stored, trial, design).map_err(|Invalid { key, value, remedy }| {

@@ -1,5 +1,5 @@
-//! Symmetric matrices that are positive definite in exact arithmetic, though rounding may have made them less: by a Cholesky factor, and
-//! where that fails by eigenvalues, none of them below what it must be.
+//! Symmetric matrices that are positive definite up to rounding errors. Uses a Cholesky factor or, if that fails, eigenvalues
+//! raised to a lower bound.
 
 use crate::brain::linear::matrix;
 use faer::linalg::solvers::{SelfAdjointEigen, Solve};
@@ -7,7 +7,7 @@ use faer::{Mat, MatRef, Side};
 use nalgebra::allocator::Allocator;
 use nalgebra::{DMatrix, DefaultAllocator, Dim, Dyn, OMatrix};
 
-/// ½ ln |B| of such a B, whose eigenvalues are `least` and more; infinite of numbers that are none.
+/// ½ ln |B| for B with eigenvalues of at least `least`; infinite if B is not finite.
 pub(crate) fn half_log(b: MatRef<'_, f64>, least: f64) -> f64 {
     match b.llt(Side::Lower) {
         Ok(factor) => factor.L().diagonal().column_vector().iter().map(|l| l.ln()).sum(),
@@ -16,7 +16,7 @@ pub(crate) fn half_log(b: MatRef<'_, f64>, least: f64) -> f64 {
     }
 }
 
-/// B⁻¹ x; `None` of numbers that are none.
+/// B⁻¹ x; `None` if it is not finite.
 pub(crate) fn solved(b: MatRef<'_, f64>, least: f64, x: MatRef<'_, f64>) -> Option<Mat<f64>> {
     let found = match b.llt(Side::Lower) {
         Ok(factor) => factor.solve(x),
@@ -25,7 +25,7 @@ pub(crate) fn solved(b: MatRef<'_, f64>, least: f64, x: MatRef<'_, f64>) -> Opti
     found.is_all_finite().then_some(found)
 }
 
-/// The same by nalgebra's factor.
+/// As [`solved`], with nalgebra's factor.
 pub(crate) fn solved_dense<C: Dim>(
     b: DMatrix<f64>,
     least: f64,
@@ -45,13 +45,13 @@ where
     found.iter().all(|x| x.is_finite()).then_some(found)
 }
 
-/// B⁻¹; `None` of numbers that are none.
+/// B⁻¹; `None` if it is not finite.
 pub(crate) fn inverse(b: DMatrix<f64>, least: f64) -> Option<DMatrix<f64>> {
     let n = b.nrows();
     solved_dense(b, least, &DMatrix::identity(n, n))
 }
 
-/// B⁻¹ x by eigenvalues, none below `least`.
+/// B⁻¹ x by eigenvalues, raised to `least`.
 fn divided(b: MatRef<'_, f64>, least: f64, x: MatRef<'_, f64>) -> Option<Mat<f64>> {
     let own = by_eigenvalues(b)?;
     let mut along = own.U().transpose() * x;

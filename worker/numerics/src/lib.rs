@@ -1,6 +1,7 @@
-//! The maths of metasense: stimuli, feasible designs, placement, modes, identification, nested optimisation, on the kernels.
+//! The numerics of metasense: stimuli, feasible designs, sensor search, modes, identification and nested optimisation, built on
+//! the kernels.
 //!
-//! No I/O, no clock, no environment, no randomness but a seed passed in. Physics and conventions: `MODEL.md`.
+//! No I/O, clock or environment; random numbers depend only on seeds passed in. `MODEL.md` describes the physics and conventions.
 
 pub mod brains;
 pub mod check;

@@ -1,6 +1,6 @@
-//! Statistics of few observations: Student's t, by which they have honest intervals, and the median.
+//! Statistics of few observations: Student's t, and the median.
 
-/// The median; of an even count the greater of the two in the middle.
+/// The median; for an even count the greater of the two middle values.
 ///
 /// # Panics
 /// If there are no values.
@@ -17,19 +17,19 @@ pub fn student(freedom: usize) -> f64 {
     if freedom <= TABLE.len() {
         return TABLE[freedom.max(1) - 1];
     }
-    // Cornish–Fisher in 1/freedom to third order (Abramowitz and Stegun 26.7.5): off by less than 1e-3 here.
+    // Cornish–Fisher expansion in 1/freedom to third order (Abramowitz and Stegun 26.7.5), accurate to 1e-3 here.
     let (z, n) = (1.959_964f64, freedom as f64);
     z + (z.powi(3) + z) / (4.0 * n)
         + (5.0 * z.powi(5) + 16.0 * z.powi(3) + 3.0 * z) / (96.0 * n * n)
         + (3.0 * z.powi(7) + 19.0 * z.powi(5) + 17.0 * z.powi(3) - 15.0 * z) / (384.0 * n.powi(3))
 }
 
-/// The chance that Student's t lies above a number.
+/// Probability that Student's t exceeds `t`.
 ///
-/// Finite sums for whole degrees of freedom (Abramowitz and Stegun 26.7.3 and 4), θ = atan(t/√ν).
+/// Finite sums for integer degrees of freedom (Abramowitz and Stegun 26.7.3 and 4), θ = atan(t/√ν).
 ///
 /// # Panics
-/// If there is no degree of freedom.
+/// If `freedom` is 0.
 #[must_use]
 pub fn chance_above(freedom: usize, t: f64) -> f64 {
     assert!(freedom > 0, "no degree of freedom");
@@ -45,10 +45,10 @@ pub fn chance_above(freedom: usize, t: f64) -> f64 {
     0.5 * (1.0 - within)
 }
 
-/// The number that Student's t lies above with this chance, by bisection.
+/// The value that Student's t exceeds with probability `chance`, by bisection.
 ///
 /// # Panics
-/// If there is no degree of freedom, or the chance is not one below a half.
+/// If `freedom` is 0, or `chance` is not between 0 and ½.
 #[must_use]
 pub fn student_above(freedom: usize, chance: f64) -> f64 {
     assert!(chance > 0.0 && chance < 0.5, "{chance}");

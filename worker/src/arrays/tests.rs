@@ -12,7 +12,7 @@ fn result() -> TrialResult {
     TrialResult { initial: body(1.0), optimised: body(2.0), ..Default::default() }
 }
 
-/// What is written are NPY files of the values that were taken out, one behind the other, and nothing between them.
+/// The written bytes are consecutive NPY files of the values that were moved out, without gaps.
 #[test]
 fn every_array_of_a_result_is_a_file_of_its_own_and_nothing_of_it_stays() {
     let mut taken = result();
@@ -20,7 +20,7 @@ fn every_array_of_a_result_is_a_file_of_its_own_and_nothing_of_it_stays() {
     assert_eq!(bytes(&taken), 0);
     let mut target = vec![MaybeUninit::new(0xffu8); arrays.len()];
     arrays.write(&mut target);
-    // SAFETY: every byte has a value from the beginning.
+    // SAFETY: every byte is initialised above.
     let written: Vec<u8> = target.iter().map(|byte| unsafe { byte.assume_init() }).collect();
     let heads = arrays.heads();
     let names: Vec<_> = heads.iter().map(|head| head.name.as_str()).collect();

@@ -2,7 +2,7 @@ use super::*;
 use crate::problem::problem;
 use crate::run::evaluate_designs;
 
-/// A body of 6 × 6 units, random or not, K = 2, sensors on these units with 3 % noise, seed 11.
+/// A body of 6 × 6 units, random or not, with two panels, sensors on `units` with 3 % noise, seed 11.
 fn trial(design: &str, units: &[usize]) -> TrialSpec {
     let json = format!(
         r#"{{"body": {{"columns": 6, "rows": 6, "spacing": 15.0, "ligament_length": 2.25, "density": 1e-8, {design}
@@ -16,7 +16,7 @@ fn trial(design: &str, units: &[usize]) -> TrialSpec {
     serde_json::from_str(&json).unwrap()
 }
 
-/// What is told by differences does not hang on the precision that the solver's tolerance lets forces have.
+/// The bound does not depend on the solver's tolerance, although a loose tolerance selects f32 forces.
 #[test]
 fn a_bound_is_that_of_f64() {
     let mean = |tolerance: f64| {
@@ -29,7 +29,7 @@ fn a_bound_is_that_of_f64() {
     assert!((coarse / fine - 1.0).abs() < 0.02, "{coarse} {fine}");
 }
 
-/// Ranks of values, from 0.
+/// Rank of each value, from 0.
 fn ranks(values: &[f64]) -> Vec<f64> {
     values.iter().map(|v| values.iter().filter(|w| *w < v).count() as f64).collect()
 }
@@ -41,8 +41,7 @@ fn correlation(a: &[f64], b: &[f64]) -> f64 {
     sum(&|x, y| x * y) / (sum(&|x, _| x * x) * sum(&|_, y| y * y)).sqrt()
 }
 
-/// Twenty-four bodies and placements, one to three sensors: what the linear brain has achieved beside the bound, and how they
-/// correlate.
+/// Rank correlation between the bound and the error of a linear decoder, over 24 bodies and placements with one to three sensors.
 #[test]
 #[ignore = "minutes: the figures that MODEL.md and README quote"]
 fn bodies_that_can_tell_more_are_read_better() {

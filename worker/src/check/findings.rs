@@ -1,4 +1,4 @@
-//! Findings in words: what is wrong, by which numbers, and the key or option that mends it.
+//! Texts of findings: the fault, the measured values, and the key or option that corrects it.
 
 use metasense_numerics::check::{Found, OfRecord};
 use metasense_numerics::student::median;
@@ -7,19 +7,19 @@ use metasense_schemas::spec::{AccelerationUnit, AngularVelocityUnit, ForceUnit, 
 use super::{Described, Looked};
 use crate::invalid::as_written;
 
-/// How bad a finding is.
+/// Severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Level {
-    /// Checked, and nothing found.
+    /// Checked without a finding.
     Ok,
-    /// Worth a look.
+    /// May affect results.
     Warning,
     /// Makes results wrong.
     Fault,
 }
 
 impl Level {
-    /// Its name.
+    /// Name of the level.
     #[must_use]
     pub fn name(self) -> &'static str {
         ["ok", "warning", "fault"][self as usize]
@@ -29,36 +29,36 @@ impl Level {
 /// One finding.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Finding {
-    /// Which check.
+    /// Name of the check.
     pub check: &'static str,
-    /// How bad.
+    /// Severity.
     pub level: Level,
-    /// Record with its file, or channel with its column; empty: all.
+    /// Record and file, or channel and column; empty: all.
     pub place: String,
-    /// What, with numbers.
+    /// The fault, with values.
     pub found: String,
-    /// What mends it.
+    /// How to correct it.
     pub remedy: String,
 }
 
-/// A force must exceed its noise by so much to be a blow.
+/// Least ratio of the peak force to the noise of the force.
 const BLOW: f64 = 8.0;
-/// Signals before a blow, relative to those behind it, from which on they move too early.
+/// Ratio of the RMS before a blow to the RMS after it above which signals count as early.
 const EARLY: f64 = 0.2;
-/// An offset counts beyond so many deviations of the noise, and this part of the signal.
+/// Least offset that is reported: in standard deviations of the noise, and relative to the signal's RMS.
 const OFFSET: [f64; 2] = [4.0, 0.1];
-/// Gravity (mm/s²), and the part of it from which an offset is called so.
+/// Gravity (mm/s²); least offset that is attributed to it, relative to it.
 const GRAVITY: [f64; 2] = [9806.65, 0.5];
-/// Least correlation that the model must have with the records.
+/// Least mean correlation of the model with the records.
 const MODEL: f64 = 0.5;
-/// Readings by which a clock may be off: all records', and one record's against the others'.
+/// Largest accepted clock error (readings): of all records together; of one record relative to the others.
 const LATE: [f64; 2] = [1.0, 0.6];
-/// ln of the factor by which another unit must bring amplitudes closer to the model, and by which they may then differ.
+/// Least reduction of Σ|ln gain| by which other units count as right, and largest |ln gain| that is then accepted.
 const UNIT: f64 = 1.4;
 const SCALE: f64 = 1.6;
-/// A single channel's gain by that of its kind.
+/// Largest accepted ratio of a channel's gain to the median gain of its kind.
 const OWN: f64 = 4.0;
-/// Uneven steps of a clock, relative to the mean step.
+/// Largest accepted deviation of a time step, relative to the mean step.
 const JITTER: f64 = 0.25;
 
 struct Findings<'a> {
@@ -68,7 +68,7 @@ struct Findings<'a> {
     looked: &'a [Looked],
 }
 
-/// All findings, in the order of the checks; a check without findings has one that says so.
+/// All findings, in the order of the checks. A check without findings adds one of level `Ok`.
 pub(super) fn findings(
     described: &Described,
     channels: &[String],
@@ -121,7 +121,7 @@ impl Findings<'_> {
         format!("record {number} ({place})")
     }
 
-    /// Numbers of records, as many as a line holds.
+    /// Numbers of the first eight records.
     fn list(&self, records: &[usize]) -> String {
         let numbers: Vec<String> =
             records.iter().take(8).map(|i| self.looked[*i].number.to_string()).collect();
@@ -204,7 +204,7 @@ impl Findings<'_> {
         }
     }
 
-    /// Whether amplitudes suggest other units. Returns what accelerations are to be multiplied by.
+    /// Reports units that would fit the amplitudes better. Returns the factor for accelerations.
     fn scale(&mut self, found: &Found, read: &[usize]) -> f64 {
         let kind = |c: usize| usize::from(read[c % read.len()] == 2);
         let gain = |of: usize| {
@@ -237,7 +237,7 @@ impl Findings<'_> {
         }
         let (_, units, factors) = best;
         let after = [0, 1].map(|k| gains[k].map(|g| g * factors[k]));
-        // Lin's concordance: the correlation, less for what differs in size
+        // Lin's concordance: the correlation, reduced by a difference in amplitude.
         let agreement = |k: usize, by: f64| {
             let of = found.channels.iter().enumerate().filter(|(c, of)| kind(*c) == k && !of.silent);
             let of = of.map(|(_, of)| {
@@ -289,7 +289,7 @@ impl Findings<'_> {
         factors[0]
     }
 
-    /// What channels read before blows.
+    /// Reports offsets of channels before the blows.
     fn offsets(&mut self, read: &[usize], units: f64) {
         let quiet = |c: usize| -> Vec<[f64; 3]> {
             let of = self.looked.iter().map(|looked| &looked.instruments);
@@ -328,7 +328,7 @@ impl Findings<'_> {
         }
     }
 
-    /// Signals that move before the force does.
+    /// Reports signals that move before the force.
     fn early(&mut self) {
         let part = |looked: &Looked| {
             let of = &looked.instruments;
@@ -533,7 +533,7 @@ fn late(lag: f64) -> &'static str {
     if lag < 0.0 { "late" } else { "early" }
 }
 
-/// Three significant digits.
+/// Formats three significant digits.
 fn significant(value: f64) -> String {
     let digits = (2 - value.abs().max(f64::MIN_POSITIVE).log10().floor() as i32).clamp(0, 6) as usize;
     if value.abs() >= 1e5 || (value != 0.0 && value.abs() < 1e-3) {

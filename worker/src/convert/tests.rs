@@ -1,6 +1,6 @@
 use super::*;
 
-/// A state that has all its parts goes through its stored form unchanged; one of another trial is refused.
+/// A complete state survives the conversion to a checkpoint and back; a checkpoint of another trial is rejected.
 #[test]
 fn a_state_survives_its_checkpoint() {
     let problem = crate::problem::problem(&crate::replay::tests::small_trial()).unwrap();

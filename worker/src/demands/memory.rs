@@ -1,10 +1,11 @@
-//! Memory that a worker needs for a trial at least, before it has run, and what this machine gives a process.
+//! Lower bound on the memory of a trial, and the memory available to a process on this machine.
 //!
 //! ```text
 //! forces N K (R + 1)     signals N (T′ 3M + T (C + K))     states S T′ 6U     linear decoder (T C)² + T C T K + D²     (8 bytes each)
 //! ```
-//! N samples of K panels, R instants of the forces, T of the readings, T′ of the motion, M sensors with C channels, S samples and U units of a
-//! gradient, D unknowns of a decoder. Only arrays that exist at the same time are counted, so what is refused could not have run.
+//! N samples of K panels; R instants of the forces, T of the readings, T′ of the motion; M sensors with C channels in total; S
+//! samples and U units of a gradient; D unknowns of a decoder. Counts only arrays that exist at the same time, so a rejected
+//! trial cannot run.
 
 use metasense_schemas::spec::{BrainKind, Protocol, Search, TrialSpec};
 use rustix::process::{Resource, getrlimit};
@@ -14,16 +15,16 @@ use crate::invalid::{Invalid, invalid};
 use crate::limits::{field, memory_limit, own_groups};
 use crate::problem::{instants, lags, layout};
 
-/// A limit on memory (bytes), and what sets it.
+/// A memory limit and its source.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Limit {
-    /// In words.
+    /// Source and verb, such as "ulimit -v allows".
     pub name: &'static str,
-    /// How much.
+    /// Size (bytes).
     pub bytes: f64,
 }
 
-/// The least of what this machine, its control group and its limits give a process; and `[run] memory` (MiB), where that is given.
+/// The smallest limit of this machine, its control group, its ulimits and `[run] memory` (MiB).
 #[must_use]
 pub fn limit(of_run: Option<u64>) -> Option<Limit> {
     let info = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
@@ -41,15 +42,15 @@ pub fn limit(of_run: Option<u64>) -> Option<Limit> {
     known.min_by(|a, b| a.bytes.total_cmp(&b.bytes))
 }
 
-/// The least limit of these control groups.
+/// The smallest limit of these control groups.
 fn of_groups(groups: &[PathBuf]) -> Option<f64> {
     groups.iter().filter_map(|group| memory_limit(group)).min().map(|bytes| bytes as f64)
 }
 
-/// What takes memory: the key that multiplies it, its value, what it is, and how much (bytes).
+/// An item of memory: the key that multiplies it, the key's value, the content, the size (bytes).
 type Part = (&'static str, usize, &'static str, f64);
 
-/// The parts of a trial of so many units, in its outer steps or in the comparison at its end, whichever takes more.
+/// The larger of two lists for a trial on a body of `units` units: arrays of its outer steps, or of the final comparison.
 fn parts(trial: &TrialSpec, units: usize) -> Vec<Part> {
     let (stimuli, evaluation) = (&trial.stimuli, &trial.evaluation);
     let optimise = trial.optimise.clone().resolved();
@@ -58,7 +59,7 @@ fn parts(trial: &TrialSpec, units: usize) -> Vec<Part> {
     let clock = f(stimuli.force_samples.unwrap_or(trial.time.samples)) + 1.0;
     let searched =
         trial.sensor_units.is_empty() && trial.sensors.search.is_some_and(|search| search != Search::Random);
-    // all candidates are simulated with a sensor each: those inside the body, a quarter of a small one
+    // The search simulates one sensor per candidate. Candidates lie inside the body, at least a quarter of the units.
     let sensors = if searched { trial.point.sensors.max(units / 4) } else { trial.point.sensors };
     let channels = f(trial.sensors.read().len() * sensors);
     let moving = f(instants(trial));
@@ -110,18 +111,18 @@ fn sum(parts: &[Part]) -> f64 {
     parts.iter().map(|part| part.3).sum()
 }
 
-/// Refuses a trial of so many units that needs more memory than there is.
+/// Rejects a trial on a body of `units` units that needs more memory than the limit.
 ///
 /// # Errors
-/// Names the key that multiplies what takes most.
+/// Names the key that multiplies the largest item.
 pub fn check(trial: &TrialSpec, units: usize, limit: Option<&Limit>) -> Result<(), Invalid> {
     refuse(parts(trial, units), limit)
 }
 
-/// Refuses a simulation whose states take more memory than this machine has, the tape's and as many that are handed out.
+/// Rejects a simulation whose states exceed this machine's memory, counted twice: on the tape and as returned.
 ///
 /// # Errors
-/// Names the forces.
+/// Names the number of samples.
 pub(crate) fn check_states(samples: usize, instants: usize, units: usize) -> Result<(), Invalid> {
     let bytes = 96.0 * samples as f64 * instants as f64 * units as f64;
     refuse(vec![("forces: samples", samples, "displacements and velocities", bytes)], limit(None).as_ref())
@@ -144,15 +145,15 @@ fn refuse(parts: Vec<Part>, limit: Option<&Limit>) -> Result<(), Invalid> {
     }
 }
 
-/// The same of a trial whose body is not at hand, on this machine.
+/// As [`check`], on this machine, for a trial whose body is not yet built.
 ///
 /// # Errors
-/// Likewise.
+/// As [`check`].
 pub fn check_here(trial: &TrialSpec) -> Result<(), Invalid> {
     check(trial, layout(&trial.body)?.units(), limit(None).as_ref())
 }
 
-/// Three digits and a unit.
+/// Size with one decimal and a unit.
 fn readable(bytes: f64) -> String {
     let units = [(1e15, "PB"), (1e12, "TB"), (1e9, "GB"), (1e6, "MB")];
     let (size, unit) = units.into_iter().find(|(size, _)| bytes >= *size).unwrap_or((1e3, "kB"));

@@ -10,7 +10,7 @@ fn somewhere(name: &str) -> (tempfile::TempDir, PathBuf) {
     (folder, path)
 }
 
-/// NPY keeps every bit; CSV of nodes keeps them to rounding.
+/// NPY is exact to the bit, CSV of nodes to rounding.
 #[test]
 fn a_design_comes_back_from_its_file() {
     for layout in [Layout::planar(3, 2, 15.0, 2.25), Layout::circular(&Pattern::square(), 5, 12.0, 1.8)] {
@@ -27,7 +27,7 @@ fn a_design_comes_back_from_its_file() {
     }
 }
 
-/// A CSV may have its columns in another order, others beside them, and be written by a spreadsheet; a name ends as it likes.
+/// A CSV may have its columns in any order, further columns and the form that spreadsheets write; extensions may be upper case.
 #[test]
 fn a_design_is_read_however_it_is_written() {
     let layout = Layout::planar(2, 2, 15.0, 2.25);
@@ -51,7 +51,8 @@ fn a_design_is_read_however_it_is_written() {
     }
 }
 
-/// An array of α is (n), or (n/2, 2) in either order; turned ones and others of as many numbers are refused, as are NaN and infinity.
+/// An array of α has shape (n) or (n/2, 2) in either memory order. Transposed arrays, other shapes, NaN and infinity are
+/// rejected.
 #[test]
 fn an_array_is_a_design_in_two_shapes_alone() {
     let layout = Layout::planar(2, 2, 15.0, 2.25);
@@ -77,7 +78,7 @@ fn an_array_is_a_design_in_two_shapes_alone() {
     }
 }
 
-/// Whatever is wrong is said, with the line or the number expected.
+/// Each error names the line, or the expected size.
 #[test]
 fn a_file_that_is_no_design_is_refused_by_name() {
     let layout = Layout::planar(2, 2, 15.0, 2.25);

@@ -1,7 +1,7 @@
 //! Tables of numbers: CSV files as instruments and spreadsheets write them.
 //!
-//! Separator, decimal mark and header may be left to the reader. It takes those that alone give numbers in the columns that are
-//! read; where several do, and the numbers differ, the file is refused.
+//! [`Form`] can leave separator, decimal mark and header open. The parser then uses the only choice that gives numbers in the
+//! columns that it reads. If several choices give different numbers, it rejects the file.
 
 use metasense_schemas::spec::{Decimal, MeasuredSignals, Recorded, Separator, Signal};
 
@@ -13,37 +13,37 @@ mod numbers;
 use lines::{NONE, Rows, bare, byte, divided_by, width};
 use numbers::{MISSING, Marks, may_be_number, number};
 
-/// What is known of a file before it is read, and what is read of it.
+/// What is known of a file in advance, and which parts of it are read.
 #[derive(Debug, Clone, Default)]
 pub struct Form<'a> {
-    /// Whether its first line names its columns.
+    /// Whether the first line names the columns.
     pub header: Option<bool>,
-    /// What separates its fields.
+    /// Field separator.
     pub separator: Option<Separator>,
-    /// Its decimal mark.
+    /// Decimal mark.
     pub decimal: Option<Decimal>,
-    /// The columns or arrays that are read; none: all columns. What else the file holds may be anything.
+    /// Columns or arrays to read; `None`: all columns. Other contents are ignored.
     pub read: Option<Vec<&'a Signal>>,
-    /// The table of keys that has the three above, for instance `recorded`; none where they cannot be given.
+    /// Table of the spec with the three keys above, such as `recorded`; `None` if they cannot be set.
     pub keys: Option<&'static str>,
 }
 
 impl<'a> Form<'a> {
-    /// That of the files of forces, `keys` their table.
+    /// Form of files of forces; `keys` is their table.
     #[must_use]
     pub fn of_forces(recorded: &Recorded, keys: &'static str, read: Option<Vec<&'a Signal>>) -> Self {
         let Recorded { header, separator, decimal, .. } = *recorded;
         Self { header, separator, decimal, read, keys: Some(keys) }
     }
 
-    /// That of files of signals alone.
+    /// Form of files that contain only signals.
     #[must_use]
     pub fn of_signals(signals: &MeasuredSignals, read: Option<Vec<&'a Signal>>) -> Self {
         let MeasuredSignals { header, separator, decimal, .. } = *signals;
         Self { header, separator, decimal, read, keys: Some("signals") }
     }
 
-    /// The end of a message: which key settles the doubt.
+    /// End of an error message: the key that resolves the ambiguity.
     fn settle(&self, choices: &str) -> String {
         match self.keys {
             Some(keys) => format!("set {keys}.{choices}"),
@@ -74,19 +74,19 @@ impl<'a> Form<'a> {
 /// Columns of equal length.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Table {
-    /// Names of the columns; none where they have numbers alone.
+    /// Column names; empty if columns have only numbers.
     names: Vec<String>,
-    /// Their values; nothing of a column that nobody reads.
+    /// Column values; empty for columns that are not read.
     columns: Vec<Vec<f64>>,
-    /// The line of each row; none of an array.
+    /// Line number of each row; empty for an array.
     lines: Vec<usize>,
 }
 
 impl Table {
-    /// Reads a CSV.
+    /// Parses a CSV.
     ///
     /// # Errors
-    /// Names the line, the column, and what is wrong; or the key that must be given.
+    /// Names the line, the column and the fault, or the key to set.
     pub fn parse(bytes: &[u8], form: &Form) -> Result<Self, String> {
         let text = text(bytes)?;
         let all = [Separator::Comma, Separator::Semicolon, Separator::Tab];
@@ -112,7 +112,7 @@ impl Table {
                 let uneven = widths.into_iter().filter_map(|(s, width)| Some((s, width.err()?)));
                 match uneven.max_by_key(|(_, uneven)| uneven.wanted) {
                     None => read(&(NONE, 1)),
-                    // one column; its name may have a semicolon
+                    // One column; its name may contain a semicolon.
                     Some((separator, uneven)) if !candidates.contains(&b',') && form.separator.is_none() => {
                         read(&(NONE, 1)).map_err(|_| uneven.said(separator, form))
                     }
@@ -137,10 +137,10 @@ impl Table {
         }
     }
 
-    /// The signals of an array of two dimensions, which lie along its shorter side, or of one.
+    /// The signals of an array with one or two dimensions. In two dimensions, the shorter side numbers the signals.
     ///
     /// # Errors
-    /// If it has other dimensions, or no shorter side.
+    /// If the array has more dimensions, or two equal sides.
     pub fn of_array(Array { shape, values }: &Array) -> Result<Self, String> {
         let [rows, columns] = match shape[..] {
             [entries] => [1, entries],
@@ -159,16 +159,16 @@ impl Table {
         Ok(Self { names: Vec::new(), columns, lines: Vec::new() })
     }
 
-    /// How many columns there are.
+    /// Number of columns.
     #[must_use]
     pub fn width(&self) -> usize {
         self.columns.len()
     }
 
-    /// The number of a column.
+    /// Index of a column.
     ///
     /// # Errors
-    /// If there is none, or several are called so.
+    /// If no column has this name or number, or several have this name.
     pub fn column(&self, signal: &Signal) -> Result<usize, String> {
         let name = match signal {
             Signal::Number(number) if *number < self.width() => return Ok(*number),
@@ -191,25 +191,25 @@ impl Table {
         }
     }
 
-    /// The values of a column that is read.
+    /// Values of a column that was read.
     #[must_use]
     pub fn values(&self, column: usize) -> &[f64] {
         &self.columns[column]
     }
 
-    /// Where a row stands.
+    /// Location of a row, for messages.
     #[must_use]
     pub fn place(&self, row: usize) -> String {
         self.lines.get(row).map_or(format!("entry {row}"), |line| format!("line {line}"))
     }
 
-    /// What a column is called in messages.
+    /// Name of a column, for messages.
     #[must_use]
     pub fn label(&self, column: usize) -> String {
         self.names.get(column).cloned().unwrap_or(format!("column {column}"))
     }
 
-    /// The table of a text whose lines all have `width` fields.
+    /// Parses a text whose lines all have `width` fields.
     fn divided(text: &str, separator: u8, width: usize, form: &Form) -> Result<Self, String> {
         let mut rows = Rows::new(text, separator);
         let Some((first_line, first)) = rows.next() else { return Err("is empty".into()) };
@@ -256,7 +256,7 @@ impl Table {
         marks.check(separator, form).map(|()| table)
     }
 
-    /// Refuses two columns of whole numbers of which one is read: they may be one column with decimal commas.
+    /// Rejects two columns of integers if only one is read: they may be one column with decimal commas.
     fn no_decimal_commas(
         &self,
         text: &str,

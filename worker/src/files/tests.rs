@@ -14,14 +14,14 @@ fn numbered(numbers: &[usize]) -> Vec<Signal> {
     numbers.iter().copied().map(Signal::Number).collect()
 }
 
-/// What a CSV holds in the columns that are read, by keys of the table `recorded`.
+/// Parses the columns `read` of a CSV, with keys of the table `recorded`.
 fn columns(text: impl AsRef<[u8]>, read: &[Signal], form: Form) -> Result<Vec<Vec<f64>>, String> {
     let form = Form { read: Some(read.iter().collect()), keys: Some("recorded"), ..form };
     let table = Table::parse(text.as_ref(), &form)?;
     read.iter().map(|signal| Ok(table.values(table.column(signal)?).to_vec())).collect()
 }
 
-/// Names, numbers, and the line of what is none.
+/// Reads names and numbers; names the line of a field that is not a number.
 #[test]
 fn a_table_is_read_and_its_faults_named() {
     let read = |text: &str, names: &[&str]| columns(text, &named(names), Form::default());
@@ -60,7 +60,7 @@ fn a_table_is_read_and_its_faults_named() {
     assert!(content(Path::new("a.CSV"), b"t,f\n0,1\n", &Form::default()).is_ok());
 }
 
-/// Columns that nobody reads may hold anything; two of one name may be read by number.
+/// Columns that are not read may contain anything; columns of equal names can be read by number.
 #[test]
 fn what_nobody_reads_prevents_nothing() {
     let text = "chip,t,f,f,\nWT901(00:0C),0,1,,\n\"null, \",1,,5,x\n";
@@ -71,7 +71,8 @@ fn what_nobody_reads_prevents_nothing() {
     assert!(error.contains("has no column 3, but 0 to 2"), "{error}");
 }
 
-/// A first line of numbers is data or names; so is one that mixes both. Words name columns, and so do the names that are read.
+/// A first line of numbers is ambiguous, as is one that mixes words and numbers. Words, or the names to be read, make it a
+/// header.
 #[test]
 fn a_header_is_taken_for_one_where_that_is_certain() {
     let form = |header| Form { header, ..Form::default() };
@@ -99,12 +100,12 @@ fn a_header_is_taken_for_one_where_that_is_certain() {
     assert!(error.contains("set recorded.header"), "{error}");
     let error = columns("t,f\n5,7\n", &named(&["f"]), form(Some(false))).unwrap_err();
     assert!(error.contains("have no names"), "{error}");
-    // with an index that nobody has named, as R and pandas write it
+    // An unnamed index column, as R and pandas write it.
     let error = columns("t,f\n1,0.5,2\n2,0.6,3\n", &named(&["f"]), form(None)).unwrap_err();
     assert!(error.contains("line 2: 3 fields where line 1 has 2"), "{error}");
 }
 
-/// Separators and decimal marks of instruments and spreadsheets, where one reading alone gives numbers.
+/// Separators and decimal marks are detected if only one choice gives numbers.
 #[test]
 fn separators_and_decimal_marks_are_found() {
     let good = Ok(vec![vec![0.0, 0.01, 1234.5], vec![1.0, -0.5, 2e-3]]);
@@ -121,20 +122,20 @@ fn separators_and_decimal_marks_are_found() {
     ] {
         assert_eq!(columns(text, &named(&["t", "f"]), Form::default()), good, "{text:?}");
     }
-    // one column, whose name holds a separator
+    // One column whose name contains a separator.
     for text in ["\"f, N\"\n0.5\n", "f; N\n0.5\n", "f\tN\n0.5\n"] {
         assert_eq!(columns(text, &numbered(&[0]), Form::default()), Ok(vec![vec![0.5]]), "{text:?}");
     }
 }
 
-/// Where two readings give numbers, the key is named that settles which; with it the file is read.
+/// If two choices give numbers, the error names the key that decides; with this key the file is read.
 #[test]
 fn what_may_be_read_in_two_ways_is_refused_with_the_key_that_settles_it() {
     let (comma, semicolon) = (Some(Separator::Comma), Some(Separator::Semicolon));
     let (decimal_comma, point) = (Some(Decimal::Comma), Some(Decimal::Point));
     let form = |separator, decimal| Form { separator, decimal, ..Form::default() };
     for (text, read, key, settled) in [
-        // one column of decimal commas, or two of whole numbers
+        // One column of decimal commas, or two columns of integers.
         (
             "Force, N\n0,25\n1,50\n",
             numbered(&[0]),
@@ -163,14 +164,14 @@ fn what_may_be_read_in_two_ways_is_refused_with_the_key_that_settles_it() {
             "recorded.separator, or decimal",
             vec![(form(None, decimal_comma), vec![0.25, 1.5])],
         ),
-        // decimal commas without a line of names
+        // Decimal commas without a header.
         (
             "x, a;f, y\n0,1;0,5\n1,1;1,5\n",
             numbered(&[0]),
             "recorded.separator",
             vec![(form(semicolon, None), vec![0.1, 1.1])],
         ),
-        // thousands, or thousandths
+        // Thousands or thousandths.
         (
             "t;f\n5;1,234\n6;12,500\n",
             named(&["f"]),
@@ -183,7 +184,7 @@ fn what_may_be_read_in_two_ways_is_refused_with_the_key_that_settles_it() {
             "recorded.decimal",
             vec![(form(None, point), vec![1.234, 12.5])],
         ),
-        // both marks
+        // Both marks.
         ("t;f\n0.5;1\n0.6;1,5\n", named(&["t", "f"]), "recorded.decimal", vec![]),
     ] {
         let error = columns(text, &read, form(None, None)).unwrap_err();
@@ -197,12 +198,12 @@ fn what_may_be_read_in_two_ways_is_refused_with_the_key_that_settles_it() {
         let error = columns(text, &named(&["f"]), Form::default()).unwrap_err();
         assert!(error.contains("line 2: f = ") && error.contains("is not a number"), "{text:?}: {error}");
     }
-    // read both, they are two
+    // Two columns if both are read.
     let both = columns("ms,mN\n0,500\n1,498\n", &named(&["ms", "mN"]), form(None, None));
     assert_eq!(both, Ok(vec![vec![0.0, 1.0], vec![500.0, 498.0]]));
 }
 
-/// Other encodings than UTF-8 are named with their line.
+/// Encodings other than UTF-8 are named with their line.
 #[test]
 fn other_encodings_are_named() {
     let utf16 = |text: &str| text.encode_utf16().flat_map(u16::to_le_bytes).collect::<Vec<u8>>();
@@ -216,7 +217,7 @@ fn other_encodings_are_named() {
     }
 }
 
-/// What numpy.save(numpy.array([[1, 2, 3], [4, 5, 6]], order="F")) writes has its rows again.
+/// Array as `numpy.save(numpy.array([[1, 2, 3], [4, 5, 6]], order="F"))` writes it.
 #[test]
 fn an_array_in_fortran_order_is_turned() {
     let mut bytes = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
@@ -229,7 +230,8 @@ fn an_array_in_fortran_order_is_turned() {
     assert!(content(Path::new("a.npz"), &bytes, &Form::default()).is_err());
 }
 
-/// NPY of any real numbers; none of other types, of integers that are not exact, empty, cut off, or of two arrays.
+/// Reads NPY of every real type; rejects other types, inexact integers, and files that are empty, truncated or contain two
+/// arrays.
 #[test]
 fn arrays_of_real_numbers_are_read_and_others_named() {
     let npy = |descr: &str, shape: &str, data: &[u8]| {
@@ -271,8 +273,8 @@ fn arrays_of_real_numbers_are_read_and_others_named() {
     }
 }
 
-/// Ten thousand files of each kind, with bytes changed, cut out, doubled or taken from a list of awkward ones: an answer
-/// each, and no panic. A failure prints the seed of its file.
+/// 10,000 mutated files of each kind (bytes changed, removed, doubled or replaced by special ones) cause errors but no panic. A
+/// failure prints the seed of its file.
 #[test]
 fn no_file_makes_a_reader_panic() {
     let npy = |header: &str, data: &[f64]| {
@@ -323,7 +325,7 @@ fn no_file_makes_a_reader_panic() {
     }
 }
 
-/// An archive with one array.
+/// An NPZ with one array.
 fn zip(held: &[u8], method: CompressionMethod) -> Vec<u8> {
     let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
     zip.start_file("a.npy", SimpleFileOptions::default().compression_method(method)).unwrap();

@@ -1,6 +1,6 @@
 use super::*;
 
-/// What any machine that runs the tests has is allowed, and what none has is refused by the limit that lacks it.
+/// Accepts the needs of one worker, and names the limit that excessive needs exceed.
 #[test]
 fn what_no_machine_has_is_refused_by_name() {
     make_use_of();
@@ -12,7 +12,7 @@ fn what_no_machine_has_is_refused_by_name() {
     assert!(needed > u64::from(u32::MAX) && short.to_string().contains("workers"), "{short}");
 }
 
-/// The usual forms in which errors of the system are told; what is no shortage is none.
+/// Recognises system errors of shortages in their usual forms, and no others.
 #[test]
 fn words_of_a_shortage_are_told_from_others() {
     for code in SHORT {
@@ -26,7 +26,7 @@ fn words_of_a_shortage_are_told_from_others() {
     assert!(!tells_of_shortage("11"));
 }
 
-/// Sizes in units that a person reads.
+/// Sizes have readable units.
 #[test]
 fn a_shortage_says_what_is_there_and_what_is_needed() {
     let limit =

@@ -15,7 +15,7 @@ fn trial(panels: &[usize], sensors: &[usize]) -> TrialSpec {
     .unwrap()
 }
 
-/// A folder with files; `records.toml` is read.
+/// A temporary folder with `records.toml` and data files.
 struct Folder(tempfile::TempDir);
 
 impl Folder {
@@ -41,7 +41,7 @@ fn furthest(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).fold(0.0f64, |m, (a, b)| m.max((a - b).abs())) / scale
 }
 
-/// What a simulation writes comes back, whichever side of the array the channels lie along.
+/// Simulated signals can be read back, with channels along either axis.
 #[test]
 fn simulated_signals_are_read_back_as_measured_ones() {
     let trial = trial(&[6, 8], &[4, 3]);
@@ -70,7 +70,7 @@ fn simulated_signals_are_read_back_as_measured_ones() {
     }
 }
 
-/// 201 lines at 1 kHz: a blow of 2 N at 30 ms on an offset, a chip that says g and degrees a second.
+/// 201 lines at 1 kHz: a blow of 2 N at 30 ms on an offset; the chip measures g and °/s.
 fn csv() -> String {
     let line = |n: i32| {
         let ring = f64::from(n - 30).max(0.0) * 1e-3;
@@ -96,7 +96,7 @@ angular_velocity_unit = "deg/s"
 factors = [1, -1, 1]
 "#;
 
-/// Units, factors, the struck panel, and the trigger, which moves both.
+/// Units, factors, the struck panel, and the trigger, which shifts force and signals.
 #[test]
 fn a_chip_s_record_comes_in_the_trial_s_units_and_where_the_trigger_wants_it() {
     let folder = Folder::new(&[("a.csv", csv().as_bytes())]);
@@ -104,7 +104,7 @@ fn a_chip_s_record_comes_in_the_trial_s_units_and_where_the_trigger_wants_it() {
     let [quiet, struck] = [0, 1].map(|k| &found.forces.values[k * 21..][..21]);
     assert!(quiet.iter().all(|f| *f == 0.0) && (struck[4] - 2.007).abs() < 1e-12, "{struck:?}");
     for (n, signals) in found.signals.chunks_exact(3).enumerate() {
-        // 5 ms an instant, the blow 10 ms earlier than in the file
+        // 5 ms per instant, the blow 10 ms earlier than in the file.
         let ring = (f64::from(n as u32 + 1) * 0.005 - 0.02).max(0.0);
         let expected = [(ring + 1.0) * 9806.65, ring * 9806.65, std::f64::consts::PI * ring];
         let wrong = signals.iter().zip(expected).any(|(a, b)| (a - b).abs() > 1e-9 * (1.0 + b.abs()));
@@ -116,7 +116,7 @@ fn a_chip_s_record_comes_in_the_trial_s_units_and_where_the_trigger_wants_it() {
     assert!(found.signals[1].abs() < 2e3, "{}", found.signals[1]);
 }
 
-/// Of a trial whose brain reads some channels records hold these, in their units.
+/// For a decoder of some channels, records contain only these, in their units.
 #[test]
 fn records_hold_the_channels_that_are_read() {
     let folder = Folder::new(&[("a.csv", csv().as_bytes())]);
@@ -131,14 +131,14 @@ fn records_hold_the_channels_that_are_read() {
     assert!(refused.contains("must be 2 numbers other than 0"), "{refused}");
 }
 
-/// A tone of the chip's own clock, 5 kHz, begins 12 ms after the hammer's; what 200 Hz cannot say is gone.
+/// The chip has its own clock: 5 kHz, started 12 ms after the hammer's. The low-pass removes what 200 Hz cannot represent.
 #[test]
 fn signals_have_a_clock_of_their_own_and_pass_the_low_pass() {
     let tone = |hertz: f64, t: f64| (std::f64::consts::TAU * hertz * t).sin();
     let lines = |t: f64| format!("{},{},{}\n", tone(20.0, t), tone(1300.0, t), 3.0);
     let chip =
         "x,y,w\n".to_owned() + &(0..600).map(|n| lines(f64::from(n) * 2e-4 + 0.012)).collect::<String>();
-    // a sensor of force whose noise is no blow
+    // A force sensor whose noise is below the threshold of a blow.
     let force: Vec<f64> = (0..21).map(|n| if n < 3 { 0.01 } else { 0.5 }).collect();
     let folder = Folder::new(&[("f.npy", &npy(&[1, 1, 21], &force)), ("a.csv", chip.as_bytes())]);
     let text = "[recorded]\nfiles = [\"f.npy\"]\nrate = 200.0\n[signals]\nfiles = [\"a.csv\"]\nrate = 5000.0\nstart = 0.012\n";
@@ -150,7 +150,7 @@ fn signals_have_a_clock_of_their_own_and_pass_the_low_pass() {
     }
 }
 
-/// Each fault is named with file, line, key, value and remedy.
+/// Each error names file, line, key, value and remedy.
 #[test]
 fn what_is_no_measured_record_is_refused_by_name() {
     let folder = Folder::new(&[
@@ -228,7 +228,7 @@ fn what_is_no_measured_record_is_refused_by_name() {
     );
 }
 
-/// Copies, by whatever name and in whatever form; the force as a signal; signals under two forces.
+/// Rejects copies under any name and format, the force as a signal, and equal signals under two forces.
 #[test]
 fn a_record_is_read_once() {
     let (a, b) = (csv(), csv().replace("\n50,7,", "\n50,8,"));
@@ -260,7 +260,7 @@ fn a_record_is_read_once() {
             "{second}: {error}"
         );
     }
-    // the same blow again, as other signals tell; the same signals of another blow
+    // Accepts equal forces with other signals; rejects equal signals with another force.
     assert_eq!(read("[\"a.csv\", \"other.csv\"]", "").unwrap().forces.samples, 2);
     let error = read("[\"a.csv\", \"b.csv\"]", "").unwrap_err();
     assert!(
@@ -284,7 +284,7 @@ fn a_record_is_read_once() {
     assert!(error.contains("record 0"), "{error}");
 }
 
-/// Forces and signals may have clocks of two units; a unit that cannot be is refused with its key.
+/// Clocks of forces and signals may have different units; an invalid unit is rejected with its key.
 #[test]
 fn each_file_has_its_unit_of_time() {
     let lines = |step: f64, fields: &str| {
@@ -342,7 +342,7 @@ fn each_file_has_its_unit_of_time() {
     }
 }
 
-/// Of as many entries as signals an axis cannot be told from the other.
+/// Rejects a square array: its axes cannot be told apart.
 #[test]
 fn an_array_whose_axes_cannot_be_told_apart_is_refused() {
     let signals: Vec<f64> = (0..9).map(f64::from).collect();

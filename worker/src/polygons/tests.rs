@@ -1,4 +1,4 @@
-//! Bodies of any polygons: both kinds of file, and what cannot be.
+//! Bodies of arbitrary polygons: both file formats, and rejected files.
 
 use super::*;
 
@@ -25,12 +25,12 @@ fn a_toml_of_polygons_is_a_layout() {
     for (ours, theirs) in corners.iter().flatten().zip(given.units.iter().flatten()) {
         assert!((ours[0] - theirs[0]).hypot(ours[1] - theirs[1]) < 1e-12);
     }
-    // sensors where the file says
+    // Sensors as in the file.
     let given = Polygons { sensors: Some(vec![1]), ..given };
     assert_eq!(super::layout(&given).unwrap().carriers, [false, true]);
 }
 
-/// Every fault is told with where it is.
+/// Each error names its location.
 #[test]
 fn bad_polygons_are_refused_by_name() {
     for (from, to, at, what) in [
@@ -96,7 +96,7 @@ fn bad_polygons_are_refused_by_name() {
     assert!(read(&path).unwrap_err().to_string().contains(".toml or .npz"));
 }
 
-/// What DifFlexMM's geometries hold, as `numpy.savez` writes it; other shapes, missing arrays and ends that are no nodes are refused.
+/// Reads DifFlexMM's geometries as `numpy.savez` writes them; rejects other shapes, missing arrays and invalid node numbers.
 #[test]
 fn an_npz_of_blocks_is_polygons() {
     let arms = [-1.0, -1.0, 2.0, -1.0, -1.0, 2.0, -1.0, -2.0, 1.0, 1.0, -1.0, 1.0];

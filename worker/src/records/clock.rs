@@ -1,27 +1,28 @@
-//! The clock of a record, as a file has it: even, evened out, or refused.
+//! Clocks of records: even, resampled to even, or rejected.
 
 use super::{Pick, Record, median};
 
-/// A clock may be uneven by so much of its step.
+/// Largest deviation of a step from the mean step of an even clock, relative to it.
 const UNEVEN: f64 = 0.02;
-/// An entry may lie so far from where an even clock has it, in steps: small errors of one sign add up to instants.
+/// Largest distance of an entry from an even clock (steps): small deviations of equal sign accumulate.
 const DRIFT: f64 = 0.1;
-/// Entries of a clock that was uneven, at most.
+/// Largest number of entries of a resampled record.
 const LONGEST: usize = 10_000_000;
-/// A regular clock has this part of its steps within so much of a whole number of median steps: entries may be lost.
+/// A regular clock has at least this share of steps within this distance of a whole multiple of the median step; entries may be
+/// missing.
 const REGULAR: [f64; 2] = [0.9, 0.1];
-/// A gap is a step of more medians than this: of all steps of a regular clock, of those around on another.
+/// Least length of a gap: in medians of all steps of a regular clock; of the neighbouring steps of another clock.
 const GAP: [f64; 2] = [1.5, 6.0];
-/// Steps on either side that say how long one is where a clock is not regular.
+/// Neighbours on either side for the local median step of a clock that is not regular.
 const AROUND: usize = 8;
-/// Two steps of a regular clock of which one is long because the entry between them is late, in medians.
+/// Largest sum of two neighbouring steps (medians) for which a late entry, not a gap, explains the longer one.
 const LATE: f64 = 2.5;
 
-/// A record with its clock; one that is uneven is read linearly onto an even one, as fine as its finest step. `place` says where an
-/// entry of the clock stands.
+/// Combines a record with its clock; interpolates uneven clocks linearly onto even ones with their finest step. `place` gives an
+/// entry's location for messages.
 ///
 /// # Errors
-/// If the clock does not ascend, entries are missing, or it cannot be evened out.
+/// If times do not increase, entries are missing, or the clock is too uneven to resample.
 pub(super) fn timed(
     pick: &Pick,
     clock: &[f64],
@@ -81,7 +82,7 @@ pub(super) fn timed(
     Ok(Record { start, dt: dt * unit, values: values.iter().map(read).collect(), jitter })
 }
 
-/// The first step in which entries are missing, and how long a step is there.
+/// The first step with missing entries, and the normal step there.
 fn gap(steps: &[f64]) -> Option<(usize, f64)> {
     let usual = median(steps);
     let is_whole = |step: &&f64| {

@@ -1,4 +1,4 @@
-//! What is read of a file, and the records that it makes.
+//! Which columns of a file are read, and the records that they form.
 
 use std::collections::BTreeMap;
 
@@ -9,27 +9,27 @@ use super::clock::timed;
 use crate::files::{Array, Content, Table};
 use crate::invalid::as_written;
 
-/// What is to be read from a file, and its clock.
+/// The columns or arrays to read, and their clock.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Pick<'a> {
-    /// The key that names it.
+    /// The key that names them.
     pub key: &'static str,
-    /// Its columns or arrays.
+    /// Columns or arrays.
     pub signals: Option<&'a [Signal]>,
-    /// The clock, or `rate`.
+    /// Column or array of times; alternative to `rate`.
     pub time: Option<&'a Signal>,
-    /// Entries a second.
+    /// Entries per second.
     pub rate: Option<f64>,
-    /// Unit of the clock.
+    /// Unit of the times.
     pub unit: TimeUnit,
-    /// The table of keys that has `time_unit` and `rate`.
+    /// Table of the spec that contains `time_unit` and `rate`.
     pub clock: &'static str,
-    /// Histories a record, where known: an array may then have them along its last side, too.
+    /// Number of histories per record, if known; arrays may then have them along the last axis as well.
     pub count: Option<usize>,
 }
 
 impl<'a> Pick<'a> {
-    /// The forces of a record, whose keys are in the table `keys`.
+    /// Forces of records; `keys` is their table of the spec.
     pub fn forces(recorded: &'a spec::Recorded, keys: &'static str) -> Self {
         Self {
             key: "force",
@@ -42,18 +42,18 @@ impl<'a> Pick<'a> {
         }
     }
 
-    /// The columns or arrays that are read; none: all.
+    /// Columns or arrays to read; `None`: all.
     pub fn read(&self) -> Option<Vec<&'a Signal>> {
         Some(self.signals?.iter().chain(self.time).collect())
     }
 
-    /// The key that a clock's step hangs on.
+    /// The key that sets the time step.
     pub fn clock_key(&self) -> String {
         format!("{}.{}", self.clock, if self.time.is_some() { "time_unit" } else { "rate" })
     }
 }
 
-/// The records of a file, as they stand in it.
+/// The records of a file, unconverted.
 pub(crate) fn of_file(pick: &Pick, held: &Content) -> Result<Vec<Record>, String> {
     let of_array: Table;
     let table = match held {
@@ -150,8 +150,8 @@ fn of_archive(
     }
 }
 
-/// (entries), (samples, entries) or (samples, histories, entries) as a list of histories a sample. Where their number
-/// is known, (entries, histories) and (samples, entries, histories), too.
+/// Converts (entries), (samples, entries) or (samples, histories, entries) to a list of histories per sample. If their number is
+/// known, also (entries, histories) and (samples, entries, histories).
 fn histories(pick: &Pick, Array { shape, values }: &Array) -> Result<Vec<Vec<Vec<f64>>>, String> {
     let [samples, rows, columns] = match (&shape[..], pick.count) {
         ([entries], _) => [1, 1, *entries],

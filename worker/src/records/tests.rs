@@ -2,7 +2,7 @@ use super::clock::timed;
 use super::*;
 use serde_json::{Value, json};
 
-/// A folder with files, and what becomes of them.
+/// A temporary folder of record files.
 struct Folder(tempfile::TempDir);
 
 impl Folder {
@@ -14,7 +14,7 @@ impl Folder {
         Self(folder)
     }
 
-    /// Reads `stimuli.recorded` with the keys given, for one training, one test and one holdout sample on two panels.
+    /// Reads `stimuli.recorded` with these keys, for one training, test and held-out sample each, on two panels.
     fn read(&self, names: &[&str], keys: Value) -> Result<Recorded, Invalid> {
         let mut table = json!({ "files": names.iter().map(|n| self.0.path().join(n)).collect::<Vec<_>>() });
         table.as_object_mut().unwrap().extend(keys.as_object().unwrap().clone());
@@ -32,7 +32,7 @@ impl Folder {
     }
 }
 
-/// 11 entries a tenth of a second apart, in ms and mN: a blow of `size` N at entry 3, an offset of 0.5 N.
+/// 11 entries at intervals of 0.1 s, in ms and mN: a blow of `size` N at entry 3, an offset of 0.5 N.
 fn csv(size: f64) -> Vec<u8> {
     let line = |n: usize| format!("{},{}\n", 100 * n + 2000, 1000.0 * if n == 3 { size + 0.5 } else { 0.5 });
     ("time,force\n".to_owned() + &(0..11).map(line).collect::<String>()).into_bytes()
@@ -51,7 +51,7 @@ pub(crate) fn npy(shape: &[u64], values: &[f64]) -> Vec<u8> {
 const KEYS: &str = r#"{ "time": "time", "force": ["force"], "time_unit": "ms", "force_unit": "mN", "resample": "linear",
     "remove_offset": true, "trigger": { "threshold": 0.5, "before": 0.2 } }"#;
 
-/// Units, offset and trigger: each blow stands at 0.2 s in N, whatever its file's clock says.
+/// Units, offset and trigger: each blow is at 0.2 s, in N, for any clock of its file.
 #[test]
 fn a_record_comes_in_newtons_and_seconds_where_the_trigger_wants_it() {
     let folder = Folder::new(&[("1.csv", &csv(1.0)), ("2.csv", &csv(2.0)), ("3.csv", &csv(3.0))]);
@@ -64,7 +64,7 @@ fn a_record_comes_in_newtons_and_seconds_where_the_trigger_wants_it() {
     }
 }
 
-/// An array of (samples, panels, entries) with a rate; an uneven clock is evened out.
+/// Reads an array of (samples, panels, entries) with a rate; resamples an uneven clock.
 #[test]
 fn arrays_and_uneven_clocks_are_read() {
     let values: Vec<f64> = (0..3 * 2 * 21).map(f64::from).collect();
@@ -78,8 +78,8 @@ fn arrays_and_uneven_clocks_are_read() {
     assert_eq!(wrong, None);
 }
 
-/// A clock 1 % slow for half a record and 1 % fast for the other is 1 s off in the middle, by steps that each are even to 1 %:
-/// f(t) = t is read as t all the same.
+/// A clock 1 % slow in the first half and 1 % fast in the second is 1 s off in the middle, although steps deviate by 1 % only.
+/// f(t) = t is still read as t.
 #[test]
 fn a_clock_that_drifts_is_evened_out() {
     let clock: Vec<f64> = (0..=200)
@@ -93,7 +93,7 @@ fn a_clock_that_drifts_is_evened_out() {
     assert!(most < 1e-9, "off by {most} s");
 }
 
-/// Lost entries are told from entries that are late and from clocks without a regular step.
+/// Missing entries are distinguished from late entries and irregular clocks.
 #[test]
 fn a_clock_with_missing_entries_is_refused() {
     let recorded = serde_json::from_value(json!({ "files": [], "time": "t", "force": ["f"] })).unwrap();
@@ -104,7 +104,7 @@ fn a_clock_with_missing_entries_is_refused() {
     let without = |lost: std::ops::Range<usize>| -> Vec<f64> {
         (0..60).filter(|n| !lost.contains(n)).map(|n| 0.005 * n as f64).collect()
     };
-    // of a clock whose entries come earlier and later by a part of a step
+    // Entries early or late by a fraction of a step.
     let jittered = |part: f64| -> Vec<f64> {
         without(0..0).iter().enumerate().map(|(n, t)| t + 0.005 * part * (2.4 * n as f64).sin()).collect()
     };
@@ -151,7 +151,7 @@ fn a_clock_with_missing_entries_is_refused() {
     }
 }
 
-/// The digest is that of the contents.
+/// The digest depends on the contents only.
 #[test]
 fn what_the_files_hold_and_not_where_they_lie_makes_the_digest() {
     let (one, other) =
@@ -164,7 +164,7 @@ fn what_the_files_hold_and_not_where_they_lie_makes_the_digest() {
     assert_ne!(of(&one, "a.csv"), of(&other, "c.csv"));
 }
 
-/// Each fault is named with its key or its file.
+/// Each error names its key or file.
 #[test]
 fn what_is_no_record_is_refused_by_name() {
     let good = csv(1.0);
@@ -219,7 +219,7 @@ fn what_is_no_record_is_refused_by_name() {
     }
 }
 
-/// A pipe that nobody writes to, a device without an end, a folder: named, and not waited for.
+/// Rejects a pipe without a writer, an endless device and a folder, without waiting.
 #[test]
 fn what_is_no_ordinary_file_is_refused_at_once() {
     let folder = tempfile::tempdir().unwrap();

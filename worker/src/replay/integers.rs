@@ -1,63 +1,63 @@
-//! A brain's layers in integers: weights of 8 or 16 bits, a scale for each output; what goes from layer to layer in 16 bits.
+//! A decoder's layers in integers: weights of 8 or 16 bits with a scale per output, values between layers of 16 bits.
 //!
 //! ```text
 //! x = q_x s_x     w s_x = q_w s_w     y = (q_b + Σ q_w q_x) s_w     next q = min(⌊(max(Σ, 0) · factor + 2^(shift − 1)) / 2^shift⌋, 32767)
-//! of a linear brain beneath a network: next q = q_x[t], then sign(Σ) times the same of |Σ|
-//! s_x: HEADROOM · (greatest of the training samples)/32767, a channel each     s_w: max |w s_x|/127 or /32767, an output each
+//! linear layer of a stacked decoder: next q = q_x[t], then sign(Σ) times the above for |Σ|
+//! s_x: HEADROOM · (greatest value in training samples)/32767 per channel     s_w: max |w s_x|/127 or /32767 per output
 //! ```
-//! Sums are of 32 bits where no input whatever can make them overflow, else of 64. Scales never see test set or holdout.
+//! Sums have 32 bits if no input can make them overflow, else 64. Scales depend on training samples only.
 
 use super::{Convolution, Replay, Single};
 
-/// Room above what the training samples reach: fresh forces are stronger than any of a hundred.
+/// Ratio of full scale to the greatest training value, for stronger forces than those of training.
 const HEADROOM: f64 = 4.0;
-/// Scales within a layer differ by at most so much: what training never wakes may wake.
+/// Largest ratio of scales within a layer: channels that are silent in training may respond later.
 const DORMANT: f64 = 256.0;
-/// Scales are floats of a device: not even silent channels have a smaller reading.
+/// Least full scale: keeps the scales of silent channels within the range of a device's floats.
 const LEAST: f64 = 1e-30;
-/// Biases fit into so many bits, whatever the scale of weights.
+/// Largest size of a bias (bits). Scales of weights are raised to keep it.
 const BIAS_BITS: i32 = 29;
-/// The greatest reading or activation.
+/// Largest reading or activation.
 const GREATEST: i64 = i16::MAX as i64;
 
-/// A layer's numbers.
+/// Integers of a layer.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rescaled {
     /// q_w, in the order of the layer's weights.
     pub weights: Vec<i64>,
     /// q_b.
     pub bias: Vec<i64>,
-    /// Of each output, for what is handed on; empty in the last layer.
+    /// Factor per output for the next layer; empty in the last layer.
     pub factor: Vec<i64>,
-    /// Likewise, 1 … 62.
+    /// Shift per output, 1 … 62; empty in the last layer.
     pub shift: Vec<u32>,
 }
 
-/// A brain in integers.
+/// A decoder in integers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Integers {
     shape: Vec<Convolution>,
-    /// Layer by layer.
+    /// Integers per layer.
     pub layers: Vec<Rescaled>,
-    /// 2/s_x of each channel of readings: half steps, from which a step is rounded.
+    /// 2/s_x per channel: converts readings to half steps, which are then rounded to steps.
     pub half_steps: Vec<f32>,
-    /// s_w of the last layer (N).
+    /// s_w of the last layer: force (N) per unit of its sums.
     pub forces: Vec<f32>,
-    /// No sum is greater, whatever is read.
+    /// Upper bound on the magnitude of all sums, for any input.
     pub bound: i64,
     greatest: i64,
 }
 
 impl Integers {
-    /// Layers with weights of −`most` … `most` (127 or 32767), scaled by the training samples of a replay.
+    /// Quantises layers to weights of −`most` … `most` (127 or 32767), scaled by the training samples of a replay.
     ///
     /// # Panics
-    /// If a sum could pass 2^61.
+    /// If a sum could exceed 2^61.
     pub fn new(layers: &[Convolution], most: i64, replay: &Replay) -> Self {
         Self::within(layers, most, GREATEST, HEADROOM, replay)
     }
 
-    /// The same with readings and activations of −`greatest` … `greatest`.
+    /// As `new`, with readings and activations of −`greatest` … `greatest`.
     fn within(layers: &[Convolution], most: i64, greatest: i64, headroom: f64, replay: &Replay) -> Self {
         let reached = reached(layers, replay);
         let steps = |channels: &[f64]| -> Vec<f64> {
@@ -66,9 +66,9 @@ impl Integers {
             channels.iter().map(step).collect()
         };
         let half_steps: Vec<f32> = steps(&reached[0]).iter().map(|step| (2.0 / step) as f32).collect();
-        // as rounded: weights are to fit what a device multiplies with
+        // Steps from the rounded values, which the device uses.
         let readings: Vec<f64> = half_steps.iter().map(|half| 2.0 / f64::from(*half)).collect();
-        // what is handed on as it was read keeps its steps
+        // Channels that are passed on unchanged keep their steps.
         let carried = |l: usize| if layers[l].linear { layers[l].inputs } else { 0 };
         let next = |l: usize| [&readings[..carried(l)], &steps(&reached[l + 1][carried(l)..])].concat();
         let later = (0..layers.len() - 1).map(next);
@@ -99,7 +99,7 @@ impl Integers {
             let (mut factor, mut shift) = (Vec::new(), Vec::new());
             if let Some(next) = steps.get_mut(l + 1) {
                 for (step, scale) in next[carried(l)..].iter_mut().zip(&scale) {
-                    // no finer than the sums are
+                    // At least the resolution of the sums.
                     *step = step.max(*scale);
                     let (f, s) = ratio(scale / *step, own);
                     factor.push(f);
@@ -111,7 +111,7 @@ impl Integers {
         Self { shape: layers.to_vec(), layers: made, half_steps, forces, bound, greatest }
     }
 
-    /// The last layer's sums (T, K) on one sample's signals (T, channels): `forces` times these are the forces (N).
+    /// Sums of the last layer (T, K) for the signals (T, channels) of a sample; multiplied by `forces` they are forces (N).
     pub fn sums(&self, signals: &[f64]) -> Vec<i64> {
         let mut x: Vec<i64> = signals
             .iter()
@@ -135,25 +135,26 @@ impl Integers {
         x
     }
 
-    /// Forces (T, K) (N) of one sample's signals (T, channels).
+    /// Forces (T, K) (N) for the signals (T, channels) of a sample.
     pub fn read(&self, signals: &[f64]) -> Vec<f32> {
         self.forces_of(&self.sums(signals))
     }
 
-    /// Forces (T, K) (N) of the last layer's sums.
+    /// Forces (T, K) (N) from the sums of the last layer.
     pub fn forces_of(&self, sums: &[i64]) -> Vec<f32> {
         sums.iter().zip(self.forces.iter().cycle()).map(|(sum, force)| *sum as f32 * force).collect()
     }
 
-    /// The step next to so many half steps, by one multiplication of floats: no compiler can fuse it with a sum.
+    /// Rounds half steps to the nearest step. The only float operation is one multiplication, which no compiler can fuse with an
+    /// addition.
     fn steps(&self, half: f32) -> i64 {
         let end = 2.0 * self.greatest as f32;
-        let half = half.clamp(-end, end) as i64; // 0 of what is no number
+        let half = half.clamp(-end, end) as i64; // NaN becomes 0
         (half + if half < 0 { -1 } else { 1 }) / 2
     }
 }
 
-/// Greatest magnitude of what each layer takes in, by channel, over the training samples.
+/// Greatest magnitude of each layer's inputs per channel, over the training samples.
 fn reached(layers: &[Convolution], replay: &Replay) -> Vec<Vec<f64>> {
     let single = Single::new(layers);
     let mut reached: Vec<Vec<f64>> = layers.iter().map(|layer| vec![0.0; layer.inputs]).collect();
@@ -171,7 +172,7 @@ fn reached(layers: &[Convolution], replay: &Replay) -> Vec<Vec<f64>> {
     reached
 }
 
-/// Factor (below 2^31) and shift of a ratio of at most 1, as exact as products of sums up to `bound` allow in 64 bits.
+/// Factor (below 2^31) and shift of a ratio of at most 1, as exact as 64-bit products with sums up to `bound` permit.
 fn ratio(ratio: f64, bound: i64) -> (i64, u32) {
     let fits = |shift: &u32| {
         let factor = (ratio * 2f64.powi(*shift as i32)).round();

@@ -1,10 +1,10 @@
-//! A brain as layers from signals to forces, and what they say in single precision, sum by sum as a device adds them up.
+//! A decoder as layers from signals to forces, and their outputs in single precision, summed in the order of a device.
 //!
 //! ```text
 //! y[t] = b + Σ_i w_i Σ_j x[t − before + (s_i + j) d]      j = 0 … span_i − 1, s_i = Σ of the spans before i; x = 0 outside a sample
 //! ```
-//! A network's layers hand on max(y, 0), their spans are 1; a linear brain's far lags share a weight by fours. A linear brain beneath
-//! a network hands on x[t], then y[t].
+//! A network's layers pass on max(y, 0) and have spans of 1. In a linear decoder, four long lags share a weight. The linear layer
+//! of a stacked decoder passes on x[t], then y[t].
 
 use std::ops::{AddAssign, Mul};
 
@@ -18,20 +18,21 @@ use super::{LinearReplay, Own, Replay};
 use crate::invalid::invalid;
 use crate::run::{Failure, prepared};
 
-/// A layer of a brain.
+/// A layer of a decoder.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Convolution {
-    /// Instants that each tap adds up.
+    /// Number of instants summed per tap.
     pub spans: Vec<usize>,
     /// d (instants).
     pub dilation: usize,
-    /// Instants that it looks back.
+    /// Instants before t that the layer uses.
     pub before: usize,
-    /// Width of x.
+    /// Number of channels of x.
     pub inputs: usize,
-    /// Width of y.
+    /// Number of channels of y.
     pub outputs: usize,
-    /// Whether it is a linear brain: w is (inputs, outputs, taps), and sums go in this order; else it is (taps, outputs, inputs).
+    /// Whether the layer is a linear decoder: w is (inputs, outputs, taps), and sums follow this order; else (taps, outputs,
+    /// inputs).
     pub linear: bool,
     /// w.
     pub weights: Vec<f64>,
@@ -40,7 +41,7 @@ pub struct Convolution {
 }
 
 impl Convolution {
-    /// The one of a linear brain, its numbers 0.
+    /// The layer of a linear decoder, with zero weights.
     pub fn linear(lags: Lags, inputs: usize, outputs: usize) -> Self {
         let spans: Vec<usize> = lags.groups().iter().map(ExactSizeIterator::len).collect();
         let weights = vec![0.0; spans.len() * inputs * outputs];
@@ -48,7 +49,7 @@ impl Convolution {
         Self { spans, dilation, before, inputs, outputs, linear: true, weights, bias }
     }
 
-    /// Those of a network, their numbers 0.
+    /// The layers of a network, with zero weights.
     pub fn network(architecture: &Architecture, mut inputs: usize, outputs: usize) -> Vec<Self> {
         let all = architecture.layers();
         let layer = |(l, layer): (usize, &Layer)| {
@@ -69,23 +70,23 @@ impl Convolution {
         all.iter().enumerate().map(layer).collect()
     }
 
-    /// Numbers that a layer of these makes or hands on, at most.
+    /// Largest number of channels that a layer computes or passes on.
     pub fn widest(layers: &[Self]) -> usize {
         let made = layers.iter().map(|layer| layer.outputs);
         made.chain(layers[1..].iter().map(|layer| layer.inputs)).max().unwrap_or(0)
     }
 
-    /// Instants that it holds: from the first that it sees to the last.
+    /// Instants between the first and last input of a sum, inclusive.
     pub fn slots(&self) -> usize {
         (self.spans.iter().sum::<usize>() - 1) * self.dilation + 1
     }
 
-    /// Instants that it looks ahead.
+    /// Instants after t that the layer uses.
     pub fn after(&self) -> usize {
         self.slots() - 1 - self.before
     }
 
-    /// Input, output and tap of a weight.
+    /// Input, output and tap of weight `i`.
     pub fn of_weight(&self, i: usize) -> [usize; 3] {
         let (taps, inputs, outputs) = (self.spans.len(), self.inputs, self.outputs);
         match self.linear {
@@ -94,7 +95,7 @@ impl Convolution {
         }
     }
 
-    /// What goes on to the next layer of what it takes in and what it makes of that.
+    /// Inputs of the next layer: `y`, after `x` if this layer is a linear decoder.
     pub(super) fn handed_on<T: Copy>(&self, x: &[T], y: Vec<T>) -> Vec<T> {
         if !self.linear {
             return y;
@@ -103,7 +104,7 @@ impl Convolution {
         instants.flat_map(|(x, y)| [x, y].concat()).collect()
     }
 
-    /// Its sums on one sample (T, inputs): (T, outputs). Each begins with the bias; products follow in the order of the weights.
+    /// Sums (T, outputs) for one sample (T, inputs). Each starts with the bias; products follow in the order of the weights.
     pub(super) fn sums<T>(&self, weights: &[T], bias: &[T], x: &[T]) -> Vec<T>
     where
         T: Copy + Default + AddAssign + Mul<Output = T>,
@@ -114,7 +115,7 @@ impl Convolution {
         let row = if self.linear { taps } else { inputs };
         for t in 0..instants {
             seen.fill(T::default());
-            // counted from `before` instants ahead of the sample
+            // Index relative to `before` instants ahead of the sample.
             let mut at = t;
             for (tap, span) in self.spans.iter().enumerate() {
                 for n in (0..*span).map(|j| at + j * self.dilation) {
@@ -138,13 +139,13 @@ impl Convolution {
     }
 }
 
-/// A brain as layers from signals (mm/s², rad/s) to forces (N), on a replay of its body.
+/// A decoder as layers from signals (mm/s², rad/s) to forces (N), with the scales of a replay.
 ///
 /// # Errors
-/// If the spec stands for no trial.
+/// If the spec is invalid.
 ///
 /// # Panics
-/// If the weights are not those of the trial's network.
+/// If the weights do not match the trial's network.
 pub fn layers(trial: &TrialSpec, own: &Own, replay: &Replay) -> Result<Vec<Convolution>, Failure> {
     if let Own::Network(_) = own
         && replay.has_offset()
@@ -158,7 +159,7 @@ pub fn layers(trial: &TrialSpec, own: &Own, replay: &Replay) -> Result<Vec<Convo
         Own::Network(weights) => of_network(trial, weights, replay)?,
         Own::Stacked(linear, weights) => {
             let mut first = of_linear(linear, replay);
-            // forces as the network takes them in
+            // Normalised forces, as the network expects them.
             let deviation = |i: usize| replay.force_deviation[first.of_weight(i)[1]];
             first.weights = first.weights.iter().enumerate().map(|(i, w)| w / deviation(i)).collect();
             let scales = replay.force_mean.iter().zip(&replay.force_deviation);
@@ -166,7 +167,7 @@ pub fn layers(trial: &TrialSpec, own: &Own, replay: &Replay) -> Result<Vec<Convo
             [vec![first], of_network(trial, weights, replay)?].concat()
         }
     };
-    // a network on a linear brain takes signals in, too
+    // The network of a stacked decoder also uses signals.
     let take_signals = if layers[0].linear { 2 } else { 1 };
     for layer in layers.iter_mut().take(take_signals) {
         for i in 0..layer.weights.len() {
@@ -178,7 +179,7 @@ pub fn layers(trial: &TrialSpec, own: &Own, replay: &Replay) -> Result<Vec<Convo
     Ok(layers)
 }
 
-/// From normalised signals to forces (N).
+/// Layer from normalised signals to forces (N).
 fn of_linear(LinearReplay { lags, w, b, .. }: &LinearReplay, replay: &Replay) -> Convolution {
     let channels = replay.signal_scale.len();
     let mut layer = Convolution::linear(*lags, channels, replay.force_mean.len());
@@ -191,7 +192,7 @@ fn of_linear(LinearReplay { lags, w, b, .. }: &LinearReplay, replay: &Replay) ->
     layer
 }
 
-/// From normalised inputs to forces (N).
+/// Layers from normalised inputs to forces (N).
 fn of_network(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<Vec<Convolution>, Failure> {
     let (shape, panels) = (prepared(trial)?.reader_shape(), replay.force_mean.len());
     let mut layers = Convolution::network(&shape.architecture, shape.inputs, panels);
@@ -221,19 +222,19 @@ pub struct Single {
 }
 
 impl Single {
-    /// These layers, their numbers rounded.
+    /// Rounds layers to single precision.
     pub fn new(layers: &[Convolution]) -> Self {
         let rounded = |values: &[f64]| values.iter().map(|v| *v as f32).collect();
         let weights = layers.iter().map(|l| [rounded(&l.weights), rounded(&l.bias)]).collect();
         Self { layers: layers.to_vec(), weights }
     }
 
-    /// Forces (T, K) (N) of one sample's signals (T, channels).
+    /// Forces (T, K) (N) for the signals (T, channels) of a sample.
     pub fn read(&self, signals: &[f64]) -> Vec<f32> {
         self.read_by_layers(signals, &mut |_, _| {})
     }
 
-    /// The same; `meet` is given each layer's number and what it takes in (T, inputs).
+    /// As `read`; passes the number and inputs (T, inputs) of each layer to `meet`.
     pub(super) fn read_by_layers(&self, signals: &[f64], meet: &mut dyn FnMut(usize, &[f32])) -> Vec<f32> {
         let mut x: Vec<f32> = signals.iter().map(|v| *v as f32).collect();
         for (l, (layer, [weights, bias])) in self.layers.iter().zip(&self.weights).enumerate() {
@@ -249,7 +250,8 @@ impl Single {
     }
 }
 
-/// Mean error (%) on the holdout of what `read` says (T, K) (N) of a sample's signals (T, channels); none without a holdout.
+/// Mean held-out error (%) of the estimates `read` (T, K) (N) from a sample's signals (T, channels); `None` without a held-out
+/// set.
 pub fn holdout_error(replay: &Replay, read: &dyn Fn(&[f64]) -> Vec<f32>) -> Option<f64> {
     let (channels, outputs) = (replay.signal_scale.len(), replay.force_mean.len());
     let instants = replay.signals.len() / replay.split.len() / channels;

@@ -24,7 +24,7 @@ pub(crate) fn small_trial() -> TrialSpec {
     serde_json::from_str(json).unwrap()
 }
 
-/// Mean errors by set, from the stored design and weights alone, against those that the trial recorded.
+/// Mean errors per set, from the stored design and weights, equal those that the trial recorded.
 #[test]
 fn a_replay_has_the_errors_that_the_trial_recorded() {
     let trial = small_trial();

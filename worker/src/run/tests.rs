@@ -5,7 +5,7 @@ use metasense_numerics::dynamics::Outcome;
 use metasense_numerics::trial::Trouble;
 use serde_json::json;
 
-/// Each trouble that ends a trial reaches the database under its own name, and each name there leads back to one.
+/// Every failure that ends a trial has its own name in the database, and every name maps back to a failure.
 #[test]
 fn every_trouble_is_a_cause_of_its_own() {
     let simulations = Outcome::ALL.into_iter().filter(|o| *o != Outcome::Ok).map(Trouble::Simulation);
@@ -28,7 +28,7 @@ fn every_trouble_is_a_cause_of_its_own() {
     assert!(Cause::ALL.iter().all(|cause| Trouble::named(cause.name()).is_some()));
 }
 
-/// Without limits a design may turn a unit over. With given masses it is simulated, so it is a design; with its own it is none.
+/// Without limits a design may invert a unit. With given masses this design is valid, otherwise it is rejected.
 #[test]
 fn a_unit_that_is_turned_over_needs_a_given_mass() {
     let own = trial(&[("feasible.limits", json!(false))]);

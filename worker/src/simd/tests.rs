@@ -1,6 +1,6 @@
 use super::*;
 
-/// Every machine against every name: what is wider than the machine is refused, by both names.
+/// On every machine, wider sets than the machine's are rejected.
 #[test]
 fn what_a_machine_lacks_is_refused() {
     assert_eq!(NAMES, Width::ALL.map(Width::name));

@@ -2,7 +2,7 @@ use super::*;
 use crate::replay::tests::small_trial;
 use metasense_schemas::spec::Search;
 
-/// What is written is read again, of given sensors and of sensors that a search has placed; not of another design.
+/// A stored twin can be read again, for given and for searched sensors, but not for another design.
 #[test]
 fn a_twin_is_read_as_it_was_written() {
     let given = small_trial();

@@ -1,8 +1,8 @@
-//! The scenes of the paper's authors, from what their published code says of them (github.com/KM-Na/sensing-intelligence-metamaterial,
-//! commit 8277565b: forward_simulation/structures.py, blockymetamaterials/geometry.py), and cases that an independent program made of them.
+//! The scenes of the paper's authors, from their published code (github.com/KM-Na/sensing-intelligence-metamaterial, commit
+//! 8277565b: forward_simulation/structures.py, blockymetamaterials/geometry.py), and cases that an independent program computed.
 //!
-//! Squares of pitch S = 16.125 mm turn by ∓25° against their neighbours. Planar bodies hang between force plates, which span two columns each,
-//! and one held plate; the disc is cut out of a square lattice and lies in eight rigid shells of twice its density, held by nothing.
+//! Squares of pitch S = 16.125 mm alternately rotate by ±25°. Planar bodies lie between force plates, each two columns wide, and
+//! one clamped plate. The disc, cut out of a square lattice, lies in eight rigid shells of twice its density; nothing is clamped.
 
 use super::body::{States, TIGHT, outcomes, states};
 use super::case::{Case, CaseError};
@@ -16,7 +16,7 @@ use metasense_schemas::spec::{Denser, Follow, FollowBy, Polygons, Struck};
 
 type Point = [f64; 2];
 
-/// S and l₀ (mm), and half of what a ligament leaves of S.
+/// S and l₀ (mm), and half of S − l₀.
 const PITCH: f64 = 16.125;
 const LIGAMENT: f64 = 1.125;
 const HALF: f64 = 0.5 * (PITCH - LIGAMENT);
@@ -24,9 +24,9 @@ const HALF: f64 = 0.5 * (PITCH - LIGAMENT);
 const CHIP: f64 = 8.58e-6;
 const SIDES: [f64; 2] = [32.0, 23.0];
 
-/// Node 0 right, 1 top, 2 left, 3 bottom of a square in cell (i, j), by how much (rad) those of even cells turn.
+/// Position of node 0 right, 1 top, 2 left, 3 bottom of the square in cell (i, j); even cells rotate by `angle` (rad).
 fn corner([i, j]: [i32; 2], node: usize, angle: f64) -> Point {
-    // a node's turn is that of its own number in the lattice: the right one's is that of the next column, the top one's of the next row
+    // The sign of a node's rotation follows its joint: column i + 1 for the right node, row j + 1 for the top node.
     let own = if node < 2 { 1 } else { 0 };
     let turn = HALF * (if (i + j + own).rem_euclid(2) == 0 { angle } else { -angle }).tan();
     let [x, y] = [[HALF, turn], [-turn, HALF], [-HALF, turn], [-turn, -HALF]][node];
@@ -37,14 +37,15 @@ fn square(cell: [i32; 2], angle: f64) -> Vec<Point> {
     (0..4).map(|node| corner(cell, node, angle)).collect()
 }
 
-/// Joints of neighbouring cells: (cell, node, cell, node), first all horizontal ones, row by row, then the vertical ones.
+/// Joints of neighbouring cells: (cell, node, cell, node), horizontal ones row by row, then vertical ones.
 fn joints(columns: i32, rows: i32) -> Vec<([i32; 2], usize, [i32; 2], usize)> {
     let cells = |columns: i32, rows: i32| (0..rows).flat_map(move |j| (0..columns).map(move |i| [i, j]));
     let right = cells(columns - 1, rows).map(|[i, j]| ([i, j], 0, [i + 1, j], 2));
     right.chain(cells(columns, rows - 1).map(|[i, j]| ([i, j], 1, [i, j + 1], 3))).collect()
 }
 
-/// The planar body for K forces: `columns` × `rows` squares, K plates above columns 3k and 3k + 1, and the held plate, in this order.
+/// The planar body for K forces: `columns` × `rows` squares, K plates above columns 3k and 3k + 1, and the clamped plate, in this
+/// order.
 ///
 /// # Panics
 /// If there are fewer than 3K − 1 columns.
@@ -106,7 +107,7 @@ fn struck(unit: usize, direction: Point) -> Struck {
     Struck { unit: Some(unit), direction: Some(direction), ..Struck::default() }
 }
 
-/// The units that carry the authors' four sensors in discs of n × n squares (commit 2c0b29e3,
+/// The units of the authors' four sensors in discs of n × n squares (commit 2c0b29e3,
 /// notebooks/082625_new_simulation_circular_structure_large_size_train_nn.ipynb).
 const SENSORS: [(usize, [usize; 4]); 11] = [
     (10, [5, 8, 17, 20]),
@@ -122,11 +123,11 @@ const SENSORS: [(usize, [usize; 4]); 11] = [
     (35, [150, 162, 414, 426]),
 ];
 
-/// Shells of a disc.
+/// Number of shells of a disc.
 const SHELLS: usize = 8;
 
-/// The disc cut out of n × n squares, its middle at the origin: the squares inside, then the shells, which
-/// negative forces push inward.
+/// The disc cut out of n × n squares, centred at the origin: the squares inside, then the shells. Negative forces push the shells
+/// inward.
 #[must_use]
 pub fn disc(n: usize) -> Polygons {
     let (angle, count) = (25f64.to_radians(), i32::try_from(n).expect("a few columns"));
@@ -146,7 +147,7 @@ pub fn disc(n: usize) -> Polygons {
     let both = |(a, p, b, q): &([i32; 2], usize, [i32; 2], usize)| Some([inside(a)?, *p, inside(b)?, *q]);
     let mut ligaments: Vec<[usize; 4]> = joints.iter().filter_map(both).collect();
     let turned = joints.iter().map(|&(a, p, b, q)| (b, q, a, p));
-    // (unit, node, cell outside, node) of each ligament that leaves the disc
+    // (unit, node, outer cell, node) of each ligament that leaves the disc.
     let outward: Vec<(usize, usize, [i32; 2], usize)> = (joints.iter().copied().chain(turned))
         .filter(|(_, _, b, _)| inside(b).is_none())
         .filter_map(|(a, p, b, q)| Some((inside(&a)?, p, b, q)))
@@ -211,7 +212,7 @@ pub fn disc(n: usize) -> Polygons {
     }
 }
 
-/// The body of a case: as the authors build it, or, where that has other nodes, of the case's own polygons.
+/// The body of a case: as the authors build it or, if the nodes differ, from the case's own polygons.
 fn body(case: &Case, corners: &[Vec<Point>], rigid: &[usize]) -> Result<Polygons, CaseError> {
     let built = match case.size("scene.n") {
         Ok(n) => disc(n),
@@ -233,7 +234,7 @@ fn body(case: &Case, corners: &[Vec<Point>], rigid: &[usize]) -> Result<Polygons
     })
 }
 
-/// Geometry, masses and damping of a case, and its motion at instants 1 … T of 0 … T: at 0 all is at rest.
+/// Geometry, masses and damping of a case, and its motion at instants 1 … T; at instant 0 it is at rest.
 pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, CaseError> {
     let number = |key: &str| case.number(&format!("scene.{key}"));
     let offsets: Vec<usize> = case.array("vertex_offsets")?.into_iter().map(|n| n as usize).collect();
@@ -246,7 +247,7 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
         offsets.windows(2).map(|ends| flat.as_chunks::<2>().0[ends[0]..ends[1]].to_vec()).collect();
     let given = body(case, &corners, &[&panels[..], &held].concat())?;
     let mut layout = polygons::layout(&given).map_err(|e| case.wrong(e))?;
-    // a disc's middle is at our origin, and half its lattice from the case's
+    // Our disc is centred at the origin, the case's half a lattice away from it.
     let away = case.size("scene.n").map_or(0.0, |n| 0.5 * (n as f64 - 1.0) * PITCH);
     let design = shifts(&layout, &corners, away);
     let density = number("density")?;
@@ -278,7 +279,7 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
         guided: Vec::new(),
         pressed: Vec::new(),
         panels: panels.iter().zip(pushes.as_chunks::<3>().0).map(panel).collect(),
-        // the disc's sensors are without a chip
+        // The disc's sensors have no chip.
         chip: case.size("scene.n").is_err().then_some(Inertia { mass: CHIP, moment }),
         sensors,
         mount: None,
@@ -317,7 +318,7 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
     Ok(rows)
 }
 
-/// α from where the nodes are, which are all by `away` farther from our origin.
+/// α from node positions, which are offset by `away` from our origin.
 fn shifts(layout: &Layout, corners: &[Vec<Point>], away: f64) -> Vec<f64> {
     let mut design = vec![0.0; layout.design_len()];
     let undisplaced = layout.vertices(&design);
@@ -330,7 +331,7 @@ fn shifts(layout: &Layout, corners: &[Vec<Point>], away: f64) -> Vec<f64> {
     design
 }
 
-/// Masses and motion, with those of the initial body in arrays whose names end in `_frozen`.
+/// Masses and motion; arrays whose names end in `_frozen` have the masses of the initial body.
 fn motion(
     case: &Case,
     scene: &Scene,

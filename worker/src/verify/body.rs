@@ -1,4 +1,4 @@
-//! Geometry, energies, trajectories, gradients and force histories against their cases.
+//! Compares geometry, energies, trajectories, gradients and force histories with their cases.
 
 use super::case::{Case, CaseError};
 use super::{DEFAULT, Row, relative};
@@ -9,13 +9,13 @@ use metasense_numerics::dynamics::{
 };
 use metasense_numerics::stimuli::resample;
 
-/// Relative to the array's norm: what sums of a few hundred terms in f64 leave.
+/// Tolerance relative to the array's norm: rounding of sums of a few hundred terms in f64.
 const ROUNDING: f64 = 1e-12;
 
-/// By how much the error at default settings may exceed the tolerance asked.
+/// Largest accepted ratio of the error at default settings to the requested tolerance.
 pub(super) const LEEWAY: f64 = 1.2;
 
-/// What every agreement with trajectories is asked at.
+/// Solver for all comparisons of trajectories.
 pub(super) const TIGHT: Solver = Solver::tsit5(Tolerance::both(1e-11));
 
 /// Initial design, vertices, centroids, arms, area, mass, moment, void angles, ligaments.
@@ -45,7 +45,7 @@ pub fn geometry(case: &Case) -> Result<Vec<Row>, CaseError> {
     Ok(rows)
 }
 
-/// Elastic and contact energy, the derivatives of their sum in the state and in the design, and the void angles.
+/// Elastic and contact energy, the derivatives of their sum in state and design, and the void angles.
 pub fn energies(case: &Case) -> Result<Vec<Row>, CaseError> {
     let scene = case.scene()?;
     let design = case.design(&scene)?;
@@ -73,7 +73,7 @@ pub fn energies(case: &Case) -> Result<Vec<Row>, CaseError> {
     ];
     let row = |(name, ours): (&str, Vec<f64>)| case.row(name, &ours, name, ROUNDING);
     let mut rows = arrays.into_iter().map(row).collect::<Result<Vec<_>, _>>()?;
-    // Whole turns aside
+    // Angles are compared modulo 2π.
     let on_circle =
         |angles: &[f64]| angles.iter().flat_map(|a| <[f64; 2]>::from(a.sin_cos())).collect::<Vec<_>>();
     let theirs = case.array_of("void_angles", voids.len())?;
@@ -87,7 +87,7 @@ pub(super) fn outcomes(simulation: &Simulation) -> String {
     failed.join(" ")
 }
 
-/// Signals, final state and energies at tight tolerance, the error at default settings, and forces from a record.
+/// Signals, final state and energies at tight tolerance; the error at default settings; forces from a record.
 pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, CaseError> {
     let scene = case.scene()?;
     let (design, forces) = (case.design(&scene)?, case.forces(&scene)?);
@@ -106,7 +106,7 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
     let allowed = tolerance(own("final_state_relative_l2")?);
     let less = |a: Vec<f64>, b: Vec<f64>| a.iter().zip(&b).map(|(a, b)| a - b).collect::<Vec<f64>>();
     let stays = less(case.array("external_work")?, case.array("dissipated_work")?);
-    // Voids that are narrow at rest hold energy from the start, and so do ligaments where held units have been moved.
+    // Voids that are narrow at rest, and displaced held units, store energy from the start.
     let places = start(&scene, &design).map_err(|outcome| case.wrong(outcome.name()))?;
     let Energy { elastic, contact } = energy(&scene, &design, &places);
     let start = elastic + contact;
@@ -134,7 +134,7 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
     let work = usual.counters.force_evaluations / forces.samples.max(1) as u64;
     let (name, error) =
         ("sensors at default settings", signal_error(&usual.signals, &signals, 3 * scene.sensors.len()));
-    // Where the pilot found that no steps keep the tolerance, none was promised.
+    // If the pilot found no steps within the tolerance, the error is only shown.
     let row = match tuned.error {
         Some(_) => Row::new(name, error, LEEWAY * DEFAULT.accuracy.0),
         None => Row::shown(name, error),
@@ -144,14 +144,14 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
     Ok(rows)
 }
 
-/// What a run went through.
+/// States of a run.
 #[derive(Default)]
 pub(super) struct States {
-    /// Displacements, then velocities of all samples at the end.
+    /// Final displacements, then final velocities, of all samples.
     pub last: Vec<f64>,
-    /// At every instant.
+    /// Kinetic energy at every instant.
     pub kinetic: Vec<f64>,
-    /// Contact included.
+    /// Elastic energy at every instant, contact included.
     pub elastic: Vec<f64>,
 }
 
@@ -183,15 +183,15 @@ pub(super) fn states(
     states
 }
 
-/// Gradient in α of ⟨cotangent, signals⟩ against automatic differentiation.
+/// Gradient in α of ⟨cotangent, signals⟩, compared with automatic differentiation.
 pub fn adjoint(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, CaseError> {
     let scene = case.scene()?;
     let (design, forces) = (case.design(&scene)?, case.forces(&scene)?);
     let run = simulate(&scene, &design, &forces, &TIGHT, true, pool);
     let cotangent = case.array_of("cotangent", run.signals.len())?;
     let gradient = run.vjp(&cotangent, Wrt::Design, pool);
-    // The reference is a fifth-order run of 40 000 steps: its own error is the difference to 20 000, by 2⁵ − 1. In contact
-    // it is the difference itself: ∂²E_c/∂ψ² jumps at ψ_c, and gradients on a fixed grid converge with order 1.
+    // The reference is a fifth-order run of 40 000 steps. Its error is the difference to 20 000 steps, divided by 2⁵ − 1. With
+    // contact it is the difference itself: ∂²E_c/∂ψ² jumps at ψ_c, so gradients on a fixed grid converge with order 1.
     let order = if scene.contact.is_some() { 1 } else { 5 };
     let own = case.number("gradient_20000_steps_relative_difference")? / (2f64.powi(order) - 1.0);
     Ok(vec![

@@ -1,4 +1,4 @@
-//! The network and its derivatives, the implicit term and the error metric against their cases.
+//! Compares the network and its derivatives, the implicit term and the error metric with their cases.
 
 use super::case::{Case, CaseError};
 use super::{Row, dot, relative};
@@ -20,7 +20,7 @@ fn shape(case: &Case) -> Result<Shape, CaseError> {
     })
 }
 
-/// b1, b2, b3, w1, w2, w3 with this prefix, in the flat order.
+/// b1, b2, b3, w1, w2, w3 with this prefix, in the flat order of the weights.
 fn flat(case: &Case, shape: Shape, prefix: &str) -> Result<Vec<f64>, CaseError> {
     let mut weights = Vec::with_capacity(shape.weights());
     for (block, name) in ["b1", "b2", "b3", "w1", "w2", "w3"].iter().enumerate() {
@@ -33,8 +33,8 @@ fn cast<F: Real>(values: &[f64]) -> Vec<F> {
     values.iter().map(|&v| F::from_f64(v)).collect()
 }
 
-/// Output, loss, gradients, second derivatives and five Adam steps, in both precisions, by the kernels of every instruction
-/// set that the machine has.
+/// Output, loss, gradients, second derivatives and five Adam steps, in both precisions, with every instruction set of the
+/// machine.
 pub fn network(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, CaseError> {
     let mut rows = Vec::new();
     for width in Width::ALL.into_iter().filter(|width| *width <= Width::detect()) {
@@ -91,7 +91,7 @@ fn network_in<F: Real>(
     Ok(rows)
 }
 
-/// b, the direct term, z after 20 conjugate-gradient iterations at each λ, and the term that belongs to it.
+/// b, the direct term, z after 20 conjugate-gradient iterations at each λ, and the resulting implicit term.
 pub fn implicit(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, CaseError> {
     let shape = shape(case)?;
     let data = |set: &str| -> Result<Data<f64>, CaseError> {
@@ -114,13 +114,13 @@ pub fn implicit(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>
     for i in 0..case.list("solves")?.len() {
         let number = |key: &str| case.number(&format!("solves.{i}.{key}"));
         let lambda = number("lam")?;
-        // What b in its last digits changes, and by how much two programs of the same iteration differ
+        // Covers the effect of the last digits of b, and the difference between two programs with the same iteration.
         let tolerance = (10.0 * number("cg_sensitivity_to_1e-12")?)
             .max(10.0 * number("cg_hand_relative_difference").unwrap_or(0.0))
             .max(1e-6);
         let solve = solve_implicit(&curvature, &b, lambda, 1e-7, 20, ws, pool);
         let expected = case.array_of(&format!("z_cg_{lambda}"), shape.weights())?;
-        // From the recorded z: at small λ twenty iterations leave the term itself undetermined to a tenth.
+        // Uses the recorded z: at small λ, twenty iterations determine the term to a tenth only.
         let mut term = curvature.mixed_product(&expected, ws, pool);
         term.iter_mut().for_each(|t| *t = -*t);
         let scalar = dot(&term, &case.array_of("dA_train", term.len())?);
@@ -128,7 +128,7 @@ pub fn implicit(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>
         let note = format!("{} after {}", solve.outcome.name(), solve.iterations);
         rows.extend([
             match number("cg_min_rayleigh")? {
-                // Ours stops there, as the term would point anywhere.
+                // Our solver stops at negative curvature, where the term is meaningless.
                 least if least < 0.0 => Row::shown(name, error)
                     .noted(format!("{note}; the reference went on through {least:.0e}")),
                 _ => Row::new(name, error, tolerance).noted(note),
@@ -144,7 +144,7 @@ pub fn implicit(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>
     Ok(rows)
 }
 
-/// Prediction errors of samples, their mean, and which have none.
+/// Errors of samples, their mean, and which samples have none.
 pub fn metric(case: &Case) -> Result<Vec<Row>, CaseError> {
     let size = |axis: usize| case.size(&format!("arrays.force.{axis}"));
     let (samples, instants, panels) = (size(0)?, size(1)?, size(2)?);
@@ -158,7 +158,7 @@ pub fn metric(case: &Case) -> Result<Vec<Row>, CaseError> {
         Row::new("error of samples", relative(&known, &theirs), 1e-12),
         Row::new("samples without force told apart", disagree as f64, 0.0),
     ];
-    // Of none there is no mean.
+    // Without errors there is no mean.
     if !known.is_empty() {
         let mean = known.iter().sum::<f64>() / known.len() as f64;
         rows.push(Row::new("mean error", relative(&[mean], &[case.number("mean")?]), 1e-12));

@@ -1,4 +1,4 @@
-//! Reading a reference case: `case.json` and its arrays, every fault an error that names the file.
+//! Reads a reference case: `case.json` and its arrays. Every error names the file.
 
 use super::{Row, relative};
 use crate::{files, polygons};
@@ -11,9 +11,9 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 #[error("{file}: {what}", file = file.display())]
 pub struct CaseError {
-    /// The file or folder at fault.
+    /// The file or folder.
     pub file: PathBuf,
-    /// What is wrong with it.
+    /// The fault.
     pub what: String,
 }
 
@@ -21,7 +21,7 @@ fn wrong(file: &Path, what: impl ToString) -> CaseError {
     CaseError { file: file.to_owned(), what: what.to_string() }
 }
 
-/// The folders below `folder`, by name.
+/// The folders in `folder`, by name.
 pub fn folders(folder: &Path) -> Result<Vec<PathBuf>, CaseError> {
     let read = |e| wrong(folder, e);
     let mut found = Vec::new();
@@ -38,11 +38,11 @@ pub fn folders(folder: &Path) -> Result<Vec<PathBuf>, CaseError> {
     Ok(found)
 }
 
-/// JSON of what Python writes: `NaN` and `Infinity` outside of texts become `null`, which is no number.
+/// Converts JSON as Python writes it: `NaN` and `Infinity` outside strings become `null`, which is then rejected as a number.
 fn without_nan(text: &str) -> String {
     let parts = text.split('"').scan(false, |within, part| {
         let (plain, escaped) = (!*within, part.ends_with('\\'));
-        // A quote after a backslash ends no text.
+        // An escaped quote does not end a string.
         *within = if *within && escaped { true } else { !*within };
         let unnamed = || part.replace("-Infinity", "null").replace("Infinity", "null").replace("NaN", "null");
         Some(if plain { unnamed() } else { part.to_owned() })
@@ -69,7 +69,7 @@ impl Case {
         wrong(&self.folder.join("case.json"), what)
     }
 
-    /// The value at `path`, keys and list positions parted by dots.
+    /// The value at `path`, whose keys and list indices are separated by dots.
     fn value<'a, T>(
         &'a self,
         path: &str,
@@ -116,14 +116,14 @@ impl Case {
         self.folder.join(format!("{name}.npy"))
     }
 
-    /// Array `name` as flat numbers.
+    /// Array `name`, flat.
     pub fn array(&self, name: &str) -> Result<Vec<f64>, CaseError> {
         let file = self.array_file(name);
         let bytes = std::fs::read(&file).map_err(|e| wrong(&file, e))?;
         Ok(files::array(&bytes).map_err(|e| wrong(&file, e))?.values)
     }
 
-    /// Array `name`, which must hold `expected` numbers.
+    /// Array `name`, which must contain `expected` numbers.
     pub fn array_of(&self, name: &str, expected: usize) -> Result<Vec<f64>, CaseError> {
         let values = self.array(name)?;
         match values.len() {
@@ -132,12 +132,12 @@ impl Case {
         }
     }
 
-    /// A row: `ours` against array `name`.
+    /// A row that compares `ours` with array `name`.
     pub fn row(&self, quantity: &str, ours: &[f64], name: &str, tolerance: f64) -> Result<Row, CaseError> {
         Ok(Row::new(quantity, relative(ours, &self.array(name)?), tolerance))
     }
 
-    /// Array `name` (…, units, 3), cut into states.
+    /// Array `name` (…, units, 3), divided into states.
     pub fn states(&self, name: &str, units: usize) -> Result<Vec<Vec<[f64; 3]>>, CaseError> {
         let flat = self.array(name)?;
         if flat.len() % (3 * units) != 0 {

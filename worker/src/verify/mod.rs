@@ -1,7 +1,7 @@
-//! Checks of the maths against reference cases made by an independent program: one row a quantity.
+//! Checks of the numerics against reference cases of an independent program, one row per quantity.
 //!
-//! A case is a folder with `case.json` and `.npy` arrays (f64, C order; `tests/cases/` holds some). What can't be read,
-//! or is of a kind that is not known, is a failure.
+//! A case is a folder with `case.json` and `.npy` arrays (f64, C order); `tests/cases/` contains examples. Unreadable cases and
+//! unknown kinds fail.
 
 pub mod authors;
 mod body;
@@ -13,23 +13,23 @@ use metasense_numerics::dynamics::{Accuracy, Method, Solver};
 use serde::Serialize;
 use std::path::Path;
 
-/// What a spec gets that says nothing.
+/// The default solver of a spec.
 const DEFAULT: Solver = Solver::new(Method::Auto, Accuracy(1e-3));
 
-/// One quantity compared.
+/// One compared quantity.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
-    /// The case, or the group of checks.
+    /// Name of the case, or group of checks.
     pub case: String,
-    /// What was compared.
+    /// Compared quantity.
     pub quantity: String,
-    /// Relative distance, or whatever `quantity` says; absent where nothing came out.
+    /// Relative difference, or what `quantity` states; `None` if not finite.
     pub error: Option<f64>,
-    /// The largest error that passes; absent where a figure is only shown.
+    /// Largest accepted error; `None` for a figure that is only shown.
     pub tolerance: Option<f64>,
-    /// Within the tolerance.
+    /// Whether the error is within the tolerance.
     pub pass: bool,
-    /// What else there is to say.
+    /// Further information.
     pub note: String,
 }
 
@@ -46,12 +46,12 @@ impl Row {
         }
     }
 
-    /// A row of a quantity that could not be found.
+    /// A failed row for a quantity that could not be computed.
     pub(crate) fn failed(quantity: impl Into<String>) -> Self {
         Self::new(quantity, f64::NAN, 0.0)
     }
 
-    /// A figure that decides nothing, unless it is not a number.
+    /// A figure that is only shown; fails if it is not finite.
     pub(crate) fn shown(quantity: impl Into<String>, error: f64) -> Self {
         Self { tolerance: None, pass: error.is_finite(), ..Self::new(quantity, error, f64::INFINITY) }
     }
@@ -61,10 +61,10 @@ impl Row {
     }
 }
 
-/// The cases below `folder`, in the order of their names; each as a row a quantity.
+/// Compares all cases in `folder`, in the order of their names, one row per quantity.
 ///
 /// # Errors
-/// If the folder can't be listed or holds no folder.
+/// If the folder cannot be listed or contains no folder.
 pub fn cases(folder: &Path, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, CaseError> {
     let mut rows = Vec::new();
     for folder in case::folders(folder)? {
@@ -96,7 +96,7 @@ fn compare(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>, Cas
     }
 }
 
-/// ‖a − b‖/‖b‖, or ‖a‖ where b is zero; infinite where lengths differ.
+/// ‖a − b‖/‖b‖, or ‖a‖ if b is zero; infinite if lengths differ.
 #[must_use]
 pub fn relative(a: &[f64], b: &[f64]) -> f64 {
     if a.len() != b.len() {

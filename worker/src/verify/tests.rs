@@ -1,5 +1,5 @@
-//! Every committed case; and what needs none: energy balance, Taylor tests of the gradient, equal bits on any number of threads,
-//! and stiff and extreme scenes, each with its named outcome.
+//! All committed cases, and checks without a reference: energy balance, Taylor tests of the gradient, equal bits for any number
+//! of threads, stiff and extreme scenes with their outcomes.
 
 mod checks;
 mod extreme;
@@ -36,7 +36,7 @@ fn extreme_scenes_are_solved_at_default_settings() {
     hold(&extreme::rows(DEFAULT, &pool()), 17);
 }
 
-/// Every committed case, every quantity.
+/// Every quantity of every committed case.
 #[test]
 fn the_committed_cases_hold() {
     let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/cases");
@@ -47,8 +47,8 @@ fn the_committed_cases_hold() {
     hold(&rows, kinds.len());
 }
 
-/// Areas, masses and moments of the authors' body for two forces, as their notebooks print them (commit 2c0b29e3,
-/// notebooks/Forward_simulation.ipynb), and how many units and design numbers their bodies have.
+/// Areas, masses and moments of the authors' body for two forces as their notebooks print them (commit 2c0b29e3,
+/// notebooks/Forward_simulation.ipynb), and the numbers of units and design parameters of their bodies.
 #[test]
 fn bodies_of_the_authors_are_as_they_print_them() {
     let layout = |given| crate::polygons::layout(&given).expect("a body");
@@ -81,7 +81,7 @@ fn bodies_of_the_authors_are_as_they_print_them() {
     assert_eq!(layout(authors::disc(15)).ligaments.len(), 216);
 }
 
-/// The body files of the authors' scenes are what the generator makes of them. `METASENSE_UPDATE=1` writes them anew.
+/// The body files of the authors' scenes match the generator. `METASENSE_UPDATE=1` rewrites them.
 #[test]
 fn body_files_of_the_authors_scenes_are_fresh() {
     let mut files = vec![
@@ -105,8 +105,8 @@ fn body_files_of_the_authors_scenes_are_fresh() {
     }
 }
 
-/// A folder without a case, broken JSON, an unknown kind, a missing array, an array cut short, a wrong number: each
-/// is a row that fails, and the rest goes on.
+/// A folder without a case, broken JSON, an unknown kind, a missing or truncated array, a wrong number: each is a failed row;
+/// other cases still run.
 #[test]
 fn what_cannot_be_read_or_does_not_agree_fails() {
     let folder = tempfile::tempdir().expect("folder");
@@ -139,7 +139,7 @@ fn what_cannot_be_read_or_does_not_agree_fails() {
     assert!(cases(&folder.path().join("nowhere"), &pool()).is_err());
 }
 
-/// A body as TOML, a unit a line; places to 1e-9 mm.
+/// A body as TOML, one unit per line, coordinates to 1e-9 mm.
 fn file(body: &Polygons) -> String {
     let place = |x: &f64| format!("{}", (x * 1e9).round() / 1e9 + 0.0);
     let point = |[x, y]: &[f64; 2]| format!("[{}, {}]", place(x), place(y));

@@ -1,47 +1,47 @@
-//! Split-conformal bands about what a brain says of the forces: half-widths that samples gave which nothing was fitted to.
+//! Split-conformal bands around estimated forces; half-widths come from samples that were used in no fit.
 //!
 //! ```text
-//! n samples exchangeable with the next: the ⌈(n + 1)(1 − a)⌉-th smallest of their scores covers that of the next with 1 − a or more
-//! `instant`   score |f − f̂| of each instant and panel by itself              `sample`   greatest |f − f̂|/s of a sample
-//! s² = mean of (f − f̂)² on the training samples at this instant and panel, and a tenth of its mean over instants
+//! n samples exchangeable with the next: the ⌈(n + 1)(1 − a)⌉-th smallest score covers the next sample with probability ≥ 1 − a
+//! `instant`   score |f − f̂| per instant and panel              `sample`   score max |f − f̂|/s over a sample
+//! s² = mean of (f − f̂)² on the training samples at this instant and panel, plus a tenth of its mean over instants
 //! ```
 //! Vovk, Gammerman and Shafer 2005; Lei et al. 2018, doi:10.1080/01621459.2017.1307116; bands over whole curves: Diquigiovanni,
-//! Fontana and Vantini 2022, arXiv:2106.01792. s only says where a band is wide: whatever it is, the band covers.
+//! Fontana and Vantini 2022, arXiv:2106.01792. Coverage holds for every s.
 
 use crate::trial::Samples;
 
-/// 1 − a.
+/// Level 1 − a.
 pub const LEVEL: f64 = 0.95;
-/// Standard deviations of a normal to each side, at that level.
+/// Half-width of a normal distribution's interval at this level, in standard deviations.
 pub const TO_EACH_SIDE: f64 = 1.96;
 
-/// A part of the mean over instants that s² has at least: it must not vanish where a few training samples have no error.
+/// Share of its mean over instants added to s², which must not vanish where the training samples have no error.
 const FLOOR: f64 = 0.1;
 
 /// What a band covers at its level.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BandKind {
-    /// Each instant of each panel by itself.
+    /// Each instant of each panel separately.
     Instant,
     /// All instants and panels of a sample together.
     Sample,
-    /// Each instant of each panel by itself, by the posterior of an inverse brain: of each sample another, so that half-widths are
-    /// not kept, and `samples` are those that its model explains.
+    /// Each instant of each panel, by the posterior of an inverse decoder. Half-widths vary per sample and are not stored;
+    /// `samples` counts the samples that the model explains.
     Posterior,
 }
 
-/// A band of f̂ ± half-width.
+/// A band f̂ ± half-width.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Band {
     /// What it covers.
     pub kind: BandKind,
-    /// How many samples it was calibrated on.
+    /// Number of calibration samples.
     pub samples: usize,
-    /// (T, K) in N; empty where the samples are too few for the level.
+    /// Half-widths (T, K) (N); empty if there are too few samples for the level.
     pub half_width: Vec<f64>,
 }
 
-/// |f − f̂| of each sample (N, T, K), infinite of one that failed.
+/// |f − f̂| per sample (N, T, K) (N); infinite for failed samples.
 fn residuals(samples: &Samples, predicted: &[f64]) -> Vec<Vec<f64>> {
     let one = samples.sizes.instants * samples.sizes.outputs;
     let of = samples.targets.chunks_exact(one).zip(predicted.chunks_exact(one)).zip(&samples.failed);
@@ -51,14 +51,14 @@ fn residuals(samples: &Samples, predicted: &[f64]) -> Vec<Vec<f64>> {
     of.map(residual).collect()
 }
 
-/// The smallest score that covers the next with the level; infinite of too few.
+/// The smallest score that covers the next sample at the level; infinite for too few scores.
 fn covering(mut scores: Vec<f64>) -> f64 {
     let rank = ((scores.len() + 1) as f64 * LEVEL - 1e-9).ceil() as usize;
     scores.sort_unstable_by(f64::total_cmp);
     scores.get(rank - 1).copied().unwrap_or(f64::INFINITY)
 }
 
-/// s (T, K) (N) of training samples.
+/// s (T, K) (N) from training samples.
 fn scale(known: &Samples, predicted: &[f64]) -> Vec<f64> {
     let (one, panels) = (known.sizes.instants * known.sizes.outputs, known.sizes.outputs);
     let mut square = vec![0.0; one];
@@ -73,11 +73,11 @@ fn scale(known: &Samples, predicted: &[f64]) -> Vec<f64> {
 }
 
 impl Band {
-    /// Both kinds, of samples `calibration` that neither brain nor body was fitted to, and of training samples, each with what
-    /// the brain says of them (N, T, K) (N).
+    /// Both kinds of band, from training samples and from calibration samples used in no fit, each with their estimates (N, T, K)
+    /// (N).
     ///
     /// # Panics
-    /// If lengths do not fit.
+    /// If lengths do not match.
     pub fn conformal(known: (&Samples, &[f64]), calibration: (&Samples, &[f64])) -> [Self; 2] {
         let (scale, residuals) = (scale(known.0, known.1), residuals(calibration.0, calibration.1));
         let instant = (0..scale.len()).map(|i| covering(residuals.iter().map(|r| r[i]).collect()));
@@ -94,8 +94,8 @@ impl Band {
         ]
     }
 
-    /// The part of what it covers that lies in it, instants and panels or samples, of the samples from `first` on; none without
-    /// any, or without half-widths.
+    /// Share of instants and panels, or of samples, inside the band, over the samples from `first` on. `None` without samples or
+    /// half-widths.
     pub fn coverage(&self, samples: &Samples, predicted: &[f64], first: usize) -> Option<f64> {
         let within = |residual: &Vec<f64>| {
             let inside = residual.iter().zip(&self.half_width).filter(|(r, h)| r <= h).count();
@@ -109,7 +109,7 @@ impl Band {
         some.then(|| parts.iter().sum::<f64>() / parts.len() as f64)
     }
 
-    /// Mean width over instants and panels (N); none without half-widths.
+    /// Mean width over instants and panels (N); `None` without half-widths.
     pub fn width(&self) -> Option<f64> {
         let sum = self.half_width.iter().sum::<f64>();
         (!self.half_width.is_empty()).then(|| 2.0 * sum / self.half_width.len() as f64)

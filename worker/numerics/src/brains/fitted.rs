@@ -1,4 +1,4 @@
-//! A linear brain fitted to the samples of one body.
+//! A linear decoder fitted to the samples of one body.
 //!
 //! ```text
 //! x = signals / rms(signals)     f̂ = rms(f) · (b + W ∗ x)
@@ -11,29 +11,29 @@ use crate::Pool;
 use crate::brain::linear::{Linear, Normal, Sizes};
 use crate::trial::{Decoder, Ridge, Samples, Scales, Trial, Trouble};
 
-/// κ from the greatest to the least, in decades.
+/// Exponents of κ = 10⁰, …, 10⁻⁸.
 const SHARES: std::ops::RangeInclusive<i32> = 0..=8;
 
-/// A linear brain and the scales that it was fitted at.
+/// A linear decoder with its scales.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fitted {
-    /// Its weights, for signals and forces divided by their scales.
+    /// Weights, for signals and forces divided by their scales.
     pub linear: Linear,
     /// λ.
     pub ridge: f64,
-    /// What each signal channel is divided by (C).
+    /// Divisor per signal channel (C).
     pub signal_scale: Vec<f64>,
     /// RMS of all forces (N).
     pub force_scale: f64,
-    /// Mean error on the samples that it was fitted to (%); `None` where none has a force.
+    /// Mean error on the training samples (%); `None` if none has a force.
     pub error: Option<f64>,
 }
 
 impl Fitted {
-    /// A linear brain of the trial's memory, at the trial's scales.
+    /// Fits a linear decoder with the trial's memory and scales.
     ///
     /// # Errors
-    /// If no λ has a solution.
+    /// If no λ gives a solution.
     pub(crate) fn of(trial: &Trial, known: &Samples) -> Result<Self, Trouble> {
         let problem = &trial.problem;
         problem.decoder.fit(problem.seed, known, Some(trial.scales.channels.clone()), trial.pool)
@@ -44,18 +44,18 @@ impl Fitted {
         Self { linear, ridge, signal_scale, force_scale: scales.force(), error }
     }
 
-    /// Error (%) of each of some samples.
+    /// Error (%) of each sample.
     pub(crate) fn errors_on(&self, samples: &Samples) -> Vec<Option<f64>> {
         samples.errors(&self.predict(&samples.signals))
     }
 }
 
 impl Decoder {
-    /// Fits the linear brain to samples, its λ by folds assigned by `seed` where it is not given. Signals are divided by
-    /// `signal_scale` (C), by default their own RMS.
+    /// Fits a linear decoder. Unless λ is given, cross-validation over folds from `seed` selects it. Signals are divided by
+    /// `signal_scale` (C), by default their RMS.
     ///
     /// # Errors
-    /// If no λ has a solution.
+    /// If no λ gives a solution.
     pub fn fit(
         &self,
         seed: u64,
@@ -68,7 +68,7 @@ impl Decoder {
         self.fitted(seed, known, scales, pool)
     }
 
-    /// The same at given scales.
+    /// As [`Decoder::fit`], with given scales.
     pub(crate) fn fitted(
         &self,
         seed: u64,
@@ -83,20 +83,20 @@ impl Decoder {
     }
 }
 
-/// Samples of many casts of a body, to which a decoder for all casts is fitted, and which support one for a further cast.
+/// Samples of several casts: fits a decoder for all casts, and helps to fit one for a further cast.
 #[derive(Debug, Clone)]
 pub(crate) struct Pooled {
     normal: Normal,
     scales: Scales,
-    /// Of the decoder for all casts.
+    /// The decoder for all casts.
     pub(crate) fitted: Fitted,
 }
 
 impl Pooled {
-    /// Of samples that come in equal numbers from one cast after another. λ is as given, or chosen by leaving out whole casts.
+    /// Pools samples ordered by cast, equally many per cast. λ is given, or chosen by leaving out whole casts.
     ///
     /// # Errors
-    /// If no λ has a solution.
+    /// If no λ gives a solution.
     pub(crate) fn new(trial: &Trial, samples: &Samples, casts: usize) -> Result<Self, Trouble> {
         let (decoder, scales) = (trial.problem.decoder, trial.scales.clone());
         let known = Plain::of(samples, &scales, trial.pool);
@@ -111,11 +111,11 @@ impl Pooled {
         Ok(Self { normal, scales, fitted })
     }
 
-    /// A decoder for the cast of these samples: of the pooled ones each counts κ times one of these. λ is that of the decoder
-    /// for all casts, κ that of least error by cross-validation over these samples; κ = 1 treats all casts alike.
+    /// Fits a decoder to the samples of a further cast; each pooled sample has the weight κ relative to them. λ is that of the
+    /// decoder for all casts. Cross-validation over the new samples selects κ; κ = 1 weighs all casts alike.
     ///
     /// # Errors
-    /// If no κ has a solution.
+    /// If no κ gives a solution.
     pub(crate) fn calibrated(
         &self,
         seed: u64,
@@ -145,24 +145,24 @@ impl Fitted {
         self.linear.sizes
     }
 
-    /// f̂ (N, T, K) (N) of signals (N, T, C).
+    /// f̂ (N, T, K) (N) from signals (N, T, C).
     ///
     /// # Panics
-    /// If the length is not that of whole samples.
+    /// If the length is not a whole number of samples.
     pub fn predict(&self, signals: &[f64]) -> Vec<f64> {
         let x: Vec<f64> = self.scaled(signals).collect();
         self.physical(self.linear.predict(&x))
     }
 
-    /// Transpose of [`Fitted::predict`] but for b: a cotangent on f̂ (N, T, K) as one on the signals.
+    /// Transpose of [`Fitted::predict`] without b: maps a cotangent on f̂ (N, T, K) to the signals.
     ///
     /// # Panics
-    /// Likewise.
+    /// As [`Fitted::predict`].
     pub fn predict_vjp(&self, cotangent: &[f64]) -> Vec<f64> {
         self.physical(self.scaled(&self.linear.predict_vjp(cotangent)).collect())
     }
 
-    /// W (K, lags, C) (N) and b (K) (N): f̂ = b + Σ W · signals / `signal_scale`.
+    /// W (K, lags, C) and b (K), both in N: f̂ = b + Σ W · signals / `signal_scale`.
     pub fn weights(&self) -> [Vec<f64>; 2] {
         [&self.linear.w, &self.linear.b].map(|w| self.physical(w.clone()))
     }
@@ -177,7 +177,7 @@ impl Fitted {
     }
 }
 
-/// A linear brain that reads one body.
+/// Fits a linear decoder to one body.
 pub(super) struct LinearReader<'a> {
     recipe: Recipe,
     known: &'a Samples,

@@ -1,19 +1,19 @@
-//! The implicit term: how the test loss changes because the trained weights follow the training signals.
+//! Implicit term: change of the test loss through the dependence of the trained weights on the training signals.
 //!
 //! ```text
 //! H z = b,  b = ∂L_test/∂β,  H = ∂²L_train/∂β²          (conjugate gradients, at most 20 products)
 //! cotangent on x_train = −∂/∂x ⟨∂L_train/∂β, z⟩
 //! ```
-//! In f64 throughout: 20 products of an indefinite H amplify every rounding.
+//! In f64: 20 products with an indefinite H amplify rounding errors.
 
 use super::Implicit;
 use crate::brain::{self, Curvature, Data, Workspace};
 
-/// Tolerance ‖r‖ ≤ 1e-7 ‖b‖ and limit of 20, the paper's.
+/// Tolerance ‖r‖ ≤ 1e-7 ‖b‖ and limit of 20 products, as in the paper.
 const TOLERANCE: f64 = 1e-7;
 const PRODUCTS_MAX: usize = 20;
 
-/// Cotangent on a network's training inputs (N, T, 3M), from training and test data, and how its linear system ended.
+/// Cotangent on a network's training inputs (N, T, 3M), and the outcome of its linear system.
 pub(super) fn implicit_term(
     [train, test]: &[Data<f64>; 2],
     weights: &[f32],

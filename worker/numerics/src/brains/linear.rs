@@ -1,4 +1,4 @@
-//! The linear brain: least squares of the forces on the signals around each instant, solved exactly.
+//! The linear decoder: least squares of the forces on the signals around each instant, solved exactly.
 //!
 //! ```text
 //! x = A / rms(A₀)     y = f / rms(f)     w_i = 1/Σy²     λ: by cross-validation (`ridge`)
@@ -12,17 +12,17 @@ use crate::trial::{
     Counters, Decoder, Ridge, Samples, Scales, Trial, Trouble, error_of_each, mean_error, pick,
 };
 
-/// Unknowns of the longest memory that a body is read with: 0.7 GB and some 5 s a factor.
+/// Largest number of unknowns of the longest memory: 0.7 GB and about 5 s per factorisation.
 const UNKNOWNS_MAX: usize = 9600;
-/// Bodies on whose batches a learner fits, the present one among them …
+/// Bodies whose batches a learner is fitted to, including the current one.
 const BODIES: usize = 8;
-/// … each older one counting less by this factor: the body has moved since.
+/// Relative weight of each older body, since the body has changed.
 const FADING: f64 = 0.8;
-/// Step of the first new choice of λ.
+/// First step at which λ is chosen again.
 const FIRST_CHOICE: u32 = 10;
 
 impl Decoder {
-    /// Of the whole sample, both ways, or as much of it as can be solved for: what every body is read by.
+    /// The longest memory, up to the whole sample in both directions, that can be solved; every body is decoded with it.
     pub fn whole(instants: usize, channels: usize) -> Self {
         let both = |reach| Lags { before: reach, after: reach };
         let solvable = |lags: &Lags| lags.groups().len() * channels <= UNKNOWNS_MAX;
@@ -31,24 +31,24 @@ impl Decoder {
     }
 }
 
-/// Samples as a linear brain takes them.
+/// Scaled samples for linear decoders.
 #[derive(Debug, Clone)]
 pub(crate) struct Plain {
     pub(crate) sizes: Sizes,
-    /// x (N, T, 3M).
+    /// Signals x (N, T, 3M).
     pub(crate) x: Vec<f64>,
-    /// y (N, T, K).
+    /// Forces y (N, T, K).
     pub(crate) y: Vec<f64>,
-    /// w (N); 0 without force.
+    /// Weights w (N); 0 without force.
     pub(crate) w: Vec<f64>,
     /// Whether a sample's simulation failed (N).
     pub(crate) failed: Vec<bool>,
-    /// Counts what is done with them.
+    /// Threads, with counters.
     pub(crate) pool: Pool,
 }
 
 impl Plain {
-    /// Signals and forces at these scales.
+    /// Scales signals and forces.
     pub(crate) fn of(samples: &Samples, scales: &Scales, pool: &Pool) -> Self {
         let (sizes, x, scale) = (samples.sizes, scales.inputs(&samples.signals), scales.force());
         let y: Vec<f64> = samples.targets.iter().map(|f| f / scale).collect();
@@ -58,37 +58,37 @@ impl Plain {
         Self { sizes, x, y, w, failed: samples.failed.clone(), pool: pool.clone() }
     }
 
-    /// Their moments.
+    /// Moments of the samples.
     pub(crate) fn moments(&self) -> Moments {
         let mut moments = Moments::new(self.sizes, &self.pool);
         moments.add(&self.x, &self.y, &self.w);
         moments
     }
 
-    /// These samples, in this order.
+    /// Selects samples in this order.
     pub(crate) fn select(&self, samples: &[usize]) -> Self {
         let [x, y, w] = [&self.x, &self.y, &self.w].map(|values| pick(values, self.w.len(), samples));
         let failed = pick(&self.failed, self.w.len(), samples);
         Self { sizes: self.sizes, x, y, w, failed, pool: self.pool.clone() }
     }
 
-    /// Error (%) of each sample by these predictions (N, T, K).
+    /// Error (%) of each sample for estimates (N, T, K).
     pub(crate) fn errors(&self, predicted: &[f64]) -> Vec<Option<f64>> {
         error_of_each(self.sizes, &self.y, &self.failed, predicted)
     }
 
-    /// Their mean.
+    /// Mean error (%).
     pub(crate) fn error(&self, predicted: &[f64]) -> Option<f64> {
         mean_error(&self.errors(predicted))
     }
 
-    /// 2w (ŷ − y)/n of the n samples that have an error: the derivative of its mean, as a part of 1, in the answers.
+    /// 2w (ŷ − y)/n for the n samples that have an error: derivative of the mean error (as a fraction) in the estimates.
     pub(crate) fn residual(&self, predicted: &[f64]) -> Vec<f64> {
         let total = self.w.iter().zip(&self.failed).filter(|(w, failed)| **w > 0.0 || **failed).count();
         self.residual_over(total, predicted)
     }
 
-    /// The same of the n samples that a fit is a mean over: those with a force.
+    /// As `residual`, with n the number of samples with a force, over which a fit averages.
     fn fitted_residual(&self, predicted: &[f64]) -> Vec<f64> {
         self.residual_over(self.w.iter().filter(|w| **w > 0.0).count(), predicted)
     }
@@ -104,16 +104,16 @@ impl Plain {
     }
 }
 
-/// The weights of a fit, or its trouble.
+/// Solves the normal equations.
 pub(crate) fn solve(normal: Normal, ridge: f64) -> Result<linear::Fit, Trouble> {
     linear::Fit::new(normal, ridge, Order::Ascending).map_err(|_| Trouble::Singular)
 }
 
 impl Decoder {
-    /// λ for these training samples, of which `all` are the normal equations: as given, or by cross-validation.
+    /// λ for these training samples with normal equations `all`: as given, or by cross-validation.
     ///
     /// # Errors
-    /// If no λ has a solution.
+    /// If no λ gives a solution.
     pub(super) fn ridge_of(&self, seed: u64, train: &Plain, all: &Normal) -> Result<f64, Trouble> {
         match self.ridge {
             Ridge::Given(ridge) => Ok(ridge),
@@ -123,10 +123,10 @@ impl Decoder {
 }
 
 impl Trial<'_> {
-    /// λ of the trial's linear decoder for the initial body's training samples.
+    /// λ of the trial's linear decoder on the initial body's training samples.
     ///
     /// # Errors
-    /// If no λ has a solution.
+    /// If no λ gives a solution.
     fn initial_ridge(&self) -> Result<f64, Trouble> {
         let choose = || {
             let (decoder, plain) = (self.problem.decoder, Plain::of(&self.initial, &self.scales, self.pool));
@@ -138,7 +138,7 @@ impl Trial<'_> {
     /// λ of a linear decoder for the training samples of a body.
     ///
     /// # Errors
-    /// If no λ has a solution.
+    /// If no λ gives a solution.
     pub(super) fn ridge_for(
         &self,
         decoder: &Decoder,
@@ -153,16 +153,16 @@ impl Trial<'_> {
     }
 }
 
-/// A linear brain that trains a body: no fit takes up where another ended.
+/// A linear decoder that trains a body; each fit is independent of the last.
 pub(super) struct LinearLearner<'a> {
     trial: &'a Trial<'a>,
-    /// That of this step, and its factor where it may be asked how it would change.
+    /// Decoder of this step, and its factorisation if the implicit term needs it.
     linear: Option<(Linear, Option<linear::Fit>)>,
     /// Memory for the moments of a step.
     moments: Option<Moments>,
 }
 
-/// Whether λ is chosen anew at this step: at 10, 20, 40, 80, …, as a body changes most at first.
+/// Whether λ is chosen again at this step: at 10, 20, 40, 80, …, since bodies change most at first.
 fn is_due(step: u32) -> bool {
     step > 0 && step.is_multiple_of(FIRST_CHOICE) && (step / FIRST_CHOICE).is_power_of_two()
 }
@@ -180,7 +180,7 @@ impl<'a> LinearLearner<'a> {
         &self.linear.as_ref().expect("it has been fitted").0
     }
 
-    /// λ of these training samples, chosen anew where that is due.
+    /// λ for these training samples, chosen again when due.
     fn ridge_at(&self, step: u32, train: &Plain, all: &Normal, learnt: &mut Learnt) -> Result<f64, Trouble> {
         match learnt.ridge {
             Some(ridge) if !is_due(step) => Ok(ridge),
@@ -191,7 +191,7 @@ impl<'a> LinearLearner<'a> {
         }
     }
 
-    /// λ of the initial body's training samples: those of a single cast are too few for a choice.
+    /// λ of the initial body's training samples: a single cast has too few samples for a choice.
     fn first_ridge(&self, learnt: &mut Learnt) -> Result<f64, Trouble> {
         match learnt.ridge {
             Some(ridge) => Ok(ridge),
@@ -199,8 +199,8 @@ impl<'a> LinearLearner<'a> {
         }
     }
 
-    /// The weights for the samples of the last bodies, older ones counting less. Where λ is due it is the one by which the
-    /// other bodies read the newest best.
+    /// Fits the samples of the last bodies, with smaller weights for older ones. When due, λ becomes the one with which decoders
+    /// of the other bodies decode the newest best.
     fn solve_recent(&mut self, bodies: &[Plain], step: u32, learnt: &mut Learnt) -> Result<Linear, Trouble> {
         let (trial, lags) = (self.trial, self.trial.problem.decoder.lags);
         let newest = bodies.len() - 1;
@@ -261,7 +261,7 @@ impl Learner for LinearLearner<'_> {
             }
         };
         let error = judged.error(&self.linear().predict(&judged.x));
-        // what is no number stays none
+        // Without an error, the loss is NaN.
         Ok(Learned { loss: error.map_or(f64::NAN, |error| 0.01 * error), error })
     }
 
@@ -291,12 +291,12 @@ impl Learner for LinearLearner<'_> {
     }
 }
 
-/// Cotangent on the training inputs through the weights, which answer a force on them by −`z`.
+/// Cotangent on the training inputs through the fitted weights; z is the solution of H z = ∂L_test/∂W.
 ///
-/// ∂L_train/∂W = 2 Σ ŵ φ (ŷ − y) + 2λW stays zero as x moves: dL = −⟨z, d(∂L_train/∂W)⟩.
+/// ∂L_train/∂W = 2 Σ ŵ φ (ŷ − y) + 2λW stays zero when x changes: dL = −⟨z, d(∂L_train/∂W)⟩.
 fn through_weights(samples: &Plain, linear: &Linear, said: &[f64], z: &Linear) -> Vec<f64> {
     let residual = samples.fitted_residual(said);
-    // 2ŵ of z's own answers
+    // Estimates with the weights z.
     let answers = z.predict(&samples.x);
     let zero = Plain { y: vec![0.0; samples.y.len()], ..samples.clone() };
     let mut inputs = z.predict_vjp(&residual);

@@ -1,8 +1,8 @@
-//! Brains: what reads forces from a body's signals, and what trains bodies by reading them.
+//! Decoders, which estimate forces from a body's signals, and their use to train bodies.
 //!
-//! A [`Reader`] is fitted to the training samples of one body and reads others of it: in the comparison at the end, of unseen
-//! records, in replays. A [`Learner`] goes from body to body and says how the signals should change. A new brain is a file
-//! here with either or both, and a line in the tables `reader` and `learner`.
+//! A [`Reader`] is fitted to the training samples of one body and decodes its other samples. A [`Learner`] is fitted to one body
+//! after another and returns gradients on the signals. A new decoder is a file here that implements either or both, and an arm in
+//! the functions `reader` and `learner`.
 
 mod bands;
 mod fitted;
@@ -33,27 +33,27 @@ pub(crate) use stacked::predict_on;
 use crate::brain::{Adam, Architecture, SolveOutcome};
 use crate::trial::{BrainKind, Counters, Decoder, Problem, Samples, Scales, Schedule, Trial, Trouble};
 
-/// How a brain that reads is made.
+/// How a decoder is constructed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Recipe {
-    /// Which.
+    /// Kind of decoder.
     pub kind: BrainKind,
-    /// A network's layers.
+    /// Layers of a network.
     pub architecture: Architecture,
-    /// Adam's rate in a network's training, and how it falls.
+    /// Learning rate of Adam.
     pub rate: f64,
-    /// Likewise.
+    /// Schedule of this rate.
     pub schedule: Schedule,
-    /// Samples of an iteration of that training, all where it does not say.
+    /// Samples per iteration; `None`: all.
     pub batch: Option<usize>,
-    /// The linear brain, of a stacked network that beneath it.
+    /// The linear decoder; in a stacked decoder, its first part.
     pub decoder: Decoder,
     /// Seed of initial weights and folds.
     pub seed: u64,
 }
 
 impl Problem {
-    /// Of the brain that reads the trial's bodies.
+    /// Recipe of the trial's decoder.
     pub fn recipe(&self) -> Recipe {
         Recipe {
             kind: self.reader,
@@ -67,10 +67,10 @@ impl Problem {
     }
 }
 
-/// A brain that is fitted to the training samples of one body.
+/// A decoder for one body.
 pub(crate) trait Reader {
-    /// Fits it. Of a network number `number` is trained for `iterations`, at least one more, and the error on `unseen` is
-    /// noted on the way; `None` if `pauses` says so, which is asked with the iterations done: the same call goes on.
+    /// Fits the decoder. Network `number` trains for `iterations`, at least one more, and records the error on `unseen`. Returns
+    /// `None` if `pauses`, called with the iterations done, is true; the same call resumes.
     fn fit(
         &mut self,
         number: u64,
@@ -79,40 +79,40 @@ pub(crate) trait Reader {
         pauses: &mut dyn FnMut(usize) -> bool,
     ) -> Option<Result<(), Trouble>>;
 
-    /// Forces (N, T, K) (N) of signals (N, T, 3M) that it was not fitted to.
+    /// Forces (N, T, K) (N) from signals (N, T, 3M) outside the training set.
     fn predict(&mut self, signals: &[f64]) -> Vec<f64>;
 
-    /// Those of the training samples: by brains that have not seen them, where one reads what others predict.
+    /// Forces of the training samples; a stacked decoder uses out-of-fold estimates.
     fn predict_known(&mut self) -> Vec<f64>;
 
-    /// Mean prediction error (%) on the training samples.
+    /// Mean error (%) on the training samples.
     fn error_known(&mut self) -> Option<f64>;
 
-    /// Prediction error (%) of each of some others.
+    /// Error (%) of each of these samples.
     fn errors(&mut self, samples: &Samples) -> Vec<Option<f64>> {
         samples.errors(&self.predict(&samples.signals))
     }
 
-    /// A network in training or trained; `None` of a brain without weights to keep.
+    /// Network in training, or trained; `None` for decoders without stored weights.
     fn training(&mut self) -> Option<&mut Option<Fresh>> {
         None
     }
 
-    /// Training loss (normalised) at every iteration of a network's training, each over a round of its turns.
+    /// Training loss (normalised) per iteration, each averaged over one pass through the batches.
     fn losses(&self) -> Vec<f32> {
         Vec::new()
     }
 
-    /// Its weights for signals at other scales; none of a brain without.
+    /// Weights for signals at other scales; empty for decoders without weights.
     fn weights_at(&self, _: &Scales) -> Vec<f32> {
         Vec::new()
     }
 }
 
-/// The brain of a recipe for training samples `known`, by the scales of a linear brain and those of a network.
+/// Creates a decoder for training samples `known`, with the scales for a linear decoder and for a network.
 ///
 /// # Errors
-/// If a linear brain beneath a network has no solution.
+/// If the linear part of a stacked decoder has no solution.
 pub(crate) fn reader<'a>(
     recipe: Recipe,
     known: &'a Samples,
@@ -128,51 +128,51 @@ pub(crate) fn reader<'a>(
     })
 }
 
-/// What a learner takes from body to body.
+/// State that a learner keeps from body to body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Learnt {
     /// Weights of a network; empty before its first training.
     pub weights: Vec<f32>,
-    /// Adam on them.
+    /// State of Adam.
     pub adam: Adam<f32>,
-    /// λ of a linear brain, once found.
+    /// λ of a linear decoder, once chosen.
     pub ridge: Option<f64>,
 }
 
 impl Learnt {
-    /// Nothing, of a network of so many weights.
+    /// Empty state for a network with this many weights.
     pub(crate) fn nothing(weights: usize) -> Self {
         Self { weights: Vec::new(), adam: Adam::new(weights), ridge: None }
     }
 }
 
-/// On what a learner is fitted.
+/// How a learner is fitted, and to which samples.
 #[derive(Clone, Copy)]
 pub(crate) enum FitOn<'a> {
-    /// Afresh, to its optimum: β*(A).
+    /// Newly, to its optimum β*(A).
     Optimum(&'a Samples),
-    /// Afresh, of the same initial weights and iterations for every body.
+    /// Newly, with equal initial weights and iterations for every body.
     Alike(&'a Samples),
-    /// On from the last body, on a few samples of one cast of this one.
+    /// Continued, on a few samples of one cast of the body.
     Cast(&'a Samples),
-    /// On from the last body, on the last bodies, the newest last.
+    /// Continued, on the last bodies, the newest last.
     Recent(&'a [&'a Samples]),
 }
 
-/// What a fit has come to.
+/// Result of a fit.
 pub(crate) struct Learned {
     /// Training loss (normalised).
     pub(crate) loss: f64,
-    /// Prediction error on the training samples, of `Recent` on the newest (%), where known.
+    /// Error on the training samples, for `Recent` on the newest body (%), if known.
     pub(crate) error: Option<f64>,
 }
 
-/// Which loss.
+/// Kind of loss.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Loss {
-    /// That which training lowers.
+    /// The loss that training minimises.
     Training,
-    /// That on the test set; of a network in N².
+    /// The loss on the test set; of a network in N².
     Test,
 }
 
@@ -183,24 +183,24 @@ pub struct Implicit {
     pub iterations: usize,
     /// ‖r‖/‖b‖ at the end.
     pub residual: f64,
-    /// Least curvature met, vᵀHv/vᵀv.
+    /// Smallest curvature vᵀHv/vᵀv of all directions v.
     pub smallest_curvature: f64,
-    /// How it ended.
+    /// How the solver ended.
     pub outcome: SolveOutcome,
 }
 
-/// A brain that trains a body.
+/// A decoder that trains a body.
 pub(crate) trait Learner {
-    /// Bodies whose samples it is fitted to at a time by [`FitOn::Recent`], at most.
+    /// Largest number of bodies whose samples [`FitOn::Recent`] contains.
     fn bodies(&self) -> usize;
 
-    /// Whether those of a body so many steps ago are among them.
+    /// Whether the body `age` steps ago is one of them.
     fn recalls(&self, age: u32) -> bool;
 
-    /// Fits it at an outer step.
+    /// Fits the decoder at an outer step.
     ///
     /// # Errors
-    /// If its training ends early.
+    /// If training fails.
     fn fit(
         &mut self,
         on: FitOn,
@@ -209,11 +209,11 @@ pub(crate) trait Learner {
         counters: &mut Counters,
     ) -> Result<Learned, Trouble>;
 
-    /// A loss at fixed weights, where it is one, and its cotangent on the signals (N, T, 3M).
+    /// Loss at fixed weights, if defined, and its cotangent on the signals (N, T, 3M).
     fn loss_vjp(&mut self, samples: &Samples, loss: Loss) -> (Option<f64>, Vec<f64>);
 
-    /// Cotangent on the training signals (N, T, 3M) of the test loss through the fitted weights; of a network also how its
-    /// linear system ended.
+    /// Cotangent of the test loss on the training signals (N, T, 3M) through the fitted weights; for a network also the outcome
+    /// of its linear system.
     fn implicit(
         &mut self,
         train: &Samples,
@@ -221,11 +221,11 @@ pub(crate) trait Learner {
         counters: &mut Counters,
     ) -> (Vec<f64>, Option<Implicit>);
 
-    /// Mean prediction error (%).
+    /// Mean error (%).
     fn error(&mut self, samples: &Samples) -> Option<f64>;
 }
 
-/// The brain that the trial's bodies are trained with.
+/// The decoder that trains the trial's bodies.
 pub(crate) fn learner<'a>(trial: &'a Trial<'a>) -> Box<dyn Learner + 'a> {
     match trial.problem.optimise.brain {
         BrainKind::Linear => Box::new(linear::LinearLearner::new(trial)),

@@ -1,34 +1,34 @@
-//! The convolutional network at the scales of a trial: trained afresh to read a body, or going from body to body.
+//! The convolutional network at the scales of a trial: fresh for one body, or continued from body to body.
 
 use super::stacked::Stack;
 use super::{FitOn, Implicit, Learned, Learner, Learnt, Loss, Reader, Recipe, implicit};
 use crate::brain::{self, Adam, Batch, Data, Shape, TrainOutcome, Workspace};
 use crate::trial::{BrainKind, Counters, Going, Protocol, Samples, Scales, Training, Trial, Trouble};
 
-/// Initial weights of readers are numbered from here, out of the way of the outer steps'.
+/// Number of the first reader's initial weights; smaller numbers belong to outer steps.
 const FIRST_NETWORK: u64 = 1 << 32;
-/// Iterations of a going network's first training, on the initial body's training signals, of a search's on its candidate's.
+/// Iterations of a network's first training: on the initial body's samples or, in `random`, on the candidate's.
 const FIRST_ITERATIONS: usize = 100;
-/// A going network trains on the batches of so many bodies, the present one among them.
+/// Bodies whose batches train a continued network, including the current one.
 const BODIES: usize = 4;
-/// An iteration takes every so-many-th of these samples, by turns: they are so alike that all of them tell a step hardly more.
+/// Each iteration uses every fourth sample in rotation: samples are so similar that all of them would hardly improve a step.
 const SLICES: usize = 4;
 
-/// Initial weights in the precision of training.
+/// Initial weights, in f32.
 fn fresh_weights(shape: Shape, seed: u64, which: u64) -> Vec<f32> {
     brain::initial_weights(shape, seed, which).into_iter().map(|w| w as f32).collect()
 }
 
-/// A fresh network in training, with all that it takes to go on to the same bits.
+/// A network in training, with all state to resume to equal bits.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fresh {
-    /// Its weights.
+    /// Weights.
     pub weights: Vec<f32>,
-    /// Adam on them.
+    /// State of Adam.
     pub adam: Adam<f32>,
-    /// Training loss (normalised) at every iteration so far.
+    /// Training loss (normalised) of every iteration so far.
     pub losses: Vec<f32>,
-    /// (Iteration, from 1, error there) at its milestones.
+    /// (iteration, from 1, error (%)) at the milestones.
     pub errors: Vec<(u32, f64)>,
 }
 
@@ -37,13 +37,13 @@ impl Fresh {
         Self::of(fresh_weights(shape, seed, FIRST_NETWORK + number))
     }
 
-    /// Of these weights, as if untrained.
+    /// Starts from these weights.
     pub(crate) fn of(weights: Vec<f32>) -> Self {
         Self { adam: Adam::new(weights.len()), weights, losses: Vec::new(), errors: Vec::new() }
     }
 }
 
-/// Networks that read one body, one after another; stacked ones see a linear brain's estimates beside the signals.
+/// Networks for one body, one after another. Stacked ones have the estimates of a linear decoder as additional inputs.
 pub(crate) struct NetworkReader<'a> {
     recipe: Recipe,
     known: &'a Samples,
@@ -88,7 +88,7 @@ impl<'a> NetworkReader<'a> {
         })
     }
 
-    /// Signals (N, T, 3M) that it was not fitted to as the network takes them.
+    /// Network inputs for signals (N, T, 3M) outside the training set.
     fn unseen(&self, signals: &[f64]) -> Data<f32> {
         let shape = self.data.shape();
         match &self.stack {
@@ -101,13 +101,13 @@ impl<'a> NetworkReader<'a> {
     }
 }
 
-/// The samples of a round of iterations of so many samples each, alike within one: every so-many-th.
+/// Batches of one pass over the samples; each takes every n-th sample.
 fn turns(samples: usize, batch: Option<usize>) -> Vec<Vec<usize>> {
     let count = samples.div_ceil(batch.unwrap_or(samples).max(1)).max(1);
     (0..count).map(|first| (first..samples).step_by(count).collect()).collect()
 }
 
-/// Losses of iterations as means of the last round of turns.
+/// Loss at each iteration, averaged over the last pass.
 fn by_rounds(losses: &[f32], turns: usize) -> Vec<f32> {
     let mean = |i: usize| {
         let round = &losses[(i + 1).saturating_sub(turns)..=i];
@@ -116,12 +116,12 @@ fn by_rounds(losses: &[f32], turns: usize) -> Vec<f32> {
     (0..losses.len()).map(mean).collect()
 }
 
-/// Samples as a network takes them.
+/// Scaled samples as network data.
 fn data<F: brain::Real>(shape: Shape, samples: &Samples, scales: &Scales) -> Data<F> {
     Data::new(shape, &scales.inputs(&samples.signals), &scales.targets(&samples.targets))
 }
 
-/// Forces (N, T, K) (N) by a network.
+/// Forces (N, T, K) (N) estimated by a network.
 pub(super) fn predict(
     weights: &[f32],
     data: &Data<f32>,
@@ -206,7 +206,7 @@ fn well(outcome: TrainOutcome) -> Result<(), Trouble> {
 pub(super) struct NetworkLearner<'a> {
     trial: &'a Trial<'a>,
     shape: Shape,
-    /// Its weights at this step.
+    /// Weights at this step.
     weights: Vec<f32>,
     workspace: Workspace<f32>,
 }
@@ -228,13 +228,13 @@ impl<'a> NetworkLearner<'a> {
         data(self.shape, samples, &self.trial.network_scales)
     }
 
-    /// Those whose loss is in N².
+    /// As `data`, with the loss in N².
     fn physical_data<F: brain::Real>(&self, samples: &Samples) -> Data<F> {
         let variances: Vec<f64> = self.trial.network_scales.deviation.iter().map(|d| d * d).collect();
         self.data(samples).with_output_weights(&variances)
     }
 
-    /// Adam on a batch.
+    /// Runs Adam on a batch.
     fn iterate(
         &mut self,
         weights: &mut [f32],
@@ -255,7 +255,7 @@ impl<'a> NetworkLearner<'a> {
         brain::loss(weights, batch, &mut self.workspace, self.trial.pool)
     }
 
-    /// Gives a network its first training, if it has had none.
+    /// Runs the first training of a network, unless it is done.
     fn first_training(
         &mut self,
         samples: &Samples,
@@ -275,7 +275,7 @@ impl<'a> NetworkLearner<'a> {
         Ok(())
     }
 
-    /// So many iterations of the going network on all of a batch; the loss after them.
+    /// Continues the network for its iterations on a whole batch; returns the loss.
     fn go_on(
         &mut self,
         batch: Batch<f32>,
@@ -288,7 +288,7 @@ impl<'a> NetworkLearner<'a> {
         Ok(self.loss(weights, batch))
     }
 
-    /// The same on slices by turns.
+    /// As `go_on`, on slices in rotation.
     fn go_on_by_slices(
         &mut self,
         data: &Data<f32>,
@@ -388,8 +388,8 @@ impl Learner for NetworkLearner<'_> {
 mod tests {
     use super::*;
 
-    /// A round of turns meets every sample once, by batches of no more than asked and as alike as can be; all at once without a batch.
-    /// Losses of a round are shared by its iterations.
+    /// The batches of a pass contain every sample once, with at most the requested size and as equal as possible; without a batch
+    /// size there is one. Losses are averaged over a pass.
     #[test]
     fn every_sample_has_its_turn() {
         for (samples, batch) in [(12, Some(5)), (120, Some(30)), (7, Some(1)), (7, Some(9)), (7, None)] {

@@ -1,34 +1,35 @@
-//! How linear brains of several memories read a body, whatever brain the trial has: one factor serves many.
+//! Errors of linear decoders with several memories, for every kind of decoder of the trial. One factorisation serves many
+//! memories.
 
 use super::linear::{Plain, solve};
 use crate::brain::linear::{Fit, Lags, Linear, Order, Sizes};
 use crate::trial::{Decoder, Ridge, Samples, Spread, Trial, Trouble, mean_error};
 
-/// The errors of a linear brain of one memory on a body.
+/// Errors of a linear decoder with one memory on a body.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reading {
-    /// Its memory.
+    /// Memory (lags).
     pub lags: Lags,
     /// λ.
     pub ridge: f64,
-    /// Mean prediction error on the training set (%).
+    /// Mean error on the training set (%).
     pub error_train: Option<f64>,
-    /// On the test set (%).
+    /// Mean error on the test set (%).
     pub error_test: Option<f64>,
-    /// On the holdout (%).
+    /// Mean error on the held-out set (%).
     pub error_holdout: Option<f64>,
-    /// How its errors on the holdout spread.
+    /// Quantiles of the errors on the held-out set.
     pub spread: Option<Spread>,
 }
 
-/// Reaches both ways, and waits after the whole past, at which a body is read beside the whole sample (s).
+/// Memories besides the whole sample (s): reach in both directions; look-ahead after the whole past.
 const REACHES: [f64; 5] = [0.01, 0.05, 0.1, 0.2, 0.4];
 const WAITS: [f64; 7] = [0.0, 0.01, 0.025, 0.05, 0.1, 0.2, 0.4];
-/// Most readings of a sample, T · 3M: the moments are this squared, 0.7 GB. Most of them times T · K: as much again.
+/// Largest T · 3M, whose square is the number of moments: 0.7 GB. Largest T · 3M · T · K: as much again.
 pub const READINGS_MAX: usize = 9600;
 const CROSS_MAX: usize = 100_000_000;
 
-/// Whether a linear brain of such samples fits into memory.
+/// Whether the linear decoder of such samples fits into memory.
 pub fn fits(instants: usize, channels: usize, outputs: usize) -> bool {
     let readings = instants.saturating_mul(channels);
     readings <= READINGS_MAX && readings.saturating_mul(instants).saturating_mul(outputs) <= CROSS_MAX
@@ -46,11 +47,11 @@ fn reading(sets: &[Plain; 3], linear: &Linear, ridge: f64) -> Reading {
     }
 }
 
-/// Readings of a body (training, test and holdout samples) by the whole sample, first, then by shorter memories and by waits
-/// after the whole past, all with the λ of the first; none of samples that are too long.
+/// Errors for training, test and held-out samples: first with the memory of the whole sample, then with each look-ahead, then
+/// with each shorter reach, all with the λ of the first. Empty if samples are too long.
 ///
 /// # Errors
-/// If no λ has a solution.
+/// If no λ gives a solution.
 pub(crate) fn readings(trial: &Trial, sets: &[Samples; 3]) -> Result<Vec<Reading>, Trouble> {
     let known = &sets[0];
     let sets = &sets.each_ref().map(|set| Plain::of(set, &trial.scales, trial.pool));
@@ -85,10 +86,10 @@ pub(crate) fn readings(trial: &Trial, sets: &[Samples; 3]) -> Result<Vec<Reading
     Ok(found)
 }
 
-/// The reading of a body by the trial's own linear brain; if it is not among those of [`readings`], it joins them.
+/// Errors of the trial's own linear decoder; appended to [`readings`] if missing there.
 ///
 /// # Errors
-/// If λ has no solution.
+/// If no λ gives a solution.
 pub(crate) fn own_reading(
     trial: &Trial,
     sets: &[Samples; 3],

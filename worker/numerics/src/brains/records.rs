@@ -1,7 +1,7 @@
-//! Brains on given signals and forces, wherever they come from: each record is predicted by one that has not seen it.
+//! Decoders for given signals and forces of any origin, by cross-validation over records.
 //!
-//! A seeded shuffle assigns the records to folds; a fold's brain is fitted to all others, a network from the initial weights of
-//! the comparison at the end of a trial. Its scales are those of its own training records.
+//! A seeded shuffle assigns records to folds. The decoder of a fold is fitted to all other folds, with their scales; a network
+//! has the initial weights of a trial's final comparison.
 
 use super::{Recipe, reader};
 use crate::brain::linear::Sizes;
@@ -13,28 +13,28 @@ use crate::trial::{Samples, Scales, Trouble};
 #[derive(Debug, Clone, PartialEq)]
 pub struct Records(Samples);
 
-/// A brain's predictions of records that it was not fitted to.
+/// Estimates for records outside the training set.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Unseen {
-    /// Predicted forces (n, T, K) (N) of the fold's n records.
+    /// Estimated forces (n, T, K) (N) of the fold's n records.
     pub predictions: Vec<f64>,
-    /// Their errors (%); `None` where there is no force.
+    /// Errors (%); `None` for a record without force.
     pub errors: Vec<Option<f64>>,
-    /// Mean error on the records that trained it (%).
+    /// Mean error on the training records (%).
     pub error_train: Option<f64>,
-    /// Training loss (normalised) at every iteration.
+    /// Training loss (normalised) of every iteration.
     pub losses: Vec<f32>,
-    /// (Iteration, from 1, mean error on the fold's records there) at the milestones of the training.
+    /// (iteration, from 1, mean error on the fold's records (%)) at the milestones.
     pub progress: Vec<(u32, f64)>,
-    /// What went wrong.
+    /// Failure of the fit, if any.
     pub trouble: Option<Trouble>,
 }
 
 impl Records {
-    /// Signals (N, T, 3M) of T instants under forces; with `low_pass` targets hold what T instants can say.
+    /// Records of signals (N, T, 3M) at T instants under forces. `low_pass`: targets pass a low-pass to T instants.
     ///
     /// # Panics
-    /// If the signals are not of whole channels.
+    /// If the signals are not a whole number of channels.
     pub fn new(forces: &Forces, signals: Vec<f64>, instants: usize, low_pass: bool) -> Self {
         let (readings, outputs) = (forces.samples * instants, forces.panels);
         assert!(signals.len().is_multiple_of(readings), "signals of {} samples", forces.samples);
@@ -47,16 +47,16 @@ impl Records {
         &self.0.targets
     }
 
-    /// Error of each (%) by these predictions (N, T, K) (N); `None` where there is no force.
+    /// Error (%) per record of these estimates (N, T, K) (N); `None` for a record without force.
     pub fn errors(&self, predicted: &[f64]) -> Vec<Option<f64>> {
         self.0.errors(predicted)
     }
 
-    /// Fits a brain to the records outside `fold` (of each record, as `folds` deals them) and lets it predict those inside:
-    /// of a network number `number`, trained for `iterations`.
+    /// Fits a decoder to the records outside `fold` (`folds` has the fold of each record) and decodes those inside. A network has
+    /// number `number` and trains for `iterations`.
     ///
     /// # Panics
-    /// If there is no record inside or outside.
+    /// If no record is inside, or none outside.
     pub fn unseen(
         &self,
         folds: &[usize],
@@ -72,7 +72,7 @@ impl Records {
         Unseen::by(&known, &unseen, recipe, number, iterations, pool)
     }
 
-    /// The same of all of them by a brain fitted to samples of another body, such as the records' twin.
+    /// Decodes all records with a decoder fitted to samples of another body, such as a twin.
     pub fn taught(
         &self,
         known: &Samples,
@@ -112,7 +112,7 @@ impl Unseen {
         Self { predictions, errors, error_train, losses, progress, trouble: outcome.err() }
     }
 
-    /// Of a brain that could not be fitted: it says nothing, so its records have 100 % error.
+    /// A failed decoder estimates zero force, so its records have 100 % error.
     fn nothing(unseen: &Samples, trouble: Trouble) -> Self {
         let predictions = vec![0.0; unseen.targets.len()];
         Self {

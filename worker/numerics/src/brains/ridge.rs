@@ -1,72 +1,72 @@
 //! The regularisation of linear decoders, by cross-validation over samples.
 //!
 //! ```text
-//! e_i(λ)   error of sample i by weights that were fitted without its part
+//! e_i(λ)   error of sample i with weights fitted without its fold
 //! λ₀       argmin mean e(λ)
 //! λ        the greatest with mean(e(λ) − e(λ₀)) ≤ its standard error, and ≤ a part of mean e(λ₀)
 //! ```
-//! Residuals within a sample are correlated, so samples are left out, not instants. The rule of one standard error: Hastie,
-//! Tibshirani and Friedman, The Elements of Statistical Learning, 7.10, here of paired differences.
+//! Residuals within a sample are correlated, so whole samples are left out. One-standard-error rule: Hastie, Tibshirani and
+//! Friedman, The Elements of Statistical Learning, 7.10, here with paired differences.
 
 use super::linear::{Plain, solve};
 use crate::brain::linear::Normal;
 use crate::stimuli::folds;
 use crate::trial::{Trouble, mean_error};
 
-/// Parts into which samples are divided.
+/// Number of folds.
 const FOLDS: usize = 5;
-/// λ from the greatest to the least, in decades.
+/// Exponents of λ = 10², …, 10⁻¹².
 const RIDGES: std::ops::RangeInclusive<i32> = -2..=12;
-/// λ where no sample has a force to judge by.
+/// λ if no sample has a force.
 const NEUTRAL: f64 = 1e-6;
-/// With fewer samples all parts judge all values. With more, the first part judges no smaller values after so many without an
-/// improvement by a hundredth …
+/// With fewer samples all folds test all values. With more, the first fold stops after `WITHOUT` values without an improvement by
+/// 1 %.
 pub(super) const FEW: usize = 60;
 const WITHOUT: usize = 3;
-/// … and the others judge so many, the greatest of those whose error in the first is less than so many times the least.
+/// The other folds then test the `CANDIDATES` greatest values whose error in the first fold is below `WORSE` times the least.
 const CANDIDATES: usize = 4;
 const WORSE: f64 = 2.0;
-/// Part of the least mean error by which that of a greater value may exceed it: with few samples, with more.
+/// Largest excess over the least mean error, relative to it: with few samples; with more.
 const EXCESS: [f64; 2] = [0.2, 0.05];
 
-/// Samples that judge, and the normal equations of the others.
+/// Test samples of a fold, and the normal equations of the others.
 pub(super) struct Part {
     pub(super) judges: Plain,
     pub(super) others: Normal,
 }
 
 impl Part {
-    /// Error (%) of each judging sample by the weights of these normal equations; none where they have no solution.
+    /// Error (%) of each test sample with the weights of these normal equations; `None` without a solution.
     pub(super) fn errors(&self, normal: Normal, ridge: f64) -> Option<Vec<Option<f64>>> {
         let predicted = solve(normal, ridge).ok()?.linear().predict(&self.judges.x);
         let errors = self.judges.errors(&predicted);
         errors.iter().flatten().all(|error| error.is_finite()).then_some(errors)
     }
 
-    /// The same by weights that are fitted to the others alone.
+    /// As `errors`, with weights fitted to the other folds.
     pub(super) fn errors_of_others(&self, ridge: f64) -> Option<Vec<Option<f64>>> {
         self.errors(self.others.clone(), ridge)
     }
 }
 
-/// λ for these samples, of which `all` are the normal equations, in the parts to which they are dealt.
+/// λ for these samples with normal equations `all` and folds `dealt`.
 ///
 /// # Errors
-/// If no λ has a solution.
+/// If no λ gives a solution.
 pub(super) fn ridge_of(samples: &Plain, all: &Normal, dealt: &[usize]) -> Result<f64, Trouble> {
     let thins = samples.w.len() >= FEW;
     greatest(&judged(ridges(), thins, parts(samples, all, dealt), Part::errors_of_others))
 }
 
-/// The part of each of so many samples.
+/// Fold of each sample.
 pub(crate) fn deal(seed: u64, samples: usize) -> Vec<usize> {
     folds(seed, samples, FOLDS.min(samples))
 }
 
-/// The samples in the parts to which they are dealt, each left out of the normal equations of all in its turn.
+/// Splits the samples into folds, and subtracts each fold from the normal equations of all.
 pub(super) fn parts(samples: &Plain, all: &Normal, dealt: &[usize]) -> impl Iterator<Item = Part> {
     let count = dealt.iter().max().map_or(0, |last| last + 1);
-    // of one part nothing is left to be fitted to
+    // With one fold, no samples are left to fit.
     let numbers = if count > 1 { 0..count } else { 0..0 };
     numbers.map(move |part| {
         let own: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] == part).collect();
@@ -76,13 +76,13 @@ pub(super) fn parts(samples: &Plain, all: &Normal, dealt: &[usize]) -> impl Iter
     })
 }
 
-/// The grid of λ, the greatest first.
+/// The grid of λ, greatest first.
 pub(crate) fn ridges() -> impl Iterator<Item = f64> {
     RIDGES.map(|decade| 10_f64.powi(-decade))
 }
 
-/// Those of `values`, the preferred first, that have a solution in every part, with the errors of all judging samples. `thins`:
-/// the first part leaves few values to the others.
+/// The `values`, in order of preference, that have a solution in every fold, with the errors of all samples. `thins`: the first
+/// fold passes only a few values to the others.
 pub(super) fn judged(
     values: impl Iterator<Item = f64>,
     thins: bool,
@@ -113,7 +113,7 @@ pub(super) fn judged(
     judged
 }
 
-/// The value of least mean error.
+/// The value with the least mean error.
 ///
 /// # Errors
 /// If there is no value.
@@ -123,7 +123,7 @@ pub(super) fn least(judged: &[(f64, Vec<Option<f64>>)]) -> Result<f64, Trouble> 
     best.map(|best| best.0).ok_or(Trouble::Singular)
 }
 
-/// The first value whose mean error exceeds the least by no more than the standard error of their difference, and `EXCESS`.
+/// The first value whose mean error exceeds the least by at most the standard error of the difference, and by at most `EXCESS`.
 ///
 /// # Errors
 /// If there is no value.

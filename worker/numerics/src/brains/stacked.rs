@@ -1,5 +1,5 @@
-//! Linear brains beneath a network: it sees their estimates of the forces beside the signals, and of what each was fitted on
-//! it never sees one's.
+//! Linear decoders for stacked decoders: their estimates are additional inputs of a network. Estimates of training samples are
+//! out-of-fold.
 
 use super::Fitted;
 use super::linear::{Plain, solve};
@@ -10,21 +10,21 @@ use crate::brain::linear::{Linear, Sizes};
 use crate::brain::{Data, Shape, Workspace};
 use crate::trial::{Decoder, Samples, Scales, Trouble};
 
-/// Linear brains of one body.
+/// Linear decoders of one body.
 pub(crate) struct Stack {
-    /// For samples that trained none.
+    /// For samples outside the training set.
     all: Linear,
-    /// The fold of each training sample, and of each fold the brain that was fitted on the others.
+    /// Fold of each training sample, and per fold the decoder fitted to the others.
     dealt: Vec<usize>,
     parts: Vec<Linear>,
     /// The training samples.
     known: Plain,
-    /// Those of the linear brains; the network may have others.
+    /// Scales of the linear decoders; the network may have others.
     scales: Scales,
 }
 
 impl Stack {
-    /// Fitted on these training samples.
+    /// Fits the decoders to these training samples.
     ///
     /// # Errors
     /// If one has no solution.
@@ -43,24 +43,24 @@ impl Stack {
         Ok(Self { all: solve(all, ridge)?.linear(), dealt, parts, known, scales })
     }
 
-    /// Signals (N, T, 3M) that are not the training samples' as the network takes them.
+    /// Network inputs for signals (N, T, 3M) outside the training set.
     pub(super) fn unseen(&self, shape: Shape, signals: &[f64], scales: &Scales) -> Data<f32> {
         let estimates = physical(&self.estimates(signals), scales);
         beside(shape, signals, &estimates, &vec![0.0; estimates.len()], scales)
     }
 
-    /// The training samples, likewise.
+    /// Network data of the training samples.
     pub(super) fn known(&self, shape: Shape, samples: &Samples, scales: &Scales) -> Data<f32> {
         let [estimates, targets] = [&self.cross_fitted(), &self.known.y].map(|y| physical(y, scales));
         beside(shape, &samples.signals, &estimates, &targets, scales)
     }
 
-    /// Estimates (N, T, K) of samples that are not the training samples.
+    /// Estimates (N, T, K) for signals outside the training set.
     pub(crate) fn estimates(&self, signals: &[f64]) -> Vec<f64> {
         self.all.predict(&self.scales.inputs(signals))
     }
 
-    /// Estimates of the training samples, each by a brain that has not seen it.
+    /// Out-of-fold estimates of the training samples.
     pub(crate) fn cross_fitted(&self) -> Vec<f64> {
         let Sizes { instants, outputs, .. } = self.all.sizes;
         let (size, count) = (instants * outputs, self.dealt.len());
@@ -76,13 +76,13 @@ impl Stack {
     }
 }
 
-/// Forces (N) of a linear brain's normalised ones.
+/// Converts normalised forces to N.
 fn physical(y: &[f64], scales: &Scales) -> Vec<f64> {
     let force = scales.force();
     y.iter().map(|y| force * y).collect()
 }
 
-/// Signals (N, T, 3M) beside a linear brain's estimates (N, T, K) (N), scaled as forces; with targets (N).
+/// Network data: signals (N, T, 3M) with estimates (N, T, K) (N), scaled as forces, and targets (N).
 fn beside(shape: Shape, signals: &[f64], estimates: &[f64], targets: &[f64], scales: &Scales) -> Data<f32> {
     let channels = shape.inputs - shape.outputs;
     let (signals, estimates): (Vec<f32>, Vec<f32>) = (scales.inputs(signals), scales.targets(estimates));
@@ -94,7 +94,7 @@ fn beside(shape: Shape, signals: &[f64], estimates: &[f64], targets: &[f64], sca
     Data::new(shape, &x, &scales.targets(targets))
 }
 
-/// Forces (N, T, K) (N) of signals (N, T, 3M) by a network on this linear brain.
+/// Forces (N, T, K) (N) estimated by a network stacked on this linear decoder.
 pub(crate) fn predict_on(
     linear: &Fitted,
     shape: Shape,

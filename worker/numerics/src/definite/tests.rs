@@ -1,8 +1,8 @@
 use super::*;
 use nalgebra::DVector;
 
-/// A matrix 1 + JᵀJ of more digits than numbers have is taken for `least` where rounding leaves it less: by either library's factor, and
-/// nothing of it is larger than what is known of 1 alone.
+/// A matrix 1 + JᵀJ beyond double precision has its eigenvalues raised to `least`, with both libraries; no element of its inverse
+/// exceeds that of 1.
 #[test]
 fn what_rounding_leaves_below_its_least_eigenvalue_is_solved() {
     for least in [1.0, -1.0] {
@@ -20,7 +20,7 @@ fn what_rounding_leaves_below_its_least_eigenvalue_is_solved() {
     assert!((inverse * &x - &own).amax() < 1e-12, "{own}");
 }
 
-/// Numbers that are none have no solution, and end.
+/// Matrices that are not finite have no solution, and the functions return.
 #[test]
 fn of_what_is_no_number_there_is_no_solution() {
     for wrong in [f64::NAN, f64::INFINITY] {

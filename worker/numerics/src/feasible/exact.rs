@@ -1,7 +1,7 @@
-//! The judge: which constraints a design breaks, by plain polygon tests on its vertices.
+//! The exact check: which constraints a design violates, by simple polygon tests on its vertices.
 //!
-//! Shares no code with the projection: no linearisation, no trimming, no margin. Distances are those of
-//! segments (0 where they cross or one polygon holds the other), angles those of `atan2`, lengths are lengths.
+//! It shares no code with the projection and has no linearisation, no cut-off and no margin. Distances are those of segments (0
+//! if they cross or one polygon contains the other); angles come from `atan2`.
 
 #![allow(clippy::neg_cmp_op_on_partial_ord, reason = "a NaN must break a limit, not pass it")]
 
@@ -13,12 +13,12 @@ use std::fmt;
 
 type Point = [f64; 2];
 
-/// What kind of constraint is broken.
+/// Kinds of violated constraints.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Kind {
     /// A coordinate is NaN or infinite.
     NotFinite,
-    /// The edges of a unit cross, or it is turned over.
+    /// The edges of a unit cross, or the unit is inverted.
     NotSimple,
     /// An edge of a unit is too short (mm).
     Edge,
@@ -26,20 +26,20 @@ pub enum Kind {
     BlockAngleLow,
     /// An interior angle is too large (rad).
     BlockAngleHigh,
-    /// The angle between a ligament and an edge of its unit is too small (rad); negative: it runs through the unit.
+    /// The angle between a ligament and an edge of its unit is too small (rad); negative if the ligament runs through the unit.
     LigamentAngle,
     /// A void angle is too small (rad).
     VoidAngle,
     /// Two units overlap.
     Overlap,
-    /// Two units come too close (mm).
+    /// Two units are too close (mm).
     Clearance,
-    /// A ligament comes too close to a unit that it does not join, or to another ligament (mm).
+    /// A ligament is too close to a unit that it does not join, or to another ligament (mm).
     LigamentClearance,
 }
 
 impl Kind {
-    /// As commands name it.
+    /// Name in commands.
     pub fn name(self) -> &'static str {
         match self {
             Kind::NotFinite => "not finite",
@@ -56,18 +56,18 @@ impl Kind {
     }
 }
 
-/// One broken constraint of a design.
+/// A constraint that a design violates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Violation {
-    /// Which constraint.
+    /// Kind of constraint.
     pub kind: Kind,
-    /// The units concerned; equal where there is one. Of a ligament, the unit of its first end.
+    /// The units; equal if only one is concerned. For a ligament, the unit of its first end.
     pub units: [usize; 2],
-    /// Node of the first unit, where the constraint belongs to a node (or to the edge that starts there).
+    /// Node of the first unit, if the constraint belongs to a node or to the edge that starts there.
     pub node: Option<usize>,
-    /// The value found (mm or rad).
+    /// Value (mm or rad).
     pub value: f64,
-    /// The limit that it misses (mm or rad).
+    /// Limit (mm or rad).
     pub limit: f64,
 }
 
@@ -108,10 +108,10 @@ impl fmt::Display for Violation {
     }
 }
 
-/// Every constraint that `design` breaks, sorted by unit; empty: the design can be cast.
+/// Every constraint that `design` violates, sorted by unit; empty if the design is feasible.
 ///
 /// # Panics
-/// If the design's length is not the layout's.
+/// If the design's length differs from the layout's.
 pub fn violations(layout: &Layout, limits: &Limits, design: &[f64]) -> Vec<Violation> {
     assert_eq!(design.len(), layout.design_len(), "length of the design");
     let units = layout.vertices(design);
@@ -191,8 +191,8 @@ fn judge_unit(u: usize, corners: &[Point], limits: &Limits, rigid: bool, found: 
     }
 }
 
-/// Angles between a ligament that leaves node p along `away` and the edges to the next and to the previous node,
-/// each measured through the void; negative where the ligament runs through the unit.
+/// Angles between a ligament that leaves node p along `away` and the edges to the next and previous node, each measured through
+/// the void; negative if the ligament runs through the unit.
 fn beside_ligament(corners: &[Point], p: usize, away: Point) -> [f64; 2] {
     let count = corners.len();
     let next = turn(away, minus(corners[(p + 1) % count], corners[p]));
@@ -226,7 +226,7 @@ fn judge_ligaments(layout: &Layout, units: &[Vec<Point>], limits: &Limits, found
                 }
             }
         }
-        // A void lies between the edge onward from one end and the edge back from the other.
+        // A void lies between the next edge of one end and the previous edge of the other.
         for (units, node, angle) in [
             ([a.unit, b.unit], a.node, at_a[0] + at_b[1] - PI),
             ([b.unit, a.unit], b.node, at_b[0] + at_a[1] - PI),
@@ -238,14 +238,14 @@ fn judge_ligaments(layout: &Layout, units: &[Vec<Point>], limits: &Limits, found
     }
 }
 
-/// A unit or a ligament among those whose distances are judged.
+/// A unit or a ligament, for checks of distances.
 struct Piece<'a> {
     corners: Cow<'a, [Point]>,
     least: Point,
     most: Point,
-    /// The unit, or the ligament's two units.
+    /// The unit twice, or the ligament's two units.
     units: [usize; 2],
-    /// First node of a ligament.
+    /// First node of a ligament; `None` for a unit.
     node: Option<usize>,
 }
 
@@ -268,7 +268,7 @@ impl<'a> Piece<'a> {
         edges(self.corners.len()).take(count).map(|(p, s)| (self.corners[p], self.corners[s]))
     }
 
-    /// Winding of the corners about a point is not zero.
+    /// Whether the winding number about a point is not zero.
     fn holds(&self, point: Point) -> bool {
         let mut winding = 0;
         for (from, to) in self.edges() {
@@ -312,7 +312,7 @@ fn judge_pair(one: &Piece, other: &Piece, limits: &Limits, found: &mut Vec<Viola
     let units_only = one.node.is_none() && other.node.is_none();
     let limit = if units_only { limits.clearance } else { limits.ligament_clearance };
     if one.node.is_none() != other.node.is_none() {
-        // The angles at its ends keep a ligament clear of the units that it joins.
+        // Angle limits keep a ligament clear of the units that it joins.
         let (unit, bar) = if one.node.is_none() { (one, other) } else { (other, one) };
         if bar.units.contains(&unit.units[0]) {
             return;
@@ -348,7 +348,7 @@ fn judge_pair(one: &Piece, other: &Piece, limits: &Limits, found: &mut Vec<Viola
     }
 }
 
-/// The segments have a point in common, touching included.
+/// Whether two segments have a common point.
 fn segments_cross(a0: Point, a1: Point, b0: Point, b1: Point) -> bool {
     let side = |p: Point, q: Point, r: Point| {
         let turn = cross(minus(q, p), minus(r, p));

@@ -1,12 +1,12 @@
-//! Feasible designs: the limits of what can be cast, the test of them, and the projection onto them.
+//! Feasible designs: limits, exact check, and projection.
 //!
-//! `violations` judges by plain polygon tests (`exact.rs`). `project` goes to the nearest feasible design by a short
-//! sequence of convex programs in Clarabel, linearised (`rows.rs`, `program.rs`), and lets the judge have the last word.
+//! `violations` checks a design with simple polygon tests (`exact.rs`). `project` finds the nearest feasible design by a short
+//! sequence of linearised convex programs in Clarabel (`rows.rs`, `program.rs`) and verifies it with the exact check.
 //!
 //! ```text
 //! minimise Σ w (α − target)²   subject to c(α) ≥ 0: angles, edges, distances
 //! ```
-//! No limit judges the shape of a rigid unit; what is beside it keeps its distance from each of its edges.
+//! The shape of a rigid unit has no limits; other parts keep their distance from each of its edges.
 
 mod exact;
 mod overlap;
@@ -23,10 +23,10 @@ pub use project::{Active, Projection, Stage, Status};
 
 use crate::body::{Freedom, Layout};
 
-/// The limits of a castable design (rad, mm).
+/// Limits of feasible designs (rad, mm).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
-    /// Whether there are any; without, all finite designs pass.
+    /// Whether limits apply; if not, every finite design is feasible.
     pub enforced: bool,
     /// Least interior angle of a unit.
     pub min_block_angle: f64,
@@ -36,7 +36,7 @@ pub struct Limits {
     pub min_void_angle: f64,
     /// Least angle between a ligament and an edge of its unit.
     pub min_ligament_angle: f64,
-    /// Least edge of a unit.
+    /// Least length of a unit's edge.
     pub min_edge: f64,
     /// Least distance between units.
     pub clearance: f64,
@@ -60,20 +60,20 @@ impl Default for Limits {
     }
 }
 
-/// The feasible designs of one layout.
+/// The set of feasible designs of a layout.
 pub struct Feasible {
     layout: Layout,
     limits: Limits,
     rows: rows::Rows,
     program: program::Program,
-    /// Per group: held at its previous shift.
+    /// Per group: whether it keeps its previous shift.
     fixed: Vec<bool>,
-    /// Per group the first of those that move with it, where some do.
+    /// Per group, the first group that moves with it; `None` if all move independently.
     leader: Option<Vec<usize>>,
 }
 
 impl Feasible {
-    /// The designs of `layout` within `limits`; the nodes of `fixed_units` stay where the previous design has them.
+    /// Feasible designs of `layout` within `limits`; nodes of `fixed_units` stay where the previous design has them.
     pub fn new(layout: &Layout, limits: Limits, fixed_units: &[usize]) -> Self {
         let mut fixed = vec![false; layout.group_count];
         for &unit in fixed_units {
@@ -92,8 +92,8 @@ impl Feasible {
         }
     }
 
-    /// The designs that can be cast and had: where shifts are tied by blocks of `tie` cells, units `frozen`, or `kept`. Targets and
-    /// previous designs are to be of one and the same initial design and [`Freedom`], so are the answers, but for rounding.
+    /// As [`Feasible::new`], with shifts tied in blocks of `tie` cells, and units `frozen` or `kept`. Targets and previous
+    /// designs must have the same initial design and [`Freedom`]; results then have it too, up to rounding.
     pub fn moving(
         layout: &Layout,
         limits: Limits,
@@ -106,7 +106,7 @@ impl Feasible {
         Self { leader, ..Self::new(layout, limits, &[frozen, kept].concat()) }
     }
 
-    /// Every constraint that `design` breaks, unit by unit; empty: it can be cast. Independent of the projection.
+    /// Every constraint that `design` violates, sorted by unit; empty if feasible. Independent of the projection.
     pub fn violations(&self, design: &[f64]) -> Vec<Violation> {
         exact::violations(&self.layout, &self.limits, design)
     }

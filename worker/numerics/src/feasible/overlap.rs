@@ -1,24 +1,24 @@
-//! What a design breaks that no limit kept: units that are turned over, and how much of the units lies on one another.
+//! Overlaps and inverted units of designs without limits.
 //!
 //! ```text
-//! |A ∩ B| = Σ s_i s_j |T_i ∩ T_j|      T_i: triangle of the origin and an edge of A, s_i its sense
+//! |A ∩ B| = Σ s_i s_j |T_i ∩ T_j|      T_i: triangle of the origin and an edge of A, s_i its orientation
 //! ```
-//! A unit whose edges cross counts each part as often as its edges run around it.
+//! In a unit whose edges cross, each part counts as often as the edges wind around it.
 
 use crate::body::{Layout, edges, moments};
 
 type Point = [f64; 2];
 
-/// Units on one another and turned over.
+/// Numbers and areas of overlapping and inverted units.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Overlaps {
-    /// Pairs of units that overlap.
+    /// Number of overlapping pairs of units.
     pub pairs: usize,
-    /// The area that they share (mm²).
+    /// Total area of the overlaps (mm²).
     pub area: f64,
-    /// Units whose nodes run clockwise.
+    /// Number of inverted units: their nodes run clockwise.
     pub inverted: usize,
-    /// Their area (mm²).
+    /// Total area of the inverted units (mm²).
     pub inverted_area: f64,
 }
 
@@ -32,13 +32,13 @@ impl std::fmt::Display for Overlaps {
     }
 }
 
-/// Shared areas below this count as none (mm²).
+/// Smallest area that counts as an overlap (mm²).
 const TOUCHING: f64 = 1e-9;
 
-/// Of a design.
+/// Overlaps of a design.
 ///
 /// # Panics
-/// If the design's length is not the layout's.
+/// If the design's length differs from the layout's.
 pub fn overlaps(layout: &Layout, design: &[f64]) -> Overlaps {
     let units = layout.vertices(design);
     let mut found = Overlaps::default();
@@ -64,7 +64,7 @@ pub fn overlaps(layout: &Layout, design: &[f64]) -> Overlaps {
     found
 }
 
-/// |A ∩ B| of simple polygons, whichever way they run.
+/// |A ∩ B| of simple polygons of either orientation.
 fn shared(one: &[Point], other: &[Point]) -> f64 {
     let origin = one[0];
     let fan = |nodes: &[Point]| -> Vec<(f64, [Point; 3])> {
@@ -81,12 +81,12 @@ fn shared(one: &[Point], other: &[Point]) -> f64 {
     pairs.sum::<f64>().abs()
 }
 
-/// Twice the area of the triangle of three points, above 0 where they run counter-clockwise.
+/// Twice the signed area of a triangle; positive if its points run counter-clockwise.
 fn cross(a: Point, b: Point, c: Point) -> f64 {
     (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 }
 
-/// The area of a triangle within another, both counter-clockwise: it is cut along the other's edges in turn.
+/// Area of the intersection of two counter-clockwise triangles, by clipping along each edge.
 fn clipped(triangle: &[Point; 3], by: &[Point; 3]) -> f64 {
     let mut left = triangle.to_vec();
     for (s, t) in edges(3) {

@@ -2,28 +2,28 @@
 //!
 //! ```text
 //! minimise   Σ ½ w (d − d*)² + ½ τ d² + ρ Σ s
-//! subject to value + gradient·d + s ≥ ε     s ≥ 0, present in rows that are violated now (if elastic)
+//! subject to value + gradient·d + s ≥ ε     s ≥ 0, only in rows that are violated now (if elastic)
 //! ```
-//! Coordinates that no row touches are solved by hand. Where the active rows are known from the program before, they
-//! are tried as equations (one factorisation instead of a dozen) and taken if multipliers and other rows agree.
+//! Coordinates without rows have a closed solution. Active rows of the last program are first tried as equations (one
+//! factorisation instead of a dozen), and accepted if multipliers and other rows agree.
 
 use super::rows::{Key, Row};
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver, NonnegativeConeT, SolverStatus, ZeroConeT};
 
-/// What a program asks for beside its rows.
+/// Parameters of a program besides its rows.
 pub(super) struct Ask<'a> {
     /// d*: from the point of linearisation to the target, per coordinate.
     pub wish: &'a [f64],
     /// w, per coordinate.
     pub weights: &'a [f64],
-    /// Per group: held where it is.
+    /// Per group: whether it is fixed.
     pub fixed: &'a [bool],
-    /// Per group the first of those that move with it, of equal weights and wishes; none: each moves alone.
+    /// Per group, the first group that moves with it, with equal weights and targets; `None`: all move independently.
     pub leader: Option<&'a [usize]>,
     /// τ.
     pub proximal: f64,
-    /// ρ; none: every row is hard.
+    /// ρ; `None`: every row is hard.
     pub penalty: Option<f64>,
     /// ε (mm).
     pub margin: f64,
@@ -33,17 +33,17 @@ pub(super) struct Ask<'a> {
 pub(super) struct Step {
     /// d, per coordinate.
     pub step: Vec<f64>,
-    /// Rows that hold with equality and push, sorted.
+    /// Rows that hold with equality and a positive multiplier, sorted.
     pub active: Vec<Key>,
 }
 
-/// Clarabel with the structure of the program before.
+/// Clarabel, with the structure of the last program.
 #[derive(Default)]
 pub(super) struct Program {
     warm: Option<Warm>,
-    /// Interior-point iterations so far.
+    /// Number of interior-point iterations so far.
     pub iterations: u64,
-    /// Programs solved so far.
+    /// Number of programs solved so far.
     pub programs: u64,
 }
 
@@ -55,13 +55,13 @@ struct Warm {
     solver: DefaultSolver<f64>,
 }
 
-/// Rounds of exchange between a guess of the active rows and its equations.
+/// Largest number of corrections of a guess of the active rows.
 const ROUNDS: usize = 4;
-/// Tolerance of multipliers and of rows in a guess (mm, at mean weight 1).
+/// Tolerance of multipliers and rows in a guess (mm, at mean weight 1).
 const AGREE: f64 = 1e-8;
 
 impl Program {
-    /// The step, or none where Clarabel proved that the rows contradict each other, or gave up.
+    /// Solves the program; `None` if it is infeasible or Clarabel fails.
     pub fn solve(&mut self, rows: &[Row], ask: &Ask<'_>) -> Option<Step> {
         let rows = movable(rows, ask);
         let solved = self.clarabel(&rows, ask, false)?;
@@ -70,7 +70,7 @@ impl Program {
         Some(Step { step: solved.step, active })
     }
 
-    /// As `solve` with hard rows, from a guess of the active ones.
+    /// As `solve` with hard rows, starting from a guess of the active ones.
     pub fn solve_from(&mut self, rows: &[Row], ask: &Ask<'_>, guess: &[Key]) -> Option<Step> {
         let all = movable(rows, ask);
         let mut active: Vec<Key> = guess.to_vec();
@@ -118,7 +118,7 @@ impl Program {
         for (group, &leader) in ask.leader.into_iter().flatten().enumerate().filter(|(g, l)| g != *l) {
             members[leader] += members[group];
         }
-        // Local numbers for the groups that rows touch, in order of group.
+        // Local indices of the groups in rows, in order of group.
         let mut local = vec![usize::MAX; ask.fixed.len()];
         for &(g, _) in rows.iter().flat_map(|r| r.terms()) {
             if !ask.fixed[g as usize] {
@@ -134,7 +134,7 @@ impl Program {
         let (free, n) = (2 * groups.len(), 2 * groups.len() + elastic.len());
         let m = rows.len() + elastic.len();
 
-        // The matrix by columns: count, sum up, fill in order of row.
+        // Fill the matrix by columns: count, cumulate, fill in order of row.
         let mut count = vec![0_usize; n + 1];
         let each = |row: &Row, f: &mut dyn FnMut(usize, f64)| {
             for &(g, gradient) in row.terms() {
@@ -173,7 +173,7 @@ impl Program {
         let proximal = |i: usize| members[groups[i / 2]] * ask.proximal;
         let mut diagonal: Vec<f64> = (0..free).map(|i| weight(i) + proximal(i)).collect();
         let mut linear: Vec<f64> = (0..free).map(|i| -weight(i) * ask.wish[coordinate(i)]).collect();
-        // A little curvature keeps the slacks' block regular.
+        // A small curvature keeps the slacks' block regular.
         diagonal.resize(n, 1e-6);
         linear.resize(n, ask.penalty.unwrap_or(0.0));
 
@@ -214,7 +214,7 @@ impl Program {
                     (solution.z[..rows.len()].to_vec(), solution.s[..rows.len()].to_vec());
                 Some(Solved { step, multipliers, slacks })
             }
-            // Infeasible, out of iterations, stalled, broken down: the caller has other ways to go on.
+            // Infeasible, out of iterations, stalled or failed: the caller tries other methods.
             _ => None,
         };
         self.warm = Some(warm);
@@ -236,11 +236,11 @@ fn settings() -> DefaultSettings<f64> {
     DefaultSettings {
         verbose: false,
         max_iter: 100,
-        // Both would forbid later updates of the data, or change the answer with the machine.
+        // Both would prevent updates of the data, or make results depend on the machine.
         presolve_enable: false,
         max_threads: 1,
         direct_solve_method: "qdldl".to_string(),
-        // Rows are of unit size as they come, and every answer is linearised again.
+        // Rows already have unit scale, and every solution is linearised again.
         equilibrate_enable: false,
         iterative_refinement_reltol: 1e-9,
         iterative_refinement_abstol: 1e-9,

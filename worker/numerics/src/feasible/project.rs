@@ -1,35 +1,35 @@
 //! The stages of a projection.
 //!
-//! 0. A feasible target is the answer, bit for bit.
-//! 1. *Sequence*: linearise at the target, solve, linearise there, …: a few programs with the near rows alone.
-//! 2. *Path*: from the previous design, steps short enough (proximal term) that linearisation holds, judged by the
-//!    exact penalty `½ Σ w (α − target)² + ρ Σ max(0, ε − c)`; a last sequence polishes.
-//! 3. *Repair*: the same from the target itself, where there is no feasible previous design.
+//! 0. A feasible target is returned unchanged.
+//! 1. *Sequence*: linearise at the target, solve, linearise at the solution, and so on: a few programs with near rows only.
+//! 2. *Path*: from the previous design, steps short enough (proximal term) for linearisation, tested with the exact penalty
+//!    `½ Σ w (α − target)² + ρ Σ max(0, ε − c)`; a last sequence refines the result.
+//! 3. *Repair*: the same from the target, if the previous design is infeasible.
 //!
-//! Whatever comes out is returned only if the judge of `exact.rs` finds nothing; else the previous design is.
+//! A result is returned only if the exact check (`exact.rs`) accepts it, otherwise the previous design.
 
 use super::program::{Ask, Step};
 use super::rows::{Key, Row, What};
 use super::{Feasible, Kind};
 use crate::body::End;
 
-/// What a projection came to.
+/// Outcome of a projection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Status {
-    /// The target is feasible and came back as it was.
+    /// The target is feasible and is returned unchanged.
     Untouched,
-    /// The nearest feasible design that was found.
+    /// A feasible design near the target is returned.
     Projected,
-    /// No feasible design was found; the previous one came back, and it is feasible.
+    /// No feasible design was found; the previous design, which is feasible, is returned.
     Kept,
-    /// The target or the weights held NaN or infinity; the previous design came back, and it is feasible.
+    /// The target or the weights contain NaN or infinity; the previous design, which is feasible, is returned.
     NotFinite,
-    /// No feasible design was found and the previous one, which came back, is none either.
+    /// No feasible design was found; the previous design is returned and is infeasible, too.
     Infeasible,
 }
 
 impl Status {
-    /// As records and commands name it.
+    /// Name in records and commands.
     pub fn name(self) -> &'static str {
         match self {
             Status::Untouched => "untouched",
@@ -40,13 +40,13 @@ impl Status {
         }
     }
 
-    /// The design that came back satisfies every constraint.
+    /// Whether the returned design is feasible.
     pub fn is_feasible(self) -> bool {
         !matches!(self, Status::Infeasible)
     }
 }
 
-/// How far a projection had to go.
+/// Stage at which a projection ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stage {
     /// No program was needed.
@@ -55,16 +55,16 @@ pub enum Stage {
     Sequence,
     /// The path from the previous design.
     Path,
-    /// The elastic way from an infeasible start.
+    /// The path from an infeasible start.
     Repair,
 }
 
-/// A constraint that holds the design back.
+/// An active constraint.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Active {
-    /// Which constraint.
+    /// Kind of constraint.
     pub kind: Kind,
-    /// The units concerned; equal where there is one.
+    /// The units; equal if only one is concerned.
     pub units: [usize; 2],
     /// Node of the first unit.
     pub node: usize,
@@ -72,52 +72,52 @@ pub struct Active {
     pub slack: f64,
 }
 
-/// The outcome of a projection.
+/// Result of a projection.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Projection {
-    /// The design that came back.
+    /// The returned design.
     pub design: Vec<f64>,
-    /// What it is.
+    /// Outcome.
     pub status: Status,
-    /// Which stage gave it, or the last one tried.
+    /// Stage of the returned design, or the last stage tried.
     pub stage: Stage,
-    /// Euclidean distance from the target (mm); NaN where the target is not finite.
+    /// Euclidean distance from the target (mm); NaN if the target is not finite.
     pub distance: f64,
     /// Constraints within 1e-3 mm of their limits.
     pub active: Vec<Active>,
     /// Clarabel's interior-point iterations.
     pub iterations: u64,
-    /// Convex programs solved.
+    /// Number of convex programs solved.
     pub programs: u64,
 }
 
-/// Constraints are aimed at with this to spare (mm), so that rounding and the judge agree.
+/// Margin ε of all constraints (mm), so that rounding does not fail the exact check.
 const MARGIN: f64 = 1e-6;
-/// Rows farther from their limit than this take no part in a sequence (mm).
+/// Rows of a sequence: those closer to their limit than this (mm).
 const WINDOW: f64 = 0.3;
-/// Weights below this part of their mean are raised to it: v̂ is zero where nothing depends on a shift.
+/// Least weight, relative to the mean: v̂ is zero where nothing depends on a shift.
 const LEAST_WEIGHT: f64 = 1e-3;
-/// ρ: above the multipliers met (mm, at mean weight 1).
+/// ρ: larger than observed multipliers (mm, at mean weight 1).
 const PENALTY: f64 = 100.0;
-/// A coordinate moved by the projection farther than this asks for a second opinion (mm).
+/// A result with a coordinate farther from its target than this also tries a path (mm).
 const FAR: f64 = 0.5;
 
-/// Programs of a sequence before it is given up.
+/// Largest number of programs of a sequence.
 const SEQUENCE_PROGRAMS: usize = 12;
-/// Programs of a path before it ends where it is.
+/// Largest number of programs of a path.
 const PATH_PROGRAMS: usize = 150;
-/// Rows nearer to their limit than this take part in a path (mm).
+/// Rows of a path: those closer to their limit than this (mm).
 const REACH: f64 = 3.0;
 /// Length of the first step of a path (mm, largest coordinate).
 const STRIDE: f64 = 1.0;
 
-/// Edges that are tried the other way round, and how far their ends must be from their target together (mm).
+/// Largest number of edges that are rotated, and least distance of their ends from the target together (mm).
 const TURNS: usize = 6;
 const FAR_EDGE: f64 = 3.0;
-/// Bodies of more units take the first answer: a second try costs too much. So do those whose edges do not turn alone.
+/// Bodies with more units, or with tied edges, skip the rotation of edges, which costs too much.
 const LARGE: usize = 100;
 
-/// Where a projection wants to go, in its metric.
+/// Target and metric of a projection.
 struct Aim<'a> {
     target: &'a [f64],
     weights: Vec<f64>,
@@ -141,11 +141,11 @@ impl Aim<'_> {
 }
 
 impl Feasible {
-    /// The feasible design nearest to `target` in the metric `weights` (per coordinate, for instance √v̂ of Adam; none:
-    /// Euclidean), or `previous`; the status says which. Work of an earlier call is reused, results are not.
+    /// Finds the feasible design nearest to `target` in the metric `weights` (per coordinate, such as Adam's √v̂; `None`:
+    /// Euclidean), or returns `previous`, as the status states. Reuses memory of earlier calls, but no results.
     ///
     /// # Panics
-    /// If a length is not the layout's.
+    /// If a length differs from the layout's.
     pub fn project(&mut self, previous: &[f64], target: &[f64], weights: Option<&[f64]>) -> Projection {
         let n = self.layout.design_len();
         assert_eq!([previous.len(), target.len()], [n, n], "lengths of the designs");
@@ -196,7 +196,7 @@ impl Feasible {
         }
     }
 
-    /// Sequential quadratic programs from `x`; the design if it converges to a feasible one.
+    /// Sequential quadratic programs from `x`; the result if it converges to a feasible design.
     fn sequence(&mut self, aim: &Aim<'_>, mut x: Vec<f64>) -> Option<Vec<f64>> {
         let mut near = self.rows.near(&x, WINDOW, 2.0);
         let mut rows = self.rows.collect(&near, &x, WINDOW);
@@ -231,9 +231,9 @@ impl Feasible {
         None
     }
 
-    /// Looks for a nearer design on the other side of the shortest edges: where a far target turns an edge over, the
-    /// way round to the left and to the right end in different places. Turns the edges that are kept farthest from
-    /// their target by ±90° and goes on from there.
+    /// Looks for a nearer design on the other side of the shortest edges. If a far target inverts an edge, clockwise and
+    /// anticlockwise paths end in different designs. Rotates the edges farthest from their target by ±90° and continues from
+    /// there.
     fn turn_edges(&mut self, aim: &Aim<'_>, mut best: Vec<f64>) -> Vec<f64> {
         if self.layout.units() > LARGE || self.leader.is_some() {
             return best;
@@ -261,7 +261,7 @@ impl Feasible {
                 break;
             }
             for sense in [1.0, -1.0] {
-                // Half of what takes the edge to its normal, at either end.
+                // Half the displacement that rotates the edge by 90°, at either end.
                 let half = [0.5 * (x + sense * y), 0.5 * (y - sense * x)];
                 let mut start = best.clone();
                 for c in 0..2 {
@@ -279,7 +279,7 @@ impl Feasible {
         best
     }
 
-    /// A row holds, or nothing that may move can change it.
+    /// Whether a row holds, or depends on fixed groups only.
     fn holds(&self, row: &Row) -> bool {
         row.value >= 0.0 || row.terms().iter().all(|t| self.fixed[t.0 as usize])
     }
@@ -288,7 +288,7 @@ impl Feasible {
         rows.iter().map(|r| (MARGIN - r.value).max(0.0)).sum()
     }
 
-    /// Proximal steps on the exact penalty from `x`, then a sequence from where they end.
+    /// Proximal steps on the exact penalty from `x`, then a sequence from their end.
     fn path(&mut self, aim: &Aim<'_>, mut x: Vec<f64>) -> Option<Vec<f64>> {
         let mut near = self.rows.near(&x, REACH, 4.0);
         let mut rows = self.rows.collect(&near, &x, REACH);
@@ -336,7 +336,7 @@ impl Feasible {
                 break;
             }
         }
-        // Three ways to end feasible: on from here, straight out from here, or the best on the way.
+        // Three candidates: a sequence to the target, one to the nearest feasible design, the best design of the path.
         let polished = self.sequence(aim, x.clone());
         let snapped = self.sequence(&Aim { target: &x, weights: aim.weights.clone() }, x.clone());
         let feasible = feasible.filter(|f| self.violations(f).is_empty());
@@ -390,7 +390,7 @@ impl super::rows::Rows {
     }
 }
 
-/// The weights at mean 1, none below its least; none if one is not finite.
+/// The weights, scaled to mean 1 and raised to the least weight; `None` if one is not finite.
 fn metric(n: usize, weights: Option<&[f64]>) -> Option<Vec<f64>> {
     let Some(weights) = weights else { return Some(vec![1.0; n]) };
     assert_eq!(weights.len(), n, "length of the weights");

@@ -1,14 +1,14 @@
-//! Random feasible designs: the baseline that arbitrary changes of geometry do not help.
+//! Random feasible designs: a baseline of arbitrary geometries.
 
 use super::{Feasible, Status};
 use crate::random::{Purpose, Stream};
 
-/// Draws before giving up.
+/// Number of draws.
 const ATTEMPTS: u64 = 8;
 
 impl Feasible {
-    /// The design number `seed`: every shift of `regular`, a feasible design, moved uniformly within ± `size` (mm) (fixed
-    /// units stay), then projected. None if no draw led to a feasible design.
+    /// Design number `seed`: adds a uniform random number in ± `size` (mm) to each shift of the feasible design `regular`, then
+    /// projects; fixed units stay. `None` if no draw gives a feasible design.
     pub fn random_design(&mut self, regular: &[f64], seed: u64, size: f64) -> Option<Vec<f64>> {
         (0..ATTEMPTS).find_map(|attempt| {
             let mut stream = Stream::new(Purpose::Design, seed, [0, attempt]);

@@ -1,9 +1,9 @@
-//! The constraints as the projection sees them: smooth functions c(α) ≥ 0 in mm, with gradients, of near features.
+//! The constraints of the projection: smooth functions c(α) ≥ 0 in mm, with gradients, of features near their limits.
 //!
-//! A node is base + α of its group, so a row touches at most three groups. Angles are scaled by their shorter edge. A node without
-//! a group stays while programs are solved; one that follows others is placed anew before the next.
-//! Two disjoint convex pieces are held apart by rows for each near (corner, edge) pair, whose gradient at the closest
-//! point is exact; overlapping ones by the edge normal along which they overlap least.
+//! Nodes move with their group, so a row depends on at most three groups. Angles are multiplied by their shorter edge. Nodes
+//! without a group are constant within a program; followers are updated before the next. Two disjoint convex pieces have a row
+//! per near (corner, edge) pair, with the exact gradient at the closest point. Overlapping pieces are separated along the edge
+//! normal of least overlap.
 
 use super::Limits;
 use crate::body::{End, Layout, edges};
@@ -11,32 +11,32 @@ use std::f64::consts::{PI, TAU};
 
 type Point = [f64; 2];
 
-/// Names a row; rows are kept sorted by it, so that equal keys mean equal sparsity.
+/// Identifies a row. Rows are sorted by key, so equal keys imply equal sparsity.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(super) struct Key {
     pub kind: What,
-    /// Nodes, by their numbers among all, or ligament indices, by kind.
+    /// Indices of nodes among all nodes, or of ligaments, depending on `kind`.
     pub at: [u32; 3],
 }
 
-/// What a row is about.
+/// Kind of a row, and its indices.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(super) enum What {
-    /// At node.
+    /// Length of an edge: its first node.
     Edge,
-    /// At node.
+    /// Least interior angle: node.
     AngleLow,
-    /// At node.
+    /// Greatest interior angle: node.
     AngleHigh,
-    /// At node; 0 for the edge onward, 1 for the edge back.
+    /// Angle between ligament and edge: node; 0 for the next edge, 1 for the previous one.
     Ligament,
-    /// At node of the first end; ligament.
+    /// Void angle: node of the first end; ligament.
     Void,
-    /// Corner and corner.
+    /// Distance of two corners: both.
     Corners,
-    /// Corner, and the edge between two.
+    /// Distance of a corner from an edge: the corner, the edge's two nodes.
     Side,
-    /// As `Side`, of pieces that overlap.
+    /// As `Side`, for overlapping pieces.
     Through,
 }
 
@@ -47,17 +47,17 @@ pub(super) struct Row {
     pub value: f64,
     terms: [(u32, Point); 3],
     count: usize,
-    /// A ligament is involved.
+    /// Whether a ligament is involved.
     pub bar: bool,
 }
 
 impl Row {
-    /// (group, gradient) of each group that it touches.
+    /// (group, gradient) of each group on which the row depends.
     pub fn terms(&self) -> &[(u32, Point)] {
         &self.terms[..self.count]
     }
 
-    /// The same where groups move together that have one leader, and some not at all.
+    /// The row for tied groups: sums gradients of groups with the same leader, and drops fixed groups.
     pub fn tied(&self, leader: &[usize], fixed: &[bool]) -> Self {
         let mut tied = Self { count: 0, ..*self };
         for &(group, gradient) in self.terms().iter().filter(|t| !fixed[t.0 as usize]) {
@@ -83,7 +83,7 @@ impl Row {
 #[derive(Debug, Clone)]
 struct Piece {
     nodes: Vec<u32>,
-    /// The units it belongs to.
+    /// The units to which it belongs.
     units: [u32; 2],
 }
 
@@ -96,21 +96,21 @@ impl Piece {
         self.units[0] != self.units[1]
     }
 
-    /// From node to node; what is not closed has one.
+    /// Edges from node to node; an open piece has one.
     fn edges(&self) -> impl Iterator<Item = (u32, u32)> + '_ {
         let count = if self.is_closed() { self.nodes.len() } else { 1 };
         edges(self.nodes.len()).take(count).map(|(p, s)| (self.nodes[p], self.nodes[s]))
     }
 }
 
-/// A layout, laid out for enumeration of rows.
+/// A layout, prepared for the enumeration of rows.
 #[derive(Debug, Clone)]
 pub(super) struct Rows {
     limits: Limits,
     layout: Layout,
     base: Vec<Point>,
     group: Vec<Option<u32>>,
-    /// Of each node its unit, the next and the last node there, and where it is in the unit's shape.
+    /// Per node: its unit, the next and the previous node, and its position in the unit's shape.
     unit: Vec<u32>,
     next: Vec<u32>,
     last: Vec<u32>,
@@ -122,7 +122,7 @@ pub(super) struct Rows {
     cell: f64,
 }
 
-/// Pairs of pieces close enough to matter, valid while nothing moves by more than half of `margin`.
+/// Pairs of near pieces, valid while no coordinate moves by more than half of `margin`.
 #[derive(Debug, Clone)]
 pub(super) struct Near {
     pairs: Vec<(u32, u32)>,
@@ -130,7 +130,7 @@ pub(super) struct Near {
     margin: f64,
 }
 
-/// An edge shorter than this has no direction (mm).
+/// Least length of an edge that has a direction (mm).
 const POINTLIKE: f64 = 1e-9;
 
 fn sub(a: Point, b: Point) -> Point {
@@ -150,7 +150,7 @@ fn swing(a: Point) -> Point {
     let square = inner(a, a);
     [-a[1] / square, a[0] / square]
 }
-/// The angle, moved by multiples of 2π into [centre − π, centre + π).
+/// The angle, shifted by multiples of 2π into [centre − π, centre + π).
 fn near_centre(angle: f64, centre: f64) -> f64 {
     (angle - centre + PI).rem_euclid(TAU) + centre - PI
 }
@@ -233,7 +233,7 @@ impl Rows {
         }
     }
 
-    /// Pairs whose boxes come within their gap + `window` after any motion of up to `margin`/2 a coordinate.
+    /// Pairs whose bounding boxes come within their gap + `window` if each coordinate moves by up to `margin`/2.
     pub fn near(&self, design: &[f64], window: f64, margin: f64) -> Near {
         let at = self.place(design);
         let reach = 0.5 * (self.limits.clearance.max(self.limits.ligament_clearance).max(0.0) + window)
@@ -250,7 +250,7 @@ impl Rows {
                 b
             })
             .collect();
-        // Pieces by the cell of their lower left corner; one that spans too many cells is compared with all.
+        // Sort pieces into the cells that they cover; compare pieces that cover too many cells with all.
         let index = |x: f64| (x / self.cell).floor().clamp(-1e9, 1e9) as i64;
         let mut cells: Vec<(i64, i64, u32)> = Vec::with_capacity(4 * boxes.len());
         let mut large = Vec::new();
@@ -306,7 +306,7 @@ impl Rows {
         Near { pairs, origin: design.to_vec(), margin }
     }
 
-    /// Renews `near` if the design has moved too far for it.
+    /// Updates `near` if the design has moved too far for it.
     pub fn refresh(&self, near: &mut Near, design: &[f64], window: f64) {
         let moved = near.origin.iter().zip(design).fold(0.0_f64, |m, (a, b)| m.max((a - b).abs()));
         if moved.is_nan() || moved > 0.5 * near.margin {
@@ -314,7 +314,7 @@ impl Rows {
         }
     }
 
-    /// Every row with value below `window`, sorted by key; `window` must not exceed that of `near`.
+    /// Every row with a value below `window`, sorted by key; `window` must not exceed that of `near`.
     pub fn collect(&self, near: &Near, design: &[f64], window: f64) -> Vec<Row> {
         let at = self.place(design);
         let mut rows = Vec::new();
@@ -332,7 +332,7 @@ impl Rows {
         rows
     }
 
-    /// A row of (node, gradient) terms; nodes of one group are summed, and rows that nothing can move are dropped.
+    /// Adds a row of (node, gradient) terms: sums nodes of one group, and drops rows that depend on none.
     fn row(&self, key: Key, value: f64, gradient: &[(u32, Point)], rows: &mut Vec<Row>) {
         let mut row = Row { key, value, terms: [(0, [0.0; 2]); 3], count: 0, bar: false };
         for &(node, g) in gradient {
@@ -396,8 +396,8 @@ impl Rows {
         }
     }
 
-    /// At the end `n` of a ligament that leaves along `away`: for the edge onward and the edge back, the void's angle
-    /// beside the ligament, its gradient by the far node, that node, and the edge's length.
+    /// At the end `n` of a ligament that leaves along `away`, for the next and the previous edge: the angle to the ligament
+    /// through the void, its gradient in the far node, that node, and the edge's length.
     fn beside(&self, at: &[Point], n: u32, away: Point) -> Option<[(f64, Point, u32, f64); 2]> {
         let (next, last) = (self.next[n as usize], self.last[n as usize]);
         let (onward, back) = (sub(at[next as usize], at[n as usize]), sub(at[last as usize], at[n as usize]));
@@ -409,7 +409,7 @@ impl Rows {
         let mut first = (onward[1].atan2(onward[0]) - direction).rem_euclid(TAU);
         let mut second = (direction - back[1].atan2(back[0])).rem_euclid(TAU);
         if first + second > TAU {
-            // The ligament runs through the unit: out by the nearer side.
+            // The ligament runs through the unit: count the smaller excess as negative.
             if first > second { first -= TAU } else { second -= TAU }
         }
         Some([(first, swing(onward), next, lengths[0]), (second, scale(-1.0, swing(back)), last, lengths[1])])
@@ -470,7 +470,7 @@ impl Rows {
             }
             return;
         }
-        // Overlapping: along the normal of the edge that needs the least way out.
+        // Overlapping: separate along the edge normal of least overlap.
         let (edge_of, corner_of) = if owner_first { (a, b) } else { (b, a) };
         let (s, t) = edge;
         let reach =
@@ -489,7 +489,7 @@ impl Rows {
         }
     }
 
-    /// The corner n and the closest point of the edge from s to t.
+    /// Distance of corner n from the closest point of the edge from s to t.
     fn side_row(&self, at: &[Point], n: u32, s: u32, t: u32, gap: f64, window: f64, rows: &mut Vec<Row>) {
         let (corner, start) = (at[n as usize], at[s as usize]);
         let along = sub(at[t as usize], start);
@@ -513,8 +513,8 @@ impl Rows {
     }
 }
 
-/// Greatest separation of two convex pieces along a normal of one of their edges (negative: they overlap), that normal
-/// (from the owner of the edge outward), whether the owner is `a`, and the edge.
+/// Greatest separation of two convex pieces along a normal of one of their edges (negative: they overlap), that normal (outward),
+/// whether `a` owns the edge, and the edge.
 fn separation(at: &[Point], a: &Piece, b: &Piece) -> (f64, Point, bool, (u32, u32)) {
     let mut best = (f64::NEG_INFINITY, [0.0; 2], true, (0, 0));
     for (owner, other, first) in [(a, b, true), (b, a, false)] {

@@ -1,4 +1,4 @@
-//! Properties of the projection and of its judge.
+//! Properties of the projection and of the exact check.
 
 use super::*;
 use crate::body::{End, Follower, Follows, Pattern};
@@ -25,7 +25,7 @@ fn distance(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
-/// A feasible target is returned with the same bits, and nothing is solved.
+/// A feasible target is returned with the same bits, and no program is solved.
 #[test]
 fn a_feasible_target_comes_back_bit_for_bit() {
     let (_, start, mut feasible) = body(6, 6);
@@ -38,7 +38,7 @@ fn a_feasible_target_comes_back_bit_for_bit() {
     }
 }
 
-/// Steps from small to wild on several sizes: the judge finds nothing in what comes back.
+/// For small to very large steps and several sizes, the exact check accepts every result.
 #[test]
 fn what_comes_back_satisfies_every_constraint() {
     for (columns, rows) in [(2, 2), (3, 5), (6, 6)] {
@@ -52,7 +52,7 @@ fn what_comes_back_satisfies_every_constraint() {
     }
 }
 
-/// Of every lattice, in a sheet and in discs: the initial design can be cast, and so can what random steps from it are projected to.
+/// For every lattice, in a sheet and in discs, the initial design and projections of random steps are feasible.
 #[test]
 fn every_lattice_starts_castable_and_stays_so() {
     for (number, pattern) in PATTERNS.into_iter().enumerate() {
@@ -72,7 +72,7 @@ fn every_lattice_starts_castable_and_stays_so() {
     }
 }
 
-/// A walk into the constraints by steps of an optimiser's size: never kept, never worse than going back.
+/// Steps of an optimiser's size into the constraints are projected, never rejected, and never worse than the previous design.
 #[test]
 fn small_steps_are_projected_never_refused() {
     let (_, start, mut feasible) = body(5, 4);
@@ -91,7 +91,7 @@ fn small_steps_are_projected_never_refused() {
     assert!(projected > 20, "{projected} of 60 were projected");
 }
 
-/// Projecting what came back changes nothing; and the same call gives the same bits.
+/// Projecting a result changes nothing; equal calls give equal bits.
 #[test]
 fn a_projection_is_idempotent_and_repeats_bit_for_bit() {
     let (_, start, mut feasible) = body(4, 4);
@@ -103,7 +103,7 @@ fn a_projection_is_idempotent_and_repeats_bit_for_bit() {
     assert_eq!(other.project(&start, &target, None), first);
 }
 
-/// NaN and infinity in the target or the weights: the previous design, and the status names it.
+/// NaN or infinity in target or weights returns the previous design with the right status.
 #[test]
 fn what_is_not_finite_keeps_the_previous_design() {
     let (_, start, mut feasible) = body(3, 3);
@@ -119,12 +119,12 @@ fn what_is_not_finite_keeps_the_previous_design() {
     }
     let out = feasible.project(&vec![f64::NAN; start.len()], &vec![f64::NAN; start.len()], None);
     assert_eq!(out.status, Status::Infeasible);
-    // Finite, and absurd.
+    // A finite but absurd target.
     let out = feasible.project(&start, &noisy(&start, 1e300, 1), None);
     assert!(feasible.violations(&out.design).is_empty(), "{:?}", out.status);
 }
 
-/// Limits that no design can meet: the outcome says that what came back is infeasible.
+/// Contradictory limits give the status `Infeasible`.
 #[test]
 fn contradictory_limits_are_named() {
     let layout = Layout::planar(3, 3, 15.0, 2.25);
@@ -139,7 +139,7 @@ fn contradictory_limits_are_named() {
     }
 }
 
-/// Fixed units keep their nodes, whatever the target wants.
+/// Fixed units keep their nodes for any target.
 #[test]
 fn fixed_units_stay() {
     let layout = Layout::planar(4, 4, 15.0, 2.25);
@@ -176,7 +176,7 @@ fn plated() -> (Layout, Vec<f64>) {
     (layout, start)
 }
 
-/// No limit judges the reflex corners of a rigid plate, whose anchors are shifted; what is beside it keeps its distance from it.
+/// Reflex corners of a rigid plate violate no limit, its anchors are shifted, and other parts keep their distance.
 #[test]
 fn a_rigid_plate_is_taken_as_it_is_and_kept_clear_of() {
     let (layout, start) = plated();
@@ -188,7 +188,7 @@ fn a_rigid_plate_is_taken_as_it_is_and_kept_clear_of() {
         let [was, is] = [&start, &out.design].map(|design| layout.vertices(design)[6].clone());
         assert!(was[2] != is[2] && was[3] != is[3] && [0, 1, 5, 6].iter().all(|&node| was[node] == is[node]));
     }
-    // a square that is drawn through the plate
+    // A square that extends through the plate.
     let mut wrong = start.clone();
     let free = layout.groups[4][2].unwrap();
     wrong[2 * free + 1] += 22.0;
@@ -196,11 +196,12 @@ fn a_rigid_plate_is_taken_as_it_is_and_kept_clear_of() {
     assert!(kinds.contains(&(Kind::Overlap, [4, 6])), "{kinds:?}");
 }
 
-/// Without limits every finite design comes back as it is; what it breaks is counted: a square moved onto its neighbour, and one turned over.
+/// Without limits every finite design is returned unchanged; its overlaps are counted: a square moved onto its neighbour, and an
+/// inverted one.
 #[test]
 fn without_limits_all_designs_pass_and_their_overlaps_are_counted() {
     let square = |[x, y]: [f64; 2]| vec![[x, y], [x + 4.0, y], [x + 4.0, y + 4.0], [x, y + 4.0]];
-    // an angle with a reflex corner, of 4 × 4 less 2 × 2
+    // An L-shape with a reflex corner: 4 × 4 less 2 × 2.
     let angle = [[9.0, 0.0], [13.0, 0.0], [13.0, 2.0], [11.0, 2.0], [11.0, 4.0], [9.0, 4.0]].to_vec();
     let joint = [
         [End { unit: 0, node: 2 }, End { unit: 1, node: 3 }],
@@ -210,7 +211,7 @@ fn without_limits_all_designs_pass_and_their_overlaps_are_counted() {
     let layout = Layout::of_polygons(&body, &joint, &[], &[2], &[]);
     let still = vec![0.0; layout.design_len()];
     assert_eq!(overlaps(&layout, &still), Overlaps::default());
-    // the second square's right side moved by 6.5 mm: over the whole angle
+    // The second square's right side moved by 6.5 mm, over the whole L-shape.
     let mut wide = still.clone();
     for node in [1, 2] {
         wide[2 * layout.groups[1][node].unwrap()] += 6.5;
@@ -229,7 +230,7 @@ fn without_limits_all_designs_pass_and_their_overlaps_are_counted() {
     assert!(inverted == 1 && (inverted_area - 4.0).abs() < 1e-12, "{inverted_area}");
 }
 
-/// Each kind of violation, made on purpose, is found by its name and its units.
+/// Each kind of violation is found with its kind and units.
 #[test]
 fn the_judge_names_what_is_broken() {
     let (layout, start, feasible) = body(3, 3);
@@ -241,11 +242,11 @@ fn the_judge_names_what_is_broken() {
         feasible.violations(&design).iter().map(|v| (v.kind, v.units)).collect::<Vec<_>>()
     };
     assert!(seen(4, 0, [0.0, 0.0]).is_empty());
-    // A free corner pushed across its own unit: turned over.
+    // A free corner moved across its own unit, which inverts it.
     assert!(seen(0, 2, [16.0, 0.0]).contains(&(Kind::NotSimple, [0, 0])));
-    // Pulled out to a needle.
+    // Stretched to a needle.
     assert!(seen(0, 2, [-30.0, 0.0]).contains(&(Kind::BlockAngleLow, [0, 0])));
-    // Pulled far across the neighbour above.
+    // Moved far across the neighbour above.
     assert!(seen(0, 2, [0.0, 22.0]).contains(&(Kind::Overlap, [0, 3])));
 }
 
@@ -264,8 +265,8 @@ fn random_designs_are_feasible_and_named_by_their_seed() {
     }
 }
 
-/// Adam on ½ Σ h (α − a)² with its optimum far outside, followed by the projection. The constrained optimum is the
-/// projection of a in the metric h. Weighted by √v̂ the loop ends there; the Euclidean projection ends elsewhere.
+/// Adam on ½ Σ h (α − a)² with a distant optimum, followed by the projection. The constrained optimum is the projection of a in
+/// the metric h. With the weights √v̂ the loop converges to it, with the Euclidean projection it does not.
 #[test]
 fn adam_with_the_weighted_projection_ends_at_the_constrained_optimum() {
     let (_, start, mut feasible) = body(3, 3);
@@ -304,8 +305,8 @@ fn adam_with_the_weighted_projection_ends_at_the_constrained_optimum() {
     assert!(plain > 1.2 * best, "plain: {plain}, optimum {best}");
 }
 
-/// Distances that Ipopt (casadi 3.8, a formulation of its own with one separating line a pair, from the rotated squares)
-/// found for random steps of 6 × 6 units: (largest shift, seed, mm). The four first ones have a farther local optimum too.
+/// Distances that Ipopt (casadi 3.8, with its own formulation: one separating line per pair, from the rotated squares) found for
+/// random steps of 6 × 6 units: (largest shift, seed, mm). The first four also have a more distant local optimum.
 #[test]
 fn the_nearest_design_is_as_near_as_an_independent_solver_finds() {
     let cases = [
@@ -340,7 +341,7 @@ fn the_nearest_design_is_as_near_as_an_independent_solver_finds() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Any layout, limits and step: what comes back is feasible, or the previous design, and the status says which.
+    /// For any layout, limits and step, the result is feasible or the previous design, as the status states.
     #[test]
     fn the_promise_holds_for_any_body_limits_and_step(
         columns in 2_usize..6, rows in 2_usize..5, family in 0_usize..5, ligament in 1.0..4.0_f64,
@@ -361,7 +362,7 @@ proptest! {
             min_void_angle: void.to_radians(), min_ligament_angle: beside.to_radians(),
             min_edge, clearance, ligament_clearance: bar,
         };
-        // small discs have three units
+        // Small discs have three units.
         let fixed: Vec<usize> = fixed.into_iter().map(|unit| unit % layout.units()).collect();
         let mut feasible = Feasible::new(&layout, limits, &fixed);
         let start = layout.initial_design(angle);

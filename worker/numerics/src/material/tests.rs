@@ -1,7 +1,7 @@
 use super::*;
 
-/// One end held, the other pulled by (N, V, M). What it then does is known by compliances (unit loads: stretch N l/EA, bending
-/// V l³/3EI + M l²/2EI and V l²/2EI + M l/EI, shear V l/κGA). The work of the loads is the model's energy.
+/// One end clamped, the other loaded by (N, V, M). Deflections follow from compliances (unit loads: stretch N l/EA, bending V
+/// l³/3EI + M l²/2EI and V l²/2EI + M l/EI, shear V l/κGA). The work of the loads equals the model's energy.
 #[test]
 fn the_energy_of_a_ligament_is_the_work_that_bends_a_timoshenko_beam() {
     for (width, length) in [(0.5, 4.0), (2.0, 2.25), (5.0, 3.0)] {
@@ -27,7 +27,7 @@ fn the_energy_of_a_ligament_is_the_work_that_bends_a_timoshenko_beam() {
     }
 }
 
-/// A ligament is that of its own stiffnesses; Gent's formula gives 2.45 MPa at Shore A 50, that of 0.26 MPa is about 4.
+/// A ligament follows from its own stiffnesses. Gent's formula gives 2.45 MPa at Shore A 50; 0.26 MPa is about Shore A 4.
 #[test]
 fn stiffnesses_have_their_ligament_and_a_modulus_its_hardness() {
     let own = Ligament { modulus: 0.26, thickness: 8.0, width: 1.5, length: 4.0 };
@@ -37,8 +37,8 @@ fn stiffnesses_have_their_ligament_and_a_modulus_its_hardness() {
     assert!(shore_a(0.15) < 0.0 && shore_a(0.26) > 3.0);
 }
 
-/// MODEL.md's reference body was not computed by these formulas. Its three stiffnesses are still those of one ligament, within a
-/// quarter: 2 mm wide, of E t = 3.375 N/mm.
+/// MODEL.md's reference body does not follow these formulas, but its three stiffnesses are within a quarter of those of one
+/// ligament, 2 mm wide with E t = 3.375 N/mm.
 #[test]
 fn the_reference_body_s_ligaments_are_some_two_millimetres_wide() {
     let k = Ligament { modulus: 0.3375, thickness: 10.0, width: 2.0, length: 2.25 }.stiffness();

@@ -1,36 +1,37 @@
-//! What the best linear decoder around a sample's motion can tell of its forces, of which it knows mean and covariance: the
-//! posterior given its signals, to first order and with a Gaussian prior.
+//! Error of the best linear decoder around a sample's motion, which uses mean and covariance of the forces: the posterior given
+//! the signals, to first order and with a Gaussian prior.
 //!
 //! ```text
 //! f = μ + D z, z ~ N(0, 1)      s(f + D δz) = s(f) + J D δz + noise, N(0, R)
 //! posterior of z: N(·, Q),  Q = (1 + (J D)ᵀ R⁻¹ J D)⁻¹      Σ E(f̂ − f)² = tr(D Q Dᵀ)
 //! ```
-//! D holds the principal directions of the stimuli, R white noise and a constant a channel. J D is by differences to both sides,
-//! all in lanes, the steps held.
+//! D contains the principal directions of the stimuli, R white noise and a constant per channel. J D comes from central
+//! differences with fixed steps, all in lanes.
 
 use crate::definite::inverse;
 use crate::dynamics::{Forces, Outcome, Plan, Scene, run};
 use nalgebra::{DMatrix, SymmetricEigen};
 
-/// What is known of forces before any signal.
+/// Prior of the forces.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Prior {
-    /// D, each a history of all panels on the forces' clock (N).
+    /// D: per direction a history of all panels on the clock of the forces (N).
     pub directions: Forces,
-    /// Σ over targets of each direction squared (N²): the variance that lies along it.
+    /// Σ over targets of each direction squared (N²): the variance along it.
     pub variance: Vec<f64>,
-    /// The variance along all others (N²), which are taken as known.
+    /// Variance along all other directions (N²), which count as known.
     pub rest: f64,
 }
 
-/// The part of the variance that directions may leave out.
+/// Share of the variance outside D.
 const LEFT_OUT: f64 = 1e-6;
 
 impl Prior {
-    /// Of samples with weights w_i: mean and covariance are Σ w (·)/Σ w. `targets` are what is asked for of histories, (N, ·).
+    /// Prior from samples with weights w_i: mean and covariance are Σ w (·)/Σ w. `targets` converts histories to decoder targets
+    /// (N, ·).
     ///
     /// # Panics
-    /// If there are not as many weights as samples.
+    /// If the number of weights differs from that of the samples.
     pub fn new(forces: &Forces, weights: &[f64], targets: impl Fn(&Forces) -> Vec<f64>) -> Self {
         let (n, total) = (forces.samples, weights.iter().sum::<f64>());
         assert_eq!(weights.len(), n, "weights");
@@ -67,17 +68,17 @@ impl Prior {
     }
 }
 
-/// Noise of the readings of each channel: standard deviation of each reading, and of a constant.
+/// Noise of each channel: standard deviation of each reading, and of a constant.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Noise {
-    /// White, above 0.
+    /// White noise, above 0.
     pub white: Vec<f64>,
-    /// A constant a sample.
+    /// A constant per sample.
     pub bias: Vec<f64>,
 }
 
 impl Noise {
-    /// R^(−½) of some samples of so many readings each, (N, T, channels): what is constant has the variance σ² + T b², the rest σ².
+    /// R^(−½) times samples (N, T, channels) of `readings` readings each: the constant part has variance σ² + T b², the rest σ².
     pub fn whitened(&self, mut signals: Vec<f64>, readings: usize) -> Vec<f64> {
         let channels = self.white.len();
         let instants = (readings / channels) as f64;
@@ -93,13 +94,13 @@ impl Noise {
     }
 }
 
-/// The largest force of a difference along a direction (N), beside stimuli of some tenths.
+/// Largest force of a difference along a direction (N); stimuli are some tenths of a newton.
 const STEP: f64 = 1e-4;
 
-/// J D of one sample, (r, T · 3M), by equal steps as planned; or how a simulation ended.
+/// J D of one sample, (r, T · 3M), with the steps of `plan`.
 ///
 /// # Errors
-/// If one does not end well.
+/// The outcome of a failed simulation.
 pub fn along(
     scene: &Scene,
     design: &[f64],
@@ -133,10 +134,10 @@ pub fn along(
     }
 }
 
-/// 1 + (J D)ᵀ R⁻¹ J D where signals change by `along`, (r, T · channels), along the prior's directions.
+/// 1 + (J D)ᵀ R⁻¹ J D for the derivatives `along` (r, T · channels) of the signals along the prior's directions.
 ///
 /// # Panics
-/// If lengths do not fit.
+/// If lengths do not match.
 pub fn information(prior: &Prior, along: &[f64], noise: &Noise) -> DMatrix<f64> {
     let r = prior.variance.len();
     let readings = along.len() / r.max(1);
@@ -145,7 +146,7 @@ pub fn information(prior: &Prior, along: &[f64], noise: &Noise) -> DMatrix<f64> 
     DMatrix::identity(r, r) + &rows * rows.transpose()
 }
 
-/// tr(D Q Dᵀ) over targets (N²), Q the inverse of this information; `None` of an information that is not finite.
+/// tr(D Q Dᵀ) over targets (N²), Q the inverse of this information; `None` if the information is not finite.
 pub fn posterior_variance(prior: &Prior, information: DMatrix<f64>) -> Option<f64> {
     let known = inverse(information, 1.0)?;
     Some(prior.variance.iter().enumerate().map(|(k, variance)| variance * known[(k, k)]).sum())

@@ -1,12 +1,12 @@
-//! Small motions about rest: eigenmodes with all of their damping, and how a force on a panel moves a unit.
+//! Small motions about rest: damped eigenmodes, and responses of units to forces on panels.
 //!
 //! ```text
 //! (s² M + s C + K) x = 0        x(ω) = (K + iω C − ω² M)⁻¹ e_panel,   read as −ω² (u, v) and iω θ
 //! ```
-//! C is not proportional to M and K, so that shapes are complex and s comes of the first-order form, z = (Ω x, s x), of twice
-//! the unknowns, Ω a high frequency: eigenvalues of least |s| by block Arnoldi on its inverse (Saad, Numerical Methods for Large
-//! Eigenvalue Problems, 2011, ch. 6), K by a sparse Cholesky factor. Responses take a sparse LU factor a frequency. A body that nothing
-//! holds moves as a whole at s = 0, where K has no factor: its inverse is that of A − σ, σ far below Ω, by P = K + σ C + σ² M.
+//! C is not proportional to M and K, so shapes are complex. s follows from the first-order form z = (Ω x, s x) with twice the
+//! unknowns, Ω a high frequency: block Arnoldi on its inverse gives the least |s| (Saad, Numerical Methods for Large Eigenvalue
+//! Problems, 2011, ch. 6), with a sparse Cholesky factor of K. Responses use a sparse LU factor per frequency. An unsupported
+//! body has rigid modes with s = 0; its inverse is that of A − σ, σ far below Ω, with P = K + σ C + σ² M.
 
 pub mod bound;
 
@@ -21,9 +21,9 @@ use std::f64::consts::TAU;
 /// A mode of small motions: the real part of `shape` · exp(s t).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mode {
-    /// s (1/s), of no negative imaginary part; real where the mode does not ring.
+    /// s (1/s) with imaginary part ≥ 0; real for an overdamped mode.
     pub s: c64,
-    /// (u, v, θ) of every unit (mm, mm, rad), held ones at zero; xᵀMx = 1, which makes it as real as it can be.
+    /// (u, v, θ) of every unit (mm, mm, rad), 0 for held units; scaled to xᵀMx = 1, which makes it as real as possible.
     pub shape: Vec<[c64; 3]>,
 }
 
@@ -33,12 +33,12 @@ impl Mode {
         self.s.norm() / TAU
     }
 
-    /// −Re s/|s|: 1 where it does not ring.
+    /// −Re s/|s|; 1 for an overdamped mode.
     pub fn damping_ratio(&self) -> f64 {
         if self.s == c64::ZERO { 1.0 } else { -self.s.re / self.s.norm() }
     }
 
-    /// −1/Re s (s); none where nothing damps it.
+    /// −1/Re s (s); `None` without damping.
     pub fn decay_time(&self) -> Option<f64> {
         (self.s.re < 0.0).then(|| -self.s.re.recip())
     }
@@ -47,25 +47,25 @@ impl Mode {
 /// Why a body has no modes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NoModes {
-    /// Some motion meets no stiffness though the body is held, or no damping where it is not.
+    /// Some motion has no stiffness in a supported body, or no damping in an unsupported one.
     Loose,
-    /// Its masses, stiffness or damping are not finite, or so far apart that what follows from them is not.
+    /// Masses, stiffness or damping are not finite, or of too different magnitudes.
     NotFinite,
 }
 
-/// Energy of what is left of a mode's equation that counts as found, relative to the mode's: √(rᴴ K⁻¹ r / xᴴ K x). Rounding leaves more of
-/// a slow mode, whose elastic forces cancel, and of others beside slow ones: up to so much is taken for it.
+/// Residual energy norm of a converged mode, relative to the mode's: √(rᴴ K⁻¹ r / xᴴ K x). Slow modes, whose elastic forces
+/// cancel, and their neighbours have more rounding error, accepted up to `ROUNDED`.
 const TOLERANCE: f64 = 1e-10;
 const ROUNDED: f64 = 1e-8;
-/// Starts of the subspace: a lattice of squares has modes that come twice, and one start finds such a mode once.
+/// Number of starts of the subspace: square lattices have double modes, which one start finds once.
 const STARTS: usize = 3;
-/// Eigenvalues are told apart from here on.
+/// Relative distance of eigenvalues that count as distinct.
 const APART: f64 = 1e-8;
-/// σ/Ω of a body that nothing holds, and |s|/σ below which s is 0 but for rounding.
+/// σ/Ω for an unsupported body, and |s|/σ below which s is rounding error of 0.
 const SHIFT: f64 = 1e-3;
 const STILL: f64 = 1e-6;
 
-/// The `count` modes of least |s|, in order of it; fewer where the body has fewer.
+/// The `count` modes of least |s|, sorted, or all if there are fewer.
 ///
 /// # Errors
 /// If the stiffness is not positive definite, or numbers are not finite.
@@ -116,7 +116,7 @@ pub fn modes(rest: &Rest, units: usize, count: usize) -> Result<Vec<Mode>, NoMod
 /// All modes up to a frequency (Hz).
 ///
 /// # Errors
-/// As `modes`.
+/// As [`modes`].
 pub fn modes_to(rest: &Rest, units: usize, hertz: f64) -> Result<Vec<Mode>, NoModes> {
     let mut count = 32;
     loop {
@@ -129,7 +129,7 @@ pub fn modes_to(rest: &Rest, units: usize, hertz: f64) -> Result<Vec<Mode>, NoMo
     }
 }
 
-/// s of a mode with the damping that its shape has: of one that rings Re s = −xᴴCx/2xᴴMx, and so exactly 0 where nothing damps.
+/// s of a mode with the damping that its shape implies: for complex s, Re s = −xᴴCx/2xᴴMx, exactly 0 without damping.
 fn damped(rest: &Rest, s: c64, x: &[c64]) -> c64 {
     if s.im == 0.0 {
         return c64::new(s.re, 0.0);
@@ -140,17 +140,17 @@ fn damped(rest: &Rest, s: c64, x: &[c64]) -> c64 {
     c64::new(-size * ratio, size * (1.0 - ratio * ratio).sqrt())
 }
 
-/// An orthonormal basis V of what A⁻¹ makes of some starts, and what it makes of the first of V's vectors, in terms of V.
+/// An orthonormal basis V of the Krylov subspace of A⁻¹, and A⁻¹ v of its first vectors in this basis.
 struct Subspace {
     basis: Vec<DVector<f64>>,
-    /// Vᵀ A⁻¹ v, one entry a vector v that it was applied to.
+    /// Vᵀ A⁻¹ v, per vector v to which A⁻¹ was applied.
     image: Vec<DVector<f64>>,
-    /// Starts so far.
+    /// Number of starts so far.
     drawn: usize,
 }
 
 impl Subspace {
-    /// Applies A⁻¹ until it was to `size` vectors.
+    /// Applies A⁻¹ to `size` vectors in total.
     fn grow(&mut self, inverse: &Inverse<'_>, size: usize) {
         let most = 2 * inverse.rest.mass.len();
         while self.basis.len() < STARTS.min(most) {
@@ -160,14 +160,14 @@ impl Subspace {
             let moved = inverse.apply(&self.basis[self.image.len()]);
             let image = self.add(moved);
             self.image.push(image);
-            // an invariant subspace: what it lacks comes of another start
+            // The subspace is invariant; another start completes it.
             while self.basis.len() == self.image.len() && self.basis.len() < most {
                 self.start(most);
             }
         }
     }
 
-    /// Another start, which no symmetry of the lattice leaves without a part in some mode.
+    /// Adds a start that has a component along every mode despite the lattice's symmetry.
     fn start(&mut self, length: usize) {
         self.drawn += 1;
         let pace = 7.3 + (self.drawn as f64).sqrt();
@@ -175,11 +175,11 @@ impl Subspace {
         self.add(vector);
     }
 
-    /// Adds what is new in a vector to the basis, if anything; returns the vector in terms of the basis.
+    /// Adds the new component of a vector, if any, to the basis; returns the vector in this basis.
     fn add(&mut self, mut vector: DVector<f64>) -> DVector<f64> {
         let size = vector.norm();
         let mut image = DVector::zeros(self.basis.len());
-        // twice is enough (Giraud et al., Numer. Math. 101 (2005) 87–100)
+        // Twice is enough (Giraud et al., Numer. Math. 101 (2005) 87–100).
         for _ in 0..2 {
             for (part, of) in image.iter_mut().zip(&self.basis) {
                 let along = of.dot(&vector);
@@ -195,12 +195,12 @@ impl Subspace {
         image.push(left)
     }
 
-    /// Entry of H = Vᵀ A⁻¹ V, which has few diagonals below its own.
+    /// Entry of H = Vᵀ A⁻¹ V, a band matrix below the diagonal.
     fn part(&self, i: usize, j: usize) -> f64 {
         self.image[j].get(i).copied().unwrap_or(0.0)
     }
 
-    /// y ↦ (H − shift)⁻¹ y, by elimination with row exchanges.
+    /// y ↦ (H − shift)⁻¹ y, by elimination with partial pivoting.
     fn divide(&self, y: &mut [c64], shift: c64) {
         let m = y.len();
         let below = (0..m).map(|j| self.image[j].len() - j).max().unwrap_or(0);
@@ -226,9 +226,9 @@ impl Subspace {
         }
     }
 
-    /// (s, x) of the `count` slowest modes that the subspace knows of, xᵀMx = 1; `None` of numbers that are none.
+    /// (s, x) of the `count` slowest modes in the subspace, scaled to xᵀMx = 1; `None` if numbers are not finite.
     ///
-    /// Vectors by inverse iteration from x that are real at first, so that modes that come twice are as real as single ones.
+    /// Inverse iteration starts from real x, so that double modes are as real as single ones.
     fn pairs(&self, inverse: &Inverse<'_>, count: usize) -> Option<Vec<(c64, Vec<c64>)>> {
         let (m, n) = (self.image.len(), inverse.rest.mass.len());
         let values = Mat::from_fn(m, m, |i, j| self.part(i, j)).eigenvalues().ok()?;
@@ -239,7 +239,7 @@ impl Subspace {
         slow.truncate(count);
         let mut pairs: Vec<(c64, Vec<c64>)> = Vec::new();
         for s in slow {
-            // The iteration must not divide by zero, and may be this far off
+            // Avoids a division by zero; the iteration tolerates this error.
             let shift = (s - inverse.shift).inv() * (1.0 + 1e-3 * APART);
             let pace = 3.1 + (pairs.len() as f64).sqrt();
             let x = |i: usize| (1.0 + pace * (i % n) as f64).sin();
@@ -271,13 +271,13 @@ impl Subspace {
     }
 }
 
-/// Of a motion under a force of 1 N on a panel at one frequency: a_x, a_y (mm/s²/N) and ω (rad/s/N) of a unit, in the scene's frame.
+/// Response of a unit to a force of 1 N on a panel at one frequency: a_x, a_y (mm/s²/N) and ω (rad/s/N), in the scene's frame.
 pub type Response = [c64; 3];
 
-/// Responses at these frequencies (Hz), of each unit to each panel: (frequencies, panels, units).
+/// Responses (frequencies, panels, units) of each unit to each panel at these frequencies (Hz).
 ///
 /// # Panics
-/// If a unit is none of the scene's.
+/// If a unit does not exist.
 pub fn responses(
     scene: &Scene,
     rest: &Rest,
@@ -314,8 +314,8 @@ pub fn responses(
     frequencies.iter().map(at).collect()
 }
 
-/// The part of a mode in [`responses`]: φ φᵀ/(φᵀ(2s M + C) φ · (iω − s)) with its conjugate; the sum over all modes is the whole, but for
-/// what a shaken base adds to all units alike.
+/// Contribution of a mode and its conjugate to [`responses`]: φ φᵀ/(φᵀ(2s M + C) φ · (iω − s)). The sum over all modes is the
+/// response, except for the common acceleration of a shaken base.
 pub fn part_of(
     mode: &Mode,
     scene: &Scene,
@@ -346,7 +346,7 @@ pub fn part_of(
     frequencies.iter().map(at).collect()
 }
 
-/// What is read at a unit that moves by (u, v, θ) on a base of this acceleration.
+/// Reading at a unit that moves by (u, v, θ) on a base with this acceleration.
 fn read(
     scene: &Scene,
     rest: &Rest,
@@ -368,11 +368,11 @@ fn read(
 /// z ↦ (A − σ)⁻¹ z of ż = A z, z = (Ω x, ẋ): x ↦ −P⁻¹ ((C + σ M) x + M ẋ), ẋ ↦ x + σ times that.
 struct Inverse<'a> {
     rest: &'a Rest,
-    /// Of P.
+    /// Cholesky factor of P.
     stiffness: Llt<usize, f64>,
-    /// Ω (rad/s): parts of z are of like size in quick modes, too.
+    /// Ω (rad/s); it balances the parts of z in fast modes.
     scale: f64,
-    /// σ (1/s): 0 of a body that is held.
+    /// σ (1/s); 0 for a supported body.
     shift: f64,
 }
 
@@ -386,7 +386,7 @@ impl Inverse<'_> {
         DVector::from_fn(2 * n, |i, _| if i < n { moved[(i, 0)] } else { speed(i - n) })
     }
 
-    /// √(rᴴ P⁻¹ r / xᴴ P x), r = (s² M + s C + K) x, and what of it may be rounding, ε |x|ᵀ|K||x| / xᴴ P x.
+    /// √(rᴴ P⁻¹ r / xᴴ P x), r = (s² M + s C + K) x, and its rounding error ε |x|ᵀ|K||x| / xᴴ P x.
     fn left(&self, s: c64, x: &[c64]) -> [f64; 2] {
         let (Rest { mass, damping, stiffness, .. }, n) = (self.rest, x.len());
         let (mut elastic, mut sizes) = (vec![c64::ZERO; n], 0.0);
@@ -404,7 +404,7 @@ impl Inverse<'_> {
         [((work(0) + work(1)).max(0.0) / whole).sqrt(), f64::EPSILON * sizes / whole]
     }
 
-    /// 2s xᵀMy + xᵀCy, zero for two modes of one s that are told apart.
+    /// 2s xᵀMy + xᵀCy; 0 for two distinct modes of equal s.
     fn across(&self, s: c64, x: &[c64], y: &[c64]) -> c64 {
         let Rest { mass, damping, .. } = self.rest;
         x.iter()

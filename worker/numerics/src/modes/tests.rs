@@ -32,7 +32,7 @@ fn scene(layout: Layout, clamped: Vec<usize>) -> Scene {
     }
 }
 
-/// A 3 × 3 lattice with the initial design, shaken, its middle unit on a guide; struck on a centroid and a node, and at its base.
+/// A 3 × 3 lattice with a perturbed initial design, its middle unit guided, struck on a centroid, a node and its base.
 fn small() -> (Scene, Vec<f64>) {
     let layout = Layout::planar(3, 3, 15.0, 2.25);
     let mut scene = scene(layout, vec![0, 1, 2]);
@@ -44,7 +44,7 @@ fn small() -> (Scene, Vec<f64>) {
     (scene, design)
 }
 
-/// The small body, and one of every other lattice, their designs shaken, too.
+/// The small body and one of every other lattice, with perturbed designs.
 fn bodies() -> Vec<(String, Scene, Vec<f64>)> {
     let (scene, design) = small();
     let mut bodies = vec![("squares".into(), scene, design)];
@@ -64,7 +64,7 @@ fn found(scene: &Scene, design: &[f64], count: usize) -> (Rest, Vec<Mode>) {
     (rest, modes)
 }
 
-/// The net force of a mode, relative to its inertia: max |(s² M + s C + K) x| over max |(s² M + s C) x|.
+/// Residual force of a mode relative to its inertia: max |(s² M + s C + K) x| over max |(s² M + s C) x|.
 fn off(rest: &Rest, Mode { s, shape }: &Mode) -> f64 {
     let x: Vec<c64> = rest.unknowns.iter().map(|i| shape[i / 3][i % 3]).collect();
     let most = |force: &[c64]| force.iter().map(|f| f.norm()).fold(0.0, f64::max);
@@ -75,7 +75,7 @@ fn off(rest: &Rest, Mode { s, shape }: &Mode) -> f64 {
     most(&force) / inertia
 }
 
-/// xᵀ D y of the units that move, D diagonal.
+/// xᵀ D y of the free units, D diagonal.
 fn product(rest: &Rest, x: &[[c64; 3]], diagonal: &[f64], y: &[[c64; 3]]) -> c64 {
     let at = |i: usize| {
         let (unit, d) = (rest.unknowns[i] / 3, rest.unknowns[i] % 3);
@@ -84,8 +84,8 @@ fn product(rest: &Rest, x: &[[c64; 3]], diagonal: &[f64], y: &[[c64; 3]]) -> c64
     (0..diagonal.len()).map(at).sum()
 }
 
-/// Upright squares in a column, held at one end, move up and down as masses on springs: ω = 2√(k_l/m) sin((2j − 1)π/(4n + 2)),
-/// s² + (c/m) s + ω² = 0; with this much damping the slowest do not ring.
+/// Upright squares in a column, clamped at one end, move as masses on springs: ω = 2√(k_l/m) sin((2j − 1)π/(4n + 2)), s² + (c/m)
+/// s + ω² = 0. With this damping the slowest modes are overdamped.
 #[test]
 fn a_column_of_squares_has_the_modes_of_a_chain() {
     let n = 6;
@@ -122,7 +122,7 @@ fn a_column_of_squares_has_the_modes_of_a_chain() {
     assert!(ringing[0] > 0 && ringing[1] > 0, "{ringing:?}");
 }
 
-/// (s² M + s C + K) x = 0, and of two modes (s + s′) xᵀMx′ + xᵀCx′ = 0.
+/// (s² M + s C + K) x = 0, and (s + s′) xᵀMx′ + xᵀCx′ = 0 for two modes.
 #[test]
 fn modes_solve_the_damped_equation_and_are_orthogonal_in_its_sense() {
     let (scene, design) = small();
@@ -145,8 +145,8 @@ fn modes_solve_the_damped_equation_and_are_orthogonal_in_its_sense() {
     assert!(worst < 1e-8 && across < 1e-8, "{worst:e} {across:e}");
 }
 
-/// A square body held at its corners has each mode that is no symmetry's own twice: all of them are found, as a dense solver
-/// finds them without damping, and the highest is that by which steps are chosen.
+/// A square body held at its corners has double modes. All are found, in agreement with a dense undamped solver, and the highest
+/// frequency is the one that sets the steps.
 #[test]
 fn modes_that_come_twice_are_found_twice() {
     let layout = Layout::planar(5, 5, 15.0, 2.25);
@@ -175,19 +175,19 @@ fn modes_that_come_twice_are_found_twice() {
     assert!((highest / known[n - 1] - 1.0).abs() < 1e-3, "{highest} {}", known[n - 1]);
 }
 
-/// 1 where the conjugate of a mode is one, too; 0 of one that does not ring, as the soft ones of Kagome's triangles.
+/// 1 if the conjugate is another mode, 0 for an overdamped mode, such as the soft modes of Kagome lattices.
 fn pair(mode: &Mode) -> f64 {
     f64::from(u8::from(mode.s.im != 0.0))
 }
 
-/// Weights b of q̇ = s q + b f: xᵀf over 2s xᵀMx + xᵀCx.
+/// Weights b in q̇ = s q + b f: xᵀf / (2s xᵀMx + xᵀCx).
 fn weights(rest: &Rest, mode: &Mode) -> Vec<c64> {
     let below = 2.0 * mode.s + product(rest, &mode.shape, &rest.damping, &mode.shape);
     let part = |(i, does): &(usize, f64)| mode.shape[rest.unknowns[*i] / 3][rest.unknowns[*i] % 3] * *does;
     rest.pushes.iter().map(|of| of.iter().map(part).sum::<c64>() / below).collect()
 }
 
-/// A press turns units before anything moves, and with them the axes of chips that are glued to them.
+/// Compression rotates units, and with them the axes of their chips.
 #[test]
 fn responses_of_a_pressed_body_are_along_its_chips() {
     let (scene, design) = small();
@@ -207,7 +207,7 @@ fn responses_of_a_pressed_body_are_along_its_chips() {
     );
 }
 
-/// The parts of all modes are the whole, but for what a shaken base adds.
+/// The sum over all modes is the response, except for the acceleration of a shaken base.
 #[test]
 fn responses_are_the_sum_over_all_modes() {
     bodies().into_iter().for_each(|(what, scene, design)| check_responses(&what, &scene, &design));
@@ -237,8 +237,8 @@ fn check_responses(what: &str, scene: &Scene, design: &[f64]) {
     assert_eq!(slow.len(), modes.iter().filter(|mode| mode.frequency() <= quick * (1.0 + 1e-9)).count());
 }
 
-/// A simulation under forces of some µN (its odd part: what is quadratic falls out) against the exact sum over all modes,
-/// forces linear between instants: signals agree to 3e-7.
+/// A simulation under forces of some µN (odd part, without quadratic terms) agrees with the exact sum over all modes, for forces
+/// linear between instants, within 3e-7.
 #[test]
 fn small_motions_of_a_simulation_are_those_of_the_modes() {
     bodies().into_iter().for_each(|(what, scene, design)| check_motions(&what, &scene, &design));
@@ -269,7 +269,7 @@ fn check_motions(what: &str, scene: &Scene, design: &[f64]) {
                 *q += b * (flat * force(k, t - 1) + ramp * (force(k, t) - force(k, t - 1)));
             }
         }
-        // M a = f − C v − K x
+        // M a = f − C v − K x.
         let of = |i: usize, power: i32| -> f64 {
             let part =
                 |(m, q): (&Mode, &c64)| (1.0 + pair(m)) * (m.s.powi(power) * m.shape[i / 3][i % 3] * *q).re;
@@ -299,8 +299,8 @@ fn check_motions(what: &str, scene: &Scene, design: &[f64]) {
     assert!(relative.iter().all(|r| *r < 3e-7), "{what}: {relative:?}");
 }
 
-/// A slender body bends so slowly that the net force of a mode is all rounding: its modes are found in a small subspace all the same, as a
-/// dense solver finds them.
+/// In a slender body, whose slow bending modes have residuals dominated by rounding, a small subspace still finds the modes of a
+/// dense solver.
 #[test]
 fn a_slender_body_has_the_modes_of_a_dense_solver() {
     let slender = Scene { panels: Vec::new(), ..scene(Layout::planar(3, 40, 15.0, 2.25), vec![0, 1, 2]) };
@@ -322,7 +322,7 @@ fn a_slender_body_has_the_modes_of_a_dense_solver() {
         .map(|s| s.norm() / TAU)
         .collect();
     known.sort_by(f64::total_cmp);
-    // what the dense solver's own rounding leaves of the slowest
+    // Rounding error of the dense solver in the slowest modes.
     let enough = |frequency: f64| 1e-9 * (1.0 + 1e-3 * known[n - 1] / frequency);
     for (mode, known) in modes.iter().zip(&known) {
         let off = (mode.frequency() / known - 1.0).abs();
@@ -331,7 +331,7 @@ fn a_slender_body_has_the_modes_of_a_dense_solver() {
     assert!(modes[0].frequency() < 1e-4 * known[n - 1], "{}", modes[0].s);
 }
 
-/// Without damping nothing is damped: a ratio of 0, and a motion that never falls.
+/// Without damping, damping ratios are 0 and modes do not decay.
 #[test]
 fn modes_without_damping_are_not_damped() {
     let (scene, design) = small();
@@ -347,7 +347,8 @@ fn modes_without_damping_are_not_damped() {
     }
 }
 
-/// A body that nothing holds has three modes at s = 0, which strain nothing, as many that only slow down, and all others as a held one has.
+/// An unsupported body has three modes at s = 0 without strain, three that decay without stiffness; its other modes solve the
+/// same equation.
 #[test]
 fn a_loose_body_moves_as_a_whole() {
     let (small, design) = small();
@@ -374,7 +375,7 @@ fn a_loose_body_moves_as_a_whole() {
             assert!(strained.abs() < 1e-9 * most * size, "{strained} of {}", most * size);
         }
         assert!(modes[3..].iter().all(|mode| off(&rest, mode) < 1e-6));
-        // the trace of −M⁻¹ C is the sum of all s
+        // The trace of −M⁻¹ C is the sum of all s.
         let trace: f64 = rest.damping.iter().zip(&rest.mass).map(|(c, m)| -c / m).sum();
         let pairs = |mode: &Mode| if mode.s.im > 0.0 { 2.0 * mode.s.re } else { mode.s.re };
         let sum: f64 = modes.iter().map(pairs).sum();

@@ -1,6 +1,7 @@
-//! Sensors put where a linear brain reads the initial body's training samples best, before anything else of a trial.
+//! Sensor search before a trial: places sensors where a linear decoder has the least error on the initial body's training
+//! samples.
 //!
-//! All candidate units listen to the same simulations, through the chips that the sensors will have.
+//! All candidates use the same simulations, with the chip properties of the sensors.
 
 use super::{CANDIDATES, FIRST_RIDGE, Nowhere, Placed, Scores};
 use crate::brain::linear::Sizes;
@@ -9,27 +10,27 @@ use crate::brains::ridge::deal;
 use crate::dynamics::Scene;
 use crate::trial::{Counters, Failure, Optimise, Placing, Problem, Trial, Trouble};
 
-/// Candidates, spread over all, by which it is judged whether energies help.
+/// Number of candidates, spread over all, that test whether energies help.
 const JUDGES: usize = 4;
-/// Candidates that are rated alone at a time, where there are too many to be searched.
+/// Number of candidates that are rated together if there are too many to search.
 const GROUP: usize = 8;
 
-/// What all candidates of a search hear.
+/// Signals of all candidates.
 #[derive(Debug, Clone)]
 pub struct Candidates {
-    /// Units, by their channels' order.
+    /// Units, in the order of their channels.
     pub units: Vec<usize>,
     samples: Plain,
     dealt: Vec<usize>,
-    /// Whether a linear brain reads the forces better that sees the energies of the signals, too.
+    /// Whether the energies of signals, as additional inputs, lower the error.
     energies: bool,
 }
 
 impl Candidates {
-    /// Those of `search` on a body under the training samples.
+    /// Simulates the candidates of `search` on a body under the training samples.
     ///
     /// # Errors
-    /// If the body cannot be simulated, or fewer than two folds of the training samples have forces.
+    /// If the body cannot be simulated, or fewer than two folds contain forces.
     pub fn new(
         problem: &Problem,
         search: &Placing,
@@ -37,7 +38,7 @@ impl Candidates {
         pool: &crate::Pool,
     ) -> Result<Self, Failure> {
         let units = search.candidates.clone();
-        // a chip on each candidate would be another body
+        // Without chip masses, which on all candidates would change the body.
         let scene = Scene { sensors: units.clone(), chip: None, ..problem.scene.clone() };
         let optimise = Optimise { coarse: None, ..problem.optimise };
         let trial = Trial::new(&Problem { scene, search: None, optimise, ..problem.clone() }, pool)?;
@@ -51,7 +52,7 @@ impl Candidates {
         };
         let samples = Plain::of(&heard, &trial.scales, pool);
         let dealt = deal(problem.seed, heard.count());
-        // what one fold holds of the forces, others must have as well
+        // Forces must occur in at least two folds.
         let mut struck = dealt.iter().zip(&samples.w).filter(|(_, w)| **w > 0.0).map(|(fold, _)| fold);
         let first = struck.next();
         if struck.all(|fold| Some(fold) == first) {
@@ -70,7 +71,7 @@ impl Candidates {
         Ok(Self { energies, ..plain })
     }
 
-    /// As many as can be searched: where there are more, those that are best alone.
+    /// Keeps the best single units if there are too many to search.
     #[must_use]
     pub fn thinned(self, problem: &Problem, pool: &crate::Pool) -> Self {
         if self.units.len() <= CANDIDATES {
@@ -82,7 +83,7 @@ impl Candidates {
         self.of(&best)
     }
 
-    /// Each unit that is not chosen, and the error (%) of a linear brain with it beside the chosen ones, best first.
+    /// Each unit that is not chosen, with the error (%) of a linear decoder of the chosen units and this one, best first.
     pub fn worth(
         &self,
         chosen: &[usize],
@@ -100,10 +101,10 @@ impl Candidates {
         worth
     }
 
-    /// What these of them hear.
+    /// Signals of some of the units.
     ///
     /// # Panics
-    /// If one is none of them.
+    /// If one is not a candidate.
     #[must_use]
     pub fn of(&self, units: &[usize]) -> Self {
         let position = |unit: &usize| self.units.iter().position(|u| u == unit).expect("a candidate");
@@ -116,7 +117,7 @@ impl Candidates {
         Self { units: units.to_vec(), samples, dealt: self.dealt.clone(), energies: self.energies }
     }
 
-    /// How well any of them are read.
+    /// Prepares errors of subsets of the units.
     pub fn scores<'a>(&self, problem: &'a Problem, pool: &'a crate::Pool) -> Scores<'a> {
         let Plain { sizes, x, y, w, .. } = &self.samples;
         Scores::new(
@@ -131,10 +132,10 @@ impl Candidates {
     }
 }
 
-/// The problem with its sensors in place, and what a search for them found; as it is where they are given.
+/// The problem with its sensors placed, and the result of the search; unchanged if sensors are given.
 ///
 /// # Errors
-/// If the initial body cannot be simulated, or there is no such placement.
+/// If the initial body cannot be simulated, or no placement exists.
 pub fn placed(problem: &Problem, pool: &crate::Pool) -> Result<(Problem, Option<Placed>), Failure> {
     let Some(search) = &problem.search else { return Ok((problem.clone(), None)) };
     let candidates = Candidates::new(problem, search, &problem.initial, pool)?.thinned(problem, pool);

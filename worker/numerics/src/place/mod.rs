@@ -1,7 +1,7 @@
-//! Which units carry the sensors: those whose signals a linear brain reads the forces from best.
+//! Sensor search: selects the units with the least error of a linear decoder.
 //!
-//! An error is that of folds of the training samples (`spectra`). The unit that lowers it most joins the chosen ones, then
-//! each gives way to another as long as that lowers it; up to two sensors all sets are tried.
+//! Errors are cross-validated on the training samples (`spectra`). The search adds the unit that lowers the error most, then
+//! exchanges units while that lowers the error. For up to two sensors it tests all sets.
 
 mod candidates;
 mod spectra;
@@ -19,52 +19,52 @@ use std::ops::Range;
 /// A set of units, and its error (%).
 pub type Rated = (Vec<usize>, f64);
 
-/// What a search found.
+/// Result of a search.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Placed {
-    /// The units, in the order in which they are worth most.
+    /// The units, in the order in which each lowers the error most.
     pub units: Vec<usize>,
-    /// Error (%) of a linear brain on samples that it has not seen, of the first m of them, m = 1 … M.
+    /// Cross-validated error (%) of a linear decoder of the first m units, m = 1 … M.
     pub errors: Vec<f64>,
-    /// The next best of the sets that differ by one unit, and its error (%).
+    /// The next best set that differs by one unit, and its error (%).
     pub runner_up: Option<Rated>,
     /// λ.
     pub ridge: f64,
-    /// Whether the linear brain saw the energies of the signals, too.
+    /// Whether energies of the signals were additional inputs.
     pub energies: bool,
 }
 
-/// No placement has so many sensors so far apart, or no λ gives their brain a solution.
+/// No placement has this many sensors at this distance, or no λ gives a solution.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Nowhere;
 
-/// Exchanges of a unit at most: each set is rated by its own λ, so that two might take turns for ever.
+/// Largest number of exchanges: each set is rated with its own λ, so exchanges could cycle.
 const EXCHANGES: usize = 1000;
-/// More candidates are thinned out to those that are best alone: what the exchange goes through grows with their square.
+/// Of more candidates, only the best single units are searched: the cost of exchanges grows with the square of their number.
 pub const CANDIDATES: usize = 64;
-/// λ by which single units are rated before one is chosen.
+/// λ for rating single units before the first choice.
 pub const FIRST_RIDGE: f64 = 1e-4;
 
-/// Signals of candidate units, and how well any of them are read.
+/// Signals of candidates, prepared for errors of subsets.
 pub struct Scores<'a> {
     spectra: Spectra,
     layout: &'a Layout,
-    /// Units by their channels' order.
+    /// Units, in the order of their channels.
     units: Vec<usize>,
-    /// Channels of each, its energy among them where that is one.
+    /// Channels per unit, including its energy if used.
     each: usize,
-    /// Whether it is.
+    /// Whether energies are used.
     energies: bool,
     pool: &'a crate::Pool,
 }
 
 impl<'a> Scores<'a> {
-    /// Of signals x (N, T, units · channels of each) and forces f (N, T, K); sample i has weight w_i and is judged in fold `dealt[i]`. With
-    /// `energies` |x|² of each unit, less its mean and in units of its standard deviation, is a signal, too: what blows leave that
-    /// no linear part of the motion tells.
+    /// From signals x (N, T, units · channels per unit) and forces f (N, T, K); sample i has weight w_i and fold `dealt[i]`.
+    /// `energies` adds |x|² of each unit, normalised to mean 0 and standard deviation 1: it contains information on blows that is
+    /// not linear in the motion.
     ///
     /// # Panics
-    /// If lengths do not belong to one N, or units have not equally many channels.
+    /// If lengths do not match one N, or units have different numbers of channels.
     pub fn new(
         layout: &'a Layout,
         units: Vec<usize>,
@@ -86,10 +86,10 @@ impl<'a> Scores<'a> {
         Self { spectra, layout, units, each: each + usize::from(energies), energies, pool }
     }
 
-    /// Error (%) of a linear brain of these units on samples that it has not seen; infinite where λ gives none.
+    /// Cross-validated error (%) of a linear decoder of these units; infinite if λ gives no solution.
     ///
     /// # Panics
-    /// If one is no candidate.
+    /// If one is not a candidate.
     pub fn error(&self, units: &[usize], ridge: f64) -> f64 {
         self.spectra.error(&self.channels_of(units), ridge).unwrap_or(f64::INFINITY)
     }
@@ -98,13 +98,13 @@ impl<'a> Scores<'a> {
         units.iter().flat_map(|&unit| self.channels(unit)).collect()
     }
 
-    /// Those of a candidate.
+    /// Channels of a candidate.
     fn channels(&self, unit: usize) -> Range<usize> {
         let at = self.each * self.units.iter().position(|&u| u == unit).expect("a candidate");
         at..at + self.each
     }
 
-    /// Sets and their errors (%), best first; equal ones as they came.
+    /// Sets with their errors (%), best first; ties keep their order.
     fn rated(&self, sets: Vec<Vec<usize>>, ridge: f64) -> Vec<Rated> {
         let of = |set: Vec<usize>| {
             let error = self.error(&set, ridge);
@@ -115,7 +115,7 @@ impl<'a> Scores<'a> {
         rated
     }
 
-    /// Error (%) of all candidates together, at the λ of least error.
+    /// Error (%) of all candidates together, with λ by the usual rule.
     pub fn of_all(&self) -> f64 {
         self.error(&self.units, self.ridge(&self.units))
     }
@@ -127,13 +127,13 @@ impl<'a> Scores<'a> {
         greatest(&ridges().filter_map(judged).collect::<Vec<_>>()).unwrap_or(FIRST_RIDGE)
     }
 
-    /// Units of `from` that are far enough from the chosen ones, and none of them.
+    /// Units of `from` that are not chosen and far enough from the chosen ones.
     fn beside(&self, from: &[usize], chosen: &[usize], spacing: f64) -> Vec<usize> {
         let far = |a: usize, b: usize| a != b && self.layout.apart(a, b, spacing);
         from.iter().copied().filter(|&unit| chosen.iter().all(|&other| far(unit, other))).collect()
     }
 
-    /// Each unit of `candidates` that may stand beside the chosen ones, and the error (%) with it, best first.
+    /// Each of the `candidates` that may join the chosen ones, with the resulting error (%), best first.
     pub fn worth(
         &self,
         chosen: &[usize],
@@ -146,16 +146,16 @@ impl<'a> Scores<'a> {
         rated.into_iter().map(|(set, error)| (set[chosen.len()], error)).collect()
     }
 
-    /// Searches.
+    /// Runs the search.
     ///
     /// # Errors
-    /// If there is no such placement.
+    /// If no placement exists.
     pub fn search(&self, search: &Placing) -> Result<Placed, Nowhere> {
         let &Placing { ref candidates, turn, .. } = search;
         let alone = self.worth(&[], candidates, search.spacing, FIRST_RIDGE);
         let first = alone.get(turn).ok_or(Nowhere)?.0;
         let ridge = self.ridge(&[first]);
-        // the unit of a later turn stays; of the first one all may give way
+        // In later turns the first unit stays; in turn 0 all can be exchanged.
         let kept = usize::from(turn > 0);
         let (chosen, ridge) = self.grown(first, ridge, search)?;
         let (chosen, runner_up, ridge) = self.exchanged(chosen, kept, ridge, search);
@@ -169,7 +169,7 @@ impl<'a> Scores<'a> {
         }
     }
 
-    /// From the first unit on, each time the one that lowers the error most, and λ after it.
+    /// Adds the unit that lowers the error most, and updates λ, until there are enough.
     fn grown(&self, first: usize, mut ridge: f64, search: &Placing) -> Result<(Vec<usize>, f64), Nowhere> {
         let mut chosen = vec![first];
         while chosen.len() < search.sensors {
@@ -180,7 +180,7 @@ impl<'a> Scores<'a> {
         Ok((chosen, ridge))
     }
 
-    /// Neighbours for as long as one is better; the best that is not, with its error, and λ.
+    /// Exchanges units while that lowers the error. Returns the set, the best rejected neighbour with its error, and λ.
     fn exchanged(
         &self,
         mut chosen: Vec<usize>,
@@ -202,7 +202,7 @@ impl<'a> Scores<'a> {
         }
     }
 
-    /// Sets that differ from the chosen one by one unit that is not kept; of two sensors all sets.
+    /// Sets that differ by one unit that is not kept; for two sensors all pairs.
     fn neighbours(&self, chosen: &[usize], kept: usize, search: &Placing) -> Vec<Vec<usize>> {
         let Placing { candidates, spacing, .. } = search;
         let mut sets = Vec::new();
@@ -233,7 +233,7 @@ impl<'a> Scores<'a> {
     }
 }
 
-/// Signals (N, T, units · each), those of each unit followed by |x|², its mean 0 and its variance 1 (unless it is constant).
+/// Signals (N, T, units · each), with |x|² appended per unit, normalised to mean 0 and variance 1 (unless constant).
 fn with_energies(x: &[f64], each: usize, units: usize) -> Vec<f64> {
     let energy = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>();
     let mut out: Vec<f64> = x.chunks_exact(each).flat_map(|x| x.iter().copied().chain([energy(x)])).collect();

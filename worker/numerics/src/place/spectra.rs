@@ -1,10 +1,10 @@
-//! How well a linear brain reads forces from any of many units: Gram matrices of all signals by frequency, cut down.
+//! Cross-validated errors of linear decoders for any subset of units, from the Gram matrices of all signals by frequency.
 //!
 //! ```text
 //! X_b = Σ_n x(n) e^(−iπbn/T), b = 0 … B     W_b = argmin Σ_i w_i |X_b W_b − F_b|² + λ|W_b|²
 //! ```
-//! Of samples padded to 2T, so that a weight a frequency is a weight a lag (Parseval); frequencies beyond those that hold
-//! all but 10⁻⁴ of the forces count as unread. An error is that of folds: each sample read by weights of the others.
+//! Samples are padded to 2T, so that weights per frequency equal weights per lag (Parseval). Frequencies above those that hold
+//! all but 10⁻⁴ of the force power count as not decoded.
 
 use crate::Pool;
 use crate::brain::linear::{Sizes, factor, matrix, matrix_mut};
@@ -12,10 +12,10 @@ use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::{solve_lower_triangular_in_place, solve_upper_triangular_in_place};
 use faer::{Accum, Par};
 
-/// The part of the forces' power that no frequency above the last one looked at may exceed.
+/// Largest share of the force power in frequencies that are left out.
 const UNREAD: f64 = 1e-4;
 
-/// Gram matrices of samples, by frequency and fold, then of all folds.
+/// Gram matrices of the samples per frequency: per fold, then of all folds.
 ///
 /// For z = (x, f) with real and imaginary parts p + iq: A = Σ p pᵀ + q qᵀ, S = Σ q pᵀ − p qᵀ. W = a + ib of signals x
 /// and forces f solves [[A, S], [−S, A]]ₓₓ (a, b) = (A, −S)ₓ𝒻.
@@ -23,15 +23,15 @@ const UNREAD: f64 = 1e-4;
 pub(super) struct Spectra {
     sizes: Sizes,
     folds: usize,
-    /// Of each frequency: 1/(2T), twice that where −b is another one.
+    /// Weight per frequency: 1/(2T), twice that if −b is a different frequency.
     shares: Vec<f64>,
-    /// (frequency, fold; folds + 1) of A, S (C + K, C + K).
+    /// A, S (C + K, C + K), by (frequency, fold); index `folds` is the sum.
     grams: Vec<Gram>,
-    /// Weighted power of the forces by fold, the sum last.
+    /// Weighted power of the forces per fold, the sum last.
     power: Vec<f64>,
-    /// What of the sum the frequencies leave out.
+    /// Power outside the frequencies, of the sum.
     left_out: f64,
-    /// Counts what is done.
+    /// Threads, with counters.
     pool: Pool,
 }
 
@@ -42,10 +42,10 @@ struct Gram {
 }
 
 impl Spectra {
-    /// Of signals x (N, T, C) and forces f (N, T, K), sample i of weight w_i in fold `dealt[i]` of `folds`.
+    /// From signals x (N, T, C) and forces f (N, T, K); sample i has weight w_i and is in fold `dealt[i]` of `folds`.
     ///
     /// # Panics
-    /// If lengths do not belong to one N.
+    /// If lengths do not match one N.
     pub(super) fn new(
         sizes: Sizes,
         [x, f, w]: [&[f64]; 3],
@@ -102,8 +102,8 @@ impl Spectra {
         Self { sizes, folds, shares, grams, power, left_out: left_out.max(0.0), pool }
     }
 
-    /// Error (%) of these channels' linear decoder, the mean over samples, each read by weights of the other folds; none where
-    /// λ is too small for a factor.
+    /// Cross-validated error (%) of a linear decoder of these channels, averaged over samples; `None` if λ is too small for a
+    /// factorisation.
     pub(super) fn error(&self, chosen: &[usize], ridge: f64) -> Option<f64> {
         let errors = self.errors(chosen, ridge)?;
         let of_fold = |(error, power): (&Option<f64>, &f64)| error.map_or(0.0, |error| error * power);
@@ -111,7 +111,7 @@ impl Spectra {
         Some(sum / self.power[self.folds])
     }
 
-    /// The same of the samples of each fold.
+    /// As `error`, per fold.
     pub(super) fn errors(&self, chosen: &[usize], ridge: f64) -> Option<Vec<Option<f64>>> {
         self.pool.heartbeat().beat();
         let (outputs, n) = (self.sizes.outputs, 2 * chosen.len());
@@ -148,7 +148,7 @@ impl Spectra {
         finite.then(|| errors.iter().zip(&self.power).map(percent).collect())
     }
 
-    /// The forces' own channels, after the signals'.
+    /// Indices of the forces, after the signals.
     fn forces(&self) -> Vec<usize> {
         let Sizes { channels, outputs, .. } = self.sizes;
         (channels..channels + outputs).collect()
@@ -167,7 +167,7 @@ fn quadratic(gram: &[f64], weights: &[f64], right: &[f64]) -> f64 {
 }
 
 impl Gram {
-    /// Of real and imaginary parts (n, width).
+    /// From real and imaginary parts (n, width).
     fn new([p, q]: [&[f64]; 2], width: usize) -> Self {
         let samples = p.len() / width;
         let product = |terms: [(&[f64], &[f64], f64); 2]| {
@@ -229,7 +229,7 @@ impl Gram {
     }
 }
 
-/// Real and imaginary parts (N, bins, width) at the first frequencies of values (N, T, width).
+/// Real and imaginary parts (N, bins, width) of values (N, T, width) at the first frequencies.
 fn transform(values: &[f64], instants: usize, width: usize, bins: usize) -> [Vec<f64>; 2] {
     let angle =
         |b: usize, n: usize| std::f64::consts::PI * ((n * b) % (2 * instants)) as f64 / instants as f64;

@@ -7,7 +7,7 @@ fn draw(seed: u64, n: usize) -> Vec<f64> {
     (0..n).map(|_| stream.normal()).collect()
 }
 
-/// The error is that of weights solved for in the time domain, a lag at a time on the circle of 2T instants.
+/// The error equals that of a direct solution in the time domain, per lag on the circle of 2T instants.
 #[test]
 fn errors_are_those_of_least_squares_over_lags() {
     let (instants, samples, folds, ridge) = (4, 9, 3, 0.02);
@@ -67,7 +67,7 @@ const UNITS: [usize; 6] = [2, 3, 5, 7, 8, 9];
 const INSTANTS: usize = 12;
 const SAMPLES: usize = 40;
 
-/// Units 5 and 8 carry the two forces, delayed; 3 the first one badly; the others loud noise.
+/// Units 5 and 8 contain the two forces, delayed; unit 3 the first force with noise; the others loud noise.
 fn signals() -> [Vec<f64>; 3] {
     let f = draw(4, SAMPLES * INSTANTS * 2);
     let mut x: Vec<f64> = draw(5, SAMPLES * INSTANTS * 18).into_iter().map(|x| 3.0 * x).collect();
@@ -95,7 +95,7 @@ fn searched(sensors: usize, turn: usize, spacing: f64) -> Result<Placed, Nowhere
     let search = Placing { candidates: UNITS.to_vec(), sensors, turn, spacing };
     let placed = scores.search(&search)?;
     if turn == 0 {
-        // no exchange of one unit is better
+        // No exchange of one unit is better.
         let own = *placed.errors.last().unwrap();
         for i in 0..sensors {
             for &unit in &UNITS {
@@ -114,7 +114,7 @@ fn searched(sensors: usize, turn: usize, spacing: f64) -> Result<Placed, Nowhere
     Ok(placed)
 }
 
-/// Of forces that only the energy of a signal tells, a brain that sees energies reads most, another nothing.
+/// If forces depend on the energy of a signal only, a decoder with energies succeeds, and one without fails.
 #[test]
 fn energies_tell_what_no_linear_part_does() {
     let (instants, samples) = (8, 60);
@@ -130,7 +130,7 @@ fn energies_tell_what_no_linear_part_does() {
     assert!(blind > 90.0 && seeing < 5.0, "{blind} {seeing}");
 }
 
-/// The search finds the two units that carry the forces, by whatever number of sensors.
+/// The search finds the two units that contain the forces, for any number of sensors.
 #[test]
 fn the_units_that_carry_the_forces_are_found() {
     let two = searched(2, 0, 0.0).unwrap();
@@ -142,7 +142,7 @@ fn the_units_that_carry_the_forces_are_found() {
     assert!(three.units.contains(&5) && three.units.contains(&8), "{three:?}");
 }
 
-/// Units 5 and 8 are 14.1 mm apart (cells of 10 mm): farther asked for, another one joins; nowhere at last.
+/// Units 5 and 8 are 14.1 mm apart (cells of 10 mm). A larger minimum distance selects another unit, or no placement exists.
 #[test]
 fn sensors_keep_their_distance_and_turns_differ() {
     let apart = searched(2, 0, 15.0).unwrap();

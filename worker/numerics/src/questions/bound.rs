@@ -1,12 +1,11 @@
-//! What can be known of a trial's forces, in the trial's own errors: by the best linear decoder around each motion, and, of pulses, at
-//! most by any decoder.
+//! Bounds on the error of a trial's forces: of the best linear decoder around each motion and, for pulses, of any decoder.
 //!
 //! ```text
 //! error_i = 100 tr(D Q_i Dᵀ)/Σ f_i²      mean = 100 · mean over training samples of 1/Σ f² · mean of tr(D Q_i Dᵀ)
 //! ```
-//! The prior weighs training samples by 1/Σ f², as the mean error does: of a linear body the mean is then the least that any
-//! decoder linear in the signals has on these samples. Inverting the mean of Q⁻¹ instead gives less (Jensen), and of forces that
-//! are Gaussian in truth the bound of Van Trees.
+//! The prior weighs training samples by 1/Σ f², as the mean error does. For a linear body, the mean is therefore the least error
+//! of any decoder that is linear in the signals. Inverting the mean of Q⁻¹ gives less (Jensen); for Gaussian forces it is the
+//! bound of Van Trees.
 
 use super::chain::{Seen, walks};
 use super::nonlinear::EXACT;
@@ -17,32 +16,31 @@ use crate::stimuli::{Bell, Source};
 use crate::trial::{Failure, Problem, Trial, Trouble};
 use nalgebra::DMatrix;
 
-/// What can be known.
+/// Bounds of a body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Bound {
-    /// Error (%) of the best linear decoder around each of the first samples of the holdout; none without force.
+    /// Error (%) of the best linear decoder around each of the first held-out samples; `None` without force.
     pub samples: Vec<Option<f64>>,
-    /// In the mean: of the mean posterior covariance.
+    /// Mean error (%), from the mean posterior covariance.
     pub mean: f64,
-    /// Of the inverse of the mean information.
+    /// Error (%) from the inverse of the mean information.
     pub informed: f64,
-    /// Of one that knows the stimuli's mean and covariance and hears no signal.
+    /// Error (%) of the stimuli's mean, without signals.
     pub deaf: f64,
-    /// Directions of the stimuli that were followed.
+    /// Number of directions of the stimuli in the prior.
     pub directions: usize,
-    /// What the mean error (%) of no decoder of pulses goes below, and the standard error of that; none of other stimuli.
+    /// Lower bound on the mean error (%) of every decoder of pulses, and its standard error; `None` for other stimuli.
     pub least: Option<[f64; 2]>,
 }
 
-/// Walks that bound the error of all decoders, for each sample of the holdout, and how many there are at a time.
+/// Walks per held-out sample for the bound of all decoders; walks that run together.
 const WALKS: usize = 8;
 const TOGETHER: usize = 16;
 
-/// Of a body under the first `samples` of the holdout; none where the trial's chips have no noise, or so little that f64 takes it for
-/// none, which tell all.
+/// Bounds for a body under the first `samples` held-out samples; `None` if the chips have no noise, or too little for f64.
 ///
 /// # Errors
-/// If a simulation does not end well, or all training samples have the same forces.
+/// If a simulation fails, or all training samples have equal forces.
 pub fn bound(
     problem: &Problem,
     design: &[f64],
@@ -98,8 +96,8 @@ pub fn bound(
     }))
 }
 
-/// (Mean, standard error) (%) of the error that no decoder goes below, knowing the family of the pulses, the body and its noise, by
-/// so many walks.
+/// Lower bound (mean, standard error) (%) on the error of every decoder, given the family of pulses, the body and its noise, from
+/// `count` walks.
 fn least(
     problem: &Problem,
     (scene, design, plan): (&Scene, &[f64], &Plan),
@@ -134,7 +132,7 @@ fn least(
     };
     let mut errors = Vec::with_capacity(count);
     for first in (0..count).step_by(TOGETHER) {
-        // the holdout's own pulses, as `bells` draws them
+        // The pulses of the held-out set, as `bells` draws them.
         let truth = |sample: u64| -> Vec<f64> {
             let drawn = |k: usize| Stream::new(Purpose::Holdout, problem.seed, [sample, k as u64]);
             let parts = (0..panels).flat_map(|k| {

@@ -1,58 +1,59 @@
-//! A lower bound on the error of every decoder that knows how stimuli are drawn: walks on the posterior, begun at the truth.
+//! Lower bound on the error of every decoder that uses the distribution of the stimuli: walks on the posterior that start at the
+//! truth.
 //!
 //! ```text
 //! x = s(u) + noise     least E w |ĝ(x) − g(u)|² = E w(u₀) ½ |g(u₀) − g(u′)|²,  u′ ~ π ∝ w(u) p(u|x)
-//! the truth u₀ is a draw from p(u|x); for an even number n of steps of a kernel K that is reversible by π
+//! the truth u₀ is a draw from p(u|x); for an even number n of steps of a kernel K that is reversible with respect to π
 //!     E_π ½ |g(u₀) − g(uₙ)|² = Var g − |K^(n/2) (g − ḡ)|² ≤ Var g
 //! ```
-//! So no walk is too short: it bounds from further below (on even lags Geyer 1992, doi:10.1214/ss/1177011137, §3.3). Steps are
-//! Metropolis and Hastings' with Newton's proposals (Martin et al. 2012, doi:10.1137/110845598). u = ln(p/(1 − p)), p uniform in (0, 1).
+//! Short walks give a smaller bound, but a valid one (even lags: Geyer 1992, doi:10.1214/ss/1177011137, §3.3). Steps are
+//! Metropolis–Hastings with Newton proposals (Martin et al. 2012, doi:10.1137/110845598). u = ln(p/(1 − p)), p uniform in (0, 1).
 
 use crate::random::Stream;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-/// What a model gives at some parameters.
+/// Outputs of a model for some parameters.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Seen {
-    /// s, each reading in units of its noise, which is white.
+    /// s in units of the noise, which is white.
     pub(crate) readings: Vec<f64>,
-    /// g.
+    /// g, the quantity to estimate.
     pub(crate) asked: Vec<f64>,
     /// ln w.
     pub(crate) weight: f64,
 }
 
-/// Curvature of −ln of the prior of a parameter, as of a Gaussian of the same variance, π²/3.
+/// Curvature of −ln of a parameter's prior: that of a Gaussian with the same variance, π²/3.
 const PRIOR: f64 = 0.304;
-/// What there is to see at many parameters at a time; `None` where that cannot be had.
+/// Evaluates several sets of parameters; `None` for failed ones.
 pub(crate) type Model<'a> = dyn FnMut(&[Vec<f64>]) -> Vec<Option<Seen>> + 'a;
 
-/// Difference of a parameter, one-sided: proposals need no better.
+/// Step of one-sided differences; proposals need no better ones.
 const STEP: f64 = 1e-3;
-/// What a proposal keeps of where it comes from.
+/// Weight of the current point in the mean of a proposal.
 const KEPT: f64 = 0.5;
-/// Steps of a walk; even.
+/// Number of steps of a walk; even.
 const STEPS: usize = 4;
 
-/// A walk: g of the truth, the readings of the truth with noise, where it has come to.
+/// A walk: g of the truth, noisy readings of the truth, the current point.
 struct Walk {
     first: Vec<f64>,
     x: DVector<f64>,
     stand: Stand,
 }
 
-/// Where a walk stands, and the Gaussian from which it proposes.
+/// Current point of a walk, and the Gaussian of its proposals.
 struct Stand {
     u: DVector<f64>,
     seen: Seen,
     mean: DVector<f64>,
     factor: Cholesky<f64, Dyn>,
-    /// ln of w p(u|x), but for a constant.
+    /// ln of w p(u|x), up to a constant.
     density: f64,
 }
 
 impl Stand {
-    /// From the model at u and at u with each parameter moved; none where it is not to be had there.
+    /// From the model at u and with each parameter displaced; `None` if one fails.
     fn new(u: DVector<f64>, mut seen: Vec<Option<Seen>>, x: &DVector<f64>) -> Option<Self> {
         let moved: Option<Vec<Seen>> = seen.split_off(1).into_iter().collect();
         let (moved, seen) = (moved?, seen.pop()??);
@@ -75,7 +76,7 @@ impl Stand {
         &self.mean + (1.0 - KEPT * KEPT).sqrt() * spread
     }
 
-    /// ln of the density of proposing u, but for a constant.
+    /// ln of the density of proposing u, up to a constant.
     fn proposes(&self, u: &DVector<f64>) -> f64 {
         let l = self.factor.l_dirty();
         let determinant: f64 = (0..u.len()).map(|i| l[(i, i)].ln()).sum();
@@ -84,8 +85,8 @@ impl Stand {
     }
 }
 
-/// ½ |g(u₀) − g(uₙ)|² of walks that begin at each of the truths `u`, their readings with noise that is drawn from `stream`; none where
-/// the model has no truth.
+/// ½ |g(u₀) − g(uₙ)|² of walks from each of the truths; `stream` supplies noise and proposals. `None` if the model fails at the
+/// truth.
 pub(crate) fn walks(truths: Vec<Vec<f64>>, model: &mut Model, stream: &mut Stream) -> Vec<Option<f64>> {
     let mut stands = |at: &[DVector<f64>]| -> Vec<Vec<Option<Seen>>> {
         let around = |u: &DVector<f64>| {

@@ -1,4 +1,4 @@
-//! Questions to a body that train none: what its sensors could tell, how linear it is, what it does under each sample.
+//! Analyses of a body without training: information of its sensors, nonlinearity, motion under single samples.
 
 mod bound;
 mod chain;

@@ -1,26 +1,26 @@
-//! What a linear model of a body is worth: the part of its signals that its linearisation at rest does not give.
+//! Nonlinear share: the part of a body's signals that its linearisation at rest does not explain.
 //!
 //! ```text
 //! 100 · mean over channels of Σ (s(f) − s_lin(f))² / Σ s(f)²,   s_lin(f) = s(ε f)/ε
 //! ```
-//! Both by the same integrator with the same steps; Tsit5's absolute tolerance is scaled by ε too. What is not linear in s_lin
-//! is of the order of ε.
+//! Both runs use the same integrator and steps; Tsit5's absolute tolerance is scaled by ε as well. Nonlinear terms in s_lin are
+//! of order ε.
 
 use crate::dynamics::{Accuracy, Forces, Outcome, Simulation, Solver, signal_error, simulate, touches};
 use crate::random::Purpose;
 use crate::trial::{Counters, Mould};
 
-/// ε: errors of 1e-5 in s_lin, which rounding stays a thousand times below.
+/// ε: causes errors of 1e-5 in s_lin, a thousand times the rounding error.
 const SMALL: f64 = 1e-5;
-/// Accuracy at least, in f64: the rounding of f32 would hide the differences that are asked for.
+/// Largest tolerance, in f64: rounding in f32 would hide the differences.
 pub(super) const EXACT: Accuracy = Accuracy(1e-3);
-/// Samples that are looked at: three blocks of lanes.
+/// Number of samples: three blocks of lanes.
 const SAMPLES: usize = 24;
 
-/// Of the accelerations, and of the angular velocities (%).
+/// Nonlinear share of the accelerations, and of the angular velocities (%).
 pub type Nonlinear = [f64; 2];
 
-/// Of a body under the first samples of the holdout, without what chips add; none where one does not end well, or where parts touch
+/// Nonlinear share of a body under the first held-out samples, without chip effects; `None` if a simulation fails or parts touch
 /// at rest.
 pub(crate) fn nonlinear(mould: &Mould, counters: &mut Counters) -> Option<Nonlinear> {
     let &Mould { trial, design, solver } = mould;

@@ -1,11 +1,11 @@
-//! Why a body is easy to read, or hard: what small motions make of its forces, before any brain.
+//! How well a body's sensors distinguish forces: its linear operator at small motions, before any decoder.
 //!
 //! ```text
 //! y(ω) = G(ω) f(ω) + n(ω),   A(ω) = N^-½ G(ω) S(ω)^½ with singular values s₁ ≥ s₂ ≥ …
 //! ```
-//! S is the power of the training forces, alike on all panels and independent, N white noise of each channel. Of stationary
-//! forces Wiener's filter leaves S Σ 1/(1 + s²), the least of all linear decoders (Kay, Fundamentals of Statistical Signal
-//! Processing I, 1993, ch. 12), and signals tell log₂ Π(1 + s²) bits a frequency (Shannon 1949).
+//! S is the power of the training forces, equal on all panels and independent; N is white noise per channel. For stationary
+//! forces, Wiener's filter leaves S Σ 1/(1 + s²), the least of all linear decoders (Kay, Fundamentals of Statistical Signal
+//! Processing I, 1993, ch. 12). The information is log₂ Π(1 + s²) bits per frequency (Shannon 1949).
 
 use crate::dynamics::{Frame, Mount, Rest};
 use crate::modes::{Response, c64, modes_to, part_of, responses};
@@ -13,39 +13,39 @@ use crate::trial::{Problem, Size};
 use faer::Mat;
 use std::f64::consts::TAU;
 
-/// What a body's sensors can tell of its forces.
+/// Figures of a body's linear operator.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Told {
-    /// What Wiener's filter leaves (% of the forces' power).
+    /// Error of Wiener's filter (% of the forces' power).
     pub error: f64,
-    /// exp of the entropy of s²/Σs²: how many forces are told apart, from 1 to K.
+    /// Number of distinguishable forces, from 1 to K: exp of the entropy of s²/Σs².
     pub rank: f64,
-    /// s₁ over the K-th, or last, of them.
+    /// Condition: s₁ over the K-th, or last, singular value.
     pub condition: f64,
-    /// Bits a second.
+    /// Information (bit/s).
     pub bits: f64,
-    /// Mean time of what follows an impulse, by energy (s).
+    /// Energy-weighted mean time of the response to an impulse (s).
     pub memory: f64,
-    /// How many modes take part: (ΣE)²/ΣE², E the energy of a mode's own signals over the noise (Bell and Dean 1970,
-    /// doi:10.1039/DF9705000055); NaN of a body that can move as a whole.
+    /// Number of participating modes, (ΣE)²/ΣE², E the energy of a mode's signals over the noise (Bell and Dean 1970,
+    /// doi:10.1039/DF9705000055); NaN for a body that can move as a whole.
     pub modes: f64,
 }
 
-/// Noise of each channel, as a part of its RMS on the initial body, where the trial's sensors have none.
+/// Noise of each channel, relative to its RMS on the initial body, if the trial's sensors have none.
 const NOISE: f64 = 0.01;
 
-/// Of a body; ranks and logarithms of conditions are means over frequencies, weighted by the forces' power. Noise is relative to the
-/// initial body's signals. Chips read without steps and range.
+/// Computes these figures. `rank` and ln `condition` are averaged over frequencies, weighted by the forces' power. Noise is
+/// relative to the initial body's signals. Resolution and range are ignored.
 ///
 /// # Panics
-/// If the sensors are still to be searched for, or the design is of another length.
+/// If the sensors are not yet placed, or the design has the wrong length.
 pub fn told(problem: &Problem, design: &[f64]) -> Told {
     assert!(problem.search.is_none(), "the sensors are not in place");
     let scene = &problem.scene;
     let (bins, panels) = (scene.instants / 2, scene.panels.len());
     let frequencies: Vec<f64> = (1..=bins).map(|b| b as f64 / scene.duration).collect();
     let power = power(&problem.targets(&problem.known()[0]), scene.instants, panels, bins);
-    // G of each frequency: channels of each sensor in turn, by panels
+    // G per frequency: channels of each sensor in turn, by panels.
     let operators = |rest: &Rest, found: Vec<Vec<Vec<Response>>>| -> Vec<Mat<c64>> {
         let (each, rows) = (problem.channels.len(), problem.channels.len() * scene.sensors.len());
         let of = |(of, &hertz): (&Vec<Vec<Response>>, &f64)| {
@@ -88,10 +88,10 @@ pub fn told(problem: &Problem, design: &[f64]) -> Told {
     of(&own, &power, &noise, &frequencies, scene.duration, modes)
 }
 
-/// What a chip says that sits where it does on its unit, behind its filter, where a plain one on the centroid gives this response.
+/// Response of a chip at its place on the unit and after its filter, from that of a plain chip on the centroid.
 fn heard(problem: &Problem, rest: &Rest, unit: usize, [x, y, turn]: Response, hertz: f64) -> Response {
     let Mount { offset, tilt } = problem.scene.mount.unwrap_or_default();
-    // along the axes of the plain one
+    // Along the axes of the plain chip.
     let turned = match problem.scene.frame {
         Frame::World => rest.turned.get(unit).copied().unwrap_or(0.0),
         Frame::Body => 0.0,
@@ -107,18 +107,18 @@ fn heard(problem: &Problem, rest: &Rest, unit: usize, [x, y, turn]: Response, he
     [x, y, turn].map(|channel| channel * passes)
 }
 
-/// Σ|G/n|² of a frequency.
+/// Σ|G/n|² at a frequency.
 fn squares(g: &Mat<c64>, noise: &[f64]) -> f64 {
     let row = |(i, n): (usize, &f64)| (0..g.ncols()).map(|k| g[(i, k)].norm_sqr()).sum::<f64>() / (n * n);
     noise.iter().enumerate().map(row).sum()
 }
 
-/// How many of these energies there were if they were equal.
+/// Effective number of these energies: (ΣE)²/ΣE².
 fn participation(energies: &[f64]) -> f64 {
     energies.iter().sum::<f64>().powi(2) / energies.iter().map(|e| e * e).sum::<f64>()
 }
 
-/// Mean square (N²) of forces (N, T, K) of zero mean by frequency b/D, b = 1 … `bins`.
+/// Mean square (N²) of forces (N, T, K) at the frequencies b/D, b = 1 … `bins`; the mean is excluded.
 fn power(forces: &[f64], instants: usize, panels: usize, bins: usize) -> Vec<f64> {
     let samples = forces.len() / (instants * panels);
     let scale = 2.0 / (instants * instants * samples * panels) as f64;
@@ -129,7 +129,7 @@ fn power(forces: &[f64], instants: usize, panels: usize, bins: usize) -> Vec<f64
             let at = |n: usize| forces[(sample * instants + n) * panels + panel];
             (0..instants).map(|n| turn[b * n % instants] * at(n)).sum::<c64>().norm_sqr()
         };
-        // Nyquist's has no other half
+        // The Nyquist frequency has no conjugate.
         let half = if 2 * b == instants { 0.5 } else { 1.0 };
         half * scale * (0..samples * panels).map(sum).sum::<f64>()
     };
@@ -149,12 +149,12 @@ fn of(
     for (g, s) in operators.iter().zip(power) {
         let white = |i: usize| (s * bins as f64).sqrt() / noise[i];
         let told = Mat::from_fn(g.nrows(), panels, |i, k| g[(i, k)] * white(i));
-        // of noise that f64 takes for none nothing is known
+        // NaN if f64 cannot represent the ratio to the noise.
         let values = told.singular_values().unwrap_or_else(|_| vec![f64::NAN; panels.min(g.nrows())]);
         let squares: Vec<f64> = values.iter().map(|s| s * s).collect();
         let (sum, last) =
             (squares.iter().sum::<f64>(), squares.iter().copied().fold(f64::INFINITY, f64::min));
-        // where nothing is heard, nothing is told apart
+        // Without signal, the entropy is 0.
         let entropy = |part: f64| if part > 0.0 { -part * part.ln() } else { 0.0 };
         left += s * (panels as f64 - squares.iter().map(|s| s / (1.0 + s)).sum::<f64>());
         rank += s * squares.iter().map(|s| entropy(s / sum)).sum::<f64>().exp();
@@ -172,7 +172,8 @@ fn of(
     }
 }
 
-/// Mean time, by energy over the noise, of what follows an impulse of the forces' spectrum, within the sample's duration.
+/// Energy-weighted mean time, over the noise, of the response to an impulse with the forces' spectrum, within the sample's
+/// duration.
 fn memory(operators: &[Mat<c64>], power: &[f64], noise: &[f64], frequencies: &[f64], duration: f64) -> f64 {
     let instants = 2 * power.len();
     let (mut late, mut energy) = (0.0, 0.0);
@@ -199,8 +200,8 @@ mod tests {
     use crate::random::Purpose;
     use crate::trial::{Disturbance, Protocol};
 
-    /// Forces' power is their mean square about their means; of K panels read by as many independent channels of equal power the rank is K and the
-    /// condition 1, of one channel copied 1; Wiener's error falls as noise does, and is all where sensors hear nothing.
+    /// The forces' power is their mean square about the mean. K panels in K independent channels of equal power have rank K and
+    /// condition 1, one copied channel has rank 1. Wiener's error decreases with the noise and is 100 % without signals.
     #[test]
     fn a_body_is_told_by_its_operator() {
         let wave = |n: usize, k: usize| (TAU * 3.0 * n as f64 / 16.0 + k as f64).sin() * (k + 1) as f64;
@@ -214,7 +215,7 @@ mod tests {
         };
         let apart = of([[1.0, 0.0], [0.0, 1.0]], 0.1);
         assert!((apart.rank - 2.0).abs() < 1e-9 && (apart.condition - 1.0).abs() < 1e-9, "{apart:?}");
-        // s² = 4 bins/noise²
+        // s² = 4 bins/noise².
         assert!(
             (apart.error - 100.0 / 401.0).abs() < 1e-9 && (apart.bits - 8.0 * 401f64.log2()).abs() < 1e-6
         );
@@ -226,8 +227,8 @@ mod tests {
         assert_eq!(participation(&[2.0, 2.0, 0.0, 2.0]), 3.0);
     }
 
-    /// Weak pulses on a body whose motion dies within a sample, through chips off their centroids, turned, in both frames: the
-    /// spectra of what they read are those of plain ones as `heard` has it.
+    /// Weak pulses on a body whose motion decays within a sample: spectra of chips off the centroid, rotated, in both frames,
+    /// follow from those of plain chips by `heard`.
     #[test]
     fn a_chip_off_its_centroid_hears_what_a_simulation_says() {
         let mut problem = small(Protocol::Joint(GOING));
@@ -262,7 +263,7 @@ mod tests {
         }
     }
 
-    /// More sensors and less noise never tell less; one body told twice is the same.
+    /// More sensors and less noise give more information; repeated calls give equal results.
     #[test]
     fn more_sensors_tell_more() {
         let small = small(Protocol::Joint(GOING));

@@ -1,6 +1,6 @@
-//! A finished trial once more: forces, signals and predictions of all its samples, and the motion under one of them.
+//! Replays a finished trial: forces, signals and estimates of all its samples, and the motion under one of them.
 //!
-//! Samples stand in one row: training and test set as numbered at the draw, then the holdout.
+//! Order of samples: training and test set by number, then the held-out set.
 
 use crate::Pool;
 use crate::brain::linear::{Lags, Sizes};
@@ -12,40 +12,40 @@ use crate::trial::{
     simulated, tuned,
 };
 
-/// What a body and a network do with every sample of a trial.
+/// Response of a body and its decoder to every sample of a trial.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Replay {
-    /// Force histories (N, K, T+1) in N, as targets have them where the forces' own clock is finer.
+    /// Force histories (N, K, T + 1) (N); on a finer clock of the forces, those of the targets.
     pub forces: Forces,
-    /// 0 training, 1 test, 2 holdout (N).
+    /// Set of each sample (N): 0 training, 1 test, 2 held-out.
     pub split: Vec<u8>,
-    /// Sensor signals (N, T, channels) in mm/s² and rad/s.
+    /// Signals (N, T, channels) (mm/s², rad/s).
     pub signals: Vec<f64>,
-    /// Predicted forces (N, T, K) in N; empty without weights, NaN where an inverse brain has not read.
+    /// Estimated forces (N, T, K) (N); empty without weights, NaN for samples that an inverse decoder skipped.
     pub predictions: Vec<f64>,
-    /// Of an inverse brain: half-widths (N, T, K) in N of its 95 % bands, likewise.
+    /// Half-widths (N, T, K) (N) of the 95 % bands of an inverse decoder, NaN for skipped samples; empty for others.
     pub half_widths: Vec<f64>,
-    /// Prediction error of each sample (%); `None` where there is no force, empty without weights.
+    /// Error of each sample (%); `None` without force, empty without weights.
     pub errors: Vec<Option<f64>>,
-    /// Whether a sample's simulation failed (N): it then has no signals, its forces stand as zero, its error is 100 %.
+    /// Whether a simulation failed (N). Such a sample has no signals, zero forces and an error of 100 %.
     pub failed: Vec<bool>,
-    /// What is subtracted from each signal channel (channels): 0, or the middle of its range.
+    /// Offset subtracted from each channel: 0, or the middle of its range.
     pub signal_offset: Vec<f64>,
-    /// What each signal channel is then divided by (channels): its RMS, or half its range.
+    /// Divisor of each channel: its RMS, or half its range.
     pub signal_scale: Vec<f64>,
-    /// Mean of each panel's training forces (N), or their least.
+    /// Mean of each panel's training forces (N), or their minimum.
     pub force_mean: Vec<f64>,
-    /// Their standard deviation (N), or their range.
+    /// Standard deviation of each panel's training forces (N), or their range.
     pub force_deviation: Vec<f64>,
 }
 
-/// Simulates `design` under all samples of the trial and lets a network with `weights` (or none, if empty) predict.
+/// Simulates `design` under all samples of the trial, and decodes them with a network if `weights` is not empty.
 ///
 /// # Errors
-/// If more simulations fail than may in a comparison.
+/// If too many simulations fail.
 ///
 /// # Panics
-/// If lengths do not fit the problem.
+/// If lengths do not match the problem.
 pub fn replay(
     problem: &Problem,
     design: &[f64],
@@ -94,7 +94,7 @@ pub fn replay(
     Ok(replay)
 }
 
-/// Forces (N, T, K) (N) of all samples by a network with these weights; kind 0 are those that trained it.
+/// Forces (N, T, K) (N) of all samples estimated by a network with these weights; kind 0 is its training set.
 fn predicted(trial: &Trial, all: &Samples, weights: &[f32], kinds: &[u8]) -> Result<Vec<f64>, Failure> {
     let training: Vec<usize> = (0..kinds.len()).filter(|&i| kinds[i] == 0).collect();
     let known = all.select(&training);
@@ -109,25 +109,25 @@ fn predicted(trial: &Trial, all: &Samples, weights: &[f32], kinds: &[u8]) -> Res
     Ok(predictions)
 }
 
-/// A linear brain fitted on a replay's training samples, and what it says of all of them.
+/// A linear decoder fitted to a replay's training samples, and its estimates of all samples.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LinearReplay {
-    /// Its memory.
+    /// Memory (lags).
     pub lags: Lags,
     /// λ.
     pub ridge: f64,
-    /// W (K, lags, channels) in N: f̂ = b + Σ W · signal / `signal_scale`.
+    /// W (K, lags, channels) (N): f̂ = b + Σ W · signal / `signal_scale`.
     pub w: Vec<f64>,
-    /// b (K) in N.
+    /// b (K) (N).
     pub b: Vec<f64>,
-    /// Predicted forces (N, T, K) in N.
+    /// Estimated forces (N, T, K) (N).
     pub predictions: Vec<f64>,
-    /// Prediction error of each sample (%); `None` where there is no force.
+    /// Error of each sample (%); `None` without force.
     pub errors: Vec<Option<f64>>,
 }
 
 impl Replay {
-    /// Whether a signal of 0 is not 0 for the network.
+    /// Whether the network's inputs have an offset, so that a signal of 0 is not an input of 0.
     pub fn has_offset(&self) -> bool {
         self.signal_offset.iter().any(|offset| *offset != 0.0)
     }
@@ -139,10 +139,10 @@ impl Replay {
         Samples::new(sizes, self.signals.clone(), targets).with_failed(self.failed.clone())
     }
 
-    /// Lets the inverse brain of the design read the first `count` test samples, and as many of the holdout.
+    /// Decodes the first `count` test samples and as many held-out samples with the inverse decoder of the design.
     ///
     /// # Errors
-    /// If the brain cannot be made.
+    /// If the decoder cannot be created.
     pub fn invert(
         &mut self,
         problem: &Problem,
@@ -169,10 +169,10 @@ impl Replay {
         Ok(())
     }
 
-    /// Fits a linear brain as a trial does.
+    /// Fits a linear decoder as a trial does.
     ///
     /// # Errors
-    /// If no λ has a solution.
+    /// If no λ gives a solution.
     pub fn linear(&self, problem: &Problem, decoder: &Decoder, pool: &Pool) -> Result<LinearReplay, Failure> {
         let all = self.samples(problem);
         let training: Vec<usize> = (0..self.split.len()).filter(|&i| self.split[i] == 0).collect();
@@ -182,10 +182,10 @@ impl Replay {
         Ok(said(&all, decoder.lags, &fitted))
     }
 
-    /// Lets a network with these weights read, on a linear brain, whatever both were fitted to.
+    /// Decodes all samples with a network stacked on a linear decoder, both given.
     ///
     /// # Panics
-    /// If lengths do not fit the problem.
+    /// If lengths do not match the problem.
     pub fn read_on(&mut self, problem: &Problem, linear: &Fitted, weights: &[f32], pool: &Pool) {
         let scales = Scales {
             offset: self.signal_offset.clone(),
@@ -197,7 +197,7 @@ impl Replay {
         self.errors = self.samples(problem).errors(&self.predictions);
     }
 
-    /// What a linear brain of the trial's memory says, fitted to whatever samples.
+    /// Estimates of a given linear decoder with the trial's memory.
     pub fn by(&self, problem: &Problem, fitted: &Fitted) -> LinearReplay {
         said(&self.samples(problem), problem.decoder.lags, fitted)
     }
@@ -219,19 +219,19 @@ fn all_forces(problem: &Problem) -> Forces {
     forces
 }
 
-/// How a body moves under one sample.
+/// Motion of a body under one sample.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Motion {
-    /// Displacement (u, v, θ) of every unit in mm and rad, at n = 1…T.
+    /// Displacement (u, v, θ) of every unit (mm, rad) at n = 1…T.
     pub displacements: Vec<Vec<[f64; 3]>>,
-    /// Velocity in mm/s and rad/s.
+    /// Velocity (mm/s, rad/s).
     pub velocities: Vec<Vec<[f64; 3]>>,
 }
 
 /// Simulates `design` under one sample, numbered as in [`Replay`].
 ///
 /// # Errors
-/// If the simulation does not end well.
+/// If the simulation fails.
 pub fn motion(
     problem: &Problem,
     design: &[f64],
@@ -248,10 +248,10 @@ pub fn motion(
     Ok(Motion { displacements, velocities })
 }
 
-/// Signals (N, T, channels) of a body under given forces, as its chips give them: those of the trial, which are the same on every body.
+/// Signals (N, T, channels) of a body under given forces, with the chips of the trial, which are the same on every body.
 ///
 /// # Errors
-/// If a sample does not reach its end, or, where chips are relative to it, the trial's initial body does not.
+/// If a simulation fails, of this body or of the initial body, to which chips can be relative.
 pub fn sense(
     problem: &Problem,
     design: &[f64],

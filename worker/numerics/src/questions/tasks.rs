@@ -1,36 +1,36 @@
-//! Sensing tasks beside the force histories: which panel, how many, how hard, when; each read from the same signals.
+//! Sensing tasks besides force histories: which panel, how many, how hard, when; all from the same signals.
 //!
-//! `direct` is ridge regression from the signals of the whole record to the labels (classes as ±1, the greatest output counts), with λ by
-//! leave-one-out (Hastie, Tibshirani and Friedman, The Elements of Statistical Learning, eq. 7.64). `decoded` is the label of
-//! the forces that a linear decoder estimates. Labels of samples without force, or whose simulation failed, are not used.
+//! `direct` is ridge regression from the signals of the whole record to the labels, with λ by leave-one-out (Hastie, Tibshirani
+//! and Friedman, The Elements of Statistical Learning, eq. 7.64). Classes are ±1; the greatest output wins. `decoded` is the
+//! label of forces that a linear decoder estimates. Samples without force and failed samples are not used.
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use crate::student::student;
 
-/// Part of a sample's greatest force above which a panel counts as struck, and a force as begun.
+/// Share of a sample's greatest force above which a panel counts as struck, and a force as started.
 const BEGUN: f64 = 0.1;
 
-/// What is to be told of a sample.
+/// A quantity to estimate from a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Task {
     /// The panel with the greatest force.
     Panel,
-    /// The number of panels whose greatest force is more than a tenth of the sample's.
+    /// The number of panels whose greatest force exceeds a tenth of the sample's.
     Count,
     /// The greatest force of each panel (N).
     Peak,
     /// ∫|f| dt of each panel (mN s).
     Impulse,
-    /// When the first force exceeds a tenth of the sample's greatest (ms).
+    /// Time at which a force first exceeds a tenth of the sample's greatest (ms).
     Onset,
 }
 
 impl Task {
-    /// All of them.
+    /// All tasks.
     pub const ALL: [Self; 5] = [Self::Panel, Self::Count, Self::Peak, Self::Impulse, Self::Onset];
 
-    /// Its name, and the unit of its error: % of samples with a wrong class, or of a mean absolute error.
+    /// Name, and unit of the error: % of samples with a wrong class, or that of a mean absolute error.
     pub fn name(self) -> (&'static str, &'static str) {
         match self {
             Self::Panel => ("panel", "%"),
@@ -46,7 +46,7 @@ impl Task {
         matches!(self, Self::Panel | Self::Count)
     }
 
-    /// The label of forces (T, K) that are `interval` (s) apart.
+    /// Label of forces (T, K) at intervals `interval` (s).
     fn label(self, forces: &[f64], panels: usize, interval: f64) -> Vec<f64> {
         let of = |k: usize| forces.iter().skip(k).step_by(panels).map(|f| f.abs());
         let peaks: Vec<f64> = (0..panels).map(|k| of(k).fold(0.0, f64::max)).collect();
@@ -65,47 +65,47 @@ impl Task {
     }
 }
 
-/// Samples of a body: training samples first, then those that judge.
+/// Samples of a body, for training and for testing.
 #[derive(Debug, Clone, Copy)]
 pub struct Observations<'a> {
     /// Signals (N, T × channels), of comparable size.
     pub signals: &'a [f64],
     /// Forces (N, T, K) (N).
     pub forces: &'a [f64],
-    /// The same as a linear decoder estimates them.
+    /// Forces (N, T, K) (N) that a linear decoder estimates.
     pub decoded: &'a [f64],
-    /// Samples that train.
+    /// Training samples.
     pub train: &'a [usize],
-    /// Samples that judge.
+    /// Test samples.
     pub judge: &'a [usize],
-    /// Instants T.
+    /// Number of instants T.
     pub instants: usize,
-    /// Panels K.
+    /// Number of panels K.
     pub panels: usize,
-    /// Between instants (s).
+    /// Time between instants (s).
     pub interval: f64,
 }
 
-/// How a task is read.
+/// Result of a task.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reading {
     /// The task.
     pub task: Task,
     /// `"direct"` or `"decoded"`.
     pub readout: &'static str,
-    /// Error in the task's unit, with a 95 % interval over samples.
+    /// Error in the task's unit.
     pub error: f64,
-    /// Lower and upper end.
+    /// 95 % confidence interval over samples.
     pub interval: [f64; 2],
-    /// The least error that these samples can show, half of one sample's: of a wrong class, or of one instant; 0: no such.
+    /// Resolution of the error: half the contribution of one wrong class, or of one instant; 0 without such steps.
     pub least: f64,
-    /// The error of the most frequent class, or of the training samples' mean.
+    /// Error of the most frequent class, or of the training samples' mean.
     pub trivial: f64,
-    /// Samples that judge.
+    /// Number of test samples.
     pub samples: usize,
 }
 
-/// Reads all tasks whose labels vary among the training samples; the names of the others.
+/// Estimates all tasks whose labels vary among the training samples; also returns the other tasks.
 pub fn tasks(seen: &Observations) -> (Vec<Reading>, Vec<Task>) {
     let basis = Basis::new(seen);
     let (varied, constant): (Vec<Task>, Vec<Task>) = Task::ALL.into_iter().partition(|task| {
@@ -141,7 +141,7 @@ impl Observations<'_> {
     }
 }
 
-/// The label that a predictor without signals gives.
+/// Label without use of signals.
 fn trivial(task: Task, known: &[Vec<f64>]) -> Vec<f64> {
     if task.is_class() {
         let count = |label: &&Vec<f64>| known.iter().filter(|other| other == label).count();
@@ -152,14 +152,14 @@ fn trivial(task: Task, known: &[Vec<f64>]) -> Vec<f64> {
         .collect()
 }
 
-/// An error with its interval.
+/// An error and its interval.
 struct Score {
     error: f64,
     interval: [f64; 2],
 }
 
 impl Score {
-    /// Of labels found beside the true ones: of classes Wilson's interval, of values Student's t.
+    /// Compares estimated with true labels: Wilson's interval for classes, Student's t for values.
     fn of(task: Task, truth: &[Vec<f64>], found: &[Vec<f64>]) -> Self {
         let n = truth.len() as f64;
         let pairs = truth.iter().zip(found);
@@ -183,17 +183,17 @@ impl Score {
     }
 }
 
-/// Inner products of the samples' signals, without their mean, by which ridge regressions to any labels are solved.
+/// Inner products of the samples' centred signals, for ridge regressions to any labels.
 struct Basis {
-    /// Of the training samples: eigenvectors and eigenvalues.
+    /// Eigenvectors and eigenvalues for the training samples.
     own: SymmetricEigen<f64, nalgebra::Dyn>,
-    /// Of the samples that judge with the training samples.
+    /// Products of test samples with training samples.
     others: DMatrix<f64>,
 }
 
-/// λ over the mean eigenvalue, from the greatest to the least, in decades.
+/// Exponents of λ = 10² … 10⁻⁸ times the mean eigenvalue.
 const RIDGES: std::ops::RangeInclusive<i32> = -2..=8;
-/// Part of the greatest eigenvalue below which one is 0: that of the mean, which centring removes, is of this size by rounding.
+/// Eigenvalues below this share of the greatest count as 0; centring leaves one of this size by rounding.
 const ROUNDING: f64 = 1e-12;
 
 impl Basis {
@@ -213,7 +213,7 @@ impl Basis {
         Self { own, others: judge * train.transpose() }
     }
 
-    /// Labels of the samples that judge: of each output its own λ.
+    /// Labels of the test samples; each output has its own λ.
     fn values(&self, known: &[Vec<f64>]) -> Vec<Vec<f64>> {
         let outputs: Vec<DVector<f64>> = (0..known[0].len())
             .map(|k| self.predicted(&DVector::from_iterator(known.len(), known.iter().map(|label| label[k]))))
@@ -221,7 +221,7 @@ impl Basis {
         (0..self.others.nrows()).map(|i| outputs.iter().map(|output| output[i]).collect()).collect()
     }
 
-    /// The class of the greatest of outputs that are 1 for a class and −1 for all others.
+    /// Class with the greatest output; outputs are fitted to 1 for their class and −1 for others.
     fn classes(&self, known: &[Vec<f64>]) -> Vec<Vec<f64>> {
         let mut classes: Vec<f64> = known.iter().map(|label| label[0]).collect();
         classes.sort_by(f64::total_cmp);
@@ -238,7 +238,7 @@ impl Basis {
         self.values(&coded).iter().map(greatest).collect()
     }
 
-    /// Mean y + K' (K + λ)⁻¹ (y − mean y) by the λ of least leave-one-out error, whose residuals are λα / (λ (K + λ)⁻¹ᵢᵢ − 1/n).
+    /// Mean y + K' (K + λ)⁻¹ (y − mean y), λ with the least leave-one-out error, whose residuals are λα / (λ (K + λ)⁻¹ᵢᵢ − 1/n).
     fn predicted(&self, y: &DVector<f64>) -> DVector<f64> {
         let SymmetricEigen { eigenvectors: q, eigenvalues } = &self.own;
         let (scale, mean, n) = (eigenvalues.mean().max(f64::MIN_POSITIVE), y.mean(), y.len());

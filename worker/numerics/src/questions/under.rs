@@ -1,25 +1,24 @@
-//! How a body is read under forces that it need not have been trained for.
-//!
-//! By a linear brain that is fitted anew under these forces, and by the one that was fitted under the trial's: the first is
-//! what the body still tells, the second what a reader makes of it that has not met them.
+//! Errors under forces for which a body was not trained, with a linear decoder fitted under these forces and with the one fitted
+//! under the trial's. The former shows what information remains, the latter how a decoder transfers.
 
 use crate::brains::Fitted;
 use crate::trial::{Counters, Mould, Spread, Trouble, held, mean_error};
 
-/// How one linear brain reads a body under forces of one kind.
+/// Error of one linear decoder under one kind of forces.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct UnderReading {
-    /// Which of `Problem::under`.
+    /// Index in `Problem::under`.
     pub kind: usize,
-    /// Whether it was fitted under these forces, and not under the trial's.
+    /// Whether the decoder was fitted under these forces, not under the trial's.
     pub own: bool,
-    /// Mean error on the holdout (%), or why there is none; `None` where no sample has a force.
+    /// Mean error on the held-out set (%), or the failure; `None` if no sample has a force.
     pub error: Result<Option<f64>, Trouble>,
-    /// How the errors on the holdout spread.
+    /// Quantiles of the errors on the held-out set.
     pub spread: Option<Spread>,
 }
 
-/// Of a body whose integrator is tuned under the trial's own forces; of each kind first the brain fitted under it.
+/// Errors of a body under all further kinds, per kind first the decoder fitted under it. `mould` has the solver tuned under the
+/// trial's forces.
 pub(crate) fn under(mould: &Mould, counters: &mut Counters) -> Vec<UnderReading> {
     let &Mould { trial, design, .. } = mould;
     let problem = &trial.problem;

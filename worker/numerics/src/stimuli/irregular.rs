@@ -1,11 +1,11 @@
-//! Blows of a hand-held hammer: skewed, rough, at times double; each sample strikes one panel, drawn.
+//! Blows of a hand-held hammer: skewed, rough, sometimes double. Each sample strikes one random panel.
 //!
 //! ```text
 //! f(t) = b(t)·max(0, 1 + ρ·r(z)) + λ·b(t − W − G)·max(0, 1 + ρ·r′(z′))        z = (t − O)/W
 //! r(z) = Σ c_j sin(π j z + φ_j), j = 3…9,  c_j ~ normal/√j,  of RMS 1
 //! ```
-//! b is a bell pulse with an early peak; the second hit (probability `double`) comes a gap G after the end of the first,
-//! λ as strong, with a roughness of its own.
+//! b is a bell pulse with an early peak. A second hit (probability `double`) follows a gap G after the end of the first, with λ
+//! times its amplitude and its own roughness.
 
 use std::f64::consts::PI;
 use std::ops::Range;
@@ -14,12 +14,12 @@ use super::{Bell, Pulse, sampled};
 use crate::dynamics::Forces;
 use crate::random::{Purpose, Stream};
 
-/// Intervals, `[least, most]`, from which the parameters of a blow are drawn uniformly.
+/// Intervals `[min, max]` of the uniform distributions of a blow's parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Irregular {
-    /// The smooth part.
+    /// Smooth part.
     pub bell: Bell,
-    /// ρ: RMS of the rough part relative to the smooth one.
+    /// ρ: RMS of the rough part relative to the smooth part.
     pub roughness: [f64; 2],
     /// Probability of a second hit.
     pub double: f64,
@@ -29,7 +29,7 @@ pub struct Irregular {
     pub rebound: [f64; 2],
 }
 
-/// Harmonics of the rough part, in half waves a width.
+/// Harmonics of the rough part: half waves per width.
 const HARMONICS: [f64; 7] = [3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0];
 
 /// One hit: a pulse and its roughness.
@@ -56,7 +56,7 @@ impl Hit {
     }
 }
 
-/// The force histories of the samples numbered `samples`: each is a function of (purpose, seed, sample) alone.
+/// Force histories of the samples numbered `samples`; each depends on (purpose, seed, sample) only.
 pub fn irregular(
     kind: &Irregular,
     purpose: Purpose,

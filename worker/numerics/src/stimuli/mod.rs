@@ -1,9 +1,9 @@
-//! Force histories: bell pulses drawn per sample and panel, hand-held blows, records; the split into training and test set.
+//! Force histories: random bell pulses per sample and panel, hammer blows, records; the split into training and test set.
 //!
 //! ```text
 //! z = (t − O)/W in (0, 1):  f = A sin(π z^κ)^q,  κ = ln ½ / ln p      else f = 0
 //! ```
-//! Sampled on t_n = n·duration/T, n = 0…T; between its instants f is linear, and nothing else enters a simulation.
+//! Samples are at t_n = n·duration/T, n = 0…T. f is linear in between; simulations use nothing else.
 
 mod irregular;
 mod recorded;
@@ -16,7 +16,7 @@ pub use irregular::{Irregular, irregular};
 use recorded::within;
 pub use recorded::{Deal, REACH, Recorded, anti_aliased, felt, resample};
 
-/// Intervals, `[least, most]`, from which the parameters of a bell pulse are drawn uniformly.
+/// Intervals `[min, max]` of the uniform distributions of a bell pulse's parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bell {
     /// A (N).
@@ -25,17 +25,17 @@ pub struct Bell {
     pub width: [f64; 2],
     /// O (s).
     pub onset: [f64; 2],
-    /// Peak position p, a part of the width in (0, 1).
+    /// Peak position p, relative to the width, in (0, 1).
     pub peak: [f64; 2],
     /// Power q.
     pub power: [f64; 2],
 }
 
 impl Bell {
-    /// How many there are of a pulse.
+    /// Number of parameters of a pulse.
     pub const PARAMETERS: usize = 5;
 
-    /// The pulse whose parameters lie at these parts of their intervals, in the order above.
+    /// The pulse whose parameters have these relative positions in their intervals, in the order of the fields.
     pub fn pulse(&self, [a, w, o, p, q]: [f64; Self::PARAMETERS]) -> Pulse {
         let between = |[least, most]: [f64; 2], part: f64| least + (most - least) * part;
         Pulse {
@@ -52,7 +52,7 @@ impl Bell {
     }
 }
 
-/// Intervals, `[least, most]`, from which the parameters of a Gaussian pulse A exp(−(t − c)²/2σ²) are drawn uniformly.
+/// Intervals `[min, max]` of the uniform distributions of the parameters of a Gaussian pulse A exp(−(t − c)²/2σ²).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gauss {
     /// A (N).
@@ -63,27 +63,27 @@ pub struct Gauss {
     pub centre: [f64; 2],
 }
 
-/// Where force histories come from.
+/// Source of force histories.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Source {
     /// Bell pulses on every panel.
     Bell(Bell),
     /// Gaussian pulses on every panel.
     Gauss(Gauss),
-    /// Blows of a hand-held hammer on one.
+    /// Hammer blows on one panel.
     Irregular(Irregular),
     /// Records.
     Recorded(Recorded),
-    /// Each sample from one of these, drawn by their weights, which sum to 1.
+    /// Each sample from one of these sources, drawn by their weights, which sum to 1.
     Mix(Vec<(f64, Source)>),
-    /// Those of another source, each where a hand strikes.
+    /// Another source, with random deviations of point and direction.
     Struck(Hand, Box<Source>),
-    /// Those of another source, but that panels are silent with this probability.
+    /// Another source, with each panel silent with this probability.
     Silent(f64, Box<Source>),
 }
 
 impl Source {
-    /// Those that are no mixture: this one, or its parts.
+    /// The sources of a mixture, or this source.
     pub fn parts(&self) -> Vec<&Self> {
         match self {
             Self::Mix(parts) => parts.iter().flat_map(|(_, part)| part.parts()).collect(),
@@ -92,23 +92,23 @@ impl Source {
         }
     }
 
-    /// Whether some of them are records, of which there are no more than there are.
+    /// Whether some part consists of records, whose number is limited.
     pub fn is_recorded(&self) -> bool {
         self.parts().iter().any(|part| matches!(part, Self::Recorded(_)))
     }
 }
 
-/// By how much blows miss the centroid of a panel and its direction: standard deviations.
+/// Standard deviations of blows from a panel's centroid and direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hand {
-    /// Across the panel's direction (mm).
+    /// Offset across the panel's direction (mm).
     pub offset: f64,
-    /// About it (rad).
+    /// Angle (rad).
     pub angle: f64,
 }
 
 impl Hand {
-    /// (N, K), each a function of (purpose, seed, sample, panel) alone, whatever strikes.
+    /// Deviating blows (N, K); each depends on (purpose, seed, sample, panel) only, not on the forces.
     pub fn strikes(&self, panels: &[Panel], purpose: Purpose, seed: u64, samples: Range<u64>) -> Vec<Strike> {
         let strike = |sample: u64, k: usize| {
             let mut stream = Stream::new(Purpose::Strike, seed, [(purpose as u64) << 32 | sample, k as u64]);
@@ -122,10 +122,10 @@ impl Hand {
     }
 }
 
-/// Which panels are silent in a sample, each with probability `silent` on the condition that one is not: a function of (purpose,
-/// seed, sample) alone.
+/// Which panels are silent in a sample, each with probability `silent` given that not all are; depends on (purpose, seed, sample)
+/// only.
 pub fn silenced(silent: f64, purpose: Purpose, seed: u64, sample: u64, panels: usize) -> Vec<bool> {
-    // counters that no kind of forces has
+    // A counter that no kind of forces uses.
     let mut stream = Stream::new(purpose, seed, [sample, u64::MAX - 2]);
     loop {
         let mask: Vec<bool> = (0..panels).map(|_| stream.uniform() < silent).collect();
@@ -135,12 +135,11 @@ pub fn silenced(silent: f64, purpose: Purpose, seed: u64, sample: u64, panels: u
     }
 }
 
-/// The part, from 0, of a mixture with these weights that each of the samples numbered `samples` is drawn from: a function of
-/// (purpose, seed, sample) alone.
+/// Part of a mixture, from 0, of each of the samples numbered `samples`; depends on (purpose, seed, sample) only.
 pub fn drawn(weights: &[f64], purpose: Purpose, seed: u64, samples: Range<u64>) -> Vec<usize> {
     let last = weights.len() - 1;
     let draw = |sample| {
-        // counters that no kind of forces has
+        // A counter that no kind of forces uses.
         let mut left = Stream::new(purpose, seed, [sample, u64::MAX - 1]).uniform();
         let taken = |w: &f64| {
             left -= w;
@@ -174,7 +173,7 @@ impl Pulse {
             return 0.0;
         }
         let kappa = 0.5f64.ln() / self.peak.ln();
-        // the sine of an argument rounded up to π is negative by an ulp, and its power NaN
+        // At an argument rounded up to π, the sine is negative and its power NaN.
         self.amplitude * (std::f64::consts::PI * z.powf(kappa)).sin().max(0.0).powf(self.power)
     }
 
@@ -190,7 +189,7 @@ pub(super) fn sampled(history: &mut [f64], duration: f64, force: impl Fn(f64) ->
     history.iter_mut().enumerate().for_each(|(n, f)| *f = force(n as f64 * duration / instants));
 }
 
-/// The force histories of the samples numbered `samples`: each is a function of (purpose, seed, sample, panel) alone.
+/// Bell pulses of the samples numbered `samples`; each depends on (purpose, seed, sample, panel) only.
 pub fn bells(
     bell: &Bell,
     purpose: Purpose,
@@ -205,7 +204,7 @@ pub fn bells(
     })
 }
 
-/// Likewise of Gaussian pulses.
+/// As [`bells`], with Gaussian pulses.
 pub fn gauss(
     Gauss { amplitude, sigma, centre }: &Gauss,
     purpose: Purpose,
@@ -224,7 +223,7 @@ pub fn gauss(
     })
 }
 
-/// Histories that `draw` writes for each sample and panel, from a stream of their own.
+/// Histories that `draw` writes per sample and panel, each from its own random stream.
 fn each_panel(
     (purpose, seed): (Purpose, u64),
     samples: Range<u64>,
@@ -241,8 +240,8 @@ fn each_panel(
     Forces { samples: count, panels, instants, values, strikes: Vec::new() }
 }
 
-/// Training targets (N, T, K): f at n = 1…T, T = `instants`, of which the clock of the forces is a multiple. With
-/// `low_pass` a finer clock is read without what T instants cannot say.
+/// Decoder targets (N, T, K): f at n = 1…T, T = `instants`, a divisor of the forces' instants. `low_pass` filters a finer clock
+/// to T instants.
 pub fn targets(forces: &Forces, instants: usize, low_pass: bool) -> Vec<f64> {
     let (panels, clock, every) = (forces.panels, forces.instants + 1, forces.instants / instants);
     let mut targets = Vec::with_capacity(forces.samples * instants * panels);
@@ -259,11 +258,11 @@ pub fn targets(forces: &Forces, instants: usize, low_pass: bool) -> Vec<f64> {
     targets
 }
 
-/// A seeded shuffle of `samples` samples, cut into (training set, test set of `test`), both in ascending order; or a test set drawn with
-/// replacement, which may hold a sample twice, and the others as training set.
+/// Seeded shuffle of `samples` samples into (training set, test set of `test`), both ascending. With `replacement`, the test set
+/// may contain a sample several times, and the training set contains all others.
 ///
 /// # Panics
-/// If no sample is left to train on.
+/// If the training set is empty.
 pub fn split(seed: u64, samples: usize, test: usize, replacement: bool) -> (Vec<usize>, Vec<usize>) {
     if replacement {
         let mut stream = Stream::new(Purpose::Split, seed, [samples as u64, 1]);
@@ -280,7 +279,7 @@ pub fn split(seed: u64, samples: usize, test: usize, replacement: bool) -> (Vec<
     (training, order)
 }
 
-/// The fold, from 0, of each of `records` records: a seeded shuffle, sizes that differ by one at most.
+/// Fold, from 0, of each record: a seeded shuffle into folds whose sizes differ by at most one.
 pub fn folds(seed: u64, records: usize, folds: usize) -> Vec<usize> {
     let mut of = vec![0; records];
     let order = Stream::new(Purpose::Split, seed, [records as u64, 2]).permutation(records);

@@ -1,9 +1,9 @@
-//! Recorded histories on a clock of their own: read linearly for a simulation, anti-aliased for targets.
+//! Resamples recorded histories: linearly for simulations, with a low-pass for targets.
 //!
-//! A simulation takes f as linear between its instants, so `resample` onto a clock fine enough (`Scene::instants` of its
-//! own) loses nothing; a target must hold what a clock of T instants can say, so `anti_aliased` takes out all above
-//! half its rate first: a sinc of that cutoff in a Kaiser window (β = 8, stopband −80 dB), normalised at rest. Of a force all
-//! that acts within the sample stays there (`felt`): the low-pass would send half of a blow at its beginning to before it.
+//! Simulations take f as linear between instants, so `resample` onto a sufficiently fine clock (`Scene::instants`) is exact.
+//! Targets have T instants, so `anti_aliased` first removes frequencies above half their rate: a sinc in a Kaiser window (β = 8,
+//! stopband −80 dB), normalised at zero frequency. `felt` keeps forces within the sample; a plain low-pass would move half of a
+//! blow at the start to before it.
 
 use std::sync::Arc;
 
@@ -11,42 +11,42 @@ use super::split;
 use crate::dynamics::Forces;
 use crate::random::{Purpose, Stream};
 
-/// Records on the clock of the forces, and how samples are made of them.
+/// Records on the clock of the forces, and how samples are made from them.
 ///
-/// A seeded shuffle deals them out: first those that train and test, then the holdout. Fresh samples are drawn from the
-/// training set, with a factor on the force and a shift in time by whole instants.
+/// A seeded shuffle deals them to training and test set, then to the held-out set. Fresh samples are training records times a
+/// factor, shifted by whole instants.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recorded {
-    /// The histories: of all panels, or of one, which is then drawn or told by `struck`.
+    /// Histories: of all panels, or of one panel that `struck` or a random draw determines.
     pub histories: Arc<Forces>,
-    /// Which panel each record strikes, where it holds one history.
+    /// Panel that each record strikes, for records of one history.
     pub struck: Option<Vec<usize>>,
-    /// Interval of a factor on the force of a fresh sample.
+    /// Interval of the factor of fresh samples.
     pub scale: [f64; 2],
-    /// Interval of its shift in time (s).
+    /// Interval of their shift (s).
     pub shift: [f64; 2],
-    /// Whether targets are read without what their clock cannot say.
+    /// Whether targets pass a low-pass to their clock.
     pub low_pass: bool,
 }
 
-/// How records are dealt out.
+/// How records are divided into sets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Deal {
     /// Seed of the split.
     pub seed: u64,
-    /// Records that train and test.
+    /// Number of records for training and test set.
     pub samples: usize,
-    /// How many of them test.
+    /// Size of the test set.
     pub test: usize,
     /// Whether the test set is drawn with replacement.
     pub replacement: bool,
 }
 
 impl Recorded {
-    /// `count` samples of a purpose from number `first` on.
+    /// `count` samples of a purpose, from number `first`.
     ///
     /// # Panics
-    /// If there are not as many records.
+    /// If there are too few records.
     pub fn forces(
         &self,
         deal: Deal,
@@ -82,7 +82,7 @@ impl Recorded {
         Forces { samples: count, panels, instants, values, strikes: Vec::new() }
     }
 
-    /// Appends a record, its histories at their panels.
+    /// Appends a record, with its histories at their panels.
     fn add(&self, record: usize, deal: Deal, panels: usize, factor: f64, shift: i64, values: &mut Vec<f64>) {
         let held = self.histories.panels;
         let struck = match &self.struck {
@@ -105,14 +105,14 @@ impl Recorded {
     }
 }
 
-/// f at t_n = n·duration/T, n = 0…T, of a record whose entry i belongs to `start` + i·`dt`: linear, zero outside.
+/// f at t_n = n·duration/T, n = 0…T, from a record with entry i at `start` + i·`dt`: linear interpolation, zero outside.
 pub fn resample(record: &[f64], start: f64, dt: f64, duration: f64, instants: usize) -> Vec<f64> {
     (0..=instants).map(|n| at(record, (n as f64 * duration / instants as f64 - start) / dt)).collect()
 }
 
-/// The record at entry `s`, a real number.
+/// The record at the fractional entry `s`.
 fn at(record: &[f64], s: f64) -> f64 {
-    // An instant that falls on an entry but for rounding is that entry's.
+    // Rounds positions that differ from an entry by rounding error.
     let s = if (s - s.round()).abs() < 1e-9 { s.round() } else { s };
     if record.is_empty() || s < 0.0 || s > (record.len() - 1) as f64 {
         return 0.0;
@@ -123,16 +123,16 @@ fn at(record: &[f64], s: f64) -> f64 {
     (1.0 - w) * record[i] + w * next
 }
 
-/// Half width of the low-pass's window, in instants.
+/// Half-width of the low-pass window (instants).
 pub const REACH: f64 = 12.0;
 const BETA: f64 = 8.0;
 
-/// A clock's low-pass: weights of a record's entries about an instant.
+/// Low-pass of a clock: weights of a record's entries around an instant.
 struct LowPass {
-    /// Of instant 0, and from one instant to the next (entries).
+    /// Position of instant 0, and distance between instants (entries).
     origin: f64,
     delta: f64,
-    /// Where the first weight stood against its instant, and the weights: where the clocks are in step, all have the same.
+    /// Distance of an instant from its first weight, and the weights; reused while the clocks stay in step.
     known: (f64, Vec<f64>),
 }
 
@@ -141,7 +141,7 @@ impl LowPass {
         Self { origin, delta, known: (0.0, Vec::new()) }
     }
 
-    /// Of an instant, for entries whose values `entry` gives.
+    /// Filtered value at instant n of the entries that `entry` returns.
     fn at(&mut self, n: usize, entry: impl Fn(i64) -> f64) -> f64 {
         let (centre, reach) = (self.origin + n as f64 * self.delta, REACH * self.delta);
         let first = (centre - reach).ceil();
@@ -166,8 +166,7 @@ impl LowPass {
     }
 }
 
-/// As `resample`, of the record without what lies above half a rate of T/duration. A record no finer than that clock is
-/// read linearly.
+/// As [`resample`], without frequencies above half the rate T/duration. A record on a coarser clock is interpolated linearly.
 pub fn anti_aliased(record: &[f64], start: f64, dt: f64, duration: f64, instants: usize) -> Vec<f64> {
     let delta = duration / instants as f64;
     if dt >= delta {
@@ -178,7 +177,7 @@ pub fn anti_aliased(record: &[f64], start: f64, dt: f64, duration: f64, instants
     (0..=instants).map(|n| low_pass.at(n, entry)).collect()
 }
 
-/// The same of a force, of which what acts from 0 to `duration` stays in the sample.
+/// As [`anti_aliased`], for a force: what acts from 0 to `duration` stays in the sample.
 pub fn felt(record: &[f64], start: f64, dt: f64, duration: f64, instants: usize) -> Vec<f64> {
     let delta = duration / instants as f64;
     if dt >= delta {
@@ -186,13 +185,13 @@ pub fn felt(record: &[f64], start: f64, dt: f64, duration: f64, instants: usize)
     }
     let origin = -start / dt;
     let mut low_pass = LowPass::new(origin, delta / dt);
-    // as what came before it has it
+    // Force at instant 0, from earlier entries only.
     let beginning = low_pass.at(0, |i| at(record, origin - (origin - i as f64).abs()));
     within(record, start, dt, duration, instants, beginning)
 }
 
-/// A force mirrored at both ends of the sample before the low-pass, so that it sends no impulse out of it. Instant 0 has no
-/// target: the force there is given, and the impulse that the low-pass has brought beyond it goes to instant 1.
+/// Low-pass of a force that is mirrored at both ends of the sample, so that no impulse leaves it. Instant 0 has no target: its
+/// force is set to `beginning`, and the excess impulse moves to instant 1.
 pub(super) fn within(
     record: &[f64],
     start: f64,

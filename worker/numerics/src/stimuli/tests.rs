@@ -12,7 +12,7 @@ fn draw(purpose: Purpose, samples: Range<u64>) -> Forces {
     bells(&BELL, purpose, 5, samples, 2, 1.0, 200)
 }
 
-/// At onset + peak·width the argument of the sine is π/2; outside (onset, onset + width) there is nothing.
+/// At onset + peak·width the argument of the sine is π/2; outside (onset, onset + width) the force is 0.
 #[test]
 fn a_pulse_peaks_where_it_says_and_is_zero_outside() {
     let pulse = Pulse { amplitude: 0.4, width: 0.2, onset: 0.1, peak: 0.37, power: 2.5 };
@@ -72,7 +72,7 @@ fn pulses_agree_with_reference_histories() {
     }
 }
 
-/// Whoever else is drawn with it, a sample stays the same; other purposes give other samples.
+/// A sample does not depend on others that are drawn with it; other purposes give other samples.
 #[test]
 fn a_sample_depends_on_its_number_and_purpose_alone() {
     let all = draw(Purpose::Stimulus, 0..6);
@@ -81,7 +81,7 @@ fn a_sample_depends_on_its_number_and_purpose_alone() {
     assert_ne!(draw(Purpose::Fresh, 0..6).values, all.values);
 }
 
-/// Training and test set are disjoint, complete, of the sizes asked for, and another seed cuts otherwise.
+/// Training and test set are disjoint and complete, with the requested sizes; another seed gives another split.
 #[test]
 fn a_split_is_a_partition() {
     let (training, test) = split(3, 300, 30, false);
@@ -92,7 +92,7 @@ fn a_split_is_a_partition() {
     assert_ne!(split(4, 300, 30, false).1, test);
 }
 
-/// A test set drawn with replacement may hold a sample twice; the training set is all others.
+/// With replacement, the test set may contain a sample twice; the training set contains all others.
 #[test]
 fn a_split_with_replacement_trains_on_what_does_not_test() {
     let (training, test) = split(3, 300, 30, true);
@@ -103,7 +103,8 @@ fn a_split_with_replacement_trains_on_what_does_not_test() {
     assert!((0..4).all(repeats));
 }
 
-/// A Gaussian pulse has its amplitude at its centre, and e^(−½) of it a σ beside; a panel is silent as often as asked, and never all.
+/// A Gaussian pulse has its amplitude at the centre and e^(−½) of it at a distance of σ. Panels are silent as often as requested,
+/// but never all.
 #[test]
 fn gaussian_pulses_and_silent_panels() {
     let kind = Gauss { amplitude: [0.2, 0.2], sigma: [0.02, 0.02], centre: [0.5, 0.5] };
@@ -115,12 +116,12 @@ fn gaussian_pulses_and_silent_panels() {
     let masks: Vec<Vec<bool>> = (0..4000).map(|i| silenced(0.5, Purpose::Stimulus, 1, i, 2)).collect();
     assert!(masks.iter().all(|mask| mask.contains(&false)));
     let silent = masks.iter().flatten().filter(|silent| **silent).count() as f64 / 8000.0;
-    // of the four cases of two panels one is left out
+    // One of the four cases of two panels is excluded.
     assert!((silent - 1.0 / 3.0).abs() < 0.02, "{silent}");
     assert_eq!(silenced(0.0, Purpose::Stimulus, 1, 7, 3), [false; 3]);
 }
 
-/// Targets leave out the instant 0 and put the panels last.
+/// Targets exclude instant 0; panels are the last axis.
 #[test]
 fn targets_are_the_forces_at_the_instants_of_the_signals() {
     let forces = Forces {
@@ -134,7 +135,7 @@ fn targets_are_the_forces_at_the_instants_of_the_signals() {
     assert_eq!(targets(&forces, 1, false), [2.0, 20.0]);
 }
 
-/// Records are dealt out once each; fresh samples come from the training set, larger or smaller, earlier or later.
+/// Records are dealt once each; fresh samples are training records with a factor and a shift.
 #[test]
 fn records_are_dealt_out_once_and_varied_when_drawn_afresh() {
     let (records, instants) = (12, 50);
@@ -173,7 +174,7 @@ fn records_are_dealt_out_once_and_varied_when_drawn_afresh() {
     assert!(places.iter().all(|(_, n)| (15..=25).contains(n)) && places.len() > 15, "{places:?}");
 }
 
-/// A clock of targets coarser than the forces' own: a tone above half its rate does not come back as another.
+/// On a target clock coarser than the forces', a tone above half its rate is not aliased.
 #[test]
 fn targets_of_a_finer_clock_are_read_without_what_they_cannot_say() {
     let tone = |hertz: f64| -> Vec<f64> {

@@ -1,6 +1,6 @@
 use super::*;
 
-/// Values of printed tables, one-sided.
+/// One-sided values of printed tables.
 #[test]
 fn quantiles_of_any_chance() {
     for (freedom, chance, value) in [
@@ -27,7 +27,7 @@ fn student_s_quantiles() {
     }
 }
 
-/// Values of the tables.
+/// Values of printed tables.
 #[test]
 fn quantiles_are_those_of_the_tables() {
     for (degrees, value) in [(9, 2.2622), (19, 2.0930), (100, 1.9840)] {

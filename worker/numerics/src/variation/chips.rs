@@ -1,4 +1,4 @@
-//! How the chips of a cast differ from the data sheet: each turned in the plane, each channel with a gain of its own.
+//! Deviations of a cast's chips: each is rotated in the plane, and each channel has a gain.
 //!
 //! ```text
 //! (a_x, a_y)′ = diag(g_x, g_y) R(−φ) (a_x, a_y)      ω′ = g_ω ω      g = e^{σz}
@@ -7,26 +7,26 @@
 /// The chips of one cast.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Chips {
-    /// g of each channel (3M); empty where gains are exact.
+    /// g per channel (3M); empty if gains are exact.
     pub gain: Vec<f64>,
-    /// φ of each chip (M, rad); empty where all are straight.
+    /// φ per chip (M) (rad); empty if none is rotated.
     pub turn: Vec<f64>,
 }
 
 impl Chips {
-    /// Overwrites signals (N, T, 3M) with what the chips make of them.
+    /// Replaces signals (N, T, 3M) by the chips' readings.
     pub(crate) fn read(&self, signals: &mut [f64]) {
         self.rotate(signals, -1.0);
         self.amplify(signals);
     }
 
-    /// Overwrites a cotangent (N, T, 3M) on what [`Chips::read`] left by one on the signals.
+    /// Replaces a cotangent (N, T, 3M) on the readings by that on the signals.
     pub(crate) fn read_vjp(&self, cotangent: &mut [f64]) {
         self.amplify(cotangent);
         self.rotate(cotangent, 1.0);
     }
 
-    /// Gradient in the logarithms of the gains and in the turns, for a cotangent (N, T, 3M) on what [`Chips::read`] left.
+    /// Gradient in ln g and φ, for the readings `read` and a cotangent (N, T, 3M) on them.
     pub(crate) fn own_vjp(&self, read: &[f64], cotangent: &[f64]) -> Self {
         let mut gain = vec![0.0; self.gain.len()];
         let mut turn = vec![0.0; self.turn.len()];
@@ -46,7 +46,7 @@ impl Chips {
         values.iter_mut().zip(self.gain.iter().cycle()).for_each(|(value, gain)| *value *= gain);
     }
 
-    /// By φ of each chip, or the other way.
+    /// Rotates by φ of each chip times `way`.
     fn rotate(&self, values: &mut [f64], way: f64) {
         let turns: Vec<(f64, f64)> = self.turn.iter().map(|turn| (way * turn).sin_cos()).collect();
         for (reading, (s, c)) in values.chunks_exact_mut(3).zip(turns.iter().cycle()) {

@@ -1,13 +1,13 @@
-//! Casts of a body: what mould, silicone and hands make of one design.
+//! Casts of a body: random deviations of manufactured bodies from a design.
 //!
 //! ```text
-//! k′ = k e^{σz}     each of k_l, k_s, k_θ, ζ, density, k_c, the same for all ligaments and units of a cast
-//! k″ = k′ e^{ρz}    each of k_l, k_s, k_θ of each ligament, the density of each unit
+//! k′ = k e^{σz}     each of k_l, k_s, k_θ, ζ, density, k_c; common to all ligaments and units of a cast
+//! k″ = k′ e^{ρz}    each of k_l, k_s, k_θ per ligament, density per unit
 //! l₀′ = l₀ e^{σz}   of all ligaments; the grid stays, units shrink
-//! α′ = α + s L z    each coordinate of each shift; L = 1, or L Lᵀ = exp(−r²/2c²) for node groups r apart
+//! α′ = α + s L z    per coordinate of each shift; L = 1, or L Lᵀ = exp(−r²/2c²) for node groups r apart
 //! ```
-//! z standard normal, keyed by seed, purpose and number of the cast: all bodies of a trial, and trials of equal seed, meet the
-//! same casts.
+//! z is standard normal and depends on seed, purpose and number of the cast: all bodies of a trial, and trials of equal seed,
+//! have the same casts.
 
 use crate::Pool;
 use crate::body::Layout;
@@ -19,65 +19,65 @@ mod chips;
 
 pub use chips::Chips;
 
-/// How casts scatter about what was designed.
+/// Standard deviations of casts.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Variation {
-    /// Standard deviation of the logarithm of each parameter.
+    /// Of the logarithm of each material parameter.
     pub material: Parameters,
-    /// Of k_l, k_s, k_θ of each ligament, beside that of all.
+    /// Of the logarithms of k_l, k_s, k_θ per ligament, in addition to `material`.
     pub ligaments: [f64; 3],
-    /// Of the density of each unit, likewise.
+    /// Of the logarithm of the density per unit, in addition to `material`.
     pub units: f64,
-    /// Of the length of the ligaments, by which units shrink; the stiffnesses scatter by themselves.
+    /// Of the logarithm of the ligament length; units shrink accordingly, stiffnesses stay.
     pub ligament_length: f64,
-    /// How the ligaments of the casts that judge relax: no other cast knows of it.
+    /// Relaxation of the ligaments, only in casts for the final evaluation.
     pub relaxation: Option<Relaxation>,
-    /// Standard deviation of each coordinate of each shift (mm).
+    /// Of each coordinate of each shift (mm).
     pub nodes: f64,
-    /// Correlation length c of the shifts (mm); 0: each by itself.
+    /// Correlation length c of the shifts (mm); 0: independent.
     pub correlation: f64,
-    /// Standard deviation of the logarithm of each channel's gain.
+    /// Of the logarithm of each channel's gain.
     pub gain: f64,
-    /// Standard deviation of each chip's turn in the plane (rad).
+    /// Of each chip's rotation in the plane (rad).
     pub misalignment: f64,
 }
 
-/// Part of the shifts' variance that is each group's own: without it C is singular in double precision.
+/// Independent share of the shifts' variance; without it the covariance is singular in double precision.
 const OWN: f64 = 1e-6;
 
-/// What casts are for; no two purposes share one.
+/// Purposes of casts; each has its own casts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u64)]
 pub enum Casts {
-    /// A step of training.
+    /// Training steps.
     Step = 0,
-    /// The looks at the test set on the way.
+    /// Evaluations of the test set during training.
     Look = 1,
-    /// Samples for a brain that is to read casts which it has not seen.
+    /// Training samples of decoders for unseen casts.
     Known = 2,
-    /// The judgement at the end.
+    /// The final evaluation.
     Unseen = 3,
 }
 
-/// One body as it came out of its mould.
+/// One manufactured body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cast {
-    /// By what each parameter is multiplied.
+    /// Factor of each material parameter.
     pub material: Parameters,
-    /// By what each ligament and unit beside.
+    /// Further factors per ligament and unit.
     pub parts: Parts,
-    /// By what the ligaments' length.
+    /// Factor of the ligament length.
     pub ligament_length: f64,
-    /// How its ligaments relax; such a cast has no gradient.
+    /// Relaxation of its ligaments; such a cast has no gradient.
     pub relaxation: Option<Relaxation>,
-    /// What is added to each coordinate of α (mm); empty where moulds are exact.
+    /// Deviation of each coordinate of α (mm); empty if there is none.
     pub shifts: Vec<f64>,
-    /// Its sensors' chips.
+    /// Deviations of its chips.
     pub chips: Chips,
 }
 
 impl Variation {
-    /// Of a careful hand, where nothing else is said: stiffnesses 5 %, damping 20 %, density 3 %, nodes 0.1 mm.
+    /// The defaults, those of careful manufacture: stiffnesses 5 %, damping 20 %, density 3 %, nodes 0.1 mm.
     pub const USUAL: Self = Self {
         material: Parameters {
             stretch: 0.05,
@@ -97,10 +97,10 @@ impl Variation {
         misalignment: 0.0,
     };
 
-    /// L, column by column, of a body's node groups where their nodes lie without shifts; empty where each scatters by itself.
+    /// L, by columns, for node groups at their positions without shifts; empty if shifts are independent.
     ///
     /// # Panics
-    /// If two groups of the layout lie on one another.
+    /// If two groups of the layout coincide.
     pub fn likeness(&self, layout: &Layout, pool: &Pool) -> Vec<f64> {
         if self.nodes == 0.0 || self.correlation == 0.0 {
             return Vec::new();
@@ -123,7 +123,7 @@ impl Variation {
         likeness
     }
 
-    /// A cast of a body of a layout and so many sensors and its [`Variation::likeness`].
+    /// Draws a cast of a body with this layout, number of sensors and [`Variation::likeness`].
     pub fn cast(
         &self,
         seed: u64,
@@ -143,7 +143,7 @@ impl Variation {
         let shifts = if likeness.is_empty() { own } else { shared(likeness, &own) };
         let gain = each(self.gain, 3 * sensors, stream(2)).into_iter().map(f64::exp).collect();
         let chips = Chips { gain, turn: each(self.misalignment, sensors, stream(3)) };
-        // every ligament draws all its factors, so that what one scatters by moves no other
+        // Every ligament draws all factors, so that one standard deviation does not affect the others.
         let ligaments = if self.ligaments == [0.0; 3] { 0 } else { layout.ligaments.len() };
         let mut of_ligaments = stream(4);
         let mut factors = || self.ligaments.map(|deviation| (deviation * of_ligaments.normal()).exp());
@@ -158,7 +158,7 @@ impl Variation {
     }
 }
 
-/// L on each axis of shifts that scatter each by itself.
+/// Applies L to independent shifts, per axis.
 pub(crate) fn shared(likeness: &[f64], own: &[f64]) -> Vec<f64> {
     let groups = own.len() / 2;
     let shared = |i: usize| {
@@ -168,7 +168,7 @@ pub(crate) fn shared(likeness: &[f64], own: &[f64]) -> Vec<f64> {
     (0..own.len()).map(shared).collect()
 }
 
-/// Lᵀ likewise: the transpose of [`shared`].
+/// Applies Lᵀ; the transpose of [`shared`].
 pub(crate) fn shared_vjp(likeness: &[f64], shared: &[f64]) -> Vec<f64> {
     let groups = shared.len() / 2;
     let own = |i: usize| {
@@ -192,7 +192,7 @@ impl Cast {
         scene
     }
 
-    /// α of this cast (mm); dα of a function of it is that of the design.
+    /// α of this cast (mm). Gradients in it equal those in the design.
     pub fn design(&self, design: &[f64]) -> Vec<f64> {
         let mut design = design.to_vec();
         design.iter_mut().zip(&self.shifts).for_each(|(own, by)| *own += by);

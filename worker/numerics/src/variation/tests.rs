@@ -2,7 +2,7 @@ use super::*;
 use crate::body::Layout;
 use crate::dynamics::Parameters;
 
-/// Of two units, so that there is a ligament.
+/// Two units with a ligament.
 fn pair() -> Layout {
     Layout::planar(2, 1, 15.0, 2.25)
 }
@@ -13,7 +13,7 @@ fn variation() -> Variation {
     Variation { material, nodes: 0.1, gain: 0.02, misalignment: 0.03, ..Variation::default() }
 }
 
-/// Logarithms of factors and shifts have the deviations asked for, and nothing else scatters; each is drawn by itself.
+/// Logarithms of factors, and shifts, have the given standard deviations and are independent; nothing else varies.
 #[test]
 fn casts_scatter_as_asked() {
     let count = 4000;
@@ -38,7 +38,8 @@ fn casts_scatter_as_asked() {
     assert!((correlation / (0.01 * count as f64)).abs() < 0.05, "{correlation}");
 }
 
-/// A cast is the same whoever asks, another for another seed, purpose or number, and the material's does not hang on the mould's.
+/// Equal keys give equal casts; another seed, purpose or number gives another cast. Material draws do not depend on those of the
+/// mould.
 #[test]
 fn a_cast_is_its_key() {
     let one = variation().cast(7, Casts::Step, 3, (&pair(), 2), &[]);
@@ -52,7 +53,7 @@ fn a_cast_is_its_key() {
     assert_eq!(exact.chips.turn, one.chips.turn);
 }
 
-/// A chip turned by φ reads a vector turned by −φ, each channel by its gain; (C a)·c = a·(Cᵀ c).
+/// A chip rotated by φ measures a vector rotated by −φ, times its gains; (C a)·c = a·(Cᵀ c).
 #[test]
 fn chips_turn_and_amplify_and_their_pull_back_is_the_transpose() {
     let turn = vec![std::f64::consts::FRAC_PI_2, 0.0];
@@ -73,8 +74,8 @@ fn chips_turn_and_amplify_and_their_pull_back_is_the_transpose() {
     assert!((left - right).abs() < 1e-12 * (1.0 + left.abs()) && read != a, "{left} {right}");
 }
 
-/// Logarithms of each ligament's and unit's factors have the deviations asked for, each drawn by itself, and what is common to a cast
-/// is what it is without them.
+/// Logarithms of factors per ligament and unit have the given standard deviations and are independent; common factors stay the
+/// same.
 #[test]
 fn parts_scatter_each_by_itself() {
     let (layout, count) = (Layout::planar(3, 1, 15.0, 2.25), 4000);
@@ -99,13 +100,13 @@ fn parts_scatter_each_by_itself() {
     let plain = variation().cast(7, Casts::Unseen, 5, (&layout, 1), &[]);
     assert_eq!((&plain.material, &plain.shifts), (&casts[5].material, &casts[5].shifts));
     assert_eq!(plain.parts, crate::dynamics::Parts::default());
-    // what one figure of a ligament scatters by does not move another
+    // The standard deviation of one stiffness does not affect the draws of another.
     let alone =
         Variation { ligaments: [0.0, 0.0, 0.1], ..variation() }.cast(7, Casts::Unseen, 5, (&layout, 1), &[]);
     assert_eq!(alone.parts.ligaments[1][2], casts[5].parts.ligaments[1][2]);
 }
 
-/// The ligaments' length scatters by one factor a cast, about a grid that stays.
+/// The ligament length has one factor per cast; the grid stays.
 #[test]
 fn lengths_scatter_on_the_grid() {
     let (layout, count) = (pair(), 4000);
@@ -119,7 +120,7 @@ fn lengths_scatter_on_the_grid() {
     assert_eq!(longer, Layout::planar(2, 1, 15.0, 2.5));
 }
 
-/// Shifts of groups r apart have the correlation exp(−r²/2c²) on each axis and none across axes, and each the deviation asked for.
+/// Shifts of groups r apart have the correlation exp(−r²/2c²) on each axis, none across axes, and the given standard deviation.
 #[test]
 fn near_nodes_scatter_alike() {
     let layout = Layout::planar(3, 2, 15.0, 2.25);
@@ -130,7 +131,7 @@ fn near_nodes_scatter_alike() {
     let found = |a: usize, b: usize| {
         casts.iter().map(|cast| cast.shifts[a] * cast.shifts[b]).sum::<f64>() / (0.01 * count as f64)
     };
-    // groups of the ligaments between units 0, 1 and 1, 2, a pitch apart
+    // Groups of the ligaments between units 0, 1 and 1, 2: one spacing apart.
     let [first, second] = [layout.groups[0][0], layout.groups[1][0]].map(Option::unwrap);
     for axis in 0..2 {
         let [a, b] = [2 * first + axis, 2 * second + axis];
@@ -139,7 +140,7 @@ fn near_nodes_scatter_alike() {
             assert!((found - asked).abs() < 0.07, "{pair:?}: {found} {asked}");
         }
     }
-    // a length that no body has moves it as a whole
+    // A correlation length beyond the body's size shifts it as a whole.
     let rigid = Variation { correlation: 1e4, ..variation };
     let cast = rigid.cast(7, Casts::Step, 0, (&layout, 0), &rigid.likeness(&layout, &Pool::new(1).unwrap()));
     assert!(cast.shifts.chunks(2).all(|shift| (shift[0] - cast.shifts[0]).abs() < 2e-3), "{cast:?}");

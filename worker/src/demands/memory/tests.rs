@@ -1,7 +1,7 @@
 use super::*;
 use crate::problem::tests::trial;
 
-/// The least limit of a group and of those above it counts, of either version of control groups; `max` is none.
+/// The smallest limit of a group and its parents applies, in both versions of control groups; `max` means no limit.
 #[test]
 fn a_control_group_has_the_limits_of_those_above_it() {
     let folder = tempfile::tempdir().unwrap();
@@ -21,7 +21,7 @@ fn a_control_group_has_the_limits_of_those_above_it() {
     );
 }
 
-/// What no machine has is refused by the key that asks for it, whatever multiplies; what a small trial needs is there.
+/// A trial that exceeds the limit is rejected with the key that multiplies its memory; a small trial is accepted.
 #[test]
 fn what_no_memory_holds_is_refused_by_its_key() {
     let limit = Limit { name: "this machine has", bytes: 1e11 };

@@ -5,7 +5,7 @@ use metasense_schemas::spec::Separator;
 
 use super::Form;
 
-/// A separator that no text has: a whole line is one field.
+/// A separator that occurs in no text: the whole line is one field.
 pub(super) const NONE: u8 = 0;
 
 pub(super) fn byte(separator: Separator) -> u8 {
@@ -16,7 +16,7 @@ pub(super) fn byte(separator: Separator) -> u8 {
     }
 }
 
-/// What follows a field that is no number: how the line was divided.
+/// Hint after a field that is not a number: the separator in use.
 pub(super) fn divided_by(separator: u8) -> &'static str {
     match separator {
         b',' => "; commas separate the fields",
@@ -26,16 +26,16 @@ pub(super) fn divided_by(separator: u8) -> &'static str {
     }
 }
 
-/// A field without the quotes behind a blank, which are none to `csv`.
+/// Strips quotes after a blank, which `csv` keeps in the field.
 pub(super) fn bare(field: &str) -> &str {
     field.trim_matches('"')
 }
 
-/// The lines that are not blank, one after another.
+/// Iterates over the lines that are not blank.
 pub(super) struct Rows<'a> {
     reader: Reader<&'a [u8]>,
     bytes: &'a [u8],
-    /// The fields of the last one.
+    /// Fields of the current line.
     fields: StringRecord,
 }
 
@@ -47,12 +47,12 @@ impl<'a> Rows<'a> {
         Self { reader: builder.from_reader(bytes), bytes, fields }
     }
 
-    /// The next one's number, from 1, and its fields.
+    /// Number, from 1, and fields of the next line.
     pub fn next(&mut self) -> Option<(usize, &StringRecord)> {
         while self.reader.read_record(&mut self.fields).expect("memory holds UTF-8") {
             if self.fields.len() > 1 || !self.fields[0].is_empty() {
                 let at = self.fields.position().expect("it has been read");
-                // `csv` counts before it skips blank lines and the second half of "\r\n"
+                // `csv` counts lines before it skips blank lines and the second half of "\r\n".
                 let skipped =
                     self.bytes[at.byte() as usize..].iter().take_while(|byte| b"\r\n".contains(byte));
                 let line = at.line() as usize + skipped.filter(|byte| **byte == b'\n').count();
@@ -63,7 +63,7 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// A line with other than as many fields as the first.
+/// A line with a different number of fields than the first.
 pub(super) struct Uneven {
     line: usize,
     found: usize,
@@ -93,7 +93,7 @@ impl Uneven {
     }
 }
 
-/// How many fields all lines have.
+/// Number of fields, if equal in all lines.
 pub(super) fn width(text: &str, separator: u8) -> Result<usize, Uneven> {
     let mut rows = Rows::new(text, separator);
     let Some((first, fields)) = rows.next() else { return Ok(0) };

@@ -1,19 +1,19 @@
-//! Numbers as a CSV has them.
+//! Numbers in a CSV.
 
 use metasense_schemas::spec::Decimal;
 
 use super::Form;
 
-/// What stands for a number that is missing.
+/// Fields that stand for a missing number.
 pub(super) const MISSING: [&str; 8] = ["", "-", "--", "---", "na", "n/a", "null", "none"];
 
-/// Whether a field may be a number, a date or a time, in whatever form: it names no column for certain.
+/// Whether a field may be a number, a date or a time, and so is no certain column name.
 pub(super) fn may_be_number(field: &str) -> bool {
     let written = |c: char| c.is_ascii_digit() || "+-.,:/' eE_%".contains(c);
     field.contains(|c: char| c.is_ascii_digit()) && field.chars().all(written) || field.parse::<f64>().is_ok()
 }
 
-/// A number and the mark that it was written with, if any.
+/// A number, and its decimal mark, if any.
 pub(super) fn number(field: &str, decimal: Option<Decimal>) -> Option<(f64, Option<Decimal>)> {
     let mark = field.bytes().find_map(|byte| match byte {
         b'.' => Some(Decimal::Point),
@@ -28,12 +28,12 @@ pub(super) fn number(field: &str, decimal: Option<Decimal>) -> Option<(f64, Opti
     Some((value.ok()?, mark))
 }
 
-/// The decimal marks that a table has.
+/// Decimal marks found in a table.
 #[derive(Debug, Default)]
 pub(super) struct Marks {
-    /// For each mark a number that has it, with its line.
+    /// Per mark, the first number that contains it and its line.
     seen: [Option<(usize, String)>; 2],
-    /// Whether one of them cannot be a whole number with a mark between thousands.
+    /// Per mark, whether some number rules out a thousands separator.
     certain: [bool; 2],
 }
 
@@ -46,7 +46,7 @@ impl Marks {
         self.certain[mark] = self.certain[mark] || !may_be_thousands(field);
     }
 
-    /// Refuses two marks in one table, and one that may stand between thousands.
+    /// Rejects a table with both marks, or with a mark that may separate thousands.
     pub fn check(&self, separator: u8, form: &Form) -> Result<(), String> {
         if form.decimal.is_some() {
             return Ok(());
@@ -57,7 +57,7 @@ impl Marks {
                 "line {line}: {number:?} has a decimal point, line {other}: {comma:?} a comma: {settle}"
             ));
         }
-        // beside commas that separate fields a point has always been a decimal mark
+        // Where commas separate the fields, a point is a decimal mark.
         let known = separator == b',' && self.seen[1].is_none();
         let doubtful =
             self.seen.iter().zip(self.certain).find_map(|(seen, certain)| seen.as_ref().filter(|_| !certain));
@@ -71,7 +71,7 @@ impl Marks {
     }
 }
 
-/// Whether a number with one mark reads as a whole number with a mark between thousands, too.
+/// Whether the mark in a number may separate thousands.
 fn may_be_thousands(field: &str) -> bool {
     let field = field.trim_start_matches(['+', '-']);
     let digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());

@@ -4,7 +4,7 @@ use crate::replay::{layers, own, replay};
 use crate::run::{pool, run_trial};
 use metasense_schemas::spec::{BrainKind, TrialSpec};
 
-/// A trial's replay and its brain as layers.
+/// A trial's replay, and its decoder as layers.
 fn brain(trial: &TrialSpec) -> (Replay, Vec<Convolution>) {
     let result = run_trial(trial, None, &pool(1).unwrap(), &mut Blind).unwrap();
     let body = &result.optimised;
@@ -14,7 +14,7 @@ fn brain(trial: &TrialSpec) -> (Replay, Vec<Convolution>) {
     (replay, layers)
 }
 
-/// A network, a linear brain whose far lags share weights, and one on the other.
+/// A network, a linear decoder with shared weights at long lags, and a stacked decoder.
 fn brains() -> [(Replay, Vec<Convolution>); 3] {
     [BrainKind::Cnn, BrainKind::Linear, BrainKind::Stacked].map(|kind| {
         let mut trial = small_trial();
@@ -24,7 +24,7 @@ fn brains() -> [(Replay, Vec<Convolution>); 3] {
     })
 }
 
-/// Root mean square of what is read of a set's samples less what the trial's brain says, as a part of that of this.
+/// RMS difference between `read` and the trial's decoder over a set, relative to the RMS of the latter.
 fn off(replay: &Replay, set: u8, brain: &[f64], read: &dyn Fn(&[f64]) -> Vec<f32>) -> f64 {
     let count = replay.split.len();
     let [signals, forces] = [&replay.signals[..], brain].map(|v| v.chunks_exact(v.len() / count));
@@ -38,15 +38,15 @@ fn off(replay: &Replay, set: u8, brain: &[f64], read: &dyn Fn(&[f64]) -> Vec<f32
     (difference / all).sqrt()
 }
 
-/// Layers in f32 say what the trial's brain says to 1e-5 of the greatest force, with 16 bits to 1e-3, with 8-bit weights to a few
-/// percent; 8-bit activations make it worse. No sum passes the bound, of readings beyond every scale either.
+/// Layers in f32 match the trial's decoder within 1e-5 of the greatest force, with 16 bits within 1e-3, with 8-bit weights within
+/// a few percent; 8-bit activations are worse. No sum exceeds the bound, even for readings beyond full scale.
 #[test]
 fn integers_say_what_the_brain_says() {
     for (replay, layers) in brains() {
         let grouped = layers[0].spans.iter().any(|span| *span > 1);
         assert!(grouped == layers[0].linear);
         let single = Single::new(&layers);
-        // of training samples a stacked network has heard brains that had not seen them
+        // On training samples a stacked network uses out-of-fold estimates.
         let sets = if grouped && layers.len() > 1 { 2..=2 } else { 0..=2 };
         let exact = sets.map(|set| off(&replay, set, &replay.predictions, &|signals| single.read(signals)));
         let exact = exact.fold(0.0, f64::max);
@@ -70,7 +70,7 @@ fn integers_say_what_the_brain_says() {
     }
 }
 
-/// Louder test and holdout samples change nothing, a louder training sample does.
+/// Larger test and held-out samples change nothing; a larger training sample does.
 #[test]
 fn scales_are_those_of_training_samples() {
     let (mut replay, layers) = brain(&small_trial());
@@ -84,7 +84,7 @@ fn scales_are_those_of_training_samples() {
     }
 }
 
-/// To the nearest step, halves away from zero, no further than the last, and nothing of what is no number.
+/// Rounds to the nearest step, halves away from zero, clips at full scale, and maps NaN to 0.
 #[test]
 fn readings_are_rounded_to_steps() {
     let (replay, layers) = brain(&small_trial());
@@ -93,7 +93,7 @@ fn readings_are_rounded_to_steps() {
     assert_eq!(steps.map(|x| of.steps(2.0 * x)), [0, 1, -1, 0, 1, -2, 32767, -32767, 32767, 0]);
 }
 
-/// A ratio is met to 2⁻²¹ of itself or better for sums of up to 40 bits, and no product passes 2⁶².
+/// A ratio is accurate to 2⁻²¹ for sums of up to 40 bits, and no product exceeds 2⁶².
 #[test]
 fn a_ratio_is_a_factor_and_a_shift() {
     for bound in [1i64 << 20, i32::MAX.into(), 1 << 40] {

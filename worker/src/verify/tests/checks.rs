@@ -1,4 +1,4 @@
-//! Checks that need no reference: balance of energy, Taylor test of the gradient, and what several settings must agree on.
+//! Checks without a reference: energy balance, Taylor tests of the gradient, agreement between settings.
 
 use super::super::{Row, dot, norm, relative};
 use crate::reference::{bells, reference};
@@ -9,7 +9,7 @@ use metasense_numerics::dynamics::{
 };
 use metasense_numerics::random::{Purpose, Stream};
 
-/// A small scene on a fine clock, so that integrals over the instants are exact to well below the tolerances.
+/// A small scene on a fine clock, so that the error of integrals over instants is well below the tolerances.
 fn fine() -> (Scene, Vec<f64>, Forces) {
     let mut scene = reference();
     scene.layout = Layout::planar(3, 2, 15.0, 2.25);
@@ -21,7 +21,7 @@ fn fine() -> (Scene, Vec<f64>, Forces) {
     (scene, design, forces)
 }
 
-/// All checks for `method`.
+/// All checks for each solver.
 pub fn rows(solvers: &[Solver], pool: &metasense_numerics::Pool) -> Vec<Row> {
     let mut rows = orders(pool);
     rows.push(tape(Solver::new(Method::Nystrom6, Accuracy(1e-3)), 1e-3, pool));
@@ -36,7 +36,7 @@ pub fn rows(solvers: &[Solver], pool: &metasense_numerics::Pool) -> Vec<Row> {
     rows
 }
 
-/// The same for 0.1 s with one smooth blow on both panels.
+/// As `fine`, for 0.1 s with one smooth blow on both panels.
 fn short() -> (Scene, Vec<f64>, Forces) {
     let (mut scene, design, _) = fine();
     (scene.duration, scene.instants) = (0.1, 20);
@@ -45,8 +45,8 @@ fn short() -> (Scene, Vec<f64>, Forces) {
     (scene, design, Forces { samples: 1, panels: 2, instants: 20, values, strikes: Vec::new() })
 }
 
-/// Order of convergence of each scheme of equal steps, from n and 2n steps an interval against a far finer run, with damping
-/// light and heavy: the drift carries it exactly; of Tsit5 from the steps that two tolerances take.
+/// Order of convergence of each equal-step method, from n and 2n steps per interval against a far finer run, with light and heavy
+/// damping (the drift integrates damping exactly); of Tsit5, from the steps at two tolerances.
 fn orders(pool: &metasense_numerics::Pool) -> Vec<Row> {
     let (light, design, forces) = short();
     let solve = |scene: &Scene, plan| run(scene, &design, &forces, &plan, false, pool);
@@ -76,11 +76,11 @@ fn order_row(method: Method, damping: f64, order: f64, seen: f64) -> Row {
         .noted(format!("{seen:.2}"))
 }
 
-/// Work in = energy + dissipated, over the greatest energy; integrals by Simpson's rule on the instants.
+/// |Work − energy − dissipation|, relative to the greatest energy; integrals by Simpson's rule over the instants.
 fn balance(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
     let (mut scene, design, _) = fine();
     (scene.duration, scene.instants) = (0.25, 20_000);
-    // A smooth blow from 0 to 0.2 s on both panels: kinks between instants would cost Simpson's rule its order.
+    // A smooth blow from 0 to 0.2 s on both panels; kinks between instants would lower the order of Simpson's rule.
     let blow = |n: usize| 0.4 * (std::f64::consts::PI * (n as f64 / 16_000.0).min(1.0)).sin().powi(4);
     let values = (0..2).flat_map(|_| (0..=20_000).map(blow)).collect();
     let forces = Forces { samples: 1, panels: 2, instants: 20_000, values, strikes: Vec::new() };
@@ -118,7 +118,7 @@ fn balance(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
     Row::new(name, (work - last).abs() / greatest, 1e-6)
 }
 
-/// |J(α + εδ) − J(α) − ε g·δ| must fall with slope 2; shown is how far the slope is from it.
+/// |J(α + εδ) − J(α) − ε g·δ| must decrease with slope 2; the row shows the deviation of the slope.
 fn taylor(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
     let (scene, design, forces) = fine();
     let name = format!("Taylor test of dα, slope 2, {}", solver.method.name());
@@ -141,12 +141,11 @@ fn taylor(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
         .noted(format!("slopes {:.3} {:.3}", slopes[0], slopes[1]))
 }
 
-/// The same along each parameter, relative to its value, with the steps of the scene as it is; shown is the slope farthest
-/// from 2.
+/// As `taylor`, along each parameter relative to its value, with fixed steps; the row shows the slope farthest from 2.
 fn taylor_parameters(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
     let (scene, design, forces) = short();
     let name = format!("Taylor tests of the parameters, slope 2, {}", solver.method.name());
-    // What error control changes from value to value would drown the remainder.
+    // Changes of adaptive steps between values would mask the remainder.
     let plan = match solver.method {
         Method::Tsit5 => Plan::tsit5(Tolerance::both(1e-11)),
         _ => choose(&scene, &design, &solver),
@@ -180,7 +179,7 @@ fn taylor_parameters(solver: Solver, pool: &metasense_numerics::Pool) -> Row {
     Row::new(name, (farthest - 2.0).abs(), 0.1).noted(format!("{farthest:.3} of stretch … density"))
 }
 
-/// The scene with nothing held, damping given, the masses of one design, and units of another density.
+/// The scene without clamps, with given damping, the masses of one design, and units of another density.
 fn loose(base: &Scene) -> Scene {
     let mut scene = Scene {
         clamped: Vec::new(),
@@ -193,8 +192,8 @@ fn loose(base: &Scene) -> Scene {
     scene
 }
 
-/// ⟨w, J v⟩ = ⟨Jᵀ w, v⟩, J v by a plain program in dual numbers, and the signals by that program; the worst of scenes of
-/// every kind.
+/// ⟨w, J v⟩ = ⟨Jᵀ w, v⟩ with J v from a simple program with dual numbers, and the signals of that program; the worst over scenes
+/// of every kind.
 fn transpose(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
     let (base, design, blow) = short();
     let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
@@ -228,7 +227,8 @@ fn transpose(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
     let mut worst = [("", 0.0); 4];
     for (name, scene, kinks) in scenes {
         let instants = kinks * blow.instants;
-        // Accelerations of slow motion are small differences of large forces, and mostly rounding at 1e-12.
+        // Rapidly varying forces: accelerations of slow motion are small differences of large forces, dominated by rounding at
+        // 1e-12.
         let values = (0..2 * (instants + 1)).map(|_| 0.4 * stream.normal()).collect();
         let strike = |panel: &Panel| panel.struck(-2.5, 0.3);
         let strikes = match name {
@@ -242,7 +242,7 @@ fn transpose(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
         let pushed: Vec<f64> = forces.values.iter().map(|_| 0.1 * stream.normal()).collect();
         let mut apart = |v: Tangent<'_>| {
             let (signals, along) = simulation.jvp(0, v);
-            // Of one sign with J v, lest the sum cancel
+            // Same sign as J v, so that the sum does not cancel.
             let w: Vec<f64> = along.iter().map(|a| a * stream.normal().abs()).collect();
             let wrt = if v.forces.is_empty() { Wrt::Parameters } else { Wrt::Forces };
             let gradient = simulation.vjp(&w, wrt, pool);
@@ -274,7 +274,7 @@ fn transpose(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
     whats.zip(worst).map(row).collect()
 }
 
-/// Factors of 5 % of every ligament's stiffnesses and every unit's density.
+/// Random factors with σ = 5 % for each ligament's stiffnesses and each unit's density.
 fn scattered(layout: &Layout) -> Parts {
     let mut stream = Stream::new(Purpose::Design, 7, [0, 0]);
     let mut factor = || (0.05 * stream.normal()).exp();
@@ -284,8 +284,8 @@ fn scattered(layout: &Layout) -> Parts {
     }
 }
 
-/// What 300 samples of the reference scene keep for their gradient, in MB: the states at the instants and, of adaptive steps
-/// alone, a count an interval and one or two bytes a step.
+/// Memory of the gradient of 300 samples of the reference scene (MB): states at the instants and, for adaptive steps, a count per
+/// interval and one or two bytes per step.
 fn tape(solver: Solver, asked: f64, pool: &metasense_numerics::Pool) -> Row {
     let scene = reference();
     let design = scene.layout.initial_design(25f64.to_radians());
@@ -302,7 +302,7 @@ fn tape(solver: Solver, asked: f64, pool: &metasense_numerics::Pool) -> Row {
     Row::new(name, megabytes, 200.0).noted(format!("{rest} of {bytes} bytes for {steps} steps"))
 }
 
-/// One thread and three give the same bits of signals and dα, and so does a sample alone of its signals.
+/// One and three threads give the same bits of signals and dα; a sample alone gives the same bits of its signals.
 fn threads(solver: Solver) -> Row {
     let mut scene = reference();
     let design = scene.layout.initial_design(25f64.to_radians());

@@ -1,4 +1,4 @@
-//! Stiff and extreme scenes, each a row with its named outcome: none may hang, panic or let a NaN into a result.
+//! Stiff and extreme scenes, one row each with the expected outcome. None may hang, panic or return NaN.
 
 use super::super::body::LEEWAY;
 use super::super::{Row, norm};
@@ -8,16 +8,16 @@ use metasense_numerics::dynamics::{
     Contact, Forces, Outcome, Panel, Scene, Solver, Tolerance, Wrt, run, signal_error, simulate, tune,
 };
 
-/// Two seeded bell samples on a scene, and what is done to them.
+/// A scene with two seeded bell samples, or with other forces.
 struct Extreme {
     scene: Scene,
     design: Vec<f64>,
     forces: Forces,
-    /// Whether an independent tight run is affordable, so that the error can be shown.
+    /// Whether a tight reference run is affordable, so that the error can be shown.
     judged: bool,
-    /// How every sample must end.
+    /// Expected outcome of every sample.
     expected: Outcome,
-    /// Where the forces come from, if not from the seed.
+    /// Origin of the forces, if not the seed.
     source: &'static str,
 }
 
@@ -37,7 +37,7 @@ fn with(change: impl FnOnce(&mut Extreme)) -> Extreme {
     extreme
 }
 
-/// The reference scene on another layout, sensor in the middle, panels by the rule.
+/// The reference scene on another layout, with the sensor in the middle and panels by the rule.
 fn on(columns: usize, rows: usize) -> Extreme {
     with(|e| {
         e.scene.layout = Layout::planar(columns, rows, 15.0, 2.25);
@@ -50,7 +50,7 @@ fn on(columns: usize, rows: usize) -> Extreme {
     })
 }
 
-/// The force histories on another number of instants, drawn anew.
+/// The reference scene with another number of instants and new forces.
 fn sampled(instants: usize) -> Extreme {
     with(|e| {
         e.scene.instants = instants;
@@ -58,14 +58,14 @@ fn sampled(instants: usize) -> Extreme {
     })
 }
 
-/// Where measured blows lie beside a clone, if anywhere.
+/// Path of measured blows, if they are available beside a clone.
 const MEASURED: &str = "../shared/data/hammer/blow_1.npy";
-/// Force of one blow of a hard hammer tip for 50 ms at 25 600 samples/s (N), and where it comes from: 0.3 ms, 70–90 N.
+/// Force of one blow of a hard hammer tip for 50 ms at 25 600 samples/s (N), 0.3 ms long with 70–90 N, and its origin.
 fn blow() -> (Vec<f64>, &'static str) {
     let measured = || {
         let bytes = std::fs::read(MEASURED).ok()?;
         let rows = npyz::NpyFile::new(&bytes[..]).and_then(npyz::NpyFile::into_vec::<f64>).ok()?;
-        // Time, force, acceleration
+        // Time, force, acceleration.
         Some(rows.get(rows.len() / 3..)?.get(..1281)?.to_vec())
     };
     let half_sine = |n: usize| {
@@ -89,7 +89,7 @@ fn hammer(scale: f64, judged: bool) -> Extreme {
     })
 }
 
-/// Shifts that draw the nodes of every second unit to its centre: a hundredth of the square's area remains, a ten-thousandth of its moment.
+/// Shifts that move the nodes of every second unit towards its centre; 1/100 of its area and 1/10 000 of its moment remain.
 fn slivers(layout: &Layout) -> Vec<f64> {
     let mut design = vec![0.0; layout.design_len()];
     for (groups, [i, j]) in layout.groups.iter().zip(&layout.grid) {
@@ -133,7 +133,7 @@ fn scenes() -> Vec<(&'static str, Extreme)> {
             }),
         ),
         ("hammer blow of 0.3 ms, a hundredth", hammer(0.01, true)),
-        // As measured on metal: units at 15 m/s turn over, and no two integrators agree for long.
+        // As measured on metal: units reach 15 m/s and turn over, so any two integrators diverge.
         ("hammer blow of 0.3 ms", hammer(1.0, false)),
         (
             "contact at its limit",
@@ -183,7 +183,7 @@ fn scenes() -> Vec<(&'static str, Extreme)> {
     ]
 }
 
-/// One row a scene: error of the signals at default settings against a tight run where that is affordable.
+/// One row per scene: error of the signals at default settings against a tight run, if affordable.
 pub fn rows(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
     scenes()
         .into_iter()
@@ -221,7 +221,7 @@ fn examine(name: &str, extreme: &Extreme, solver: Solver, pool: &metasense_numer
         if forces.values.iter().all(|f| *f == 0.0) {
             return Row::new(name, scale, 1e-6).noted(format!("norm of the signals; {note}"));
         }
-        // At the instants of T = 2 the absolute part of a wider tolerance would swallow the ringing that is left.
+        // At T = 2, the absolute part of a wider tolerance would exceed the remaining vibration.
         let tolerance = if scene.instants > 2 { 1e-9 } else { 1e-13 };
         let tight = Solver::tsit5(Tolerance::both(tolerance));
         let exact = simulate(scene, design, forces, &tight, false, pool);

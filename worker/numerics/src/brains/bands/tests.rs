@@ -4,7 +4,7 @@ use crate::random::Draw;
 
 const SIZES: Sizes = Sizes { instants: 5, channels: 1, outputs: 2 };
 
-/// N samples whose forces are all error to a brain that says 0: heavy tails, alike within a sample, large where `shape` is.
+/// N samples with estimates of 0: heavy-tailed errors, correlated within a sample, proportional to `shape`.
 fn drawn(draw: &mut Draw, count: usize, shape: impl Fn(usize) -> f64) -> Samples {
     let one = SIZES.instants * SIZES.outputs;
     let sample = |draw: &mut Draw| {
@@ -19,14 +19,14 @@ fn zeros(samples: &Samples) -> Vec<f64> {
     vec![0.0; samples.targets.len()]
 }
 
-/// Mean coverage and the standard deviation of that mean, of both kinds, over `times` bands of `count` samples each; judged where
-/// errors are `factor` times those that calibrated.
+/// Mean coverage of both kinds, with standard error, over `times` bands of `count` samples each; test errors are `factor` times
+/// the calibration errors.
 fn coverage(count: usize, times: u64, factor: f64) -> [[f64; 2]; 2] {
     let found: Vec<[f64; 2]> = (0..times)
         .map(|time| {
             let mut draw = Draw::numbered(7, time);
             let shape = |i: usize| 1.0 + i as f64;
-            // errors on training samples lie elsewhere and are smaller
+            // Errors on training samples have another shape and are smaller.
             let known = drawn(&mut draw, 20, |i| 0.1 * (10 - i) as f64);
             let (calibration, unseen) =
                 (drawn(&mut draw, count, shape), drawn(&mut draw, 40, |i| factor * shape(i)));
@@ -42,7 +42,7 @@ fn coverage(count: usize, times: u64, factor: f64) -> [[f64; 2]; 2] {
     })
 }
 
-/// Of n exchangeable samples the band covers the next with rank/(n + 1), whatever errors are like: 95 % of 19 and 99, 30/31 of 30.
+/// With n exchangeable samples the coverage is rank/(n + 1) for any distribution: 95 % for n = 19 and 99, 30/31 for n = 30.
 #[test]
 fn bands_cover_the_next_sample_as_often_as_they_say() {
     for (count, times) in [(19, 2000), (30, 2000), (99, 1000)] {
@@ -53,13 +53,13 @@ fn bands_cover_the_next_sample_as_often_as_they_say() {
             assert!((mean - truth).abs() < 3.5 * deviation, "{count}: {mean} ± {deviation}, not {truth}");
         }
     }
-    // where errors are not those that calibrated, the test above would see it
+    // The test detects errors larger than those of the calibration.
     for [mean, deviation] in coverage(99, 200, 1.5) {
         assert!(mean < 0.95 - 3.5 * deviation, "{mean} ± {deviation}");
     }
 }
 
-/// Of two samples one that failed is outside, and one that calibrates is the worst; of fewer than 19 there is no band.
+/// A failed test sample is not covered, a failed calibration sample has the worst score, and fewer than 19 samples give no band.
 #[test]
 fn what_failed_or_is_too_little_covers_nothing() {
     let mut draw = Draw::numbered(8, 0);

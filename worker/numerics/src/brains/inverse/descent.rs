@@ -1,10 +1,10 @@
-//! Lowers Φ of many samples at once, each from where it begins.
+//! Minimises Φ for several samples at once.
 //!
 //! ```text
-//! z ← z + (B + λ)⁻¹ s,  s = −dΦ/dz      B₀ = 1 + JᵀJ, then by the secants of the steps
+//! z ← z + (B + λ)⁻¹ s,  s = −dΦ/dz      B₀ = 1 + JᵀJ, then updated by BFGS
 //! ```
-//! Slopes are exact, by the adjoint. J is had by differences along the prior's directions at coarse steps: what is
-//! off in it costs steps, and moves no minimum. (In f32 its rounding would count as information along directions that tell nothing.)
+//! s is exact (adjoint). J comes from differences along the prior's directions with coarse steps: its errors cost steps, but do
+//! not move the minimum. (In f32, rounding would add false information along insensitive directions.)
 
 use super::model::Model;
 use super::prior::Prior;
@@ -15,37 +15,37 @@ use crate::trial::{Counters, Trial};
 use faer::{Col, Mat, Scale};
 use rayon::prelude::*;
 
-/// Noise that a reading has at least, relative to its channel's RMS on the initial body.
+/// Least noise of a reading, relative to its channel's RMS on the initial body.
 const EXACT: f64 = 1e-4;
-/// Samples that step together, in lanes.
+/// Samples that are simulated together, in lanes.
 const TOGETHER: usize = 32;
-/// A descent is over where a step promises to lower Φ by less, times the misfit where the model does not explain the readings: Φ is
-/// then that much steeper along directions that tell nothing.
+/// Predicted decrease of Φ below which a descent has converged. Multiplied by the misfit if that exceeds 1: Φ is then steeper
+/// along directions without information.
 const ENOUGH: f64 = 0.1;
 /// Mean square of the residual (σ²) above which readings count as not explained.
 pub(super) const EXPLAINED: f64 = 1.5;
-/// B is so much and more along every direction.
+/// Lower bound on the eigenvalues of B.
 pub(super) const LEAST: f64 = 1.0;
-/// Most looks at Φ.
+/// Largest number of evaluations of Φ.
 const LOOKS: usize = 150;
-/// Steps after which B is made anew.
+/// Number of steps after which B is computed again.
 const OLD: usize = 20;
-/// Marquardt's damping: by what it grows and falls, where it begins, and where it is too much.
+/// Marquardt damping: factor of its changes, first value, and limit.
 const DAMPING: f64 = 10.0;
 const DAMPED: f64 = 1.0;
 const HELD: f64 = 1e9;
 
-/// What a channel's readings are off by.
+/// Noise per channel.
 #[derive(Debug, Clone)]
 pub(super) struct Noise {
-    /// σ of each reading.
+    /// σ of a reading.
     white: Vec<f64>,
-    /// s of a constant a sample; empty of chips without.
+    /// σ_b, standard deviation of a constant per sample; empty for chips without bias.
     bias: Vec<f64>,
 }
 
 impl Noise {
-    /// Of the trial's chips, a step's rounding included, and no less than what a twin has left of the signals, a channel.
+    /// Noise of the trial's chips, rounding included, but at least `left`, a twin's residual per channel.
     pub(super) fn of(trial: &Trial, left: &[f64]) -> Self {
         let rms = &trial.scales.channels;
         let zeros = || vec![0.0; rms.len()];
@@ -64,7 +64,7 @@ impl Noise {
         self.white.len()
     }
 
-    /// b/s of constants that are 0.
+    /// b/σ_b = 0.
     pub(super) fn no_bias(&self) -> Vec<f64> {
         vec![0.0; self.bias.len()]
     }
@@ -80,53 +80,53 @@ impl Noise {
     }
 }
 
-/// A place on the way.
+/// A point in the space of unknowns.
 #[derive(Debug, Clone)]
 pub(super) struct Point {
-    /// z, then b/s.
+    /// z, then b/σ_b.
     z: Vec<f64>,
-    /// Φ; infinite where the simulation failed.
+    /// Φ; infinite if the simulation failed.
     pub(super) phi: f64,
     residual: Vec<f64>,
     pub(super) slope: Col<f64>,
 }
 
-/// The descent of one sample.
+/// Descent of one sample.
 #[derive(Debug, Clone)]
 pub(super) struct Descent {
     at: Point,
-    /// B; none before it is asked for.
+    /// B; `None` until it is computed.
     curvature: Option<Mat<f64>>,
-    /// Steps since it was 1 + JᵀJ.
+    /// Steps since B was 1 + JᵀJ.
     age: usize,
-    /// How many of the readings that come next J is wanted of, and what there is of it.
+    /// Number of further readings for which J is wanted, and J for the available ones.
     coming: (usize, Mat<f64>),
     damping: f64,
     steps: usize,
     ending: Option<Ending>,
 }
 
-/// Where a descent begins.
+/// Start of a descent.
 pub(super) struct Start {
     z: Vec<f64>,
-    /// B with its age, where fewer readings have made it.
+    /// B and its age, from fewer readings.
     known: Option<(Mat<f64>, usize)>,
-    /// How many readings' J is wanted beyond those that are compared, and what there is of it.
+    /// Number of further readings for which J is wanted, and J for the available ones.
     coming: (usize, Mat<f64>),
 }
 
 impl Start {
-    /// At z, then b/s, with nothing known of the curvature there.
+    /// Starts at z, then b/σ_b, with unknown curvature.
     pub(super) fn at(z: Vec<f64>) -> Self {
         Self { z, known: None, coming: (0, Mat::new()) }
     }
 
-    /// The same, with J also of so many readings that come next.
+    /// Also requests J for this many further readings.
     pub(super) fn with_coming(self, readings: usize) -> Self {
         Self { coming: (readings, Mat::new()), ..self }
     }
 
-    /// Where a descent has ended, with so many readings more.
+    /// Continues a descent with additional readings.
     pub(super) fn onward(descent: Descent, readings: usize) -> Self {
         let Descent { at, curvature, age, coming: (wanted, coming), .. } = descent;
         let z = at.z;
@@ -141,7 +141,7 @@ impl Start {
     }
 }
 
-/// Descends, from a start each, to the first n instants of readings (T, channels) of samples; `None` if it is not to go on.
+/// Fits the first n instants of the readings (T, channels) of each sample; `None` if `go_on` returns false.
 pub(super) fn descend(
     model: &Model,
     prior: &Prior,
@@ -174,14 +174,14 @@ pub(super) fn descend(
             let which: Vec<usize> = ahead.iter().map(|(i, _)| *i).collect();
             which.into_iter().zip(looks.at(ahead)).for_each(|(i, point)| descents[i].go(point));
         }
-        // one that has spent its looks may just have let go of its B
+        // A descent that used all evaluations may have discarded its B.
         descents.iter_mut().for_each(|descent| looks.curve(descent));
         all.extend(descents);
     }
     Some(all)
 }
 
-/// What is looked at.
+/// Evaluates Φ for a batch of samples.
 pub(super) struct Looks<'a> {
     pub(super) model: &'a Model<'a>,
     pub(super) prior: &'a Prior,
@@ -192,7 +192,7 @@ pub(super) struct Looks<'a> {
 }
 
 impl Looks<'_> {
-    /// Φ and its slope for samples of the readings, by number, each at a z.
+    /// Φ and its slope at given z of samples, identified by number.
     pub(super) fn at(&mut self, at: Vec<(usize, Vec<f64>)>) -> Vec<Point> {
         let Self { model, prior, noise, readings, n, .. } = self;
         let (c, unknowns) = (noise.channels(), prior.unknowns());
@@ -229,7 +229,7 @@ impl Looks<'_> {
             .collect()
     }
 
-    /// B where there is none.
+    /// Computes B where it is missing.
     fn curve(&mut self, descent: &mut Descent) {
         if descent.curvature.is_some() || descent.ending.is_some() {
             return;
@@ -260,7 +260,7 @@ impl Descent {
         Self { at, curvature, age: age.unwrap_or(0), coming, damping: 0.0, steps: 0, ending }
     }
 
-    /// z, then b/s.
+    /// z, then b/σ_b.
     pub(super) fn z(&self) -> &[f64] {
         &self.at.z
     }
@@ -269,12 +269,12 @@ impl Descent {
         self.at.phi
     }
 
-    /// −ln of what the readings' likelihood comes to over all forces that the prior holds, by Laplace: Φ + ½ ln |B|.
+    /// −ln of the marginal likelihood of the readings, by Laplace's method: Φ + ½ ln |B|.
     pub(super) fn surprise(&self) -> f64 {
         self.at.phi + half_log(self.curvature().as_ref(), LEAST)
     }
 
-    /// B; where no reading could be compared the prior's, 1.
+    /// B; the identity, as for the prior, without readings.
     pub(super) fn curvature(&self) -> Mat<f64> {
         let all = self.at.z.len();
         self.curvature.clone().unwrap_or_else(|| Mat::identity(all, all))
@@ -297,7 +297,7 @@ impl Descent {
         self.misfit() <= EXPLAINED
     }
 
-    /// Where to look next; `None` if it is over.
+    /// Next point to evaluate; `None` if the descent has ended.
     fn ahead(&mut self) -> Option<Vec<f64>> {
         if self.ending.is_some() {
             return None;
@@ -317,8 +317,8 @@ impl Descent {
         Some(self.at.z.iter().zip(step.iter()).map(|(z, step)| z + step).collect())
     }
 
-    /// Goes there if that is lower, and learns from it (Broyden, Fletcher, Goldfarb and Shanno; Nocedal and Wright, Numerical
-    /// Optimization, §6.1). If not, steps are damped, at last by another B.
+    /// Accepts a point of lower Φ and updates B (BFGS; Nocedal and Wright, Numerical Optimization, §6.1). Otherwise increases the
+    /// damping, and at its limit computes B again.
     fn go(&mut self, to: Point) {
         let curvature = self.curvature.as_mut().expect("made before");
         if to.phi >= self.at.phi {
@@ -335,7 +335,7 @@ impl Descent {
         let turned = &self.at.slope - &to.slope;
         let (along, pulled) = (turned.transpose() * &step, &*curvature * &step);
         let square = step.transpose() * &pulled;
-        // Φ may be hollow between the two
+        // Skip the update if Φ is concave between the points.
         if along > 1e-3 * square {
             *curvature += &turned * turned.transpose() * Scale(1.0 / along);
             *curvature -= &pulled * pulled.transpose() * Scale(1.0 / square);

@@ -1,10 +1,10 @@
-//! A brain that knows the body: the forces under which its model gives the signals that were read.
+//! The inverse decoder: finds the forces under which the body's model explains the readings.
 //!
 //! ```text
-//! ẑ = argmin Φ(z),  Φ = ½ Σ (y − A(μ + D z) − b)²/σ² + ½ |z|² + ½ |b|²/s²
+//! ẑ = argmin Φ(z),  Φ = ½ Σ (y − A(μ + D z) − b)²/σ² + ½ |z|² + ½ |b|²/σ_b²
 //! ```
-//! The maximum a posteriori of a normal prior (`prior`), by quasi-Newton steps from a linear brain's estimate on (`descent`). Its
-//! posterior is taken for normal, with the curvature of Φ at ẑ (Laplace).
+//! ẑ is the maximum a posteriori for a normal prior (`prior`). Quasi-Newton steps start from a linear decoder's estimate
+//! (`descent`). The posterior is approximated by a normal distribution with the curvature of Φ at ẑ (Laplace).
 
 mod descent;
 mod model;
@@ -22,35 +22,34 @@ use model::Model;
 use prior::Prior;
 use std::ops::Range;
 
-/// Histories that the prior is made of, where there are as many, and the number of their first, out of the way of the outer
-/// steps' and of those of casts.
+/// Number of histories for the prior, and the number of the first; outer steps and casts use other numbers.
 const KNOWN: usize = 1000;
 const KNOWN_FIRST: u64 = 1 << 42;
-/// The parts of a sample that are looked at in turn where it is begun anew.
+/// Parts of a sample that a restarted descent fits in turn.
 const WINDOWS: [f64; 7] = [0.1, 0.16, 0.24, 0.35, 0.5, 0.7, 1.0];
 
-/// Into how many parts what a brain may look ahead falls: as many instants are told together, the first of them with all of it.
+/// Number of parts of the look-ahead. Readings are added part by part; each part of instants is estimated together.
 const PARTS: usize = 4;
-/// Of so many times as many readings J is had at once.
+/// J is computed for this many parts at once.
 const AT_ONCE: usize = 8;
 
-/// What an inverse brain says of one sample.
+/// Estimate for one sample.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {
-    /// Forces (T, K) (N).
+    /// Most probable forces (T, K) (N).
     pub forces: Vec<f64>,
-    /// Their standard deviations a posteriori (T, K) (N).
+    /// Posterior standard deviations of the forces (T, K) (N).
     pub deviations: Vec<f64>,
-    /// Mean square of the residual, in units of the noise: about 1 or less of a model that explains the readings.
+    /// Mean square of the residual in units of σ²; about 1 or less if the model explains the readings.
     pub misfit: f64,
-    /// Steps of the descent.
+    /// Number of steps.
     pub steps: usize,
-    /// How it ended.
+    /// How the descent ended.
     pub ending: Ending,
 }
 
 impl Estimate {
-    /// Adds what is said of the instants that follow, by more readings.
+    /// Appends the estimates of the following instants, which use more readings.
     fn go_on(&mut self, next: Self) {
         self.forces.extend(next.forces);
         self.deviations.extend(next.deviations);
@@ -64,35 +63,35 @@ impl Estimate {
     }
 }
 
-/// An inverse brain.
+/// An inverse decoder.
 pub struct Inverse<'a> {
     trial: &'a Trial<'a>,
     model: Model<'a>,
     guesses: Vec<Guess>,
     noise: Noise,
-    /// Where descents begin, and how far that is off (N), root mean square.
+    /// Linear decoder for the starts of descents, and its RMS error (N).
     linear: Fitted,
     off: f64,
-    /// Work done.
+    /// Counters of the computations.
     pub counters: Counters,
 }
 
-/// Which panels are struck.
+/// Hypothesis about which panels are struck.
 struct Guess {
     prior: Prior,
-    /// Logarithm of its share.
+    /// Logarithm of its share of the histories.
     share: f64,
-    /// D of a panel as what brains are to say (T, r) (N).
+    /// D of one panel, converted to decoder targets (T, r) (N).
     seen: Mat<f64>,
 }
 
 impl<'a> Inverse<'a> {
-    /// Of a body of this design, simulated with the solver that was tuned on it, or of what its cast was found to be. Descents begin
-    /// with a linear brain fitted to `known`, samples of that model. The prior is that of fresh samples of the trial's forces, of
-    /// recorded ones of the training samples.
+    /// Inverse decoder of a design, simulated with the solver tuned on it, or of its twin. A linear decoder fitted to `known`,
+    /// samples of that model, starts the descents. The prior comes from fresh forces of the trial, or from the training
+    /// samples if forces are recorded.
     ///
     /// # Errors
-    /// If the linear brain has no solution, or all force histories are alike.
+    /// If the linear decoder has no solution, or all force histories are equal.
     pub fn new(
         trial: &'a Trial<'a>,
         design: &[f64],
@@ -126,10 +125,10 @@ impl<'a> Inverse<'a> {
         })
     }
 
-    /// The same, with the solver tuned and the training samples simulated for it.
+    /// As [`Inverse::new`]; tunes the solver and simulates the training samples.
     ///
     /// # Errors
-    /// Likewise, or if more of those samples fail than may.
+    /// As [`Inverse::new`], or if too many of those samples fail.
     pub fn of(trial: &'a Trial<'a>, design: &[f64], twin: Option<&Twin>) -> Result<Self, Failure> {
         let (solver, [train, _]) = (trial.tuned(design).solver, trial.problem.known());
         let (cast, mut counters) = (twin.map(|twin| &twin.cast), Counters::default());
@@ -138,18 +137,18 @@ impl<'a> Inverse<'a> {
         brain.map(|brain| Self { counters, ..brain }).map_err(Failure::Initial)
     }
 
-    /// What it says of samples of signals (N, T, channels).
+    /// Estimates forces from signals (N, T, channels).
     ///
     /// # Panics
-    /// If the length is not that of whole samples.
+    /// If the length is not a whole number of samples.
     pub fn read(&mut self, signals: &[f64]) -> Vec<Estimate> {
         self.read_while(signals, &mut || true).expect("told to go on")
     }
 
-    /// The same, unless it is told meanwhile not to go on.
+    /// As [`Inverse::read`]; `None` if `go_on` returns false.
     ///
     /// # Panics
-    /// Likewise.
+    /// As [`Inverse::read`].
     pub fn read_while(&mut self, signals: &[f64], go_on: &mut GoOn) -> Option<Vec<Estimate>> {
         let one = self.trial.problem.scene.instants * self.noise.channels();
         let readings: Vec<&[f64]> = signals.chunks_exact(one).collect();
@@ -173,7 +172,7 @@ impl<'a> Inverse<'a> {
         Some(self.likeliest(&found, 0..self.trial.problem.scene.instants))
     }
 
-    /// Descents from the linear brain's estimates (N, T, K) (N).
+    /// Descends from the linear decoder's estimates (N, T, K) (N).
     fn descend_whole(
         &mut self,
         guess: usize,
@@ -191,7 +190,7 @@ impl<'a> Inverse<'a> {
         self.descend(guess, readings, self.trial.problem.scene.instants, starts, go_on)
     }
 
-    /// What the guess that surprises least says of some instants, of each sample.
+    /// Per sample, the estimate at the instants `of` by the most probable hypothesis.
     fn likeliest(&self, found: &[Vec<Descent>], of: Range<usize>) -> Vec<Estimate> {
         let say = |i: usize| {
             let surprise = |guess: usize| match found.len() {
@@ -205,7 +204,7 @@ impl<'a> Inverse<'a> {
         (0..found[0].len()).map(say).collect()
     }
 
-    /// How many instants after the one that it tells it may look; none if that is the whole sample.
+    /// Look-ahead (instants); `None` for the whole sample.
     fn ahead(&self) -> Option<usize> {
         let (after, all) = (self.trial.problem.decoder.lags.after, self.trial.problem.scene.instants);
         (after + 1 < all).then_some(after)
@@ -234,8 +233,8 @@ impl<'a> Inverse<'a> {
         descent::descend(model, &guesses[guess].prior, noise, readings, n, starts, counters, go_on)
     }
 
-    /// Estimates of each instant by no reading that comes more than `ahead` instants after it: of readings that grow by some at a time, each
-    /// from where the one before has ended.
+    /// Estimates each instant from readings up to `ahead` instants later. Readings are added in parts; each descent continues the
+    /// one before.
     fn by_instants(&mut self, readings: &[&[f64]], ahead: usize, go_on: &mut GoOn) -> Option<Vec<Estimate>> {
         let (all, width) = (self.trial.problem.scene.instants, self.noise.channels());
         let together = 1 + ahead / PARTS;
@@ -271,8 +270,8 @@ impl<'a> Inverse<'a> {
         vec![0.0; guess.prior.unknowns() + self.noise.no_bias().len()]
     }
 
-    /// Samples, by number, from the prior's mean on by the beginnings of their readings: what comes early is hardly nonlinear yet,
-    /// and what comes late is then nearly known. One whose beginning the model does not explain is given up: no more of it will.
+    /// Descends from the prior's mean through growing windows of the readings of these samples: early motion is almost linear,
+    /// and later motion is then nearly determined. Drops samples whose window the model does not explain.
     fn by_windows(
         &mut self,
         guess: usize,
@@ -295,21 +294,21 @@ impl<'a> Inverse<'a> {
         Some(found)
     }
 
-    /// Of some instants.
+    /// Estimate at the instants `of`.
     fn estimate(&self, Guess { prior, seen, .. }: &Guess, descent: &Descent, of: Range<usize>) -> Estimate {
         let (panels, directions) = (self.trial.problem.scene.panels.len(), seen.ncols());
         let forces = self.trial.problem.targets(&prior.forces([descent.z()].into_iter()));
         let forces = forces[of.start * panels..of.end * panels].to_vec();
         let (from, instants) = (of.start, of.len());
         let mut deviations = vec![0.0; instants * panels];
-        // a column an instant, panel by panel, so that B is factored once
+        // One column per instant, panel by panel, so that B is factored once.
         let struck = prior.struck();
         let mut right = Mat::<f64>::zeros(descent.z().len(), struck.len() * instants);
         for i in 0..struck.len() {
             let mut own = right.as_mut().submatrix_mut(i * directions, i * instants, directions, instants);
             own.copy_from(seen.subrows(from, instants).transpose());
         }
-        // of a curvature that is none no more is known than before
+        // If B is not finite, the prior's deviations remain.
         let solved = solved(descent.curvature().as_ref(), descent::LEAST, right.as_ref());
         let solved = solved.unwrap_or_else(|| right.clone());
         for (i, (right, solved)) in right.col_iter().zip(solved.col_iter()).enumerate() {
@@ -321,13 +320,13 @@ impl<'a> Inverse<'a> {
     }
 }
 
-/// A guess for each set of panels that histories like these strike together.
+/// One hypothesis per set of panels that these histories strike together.
 fn guesses(problem: &Problem, histories: &Forces) -> Vec<Guess> {
     let guess = |(prior, share)| Guess { seen: seen(problem, &prior), prior, share };
     Prior::of(histories).into_iter().map(guess).collect()
 }
 
-/// D of a panel as what brains are to say (T, r) (N).
+/// D of one panel, converted to decoder targets (T, r) (N).
 fn seen(problem: &Problem, prior: &Prior) -> Mat<f64> {
     let (directions, instants) = (prior.directions(), problem.scene.instants);
     let told = problem.targets(&directions);

@@ -1,4 +1,4 @@
-//! A body as it is thought to be: its design, or what a calibration has found a cast of it to be.
+//! Model of a body: its design, or a calibrated cast of it.
 
 use crate::dynamics::{Accuracy, Forces, Method, Plan, Scene, Simulation, Solver, Wrt, planned, run};
 use crate::trial::{Counters, Problem, Trial};
@@ -11,19 +11,19 @@ pub(super) struct Model<'a> {
     scene: Scene,
     design: Vec<f64>,
     chips: Chips,
-    /// Of what is compared with readings.
+    /// Steps of simulations that are compared with readings.
     plan: Plan,
-    /// Of differences.
+    /// Steps of differences.
     coarse: Plan,
 }
 
-/// By how much the error of the steps of differences exceeds that of signals.
+/// Tolerance of the steps of differences, relative to that of signals.
 const COARSE: f64 = 30.0;
-/// And at most.
+/// Largest tolerance of these steps.
 const COARSEST: Accuracy = Accuracy(0.05);
 
 impl<'a> Model<'a> {
-    /// Of a design, simulated with the solver that was tuned on it, or of a cast of it.
+    /// Model of a design, simulated with the solver tuned on it, or of a cast of it.
     pub(super) fn new(trial: &'a Trial<'a>, design: &[f64], solver: &Solver, cast: Option<&Cast>) -> Self {
         let (problem, pool) = (&trial.problem, trial.pool);
         let (scene, design, chips) = match cast {
@@ -39,22 +39,22 @@ impl<'a> Model<'a> {
         Self { problem, pool, scene, design, chips, plan: plan.double(), coarse: coarse.double() }
     }
 
-    /// Of the first n instants, on the clock of the forces.
+    /// Number of force intervals in the first n instants.
     pub(super) fn instants_of(&self, forces: &Forces, n: usize) -> usize {
         n * forces.kinks(&self.scene)
     }
 
-    /// So many instants, or as many as a sample has.
+    /// n, limited to the length of a sample.
     pub(super) fn within(&self, n: usize) -> usize {
         n.min(self.scene.instants)
     }
 
-    /// Threads.
+    /// Computing threads.
     pub(super) fn pool(&self) -> &'a crate::Pool {
         self.pool
     }
 
-    /// Simulates up to instant n, and gives the signals (N, n, channels) without what chips add.
+    /// Simulates up to instant n; returns signals (N, n, channels) without noise.
     pub(super) fn simulate(
         &self,
         forces: &Forces,
@@ -64,7 +64,7 @@ impl<'a> Model<'a> {
         self.run(forces, n, &self.plan, true, counters)
     }
 
-    /// The signals alone, by coarse steps.
+    /// As [`Model::simulate`], signals only, with coarse steps.
     pub(super) fn coarse(&self, forces: &Forces, n: usize, counters: &mut Counters) -> Vec<f64> {
         self.run(forces, n, &self.coarse, false, counters).1
     }
@@ -86,7 +86,7 @@ impl<'a> Model<'a> {
         (found, self.problem.read(signals, forces.samples))
     }
 
-    /// A cotangent on the signals as one on the forces (N, K, ·), on the clock of the motion.
+    /// Maps a cotangent on the signals to the forces (N, K, ·), on the clock of the motion.
     pub(super) fn push(
         &self,
         simulation: &Simulation,

@@ -1,38 +1,38 @@
-//! What is known of forces before any signal: which panels may be struck together, and a normal process, the same on each of them.
+//! Prior of the forces: the sets of panels that can be struck together, and one normal process for all panels.
 //!
 //! ```text
-//! f_k = μ + D z_k, z_k ~ N(0, 1)      μ, D Dᵀ: mean and covariance over time of histories, all struck panels in one
+//! f_k = μ + D z_k, z_k ~ N(0, 1)      μ, D Dᵀ: mean and covariance over time of histories, pooled over struck panels
 //! ```
-//! D holds the principal directions in which all but a small part of the variance lies.
+//! D contains the principal directions of all but a small share of the variance.
 
 use crate::definite::solved;
 use crate::dynamics::Forces;
 use faer::{ColRef, Mat, Scale, Side};
 use std::collections::BTreeMap;
 
-/// A normal process.
+/// A normal process on some panels.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Prior {
-    /// K.
+    /// Number of panels K.
     panels: usize,
-    /// Those that are struck.
+    /// The struck panels.
     struck: Vec<usize>,
-    /// μ on the forces' clock (R + 1) (N).
+    /// μ on the clock of the forces (R + 1) (N).
     mean: Vec<f64>,
     /// D (R + 1, r) (N).
     modes: Mat<f64>,
 }
 
-/// More sets of panels that are struck together than this are taken for one, of all.
+/// Largest number of sets; more are merged into one set of all panels.
 const MOST_SETS: usize = 16;
-/// The part of the variance that directions may leave out.
+/// Share of the variance outside D.
 const LEFT_OUT: f64 = 1e-7;
-/// Step of a difference (N), beside forces of some tenths.
+/// Step of differences (N); forces are some tenths of a newton.
 const STEP: f64 = 1e-4;
 
 impl Prior {
-    /// Of histories like these, one for each set of panels that they strike together, with the logarithm of its share; none if they are all
-    /// alike. Sets as large share a process.
+    /// One prior per set of panels that these histories strike together, with the logarithm of its share; empty if all histories
+    /// are equal. Sets of equal size share μ and D.
     pub(super) fn of(forces: &Forces) -> Vec<(Self, f64)> {
         let (clock, samples) =
             (forces.instants + 1, forces.values.chunks_exact(forces.panels * (forces.instants + 1)));
@@ -63,7 +63,7 @@ impl Prior {
         counts.iter().filter_map(of).collect()
     }
 
-    /// Of histories like these on every panel; `None` if they are all alike.
+    /// Prior in which all panels are struck; `None` if all histories are equal.
     pub(super) fn new(forces: &Forces) -> Option<Self> {
         let clock = forces.instants + 1;
         let count = forces.values.len() / clock;
@@ -73,14 +73,14 @@ impl Prior {
         }
         let off = |i: usize, j: usize| (forces.values[i * clock + j] - mean[j]) / (count as f64).sqrt();
         let rows = Mat::from_fn(count, clock, off);
-        // of few and long histories by their products with one another
+        // For few long histories, the Gram matrix is smaller.
         let few = count < clock;
         let square = if few { &rows * rows.transpose() } else { rows.transpose() * &rows };
         let found = square.self_adjoint_eigen(Side::Lower).ok()?;
         let variance = |j: usize| found.S()[j].max(0.0);
         let all: f64 = (0..square.nrows()).map(variance).sum();
         let mut rest = all;
-        // ascending: the last are the largest
+        // Eigenvalues ascend: the last are the largest.
         let kept: Vec<usize> = (0..square.nrows())
             .rev()
             .take_while(|&j| {
@@ -98,17 +98,17 @@ impl Prior {
         (!kept.is_empty()).then_some(Self { panels: forces.panels, struck, mean, modes })
     }
 
-    /// The panels that are struck.
+    /// The struck panels.
     pub(super) fn struck(&self) -> &[usize] {
         &self.struck
     }
 
-    /// Length of z: r of each panel that is struck.
+    /// Length of z: r per struck panel.
     pub(super) fn unknowns(&self) -> usize {
         self.struck.len() * self.modes.ncols()
     }
 
-    /// Histories (N, K, R + 1) of many z; what follows in each is not the forces'.
+    /// Histories (N, K, R + 1) of several z; ignores entries after those of the forces.
     pub(super) fn forces<'z>(&self, many: impl Iterator<Item = &'z [f64]>) -> Forces {
         let (clock, r) = (self.mean.len(), self.modes.ncols());
         let mut values = Vec::new();
@@ -126,7 +126,7 @@ impl Prior {
         self.histories(values)
     }
 
-    /// The histories of z, those a step farther along each unknown, and the steps: of z, all as large in N.
+    /// Histories at z and after one step along each unknown, and these steps; the largest force change is equal for all.
     pub(super) fn around(&self, z: &[f64]) -> (Forces, Vec<f64>) {
         let (clock, r) = (self.mean.len(), self.modes.ncols());
         let largest = |k: usize| self.modes.col(k).iter().fold(0.0_f64, |most, d| most.max(d.abs()));
@@ -146,15 +146,15 @@ impl Prior {
         Forces { samples, panels: self.panels, instants, values, strikes: Vec::new() }
     }
 
-    /// Transpose of [`Prior::forces`]: a cotangent on the first part of histories (K, ·), on a clock `finer` times theirs, as one
-    /// on z.
+    /// Transpose of [`Prior::forces`]: maps a cotangent on the first part of histories (K, ·), on a clock `finer` times theirs,
+    /// to z.
     pub(super) fn along(&self, cotangent: &[f64], finer: usize) -> Vec<f64> {
         let mut along = Vec::with_capacity(self.unknowns());
         let one = cotangent.len() / self.panels;
         for bar in self.struck.iter().map(|panel| &cotangent[panel * one..][..one]) {
             let mut own = vec![0.0; self.mean.len() + 1];
             for (n, bar) in bar.iter().enumerate() {
-                // between two instants a history is their line
+                // Histories are linear between instants.
                 let (at, part) = (n / finer, (n % finer) as f64 / finer as f64);
                 own[at] += (1.0 - part) * bar;
                 own[at + 1] += part * bar;
@@ -165,7 +165,7 @@ impl Prior {
         along
     }
 
-    /// D, its directions (r, 1, R + 1) (N).
+    /// The columns of D as histories (r, 1, R + 1) (N).
     pub(super) fn directions(&self) -> Forces {
         let values =
             self.modes.col_iter().flat_map(|mode| mode.iter().copied().collect::<Vec<_>>()).collect();
@@ -173,8 +173,8 @@ impl Prior {
         Forces { samples, panels: 1, instants, values, strikes: Vec::new() }
     }
 
-    /// z of estimates (T, K) (N) of the forces at every (R/T)-th instant, off by white noise of deviation `error` (N); no
-    /// numbers where estimates are none.
+    /// z from estimates (T, K) (N) of the forces at every (R/T)-th instant with white errors of deviation `error` (N). NaN if the
+    /// estimates are not finite.
     pub(super) fn near(&self, estimates: &[f64], error: f64) -> Vec<f64> {
         let (panels, instants) = (self.panels, estimates.len() / self.panels);
         let (every, r) = ((self.mean.len() - 1) / instants, self.modes.ncols());
@@ -184,7 +184,7 @@ impl Prior {
             estimates[n * panels + self.struck[k]] - self.mean[(n + 1) * every]
         });
         let z = solved(known.as_ref(), error * error, (seen.transpose() * off).as_ref());
-        // estimates that are no numbers are no place to begin at
+        // NaN marks an invalid start.
         let z = z.unwrap_or_else(|| Mat::from_fn(r, self.struck.len(), |_, _| f64::NAN));
         z.col_iter().flat_map(|z| z.iter().copied().collect::<Vec<_>>()).collect()
     }

@@ -1,4 +1,4 @@
-//! Inversions whose answers are known.
+//! Inversions with known answers.
 
 use super::descent::Looks;
 use super::*;
@@ -14,7 +14,7 @@ fn problem() -> Problem {
     Problem { disturbance, ..small(Protocol::Joint(GOING)) }
 }
 
-/// The brain of the initial body, and that body's training samples.
+/// The decoder of the initial body, with a prior from this many histories.
 fn brain<'a>(trial: &'a Trial<'a>, histories: usize) -> Inverse<'a> {
     let problem = &trial.problem;
     let brain =
@@ -26,8 +26,7 @@ fn normal(draw: &mut Draw, count: usize) -> Vec<f64> {
     (0..count).map(|_| draw.normal()).collect()
 }
 
-/// Φ(z + h d) = Φ(z) − h s·d + O(h²), through a low-pass, a delay, constants and channels that are not read, and of a part of a
-/// sample, too.
+/// Φ(z + h d) = Φ(z) − h s·d + O(h²), with low-pass, delay, bias and missing channels, also for the first part of a sample.
 #[test]
 fn slopes_are_those_of_phi() {
     let plain = problem();
@@ -67,8 +66,7 @@ fn slopes_are_those_of_phi() {
     }
 }
 
-/// Forces drawn from the prior itself: bands of 95 % cover as much, Φ explains the readings, and errors are those that the posterior
-/// says.
+/// For forces drawn from the prior, 95 % bands cover 95 %, the model explains the readings, and errors match the posterior.
 #[test]
 fn bands_cover_what_is_drawn_from_the_prior() {
     let pool = crate::Pool::new(2).expect("threads");
@@ -96,7 +94,7 @@ fn bands_cover_what_is_drawn_from_the_prior() {
     }
 }
 
-/// Of the trial's own pulses it leaves a part of the linear brain's error, by the same bits on any number of threads.
+/// For the trial's pulses the error is a fraction of the linear decoder's, with equal bits on any number of threads.
 #[test]
 fn it_reads_better_than_where_it_begins_and_alike_on_any_threads() {
     let found = [1, 3].map(|threads| {
@@ -119,8 +117,8 @@ fn it_reads_better_than_where_it_begins_and_alike_on_any_threads() {
     assert!(found[0] == found[1]);
 }
 
-/// Blows strike one panel each: it says which, and reads the force better than one that takes all panels for struck. So does one that may not
-/// look ahead, once the blow is over.
+/// For blows on one panel, the decoder identifies the panel and has less error than a prior in which all panels are struck; so
+/// does a decoder without look-ahead, after the blow.
 #[test]
 fn blows_are_read_on_the_panel_that_they_strike() {
     let plain = problem();
@@ -155,8 +153,8 @@ fn blows_are_read_on_the_panel_that_they_strike() {
     }
 }
 
-/// One that may look some instants ahead says the same of an instant whatever is read later than that, knows the less the less it may
-/// look, and is off by as much as it says.
+/// With limited look-ahead, later readings do not change the estimate of an instant, less look-ahead gives wider posteriors, and
+/// errors match them.
 #[test]
 fn what_comes_too_late_is_not_looked_at() {
     let pool = crate::Pool::new(2).expect("threads");
@@ -199,7 +197,7 @@ fn what_comes_too_late_is_not_looked_at() {
             "{covered} {square} {sure}"
         );
     }
-    // readings from instant 25 on are others: what is said of instants that may not see them stays
+    // Changes readings from instant 25 on; estimates that do not use them stay.
     for (i, after) in [0, 12].into_iter().enumerate() {
         let cut = read(after, Some(25)).0;
         for (whole, cut) in known[i].0.iter().zip(&cut) {
@@ -211,7 +209,7 @@ fn what_comes_too_late_is_not_looked_at() {
     }
 }
 
-/// A body that cannot be simulated under what a sample begins with is an outcome, and forces that never differ have no prior.
+/// A failed simulation at the start is an outcome; equal forces have no prior.
 #[test]
 fn what_cannot_be_inverted_is_named() {
     let pool = crate::Pool::new(1).expect("a thread");
@@ -225,14 +223,13 @@ fn what_cannot_be_inverted_is_named() {
     let found = brain.read(&wild);
     assert_eq!(found[0].ending, Ending::StartFailed);
     assert!(!found[0].is_explained());
-    // no more is known than before
+    // The posterior is the prior.
     let prior = (0..40).map(|n| brain.guesses[0].seen.row(n).iter().map(|d| d * d).sum::<f64>().sqrt());
     let own = found[0].deviations.iter().step_by(2);
     assert!(prior.zip(own).all(|(prior, own)| (prior - own).abs() <= 1e-12), "{:?}", found[0].deviations);
 }
 
-/// Without noise a curvature has more digits than numbers have: it is taken for 1 where rounding leaves it less, and no sample ends the
-/// program.
+/// Without noise, the curvature exceeds double precision: its eigenvalues are raised to 1, and no sample causes a panic.
 #[test]
 fn a_curvature_beyond_rounding_is_solved() {
     let exact = small(Protocol::Joint(GOING));

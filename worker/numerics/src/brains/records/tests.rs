@@ -4,7 +4,7 @@ use crate::random::{Purpose, Stream};
 use crate::stimuli::folds;
 use crate::trial::{BrainKind, Decoder, Schedule};
 
-/// A record whose forces are made up: whoever has seen it knows them, its own fold's network cannot.
+/// One record has false signals: a decoder that was fitted to it reproduces its forces, the decoder of its own fold does not.
 #[test]
 fn a_fold_s_network_has_not_seen_its_records() {
     let (samples, instants) = (12, 16);
@@ -16,7 +16,7 @@ fn a_fold_s_network_has_not_seen_its_records() {
         f[1..].iter().for_each(|f| signals.extend([3e3 * f, -1e3 * f, 0.1 * f]));
         forces.values.extend(f);
     }
-    // the made-up one
+    // The false record.
     signals[..instants * 3].iter_mut().for_each(|x| *x = -*x);
     let pool = crate::Pool::new(1).unwrap();
     let architecture = Architecture::paper(64);

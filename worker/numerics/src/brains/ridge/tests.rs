@@ -8,24 +8,24 @@ fn judged(errors: &[&[f64]]) -> Vec<(f64, Vec<Option<f64>>)> {
     values.zip(errors).map(|(value, errors)| (value, errors.iter().copied().map(Some).collect())).collect()
 }
 
-/// The greatest value within a standard error of the least is taken, wherever the least lies; a hump hides none.
+/// Selects the greatest value within a standard error of the least, even beyond a maximum between them.
 #[test]
 fn the_greatest_value_as_good_as_the_best_is_taken() {
-    // 1 and 0.1 are worse in every sample; 0.01 differs from 0.001 by less than differences scatter
+    // 1 and 0.1 are worse in every sample; 0.01 differs from 0.001 by less than the spread of differences.
     let found = greatest(&judged(&[&[9.0, 9.5, 9.0], &[5.0, 5.1, 5.2], &[1.0, 1.3, 1.1], &[1.2, 1.0, 1.1]]));
     assert_eq!(found, Ok(0.01));
-    // a hump between the least and greater values
+    // A maximum between the least and a greater value.
     let found =
         greatest(&judged(&[&[2.0, 2.0, 2.1], &[90.0, 80.0, 95.0], &[1.0, 1.1, 1.0], &[80.0, 70.0, 90.0]]));
     assert_eq!(found, Ok(0.01));
-    // within a standard error, as one sample differs by much, but a fifth worse
+    // Within a standard error because of one outlier, but a fifth worse.
     let found = greatest(&judged(&[&[1.3, 9.0, 1.2, 1.2], &[1.0, 1.1, 1.0, 1.1]]));
     assert_eq!(found, Ok(0.1));
     assert_eq!(greatest(&[]), Err(Trouble::Singular));
     assert_eq!(greatest(&[(1.0, vec![None]), (0.1, vec![None])]), Ok(NEUTRAL));
 }
 
-/// Samples y = x · w + noise of few instants.
+/// Samples y = x · w + noise with a few instants.
 fn samples(count: usize, noise: f64, pool: &Pool) -> Plain {
     let sizes = Sizes { instants: 12, channels: 2, outputs: 1 };
     let mut stream = Stream::new(Purpose::Stimulus, 5, [count as u64, 0]);
@@ -35,7 +35,7 @@ fn samples(count: usize, noise: f64, pool: &Pool) -> Plain {
     Plain { sizes, x, y, w, failed: vec![false; count], pool: pool.clone() }
 }
 
-/// Each sample is judged once, by weights of the other parts; what is judged by hand has the same errors.
+/// Each sample is tested once, with weights of the other folds; a direct computation gives the same errors.
 #[test]
 fn parts_judge_what_they_were_not_fitted_to() {
     let pool = Pool::new(1).unwrap();
@@ -54,7 +54,7 @@ fn parts_judge_what_they_were_not_fitted_to() {
     }
 }
 
-/// One sample, samples without force, and one part have a λ, too.
+/// One sample, samples without force, and one fold also have a λ.
 #[test]
 fn too_few_samples_to_judge_have_a_neutral_value() {
     let pool = Pool::new(1).unwrap();
@@ -63,7 +63,7 @@ fn too_few_samples_to_judge_have_a_neutral_value() {
     assert_eq!(ridge_of(&one, &one.moments().normal(lags), &deal(3, 1)), Ok(NEUTRAL));
 }
 
-/// The more noise, the greater λ; with many samples fewer factors give the λ that all would give, or its neighbour.
+/// More noise gives a greater λ. With many samples, the reduced search gives the same λ as the full one, or its neighbour.
 #[test]
 fn noise_asks_for_regularisation() {
     let pool = Pool::new(1).unwrap();

@@ -10,7 +10,7 @@ fn stream(number: u64) -> Stream {
     Stream::new(Purpose::Batch, 3, [number, 0])
 }
 
-/// Truths drawn from the prior, and what walks from them find: (w ½ |g(u₀) − g(uₙ)|² in the mean, its standard error).
+/// (mean of w ½ |g(u₀) − g(uₙ)|², its standard error) of walks from truths that are drawn from the prior.
 fn found(model: &dyn Fn(f64) -> Seen, count: usize) -> [f64; 2] {
     let mut draws = stream(0);
     let truths: Vec<Vec<f64>> =
@@ -27,8 +27,8 @@ fn found(model: &dyn Fn(f64) -> Seen, count: usize) -> [f64; 2] {
     [mean, square.sqrt() / count as f64]
 }
 
-/// Many readings of a parameter itself: the posterior is normal, of variance 1/(n a²), every proposal is taken, and four steps keep a
-/// sixteenth of where they began.
+/// Many readings of the parameter itself: the posterior is normal with variance 1/(n a²), every proposal is accepted, and after
+/// four steps a sixteenth of the start remains.
 #[test]
 fn walks_find_the_known_variance_of_a_linear_model() {
     let model = |u: f64| Seen { readings: vec![50.0 * u; 4], asked: vec![u, 2.0 * u], weight: 0.0 };
@@ -40,11 +40,11 @@ fn walks_find_the_known_variance_of_a_linear_model() {
     );
 }
 
-/// A pulse whose place is drawn uniformly, in noise that leaves several places open: the least weighted error by quadrature over
-/// all places, and by walks that may not exceed it.
+/// A pulse at a uniformly drawn place, in noise that permits several places: the walks' bound does not exceed the least weighted
+/// error by quadrature over all places.
 #[test]
 fn walks_bound_the_least_error_of_a_place_from_below() {
-    // where the posterior has one place, and where it has several, of which a short walk sees its own
+    // A posterior with one place, and one with several, of which a short walk reaches only its own.
     for (noise, near) in [(0.1, 0.8), (0.5, 0.4)] {
         let pulse = |u: f64| -> Vec<f64> {
             (0..30).map(|n| (-(f64::from(n) - 5.0 - 20.0 * part(u)).powi(2) / 8.0).exp()).collect()

@@ -1,4 +1,4 @@
-//! Labels of known forces, and readouts of made-up bodies.
+//! Labels of known forces, and estimates on synthetic bodies.
 
 use super::*;
 use crate::random::{Purpose, Stream};
@@ -24,11 +24,11 @@ fn labels_are_what_the_forces_say() {
     assert_eq!(label(Task::Peak), [2.0, 0.0, 0.5]);
     let impulse = label(Task::Impulse);
     assert!((impulse[0] - 60.0).abs() < 1e-9 && impulse[1] == 0.0 && (impulse[2] - 15.0).abs() < 1e-9);
-    // instants are numbered from 1
+    // Instants are numbered from 1.
     assert!((label(Task::Onset)[0] - 50.0).abs() < 1e-9);
 }
 
-/// 80 samples of one pulse each; signals are the forces seen through a random matrix, with noise.
+/// 80 samples of one pulse each; signals are a random linear map of the forces, plus noise.
 fn made_up(noise: f64) -> (Vec<f64>, Vec<f64>) {
     let mut stream = Stream::new(Purpose::Stimulus, 5, [0, 0]);
     let (samples, channels) = (80, INSTANTS * PANELS + 4);
@@ -67,7 +67,7 @@ fn read(noise: f64, decoded: impl Fn(&[f64]) -> Vec<f64>) -> (Vec<Reading>, Vec<
     })
 }
 
-/// What is linear in the forces is read well from clean signals and less well from noise; forces that are known say all.
+/// Labels linear in the forces are estimated well from clean signals, less well from noisy ones; known forces give exact labels.
 #[test]
 fn tasks_are_read_as_well_as_signals_allow() {
     let (clean, constant) = read(1e-6, <[f64]>::to_vec);
@@ -83,14 +83,14 @@ fn tasks_are_read_as_well_as_signals_allow() {
         let (direct, blurred) = (error(&clean, task, "direct"), error(&noisy, task, "direct"));
         assert!(direct < 0.7 && blurred > direct, "{task:?}: {direct} {blurred}");
     }
-    // 50 records of 60 unknowns: nearly what they determine
+    // 50 records for 60 unknowns: almost determined.
     assert!(error(&clean, Task::Impulse, "direct") < 0.35);
-    // forces that are halved keep their place and time, and lose half their height
+    // Halved forces keep place and time, and have half the height.
     assert_eq!(error(&noisy, Task::Panel, "decoded") + error(&noisy, Task::Onset, "decoded"), 0.0);
     assert!(error(&noisy, Task::Impulse, "decoded") > 0.1);
 }
 
-/// Signals that say nothing are read as if there were none, also where they are more than samples.
+/// From signals without information the error is that of the trivial estimate, even with more signals than samples.
 #[test]
 fn noise_is_not_read() {
     let (_, forces) = made_up(1.0);

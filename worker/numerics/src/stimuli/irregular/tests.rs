@@ -14,7 +14,7 @@ const KIND: Irregular = Irregular {
     rebound: [0.2, 0.7],
 };
 
-/// One panel a sample, either in turn; no force pulls; a sample is what it is whoever else is drawn.
+/// Each sample strikes one panel, all panels occur, no force is negative, and a sample does not depend on others.
 #[test]
 fn a_sample_strikes_one_panel_and_depends_on_its_number_alone() {
     let all = irregular(&KIND, Purpose::Stimulus, 5, 0..200, 2, 1.0, 200);
@@ -30,7 +30,7 @@ fn a_sample_strikes_one_panel_and_depends_on_its_number_alone() {
     assert_ne!(irregular(&KIND, Purpose::Fresh, 5, 17..18, 2, 1.0, 200).values, alone.values);
 }
 
-/// The share of blows with a gap of no force between two hits, and of rough ones: more maxima than hits.
+/// Shares of blows with a gap between two hits, and of rough blows, which have more maxima than hits.
 #[test]
 fn blows_are_at_times_double_and_rough() {
     let all = irregular(&KIND, Purpose::Stimulus, 1, 0..400, 1, 1.0, 2000);

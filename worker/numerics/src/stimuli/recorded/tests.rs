@@ -1,7 +1,7 @@
 use super::*;
 use std::f64::consts::TAU;
 
-/// A sine of 20 Hz passes a clock of 200 Hz, one of 170 Hz, which would come back as 30 Hz, does not.
+/// A clock of 200 Hz keeps a sine of 20 Hz and removes one of 170 Hz, which would alias to 30 Hz.
 #[test]
 fn what_a_clock_cannot_say_is_taken_out() {
     let dt = 1.0 / 25_600.0;
@@ -17,7 +17,7 @@ fn what_a_clock_cannot_say_is_taken_out() {
     assert!(left < 1e-3 && aliased > 0.5, "{left} {aliased}");
 }
 
-/// A blow of 0.3 ms between instants: read linearly it is lost or overstated, anti-aliased its impulse stays.
+/// A blow of 0.3 ms between instants: linear interpolation loses or exaggerates it, the low-pass keeps its impulse.
 #[test]
 fn the_impulse_of_a_short_blow_stays() {
     let dt = 1.0 / 25_600.0;
@@ -32,14 +32,13 @@ fn the_impulse_of_a_short_blow_stays() {
     assert!((sum(resample(&record, 0.0, dt, 1.0, 200)) / impulse - 1.0).abs() > 0.5);
 }
 
-/// A blow of 1 or 3 ms at the beginning, or at the end, of a sample: all of its impulse is in the targets, whatever clock
-/// the forces have between them and the record.
+/// A blow of 1 or 3 ms at the start or end of a sample: the targets contain its whole impulse, for any clock of the forces.
 #[test]
 fn the_impulse_of_a_blow_at_either_end_stays() {
     let dt = 1.0 / 25_600.0;
     for (onset, width) in [(0.0, 1e-3), (0.0, 3e-3), (0.004, 1e-3), (0.996, 3e-3)] {
         let blow = |t: f64| if t > 0.0 && t < width { (TAU * t / (2.0 * width)).sin() } else { 0.0 };
-        // half a second before the sample, and after it
+        // From half a second before the sample to half a second after it.
         let record: Vec<f64> = (-12_800..38_400).map(|i| blow(f64::from(i) * dt - onset)).collect();
         let impulse = record.iter().sum::<f64>() * dt;
         for instants in [200, 800] {
@@ -56,7 +55,7 @@ fn the_impulse_of_a_blow_at_either_end_stays() {
     }
 }
 
-/// A force that goes on through both ends is not altered there.
+/// A force that continues beyond both ends stays unchanged there.
 #[test]
 fn a_force_that_goes_on_is_left_as_it_is() {
     let dt = 1.0 / 25_600.0;
@@ -75,7 +74,7 @@ fn a_force_that_goes_on_is_left_as_it_is() {
     }
 }
 
-/// Ends, outside and rounding.
+/// At both ends, outside, and at positions with rounding error.
 #[test]
 fn a_record_is_linear_inside_and_zero_outside() {
     let read = resample(&[1.0, 3.0, 5.0], 0.25, 0.25, 1.0, 8);
