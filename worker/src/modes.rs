@@ -28,19 +28,29 @@ pub fn slowest(trial: &TrialSpec, design: &[f64], count: usize) -> Result<Vec<Mo
     })
 }
 
-/// First natural frequency above 0, and highest one, of a trial's initial body (Hz).
+/// Natural frequencies of a body.
+pub struct Natural {
+    /// The lowest above 0 (Hz).
+    pub first: f64,
+    /// Modal damping ratio at the first.
+    pub damping: f64,
+    /// The highest (Hz).
+    pub highest: f64,
+}
+
+/// Natural frequencies of the initial body of a trial.
 ///
 /// # Errors
 /// If the spec is invalid, or the body has no such modes.
-pub fn natural_frequencies(trial: &TrialSpec) -> Result<[f64; 2], Failure> {
+pub fn natural_frequencies(trial: &TrialSpec) -> Result<Natural, Failure> {
     let Problem { scene, initial, .. } = &prepared(trial)?;
     check_rest(scene, initial)?;
     let none = || Failure::Rejected("body: it has no modes".to_owned());
     let modes =
         modes::modes(&Rest::new(scene, initial), scene.layout.units(), SLOWEST).map_err(|_| none())?;
     let highest = highest_frequency(scene, initial) / std::f64::consts::TAU;
-    let first = modes.iter().map(Mode::frequency).find(|hertz| *hertz > STILL * highest).ok_or_else(none)?;
-    Ok([first, highest])
+    let first = modes.iter().find(|mode| mode.frequency() > STILL * highest).ok_or_else(none)?;
+    Ok(Natural { first: first.frequency(), damping: first.damping_ratio(), highest })
 }
 
 /// Number of slowest modes that include the first elastic one: an unsupported body has three rigid ones.

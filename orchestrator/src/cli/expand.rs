@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use metasense_worker::modes::natural_frequencies;
+use metasense_worker::modes::{Natural, natural_frequencies};
 use metasense_worker::problem::measures;
 use metasense_worker::simd::name;
 use serde_json::Value;
@@ -18,7 +18,7 @@ use crate::plan::{Trial, cost, counted, values_at};
 
 /// Lists the trials of a spec with hash, size and estimated cost; starts nothing
 ///
-/// Also prints mass and first and highest natural frequency of the initial bodies, and warns if these values are
+/// Also prints mass and natural frequencies of the initial bodies, and warns if these values are
 /// implausible.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
@@ -65,7 +65,7 @@ const LEAST_OSCILLATIONS: f64 = 0.1;
 /// Mass (g) that no body of silicone on a table has.
 const MOST_GRAMS: f64 = 1e5;
 
-/// Mass, first and highest natural frequency of the bodies, and a warning where they cannot be meant.
+/// Prints mass and natural frequencies of the bodies, and warns if they are implausible.
 fn say_bodies(trials: &[Trial]) {
     let mut known = BTreeSet::new();
     let body =
@@ -80,7 +80,7 @@ fn say_bodies(trials: &[Trial]) {
         .filter(|m| m.is_finite())
         .collect();
     // a body without small motions about rest has none
-    let found: Vec<(&Trial, [f64; 2])> =
+    let found: Vec<(&Trial, Natural)> =
         bodies.iter().filter_map(|trial| Some((*trial, natural_frequencies(&trial.spec).ok()?))).collect();
     let range = |values: &[f64]| {
         let [least, most] = [f64::min, f64::max].map(|pick| values.iter().copied().reduce(pick));
@@ -90,10 +90,15 @@ fn say_bodies(trials: &[Trial]) {
     if grams.is_empty() {
         return;
     }
-    let of = |i: usize| range(&found.iter().map(|(_, hertz)| hertz[i]).collect::<Vec<_>>());
+    let of = |value: fn(&Natural) -> f64| range(&found.iter().map(|(_, of)| value(of)).collect::<Vec<_>>());
     let frequencies = match found.is_empty() {
         true => String::new(),
-        false => format!(", first natural frequency {} Hz, highest {} Hz", of(0), of(1)),
+        false => format!(
+            ", first natural frequency {} Hz (damping ratio {}), highest {} Hz",
+            of(|natural| natural.first),
+            of(|natural| natural.damping),
+            of(|natural| natural.highest)
+        ),
     };
     let some = if bodies.len() == BODIES { format!(" (the first {BODIES} bodies)") } else { String::new() };
     say!("mass of a body {} g{frequencies}{some}", range(&grams));
@@ -101,8 +106,8 @@ fn say_bodies(trials: &[Trial]) {
     if grams.iter().any(|grams| *grams > MOST_GRAMS) {
         say!("warning: a body of more than {} kg: {check}", MOST_GRAMS / 1e3);
     }
-    if let Some((trial, [first, _])) =
-        found.iter().find(|(trial, [first, _])| first * trial.spec.time.duration < LEAST_OSCILLATIONS)
+    if let Some((trial, Natural { first, .. })) =
+        found.iter().find(|(trial, Natural { first, .. })| first * trial.spec.time.duration < LEAST_OSCILLATIONS)
     {
         say!(
             "warning: at {} Hz the slowest mode makes {} oscillations in a sample of {} s: {check}",
@@ -112,7 +117,7 @@ fn say_bodies(trials: &[Trial]) {
         );
     }
     let rate = |trial: &Trial| trial.spec.time.samples as f64 / trial.spec.time.duration;
-    if let Some((trial, [first, _])) = found.iter().find(|(trial, [first, _])| *first > rate(trial)) {
+    if let Some((trial, Natural { first, .. })) = found.iter().find(|(trial, of)| of.first > rate(trial)) {
         say!(
             "warning: even the slowest mode, {} Hz, is faster than the signals' {} samples per second: {check}",
             number(*first),
