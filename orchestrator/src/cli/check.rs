@@ -1,4 +1,4 @@
-//! `check`: measured records looked at before any fit.
+//! `check`: checks measured records before any fit.
 
 use std::path::PathBuf;
 

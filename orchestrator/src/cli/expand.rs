@@ -1,4 +1,4 @@
-//! `expand`: the trials that a spec stands for; starts nothing.
+//! `expand`: lists the trials of a spec; starts nothing.
 
 use std::collections::BTreeSet;
 
@@ -58,14 +58,14 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-/// Bodies whose mass and frequencies are said.
+/// Maximum number of bodies whose mass and frequencies are computed.
 const BODIES: usize = 8;
-/// Oscillations of the first mode in a sample, below which nothing of it is seen.
+/// Oscillations of the first mode per sample below which a warning is printed.
 const LEAST_OSCILLATIONS: f64 = 0.1;
-/// Mass (g) that no body of silicone on a table has.
+/// Mass (g) above which a warning is printed.
 const MOST_GRAMS: f64 = 1e5;
 
-/// Mass, first and highest natural frequency of the bodies, and a warning where they cannot be meant.
+/// Prints mass, first and highest natural frequency of the bodies; warns if these values are implausible.
 fn say_bodies(trials: &[Trial]) {
     let mut known = BTreeSet::new();
     let body =
@@ -79,7 +79,7 @@ fn say_bodies(trials: &[Trial]) {
         .filter_map(|trial| Some(measures(&trial.spec).ok()?[0]))
         .filter(|m| m.is_finite())
         .collect();
-    // a body without small motions about rest has none
+    // skips bodies without natural frequencies
     let found: Vec<(&Trial, [f64; 2])> =
         bodies.iter().filter_map(|trial| Some((*trial, natural_frequencies(&trial.spec).ok()?))).collect();
     let range = |values: &[f64]| {
@@ -121,7 +121,7 @@ fn say_bodies(trials: &[Trial]) {
     }
 }
 
-/// Characters of a cell that is read; a mixture of forces has hundreds.
+/// Maximum number of characters of a cell in a printed table.
 const WIDEST: usize = 48;
 
 fn shorten(cell: &mut Value) {
@@ -133,7 +133,7 @@ fn shorten(cell: &mut Value) {
     }
 }
 
-/// Two digits: more is not known.
+/// Rounds an estimated cost to two significant digits.
 fn rounded(cost: f64) -> f64 {
     format!("{cost:.1e}").parse().expect("a number")
 }

@@ -1,4 +1,4 @@
-//! `tasks`: what else than forces the bodies of finished trials can sense.
+//! `tasks`: estimates quantities other than forces from the signals of finished bodies.
 
 use std::path::PathBuf;
 
@@ -66,7 +66,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-/// Adds the readings of both bodies as rows, and in pairs.
+/// Appends the readings of both bodies as rows and as pairs.
 fn of_trial(trial: &Stored, rows: &mut Vec<Vec<Value>>, all: &mut Vec<Read>) -> Result<(), Error> {
     let point = &trial.specs[1].point;
     let [_, with] = brains_of(&json!(trial.specs[1]));
