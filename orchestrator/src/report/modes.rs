@@ -39,7 +39,7 @@ pub const COLUMNS: &str = "mode frequency damping_ratio ringing_frequency decay_
 /// The slowest modes of a trial's two bodies.
 ///
 /// # Errors
-/// If nothing holds them.
+/// If the modes of a body cannot be computed.
 pub fn figure(stored: &Stored, drawings: &[Sketch; 2], who: &str) -> Result<Figure, Failure> {
     let frame = frame(drawings);
     let (mut pictures, mut rows) = (Vec::new(), Vec::new());
