@@ -321,7 +321,7 @@ fn a_record_with_a_clock_of_its_own_tells_the_material() {
     assert_true(&estimates(&found), 0.1);
 }
 
-/// A fit without determined parameters says so by outcome and exit code; determined ones are fitted nevertheless.
+/// If records determine no parameter, outcome and exit code show it; parameters that they do determine are fitted nevertheless.
 #[test]
 fn records_that_determine_nothing_are_no_fit() {
     let bench = bench();

@@ -18,7 +18,7 @@ fn trials(bench: &Bench) -> String {
 }
 
 /// A very wide interval of a ratio is settled by the four placements that an interval needs; an unreachable width takes all eight,
-/// and a message says so. A second call runs nothing; one worker runs the same trials as two.
+/// and is reported. A second call runs nothing; one worker runs the same trials as two.
 #[test]
 fn a_sweep_ends_when_it_knows_or_has_run_what_it_may() {
     let bench = Bench::new();

@@ -238,7 +238,7 @@ pub fn discs() -> String {
         .into_iter()
         .map(|slope| (slope, plain, ["fails", "holds"]))
         .chain(tied.into_iter().map(|ratio| (ratio, f64::exp as fn(f64) -> f64, ["holds", "fails"])));
-    // the second of two tests of the same trials
+    // the second of two looks at the data: half of 5 %
     let said = rated_each(&all_of.collect::<Vec<_>>(), 0.025);
     let error =
         |columns, tie, column| geometric(of(&all, &of_kind(columns, tie)).map(|row| number(row, column)));

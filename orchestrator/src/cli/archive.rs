@@ -18,10 +18,10 @@ use crate::report::{Story, figures, html, load};
 use crate::store::Reader;
 use metasense_schemas::source::each_file;
 
-/// Writes a folder with all that results follow from, for a data repository
+/// Writes a folder with everything needed to reproduce results, for a data repository
 ///
-/// The folder has the specs, the database, trials, answers and figures, the report, code and machines of all trials, a README with the
-/// commands that re-run the sweep and compare every bit, and an RO-Crate 1.1 manifest with the SHA-256 of each file.
+/// The folder has the specs, the database, trials, answers and figures, the report, code and machines of all trials, a README with
+/// the commands that re-run the sweep and compare every bit, and an RO-Crate 1.1 manifest with the SHA-256 of each file.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The database, or a folder of shards

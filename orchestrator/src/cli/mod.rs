@@ -99,7 +99,7 @@ macro_rules! commands {
             /// Worker process that the orchestrator starts; not for users.
             #[command(hide = true)]
             Worker {
-                /// Where to connect to.
+                /// Where to connect.
                 start: String,
             },
         }

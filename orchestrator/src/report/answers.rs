@@ -41,7 +41,7 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
         for (set, what) in sets {
             let Some(r) = paired::error_ratio(&refs, set) else { continue };
             let [initial, optimised] = means(&refs, |t, body| t.error(body, set));
-            // what the body was chosen by says less than what nothing has seen
+            // held-out results come first; results on the test set, which selected the body, stand beside the figure
             let figure = if set == Set::Holdout { "" } else { "pairs" };
             let medians = match set {
                 Set::Holdout => by_medians(|set| paired::error_ratio(&refs, set)),
@@ -255,7 +255,7 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
             Some(_) => f.share.is_some_and(|share| share >= SURE).then_some(true),
             None => Some(false),
         };
-        // what is decided goes first
+        // verdicts come first, other answers stand beside the figure
         let figure = if verdict.is_some() { "" } else { "sensors" };
         said.push(Answer::new(figure, verdict, format!("{}: {text}.", group.label)));
     }

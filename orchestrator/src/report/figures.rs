@@ -193,7 +193,7 @@ pub fn random_bodies(trials: &[Trial]) -> Option<Figure> {
         let x = Axis::new("bodies", Scale::Linear, [0.5, 3.5]).with_names(names.collect());
         let mut plot = Plot::new(&group.label, x, errors(columns.iter().flat_map(|c| c.2.iter().copied())));
         for ((class, name, errors), at) in columns.iter().zip(1..) {
-            // side by side, so that equal errors do not hide one another
+            // side by side, so that equal errors do not hide each other
             let aside = |i: usize| 0.5 * ((i as f64 + 0.5) / errors.len() as f64 - 0.5);
             let dot = |(i, error): (usize, &f64)| {
                 ((f64::from(at) + aside(i), *error), format!("{name} body: {} %", number(*error)))

@@ -33,7 +33,7 @@ pub fn row(n: usize, mode: &Mode) -> Vec<Value> {
     row![n + 1, mode.frequency(), mode.damping_ratio(), mode.s.im / std::f64::consts::TAU, mode.decay_time()]
 }
 
-/// Columns of [`row`]: |s|/2π (Hz), −Re s/|s|, Im s/2π (Hz) and −1/Re s (s), empty without damping.
+/// Columns of [`row()`]: |s|/2π (Hz), −Re s/|s|, Im s/2π (Hz) and −1/Re s (s), empty without damping.
 pub const COLUMNS: &str = "mode frequency damping_ratio ringing_frequency decay_time";
 
 /// The slowest modes of a trial's two bodies.

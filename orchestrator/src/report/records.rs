@@ -119,7 +119,7 @@ impl Comparison {
         self.judged.iter().find(|j| j.body == body.name && j.by == by)
     }
 
-    /// The table in words.
+    /// Sentences about the comparison.
     pub fn answers(&self) -> Vec<Answer> {
         let mut said = Vec::new();
         for (body, judged) in self.bodies.iter().zip(&self.judged) {

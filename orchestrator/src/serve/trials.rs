@@ -99,7 +99,7 @@ impl Row {
     }
 }
 
-/// Numbers by size, then texts, then nothing.
+/// Order: numbers by size, then texts, then null.
 fn order(a: &Value, b: &Value) -> Ordering {
     let rank = |value: &Value| if value.is_number() { 0 } else { 1 + u8::from(value.is_null()) };
     match (a.as_f64(), b.as_f64()) {

@@ -118,7 +118,7 @@ impl Runs for Shards<'_> {
     }
 
     async fn reopen(&mut self, _: &[&str], _: Again) -> Result<(), Error> {
-        Ok(()) // `submit` refuses options that need this
+        Ok(()) // `submit` refuses --retry-failed with rounds
     }
 
     async fn run(&mut self, trials: &[Trial], _: Again) -> Result<Option<Outcome>, Error> {

@@ -181,7 +181,7 @@ fn shown(columns: &[String]) -> String {
     }
 }
 
-/// The views that users build on, with their columns.
+/// The views for users, with their columns.
 async fn views(served: &Served, at: &str) -> Result<Markup, Refusal> {
     let db = file_of(served, at).await?;
     let mut reader = Reader::confined(&db).await?;

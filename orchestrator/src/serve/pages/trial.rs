@@ -32,7 +32,7 @@ pub(super) struct Trial {
     pub state: String,
     pub reason: String,
     pub spec: String,
-    /// Facts of `v_trial`.
+    /// Values from `v_trial`.
     pub facts: Table,
     pub steps: Table,
     /// Number of steps that this trial computed, and their CPU seconds by part.
