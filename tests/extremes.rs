@@ -47,7 +47,7 @@ const TABLES: &[(&str, &str)] = &[
 
 const VALUES: [&str; 7] = ["0", "1", "-1", "2147483648", "9223372036854775807", "1e-300", "1e300"];
 
-/// Numbers without an upper limit: seeds, limits that nothing reaches, and counts whose excess means all.
+/// Numbers without an upper limit: seeds, limits that nothing reaches, and counts that are capped at what there is.
 const UNLIMITED: &[&str] = &[
     "body.design.random",
     "evaluation.batch",
