@@ -1,4 +1,4 @@
-//! `analyse` finds in a database what was put into it.
+//! `analyse` recovers the effects that were put into a database.
 
 use std::path::Path;
 use std::process::Command;
@@ -20,7 +20,7 @@ fn database() -> (tempfile::TempDir, std::path::PathBuf) {
     (folder, db)
 }
 
-/// Rows of an answer that agree with all pairs.
+/// Rows of an answer that agree with all pairs of column and beginning of the value.
 fn rows<'a>(answers: &'a Value, question: &str, pairs: &[(&str, &str)]) -> Vec<&'a Value> {
     let agrees = |row: &&Value| pairs.iter().all(|(k, v)| row[k].as_str().is_some_and(|s| s.starts_with(v)));
     answers[question].as_array().unwrap_or_else(|| panic!("no {question}")).iter().filter(agrees).collect()
@@ -33,7 +33,7 @@ fn analyse_finds_what_was_put_into_the_database() {
     assert!(ok, "{err}");
     let answers: Value = serde_json::from_str(&out).unwrap();
 
-    // The optimised body's error falls to M = 2 and no further; the initial one's falls evenly.
+    // The trained body's error falls until M = 2 and no further; the initial body's falls evenly.
     let elbows = |body| rows(&answers, "elbow", &[("setting", "K = 4"), ("body", body), ("set", "holdout")]);
     for (height, verdicts) in
         [("in %", ["elbow at M = 2", "no elbow"]), ("in logarithms", ["elbow at M = 2", "no elbow"])]
@@ -55,16 +55,17 @@ fn analyse_finds_what_was_put_into_the_database() {
     let (low, high) = (law[0]["b_low"].as_f64().unwrap(), law[0]["b_high"].as_f64().unwrap());
     assert!(low < 0.7 && 0.7 < high, "{:#?}", law[0]);
 
-    // The optimised body's curve is a quarter of the initial one's: a factor 4^(1/0.6) = 10.1 in iterations.
+    // The trained body's curve is a quarter of the initial body's: a factor 4^(1/0.6) = 10.1 in iterations.
     let iterations = |by| rows(&answers, "iterations", &[("setting", "K = 4, M = 1,"), ("to_equal", by)]);
     let ratio = iterations("training loss")[0]["ratio"].as_f64().unwrap();
     assert!((ratio / 10.08 - 1.0).abs() < 0.02, "{:#?}", iterations("training loss")[0]);
-    // Errors fall with the root of the iterations, so by the square of 28·0.93 over 28·e^−0.74; known at some 200 of 1000.
+    // Errors fall with the root of the iterations, so the ratio is the square of 28·0.93 over 28·e^−0.74. About 200 of 1000
+    // iterations are stored.
     let ratio = iterations("holdout error")[0]["ratio"].as_f64().unwrap();
     let truth = (0.93 / (-0.74f64).exp()).powi(2);
     assert!((ratio / truth - 1.0).abs() < 0.04, "{truth}: {:#?}", iterations("holdout error")[0]);
 
-    // 30 % and the law's 15.0 % at 168 parameters, noise of 3 % apart.
+    // Errors of 30 % and, by the law, 15.0 % at 168 parameters, with a noise of 3 %.
     let random = rows(&answers, "random", &[("setting", "K = 2, M = 1"), ("set", "test")]);
     assert_eq!((random.len(), &random[0]["bodies"]), (1, &Value::from(3)), "{:#?}", answers["random"]);
     for (column, truth) in
@@ -86,7 +87,7 @@ fn analyse_finds_what_was_put_into_the_database() {
     assert!((paired[0]["ratio"].as_f64().unwrap() / truth - 1.0).abs() < 1e-6, "{:#?}", paired[0]);
 }
 
-/// Without a question the verdicts of the report come first, then a table for each question that the trials can answer.
+/// Without a question, the report's verdicts come first, then one table per question that the trials can answer.
 #[test]
 fn analyse_begins_with_the_verdicts_of_the_report() {
     let (folder, db) = database();
@@ -101,8 +102,8 @@ fn analyse_begins_with_the_verdicts_of_the_report() {
     assert!(!out.contains("The claims of"), "{out}");
 }
 
-/// 28·e^(−0.7·min(M, 2) − 0.04·M): 6.4 % at M = 2, after which a sensor brings 4 %: M = 4 is 8 % off the best, and dearer
-/// than a price of 1 % a sensor.
+/// 28·e^(−0.7·min(M, 2) − 0.04·M): 6.4 % at M = 2. Each further sensor brings 4 %: M = 4 is 8 % better, but dearer at a price of 1
+/// % per sensor.
 #[test]
 fn how_many_sensors_to_build_hangs_on_their_price() {
     let (_folder, db) = database();
@@ -129,7 +130,7 @@ fn how_many_sensors_to_build_hangs_on_their_price() {
     assert!(!ok && err.contains("cheap") && err.contains("--price"), "{err}");
 }
 
-/// A database beside itself: every trial has its partner, every ratio is 1; one that is not there is named.
+/// A database compared with itself: every trial has its partner and every ratio is 1. The message names a missing database.
 #[test]
 fn a_database_is_compared_with_another() {
     let (_folder, db) = database();
@@ -151,7 +152,7 @@ fn csv_holds_one_table_and_says_so() {
     assert!(ok && out.starts_with("setting,body,set,height,verdict,"), "{out}{err}");
 }
 
-/// What a browser would fetch, and what the page must say.
+/// Checks that the page requests nothing, and its contents.
 #[test]
 fn a_report_is_one_file_that_needs_nothing_else() {
     let (folder, db) = database();
@@ -205,7 +206,7 @@ fn a_report_is_one_file_that_needs_nothing_else() {
     assert!(figure.starts_with("<svg xmlns") && figure.contains("<style>"), "{}", &figure[..200]);
 }
 
-/// Names of sweeps come from whoever made the database: none leads out of the folder, and none takes another's place.
+/// Names of sweeps are arbitrary: no file leaves the folder, and none replaces another.
 #[test]
 fn figures_stay_in_their_folder_whatever_sweeps_are_called() {
     let (folder, db) = database();
@@ -242,7 +243,7 @@ fn figures_stay_in_their_folder_whatever_sweeps_are_called() {
     assert_eq!((beside(&folder.path().join("a")), beside(&folder.path().join("a/b"))), (1, 1));
 }
 
-/// Whoever only reads leaves the folder as it was, also where what is asked for is not there.
+/// Readers leave the folder as it was, also if the requested data are missing.
 #[test]
 fn readers_leave_no_file_behind() {
     let (folder, db) = database();
@@ -306,7 +307,7 @@ fn readers_leave_no_file_behind() {
     }
 }
 
-/// The optimised body's elbow was put at M = 2 at K = 4, where the paper has it, and one sensor beats six; K = 8 was not tried.
+/// At K = 4 the trained body's elbow was put at M = 2, as in the paper, and one sensor beats six; K = 8 was not tried.
 #[test]
 fn claims_are_rated_by_what_was_put_into_the_database() {
     let (folder, db) = database();
@@ -338,7 +339,7 @@ fn claims_are_rated_by_what_was_put_into_the_database() {
         let text = std::fs::read_to_string(out.join(file)).unwrap();
         assert!(text.contains(part), "{file} lacks {part:?}");
     }
-    // every claim names specs that are there
+    // every claim names existing specs
     for spec in rows.as_array().unwrap().iter().flat_map(|row| row["specs"].as_str().unwrap().split(", ")) {
         let spec = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(spec);
         assert!(spec.is_file(), "{}", spec.display());

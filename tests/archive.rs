@@ -1,10 +1,10 @@
-//! `archive` writes a folder from which its results follow again.
+//! `archive` writes a folder from which its results can be reproduced.
 
 use crate::common::{Bench, TINY};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 
-/// Every file is in the manifest with its digest, and the README's commands give the same bits.
+/// The manifest contains every file with its digest, and the README's commands give the same bits.
 #[test]
 fn an_archive_runs_again_to_the_same_bits() {
     let bench = Bench::new();
@@ -39,7 +39,7 @@ fn an_archive_runs_again_to_the_same_bits() {
     }
     assert_eq!(named("#run")["object"][0]["@id"], "results/tiny.toml");
 
-    // somewhere else, where nothing but the folder is
+    // another place that contains only the folder
     let readme = String::from_utf8(read("README.md")).unwrap();
     let commands: Vec<&str> = readme.lines().filter_map(|line| line.strip_prefix("    metasense ")).collect();
     assert_eq!(commands.len(), 2, "{readme}");
@@ -54,7 +54,7 @@ fn an_archive_runs_again_to_the_same_bits() {
         );
     }
 
-    // a digit that differs is found
+    // a changed digit is found
     let change = "UPDATE trial SET error_optimised = 1.001 * error_optimised";
     let changed = std::process::Command::new("python3")
         .args([
@@ -70,7 +70,7 @@ fn an_archive_runs_again_to_the_same_bits() {
         assert_eq!(merge.status.code(), Some(1), "{}", String::from_utf8_lossy(&merge.stderr));
     }
 
-    // nothing is written over
+    // no file is overwritten
     let refused = bench.metasense(&["archive", "s.sqlite", "kept/tiny"]);
     assert_eq!(refused.status.code(), Some(2));
 }

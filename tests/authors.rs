@@ -1,4 +1,4 @@
-//! The scenes of the paper's authors as trials: rigid plates that follow the design, no limits, scales by extremes.
+//! The scenes of the paper's authors as trials: rigid plates that follow the design, no limits, scaling by extremes.
 
 use crate::common::Bench;
 
@@ -10,7 +10,7 @@ fn spec(kind: &str) -> String {
     )
 }
 
-/// Of the only trial.
+/// Hash of the only trial.
 fn hash(bench: &Bench, db: &str) -> String {
     bench
         .output(&["query", db, "SELECT hash FROM v_trial", "--format", "csv"])
@@ -20,7 +20,7 @@ fn hash(bench: &Bench, db: &str) -> String {
         .to_owned()
 }
 
-/// Nodes (x, y) of one unit of a trial's body, by what the program exports.
+/// Nodes (x, y) of one unit of a trial's body, from an export.
 fn nodes(bench: &Bench, body: &str, unit: usize) -> Vec<f64> {
     let per_unit = bench.member("t.npz", &format!("unit_nodes_{body}"));
     let first: f64 = per_unit[..unit].iter().sum();
@@ -28,7 +28,7 @@ fn nodes(bench: &Bench, body: &str, unit: usize) -> Vec<f64> {
     all[2 * first as usize..2 * (first + per_unit[unit]) as usize].to_vec()
 }
 
-/// Both decoders train the body. The outer corners of a plate stay; its anchors and the node between them move.
+/// Training works with both decoders. The outer corners of a plate stay; its anchors and the node between them move.
 #[test]
 fn bodies_of_the_authors_are_trained_without_limits() {
     let bench = Bench::new();
@@ -48,7 +48,7 @@ fn bodies_of_the_authors_are_trained_without_limits() {
     }
 }
 
-/// An export says what a network of such scales takes in, and refuses the forms that could not pad a signal with it.
+/// Exports describe the inputs of a network with such scaling. Formats that could not pad a signal correctly are refused.
 #[test]
 fn scales_by_extremes_are_exported() {
     let bench = Bench::new();

@@ -1,11 +1,11 @@
-//! Bad input ends with exit code 2 and a message that names file, key and value, and nothing is started or written.
+//! Bad input ends with exit code 2 and a message with file, key and value; nothing is started or written.
 
 use crate::common::{Bench, SPEC};
 
-/// Lines that a material stands in place of.
+/// Lines that a material replaces.
 const MATERIAL: &str = "density = 1e-8\nstiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }\n";
 
-/// What is replaced in the spec, by what, and what the message says.
+/// Text to replace in the spec, replacement, part of the message.
 const EDITS: &[(&str, &str, &str)] = &[
     ("name = \"s\"\n", "", "s.toml:1: name: must be set; it has no default"),
     ("columns = 6\n", "", "s.toml:2: body.columns: must be set if body.file is not"),
@@ -439,7 +439,7 @@ const EDITS: &[(&str, &str, &str)] = &[
         "panels = [2]\npoints = [{ \"body.material.thickness\" = 10.0 }]",
         "s.toml:15: body.material.thickness = 10.0: missing field `ligament_width`",
     ),
-    // the key's own line, although the sweep has an axis over another key, or over the key itself
+    // the message has the key's own line, also if the sweep varies another key or this key
     (
         "sensors = [1, 2]",
         "sensors = [1]\n\"body.columns\" = [5, 6]\n[body.contact]\nmin_angle = nan",
@@ -466,7 +466,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     ("name = \"s\"", "name = ", "s.toml:1: not valid TOML"),
 ];
 
-/// Tables before `[sweep]`, and what the message says.
+/// Tables before `[sweep]`, and part of the message.
 const TABLES: &[(&str, &str)] = &[
     (
         "[variation]\nstretch = -0.1",
@@ -713,7 +713,7 @@ fn every_error_in_a_spec_names_file_line_key_and_value() {
     for (i, (from, to, expected)) in edits.chain(tables).enumerate() {
         assert!(SPEC.contains(from), "{from}");
         bench.file("s.toml", &SPEC.replacen(from, &to, 1));
-        // both read it by the same function: of a run every eighth is enough
+        // both commands use the same function: every eighth case is enough for `run`
         for command in ["run", "expand"].into_iter().skip(usize::from(i % 8 != 0)) {
             let output = bench.metasense(&[command, "s.toml"]);
             let message = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -728,7 +728,7 @@ fn every_error_in_a_spec_names_file_line_key_and_value() {
     assert!(!bench.path("results").exists(), "a run with a bad spec wrote something");
 }
 
-/// Such as `metasense … 2>&1 >/dev/null | head -1` leaves behind: the end of a pipe that nobody reads.
+/// The end of a pipe that nobody reads, as in `metasense … 2>&1 >/dev/null | head -1`.
 #[test]
 fn closed_outputs_change_no_exit_code() {
     let bench = Bench::new();
@@ -750,7 +750,7 @@ fn closed_outputs_change_no_exit_code() {
     }
 }
 
-/// 140 edges are too short; the message shows some of them and says how many more.
+/// 140 edges are too short; the message lists some and the number of the others.
 #[test]
 fn an_error_of_many_lines_is_cut_short() {
     let bench = Bench::new();
@@ -810,7 +810,7 @@ fn files_and_databases_that_cannot_be_used_are_named() {
     );
 }
 
-/// A database where a spec belongs is told from a broken spec.
+/// A database in place of a spec is not reported as an invalid spec.
 #[test]
 fn a_database_is_no_spec() {
     let bench = Bench::new();

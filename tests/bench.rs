@@ -1,5 +1,5 @@
-//! What the benches promise, and what the engine promises of its trials: killed, stopped, without room. The trials are without
-//! maths, `metasense-bench engine`'s. One binary, as `program.rs`.
+//! Benches, and the engine under kills, stops and lack of space. The trials compute nothing: they are those of `metasense-bench
+//! engine`. One binary, like `program.rs`.
 
 mod common {
     pub mod processes;

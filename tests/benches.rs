@@ -1,4 +1,4 @@
-//! Each bench, tiny: every figure that it gives is a positive number.
+//! Every bench with tiny settings: all its figures are positive numbers.
 
 use std::path::Path;
 use std::process::Command;
@@ -33,7 +33,7 @@ panels = [2]
 sensors = [1]
 "#;
 
-/// What a bench prints: rows as one list, or a row a line.
+/// The output of a bench: one list of rows, or one row per line.
 fn rows(folder: &Path, arguments: &str) -> Vec<Value> {
     let mut command = Command::new(env!("CARGO_BIN_EXE_metasense-bench"));
     let output = command.args(arguments.split(' ')).current_dir(folder).output().unwrap();
@@ -45,7 +45,7 @@ fn rows(folder: &Path, arguments: &str) -> Vec<Value> {
     }
 }
 
-/// Numbers of a row under these names.
+/// Numbers in these columns of a row.
 fn numbers<'a>(row: &'a Value, names: &'a str) -> impl Iterator<Item = f64> + 'a {
     names.split(' ').map(move |name| row[name].as_f64().unwrap_or_else(|| panic!("{name}: {row}")))
 }
@@ -74,8 +74,8 @@ fn kernels_are_measured() {
     assert_eq!(kept.lines().count(), brain.len() + linear.len());
 }
 
-/// The race, and the diagram of a tenth of a second with its picture: every method comes, from short steps on errors are small,
-/// longer ones cost less.
+/// The race, and the diagram of a tenth of a second with its picture. Every method occurs; short steps have small errors, and
+/// longer steps cost less.
 #[test]
 fn integrators_are_measured() {
     let folder = tempfile::tempdir().unwrap();
@@ -121,7 +121,7 @@ fn protocols_are_measured() {
     assert!(picture.contains("joint"), "{picture}");
 }
 
-/// The engine's own rows, with arrays and without; a merge; questions to a database of a thousand trials.
+/// The engine's rows, with and without arrays; a merge; queries of a database of a thousand trials.
 #[test]
 fn databases_are_measured() {
     let folder = tempfile::tempdir().unwrap();

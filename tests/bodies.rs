@@ -1,4 +1,4 @@
-//! Bodies of other units than squares: lattices by name and polygons from a file, from the spec to what is exported.
+//! Bodies of units other than squares: lattices by name and polygons from a file, from the spec to exports.
 
 use crate::common::{Bench, TINY};
 
@@ -6,7 +6,7 @@ const LATTICE: &str = "columns = 4\nrows = 4\nspacing = 15.0\nligament_length = 
 const DISC: &str =
     "layout = \"circular\"\ncolumns = 5\ndiameter = 75.0\nspacing = 15.0\nligament_length = 2.25\n";
 
-/// A triangle that is held, a square that is read and a square that is struck.
+/// A triangle that is clamped, a square with a sensor, and a square with a panel.
 const MINE: &str = "units = [
   [[0, 0], [14, 2], [5, 12]],
   [[16, 0], [28, 1], [27, 11], [17, 12]],
@@ -25,8 +25,8 @@ fn linear(body: &str) -> String {
     short.replace("sensors = [1, 2]", "sensors = [1]")
 }
 
-/// Each lattice, in a sheet and in a disc, is drawn, trained, reported, exported and asked all that a body is asked; its trained design can
-/// be cast; it has its own hash.
+/// Each lattice, as a sheet and as a disc, is drawn, trained, reported, exported and passed to all `body` commands. The trained
+/// design is feasible, and each has its own hash.
 #[test]
 fn every_lattice_runs_from_the_spec_to_the_mould() {
     let bench = Bench::new();
@@ -83,7 +83,8 @@ fn every_lattice_runs_from_the_spec_to_the_mould() {
     assert!(done.contains('7'), "{done}");
 }
 
-/// A body from a file is a trial of what the file holds: another name changes nothing, another corner does, and the file may go.
+/// The contents of a body file define the trial: another file name keeps the hash, another corner changes it, and the file may be
+/// removed.
 #[test]
 fn a_body_from_a_file_is_what_it_holds() {
     let bench = Bench::new();
@@ -106,7 +107,7 @@ fn a_body_from_a_file_is_what_it_holds() {
     let nodes = std::fs::read_to_string(bench.path("a.csv")).unwrap();
     assert_eq!(nodes.lines().count(), 1 + 3 + 4 + 4);
     assert!(nodes.contains("\n1,1,28,1\n"), "{nodes}");
-    // corners in a table are a design of it
+    // a table of corners is a design
     bench.file("b.csv", &nodes.replace("\n1,1,28,1\n", "\n1,1,28.5,1\n"));
     let drawn = bench.output(&["body", "draw", "s.toml", "--design", "b.csv", "--out", "b.svg"]);
     assert!(drawn.contains(" 0 violated"), "{drawn}");
@@ -119,7 +120,7 @@ fn a_body_from_a_file_is_what_it_holds() {
     bench.output(&["body", "casts", "s.sqlite", &mine[..8], "--casts", "2", "--variation", "v.toml"]);
 }
 
-/// A force on a node and a couple on the same unit, and the base shaken: drawn, trained, reported, and told apart by six channels.
+/// A force on a node, a couple on the same unit and a shaken base are drawn, trained and reported, and told apart by six channels.
 #[test]
 fn forces_act_on_nodes_and_turn_units() {
     let bench = Bench::new();
@@ -138,7 +139,7 @@ fn forces_act_on_nodes_and_turn_units() {
     bench.output(&["report", "s.sqlite", "--out", "report.html"]);
 }
 
-/// What a file cannot hold is refused with spec, line, file and place.
+/// Invalid contents of a body file are refused with spec, line, file and place.
 #[test]
 fn a_body_that_cannot_be_is_refused_with_its_place() {
     let bench = Bench::new();

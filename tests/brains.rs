@@ -1,8 +1,8 @@
-//! The brain as an axis: trained with and read by linear brains and networks, from the spec to what is exported.
+//! Decoders as an axis of the sweep: training and evaluation with linear decoders and networks, from the spec to exports.
 
 use crate::common::{Bench, TINY, light, results};
 
-/// TINY read by a network and by a linear brain, each trained with either.
+/// TINY with a network and with a linear decoder, each with either decoder in training.
 fn spec() -> String {
     TINY.replace(
         "sensors = [1, 2]",
@@ -10,8 +10,8 @@ fn spec() -> String {
     )
 }
 
-/// Random and searched placements side by side: each trial says where its sensors are and how they came there; what is
-/// exported and simulated again is of those units; equal on one worker and two; `place` finds the same ones.
+/// Random and searched placements side by side. Each trial states its units and its kind of placement; exports and replays use
+/// these units; one and two workers give equal results; `place` finds the same units.
 #[test]
 fn sensors_are_searched_for() {
     let bench = Bench::new();
@@ -42,8 +42,9 @@ fn sensors_are_searched_for() {
     assert_eq!(rows(&bench, all), rows(&one, all));
 }
 
-/// A body's own model inverted, on a linear brain's body: errors below a linear brain's, a posterior's band of either body; casts are
-/// read by the model of the design and by twins; the same bits on any number of threads.
+/// The inverse decoder on a body trained with a linear decoder: its errors are smaller than a linear decoder's, both bodies have
+/// posterior bands, and casts are decoded with the model of the design and with twins. The bits do not depend on the number of
+/// threads.
 #[test]
 fn a_body_is_read_by_its_own_model() {
     let spec = TINY
@@ -87,7 +88,7 @@ fn a_body_is_read_by_its_own_model() {
     }
     assert_eq!(rows(&bench, errors), rows(&one, errors));
     let hash = &rows(&bench, "SELECT hash FROM v_trial")[0][0];
-    // `evaluate` reads the same holdout by the same brain
+    // `evaluate` decodes the same held-out set with the same decoder
     let call = ["lab", "evaluate", "results/tiny.sqlite", hash, "--records", "initial=holdout", "--records"];
     let csv = bench.output(&[&call[..], &["optimised=holdout", "--format", "csv"]].concat());
     let stored =
@@ -105,7 +106,7 @@ fn a_body_is_read_by_its_own_model() {
         assert!((number("coverage") - 100.0 * stored[2 + b]).abs() < 1e-9, "{csv}\n{stored:?}");
         assert!(number("cpu_seconds") > 0.0 && number("not_converged") <= 2.0, "{csv}");
     }
-    // what it says is computed again, by finer steps: of test set and holdout
+    // exports compute predictions for test and held-out set again, with finer steps
     for form in ["npz", "csv", "parquet"] {
         let out = format!("t.{form}");
         bench.output(&["export", "results/tiny.sqlite", hash, "--format", form, "--out", &out]);
@@ -129,7 +130,7 @@ fn a_body_is_read_by_its_own_model() {
                 let cell = line[columns.iter().position(|name| *name == column).unwrap()];
                 assert_eq!(cell.parse::<f64>().ok(), (split[i] > 0.0).then_some(values[at]), "{column}, {i}");
             }
-            // where no history has a force yet, nothing is unknown
+            // nothing is uncertain before the earliest possible force
             assert!(split[i] == 0.0 || (low[at] <= said[at] && said[at] <= high[at]), "{i}, {n}, {k}");
             (inside, all) = match split[i] == 2.0 {
                 true => (inside + usize::from(low[at] <= f && f <= high[at]), all + 1),
@@ -144,14 +145,14 @@ fn a_body_is_read_by_its_own_model() {
     assert!(page.contains("True and predicted forces") && page.contains("class=\"band optimised\""));
 }
 
-/// Rows of a query by their cells.
+/// Rows of a query as lists of cells.
 fn rows(bench: &Bench, sql: &str) -> Vec<Vec<String>> {
     let csv = bench.output(&["query", "results/tiny.sqlite", sql, "--format", "csv"]);
     csv.lines().skip(1).map(|line| line.split(',').map(str::to_owned).collect()).collect()
 }
 
-/// Four trials, every one read by the whole sample too; a linear trial's own errors are those of that reading; bodies
-/// trained alike have the same readings; one worker or two: the same bits.
+/// Four trials, each also decoded from the whole sample. The errors of a trial with a linear decoder equal that reading; equally
+/// trained bodies have equal readings; one and two workers give the same bits.
 #[test]
 fn every_body_is_read_by_both_brains() {
     let bench = Bench::new();
@@ -172,7 +173,7 @@ fn every_body_is_read_by_both_brains() {
             assert_eq!((&row[2], &row[3]), (&row[4], &row[5]));
         }
     }
-    // one body a training brain, whatever reads it
+    // one body per decoder in training, whatever decodes it
     assert_eq!((&found[0][5], &found[1][5]), (&found[2][5], &found[3][5]));
     assert_ne!(found[0][5], found[1][5]);
     let readings = rows(
@@ -205,10 +206,10 @@ fn every_body_is_read_by_both_brains() {
     assert_eq!(results(&bench, "again.sqlite"), once);
 }
 
-/// Shape and numbers of an array of an archive.
+/// Shape and values of an array in an archive.
 fn array(npz: &[u8], name: &str) -> (Vec<usize>, Vec<f64>) {
     let file = format!("{name}.npy");
-    // the archive's entries end their heads with the name; that of another array may end with this one
+    // entry heads end with the name, which may be the end of another name
     let at =
         (0..npz.len() - file.len()).find(|&i| npz[i..].starts_with(file.as_bytes()) && npz[i - 1] != b'_');
     let start = at.unwrap_or_else(|| panic!("{name}")) + file.len();
@@ -223,7 +224,7 @@ fn array(npz: &[u8], name: &str) -> (Vec<usize>, Vec<f64>) {
     (shape, values)
 }
 
-/// The exported linear brain gives the exported predictions: f̂ = b + Σ W · signal / scale on the window.
+/// The exported linear decoder gives the exported predictions: f̂ = b + Σ W · signal / scale on the window.
 #[test]
 fn an_exported_linear_brain_says_what_is_exported() {
     let bench = Bench::new();
@@ -254,10 +255,10 @@ fn an_exported_linear_brain_says_what_is_exported() {
         let expected = predicted[(i * instants + n) * panels + k];
         assert!((said - expected).abs() < 1e-9, "{i} {n} {k}: {said} {expected}");
     }
-    // the trial's own brain is this one
+    // this is the trial's own decoder
     assert_eq!(array("predictions_optimised").1, predicted);
 
-    // what of the holdout lies in its bands is what the trial has counted, but for signals that are simulated again
+    // the fraction of held-out forces within the bands equals the trial's, except for the repeated simulation
     let (forces, split) = (array("forces").1, array("split").1);
     for (kind, of) in [("instant", "forces"), ("sample", "sample")] {
         let sql = format!(
@@ -284,7 +285,7 @@ fn an_exported_linear_brain_says_what_is_exported() {
     }
 }
 
-/// What a brain does not read does not make trials differ, and is refused where no brain of the sweep reads it.
+/// Keys that a trial's decoder does not use do not make trials differ; they are refused if no decoder of the sweep uses them.
 #[test]
 fn keys_of_another_brain_make_no_difference_or_are_refused() {
     let bench = Bench::new();

@@ -1,5 +1,5 @@
-//! The pages of `serve` in a real browser, by its own protocol: they load without a word on the console and without a request
-//! to anybody else, follow what is recorded, and can be used by keyboard alone, on a phone, by name.
+//! The pages of `serve` in a real browser, over the DevTools protocol. They load without console messages and without requests to
+//! other hosts, follow a run, and can be used by keyboard alone, on a phone, and by accessible names.
 
 use std::fs::{File, OpenOptions};
 use std::io::{BufRead, BufReader, Write};
@@ -17,10 +17,10 @@ use crate::common::proxy::{FRONT, proxy};
 use crate::common::skip;
 use crate::common::{Bench, TINY};
 
-/// No page and no event takes so long.
+/// Maximum time for a page or an event.
 const DEADLINE: Duration = Duration::from_secs(60);
 
-/// Ends with the test.
+/// Killed at the end of the test.
 struct Process(Child);
 
 impl Drop for Process {
@@ -30,17 +30,17 @@ impl Drop for Process {
     }
 }
 
-/// A browser's page, spoken to by the DevTools protocol over two pipes.
+/// A browser's page, controlled by the DevTools protocol over two pipes.
 struct Page {
     _browser: Process,
     to: File,
     from: Receiver<Value>,
     session: Option<String>,
     asked: u64,
-    /// Addresses that were asked for, and what was complained of.
+    /// Requested addresses, and messages of the console.
     requests: Vec<String>,
     complaints: Vec<String>,
-    /// Navigations that are loaded whole.
+    /// Navigations that have completely loaded.
     loaded: Vec<Value>,
 }
 
@@ -86,7 +86,7 @@ impl Page {
         page
     }
 
-    /// Sends a command and waits for what comes of it.
+    /// Sends a command and waits for its result.
     fn ask(&mut self, method: &str, params: Value) -> Value {
         self.asked += 1;
         let mut message = json!({"id": self.asked, "method": method, "params": params});
@@ -120,13 +120,13 @@ impl Page {
         }
     }
 
-    /// Opens an address and waits until it is loaded, and not what was opened before it.
+    /// Opens an address and waits until this navigation has loaded.
     fn open(&mut self, address: &str) {
         let navigation = self.ask("Page.navigate", json!({"url": address}))["loaderId"].clone();
         self.until(address, |page| page.loaded.contains(&navigation));
     }
 
-    /// Listens until something holds.
+    /// Processes messages until a condition holds.
     fn until(&mut self, what: &str, mut holds: impl FnMut(&mut Self) -> bool) {
         let begun = Instant::now();
         while !holds(self) {
@@ -159,7 +159,7 @@ impl Page {
         self.ask("Emulation.setDeviceMetricsOverride", metrics);
     }
 
-    /// What can be worked with and has no name.
+    /// Controls without an accessible name.
     fn nameless(&mut self) -> Vec<String> {
         let tree = self.ask("Accessibility.getFullAXTree", json!({}));
         let roles =
@@ -175,7 +175,7 @@ impl Page {
     }
 }
 
-/// `metasense serve` on these, and its address.
+/// `metasense serve` on these databases, and its address.
 fn served(dbs: &[&Path]) -> (Process, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));
     command.arg("serve").args(dbs).args(["--listen", "0"]).stdout(Stdio::piped());
@@ -185,12 +185,12 @@ fn served(dbs: &[&Path]) -> (Process, String) {
     (process, line.trim().to_owned())
 }
 
-/// Where pages are, without the key and the token.
+/// Address of the pages without key and token.
 fn pages(address: &str) -> &str {
     address.split("/?key=").next().unwrap()
 }
 
-/// A run with pages, in a folder with its spec, and their address with the token.
+/// A run with pages in a folder with its spec, and the address with the token.
 fn steered(bench: &Bench) -> (Process, String) {
     let long = TINY.replace("iterations = 4\n", "iterations = 40\n");
     bench.file("s.toml", &long.replace("[1, 2]", "[1, 2]\nseeds = [1, 2, 3, 4]"));
@@ -202,14 +202,14 @@ fn steered(bench: &Bench) -> (Process, String) {
     let mut line = String::new();
     let mut said = BufReader::new(run.0.stderr.take().unwrap());
     said.read_line(&mut line).unwrap();
-    // it goes on to speak
+    // reads all further output
     std::thread::spawn(move || std::io::copy(&mut said, &mut std::io::sink()));
     let address = line.split_once("http://").unwrap_or_else(|| panic!("{line}")).1;
     (run, format!("http://{}", address.trim()))
 }
 
-/// Behind a proxy with a path. Without the token there is nothing to press; with it a run is steered by keys alone, and says what came
-/// of it.
+/// Behind a proxy with a path. Without the token there are no controls; with it the keyboard controls a run, and the page shows the
+/// result.
 #[test]
 fn a_run_is_steered_by_its_pages() {
     if !here() {
@@ -252,7 +252,7 @@ fn a_run_is_steered_by_its_pages() {
     page.ask("Input.insertText", json!({"text": "2"}));
     press(&mut page, "workers", "workers: 1 before, 2 from now on");
     press(&mut page, "reload", "trials added: 0");
-    // a page of a trial: the token is known there
+    // the page of a trial also has the token
     let trial =
         page.value("fetch('sql.csv?q=SELECT+hash+FROM+v_trial+ORDER+BY+attempts,hash').then(a => a.text())");
     let hash = trial.as_str().unwrap().lines().nth(1).unwrap().to_owned();
@@ -272,8 +272,8 @@ fn a_run_is_steered_by_its_pages() {
     assert!(elsewhere.iter().all(|url| *url == "about:blank"), "{elsewhere:?}");
 }
 
-/// Modes swing and a wave waits to be played, unless the reader wants no motion: then nothing moves by itself, in a report and
-/// on live pages.
+/// Modes swing and a wave can be played. If the reader prefers reduced motion, nothing moves by itself, in a report and on live
+/// pages.
 #[test]
 fn nothing_moves_where_no_motion_is_wanted() {
     if !here() {
@@ -338,7 +338,7 @@ async fn a_browser_shows_follows_and_asks() {
     page.open(&address);
     let address = pages(&address);
 
-    // what is recorded is seen, without anything being done
+    // recorded steps appear without any action
     page.open(&format!("{address}/0/"));
     let (_, initial) = metasense_worker::simulate::body(&first.spec).unwrap();
     let recorded = |n: u32| {
@@ -360,7 +360,7 @@ async fn a_browser_shows_follows_and_asks() {
     println!("steps were on the page after {took:?}");
     assert!(took[took.len() / 2] < Duration::from_secs(1), "{took:?}");
 
-    // a body goes from step to step: it stays with the last one as it comes, and where it is put by keys it stays, too
+    // the slider of steps follows the newest step, and stays where keys have moved it
     page.open(&format!("{address}/0/trial/{}", first.hash));
     let step = "document.querySelector('.course input').getAttribute('aria-valuetext')";
     let unit = "document.querySelector('.course polygon.unit').getAttribute('points')";
@@ -386,7 +386,7 @@ async fn a_browser_shows_follows_and_asks() {
     page.value("document.querySelector('.course button').click()");
     page.until("the body in motion", |page| page.value(unit) != before);
 
-    // every page, wide and narrow: names for all that can be worked with, nothing beyond the edge
+    // every page, wide and narrow: all controls have names, and nothing exceeds the page's width
     let of_trial = format!("/1/trial/{}?replay=1", first.hash);
     let paths = ["/", "/0/", "/1/", "/1/trials", "/1/map", "/1/sql", "/1/compare?with=0", &of_trial];
     for width in [1200, 390] {
@@ -400,7 +400,7 @@ async fn a_browser_shows_follows_and_asks() {
         }
     }
 
-    // the wave is scrubbed by keys
+    // keys move through the wave
     let shape = "document.querySelector('.wave polygon.unit:last-of-type').getAttribute('transform')";
     page.value("document.querySelector('.wave input').focus()");
     page.key("Home", 36, 0);
@@ -408,7 +408,7 @@ async fn a_browser_shows_follows_and_asks() {
     page.key("End", 35, 0);
     assert_ne!(page.value(shape), before);
 
-    // by keys alone: past the head to the content, and a question asked
+    // by keyboard alone: skip the head, and run a query
     page.width(1200);
     page.open(&format!("{address}/1/sql"));
     page.key("Tab", 9, 0);
@@ -428,7 +428,7 @@ async fn a_browser_shows_follows_and_asks() {
     assert!(page.requests.len() > 30, "{}", page.requests.len());
     assert!(page.complaints.is_empty(), "{:?}", page.complaints);
 
-    // a script that got into a page does not run, and would have been told of here
+    // an injected script does not run, and the browser reports it
     page.value("{ const s = document.createElement('script'); s.textContent = 'window.ran = 1'; document.body.append(s) }");
     assert_eq!(page.value("window.ran"), Value::Null);
     page.until("the refusal", |page| {

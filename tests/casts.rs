@@ -1,4 +1,4 @@
-//! Bodies that are cast: trained for it, judged by it, and asked about it afterwards.
+//! Bodies and casts: training over casts, evaluation on casts, and the commands for casts.
 
 use crate::common::{Bench, TINY};
 use serde_json::Value;
@@ -9,7 +9,7 @@ fn json(text: &str) -> Vec<Value> {
     serde_json::from_str(text).unwrap_or_else(|e| panic!("{e}: {text}"))
 }
 
-/// A nominal and a robust trial of one sensor, by a linear brain, three casts of each body.
+/// A trial trained as designed and one trained over casts: one sensor, linear decoder, three casts of each body.
 fn spec() -> String {
     TINY.replace("sensors = [1, 2]", "sensors = [1]\n\"optimise.objective\" = [\"nominal\", \"mean\"]")
         .replace(
@@ -18,8 +18,8 @@ fn spec() -> String {
         )
 }
 
-/// Every brain reads every cast of both bodies; the command reads the same casts to the same bits, and goes on to others; of less
-/// scatter they are read better; what fails is refused by file and line.
+/// Every decoder is evaluated on every cast of both bodies. `body casts` gives the same bits for the same casts, and continues with
+/// others; with less variation, errors are smaller; failures are refused by file and line.
 #[test]
 fn casts_of_finished_bodies_are_read() {
     let bench = Bench::new();
@@ -29,11 +29,11 @@ fn casts_of_finished_bodies_are_read() {
     let ask = |sql: &str| json(&bench.output(&["query", db, sql, "--format", "json"]));
     let rows = ask("SELECT objective, body, casting, reader, records, error, nominal_error, hash FROM v_cast
                     ORDER BY objective, body, casting, reader");
-    // two trials, two bodies, three casts; fitted as designed, over casts, and to all six training samples
+    // two trials, two bodies, three casts; three decoders: as designed, over casts, and fitted to all six training samples
     assert_eq!(rows.len(), 2 * 2 * 3 * 3, "{rows:?}");
     let error = |row: &Value| row["error"].as_f64().unwrap_or_else(|| panic!("{row}"));
     assert!(rows.iter().all(|row| error(row) > 0.0 && row["nominal_error"].as_f64().unwrap() > 0.0));
-    // beside a linear trial's brains stands its own error as designed
+    // rows of a trial with a linear decoder contain its own error as designed
     let own = ask(
         "SELECT count(*) AS n, sum(c.nominal_error = CASE c.body WHEN 'initial' THEN t.holdout_error_initial
                      ELSE t.holdout_error_optimised END) AS own FROM v_cast c JOIN v_trial t USING (hash)",
@@ -42,7 +42,7 @@ fn casts_of_finished_bodies_are_read() {
     let of = |objective: &str, body: &str| -> Vec<f64> {
         rows.iter().filter(|row| row["objective"] == objective && row["body"] == body).map(error).collect()
     };
-    // a part of the holdout lies in the bands of the body as designed, where its own brain reads the cast, or one for all casts
+    // coverage of the bands is stored where the trial's own decoder, or one for all casts, is evaluated
     let covered = ask("SELECT count(*) AS n, sum(records = 0) AS own, count(instants_covered) AS instants,
                          count(samples_covered) AS samples, min(instants_covered) >= 0 AS least, max(instants_covered) <= 1 AS most
                        FROM v_cast");
@@ -50,7 +50,7 @@ fn casts_of_finished_bodies_are_read() {
         covered[0],
         serde_json::json!({"n": 36, "own": 24, "instants": 24, "samples": 24, "least": 1, "most": 1})
     );
-    // the same body meets the same casts, whatever it is trained for
+    // equal bodies have equal casts, whatever the training objective
     assert_eq!(of("nominal", "initial"), of("mean", "initial"));
     assert_ne!(of("nominal", "optimised"), of("mean", "optimised"));
 
@@ -71,7 +71,7 @@ fn casts_of_finished_bodies_are_read() {
     let median = |rows: &[Value]| rows[0]["median"].as_f64().unwrap();
     assert!(less[0]["reader"] == "nominal" && median(&less) < median(&more), "{less:?} {more:?}");
 
-    // analyse takes the same rows: of three casts the median is the second, the 90th percentile is 0.2 + 0.8 of the last two
+    // analyse uses the same rows: of three casts, the median is the second, and the 90th percentile is 0.2 and 0.8 of the last two
     let analysed = ["analyse", db, "--question", "casts", "--format", "json"];
     let analysed = json(&bench.output(&analysed));
     assert_eq!(analysed.len(), 3 * 3, "{analysed:?}");
@@ -119,7 +119,7 @@ fn casts_of_finished_bodies_are_read() {
     }
 }
 
-/// A scatter that no key asks about makes no other trial; objectives that are the same have the same hash.
+/// A variation that no other key uses does not change the trial; equal objectives have equal hashes.
 #[test]
 fn what_no_key_reads_makes_no_other_trial() {
     let bench = Bench::new();

@@ -1,11 +1,11 @@
-//! `check`: records as they should be raise no alarm; each mistake is named with the key that mends it.
+//! `check`: correct records give no finding; each mistake is found, with the key that corrects it.
 
 use serde_json::Value;
 
 use crate::common::Bench;
 use crate::identify;
 
-/// Outcome, place, what and remedy of each finding that is not ok, and the exit code.
+/// Exit code, and place, finding and remedy of each finding that is not ok.
 fn look(bench: &Bench, records: &str, more: &[&str]) -> (Option<i32>, Vec<[String; 3]>) {
     let call = ["lab", "check", "s.toml", "--records", records, "--format", "json"];
     let done = bench.metasense(&[&call[..], more].concat());
@@ -19,7 +19,7 @@ fn look(bench: &Bench, records: &str, more: &[&str]) -> (Option<i32>, Vec<[Strin
 #[test]
 fn what_is_wrong_is_named_with_its_remedy() {
     let bench = identify::bench();
-    // of the body as designed: casts are read in orchestrator/python/tests/test_check.py
+    // records of the body as designed; orchestrator/python/tests/test_check.py has records of casts
     bench.output(&["body", "simulate", "s.toml", "--forces", "f.npy", "--out-dir", "own"]);
     std::fs::copy(bench.path("own/signals.npy"), bench.path("y.npy")).unwrap();
     assert_eq!(look(&bench, "r.toml", &["--out-dir", "look"]), (Some(0), Vec::new()));
@@ -56,7 +56,7 @@ fn what_is_wrong_is_named_with_its_remedy() {
     wrong(&["a_y of sensor 0", "dead", "sensors.channels"], &other);
     wrong(&["signals.acceleration_unit = \"mm/s2\""], &format!("{text}acceleration_unit = \"g\"\n"));
     wrong(&["recorded.force_unit = \"N\""], &text.replace("[recorded]", "[recorded]\nforce_unit = \"mN\""));
-    // a record that cannot be read is named, and the others are looked at
+    // the message names an unreadable record, and the others are checked
     let (shape, mut forces) = bench.array("f.npy");
     forces[7] = f64::NAN;
     bench.write_array("f.npy", &shape, &forces);

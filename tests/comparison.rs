@@ -1,4 +1,4 @@
-//! The comparison at the end of a trial is stopped, killed and gone on with like its outer steps: to the same bits.
+//! The comparison at the end of a trial is stopped, killed and resumed like outer steps, with the same bits as the result.
 
 use std::collections::BTreeSet;
 use std::process::Child;
@@ -8,16 +8,16 @@ use crate::common::processes::{children, eventually, is_alive, kill, rows};
 use crate::common::roll::{self, Roll};
 use crate::common::{Bench, TINY, results};
 
-/// Longest time that a person waits after Ctrl-C: two seconds, and as much again where tests beside it keep cores and disk busy.
+/// Maximum time until a run ends after Ctrl-C: two seconds, and two more if other tests load cores and disk.
 const STOPPED: Duration = Duration::from_secs(4);
 
-/// Trials whose four steps take less than a second, and whose comparison takes longer than the two seconds between savings.
+/// Trials whose four steps take less than a second, and whose comparison takes longer than the two seconds between checkpoints.
 fn long(sensors: &str, iterations: u32) -> String {
     let text = TINY.replace("[1, 2]", sensors);
     text.replace("[sweep]", &format!("[evaluation]\nseeds = 1\nlong_iterations = {iterations}\n[sweep]"))
 }
 
-/// A run in a process of its own. Dropped, it is killed.
+/// A run in its own process; dropping it kills the process.
 struct Run(Child);
 
 impl Run {
@@ -30,7 +30,7 @@ impl Run {
         ended.expect("the run ends within two minutes").code()
     }
 
-    /// Asks it to end: its exit code, and how long it took.
+    /// Sends a signal; returns exit code and time until the end.
     fn stop(&mut self, signal: i32) -> (Option<i32>, Duration) {
         let asked = Instant::now();
         kill(self.0.id(), signal);
@@ -45,7 +45,7 @@ impl Drop for Run {
     }
 }
 
-/// Stopped twice in the middle of a network's training, the second time soon after it went on from where it was.
+/// Stopped twice during a network's training, the second time soon after it resumed.
 #[test]
 fn a_stop_on_request_ends_a_comparison_at_once_and_nothing_of_it_is_lost() {
     let bench = Bench::new();
@@ -63,7 +63,7 @@ fn a_stop_on_request_ends_a_comparison_at_once_and_nothing_of_it_is_lost() {
             before = more_than(more_than(0));
             std::thread::sleep(Duration::from_millis(100));
         } else {
-            // Somewhere between the worker's start and its first saving.
+            // Between the worker's start and its first checkpoint.
             let worker = || children(run.0.id()).first().copied();
             eventually(Duration::from_secs(60), worker).expect("a worker is started");
             std::thread::sleep(Duration::from_millis(100));
@@ -78,7 +78,7 @@ fn a_stop_on_request_ends_a_comparison_at_once_and_nothing_of_it_is_lost() {
     assert_eq!(results(&bench, "s.sqlite"), results(&bench, "whole.sqlite"));
     let attempts = rows(&bench.path("s.sqlite"), "SELECT state, reason, steps FROM attempt ORDER BY number");
     assert_eq!(attempts, [r#"["failed","stopped",4]"#, r#"["failed","stopped",0]"#, r#"["done",null,0]"#]);
-    // Set-up, and all that was done in vain, count as well.
+    // Setup and lost work count as well.
     let seconds = rows(
         &bench.path("s.sqlite"),
         "SELECT (SELECT min(cpu_seconds) FROM attempt) > 0,
@@ -88,7 +88,7 @@ fn a_stop_on_request_ends_a_comparison_at_once_and_nothing_of_it_is_lost() {
     assert_eq!(seconds, ["[1,1,1]"]);
 }
 
-/// A training that lasts for longer than any silence may is seen to go on, and a hang in the middle of it is seen.
+/// Training that lasts longer than the silence limit counts as progress; a hang within it is detected.
 #[test]
 fn a_long_training_is_no_silence_and_a_hang_within_it_is_one() {
     let bench = Bench::new();
@@ -110,7 +110,7 @@ fn a_long_training_is_no_silence_and_a_hang_within_it_is_one() {
     assert_eq!(run.stop(libc::SIGINT).0, Some(4));
 }
 
-/// An outer step that takes longer than anybody waits is given up; it is done again by the next run.
+/// A stop abandons an outer step that exceeds the grace time; the next run repeats the step.
 #[test]
 fn a_stop_on_request_does_not_wait_for_a_long_step() {
     let bench = Bench::new();
@@ -129,8 +129,8 @@ fn a_stop_on_request_does_not_wait_for_a_long_step() {
     assert_eq!(rows(&bench.path("s.sqlite"), "SELECT state FROM trial"), [r#"["pending"]"#]);
 }
 
-/// Four kills (`KILLS=N` for more, `KILL_SEED=N` for the same) of a worker, the run, or both, at random moments until the
-/// sweep is done: every other when something more has been saved, so that it comes to an end.
+/// Four kills (`KILLS=N` for more, `KILL_SEED=N` to repeat) of a worker, the run, or both, at random moments until the sweep is
+/// done. Every other kill waits for a new checkpoint, so that the sweep ends.
 #[test]
 fn kills_in_the_middle_of_comparisons_leave_the_results_of_an_undisturbed_run() {
     let bench = Bench::new();
@@ -142,7 +142,7 @@ fn kills_in_the_middle_of_comparisons_leave_the_results_of_an_undisturbed_run() 
     while kills < least {
         let db = format!("killed-{sweeps}.sqlite");
         sweeps += 1;
-        // what each run was killed in: a run may be killed before it has found out what the one before was in
+        // attempts in which each run was killed; a run may be killed before it has recorded its predecessor's
         let mut counted = BTreeSet::new();
         let of = |state: &str| {
             let sql =
@@ -196,8 +196,7 @@ fn kills_in_the_middle_of_comparisons_leave_the_results_of_an_undisturbed_run() 
     println!("{kills} kills in {sweeps} sweeps, {within} of them within a comparison");
 }
 
-/// Without the initial body there is nothing of it in tables, messages and exports, all else is as beside it, and asking for it later
-/// trains no body again.
+/// Without the initial body, tables, messages and exports omit it, and all else is unchanged. Adding it later trains no body again.
 #[test]
 fn the_initial_body_is_compared_only_where_somebody_asks() {
     let bench = Bench::new();

@@ -1,5 +1,5 @@
-//! A run is steered from another terminal and from its pages, by real processes: what is asked happens, is told, and changes
-//! no result; whoever may not ask changes nothing.
+//! Control of a run from another terminal and from its pages, with real processes: commands take effect, are reported, and change
+//! no result; requests without permission change nothing.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -15,13 +15,13 @@ use metasense::fleet::children;
 use metasense::plan::Plan;
 use rustix::process::{Pid, Signal, kill_process};
 
-/// Six trials, and eight.
+/// Specs of six and of eight trials.
 fn specs() -> [String; 2] {
     let long = TINY.replace("iterations = 4\n", "iterations = 120\n");
     ["[1, 2, 3]", "[1, 2, 3, 4]"].map(|seeds| long.replace("[1, 2]", &format!("[1, 2]\nseeds = {seeds}")))
 }
 
-/// A run in a folder; dropped, it is killed.
+/// A run in a folder; dropping it kills the process.
 struct Run<'a> {
     bench: &'a Bench,
     child: Child,
@@ -41,7 +41,7 @@ impl<'a> Run<'a> {
         Self { bench, child }
     }
 
-    /// Waits until the run takes commands and its workers are busy.
+    /// Waits until the run accepts commands and its workers are busy.
     fn busy(&self, workers: &str) {
         self.until(|| self.asks(&["state"]).1.contains(workers));
     }
@@ -54,7 +54,7 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// What it said on standard error.
+    /// Its output on standard error.
     fn told(&self) -> String {
         std::fs::read_to_string(self.bench.path("told")).unwrap()
     }
@@ -63,7 +63,7 @@ impl<'a> Run<'a> {
         self.bench.metasense(&[&["control", "s.sqlite"], words].concat())
     }
 
-    /// Exit code and words.
+    /// Exit code and output of a command.
     fn asks(&self, words: &[&str]) -> (Option<i32>, String) {
         let output = self.control(words);
         let said = [output.stdout, output.stderr].concat();
@@ -80,7 +80,7 @@ impl<'a> Run<'a> {
         self.bench.output(&["query", "s.sqlite", &sql, "--format", "csv"]).lines().nth(1).unwrap().to_owned()
     }
 
-    /// To the end; the exit code.
+    /// Waits for the end; returns the exit code.
     fn wait(&mut self) -> Option<i32> {
         let began = Instant::now();
         loop {
@@ -100,21 +100,21 @@ impl Drop for Run<'_> {
     }
 }
 
-/// The folder with the first spec.
+/// A folder with the first spec.
 fn bench() -> Bench {
     let bench = Bench::new();
     bench.file("s.toml", &specs()[0]);
     bench
 }
 
-/// The same, with trials that none of the tests ends.
+/// The same with trials that outlast every test.
 fn endless() -> Bench {
     let bench = Bench::new();
     bench.file("s.toml", &specs()[0].replace("iterations = 120", "iterations = 10000"));
     bench
 }
 
-/// What the trials of the second spec come to, undisturbed.
+/// Results of the second spec without any command.
 fn whole() -> &'static [String] {
     static WHOLE: OnceLock<Vec<String>> = OnceLock::new();
     WHOLE.get_or_init(|| {
@@ -125,7 +125,7 @@ fn whole() -> &'static [String] {
     })
 }
 
-/// Each command once, most of them in a pause; what is refused changes nothing. What comes of it all is what comes without.
+/// Each command once, most of them during a pause; a refused command changes nothing. The results equal those without commands.
 #[test]
 fn a_run_does_what_it_is_asked_and_comes_to_the_same_results() {
     let bench = bench();
@@ -169,7 +169,7 @@ fn a_run_does_what_it_is_asked_and_comes_to_the_same_results() {
     let order = "group_concat(hash, ' ') FROM (SELECT hash FROM v_attempt WHERE reason IS NOT 'cancelled' ORDER BY started_at, attempt LIMIT 2)";
     assert_eq!(run.count(order), format!("{} {}", hashes[0], hashes[5]));
     let cancelled = "count(*), sum(reason = 'cancelled'), sum(attempts), (SELECT count(*) FROM checkpoint) FROM v_trial WHERE state = 'failed'";
-    // that was an attempt of its own, by which a merge knows that it came later
+    // its own attempt, by which a merge recognises the later copy
     assert_eq!(run.count(cancelled), "2,2,3,1");
     let log = std::fs::read_to_string(bench.path("s.log")).unwrap();
     for word in ["pause", "resume", "workers 2", "reload", &format!("next {}", hashes[5])] {
@@ -185,14 +185,14 @@ fn a_run_does_what_it_is_asked_and_comes_to_the_same_results() {
     assert_eq!(results(&bench, "s.sqlite"), whole());
 }
 
-/// A running trial that is cancelled, a stop, and a run that is killed: its socket is in nobody's way.
+/// A running trial is cancelled, a run is stopped, and a run is killed: its socket does not block the next run.
 #[test]
 fn what_runs_is_taken_back_and_what_is_killed_leaves_nothing_in_the_way() {
     let bench = endless();
     let mut run = Run::start(&bench, &["--workers", "2"]);
     run.busy("2 of 2 workers busy");
     let running = "hash FROM v_attempt WHERE state = 'running' ORDER BY hash LIMIT 1";
-    // the scheduler knows it before the disk does
+    // the scheduler has this state before the database
     run.until(|| run.bench.metasense(&["query", "s.sqlite", "SELECT 1"]).status.success());
     run.until(|| run.count("count(*) FROM v_attempt WHERE state = 'running'") == "2");
     let hash = run.count(running);
@@ -223,8 +223,7 @@ fn what_runs_is_taken_back_and_what_is_killed_leaves_nothing_in_the_way() {
     assert_eq!(nowhere.status.code(), Some(2));
 }
 
-/// Where questions or an assignment decide what is run, a spec that is read again adds nothing; workers, and a pause, last from one
-/// look at the questions to the next.
+/// With [until] or an assignment, a reloaded spec adds no trials. Workers and pauses persist from round to round.
 #[test]
 fn questions_and_shards_decide_themselves_what_is_run() {
     let bench = Bench::new();
@@ -235,7 +234,7 @@ fn questions_and_shards_decide_themselves_what_is_run() {
     run.busy("1 of 1 worker busy");
     run.asked(&["reload"], 1, "refused: [until] decides which trials are run");
     run.asked(&["workers", "2"], 0, "workers: 1 before, 2 from now on");
-    // nothing is left of this look but to be cancelled
+    // this round has only trials to cancel
     run.asked(&["pause"], 0, "paused");
     run.until(|| run.asks(&["state"]).1.contains("paused: 0 of 2"));
     run.until(|| run.count("count(*) FROM v_trial WHERE state = 'running'") == "0");
@@ -267,8 +266,8 @@ fn questions_and_shards_decide_themselves_what_is_run() {
     assert_eq!(run.wait(), Some(4), "{}", run.told());
 }
 
-/// Forty commands (`COMMANDS=N` for more, `KILL_SEED=N` for the same ones) at random moments, kills of workers among them, in as
-/// many runs as it takes; then what was cancelled goes on.
+/// Forty commands (`COMMANDS=N` for more, `KILL_SEED=N` to repeat) at random moments, including kills of workers, in as many runs
+/// as needed; then cancelled trials resume.
 #[test]
 fn a_run_that_is_steered_at_random_comes_to_the_same_results() {
     let bench = bench();
@@ -291,7 +290,7 @@ fn a_run_that_is_steered_at_random_comes_to_the_same_results() {
                 _ => vec!["reload"],
             };
             let (code, said) = run.asks(&command);
-            // the last one may come as the run ends
+            // the run may end during the last command
             let late =
                 ["no run holds", "takes no commands", "without a reply"].iter().any(|why| said.contains(why));
             assert!(matches!(code, Some(0 | 1)) || late, "{command:?}: {said}");
@@ -317,8 +316,8 @@ fn a_run_that_is_steered_at_random_comes_to_the_same_results() {
     assert_eq!(results(&bench, "s.sqlite"), whole());
 }
 
-/// Paused and resumed without a break from the moment at which six workers get trials that an earlier run has begun: a stop
-/// overtakes jobs whose checkpoints are still being read. The workers live, and no attempt ends but by request.
+/// Pauses and resumes without a break while six workers receive trials that an earlier run started: a stop overtakes jobs whose
+/// checkpoints are still being read. The workers survive, and every attempt ends by request.
 #[test]
 fn a_stop_that_overtakes_its_job_ends_no_worker() {
     let bench = endless();
@@ -331,7 +330,7 @@ fn a_stop_that_overtakes_its_job_ends_no_worker() {
 
     let mut run = Run::start(&bench, &["--workers", "6"]);
     run.until(|| bench.path("s.sqlite.control").exists());
-    // for as long as it takes until trials have come back, and then some
+    // until some trials have returned, and a little longer
     let back = || run.count("count(*) FROM v_attempt WHERE state = 'failed'").parse::<usize>().unwrap() > 6;
     let (mut commands, mut more) = (0, 3);
     while more > 0 {
@@ -353,7 +352,7 @@ fn a_stop_that_overtakes_its_job_ends_no_worker() {
     assert!(started <= 6, "{started} workers for 6 trials: {log}");
 }
 
-/// What a raw request is answered.
+/// The response to a raw request.
 fn post(port: u16, head: &str, body: &str) -> (u16, String) {
     let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
@@ -365,7 +364,7 @@ fn post(port: u16, head: &str, body: &str) -> (u16, String) {
     (answer.split(' ').nth(1).and_then(|code| code.parse().ok()).unwrap_or(0), answer)
 }
 
-/// The port, the key and the token of a run's pages.
+/// Port, key and token of a run's pages.
 fn pages(run: &Run) -> (u16, String, String) {
     run.until(|| run.told().contains("#token="));
     let told = run.told();
@@ -375,7 +374,7 @@ fn pages(run: &Run) -> (u16, String, String) {
     (port.parse().unwrap(), key.to_owned(), token.to_owned())
 }
 
-/// Pages steer with the token alone, asked by themselves alone; they end with the run, and leave nothing behind.
+/// Only pages with the token control a run, and only from their own origin. They end with the run and leave no files.
 #[test]
 fn pages_of_a_run_steer_it_and_nobody_else_does() {
     let bench = bench();
@@ -428,7 +427,7 @@ fn pages_of_a_run_steer_it_and_nobody_else_does() {
     let log = std::fs::read_to_string(bench.path("s.log")).unwrap();
     assert!(!log.contains("done=true") && !log.contains(&token), "{log}");
 
-    // who posts and never ends holds nobody
+    // an unfinished request blocks nobody
     let mut slow = TcpStream::connect(("127.0.0.1", port)).unwrap();
     slow.write_all(format!("{line}{own}{bearer}Content-Length: 9\r\n\r\np").as_bytes()).unwrap();
     let steer = |body: &str| post(port, &format!("{line}{own}{bearer}"), body);
@@ -445,13 +444,13 @@ fn pages_of_a_run_steer_it_and_nobody_else_does() {
     assert_eq!(left, ["s.log", "s.sqlite", "s.toml", "said.csv", "told"]);
     assert_eq!(results(&bench, "s.sqlite"), whole());
 
-    // a port that is taken
+    // an occupied port
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let at = format!("--serve={}", taken.local_addr().unwrap().port());
     let refused = bench.metasense(&["run", "s.toml", "--db", "t.sqlite", &at]);
     let said = String::from_utf8_lossy(&refused.stderr);
     assert!(refused.status.code() == Some(2) && said.contains("--serve=0 for any free port"), "{said}");
-    // a run that is killed takes its pages with it
+    // the pages end with a killed run
     bench.file("s.toml", &specs()[0].replace("[1, 2, 3]", "[7, 8, 9]"));
     let mut run = Run::start(&bench, &["--serve=0"]);
     let (port, ..) = pages(&run);

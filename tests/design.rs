@@ -1,4 +1,4 @@
-//! Designs on the command line: projected, drawn, read from files, drawn at random.
+//! Designs on the command line: projected, drawn, read from files, generated at random.
 
 use crate::common::{Bench, SPEC};
 
@@ -13,12 +13,12 @@ fn npy(values: &[f64]) -> Vec<u8> {
     bytes
 }
 
-/// A spec of a 3 × 3 body; `more` goes into `[body]`.
+/// A spec of a 3 × 3 body; `more` is added to `[body]`.
 fn small(more: &str) -> String {
     SPEC.replace("columns = 6\nrows = 6", &format!("columns = 3\nrows = 3\n{more}")).replace("[1, 2]", "[1]")
 }
 
-/// The initial body is feasible and comes back bit for bit; a wild one is projected.
+/// The feasible initial body is returned bit for bit; a distorted design is projected.
 #[test]
 fn any_design_goes_in_and_a_castable_one_comes_out() {
     let bench = Bench::new();
@@ -39,7 +39,7 @@ fn any_design_goes_in_and_a_castable_one_comes_out() {
     assert!(drawn.contains(" 0 violated"), "{drawn}");
 }
 
-/// NaN, infinity, and axes that are turned are refused wherever a design or its weights are read, by file; nothing is written.
+/// NaN, infinity and transposed shapes are refused in designs and weights, with the file's name; nothing is written.
 #[test]
 fn what_is_no_design_is_refused_wherever_one_is_read() {
     let bench = Bench::new();
@@ -67,14 +67,14 @@ fn what_is_no_design_is_refused_wherever_one_is_read() {
         }
     }
     assert!(["b.svg", "b.npy", "b"].iter().all(|name| !bench.path(name).exists()));
-    // (n/2, 2) is the other shape of a design
+    // (n/2, 2) is also a valid shape of a design
     let (_, shifts) = bench.array("a.NPY");
     bench.write_array("pairs.npy", &[24, 2], &shifts);
     bench.output(&["body", "project", "s.toml", "--design", "pairs.npy", "--out", "c.npy"]);
     assert_eq!(bench.array("c.npy").1, shifts);
 }
 
-/// What a trial does not move a projection does not move; a panel that no trial can have is refused by `draw`, too.
+/// Projections do not move frozen units. `draw` also refuses a panel that no trial can have.
 #[test]
 fn what_is_frozen_stays_and_what_cannot_be_is_not_drawn() {
     let bench = Bench::new();
@@ -115,7 +115,7 @@ fn what_is_frozen_stays_and_what_cannot_be_is_not_drawn() {
         let said = String::from_utf8_lossy(&refused.stderr);
         assert!(refused.status.code() == Some(2) && said.contains("20"), "{said}");
     }
-    // what moves has nothing to do with a drawing
+    // ties do not affect drawings
     let ties = "sweep.\"optimise.tie\"=[[1, 1], [2, 2]]";
     bench.output(&["body", "draw", "s.toml", ties, "--out", "d.svg"]);
     let refused =
@@ -123,7 +123,7 @@ fn what_is_frozen_stays_and_what_cannot_be_is_not_drawn() {
     assert_eq!(refused.status.code(), Some(2), "{}", String::from_utf8_lossy(&refused.stderr));
 }
 
-/// Of a sweep over bodies the trial says which; without a hash only where all its trials have one body.
+/// In a sweep over bodies, a hash selects the body; without one, all trials must have the same body.
 #[test]
 fn the_body_is_that_of_the_trial() {
     let bench = Bench::new();
@@ -148,12 +148,12 @@ fn the_body_is_that_of_the_trial() {
     }
     let refused = bench.metasense(&["body", "draw", "s.toml", "zz", "--out", "c.svg"]);
     assert_eq!(refused.status.code(), Some(2), "{}", String::from_utf8_lossy(&refused.stderr));
-    // Seeds and sensors do not make another body.
+    // Seeds and sensors do not change the body.
     bench.file("s.toml", &(small("") + "seeds = [1, 2]\n"));
     bench.output(&["body", "draw", "s.toml", "--out", "a.svg"]);
 }
 
-/// A drawing is SVG, and is not written under another name.
+/// A drawing is SVG; other extensions are refused.
 #[test]
 fn a_drawing_of_another_kind_is_refused() {
     let bench = Bench::new();
@@ -167,7 +167,7 @@ fn a_drawing_of_another_kind_is_refused() {
     }
 }
 
-/// A spec may start from a seeded random design or from a file; the trial's hash covers what the file holds.
+/// A spec may start from a seeded random design or from a file, whose contents are part of the trial's hash.
 #[test]
 fn a_spec_starts_from_the_design_that_it_names() {
     let bench = Bench::new();
@@ -189,7 +189,7 @@ fn a_spec_starts_from_the_design_that_it_names() {
     let axis = small("")
         .replace("sensors = [1]", "sensors = [1]\n\"body.design\" = [{ random = 1 }, { random = 2 }]");
     assert_eq!(hash(&axis), one);
-    // and so may the body to which noise is relative; where there is none, it is no part of a trial either
+    // likewise the body to which noise is relative; without noise it is not part of the trial
     let noisy = |noise: &str, of: &str| {
         let sensors = format!("[sensors]\nnoise = {noise}\n{of}\n[sweep]");
         hash(&small("").replace("[sweep]", &sensors))
@@ -197,7 +197,7 @@ fn a_spec_starts_from_the_design_that_it_names() {
     let of_file = noisy("0.03", "relative_to = \"a.npy\"");
     assert_eq!(of_file, noisy("0.03", "relative_to = \"b.npy\""));
     assert_ne!(of_file, noisy("0.03", ""));
-    // from the folder of the spec that names it
+    // relative to the folder of the spec that names it
     std::fs::create_dir(bench.path("sub")).unwrap();
     std::fs::rename(bench.path("b.npy"), bench.path("sub/b.npy")).unwrap();
     let sensors = "[sensors]\nnoise = 0.03\nrelative_to = \"b.npy\"\n[sweep]";
@@ -208,7 +208,7 @@ fn a_spec_starts_from_the_design_that_it_names() {
     }
 }
 
-/// Exit code 2 with file, key and every broken constraint, before anything starts.
+/// Exit code 2 with file, key and every violated constraint, before anything starts.
 #[test]
 fn a_design_that_cannot_be_cast_is_refused_with_the_list() {
     let bench = Bench::new();

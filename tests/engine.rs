@@ -1,4 +1,4 @@
-//! Nothing lost, nothing left behind: real processes, real signals, and the database compared row for row.
+//! Nothing is lost or left behind: real processes, real signals, and databases compared row by row.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -12,7 +12,7 @@ use crate::common::roll::{self, Roll};
 use crate::common::skip;
 use metasense::link::SHARED_MEMORY;
 
-/// A run of `metasense-bench engine` on a database, in a process of its own. Dropped, it is killed.
+/// A run of `metasense-bench engine` on a database in its own process; dropping it kills the process.
 struct Run {
     child: Child,
     db: PathBuf,
@@ -31,7 +31,7 @@ impl Run {
         Self { child, db: db.to_owned() }
     }
 
-    /// To the end; the exit code.
+    /// Waits for the end; returns the exit code.
     fn wait(&mut self) -> Option<i32> {
         let ended = eventually(Duration::from_secs(60), || self.child.try_wait().unwrap());
         ended.expect("the run ends within a minute").code()
@@ -41,7 +41,7 @@ impl Run {
         kill(self.child.id(), signal);
     }
 
-    /// Worker processes that live.
+    /// Living worker processes.
     fn workers(&self) -> Vec<u32> {
         children(self.child.id())
     }
@@ -52,14 +52,14 @@ impl Run {
             .expect("workers start within 20 s")
     }
 
-    /// Names in shared memory of all runs on this database, as its log has them.
+    /// Names in shared memory of all runs on this database, from its log.
     fn places(&self) -> Vec<String> {
         let log = std::fs::read_to_string(self.db.with_extension("log")).unwrap_or_default();
         let names = log.lines().filter_map(|line| line.split_once("place=")).map(|(_, rest)| rest);
         names.map(|rest| rest.split_whitespace().next().unwrap().trim_matches('"').to_owned()).collect()
     }
 
-    /// What of those is still there.
+    /// Those of these names that still exist.
     fn leftovers(&self) -> Vec<String> {
         let places = self.places();
         assert!(!places.is_empty(), "the log names no place");
@@ -76,7 +76,7 @@ impl Drop for Run {
     }
 }
 
-/// Everything that a run's result is: all but times and attempts.
+/// All results of a run except times and attempts.
 fn results(db: &Path) -> Vec<String> {
     [
         "SELECT hash, state, reason, error_initial, error_optimised, holdout_error_initial, holdout_error_optimised,
@@ -96,7 +96,7 @@ fn results(db: &Path) -> Vec<String> {
 
 const SWEEP: &str = "--trials 24 --steps 12 --step-ms 8 --array 3000 --workers 2";
 
-/// The database of the same sweep, never disturbed.
+/// Results of the same sweep without disturbance.
 fn undisturbed(folder: &Path) -> Vec<String> {
     let mut run = Run::start(&folder.join("undisturbed.sqlite"), SWEEP);
     assert_eq!(run.wait(), Some(0));
@@ -104,8 +104,8 @@ fn undisturbed(folder: &Path) -> Vec<String> {
     results(&run.db)
 }
 
-/// Fifty kills (`KILLS=N` for more, `KILL_SEED=N` for the same): of a worker, of the orchestrator, or of all at once, at
-/// random moments, until the sweep is done.
+/// Fifty kills (`KILLS=N` for more, `KILL_SEED=N` to repeat) of a worker, the orchestrator, or all processes, at random moments
+/// until the sweep is done.
 #[test]
 fn fifty_kills_at_random_moments_leave_the_results_of_an_undisturbed_run() {
     let folder = tempfile::tempdir().unwrap();
@@ -154,7 +154,7 @@ fn fifty_kills_at_random_moments_leave_the_results_of_an_undisturbed_run() {
     println!("{kills} kills in {sweeps} sweeps");
 }
 
-/// SIGINT and SIGTERM: the steps in progress are finished and recorded, nothing stays, and the same command goes on.
+/// SIGINT and SIGTERM: the steps in progress are finished and recorded, nothing is left behind, and the same command resumes.
 #[test]
 fn a_stop_on_request_keeps_every_step_and_leaves_nothing_behind() {
     let folder = tempfile::tempdir().unwrap();
@@ -180,7 +180,7 @@ fn a_stop_on_request_keeps_every_step_and_leaves_nothing_behind() {
         if name != "twice" {
             let open = rows(&db, "SELECT reason FROM attempt WHERE state = 'failed'");
             assert!(open.iter().all(|row| row == r#"["stopped"]"#), "{name}: {open:?}");
-            // The step in progress was finished: no step is done twice.
+            // The step in progress was finished: no step occurs twice.
             let repeated = "SELECT a.trial_id FROM attempt a GROUP BY a.trial_id
                 HAVING sum(a.steps) <> (SELECT count(*) FROM step p WHERE p.trial_id = a.trial_id)";
             assert_eq!(rows(&db, repeated), [""; 0], "{name}");
@@ -190,7 +190,7 @@ fn a_stop_on_request_keeps_every_step_and_leaves_nothing_behind() {
     }
 }
 
-/// Steps that end within the grace of a stop are kept; what takes longer is ended with it, and nobody waits for it after a second one.
+/// Steps that end within the grace time of a stop are kept; longer steps are abandoned, and a second stop does not wait.
 #[test]
 fn a_stop_waits_for_a_step_as_long_as_it_says() {
     let folder = tempfile::tempdir().unwrap();
@@ -216,7 +216,7 @@ fn a_stop_waits_for_a_step_as_long_as_it_says() {
     }
 }
 
-/// SIGINT and SIGTERM before the first trial: exit code 4, and nothing of the sweep is half recorded.
+/// SIGINT and SIGTERM before the first trial: exit code 4, and the sweep is not recorded partly.
 #[test]
 fn a_stop_while_a_large_sweep_is_recorded_ends_in_order() {
     let folder = tempfile::tempdir().unwrap();
@@ -234,7 +234,7 @@ fn a_stop_while_a_large_sweep_is_recorded_ends_in_order() {
     }
 }
 
-/// Reasons have names, and follow from what happened; beside them stands what was said.
+/// The database contains the reason of each failure by name, with its message.
 #[test]
 fn what_ends_an_attempt_stands_in_the_database_by_name() {
     let folder = tempfile::tempdir().unwrap();
@@ -253,7 +253,7 @@ fn what_ends_an_attempt_stands_in_the_database_by_name() {
         assert_eq!(rows(&db, "SELECT reason FROM attempt ORDER BY number"), expected, "{name}");
         assert_eq!(rows(&db, "SELECT state, reason FROM trial"), [format!(r#"["failed","{reason}"]"#)]);
         assert_eq!(run.leftovers(), [""; 0], "{name}");
-        // in words, each attempt's; and what its worker had to say stands before
+        // the message of each attempt, after the messages of its worker
         let errors = rows(&db, "SELECT text FROM v_log WHERE level = 'error' ORDER BY attempt");
         assert_eq!(errors, vec![format!(r#"["{reason}{detail}"]"#); attempts], "{name}");
         if name == "die" {
@@ -263,7 +263,7 @@ fn what_ends_an_attempt_stands_in_the_database_by_name() {
     }
 }
 
-/// A machine on which every trial dies ends the run before it has used the trials up.
+/// If every trial dies on a machine, the run ends before the trials' retries are used up.
 #[test]
 fn ten_deaths_one_after_the_other_end_the_run_and_fail_no_trial() {
     let folder = tempfile::tempdir().unwrap();
@@ -276,7 +276,7 @@ fn ten_deaths_one_after_the_other_end_the_run_and_fail_no_trial() {
     assert_eq!(run.leftovers(), [""; 0]);
 }
 
-/// A shortage of the machine is charged to no trial: they are tried again, ever later, and stay pending when the run ends for it.
+/// A shortage of the machine fails no trial: trials are retried at growing intervals, and stay pending when the run ends for it.
 #[test]
 fn a_shortage_ends_the_run_and_fails_no_trial() {
     let folder = tempfile::tempdir().unwrap();
@@ -291,7 +291,7 @@ fn a_shortage_ends_the_run_and_fails_no_trial() {
     assert_eq!(Run::start(&db, "--trials 3 --workers 2").wait(), Some(0), "the same run goes on");
 }
 
-/// Results that do not fit into what is left of shared memory, of which the run has one of its own here.
+/// Results that do not fit into shared memory; the run has its own, small one.
 #[test]
 fn a_full_shared_memory_is_a_reason_of_its_own() {
     if !rustix::process::geteuid().is_root()
@@ -316,7 +316,7 @@ fn a_full_shared_memory_is_a_reason_of_its_own() {
     assert!(said.iter().any(|line| line.contains("making room failed")), "{said:?}");
 }
 
-/// A death is seen, and its worker replaced, in less than a second.
+/// A death is detected and its worker replaced in less than a second.
 #[test]
 fn a_dead_worker_is_replaced_within_a_second() {
     let folder = tempfile::tempdir().unwrap();
@@ -327,7 +327,7 @@ fn a_dead_worker_is_replaced_within_a_second() {
     assert!(eventually(Duration::from_secs(1), another).is_some(), "no new worker after a second");
 }
 
-/// What a worker killed between `shm_open` and `ftruncate` leaves would hang iceoryx2's own clean-up.
+/// The file of a worker killed between `shm_open` and `ftruncate` would hang iceoryx2's own clean-up.
 #[test]
 fn an_empty_connection_file_of_a_killed_worker_is_in_nobodys_way() {
     let folder = tempfile::tempdir().unwrap();
@@ -349,7 +349,7 @@ fn an_empty_connection_file_of_a_killed_worker_is_in_nobodys_way() {
     assert_eq!(run.leftovers(), [""; 0]);
 }
 
-/// A worker that stops reading and beating, without dying, is ended by its deadline.
+/// A worker that neither reads nor sends heartbeats, but lives, is killed at its deadline.
 #[test]
 fn a_stopped_worker_is_ended_by_its_deadline() {
     let folder = tempfile::tempdir().unwrap();
@@ -363,14 +363,14 @@ fn a_stopped_worker_is_ended_by_its_deadline() {
     assert_eq!(reasons, [r#"["no_progress"]"#]);
 }
 
-/// The run is stopped (SIGSTOP, a debugger, a suspended machine) for longer than any silence may last, alone or with its
-/// workers: nobody is taken for dead, and nothing is done twice.
+/// The run is stopped (SIGSTOP, a debugger, a suspended machine) for longer than the silence limit, with or without its workers: no
+/// worker counts as dead, and no step is repeated.
 #[test]
 fn a_run_that_was_stopped_ends_no_worker_on_waking() {
     let folder = tempfile::tempdir().unwrap();
     for with_workers in [false, true] {
         let db = folder.path().join(format!("stopped-{with_workers}.sqlite"));
-        // More than a second: what goes by between two looks counts up to that.
+        // More than a second, the maximum that one interval between checks counts for.
         let sweep = "--trials 4 --steps 100 --step-ms 20 --workers 2 --no-progress-ms 1500";
         let mut run = Run::start(&db, sweep);
         let workers = run.some_workers(2);
@@ -382,7 +382,7 @@ fn a_run_that_was_stopped_ends_no_worker_on_waking() {
         std::thread::sleep(Duration::from_millis(2500));
         run.signal(libc::SIGCONT);
         if with_workers {
-            // They come after it, as processes do.
+            // Workers stop after the run.
             std::thread::sleep(Duration::from_millis(200));
         }
         stopped.iter().for_each(|pid| kill(*pid, libc::SIGCONT));
@@ -392,7 +392,7 @@ fn a_run_that_was_stopped_ends_no_worker_on_waking() {
     }
 }
 
-/// Segments and directories of runs that are gone disappear with the next run; those of living runs stay.
+/// The next run removes segments and directories of dead runs, but not of living runs.
 #[test]
 fn leftovers_of_dead_runs_are_removed_and_living_runs_are_not() {
     let shared = Path::new(SHARED_MEMORY);
@@ -420,7 +420,7 @@ fn leftovers_of_dead_runs_are_removed_and_living_runs_are_not() {
     fs::remove_dir_all(shared.join(&alive)).unwrap();
 }
 
-/// Another user's leftovers cannot be removed, and are in nobody's way. Only root can be two users.
+/// Leftovers of another user cannot be removed, but do not block a run. Only root can act as two users.
 #[test]
 fn a_stale_run_of_another_user_is_in_nobodys_way() {
     if !rustix::process::geteuid().is_root() {
@@ -433,7 +433,7 @@ fn a_stale_run_of_another_user_is_in_nobodys_way() {
     fs::write(shared.join(&id).join("lock"), "").unwrap();
     let segment = shared.join(format!("{id}_0.1_1.connection"));
     fs::write(&segment, "").unwrap();
-    // Other tests of this binary run as root at the same time, and would remove it.
+    // Locked, because other tests of this binary run as root and would remove it.
     let lock = fs::File::open(shared.join(&id).join("lock")).unwrap();
     lock.lock().unwrap();
 
@@ -455,7 +455,7 @@ fn a_stale_run_of_another_user_is_in_nobodys_way() {
     fs::remove_dir_all(shared.join(&id)).unwrap();
 }
 
-/// A worker of another build ends at once, with a code of its own, and touches nothing.
+/// A worker of another build ends at once with its own exit code and changes nothing.
 #[test]
 fn a_worker_of_another_build_does_not_connect() {
     let start = r#"{"root": "/nowhere", "prefix": "x_", "build": "another", "parent": 1, "niceness": 0, "memory_mib": null, "simd": "baseline"}"#;
@@ -464,7 +464,7 @@ fn a_worker_of_another_build_does_not_connect() {
     assert!(String::from_utf8_lossy(&ended.stderr).contains("build another"), "{ended:?}");
 }
 
-/// The writer is alone, but readers are many: neither sees a lock error.
+/// One writer and many readers: neither gets a lock error.
 #[test]
 fn a_reader_that_queries_all_the_time_meets_no_lock() {
     let folder = tempfile::tempdir().unwrap();
@@ -480,7 +480,7 @@ fn a_reader_that_queries_all_the_time_meets_no_lock() {
     assert_eq!(rows(&run.db, "SELECT count(*) FROM trial WHERE state = 'done'"), ["[120]"]);
 }
 
-/// A disk that takes no more (here: a limit on file sizes): exit code 3, a message, and nothing half written.
+/// A full disk (here: a limit on file sizes): exit code 3, a message, and nothing is partly written.
 #[test]
 fn a_full_disk_ends_the_run_in_order_and_room_lets_it_go_on() {
     let folder = tempfile::tempdir().unwrap();
@@ -499,7 +499,7 @@ fn a_full_disk_ends_the_run_in_order_and_room_lets_it_go_on() {
     assert_eq!(rows(&db, "PRAGMA integrity_check"), [r#"["ok"]"#]);
     assert_eq!(Run::start(&db, sweep).wait(), Some(0));
     assert_eq!(rows(&db, "SELECT count(*) FROM trial WHERE state = 'done'"), ["[600]"]);
-    // the same limit, met by a worker: the machine's, not the trial's
+    // a worker at the same limit: the shortage is the machine's, not the trial's
     let db = folder.path().join("large.sqlite");
     let large = format!("--trials 1 --workers 1 --retries 1 --array 300000 --db {}", db.display());
     let command = format!("ulimit -f 9000; exec {} engine {large}", env!("CARGO_BIN_EXE_metasense-bench"));
@@ -510,7 +510,7 @@ fn a_full_disk_ends_the_run_in_order_and_room_lets_it_go_on() {
     assert!(said.iter().any(|line| line.contains("ulimit -f")), "{said:?}");
 }
 
-/// Whether a process is a worker that lost its parent to this test.
+/// Whether a process is a worker that this test has orphaned.
 fn is_metasense(pid: u32) -> bool {
     fs::read_to_string(format!("/proc/{pid}/cmdline")).is_ok_and(|line| line.contains("\0worker\0"))
 }

@@ -40,15 +40,15 @@ sensors = [1]
 const RECORDS: usize = 12;
 const INSTANTS: usize = 40;
 
-/// A value of a CSV by its column's name, in the row that begins so.
+/// A value of a CSV by its column's name, in the row with this beginning.
 fn value(csv: &str, row: &str, column: &str) -> Option<f64> {
     let at = csv.lines().next().unwrap().split(',').position(|name| name == column).unwrap();
     let line = csv.lines().find(|line| line.starts_with(row)).unwrap_or_else(|| panic!("{row}\n{csv}"));
     line.split(',').nth(at).unwrap().parse().ok()
 }
 
-/// Two bodies under twelve blows, simulated; a chip that is bad on one (a CSV a record, in m/s² and degrees) and good on
-/// the other (an array); the files that describe them. Returns the trial's hash.
+/// Simulated records of two bodies under twelve blows, and the files that describe them. One body has a bad chip (a CSV per record,
+/// in m/s² and degrees), the other a good chip (an array). Returns the trial's hash.
 fn bench() -> (Bench, String) {
     let bench = Bench::new();
     bench.file("s.toml", SPEC);
@@ -113,8 +113,8 @@ fn bench() -> (Bench, String) {
     (bench, hash)
 }
 
-/// The body whose chip is good is read better, by far; the numbers do not depend on the number of threads; the model of
-/// the body agrees with signals that hardly differ from it.
+/// The body with the good chip has much smaller errors; numbers do not depend on the number of threads; the body's model agrees
+/// with signals that hardly differ from it.
 #[test]
 fn the_body_that_is_truly_better_is_found_so() {
     let (bench, hash) = bench();
@@ -139,7 +139,7 @@ fn the_body_that_is_truly_better_is_found_so() {
     assert!(near < 3.0 && (60.0..110.0).contains(&far), "{near} {far}");
     assert_eq!(value(&csv, "other,measured", "records"), Some(RECORDS as f64));
 
-    // the same by linear brains
+    // the same with linear decoders
     let linear = |more: &[&str]| {
         let bodies = ["--records", "initial=bad.toml", "--records", "other=good.toml"];
         bench.output(
@@ -175,7 +175,7 @@ fn the_body_that_is_truly_better_is_found_so() {
     assert!(known.len() == RECORDS && (mean / good - 1.0).abs() < 1e-5, "{mean} {good}");
 }
 
-/// A trial from its database, signals as its export wrote them: they are the model's own.
+/// A trial from a database and signals from its export, which are the model's own.
 #[test]
 fn an_export_is_read_back_as_measured() {
     let bench = Bench::new();
@@ -194,7 +194,7 @@ fn an_export_is_read_back_as_measured() {
         bench.file(&format!("{body}.toml"), &text);
         call.extend(["--records".into(), format!("{body}={body}.toml")]);
     }
-    // the optimised body once more, by a design of its own
+    // the trained body again, with its design from a file
     bench.output(&["export", "results/s.sqlite", hash, "--format", "npy", "--out", "o.npy"]);
     call.extend(["--records", "again=optimised.toml", "--design", "again=o.npy"].map(String::from));
     let call: Vec<&str> = call.iter().map(String::as_str).chain(["--format", "csv"]).collect();
@@ -211,7 +211,7 @@ fn an_export_is_read_back_as_measured() {
     assert_eq!(value(&csv, "initial,measured", "records"), Some(12.0));
 }
 
-/// Sensors that a search has placed, which the spec does not name: records are those of their units.
+/// Sensors placed by a search, which the spec does not name: records are those of their units.
 #[test]
 fn a_body_is_read_by_the_sensors_that_it_has() {
     let bench = Bench::new();
@@ -245,7 +245,7 @@ fn a_body_is_read_by_the_sensors_that_it_has() {
     assert!(correlation > 0.9999 && difference < 0.2, "{csv}");
 }
 
-/// What cannot be meant is refused with its argument, or file and key, before anything trains.
+/// Invalid calls are refused with the argument, or file and key, before anything trains.
 #[test]
 fn bad_calls_are_refused() {
     let (bench, hash) = bench();
@@ -298,7 +298,8 @@ fn bad_calls_are_refused() {
     assert!(String::from_utf8_lossy(&output.stderr).contains("no trial begins so"));
 }
 
-/// Killed after every network or two: the same files as in one go, of both bodies; what is kept serves no other command.
+/// Killed after every network or two: the files of both bodies equal those of one uninterrupted call, and the stored progress
+/// serves no other command.
 #[test]
 fn an_evaluation_goes_on_where_it_was_killed() {
     let (bench, _) = bench();
@@ -320,7 +321,7 @@ fn an_evaluation_goes_on_where_it_was_killed() {
     assert!(refused.status.code() == Some(2) && said.contains("again/unfinished.bin"), "{said}");
 }
 
-/// Ctrl-C in the middle of the computation, as soon as the program has seen to it.
+/// Ctrl-C during the computation, once the handler is installed.
 #[test]
 fn commands_that_compute_in_one_piece_end_at_once_on_request() {
     let (bench, hash) = bench();

@@ -1,9 +1,9 @@
-//! `expand` shows what would run, in the order of running; `schema` describes what may be written.
+//! `expand` lists the trials in the order of running; `schema` describes specs.
 
 use crate::common::{Bench, SPEC, TINY, without_cost};
 
-/// Breadth first: each (K, M) of each body has its first placement before any has its second. Hashes are pinned: they
-/// name trials in databases that exist.
+/// Breadth first: each (K, M) of each body has its first placement before any has its second. Hashes are pinned, because they name
+/// trials in existing databases.
 #[test]
 fn trials_come_breadth_first_with_stable_hashes() {
     let bench = Bench::new();
@@ -16,7 +16,7 @@ fn trials_come_breadth_first_with_stable_hashes() {
     assert!(!bench.path("results").exists(), "expand wrote something");
 }
 
-/// Two placements a seed, no two seeds' the same: the trials that a grid of four placements has there.
+/// Two placements per seed, different for each seed: the trials that a grid of four placements has there.
 #[test]
 fn seeds_may_have_placements_of_their_own() {
     let bench = Bench::new();
@@ -35,7 +35,7 @@ fn seeds_may_have_placements_of_their_own() {
     assert_eq!((own.len(), own), (8, grid));
 }
 
-/// A mixture of forces is hundreds of characters: whole for machines, its beginning for people.
+/// A mixture of forces has hundreds of characters: complete for programs, only its beginning in tables.
 #[test]
 fn long_values_are_cut_where_people_read() {
     let bench = Bench::new();
@@ -51,7 +51,7 @@ fn long_values_are_cut_where_people_read() {
     assert!(!csv.contains("…") && csv.matches("amplitude").count() == 2, "{csv}");
 }
 
-/// Keys at their defaults, and what can be said in two ways, change no hash; what a trial is not does not either.
+/// Explicit defaults and equivalent notations change no hash; neither do keys that the trial does not use.
 #[test]
 fn the_same_trial_said_differently_has_the_same_hash() {
     let bench = Bench::new();
@@ -109,7 +109,7 @@ fn the_same_trial_said_differently_has_the_same_hash() {
     );
 }
 
-/// Points are multiplied with the lists, points slowest; what says the same by lists has the same trials.
+/// Points are multiplied with the lists and vary slowest; equivalent lists give the same trials.
 #[test]
 fn linked_values_multiply_with_the_lists() {
     let bench = Bench::new();
@@ -132,7 +132,7 @@ fn linked_values_multiply_with_the_lists() {
     let excluded = "sensors = [1, 2]\npanels = [2, 4]\n\"body.columns\" = [6, 8]\n\
                     exclude = [{ panels = 2, \"body.columns\" = 8 }, { panels = 4, \"body.columns\" = 6 }]\n";
     assert_eq!(rows(excluded), linked);
-    // a point that leaves a key out has the spec's own value, and an entry of exclude that names it does not mean it
+    // a point without a key has the spec's value, and `exclude` entries with this key do not match it
     let some = rows(
         "panels = [2]\nsensors = [1]\n\"brain.iterations\" = [10, 20]\n\
          points = [{}, { \"body.columns\" = 8 }]\nexclude = [{ \"body.columns\" = 8, \"brain.iterations\" = 20 }]\n",
@@ -140,7 +140,7 @@ fn linked_values_multiply_with_the_lists() {
     assert_eq!(shown(&some), ["2 1 36 6", "2 1 36 6", "2 1 48 8"]);
 }
 
-/// Only a trial that is not named at all is the first one.
+/// The first trial is the default only without any hash.
 #[test]
 fn a_hash_that_names_no_one_trial_is_refused() {
     let bench = Bench::new();
@@ -153,7 +153,7 @@ fn a_hash_that_names_no_one_trial_is_refused() {
     }
 }
 
-/// The hashes of every committed spec's trials, whatever the spec gains: they name trials in databases that exist.
+/// Hashes of all committed specs' trials stay the same, because they name trials in existing databases.
 #[test]
 fn committed_specs_keep_their_hashes() {
     let bench = Bench::new();
@@ -212,7 +212,7 @@ fn committed_specs_keep_their_hashes() {
     ");
 }
 
-/// Every spec that is committed, and with it every figure's, stands for trials that can be had.
+/// Every committed spec, and with it that of every figure, expands into valid trials.
 #[test]
 fn every_committed_spec_expands() {
     let bench = Bench::new();
@@ -270,7 +270,7 @@ fn the_schema_knows_every_table() {
     }
 }
 
-/// Forty trials whose estimates differ manifold, some thirteen a shard: the longest has 1.15 times the mean at most.
+/// Forty trials with very different estimates, about thirteen per shard: the longest shard has at most 1.15 times the mean.
 #[test]
 fn shards_are_dealt_by_cost() {
     let bench = Bench::new();
@@ -285,7 +285,7 @@ fn shards_are_dealt_by_cost() {
         csv.lines().skip(1).map(row).collect()
     };
     let shards: Vec<_> = ["1/3", "2/3", "3/3"].iter().map(|shard| rows(&["--shard", shard])).collect();
-    // by one process's measure of this machine, which other work changes
+    // costs from one process, because the measured speed varies with the machine's load
     let cost: std::collections::BTreeMap<String, f64> = rows(&[]).into_iter().collect();
     let costs: Vec<f64> = shards.iter().map(|rows| rows.iter().map(|row| cost[&row.0]).sum()).collect();
     let mean = costs.iter().sum::<f64>() / 3.0;
@@ -293,7 +293,7 @@ fn shards_are_dealt_by_cost() {
     assert_eq!(shards.iter().map(Vec::len).sum::<usize>(), rows(&[]).len());
 }
 
-/// Mass and natural frequencies are said; a body that weighs 10¹¹ times as much, or that is as stiff, is warned of.
+/// Mass and natural frequencies are printed; 10¹¹ times the mass or stiffness gives a warning.
 #[test]
 fn a_body_that_cannot_be_meant_is_warned_of() {
     let bench = Bench::new();

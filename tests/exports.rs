@@ -1,4 +1,4 @@
-//! Each form of export is read back by a reader that is not ours.
+//! Each export format is read back by an independent reader.
 
 use std::path::Path;
 use std::process::Command;
@@ -15,7 +15,7 @@ fn export(db: &Path, what: &str, format: &str, out: &Path) {
     assert!(run.status.success(), "{what} {format}: {}", String::from_utf8_lossy(&run.stderr));
 }
 
-/// numpy, pyarrow, ezdxf, trimesh and onnxruntime where Python has them; the arrays by npyz wherever the test runs.
+/// numpy, pyarrow, ezdxf, trimesh and onnxruntime if Python has them; arrays are always read by npyz.
 #[test]
 fn what_is_exported_is_read_back_by_others() {
     let folder = tempfile::tempdir().unwrap();
@@ -34,7 +34,7 @@ fn what_is_exported_is_read_back_by_others() {
         .unwrap();
     assert!(asked.stdout == std::fs::read(file("v.parquet")).unwrap(), "query and export differ");
 
-    // More rows than a group holds, and a column that turns out to be one of texts.
+    // More rows than a row group has, and a column in which a text appears late.
     let many = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 70000)
         SELECT i, 0.5 * i AS half, CASE i WHEN 70000 THEN 'much' ELSE i END AS either, NULL AS none FROM n";
     let asked = Command::new(env!("CARGO_BIN_EXE_metasense"))
@@ -75,7 +75,7 @@ fn what_is_exported_is_read_back_by_others() {
     }
 }
 
-/// Names and shapes of the arrays of an archive.
+/// Names and shapes of an archive's arrays.
 fn npz_arrays(bytes: &[u8]) -> Vec<(String, Vec<u64>)> {
     let mut zip = zip::ZipArchive::new(std::io::Cursor::new(bytes)).unwrap();
     let files = zip.len();
@@ -87,7 +87,7 @@ fn npz_arrays(bytes: &[u8]) -> Vec<(String, Vec<u64>)> {
     (0..files).map(&mut array).collect()
 }
 
-/// Whether there is an ONNX Runtime; a graph then says in it what the trial's brain said.
+/// Whether ONNX Runtime is installed; if so, checks that a graph gives the trial's predictions.
 fn in_onnxruntime(folder: &Path) -> bool {
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/onnx.py");
     match Command::new("python3").args(["-c", "import numpy, onnxruntime"]).output() {
@@ -98,16 +98,16 @@ fn in_onnxruntime(folder: &Path) -> bool {
     true
 }
 
-/// Compiles an exported brain with its test, with nothing to warn of, and runs it: whether it says what the trial's brain says.
-/// What C leaves undefined ends it, by compilers that have a sanitizer.
+/// Compiles an exported decoder with its test, without warnings, and runs it. Returns whether it gives the trial's predictions.
+/// With a sanitizer, undefined behaviour is a failure.
 fn holds(compiler: &str, source: &str, folder: &Path) -> (bool, String) {
-    // gcc warns of some things only where it optimises
+    // gcc finds some problems only when it optimises
     let level = if compiler == "clang" { "-O1" } else { "-O2" };
     let strict = [level, "-Wall", "-Wextra", "-pedantic", "-Werror"].into_iter();
     compiled(compiler, strict.chain(SANITIZED.into_iter().filter(|_| compiler != "cc")), source, folder)
 }
 
-/// The same by any options.
+/// The same with any options.
 fn compiled<'a>(
     compiler: &str,
     options: impl Iterator<Item = &'a str>,
@@ -126,7 +126,7 @@ fn compiled<'a>(
 
 const SANITIZED: [&str; 2] = ["-fsanitize=undefined", "-fno-sanitize-recover=all"];
 
-/// Whether there is a compiler, and its sanitizer.
+/// Whether the compiler and its sanitizer are installed.
 fn sanitizes(compiler: &str, folder: &Path) -> bool {
     let (file, program) = (folder.join("none.c"), folder.join("none"));
     std::fs::write(&file, "int main(void) { return 0; }\n").unwrap();
@@ -134,13 +134,13 @@ fn sanitizes(compiler: &str, folder: &Path) -> bool {
     built.is_ok_and(|run| run.status.success())
 }
 
-/// What stands in a text between two others.
+/// The text between two others.
 pub fn between<'a>(text: &'a str, before: &str, after: &str) -> &'a str {
     let text = text.split_once(before).unwrap_or_else(|| panic!("no `{before}` in {text}")).1;
     text.split_once(after).unwrap_or_else(|| panic!("no `{after}` after `{before}`")).0
 }
 
-/// The same with the first number of the last layer's biases another.
+/// The source with another value as the first bias of the last layer.
 fn with_another_bias(source: &str) -> String {
     let last = source.split("#ifdef").next().unwrap().rfind("static const wide B").unwrap();
     let begin = last + source[last..].find("{\n    ").unwrap() + 6;
@@ -149,10 +149,10 @@ fn with_another_bias(source: &str) -> String {
     format!("{}{other}{}", &source[..begin], &source[end..])
 }
 
-/// Bytes of constants and of memory in a compiled brain, by `size` of the device's tools.
+/// Bytes of constants and of memory of a compiled decoder, from the device's `size`.
 fn sections(source: &Path) -> [usize; 2] {
     let object = source.with_extension("o");
-    // as written: optimised, small constants go into the code
+    // unoptimised, because optimisation moves small constants into the code
     device_compiler().args(["-O0", "-c", "-o"]).args([&object, source]).succeed();
     let said = Command::new("arm-none-eabi-size").arg("-A").arg(&object).succeed();
     let of = |section: &str| {
@@ -162,7 +162,7 @@ fn sections(source: &Path) -> [usize; 2] {
     [of(".rodata"), of(".bss")]
 }
 
-/// The compiler of docs/reference/exports.md for a Cortex-M4, with nothing to warn of.
+/// The compiler of docs/reference/exports.md for a Cortex-M4, with warnings as errors.
 fn device_compiler() -> Command {
     let mut compiler = Command::new("arm-none-eabi-gcc");
     compiler.args(["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror"]);
@@ -171,7 +171,7 @@ fn device_compiler() -> Command {
 }
 
 trait Succeed {
-    /// What it says; it is to end well.
+    /// Output of a command that must succeed.
     fn succeed(&mut self) -> String;
 }
 
@@ -183,7 +183,7 @@ impl Succeed for Command {
     }
 }
 
-/// Compiles an exported brain's test for a Cortex-M4, runs it in QEMU and returns what it says; instructions are counted.
+/// Compiles an exported decoder's test for a Cortex-M4, runs it in QEMU with an instruction count, and returns its output.
 fn on_a_cortex_m4(source: &Path) -> String {
     let start = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/cortex-m4/start.c");
     let program = source.with_extension("elf");
@@ -212,10 +212,10 @@ fn there_is(program: &str) -> bool {
     Command::new(program).arg("--version").output().is_ok_and(|run| run.status.success())
 }
 
-/// A linear brain with a memory, one whose far lags share weights, the paper's network, one that is dilated and looks back alone, and
-/// networks on linear brains, as C, in floats and in integers: each says what it said in the trial, reading by reading, floats to a
-/// few parts in 10⁵, integers to the bit; with another bias its own test fails; what is neither is refused. On a Cortex-M4 in QEMU it
-/// says the same, in the constants and the memory that its head states.
+/// Exports these decoders as C, in floats and in integers: linear with a memory, linear with far lags that share weights, the
+/// paper's network, a dilated causal network, and networks on linear decoders. Each gives the trial's predictions, reading by
+/// reading: floats to a few parts in 10⁵, integers to the bit. With another bias its own test fails; other decoders are refused. On
+/// a Cortex-M4 in QEMU the results are the same, with the constants and memory that the file's head states.
 #[test]
 fn a_brain_in_c_says_what_it_said_in_the_trial() {
     let bench = Bench::new();
@@ -268,7 +268,7 @@ fn a_brain_in_c_says_what_it_said_in_the_trial() {
             let source = std::fs::read_to_string(bench.path("b.c")).unwrap();
             let state =
                 |before: &str, after: &str| -> usize { between(&source, before, after).parse().unwrap() };
-            // in turn, so that either form of a brain meets both in every kind of numbers
+            // in turn, so that each kind meets both compilers in every number format
             let compiler =
                 compilers[found.iter().filter(|(other, ..)| other == kind).count() % compilers.len()];
             let (good, said) = holds(compiler, &source, &folder);
@@ -276,7 +276,7 @@ fn a_brain_in_c_says_what_it_said_in_the_trial() {
             let off: Vec<f64> = said.split_whitespace().filter_map(|w| w.parse().ok()).collect();
             assert!(off[0] < 0.05 * off[1], "{what}: {said}");
             assert_eq!(said.contains("sums that differ: 0 of"), more.len() == 2, "{what}: {said}");
-            // compiled as quickly as can be
+            // compiled without optimisation, to save time
             let (passes, _) = compiled("cc", std::iter::empty(), &with_another_bias(&source), &folder);
             assert!(!passes, "{what}, another bias");
             if device {
@@ -311,7 +311,7 @@ fn a_brain_in_c_says_what_it_said_in_the_trial() {
     assert!(refused.status.code() == Some(2) && said.contains("--format c"), "{said}");
 }
 
-/// What is built from a trial: a folder whose brain is the one for all casts, another than that of the body as designed, and holds.
+/// A device is a folder. Its decoder is the one for all casts, which differs from that of the design and passes its test.
 #[test]
 fn a_device_is_a_folder_with_all_that_is_built() {
     let bench = Bench::new();

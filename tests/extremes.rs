@@ -1,5 +1,5 @@
-//! Every number of a spec at its extremes: it is refused by its key, or makes a plan that this machine can hold. Nothing panics, overflows or
-//! asks for memory that is not there.
+//! Every number of a spec at its extremes: it is refused by its key, or gives a plan that this machine can hold. Nothing panics,
+//! overflows or allocates too much.
 
 use std::collections::BTreeSet;
 
@@ -8,7 +8,7 @@ use metasense::plan::{Plan, cost};
 use metasense_schemas::source::{Source, spec_schema};
 use serde_json::Value;
 
-/// Keys of numbers, by the schema of a spec; of lists with how many; and whether the numbers are whole.
+/// Keys of numbers in the schema of a spec, with the number of entries of a list, and whether the numbers are integers.
 fn numbers(node: &Value, root: &Value, path: &str, found: &mut BTreeSet<(String, usize, bool)>) {
     if let Some(name) = node["$ref"].as_str() {
         return numbers(&root["$defs"][name.trim_start_matches("#/$defs/")], root, path, found);
@@ -33,7 +33,7 @@ fn numbers(node: &Value, root: &Value, path: &str, found: &mut BTreeSet<(String,
     }
 }
 
-/// Tables that a spec may have, each whole but for one key.
+/// Optional tables of a spec, each complete except for one key.
 const TABLES: &[(&str, &str)] = &[
     ("body.contact", "body.contact={ cutoff_angle = 5.0, stiffness = 1.0 }"),
     ("variation", "variation.stretch=0.05"),
@@ -47,7 +47,7 @@ const TABLES: &[(&str, &str)] = &[
 
 const VALUES: [&str; 7] = ["0", "1", "-1", "2147483648", "9223372036854775807", "1e-300", "1e300"];
 
-/// Numbers that may be as large as they like: seeds, limits that nothing reaches, and what counts as all there is.
+/// Numbers without an upper limit: seeds, limits that nothing reaches, and counts that are capped at what there is.
 const UNLIMITED: &[&str] = &[
     "body.design.random",
     "evaluation.batch",
@@ -85,7 +85,7 @@ fn every_number_of_a_spec_is_refused_or_can_be_held() {
     assert_eq!(accepted.into_iter().collect::<Vec<_>>(), UNLIMITED);
 }
 
-/// What no machine holds is refused by commands that would begin with it, and by none halfway.
+/// A trial that no machine can hold is refused before any command starts it.
 #[test]
 fn a_trial_that_no_memory_holds_is_refused_before_it_starts() {
     let bench = Bench::new();

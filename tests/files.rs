@@ -1,4 +1,4 @@
-//! The files of a database during a run and for readers: taken away, locked, damaged, read-only.
+//! Files of a database during a run and for readers: removed, locked, damaged, read-only.
 
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
@@ -10,13 +10,13 @@ use crate::common::{Bench, TINY, results};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Executor};
 
-/// A sweep that lasts until somebody ends it.
+/// A sweep that ends only by request.
 fn endless() -> String {
     TINY.replace("iterations = 4\n", "iterations = 100000\nbrain = \"linear\"\n")
         .replace("iterations = 10\nwidth = 16", "kind = \"linear\"")
 }
 
-/// Does something to a database as any other program might.
+/// Executes SQL on a database as another program would.
 pub fn execute(db: &Path, sql: &str) {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
@@ -108,7 +108,7 @@ async fn a_foreign_lock_is_waited_for_and_one_that_stays_ends_the_run() {
     };
     let before = more_than(2).await;
     let mut other = options.clone().busy_timeout(Duration::from_secs(30)).connect().await.unwrap();
-    // shorter than what is waited for
+    // shorter than the wait limit
     for sql in ["BEGIN IMMEDIATE", "ROLLBACK"] {
         other.execute(sql).await.unwrap();
         tokio::time::sleep(Duration::from_millis(200)).await;
@@ -126,7 +126,7 @@ async fn a_foreign_lock_is_waited_for_and_one_that_stays_ends_the_run() {
     other.close().await.unwrap();
 }
 
-/// A trial with a damaged checkpoint is named and begins anew, to the same bits. A damaged array is not exported.
+/// A trial with a damaged checkpoint is named and restarted, with the same bits. A damaged array is not exported.
 #[test]
 fn a_damaged_checkpoint_is_named_and_changes_no_result() {
     let bench = Bench::new();
@@ -135,7 +135,7 @@ fn a_damaged_checkpoint_is_named_and_changes_no_result() {
     let hash = "SELECT hash FROM v_trial";
     let hash =
         bench.output(&["query", "whole.sqlite", hash, "--format", "csv"]).lines().nth(1).unwrap().to_owned();
-    // stopped behind its second step
+    // stopped after its second step
     let mut run =
         begin(&bench, &["run", "tiny.toml", "--db", "cut.sqlite", "sweep.sensors=[1]", "--workers", "1"]);
     until("a checkpoint", || {
@@ -150,7 +150,7 @@ fn a_damaged_checkpoint_is_named_and_changes_no_result() {
     let said = said(&output);
     assert!(output.status.success() && said.contains(&hash[..8]) && said.contains("checksum"), "{said}");
     assert_eq!(results(&bench, "cut.sqlite"), results(&bench, "whole.sqlite"));
-    // and of arrays
+    // damage to arrays
     execute(
         &bench.path("cut.sqlite"),
         "UPDATE artifact SET bytes = zeroblob(length(bytes)) WHERE name = 'alpha_optimised'",
@@ -183,7 +183,7 @@ async fn a_database_that_may_not_be_written_is_read() {
     let bench = Bench::new();
     bench.file("tiny.toml", TINY);
     bench.output(&["run", "tiny.toml", "--db", "new.sqlite", "sweep.sensors=[1]"]);
-    // as a killed run leaves it: the connection is not closed before the files are copied
+    // as after a kill: the files are copied before the connection is closed
     let options = SqliteConnectOptions::new().filename(bench.path("new.sqlite")).disable_statement_logging();
     let mut left = options.connect().await.unwrap();
     left.execute("UPDATE trial SET reason = NULL").await.unwrap();
@@ -199,7 +199,7 @@ async fn a_database_that_may_not_be_written_is_read() {
         }
         std::fs::set_permissions(bench.path(""), PermissionsExt::from_mode(folder)).unwrap();
     };
-    // nothing may be written; or others may write to the folder, where files of theirs would keep the owner out
+    // a read-only folder; or a folder that others may write, where their files would lock out the owner
     for (file, folder) in [(0o444, 0o555), (0o444, 0o777)] {
         mode(file, folder);
         for db in ["new.sqlite", "left.sqlite"] {
@@ -213,14 +213,14 @@ async fn a_database_that_may_not_be_written_is_read() {
             }
         }
         if folder == 0o777 && !rustix::process::geteuid().is_root() {
-            continue; // the owner may, and does
+            continue; // the owner may write
         }
         assert!(bench.files("") == before, "{folder:o}: something was changed");
     }
     mode(0o644, 0o755);
 }
 
-/// A cell that is not JSON is named with its trial. `run` replaces a damaged spec.
+/// The message names a cell that is not JSON, and its trial. `run` replaces a damaged spec.
 #[test]
 fn a_cell_without_json_is_named() {
     let bench = Bench::new();

@@ -1,7 +1,7 @@
-//! Databases and hand-ins that somebody else wrote, or a disk has damaged: an answer or an error, and never a panic.
+//! Databases and hand-ins that other programs wrote or a disk damaged give an answer or an error, never a panic.
 //!
-//! Bytes of the file, or cells of its tables, are replaced; `FOREIGN_SEED=N` does one case again, `FOREIGN_CASES=N` says how
-//! many there are.
+//! The test replaces bytes of the file or cells of its tables. `FOREIGN_SEED=N` repeats one case, `FOREIGN_CASES=N` sets their
+//! number.
 
 use std::panic::AssertUnwindSafe;
 use std::path::Path;
@@ -17,7 +17,7 @@ use metasense_schemas::database::VIEWS;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, Row};
 
-/// Values that columns of any type may come to hold in a file that is not ours.
+/// Values that any column of a foreign file may contain.
 const AWKWARD: &[&str] = &[
     "NULL",
     "-1",
@@ -51,7 +51,7 @@ async fn damage_cells(file: &Path, roll: &mut Roll) -> sqlx::Result<()> {
         let column = &columns[roll.place(columns.len())];
         let (table, name): (&str, &str) = (column.get(0), column.get(1));
         let value = AWKWARD[roll.place(AWKWARD.len())];
-        // What a table's own rules refuse stays as it is.
+        // Constraints of a table may refuse the value.
         let sql = format!("UPDATE {table} SET \"{name}\" = {value}");
         let _ = sqlx::query(AssertSqlSafe(sql)).execute(&mut db).await;
     }
@@ -61,7 +61,7 @@ async fn damage_cells(file: &Path, roll: &mut Roll) -> sqlx::Result<()> {
 fn damage_bytes(file: &Path, roll: &mut Roll) {
     let mut bytes = std::fs::read(file).unwrap();
     for _ in 0..=roll.place(30) {
-        // Half of them where pages say what they hold.
+        // Half of the bytes are in the headers of pages.
         let page = 4096 * roll.place(bytes.len() / 4096);
         let at = if roll.place(2) == 0 { page + roll.place(120) } else { roll.place(bytes.len()) };
         bytes[at] = roll.place(256) as u8;
@@ -72,7 +72,7 @@ fn damage_bytes(file: &Path, roll: &mut Roll) {
     std::fs::write(file, bytes).unwrap();
 }
 
-/// Everything that reads databases, as far as it comes.
+/// Runs all readers of databases, ignoring errors.
 async fn read(folder: &Path, file: &Path, plan: &Plan) {
     let assignment = Assignment::in_folder(folder, &plan.trials, 1);
     let assignment = assignment.unwrap_or_else(|_| Assignment::new(&plan.trials, 1));
@@ -108,11 +108,11 @@ async fn read(folder: &Path, file: &Path, plan: &Plan) {
 fn no_database_makes_a_reader_panic() {
     let seeds: Vec<u64> = match roll::number("FOREIGN_SEED") {
         Some(seed) => vec![seed],
-        // One that made a reader wait for ever: a name that is no text.
+        // 1102: a name that is not text, for which a reader could wait forever.
         None => (0..roll::number("FOREIGN_CASES").unwrap_or(50)).chain([1102]).collect(),
     };
     let whole = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/databases/v15.sqlite");
-    // As tests/upgrade.rs has it.
+    // As in tests/upgrade.rs.
     let then = "[optimise]\nprotocol = \"paper\"\niterations = 100\nlearning_rate = 0.1\n\
                 [solver]\nmethod = \"tsit5\"\ntolerance = 1e-6\n";
     let plan = Plan::new("s.toml", format!("{SPEC}{then}")).unwrap();

@@ -1,18 +1,18 @@
-//! A requirement, from the spec to the design that meets it: most of the sweep is never run, and kills change no decision.
+//! From a requirement to the design that meets it: most of the sweep is never run, and kills change no decision.
 
 use std::time::Duration;
 
 use crate::common::processes::{eventually, kill};
 use crate::common::{Bench, TINY};
 
-/// The sweep in two placements, with a requirement.
+/// The sweep with two placements and a requirement.
 fn spec(goal: &str) -> String {
     TINY.replace("[optimise]\niterations = 4", "[optimise]\niterations = 24")
         + "placements = 2\n[goal]\n"
         + goal
 }
 
-/// The same, read by a linear brain.
+/// The same with a linear decoder.
 fn linear(goal: &str) -> String {
     spec(goal).replace("[brain]\niterations = 10\nwidth = 16", "[brain]\nkind = \"linear\"")
 }
@@ -29,9 +29,9 @@ fn trials(bench: &Bench) -> String {
     bench.output(&["query", "results/tiny.sqlite", sql, "--format", "csv"])
 }
 
-/// Anything is good enough: a first look at both numbers of sensors, then one of the cheaper ones goes on to its end and to
-/// fresh seeds, where noise is what it was; the others stay where they are. Called again nothing is run; stopped by its hours it
-/// goes on to the same end.
+/// Any error meets the requirement. After a first look at both numbers of sensors, a cheaper candidate is trained to its end and
+/// judged on fresh seeds with the same noise; the others stop. A second call runs nothing; a search stopped by its time limit
+/// resumes to the same end.
 #[test]
 fn the_cheapest_design_is_found_and_judged_on_fresh_seeds() {
     let bench = Bench::new();
@@ -68,7 +68,7 @@ fn the_cheapest_design_is_found_and_judged_on_fresh_seeds() {
     assert_eq!((code, &again), (Some(0), &table), "{said}");
     assert_eq!(trials(&bench), found);
 
-    // the report tells it, and takes a judgement on a fresh seed for no trained body
+    // the report contains the search, and does not count a judgement on a fresh seed as a trained body
     bench.output(&["report", "results/tiny.sqlite", "--out", "r.html", "--out-dir", "r"]);
     let text = |name: &str| std::fs::read_to_string(bench.path(name)).unwrap();
     let hashes = |table: &str| -> Vec<String> {
@@ -91,7 +91,7 @@ fn the_cheapest_design_is_found_and_judged_on_fresh_seeds() {
     assert_eq!(trials(&halting), found);
 }
 
-/// Dealt to shards round by round it comes to the same design by the same trials, also when it is stopped on the way.
+/// Shards with rounds find the same design with the same trials, also after a stop.
 #[test]
 fn shards_find_the_design_of_one_run() {
     let bench = Bench::new();
@@ -117,8 +117,8 @@ fn shards_find_the_design_of_one_run() {
     assert_eq!(design(&bench, &[]).1, table);
 }
 
-/// Nothing is good enough: the search ends with code 1, and says by how much the requirement would have to be relaxed. Limits on
-/// the brain leave out trials before they run.
+/// No error meets the requirement: exit code 1, and the nearest requirement that can be met. Limits on the decoder exclude trials
+/// before they run.
 #[test]
 fn what_cannot_be_met_is_said() {
     let bench = Bench::new();
@@ -126,7 +126,7 @@ fn what_cannot_be_met_is_said() {
     let (code, table, said) = design(&bench, &[]);
     assert!(code == Some(1) && !table.contains(",true,"), "{said}");
     assert!(said.contains("no design was confirmed") && said.contains("goal.error = "), "{said}");
-    // of one sensor: 39 lags of 3 signals for 2 forces
+    // one sensor: 39 lags of 3 signals for 2 forces
     bench.file("s.toml", &linear("error = 1e6\noperations = 300\n"));
     let (code, table, said) = design(&bench, &["--db", "few.sqlite"]);
     assert!(code == Some(0) && table.lines().count() == 2, "{table}{said}");
@@ -152,7 +152,7 @@ fn what_cannot_be_met_is_said() {
         code == Some(2) && (least.unwrap().parse::<f64>().unwrap() - bytes / 1e3).abs() < 5e-3,
         "{said}{head}"
     );
-    // 4 × 4 squares of half a diagonal h/cos 25°, h = (15 − 2.25)/2, whose corners are h from their middle lines
+    // 4 × 4 squares with half diagonal h/cos 25°, h = (15 − 2.25)/2, whose corners are h from their centre lines
     let (h, turn) = (6.375, 25f64.to_radians());
     let grams = 16.0 * 4e-8 * 2.0 * (h / turn.cos()).powi(2) * 1e6;
     for (key, least, unit) in [("mass", grams, "g"), ("size", 45.0 + 2.0 * h, "mm")] {

@@ -1,6 +1,6 @@
-//! Shards on a real HyperQueue: a worker killed, a job cancelled, submitted again while shards run; nothing is lost.
+//! Shards on a real HyperQueue: a killed worker, a cancelled job, a second submission during the run; nothing is lost.
 //!
-//! Without `hq` in PATH (a program of one file, from its releases or `cargo build --bin hq`) it says so and passes.
+//! Skipped if `hq` is not in PATH (one file, from its releases or `cargo build --bin hq`).
 
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use crate::common::skip;
 use crate::common::{Bench, TINY, results};
 
-/// A server with its folder, and what was started; dropped, all of it ends.
+/// A server with its folder and processes; dropping it ends them.
 struct Site {
     bench: Bench,
     started: Vec<Child>,
@@ -51,7 +51,7 @@ impl Site {
         self.command("hq").args(arguments.split(' ')).output().unwrap()
     }
 
-    /// What a call says that must end with code 0.
+    /// Output of a call that must end with exit code 0.
     fn says(&self, arguments: &str) -> String {
         let output =
             self.command(env!("CARGO_BIN_EXE_metasense")).args(arguments.split(' ')).output().unwrap();
@@ -75,7 +75,7 @@ impl Site {
         }
     }
 
-    /// How often shards have begun to run, by their logs.
+    /// Number of starts of shards in their logs.
     fn begun(&self) -> usize {
         (1..=2).map(|i| self.log(i).matches("worker started").count()).sum()
     }
@@ -99,14 +99,14 @@ impl Drop for Site {
 #[test]
 fn shards_survive_their_worker_and_are_not_submitted_twice() {
     let Some(mut site) = Site::new() else { return };
-    // Some seconds a shard.
+    // Several seconds per shard.
     let text = TINY.replace("iterations = 4\n", "iterations = 300\n") + "seeds = [1, 2]\n";
     site.bench.file("tiny.toml", &text);
     site.says("run tiny.toml --db whole.sqlite");
     let submitted = site.says("cluster submit hq tiny.toml --shards 2 --cpus 1 --time 10");
     assert_eq!(submitted.matches("submitted: job").count(), 1, "{submitted}");
 
-    // Waiting, for want of a worker; then running: not again.
+    // Neither waiting for a worker nor running shards are submitted again.
     for state in ["waiting", "running"] {
         let again = site.says("cluster submit hq tiny.toml --cpus 1 --time 10");
         assert!(
@@ -121,14 +121,14 @@ fn shards_survive_their_worker_and_are_not_submitted_twice() {
         }
     }
 
-    // The worker dies; its shards are queued again, and another one runs them.
+    // The worker dies; its shards are queued again, and another worker runs them.
     let mut worker = site.started.pop().unwrap();
     worker.kill().unwrap();
     worker.wait().unwrap();
     site.worker();
     site.until("both shards run again", || site.begun() == 4);
 
-    // Somebody cancels the job; what it had is handed in, or on the node, and the next one goes on.
+    // A cancelled job has handed in its results or left them on the node; the next job resumes.
     site.until("the job is cancelled", || site.hq("job cancel 1").status.success());
     site.until("the queue is empty", || site.says("status --folder").contains("0 in the queue"));
     site.says(
@@ -142,7 +142,7 @@ fn shards_survive_their_worker_and_are_not_submitted_twice() {
     assert!(site.says("cluster submit hq tiny.toml").contains("nothing left to do"));
 }
 
-/// A search whose trials are dealt to jobs round by round ends where one run does; it waits for the queue.
+/// A search with rounds of jobs ends like one run; it waits for the queue.
 #[test]
 fn a_search_in_jobs_is_the_search() {
     let Some(mut site) = Site::new() else { return };

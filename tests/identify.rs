@@ -1,8 +1,8 @@
-//! `identify`: records of a body in, its material out.
+//! `identify`: estimates a body's material from its records.
 
 use crate::common::Bench;
 
-/// A small body whose records are made.
+/// A small body with simulated records.
 pub const SPEC: &str = r#"name = "i"
 [body]
 columns = 3
@@ -24,7 +24,7 @@ panels = [2]
 sensors = [1]
 "#;
 
-/// Ligament by ligament: what made the records, and what the fit starts from.
+/// Material of the records; SPEC is the start of the fit.
 const TRUE: [f64; 5] = [3.3, 0.42, 1.15, 0.04, 1.15e-8];
 
 fn hash(bench: &Bench, spec: &str) -> String {
@@ -34,7 +34,7 @@ fn hash(bench: &Bench, spec: &str) -> String {
     lines.next().and_then(|mut row| row.nth(at)).unwrap().to_owned()
 }
 
-/// The spec of a body of another stretch, shear, bend, damping and density.
+/// The spec with another stretch, shear, bend, damping and density.
 pub fn made_of(spec: &str, [stretch, shear, bend, damping, density]: [f64; 5]) -> String {
     spec.replace(
         "stretch = 3.0, shear = 0.5, bend = 1.0",
@@ -44,8 +44,8 @@ pub fn made_of(spec: &str, [stretch, shear, bend, damping, density]: [f64; 5]) -
     .replace("0.03", &damping.to_string())
 }
 
-/// Three blows on both panels, and what the body of `TRUE` gives under them, 2 % of noise added; told by two files: the arrays
-/// as `simulate` writes them, and a CSV of one record whose signals have a clock ten times as fine, and other units.
+/// Simulated records of the body of `TRUE` under three blows on both panels, with 2 % of noise, in two forms: arrays as from
+/// `simulate`, and a CSV of one record with ten times the rate and other units.
 pub fn bench() -> Bench {
     let bench = Bench::new();
     bench.file("s.toml", SPEC);
@@ -66,7 +66,7 @@ pub fn bench() -> Bench {
         let bytes = std::fs::read(bench.path(&format!("{out}/signals.npy"))).unwrap();
         npyz::NpyFile::new(&bytes[..]).unwrap().into_vec::<f64>().unwrap()
     };
-    // Equidistributed, hence the same on every machine: the sum of twelve such numbers is close to normal.
+    // Equidistributed, hence equal on every machine. The sum of twelve such numbers is nearly normal.
     let noise =
         |i: usize| -> f64 { (1..=12).map(|k| ((i * 12 + k) as f64 * 0.754_877_666).fract() - 0.5).sum() };
     let noisy = |signals: &[f64]| -> Vec<f64> {
@@ -83,7 +83,7 @@ pub fn bench() -> Bench {
         "r.toml",
         "[recorded]\nfiles = [\"f.npy\"]\nrate = 200.0\n[signals]\nfiles = [\"y.npy\"]\nstart = 0.005\n",
     );
-    // readings half a step off the instants of the trial, forces ten times as fine
+    // readings half a step off the trial's instants, forces at ten times the rate
     bench.file(
         "half.toml",
         &made.replace("samples = 40", "samples = 80").replace("[stimuli]", "[stimuli]\nforce_samples = 400"),
@@ -92,7 +92,7 @@ pub fn bench() -> Bench {
     let between: Vec<f64> =
         noisy(&run("half.toml", "h.npy", "c")).chunks(6).flat_map(|two| two[..3].to_vec()).collect();
     bench.write_array("between.npy", &[3, 40, 3], &between);
-    // each record's clock off by its own time: 1.5, 4 and 3 ms late
+    // the clocks of the records are 1.5, 4 and 3 ms late
     bench.file("fine.toml", &made.replace("samples = 40", "samples = 400"));
     let fine = noisy(&run("fine.toml", "h.npy", "d"));
     let late = |(record, by): (usize, usize)| {
@@ -134,7 +134,7 @@ pub fn bench() -> Bench {
     bench
 }
 
-/// Fitted, lower, upper of each row.
+/// Fitted, lower and upper value of each row.
 fn estimates(csv: &str) -> Vec<[f64; 3]> {
     let number = |text: &str| text.parse().unwrap_or(f64::NAN);
     let rows = csv.lines().skip(1).map(|line| line.split(',').collect::<Vec<_>>());
@@ -149,8 +149,8 @@ fn assert_true(found: &[[f64; 3]], within: f64) {
     }
 }
 
-/// A chip that reads between the instants of the trial is compared where it read: interpolated, its aliased signals give another
-/// material. With a clock that is wrong by 10 ms the fit has explained nothing, and gives nothing to paste.
+/// Readings between the trial's instants are compared at their own times; interpolation of the aliased signals would give another
+/// material. With a clock error of 10 ms the fit explains nothing, and prints no values for a spec.
 #[test]
 fn readings_are_compared_when_they_were_taken() {
     let bench = bench();
@@ -160,7 +160,7 @@ fn readings_are_compared_when_they_were_taken() {
     let found = fit("between.toml", &["--format", "csv"]);
     assert!(found.status.success(), "{}", String::from_utf8_lossy(&found.stderr));
     assert_true(&estimates(&String::from_utf8(found.stdout).unwrap()), 0.03);
-    // moved by a trigger, in a shorter sample
+    // shifted by a trigger, in a shorter sample
     let text = std::fs::read_to_string(bench.path("between.toml")).unwrap();
     let trigger = "[recorded]\ntrigger = { threshold = 0.02, before = 0.0111 }";
     bench.file("trigger.toml", &text.replace("[recorded]", trigger));
@@ -179,8 +179,8 @@ fn readings_are_compared_when_they_were_taken() {
     assert!(warned.contains("Set time.samples = 40"), "{warned}");
 }
 
-/// Clocks that are late, each record's by its own time, are fitted with the material and with a twin. What is printed for the file of
-/// the records is what these clocks were.
+/// Late clocks, different for each record, are fitted with the material and with a twin. The lines for the file of records contain
+/// the true clocks.
 #[test]
 fn clocks_that_are_off_are_fitted() {
     const LATE: [f64; 3] = [1.5e-3, 4e-3, 3e-3];
@@ -237,15 +237,15 @@ fn clocks_that_are_off_are_fitted() {
         let says = [&["wrong.toml:"], &says[..]].concat();
         refused(&["lab", "identify", "s_fine.toml", "--records", "wrong.toml"], &says);
     }
-    // the force begins late, so that of what may be late nothing is left to compare
+    // the force begins so late that nothing remains to compare after the possible shift
     bench.file("wide.toml", &text.replace("start_deviation = 0.003", "start_deviation = 0.006"));
     let short = ["time.duration=0.06", "time.samples=12", "stimuli.force_samples=120"];
     let call = [&["lab", "identify", "s_fine.toml"], &short[..], &["--records", "wide.toml"]].concat();
     refused(&call, &["wide.toml:", "start_deviation = 0.006", "record 0", "reduce start_deviation"]);
 }
 
-/// The material comes back from arrays, with the same digits on one thread and two; the page, its figures, data and the
-/// fitted signals are written; parameters that are not asked for stay; no interval is left out.
+/// Arrays give the true material, with the same digits on one and two threads. Page, figures, data and fitted signals are written;
+/// other parameters stay; every interval is present.
 #[test]
 fn records_tell_the_material() {
     let bench = bench();
@@ -271,7 +271,7 @@ fn records_tell_the_material() {
     }
     let bytes = std::fs::read(bench.path("fit/signals.npy")).unwrap();
     assert_eq!(npyz::NpyFile::new(&bytes[..]).unwrap().shape(), [3, 40, 3]);
-    // a fit that may not move what is wrong leaves more of the signals than one that may, which leaves noise
+    // a fit with the wrong parameter held leaves more of the signals than a free fit, which leaves noise
     let left = |table: &str| -> f64 {
         let line = table.lines().find(|line| line.starts_with("left of the signals' RMS")).unwrap();
         line.split(" -> ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap()
@@ -282,7 +282,7 @@ fn records_tell_the_material() {
     assert!(!free.contains("discrepancy"), "{free}");
 }
 
-/// Killed after every iteration: the same files as in one go.
+/// Killed after every iteration, the files equal those of one uninterrupted call.
 #[test]
 fn a_fit_goes_on_where_it_was_killed() {
     let bench = bench();
@@ -309,7 +309,7 @@ fn a_fit_goes_on_where_it_was_killed() {
     assert!(bench.files("again") == bench.files("whole"), "the files differ");
 }
 
-/// A clock of its own, other units: compared on a clock that says what the records say.
+/// A record with its own clock and other units, on a clock as fine as the record's.
 #[test]
 fn a_record_with_a_clock_of_its_own_tells_the_material() {
     let bench = bench();
@@ -321,7 +321,7 @@ fn a_record_with_a_clock_of_its_own_tells_the_material() {
     assert_true(&estimates(&found), 0.1);
 }
 
-/// A fit whose records determine nothing says so, by its outcome and exit code; what they do determine is fitted all the same.
+/// If records determine no parameter, outcome and exit code show it; parameters that they do determine are fitted nevertheless.
 #[test]
 fn records_that_determine_nothing_are_no_fit() {
     let bench = bench();
@@ -341,7 +341,7 @@ fn records_that_determine_nothing_are_no_fit() {
     assert!(all[..5].iter().all(|outcome| outcome == "converged") && all[5] == "not identifiable", "{all:?}");
 }
 
-/// Named, with what to do about it, before anything is simulated.
+/// Refused with a remedy before anything is simulated.
 #[test]
 fn what_cannot_be_fitted_is_refused() {
     let bench = bench();

@@ -1,4 +1,4 @@
-//! Records and what real sensors do to signals, from the spec to a result.
+//! Records, and the effects of real sensors on signals, from the spec to a result.
 
 use std::io::{Cursor, Read, Write};
 
@@ -48,8 +48,7 @@ fn bench() -> Bench {
     bench
 }
 
-/// Twelve blows at 2 kHz through both trials; the noisy one reads its forces worse or otherwise, and an export
-/// has forces and signals on one clock.
+/// Both trials use twelve blows at 2 kHz; noise changes the errors, and an export has forces and signals on one clock.
 #[test]
 fn recorded_blows_run_from_file_to_result() {
     let bench = bench();
@@ -68,7 +67,7 @@ fn recorded_blows_run_from_file_to_result() {
     assert!(text.contains("(12, 2, 41") && text.contains("(12, 40, 3"), "shapes of forces and signals");
 }
 
-/// Moved with its data, a sweep finds them again once it has been run there; nothing is done twice.
+/// After it moved with its data, a sweep finds the data once it has been run there; nothing is repeated.
 #[test]
 fn a_sweep_may_move_with_its_data() {
     let bench = bench();
@@ -91,7 +90,7 @@ fn a_sweep_may_move_with_its_data() {
     assert!(attempts.ends_with("1\n"), "{attempts}");
 }
 
-/// A trial is named by what its records hold, not by where they lie.
+/// The contents of the records, not their path, determine the hash.
 #[test]
 fn the_content_of_the_records_and_not_their_path_names_a_trial() {
     let bench = bench();
@@ -104,7 +103,7 @@ fn the_content_of_the_records_and_not_their_path_names_a_trial() {
     std::fs::rename(bench.path("blows.npz"), bench.path("data/blows.npz")).unwrap();
     bench.file("s.toml", &SPEC.replace("blows.npz", "data/blows.npz"));
     assert_eq!(hash(), first);
-    // One bit of a force: of other records, and of the same damaged
+    // One changed bit of a force: other records; the same in stored records: damage
     let bytes = std::fs::read(bench.path("data/blows.npz")).unwrap();
     let mut held = zip::ZipArchive::new(Cursor::new(&bytes[..])).unwrap();
     let mut changed = zip::ZipWriter::new(Cursor::new(Vec::new()));
@@ -127,7 +126,7 @@ fn the_content_of_the_records_and_not_their_path_names_a_trial() {
     assert!(refused.status.code() == Some(2) && said.contains("force Invalid checksum"), "{said}");
 }
 
-/// What cannot be meant is refused with its key and the file.
+/// Invalid records and sensors are refused with key and file.
 #[test]
 fn bad_records_and_sensors_are_refused() {
     let bench = bench();
@@ -173,8 +172,8 @@ fn bad_records_and_sensors_are_refused() {
     }
 }
 
-/// A blow at a sample's very beginning is refused where fresh samples would lose it, and nowhere else; a name from before there
-/// was room by default stays that of its trial.
+/// A blow at the very beginning of a sample is refused only where fresh samples would lose it. A spec with an explicit `before`
+/// keeps its hash.
 #[test]
 fn a_trigger_without_room_is_for_blows_that_are_not_shifted() {
     let bench = bench();
@@ -186,13 +185,13 @@ fn a_trigger_without_room_is_for_blows_that_are_not_shifted() {
     };
     let paper = "protocol = \"paper\"";
     let of_old = spec(", before = 0.0", paper);
-    // as the program before said
+    // a fixed hash
     assert_eq!(of_old, "99420358c68b08e3cd1f1fa09158c6da");
     assert_ne!(spec("", paper), of_old);
     spec(", before = 0.0", "batch = 4\n[stimuli.recorded.augment]\nshift = [0.0, 0.02]");
 }
 
-/// Forces of three CSV files, with keys for what their reader cannot tell.
+/// Forces from three CSV files, with keys for what the files do not contain.
 fn of_tables(bench: &Bench, keys: &str) {
     let (head, tail) = SPEC.split_once("files = ").unwrap();
     let (_, tail) = tail.split_once("remove_offset").unwrap();
@@ -202,12 +201,12 @@ fn of_tables(bench: &Bench, keys: &str) {
     bench.file("t.toml", &text);
 }
 
-/// 2000 lines a second for 0.2 s: a blow of this size, written by this function.
+/// A blow of this size: 2000 lines per second for 0.2 s, each formatted by `write`.
 fn blow(size: f64, write: impl Fn(f64, f64) -> String) -> String {
     (0..400).map(|n| write(f64::from(n) / 2000.0, if (150..160).contains(&n) { size } else { 0.0 })).collect()
 }
 
-/// A record is in the training or in the holdout set, whatever it is called and however it is written.
+/// A record is in the training or in the held-out set, whatever its name and format.
 #[test]
 fn the_same_forces_under_another_name_are_refused() {
     let bench = Bench::new();
@@ -227,7 +226,7 @@ fn the_same_forces_under_another_name_are_refused() {
     }
 }
 
-/// A table without names is read once the spec says so, to the same trial's forces; keys that no file can mean are refused.
+/// A table without names is read if the spec permits, and gives the same forces; keys that do not fit any file are refused.
 #[test]
 fn a_table_without_names_needs_a_word() {
     let bench = Bench::new();
@@ -254,7 +253,7 @@ fn a_table_without_names_needs_a_word() {
     assert!(refused.status.code() == Some(2) && said.contains("stimuli.recorded.header"), "{said}");
 }
 
-/// `evaluate` and `identify` read records by one reader: a copy, a gap and a table without names end each of them, by file.
+/// `evaluate` and `identify` share a reader: a copy, a gap and a table without names are refused with the file.
 #[test]
 fn every_command_refuses_records_that_mislead() {
     let bench = Bench::new();

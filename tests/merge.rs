@@ -1,4 +1,4 @@
-//! Databases merge into the same rows in any order, any number of times; nothing is dropped without a word.
+//! Databases merge into the same rows in any order, any number of times; all omissions are listed.
 
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -13,16 +13,16 @@ use proptest::prelude::*;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};
 
-/// What a copy of a trial has come to.
+/// State of a copy of a trial.
 #[derive(Debug, Clone, Copy)]
 enum Life {
-    /// Done with this error by this instruction set.
+    /// Done, with error and instruction set.
     Done(f64, &'static str),
-    /// Given up after a step.
+    /// Given up after one step, with a reason.
     Failed(&'static str),
-    /// Interrupted after so many steps.
+    /// Interrupted after this number of steps.
     Steps(u32),
-    /// Killed with its run after so many steps.
+    /// Killed with its run after this number of steps.
     Killed(u32),
 }
 
@@ -74,9 +74,9 @@ async fn live(store: &mut Store, hash: &str, life: Life) {
     }
 }
 
-/// A database of a sweep in which these trials, by their place in the plan, have come so far.
+/// A database of a sweep in which these trials, by index in the plan, have these states.
 async fn database(path: &Path, plan: &Plan, shard: u32, lives: &[(usize, Life)]) {
-    // Times are in milliseconds: no two databases are of one time.
+    // Times have milliseconds: all databases get different ones.
     tokio::time::sleep(Duration::from_millis(3)).await;
     let mut store = Store::open(path).await.unwrap();
     let trials: Vec<_> = plan
@@ -95,13 +95,13 @@ async fn database(path: &Path, plan: &Plan, shard: u32, lives: &[(usize, Life)])
     store.close().await.unwrap();
 }
 
-/// Nine databases with all that can meet: partial ones and their later states, trials done twice by one instruction set
-/// and by two, with and without the designs that older versions did not keep, failed in one and done in another, two sweeps
-/// that share their trials, an older schema.
+/// Nine databases with all combinations: partial ones and their later states, trials done twice by one instruction set and by two,
+/// with and without the designs that older versions did not store, failed in one and done in another, two sweeps with common
+/// trials, an older schema.
 fn pool() -> &'static [PathBuf] {
     static POOL: OnceLock<(tempfile::TempDir, Vec<PathBuf>)> = OnceLock::new();
     let make = || {
-        // a static is never dropped: what it leaves is where builds are
+        // in the build folder, because statics are never dropped
         let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
         let at = |name: &str| folder.path().join(format!("{name}.sqlite"));
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
@@ -135,7 +135,7 @@ fn pool() -> &'static [PathBuf] {
         let files = names.iter().map(|name| at(name)).collect();
         (folder, files)
     };
-    // on a thread of its own: whoever asks first may be in a runtime already
+    // in a new thread, because the first caller may be in a runtime
     &POOL.get_or_init(|| std::thread::spawn(make).join().expect("databases are made")).1
 }
 
@@ -155,7 +155,7 @@ fn ask(db: &Path, sql: &str) -> Vec<String> {
     })
 }
 
-/// All that a database says, without its own numbers for rows.
+/// All contents of a database except row ids.
 fn rows(db: &Path) -> Vec<String> {
     let mut all = Vec::new();
     for sql in [
@@ -182,12 +182,12 @@ fn rows(db: &Path) -> Vec<String> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 8, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Any subset in any order with any repetition: at once, one after the other, and merged of merged.
+    /// Any subset in any order with any repetition: in one merge, in successive merges, and merges of merges.
     #[test]
     fn order_and_repetition_make_no_difference(chosen in prop::collection::vec(0usize..9, 1..8), cut in 0usize..8) {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
-        // Files are sorted by name before they are merged: other names for another order.
+        // Files are sorted by name before merging, so other names give another order.
         let named = |order: &[usize], prefix: &str| -> Vec<PathBuf> {
             order.iter().enumerate().map(|(place, i)| {
                 let link = at(&format!("{prefix}{place}.sqlite"));
@@ -241,7 +241,7 @@ fn a_merge_of_one_database_is_that_database() {
     }
 }
 
-/// What was not kept is named: bits within one instruction set, outcomes, work; shards that have never run too.
+/// Omissions are listed: bits within one instruction set, outcomes, work; also shards that never ran.
 #[test]
 fn what_disagrees_or_is_left_out_is_listed() {
     let folder = tempfile::tempdir().unwrap();
@@ -276,12 +276,12 @@ fn what_disagrees_or_is_left_out_is_listed() {
         "SELECT state, reason, count(*) FROM v_trial WHERE sweep <> 's' OR true GROUP BY 1, 2 ORDER BY 1, 2",
     );
     assert!(states[0].starts_with("[\"done\",null,"), "{states:?}");
-    // Both sweeps have all trials; `s` brought them.
+    // Both sweeps contain all trials; `s` came first.
     let named = ask(&out, "SELECT DISTINCT sweep FROM v_trial ORDER BY 1");
     assert!(!named.contains(&"[\"other\"]".to_owned()), "{named:?}");
 }
 
-/// Files that are no database, of a newer version, or cut short are refused by name; the rest is merged.
+/// Files that are not databases, of a newer version or truncated are refused by name; the rest is merged.
 #[test]
 fn what_cannot_be_read_is_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
@@ -311,7 +311,7 @@ fn what_cannot_be_read_is_refused_by_name() {
     assert!(!at("nothing").exists());
 }
 
-/// A run that goes on is merged as it stands; a merge into the database of one is refused.
+/// A database of an active run can be merged; a merge into it is refused.
 #[tokio::test]
 async fn a_live_database_can_be_read_but_not_written() {
     let folder = tempfile::tempdir().unwrap();
@@ -331,18 +331,18 @@ async fn a_live_database_can_be_read_but_not_written() {
         .await
         .unwrap();
     assert_eq!(serde_json::to_string(&states.rows).unwrap(), r#"[["done",1],["pending",5]]"#);
-    // Goes on where the live one stood.
+    // Resumes from the state of the active run.
     let mut merged = Store::open(&out).await.unwrap();
     merged.begin_sweep(&s.spec, &s.source.text, &s.trials).await.unwrap();
     assert_eq!(merged.checkpoint(&s.trials[1].hash).await.unwrap().map(|c| c.step), Some(2));
 }
 
-/// A database with one trial done.
+/// A database with one finished trial.
 async fn one(path: &Path, name: &str, trial: usize) {
     database(path, &plan(name), 1, &[(trial, Life::Done(5.0, "avx2"))]).await;
 }
 
-/// Names and bytes of all files of a folder, hidden ones too.
+/// Names and contents of all files in a folder, including hidden ones.
 fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let paths = folder.read_dir().unwrap().map(|entry| entry.unwrap().path()).filter(|path| path.is_file());
     let mut files: Vec<_> = paths.map(|path| (path.clone(), std::fs::read(path).unwrap())).collect();
@@ -350,8 +350,8 @@ fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     files
 }
 
-/// Notes, a database of a newer version, a damaged one, one that is damaged in the middle, a folder: an error before anything
-/// is touched.
+/// A text file, a database of a newer version, a damaged one, one damaged in the middle, a folder: an error before anything
+/// changes.
 #[tokio::test]
 async fn a_result_that_cannot_be_read_is_refused_and_left_as_it_is() {
     let folder = tempfile::tempdir().unwrap();
@@ -384,8 +384,7 @@ async fn a_result_that_cannot_be_read_is_refused_and_left_as_it_is() {
     }
 }
 
-/// A run that begins on a result that is being made for the first time waits, is refused, or is there first: what it records
-/// is never gone.
+/// A run that starts on a result during its first merge waits, is refused, or comes first; its records are never lost.
 #[test]
 fn a_run_and_a_merge_do_not_take_a_file_from_each_other() {
     let folder = tempfile::tempdir().unwrap();
@@ -414,7 +413,7 @@ fn a_run_and_a_merge_do_not_take_a_file_from_each_other() {
             };
             store.begin_sweep(&own.spec, &own.source.text, &own.trials).await.unwrap();
             between += u64::from(!merging.is_finished());
-            // As a run holds it.
+            // As long as a run would hold it.
             tokio::time::sleep(Duration::from_millis(20)).await;
             store.close().await.unwrap();
             true
@@ -432,7 +431,7 @@ fn a_run_and_a_merge_do_not_take_a_file_from_each_other() {
     println!("{between} runs held the file while a merge had begun");
 }
 
-/// With few descriptors all inputs are merged, or the result stays as it was and the merge says why.
+/// With few file descriptors, all inputs are merged, or the result is unchanged and the merge gives the reason.
 #[test]
 fn a_shortage_of_descriptors_refuses_no_input() {
     let folder = tempfile::tempdir().unwrap();
@@ -464,7 +463,7 @@ fn a_shortage_of_descriptors_refuses_no_input() {
     assert!((1..8).contains(&merges), "{merges} merges of 8");
 }
 
-/// As a killed run leaves it: a step is in the log beside the file alone.
+/// As after a kill: a step is only in the log (WAL) beside the file.
 async fn left_behind(path: &Path) {
     let folder = tempfile::tempdir().unwrap();
     let (db, s) = (folder.path().join("db.sqlite"), plan("s"));
@@ -477,8 +476,7 @@ async fn left_behind(path: &Path) {
     }
 }
 
-/// What is in the log beside a file counts, behind a link and where the log's index cannot be made, to a merge, a question
-/// and a run.
+/// The log (WAL) counts for a merge, a query and a run, also behind a link and where its index cannot be created.
 #[tokio::test]
 async fn a_log_is_read_behind_a_link_and_in_a_folder_that_cannot_be_written() {
     let folder = tempfile::tempdir().unwrap();
@@ -495,7 +493,7 @@ async fn a_log_is_read_behind_a_link_and_in_a_folder_that_cannot_be_written() {
         std::os::unix::fs::symlink(&db, &link).unwrap();
         let index = at(&format!("db{round}.sqlite-shm"));
         if readonly {
-            // No index can be made there, whoever we are.
+            // Nobody can create an index there, not even root.
             std::fs::create_dir(&index).unwrap();
         }
         let before = files(folder.path());
@@ -515,8 +513,7 @@ async fn a_log_is_read_behind_a_link_and_in_a_folder_that_cannot_be_written() {
     }
 }
 
-/// A view in a table's place, a column that is computed, or a default that rows do not hold: small files that would become
-/// large.
+/// A view in place of a table, a computed column, or a default: small files that would become large.
 #[tokio::test]
 async fn what_an_input_does_not_hold_as_rows_is_not_copied() {
     let folder = tempfile::tempdir().unwrap();
@@ -546,7 +543,7 @@ async fn what_an_input_does_not_hold_as_rows_is_not_copied() {
         assert!(out.metadata().unwrap().len() < 1_000_000);
         std::fs::remove_file(&out).unwrap();
     }
-    // What a user has added is no harm.
+    // Additions by users are harmless.
     let mut db = SqliteConnectOptions::new().filename(at("good.sqlite")).connect().await.unwrap();
     sqlx::raw_sql("CREATE TABLE note (text); CREATE VIEW mine AS SELECT hash FROM trial; ALTER TABLE trial ADD COLUMN note TEXT")
         .execute(&mut db)
@@ -556,8 +553,8 @@ async fn what_an_input_does_not_hold_as_rows_is_not_copied() {
     assert_eq!(merge(Extent::Whole, &[at("good.sqlite")], &at("out.sqlite")).await.unwrap().refused, []);
 }
 
-/// `gc` lists, and removes, what ended processes have left, and of a shard's copies those whose rows are all in the last one;
-/// what another machine's process may still write to, and what holds a row of its own, stay.
+/// `gc` lists and removes leftovers of ended processes, and copies of a shard whose rows are all in the last copy. Files of another
+/// machine's processes, and copies with rows of their own, stay.
 #[test]
 fn gc_removes_what_holds_nothing_of_its_own() {
     let bench = crate::common::Bench::new();
@@ -592,7 +589,7 @@ fn gc_removes_what_holds_nothing_of_its_own() {
     assert_eq!(files(&shards).into_iter().map(|file| file.0).collect::<Vec<_>>(), expected);
 }
 
-/// The same rows as by a whole merge, but for what takes most of the bytes, which is named as lying in the inputs.
+/// The same rows as from a whole merge, except the largest ones, which refer to the inputs.
 #[test]
 fn facts_are_all_that_a_whole_merge_says_but_for_steps_curves_and_arrays() {
     let folder = tempfile::tempdir().unwrap();
@@ -624,7 +621,7 @@ fn facts_are_all_that_a_whole_merge_says_but_for_steps_curves_and_arrays() {
     for table in ["step", "curve", "artifact", "checkpoint"] {
         assert_eq!(ask(&at("facts"), &format!("SELECT count(*) FROM {table}")), ["[0]"], "{table}");
     }
-    // Each trial's file has that trial, as far as it has come.
+    // Each trial's file contains the trial in its latest state.
     let homes = "SELECT t.hash, t.state, s.file FROM elsewhere e JOIN trial t ON t.id = e.trial_id JOIN source s ON s.id = e.source_id";
     let homes = ask(&at("facts"), homes);
     assert_eq!(homes.len(), ask(&at("facts"), "SELECT hash FROM trial").len());
@@ -632,11 +629,11 @@ fn facts_are_all_that_a_whole_merge_says_but_for_steps_curves_and_arrays() {
         let [hash, state, file] = serde_json::from_str::<[String; 3]>(&home).unwrap();
         let there =
             format!("SELECT count(*) FROM trial WHERE hash = '{hash}' AND state IN ('{state}', 'running')");
-        // A reader brings a database of an older version up to date, and others read this one meanwhile.
+        // A copy, because reading upgrades an older database, which other tests read.
         std::fs::copy(&file, at("home")).unwrap();
         assert_eq!(ask(&at("home"), &there), ["[1]"], "{home}");
     }
-    // Nothing goes on from facts, and whole trials and facts are not mixed.
+    // Facts cannot be resumed, and whole trials do not mix with facts.
     let facts = runtime.block_on(async {
         let mut store = Store::open(at("facts")).await.unwrap();
         let s = plan("s");
@@ -649,8 +646,8 @@ fn facts_are_all_that_a_whole_merge_says_but_for_steps_curves_and_arrays() {
     assert_eq!(merged(&[at("facts"), pool()[0].clone()], &at("more")).unwrap().refused.len(), 1);
 }
 
-/// What is in the result as it lies is not opened again: it may even have become unreadable inside. What has changed is, and so is
-/// all after trials were taken out.
+/// A second merge does not open unchanged inputs, which may even be damaged. It opens changed inputs, and all inputs after trials
+/// were removed.
 #[test]
 fn a_second_merge_reads_only_what_is_new() {
     let folder = tempfile::tempdir().unwrap();
@@ -662,7 +659,7 @@ fn a_second_merge_reads_only_what_is_new() {
     }
     let out = at("out.sqlite");
     merged(&files[..2], &out).unwrap();
-    // Of the same size, written at the same time.
+    // Same size and time of modification.
     let (kept, stamp) = (std::fs::read(&files[0]).unwrap(), files[0].metadata().unwrap().modified().unwrap());
     let put = |bytes: &[u8]| {
         use std::io::Write;
@@ -692,7 +689,7 @@ fn a_second_merge_reads_only_what_is_new() {
     assert_eq!(rows(&out), rows(&at("at-once.sqlite")), "what was taken out came again");
 }
 
-/// What was cancelled while it waited stays so where an earlier merge has had it waiting.
+/// A trial cancelled while pending is also cancelled in a result that has it as pending.
 #[tokio::test]
 async fn a_trial_that_is_cancelled_while_it_waits_is_so_in_the_result() {
     let folder = tempfile::tempdir().unwrap();
@@ -712,7 +709,8 @@ async fn a_trial_that_is_cancelled_while_it_waits_is_so_in_the_result() {
     reader.close().await;
 }
 
-/// Changes in one of two copies of a run are named, whichever file comes first. If the checksums tell which copy is damaged, the other is kept.
+/// Differences between two copies of one run are listed in any order of the files. If checksums show which copy is damaged, the
+/// other is kept.
 #[tokio::test]
 async fn copies_of_one_run_that_differ_are_named() {
     let folder = tempfile::tempdir().unwrap();

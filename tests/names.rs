@@ -1,4 +1,4 @@
-//! One way to name a trial, a spec with changes, and what stands on a base.
+//! Names of trials, specs with changes, and specs with a base, in all commands.
 
 use crate::common::{Bench, TINY};
 
@@ -8,7 +8,7 @@ fn hashes(bench: &Bench, spec: &[&str]) -> Vec<String> {
     csv.lines().skip(1).map(|line| line[..32].to_owned()).collect()
 }
 
-/// Commands that take a trial, with what else they must have.
+/// Commands that take a trial, with their required options.
 const COMMANDS: &[&[&str]] = &[
     &["trial"],
     &["body", "simulate", "--forces", "f.npy", "--out-dir", "o"],
@@ -31,7 +31,7 @@ fn a_trial_is_named_in_one_way_by_all_commands() {
     bench.output(&["run", "tiny.toml"]);
     let db = "results/tiny.sqlite";
     let hashes = hashes(&bench, &["tiny.toml"]);
-    // No name of a trial, or one of both.
+    // Unknown and ambiguous names.
     for (name, why) in [("zz", "no trial begins so"), ("", "several trials begin so: ")] {
         for command in COMMANDS.iter().chain([&["report"][..]].iter()) {
             let calls = [(db, vec![db, name]), ("tiny.toml", vec!["tiny.toml", name])];
@@ -50,7 +50,7 @@ fn a_trial_is_named_in_one_way_by_all_commands() {
     let output = bench.metasense(&["status", db, &typed]);
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(said.contains(&format!("trial {typed}: no trial begins so; the nearest is {b}")), "{said}");
-    // The same trial by either.
+    // The same trial by spec and by database.
     let of_spec = ["tiny.toml", a];
     for command in [&["body", "modes", "--format", "csv"][..], &["body", "draw", "--out", "o.svg"]] {
         let answers = [&of_spec[..], &[db, a]].map(|name| {
@@ -70,15 +70,15 @@ fn a_trial_is_named_in_one_way_by_all_commands() {
     };
     let optimised = export(&of_spec);
     assert_eq!(optimised, export(&[db, a]));
-    // The optimised body of a finished trial is another than the initial one.
+    // The trained body of a finished trial differs from the initial body.
     let modes = |body: &str| bench.output(&["body", "modes", db, a, "--design", body, "--format", "csv"]);
     assert!(modes("optimised") != modes("initial"));
     let refused = bench.metasense(&["body", "modes", "tiny.toml", "--design", "optimised"]);
     assert_eq!(refused.status.code(), Some(2));
 }
 
-/// Changes on the command line make the trials that the edited file has; the same command goes on with them, and scripts of
-/// shards have them.
+/// Changes on the command line give the trials of the edited file; the same command resumes them, and scripts of shards contain
+/// them.
 #[test]
 fn changes_are_in_the_hash_as_if_written() {
     let bench = Bench::new();
@@ -103,7 +103,7 @@ fn changes_are_in_the_hash_as_if_written() {
     assert!(refused.status.code() == Some(2) && said.contains(expected), "{said}");
 }
 
-/// A spec on a base has the trials of the whole one; what is stored needs no other file.
+/// A spec with a base has the trials of the complete spec, and is stored complete.
 #[test]
 fn a_spec_on_a_base_is_stored_whole() {
     let bench = Bench::new();

@@ -1,4 +1,4 @@
-//! What a researcher asks of a body before any training: how it rings, what a linear model is worth, what could be known.
+//! Analyses of a body before training: modes, linear model, bounds.
 
 use crate::common::{Bench, TINY, light};
 use serde_json::Value;
@@ -13,7 +13,7 @@ fn refused(bench: &Bench, args: &[&str], expected: &str) {
     assert!(output.status.code() == Some(2) && said.contains(expected), "{args:?}: {said}");
 }
 
-/// Modes come slowest first, are drawn, and a unit's response is greatest near one; what cannot be is refused by name.
+/// Modes are sorted and drawn; a unit's response is greatest near one; invalid arguments are refused by name.
 #[test]
 fn a_body_rings() {
     let bench = Bench::new();
@@ -57,8 +57,8 @@ fn a_body_rings() {
     );
 }
 
-/// Every trial says what a linear model leaves of its signals; bounds of its two bodies stand beside what brains have achieved, an
-/// inverse one among them, and are below it.
+/// Every trial contains the error of a linear model; the bounds of both bodies are printed beside the errors of decoders, including
+/// an inverse one, and are below them.
 #[test]
 fn a_finished_trial_stands_beside_its_bounds() {
     let bench = Bench::new();
@@ -147,7 +147,7 @@ fn a_finished_trial_stands_beside_its_bounds() {
         "no finished trial with the scene",
     );
     refused(&bench, &["body", "bound", "s.toml", "--noise", "0"], "must be above 0");
-    // noise below what f64 tells apart, a prior of one sample, no force at all: an answer or a name
+    // noise below the resolution of f64, a prior of one sample, no force: an answer or an error with the key
     let exact = bench.metasense(&["body", "bound", "s.toml", "--noise", "1e-300", "--samples", "1"]);
     assert!(matches!(exact.status.code(), Some(0 | 2)), "{}", String::from_utf8_lossy(&exact.stderr));
     let one = ["body", "bound", "s.toml", "stimuli.samples=3", "stimuli.test=2"];
@@ -167,8 +167,7 @@ fn a_finished_trial_stands_beside_its_bounds() {
     );
 }
 
-/// A press before every sample is an axis of a sweep: other readings, other modes. A straight body that buckles under it is named, with
-/// what to do.
+/// Compression as an axis of a sweep: other signals, other modes. A straight body that buckles is refused with a remedy.
 #[test]
 fn a_press_is_an_axis() {
     let bench = Bench::new();
@@ -203,8 +202,8 @@ fn a_press_is_an_axis() {
     assert!(said.contains("`body.compression` nearer to 0"), "{said}");
 }
 
-/// Motion that no steps resolve, under strong pulses, comes with a warning wherever such a trial is run, shown or exported; v_trial has it in
-/// `solver`.
+/// Strong pulses cause motion that no step resolves: running, showing and exporting such a trial gives a warning, and `solver` in
+/// v_trial contains it.
 #[test]
 fn motion_that_no_step_resolves_is_warned_of() {
     let bench = Bench::new();
@@ -223,7 +222,7 @@ fn motion_that_no_step_resolves_is_warned_of() {
         assert!(output.status.success(), "{args:?}: {said}");
         said.matches("no time step reaches solver.tolerance").count()
     };
-    // as it is done, and at the end
+    // when the trial is done, and at the end
     assert_eq!(said(&["run", "s.toml", "--workers", "1"]), 2);
     let hash = bench.output(&["query", db, "SELECT hash FROM v_trial", "--format", "csv"]);
     let hash = hash.lines().nth(1).unwrap();

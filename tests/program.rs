@@ -1,5 +1,5 @@
-//! What users do with the program, and what may befall it: one binary, so that tests that wait and tests that compute share
-//! the machine, and the program is linked once.
+//! End-to-end tests of the program in one binary: tests that wait and tests that compute share the machine, and the program is
+//! linked once.
 
 mod common;
 mod synthetic;

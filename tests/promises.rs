@@ -1,7 +1,6 @@
-//! What a message promises is what happens. Here what ends a run, each with its words: whatever they say of steps in progress, of how
-//! long it takes and of what the same command does then. The promises of others stand where they are made: of shards in `shards.rs` and
-//! `queues.rs`, of a machine that is short of something in `shortages.rs`, of bad input in `bad_input.rs`, of commands that keep their
-//! progress in `evaluate.rs`, `identify.rs` and `comparison.rs`.
+//! Messages about the end of a run are true: steps in progress, time, and effect of the same command. Tests of other messages:
+//! shards in `shards.rs` and `queues.rs`, shortages in `shortages.rs`, bad input in `bad_input.rs`, progress of commands in
+//! `evaluate.rs`, `identify.rs` and `comparison.rs`.
 
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -25,8 +24,8 @@ fn comes_further(bench: &Bench, before: u64) {
     eventually(Duration::from_secs(60), steps).expect("the run comes further");
 }
 
-/// One sweep, ended in every way there is: the exit code is the documented one, no step that was recorded is done again but the one in
-/// progress, no trial is charged, and the same command comes to what an undisturbed run comes to.
+/// One sweep, ended in every possible way: the exit code is the documented one, only the step in progress is repeated, no trial
+/// fails, and the same command gives the results of an undisturbed run.
 #[test]
 fn whatever_ends_a_run_the_same_command_goes_on() {
     let bench = Bench::new();
@@ -68,7 +67,7 @@ fn whatever_ends_a_run_the_same_command_goes_on() {
     assert!(bench.number("s.sqlite", again) <= 1, "steps that were recorded are done again");
 }
 
-/// Steps that last longer than the grace: it is the spec's or the command line's, and nobody waits for longer.
+/// Steps longer than the grace time, which is the spec's or the command line's, are not waited for.
 #[test]
 fn a_step_that_takes_too_long_is_not_waited_for() {
     let bench = Bench::new();

@@ -1,4 +1,4 @@
-//! What code has made a result, and what was said on the way, stand with it and stay with it.
+//! The code and the log of a result are stored with it and persist.
 
 use std::path::Path;
 
@@ -21,8 +21,8 @@ fn said(bench: &Bench, arguments: &[&str]) -> String {
     String::from_utf8_lossy(&bench.metasense(arguments).stderr).into_owned()
 }
 
-/// A sweep, one trial of which other code has made: that is told, made again when asked for, to the same bits, and the
-/// copy that the other code had made does not come back by a merge.
+/// A trial of other code is reported and, on request, repeated with the same bits. The copy of the other code does not return by a
+/// merge.
 #[tokio::test]
 async fn what_other_code_has_made_is_told_and_made_again() {
     let bench = Bench::new();
@@ -64,7 +64,7 @@ async fn what_other_code_has_made_is_told_and_made_again() {
     assert_eq!(bench.output(&["query", "merged.sqlite", attempts, "--format", "csv"]), found);
 }
 
-/// A search begins anew what other code has trained and judged, and runs again what has failed, before it looks at what there is.
+/// On request, a search first repeats trainings and judgements by other code, and failed trials.
 #[tokio::test]
 async fn a_search_makes_again_what_other_code_has_made() {
     let bench = Bench::new();
@@ -89,7 +89,7 @@ async fn a_search_makes_again_what_other_code_has_made() {
     assert_eq!(bench.output(&["design", "s.toml", "--redo-other-code", "--format", "csv"]), table);
     assert_eq!(bench.output(&made), first);
 
-    // the body that was chosen
+    // the chosen body
     let chosen = "UPDATE trial SET state = 'failed', reason = 'out_of_memory' WHERE seed = 1";
     change(&bench.path(db), chosen).await;
     let failed = bench.metasense(&["design", "s.toml"]);
@@ -99,8 +99,7 @@ async fn a_search_makes_again_what_other_code_has_made() {
     assert_eq!(bench.output(&made), first);
 }
 
-/// Where a file that a spec names has changed, the trials of before stay as they are: no spec stands for them that could make them
-/// again.
+/// If a file that a spec names has changed, earlier trials stay, because no spec can repeat them.
 #[tokio::test]
 async fn trials_of_a_file_that_has_changed_stay() {
     let bench = Bench::new();
@@ -126,7 +125,7 @@ async fn trials_of_a_file_that_has_changed_stay() {
     assert!(bench.output(&states).contains("failed,1,"));
 }
 
-/// What other code has made and a run has thrown away takes nothing from a database that has made the same trials by itself.
+/// A run's discarded result of other code does not remove the results of a database that computed the same trials itself.
 #[tokio::test]
 async fn a_result_outlives_one_that_was_thrown_away_elsewhere() {
     let bench = Bench::new();
@@ -149,7 +148,7 @@ async fn a_result_outlives_one_that_was_thrown_away_elsewhere() {
     }
 }
 
-/// A trial that other code began goes on, and both codes are named; asked for, it begins anew.
+/// A trial that other code started is resumed, and both codes are stored; on request it restarts.
 #[tokio::test]
 async fn a_trial_of_two_codes_names_both() {
     let bench = Bench::new();
@@ -178,7 +177,7 @@ async fn a_trial_of_two_codes_names_both() {
     let mut store = open().await;
     assert!(store.checkpoint(hash).await.unwrap().is_some());
     let hashes: Vec<&str> = plan.trials.iter().map(|trial| trial.hash.as_str()).collect();
-    // only what is named
+    // only the given hashes
     assert_eq!(store.redo_other_code(&hashes[1..]).await.unwrap(), 0);
     assert_eq!(store.redo_other_code(&hashes).await.unwrap(), 1);
     assert_eq!(store.redo_other_code(&hashes).await.unwrap(), 0);
@@ -187,7 +186,7 @@ async fn a_trial_of_two_codes_names_both() {
     assert_eq!(bench.output(&["query", "s.sqlite", state, "--format", "csv"]), "code,steps\n");
 }
 
-/// The keys by which a trial differs from the nearest one, and what made that.
+/// The keys in which a trial differs from the nearest one, and the code of that one.
 #[test]
 fn status_names_the_keys_by_which_a_trial_is_another() {
     let bench = Bench::new();
@@ -212,8 +211,7 @@ fn status_names_the_keys_by_which_a_trial_is_another() {
     assert!(told.iter().all(|words| said.contains(words)), "{said}");
 }
 
-/// More lines than are kept, a line longer than is kept, and what ended the attempt: shown, bounded, and still there
-/// after a merge.
+/// Too many lines, too long a line, and the end of an attempt: the log is shown, bounded, and kept by a merge.
 #[tokio::test]
 async fn what_was_said_stays_with_the_trial() {
     let bench = Bench::new();

@@ -1,4 +1,4 @@
-//! `query` answers in SQL and changes nothing, whatever it is asked.
+//! `query` runs SQL and changes nothing.
 
 use std::io::Read;
 
@@ -83,7 +83,7 @@ async fn a_view_has_the_same_types_in_every_file() {
     assert_eq!((a, *b), (&Some(LogicalType::Unknown), Type::DOUBLE));
 }
 
-/// Geometric means, medians and quantiles need no other program.
+/// SQL has geometric means, medians and quantiles.
 #[tokio::test]
 async fn errors_are_averaged_and_ranked_in_sql() {
     let bench = Bench::new();
@@ -96,7 +96,7 @@ async fn errors_are_averaged_and_ranked_in_sql() {
     ");
 }
 
-/// Neither the database, by whatever name, nor another one; nor the former rows, by a statement that fails; nor a spec.
+/// A query cannot overwrite its database under any name, another database or a spec; a failing query keeps the earlier rows.
 #[tokio::test]
 async fn what_is_read_and_what_was_there_stay() {
     let bench = Bench::new();
@@ -149,7 +149,7 @@ async fn nothing_can_be_changed_and_no_file_is_left() {
     assert_eq!(files, ["s.sqlite"]);
 }
 
-/// Answers to two questions do not go under one header; what is not even text is shown as far as it is.
+/// Two statements are refused; invalid text is shown as far as possible.
 #[tokio::test]
 async fn one_statement_is_answered_and_none_panics() {
     let bench = Bench::new();
@@ -203,7 +203,7 @@ async fn one_statement_is_answered_and_none_panics() {
     }
 }
 
-/// What no other command line and no other spec would mend is code 3: a script may wait, or call for help.
+/// Exit code 3 for failures that no other command line or spec can correct, so that scripts can wait or report.
 #[tokio::test]
 async fn a_database_that_is_damaged_or_in_use_gives_code_3() {
     let bench = Bench::new();
@@ -230,7 +230,7 @@ async fn a_database_that_is_damaged_or_in_use_gives_code_3() {
     held.close().await.unwrap();
 }
 
-/// What a result is quoted by, under a name that says which set it is of.
+/// The error to quote, under a name that states its set.
 #[tokio::test]
 async fn status_shows_the_error_on_the_holdout() {
     let bench = Bench::new();
@@ -242,7 +242,7 @@ async fn status_shows_the_error_on_the_holdout() {
     );
 }
 
-/// Trials that meet the conditions go with all that is theirs, when that is asked for; a run makes them again, to the same bits.
+/// Trials that meet conditions are removed with all their data on request; a run repeats them with the same bits.
 #[tokio::test]
 async fn trials_are_taken_out_by_conditions() {
     let bench = Bench::new();
@@ -290,8 +290,7 @@ async fn trials_are_taken_out_by_conditions() {
     assert_eq!(results(), before);
 }
 
-/// Nobody reads the answer while a run records on: the log is folded into the database all the same, and the answer is that of the
-/// moment when it was asked for.
+/// If nobody reads the answer while a run writes, the log (WAL) is still checkpointed, and the answer is that of the query's start.
 #[tokio::test]
 async fn a_stalled_reader_does_not_make_the_log_grow() {
     let bench = Bench::new();
@@ -312,7 +311,7 @@ async fn a_stalled_reader_does_not_make_the_log_grow() {
         }
     };
     record(&mut store, 3).await;
-    // Some MB, of which a pipe takes 64 kB.
+    // Several MB, of which a pipe takes 64 kB.
     let sql =
         "WITH n (i) AS (SELECT 0 UNION ALL SELECT i + 1 FROM n WHERE i < 19999) SELECT i, p.* FROM n, step p";
     let mut asking = std::process::Command::new(env!("CARGO_BIN_EXE_metasense"))
@@ -325,7 +324,7 @@ async fn a_stalled_reader_does_not_make_the_log_grow() {
     let mut begun = vec![0; 10];
     answer.read_exact(&mut begun).unwrap();
     let log = || bench.path("s.sqlite-wal").metadata().unwrap().len();
-    // A state of before would be held for as long as nobody reads on: 40 kB a step, then.
+    // A held snapshot would make the log grow by 40 kB per step.
     let begun_at = std::time::Instant::now();
     let mut grown = Vec::new();
     loop {

@@ -1,5 +1,5 @@
-//! What a scheduler accepts, refuses or has no answer for is known afterwards: nothing is submitted twice, nothing is forgotten, and
-//! shards do with their time what they say. Small scripts stand in for Slurm and HyperQueue.
+//! After any answer of a scheduler, or none, nothing is submitted twice and nothing is forgotten; shards use their time as
+//! documented. Scripts replace Slurm and HyperQueue.
 
 use std::os::unix::fs::PermissionsExt;
 use std::process::{Child, Command, Output, Stdio};
@@ -8,8 +8,8 @@ use std::time::Duration;
 use crate::common::processes::{children, eventually, kill};
 use crate::common::{Bench, TINY, results};
 
-/// Writes down how it is called and queues what it gets. `refuse` holds numbers of calls that are refused; with `deaf` the answer is
-/// lost, with `kill` the caller dies before it has it; `cluster` is printed behind a number.
+/// Logs its arguments and queues the job. `refuse` contains numbers of calls to refuse; with `deaf` the answer is lost, with `kill`
+/// the caller dies before the answer; `cluster` is printed after the number.
 const SBATCH: &str = r#"echo "$@" >> calls
 call=$(wc -l < calls)
 grep -qx "$call" refuse 2>/dev/null && { echo 'sbatch: error: QOSMaxSubmitJobPerUserLimit' >&2; exit 1; }
@@ -19,7 +19,7 @@ echo "$((100 + call)) ${name:-merge} ${array:-N/A}" >> queue
 [ -e kill ] && kill -9 $PPID
 echo "$((100 + call))$(cat cluster 2>/dev/null)""#;
 
-/// Knows what was queued, on its own cluster alone.
+/// Lists queued jobs, only for its own cluster.
 const SQUEUE: &str = r#"for word; do case $word in --clusters=*) on=${word#*=};; --jobs=*) jobs=,${word#*=},;;
   --name=*) name=${word#*=};; --format=*) format=${word#*=};; esac; done
 own=$(tr -d ';' < cluster 2>/dev/null)
@@ -35,7 +35,7 @@ while read -r number its array; do
   done
 done < queue"#;
 
-/// A folder with a spec and stand-ins.
+/// A folder with a spec and scripts.
 struct Site(Bench);
 
 impl Site {
@@ -65,7 +65,7 @@ impl Site {
         self.command(env!("CARGO_BIN_EXE_metasense"), arguments).output().unwrap()
     }
 
-    /// What it says, with this exit code.
+    /// Output of a call with this exit code.
     fn says(&self, code: i32, arguments: &str) -> String {
         let output = self.call(arguments);
         let said = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
@@ -77,12 +77,12 @@ impl Site {
         std::fs::read_to_string(self.0.path(file)).unwrap_or_default()
     }
 
-    /// How the scheduler was called.
+    /// Calls of the scheduler.
     fn calls(&self) -> Vec<String> {
         self.read("calls").lines().map(str::to_owned).collect()
     }
 
-    /// Begins a shard's script as a scheduler does.
+    /// Starts a shard's script as a scheduler does.
     fn shard(&self, variable: &str, number: u32) -> Child {
         let mut sh = self.command("sh", "results/tiny.shards/shard.sh");
         sh.env(variable, number.to_string()).env("TMPDIR", self.0.path("tmp"));
@@ -92,14 +92,14 @@ impl Site {
     }
 }
 
-/// Four trials, quick ones.
+/// Four quick trials.
 fn four() -> String {
     TINY.to_owned() + "seeds = [1, 2]\n"
 }
 
 const SUBMIT: &str = "cluster submit slurm tiny.toml --shards 4";
 
-/// With several clusters a job's number is one of its cluster: there it is asked for, and the merge waits for it.
+/// With several clusters, a job number belongs to a cluster: queries and the merge's dependency name it.
 #[test]
 fn jobs_are_known_on_their_cluster() {
     let site = Site::new(&four());
@@ -117,8 +117,8 @@ fn jobs_are_known_on_their_cluster() {
     assert_eq!(site.calls(), calls, "nothing is submitted again");
 }
 
-/// Of several arrays a later one is refused, or the merge: what is queued is said, and the same command queues the rest and nothing
-/// else. Where the first is refused nothing was begun.
+/// If a later array or the merge is refused, the queued jobs are printed, and the same command queues only the rest. If the first
+/// is refused, nothing has started.
 #[test]
 fn what_a_scheduler_refuses_is_submitted_by_the_same_command() {
     for (refused, code, queued) in [("1", 2, ""), ("2", 3, "101"), ("3", 3, "102")] {
@@ -140,7 +140,7 @@ fn what_a_scheduler_refuses_is_submitted_by_the_same_command() {
     }
 }
 
-/// A job that was accepted is found by its name where its number could not be written down: its answer was lost, or `submit` died.
+/// A job whose number was lost is found by its name: the answer was lost, or `submit` died.
 #[test]
 fn a_job_whose_number_was_lost_is_not_submitted_again() {
     let site = Site::new(&four());
@@ -157,7 +157,7 @@ fn a_job_whose_number_was_lost_is_not_submitted_again() {
     let calls = site.calls();
     assert!(calls[1].contains("shard.sh 2") && calls[2].contains("afterany:101:102"), "{calls:?}");
     assert_eq!(calls.len(), 3, "{calls:?}");
-    // the end of a line that was being written then is overlooked, and the next one is whole
+    // an incomplete last line is ignored, and the next one is complete
     let notes = site.read("results/tiny.shards/jobs.jsonl");
     site.0.file("results/tiny.shards/jobs.jsonl", &(notes + "{\"scheduler\": \"slurm\", \"jo"));
     for arguments in [SUBMIT, "status --folder results/tiny.shards", "cluster gc"] {
@@ -168,7 +168,7 @@ fn a_job_whose_number_was_lost_is_not_submitted_again() {
     assert!(site.says(3, "status --folder results/tiny.shards").contains("jobs.jsonl:1"));
 }
 
-/// What the merged database holds is not computed again, by any scheduler; what it does not hold is.
+/// Trials in the merged database are not computed again by any scheduler; others are.
 #[test]
 fn trials_that_are_done_are_left_out() {
     let site = Site::new(TINY);
@@ -188,7 +188,7 @@ fn trials_that_are_done_are_left_out() {
     site.says(2, "cluster submit slurm tiny.toml --out other.sqlite");
 }
 
-/// Where there is no such scheduler, that is said, and nothing is written; a dry run needs none.
+/// Without the scheduler there is an error, and nothing is written; a dry run does not need it.
 #[test]
 fn without_a_scheduler_nothing_is_written() {
     for scheduler in ["slurm", "hq"] {
@@ -209,7 +209,7 @@ fn without_a_scheduler_nothing_is_written() {
     }
 }
 
-/// HyperQueue: no job waits for others. The last shard to hand in merges; the database that a shard names is there.
+/// HyperQueue: no job waits for others. The last shard to hand in merges; the database that it names exists.
 #[test]
 fn the_last_shard_of_hyperqueue_merges() {
     let site = Site::new(&four());
@@ -231,8 +231,8 @@ fn the_last_shard_of_hyperqueue_merges() {
     site.says(2, "cluster submit hq tiny.toml -- --pin taskset -- --cpus 1");
 }
 
-/// A shard on Slurm that is given notice finishes its step, whatever that takes, and queues again; what it had by then has been
-/// handed in before, should nobody wait for it.
+/// On notice from Slurm, a shard finishes its step however long it takes, and is queued again. Its database has been handed in
+/// before, in case the time does not suffice.
 #[test]
 fn a_shard_uses_its_notice_for_the_step_in_progress() {
     let slow = TINY.replace("samples = 8\n", "samples = 12000\n").replace("batch = 4", "batch = 11990");
@@ -258,7 +258,7 @@ fn a_shard_uses_its_notice_for_the_step_in_progress() {
     assert!(site.read("scontrol-calls").contains("requeue"), "{}", site.read("shard-1.said"));
     let db = handed_in().unwrap();
     assert_eq!(site.0.number(db.to_str().unwrap(), "SELECT count(*) FROM v_step"), 1);
-    // a grace of one's own is part of the notice; one that leaves no time is refused
+    // run.grace is part of the notice; a grace that leaves no time is refused
     std::fs::remove_dir_all(site.0.path("results")).unwrap();
     let dry = site.says(0, "cluster submit slurm tiny.toml run.grace=100.5 --shards 1 --dry-run");
     assert!(dry.contains("--grace 100.5") && dry.contains("USR1@116"), "{dry}");

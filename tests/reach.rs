@@ -1,4 +1,4 @@
-//! Pages are reached through proxies that have a path and a name of their own, and by whoever has the key while others hold connections.
+//! Pages behind proxies with a path and a name, and for users with the key while others hold connections.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -13,10 +13,10 @@ use crate::common::proxy::{FRONT, proxy};
 use crate::common::{Bench, TINY};
 use crate::serve::{Server, begun, status};
 
-/// The name by which browsers know the proxy.
+/// The proxy's host name in browsers.
 const NAME: &str = "hub.example.org";
 
-/// The answer of what is behind a proxy.
+/// The response to a request through a proxy.
 async fn ask(proxy: u16, method: &str, address: &str, more: &str) -> String {
     assert!(address.starts_with(FRONT), "{address} leads out of the proxy");
     let host = if more.contains("Host: ") { String::new() } else { format!("Host: {NAME}\r\n") };
@@ -28,7 +28,7 @@ async fn ask(proxy: u16, method: &str, address: &str, more: &str) -> String {
     answer
 }
 
-/// Where a link on a page leads to.
+/// The address to which a link on a page leads.
 fn resolved(page: &str, link: &str) -> String {
     let (path, _) = page.split_once('?').unwrap_or((page, ""));
     if link.starts_with('?') {
@@ -56,8 +56,8 @@ fn header<'a>(answer: &'a str, name: &str) -> Option<&'a str> {
     answer.split("\r\n\r\n").next()?.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(": "))
 }
 
-/// From the address with the key on, every link of every page leads to a page, behind both kinds of proxies; deep links keep their way;
-/// and nobody else's pages are answered.
+/// From the address with the key, every link of every page leads to a page, behind both kinds of proxies. Deep links keep their
+/// path, and foreign pages get no answer.
 #[tokio::test(flavor = "multi_thread")]
 async fn behind_a_proxy_every_link_stays_behind_it() {
     let bench = Bench::new();
@@ -109,7 +109,7 @@ async fn behind_a_proxy_every_link_stays_behind_it() {
                     assert!(resolved(&page, &link).starts_with(FRONT), "{page}: {link}");
                 } else if (of("href") || of("src")) && !link.is_empty() && !link.starts_with("data:") {
                     let to = resolved(&page, &link);
-                    // pages of SQL and sorted lists are many alike
+                    // SQL pages and sorted lists are numerous and alike
                     if !to.contains('?') && known.insert(to.clone()) {
                         open.push(to);
                     }
@@ -129,7 +129,7 @@ async fn behind_a_proxy_every_link_stays_behind_it() {
             let answer = ask(proxy, "GET", &ours, &format!("{cookie}{more}")).await;
             assert_eq!(status(&answer), expected, "{more}: {answer}");
         }
-        // without a slash it is the proxy's first page, too
+        // without the slash it is also the first page
         if !takes {
             let answer = ask(proxy, "GET", &format!("{FRONT}?key=key"), "").await;
             assert_eq!(header(&answer, "location"), Some(&*format!("{FRONT}/?key=key")));
@@ -160,8 +160,8 @@ fn a_path_or_a_name_that_is_none_is_refused() {
     }
 }
 
-/// Six hundred connections of others, half of them silent, half of them slow, which come again when they are closed: a page is there
-/// at once, however often it is asked for.
+/// Six hundred connections without the key, half silent and half slow, which reconnect when closed: every request with the key is
+/// answered at once.
 #[tokio::test(flavor = "multi_thread")]
 async fn connections_without_the_key_keep_nobody_out() {
     let bench = Bench::new();
@@ -208,7 +208,7 @@ async fn connections_without_the_key_keep_nobody_out() {
     server.served.close().await;
 }
 
-/// Pages that follow what is recorded do not take all places.
+/// Pages that follow a run leave connections for others.
 #[tokio::test(flavor = "multi_thread")]
 async fn open_pages_leave_room_for_another() {
     let bench = Bench::new();

@@ -1,7 +1,7 @@
-//! The documents: generated blocks say what the program and the committed rows say, links lead somewhere, README is short.
+//! The documents: generated blocks agree with the program and the committed rows, links have targets, README is short.
 //!
-//! A block stands between `<!-- generated: NAME -->` and `<!-- end -->`. To write all blocks anew:
-//! `METASENSE_UPDATE=1 cargo test -p metasense --test program -- references::`.
+//! A block is between `<!-- generated: NAME -->` and `<!-- end -->`. To write all blocks again: `METASENSE_UPDATE=1 cargo test -p
+//! metasense --test program -- references::`.
 
 mod authors;
 mod bodies;
@@ -24,7 +24,7 @@ use std::process::Command;
 
 use crate::common::skip;
 
-/// Every document of the project, from its root: Markdown outside hidden folders and what is built.
+/// Paths of all documents from the project's root: Markdown outside hidden and build folders.
 fn documents() -> Vec<String> {
     let (mut found, mut folders) = (Vec::new(), vec![PathBuf::new()]);
     while let Some(folder) = folders.pop() {
@@ -46,7 +46,7 @@ fn documents() -> Vec<String> {
 
 type Render = fn() -> String;
 
-/// Every block by its name, and what renders it.
+/// Names of blocks with their renderers.
 const BLOCKS: &[(&str, Render)] = &[
     ("spec keys", spec::keys),
     ("records keys", spec::records),
@@ -117,7 +117,7 @@ fn read(document: &str) -> String {
     std::fs::read_to_string(root().join(document)).unwrap_or_else(|e| panic!("{document}: {e}"))
 }
 
-/// The document with every block rendered anew, and the names of its blocks.
+/// The document with all blocks rendered again, and the names of its blocks.
 fn rendered(document: &str, text: &str) -> (String, Vec<String>) {
     let (mut fresh, mut names, mut rest) = (String::with_capacity(text.len()), Vec::new(), text);
     while let Some((before, after)) = rest.split_once(BEGIN) {
@@ -133,7 +133,7 @@ fn rendered(document: &str, text: &str) -> (String, Vec<String>) {
     (fresh + rest, names)
 }
 
-/// Shown by rendering every block again; the first line that differs is printed.
+/// Renders every block again and prints the first line that differs.
 #[test]
 fn generated_blocks_are_fresh() {
     let update = std::env::var_os("METASENSE_UPDATE").is_some();
@@ -164,7 +164,7 @@ fn generated_blocks_are_fresh() {
     }
 }
 
-/// Pictures that are drawn here, as no report draws them.
+/// Pictures that only this file draws.
 #[test]
 fn made_files_are_fresh() {
     let [claims, evidence, figure] = claims::files();
@@ -186,12 +186,12 @@ fn made_files_are_fresh() {
     }
 }
 
-/// Paths in `[text](path)`, without those of the web.
+/// Targets of `[text](path)` links, web addresses included.
 fn links(text: &str) -> impl Iterator<Item = &str> {
     text.split("](").skip(1).filter_map(|rest| rest.split_once(')').map(|(link, _)| link))
 }
 
-/// GitHub's name of a heading: lower case, blanks as hyphens, other signs dropped.
+/// GitHub's anchor of a heading: lower case, blanks as hyphens, other signs dropped.
 fn anchor(heading: &str) -> String {
     let kept = heading.trim_start_matches('#').trim().to_lowercase();
     kept.chars()
@@ -200,7 +200,7 @@ fn anchor(heading: &str) -> String {
         .collect()
 }
 
-/// A script that knows nothing of this program finds the same numbers in the rows, and sees one that is not in them.
+/// An independent script finds the same numbers in the rows, and detects a wrong one.
 #[test]
 fn tables_follow_from_the_rows_by_another_program() {
     let check = |script: &Path, tables: &[&str]| Command::new("python3").arg(script).args(tables).output();
@@ -258,7 +258,7 @@ fn the_readme_can_be_read_in_ten_minutes() {
     assert!(lines <= 150 && bytes <= 10_240, "README.md has {lines} lines, {bytes} bytes");
 }
 
-/// What is built comes from the public registry alone, whatever registry a machine asks.
+/// All dependencies are from the public registry, whatever registry a machine uses.
 #[test]
 fn the_lock_file_names_no_private_registry() {
     let lock = read("Cargo.lock");

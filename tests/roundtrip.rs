@@ -1,14 +1,15 @@
-//! The mould casts the body that was simulated: what is measured on the exported outline, by readers of their own, moves alike.
+//! The exported body moves like the simulated one: the test measures the exported outline with its own readers and simulates the
+//! result.
 
 use crate::common::{Bench, TINY};
 use crate::exports::between;
 
 type Point = [f64; 2];
 
-/// Middles of the short sides of a ligament's rectangle, and its width (mm).
+/// Midpoints of the short sides of a ligament's rectangle, and its width (mm).
 type Ligament = ([Point; 2], f64);
 
-/// What is measured on an export.
+/// Measurements of an export.
 struct Measured {
     units: Vec<Vec<Point>>,
     ligaments: Vec<Ligament>,
@@ -24,7 +25,7 @@ fn apart(a: Point, b: Point) -> f64 {
     (b[0] - a[0]).hypot(b[1] - a[1])
 }
 
-/// Polylines of a layer of a DXF, by its pairs of a code and a value.
+/// Polylines on a layer of a DXF, from its pairs of code and value.
 fn polylines(dxf: &str, layer: &str) -> Vec<Vec<Point>> {
     let lines: Vec<&str> = dxf.lines().map(str::trim).collect();
     let mut found: Vec<Vec<Point>> = Vec::new();
@@ -50,7 +51,7 @@ fn polylines(dxf: &str, layer: &str) -> Vec<Vec<Point>> {
     found
 }
 
-/// Width (mm) of the cavity of a mould across a point along a direction: between the nearest of its upright walls.
+/// Width (mm) of a mould's cavity through a point in a direction: distance between the nearest upright walls.
 fn across(walls: &[[Point; 2]], [x, y]: Point, [dx, dy]: Point) -> f64 {
     let (mut ahead, mut behind) = (f64::INFINITY, f64::INFINITY);
     for [[ax, ay], [bx, by]] in walls {
@@ -64,13 +65,13 @@ fn across(walls: &[[Point; 2]], [x, y]: Point, [dx, dy]: Point) -> f64 {
     ahead + behind
 }
 
-/// The upright walls of a binary STL, seen from above.
+/// Upright walls of a binary STL in plan view.
 fn walls(stl: &[u8]) -> Vec<[Point; 2]> {
     let number = |at: usize| f64::from(f32::from_le_bytes(stl[at..at + 4].try_into().unwrap()));
     let triangles = (84..stl.len()).step_by(50);
     let upright = triangles.filter_map(|at| {
         let [a, b, c] = [12, 24, 36].map(|k| [number(at + k), number(at + k + 4)]);
-        // two of the three corners are one above the other
+        // two of the three corners coincide in plan view
         let lines = [[a, b], [b, c], [c, a]].into_iter().filter(|[p, q]| p != q).collect::<Vec<_>>();
         (lines.len() == 2).then(|| lines[0])
     });
@@ -88,7 +89,7 @@ fn measured(bench: &Bench, folder: &str) -> Measured {
         ([middle(c[0], c[3]), middle(c[1], c[2])], apart(c[0], c[3]))
     });
     let ligaments: Vec<Ligament> = ligaments.collect();
-    // the mould has these widths, but for the ligaments that the notes name
+    // the mould has these widths, except for the ligaments that the notes list
     let walls = walls(&read("mould.stl"));
     let differs = |&&([a, b], width): &&Ligament| {
         let normal = [(a[1] - b[1]) / apart(a, b), (b[0] - a[0]) / apart(a, b)];
@@ -110,7 +111,7 @@ impl Measured {
         between(&self.notes, before, after).parse().unwrap()
     }
 
-    /// The body as polygons with the stiffnesses of Timoshenko beams (MODEL.md, Material) of a height (mm).
+    /// The body as polygons with the stiffnesses of Timoshenko beams (MODEL.md, Material) of this height (mm).
     fn body(&self, height: f64, shear: Option<f64>) -> (String, String) {
         let count = self.ligaments.len() as f64;
         let length = self.ligaments.iter().map(|l| apart(l.0[0], l.0[1])).sum::<f64>() / count;
@@ -156,7 +157,7 @@ impl Measured {
     }
 }
 
-/// What dampers do comes from no outline: the same coefficients for both (N·s/mm, N·mm·s).
+/// An outline does not determine damping: both bodies have these coefficients (N·s/mm, N·mm·s).
 const DAMPING: &str = "damping = [5e-5, 5e-5, 3e-3]\n";
 
 const LATTICE: &str = "columns = 4\nrows = 4\nspacing = 15.0\nligament_length = 2.25\n";
@@ -168,15 +169,15 @@ const QUICKSTART: [&str; 2] = [
     "density = 1e-8\nstiffness = { stretch = 3.0, shear = 0.5, bend = 1.0 }\n",
 ];
 
-/// A trial of a body with this lattice, material and height.
+/// A trial with this lattice and material.
 fn spec(lattice: &str, material: &str) -> String {
     let spec = TINY.replace(LATTICE, &format!("{lattice}{DAMPING}")).replace(MATERIAL, material);
     let spec = spec.replace("iterations = 10\nwidth = 16\n", "kind = \"linear\"\n");
     spec.replace("tolerance = 1e-3", "tolerance = 1e-5").replace("sensors = [1, 2]", "sensors = [1]")
 }
 
-/// RMS difference of the signals of an exported body and of what is measured on it, relative to the former, by `shear` (N/mm) or by that
-/// of the ligaments; and its notes.
+/// RMS difference between the signals of an exported body and of its measured copy, relative to the former, with `shear` (N/mm) or
+/// the shear stiffness of the ligaments; and the notes.
 fn deviation(bench: &Bench, hash: &str, design: &str, spec: &str, shear: Option<f64>) -> (f64, String) {
     bench.output(&["export", "s.sqlite", hash, "--format", "device", "--design", design, "--out", "d"]);
     bench.output(&["export", "s.sqlite", hash, "--format", "npz", "--out", "t.npz"]);
@@ -191,7 +192,7 @@ fn deviation(bench: &Bench, hash: &str, design: &str, spec: &str, shear: Option<
     let (own, other) =
         (bench.member("t.npz", &format!("signals_{design}")), bench.array("out/signals.npy").1);
     assert_eq!(own.len(), other.len());
-    // per channel: accelerations and rotation rates have other units
+    // per channel, because accelerations and rotation rates differ in units
     let off = (0..3).map(|c| {
         let channel = || own.iter().zip(&other).skip(c).step_by(3);
         (channel().map(|(a, b)| (a - b).powi(2)).sum::<f64>() / channel().map(|(a, _)| a * a).sum::<f64>())
@@ -207,7 +208,8 @@ fn trained(bench: &Bench, spec: &str) -> String {
     csv.lines().nth(1).unwrap().split(',').next().unwrap().to_owned()
 }
 
-/// Squares and triangles of a material, before and after training, and the quickstart's stiffnesses with the shear of a beam.
+/// Squares and triangles of a material, before and after training, and the quickstart's stiffnesses with the shear stiffness of a
+/// beam.
 #[test]
 fn the_outline_moves_as_the_body_that_was_simulated() {
     let rubber = "material = { modulus = 0.3375, density = 4e-9, thickness = 10, ligament_width = 2 }\n";
@@ -229,8 +231,8 @@ fn the_outline_moves_as_the_body_that_was_simulated() {
     }
 }
 
-/// The quickstart's shear is not that of a straight ligament: the notes say which is, and a body of that one moves otherwise. With the
-/// model's shear, what is measured moves as the model.
+/// The quickstart's shear stiffness is not that of a straight ligament. The notes give the latter, and a body with it moves
+/// differently; with the model's shear stiffness, the measured copy moves like the model.
 #[test]
 fn a_shear_that_no_ligament_has_is_told() {
     let bench = Bench::new();
@@ -247,7 +249,7 @@ fn a_shear_that_no_ligament_has_is_told() {
     }
 }
 
-/// Stiffnesses of ligaments that are as wide as units are no cast's: one line of `expand`, and no mould.
+/// No cast has stiffnesses whose ligaments are as wide as units: `expand` prints a warning, and there is no mould.
 #[test]
 fn stiffnesses_that_no_ligament_has_are_told() {
     let bench = Bench::new();

@@ -1,4 +1,4 @@
-//! A sweep runs end to end in worker processes, goes on after `kill -9`, and does nothing twice.
+//! A sweep runs end to end in worker processes, resumes after `kill -9`, and repeats nothing.
 
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -48,7 +48,7 @@ fn a_sweep_runs_once_and_only_what_is_new_is_added() {
         assert!(said.contains("nothing left to do") && said.contains("results/tiny.sqlite"), "{said}");
         start.elapsed()
     };
-    // The least of some: the machine may have other things to do.
+    // The minimum of several runs, because the machine may be loaded.
     let took = (0..5).map(|_| recognised()).min().unwrap();
     assert!(took < Duration::from_millis(300), "recognised after {took:?}");
     assert_eq!(results(&bench, "results/tiny.sqlite"), before);
@@ -63,8 +63,8 @@ fn a_sweep_runs_once_and_only_what_is_new_is_added() {
     );
 }
 
-/// Every width: worker processes and a trial in the foreground use it, record it and agree to the bit; or the machine lacks
-/// it, and nothing is begun.
+/// Every instruction set: workers and a foreground trial use and record it, with the same bits; if the machine lacks it, nothing
+/// starts.
 #[test]
 fn the_instruction_set_asked_for_is_the_one_used() {
     let bench = Bench::new();
@@ -93,7 +93,7 @@ fn the_instruction_set_asked_for_is_the_one_used() {
     assert_eq!(bench.metasense(&["run", "tiny.toml", "--simd", "sse"]).status.code(), Some(2));
 }
 
-/// Killed again and again as soon as it has recorded another step, with its workers, then left alone.
+/// Repeatedly killed with its workers after each new step, then left alone.
 #[test]
 fn a_run_that_is_killed_goes_on_to_the_same_results() {
     let bench = Bench::new();
@@ -124,7 +124,7 @@ fn a_run_that_is_killed_goes_on_to_the_same_results() {
     );
 }
 
-/// Of another version, or damaged: the trial begins anew, and says so; the results are the same.
+/// A trial with a damaged checkpoint, or one of another version, restarts with a message and gives the same results.
 #[tokio::test]
 async fn a_checkpoint_that_is_of_no_use_is_not_overlooked() {
     let bench = Bench::new();
@@ -161,7 +161,7 @@ async fn a_checkpoint_that_is_of_no_use_is_not_overlooked() {
     }
 }
 
-/// A trial that has failed stays so until it is asked for again; then its next attempt is run.
+/// A failed trial stays failed until `--retry-failed`, which runs its next attempt.
 #[tokio::test]
 async fn a_failed_trial_is_run_again_on_request_alone() {
     let bench = Bench::new();
@@ -189,7 +189,7 @@ async fn a_failed_trial_is_run_again_on_request_alone() {
     );
 }
 
-/// A linear brain that needs more memory than its worker may have: the trial has failed for that, at the first attempt.
+/// A linear decoder that needs more memory than its worker may use fails at the first attempt with that reason.
 #[test]
 fn memory_that_is_not_to_be_had_is_a_reason_of_its_own() {
     let bench = Bench::new();
@@ -208,7 +208,7 @@ fn memory_that_is_not_to_be_had_is_a_reason_of_its_own() {
     assert!(log.contains("raise `memory` in [run]"), "{log}");
 }
 
-/// One trial in the foreground comes to the errors that the same trial has in a run.
+/// A foreground trial has the errors of the same trial in a run.
 #[test]
 fn a_trial_in_the_foreground_is_the_trial_of_the_run() {
     let bench = Bench::new();
@@ -235,7 +235,7 @@ fn a_trial_in_the_foreground_is_the_trial_of_the_run() {
     );
 }
 
-/// Whoever waits for the lock gets it when all that the run has to say of itself is written, and not between.
+/// The lock is free only after the run has written everything.
 #[test]
 fn a_run_holds_its_database_until_its_outcome_is_recorded() {
     let bench = Bench::new();
@@ -254,7 +254,7 @@ fn a_run_holds_its_database_until_its_outcome_is_recorded() {
     }
     let file = std::fs::File::open(bench.path("t.sqlite")).unwrap();
     assert!(file.try_lock().is_err(), "the run does not hold its database");
-    // Without a pause: who closes and opens again lets go for some microseconds.
+    // Without a pause, because closing and reopening would free the lock for some microseconds.
     while file.try_lock().is_err() {
         assert!(began.elapsed() < Duration::from_secs(60), "the run does not end within a minute");
     }
@@ -266,8 +266,8 @@ fn a_run_holds_its_database_until_its_outcome_is_recorded() {
     assert!(run.wait().unwrap().success(), "{said}");
 }
 
-/// A machine on which every trial dies, here as each worker is killed in its first step, ends the run before it has used the
-/// trials up: it is named, and all go on elsewhere.
+/// If every trial dies on a machine, here because each worker is killed in its first step, the run ends before the trials' retries
+/// are used up. It names the machine, and all trials resume elsewhere.
 #[test]
 fn a_machine_on_which_trials_die_one_after_the_other_fails_none_of_them() {
     let bench = Bench::new();
@@ -276,7 +276,7 @@ fn a_machine_on_which_trials_die_one_after_the_other_fails_none_of_them() {
     command.args(["run", "s.toml", "--workers", "2"]).current_dir(bench.path("")).stdout(Stdio::null());
     let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
     let kill_workers = || {
-        // One that has a trial is called by its hash.
+        // A worker with a trial has the trial's hash as its name.
         let is_busy = |worker: &Seen| worker.name.bytes().all(|byte| byte.is_ascii_hexdigit());
         for worker in workers_of(child.id()).into_iter().filter(is_busy) {
             kill(worker.pid, libc::SIGKILL);
@@ -294,10 +294,10 @@ fn a_machine_on_which_trials_die_one_after_the_other_fails_none_of_them() {
     assert_eq!(asked("SELECT outcome FROM v_run"), "outcome\nunfit\n");
 }
 
-/// Under nohup a terminal that goes does not end the run; without it, it does in order.
+/// Under nohup, closing the terminal does not end the run; without nohup it ends the run cleanly.
 #[test]
 fn an_ignored_hangup_stays_ignored() {
-    // The second one is far from its end when the terminal goes, on any machine.
+    // The second run has far to go when the terminal closes, on any machine.
     for (shell, iterations, code) in [("trap '' HUP; ", 100, 0), ("", 100_000, 4)] {
         let bench = Bench::new();
         bench.file("tiny.toml", &TINY.replace("iterations = 4\n", &format!("iterations = {iterations}\n")));

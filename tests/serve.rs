@@ -1,4 +1,4 @@
-//! Pages of databases: they load, follow what is recorded, answer nobody who should not be answered, and hold nothing.
+//! Pages of databases: they load, follow runs, refuse foreign requests, and block nothing.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -16,10 +16,10 @@ use tokio::net::{TcpListener, TcpStream};
 use crate::common::roll::{Roll, number};
 use crate::common::{Bench, TINY};
 
-/// What a browser of this machine says of itself.
+/// Headers of a browser on this machine.
 const HOST: &str = "Host: localhost\r\nAuthorization: Bearer key\r\n";
 
-/// Pages of a database's own.
+/// Pages of a database.
 const PAGES: [&str; 8] = [
     "",
     "trials",
@@ -60,7 +60,7 @@ impl Server {
         TcpStream::connect(("127.0.0.1", self.port)).await.unwrap()
     }
 
-    /// Sends these bytes and reads until the other end closes, or for ten seconds.
+    /// Sends bytes and reads until the connection closes, at most ten seconds.
     async fn raw(&self, request: &[u8]) -> String {
         let mut stream = self.connect().await;
         let _ = stream.write_all(request).await;
@@ -90,7 +90,7 @@ fn plan(spec: &str) -> Plan {
     Plan::new("s.toml", spec.to_owned()).unwrap()
 }
 
-/// A database of two trials: one has begun, and has said something.
+/// A database of two trials, one of which has started and logged a line.
 pub async fn begun(db: &Path) -> (Store, Vec<String>) {
     let plan = plan(TINY);
     let mut store = Store::open(db).await.unwrap();
@@ -120,7 +120,7 @@ async fn execute(db: &Path, sql: &str) {
     connection.close().await.unwrap();
 }
 
-/// Databases that are kept and one of a run: every page of each, with what guards it, and nothing from elsewhere.
+/// All pages of finished databases and of a running one, with their security headers and without foreign content.
 #[tokio::test(flavor = "multi_thread")]
 async fn every_page_is_there_and_comes_from_here_alone() {
     let bench = Bench::new();
@@ -171,7 +171,7 @@ async fn every_page_is_there_and_comes_from_here_alone() {
     assert_eq!(left.len(), 3, "{left:?}");
 }
 
-/// A step that the store has returned from is told within a second, and stands on the page that is then asked for.
+/// A step that the store has written is announced within a second, and the page requested then contains it.
 #[tokio::test(flavor = "multi_thread")]
 async fn what_is_on_disk_is_on_the_page_within_a_second() {
     let bench = Bench::new();
@@ -185,7 +185,7 @@ async fn what_is_on_disk_is_on_the_page_within_a_second() {
     for n in 1..12 {
         let recorded = Instant::now();
         step(&mut store, &hashes[0], n).await;
-        // an event may be of a step before: the page that it asks for says which
+        // the event may be of an earlier step: check the page
         loop {
             let mut bytes = [0; 4096];
             let read = tokio::time::timeout(Duration::from_secs(10), events.read(&mut bytes)).await;
@@ -200,7 +200,7 @@ async fn what_is_on_disk_is_on_the_page_within_a_second() {
         took.push(recorded.elapsed());
         let (_, page) = server.get(&format!("/0/trial/{}", hashes[0])).await;
         assert!(page.contains(&format!("body after {} steps", n + 1)), "step {n}: {page}");
-        // a stop for the initial body and for each design, with its numbers
+        // one stop for the initial body and one per design, with its numbers
         assert!(page.contains(&format!("max=\"{}\" value=\"0\" aria-label=\"outer step\"", n + 1)), "{page}");
         let designs =
             page.split("id=\"designs\" data-live hidden>").nth(1).unwrap().split('<').next().unwrap();
@@ -208,19 +208,19 @@ async fn what_is_on_disk_is_on_the_page_within_a_second() {
     }
     took.sort_unstable();
     println!("steps were told after {took:?}");
-    // the median: other tests may have this machine for a moment
+    // the median, because other tests may load the machine
     assert!(took[took.len() / 2] < Duration::from_secs(1), "{took:?}");
     server.served.close().await;
 }
 
-/// Removed trials leave the pages, and those that get their numbers are read under their own settings.
+/// Removed trials disappear from pages, and new trials with their ids have their own settings.
 #[tokio::test(flavor = "multi_thread")]
 async fn removed_trials_leave_the_pages() {
     let bench = Bench::new();
     bench.file("tiny.toml", TINY);
     bench.output(&["run", "tiny.toml", "--db", "s.sqlite"]);
     let server = Server::new(&[bench.path("s.sqlite")]).await;
-    // pages follow within a second; other tests may have this machine for a moment
+    // pages follow within a second unless other tests load the machine
     let shows = async |condition: &str, count: usize| {
         for _ in 0..100 {
             let (_, page) = server.get(&format!("/0/trials?q={}", condition.replace('=', "%3D"))).await;
@@ -243,7 +243,7 @@ async fn removed_trials_leave_the_pages() {
     server.served.close().await;
 }
 
-/// Names of somebody else's that mean this machine, pages of other sites, what is no question: none is answered.
+/// Foreign host names for this machine, pages of other sites and malformed requests are refused.
 #[tokio::test(flavor = "multi_thread")]
 async fn only_pages_of_our_own_are_answered() {
     let bench = Bench::new();
@@ -253,7 +253,7 @@ async fn only_pages_of_our_own_are_answered() {
     let anyone = format!("Host: 127.0.0.1:{port}\r\n");
     let ours = format!("{anyone}Authorization: Bearer key\r\n");
     for (request, expected) in [
-        // another user of the machine, with no key, a wrong one, or one of another server's
+        // another user of the machine without the key, with a wrong one, or with that of another server
         (format!("GET /0/ HTTP/1.1\r\n{anyone}"), 401),
         (format!("GET /style.css HTTP/1.1\r\n{anyone}"), 401),
         (format!("GET /0/sql.csv?q=SELECT+1 HTTP/1.1\r\n{anyone}"), 401),
@@ -291,7 +291,7 @@ async fn only_pages_of_our_own_are_answered() {
     }
 }
 
-/// The list of databases, where one arrives, takes the token; a run that is not there is no error of the server's.
+/// The list of databases accepts the token; a missing run is not a server error.
 #[tokio::test(flavor = "multi_thread")]
 async fn pages_with_a_token_steer_from_the_first_one_on() {
     let bench = Bench::new();
@@ -322,7 +322,7 @@ async fn pages_with_a_token_steer_from_the_first_one_on() {
     server.served.close().await;
 }
 
-/// What a database calls things is text, wherever it stands.
+/// Names from a database are escaped everywhere.
 #[tokio::test(flavor = "multi_thread")]
 async fn hostile_names_stay_text() {
     let bench = Bench::new();
@@ -374,7 +374,7 @@ async fn hostile_names_stay_text() {
     server.served.close().await;
 }
 
-/// Shards of a folder are one database, also those that are handed in later.
+/// Shards of a folder are one database, including shards handed in later.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_folder_of_shards_is_one_database() {
     let bench = Bench::new();
@@ -421,8 +421,8 @@ async fn a_folder_of_shards_is_one_database() {
     assert_eq!(left, ["facts.db", "shard-1-of-2.1-x-1.sqlite", "shard-2-of-2.1-x-1.sqlite"]);
 }
 
-/// Requests from bits of good and bad ones: each is answered or closed, none with an error of ours, and pages are there
-/// afterwards. Three hundred, or `SERVE_CASES`.
+/// Requests of valid and invalid fragments: each is answered or closed without a server error, and pages still load afterwards.
+/// Three hundred, or `SERVE_CASES`.
 #[tokio::test(flavor = "multi_thread")]
 async fn whatever_is_asked_the_server_stays() {
     const BITS: [&str; 46] = [
@@ -481,7 +481,7 @@ async fn whatever_is_asked_the_server_stays() {
     let mut seen = std::collections::BTreeMap::<u16, u64>::new();
     for _ in 0..cases {
         let mut request = String::new();
-        // half of them are requests but for their path
+        // half of them are valid except for their path
         let whole = roll.below(2) == 0;
         if whole {
             request += "GET ";
@@ -505,12 +505,12 @@ async fn whatever_is_asked_the_server_stays() {
         let _ = stream.shutdown().await;
         let mut answer = Vec::new();
         let mut buffer = [0; 16384];
-        // streams of events do not end by themselves
+        // event streams do not end by themselves
         let begun = Instant::now();
         loop {
             let read = tokio::time::timeout(Duration::from_secs(30), stream.read(&mut buffer)).await;
             let read = read.unwrap_or_else(|_| panic!("{request:?} is neither answered nor closed"));
-            // a connection that is reset is closed, too
+            // a reset connection is also closed
             let read = read.unwrap_or(0);
             answer.extend_from_slice(&buffer[..read]);
             if read == 0 || String::from_utf8_lossy(&answer).contains("text/event-stream") {
@@ -529,7 +529,7 @@ async fn whatever_is_asked_the_server_stays() {
     assert!(status == 200 && page.contains("trials done"), "{page}");
 }
 
-/// Clients that send their head byte by byte, or ask and take nothing, keep nobody else from pages, and a store from nothing.
+/// Clients that send their head byte by byte, or request and read nothing, block neither other clients nor the store.
 #[tokio::test(flavor = "multi_thread")]
 async fn slow_clients_hold_nothing() {
     let bench = Bench::new();
@@ -539,7 +539,7 @@ async fn slow_clients_hold_nothing() {
     let mut slow = Vec::new();
     for i in 0..40 {
         let mut stream = server.connect().await;
-        // a page of some MB that is never read, or half a head
+        // a page of several MB that is never read, or half a head
         let big = "WITH+RECURSIVE+c(n)+AS+(SELECT+1+UNION+ALL+SELECT+n%2B1+FROM+c+WHERE+n<900)+SELECT+printf('%252000c','x')+FROM+c";
         let request = match i % 3 {
             0 => "GET /0/ HTTP/1.1\r\nHo".to_owned(),

@@ -1,8 +1,8 @@
-//! `init`, `completions` and `man`: what a new user has the program write.
+//! `init`, `completions` and `man`: files for new users.
 
 use crate::common::Bench;
 
-/// Every template expands, takes the name of its file, and overwrites nothing.
+/// Every template expands, has the name of its file, and overwrites nothing.
 #[test]
 fn every_template_is_a_spec_of_its_own_name() {
     let bench = Bench::new();
@@ -21,7 +21,7 @@ fn every_template_is_a_spec_of_its_own_name() {
     assert_eq!(bench.metasense(&["init", "quickstart", "a b.toml"]).status.code(), Some(2));
 }
 
-/// Completions and manual pages have the commands of groups, and not what is hidden from people.
+/// Completions and manual pages contain the commands of groups, but no hidden ones.
 #[test]
 fn completions_and_manual_pages_have_all_commands() {
     let bench = Bench::new();
@@ -36,7 +36,7 @@ fn completions_and_manual_pages_have_all_commands() {
     assert!(!bench.path("man1/metasense-worker.1").exists());
 }
 
-/// A group without a command prints its help; the old name of a command is an error that gives the new one.
+/// A group without a command prints its help; an old command name is an error that gives the new one.
 #[test]
 fn groups_have_help_and_old_names_are_given_as_new_ones() {
     let bench = Bench::new();

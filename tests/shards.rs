@@ -1,4 +1,4 @@
-//! Shards on one machine: by hand, into a results folder, interrupted and killed; merged, they are the whole sweep.
+//! Shards on one machine: run by hand, into a results folder, interrupted and killed; merged, they equal the whole sweep.
 
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -6,19 +6,19 @@ use std::time::{Duration, Instant};
 use crate::common::roll::{self, Roll};
 use crate::common::{Bench, TINY, results, without_cost};
 
-/// Four trials, quick ones.
+/// Four quick trials.
 fn four() -> String {
     TINY.to_owned() + "seeds = [1, 2]\n"
 }
 
-/// A number from a database; 0 while there is none.
+/// A number from a database; 0 if there is none.
 fn number(bench: &Bench, db: &str, sql: &str) -> u32 {
     let output = bench.metasense(&["query", db, sql, "--format", "csv"]);
     String::from_utf8_lossy(&output.stdout).lines().nth(1).and_then(|n| n.parse().ok()).unwrap_or(0)
 }
 
-/// The shards of a sweep are its trials, each once; merged, they are what one machine gives, to every analysis; what is
-/// missing from a merge is run by the same command as ever.
+/// Shards divide the trials of a sweep. Merged, they equal the results of one machine for every analysis, and `run` computes trials
+/// that a merge lacks.
 #[test]
 fn shards_merged_are_the_sweep() {
     let bench = Bench::new();
@@ -39,7 +39,7 @@ fn shards_merged_are_the_sweep() {
     assert_eq!(parts, all);
 
     bench.output(&["cluster", "merge", "s3.sqlite", "s1.sqlite", "--out", "merged.sqlite"]);
-    // Of databases that lie with their assignment, a merge knows what nobody has begun.
+    // From the assignment beside the databases, a merge finds trials that never started.
     let listed = bench.output(&["expand", "tiny.toml", "--format", "csv", "--shard", "2/3"]);
     let second: Vec<&str> = listed.lines().skip(1).map(|line| &line[..16]).collect();
     let hashes: String = all.iter().map(|line| format!("{},1\n", line.split(',').next().unwrap())).collect();
@@ -50,7 +50,7 @@ fn shards_merged_are_the_sweep() {
     assert!(second.iter().all(|hash| said.contains(&hash[..8])), "{said}");
     bench.output(&["run", "tiny.toml", "--db", "merged.sqlite"]);
     assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));
-    // The trials of the missing shard have been done twice now, with the same bits.
+    // The trials of the missing shard now exist twice, with the same bits.
     let said = bench.metasense(&["cluster", "merge", "merged.sqlite", "s2.sqlite", "--out", "merged.sqlite"]);
     let said = String::from_utf8_lossy(&said.stderr).into_owned();
     assert!(said.contains("4 trials from 2 databases"), "{said}");
@@ -65,8 +65,8 @@ fn shards_merged_are_the_sweep() {
     assert_eq!(number(&bench, "merged.sqlite", runs), 3);
 }
 
-/// A folder of shards answers as a whole database does, from their facts, to which it adds what is new; a trial's arrays are taken
-/// from its own shard; what facts do not hold is said.
+/// A folder of shards can be queried like a database, from facts that are updated. Arrays are read from the trial's shard; messages
+/// state what facts do not contain.
 #[test]
 fn a_folder_of_shards_answers_questions_without_a_merge() {
     let bench = Bench::new();
@@ -120,7 +120,7 @@ fn a_folder_of_shards_answers_questions_without_a_merge() {
     assert!(bench.output(&["status", "s.shards", hash]).lines().count() < 1000);
     assert_eq!(facts(), made, "written again with nothing new");
 
-    // The whole merge of a folder takes no facts for a shard; without the files the rest of a trial is nowhere.
+    // A whole merge of a folder ignores its facts; without the files the rest of a trial is lost.
     bench.output(&["cluster", "merge", "s.shards", "--out", "merged.sqlite"]);
     assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));
     bench.output(&["cluster", "merge", "s.shards", "--facts", "--out", "facts.sqlite"]);
@@ -134,7 +134,7 @@ fn a_folder_of_shards_answers_questions_without_a_merge() {
     assert_eq!(gone.status.code(), Some(2));
 }
 
-/// Nodes of a cluster differ in their instruction sets, by which trials are estimated: whoever deals, every trial is dealt once.
+/// Instruction sets of nodes differ, and with them estimates: whichever node assigns, every trial is assigned once.
 #[test]
 fn every_trial_has_a_shard_whatever_machine_deals() {
     let bench = Bench::new();
@@ -151,7 +151,7 @@ fn every_trial_has_a_shard_whatever_machine_deals() {
     assert_eq!(dealt.len(), 480);
 }
 
-/// The whole sweep as one shard that hands in to `out`, on a node whose disk is `node`.
+/// The whole sweep as one shard that hands in to `out`, with its local disk in `node`.
 fn start(bench: &Bench, node: &str) -> Child {
     std::fs::create_dir_all(bench.path(node)).unwrap();
     Command::new(env!("CARGO_BIN_EXE_metasense"))
@@ -191,16 +191,16 @@ fn wait(child: &mut Child) -> Option<i32> {
     }
 }
 
-/// Killed on one node, where only what was handed in from time to time is left; ended by SIGTERM on a second; completed
-/// on a third. A node is left as it was found, but for the one that was lost.
+/// Killed on one node, where only periodic copies remain; ended by SIGTERM on a second; completed on a third. Except for the lost
+/// node, nothing is left on a node.
 #[test]
 fn a_shard_goes_on_on_another_node() {
     let bench = Bench::new();
-    // Long enough that a node is lost, and another ended, with most of the work still to be done
+    // Long enough that most of the work remains after losing one node and ending another
     let tiny = four().replace("iterations = 4\n", "iterations = 240\n");
     bench.file("tiny.toml", &tiny);
     bench.output(&["run", "tiny.toml", "--db", "whole.sqlite"]);
-    // Of each attempt one file; named by when it began.
+    // One file per attempt, with the start time in its name.
     let attempts = || {
         let files = bench.path("out").read_dir().into_iter().flatten().flatten();
         let mut attempts: Vec<String> = files.map(|f| f.file_name().into_string().unwrap()).collect();
@@ -229,7 +229,7 @@ fn a_shard_goes_on_on_another_node() {
     while runs() == workers && ended.try_wait().unwrap().is_none() {
         std::thread::sleep(Duration::from_millis(2));
     }
-    // The results folder is away when it ends, and comes back while there is time.
+    // The results folder is missing at the end of the shard, and returns in time.
     let (out, away) = (bench.path("out"), bench.path("away"));
     std::fs::rename(&out, &away).unwrap();
     signal(&ended, libc::SIGTERM);
@@ -244,7 +244,7 @@ fn a_shard_goes_on_on_another_node() {
     let mut last = start(&bench, "node3");
     assert_eq!(wait(&mut last), Some(0));
     assert_eq!(left("node3"), 0);
-    // The last one holds all that the earlier two have handed in.
+    // The last file contains everything that the first two handed in.
     assert_eq!(attempts().len(), 1, "{:?}", attempts());
     assert_eq!(results(&bench, &handed_in()), results(&bench, "whole.sqlite"));
     bench.output(&["cluster", "merge", "out", "--out", "merged.sqlite"]);
@@ -252,14 +252,14 @@ fn a_shard_goes_on_on_another_node() {
     let outcomes = "SELECT count(*) FROM v_run WHERE outcome IN ('interrupted', 'complete')";
     assert_eq!(number(&bench, &handed_in(), outcomes), 2);
 
-    // A spec that has changed since it was submitted is not run.
+    // A spec that has changed since its submission is refused.
     bench.file("out/spec.toml", &tiny.replace("[1, 2]", "[1]"));
     let refused = bench.metasense(&["run", "tiny.toml", "--shard", "1/1", "--folder", "out"]);
     let said = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(refused.status.code() == Some(2) && said.contains("has changed since"), "{said}");
 }
 
-/// A scheduler that has lost its own process on a node begins a shard anew there while the first attempt still ends.
+/// A scheduler that has lost its process on a node starts the shard again while the first attempt is ending.
 #[test]
 fn an_attempt_waits_for_one_that_ends_on_its_node() {
     let bench = Bench::new();
@@ -270,9 +270,9 @@ fn an_attempt_waits_for_one_that_ends_on_its_node() {
     while !log().contains("worker started") && first.try_wait().unwrap().is_none() {
         std::thread::sleep(Duration::from_millis(2));
     }
-    signal(&first, libc::SIGSTOP); // with trials left to do, however quick they are
+    signal(&first, libc::SIGSTOP); // with remaining trials, however quick they are
     let mut second = start(&bench, "node");
-    std::thread::sleep(Duration::from_secs(1)); // longer than a lock is tried for
+    std::thread::sleep(Duration::from_secs(1)); // longer than the attempts to lock
     assert_eq!(second.try_wait().unwrap(), None, "{}", log());
     signal(&first, libc::SIGTERM);
     signal(&first, libc::SIGCONT);
@@ -281,9 +281,9 @@ fn an_attempt_waits_for_one_that_ends_on_its_node() {
     assert_eq!(results(&bench, "merged.sqlite"), results(&bench, "whole.sqlite"));
 }
 
-/// A shard is killed at random moments, on two nodes in turn, one of which is lost each time; so are merges and `gc` of what it has
-/// handed in (`KILLS=N` for more, `KILL_SEED=N` for the same). What a merge has once given is never less, and what comes
-/// of it all is what an undisturbed run gives.
+/// A shard is killed at random moments, alternately on two nodes, one of which is lost each time; merges and `gc` are killed as
+/// well (`KILLS=N` for more, `KILL_SEED=N` to repeat). Merged results never shrink, and the final results are those of an
+/// undisturbed run.
 #[test]
 fn kills_at_random_moments_lose_nothing_that_was_handed_in() {
     let kills = roll::number("KILLS").unwrap_or(10);
@@ -321,7 +321,7 @@ fn kills_at_random_moments_lose_nothing_that_was_handed_in() {
             let before = handed_in();
             let mut shard = start(&bench, &node);
             std::thread::sleep(Duration::from_millis(200 + roll.below(1000)));
-            // every other one lives until it has handed in more, so that it comes to an end on a busy machine, too
+            // every other shard lives until it has handed in more, so that the sweep ends on a loaded machine
             while round % 2 == 1 && handed_in() <= before && shard.try_wait().unwrap().is_none() {
                 std::thread::sleep(Duration::from_millis(100));
             }
@@ -337,7 +337,7 @@ fn kills_at_random_moments_lose_nothing_that_was_handed_in() {
             }
         }
         tidied(&merge, None);
-        // what a killed process has left goes, and with it no row
+        // leftovers of killed processes are removed, and no row is lost
         tidied(&gc, None);
         let left = std::fs::read_dir(bench.path("")).unwrap().flatten();
         let left: Vec<_> = left.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();

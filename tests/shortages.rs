@@ -1,5 +1,5 @@
-//! What the machine is short of is named before the first worker starts; no trial is charged for it, and with more of it the same
-//! command goes on.
+//! Shortages of the machine are named before the first worker starts; no trial fails for them, and with more resources the same
+//! command resumes.
 
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
@@ -8,10 +8,10 @@ use std::process::{Command, Output};
 use crate::common::{Bench, TINY, skip};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_metasense");
-/// A user who runs nothing else.
+/// A user without other processes.
 const NOBODY: u32 = 64_123;
 
-/// Calls the program in a shell that has done something before.
+/// Runs the program in a shell after other commands.
 fn after(bench: &Bench, before: &str, arguments: &str) -> Command {
     let mut command = Command::new("bash");
     command.args(["-c", &format!("{before}; exec {PROGRAM} {arguments}")]).current_dir(bench.path(""));
@@ -22,7 +22,7 @@ fn said(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// Exit code 5, the limit named, and nothing charged.
+/// Checks for exit code 5, the limit's name, and no failed trial.
 fn refused(bench: &Bench, output: &Output, limit: &str) {
     let message = said(output);
     assert_eq!(output.status.code(), Some(5), "{limit}: {message}");
@@ -34,7 +34,7 @@ fn refused(bench: &Bench, output: &Output, limit: &str) {
     }
 }
 
-/// Descriptors, sizes of files, memory, stack, threads: each refused before a worker starts, by its name.
+/// File descriptors, file sizes, memory, stack, threads: each limit is refused by name before a worker starts.
 #[test]
 fn limits_of_the_shell_are_named_before_the_first_worker_starts() {
     let bench = Bench::new();
@@ -56,7 +56,7 @@ fn limits_of_the_shell_are_named_before_the_first_worker_starts() {
     assert!(done.status.success(), "what may be raised is: {}", said(&done));
 }
 
-/// The kernel counts threads of all users but root.
+/// The kernel limits the threads of all users except root.
 #[test]
 fn a_limit_on_threads_is_named_before_the_first_worker_starts() {
     let who = "a_limit_on_threads_is_named_before_the_first_worker_starts";
@@ -77,7 +77,7 @@ fn a_limit_on_threads_is_named_before_the_first_worker_starts() {
     assert!(done.status.success(), "{}", said(&done));
 }
 
-/// Disks of the test's own: full, without inodes, without programs; and a small shared memory.
+/// Mounted disks that are full, without inodes, or noexec; and a small shared memory.
 #[test]
 fn disks_without_room_are_named_before_the_first_worker_starts() {
     let who = "disks_without_room_are_named_before_the_first_worker_starts";
@@ -112,8 +112,8 @@ fn disks_without_room_are_named_before_the_first_worker_starts() {
     );
 }
 
-/// Memory that the machine does not have: the trials are tried again and stay pending. With a limit of the worker's own the trial
-/// would have failed, as on every machine.
+/// If the machine lacks memory, trials are retried and stay pending. With the worker's own limit, the trial would fail, as on every
+/// machine.
 #[test]
 fn a_trial_that_the_machine_has_no_memory_for_stays_pending() {
     let bench = Bench::new();

@@ -50,7 +50,7 @@ fn a_body_is_simulated_under_given_forces() {
     let (one, two) = (bench.array("c/gradient.npy").1, bench.array("d/gradient.npy").1);
     assert!(one.iter().any(|g| *g != 0.0) && one.iter().zip(&two).all(|(a, b)| 2.0 * a == *b));
 
-    // The table has a row per outcome, however many samples; other formats have a row per sample.
+    // The table has one row per outcome, other formats one row per sample.
     let many: Vec<f64> = (0..5).flat_map(|_| knots.iter().copied()).collect();
     bench.write_array("many.npy", &[5, 2, 201], &many);
     let summary = simulate("f", &["--forces", "many.npy"]);
@@ -58,7 +58,7 @@ fn a_body_is_simulated_under_given_forces() {
     let rows = simulate("g", &["--forces", "many.npy", "--format", "csv"]);
     assert!(rows.lines().count() == 6 && rows.contains("\n4,ok,"), "{rows}");
 
-    // of a sample alone: the pilot comes once, however many samples there are
+    // evaluations per sample: the pilot runs once and is not included
     let evaluations = |summary: &str| {
         let rows: Vec<Vec<&str>> = summary.lines().map(|line| line.split(',').collect()).collect();
         let at = rows[0].iter().position(|name| name.starts_with("force_evaluations")).unwrap();
@@ -69,7 +69,7 @@ fn a_body_is_simulated_under_given_forces() {
     let steps = evaluations(&alone) as f64 / 200.0;
     assert!((2.0..200.0).contains(&steps), "{steps} an interval");
 
-    // a unit turned inside out is no body, and a design beyond the limits comes with a warning
+    // a body with an inverted unit is refused; a design beyond the limits gives a warning
     let design: Vec<f64> = (0..168).map(|i| 20.0 * (1.7 * i as f64).sin()).collect();
     bench.write_array("inside.npy", &[168], &design);
     let call = ["body", "simulate", "s.toml", hash, "--out-dir", "i", "--forces", "f.npy", "--design"];

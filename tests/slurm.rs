@@ -1,6 +1,6 @@
-//! Shards on a real Slurm, started by the test: killed, drained away, requeued, cut off; nothing is lost.
+//! Shards on a real Slurm that the test starts: killed, drained, requeued, cut off; nothing is lost.
 //!
-//! Without Slurm (Debian: slurm-wlm and munge) or root it says so and passes.
+//! Skipped without Slurm (Debian: slurm-wlm and munge) or root.
 
 use std::path::{Path, PathBuf};
 use std::process::Output;
@@ -9,7 +9,7 @@ use std::time::Duration;
 use crate::common::skip;
 use crate::common::slurm::{Slurm, missing};
 
-/// Trials of half a second (4 outer steps) to some seconds.
+/// Trials of half a second (4 outer steps) to several seconds.
 fn spec(name: &str, steps: u32, seeds: &str) -> String {
     format!(
         "name = \"{name}\"\n\
@@ -48,7 +48,7 @@ impl Site {
         command.args(arguments.split_whitespace()).current_dir(&self.home).output().unwrap()
     }
 
-    /// What a call says that must end with this code.
+    /// Output of a call that must end with this exit code.
     fn says(&self, code: i32, arguments: &str) -> String {
         let output = self.call(arguments);
         let said =
@@ -71,7 +71,7 @@ impl Site {
         format!("{}\n{}", self.rows(db, trials), self.rows(db, steps))
     }
 
-    /// The database that a shard has handed in last.
+    /// The latest database that a shard handed in.
     fn handed_in(&self, name: &str, shard: u32) -> Option<String> {
         let folder = format!("results/{name}.shards");
         let files = std::fs::read_dir(self.home.join(&folder)).ok()?.flatten();
@@ -84,13 +84,13 @@ impl Site {
         std::fs::read_to_string(self.home.join(file)).unwrap_or_default()
     }
 
-    /// Waits until a shard has begun its `nth` run, by its log.
+    /// Waits for the start of a shard's `nth` run in its log.
     fn until_running(&self, log: &str, nth: usize) {
         self.slurm.until("a shard runs", 60, || self.read(log).matches("worker started").count() >= nth);
     }
 }
 
-/// Process id of the run that puts its database into this folder.
+/// Process id of the run with this folder.
 fn shard_process(folder: &Path) -> Option<i32> {
     let folder = folder.to_string_lossy().into_owned();
     std::fs::read_dir("/proc").unwrap().flatten().find_map(|entry| {
@@ -100,7 +100,7 @@ fn shard_process(folder: &Path) -> Option<i32> {
     })
 }
 
-/// Two shards one after the other, as one node is drained; a merge before the last; the merge that Slurm starts.
+/// Two shards one after the other, because one node is drained; a merge before the last; the merge that Slurm starts.
 #[test]
 fn a_sweep_in_shards_is_the_sweep() {
     let Some(site) = Site::new("a_sweep_in_shards_is_the_sweep") else { return };
@@ -129,7 +129,7 @@ fn a_sweep_in_shards_is_the_sweep() {
     assert_eq!(site.slurm.tool("ls", &site.home.parent().unwrap().join("tmp").display().to_string()), "");
 }
 
-/// A search whose trials are dealt to jobs round by round ends where one run does; it waits for the queue.
+/// A search with rounds of jobs ends like one run; it waits for the queue.
 #[test]
 fn a_search_in_jobs_is_the_search() {
     let Some(site) = Site::new("a_search_in_jobs_is_the_search") else { return };
@@ -147,7 +147,7 @@ fn a_search_in_jobs_is_the_search() {
     assert!(!again.contains("submitted: job") && again.contains("the cheapest design"), "{again}");
 }
 
-/// More shards than an array may have, one at a time in each; options of the shards are not the merge's.
+/// More shards than an array may have, one at a time per array; options of shards do not apply to the merge.
 #[test]
 fn arrays_are_cut_and_throttled() {
     let Some(site) = Site::new("arrays_are_cut_and_throttled") else { return };
@@ -175,7 +175,7 @@ fn arrays_are_cut_and_throttled() {
     assert!(outputs.iter().all(|file| site.home.join(file).exists()), "{outputs:?}");
 }
 
-/// Killed, it has to be submitted again; requeued, it comes back by itself; each time it goes on.
+/// After a kill the shard must be submitted again; after a requeue it returns by itself; both times it resumes.
 #[test]
 fn a_shard_that_is_killed_or_requeued_goes_on() {
     let Some(site) = Site::new("a_shard_that_is_killed_or_requeued_goes_on") else { return };
@@ -185,7 +185,7 @@ fn a_shard_that_is_killed_or_requeued_goes_on() {
     site.says(0, "cluster submit slurm slow.toml --shards 1 --cpus 1 --time 5");
     site.until_running(log, 1);
     let pid = shard_process(&site.home.join("results/slow.shards")).expect("the shard is a process");
-    // SAFETY: sends a signal to a process that this test has had started.
+    // SAFETY: sends a signal to a process that this test has caused to start.
     unsafe { libc::kill(pid, libc::SIGKILL) };
     site.slurm.until_empty(60);
     let status = site.says(0, "status --folder results/slow.shards");
@@ -200,11 +200,11 @@ fn a_shard_that_is_killed_or_requeued_goes_on() {
     assert!(again.contains("running or queued: shards 1") && again.contains("nothing to submit"), "{again}");
     let job = site.slurm.tool("squeue", "-h -t running -o %A").trim().to_owned();
     site.slurm.tool("scontrol", &format!("requeue {job}"));
-    // Slurm lets it wait for two minutes, unless it is told otherwise.
+    // By default Slurm delays it for two minutes.
     site.slurm.until("the shard waits again", 60, || {
         site.slurm.tool("squeue", "-h -r -t pending -o %r").contains("BeginTime")
     });
-    // pending, and for a moment completing, too
+    // pending, and briefly also completing
     site.slurm.until("status says so", 60, || {
         site.says(0, "status --folder results/slow.shards").contains("pending")
     });
@@ -212,11 +212,11 @@ fn a_shard_that_is_killed_or_requeued_goes_on() {
     assert_eq!(site.rows(&site.handed_in("slow", 1).unwrap(), interrupted), "interrupted");
     let id = site.slurm.tool("squeue", "-h -r -t pending -o %i");
     let id = id.lines().find(|id| id.contains('_')).expect("an array's job");
-    // A node refuses a job that begins in the second in which it was told to end it: "Job credential revoked".
+    // A node refuses a job that starts in the second of its own termination: "Job credential revoked".
     std::thread::sleep(Duration::from_secs(2));
     site.slurm.tool("scontrol", &format!("update jobid={id} starttime=now"));
     site.slurm.until_empty(90);
-    // now and then Slurm takes the requeue for the end that the job of the merge waits for: merged again, nothing is missing
+    // Slurm sometimes takes the requeue for the end that the merge waits for; a second merge is complete
     site.says(0, "cluster merge results/slow.shards --out results/slow.sqlite");
     assert_eq!(site.results("results/slow.sqlite"), site.results("whole.sqlite"));
     let runs =
@@ -224,14 +224,15 @@ fn a_shard_that_is_killed_or_requeued_goes_on() {
     assert_eq!(site.rows("results/slow.sqlite", runs).trim_matches('"'), "lost,interrupted,complete");
 }
 
-/// A shard is told a minute before its time limit, here at once; it queues again by itself and goes on. Cancelled, it stays away.
+/// A shard gets a signal one minute before its time limit, here at once, queues itself again and resumes. After a cancellation it
+/// does not.
 #[test]
 fn a_shard_queues_again_at_its_time_limit_and_not_when_it_is_cancelled() {
     let Some(site) = Site::new("a_shard_queues_again_at_its_time_limit_and_not_when_it_is_cancelled") else {
         return;
     };
     std::fs::write(site.home.join("long.toml"), spec("long", 6000, "[1]")).unwrap();
-    // A name that neither a shell nor sbatch is to take for more than that.
+    // A name in which shell and sbatch must not expand anything.
     let folder = "$(touch${IFS}pwned)#'%d.shards";
     site.says(
         0,
@@ -245,7 +246,7 @@ fn a_shard_queues_again_at_its_time_limit_and_not_when_it_is_cancelled() {
     assert_eq!(site.rows("early.sqlite", outcome), "interrupted,1,1");
     assert_ne!(site.rows("early.sqlite", "SELECT count(*) FROM v_step"), "0");
 
-    // A longer one from now on, which somebody cancels.
+    // A longer limit, and then a cancellation.
     let id = site.slurm.tool("squeue", "-h -r -t pending -o %i");
     let id = id.lines().find(|id| id.contains('_')).expect("an array's job").to_owned();
     std::thread::sleep(Duration::from_secs(2)); // as above

@@ -1,11 +1,11 @@
-//! Specs that were damaged at random: no panic, and each error names a key or says that the file is no TOML.
+//! Randomly damaged specs: no panic, and each error names a key or states that the file is not TOML.
 
 use crate::common::SPEC;
 use crate::common::roll;
 use metasense::plan::Plan;
 use proptest::prelude::*;
 
-/// What else a spec may hold, so that every table is damaged.
+/// Further keys, so that every table can be damaged.
 const REST: &str = r#"placements = 2
 seeds = [1, 2]
 "body.stiffness.bend" = [1.0, 2.0]
@@ -75,7 +75,7 @@ const VALUES: &[&str] = &[
     "",
 ];
 
-/// One damage: which line, what happens to it, with what.
+/// One damage: the line, the kind, and what is inserted.
 #[derive(Debug, Clone)]
 enum Damage {
     Value(usize, usize),

@@ -1,6 +1,7 @@
-//! Shards on machines without a scheduler, by a real `sshd` on loopback: one that is away, all stopped in order, gone on with.
+//! Shards on machines without a scheduler, over a real `sshd` on loopback: an unreachable host, a clean stop of all shards, and
+//! resuming.
 //!
-//! Without `sshd` and `ssh` (Debian: openssh-server) it says so and passes.
+//! Skipped without `sshd` and `ssh` (Debian: openssh-server).
 
 use std::net::TcpListener;
 use std::path::Path;
@@ -11,7 +12,7 @@ use crate::common::processes::{eventually, kill};
 use crate::common::skip;
 use crate::common::{Bench, TINY, results};
 
-/// The daemon; dropped, it ends.
+/// The daemon; dropping it ends it.
 struct Sshd(Child);
 
 impl Drop for Sshd {
@@ -22,7 +23,7 @@ impl Drop for Sshd {
 }
 
 impl Sshd {
-    /// Starts it, and writes a file `ssh.conf` by which hosts `a` and `b` are this machine and `gone` is nobody.
+    /// Starts the daemon and writes `ssh.conf`, in which hosts `a` and `b` are this machine and `gone` does not exist.
     fn start(bench: &Bench) -> Option<Self> {
         let program =
             ["/usr/sbin/sshd", "/usr/local/sbin/sshd"].into_iter().find(|path| Path::new(path).exists());
@@ -31,7 +32,7 @@ impl Sshd {
             skip::skipped("shards by ssh", "there is no sshd or no ssh; Debian has them in openssh-server");
             return None;
         };
-        let _ = std::fs::create_dir("/run/sshd"); // root's sshd wants it
+        let _ = std::fs::create_dir("/run/sshd"); // root's sshd needs it
         for key in ["host", "user"] {
             let key = bench.path(key).display().to_string();
             let made =
@@ -105,7 +106,7 @@ fn shards_by_ssh_are_the_sweep() {
     let log = |i: u32| bench.path(&format!("results/tiny.shards/shard-{i}-of-2.log"));
     let begun = |i| std::fs::read_to_string(log(i)).unwrap_or_default().contains("worker started");
 
-    // Both run, the one that `gone` could not have on another host; Ctrl-C reaches them there.
+    // Both shards run, one of them after `gone` failed; Ctrl-C reaches them on their hosts.
     let first = submit();
     eventually(Duration::from_secs(60), || (begun(1) && begun(2)).then_some(())).expect("both shards begin");
     kill(first.id(), libc::SIGTERM);
@@ -122,7 +123,7 @@ fn shards_by_ssh_are_the_sweep() {
     assert_eq!(results(&bench, "results/tiny.sqlite"), results(&bench, "whole.sqlite"));
     assert_eq!(bench.path("tmp").read_dir().unwrap().count(), 0, "nothing is left on the machines");
 
-    // Nobody is there: nothing is lost, and the exit code says so.
+    // No host is reachable: nothing is lost, and the exit code shows it.
     bench.file("hosts", "gone\n");
     bench.file("tiny.toml", &(text + "\n").replace("seeds = [1, 2]", "seeds = [1, 2, 3]"));
     let (code, message) = said(submit());

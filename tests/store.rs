@@ -1,4 +1,4 @@
-//! The store keeps what it was given, once, and nothing of a stale attempt.
+//! The store keeps all records exactly once, and none of a stale attempt.
 
 use metasense::cluster::merge::{Extent, merge};
 use metasense::plan::Trial;
@@ -90,7 +90,7 @@ async fn value(db: &std::path::Path, sql: &str) -> serde_json::Value {
     reader.query::<metasense::look::Table>(sql).await.unwrap().rows[0][0].clone()
 }
 
-/// A trial's whole life, read back through the views and through a second opening.
+/// All stages of a trial, read through the views and after reopening.
 #[tokio::test]
 async fn what_is_recorded_is_read_back() {
     let folder = tempfile::tempdir().unwrap();
@@ -112,12 +112,12 @@ async fn what_is_recorded_is_read_back() {
     store.record_step(hash, 1, &step, &checkpoint).await.unwrap();
     assert_eq!(store.checkpoint(hash).await.unwrap().as_ref(), Some(&checkpoint));
 
-    // A dead run: its attempt is closed, its trial goes on.
+    // A dead run: its attempt is closed, and its trial resumes.
     drop(store);
     let mut store = Store::open(&db).await.unwrap();
     store.begin_sweep(&sweep(), "text", &trials).await.unwrap();
     assert_eq!(value(&db, "SELECT reason FROM v_attempt").await, "orchestrator_lost");
-    // It ended with its last step, however late it is found.
+    // The attempt ended with its last step, however late this is found.
     let ended = "SELECT a.ended_at = p.recorded_at FROM attempt a JOIN step p ON p.trial_id = a.trial_id";
     assert_eq!(value(&db, ended).await, json!(1));
     assert_eq!(store.begin_attempt(hash).await.unwrap(), 2);
@@ -172,7 +172,8 @@ async fn what_is_recorded_is_read_back() {
     }
 }
 
-/// Two specs that share a trial, in one database: it keeps the name of the first, and `status` has both; merged, too.
+/// Two specs with a common trial in one database: the trial keeps the name of the first, and `status` lists both; likewise after a
+/// merge.
 #[tokio::test]
 async fn a_trial_keeps_the_name_of_the_sweep_that_brought_it() {
     let folder = tempfile::tempdir().unwrap();
@@ -180,15 +181,15 @@ async fn a_trial_keeps_the_name_of_the_sweep_that_brought_it() {
     let mut store = Store::open(&db).await.unwrap();
     let other = SweepSpec { name: "other".into(), ..sweep() };
     for _ in 0..2 {
-        // run, changed and run, another with one of the trials and one of its own, the first again
+        // a run, a longer version, another spec with a common and an own trial, the first again
         store.begin_sweep(&sweep(), "text", &[trial(0)]).await.unwrap();
         store.begin_sweep(&sweep(), "longer text", &[trial(0), trial(1)]).await.unwrap();
-        tokio::time::sleep(std::time::Duration::from_millis(3)).await; // they are told apart by time
+        tokio::time::sleep(std::time::Duration::from_millis(3)).await; // time distinguishes them
         store.begin_sweep(&other, "text", &[trial(1), trial(2)]).await.unwrap();
     }
     store.close().await.unwrap();
     merge(Extent::Whole, std::slice::from_ref(&db), &merged).await.unwrap();
-    // a third into the merged one
+    // a third sweep in the merged database
     let mut store = Store::open(&merged).await.unwrap();
     let third = SweepSpec { name: "third".into(), ..sweep() };
     store.begin_sweep(&third, "text", &[trial(2), trial(3)]).await.unwrap();
@@ -206,8 +207,7 @@ async fn a_trial_keeps_the_name_of_the_sweep_that_brought_it() {
     assert_eq!(shown, ["\"other, third\"", "s", "\"s, other\"", "third"], "{rows}");
 }
 
-/// At most twenty designs of a trial stay, the last one among them, whatever stopped it on its way and however often a step
-/// was done: to the bytes the same.
+/// At most twenty designs of a trial are kept, including the last. They are the same bytes after any stops and repeated steps.
 #[tokio::test]
 async fn the_designs_that_stay_depend_on_the_number_of_steps_alone() {
     let folder = tempfile::tempdir().unwrap();
@@ -218,7 +218,7 @@ async fn the_designs_that_stay_depend_on_the_number_of_steps_alone() {
         let mut trial = trial(0);
         trial.spec.optimise.iterations = Some(steps as usize);
         let mut kept = Vec::new();
-        // at once; and killed in the middle, with two steps done again
+        // in one run; and killed in the middle, with two repeated steps
         for (name, ways) in [("once", [0..0, 0..steps]), ("twice", [0..steps / 2 + 1, steps / 2 - 1..steps])]
         {
             let db = folder.path().join(format!("{name}{steps}.sqlite"));
@@ -290,7 +290,7 @@ async fn foreign_and_newer_databases_are_refused_untouched() {
     assert_eq!(std::fs::read(&newer).unwrap(), bytes);
 }
 
-/// 16 trials a batch, each with its attempt, a step and a result, beside a reader that never rests.
+/// 16 trials per batch, each with attempt, step and result, beside a reader that queries continuously.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_reader_that_queries_all_the_time_causes_no_lock_error() {
     let folder = tempfile::tempdir().unwrap();
@@ -337,7 +337,7 @@ async fn a_reader_that_queries_all_the_time_causes_no_lock_error() {
     assert_eq!(store.settled().await.unwrap().len(), 400);
 }
 
-/// A clock that was set back while an attempt went on: no time is negative.
+/// If the clock is set back during an attempt, no time is negative.
 #[tokio::test]
 async fn no_time_is_negative() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! What is handed to a cluster's scheduler, to the letter; and that it is handed over.
+//! Exact submissions to a cluster's scheduler, and that they are made.
 
 use std::os::unix::fs::PermissionsExt;
 use std::process::{Command, Output, Stdio};
@@ -7,7 +7,7 @@ use std::time::Duration;
 use crate::common::processes::{eventually, kill};
 use crate::common::{Bench, SPEC, TINY, results};
 
-/// Without the paths of this machine.
+/// A dry run's output without the paths of this machine.
 fn dry_run(bench: &Bench, arguments: &[&str]) -> String {
     bench.file("s.toml", SPEC);
     let text = bench
@@ -59,7 +59,7 @@ fn scripts_for_hyperqueue_run_the_same_shard() {
     ));
 }
 
-/// Calls the program where `hq` is this script.
+/// Runs the program with this script as `hq`.
 fn with_hq(bench: &Bench, script: &str, arguments: &[&str]) -> Output {
     let hq = bench.file("hq", &format!("#!/bin/sh\n{script}\n"));
     std::fs::set_permissions(&hq, PermissionsExt::from_mode(0o755)).unwrap();
@@ -72,7 +72,7 @@ fn said(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// A stand-in for `hq` writes down how it is called.
+/// A script in place of `hq` logs its arguments.
 #[test]
 fn hyperqueue_is_handed_shards() {
     let bench = Bench::new();
@@ -103,7 +103,7 @@ fn hyperqueue_is_handed_shards() {
     assert!(status.contains("0 of 2 shards complete"), "{status}");
 }
 
-/// Where nothing can be written down, nothing is submitted.
+/// If jobs cannot be noted, nothing is submitted.
 #[test]
 fn what_was_accepted_is_written_down() {
     let bench = Bench::new();
@@ -119,7 +119,7 @@ fn what_was_accepted_is_written_down() {
     assert!(output.status.code() == Some(3) && !bench.path("called").exists(), "{}", said(&output));
 }
 
-/// The script as it is written, run by a shell: a folder may be called anything that a line can hold.
+/// Runs the written script in a shell: a folder's name may contain any character of a line.
 #[test]
 fn no_part_of_a_folder_is_run() {
     let bench = Bench::new();
@@ -151,8 +151,8 @@ fn no_part_of_a_folder_is_run() {
     }
 }
 
-/// What runs or waits is not submitted a second time, whatever it has handed in; a queue that does not answer is not an
-/// empty one.
+/// Running and pending shards are not submitted again, whatever they have handed in; a queue that does not answer does not count as
+/// empty.
 #[test]
 fn what_the_queue_still_has_is_left_out() {
     let bench = Bench::new();
@@ -190,7 +190,7 @@ fn what_the_queue_still_has_is_left_out() {
         let output = with_hq(&bench, broken, &["cluster", "submit", "hq", "s.toml"]);
         assert!(output.status.code() == Some(3) && said(&output).contains(expected), "{}", said(&output));
     }
-    // Slurm: a controller that is away, and one that has long forgotten the job.
+    // Slurm: an unreachable controller, and one that has forgotten the job.
     bench
         .file("results/s.shards/jobs.jsonl", r#"{"scheduler":"slurm","job":"7","merge_job":"8","shards":2}"#);
     let squeue = |script: &str| {
@@ -205,8 +205,8 @@ fn what_the_queue_still_has_is_left_out() {
     assert!(forgotten.status.success(), "{}", said(&forgotten));
 }
 
-/// A submitted shard runs the trials that were written down for it: it needs no spec's expansion, and an edited spec no longer
-/// concerns it. What a folder's trials have become is told by what was assigned.
+/// A submitted shard runs the trials noted for it: it does not expand the spec, and later edits have no effect. `status` counts the
+/// assigned trials.
 #[test]
 fn a_submitted_shard_runs_the_trials_that_were_written_down() {
     let bench = Bench::new();
@@ -230,7 +230,7 @@ fn a_submitted_shard_runs_the_trials_that_were_written_down() {
     assert!(status.contains(&format!("never started: 2 trials ({})", hashes.join(", "))), "{status}");
     let early = said(&bench.metasense(&["cluster", "merge", folder, "--out", "early.sqlite"]));
     assert!(early.contains("never started: 2 trials"), "{early}");
-    // A line that is not what this program makes of it.
+    // A line that does not match its trial.
     let file = bench.path(&format!("{folder}/shard-2-of-2.trials.jsonl"));
     std::fs::write(&file, trials(2).replacen("\"seed\":", "\"seed\":7", 1)).unwrap();
     let refused = shard("2/2");
@@ -245,7 +245,7 @@ fn a_submitted_shard_runs_the_trials_that_were_written_down() {
     assert!(status.contains("2 of 2 shards complete") && !status.contains("never"), "{status}");
 }
 
-/// Failed trials are settled, and not complete: `submit` says how many there are, and runs them again where it is told to.
+/// Failed trials are settled, but not complete: `submit` prints their number, and repeats them on request.
 #[test]
 fn failed_trials_are_told_and_run_again_on_request() {
     let bench = Bench::new();
@@ -269,7 +269,7 @@ fn failed_trials_are_told_and_run_again_on_request() {
     assert!(script.contains("--retry-failed"), "{script}");
 }
 
-/// Options that a shard's run would refuse are refused before anything is submitted; so is what a scheduler has not.
+/// Options that a shard's run or the scheduler would refuse are refused before anything is submitted.
 #[test]
 fn options_that_nobody_has_are_refused_at_once() {
     let bench = Bench::new();
@@ -291,8 +291,8 @@ fn options_that_nobody_has_are_refused_at_once() {
     }
 }
 
-/// Slurm's arrays have a largest index: more shards are several arrays, each with its offset. Options behind a second `--` are the
-/// merge's alone.
+/// Slurm limits the index of an array: more shards become several arrays with offsets. Options after a second `--` are only for the
+/// merge.
 #[test]
 fn shards_beyond_the_largest_array_are_further_arrays() {
     let bench = Bench::new();
@@ -328,7 +328,7 @@ fn shards_beyond_the_largest_array_are_further_arrays() {
     }
 }
 
-/// A rebuilt program does not change what waits: shards are run by the copy that was submitted.
+/// A rebuilt program does not affect pending shards: they use the submitted copy.
 #[test]
 fn what_waits_is_run_by_the_program_that_was_submitted() {
     let bench = Bench::new();
@@ -349,7 +349,7 @@ fn what_waits_is_run_by_the_program_that_was_submitted() {
         == std::fs::read(env!("CARGO_BIN_EXE_metasense")).unwrap();
     let script = std::fs::read_to_string(bench.path("results/s.shards/shard.sh")).unwrap();
     assert!(same && script.contains(&format!("s.shards/{copy} run ")), "{script}");
-    // That of another build stays while anything of it may wait.
+    // The copy of another build stays while its shards may be pending.
     bench.file("results/s.shards/metasense-01234567", "");
     submit(r#"{"7": [{"id": 1, "state": "waiting"}]}"#);
     assert_eq!(copies().len(), 2);
@@ -357,7 +357,7 @@ fn what_waits_is_run_by_the_program_that_was_submitted() {
     assert_eq!(copies().len(), 1);
 }
 
-/// Without a scheduler: shards on this machine, stopped in order and gone on with, and merged.
+/// Without a scheduler: shards on this machine, stopped cleanly, resumed and merged.
 #[test]
 fn shards_on_this_machine_are_the_sweep() {
     let bench = Bench::new();

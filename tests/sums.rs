@@ -1,4 +1,4 @@
-//! A quantity that is shown in two places has the same value in both. Each is computed both ways on made-up databases.
+//! Quantities that are shown in two places have the same value in both. Each is computed both ways on synthetic databases.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -105,8 +105,8 @@ async fn steps(store: &mut Store, hash: &str, attempt: u32, range: std::ops::Ran
     }
 }
 
-/// A database with trials of all kinds: one that trains a body which two others read (one of them after a killed attempt), one that was
-/// begun anew, failed, cancelled, pending and running trials, and one that is computed again by other code.
+/// A database with trials of all kinds: one that trains a body which two others evaluate (one of them after a killed attempt);
+/// restarted, failed, cancelled, pending and running trials; and one that other code computes again.
 async fn made_up(db: &Path) -> Plan {
     let spec = TINY
         .replace(
@@ -124,12 +124,12 @@ async fn made_up(db: &Path) -> Plan {
         planned.clone().map(|trials| trials.into_iter().map(|t| t.hash.as_str()).collect::<Vec<_>>());
     let run = RunPlan { shard: (1, 1), workers: (1, 1), trials: 9, estimated_seconds: 9.0 };
     let run = store.begin_run(&run).await.unwrap();
-    // trains, with set-up that no step tells of
+    // trains, with setup time outside the steps
     let attempt = store.begin_attempt(one[0]).await.unwrap();
     steps(&mut store, one[0], attempt, 0..STEPS).await;
     store.spend(one[0], attempt, 10.0).await.unwrap();
     store.finish(one[0], attempt, &result(planned[0][0], 10.0), &[]).await.unwrap();
-    // read the body that it has trained
+    // evaluate the body that it trained
     for (n, hash) in one[1..].iter().enumerate() {
         let attempt = store.begin_attempt(hash).await.unwrap();
         assert!(store.goes_on_from(hash, attempt, None).await.unwrap().is_some(), "{hash}");
@@ -143,20 +143,20 @@ async fn made_up(db: &Path) -> Plan {
             store.finish(hash, attempt, &result(planned[0][1 + n], 30.0), &[]).await.unwrap();
         }
     }
-    // begun anew, so that steps were made twice; of an earlier version, which did not measure
+    // restarted, so that steps occur twice; from an earlier version, which measured no CPU time
     let attempt = store.begin_attempt(two[0]).await.unwrap();
     steps(&mut store, two[0], attempt, 0..2).await;
     store.give_up_attempt(two[0], attempt, "stopped").await.unwrap();
     let attempt = store.begin_attempt(two[0]).await.unwrap();
     steps(&mut store, two[0], attempt, 0..STEPS).await;
     store.finish(two[0], attempt, &result(planned[1][0], 5.0), &[]).await.unwrap();
-    // has failed, was cancelled, is under way
+    // failed, cancelled, running
     let attempt = store.begin_attempt(two[1]).await.unwrap();
     store.spend(two[1], attempt, 7.0).await.unwrap();
     store.log(two[1], attempt, Level::Error, "no reason").await.unwrap();
     store.fail(two[1], attempt, "non_finite").await.unwrap();
     store.settle(two[2], "cancelled").await.unwrap();
-    // made by other code, and to be made again
+    // computed by other code, and marked for repetition
     let attempt = store.begin_attempt(three[0]).await.unwrap();
     steps(&mut store, three[0], attempt, 0..STEPS).await;
     store.spend(three[0], attempt, 100.0).await.unwrap();
@@ -171,7 +171,7 @@ async fn made_up(db: &Path) -> Plan {
     plan
 }
 
-/// One number of each trial.
+/// One number per trial.
 async fn by_trial(reader: &mut Reader, sql: &str) -> BTreeMap<String, Option<f64>> {
     let rows = reader.query::<Table>(sql).await.unwrap_or_else(|e| panic!("{sql}: {e}")).rows;
     rows.into_iter().map(|row| (row[0].as_str().unwrap().to_owned(), row[1].as_f64())).collect()
@@ -196,14 +196,14 @@ fn total(values: &BTreeMap<String, Option<f64>>) -> f64 {
     values.values().flatten().sum()
 }
 
-/// SQL for a number of each trial, from its rows of a view.
+/// SQL for one number per trial, from its rows of a view.
 fn own(number: &str, view: &str, and: &str, of: &str) -> String {
     format!("SELECT t.hash, (SELECT {number} FROM {view} x WHERE x.hash = t.hash {and}) FROM trial t {of}")
 }
 
 const DONE: &str = "WHERE t.state = 'done'";
 
-/// Seconds by the views, the loader of `analyse` and `report`, and the table of `analyse`.
+/// Seconds from the views, from the loader of `analyse` and `report`, and from the table of `analyse`.
 async fn seconds_agree(reader: &mut Reader, finished: &[Trial]) {
     let of = |number: &dyn Fn(&Trial) -> Option<f64>| of_trials(finished, number);
     let seconds = by_trial(reader, "SELECT hash, seconds FROM v_trial").await;
@@ -227,7 +227,7 @@ async fn seconds_agree(reader: &mut Reader, finished: &[Trial]) {
     same("best error", &best, &of(&|trial| trial.history.last().map(|last| last.1)));
 }
 
-/// Errors and probabilities of trials that are done, by the views and the loader.
+/// Errors and probabilities of finished trials from the views and the loader.
 async fn errors_agree(reader: &mut Reader, finished: &[Trial]) {
     let of = |number: &dyn Fn(&Trial) -> Option<f64>| of_trials(finished, number);
     for (b, body) in Body::ALL.into_iter().enumerate() {
@@ -260,7 +260,7 @@ async fn errors_agree(reader: &mut Reader, finished: &[Trial]) {
     }
 }
 
-/// Counts by `status`, the views, the report and the pages.
+/// Counts from `status`, views, report and pages.
 async fn counts_agree(reader: &mut Reader, db: &Path) {
     let [seconds, steps, attempts] = {
         let mut found = Vec::new();
@@ -310,7 +310,7 @@ async fn counts_agree(reader: &mut Reader, db: &Path) {
     }
 }
 
-/// Merged, whole and by its facts, a database has the sums that it had.
+/// Sums are unchanged after a whole merge and after a merge of facts.
 async fn merged_agrees(reader: &mut Reader, db: &Path, folder: &Path) {
     for extent in [Extent::Whole, Extent::Facts] {
         let out = folder.join(format!("{extent:?}.sqlite"));

@@ -1,4 +1,4 @@
-//! A database of made-up trials whose answers are known, for tests of what reads databases.
+//! A database of synthetic trials with known answers, for tests of programs that read databases.
 //!
 //! ```text
 //! e_initial = 28·0.93^min(M, 6)·s       e_optimised = 28·exp(−0.7·min(M, 2) − 0.04·M)·s       (K = 4, 8 × 6 units)
@@ -6,8 +6,8 @@
 //! e_random = 45                        (the same at n = 6, from random designs)
 //! loss = 0.5·n^(−0.6) initially, 0.25 of it optimised, after iteration 1
 //! ```
-//! e after long training = half of e initially, a fifth of it optimised (6 × 6 units, M = 1)
-//! s is a factor of each placement and a little noise.
+//! After long training e is half of the initial and a fifth of the optimised value (6 × 6 units, M = 1). s is a factor of each
+//! placement with a little noise.
 
 use std::path::Path;
 use std::sync::OnceLock;
@@ -20,10 +20,10 @@ use metasense_schemas::record::{
 use metasense_schemas::spec::{Design, SweepSpec, TrialSpec};
 use serde_json::{Value, json};
 
-/// The spec text that the database keeps.
+/// Spec text in the database.
 pub const TEXT: &str = "name = \"synthetic\"\n# made-up trials\n";
 
-/// A sweep of that name.
+/// A sweep with this name.
 pub fn sweep_named(name: &str) -> SweepSpec {
     let mut spec = sweep(6, 6, 2);
     spec["name"] = name.into();
@@ -81,7 +81,7 @@ fn trial(
     }
 }
 
-/// Rotated squares of 25°, with every shift moved by `scatter`.
+/// Squares rotated by 25°, with every shift moved by `scatter`.
 fn design(columns: usize, rows: usize, scatter: f64) -> Vec<f64> {
     let tangent = |i: usize, j: usize| {
         let sign = if (i + j).is_multiple_of(2) { 1.0 } else { -1.0 };
@@ -132,7 +132,7 @@ fn step(step: u32, error: f64) -> StepRecord {
     }
 }
 
-/// Writes the database; one trial of it has failed, one is still to run. It is made once for all tests.
+/// Writes the database, in which one trial has failed and one is pending. It is made once for all tests.
 pub fn write(db: &Path) {
     static MADE: OnceLock<Vec<u8>> = OnceLock::new();
     let make = || {

@@ -1,9 +1,9 @@
-//! Other tasks than forces, read from the bodies of finished trials.
+//! Tasks other than forces, estimated from the signals of finished trials' bodies.
 
 use crate::common::{Bench, light};
 use serde_json::Value;
 
-/// Every task on both bodies of each trial, by both readouts; the table pairs them.
+/// Every task on both bodies of each trial with both readouts; the table pairs them.
 #[test]
 fn finished_bodies_are_read_for_other_tasks() {
     let bench = Bench::new();
@@ -22,7 +22,7 @@ fn finished_bodies_are_read_for_other_tasks() {
         let (low, error, high) = (number(row, "low"), number(row, "error"), number(row, "high"));
         assert!(0.0 <= low && low <= error && error <= high && number(row, "samples") > 20.0, "{row}");
     }
-    // forces that are decoded well say more than nothing
+    // well decoded forces are better than the trivial predictor
     let of = |task: &str| -> Vec<&Value> { rows.iter().filter(|row| row["task"] == task).collect() };
     for task in ["peak", "impulse"] {
         let decoded: Vec<&Value> = of(task).into_iter().filter(|row| row["readout"] == "decoded").collect();
@@ -35,7 +35,7 @@ fn finished_bodies_are_read_for_other_tasks() {
     let one = json(&["body", "tasks", "s.sqlite", &hash[..8], "--format", "json"]);
     assert!(one.len() == 20 && one[..] == rows[..20], "{one:?}");
 
-    // every sample strikes both panels: nothing is to be counted
+    // both panels are struck in every sample, so the count is constant
     bench.file("all.toml", &spec.replace("silent = 0.3\n", ""));
     bench.output(&["run", "all.toml", "--db", "all.sqlite"]);
     let output = bench.metasense(&["body", "tasks", "all.sqlite", "--format", "json"]);

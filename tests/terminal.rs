@@ -1,10 +1,10 @@
-//! What is printed fits the terminal that it is printed on.
+//! Output fits the terminal.
 
 use std::process::{Command, Stdio};
 
 use crate::common::{Bench, TINY};
 
-/// What the program prints on a terminal of so many columns, of a kind; `COLUMNS` and `NO_COLOR` are as given.
+/// Output on a terminal of this kind and width, with `COLUMNS` and `NO_COLOR` as given.
 fn on_terminal(bench: &Bench, columns: u32, term: &str, more: &[(&str, &str)], args: &str) -> String {
     let program = env!("CARGO_BIN_EXE_metasense");
     let mut command = Command::new("script");
@@ -14,13 +14,13 @@ fn on_terminal(bench: &Bench, columns: u32, term: &str, more: &[(&str, &str)], a
         .env_remove("COLUMNS")
         .env_remove("NO_COLOR")
         .env("TERM", term)
-        .env("CI", "true") // which some programs take for a terminal that knows colours
+        .env("CI", "true") // some programs take this for a terminal with colours
         .envs(more.iter().copied())
         .stdin(Stdio::null());
     String::from_utf8(command.output().unwrap().stdout).unwrap().replace('\r', "")
 }
 
-/// A database of two trials, whose table of all columns is some 500 letters wide.
+/// A database of two trials, whose complete table is about 500 characters wide.
 fn done() -> Bench {
     let bench = Bench::new();
     bench.file("tiny.toml", TINY);
@@ -28,7 +28,7 @@ fn done() -> Bench {
     bench
 }
 
-/// Tables fit, and hold every number in one piece; a terminal that does not know its width has 80 columns, and COLUMNS goes first.
+/// Tables fit the terminal and do not split numbers. The default width is 80 columns; COLUMNS has precedence.
 #[test]
 fn tables_fit_the_terminal() {
     let bench = done();
@@ -47,10 +47,10 @@ fn tables_fit_the_terminal() {
             "run --help",
         ] {
             let shown = on_terminal(&bench, columns, "dumb", &more, args);
-            // sentences are the terminal's to break
+            // the terminal wraps sentences
             let tables = |line: &&str| !line.contains(" of ") && !line.contains(" on one core");
             let widest = shown.lines().filter(tables).map(|line| line.chars().count()).max().unwrap();
-            // the longest option has 52
+            // the longest option has 52 characters
             let least = if args.ends_with("help") { 60 } else { 0 };
             assert!(widest <= fits.max(least), "{columns} {args}: {widest}\n{shown}");
             if args.contains("SELECT") {
@@ -58,11 +58,11 @@ fn tables_fit_the_terminal() {
             }
         }
     }
-    // by a pipe, a row is a line
+    // in a pipe, one line per row
     assert!(values.lines().count() == 4 && values.lines().all(|line| line.ends_with('|')), "{values}");
 }
 
-/// No cursor is moved and nothing is coloured where that is not understood or not wanted.
+/// No cursor movement or colours on terminals that do not support them, or if NO_COLOR is set.
 #[test]
 fn a_dumb_terminal_gets_no_escapes() {
     let bench = done();

@@ -1,11 +1,11 @@
-//! A body is trained once, whatever reads it: trials that train the same body go on from where one of them has come to.
+//! A body is trained once for all decoders: trials that train the same body resume from the most advanced of them.
 
 use metasense::store::Store;
 use metasense_schemas::record::{Checkpoint, Moments, Provenance, StepRecord};
 
 use crate::common::{Bench, TINY, results};
 
-/// A body that a linear brain trains, read by so many.
+/// A body trained with a linear decoder and evaluated with these decoders.
 fn read_by(brains: &str) -> String {
     let spec = TINY
         .replace("sensors = [1, 2]", &format!("sensors = [1]\n\"brain.kind\" = [{brains}]"))
@@ -21,12 +21,12 @@ fn rows(bench: &Bench, sql: &str) -> Vec<Vec<String>> {
     csv.lines().skip(1).map(|line| line.split(',').map(str::to_owned).collect()).collect()
 }
 
-/// Steps that each attempt has made itself, and steps of each trial, by brain.
+/// Steps that each attempt computed itself, and steps of each trial, by decoder.
 const STEPS: &str =
     "SELECT t.brain, max(a.steps), t.steps, t.state FROM v_trial t JOIN v_attempt a ON a.hash = t.hash
     GROUP BY t.hash ORDER BY t.brain";
 
-/// All rows of the results, in order.
+/// All rows of the results, sorted.
 fn sorted(results: &[String]) -> Vec<Vec<String>> {
     let lines = |csv: &String| {
         let mut lines: Vec<String> = csv.lines().map(str::to_owned).collect();
@@ -37,7 +37,7 @@ fn sorted(results: &[String]) -> Vec<Vec<String>> {
     results.iter().map(lines).collect()
 }
 
-/// On one worker and on two, one trial makes the steps; all have the results to the bit that they have alone.
+/// On one and two workers, one trial computes the steps; all trials have the same bits as alone.
 #[test]
 fn one_trial_trains_for_all() {
     let alone: Vec<Vec<String>> = READERS
@@ -68,8 +68,8 @@ fn one_trial_trains_for_all() {
     }
 }
 
-/// A reader that comes later trains nothing, nor do casts that are asked about later; an inverse brain, whose body is simulated
-/// in double precision, has its own.
+/// A decoder added later trains no body, and neither do casts. An inverse decoder, whose body is simulated in double precision,
+/// trains its own.
 #[test]
 fn what_comes_later_finds_the_body() {
     let (bench, alone) = (Bench::new(), Bench::new());
@@ -87,7 +87,7 @@ fn what_comes_later_finds_the_body() {
     let made: Vec<_> = rows(&bench, STEPS).into_iter().map(|row| row[..3].join(" ")).collect();
     assert_eq!(made, ["inverse 4 4", "linear 4 4", "stacked 0 4"]);
 
-    // casts are asked about later: the bodies are there
+    // casts are added later: the bodies exist
     let casts = "[variation]\nstretch = 0.05\n[evaluation]\ncasts = 1\n[sweep]";
     bench.file("s.toml", &read_by("\"linear\"").replace("[sweep]", casts));
     bench.output(&["run", "s.toml"]);
@@ -96,7 +96,7 @@ fn what_comes_later_finds_the_body() {
     assert_eq!(rows(&bench, later), [["0", "4"]]);
 }
 
-/// Killed again and again while one trains for all, a run comes to the same results, and to no step twice.
+/// If a run is repeatedly killed while one trial trains for all, results are the same, and no step occurs twice.
 #[test]
 fn kills_leave_one_training() {
     let spec = read_by("\"cnn\", \"linear\", \"stacked\"").replace("iterations = 4", "iterations = 300");
@@ -119,8 +119,8 @@ fn kills_leave_one_training() {
     assert_eq!(calm, killed);
 }
 
-/// What other code has trained is trained again; what is paused goes no further than it may; a trial that is done, and one
-/// whose comparison has begun, hand on what training has left, and no more.
+/// Training by other code is repeated. A paused trial takes over no steps beyond its limit. A finished trial, or one in its
+/// comparison, passes on only the state after training.
 #[tokio::test]
 async fn a_body_is_handed_on() {
     let folder = tempfile::tempdir().unwrap();
@@ -174,7 +174,7 @@ async fn a_body_is_handed_on() {
         Some(found.clone()),
         "it is its own by now"
     );
-    // killed before it has done anything itself: its body is of this code all the same
+    // an attempt by other code that was killed before its own first step still has the body
     store.set_provenance(made("two"));
     store.begin_attempt(second).await.unwrap();
     assert_eq!(store.goes_on_from(second, 2, None).await.unwrap(), Some(found), "by both codes");

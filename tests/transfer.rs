@@ -1,4 +1,4 @@
-//! Bodies that are trained under one kind of forces and read under others.
+//! Bodies trained under one kind of forces and evaluated under others.
 
 use crate::common::{Bench, TINY};
 use serde_json::Value;
@@ -7,7 +7,7 @@ fn json(text: &str) -> Vec<Value> {
     serde_json::from_str(text).unwrap_or_else(|e| panic!("{e}: {text}"))
 }
 
-/// Three bodies, trained under pulses, blows and both, each read under either; `analyse` and the report take the same rows.
+/// Three bodies, trained under pulses, blows and both, each evaluated under either; `analyse` and the report use the same rows.
 #[test]
 fn bodies_are_read_under_forces_that_did_not_train_them() {
     let bench = Bench::new();
@@ -38,7 +38,7 @@ fn bodies_are_read_under_forces_that_did_not_train_them() {
         assert!(found.len() == 1 && found[0]["outcome"] == "ok", "{asked:?}: {found:?}");
         error(found[0])
     };
-    // the same body meets the same forces, whatever trains it; the brain that is carried is the one of the comparison
+    // equal bodies get the same forces; the carried decoder is that of the comparison
     assert_eq!(of("bell", "initial", "irregular", "own"), of("mix", "initial", "irregular", "own"));
     let holdout = json(&bench.output(&[
         "query",
@@ -60,7 +60,7 @@ fn bodies_are_read_under_forces_that_did_not_train_them() {
         assert!((found / of(trained, body, under, "own") - 1.0).abs() < 1e-9, "{row}");
         assert_eq!(row["carried"].is_null(), name == "initial", "{row}");
         if name == under {
-            // null where a few steps have gained nothing
+            // null if a few steps gained nothing
             assert!(row["kept"].as_f64().is_none_or(|kept| (kept - 1.0).abs() < 1e-9), "{row}");
         }
     }

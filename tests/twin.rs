@@ -1,15 +1,15 @@
-//! Twins: records of a cast in, the cast out, and brains that are trained on it.
+//! Twins: fitted to records of a cast; decoders are trained on them.
 
 use crate::common::Bench;
 use crate::identify::{SPEC, made_of};
 use metasense_worker::design::{self, Layout};
 
-/// The body of `identify`'s tests, with a linear brain and the samples to train it.
+/// The body of `identify`'s tests, with a linear decoder and training samples.
 fn trainable() -> String {
     SPEC.replace("samples = 4\ntest = 1\n", "samples = 20\ntest = 4\n[brain]\nkind = \"linear\"\n")
 }
 
-/// Of the cast that was recorded, in the order of the rows: stretch, shear, bend, damping, density.
+/// Material of the recorded cast, in the order of the rows: stretch, shear, bend, damping, density.
 const TRUE: [f64; 5] = [3.12, 0.48, 1.05, 0.035, 1.02e-8];
 const RECORDS: usize = 10;
 const INSTANTS: usize = 40;
@@ -19,7 +19,7 @@ fn hash(bench: &Bench, spec: &str) -> String {
     csv.lines().nth(1).unwrap().split(',').next().unwrap().to_owned()
 }
 
-/// Ten records of a cast whose nodes are off by 0.1 mm, 2 % of noise added.
+/// Ten records of a cast whose nodes deviate by 0.1 mm, with 2 % of noise.
 fn bench() -> Bench {
     let bench = Bench::new();
     bench.file("s.toml", &trainable());
@@ -41,7 +41,7 @@ fn bench() -> Bench {
     let run = ["body", "simulate", "cast.toml", &cast, "--forces", "f.npy", "--design", "cast.npy"];
     bench.output(&[&run[..], &["--out-dir", "a"]].concat());
     let signals = bench.array("a/signals.npy").1;
-    // equidistributed, hence the same on every machine: the sum of twelve such numbers is close to normal
+    // equidistributed, hence equal on every machine; the sum of twelve such numbers is nearly normal
     let noise =
         |i: usize| -> f64 { (1..=12).map(|k| ((i * 12 + k) as f64 * 0.754_877_666).fract() - 0.5).sum() };
     let rms = |c: usize| {
@@ -61,28 +61,28 @@ fn bench() -> Bench {
     bench
 }
 
-/// Fitted, lower and upper of each row tell the cast's material.
+/// Checks fitted, lower and upper value of each row against the cast's material.
 fn assert_true(csv: &str) {
     let number = |text: &str| text.parse::<f64>().unwrap();
     let rows: Vec<Vec<&str>> = csv.lines().skip(1).map(|line| line.split(',').collect()).collect();
     assert_eq!(rows.len(), TRUE.len(), "{csv}");
     for (row, truth) in rows.iter().zip(TRUE) {
         let [value, low, high] = [3, 4, 5].map(|i| number(row[i]));
-        // the noise is not quite white: twice as far as 95 %
+        // the noise is not quite white: twice the 95 % interval
         assert!((value - truth).abs() < high - low && low < value && value < high, "{truth}\n{csv}");
         assert!((value / truth - 1.0).abs() < 0.03, "{truth}\n{csv}");
     }
 }
 
-/// A number of a CSV by its column's name, in the row that begins so.
+/// A number of a CSV by its column's name, in the row with this beginning.
 fn value_of(csv: &str, row: &str, column: &str) -> f64 {
     let at = csv.lines().next().unwrap().split(',').position(|name| name == column).unwrap();
     let line = csv.lines().find(|line| line.starts_with(row)).unwrap_or_else(|| panic!("{csv}"));
     line.split(',').nth(at).unwrap().parse().unwrap()
 }
 
-/// Records tell the cast, also where not all signals are read; signals of the twin are those of the records; and a brain is
-/// trained on the twin and reads them.
+/// Records determine the cast, also with fewer channels. The twin's signals equal the records'. A decoder trained on the twin
+/// decodes them.
 #[test]
 fn a_twin_tells_the_cast_and_teaches_brains() {
     let bench = bench();
@@ -102,14 +102,13 @@ fn a_twin_tells_the_cast_and_teaches_brains() {
     let csv = bench.output(&[&call[..], &["--twin", "initial=t.toml", "--format", "csv"]].concat());
     let value = |row: &str, column: &str| value_of(&csv, row, column);
     assert!(value("initial,twin", "difference") < 0.3 * value("initial,simulated", "difference"), "{csv}");
-    // it is trained under the trial's own forces, and not under those of the records
+    // it is trained with the trial's own forces, not with those of the records
     assert!(
         value("initial,twin", "error_train") < 100.0 && value("initial,twin", "records") == 10.0,
         "{csv}"
     );
 
-    // the body's model reads them, too, and better where it is the twin's
-    // blows as those of the records
+    // the body's model decodes them as well, and the twin's model does better
     let bells = "amplitude = [0.2, 0.4]\nwidth = [0.03, 0.1]\nonset = [0.0, 0.04]\nholdout = 6\n[sensors]\nnoise = 0.02\n[brain]";
     let noisy = trainable().replace("[brain]", bells);
     bench.file("noisy.toml", &noisy);
@@ -137,7 +136,7 @@ fn a_twin_tells_the_cast_and_teaches_brains() {
     assert!(page.contains("with its twin, ") && page.contains("class=\"band fine initial\""), "{page}");
 }
 
-/// With file, line, key and remedy.
+/// Refused with file, line, key and remedy.
 #[test]
 fn what_is_no_twin_is_refused() {
     let bench = bench();
@@ -162,7 +161,7 @@ fn what_is_no_twin_is_refused() {
     bench.file("odd.toml", &twin("1.0", "mass = 3.0"));
     with("odd.toml", &["odd.toml:5", "mass"]);
     with("nowhere.toml", &["nowhere.toml"]);
-    // of this body, and then broken
+    // a twin of this body, then made invalid
     bench.output(&["lab", "identify", "s.toml", &spec, "--records", "r.toml", "--out", "t.toml"]);
     let text = std::fs::read_to_string(bench.path("t.toml")).unwrap();
     let at = text.find("stretch = ").unwrap();

@@ -1,8 +1,8 @@
-//! A sweep with questions ends when they are settled, and what it decides is what is stored.
+//! A sweep with [until] ends when its questions are settled, and its decisions follow from the stored results.
 
 use crate::common::{Bench, TINY};
 
-/// The sweep of two trials in eight placements.
+/// The sweep of two trials with eight placements.
 fn spec(until: &str) -> String {
     TINY.to_owned() + "\n[until]\nat_most = { placements = 8 }\n" + until
 }
@@ -17,8 +17,8 @@ fn trials(bench: &Bench) -> String {
     ])
 }
 
-/// A ratio to any width is settled by the four placements that an interval needs; a width that none has takes all eight, on
-/// top of the four, and says so. Called again, nothing is left to do; one worker ends at the trials of two.
+/// A very wide interval of a ratio is settled by the four placements that an interval needs; an unreachable width takes all eight,
+/// and is reported. A second call runs nothing; one worker runs the same trials as two.
 #[test]
 fn a_sweep_ends_when_it_knows_or_has_run_what_it_may() {
     let bench = Bench::new();
@@ -57,7 +57,7 @@ fn a_sweep_ends_when_it_knows_or_has_run_what_it_may() {
     assert_eq!(trials(&other), four);
 }
 
-/// Dealt to shards round by round it is the same sweep; of one shard alone nobody can decide.
+/// With rounds of shards the sweep is the same; a single shard cannot decide and is refused.
 #[test]
 fn shards_end_when_one_run_does() {
     let bench = Bench::new();
@@ -91,7 +91,7 @@ fn shards_end_when_one_run_does() {
     );
 }
 
-/// Beyond the CPU hours that it may take nothing is begun.
+/// Nothing starts after the limit of CPU hours.
 #[test]
 fn hours_are_kept_to() {
     let bench = Bench::new();

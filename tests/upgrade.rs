@@ -1,4 +1,4 @@
-//! A database of an earlier build of this version opens and goes on; those of older versions are refused.
+//! A database of an earlier build of this version opens and resumes; older versions are refused.
 //!
 //! `tests/databases/v15.sqlite` was made by `cargo test --test program upgrade -- --ignored`: two trials, one done, one interrupted
 //! after a step.
@@ -15,7 +15,7 @@ pub fn database() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../tests/databases/v{VERSION}.sqlite"))
 }
 
-/// The sweep in them, with what were the defaults of version 1: a default may change, what a trial is called may not.
+/// The sweep of that database, with the defaults of version 1 as values: defaults may change, but hashes must not.
 fn plan() -> Plan {
     let then = "[optimise]\nprotocol = \"paper\"\niterations = 100\nlearning_rate = 0.1\n\
                 [solver]\nmethod = \"tsit5\"\ntolerance = 1e-6\n[evaluation]\nseeds = 1\n";
@@ -68,7 +68,7 @@ async fn a_database_of_an_earlier_build_goes_on() {
     let plan = plan();
     let mut store = Store::open(&db).await.unwrap();
     store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await.unwrap();
-    // Equal hashes: what was done counts as done.
+    // Equal hashes: finished trials count as done.
     let open = &plan.trials[1].hash;
     assert_eq!(store.settled().await.unwrap(), std::slice::from_ref(&plan.trials[0].hash));
     assert_eq!(store.checkpoint(open).await.unwrap(), Some(checkpoint()));
@@ -81,7 +81,7 @@ async fn a_database_of_an_earlier_build_goes_on() {
     assert_eq!(rows, [[serde_json::json!("done,done"), 20.0.into(), 2.into()]]);
 }
 
-/// Whoever reads, writes or merges an older database is told so, and the file stays as it is.
+/// Reading, writing or merging an older database gives an error and leaves the file unchanged.
 #[test]
 fn older_databases_are_refused() {
     let bench = Bench::new();

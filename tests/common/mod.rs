@@ -1,4 +1,4 @@
-//! What end-to-end tests share: a folder of their own, the program, and the reference spec to edit.
+//! Shared by the end-to-end tests: a temporary folder, the program, and the reference spec to edit.
 
 pub mod processes;
 pub mod proxy;
@@ -13,7 +13,7 @@ use metasense::look::Table;
 use metasense::store::Reader;
 use npyz::WriterBuilder;
 
-/// A spec of two trials, small but whole.
+/// A small but complete spec of two trials.
 pub const SPEC: &str = r#"name = "s"
 [body]
 columns = 6
@@ -31,13 +31,13 @@ panels = [2]
 sensors = [1, 2]
 "#;
 
-/// A line of `expand --format csv` without what the trial costs, which is measured anew each time.
+/// A line of `expand --format csv` without the trial's cost, which is measured each time.
 pub fn without_cost(line: &str) -> String {
     let cells: Vec<&str> = line.split(',').collect();
     [&cells[..10], &cells[11..]].concat().join(",")
 }
 
-/// Two trials of a quarter of a second each: a heavy body is slow, and takes few steps; a narrow network has small checkpoints.
+/// Two trials of a quarter of a second each: a heavy body is slow and needs few steps; a narrow network has small checkpoints.
 pub const TINY: &str = r#"name = "tiny"
 [body]
 columns = 4
@@ -69,12 +69,12 @@ panels = [2]
 sensors = [1, 2]
 "#;
 
-/// The same of a light body, by finer steps, for what hangs on its numbers: a heavy one is told by six samples less well.
+/// The same with a light body and finer steps, for tests of errors: six samples determine them better than with a heavy body.
 pub fn light() -> String {
     TINY.replace("density = 4e-8", "density = 1e-8").replace("tolerance = 1e-3", "tolerance = 1e-4")
 }
 
-/// A folder that goes with the test.
+/// A folder that is removed after the test.
 pub struct Bench {
     folder: tempfile::TempDir,
 }
@@ -88,7 +88,7 @@ impl Bench {
         self.folder.path().join(name)
     }
 
-    /// A number from a database in it, 0 where there is none yet; asked in this process, while another one may come to its end.
+    /// A number from a database in the folder, 0 if there is none yet. Queried in this process, while another may end.
     pub fn number(&self, db: &str, sql: &str) -> u64 {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         let found = runtime.block_on(async {
@@ -104,7 +104,7 @@ impl Bench {
         self.path(name)
     }
 
-    /// Writes an NPY.
+    /// Writes an NPY file.
     pub fn write_array(&self, name: &str, shape: &[u64], values: &[f64]) {
         let mut bytes = Vec::new();
         let mut npy =
@@ -114,14 +114,14 @@ impl Bench {
         std::fs::write(self.path(name), bytes).unwrap();
     }
 
-    /// Shape and numbers of an NPY.
+    /// Shape and values of an NPY file.
     pub fn array(&self, name: &str) -> (Vec<u64>, Vec<f64>) {
         let bytes = std::fs::read(self.path(name)).unwrap();
         let file = npyz::NpyFile::new(&bytes[..]).unwrap();
         (file.shape().to_vec(), file.into_vec().unwrap())
     }
 
-    /// Numbers of an array in an NPZ, of whatever type.
+    /// Values of an array of any type in an NPZ file.
     pub fn member(&self, file: &str, name: &str) -> Vec<f64> {
         let mut archive = zip::ZipArchive::new(std::fs::File::open(self.path(file)).unwrap()).unwrap();
         let array = npyz::NpyFile::new(archive.by_name(&format!("{name}.npy")).unwrap()).unwrap();
@@ -142,15 +142,15 @@ impl Bench {
             .unwrap()
     }
 
-    /// Starts the program in the folder; what it says is nobody's.
+    /// Starts the program in the folder; discards its output.
     pub fn start(&self, args: &[&str]) -> Child {
         let mut command = Command::new(env!("CARGO_BIN_EXE_metasense"));
         command.args(args).current_dir(self.folder.path()).stdout(Stdio::null()).stderr(Stdio::null());
         command.spawn().unwrap()
     }
 
-    /// Runs the program again and again, killed whenever it has kept more in `file` than before, until it ends by itself: how
-    /// often it was killed, and its last output.
+    /// Runs the program repeatedly and kills it whenever `file` has changed, until it ends by itself. Returns the number of kills
+    /// and the last output.
     pub fn killed_until_done(&self, args: &[&str], file: &str) -> (usize, Output) {
         let kept = || std::fs::read(self.path(file)).unwrap_or_default();
         let mut kills = 0;
@@ -175,7 +175,7 @@ impl Bench {
         }
     }
 
-    /// The files of a folder with their bytes.
+    /// The files of a folder, with their contents.
     pub fn files(&self, folder: &str) -> Vec<(String, Vec<u8>)> {
         let entries = std::fs::read_dir(self.path(folder)).unwrap().map(|entry| entry.unwrap().path());
         let name = |path: &PathBuf| path.file_name().unwrap().to_str().unwrap().to_owned();
@@ -198,7 +198,7 @@ impl Bench {
     }
 }
 
-/// All that a result is, but for times.
+/// All results except times.
 const RESULTS: &[&str] = &[
     "SELECT hash, state, error_initial, error_optimised, holdout_error_initial, holdout_error_optimised, best_step,
        nonlinear_acceleration_initial, nonlinear_rotation_optimised FROM v_trial ORDER BY hash",

@@ -1,4 +1,4 @@
-//! Processes, to be watched and killed, and the databases that they write.
+//! Processes to watch and kill, and queries of their databases.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -11,7 +11,7 @@ pub fn kill(pid: u32, signal: i32) {
     let _ = kill_process(pid, signal);
 }
 
-/// Processes whose parent this is, the living ones.
+/// Living child processes of a process.
 pub fn children(parent: u32) -> Vec<u32> {
     let processes = std::fs::read_dir("/proc").unwrap().flatten();
     let pids = processes.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
@@ -29,7 +29,7 @@ fn parent_and_state(pid: u32) -> Option<(u32, char)> {
     Some((fields.next()?.parse().ok()?, state))
 }
 
-/// Asks until there is an answer, or the time is over.
+/// Repeats `ask` until it returns a value or the time is over.
 pub fn eventually<T>(within: Duration, mut ask: impl FnMut() -> Option<T>) -> Option<T> {
     let began = Instant::now();
     loop {
@@ -41,7 +41,7 @@ pub fn eventually<T>(within: Duration, mut ask: impl FnMut() -> Option<T>) -> Op
     }
 }
 
-/// Answers of a database, one text a row.
+/// Rows of a query, each as JSON text.
 pub fn rows(db: &Path, sql: &str) -> Vec<String> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {

@@ -1,14 +1,14 @@
-//! A reverse proxy with a path of its own.
+//! A reverse proxy with its own path.
 
 use std::io::{BufRead, BufReader, Result, Write, copy};
 use std::net::{Shutdown, TcpListener, TcpStream};
 use std::thread::spawn;
 
-/// The path by which browsers know what is behind it.
+/// The path of the proxy in the browser.
 pub const FRONT: &str = "/user/me/proxy/8017";
 
-/// Starts one before a port, and gives its own. It `takes` its path from requests and says so, as JupyterHub's does, or leaves it
-/// on them, as Open OnDemand's does. It lives as long as the test.
+/// Starts a proxy to a port and returns its own port. If it `takes` the path, it removes the path from requests and reports that,
+/// like JupyterHub's proxy; otherwise it keeps the path, like Open OnDemand's. It lives as long as the test.
 pub fn proxy(to: u16, takes: bool) -> u16 {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = listener.local_addr().unwrap().port();
@@ -20,7 +20,7 @@ pub fn proxy(to: u16, takes: bool) -> u16 {
     port
 }
 
-/// Passes one request and its answer on.
+/// Passes on one request and its response.
 fn pass(mut client: TcpStream, to: u16, takes: bool) -> Result<()> {
     let mut from = BufReader::new(client.try_clone()?);
     let mut head = String::new();

@@ -1,10 +1,10 @@
-//! Random numbers whose seed is printed, so that what a test has met can be met again.
+//! Random numbers with a printed seed, so that failures can be reproduced.
 
 /// SplitMix64.
 pub struct Roll(pub u64);
 
 impl Roll {
-    /// Another one each time, unless `KILL_SEED` says which.
+    /// Seeded by `KILL_SEED`, else by the clock.
     pub fn new() -> Self {
         let clock = || std::time::UNIX_EPOCH.elapsed().unwrap().as_nanos() as u64;
         let seed = number("KILL_SEED").unwrap_or_else(clock);
@@ -12,7 +12,7 @@ impl Roll {
         Self(seed)
     }
 
-    /// A number below `n`; 0 below 0.
+    /// A number below `n`; 0 for `n` = 0.
     pub fn below(&mut self, n: u64) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -20,13 +20,13 @@ impl Roll {
         (z ^ (z >> 31)) % n.max(1)
     }
 
-    /// A place in something so long.
+    /// An index into a sequence of this length.
     pub fn place(&mut self, length: usize) -> usize {
         self.below(length as u64) as usize
     }
 }
 
-/// A number from the environment.
+/// A number from an environment variable.
 pub fn number(name: &str) -> Option<u64> {
     std::env::var(name).ok()?.parse().ok()
 }

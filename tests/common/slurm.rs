@@ -1,4 +1,4 @@
-//! A Slurm of one's own: munge, a controller and two nodes on this machine, in a folder that goes with the test.
+//! A Slurm cluster for tests: munge, a controller and two nodes on this machine, in a folder that is removed after the test.
 
 use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// The cluster; dropped, its jobs and daemons are ended.
+/// The cluster; dropping it ends its jobs and daemons.
 pub struct Slurm {
     folder: PathBuf,
     daemons: Vec<Child>,
 }
 
-/// Why there can be none here.
+/// Why there can be no cluster on this machine.
 pub fn missing() -> Option<String> {
     let there = |name: &&str| {
         ["/usr/sbin", "/usr/bin", "/usr/local/sbin", "/usr/local/bin"]
@@ -28,7 +28,7 @@ pub fn missing() -> Option<String> {
 }
 
 impl Slurm {
-    /// Starts it below `folder`, whose path must be short: it holds a socket.
+    /// Starts the cluster below `folder`, whose path must be short because it contains a socket.
     pub fn start(folder: &Path) -> Self {
         let at = |name: &str| folder.join(name).display().to_string();
         for name in ["state", "spool", "tmp"] {
@@ -93,7 +93,7 @@ impl Slurm {
         self.daemons.push(command.spawn().unwrap_or_else(|e| panic!("{name}: {e}")));
     }
 
-    /// A program that knows this cluster, on nodes whose own disk is the folder `tmp`.
+    /// A program in the environment of this cluster; the nodes' own disk is the folder `tmp`.
     pub fn command(&self, program: impl AsRef<std::ffi::OsStr>) -> Command {
         let mut command = Command::new(program);
         let path = std::env::var("PATH").unwrap_or_default();
@@ -104,13 +104,13 @@ impl Slurm {
         command
     }
 
-    /// Output of one of its tools.
+    /// Output of one of Slurm's tools.
     pub fn tool(&self, name: &str, arguments: &str) -> String {
         let output = self.command(name).args(arguments.split_whitespace()).output().unwrap();
         String::from_utf8_lossy(&output.stdout).into_owned()
     }
 
-    /// Asks until it is so; says what the queue and the daemons say when it never is.
+    /// Waits for a condition; after the time limit, panics with the queue and the daemons' logs.
     pub fn until(&self, what: &str, seconds: u64, mut ask: impl FnMut() -> bool) {
         let began = Instant::now();
         while !ask() {
@@ -129,7 +129,7 @@ impl Slurm {
         }
     }
 
-    /// Waits until no job is left: an answer that is empty, not a controller that gives none.
+    /// Waits until no job is left: an empty answer, not a controller that does not answer.
     pub fn until_empty(&self, seconds: u64) {
         self.until("the queue is empty", seconds, || {
             let answer = self.command("squeue").arg("-h").output().unwrap();

@@ -1,11 +1,11 @@
-//! What training gains in the scenes of the paper's authors.
+//! The table of gains in the scenes of the paper's authors.
 
 use super::rows::{Row, geometric, number, of, rows, short, with_interval};
 use super::table;
 
-/// A line per setting, in the order of the rows: geometric means of the errors of the initial and of the trained body, and their
-/// ratio with its interval over seeds, or over placements where there are more. Then the initial body with six sensors against the trained
-/// one with two.
+/// One line per setting, in the order of the rows: geometric mean errors of the initial and the trained body, and their ratio with
+/// its interval over seeds, or over placements where there are more. Then the initial body with six sensors against the trained
+/// body with two.
 pub fn gains() -> String {
     let rows = rows("authors/trials.csv");
     let mut settings: Vec<[&str; 5]> = Vec::new();
@@ -25,7 +25,7 @@ pub fn gains() -> String {
         };
         pairs.iter().filter(is_own).map(|(_, row)| *row).collect()
     };
-    // of initial and trained bodies, pair by pair
+    // pairs of initial and trained bodies
     let line =
         |label: String, [decoder, steps, noise, limits]: [&str; 4], initial: &[&Row], trained: &[&Row]| {
             let gain = |set: &str| {
@@ -71,8 +71,8 @@ pub fn gains() -> String {
     table(&columns, by_setting.chain(compared))
 }
 
-/// Whether the trained body with two sensors has less held-out error than the initial one with six: geometric means over placements,
-/// with and without noise.
+/// Whether the trained body with two sensors has less held-out error than the initial body with six: geometric means over
+/// placements, with and without noise.
 pub fn two_against_six() -> &'static str {
     let rows = rows("authors/trials.csv");
     let sum = |scene: &str, noise: &str, error: &str| -> f64 {

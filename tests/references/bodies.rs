@@ -1,4 +1,4 @@
-//! The tables of bodies: why training helps, lattices, a press, low-pass and designs.
+//! The tables of bodies: why training helps, lattices, compression, low-pass and designs.
 
 use metasense::analysis::operator::MEASURES;
 use metasense::look::{body, file, legend};
@@ -9,7 +9,7 @@ use metasense_worker::replay::drawing;
 use super::rows::{Row, geometric, number, of, one, ratio, rows, seeds, short, with_interval};
 use super::table;
 
-/// What the sensors of initial and trained bodies can tell, in geometric means over seeds.
+/// Measures of the information in the signals of initial and trained bodies, geometric means over seeds.
 pub fn why() -> String {
     let all = rows("why/rows.csv");
     let line = |(words, body, trained): (&str, &str, Option<&str>)| {
@@ -48,7 +48,7 @@ pub fn why() -> String {
     table(&head, bodies.map(line))
 }
 
-/// Rank correlations of what changes with what is gained.
+/// Rank correlations of the changes of measures with the gain.
 pub fn why_correlated() -> String {
     let all = rows("why/operator.csv");
     let line = |measure: &str| {
@@ -61,7 +61,7 @@ pub fn why_correlated() -> String {
     table(&["measure", "linear decoder", "the paper's network"], MEASURES.map(line))
 }
 
-/// Bodies whose chip reads through a low-pass.
+/// Bodies whose chips have a low-pass filter.
 pub fn filtered() -> String {
     let all = rows("filtered/trials.csv");
     let line = |(bandwidth, words): (&str, &str)| {
@@ -83,7 +83,7 @@ pub fn filtered() -> String {
     table(&["low-pass", "without noise", "gain", "with noise", "gain"], lines)
 }
 
-/// Searches for a design, and what their designs do on further seeds.
+/// Searches for a design, and the errors of their designs on further seeds.
 pub fn designs() -> String {
     let (searches, further) = (rows("design/searches.csv"), rows("design/further.csv"));
     let line = |row: &Row| {
@@ -125,7 +125,7 @@ pub fn designs() -> String {
     table(&head, searches.iter().map(line))
 }
 
-/// What searches of one space took, and where they ended.
+/// Cost and result of different searches of one space.
 pub fn race() -> String {
     let all = rows("design/race.csv");
     let cell = |seed: &str, search: &str| {
@@ -145,7 +145,7 @@ pub fn race() -> String {
     table(&["seed", "`metasense design`", "halving by thirds", "Optuna"], seeds(&all).into_iter().map(line))
 }
 
-/// Bodies whose training begins at a body that fewer sensors, or fewer parameters, have trained.
+/// Training that starts from a body trained with fewer sensors or fewer parameters.
 pub fn warm_starts() -> String {
     let line = |(begun, file, sensors): (&str, &str, &str)| {
         let all = rows(file);
@@ -187,7 +187,7 @@ const LATTICES: [(&str, &str); 4] = [
     ("triangular", "hexagons"),
 ];
 
-/// The same sheets by the number of sensors.
+/// The same sheets by number of sensors.
 pub fn families_sensors() -> String {
     let all = rows("families/trials.csv");
     let column = |lattice: &str, sensors: &str, name: &str| -> Vec<f64> {
@@ -208,7 +208,7 @@ pub fn families_sensors() -> String {
     table(&["lattice", "M = 1", "M = 2", "M = 3", "M = 4"], LATTICES.map(line))
 }
 
-/// Lattices of one outline and mass.
+/// Lattices of equal outline and mass.
 pub fn families() -> String {
     let all = rows("families/trials.csv");
     let interval = |ratios: Vec<f64>| {
@@ -249,7 +249,7 @@ pub fn families() -> String {
     table(&[&["lattice"][..], &head].concat(), LATTICES.map(line))
 }
 
-/// Bodies whose held units come together before a sample, and each read under the other presses.
+/// Bodies that are compressed before a sample, each evaluated under the other compressions.
 pub fn pressed() -> String {
     let (trials, readings) = (rows("pressed/trials.csv"), rows("pressed/read.csv"));
     let column = |of: &[Row], wanted: &[(&str, &str)], name: &str| -> Vec<f64> {
@@ -300,7 +300,7 @@ pub fn pressed() -> String {
     table(&head, presses.map(line))
 }
 
-/// The lattices, in sheets above and in discs below, with what they are held and struck by.
+/// The lattices as sheets (above) and discs (below), with clamps and panels.
 pub fn lattices() -> String {
     let draw = |outline: &str, lattice: &str| {
         let spec = format!(

@@ -1,10 +1,10 @@
-//! The tables of brains and of where sensors are.
+//! The tables of decoders and of sensor placements.
 
 use super::map::{SETTINGS, is_first_placement, of_setting};
 use super::rows::{Row, brain, change, geometric, number, of, one, percent, ratio, rows};
 use super::table;
 
-/// `setting` of a table of answers.
+/// Value of `setting` in a table of answers.
 pub(super) fn setting(stimuli: &str, noise: &str) -> String {
     let noise = if noise.is_empty() { String::new() } else { format!("sensors.noise = {noise}, ") };
     format!("K = 2, M = 1, {noise}stimuli.kind = {stimuli}")
@@ -21,7 +21,7 @@ pub fn brains() -> String {
             let own = |name: &str, memory: &str| {
                 let wanted =
                     [("setting", &*setting), ("trained_with", name), ("read_by", name), ("before", memory)];
-                // Of the linear brain there are shorter waits, too.
+                // Linear decoders also have rows with shorter delays.
                 let after = [("after", memory)];
                 change(one(&all, &[&wanted[..], &after].concat()))
             };
@@ -61,7 +61,7 @@ pub fn linear_bodies() -> String {
         for (kind, _) in STIMULI {
             let setting = setting(kind, "");
             let wanted = [("setting", &*setting), ("trained_with", "linear"), ("read_by", reader)];
-            // A linear brain reads by shorter memories, too: the longest comes first.
+            // Linear decoders also have rows with shorter memories, after the longest.
             cells.push(change(of(&all, &wanted).find(|row| row["after"] == row["before"]).unwrap()));
         }
         cells
@@ -135,7 +135,7 @@ pub fn sensors() -> String {
     table(&["", "M = 1", "2", "3", "4", "6"], curves.into_iter().map(line))
 }
 
-/// The brain of a row of evidence and what else sets the row apart; `None` for rows beside the main ones.
+/// The decoder of a row of evidence and its other distinction; `None` for secondary rows.
 pub(super) fn with(text: &str) -> Option<(&str, &str)> {
     match text.split_once(", ").unwrap_or((text, "")) {
         (brain @ ("cnn" | "long" | "linear"), "" | "evaluation.seeds = 3") => Some((brain, "")),

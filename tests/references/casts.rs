@@ -1,9 +1,9 @@
-//! The tables of bodies that are cast, and of what a trained one is worth elsewhere.
+//! The tables of casts, and of trained bodies under other conditions.
 
 use super::rows::{Row, geometric, number, of, one, percent, ratio, rows, short, spread, with_interval};
 use super::table;
 
-/// A line for each body of the settings: how it reads as designed, and how brains of one kind read its casts.
+/// One line per body of the setting: its error as designed, and errors of one kind of decoders on its casts.
 fn cast_lines(rows: &[Row], setting: &str, own: &str, all: &str, records: &[&str]) -> Vec<Vec<String>> {
     let mut bodies: Vec<&str> =
         rows.iter().filter(|row| row["setting"] == setting).map(|row| &*row["body"]).collect();
@@ -20,7 +20,7 @@ fn cast_lines(rows: &[Row], setting: &str, own: &str, all: &str, records: &[&str
     bodies.iter().map(line).collect()
 }
 
-/// How a body that is cast was trained.
+/// Description of a body's training.
 fn words(body: &str) -> String {
     match body {
         "initial" => "initial body",
@@ -33,7 +33,7 @@ fn words(body: &str) -> String {
     .to_owned()
 }
 
-/// What is left of bodies of several settings once they are cast: by linear decoders, and by networks.
+/// Errors on casts of bodies of several settings, with linear decoders and with networks.
 pub fn casts() -> String {
     let rows = rows("robust-two-core/answer-casts.csv");
     let lines = |settings: &[(&str, &str)], own, all, records: &[&str]| -> Vec<Vec<String>> {
@@ -61,7 +61,7 @@ pub fn casts() -> String {
     )
 }
 
-/// What bodies are worth under forces that did not train them.
+/// Errors of bodies under forces other than their training forces.
 pub fn transfer() -> String {
     let rows = rows("transfer/answer-transfer.csv");
     let mut bodies: Vec<&str> = Vec::new();
@@ -101,7 +101,7 @@ pub fn transfer() -> String {
     table(&head, bodies.iter().map(line))
 }
 
-/// Bodies trained under pulses, simulated blows and measured ones, each read under all three.
+/// Bodies trained under pulses, simulated blows and measured blows, each evaluated under all three.
 pub fn transfer_recorded() -> String {
     let rows = rows("transfer/recorded.csv");
     let line = |(body, words): (&str, &str)| {
@@ -129,7 +129,7 @@ pub fn transfer_recorded() -> String {
     table(&head, bodies.map(line))
 }
 
-/// The same bodies, trained with linear brains, read by long networks.
+/// The same bodies, trained with linear decoders, evaluated with long networks.
 pub fn transfer_networks() -> String {
     let all = rows("transfer/networks.csv");
     let kinds = ["bell", "irregular"];
@@ -166,7 +166,7 @@ pub fn transfer_networks() -> String {
     table(&head, bodies.map(line))
 }
 
-/// Errors of a body of the real scale and of the reference body, seed by seed.
+/// Errors of a body of real scale and of the reference body, per seed.
 pub fn real_scale() -> String {
     let all = rows("real-scale/trials.csv");
     let scenes = [
@@ -190,7 +190,7 @@ pub fn real_scale() -> String {
     table(&["", "K = 2, M = 1", "K = 2, M = 2", "K = 4, M = 1", "K = 4, M = 2"], scenes.map(line))
 }
 
-/// Robust bodies in a world that the model does not contain.
+/// Bodies trained over casts, evaluated with a material that the model does not contain.
 pub fn relaxing() -> String {
     let all = rows("robust-two-core/relaxing.csv");
     let line = |body: &str| {
@@ -214,12 +214,12 @@ pub fn relaxing() -> String {
     table(&head, bodies.map(line))
 }
 
-/// What is left of the quickstart's bodies once they are cast.
+/// Errors of the quickstart's bodies on casts.
 pub fn quickstart_casts() -> String {
     lines("quickstart-casts.csv")
 }
 
-/// The same of the tutorial's bodies.
+/// Errors of the tutorial's bodies on casts.
 pub fn evening_casts() -> String {
     lines("evening-casts.csv")
 }

@@ -21,8 +21,8 @@ use super::rows::{
 };
 use super::table;
 
-/// The verdict of a brain on a claim: the ratio, or what the row says in words; of an open one the ratio that would have
-/// told, where it is not open for the number of ratios alone.
+/// The verdict on a claim with a decoder: the ratio, or the row's words. For an open claim the ratio that would have been detected,
+/// unless the claim is open only because there are too few ratios.
 fn verdict(row: &Row) -> String {
     let note = row["note"].split([';', '(']).next().unwrap().trim();
     let ratio = ratio(row, "found", "low", "high");
@@ -41,11 +41,11 @@ fn verdict(row: &Row) -> String {
     format!("{words}: {}{told}", row["rating"])
 }
 
-/// Where the rows behind the claims are.
+/// Folders of the rows behind the claims.
 const ROWS: [&str; 5] =
     ["claims", "four-forces-map", "four-forces-map-network", "eight-forces-map", "disc-map"];
 
-/// The trials of the specs that the claims name, as the analysis takes them: settings from the specs, numbers from the rows.
+/// The trials of the claims' specs for the analysis: settings from the specs, numbers from the rows.
 fn trials() -> Vec<Trial> {
     let rows: Vec<Row> = ROWS.iter().flat_map(|folder| rows(&format!("{folder}/trials.csv"))).collect();
     let by_hash: HashMap<&str, &Row> = rows.iter().map(|row| (row["hash"].as_str(), row)).collect();
@@ -82,13 +82,13 @@ fn trials() -> Vec<Trial> {
     specs.iter().flat_map(planned).map(&mut trial).collect()
 }
 
-/// What they say of every claim.
+/// Evidence on every claim.
 fn found() -> &'static [Vec<Evidence>] {
     static FOUND: OnceLock<Vec<Vec<Evidence>>> = OnceLock::new();
     FOUND.get_or_init(|| tried(&trials()))
 }
 
-/// What the trials in the scenes of the paper's authors say, without limits of the design, as theirs are.
+/// Evidence from the scenes of the paper's authors, without limits of the design, as theirs are.
 fn in_the_authors_scenes() -> Vec<Row> {
     let mut settings = Settings::default();
     let rows = rows("authors/trials.csv");
@@ -115,18 +115,18 @@ fn in_the_authors_scenes() -> Vec<Row> {
     as_rows(evidence_table(&tried_elsewhere(&trials)))
 }
 
-/// A table as rows that have been read.
+/// Converts a table into rows of text.
 fn as_rows(table: Table) -> Vec<Row> {
     let row = |cells: &Vec<Value>| table.columns.iter().cloned().zip(cells.iter().map(plain)).collect();
     table.rows.iter().map(row).collect()
 }
 
-/// A row a claim.
+/// One row per claim.
 pub(super) fn rated() -> Vec<Row> {
     as_rows(claims_table(found()))
 }
 
-/// The files of the claims: by claim, all evidence, and the figure.
+/// The files of the claims: ratings, evidence and figure.
 pub fn files() -> [String; 3] {
     let figure = figure(found()).unwrap();
     let drawn = file(&figure.pictures, 1, 560.0, &figure.legend) + "\n";
@@ -153,7 +153,7 @@ pub fn claims() -> String {
                 found.push(kind);
             }
         }
-        // Single networks count where there are no others.
+        // Single networks count only without others.
         if found.len() > 1 {
             found.retain(|kind| kind != "one network a body");
         }
@@ -176,7 +176,7 @@ pub fn claims() -> String {
     table(&[&["claim", "in the paper", "in the authors' scenes"], &ours[..]].concat(), lines)
 }
 
-/// Decoder, noise and verdict of a line of evidence in the authors' scenes, if it is by this height of a curve, or by none.
+/// Decoder, noise and verdict of evidence in the authors' scenes, if it uses this height of a curve, or none.
 fn in_short(row: &Row, kind: &str) -> Option<String> {
     let heights = ["in %", "in logarithms"];
     let height = heights.into_iter().find(|height| row["with"].ends_with(height));
@@ -188,7 +188,7 @@ fn in_short(row: &Row, kind: &str) -> Option<String> {
     Some(format!("{decoder}{noise}: {}", verdict(row)))
 }
 
-/// Where the test set, which steers the body and which the paper reports, says another word than the holdout.
+/// Claims with another verdict on the test set, which selects the body and which the paper reports, than on the held-out set.
 pub fn on_the_test_set() -> String {
     let evidence = as_rows(evidence_table(found()));
     let of_set = |set| evidence.iter().filter(move |row| row["set"] == set);
@@ -228,22 +228,22 @@ pub fn evaluate() -> String {
     )
 }
 
-/// Bodies trained to the end of the paper's own protocol, seed by seed and all together: errors as the paper reports them and on
-/// the holdout.
+/// Bodies trained with the complete protocol of the paper, per seed and together: errors as the paper reports them, and held-out
+/// errors.
 pub fn paper_protocol() -> String {
     of_protocol("fig2", &["0", "1"])
 }
 
-/// The same under blows, whose networks end at 1000 iterations.
+/// The same under blows, with networks of 1000 iterations.
 pub fn paper_protocol_blows() -> String {
     of_protocol("fig3", &["0"])
 }
 
-/// Four forces by the same protocol, a line a number of sensors: geometric means over the placements on which it was trained; and
-/// six sensors untrained beside two trained on the same placements.
+/// Four forces with the same protocol, one line per number of sensors: geometric means over the placements that were trained. Then
+/// six sensors on the initial body beside two on the trained body, on the same placements.
 pub fn paper_protocol_four_forces() -> String {
     let [networks, samples] = ["networks", "samples"].map(|name| rows(&format!("fig4b/{name}.csv")));
-    // Errors of the untrained body with so many sensors and of the trained one with as many others, placement by placement.
+    // Errors of the initial body with `untrained` sensors and of the trained body with `trained` sensors, by placement.
     let pairs = |untrained: &str, trained: &str, set: &str| -> Vec<(f64, f64)> {
         of(&networks, &[("sensors", trained), ("body", "optimised")])
             .map(|row| {
@@ -281,7 +281,7 @@ pub fn paper_protocol_four_forces() -> String {
     )
 }
 
-/// Of samples of a kind, how many the network on the trained body reads better.
+/// Number of samples with less error on the trained body.
 fn better(samples: &[Row], wanted: &[(&str, &str)]) -> String {
     let tested: Vec<&Row> = of(samples, wanted).collect();
     let better =
@@ -348,7 +348,7 @@ fn of_protocol(folder: &str, of_body: &[&'static str]) -> String {
     )
 }
 
-/// Error against run time, protocol by protocol.
+/// Error against run time by protocol.
 pub fn protocols() -> String {
     let line = |row: &Value| {
         let protocol = match row["protocol"].as_str().unwrap() {
@@ -366,7 +366,7 @@ pub fn protocols() -> String {
     )
 }
 
-/// The change of the loss on the holdout by a step against each gradient.
+/// Change of the held-out loss by a step along each gradient.
 pub fn downhill() -> String {
     let all = lines("implicit.jsonl");
     let names = [

@@ -1,5 +1,4 @@
-//! Where we stand beside the paper: what it says, what the specs of its figures have. The supplement with its sizes, material and pulses is not
-//! released.
+//! The paper's settings beside those of our specs. The paper's supplement with sizes, material and pulses is not released.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -11,10 +10,10 @@ use serde_json::Value;
 
 use super::{root, table};
 
-/// A row: what it states, what the paper prints, what its authors' code has (empty: nothing), and keys of the specs.
+/// A row: setting, value in the paper, value in the authors' code (empty: none), keys of the specs.
 type Row = (&'static str, &'static str, &'static str, &'static [&'static str]);
 
-/// Files of the authors' code at the commits that the page names: A, B, C, D.
+/// Files of the authors' code at commits A, B, C, D, which the page names.
 const ROWS: &[Row] = &[
     (
         "units (columns, rows)",
@@ -146,7 +145,7 @@ const FROM_FILE: [&str; 5] =
 /// A trial's spec by path.
 type Spec = BTreeMap<String, Value>;
 
-/// What stands at a path.
+/// The value at a path.
 fn at(spec: &Spec, path: &str) -> String {
     match spec.get(path).unwrap_or(&Value::Null) {
         Value::Null => "–".into(),
@@ -171,7 +170,7 @@ fn trials(figure: &str) -> Vec<Spec> {
     plan.trials.iter().map(|trial| flatten(&serde_json::to_value(&trial.spec).expect("JSON"))).collect()
 }
 
-/// The same of Figs. 2 to 5, with keys of our reference scenes.
+/// The same for Figs. 2 to 5, with keys of our reference scenes.
 const OTHERS: &[Row] = &[
     ("body", "Fig. 4C much larger, Fig. 5 circular", "planar; circular", &["body.layout"]),
     (
@@ -222,7 +221,7 @@ const OTHERS: &[Row] = &[
     ),
 ];
 
-/// What the specs of the other figures have; those of Fig. 2 beside them.
+/// Settings of the other figures' specs, beside those of Fig. 2.
 pub fn other_figures() -> String {
     let figures = ["fig2", "fig3", "fig4b", "fig4c", "fig5"].map(trials);
     let values = |trials: &[Spec], key: &str| {
@@ -234,7 +233,7 @@ pub fn other_figures() -> String {
         }
         found.join(", ")
     };
-    // in nothing else
+    // no other key differs
     let told: Vec<&str> =
         OTHERS.iter().flat_map(|row| row.3).copied().chain(["panel_units", "sensor_units"]).collect();
     let every: BTreeSet<&String> = figures.iter().flatten().flat_map(BTreeMap::keys).collect();
@@ -257,7 +256,7 @@ pub fn other_figures() -> String {
     table(&columns, OTHERS.iter().map(row))
 }
 
-/// What the code has; unknown where the paper does not print it either.
+/// The value in the code; "unknown" if neither the paper nor the code has one.
 fn known(paper: &str, code: &str) -> String {
     if paper.is_empty() && code.is_empty() { "*unknown*".to_owned() } else { code.to_owned() }
 }

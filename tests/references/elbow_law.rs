@@ -1,4 +1,4 @@
-//! Where the fall of the error over the number of sensors ends, and whether that is at K / channels, rounded up.
+//! The number of sensors at which the fall of the error ends, compared with K / channels, rounded up.
 
 use metasense::analysis::decision::{Decision, Terms, decide};
 use metasense::analysis::{Cluster, Height, Observation, elbow};
@@ -8,7 +8,7 @@ use metasense::look::grid::{Cell, grid};
 use super::rows::{Row, geometric, number, of, rows};
 use super::table;
 
-/// Errors of a body over M.
+/// Errors of a body against M.
 pub(super) fn curve<'a>(rows: impl Iterator<Item = &'a Row>, body: &str) -> Vec<Observation> {
     let error = format!("holdout_error_{body}");
     let observation = |row| {
@@ -19,7 +19,7 @@ pub(super) fn curve<'a>(rows: impl Iterator<Item = &'a Row>, body: &str) -> Vec<
     rows.map(observation).collect()
 }
 
-/// Places with their shares of the votes, `None` for no place.
+/// Values of M with their shares of the votes; `None`: no such M.
 pub(super) type Votes = Vec<(Option<f64>, f64)>;
 
 fn by_elbow(curve: &[Observation], height: Height) -> Votes {
@@ -32,12 +32,12 @@ fn fall(curve: &[Observation], part: f64) -> Decision {
     decide(curve, Terms { fall: part, ..Terms::default() }).unwrap().fall
 }
 
-/// Votes for where nine tenths of the fall are done.
+/// Votes for the M at which 90 % of the fall are reached.
 pub(super) fn by_fall(curve: &[Observation]) -> Votes {
     fall(curve, 0.9).votes.unwrap().into_iter().map(|(m, share)| (Some(m), share)).collect()
 }
 
-/// The mean errors with each number of sensors that there are.
+/// Mean error at each number of sensors.
 pub(super) fn errors(curve: &[Observation]) -> String {
     let places: std::collections::BTreeSet<u64> = curve.iter().map(|o| o.at as u64).collect();
     let mean = |m: &u64| geometric(curve.iter().filter(|o| o.at == *m as f64).map(|o| o.error));
@@ -48,7 +48,7 @@ fn place(m: Option<f64>) -> String {
     m.map_or("none".into(), |m| m.to_string())
 }
 
-/// All votes, the most first.
+/// All votes, the largest share first.
 pub(super) fn words(votes: &Votes) -> String {
     let mut votes: Vec<_> = votes.iter().filter(|vote| vote.1 > 0.004).collect();
     votes.sort_by(|a, b| b.1.total_cmp(&a.1));
@@ -58,13 +58,13 @@ pub(super) fn words(votes: &Votes) -> String {
     votes.iter().map(word).collect::<Vec<_>>().join(", ")
 }
 
-/// Votes by the elbow in per cent and in logarithms, and by nine tenths of the fall.
+/// Votes by the elbow in per cent and in logarithms, and by 90 % of the fall.
 pub(super) fn readings(curve: &[Observation]) -> [Votes; 3] {
     let [percent, logarithm] = Height::ALL.map(|height| by_elbow(curve, height));
     [percent, logarithm, by_fall(curve)]
 }
 
-/// Elbows where decays may be fast, and where 80 % and 95 % of the fall are done.
+/// Elbows if fast decays are permitted, and M at 80 % and 95 % of the fall.
 fn beside(curve: &[Observation]) -> [String; 2] {
     let any = Height::ALL.map(|height| place(elbow(curve, height).unwrap().any_decay));
     let parts = [0.8, 0.95].map(|part| fall(curve, part).at.to_string());
@@ -79,14 +79,14 @@ const READINGS: [&str; 5] = [
     "80 %, 95 % of the fall",
 ];
 
-/// What the rule at the head of `elbow-law.toml` says of votes.
+/// The verdict on votes by the rule at the head of `elbow-law.toml`.
 pub(super) fn verdict(votes: &Votes, law: f64, elbow: bool) -> &'static str {
     let of = |wanted: &dyn Fn(Option<f64>) -> bool| {
         votes.iter().filter(|vote| wanted(vote.0)).map(|vote| vote.1).sum::<f64>()
     };
     let share = of(&|m| m == Some(law));
     match elbow && law == 1.0 {
-        // which no stick can have
+        // no elbow can be at M = 1
         true if of(&|m| m.is_some_and(|m| m >= 2.0)) >= 0.95 => "refuted",
         true => "no answer",
         false if share >= 0.95 => "confirmed",
@@ -95,22 +95,22 @@ pub(super) fn verdict(votes: &Votes, law: f64, elbow: bool) -> &'static str {
     }
 }
 
-/// Numbers of forces that were asked.
+/// Numbers of forces in the sweep.
 const FORCES: std::ops::RangeInclusive<u64> = 2..=9;
 
-/// Trained bodies of the sweep that was run to ask.
+/// Trained bodies of the sweep.
 fn of_sweep(forces: u64, channels: u64) -> Vec<Observation> {
     let wanted = [forces, channels].map(|x| x.to_string());
     let wanted = [("panels", &*wanted[0]), ("channels", &*wanted[1])];
     curve(of(&rows("elbow-law/trials.csv"), &wanted), "optimised")
 }
 
-/// Where nine tenths of the fall are done there.
+/// M at 90 % of the fall.
 pub fn fallen(forces: u64, channels: u64) -> f64 {
     fall(&of_sweep(forces, channels), 0.9).at
 }
 
-/// The sweep that was run to ask: K forces, three channels or two, four seeds.
+/// The sweep: K forces, three or two channels, four seeds.
 pub fn asked() -> String {
     let line = |(forces, channels): (u64, u64)| {
         let curve = of_sweep(forces, channels);
@@ -129,7 +129,7 @@ pub fn asked() -> String {
 /// K and M of the paper's elbows (Fig. 4B, C).
 const PAPERS: [(u64, u64); 2] = [(4, 2), (8, 4)];
 
-/// Errors by K and M, shaded by the votes for an end of the fall there; the law's own place in brackets, the paper's elbows marked.
+/// Errors by K and M, shaded by the votes for the end of the fall. The law's M is in brackets, the paper's elbows are marked.
 pub fn map() -> String {
     let forces: Vec<String> = FORCES.map(|k| k.to_string()).collect();
     let sensors: Vec<String> = (1..=7).map(|m| m.to_string()).collect();

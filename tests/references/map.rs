@@ -1,4 +1,4 @@
-//! Where in the space of scenes is what the paper claims true: the `…-map.toml` specs, each by the rules at its head.
+//! Regions in which the paper's claims hold: the `…-map.toml` specs, each by the rules at its head.
 
 use metasense::analysis::numbers::{deviation, geometric_mean, mean};
 use metasense::analysis::resample::holm;
@@ -10,7 +10,7 @@ use super::elbow_law::{by_fall, curve, errors, readings, verdict, words};
 use super::rows::{Row, geometric, interval, number, of, rows, seeds, short, with_interval};
 use super::table;
 
-/// The columns that tell settings apart, and the scene in the middle.
+/// Columns that distinguish settings, with the values of the middle scene.
 const MIDDLE: [(&str, &str); 5] = [
     ("noise", "0.03"),
     ("damping_ratio", "0.02"),
@@ -19,7 +19,7 @@ const MIDDLE: [(&str, &str); 5] = [
     ("columns", "8"),
 ];
 
-/// What is moved, in words.
+/// Settings: words, column, value.
 pub(super) const SETTINGS: [(&str, &str, &str); 10] = [
     ("the middle", "noise", "0.03"),
     ("without noise", "noise", "0.0"),
@@ -33,12 +33,12 @@ pub(super) const SETTINGS: [(&str, &str, &str); 10] = [
     ("14 columns instead of 8", "columns", "14"),
 ];
 
-/// Whether it is at the placement of its seed's own that has all numbers of sensors.
+/// Whether the row has its seed's placement for which all numbers of sensors exist.
 pub(super) fn is_first_placement(row: &Row) -> bool {
     !["4", "5"].contains(&row["placement"].as_str())
 }
 
-/// Of a setting, in logarithms and by seed: few beat many, placements in per cent and in logarithms, training.
+/// Logarithms of ratios by seed: few against many sensors, placements in per cent and in logarithms, training.
 fn ratios(of_setting: &[&Row]) -> [Vec<f64>; 4] {
     let error = |seed: u64, placement: u64, sensors: &str, body: &str| {
         let placed = [seed, placement].map(|x| x.to_string());
@@ -64,29 +64,29 @@ fn ratios(of_setting: &[&Row]) -> [Vec<f64>; 4] {
     ]
 }
 
-/// The chance of such a mean, to either side, if the true one is 0.
+/// Two-sided p-value of the mean, if the true mean is 0.
 fn chance(values: &[f64]) -> f64 {
     let error = deviation(values).unwrap() / (values.len() as f64).sqrt();
     2.0 * chance_above(values.len() - 1, (mean(values).unwrap() / error).abs())
 }
 
-/// The true mean that four in five such sweeps would tell from 0, at a chance that counts as none.
+/// The true mean that 80 % of such sweeps would distinguish from 0 at the p-value `none`.
 fn tells(values: &[f64], none: f64) -> f64 {
     let (free, count) = (values.len() - 1, values.len() as f64);
     let quantiles = student_above(free, none / 2.0) + student_above(free, 0.2);
     quantiles * deviation(values).unwrap() / count.sqrt()
 }
 
-/// Values by seed, shown with their interval and one of two words: above 0, below; of an open one what would have told; a star
-/// where one stands beside all others (Holm).
+/// Values by seed with their interval and one of two words (above 0, below 0); for an open one the mean that would have been
+/// detected. A star marks significance after Holm's correction.
 fn rated(all: &[Vec<f64>], shown: fn(f64) -> f64, words: [&'static str; 2]) -> Vec<String> {
     rated_each(&all.iter().map(|values| (values.clone(), shown, words)).collect::<Vec<_>>(), 0.05)
 }
 
-/// Values by seed, how they are shown, and what they say above and below 0.
+/// Values by seed, conversion for display, words for above and below 0.
 type Rated = (Vec<f64>, fn(f64) -> f64, [&'static str; 2]);
 
-/// The same, each in its own way, at a chance that counts as none.
+/// The same with conversions and words for each, at the p-value `none`.
 fn rated_each(all: &[Rated], none: f64) -> Vec<String> {
     let plain: Vec<f64> = all.iter().map(|(values, ..)| chance(values)).collect();
     let corrected = holm(&plain);
@@ -101,12 +101,12 @@ fn rated_each(all: &[Rated], none: f64) -> Vec<String> {
     all.iter().enumerate().map(cell).collect()
 }
 
-/// Bodies trained with, and read by, the linear brain.
+/// Bodies trained and evaluated with the linear decoder.
 pub fn four_forces() -> String {
     four_forces_of("four-forces-map/trials.csv", &SETTINGS)
 }
 
-/// The same of the paper's network, with noise and without.
+/// The same with the paper's network, with and without noise.
 pub fn four_forces_network() -> String {
     four_forces_of("four-forces-map-network/trials.csv", &SETTINGS[..2])
 }
@@ -118,7 +118,7 @@ pub(super) fn of_setting<'a>(all: &'a [Row], (_, moved, value): (&str, &str, &st
     all.iter().filter(is_of).collect()
 }
 
-/// Three of the ratios, setting by setting, with 95 % intervals: in colour where one is above 1, or below.
+/// Three of the ratios by setting with 95 % intervals, coloured if above or below 1.
 pub fn four_forces_drawn() -> String {
     let files = [("linear", "four-forces-map"), ("network", "four-forces-map-network")];
     let all = files.map(|(_, folder)| rows(&format!("{folder}/trials.csv")));
@@ -167,7 +167,7 @@ pub fn four_forces_drawn() -> String {
     file(&plots, 1, 560.0, &legend(&keys)) + "\n"
 }
 
-/// A line a setting: errors, elbows, where the fall ends, and four ratios; a star where a ratio stands beside all others (Holm).
+/// One line per setting: errors, elbows, end of the fall, and four ratios. A star marks significance after Holm's correction.
 fn four_forces_of(file: &str, settings: &[(&str, &str, &str)]) -> String {
     let all = rows(file);
     let settings: Vec<(&str, Vec<&Row>)> =
@@ -197,7 +197,8 @@ fn four_forces_of(file: &str, settings: &[(&str, &str, &str)]) -> String {
     table(&head, settings.iter().enumerate().map(line))
 }
 
-/// A line a brain: errors of eight forces, where the fall ends, and what four trained sensors are beside four and six untrained.
+/// One line per decoder: errors with eight forces, end of the fall, and four sensors on the trained body against four and six on
+/// the initial one.
 pub fn eight_forces() -> String {
     let all = rows("eight-forces-map/trials.csv");
     let brains = [("linear", "linear decoder"), ("cnn", "the paper's network")];
@@ -221,7 +222,8 @@ pub fn eight_forces() -> String {
     table(&head, brains.into_iter().enumerate().map(line))
 }
 
-/// A disc that is cut finer, and the finest tied in blocks: errors, slopes of ln(error) on ln(columns), errors by that of the untied.
+/// A disc with finer units, and the finest tied in blocks: errors, slopes of ln(error) on ln(columns), errors relative to the
+/// untied disc.
 pub fn discs() -> String {
     let all = rows("disc-map/trials.csv");
     let columns = ["5", "8", "12"];
@@ -236,7 +238,7 @@ pub fn discs() -> String {
         .into_iter()
         .map(|slope| (slope, plain, ["fails", "holds"]))
         .chain(tied.into_iter().map(|ratio| (ratio, f64::exp as fn(f64) -> f64, ["holds", "fails"])));
-    // the second of two looks
+    // the second of two looks at the data: half of 5 %
     let said = rated_each(&all_of.collect::<Vec<_>>(), 0.025);
     let error =
         |columns, tie, column| geometric(of(&all, &of_kind(columns, tie)).map(|row| number(row, column)));
@@ -270,7 +272,7 @@ pub fn discs() -> String {
     table(&head, lines)
 }
 
-/// A verdict on a law as one on a claim.
+/// The verdict on a law in the words for claims.
 fn in_map(verdict: &str) -> &str {
     match verdict {
         "confirmed" => "holds",
@@ -279,7 +281,7 @@ fn in_map(verdict: &str) -> &str {
     }
 }
 
-/// Rows with one column more, made of the others.
+/// Rows with an additional column, computed from the others.
 fn with_column(mut rows: Vec<Row>, name: &str, of: impl Fn(&Row) -> String) -> Vec<Row> {
     for row in &mut rows {
         let cell = of(row);
@@ -288,13 +290,13 @@ fn with_column(mut rows: Vec<Row>, name: &str, of: impl Fn(&Row) -> String) -> V
     rows
 }
 
-/// Of rows of a kind the logarithm of a column's geometric mean, a seed each.
+/// Logarithm of a column's geometric mean over matching rows, by seed.
 fn logs(rows: &[Row], wanted: &[(&str, &str)], column: &str) -> Vec<f64> {
     let own = |seed| of(rows, wanted).filter(move |row| row["seed"] == seed).map(|row| number(row, column));
     seeds(rows).into_iter().map(|seed| geometric_mean(&own(seed).collect::<Vec<_>>()).ln()).collect()
 }
 
-/// Slope on ln(size) of logarithms by size, each a seed a number, by least squares: a slope a seed.
+/// Least-squares slope on ln(size) of logarithms by size and seed; one slope per seed.
 fn slopes_over<const N: usize>(sizes: [&str; N], logs: [Vec<f64>; N]) -> Vec<f64> {
     let x = sizes.map(|size| size.parse::<f64>().unwrap().ln());
     let centred = x.map(|value| value - mean(&x).unwrap());
@@ -303,7 +305,7 @@ fn slopes_over<const N: usize>(sizes: [&str; N], logs: [Vec<f64>; N]) -> Vec<f64
     (0..logs[0].len()).map(slope).collect()
 }
 
-/// ln(initial/trained) of rows of a kind, a seed each.
+/// ln(initial/trained) of matching rows, by seed.
 fn gain(rows: &[Row], wanted: &[(&str, &str)]) -> Vec<f64> {
     less(logs(rows, wanted, INITIAL), &logs(rows, wanted, TRAINED))
 }
@@ -313,7 +315,7 @@ fn less(mut from: Vec<f64>, values: &[f64]) -> Vec<f64> {
     from
 }
 
-/// Untrained → trained, geometric means of rows of a kind.
+/// Initial → trained, geometric means of matching rows.
 fn before_and_after(rows: &[Row], wanted: &[(&str, &str)]) -> String {
     let error = |column| geometric(of(rows, wanted).map(|row| number(row, column)));
     format!("{} → {} %", error(INITIAL), error(TRAINED))
@@ -322,7 +324,7 @@ fn before_and_after(rows: &[Row], wanted: &[(&str, &str)]) -> String {
 const INITIAL: &str = "holdout_error_initial";
 const TRAINED: &str = "holdout_error_optimised";
 
-/// A line an angle: the regular body, what training makes of it, and random bodies by how far their nodes are moved.
+/// One line per angle: the regular body before and after training, and random bodies by the spread of their nodes.
 pub fn random_bodies() -> String {
     let spread = |row: &Row| match (row["body.design.random"].as_str(), row["body.design.spread"].as_str()) {
         ("", _) => "none".to_owned(),
@@ -353,11 +355,11 @@ pub fn random_bodies() -> String {
     table(&head, angles.into_iter().enumerate().map(line))
 }
 
-/// What tells the settings of `blows-map.toml` apart.
+/// Keys that distinguish the settings of `blows-map.toml`.
 const STIMULI: [&str; 5] =
     ["stimuli.kind", "stimuli.roughness", "stimuli.double", "stimuli.width", "stimuli.amplitude"];
 
-/// These settings, in words.
+/// These settings with their names.
 const BLOWS: [(&str, [&str; 5]); 7] = [
     ("blows", ["irregular", "[0.1,0.35]", "0.25", "[0.02,0.08]", "[0.3,1.0]"]),
     ("smooth", ["irregular", "[0.0,0.0]", "0.25", "[0.02,0.08]", "[0.3,1.0]"]),
@@ -368,7 +370,7 @@ const BLOWS: [(&str, [&str; 5]); 7] = [
     ("pulses", ["bell", "", "", "[0.06,0.25]", "[0.15,0.5]"]),
 ];
 
-/// A line a setting: errors, the gain by training, and how much that differs from the gain under blows.
+/// One line per setting: errors, gain from training, and its difference from the gain under blows.
 pub fn blows() -> String {
     let all = rows("blows-map/trials.csv");
     let kind = |setting: [&'static str; 5], noise| -> Vec<(&str, &str)> {
@@ -399,17 +401,17 @@ pub fn blows() -> String {
     table(&head, BLOWS.into_iter().enumerate().map(line))
 }
 
-/// Bodies trained with, and read by, the linear brain.
+/// Bodies trained and evaluated with the linear decoder.
 pub fn sizes() -> String {
     sizes_of("size-map/trials.csv")
 }
 
-/// The same of the paper's network.
+/// The same with the paper's network.
 pub fn sizes_network() -> String {
     sizes_of("size-map-network/trials.csv")
 }
 
-/// Lines of a body that grows with its units, and of one that is cut finer: errors by units, and slopes of ln(error) on ln(units).
+/// A body that grows with its number of units, and a body with finer units: errors by units, and slopes of ln(error) on ln(units).
 fn sizes_of(file: &str) -> String {
     let way = |row: &Row| match (row["body.columns"].as_str(), row["body.spacing"].as_str()) {
         ("6", _) => "both".to_owned(),
@@ -447,10 +449,10 @@ fn sizes_of(file: &str) -> String {
     table(&head, lines.into_iter().zip(said).map(line))
 }
 
-/// What tells the settings of `protocol-map.toml` apart.
+/// Keys that distinguish the settings of `protocol-map.toml`.
 const TRAINING: [&str; 4] = ["batch", "schedule", "samples", "brain"];
 
-/// These settings, in words.
+/// These settings with their names.
 const TRAININGS: [(&str, [&str; 4]); 5] = [
     ("the middle", ["68", "cosine", "300", ""]),
     ("a constant rate", ["68", "constant", "300", ""]),
@@ -459,14 +461,14 @@ const TRAININGS: [(&str, [&str; 4]); 5] = [
     ("bodies trained with the linear decoder", ["68", "cosine", "300", "linear"]),
 ];
 
-/// Networks of a kind on the initial and on the trained body, after so many iterations.
+/// Networks of a kind on both bodies, by number of iterations.
 struct Networks {
     rows: Vec<Row>,
     wanted: Vec<(&'static str, &'static str)>,
 }
 
 impl Networks {
-    /// ln(holdout error), a seed each.
+    /// ln(held-out error), by seed.
     fn errors(&self, body: &str, iterations: &str) -> Vec<f64> {
         let kind = [&self.wanted[..], &[("iterations", iterations)]].concat();
         let own: Vec<Row> = of(&self.rows, &kind).filter(|row| row["body"] == body).cloned().collect();
@@ -477,7 +479,7 @@ impl Networks {
         less(self.errors("initial", iterations), &self.errors("optimised", iterations))
     }
 
-    /// Untrained → trained, and how many times less, beside the number that the paper has; nothing where there are none.
+    /// Initial → trained, and their ratio beside the paper's number; empty without networks.
     fn cells(&self, iterations: &str, stated: f64) -> [String; 2] {
         let errors = ["initial", "optimised"].map(|body| self.errors(body, iterations));
         if errors[0].is_empty() {
@@ -495,8 +497,8 @@ impl Networks {
     }
 }
 
-/// A line a setting of protocol, schedule and samples, under pulses and under blows: what training the body gains, and how much that
-/// differs from the middle.
+/// One line per setting of protocol, schedule and samples, under pulses and under blows: gain from training the body, and its
+/// difference from the middle.
 pub fn protocols() -> String {
     let own = |stimuli, setting: [&'static str; 4]| Networks {
         rows: rows("protocol-map/networks.csv"),
@@ -510,7 +512,7 @@ pub fn protocols() -> String {
     settings
         .push(("the paper's protocol, over all samples at a constant rate", ["fig2", "fig3"].map(papers)));
     let gain = |setting: usize, stimuli: usize| settings[setting].1[stimuli].gain("1000");
-    // the middle under blows against pulses; the paper's protocol against the setting that reads bodies as it does
+    // the middle under blows against pulses; the paper's protocol against the setting with the same evaluation
     let beside = |setting, stimuli| match setting {
         0 => gain(0, 0),
         5 => gain(2, stimuli),

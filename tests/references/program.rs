@@ -1,4 +1,4 @@
-//! Commands with their options, exit codes and views, from the program itself; its tests, from the heads of their files.
+//! Commands with options, exit codes and views, from the program; its tests, from the heads of their files.
 
 use clap::ValueEnum;
 use metasense::analysis::Question;
@@ -9,7 +9,7 @@ use metasense_schemas::database::VIEWS;
 
 use super::table;
 
-/// Each heading with its commands, and each group with its, built, so that they know their own full usage.
+/// Headings and groups with their commands, built so that they contain their full usage.
 fn groups() -> impl Iterator<Item = (String, Vec<clap::Command>)> {
     let mut program = command();
     program.build();
@@ -31,7 +31,7 @@ fn usage(command: &clap::Command) -> String {
     text.replace(" [OPTIONS]", "")
 }
 
-/// A text of help on one line, its paragraphs as sentences.
+/// A help text on one line; its paragraphs become sentences.
 fn line(text: Option<&clap::builder::StyledStr>) -> String {
     let text = text.map(ToString::to_string).unwrap_or_default();
     let paragraphs = text.split("\n\n").map(|p| p.split_whitespace().collect::<Vec<_>>().join(" "));
@@ -95,7 +95,7 @@ fn option(arg: &clap::Arg) -> Vec<String> {
     vec![format!("`{}`", arg.to_string().replace("...", "…")), means]
 }
 
-/// What `analyse` is asked.
+/// Questions of `analyse`.
 pub fn questions() -> String {
     let rows = Question::all().iter().filter_map(ValueEnum::to_possible_value);
     table(
@@ -117,7 +117,7 @@ pub fn exit_codes() -> String {
     table(&["code", "means"], rows)
 }
 
-/// The columns are those of a database that this version has made.
+/// Views with the columns of a database of this version.
 pub fn views() -> String {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     let rows = runtime.block_on(async {

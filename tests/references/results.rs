@@ -1,4 +1,4 @@
-//! What README shows: the tables of its first command, and the findings.
+//! Tables of README: results of its first command, and the findings.
 
 use super::brains::setting;
 use super::rows::{Row, brain, change, of, one, percent, rows, spread};
@@ -27,13 +27,13 @@ pub fn quickstart() -> String {
     )
 }
 
-/// Four findings, with their numbers.
+/// Findings with their numbers.
 pub fn findings() -> String {
     let brains = rows("brains-two-core/answer-brains.csv");
     let setting = setting("bell", "");
     let own = |name: &str| {
         let wanted = [("setting", &*setting), ("trained_with", name), ("read_by", name)];
-        // A linear brain reads by shorter memories, too: the longest comes first.
+        // Linear decoders also have rows with shorter memories, after the longest.
         change(of(&brains, &wanted).next().unwrap())
     };
     let placed = rows("placed-two-core/answer-placed.csv");

@@ -1,4 +1,4 @@
-//! The rows that are committed, and their numbers in words. A number is rounded once, here.
+//! The committed rows, and their numbers as text. Each number is rounded once, here.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -20,21 +20,21 @@ pub(super) fn rows(file: &str) -> Vec<Row> {
     reader.records().map(|row| pair(row.unwrap())).collect()
 }
 
-/// Rows whose cells are these.
+/// Rows with these cells.
 pub(super) fn of<'a>(rows: &'a [Row], wanted: &'a [(&str, &str)]) -> impl Iterator<Item = &'a Row> {
     rows.iter().filter(|row| wanted.iter().all(|(name, cell)| row[*name] == *cell))
 }
 
-/// Seeds, each once, in order of their digits.
+/// Distinct seeds in the order of their digits.
 pub(super) fn seeds(rows: &[Row]) -> BTreeSet<&str> {
     rows.iter().map(|row| row["seed"].as_str()).collect()
 }
 
-/// The only row whose cells are these.
+/// The only row with these cells.
 pub(super) fn one<'a>(rows: &'a [Row], wanted: &[(&str, &str)]) -> &'a Row {
     let mut found = rows.iter().filter(|row| wanted.iter().all(|(name, cell)| row[*name] == *cell));
     let row = found.next().unwrap_or_else(|| panic!("no row has {wanted:?}"));
-    // A trial's own brain may be one of the readers of every body: both rows then say the same.
+    // Two equal rows are possible: a trial's own decoder may be among those of every body.
     assert!(found.all(|other| other == row), "rows that have {wanted:?} differ");
     row
 }
@@ -54,12 +54,12 @@ pub(super) fn percent(row: &Row, name: &str) -> String {
     format!("{} %", short(&row[name]))
 }
 
-/// Initial → optimised.
+/// Initial → trained.
 pub(super) fn change(row: &Row) -> String {
     format!("{} → {} %", short(&row["initial"]), short(&row["optimised"]))
 }
 
-/// A ratio with its interval, where it has one.
+/// A ratio, with its interval if there is one.
 pub(super) fn ratio(row: &Row, value: &str, low: &str, high: &str) -> String {
     match row[value].as_str() {
         "" => "–".into(),
@@ -88,13 +88,13 @@ pub(super) fn number(row: &Row, name: &str) -> f64 {
     row[name].parse().unwrap_or_else(|_| panic!("{:?} is no number", row[name]))
 }
 
-/// The mean, and the ends of Student's interval of 95 %.
+/// The mean, and the limits of Student's 95 % interval.
 pub(super) fn interval(values: &[f64]) -> [f64; 3] {
     let half = student(values.len() - 1) * deviation(values).unwrap() / (values.len() as f64).sqrt();
     [0.0, -half, half].map(|by| mean(values).unwrap() + by)
 }
 
-/// The same as they are shown.
+/// The same as text.
 pub(super) fn with_interval(values: &[f64], shown: fn(f64) -> f64) -> String {
     let [at, low, high] = interval(values).map(|x| short(&shown(x).to_string()));
     format!("{at} ({low} … {high})")
@@ -105,7 +105,7 @@ pub(super) fn geometric(values: impl Iterator<Item = f64>) -> String {
     short(&geometric_mean(&values.collect::<Vec<_>>()).to_string())
 }
 
-/// The rows that a bench has written, a JSON object a line.
+/// Rows written by a bench, one JSON object per line.
 pub(super) fn lines(file: &str) -> Vec<Value> {
     let text = super::read(&format!("results/committed/{file}"));
     text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()

@@ -1,6 +1,6 @@
-//! The keys of a spec and of a file of records, from the JSON schema of their types; and the specs that come with the program.
+//! Keys of specs and of files of records, from the JSON schema of their types; and the specs in the repository.
 //!
-//! A key's doc comment gives its meaning; its last line may be `Unit: …. Default: ….`, where the schema has no default.
+//! A key's doc comment is its description. If the schema has no default, the last line may be `Unit: …. Default: ….`.
 
 use std::collections::BTreeMap;
 
@@ -22,7 +22,7 @@ pub fn records() -> String {
     tables(&schema)
 }
 
-/// What a search for a design decides by, from the constants that it uses.
+/// Constants of a search for a design.
 pub fn search_limits() -> String {
     let percent = |part: f64| format!("{:.0} %", 100.0 * part);
     let rows = [
@@ -46,7 +46,7 @@ pub fn search_limits() -> String {
     table(&["limit", "value"], rows.map(|(what, value)| vec![what.to_owned(), value]))
 }
 
-/// One Markdown table for each table of the file; keys of the file itself come first.
+/// One Markdown table per table of the file; keys of the file itself come first.
 fn tables(schema: &Value) -> String {
     let mut own = Vec::new();
     let mut text = String::new();
@@ -102,7 +102,7 @@ fn row(path: &str, key: &Value, root: &Value, must: bool) -> Vec<String> {
     vec![format!("`{path}`"), default, unit, format!("{meaning}{}", choices(key, root))]
 }
 
-/// Whether a default is a value or a key, and no words.
+/// Whether a default is a value or a key, not words.
 fn is_value(default: &str) -> bool {
     let value =
         default.starts_with(['"', '[', '{', '-']) || default.starts_with(|c: char| c.is_ascii_digit());
@@ -113,7 +113,7 @@ fn is_value(default: &str) -> bool {
         || word
 }
 
-/// Splits `label … .` off the end of a text.
+/// Splits `label … .` from the end of a text.
 fn cut(text: &str, label: &str) -> (String, Option<String>) {
     match text.split_once(label) {
         Some((before, after)) => {
@@ -123,7 +123,7 @@ fn cut(text: &str, label: &str) -> (String, Option<String>) {
     }
 }
 
-/// The values of an enumeration, each with its meaning.
+/// Values of an enumeration with their meanings.
 fn choices(key: &Value, root: &Value) -> String {
     let inner = choice(key, root);
     let each = |key: &str| inner[key].as_array().into_iter().flatten();
@@ -138,7 +138,7 @@ fn choices(key: &Value, root: &Value) -> String {
     }
 }
 
-/// What a key holds, beside `null`.
+/// Schema of a key without `null`.
 fn choice<'a>(key: &'a Value, root: &'a Value) -> &'a Value {
     let some = key["anyOf"].as_array().and_then(|parts| match &parts[..] {
         [some, null] if null["type"] == "null" => Some(some),
@@ -165,7 +165,7 @@ fn doc(schema: &Value) -> String {
     schema["description"].as_str().unwrap_or_default().split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// A default as it is written in TOML.
+/// A default in TOML syntax.
 fn toml_value(value: &Value) -> String {
     match value {
         Value::Object(table) if table.is_empty() => "none".into(),
@@ -184,7 +184,7 @@ fn toml_value(value: &Value) -> String {
     }
 }
 
-/// The specs of a folder with the first paragraph of their first comment.
+/// Specs of a folder with the first paragraph of their first comment.
 pub fn files() -> String {
     let mut rows = BTreeMap::new();
     for folder in ["sweeps", "claims"] {

@@ -1,10 +1,10 @@
-//! What else than forces the bodies of the authors' scene sense.
+//! The table of tasks other than forces in the authors' scene.
 
 use super::rows::{Row, number, one, rows, short, with_interval};
 use super::table;
 
-/// A line per noise, task and readout: means over seeds, and the ratio of the errors of the initial and of the trained body. In the ratio
-/// an error counts as half of one sample's at least.
+/// One line per noise, task and readout: means over seeds, and the ratio of the errors of the initial and the trained body. In the
+/// ratio, an error counts at least as half of one sample's.
 pub fn tasks() -> String {
     let all = rows("tasks/rows.csv");
     let mut lines = Vec::new();

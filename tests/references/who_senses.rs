@@ -1,4 +1,4 @@
-//! Who does the sensing: the table, the picture and the finding of `who-senses`, from its rows.
+//! Table, picture and finding of `who-senses`, from its rows.
 
 use metasense::analysis::numbers::{geometric_mean, median};
 use metasense::look::{Axis, Plot, Scale, file, legend};
@@ -6,7 +6,7 @@ use metasense::look::{Axis, Plot, Scale, file, legend};
 use super::rows::{number, of, one, rows, short};
 use super::table;
 
-/// Decoders of who-senses in words, from the humblest on: the brain of their trials, their name, and records.
+/// Decoders of who-senses, the simplest first: words, `brain` of their trials, reader, number of records.
 const DECODERS: [Decoder; 9] = [
     ("linear, fitted to the design", "inverse", "nominal", "0"),
     ("linear, fitted to many casts", "inverse", "casts", "0"),
@@ -19,14 +19,14 @@ const DECODERS: [Decoder; 9] = [
     ("a twin from 30 records, inverted", "inverse", "twin", "30"),
 ];
 type Decoder = (&'static str, &'static str, &'static str, &'static str);
-/// The bodies that they read: in words, which, and what it was trained for.
+/// Their bodies: words, body, training objective.
 const SENSING: [(&str, &str, &str); 3] = [
     ("initial body", "initial", "nominal"),
     ("trained as designed", "optimised", "nominal"),
     ("trained over casts", "optimised", "mean"),
 ];
 
-/// How a decoder of who-senses reads a body: as designed, geometric mean over seeds, and the median and the largest error over casts (%).
+/// Errors (%) of a decoder on a body: as designed (geometric mean over seeds), median over casts, and largest over casts.
 fn sensed((_, brain, reader, records): Decoder, (_, body, objective): (&str, &str, &str)) -> [f64; 3] {
     let all = rows("who-senses/casts.csv");
     let wanted = [
@@ -47,7 +47,7 @@ fn sensed((_, brain, reader, records): Decoder, (_, body, objective): (&str, &st
     [geometric_mean(&trials), median(casts), largest]
 }
 
-/// CPU time of one reading (s), by a decoder's name.
+/// CPU time per sample (s).
 fn seconds(reader: &str) -> f64 {
     let kind = match reader {
         "network" | "network_casts" => "network",
@@ -57,7 +57,7 @@ fn seconds(reader: &str) -> f64 {
     number(one(&rows("who-senses/costs.csv"), &[("decoder", kind)]), "seconds")
 }
 
-/// The same in words.
+/// The same as text.
 fn takes(reader: &str) -> String {
     match seconds(reader) {
         s if s < 1e-3 => format!("{} µs", short(&(1e6 * s).to_string())),
@@ -74,7 +74,7 @@ pub fn all() -> String {
     let line = |decoder: &Decoder| {
         let cells = |body: &(&str, &str, &str)| {
             let [designed, median, largest] = sensed(*decoder, *body).map(|error| short(&error.to_string()));
-            // what is made from records of a cast is not of the design
+            // decoders with records of a cast have no error on the design
             let designed = if decoder.3 == "0" { format!("{designed} %") } else { String::new() };
             [designed, format!("{median} [{largest}] %")]
         };
@@ -85,7 +85,7 @@ pub fn all() -> String {
     table(&head, DECODERS.iter().map(line))
 }
 
-/// Error on the median cast against what a reading costs, with the line below which no decoder is.
+/// Error on the median cast against CPU time per sample, with the line below which there is no decoder.
 pub fn front() -> String {
     let error = |decoder: &Decoder, body| sensed(*decoder, body)[1];
     let all = DECODERS.iter().flat_map(|decoder| SENSING.map(|body| error(decoder, body)));
@@ -113,7 +113,7 @@ pub fn front() -> String {
     file(&[plot.picture()], 1, 560.0, &legend) + "\n"
 }
 
-/// What it comes to, in a sentence or two.
+/// The finding in a few sentences.
 pub fn finding() -> String {
     let share = |error: f64| format!("{} %", short(&error.to_string()));
     let [linear, model, twin] = [DECODERS[0], DECODERS[6], DECODERS[8]];

@@ -1,4 +1,4 @@
-//! `analyse`: what a database's finished trials teach, as tables.
+//! `analyse`: tables of results from a database's finished trials.
 
 use std::path::{Path, PathBuf};
 
@@ -134,7 +134,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-/// Tables, trials, figure and page of the claims.
+/// Writes tables, trials, figure and page of the claims.
 fn write_claims(folder: &Path, trials: &[Trial]) -> Result<(), Error> {
     let found = tried(trials);
     let [claims, evidence] = [claims_table(&found), evidence_table(&found)];

@@ -1,4 +1,4 @@
-//! `archive`: what the results of a database follow from, as a folder to publish.
+//! `archive`: writes a folder for publication with everything needed to reproduce the results of a database.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -18,10 +18,10 @@ use crate::report::{Story, figures, html, load};
 use crate::store::Reader;
 use metasense_schemas::source::each_file;
 
-/// Writes a folder with all that results follow from, for a data repository
+/// Writes a folder with everything needed to reproduce results, for a data repository
 ///
-/// The folder has the specs, the database, trials, answers and figures, the report, code and machines of all trials, a README with the
-/// commands that re-run the sweep and compare every bit, and an RO-Crate 1.1 manifest with the SHA-256 of each file.
+/// The folder has the specs, the database, trials, answers and figures, the report, code and machines of all trials, a README with
+/// the commands that re-run the sweep and compare every bit, and an RO-Crate 1.1 manifest with the SHA-256 of each file.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The database, or a folder of shards
@@ -37,10 +37,10 @@ const REPORT: &str = "report.html";
 const PROVENANCE: &str = "provenance.json";
 const README: &str = "README.md";
 const MANIFEST: &str = "ro-crate-metadata.json";
-/// Specs, figures with their data, answers, trials.
+/// Folder of specs, figures with their data, answers and trials.
 const RESULTS: &str = "results";
 
-/// The code and the machines that computed the results.
+/// Code and machines that computed the results.
 const MADE: &str = "SELECT version, code, revision, rustc, cpu, simd, threads, count(DISTINCT trial_id) AS trials,
     min(started_at) AS first, max(ended_at) AS last FROM attempt WHERE NOT redone AND state = 'done' GROUP BY 1, 2, 3, 4, 5, 6, 7
   ORDER BY trials DESC, 1, 2, 3, 4, 5, 6, 7";
@@ -80,7 +80,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-/// Adds the files that a spec names by their whole path, and the spec that names the copies; says which are missing.
+/// Writes the spec and copies of the files that it names by absolute path; the spec refers to the copies. Warns about missing
+/// files.
 fn with_its_files(folder: &Path, name: &str, text: &str) -> Result<(), Error> {
     let mut own = text.to_owned();
     for file in files_of(text) {
@@ -106,7 +107,7 @@ fn files_of(text: &str) -> Vec<String> {
     found
 }
 
-/// A cell of the first row, which most trials have.
+/// A cell of the first row, which counts the most trials.
 fn first<'a>(made: &'a Table, column: &str) -> &'a str {
     made.rows[0][made.column(column)].as_str().unwrap_or("unknown")
 }
@@ -135,7 +136,7 @@ fn readme(story: &Story, names: &[String], made: &Table) -> String {
     text + &format!("    metasense cluster merge {DATABASE} again.sqlite --out both.sqlite\n")
 }
 
-/// What lies in a folder and below it, by its path from there, in order.
+/// Appends the paths of all files in `folder` and its subfolders, each with the prefix `below`, and sorts them.
 fn contents(folder: &Path, below: &str, found: &mut Vec<String>) -> std::io::Result<()> {
     for entry in std::fs::read_dir(folder)? {
         let entry = entry?;
@@ -149,7 +150,7 @@ fn contents(folder: &Path, below: &str, found: &mut Vec<String>) -> std::io::Res
     Ok(())
 }
 
-/// The manifest (RO-Crate 1.1) of what a folder has so far.
+/// The manifest (RO-Crate 1.1) of the files that are now in a folder.
 fn manifest(dir: &Path, title: &str, names: &[String], made: &Table) -> Result<String, Error> {
     let failed = Error::io("reading", dir);
     let mut files = Vec::new();

@@ -1,4 +1,4 @@
-//! `bound`: the error of the best linear decoder around each motion, what no decoder of pulses goes below, and the errors of brains.
+//! `bound`: errors of the best linear decoder around each motion, a lower bound for all decoders, and errors of trained decoders.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -68,10 +68,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-/// By what the first rows are read.
+/// Name of the best linear decoder in column `read_by`.
 const LINEAR: &str = "best linear decoder around the motion";
 
-/// A row a sample, then both means, then what no decoder goes below, then what is known without signals.
+/// One row per sample, then both means, the lower bound for all decoders, and the error without signals.
 fn bounds(body: [Value; 2], found: &Bound) -> Vec<Vec<Value>> {
     let row = |by: &str, sample: Value, error: Value, off: Option<f64>| {
         body.iter().cloned().chain([json!(by), sample, error, json!(off)]).collect::<Vec<_>>()
@@ -85,7 +85,7 @@ fn bounds(body: [Value; 2], found: &Bound) -> Vec<Vec<Value>> {
     rows
 }
 
-/// What trials of a database that agree in all but their brains have achieved, beside the bounds of their bodies.
+/// Bounds for the bodies of all trials that differ from `trial` only in their decoders, and the errors of these decoders.
 async fn achieved(
     db: &Path,
     hash: &str,
@@ -116,7 +116,7 @@ async fn achieved(
             "{db} contains no finished trial with the scene of {hash}; see `metasense status {db}`"
         )));
     }
-    // bodies as bits: equal ones are looked at once
+    // keyed by the bits of the design: the bound of equal bodies is computed once
     let mut bodies: BTreeMap<(usize, Vec<u64>), Vec<Vec<Value>>> = BTreeMap::new();
     for (stored, [brain, trained_with], errors) in &trials {
         for (b, name) in ["initial", "optimised"].into_iter().enumerate() {
@@ -145,10 +145,10 @@ async fn achieved(
     Ok(bodies.into_values().flatten().collect())
 }
 
-/// A trial's spec without what its brains are.
+/// A trial's spec without the keys of decoder, training, evaluation and limits.
 fn scene(spec: &Value) -> Value {
     let mut scene = spec.clone();
-    // older databases keep what a material gives alone
+    // older databases store only the values that follow from the material
     if let Some(body) = scene.pointer_mut("/body").and_then(Value::as_object_mut) {
         body.remove("material");
     }

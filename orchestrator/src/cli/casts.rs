@@ -1,4 +1,4 @@
-//! `casts`: what is left of a body once it is cast.
+//! `casts`: errors of decoders on virtual casts of a body.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -77,7 +77,7 @@ fn read(
 /// Seconds between two lines of progress.
 const SAY_EVERY: u64 = 10;
 
-/// How many samples of the holdout a brain reads.
+/// Number of held-out samples that a decoder estimates per cast.
 fn samples(reader: &str, holdout: usize) -> usize {
     if matches!(reader, "inverse" | "twin") { holdout.min(INVERTED_OF_A_CAST) } else { holdout }
 }
@@ -93,7 +93,7 @@ fn each(found: &[CastReading], holdout: usize) -> Table {
     Table::new(columns, found.iter().map(row))
 }
 
-/// Of each brain, over the casts.
+/// Median, 90th percentile and worst error of each decoder over the casts.
 fn medians(found: &[CastReading], holdout: usize) -> Table {
     let brains = found.iter().take_while(|reading| reading.cast == 0);
     let rows = brains.map(|brain| {

@@ -1,4 +1,4 @@
-//! `check`: measured records looked at before any fit.
+//! `check`: checks measured records before any fit.
 
 use std::path::PathBuf;
 
@@ -12,9 +12,8 @@ use crate::report::check as pictures;
 
 /// Checks measured records before any fit: instruments, units, axes, clocks, panels
 ///
-/// Compares the signals with those of the model, at frequencies and times at which a cast and its design agree. For each
-/// mistake that would explain a difference it prints the numbers and the key that mends it. Exit code 1 if it finds a
-/// fault.
+/// Compares the signals with those of the model, at frequencies and times at which a cast and its design agree. For each mistake
+/// that would explain a difference it prints the numbers and the key that corrects it. Exit code 1 if it finds a fault.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]

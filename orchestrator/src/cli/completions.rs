@@ -1,4 +1,4 @@
-//! `completions`: what a shell completes.
+//! `completions`: prints completion scripts of shells.
 
 use std::io::{Write, stdout};
 

@@ -1,4 +1,4 @@
-//! `control`: steers the run that holds a database.
+//! `control`: controls the run that holds a database.
 
 use std::path::PathBuf;
 
@@ -75,7 +75,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         Steer::Workers { count } => Command::Workers(count),
         Steer::Reload => Command::Reload,
     };
-    // by the same rules as what comes from a page
+    // apply the same checks as to commands from the browser
     command.to_string().parse::<Command>().map_err(|e| Error::Usage(e.to_string()))?;
     let said = control::ask(&args.db, &command).await?;
     if said.done {
@@ -86,7 +86,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Failed)
 }
 
-/// The exit code of a question without an answer.
+/// The exit code of an error.
 pub(super) fn exit(error: &ControlError) -> Exit {
     match error {
         ControlError::NoDatabase { .. } | ControlError::NoRun { .. } => Exit::BadInput,

@@ -1,4 +1,4 @@
-//! `design`: the cheapest body, sensors and brain that meet a requirement.
+//! `design`: searches the cheapest body, sensors and decoder that meet a requirement.
 
 use std::path::{Path, PathBuf};
 
@@ -28,7 +28,7 @@ pub(super) struct Args {
     running: Running,
 }
 
-/// Why the spec is not read again during a search.
+/// Why the spec cannot be reloaded during a search.
 const FIXED: &str = "[goal] decides which trials are run: stop the search; the same command then resumes it with the edited spec";
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
@@ -47,7 +47,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     end(&db, plan, space, args.running.format, outcome).await
 }
 
-/// The space that is searched. Prints the trials that limits of the search exclude.
+/// Returns the search space. Prints the trials that limits of the search exclude.
 pub(super) fn space(plan: &Plan) -> Result<Space, Error> {
     let space = Space::new(plan)?;
     for out in &space.left_out {
@@ -56,7 +56,7 @@ pub(super) fn space(plan: &Plan) -> Result<Space, Error> {
     Ok(space)
 }
 
-/// The table and the words at the end.
+/// Prints the table and the verdict; returns the exit code.
 pub(super) async fn end(
     db: &Path,
     plan: Plan,

@@ -1,4 +1,4 @@
-//! `draw`: a design as SVG.
+//! `draw`: draws a design as SVG.
 
 use std::path::PathBuf;
 
@@ -71,7 +71,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         sensors: body.sensors,
         clamped: body.clamped,
         guided: body.guided,
-        // a broken constraint is beyond its limit, not at it
+        // a constraint with negative slack is violated, not active
         active: active.iter().copied().filter(|a| a.slack >= 0.0).collect(),
         spacing: body.layout.spacing,
         clock: Vec::new(),

@@ -1,4 +1,4 @@
-//! Why a command could not be carried out.
+//! Errors of commands.
 
 use std::error::Error as _;
 use std::path::{Path, PathBuf};
@@ -19,79 +19,79 @@ use crate::exit::Exit;
 use crate::files::host;
 use crate::store::StoreError;
 
-/// Why a command could not be carried out.
+/// The reason why a command failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The spec.
+    /// Invalid spec.
     #[error(transparent)]
     Spec(#[from] SpecError),
-    /// A file that the command line names.
+    /// A file that the command line names cannot be read.
     #[error("cannot read {}", path.display())]
     Unreadable {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// A design file.
+    /// Invalid design file.
     #[error(transparent)]
     Design(#[from] DesignError),
-    /// Measured records.
+    /// Invalid measured records.
     #[error(transparent)]
     Measured(#[from] MeasuredError),
-    /// The database.
+    /// The database failed.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// A file.
+    /// A file operation failed.
     #[error("{doing} {}", path.display())]
     Io {
-        /// What was being done.
+        /// The operation, such as "reading".
         doing: &'static str,
-        /// To which file.
+        /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// The terminal or pipe that we write to.
+    /// Writing to the terminal or pipe failed.
     #[error("writing the output")]
     Output(#[from] std::io::Error),
-    /// Arguments that do not go together.
+    /// Invalid command line.
     #[error("{0}")]
     Usage(String),
-    /// A run that could not go on.
+    /// The run failed.
     #[error(transparent)]
     Engine(#[from] EngineError),
-    /// The machine allows too little.
+    /// The limits of the machine are too low.
     #[error("the limits of {host} are too low, and nothing was started: {0}", host = host())]
     Short(String),
-    /// A merge.
+    /// Merging failed.
     #[error(transparent)]
     Merge(#[from] MergeError),
-    /// Shards that do not get further.
+    /// Shards ended without progress.
     #[error(
         "shards {shards} ended without a step or a result: see their outputs in {}; the same command tries again",
         folder.display()
     )]
     Shards {
-        /// Where they are.
+        /// Folder of their outputs.
         folder: PathBuf,
-        /// Which.
+        /// Their names.
         shards: String,
     },
-    /// Which shard runs what.
+    /// The assignment of trials to shards failed.
     #[error(transparent)]
     Assignment(#[from] AssignmentError),
-    /// A scheduler's queue.
+    /// A scheduler's queue failed.
     #[error(transparent)]
     Queue(#[from] QueueError),
-    /// A scheduler has accepted some jobs, and not all.
+    /// The scheduler accepted only some of the jobs.
     #[error("{0}")]
     Partly(String),
-    /// A shard's database.
+    /// A shard's database failed.
     #[error(transparent)]
     Home(#[from] HomeError),
-    /// A run that is to be steered.
+    /// Controlling a run failed.
     #[error(transparent)]
     Control(#[from] ControlError),
 }
@@ -103,13 +103,13 @@ impl From<Shortage> for Error {
 }
 
 impl Error {
-    /// A failure of the system in doing something to a file.
+    /// Returns a conversion of I/O errors during an operation on a file.
     pub(super) fn io(doing: &'static str, path: impl Into<PathBuf>) -> impl Fn(std::io::Error) -> Self {
         let path = path.into();
         move |source| Self::Io { doing, path: path.clone(), source }
     }
 
-    /// A file that the command line names cannot be read.
+    /// Returns a conversion of I/O errors for an unreadable file of the command line.
     pub(super) fn unreadable(path: &Path) -> impl Fn(std::io::Error) -> Self {
         move |source| Self::Unreadable { path: path.to_owned(), source }
     }
@@ -153,7 +153,7 @@ impl Error {
         }
     }
 
-    /// Says what went wrong and why on standard error.
+    /// Prints the error and its causes on standard error.
     pub fn say(&self) {
         say!("error: {self}");
         let mut cause = self.source();
@@ -163,7 +163,7 @@ impl Error {
         }
     }
 
-    /// Whether the reader of our output has gone.
+    /// Whether the program that reads our output has closed the pipe.
     #[must_use]
     pub fn is_broken_pipe(&self) -> bool {
         matches!(self, Self::Output(e) if e.kind() == std::io::ErrorKind::BrokenPipe)

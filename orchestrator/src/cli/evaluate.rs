@@ -1,4 +1,4 @@
-//! `evaluate`: bodies compared by measured signals.
+//! `evaluate`: compares bodies on measured signals.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -64,7 +64,7 @@ pub(super) struct Args {
     format: Format,
 }
 
-/// What reads the forces.
+/// Kinds of decoders.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Brain {
     /// The trial's network
@@ -77,10 +77,10 @@ enum Brain {
     Inverse,
 }
 
-/// What stands for a file of records: the trial's holdout.
+/// Stands for the trial's held-out set in place of a file.
 const HOLDOUT: &str = "holdout";
 
-/// BODY=FILE; a body's name becomes part of those of arrays.
+/// Parses BODY=FILE. Names become parts of array names.
 fn pair(text: &str) -> Result<(String, PathBuf), String> {
     match text.split_once('=') {
         Some((name, file)) if !name.is_empty() && !file.is_empty() => {
@@ -95,7 +95,7 @@ fn pair(text: &str) -> Result<(String, PathBuf), String> {
 
 /// Time between two lines of progress.
 const LINE_EVERY: Duration = Duration::from_secs(10);
-/// Folds, unless asked for otherwise: nine tenths of the records train, as in a trial.
+/// Default number of folds: 90 % of the records train, as in a trial.
 const FOLDS: usize = 10;
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
@@ -169,7 +169,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(if failed == 0 { Exit::Done } else { Exit::Failed })
 }
 
-/// The trial's spec for its initial and for its optimised body, whose sensors may have moved, and the designs that are known.
+/// Specs of the initial and the trained body, whose sensors may differ, and the known designs by body.
 async fn of_trial(args: &Args) -> Result<([TrialSpec; 2], BTreeMap<String, Vec<f64>>), Error> {
     if !args.trial.is_database() {
         let (_, spec) = args.trial.read().await?;
@@ -180,12 +180,12 @@ async fn of_trial(args: &Args) -> Result<([TrialSpec; 2], BTreeMap<String, Vec<f
     Ok((stored.specs, BTreeMap::from([("initial".into(), initial), ("optimised".into(), optimised)])))
 }
 
-/// The spec with the sensors that the body of this name has.
+/// The spec with the sensors of the body of this name.
 fn of_body<'a>([initial, optimised]: &'a [TrialSpec; 2], name: &str) -> &'a TrialSpec {
     if name == "optimised" { optimised } else { initial }
 }
 
-/// The brain that was asked for, and that nothing was which it does not have.
+/// The requested decoder; refuses options that have no effect on it.
 fn brain(args: &Args, trial: &TrialSpec) -> Result<BrainKind, Error> {
     let brain = match args.brain {
         None => trial.brain.kind,
@@ -202,7 +202,7 @@ fn brain(args: &Args, trial: &TrialSpec) -> Result<BrainKind, Error> {
     }
 }
 
-/// Of one body.
+/// Records of one body.
 struct Records {
     name: String,
     by: By,
@@ -298,7 +298,7 @@ fn compare(
     Ok((Comparison::new(bodies, paired, trial), unfinished))
 }
 
-/// Refuses fewer records than can be divided into folds, and measured signals that two bodies have.
+/// Refuses a single record where folds are needed, and two bodies with the same measured signals.
 fn check_records(
     args: &Args,
     specs: &[TrialSpec; 2],
@@ -337,13 +337,13 @@ fn check_records(
     Ok(())
 }
 
-/// Whether two bodies met the same blows.
+/// Whether two bodies were recorded under the same forces.
 fn alike(a: &[f64], b: &[f64]) -> bool {
     let scale = b.iter().fold(0.0f64, |most, f| most.max(f.abs()));
     a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 1e-6 * scale)
 }
 
-/// Whether all networks trained as planned; says so of those that did not.
+/// Whether all networks trained without failure; prints the other outcomes.
 fn well(body: &Body) -> bool {
     fn own(of: &Option<(Vec<f64>, Evaluated)>) -> Option<&Evaluated> {
         of.as_ref().map(|(_, evaluated)| evaluated)
@@ -372,7 +372,7 @@ fn write_parts(folder: &Path, comparison: &Comparison) -> Result<(), Error> {
     write(&folder.join("records.npz"), archive(comparison))
 }
 
-/// Everything by record as NumPy arrays.
+/// All data of each record as NumPy arrays.
 fn archive(comparison: &Comparison) -> Vec<u8> {
     let [panels, instants, channels] = comparison.shape;
     let mut zip = Zip::default();
@@ -401,19 +401,19 @@ fn archive(comparison: &Comparison) -> Vec<u8> {
     zip.finish()
 }
 
-/// Networks that are done, or parts that were read, by body, kind of signals and number.
+/// Finished networks, or decoded parts, by body, kind of signals and number.
 type Networks = BTreeMap<(String, String, usize), Network>;
 
-/// Networks as they come: kept, and told of on standard error with the time to go.
+/// Stores finished networks; prints progress and the remaining time on standard error.
 struct Progress<'a> {
-    /// What is counted, and what was done with it.
+    /// The unit of progress, such as "networks trained".
     what: &'static str,
     all: usize,
     unfinished: &'a Unfinished<Networks>,
     start: Instant,
-    /// How many were there at the start.
+    /// Number finished by an earlier process.
     before: usize,
-    /// When the last line was.
+    /// Finished networks, and the time of the last line.
     said: Mutex<(Networks, Instant)>,
 }
 
@@ -427,7 +427,7 @@ impl<'a> Progress<'a> {
     }
 }
 
-/// Those of one body by one kind of signals.
+/// Progress for one body and one kind of signals.
 struct Judged<'a> {
     name: &'a str,
     kind: &'a str,

@@ -1,4 +1,4 @@
-//! `expand`: the trials that a spec stands for; starts nothing.
+//! `expand`: lists the trials of a spec; starts nothing.
 
 use std::collections::BTreeSet;
 
@@ -58,11 +58,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-/// Bodies whose mass and frequencies are said.
+/// Maximum number of bodies whose mass and frequencies are computed.
 const BODIES: usize = 8;
-/// Oscillations of the first mode in a sample, below which nothing of it is seen.
+/// Oscillations of the first mode per sample below which a warning is printed.
 const LEAST_OSCILLATIONS: f64 = 0.1;
-/// Mass (g) that no body of silicone on a table has.
+/// Mass (g) above which a warning is printed.
 const MOST_GRAMS: f64 = 1e5;
 
 /// Prints mass and natural frequencies of the bodies, and warns if they are implausible.
@@ -126,7 +126,7 @@ fn say_bodies(trials: &[Trial]) {
     }
 }
 
-/// Characters of a cell that is read; a mixture of forces has hundreds.
+/// Maximum number of characters of a cell in a printed table.
 const WIDEST: usize = 48;
 
 fn shorten(cell: &mut Value) {
@@ -138,7 +138,7 @@ fn shorten(cell: &mut Value) {
     }
 }
 
-/// Two digits: more is not known.
+/// Rounds an estimated cost to two significant digits.
 fn rounded(cost: f64) -> f64 {
     format!("{cost:.1e}").parse().expect("a number")
 }

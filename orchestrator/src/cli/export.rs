@@ -1,4 +1,4 @@
-//! `export`: a trial, or a view, in the forms of other programs.
+//! `export`: writes a trial or a view in formats of other programs.
 
 use std::path::PathBuf;
 
@@ -25,7 +25,7 @@ use crate::provenance;
 use crate::report::body::sketch;
 use crate::store::{Reader, Stored, npy_bytes};
 
-/// The form of an export.
+/// Format of an export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Form {
     /// The whole trial as NumPy arrays: designs, signals, predictions, weights, forces, split, scales, scene
@@ -80,10 +80,10 @@ pub(super) struct Args {
     reader: Option<Fit>,
 }
 
-/// Thickness of a mould's floor and rim (mm), where none is asked for.
+/// Default thickness of a mould's floor and rim (mm).
 const WALL: f64 = 3.0;
 
-/// Lengths of a mould (mm), where they are given.
+/// Lengths of a mould (mm) on the command line.
 #[derive(Debug, Clone, Copy, Default)]
 struct Lengths {
     height: Option<f64>,
@@ -92,7 +92,7 @@ struct Lengths {
     pocket: Option<[f64; 3]>,
 }
 
-/// Lengths by name; each at most once.
+/// Parses `--mould`; each key at most once.
 fn lengths(text: &str) -> Result<Lengths, String> {
     let mut found = Lengths::default();
     let (least, most) = MEASURES;
@@ -188,7 +188,7 @@ fn trial(stored: &Stored, args: &Args) -> Result<(), Error> {
     write(&args.out, bytes)
 }
 
-/// The folder of a device: nothing of it is written unless all can be.
+/// Writes the folder of a device after all files have been computed.
 fn device(stored: &Stored, body: &Drawing, cast: &Cast, args: &Args) -> Result<(), Error> {
     let which = args.design as usize;
     let (cavity, measures) = cavity(stored, body, cast, args)?;
@@ -233,19 +233,19 @@ fn outlines(body: &Drawing, cast: &Cast) -> Vec<u8> {
     dxf::dxf(body, cast.ligament.width, 0.17 * body.spacing).into_bytes()
 }
 
-/// Height of a body (mm): as asked for, or as the spec's material has it.
+/// Height of the cast body (mm): from `--mould`, else of the spec's material, else 10.
 fn height(stored: &Stored, args: &Args) -> f64 {
     let own = stored.specs[args.design as usize].body.material;
     args.mould.unwrap_or_default().height.or(own.map(|m| m.thickness)).unwrap_or(10.0)
 }
 
-/// Says what a cast needs, and where it will not move as simulated.
+/// Prints what casting requires, and warns where the cast moves differently from the simulation.
 fn tell(cast: &Cast, body: &Drawing) {
     cast.needs(body).iter().for_each(|need| say!("note: {need}"));
     cast.warnings(body).iter().for_each(|warning| say!("warning: {warning}"));
 }
 
-/// The brain, and its body read once more.
+/// The decoder, with a replay of its body.
 fn brain(stored: &Stored, args: &Args) -> Result<(Replay, Own), Error> {
     let which = args.design as usize;
     if !has_form(stored, which) {
@@ -263,19 +263,19 @@ fn in_c(stored: &Stored, args: &Args, brain: &(Replay, Own)) -> Result<Vec<u8>, 
     Ok(device::c(stored, args.design as usize, fit, brain, numbers)?.into_bytes())
 }
 
-/// What has no form in C is not left out in silence.
+/// The error for a decoder that cannot be written as C or ONNX.
 fn no_form(what: &str) -> Error {
     Error::Usage(format!(
         "{what} writes linear decoders and networks; the decoder of this trial inverts the model of its body"
     ))
 }
 
-/// Whether a brain can be written in C, and as a graph.
+/// Whether a decoder can be written as C and ONNX.
 fn has_form(stored: &Stored, which: usize) -> bool {
     matches!(Demands::of_trial(&stored.specs[which]), Ok(Some(_)))
 }
 
-/// What of a mould is left for the body; says what to know of it.
+/// The cavity of the mould and the lengths of the mould; prints notes and warnings.
 fn cavity(stored: &Stored, body: &Drawing, cast: &Cast, args: &Args) -> Result<(Outline, Mould), Error> {
     let Ligament { width, thickness: height, .. } = cast.ligament;
     let Lengths { wall, clearance, pocket, .. } = args.mould.unwrap_or_default();
@@ -303,5 +303,5 @@ fn cavity(stored: &Stored, body: &Drawing, cast: &Cast, args: &Args) -> Result<(
     Ok((cavity, measures))
 }
 
-/// The least and the largest measure of something cast (mm).
+/// Smallest and largest length of a mould (mm).
 const MEASURES: (f64, f64) = (0.01, 1000.0);

@@ -1,4 +1,4 @@
-//! `gc`: what killed processes have left, and copies that hold nothing of their own.
+//! `gc`: lists or removes files of killed processes and superfluous copies of shards.
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -36,7 +36,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
     }
     found.sort();
-    found.dedup(); // of folders within one another
+    found.dedup(); // folders may contain one another
     let size = |path: &Path| path.metadata().map_or(0, |m| m.len());
     let rows = found.iter().map(|(path, why)| row![path.display().to_string(), size(path), why]);
     print_rows(&Table::new("file bytes why", rows), Format::Table)?;
@@ -53,7 +53,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-/// Files and folders that are written beside their place, of processes that have ended.
+/// Temporary files and folders of processes that have ended.
 fn left_behind(folder: &Path) -> impl Iterator<Item = (PathBuf, String)> {
     let is_one = |name: &str| {
         let beside = name.starts_with('.') && (name.ends_with(".tmp") || name.contains(".merge-"));
@@ -62,7 +62,7 @@ fn left_behind(folder: &Path) -> impl Iterator<Item = (PathBuf, String)> {
     abandoned(folder, is_one).map(|path| (path, "its process has ended".to_owned()))
 }
 
-/// Copies of shards whose rows are all in the shard's last one.
+/// Copies of shards whose rows are all in the last copy of the shard.
 async fn superseded(folder: &Path, found: &mut Vec<(PathBuf, String)>) {
     for mut files in attempts(folder).into_values() {
         let Some(last) = files.pop() else { continue };

@@ -1,4 +1,4 @@
-//! `identify`: the cast that explains measured records of a body.
+//! `identify`: fits material parameters and a twin to measured records of a body.
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -143,7 +143,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(if fit.ending == Ending::Converged { Exit::Done } else { Exit::Failed })
 }
 
-/// Lines that stand beside rows: below a table, else among the messages.
+/// Prints lines below a table; with other formats, on standard error.
 fn tell(lines: &[String], format: Format) -> Result<(), Error> {
     match format {
         Format::Table => lines.iter().try_for_each(|line| Ok(print_line!("{line}")?)),
@@ -154,7 +154,7 @@ fn tell(lines: &[String], format: Format) -> Result<(), Error> {
     }
 }
 
-/// A turn on disk.
+/// An iteration of the fit on disk.
 #[derive(Serialize, Deserialize)]
 struct Kept {
     window: f64,
@@ -179,18 +179,18 @@ impl Kept {
     }
 }
 
-/// Part of its scatter from which an unknown that is not free counts as not told: half of the variance is left.
+/// Remaining fraction of the prior standard deviation above which an unknown counts as not determined (half of the variance).
 const UNTOLD: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
-/// How many estimates are of free parameters; these come first.
+/// Number of free parameters; their estimates come first.
 fn free(fit: &Fit) -> usize {
     fit.correlation.len()
 }
 
-/// A row for each unknown of the cast as a whole, and for each clock.
+/// One row per unknown of the whole cast and per clock.
 fn estimates(trial: &TrialSpec, start: &Parameters, fit: &Fit) -> Table {
     let columns = "parameter unit start fitted lower upper interval_percent outcome";
-    // of what has an interval, whatever others lack
+    // outcome of rows with an interval, even if others have none
     let determined = match fit.ending {
         Ending::NotIdentifiable | Ending::AtTheBound => Ending::Converged,
         outcome => outcome,
@@ -232,14 +232,14 @@ fn estimates(trial: &TrialSpec, start: &Parameters, fit: &Fit) -> Table {
     Table::new(columns, rows.chain(fit.offsets.iter().enumerate().filter_map(of)))
 }
 
-/// The line of the records' file with the fitted clocks, and which of them are at their bound.
+/// The fitted `signals.start` for the file of records, after a warning about clocks at their bound.
 fn starts(measured: &Measured, offsets: &[Option<Offset>]) -> Vec<String> {
     let all: Vec<(f64, Option<Offset>)> =
         measured.starts.iter().copied().zip(offsets.iter().copied()).collect();
     if all.is_empty() {
         return Vec::new();
     }
-    // to the nanosecond, wherever a clock begins
+    // nine decimals: nanoseconds, whatever the start
     let fitted = all.iter().map(|(start, offset)| format!("{:.9}", start + offset.map_or(0.0, |o| o.value)));
     let lines = format!(
         "for the file of the records, without start_deviation:\n[signals]\nstart = [{}]",
@@ -258,7 +258,7 @@ fn starts(measured: &Measured, offsets: &[Option<Offset>]) -> Vec<String> {
     warning.into_iter().chain([lines]).collect()
 }
 
-/// With as many digits as tell the ends of an interval apart.
+/// Rounds each row to the digits that distinguish the ends of its interval.
 fn readable(found: &Table) -> Table {
     let mut shown = found.clone();
     for row in &mut shown.rows {
@@ -280,11 +280,11 @@ fn correlations(fit: &Fit) -> Table {
     Table::new(&columns, fit.estimates.iter().zip(&fit.correlation).map(row))
 }
 
-/// Part of the residual that must follow from the motion for it to be called a discrepancy, and the misfit (%) from which it counts.
+/// Fraction of the residual explained by the motion, and misfit (%), from which a discrepancy is reported.
 const DISCREPANCY: f64 = 0.1;
 const LEFT: f64 = 1.0;
 
-/// What there is to say beside the estimates, and the lines for a spec.
+/// Messages about the fit, and the lines for a spec.
 fn said(trial: &TrialSpec, begun: &Parameters, fit: &Fit, records: usize) -> Vec<String> {
     let ([start, end], body) = (fit.misfit, &trial.body);
     let mut said = vec![
@@ -335,7 +335,7 @@ fn said(trial: &TrialSpec, begun: &Parameters, fit: &Fit, records: usize) -> Vec
         let mut own = begun.array();
         own.iter_mut().zip(fit.twin.cast.material.array()).for_each(|(own, by)| *own *= by);
         let p = Parameters::from_array(own);
-        // a spec with a size or a material would scale or replace what is fitted
+        // size or material in a spec would scale or replace the fitted values
         let lengths = [("spacing", body.spacing), ("ligament_length", body.ligament_length)];
         let lengths =
             lengths.map(|(key, mm)| mm.map_or(String::new(), |mm| format!("{key} = {}\n", exact(mm))));
@@ -358,7 +358,7 @@ fn said(trial: &TrialSpec, begun: &Parameters, fit: &Fit, records: usize) -> Vec
     said
 }
 
-/// What is known of nodes and of single ligaments and units.
+/// Messages about node shifts, and about single ligaments and units.
 fn parts(fit: &Fit) -> impl Iterator<Item = String> {
     let kinds = [
         ("node shifts", "mm", Unknown::Shift(0)),
@@ -383,7 +383,7 @@ fn parts(fit: &Fit) -> impl Iterator<Item = String> {
     })
 }
 
-/// Six significant digits, as TOML reads them.
+/// Six significant digits in TOML syntax.
 fn exact(value: f64) -> String {
     let rounded: f64 = format!("{value:.5e}").parse().unwrap_or(value);
     if (1e-3..1e6).contains(&rounded) { format!("{rounded:?}") } else { format!("{rounded:e}") }

@@ -1,4 +1,4 @@
-//! `init`: a commented spec to begin with.
+//! `init`: writes a commented spec to start from.
 
 use std::fs::OpenOptions;
 use std::io::Write;
@@ -9,7 +9,7 @@ use clap::ValueEnum;
 use super::Error;
 use crate::exit::Exit;
 
-/// A spec that comes with the program; each stands alone.
+/// Specs in the program that need no other files.
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum Template {
     /// One sensor or two, a network or a linear decoder, and virtual casts: two minutes on two cores

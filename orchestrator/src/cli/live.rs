@@ -1,4 +1,4 @@
-//! What `run` shows while it goes on: a bar with the time to go on a terminal, plain lines elsewhere.
+//! Progress of `run`: a bar with the remaining time on a terminal, plain lines elsewhere.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
@@ -17,35 +17,35 @@ use crate::plan::{Trial, counted, point_in_words};
 use crate::provenance;
 use crate::scheduler::{Outcome, UNFIT_DEATHS};
 
-/// Resolution of the bar.
+/// Number of positions of the bar.
 const BAR: u64 = 10_000;
-/// Time between two plain lines that say how far the run is.
+/// Time between two plain lines of progress.
 const LINE_EVERY: Duration = Duration::from_secs(30);
-/// Parts of a run's work at which the estimate of the whole time is kept, to be compared with the truth.
+/// Fractions of the work at which the estimate of the total time is stored, to compare it with the actual time.
 const MARKS: [f64; 3] = [0.1, 0.33, 0.5];
-/// Characters of what is said of an attempt that failed.
+/// Maximum number of characters of a failure message.
 const MOST_TEXT: usize = 500;
 
-/// Shows a run on standard error.
+/// Prints the progress of a run on standard error.
 #[derive(Debug)]
 pub struct Live<'a> {
-    /// On a terminal.
+    /// The bar, on a terminal.
     bar: Option<ProgressBar>,
     said: Instant,
-    /// Part of the work that was done before this run.
+    /// Fraction of the work that was done before this run.
     before: Option<f64>,
-    /// Whole time as estimated at each mark (s).
+    /// Fraction of the work and estimated total time (s) at each mark.
     estimates: Vec<(f64, f64)>,
-    /// What the last attempt that failed came to nothing for.
+    /// Message of the last failed attempt.
     failed: String,
-    /// Is told when somebody asks for the end.
+    /// Notified when the user asks for the end of the run.
     asked: &'a Notify,
     /// The keys that the sweep varies.
     axes: BTreeSet<&'a str>,
 }
 
 impl<'a> Live<'a> {
-    /// For a run of this many trials, beside others that are settled already.
+    /// For a run of `open` trials, besides `settled` ones.
     pub fn new(
         open: usize,
         settled: usize,
@@ -211,7 +211,7 @@ impl Watch for Live<'_> {
     }
 }
 
-/// Mean holdout error, with the median over samples and the number of samples above 100 %, if any.
+/// Mean held-out error, with the median over samples and the number of samples above 100 %, if any.
 fn percent(body: &BodyEvaluation) -> String {
     let percent = |value: f64| format!("{value:.2} %");
     let mean = |of: fn(&NetworkEvaluation) -> Option<f64>| mean(&body.networks, of).map(percent);

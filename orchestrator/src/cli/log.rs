@@ -1,4 +1,4 @@
-//! The log of a run: a file beside its database, one line an event.
+//! The log of a run: a file beside its database, one line per event.
 
 use std::fs::OpenOptions;
 use std::path::{Path, PathBuf};
@@ -9,13 +9,13 @@ use tracing_subscriber::layer::SubscriberExt;
 
 use super::Error;
 
-/// Variable that chooses what is logged, for instance `debug` or `metasense::engine=trace`.
+/// Environment variable that selects what is logged, such as `debug` or `metasense::engine=trace`.
 const FILTER: &str = "METASENSE_LOG";
 
-/// Where the log of a run with this database is.
+/// Path of the log of a run with this database.
 ///
 /// # Errors
-/// If it would be the database itself.
+/// If the log would be the database itself.
 pub fn path(database: &Path) -> Result<PathBuf, Error> {
     match database.extension().is_some_and(|ending| ending == "log") {
         true => Err(Error::Usage(format!(
@@ -26,7 +26,7 @@ pub fn path(database: &Path) -> Result<PathBuf, Error> {
     }
 }
 
-/// From here on, what happens is written to the end of the file. To be called once.
+/// Appends all later events to the file. Call once per process.
 ///
 /// # Errors
 /// If the file cannot be written.
@@ -37,7 +37,7 @@ pub fn start(path: &Path) -> Result<(), Error> {
     let lines = tracing_subscriber::fmt::layer().with_writer(Mutex::new(file)).with_ansi(false);
     let filter = asked.unwrap_or_else(|| Targets::new().with_default(tracing::Level::INFO));
     let subscriber = tracing_subscriber::registry().with(filter).with(lines);
-    // A second run of the same process goes on with the first one's log.
+    // A second run in the same process keeps the log of the first.
     let _ = tracing::subscriber::set_global_default(subscriber);
     Ok(())
 }

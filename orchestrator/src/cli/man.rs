@@ -1,4 +1,4 @@
-//! `man`: the help as manual pages.
+//! `man`: writes the help as manual pages.
 
 use std::path::PathBuf;
 

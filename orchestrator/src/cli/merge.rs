@@ -1,4 +1,4 @@
-//! `merge`: databases of shards, or of whole sweeps, into one.
+//! `merge`: merges databases of shards or of whole sweeps.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -33,7 +33,7 @@ pub(super) struct Args {
 }
 
 impl Args {
-    /// The databases of a folder into one.
+    /// Arguments that merge the databases of a folder.
     pub fn folder(folder: &Path, out: &Path) -> Self {
         Self { files: vec![folder.to_owned()], out: out.to_owned(), facts: false }
     }
@@ -70,7 +70,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(if disagrees || !summary.refused.is_empty() { Exit::Failed } else { Exit::Done })
 }
 
-/// Merges the shards of a folder if none is to be waited for: the last one that hands in finds that all have ended.
+/// Merges the shards of a folder if all have ended. The last shard finds this when it hands in.
 pub(super) async fn after_the_last(folder: &Path, shard: Shard, out: &Path) -> Result<(), Error> {
     if attempts(folder).len() < shard.count() as usize {
         return Ok(());
@@ -80,14 +80,14 @@ pub(super) async fn after_the_last(folder: &Path, shard: Shard, out: &Path) -> R
         return Ok(());
     }
     if let Err(error) = execute(Args::folder(folder, out)).await {
-        // the shard has done its work; another one may be merging the same files
+        // the shard itself is complete; another shard may be merging the same files
         error.say();
         say!("to merge by hand: metasense cluster merge {} --out {}", folder.display(), out.display());
     }
     Ok(())
 }
 
-/// Trials that nobody has begun, and what does.
+/// Prints the trials that never started and the command that runs them.
 pub(super) fn say_never(never: &[String], remedy: &str) {
     const MOST: usize = 8;
     if never.is_empty() {

@@ -70,7 +70,7 @@ pub use crate::look::{Format, print_rows};
 use crate::look::{duration, screen};
 pub use error::Error;
 
-/// The longest line of a help text.
+/// Maximum width of help texts (columns).
 const WIDEST: usize = 100;
 
 /// Trains bodies of flexible metamaterial together with the decoders that estimate forces from their signals, in sweeps of
@@ -86,7 +86,7 @@ pub struct Cli {
     command: Command,
 }
 
-/// Commands, each its module, under headings; and groups of commands.
+/// Declares commands, each with its module, under headings, and groups of commands.
 macro_rules! commands {
     (
         $($heading:literal: $($variant:ident $module:ident),+;)+
@@ -96,10 +96,10 @@ macro_rules! commands {
         enum Command {
             $($($variant($module::Args),)+)+
             $(#[doc = $about] #[command(subcommand)] $Group($Group),)+
-            /// What the orchestrator starts; not for people.
+            /// Worker process that the orchestrator starts; not for users.
             #[command(hide = true)]
             Worker {
-                /// Where to connect to.
+                /// Where to connect.
                 start: String,
             },
         }
@@ -110,7 +110,7 @@ macro_rules! commands {
             $($inner($file::Args),)+
         })+
 
-        /// The names of the commands at the top, under their headings.
+        /// Names of top-level commands by heading.
         pub const TOP: &[(&str, &[&str])] = &[$(($heading, &[$(stringify!($module)),+])),+];
 
         /// Groups of commands, with the names of their commands.
@@ -119,7 +119,7 @@ macro_rules! commands {
         impl Command {
             async fn execute(self) -> Result<Exit, Error> {
                 match self {
-                    // Boxed: each future as large as itself.
+                    // Boxed, so that this future is not as large as the largest command's.
                     $($(Self::$variant(args) => Box::pin($module::execute(args)).await,)+)+
                     $($(Self::$Group($Group::$inner(args)) => Box::pin($file::execute(args)).await,)+)+
                     Self::Worker { .. } => unreachable!("carried out before"),
@@ -142,7 +142,7 @@ commands! {
     Cluster cluster: Submit submit, Merge merge, Gc gc;
 }
 
-/// What a command that stood at the top, or was merged with another, is called now.
+/// The current name of a command that was moved, renamed or merged.
 fn renamed(name: &str) -> Option<String> {
     let group = GROUPS.iter().find(|(_, names)| names.contains(&name));
     match (name, group) {
@@ -152,7 +152,7 @@ fn renamed(name: &str) -> Option<String> {
     }
 }
 
-/// The command line as clap has it; its help lists commands under headings, and the commands of each group.
+/// The clap command. Its help lists commands by heading, and the commands of each group.
 #[must_use]
 pub fn command() -> clap::Command {
     let command = Cli::command();
@@ -178,7 +178,7 @@ pub fn command() -> clap::Command {
     lets_pass(command).help_template(template)
 }
 
-/// A number below 0 is a value, to be refused by what it means.
+/// Accepts negative numbers as values, so that the check of each value can refuse them with its own message.
 fn lets_pass(command: clap::Command) -> clap::Command {
     let arg = |arg: clap::Arg| {
         let takes = arg.get_action().takes_values();
@@ -187,7 +187,7 @@ fn lets_pass(command: clap::Command) -> clap::Command {
     command.mut_args(arg).mut_subcommands(lets_pass)
 }
 
-/// Carries out a command line, the name of the program first.
+/// Executes a command line whose first word is the name of the program.
 ///
 /// # Errors
 /// Bad input and failed I/O, each with its exit code.
@@ -210,10 +210,10 @@ pub fn execute(args: impl Iterator<Item = OsString>) -> Result<Exit, Error> {
     }
 }
 
-/// No command writes over a file that its own command line has it read; `merge` goes on with what its result holds already.
+/// Refuses to write a file that the same command line reads; `merge` may, because it keeps the contents of its result.
 ///
 /// # Errors
-/// Where it would.
+/// If an output file is also an input file.
 fn spares_what_it_reads(matches: &ArgMatches) -> Result<(), Error> {
     let Some((name, matches)) = matches.subcommand().filter(|(name, _)| *name != "merge") else {
         return Ok(());
@@ -239,11 +239,11 @@ fn spares_what_it_reads(matches: &ArgMatches) -> Result<(), Error> {
     Ok(())
 }
 
-/// How the program ends after this; an error is said.
+/// The exit code of the program; prints an error.
 #[must_use]
 pub fn exit_code(ended: Result<Exit, Error>) -> ExitCode {
     let exit = ended.unwrap_or_else(|e| match e.is_broken_pipe() {
-        // Whoever reads our output has had enough of it.
+        // The program that reads our output has closed the pipe.
         true => Exit::Done,
         false => {
             e.say();
@@ -253,28 +253,27 @@ pub fn exit_code(ended: Result<Exit, Error>) -> ExitCode {
     exit.into()
 }
 
-/// Runs a command in a runtime of its own.
+/// Runs a command in its own runtime.
 ///
 /// # Errors
-/// The command's own, or no runtime can be started.
+/// If the command fails, or if no runtime can be started.
 pub fn block_on<T: 'static>(future: impl Future<Output = Result<T, Error>> + 'static) -> Result<T, Error> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
         .map_err(Error::io("starting", "the runtime"))?;
-    // Boxed: the runtime's loop is compiled once, not around every command.
+    // Boxed: the runtime's loop is compiled once, not per command.
     let future: Pin<Box<dyn Future<Output = Result<T, Error>>>> = Box::pin(future);
     runtime.block_on(future)
 }
 
-/// From here on a signal ends the program at once, with the exit code of a stop on request: for commands that write their
-/// results at the end, and until then at most their progress. By a handler of our own, which the system puts in place in one
-/// piece: a runtime's would lose what comes while it is being registered.
+/// Makes signals end the program at once with the exit code of an interruption, for commands that write results only at the end.
+/// The handler is our own: the system installs it atomically, whereas a runtime loses signals that arrive during registration.
 fn end_on_signal(kept: Option<&Path>) {
     static SAID: OnceLock<String> = OnceLock::new();
     extern "C" fn end(_: libc::c_int) {
         let said = SAID.get().map_or("", String::as_str);
-        // SAFETY: both may be called in a handler; the text is never changed.
+        // SAFETY: both functions are async-signal-safe; the text never changes.
         unsafe {
             libc::write(libc::STDERR_FILENO, said.as_ptr().cast(), said.len());
             libc::_exit(Exit::Interrupted as i32)
@@ -284,18 +283,18 @@ fn end_on_signal(kept: Option<&Path>) {
     SAID.get_or_init(|| format!("stopped; the same command {next}\n"));
     let hangup = Some(libc::SIGHUP).filter(|_| !ignores_hangup());
     for signal in [libc::SIGINT, libc::SIGTERM].into_iter().chain(hangup) {
-        // SAFETY: `end` does nothing that a handler must not.
+        // SAFETY: `end` only does what a signal handler may do.
         unsafe { libc::signal(signal, end as *const () as libc::sighandler_t) };
     }
 }
 
-/// Whether this is a terminal on which a cursor can be moved.
+/// Whether `out` is a terminal that can move the cursor.
 fn is_live(out: &impl IsTerminal) -> bool {
     let term = std::env::var_os("TERM").unwrap_or_default();
     out.is_terminal() && !term.is_empty() && term != "dumb"
 }
 
-/// No colours on a dumb terminal or with NO_COLOR, whatever CI or CLICOLOR say.
+/// No colours on a dumb terminal or with NO_COLOR, whatever CI or CLICOLOR are.
 fn colour() -> clap::ColorChoice {
     let set = |key: &str| std::env::var_os(key).filter(|value| !value.is_empty());
     match set("NO_COLOR").is_some() || set("TERM").is_none_or(|term| term == "dumb") {
@@ -304,13 +303,13 @@ fn colour() -> clap::ColorChoice {
     }
 }
 
-/// From here on the end of `parent`, which has started this process, is a SIGTERM. Whether it has not ended yet.
+/// Requests SIGTERM at the end of the parent process. Returns whether `parent` is still running.
 fn end_with(parent: u32) -> bool {
     let _ = set_parent_process_death_signal(Some(Signal::TERM));
     std::os::unix::process::parent_id() == parent
 }
 
-/// Threads of a command in the foreground: one per core that it may use. Results do not depend on their number.
+/// Number of threads of a foreground command: one per available core. Results do not depend on it.
 fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
@@ -318,7 +317,7 @@ fn cores() -> usize {
 /// Reads and expands a spec file.
 ///
 /// # Errors
-/// If it cannot be read, or is no spec.
+/// If the file cannot be read or is not a spec.
 pub fn read_plan(file: &Path) -> Result<Plan, Error> {
     named::Spec { file: file.to_owned(), changes: Vec::new() }.plan()
 }
@@ -328,7 +327,7 @@ fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<(), Error> {
     crate::files::write(path, bytes.as_ref()).map_err(Error::io("writing", path))
 }
 
-/// Makes a folder where it is missing.
+/// Creates a folder if it is missing.
 fn make_folder(path: &Path) -> Result<(), Error> {
     std::fs::create_dir_all(path).map_err(Error::io("making the folder", path))
 }

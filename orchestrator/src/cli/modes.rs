@@ -1,4 +1,4 @@
-//! `modes`: how a body rings at rest, and what its panels do there.
+//! `modes`: eigenmodes of a body at rest, and responses to forces on its panels.
 
 use std::path::PathBuf;
 
@@ -34,7 +34,7 @@ pub(super) struct Args {
     format: Format,
 }
 
-/// Frequencies of responses.
+/// Number of frequencies of a response.
 const FREQUENCIES: usize = 200;
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
@@ -63,7 +63,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-/// A row a frequency and panel.
+/// One row per frequency and panel.
 fn table(frequencies: &[f64], found: &[Vec<Response>]) -> Table {
     let columns = "frequency panel a_x a_x_phase a_y a_y_phase omega omega_phase";
     let rows = frequencies

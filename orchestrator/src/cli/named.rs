@@ -1,4 +1,4 @@
-//! Specs with their changes, and trials by name: `SPEC HASH` or `DB HASH`, the same in all commands.
+//! Arguments of several commands: specs with changes, and trials as `SPEC HASH` or `DB HASH`.
 
 use std::ffi::OsString;
 use std::fmt::Display;
@@ -41,7 +41,7 @@ pub(super) struct Spec {
 }
 
 impl Spec {
-    /// The spec with its changes.
+    /// Reads the spec and applies the changes.
     pub fn source(&self) -> Result<Source, Error> {
         if files::is_database(&self.file) {
             let file = self.file.display();
@@ -53,7 +53,7 @@ impl Spec {
         Ok(Source::spec(&self.file, text, &self.changes)?)
     }
 
-    /// Its trials.
+    /// Expands the spec into trials.
     pub fn plan(&self) -> Result<Plan, Error> {
         Ok(Plan::of(self.source()?)?)
     }
@@ -79,7 +79,7 @@ pub(super) enum Database {
 }
 
 impl Database {
-    /// What a path stands for. Of a folder, what has been handed in since is added to its facts.
+    /// Opens a path. For a folder, first adds new databases of shards to its facts.
     pub async fn at(path: &Path) -> Result<Self, Error> {
         if !path.is_dir() {
             return Ok(Self::File(path.to_owned()));
@@ -108,7 +108,7 @@ impl AsRef<Path> for Database {
     }
 }
 
-/// Which body of a trial.
+/// A body of a trial.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(super) enum Which {
     /// Before training
@@ -117,7 +117,7 @@ pub(super) enum Which {
     Optimised,
 }
 
-/// A design for a trial: that of one of its bodies, or one from a file.
+/// The design of one of the trial's bodies, or from a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Design {
     Of(Which),
@@ -134,13 +134,13 @@ impl From<OsString> for Design {
 }
 
 impl Named {
-    /// Whether a database is named, and not a spec.
+    /// Whether the source is a database, not a spec.
     pub fn is_database(&self) -> bool {
         let named_so = self.source.extension().is_some_and(|e| e == "sqlite");
         named_so || self.source.is_dir() || files::is_database(&self.source)
     }
 
-    /// The hash that was asked for, or its beginning.
+    /// The hash on the command line, or its beginning.
     pub fn asked(&self) -> Result<Option<&str>, Error> {
         let database = self.is_database();
         let mut words = self.words.iter().filter(|word| !word.contains('='));
@@ -156,18 +156,18 @@ impl Named {
         }
     }
 
-    /// The spec that is named.
+    /// The spec on the command line.
     fn spec(&self) -> Spec {
         let changes = self.words.iter().filter(|word| word.contains('=')).cloned().collect();
         Spec { file: self.source.clone(), changes }
     }
 
-    /// The trials of the spec that is named.
+    /// The trials of this spec.
     pub fn plan(&self) -> Result<Plan, Error> {
         self.spec().plan()
     }
 
-    /// The trial of the plan; where none is asked for, this one.
+    /// The trial of the plan with the given hash; without a hash, `default`.
     pub fn of(&self, plan: &Plan, default: &Trial) -> Result<Trial, Error> {
         let Some(hash) = self.asked()? else { return Ok(default.clone()) };
         let path = self.source.display();
@@ -175,7 +175,7 @@ impl Named {
         found.map_err(|e| Error::Usage(format!("{path}: {e}; `metasense expand {path}` lists them")))
     }
 
-    /// The database, and the trial's hash or its beginning: of a spec, in the database that it writes to.
+    /// The database and the hash or its beginning; for a spec, the database that it writes to.
     pub fn in_database(&self) -> Result<(PathBuf, String), Error> {
         if self.is_database() {
             let path = self.source.display();
@@ -187,7 +187,7 @@ impl Named {
         Ok((plan.default_database(), trial.hash))
     }
 
-    /// The trial as it is stored; an error where it is not done.
+    /// The stored trial; an error if it is not done.
     pub async fn stored(&self) -> Result<Stored, Error> {
         let (db, hash) = self.in_database()?;
         let db = Database::at(&db).await?;
@@ -195,7 +195,7 @@ impl Named {
         stored.ok_or_else(|| Error::Usage(format!("trial {hash} is not done yet")))
     }
 
-    /// Hash and spec of the trial; of a spec by default its first.
+    /// Hash and spec of the trial; by default the first of a spec.
     pub async fn read(&self) -> Result<(String, TrialSpec), Error> {
         self.read_or(|plan| &plan.trials[0]).await
     }
@@ -223,7 +223,7 @@ impl Named {
         .await
     }
 
-    /// The body of the trial; where none is asked for, the one that all trials of the spec have.
+    /// The body of the trial; without a hash, the body that all trials of the spec share.
     pub async fn body(&self) -> Result<OneBody, Error> {
         let path = self.source.display();
         if self.is_database() || self.asked()?.is_some() {
@@ -236,7 +236,7 @@ impl Named {
         })
     }
 
-    /// Whether this machine has the memory that the trial needs.
+    /// Checks that this machine has the memory that the trial needs.
     pub fn check_memory(&self, trial: &TrialSpec) -> Result<(), Error> {
         let Err(e) = memory::check_here(trial) else { return Ok(()) };
         match self.is_database() {
@@ -245,7 +245,7 @@ impl Named {
         }
     }
 
-    /// What a key of it rules out: with file and line, where it is a spec.
+    /// The error for a key, with file and line if the source is a spec.
     pub fn refused_key(&self, key: &str, remedy: &str) -> Error {
         match self.is_database() {
             true => self.refused(format!("{key}: {remedy}")),
@@ -255,7 +255,7 @@ impl Named {
         }
     }
 
-    /// Why a question about it has no answer: the machine is short of something, or it cannot be asked.
+    /// The error of a failed computation: the machine lacks resources, or the input is bad.
     pub fn failed(&self, failure: Failure) -> Error {
         match failure {
             Failure::Shortage(what) => Error::Short(what),
@@ -263,7 +263,7 @@ impl Named {
         }
     }
 
-    /// What cannot be done with it.
+    /// An error that begins with the name of the source.
     pub fn refused(&self, why: impl Display) -> Error {
         Error::Usage(format!("{}: {why}", self.source.display()))
     }
@@ -280,12 +280,12 @@ pub(super) struct Designed {
 }
 
 impl Designed {
-    /// Hash and spec of the trial, and the design; of a spec by default the first trial.
+    /// Hash and spec of the trial, and the design; by default the first trial of a spec.
     pub async fn read(&self) -> Result<(String, TrialSpec, Vec<f64>), Error> {
         self.read_or(|plan| &plan.trials[0]).await
     }
 
-    /// The same, with another default.
+    /// Like [`Self::read`], with another default.
     pub async fn read_or(
         &self,
         default: impl Fn(&Plan) -> &Trial,

@@ -1,4 +1,4 @@
-//! `operator`: what the sensors of initial and optimised bodies can tell, and whether that says what training gains.
+//! `operator`: information in the signals of initial and trained bodies, and how it correlates with the gain.
 
 use std::path::PathBuf;
 
@@ -41,7 +41,7 @@ pub(super) struct Args {
     format: Format,
 }
 
-/// A finished trial: its name and how it was read, and what its bodies tell.
+/// A finished trial: its name and decoders, and the measures of its bodies.
 struct Seen {
     head: Vec<serde_json::Value>,
     change: Change,
@@ -108,7 +108,7 @@ fn rows(seen: &[Seen]) -> Table {
     Table::new(columns, seen.iter().flat_map(|seen| [of(seen, 0), of(seen, 1)]))
 }
 
-/// Of dots, in turn, and of their keys.
+/// Classes of dots and of their legend entries, per setting in turn.
 const CLASSES: [(&str, &str); 5] = [
     ("optimised", "dot optimised"),
     ("front", "dot front"),
@@ -117,7 +117,7 @@ const CLASSES: [(&str, &str); 5] = [
     ("initial", "dot initial"),
 ];
 
-/// Gains by Wiener's filter and of the trials' own brains.
+/// Plots gains of the trials' decoders over gains of Wiener's filter.
 fn drawn(seen: &[Seen]) -> String {
     let gains = |Seen { change, .. }: &Seen| {
         (change.told[0][0] / change.told[1][0], change.errors[0] / change.errors[1])

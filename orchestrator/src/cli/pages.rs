@@ -1,5 +1,5 @@
-//! The pages of a run: `serve --control` on its database, as a process of its own with its own niceness, so that nobody who
-//! looks slows or holds the run.
+//! The pages of a run: `serve --control` on its database in a separate process with its own niceness, so that viewers neither slow
+//! nor block the run.
 
 use std::path::Path;
 use std::process::Stdio;
@@ -11,20 +11,20 @@ use tokio::process::{Child, Command};
 
 use super::Error;
 
-/// How long the run waits for the address of its pages.
+/// Maximum time to wait for the address of the pages.
 const BEGINNING: Duration = Duration::from_secs(20);
-/// How long the end of the run waits for the end of its pages.
+/// Maximum time to wait for the end of the process.
 const ENDING: Duration = Duration::from_secs(6);
 
-/// Dropped, they end at once.
+/// The process that serves the pages; dropping this value kills it.
 #[derive(Debug)]
 pub(super) struct Pages(Child);
 
 impl Pages {
-    /// Serves the pages of a database, and says where.
+    /// Serves the pages of a database and prints their address.
     ///
     /// # Errors
-    /// Where there is no such port to be had.
+    /// If the port cannot be used.
     pub async fn start(db: &Path, port: u16) -> Result<Self, Error> {
         let failed = Error::io("serving the pages of", db);
         let own = std::process::id();
@@ -43,7 +43,7 @@ impl Pages {
         let said = tokio::time::timeout(BEGINNING, out.read_line(&mut address)).await;
         said.unwrap_or_else(|_| Err(std::io::ErrorKind::TimedOut.into())).map_err(&failed)?;
         if address.is_empty() {
-            // it has said why
+            // the process has printed the reason
             return Err(Error::Usage(format!(
                 "port {port} cannot be used: pass another with --serve=PORT, or --serve=0 for any free port"
             )));
@@ -52,7 +52,7 @@ impl Pages {
         Ok(Self(child))
     }
 
-    /// Ends them in order: they leave no file of theirs beside the database.
+    /// Ends the process with SIGTERM, so that it leaves no file beside the database.
     pub async fn end(mut self) {
         if let Some(pid) = self.0.id().and_then(|pid| Pid::from_raw(pid as i32)) {
             let _ = kill_process(pid, Signal::TERM);

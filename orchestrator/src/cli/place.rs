@@ -1,4 +1,4 @@
-//! `place`: where a body's sensors are best.
+//! `place`: searches for the best units for sensors.
 
 use std::path::PathBuf;
 
@@ -45,7 +45,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             found.worth.first().map_or(0.0, |best| best.1),
             found.worth.last().map_or(0.0, |worst| worst.1),
         );
-        // by rank: errors of a few units far from all others would leave those alike
+        // by rank: with outliers, shades by error would be nearly equal
         let shade = |u: usize| {
             let rank = found.worth.iter().position(|(unit, _)| *unit == u)?;
             let part = 1.0 - rank as f64 / (found.worth.len() - 1).max(1) as f64;

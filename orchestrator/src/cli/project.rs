@@ -1,4 +1,4 @@
-//! `project`: any design to the nearest one that can be cast.
+//! `project`: projects a design onto the nearest feasible design.
 
 use std::path::PathBuf;
 

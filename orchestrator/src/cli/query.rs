@@ -1,4 +1,4 @@
-//! `query`: SQL to a database, read-only.
+//! `query`: runs SQL on a database, read-only.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -43,7 +43,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             None => {
                 let mut spool = Spool::new(standard_output(format)?);
                 let answered = answer(reader, sql, &mut spool, (format, screen())).await;
-                // Nothing is held of the database any more while whoever reads the rows takes their time.
+                // The query has ended: slow readers of the rows do not hold the database.
                 let passed_on = spool.finish();
                 answered.and(passed_on.map_err(Error::Output))
             }
@@ -54,7 +54,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-/// Writes the answer into a file, row by row; it is put in its place when it is whole.
+/// Writes the answer into a file, row by row; the file replaces `path` when it is complete.
 pub(super) async fn answer_in(
     reader: &mut Reader,
     sql: &str,
@@ -68,10 +68,10 @@ pub(super) async fn answer_in(
     output.finish().map_err(failed)
 }
 
-/// Rows that a table to read holds.
+/// Maximum number of rows of a printed table.
 const MOST_ROWS: usize = 10_000;
 
-/// Passes the rows on as they come, a table to read for a screen of so many columns.
+/// Writes rows as they arrive; a printed table fits a screen of `screen` columns.
 async fn answer(
     reader: &mut Reader,
     sql: &str,
@@ -107,7 +107,7 @@ async fn answer(
     Ok(())
 }
 
-/// The views; as a table to read, with their texts in lines.
+/// The views; in a printed table, long texts are wrapped.
 async fn views(reader: &mut Reader, format: Format) -> Result<Table, Error> {
     let mut rows = Vec::new();
     let wide = |text: &str, most: usize| match format {

@@ -1,4 +1,4 @@
-//! `remove`: trials out of a database.
+//! `remove`: removes trials from a database.
 
 use std::path::PathBuf;
 
@@ -32,7 +32,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if !args.db.is_file() {
         return Err(StoreError::Missing { path: args.db }.into());
     }
-    // No run may change what is listed before it goes.
+    // Holds the database, so that no run changes the listed trials before they are removed.
     let store = if args.yes { Some(Store::open(&args.db).await?) } else { None };
     let trials = Trials::of(&args.db).await?;
     let found = trials.chosen(&args.conditions).map_err(Error::Usage)?;

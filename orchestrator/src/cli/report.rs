@@ -1,4 +1,4 @@
-//! `report`: one HTML file to look at.
+//! `report`: writes answers and figures into one HTML file.
 
 use std::path::{Path, PathBuf};
 
@@ -49,7 +49,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-/// Figures, answers and trials.
+/// Writes figures, answers and trials.
 pub(super) fn write_parts(folder: &Path, story: &Story, drawn: &[Figure]) -> Result<(), Error> {
     write_figures(folder, drawn)?;
     for question in Question::all() {
@@ -62,7 +62,7 @@ pub(super) fn write_parts(folder: &Path, story: &Story, drawn: &[Figure]) -> Res
     write(&folder.join("trials.csv"), &story.states.csv)
 }
 
-/// Names as names of files, each its own: whoever made the database may have called a sweep anything.
+/// Distinct and safe file names for sweeps, whose names in a database are arbitrary.
 pub(super) fn file_names<'a>(names: impl Iterator<Item = &'a str>) -> Vec<String> {
     let mut taken: Vec<String> = Vec::new();
     for name in names {
@@ -79,11 +79,11 @@ pub(super) fn file_names<'a>(names: impl Iterator<Item = &'a str>) -> Vec<String
 /// Width of a figure's file (px).
 const WIDTH: f64 = 440.0;
 
-/// Every figure with its data, into a folder that is made where it is missing.
+/// Writes every figure with its data into a folder; creates the folder if it is missing.
 pub(super) fn write_figures(folder: &Path, drawn: &[Figure]) -> Result<(), Error> {
     make_folder(folder)?;
     for figure in drawn {
-        // of what a plot shows
+        // legend entries that occur in the picture
         let own = |p: &Picture| -> Legend {
             figure.legend.iter().filter(|(key, _)| p.shows(key)).cloned().collect()
         };

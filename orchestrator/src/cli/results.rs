@@ -1,4 +1,4 @@
-//! What `run` says at its end: which trials have failed, and the results of all.
+//! Output at the end of `run`: failed trials and all results.
 
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
@@ -14,23 +14,23 @@ use crate::plan::{Plan, counted, values_at};
 use crate::provenance;
 use crate::store::{Reader, quoted};
 
-/// Rows that a person may want to read at once.
+/// Maximum number of rows printed for people.
 const MOST_ROWS: usize = 400;
 
-/// Where the results of a run are.
+/// Files of a run.
 #[derive(Clone, Copy)]
 pub(super) struct Results<'a> {
-    /// The database that is read now.
+    /// The database to read.
     pub db: &'a Path,
-    /// The one that stays.
+    /// The database that messages name.
     pub named: &'a Path,
-    /// Where failures are told.
+    /// The log, which contains the failures.
     pub log: &'a Path,
 }
 
-/// Says which trials have failed, and prints a row a trial; returns how many have failed.
+/// Prints the failed trials, then one row per trial; returns the number of failed trials.
 pub(super) async fn print_results(from: Results<'_>, plan: &Plan, format: Format) -> Result<usize, Error> {
-    // all of them: a negative limit is none
+    // -1: no limit
     let limit = if format == Format::Table { MOST_ROWS as i64 } else { -1 };
     let (settled, mut table, unresolved) = Reader::asked(from.db, async |reader| {
         let settled = reader.query::<Table>(&of_plan("t.hash, t.state, t.reason", plan)).await?;
@@ -64,7 +64,7 @@ pub(super) async fn print_results(from: Results<'_>, plan: &Plan, format: Format
     Ok(failed)
 }
 
-/// A question to the plan's trials. Those of a sweep may be more, where files that its spec names have changed.
+/// SQL for the plan's trials. The sweep in the database may have more, if files that the spec names have changed.
 fn of_plan(columns: &str, plan: &Plan) -> String {
     let hashes: Vec<&str> = plan.trials.iter().map(|trial| trial.hash.as_str()).collect();
     let hashes = serde_json::to_string(&hashes).expect("texts are JSON");
@@ -74,7 +74,7 @@ fn of_plan(columns: &str, plan: &Plan) -> String {
     )
 }
 
-/// The names of the brains that read and trained, as figures have them.
+/// Replaces the names of decoders by those that figures use.
 fn name_brains(table: &mut Table, plan: &Plan) {
     let specs: HashMap<&str, &TrialSpec> = plan.trials.iter().map(|t| (t.hash.as_str(), &t.spec)).collect();
     let mut known: HashMap<String, [String; 2]> = HashMap::new();
@@ -88,7 +88,7 @@ fn name_brains(table: &mut Table, plan: &Plan) {
     }
 }
 
-/// What the sweep varies, as columns behind the first ones; brains are named already.
+/// Inserts the keys that the sweep varies as columns after `units`; decoders have columns already.
 fn add_axes(table: &mut Table, plan: &Plan) {
     let mut axes = plan.spec.sweep.keys();
     axes.remove("brain.kind");
@@ -102,7 +102,7 @@ fn add_axes(table: &mut Table, plan: &Plan) {
     table.columns.splice(behind + 1..behind + 1, axes.into_iter().map(str::to_owned));
 }
 
-/// Leaves out columns that say the usual of every trial: done, sensors at random, the paper's brain, no sample above 100 %.
+/// Drops columns that have the usual value in every row: done, random placement, the paper's decoder, no sample above 100 %.
 fn leave_out_the_usual(table: &mut Table) {
     table.leave_out_spread();
     let usual: [(&[&str], &str, &[&str]); 3] = [
@@ -118,7 +118,7 @@ fn leave_out_the_usual(table: &mut Table) {
     }
 }
 
-/// Says which trials have failed and what to do; of those that were given up, how many. Returns how many have failed.
+/// Prints the failed trials with a remedy, and the number of cancelled trials. Returns the number of failed trials.
 fn say_failures(Results { named, log, .. }: Results<'_>, settled: &Table) -> usize {
     let [hash, state, reason] = ["hash", "state", "reason"].map(|name| settled.column(name));
     let of = |row: &'_ [Value], at: usize| row[at].as_str().unwrap_or_default().to_owned();

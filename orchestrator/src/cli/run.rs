@@ -1,4 +1,4 @@
-//! `run`: works through the trials of a spec, or goes on where an earlier run has stopped.
+//! `run`: runs the trials of a spec, or resumes an earlier run.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -167,7 +167,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         outcome
     };
     let (outcome, ()) = tokio::join!(running, home.hand_in_every(copy_every, stopped, &asked));
-    // Also after an error the database is handed in, where there is one.
+    // Hands in the database also after an error, if it exists.
     let handed_in = match outcome.is_err() && !home.live().exists() {
         true => Ok(()),
         false => home.hand_in_within(Duration::from_secs(NOTICE)).await,
@@ -183,7 +183,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(exit)
 }
 
-/// Questions need all results in one database.
+/// Refuses [until] in single shards: its questions need all results in one database.
 pub(super) fn not_in_shards(plan: &Plan) -> Result<(), Error> {
     match plan.spec.until {
         None => Ok(()),
@@ -197,7 +197,7 @@ pub(super) fn not_in_shards(plan: &Plan) -> Result<(), Error> {
     }
 }
 
-/// The spec that a folder's shards were submitted with is the one they run.
+/// Refuses a spec that has changed since its shards were submitted.
 fn check_submitted(folder: &Path, source: &Source) -> Result<(), Error> {
     let submitted = folder.join(SUBMITTED_SPEC);
     match std::fs::read_to_string(&submitted) {
@@ -210,23 +210,23 @@ fn check_submitted(folder: &Path, source: &Source) -> Result<(), Error> {
     }
 }
 
-/// What of a plan is run, and how.
+/// How a plan is run.
 pub(super) struct How<'a> {
-    /// Where the plan is from.
+    /// The source of the plan.
     pub spec: &'a Spec,
     pub running: &'a Running,
-    /// Which part of it; none: the whole.
+    /// The shard to run; none: all trials.
     pub shard: Option<Shard>,
-    /// Why its spec is not read again while it runs; none: it is.
+    /// Why the spec cannot be reloaded during the run; none: it can.
     pub fixed: Option<&'static str>,
-    /// Is told when somebody asks for the end.
+    /// Notified when the user asks for the end.
     pub asked: &'a Notify,
 }
 
-/// Why a shard's spec is not read again.
+/// Why a shard's spec cannot be reloaded.
 const FIXED_SHARD: &str = "the trials of a shard are assigned before it starts: submit the edited spec";
 
-/// Runs what `drive` wants, and closes the database; with the plan as it is by then.
+/// Runs `drive` on the open database and closes it. Returns the outcome and the latest plan.
 pub(super) async fn run(
     plan: Plan,
     how: &How<'_>,
@@ -254,11 +254,11 @@ pub(super) async fn run(
     let control = Control::new(listener(db), reread(&plan, how));
     let ran = run_open(&mut store, &plan, how, log, signals, &control, drive).await;
     let plan = control.last_plan(plan);
-    // The socket goes, and the database is closed in any case, and let go of when all is written.
+    // Removes the socket, then closes the database, also after an error.
     drop(control);
     let closed = store.close().await;
     let outcome = match closed {
-        // this error says where the recorded data is
+        // this error states where the recorded data is
         Err(lost @ StoreError::Lost { .. }) => return Err(lost.into()),
         closed => {
             let outcome = ran?;
@@ -293,7 +293,7 @@ async fn run_open(
     outcome
 }
 
-/// Where commands come in; a run goes on without.
+/// The socket for commands; a run continues without it.
 fn listener(db: &Path) -> Option<Listener> {
     Listener::new(db)
         .inspect_err(|error| {
@@ -302,7 +302,7 @@ fn listener(db: &Path) -> Option<Listener> {
         .ok()
 }
 
-/// Reads the spec again, where trials can be added to what the plan says.
+/// Returns a function that reloads the spec, or the reason why it must not.
 fn reread(plan: &Plan, how: &How) -> Arc<Reread> {
     let (spec, name) = (how.spec.clone(), plan.spec.name.clone());
     let (fixed, asks) = (how.fixed, plan.spec.until.is_some());
@@ -325,7 +325,7 @@ fn reread(plan: &Plan, how: &How) -> Arc<Reread> {
     })
 }
 
-/// What runs some trials needs.
+/// State for running trials of a plan.
 pub(super) struct Round<'a> {
     store: &'a mut Store,
     plan: &'a Plan,
@@ -333,14 +333,14 @@ pub(super) struct Round<'a> {
     log: &'a Path,
     signals: &'a mut Signals,
     control: &'a Control,
-    /// As people have changed them by now.
+    /// Includes the changes that users have made.
     options: &'a mut Options,
     asked: &'a Notify,
-    /// Whether somebody has asked for the end.
+    /// Whether the user has asked for the end.
     stopping: bool,
 }
 
-/// Runs all trials of a plan, or those that its questions need.
+/// Runs all trials of a plan; with [until], those that its questions need.
 async fn wanted(round: Round<'_>, again: Again) -> Result<Option<Outcome>, Error> {
     match round.plan.spec.until {
         None => all(round, again).await,
@@ -390,7 +390,7 @@ impl Runs for Round<'_> {
             estimated_seconds: cost::seconds_on(&open, options.settings.workers, options.threads),
         };
         if open.is_empty() {
-            // A shard without work is not a shard that is missing.
+            // A shard without work records a run, so that it does not count as missing.
             if shard.is_some() {
                 let run = store.begin_run(&planned).await?;
                 store.end_run(&run, name(Outcome::Complete), 0, 0).await?;
@@ -432,7 +432,7 @@ impl Runs for Round<'_> {
     }
 }
 
-/// As the database has it.
+/// The name of an outcome in the database.
 fn name(outcome: Outcome) -> &'static str {
     match outcome {
         Outcome::Complete => "complete",
@@ -443,7 +443,7 @@ fn name(outcome: Outcome) -> &'static str {
     }
 }
 
-/// The table and the words at the end.
+/// Prints the table and the database; returns the exit code.
 pub(super) async fn end(
     results: Results<'_>,
     plan: &Plan,
@@ -460,7 +460,7 @@ pub(super) async fn end(
     })
 }
 
-/// The command line goes before the spec, the spec before what the machine suggests.
+/// The command line overrides the spec, which overrides the defaults of the machine.
 fn options(run: &Run, args: &Running) -> Options {
     let cores = super::cores();
     let threads = args.threads.map(usize::from).or(run.threads).unwrap_or(1).max(1);
@@ -486,6 +486,5 @@ fn options(run: &Run, args: &Running) -> Options {
     }
 }
 
-/// Longest silence of a worker (s) where the spec names none: work between two signs of life takes seconds, or minutes on
-/// a machine that is short of cores.
+/// Default limit for the silence of a worker (s). Signs of life are seconds apart, or minutes on a machine short of cores.
 const PATIENCE: f64 = 600.0;

@@ -1,6 +1,6 @@
-//! Lines for standard output and standard error, either of which may be closed or full: `println!` and `eprintln!` panic then.
+//! Prints lines on standard output and standard error. If these are closed or full, `println!` and `eprintln!` panic.
 
-/// Says a line on standard error. Where nobody takes it, the work goes on.
+/// Prints a line on standard error; ignores failures.
 #[macro_export]
 macro_rules! say {
     ($($line:tt)*) => {{
@@ -9,7 +9,7 @@ macro_rules! say {
     }};
 }
 
-/// Prints a line to standard output; what `writeln!` gives.
+/// Prints a line on standard output; returns the result of `writeln!`.
 #[macro_export]
 macro_rules! print_line {
     ($($line:tt)*) => {{

@@ -1,4 +1,4 @@
-//! `serve`: a sweep in a browser, while it runs and afterwards.
+//! `serve`: shows sweeps in a browser, during and after a run.
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
@@ -41,7 +41,7 @@ pub(super) struct Args {
     parent: Option<u32>,
 }
 
-/// A port of this machine's own address, or an address with its port.
+/// Parses PORT, of the loopback address, or IP:PORT.
 fn address(text: &str) -> Result<SocketAddr, String> {
     match text.parse() {
         Ok(port) => Ok(SocketAddr::new(Ipv4Addr::LOCALHOST.into(), port)),
@@ -49,18 +49,18 @@ fn address(text: &str) -> Result<SocketAddr, String> {
     }
 }
 
-/// Added to the niceness: what a sweep needs goes first.
+/// Added to the niceness: runs have priority.
 const NICENESS: i32 = 10;
-/// Threads of the runtime; they wait most of the time.
+/// Threads of the runtime, which wait most of the time.
 const THREADS: usize = 6;
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if args.parent.is_some_and(|parent| !end_with(parent)) {
         return Ok(Exit::Interrupted);
     }
-    // SAFETY: cannot fail, touches no memory.
+    // SAFETY: the call cannot fail and touches no memory.
     unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, NICENESS) };
-    // a runtime of its own with several threads: who reads a large database keeps one
+    // a runtime with several threads: reading a large database blocks one of them
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(THREADS)
         .enable_all()
@@ -107,7 +107,7 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
         say!("connections to {at} are not encrypted: others on the network can read these databases");
     }
     if let [only] = &sources[..] {
-        // it is read by the time that somebody looks
+        // starts reading before the first request
         drop(only.watched());
     }
     let served = Served::new(sources, reading, steering, address);
@@ -116,7 +116,7 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-/// What a path stands for: a file or a folder of shards for itself, another folder for all that is in it.
+/// The path itself for a file or a folder of shards; for another folder, all databases in it.
 fn databases(path: &Path) -> Vec<PathBuf> {
     let is_database =
         |path: &PathBuf| path.extension().is_some_and(|e| e == "sqlite") || !attempts(path).is_empty();

@@ -1,10 +1,10 @@
-//! The flag that chooses the instruction set.
+//! The option that selects the instruction set.
 
 use super::Error;
 use clap::builder::PossibleValuesParser;
 use metasense_worker::simd::{NAMES, choose};
 
-/// Which kernels a command uses.
+/// Instruction set of a command.
 #[derive(Debug, clap::Args)]
 pub struct Simd {
     /// Instruction set of the kernels; by default the widest that the machine supports
@@ -13,7 +13,7 @@ pub struct Simd {
 }
 
 impl Simd {
-    /// Makes this process use what was asked for, before anything is computed.
+    /// Selects the instruction set of this process; call before any computation.
     pub fn choose(&self) -> Result<(), Error> {
         match &self.simd {
             Some(name) => choose(name).map_err(|e| Error::Usage(format!("--simd {name}: {e}"))),

@@ -1,4 +1,4 @@
-//! `simulate`: one body under given forces, from arrays to arrays.
+//! `simulate`: simulates a body under the forces of an array; writes arrays.
 
 use std::path::{Path, PathBuf};
 
@@ -66,7 +66,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(if found.outcomes.iter().all(|o| *o == "ok") { Exit::Done } else { Exit::Failed })
 }
 
-/// What became of the samples: a row each, or a row an outcome, with the first sample that met it.
+/// One row per sample, or one per outcome with its number of samples and the first of them.
 fn table(found: &Simulated, each: bool) -> Table {
     let a_sample = found.force_evaluations / found.outcomes.len() as u64;
     let solver = &found.solver;

@@ -1,4 +1,4 @@
-//! `status`: what is done, running, failed and why; also while a run goes on.
+//! `status`: state of trials and causes of failures, also during a run.
 
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -100,7 +100,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(if failed.rows.is_empty() { Exit::Done } else { Exit::Failed })
 }
 
-/// A trial's attempts, and what was said of them.
+/// Prints a trial's state, attempts and log.
 async fn one(reader: &mut Reader, hash: &str, format: Format) -> Result<Exit, Error> {
     let named = quoted(hash);
     let state = format!("SELECT state, reason, solver FROM trial WHERE hash = {named}");
@@ -126,7 +126,7 @@ async fn one(reader: &mut Reader, hash: &str, format: Format) -> Result<Exit, Er
     Ok(if failed { Exit::Failed } else { Exit::Done })
 }
 
-/// A trial of a spec: what became of it, or how it differs from the nearest one.
+/// Prints a trial of a spec, or the keys in which the nearest stored trial differs.
 async fn planned(db: &Path, trial: &Trial, format: Format) -> Result<Exit, Error> {
     let spec = serde_json::to_value(&trial.spec).expect("a trial is JSON");
     Reader::asked(db, async |reader| {
@@ -149,7 +149,7 @@ async fn planned(db: &Path, trial: &Trial, format: Format) -> Result<Exit, Error
     .await
 }
 
-/// Says the attempts at a trial, and by what code this program would make another.
+/// Prints the attempts at a trial, and the code of this program.
 async fn say_attempts(reader: &mut Reader, hash: &str) -> Result<(), Error> {
     attempts(reader, hash).await?.iter().for_each(|line| say!("  {line}"));
     let revision = provenance::revision().map_or(String::new(), |r| format!(" ({r})"));
@@ -157,7 +157,7 @@ async fn say_attempts(reader: &mut Reader, hash: &str) -> Result<(), Error> {
     Ok(())
 }
 
-/// The attempts at a trial, in words.
+/// One line per attempt at a trial.
 async fn attempts(reader: &mut Reader, hash: &str) -> Result<Vec<String>, Error> {
     let mut lines = Vec::new();
     let named = quoted(hash);
@@ -185,7 +185,7 @@ async fn attempts(reader: &mut Reader, hash: &str) -> Result<Vec<String>, Error>
     Ok(lines)
 }
 
-/// The shards of a folder.
+/// Prints the shards of a folder.
 async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error> {
     let none = || {
         Error::Usage("pass the folder of the shards: metasense status --folder results/NAME.shards".into())
@@ -249,14 +249,14 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
     Ok(if failed > 0 { Exit::Failed } else { Exit::Done })
 }
 
-/// The only entry of a folder with this ending.
+/// The only entry of a folder with this extension.
 fn only(folder: &Path, ending: &str) -> Option<PathBuf> {
     let entries = std::fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path());
     let mut found = entries.filter(|path| path.extension().is_some_and(|e| e == ending));
     found.next().filter(|_| found.next().is_none())
 }
 
-/// The database under results/ that was written last, for a command that names none.
+/// The most recently written database in results/, for a command that names none.
 pub(super) fn newest(command: &str) -> Result<PathBuf, Error> {
     let written =
         |path: &PathBuf| path.metadata().and_then(|m| m.modified()).unwrap_or(SystemTime::UNIX_EPOCH);
@@ -265,11 +265,10 @@ pub(super) fn newest(command: &str) -> Result<PathBuf, Error> {
     newest.ok_or_else(|| Error::Usage(format!("no database in results/; pass one: metasense {command} DB")))
 }
 
-/// Kinds of failures that are told one by one.
+/// Maximum number of kinds of failures to print.
 const MOST_FAILURES: usize = 20;
 
-/// Trials by sweep, state and reason, in one pass: steps are those that attempts have recorded, and sweeps are named once a
-/// group.
+/// Counts trials by sweep, state and reason in one pass. Steps are those recorded by attempts; sweeps are named once per group.
 const STATES: &str = "WITH of_trial AS (
     SELECT (SELECT group_concat(x.sweep_id) FROM sweep_trial x WHERE x.trial_id = t.id) AS sweeps, t.state,
       CASE WHEN t.state <> 'done' THEN coalesce(t.reason, '') ELSE '' END AS reason,

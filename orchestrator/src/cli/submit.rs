@@ -1,4 +1,4 @@
-//! `submit`: a sweep as shards on a cluster or on some machines, with the merge behind them.
+//! `submit`: runs a sweep as shards on a cluster or on several machines, and merges them.
 
 mod queued;
 mod rounds;
@@ -81,11 +81,11 @@ pub(super) struct Args {
     further: Vec<String>,
 }
 
-/// Time limit of a shard where none is given (s).
+/// Default time limit of a shard (s).
 const LIMIT: u64 = 4 * 3600;
-/// Shards a place, where places differ and nobody says how many.
+/// Default number of shards per place, because places differ in speed.
 const SHARDS_A_PLACE: usize = 4;
-/// Shards of a queue, where trials are dealt round by round: a round is some eight trials.
+/// Default number of shards in a queue with rounds, each of about eight trials.
 const SHARDS_OF_ROUNDS: u32 = 4;
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
@@ -95,7 +95,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let folder = args.folder(&plan);
     let in_rounds = args.goal || plan.spec.until.is_some();
     let mut jobs = submitted(&folder)?;
-    // Before its files are looked at: what ends in between has been handed in then.
+    // Before the files are read: shards that end in between have handed in by then.
     let queue = queue::ask(&mut jobs)?;
     let before = shards_of(&folder, &jobs);
     let out = args.out(&plan);
@@ -146,7 +146,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         say!("{trials} of shards {} failed: --retry-failed resumes them", ranges(&shards));
     }
     let unsettled = |hashes: &[String]| hashes.iter().any(|hash| !is_settled(hash));
-    // of a shard that has handed nothing in its database is missing, also where it has no trial
+    // a shard that has handed in nothing still needs a database, even without trials
     let has_work = |state: &&State| {
         let nothing = state.trials.is_none() && state.open.is_empty();
         nothing || unsettled(&state.open) || args.retry_failed && unsettled(&state.failures)
@@ -159,7 +159,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if !queued.is_empty() {
         say!("skipped, because they are running or queued: shards {}", ranges(&queued));
     }
-    // of a `submit` that could not submit it any more
+    // an earlier `submit` could not queue the merge
     let merge_is_missing = args.scheduler == Scheduler::Slurm && !queue.has_merge(&jobs);
     if which.is_empty() && !queued.is_empty() && !merge_is_missing {
         say!("nothing to submit; metasense status --folder {} shows the shards", folder.display());
@@ -190,7 +190,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     run_here(&submission, &places, &mut notes).await
 }
 
-/// Trials that a database has settled, and whether --retry-failed runs them again; none where there is no database yet.
+/// Settled trials of a database, with whether they failed; empty if there is no database.
 async fn settled(out: &Path) -> Result<HashMap<String, bool>, Error> {
     let mut settled = HashMap::new();
     if !out.metadata().is_ok_and(|file| file.len() > 0) {
@@ -210,7 +210,7 @@ async fn settled(out: &Path) -> Result<HashMap<String, bool>, Error> {
 }
 
 impl Args {
-    /// Where shards go.
+    /// The folder of the shards.
     fn folder(&self, plan: &Plan) -> PathBuf {
         let named = || Path::new("results").join(format!("{}.shards", plan.spec.name));
         self.folder.clone().unwrap_or_else(named)
@@ -221,7 +221,7 @@ impl Args {
         self.out.clone().unwrap_or_else(|| plan.default_database())
     }
 
-    /// All shards.
+    /// The submission of all shards.
     fn submission(&self, plan: &Plan, shards: u32, program: &Program) -> Result<Submission, Error> {
         let threads = plan.spec.run.threads.unwrap_or(1).clamp(1, self.cpus as usize) as u32;
         let absolute = |path: &Path| std::path::absolute(path).map_err(Error::io("finding", path));
@@ -274,7 +274,7 @@ impl Args {
         Ok(submission)
     }
 
-    /// Options that whoever starts the shards has not.
+    /// Refuses options that the scheduler does not have, and a scheduler that is not installed.
     fn check(&self) -> Result<(), Error> {
         let given = |name: &str, is_given: bool, fits: bool, why: &str| match is_given && !fits {
             true => Err(Error::Usage(format!("--{name}: {why}; leave it out"))),
@@ -318,7 +318,7 @@ impl Args {
         Ok(())
     }
 
-    /// Room for shards, where no scheduler has it.
+    /// Places for shards; none if a scheduler has a queue.
     fn places(&self) -> Result<Vec<Place>, Error> {
         let most = self.at_most.unwrap_or(u32::MAX) as usize;
         match (self.scheduler, &self.hosts) {
@@ -342,7 +342,7 @@ impl Args {
     }
 }
 
-/// This program, as it is copied to the folder: a build of the same name is another file.
+/// The copy of this program in the folder; each build has its own file name.
 struct Program {
     name: String,
 }
@@ -358,7 +358,7 @@ impl Program {
         Ok(Self { name: format!("{}{}", Self::STEM, &hasher.finalize().to_hex()[..8]) })
     }
 
-    /// Copies it, where that has not been done, and tries it; others go, where nothing can still want them.
+    /// Copies and tests the program. If `alone`, removes other builds, which no job needs.
     fn put(&self, folder: &Path, alone: bool) -> Result<(), Error> {
         let path = folder.join(&self.name);
         if !path.exists() {
@@ -386,7 +386,7 @@ impl Program {
     }
 }
 
-/// What is going to be submitted, and how long it is thought to take.
+/// Prints what will be submitted, with estimated times.
 fn say(trials: &[Trial], assignment: &Assignment, submission: &Submission) {
     let Submission { shards, which, cpus, seconds, .. } = submission;
     let (mean, longest) = estimate(trials, assignment, *cpus);
@@ -414,7 +414,7 @@ fn say(trials: &[Trial], assignment: &Assignment, submission: &Submission) {
     }
 }
 
-/// Scripts and commands; of rounds those of the first, without a merge behind them.
+/// Prints scripts and commands; with rounds, those of the first round, without the merge.
 fn print(submission: &Submission) -> io::Result<()> {
     for script in submission.scripts().into_iter().filter(|script| submission.merges || script.name != MERGE)
     {
@@ -434,7 +434,7 @@ fn print(submission: &Submission) -> io::Result<()> {
     Ok(())
 }
 
-/// Writes what shards need into the folder. From then on no other `submit` may.
+/// Writes the files that shards need into the folder, which is then locked against other `submit`s.
 fn prepare(
     plan: &Plan,
     submission: &Submission,
@@ -452,13 +452,13 @@ fn prepare(
     Ok(notes)
 }
 
-/// Says which trials are whose.
+/// Writes the assignment of trials to shards.
 fn deal(assignment: &Assignment, folder: &Path, trials: &[Trial]) -> Result<(), Error> {
     assignment.write(folder)?;
     Ok(assignment.write_trials(folder, trials)?)
 }
 
-/// Notes that shards are run from here.
+/// Notes that this process runs the shards.
 fn note_here(submission: &Submission, notes: &mut Notes) -> Result<(), Error> {
     let Submission { folder, shards, .. } = submission;
     let (scheduler, job) = (submission.scheduler.name().into(), files::own_mark());
@@ -474,7 +474,7 @@ fn how(submission: &Submission) -> How {
     How { folder: folder.clone(), shards: *shards, options: for_shards.clone(), grace: submission.grace() }
 }
 
-/// Runs the shards, and merges what there is when they have ended.
+/// Runs the shards, then merges their databases.
 async fn run_here(submission: &Submission, places: &[Place], notes: &mut Notes) -> Result<Exit, Error> {
     let Submission { folder, which, .. } = submission;
     let mut signals = Signals::new()?;
@@ -499,12 +499,12 @@ async fn run_here(submission: &Submission, places: &[Place], notes: &mut Notes) 
     })
 }
 
-/// What was submitted from a folder.
+/// Jobs submitted from a folder.
 pub(super) fn submitted(folder: &Path) -> Result<Vec<Job>, Error> {
     queue::jobs(folder).map_err(Error::io("reading what was submitted from", folder))
 }
 
-/// Of how many shards a folder holds databases, or has had some submitted.
+/// Number of shards in the jobs or databases of a folder.
 fn shards_of(folder: &Path, jobs: &[Job]) -> Option<u32> {
     let submitted = jobs.last().map(|job| job.shards);
     submitted.or_else(|| attempts(folder).keys().next_back().map(|shard| shard.count()))

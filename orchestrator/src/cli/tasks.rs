@@ -1,4 +1,4 @@
-//! `tasks`: what else than forces the bodies of finished trials can sense.
+//! `tasks`: estimates quantities other than forces from the signals of finished bodies.
 
 use std::path::PathBuf;
 
@@ -14,14 +14,15 @@ use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
 use crate::store::{Reader, Stored};
 
-/// Reads other tasks than forces from finished bodies: where, how many, how hard, when
+/// Estimates other quantities than forces from finished bodies: where, how many, when
 ///
-/// Each task is read in two ways on the held-out set. `direct`: ridge regression on the signals of the whole record. `decoded`: from the
-/// forces that a linear decoder estimates. The table has means over the trials of a setting, the error of a predictor without signals
-/// (trivial), and the ratio initial over trained with its 95 % interval over seeds and placements; an error counts as half of one sample's at least. Other formats have a row per trial,
-/// body, task and readout, with a 95 % interval over samples. Tasks: panel, the panel with the greatest force (% wrong); count, the
-/// number of panels with more than a tenth of it (% wrong); peak (N) and impulse (mN s) of each panel; onset, when a force first exceeds
-/// a tenth of the greatest (ms). A task whose label is the same in all samples is left out.
+/// Each quantity (task) is estimated in two ways on the held-out set. `direct`: ridge regression on the signals of the whole
+/// record. `decoded`: from the forces that a linear decoder estimates. The table has means over the trials of a setting, the error
+/// of a predictor without signals (trivial), and the ratio initial over trained with its 95 % interval over seeds and placements;
+/// in it an error counts at least as half of one sample's. Other formats have one row per trial, body, task and readout, with a 95
+/// % interval over samples. Tasks: panel, the panel with the greatest force (% wrong); count, the number of panels with more than a
+/// tenth of it (% wrong); peak (N) and impulse (mN s) of each panel; onset, when a force first exceeds a tenth of the greatest
+/// (ms). A task whose label is the same in all samples is omitted.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The database
@@ -66,7 +67,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-/// Adds the readings of both bodies as rows, and in pairs.
+/// Appends the readings of both bodies as rows and as pairs.
 fn of_trial(trial: &Stored, rows: &mut Vec<Vec<Value>>, all: &mut Vec<Read>) -> Result<(), Error> {
     let point = &trial.specs[1].point;
     let [_, with] = brains_of(&json!(trial.specs[1]));

@@ -1,7 +1,6 @@
 use super::*;
 
-/// Each command that people may call stands under one heading of `--help` or in one group, with one line of help that fits the
-/// screen.
+/// Each visible command is under one heading of `--help` or in one group, with a line of help that fits the screen.
 #[test]
 fn every_command_is_in_one_place_with_a_line_of_help() {
     let command = command();
@@ -38,7 +37,7 @@ fn every_command_is_in_one_place_with_a_line_of_help() {
     }
 }
 
-/// An old name at the top is an error that gives the new one.
+/// An old command name is an error that states the new name.
 #[test]
 fn a_command_that_was_moved_is_named_as_it_is_now() {
     for (old, new) in

@@ -1,4 +1,4 @@
-//! `trial`: one trial in the foreground, without scheduler, workers and database.
+//! `trial`: runs one trial in the foreground, without scheduler, workers and database.
 
 use std::time::Instant;
 
@@ -85,7 +85,7 @@ const ERRORS: &[(&str, ErrorOf)] = &[
     ("holdout_median", |n| n.spread?.median),
 ];
 
-/// A line a step.
+/// Prints one line per step.
 struct Steps;
 
 impl Observe for Steps {

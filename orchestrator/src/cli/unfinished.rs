@@ -1,4 +1,4 @@
-//! The progress of a long command, kept in its `--out-dir` so that the same command goes on from there.
+//! The progress of a long command, stored in its `--out-dir` so that the same command resumes from there.
 
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
@@ -12,12 +12,12 @@ use crate::files::put_in_place;
 use crate::leftovers::remove_abandoned;
 use crate::provenance::code;
 
-/// Its name in the folder.
+/// Name of the file in the folder.
 const NAME: &str = "unfinished.bin";
-/// Of the file: a digest of everything that the results hang on, then the state as postcard.
+/// Version of the file format: a digest of all inputs, then the state as postcard.
 const VERSION: u32 = 1;
 
-/// The file of one command; without a folder there is none, and nothing is kept.
+/// The progress file of a command; without a folder, nothing is stored.
 pub(super) struct Unfinished<T> {
     path: Option<PathBuf>,
     digest: [u8; 32],
@@ -25,10 +25,10 @@ pub(super) struct Unfinished<T> {
 }
 
 impl<T: Serialize + DeserializeOwned> Unfinished<T> {
-    /// Opens the file of a command of this name with these inputs, this code and instruction set; with the state kept in it.
+    /// Opens the file of a command with these inputs, this code and instruction set; also returns the stored state.
     ///
     /// # Errors
-    /// If the folder holds the progress of another command, other inputs or other code, or cannot be read.
+    /// If the folder contains the progress of another command, other inputs or other code, or cannot be read.
     pub fn new(
         folder: Option<&Path>,
         command: &str,
@@ -42,7 +42,7 @@ impl<T: Serialize + DeserializeOwned> Unfinished<T> {
         let Some(path) = &ours.path else { return Ok((ours, None)) };
         let folder = path.parent().unwrap_or(path);
         make_folder(folder)?;
-        // of whoever was killed while it wrote its results
+        // files of processes that were killed while they wrote results
         remove_abandoned(folder, |name| name.starts_with('.') && name.ends_with(".tmp"));
         let bytes = match std::fs::read(path) {
             Ok(bytes) => bytes,
@@ -60,11 +60,11 @@ impl<T: Serialize + DeserializeOwned> Unfinished<T> {
         }
     }
 
-    /// Writes the state; a failure is only said.
+    /// Stores the state; a failure is only printed.
     pub fn keep(&self, state: &T) {
         let Some(path) = &self.path else { return };
         let bytes = postcard::to_extend(state, self.digest.to_vec()).expect("a state is plain data");
-        // one name whatever the process: of a killed one nothing is left behind
+        // all processes use this name, so killed ones leave no other files
         let beside = path.with_extension("new");
         let kept = std::fs::write(&beside, bytes).and_then(|()| put_in_place(&beside, path));
         if let Err(why) = kept {
@@ -72,7 +72,7 @@ impl<T: Serialize + DeserializeOwned> Unfinished<T> {
         }
     }
 
-    /// The command has written its results.
+    /// Removes the file once the command has written its results.
     pub fn done(&self) -> Result<(), Error> {
         let Some(path) = &self.path else { return Ok(()) };
         for path in [path.with_extension("new"), path.clone()] {

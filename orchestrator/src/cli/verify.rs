@@ -1,4 +1,4 @@
-//! `verify`: the maths against reference cases.
+//! `verify`: compares the numerics with reference cases.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! `watch`: a run as it goes on, seen from its database, from any terminal.
+//! `watch`: shows a run in any terminal, from its database.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -20,7 +20,7 @@ pub(super) struct Args {
     db: Option<PathBuf>,
 }
 
-/// Time between two looks.
+/// Time between two updates.
 const EVERY: Duration = Duration::from_secs(1);
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
@@ -33,7 +33,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     loop {
         let seen = Reader::asked(&db, async |reader| looks.look(reader).await).await?;
         if live {
-            // Home, and clear to the end of the screen.
+            // Moves the cursor home and clears the screen.
             write!(std::io::stdout(), "\x1b[H\x1b[2J")?;
         }
         print_line!("{}: {}", db.display(), seen.summary)?;

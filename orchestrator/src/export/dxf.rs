@@ -1,8 +1,7 @@
 //! A body as DXF (R12, ASCII, mm): closed polylines on the layers `units`, `ligaments`, `panels`, `sensors`.
 //!
-//! Units are their corners; a ligament is the rectangle of its width; a panel is the outline of the unit that is struck;
-//! a sensor is a circle of 24 corners about its unit's centroid. `holes` has the holes for screws as circles, `notes` the numbers of
-//! units and a scale bar.
+//! A ligament is a rectangle of its width. A panel is the outline of its unit. A sensor is a circle of 24 corners about its unit's
+//! centroid. `holes` has screw holes as circles, `notes` the numbers of units and a scale bar.
 
 use std::fmt::Write as _;
 
@@ -10,11 +9,11 @@ use metasense_worker::replay::Drawing;
 
 use super::outline::{HOLE, screwed};
 
-/// Layers with the colour by which programs show them.
+/// Layers with their colour numbers.
 const LAYERS: [(&str, u8); 6] =
     [("units", 7), ("ligaments", 8), ("panels", 4), ("sensors", 1), ("holes", 2), ("notes", 3)];
 
-/// The drawing. `width` is that of a ligament, `radius` that of a sensor (mm).
+/// The drawing; `width` of ligaments and `radius` of sensors in mm.
 pub fn dxf(drawing: &Drawing, width: f64, radius: f64) -> String {
     let mut text =
         String::from("0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1009\n9\n$INSUNITS\n70\n4\n0\nENDSEC\n");

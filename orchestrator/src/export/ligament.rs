@@ -1,4 +1,4 @@
-//! The ligaments that a cast body needs to have the stiffnesses that were simulated, and its material: MODEL.md, Material.
+//! Ligaments and material with which a cast body has the simulated stiffnesses: MODEL.md, Material.
 
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::problem::{Ligament, material, shore_a};
@@ -8,7 +8,7 @@ use metasense_worker::run::{Failure, prepared};
 use super::outline::{Invalid, Mould, Outline};
 use crate::look::{digits, number};
 
-/// What is cast for a simulated body. Lengths in mm.
+/// Ligaments and material of a cast body. Lengths in mm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Cast {
     /// The ligament of mean length that has the model's stiffnesses in stretch and bending.
@@ -21,13 +21,14 @@ pub struct Cast {
     lengths: [f64; 2],
     /// The shortest edge of a unit at the end of a ligament.
     edge: f64,
-    /// The length by which `body.material` gives stiffnesses.
+    /// The ligament length for which `body.material` gives stiffnesses.
     nominal: Option<f64>,
 }
 
-/// Share by which a stiffness may differ without a warning.
+/// Relative difference of a stiffness above which there is a warning.
 const TOLERANCE: f64 = 0.05;
-/// Rules of thumb for soft silicone: thinner ligaments (mm), or those of a smaller part of the height, tear when they leave the mould.
+/// Rules of thumb for soft silicone: ligaments thinner than this (mm), or than this fraction of the height, tear when they leave
+/// the mould.
 const THINNEST: f64 = 1.0;
 const SLENDEREST: f64 = 0.1;
 
@@ -37,7 +38,7 @@ fn bare(width: f64) -> Mould {
 }
 
 impl Cast {
-    /// Of a body of this height.
+    /// For a body of this height.
     ///
     /// # Errors
     /// If the spec has no valid material.
@@ -66,7 +67,7 @@ impl Cast {
         Outline::new(drawing, &bare(self.ligament.width))
     }
 
-    /// What a cast must have to move as simulated, a sentence each.
+    /// Requirements for a cast to move as simulated, one sentence each.
     pub fn needs(&self, drawing: &Drawing) -> Vec<String> {
         let Self { ligament: Ligament { modulus, thickness, width, length }, density, .. } = *self;
         let hardness = match shore_a(modulus) {
@@ -109,7 +110,7 @@ impl Cast {
         said
     }
 
-    /// Where a cast cannot move as simulated, or is hard to cast.
+    /// Reasons why a cast cannot move as simulated, or is hard to cast.
     pub fn warnings(&self, drawing: &Drawing) -> Vec<String> {
         let Self { ligament, shear, lengths: [short, long], nominal, .. } = *self;
         let Ligament { thickness, width, length, .. } = ligament;
@@ -168,7 +169,7 @@ impl Cast {
         said
     }
 
-    /// Ligaments with a side of which the middle lies within a unit or another ligament.
+    /// Number of ligaments with a side whose midpoint lies within a unit or another ligament.
     fn merged(&self, drawing: &Drawing) -> usize {
         let half = 0.5 * self.ligament.width;
         let ligaments = || drawing.ligaments.iter().enumerate();
@@ -183,7 +184,7 @@ impl Cast {
         ligaments().filter(merges).count()
     }
 
-    /// That no ligament can have this width, if so.
+    /// A message if ligaments are wider than an edge beside them.
     fn too_wide(&self) -> Option<String> {
         let width = self.ligament.width;
         (width > self.edge).then(|| {
@@ -205,7 +206,7 @@ fn contains(polygon: &[[f64; 2]], [x, y]: [f64; 2]) -> bool {
     (0..polygon.len()).filter(crosses).count() % 2 == 1
 }
 
-/// From a point to the line between two others (mm).
+/// Distance of a point from the segment between two others (mm).
 fn distance([x, y]: [f64; 2], [[ax, ay], [bx, by]]: [[f64; 2]; 2]) -> f64 {
     let (dx, dy) = (bx - ax, by - ay);
     let along = ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy);

@@ -1,4 +1,4 @@
-//! A trial in the forms of other programs: arrays (npz), tables (csv, parquet), designs (svg, dxf), the mould (stl), the brain (c, onnx), what is built (device).
+//! Exports of a trial: arrays (npz), tables (csv, parquet), designs (svg, dxf), mould (stl), decoder (c, onnx), files of a device.
 
 pub mod device;
 pub mod dxf;
@@ -22,8 +22,8 @@ use metasense_worker::run::Failure;
 
 use crate::store::{StoreError, Stored};
 
-/// Ends of a body's bands about its brain's predictions (N, T, K) (N), by their names: at each instant by itself, `forces_low` and
-/// `forces_high`, and over a whole sample, `sample_low` and `sample_high`. Of an inverse brain the former alone.
+/// Limits of the bands about a body's predictions (N, T, K) (N), by name: `forces_low` and `forces_high` for single instants,
+/// `sample_low` and `sample_high` for whole samples. An inverse decoder has only the former.
 pub(crate) fn bands(stored: &Stored, replay: &Replay, body: usize) -> Vec<(String, Vec<f64>)> {
     let [instant, sample] = &stored.bands[body];
     let instant = if replay.half_widths.is_empty() { instant } else { &replay.half_widths };
@@ -40,10 +40,10 @@ pub(crate) fn bands(stored: &Stored, replay: &Replay, body: usize) -> Vec<(Strin
     found
 }
 
-/// Exported signals are at least as good as this.
+/// Greatest tolerance of exported signals.
 const SIGNAL_TOLERANCE: f64 = 1e-4;
 
-/// The initial and the optimised body of a trial once more under all its samples, signals to 1e-4 or better.
+/// Simulates both bodies of a trial again under all its samples; signals are accurate to 1e-4 or better.
 ///
 /// # Errors
 /// If they cannot be simulated again.
@@ -51,16 +51,16 @@ pub fn replays(stored: &Stored, threads: usize) -> Result<[Replay; 2], StoreErro
     Ok([replay_of(stored, 0, threads)?, replay_of(stored, 1, threads)?])
 }
 
-/// One of them.
+/// Simulates one body again.
 ///
 /// # Errors
-/// Likewise.
+/// If it cannot be simulated again.
 pub fn replay_of(stored: &Stored, body: usize, threads: usize) -> Result<Replay, StoreError> {
     let (design, weights) = (&stored.designs[body], &stored.weights[body]);
     replay(&exact(stored, body), design, weights, usize::MAX, threads).map_err(unreadable(stored))
 }
 
-/// Whom a brain is fitted to.
+/// Data to which a decoder is fitted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Fit {
     /// The body as designed: the decoder of the trial
@@ -69,10 +69,10 @@ pub enum Fit {
     Casts,
 }
 
-/// A body with a linear brain or a network.
+/// A replay of a body, and its linear decoder or network.
 ///
 /// # Errors
-/// Likewise, or if the trial has no casts.
+/// If the body cannot be simulated again, or if the trial has no casts.
 pub fn brain_of(stored: &Stored, body: usize, fit: Fit, threads: usize) -> Result<(Replay, Own), StoreError> {
     match fit {
         Fit::Design => {
@@ -80,21 +80,21 @@ pub fn brain_of(stored: &Stored, body: usize, fit: Fit, threads: usize) -> Resul
             let own = own(&stored.specs[body], &stored.weights[body], &replay).map_err(unreadable(stored))?;
             Ok((replay, own))
         }
-        // by the trial's own integrator: to the bit what read its casts
+        // with the trial's own integrator: bit-identical to the decoder of its casts
         Fit::Casts => {
             replay_for_casts(&stored.specs[body], &stored.designs[body], threads).map_err(unreadable(stored))
         }
     }
 }
 
-/// A trial, its signals as good as exports are.
+/// A trial's spec with the tolerance of exports.
 fn exact(stored: &Stored, body: usize) -> TrialSpec {
     let mut spec = stored.specs[body].clone();
     spec.solver.tolerance = spec.solver.tolerance.min(SIGNAL_TOLERANCE);
     spec
 }
 
-/// A trial that the database holds and that cannot be computed again.
+/// The error for a stored trial that cannot be computed again.
 pub(crate) fn unreadable(stored: &Stored) -> impl Fn(Failure) -> StoreError {
     let hash = stored.hash.clone();
     move |e| StoreError::Unreadable { hash: hash.clone(), what: "trial", message: e.to_string() }

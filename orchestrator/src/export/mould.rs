@@ -1,9 +1,9 @@
 //! The mould in which a body is cast, as a closed surface (binary STL, mm).
 //!
-//! A plate with the body's shape sunk into it: floor `wall` thick, cavity `height` deep, `wall` around it. The surface
-//! is the rectangle below, its four sides, the plate's face with the cavity cut out, the cavity's sides, its bottom, out of which
-//! a block stands for each chip's pocket and a pin for each screw's hole. All share the outline's corners, so that the surface closes by construction; it is
-//! checked nevertheless.
+//! A plate with a cavity of the body's shape: floor `wall` thick, cavity `height` deep, `wall` around it. The surface consists of
+//! the rectangle below, four sides, the face with the cavity cut out, and the cavity's sides and bottom. From the bottom rise a
+//! block per chip pocket and a pin per screw hole. All share the outline's corners, so that the surface closes by construction;
+//! this is also checked.
 
 use std::collections::HashMap;
 
@@ -15,7 +15,7 @@ use super::outline::{Mould, Outline, Point};
 /// A triangle of corners (mm).
 type Triangle = [[f64; 3]; 3];
 
-/// The mould with this cavity, which was made with the same measures.
+/// The mould with this cavity, which has the same lengths.
 pub fn stl(cavity: &Outline, mould: &Mould) -> Vec<u8> {
     let triangles = surface(cavity, mould);
     assert!(is_closed(&triangles), "a mould's surface that is not closed");
@@ -52,7 +52,7 @@ fn surface(cavity: &Outline, mould: &Mould) -> Vec<Triangle> {
     let (low, high) = (ys().min().unwrap_or(0) - rim, ys().max().unwrap_or(0) + rim);
     let rectangle =
         vec![Point::new(left, low), Point::new(right, low), Point::new(right, high), Point::new(left, high)];
-    // Below and around.
+    // Bottom and sides.
     for corners in [[0, 2, 1], [0, 3, 2]] {
         triangles.push(corners.map(|i: usize| at(rectangle[i], 0.0)));
     }
@@ -64,13 +64,13 @@ fn surface(cavity: &Outline, mould: &Mould) -> Vec<Triangle> {
     for i in 0..4 {
         wall(&mut triangles, rectangle[i], rectangle[(i + 1) % 4], [0.0, face]);
     }
-    // The cavity: its sides look inward, its bottom upward.
+    // The cavity: sides face inward, the bottom upward.
     for corners in &cavity.loops {
         for (i, &a) in corners.iter().enumerate() {
             wall(&mut triangles, corners[(i + 1) % corners.len()], a, [floor, face]);
         }
     }
-    // The bottom with its blocks, and the face: voids' islands, and the rectangle around the outer loop.
+    // The bottom with its inserts, and the face: islands of voids, and the rectangle around the outer loop.
     let reversed = |corners: &[Point]| corners.iter().rev().copied().collect::<Vec<_>>();
     let block = floor + mould.pocket.map_or(0.0, |pocket| pocket[2]);
     let pockets = cavity.pockets.iter().map(|corners| (corners, block));
@@ -90,13 +90,13 @@ fn surface(cavity: &Outline, mould: &Mould) -> Vec<Triangle> {
     triangles
 }
 
-/// A polygon with holes as triangles over its own corners.
+/// Triangulates a polygon with holes over its own corners.
 fn filled(polygon: &IntShape<i32>) -> impl Iterator<Item = [Point; 3]> + use<> {
     let mesh = polygon.uncheck_triangulate().into_delaunay().into_triangulation::<u32>();
     mesh.triangles().collect::<Vec<_>>().into_iter()
 }
 
-/// Whether every edge of a triangle is met by the same edge the other way, as often.
+/// Whether every edge occurs as often in either direction.
 fn is_closed(triangles: &[Triangle]) -> bool {
     let mut edges: HashMap<[[u64; 3]; 2], i64> = HashMap::new();
     let key = |p: [f64; 3]| p.map(f64::to_bits);

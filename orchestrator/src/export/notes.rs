@@ -1,4 +1,4 @@
-//! What goes with the files of a device: its measures, where chips and forces go, what to do with them.
+//! The README of a device's files: dimensions, positions of chips and forces, instructions.
 
 use metasense_worker::replay::{Drawing, Moves};
 
@@ -9,7 +9,7 @@ use crate::analysis::Body;
 use crate::look::number;
 use crate::store::Stored;
 
-/// Markdown, for whoever casts the body and flashes the brain. `brain`: the head of its file, where there is one.
+/// Markdown for users who cast the body and flash the decoder. `brain`: head of the decoder's file, if there is one.
 pub fn notes(
     stored: &Stored,
     body: usize,
@@ -97,7 +97,7 @@ pub fn notes(
         lines.push(format!("| chip {n} | {unit} | {x} | {y} | {place}{turned} |"));
     }
     for (n, (panel, at)) in drawing.panels.iter().enumerate() {
-        // what a rotation leaves of a zero is none
+        // rounding errors of a rotation count as zero
         let [a, b] = panel.direction.map(|d| number(if d.abs() < 1e-12 { 0.0 } else { d }));
         let [x, y] = at.map(number);
         let unit = panel.unit;
@@ -138,7 +138,7 @@ pub fn notes(
     lines.join("\n") + "\n"
 }
 
-/// Whose brain it is, and the head of its file.
+/// To what the decoder is fitted, and the head of its file.
 fn told(whom: &str, head: &str) -> String {
     format!("The decoder is {whom}. Its file contains:\n\n```text\n{}\n```", head.trim())
 }

@@ -1,7 +1,7 @@
-//! A trial as a NumPy archive: all that is needed to evaluate it again by other means.
+//! A trial as a NumPy archive with all data for an independent evaluation.
 //!
-//! An npz file is a zip archive of npy files; ours are stored uncompressed, with a fixed date, so that the same trial gives
-//! the same bytes.
+//! An npz file is a zip archive of npy files. Ours are uncompressed and have a fixed date, so that a trial always gives the same
+//! bytes.
 
 use std::io::{Cursor, Write};
 
@@ -14,7 +14,7 @@ use super::{bands, replays, unreadable};
 use crate::analysis::Body;
 use crate::store::{StoreError, Stored, npy_bytes};
 
-/// The archive of a trial, simulated again; `note` hears of a linear brain that is left out.
+/// The archive of a trial, simulated again; `note` receives a message if no linear decoder can be fitted.
 ///
 /// # Errors
 /// If its bodies cannot be simulated again.
@@ -36,8 +36,7 @@ pub fn of_trial(
     Ok(archive(stored, &drawings, &replays, &linear))
 }
 
-/// The archive. `drawings`, `replays` and, where there are, `linear` are those of the initial and of the
-/// optimised body.
+/// The archive; `drawings`, `replays` and `linear` are of the initial and of the trained body.
 pub fn archive(
     stored: &Stored,
     drawings: &[Drawing; 2],
@@ -105,7 +104,7 @@ pub fn archive(
     zip.finish()
 }
 
-/// The flat weights b1 … bn, w1 … wn by name and shape (kernel, in, out).
+/// Splits the flat weights b1 … bn, w1 … wn into parts with name and shape (kernel, in, out).
 fn parts<'a>(
     weights: &'a [f32],
     brain: &Brain,
@@ -130,7 +129,7 @@ fn parts<'a>(
         .collect()
 }
 
-/// A 0-d array that holds one string.
+/// A 0-d array with one string.
 fn text_array(text: &str) -> Vec<u8> {
     let count = text.chars().count();
     let mut header = format!("{{'descr': '<U{count}', 'fortran_order': False, 'shape': (), }}");
@@ -145,7 +144,7 @@ fn text_array(text: &str) -> Vec<u8> {
     bytes
 }
 
-/// A zip archive in the making.
+/// A zip archive under construction.
 #[derive(Debug)]
 pub struct Zip(ZipWriter<Cursor<Vec<u8>>>);
 
@@ -159,7 +158,7 @@ impl Zip {
     /// Adds an array as `name.npy`.
     ///
     /// # Panics
-    /// If the shape does not hold as many values as there are.
+    /// If the shape does not match the number of values.
     pub fn array<T: npyz::AutoSerialize + Copy>(&mut self, name: &str, shape: &[usize], values: &[T]) {
         self.file(&format!("{name}.npy"), &npy_bytes(shape, values));
     }
@@ -173,7 +172,7 @@ impl Zip {
         begun.and_then(|()| Ok(self.0.write_all(data)?)).expect("writing to memory");
     }
 
-    /// Its bytes.
+    /// The bytes of the archive.
     pub fn finish(self) -> Vec<u8> {
         self.0.finish().expect("writing to memory").into_inner()
     }

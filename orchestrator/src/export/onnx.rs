@@ -1,9 +1,9 @@
-//! A brain as an ONNX graph: signals of whole samples in, forces out, for any runtime that reads the format.
+//! A decoder as an ONNX graph from signals of whole samples to forces.
 //!
 //! ```text
 //! signals (samples, instants, channels) → Transpose → [Conv → Relu]… → Conv → Transpose → forces (samples, instants, panels)
 //! ```
-//! A linear brain beneath a network is a Conv and a Concat of what it takes in with what it says.
+//! A linear decoder before a network is a Conv, and a Concat of its input and its output.
 
 use metasense_worker::replay::{Convolution, Own, Replay, layers};
 use onnx_rs::ast::{
@@ -16,10 +16,10 @@ use super::unreadable;
 use crate::analysis::Body;
 use crate::store::{StoreError, Stored};
 
-/// What runtimes of the last years read (ONNX 1.9, 2021): nothing later is needed.
+/// IR version and opset that runtimes since ONNX 1.9 (2021) read.
 const FORMAT: (i64, i64) = (7, 13);
 
-/// The bytes of a body's brain.
+/// The encoded graph of a body's decoder.
 ///
 /// # Errors
 /// If the trial cannot be computed again.
@@ -85,7 +85,7 @@ pub fn onnx(stored: &Stored, body: usize, (replay, own): &(Replay, Own)) -> Resu
     }))
 }
 
-/// Weights (outputs, inputs, instants): instants that share one each have it.
+/// Weights (outputs, inputs, instants); instants that share a weight each get it.
 fn kernel(layer: &Convolution) -> (Vec<i64>, Vec<f32>) {
     let reach: usize = layer.spans.iter().sum();
     let mut weights = vec![0.0; layer.outputs * layer.inputs * reach];
@@ -97,7 +97,7 @@ fn kernel(layer: &Convolution) -> (Vec<i64>, Vec<f32>) {
     ([layer.outputs, layer.inputs, reach].map(|n| n as i64).to_vec(), weights)
 }
 
-/// From (samples, instants, channels) to (samples, channels, instants), and back.
+/// Transposes (samples, instants, channels) to (samples, channels, instants), or back.
 fn turned<'a>(from: &'a str, to: &'a str) -> Node<'a> {
     let attribute = vec![integers("perm", &[0, 2, 1])];
     Node { input: vec![from], output: vec![to], op_type: OpType::Transpose, attribute, ..Default::default() }

@@ -1,9 +1,8 @@
-//! The outline of a body with ligaments of some width: one outer loop, and a loop a void.
+//! The outline of a body with ligaments of some width: one outer loop, and one loop per void.
 //!
-//! A body is the union of its units and of strips along its ligaments with round ends, a strip being all that is within
-//! half its width of the ligament: wherever it runs along an edge or into another strip, the two are one, and no notch is
-//! left where it meets a corner. What is within a clearance of the body is a union of such strips, too: around edges.
-//! All happens on a grid of integers, where no rounding tears loops apart.
+//! A body is the union of its units and of strips along its ligaments. A strip contains all points within half its width of the
+//! ligament. It merges with edges and other strips, and leaves no notch at corners. The region within a clearance of the body is a
+//! union of such strips around edges. Coordinates are integers, so that rounding cannot break loops.
 
 use i_triangle::i_overlay::core::fill_rule::FillRule;
 use i_triangle::i_overlay::core::overlay::IntOverlayOptions;
@@ -17,33 +16,33 @@ use metasense_worker::replay::Drawing;
 /// A point of the grid.
 pub type Point = IntPoint<i32>;
 
-/// Measures of a mould (mm).
+/// Lengths of a mould (mm).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mould {
     /// Width of the body's ligaments.
     pub width: f64,
-    /// Depth of the cavity: height of the body.
+    /// Depth of the cavity, equal to the height of the body.
     pub height: f64,
     /// Thickness of floor and rim.
     pub wall: f64,
-    /// How much the cavity is larger than the body on every side.
+    /// Distance between body and cavity on every side.
     pub clearance: f64,
-    /// Of a chip's pocket along and across it, and its depth from the mould's floor.
+    /// Length, width and depth of a chip's pocket.
     pub pocket: Option<[f64; 3]>,
 }
 
-/// Loops of corners.
+/// The outline, with pockets and holes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outline {
     /// Loops on the grid, the body on their left: the outer one first, counter-clockwise, then those of voids, clockwise.
     pub loops: IntShape<i32>,
-    /// The grid's pitch (mm).
+    /// Pitch of the grid (mm).
     pub pitch: f64,
-    /// Voids that ligaments have parted where their width makes them touch what they do not join.
+    /// Number of additional voids, where wide ligaments touch parts that they do not join.
     pub parted: usize,
     /// Pockets in the body's lower side, counter-clockwise.
     pub pockets: Vec<IntContour<i32>>,
-    /// Holes for screws through held units, likewise.
+    /// Holes for screws through held units, counter-clockwise.
     pub holes: Vec<IntContour<i32>>,
 }
 
@@ -55,7 +54,7 @@ pub enum Invalid {
         "the body consists of {0} separate pieces and cannot be cast in one mould; --format svg shows them"
     )]
     Apart(usize),
-    /// Ligaments grow together over a void.
+    /// Ligaments fill a void.
     #[error(
         "ligaments {width:.2} mm wide, the width that body.stiffness implies, leave {left} of the body's {voids} voids; reduce \
          body.stiffness.bend (or body.material.ligament_width) and train again"
@@ -68,7 +67,7 @@ pub enum Invalid {
         /// Voids between units and ligaments without width.
         voids: usize,
     },
-    /// A pocket leaves too little of its unit around it.
+    /// A pocket leaves too little of its unit.
     #[error(
         "a pocket of {size} mm leaves {left:.2} mm of unit {unit} around it, less than {POCKET_WALL} mm; one {:.1} mm smaller each way would fit, \
          or a body of larger units (body.spacing)",
@@ -77,23 +76,23 @@ pub enum Invalid {
     Pocket {
         /// Its sides (mm).
         size: String,
-        /// The least distance to an edge (mm), below 0 outside.
+        /// Smallest distance of a corner to an edge (mm), below 0 outside.
         left: f64,
         /// The unit.
         unit: usize,
     },
-    /// The cavity runs into itself.
+    /// The clearance closes or divides a void.
     #[error("a clearance of {0} mm closes or divides a void of the body; reduce clearance in --mould")]
     Closed(f64),
 }
 
-/// Diameter of a screw's hole (mm): that of an M3 screw, ISO 273, medium.
+/// Diameter of a screw hole (mm): M3, ISO 273, medium.
 pub const HOLE: f64 = 3.4;
 
-/// What a pocket or a hole leaves of its unit around it at least (mm).
+/// Minimum wall around a pocket or a hole (mm).
 pub const POCKET_WALL: f64 = 1.0;
 
-/// Corners (mm) of a pocket in a unit, and what it leaves of it at them at least (mm).
+/// Corners (mm) of a pocket in a unit, and their smallest distance to an edge of the unit (mm).
 fn pocket(
     drawing: &Drawing,
     unit: usize,
@@ -112,7 +111,7 @@ fn pocket(
     (corners, left)
 }
 
-/// The side (mm, in halves) of the largest square pocket that every sensor's unit has place for, up to 100; 0: none.
+/// Side (mm, in steps of 0.5) of the largest square pocket that fits into every sensor's unit, up to 100; 0 if none fits.
 pub fn largest_pocket(drawing: &Drawing, offset: [f64; 2], tilt: f64) -> f64 {
     let fits = |side: &f64| {
         let fits = |&unit: &usize| pocket(drawing, unit, [*side; 2], offset, tilt).1 >= POCKET_WALL;
@@ -121,7 +120,7 @@ pub fn largest_pocket(drawing: &Drawing, offset: [f64; 2], tilt: f64) -> f64 {
     (1..=200).map(|halves| 0.5 * f64::from(halves)).take_while(fits).last().unwrap_or(0.0)
 }
 
-/// Held units without a chip that have place for a screw at their centroid.
+/// Held units without a chip that have room for a screw at their centroid.
 pub fn screwed(drawing: &Drawing) -> impl Iterator<Item = usize> {
     let place = |&unit: &usize| {
         depth_within(&drawing.units[unit], drawing.centroids[unit]) >= 0.5 * HOLE + POCKET_WALL
@@ -130,24 +129,24 @@ pub fn screwed(drawing: &Drawing) -> impl Iterator<Item = usize> {
     drawing.clamped.iter().copied().filter(place)
 }
 
-/// What an arc's chords may be away from it (mm).
+/// Maximum distance between an arc and its chords (mm).
 const SAGITTA: f64 = 0.005;
 
-/// The smallest void (mm²): smaller ones are filled.
+/// Minimum area of a void (mm²); smaller ones are filled.
 const SMALLEST: f64 = 0.05;
 
 impl Outline {
-    /// The outline of the mould's cavity: of the body, and what is within the clearance of it.
+    /// The outline of the mould's cavity: the body, and all points within the clearance.
     ///
     /// # Errors
-    /// If the body is not connected, or ligaments or clearance close a void.
+    /// If the body is not connected, or if ligaments or clearance close a void.
     pub fn new(drawing: &Drawing, mould: &Mould) -> Result<Self, Invalid> {
         let all = drawing.units.iter().flatten().flatten();
         let reach = all.fold(0.0f64, |r, x| r.max(x.abs())) + mould.wall + mould.width + mould.clearance;
-        // 24 bits hold every coordinate, so that STL's single precision does, too.
+        // Coordinates have 24 bits, so that single precision (STL) represents them exactly.
         let pitch = (reach.log2().ceil() - 24.0).exp2();
         let body = united(drawing, 0.5 * mould.width, 0.0, pitch)?;
-        // The faces of units and ligaments as a connected plane graph, but for the outer one.
+        // Number of inner faces of units and ligaments as a connected plane graph.
         let voids = (drawing.ligaments.len() + 1).saturating_sub(drawing.units.len());
         let left = body.len() - 1;
         let Some(parted) = left.checked_sub(voids) else {
@@ -164,11 +163,11 @@ impl Outline {
         }
     }
 
-    /// With a pocket for a chip on each sensor's unit, `offset` (mm) from its centroid and turned by `tilt` (rad), and a hole for a
-    /// screw in each held unit that has place for it ([`screwed`]).
+    /// Adds a pocket for a chip in each sensor's unit, `offset` (mm) from its centroid and turned by `tilt` (rad), and a screw hole
+    /// in each held unit that has room for it ([`screwed`]).
     ///
     /// # Errors
-    /// If one would leave less than [`POCKET_WALL`] of its unit around it.
+    /// If a pocket would leave a wall thinner than [`POCKET_WALL`].
     pub fn with_inserts(
         mut self,
         drawing: &Drawing,
@@ -197,12 +196,12 @@ impl Outline {
         [point.x, point.y].map(|x| f64::from(x) * self.pitch)
     }
 
-    /// Area within (mm²).
+    /// Area (mm²).
     pub fn area(&self) -> f64 {
         self.mm2(&self.loops)
     }
 
-    /// Volume that the cavity holds (mm³).
+    /// Volume of the cavity (mm³).
     pub fn volume(&self, mould: &Mould) -> f64 {
         (self.area() - self.mm2(&self.holes)) * mould.height
             - self.mm2(&self.pockets) * mould.pocket.map_or(0.0, |pocket| pocket[2])
@@ -213,7 +212,7 @@ impl Outline {
     }
 }
 
-/// The union of all units, each with what is within `around` of it, and of strips of `half` a width along the ligaments.
+/// The union of all units, enlarged by `around`, and of strips of half width `half` along the ligaments.
 fn united(drawing: &Drawing, half: f64, around: f64, pitch: f64) -> Result<IntShape<i32>, Invalid> {
     let onto = |point| onto(point, pitch);
     let mut pieces: Vec<IntContour<i32>> =
@@ -238,12 +237,12 @@ fn united(drawing: &Drawing, half: f64, around: f64, pitch: f64) -> Result<IntSh
     }
 }
 
-/// A point (mm) on the grid.
+/// The grid point nearest to a point (mm).
 fn onto([x, y]: [f64; 2], pitch: f64) -> Point {
     Point::new((x / pitch).round() as i32, (y / pitch).round() as i32)
 }
 
-/// How far a point lies within a convex unit's edges, counter-clockwise; below 0 outside.
+/// Smallest distance of a point to the edges of a convex unit, counter-clockwise; below 0 outside.
 fn depth_within(unit: &[[f64; 2]], [x, y]: [f64; 2]) -> f64 {
     let from_edge = |p: usize| {
         let ([a, b], [c, d]) = (unit[p], unit[(p + 1) % unit.len()]);
@@ -252,7 +251,7 @@ fn depth_within(unit: &[[f64; 2]], [x, y]: [f64; 2]) -> f64 {
     (0..unit.len()).map(from_edge).fold(f64::INFINITY, f64::min)
 }
 
-/// Around all within `radius` of the line from a to b, counter-clockwise.
+/// The polygon around all points within `radius` of the segment from a to b, counter-clockwise.
 fn strip(a: [f64; 2], b: [f64; 2], radius: f64) -> impl Iterator<Item = [f64; 2]> {
     use std::f64::consts::{FRAC_PI_2, PI};
     let chord = 2.0 * (1.0 - SAGITTA / radius).max(0.0).acos();

@@ -1,4 +1,4 @@
-//! A trial's time series as one long table: a row a sample and instant.
+//! A trial's time series as one long table, one row per sample and instant.
 
 use metasense_worker::replay::Replay;
 use serde_json::{Value, json};
@@ -15,7 +15,7 @@ pub fn table(stored: &Stored, replays: &[Replay; 2]) -> Table {
     let (read, signals) = (stored.spec().sensors.read(), stored.spec().signals());
     let mut columns: Vec<String> = ["sample", "set", "time"].map(String::from).to_vec();
     columns.extend((0..panels).map(|k| format!("force_{k}")));
-    // by body what stands in a row after its signals: predictions and ends of bands (N, T, K)
+    // per body, the values after its signals: predictions and limits of bands (N, T, K)
     let mut said: [Vec<Vec<f64>>; 2] = Default::default();
     for body in Body::ALL {
         let (name, replay) = (body.name(), &replays[body as usize]);

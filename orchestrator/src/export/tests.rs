@@ -1,14 +1,14 @@
-//! A body that exports are tried on.
+//! A body for tests of exports.
 
 use metasense_worker::replay::{Drawing, Panel};
 
-/// 3 × 3 rotated squares of 20°, pitch 15 mm, ligaments 2.25 mm long.
+/// 3 × 3 squares rotated by 20°, pitch 15 mm, ligaments 2.25 mm long.
 pub fn squares() -> Drawing {
     squares_moved(|_, _| [0.0; 2])
 }
 
-/// The same with every joint, two corners and the ligament between them, moved: the one right of unit u by
-/// `shift(u, 0)`, the one above it by `shift(u, 1)`, and free corners by nothing.
+/// The same body with moved joints: two corners and the ligament between them. The joint right of unit u moves by `shift(u, 0)`,
+/// the joint above it by `shift(u, 1)`; free corners stay.
 pub fn squares_moved(shift: impl Fn(usize, usize) -> [f64; 2]) -> Drawing {
     let (n, pitch, half) = (3usize, 15.0, 6.375);
     let mut units = Vec::new();

@@ -1,4 +1,4 @@
-//! The answers in words, the best evidence first.
+//! Answers in sentences, the strongest evidence first.
 
 use super::words::interval;
 use crate::analysis::data::{Group, SENSORS, groups, observations, once};
@@ -14,10 +14,10 @@ use crate::analysis::{Body, Height, Interval, Set, Terms, Trial, Verdict, elbow,
 use crate::look::{Answer, number};
 use crate::plan::counted;
 
-/// The share of votes from which on an answer is good news.
+/// Fraction of votes from which an answer counts as good news.
 const SURE: f64 = 0.95;
 
-/// What the trials answer.
+/// Answers of the trials to the questions of a report.
 pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
     let refs: Vec<&Trial> = trials.iter().filter(|t| !t.starts_random()).collect();
     let mut said = Vec::new();
@@ -41,7 +41,7 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
         for (set, what) in sets {
             let Some(r) = paired::error_ratio(&refs, set) else { continue };
             let [initial, optimised] = means(&refs, |t, body| t.error(body, set));
-            // what the body was chosen by says less than what nothing has seen
+            // held-out results come first; results on the test set, which selected the body, stand beside the figure
             let figure = if set == Set::Holdout { "" } else { "pairs" };
             let medians = match set {
                 Set::Holdout => by_medians(|set| paired::error_ratio(&refs, set)),
@@ -75,7 +75,7 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
     said
 }
 
-/// What a linear model of the bodies does not explain.
+/// The part of the signals that a linear model of the bodies does not explain.
 fn linear_model(trials: &[&Trial]) -> Option<Answer> {
     let mean = |body, kind| mean_of(&nonlinear(trials, body, kind)).map(number);
     let [initial, optimised] = Body::ALL.map(|body| Some([mean(body, 0)?, mean(body, 1)?]));
@@ -94,7 +94,7 @@ fn verdict(ratio: &Ratio) -> Option<bool> {
     ratio.interval.and_then(Interval::is_above_one)
 }
 
-/// What is said where medians over samples lead to another verdict than means.
+/// A sentence if medians over samples lead to another verdict than means; else empty.
 fn by_medians(ratio: impl Fn(Set) -> Option<Ratio>) -> String {
     let said = |(ratio, verdicts): (Ratio, String)| {
         format!(
@@ -106,7 +106,7 @@ fn by_medians(ratio: impl Fn(Set) -> Option<Ratio>) -> String {
     paired::disagreement(ratio).map_or(String::new(), said)
 }
 
-/// Mean errors of both bodies, over the trials that have both.
+/// Geometric mean errors of both bodies over the trials that have both.
 fn means(trials: &[&Trial], error: impl Fn(&Trial, Body) -> Option<f64>) -> [String; 2] {
     let both = |t: &Trial| Some([error(t, Body::Initial)?, error(t, Body::Optimised)?]);
     let errors: Vec<[f64; 2]> = once(trials, both).map(|(_, errors)| errors).collect();
@@ -132,7 +132,7 @@ fn long(trials: &[&Trial]) -> Option<Answer> {
     ))
 }
 
-/// What training buys beyond placing sensors well, at the M where both were tried with most.
+/// Gain from training beyond that from placing sensors, at the largest M for which trials have both.
 fn placing(found: &Placed) -> Option<Answer> {
     let level = found.levels.last()?;
     let set = Set::Holdout;
@@ -167,7 +167,7 @@ fn placing(found: &Placed) -> Option<Answer> {
     ))
 }
 
-/// Where more sensors stop to pay, and how few suffice on the optimised body.
+/// The elbow of error against M, and the smallest sufficient M on the trained body.
 fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
     let by = |body, set| observations(&group.trials, body, set, |t| t.sensors);
     let curve = |body| by(body, Set::Holdout);
@@ -255,7 +255,7 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
             Some(_) => f.share.is_some_and(|share| share >= SURE).then_some(true),
             None => Some(false),
         };
-        // what is decided goes first
+        // verdicts come first, other answers stand beside the figure
         let figure = if verdict.is_some() { "" } else { "sensors" };
         said.push(Answer::new(figure, verdict, format!("{}: {text}.", group.label)));
     }

@@ -1,4 +1,4 @@
-//! A trial's body as `look` draws it.
+//! Converts a trial's body into the sketch that `look` draws.
 
 use metasense_worker::design::{Active, Kind, Violation};
 use metasense_worker::replay::{Drawing, Panel};
@@ -6,7 +6,7 @@ use metasense_worker::replay::{Drawing, Panel};
 use crate::look::body::{Arrow, Mark, Point, Sketch, frame, middle};
 use crate::look::{Figure, Table, legend, row};
 
-/// The body with its constraints at their limit, and those that are broken.
+/// The body with its active and violated constraints.
 pub fn sketch(drawing: &Drawing, violations: &[Violation]) -> Sketch {
     let Drawing { units, centroids, ligaments, joints, panels, sensors, clamped, guided, spacing, .. } =
         drawing;
@@ -34,7 +34,7 @@ pub fn sketch(drawing: &Drawing, violations: &[Violation]) -> Sketch {
     }
 }
 
-/// Bodies side by side, drawn alike: title, name in the data, body.
+/// A figure of bodies side by side at one scale; each with title, name in the data and sketch.
 pub fn figure(
     name: &'static str,
     title: &str,
@@ -56,7 +56,7 @@ pub fn figure(
     Figure::new(name, title, caption, legend(&entries), pictures, Table::new("body unit node x y", rows))
 }
 
-/// Where a constraint holds: a line or a dot.
+/// The mark of a constraint: a line or a dot.
 fn mark(kind: Kind, of: [usize; 2], node: Option<usize>, units: &[Vec<Point>]) -> Mark {
     let (corners, other) = (&units[of[0]], &units[of[1]]);
     match (kind, node) {
@@ -67,7 +67,7 @@ fn mark(kind: Kind, of: [usize; 2], node: Option<usize>, units: &[Vec<Point>]) -
         }
         (Kind::LigamentClearance, Some(p)) => Mark::Line(corners[p], closest(&[corners[p]], other).1),
         (Kind::VoidAngle, Some(p)) => {
-            // an arc's chord, drawn in the void beside the node
+            // chord of the angle, in the void beside the node
             let (here, next) = (corners[p], corners[(p + 1) % corners.len()]);
             let along = [0, 1].map(|i| here[i] + 0.35 * (next[i] - here[i]));
             let (_, b) = closest(&[along], other);
@@ -78,7 +78,7 @@ fn mark(kind: Kind, of: [usize; 2], node: Option<usize>, units: &[Vec<Point>]) -
     }
 }
 
-/// The closest points of two rings of corners.
+/// The closest points of two polygons.
 fn closest(a: &[Point], b: &[Point]) -> (Point, Point) {
     let mut best = (f64::INFINITY, a[0], b[0]);
     for (corners, ring, swap) in [(a, b, false), (b, a, true)] {

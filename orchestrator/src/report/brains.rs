@@ -1,4 +1,4 @@
-//! Error by brain: a figure, and a sentence a setting.
+//! Error by decoder: a figure, and one sentence per setting.
 
 use super::words::left_out;
 use crate::analysis::brains::{Read, reads};
@@ -7,13 +7,13 @@ use crate::analysis::numbers::distinct;
 use crate::analysis::{Body, Question, Terms, Trial};
 use crate::look::{Answer, Axis, Figure, Plot, Scale, number};
 
-/// At most so many settings are drawn; the data hold all.
+/// Maximum number of settings in the figure; the data contain all.
 const MOST_SETTINGS: usize = 4;
 
-/// Classes of the optimised bodies' lines, by what trained them.
+/// Classes of the trained bodies' lines, by the decoder in training.
 const TRAINED: [&str; 5] = ["optimised", "front", "fourth", "fifth", "truth"];
 
-/// Error against memory, and against the wait after the instant, by linear brains; dots: networks.
+/// Errors of linear decoders against memory, and against delay after the instant; dots: networks.
 pub fn figure(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().filter(|t| !t.starts_random()).collect();
     let drawn: Vec<(String, Vec<Read>)> = groups(&refs, BRAINS)
@@ -49,7 +49,7 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
             memory.dots(class, [at(Body::Optimised)]);
         }
         pictures.push(memory.picture());
-        // the whole past, and ever more of what comes after
+        // the whole past, with increasing delay
         let waits = past.iter().map(|r| r.memory[1]);
         let x = Axis::new("delay after the instant, with the whole past (s)", Scale::Linear, waits);
         let mut delay = Plot::new(label, x, Axis::new("held-out error (%)", Scale::Log, errors(&past)));
@@ -78,7 +78,7 @@ fn curves(plot: &mut Plot, reads: &[&Read], with: &[&str], x: impl Fn(&Read) -> 
         let mut own: Vec<&&Read> = reads.iter().filter(|r| r.trained_with == *trained_with).collect();
         own.sort_by(|a, b| x(a).total_cmp(&x(b)));
         for body in Body::ALL {
-            // the initial body is the same whatever trains it
+            // the initial body does not depend on the decoder in training
             if body == Body::Initial && n > 0 {
                 continue;
             }
@@ -106,7 +106,7 @@ fn class(with: &[&str], trained_with: &str) -> &'static str {
     TRAINED[at.min(TRAINED.len() - 1)]
 }
 
-/// Errors by a linear decoder of the whole sample beside those by the bodies' own brains, a sentence a setting.
+/// Compares a linear decoder of the whole sample with the trials' own decoders; one sentence per setting.
 pub fn answers(trials: &[Trial]) -> Vec<Answer> {
     let refs: Vec<&Trial> = trials.iter().filter(|t| !t.starts_random()).collect();
     let said =

@@ -1,4 +1,4 @@
-//! Error over casts, by body and brain: a figure, and a sentence a setting.
+//! Error over casts by body and decoder: a figure, and sentences per setting.
 
 use metasense_worker::problem::INVERTED_OF_A_CAST;
 
@@ -10,13 +10,13 @@ use crate::analysis::trial::CastBrain;
 use crate::analysis::{Question, Terms, Trial};
 use crate::look::{Answer, Axis, Figure, Picture, Plot, Scale, number};
 
-/// At most so many settings are drawn; the data hold all.
+/// Maximum number of settings in the figure; the data contain all.
 pub(super) const MOST_SETTINGS: usize = 4;
 
-/// Classes of the bodies' marks, the initial one first; the data hold the bodies beyond.
+/// Classes of the bodies' marks, the initial body first. Further bodies are only in the data.
 pub(super) const CLASSES: [&str; 5] = ["initial", "optimised", "front", "fourth", "fifth"];
 
-/// A place for each brain, and in it one for each body side by side: a dot at the median, a line up to the 90th percentile.
+/// One position per decoder with the bodies side by side: dots at the median, lines up to the 90th percentile.
 pub fn figure(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let found = settings(&refs);
@@ -47,7 +47,7 @@ fn picture(setting: &Setting, names: &[&str]) -> Picture {
         let Some(body) = setting.bodies.iter().find(|body| body.name == *name) else { continue };
         let aside = aside(n, names.len());
         let read: Vec<Option<Left>> = brains.iter().map(|by| body.left(*by)).collect();
-        // by the trial's own kind of brain: networks come first
+        // with the trial's own kind of decoder: networks come first
         let designed = read.iter().flatten().find_map(|left| left.designed.as_ref());
         let designed = designed.map(|error| {
             (aside, [error.ratio; 2], format!("{name}, as designed: {} %", number(error.ratio)))
@@ -64,10 +64,10 @@ fn picture(setting: &Setting, names: &[&str]) -> Picture {
     side_by_side(&setting.label, places.collect(), marks)
 }
 
-/// A dot at the first of two errors (%), and a line to the second: the place on the axis, the errors, what a dot says.
+/// Position on the axis, two errors (%) and text of a dot at the first error; a line leads to the second.
 pub(super) type Mark = (f64, [f64; 2], String);
 
-/// Marks of each class at places with names.
+/// A plot of the marks of each class at named positions.
 pub(super) fn side_by_side(label: &str, places: Vec<String>, marks: Vec<(&str, Vec<Mark>)>) -> Picture {
     let count = places.len() as f64;
     let places = places.into_iter().enumerate().map(|(i, name)| (i as f64, name)).collect();
@@ -84,19 +84,19 @@ pub(super) fn side_by_side(label: &str, places: Vec<String>, marks: Vec<(&str, V
     plot.picture()
 }
 
-/// Where in its place the n-th of so many bodies stands.
+/// Offset of the n-th of `bodies` within its position.
 pub(super) fn aside(n: usize, bodies: usize) -> f64 {
     0.7 * ((n as f64 + 0.5) / bodies as f64 - 0.5)
 }
 
-/// Names of bodies, each once, as many as can be told apart.
+/// Distinct names of bodies, at most one per class.
 pub(super) fn told_apart<'a>(bodies: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
     let mut names = in_order(bodies);
     names.truncate(CLASSES.len());
     names
 }
 
-/// A legend's entries of these bodies.
+/// Legend entries of these bodies.
 pub(super) fn legend(names: &[&str]) -> Vec<(&'static str, String)> {
     let entry = |(name, class): (&&str, &'static str)| {
         let text = if *name == "initial" { "initial body".to_owned() } else { format!("trained: {name}") };
@@ -105,7 +105,7 @@ pub(super) fn legend(names: &[&str]) -> Vec<(&'static str, String)> {
     names.iter().zip(CLASSES).map(entry).collect()
 }
 
-/// All that read one of a setting's bodies.
+/// All decoders of a setting's bodies.
 fn brains(setting: &Setting) -> Vec<CastBrain> {
     distinct(setting.bodies.iter().flat_map(Trained::brains))
 }
@@ -129,7 +129,7 @@ fn brain(by: CastBrain) -> String {
     }
 }
 
-/// Inverse brains do not read the whole holdout of a cast.
+/// Inverse decoders estimate only part of a cast's held-out set.
 fn some() -> String {
     format!("at most {INVERTED_OF_A_CAST} held-out samples")
 }
@@ -147,7 +147,7 @@ fn tick(by: CastBrain) -> String {
     }
 }
 
-/// Errors by one brain for all casts, and by those fitted to all records of each, a sentence for either.
+/// Per setting one sentence about the linear decoder for all casts, and one about the last decoder after it.
 pub fn answers(trials: &[Trial]) -> Vec<Answer> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let mut said = Vec::new();

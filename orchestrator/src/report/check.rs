@@ -1,4 +1,4 @@
-//! Records before any fit: tables and figures.
+//! Tables and figures of `check`.
 
 use std::path::Path;
 
@@ -12,13 +12,13 @@ use crate::look::{
     Answer, Axis, Figure, Plot, SERIES, Scale, Table, answers, digits, legend, number, page, row,
 };
 
-/// A row per finding.
+/// One row per finding.
 pub fn findings(checked: &Checked) -> Table {
     let rows = checked.findings.iter().map(|f| row![f.check, f.level.name(), f.place, f.found, f.remedy]);
     Table::new("check outcome place found remedy", rows)
 }
 
-/// A row per record: force (N, N·s), readings (1/s), noise before the blow (mm/s², rad/s), and how it follows the model.
+/// One row per record: force (N, N·s), readings (1/s), noise before the blow (mm/s², rad/s), correlation with the model and lag.
 pub fn records(checked: &Checked) -> Table {
     let columns = "record file panel peak impulse blows readings rate jitter_percent clipped noise_acceleration noise_rotation \
                    correlation lag_ms";
@@ -51,7 +51,7 @@ pub fn records(checked: &Checked) -> Table {
     Table::new(columns, checked.records.iter().enumerate().map(row))
 }
 
-/// A row per ringing of the records (Hz, s), beside the design's mode that is nearest in frequency.
+/// One row per resonance of the records (Hz, s), with the design's mode that is nearest in frequency.
 pub fn rings(checked: &Checked) -> Table {
     let row = |[frequency, damping, decay]: &[f64; 3]| {
         let far = |hertz: f64| (hertz / frequency).ln().abs();
@@ -78,12 +78,12 @@ pub fn rings(checked: &Checked) -> Table {
     Table::new(columns, rings.map(row))
 }
 
-/// ln of the factor by which a mode may be from what rings.
+/// Largest |ln| of the ratio of a mode's frequency to a resonance.
 const NEAR: f64 = 0.25;
-/// Lines of responses.
+/// Classes of the lines of median and least coherence.
 const PANELS: [&str; 2] = ["truth", "front"];
 
-/// The page.
+/// The page of `check`.
 pub fn html(file: &Path, checked: &Checked, figures: &[Figure]) -> String {
     let answer = |f: &metasense_worker::check::Finding| {
         let place = if f.place.is_empty() { String::new() } else { format!("{}: ", f.place) };
@@ -106,12 +106,12 @@ pub fn html(file: &Path, checked: &Checked, figures: &[Figure]) -> String {
     page(&title, "Are these records what their file says?", content)
 }
 
-/// Records beside the model, and responses.
+/// Figures of records with the model, and of responses.
 pub fn figures(trial: &TrialSpec, design: &[f64], checked: &Checked) -> Vec<Figure> {
     followed(checked).into_iter().chain(response(trial, design, checked)).collect()
 }
 
-/// The records that follow the model least, medium and best.
+/// The records of least, median and greatest correlation with the model.
 fn followed(checked: &Checked) -> Option<Figure> {
     let found = checked.found.as_ref()?;
     let mut order: Vec<usize> = (0..found.records.len()).collect();
@@ -163,7 +163,7 @@ fn followed(checked: &Checked) -> Option<Figure> {
     Some(Figure::new("followed", "Do the records follow the model?", caption, legend(&marks), pictures, data))
 }
 
-/// H₁ of each channel beside the design's, and the coherence.
+/// H₁ of each channel with that of the design, and the coherence.
 fn response(trial: &TrialSpec, design: &[f64], checked: &Checked) -> Option<Figure> {
     let spectra = checked.spectra.as_ref()?;
     let frequencies = &spectra.frequencies;

@@ -1,4 +1,4 @@
-//! The paper's claims: their trials and their figure.
+//! Trials and figure of the paper's claims.
 
 use serde_json::Value;
 
@@ -9,7 +9,7 @@ use crate::analysis::setting::odd;
 use crate::analysis::{Body, Cluster, Set, Trial};
 use crate::look::{Axis, Figure, Plot, Scale, Table, legend, number, row};
 
-/// A row a trial: the settings in which they differ, and all numbers that the claims go by.
+/// One row per trial: the settings in which trials differ, and all numbers that the claims use.
 pub fn trials_table(trials: &[Trial]) -> Table {
     let odd: Vec<&str> = odd(trials.iter().map(|trial| &trial.setting)).into_iter().collect();
     let sets: Vec<Set> = Set::of(&trials.iter().collect::<Vec<_>>()).collect();
@@ -34,7 +34,7 @@ pub fn trials_table(trials: &[Trial]) -> Table {
     Table::new(&columns.join(" "), rows)
 }
 
-/// The class of a rating's marks.
+/// Class of the marks of a rating.
 fn class(rating: Rating) -> &'static str {
     match rating {
         Rating::Holds | Rating::Compatible => "fifth",
@@ -47,7 +47,7 @@ fn class(rating: Rating) -> &'static str {
 /// Height of a row (px).
 const ROW: f64 = 16.0;
 
-/// Every ratio of the holdout with its interval, a row each, beside the paper's; `None` where there is none.
+/// Held-out ratios with intervals, one row each, beside the paper's numbers; `None` without ratios.
 pub fn figure(found: &[Vec<Evidence>]) -> Option<Figure> {
     let others = [Set::Test.name(), Set::Median.name(), Progress::Loss.name()];
     let of_holdout = |e: &&Evidence| e.found.is_some() && !others.contains(&e.set);

@@ -1,4 +1,4 @@
-//! The figures that the analysis alone can draw.
+//! Figures that need only the analysis.
 
 use super::words::{interval, left_out};
 use crate::analysis::data::{
@@ -14,32 +14,32 @@ use crate::analysis::trial::CurvePoint;
 use crate::analysis::{Body, Height, Interval, Question, Set, Terms, Trial, Verdict, elbow, paired};
 use crate::look::{Axis, Figure, Plot, Scale, Table, legend, number, row};
 
-/// The usual legend.
+/// Legend of both bodies.
 pub const BODIES: [(&str, &str); 2] = [("initial", "initial body"), ("optimised", "trained body")];
 
-/// Dots of a way of training each; further ones share one.
+/// Classes of dots, one per way of training; further ways share one class.
 const DOTS: [&str; 5] = ["dot optimised", "dot front", "dot fourth", "dot fifth", "dot truth"];
 
-/// At most so many trials of a setting have a line of their own; the data hold these.
+/// Maximum number of trials per setting with a line of their own; the data contain only these.
 const MOST_LINES: usize = 200;
 
-/// At most so many plots of a kind; the data hold all.
+/// Maximum number of plots of a kind; the data contain all.
 const MOST_PLOTS: usize = 6;
 
-/// A place on an axis, and an error (%).
+/// Position on an axis, and an error (%).
 type Point = (f64, f64);
 
 fn errors(values: impl IntoIterator<Item = f64>) -> Axis {
     Axis::new("held-out error (%)", Scale::Log, values)
 }
 
-/// M, with a tick at each that there is.
+/// Axis of M with a tick at each value that occurs.
 fn sensors_axis(trials: &[&Trial]) -> Axis {
     let values: Vec<f64> = distinct(trials.iter().map(|t| t.sensors)).into_iter().map(|m| m as f64).collect();
     Axis::new("sensors M", Scale::Linear, values.iter().copied().chain([0.7])).with_ticks(values)
 }
 
-/// Error of the optimised against that of the initial body, a dot a trial.
+/// Error of the trained body against that of the initial body, one dot per trial.
 pub fn pairs(trials: &[Trial]) -> Option<Figure> {
     let pair =
         |t| Some((t, Trial::error(t, Body::Initial, Set::Holdout)?, t.error(Body::Optimised, Set::Holdout)?));
@@ -97,7 +97,7 @@ pub fn pairs(trials: &[Trial]) -> Option<Figure> {
     ))
 }
 
-/// Error against M, placements shaded, elbow marked.
+/// Error against M; the range over placements is shaded, the elbow marked.
 pub fn sensors(trials: &[Trial], terms: Terms) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let drawn: Vec<Group> = groups(&refs, SENSORS).into_iter().filter(|g| g.varies(|t| t.sensors)).collect();
@@ -144,7 +144,7 @@ pub fn sensors(trials: &[Trial], terms: Terms) -> Option<Figure> {
     )
 }
 
-/// Error against M with sensors at random and placed, on both bodies.
+/// Error against M with random and with placed sensors, on both bodies.
 pub fn placed_sensors(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let mut pictures = Vec::new();
@@ -178,7 +178,7 @@ pub fn placed_sensors(trials: &[Trial]) -> Option<Figure> {
     )
 }
 
-/// Errors of random bodies beside those of the initial and the optimised one.
+/// Errors of random bodies, and of the initial and the trained body.
 pub fn random_bodies(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let picture = |group: Group| {
@@ -193,7 +193,7 @@ pub fn random_bodies(trials: &[Trial]) -> Option<Figure> {
         let x = Axis::new("bodies", Scale::Linear, [0.5, 3.5]).with_names(names.collect());
         let mut plot = Plot::new(&group.label, x, errors(columns.iter().flat_map(|c| c.2.iter().copied())));
         for ((class, name, errors), at) in columns.iter().zip(1..) {
-            // side by side, so that equal errors do not hide one another
+            // side by side, so that equal errors do not hide each other
             let aside = |i: usize| 0.5 * ((i as f64 + 0.5) / errors.len() as f64 - 0.5);
             let dot = |(i, error): (usize, &f64)| {
                 ((f64::from(at) + aside(i), *error), format!("{name} body: {} %", number(*error)))
@@ -214,7 +214,7 @@ pub fn random_bodies(trials: &[Trial]) -> Option<Figure> {
     )
 }
 
-/// Training loss and holdout error against iterations: median over trials and networks, middle half shaded.
+/// Training loss and held-out error against iterations: median over trials and networks, middle half shaded.
 pub fn losses(trials: &[Trial]) -> Option<Figure> {
     let drawn = |t: &&Trial| !t.starts_random() && t.curves.iter().all(|c| !c.is_empty());
     let refs: Vec<&Trial> = trials.iter().filter(drawn).collect();
@@ -274,7 +274,7 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
     ))
 }
 
-/// (iteration, lower quartile, median, upper quartile) at some hundred iterations that all curves have, evenly spaced in
+/// (iteration, lower quartile, median, upper quartile) at about a hundred iterations that all curves contain, evenly spaced in
 /// their logarithm.
 fn middle(curves: Vec<&Vec<CurvePoint>>) -> Vec<(f64, f64, f64, f64)> {
     let Some(shortest) = curves.iter().min_by_key(|c| c.len()) else { return Vec::new() };
@@ -296,7 +296,7 @@ fn middle(curves: Vec<&Vec<CurvePoint>>) -> Vec<(f64, f64, f64, f64)> {
         .collect()
 }
 
-/// Error against design parameters, with the law where it is one.
+/// Error against design parameters, with the law if it is identified.
 pub fn complexity(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let mut pictures = Vec::new();
@@ -355,7 +355,7 @@ pub fn complexity(trials: &[Trial]) -> Option<Figure> {
     )
 }
 
-/// Each verdict with whom it is about; once, where it is the same for all.
+/// Each law with its curve; only once if all laws are equal.
 fn told(laws: &[(String, String)]) -> String {
     match laws {
         [first, rest @ ..] if !rest.is_empty() && rest.iter().all(|l| l.1 == first.1) => {
@@ -384,7 +384,7 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
         }
         let x = Axis::new("CPU seconds of the outer loop", Scale::Log, points.iter().map(|p| p.0));
         let y = Axis::new("best test error so far (%)", Scale::Log, points.iter().map(|p| p.1));
-        // the brain that reads the body in the end means nothing to the loop of a body trained with another one
+        // for a body trained with another decoder, the decoder of the evaluation has no effect on the loop
         let apart = group.trials.iter().all(|t| t.setting.contains_key("optimise.brain"));
         let readers: &[&str] = if apart { &["brain."] } else { &[] };
         let ways = groups(&group.trials, &[SENSORS, COMPLEXITY, readers].concat());
@@ -407,7 +407,7 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
         }
         let front: Vec<Point> = pareto(&points).into_iter().map(|i| points[i]).collect();
         plot.line("front", steps(&front));
-        // over all lines
+        // above all lines
         for (end, text) in notes.iter().filter(|_| ways.len() > 1) {
             plot.note(*end, text);
         }
@@ -425,7 +425,7 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
     Figure::some("run_time", "How much time did the error take?", caption, legend(&key), pictures, data)
 }
 
-/// A history as a staircase.
+/// A history as a step function.
 fn steps(history: &[Point]) -> Vec<Point> {
     let mut stairs = Vec::new();
     let mut last: Option<f64> = None;

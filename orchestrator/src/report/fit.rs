@@ -1,4 +1,4 @@
-//! The figures of an identification: records with the fit, and how the fit went.
+//! Figures of an identification: records with fitted signals, and convergence.
 
 use maud::html;
 use metasense_schemas::spec::{Channel, TrialSpec};
@@ -6,13 +6,13 @@ use metasense_worker::identify::Fit;
 
 use crate::look::{Axis, Figure, Plot, Scale, Table, number, page, row};
 
-/// The figures about a fit to `signals` (N, T, channels).
+/// Figures of a fit to `signals` (N, T, channels).
 pub fn figures(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Vec<Figure> {
     let followed = (!fit.signals[1].is_empty()).then(|| records(trial, signals, fit));
     followed.into_iter().chain([course(fit)]).collect()
 }
 
-/// The page: what was found, then the figures.
+/// The page: estimates, notes, figures.
 pub fn html(title: &str, found: &Table, notes: &[String], figures: &[Figure]) -> String {
     let content = html! {
         (found.html(None))
@@ -22,7 +22,7 @@ pub fn html(title: &str, found: &Table, notes: &[String], figures: &[Figure]) ->
     page(title, "Which material explains these records?", content)
 }
 
-/// The records of least, middle and most misfit: acceleration and rotation rate of the sensor that moves most.
+/// Records of least, median and greatest misfit: the acceleration and the rotation rate that move most.
 fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
     let (instants, width, read) = (trial.time.samples, trial.signals(), trial.sensors.read());
     let len = instants * width;
@@ -60,7 +60,7 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
             let (scale, units) = if is_rate(c) { (1.0, "rad/s") } else { (1e-3, "m/s²") };
             let label = format!("{name} of unit {unit} ({units})");
             let time = |n: usize| (n + 1) as f64 * dt;
-            // A start far off is cut at the frame rather than setting its scale.
+            // Curves of a bad start are cut at the frame, so that they do not set its scale.
             let reach = measured.iter().chain(&fitted).fold(0.0f64, |m, y| m.max(y.abs()));
             let reach = 1.15 * scale * reach;
             let mut plot = Plot::new(
@@ -76,7 +76,7 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
             plot.line("initial fine", points(&started));
             plot.line("optimised", points(&fitted));
             plot.line("front fine", points(&rest));
-            // A thin line on top of a wide one: where they agree, both are seen.
+            // Thin on wide: both lines are visible where they agree.
             plot.line("truth", points(&measured));
             pictures.push(plot.picture());
             for n in 0..instants {

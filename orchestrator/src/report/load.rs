@@ -1,4 +1,4 @@
-//! Finished trials out of a database, as the analysis takes them.
+//! Loads finished trials from a database for the analysis.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -18,7 +18,7 @@ use crate::provenance;
 use crate::store::{Reader, Row, StoreError, check, npy_values};
 use metasense_schemas::reason::CANCELLED;
 
-/// Parts of an outer step's time, as the columns of `v_step` and in words.
+/// Parts of the time of an outer step: columns of `v_step` and words.
 pub(crate) const PARTS: [(&str, &str); 6] = [
     ("seconds_simulate", "simulate"),
     ("seconds_train", "train"),
@@ -28,7 +28,7 @@ pub(crate) const PARTS: [(&str, &str); 6] = [
     ("seconds_store", "store"),
 ];
 
-/// Iterations at which curves are kept, so that those of many trials fit into memory: some fifty a decade.
+/// Thins a curve to about fifty points per decade, so that curves of many trials fit into memory.
 fn thinned(curve: &[CurvePoint]) -> Vec<CurvePoint> {
     let mut next = 0.0;
     let mut kept: Vec<CurvePoint> = Vec::new();
@@ -44,12 +44,11 @@ fn thinned(curve: &[CurvePoint]) -> Vec<CurvePoint> {
     kept
 }
 
-/// Reads every trial that is done, in the order in which the trials were planned. Those that judge a search's designs on fresh seeds
-/// train no body, and are left out. Rows are taken as they come; what a trial keeps of its steps and curves is what the analysis asks
-/// of them.
+/// Reads all finished trials, ordered by setting. Omits trials that judge a search's designs on fresh seeds, because they train no
+/// body. Rows are processed as they arrive; trials keep only the steps and points that the analysis needs.
 ///
 /// # Errors
-/// Where the database cannot be read, or holds what this program cannot.
+/// If the database cannot be read, or contains data that this program cannot read.
 pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreError> {
     let (mut trials, mut places) = (Vec::new(), HashMap::new());
     let mut settings = Settings::default();
@@ -118,7 +117,7 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
     Ok(trials)
 }
 
-/// Curves of a trial's initial body, by network, until those of its optimised body come.
+/// Curves of a trial's initial body by network, kept until those of its trained body arrive.
 #[derive(Default)]
 struct Waiting {
     of: String,
@@ -126,7 +125,7 @@ struct Waiting {
 }
 
 impl Waiting {
-    /// Takes a curve; the ratio of iterations once both bodies' curves of a network are there.
+    /// Stores a curve of the initial body; for the trained body, returns the ratio of iterations.
     fn ratio(&mut self, hash: &str, body: Body, network: usize, curve: Vec<CurvePoint>) -> Option<f64> {
         if self.of != hash {
             *self = Self { of: hash.to_owned(), curves: HashMap::new() };
@@ -141,7 +140,7 @@ impl Waiting {
     }
 }
 
-/// Adds to trials that are there, by their numbers in the database.
+/// Adds data to loaded trials, by their ids in the database.
 struct Loader<'a> {
     reader: &'a mut Reader,
     trials: &'a mut [Trial],
@@ -163,8 +162,8 @@ impl Loader<'_> {
             .await
     }
 
-    /// The steps that improve the best error, and the last step, against the CPU time of training the body. Steps that another trial computed
-    /// count, as if each trial had trained its body itself.
+    /// The steps that improve the best error, and the last step, against the CPU time of training the body. Includes steps that
+    /// another trial computed, as if each trial had trained its body itself.
     async fn histories(&mut self) -> Result<(), StoreError> {
         let [sum, in_order] =
             [PARTS.map(|(column, _)| column).join(" + "), "PARTITION BY trial_id ORDER BY step".to_owned()];
@@ -185,7 +184,7 @@ impl Loader<'_> {
         .await
     }
 
-    /// The CPU time that each trial has cost, in total and by part. Steps that another trial computed (attempt 0) do not count.
+    /// The CPU time of each trial, in total and by part, without steps that another trial computed (attempt 0).
     async fn seconds(&mut self) -> Result<(), StoreError> {
         let sums = PARTS.map(|(column, _)| format!("sum({column}) AS {column}")).join(", ");
         let steps = format!("SELECT trial_id, {sums} FROM step WHERE attempt > 0 GROUP BY trial_id");
@@ -195,7 +194,7 @@ impl Loader<'_> {
             Ok(())
         })
         .await?;
-        // trials that took over all steps get the parts too, as zeros
+        // trials whose steps all come from another trial get the parts as zeros
         if self.trials.iter().any(|trial| trial.seconds.len() > 1) {
             for trial in self.trials.iter_mut().filter(|trial| trial.has_steps() && trial.seconds.len() == 1)
             {
@@ -213,7 +212,7 @@ impl Loader<'_> {
         .await
     }
 
-    /// Training losses, from the whole curves where they are kept; `compared`: bodies' networks of one seed with each other.
+    /// Training losses, thinned from the stored curves. If `compared`, adds the ratios of iterations between bodies.
     async fn losses(
         &mut self,
         prefix: &str,
@@ -253,7 +252,7 @@ impl Loader<'_> {
         .await
     }
 
-    /// Errors on the way of ordinary training: a row a network, as one a point takes far longer.
+    /// Held-out errors during ordinary training. One row per network, because one per point takes far longer.
     async fn error_curves(&mut self) -> Result<(), StoreError> {
         let sql = "SELECT trial_id, body, network, group_concat(iteration || ' ' || printf('%!.17g', error_holdout), ' ') AS points
              FROM curve WHERE error_holdout IS NOT NULL GROUP BY trial_id, body, network";
@@ -281,7 +280,7 @@ impl Loader<'_> {
         .await
     }
 
-    /// Means over the networks that were trained long: those after the evaluation's ordinary ones.
+    /// Mean errors of the networks of long training, which follow the ordinary ones.
     async fn long_errors(&mut self) -> Result<(), StoreError> {
         let sql = "SELECT n.trial_id, n.body, avg(n.error_test) AS test, avg(n.error_holdout) AS holdout, avg(n.median) AS median
              FROM network n JOIN trial t ON t.id = n.trial_id
@@ -318,7 +317,7 @@ impl Loader<'_> {
         .await
     }
 
-    /// Quantiles over casts, by weights of the two order statistics about each.
+    /// Quantiles over casts, interpolated between the two nearest order statistics.
     async fn casts(&mut self) -> Result<(), StoreError> {
         let quantile = |q: f64| format!("sum(error * max(0, 1 - abs({q:?} * (count - 1) - place)))");
         let of = "PARTITION BY trial_id, body, reader, records";
@@ -369,10 +368,10 @@ fn of_network(curves: &mut Vec<Vec<CurvePoint>>, network: usize) -> &mut Vec<Cur
     &mut curves[network]
 }
 
-/// Reads all that a report tells; `trial` names the one to be replayed (the beginning of its hash is enough).
+/// Reads all data of a report. `trial` is the trial to replay, by its hash or the beginning of it.
 ///
 /// # Errors
-/// Where the database cannot be read, or does not hold the trial whole.
+/// If the database cannot be read, or lacks data of the trial.
 pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Result<Story, StoreError> {
     let trials = finished_trials(reader).await?;
     let sweeps = sweeps(reader).await?;
@@ -392,7 +391,7 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
 /// The verdicts of a report in words, without the report.
 ///
 /// # Errors
-/// Where the database cannot be read.
+/// If the database cannot be read.
 pub async fn verdicts(
     reader: &mut Reader,
     trials: &[Trial],
@@ -421,17 +420,17 @@ async fn sweeps(reader: &mut Reader) -> Result<Vec<Sweep>, StoreError> {
     Ok(sweeps)
 }
 
-/// What of a trial the page shows.
+/// Columns of trials on the page.
 const SHOWN: &str = "hash, state, reason, panels, sensors, placement, seed, units, design_parameters, brain, trained_with,
   spec->>'$.optimise.objective' AS objective, protocol,
   error_initial AS test_error_initial, error_optimised AS test_error_optimised, holdout_error_initial, holdout_error_optimised,
   holdout_median_initial, holdout_median_optimised, holdout_above_initial, holdout_above_optimised,
   steps, attempts, seconds, simd";
-/// What its file has besides, so that nothing else is needed to know a row.
+/// Further columns in the file of trials, so that a row is understood without other files.
 const BESIDES: &str = "linear_holdout_error_initial, linear_holdout_error_optimised, holdout_p90_initial, holdout_p90_optimised,
   holdout_rms_initial, holdout_rms_optimised";
 
-/// All trials; their file has a column for each of the `odd` paths, too.
+/// All trials; their file also has a column per path in `odd`.
 async fn states(reader: &mut Reader, odd: &BTreeSet<&str>) -> Result<States, StoreError> {
     let odd: String = odd.iter().map(|path| format!(", spec->>'$.{path}' AS \"{path}\"")).collect();
     let sql = format!(
@@ -462,8 +461,8 @@ async fn states(reader: &mut Reader, odd: &BTreeSet<&str>) -> Result<States, Sto
     Ok(States { csv: data.text(), ..states })
 }
 
-/// The trial whose ratio of holdout errors is nearest to the mean of all, or whose error is, where none has compared its initial
-/// body; none that starts from a random body.
+/// The trial whose ratio of held-out errors is nearest to the mean; if no initial body was evaluated, whose held-out error is.
+/// Never a trial that starts from a random body.
 fn typical(trials: &[Trial]) -> Option<&Trial> {
     let of = |first: f64, t: &Trial| Some(first.ln() - t.error(Body::Optimised, Set::Holdout)?.ln());
     let all = |measure: &dyn Fn(&Trial) -> Option<f64>| -> Vec<(f64, &Trial)> {

@@ -1,4 +1,4 @@
-//! From a database to one HTML file to look at: no network, no scripts but the animation's, both themes, phone and print.
+//! Writes the results of a database into one HTML file: no network, no scripts but the animation's, both themes, phone and print.
 
 pub mod answers;
 pub mod body;
@@ -26,52 +26,52 @@ use crate::look::wave::SCRIPT;
 use crate::look::{Answer, Figure, Table, answers as listed, contents, download, more, page};
 use crate::store::{Made, Stored};
 
-/// Everything that a report tells.
+/// All data of a report.
 #[derive(Debug)]
 pub struct Story {
     /// The sweeps, with their specs.
     pub sweeps: Vec<Sweep>,
-    /// How far all trials are.
+    /// State of all trials.
     pub states: States,
-    /// Those that are done.
+    /// Finished trials.
     pub trials: Vec<Trial>,
-    /// By what code.
+    /// The code that computed them.
     pub made: Vec<Made>,
-    /// What is to be said beside their numbers.
+    /// Caveats about the numbers.
     pub caveats: Vec<String>,
-    /// The one that is replayed, where one is stored whole.
+    /// The replayed trial, if one is stored whole.
     pub stored: Option<Stored>,
-    /// What a decision on M weighs.
+    /// Terms of the decision on M.
     pub terms: Terms,
-    /// Searches for a design, or why one cannot be followed.
+    /// Searches for a design, or why one cannot be evaluated.
     pub searches: Vec<Result<search::Sought, String>>,
 }
 
-/// How far trials are: many, of which few are shown.
+/// Numbers of trials, and the rows that are shown.
 #[derive(Debug, Clone, Default)]
 pub struct States {
-    /// How many there are.
+    /// Number of trials.
     pub all: usize,
-    /// Those that are done.
+    /// Number of finished trials.
     pub done: usize,
-    /// Those that have failed, without those that were given up.
+    /// Number of failed trials without cancelled ones.
     pub failed: usize,
-    /// As many as a page shows.
+    /// The rows that a page shows.
     pub first: Table,
-    /// All of them, as CSV.
+    /// All rows as CSV.
     pub csv: String,
 }
 
-/// A sweep as the database knows it.
+/// A sweep in the database.
 #[derive(Debug, Clone)]
 pub struct Sweep {
     /// Its name.
     pub name: String,
-    /// The spec file as it was written.
+    /// Text of the spec file.
     pub text: String,
-    /// Version of the program that began it.
+    /// Version of the program that started it.
     pub version: String,
-    /// When.
+    /// Time of its start.
     pub created_at: String,
     /// Whether it has a `[goal]`.
     pub searched: bool,
@@ -110,7 +110,7 @@ pub fn figures(story: &Story, threads: usize) -> (Vec<Figure>, Option<String>) {
     (drawn, missing)
 }
 
-/// What an error is, at the head of the page.
+/// Definition of an error, at the top of the page.
 const RATIO_OF_ENERGIES: &str = "An error is a ratio of energies, 100·Σ(f − f̂)²/Σf² per sample, averaged over samples: an error of \
     5.7 % is an RMS error of 24 %. A median is over the same samples and is robust against a few large errors.";
 
@@ -124,7 +124,7 @@ pub fn html(story: Story, figures: &[Figure], missing: Option<&str>) -> String {
     said.extend(answers::answers(&story.trials, story.terms));
     let drawn = |answer: &&Answer| figures.iter().any(|figure| figure.name == answer.figure);
     let first = said.iter().filter(|answer| !drawn(answer));
-    // the data of the figures answer the other questions
+    // the data of figures answer these questions
     let drawn_alone = [Question::Sensors, Question::Sizes, Question::Front];
     let told = Question::all().iter().filter(|q| !drawn_alone.contains(q) && q.was_put(&story.trials));
     let tables = told.map(|q| (q, q.answer(&story.trials, story.terms)));
@@ -152,12 +152,12 @@ pub fn html(story: Story, figures: &[Figure], missing: Option<&str>) -> String {
         @if figures.iter().any(|figure| figure.moving.is_some()) { script { (PreEscaped(SCRIPT)) } }
     };
     let question = "Does training the body reduce the error, how many sensors are enough, and how much time did it take?";
-    // Of many trials, what they were is larger than the page.
+    // With many trials, their data is larger than the page.
     drop(story);
     page(&title, question, content)
 }
 
-/// How far the trials are, and whether one code made them.
+/// Numbers of trials, and caveats about their code.
 fn state(story: &Story) -> Vec<Answer> {
     let States { all, done, failed, .. } = story.states;
     let why = if failed > 0 { " (reasons in the table of trials)" } else { "" };

@@ -1,4 +1,4 @@
-//! Modes as pictures: units displaced as far as a mode takes them, which a page lets swing; responses as curves.
+//! Pictures of modes, which a page can animate, and curves of responses.
 
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::modes::{Mode, Response, slowest};
@@ -12,13 +12,13 @@ use crate::look::body::{Frame, Sketch, frame};
 use crate::look::{Axis, Figure, Legend, Picture, Plot, SERIES, Scale, Table, legend, number, row, wave};
 use crate::store::Stored;
 
-/// Modes of each body in a report.
+/// Number of modes per body in a report.
 const SHOWN: usize = 4;
-/// What the pictures' marks are.
+/// Legend of the pictures.
 const LEGEND: [(&str, &str); 3] =
     [("speed", "motion of a unit"), ("arrow", "input panel"), ("dot sensor", "sensor")];
 
-/// Number, frequency and damping in words.
+/// Number, frequency and damping ratio of a mode.
 pub fn title(n: usize, mode: &Mode) -> String {
     format!(
         "{}: {}\u{a0}Hz, {}\u{a0}%",
@@ -28,18 +28,18 @@ pub fn title(n: usize, mode: &Mode) -> String {
     )
 }
 
-/// A row a mode.
+/// The row of a mode.
 pub fn row(n: usize, mode: &Mode) -> Vec<Value> {
     row![n + 1, mode.frequency(), mode.damping_ratio(), mode.s.im / std::f64::consts::TAU, mode.decay_time()]
 }
 
-/// Its columns: |s|/2π (Hz), −Re s/|s|, Im s/2π (Hz) and −1/Re s (s), empty where nothing damps the mode.
+/// Columns of [`row()`]: |s|/2π (Hz), −Re s/|s|, Im s/2π (Hz) and −1/Re s (s), empty without damping.
 pub const COLUMNS: &str = "mode frequency damping_ratio ringing_frequency decay_time";
 
 /// The slowest modes of a trial's two bodies.
 ///
 /// # Errors
-/// If nothing holds them.
+/// If the modes of a body cannot be computed.
 pub fn figure(stored: &Stored, drawings: &[Sketch; 2], who: &str) -> Result<Figure, Failure> {
     let frame = frame(drawings);
     let (mut pictures, mut rows) = (Vec::new(), Vec::new());
@@ -72,10 +72,10 @@ fn swinging(sketch: &Sketch, frame: Frame, mode: &Mode, title: &str) -> Picture 
     wave::mode(sketch, frame, &shape, &travel, title)
 }
 
-/// Modes of one body, and what their marks are.
+/// Pictures of modes of one body, with their legend.
 ///
 /// # Errors
-/// If the spec stands for no trial.
+/// If the spec is invalid.
 pub fn shapes(trial: &TrialSpec, design: &[f64], modes: &[Mode]) -> Result<(Vec<Picture>, Legend), Failure> {
     let sketch = sketch(&drawing(trial, design)?, &[]);
     let frame = frame([&sketch]);
@@ -83,7 +83,7 @@ pub fn shapes(trial: &TrialSpec, design: &[f64], modes: &[Mode]) -> Result<(Vec<
     Ok((modes.iter().enumerate().map(shape).collect(), legend(&LEGEND)))
 }
 
-/// Responses of a unit at these frequencies (Hz), as curves by panel.
+/// Curves of a unit's responses at these frequencies (Hz), one per panel, with their legend.
 pub fn responses(unit: usize, frequencies: &[f64], found: &[Vec<Response>]) -> (Vec<Picture>, Legend) {
     let panels = found.first().map_or(0, Vec::len);
     let class = |k: usize| SERIES.get(k).copied().unwrap_or("thin");

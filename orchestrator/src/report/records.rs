@@ -1,4 +1,4 @@
-//! Bodies judged by measured records: the table in words, figures, and a page of them.
+//! Comparison of bodies on records: sentences, table, figures and page.
 
 use maud::html;
 use metasense_schemas::spec::{Channel, TrialSpec};
@@ -13,37 +13,37 @@ use crate::analysis::records::{Agreement, By, Judged, Said, mean_ratio, table};
 use crate::analysis::trial::CurvePoint;
 use crate::look::{Answer, Axis, Figure, Legend, Plot, Scale, Table, answers, legend, number, page, row};
 
-/// A body's records, and what brains predict from them.
+/// A body's records, and the predictions of decoders from them.
 #[derive(Debug, Clone)]
 pub struct Body {
     /// Its name.
     pub name: String,
-    /// Whose the records are: measured, or the trial's holdout.
+    /// Origin of the records: measured, or the trial's held-out set.
     pub by: By,
-    /// Their signals (N, T, 3M) (mm/s², rad/s).
+    /// Signals of the records (N, T, 3M) (mm/s², rad/s).
     pub signals: Vec<f64>,
-    /// By them.
+    /// Evaluation of these signals.
     pub measured: Evaluated,
-    /// Where the design is known: the model's signals, and what brains predict from those.
+    /// If the design is known: the model's signals and their evaluation.
     pub simulated: Option<(Vec<f64>, Evaluated)>,
-    /// Where there is a twin of it: its signals, and what networks trained on it, or its inverse brain, predict from the records'.
+    /// If there is a twin: its signals, and the evaluation of the records by networks trained on it or by its inverse decoder.
     pub twin: Option<(Vec<f64>, Evaluated)>,
 }
 
-/// All bodies under the same clock, panels and sensors.
+/// Bodies with the same clock, panels and sensors.
 #[derive(Debug, Clone)]
 pub struct Comparison {
-    /// The first is what others are compared with.
+    /// The bodies; ratios are relative to the first.
     pub bodies: Vec<Body>,
-    /// Whether all were struck by the same blows.
+    /// Whether all were recorded under the same forces.
     pub paired: bool,
-    /// K, T, channels.
+    /// K, T, number of channels.
     pub shape: [usize; 3],
-    /// Their names.
+    /// Names of the channels.
     pub channels: Vec<String>,
     /// Length of a record (s).
     pub duration: f64,
-    /// An entry a body and kind of signals: those of measured signals first.
+    /// One entry per body and kind of signals, those of measured signals first.
     pub judged: Vec<Judged>,
 }
 
@@ -51,7 +51,7 @@ fn class(body: usize) -> &'static str {
     CLASSES[body.min(CLASSES.len() - 1)]
 }
 
-/// A body's errors by networks that have not seen the records.
+/// A body's errors with networks that were not trained on the records.
 fn judged(body: &str, by: By, evaluated: &Evaluated, agreement: Option<Agreement>) -> Judged {
     let Evaluated { folds, errors: by_seed, errors_train, progress, targets, posterior, .. } = evaluated;
     let of_record = |i: usize| -> Option<f64> {
@@ -91,7 +91,7 @@ fn judged(body: &str, by: By, evaluated: &Evaluated, agreement: Option<Agreement
 }
 
 impl Comparison {
-    /// Judges each body by its measured signals, and by its model's where it has one.
+    /// Evaluates each body by its signals, and by those of its model and twin.
     pub fn new(bodies: Vec<Body>, paired: bool, trial: &TrialSpec) -> Self {
         let (instants, channels) = (trial.time.samples, trial.signals());
         let shape = [trial.panel_units.len(), instants, channels];
@@ -119,7 +119,7 @@ impl Comparison {
         self.judged.iter().find(|j| j.body == body.name && j.by == by)
     }
 
-    /// The table in words.
+    /// Sentences about the comparison.
     pub fn answers(&self) -> Vec<Answer> {
         let mut said = Vec::new();
         for (body, judged) in self.bodies.iter().zip(&self.judged) {
@@ -178,7 +178,7 @@ impl Comparison {
         said
     }
 
-    /// Error of every record: a row a body and record.
+    /// Errors of every record; one row per body and record.
     pub fn records(&self) -> Table {
         let columns = "body record fold error error_simulated";
         let mut rows = Vec::new();
@@ -192,7 +192,7 @@ impl Comparison {
         Table::new(columns, rows)
     }
 
-    /// Forces, errors, networks' progress, signals beside the model's.
+    /// Figures of forces, errors, progress of networks, and signals.
     pub fn figures(&self) -> Vec<Figure> {
         let mut figures = vec![self.forces(), self.errors()];
         figures.extend(self.progress().into_iter().chain(self.signals()));
@@ -214,7 +214,7 @@ impl Comparison {
         page("metasense: bodies compared on records", question, content)
     }
 
-    /// Whether the inverse brain reads.
+    /// Whether the decoder is the inverse decoder.
     fn inverse(&self) -> bool {
         self.bodies.iter().any(|body| body.measured.posterior.is_some())
     }
@@ -223,7 +223,7 @@ impl Comparison {
         self.bodies.iter().enumerate().map(|(b, body)| (class(b), body.name.clone())).collect()
     }
 
-    /// Four records: of all bodies together where they met the same blows, else four of each.
+    /// Forces of four records: of all bodies together under the same forces, else four of each body.
     fn forces(&self) -> Figure {
         let (panels, judged) = (self.shape[0], &self.judged);
         let mut rows = Vec::new();
@@ -298,7 +298,7 @@ impl Comparison {
     fn errors(&self) -> Figure {
         let judged = &self.judged;
         let known = |b: usize| judged[b].errors.iter().enumerate().filter_map(|(i, e)| Some((i, (*e)?)));
-        // joined, only what all bodies have
+        // if joined, only records with an error on all bodies
         let whole = |i: usize| (0..self.bodies.len()).all(|b| !self.paired || judged[b].errors[i].is_some());
         let bodies: Vec<Errors> = (0..self.bodies.len())
             .map(|b| Errors {
@@ -341,7 +341,7 @@ impl Comparison {
         }
         let row = |judged: &Judged, p: &(u32, f64)| row![judged.body, judged.by.name(), p.0, p.1];
         let rows = judged.iter().flat_map(|judged| judged.progress.iter().map(move |p| row(judged, p)));
-        // a linear brain is solved for at once
+        // a linear decoder has no iterations
         points().next()?;
         Some(Figure::new(
             "progress",
@@ -353,7 +353,7 @@ impl Comparison {
         ))
     }
 
-    /// One record of each body whose design is known, beside the model's signals.
+    /// One record of each body whose design is known, with the model's signals.
     fn signals(&self) -> Option<Figure> {
         let (judged, channels, names) = (&self.judged, self.shape[2], &self.channels);
         let (mut pictures, mut rows) = (Vec::new(), Vec::new());

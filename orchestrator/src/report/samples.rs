@@ -1,4 +1,4 @@
-//! The figures that need a trial's signals, predictions and motion: one representative trial, replayed.
+//! Figures that need a trial's signals, predictions and motion. They replay one representative trial.
 
 use metasense_worker::design::overlaps;
 use metasense_worker::replay::{Motion, Replay, drawing, motion, replay};
@@ -15,7 +15,7 @@ use crate::look::wave::{self, animation, snapshot};
 use crate::look::{Figure, Table, legend, number, row, short_hash};
 use crate::store::Stored;
 
-/// Test samples that an inverse brain reads again: each takes as long as some hundred simulations.
+/// Number of test samples for which an inverse decoder is run again; each takes as long as about a hundred simulations.
 const INVERSE: usize = 16;
 
 /// A trial that has been simulated again.
@@ -26,13 +26,13 @@ pub struct Replayed {
     /// Instants (s) of signals and motion.
     clock: Vec<f64>,
     replays: [Replay; 2],
-    /// Its test samples.
+    /// Indices of the test samples.
     pub test: Vec<usize>,
     threads: usize,
 }
 
 impl Replayed {
-    /// Simulates it again.
+    /// Simulates a trial again.
     ///
     /// # Errors
     /// If the trial cannot be simulated.
@@ -46,12 +46,13 @@ impl Replayed {
         Ok(Self { stored: stored.clone(), bodies, clock: initial.clock, replays, test, threads })
     }
 
-    /// A sample's error (%) by the brain of either body.
+    /// Errors (%) of a sample with the decoders of both bodies.
     pub fn errors(&self, sample: usize) -> [Option<f64>; 2] {
         [0, 1].map(|b| self.replays[b].errors.get(sample).copied().flatten())
     }
 
-    /// Draws the bodies, a sample, every test sample, the wave; without a sample four of them, and the loudest one's wave.
+    /// Draws the bodies, a sample, all test samples and the wave. Without a sample: four samples, and the wave of the one with the
+    /// greatest impulse.
     ///
     /// # Errors
     /// If the wave cannot be simulated.
@@ -66,7 +67,7 @@ impl Replayed {
             figures.extend([self.forces(&chosen), self.every_sample()]);
         }
         figures.push(self.before_and_after());
-        // a body that floats has none
+        // none for a floating body
         figures.extend(modes::figure(stored, &self.bodies, &self.who()).ok());
         let shown = sample.unwrap_or_else(|| self.loudest());
         let moved = |b: usize| motion(&stored.specs[b], &stored.designs[b], shown, self.threads);
@@ -84,7 +85,7 @@ impl Replayed {
         )
     }
 
-    /// Predictions of a sample: T · K.
+    /// Number of predictions per sample: T · K.
     fn size(&self) -> usize {
         let spec = self.stored.spec();
         spec.time.samples * spec.panel_units.len()
@@ -211,7 +212,7 @@ impl Replayed {
         body::figure("bodies", "The body before and after", caption, &drawn)
     }
 
-    /// What the optimised body breaks where nothing limits it.
+    /// A sentence about overlaps of the trained body if designs are not limited.
     fn unlimited(&self) -> String {
         let spec = &self.stored.specs[Body::Optimised as usize];
         match metasense_worker::problem::layout(&spec.body) {
@@ -225,7 +226,7 @@ impl Replayed {
         }
     }
 
-    /// Snapshots of speed, and what the animation needs.
+    /// Snapshots and animation of the units' speeds.
     fn waves(&self, motions: &[Motion; 2], sample: usize) -> Figure {
         let speed = |b: usize, n: usize, u: usize| {
             let [vx, vy, _] = motions[b].velocities[n][u];
@@ -236,7 +237,7 @@ impl Replayed {
             (0..instants).flat_map(|n| (0..units).map(move |u| (n, u))).map(move |(n, u)| speed(b, n, u))
         };
         let most = all(0).chain(all(1)).fold(1e-9, f64::max);
-        // Snapshots follow the wave: where the initial body's mean speed has reached these parts of its integral.
+        // Snapshots follow the wave: at 1/8, 3/8, 5/8 and 7/8 of the integral of the initial body's mean speed.
         let mean: Vec<f64> = (0..instants).map(|n| (0..units).map(|u| speed(0, n, u)).sum()).collect();
         let whole: f64 = mean.iter().sum();
         let mut sum = 0.0;

@@ -1,4 +1,4 @@
-//! A search for a design as its database tells it: how far each candidate has come, how classes of equal cost stand, a figure.
+//! State of a search for a design, from its database: stages of candidates, classes of equal cost, a figure.
 
 use std::collections::HashMap;
 
@@ -14,20 +14,20 @@ use crate::plan::goal::{Place, Space, on_fresh_seeds, rungs};
 use crate::plan::{Plan, Trial, cost, counted};
 use crate::store::{Reader, Standing, StoreError};
 
-/// A search, as far as its database goes.
+/// The state of a search.
 #[derive(Debug)]
 pub struct Sought {
     plan: Plan,
     space: Space,
     decision: Decision,
     classes: Vec<Class>,
-    /// How many candidates have failed.
+    /// Number of failed candidates.
     failed: usize,
-    /// CPU seconds of the trials that were asked for, and what the whole sweep would take, by the pace of those that are done.
+    /// CPU seconds of the search's trials, and estimated CPU seconds of the whole sweep at the pace of finished trials.
     seconds: [f64; 2],
 }
 
-/// Marks by how far a class's best candidate has come, and what a legend says of them.
+/// Classes of marks by the stage of a class's best candidate, with legend texts.
 const STAGES: [(&str, &str); 4] = [
     ("initial", "predicted, not started"),
     ("fourth", "partly trained"),
@@ -35,7 +35,7 @@ const STAGES: [(&str, &str); 4] = [
     ("optimised", "evaluated on fresh seeds"),
 ];
 
-/// What the columns of the table mean, a line each.
+/// Legend of the table's columns, one line each.
 pub const COLUMNS: [&str; 6] = [
     "one row per class of candidates of equal cost, the cheapest first; hash, setting, stage and errors are those of its best candidate",
     "error: expected error on a further seed (%), from its fresh seeds or predicted from other trials",
@@ -47,10 +47,10 @@ pub const COLUMNS: [&str; 6] = [
 ];
 
 impl Sought {
-    /// Follows a search.
+    /// Reads the state of a search.
     ///
     /// # Errors
-    /// Where the database cannot be read.
+    /// If the database cannot be read.
     pub async fn of(reader: &mut Reader, plan: Plan, space: Space) -> Result<Self, StoreError> {
         let known = Known::of(reader, &space, &plan, &mut HashMap::new()).await?;
         let mut search = begun(&space);
@@ -60,7 +60,7 @@ impl Sought {
         Ok(Self { plan, space, decision, classes, failed, seconds: [known.seconds, whole] })
     }
 
-    /// The searches among sweeps, or why one cannot be followed: its spec names files that are not here, say.
+    /// The searches among sweeps, or why a search cannot be evaluated, such as missing files of its spec.
     pub(super) async fn all(reader: &mut Reader, sweeps: &[Sweep]) -> Vec<Result<Self, String>> {
         let mut found = Vec::new();
         for sweep in sweeps.iter().filter(|sweep| sweep.searched) {
@@ -78,7 +78,7 @@ impl Sought {
         &self.plan.trials[self.space.places[class.best].trial]
     }
 
-    /// The design, with the probability that it meets the requirement on a further seed.
+    /// The chosen design, with the probability that it meets the requirement on a further seed.
     pub fn chosen(&self) -> Option<(&Trial, f64)> {
         let chosen = self.decision.chosen?;
         let class = self.classes.iter().find(|class| class.best == chosen);
@@ -86,7 +86,7 @@ impl Sought {
         Some((self.trial(class), class.meets))
     }
 
-    /// Whether the design is read by one brain for all casts, which a device can have.
+    /// Whether the design has one decoder for all casts, and a device can run it.
     pub fn reads_all_casts(&self) -> bool {
         let on_a_device = |i: usize| self.space.places[i].demands.is_some();
         let reader = self.space.goal.reader.unwrap_or(GoalReader::Named(GoalReaderName::Casts));
@@ -103,7 +103,7 @@ impl Sought {
         format!("{} %{of}", number(goal.error))
     }
 
-    /// What came of it, a line each.
+    /// The outcome, one sentence per line.
     pub fn verdict(&self) -> Vec<String> {
         let Self { space, decision, seconds: [seconds, whole], .. } = self;
         let part = 100.0 * seconds / whole.max(f64::MIN_POSITIVE);
@@ -122,7 +122,7 @@ impl Sought {
         let is_over = decision.work.is_empty();
         if let Some((trial, meets)) = self.chosen() {
             let so_far = if is_over { "" } else { "so far, " };
-            // a lower limit is rounded down
+            // a lower bound is rounded down
             let least = (100.0 * meets + 1e-9).floor().min(99.0);
             lines.push(format!("{so_far}the cheapest design that meets {needed}: {}", trial.hash));
             lines.push(format!(
@@ -156,7 +156,7 @@ impl Sought {
         lines
     }
 
-    /// The same for a report.
+    /// The outcome as an answer of a report.
     fn answer(&self) -> Answer {
         let verdict = self.decision.work.is_empty().then_some(self.decision.chosen.is_some());
         let lines = self.verdict();
@@ -164,8 +164,7 @@ impl Sought {
         Answer::new("search", verdict, format!("{}: {}.", self.plan.spec.name, lines.join("; ")))
     }
 
-    /// A place for each class, the cheapest first: a dot at the error that is expected of its best candidate, a line up to the
-    /// one that it keeps to.
+    /// One position per class, the cheapest first: a dot at the expected error of its best candidate, a line up to its `keeps_to`.
     fn picture(&self) -> Picture {
         let (classes, limit) = (&self.classes, self.space.goal.error);
         let sensors = |class: &Class| self.trial(class).spec.point.sensors;
@@ -199,7 +198,7 @@ impl Sought {
         plot.picture()
     }
 
-    /// How far a class has come, in words.
+    /// The stage of a class in words.
     fn said(&self, stage: Stage) -> String {
         let seeds = confirming(&self.space.goal);
         match stage {
@@ -210,7 +209,7 @@ impl Sought {
         }
     }
 
-    /// How all classes of equal cost stand.
+    /// One row per class of candidates of equal cost.
     pub fn table(&self) -> Table {
         let Self { space, decision, .. } = self;
         let row_of = |class: &Class| {
@@ -239,14 +238,14 @@ impl Sought {
     }
 }
 
-/// The space of a sweep with a requirement.
+/// Plan and search space of a sweep with a requirement.
 fn planned(sweep: &Sweep) -> Result<(Plan, Space), SpecError> {
     let plan = Plan::new(format!("{}.toml", sweep.name), sweep.text.clone())?;
     let space = Space::new(&plan)?;
     Ok((plan, space))
 }
 
-/// In what a trial differs from others of the space.
+/// The keys in which a trial differs from others of the space, with values.
 fn setting(space: &Space, spec: &TrialSpec) -> String {
     let leaves = flatten(&serde_json::to_value(spec).expect("a trial is JSON"));
     let told = space.axes.iter().filter(|path| *path != "point.sensors");
@@ -254,7 +253,7 @@ fn setting(space: &Space, spec: &TrialSpec) -> String {
     told.collect::<Vec<_>>().join(", ")
 }
 
-/// How far a class has come, as a place in [`STAGES`].
+/// Index of a stage in [`STAGES`].
 fn place(stage: Stage) -> usize {
     match stage {
         Stage::Predicted => 0,
@@ -264,7 +263,7 @@ fn place(stage: Stage) -> usize {
     }
 }
 
-/// A picture for each search that can be followed.
+/// One picture per search that can be evaluated.
 pub(super) fn figure(searches: &[Result<Sought, String>]) -> Option<Figure> {
     let found: Vec<&Sought> = searches.iter().flatten().collect();
     let tables = || {
@@ -292,7 +291,7 @@ pub(super) fn figure(searches: &[Result<Sought, String>]) -> Option<Figure> {
     )
 }
 
-/// What came of each search.
+/// The outcome of each search.
 pub(super) fn answers(searches: &[Result<Sought, String>]) -> Vec<Answer> {
     let said = |search: &Result<Sought, String>| match search {
         Ok(found) => found.answer(),
@@ -301,25 +300,25 @@ pub(super) fn answers(searches: &[Result<Sought, String>]) -> Vec<Answer> {
     searches.iter().map(said).collect()
 }
 
-/// Bodies with their sensors, by the hash of the trial that has trained them.
+/// Trained bodies with their sensors, by hash of the trial.
 pub type Bodies = HashMap<String, (TrialSpec, Vec<f64>)>;
 
-/// What is stored of a space.
+/// Stored data of a search space.
 #[derive(Debug)]
 pub struct Known {
-    /// How far each candidate has come.
+    /// State of each candidate.
     pub candidates: Vec<Candidate>,
-    /// CPU seconds of the trials that were asked for.
+    /// CPU seconds of the search's trials.
     pub seconds: f64,
-    /// How many times the seconds that were estimated its finished trials have taken.
+    /// Actual over estimated seconds of finished trials.
     pace: f64,
 }
 
 impl Known {
-    /// Reads it; bodies that are trained are kept for the next time.
+    /// Reads the data; adds trained bodies to `bodies` for later calls.
     ///
     /// # Errors
-    /// Where the database cannot be read.
+    /// If the database cannot be read.
     pub async fn of(
         reader: &mut Reader,
         space: &Space,
@@ -335,7 +334,7 @@ impl Known {
                 candidate = known(space, place, trial, standing);
                 if candidate.reached.len() == LEVELS {
                     body(bodies, reader, &trial.hash).await?;
-                    // it may have been opened again since
+                    // absent if the trial has been reopened
                     if let Some(body) = bodies.get(&trial.hash) {
                         candidate.fresh = fresh(space, plan, place, body, &standings);
                     }
@@ -353,14 +352,14 @@ impl Known {
     }
 }
 
-/// The error that counts of what is stored of a trial (%).
+/// The error (%) of a stored trial to which the requirement applies.
 fn error(space: &Space, place: &Place, standing: &Standing) -> Option<f64> {
     let reader = place.reader.map(|by| (by.name().to_owned(), by.records().unwrap_or(0)));
     let error = standing.error(reader.as_ref().zip(space.goal.quantile));
     error.filter(|e| e.is_finite() && *e > 0.0)
 }
 
-/// How far a trial has come, rung by rung.
+/// A candidate with the results of its trial at each level.
 fn known(space: &Space, place: &Place, trial: &Trial, standing: &Standing) -> Candidate {
     let mut candidate = place.candidate.clone();
     let done = standing.state == "done";
@@ -368,7 +367,7 @@ fn known(space: &Space, place: &Place, trial: &Trial, standing: &Standing) -> Ca
     for rung in rungs(&trial.spec) {
         let told = match rung {
             Some(steps) => standing.after(steps),
-            // of so few steps the result is the next level
+            // with so few steps, the result is the next level
             None => done.then_some(None),
         };
         let Some(told) = told else { break };
@@ -381,7 +380,7 @@ fn known(space: &Space, place: &Place, trial: &Trial, standing: &Standing) -> Ca
     candidate
 }
 
-/// Takes the body of a trial that is done.
+/// Adds the body of a finished trial.
 async fn body(bodies: &mut Bodies, reader: &mut Reader, hash: &str) -> Result<(), StoreError> {
     if !bodies.contains_key(hash)
         && let Some(stored) = reader.stored(hash).await?
@@ -392,7 +391,7 @@ async fn body(bodies: &mut Bodies, reader: &mut Reader, hash: &str) -> Result<()
     Ok(())
 }
 
-/// Errors (%) of a body on fresh seeds, as many in a row as are known.
+/// Errors (%) of a body on fresh seeds, up to the first unknown one.
 fn fresh(
     space: &Space,
     plan: &Plan,
@@ -412,7 +411,7 @@ fn fresh(
     told.collect()
 }
 
-/// A search at its beginning.
+/// A search without results.
 pub fn begun(space: &Space) -> Search {
     Search::new(&space.goal, space.places.iter().map(|place| place.candidate.clone()))
 }

@@ -1,11 +1,11 @@
-//! Histories of some samples, one above the other, and the error of every sample: what trials and records both show.
+//! Histories of some samples, stacked, and the error of every sample; for trials and for records.
 
 use crate::look::{Axis, Picture, Plot, Scale, number};
 
 /// Points of a curve.
 pub type Curve = Vec<(f64, f64)>;
 
-/// Histories of one of some samples (N, T, width), after each instant of a clock of this duration (s), over their factors.
+/// Histories of one sample of `values` (N, T, width), divided by factors, at the ends of T intervals of `duration` (s).
 pub fn histories(
     values: &[f64],
     sample: usize,
@@ -20,19 +20,19 @@ pub fn histories(
     (0..width).map(history).collect()
 }
 
-/// The histories of a sample.
+/// Histories of a sample.
 #[derive(Debug, Clone)]
 pub struct Strip {
-    /// Above the plot.
+    /// Title above the plot.
     pub title: String,
-    /// By source: the style of its lines, and a curve (s, value) a history. The first source is the truth.
+    /// Per source: style of its lines, and one curve (s, value) per history. The first source is the truth.
     pub sources: Vec<(String, Vec<Curve>)>,
-    /// Half-widths of the shaded bands about sources of the same style, by history; of those that have some.
+    /// Half-widths of shaded bands by history, for the sources that have some; styles are those of the sources.
     pub bands: Vec<(String, Vec<Vec<f64>>)>,
 }
 
 impl Strip {
-    /// A history of a band, (s, low, high); none without.
+    /// Points (s, low, high) of a history's band; empty if there is none.
     fn band(&self, class: &str, k: usize) -> Vec<(f64, f64, f64)> {
         let half_width = self.bands.iter().find(|(of, _)| of == class).map(|(_, bands)| &bands[k]);
         let curve = self.sources.iter().find(|(of, _)| of == class).map(|(_, curves)| &curves[k]);
@@ -41,8 +41,8 @@ impl Strip {
     }
 }
 
-/// A plot a sample. Histories stand one above the other, the first on top, each by the step that is returned above the
-/// next: what the true values need. A tick above each zero has a value in `unit`. The truth, a thin line, is on top.
+/// One plot per sample. Histories are stacked, the first at the top, at the returned distance, which fits the true values. One tick
+/// marks each zero, one a value in `unit` above it. The truth is a thin line on top.
 pub fn strips(samples: &[Strip], names: &[String], unit: &str, duration: f64) -> (Vec<Picture>, f64) {
     let count = names.len();
     let truth = samples.iter().flat_map(|s| s.sources[0].1.iter().flatten());
@@ -107,16 +107,16 @@ pub fn representative(errors: &[Option<f64>], among: impl Iterator<Item = usize>
 /// Errors of a body's samples.
 #[derive(Debug, Clone)]
 pub struct Errors<'a> {
-    /// Style of its dots.
+    /// Style of the dots.
     pub class: &'a str,
-    /// The body.
+    /// Name of the body.
     pub body: &'a str,
-    /// (Sample, its error (%)).
+    /// (Sample, error (%)).
     pub errors: Vec<(usize, f64)>,
 }
 
-/// A dot a sample and body, samples by error. `joined`: all bodies have the same samples, which stand by the first
-/// body's error with a line through their dots; else each body's stand by its own.
+/// One dot per sample and body, sorted by error. `joined`: all bodies have the same samples, in the order of the first body's
+/// errors, with a line through the dots of each sample. Otherwise each body's samples have their own order.
 pub fn dots(title: &str, label: &str, bodies: &[Errors], joined: bool) -> Picture {
     let ranked = |errors: &[(usize, f64)]| -> Vec<usize> {
         let mut order: Vec<usize> = (0..errors.len()).collect();

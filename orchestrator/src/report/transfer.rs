@@ -1,4 +1,4 @@
-//! Bodies trained under one kind of forces and read under others: a figure, and a sentence a setting.
+//! Bodies under forces other than their training forces: a figure, and one sentence per setting.
 
 use super::casts::{CLASSES, MOST_SETTINGS, Mark, aside, legend, side_by_side, told_apart};
 use super::words::left_out;
@@ -7,8 +7,8 @@ use crate::analysis::transfer::{Setting, settings};
 use crate::analysis::{Question, Terms, Trial};
 use crate::look::{Answer, Figure, Picture, number};
 
-/// A place for each kind of forces, and in it one for each body side by side: a dot by a brain fitted under these forces, a line
-/// to the error of the one fitted under those that trained the body.
+/// One position per kind of forces with bodies side by side: dots for decoders fitted under these forces, lines to decoders fitted
+/// under the body's training forces.
 pub fn figure(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let found = settings(&refs);
@@ -43,7 +43,7 @@ fn picture(setting: &Setting, names: &[&str]) -> Picture {
     side_by_side(&setting.label, setting.kinds.clone(), marks.collect())
 }
 
-/// Errors of each body under each kind of forces, and where those that were trained keep least.
+/// Errors of each body under each kind of forces, and the forces under which trained bodies keep least of the gain.
 pub fn answers(trials: &[Trial]) -> Vec<Answer> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let told = |setting: &Setting, body: &Trained| {

@@ -1,4 +1,4 @@
-//! What captions and answers say alike.
+//! Phrases of captions and answers.
 
 use crate::analysis::paired::Ratio;
 use crate::look::number;
@@ -11,7 +11,7 @@ pub(super) fn interval(ratio: &Ratio) -> String {
     }
 }
 
-/// What a caption says of settings beyond the most that are drawn.
+/// A caption's sentence about settings that are not drawn.
 pub(super) fn left_out(all: usize, most: usize) -> String {
     match all.saturating_sub(most) {
         0 => String::new(),

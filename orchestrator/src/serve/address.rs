@@ -1,25 +1,25 @@
-//! How browsers reach these pages: by which host names, and behind which path of a proxy. Links are relative, so that they hold
-//! behind any path that a proxy takes away; a path that it leaves is taken away here.
+//! How browsers reach the pages: by which host names, and behind which path of a proxy. Links are relative and therefore work
+//! behind any path that a proxy removes; a path that it leaves is removed here.
 
 use axum::http::uri::{Authority, PathAndQuery};
 use axum::http::{HeaderMap, HeaderName, Uri};
 
-/// The names and the path of a proxy.
+/// Host names and path of proxies.
 #[derive(Debug, Default)]
 pub struct Address {
     base: String,
     names: Vec<String>,
 }
 
-/// The path in front of a request's own, with a slash at its end.
+/// The path before a request's own path, with a trailing slash.
 #[derive(Debug, Clone)]
 pub struct Front(pub String);
 
 impl Address {
-    /// Behind proxies that have these addresses: their host names, and the path that they have in common.
+    /// Reads the addresses of proxies: their host names, and their common path.
     ///
     /// # Errors
-    /// With what is no address, and what it must be; with two paths.
+    /// An invalid address, with the required form; or different paths.
     pub fn new(proxies: &[String]) -> Result<Self, String> {
         let mut own = Self::default();
         for proxy in proxies {
@@ -46,12 +46,12 @@ impl Address {
         Ok(own)
     }
 
-    /// The path in front, without a slash at its end.
+    /// The path of the proxies, without a trailing slash.
     pub fn base(&self) -> &str {
         &self.base
     }
 
-    /// Takes the path in front from an address; what was taken, by the proxy's word where it has taken it itself.
+    /// Removes the proxies' path from a URI. Returns the path that was removed here, or that the proxy reports to have removed.
     pub(super) fn enter(&self, uri: &mut Uri, headers: &HeaderMap) -> Front {
         let within = uri.path_and_query().and_then(|path| path.as_str().strip_prefix(&self.base));
         let within = within.filter(|path| !self.base.is_empty() && path.starts_with('/'));
@@ -68,7 +68,7 @@ impl Address {
         Front(told.map_or("/".into(), |path| format!("{}/", path.trim_end_matches('/'))))
     }
 
-    /// Whether a host is named as we are told, or in a way that no name server has a say in.
+    /// Whether a host is a proxy's name, localhost or an IP address, which do not depend on name servers.
     pub(super) fn is_ours(&self, host: &str) -> bool {
         let Ok(authority) = host.parse::<Authority>() else { return false };
         let name = authority.host();
@@ -77,7 +77,7 @@ impl Address {
         !host.contains('@') && (self.is_named(name) || known())
     }
 
-    /// Whether a page of this origin is one of ours that was reached by `host`. A proxy may speak TLS, and may have replaced the host.
+    /// Whether `origin` is one of our pages, reached by `host`. A proxy may use TLS and may have replaced the host.
     pub(super) fn is_own(&self, origin: &str, host: &str) -> bool {
         let named = origin.strip_prefix("https://").or_else(|| origin.strip_prefix("http://"));
         let named = named.and_then(|at| at.parse::<Authority>().ok());
@@ -89,18 +89,18 @@ impl Address {
     }
 }
 
-/// Whether this is a path of harmless characters.
+/// Whether `text` is a path of harmless characters.
 fn is_path(text: &str) -> bool {
     let harmless = |byte: u8| byte.is_ascii_alphanumeric() || b"/-._~%@:+".contains(&byte);
     text.starts_with('/') && text.bytes().all(harmless)
 }
 
-/// The way from a page to the first one.
+/// Relative path from a page to the first page.
 pub(super) fn up(path: &str) -> String {
     "../".repeat(path.matches('/').count().saturating_sub(1))
 }
 
-/// The way from an address to the same one with another query.
+/// Relative link to the same page with another query.
 pub(super) fn here(path: &str, query: &str) -> String {
     let last = path.rsplit('/').next().unwrap_or_default();
     if query.is_empty() { format!("./{last}") } else { format!("./{last}?{query}") }

@@ -1,5 +1,5 @@
-//! Who is answered: whoever has the key, through our own pages. A foreign page can make a browser ask us, by a name of its
-//! own that it has pointed at this machine (DNS rebinding) or across sites. Neither is answered.
+//! Which requests are answered: those with the key, from our own pages. A foreign page can make a browser send requests, by a name
+//! that it has pointed at this machine (DNS rebinding) or across sites; these are refused.
 
 use std::io;
 use std::pin::Pin;
@@ -19,7 +19,7 @@ use super::lobby::Guest;
 use super::token::turned_away;
 use super::{Refusal, Refused, Served, pages};
 
-/// What every answer says to the browser: nothing from elsewhere, nothing inline, in no frame, kept nowhere.
+/// Headers of every response: nothing foreign, nothing inline, no frames, no caches.
 const HEADERS: [(HeaderName, &str); 7] = [
     (
         header::CONTENT_SECURITY_POLICY,
@@ -34,7 +34,7 @@ const HEADERS: [(HeaderName, &str); 7] = [
     (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
 ];
 
-/// Answers a request, or says why not.
+/// Answers a request, or returns why it is refused.
 pub async fn guard(State(served): State<Arc<Served>>, request: Request, next: Next) -> Response {
     let uri = request.uri();
     let (base, up) = (served.address.base(), up(uri.path()));
@@ -101,14 +101,14 @@ fn refused(served: &Served, request: &Request) -> Option<(StatusCode, &'static s
     None
 }
 
-/// A header's value, where it has one only.
+/// The value of a header that occurs once.
 fn only<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
     let mut values = headers.get_all(name).iter();
     let value = values.next()?.to_str().ok()?;
     values.next().is_none().then_some(value)
 }
 
-/// A connection whose other end must take what it is sent: it is given up when nothing has been taken for so long.
+/// A connection that fails with `TimedOut` if its other end accepts nothing for the time `patience`.
 pub struct Impatient<S> {
     inner: S,
     patience: Duration,
@@ -116,7 +116,7 @@ pub struct Impatient<S> {
 }
 
 impl<S> Impatient<S> {
-    /// With so much patience.
+    /// Wraps a connection.
     pub fn new(inner: S, patience: Duration) -> Self {
         Self { inner, patience, waits: None }
     }

@@ -1,5 +1,5 @@
-//! Connections. Those that have shown the key keep a place. All others may stay for a moment only, and the oldest of them leaves
-//! when there are too many: they cannot keep out somebody who has the key.
+//! Connections. Those that have shown the key keep a place. Others may stay briefly; if there are too many, the oldest must leave,
+//! so that they cannot keep out users with the key.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
@@ -9,18 +9,18 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::AbortHandle;
 use tokio::time::{Instant, sleep};
 
-/// Connections without the key at a time.
+/// Maximum number of connections without the key.
 const STRANGERS: usize = 256;
-/// The time that each of them has to show the key, and the part of it that it has in any case.
+/// Time in which a connection must show the key, of which `GRACE` is guaranteed.
 pub const STAY: Duration = Duration::from_secs(3);
 const GRACE: Duration = Duration::from_millis(200);
-/// Connections with the key at a time.
+/// Maximum number of connections with the key.
 const KNOWN: usize = 64;
 
 /// All connections.
 #[derive(Debug)]
 pub struct Lobby {
-    /// Those without the key, the oldest first.
+    /// Connections without the key, the oldest first.
     strangers: Mutex<VecDeque<Stranger>>,
     places: Arc<Semaphore>,
 }
@@ -41,12 +41,12 @@ pub struct Guest {
 }
 
 impl Lobby {
-    /// An empty one.
+    /// A lobby without connections.
     pub fn new() -> Arc<Self> {
         Arc::new(Self { strangers: Mutex::default(), places: Arc::new(Semaphore::new(KNOWN)) })
     }
 
-    /// Serves a connection by the task that `serve` makes of it, once there is room for it.
+    /// Waits for room, then spawns the task that `serve` returns.
     pub async fn admit<T>(self: &Arc<Self>, number: u64, serve: impl FnOnce(Arc<Guest>) -> T)
     where
         T: Future<Output = ()> + Send + 'static,
@@ -55,13 +55,13 @@ impl Lobby {
             sleep(left).await;
         }
         let guest = Arc::new(Guest { number, lobby: Arc::clone(self), place: OnceLock::new() });
-        // the task cannot leave before it is on the list
+        // locked, so that the task cannot end before it is in the list
         let mut strangers = self.strangers();
         let task = tokio::spawn(serve(guest)).abort_handle();
         strangers.push_back(Stranger { number, since: Instant::now(), task });
     }
 
-    /// Makes room by the oldest stranger; where even that has not had its time yet, how much of it is left.
+    /// Makes room by closing the oldest connection without the key; or returns the rest of its guaranteed time.
     fn crowded(&self) -> Option<Duration> {
         let mut strangers = self.strangers();
         if strangers.len() < STRANGERS {
@@ -88,7 +88,7 @@ impl Lobby {
 }
 
 impl Guest {
-    /// The key has been shown: whether there is a place for it to stay.
+    /// Called when the key has been shown: returns whether there is a place for the connection.
     pub fn stays(&self) -> bool {
         if self.is_known() {
             return true;

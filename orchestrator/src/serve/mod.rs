@@ -1,5 +1,5 @@
-//! The pages of `metasense serve`: a sweep in a browser, while it runs and afterwards. They read databases, and pass commands of
-//! whoever has the token on to their runs. They cost CPU time only while somebody looks, and a bounded part of it.
+//! The pages of `metasense serve`: sweeps in a browser, during and after runs. The pages read databases, and pass commands of users
+//! with the token on to runs. They use CPU time only while somebody views them, and a bounded share of it.
 
 mod address;
 mod guard;
@@ -44,48 +44,48 @@ pub use source::{Seen, Source};
 pub use token::Token;
 pub use trials::Trials;
 
-/// The longest head of a request (bytes): a statement of SQL is part of it.
+/// Maximum size of a request's head (bytes), which contains the SQL statement.
 const HEAD: usize = 64 << 10;
-/// The time a head may take, and a connection be idle.
+/// Maximum time for a head, and of an idle connection.
 const HEAD_TIME: Duration = Duration::from_secs(20);
-/// The time in which the other end must take something of what it is sent.
+/// Maximum time in which the other end accepts nothing.
 const WRITE_TIME: Duration = Duration::from_secs(20);
-/// Between two signs of life where nothing happens: a connection that is gone shows by them.
+/// Interval between keep-alive messages, which reveal closed connections.
 const ALIVE: Duration = Duration::from_secs(10);
-/// Pages that follow what is recorded, at a time; each has a connection of its own, and some are left for other requests.
+/// Maximum number of pages that follow a run; each has its own connection, and some are left for other requests.
 const FOLLOWED: usize = 48;
-/// Questions of people to databases at a time.
+/// Maximum number of simultaneous queries by users.
 const QUESTIONS: usize = 2;
 
-/// Two units and what joins them.
+/// Two joined units.
 const ICON: &str = "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 16 16\"><path d=\"M1 8 5 4 8 8 11 12 15 8 11 4 8 8 5 12z\" \
                     fill=\"#c2410c\"/></svg>";
 
-/// What is served.
+/// State of the server.
 #[derive(Debug)]
 pub struct Served {
     sources: Vec<Source>,
-    /// Whoever knows it may read.
+    /// Permits reading.
     reading: Token,
-    /// Whoever knows it may steer runs.
+    /// Permits control of runs.
     steering: Option<Token>,
     address: Address,
     followed: Arc<Semaphore>,
     questions: Arc<Semaphore>,
-    /// Trials are simulated again one at a time; the last one is kept, with what it is of.
+    /// Trials are simulated again one at a time; the last is kept.
     replays: Semaphore,
     replayed: Mutex<Option<(Stored, Arc<Replayed>)>>,
 }
 
 impl Served {
-    /// To serve these at an address, to whoever has the key to `reading`; with a token for `steering`, their runs may be steered.
+    /// Serves sources at an address to users with the key `reading`; the token `steering` permits control of their runs.
     pub fn new(sources: Vec<Source>, reading: Token, steering: Option<Token>, address: Address) -> Arc<Self> {
         let (questions, replays) = (Arc::new(Semaphore::new(QUESTIONS)), Semaphore::new(1));
         let (followed, replayed) = (Arc::new(Semaphore::new(FOLLOWED)), Mutex::default());
         Arc::new(Self { sources, reading, steering, address, followed, questions, replays, replayed })
     }
 
-    /// Ends all watching, and leaves no file behind that was not there before.
+    /// Stops watching, and removes all files that watching created.
     pub async fn close(&self) {
         for source in &self.sources {
             source.close().await;
@@ -93,7 +93,7 @@ impl Served {
     }
 }
 
-/// Serves pages for as long as it is polled.
+/// Serves pages while it is polled.
 pub async fn serve(listener: TcpListener, served: Arc<Served>) {
     let app = pages(Arc::clone(&served));
     let lobby = Lobby::new();
@@ -101,7 +101,7 @@ pub async fn serve(listener: TcpListener, served: Arc<Served>) {
         let stream = match listener.accept().await {
             Ok((stream, _)) => stream,
             Err(error) => {
-                // out of files, or the other end was gone before we looked
+                // no file descriptors are left, or the other end has closed the connection
                 tracing::warn!(%error, "a connection could not be accepted");
                 tokio::time::sleep(Duration::from_millis(100)).await;
                 continue;
@@ -112,7 +112,7 @@ pub async fn serve(listener: TcpListener, served: Arc<Served>) {
     }
 }
 
-/// Serves a connection, for a moment only where the key is not shown.
+/// Serves a connection; only briefly if it does not show the key.
 async fn connection(stream: TcpStream, app: Router, served: Arc<Served>, guest: Arc<Guest>) {
     let (pages, of) = (TowerToHyperService::new(app), Arc::clone(&guest));
     let service = service_fn(move |mut request: hyper::Request<Incoming>| {
@@ -161,7 +161,7 @@ fn pages(served: Arc<Served>) -> Router {
         .layer(from_fn_with_state(served, guard))
 }
 
-/// The file of a database, once it has been looked at: that of shards is made then.
+/// The file of a database that has been read at least once; for shards, the file exists only then.
 async fn file_of(served: &Served, number: &str) -> Result<PathBuf, Refusal> {
     let seen = source(served, number)?.now().await;
     match seen.checked {
@@ -170,12 +170,12 @@ async fn file_of(served: &Served, number: &str) -> Result<PathBuf, Refusal> {
     }
 }
 
-/// A database by its number.
+/// The source with this number.
 fn source<'a>(served: &'a Served, number: &str) -> Result<&'a Source, Refusal> {
     number.parse::<usize>().ok().and_then(|i| served.sources.get(i)).ok_or(Refusal::NoPage)
 }
 
-/// Says the generation of what is seen whenever it changes. Who is slow misses some, and is told the last.
+/// Sends the generation of the state whenever it changes. A slow client misses some, and receives the last.
 async fn events(
     State(served): State<Arc<Served>>,
     Path(number): Path<String>,
@@ -190,18 +190,18 @@ async fn events(
     Ok(Sse::new(stream).keep_alive(KeepAlive::new().interval(ALIVE)))
 }
 
-/// Why there is no page.
+/// Why a request gets no page.
 #[derive(Debug)]
 enum Refusal {
-    /// None of this name.
+    /// No page has this address.
     NoPage,
-    /// What was asked cannot be.
+    /// The request cannot be answered.
     Asked(String),
-    /// There are too many of whoever has the key.
+    /// Too many connections have shown the key.
     Busy,
 }
 
-/// What the page of a refusal says; `guard` makes it, as it knows the way to the first page.
+/// Text on the page of a refusal. `guard` makes the page, because it knows the path to the first page.
 #[derive(Debug, Clone)]
 struct Refused(String);
 

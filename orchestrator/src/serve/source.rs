@@ -1,5 +1,5 @@
-//! A database, or the facts of the shards of a folder, read for as long as somebody watches. Each state is published whole:
-//! pages show the last one without waiting for the database.
+//! A database, or the facts of a folder of shards, read while somebody watches. Each state is published whole: pages show the last
+//! one without waiting for the database.
 
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -20,68 +20,68 @@ use crate::report::load::finished_trials;
 use crate::report::{answers, brains, figures};
 use crate::store::{Reader, StoreError};
 
-/// Between two looks at whether anything has changed.
+/// Time between two checks for changes.
 const POLL: Duration = Duration::from_millis(100);
-/// Between two reads of what has changed, at least; and so many times the CPU time of the last one.
+/// Minimum time between two reads, also as a multiple of the CPU time of the last read.
 const REST: Duration = Duration::from_millis(300);
 const REST_FACTOR: u32 = 30;
-/// Between two reads while nothing changes but a run's processes.
+/// Time between two reads if only a run's processes change.
 const PROCESSES: Duration = Duration::from_secs(5);
-/// How long a page waits for a look; what comes later comes by itself.
+/// Maximum time that a page waits for a read; later states arrive as updates.
 const PATIENCE: Duration = Duration::from_millis(700);
-/// How long the end waits for one.
+/// Maximum time to wait for a read at the end.
 const ENDING: Duration = Duration::from_secs(5);
-/// Answers are worked out again after so many times what they took.
+/// Answers are computed again after this multiple of their computing time.
 const ANSWERS_FACTOR: u32 = 50;
-/// Answers on a page: there is one a setting.
+/// Maximum number of answers on a page; there is one per setting.
 const MOST_SAID: usize = 60;
-/// Trials up to which figures with a mark a trial are drawn.
+/// Maximum number of trials for figures with one mark per trial.
 const MOST_DRAWN: usize = 2000;
 
-/// What is seen of a database.
+/// The known state of a database.
 #[derive(Debug, Clone, Default)]
 pub struct Seen {
-    /// Counts what has changed.
+    /// Number of changes.
     pub generation: u64,
-    /// When it was looked at last.
+    /// Time of the last check.
     pub checked: Option<Instant>,
-    /// The database; of shards that of their facts, once there is any.
+    /// The database; for shards, that of their facts once it exists.
     pub db: PathBuf,
-    /// Why it could not be looked at.
+    /// Why the database could not be read.
     pub trouble: Option<String>,
-    /// How far it is.
+    /// Its progress.
     pub progress: Progress,
-    /// Failures by reason and words, with one of their trials.
+    /// Failures by reason and message, with one of their trials.
     pub failures: Table,
     /// The last calls of `run`.
     pub runs: Table,
-    /// All trials; none before they have been read.
+    /// All trials; empty before the first read.
     pub trials: Trials,
-    /// What the trials answer.
+    /// Answers from the trials.
     pub answers: Arc<Answers>,
 }
 
-/// What finished trials answer.
+/// Answers from finished trials.
 #[derive(Debug, Clone, Default)]
 pub struct Answers {
-    /// Trials that answer.
+    /// Number of trials.
     pub of: usize,
-    /// In words, the first ones.
+    /// The first answers.
     pub said: Vec<Answer>,
-    /// Further ones.
+    /// Number of further answers.
     pub left: usize,
-    /// Drawn.
+    /// Figures.
     pub figures: Vec<Figure>,
-    /// Time that it took to work them out (s).
+    /// Computing time (s).
     pub seconds: f64,
 }
 
 /// A database that can be watched.
 #[derive(Debug)]
 pub struct Source {
-    /// What it is called.
+    /// Its name.
     pub name: String,
-    /// The file, where it is one that a run may hold.
+    /// The file, if a run can hold it.
     pub db: Option<PathBuf>,
     seen: watch::Receiver<Arc<Seen>>,
     wanted: Arc<Notify>,
@@ -89,10 +89,10 @@ pub struct Source {
 }
 
 impl Source {
-    /// Begins to watch a database, or a folder of shards.
+    /// Starts to watch a database, or a folder of shards.
     ///
     /// # Errors
-    /// Where there is no folder for the facts of shards.
+    /// If no folder for the facts of shards can be created.
     pub fn new(path: &Path) -> std::io::Result<Self> {
         let name = path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
         let facts = path.is_dir().then(|| Facts::of(path)).transpose()?;
@@ -117,7 +117,7 @@ impl Source {
         Ok(Self { name, db, seen, wanted, stop })
     }
 
-    /// Ends the watching.
+    /// Stops watching.
     pub async fn close(&self) {
         self.stop.notify_one();
         let mut seen = self.seen.clone();
@@ -126,14 +126,14 @@ impl Source {
         let _ = tokio::time::timeout(ENDING, ended).await;
     }
 
-    /// What is seen from now on: each change, the last one only where several have come.
+    /// Requests a check, and returns a receiver of later states; a slow receiver gets only the last.
     pub fn watched(&self) -> watch::Receiver<Arc<Seen>> {
         let seen = self.seen.clone();
         self.wanted.notify_one();
         seen
     }
 
-    /// What is seen now, or before where a look takes long.
+    /// The state now, or an earlier one if the read takes long.
     pub async fn now(&self) -> Arc<Seen> {
         let asked = Instant::now();
         let mut seen = self.watched();
@@ -143,11 +143,11 @@ impl Source {
     }
 }
 
-/// Looks at one database.
+/// Reads one database.
 struct Watcher {
     path: PathBuf,
     facts: Option<Facts>,
-    /// With the file's number.
+    /// With the inode of the file.
     reader: Option<(Reader, u64)>,
     version: i64,
     looks: Looks,
@@ -156,14 +156,14 @@ struct Watcher {
     rest: Instant,
     read: Instant,
     answering: Option<JoinHandle<Result<Answers, StoreError>>>,
-    /// Trials that the last answers were to be of, and when they may be worked out again.
+    /// Number of finished trials at the last answers, and when answers may be computed again.
     answered: (u64, Instant),
 }
 
 impl Watcher {
     async fn watch(mut self, publish: watch::Sender<Arc<Seen>>, wanted: Arc<Notify>, stop: Arc<Notify>) {
         loop {
-            // The source itself has one.
+            // The source itself has one receiver.
             let unwatched = publish.receiver_count() == 1;
             tokio::select! {
                 () = stop.notified() => break,
@@ -185,7 +185,7 @@ impl Watcher {
         self.let_go().await;
     }
 
-    /// Closes the file, and forgets its trials: another may lie there next time.
+    /// Closes the file and forgets its trials: another file may replace it.
     async fn let_go(&mut self) {
         if let Some((reader, _)) = self.reader.take() {
             reader.close().await;
@@ -228,7 +228,7 @@ impl Watcher {
             self.seen.trouble = None;
             self.seen.generation += 1;
             if first {
-                // what is known already need not wait for all trials
+                // publishes progress before all trials have been read
                 self.seen.checked = Some(begun);
                 publish.send_replace(Arc::new(self.seen.clone()));
             }
@@ -244,7 +244,7 @@ impl Watcher {
         Ok(())
     }
 
-    /// Begins to work out answers where more trials are done, and takes those that are worked out.
+    /// Takes computed answers, and starts to compute answers if more trials are done.
     async fn answers(&mut self) {
         if self.answering.as_ref().is_some_and(JoinHandle::is_finished)
             && let Some(answering) = self.answering.take()
@@ -268,7 +268,7 @@ impl Watcher {
     }
 }
 
-/// CPU time of this process so far, to a hundredth of a second. Not the clock's: on a busy machine that says how busy it is.
+/// CPU time of this process, to 0.01 s. Wall time would measure the load of the machine.
 fn cpu() -> Duration {
     Duration::from_secs_f64(cpu_seconds(std::process::id()).unwrap_or(0.0))
 }

@@ -1,4 +1,4 @@
-//! Steering by pages: one line, posted with the token that was printed, is passed on to the run that holds the database.
+//! Control of runs by pages: one command, posted with the printed token, is passed on to the run that holds the database.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -13,13 +13,13 @@ use super::{Served, source};
 use crate::control::{Command, WORKERS_MAX, ask};
 use crate::exit::chain;
 
-/// The longest line (bytes), and the time in which it must have come.
+/// Maximum length of a command (bytes), and maximum time for its arrival.
 const LINE: usize = 1 << 10;
 const ASKING: Duration = Duration::from_secs(5);
 
 type Answer = (StatusCode, String);
 
-/// Takes a line and answers with what came of it.
+/// Passes on a command, and answers with its result.
 pub async fn post(
     State(served): State<Arc<Served>>,
     Path(at): Path<String>,
@@ -54,7 +54,7 @@ async fn steer(served: &Served, at: &str, headers: &HeaderMap, body: Body) -> Re
     }
 }
 
-/// Controls of a run, shown to whoever has the token: buttons with what they ask, and more. `control`: the way to what takes it.
+/// Controls of a run, visible with the token: buttons with their commands, and `more`. `control`: path that accepts commands.
 fn panel(
     served: &Served,
     (at, control): (&str, &str),
@@ -78,7 +78,7 @@ fn panel(
     }
 }
 
-/// The panel of a run.
+/// Controls of a run.
 pub fn of_run(served: &Served, at: &str) -> Markup {
     let buttons = [
         ("pause", "Pause the run"),
@@ -101,7 +101,7 @@ pub fn of_run(served: &Served, at: &str) -> Markup {
     )
 }
 
-/// The panel of a trial that is not done.
+/// Controls of a trial that is not done.
 pub fn of_trial(served: &Served, at: &str, hash: &str) -> Markup {
     let buttons =
         [(format!("next {hash}"), "Run this trial next"), (format!("cancel {hash}"), "Cancel this trial")];

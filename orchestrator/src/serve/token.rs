@@ -1,5 +1,5 @@
-//! Who may read and who may steer: whoever has the address that was printed, and no other user of the machine. A browser
-//! keeps the key to reading in a cookie of this server's port; other programs send it with each request.
+//! Who may read and who may control: users with the printed address, and no other user of the machine. A browser keeps the reading
+//! key in a cookie for this server's port; other programs send it with each request.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -11,15 +11,15 @@ use axum::response::{IntoResponse, Response};
 use super::Served;
 use super::address::{Front, here};
 
-/// A secret, known by its digest.
+/// A secret, stored as its digest.
 #[derive(Debug)]
 pub struct Token(blake3::Hash);
 
 impl Token {
-    /// A new one, and how it is written.
+    /// A new token, and its text.
     ///
     /// # Errors
-    /// Where the system gives no random bytes.
+    /// If the system gives no random bytes.
     pub fn new() -> io::Result<(Self, String)> {
         let mut bytes = [0; 16];
         File::open("/dev/urandom")?.read_exact(&mut bytes)?;
@@ -27,24 +27,25 @@ impl Token {
         Ok((Self::of(&text), text))
     }
 
-    /// The one that is written like this.
+    /// The token with this text.
     #[must_use]
     pub fn of(text: &str) -> Self {
         Self(blake3::hash(text.as_bytes()))
     }
 
-    /// Digests are compared, in constant time.
+    /// Compares digests in constant time.
     pub(super) fn is(&self, given: &str) -> bool {
         self.0 == blake3::hash(given.as_bytes())
     }
 }
 
-/// What a program sends: `Authorization: Bearer TOKEN`.
+/// The token in `Authorization: Bearer TOKEN`.
 pub(super) fn bearer(headers: &HeaderMap) -> Option<&str> {
     headers.get(header::AUTHORIZATION)?.to_str().ok()?.strip_prefix("Bearer ")
 }
 
-/// The answer to whoever may not read, or who comes with the key in the address and is sent on with it in a cookie.
+/// The response to a request without the key, or with the key in its address: the latter is redirected, and its key set as a
+/// cookie.
 pub(super) fn turned_away(served: &Served, request: &Request) -> Option<Response> {
     let (headers, uri) = (request.headers(), request.uri());
     let reads = |given: &str| served.reading.is(given);
@@ -52,7 +53,7 @@ pub(super) fn turned_away(served: &Served, request: &Request) -> Option<Response
     let asked = || uri.query().unwrap_or_default().split('&');
     if let Some(key) = asked().find_map(|pair| pair.strip_prefix("key=").filter(|key| reads(key))) {
         let front = request.extensions().get::<Front>().map_or("/", |front| &front.0);
-        // Lax: a link from elsewhere shows a page; a foreign page reads nothing.
+        // Lax: a link from elsewhere opens a page; a foreign page reads nothing.
         let cookie = HeaderValue::from_str(&format!("{cookie}={key}; Path={front}; HttpOnly; SameSite=Lax"));
         let cookie = cookie.expect("names, keys and paths are ASCII");
         let rest: Vec<&str> = asked().filter(|pair| !pair.starts_with("key=")).collect();
@@ -72,7 +73,7 @@ pub(super) fn turned_away(served: &Served, request: &Request) -> Option<Response
     (!known).then(|| (StatusCode::UNAUTHORIZED, why).into_response())
 }
 
-/// The port that a browser knows this server by; cookies of one host's ports are not apart by themselves.
+/// The port in the browser's address. Cookies carry it in their name, because all ports of a host share cookies.
 fn port(headers: &HeaderMap) -> &str {
     let host = headers.get(header::HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
     let port = host.rsplit_once(':').map_or("80", |(_, port)| port);

@@ -1,4 +1,4 @@
-//! All trials of a database in memory, to be sorted and filtered: a look at the database takes those that have changed.
+//! All trials of a database in memory, for sorting and filtering; a read takes only those that have changed.
 
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -12,7 +12,7 @@ use crate::analysis::setting::{Setting, Settings};
 use crate::cell::plain;
 use crate::store::{Reader, StoreError};
 
-/// Numbers of a trial, by the names by which they are sorted and filtered, and in words.
+/// Numbers of a trial: names for sorting and filtering, and headings.
 pub const NUMBERS: [(&str, &str); 18] = [
     ("K", "K"),
     ("M", "M"),
@@ -34,7 +34,7 @@ pub const NUMBERS: [(&str, &str); 18] = [
     ("estimate", "estimate (s)"),
 ];
 
-/// The rows behind them, in their order.
+/// Rows with these numbers, in their order.
 const ROWS: &str = "SELECT t.id, t.hash, t.spec, t.state, coalesce(t.reason, '') AS reason, t.panels AS K, t.sensors AS M, t.placement,
   t.seed, t.units, t.holdout_error_initial AS holdout_initial, t.holdout_error_optimised AS holdout_optimised,
   t.holdout_median_initial AS median_initial, t.holdout_median_optimised AS median_optimised,
@@ -45,30 +45,30 @@ const ROWS: &str = "SELECT t.id, t.hash, t.spec, t.state, coalesce(t.reason, '')
   (SELECT sum(s.seconds) FROM spent s WHERE s.trial_id = t.id AND NOT s.redone) AS cpu_seconds, t.cost AS estimate
 FROM trial t";
 
-/// Trials whose rows are asked for in one statement.
+/// Number of trials per statement.
 const AT_ONCE: usize = 500;
-/// Values of a key that are offered to choose from.
+/// Maximum number of values offered per key.
 const MOST_VALUES: usize = 12;
-/// What the state of a trial can be.
+/// States of a trial.
 const STATES: [&str; 4] = ["pending", "running", "done", "failed"];
 
 /// A trial.
 #[derive(Debug, Clone)]
 pub struct Row {
-    /// Its name.
+    /// Its hash.
     pub hash: String,
     /// `pending`, `running`, `done` or `failed`.
     pub state: String,
     /// Why it failed.
     pub reason: String,
-    /// By [`NUMBERS`]; NaN where there is none.
+    /// Values of [`NUMBERS`]; NaN if there is none.
     pub numbers: [f64; NUMBERS.len()],
-    /// All that it is.
+    /// All settings.
     pub setting: Setting,
 }
 
 impl Row {
-    /// What stands under a column's name, or a path of the spec.
+    /// The value of a column, or of a path of the spec.
     pub fn cell(&self, key: &str) -> Value {
         let text = |text: &str| if text.is_empty() { Value::Null } else { text.into() };
         match (key, NUMBERS.iter().position(|(name, _)| *name == key)) {
@@ -92,14 +92,14 @@ impl Row {
     /// A number by its name.
     ///
     /// # Panics
-    /// If [`NUMBERS`] has none of this name.
+    /// If [`NUMBERS`] does not contain the name.
     pub fn number(&self, name: &str) -> Option<f64> {
         let at = NUMBERS.iter().position(|(known, _)| *known == name).expect("a number of a trial");
         Some(self.numbers[at]).filter(|x| !x.is_nan())
     }
 }
 
-/// Numbers by size, then texts, then nothing.
+/// Order: numbers by size, then texts, then null.
 fn order(a: &Value, b: &Value) -> Ordering {
     let rank = |value: &Value| if value.is_number() { 0 } else { 1 + u8::from(value.is_null()) };
     match (a.as_f64(), b.as_f64()) {
@@ -108,16 +108,16 @@ fn order(a: &Value, b: &Value) -> Ordering {
     }
 }
 
-/// All trials, as they are at one moment.
+/// All trials at one moment.
 #[derive(Debug, Clone, Default)]
 pub struct Trials {
-    /// In the order in which they were planned.
+    /// The trials in planned order.
     pub rows: Vec<Arc<Row>>,
-    /// Keys of the spec whose values differ between trials, with some of these.
+    /// Keys of the spec whose values differ between trials, with some of the values.
     pub keys: Arc<BTreeMap<String, Vec<String>>>,
 }
 
-/// Keeps them.
+/// Keeps trials between reads.
 #[derive(Debug, Default)]
 pub struct Keeper {
     settings: Settings,
@@ -126,12 +126,12 @@ pub struct Keeper {
 }
 
 impl Keeper {
-    /// Takes in what has changed.
+    /// Reads what has changed.
     ///
     /// # Errors
-    /// Where the database cannot be read.
+    /// If the database cannot be read.
     pub async fn look(&mut self, reader: &mut Reader) -> Result<Trials, StoreError> {
-        // removed trials leave numbers, which new ones may take
+        // new trials may reuse the ids of removed ones
         let (mut known, mut others) = (0, false);
         let (places, rows) = (&self.places, &self.now.rows);
         let asked = reader.each("SELECT id, hash FROM trial", |row| {
@@ -178,7 +178,7 @@ impl Keeper {
                 let place = self.places.get(&id).copied();
                 let setting = match place {
                     Some(place) => self.now.rows[place].setting.clone(),
-                    // a spec that is none has no keys
+                    // an invalid spec has no keys
                     None => self.settings.of(&serde_json::from_str(row.text("spec")).unwrap_or_default()),
                 };
                 let trial = Arc::new(Row {
@@ -210,7 +210,7 @@ impl Keeper {
             for (key, value) in shared {
                 let of_key = values.entry(key).or_default();
                 let text = plain(value);
-                // a text that the filter would part is not offered
+                // the filter would split a value with blanks
                 if of_key.len() < MOST_VALUES && !text.contains(char::is_whitespace) {
                     of_key.insert(text);
                 }
@@ -221,7 +221,7 @@ impl Keeper {
     }
 }
 
-/// What a trial does not say where it is so.
+/// Values of keys that a trial's settings omit.
 const USUAL: [(&str, &str); 3] =
     [("sensors.search", "random"), ("brain.kind", "cnn"), ("optimise.objective", "nominal")];
 
@@ -238,10 +238,10 @@ pub struct Term {
 /// Relations, the longer ones first.
 const RELATIONS: [&str; 7] = ["!=", "<=", ">=", "=", "<", ">", "~"];
 
-/// Terms such as `K=4 M<=3 optimise.brain=linear state!=done hash~3fa reason="took too long"`, parted by blanks; all of them hold.
+/// Parses conditions such as `K=4 M<=3 optimise.brain=linear state!=done hash~3fa reason="took too long"`, separated by blanks.
 ///
 /// # Errors
-/// With the term that is none.
+/// The invalid condition.
 pub fn terms(text: &str) -> Result<Vec<Term>, String> {
     let mut in_quotes = false;
     let parts = text.split(|c: char| {
@@ -253,7 +253,7 @@ pub fn terms(text: &str) -> Result<Vec<Term>, String> {
 }
 
 impl Term {
-    /// Parses one term. Blanks within the value belong to it.
+    /// Parses one condition. Blanks within the value belong to it.
     fn new(text: &str) -> Result<Self, String> {
         let none = || format!("`{text}` is not a condition; a condition is, for instance, `M<=3`");
         let found = RELATIONS.iter().filter_map(|r| Some((text.find(r)?, *r)));
@@ -272,7 +272,7 @@ impl Term {
         }
     }
 
-    /// The value, where it is a number.
+    /// The value, if it is a number.
     fn number(&self) -> Option<f64> {
         self.value.parse().ok().filter(|x: &f64| x.is_finite() && !self.quoted)
     }
@@ -323,7 +323,7 @@ impl Trials {
     /// All trials of a database.
     ///
     /// # Errors
-    /// Where it cannot be read.
+    /// If it cannot be read.
     pub async fn of(db: &Path) -> Result<Self, StoreError> {
         Reader::asked(db, async |reader| Keeper::default().look(reader).await).await
     }
@@ -353,8 +353,8 @@ impl Trials {
         Ok(self.found(&terms, ""))
     }
 
-    /// Refuses unknown keys and comparisons of different types: a misspelt key differs from every value, and as texts all numbers are less
-    /// than `M<two`.
+    /// Refuses unknown keys and comparisons of different types: a misspelt key differs from every value, and as texts all numbers
+    /// are less than `two`.
     fn check(&self, terms: &[Term]) -> Result<(), String> {
         let has = |key: &str| key == "reason" || self.rows.iter().any(|row| !row.cell(key).is_null());
         if let Some(term) = terms.iter().find(|term| !self.rows.is_empty() && !has(&term.key)) {
@@ -393,7 +393,7 @@ impl Trials {
         }
     }
 
-    /// Those that meet the terms of a text, sorted by a key; none, and what is wrong, where it holds something else.
+    /// Trials that meet the conditions in a text, sorted by a key; for an invalid condition, no trials and the reason.
     pub fn asked(&self, text: &str, sort: &str) -> (Vec<&Arc<Row>>, Option<String>) {
         match terms(text).and_then(|terms| self.check(&terms).map(|()| terms)) {
             Ok(terms) => (self.found(&terms, sort), None),
@@ -401,8 +401,8 @@ impl Trials {
         }
     }
 
-    /// Those that meet all terms, sorted by a key (`-KEY`: the greatest first; those without always last), and among
-    /// equals as planned.
+    /// Trials that meet all conditions, sorted by a key (`-KEY`: descending; trials without a value always last), then in planned
+    /// order.
     pub fn found(&self, terms: &[Term], sort: &str) -> Vec<&Arc<Row>> {
         let mut found: Vec<&Arc<Row>> =
             self.rows.iter().filter(|row| terms.iter().all(|term| term.holds(row))).collect();

@@ -1,4 +1,4 @@
-//! Handing shards to a scheduler's queue: each job is known from before it is submitted, whatever is answered.
+//! Submits shards to a scheduler's queue. Each job is noted beforehand, in case the answer is lost.
 
 use std::process::Command;
 
@@ -29,7 +29,7 @@ pub(super) fn submit_shards(submission: &mut Submission, notes: &mut Notes) -> R
         };
         notes.note(&job).map_err(&noting)?;
         let submitted = run(&submission.submit_shards(&array, &name)).or_else(|refused| {
-            // it may have been accepted all the same, and the answer have been lost
+            // the job may have been accepted and only the answer lost
             match queue::look_up(&mut job) {
                 Ok(()) if !job.job.is_empty() => Ok((job.job.clone(), job.cluster.clone())),
                 Ok(()) if jobs.is_empty() => Err(Error::Usage(refused)),
@@ -46,7 +46,7 @@ pub(super) fn submit_shards(submission: &mut Submission, notes: &mut Notes) -> R
     Ok(jobs)
 }
 
-/// What is queued, and what is not, where a scheduler has refused these shards.
+/// States which shards are queued and which are not after a scheduler has refused some.
 fn left(submission: &Submission, jobs: &[Job], refused: &[u32]) -> String {
     let from = submission.which.iter().position(|shard| refused.contains(shard)).unwrap_or(0);
     let queued: Vec<&str> = jobs.iter().map(|job| job.job.as_str()).collect();
@@ -59,7 +59,7 @@ fn left(submission: &Submission, jobs: &[Job], refused: &[u32]) -> String {
     format!("{queued}; not queued: shards {left}{merge}. The same command submits them")
 }
 
-/// Queues shards, and the merge behind them and behind what is in the queue.
+/// Queues shards, and a merge that waits for them and for the jobs already in the queue.
 pub(super) fn submit(
     submission: &mut Submission,
     notes: &mut Notes,
@@ -92,16 +92,16 @@ pub(super) fn submit(
     Ok(())
 }
 
-/// Runs a scheduler's command; the number of the job that it prints, and its cluster where there are several.
+/// Runs a scheduler's command; returns the job number that it prints, and its cluster if it names one.
 ///
 /// # Errors
-/// What it says, if it is no number.
+/// The command's output, if it contains no job number.
 fn run(words: &[String]) -> Result<(String, Option<String>), String> {
     let failed = |how: &str, said: &str| format!("`{}` failed ({how}): {said}", line(words));
     let output =
         Command::new(&words[0]).args(&words[1..]).output().map_err(|e| failed(&e.to_string(), ""))?;
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
-    // Slurm: `NUMBER` or `NUMBER;CLUSTER`, last of what it says.
+    // Slurm's last line is `NUMBER` or `NUMBER;CLUSTER`.
     let last = said.trim().lines().last().unwrap_or_default();
     let (job, cluster) =
         last.split_once(';').map_or((last, None), |(job, cluster)| (job, Some(cluster.to_owned())));

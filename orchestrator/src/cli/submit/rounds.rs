@@ -1,6 +1,6 @@
-//! Rounds of shards: what a search or questions ask for is dealt to shards, run, merged, and looked at again.
+//! Rounds of shards: trials that a search or questions need are assigned to shards, run and merged, until the answer is final.
 //!
-//! A trial stays with the shard that has begun it, which has its steps. Decisions are made here, from the merged database.
+//! A trial stays with the shard that started it, which has its steps. Decisions are made here, from the merged database.
 
 use std::collections::{BTreeSet, HashSet};
 use std::path::Path;
@@ -25,9 +25,9 @@ use crate::rounds::{self, Runs};
 use crate::scheduler::Outcome;
 use crate::store::{Reader, Store};
 
-/// Between two looks at a queue.
+/// Time between two queries of a queue.
 const LOOK: Duration = Duration::from_secs(5);
-/// So many looks in a row a queue may leave unanswered.
+/// Maximum number of consecutive failed queries of a queue.
 const UNANSWERED_MOST: u32 = 60;
 
 pub(super) async fn execute(
@@ -63,7 +63,7 @@ pub(super) async fn execute(
         let shards = counted(shards.submission.shards as usize, "shard");
         say!("goal.at_a_time = {few}: {few} trials per round, but {shards} have room for {room}");
     }
-    // what an earlier `submit` has left running
+    // shards that an earlier `submit` left running
     let outcome = match shards.wait().await? {
         false => Some(Outcome::Interrupted),
         true => {
@@ -84,13 +84,13 @@ pub(super) async fn execute(
     }
 }
 
-/// Shards of one folder, with the database that they are merged into.
+/// Shards of a folder and the database into which they are merged.
 struct Shards<'a> {
     plan: &'a Plan,
     submission: Submission,
     places: Vec<Place>,
     notes: Notes,
-    /// Those that may still be in a queue.
+    /// Jobs that may still be in a queue.
     jobs: Vec<Job>,
     signals: Signals,
 }
@@ -118,7 +118,7 @@ impl Runs for Shards<'_> {
     }
 
     async fn reopen(&mut self, _: &[&str], _: Again) -> Result<(), Error> {
-        Ok(()) // `submit` refuses what asks for it
+        Ok(()) // `submit` refuses --retry-failed with rounds
     }
 
     async fn run(&mut self, trials: &[Trial], _: Again) -> Result<Option<Outcome>, Error> {
@@ -157,7 +157,7 @@ impl Runs for Shards<'_> {
     }
 
     fn is_stopping(&self) -> bool {
-        false // then a round is interrupted
+        false // a stop interrupts the round
     }
 
     fn say(&self, line: &str) {
@@ -166,7 +166,7 @@ impl Runs for Shards<'_> {
 }
 
 impl Shards<'_> {
-    /// Waits until none is in a queue; no where somebody asks for the end.
+    /// Waits until the queue contains no shard; returns false if the user asks for the end.
     async fn wait(&mut self) -> Result<bool, Error> {
         let mut unanswered = 0;
         loop {
@@ -183,7 +183,7 @@ impl Shards<'_> {
         }
     }
 
-    /// Merges what was handed in.
+    /// Merges the databases that were handed in.
     async fn gather(&self) -> Result<(), Error> {
         let Submission { folder, out, .. } = &self.submission;
         if attempts(folder).is_empty() {
@@ -199,7 +199,7 @@ impl Shards<'_> {
         Ok(())
     }
 
-    /// Steps and results so far.
+    /// Number of steps and results so far.
     async fn progress(&self) -> Result<u64, Error> {
         Ok(Reader::asked(self.database(), async |reader| reader.progress().await).await?)
     }

@@ -1,6 +1,7 @@
-//! A brain as one C file: readings in, forces out, one after the other, for a device without heap and operating system.
+//! A decoder as one C file: readings in, forces out, one after the other, for a device without heap and operating system.
 //!
-//! The C is in files beside this one: `layers.c`; `linear.c`, `network.c` or both; `floats.c` or `integers.c`; `readings.c`; `test.c`.
+//! The C is in files beside this one: `layers.c`; `linear.c`, `network.c` or both; `floats.c` or `integers.c`; `readings.c`;
+//! `test.c`.
 
 use std::fmt::{Display, Write};
 
@@ -12,12 +13,13 @@ use super::{Fit, unreadable};
 use crate::analysis::Body;
 use crate::store::{StoreError, Stored};
 
-/// Samples that the file is tested with, of the holdout.
+/// Number of held-out samples in the file's test.
 const TESTED: usize = 2;
-/// Forces may differ by so much of the largest from the trial's: what 32-bit numbers cost; integers do in the last multiplication.
+/// Allowed difference from the trial's forces, relative to the largest: rounding in 32-bit floats; with integers, in the last
+/// multiplication.
 const BOUNDS: [f64; 2] = [1e-3, 1e-6];
 
-/// What a device computes with.
+/// Number format of a device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Numbers {
     /// 32-bit floats
@@ -29,7 +31,7 @@ pub enum Numbers {
 }
 
 impl Numbers {
-    /// Bytes of a weight, of what goes from layer to layer, and of a sum, which is `wide` or not.
+    /// Bytes of a weight, of a value between layers, and of a sum, which is `wide` or not.
     fn bytes(self, wide: bool) -> [usize; 3] {
         let sum = if wide { 8 } else { 4 };
         match self {
@@ -39,7 +41,7 @@ impl Numbers {
         }
     }
 
-    /// The greatest weight, of integers.
+    /// The greatest integer weight.
     fn most(self) -> Option<i64> {
         match self {
             Self::F32 => None,
@@ -49,7 +51,7 @@ impl Numbers {
     }
 }
 
-/// The C99 source of a body's brain, fitted to the body or to casts of it.
+/// C99 source of a body's decoder, fitted to the body or to casts of it.
 ///
 /// # Errors
 /// If the trial cannot be computed again.
@@ -136,7 +138,7 @@ pub fn c(
     Ok(text)
 }
 
-/// The types of numbers: weights, what layers take in and hand on, biases, sums.
+/// C types of weights, values between layers, biases and sums.
 fn types(numbers: Numbers, wide: bool) -> String {
     let names = match numbers {
         Numbers::F32 => return "typedef float weight, value, wide, sum;\n".into(),
@@ -148,7 +150,7 @@ fn types(numbers: Numbers, wide: bool) -> String {
     format!("typedef {weight} weight;\ntypedef {value} value;\ntypedef {bias} wide;\ntypedef {sum} sum;\n")
 }
 
-/// The type of a layer.
+/// C type of a layer.
 fn structure(integers: bool) -> String {
     let rescaled = if integers { "    const int32_t *factor;\n    const uint8_t *shift;\n" } else { "" };
     format!(
@@ -164,7 +166,7 @@ typedef struct {{
     )
 }
 
-/// Constants, rings, and the table of layers.
+/// Constants, ring buffers, and the table of layers.
 fn arrays(text: &mut String, layers: &[Convolution], integers: Option<&Integers>) {
     let mut rows = String::new();
     for (l, layer) in layers.iter().enumerate() {
@@ -206,7 +208,7 @@ fn arrays(text: &mut String, layers: &[Convolution], integers: Option<&Integers>
     write!(text, "\nstatic const layer LAYER[] = {{\n{rows}}};\n").expect("text");
 }
 
-/// Readings and forces of some samples, and a program that compares.
+/// Readings and forces of some samples, and a program that compares them.
 fn test(text: &mut String, replay: &Replay, integers: Option<&Integers>, [channels, panels]: [usize; 2]) {
     let samples = (0..replay.split.len()).filter(|&i| replay.split[i] == 2 && !replay.failed[i]);
     let samples: Vec<usize> = samples.take(TESTED).collect();
@@ -251,7 +253,7 @@ fn whole(text: &mut String, name: &str, values: &[impl Display]) {
     array(text, name, values.iter().map(ToString::to_string));
 }
 
-/// Numbers of a constant C array, so many a line.
+/// A constant C array, twelve numbers per line.
 fn array(text: &mut String, name: &str, values: impl Iterator<Item = String>) {
     write!(text, "static const {name}[] = {{").expect("text");
     for (i, value) in values.enumerate() {

@@ -14,7 +14,7 @@ fn volume(triangles: &[Triangle]) -> f64 {
     triangles.iter().map(of).sum()
 }
 
-/// Closed, and its volume is that of the plate less that of the cavity.
+/// Checks that the surface is closed and has the volume of the plate less that of the cavity.
 fn check(drawing: &Drawing, mould: &Mould, what: &str) -> Outline {
     let cavity =
         Outline::new(drawing, mould).and_then(|cavity| cavity.with_inserts(drawing, mould, [0.3, -0.2], 0.4));
@@ -41,7 +41,7 @@ fn the_mould_is_closed_and_has_its_volume() {
     }
 }
 
-/// A block of the pocket's size stands on the floor under each sensor; one that leaves too little of its unit is refused.
+/// Under each sensor stands a block of the pocket's size; a pocket that leaves too little of its unit is refused.
 #[test]
 fn chips_have_their_pockets() {
     let drawing = Drawing { sensors: vec![0, 4], ..squares() };
@@ -64,7 +64,7 @@ fn chips_have_their_pockets() {
     assert!(side > 0.0 && fits(side) && !fits(side + 0.5), "{side}");
 }
 
-/// The first unit's ligament to the right goes on along the unit's lower edge, as an optimised body has it to 0.02°.
+/// The first unit's ligament to the right continues the unit's lower edge, within 0.02° as in a trained body.
 #[test]
 fn a_ligament_that_goes_on_along_an_edge_is_cast() {
     for turn in [0.0, 0.02, -0.02] {
@@ -85,7 +85,7 @@ fn a_ligament_that_goes_on_along_an_edge_is_cast() {
     }
 }
 
-/// Two ligaments of a unit begin 1.3 mm apart: 1.5 mm wide, they are one where they begin.
+/// Two ligaments of a unit begin 1.3 mm apart; with a width of 1.5 mm they merge there.
 #[test]
 fn ligaments_that_overlap_are_cast() {
     let drawing = squares_moved(|unit, p| match (unit, p) {
@@ -100,7 +100,7 @@ fn ligaments_that_overlap_are_cast() {
     assert!(units < apart.area() && apart.area() < cavity.area(), "{units} {}", cavity.area());
 }
 
-/// Bodies as the optimiser leaves them, and beyond: joints moved by up to 2.4 mm in any direction.
+/// Joints moved by up to 2.4 mm in any direction, as in trained bodies and beyond.
 #[test]
 fn moved_bodies_are_cast_in_one_piece() {
     for case in 0..40 {

@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// All weights are dealt out, biases first, each with its layer's sizes.
+/// All weights are assigned, biases first, each with the sizes of its layer.
 #[test]
 fn the_parts_are_those_of_the_network() {
     let brain = Brain { width: Some(2), kernels: Some(vec![4, 2, 3, 1]), ..Brain::default() };

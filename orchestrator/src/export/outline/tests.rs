@@ -3,12 +3,12 @@
 use super::super::tests::squares;
 use super::*;
 
-/// A mould without clearance for ligaments of a width.
+/// A mould without clearance for ligaments of this width.
 pub fn mould(width: f64) -> Mould {
     Mould { width, height: 10.0, wall: 3.0, clearance: 0.0, pocket: None }
 }
 
-/// Of a unit's corners.
+/// Area of a unit.
 fn area_of(unit: &[[f64; 2]]) -> f64 {
     (0..unit.len())
         .map(|p| (unit[p], unit[(p + 1) % unit.len()]))
@@ -20,8 +20,8 @@ pub fn area_of_units(drawing: &Drawing) -> f64 {
     drawing.units.iter().map(|unit| area_of(unit)).sum()
 }
 
-/// Four voids in nine units. A ligament adds at least the strip between the corners that it joins, less what of the
-/// units is beside it, and at most all that is within half its width of it.
+/// Nine units have four voids. A ligament adds at least the strip between the corners that it joins, less the parts of units beside
+/// it, and at most all points within half its width.
 #[test]
 fn the_outline_is_one_outer_loop_and_a_loop_a_void() {
     let drawing = squares();
@@ -30,11 +30,11 @@ fn the_outline_is_one_outer_loop_and_a_loop_a_void() {
     let unit = 2.0 * (6.375 / 20f64.to_radians().cos()).powi(2);
     let added = outline.area() - 9.0 * unit;
     assert!(added > 12.0 * 2.25 && added < 12.0 * 3.25, "{added}, units {}", 9.0 * unit);
-    // no rounded corner but at ligaments' ends
+    // only the ends of ligaments are rounded
     assert!(outline.loops.iter().map(Vec::len).sum::<usize>() < 36 + 24 * 14, "{:?}", outline.loops);
 }
 
-/// The area that a clearance adds is its part of the length around, and every corner is where it should be.
+/// A clearance adds its product with the perimeter to the area, and keeps one loop per void.
 #[test]
 fn a_clearance_moves_every_side_outward() {
     let body = Outline::new(&squares(), &mould(1.0)).unwrap();

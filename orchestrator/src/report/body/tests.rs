@@ -1,11 +1,11 @@
-//! Bodies as they are drawn.
+//! Tests of drawn bodies.
 
 use super::*;
 use crate::export::tests::squares;
 use crate::look::body::Arrow;
 use crate::look::wave::course;
 
-/// A gap as a line between its units, an angle as a dot at its corner; y downward.
+/// A clearance is a line between its units, an angle a dot at its corner; y points down.
 #[test]
 fn what_holds_a_body_is_drawn_where_it_is() {
     let mut drawing = squares();
@@ -19,8 +19,8 @@ fn what_holds_a_body_is_drawn_where_it_is() {
     assert!(svg.contains(&dot), "{dot} is not in {svg}");
 }
 
-/// Of every design its corners and, as they are drawn from the first, how far panel and sensor have gone since: the unit
-/// of the panel with its corners, the sensor to another unit.
+/// The data contain the corners of every design, and the displacement of panel and sensor since the first design. The panel moves
+/// with its unit, the sensor to another unit.
 #[test]
 fn a_course_has_every_design_and_where_its_marks_have_gone() {
     let squares = || sketch(&squares(), &[]);

@@ -24,7 +24,7 @@ fn a_name_that_can_be_rebound_is_not_ours() {
     }
 }
 
-/// A reader that takes nothing is given up after the patience, one that takes a little now and then is not.
+/// A connection fails after the patience if its reader takes nothing, but not if it takes a little now and then.
 #[tokio::test]
 async fn who_takes_nothing_is_given_up() {
     use tokio::io::{AsyncReadExt, AsyncWriteExt};

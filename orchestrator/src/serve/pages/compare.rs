@@ -1,4 +1,4 @@
-//! Two trials side by side, or two databases trial by trial.
+//! Two trials side by side, or two databases by pairs of trials.
 
 use std::sync::Arc;
 
@@ -25,7 +25,7 @@ use crate::store::Reader;
 pub struct Asked {
     a: String,
     b: String,
-    /// The other database.
+    /// Number of the other database.
     with: String,
 }
 

@@ -1,4 +1,5 @@
-//! All trials on grids: M across, placements down, a grid a K and a size of the body, coloured by an error.
+//! The sweep map: grids of M across and placements down, coloured by an error. There is one grid per K, size of the body, kind of
+//! placement, and decoders.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -19,7 +20,7 @@ use crate::plan::counted;
 use crate::serve::trials::Row;
 use crate::serve::{Refusal, source};
 
-/// What cells may be coloured by, and in words.
+/// Quantities that colour cells, with their descriptions.
 const BY: [(&str, &str); 5] = [
     ("holdout_optimised", "held-out error of the trained body (%)"),
     ("holdout_initial", "held-out error of the initial body (%)"),
@@ -27,7 +28,7 @@ const BY: [(&str, &str); 5] = [
     ("gain", "held-out error of the initial body over that of the trained body"),
     ("cpu_seconds", "CPU time (s)"),
 ];
-/// Grids on a page, and cells along a side of one.
+/// Maximum number of grids on a page, and of cells along a side.
 const MOST: usize = 60;
 
 #[derive(Debug, Default, Deserialize)]
@@ -70,7 +71,7 @@ pub async fn page(
     framed(&served, &at, "map", "Sweep map", Some(seen.generation), &content)
 }
 
-/// What of a cell's placing and brains a filter can name.
+/// Filter conditions for a cell's kind of placement, decoders and objective.
 fn alike(row: &Row) -> String {
     let said = |path| Some(row.cell(path)).filter(|v| !v.is_null()).map(|v| format!(" {path}={}", plain(&v)));
     ["sensors.search", "brain.kind", "optimise.brain", "optimise.objective", "optimise.objective.cvar"]
@@ -79,7 +80,7 @@ fn alike(row: &Row) -> String {
         .collect()
 }
 
-/// The grids, and how many are left out.
+/// The grids, and the number of omitted ones.
 fn grids(at: &str, found: &[&Arc<Row>], by: &str) -> (Vec<Picture>, usize) {
     type Cells = BTreeMap<(u64, u64), Vec<Arc<Row>>>;
     let mut of: BTreeMap<(u64, u64, &str, [String; 2]), Cells> = BTreeMap::new();

@@ -1,4 +1,4 @@
-//! What stands on which page.
+//! The pages, and the parts that they share.
 
 pub mod compare;
 pub mod map;
@@ -19,14 +19,14 @@ use crate::exit::chain;
 use crate::look::{Encoded, document};
 use crate::store::StoreError;
 
-/// Pages of a database, by their addresses and names.
+/// Pages of a database, by address and name.
 const TABS: [(&str, &str); 5] =
     [("", "Overview"), ("trials", "Trials"), ("map", "Sweep map"), ("compare", "Compare"), ("sql", "SQL")];
 
 /// The tab of a trial's page.
 const TRIAL: &str = "trial";
 
-/// Where one begins: the only database, or all of them.
+/// The first page: the only database, or a list of all.
 pub async fn home(State(served): State<Arc<Served>>) -> Response {
     if served.sources.len() == 1 {
         return Redirect::to("./0/").into_response();
@@ -37,7 +37,7 @@ pub async fn home(State(served): State<Arc<Served>>) -> Response {
     Html(bare(("", served.steering.is_some()), "Databases", &list)).into_response()
 }
 
-/// A page of no database. `up`: the way from it to the first page; `steers`: others do.
+/// A page outside databases. `up`: path from it to the first page; `steers`: whether runs can be controlled.
 fn bare((up, steers): (&str, bool), title: &str, content: &Markup) -> String {
     document(
         &format!("{title} – metasense"),
@@ -62,8 +62,8 @@ fn head(up: &str, steers: bool) -> Markup {
     }
 }
 
-/// A page of a database. An empty `tab` is the overview, `TRIAL` a trial's, one folder further down. `live`: the generation that it
-/// shows, where it follows what happens.
+/// A page of a database. An empty `tab` is the overview, `TRIAL` a trial's page, one folder further down. `live`: the generation
+/// that the page shows, if the page updates itself.
 fn framed(
     served: &Served,
     number: &str,
@@ -95,12 +95,12 @@ fn framed(
     Ok(Html(document(&format!("{title} – {name}"), &head(&up, served.steering.is_some()), &body)))
 }
 
-/// A part of a page that is put in its place again when something has changed.
+/// A part of a page that is replaced after changes.
 fn live(id: &str, content: &Markup) -> Markup {
     html! { section id=(id) data-live { (content) } }
 }
 
-/// Why there is nothing to be seen.
+/// Why data are missing.
 fn trouble(seen: &Seen) -> Markup {
     html! {
         @if let Some(why) = &seen.trouble { p class="trouble" role="alert" { (why) } }
@@ -109,12 +109,12 @@ fn trouble(seen: &Seen) -> Markup {
     }
 }
 
-/// The way to the page of a trial, from those of a database but its trials'.
+/// Path to the page of a trial, from all pages of a database except those of trials.
 fn to_trial(number: &str, hash: &str) -> String {
     format!("../{number}/trial/{}", Encoded(hash))
 }
 
-/// Links from the columns that name trials.
+/// Links from columns that name trials.
 fn trial_links(number: &str) -> impl Fn(&str, &Value) -> Option<String> {
     move |column, value| match column {
         "hash" | "trial" => value.as_str().filter(|hash| !hash.is_empty()).map(|hash| to_trial(number, hash)),
@@ -128,7 +128,7 @@ impl From<StoreError> for Refusal {
     }
 }
 
-/// The last part of an address, with what was asked.
+/// A query string of the pairs with values.
 fn query(pairs: &[(&str, &str)]) -> String {
     let pairs = pairs.iter().filter(|(_, value)| !value.is_empty());
     let pairs: Vec<String> = pairs.map(|(key, value)| format!("{key}={}", Encoded(value))).collect();

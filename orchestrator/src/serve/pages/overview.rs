@@ -1,4 +1,4 @@
-//! Progress of a sweep, its answers so far, its failures.
+//! The overview: progress of a sweep, answers so far, failures.
 
 use std::sync::Arc;
 

@@ -1,4 +1,4 @@
-//! Queries in SQL: rows on a page and as files, two columns as a plot, and the views.
+//! Queries in SQL: rows on a page and as files, a plot of two columns, and the views.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,10 +16,10 @@ use crate::look::{Axis, Format, Plot, Scale, Table, lines};
 use crate::serve::{Refusal, file_of};
 use crate::store::{Limits, Reader};
 
-/// What a page shows, and what a file holds.
+/// Limits of an answer on a page, and in a file.
 const PAGE: Limits = Limits { rows: 1000, bytes: 2 << 20, time: Duration::from_secs(5) };
 const FILE: Limits = Limits { rows: 200_000, bytes: 32 << 20, time: Duration::from_secs(20) };
-/// The statement that stands there before any is asked.
+/// The statement in the empty form.
 const FIRST: &str = "SELECT sensors, avg(holdout_error_initial), avg(holdout_error_optimised), count(*)\nFROM v_trial WHERE state = 'done' GROUP BY 1";
 
 #[derive(Debug, Default, Deserialize)]
@@ -82,7 +82,7 @@ pub async fn parquet(
     file(&served, &at, &asked.q, Format::Parquet, "application/vnd.apache.parquet").await
 }
 
-/// An answer that is not whole is none: a file does not say that it was cut.
+/// An answer as a file. Refuses incomplete answers, because a file cannot show that it was cut.
 async fn file(
     served: &Served,
     at: &str,
@@ -100,7 +100,7 @@ async fn file(
 
 struct Answered {
     table: Table,
-    /// Why it is not complete.
+    /// Why it is incomplete.
     cut: Option<String>,
     /// Declared types of the columns, if they were asked for.
     types: Vec<String>,
@@ -116,7 +116,7 @@ async fn answer(
     let db = file_of(served, at).await?;
     let turn = Arc::clone(&served.questions).acquire_owned().await.expect("it is never closed");
     let sql = sql.to_owned();
-    // In a separate task: a statement that nobody waits for any more keeps its permit until SQLite has ended it.
+    // In a separate task: an abandoned statement keeps its permit until SQLite has ended it.
     let answering = tokio::spawn(async move {
         let mut reader = Reader::confined(&db).await?;
         let answer = reader.limited(&sql, limits).await;
@@ -131,7 +131,7 @@ async fn answer(
     }
 }
 
-/// The numbers of two columns, one against the other.
+/// A plot of two numeric columns.
 fn plot(asked: &Asked, table: &Table) -> Markup {
     let numeric = |i: &usize| table.rows.iter().any(|row| row[*i].is_number());
     let columns: Vec<usize> = (0..table.columns.len()).filter(numeric).collect();
@@ -171,7 +171,7 @@ fn plot(asked: &Asked, table: &Table) -> Markup {
     }
 }
 
-/// The columns to select of a view: all of them, but only the length of arrays.
+/// Columns of a view to select: all, but only the length of arrays.
 fn shown(columns: &[String]) -> String {
     match columns.iter().position(|column| column == "bytes") {
         Some(at) => {
@@ -181,7 +181,7 @@ fn shown(columns: &[String]) -> String {
     }
 }
 
-/// The views that users build on, with their columns.
+/// The views for users, with their columns.
 async fn views(served: &Served, at: &str) -> Result<Markup, Refusal> {
     let db = file_of(served, at).await?;
     let mut reader = Reader::confined(&db).await?;

@@ -1,4 +1,4 @@
-//! One trial: its curves, its body before and now, its CPU time by part, its attempts, its log.
+//! One trial: its curves, bodies, CPU time by part, attempts and log.
 
 use std::sync::Arc;
 
@@ -25,14 +25,14 @@ use crate::serve::steer::of_trial;
 use crate::serve::{Refusal, Seen, source};
 use crate::store::{Reader, StoreError, Stored, quoted};
 
-/// What a database holds of a trial.
+/// Stored data of a trial.
 #[derive(Debug)]
 pub(super) struct Trial {
     pub hash: String,
     pub state: String,
     pub reason: String,
     pub spec: String,
-    /// Facts of `v_trial`.
+    /// Values from `v_trial`.
     pub facts: Table,
     pub steps: Table,
     /// Number of steps that this trial computed, and their CPU seconds by part.
@@ -42,15 +42,15 @@ pub(super) struct Trial {
     pub readings: Table,
     pub attempts: Table,
     pub log: Table,
-    /// Both designs with what they are called, and the sensors on either, as far as they are known.
+    /// Known designs, each with its name and a spec that has its sensors.
     pub designs: Vec<(String, TrialSpec, Vec<f64>)>,
-    /// The designs on the way that are known, after so many outer steps, the initial one first.
+    /// Known designs during training, each after so many outer steps; the initial design first.
     pub course: Vec<(u32, TrialSpec, Vec<f64>)>,
-    /// Where both bodies and the weights that read them are stored.
+    /// The stored trial, if it contains both bodies.
     pub stored: Option<Stored>,
 }
 
-/// What is told of a trial, and of its attempts.
+/// Columns of a trial; below, of its attempts.
 const FACTS: &str = "panels AS K, sensors AS M, placement, seed, units, layout, brain, trained_with,
   spec->>'$.optimise.objective' AS objective, placed, protocol,
   design_parameters, brain_parameters, holdout_error_initial, holdout_median_initial, holdout_p90_initial,
@@ -64,7 +64,7 @@ const ATTEMPTS: &str =
   rustc, host, cpu, simd, threads";
 
 impl Trial {
-    /// Reads it.
+    /// Reads a trial.
     pub async fn read(reader: &mut Reader, hash: &str) -> Result<Self, StoreError> {
         let hash = reader.hash_of(hash).await?;
         if let Some(mut rest) = reader.rest_of(&hash).await? {
@@ -143,14 +143,14 @@ impl Trial {
         })
     }
 
-    /// A column of its steps against their numbers, from 1; where there is a number.
+    /// Points (step from 1, value) of a column of the steps; rows without a number are omitted.
     pub fn column(&self, name: &str) -> Vec<(f64, f64)> {
         let Some(at) = self.steps.columns.iter().position(|column| column == name) else { return Vec::new() };
         let point = |row: &Vec<serde_json::Value>| Some((row[0].as_f64()? + 1.0, row[at].as_f64()?));
         self.steps.rows.iter().filter_map(point).collect()
     }
 
-    /// Its bodies as they can be drawn.
+    /// Drawings of the bodies.
     pub fn drawings(&self) -> Vec<(String, String, Sketch)> {
         let drawn = |(name, spec, design): &(String, TrialSpec, Vec<f64>)| {
             drawing(spec, design).ok().map(|drawing| (name.clone(), name.clone(), sketch(&drawing, &[])))
@@ -159,7 +159,7 @@ impl Trial {
     }
 }
 
-/// Curves, a class and points each; `None` without a point.
+/// A plot of curves, each with class and points; `None` without points.
 pub(super) fn curves(title: &str, [x, y]: [&str; 2], lines: &[(&str, Vec<(f64, f64)>)]) -> Option<Picture> {
     let points = || lines.iter().flat_map(|line| &line.1);
     points().next()?;
@@ -174,9 +174,9 @@ pub(super) fn curves(title: &str, [x, y]: [&str; 2], lines: &[(&str, Vec<(f64, f
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 pub struct Asked {
-    /// Not empty: simulate it again.
+    /// Not empty: simulate the trial again.
     replay: String,
-    /// The sample to be shown.
+    /// The sample to show.
     sample: String,
 }
 
@@ -217,7 +217,7 @@ pub async fn page(
         @if trial.state != "done" { (of_trial(&served, &at, &trial.hash)) }
         (live("curves", &curves_of(&trial)))
         (live("bodies", &bodies_of(&trial)))
-        // it has its place on the slider: the designs alone are put in their place again
+        // not live, so that the slider keeps its position; only the designs are replaced
         (course_of(&trial))
         @for (id, part) in &parts { (live(id, part)) }
         section id="replay" {
@@ -238,7 +238,7 @@ pub async fn page(
     framed(&served, &at, "trial", &title, following.then_some(seen.generation), &content)
 }
 
-/// The trial simulated again, or what is kept of it.
+/// Simulates the trial again, unless it is the one that is kept.
 async fn replayed(served: &Served, stored: &Stored) -> Result<Arc<Replayed>, Refusal> {
     let _turn = served.replays.acquire().await.expect("it is never closed");
     let kept = served.replayed.lock().expect("nobody panics with it").clone();
@@ -253,7 +253,7 @@ async fn replayed(served: &Served, stored: &Stored) -> Result<Arc<Replayed>, Ref
     Ok(again)
 }
 
-/// Which sample is shown: four, or any of the test set, by their numbers.
+/// A choice of samples to show: four, or one of the test set.
 fn samples(again: &Replayed, chosen: &str) -> Markup {
     let error = |error: Option<f64>| error.map_or("–".into(), number);
     let at = again.test.iter().position(|n| n.to_string() == chosen);
@@ -336,7 +336,7 @@ fn bodies_of(trial: &Trial) -> Markup {
     body::figure("body", "Bodies", caption, &drawings).html(&[])
 }
 
-/// Its designs so far, from step to step; none where none was kept, and none will be.
+/// The designs so far, by step; empty if none has been or will be stored.
 fn course_of(trial: &Trial) -> Markup {
     let drawn = |(step, spec, design): &(u32, TrialSpec, Vec<f64>)| {
         Some((*step, sketch(&drawing(spec, design).ok()?, &[])))

@@ -1,4 +1,4 @@
-//! All trials: a page of those that meet some terms, in some order.
+//! All trials: one page of those that meet conditions, sorted.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use crate::plan::counted;
 use crate::serve::trials::{NUMBERS, Row};
 use crate::serve::{Refusal, source};
 
-/// Trials on a page.
+/// Number of trials on a page.
 const ON_A_PAGE: usize = 100;
 
 #[derive(Debug, Deserialize)]
@@ -76,7 +76,7 @@ pub async fn page(
     framed(&served, &at, "trials", "Trials", Some(seen.generation), &content)
 }
 
-/// What one may filter by.
+/// The keys to filter by.
 fn keys(asked: &Asked, keys: &std::collections::BTreeMap<String, Vec<String>>) -> Markup {
     let with = |term: String| query(&[("q", format!("{} {term}", asked.q).trim()), ("sort", &asked.sort)]);
     html! {
@@ -96,7 +96,7 @@ fn keys(asked: &Asked, keys: &std::collections::BTreeMap<String, Vec<String>>) -
     }
 }
 
-/// Columns of what differs between trials; the rest is sorted and filtered by name.
+/// Maximum number of columns of keys that differ between trials; others are sorted and filtered by name.
 const MOST_KEYS: usize = 6;
 
 fn table(at: &str, asked: &Asked, shown: &[&Arc<Row>], keys: &BTreeMap<String, Vec<String>>) -> Markup {
@@ -114,7 +114,7 @@ fn table(at: &str, asked: &Asked, shown: &[&Arc<Row>], keys: &BTreeMap<String, V
             }
         }
     };
-    // beside mean errors stands what the shown trials say
+    // medians and counts only where a shown trial has them
     let says = |name: &str| {
         !["median_", "above_"].iter().any(|part| name.starts_with(part))
             || shown.iter().any(|row| row.number(name).is_some_and(|x| x > 0.0))

@@ -41,7 +41,7 @@ fn terms_choose_and_keys_sort() {
         ("optimise.brain=linear", "", "13"),
         ("optimise.brain!=linear", "-x", "20"),
         ("x=0.5", "", "1"),
-        // what a trial leaves out is the usual
+        // a key that a trial omits has its usual value
         ("brain.kind=cnn", "", "0123"),
         ("optimise.objective=nominal", "", "012"),
         ("optimise.objective.cvar>0.5", "", "3"),
@@ -49,7 +49,7 @@ fn terms_choose_and_keys_sort() {
         ("hash~3a", "", "3"),
         ("holdout_optimised<100", "", "02"),
         ("no.such.key>1", "", ""),
-        // those without an error come last, either way
+        // trials without an error come last in both directions
         ("", "holdout_optimised", "2013"),
         ("", "-holdout_optimised", "0213"),
     ] {
@@ -58,7 +58,7 @@ fn terms_choose_and_keys_sort() {
     assert!(terms("M").is_err() && terms("=3").is_err() && terms("reason=\"took").is_err());
 }
 
-/// What is compared with a number is one: as texts all numbers are less than `two`.
+/// Only numbers are compared with numbers: as texts, all numbers are less than `two`.
 #[test]
 fn numbers_are_compared_with_numbers() {
     let trials = trials();
@@ -85,7 +85,7 @@ fn numbers_are_compared_with_numbers() {
     }
 }
 
-/// Whole numbers are compared exactly.
+/// Integers are compared exactly.
 #[test]
 fn large_seeds_differ_by_one() {
     let mut settings = Settings::default();
