@@ -15,7 +15,7 @@ use sqlx::{ConnectOptions, Connection};
 
 /// State of a copy of a trial.
 #[derive(Debug, Clone, Copy)]
-enum Life {
+enum TrialState {
     /// Done, with error and instruction set.
     Done(f64, &'static str),
     /// Given up after one step, with a reason.
@@ -44,10 +44,10 @@ async fn steps(store: &mut Store, hash: &str, attempt: u32, count: u32) {
     }
 }
 
-async fn live(store: &mut Store, hash: &str, life: Life) {
+async fn live(store: &mut Store, hash: &str, life: TrialState) {
     let attempt = store.begin_attempt(hash).await.unwrap();
     match life {
-        Life::Done(error, simd) => {
+        TrialState::Done(error, simd) => {
             let network =
                 NetworkEvaluation { error_test: Some(error), losses: vec![1.0, 0.5], ..Default::default() };
             let body = BodyEvaluation { design: vec![error], networks: vec![network], ..Default::default() };
@@ -62,20 +62,20 @@ async fn live(store: &mut Store, hash: &str, life: Life) {
             let array = Array { name: "forces", shape: &[1], npy: &npy };
             store.finish(hash, attempt, &result, &[array]).await.unwrap();
         }
-        Life::Failed(reason) => {
+        TrialState::Failed(reason) => {
             steps(store, hash, attempt, 1).await;
             store.fail(hash, attempt, reason).await.unwrap();
         }
-        Life::Steps(n) => {
+        TrialState::Steps(n) => {
             steps(store, hash, attempt, n).await;
             store.give_up_attempt(hash, attempt, "stopped").await.unwrap();
         }
-        Life::Killed(n) => steps(store, hash, attempt, n).await,
+        TrialState::Killed(n) => steps(store, hash, attempt, n).await,
     }
 }
 
 /// A database of a sweep in which these trials, by index in the plan, have these states.
-async fn database(path: &Path, plan: &Plan, shard: u32, lives: &[(usize, Life)]) {
+async fn database(path: &Path, plan: &Plan, shard: u32, lives: &[(usize, TrialState)]) {
     // Times have milliseconds: all databases get different ones.
     tokio::time::sleep(Duration::from_millis(3)).await;
     let mut store = Store::open(path).await.unwrap();
@@ -107,26 +107,39 @@ fn pool() -> &'static [PathBuf] {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         runtime.block_on(async {
             let (s, other) = (plan("s"), plan("other"));
-            database(&at("c-partial"), &s, 1, &[(0, Life::Done(5.0, "avx2")), (3, Life::Killed(2))]).await;
+            database(
+                &at("c-partial"),
+                &s,
+                1,
+                &[(0, TrialState::Done(5.0, "avx2")), (3, TrialState::Killed(2))],
+            )
+            .await;
             std::fs::copy(at("c-partial"), at("a-later")).unwrap();
-            database(&at("a-later"), &s, 1, &[(3, Life::Done(6.0, "avx2"))]).await;
-            database(&at("b-again"), &s, 1, &[(0, Life::Done(5.0, "avx2")), (3, Life::Steps(3))]).await;
+            database(&at("a-later"), &s, 1, &[(3, TrialState::Done(6.0, "avx2"))]).await;
+            database(&at("b-again"), &s, 1, &[(0, TrialState::Done(5.0, "avx2")), (3, TrialState::Steps(3))])
+                .await;
             let mut older = SqliteConnectOptions::new().filename(at("b-again")).connect().await.unwrap();
             let deleted =
                 sqlx::query("DELETE FROM artifact WHERE name LIKE 'design_step_%'").execute(&mut older).await;
             assert_eq!(deleted.unwrap().rows_affected(), 7);
             older.close().await.unwrap();
-            database(&at("d-wide"), &s, 1, &[(0, Life::Done(5.1, "avx512"))]).await;
-            database(&at("e-differs"), &s, 1, &[(3, Life::Done(6.5, "avx2"))]).await;
+            database(&at("d-wide"), &s, 1, &[(0, TrialState::Done(5.1, "avx512"))]).await;
+            database(&at("e-differs"), &s, 1, &[(3, TrialState::Done(6.5, "avx2"))]).await;
             database(
                 &at("f-failed"),
                 &s,
                 2,
-                &[(1, Life::Failed("non_finite")), (4, Life::Failed("worker_killed(9)"))],
+                &[(1, TrialState::Failed("non_finite")), (4, TrialState::Failed("worker_killed(9)"))],
             )
             .await;
-            database(&at("g-done"), &other, 2, &[(1, Life::Done(7.0, "avx2")), (4, Life::Steps(3))]).await;
-            database(&at("h-open"), &other, 2, &[(1, Life::Steps(2)), (4, Life::Steps(2))]).await;
+            database(
+                &at("g-done"),
+                &other,
+                2,
+                &[(1, TrialState::Done(7.0, "avx2")), (4, TrialState::Steps(3))],
+            )
+            .await;
+            database(&at("h-open"), &other, 2, &[(1, TrialState::Steps(2)), (4, TrialState::Steps(2))]).await;
             std::fs::copy(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/databases/v15.sqlite"), at("v15"))
                 .unwrap();
         });
@@ -319,8 +332,8 @@ async fn a_live_database_can_be_read_but_not_written() {
     let s = plan("s");
     let mut store = Store::open(&db).await.unwrap();
     store.begin_sweep(&s.spec, &s.source.text, &s.trials).await.unwrap();
-    live(&mut store, &s.trials[0].hash, Life::Done(5.0, "avx2")).await;
-    live(&mut store, &s.trials[1].hash, Life::Killed(2)).await;
+    live(&mut store, &s.trials[0].hash, TrialState::Done(5.0, "avx2")).await;
+    live(&mut store, &s.trials[1].hash, TrialState::Killed(2)).await;
     let summary = merge(Extent::Whole, std::slice::from_ref(&db), &out).await.unwrap();
     assert_eq!((summary.trials, summary.read), (6, 1));
     let refused = merge(Extent::Whole, std::slice::from_ref(&out), &db).await;
@@ -339,7 +352,7 @@ async fn a_live_database_can_be_read_but_not_written() {
 
 /// A database with one finished trial.
 async fn one(path: &Path, name: &str, trial: usize) {
-    database(path, &plan(name), 1, &[(trial, Life::Done(5.0, "avx2"))]).await;
+    database(path, &plan(name), 1, &[(trial, TrialState::Done(5.0, "avx2"))]).await;
 }
 
 /// Names and contents of all files in a folder, including hidden ones.
@@ -469,7 +482,7 @@ async fn left_behind(path: &Path) {
     let (db, s) = (folder.path().join("db.sqlite"), plan("s"));
     let mut store = Store::open(&db).await.unwrap();
     store.begin_sweep(&s.spec, &s.source.text, &s.trials).await.unwrap();
-    live(&mut store, &s.trials[0].hash, Life::Killed(2)).await;
+    live(&mut store, &s.trials[0].hash, TrialState::Killed(2)).await;
     for end in ["", "-wal"] {
         std::fs::copy(folder.path().join(format!("db.sqlite{end}")), format!("{}{end}", path.display()))
             .unwrap();
@@ -567,11 +580,11 @@ fn gc_removes_what_holds_nothing_of_its_own() {
         [1, 2, 3].map(|n| shards.join(format!("shard-1-of-3.{n}-{host}-{ended}.sqlite")));
     runtime.block_on(async {
         let s = plan("s");
-        database(&contained, &s, 1, &[(0, Life::Done(5.0, "avx2")), (3, Life::Steps(2))]).await;
+        database(&contained, &s, 1, &[(0, TrialState::Done(5.0, "avx2")), (3, TrialState::Steps(2))]).await;
         std::fs::copy(&contained, &later).unwrap();
         std::fs::copy(&contained, &own_row).unwrap();
-        database(&own_row, &s, 1, &[(1, Life::Done(5.0, "avx2"))]).await;
-        database(&later, &s, 1, &[(4, Life::Done(5.0, "avx2"))]).await;
+        database(&own_row, &s, 1, &[(1, TrialState::Done(5.0, "avx2"))]).await;
+        database(&later, &s, 1, &[(4, TrialState::Done(5.0, "avx2"))]).await;
     });
     let left = [format!(".a.svg.{host}-{ended}.tmp"), format!("shard-1-of-3.4-{host}-{ended}.tmp")];
     let stays =
@@ -675,7 +688,7 @@ fn a_second_merge_reads_only_what_is_new() {
     assert_eq!((third.read, third.known, third.trials), (4, 3, second.trials));
     assert_eq!(out.metadata().unwrap().modified().unwrap(), before, "nothing new was written all the same");
     put(&kept);
-    runtime.block_on(database(&files[1], &plan("s1"), 1, &[(1, Life::Done(5.0, "avx2"))]));
+    runtime.block_on(database(&files[1], &plan("s1"), 1, &[(1, TrialState::Done(5.0, "avx2"))]));
     assert_eq!(merged(&files, &out).unwrap().known, 2, "one has changed, one is new");
     merged(&files, &at("at-once.sqlite")).unwrap();
     assert_eq!(rows(&out), rows(&at("at-once.sqlite")));
@@ -695,12 +708,12 @@ async fn a_trial_that_is_cancelled_while_it_waits_is_so_in_the_result() {
     let folder = tempfile::tempdir().unwrap();
     let [shard, out] = ["shard.sqlite", "out.sqlite"].map(|name| folder.path().join(name));
     let plan = plan("s");
-    database(&shard, &plan, 1, &[(0, Life::Steps(2))]).await;
+    database(&shard, &plan, 1, &[(0, TrialState::Steps(2))]).await;
     merge(Extent::Whole, std::slice::from_ref(&shard), &out).await.unwrap();
     let mut store = Store::open(&shard).await.unwrap();
     let waiting = &plan.trials[3];
     store.begin_sweep(&plan.spec, &plan.source.text, std::slice::from_ref(waiting)).await.unwrap();
-    store.settle(&waiting.hash, "cancelled").await.unwrap();
+    store.fail_pending(&waiting.hash, "cancelled").await.unwrap();
     store.close().await.unwrap();
     merge(Extent::Whole, std::slice::from_ref(&shard), &out).await.unwrap();
     let states = format!("SELECT state || ' ' || reason FROM trial WHERE hash = '{}'", waiting.hash);
@@ -716,7 +729,7 @@ async fn copies_of_one_run_that_differ_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     let plan = plan("s");
-    let lives = [(0, Life::Done(5.0, "avx2")), (3, Life::Steps(2))];
+    let lives = [(0, TrialState::Done(5.0, "avx2")), (3, TrialState::Steps(2))];
     database(&at("whole.sqlite"), &plan, 1, &lives).await;
     let [done, open] = [0, 3].map(|order: usize| plan.trials[order].hash.clone());
     let zeroed = "bytes = zeroblob(length(bytes))";

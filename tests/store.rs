@@ -418,14 +418,14 @@ async fn a_damaged_checkpoint_gives_way_to_another_trials() {
     };
     damage(own).await;
     let attempt = store.begin_attempt(own).await.unwrap();
-    let found = store.goes_on_from(own, attempt, None).await.unwrap();
+    let found = store.resume_checkpoint(own, attempt, None).await.unwrap();
     assert_eq!(found.map(|found| found.step), Some(2));
     let said = "SELECT group_concat(text) FROM v_log";
     assert!(value(&db, said).await.as_str().unwrap().contains("checksum"), "{}", value(&db, said).await);
     damage(own).await;
     damage(other).await;
     let attempt = store.begin_attempt(own).await.unwrap();
-    let found = store.goes_on_from(own, attempt, None).await;
+    let found = store.resume_checkpoint(own, attempt, None).await;
     assert!(matches!(&found, Err(StoreError::Damaged { hash, .. }) if hash == own), "{found:?}");
     disk.close().await.unwrap();
 }

@@ -9,7 +9,7 @@ use metasense::analysis::{Body, Question, Set, Terms, Trial};
 use metasense::cluster::merge::{Extent, merge};
 use metasense::look::Table;
 use metasense::plan::{Plan, Trial as Planned};
-use metasense::progress::Looks;
+use metasense::progress::Observer;
 use metasense::report::load::{finished_trials, story};
 use metasense::serve::Trials;
 use metasense::store::{Level, Reader, RunPlan, Store};
@@ -127,17 +127,17 @@ async fn made_up(db: &Path) -> Plan {
     // trains, with setup time outside the steps
     let attempt = store.begin_attempt(one[0]).await.unwrap();
     steps(&mut store, one[0], attempt, 0..STEPS).await;
-    store.spend(one[0], attempt, 10.0).await.unwrap();
+    store.record_cpu_seconds(one[0], attempt, 10.0).await.unwrap();
     store.finish(one[0], attempt, &result(planned[0][0], 10.0), &[]).await.unwrap();
     // evaluate the body that it trained
     for (n, hash) in one[1..].iter().enumerate() {
         let attempt = store.begin_attempt(hash).await.unwrap();
-        assert!(store.goes_on_from(hash, attempt, None).await.unwrap().is_some(), "{hash}");
-        store.spend(hash, attempt, 2.0 + n as f64).await.unwrap();
+        assert!(store.resume_checkpoint(hash, attempt, None).await.unwrap().is_some(), "{hash}");
+        store.record_cpu_seconds(hash, attempt, 2.0 + n as f64).await.unwrap();
         if n == 0 {
             store.give_up_attempt(hash, attempt, "worker_killed(9)").await.unwrap();
             let attempt = store.begin_attempt(hash).await.unwrap();
-            store.spend(hash, attempt, 4.0).await.unwrap();
+            store.record_cpu_seconds(hash, attempt, 4.0).await.unwrap();
             store.finish(hash, attempt, &result(planned[0][1 + n], 20.0), &[]).await.unwrap();
         } else {
             store.finish(hash, attempt, &result(planned[0][1 + n], 30.0), &[]).await.unwrap();
@@ -152,20 +152,20 @@ async fn made_up(db: &Path) -> Plan {
     store.finish(two[0], attempt, &result(planned[1][0], 5.0), &[]).await.unwrap();
     // failed, cancelled, running
     let attempt = store.begin_attempt(two[1]).await.unwrap();
-    store.spend(two[1], attempt, 7.0).await.unwrap();
+    store.record_cpu_seconds(two[1], attempt, 7.0).await.unwrap();
     store.log(two[1], attempt, Level::Error, "no reason").await.unwrap();
     store.fail(two[1], attempt, "non_finite").await.unwrap();
-    store.settle(two[2], "cancelled").await.unwrap();
+    store.fail_pending(two[2], "cancelled").await.unwrap();
     // computed by other code, and marked for repetition
     let attempt = store.begin_attempt(three[0]).await.unwrap();
     steps(&mut store, three[0], attempt, 0..STEPS).await;
-    store.spend(three[0], attempt, 100.0).await.unwrap();
+    store.record_cpu_seconds(three[0], attempt, 100.0).await.unwrap();
     store.finish(three[0], attempt, &result(planned[2][0], 1.0), &[]).await.unwrap();
     store.set_provenance(Provenance { code: "other".into(), ..provenance() });
     assert_eq!(store.redo_other_code(&[three[0]]).await.unwrap(), 1);
     let attempt = store.begin_attempt(three[0]).await.unwrap();
     steps(&mut store, three[0], attempt, 0..3).await;
-    store.spend(three[0], attempt, 3.0).await.unwrap();
+    store.record_cpu_seconds(three[0], attempt, 3.0).await.unwrap();
     store.end_run(&run, "interrupted", 4, 1).await.unwrap();
     store.close().await.unwrap();
     plan
@@ -288,7 +288,7 @@ async fn counts_agree(reader: &mut Reader, db: &Path) {
         status.iter().filter(is).map(|row| row["trials"].as_f64().unwrap()).sum()
     };
     let told = story(reader, None, Terms::default()).await.unwrap().states;
-    let progress = Looks::default().look(reader).await.unwrap();
+    let progress = Observer::default().look(reader).await.unwrap();
     for (name, of_status, of_report, of_page) in [
         ("all", of_status("trials"), told.all, progress.trials[0]),
         ("done", in_state("done", &[]), told.done, progress.trials[1]),

@@ -161,28 +161,28 @@ async fn a_body_is_handed_on() {
         store.record_step(first, 1, &step(n), &checkpoint).await.unwrap();
     }
     assert_eq!(store.bodies().await.unwrap()["body"], 2);
-    assert_eq!(store.goes_on_from(second, 1, Some(1)).await.unwrap(), None, "it is to pause before");
+    assert_eq!(store.resume_checkpoint(second, 1, Some(1)).await.unwrap(), None, "it is to pause before");
     store.set_provenance(made("two"));
-    assert_eq!(store.goes_on_from(second, 1, None).await.unwrap(), None, "other code");
+    assert_eq!(store.resume_checkpoint(second, 1, None).await.unwrap(), None, "other code");
     assert!(store.bodies().await.unwrap().is_empty());
     store.set_provenance(made("one"));
-    let found = store.goes_on_from(second, 1, None).await.unwrap().expect("a body");
+    let found = store.resume_checkpoint(second, 1, None).await.unwrap().expect("a body");
     let same_network = Checkpoint { step: 2, comparison: None, ..checkpoint.clone() };
     assert_eq!(found, same_network, "the network trains the body");
     assert_eq!(
-        store.goes_on_from(second, 1, None).await.unwrap(),
+        store.resume_checkpoint(second, 1, None).await.unwrap(),
         Some(found.clone()),
         "it is its own by now"
     );
     // an attempt by other code that was killed before its own first step still has the body
     store.set_provenance(made("two"));
     store.begin_attempt(second).await.unwrap();
-    assert_eq!(store.goes_on_from(second, 2, None).await.unwrap(), Some(found), "by both codes");
+    assert_eq!(store.resume_checkpoint(second, 2, None).await.unwrap(), Some(found), "by both codes");
     assert!(store.bodies().await.unwrap().is_empty(), "nothing is by the second code alone");
     store.set_provenance(made("one"));
 
     store.finish(first, 1, &crate::store::result(), &[]).await.unwrap();
-    let found = store.goes_on_from(second, 2, None).await.unwrap().expect("a body");
+    let found = store.resume_checkpoint(second, 2, None).await.unwrap().expect("a body");
     let steps = trials[0].spec.optimise.steps() as u32;
     assert_eq!(found, Checkpoint::trained(steps, vec![0.5; 168], 3));
     store.close().await.unwrap();

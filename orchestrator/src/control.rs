@@ -107,14 +107,14 @@ impl FromStr for Command {
 
 /// The answer of a run.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Said {
+pub struct Reply {
     /// Whether the command was carried out; if not, nothing has changed.
     pub done: bool,
     /// Text for people.
     pub text: String,
 }
 
-impl Said {
+impl Reply {
     /// A refusal with its reason: nothing has changed.
     pub fn refused(why: impl Into<String>) -> Self {
         Self { done: false, text: why.into() }
@@ -144,7 +144,7 @@ pub enum ControlError {
          socket (see its log)",
         db.display()
     )]
-    Deaf {
+    NotListening {
         /// The database.
         db: PathBuf,
     },
@@ -164,7 +164,7 @@ pub struct Request {
     /// The command.
     pub command: Command,
     /// Takes the answer; closed if the client has disconnected.
-    pub answer: oneshot::Sender<Said>,
+    pub answer: oneshot::Sender<Reply>,
 }
 
 /// Receives commands for a run until it is dropped.
@@ -262,12 +262,12 @@ async fn converse(mut stream: UnixStream, out: mpsc::Sender<Request>) -> io::Res
         return Ok(());
     }
     let said = match line.parse() {
-        Err(error) => Said::refused(NoCommand::to_string(&error)),
+        Err(error) => Reply::refused(NoCommand::to_string(&error)),
         Ok(command) => {
             let (answer, said) = oneshot::channel();
             let asked = async {
                 let _ = out.send(Request { command, answer }).await;
-                said.await.unwrap_or_else(|_| Said::refused("the run has ended"))
+                said.await.unwrap_or_else(|_| Reply::refused("the run has ended"))
             };
             let mut more = [0; 1];
             tokio::select! {
@@ -296,13 +296,13 @@ pub fn is_held(db: &Path) -> bool {
 ///
 /// # Errors
 /// If there is no run or it does not answer.
-pub async fn ask(db: &Path, command: &Command) -> Result<Said, ControlError> {
+pub async fn ask(db: &Path, command: &Command) -> Result<Reply, ControlError> {
     let at = |source| ControlError::Io { db: db.to_owned(), source };
     let (_folder, address, _) =
         address(db).map_err(|source| ControlError::NoDatabase { db: db.to_owned(), source })?;
     let stream = UnixStream::connect(&address).await.map_err(|source| match source.kind() {
         io::ErrorKind::NotFound | io::ErrorKind::ConnectionRefused => match is_held(db) {
-            true => ControlError::Deaf { db: db.to_owned() },
+            true => ControlError::NotListening { db: db.to_owned() },
             false => ControlError::NoRun { db: db.to_owned() },
         },
         _ => at(refused(&address, source)),
@@ -316,8 +316,8 @@ pub async fn ask(db: &Path, command: &Command) -> Result<Said, ControlError> {
     };
     let answer = timeout(ANSWERING, answer).await.map_err(|e| at(e.into()))?.map_err(at)?;
     match answer.split_once(' ') {
-        Some(("done", text)) => Ok(Said { done: true, text: text.to_owned() }),
-        Some(("refused", text)) => Ok(Said::refused(text)),
+        Some(("done", text)) => Ok(Reply { done: true, text: text.to_owned() }),
+        Some(("refused", text)) => Ok(Reply::refused(text)),
         _ => Err(at(io::Error::new(io::ErrorKind::UnexpectedEof, "it ended without a reply"))),
     }
 }

@@ -69,12 +69,12 @@ pub struct Progress {
 
 /// Observes a run repeatedly. Step rates count from the first look, CPU use from the previous look.
 #[derive(Debug, Default)]
-pub struct Looks {
+pub struct Observer {
     first: Option<(Instant, f64)>,
     before: HashMap<u32, (Instant, u64)>,
 }
 
-impl Looks {
+impl Observer {
     /// Records the CPU time of the workers, as a reference for the next look. Returns whether a run exists.
     pub async fn begin(&mut self, db: &Path) -> bool {
         let run = run_of(db).await;

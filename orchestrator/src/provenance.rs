@@ -9,7 +9,7 @@ use metasense_worker::simd;
 
 use crate::files::host;
 use crate::look::short_hash;
-use crate::store::{Made, Reader, StoreError};
+use crate::store::{CodeVersion, Reader, StoreError};
 
 /// Provenance of this program on this machine with `threads` threads per worker.
 #[must_use]
@@ -46,8 +46,8 @@ fn cpu() -> Option<String> {
 
 /// A warning if different code computed the results; `None` if the code is the same.
 #[must_use]
-pub fn mixed(made: &[Made]) -> Option<String> {
-    let named = |made: &Made| {
+pub fn mixed(made: &[CodeVersion]) -> Option<String> {
+    let named = |made: &CodeVersion| {
         let revisions = if made.revisions.is_empty() {
             String::new()
         } else {
@@ -106,7 +106,7 @@ const SHOWN: usize = 5;
 ///
 /// # Errors
 /// If SQLite fails.
-pub async fn caveats(reader: &mut Reader, made: &[Made]) -> Result<Vec<String>, StoreError> {
+pub async fn caveats(reader: &mut Reader, made: &[CodeVersion]) -> Result<Vec<String>, StoreError> {
     let early = reader.may_stop_early().await?;
     let unresolved = unresolved_trials(&reader.unresolved().await?);
     Ok(mixed(made).into_iter().chain(early.then(|| EARLY.to_owned())).chain(unresolved).collect())

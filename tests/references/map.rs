@@ -65,13 +65,13 @@ fn ratios(of_setting: &[&Row]) -> [Vec<f64>; 4] {
 }
 
 /// Two-sided p-value of the mean, if the true mean is 0.
-fn chance(values: &[f64]) -> f64 {
+fn p_value(values: &[f64]) -> f64 {
     let error = deviation(values).unwrap() / (values.len() as f64).sqrt();
     2.0 * chance_above(values.len() - 1, (mean(values).unwrap() / error).abs())
 }
 
 /// The true mean that 80 % of such sweeps would distinguish from 0 at the p-value `none`.
-fn tells(values: &[f64], none: f64) -> f64 {
+fn detectable_mean(values: &[f64], none: f64) -> f64 {
     let (free, count) = (values.len() - 1, values.len() as f64);
     let quantiles = student_above(free, none / 2.0) + student_above(free, 0.2);
     quantiles * deviation(values).unwrap() / count.sqrt()
@@ -88,12 +88,14 @@ type Rated = (Vec<f64>, fn(f64) -> f64, [&'static str; 2]);
 
 /// The same with conversions and words for each, at the p-value `none`.
 fn rated_each(all: &[Rated], none: f64) -> Vec<String> {
-    let plain: Vec<f64> = all.iter().map(|(values, ..)| chance(values)).collect();
+    let plain: Vec<f64> = all.iter().map(|(values, ..)| p_value(values)).collect();
     let corrected = holm(&plain);
     let cell = |(at, (values, shown, words)): (usize, &Rated)| {
         let told = match plain[at] <= none {
             true => words[usize::from(mean(values).unwrap() < 0.0)].to_owned(),
-            false => format!("open ({} would tell)", short(&shown(tells(values, none)).to_string())),
+            false => {
+                format!("open ({} would tell)", short(&shown(detectable_mean(values, none)).to_string()))
+            }
         };
         let star = if corrected[at] <= none { "*" } else { "" };
         format!("{}: {told}{star}", with_interval(values, *shown))

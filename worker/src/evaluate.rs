@@ -80,7 +80,7 @@ impl Network {
 }
 
 /// Store of finished networks, by number.
-pub trait Kept: Sync {
+pub trait NetworkStore: Sync {
     /// The stored network of this number.
     fn network(&self, number: usize) -> Option<Network>;
     /// Stores a finished network.
@@ -100,7 +100,7 @@ pub fn evaluate(
     measured: &Measured,
     effort: Effort,
     threads: usize,
-    kept: &dyn Kept,
+    kept: &dyn NetworkStore,
 ) -> Result<Evaluated, Failure> {
     let problem = prepared(trial)?;
     let Effort { folds, seeds, iterations, brain } = effort;
@@ -196,7 +196,7 @@ pub fn by_model(
     own: (&[f64], Option<&Twin>),
     measured: &Measured,
     threads: usize,
-    kept: &dyn Kept,
+    kept: &dyn NetworkStore,
 ) -> Result<Evaluated, Failure> {
     let pool = pool(threads)?;
     let problem = placed(trial, &pool)?;
@@ -244,7 +244,7 @@ pub fn by_twin(
     effort: Effort,
     folds: &[usize],
     threads: usize,
-    kept: &dyn Kept,
+    kept: &dyn NetworkStore,
 ) -> Result<(Vec<f64>, Evaluated), Failure> {
     let pool = pool(threads)?;
     let problem = placed(trial, &pool)?;

@@ -165,9 +165,9 @@ const SHARED_SPACE: &str = "make room, enlarge it (`mount -o remount,size=1G /de
 const ON_DISK: &str = "free space, or choose another folder";
 
 fn resource(limit: Resource, what: &str, used: u64, needed: u64, bytes: bool) -> Option<Limit> {
-    let most = getrlimit(limit).current?;
+    let allowed = getrlimit(limit).current?;
     let remedy = if matches!(limit, Resource::Fsize | Resource::Stack) { RAISE_ALONE } else { RAISE };
-    Some(Limit { what: what.into(), most, used, needed, bytes, remedy })
+    Some(Limit { what: what.into(), most: allowed, used, needed, bytes, remedy })
 }
 
 /// Limits on address space and data of this process, or of a process of equal size.
@@ -357,7 +357,7 @@ pub fn explained(text: &str, needs: &Needs) -> String {
 
 /// Raises the soft limit on descriptors to the hard limit; the usual soft limit is too low for twenty workers. Ignores SIGXFSZ,
 /// so that writing beyond the size limit is an error and does not end the process.
-pub fn make_use_of() {
+pub fn raise_limits() {
     let maximum = getrlimit(Resource::Nofile).maximum;
     let _ = setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum });
     // SAFETY: SIG_IGN installs no handler.

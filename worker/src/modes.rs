@@ -94,7 +94,7 @@ fn weighed(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure> {
 
 /// Rejects scenes with driven units and bodies without equilibrium, which cannot be linearised.
 pub(crate) fn check_rest(scene: &Scene, design: &[f64]) -> Result<(), Failure> {
-    if let Some(panel) = scene.panels.iter().find(|panel| panel.drives().is_some()) {
+    if let Some(panel) = scene.panels.iter().find(|panel| panel.unit_acceleration().is_some()) {
         return Err(Failure::Rejected(format!(
             "body.panels: unit {} is driven, and small motions are those of held units under forces: clamp it, and shake the base or \
              strike other units",

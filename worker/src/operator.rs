@@ -1,7 +1,7 @@
 //! How well a body's sensors distinguish forces.
 
 use metasense_numerics::questions;
-pub use metasense_numerics::questions::Told;
+pub use metasense_numerics::questions::OperatorFigures;
 use metasense_schemas::spec::TrialSpec;
 
 use crate::modes::check_rest;
@@ -11,7 +11,7 @@ use crate::run::{Failure, with_design};
 ///
 /// # Errors
 /// If the spec is invalid, its sensors are not yet placed, or the design has the wrong length.
-pub fn told(trial: &TrialSpec, design: &[f64]) -> Result<Told, Failure> {
+pub fn told(trial: &TrialSpec, design: &[f64]) -> Result<OperatorFigures, Failure> {
     let problem = with_design(trial, design)?;
     if problem.search.is_some() {
         let why = "sensors.search: the sensors of this trial have not been placed yet".to_owned();

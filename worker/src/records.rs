@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use metasense_numerics::dynamics::Forces;
-use metasense_numerics::stimuli::{REACH, Recorded, Source, felt, resample};
+use metasense_numerics::stimuli::{REACH, Recorded, Source, anti_aliased_force, resample};
 use metasense_numerics::student::median;
 use metasense_numerics::trial::{Problem, Protocol};
 use metasense_schemas::spec::{self, Decimal, Resample, Separator, TrialSpec};
@@ -122,7 +122,7 @@ pub(crate) type Clock = fn(&[f64], f64, f64, f64, usize) -> Vec<f64>;
 /// The resampling function for forces.
 pub(crate) fn clock(kind: Resample) -> Clock {
     match kind {
-        Resample::Antialias => felt,
+        Resample::Antialias => anti_aliased_force,
         Resample::Linear => resample,
     }
 }

@@ -71,7 +71,7 @@ fn main() -> ExitCode {
 fn dispatch(cli: Cli) -> Result<Exit, Error> {
     cli.simd.choose()?;
     metasense_worker::process::keep_memory();
-    metasense_worker::limits::make_use_of();
+    metasense_worker::limits::raise_limits();
     match cli.what {
         What::Answers(args) => block_on(answers::execute(args)),
         What::Brain(args) => brain::execute(&args),

@@ -66,7 +66,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     let sentences = all && args.format == Format::Table;
     let (trials, verdicts, caveats) = Reader::asked(Database::at(&args.db).await?, async |reader| {
-        let made = reader.made().await?;
+        let made = reader.code_versions().await?;
         let trials = finished_trials(reader).await?;
         let verdicts = if sentences { verdicts(reader, &trials, args.terms).await? } else { Vec::new() };
         Ok::<_, Error>((trials, verdicts, provenance::caveats(reader, &made).await?))

@@ -62,7 +62,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             let body = if given { "given" } else { "initial" };
             bounds([json!(body), Value::Null], &of(&trial, &design)?)
         }
-        Some(db) => achieved(db, &hash, &trial, of).await?,
+        Some(db) => bounds_and_errors(db, &hash, &trial, of).await?,
     };
     print_rows(&Table::new("body trained_with read_by sample error standard_error", rows), args.format)?;
     Ok(Exit::Done)
@@ -79,14 +79,14 @@ fn bounds(body: [Value; 2], found: &Bound) -> Vec<Vec<Value>> {
     let samples = found.samples.iter().enumerate();
     let mut rows: Vec<_> = samples.map(|(i, error)| row(LINEAR, json!(i), json!(error), None)).collect();
     rows.push(row(LINEAR, json!("mean"), json!(found.mean), None));
-    rows.push(row(LINEAR, json!("mean information"), json!(found.informed), None));
+    rows.push(row(LINEAR, json!("mean information"), json!(found.mean_information), None));
     rows.extend(found.least.map(|[least, off]| row("any decoder", json!("mean"), json!(least), Some(off))));
     rows.push(row("no signal", json!("mean"), json!(found.deaf), None));
     rows
 }
 
 /// Bounds for the bodies of all trials that differ from `trial` only in their decoders, and the errors of these decoders.
-async fn achieved(
+async fn bounds_and_errors(
     db: &Path,
     hash: &str,
     trial: &TrialSpec,

@@ -41,24 +41,24 @@ pub(super) struct Args {
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let (hash, trial, design) = args.one.read().await?;
-    let variation = args.variation.as_deref().map(scatter).transpose()?;
+    let variation = args.variation.as_deref().map(read_variation).transpose()?;
     let count = usize::from(args.casts);
-    let found = read(&args, &trial, &design, variation).map_err(|e| args.one.trial.failed(e))?;
+    let found = evaluate_casts(&args, &trial, &design, variation).map_err(|e| args.one.trial.failed(e))?;
     let failed =
         found.iter().filter(|reading| reading.reader == "nominal" && reading.outcome != "ok").count();
     let holdout = trial.stimuli.holdout;
-    let table = if args.rows { each(&found, holdout) } else { medians(&found, holdout) };
+    let table = if args.rows { row_per_cast(&found, holdout) } else { medians(&found, holdout) };
     print_rows(&table, args.format)?;
     say!("trial {}: {count} casts, {failed} of which failed", short_hash(&hash));
     Ok(Exit::Done)
 }
 
-fn scatter(file: &Path) -> Result<Variation, Error> {
+fn read_variation(file: &Path) -> Result<Variation, Error> {
     let text = std::fs::read_to_string(file).map_err(Error::unreadable(file))?;
     Ok(Source::new(file, text)?.parse_as::<VariationFile>()?.variation)
 }
 
-fn read(
+fn evaluate_casts(
     args: &Args,
     trial: &TrialSpec,
     design: &[f64],
@@ -82,7 +82,7 @@ fn samples(reader: &str, holdout: usize) -> usize {
     if matches!(reader, "inverse" | "twin") { holdout.min(INVERTED_OF_A_CAST) } else { holdout }
 }
 
-fn each(found: &[CastReading], holdout: usize) -> Table {
+fn row_per_cast(found: &[CastReading], holdout: usize) -> Table {
     let row = |r: &CastReading| {
         let spread = r.spread.unwrap_or_default();
         let errors = row![r.error, spread.median, spread.p90, r.spread.map(|spread| spread.above)];

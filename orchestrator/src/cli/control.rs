@@ -90,6 +90,6 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 pub(super) fn exit(error: &ControlError) -> Exit {
     match error {
         ControlError::NoDatabase { .. } | ControlError::NoRun { .. } => Exit::BadInput,
-        ControlError::Deaf { .. } | ControlError::Io { .. } => Exit::Io,
+        ControlError::NotListening { .. } | ControlError::Io { .. } => Exit::Io,
     }
 }

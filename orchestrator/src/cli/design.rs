@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use super::named::Spec;
-use super::run::{How, Running, run};
+use super::run::{RunConfig, Running, run};
 use super::{Error, Format, log, print_rows};
 use crate::engine::Signals;
 use crate::exit::Exit;
 use crate::plan::goal::Space;
 use crate::plan::{Plan, counted};
-use crate::report::search::{COLUMNS, Sought};
+use crate::report::search::{COLUMNS, SearchState};
 use crate::rounds::search;
 use crate::scheduler::Outcome;
 use crate::store::Reader;
@@ -38,8 +38,13 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let space = space(&plan)?;
     let db: PathBuf = args.running.db.clone().unwrap_or_else(|| plan.default_database());
     let asked = Notify::new();
-    let how =
-        How { spec: &args.spec, running: &args.running, shard: None, fixed: Some(FIXED), asked: &asked };
+    let how = RunConfig {
+        spec: &args.spec,
+        running: &args.running,
+        shard: None,
+        fixed: Some(FIXED),
+        asked: &asked,
+    };
     let (outcome, plan) = run(plan, &how, &db, &log::path(&db)?, &mut signals, async |round, again| {
         search(round, &space, again).await
     })
@@ -64,7 +69,7 @@ pub(super) async fn end(
     format: Format,
     outcome: Outcome,
 ) -> Result<Exit, Error> {
-    let found = Reader::asked(db, async |reader| Sought::of(reader, plan, space).await).await?;
+    let found = Reader::asked(db, async |reader| SearchState::of(reader, plan, space).await).await?;
     print_rows(&found.table(), format)?;
     if format == Format::Table {
         COLUMNS.iter().for_each(|line| say!("  {line}"));

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use metasense_schemas::spec::{BrainKind, TrialSpec};
 use metasense_worker::evaluate::{
-    Effort, Evaluated, Kept, Network, by_model, by_twin, evaluate, parts, simulated,
+    Effort, Evaluated, Network, NetworkStore, by_model, by_twin, evaluate, parts, simulated,
 };
 use metasense_worker::inverse::holdout;
 use metasense_worker::measured::Measured;
@@ -100,7 +100,7 @@ const FOLDS: usize = 10;
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     end_on_signal(args.out_dir.as_deref());
-    let (specs, mut designs) = of_trial(&args).await?;
+    let (specs, mut designs) = specs_and_designs(&args).await?;
     let brain = brain(&args, &specs[0])?;
     let inverse = brain == BrainKind::Inverse;
     let (layout, initial) =
@@ -125,10 +125,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
                 "--twin {name}: pass --records {name}=FILE of a body whose design is known"
             )));
         };
-        twins.insert(name.clone(), twin::read(file, of_body(&specs, name), design)?);
+        twins.insert(name.clone(), twin::read(file, spec_of_body(&specs, name), design)?);
     }
     let read = |(name, file): &(String, PathBuf)| -> Result<Records, Error> {
-        let (spec, design) = (of_body(&specs, name), designs.get(name));
+        let (spec, design) = (spec_of_body(&specs, name), designs.get(name));
         let refused = |why: &str| Error::Usage(format!("--records {name}={}: {why}", file.display()));
         if inverse && design.is_none() {
             return Err(refused("an inverse decoder needs the model of the body: pass --design BODY=FILE"));
@@ -165,12 +165,12 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     unfinished.done()?;
     print_rows(&comparison.table(), args.format)?;
-    let failed = comparison.bodies.iter().filter(|body| !well(body)).count();
+    let failed = comparison.bodies.iter().filter(|body| !all_trained(body)).count();
     Ok(if failed == 0 { Exit::Done } else { Exit::Failed })
 }
 
 /// Specs of the initial and the trained body, whose sensors may differ, and the known designs by body.
-async fn of_trial(args: &Args) -> Result<([TrialSpec; 2], BTreeMap<String, Vec<f64>>), Error> {
+async fn specs_and_designs(args: &Args) -> Result<([TrialSpec; 2], BTreeMap<String, Vec<f64>>), Error> {
     if !args.trial.is_database() {
         let (_, spec) = args.trial.read().await?;
         return Ok(([spec.clone(), spec], BTreeMap::new()));
@@ -181,7 +181,7 @@ async fn of_trial(args: &Args) -> Result<([TrialSpec; 2], BTreeMap<String, Vec<f
 }
 
 /// The spec with the sensors of the body of this name.
-fn of_body<'a>([initial, optimised]: &'a [TrialSpec; 2], name: &str) -> &'a TrialSpec {
+fn spec_of_body<'a>([initial, optimised]: &'a [TrialSpec; 2], name: &str) -> &'a TrialSpec {
     if name == "optimised" { optimised } else { initial }
 }
 
@@ -250,8 +250,8 @@ fn compare(
     let all = records.iter().map(of_body).sum();
     let progress = Progress::new(what, all, &unfinished, kept.unwrap_or_default());
     let threads = usize::from(args.threads);
-    let judge = |name: &str, kind: &str, measured: &Measured| -> Result<Evaluated, Error> {
-        let (spec, kept) = (self::of_body(specs, name), Judged { name, kind, of: &progress });
+    let evaluate_signals = |name: &str, kind: &str, measured: &Measured| -> Result<Evaluated, Error> {
+        let (spec, kept) = (self::spec_of_body(specs, name), BodyProgress { name, kind, of: &progress });
         let found = match brain {
             BrainKind::Inverse => by_model(spec, (&designs[name], None), measured, threads, &kept),
             _ => evaluate(spec, measured, effort, threads, &kept),
@@ -263,19 +263,19 @@ fn compare(
         })
     };
     let first = &records[0].measured.forces.values;
-    let paired = records.iter().all(|of| alike(&of.measured.forces.values, first));
+    let paired = records.iter().all(|of| same_forces(&of.measured.forces.values, first));
     let mut bodies = Vec::new();
     for of in records {
         let modelled = modelled(&of);
         let Records { name, by, measured } = of;
-        let spec = self::of_body(specs, &name);
-        let by_measured = judge(&name, by.name(), &measured)?;
+        let spec = self::spec_of_body(specs, &name);
+        let by_measured = evaluate_signals(&name, by.name(), &measured)?;
         let model = match designs.get(&name).filter(|_| modelled) {
             None => None,
             Some(design) => match simulated(spec, design, &measured.forces, threads) {
                 Ok(signals) => {
                     let modelled = Measured { signals, ..measured.clone() };
-                    let judged = judge(&name, By::Simulated.name(), &modelled)?;
+                    let judged = evaluate_signals(&name, By::Simulated.name(), &modelled)?;
                     Some((modelled.signals, judged))
                 }
                 Err(Failure::Numerical { detail: why, .. }) => {
@@ -286,7 +286,7 @@ fn compare(
             },
         };
         let of_twin = |twin: &Twin| {
-            let kept = Judged { name: &name, kind: By::Twin.name(), of: &progress };
+            let kept = BodyProgress { name: &name, kind: By::Twin.name(), of: &progress };
             let own = (&designs[&name][..], twin);
             by_twin(spec, own, &measured, effort, &by_measured.folds, threads, &kept)
                 .map_err(|e| Error::Usage(format!("--twin {name}: {e}")))
@@ -315,7 +315,7 @@ fn check_records(
         let why = "contains one record: pass two or more, because each is predicted by a decoder fitted to the others";
         return Err(Error::Usage(format!("{}: {why}", file(of))));
     }
-    let body = |of: &Records| designs.get(&of.name).map(|design| (of_body(specs, &of.name), design));
+    let body = |of: &Records| designs.get(&of.name).map(|design| (spec_of_body(specs, &of.name), design));
     let measured = || records.iter().filter(|of| of.by == By::Measured).enumerate();
     for (n, of) in measured() {
         let samples = |of: &'_ Records| of.measured.signals.len() / of.measured.forces.samples;
@@ -338,13 +338,13 @@ fn check_records(
 }
 
 /// Whether two bodies were recorded under the same forces.
-fn alike(a: &[f64], b: &[f64]) -> bool {
+fn same_forces(a: &[f64], b: &[f64]) -> bool {
     let scale = b.iter().fold(0.0f64, |most, f| most.max(f.abs()));
     a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 1e-6 * scale)
 }
 
 /// Whether all networks trained without failure; prints the other outcomes.
-fn well(body: &Body) -> bool {
+fn all_trained(body: &Body) -> bool {
     fn own(of: &Option<(Vec<f64>, Evaluated)>) -> Option<&Evaluated> {
         of.as_ref().map(|(_, evaluated)| evaluated)
     }
@@ -428,19 +428,19 @@ impl<'a> Progress<'a> {
 }
 
 /// Progress for one body and one kind of signals.
-struct Judged<'a> {
+struct BodyProgress<'a> {
     name: &'a str,
     kind: &'a str,
     of: &'a Progress<'a>,
 }
 
-impl Judged<'_> {
+impl BodyProgress<'_> {
     fn key(&self, number: usize) -> (String, String, usize) {
         (self.name.to_owned(), self.kind.to_owned(), number)
     }
 }
 
-impl Kept for Judged<'_> {
+impl NetworkStore for BodyProgress<'_> {
     fn network(&self, number: usize) -> Option<Network> {
         self.of.said.lock().expect("no line panics").0.get(&self.key(number)).cloned()
     }

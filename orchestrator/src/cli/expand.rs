@@ -106,8 +106,9 @@ fn say_bodies(trials: &[Trial]) {
     if grams.iter().any(|grams| *grams > MOST_GRAMS) {
         say!("warning: a body of more than {} kg: {check}", MOST_GRAMS / 1e3);
     }
-    if let Some((trial, Natural { first, .. })) =
-        found.iter().find(|(trial, Natural { first, .. })| first * trial.spec.time.duration < LEAST_OSCILLATIONS)
+    if let Some((trial, Natural { first, .. })) = found
+        .iter()
+        .find(|(trial, Natural { first, .. })| first * trial.spec.time.duration < LEAST_OSCILLATIONS)
     {
         say!(
             "warning: at {} Hz the slowest mode makes {} oscillations in a sample of {} s: {check}",

@@ -85,13 +85,13 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let signals = (&measured.signals, measured.start_deviation);
     let inputs = (spec, design, forces, signals, measured.low_pass, names);
     let (unfinished, kept) = Unfinished::new(args.out_dir.as_deref(), "identify", &inputs)?;
-    let mut kept: Vec<Kept> = kept.unwrap_or_default();
-    let known: Vec<Turn> = kept.iter().map(Kept::turn).collect();
+    let mut kept: Vec<StoredIteration> = kept.unwrap_or_default();
+    let known: Vec<Turn> = kept.iter().map(StoredIteration::turn).collect();
     if !known.is_empty() {
         say!("resumed after {} iterations", known.len());
     }
     let mut watch = |turn: &Turn| {
-        kept.push(Kept::of(turn));
+        kept.push(StoredIteration::of(turn));
         unfinished.keep(&kept);
         let i = turn.iteration;
         bar.set_message(format!(
@@ -112,14 +112,14 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         _ => print_rows(&found, args.format)?,
     }
     let records = measured.forces.samples;
-    let mut said = said(trial, &start, &fit, records);
+    let mut messages = said(trial, &start, &fit, records);
     if fit.ending != Ending::NotExplained {
-        said.extend(starts(&measured, &fit.offsets));
+        messages.extend(fitted_starts(&measured, &fit.offsets));
     }
     if args.format == Format::Table && !fit.correlation.is_empty() {
         print_rows(&correlations(&fit), args.format)?;
     }
-    tell(&said, args.format)?;
+    print_lines(&messages, args.format)?;
     say!("{}, {}", duration(begun.elapsed().as_secs_f64()), fit.solver);
     if let Some(folder) = &args.out_dir {
         let title = format!(
@@ -129,7 +129,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let drawn = pictures::figures(trial, &measured.signals, &fit);
         write_figures(folder, &drawn)?;
         write(&folder.join("estimates.csv"), found.csv())?;
-        write(&folder.join("index.html"), pictures::html(&title, &shown, &said, &drawn))?;
+        write(&folder.join("index.html"), pictures::html(&title, &shown, &messages, &drawn))?;
         if !fit.signals[1].is_empty() {
             let shape = [records, trial.time.samples, trial.signals()];
             write(&folder.join("signals.npy"), npy_bytes(&shape, &fit.signals[1]))?;
@@ -144,7 +144,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 /// Prints lines below a table; with other formats, on standard error.
-fn tell(lines: &[String], format: Format) -> Result<(), Error> {
+fn print_lines(lines: &[String], format: Format) -> Result<(), Error> {
     match format {
         Format::Table => lines.iter().try_for_each(|line| Ok(print_line!("{line}")?)),
         _ => {
@@ -156,7 +156,7 @@ fn tell(lines: &[String], format: Format) -> Result<(), Error> {
 
 /// An iteration of the fit on disk.
 #[derive(Serialize, Deserialize)]
-struct Kept {
+struct StoredIteration {
     window: f64,
     misfit: [f64; 2],
     parameters: [f64; 6],
@@ -165,7 +165,7 @@ struct Kept {
     steps: usize,
 }
 
-impl Kept {
+impl StoredIteration {
     fn of(turn: &Turn) -> Self {
         let Iteration { window, misfit, parameters } = turn.iteration;
         let (z, ending, steps) = (turn.z.clone(), turn.ending as usize, turn.steps);
@@ -180,7 +180,7 @@ impl Kept {
 }
 
 /// Remaining fraction of the prior standard deviation above which an unknown counts as not determined (half of the variance).
-const UNTOLD: f64 = std::f64::consts::FRAC_1_SQRT_2;
+const UNDETERMINED: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
 /// Number of free parameters; their estimates come first.
 fn free(fit: &Fit) -> usize {
@@ -216,7 +216,7 @@ fn estimates(trial: &TrialSpec, start: &Parameters, fit: &Fit) -> Table {
         let outcome = match e.half {
             _ if e.at_the_bound => Ending::AtTheBound,
             None => Ending::NotIdentifiable,
-            Some(_) if k >= free(fit) && e.left > UNTOLD => Ending::NotIdentifiable,
+            Some(_) if k >= free(fit) && e.left > UNDETERMINED => Ending::NotIdentifiable,
             Some(_) => determined,
         };
         Some(row![name, unit, start, shown, ends[0], ends[1], half, outcome.name()])
@@ -233,7 +233,7 @@ fn estimates(trial: &TrialSpec, start: &Parameters, fit: &Fit) -> Table {
 }
 
 /// The fitted `signals.start` for the file of records, after a warning about clocks at their bound.
-fn starts(measured: &Measured, offsets: &[Option<Offset>]) -> Vec<String> {
+fn fitted_starts(measured: &Measured, offsets: &[Option<Offset>]) -> Vec<String> {
     let all: Vec<(f64, Option<Offset>)> =
         measured.starts.iter().copied().zip(offsets.iter().copied()).collect();
     if all.is_empty() {
@@ -263,8 +263,8 @@ fn readable(found: &Table) -> Table {
     let mut shown = found.clone();
     for row in &mut shown.rows {
         let [Some(fitted), Some(low), Some(high)] = [3, 4, 5].map(|i| row[i].as_f64()) else { continue };
-        let parts = (fitted.abs() / (high - low)).max(1.0).log10();
-        let count = (parts.ceil().min(11.0) as usize + 2).max(4); // equal ends: all digits
+        let local_messages = (fitted.abs() / (high - low)).max(1.0).log10();
+        let count = (local_messages.ceil().min(11.0) as usize + 2).max(4); // equal ends: all digits
         for value in &mut row[2..=5] {
             *value = value.as_f64().map_or(Value::Null, |x| json!(digits(x, count)));
         }
@@ -372,7 +372,7 @@ fn parts(fit: &Fit) -> impl Iterator<Item = String> {
         let rms = |value: &dyn Fn(&Estimate) -> f64| {
             (of.iter().map(|e| value(e).powi(2)).sum::<f64>() / of.len() as f64).sqrt()
         };
-        let untold = of.iter().filter(|e| e.left > UNTOLD).count();
+        let untold = of.iter().filter(|e| e.left > UNDETERMINED).count();
         Some(format!(
             "{name}: RMS {:.3} {unit}, {:.3} before; not determined by the records: {untold} of {}; remaining uncertainty of all: {:.3}",
             first.scatter * rms(&|e| e.found),

@@ -55,7 +55,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         false => format!("metasense run SPEC --db {}", args.out.display()),
         true => "metasense cluster submit".to_owned(),
     };
-    say_never(&never_begun(&args.files, &args.out).await?, &remedy);
+    print_never_started(&never_begun(&args.files, &args.out).await?, &remedy);
     let Summary { read, known, trials, covered, not_compared, .. } = summary;
     let before = if known > 0 { format!(", {known} of them read before") } else { String::new() };
     say!("{} from {}{before}", counted(trials, "trial"), counted(read, "database"));
@@ -71,7 +71,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 /// Merges the shards of a folder if all have ended. The last shard finds this when it hands in.
-pub(super) async fn after_the_last(folder: &Path, shard: Shard, out: &Path) -> Result<(), Error> {
+pub(super) async fn merge_if_all_ended(folder: &Path, shard: Shard, out: &Path) -> Result<(), Error> {
     if attempts(folder).len() < shard.count() as usize {
         return Ok(());
     }
@@ -88,7 +88,7 @@ pub(super) async fn after_the_last(folder: &Path, shard: Shard, out: &Path) -> R
 }
 
 /// Prints the trials that never started and the command that runs them.
-pub(super) fn say_never(never: &[String], remedy: &str) {
+pub(super) fn print_never_started(never: &[String], remedy: &str) {
     const MOST: usize = 8;
     if never.is_empty() {
         return;

@@ -175,16 +175,16 @@ pub fn command() -> clap::Command {
     let template = format!(
         "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{list}\n{header}Options:{header:#}\n{{options}}{{after-help}}"
     );
-    lets_pass(command).help_template(template)
+    allow_negative_numbers(command).help_template(template)
 }
 
 /// Accepts negative numbers as values, so that the check of each value can refuse them with its own message.
-fn lets_pass(command: clap::Command) -> clap::Command {
+fn allow_negative_numbers(command: clap::Command) -> clap::Command {
     let arg = |arg: clap::Arg| {
         let takes = arg.get_action().takes_values();
         if takes { arg.allow_negative_numbers(true) } else { arg }
     };
-    command.mut_args(arg).mut_subcommands(lets_pass)
+    command.mut_args(arg).mut_subcommands(allow_negative_numbers)
 }
 
 /// Executes a command line whose first word is the name of the program.
@@ -201,9 +201,9 @@ pub fn execute(args: impl Iterator<Item = OsString>) -> Result<Exit, Error> {
     let command = command().term_width(screen().unwrap_or(WIDEST).min(WIDEST)).color(colour());
     let matches = command.get_matches_from(args);
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|e| e.exit());
-    spares_what_it_reads(&matches)?;
+    refuse_overwriting_inputs(&matches)?;
     process::keep_memory();
-    limits::make_use_of();
+    limits::raise_limits();
     match cli.command {
         Command::Worker { start } => std::process::exit(process::run(&start, process::perform_trial)),
         command => block_on(command.execute()),
@@ -214,12 +214,12 @@ pub fn execute(args: impl Iterator<Item = OsString>) -> Result<Exit, Error> {
 ///
 /// # Errors
 /// If an output file is also an input file.
-fn spares_what_it_reads(matches: &ArgMatches) -> Result<(), Error> {
+fn refuse_overwriting_inputs(matches: &ArgMatches) -> Result<(), Error> {
     let Some((name, matches)) = matches.subcommand().filter(|(name, _)| *name != "merge") else {
         return Ok(());
     };
     if matches.subcommand().is_some() {
-        return spares_what_it_reads(matches);
+        return refuse_overwriting_inputs(matches);
     }
     let named = |id: &str| matches.try_get_raw(id).ok().flatten().into_iter().flatten();
     let inode = |path: &OsStr| {

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use metasense_worker::operator::{Told, told};
+use metasense_worker::operator::{OperatorFigures, told};
 use serde_json::json;
 
 use super::named::Database;
@@ -42,7 +42,7 @@ pub(super) struct Args {
 }
 
 /// A finished trial: its name and decoders, and the measures of its bodies.
-struct Seen {
+struct TrialMeasures {
     head: Vec<serde_json::Value>,
     change: Change,
 }
@@ -62,7 +62,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             for (b, to) in measures.iter_mut().enumerate() {
                 let found = told(&stored.specs[b], &stored.designs[b])
                     .map_err(|e| Error::Usage(format!("trial {}: {e}", short_hash(hash))))?;
-                let Told { error, rank, condition, bits, memory, modes } = found;
+                let OperatorFigures { error, rank, condition, bits, memory, modes } = found;
                 *to = [error, rank, condition, bits, memory, modes];
             }
             let whole = |i: usize| row[i].as_u64().unwrap_or_default();
@@ -77,7 +77,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             let setting = format!("K = {}, M = {}, {by}", row[1], row[2]);
             let change = Change { setting, cluster, errors, told: measures };
             let head = row[..5].iter().cloned().chain([json!(brain), json!(trained_with)]).collect();
-            seen.push(Seen { head, change });
+            seen.push(TrialMeasures { head, change });
         }
         Ok(seen)
     })
@@ -98,9 +98,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-fn rows(seen: &[Seen]) -> Table {
+fn rows(seen: &[TrialMeasures]) -> Table {
     let columns = "hash panels sensors placement seed brain trained_with body error wiener_error forces_told condition bits memory modes";
-    let of = |seen: &Seen, b: usize| {
+    let of = |seen: &TrialMeasures, b: usize| {
         let body = ["initial", "optimised"][b];
         let own = seen.change.told[b].into_iter().flat_map(|measure| row![measure]);
         seen.head.iter().cloned().chain(row![body, seen.change.errors[b]]).chain(own).collect()
@@ -118,8 +118,8 @@ const CLASSES: [(&str, &str); 5] = [
 ];
 
 /// Plots gains of the trials' decoders over gains of Wiener's filter.
-fn drawn(seen: &[Seen]) -> String {
-    let gains = |Seen { change, .. }: &Seen| {
+fn drawn(seen: &[TrialMeasures]) -> String {
+    let gains = |TrialMeasures { change, .. }: &TrialMeasures| {
         (change.told[0][0] / change.told[1][0], change.errors[0] / change.errors[1])
     };
     let points: Vec<(f64, f64)> = seen.iter().map(gains).collect();

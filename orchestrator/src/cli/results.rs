@@ -34,13 +34,13 @@ pub(super) async fn print_results(from: Results<'_>, plan: &Plan, format: Format
     let limit = if format == Format::Table { MOST_ROWS as i64 } else { -1 };
     let (settled, mut table, unresolved) = Reader::asked(from.db, async |reader| {
         let settled = reader.query::<Table>(&of_plan("t.hash, t.state, t.reason", plan)).await?;
-        let of_plan = of_plan("t.hash", plan);
+        let select_from_plan = of_plan("t.hash", plan);
         let sql = format!(
             "SELECT panels AS K, sensors AS M, placement, seed, units, brain, trained_with, placed,
                error_initial AS test_error_initial, error_optimised AS test_error_optimised, holdout_error_initial,
                holdout_error_optimised, holdout_median_initial, holdout_median_optimised, holdout_above_initial,
                holdout_above_optimised, seconds, state, reason, hash
-             FROM v_trial WHERE hash IN ({of_plan})
+             FROM v_trial WHERE hash IN ({select_from_plan})
              ORDER BY panels, sensors, units, placement, seed, brain, trained_with, placed, hash LIMIT {limit}"
         );
         Ok::<_, Error>((settled, reader.query::<Table>(&sql).await?, reader.unresolved().await?))
@@ -51,7 +51,7 @@ pub(super) async fn print_results(from: Results<'_>, plan: &Plan, format: Format
         add_axes(&mut table, plan);
     }
     if format == Format::Table && !table.rows.is_empty() {
-        leave_out_the_usual(&mut table);
+        drop_default_columns(&mut table);
     }
     let failed = say_failures(from, &settled);
     print_rows(&table, format)?;
@@ -103,7 +103,7 @@ fn add_axes(table: &mut Table, plan: &Plan) {
 }
 
 /// Drops columns that have the usual value in every row: done, random placement, the paper's decoder, no sample above 100 %.
-fn leave_out_the_usual(table: &mut Table) {
+fn drop_default_columns(table: &mut Table) {
     table.leave_out_spread();
     let usual: [(&[&str], &str, &[&str]); 3] = [
         (&["state"], "done", &["state", "reason", "hash"]),

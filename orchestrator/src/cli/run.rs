@@ -114,7 +114,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         end_after(time);
     }
     let (source, asked) = (args.spec.source()?, Notify::new());
-    let how = How {
+    let how = RunConfig {
         spec: &args.spec,
         running: &args.running,
         shard: args.shard,
@@ -134,7 +134,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             None => plan.default_database(),
         });
         let log = log::path(&db)?;
-        let (outcome, plan) = run(plan, &how, &db, &log, &mut signals, wanted).await?;
+        let (outcome, plan) = run(plan, &how, &db, &log, &mut signals, run_plan).await?;
         return end(Results { db: &db, named: &db, log: &log }, &plan, args.running.format, outcome).await;
     };
     check_submitted(folder, &source)?;
@@ -153,7 +153,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let mut home = Home::new(&plan.spec.name, shard, folder, args.running.db.clone())?;
     check(&Needs { files: &[home.handed_in()], ..Needs::default() })?;
     let waits = || say!("an earlier attempt of this shard is still running on this node; waiting for it");
-    if let Some(aside) = home.take_in(waits).await? {
+    if let Some(aside) = home.merge_earlier_copies(waits).await? {
         say!(
             "the shard's database on this node was damaged and is now {}; the shard resumes from its copy in the folder",
             aside.display()
@@ -178,7 +178,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     handed_in?;
     home.leave().await;
     if let Some(out) = args.merge_into.filter(|_| matches!(exit, Exit::Done | Exit::Failed)) {
-        merge::after_the_last(folder, shard, &out).await?;
+        merge::merge_if_all_ended(folder, shard, &out).await?;
     }
     Ok(exit)
 }
@@ -211,7 +211,7 @@ fn check_submitted(folder: &Path, source: &Source) -> Result<(), Error> {
 }
 
 /// How a plan is run.
-pub(super) struct How<'a> {
+pub(super) struct RunConfig<'a> {
     /// The source of the plan.
     pub spec: &'a Spec,
     pub running: &'a Running,
@@ -229,7 +229,7 @@ const FIXED_SHARD: &str = "the trials of a shard are assigned before it starts: 
 /// Runs `drive` on the open database and closes it. Returns the outcome and the latest plan.
 pub(super) async fn run(
     plan: Plan,
-    how: &How<'_>,
+    how: &RunConfig<'_>,
     db: &Path,
     log: &Path,
     signals: &mut Signals,
@@ -272,7 +272,7 @@ pub(super) async fn run(
 async fn run_open(
     store: &mut Store,
     plan: &Plan,
-    how: &How<'_>,
+    how: &RunConfig<'_>,
     log: &Path,
     signals: &mut Signals,
     control: &Control,
@@ -303,7 +303,7 @@ fn listener(db: &Path) -> Option<Listener> {
 }
 
 /// Returns a function that reloads the spec, or the reason why it must not.
-fn reread(plan: &Plan, how: &How) -> Arc<Reread> {
+fn reread(plan: &Plan, how: &RunConfig) -> Arc<Reread> {
     let (spec, name) = (how.spec.clone(), plan.spec.name.clone());
     let (fixed, asks) = (how.fixed, plan.spec.until.is_some());
     Arc::new(move || {
@@ -341,7 +341,7 @@ pub(super) struct Round<'a> {
 }
 
 /// Runs all trials of a plan; with [until], those that its questions need.
-async fn wanted(round: Round<'_>, again: Again) -> Result<Option<Outcome>, Error> {
+async fn run_plan(round: Round<'_>, again: Again) -> Result<Option<Outcome>, Error> {
     match round.plan.spec.until {
         None => all(round, again).await,
         Some(_) => rounds(round, again).await,

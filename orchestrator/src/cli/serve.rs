@@ -111,7 +111,7 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
         drop(only.watched());
     }
     let served = Served::new(sources, reading, steering, address);
-    signals.unless(serve(listener, Arc::clone(&served))).await;
+    signals.or_signal(serve(listener, Arc::clone(&served))).await;
     served.close().await;
     Ok(Exit::Done)
 }

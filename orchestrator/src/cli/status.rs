@@ -75,7 +75,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         Ok::<_, Error>((
             reader.query::<Table>(STATES).await?,
             reader.query::<Table>(FAILED).await?,
-            reader.made().await?,
+            reader.code_versions().await?,
             reader.unresolved().await?,
         ))
     })
@@ -238,7 +238,7 @@ async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error>
         say!("{} ended with unfinished trials: `metasense cluster submit` resumes them", ended.len());
     }
     let never: Vec<String> = ended.iter().flat_map(|s| s.never.iter().cloned()).collect();
-    super::merge::say_never(&never, "metasense cluster submit");
+    super::merge::print_never_started(&never, "metasense cluster submit");
     let failed: usize = states.iter().map(State::failed).sum();
     if failed > 0 {
         say!(

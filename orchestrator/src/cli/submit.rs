@@ -182,7 +182,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         return Ok(Exit::Done);
     }
     let mut notes = prepare(&plan, &submission, &program, &queue.jobs)?;
-    deal(&assignment, &submission.folder, &plan.trials)?;
+    write_assignment(&assignment, &submission.folder, &plan.trials)?;
     if args.scheduler.has_queue() {
         queued::submit(&mut submission, &mut notes, jobs, &queue)?;
         return Ok(Exit::Done);
@@ -453,7 +453,7 @@ fn prepare(
 }
 
 /// Writes the assignment of trials to shards.
-fn deal(assignment: &Assignment, folder: &Path, trials: &[Trial]) -> Result<(), Error> {
+fn write_assignment(assignment: &Assignment, folder: &Path, trials: &[Trial]) -> Result<(), Error> {
     assignment.write(folder)?;
     Ok(assignment.write_trials(folder, trials)?)
 }

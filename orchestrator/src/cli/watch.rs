@@ -7,7 +7,7 @@ use std::time::Duration;
 use super::status::newest;
 use super::{Error, Format, is_live, print_rows};
 use crate::exit::Exit;
-use crate::progress::Looks;
+use crate::progress::Observer;
 use crate::store::Reader;
 
 /// Shows a run in the terminal: workers, steps, errors, remaining time
@@ -26,7 +26,7 @@ const EVERY: Duration = Duration::from_secs(1);
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let db = args.db.map_or_else(|| newest("watch"), Ok)?;
     let live = is_live(&std::io::stdout());
-    let mut looks = Looks::default();
+    let mut looks = Observer::default();
     if looks.begin(&db).await {
         tokio::time::sleep(Duration::from_millis(200)).await;
     }

@@ -72,7 +72,7 @@ pub enum AssignmentError {
 }
 
 /// Work of the shards. Each shard trains the bodies of its trials.
-struct Dealt<'a> {
+struct ShardLoads<'a> {
     /// Load by shard.
     loads: Vec<u64>,
     /// Loads with their shards, ascending.
@@ -81,7 +81,7 @@ struct Dealt<'a> {
     homes: HashMap<&'a str, BTreeSet<u32>>,
 }
 
-impl<'a> Dealt<'a> {
+impl<'a> ShardLoads<'a> {
     fn new(shards: u32) -> Self {
         let order = (1..=shards).map(|shard| (0, shard)).collect();
         Self { loads: vec![0; shards as usize], order, homes: HashMap::new() }
@@ -202,7 +202,7 @@ impl Assignment {
 
     /// Assigns unassigned trials only: first one trial per body, then those whose body is already in training.
     fn add(&mut self, trials: &[Trial]) {
-        let (mut dealt, mut new) = (Dealt::new(self.shards), BTreeMap::<&str, Vec<&Trial>>::new());
+        let (mut dealt, mut new) = (ShardLoads::new(self.shards), BTreeMap::<&str, Vec<&Trial>>::new());
         for trial in trials {
             match self.of.get(&trial.hash) {
                 Some(shard) => dealt.put(trial, *shard),

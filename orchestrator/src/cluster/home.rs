@@ -149,7 +149,7 @@ impl Home {
     /// # Errors
     /// If an earlier attempt does not end, a copy is unreadable, or the live database is of a newer version or not a metasense
     /// database.
-    pub async fn take_in(&mut self, waits: impl FnOnce()) -> Result<Option<PathBuf>, HomeError> {
+    pub async fn merge_earlier_copies(&mut self, waits: impl FnOnce()) -> Result<Option<PathBuf>, HomeError> {
         let (end, mut waits) = (Instant::now() + PREDECESSOR, Some(waits));
         loop {
             let taken_in = match self.claim() {
@@ -208,7 +208,7 @@ impl Home {
     fn set_aside(&self) -> Result<PathBuf, HomeError> {
         let aside = self.handed_in.with_extension("damaged");
         for end in ["-wal", ""] {
-            let (from, to) = (store::beside(&self.live, end), store::beside(&aside, end));
+            let (from, to) = (store::sidecar(&self.live, end), store::sidecar(&aside, end));
             let at = |source| HomeError::Folder { path: to.clone(), source };
             if from.exists() {
                 // A rename does not work between disks.
@@ -216,7 +216,7 @@ impl Home {
                 std::fs::remove_file(&from).map_err(at)?;
             }
         }
-        let _ = std::fs::remove_file(store::beside(&self.live, "-shm"));
+        let _ = std::fs::remove_file(store::sidecar(&self.live, "-shm"));
         Ok(aside)
     }
 
@@ -224,7 +224,7 @@ impl Home {
     ///
     /// # Errors
     /// If copying fails; the previous copy remains.
-    pub async fn hand_in(&self) -> Result<(), HomeError> {
+    pub async fn copy_to_folder(&self) -> Result<(), HomeError> {
         self.hand_in_while(|| true).await
     }
 
@@ -247,7 +247,7 @@ impl Home {
     pub async fn hand_in_within(&self, notice: Duration) -> Result<(), HomeError> {
         let end = tokio::time::Instant::now() + notice;
         loop {
-            match self.hand_in().await {
+            match self.copy_to_folder().await {
                 Ok(()) => return Ok(()),
                 Err(error) if tokio::time::Instant::now() < end => {
                     tracing::warn!(%error, "the database could not be copied to the folder; retrying");

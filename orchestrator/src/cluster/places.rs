@@ -104,9 +104,9 @@ pub async fn run(
             let shard = waiting.pop_front().expect("it is not empty");
             say(format!("shard {shard} starts on {}", name(&place)));
             *tries.entry(shard).or_default() += 1;
-            running.spawn(one(place, shard, how.clone(), asked.clone()));
+            running.spawn(run_shard(place, shard, how.clone(), asked.clone()));
         }
-        match signals.unless(running.join_next()).await {
+        match signals.or_signal(running.join_next()).await {
             None => {
                 say(match ended.asked {
                     false => format!(
@@ -198,7 +198,7 @@ fn name(place: &Place) -> String {
 }
 
 /// Runs a shard to its end. Returns its place and number, its exit code and its last message.
-async fn one(
+async fn run_shard(
     place: Place,
     shard: u32,
     how: How,

@@ -53,7 +53,7 @@ async fn a_run_is_asked_by_its_database() {
     assert!(matches!(ask(&db, &Command::Pause).await, Err(ControlError::NoRun { .. })));
     let store = Store::open(&db).await.unwrap();
     let deaf = ask(&db, &Command::Pause).await;
-    assert!(matches!(deaf, Err(ControlError::Deaf { .. })), "{deaf:?}");
+    assert!(matches!(deaf, Err(ControlError::NotListening { .. })), "{deaf:?}");
     assert_eq!(run_of(&db).await, None);
     let listener = Listener::new(&db).unwrap();
     assert_eq!(run_of(&db).await, Some(std::process::id()));
@@ -76,7 +76,7 @@ async fn a_run_is_asked_by_its_database() {
     let Request { command: Command::Stop, mut answer } = asked else { panic!("{asked:?}") };
     timeout(ASKING, answer.closed()).await.expect("its asker has gone");
 
-    let said = Said { done: true, text: "goes to\nthe next".into() };
+    let said = Reply { done: true, text: "goes to\nthe next".into() };
     let answering = async {
         let Request { command, answer } = request(&listener).await;
         assert_eq!(command, Command::Next("ab".into()));
@@ -88,7 +88,7 @@ async fn a_run_is_asked_by_its_database() {
     let ending = async { drop((request(&listener).await, listener)) };
     let command = Command::State;
     let (heard, ()) = tokio::join!(ask(&db, &command), ending);
-    assert_eq!(heard.unwrap(), Said::refused("the run has ended"));
+    assert_eq!(heard.unwrap(), Reply::refused("the run has ended"));
     assert!(!file.exists());
     store.close().await.unwrap();
 

@@ -39,7 +39,7 @@ pub async fn begin<'a>(
         let settled: HashSet<String> = store.settled().await?.into_iter().collect();
         Ok(trials.iter().filter(|trial| !settled.contains(&trial.hash)).collect())
     };
-    signals.unless(work).await.transpose()
+    signals.or_signal(work).await.transpose()
 }
 
 /// Reopens finished trials among these.

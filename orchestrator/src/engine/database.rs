@@ -14,12 +14,12 @@ pub(super) const LOG_LARGE: u64 = 256 << 20;
 impl Engine<'_> {
     /// Ends the run if the database files have disappeared, so that the data can be saved. Warns if the log grows large.
     pub(super) fn check_database(&mut self, events: &mut Events) {
-        if self.looked.elapsed() < LOOK {
+        if self.last_check.elapsed() < LOOK {
             return;
         }
-        self.looked = Instant::now();
+        self.last_check = Instant::now();
         if self.store_error.is_none()
-            && let Some(lost) = self.presence.look()
+            && let Some(lost) = self.presence.check()
         {
             tracing::error!(?lost, "the files of the database were taken away; the run ends");
             let saved = Err("the run ends".into());

@@ -9,8 +9,8 @@ use metasense_worker::limits::{self, Needs};
 use metasense_worker::{process, simd};
 
 use super::{Engine, Events};
-use crate::fleet::Heard;
-use crate::link::Line;
+use crate::fleet::ProcessEvent;
+use crate::link::Channel;
 use crate::scheduler::{Event, WorkerId};
 use crate::store::Level;
 
@@ -20,7 +20,7 @@ const LINK_GRACE: Duration = Duration::from_millis(700);
 /// Process and link of a worker, from the creation of its domain until both have ended.
 #[derive(Debug)]
 pub(super) struct Link {
-    pub line: Line,
+    pub line: Channel,
     pub started: bool,
     /// The process must not be started.
     pub cancelled: bool,
@@ -35,7 +35,7 @@ impl Engine<'_> {
     pub(super) fn open(&mut self, worker: WorkerId, events: &mut Events) {
         let needs = Needs { workers: 1, threads: self.options.threads, files: &[] };
         let line = limits::check(&needs).map_err(|short| short.to_string()).and_then(|()| {
-            Line::open(self.runtime.domain(worker), worker, self.words.clone())
+            Channel::open(self.runtime.domain(worker), worker, self.words.clone())
                 .map_err(|error| error.to_string())
         });
         match line {
@@ -96,20 +96,20 @@ impl Engine<'_> {
         events.push_back(Event::Lost(worker, Reason::WorkerExited(-1)));
     }
 
-    pub(super) fn heard(&mut self, worker: WorkerId, heard: Heard, events: &mut Events) {
+    pub(super) fn heard(&mut self, worker: WorkerId, heard: ProcessEvent, events: &mut Events) {
         match heard {
             // The line belongs to the current or last trial of the worker.
-            Heard::Line(line) => match self.leases.get(&worker) {
+            ProcessEvent::Line(line) => match self.leases.get(&worker) {
                 Some(lease) => {
                     // the first line gives the error, later ones the location
                     if !line.is_empty() {
                         self.details.entry(*lease).or_insert_with(|| line.clone());
                     }
-                    self.said.push((*lease, Level::Warn, line));
+                    self.pending_log.push((*lease, Level::Warn, line));
                 }
                 None => self.last_words = line,
             },
-            Heard::End(reason) => self.ended(worker, reason, events),
+            ProcessEvent::End(reason) => self.ended(worker, reason, events),
         }
     }
 

@@ -40,7 +40,7 @@ use steer::Asker;
 
 use crate::files::host;
 use crate::fleet::Fleet;
-use crate::link::{Runtime, RuntimeError, Word};
+use crate::link::{LinkEvent, Runtime, RuntimeError};
 use crate::plan::Trial;
 use crate::provenance;
 use crate::scheduler::{
@@ -167,13 +167,13 @@ pub async fn run<'a>(
         bodies,
         begun_at: HashMap::new(),
         leases: HashMap::new(),
-        said: Vec::new(),
+        pending_log: Vec::new(),
         details: HashMap::new(),
         spent: Ledger::new(),
         due: Vec::new(),
         stale: 0,
         presence,
-        looked: Instant::now(),
+        last_check: Instant::now(),
         log_warned: database::LOG_LARGE,
         store_error: None,
         last_words: String::new(),
@@ -237,7 +237,7 @@ struct Engine<'a> {
     fleet: Fleet,
     links: HashMap<WorkerId, Link>,
     runtime: Runtime,
-    words: mpsc::Sender<(WorkerId, Word)>,
+    words: mpsc::Sender<(WorkerId, LinkEvent)>,
     queue: mpsc::Sender<Entry>,
     bodies: Bodies,
     /// Steps of trials before their last attempts, if any.
@@ -246,7 +246,7 @@ struct Engine<'a> {
     /// Last lease of each worker.
     leases: HashMap<WorkerId, Lease>,
     /// Log lines that the writer does not have yet.
-    said: Vec<(Lease, Level, String)>,
+    pending_log: Vec<(Lease, Level, String)>,
     /// Error messages of attempts that have not ended.
     details: HashMap<Lease, String>,
     spent: Ledger,
@@ -255,7 +255,7 @@ struct Engine<'a> {
     stale: usize,
     /// Presence of the database files, and the time of the last check.
     presence: Presence,
-    looked: Instant,
+    last_check: Instant,
     /// Size of the write-ahead log at which to warn next (bytes).
     log_warned: u64,
     store_error: Option<StoreError>,
@@ -399,7 +399,7 @@ impl Engine<'_> {
     }
 
     async fn record_said(&mut self) {
-        for (lease, level, text) in std::mem::take(&mut self.said) {
+        for (lease, level, text) in std::mem::take(&mut self.pending_log) {
             self.record(Write::Log(lease, level, text)).await;
         }
         if self.has_room() {
@@ -445,16 +445,16 @@ impl Engine<'_> {
         }
     }
 
-    fn word(&mut self, worker: WorkerId, word: Word, events: &mut Events) {
+    fn word(&mut self, worker: WorkerId, word: LinkEvent, events: &mut Events) {
         match word {
-            Word::Open => self.start(worker, events),
-            Word::Message(message, arrays) => self.message(worker, *message, arrays, events),
-            Word::Beat(progress) => {
+            LinkEvent::Open => self.start(worker, events),
+            LinkEvent::Message(message, arrays) => self.message(worker, *message, arrays, events),
+            LinkEvent::Beat(progress) => {
                 let lease = Lease { trial: progress.trial, attempt: progress.attempt };
                 events.push_back(Event::Beat(worker, lease));
             }
-            Word::Broken(error) => self.broken(worker, &error),
-            Word::Closed => {
+            LinkEvent::Broken(error) => self.broken(worker, &error),
+            LinkEvent::Closed => {
                 if let Some(link) = self.links.get_mut(&worker) {
                     link.closed = true;
                 }
@@ -524,7 +524,7 @@ impl Engine<'_> {
                     tracing::error!(trial.hash, why, "the checkpoint cannot be used; the trial restarts");
                     self.watch.begins_anew(trial, &why);
                     let text = format!("restarted, because the checkpoint cannot be used: {why}");
-                    self.said.push((lease, Level::Warn, text));
+                    self.pending_log.push((lease, Level::Warn, text));
                     None
                 });
                 if self.state.phase(lease.trial) == Phase::Running(worker) {

@@ -33,7 +33,7 @@ impl Signals {
     }
 
     /// Runs `work`; drops it and returns `None` if a signal comes first.
-    pub async fn unless<T>(&mut self, work: impl Future<Output = T>) -> Option<T> {
+    pub async fn or_signal<T>(&mut self, work: impl Future<Output = T>) -> Option<T> {
         tokio::select! {
             biased;
             Some(()) = self.next() => None,

@@ -8,7 +8,7 @@ use metasense_schemas::spec::{NotOne, position_of};
 
 use super::Engine;
 use super::writer::{Entry, Fresh};
-use crate::control::{Command, Listener, Request, Said};
+use crate::control::{Command, Listener, Reply, Request};
 use crate::plan::{Plan, Trial, counted};
 use crate::scheduler::{Answer, Event, Steer};
 
@@ -177,6 +177,6 @@ impl Engine<'_> {
             self.watch.steered(&command, done, &text);
         }
         // The client may have disconnected.
-        let _ = answer.send(Said { done, text });
+        let _ = answer.send(Reply { done, text });
     }
 }

@@ -204,11 +204,11 @@ async fn transact(
                 Written::Recorded(lease, Mark::Failure)
             }
             Write::Cancelled(lease) => {
-                store.settle(hash(lease), CANCELLED).await?;
+                store.fail_pending(hash(lease), CANCELLED).await?;
                 Written::Recorded(lease, Mark::Failure)
             }
             Write::Spent(lease, seconds) => {
-                store.spend(hash(lease), lease.attempt, seconds).await?;
+                store.record_cpu_seconds(hash(lease), lease.attempt, seconds).await?;
                 continue;
             }
             Write::Log(lease, level, text) => {
@@ -216,7 +216,7 @@ async fn transact(
                 continue;
             }
             Write::Load(worker, lease, pause) => {
-                let checkpoint = match store.goes_on_from(hash(lease), lease.attempt, pause).await {
+                let checkpoint = match store.resume_checkpoint(hash(lease), lease.attempt, pause).await {
                     Err(StoreError::Unreadable { message, .. }) => Err(message),
                     Err(StoreError::Damaged { .. }) => {
                         Err("it is damaged (its checksum does not match)".into())

@@ -32,12 +32,12 @@ use crate::scheduler::WorkerId;
 pub struct Fleet {
     program: PathBuf,
     processes: HashMap<WorkerId, Process>,
-    heard: Sender<(WorkerId, Heard)>,
+    heard: Sender<(WorkerId, ProcessEvent)>,
 }
 
 /// An event of a worker process.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Heard {
+pub enum ProcessEvent {
     /// A line on its standard error.
     Line(String),
     /// It has ended; no more lines follow.
@@ -59,7 +59,7 @@ struct Process {
 
 impl Fleet {
     /// `program` must have the hidden subcommand `worker`.
-    pub fn new(program: PathBuf, heard: Sender<(WorkerId, Heard)>) -> Self {
+    pub fn new(program: PathBuf, heard: Sender<(WorkerId, ProcessEvent)>) -> Self {
         Self { program, processes: HashMap::new(), heard }
     }
 
@@ -124,7 +124,7 @@ async fn watch(
     mut lines: JoinHandle<bool>,
     mut killed: oneshot::Receiver<()>,
     killed_before: u64,
-    heard: Sender<(WorkerId, Heard)>,
+    heard: Sender<(WorkerId, ProcessEvent)>,
 ) {
     let pid = child.id().unwrap_or_default();
     // The pid stays valid until `wait` returns, as the process is not reaped before.
@@ -141,7 +141,7 @@ async fn watch(
             Reason::WorkerKilled(libc::SIGKILL)
         }
     };
-    let _ = heard.send((worker, Heard::End(reason))).await;
+    let _ = heard.send((worker, ProcessEvent::End(reason))).await;
 }
 
 /// Waits for a process to end by itself or by `kill` on request. `None`: it did not end `within` this time after the kill.
@@ -180,7 +180,11 @@ const LINES: usize = 1000;
 
 /// Forwards a worker's standard error to the log and to `heard`. Reads everything, so that the worker never blocks. Returns
 /// whether the worker ran out of memory.
-async fn pass_on(worker: WorkerId, errors: impl AsyncRead + Unpin, heard: Sender<(WorkerId, Heard)>) -> bool {
+async fn pass_on(
+    worker: WorkerId,
+    errors: impl AsyncRead + Unpin,
+    heard: Sender<(WorkerId, ProcessEvent)>,
+) -> bool {
     let (mut errors, mut line) = (BufReader::new(errors), Vec::new());
     let (mut lines, mut out_of_memory) = (0, false);
     while let Ok(read) = errors.fill_buf().await {
@@ -201,7 +205,7 @@ async fn pass_on(worker: WorkerId, errors: impl AsyncRead + Unpin, heard: Sender
             line.clear();
             if lines <= LINES {
                 tracing::warn!(%worker, "worker output: {text}");
-                if heard.send((worker, Heard::Line(text))).await.is_err() {
+                if heard.send((worker, ProcessEvent::Line(text))).await.is_err() {
                     break;
                 }
             }

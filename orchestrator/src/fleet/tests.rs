@@ -40,7 +40,7 @@ async fn whatever_a_worker_writes_is_read_and_bounded() {
         let (out, mut heard) = tokio::sync::mpsc::channel(2 * LINES);
         let out_of_memory = pass_on(worker, bytes, out).await;
         let mut lines = Vec::new();
-        while let Ok((_, Heard::Line(line))) = heard.try_recv() {
+        while let Ok((_, ProcessEvent::Line(line))) = heard.try_recv() {
             lines.push(line);
         }
         (lines, out_of_memory)

@@ -25,7 +25,7 @@ const HOLD_MAX: Duration = Duration::from_secs(60);
 
 /// An event from a worker's link.
 #[derive(Debug)]
-pub enum Word {
+pub enum LinkEvent {
     /// The domain exists: the process may start.
     Open,
     /// A message with all arrays that belong to it.
@@ -40,7 +40,7 @@ pub enum Word {
 
 /// The link to a worker.
 #[derive(Debug)]
-pub struct Line {
+pub struct Channel {
     shared: Arc<Shared>,
 }
 
@@ -57,19 +57,23 @@ struct Ports {
     wake_self: Waker,
 }
 
-impl Line {
+impl Channel {
     /// Creates the domain on a new thread, which sends the link's events to `words`.
-    pub fn open(domain: Domain, worker: WorkerId, words: Sender<(WorkerId, Word)>) -> std::io::Result<Self> {
+    pub fn open(
+        domain: Domain,
+        worker: WorkerId,
+        words: Sender<(WorkerId, LinkEvent)>,
+    ) -> std::io::Result<Self> {
         let shared = Arc::new(Shared::default());
         let theirs = Arc::clone(&shared);
         std::thread::Builder::new().name(format!("link-{worker}")).spawn(move || {
             let say = |word| words.blocking_send((worker, word)).is_ok();
             if let Err(error) = read(&domain, &theirs, &say) {
-                say(Word::Broken(error));
+                say(LinkEvent::Broken(error));
             }
             theirs.ports.lock().unwrap_or_else(PoisonError::into_inner).take();
             domain.remove();
-            say(Word::Closed);
+            say(LinkEvent::Closed);
         })?;
         Ok(Self { shared })
     }
@@ -109,7 +113,7 @@ struct Receivers {
 }
 
 /// Creates the domain, and reads from it until told to end.
-fn read(domain: &Domain, shared: &Shared, say: &dyn Fn(Word) -> bool) -> Result<(), LinkError> {
+fn read(domain: &Domain, shared: &Shared, say: &dyn Fn(LinkEvent) -> bool) -> Result<(), LinkError> {
     // Errors are returned as values; other messages of iceoryx2 concern killed processes.
     iceoryx2::prelude::set_log_level(iceoryx2::prelude::LogLevel::Fatal);
     std::fs::create_dir(&domain.root).map_err(LinkError::of("making the domain's directory"))?;
@@ -129,7 +133,7 @@ fn read(domain: &Domain, shared: &Shared, say: &dyn Fn(Word) -> bool) -> Result<
         wake_self: Services::waker(&services.wake_orchestrator)?,
     };
     *shared.ports.lock().unwrap_or_else(PoisonError::into_inner) = Some(ports);
-    let mut heard = say(Word::Open);
+    let mut heard = say(LinkEvent::Open);
     while heard {
         // Loaded before reading, so that everything sent before `close` is read below.
         let closing = shared.closing.load(Ordering::Acquire);
@@ -144,13 +148,13 @@ fn read(domain: &Domain, shared: &Shared, say: &dyn Fn(Word) -> bool) -> Result<
 
 impl Receivers {
     /// Forwards all pending beats and messages. False: nothing receives them any more.
-    fn read_all(&self, say: &dyn Fn(Word) -> bool) -> Result<bool, LinkError> {
+    fn read_all(&self, say: &dyn Fn(LinkEvent) -> bool) -> Result<bool, LinkError> {
         let mut beat = None;
         while let Some(sample) = self.beats.receive().map_err(LinkError::of("receiving progress"))? {
             beat = Some(*sample);
         }
         if let Some(beat) = beat
-            && !say(Word::Beat(beat))
+            && !say(LinkEvent::Beat(beat))
         {
             return Ok(false);
         }
@@ -161,7 +165,7 @@ impl Receivers {
                 }
                 _ => None,
             };
-            if !say(Word::Message(Box::new(message), arrays)) {
+            if !say(LinkEvent::Message(Box::new(message), arrays)) {
                 return Ok(false);
             }
         }

@@ -22,7 +22,7 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
     let found = settings(&refs);
     let is_read = |body: &&Trained| body.brains().into_iter().any(|by| body.left(by).is_some());
     let read = found.iter().flat_map(|setting| &setting.bodies).filter(is_read);
-    let names = told_apart(read.map(|body| &body.name[..]));
+    let names = distinct_names(read.map(|body| &body.name[..]));
     Figure::some(
         "casts",
         "How does casting affect the error?",
@@ -90,7 +90,7 @@ pub(super) fn aside(n: usize, bodies: usize) -> f64 {
 }
 
 /// Distinct names of bodies, at most one per class.
-pub(super) fn told_apart<'a>(bodies: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
+pub(super) fn distinct_names<'a>(bodies: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
     let mut names = in_order(bodies);
     names.truncate(CLASSES.len());
     names

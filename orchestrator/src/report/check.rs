@@ -81,7 +81,7 @@ pub fn rings(checked: &Checked) -> Table {
 /// Largest |ln| of the ratio of a mode's frequency to a resonance.
 const NEAR: f64 = 0.25;
 /// Classes of the lines of median and least coherence.
-const PANELS: [&str; 2] = ["truth", "front"];
+const COHERENCE: [&str; 2] = ["truth", "front"];
 
 /// The page of `check`.
 pub fn html(file: &Path, checked: &Checked, figures: &[Figure]) -> String {
@@ -205,7 +205,7 @@ fn response(trial: &TrialSpec, design: &[f64], checked: &Checked) -> Option<Figu
             Axis::new("frequency (Hz)", Scale::Linear, [0.0, frequencies[frequencies.len() - 1]]),
             Axis::new("γ²", Scale::Linear, [0.0, 1.0]),
         );
-        for (class, part) in PANELS.into_iter().zip([0.5, 0.0]) {
+        for (class, part) in COHERENCE.into_iter().zip([0.5, 0.0]) {
             let at = |n: usize| {
                 let mut all: Vec<f64> = coherence.iter().filter_map(|of| of.get(n).copied()).collect();
                 all.sort_by(f64::total_cmp);

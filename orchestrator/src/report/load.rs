@@ -5,7 +5,7 @@ use std::collections::{BTreeSet, HashMap};
 use serde_json::Value;
 
 use super::answers::answers;
-use super::search::{self, Sought};
+use super::search::{self, SearchState};
 use super::{States, Story, Sweep};
 
 use crate::analysis::numbers::mean;
@@ -376,14 +376,14 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
     let trials = finished_trials(reader).await?;
     let sweeps = sweeps(reader).await?;
     let states = states(reader, &odd(trials.iter().map(|trial| &trial.setting))).await?;
-    let searches = Sought::all(reader, &sweeps).await;
+    let searches = SearchState::all(reader, &sweeps).await;
     let design = searches.iter().flatten().find_map(|search| Some(&search.chosen()?.0.hash));
     let replayed = trial.or(design.map(String::as_str));
     let stored = match replayed.or_else(|| Some(&typical(&trials)?.hash)) {
         Some(hash) => reader.stored(hash).await?,
         None => None,
     };
-    let made = reader.made().await?;
+    let made = reader.code_versions().await?;
     let caveats = provenance::caveats(reader, &made).await?;
     Ok(Story { sweeps, states, trials, made, caveats, stored, terms, searches })
 }
@@ -398,7 +398,7 @@ pub async fn verdicts(
     terms: Terms,
 ) -> Result<Vec<Answer>, StoreError> {
     let sweeps = sweeps(reader).await?;
-    let mut said = search::answers(&Sought::all(reader, &sweeps).await);
+    let mut said = search::answers(&SearchState::all(reader, &sweeps).await);
     said.extend(answers(trials, terms));
     Ok(said)
 }

@@ -24,7 +24,7 @@ use crate::analysis::resample::{REPLICATES, SEED};
 use crate::analysis::{Question, Terms, Trial};
 use crate::look::wave::SCRIPT;
 use crate::look::{Answer, Figure, Table, answers as listed, contents, download, more, page};
-use crate::store::{Made, Stored};
+use crate::store::{CodeVersion, Stored};
 
 /// All data of a report.
 #[derive(Debug)]
@@ -36,7 +36,7 @@ pub struct Story {
     /// Finished trials.
     pub trials: Vec<Trial>,
     /// The code that computed them.
-    pub made: Vec<Made>,
+    pub made: Vec<CodeVersion>,
     /// Caveats about the numbers.
     pub caveats: Vec<String>,
     /// The replayed trial, if one is stored whole.
@@ -44,7 +44,7 @@ pub struct Story {
     /// Terms of the decision on M.
     pub terms: Terms,
     /// Searches for a design, or why one cannot be evaluated.
-    pub searches: Vec<Result<search::Sought, String>>,
+    pub searches: Vec<Result<search::SearchState, String>>,
 }
 
 /// Numbers of trials, and the rows that are shown.
@@ -175,7 +175,7 @@ fn provenance(story: &Story) -> Markup {
     let seeds = seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
     html! {
         h2 { "Spec, versions, seeds" }
-        @for Made { code, revisions, trials } in &story.made {
+        @for CodeVersion { code, revisions, trials } in &story.made {
             p {
                 "Trials by code " (code)
                 @if !revisions.is_empty() { " (commit " (revisions.join(", ")) ")" }

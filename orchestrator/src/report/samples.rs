@@ -68,14 +68,14 @@ impl Replayed {
         }
         figures.push(self.before_and_after());
         // none for a floating body
-        figures.extend(modes::figure(stored, &self.bodies, &self.who()).ok());
-        let shown = sample.unwrap_or_else(|| self.loudest());
+        figures.extend(modes::figure(stored, &self.bodies, &self.trial_in_words()).ok());
+        let shown = sample.unwrap_or_else(|| self.greatest_impulse());
         let moved = |b: usize| motion(&stored.specs[b], &stored.designs[b], shown, self.threads);
         figures.push(self.waves(&[moved(0)?, moved(1)?], shown));
         Ok(figures)
     }
 
-    fn who(&self) -> String {
+    fn trial_in_words(&self) -> String {
         let (hash, p) = (&self.stored.hash, self.stored.spec().point);
         let short = short_hash(hash);
         let (k, m, placement, seed) = (p.panels, p.sensors, p.placement, p.seed);
@@ -92,7 +92,7 @@ impl Replayed {
     }
 
     /// The test sample with the greatest impulse.
-    fn loudest(&self) -> usize {
+    fn greatest_impulse(&self) -> usize {
         let spec = self.stored.spec();
         let size = spec.panel_units.len() * (spec.time.samples + 1);
         let impulse = |n: usize| self.replays[0].forces.values[n * size..(n + 1) * size].iter().sum::<f64>();
@@ -148,7 +148,7 @@ impl Replayed {
                 "Force histories of {which} of {}, and the predictions of each body's decoder (the first \
                  network). Each panel's line is drawn {} N above the next. The titles give the sample's error on \
                  the initial and on the trained body, over all panels.{}",
-                self.who(),
+                self.trial_in_words(),
                 number(step),
                 match self.stored.bands[1][0].is_empty() && replays[1].half_widths.is_empty() {
                     true => "",
@@ -182,7 +182,7 @@ impl Replayed {
             format!(
                 "Prediction error of each test sample of {}. A line joins the sample's error on the initial body and on \
                  the trained body. The trained body is better in {better} of {} samples.",
-                self.who(),
+                self.trial_in_words(),
                 pairs.len()
             ),
             legend(&BODIES),
@@ -199,7 +199,7 @@ impl Replayed {
             "Initial and trained body of {}: units, ligaments, input panels (arrows in the direction of the force), \
              sensors (dots); clamped units are shaded. Constraints at their limit: {} and {}{}. The \
              largest change of a shift is {} mm.{}",
-            self.who(),
+            self.trial_in_words(),
             held[0],
             held[1],
             if held == [0, 0] { "" } else { "; edges and gaps are drawn as lines, angles as dots" },
@@ -274,7 +274,7 @@ impl Replayed {
                 "Speed of each unit (0 to {} mm/s; the colour follows its square root) at four instants and as an animation, \
                  under test sample {sample} of {}. The same forces act on both bodies, drawn as displaced.",
                 number(most),
-                self.who()
+                self.trial_in_words()
             ),
             legend(&[("arrow", "input panel"), ("dot sensor", "sensor"), ("speed", "speed of a unit")]),
             pictures,

@@ -12,11 +12,11 @@ use crate::analysis::setting::flatten;
 use crate::look::{Answer, Axis, Figure, Picture, Plot, Scale, Table, legend, number, row};
 use crate::plan::goal::{Place, Space, on_fresh_seeds, rungs};
 use crate::plan::{Plan, Trial, cost, counted};
-use crate::store::{Reader, Standing, StoreError};
+use crate::store::{Reader, StoreError, TrialProgress};
 
 /// The state of a search.
 #[derive(Debug)]
-pub struct Sought {
+pub struct SearchState {
     plan: Plan,
     space: Space,
     decision: Decision,
@@ -46,18 +46,18 @@ pub const COLUMNS: [&str; 6] = [
     "begun: number of candidates of the class that are at least partly trained",
 ];
 
-impl Sought {
+impl SearchState {
     /// Reads the state of a search.
     ///
     /// # Errors
     /// If the database cannot be read.
     pub async fn of(reader: &mut Reader, plan: Plan, space: Space) -> Result<Self, StoreError> {
-        let known = Known::of(reader, &space, &plan, &mut HashMap::new()).await?;
+        let candidate_state = Known::of(reader, &space, &plan, &mut HashMap::new()).await?;
         let mut search = begun(&space);
-        let (decision, classes) = (search.follow(&known.candidates), search.classes());
-        let whole = known.pace * cost::total(&plan.trials);
-        let failed = known.candidates.iter().filter(|candidate| candidate.failed).count();
-        Ok(Self { plan, space, decision, classes, failed, seconds: [known.seconds, whole] })
+        let (decision, classes) = (search.follow(&candidate_state.candidates), search.classes());
+        let whole = candidate_state.pace * cost::total(&plan.trials);
+        let failed = candidate_state.candidates.iter().filter(|candidate| candidate.failed).count();
+        Ok(Self { plan, space, decision, classes, failed, seconds: [candidate_state.seconds, whole] })
     }
 
     /// The searches among sweeps, or why a search cannot be evaluated, such as missing files of its spec.
@@ -264,8 +264,8 @@ fn place(stage: Stage) -> usize {
 }
 
 /// One picture per search that can be evaluated.
-pub(super) fn figure(searches: &[Result<Sought, String>]) -> Option<Figure> {
-    let found: Vec<&Sought> = searches.iter().flatten().collect();
+pub(super) fn figure(searches: &[Result<SearchState, String>]) -> Option<Figure> {
+    let found: Vec<&SearchState> = searches.iter().flatten().collect();
     let tables = || {
         let mut tables = found.iter().map(|search| {
             let mut table = search.table();
@@ -292,8 +292,8 @@ pub(super) fn figure(searches: &[Result<Sought, String>]) -> Option<Figure> {
 }
 
 /// The outcome of each search.
-pub(super) fn answers(searches: &[Result<Sought, String>]) -> Vec<Answer> {
-    let said = |search: &Result<Sought, String>| match search {
+pub(super) fn answers(searches: &[Result<SearchState, String>]) -> Vec<Answer> {
+    let said = |search: &Result<SearchState, String>| match search {
         Ok(found) => found.answer(),
         Err(why) => Answer::new("", None, why.clone()),
     };
@@ -353,14 +353,14 @@ impl Known {
 }
 
 /// The error (%) of a stored trial to which the requirement applies.
-fn error(space: &Space, place: &Place, standing: &Standing) -> Option<f64> {
+fn error(space: &Space, place: &Place, standing: &TrialProgress) -> Option<f64> {
     let reader = place.reader.map(|by| (by.name().to_owned(), by.records().unwrap_or(0)));
     let error = standing.error(reader.as_ref().zip(space.goal.quantile));
     error.filter(|e| e.is_finite() && *e > 0.0)
 }
 
 /// A candidate with the results of its trial at each level.
-fn known(space: &Space, place: &Place, trial: &Trial, standing: &Standing) -> Candidate {
+fn known(space: &Space, place: &Place, trial: &Trial, standing: &TrialProgress) -> Candidate {
     let mut candidate = place.candidate.clone();
     let done = standing.state == "done";
     let result = if done { error(space, place, standing) } else { None };
@@ -397,7 +397,7 @@ fn fresh(
     plan: &Plan,
     place: &Place,
     body: &(TrialSpec, Vec<f64>),
-    standings: &HashMap<String, Standing>,
+    standings: &HashMap<String, TrialProgress>,
 ) -> Vec<f64> {
     let judges = on_fresh_seeds(plan, &plan.trials[place.trial], body, most_fresh(&space.goal));
     let told = judges.map_while(|judged| {

@@ -1,6 +1,6 @@
 //! Bodies under forces other than their training forces: a figure, and one sentence per setting.
 
-use super::casts::{CLASSES, MOST_SETTINGS, Mark, aside, legend, side_by_side, told_apart};
+use super::casts::{CLASSES, MOST_SETTINGS, Mark, aside, distinct_names, legend, side_by_side};
 use super::words::left_out;
 use crate::analysis::bodies::Trained;
 use crate::analysis::transfer::{Setting, settings};
@@ -12,7 +12,7 @@ use crate::look::{Answer, Figure, Picture, number};
 pub fn figure(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let found = settings(&refs);
-    let names = told_apart(found.iter().flat_map(|setting| &setting.bodies).map(|body| &body.name[..]));
+    let names = distinct_names(found.iter().flat_map(|setting| &setting.bodies).map(|body| &body.name[..]));
     Figure::some(
         "transfer",
         "How well does a body work under forces that it was not trained for?",

@@ -63,7 +63,7 @@ pub struct Settings {
 
 impl Settings {
     /// Backoff after this many consecutive failures.
-    fn wait(&self, failures: u32) -> Millis {
+    fn backoff(&self, failures: u32) -> Millis {
         (self.backoff << failures.saturating_sub(1).min(20)).min(BACKOFF_MAX)
     }
 }
@@ -153,7 +153,7 @@ impl Trial {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Work {
+enum SlotState {
     Empty { until: Millis },
     Starting { since: Millis },
     Idle,
@@ -168,15 +168,16 @@ struct Slot {
     misfires: u32,
     /// Results of this worker that are being written to disk.
     unrecorded: usize,
-    work: Work,
+    work: SlotState,
 }
 
 impl Slot {
-    const EMPTY: Self = Self { generation: 0, misfires: 0, unrecorded: 0, work: Work::Empty { until: 0 } };
+    const EMPTY: Self =
+        Self { generation: 0, misfires: 0, unrecorded: 0, work: SlotState::Empty { until: 0 } };
 
     /// Whether its worker has a trial or can get one.
     fn is_alive(&self) -> bool {
-        matches!(self.work, Work::Starting { .. } | Work::Idle | Work::Busy { .. })
+        matches!(self.work, SlotState::Starting { .. } | SlotState::Idle | SlotState::Busy { .. })
     }
 }
 
@@ -209,7 +210,7 @@ pub struct State {
     unrecorded: usize,
     /// Deaths without progress of any worker in between, their trials, and the reason of the last.
     deaths: u32,
-    dead: BTreeSet<u32>,
+    dead_trials: BTreeSet<u32>,
     died_of: Option<Reason>,
     shortage: Shortage,
     stopping: Stopping,
@@ -254,7 +255,7 @@ pub fn on_event<P: Payload>(state: &mut State, event: Event<P>) -> Vec<Action<P>
             out.push(Action::RecordCheckpoint(lease, record));
         }
         Event::Finished(worker, lease, record) => {
-            state.came_further(worker);
+            state.note_progress(worker);
             state.shortage.relieved(state.now, state.settings.retries);
             state.release(worker);
             state.slots[worker.slot as usize].unrecorded += 1;
@@ -289,7 +290,7 @@ pub fn on_event<P: Payload>(state: &mut State, event: Event<P>) -> Vec<Action<P>
         }
     }
     state.stop(out);
-    state.take_back(out);
+    state.stop_unwanted(out);
     state.shrink(out);
     state.assign(out);
     state.spawn(out);
@@ -311,7 +312,7 @@ impl State {
             bodies: Bodies::default(),
             unrecorded: 0,
             deaths: 0,
-            dead: BTreeSet::new(),
+            dead_trials: BTreeSet::new(),
             died_of: None,
             shortage: Shortage::default(),
             stopping: Stopping::No,
@@ -371,7 +372,7 @@ impl State {
 
     /// Number of workers that have a trial.
     pub fn busy(&self) -> usize {
-        self.slots.iter().filter(|slot| matches!(slot.work, Work::Busy { .. })).count()
+        self.slots.iter().filter(|slot| matches!(slot.work, SlotState::Busy { .. })).count()
     }
 
     /// The slot of a worker, if it contains this process.
@@ -382,15 +383,15 @@ impl State {
     /// Whether a worker holds a lease. An ending worker still holds its lease: its last messages count.
     fn holds(&mut self, worker: WorkerId, lease: Lease) -> bool {
         self.slot(worker).is_some_and(|slot| match slot.work {
-            Work::Busy { lease: held, .. } => held == lease,
-            Work::Ending { lease: held, .. } => held == Some(lease),
+            SlotState::Busy { lease: held, .. } => held == lease,
+            SlotState::Ending { lease: held, .. } => held == Some(lease),
             _ => false,
         })
     }
 
     fn beat(&mut self, worker: WorkerId) {
         let now = self.now;
-        if let Some(Slot { work: Work::Busy { beat, .. }, .. }) = self.slot(worker) {
+        if let Some(Slot { work: SlotState::Busy { beat, .. }, .. }) = self.slot(worker) {
             *beat = now;
         }
     }
@@ -398,41 +399,41 @@ impl State {
     /// Notes progress that a death of the worker cannot undo once it is recorded.
     fn progressed(&mut self, worker: WorkerId, lease: Lease) {
         self.beat(worker);
-        self.came_further(worker);
+        self.note_progress(worker);
         let trial = &mut self.trials[lease.trial as usize];
         (trial.stepped, trial.begun) = (true, true);
         self.unrecorded += 1;
     }
 
     /// Trials that may be assigned, in order: those whose body no other trial is training.
-    fn free(&self) -> impl Iterator<Item = (i64, u32)> {
+    fn assignable(&self) -> impl Iterator<Item = (i64, u32)> {
         let waits = |number: u32| self.bodies.is_in_training(self.trials[number as usize].body);
         self.ready.iter().copied().filter(move |(_, number)| !waits(*number))
     }
 
     /// Notes progress of a worker.
-    fn came_further(&mut self, worker: WorkerId) {
-        self.machine_works();
-        if let Some(&mut Slot { work: Work::Busy { since, .. }, .. }) = self.slot(worker) {
+    fn note_progress(&mut self, worker: WorkerId) {
+        self.reset_deaths();
+        if let Some(&mut Slot { work: SlotState::Busy { since, .. }, .. }) = self.slot(worker) {
             self.shortage.came_further(since);
         }
     }
 
     /// Notes that trials can succeed on this machine.
-    fn machine_works(&mut self) {
+    fn reset_deaths(&mut self) {
         self.deaths = 0;
-        self.dead.clear();
+        self.dead_trials.clear();
     }
 
     /// Why this machine is unfit, if so: repeated deaths, or a shortage while no busy worker can free anything.
     fn unfit(&self) -> Option<Reason> {
         let short = self.shortage.lasting(self.settings.retries).filter(|_| self.busy() == 0);
-        let died = self.deaths >= UNFIT_DEATHS && self.dead.len() >= UNFIT_TRIALS;
+        let died = self.deaths >= UNFIT_DEATHS && self.dead_trials.len() >= UNFIT_TRIALS;
         short.or(self.died_of.filter(|_| died))
     }
 
     /// Whether trials may be assigned and workers started now.
-    fn hands_out(&self) -> bool {
+    fn may_assign(&self) -> bool {
         let waits = self.settings.paused || self.shortage.is_waited_for(self.now);
         self.stopping == Stopping::No && !waits && self.unfit().is_none()
     }
@@ -447,18 +448,18 @@ impl State {
     fn release(&mut self, worker: WorkerId) {
         if let Some(slot) = self.slot(worker) {
             match &mut slot.work {
-                Work::Ending { lease, .. } => *lease = None,
-                work => *work = Work::Idle,
+                SlotState::Ending { lease, .. } => *lease = None,
+                work => *work = SlotState::Idle,
             }
         }
     }
 
     fn up(&mut self, worker: WorkerId) {
         if let Some(slot) = self.slot(worker)
-            && let Work::Starting { .. } = slot.work
+            && let SlotState::Starting { .. } = slot.work
         {
             slot.misfires = 0;
-            slot.work = Work::Idle;
+            slot.work = SlotState::Idle;
         }
     }
 
@@ -474,20 +475,20 @@ impl State {
         let waited_out = self.stopping != Stopping::No && now > self.stopping_since + settings.grace;
         for (worker, slot) in with_workers(&mut self.slots) {
             let (lease, why) = match slot.work {
-                Work::Busy { lease, .. } if waited_out => (Some(lease), Some(Reason::Stopped)),
-                Work::Busy { lease, beat, .. } if now > beat + settings.no_progress => {
+                SlotState::Busy { lease, .. } if waited_out => (Some(lease), Some(Reason::Stopped)),
+                SlotState::Busy { lease, beat, .. } if now > beat + settings.no_progress => {
                     (Some(lease), Some(Reason::NoProgress))
                 }
-                Work::Busy { lease, since, .. }
+                SlotState::Busy { lease, since, .. }
                     if settings.time_limit.is_some_and(|limit| now > since + limit) =>
                 {
                     (Some(lease), Some(Reason::TimeLimit))
                 }
-                Work::Starting { since } if now > since + STARTING_MAX => (None, None),
-                Work::Ending { lease, since, why } if now > since + ENDING_MAX => (lease, why),
+                SlotState::Starting { since } if now > since + STARTING_MAX => (None, None),
+                SlotState::Ending { lease, since, why } if now > since + ENDING_MAX => (lease, why),
                 _ => continue,
             };
-            slot.work = Work::Ending { lease, since: now, why };
+            slot.work = SlotState::Ending { lease, since: now, why };
             out.push(Action::Kill(worker));
         }
     }
@@ -499,16 +500,16 @@ impl State {
         let reason = if with_the_run { Reason::Stopped } else { reason };
         let Some(slot) = self.slot(worker) else { return };
         let (lease, why, misfired) = match slot.work {
-            Work::Busy { lease, .. } => (Some(lease), reason, false),
-            Work::Ending { lease, why, .. } => (lease, why.unwrap_or(reason), false),
-            Work::Starting { .. } => (None, reason, true),
-            Work::Idle | Work::Empty { .. } | Work::GivenUp => (None, reason, false),
+            SlotState::Busy { lease, .. } => (Some(lease), reason, false),
+            SlotState::Ending { lease, why, .. } => (lease, why.unwrap_or(reason), false),
+            SlotState::Starting { .. } => (None, reason, true),
+            SlotState::Idle | SlotState::Empty { .. } | SlotState::GivenUp => (None, reason, false),
         };
         slot.misfires += u32::from(misfired);
         slot.work = if slot.misfires >= MISFIRES_MAX {
-            Work::GivenUp
+            SlotState::GivenUp
         } else {
-            Work::Empty { until: now + if misfired { 200 << slot.misfires } else { 0 } }
+            SlotState::Empty { until: now + if misfired { 200 << slot.misfires } else { 0 } }
         };
         if let Some(lease) = lease {
             self.attempt_failed(lease, why, out);
@@ -542,21 +543,21 @@ impl State {
             self.unsettled -= 1;
         } else {
             trial.phase = Phase::Pending;
-            let wait = if deaths == 0 { 0 } else { self.settings.wait(deaths) };
+            let wait = if deaths == 0 { 0 } else { self.settings.backoff(deaths) };
             self.delayed.insert((self.now + wait, lease.trial));
         }
         if !shortage {
             self.shortage.relieved(self.now, self.settings.retries);
         } else if !by_request {
-            self.shortage.met(reason, self.now, |in_a_row| self.settings.wait(in_a_row));
+            self.shortage.note_failure(reason, self.now, |in_a_row| self.settings.backoff(in_a_row));
         }
         if !by_request && !shortage && !stepped {
             if death {
                 self.deaths += 1;
-                self.dead.insert(lease.trial);
+                self.dead_trials.insert(lease.trial);
                 self.died_of = Some(reason);
             } else if reason != Reason::Cancelled && reason != Reason::TimeLimit {
-                self.machine_works(); // the worker survived and reported the error
+                self.reset_deaths(); // the worker survived and reported the error
             }
         }
         self.unrecorded += 1;
@@ -572,17 +573,17 @@ impl State {
         for (worker, slot) in with_workers(&mut self.slots) {
             let at_once = self.stopping >= Stopping::AtOnce;
             match slot.work {
-                Work::Busy { lease, .. } if at_once => {
+                SlotState::Busy { lease, .. } if at_once => {
                     slot.work =
-                        Work::Ending { lease: Some(lease), since: self.now, why: Some(Reason::Stopped) };
+                        SlotState::Ending { lease: Some(lease), since: self.now, why: Some(Reason::Stopped) };
                     out.push(Action::Kill(worker));
                 }
-                Work::Busy { lease, since, beat, asked: false } => {
-                    slot.work = Work::Busy { lease, since, beat, asked: true };
+                SlotState::Busy { lease, since, beat, asked: false } => {
+                    slot.work = SlotState::Busy { lease, since, beat, asked: true };
                     out.push(Action::AskStop(worker));
                 }
-                Work::Idle | Work::Starting { .. } => {
-                    slot.work = Work::Ending { lease: None, since: self.now, why: None };
+                SlotState::Idle | SlotState::Starting { .. } => {
+                    slot.work = SlotState::Ending { lease: None, since: self.now, why: None };
                     out.push(Action::Close(worker));
                 }
                 _ => {}
@@ -591,9 +592,9 @@ impl State {
     }
 
     /// Stops unwanted trials; in a pause, all trials.
-    fn take_back<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
+    fn stop_unwanted<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
         for (worker, slot) in with_workers(&mut self.slots) {
-            if let Work::Busy { lease, asked: asked @ false, .. } = &mut slot.work
+            if let SlotState::Busy { lease, asked: asked @ false, .. } = &mut slot.work
                 && (self.settings.paused || self.trials[lease.trial as usize].unwanted.is_some())
             {
                 *asked = true;
@@ -605,52 +606,54 @@ impl State {
     /// Closes surplus idle workers.
     fn shrink<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
         let surplus = usize::try_from(-self.room()).unwrap_or(0);
-        let idle = |(_, slot): &(_, &mut Slot)| matches!(slot.work, Work::Starting { .. } | Work::Idle);
+        let idle =
+            |(_, slot): &(_, &mut Slot)| matches!(slot.work, SlotState::Starting { .. } | SlotState::Idle);
         for (worker, slot) in with_workers(&mut self.slots).filter(idle).take(surplus) {
-            slot.work = Work::Ending { lease: None, since: self.now, why: None };
+            slot.work = SlotState::Ending { lease: None, since: self.now, why: None };
             out.push(Action::Close(worker));
         }
     }
 
     /// Assigns trials to idle workers.
     fn assign<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
-        if !self.hands_out() {
+        if !self.may_assign() {
             return;
         }
-        let may = |slot: &Slot| slot.work == Work::Idle && slot.unrecorded < RESULTS_MAX;
+        let may = |slot: &Slot| slot.work == SlotState::Idle && slot.unrecorded < RESULTS_MAX;
         let idle: Vec<WorkerId> =
             with_workers(&mut self.slots).filter(|(_, slot)| may(slot)).map(|(worker, _)| worker).collect();
         for worker in idle.into_iter().take_while(|_| self.unrecorded < UNRECORDED_MAX) {
-            let Some((rank, number)) = self.free().next() else { return };
+            let Some((rank, number)) = self.assignable().next() else { return };
             self.ready.remove(&(rank, number));
             let trial = &mut self.trials[number as usize];
             trial.attempt += 1;
             trial.phase = Phase::Running(worker);
             let (lease, now) = (Lease { trial: number, attempt: trial.attempt }, self.now);
             self.bodies.handed_out(trial.body, number);
-            self.slots[worker.slot as usize].work = Work::Busy { lease, since: now, beat: now, asked: false };
+            self.slots[worker.slot as usize].work =
+                SlotState::Busy { lease, since: now, beat: now, asked: false };
             out.push(Action::Assign(worker, lease));
         }
     }
 
     /// Starts workers for the trials that wait for one; trials whose body is in training do not count.
     fn spawn<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
-        if !self.hands_out() {
+        if !self.may_assign() {
             return;
         }
-        let coming = |slot: &&Slot| matches!(slot.work, Work::Starting { .. } | Work::Idle);
+        let coming = |slot: &&Slot| matches!(slot.work, SlotState::Starting { .. } | SlotState::Idle);
         let Some(room) = usize::try_from(self.room()).ok().filter(|room| *room > 0) else { return };
-        let free = self.free().take(self.settings.workers as usize).count() + self.delayed.len();
+        let free = self.assignable().take(self.settings.workers as usize).count() + self.delayed.len();
         let mut wanted = free.saturating_sub(self.slots.iter().filter(coming).count()).min(room);
         for (slot, number) in self.slots.iter_mut().zip(0..) {
-            if let Work::Empty { until } = slot.work
+            if let SlotState::Empty { until } = slot.work
                 && until <= self.now
                 && wanted > 0
             {
                 wanted -= 1;
                 slot.generation += 1;
                 slot.unrecorded = 0;
-                slot.work = Work::Starting { since: self.now };
+                slot.work = SlotState::Starting { since: self.now };
                 out.push(Action::Spawn(WorkerId { slot: number, generation: slot.generation }));
             }
         }
@@ -658,7 +661,8 @@ impl State {
 
     /// Ends the run when nothing is left to do.
     fn end<P: Payload>(&mut self, out: &mut Vec<Action<P>>) {
-        let deserted = self.slots.iter().all(|slot| matches!(slot.work, Work::Empty { .. } | Work::GivenUp));
+        let deserted =
+            self.slots.iter().all(|slot| matches!(slot.work, SlotState::Empty { .. } | SlotState::GivenUp));
         // A broken store records nothing more, so pending records are not waited for.
         let recording = self.unrecorded > 0 && self.stopping != Stopping::Broken;
         if !deserted || recording {
@@ -669,7 +673,7 @@ impl State {
             _ if self.unsettled == 0 => Outcome::Complete,
             (Stopping::Asked | Stopping::AtOnce, _) => Outcome::Interrupted,
             (Stopping::No, Some(reason)) => Outcome::Unfit(reason),
-            (Stopping::No, None) if self.slots.iter().all(|slot| slot.work == Work::GivenUp) => {
+            (Stopping::No, None) if self.slots.iter().all(|slot| slot.work == SlotState::GivenUp) => {
                 Outcome::NoWorkers
             }
             (Stopping::No, None) => return,

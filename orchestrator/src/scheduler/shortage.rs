@@ -9,7 +9,7 @@ use super::Millis;
 #[derive(Debug, Clone, Default)]
 pub(super) struct Shortage {
     /// Reason of the last shortage.
-    of: Option<Reason>,
+    reason: Option<Reason>,
     /// Consecutive shortages without progress of a trial assigned after them.
     in_a_row: u32,
     /// Time before which no trials are assigned.
@@ -19,8 +19,8 @@ pub(super) struct Shortage {
 impl Shortage {
     /// Notes that an attempt failed for this reason; `wait` maps the number of consecutive shortages to a time. Simultaneous
     /// ones count once.
-    pub fn met(&mut self, reason: Reason, now: Millis, wait: impl FnOnce(u32) -> Millis) {
-        self.of = Some(reason);
+    pub fn note_failure(&mut self, reason: Reason, now: Millis, wait: impl FnOnce(u32) -> Millis) {
+        self.reason = Some(reason);
         if now >= self.until {
             self.in_a_row += 1;
             self.until = now + wait(self.in_a_row);
@@ -47,6 +47,6 @@ impl Shortage {
 
     /// The reason, if there were more consecutive shortages than retries.
     pub fn lasting(&self, retries: u32) -> Option<Reason> {
-        self.of.filter(|_| self.in_a_row > retries)
+        self.reason.filter(|_| self.in_a_row > retries)
     }
 }

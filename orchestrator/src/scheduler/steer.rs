@@ -8,8 +8,9 @@ use std::fmt;
 use metasense_schemas::reason::Reason;
 use metasense_schemas::wire::Lease;
 
-use super::{Action, Millis, Payload, Phase, Prior, Slot, State, Stopping, Work};
+use super::{Action, Millis, Payload, Phase, Prior, Slot, SlotState, State, Stopping};
 
+/// A command.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Steer {
     /// Assign no trials, and stop the running ones.
@@ -180,8 +181,8 @@ impl State {
         assert!(workers > 0, "a run needs a worker");
         let before = std::mem::replace(&mut self.settings.workers, workers);
         self.slots.resize(self.slots.len().max(workers as usize), Slot::EMPTY);
-        for slot in self.slots.iter_mut().filter(|slot| slot.work == Work::GivenUp) {
-            (slot.misfires, slot.work) = (0, Work::Empty { until: self.now });
+        for slot in self.slots.iter_mut().filter(|slot| slot.work == SlotState::GivenUp) {
+            (slot.misfires, slot.work) = (0, SlotState::Empty { until: self.now });
         }
         Answer::Workers([before, workers])
     }

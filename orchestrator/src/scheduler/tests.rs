@@ -450,8 +450,8 @@ impl World {
         let (mut held, mut training) = (BTreeSet::new(), BTreeSet::new());
         for slot in &self.state.slots {
             let lease = match slot.work {
-                Work::Busy { lease, .. } => Some(lease),
-                Work::Ending { lease, .. } => lease,
+                SlotState::Busy { lease, .. } => Some(lease),
+                SlotState::Ending { lease, .. } => lease,
                 _ => None,
             };
             if let Some(lease) = lease {

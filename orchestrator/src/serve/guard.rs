@@ -16,7 +16,7 @@ use tokio::time::{Sleep, sleep};
 
 use super::address::up;
 use super::lobby::Guest;
-use super::token::turned_away;
+use super::token::unauthorised;
 use super::{Refusal, Refused, Served, pages};
 
 /// Headers of every response: nothing foreign, nothing inline, no frames, no caches.
@@ -44,9 +44,9 @@ pub async fn guard(State(served): State<Arc<Served>>, request: Request, next: Ne
     };
     let no_place = || {
         let guest = request.extensions().get::<Arc<Guest>>();
-        guest.is_some_and(|guest| !guest.stays()).then(|| Refusal::Busy.into_response())
+        guest.is_some_and(|guest| !guest.take_place()).then(|| Refusal::Busy.into_response())
     };
-    let mut response = match refusal.or_else(|| turned_away(&served, &request)).or_else(no_place) {
+    let mut response = match refusal.or_else(|| unauthorised(&served, &request)).or_else(no_place) {
         Some(mut response) => {
             response.headers_mut().insert(header::CONNECTION, HeaderValue::from_static("close"));
             response
@@ -109,13 +109,13 @@ fn only<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
 }
 
 /// A connection that fails with `TimedOut` if its other end accepts nothing for the time `patience`.
-pub struct Impatient<S> {
+pub struct WriteTimeout<S> {
     inner: S,
     patience: Duration,
     waits: Option<Pin<Box<Sleep>>>,
 }
 
-impl<S> Impatient<S> {
+impl<S> WriteTimeout<S> {
     /// Wraps a connection.
     pub fn new(inner: S, patience: Duration) -> Self {
         Self { inner, patience, waits: None }
@@ -135,7 +135,7 @@ impl<S> Impatient<S> {
     }
 }
 
-impl<S: AsyncRead + Unpin> AsyncRead for Impatient<S> {
+impl<S: AsyncRead + Unpin> AsyncRead for WriteTimeout<S> {
     fn poll_read(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -145,7 +145,7 @@ impl<S: AsyncRead + Unpin> AsyncRead for Impatient<S> {
     }
 }
 
-impl<S: AsyncWrite + Unpin> AsyncWrite for Impatient<S> {
+impl<S: AsyncWrite + Unpin> AsyncWrite for WriteTimeout<S> {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         let poll = Pin::new(&mut self.inner).poll_write(cx, bytes);
         self.until(cx, poll)

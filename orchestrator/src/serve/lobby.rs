@@ -89,7 +89,7 @@ impl Lobby {
 
 impl Guest {
     /// Called when the key has been shown: returns whether there is a place for the connection.
-    pub fn stays(&self) -> bool {
+    pub fn take_place(&self) -> bool {
         if self.is_known() {
             return true;
         }

@@ -38,7 +38,7 @@ use crate::look::wave::SCRIPT;
 use crate::report::samples::Replayed;
 use crate::store::Stored;
 pub use address::Address;
-use guard::{Impatient, guard};
+use guard::{WriteTimeout, guard};
 use lobby::{Guest, Lobby, STAY};
 pub use source::{Seen, Source};
 pub use token::Token;
@@ -123,7 +123,7 @@ async fn connection(stream: TcpStream, app: Router, served: Arc<Served>, guest: 
         request.extensions_mut().insert(Arc::clone(&of));
         pages.call(request)
     });
-    let stream = TokioIo::new(Impatient::new(stream, WRITE_TIME));
+    let stream = TokioIo::new(WriteTimeout::new(stream, WRITE_TIME));
     let mut builder = http1::Builder::new();
     builder.timer(TokioTimer::new()).header_read_timeout(HEAD_TIME).max_buf_size(HEAD);
     let mut serving = std::pin::pin!(builder.serve_connection(stream, service));

@@ -15,7 +15,7 @@ use crate::cluster::facts::Facts;
 use crate::exit::chain;
 use crate::fleet::cpu_seconds;
 use crate::look::{Answer, Figure, Table};
-use crate::progress::{FAILED, Looks, Progress};
+use crate::progress::{FAILED, Observer, Progress};
 use crate::report::load::finished_trials;
 use crate::report::{answers, brains, figures};
 use crate::store::{Reader, StoreError};
@@ -48,7 +48,7 @@ pub struct Seen {
     /// The database; for shards, that of their facts once it exists.
     pub db: PathBuf,
     /// Why the database could not be read.
-    pub trouble: Option<String>,
+    pub read_error: Option<String>,
     /// Its progress.
     pub progress: Progress,
     /// Failures by reason and message, with one of their trials.
@@ -103,7 +103,7 @@ impl Source {
             facts,
             reader: None,
             version: -1,
-            looks: Looks::default(),
+            looks: Observer::default(),
             keeper: Keeper::default(),
             seen: Seen::default(),
             rest: Instant::now(),
@@ -150,7 +150,7 @@ struct Watcher {
     /// With the inode of the file.
     reader: Option<(Reader, u64)>,
     version: i64,
-    looks: Looks,
+    looks: Observer,
     keeper: Keeper,
     seen: Seen,
     rest: Instant,
@@ -173,8 +173,8 @@ impl Watcher {
             let checked = Instant::now();
             if let Err(trouble) = self.look(&publish).await {
                 self.let_go().await;
-                if self.seen.trouble.as_ref() != Some(&trouble) {
-                    self.seen.trouble = Some(trouble);
+                if self.seen.read_error.as_ref() != Some(&trouble) {
+                    self.seen.read_error = Some(trouble);
                     self.seen.generation += 1;
                 }
             }
@@ -225,7 +225,7 @@ impl Watcher {
             self.seen.progress = self.looks.look(reader).await?;
             self.seen.failures = reader.query(FAILED).await?;
             self.seen.runs = reader.query(RUNS).await?;
-            self.seen.trouble = None;
+            self.seen.read_error = None;
             self.seen.generation += 1;
             if first {
                 // publishes progress before all trials have been read
@@ -255,8 +255,8 @@ impl Watcher {
                     self.answered.1 = Instant::now() + rest;
                     self.seen.answers = Arc::new(answers);
                 }
-                Ok(Err(e)) => self.seen.trouble = Some(chain(&e)),
-                Err(e) => self.seen.trouble = Some(format!("the answers could not be computed: {e}")),
+                Ok(Err(e)) => self.seen.read_error = Some(chain(&e)),
+                Err(e) => self.seen.read_error = Some(format!("the answers could not be computed: {e}")),
             }
             self.seen.generation += 1;
         }

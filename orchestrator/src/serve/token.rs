@@ -46,7 +46,7 @@ pub(super) fn bearer(headers: &HeaderMap) -> Option<&str> {
 
 /// The response to a request without the key, or with the key in its address: the latter is redirected, and its key set as a
 /// cookie.
-pub(super) fn turned_away(served: &Served, request: &Request) -> Option<Response> {
+pub(super) fn unauthorised(served: &Served, request: &Request) -> Option<Response> {
     let (headers, uri) = (request.headers(), request.uri());
     let reads = |given: &str| served.reading.is(given);
     let cookie = format!("metasense-{}", port(headers));

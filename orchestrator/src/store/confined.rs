@@ -8,7 +8,7 @@ use libsqlite3_sys as ffi;
 
 use super::allow::{Allowed, allow};
 use super::read::Answer;
-use super::{OPENING, Reader, StoreError, real};
+use super::{OPENING, Reader, StoreError, resolve_links};
 
 /// Limits of an answer.
 #[derive(Debug, Clone, Copy)]
@@ -40,7 +40,7 @@ impl Reader {
     /// # Errors
     /// As [`Reader::open`].
     pub async fn confined(path: &Path) -> Result<Self, StoreError> {
-        let path = real(path);
+        let path = resolve_links(path);
         let at = |source| StoreError::sql(&path, OPENING, source);
         let mut reader = Self::open_file(path.clone(), Some(ROWS_AHEAD)).await?;
         reader.allowed = Allowed::Confined;

@@ -12,7 +12,7 @@ use tempfile::TempDir;
 use super::allow::{Allowed, allow};
 use super::error::is_not_opened;
 use super::functions;
-use super::{OPENING, StoreError, beside, check_version, has_journal, is_still, options};
+use super::{OPENING, StoreError, check_version, has_journal, is_still, options, sidecar};
 use crate::files;
 use crate::leftovers;
 
@@ -53,7 +53,7 @@ async fn open(path: &Path, rows: Option<usize>) -> Result<Connected, StoreError>
         access(path, Access::WRITE_OK).and_then(|()| access(files::folder(path), Access::WRITE_OK));
     // In a folder that others may write to, SQLite would create journal files that belong to this user. The owner of the database could
     // then no longer write.
-    if writable.is_ok() || beside(path, "-shm").exists() {
+    if writable.is_ok() || sidecar(path, "-shm").exists() {
         let mut connection = reading(path, rows).connect().await.map_err(at)?;
         match connection.execute("SELECT count(*) FROM sqlite_schema").await {
             Ok(_) => return Ok(Connected { connection, _copy: None, unchanging: None }),
@@ -103,7 +103,7 @@ pub(crate) fn copy_with_journal(path: &Path, copy: &Path) -> Result<(), StoreErr
         return Err(StoreError::InUse { path: path.to_owned() });
     }
     for end in ["", "-wal"] {
-        std::fs::copy(beside(path, end), beside(copy, end)).map_err(failed)?;
+        std::fs::copy(sidecar(path, end), sidecar(copy, end)).map_err(failed)?;
     }
     Ok(())
 }

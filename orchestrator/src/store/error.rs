@@ -283,7 +283,7 @@ pub(crate) fn is_shortage(source: &sqlx::Error) -> bool {
 
 /// The resource that is short, if SQLite cannot write or open a file; otherwise empty.
 fn shortage(path: &Path, source: &sqlx::Error) -> String {
-    let journal = super::beside(path, "-wal");
+    let journal = super::sidecar(path, "-wal");
     let needs = Needs { files: &[path, &journal], ..Needs::default() };
     let short = matches!(code(source), Some(10 | 13 | 14)).then(|| check(&needs).err()).flatten();
     short.map_or(String::new(), |short| format!(" ({short})"))

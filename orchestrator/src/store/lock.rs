@@ -13,20 +13,20 @@ const ATTEMPTS: usize = 20;
 const PAUSE: Duration = Duration::from_millis(10);
 
 /// Resolves links: the write-ahead log lies beside the file, not beside the link.
-pub(crate) fn real(path: &Path) -> PathBuf {
+pub(crate) fn resolve_links(path: &Path) -> PathBuf {
     path.canonicalize().unwrap_or_else(|_| path.to_owned())
 }
 
 /// Path of the file beside a database whose name has `end` appended; resolves links.
-pub(crate) fn beside(file: &Path, end: &str) -> PathBuf {
-    let mut name = real(file).into_os_string();
+pub(crate) fn sidecar(file: &Path, end: &str) -> PathBuf {
+    let mut name = resolve_links(file).into_os_string();
     name.push(end);
     name.into()
 }
 
 /// Whether a non-empty write-ahead log exists.
 pub(crate) fn has_journal(file: &Path) -> bool {
-    beside(file, "-wal").metadata().is_ok_and(|m| m.len() > 0)
+    sidecar(file, "-wal").metadata().is_ok_and(|m| m.len() > 0)
 }
 
 /// Excludes other writers from a file while the handle exists; `create`: creates a missing file.

@@ -8,7 +8,7 @@ use super::{Reader, StoreError, quoted};
 
 /// Errors at an outer step.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Look {
+pub struct StepErrors {
     /// Outer step, from 0.
     pub step: u32,
     /// Test error (%), if the step evaluated the test set.
@@ -19,11 +19,11 @@ pub struct Look {
 
 /// Stored state of a trial in a search.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Standing {
+pub struct TrialProgress {
     /// `pending`, `running`, `done`, `failed`.
     pub state: String,
     /// Its outer steps, in order.
-    pub looks: Vec<Look>,
+    pub looks: Vec<StepErrors>,
     /// Held-out error of the optimised body (%).
     pub holdout: Option<f64>,
     /// Errors (%) on casts, by decoder and number of calibration records.
@@ -51,11 +51,11 @@ impl Reader {
     ///
     /// # Errors
     /// If SQLite fails.
-    pub async fn standings(&mut self) -> Result<HashMap<String, Standing>, StoreError> {
-        let mut found: HashMap<String, Standing> = HashMap::new();
+    pub async fn standings(&mut self) -> Result<HashMap<String, TrialProgress>, StoreError> {
+        let mut found: HashMap<String, TrialProgress> = HashMap::new();
         self.each("SELECT hash, state, holdout_error_optimised AS holdout FROM v_trial", |row| {
             let (state, holdout) = (row.text("state").to_owned(), row.number("holdout"));
-            let standing = Standing { state, holdout, ..Standing::default() };
+            let standing = TrialProgress { state, holdout, ..TrialProgress::default() };
             found.insert(row.text("hash").to_owned(), standing);
             Ok::<_, StoreError>(())
         })
@@ -66,7 +66,7 @@ impl Reader {
         self.each(sql, |row| {
             if let Some(standing) = found.get_mut(row.text("hash")) {
                 let [test, train] = [row.number("error_test"), row.number("error_train")];
-                standing.looks.push(Look { step: row.count("step") as u32, test, train });
+                standing.looks.push(StepErrors { step: row.count("step") as u32, test, train });
             }
             Ok::<_, StoreError>(())
         })
@@ -109,12 +109,12 @@ impl Reader {
     }
 }
 
-impl Standing {
+impl TrialProgress {
     /// After `steps` outer steps: the best test error (%), or the last training error without any test; the inner `None`
     /// without both. The outer `None`: fewer steps are done.
     #[must_use]
     pub fn after(&self, steps: u32) -> Option<Option<f64>> {
-        let until: Vec<&Look> = self.looks.iter().take_while(|look| look.step < steps).collect();
+        let until: Vec<&StepErrors> = self.looks.iter().take_while(|look| look.step < steps).collect();
         let reached = until.last().is_some_and(|look| look.step + 1 == steps);
         let test = || until.iter().filter_map(|look| look.test).min_by(f64::total_cmp);
         reached.then(|| test().or_else(|| until.iter().rev().find_map(|look| look.train)))

@@ -10,7 +10,7 @@ use super::{Reader, StoreError};
 
 /// Trials computed by one code version, or by the same sequence of versions.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Made {
+pub struct CodeVersion {
     /// Digest of the code; `unknown` for versions before 6; several in order of work, separated by spaces.
     pub code: String,
     /// Commits that were built to this code.
@@ -32,7 +32,7 @@ pub struct Nearest {
 
 impl Reader {
     /// Code versions that computed trials, by decreasing number of trials.
-    pub async fn made(&mut self) -> Result<Vec<Made>, StoreError> {
+    pub async fn code_versions(&mut self) -> Result<Vec<CodeVersion>, StoreError> {
         let at = |path: &std::path::Path, source| StoreError::sql(path, "reading", source);
         let revisions: Vec<(String, String)> = sqlx::query_as(
             "SELECT DISTINCT code, revision FROM attempt WHERE code IS NOT NULL AND revision IS NOT NULL ORDER BY 1, 2",
@@ -56,7 +56,7 @@ impl Reader {
         .map_err(|e| at(&self.path, e))?;
         let made = |(code, trials): (String, i64)| {
             let known = code.split(' ').filter_map(|code| of_code.get(code)).flatten();
-            Made { revisions: known.cloned().collect(), trials: trials as usize, code }
+            CodeVersion { revisions: known.cloned().collect(), trials: trials as usize, code }
         };
         Ok(rows.into_iter().map(made).collect())
     }

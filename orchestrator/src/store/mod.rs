@@ -44,10 +44,10 @@ pub(crate) use digest::{add_function, check};
 use error::OPENING;
 pub use error::StoreError;
 pub(crate) use error::is_shortage;
-pub(crate) use lock::{beside, has_journal, is_still, lock, real};
+pub(crate) use lock::{has_journal, is_still, lock, resolve_links, sidecar};
 pub use log::Level;
-pub use looks::Standing;
-pub use made::{Made, Nearest};
+pub use looks::TrialProgress;
+pub use made::{CodeVersion, Nearest};
 pub use npy::{npy_bytes, npy_values};
 pub use presence::{Lost, Presence};
 pub use prior::Attempted;
@@ -86,7 +86,7 @@ impl Store {
     }
 
     async fn open_file(path: PathBuf) -> Result<Self, StoreError> {
-        let file = real(&path);
+        let file = resolve_links(&path);
         let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         std::fs::create_dir_all(folder)
             .map_err(|source| StoreError::Unwritable { path: path.clone(), source })?;
@@ -142,7 +142,7 @@ impl Store {
     /// If SQLite fails; `Lost` if the files have disappeared, with the path of the saved data.
     pub async fn close(self) -> Result<(), StoreError> {
         let Self { connection, path, presence, .. } = self;
-        if let Some(lost) = presence.look() {
+        if let Some(lost) = presence.check() {
             return Err(presence::rescue(connection, &presence, lost).await);
         }
         connection.close().await.map_err(|source| StoreError::sql(&path, "closing", source))
@@ -152,7 +152,7 @@ impl Store {
 /// Options of a connection that waits for locks and logs no statements.
 pub(crate) fn options(path: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new()
-        .filename(real(path))
+        .filename(resolve_links(path))
         .busy_timeout(Duration::from_secs(10))
         .disable_statement_logging()
 }

@@ -14,7 +14,7 @@ use libsqlite3_sys as ffi;
 use sqlx::sqlite::SqliteConnection;
 use sqlx::{Connection, Executor};
 
-use super::{StoreError, beside, real};
+use super::{StoreError, resolve_links, sidecar};
 use crate::files;
 
 /// What happened to the files of an open database.
@@ -68,14 +68,14 @@ pub struct Presence {
 impl Presence {
     /// For a database whose log is open.
     pub(super) fn new(file: Arc<File>, path: &Path) -> Self {
-        let of = |end| Some((end, id_at(&beside(path, end))?));
+        let of = |end| Some((end, id_at(&sidecar(path, end))?));
         let beside = ["-wal", "-shm"].into_iter().filter_map(of).collect();
-        Self { file, paths: [path.to_owned(), real(path)], beside, size: Arc::default() }
+        Self { file, paths: [path.to_owned(), resolve_links(path)], beside, size: Arc::default() }
     }
 
     /// What happened to the files; `None` if nothing did.
     #[must_use]
-    pub fn look(&self) -> Option<Lost> {
+    pub fn check(&self) -> Option<Lost> {
         let own = self.file.metadata().ok()?;
         for path in &self.paths {
             match path.metadata() {
@@ -89,7 +89,7 @@ impl Presence {
             }
         }
         let [_, real] = &self.paths;
-        if self.beside.iter().any(|(end, id)| id_at(&beside(real, end)) != Some(*id)) {
+        if self.beside.iter().any(|(end, id)| id_at(&sidecar(real, end)) != Some(*id)) {
             return Some(Lost::Log);
         }
         let before = self.size.fetch_max(own.size(), Ordering::Relaxed);
@@ -105,7 +105,7 @@ impl Presence {
     /// Size of the log (bytes).
     #[must_use]
     pub fn log_bytes(&self) -> u64 {
-        beside(&self.paths[1], "-wal").metadata().map_or(0, |m| m.len())
+        sidecar(&self.paths[1], "-wal").metadata().map_or(0, |m| m.len())
     }
 
     /// The size according to the file's header. Another program may have compacted the database.
@@ -166,7 +166,7 @@ pub(super) async fn rescue(mut connection: SqliteConnection, presence: &Presence
     let _ = connection.close().await;
     if saved.is_ok() {
         for (end, id) in &presence.beside {
-            let own = beside(&presence.paths[1], end);
+            let own = sidecar(&presence.paths[1], end);
             if id_at(&own) == Some(*id) {
                 let _ = std::fs::remove_file(own);
             }

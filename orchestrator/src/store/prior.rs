@@ -51,7 +51,7 @@ impl Store {
     ///
     /// # Errors
     /// If SQLite fails; or its own checkpoint is damaged or of another version, and no other trial has a usable one.
-    pub async fn goes_on_from(
+    pub async fn resume_checkpoint(
         &mut self,
         hash: &str,
         attempt: u32,
@@ -97,12 +97,12 @@ impl Store {
         if let Err(why) = own {
             self.log(hash, attempt, Level::Warn, &why.to_string()).await?;
         }
-        self.together("taking over a body in", async |store| {
+        self.in_transaction("taking over a body in", async |store| {
             store.take_over_steps(other, reached, id).await?;
             store.take_over_designs(other, id).await?;
             store.insert_checkpoint(id, &body).await?;
             // counts as work of this attempt, by its own code
-            store.touch(id, attempt, 0, 1).await
+            store.count_progress(id, attempt, 0, 1).await
         })
         .await?;
         let said = format!("resumes after step {reached} of trial {name}, which trains the same body");

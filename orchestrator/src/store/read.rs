@@ -18,7 +18,7 @@ use super::connect::{Connected, connect, state};
 use super::digest::check;
 use super::error::{is_no_json, is_trouble};
 use super::write::read_checkpoint;
-use super::{StoreError, beside, has_journal, lock, npy_values, options, real};
+use super::{StoreError, has_journal, lock, npy_values, options, resolve_links, sidecar};
 use crate::cell;
 use metasense_schemas::record::Checkpoint;
 use metasense_schemas::spec::position_of;
@@ -114,7 +114,7 @@ impl Reader {
     /// # Errors
     /// If the file is missing, not a metasense database, or of another version.
     pub async fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
-        Self::open_file(real(path.as_ref()), None).await.map_err(StoreError::on_opening)
+        Self::open_file(resolve_links(path.as_ref()), None).await.map_err(StoreError::on_opening)
     }
 
     /// The same, with this number of rows buffered.
@@ -122,7 +122,7 @@ impl Reader {
         if !path.is_file() {
             return Err(StoreError::Missing { path });
         }
-        let alone = !beside(&path, "-wal").exists();
+        let alone = !sidecar(&path, "-wal").exists();
         if alone && path.metadata().is_ok_and(|file| file.len() == 0) {
             return Err(StoreError::NotOurs { path });
         }
@@ -294,7 +294,7 @@ impl Reader {
     ///
     /// # Errors
     /// `Elsewhere` if that database cannot be read or lacks the trial.
-    pub async fn rest_of(&mut self, hash: &str) -> Result<Option<Self>, StoreError> {
+    pub async fn open_source_of(&mut self, hash: &str) -> Result<Option<Self>, StoreError> {
         let sql = "SELECT s.file FROM trial t JOIN elsewhere e ON e.trial_id = t.id JOIN source s ON s.id = e.source_id
              WHERE t.hash = ?";
         let file: Option<String> = sqlx::query_scalar(sql)
@@ -333,7 +333,7 @@ impl Reader {
 
     /// The stored arrays of a trial by name, from the database that contains them.
     pub async fn arrays_of(&mut self, hash: &str) -> Result<Vec<Artifact>, StoreError> {
-        if let Some(mut rest) = self.rest_of(hash).await? {
+        if let Some(mut rest) = self.open_source_of(hash).await? {
             let arrays = rest.own_arrays_of(hash).await;
             rest.close().await;
             return arrays;

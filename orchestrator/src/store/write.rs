@@ -101,7 +101,7 @@ impl Store {
     /// Begins an attempt at a trial and returns its number, from 1.
     pub async fn begin_attempt(&mut self, hash: &str) -> Result<u32, StoreError> {
         let id = self.id(hash)?;
-        self.together("beginning an attempt in", async |store| store.insert_attempt(id).await).await
+        self.in_transaction("beginning an attempt in", async |store| store.insert_attempt(id).await).await
     }
 
     async fn insert_attempt(&mut self, id: i64) -> sqlx::Result<u32> {
@@ -150,8 +150,8 @@ impl Store {
         step: &StepRecord,
         checkpoint: &Checkpoint,
     ) -> Result<(), StoreError> {
-        self.of_current(hash, attempt, "recording a step in", async |store, id| {
-            let current = store.touch(id, attempt, 1, 0).await?;
+        self.for_current_attempt(hash, attempt, "recording a step in", async |store, id| {
+            let current = store.count_progress(id, attempt, 1, 0).await?;
             if current {
                 store.insert_step(id, attempt, step, checkpoint).await?;
             }
@@ -161,7 +161,12 @@ impl Store {
     }
 
     /// Records the CPU seconds of the current attempt so far.
-    pub async fn spend(&mut self, hash: &str, attempt: u32, seconds: f64) -> Result<(), StoreError> {
+    pub async fn record_cpu_seconds(
+        &mut self,
+        hash: &str,
+        attempt: u32,
+        seconds: f64,
+    ) -> Result<(), StoreError> {
         let id = self.id(hash)?;
         sqlx::query(
             "UPDATE attempt SET cpu_seconds = ? WHERE trial_id = ? AND number = ? AND state = 'running'",
@@ -185,8 +190,8 @@ impl Store {
         attempt: u32,
         checkpoint: &Checkpoint,
     ) -> Result<(), StoreError> {
-        self.of_current(hash, attempt, "recording a checkpoint in", async |store, id| {
-            let current = store.touch(id, attempt, 0, 1).await?;
+        self.for_current_attempt(hash, attempt, "recording a checkpoint in", async |store, id| {
+            let current = store.count_progress(id, attempt, 0, 1).await?;
             if current {
                 store.insert_checkpoint(id, checkpoint).await?;
             }
@@ -196,7 +201,7 @@ impl Store {
     }
 
     /// Adds to the numbers of steps and of evaluation checkpoints of an attempt; false if it is not the current one.
-    pub(super) async fn touch(
+    pub(super) async fn count_progress(
         &mut self,
         id: i64,
         attempt: u32,
@@ -283,7 +288,7 @@ impl Store {
         result: &TrialResult,
         arrays: &[Array<'_>],
     ) -> Result<(), StoreError> {
-        self.of_current(hash, attempt, "recording a result in", async |store, id| {
+        self.for_current_attempt(hash, attempt, "recording a result in", async |store, id| {
             let current = store.end_attempt(id, attempt, "done", None).await?;
             if current {
                 store.insert_result(id, result, arrays).await?;
@@ -516,13 +521,13 @@ impl Store {
 
     /// Sets a pending trial to `failed`; its data stays. Records an attempt, so that a merge recognises the later of two
     /// copies.
-    pub async fn settle(&mut self, hash: &str, reason: &str) -> Result<(), StoreError> {
+    pub async fn fail_pending(&mut self, hash: &str, reason: &str) -> Result<(), StoreError> {
         let attempt = self.begin_attempt(hash).await?;
         self.fail(hash, attempt, reason).await
     }
 
     async fn end(&mut self, hash: &str, attempt: u32, reason: &str, state: &str) -> Result<(), StoreError> {
-        self.of_current(hash, attempt, "recording the end of an attempt in", async |store, id| {
+        self.for_current_attempt(hash, attempt, "recording the end of an attempt in", async |store, id| {
             let current = store.end_attempt(id, attempt, "failed", Some(reason)).await?;
             if current {
                 sqlx::query(
@@ -566,7 +571,7 @@ impl Store {
 
     /// Ends attempts that a killed run left `running`; the lock ensures that none of them still runs.
     pub(super) async fn release_orphans(&mut self) -> Result<(), StoreError> {
-        self.together("tidying", async |store| {
+        self.in_transaction("tidying", async |store| {
             sqlx::raw_sql(RELEASE_ORPHANS).execute(&mut store.connection).await
         })
         .await?;
@@ -581,7 +586,7 @@ impl Store {
     }
 
     /// Does all of `work` or nothing: within the batch, or in its own transaction.
-    pub(super) async fn together<T>(
+    pub(super) async fn in_transaction<T>(
         &mut self,
         doing: &'static str,
         work: impl AsyncFnOnce(&mut Self) -> sqlx::Result<T>,
@@ -601,7 +606,7 @@ impl Store {
     }
 
     /// Runs `work` for an attempt. `work` gets the id of the trial and returns whether the attempt is the current one.
-    async fn of_current(
+    async fn for_current_attempt(
         &mut self,
         hash: &str,
         attempt: u32,
@@ -609,7 +614,7 @@ impl Store {
         work: impl AsyncFnOnce(&mut Self, i64) -> sqlx::Result<bool>,
     ) -> Result<(), StoreError> {
         let id = self.id(hash)?;
-        let done = self.together(doing, async |store| work(store, id).await).await;
+        let done = self.in_transaction(doing, async |store| work(store, id).await).await;
         match done {
             Err(StoreError::Sql { source, .. }) if is_no_json(&source) => Err(StoreError::Unreadable {
                 hash: hash.to_owned(),

@@ -81,7 +81,7 @@ fn groups_hold_every_lag_once() {
         assert!(all.into_iter().eq(0..lags.count()), "{lags:?}");
     }
     assert_eq!(Lags { before: 46, after: 41 }.groups().len(), 2 + 81 + 1);
-    assert_eq!([0, 40, 41, 42, 47, 80].map(Lags::whole_groups), [0, 40, 40, 44, 48, 80]);
+    assert_eq!([0, 40, 41, 42, 47, 80].map(Lags::nearest_group_end), [0, 40, 40, 44, 48, 80]);
 }
 
 /// No change of a weight or bias, up or down, lowers the objective, for all kinds of memory. Predictions equal the sum in the

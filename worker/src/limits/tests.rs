@@ -3,7 +3,7 @@ use super::*;
 /// Accepts the needs of one worker, and names the limit that excessive needs exceed.
 #[test]
 fn what_no_machine_has_is_refused_by_name() {
-    make_use_of();
+    raise_limits();
     let here = std::env::temp_dir().join("none/db.sqlite");
     let files = [&*here];
     assert_eq!(check(&Needs { workers: 1, threads: 1, files: &files }), Ok(()));

@@ -9,7 +9,7 @@ use std::time::Duration;
 use metasense_schemas::record::{Found, Trial};
 
 use super::queued::submit_shards;
-use super::{Args, Program, deal, how, note_here, prepare, print};
+use super::{Args, Program, how, note_here, prepare, print, write_assignment};
 use crate::cli::results::Results;
 use crate::cli::{Error, Format, design, run};
 use crate::cluster::home::attempts;
@@ -131,7 +131,7 @@ impl Runs for Shards<'_> {
         }
         let folder = self.submission.folder.clone();
         let assignment = Assignment::in_folder(&folder, &open, self.submission.shards)?;
-        deal(&assignment, &folder, &open)?;
+        write_assignment(&assignment, &folder, &open)?;
         let which: BTreeSet<u32> = open.iter().map(|trial| assignment.shard(&trial.hash)).collect();
         self.submission.which = which.into_iter().collect();
         say!("{} in shards {}", counted(open.len(), "trial"), ranges(&self.submission.which));
@@ -176,7 +176,7 @@ impl Shards<'_> {
                 Err(QueueError::Failed { .. }) if unanswered < UNANSWERED_MOST => unanswered += 1,
                 Err(error) => return Err(error.into()),
             }
-            if self.signals.unless(tokio::time::sleep(LOOK)).await.is_none() {
+            if self.signals.or_signal(tokio::time::sleep(LOOK)).await.is_none() {
                 say!("the shards in the queue continue; the same command resumes with their results");
                 return Ok(false);
             }

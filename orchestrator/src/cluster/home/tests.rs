@@ -22,28 +22,31 @@ async fn a_damaged_live_database_is_set_aside_and_no_other() {
     let bench = tempfile::tempdir().unwrap();
     let (folder, db) = (bench.path().join("out"), bench.path().join("live.sqlite"));
     let mut home = Home::new("s", Shard::new(1, 2).unwrap(), &folder, Some(db.clone())).unwrap();
-    assert_eq!(home.take_in(|| ()).await.unwrap(), None);
+    assert_eq!(home.merge_earlier_copies(|| ()).await.unwrap(), None);
     Store::open(&db).await.unwrap().close().await.unwrap();
     let whole = std::fs::read(&db).unwrap();
     let mut newer = whole.clone();
     newer[60..64].copy_from_slice(&99u32.to_be_bytes()); // user_version in the header
     for foreign in [newer, b"notes of mine".repeat(100)] {
         std::fs::write(&db, &foreign).unwrap();
-        assert!(matches!(home.take_in(|| ()).await, Err(HomeError::Merge(MergeError::Result { .. }))));
+        assert!(matches!(
+            home.merge_earlier_copies(|| ()).await,
+            Err(HomeError::Merge(MergeError::Result { .. }))
+        ));
         assert!(std::fs::read(&db).unwrap() == foreign);
     }
     for handed_in in [false, true] {
         let damaged = &whole[..whole.len() / 2];
         std::fs::write(&db, damaged).unwrap();
-        std::fs::write(store::beside(&db, "-wal"), "").unwrap();
-        let aside = home.take_in(|| ()).await.unwrap().unwrap();
+        std::fs::write(store::sidecar(&db, "-wal"), "").unwrap();
+        let aside = home.merge_earlier_copies(|| ()).await.unwrap().unwrap();
         assert!(
             aside.starts_with(folder.canonicalize().unwrap()) && std::fs::read(&aside).unwrap() == damaged
         );
         assert!(attempts(&folder).into_values().flatten().all(|file| file != aside));
         Store::open(&db).await.unwrap().close().await.unwrap();
         assert_eq!(attempts(&folder).len(), usize::from(handed_in));
-        home.hand_in().await.unwrap();
+        home.copy_to_folder().await.unwrap();
     }
 }
 
@@ -64,7 +67,7 @@ async fn the_last_hand_in_does_not_wait_for_a_periodic_one() {
     .await
     .unwrap();
     let began = std::time::Instant::now();
-    home.hand_in().await.unwrap();
+    home.copy_to_folder().await.unwrap();
     let whole = began.elapsed();
     let (stop, stopped) = tokio::sync::oneshot::channel();
     let copy = home.handed_in.with_extension("tmp");

@@ -74,7 +74,7 @@ const SPECS_DIFFER: &str = "CASE WHEN json_valid(o.spec) AND json_valid(m.spec)
     THEN json_remove(o.spec, '$.stimuli.recorded.files') <> json_remove(m.spec, '$.stimuli.recorded.files') ELSE o.spec <> m.spec END";
 
 /// A discarded copy, compared with the kept one.
-struct Copied {
+struct DiscardedCopy {
     hash: String,
     /// Input of the kept copy.
     kept: i64,
@@ -94,7 +94,7 @@ struct Copied {
     new: i64,
 }
 
-impl Copied {
+impl DiscardedCopy {
     fn of(row: &SqliteRow) -> sqlx::Result<Self> {
         Ok(Self {
             hash: row.try_get("hash")?,
@@ -160,9 +160,10 @@ pub(super) async fn compare(
          WHERE c.input = ? AND c.attempts > 0 AND (c.input <> k.input OR c.old <> k.old)";
     let rows = sqlx::query(sql).bind(input as i64).fetch_all(&mut *out).await?;
     let tables = if rows.is_empty() { Vec::new() } else { compared(out).await? };
-    for copied in rows.iter().map(Copied::of) {
+    for copied in rows.iter().map(DiscardedCopy::of) {
         let copied = copied?;
-        let Copied { hash, kept, state, kept_state, reason, kept_reason, attempts, steps, .. } = &copied;
+        let DiscardedCopy { hash, kept, state, kept_state, reason, kept_reason, attempts, steps, .. } =
+            &copied;
         let mut finding = |kind, what| {
             let (kept, other) = (inputs[*kept as usize].named.clone(), inputs[input].named.clone());
             summary.findings.push(Finding { kind, hash: hash.clone(), kept, other, what });
@@ -190,7 +191,11 @@ pub(super) async fn compare(
 
 /// Names of the result columns, arrays and tables that differ between two copies of a trial. Ignores rows that only one copy
 /// has, because versions store different arrays.
-async fn differing(out: &mut SqliteConnection, tables: &[Compared], copied: &Copied) -> sqlx::Result<String> {
+async fn differing(
+    out: &mut SqliteConnection,
+    tables: &[Compared],
+    copied: &DiscardedCopy,
+) -> sqlx::Result<String> {
     let mut differ = vec![format!("CASE WHEN {SPECS_DIFFER} THEN 'spec ' ELSE '' END")];
     if copied.state == copied.kept_state {
         let own = if copied.contained { &OF_ONE_RUN[..] } else { &[] };

@@ -65,7 +65,7 @@ impl Input {
         if !named.is_file() {
             return Err(Refusal::Input("no such file".into()));
         }
-        let file = store::real(named);
+        let file = store::resolve_links(named);
         let lock = File::open(&file)?;
         let mut state = Some(state_of(&lock)?);
         let busy = !held && files::is_held(&lock);
@@ -79,7 +79,7 @@ impl Input {
                 Err(StoreError::InUse { .. }) => return Err(Refusal::Changed),
                 copied => copied?,
             }
-            fold(copy, true).await?;
+            checkpoint_log(copy, true).await?;
             (path, state) = (copy.to_owned(), None);
         }
         let version =
@@ -126,7 +126,7 @@ pub(super) fn is_as_before(file: &Path, state: &str) -> bool {
 }
 
 /// Moves the log of a killed run into the file, so that its data is not lost. `alone`: no other process knows the file.
-pub(super) async fn fold(file: &Path, alone: bool) -> Result<(), StoreError> {
+pub(super) async fn checkpoint_log(file: &Path, alone: bool) -> Result<(), StoreError> {
     if !store::has_journal(file) {
         return Ok(());
     }

@@ -140,7 +140,7 @@ pub async fn merge(extent: Extent, files: &[PathBuf], out: &Path) -> Result<Summ
 }
 
 async fn merge_once(extent: Extent, files: &[PathBuf], out: &Path) -> Result<Summary, MergeError> {
-    let out = &store::real(out);
+    let out = &store::resolve_links(out);
     let unwritable = |source| MergeError::Unwritable { path: out.to_owned(), source };
     let folder = files::folder(out);
     std::fs::create_dir_all(folder).map_err(unwritable)?;
@@ -206,11 +206,11 @@ async fn merge_in(
     let mut copies = (0..).map(|n| scratch.join(format!("input-{n}.sqlite")));
     let mut copy = || copies.next().expect("numbers do not end");
     for file in distinct(files, out) {
-        if is_known(&store::real(&file)) {
+        if is_known(&store::resolve_links(&file)) {
             summary.known += 1;
             continue;
         }
-        match opened(&file, &mut copy, store::real(&file) == out).await {
+        match opened(&file, &mut copy, store::resolve_links(&file) == out).await {
             Ok(input) => inputs.push(input),
             Err(Refusal::Shortage(source)) => return Err(stopped(&file, source)),
             Err(Refusal::Input(why)) => summary.refused.push((file, why)),
@@ -289,7 +289,7 @@ async fn opened(file: &Path, copy: &mut impl FnMut() -> PathBuf, held: bool) -> 
 
 /// Checks that the existing result can be merged with, after moving the log of a killed run into it.
 async fn check_result(out: &Path) -> Result<(), StoreError> {
-    input::fold(out, false).await?;
+    input::checkpoint_log(out, false).await?;
     let version = store::ask_unchanging(out, async |db| Ok(store::check_version(db, out).await)).await;
     version.map_err(|source| StoreError::sql(out, "reading", source))?.map(|_| ())
 }
@@ -301,9 +301,9 @@ async fn put_in_place(built: &Path, out: &Path, lock: &File) -> Result<(), Merge
     if !store::is_still(lock, out) {
         return Err(StoreError::InUse { path: out.to_owned() }.into());
     }
-    input::fold(out, false).await?;
+    input::checkpoint_log(out, false).await?;
     for journal in ["-wal", "-shm"] {
-        let _ = std::fs::remove_file(store::beside(out, journal));
+        let _ = std::fs::remove_file(store::sidecar(out, journal));
     }
     files::put_in_place(built, out).map_err(unwritable)
 }
@@ -425,12 +425,12 @@ fn distinct(files: &[PathBuf], out: &Path) -> Vec<PathBuf> {
     // An empty file was created by `keep_writers_out`.
     match out.metadata().is_ok_and(|m| m.len() > 0) {
         true => all.push(out.to_owned()),
-        false => all.retain(|file| store::real(file) != out),
+        false => all.retain(|file| store::resolve_links(file) != out),
     }
     // Sorted, so that rows without an order are in the same order, too.
     all.sort();
     let mut seen = std::collections::HashSet::new();
-    all.retain(|file| seen.insert(store::real(file)));
+    all.retain(|file| seen.insert(store::resolve_links(file)));
     all
 }
 

@@ -186,7 +186,7 @@ fn workers_become_more_and_fewer() {
     for slot in [1, 2] {
         assert_eq!(up(&mut state, Event::Lost(id(slot), Reason::WorkerExited(0))), []);
     }
-    state.slots[1].work = Work::GivenUp;
+    state.slots[1].work = SlotState::GivenUp;
     let (_, actions) = steer(&mut state, Steer::Workers(2));
     assert_eq!(actions[0], Action::Spawn(WorkerId { slot: 1, generation: 2 }));
 }

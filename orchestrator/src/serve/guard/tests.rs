@@ -30,7 +30,7 @@ async fn who_takes_nothing_is_given_up() {
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
     let (ours, mut theirs) = tokio::io::duplex(16);
     let patience = Duration::from_millis(300);
-    let mut ours = Impatient::new(ours, patience);
+    let mut ours = WriteTimeout::new(ours, patience);
     let slow = tokio::spawn(async move {
         for _ in 0..8 {
             sleep(patience / 6).await;

@@ -103,7 +103,7 @@ fn live(id: &str, content: &Markup) -> Markup {
 /// Why data are missing.
 fn trouble(seen: &Seen) -> Markup {
     html! {
-        @if let Some(why) = &seen.trouble { p class="trouble" role="alert" { (why) } }
+        @if let Some(why) = &seen.read_error { p class="trouble" role="alert" { (why) } }
         @else if seen.checked.is_none() { p class="quiet" { "The database is being read …" } }
         @else if seen.trials.rows.is_empty() && seen.progress.trials[0] > 0 { p class="quiet" { "Its trials are being read …" } }
     }

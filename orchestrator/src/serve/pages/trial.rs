@@ -67,7 +67,7 @@ impl Trial {
     /// Reads a trial.
     pub async fn read(reader: &mut Reader, hash: &str) -> Result<Self, StoreError> {
         let hash = reader.hash_of(hash).await?;
-        if let Some(mut rest) = reader.rest_of(&hash).await? {
+        if let Some(mut rest) = reader.open_source_of(&hash).await? {
             let trial = Box::pin(Self::read(&mut rest, &hash)).await;
             rest.close().await;
             return trial;
@@ -109,9 +109,9 @@ impl Trial {
             if let Ok(Some(now)) = reader.checkpoint(&hash).await {
                 let sensor_units =
                     now.moves.last().map_or(spec.sensor_units.clone(), |moved| moved.1.clone());
-                let heard = TrialSpec { sensor_units, ..spec };
+                let moved = TrialSpec { sensor_units, ..spec };
                 let name = format!("body after {}", counted(now.step as usize, "step"));
-                designs.push((name, heard, now.design));
+                designs.push((name, moved, now.design));
                 moves = now.moves;
             }
         }

@@ -21,7 +21,7 @@ async fn changes_to_the_files_are_detected_and_the_data_is_saved() {
     let deeds: [(&str, Lost, Deed); 8] = [
         ("deleted", Lost::Deleted, |_, db| fs::remove_file(db).unwrap()),
         ("deleted with its log", Lost::Deleted, |_, db| {
-            ["-wal", "-shm", ""].into_iter().for_each(|end| fs::remove_file(beside(db, end)).unwrap());
+            ["-wal", "-shm", ""].into_iter().for_each(|end| fs::remove_file(sidecar(db, end)).unwrap());
         }),
         ("renamed", Lost::Moved, |_, db| fs::rename(db, db.with_file_name("other.sqlite")).unwrap()),
         ("its folder moved", Lost::Moved, |folder, _| {
@@ -32,11 +32,11 @@ async fn changes_to_the_files_are_detected_and_the_data_is_saved() {
             fs::write(folder.join("new"), "another").unwrap();
             fs::rename(folder.join("new"), db).unwrap();
         }),
-        ("its log deleted", Lost::Log, |_, db| fs::remove_file(beside(db, "-wal")).unwrap()),
+        ("its log deleted", Lost::Log, |_, db| fs::remove_file(sidecar(db, "-wal")).unwrap()),
         ("replaced with its log", Lost::Replaced, |folder, db| {
             for (end, text) in [("-wal", "log"), ("", "another")] {
                 fs::write(folder.join("new"), text).unwrap();
-                fs::rename(folder.join("new"), beside(db, end)).unwrap();
+                fs::rename(folder.join("new"), sidecar(db, end)).unwrap();
             }
         }),
     ];
@@ -47,9 +47,9 @@ async fn changes_to_the_files_are_detected_and_the_data_is_saved() {
         let mut store = Store::open(&db).await.unwrap();
         store.begin_sweep(&plan.spec, SPEC, &plan.trials).await.unwrap();
         let presence = store.presence();
-        assert_eq!(presence.look(), None, "{name}");
+        assert_eq!(presence.check(), None, "{name}");
         deed(folder.path(), &db);
-        assert_eq!(presence.look(), Some(expected), "{name}");
+        assert_eq!(presence.check(), Some(expected), "{name}");
         drop(presence);
         let Err(StoreError::Lost { lost, saved, .. }) = store.close().await else { panic!("{name}") };
         assert_eq!(lost, expected, "{name}");
@@ -60,7 +60,7 @@ async fn changes_to_the_files_are_detected_and_the_data_is_saved() {
         }
         if expected == Lost::Replaced {
             assert_eq!(fs::read(&db).unwrap(), b"another", "{name}");
-            let log = fs::read(beside(&db, "-wal")).ok();
+            let log = fs::read(sidecar(&db, "-wal")).ok();
             assert_eq!(log, (name == "replaced with its log").then(|| b"log".to_vec()), "{name}");
         }
     }
@@ -81,13 +81,13 @@ async fn truncation_is_distinguished_from_compaction() {
         ["CREATE TABLE t AS SELECT zeroblob(1000000) AS x", "DROP TABLE t", "VACUUM", "PRAGMA wal_checkpoint"]
     {
         sqlx::raw_sql(sql).execute(&mut other).await.unwrap();
-        assert_eq!(store.presence().look(), None, "{sql}");
+        assert_eq!(store.presence().check(), None, "{sql}");
     }
     other.close().await.unwrap();
     let presence = store.presence();
     for size in [5000, 0] {
         fs::OpenOptions::new().write(true).open(&db).unwrap().set_len(size).unwrap();
-        assert_eq!(presence.look(), Some(Lost::Truncated), "{size} bytes");
+        assert_eq!(presence.check(), Some(Lost::Truncated), "{size} bytes");
     }
     drop(presence);
     let closed = store.close().await;
@@ -99,7 +99,7 @@ async fn truncation_is_distinguished_from_compaction() {
     let db = folder.path().join("young.sqlite");
     let mut store = Store::open(&db).await.unwrap();
     store.begin_sweep(&plan.spec, SPEC, &plan.trials).await.unwrap();
-    assert_eq!(store.presence().look(), None);
+    assert_eq!(store.presence().check(), None);
     fs::OpenOptions::new().write(true).open(&db).unwrap().set_len(0).unwrap();
     let Err(StoreError::Lost { lost: Lost::Truncated, saved: Ok(saved), .. }) = store.close().await else {
         panic!("nothing is saved");

@@ -263,12 +263,12 @@ impl Layout {
             carriers: boundary.iter().map(|edge| !edge).collect(),
             boundary,
         };
-        layout.refer();
+        layout.set_references();
         layout
     }
 
     /// Sets the reference vectors of the undisplaced body. A ligament on the line between two reference points has the length l₀.
-    fn refer(&mut self) {
+    fn set_references(&mut self) {
         let place = |end: End| {
             let ([x, y], [p, q]) = (self.centres[end.unit], self.shape[end.unit][end.node]);
             [x + self.half * p, y + self.half * q]
@@ -291,7 +291,7 @@ impl Layout {
     #[must_use]
     pub fn with_ligament_length(&self, ligament_length: f64) -> Self {
         let mut own = Self { half: 0.5 * (self.spacing - ligament_length), ligament_length, ..self.clone() };
-        own.refer();
+        own.set_references();
         own
     }
 

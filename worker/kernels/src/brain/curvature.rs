@@ -10,8 +10,8 @@ use super::data::Batch;
 use super::kernels::{Kernels, Real};
 use super::layout::Packed;
 use super::network::{
-    Scratch, Workspace, add_biases, add_layer, answer, convolve, forward, input_product, residual, spread,
-    take_inputs,
+    Scratch, Workspace, add_biases, add_layer, convolve, forward, input_product, last_layer, residual,
+    spread, take_inputs,
 };
 use super::shape::Shape;
 use super::tiles::{Finish, Start};
@@ -127,9 +127,9 @@ impl<'a, F: Real> Curvature<'a, F> {
             }
         }
         let (a, g) = (self.input(i, last), output(shape, last, &mut dot.g[last]));
-        answer(kernels, shape, a, w, w.block(shape, last), &mut s.out);
-        answer(kernels, shape, a, v, v.block(shape, last), &mut dot.out);
-        answer(kernels, shape, &dot.a[last - 1], w, &self.no_bias, g);
+        last_layer(kernels, shape, a, w, w.block(shape, last), &mut s.out);
+        last_layer(kernels, shape, a, v, v.block(shape, last), &mut dot.out);
+        last_layer(kernels, shape, &dot.a[last - 1], w, &self.no_bias, g);
 
         // The loss is quadratic, so ġ_n is g_n with the tangent in place of f̂ − f.
         let output_weights = self.batch.output_weights();

@@ -85,7 +85,7 @@ impl<F: Real> Scratch<F> {
 
 /// Requested results of a pass over a batch.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Want {
+enum Request {
     Loss,
     Outputs,
     Weights,
@@ -136,7 +136,7 @@ impl<F: Real> Workspace<F> {
         });
     }
 
-    fn pass(&mut self, weights: &[F], batch: Batch<F>, want: Want, pool: &crate::Pool) -> f64 {
+    fn pass(&mut self, weights: &[F], batch: Batch<F>, want: Request, pool: &crate::Pool) -> f64 {
         let shape = self.shape;
         self.packed.fill(&self.kernels, shape, weights);
         let elements = batch.len() * shape.instants * shape.outputs;
@@ -146,16 +146,16 @@ impl<F: Real> Workspace<F> {
                 let (x, y) = batch.sample(i);
                 forward(kernels, shape, packed, x, s);
                 chunk.loss += residual(shape, y, batch.output_weights(), elements, s);
-                if want == Want::Outputs {
+                if want == Request::Outputs {
                     chunk.out.extend_from_slice(&s.out);
                 }
-                if matches!(want, Want::Weights | Want::Inputs | Want::Both) {
+                if matches!(want, Request::Weights | Request::Inputs | Request::Both) {
                     backward(kernels, shape, packed, s);
                 }
-                if matches!(want, Want::Weights | Want::Both) {
+                if matches!(want, Request::Weights | Request::Both) {
                     add_weight_gradient(kernels, shape, x, s, chunk);
                 }
-                if matches!(want, Want::Inputs | Want::Both) {
+                if matches!(want, Request::Inputs | Request::Both) {
                     input_product(kernels, shape, packed, &s.g[0], &mut s.wide, Start::Zero);
                     take_inputs(shape, &s.wide, &mut chunk.out);
                 }
@@ -194,7 +194,7 @@ impl<F: Real> Workspace<F> {
 /// # Panics
 /// As all functions here: if the shapes of workspace and batch differ, or a length does not match the shape.
 pub fn loss<F: Real>(weights: &[F], batch: Batch<F>, ws: &mut Workspace<F>, pool: &crate::Pool) -> f64 {
-    ws.pass(weights, batch, Want::Loss, pool)
+    ws.pass(weights, batch, Request::Loss, pool)
 }
 
 /// Returns L of the batch and writes ∂L/∂β to `gradient`, in the flat order. Allocates nothing once the workspace has
@@ -206,7 +206,7 @@ pub fn loss_gradient<F: Real>(
     ws: &mut Workspace<F>,
     pool: &crate::Pool,
 ) -> f64 {
-    let loss = ws.pass(weights, batch, Want::Weights, pool);
+    let loss = ws.pass(weights, batch, Request::Weights, pool);
     ws.sum_gradients(batch.len(), gradient);
     loss
 }
@@ -218,7 +218,7 @@ pub fn input_gradient<F: Real>(
     ws: &mut Workspace<F>,
     pool: &crate::Pool,
 ) -> (f64, Vec<F>) {
-    let loss = ws.pass(weights, batch, Want::Inputs, pool);
+    let loss = ws.pass(weights, batch, Request::Inputs, pool);
     (loss, ws.join_outputs(batch.len()))
 }
 
@@ -230,14 +230,14 @@ pub fn full_gradient<F: Real>(
     ws: &mut Workspace<F>,
     pool: &crate::Pool,
 ) -> (f64, Vec<F>) {
-    let loss = ws.pass(weights, batch, Want::Both, pool);
+    let loss = ws.pass(weights, batch, Request::Both, pool);
     ws.sum_gradients(batch.len(), gradient);
     (loss, ws.join_outputs(batch.len()))
 }
 
 /// Predictions (N, T, K) in the units of the targets. Targets are ignored.
 pub fn predict<F: Real>(weights: &[F], batch: Batch<F>, ws: &mut Workspace<F>, pool: &crate::Pool) -> Vec<F> {
-    ws.pass(weights, batch, Want::Outputs, pool);
+    ws.pass(weights, batch, Request::Outputs, pool);
     ws.join_outputs(batch.len())
 }
 
@@ -270,7 +270,7 @@ pub(super) fn convolve<F: Real>(
 }
 
 /// c = bias + a ∗ w of the last layer.
-pub(super) fn answer<F: Real>(
+pub(super) fn last_layer<F: Real>(
     kernels: &Kernels<F>,
     shape: Shape,
     a: &[F],
@@ -303,7 +303,7 @@ pub(super) fn forward<F: Real>(
         let bias = Start::Bias(w.block(shape, l));
         convolve(kernels, sweep, [a, &s.spread_a[l]], &w.forward[l], c, bias, Finish::Relu);
     }
-    answer(kernels, shape, &s.a[last - 1], w, w.block(shape, last), &mut s.out);
+    last_layer(kernels, shape, &s.a[last - 1], w, w.block(shape, last), &mut s.out);
 }
 
 /// Returns Σ σ² (f̂ − f)² of one sample and writes g_n = ∂L/∂f̂ to the scratch memory.

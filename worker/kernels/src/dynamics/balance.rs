@@ -28,7 +28,7 @@ pub struct Balance<V> {
     /// W, the largest W so far, and the dissipated energy.
     work: V,
     most: V,
-    lost: V,
+    dissipated: V,
     /// Energy of ligaments and contacts at the start of samples of a compressed body.
     pressed: V,
     /// Bound on changes due to rounding.
@@ -45,14 +45,14 @@ impl<V: Vector> Balance<V> {
         model.driven.iter().for_each(|u| mass[*u] = [0.0; 3]);
         let mut before = Vec::with_capacity(force.len());
         for (k, f) in force.iter().enumerate() {
-            before.push([way(system, k, x), *f]);
+            before.push([displacement_along(system, k, x), *f]);
         }
-        let mut needs = vec![[zero; 3]; model.driven.len()];
-        if !needs.is_empty() {
-            system.react(x, &mut needs);
+        let mut driving_force = vec![[zero; 3]; model.driven.len()];
+        if !driving_force.is_empty() {
+            system.driving_forces(x, &mut driving_force);
         }
-        let mut driven = Vec::with_capacity(needs.len());
-        for (needs, &u) in needs.iter().zip(&model.driven) {
+        let mut driven = Vec::with_capacity(driving_force.len());
+        for (needs, &u) in driving_force.iter().zip(&model.driven) {
             let [p, q, r] = x[u];
             driven.push([[V::narrow(p), V::narrow(q), V::narrow(r)], *needs]);
         }
@@ -65,20 +65,30 @@ impl<V: Vector> Balance<V> {
         let epsilon = if V::SINGLE { f64::from(f32::EPSILON) } else { f64::EPSILON };
         let floors = model.bars.iter().map(|bar| epsilon * bar.stiffness[0] * bar.length * bar.length);
         let floor = floors.fold(epsilon * pressed.lane(0), f64::max);
-        Self { mass, before, driven, needs, work, most: work, lost: zero, pressed, floor }
+        Self {
+            mass,
+            before,
+            driven,
+            needs: driving_force,
+            work,
+            most: work,
+            dissipated: zero,
+            pressed,
+            floor,
+        }
     }
 
     /// Adds the work done up to the positions `x` and the forces `force`, and the energy `lost` since the previous call.
     #[inline(always)]
     pub fn add(&mut self, system: &mut System<'_, V>, x: &[Place<V>], force: &[V], lost: V) {
-        self.lost = self.lost + lost;
+        self.dissipated = self.dissipated + lost;
         for (k, (before, f)) in self.before.iter_mut().zip(force).enumerate() {
-            let at = way(system, k, x);
+            let at = displacement_along(system, k, x);
             self.work = (V::splat(0.5) * (before[1] + *f)).mul_add(at - before[0], self.work);
             *before = [at, *f];
         }
         if !self.driven.is_empty() {
-            system.react(x, &mut self.needs);
+            system.driving_forces(x, &mut self.needs);
         }
         for ((before, needs), &u) in self.driven.iter_mut().zip(&self.needs).zip(&system.model.driven) {
             let [p, q, r] = x[u];
@@ -106,15 +116,15 @@ impl<V: Vector> Balance<V> {
         let elastic = elastic - self.pressed;
         // A compressed body that snaps below its energy at rest releases energy, which counts like work.
         let most = self.most + (-elastic).max(V::splat(0.0));
-        kinetic + elastic + self.lost - self.work - V::splat(LEEWAY).mul_add(most, V::splat(self.floor))
+        kinetic + elastic + self.dissipated - self.work - V::splat(LEEWAY).mul_add(most, V::splat(self.floor))
     }
 }
 
 /// Displacement along a panel's force of the units on which it acts, except driven units.
 #[inline(always)]
-fn way<V: Vector>(system: &System<'_, V>, panel: usize, x: &[Place<V>]) -> V {
+fn displacement_along<V: Vector>(system: &System<'_, V>, panel: usize, x: &[Place<V>]) -> V {
     let mut at = V::ZERO;
-    for &u in system.pushed(panel) {
+    for &u in system.units_of_panel(panel) {
         if system.model.driven.contains(&u) {
             continue;
         }

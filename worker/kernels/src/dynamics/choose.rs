@@ -95,11 +95,11 @@ impl Candidate {
     /// Steps per interval by the law.
     pub(super) fn steps(&self, Accuracy(error): Accuracy) -> usize {
         let w = (error / self.law.factor).powf(1.0 / self.law.power).min(self.law.limit);
-        self.whole(self.highest * self.interval / (w * self.stages()))
+        self.round_to_kinks(self.highest * self.interval / (w * self.stages()))
     }
 
     /// The next multiple of `kinks`, at least `steps`.
-    pub(super) fn whole(&self, steps: f64) -> usize {
+    pub(super) fn round_to_kinks(&self, steps: f64) -> usize {
         (steps / self.kinks as f64).ceil().clamp(1.0, 1e6) as usize * self.kinks
     }
 

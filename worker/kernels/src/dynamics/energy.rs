@@ -16,7 +16,7 @@ pub struct Energy {
 
 /// Energy at the displacements (u, v, θ) of all units, with the standard library's trigonometry.
 pub fn energy(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> Energy {
-    let model = Model::cast(scene, design);
+    let model = Model::uncompressed(scene, design);
     let mut sum = Energy { elastic: 0.0, contact: 0.0 };
     for bar in &model.bars {
         let (xa, xb) = (displacement[bar.a], displacement[bar.b]);
@@ -67,7 +67,7 @@ pub fn energy_design_gradient(scene: &Scene, design: &[f64], displacement: &[[f6
 }
 
 fn both(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> (Vec<[f64; 3]>, Vec<f64>) {
-    let model = Model::cast(scene, design);
+    let model = Model::uncompressed(scene, design);
     let n = model.units();
     let zero = Sse2::splat(0.0);
     let x: Vec<[Sse2; 3]> = displacement.iter().map(|d| d.map(Sse2::splat)).collect();

@@ -30,10 +30,10 @@ type Places = Vec<[f64; 3]>;
 impl Model {
     /// Model of `scene` with `design` at the start of its samples.
     pub fn new(scene: &Scene, design: &[f64]) -> Self {
-        let cast = Self::cast(scene, design);
+        let cast = Self::uncompressed(scene, design);
         match scene.pressed.is_empty() {
             true => cast,
-            false => Self { start: find(scene, &cast), ..cast },
+            false => Self { start: equilibrium(scene, &cast), ..cast },
         }
     }
 }
@@ -63,23 +63,23 @@ pub fn touches(scene: &Scene, design: &[f64]) -> bool {
 ///
 /// # Errors
 /// `Buckled` or `NoEquilibrium`.
-pub fn find(scene: &Scene, model: &Model) -> Result<Places, Outcome> {
+pub fn equilibrium(scene: &Scene, model: &Model) -> Result<Places, Outcome> {
     assert_eq!(scene.pressed.len(), scene.clamped.len() + scene.guided.len(), "ways of held units");
     let lengths = model.bars.iter().map(|bar| bar.length);
     let length = if model.bars.is_empty() { 1.0 } else { lengths.sum::<f64>() / model.bars.len() as f64 };
-    let way = scene.pressed.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max) / length;
-    let (mut x, mut gone, mut part) = (vec![[0.0; 3]; model.units()], 0.0, PART);
-    while gone < way {
-        let to = way.min(gone + part);
+    let total = scene.pressed.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max) / length;
+    let (mut x, mut travelled, mut increment) = (vec![[0.0; 3]; model.units()], 0.0, PART);
+    while travelled < total {
+        let to = total.min(travelled + increment);
         let mut next = x.clone();
-        for (unit, by) in scene.ways() {
+        for (unit, by) in scene.held_displacements() {
             let held = scene.holds(unit);
-            (0..2).filter(|d| held[*d]).for_each(|d| next[unit][d] = by[d] * (to / way));
+            (0..2).filter(|d| held[*d]).for_each(|d| next[unit][d] = by[d] * (to / total));
         }
         match settle(scene, model, next, SHORT * length) {
-            Ok(found) => (x, gone) = (found, to),
-            Err(outcome) if 0.5 * part < SMALLEST => return Err(outcome),
-            Err(_) => part *= 0.5,
+            Ok(found) => (x, travelled) = (found, to),
+            Err(outcome) if 0.5 * increment < SMALLEST => return Err(outcome),
+            Err(_) => increment *= 0.5,
         }
     }
     Ok(x)

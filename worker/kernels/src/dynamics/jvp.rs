@@ -4,7 +4,7 @@
 //! and recorded steps with the production code. Geometry, forces and steps are implemented again, so equal signals also verify
 //! these parts.
 
-use super::model::heavy;
+use super::model::driven_mass;
 use super::schemes::Drift;
 use super::{Forces, Frame, Inertia, Method, Mount, Parameters, Scene, Simulation, Tape, equilibrium, tsit5};
 use crate::body::{End, Follower, Follows, Geometry, Layout, edges};
@@ -180,7 +180,7 @@ impl<'a> Body<'a> {
             };
             let chip = Inertia::on(scene, u);
             mass.push(match scene.is_driven(u) {
-                true => heavy(scene).map(|m| Dual(m, 0.0)),
+                true => driven_mass(scene).map(|m| Dual(m, 0.0)),
                 false => [0, 1, 2].map(|d| own[d] + Dual(chip[d], 0.0)),
             });
         }
@@ -258,7 +258,7 @@ impl<'a> Body<'a> {
         let layout = &scene.layout;
         let mut net: State = v.iter().map(|v| [0, 1, 2].map(|d| -(damping[d] * v[d]))).collect();
         for (k, panel) in scene.panels.iter().enumerate() {
-            if let Some(drives) = panel.drives() {
+            if let Some(drives) = panel.unit_acceleration() {
                 for d in 0..2 {
                     let pull = self.mass[panel.unit][d] * (drives[d] * self.force(k, interval, w));
                     net[panel.unit][d] = net[panel.unit][d] + pull;

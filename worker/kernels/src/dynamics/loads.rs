@@ -46,7 +46,7 @@ impl<'a, V: Vector> LockstepForces<'a, V> {
 
     /// Requests cotangents of the histories: `add_vjp` then adds to them.
     #[inline(always)]
-    pub fn ask(&mut self) {
+    pub fn request_cotangents(&mut self) {
         self.cotangent = vec![V::ZERO; self.forces.panels * (self.forces.instants + 1)];
     }
 
@@ -65,10 +65,10 @@ impl<'a, V: Vector> LockstepForces<'a, V> {
 
     /// As `add_vjp`, for forces at the end of a ramp that shake the base; `bar_a` is the cotangent of the measured accelerations.
     #[inline(always)]
-    pub fn add_felt_vjp(&mut self, system: &System<'_, V>, bar_a: &[Unit<V>]) {
+    pub fn add_base_vjp(&mut self, system: &System<'_, V>, bar_a: &[Unit<V>]) {
         let (Some(kink), false) = (self.kink, self.cotangent.is_empty()) else { return };
         for (k, of) in self.cotangent.chunks_exact_mut(self.forces.instants + 1).enumerate() {
-            if let Some(bar) = system.felt(k, bar_a) {
+            if let Some(bar) = system.base_force_vjp(k, bar_a) {
                 of[kink + 1] = of[kink + 1] + bar;
             }
         }

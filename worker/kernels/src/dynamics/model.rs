@@ -112,7 +112,7 @@ pub fn damping(scene: &Scene) -> [f64; 3] {
 }
 
 /// (m, m, J) of a driven unit; independent of the design.
-pub(super) fn heavy(scene: &Scene) -> [f64; 3] {
+pub(super) fn driven_mass(scene: &Scene) -> [f64; 3] {
     let (area, round) = scene.layout.mean_unit();
     let mass = HEAVY * scene.density * area;
     [mass, mass, mass * area / 6.0 * round]
@@ -120,7 +120,7 @@ pub(super) fn heavy(scene: &Scene) -> [f64; 3] {
 
 impl Model {
     /// Model of `scene` with `design` before compression.
-    pub fn cast(scene: &Scene, design: &[f64]) -> Self {
+    pub fn uncompressed(scene: &Scene, design: &[f64]) -> Self {
         let layout = &scene.layout;
         let geometry = scene.geometry(design);
         let voids = geometry.void_angles(layout);
@@ -163,11 +163,12 @@ impl Model {
             (0..3).filter(|d| held[*d]).for_each(|d| inverse[d] = 0.0);
         }
         let driven: Vec<usize> = (0..layout.units()).filter(|u| scene.is_driven(*u)).collect();
-        let heavy = heavy(scene);
+        let heavy = driven_mass(scene);
         for &u in &driven {
             inverse_mass[u] = heavy.map(f64::recip);
         }
-        let drives = |panel: &Panel| panel.drives().map(|[x, y]| [heavy[0] * x, heavy[1] * y, 0.0]);
+        let drives =
+            |panel: &Panel| panel.unit_acceleration().map(|[x, y]| [heavy[0] * x, heavy[1] * y, 0.0]);
         Self {
             bars,
             ligaments: layout.ligaments.len(),

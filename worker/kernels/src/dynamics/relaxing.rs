@@ -49,7 +49,7 @@ fn block<V: Vector, const LINEAR: bool>(
     let (scene, model) = (system.scene, system.model);
     let (width, moving) = (3 * scene.sensors.len(), model.moving_range());
     let histories: Vec<&[f64]> = jobs.iter().map(|s| forces.sample(s.index)).collect();
-    jobs.iter().enumerate().for_each(|(lane, job)| system.strike(lane, forces, job.index));
+    jobs.iter().enumerate().for_each(|(lane, job)| system.set_strike(lane, forces, job.index));
     let mut loads = LockstepForces::<V>::new(scene, forces, histories, substeps);
     let scheme = Scheme::any_fourth();
     let h = scene.duration / (scene.instants * substeps) as f64;

@@ -170,7 +170,7 @@ impl Panel {
     }
 
     /// Acceleration of the unit per newton (mm/s²), if the panel drives its unit.
-    pub fn drives(&self) -> Option<[f64; 2]> {
+    pub fn unit_acceleration(&self) -> Option<[f64; 2]> {
         match self.moves {
             Some(Moves::Unit(mass)) => Some(self.direction.map(|d| d / mass)),
             _ => None,
@@ -272,14 +272,14 @@ impl Scene {
     }
 
     /// Held units with their displacements before a sample.
-    pub(super) fn ways(&self) -> impl Iterator<Item = (usize, [f64; 2])> {
+    pub(super) fn held_displacements(&self) -> impl Iterator<Item = (usize, [f64; 2])> {
         let held = self.clamped.iter().copied().chain(self.guided.iter().map(|guided| guided.0));
         held.zip(self.pressed.iter().copied())
     }
 
     /// Whether a panel prescribes the motion of a unit.
     pub fn is_driven(&self, unit: usize) -> bool {
-        self.panels.iter().any(|panel| panel.unit == unit && panel.drives().is_some())
+        self.panels.iter().any(|panel| panel.unit == unit && panel.unit_acceleration().is_some())
     }
 
     /// Acceleration of the base (mm/s²) at a kink of the histories (K, R+1).

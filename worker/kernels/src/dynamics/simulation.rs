@@ -97,7 +97,7 @@ impl Tape {
 
     /// The simulated model, with the starting state of its samples.
     pub(super) fn model(&self) -> Model {
-        Model { start: Ok(self.start.clone()), ..Model::cast(&self.scene, &self.design) }
+        Model { start: Ok(self.start.clone()), ..Model::uncompressed(&self.scene, &self.design) }
     }
 
     /// Displacement (u, v, θ) and velocity of every unit of a sample at instant n = 1…T.

@@ -71,9 +71,9 @@ pub struct Tolerance {
 
 impl Tolerance {
     /// Smallest tolerance that a pilot tries; below it rounding dominates.
-    pub(super) const LEAST: f64 = 1e-13;
+    pub(super) const SMALLEST: f64 = 1e-13;
     /// Tolerance divided by the requested error of the signals, before a pilot.
-    const BY_ACCURACY: f64 = 1e-3;
+    const TOLERANCE_PER_ACCURACY: f64 = 1e-3;
 
     /// Sets both parts to `tolerance`.
     pub const fn both(tolerance: f64) -> Self {
@@ -82,14 +82,14 @@ impl Tolerance {
 
     /// The tolerance that gives the same steps for a linear motion `by` times as large.
     #[must_use]
-    pub fn of_motion(self, by: f64) -> Self {
+    pub fn for_motion_scaled_by(self, by: f64) -> Self {
         Self { absolute: by * self.absolute, ..self }
     }
 }
 
 impl From<Accuracy> for Tolerance {
     fn from(Accuracy(asked): Accuracy) -> Self {
-        Self::both((Self::BY_ACCURACY * asked).max(Self::LEAST))
+        Self::both((Self::TOLERANCE_PER_ACCURACY * asked).max(Self::SMALLEST))
     }
 }
 
@@ -124,7 +124,7 @@ impl Solver {
 
     /// Tsit5 with this tolerance of its error norm.
     pub const fn tsit5(tolerance: Tolerance) -> Self {
-        let accuracy = Accuracy(tolerance.relative / Tolerance::BY_ACCURACY);
+        let accuracy = Accuracy(tolerance.relative / Tolerance::TOLERANCE_PER_ACCURACY);
         Self { tolerance: Some(tolerance), ..Self::new(Method::Tsit5, accuracy) }
     }
 
@@ -140,8 +140,8 @@ impl Solver {
     pub fn at_most(self, error: Accuracy) -> Self {
         let stricter = (error.0 / self.accuracy.0).min(1.0);
         let tolerance = self.tolerance.map(|t| Tolerance {
-            relative: (stricter * t.relative).max(Tolerance::LEAST),
-            absolute: (stricter * t.absolute).max(Tolerance::LEAST),
+            relative: (stricter * t.relative).max(Tolerance::SMALLEST),
+            absolute: (stricter * t.absolute).max(Tolerance::SMALLEST),
         });
         Self { accuracy: self.accuracy.min(error), tolerance, single: 0.0, ..self }
     }

@@ -22,7 +22,7 @@ use crate::lanes::{MOST, Scalar, Vector};
 
 /// Intervals between checks of the energy balance. Created energy stays in the system, so rare checks suffice; the energy costs
 /// as much as a force.
-const LOOK_EVERY: usize = 8;
+const CHECK_EVERY: usize = 8;
 
 /// Number of checkpoints per interval, chosen so that damping amplifies rounding by at most about e⁶ in the reverse sweep.
 pub fn segments(scene: &Scene, model: &super::model::Model, substeps: usize) -> usize {
@@ -38,7 +38,7 @@ fn segment_end(k: usize, segments: usize, substeps: usize) -> usize {
 }
 
 /// Coefficients of a scheme for one model and step size.
-struct Ready<S> {
+struct StepCoefficients<S> {
     kicks: Vec<f64>,
     /// For each drift, one entry per unit and coordinate.
     drifts: Vec<Vec<[Drift<S>; 3]>>,
@@ -49,7 +49,7 @@ struct Ready<S> {
     gamma: Vec<[S; 3]>,
 }
 
-impl<S: Scalar> Ready<S> {
+impl<S: Scalar> StepCoefficients<S> {
     fn new(scheme: &Scheme, model: &super::model::Model, h: f64) -> Self {
         let gamma: Vec<[f64; 3]> =
             model.inverse_mass.iter().map(|m| std::array::from_fn(|d| m[d] * model.damping[d])).collect();
@@ -81,8 +81,8 @@ impl<S: Scalar> Ready<S> {
 }
 
 /// Common data of both directions.
-struct Course<'a, V: Vector> {
-    ready: Ready<V::Scalar>,
+struct SweepData<'a, V: Vector> {
+    ready: StepCoefficients<V::Scalar>,
     stages: usize,
     /// Kicks at the start and end of a step.
     first: f64,
@@ -91,7 +91,7 @@ struct Course<'a, V: Vector> {
     force: Vec<V>,
 }
 
-impl<'a, V: Vector> Course<'a, V> {
+impl<'a, V: Vector> SweepData<'a, V> {
     #[inline(always)]
     fn new(
         system: &System<'_, V>,
@@ -102,7 +102,7 @@ impl<'a, V: Vector> Course<'a, V> {
     ) -> Self {
         let scene = system.scene;
         let h = scene.duration / (scene.instants * substeps) as f64;
-        let ready = Ready::new(scheme, system.model, h);
+        let ready = StepCoefficients::new(scheme, system.model, h);
         let stages = scheme.stages();
         Self {
             stages,
@@ -116,14 +116,14 @@ impl<'a, V: Vector> Course<'a, V> {
 }
 
 /// When the samples of a vector start to move.
-struct Begin {
+struct Onsets {
     /// Interval of each lane; T in lanes without a sample.
     lanes: [usize; MOST],
     /// Earliest of these intervals.
     first: usize,
 }
 
-impl Begin {
+impl Onsets {
     /// From the forces of the samples; interval 0 for all with `at_once`.
     fn new(scene: &Scene, model: &Model, forces: &Forces, histories: &[&[f64]], at_once: bool) -> Self {
         let mut lanes = [scene.instants; MOST];
@@ -200,7 +200,7 @@ pub fn forward<V: Vector>(
     system: &mut System<'_, V>,
     scheme: &Scheme,
     substeps: usize,
-    parts: usize,
+    checkpoints_per_interval: usize,
     forces: &Forces,
     jobs: &mut [Job<'_>],
     heartbeat: &Heartbeat,
@@ -211,10 +211,10 @@ pub fn forward<V: Vector>(
     let width = 3 * scene.sensors.len();
     let instants = scene.instants;
     let histories: Vec<&[f64]> = jobs.iter().map(|s| forces.sample(s.index)).collect();
-    jobs.iter().enumerate().for_each(|(lane, job)| system.strike(lane, forces, job.index));
-    let begin = Begin::new(scene, model, forces, &histories, false);
-    let Course { ready, stages, first, last, mut loads, mut force } =
-        Course::new(system, scheme, substeps, forces, histories);
+    jobs.iter().enumerate().for_each(|(lane, job)| system.set_strike(lane, forces, job.index));
+    let begin = Onsets::new(scene, model, forces, &histories, false);
+    let SweepData { ready, stages, first, last, mut loads, mut force } =
+        SweepData::new(system, scheme, substeps, forces, histories);
     let (mut x, mut v, mut g, mut a) = (system.start(), system.places(), system.zeros(), system.zeros());
     let mut margin = V::splat(1.0);
     if begin.first == instants {
@@ -239,7 +239,7 @@ pub fn forward<V: Vector>(
                 system.add_forces(&x, &force, &mut g, &mut margin);
                 b = if j + 1 == stages { last + first } else { ready.kicks[j + 1] };
             }
-            if step + 1 == segment_end(part, parts, substeps) {
+            if step + 1 == segment_end(part, checkpoints_per_interval, substeps) {
                 system.kick(awake * V::Wide::splat(last), &g, &mut v);
                 b = first;
                 for (l, job) in jobs.iter_mut().enumerate() {
@@ -250,7 +250,7 @@ pub fn forward<V: Vector>(
                             &x,
                             &v,
                             l,
-                            &mut tape.states[(interval * parts + part) * len..][..len],
+                            &mut tape.states[(interval * checkpoints_per_interval + part) * len..][..len],
                         );
                     }
                 }
@@ -268,7 +268,7 @@ pub fn forward<V: Vector>(
         for (x, v) in x.as_flattened().iter().zip(v.as_flattened()) {
             size = size + x.abs() + v.abs();
         }
-        let is_looked_at = (interval + 1).is_multiple_of(LOOK_EVERY) || interval + 1 == instants;
+        let is_looked_at = (interval + 1).is_multiple_of(CHECK_EVERY) || interval + 1 == instants;
         let excess = if is_looked_at { balance.excess(system.energy(&x), &v) } else { V::ZERO };
         for (l, job) in jobs.iter_mut().enumerate() {
             if *job.outcome != Outcome::Ok || interval < begin.lanes[l] {
@@ -359,7 +359,7 @@ pub fn reverse<V: Vector>(
     system: &mut System<'_, V>,
     scheme: &Scheme,
     substeps: usize,
-    parts: usize,
+    checkpoints_per_interval: usize,
     forces: &Forces,
     sweeps: &[Backward<'_>],
     forces_asked: bool,
@@ -373,13 +373,13 @@ pub fn reverse<V: Vector>(
     let instants = scene.instants;
     let zero = V::splat(0.0);
     let histories: Vec<&[f64]> = sweeps.iter().map(|s| s.history).collect();
-    sweeps.iter().enumerate().for_each(|(lane, sweep)| system.strike(lane, forces, sweep.at));
+    sweeps.iter().enumerate().for_each(|(lane, sweep)| system.set_strike(lane, forces, sweep.at));
     // a sample that moves from its first force on would move earlier under an earlier force
-    let begin = Begin::new(scene, model, forces, &histories, forces_asked);
-    let Course { ready, stages, first, last, mut loads, mut force } =
-        Course::new(system, scheme, substeps, forces, histories);
+    let begin = Onsets::new(scene, model, forces, &histories, forces_asked);
+    let SweepData { ready, stages, first, last, mut loads, mut force } =
+        SweepData::new(system, scheme, substeps, forces, histories);
     if forces_asked {
-        loads.ask();
+        loads.request_cotangents();
     }
     let (mut x, mut v, mut g, mut a) = (system.start(), system.places(), system.zeros(), system.zeros());
     let mut bars = Bars { x: system.zeros(), v: system.zeros(), w: system.zeros() };
@@ -395,15 +395,17 @@ pub fn reverse<V: Vector>(
         heartbeat.beat();
         let awake: V::Wide = begin.awake(interval);
         let mut step = substeps;
-        for part in (0..parts).rev() {
+        for part in (0..checkpoints_per_interval).rev() {
             // the checkpoint: the state after the last kick of a step
             let len = 6 * free.len();
             let states = std::array::from_fn(|l| {
-                sweeps.get(l).map(|s| &s.tape.states[(interval * parts + part) * len..][..len])
+                sweeps
+                    .get(l)
+                    .map(|s| &s.tape.states[(interval * checkpoints_per_interval + part) * len..][..len])
             });
             load_lanes(free, model.start(), &states, &mut x, &mut v);
             loads.at(interval * substeps + step - 1, 1.0, &mut force);
-            let instant = part + 1 == parts;
+            let instant = part + 1 == checkpoints_per_interval;
             let follows: V = match instant {
                 true if interval + 1 == instants => zero,
                 true => begin.awake::<V>(interval + 1) * V::splat(first),
@@ -427,11 +429,11 @@ pub fn reverse<V: Vector>(
                             a[u][d] = V::of(ready.gamma[u][d]).mul_sub_from(V::narrow(v[u][d]), g[u][d]);
                         }
                     }
-                    system.feel(&force, &mut a);
+                    system.add_base_acceleration(&force, &mut a);
                 }
                 bar_a.fill([zero; 3]);
                 system.read_vjp(&x, &v, &a, &bar, &mut bars.x, &mut bars.v, &mut bar_a);
-                loads.add_felt_vjp(system, &bar_a);
+                loads.add_base_vjp(system, &bar_a);
                 // a = G − γ v
                 for u in moving.clone() {
                     for d in 0..3 {
@@ -457,7 +459,8 @@ pub fn reverse<V: Vector>(
             loads.add_vjp(system, &bars.w);
             evaluations += 1;
 
-            let begins = if part == 0 { 0 } else { segment_end(part - 1, parts, substeps) };
+            let begins =
+                if part == 0 { 0 } else { segment_end(part - 1, checkpoints_per_interval, substeps) };
             while step > begins {
                 step -= 1;
                 for j in (0..stages).rev() {

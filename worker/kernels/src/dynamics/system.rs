@@ -53,7 +53,7 @@ pub struct Cotangent<V> {
 }
 
 /// Data to compute cotangents w of forces from those of accelerations.
-pub struct Weigh<'a, V: Vector> {
+pub struct ForceCotangent<'a, V: Vector> {
     /// 1/(m, m, J).
     pub inverse_mass: &'a [[V::Scalar; 3]],
     /// C.
@@ -75,7 +75,7 @@ pub struct System<'a, V: Vector> {
     pub damping_asked: bool,
     bars: Vec<Bar<V::Scalar>>,
     /// Ligaments of driven units.
-    held: Vec<Bar<V::Scalar>>,
+    driven_bars: Vec<Bar<V::Scalar>>,
     /// Force and moment on the unit per newton on each panel.
     strikes: Vec<Unit<V>>,
     pub(super) inverse_mass: Vec<[V::Scalar; 3]>,
@@ -109,7 +109,7 @@ impl<'a, V: Vector> System<'a, V> {
             damping: if damped { model.damping } else { [0.0; 3] },
             damping_asked: damped && parameters,
             bars: model.bars.iter().map(Bar::rounded).collect(),
-            held: model.bars.iter().filter(driven).map(Bar::rounded).collect(),
+            driven_bars: model.bars.iter().filter(driven).map(Bar::rounded).collect(),
             strikes,
             inverse_mass: model.inverse_mass.iter().map(|m| m.map(Scalar::from_f64)).collect(),
             turn: vec![Turn::NONE; n],
@@ -195,13 +195,13 @@ impl<'a, V: Vector> System<'a, V> {
 
     /// Overwrites `reaction` with ∂U/∂s of each driven unit at the prepared `x`.
     #[inline(always)]
-    pub fn react(&mut self, x: &[Place<V>], reaction: &mut [Unit<V>]) {
-        for bar in &self.held {
+    pub fn driving_forces(&mut self, x: &[Place<V>], reaction: &mut [Unit<V>]) {
+        for bar in &self.driven_bars {
             (self.h[bar.a], self.h[bar.b]) = ([V::ZERO; 3], [V::ZERO; 3]);
         }
         // SAFETY: as in `add_forces`.
         unsafe {
-            (self.kernels.gradient)(self.model, &self.held, x, &self.turn, &mut self.h, &mut {
+            (self.kernels.gradient)(self.model, &self.driven_bars, x, &self.turn, &mut self.h, &mut {
                 V::splat(1.0)
             })
         };
@@ -215,7 +215,7 @@ impl<'a, V: Vector> System<'a, V> {
     pub fn add_forces(&mut self, x: &[Place<V>], force: &[V], g: &mut [Unit<V>], margin: &mut V) {
         // SAFETY: the entry points of `dispatch` choose kernels whose instructions this machine has.
         unsafe { (self.kernels.gradient)(self.model, &self.bars, x, &self.turn, g, margin) };
-        self.push(force, g);
+        self.subtract_forces(force, g);
     }
 
     /// `add_forces` and its adjoint: for the cotangent `w` of the forces, adds to `bar_x` and to the model's cotangents.
@@ -232,13 +232,13 @@ impl<'a, V: Vector> System<'a, V> {
         let shape = ShapeCotangent { arms, voids, stiffness, contact };
         // SAFETY: as in `add_forces`.
         unsafe { (self.kernels.second)(self.model, &self.bars, x, w, &self.turn, g, bar_x, shape) };
-        self.push(force, g);
+        self.subtract_forces(force, g);
         self.push_vjp(force, w);
     }
 
     /// Whether the effect of forces depends on the design: forces on nodes, or inertial forces of a shaken base.
     #[inline(always)]
-    pub fn levered(&self) -> bool {
+    pub fn forces_follow_design(&self) -> bool {
         self.model.struck.iter().any(Option::is_some)
             || self.scene.panels.iter().any(|p| p.shakes().is_some())
     }
@@ -264,12 +264,12 @@ impl<'a, V: Vector> System<'a, V> {
     }
 
     #[inline(always)]
-    fn push(&self, force: &[V], g: &mut [Unit<V>]) {
+    fn subtract_forces(&self, force: &[V], g: &mut [Unit<V>]) {
         for (k, &f) in force.iter().enumerate() {
-            for &u in self.pushed(k) {
-                let does = self.does(k, u);
+            for &u in self.units_of_panel(k) {
+                let force_per_newton = self.does(k, u);
                 for d in 0..3 {
-                    g[u][d] = g[u][d] - does[d] * f;
+                    g[u][d] = g[u][d] - force_per_newton[d] * f;
                 }
             }
         }
@@ -277,7 +277,7 @@ impl<'a, V: Vector> System<'a, V> {
 
     /// Units on which a panel's force acts: its own unit, or all free units if it shakes the base.
     #[inline(always)]
-    pub fn pushed(&self, panel: usize) -> &[usize] {
+    pub fn units_of_panel(&self, panel: usize) -> &[usize] {
         let at = &self.scene.panels[panel];
         if at.shakes().is_some() { &self.model.free } else { std::slice::from_ref(&at.unit) }
     }
@@ -306,7 +306,7 @@ impl<'a, V: Vector> System<'a, V> {
     #[inline(always)]
     pub fn along_all(&self, panel: usize, y: &[Unit<V>]) -> V {
         let mut sum = V::ZERO;
-        for &u in self.pushed(panel) {
+        for &u in self.units_of_panel(panel) {
             sum = sum + self.along(panel, u, y[u]);
         }
         sum
@@ -326,7 +326,7 @@ impl<'a, V: Vector> System<'a, V> {
 
     /// Adds the acceleration of the base to those of the units with sensors.
     #[inline(always)]
-    pub fn feel(&self, force: &[V], a: &mut [Unit<V>]) {
+    pub fn add_base_acceleration(&self, force: &[V], a: &mut [Unit<V>]) {
         let Some(base) = self.base(force) else { return };
         for &u in &self.scene.sensors {
             (0..2).for_each(|d| a[u][d] = a[u][d] + base[d]);
@@ -336,7 +336,7 @@ impl<'a, V: Vector> System<'a, V> {
     /// Cotangent of the force on `panel` through the base acceleration in the signals; `bar_a` is the cotangent of the units'
     /// accelerations.
     #[inline(always)]
-    pub fn felt(&self, panel: usize, bar_a: &[Unit<V>]) -> Option<V> {
+    pub fn base_force_vjp(&self, panel: usize, bar_a: &[Unit<V>]) -> Option<V> {
         let [x, y] = self.scene.panels[panel].shakes()?;
         let mut sum = V::ZERO;
         for &u in &self.scene.sensors {
@@ -347,7 +347,7 @@ impl<'a, V: Vector> System<'a, V> {
 
     /// Sets how forces act in `lane` to how they act in `sample`.
     #[inline(always)]
-    pub fn strike(&mut self, lane: usize, forces: &Forces, sample: usize) {
+    pub fn set_strike(&mut self, lane: usize, forces: &Forces, sample: usize) {
         if forces.strikes.is_empty() {
             return;
         }
@@ -421,9 +421,9 @@ impl<'a, V: Vector> System<'a, V> {
 
     /// Data to compute cotangents of forces.
     #[inline(always)]
-    pub fn weigh(&mut self) -> Weigh<'_, V> {
+    pub fn weigh(&mut self) -> ForceCotangent<'_, V> {
         let Self { inverse_mass, damping, cotangent, .. } = self;
-        Weigh { inverse_mass, damping: *damping, mass: &mut cotangent.mass }
+        ForceCotangent { inverse_mass, damping: *damping, mass: &mut cotangent.mass }
     }
 
     /// Overwrites `curved` with −∂²U w at x, and adds to the model's cotangents except those of masses and damping.

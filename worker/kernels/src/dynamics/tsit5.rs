@@ -20,7 +20,7 @@ use crate::Heartbeat;
 use crate::lanes::{LANES, Vector};
 pub use reverse::reverse;
 pub use stages::{A, A2, C};
-use stages::{land, landed, stage};
+use stages::{finish_step, stage, total_error};
 pub use steps::sizes;
 
 /// Attempted steps after which a sample fails.
@@ -89,7 +89,7 @@ pub fn forward<V: Vector<Wide = V>>(
                 clear_lane(&mut v, l);
                 lane.h = 0.0;
                 if let Some(job) = take(queue, 1).first_mut() {
-                    system.strike(l, forces, job.index);
+                    system.set_strike(l, forces, job.index);
                     // includes contact, which may act at rest
                     let history = forces.sample(job.index);
                     for (f, history) in force.iter_mut().zip(history.chunks(instants + 1)) {
@@ -139,7 +139,7 @@ pub fn forward<V: Vector<Wide = V>>(
             if i < 6 {
                 stage(i, h, &within, (&x, &v), &a, (&mut xs, &mut vs));
             } else {
-                square = land(h, tolerance, &within, (&x, &v), &mut a, (&mut xs, &mut vs));
+                square = finish_step(h, tolerance, &within, (&x, &v), &mut a, (&mut xs, &mut vs));
             }
             let mut part = (tau + V::splat(C[i]) * h).over(V::splat(delta));
             if C[i] == 1.0 {
@@ -150,7 +150,7 @@ pub fn forward<V: Vector<Wide = V>>(
         }
 
         // error of each lane relative to the tolerance
-        let square = landed(square, &within, &a);
+        let square = total_error(square, &within, &a);
         let mut accepted = [0.0; LANES];
         for l in 0..V::LANES {
             let lane = &mut lanes[l];

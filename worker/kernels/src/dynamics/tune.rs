@@ -47,7 +47,7 @@ pub fn keeps_error(reason: &str) -> bool {
 /// # Panics
 /// As `simulate`.
 pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, pool: &crate::Pool) -> Tuned {
-    let asked = solver.accuracy.0;
+    let requested = solver.accuracy.0;
     let first: Vec<usize> = (0..forces.samples.min(LANES)).collect();
     let mut pilot =
         Pilot { scene, design, forces: forces.select(&first), pool, counters: Counters::default() };
@@ -67,7 +67,7 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
         return as_it_is(None, Counters::default());
     }
     let six = all.iter().find(|c| c.law.method == Method::Nystrom6).expect("a law");
-    let (truth, known) = match pilot.truth(six, asked) {
+    let (reference, known) = match pilot.reference(six, requested) {
         Ok(found) => found,
         Err((refined, off)) => {
             let left = if off.is_finite() { format!("{off:.0e}") } else { "an unknown one".to_owned() };
@@ -77,7 +77,7 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
             let Some(candidate) = method.filter(|_| refined > 1) else {
                 return as_it_is(Some(why), pilot.counters);
             };
-            let steps = refined * candidate.steps(Accuracy(asked.min(0.01)));
+            let steps = refined * candidate.steps(Accuracy(requested.min(0.01)));
             let plan = candidate.plan(steps, candidate.reason(steps, &why));
             let exact = steps as f64 * (1.0 - 1e-9);
             let solver = Solver::new(plan.method, candidate.accuracy(exact));
@@ -85,11 +85,11 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
         }
     };
     if adaptive {
-        let Some((tolerance, error)) = pilot.tolerance(&truth, asked) else {
+        let Some((tolerance, error)) = pilot.tolerance(&reference, requested) else {
             return as_it_is(Some(format!("no tolerance {UNREACHED}")), pilot.counters);
         };
         let reason = format!(
-            "tsit5, tolerance {tolerance:.1e} of its own error norm: error {error:.0e} measured, asked {asked:.0e}"
+            "tsit5, tolerance {tolerance:.1e} of its own error norm: error {error:.0e} measured, asked {requested:.0e}"
         );
         let tolerance = Tolerance::both(tolerance);
         let solver = Solver { tolerance: Some(tolerance), ..*solver };
@@ -108,7 +108,7 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
             continue;
         }
         let known = Some(known).filter(|_| candidate.law.method == Method::Nystrom6);
-        if let Some(fewest) = pilot.fewest(&candidate, &truth, asked, known)
+        if let Some(fewest) = pilot.fewest(&candidate, &reference, requested, known)
             && work(fewest.steps) < bound
         {
             best = Some((candidate, fewest));
@@ -118,10 +118,10 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
         return as_it_is(Some(format!("no steps {UNREACHED}")), pilot.counters);
     };
     let plan = candidate.plan(steps, String::new());
-    let rounded = pilot.rounded(&candidate, &plan, &truth, asked);
+    let rounded = pilot.rounded(&candidate, &plan, &reference, requested);
     let (precision, error) = rounded.map_or((Precision::Double, error), |error| (Precision::Single, error));
     let bits = if rounded.is_some() { "f32, " } else { "" };
-    let why = format!("{bits}error {error:.0e} measured, asked {asked:.0e}");
+    let why = format!("{bits}error {error:.0e} measured, asked {requested:.0e}");
     let plan = Plan { precision, reason: candidate.reason(steps, &why), ..plan };
     let single = rounded.map_or(0.0, |_| candidate.single(solver.accuracy));
     let solver = Solver { single, ..Solver::new(plan.method, candidate.accuracy(exact)) };
@@ -155,12 +155,18 @@ impl Pilot<'_> {
     }
 
     /// Error of a plan in f32, if it is at most `asked`.
-    fn rounded(&mut self, candidate: &Candidate, plan: &Plan, truth: &Simulation, asked: f64) -> Option<f64> {
-        if candidate.highest > candidate.single(Accuracy(asked)) {
+    fn rounded(
+        &mut self,
+        candidate: &Candidate,
+        plan: &Plan,
+        reference: &Simulation,
+        requested: f64,
+    ) -> Option<f64> {
+        if candidate.highest > candidate.single(Accuracy(requested)) {
             return None;
         }
         let found = self.run_plan(&Plan { precision: Precision::Single, ..plan.clone() });
-        Some(self.error(&found, truth)).filter(|error| SAFETY * error <= asked)
+        Some(self.error(&found, reference)).filter(|error| SAFETY * error <= requested)
     }
 
     fn run(&mut self, candidate: &Candidate, steps: usize) -> Simulation {
@@ -175,33 +181,33 @@ impl Pilot<'_> {
 
     /// Error against the reference solution. Infinite if additional samples fail, or if samples were repeated with finer steps,
     /// which is expensive.
-    fn error(&self, simulation: &Simulation, truth: &Simulation) -> f64 {
+    fn error(&self, simulation: &Simulation, reference: &Simulation) -> f64 {
         let fails = |(a, b): (&Outcome, &Outcome)| *a != Outcome::Ok && *b == Outcome::Ok;
         let halved = simulation.plan.steps.count() > 0 && simulation.counters.rejected > 0;
-        if halved || simulation.outcomes.iter().zip(&truth.outcomes).any(fails) {
+        if halved || simulation.outcomes.iter().zip(&reference.outcomes).any(fails) {
             return f64::INFINITY;
         }
-        distance(simulation, truth, self.channels())
+        distance(simulation, reference, self.channels())
     }
 
     /// The largest tolerance found for Tsit5 with at most the error `asked`, including the safety factor, and its error.
-    fn tolerance(&mut self, truth: &Simulation, asked: f64) -> Option<(f64, f64)> {
-        let mut tolerance = Tolerance::from(Accuracy(asked)).relative;
+    fn tolerance(&mut self, reference: &Simulation, requested: f64) -> Option<(f64, f64)> {
+        let mut tolerance = Tolerance::from(Accuracy(requested)).relative;
         let mut good: Option<(f64, f64)> = None;
         for _ in 0..TRIES {
             let found = self.run_plan(&Plan::tsit5(Tolerance::both(tolerance)));
-            let error = self.error(&found, truth);
-            let keeps = SAFETY * error <= asked;
+            let error = self.error(&found, reference);
+            let keeps = SAFETY * error <= requested;
             if keeps && good.is_none_or(|(t, _)| tolerance > t) {
                 good = Some((tolerance, error));
             }
             // Work varies as the fifth root of the tolerance, so a few times too small is acceptable.
-            if keeps && error > 0.2 * asked {
+            if keeps && error > 0.2 * requested {
                 break;
             }
             // The error is about proportional to the tolerance while steps resolve the motion.
-            let factor = (0.5 * asked / (SAFETY * error)).clamp(1e-2, 1e2);
-            let next = (tolerance * factor).clamp(Tolerance::LEAST, 0.5);
+            let factor = (0.5 * requested / (SAFETY * error)).clamp(1e-2, 1e2);
+            let next = (tolerance * factor).clamp(Tolerance::SMALLEST, 0.5);
             if next == tolerance || good.is_some_and(|(t, _)| next <= t) {
                 break;
             }
@@ -212,8 +218,8 @@ impl Pilot<'_> {
 
     /// The reference solution, much more accurate than `asked`, with steps and error of the run before it. Otherwise the best
     /// refinement of the law's steps and its error: the least one, or, with fewer steps, at most twice that.
-    fn truth(&mut self, six: &Candidate, asked: f64) -> Result<(Simulation, Measured), Measured> {
-        let start = six.steps(Accuracy(asked.min(0.01)));
+    fn reference(&mut self, six: &Candidate, requested: f64) -> Result<(Simulation, Measured), Measured> {
+        let start = six.steps(Accuracy(requested.min(0.01)));
         let (mut refined, mut errors) = (1, Vec::new());
         let mut coarse = self.run(six, start);
         while refined < REFINED {
@@ -224,7 +230,7 @@ impl Pilot<'_> {
             } else {
                 distance(&coarse, &fine, self.channels())
             };
-            if error <= asked {
+            if error <= requested {
                 return Ok((fine, (refined * start, error)));
             }
             errors.push((2 * refined, error));
@@ -245,11 +251,11 @@ impl Pilot<'_> {
     fn fewest(
         &mut self,
         candidate: &Candidate,
-        truth: &Simulation,
-        asked: f64,
+        reference: &Simulation,
+        requested: f64,
         known: Option<Measured>,
     ) -> Option<Fewest> {
-        let start = candidate.steps(Accuracy(asked));
+        let start = candidate.steps(Accuracy(requested));
         // required for stability
         let least = candidate.steps(Accuracy(f64::INFINITY));
         let most = REFINED * start.max(least);
@@ -257,14 +263,14 @@ impl Pilot<'_> {
         let mut steps = start;
         let power = candidate.law.power;
         let exact = |(steps, error): (usize, f64), power: f64| {
-            steps as f64 * (SAFETY * error / asked).powf(1.0 / power)
+            steps as f64 * (SAFETY * error / requested).powf(1.0 / power)
         };
         for _ in 0..TRIES {
             let error = match known {
                 Some((n, error)) if n == steps => error,
                 _ => {
                     let found = self.run(candidate, steps);
-                    self.error(&found, truth)
+                    self.error(&found, reference)
                 }
             };
             tried.push((steps, error));
@@ -272,7 +278,7 @@ impl Pilot<'_> {
                 if steps >= most {
                     break;
                 }
-                steps = candidate.whole(2.0 * steps as f64).min(most);
+                steps = candidate.round_to_kinks(2.0 * steps as f64).min(most);
                 continue;
             }
             // For forces or contacts that are not smooth, the observed order is below the method's order.
@@ -285,12 +291,12 @@ impl Pilot<'_> {
             if wanted.is_nan() {
                 return None;
             }
-            steps = candidate.whole(wanted).clamp(least, most);
+            steps = candidate.round_to_kinks(wanted).clamp(least, most);
             if tried.iter().any(|(n, _)| *n == steps) {
                 break;
             }
         }
-        let good = tried.into_iter().filter(|(_, error)| SAFETY * error <= asked).min_by_key(|t| t.0);
+        let good = tried.into_iter().filter(|(_, error)| SAFETY * error <= requested).min_by_key(|t| t.0);
         good.map(|(steps, error)| {
             let (n, part) = (steps as f64, 0.9 * candidate.kinks as f64);
             Fewest { steps, exact: exact((steps, error), power).clamp(n - part, n * (1.0 - 1e-9)), error }

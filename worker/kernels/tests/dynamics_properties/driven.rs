@@ -161,7 +161,7 @@ fn a_driven_unit_hides_no_instability() {
         let scene = Scene { panels: vec![scene.panels[0]], ..scene };
         let found = by_too_few_steps(&scene);
         worst = worst.max(found.worst);
-        named += found.named;
+        named += found.unstable;
         refined += found.refined;
     }
     assert!(

@@ -66,9 +66,9 @@ pub fn of_every_law(base: Scene) -> [Scene; 3] {
 }
 
 /// Results of runs near and beyond the limit of stability.
-pub struct TooFew {
+pub struct UnstableRuns {
     /// Number of samples with the outcome `unstable`.
-    pub named: usize,
+    pub unstable: usize,
     /// Number of repeated samples.
     pub refined: u64,
     /// Largest norm of the signals divided by that of the reference solution.
@@ -76,18 +76,18 @@ pub struct TooFew {
 }
 
 /// Runs three samples with every method of equal steps, with 1 to 21 steps per interval.
-pub fn by_too_few_steps(scene: &Scene) -> TooFew {
+pub fn by_too_few_steps(scene: &Scene) -> UnstableRuns {
     let (design, forces) = (shaken(scene), pushes(scene, 3, 0.4));
     let tight = Solver::new(Method::Nystrom6, Accuracy(1e-4));
     let truth = norm(&simulate(scene, &design, &forces, &tight, false, &pool(2)).signals);
-    let mut found = TooFew { named: 0, refined: 0, worst: 0.0 };
+    let mut found = UnstableRuns { unstable: 0, refined: 0, worst: 0.0 };
     for method in [Method::Leapfrog, Method::Nystrom4, Method::Nystrom6] {
         for steps in [1, 2, 3, 5, 8, 13, 21] {
             let run = run(scene, &design, &forces, &plan(method, steps), false, &pool(1));
             let size = norm(&run.signals) / truth;
             assert!(size.is_finite(), "{method:?} {steps}: {size}");
             found.worst = found.worst.max(size);
-            found.named += run.outcomes.iter().filter(|o| **o == Outcome::Unstable).count();
+            found.unstable += run.outcomes.iter().filter(|o| **o == Outcome::Unstable).count();
             found.refined += run.counters.rejected;
         }
     }

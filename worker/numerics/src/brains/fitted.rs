@@ -101,7 +101,7 @@ impl Pooled {
         let (decoder, scales) = (trial.problem.decoder, trial.scales.clone());
         let known = Plain::of(samples, &scales, trial.pool);
         let normal = known.moments().normal(decoder.lags);
-        let (dealt, each) = (ridge::deal(trial.problem.seed, casts), samples.count() / casts);
+        let (dealt, each) = (ridge::assign_folds(trial.problem.seed, casts), samples.count() / casts);
         let dealt: Vec<usize> = (0..samples.count()).map(|i| dealt[i / each]).collect();
         let ridge = match decoder.ridge {
             Ridge::Given(ridge) => ridge,
@@ -129,9 +129,14 @@ impl Pooled {
             0 | 1 => 1.0,
             count => {
                 let shares = SHARES.map(|decade| 10_f64.powi(-decade));
-                let (dealt, thins) = (ridge::deal(seed, count), count >= ridge::FEW);
+                let (dealt, thins) = (ridge::assign_folds(seed, count), count >= ridge::FEW);
                 let errors = |part: &Part, share| part.errors(with(&part.others, share), ridge);
-                ridge::least(&ridge::judged(shares, thins, ridge::parts(&own, &normal, &dealt), errors))?
+                ridge::least(&ridge::errors_by_value(
+                    shares,
+                    thins,
+                    ridge::parts(&own, &normal, &dealt),
+                    errors,
+                ))?
             }
         };
         let linear = solve(with(&normal, share), ridge)?.linear();

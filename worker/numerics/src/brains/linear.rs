@@ -117,7 +117,7 @@ impl Decoder {
     pub(super) fn ridge_of(&self, seed: u64, train: &Plain, all: &Normal) -> Result<f64, Trouble> {
         match self.ridge {
             Ridge::Given(ridge) => Ok(ridge),
-            Ridge::Auto => ridge::ridge_of(train, all, &ridge::deal(seed, train.w.len())),
+            Ridge::Auto => ridge::ridge_of(train, all, &ridge::assign_folds(seed, train.w.len())),
         }
     }
 }
@@ -219,7 +219,7 @@ impl<'a> LinearLearner<'a> {
             let judges = bodies[newest].clone();
             let others = normal.clone().plus(-1.0, &judges.moments().normal(lags));
             let part = std::iter::once(Part { judges, others });
-            let judged = ridge::judged(ridge::ridges(), true, part, Part::errors_of_others);
+            let judged = ridge::errors_by_value(ridge::ridges(), true, part, Part::errors_of_others);
             learnt.ridge = ridge::least(&judged).ok().or(learnt.ridge);
         }
         Ok(solve(normal, learnt.ridge.unwrap_or_default())?.linear())

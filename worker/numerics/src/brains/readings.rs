@@ -67,7 +67,7 @@ pub(crate) fn readings(trial: &Trial, sets: &[Samples; 3]) -> Result<Vec<Reading
     let read = |linear: &Linear| reading(sets, linear, ridge);
     let factor = |order| Fit::new(normal.clone(), ridge, order).map_err(|_| Trouble::Singular);
     let delta = trial.problem.scene.duration / instants as f64;
-    let instants = |seconds: f64| Lags::whole_groups((seconds / delta).round() as usize);
+    let instants = |seconds: f64| Lags::nearest_group_end((seconds / delta).round() as usize);
     let shorter = |seconds: f64| Some(instants(seconds)).filter(|n| *n < reach);
 
     let mut found = Vec::new();

@@ -22,7 +22,7 @@ const NEUTRAL: f64 = 1e-6;
 /// With fewer samples all folds test all values. With more, the first fold stops after `WITHOUT` values without an improvement by
 /// 1 %.
 pub(super) const FEW: usize = 60;
-const WITHOUT: usize = 3;
+const PATIENCE: usize = 3;
 /// The other folds then test the `CANDIDATES` greatest values whose error in the first fold is below `WORSE` times the least.
 const CANDIDATES: usize = 4;
 const WORSE: f64 = 2.0;
@@ -54,12 +54,12 @@ impl Part {
 /// # Errors
 /// If no λ gives a solution.
 pub(super) fn ridge_of(samples: &Plain, all: &Normal, dealt: &[usize]) -> Result<f64, Trouble> {
-    let thins = samples.w.len() >= FEW;
-    greatest(&judged(ridges(), thins, parts(samples, all, dealt), Part::errors_of_others))
+    let prefilter = samples.w.len() >= FEW;
+    greatest(&errors_by_value(ridges(), prefilter, parts(samples, all, dealt), Part::errors_of_others))
 }
 
 /// Fold of each sample.
-pub(crate) fn deal(seed: u64, samples: usize) -> Vec<usize> {
+pub(crate) fn assign_folds(seed: u64, samples: usize) -> Vec<usize> {
     folds(seed, samples, FOLDS.min(samples))
 }
 
@@ -70,9 +70,9 @@ pub(super) fn parts(samples: &Plain, all: &Normal, dealt: &[usize]) -> impl Iter
     let numbers = if count > 1 { 0..count } else { 0..0 };
     numbers.map(move |part| {
         let own: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] == part).collect();
-        let judges = samples.select(&own);
-        let others = all.clone().plus(-1.0, &judges.moments().normal(all.lags()));
-        Part { judges, others }
+        let test = samples.select(&own);
+        let others = all.clone().plus(-1.0, &test.moments().normal(all.lags()));
+        Part { judges: test, others }
     })
 }
 
@@ -83,19 +83,19 @@ pub(crate) fn ridges() -> impl Iterator<Item = f64> {
 
 /// The `values`, in order of preference, that have a solution in every fold, with the errors of all samples. `thins`: the first
 /// fold passes only a few values to the others.
-pub(super) fn judged(
+pub(super) fn errors_by_value(
     values: impl Iterator<Item = f64>,
-    thins: bool,
+    prefilter: bool,
     parts: impl Iterator<Item = Part>,
     errors: impl Fn(&Part, f64) -> Option<Vec<Option<f64>>>,
 ) -> Vec<(f64, Vec<Option<f64>>)> {
     let mut judged: Vec<(f64, Vec<Option<f64>>)> = values.map(|value| (value, Vec::new())).collect();
     let mut parts = parts.enumerate().peekable();
     while let Some((number, part)) = parts.next() {
-        let thins = thins && number == 0;
+        let prefilter = prefilter && number == 0;
         let (mut least, mut without) = (f64::INFINITY, 0);
         judged.retain_mut(|(value, seen)| {
-            if thins && without == WITHOUT {
+            if prefilter && without == PATIENCE {
                 return false;
             }
             let Some(errors) = errors(&part, *value) else { return false };
@@ -105,7 +105,7 @@ pub(super) fn judged(
             seen.extend(errors);
             true
         });
-        if thins && parts.peek().is_some() {
+        if prefilter && parts.peek().is_some() {
             judged.retain(|(_, errors)| mean_error(errors).unwrap_or(0.0) <= WORSE * least);
             judged.truncate(CANDIDATES);
         }

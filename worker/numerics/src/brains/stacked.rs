@@ -36,7 +36,7 @@ impl Stack {
         pool: &Pool,
     ) -> Result<Self, Trouble> {
         let known = Plain::of(known, &scales, pool);
-        let (all, dealt) = (known.moments().normal(decoder.lags), ridge::deal(seed, known.w.len()));
+        let (all, dealt) = (known.moments().normal(decoder.lags), ridge::assign_folds(seed, known.w.len()));
         let ridge = decoder.ridge_of(seed, &known, &all)?;
         let part = |part: Part| Ok(solve(part.others, ridge)?.linear());
         let parts = ridge::parts(&known, &all, &dealt).map(part).collect::<Result<_, Trouble>>()?;

@@ -15,7 +15,7 @@ pub use search::{Found, OfChannel, OfRecord, Source, compare};
 pub use spectra::{Spectra, spectra};
 
 use crate::dynamics::{Accuracy, Forces, Parameters, Scene, Solver, planned, run};
-use crate::stimuli::felt;
+use crate::stimuli::anti_aliased_force;
 
 /// Histories on one even clock.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -158,7 +158,8 @@ impl Model<'_> {
         let mut values = vec![0.0; records.len() * panels * (instants + 1)];
         for (record, all) in records.iter().zip(values.chunks_exact_mut(panels * (instants + 1))) {
             for (history, panel) in record.force.values.iter().zip(place(record)) {
-                let on_clock = felt(history, record.force.start, record.force.dt, duration, instants);
+                let on_clock =
+                    anti_aliased_force(history, record.force.start, record.force.dt, duration, instants);
                 all[panel * (instants + 1)..][..=instants].copy_from_slice(&on_clock);
             }
         }

@@ -9,7 +9,7 @@
 //! A result is returned only if the exact check (`exact.rs`) accepts it, otherwise the previous design.
 
 use super::program::{Ask, Step};
-use super::rows::{Key, Row, What};
+use super::rows::{Key, Row, RowKind};
 use super::{Feasible, Kind};
 use crate::body::End;
 
@@ -376,15 +376,17 @@ impl super::rows::Rows {
         let [first, second, _] = row.key.at.map(|n| n as usize);
         let unit = self.unit(first);
         let (kind, units) = match row.key.kind {
-            What::Edge => (Kind::Edge, [unit, unit]),
-            What::AngleLow => (Kind::BlockAngleLow, [unit, unit]),
-            What::AngleHigh => (Kind::BlockAngleHigh, [unit, unit]),
-            What::Ligament => (Kind::LigamentAngle, [unit, unit]),
-            What::Void => (Kind::VoidAngle, [unit, self.across(first, second)]),
-            What::Corners | What::Side | What::Through if row.bar => {
+            RowKind::Edge => (Kind::Edge, [unit, unit]),
+            RowKind::AngleLow => (Kind::BlockAngleLow, [unit, unit]),
+            RowKind::AngleHigh => (Kind::BlockAngleHigh, [unit, unit]),
+            RowKind::Ligament => (Kind::LigamentAngle, [unit, unit]),
+            RowKind::Void => (Kind::VoidAngle, [unit, self.across(first, second)]),
+            RowKind::Corners | RowKind::Side | RowKind::Through if row.bar => {
                 (Kind::LigamentClearance, [unit, self.unit(second)])
             }
-            What::Corners | What::Side | What::Through => (Kind::Clearance, [unit, self.unit(second)]),
+            RowKind::Corners | RowKind::Side | RowKind::Through => {
+                (Kind::Clearance, [unit, self.unit(second)])
+            }
         };
         Active { kind, units, node: first - self.first(unit), slack: row.value }
     }

@@ -14,14 +14,14 @@ type Point = [f64; 2];
 /// Identifies a row. Rows are sorted by key, so equal keys imply equal sparsity.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(super) struct Key {
-    pub kind: What,
+    pub kind: RowKind,
     /// Indices of nodes among all nodes, or of ligaments, depending on `kind`.
     pub at: [u32; 3],
 }
 
 /// Kind of a row, and its indices.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub(super) enum What {
+pub(super) enum RowKind {
     /// Length of an edge: its first node.
     Edge,
     /// Least interior angle: node.
@@ -366,7 +366,7 @@ impl Rows {
                     let away = sub(self.shape[next as usize], self.shape[here as usize]);
                     scale(1.0 / norm(away), away)
                 };
-                let key = Key { kind: What::Edge, at: [here, 0, 0] };
+                let key = Key { kind: RowKind::Edge, at: [here, 0, 0] };
                 self.row(key, length - limits.min_edge, &[(next, along), (here, scale(-1.0, along))], rows);
             }
             if length < POINTLIKE || before < POINTLIKE {
@@ -379,12 +379,12 @@ impl Rows {
             let g_here = [-g_next[0] - g_last[0], -g_next[1] - g_last[1]];
             let low = size * (angle - limits.min_block_angle);
             if low < window {
-                let key = Key { kind: What::AngleLow, at: [here, 0, 0] };
+                let key = Key { kind: RowKind::AngleLow, at: [here, 0, 0] };
                 self.row(key, low, &[(next, g_next), (last, g_last), (here, g_here)], rows);
             }
             let high = size * (limits.max_block_angle - angle);
             if high < window {
-                let key = Key { kind: What::AngleHigh, at: [here, 0, 0] };
+                let key = Key { kind: RowKind::AngleHigh, at: [here, 0, 0] };
                 let flip = |g| scale(-1.0, g);
                 self.row(
                     key,
@@ -423,7 +423,7 @@ impl Rows {
                 let value = length * (angle - self.limits.min_ligament_angle);
                 if value < window {
                     let g = scale(length, by_far);
-                    let key = Key { kind: What::Ligament, at: [node, which as u32, 0] };
+                    let key = Key { kind: RowKind::Ligament, at: [node, which as u32, 0] };
                     self.row(key, value, &[(far, g), (node, scale(-1.0, g))], rows);
                 }
             }
@@ -434,7 +434,7 @@ impl Rows {
                 let value = size * (one.0 + other.0 - PI - self.limits.min_void_angle);
                 if value < window {
                     let (g, k) = (scale(size, one.1), scale(size, other.1));
-                    let key = Key { kind: What::Void, at: [node, l, 0] };
+                    let key = Key { kind: RowKind::Void, at: [node, l, 0] };
                     self.row(
                         key,
                         value,
@@ -482,7 +482,7 @@ impl Rows {
                 let part = (inner(sub(at[n as usize], at[s as usize]), along)
                     / inner(along, along).max(1e-18))
                 .clamp(0.0, 1.0);
-                let key = Key { kind: What::Through, at: [n, s, t] };
+                let key = Key { kind: RowKind::Through, at: [n, s, t] };
                 let g = [(n, normal), (s, scale(part - 1.0, normal)), (t, scale(-part, normal))];
                 self.row(key, value, &g, rows);
             }
@@ -504,10 +504,10 @@ impl Rows {
         let g = scale(1.0 / distance, across);
         if part == 0.0 || part == 1.0 {
             let m = if part == 0.0 { s } else { t };
-            let key = Key { kind: What::Corners, at: [n.min(m), n.max(m), 0] };
+            let key = Key { kind: RowKind::Corners, at: [n.min(m), n.max(m), 0] };
             self.row(key, distance - gap, &[(n, g), (m, scale(-1.0, g))], rows);
         } else {
-            let key = Key { kind: What::Side, at: [n, s, t] };
+            let key = Key { kind: RowKind::Side, at: [n, s, t] };
             self.row(key, distance - gap, &[(n, g), (s, scale(part - 1.0, g)), (t, scale(-part, g))], rows);
         }
     }

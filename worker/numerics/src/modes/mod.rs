@@ -91,9 +91,12 @@ pub fn modes(rest: &Rest, units: usize, count: usize) -> Result<Vec<Mode>, NoMod
     loop {
         space.grow(&inverse, size);
         let pairs = space.pairs(&inverse, count).ok_or(NoModes::NotFinite)?;
-        let left: Vec<[f64; 2]> = pairs.iter().map(|(s, x)| inverse.left(*s, x)).collect();
-        let beside = left.iter().fold(TOLERANCE, |most, [_, rounding]| most.max(*rounding)).min(ROUNDED);
-        let found = left.iter().all(|[left, rounding]| *left < rounding.max(beside));
+        let residual_and_rounding: Vec<[f64; 2]> = pairs.iter().map(|(s, x)| inverse.left(*s, x)).collect();
+        let beside = residual_and_rounding
+            .iter()
+            .fold(TOLERANCE, |most, [_, rounding]| most.max(*rounding))
+            .min(ROUNDED);
+        let found = residual_and_rounding.iter().all(|[left, rounding]| *left < rounding.max(beside));
         if size == 2 * n || (found && pairs.len() == count) {
             let finite = |(s, x): &(c64, Vec<c64>)| s.is_finite() && x.iter().all(|x| x.is_finite());
             if !pairs.iter().all(finite) {

@@ -3,10 +3,10 @@
 //!
 //! All candidates use the same simulations, with the chip properties of the sensors.
 
-use super::{CANDIDATES, FIRST_RIDGE, Nowhere, Placed, Scores};
+use super::{CANDIDATES, FIRST_RIDGE, NoPlacement, Placed, Scores};
 use crate::brain::linear::Sizes;
 use crate::brains::Plain;
-use crate::brains::ridge::deal;
+use crate::brains::ridge::assign_folds;
 use crate::dynamics::Scene;
 use crate::trial::{Counters, Failure, Optimise, Placing, Problem, Trial, Trouble};
 
@@ -51,7 +51,7 @@ impl Candidates {
             response.map_err(Failure::Initial)?.samples
         };
         let samples = Plain::of(&heard, &trial.scales, pool);
-        let dealt = deal(problem.seed, heard.count());
+        let dealt = assign_folds(problem.seed, heard.count());
         // Forces must occur in at least two folds.
         let mut struck = dealt.iter().zip(&samples.w).filter(|(_, w)| **w > 0.0).map(|(fold, _)| fold);
         let first = struck.next();
@@ -92,11 +92,11 @@ impl Candidates {
         pool: &crate::Pool,
     ) -> Vec<(usize, f64)> {
         let others: Vec<usize> = self.units.iter().copied().filter(|unit| !chosen.contains(unit)).collect();
-        let of = |group: &[usize]| {
+        let subset = |group: &[usize]| {
             let some = self.of(&[chosen, group].concat());
-            some.scores(problem, pool).worth(chosen, group, 0.0, ridge)
+            some.scores(problem, pool).errors_with_each(chosen, group, 0.0, ridge)
         };
-        let mut worth: Vec<(usize, f64)> = others.chunks(GROUP).flat_map(of).collect();
+        let mut worth: Vec<(usize, f64)> = others.chunks(GROUP).flat_map(subset).collect();
         worth.sort_by(|a, b| a.1.total_cmp(&b.1));
         worth
     }
@@ -141,7 +141,7 @@ pub fn placed(problem: &Problem, pool: &crate::Pool) -> Result<(Problem, Option<
     let candidates = Candidates::new(problem, search, &problem.initial, pool)?.thinned(problem, pool);
     let search = Placing { candidates: candidates.units.clone(), ..search.clone() };
     let found = candidates.scores(problem, pool).search(&search);
-    let found = found.map_err(|Nowhere| Failure::Initial(Trouble::Nowhere))?;
+    let found = found.map_err(|NoPlacement| Failure::Initial(Trouble::Nowhere))?;
     let mut problem = problem.clone();
     problem.scene.sensors = found.units.clone();
     problem.search = None;

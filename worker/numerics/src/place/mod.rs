@@ -36,7 +36,7 @@ pub struct Placed {
 
 /// No placement has this many sensors at this distance, or no λ gives a solution.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Nowhere;
+pub struct NoPlacement;
 
 /// Largest number of exchanges: each set is rated with its own λ, so exchanges could cycle.
 const EXCHANGES: usize = 1000;
@@ -134,7 +134,7 @@ impl<'a> Scores<'a> {
     }
 
     /// Each of the `candidates` that may join the chosen ones, with the resulting error (%), best first.
-    pub fn worth(
+    pub fn errors_with_each(
         &self,
         chosen: &[usize],
         candidates: &[usize],
@@ -150,10 +150,10 @@ impl<'a> Scores<'a> {
     ///
     /// # Errors
     /// If no placement exists.
-    pub fn search(&self, search: &Placing) -> Result<Placed, Nowhere> {
+    pub fn search(&self, search: &Placing) -> Result<Placed, NoPlacement> {
         let &Placing { ref candidates, turn, .. } = search;
-        let alone = self.worth(&[], candidates, search.spacing, FIRST_RIDGE);
-        let first = alone.get(turn).ok_or(Nowhere)?.0;
+        let alone = self.errors_with_each(&[], candidates, search.spacing, FIRST_RIDGE);
+        let first = alone.get(turn).ok_or(NoPlacement)?.0;
         let ridge = self.ridge(&[first]);
         // In later turns the first unit stays; in turn 0 all can be exchanged.
         let kept = usize::from(turn > 0);
@@ -165,16 +165,21 @@ impl<'a> Scores<'a> {
             Some(error) if error.is_finite() => {
                 Ok(Placed { units, errors, runner_up, ridge, energies: self.energies })
             }
-            _ => Err(Nowhere),
+            _ => Err(NoPlacement),
         }
     }
 
     /// Adds the unit that lowers the error most, and updates λ, until there are enough.
-    fn grown(&self, first: usize, mut ridge: f64, search: &Placing) -> Result<(Vec<usize>, f64), Nowhere> {
+    fn grown(
+        &self,
+        first: usize,
+        mut ridge: f64,
+        search: &Placing,
+    ) -> Result<(Vec<usize>, f64), NoPlacement> {
         let mut chosen = vec![first];
         while chosen.len() < search.sensors {
-            let next = self.worth(&chosen, &search.candidates, search.spacing, ridge);
-            chosen.push(next.first().ok_or(Nowhere)?.0);
+            let next = self.errors_with_each(&chosen, &search.candidates, search.spacing, ridge);
+            chosen.push(next.first().ok_or(NoPlacement)?.0);
             ridge = self.ridge(&chosen);
         }
         Ok((chosen, ridge))
@@ -227,7 +232,7 @@ impl<'a> Scores<'a> {
         let mut ordered = chosen[..kept].to_vec();
         while ordered.len() < chosen.len() {
             let rest: Vec<usize> = chosen.iter().copied().filter(|unit| !ordered.contains(unit)).collect();
-            ordered.push(self.worth(&ordered, &rest, 0.0, ridge)[0].0);
+            ordered.push(self.errors_with_each(&ordered, &rest, 0.0, ridge)[0].0);
         }
         ordered
     }

@@ -122,11 +122,11 @@ impl Spectra {
         let mut errors: Vec<f64> = self.power[..self.folds].iter().map(|power| left_out * power).collect();
         for (grams, share) in self.grams.chunks_exact(self.folds + 1).zip(&self.shares) {
             let (all, parts) = grams.split_last().expect("of all folds");
-            all.cut(chosen, &mut total);
+            all.write_submatrix(chosen, &mut total);
             all.cut_right(chosen, &forces, &mut total_right);
             for ((part, power), error) in parts.iter().zip(&self.power).zip(&mut errors) {
                 let scale = (self.power[self.folds] - power).recip();
-                part.cut(chosen, &mut own);
+                part.write_submatrix(chosen, &mut own);
                 lower
                     .iter_mut()
                     .zip(total.iter().zip(&own))
@@ -204,7 +204,7 @@ impl Gram {
     }
 
     /// [[A, S], [−S, A]] of these channels.
-    fn cut(&self, chosen: &[usize], matrix: &mut [f64]) {
+    fn write_submatrix(&self, chosen: &[usize], matrix: &mut [f64]) {
         let (c, n, width) = (chosen.len(), 2 * chosen.len(), self.width());
         for (j, &y) in chosen.iter().enumerate() {
             let [a, s] = [&self.a, &self.s].map(|all| &all[y * width..][..width]);

@@ -85,7 +85,7 @@ fn signals() -> [Vec<f64>; 3] {
     [x, f, vec![1.0; SAMPLES]]
 }
 
-fn searched(sensors: usize, turn: usize, spacing: f64) -> Result<Placed, Nowhere> {
+fn searched(sensors: usize, turn: usize, spacing: f64) -> Result<Placed, NoPlacement> {
     let layout = Layout::planar(4, 3, 10.0, 1.5);
     let [x, f, w] = signals();
     let dealt: Vec<usize> = (0..SAMPLES).map(|i| i % 4).collect();
@@ -147,8 +147,8 @@ fn the_units_that_carry_the_forces_are_found() {
 fn sensors_keep_their_distance_and_turns_differ() {
     let apart = searched(2, 0, 15.0).unwrap();
     assert!(!(apart.units.contains(&5) && apart.units.contains(&8)), "{apart:?}");
-    assert_eq!(searched(3, 0, 100.0), Err(Nowhere));
-    assert_eq!(searched(7, 0, 0.0), Err(Nowhere));
+    assert_eq!(searched(3, 0, 100.0), Err(NoPlacement));
+    assert_eq!(searched(7, 0, 0.0), Err(NoPlacement));
     let first: Vec<usize> = (0..6).map(|turn| searched(1, turn, 0.0).unwrap().units[0]).collect();
     let mut sorted = first.clone();
     sorted.sort_unstable();

@@ -24,7 +24,7 @@ pub struct Bound {
     /// Mean error (%), from the mean posterior covariance.
     pub mean: f64,
     /// Error (%) from the inverse of the mean information.
-    pub informed: f64,
+    pub mean_information: f64,
     /// Error (%) of the stimuli's mean, without signals.
     pub deaf: f64,
     /// Number of directions of the stimuli in the prior.
@@ -79,7 +79,7 @@ pub fn bound(
         left.push(variance);
     }
     let Some(informed) = posterior_variance(&prior, total / left.len() as f64) else { return Ok(None) };
-    let least = match &problem.stimuli.source {
+    let any_decoder = match &problem.stimuli.source {
         Source::Bell(bell) => {
             Some(least(problem, (&scene, design, &plan), bell, &noise, WALKS * unseen.samples, pool))
         }
@@ -89,10 +89,10 @@ pub fn bound(
     Ok(Some(Bound {
         samples: own.iter().zip(&left).map(|(w, left)| Some(100.0 * (*w)? * left)).collect(),
         mean: 100.0 * weight * left.iter().sum::<f64>() / left.len() as f64,
-        informed: 100.0 * weight * informed,
+        mean_information: 100.0 * weight * informed,
         deaf: 100.0 * weight * (prior.variance.iter().sum::<f64>() + prior.rest),
         directions: prior.variance.len(),
-        least,
+        least: any_decoder,
     }))
 }
 
@@ -125,7 +125,7 @@ fn least(
         let seen = |((readings, asked), outcome): ((&[f64], &[f64]), &Outcome)| {
             let weight = -asked.iter().map(|f| f * f).sum::<f64>().ln();
             let (readings, asked) = (readings.to_vec(), asked.to_vec());
-            (*outcome == Outcome::Ok).then_some(Seen { readings, asked, weight })
+            (*outcome == Outcome::Ok).then_some(Seen { readings, targets: asked, weight })
         };
         let read = noise.whitened(read, readings);
         read.chunks_exact(readings).zip(targets.chunks_exact(one)).zip(&found.outcomes).map(seen).collect()

@@ -18,7 +18,7 @@ pub(crate) struct Seen {
     /// s in units of the noise, which is white.
     pub(crate) readings: Vec<f64>,
     /// g, the quantity to estimate.
-    pub(crate) asked: Vec<f64>,
+    pub(crate) targets: Vec<f64>,
     /// ln w.
     pub(crate) weight: f64,
 }
@@ -39,11 +39,11 @@ const STEPS: usize = 4;
 struct Walk {
     first: Vec<f64>,
     x: DVector<f64>,
-    stand: Stand,
+    stand: WalkState,
 }
 
 /// Current point of a walk, and the Gaussian of its proposals.
-struct Stand {
+struct WalkState {
     u: DVector<f64>,
     seen: Seen,
     mean: DVector<f64>,
@@ -52,7 +52,7 @@ struct Stand {
     density: f64,
 }
 
-impl Stand {
+impl WalkState {
     /// From the model at u and with each parameter displaced; `None` if one fails.
     fn new(u: DVector<f64>, mut seen: Vec<Option<Seen>>, x: &DVector<f64>) -> Option<Self> {
         let moved: Option<Vec<Seen>> = seen.split_off(1).into_iter().collect();
@@ -106,8 +106,8 @@ pub(crate) fn walks(truths: Vec<Vec<f64>>, model: &mut Model, stream: &mut Strea
     let begun = stands(&truths).into_iter().zip(&truths).map(|(seen, u)| {
         let truth = seen[0].as_ref()?;
         let readings = truth.readings.iter().map(|s| s + stream.normal()).collect();
-        let (first, x) = (truth.asked.clone(), DVector::from_vec(readings));
-        Some(Walk { first, stand: Stand::new(u.clone(), seen, &x)?, x })
+        let (first, x) = (truth.targets.clone(), DVector::from_vec(readings));
+        Some(Walk { first, stand: WalkState::new(u.clone(), seen, &x)?, x })
     });
     let mut all: Vec<Option<Walk>> = begun.collect();
     for _ in 0..STEPS {
@@ -116,7 +116,7 @@ pub(crate) fn walks(truths: Vec<Vec<f64>>, model: &mut Model, stream: &mut Strea
         let found = stands(&proposed);
         for ((Walk { stand, x, .. }, u), seen) in all.iter_mut().flatten().zip(proposed).zip(found) {
             let chance = stream.uniform().ln();
-            let Some(next) = Stand::new(u, seen, x) else { continue };
+            let Some(next) = WalkState::new(u, seen, x) else { continue };
             let ratio = next.density + next.proposes(&stand.u) - stand.density - stand.proposes(&next.u);
             if chance < ratio {
                 *stand = next;
@@ -124,7 +124,7 @@ pub(crate) fn walks(truths: Vec<Vec<f64>>, model: &mut Model, stream: &mut Strea
         }
     }
     let square = |Walk { first, stand, .. }: &Walk| {
-        first.iter().zip(&stand.seen.asked).map(|(a, b)| (a - b).powi(2)).sum::<f64>()
+        first.iter().zip(&stand.seen.targets).map(|(a, b)| (a - b).powi(2)).sum::<f64>()
     };
     all.iter().map(|walk| walk.as_ref().map(|walk| 0.5 * square(walk))).collect()
 }

@@ -35,7 +35,7 @@ pub(crate) fn nonlinear(mould: &Mould, counters: &mut Counters) -> Option<Nonlin
         Forces { values, ..forces.clone() }
     };
     let [full, small] = [1.0, SMALL].map(|by| {
-        let solver = Solver { tolerance: solver.tolerance.map(|t| t.of_motion(by)), ..solver };
+        let solver = Solver { tolerance: solver.tolerance.map(|t| t.for_motion_scaled_by(by)), ..solver };
         simulate(scene, design, &scaled(by), &solver, false, trial.pool)
     });
     [&full, &small].iter().for_each(|run| counters.dynamics += run.counters);

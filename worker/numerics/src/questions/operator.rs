@@ -15,7 +15,7 @@ use std::f64::consts::TAU;
 
 /// Figures of a body's linear operator.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Told {
+pub struct OperatorFigures {
     /// Error of Wiener's filter (% of the forces' power).
     pub error: f64,
     /// Number of distinguishable forces, from 1 to K: exp of the entropy of s²/Σs².
@@ -39,7 +39,7 @@ const NOISE: f64 = 0.01;
 ///
 /// # Panics
 /// If the sensors are not yet placed, or the design has the wrong length.
-pub fn told(problem: &Problem, design: &[f64]) -> Told {
+pub fn told(problem: &Problem, design: &[f64]) -> OperatorFigures {
     assert!(problem.search.is_none(), "the sensors are not in place");
     let scene = &problem.scene;
     let (bins, panels) = (scene.instants / 2, scene.panels.len());
@@ -51,7 +51,7 @@ pub fn told(problem: &Problem, design: &[f64]) -> Told {
         let of = |(of, &hertz): (&Vec<Vec<Response>>, &f64)| {
             let read = |i: usize, k: usize| {
                 let unit = scene.sensors[i / each];
-                heard(problem, rest, unit, of[k][i / each], hertz)[problem.channels[i % each]]
+                mounted_response(problem, rest, unit, of[k][i / each], hertz)[problem.channels[i % each]]
             };
             Mat::from_fn(rows, panels, read)
         };
@@ -89,7 +89,13 @@ pub fn told(problem: &Problem, design: &[f64]) -> Told {
 }
 
 /// Response of a chip at its place on the unit and after its filter, from that of a plain chip on the centroid.
-fn heard(problem: &Problem, rest: &Rest, unit: usize, [x, y, turn]: Response, hertz: f64) -> Response {
+fn mounted_response(
+    problem: &Problem,
+    rest: &Rest,
+    unit: usize,
+    [x, y, turn]: Response,
+    hertz: f64,
+) -> Response {
     let Mount { offset, tilt } = problem.scene.mount.unwrap_or_default();
     // Along the axes of the plain chip.
     let turned = match problem.scene.frame {
@@ -143,7 +149,7 @@ fn of(
     frequencies: &[f64],
     duration: f64,
     modes: f64,
-) -> Told {
+) -> OperatorFigures {
     let (bins, panels, all) = (power.len(), operators[0].ncols(), power.iter().sum::<f64>());
     let (mut left, mut rank, mut condition, mut bits) = (0.0, 0.0, 0.0, 0.0);
     for (g, s) in operators.iter().zip(power) {
@@ -162,7 +168,7 @@ fn of(
         bits += squares.iter().map(|s| s.ln_1p()).sum::<f64>() / std::f64::consts::LN_2;
     }
     let memory = memory(operators, power, noise, frequencies, duration);
-    Told {
+    OperatorFigures {
         error: 100.0 * left / (panels as f64 * all),
         rank: rank / all,
         condition: (condition / all).exp(),
@@ -253,7 +259,7 @@ mod tests {
             let rest = Rest::new(&plain.scene, &plain.initial);
             for hertz in [3.0, 8.0, 15.0] {
                 let [read, unmoved] = [&mounted, &plain].map(|of| spectrum(of, hertz));
-                let said = heard(&mounted, &rest, 5, unmoved, hertz);
+                let said = mounted_response(&mounted, &rest, 5, unmoved, hertz);
                 for c in 0..3 {
                     let near = (said[c] - read[c]).norm() < 2e-3 * unmoved[0].norm().max(unmoved[1].norm());
                     assert!(near, "{frame:?} at {hertz} Hz, channel {c}: {} {}", said[c], read[c]);

@@ -179,7 +179,7 @@ impl Replay {
         let scale = Some(self.signal_scale.clone());
         let fitted =
             decoder.fit(problem.seed, &all.select(&training), scale, pool).map_err(Failure::Initial)?;
-        Ok(said(&all, decoder.lags, &fitted))
+        Ok(replay_of_fit(&all, decoder.lags, &fitted))
     }
 
     /// Decodes all samples with a network stacked on a linear decoder, both given.
@@ -199,11 +199,11 @@ impl Replay {
 
     /// Estimates of a given linear decoder with the trial's memory.
     pub fn by(&self, problem: &Problem, fitted: &Fitted) -> LinearReplay {
-        said(&self.samples(problem), problem.decoder.lags, fitted)
+        replay_of_fit(&self.samples(problem), problem.decoder.lags, fitted)
     }
 }
 
-fn said(all: &Samples, lags: Lags, fitted: &Fitted) -> LinearReplay {
+fn replay_of_fit(all: &Samples, lags: Lags, fitted: &Fitted) -> LinearReplay {
     let predictions = fitted.predict(&all.signals);
     let errors = all.errors(&predictions);
     let [w, b] = fitted.weights();

@@ -14,7 +14,7 @@ use crate::dynamics::{Forces, Panel, Strike};
 use crate::random::{Purpose, Stream};
 pub use irregular::{Irregular, irregular};
 use recorded::within;
-pub use recorded::{Deal, REACH, Recorded, anti_aliased, felt, resample};
+pub use recorded::{Deal, REACH, Recorded, anti_aliased, anti_aliased_force, resample};
 
 /// Intervals `[min, max]` of the uniform distributions of a bell pulse's parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -178,7 +178,7 @@ pub fn anti_aliased(record: &[f64], start: f64, dt: f64, duration: f64, instants
 }
 
 /// As [`anti_aliased`], for a force: what acts from 0 to `duration` stays in the sample.
-pub fn felt(record: &[f64], start: f64, dt: f64, duration: f64, instants: usize) -> Vec<f64> {
+pub fn anti_aliased_force(record: &[f64], start: f64, dt: f64, duration: f64, instants: usize) -> Vec<f64> {
     let delta = duration / instants as f64;
     if dt >= delta {
         return resample(record, start, dt, duration, instants);

@@ -75,7 +75,7 @@ impl Lags {
     }
 
     /// The reach nearest to `reach` at which a group ends. All groups are then also groups of longer memories.
-    pub fn whole_groups(reach: usize) -> usize {
+    pub fn nearest_group_end(reach: usize) -> usize {
         let beyond = reach.saturating_sub(SINGLE);
         reach.min(SINGLE) + (beyond + SHARED / 2) / SHARED * SHARED
     }

@@ -99,7 +99,7 @@ pub fn reverse<V: Vector<Wide = V>>(
             for l in 0..V::LANES {
                 match lanes.get(l) {
                     Some(&s) => {
-                        system.strike(l, forces, sweeps[s].at);
+                        system.set_strike(l, forces, sweeps[s].at);
                         loads.load(l, forces, sweeps[s].history, last);
                     }
                     None => loads.clear(l),
@@ -113,7 +113,7 @@ pub fn reverse<V: Vector<Wide = V>>(
             if forces_asked {
                 push_vjp(system, system.weights(), one, &[last; LANES], lanes, (row, &mut pushed));
                 for k in 0..forces.panels {
-                    let Some(felt) = system.felt(k, &w) else { continue };
+                    let Some(felt) = system.base_force_vjp(k, &w) else { continue };
                     for (l, &s) in lanes.iter().enumerate() {
                         pushed[(s * forces.panels + k) * row + last + 1] += felt.lane(l);
                     }
@@ -176,7 +176,7 @@ pub fn reverse<V: Vector<Wide = V>>(
 
             // sweep backwards
             for step in kept[..longest].iter().rev() {
-                for (l, &s) in lanes.iter().enumerate().filter(|_| system.levered()) {
+                for (l, &s) in lanes.iter().enumerate().filter(|_| system.forces_follow_design()) {
                     loads.load(l, forces, sweeps[s].history, step.kinks[l]);
                 }
                 for i in (0..6).rev() {
@@ -193,7 +193,7 @@ pub fn reverse<V: Vector<Wide = V>>(
                     );
                     std::mem::swap(&mut w, &mut weights[i]);
                     system.product(&step.x[i], &weights[i], &mut curved[i]);
-                    if system.levered() {
+                    if system.forces_follow_design() {
                         loads.at(step.parts[i], &mut force);
                         system.push_vjp(&force, &weights[i]);
                     }
@@ -263,7 +263,7 @@ fn sensors_vjp<V: Vector<Wide = V>>(
     let zero = [V::splat(0.0); 3];
     if system.scene.reads_turns() {
         system.acceleration(x, v, force, a, &mut { zero[0] });
-        system.feel(force, a);
+        system.add_base_acceleration(force, a);
     }
     let (mut direct_x, mut direct_v) = (system.zeros(), system.zeros());
     bar_a.fill(zero);

@@ -1,7 +1,7 @@
 //! Coefficients of Tsit5, and sums over stages whose number of terms is a constant, so that the compiler unrolls them.
 
 use super::super::Tolerance;
-use super::super::system::{Unit, Weigh};
+use super::super::system::{ForceCotangent, Unit};
 use crate::lanes::Vector;
 use std::ops::Range;
 
@@ -128,7 +128,7 @@ fn nth_stage<V: Vector, const I: usize>(
 /// is p + q a with the new acceleration a; p and q overwrite the accelerations of stages 1 and 2, which are no longer
 /// needed.
 #[inline(always)]
-pub fn land<V: Vector>(
+pub fn finish_step<V: Vector>(
     h: V,
     tolerance: Tolerance,
     within: &Range<usize>,
@@ -176,7 +176,11 @@ pub fn land<V: Vector>(
 
 /// Adds the squares of the velocities' errors to `square`.
 #[inline(always)]
-pub fn landed<V: Vector>(mut square: V, within: &Range<usize>, [_, p, q, .., end]: &[Vec<Unit<V>>; 7]) -> V {
+pub fn total_error<V: Vector>(
+    mut square: V,
+    within: &Range<usize>,
+    [_, p, q, .., end]: &[Vec<Unit<V>>; 7],
+) -> V {
     let (p, q, end) = (of(p, within), of(q, within), of(end, within));
     for ((p, q), a) in p.iter().zip(q).zip(end) {
         let r = q.mul_add(*a, *p);
@@ -197,7 +201,7 @@ pub fn stage_vjp<V: Vector>(
     within: &Range<usize>,
     bar: (&[Unit<V>], &[Unit<V>]),
     later: (&Stages<V>, &Stages<V>),
-    by: Weigh<'_, V>,
+    by: ForceCotangent<'_, V>,
     a: &[Unit<V>],
     w: &mut [Unit<V>],
 ) {
@@ -217,7 +221,7 @@ fn nth_stage_vjp<'a, V: Vector, const I: usize>(
     within: &Range<usize>,
     (bar_x, bar_v): (&'a [Unit<V>], &'a [Unit<V>]),
     (curved, weights): (&'a Stages<V>, &'a Stages<V>),
-    by: Weigh<'_, V>,
+    by: ForceCotangent<'_, V>,
     a: &'a [Unit<V>],
     w: &mut [Unit<V>],
 ) {

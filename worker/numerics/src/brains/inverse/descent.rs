@@ -21,19 +21,19 @@ const EXACT: f64 = 1e-4;
 const TOGETHER: usize = 32;
 /// Predicted decrease of Φ below which a descent has converged. Multiplied by the misfit if that exceeds 1: Φ is then steeper
 /// along directions without information.
-const ENOUGH: f64 = 0.1;
+const CONVERGED_DECREASE: f64 = 0.1;
 /// Mean square of the residual (σ²) above which readings count as not explained.
 pub(super) const EXPLAINED: f64 = 1.5;
 /// Lower bound on the eigenvalues of B.
 pub(super) const LEAST: f64 = 1.0;
 /// Largest number of evaluations of Φ.
-const LOOKS: usize = 150;
+const MAX_EVALUATIONS: usize = 150;
 /// Number of steps after which B is computed again.
 const OLD: usize = 20;
 /// Marquardt damping: factor of its changes, first value, and limit.
 const DAMPING: f64 = 10.0;
 const DAMPED: f64 = 1.0;
-const HELD: f64 = 1e9;
+const MAX_DAMPING: f64 = 1e9;
 
 /// Noise per channel.
 #[derive(Debug, Clone)]
@@ -100,7 +100,7 @@ pub(super) struct Descent {
     /// Steps since B was 1 + JᵀJ.
     age: usize,
     /// Number of further readings for which J is wanted, and J for the available ones.
-    coming: (usize, Mat<f64>),
+    further_readings: (usize, Mat<f64>),
     damping: f64,
     steps: usize,
     ending: Option<Ending>,
@@ -117,7 +117,7 @@ pub(super) struct Start {
 
 impl Start {
     /// Starts at z, then b/σ_b, with unknown curvature.
-    pub(super) fn at(z: Vec<f64>) -> Self {
+    pub(super) fn evaluate(z: Vec<f64>) -> Self {
         Self { z, known: None, coming: (0, Mat::new()) }
     }
 
@@ -128,7 +128,7 @@ impl Start {
 
     /// Continues a descent with additional readings.
     pub(super) fn onward(descent: Descent, readings: usize) -> Self {
-        let Descent { at, curvature, age, coming: (wanted, coming), .. } = descent;
+        let Descent { at, curvature, age, further_readings: (wanted, coming), .. } = descent;
         let z = at.z;
         match curvature {
             Some(curvature) if readings <= coming.nrows() => {
@@ -136,7 +136,7 @@ impl Start {
                 let known = Some((curvature + new.transpose() * new, age));
                 Self { z, known, coming: (wanted, rest.to_owned()) }
             }
-            _ => Self::at(z).with_coming(wanted),
+            _ => Self::evaluate(z).with_coming(wanted),
         }
     }
 }
@@ -155,24 +155,24 @@ pub(super) fn descend(
     let mut all = Vec::with_capacity(readings.len());
     let mut starts = starts.into_iter();
     for readings in readings.chunks(TOGETHER) {
-        let mut looks = Looks { model, prior, noise, readings, n, counters };
+        let mut looks = Evaluator { model, prior, noise, readings, n, counters };
         let mut begun: Vec<Start> = starts.by_ref().take(readings.len()).collect();
         let at = begun.iter_mut().map(|start| std::mem::take(&mut start.z)).enumerate().collect();
         let mut descents: Vec<Descent> =
             looks.at(at).into_iter().zip(begun).map(|(at, start)| Descent::new(at, start)).collect();
-        for _ in 0..LOOKS {
+        for _ in 0..MAX_EVALUATIONS {
             if !go_on() {
                 return None;
             }
             descents.iter_mut().for_each(|descent| looks.curve(descent));
-            let ahead = |(i, descent): (usize, &mut Descent)| Some((i, descent.ahead()?));
+            let next_point = |(i, descent): (usize, &mut Descent)| Some((i, descent.ahead()?));
             let ahead: Vec<(usize, Vec<f64>)> =
-                model.pool().install(|| descents.par_iter_mut().enumerate().filter_map(ahead).collect());
+                model.pool().install(|| descents.par_iter_mut().enumerate().filter_map(next_point).collect());
             if ahead.is_empty() {
                 break;
             }
             let which: Vec<usize> = ahead.iter().map(|(i, _)| *i).collect();
-            which.into_iter().zip(looks.at(ahead)).for_each(|(i, point)| descents[i].go(point));
+            which.into_iter().zip(looks.at(ahead)).for_each(|(i, point)| descents[i].accept_or_damp(point));
         }
         // A descent that used all evaluations may have discarded its B.
         descents.iter_mut().for_each(|descent| looks.curve(descent));
@@ -182,7 +182,7 @@ pub(super) fn descend(
 }
 
 /// Evaluates Φ for a batch of samples.
-pub(super) struct Looks<'a> {
+pub(super) struct Evaluator<'a> {
     pub(super) model: &'a Model<'a>,
     pub(super) prior: &'a Prior,
     pub(super) noise: &'a Noise,
@@ -191,7 +191,7 @@ pub(super) struct Looks<'a> {
     pub(super) counters: &'a mut Counters,
 }
 
-impl Looks<'_> {
+impl Evaluator<'_> {
     /// Φ and its slope at given z of samples, identified by number.
     pub(super) fn at(&mut self, at: Vec<(usize, Vec<f64>)>) -> Vec<Point> {
         let Self { model, prior, noise, readings, n, .. } = self;
@@ -238,7 +238,7 @@ impl Looks<'_> {
         let (unknowns, c) = (prior.unknowns(), noise.channels());
         let (len, all) = (descent.at.residual.len(), descent.at.z.len());
         let (histories, steps) = prior.around(&descent.at.z);
-        let farther = model.within(*n + descent.coming.0 / c);
+        let farther = model.within(*n + descent.further_readings.0 / c);
         let found = model.coarse(&histories, farther, self.counters);
         let one = farther * c;
         let jacobian = Mat::from_fn(one, all, |i, k| match k < unknowns {
@@ -249,7 +249,7 @@ impl Looks<'_> {
         let (jacobian, coming) = jacobian.split_at_row(len);
         let curvature = jacobian.transpose() * jacobian + Mat::<f64>::identity(all, all);
         (descent.curvature, descent.age) = (Some(curvature), 0);
-        descent.coming.1 = coming.to_owned();
+        descent.further_readings.1 = coming.to_owned();
     }
 }
 
@@ -257,7 +257,15 @@ impl Descent {
     fn new(at: Point, Start { known, coming, .. }: Start) -> Self {
         let ending = at.phi.is_infinite().then_some(Ending::StartFailed);
         let (curvature, age) = known.unzip();
-        Self { at, curvature, age: age.unwrap_or(0), coming, damping: 0.0, steps: 0, ending }
+        Self {
+            at,
+            curvature,
+            age: age.unwrap_or(0),
+            further_readings: coming,
+            damping: 0.0,
+            steps: 0,
+            ending,
+        }
     }
 
     /// z, then b/σ_b.
@@ -309,7 +317,7 @@ impl Descent {
             return None;
         };
         let step = step.col(0);
-        let enough = ENOUGH * self.misfit().max(1.0);
+        let enough = CONVERGED_DECREASE * self.misfit().max(1.0);
         if 0.5 * (slope.transpose() * step) < enough && self.damping == 0.0 {
             self.ending = Some(Ending::Converged);
             return None;
@@ -319,11 +327,11 @@ impl Descent {
 
     /// Accepts a point of lower Φ and updates B (BFGS; Nocedal and Wright, Numerical Optimization, §6.1). Otherwise increases the
     /// damping, and at its limit computes B again.
-    fn go(&mut self, to: Point) {
+    fn accept_or_damp(&mut self, to: Point) {
         let curvature = self.curvature.as_mut().expect("made before");
         if to.phi >= self.at.phi {
             self.damping = (DAMPING * self.damping).max(DAMPED);
-            if self.damping > HELD {
+            if self.damping > MAX_DAMPING {
                 match self.age {
                     0 => self.ending = Some(Ending::NoProgress),
                     _ => (self.curvature, self.damping) = (None, 0.0),

@@ -67,7 +67,7 @@ impl Estimate {
 pub struct Inverse<'a> {
     trial: &'a Trial<'a>,
     model: Model<'a>,
-    guesses: Vec<Guess>,
+    guesses: Vec<Hypothesis>,
     noise: Noise,
     /// Linear decoder for the starts of descents, and its RMS error (N).
     linear: Fitted,
@@ -77,7 +77,7 @@ pub struct Inverse<'a> {
 }
 
 /// Hypothesis about which panels are struck.
-struct Guess {
+struct Hypothesis {
     prior: Prior,
     /// Logarithm of its share of the histories.
     share: f64,
@@ -103,7 +103,7 @@ impl<'a> Inverse<'a> {
         let linear = Fitted::of(trial, known)?;
         let said = linear.predict(&known.signals);
         let square = said.iter().zip(&known.targets).map(|(a, b)| (a - b) * (a - b)).sum::<f64>();
-        let off = (square / said.len() as f64).sqrt().max(f64::MIN_POSITIVE);
+        let start_error = (square / said.len() as f64).sqrt().max(f64::MIN_POSITIVE);
         let recorded = problem.stimuli.source.is_recorded();
         let histories = match recorded {
             true => trial.train.clone(),
@@ -120,7 +120,7 @@ impl<'a> Inverse<'a> {
             guesses,
             noise: Noise::of(trial, twin.map_or(&[], |twin| &twin.noise)),
             linear,
-            off,
+            off: start_error,
             counters: Counters::default(),
         })
     }
@@ -180,7 +180,7 @@ impl<'a> Inverse<'a> {
         said: &[f64],
         go_on: &mut GoOn,
     ) -> Option<Vec<Descent>> {
-        let Guess { prior, .. } = &self.guesses[guess];
+        let Hypothesis { prior, .. } = &self.guesses[guess];
         let begin = |forces: &[f64]| {
             let mut z = prior.near(forces, self.off);
             z.extend(self.noise.no_bias());
@@ -218,7 +218,7 @@ impl<'a> Inverse<'a> {
         starts: Vec<Vec<f64>>,
         go_on: &mut GoOn,
     ) -> Option<Vec<Descent>> {
-        self.descend_from(guess, readings, n, starts.into_iter().map(Start::at).collect(), go_on)
+        self.descend_from(guess, readings, n, starts.into_iter().map(Start::evaluate).collect(), go_on)
     }
 
     fn descend_from(
@@ -238,10 +238,11 @@ impl<'a> Inverse<'a> {
     fn by_instants(&mut self, readings: &[&[f64]], ahead: usize, go_on: &mut GoOn) -> Option<Vec<Estimate>> {
         let (all, width) = (self.trial.problem.scene.instants, self.noise.channels());
         let together = 1 + ahead / PARTS;
-        let start = |guess: &Guess| Start::at(self.start(guess)).with_coming(together * width * AT_ONCE);
+        let start =
+            |guess: &Hypothesis| Start::evaluate(self.start(guess)).with_coming(together * width * AT_ONCE);
         let mut starts: Vec<Vec<Start>> =
             self.guesses.iter().map(|guess| readings.iter().map(|_| start(guess)).collect()).collect();
-        let mut told: Vec<Estimate> = Vec::new();
+        let mut estimates: Vec<Estimate> = Vec::new();
         let (mut from, mut n) = (0, ahead + 1);
         loop {
             let mut found = Vec::new();
@@ -250,13 +251,13 @@ impl<'a> Inverse<'a> {
             }
             let to = if n == all { all } else { n - ahead - 1 + together };
             let here = self.likeliest(&found, from..to);
-            if told.is_empty() {
-                told = here;
+            if estimates.is_empty() {
+                estimates = here;
             } else {
-                told.iter_mut().zip(here).for_each(|(told, here)| told.go_on(here));
+                estimates.iter_mut().zip(here).for_each(|(estimates, here)| estimates.go_on(here));
             }
             if n == all {
-                return Some(told);
+                return Some(estimates);
             }
             let more = together.min(all - n);
             (from, n) = (to, n + more);
@@ -266,7 +267,7 @@ impl<'a> Inverse<'a> {
     }
 
     /// The prior's mean.
-    fn start(&self, guess: &Guess) -> Vec<f64> {
+    fn start(&self, guess: &Hypothesis) -> Vec<f64> {
         vec![0.0; guess.prior.unknowns() + self.noise.no_bias().len()]
     }
 
@@ -295,7 +296,12 @@ impl<'a> Inverse<'a> {
     }
 
     /// Estimate at the instants `of`.
-    fn estimate(&self, Guess { prior, seen, .. }: &Guess, descent: &Descent, of: Range<usize>) -> Estimate {
+    fn estimate(
+        &self,
+        Hypothesis { prior, seen, .. }: &Hypothesis,
+        descent: &Descent,
+        of: Range<usize>,
+    ) -> Estimate {
         let (panels, directions) = (self.trial.problem.scene.panels.len(), seen.ncols());
         let forces = self.trial.problem.targets(&prior.forces([descent.z()].into_iter()));
         let forces = forces[of.start * panels..of.end * panels].to_vec();
@@ -321,16 +327,16 @@ impl<'a> Inverse<'a> {
 }
 
 /// One hypothesis per set of panels that these histories strike together.
-fn guesses(problem: &Problem, histories: &Forces) -> Vec<Guess> {
-    let guess = |(prior, share)| Guess { seen: seen(problem, &prior), prior, share };
+fn guesses(problem: &Problem, histories: &Forces) -> Vec<Hypothesis> {
+    let guess = |(prior, share)| Hypothesis { seen: target_directions(problem, &prior), prior, share };
     Prior::of(histories).into_iter().map(guess).collect()
 }
 
 /// D of one panel, converted to decoder targets (T, r) (N).
-fn seen(problem: &Problem, prior: &Prior) -> Mat<f64> {
+fn target_directions(problem: &Problem, prior: &Prior) -> Mat<f64> {
     let (directions, instants) = (prior.directions(), problem.scene.instants);
-    let told = problem.targets(&directions);
-    Mat::from_fn(instants, directions.samples, |n, k| told[k * instants + n])
+    let estimates = problem.targets(&directions);
+    Mat::from_fn(instants, directions.samples, |n, k| estimates[k * instants + n])
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! Inversions with known answers.
 
-use super::descent::Looks;
+use super::descent::Evaluator;
 use super::*;
 use crate::brain::linear::Lags;
 use crate::nested::tests::{GOING, small};
@@ -49,7 +49,7 @@ fn slopes_are_those_of_phi() {
         let steps = [0.0, 1e-3, 5e-4, 2.5e-4];
         let at = steps.map(|h| (0, z.iter().zip(&along).map(|(z, d)| z + h * d).collect()));
         let counters = &mut Counters::default();
-        let mut looks = Looks {
+        let mut looks = Evaluator {
             model: &brain.model,
             prior: &brain.guesses[0].prior,
             noise: &brain.noise,
@@ -135,7 +135,7 @@ fn blows_are_read_on_the_panel_that_they_strike() {
         assert_eq!(own.guesses.iter().map(|guess| guess.prior.struck()).collect::<Vec<_>>(), [[0], [1]]);
         let prior =
             Prior::new(&problem.forces(Purpose::Fresh, KNOWN_FIRST, KNOWN)).expect("forces that differ");
-        all.guesses = vec![Guess { seen: seen(&problem, &prior), prior, share: 0.0 }];
+        all.guesses = vec![Hypothesis { seen: target_directions(&problem, &prior), prior, share: 0.0 }];
         let blows = problem.forces(Purpose::Holdout, 0, 8);
         let unseen = trial.samples(&problem.initial, None, blows).expect("samples");
         let found = own.read(&unseen.signals);

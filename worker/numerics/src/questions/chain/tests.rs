@@ -31,7 +31,7 @@ fn found(model: &dyn Fn(f64) -> Seen, count: usize) -> [f64; 2] {
 /// four steps a sixteenth of the start remains.
 #[test]
 fn walks_find_the_known_variance_of_a_linear_model() {
-    let model = |u: f64| Seen { readings: vec![50.0 * u; 4], asked: vec![u, 2.0 * u], weight: 0.0 };
+    let model = |u: f64| Seen { readings: vec![50.0 * u; 4], targets: vec![u, 2.0 * u], weight: 0.0 };
     let truth = 5.0 / (4.0 * 2500.0) * (1.0 - KEPT.powi(STEPS as i32));
     let [mean, deviation] = found(&model, 3000);
     assert!(
@@ -51,7 +51,7 @@ fn walks_bound_the_least_error_of_a_place_from_below() {
         };
         let model = |u: f64| Seen {
             readings: pulse(u).iter().map(|f| f / noise).collect(),
-            asked: pulse(u),
+            targets: pulse(u),
             weight: (1.0 + part(u)).ln(),
         };
         let grid: Vec<Seen> =
@@ -68,8 +68,8 @@ fn walks_bound_the_least_error_of_a_place_from_below() {
             let densities: Vec<f64> = grid.iter().map(density).collect();
             let total: f64 = densities.iter().sum();
             let best =
-                |n: usize| grid.iter().zip(&densities).map(|(s, d)| d * s.asked[n]).sum::<f64>() / total;
-            let error: f64 = (0..30).map(|n| (best(n) - truth.asked[n]).powi(2)).sum();
+                |n: usize| grid.iter().zip(&densities).map(|(s, d)| d * s.targets[n]).sum::<f64>() / total;
+            let error: f64 = (0..30).map(|n| (best(n) - truth.targets[n]).powi(2)).sum();
             errors.push(truth.weight.exp() * error);
         }
         let least = errors.iter().sum::<f64>() / errors.len() as f64;

@@ -42,7 +42,7 @@ fn the_impulse_of_a_blow_at_either_end_stays() {
         let record: Vec<f64> = (-12_800..38_400).map(|i| blow(f64::from(i) * dt - onset)).collect();
         let impulse = record.iter().sum::<f64>() * dt;
         for instants in [200, 800] {
-            let values = felt(&record, -0.5, dt, 1.0, instants);
+            let values = anti_aliased_force(&record, -0.5, dt, 1.0, instants);
             let ends = 0.5 * (values[0] + values[instants]);
             let simulated = (values.iter().sum::<f64>() - ends) / instants as f64;
             let forces = Forces { samples: 1, panels: 1, instants, values, strikes: Vec::new() };
@@ -62,7 +62,7 @@ fn a_force_that_goes_on_is_left_as_it_is() {
     let force = |t: f64| 2.0 + (TAU * 0.5 * (t - 0.3)).cos();
     let record: Vec<f64> = (-12_800..38_400).map(|i| force(f64::from(i) * dt)).collect();
     for instants in [200, 800] {
-        let values = felt(&record, -0.5, dt, 1.0, instants);
+        let values = anti_aliased_force(&record, -0.5, dt, 1.0, instants);
         let off = |(n, f): (usize, &f64)| (f - force(n as f64 / instants as f64)).abs();
         let most = values.iter().enumerate().map(off).fold(0.0, f64::max);
         assert!(most < 0.02, "{most} by {instants}");
