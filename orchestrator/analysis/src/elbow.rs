@@ -200,7 +200,7 @@ impl Normal {
     }
 
     fn plus(self, w: f64, other: &Self) -> Self {
-        // written out, because an iterator takes half of the time of an analysis in unoptimised builds
+        // written out, because an iterator is much slower in unoptimised builds
         let ([aa, ab, bb, ay, by, yy], o) = (self.0, &other.0);
         Self([aa + w * o[0], ab + w * o[1], bb + w * o[2], ay + w * o[3], by + w * o[4], yy + w * o[5]])
     }
