@@ -376,7 +376,7 @@ fn tied(trial: &Trial) -> bool {
     trial.setting.contains_key("optimise.tie")
 }
 
-/// Returns the trials with this number and kind of forces on a planar body.
+/// Returns the trials with this number and kind of forces on a planar body like the paper's, without tied shifts.
 fn planar<'a>(trials: &[&'a Trial], panels: u64, stimuli: &str) -> Vec<&'a Trial> {
     let fits = |t: &&&Trial| {
         t.panels == panels

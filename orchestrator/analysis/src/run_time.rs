@@ -25,7 +25,7 @@ pub fn pareto(points: &[Reached]) -> Vec<usize> {
     order
 }
 
-/// Returns the seconds until the smallest error is at most `error`.
+/// Returns the seconds until the smallest error so far is at most `error`.
 pub fn time_to(history: &[Reached], error: f64) -> Option<f64> {
     history.iter().find(|(_, best)| *best <= error).map(|(seconds, _)| *seconds)
 }
@@ -55,7 +55,7 @@ impl Watched {
 pub struct MedianTime {
     /// Seconds; `None` if fewer than half of the runs reach the error.
     pub median: Option<f64>,
-    /// Ends of its 95 % interval (s); `None` if the runs ended too early.
+    /// Ends of its 95 % interval (s); `None` with too few units, or if the runs ended too early.
     pub ends: [Option<f64>; 2],
     /// Units of the interval, or why there is none.
     pub over: String,

@@ -27,7 +27,7 @@ pub struct Feasible {
     /// Whether units with panels keep their initial shape. Default: false.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub keep_panels: bool,
-    /// Whether clamped units keep their initial shape. Default: false.
+    /// Whether clamped and guided units keep their initial shape. Default: false.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub keep_clamped: bool,
 }

@@ -78,9 +78,9 @@ pub enum Search {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum From {
-    /// Units that are neither at the boundary nor held, as for random placements.
+    /// Units that are neither at the boundary nor clamped, as for random placements.
     Interior,
-    /// Units that are not held.
+    /// Units that are not clamped.
     Free,
 }
 
