@@ -1,4 +1,4 @@
-//! The database: what marks it, its schema, and the views that users build on.
+//! The database: its version, its schema and its documented views.
 
 /// `PRAGMA application_id`: "mtsn".
 pub const APPLICATION_ID: i32 = 0x6d74_736e;
@@ -6,10 +6,10 @@ pub const APPLICATION_ID: i32 = 0x6d74_736e;
 /// `PRAGMA user_version` of the databases that this program reads and writes.
 pub const VERSION: usize = 15;
 
-/// Makes an empty file a database of this version.
+/// SQL that creates the tables and views of this version in an empty file.
 pub const SCHEMA: &str = include_str!("../schema.sql");
 
-/// The stable views, and what a row of each is.
+/// Stable views, each with a description of its rows.
 pub const VIEWS: &[(&str, &str)] = &[
     (
         "v_trial",

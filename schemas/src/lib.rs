@@ -1,4 +1,4 @@
-//! Every type of metasense that crosses a process or disk boundary, and nothing else.
+//! The types that metasense stores or sends between processes, and nothing else.
 
 pub mod database;
 pub mod reason;

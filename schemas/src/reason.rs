@@ -1,41 +1,41 @@
-//! Why an attempt ended without a result, and what follows from it.
+//! Reasons why an attempt at a trial ends without a result, and the consequences.
 
 use std::fmt;
 
 use crate::wire::{Cause, Trouble};
 
-/// Why an attempt ended without a result. Its `Display` is its name in the database.
+/// Reason why an attempt ended without a result. `Display` prints its name in the database.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reason {
-    /// The worker died by a signal.
+    /// A signal of this number ended the worker.
     WorkerKilled(i32),
-    /// The worker ended by itself, with this exit code.
+    /// The worker exited with this code.
     WorkerExited(i32),
-    /// The worker could not have the memory that it asked for: `[run] memory`, or the machine's.
+    /// The worker could not allocate memory: limited by `[run] memory` or by the machine.
     OutOfMemory,
-    /// There was no room in shared memory for what the worker had to say, or was to be told.
+    /// Shared memory had no room for a message from or to the worker.
     SharedMemoryFull,
-    /// The machine was short of threads, descriptors or something else that every trial needs.
+    /// The machine lacked threads, file descriptors or another resource of every trial.
     Shortage,
-    /// No sign of life for longer than `[run] no_progress`.
+    /// The worker reported nothing for longer than `[run] no_progress`.
     NoProgress,
-    /// Longer than `[run] time_limit`.
+    /// The attempt exceeded `[run] time_limit`.
     TimeLimit,
-    /// The maths.
+    /// A numerical failure.
     Numerical(Cause),
-    /// Validation says no.
+    /// Validation rejected the trial.
     Rejected,
     /// A bug: the computation panicked.
     Panicked,
-    /// A person does not want it.
+    /// A user cancelled the trial.
     Cancelled,
-    /// Handed back on request, or ended as that took too long; goes on with the next run.
+    /// The run was stopped; the next run resumes the trial.
     Stopped,
-    /// It has done the steps that were asked for, and goes on when more are.
+    /// The requested steps are done; the trial resumes when more are requested.
     Paused,
 }
 
-/// Name of `Reason::Cancelled`, which distinguishes such trials from those that have failed.
+/// Name of `Reason::Cancelled`, which distinguishes cancelled from failed trials.
 pub const CANCELLED: &str = "cancelled";
 
 impl fmt::Display for Reason {
@@ -70,7 +70,7 @@ impl From<Trouble> for Reason {
 }
 
 impl Reason {
-    /// What to do about a trial that was given up for this.
+    /// Advice to the user about a trial that ended for this reason.
     pub fn remedy(self) -> &'static str {
         match self {
             Self::WorkerKilled(9) => {
@@ -110,12 +110,12 @@ impl Reason {
         }
     }
 
-    /// Whether another attempt may end otherwise: what happened to the process, not to the trial.
+    /// Whether another attempt may succeed, because the process failed and not the trial.
     pub fn is_retried(self) -> bool {
         matches!(self, Self::WorkerKilled(_) | Self::WorkerExited(_) | Self::NoProgress | Self::Stopped)
     }
 
-    /// Whether the machine lacked something that it may have later, which says nothing of the trial.
+    /// Whether the machine lacked a resource that it may have later.
     pub fn is_shortage(self) -> bool {
         matches!(self, Self::OutOfMemory | Self::SharedMemoryFull | Self::Shortage)
     }

@@ -1,6 +1,6 @@
-//! What is stored: readable for ever, grown by addition only (new fields are `#[serde(default)]`).
+//! Stored records. They stay readable for ever: fields are only added, as `#[serde(default)]`.
 //!
-//! Numbers that may be absent (not computed, not finite) are `Option`: SQLite knows no NaN.
+//! Numbers that may be absent (not computed, not finite) are `Option`, because SQLite has no NaN.
 
 mod checkpoint;
 
@@ -12,88 +12,88 @@ use crate::spec::TrialSpec;
 
 pub use checkpoint::{Best, Checkpoint, CheckpointError, Comparison, Moments, Training, Waypoint};
 
-/// A trial as a plan has it, before it has run.
+/// A trial of a plan, before it runs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Trial {
-    /// Names the trial for ever.
+    /// Permanent name of the trial.
     pub hash: String,
-    /// Names what trains its body: [`TrialSpec::training`]. One of the trials that share it trains the body for all.
+    /// Hash of the training: [`TrialSpec::training`]. One of the trials that share it trains the body for all.
     #[serde(skip)]
     pub training: String,
-    /// All that it is.
+    /// All settings.
     pub spec: TrialSpec,
-    /// Position in the order of running, from 0.
+    /// Position in the order of execution, from 0.
     pub order: usize,
-    /// Units of its body.
+    /// Number of units of the body.
     pub units: usize,
     /// Length of α.
     pub design_parameters: usize,
-    /// Weights of its brain.
+    /// Number of weights of the decoder.
     pub brain_parameters: usize,
-    /// Whether it is the first of the plan to train its body: the others find it trained.
+    /// Whether this trial trains the body that it shares with later trials of the plan.
     #[serde(skip)]
     pub trains: bool,
     /// Estimated seconds on one core of this machine.
     #[serde(skip)]
     pub cost: Parts<f64>,
-    /// Work against other trials: the same numbers on every machine.
+    /// Relative work, equal on every machine.
     pub weight: Parts<u64>,
-    /// Outer steps after which it is to pause; `None`: it is run to its end.
+    /// Number of outer steps after which the trial pauses; `None`: never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pause: Option<u32>,
 }
 
 impl Trial {
-    /// Estimated seconds on one core of this machine, those of its steps where it is the one to make them.
+    /// Estimated seconds on one core of this machine; outer steps count only if the trial trains its body.
     #[must_use]
     pub fn seconds(&self) -> f64 {
         self.cost.sum(self.trains)
     }
 }
 
-/// What of a trial is its outer steps, and what the comparison at its end.
+/// A quantity of a trial, split into outer steps and final comparison.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Parts<T> {
     /// All outer steps.
     pub steps: T,
-    /// The comparison.
+    /// The final comparison.
     pub comparison: T,
 }
 
 impl<T: Add<Output = T>> Parts<T> {
-    /// Of a trial that makes the steps, or finds them made.
+    /// Returns the sum; the steps count only if the trial trains its body.
     pub fn sum(self, trains: bool) -> T {
         if trains { self.steps + self.comparison } else { self.comparison }
     }
 }
 
-/// The result of a settled trial, as far as the questions of `[until]` are about it.
+/// The part of a settled trial's result that the questions of `[until]` use.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Found {
-    /// Which.
+    /// Name of the trial.
     pub hash: String,
-    /// Holdout errors (%) of the initial and the optimised body; none of a trial that has failed.
+    /// Held-out errors (%) of initial and trained body; `None` if the trial failed.
     pub errors: [Option<f64>; 2],
     /// CPU seconds.
     pub seconds: f64,
 }
 
-/// By what code, and where, a trial is computed.
+/// The code and the machine that compute a trial.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Provenance {
-    /// Digest of the sources that compute.
+    /// Digest of the sources of the computation.
     pub code: String,
-    /// Commit, with `-dirty` where the build had changes that it lacks; `None` of a build without git.
+    /// Commit, with `-dirty` if the build had uncommitted changes; `None` for a build without git.
     pub revision: Option<String>,
     /// The compiler.
     pub rustc: String,
     /// Name of the machine.
     pub host: String,
-    /// Model of its processor; `None` where the system does not say.
+    /// Model of the processor; `None` if unknown.
     pub cpu: Option<String>,
     /// Instruction set of the kernels.
     pub simd: String,
-    /// Threads of a worker.
+    /// Threads per worker.
     pub threads: u32,
 }
 
@@ -101,13 +101,13 @@ pub struct Provenance {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Counters {
-    /// Evaluations of the ligament forces, one a sample and stage (dual ones of the reverse sweep included).
+    /// Evaluations of the ligament forces, one per sample and stage, including those with dual numbers in the reverse sweep.
     pub force_evaluations: u64,
     /// Accepted integrator steps.
     pub steps: u64,
     /// Rejected integrator steps.
     pub rejected: u64,
-    /// Adam iterations on the brain.
+    /// Adam iterations of the decoder.
     pub brain_iterations: u64,
     /// Hessian-vector products.
     pub hessian_products: u64,
@@ -115,25 +115,25 @@ pub struct Counters {
     pub projection_iterations: u64,
 }
 
-/// Where the time of a step went (CPU seconds of the worker's process, all threads).
+/// CPU time of a step by part (s of the worker process, all threads).
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Seconds {
     /// Simulation.
     pub simulate: f64,
-    /// Training of the brain.
+    /// Training of the decoder.
     pub train: f64,
-    /// Gradient through network and body.
+    /// Gradient through decoder and body.
     pub differentiate: f64,
     /// Implicit term.
     pub implicit: f64,
     /// Projection.
     pub project: f64,
-    /// Handing the step before over to the store.
+    /// Sending the previous step to the orchestrator.
     pub store: f64,
 }
 
-/// The linear system of the implicit term.
+/// Solution of the linear system of the implicit term.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct ImplicitRecord {
@@ -141,7 +141,7 @@ pub struct ImplicitRecord {
     pub iterations: u32,
     /// ‖r‖/‖b‖ at the end.
     pub residual: f64,
-    /// Least curvature met.
+    /// Smallest curvature encountered.
     pub smallest_curvature: f64,
     /// `converged`, `iteration_limit`, `negative_curvature`, `non_finite`.
     pub outcome: String,
@@ -151,7 +151,7 @@ pub struct ImplicitRecord {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct StepRecord {
-    /// Outer step, from 0; the design it speaks of is the one before the step.
+    /// Outer step, from 0; losses and errors are those of the design before the step.
     pub step: u32,
     /// Test loss (N²).
     pub loss_test: Option<f64>,
@@ -167,23 +167,23 @@ pub struct StepRecord {
     pub gradient_norm: Option<f64>,
     /// Euclidean norm of the accepted change of α (mm).
     pub step_length: Option<f64>,
-    /// What the projection did: `untouched`, `projected`, `kept`, …
+    /// Outcome of the projection: `untouched`, `projected`, `kept`, …
     pub projection: String,
     /// Distance moved by the projection (mm).
     pub projection_distance: Option<f64>,
-    /// The implicit term, where taken.
+    /// The implicit term, if computed.
     pub implicit: Option<ImplicitRecord>,
-    /// `ok`, or the named numerical outcome.
+    /// `ok`, or the name of the numerical failure.
     pub outcome: String,
-    /// Samples simulated anew in this step.
+    /// Number of new samples simulated in this step.
     pub fresh_samples: u64,
     /// Counts of work.
     pub counters: Counters,
-    /// Where the time went.
+    /// CPU time by part.
     pub seconds: Seconds,
 }
 
-/// How the errors of held-out samples spread, beside their mean, which a single sample can dominate.
+/// Distribution of the errors of held-out samples, because a single sample can dominate their mean.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Spread {
@@ -195,7 +195,7 @@ pub struct Spread {
     pub above: u32,
 }
 
-/// A fresh network on a body.
+/// Errors of a fresh network on a body.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct NetworkEvaluation {
@@ -203,21 +203,21 @@ pub struct NetworkEvaluation {
     pub error_train: Option<f64>,
     /// Prediction error on the test set (%).
     pub error_test: Option<f64>,
-    /// Prediction error on the holdout (%).
+    /// Prediction error on the held-out set (%).
     pub error_holdout: Option<f64>,
     /// Training loss (normalised) after every iteration.
     pub losses: Vec<f32>,
-    /// (iteration, from 1, prediction error on the holdout before it (%)), thinned.
+    /// (iteration, from 1, held-out error before it (%)), thinned.
     pub errors: Vec<(u32, f64)>,
-    /// Its weights, flat as b1, b2, b3, w1, w2, w3, each (kernel, in, out); of the first network, empty of others.
+    /// Weights, flat as b1, b2, b3, w1, w2, w3, each (kernel, in, out); empty for all but the first network.
     pub weights: Vec<f32>,
-    /// `ok`, or the named numerical outcome.
+    /// `ok`, or the name of the numerical failure.
     pub outcome: String,
-    /// Of the errors on the holdout.
+    /// Distribution of the held-out errors.
     pub spread: Option<Spread>,
 }
 
-/// Mean of an error over the networks that have it.
+/// Returns the mean of an error over the networks that have it.
 #[must_use]
 pub fn mean(
     networks: &[NetworkEvaluation],
@@ -227,19 +227,19 @@ pub fn mean(
     (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
 }
 
-/// Samples above 100 %, of the network with the most; `None` where none says.
+/// Returns the largest number of samples above 100 % of any network; `None` if unknown.
 #[must_use]
 pub fn most_above(networks: &[NetworkEvaluation]) -> Option<u32> {
     networks.iter().filter_map(|network| Some(network.spread?.above)).max()
 }
 
-/// A linear brain on a body.
+/// Errors of a linear decoder on a body.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Reading {
-    /// How far it looks back (instants).
+    /// Memory before an estimate (instants).
     pub before: u32,
-    /// How far it looks ahead (instants).
+    /// Look-ahead (instants).
     pub after: u32,
     /// λ.
     pub ridge: f64,
@@ -247,99 +247,99 @@ pub struct Reading {
     pub error_train: Option<f64>,
     /// Prediction error on the test set (%).
     pub error_test: Option<f64>,
-    /// Prediction error on the holdout (%).
+    /// Prediction error on the held-out set (%).
     pub error_holdout: Option<f64>,
-    /// Of the errors on the holdout.
+    /// Distribution of the held-out errors.
     pub spread: Option<Spread>,
 }
 
-/// A body with its fresh networks, one a seed.
+/// A body with the errors of its decoders.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct BodyEvaluation {
     /// α (mm), flat.
     pub design: Vec<f64>,
-    /// One entry a seed.
+    /// Fresh networks, one per seed.
     pub networks: Vec<NetworkEvaluation>,
-    /// The same trained `evaluation.long_iterations`, where asked for; without weights.
+    /// Networks trained for `evaluation.long_iterations`, if set; without weights.
     pub long: Vec<NetworkEvaluation>,
-    /// By linear brains, whatever the trial's own is: the whole sample's first.
+    /// Linear decoders, in all trials; the first uses the whole sample.
     pub readings: Vec<Reading>,
-    /// Samples without force, which have no error, or whose simulation failed, which have 100 %: train, test, holdout.
+    /// Number of samples without force (no error) or with a failed simulation (100 %): training, test, held-out set.
     pub zero_samples: [u32; 3],
 }
 
-/// What a search for the sensors' places found.
+/// Result of the sensor search.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Placed {
-    /// The units, those worth most first.
+    /// Units, the most valuable first.
     pub units: Vec<usize>,
-    /// Error (%) of a linear brain on training samples that it has not seen, with the first m of them, m = 1 … M.
+    /// Cross-validated error (%) of a linear decoder with the first m units, m = 1 … M.
     pub errors: Vec<f64>,
     /// The next best set that differs by one unit.
     pub runner_up: Vec<usize>,
-    /// Its error (%).
+    /// Error of that set (%).
     pub runner_up_error: Option<f64>,
     /// λ.
     pub ridge: f64,
-    /// Whether the linear brain saw the energies of the signals, too, which it then read better.
+    /// Whether the decoder also used the signal |x|², which lowered the error.
     pub energies: bool,
 }
 
-/// How one brain reads one cast of a body.
+/// Error of one decoder on one cast of a body.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct CastReading {
-    /// Which cast, from 0; those of equal number are cast alike, whatever the body.
+    /// Number of the cast, from 0; casts of equal number have equal deviations on both bodies.
     pub cast: u32,
-    /// `network`: the first network of the comparison; of linear brains `nominal`: fitted to the body as designed, `casts`: to
-    /// other casts, `records`: to samples of this one; `inverse`: the model of the design, `twin`: a twin of this cast, inverted,
-    /// `twin_linear`: a linear brain fitted to that twin.
+    /// `network`: the first network of the comparison; `network_casts`: trained on other casts; linear decoders `nominal`:
+    /// fitted to the body as designed, `casts`: to other casts, `records`: to samples of this cast; `inverse`: the inverted
+    /// model of the design; `twin`: an inverted twin of this cast; `twin_linear`: a linear decoder fitted to that twin.
     pub reader: String,
-    /// How many samples of this cast it, or its twin, was fitted to.
+    /// Number of samples of this cast to which the decoder or its twin was fitted.
     pub records: u32,
-    /// Prediction error on the holdout (%).
+    /// Prediction error on the held-out set (%).
     pub error: Option<f64>,
-    /// `ok`, or the named numerical outcome.
+    /// `ok`, or the name of the numerical failure.
     pub outcome: String,
-    /// Of the errors on the holdout.
+    /// Distribution of the held-out errors.
     pub spread: Option<Spread>,
-    /// λ of a linear brain.
+    /// λ of a linear decoder.
     pub ridge: Option<f64>,
-    /// κ of a linear brain that is calibrated beside the samples of other casts.
+    /// κ of a linear decoder calibrated on this cast: weight of a sample of other casts relative to a record.
     pub share: Option<f64>,
 }
 
-/// A band about what a brain says of the forces: how much of the holdout lies in it, and how wide it is.
+/// A band around the estimated forces: its coverage on the held-out set and its width.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Band {
-    /// `own`: the body's first brain; of casts as in [`CastReading`].
+    /// `own`: the first decoder of the body; on casts as in [`CastReading`].
     pub reader: String,
-    /// Fitted to how many samples of that cast, as in [`CastReading`].
+    /// Number of samples of the cast to which it was fitted, as in [`CastReading`].
     pub records: u32,
-    /// Of which cast, as in [`CastReading`], with the widths of the body as designed; `None`: the body as designed.
+    /// Number of the cast, as in [`CastReading`]; its widths are those of the body as designed. `None`: the body as designed.
     pub cast: Option<u32>,
-    /// `conformal`: calibrated on samples that neither brain nor body was fitted to; `posterior`: an inverse brain's own.
+    /// `conformal`: calibrated on samples to which neither decoder nor body was fitted; `posterior`: from an inverse decoder.
     pub method: String,
-    /// What lies in it at its level: `instant`, each instant and panel by itself; `sample`, a whole sample.
+    /// What the level applies to: `instant`, single instants and panels; `sample`, whole samples.
     pub kind: String,
-    /// How often, as a part of 1.
+    /// Nominal coverage, as a fraction.
     pub level: f64,
-    /// How many samples calibrated it; of a posterior's, how many of those read the model explains.
+    /// Number of calibration samples; of a posterior, number of decoded samples that the model explains.
     pub samples: u32,
-    /// The part of the holdout's instants and panels, or samples, that lies in it.
+    /// Fraction of the held-out instants and panels, or samples, within the band.
     pub coverage: Option<f64>,
     /// Mean width (N).
     pub width: Option<f64>,
-    /// What lies to each side of a prediction (N), (T, K), where that is the same for all samples; else empty.
+    /// Half width (N), shape (T, K), if equal for all samples; else empty.
     pub half_width: Vec<f64>,
     /// `ok`; `too_few`: too few samples to calibrate at this level.
     pub outcome: String,
 }
 
-/// How a linear brain reads a body under forces of a kind that its trial need not have.
+/// Error of a linear decoder on a body under another kind of forces (`evaluation.under`).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct UnderReading {
@@ -347,47 +347,46 @@ pub struct UnderReading {
     pub body: String,
     /// Kind of forces.
     pub stimuli: String,
-    /// `own`: fitted to samples under these forces; `carried`: to the trial's.
+    /// `own`: fitted under these forces; `carried`: under those of the trial.
     pub reader: String,
-    /// Prediction error on the holdout (%).
+    /// Prediction error on the held-out set (%).
     pub error: Option<f64>,
-    /// `ok`, or the named numerical outcome.
+    /// `ok`, or the name of the numerical failure.
     pub outcome: String,
-    /// Of the errors on the holdout.
+    /// Distribution of the held-out errors.
     pub spread: Option<Spread>,
 }
 
-/// A finished trial.
+/// Result of a finished trial.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct TrialResult {
     /// The initial body.
     pub initial: BodyEvaluation,
-    /// The best body.
+    /// The trained body.
     pub optimised: BodyEvaluation,
-    /// The outer step whose design is the best, by the test set.
+    /// Outer step whose design has the least test error.
     pub best_step: u32,
-    /// CPU seconds of the evaluations, simulation included: of one, where nothing has moved the body.
+    /// CPU seconds of the evaluations, including simulation; of one evaluation if training left the body unchanged.
     pub seconds_evaluation: f64,
     /// Counts of work of the evaluations.
     pub counters: Counters,
     /// Instruction set of the hot kernels: `avx512`, `avx2`, `baseline`.
     pub simd: String,
-    /// What `solver.method` came to, and why.
+    /// The chosen integrator, and why.
     pub solver: String,
-    /// Relative error of the signals that pilots measured, on the initial body and on the best, where they could.
+    /// Relative error of the signals of initial and trained body, if their pilots could measure it.
     pub signal_errors: [Option<f64>; 2],
     /// Units chosen by the sensor search; `None` if placements are random.
     pub placed: Option<Placed>,
-    /// Where they went from there: the outer step before which they moved, and their units since.
+    /// Moves of sensors, only in older records: outer step before a move, and the new units.
     pub moves: Vec<(u32, Vec<usize>)>,
-    /// The part of the initial and of the best body's accelerations and angular velocities that their linearisation at rest
-    /// does not give (%).
+    /// Nonlinear share (%) of the accelerations and of the angular velocities, initial and trained body.
     pub nonlinear: [Option<[f64; 2]>; 2],
-    /// How casts of the initial and of the best body are read.
+    /// Errors on casts of the initial and of the trained body.
     pub casts: [Vec<CastReading>; 2],
-    /// Bands about what is read of both bodies, and of their casts.
+    /// Bands of both bodies and of their casts.
     pub bands: [Vec<Band>; 2],
-    /// How both bodies are read under forces of other kinds, where asked for.
+    /// Errors of both bodies under other kinds of forces, if requested.
     pub under: Vec<UnderReading>,
 }

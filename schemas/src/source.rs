@@ -1,8 +1,7 @@
-//! A spec file as text: reading it into a `SweepSpec`, and saying where in it something is wrong.
+//! Parses the text of a spec into a `SweepSpec`, and locates errors in it.
 //!
-//! A spec may stand on another one (`base`) and be changed on the command line: such layers are merged into one text.
-//! Every error names file, line, key and value, each of the layer that has the key. Known keys come from the JSON schema
-//! of the types themselves.
+//! A spec may have a `base`, and overrides on the command line. These layers are merged into one text. Every error states file,
+//! line, key and value of the layer that contains the key. The JSON schema of the types gives the known keys.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -20,32 +19,32 @@ pub use keys::KnownKeys;
 pub use layers::each_file;
 use layers::{Layer, merged};
 
-/// Something wrong in a spec file.
+/// An error in a spec file.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{}{}: {what}", file.display(), if *line > 0 { format!(":{line}") } else { String::new() })]
 pub struct SpecError {
     /// The file, or `command line`.
     pub file: PathBuf,
-    /// The line of the key, or of the table that lacks it; from 1, or 0 on the command line.
+    /// Line of the key, or of the table that lacks it, from 1; 0 on the command line.
     pub line: usize,
-    /// The key by its path, for instance `body.stiffness.bend`; empty where the file is no TOML.
+    /// Path of the key, for instance `body.stiffness.bend`; empty if the file is not valid TOML.
     pub key: String,
-    /// Key, value, and what is wrong.
+    /// The message: key, value and what is wrong.
     pub what: String,
 }
 
-/// A spec's text and where its keys stand.
+/// The text of a spec and the positions of its keys.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Source {
     /// The file.
     pub file: PathBuf,
-    /// What it holds; of several layers, what they come to together.
+    /// Contents of the file, or all layers merged.
     pub text: String,
-    /// The file, what stands above it and what it stands on: what comes first, counts.
+    /// Overrides, the file and its bases, in order of precedence.
     layers: Vec<Layer>,
-    /// Keys that count, and tables, layer by layer.
+    /// Keys that are not overridden, and tables, layer by layer.
     places: Vec<Place>,
-    /// Keys of `text`, where that is not the only layer.
+    /// Keys of `text`; empty if there is one layer.
     flat: Vec<Place>,
 }
 
@@ -58,7 +57,7 @@ struct Place {
     value: Range<usize>,
     is_table: bool,
     is_list: bool,
-    /// Why a number in the value cannot be stored, if one cannot.
+    /// The message if a number in the value cannot be stored.
     no_number: Option<String>,
 }
 
@@ -66,7 +65,7 @@ impl Source {
     /// Finds the keys of a text.
     ///
     /// # Errors
-    /// Where it is no TOML.
+    /// If the text is not valid TOML.
     pub fn new(file: impl AsRef<Path>, text: String) -> Result<Self, SpecError> {
         let file = file.as_ref().to_owned();
         let layer = Layer { file: file.clone(), text: text.clone() };
@@ -74,10 +73,10 @@ impl Source {
         Ok(Self { file, text, layers: vec![layer], places, flat: Vec::new() })
     }
 
-    /// Finds the keys of a spec: of its text, of the files that it stands on, and of changes, each `KEY=VALUE`.
+    /// Finds the keys of a spec's text, of its bases, and of overrides, each `KEY=VALUE`.
     ///
     /// # Errors
-    /// Where one is no TOML or cannot be read, or files stand on each other in a circle.
+    /// If a layer is not valid TOML or cannot be read, bases form a cycle, or an override has no effect.
     pub fn spec(file: impl AsRef<Path>, text: String, changes: &[String]) -> Result<Self, SpecError> {
         let own = Self::new(&file, text)?;
         let layers = Layer::all(&own, changes)?;
@@ -96,7 +95,8 @@ impl Source {
         Ok(all)
     }
 
-    /// Why a key counts nowhere, if an axis gives it to every trial, or each of the points does: it, a table around it, or a part.
+    /// Returns a message if a key has no effect, because an axis or all points set it, a table that contains it, or a part of
+    /// it.
     fn set_by_sweep(&self, key: &str) -> Option<String> {
         let within =
             |inner: &str, outer: &str| inner.strip_prefix(outer).is_some_and(|rest| rest.starts_with('.'));
@@ -118,7 +118,7 @@ impl Source {
             .then(|| "has no effect, because all entries of sweep.points set it: change them".to_owned())
     }
 
-    /// Reads the spec. Types and names are right afterwards; whether the values make sense is the plan's to say.
+    /// Parses the spec and checks keys and types. The plan validates the values.
     ///
     /// # Errors
     /// The first unknown key, missing key, or value of a wrong type.
@@ -126,7 +126,7 @@ impl Source {
         self.parse_as()
     }
 
-    /// Reads another kind of file in the same way.
+    /// Parses another kind of file in the same way.
     ///
     /// # Errors
     /// As [`Source::parse`].
@@ -188,7 +188,7 @@ impl Source {
         }
     }
 
-    /// An error at just this place, with its value.
+    /// Returns an error at this place, with its value.
     fn wrong(&self, place: &Place, remedy: &str) -> SpecError {
         match place.is_table {
             true => self.at(place, format!("{}: {remedy}", place.key)),
@@ -198,7 +198,7 @@ impl Source {
 
     fn type_error(&self, e: &toml::de::Error, known: &KnownKeys) -> SpecError {
         let span = e.span().unwrap_or(0..0);
-        // The innermost key around the value that serde refused.
+        // The innermost key around the value that serde rejected.
         let around = |p: &&Place| p.value.start <= span.start && span.end <= p.value.end;
         let place = match &self.flat[..] {
             [] => self.places.iter().rfind(around),
@@ -208,8 +208,8 @@ impl Source {
         let missing = message.strip_prefix("missing field `").and_then(|m| m.strip_suffix('`'));
         match (missing, place) {
             (Some(field), place) => {
-                // serde names the key alone, at a place that may lie deeper than the table that lacks it, or, in a list of
-                // tables, behind the first
+                // serde reports only the name of the key. Its span may lie deeper than the table that lacks the key or, in a
+                // list of tables, after the first one.
                 let before = || self.places.iter().rfind(|p| self.flat.is_empty() && p.at <= span.start);
                 let place = place.or_else(before);
                 let key = place.map_or(field.to_owned(), |p| lacking(&p.key, field, known));
@@ -230,15 +230,15 @@ impl Source {
         }
     }
 
-    /// An error at a key: at the axis or the point that sets it where there is one, else at the key, else at the table that
-    /// would hold it.
+    /// Returns an error about a key: at the axis or point that sets it, else at the key, else at the table that would contain
+    /// it.
     #[must_use]
     pub fn error(&self, key: &str, remedy: &str) -> SpecError {
         self.error_with(key, None, remedy)
     }
 
-    /// Like `error`, with the value at fault where it is not what the file says, for instance one of a list; an empty one
-    /// is none.
+    /// Like `error`, with the value at fault if it differs from that in the file, such as one element of a list. An empty value
+    /// is not printed.
     #[must_use]
     pub fn error_with(&self, key: &str, value: Option<&str>, remedy: &str) -> SpecError {
         let axis = format!("sweep.\"{key}\"");
@@ -263,14 +263,14 @@ impl Source {
         self.located(place, key.to_owned(), what)
     }
 
-    /// Where a key of the merged text comes from. Of keys that stand there several times, in `sweep.points`, the same one.
+    /// Returns the original place of a key of the merged text. Repeated keys, in lists of tables, are matched by index.
     fn origin(&self, place: &Place) -> Option<&Place> {
         let same = |p: &&Place| p.key == place.key;
         let number = self.flat.iter().filter(same).take_while(|p| p.at < place.at).count();
         self.places.iter().filter(same).nth(number)
     }
 
-    /// The entry of `sweep.points` that gives a key this value, else the first that gives it one.
+    /// Returns the entry of `sweep.points` that sets a key to this value, else the first that sets it.
     fn linked(&self, key: &str, value: Option<&str>) -> Option<&Place> {
         let key = key.strip_prefix("sweep.").filter(|key| COUNTS.contains(key)).unwrap_or(key);
         let named = |p: &&Place| p.key.strip_prefix(POINTS).is_some_and(|k| k.trim_matches('"') == key);
@@ -295,7 +295,7 @@ impl Source {
         &self.layers[place.layer].text[place.value.clone()]
     }
 
-    /// A value as it is written, cut where it is long.
+    /// Returns a value as written, truncated if long.
     fn value(&self, place: &Place) -> String {
         const LONGEST: usize = 60;
         let text = self.written(place).split_whitespace().collect::<Vec<_>>().join(" ");
@@ -306,13 +306,13 @@ impl Source {
     }
 }
 
-/// Before the keys of an entry of `sweep.points`, and those of them that are no paths.
+/// Prefix of the keys of an entry of `sweep.points`.
 const POINTS: &str = "sweep.points.";
-/// Before those of an entry of `body.guides`, `body.panels`, `stimuli.mix` and of `evaluation.under`.
+/// Prefixes of the keys of other lists of tables, and keys of `sweep.points` that are not paths.
 const TABLES: [&str; 4] = ["body.guides.", "body.panels.", "stimuli.mix.", "evaluation.under."];
 const COUNTS: [&str; 2] = ["panels", "sensors"];
 
-/// The path of a key that is missing in a table, or in one around it.
+/// Returns the path of a key that is missing in a table or in one that contains it.
 fn lacking(table: &str, field: &str, known: &KnownKeys) -> String {
     let inside = |table: &str| format!("{table}.{field}");
     let mut around = table;
@@ -326,7 +326,7 @@ fn lacking(table: &str, field: &str, known: &KnownKeys) -> String {
     inside(around)
 }
 
-/// What to say of a key that nothing knows.
+/// Returns the message for an unknown key.
 fn unknown(nearest: Option<&str>) -> String {
     match nearest {
         Some(nearest) => format!("unknown key; the nearest known one is {nearest:?}"),
@@ -334,7 +334,7 @@ fn unknown(nearest: Option<&str>) -> String {
     }
 }
 
-/// Why something in `[sweep]` is no axis.
+/// Returns the message for a key of `[sweep]` that is not an axis.
 fn no_axis(name: &str, known: &KnownKeys) -> String {
     match name.strip_prefix("sweep.").filter(|_| known.contains(name)) {
         Some(own) => format!("a key of [sweep] itself: write it without quotes and table: {own} = …"),
@@ -350,19 +350,19 @@ fn no_axis(name: &str, known: &KnownKeys) -> String {
     }
 }
 
-/// The JSON schema of a spec.
+/// Returns the JSON schema of a spec.
 #[must_use]
 pub fn spec_schema() -> Value {
     schemars::schema_for!(SweepSpec).to_value()
 }
 
-/// The JSON schema of a file of measured records.
+/// Returns the JSON schema of a file of measured records.
 #[must_use]
 pub fn measured_schema() -> Value {
     schemars::schema_for!(Measured).to_value()
 }
 
-/// A number with an exponent instead of many digits.
+/// Formats a long number with an exponent.
 fn shortened(value: &str) -> String {
     const LONGEST: usize = 24;
     match value.parse::<f64>() {

@@ -1,53 +1,54 @@
-//! A twin on disk (TOML): the cast of a body that best explains records of it.
+//! The file of a twin (TOML): the model of the cast that best explains measured records of a body.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What `metasense lab identify --out` writes and `metasense lab evaluate` reads. Empty lists stand for what did not scatter.
+/// The file that `metasense lab identify --out` writes and `metasense lab evaluate` reads. Lists of quantities that were not
+/// varied are empty.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Twin {
-    /// The body that it is one of: [`crate::spec::TrialSpec::body_digest`].
+    /// Hash of the body: [`crate::spec::TrialSpec::body_digest`].
     pub body: String,
-    /// Root mean square of what it leaves of the records' signals, by the noise of the chips.
+    /// RMS residual of the records' signals relative to the noise of the chips.
     pub misfit: f64,
-    /// What stands for the noise of each signal that is read: what it leaves, but no less than the chips'. Unit: mm/s², rad/s.
+    /// Noise of each signal: its RMS residual, at least the chip's noise. Unit: mm/s², rad/s.
     pub noise: Vec<f64>,
-    /// By what the ligaments' length is multiplied.
+    /// Factor of the ligaments' length.
     pub ligament_length: f64,
-    /// By what each channel of the sensors (a_x, a_y, ω of each).
+    /// Factor of each channel (a_x, a_y, ω of each sensor).
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub gain: Vec<f64>,
-    /// By how much each sensor is turned. Unit: degrees.
+    /// In-plane angle of each sensor. Unit: degrees.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub turn: Vec<f64>,
-    /// What is added to each coordinate of the design. Unit: mm.
+    /// Shift of each coordinate of the design. Unit: mm.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub shifts: Vec<f64>,
-    /// By what stretch, shear and bend of each ligament are multiplied, beside the material.
+    /// Factors of k_l, k_s and k_θ of each ligament, in addition to `material`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub ligaments: Vec<[f64; 3]>,
-    /// By what the density of each unit, likewise.
+    /// Factor of the density of each unit, in addition to `material`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub units: Vec<f64>,
-    /// By what each parameter of the spec is multiplied.
+    /// Factors of the material parameters of the spec.
     pub material: Factors,
 }
 
-/// Factors of the material's parameters.
+/// Factors of the material parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Factors {
-    /// Of k_l.
+    /// Factor of k_l.
     pub stretch: f64,
-    /// Of k_s.
+    /// Factor of k_s.
     pub shear: f64,
-    /// Of k_θ.
+    /// Factor of k_θ.
     pub bend: f64,
-    /// Of ζ.
+    /// Factor of ζ.
     pub damping: f64,
-    /// Of the plane density.
+    /// Factor of the mass per area.
     pub density: f64,
-    /// Of k_c.
+    /// Factor of k_c.
     pub contact: f64,
 }

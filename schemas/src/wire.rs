@@ -1,8 +1,7 @@
-//! What goes through shared memory: lives for one build, checked on connecting.
+//! Messages between orchestrator and workers in shared memory. Both must be of the same build, which they check on connecting.
 //!
-//! Every worker process has an iceoryx2 domain of its own (root path and prefix), which the orchestrator creates
-//! and removes as a whole. Whatever a killed worker leaves half made is therefore never met again by anybody:
-//! no dead-node clean-up runs, and none is needed.
+//! Every worker process has its own iceoryx2 domain (root path and prefix), which the orchestrator creates and removes as a
+//! whole. Leftovers of a killed worker disappear with it, so that no clean-up of dead nodes is needed.
 
 use std::time::Duration;
 
@@ -17,7 +16,7 @@ use crate::record::{Checkpoint, StepRecord, TrialResult};
 /// The iceoryx2 service variant: its ports may move between threads.
 pub type Ipc = ipc_threadsafe::Service;
 
-/// A trial of this run, by position, and which attempt at it. A message of an attempt that is no longer current is dropped.
+/// A trial of this run and an attempt at it. Messages of attempts that are not current are dropped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Lease {
     /// Position in the run's list of trials.
@@ -26,7 +25,7 @@ pub struct Lease {
     pub attempt: u32,
 }
 
-/// What a worker is started with: the one argument of the hidden subcommand, as JSON.
+/// Settings of a worker: the argument of the hidden subcommand, as JSON.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Start {
     /// Root path of the worker's domain.
@@ -35,56 +34,55 @@ pub struct Start {
     pub prefix: String,
     /// Build of the orchestrator.
     pub build: String,
-    /// Its process id.
+    /// Process id of the orchestrator.
     pub parent: u32,
     /// Added to the worker's niceness.
     pub niceness: i32,
-    /// Limit of the worker's data segment (MiB); none if absent.
+    /// Limit of the worker's data segment (MiB); `None`: no limit.
     pub memory_mib: Option<u64>,
-    /// Instruction set of its kernels.
+    /// Instruction set of the kernels.
     pub simd: String,
 }
 
-/// To the worker.
+/// Message to a worker.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum ToWorker {
-    /// Do this.
+    /// Run a trial.
     Job {
-        /// Whose it is.
+        /// The attempt.
         lease: Lease,
-        /// What is to be done: a `TrialSpec` as JSON (untagged parts of it need a self-describing format).
+        /// The `TrialSpec` as JSON, because its untagged parts need a self-describing format.
         work: String,
-        /// Where to go on from.
+        /// State from which to resume.
         checkpoint: Option<Box<Checkpoint>>,
-        /// Threads to use.
+        /// Number of threads.
         threads: u32,
-        /// Hand it back after this outer step.
+        /// Outer step after which to return the trial.
         pause: Option<u32>,
-        /// The trial's hash, of which the process bears the beginning as its name.
+        /// Hash of the trial; the process name contains its beginning.
         hash: String,
     },
-    /// Finish the step in progress, or save the comparison, and hand the trial back. It may come before the job, and after its
-    /// end.
+    /// Finish the current step, or save the comparison, and return the trial. May arrive before the job or after its end.
     Stop {
-        /// Whose it is.
+        /// The attempt.
         lease: Lease,
     },
 }
 
-/// Declares what ends a trial numerically, with the names by which records know it.
+/// Declares the numerical failures of a trial with their names in records.
 macro_rules! causes {
     ($($(#[$doc:meta])* $cause:ident = $name:literal,)*) => {
-        /// What ends a trial numerically.
+        /// A numerical failure that ends a trial.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
         pub enum Cause {
             $($(#[$doc])* $cause,)*
         }
 
         impl Cause {
-            /// Each of them.
+            /// All causes.
             pub const ALL: &[Self] = &[$(Self::$cause),*];
 
-            /// Its name in the database.
+            /// Name in the database.
             pub fn name(self) -> &'static str {
                 match self {
                     $(Self::$cause => $name,)*
@@ -95,98 +93,98 @@ macro_rules! causes {
 }
 
 causes! {
-    /// A sample took more steps than any reasonable scene needs.
+    /// A sample exceeded the limit of integrator steps.
     StepLimit = "step_limit",
-    /// Its steps fell below what the clock resolves.
+    /// Integrator steps fell below the resolution of the clock.
     StepTooSmall = "step_too_small",
-    /// Its state was not a finite number. Older databases say so of every other cause, too.
+    /// A state was not finite. Older databases have this name for every other cause, too.
     NonFinite = "non_finite",
-    /// Void angles below the least allowed could not be avoided.
+    /// Void angles fell below `contact.min_angle`.
     ForbiddenContact = "forbidden_contact",
-    /// Steps too long for the highest mode made energy of nothing.
+    /// The energy balance failed: steps were too long for the highest mode.
     Unstable = "unstable",
     /// The body lost its stability while `body.compression` moved its held units.
     Buckled = "buckled",
-    /// Under `body.compression` it came to rest nowhere.
+    /// The body has no equilibrium under `body.compression`.
     NoEquilibrium = "no_equilibrium",
-    /// No unit of a hidden layer fires.
+    /// All outputs of a hidden layer are 0.
     DeadLayer = "dead_layer",
     /// The training loss grew without bound.
     Diverged = "diverged",
     /// The training loss was not a finite number.
     LossNonFinite = "loss_non_finite",
-    /// The training loss left its trend.
+    /// The training loss rose far above its trend.
     LossJump = "loss_jump",
     /// The gradient in the design was not finite.
     GradientNonFinite = "gradient_non_finite",
-    /// The linear brain's normal matrix has no factor.
+    /// The normal matrix of the linear decoder has no Cholesky factor.
     Singular = "singular",
-    /// No units are as many and as far apart as the sensors are to be.
+    /// Too few candidate units are far enough apart for the sensors.
     NowhereToSense = "nowhere_to_sense",
-    /// Most readings of the initial body are at the end of the sensors' range.
+    /// Most readings of the initial body are at the limit of the sensors' range.
     Saturated = "saturated",
 }
 
-/// Why an attempt came to no result, as the worker sees it.
+/// Why an attempt failed, as the worker reports it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Trouble {
-    /// The maths.
+    /// A numerical failure.
     Numerical(Cause),
-    /// Validation says no.
+    /// Validation rejected the trial.
     Rejected,
     /// A bug: the computation panicked.
     Panicked,
-    /// The machine is short of something: threads, descriptors, memory, room on a disk.
+    /// The machine lacks threads, file descriptors, memory or disk space.
     Shortage,
 }
 
-/// To the orchestrator.
+/// Message to the orchestrator.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum ToOrchestrator {
-    /// The worker is there.
+    /// The worker has started.
     Hello {
-        /// Its build.
+        /// Build of the worker.
         build: String,
-        /// Its process id.
+        /// Process id of the worker.
         pid: u32,
     },
     /// An outer step is done.
     Step {
-        /// Whose it is.
+        /// The attempt.
         lease: Lease,
-        /// What happened.
+        /// Record of the step.
         record: Box<StepRecord>,
-        /// Where to go on from.
+        /// State from which to resume.
         checkpoint: Box<Checkpoint>,
     },
-    /// The comparison at the end has come further.
+    /// A part of the final comparison is done.
     Saved {
-        /// Whose it is.
+        /// The attempt.
         lease: Lease,
-        /// Where to go on from.
+        /// State from which to resume.
         checkpoint: Box<Checkpoint>,
     },
     /// The trial is done.
     Finished {
-        /// Whose it is.
+        /// The attempt.
         lease: Lease,
-        /// The result; its arrays are taken out where they were sent apart.
+        /// The result, without arrays that were sent separately.
         result: Box<TrialResult>,
-        /// What lies in the one sample that was sent before this message; nothing was if there is none.
+        /// Arrays in the sample that was sent before this message; empty: none was sent.
         arrays: Vec<ArrayHead>,
     },
-    /// The attempt came to no result.
+    /// The attempt failed.
     Failed {
-        /// Whose it is.
+        /// The attempt.
         lease: Lease,
         /// The kind of reason.
         trouble: Trouble,
-        /// In words.
+        /// Description.
         detail: String,
     },
-    /// The trial is handed back after `ToWorker::Stop`.
+    /// The trial is returned after `ToWorker::Stop`.
     Stopped {
-        /// Whose it is.
+        /// The attempt.
         lease: Lease,
     },
 }
@@ -194,17 +192,17 @@ pub enum ToOrchestrator {
 /// An array of a result: the bytes `start..end` of the sample are an NPY file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ArrayHead {
-    /// Its name within the trial.
+    /// Name within the trial.
     pub name: String,
-    /// Its shape.
+    /// Shape.
     pub shape: Vec<usize>,
     /// First byte.
     pub start: usize,
-    /// Behind its last byte.
+    /// End (exclusive).
     pub end: usize,
 }
 
-/// The heartbeat: that a worker comes further with an attempt. May be lost.
+/// Heartbeat: a worker has made progress with an attempt. May be lost.
 #[derive(Debug, Clone, Copy, Default, PartialEq, ZeroCopySend)]
 #[repr(C)]
 pub struct Progress {
@@ -214,30 +212,30 @@ pub struct Progress {
     pub attempt: u32,
 }
 
-/// Longest time a worker goes without looking at its messages while idle, and the orchestrator without looking at progress.
+/// Longest interval at which an idle worker checks for messages, and the orchestrator for progress.
 pub const POLL: Duration = Duration::from_millis(200);
-/// Messages that may wait in a direction.
+/// Number of messages that may be queued per direction.
 const MESSAGES: usize = 16;
-/// Where POSIX shared memory lives.
+/// Folder of POSIX shared memory.
 pub const SHARED_MEMORY: &str = "/dev/shm";
-/// Results of a worker whose arrays may wait, and as many be held until they are recorded.
+/// Number of results per worker whose arrays may be queued; as many may be held until they are recorded.
 const ARRAYS: usize = 8;
-/// Arrays of fewer bytes in all go along in the message.
+/// Arrays of fewer bytes in total are sent within the message.
 pub const APART: usize = 4096;
-/// First size of a message's chunk (bytes); grows on demand.
+/// Initial size of a message chunk (bytes); grows on demand.
 const CHUNK: usize = 16 * 1024;
 
-/// Bytes of the file that holds what may wait of messages or arrays, where the largest has so many: all have chunks of one size, behind a head.
+/// Returns the size (bytes) of the file of a queue whose largest entry has `largest` bytes: chunks of one size after a header.
 #[must_use]
 pub fn segment(largest: usize) -> u64 {
     let chunks = MESSAGES.max(2 * ARRAYS) + 2;
     (largest.max(CHUNK).next_power_of_two() * chunks + 4096) as u64
 }
 
-/// iceoryx2's configuration of a domain. Clean-up of dead nodes is off: a domain goes as a whole.
+/// Returns iceoryx2's configuration of a domain. Clean-up of dead nodes is off, because a domain is removed as a whole.
 ///
 /// # Errors
-/// If root or prefix are no valid names for iceoryx2.
+/// If root or prefix are not valid names for iceoryx2.
 pub fn config(root: &str, prefix: &str) -> Result<Config, SemanticStringError> {
     let mut config = Config::default();
     config.global.set_root_path(&Path::new(root.as_bytes())?);
@@ -249,33 +247,33 @@ pub fn config(root: &str, prefix: &str) -> Result<Config, SemanticStringError> {
     Ok(config)
 }
 
-/// A failure of the shared-memory link, with iceoryx2's own name for it.
+/// A failure of the shared-memory link.
 #[derive(Debug, thiserror::Error)]
 #[error("shared memory: {step} failed: {cause}")]
 pub struct LinkError {
-    /// What was tried.
+    /// The operation.
     pub step: &'static str,
-    /// What iceoryx2 says.
+    /// iceoryx2's name of the error.
     pub cause: String,
 }
 
 impl LinkError {
-    /// Of an iceoryx2 error.
+    /// Converts an error of iceoryx2.
     pub fn of<E: std::fmt::Debug>(step: &'static str) -> impl FnOnce(E) -> Self {
         move |cause| Self { step, cause: format!("{cause:?}") }
     }
 }
 
-/// A message's port factory.
+/// Port factory of messages.
 type Bytes = iceoryx2::service::port_factory::publish_subscribe::PortFactory<Ipc, [u8], ()>;
-/// A port factory of progress.
+/// Port factory of progress.
 type Beats = iceoryx2::service::port_factory::publish_subscribe::PortFactory<Ipc, Progress, ()>;
-/// A port factory of wake-ups.
+/// Port factory of wake-ups.
 type Wakes = iceoryx2::service::port_factory::event::PortFactory<Ipc>;
 
-/// Sends messages of a direction.
+/// Sends messages.
 pub type MessageSender = iceoryx2::port::publisher::Publisher<Ipc, [u8], ()>;
-/// Receives messages of a direction.
+/// Receives messages.
 pub type MessageReceiver = iceoryx2::port::subscriber::Subscriber<Ipc, [u8], ()>;
 /// The arrays of a result in shared memory, borrowed until dropped.
 pub type Sample = iceoryx2::sample::Sample<Ipc, [u8], ()>;
@@ -285,16 +283,16 @@ pub type BeatSender = iceoryx2::port::publisher::Publisher<Ipc, Progress, ()>;
 pub type BeatReceiver = iceoryx2::port::subscriber::Subscriber<Ipc, Progress, ()>;
 /// Wakes the other end.
 pub type Waker = iceoryx2::port::notifier::Notifier<Ipc>;
-/// Is woken.
+/// Waits for wake-ups.
 pub type Sleeper = iceoryx2::port::listener::Listener<Ipc>;
 
-/// The services of a worker's domain. The orchestrator creates them, the worker opens them; each limit is set here. What makes
-/// a port fails where iceoryx2 cannot create it.
+/// The services of a worker's domain, with their limits. The orchestrator creates them, the worker opens them. Functions that
+/// create a port fail if iceoryx2 cannot create it.
 #[derive(Debug)]
 pub struct Services {
-    /// Orchestrator to worker.
+    /// Messages to the worker.
     pub down: Bytes,
-    /// Worker to orchestrator.
+    /// Messages to the orchestrator.
     pub up: Bytes,
     /// Arrays of results.
     pub arrays: Bytes,
@@ -306,16 +304,16 @@ pub struct Services {
     pub wake_orchestrator: Wakes,
 }
 
-/// Which end of a domain.
+/// End of a domain.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum End {
     /// Creates the services.
     Orchestrator,
-    /// Opens them.
+    /// Opens the services.
     Worker,
 }
 
-/// A node of a domain. Signals are nobody's business here.
+/// Creates a node of a domain, without iceoryx2's signal handling.
 ///
 /// # Errors
 /// If iceoryx2 cannot create it.
@@ -331,7 +329,7 @@ impl Services {
     /// Creates or opens all services of the node's domain.
     ///
     /// # Errors
-    /// If one does not come about.
+    /// If a service cannot be created or opened.
     pub fn new(node: &Node<Ipc>, end: End) -> Result<Self, LinkError> {
         macro_rules! service {
             ($name:literal, $builder:expr) => {{
@@ -382,12 +380,12 @@ impl Services {
         })
     }
 
-    /// A sender of messages. A full buffer discards: the caller sees that nobody received.
+    /// Creates a sender of messages. If the buffer is full, a message is discarded and [`send`] returns false.
     pub fn sender(service: &Bytes) -> Result<MessageSender, LinkError> {
         Self::sender_of(service, BackpressureStrategy::DiscardData, "creating a sender")
     }
 
-    /// A sender of arrays, which are written where they are read.
+    /// Creates a sender of arrays, which waits while the buffer is full. The receiver reads arrays in place.
     pub fn array_sender(service: &Bytes) -> Result<MessageSender, LinkError> {
         Self::sender_of(service, BackpressureStrategy::RetryUntilDelivered, "creating a sender of arrays")
     }
@@ -407,12 +405,12 @@ impl Services {
             .map_err(LinkError::of(step))
     }
 
-    /// A receiver of messages.
+    /// Creates a receiver of messages.
     pub fn receiver(service: &Bytes) -> Result<MessageReceiver, LinkError> {
         service.subscriber_builder().create().map_err(LinkError::of("creating a receiver"))
     }
 
-    /// A sender of progress.
+    /// Creates a sender of progress.
     pub fn beat_sender(service: &Beats) -> Result<BeatSender, LinkError> {
         service
             .publisher_builder()
@@ -422,27 +420,26 @@ impl Services {
             .map_err(LinkError::of("creating a sender of progress"))
     }
 
-    /// A receiver of progress.
+    /// Creates a receiver of progress.
     pub fn beat_receiver(service: &Beats) -> Result<BeatReceiver, LinkError> {
         service.subscriber_builder().create().map_err(LinkError::of("creating a receiver of progress"))
     }
 
-    /// Wakes the listener of a wake-up service.
+    /// Creates the notifier of a wake-up service.
     pub fn waker(service: &Wakes) -> Result<Waker, LinkError> {
         service.notifier_builder().create().map_err(LinkError::of("creating a waker"))
     }
 
-    /// Waits for wake-ups.
+    /// Creates the listener of a wake-up service.
     pub fn sleeper(service: &Wakes) -> Result<Sleeper, LinkError> {
         service.listener_builder().create().map_err(LinkError::of("creating a sleeper"))
     }
 }
 
-/// Waits for a wake-up, for `POLL` at the longest. A signal, also one that stopped the process or let it go on, ends the
-/// wait early and does no harm: whoever waits looks again.
+/// Waits for a wake-up, at most `POLL`. A signal ends the wait early, which is harmless: callers check their condition again.
 ///
 /// # Errors
-/// If iceoryx2 cannot wait; `waiting` says for what.
+/// If iceoryx2 cannot wait; `waiting` names the operation.
 pub fn sleep(sleeper: &Sleeper, waiting: &'static str) -> Result<(), LinkError> {
     match sleeper.timed_wait(|_| {}, POLL) {
         Ok(_) | Err(ListenerWaitError::InterruptSignal) => Ok(()),
@@ -450,28 +447,28 @@ pub fn sleep(sleeper: &Sleeper, waiting: &'static str) -> Result<(), LinkError> 
     }
 }
 
-/// A message as bytes.
+/// Encodes a message.
 ///
 /// # Panics
-/// Never for the types of this module: postcard refuses sequences of unknown length alone.
+/// Never for the types of this module: postcard rejects only sequences of unknown length.
 pub fn encode<T: Serialize>(message: &T) -> Vec<u8> {
     postcard::to_allocvec(message).expect("messages hold sequences of known length")
 }
 
-/// Copies a message into a loaned chunk and sends it. False: the buffer of the other end is full, or nobody is there.
+/// Copies a message into a loaned chunk and sends it. Returns false if the receiver's buffer is full or there is no receiver.
 ///
 /// # Errors
-/// If there is no memory for it.
+/// If there is no memory for the message.
 pub fn send(sender: &MessageSender, message: &[u8]) -> Result<bool, LinkError> {
     let chunk = sender.loan_slice_uninit(message.len()).map_err(LinkError::of("loaning a chunk"))?;
     let received = chunk.write_from_slice(message).send().map_err(LinkError::of("sending"))?;
     Ok(received > 0)
 }
 
-/// The arrays of a result, which were sent before it. Waits while the orchestrator holds as many as it may.
+/// Receives the arrays of a result, which were sent before it. Waits while the orchestrator holds the maximum number.
 ///
 /// # Errors
-/// If there are none, or not all of `heads`, or none of the held ones is let go for `patience`.
+/// If no arrays were sent, `heads` do not fit them, or no held sample is released within `patience`.
 pub fn receive_arrays(
     receiver: &MessageReceiver,
     heads: &[ArrayHead],
@@ -501,7 +498,7 @@ pub fn receive_arrays(
     }
 }
 
-/// The next message, if there is one.
+/// Receives the next message, if there is one.
 ///
 /// # Errors
 /// If the connection is broken or the message is of another build.

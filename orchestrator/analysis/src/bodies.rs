@@ -1,4 +1,4 @@
-//! The bodies of trials that differ in training alone: the initial one, and those trained, by how they were.
+//! The bodies of trials that differ only in training: the initial body, and the trained ones by their training.
 
 use std::collections::BTreeMap;
 
@@ -6,28 +6,29 @@ use super::data::{apart, groups};
 use super::resample::{Interval, Resampling};
 use super::trial::{Body, Cluster, Trial};
 
-/// A body of several trials.
+/// One kind of body in several trials.
 #[derive(Debug, Clone)]
 pub struct Trained<'a> {
-    /// `initial`, or how it was trained.
+    /// `initial`, or the training.
     pub name: String,
-    /// Which body of its trials.
+    /// Which body of each trial.
     pub body: Body,
-    /// Of the initial body one a cluster, whatever trains it.
+    /// The trials; for the initial body, one per cluster.
     pub trials: Vec<&'a Trial>,
 }
 
-/// A part of a gain.
+/// The fraction of a reference gain that is kept.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Kept {
-    /// 1 is all of it.
+    /// 1: the whole gain.
     pub part: f64,
-    /// 95 %, where there are enough placements or seeds.
+    /// The 95 % interval; `None` with too few placements and seeds.
     pub interval: Option<Interval>,
 }
 
 impl Kept {
-    /// Σ of the first gains, logarithms, over Σ of the second, with their clusters; `None` without second gain.
+    /// Returns the sum of the first gains divided by the sum of the second ones. `gains`: cluster and two gains (logarithms)
+    /// per trial. `None` if the second sum is not positive.
     pub fn of(gains: impl Iterator<Item = (Cluster, [f64; 2])>) -> Option<Self> {
         let (clusters, gains): (Vec<Cluster>, Vec<[f64; 2]>) = gains.unzip();
         let part = |weights: &[f64]| {
@@ -39,8 +40,7 @@ impl Kept {
     }
 }
 
-/// The initial body, then those trained, by `way` in its order; what else of the training differs within one is told beside
-/// its name.
+/// Returns the initial body, then the trained ones, sorted by `way`. Other differences in training are appended to the name.
 pub fn bodies<'a, K: Ord>(
     trials: &[&'a Trial],
     way: impl Fn(&Trial) -> K,
@@ -54,7 +54,7 @@ pub fn bodies<'a, K: Ord>(
         trained.entry(way(trial)).or_default().push(trial);
     }
     for (way, trials) in trained {
-        // what a way brings along differs with it: told is what else does
+        // settings that follow from `way` do not differ within its trials, so the labels contain only the others
         let mut ways = groups(&trials, &[]);
         ways.sort_by(|a, b| a.label.cmp(&b.label));
         found.extend(ways.into_iter().map(|group| {

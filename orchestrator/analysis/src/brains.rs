@@ -1,6 +1,6 @@
-//! Error by brain: against its memory, and of bodies trained with one brain and read by another.
+//! Error by decoder: against its memory, and for bodies trained with one decoder and evaluated with another.
 //!
-//! Every trial is read by its own brain and, whatever that is, by linear ones of several memories (`v_reading`).
+//! Every trial has errors of its own decoder and of linear decoders with several memories (`v_reading`).
 
 use std::collections::HashMap;
 
@@ -9,26 +9,27 @@ use super::numbers::{distinct, geometric_mean, in_order};
 use super::paired::Ratio;
 use super::trial::{Body, Cluster, Set, Trial};
 
-/// Holdout errors by one brain of bodies that were trained alike.
+/// Held-out errors of one decoder on bodies with equal training.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Read {
-    /// The brain that the optimised bodies were trained with.
+    /// Decoder with which the bodies were trained.
     pub trained_with: String,
-    /// The brain that reads both.
+    /// Decoder in evaluation.
     pub by: String,
-    /// How far it looks back and ahead (s).
+    /// Its memory before and after an instant (s).
     pub memory: [f64; 2],
-    /// Whether it is a linear brain that sees the whole sample, or as much of it as any.
+    /// Whether it is the linear decoder with the longest memory of the trial.
     pub whole: bool,
-    /// Whether it is the trials' own brain.
+    /// Whether it is the trials' own decoder.
     pub own: bool,
-    /// Errors (%) of the initial and the optimised body: geometric means over the trials that have both.
+    /// Errors (%) of the initial and the trained body: geometric means over the trials that have both.
     pub errors: [f64; 2],
-    /// Initial over optimised error.
+    /// Error of the initial body divided by that of the trained body.
     pub ratio: Ratio,
 }
 
-/// What trials that differ in brains, placement and seed alone say: their own brains first, then the linear ones.
+/// Returns the errors by decoder of trials that differ only in decoder, placement and seed: own decoders first, then linear
+/// ones.
 pub fn reads(trials: &[&Trial]) -> Vec<Read> {
     let of_trials = of_each(trials);
     let kinds = in_order(&of_trials);
@@ -43,7 +44,7 @@ pub fn reads(trials: &[&Trial]) -> Vec<Read> {
         found.extend(read(trained_with, by, (memory, false, true), alike.iter().map(errors)));
     }
     for trained_with in distinct(kinds.iter().map(|kind| &kind[1])) {
-        // trials that differ in their reader alone have one body, and one reading of it
+        // trials that differ only in their own decoder share a body and its linear decoders: count them once
         let mut alike: Vec<&&Trial> = Vec::new();
         let mut read_so: HashMap<(Cluster, u64), Vec<&&Trial>> = HashMap::new();
         for trial in having(&|kind| kind[1] == *trained_with) {

@@ -1,11 +1,11 @@
-//! What is left of a body once it is cast: errors over virtual casts, by body and by the brain that reads them.
+//! Errors over virtual casts, by body and decoder.
 //!
-//! A trial is told by the median and the 90th percentile over its casts, trials by geometric means with intervals over
-//! placements and seeds. The gain that is kept compares a trained body with the initial one of the same trials:
+//! A trial is summarised by the median and the 90th percentile over its casts; trials by geometric means with intervals over
+//! placements and seeds. The kept gain compares a trained body with the initial body of the same trials:
 //! ```text
 //! kept = Σ ln(initial/trained, over casts) / Σ ln(initial/trained, as designed)
 //! ```
-//! Sums and not a mean of each trial's share: that has no mean where a trial gains little.
+//! A mean of the quotients per trial would diverge where a trial gains little.
 
 use super::bodies::{Kept, Trained, bodies};
 use super::data::{Group, groups};
@@ -14,30 +14,30 @@ use super::numbers::distinct;
 use super::paired::Ratio;
 use super::trial::{Body, CastBrain, CastReading, Set, Trial};
 
-/// Trials of one setting that are cast, by body.
+/// Trials with casts in one setting, by body.
 #[derive(Debug, Clone)]
 pub struct Setting<'a> {
-    /// What sets it apart.
+    /// Differences from other settings.
     pub label: String,
-    /// The initial body, those trained as designed, those trained over casts.
+    /// The initial body, then bodies trained as designed, then bodies trained over casts.
     pub bodies: Vec<Trained<'a>>,
 }
 
-/// How a brain reads a body's casts.
+/// Errors of one decoder on the casts of a body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Left {
-    /// Casts of all trials, and how many of them could not be simulated.
+    /// Number of casts of all trials, and of those that failed in simulation.
     pub casts: [u64; 2],
-    /// Error (%) by a brain of this kind of the body as designed: geometric mean over the trials that have it.
+    /// Error (%) of a decoder of this kind on the body as designed: geometric mean over trials.
     pub designed: Option<Ratio>,
-    /// Median and 90th percentile over a trial's casts (%): geometric means over trials.
+    /// Median and 90th percentile over the casts of a trial (%): geometric means over trials.
     pub errors: [Ratio; 2],
-    /// The parts of the gain as designed that are kept at the median and at the 90th percentile; `None` of the initial body,
-    /// or without gain.
+    /// Kept fractions of the gain as designed, at the median and at the 90th percentile. `None` for the initial body, and if
+    /// the gain as designed is not positive.
     pub kept: [Option<Kept>; 2],
 }
 
-/// Trials with casts that differ in training, placement and seed alone.
+/// Groups the trials with casts; trials of a group differ only in training, placement and seed.
 pub fn settings<'a>(trials: &[&'a Trial]) -> Vec<Setting<'a>> {
     let cast: Vec<&Trial> = trials.iter().filter(|t| !t.casts.is_empty()).copied().collect();
     let way = |trial: &Trial| {
@@ -52,12 +52,12 @@ pub fn settings<'a>(trials: &[&'a Trial]) -> Vec<Setting<'a>> {
 }
 
 impl Trained<'_> {
-    /// The brains that read it.
+    /// Returns the decoders of its casts.
     pub fn brains(&self) -> Vec<CastBrain> {
         distinct(self.trials.iter().flat_map(|t| &t.casts).map(|reading| reading.by))
     }
 
-    /// How a brain reads its casts; `None` if it reads none.
+    /// Returns the errors of a decoder on the casts; `None` if there are none.
     pub fn left(&self, by: CastBrain) -> Option<Left> {
         let read: Vec<(&Trial, &CastReading)> =
             self.trials.iter().filter_map(|t| Some((*t, reading(t, self.body, by)?))).collect();
@@ -81,7 +81,7 @@ impl Trained<'_> {
         if self.body == Body::Initial {
             return None;
         }
-        // of each trial ln(initial/trained) over casts and as designed
+        // ln(initial/trained) over casts and as designed, per trial
         let gains = |trial: &&Trial| {
             let cast = Body::ALL.map(|body| Some(reading(trial, body, by)?.errors[quantile]));
             let gain = |[initial, trained]: [Option<f64>; 2]| Some((initial? / trained?).ln());
@@ -96,7 +96,8 @@ fn reading(trial: &Trial, body: Body, by: CastBrain) -> Option<&CastReading> {
     trial.casts.iter().find(|reading| (reading.body, reading.by) == (body, by))
 }
 
-/// Holdout error (%) of the body as designed: by the trial's networks, or by a linear brain of the memory that casts are read with.
+/// Held-out error (%) of the body as designed: of the trial's own decoder for networks, inverse decoders and linear trials,
+/// else of the linear decoder with the longest memory.
 fn designed(trial: &Trial, body: Body, by: CastBrain) -> Option<f64> {
     let inverts = matches!(by, CastBrain::Inverse | CastBrain::Twin(_));
     if by <= CastBrain::NetworkCasts || inverts || is_linear(trial) {

@@ -1,9 +1,9 @@
-//! The claims of arXiv:2605.23967, each tested on the trials that can tell: which hold, with which brain.
+//! The claims of arXiv:2605.23967, each tested on the trials that can test it, by decoder.
 //!
-//! A claim's number is a ratio that is above 1 where it holds, rated by its 95 % interval ([`Rating::of`]); the wider that is, the less
-//! is said. One of many ratings that chance alone might have made is open ([`corrected`]). Claims of elbows go by votes, in per cent
-//! and in logarithms. Test, holdout and the medians over its samples are judged alike; what is said in short goes by the holdout, and says where its
-//! medians lead elsewhere.
+//! The number of a claim is a ratio that is above 1 if the claim holds. Its 95 % interval gives the rating ([`Rating::of`]).
+//! P-values are corrected for the number of findings ([`corrected`]). Claims of elbows are rated by votes, in % and in
+//! logarithms. Test set, held-out set and its medians are rated separately. Summaries use the held-out set, and mark verdicts
+//! that differ by medians.
 
 mod tables;
 
@@ -25,32 +25,32 @@ use super::tables::verdict_text;
 use super::trial::{Body, Cluster, Set, Trial};
 pub use tables::{claims_table, evidence_table, tried, tried_elsewhere};
 
-/// The share of votes that settles a claim.
+/// Share of votes that decides a claim.
 const SURE: f64 = 0.95;
-/// By how much two errors may differ that count as alike.
+/// Largest relative difference of errors that count as equal.
 const ALIKE: f64 = 0.15;
-/// The chance at which a finding counts as none.
+/// Significance level.
 const CHANCE: f64 = 0.05;
 
-/// How a claim fares.
+/// Rating of a claim.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Rating {
-    /// As the paper has it, or more so.
+    /// At least as large as in the paper.
     Holds,
-    /// In its direction; the paper's number may be the true one.
+    /// In the direction of the claim; the interval contains the paper's number.
     Compatible,
-    /// In its direction, and by less.
+    /// In the direction of the claim, but smaller.
     InPart,
-    /// No difference worth the name.
+    /// No relevant difference.
     Alike,
-    /// The other way round, or elsewhere.
+    /// In the opposite direction, or an elbow elsewhere.
     Fails,
-    /// The trials do not tell.
+    /// Undecided.
     Open,
 }
 
 impl Rating {
-    /// In words.
+    /// Name in tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::Holds => "holds",
@@ -62,7 +62,7 @@ impl Rating {
         }
     }
 
-    /// Of a ratio that the paper gives, or that it says to be above 1 (`stated` = 1), by its interval.
+    /// Rates a ratio by its interval. `stated`: the paper's number, or 1 if the paper only claims a direction.
     pub fn of(interval: Option<Interval>, stated: f64) -> Self {
         let Some(Interval { low, high }) = interval else { return Self::Open };
         match (low > 1.0, high < 1.0) {
@@ -76,49 +76,49 @@ impl Rating {
     }
 }
 
-/// What some trials say of a claim.
+/// Result of some trials for a claim.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evidence {
-    /// What sets them apart from others that say something of it: their brain, above all.
+    /// Differences from other evidence for the claim, mainly the decoder.
     pub who: String,
-    /// Of which samples, or of what else.
+    /// The set of samples, or the quantity.
     pub set: &'static str,
-    /// How many they are.
+    /// Number of trials.
     pub trials: usize,
-    /// The claim's ratio, where it is about one.
+    /// Ratio of the claim; `None` for elbows.
     pub found: Option<f64>,
     /// Its 95 % interval.
     pub interval: Option<Interval>,
-    /// The chance of such a ratio if the true one is 1; of several findings together once they are [`corrected`].
+    /// Two-sided p-value of the ratio 1; adjusted for multiple tests by [`corrected`].
     pub chance: Option<f64>,
-    /// The true ratio that such trials would tell from 1 in four of five sweeps, were it the only claim.
+    /// True ratio that such trials would distinguish from 1 with a power of 80 %, without correction for other claims.
     pub tells: Option<f64>,
-    /// What there is to say beside it.
+    /// Further remarks.
     pub note: String,
-    /// What the interval, or votes, are over.
+    /// Units of the interval or votes.
     pub over: String,
-    /// What it comes to.
+    /// The rating.
     pub rating: Rating,
 }
 
-/// A claim of the paper, or what is asked beside them.
+/// A claim of the paper, or a further question.
 pub struct Claim {
-    /// What it says.
+    /// The statement.
     pub says: &'static str,
-    /// Where.
+    /// Figure or section of the paper.
     pub source: &'static str,
-    /// Its number: a factor, 1 where it gives none; of an elbow M.
+    /// Number in the paper: a factor, or 1 if it gives none; for an elbow M.
     pub stated: f64,
-    /// The chance at which a finding counts as none: half of it where its spec was a second look.
+    /// Significance level; halved if the claim was tested a second time.
     pub chance: f64,
-    /// The specs in `schemas` whose trials show it.
+    /// Specs in `schemas` whose trials test the claim.
     pub specs: &'static [&'static str],
-    /// Of which trials `find` speaks; none: it looks for them itself.
+    /// Scene of the trials that `find` receives; `None`: all trials.
     scene: Option<Scene>,
     find: fn(f64, &[&Trial]) -> Vec<Evidence>,
 }
 
-/// So many forces of a kind on a planar body, and so many sensors where that is fixed.
+/// Number and kind of forces on a planar body, and number of sensors if fixed.
 #[derive(Debug, Clone, Copy)]
 struct Scene {
     panels: u64,
@@ -127,8 +127,8 @@ struct Scene {
 }
 
 impl Claim {
-    /// What a database's trials say of it; nothing where it holds none of its scene. Those without the implicit term say
-    /// something of that alone.
+    /// Returns the evidence in the trials of a database; empty without trials of the scene. Trials without the implicit term
+    /// count only for the claim about this term.
     pub fn evidence(&self, trials: &[Trial]) -> Vec<Evidence> {
         let whole = |t: &Trial| matches!(t.setting.text("optimise.gradient"), None | Some("implicit"));
         let counts = |t: &&Trial| self.specs == GRADIENT || whole(t);
@@ -140,7 +140,8 @@ impl Claim {
         (self.find)(self.stated, &self.scene.map_or(trials.clone(), own))
     }
 
-    /// What trials of another scene say of a claim about smooth pulses on a planar body: of its forces and sensors, whatever else they are.
+    /// Returns the evidence in trials of another scene, for claims about smooth pulses on a planar body. Only the numbers of
+    /// forces and sensors must agree.
     fn evidence_elsewhere(&self, trials: &[Trial]) -> Vec<Evidence> {
         let Some(scene) = self.scene.filter(|scene| scene.stimuli == "bell") else { return Vec::new() };
         let own: Vec<&Trial> = trials.iter().filter(|t| t.panels == scene.panels && scene.has(t)).collect();
@@ -154,8 +155,7 @@ impl Scene {
     }
 }
 
-/// The evidence for several claims, in their order, with the chances of one set's findings taken together: what chance alone might
-/// have brought about is open.
+/// Adjusts the p-values of several claims within each set of samples. Findings that are no longer significant are rated open.
 pub fn corrected(mut found: Vec<Vec<Evidence>>) -> Vec<Vec<Evidence>> {
     for set in distinct(found.iter().flatten().map(|e| e.set)) {
         let by_claim = CLAIMS.iter().zip(&mut found);
@@ -173,7 +173,7 @@ pub fn corrected(mut found: Vec<Vec<Evidence>>) -> Vec<Vec<Evidence>> {
     found
 }
 
-/// What evidence comes to, by the holdout where there is one: the rating that all of it shares, or who has which.
+/// Summarises evidence: the common rating, or the rating per decoder. Uses the held-out set if available, and no medians.
 pub fn summary(evidence: &[Evidence]) -> (String, Option<Rating>) {
     let of_set = |set: &str| evidence.iter().any(|e| e.set == set);
     let counts = |e: &&Evidence| {
@@ -182,7 +182,7 @@ pub fn summary(evidence: &[Evidence]) -> (String, Option<Rating>) {
     summed(evidence.iter().filter(counts))
 }
 
-/// What it comes to by medians over samples, where that is not what it comes to by the means of the same trials.
+/// Returns the summary by medians over samples, if it differs from that by the means of the same trials.
 pub fn by_medians(evidence: &[Evidence]) -> Option<String> {
     let of = |set: Set| evidence.iter().filter(move |e| e.set == set.name());
     let trials = |set| of(set).map(|e| (&e.who, e.trials)).collect::<Vec<_>>();
@@ -191,7 +191,7 @@ pub fn by_medians(evidence: &[Evidence]) -> Option<String> {
     (same && means != medians).then_some(medians)
 }
 
-/// The rating that all of some evidence shares, or who has which.
+/// Returns the rating that all evidence shares, or the rating per decoder.
 fn summed<'a>(evidence: impl Iterator<Item = &'a Evidence>) -> (String, Option<Rating>) {
     let mut by: BTreeMap<Rating, Vec<&str>> = BTreeMap::new();
     for e in evidence {
@@ -217,7 +217,7 @@ const TWO_FORCES: Option<Scene> = Some(Scene { panels: 2, sensors: Some(1), stim
 const FOUR: Option<Scene> = Some(Scene { panels: 4, sensors: None, stimuli: "bell" });
 const EIGHT: Option<Scene> = Some(Scene { panels: 8, sensors: None, stimuli: "bell" });
 
-/// All of them, in the paper's order.
+/// All claims, in the order of the paper.
 pub const CLAIMS: [Claim; 15] = [
     Claim {
         says: "a trained body halves the error (K = 2, M = 1, smooth pulses)",
@@ -241,7 +241,7 @@ pub const CLAIMS: [Claim; 15] = [
         says: "after 10 000 iterations the error is still 5.8 times lower",
         source: "Fig. S2",
         stated: 5.8,
-        chance: CHANCE / 2.0, // four seeds had left it open
+        chance: CHANCE / 2.0, // tested twice: four seeds were undecided
         specs: &["claims/long-training"],
         scene: TWO_FORCES,
         find: |stated, trials| each_set(trials, stated, long_ratio),
@@ -340,7 +340,7 @@ pub const CLAIMS: [Claim; 15] = [
         says: "a trained body with more design parameters has less error",
         source: "Fig. 5C",
         stated: 1.0,
-        chance: CHANCE / 2.0, // four seeds had left it open
+        chance: CHANCE / 2.0, // tested twice: four seeds were undecided
         specs: &["sweeps/disc-map"],
         scene: None,
         find: complexity,
@@ -356,8 +356,8 @@ pub const CLAIMS: [Claim; 15] = [
     },
 ];
 
-/// Whether a trial has what the paper's have not: another lattice or polygons of its own, frozen shifts, pressed or guided units, sensors
-/// that are chips, or are placed otherwise than at random. Noise is a setting, as damping is.
+/// Whether a trial has features that the paper's trials lack: another lattice, a body from a file, frozen shifts, pressed or
+/// guided units, sensors that model chips or are not placed at random. Noise does not count.
 pub fn is_other(trial: &Trial) -> bool {
     let extra = |path: &str| {
         ["optimise.frozen", "body.lattice"].contains(&path)
@@ -367,7 +367,7 @@ pub fn is_other(trial: &Trial) -> bool {
     trial.setting.leaves().keys().any(|path| extra(path))
 }
 
-/// Whether a trial is of the paper's kind: a body of squares at their initial angle, its shifts not frozen, sensors at random units.
+/// Whether a trial is like the paper's: a body of squares at the initial angle, no frozen shifts, randomly placed sensors.
 fn plain(trial: &Trial) -> bool {
     !trial.starts_from_design() && !is_other(trial)
 }
@@ -376,7 +376,7 @@ fn tied(trial: &Trial) -> bool {
     trial.setting.contains_key("optimise.tie")
 }
 
-/// So many forces of a kind on a planar body.
+/// Returns the trials with this number and kind of forces on a planar body like the paper's, without tied shifts.
 fn planar<'a>(trials: &[&'a Trial], panels: u64, stimuli: &str) -> Vec<&'a Trial> {
     let fits = |t: &&&Trial| {
         t.panels == panels
@@ -388,12 +388,12 @@ fn planar<'a>(trials: &[&'a Trial], panels: u64, stimuli: &str) -> Vec<&'a Trial
     trials.iter().filter(fits).copied().collect()
 }
 
-/// Two of them, and one sensor.
+/// Returns the trials with two forces of a kind and one sensor.
 fn two_forces<'a>(trials: &[&'a Trial], stimuli: &str) -> Vec<&'a Trial> {
     planar(trials, 2, stimuli).into_iter().filter(|t| t.sensors == 1).collect()
 }
 
-/// What sets a group apart, its brain if nothing does.
+/// Returns the differences of a group from others, or its decoder if there are none.
 fn who(group: &Group) -> String {
     let parts = apart(&group.label);
     match parts.is_empty() {
@@ -417,20 +417,20 @@ fn of_ratio(who: String, set: &'static str, ratio: Ratio, stated: f64, note: Str
     }
 }
 
-/// What each group says, by either set.
+/// Returns the evidence of each group and set.
 fn by_set(groups: &[Group], mut say: impl FnMut(&Group, Set) -> Option<Evidence>) -> Vec<Evidence> {
     let of_sets = groups.iter().flat_map(|group| Set::of(&group.trials).map(move |set| (group, set)));
     of_sets.filter_map(|(group, set)| say(group, set)).collect()
 }
 
-/// A ratio of each group, by either set.
+/// Returns a ratio per group and set.
 fn each_set(trials: &[&Trial], stated: f64, ratio: fn(&[&Trial], Set) -> Option<Ratio>) -> Vec<Evidence> {
     by_set(&groups(trials, &[]), |group, set| {
         Some(of_ratio(who(group), set.name(), ratio(&group.trials, set)?, stated, String::new()))
     })
 }
 
-/// Of trials, those that have a text at a path.
+/// Returns the trials that have a text at a path.
 fn of_text<'a>(trials: &[&'a Trial], path: &str, value: &str) -> Vec<&'a Trial> {
     trials.iter().filter(|t| t.setting.text(path) == Some(value)).copied().collect()
 }
@@ -444,7 +444,7 @@ fn iterations(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     groups.iter().flat_map(|group| Progress::ALL.map(|by| (group, by))).filter_map(of_curve).collect()
 }
 
-/// Ratios of some trials over those of others, of equal placement and seed; several of a cluster by their geometric mean.
+/// Returns the ratio of values in `first` to those in `second`, paired by cluster; geometric mean within a cluster.
 fn over(first: &[(Cluster, f64)], second: &[(Cluster, f64)]) -> Option<Ratio> {
     let mean = |of: &[(Cluster, f64)], cluster: Cluster| {
         let own: Vec<f64> = of.iter().filter(|(c, _)| *c == cluster).map(|(_, x)| *x).collect();
@@ -455,12 +455,12 @@ fn over(first: &[(Cluster, f64)], second: &[(Cluster, f64)]) -> Option<Ratio> {
     Ratio::of(&clusters.into_iter().filter_map(ratio).collect::<Vec<_>>())
 }
 
-/// A number of each trial that has it, with its placement and seed.
+/// Returns cluster and number of each trial that has it.
 fn each(trials: &[&Trial], number: impl Fn(&Trial) -> Option<f64>) -> Vec<(Cluster, f64)> {
     once(trials, number).map(|(t, number)| (t.cluster, number)).collect()
 }
 
-/// Initial over optimised error.
+/// Error of the initial body divided by that of the trained body.
 fn gain(trial: &Trial, set: Set) -> Option<f64> {
     Some(trial.error(Body::Initial, set)? / trial.error(Body::Optimised, set)?)
 }
@@ -486,7 +486,7 @@ fn random_bodies(stated: f64, trials: &[&Trial], than: Body) -> Vec<Evidence> {
     })
 }
 
-/// The least of the ratios over M: all hold where this does.
+/// The ratio over M with the lowest interval: if it is above 1, all are.
 fn every_number(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     by_set(&curves(trials), |group, set| {
         let at = |m: f64| -> Option<(f64, Ratio)> {
@@ -504,13 +504,12 @@ fn every_number(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     })
 }
 
-/// Groups in which M varies.
+/// Returns the groups in which M varies.
 fn over_sensors<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
     groups(trials, SENSORS).into_iter().filter(|group| group.varies(|t| t.sensors)).collect()
 }
 
-/// Of these the placements and seeds that all have the same M, and these M, as they are compared from one to the next: the grid of
-/// most trials.
+/// The same, restricted to clusters with a common set of M, and to this set. The set that keeps the most trials is used.
 fn curves<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
     let mut groups = over_sensors(trials);
     for group in &mut groups {
@@ -524,7 +523,7 @@ fn curves<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
     groups
 }
 
-/// What each group says by each height of its curve, by either set.
+/// Returns the evidence of each group for both quantities of its curve, and for each set.
 fn by_height(
     groups: &[Group],
     say: impl Fn(&Group, Set, Height, String) -> Option<Evidence>,
@@ -554,7 +553,7 @@ fn elbow_at(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     })
 }
 
-/// The initial body's error with the most sensors over the trained one's with `few`.
+/// Error of the initial body with the most sensors divided by that of the trained body with `few`.
 fn so_few(stated: f64, few: u64, trials: &[&Trial]) -> Vec<Evidence> {
     by_set(&curves(trials), |group, set| {
         let most = group.trials.iter().map(|t| t.sensors).max()?;
@@ -567,7 +566,7 @@ fn so_few(stated: f64, few: u64, trials: &[&Trial]) -> Vec<Evidence> {
     })
 }
 
-/// Spread of the error over placements on the initial over that on the trained body, all M together.
+/// Standard deviation of the error over placements on the initial body divided by that on the trained body, all M together.
 fn placements(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     by_height(&over_sensors(trials), |group, set, height, who| {
         let of = Body::ALL.map(|body| observations(&group.trials, body, set, |t| t.sensors));
@@ -591,7 +590,7 @@ fn placements(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     })
 }
 
-/// Sum of squares of the error's height about the mean of its M and seed, by weight; `None` where nothing is left of it.
+/// Sum over M and seeds of the weighted variance of y; `None` if it is 0.
 fn scatter(grid: &Grid, height: Height, clusters: &[Cluster], weights: &[f64]) -> Option<f64> {
     let mut cells: BTreeMap<(usize, u64), [f64; 3]> = BTreeMap::new();
     for &(cluster, place, log) in &grid.points {
@@ -606,8 +605,8 @@ fn scatter(grid: &Grid, height: Height, clusters: &[Cluster], weights: &[f64]) -
     (total > 0.0).then_some(total)
 }
 
-/// The error of the body of fewest parameters over that of the one of most, both trained: of one disc cut ever finer, and of
-/// one whose shifts are tied less and less.
+/// Error of the trained body with the fewest parameters divided by that with the most: discs of one size with smaller units,
+/// and discs with fewer tied shifts.
 fn complexity(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     let disc = |t: &&&Trial| t.setting.text("body.layout") == Some("circular") && plain(t);
     let disc: Vec<&Trial> = trials.iter().filter(disc).copied().collect();
@@ -652,7 +651,7 @@ fn complexity(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     found
 }
 
-/// The trained body's error without the implicit term over that with it.
+/// Error of the trained body without the implicit term divided by that with it.
 fn implicit(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     let has = |t: &&Trial| t.setting.contains_key("optimise.gradient");
     let paper: Vec<&Trial> = two_forces(trials, "bell").into_iter().filter(has).collect();

@@ -1,7 +1,8 @@
-//! Two databases trial by trial: one spec under two programs, or two sweeps that differ in some settings.
+//! Compares two databases trial by trial: one spec under two versions of the program, or two sweeps that differ in some
+//! settings.
 //!
-//! What has one value in all of the first database and another in all of the second is what is compared; trials that agree
-//! in everything else are a pair, with equal placement and seed. A pair's ratio is of the first's value to the second's.
+//! The compared settings are those with one value in all trials of the first database and another value in all trials of the
+//! second. A pair of trials agrees in all other settings, including placement and seed. Ratios are first divided by second.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
@@ -13,17 +14,17 @@ use super::tables::ratio_cells;
 use super::trial::{Body, Set, Trial};
 use metasense_render::Table;
 
-/// What pairs always agree in.
+/// Settings that are never compared: pairs agree in them.
 const ALWAYS: [&str; 2] = ["point.placement", "point.seed"];
 
-/// Trials of two databases that belong together.
+/// The pairs of trials of two databases.
 #[derive(Debug, Clone)]
 pub struct Comparison<'a> {
-    /// Paths of the settings that are compared, with the first's and the second's value.
+    /// Paths of the compared settings, with the values in the first and in the second database.
     pub differs: BTreeMap<&'a str, [Option<&'a Value>; 2]>,
-    /// First and second.
+    /// Pairs: first, second.
     pub pairs: Vec<[&'a Trial; 2]>,
-    /// Trials of either without a partner.
+    /// Number of trials without a partner in each database.
     pub alone: [usize; 2],
 }
 
@@ -32,7 +33,7 @@ impl<'a> Comparison<'a> {
     pub fn new(first: &'a [Trial], second: &'a [Trial]) -> Self {
         let paths: BTreeSet<&str> =
             first.iter().chain(second).flat_map(|t| t.setting.leaves().into_keys()).collect();
-        // the one value that all have, or lack
+        // the value that all trials have; `Some(None)`: none of them has one
         let sole = |trials: &'a [Trial], path: &str| -> Option<Option<&'a Value>> {
             let value = trials.first()?.setting.get(path);
             trials.iter().all(|t| t.setting.get(path) == value).then_some(value)
@@ -53,7 +54,7 @@ impl<'a> Comparison<'a> {
         Self { differs, pairs, alone }
     }
 
-    /// A row a setting, quantity and body, and where there are several settings one over all of them.
+    /// Returns one row per setting, quantity and body; with several settings also rows over all of them.
     pub fn table(&self) -> Table {
         let firsts: Vec<&Trial> = self.pairs.iter().map(|p| p[0]).collect();
         let mut settings = groups(&firsts, &[]);
@@ -69,7 +70,7 @@ impl<'a> Comparison<'a> {
             for (set, body) in Set::of(&group.trials).flat_map(|set| Body::ALL.map(|body| (set, body))) {
                 add(&format!("{} error", set.name()), json!(body.name()), &|t| t.error(body, set));
             }
-            // which of the trials that share a body trains it is a matter of chance
+            // as if each trial had trained its body: which one did is arbitrary
             let seconds = |t: &Trial| Some(t.seconds_alone()).filter(|s| *s > 0.0);
             add("CPU seconds", Value::Null, &seconds);
         }

@@ -1,4 +1,4 @@
-//! The groups within which trials are compared, and the errors of a group along an axis.
+//! Groups of comparable trials, and the errors of a group along an axis.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::hash::Hash;
@@ -12,10 +12,10 @@ use super::numbers::{distinct, geometric_mean};
 use super::trial::{Body, Cluster, Set, Trial};
 use metasense_render::cell::plain;
 
-/// An error (%) at some place of an axis: a number of sensors, of design parameters.
+/// An error (%) at one value of an axis, such as the number of sensors or of design parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
-    /// The place on the axis.
+    /// Value on the axis.
     pub at: f64,
     /// Placement and seed.
     pub cluster: Cluster,
@@ -23,37 +23,37 @@ pub struct Observation {
     pub error: f64,
 }
 
-/// Trials that agree in everything but what a question varies.
+/// Trials that differ only in what a question varies.
 #[derive(Debug, Clone)]
 pub struct Group<'a> {
-    /// What sets it apart from the database's other groups, for instance `K = 4, 6 × 4 units`.
+    /// Differences from the other groups, for instance `K = 4, 6 × 4 units`.
     pub label: String,
-    /// Its trials, in the order given.
+    /// Its trials, in the given order.
     pub trials: Vec<&'a Trial>,
 }
 
 impl Group<'_> {
-    /// Whether its trials differ in a number.
+    /// Whether the trials differ in this number.
     pub fn varies(&self, number: fn(&Trial) -> u64) -> bool {
         self.trials.iter().any(|t| number(t) != number(self.trials[0]))
     }
 }
 
-/// What placements and seeds vary, and what leaves the ordinary comparison as it is.
+/// Settings that differ between placements and seeds, and one that does not change the ordinary comparison. Groups ignore them.
 const CLUSTER: &[&str] = &["point.placement", "point.seed", "sensor_units", "sensors.placements", LONG];
 const LONG: &str = "evaluation.long_iterations";
 
-/// What judges finished bodies in further worlds. It tells trials apart only where two that say it disagree: training over casts
-/// has an objective that is told.
+/// Settings of further evaluations of finished bodies. They separate only trials that both have such a setting and differ in
+/// it: training over casts also appears in the objective.
 const JUDGING: &[&str] = &["evaluation.casts", "evaluation.under", "variation."];
 
-/// What the number of sensors varies, besides.
+/// Settings that differ between numbers of sensors.
 pub const SENSORS: &[&str] = &["point.sensors"];
 
-/// What the way of placing sensors varies.
+/// Settings that differ between ways of placing sensors.
 pub const SEARCH: &[&str] = &["sensors.search", "sensors.from", "sensors.spacing"];
 
-/// What the complexity of the body varies: the lengths of a circular body shrink as its units grow in number.
+/// Settings that differ between body complexities. Lengths of a circular body shrink as its number of units grows.
 pub const COMPLEXITY: &[&str] = &[
     "body.columns",
     "body.rows",
@@ -67,10 +67,10 @@ pub const COMPLEXITY: &[&str] = &[
     "feasible.ligament_clearance",
 ];
 
-/// What the freedom of a body's design varies at one size.
+/// Settings of the number of design parameters at constant size.
 pub const FREEDOM: &[&str] = &["optimise.tie", "optimise.frozen"];
 
-/// What a body of a given size brings along where its units shrink, and the power of the spacing that it goes with.
+/// Settings that scale with the spacing in a body of constant size, and the power of the spacing.
 pub(super) const WITH_SPACING: [(&str, i32); 4] = [
     ("body.stiffness.bend", 2),
     ("body.contact.stiffness", 2),
@@ -78,29 +78,29 @@ pub(super) const WITH_SPACING: [(&str, i32); 4] = [
     ("optimise.learning_rate", 1),
 ];
 
-/// What random bodies vary, and how far they are trained.
+/// Settings that differ between random bodies, and those of the training.
 pub const DESIGN: &[&str] = &["body.design", "body.design.", "optimise.", "optimise.tie", "optimise.frozen"];
 
-/// What brains vary, and the training that goes with them.
+/// Settings that differ between decoders, and those of the training.
 pub const BRAINS: &[&str] = &["brain.", "optimise.", "evaluation."];
 
-/// What the way of training varies; a linear brain is solved for once and whole, where networks are several and train in batches.
+/// Settings that differ between ways of training. Networks are several and train in batches; a linear decoder is one fit.
 pub const TRAINING: &[&str] = &["optimise.", "brain.", "solver.", "evaluation.seeds", "evaluation.batch"];
 
 type Key = Vec<(String, Value)>;
 
-/// Groups by everything but placement, seed and the paths named (a path that ends in a dot: all below it), in the order
-/// of their first trials.
+/// Groups trials that agree in all settings except placement, seed and the paths in `but` (a path that ends in a dot: all below
+/// it). Groups are in the order of their first trials.
 pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
     let disputed = disputed(trials);
-    // how free a body's design is, is no way of training it: ignored only by its name
+    // `FREEDOM` paths are ignored only by name, not as part of `optimise.`
     let ignored = |path: &str| {
         CLUSTER.iter().chain(but).any(|b| is_of(path, b) && (*b == path || !FREEDOM.contains(&path)))
             || JUDGING.iter().any(|b| is_of(path, b)) && !disputed.contains(path)
     };
     let spacing = |trial: &Trial| trial.setting.number("body.spacing");
     let first = trials.first().and_then(|trial| spacing(trial));
-    // as it would be at the first trial's spacing, where spacings are not told apart
+    // the value scaled to the spacing of the first trial, if groups ignore the spacing
     let value = |trial: &Trial, path: &str, value: &Value| -> Value {
         let power = WITH_SPACING.iter().find(|(p, _)| ignored("body.spacing") && path == *p);
         let (Some((_, power)), Some(own), Some(first), Some(number)) =
@@ -109,7 +109,7 @@ pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
             return value.clone();
         };
         let scaled = number * (first / own).powi(*power);
-        // the first's own, too, or it would agree with none
+        // the first trial's value is rounded too, or it would equal no other
         Value::from((scaled * 1e9).round() / 1e9)
     };
     let told = |trial: &Trial, leaves: &BTreeMap<String, Value>| -> String {
@@ -120,7 +120,7 @@ pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
         let leaves = trial.setting.leaves().into_iter().filter(|(path, _)| !ignored(path));
         leaves.map(|(path, v)| (path.to_owned(), value(trial, path, v))).collect()
     };
-    // What trials share is told once.
+    // Shared settings are converted to text once.
     let mut shared: HashMap<*const BTreeMap<String, Value>, usize> = HashMap::new();
     let mut texts: HashMap<String, usize> = HashMap::new();
     let mut places: HashMap<(usize, String), usize> = HashMap::new();
@@ -141,12 +141,12 @@ pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
     labels.into_iter().zip(found).map(|(label, (_, trials))| Group { label, trials }).collect()
 }
 
-/// Whether a path says how a body was trained, which how free its design is does not.
+/// Whether a path is a setting of the training; `FREEDOM` is not.
 fn trains(path: &str) -> bool {
     path.starts_with("optimise.") && !FREEDOM.contains(&path)
 }
 
-/// Groups within which the outer loop has one error: that over casts is another than that as designed.
+/// Like [`groups`], also separated by objective: the test error over casts is not comparable with that as designed.
 pub fn groups_by_objective<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
     let part = |group: &Group<'a>, over: &Option<String>| {
         let trials: Vec<_> =
@@ -159,12 +159,12 @@ pub fn groups_by_objective<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<
     found.iter().flat_map(|group| over.iter().filter_map(|over| part(group, over))).collect()
 }
 
-/// Whether a path is the one named, or below it where the name ends in a dot.
+/// Whether a path equals `name`, or lies below it if `name` ends in a dot.
 fn is_of(path: &str, name: &str) -> bool {
     path == name || (name.ends_with('.') && path.starts_with(name))
 }
 
-/// Paths of [`JUDGING`] at which two trials differ that say anything of its kind; one that says nothing agrees with all.
+/// Paths of [`JUDGING`] at which two trials differ, both of which have settings of this kind.
 fn disputed(trials: &[&Trial]) -> HashSet<String> {
     let (mut shared, mut first, mut disputed) = (HashMap::new(), HashMap::new(), HashSet::new());
     for trial in trials {
@@ -184,13 +184,13 @@ fn disputed(trials: &[&Trial]) -> HashSet<String> {
     disputed
 }
 
-/// The leaves that judge.
+/// Returns the leaves below [`JUDGING`].
 fn judging(leaves: &BTreeMap<String, Value>) -> Vec<(&String, &Value)> {
     leaves.iter().filter(|(path, _)| JUDGING.iter().any(|name| is_of(path, name))).collect()
 }
 
-/// What is found of trials, of those that differ only in what judges their bodies the first that has it: they are one trial, read
-/// again. Of a body that was trained over casts the variation is no judge.
+/// Returns the trials with a value of `found`. Of trials that differ only in further evaluations of their bodies, only the
+/// first counts. For bodies trained over casts, the variation belongs to the training.
 pub fn once<'a, V>(
     trials: &[&'a Trial],
     found: impl Fn(&Trial) -> Option<V>,
@@ -215,12 +215,12 @@ pub fn once<'a, V>(
     })
 }
 
-/// The value at a path of a key; keys are sorted.
+/// Returns the value at a path; keys are sorted.
 fn at<'k>(key: &'k Key, path: &str) -> Option<&'k Value> {
     key.binary_search_by(|(p, _)| p.as_str().cmp(path)).ok().map(|i| &key[i].1)
 }
 
-/// Paths at which not all of these are alike.
+/// Paths at which the keys differ.
 fn differing<'k>(keys: &[&'k Key]) -> HashSet<&'k str> {
     let Some(first) = keys.first() else { return HashSet::new() };
     let mut differing = HashSet::new();
@@ -233,7 +233,7 @@ fn differing<'k>(keys: &[&'k Key]) -> HashSet<&'k str> {
     differing
 }
 
-/// The same, among those of one kind.
+/// For each key, the paths at which the keys of its kind differ.
 fn differing_within<'k, K: Hash + Eq>(keys: &[&'k Key], kinds: &[K]) -> Vec<Rc<HashSet<&'k str>>> {
     let mut of_kind: HashMap<&K, Vec<&'k Key>> = HashMap::new();
     keys.iter().zip(kinds).for_each(|(key, kind)| of_kind.entry(kind).or_default().push(key));
@@ -242,19 +242,19 @@ fn differing_within<'k, K: Hash + Eq>(keys: &[&'k Key], kinds: &[K]) -> Vec<Rc<H
     kinds.iter().map(|kind| Rc::clone(&differing[kind])).collect()
 }
 
-/// The brains of a group: of its trials, which know what their bodies were trained for, where training tells them apart.
+/// Decoders of a group: in evaluation and in training. Taken from its first trial if settings of the training are in the key.
 fn kind(key: &Key, first: &Trial) -> [String; 2] {
-    // what a brain brings along differs with it: that alone is told
+    // settings that follow from the decoder need not be listed beside it
     if key.iter().any(|(path, _)| trains(path)) && key.iter().any(|(path, _)| path.starts_with("brain.")) {
         return brains(&first.setting);
     }
     brains(&key.iter().cloned().collect())
 }
 
-/// K always, M where fixed; of the rest what differs among the groups. Panel units follow from K and layout and say
-/// nothing more.
+/// Labels contain K, M if it is fixed, and settings that differ among the groups, but no panel units, which follow from K and
+/// layout.
 fn labels(all: &[&Key], kinds: Vec<[String; 2]>) -> Vec<String> {
-    // and what a kind of stimuli has by default differs with it
+    // defaults of a kind of forces differ with the kind
     let stimuli: Vec<Option<String>> =
         all.iter().map(|key| at(key, "stimuli.kind").map(Value::to_string)).collect();
     let differs = differing(all);
@@ -264,7 +264,7 @@ fn labels(all: &[&Key], kinds: Vec<[String; 2]>) -> Vec<String> {
     told.map(|((key, own), (alike, struck))| label(key, own, one_kind, [&differs, alike, struck])).collect()
 }
 
-/// `differ`: paths at which groups differ, those of its brains, those of its stimuli.
+/// `differ`: paths at which all groups differ, groups of the same decoders, and groups of the same forces.
 fn label(key: &Key, own: &[String; 2], one_kind: bool, differ: [&HashSet<&str>; 3]) -> String {
     let value = |path: &str| at(key, path);
     let [differs, alike, struck] = differ;
@@ -287,7 +287,7 @@ fn label(key: &Key, own: &[String; 2], one_kind: bool, differ: [&HashSet<&str>; 
         parts.push(if training_told { in_words(own) } else { own[0].clone() });
     }
     for (path, value) in key {
-        // a material says what it gives
+        // these follow from the material
         let given = path == "body.density" || path.starts_with("body.stiffness.");
         let told = path.starts_with("point.")
             || path.ends_with("panel_units")
@@ -305,7 +305,7 @@ fn label(key: &Key, own: &[String; 2], one_kind: bool, differ: [&HashSet<&str>; 
     parts.join(", ")
 }
 
-/// A value in a label: a design by how many numbers it has and by its name, as nobody reads them.
+/// Formats a value for a label; a long list as its length and a short hash.
 fn short(value: &Value) -> String {
     const MOST: usize = 12;
     match value {
@@ -320,14 +320,14 @@ fn short(value: &Value) -> String {
     }
 }
 
-/// The errors of a group's trials along an axis.
+/// Returns the errors of trials along an axis.
 pub fn observations(trials: &[&Trial], body: Body, set: Set, at: fn(&Trial) -> u64) -> Vec<Observation> {
     once(trials, |t| t.error(body, set))
         .map(|(t, error)| Observation { at: at(t) as f64, cluster: t.cluster, error })
         .collect()
 }
 
-/// The places of the axis, each once, in order.
+/// Returns the distinct values of the axis, ascending.
 pub fn places(observations: &[Observation]) -> Vec<f64> {
     let mut places: Vec<f64> = observations.iter().map(|o| o.at).collect();
     places.sort_by(f64::total_cmp);
@@ -335,20 +335,20 @@ pub fn places(observations: &[Observation]) -> Vec<f64> {
     places
 }
 
-/// Errors along an axis, ready to be weighed by cluster many times over.
+/// Errors along an axis, indexed for repeated weighting of clusters.
 #[derive(Debug, Clone)]
 pub struct Grid {
-    /// The places of the axis, in order.
+    /// Values of the axis, ascending.
     pub places: Vec<f64>,
-    /// Cluster, place and ln e of every observation, by number.
+    /// Index of the cluster, index of the place, and ln e of every observation.
     pub points: Vec<(usize, usize, f64)>,
 }
 
 impl Grid {
-    /// Of observations whose clusters are among these, which are sorted.
+    /// Indexes observations. `clusters` must be sorted.
     ///
     /// # Panics
-    /// If one is not.
+    /// If an observation has another cluster.
     pub fn new(observations: &[Observation], clusters: &[Cluster]) -> Self {
         let places = places(observations);
         let point = |o: &Observation| {
@@ -359,7 +359,7 @@ impl Grid {
         Self { points: observations.iter().map(point).collect(), places }
     }
 
-    /// Geometric mean of the error at every place, by weights of clusters; `None` where nothing weighs.
+    /// Geometric mean of the error at every place with weighted clusters; `None` where all weights are 0.
     pub fn means(&self, weights: &[f64]) -> Vec<Option<f64>> {
         let mut sums = vec![[0.0; 2]; self.places.len()];
         for &(cluster, place, log) in &self.points {
@@ -370,27 +370,27 @@ impl Grid {
     }
 }
 
-/// The clusters of observations, each once, in order.
+/// Returns the distinct clusters of observations, sorted.
 pub fn clusters<'a>(observations: impl IntoIterator<Item = &'a Observation>) -> Vec<Cluster> {
     distinct(observations.into_iter().map(|o| o.cluster))
 }
 
-/// Errors at one place of an axis.
+/// Errors at one value of an axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Level {
-    /// The place.
+    /// Value on the axis.
     pub at: f64,
-    /// Trials.
+    /// Number of trials.
     pub trials: usize,
     /// Geometric mean of the error (%).
     pub mean: f64,
-    /// Least error (%).
+    /// Smallest error (%).
     pub least: f64,
-    /// Greatest error (%).
+    /// Largest error (%).
     pub most: f64,
 }
 
-/// Mean and range of the error at every place.
+/// Returns mean and range of the error at every value of the axis.
 pub fn levels(observations: &[Observation]) -> Vec<Level> {
     places(observations)
         .into_iter()
@@ -407,7 +407,7 @@ pub fn levels(observations: &[Observation]) -> Vec<Level> {
         .collect()
 }
 
-/// The parts of a group's label that say more than K and M.
+/// Returns the parts of a label except K and M.
 pub(super) fn apart(label: &str) -> Vec<&str> {
     label.split(", ").filter(|part| !part.starts_with("K = ") && !part.starts_with("M = ")).collect()
 }

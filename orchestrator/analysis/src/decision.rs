@@ -1,16 +1,16 @@
-//! How many sensors to build: a decision, where the elbow only describes the curve.
+//! Decisions on the number of sensors M. The elbow only describes the curve.
 //!
 //! ```text
 //! within:  the smallest M with e(M) ≤ (1 + δ)·min e          price p:  argmin e(M) + p·M
-//! fall f:  the smallest M with 100 − e(M) ≥ f·(100 − min e)  of the fall from 100 %, the error of who says nothing
+//! fall f:  the smallest M with 100 − e(M) ≥ f·(100 − min e)  of the fall from 100 %, the error of the estimate zero
 //! ```
-//! e(M) is the geometric mean of the error (%). Votes are shares of the bootstrap's replicates over placements and seeds. The
-//! decision without the largest M shows whether it depends on how far M was tried.
+//! e(M) is the geometric mean of the error (%). Votes are shares of bootstrap replicates over placements and seeds. The
+//! decision without the largest M shows whether it depends on the range of M.
 
 use super::data::{Grid, Observation, clusters};
 use super::resample::Resampling;
 
-/// What a decision weighs.
+/// Parameters of the decisions.
 #[derive(Debug, Clone, Copy, PartialEq, clap::Args)]
 pub struct Terms {
     /// Also shows the smallest M whose error is at most this fraction above the smallest error
@@ -39,19 +39,19 @@ fn part(text: &str) -> Result<f64, String> {
     at_least_zero(text).ok().filter(|x| *x <= 1.0).ok_or_else(|| "must be a number from 0 to 1".into())
 }
 
-/// An M that is decided for.
+/// A chosen M.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Decision {
-    /// By all trials.
+    /// M chosen from all trials.
     pub at: f64,
-    /// Share of votes for each M; `None` where there are too few units.
+    /// M and share of votes; `None` with too few units.
     pub votes: Option<Vec<(f64, f64)>>,
-    /// By all trials but those with the largest M.
+    /// M chosen from all trials except those with the largest M.
     pub without_largest: f64,
 }
 
 impl Decision {
-    /// The share of votes for an M.
+    /// Returns the share of votes for an M.
     pub fn share(&self, m: f64) -> Option<f64> {
         Some(self.votes.as_ref()?.iter().find(|v| v.0 == m)?.1)
     }
@@ -60,20 +60,20 @@ impl Decision {
 /// All decisions.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Decisions {
-    /// The smallest M within δ of the best.
+    /// The smallest M whose error is within δ of the smallest error.
     pub within: Decision,
-    /// The smallest M with its part of the fall.
+    /// The smallest M with the required fraction of the fall.
     pub fall: Decision,
-    /// Where a sensor has a price.
+    /// M of least cost; `None` without a price per sensor.
     pub priced: Option<Decision>,
-    /// The units that votes are over, or that are too few.
+    /// Units of the votes, or why there are none.
     pub over: String,
 }
 
-/// M with the mean error there (%).
+/// M and mean error (%).
 type Means = [(f64, f64)];
 
-/// Decides on M; `None` of fewer than two.
+/// Decides on M; `None` with fewer than two values of M.
 pub fn decide(observations: &[Observation], terms: Terms) -> Option<Decisions> {
     let clusters = clusters(observations);
     let grid = Grid::new(observations, &clusters);
@@ -86,7 +86,7 @@ pub fn decide(observations: &[Observation], terms: Terms) -> Option<Decisions> {
         at.iter().zip(grid.means(weights)).filter_map(|(m, mean)| Some((*m, mean?))).collect()
     };
     let all = means(&units.even());
-    // of a sweep on its way a replicate may draw units without some M
+    // in an incomplete sweep, a replicate may have no trial with some M: it has no vote
     let replicates = units.replicates(|weights| Some(means(&weights)).filter(|of| of.len() == at.len()));
     let decision = |rule: &dyn Fn(&Means) -> f64| {
         let chosen: Vec<f64> = replicates.iter().map(|means| rule(means)).collect();

@@ -1,39 +1,39 @@
-//! The elbow of error against the number of sensors: where more of them stop to pay.
+//! The elbow of the error against the number of sensors M, beyond which further sensors gain little.
 //!
 //! ```text
-//! y = A_cluster + b·min(M, m) + c·max(M − m, 0)       broken stick, m one of the inner M; y = e or ln e
-//! y = A_cluster + b·ρᴹ                                its rival, a decay without a bend
+//! y = A_cluster + b·min(M, m) + c·max(M − m, 0)       broken stick, m an inner M; y = e or ln e
+//! y = A_cluster + b·ρᴹ                                alternative: a decay without a bend
 //! ```
-//! by least squares; the cluster's own level A takes out that one placement is better than another at every M. There is
-//! an elbow where the stick beats straight line and decay by BIC, falls before m and falls at most half as fast after it.
-//! Kneedle (Satopää et al. 2011) and the chord's farthest point stand beside it. Votes by bootstrap.
+//! Both are least-squares fits. The level A per cluster removes differences between placements that are equal at every M. An
+//! elbow exists if the stick has a smaller BIC than straight line and decay, falls before m, and falls at most half as fast
+//! after m. Votes are by bootstrap. Kneedle (Satopää et al. 2011) and the point farthest from the chord are also reported.
 
 use super::data::{Grid, Level, Observation, clusters, levels};
 use super::paired::Ratio;
 use super::resample::{Interval, Resampling};
 
-/// Values of M below which no elbow is sought: a stick has three parameters and a place.
+/// Smallest number of values of M; a stick has three parameters and a place.
 pub const LEAST_VALUES: usize = 4;
 
-/// The most of its fall before the elbow that the error may keep after it.
+/// Largest slope after the elbow relative to that before it.
 const FALL_KEPT: f64 = 0.5;
 
-/// The share of votes that decides.
+/// An answer needs a larger share of votes.
 const MAJORITY: f64 = 0.5;
 
-/// What remains of the rest by a further sensor, of a decay.
+/// Values of ρ.
 const DECAYS: [f64; 20] = [
     0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9,
     0.95,
 ];
 
-/// The first of them that counts as smooth: a faster one takes most of the rest at once, as a stick does that bends at the second M.
+/// Index of the first ρ that counts as smooth. Faster decays resemble a stick that bends at the second M.
 const SMOOTH: usize = 7;
 
-/// The height over M of which an elbow is sought: a fall of many factors bends early in per cent, and late in logarithms.
+/// The quantity y. An error that falls by many factors bends early in %, and late in logarithms.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Height {
-    /// The error (%), as it is mostly drawn.
+    /// The error (%).
     Percent,
     /// Its logarithm: equal factors are equal steps.
     Logarithm,
@@ -51,7 +51,7 @@ impl Height {
         }
     }
 
-    /// Of an error whose logarithm this is.
+    /// Returns y for ln e.
     pub(super) fn of(self, log: f64) -> f64 {
         match self {
             Self::Percent => log.exp(),
@@ -60,16 +60,16 @@ impl Height {
     }
 }
 
-/// What the votes come to.
+/// Result of the votes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Verdict {
-    /// More than half of the replicates have it here.
+    /// More than half of the replicates have the elbow at this M.
     At(f64),
-    /// More than half of the replicates have none.
+    /// More than half of the replicates have no elbow.
     NoElbow,
-    /// Neither an M nor `None`, no elbow, has more than half of the votes; this one has the most.
+    /// No answer has more than half of the votes; this one (`None`: no elbow) has the most.
     Undecided(Option<f64>),
-    /// Too few placements and seeds for votes; the fit itself has it here, or none.
+    /// Too few placements and seeds for votes; the elbow of the fit, if any.
     WithoutVote(Option<f64>),
 }
 
@@ -78,28 +78,28 @@ pub enum Verdict {
 pub struct Elbow {
     /// Error at each M.
     pub levels: Vec<Level>,
-    /// Where all the data have the broken stick's elbow; `None`: no elbow.
+    /// Elbow of the broken stick from all data; `None`: no elbow.
     pub broken_stick: Option<f64>,
-    /// The same without the largest M, where four are left.
+    /// The same without the largest M, if four values are left.
     pub without_largest: Option<Option<f64>>,
-    /// The same of all M where decays of any speed are rivals.
+    /// The same with all M and decays of any speed as alternatives.
     pub any_decay: Option<f64>,
-    /// Kneedle's, on the mean error.
+    /// Elbow by Kneedle, from the mean error.
     pub kneedle: Option<f64>,
-    /// The point farthest below the chord, on the height of the mean error.
+    /// M of the mean error's point farthest below the chord.
     pub chord: Option<f64>,
-    /// Share of the replicates' votes for each M; the rest found no elbow.
+    /// M and share of votes; the other replicates have no elbow.
     pub votes: Vec<(f64, f64)>,
-    /// Error at M over error at the next M, within clusters, with its interval.
+    /// Gains from each M to the next.
     pub gains: Vec<Gain>,
-    /// What it comes to.
+    /// The result.
     pub verdict: Verdict,
-    /// The units that votes and intervals are over, or that are too few.
+    /// Units of votes and intervals, or why there are none.
     pub over: String,
 }
 
 impl Elbow {
-    /// Share of the votes for an elbow at this M, or for none; `None` where nothing has voted.
+    /// Share of the votes for an elbow at this M (`None`: for no elbow); `None` without votes.
     pub fn share(&self, place: Option<f64>) -> Option<f64> {
         if matches!(self.verdict, Verdict::WithoutVote(_)) {
             return None;
@@ -111,28 +111,28 @@ impl Elbow {
     }
 }
 
-/// What further sensors bring.
+/// Gain from further sensors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gain {
-    /// From this M.
+    /// M before.
     pub from: f64,
-    /// To this one, the next.
+    /// M after: the next value.
     pub to: f64,
-    /// Error before over error after; above 1 is better.
+    /// Error before divided by error after, within clusters; above 1: less error with more sensors.
     pub ratio: f64,
-    /// Its 95 % interval, where there are units enough.
+    /// Its 95 % interval; `None` with too few units.
     pub interval: Option<Interval>,
 }
 
-/// Too few values of M to look for an elbow.
+/// There are too few values of M for an elbow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("an elbow needs at least {LEAST_VALUES} values of M, there are {0}")]
 pub struct TooFew(pub usize);
 
-/// Finds the elbow of error against M.
+/// Finds the elbow of the error against M.
 ///
 /// # Errors
-/// Where there are fewer than four values of M.
+/// If there are fewer than four values of M.
 pub fn elbow(observations: &[Observation], height: Height) -> Result<Elbow, TooFew> {
     let clusters = clusters(observations);
     let grid = Grid::new(observations, &clusters);
@@ -173,7 +173,8 @@ pub fn elbow(observations: &[Observation], height: Height) -> Result<Elbow, TooF
     })
 }
 
-/// What has the most votes: one of these M, each with its share, or no elbow. Between equals: no elbow, then the least M.
+/// Returns the answer with the most votes. Ties: no elbow first, then the smallest M. `votes`: M and share; `none`: share for
+/// no elbow.
 fn verdict_of(votes: &[(f64, f64)], none: f64) -> Verdict {
     let places = votes.iter().map(|&(m, share)| (Some(m), share));
     match places.fold((None, none), |a, b| if b.1 > a.1 { b } else { a }) {
@@ -188,7 +189,7 @@ fn verdict_of(votes: &[(f64, f64)], none: f64) -> Verdict {
 pub(super) struct Normal([f64; 6]);
 
 impl Normal {
-    /// Of rows (a, b, y), each column less its mean.
+    /// Sums over rows (a, b, y) after subtracting the column means.
     pub(super) fn centred(rows: impl Iterator<Item = [f64; 3]> + Clone) -> Self {
         let [n, a, b, y] =
             rows.clone().fold([0.0; 4], |[n, a, b, y], r| [n + 1.0, a + r[0], b + r[1], y + r[2]]);
@@ -199,12 +200,12 @@ impl Normal {
     }
 
     fn plus(self, w: f64, other: &Self) -> Self {
-        // written out: in tests, which are not optimised, an iterator here is half of what an analysis costs
+        // written out, because an iterator is much slower in unoptimised builds
         let ([aa, ab, bb, ay, by, yy], o) = (self.0, &other.0);
         Self([aa + w * o[0], ab + w * o[1], bb + w * o[2], ay + w * o[3], by + w * o[4], yy + w * o[5]])
     }
 
-    /// Slopes and residual sum of squares; the second column may be absent (all zero).
+    /// Returns slopes and residual sum of squares. The second column may be all zero.
     pub(super) fn solve(&self) -> ([f64; 2], f64) {
         let [aa, ab, bb, ay, by, yy] = self.0;
         let determinant = aa * bb - ab * ab;
@@ -219,22 +220,22 @@ impl Normal {
     }
 }
 
-/// The normal equations of every fit, cluster by cluster, so that weights of clusters need no look at the observations.
+/// Normal equations of every fit per cluster, so that other weights need no pass over the observations.
 struct Curve {
     places: Vec<f64>,
     clusters: Vec<ByCluster>,
 }
 
-/// A cluster's part of them, each column centred within it.
+/// The sums of one cluster, columns centred within it.
 struct ByCluster {
     observations: f64,
-    /// Which places it has.
+    /// Whether it has an observation at each place.
     has: Vec<bool>,
-    /// Of y on M.
+    /// y on M.
     line: Normal,
-    /// On ρᴹ, by the number of ρ.
+    /// y on ρᴹ, per ρ.
     decays: Vec<Normal>,
-    /// On min(M, m) and max(M − m, 0), by the number of m.
+    /// y on min(M, m) and max(M − m, 0), per m.
     sticks: Vec<Normal>,
 }
 
@@ -265,7 +266,7 @@ impl Curve {
         weighed.fold(Normal::default(), |sum, (cluster, w)| sum.plus(*w, of(cluster)))
     }
 
-    /// The broken stick's elbow by weights of clusters, if there is one; decays from the fastest named on are its rivals.
+    /// Returns the elbow of the broken stick with weighted clusters. Decays from index `fastest` on are alternatives.
     fn broken_stick(&self, weights: &[f64], fastest: usize) -> Option<f64> {
         let drawn = |place: &usize| self.clusters.iter().zip(weights).any(|(c, w)| *w > 0.0 && c.has[*place]);
         let at: Vec<usize> = (0..self.places.len()).filter(drawn).collect();
@@ -283,7 +284,7 @@ impl Curve {
             }
         }
         let (place, [before, after], residual) = best?;
-        // Residuals below rounding are the same residual.
+        // Residuals below the rounding error count as equal.
         let floor = 1e-12 * line.0[5] + f64::MIN_POSITIVE;
         let information =
             |residual: f64, parameters: f64| n * (residual.max(floor) / n).ln() + parameters * n.ln();
@@ -295,8 +296,8 @@ impl Curve {
     }
 }
 
-/// Kneedle for a falling, convex curve, sensitivity 1: the first local maximum of how far the normalised curve lies
-/// below its diagonal that is not surpassed before the distance has dropped by a mean step.
+/// Kneedle for a falling, convex curve, sensitivity 1. Returns the first local maximum of the distance below the diagonal of
+/// the normalised curve that is not exceeded before the distance has dropped by a mean step.
 fn kneedle(levels: &[Level]) -> Option<f64> {
     let (first, last) = (levels.first()?, levels.last()?);
     let most = levels.iter().map(|l| l.mean).fold(f64::NEG_INFINITY, f64::max);
@@ -325,7 +326,7 @@ fn kneedle(levels: &[Level]) -> Option<f64> {
     None
 }
 
-/// The inner point farthest below the straight line from the first point to the last.
+/// Returns the inner point farthest below the straight line from the first point to the last.
 fn chord(levels: &[Level], height: Height) -> Option<f64> {
     let (first, last) = (levels.first()?, levels.last()?);
     let y = |level: &Level| height.of(level.mean.ln());
@@ -340,7 +341,7 @@ fn chord(levels: &[Level], height: Height) -> Option<f64> {
     best.0
 }
 
-/// What each further sensor brings.
+/// Returns the gain from each M to the next.
 pub(super) fn gains(observations: &[Observation]) -> Vec<Gain> {
     let clusters = clusters(observations);
     let (grid, resampling) = (Grid::new(observations, &clusters), Resampling::new(&clusters));

@@ -1,4 +1,4 @@
-//! Brains by name: that of a trial, and the one that its body was trained with.
+//! Names of decoders: that of a trial, and that with which its body was trained.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use serde_json::Value;
 use super::setting::{Setting, flatten};
 use super::trial::Trial;
 
-/// The trial's own brain, and the one that its body was trained with.
+/// Returns the names of the trial's own decoder and of the decoder in the training of its body.
 pub fn brains(setting: &Setting) -> [String; 2] {
     let own = match setting.text("brain.kind") {
         Some("stacked") => match network(setting) {
@@ -33,17 +33,18 @@ pub fn brains(setting: &Setting) -> [String; 2] {
     }
 }
 
-/// [`brains`] in words.
+/// Formats [`brains`].
 pub fn in_words([by, with]: &[String; 2]) -> String {
     if by == with { by.clone() } else { format!("trained with {with}, read by {by}") }
 }
 
-/// [`brains`] of a trial's spec, or of what of it says so.
+/// [`brains`] of a trial's spec, or of a part that contains the decoder.
 pub fn brains_of(spec: &Value) -> [String; 2] {
     brains(&flatten(spec).into_iter().collect())
 }
 
-/// The objective over casts, or over the parts of a mixture, that a trial's body was trained for, and whether a brain each read them.
+/// Returns the objective over casts or over the parts of a mixture, and whether each had a decoder; `None`: training as
+/// designed.
 pub fn objective(setting: &Setting) -> Option<String> {
     let tail = setting.get("optimise.objective.cvar").map(|q| format!("cvar {q}"));
     let objective = tail.or_else(|| setting.text("optimise.objective").map(str::to_owned))?;
@@ -53,12 +54,12 @@ pub fn objective(setting: &Setting) -> Option<String> {
     Some(format!("{objective} of {of}{each}"))
 }
 
-/// Whether the trial's own brain is the linear one.
+/// Whether the trial's own decoder is linear.
 pub fn is_linear(trial: &Trial) -> bool {
     trial.setting.text("brain.kind") == Some("linear")
 }
 
-/// [`brains`] of each trial; those that share a setting are looked at once.
+/// [`brains`] of each trial, computed once per shared setting.
 pub fn of_each(trials: &[&Trial]) -> Vec<[String; 2]> {
     let mut known: HashMap<*const BTreeMap<String, Value>, [String; 2]> = HashMap::new();
     let mut of = |trial: &&Trial| {
@@ -78,7 +79,7 @@ pub fn of_each(trials: &[&Trial]) -> Vec<[String; 2]> {
     trials.iter().map(&mut of).collect()
 }
 
-/// The brain as the trial's spec has it.
+/// Returns `[brain]` of the trial's spec.
 fn of_spec(setting: &Setting) -> Brain {
     let keys = setting
         .leaves()
@@ -87,7 +88,7 @@ fn of_spec(setting: &Setting) -> Brain {
     serde_json::from_value(Value::Object(keys.collect())).unwrap_or_default()
 }
 
-/// How far the trial's own brain looks back and ahead (s).
+/// Returns the memory of the trial's own decoder before and after an instant (s).
 pub fn memory(trial: &Trial) -> [f64; 2] {
     let duration = trial.setting.number("time.duration").unwrap_or(1.0);
     let instant = duration / trial.setting.number("time.samples").unwrap_or(200.0);
@@ -102,7 +103,7 @@ pub fn memory(trial: &Trial) -> [f64; 2] {
     if causal { [reach, 0.0] } else { [0.5 * reach; 2] }
 }
 
-/// A network's name: `cnn` for the paper's shape.
+/// Returns the name of the network: `cnn` for the paper's shape.
 fn network(setting: &Setting) -> String {
     let own = of_spec(setting).resolved();
     if own.network() == (Brain { preset: Some(Preset::Long), ..Brain::default() }).network() {

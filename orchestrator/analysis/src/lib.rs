@@ -1,9 +1,8 @@
-//! Questions to finished trials, answered by pure functions. No file, clock or database.
+//! Questions about finished trials, answered by pure functions without files, clock or database.
 //!
-//! Errors are prediction errors in %, compared on a logarithmic scale: ratios are what carries over from one scene to
-//! another, and a mean of logarithms is not ruled by the one worst trial. A *cluster* is a (placement, seed) pair: all
-//! of a cluster's trials share sensors and stimuli, so that curves are compared within clusters; what is independent, and
-//! with it every interval and vote, is in [`resample`], and whether intervals cover in its tests.
+//! Errors are in % and are compared as logarithms, so that ratios carry over between scenes and no single trial dominates a
+//! mean. A *cluster* is a pair (placement, seed). All trials of a cluster share sensors and forces; curves are compared within
+//! clusters. [`resample`] computes all intervals and votes, and its tests check their coverage.
 
 pub mod bodies;
 pub mod brains;

@@ -2,12 +2,12 @@
 
 use std::collections::BTreeSet;
 
-/// `None` of nothing.
+/// Arithmetic mean; `None` without values.
 pub fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// Each once, in the order in which they come: of a few.
+/// Returns the distinct values in order of appearance. Takes quadratic time.
 pub fn in_order<T: PartialEq>(values: impl IntoIterator<Item = T>) -> Vec<T> {
     let mut found = Vec::new();
     for value in values {
@@ -18,28 +18,28 @@ pub fn in_order<T: PartialEq>(values: impl IntoIterator<Item = T>) -> Vec<T> {
     found
 }
 
-/// exp of the mean logarithm.
+/// Exponential of the mean logarithm.
 pub fn geometric_mean(values: &[f64]) -> f64 {
     (values.iter().map(|v| v.ln()).sum::<f64>() / values.len() as f64).exp()
 }
 
-/// Squares of ln v about the mean, summed.
+/// Sum of the squared deviations of ln v from its mean.
 pub fn log_squares(values: &[f64]) -> f64 {
     let mean = geometric_mean(values).ln();
     values.iter().map(|v| (v.ln() - mean).powi(2)).sum()
 }
 
-/// Standard deviation; `None` of fewer than two.
+/// Sample standard deviation; `None` with fewer than two values.
 pub fn deviation(values: &[f64]) -> Option<f64> {
     let mean = mean(values)?;
     let squares = values.iter().map(|x| (x - mean).powi(2)).sum::<f64>();
     (values.len() > 1).then(|| (squares / (values.len() - 1) as f64).sqrt())
 }
 
-/// Linear interpolation between order statistics of sorted values.
+/// Returns a quantile of sorted values, by linear interpolation between order statistics.
 ///
 /// # Panics
-/// If there are none.
+/// Without values.
 pub fn quantile(sorted: &[f64], q: f64) -> f64 {
     assert!(!sorted.is_empty(), "a quantile of nothing");
     let at = q * (sorted.len() - 1) as f64;
@@ -48,16 +48,16 @@ pub fn quantile(sorted: &[f64], q: f64) -> f64 {
     sorted[below] + (at - below as f64) * (sorted[above] - sorted[below])
 }
 
-/// Half-way between the two in the middle of an even number.
+/// Returns the median; of an even number of values, the mean of the two middle ones.
 ///
 /// # Panics
-/// If there are none.
+/// Without values.
 pub fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     quantile(&values, 0.5)
 }
 
-/// Each value once, in order.
+/// Returns the distinct values, sorted.
 pub fn distinct<T: Ord>(values: impl IntoIterator<Item = T>) -> Vec<T> {
     values.into_iter().collect::<BTreeSet<T>>().into_iter().collect()
 }

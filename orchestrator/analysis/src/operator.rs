@@ -1,6 +1,6 @@
-//! Why training helps: how what a body's sensors can tell changes with it, and whether that says how much the error falls.
+//! Why training helps: changes of measures of a body by training, and their correlation with the gain.
 //!
-//! Rank correlations (Spearman) are of ln(optimised/initial) of a measure with ln(initial/optimised) of the error, over trials.
+//! Rank correlations (Spearman) over trials are between ln(trained/initial) of a measure and ln(initial/trained) of the error.
 
 use serde_json::Value;
 
@@ -9,7 +9,7 @@ use super::numbers::{distinct, geometric_mean, mean};
 use super::trial::Cluster;
 use metasense_render::{Table, row};
 
-/// What is measured of a body.
+/// Measures of a body.
 pub const MEASURES: [&str; 6] = [
     "error of Wiener's filter (%)",
     "forces told apart",
@@ -19,26 +19,26 @@ pub const MEASURES: [&str; 6] = [
     "modes that take part",
 ];
 
-/// Half-width of a 95 % interval of z, times √(n − 3): z of a rank correlation deviates by √(1.06/(n − 3)) (Fieller, Hartley and Pearson
-/// 1957, doi:10.1093/biomet/44.3-4.470).
+/// Half-width of a 95 % interval of z times √(n − 3). z of a rank correlation has the standard deviation √(1.06/(n − 3))
+/// (Fieller, Hartley and Pearson 1957, doi:10.1093/biomet/44.3-4.470).
 const TO_EACH_SIDE: f64 = 1.959_964 * 1.029_563;
-/// A correlation of ±1 has no z.
+/// Largest correlation; at ±1, z is infinite.
 const MOST: f64 = 0.9999;
 
-/// A trial's bodies.
+/// Initial and trained body of a trial.
 #[derive(Debug, Clone)]
 pub struct Change {
-    /// Which trials it belongs to: those of the same K and M, trained with and read by the same brains.
+    /// Group of the trial: equal K, M and decoders in training and evaluation.
     pub setting: String,
-    /// Its placement and seed.
+    /// Placement and seed.
     pub cluster: Cluster,
-    /// Holdout errors (%), of the initial and the optimised body.
+    /// Held-out errors (%) of the initial and the trained body.
     pub errors: [f64; 2],
-    /// Measures of either.
+    /// Measures of the initial and the trained body.
     pub told: [[f64; MEASURES.len()]; 2],
 }
 
-/// A row a setting and measure: its geometric means, and whether trials in which it changed more have gained more.
+/// Returns one row per setting and measure: geometric means, and the rank correlation of its change with the gain.
 pub fn table(changes: &[Change]) -> Table {
     let columns = "setting measure initial optimised ratio correlation correlation_low correlation_high over";
     let settings = distinct(changes.iter().map(|change| &change.setting));
@@ -60,7 +60,7 @@ fn rows(setting: &str, changes: &[&Change]) -> Vec<Vec<Value>> {
         let grown: Vec<f64> = changes.iter().map(|c| (c.told[1][m] / c.told[0][m]).ln()).collect();
         let grown = ranks(&grown);
         let all = correlation(&grown, &gains);
-        // by Fisher's z: a correlation ends at ±1
+        // by Fisher's z, so that the interval stays within ±1
         let end = |sign: f64| Some((all?.clamp(-MOST, MOST).atanh() + sign * half?).tanh());
         let [low, high] = [-1.0, 1.0].map(end);
         let [initial, optimised] = [0, 1].map(mean);
@@ -69,14 +69,14 @@ fn rows(setting: &str, changes: &[&Change]) -> Vec<Vec<Value>> {
     MEASURES.into_iter().enumerate().map(of).collect()
 }
 
-/// Ranks from 1, those of equal numbers their mean.
+/// Ranks from 1; equal numbers share their mean rank.
 fn ranks(values: &[f64]) -> Vec<f64> {
     let below = |x: f64| values.iter().filter(|y| **y < x).count() as f64;
     let equal = |x: f64| values.iter().filter(|y| **y == x).count() as f64;
     values.iter().map(|x| below(*x) + 0.5 * (equal(*x) + 1.0)).collect()
 }
 
-/// Pearson's; `None` where some do not vary.
+/// Pearson correlation; `None` if either list is constant.
 fn correlation(x: &[f64], y: &[f64]) -> Option<f64> {
     let (at_x, at_y) = (mean(x)?, mean(y)?);
     let product = |a: &[f64], at: f64, b: &[f64], bt: f64| -> f64 {
@@ -90,8 +90,8 @@ fn correlation(x: &[f64], y: &[f64]) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// A measure that falls as the error does is correlated by −1, one that has nothing to do with it by little, one that stays by nothing;
-    /// equal numbers share their ranks.
+    /// A measure that changes with the error has a correlation of ±1, an unrelated one a small correlation, a constant one
+    /// none. Equal numbers share their ranks.
     #[test]
     fn what_goes_with_the_gain_is_found() {
         assert_eq!(ranks(&[3.0, 1.0, 3.0, 2.0]), [3.5, 1.0, 3.5, 2.0]);
@@ -117,7 +117,7 @@ mod tests {
         );
         assert!(correlations[2].unwrap().abs() < 0.6 && correlations[3].is_none(), "{correlations:?}");
         assert!(cell(2, "correlation_low") < Some(0.0) && cell(2, "correlation_high") > Some(0.0));
-        // twelve: z = 0 ± 1.96 · 1.0296/3; one of ±1 has an interval, too
+        // twelve trials: z ± 1.96 · 1.0296/3; correlations of ±1 have an interval too
         let (r, low) = (cell(2, "correlation").unwrap(), cell(2, "correlation_low").unwrap());
         assert!((r.atanh() - low.atanh() - 0.672_65).abs() < 1e-4, "{r} {low}");
         assert!(cell(0, "correlation_high") > Some(-1.0));

@@ -1,7 +1,7 @@
-//! Initial against optimised body, paired by trial.
+//! Initial against trained body, paired by trial.
 //!
-//! The ratio of the two errors of a trial compares bodies under the same stimuli, sensors and initial weights. The mean
-//! of ln(ratio) over trials has an interval over placements and seeds ([`Resampling`]).
+//! The two errors of a trial have the same forces, sensors and initial weights. The mean of ln(ratio) over trials has an
+//! interval over placements and seeds ([`Resampling`]).
 
 use std::collections::BTreeMap;
 
@@ -10,29 +10,29 @@ use super::numbers::geometric_mean;
 use super::resample::{Interval, Resampling};
 use super::trial::{Body, Cluster, CurvePoint, Set, Trial};
 
-/// A ratio over trials.
+/// A mean ratio over trials.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ratio {
-    /// Trials that have both values.
+    /// Number of trials with both values.
     pub trials: usize,
-    /// Trials whose ratio is above 1.
+    /// Number of trials with a ratio above 1.
     pub above_one: usize,
-    /// Geometric mean; above 1 the optimised body is the better one.
+    /// Geometric mean. For errors, above 1: the trained body is better.
     pub ratio: f64,
-    /// Its 95 % interval; `None` where there are too few units to tell.
+    /// Its 95 % interval; `None` with too few units.
     pub interval: Option<Interval>,
-    /// The chance of a ratio that far from 1, either way, if the true one is 1.
+    /// Two-sided p-value of the hypothesis that the true ratio is 1.
     pub chance: Option<f64>,
-    /// The true ratio that such trials would tell from 1 in four of five sweeps.
+    /// True ratio that such trials would distinguish from 1 with a power of 80 %.
     pub tells: Option<f64>,
-    /// The units that the interval is over, or that are too few.
+    /// Units of the interval, or why there is none.
     pub over: String,
 }
 
 impl Ratio {
-    /// The geometric mean of positive ratios with its interval over placements and seeds; `None` of no ratios.
+    /// Returns the geometric mean of positive ratios with its interval over placements and seeds; `None` without ratios.
     pub fn of(ratios: &[(Cluster, f64)]) -> Option<Self> {
-        // By cluster, whose trials are drawn and left out together: how many, and the sum of their logarithms.
+        // Count and sum of logarithms per cluster; its trials are drawn together.
         let mut sums: BTreeMap<Cluster, [f64; 2]> = BTreeMap::new();
         for (cluster, ratio) in ratios {
             let sum = sums.entry(*cluster).or_default();
@@ -42,13 +42,13 @@ impl Ratio {
         Self::weighed(&Resampling::new(&clusters), &sums, ratios.iter().filter(|(_, r)| *r > 1.0).count())
     }
 
-    /// The same over other units.
+    /// The same with other units of inference; one ratio per trial of `units`.
     pub fn over(units: &Resampling, ratios: &[f64]) -> Option<Self> {
         let logs: Vec<[f64; 2]> = ratios.iter().map(|r| [1.0, r.ln()]).collect();
         Self::weighed(units, &logs, ratios.iter().filter(|r| **r > 1.0).count())
     }
 
-    /// Of sums of logarithms with their counts, one a weight.
+    /// The same from count and sum of logarithms per weight.
     pub(super) fn weighed(units: &Resampling, sums: &[[f64; 2]], above_one: usize) -> Option<Self> {
         let mean = |weights: &[f64]| {
             let both =
@@ -59,7 +59,7 @@ impl Ratio {
         Self::by(units, trials, above_one, mean)
     }
 
-    /// The ratio whose logarithm is a statistic of weighed trials.
+    /// The same for a ratio whose logarithm is a statistic of weighted trials.
     pub(super) fn by(
         units: &Resampling,
         trials: usize,
@@ -79,13 +79,13 @@ impl Ratio {
     }
 }
 
-/// Of each trial that has both, the first value over the second.
+/// Ratio of the first value to the second, over trials that have both.
 pub(super) fn ratio_of(trials: &[&Trial], values: impl Fn(&Trial) -> Option<[f64; 2]>) -> Option<Ratio> {
     let of = once(trials, values).map(|(t, [a, b])| (t.cluster, a / b));
     Ratio::of(&of.collect::<Vec<_>>())
 }
 
-/// Error of the initial over error of the optimised body.
+/// Error of the initial body divided by that of the trained body.
 pub fn error_ratio(trials: &[&Trial], set: Set) -> Option<Ratio> {
     ratio_of(trials, |t| Some([t.error(Body::Initial, set)?, t.error(Body::Optimised, set)?]))
 }
@@ -95,7 +95,7 @@ pub fn long_ratio(trials: &[&Trial], set: Set) -> Option<Ratio> {
     ratio_of(trials, |t| Some([t.long_error(Body::Initial, set)?, t.long_error(Body::Optimised, set)?]))
 }
 
-/// The ratio by medians over samples, where it leads to another verdict than that by means of the same trials, and both verdicts.
+/// Returns the ratio by medians over samples, and both verdicts, if they differ from the verdict by means of the same trials.
 pub fn disagreement(ratio: impl Fn(Set) -> Option<Ratio>) -> Option<(Ratio, String)> {
     let (mean, median) = (ratio(Set::Holdout)?, ratio(Set::Median)?);
     let verdict = |ratio: &Ratio| match ratio.interval.and_then(Interval::is_above_one) {
@@ -108,20 +108,20 @@ pub fn disagreement(ratio: impl Fn(Set) -> Option<Ratio>) -> Option<(Ratio, Stri
     (mean.trials == median.trials && by_means != by_medians).then_some((median, text))
 }
 
-/// By what two trainings are compared.
+/// Quantity by which the training of two networks is compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Progress {
     /// Training loss, at every iteration.
     Loss,
-    /// Error on the holdout, at some hundred iterations.
+    /// Held-out error, at the iterations at which it is recorded.
     Error,
 }
 
 impl Progress {
-    /// Both, the more telling first.
+    /// Both, the more informative first.
     pub const ALL: [Self; 2] = [Self::Error, Self::Loss];
 
-    /// In words.
+    /// Name in tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::Loss => "training loss",
@@ -130,28 +130,28 @@ impl Progress {
     }
 }
 
-/// The first iteration at which a curve is no more than `target`.
+/// Returns the first iteration at which a curve is at most `target`.
 pub fn first_at(curve: &[CurvePoint], target: f64) -> Option<u32> {
     curve.iter().find(|(_, value)| *value <= target).map(|(iteration, _)| *iteration)
 }
 
-/// Iterations of training on the initial body over those on the optimised body until both first have the value that the
-/// worse of the two ends at its best; `None` where a curve is empty.
+/// Returns the iterations on the initial body divided by those on the trained body, until each first reaches the larger of the
+/// two curves' minima. `None` if a curve is empty.
 pub fn iteration_ratio(initial: &[CurvePoint], optimised: &[CurvePoint]) -> Option<f64> {
     let least = |curve: &[CurvePoint]| curve.iter().map(|p| p.1).fold(f64::INFINITY, f64::min);
     let target = least(initial).max(least(optimised));
     Some(f64::from(first_at(initial, target)?) / f64::from(first_at(optimised, target)?))
 }
 
-/// [`iteration_ratio`] over trials, each the geometric mean over its networks.
+/// [`iteration_ratio`] over trials; geometric mean over the networks of a trial.
 pub fn iterations(trials: &[&Trial], by: Progress) -> Option<Ratio> {
     let of = |t: &Trial| Some(geometric_mean(&t.iterations[by as usize])).filter(|mean| mean.is_finite());
     let ratios: Vec<(Cluster, f64)> = once(trials, of).map(|(t, ratio)| (t.cluster, ratio)).collect();
     Ratio::of(&ratios)
 }
 
-/// Trials by the schedule of their comparison's learning rate: one that falls to nothing meets a target late, whatever the
-/// body, so that ratios of iterations under different ones are not mixed.
+/// Groups trials by the learning rate schedule of the comparison. A rate that falls to zero delays the target for any body, so
+/// ratios under different schedules are not mixed.
 pub fn schedules<'a>(trials: &[&'a Trial]) -> Vec<(&'a str, Vec<&'a Trial>)> {
     let mut found: BTreeMap<&str, Vec<&Trial>> = BTreeMap::new();
     for trial in trials {

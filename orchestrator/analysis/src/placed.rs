@@ -1,4 +1,4 @@
-//! Gain by placing sensors with a search, by training the body, and by training beyond placing.
+//! Gain from placing sensors with a search, and further gain from training the body.
 //!
 //! Four curves of error against M: sensors placed at random and by a search, on the initial and on the trained body.
 
@@ -13,25 +13,25 @@ use super::trial::{Body, Cluster, Set, Trial};
 pub struct Placed<'a> {
     /// The setting.
     pub label: String,
-    /// At each M that both have, in order.
+    /// The values of M that both have, ascending.
     pub levels: Vec<Level<'a>>,
 }
 
-/// At one M.
+/// Trials with one M.
 #[derive(Debug, Clone)]
 pub struct Level<'a> {
     /// M.
     pub sensors: u64,
-    /// Trials by how their sensors were placed: at random, by a search (its first placement).
+    /// Trials with sensors placed at random, and by a search (first placement).
     pub trials: [Vec<&'a Trial>; 2],
 }
 
-/// How the sensors of a trial were searched for, where they were.
+/// Returns the kind of search that placed the sensors, if any.
 fn search(trial: &Trial) -> Option<&str> {
     trial.setting.text("sensors.search")
 }
 
-/// Settings in which sensors were placed both at random and by a search, one a kind of search.
+/// Returns the settings with random and searched placements, one entry per kind of search.
 pub fn placed<'a>(trials: &[&'a Trial]) -> Vec<Placed<'a>> {
     let mut found = Vec::new();
     let but = [SENSORS, SEARCH].concat();
@@ -58,14 +58,14 @@ pub fn placed<'a>(trials: &[&'a Trial]) -> Vec<Placed<'a>> {
 }
 
 impl Level<'_> {
-    /// Error (%, geometric mean) with sensors at random or (`searched`) placed.
+    /// Error (%, geometric mean) with sensors placed at random or (`searched`) by a search.
     pub fn error(&self, searched: bool, body: Body, set: Set) -> Option<f64> {
         let trials = &self.trials[usize::from(searched)];
         let errors: Vec<f64> = trials.iter().filter_map(|t| t.error(body, set)).collect();
         (!errors.is_empty()).then(|| geometric_mean(&errors))
     }
 
-    /// Error with sensors at random over that with sensors placed, a seed: what placing buys on the initial body.
+    /// Error on the initial body with random sensors divided by that with searched sensors, per seed.
     pub fn by_placing(&self, set: Set) -> Option<Ratio> {
         let body = Body::Initial;
         let [random, searched] = &self.trials;
@@ -78,14 +78,14 @@ impl Level<'_> {
         Ratio::of(&searched.iter().filter_map(ratio).collect::<Vec<_>>())
     }
 
-    /// Error of the initial over that of the trained body, both with sensors placed: what training buys beyond placing.
+    /// Error of the initial body divided by that of the trained body, both with searched sensors.
     pub fn by_training(&self, set: Set) -> Option<Ratio> {
         super::paired::error_ratio(&self.trials[1], set)
     }
 }
 
 impl Placed<'_> {
-    /// The least M at which an error (%) is reached, by this and every greater M.
+    /// Returns the smallest M with at most this error (%) there and at every larger M.
     pub fn needed(&self, searched: bool, body: Body, set: Set, error: f64) -> Needed {
         let of = |(level, l): (usize, &Level<'_>)| -> Vec<(usize, Cluster, f64)> {
             let trials = l.trials[usize::from(searched)].iter();
@@ -111,12 +111,12 @@ impl Placed<'_> {
     }
 }
 
-/// How many sensors an error takes.
+/// Number of sensors that an error needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Needed {
-    /// M; none where no M that was tried reaches it.
+    /// M; `None` if no M of the sweep suffices.
     pub sensors: Option<u64>,
-    /// Between what it lies in 95 % of replicates over placements and seeds; none where there are too few.
+    /// 2.5th and 97.5th percentile of M over replicates of placements and seeds; `None` with too few units.
     pub range: Option<(Option<u64>, Option<u64>)>,
 }
 

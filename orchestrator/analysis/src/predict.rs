@@ -1,36 +1,37 @@
-//! What trials will come to, by what trials have shown so far: a Gaussian process over settings and levels.
+//! Predicts results of trials from earlier observations, with a Gaussian process over settings and levels.
 //!
 //! ```text
 //! y(i, l) = a + b_l + f_l(x_i) + p_l(i) + u_l(i) + ε       ln error of trial i at level l: the rungs, then the result
 //! cov(f_l(x), f_m(x')) = σ_f² ρ^|l−m| exp(−½ Σ_d (x_d − x'_d)²/ℓ_d²)     cov(u_l(i), u_m(i)) = σ_u² ρ^|l−m|
-//! cov(p_l(i), p_m(j)) = σ_p² ρ^|l−m| where i and j have the same sensors
+//! cov(p_l(i), p_m(j)) = σ_p² ρ^|l−m| if i and j have the same sensors
 //! ```
-//! (Rasmussen and Williams 2006, eq. 2.25 f. and 5.8; levels after freeze–thaw, arXiv:1406.3896.) ρ is how far a look at a trial
-//! tells its result: where it is small, cheap looks count for little. Looks of unlike kinds, at a body as designed or at its casts,
-//! have b_l of their own. Hyperparameters are the most likely ones of a small grid.
+//! (Rasmussen and Williams 2006, eq. 2.25 f. and 5.8; levels as in freeze–thaw, arXiv:1406.3896.) ρ is the correlation of
+//! neighbouring levels: a small ρ gives rungs little weight. Each kind of error on the rungs, such as that as designed or over
+//! casts, has its own b_l. Hyperparameters are those of largest posterior density on a small grid.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use metasense_numerics::random::Draw;
 
-/// Levels of a trial: two rungs and the result.
+/// Levels of a trial: two rungs (parts of the outer steps) and the result.
 pub const LEVELS: usize = 3;
 
 /// An observation: trial, level, ln of an error in %.
 pub type Seen = (usize, usize, f64);
 
-/// What is known of a trial before it is seen.
+/// Properties of a trial that are known before it runs.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Setting {
-    /// Coordinates of about 0 … 1.
+    /// Coordinates of the setting, about 0 to 1.
     pub place: Vec<f64>,
-    /// What its rungs tell: the same number where it is the same quantity. Results always are.
+    /// Kind of error on its rungs: equal numbers, equal kinds. Results are always of the same kind.
     pub looks: usize,
-    /// Where its sensors are: the same number where they are the same.
+    /// Sensor placement: equal numbers, equal placements.
     pub sensors: usize,
 }
 
-/// Values that hyperparameters may have, and the one that they begin with and are drawn to.
+/// Grids of the hyperparameters σ_f, ℓ, σ_u and σ_p, ρ, noise; index of the first and a priori most likely values, and position
+/// of the noise among the hyperparameters.
 const AMPLITUDE: [f64; 5] = [0.2, 0.4, 0.8, 1.3, 2.0];
 const LENGTH: [f64; 5] = [0.35, 0.7, 1.4, 3.0, 8.0];
 const OWN: [f64; 5] = [0.05, 0.1, 0.2, 0.4, 0.7];
@@ -38,10 +39,10 @@ const KINSHIP: [f64; 5] = [0.2, 0.5, 0.75, 0.9, 0.97];
 const NOISE: [f64; 4] = [0.03, 0.07, 0.15, 0.3];
 const MIDDLE: usize = 2;
 const OF_NOISE: usize = 4;
-/// Variance of a, b_l in advance.
+/// Prior variances of a and b_l.
 const OF_ALL: f64 = 4.0;
 const OF_LEVEL: f64 = 1.0;
-/// How much a value away from the middle must make the data likelier (nats a step of the grid, squared).
+/// Prior penalty per hyperparameter (nats per squared grid step from the middle).
 const PULL: f64 = 0.6;
 /// Passes over the hyperparameters.
 const PASSES: usize = 2;
@@ -56,7 +57,7 @@ struct Hyper {
     noise: f64,
 }
 
-/// Grid indices: amplitude, own, placed, kinship, noise, then a length each coordinate.
+/// Looks up hyperparameters by grid indices: amplitude, own, placed, kinship, noise, then one length per coordinate.
 fn hyper(at: &[usize]) -> Hyper {
     Hyper {
         amplitude: AMPLITUDE[at[0]],
@@ -69,7 +70,7 @@ fn hyper(at: &[usize]) -> Hyper {
 }
 
 impl Hyper {
-    /// Of two trials at two levels, without the noise of an observation.
+    /// Prior covariance of two trials at two levels, without observation noise.
     fn covariance(&self, x: &[&Setting], (i, l): (usize, usize), (j, m): (usize, usize)) -> f64 {
         let distance: f64 = x[i]
             .place
@@ -94,7 +95,7 @@ impl Hyper {
         DMatrix::from_fn(seen.len(), seen.len(), of).cholesky()
     }
 
-    /// ln p(y) and what draws the values to the middle of their grids.
+    /// Returns the log marginal likelihood of y, up to a constant.
     fn evidence(&self, x: &[&Setting], seen: &[Seen], y: &DVector<f64>) -> f64 {
         let Some(factor) = self.factor(x, seen) else { return f64::NEG_INFINITY };
         let logs: f64 = factor.l_dirty().diagonal().iter().map(|d| d.ln()).sum();
@@ -102,24 +103,24 @@ impl Hyper {
     }
 }
 
-/// What the results of trials may be, together: so many draws each, the noise of an observation in them.
+/// Joint prediction of the results of trials. Draws include observation noise.
 #[derive(Debug, Clone)]
 pub struct Prediction {
     /// Expected ln error of each trial's result.
     pub mean: Vec<f64>,
-    /// Its standard deviation, without that noise.
+    /// Its standard deviation, without observation noise.
     pub deviation: Vec<f64>,
-    /// ln errors, a column each draw.
+    /// ln errors: one row per trial, one column per draw.
     draws: DMatrix<f64>,
-    /// How far the first rung tells the result: ρ^(levels between them).
+    /// Correlation of first rung and result: ρ^(levels between them).
     pub kinship: f64,
 }
 
-/// Draws of a prediction.
+/// Number of draws of a prediction.
 const DRAWS: usize = 500;
 
 impl Prediction {
-    /// Of trials of these settings, of which this was seen.
+    /// Predicts the results of trials with settings `x` from the observations `seen`.
     pub fn new(x: &[&Setting], seen: &[Seen]) -> Self {
         let last = LEVELS - 1;
         let middle = seen.iter().map(|s| s.2).sum::<f64>() / seen.len().max(1) as f64;
@@ -141,7 +142,7 @@ impl Prediction {
         }
         let mut draw = Draw::numbered(7, 0);
         let z = DMatrix::from_fn(x.len(), DRAWS, |_, _| draw.normal());
-        // without a factor, which rounding may take, each by itself
+        // if rounding makes the covariance indefinite, trials are drawn independently
         let root = covariance.cholesky().map_or_else(
             || DMatrix::from_diagonal(&DVector::from_column_slice(&deviation)),
             |factor| factor.unpack(),
@@ -159,13 +160,13 @@ impl Prediction {
         }
     }
 
-    /// The mean of a chance that hangs on the ln errors of all results.
+    /// Mean over the draws of a function of the ln errors of all results.
     pub fn chance(&self, of: impl Fn(&[f64]) -> f64) -> f64 {
         self.draws.as_slice().chunks_exact(self.mean.len()).map(of).sum::<f64>() / DRAWS as f64
     }
 }
 
-/// The likeliest hyperparameters of the grid, one after the other.
+/// Maximises the posterior density by coordinate search on the grid.
 fn fitted(x: &[&Setting], seen: &[Seen], y: &DVector<f64>) -> Hyper {
     let mut at = vec![MIDDLE; OF_NOISE + 1 + x.first().map_or(0, |trial| trial.place.len())];
     let worth = |at: &[usize]| {
@@ -193,7 +194,7 @@ fn fitted(x: &[&Setting], seen: &[Seen], y: &DVector<f64>) -> Hyper {
 mod tests {
     use super::*;
 
-    /// Of one coordinate, with looks and sensors.
+    /// Settings with one coordinate, a kind of rungs and a placement each.
     fn settings(known: impl Iterator<Item = (f64, usize, usize)>) -> Vec<Setting> {
         known.map(|(x, looks, sensors)| Setting { place: vec![x], looks, sensors }).collect()
     }
@@ -202,8 +203,8 @@ mod tests {
         Prediction::new(&x.iter().collect::<Vec<_>>(), seen)
     }
 
-    /// y = 1 + x at the last level, half of it above at the first one, and no noise: predicted between the places that were
-    /// seen, and surer there than far from them; a look at the first rung makes a trial's result surer.
+    /// Without noise, y = 1 + x as result and 0.5 more on the first rung. Results between observed trials are predicted, with a
+    /// larger deviation than observed ones; an observed rung lowers the deviation of its trial's result.
     #[test]
     fn results_are_predicted_from_looks() {
         let x = settings((0..9).map(|i| (i as f64 / 8.0, 0, i)));
@@ -223,7 +224,7 @@ mod tests {
         assert!(chance > 0.95, "{chance}");
     }
 
-    /// Looks that say nothing of the results are found out: what they say moves no prediction.
+    /// Rungs that are independent of the results hardly change predictions.
     #[test]
     fn looks_that_tell_nothing_count_for_little() {
         let mut draw = Draw::numbered(3, 1);
@@ -240,7 +241,7 @@ mod tests {
         assert!(low.kinship < 0.6, "{}", low.kinship);
     }
 
-    /// Looks of one kind lie far below the results, those of another above, in one setting: both are predicted as they come out.
+    /// One kind of rungs is far below the results, another above, in one setting: results of both kinds are predicted.
     #[test]
     fn looks_of_two_kinds_are_told_apart() {
         let x = settings((0..10).map(|i| (0.0, i % 2, i)));
@@ -255,7 +256,8 @@ mod tests {
         }
     }
 
-    /// One of two placements reads worse in three settings: so it will in a fourth, far from them, where nobody has looked.
+    /// One of two placements has larger errors in three settings; this is predicted for a distant fourth setting without
+    /// observations.
     #[test]
     fn a_placement_is_worth_the_same_in_other_settings() {
         let x = settings((0..8).map(|i| (3.0 * (i / 2) as f64, 0, i % 2)));

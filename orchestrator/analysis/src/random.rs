@@ -1,7 +1,7 @@
-//! Optimised and initial against random bodies: whether training finds what chance does not.
+//! Compares random bodies with the initial and the trained body.
 //!
-//! A trial whose body starts from `{ random = SEED }` gives a random body's error with its `initial`; it is compared with
-//! the trials of rotated squares that share its sensors and stimuli. What is drawn is the body, as well as placement and seed.
+//! Trials that start from `{ random = SEED }` give the errors of random bodies as their `initial` errors. They are compared
+//! with trials of the regular body with the same sensors and forces. Units of inference are bodies, placements and seeds.
 
 use std::collections::HashMap;
 
@@ -13,29 +13,30 @@ use super::paired::Ratio;
 use super::resample::{PLACEMENTS, Resampling, SEEDS};
 use super::trial::{Body, RANDOM, SPREAD, Set, Trial};
 
-/// Random bodies beside the initial and the optimised one.
+/// Errors of random bodies, of the initial and of the trained body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Random {
-    /// Errors (%) of random bodies, one a trial.
+    /// Errors (%) of random bodies, one per trial.
     pub errors: Vec<f64>,
-    /// Errors (%) of the initial and of the optimised body, of the trials that they are compared with.
+    /// Errors (%) of the initial and the trained body in the trials for comparison.
     pub others: [Vec<f64>; 2],
-    /// A random body's error over that of the initial and of the optimised body, with equal sensors and stimuli; above
-    /// 1 the random body is the worse one.
+    /// Error of a random body divided by that of the initial and of the trained body, at equal sensors and forces. Above 1: the
+    /// random body is worse.
     pub ratios: [Option<Ratio>; 2],
-    /// Errors (%) of the bodies that training made of the random ones.
+    /// Errors (%) of bodies that were trained from random ones.
     pub trained: Vec<f64>,
 }
 
 impl Random {
-    /// Standard deviation of ln e over random bodies; `None` of a single one.
+    /// Standard deviation of ln e over random bodies; `None` with a single body.
     pub fn deviation(&self) -> Option<f64> {
         let freedom = self.errors.len() - 1;
         (freedom > 0).then(|| (log_squares(&self.errors) / freedom as f64).sqrt())
     }
 }
 
-/// Groups of equal setting but for the design, a group for each spread of its random bodies; each has all that are not random.
+/// Groups trials that differ only in the design, with one group per spread of the random bodies. Each group contains all trials
+/// of bodies that are not random.
 pub fn random_groups<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
     let spread = |t: &Trial| t.setting.number(SPREAD).unwrap_or(Design::SPREAD);
     let split = |group: Group<'a>| {
@@ -57,14 +58,15 @@ pub fn random_groups<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
     groups(trials, DESIGN).into_iter().flat_map(split).collect()
 }
 
-/// Compares a group's random bodies with its others, but for those that start from a given design; `None` where it lacks either.
+/// Compares the random bodies of a group with the others, except those that start from a given design. `None` if either is
+/// missing.
 pub fn random(trials: &[&Trial], set: Set) -> Option<Random> {
     let (random, mut others): (Vec<&Trial>, Vec<&Trial>) = trials.iter().partition(|t| t.starts_random());
     others.retain(|t| !t.starts_from_design());
     let of = |trials: &[&Trial], body| -> Vec<f64> {
         once(trials, |t| t.error(body, set)).map(|(_, error)| error).collect()
     };
-    // the mean where several ways of training share sensors and stimuli
+    // geometric mean over ways of training with equal sensors and forces
     let mut sharing: HashMap<_, Vec<&Trial>> = HashMap::new();
     others.iter().for_each(|o| sharing.entry((o.cluster, o.sensors)).or_default().push(o));
     let alike = |trial: &Trial, body: Body| {

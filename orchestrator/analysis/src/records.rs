@@ -1,7 +1,8 @@
-//! Bodies judged by records: each record's error is that of networks that have not seen it, a mean over seeds, or of the inverse brain.
+//! Errors of bodies on measured or simulated records. The error of a record is the mean over seeds of networks that were not
+//! trained on it, or the error of the inverse decoder.
 //!
-//! Intervals are for records drawn anew, of bodies under the same blows the same ones. They say how much other records
-//! would differ, not other networks: for that there is the spread over folds and seeds.
+//! Intervals are over records; bodies under the same forces share the resampled records. They do not cover other networks,
+//! which the spread over folds and seeds shows.
 
 use super::numbers::{deviation, mean, quantile};
 use super::paired::iteration_ratio;
@@ -10,80 +11,80 @@ use super::trial::CurvePoint;
 use metasense_numerics::random::Draw;
 use metasense_render::{Table, row};
 
-/// A body's errors by fresh networks.
+/// Errors of one body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Judged {
     /// The body.
     pub body: String,
-    /// Whose signals train and are read.
+    /// Signals of training and evaluation.
     pub by: By,
-    /// Error of each record (%), a mean over seeds; `None` where there is none.
+    /// Error of each record (%), mean over seeds; `None` if it has none.
     pub errors: Vec<Option<f64>>,
     /// Mean error on training records (%).
     pub error_train: Option<f64>,
-    /// Mean error of each seed's networks (%).
+    /// Mean error of the networks of each seed (%).
     pub by_seed: Vec<f64>,
-    /// Mean error of each fold's records (%).
+    /// Mean error of the records of each fold (%).
     pub by_fold: Vec<f64>,
-    /// Mean error on unseen records at some iterations.
+    /// Mean error on records not used in training, at some iterations.
     pub progress: Vec<CurvePoint>,
-    /// Of the model's or the twin's signals: how they agree with the measured ones.
+    /// Agreement of the signals of the model or the twin with the measured ones.
     pub agreement: Option<Agreement>,
-    /// Of the inverse brain.
+    /// Results of the inverse decoder.
     pub posterior: Option<Said>,
 }
 
-/// What the inverse brain says besides, of so many records.
+/// Further results of the inverse decoder.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Said {
-    /// Part of the true forces that lies in the 95 % bands (%).
+    /// Fraction of the true forces within the 95 % bands (%).
     pub coverage: f64,
-    /// Descents that did not converge.
+    /// Number of descents that did not converge.
     pub unconverged: usize,
-    /// Records that its model does not explain.
+    /// Number of records that its model does not explain.
     pub unexplained: usize,
-    /// CPU time of a record (s).
+    /// CPU time per record (s).
     pub seconds: f64,
 }
 
-/// Whose signals train the networks, and are read by them; by an inverse brain whose model reads.
+/// Signals that train the networks and on which they are evaluated; for the inverse decoder, the model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum By {
-    /// Measured ones.
+    /// Measured signals.
     Measured,
-    /// The trial's holdout.
+    /// The held-out set of the trial.
     Holdout,
-    /// Those of the trial's model.
+    /// Signals of the trial's model.
     Simulated,
-    /// Those of a twin train, measured ones are read.
+    /// Training with signals of a twin, evaluation on measured ones.
     Twin,
 }
 
 impl By {
-    /// The name by which people know it.
+    /// Name in tables.
     pub fn name(self) -> &'static str {
         ["measured", "holdout", "simulated", "twin"][self as usize]
     }
 }
 
-/// How two bodies' signals agree, channels at equal weight.
+/// Agreement of two bodies' signals, with equal weight per channel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Agreement {
-    /// Mean over channels of the coefficient of correlation.
+    /// Correlation coefficient, mean over channels.
     pub correlation: f64,
-    /// Root mean square over channels of ‖difference‖/‖measured‖ (%).
+    /// ‖difference‖/‖measured‖, root mean square over channels (%).
     pub difference: f64,
-    /// By how many instants the measured signals come later, where they correlate best.
+    /// Delay of the measured signals at the largest correlation (instants).
     pub lag: i64,
 }
 
-/// Lags that are looked at, in instants, either way.
+/// Largest lag, in either direction (instants).
 const LAGS: i64 = 20;
 
 impl Agreement {
-    /// Of signals (N, T, channels).
+    /// Compares signals of shape (N, T, channels).
     pub fn of(measured: &[f64], simulated: &[f64], [instants, channels]: [usize; 2]) -> Self {
-        // pairs of a channel, of the same record
+        // pairs of values of a channel within each record
         let pairs = |c: usize, lag: i64| {
             let shift = lag * channels as i64;
             let at = (c..measured.len()).step_by(channels);
@@ -117,16 +118,16 @@ impl Agreement {
     }
 }
 
-/// The mean of the first over the mean of the second, with its interval.
+/// Ratio of two mean errors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeanRatio {
-    /// Above 1 the second body is the better one.
+    /// Mean of the first divided by mean of the second. Above 1: the second body is better.
     pub ratio: f64,
-    /// 95 % over records; `None` of few.
+    /// 95 % interval over records; `None` with too few records.
     pub interval: Option<Interval>,
 }
 
-/// Ratio of mean errors. `paired`: record by record under the same blows, so that both are drawn together.
+/// Returns the ratio of mean errors. `paired`: both bodies have the same records, which are drawn together.
 pub fn mean_ratio(first: &Judged, second: &Judged, paired: bool) -> Option<MeanRatio> {
     let groups: Vec<Vec<Errors>> = match paired {
         true => {
@@ -145,10 +146,10 @@ pub fn mean_ratio(first: &Judged, second: &Judged, paired: bool) -> Option<MeanR
     Some(MeanRatio { ratio: log_ratio.exp(), interval: interval(&groups) })
 }
 
-/// A record's errors on both bodies.
+/// Errors of a record on both bodies.
 type Errors = [Option<f64>; 2];
 
-/// Sums over records, of each body and of records that have both errors.
+/// Sums over records per body, and over records with both errors.
 #[derive(Default)]
 struct Sums {
     count: [f64; 2],
@@ -173,8 +174,8 @@ impl Sums {
         }
     }
 
-    /// ln of the mean error on the first body over that on the second, 1 where no record has one, and its standard error by the
-    /// influence of each record.
+    /// Returns ln of the ratio of mean errors (first over second body; 1 in place of a missing mean) and its standard error by
+    /// the influence function.
     fn log_ratio(&self) -> Option<(f64, f64)> {
         let (mut log, mut variance) = (0.0, 0.0);
         let mean = |body: usize| self.sum[body] / self.count[body];
@@ -191,11 +192,11 @@ impl Sums {
     }
 }
 
-/// Replicates: 2.5 % of one more than these are whole.
+/// Number of replicates; 2.5 % of one more is a whole number.
 const STUDENTISED: usize = 999;
 
-/// The 95 % interval of that ratio by the studentised bootstrap, records drawn within their groups (Hall, Ann. Stat. 16, 927, 1988):
-/// errors of records are skewed, and Student's t would leave out the mean too often. `None` of too few records.
+/// Returns the 95 % interval of that ratio by the studentised bootstrap within groups (Hall, Ann. Stat. 16, 927, 1988). Errors
+/// of records are skewed, so Student's t would cover too rarely. `None` with too few records.
 fn interval(groups: &[Vec<Errors>]) -> Option<Interval> {
     if groups.iter().any(|group| group.len() < LEAST_UNITS) {
         return None;
@@ -212,7 +213,7 @@ fn interval(groups: &[Vec<Errors>]) -> Option<Interval> {
     let mut found: Vec<f64> = (0..STUDENTISED).filter_map(studentised).collect();
     found.sort_by(f64::total_cmp);
     if found.is_empty() {
-        // all records say the same
+        // all records have the same error
         return (error == 0.0).then(|| Interval { low: whole.exp(), high: whole.exp() });
     }
     let [low, high] = [0.025, 0.975].map(|q| quantile(&found, q));
@@ -225,7 +226,7 @@ fn log_ratio(groups: &[Vec<Errors>]) -> Option<(f64, f64)> {
     sums.log_ratio()
 }
 
-/// Of the mean of positive errors, over records.
+/// Returns the interval of the mean of positive errors over records.
 pub(super) fn mean_interval(errors: &[f64]) -> Option<Interval> {
     interval(&[errors.iter().map(|error| [Some(*error), None]).collect()])
 }
@@ -241,11 +242,12 @@ impl Judged {
     }
 }
 
-/// What only brains that are trained on records have, and what only the inverse one.
+/// Columns that apply only to trained decoders, and only to the inverse decoder.
 const OF_TRAINED: [&str; 4] = ["error_train", "spread_folds", "spread_seeds", "iterations_ratio"];
 const OF_INVERSE: [&str; 4] = ["coverage", "not_converged", "unexplained", "cpu_seconds"];
 
-/// A row a body and kind of signals; ratios are to the first body's row of the same kind. `delta` is an instant's length (s).
+/// Returns one row per body and kind of signals; ratios are to the first body's row of the same kind. `delta`: time per instant
+/// (s).
 pub fn table(judged: &[Judged], paired: bool, delta: f64) -> Table {
     let columns = "body signals records error_train error_test test_low test_high median p90 above spread_folds \
         spread_seeds ratio ratio_low ratio_high iterations_ratio correlation difference lag coverage \

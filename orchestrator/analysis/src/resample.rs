@@ -1,14 +1,13 @@
-//! What is independent of what, and the intervals and votes that follow from it.
+//! Independent units of a sweep, and intervals and votes over them.
 //!
-//! Trials of one seed share stimuli, split and first weights, those of one placement their sensors, be they more or
-//! fewer, at every seed: never trials but seeds and placements, crossed, are the *units* of inference; where each seed
-//! has placements of its own, seeds are. A kind with four units or more is drawn anew; one with fewer is held, and what is
-//! said holds for those it has.
+//! Trials of one seed share forces, split and initial weights; trials of one placement share sensors. The *units* of inference
+//! are therefore seeds and placements, crossed; only seeds, if each seed has its own placements. A kind with at least four
+//! units is resampled. A kind with fewer is held fixed, and results are valid for its units only. The variance of a statistic θ
+//! is
 //! ```text
 //! V = Σ_kinds V_k − Σ_pairs V_kl + …,   V_k = (n−1)/n Σ (θ₋ᵢ − θ̄₋)²   by leaving out one unit at a time
 //! ```
-//! (Cameron, Gelbach and Miller 2011), with Student's t at Satterthwaite's degrees of freedom. Votes are by bootstrap, over all ways
-//! to draw where these are few.
+//! (Cameron, Gelbach and Miller 2011), with Student's t and Satterthwaite's degrees of freedom. Votes are by bootstrap.
 
 use std::collections::BTreeMap;
 
@@ -17,46 +16,46 @@ use super::trial::Cluster;
 use metasense_numerics::random::Draw;
 use metasense_numerics::student::{chance_above, student, student_above};
 
-/// Units of a kind below which it is not drawn anew: of three, leaving one out says next to nothing about the spread.
+/// Smallest number of units that are resampled; leaving one of three out hardly estimates the spread.
 pub const LEAST_UNITS: usize = 4;
 
-/// Replicates of a bootstrap, and the most where every way to draw is one.
+/// Number of bootstrap replicates. If there are at most as many ways to draw, each is used once.
 pub const REPLICATES: usize = 1000;
 
-/// The seed of all bootstraps, so that an analysis repeated gives the same numbers.
+/// Seed of all bootstraps, so that repeated analyses agree.
 pub const SEED: u64 = 1;
 
-/// Ends of a 95 % interval.
+/// A 95 % interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Interval {
-    /// 2.5 % of the time the truth lies below.
+    /// Lower end: in 2.5 % of cases the true value is below.
     pub low: f64,
-    /// 2.5 % of the time the truth lies above.
+    /// Upper end: in 2.5 % of cases the true value is above.
     pub high: f64,
 }
 
 impl Interval {
-    /// Both ends through an increasing function.
+    /// Applies an increasing function to both ends.
     pub fn map(self, f: impl Fn(f64) -> f64) -> Self {
         Self { low: f(self.low), high: f(self.high) }
     }
 
-    /// Of a ratio: whether all of it is above 1, or below; `None` where it may be either.
+    /// Whether the interval of a ratio is entirely above 1, or below; `None` if it contains 1.
     pub fn is_above_one(self) -> Option<bool> {
         (self.low > 1.0 || self.high < 1.0).then_some(self.low > 1.0)
     }
 }
 
-/// What units are called, one and several.
+/// Name of placements as units: singular, plural.
 pub const PLACEMENTS: [&str; 2] = ["placement", "placements"];
-/// Likewise.
+/// Name of seeds as units: singular, plural.
 pub const SEEDS: [&str; 2] = ["seed", "seeds"];
 
-/// Likewise, where no two are at the same placement.
+/// The same if each seed has its own placements.
 const OWN_PLACEMENTS: [&str; 2] =
     ["seed with placements of its own", "seeds, each with placements of its own"];
 
-/// A kind of unit: its name, of one and of several, how many there are, and which is each trial's.
+/// A kind of unit: its name (singular, plural), the number of units, and the unit of each trial.
 #[derive(Debug, Clone)]
 struct Kind {
     name: [&'static str; 2],
@@ -64,7 +63,7 @@ struct Kind {
     of_trial: Vec<usize>,
 }
 
-/// The units of some trials, ready to be left out and to be drawn anew.
+/// The units of some trials, for jackknife and bootstrap.
 #[derive(Debug, Clone)]
 pub struct Resampling {
     trials: usize,
@@ -72,7 +71,7 @@ pub struct Resampling {
 }
 
 impl Resampling {
-    /// Placements and seeds, one entry a trial.
+    /// Units are placements and seeds; one entry per trial.
     pub fn new(clusters: &[Cluster]) -> Self {
         let of = |pick: fn(&Cluster) -> u64| clusters.iter().map(pick).collect::<Vec<u64>>();
         let (placements, seeds) = (of(|c| c.placement), of(|c| c.seed));
@@ -85,7 +84,7 @@ impl Resampling {
         Self::of([(PLACEMENTS, placements), (SEEDS, seeds)])
     }
 
-    /// Other kinds of units: a name, and each trial's.
+    /// Other kinds of units: a name, and the unit of each trial.
     pub fn of(kinds: impl IntoIterator<Item = ([&'static str; 2], Vec<u64>)>) -> Self {
         let kind = |(name, of_trial): ([&'static str; 2], Vec<u64>)| {
             let values = distinct(of_trial.iter().copied());
@@ -100,12 +99,12 @@ impl Resampling {
         self.kinds.iter().filter(|k| k.count >= LEAST_UNITS).collect()
     }
 
-    /// Whether there are enough units of some kind to tell anything beyond them.
+    /// Whether any kind has enough units for intervals.
     pub fn can_tell(&self) -> bool {
         !self.drawn().is_empty()
     }
 
-    /// Over what an interval or vote is: `5 placements`, `6 placements at 2 seeds`, `too few to tell: 3 seeds`.
+    /// Describes the units of an interval or vote: `5 placements`, `6 placements at 2 seeds`, `too few to tell: 3 seeds`.
     pub fn over(&self) -> String {
         let list = |kinds: &[&Kind]| -> String {
             let each = kinds.iter().map(|k| format!("{} {}", k.count, k.name[usize::from(k.count > 1)]));
@@ -120,24 +119,24 @@ impl Resampling {
         }
     }
 
-    /// The unit of each trial, of the kind that is drawn and has the fewest; `None` where there are too few of every kind.
+    /// Unit of each trial, for the resampled kind with the fewest units; `None` if no kind has enough.
     pub fn units(&self) -> Option<&[usize]> {
         self.drawn().into_iter().min_by_key(|k| k.count).map(|k| &k.of_trial[..])
     }
 
-    /// Weights by which every trial counts once.
+    /// Weights of 1 for every trial.
     pub(super) fn even(&self) -> Vec<f64> {
         vec![1.0; self.trials]
     }
 
-    /// How often each trial counts in a replicate: of n units n − 1 are drawn with replacement, so that a mean's variance
-    /// comes out right (Rao and Wu 1988).
+    /// Weights of the trials in a replicate. Of n units, n − 1 are drawn with replacement, so that the variance of a mean is
+    /// unbiased (Rao and Wu 1988).
     pub fn weights(&self, replicate: usize) -> Vec<f64> {
         let mut draw = Draw::numbered(SEED, replicate as u64);
         self.weighed(|count| draw.below(count))
     }
 
-    /// Likewise, by a function that draws one of so many units.
+    /// The same with a function that draws a number below its argument.
     fn weighed(&self, mut below: impl FnMut(usize) -> usize) -> Vec<f64> {
         let mut weights = self.even();
         for kind in self.drawn() {
@@ -152,8 +151,7 @@ impl Resampling {
         weights
     }
 
-    /// A statistic of every replicate, in their order; replicates without one are left out. None where there are too few
-    /// units.
+    /// Returns a statistic of every replicate, in order, without those that lack it. Empty with too few units.
     pub fn replicates<T>(&self, statistic: impl FnMut(Vec<f64>) -> Option<T>) -> Vec<T> {
         if !self.can_tell() {
             return Vec::new();
@@ -174,8 +172,7 @@ impl Resampling {
         (0..ways).map(way).filter_map(statistic).collect()
     }
 
-    /// A statistic of all trials, and with each unit left out; `None` where there are too few units, or one of them leaves
-    /// no statistic.
+    /// Returns a statistic of all trials, and with each unit left out. `None` with too few units, or if a statistic is missing.
     pub fn jackknife<T>(&self, mut statistic: impl FnMut(&[f64]) -> Option<T>) -> Option<Jackknife<T>> {
         let drawn = self.drawn();
         let fewest = drawn.iter().map(|k| k.count).min()?;
@@ -200,40 +197,39 @@ impl Resampling {
         Some(Jackknife { whole, fewest, parts })
     }
 
-    /// The 95 % interval of a statistic of weighted trials.
+    /// Returns the 95 % interval of a statistic of weighted trials.
     pub fn interval(&self, statistic: impl FnMut(&[f64]) -> Option<f64>) -> Option<Interval> {
         self.judged(statistic).map(|judged| judged.interval)
     }
 
-    /// The same with what is said of a statistic that is 0 if there is nothing to it.
+    /// Returns interval, p-value and detectable value of a statistic with the null value 0.
     pub fn judged(&self, statistic: impl FnMut(&[f64]) -> Option<f64>) -> Option<Judged> {
         self.jackknife(statistic)?.judged(|x| *x)
     }
 }
 
-/// What units say of a statistic that is 0 if there is nothing to it.
+/// Inference on a statistic with the null value 0.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Judged {
     /// The 95 % interval.
     pub interval: Interval,
-    /// The chance that a statistic which is 0 in truth comes out as far from it, on either side.
+    /// Two-sided p-value.
     pub chance: f64,
-    /// The true value that as many units of this scatter would tell from 0, by the interval, in four of five sweeps: some (t.975 + t.8)
-    /// standard errors.
+    /// True value that the interval would distinguish from 0 with a power of 80 %: t.975 + t.8 standard errors.
     pub tells: f64,
 }
 
-/// A statistic with units left out, one at a time, of each kind and of each crossing of kinds.
+/// A statistic with units left out one at a time, for each kind and each crossing of kinds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Jackknife<T> {
-    /// Of all trials.
+    /// Statistic of all trials.
     pub whole: T,
     fewest: usize,
     parts: Vec<(usize, Vec<T>)>,
 }
 
 impl<T> Jackknife<T> {
-    /// The 95 % interval of a number had from the statistic.
+    /// Returns the 95 % interval of a function of the statistic.
     pub fn interval(&self, number: impl Fn(&T) -> f64) -> Option<Interval> {
         self.judged(number).map(|judged| judged.interval)
     }
@@ -267,8 +263,7 @@ impl<T> Jackknife<T> {
     }
 }
 
-/// What chances of several findings come to together (Holm, Scand. J. Stat. 6, 1979): where the greatest is at most x, all of them
-/// are but chance with probability x at most.
+/// Returns p-values adjusted for multiple tests (Holm, Scand. J. Stat. 6, 1979), in the order of `chances`.
 pub fn holm(chances: &[f64]) -> Vec<f64> {
     let mut order: Vec<usize> = (0..chances.len()).collect();
     order.sort_by(|a, b| chances[*a].total_cmp(&chances[*b]));

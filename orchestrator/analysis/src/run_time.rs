@@ -1,18 +1,17 @@
-//! Error against run time: best test error so far over seconds of CPU, per trial and protocol.
+//! Error against run time: smallest test error so far against CPU seconds, per trial and protocol.
 //!
-//! Time to an error is a question of survival: a trial that ended without getting there was only watched that long. The
-//! median is Kaplan and Meier's (1958); its interval lies between order statistics, interpolated (Hettmansperger and
-//! Sheather 1986), of one time a unit: it needs six units, since of five the least and the greatest hold the median in
-//! 93.8 % of cases alone.
+//! Times to an error are censored: a trial may end before it reaches the error. The median is that of Kaplan and Meier (1958).
+//! Its interval interpolates between order statistics (Hettmansperger and Sheather 1986) of one time per unit. It needs six
+//! units: the range of five contains the median in only 93.8 % of cases.
 
 use super::numbers::{geometric_mean, in_order};
 use super::resample::Resampling;
 use super::trial::{Cluster, Trial};
 
-/// What a run has reached: seconds, and best error (%) so far.
+/// Seconds, and smallest error (%) so far.
 pub type Reached = (f64, f64);
 
-/// The points that no other beats in both seconds and error, by rising seconds; the index of each is given too.
+/// Returns the indices of the points of the Pareto front of seconds and error, by ascending seconds.
 pub fn pareto(points: &[Reached]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..points.len()).collect();
     order.retain(|&i| points[i].0.is_finite() && points[i].1.is_finite());
@@ -26,24 +25,24 @@ pub fn pareto(points: &[Reached]) -> Vec<usize> {
     order
 }
 
-/// Seconds until a run's best error is no more than `error`.
+/// Returns the seconds until the smallest error so far is at most `error`.
 pub fn time_to(history: &[Reached], error: f64) -> Option<f64> {
     history.iter().find(|(_, best)| *best <= error).map(|(seconds, _)| *seconds)
 }
 
-/// A run watched for some seconds.
+/// A possibly censored time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Watched {
-    /// Its placement and seed.
+    /// Placement and seed.
     pub cluster: Cluster,
-    /// Until it got there, or ended.
+    /// Seconds until the error was reached, or until the end.
     pub seconds: f64,
-    /// Whether it got there.
+    /// Whether the error was reached.
     pub reached: bool,
 }
 
 impl Watched {
-    /// A trial's way to an error (%); `None` of one without steps.
+    /// Returns the time of a trial to an error (%); `None` without steps.
     pub fn new(trial: &Trial, error: f64) -> Option<Self> {
         let reached = time_to(&trial.history, error);
         let seconds = reached.or(trial.history.last().map(|last| last.0))?;
@@ -51,21 +50,21 @@ impl Watched {
     }
 }
 
-/// When half of the runs have got there.
+/// Median time to an error.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MedianTime {
-    /// Seconds; `None`: fewer than half ever do.
+    /// Seconds; `None` if fewer than half of the runs reach the error.
     pub median: Option<f64>,
-    /// Ends of its 95 % interval (s), each where runs were watched long enough.
+    /// Ends of its 95 % interval (s); `None` with too few units, or if the runs ended too early.
     pub ends: [Option<f64>; 2],
-    /// The units that the interval is over, or that are too few.
+    /// Units of the interval, or why there is none.
     pub over: String,
 }
 
-/// Units below which a median's interval has no ends.
+/// Smallest number of units for an interval of the median.
 const LEAST_UNITS: usize = 6;
 
-/// The median over runs, with its interval over units.
+/// Returns the median over runs, with its interval over units.
 pub fn median_time(runs: &[Watched]) -> MedianTime {
     let resampling = Resampling::new(&runs.iter().map(|r| r.cluster).collect::<Vec<_>>());
     let of_unit = |units: &[usize], unit: usize| -> (f64, bool) {
@@ -90,10 +89,11 @@ pub fn median_time(runs: &[Watched]) -> MedianTime {
     }
 }
 
-/// When `share` of the runs have got there, by Kaplan and Meier's curve; `None`: never.
+/// Returns the time by which this share of the runs has reached the error, by the Kaplan–Meier estimator; `None`: never.
+/// `runs`: seconds, and whether the error was reached.
 fn kaplan_meier(runs: &[(f64, bool)], share: f64) -> Option<f64> {
     let mut runs = runs.to_vec();
-    // a run that ends as another gets there was still under way
+    // a run that ends when another one reaches the error counts as still running
     runs.sort_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)));
     let mut on_the_way = 1.0;
     for (i, (seconds, reached)) in runs.iter().enumerate() {
@@ -107,7 +107,7 @@ fn kaplan_meier(runs: &[(f64, bool)], share: f64) -> Option<f64> {
     None
 }
 
-/// Half-way between the runs in the middle of an even number.
+/// Returns the median; of an even number of runs, the mean of the two middle times.
 fn median(runs: &[(f64, bool)]) -> Option<f64> {
     let below = kaplan_meier(runs, 0.5)?;
     let above = kaplan_meier(runs, 0.5 + 0.5 / runs.len() as f64);
@@ -118,15 +118,16 @@ fn median(runs: &[(f64, bool)]) -> Option<f64> {
     })
 }
 
-/// Ends of the median's 95 % interval, of enough runs: between the d-th and the next of n order statistics from either end, on ln t.
+/// Returns the ends of the 95 % interval of the median: interpolated in ln t between the d-th and the next order statistic from
+/// either end. `None` with too few runs.
 fn order_statistics(runs: &[(f64, bool)]) -> Option<[Option<f64>; 2]> {
-    // Runs that ended before the median say little about it.
+    // Runs that ended before the median contain little information on it.
     let half = median(runs).unwrap_or(0.0);
     let n = runs.iter().filter(|(seconds, reached)| *reached || *seconds >= half).count();
     if n < LEAST_UNITS {
         return None;
     }
-    // Of intervals between the d-th from below and the d-th from above: 1 − 2 P(Binomial(n, ½) < d).
+    // Coverage between the d-th value from below and from above: 1 − 2 P(Binomial(n, ½) < d).
     let holds = |d: usize| {
         let mut term = 0.5f64.powi(n as i32);
         let mut below = 0.0;
@@ -146,13 +147,13 @@ fn order_statistics(runs: &[(f64, bool)]) -> Option<[Option<f64>; 2]> {
     Some([between(d, d + 1), between(n + 1 - d, n - d)])
 }
 
-/// The best error at some seconds; `None` before the first step's end.
+/// Returns the smallest error until `seconds`; `None` before the end of the first step.
 pub fn best_at(history: &[Reached], seconds: f64) -> Option<f64> {
     history[..history.partition_point(|(s, _)| *s <= seconds)].last().map(|(_, best)| *best)
 }
 
-/// Geometric mean over runs of the best error so far at `count` times, spaced evenly in ln s from when all runs have a
-/// first error to the end of the longest; a run that has ended keeps its last.
+/// Returns the geometric mean over runs of the smallest error so far, at `count` times spaced evenly in ln s, from the first
+/// time at which all runs have an error to the end of the longest run. Runs that have ended keep their last error.
 pub fn mean_history(histories: &[&[Reached]], count: usize) -> Vec<Reached> {
     let histories: Vec<&&[Reached]> = histories.iter().filter(|h| !h.is_empty()).collect();
     let start = histories.iter().map(|h| h[0].0).fold(0.0, f64::max);
@@ -162,7 +163,7 @@ pub fn mean_history(histories: &[&[Reached]], count: usize) -> Vec<Reached> {
     }
     (0..count)
         .map(|i| {
-            // The ends exactly: rounding must not fall short of the first error.
+            // The ends are exact, because rounding could fall before the first error.
             let seconds = match i {
                 0 => start,
                 i if i + 1 == count => end,
@@ -174,19 +175,19 @@ pub fn mean_history(histories: &[&[Reached]], count: usize) -> Vec<Reached> {
         .collect()
 }
 
-/// Parts of the time, each once, in the order in which trials name them: a trial without steps has fewer.
+/// Returns the distinct parts of the time, in order of appearance. Trials without steps have fewer parts.
 pub fn parts(trials: &[&Trial]) -> Vec<&'static str> {
     in_order(trials.iter().flat_map(|trial| &trial.seconds).map(|(part, _)| *part))
 }
 
-/// Mean seconds a trial of each of these parts.
+/// Mean seconds per trial of each part.
 pub fn mean_seconds(trials: &[&Trial], parts: &[&'static str]) -> Vec<f64> {
     let of = |trial: &&Trial, part| trial.seconds.iter().find(|of| of.0 == part).map_or(0.0, |of| of.1);
     parts.iter().map(|part| trials.iter().map(|t| of(t, *part)).sum::<f64>() / trials.len() as f64).collect()
 }
 
-/// Round errors (1, 1.5, 2, 3, 5, 7 × 10^n) that all but the easiest runs reach and the best ones do: between the
-/// largest first error and the least last one.
+/// Returns up to six round errors (1, 1.5, 2, 3, 5, 7 × 10^n), descending, between the smallest last and the largest first
+/// error.
 pub fn round_errors(histories: &[&[Reached]]) -> Vec<f64> {
     let first = histories.iter().filter_map(|h| h.first()).map(|p| p.1).fold(0.0, f64::max);
     let last = histories.iter().filter_map(|h| h.last()).map(|p| p.1).fold(f64::INFINITY, f64::min);

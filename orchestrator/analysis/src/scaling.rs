@@ -3,10 +3,10 @@
 //! ```text
 //! L(N) = a·(N/N₀)^(−b) + c,   a, b, c ≥ 0,   N₀ the geometric mean of all N
 //! ```
-//! fitted by least squares on ln L, trials beyond five robust deviations of their N pulled in to there, so that one which
-//! never learned does not bend the law. For every (b, c/a) the best a is found for itself (variable projection, Golub and
-//! Pereyra 1973), and (b, c/a) by a grid and a shrinking pattern search. An exponent whose interval touches the ends of
-//! the search, or spans more than a factor of five, is not identifiable. The largest N is predicted from the others.
+//! is a least-squares fit to ln L. Trials farther than five robust standard deviations from the median of their N are moved to
+//! that distance, so that one failed training does not change the law. a is eliminated (variable projection, Golub and Pereyra
+//! 1973); b and c/a are found on a grid, then by pattern search. The exponent is not identifiable if its interval touches the
+//! ends of the search or spans more than a factor of five. The law of the smaller N also predicts the largest N.
 
 use std::collections::BTreeMap;
 
@@ -15,31 +15,31 @@ use super::numbers::{geometric_mean, median};
 use super::resample::{Interval, Jackknife, Resampling};
 use super::trial::Cluster;
 
-/// Values of N below which three parameters are not fitted.
+/// Smallest number of values of N for three parameters.
 pub const LEAST_VALUES: usize = 4;
 
-/// Exponents searched.
+/// Range of the exponent.
 const EXPONENTS: [f64; 2] = [0.02, 6.0];
 
-/// The greatest ratio of the ends of an exponent's interval that still counts as known.
+/// Largest ratio of the ends of an identifiable exponent's interval.
 const WIDEST: f64 = 5.0;
 
-/// The least fall of ln L over the whole range, in standard errors, that counts as one.
+/// Smallest significant fall of ln L over the range of N (standard errors).
 const LEAST_FALL: f64 = 2.0;
 
-/// How far from the median of its N a trial counts, in robust standard deviations.
+/// Largest distance of a trial from the median of its N (robust standard deviations).
 const FARTHEST: f64 = 5.0;
 
-/// The law's parameters.
+/// Parameters of the law.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Law {
-    /// Scale (%), at N₀.
+    /// a: scale (%) at N₀.
     pub scale: f64,
     /// N₀.
     pub reference: f64,
-    /// b.
+    /// b: exponent.
     pub exponent: f64,
-    /// c: what no body of this kind undercuts (%).
+    /// c: error (%) in the limit of large N.
     pub floor: f64,
 }
 
@@ -50,60 +50,60 @@ impl Law {
     }
 }
 
-/// A fitted law with intervals, and whether it means anything.
+/// A fitted law with intervals, and whether it is identifiable.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scaling {
     /// The best fit.
     pub law: Law,
-    /// Of the scale.
+    /// Interval of the scale.
     pub scale: Option<Interval>,
-    /// Of the exponent.
+    /// Interval of the exponent.
     pub exponent: Option<Interval>,
-    /// Of the floor.
+    /// Interval of the floor.
     pub floor: Option<Interval>,
-    /// What the others say of the largest N; `None` where they are too few for a law.
+    /// Prediction of the largest N from the others; `None` if these are too few for a law.
     pub held_out: Option<HeldOut>,
-    /// The units that intervals are over, or that are too few.
+    /// Units of the intervals, or why there are none.
     pub over: String,
-    /// Standard deviation of ln L about the fit.
+    /// Residual standard deviation of ln L.
     pub residual: f64,
-    /// Why the exponent is not identifiable; `None`: it is.
+    /// Why the exponent is not identifiable; `None`: it is identifiable.
     pub not_identifiable: Option<String>,
-    /// The laws with units left out, for a band about the curve.
+    /// The laws with units left out, for the band of the curve.
     laws: Option<Jackknife<Law>>,
 }
 
-/// The largest N against the law of all others.
+/// The largest N, predicted by the law of the smaller ones.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HeldOut {
-    /// N.
+    /// The largest N.
     pub at: f64,
-    /// Error by the law of all smaller ones (%).
+    /// Error by the law of the smaller N (%).
     pub predicted: f64,
-    /// Geometric mean of its trials' error (%).
+    /// Geometric mean of the errors at this N (%).
     pub observed: f64,
-    /// Of predicted over observed.
+    /// Interval of predicted over observed.
     pub interval: Option<Interval>,
 }
 
 impl Scaling {
-    /// The 95 % interval of L(N), where there are units enough.
+    /// Returns the 95 % interval of L(N) (%); `None` with too few units.
     pub fn band(&self, n: f64) -> Option<Interval> {
         Some(self.laws.as_ref()?.interval(|law| law.at(n).ln())?.map(f64::exp))
     }
 }
 
-/// Too few values of N to fit a law.
+/// There are too few values of N for a law.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
     "not identifiable: the law has three parameters and needs at least {LEAST_VALUES} body sizes, there are {0}"
 )]
 pub struct TooFew(pub usize);
 
-/// Fits error against the number of design parameters.
+/// Fits the error against the number of design parameters.
 ///
 /// # Errors
-/// Where there are fewer than four values of N.
+/// If there are fewer than four values of N.
 pub fn scaling(observations: &[Observation]) -> Result<Scaling, TooFew> {
     let at = places(observations);
     if at.len() < LEAST_VALUES {
@@ -134,14 +134,15 @@ pub fn scaling(observations: &[Observation]) -> Result<Scaling, TooFew> {
     Ok(scaling)
 }
 
-/// Errors no farther from the median of their N than [`FARTHEST`] standard deviations, by the median of all such distances.
+/// Moves errors that are farther than [`FARTHEST`] from the median of their N to that distance. The standard deviation is
+/// estimated from the median of all distances.
 fn pulled_in(observations: &[Observation]) -> Vec<Observation> {
     let places = places(observations);
     let at = |at: f64| median(observations.iter().filter(|o| o.at == at).map(|o| o.error.ln()).collect());
     let middles: Vec<f64> = places.iter().map(|place| at(*place)).collect();
     let middle = |at: f64| middles[places.partition_point(|place| *place < at)];
     let off: Vec<f64> = observations.iter().map(|o| o.error.ln() - middle(o.at)).collect();
-    // of a normal distribution 0.6745 deviations
+    // median distance of a normal distribution: 0.6745 standard deviations
     let most = FARTHEST * median(off.iter().map(|x| x.abs()).collect()) / 0.6745;
     let pull = |(o, off): (&Observation, &f64)| match off.abs() > most && most > 0.0 {
         true => Observation { error: (middle(o.at) + most.copysign(*off)).exp(), ..*o },
@@ -188,7 +189,7 @@ fn doubt(found: &Scaling, observations: &[Observation]) -> Option<String> {
         .then(|| format!("the exponent's interval spans a factor of {:.1}", interval.high / interval.low))
 }
 
-/// Sums over the trials of each cluster and N: how many, ln L and its square, less the mean of all.
+/// Sums over the trials of each cluster and N: count, y and y², where y is ln L minus its mean over all trials.
 struct Sums {
     mean: f64,
     places: Vec<f64>,
@@ -209,14 +210,14 @@ impl Sums {
     }
 }
 
-/// Mean ln L and weight at each N: the fit needs no more.
+/// N/N₀, mean ln L and weight at one N.
 struct Point {
     x: f64,
     y: f64,
     weight: f64,
 }
 
-/// The law of trials weighted by cluster and its sum of squares; `None` of fewer than four N.
+/// Returns the law with weighted clusters, and its sum of squares; `None` with fewer than four N.
 fn fit(sums: &Sums, weights: &[f64], reference: f64, start: Option<&Law>) -> Option<(Law, f64)> {
     let mut totals = vec![[0.0; 3]; sums.places.len()];
     for &(cluster, place, sum) in &sums.cells {
@@ -233,7 +234,7 @@ fn fit(sums: &Sums, weights: &[f64], reference: f64, start: Option<&Law>) -> Opt
     if points.len() < LEAST_VALUES {
         return None;
     }
-    // Search in ln b and s = r/(1 + r), which holds every floor from none (0) to nothing but it (1).
+    // Search in ln b and s = r/(1 + r), r = c/a: s from 0 (no floor) towards 1 (only a floor).
     let [least, most] = EXPONENTS.map(f64::ln);
     let cost = |u: f64, s: f64| residual(&points, u.exp(), s).1;
     let starts: Vec<[f64; 2]> = match start {
@@ -269,12 +270,12 @@ fn fit(sums: &Sums, weights: &[f64], reference: f64, start: Option<&Law>) -> Opt
         }
     }
     let (scale, squares) = residual(&points, u.exp(), s);
-    // Below this the search has gone to the edge.
+    // The search has reached the edge s = 0.
     let floor = if s < 1e-4 { 0.0 } else { scale * s / (1.0 - s) };
     Some((Law { scale, reference, exponent: u.exp(), floor }, squares + scatter))
 }
 
-/// The best scale for (b, s), and the weighted sum of squares that it leaves.
+/// Returns the best scale for (b, s) and its weighted sum of squares.
 fn residual(points: &[Point], exponent: f64, s: f64) -> (f64, f64) {
     let floor = s / (1.0 - s);
     let above: Vec<f64> = points.iter().map(|p| p.y - (p.x.powf(-exponent) + floor).ln()).collect();

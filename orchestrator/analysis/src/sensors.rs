@@ -1,27 +1,27 @@
-//! How few sensors the optimised body needs to beat the initial one with the most.
+//! The fewest sensors with which the trained body beats the initial body with the most sensors.
 
 use super::data::{Grid, Observation, clusters};
 use super::numbers::{distinct, geometric_mean, log_squares};
 use super::resample::Resampling;
 
-/// The smallest M that suffices.
+/// The fewest sensors of the trained body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fewer {
-    /// The most sensors that the initial body was tried with.
+    /// Largest M of the initial body.
     pub most: f64,
-    /// Error of the initial body with them (%).
+    /// Error of the initial body with this M (%).
     pub initial_error: f64,
-    /// The least M with which the optimised body's error is lower; `None`: with none that was tried.
+    /// Smallest M with which the trained body has less error; `None` if there is none.
     pub fewest: Option<f64>,
-    /// The optimised body's error with them (%).
+    /// Error of the trained body with that M (%).
     pub optimised_error: Option<f64>,
-    /// Share of the bootstrap's replicates in which this M or fewer suffice.
+    /// Share of the replicates in which this M or a smaller one suffices; `None` with too few units.
     pub share: Option<f64>,
-    /// The units that votes are over, or that are too few.
+    /// Units of the votes, or why there are none.
     pub over: String,
 }
 
-/// Compares the two bodies' curves of error against M; `None` without errors of both.
+/// Compares the curves of error against M of both bodies; `None` if either is empty.
 pub fn fewer(initial: &[Observation], optimised: &[Observation]) -> Option<Fewer> {
     let clusters = clusters(initial.iter().chain(optimised));
     let [initial, optimised] = [initial, optimised].map(|observations| Grid::new(observations, &clusters));
@@ -51,15 +51,15 @@ pub fn fewer(initial: &[Observation], optimised: &[Observation]) -> Option<Fewer
 /// Spread of the error over placements, at equal M and seed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spread {
-    /// Placements compared.
+    /// Largest number of placements per seed.
     pub placements: usize,
-    /// Standard deviation of ln e over placements, seeds pooled.
+    /// Standard deviation of ln e over placements, pooled over seeds.
     pub deviation: f64,
-    /// Greatest over least error, geometric mean over seeds.
+    /// Largest error divided by smallest, geometric mean over seeds.
     pub ratio: f64,
 }
 
-/// How much it matters where the sensors sit; `None` with a single placement.
+/// Returns the spread of the error over placements; `None` with a single placement.
 pub fn spread(observations: &[Observation]) -> Option<Spread> {
     let (mut squares, mut freedom, mut ratios, mut placements) = (0.0, 0usize, Vec::new(), 0);
     for seed in distinct(observations.iter().map(|o| o.cluster.seed)) {

@@ -1,5 +1,4 @@
-//! Everything that a trial is, by path. Trials of a sweep share most of it, and hold it once; what differs from trial to trial is
-//! held once, too, by those that differ in the rest alone.
+//! Settings of a trial by path. Trials of a sweep share one copy of their common settings, and one copy of equal own settings.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
@@ -7,14 +6,14 @@ use std::sync::Arc;
 pub use metasense_schemas::spec::flatten;
 use serde_json::Value;
 
-/// Values by path (`body.columns`), as the spec says them.
+/// Values of the spec by path, such as `body.columns`.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Setting {
     shared: Arc<BTreeMap<String, Value>>,
     own: Arc<BTreeMap<String, Value>>,
 }
 
-/// What differs from trial to trial in most sweeps.
+/// Paths that differ between trials in most sweeps.
 const OWN: &[&str] =
     &["point.panels", "point.sensors", "point.placement", "point.seed", "sensor_units", "panel_units"];
 
@@ -24,43 +23,43 @@ impl Setting {
         self.own.get(path).or_else(|| self.shared.get(path))
     }
 
-    /// The text there.
+    /// The text at a path.
     pub fn text(&self, path: &str) -> Option<&str> {
         self.get(path)?.as_str()
     }
 
-    /// The number there.
+    /// The number at a path.
     pub fn number(&self, path: &str) -> Option<f64> {
         self.get(path)?.as_f64()
     }
 
-    /// The whole number there.
+    /// The whole number at a path.
     pub fn count(&self, path: &str) -> Option<u64> {
         self.get(path)?.as_u64()
     }
 
-    /// Whether there is one.
+    /// Whether there is a value at a path.
     pub fn contains_key(&self, path: &str) -> bool {
         self.get(path).is_some()
     }
 
-    /// All of them, by path.
+    /// Returns all values by path.
     pub fn leaves(&self) -> BTreeMap<&str, &Value> {
         self.shared.iter().chain(&*self.own).map(|(path, value)| (path.as_str(), value)).collect()
     }
 
-    /// What it may share with others: equal, if the very same.
+    /// Values shared with other trials; equal values have the same address.
     pub(super) fn shared(&self) -> &Arc<BTreeMap<String, Value>> {
         &self.shared
     }
 
-    /// What it has for itself: likewise.
+    /// The trial's own values; equal values have the same address.
     pub(super) fn own(&self) -> &Arc<BTreeMap<String, Value>> {
         &self.own
     }
 }
 
-/// Paths at which not all of what these share is alike.
+/// Returns the paths at which the shared values of the settings differ.
 pub fn odd<'a>(settings: impl Iterator<Item = &'a Setting>) -> BTreeSet<&'a str> {
     let all: HashMap<_, _> = settings.map(|s| (Arc::as_ptr(&s.shared), &*s.shared)).collect();
     let Some(first) = all.values().next() else { return BTreeSet::new() };
@@ -69,14 +68,14 @@ pub fn odd<'a>(settings: impl Iterator<Item = &'a Setting>) -> BTreeSet<&'a str>
     paths.into_iter().filter(unlike).collect()
 }
 
-/// All of it its own.
+/// Creates a setting with own values only.
 impl FromIterator<(String, Value)> for Setting {
     fn from_iter<I: IntoIterator<Item = (String, Value)>>(leaves: I) -> Self {
         Self { shared: Arc::default(), own: Arc::new(leaves.into_iter().collect()) }
     }
 }
 
-/// Values by path, each set of them once.
+/// Sets of values, each stored once.
 #[derive(Debug, Default)]
 struct Known(HashMap<String, Arc<BTreeMap<String, Value>>>);
 
@@ -87,7 +86,7 @@ impl Known {
     }
 }
 
-/// Keeps what settings share.
+/// Stores values that settings share.
 #[derive(Debug, Default)]
 pub struct Settings {
     shared: Known,
@@ -95,7 +94,7 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// The setting of a trial, from its spec; of recorded forces what they hold, not where they lie.
+    /// Returns the setting of a trial's spec. Recorded forces are identified by content, so their file names are dropped.
     pub fn of(&mut self, spec: &Value) -> Setting {
         let mut leaves = flatten(spec);
         leaves.remove("stimuli.recorded.files");
@@ -103,7 +102,7 @@ impl Settings {
         Setting { shared: self.shared.of(shared), own: self.own.of(own) }
     }
 
-    /// What trials share, each once.
+    /// Returns the distinct sets of shared values.
     pub fn shared(&self) -> impl Iterator<Item = &BTreeMap<String, Value>> {
         self.shared.0.values().map(Arc::as_ref)
     }

@@ -1,4 +1,4 @@
-//! The answers as tables, one a question.
+//! Answers to questions, one table per question.
 
 use clap::ValueEnum;
 use serde_json::{Value, json};
@@ -24,7 +24,7 @@ use super::transfer;
 use super::trial::{Body, Set, Trial};
 use metasense_render::{Table, row};
 
-/// A question to finished trials.
+/// A question about finished trials.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Question {
     /// Initial against trained body, paired by trial: ratio of errors
@@ -70,12 +70,12 @@ pub enum Question {
 }
 
 impl Question {
-    /// All of them, in the order in which they are answered.
+    /// Returns all questions, in the order of their answers.
     pub fn all() -> &'static [Self] {
         Self::value_variants()
     }
 
-    /// What the table shows, with its units.
+    /// Title of the table, with units.
     pub fn title(self) -> &'static str {
         match self {
             Self::Paired => {
@@ -129,7 +129,7 @@ impl Question {
         }
     }
 
-    /// Whether the trials differ in what the question is about, so that there is something to say on it.
+    /// Whether the trials vary in the subject of the question. False for questions that are answered only on request.
     pub fn was_put(self, trials: &[Trial]) -> bool {
         let varies = |of: fn(&Trial) -> u64| trials.iter().any(|t| of(t) != of(&trials[0]));
         let ways = || trainings(&trials.iter().collect::<Vec<_>>());
@@ -143,7 +143,7 @@ impl Question {
         }
     }
 
-    /// The answer; no rows where the trials cannot give one.
+    /// Returns the answer; no rows if the trials cannot answer.
     pub fn answer(self, all: &[Trial], terms: Terms) -> Table {
         let trials: Vec<&Trial> = all.iter().collect();
         match self {
@@ -171,7 +171,7 @@ impl Question {
     }
 }
 
-/// Both ends of an interval, where there is one.
+/// Returns both ends of an interval, or nulls.
 pub(crate) fn ends(interval: Option<Interval>) -> [Value; 2] {
     [json!(interval.map(|i| i.low)), json!(interval.map(|i| i.high))]
 }
@@ -181,28 +181,28 @@ pub(super) fn ratio_cells(ratio: Ratio) -> Vec<Value> {
     row![ratio.trials, ratio.above_one, ratio.ratio, low, high, ratio.over]
 }
 
-/// Beside a ratio by medians: whether means lead to another verdict.
+/// For a ratio by medians: the verdicts, if they differ from those by means.
 fn note_cells(set: Set, ratio: impl Fn(Set) -> Option<Ratio>) -> Vec<Value> {
     let found = (set == Set::Median).then(|| paired::disagreement(ratio)).flatten();
     row![found.map(|(_, verdicts)| verdicts)]
 }
 
-/// A ratio with its interval, where there is one.
+/// Returns a ratio and its interval, or nulls.
 fn interval_cells(ratio: Option<&Ratio>) -> Vec<Value> {
     row![ratio.map(|r| r.ratio); ends(ratio.and_then(|r| r.interval))]
 }
 
-/// A row a group and set that there is something to say of.
+/// Returns one row per group and set for which `say` returns cells.
 fn by_set(columns: &str, groups: &[Group], say: impl Fn(&Group, Set) -> Option<Vec<Value>>) -> Table {
     let all = groups.iter().flat_map(|group| Set::of(&group.trials).map(move |set| (group, set)));
     let row = |(group, set): (&Group, Set)| Some([row![group.label, set.name()], say(group, set)?].concat());
     Table::new(&format!("setting set {columns}"), all.filter_map(row))
 }
 
-/// Groups with a curve of error each, and what it is drawn against.
+/// Groups with a curve of errors each, and the quantity of the axis.
 type Curves<'a> = (Vec<Group<'a>>, fn(&Trial) -> u64);
 
-/// Rows of every group's curve, for each body and set.
+/// Returns the rows of the curve of every group, body and set.
 fn by_curve(columns: &str, (groups, at): Curves, rows: impl Fn(&[Observation]) -> Vec<Vec<Value>>) -> Table {
     let bodies = groups.iter().flat_map(|group| Body::ALL.map(|body| (group, body)));
     let all = bodies.flat_map(|(group, body)| Set::of(&group.trials).map(move |set| (group, body, set)));
@@ -219,7 +219,7 @@ fn brains_table(trials: &[&Trial]) -> Table {
     for group in groups(trials, BRAINS) {
         let found = reads(&group.trials);
         let what = |read: &Read| (read.trained_with.clone(), read.by.clone(), read.errors);
-        // a trial whose own brain is linear has that as one of its memories, too
+        // a linear decoder of the trial appears also among the linear decoders
         let twice =
             |read: &&Read| !read.own && found.iter().any(|other| other.own && what(other) == what(read));
         for read in found.iter().filter(|read| !twice(read)) {
@@ -343,7 +343,7 @@ fn random_table(trials: &[&Trial]) -> Table {
     })
 }
 
-/// The groups with a curve: at least two places on the axis; all groups where none has.
+/// Keeps groups with at least two values on the axis; all groups if there are none.
 fn with_curves<'a>(mut groups: Vec<Group<'a>>, at: fn(&Trial) -> u64) -> Curves<'a> {
     if groups.iter().any(|group| group.varies(at)) {
         groups.retain(|group| group.varies(at));
@@ -355,7 +355,7 @@ fn by_sensors<'a>(trials: &[&'a Trial]) -> Curves<'a> {
     with_curves(groups(trials, SENSORS), |t| t.sensors)
 }
 
-/// One of a curve's levels.
+/// Cells of one value of the axis.
 fn level_cells(level: &Level) -> Vec<Value> {
     row![level.at as u64, level.trials, level.mean, level.least, level.most]
 }
@@ -384,7 +384,7 @@ fn sensors_table(trials: &[&Trial], terms: Terms) -> Table {
     })
 }
 
-/// A verdict in words.
+/// Formats a verdict.
 pub fn verdict_text(verdict: Verdict) -> String {
     match verdict {
         Verdict::At(m) => format!("elbow at M = {m}"),
@@ -428,7 +428,7 @@ fn elbow_table(trials: &[&Trial], terms: Terms) -> Table {
     })
 }
 
-/// M, the share of votes for it, and M without the largest.
+/// M, its share of votes, and M without the largest.
 fn decision_cells(decision: Option<&Decision>) -> Vec<Value> {
     row![
         decision.map(|d| d.at as u64),
@@ -488,16 +488,16 @@ fn nonlinear_table(trials: &[&Trial]) -> Table {
     Table::new("setting body signals trials nonlinear least most", rows)
 }
 
-/// Of a body's accelerations (kind 0) or angular velocities (1), of the trials that say it.
+/// Returns the nonlinear part (%) of accelerations (kind 0) or angular velocities (1) of a body, per trial that has it.
 #[must_use]
 pub fn nonlinear(trials: &[&Trial], body: Body, kind: usize) -> Vec<f64> {
     trials.iter().filter_map(|t| t.nonlinear[body as usize][kind]).collect()
 }
 
-/// Trials that differ in size, and trials of one size that differ in freedom.
+/// Groups in which the size of the body varies, then groups of one size in which the number of tied or frozen shifts varies.
 fn by_parameters<'a>(trials: &[&'a Trial]) -> Curves<'a> {
     let mut found = groups(trials, COMPLEXITY);
-    // those that do not differ in it stand there already
+    // groups in which it does not vary are already present
     found.extend(groups(trials, FREEDOM).into_iter().filter(|group| group.varies(|t| t.design_parameters)));
     with_curves(found, |t| t.design_parameters)
 }
@@ -543,7 +543,7 @@ fn complexity_table(trials: &[&Trial]) -> Table {
     })
 }
 
-/// Each group that differs in training alone, with its ways of training by what sets them apart.
+/// Returns groups of trials that differ only in training, each with its ways of training, labelled by protocol and differences.
 fn trainings<'a>(trials: &[&'a Trial]) -> Vec<(Group<'a>, Vec<Group<'a>>)> {
     let named = |mut way: Group<'a>| {
         let protocol = way.trials[0].protocol();

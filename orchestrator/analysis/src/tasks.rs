@@ -1,31 +1,31 @@
-//! Sensing tasks beside the force histories: how much better the trained body serves them than the initial one.
+//! Other sensing tasks than force histories: errors on the initial and the trained body.
 
 use super::numbers::distinct;
 use super::paired::Ratio;
 use super::trial::Cluster;
 use metasense_render::{Table, row};
 
-/// A task on both bodies of a trial.
+/// Result of a task on both bodies of a trial.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Read {
-    /// Which trials it belongs to: those of the same K and M, trained with the same decoder.
+    /// Group of the trial: equal K, M and decoder in training.
     pub setting: String,
-    /// Its placement and seed.
+    /// Placement and seed.
     pub cluster: Cluster,
     /// Task and unit of its error.
     pub task: (&'static str, &'static str),
-    /// How it is read.
+    /// Readout: from signals or from estimated forces.
     pub readout: &'static str,
-    /// Errors on the held-out set, of the initial and of the trained body.
+    /// Errors on the held-out set, of the initial and the trained body.
     pub errors: [f64; 2],
-    /// The error without signals.
+    /// Error of the best estimate without signals.
     pub trivial: f64,
-    /// What an error counts at least in a ratio.
+    /// Lower bound of errors in a ratio: half of the error that one wrong sample causes, or 0.
     pub least: f64,
 }
 
-/// A row per setting, task and readout: means over trials, and the ratio initial over trained with its 95 % interval over placements and
-/// seeds. In the ratio an error counts as half of one sample's at least.
+/// Returns one row per setting, task and readout: means over trials, and the ratio initial/trained with its 95 % interval over
+/// placements and seeds.
 pub fn table(all: &[Read]) -> Table {
     let columns = "setting task readout unit trials trivial initial optimised ratio ratio_low ratio_high";
     let kinds = distinct(all.iter().map(|read| (&read.setting, read.task, read.readout)));

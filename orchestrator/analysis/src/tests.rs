@@ -1,5 +1,5 @@
-//! Do 95 % intervals hold the truth in 95 % of campaigns? Each question is put to made-up campaigns of known truth, with
-//! placements and seeds that have effects of their own, M nested in placements, and seeded draws.
+//! Coverage of the 95 % intervals in synthetic campaigns of known truth, with effects of placements and seeds, and M nested in
+//! placements.
 
 use super::data::Observation;
 use super::elbow::gains;
@@ -15,12 +15,12 @@ use super::trial::{Cluster, RANDOM, SPREAD, Set, Trial};
 use metasense_numerics::random::Draw;
 use serde_json::json;
 
-/// Share of campaigns whose interval holds `truth`, in %; those without an interval do not count.
+/// Returns the share (%) of campaigns whose interval contains `truth`, among those with an interval.
 fn coverage(question: &str, campaigns: u64, truth: f64, ask: impl Fn(&mut Draw) -> Option<Interval>) -> f64 {
     held(question, truth, (0..campaigns).filter_map(|c| ask(&mut Draw::numbered(17, c))).collect())
 }
 
-/// The share of intervals that hold `truth`, in %, which is printed.
+/// Returns and prints the share (%) of intervals that contain `truth`.
 fn held(question: &str, truth: f64, found: Vec<Interval>) -> f64 {
     let holds = found.iter().filter(|i| i.low <= truth && truth <= i.high).count();
     let share = 100.0 * holds as f64 / found.len() as f64;
@@ -31,31 +31,32 @@ fn held(question: &str, truth: f64, found: Vec<Interval>) -> f64 {
     share
 }
 
-/// A row of the table, to be seen with `--nocapture`.
+/// Prints a row of the table; visible with `--nocapture`.
 #[expect(clippy::print_stdout, reason = "the table is for whoever runs the test by hand")]
 fn told(row: &str) {
     println!("{row}");
 }
 
-/// Normal, or of Student's t with five degrees of freedom and variance 1.
+/// Draws from the normal distribution, or from Student's t with five degrees of freedom; variance 1.
 fn noise(draw: &mut Draw, heavy: bool) -> f64 {
     let normal = draw.normal();
     let squares = if heavy { (0..5).map(|_| draw.normal().powi(2)).sum::<f64>() } else { 3.0 };
     normal * (3.0 / squares).sqrt()
 }
 
-/// What adds to ln of some quantity of trial (placement, seed): effects of both, of standard deviations 0.3 and 0.2.
+/// Additive effects of placement and seed on ln of a quantity per trial, of standard deviations 0.3 and 0.2.
 fn effects(draw: &mut Draw, placements: u64, seeds: u64, heavy: bool) -> Vec<(Cluster, f64)> {
     let p: Vec<f64> = (0..placements).map(|_| 0.3 * noise(draw, heavy)).collect();
     let s: Vec<f64> = (0..seeds).map(|_| 0.2 * noise(draw, heavy)).collect();
-    // what is held has no effect here: the interval is for those that there are
+    // kinds of units that are held fixed have no effect: the interval is for the given units only
     let of = |list: &[f64], i: usize| if list.len() >= LEAST_UNITS { list[i] } else { 0.0 };
     let cluster = |i: u64| Cluster { placement: i % placements, seed: i / placements };
     let sum = |c: Cluster| (c, of(&p, c.placement as usize) + of(&s, c.seed as usize));
     (0..placements * seeds).map(|i| sum(cluster(i))).collect()
 }
 
-/// Trials with one to three sensors whose initial error is twice the optimised one, but for effects and noise.
+/// Trials with one to three sensors. Without effects and noise, the error of the initial body is twice that of the trained
+/// body.
 fn campaign(draw: &mut Draw, placements: u64, seeds: u64, heavy: bool) -> Vec<Trial> {
     let mut trials = Vec::new();
     for (cluster, effect) in effects(draw, placements, seeds, heavy) {
@@ -108,7 +109,8 @@ fn ratios_of_trials_that_share_placement_and_seed() {
     assert_covers(&shares);
 }
 
-/// Errors of held-out samples: ln e is normal, of standard deviation 1 about ln `typical`, and a part of samples is a hundred times as bad.
+/// Errors of held-out samples: ln e is normal about ln `typical`, standard deviation 1; a fraction `outliers` is 100 times
+/// larger.
 fn samples(draw: &mut Draw, typical: f64, outliers: f64) -> Vec<f64> {
     let one = |_| {
         let factor = if draw.uniform() < outliers { 100.0 } else { 1.0 };
@@ -117,8 +119,8 @@ fn samples(draw: &mut Draw, typical: f64, outliers: f64) -> Vec<f64> {
     (0..60).map(one).collect()
 }
 
-/// Trials of such samples, told by their mean and by their median. Outliers of either body move the ratio of means and widen its
-/// interval, which then holds what such means come to; medians hold the ratio of typical samples, 2.
+/// Ratios of means and of medians of such samples. Outliers shift the ratio of means and widen its interval, which then
+/// contains the expected ratio of means. The ratio of medians stays 2.
 #[test]
 fn ratios_of_trials_with_outlying_samples() {
     let trials = |draw: &mut Draw, placements: u64, seeds: u64, outliers: [f64; 2]| -> Vec<Trial> {
@@ -154,7 +156,7 @@ fn ratios_of_trials_with_outlying_samples() {
             });
             found.collect()
         };
-        // what the ratio comes to in the mean of other campaigns
+        // expected ratio, from other campaigns
         let (found, others) = (campaigns(17), campaigns(18));
         for (i, set) in sets.into_iter().enumerate() {
             let logs: Vec<f64> = others.iter().map(|ratios| ratios[i].ratio.ln()).collect();
@@ -162,7 +164,7 @@ fn ratios_of_trials_with_outlying_samples() {
             let question = format!("{} {truth:.2}: {who}", set.name());
             let intervals = found.iter().filter_map(|ratios| ratios[i].interval).collect();
             let share = held(&question, truth, intervals);
-            // crossed, an interval holds more where samples differ more than placements and seeds do
+            // crossed units: intervals cover more if samples vary more than placements and seeds
             match seeds > 1 && placements > 1 {
                 true => assert!((93.0..=99.0).contains(&share), "{question}: {share}"),
                 false => shares.push(share),
@@ -173,7 +175,7 @@ fn ratios_of_trials_with_outlying_samples() {
     assert_covers(&shares);
 }
 
-/// Trials as if they were independent, as intervals were had before: what sharing a placement costs.
+/// Intervals that treat trials as independent are too narrow if trials share placements.
 #[test]
 fn trials_taken_for_independent_do_not_cover() {
     let share = coverage("30 trials of 5 placements taken for independent", 1000, 2.0, |draw| {
@@ -188,7 +190,7 @@ fn trials_taken_for_independent_do_not_cover() {
     assert!(share < 85.0, "{share}");
 }
 
-/// e falls by a factor 2 with the second sensor in the mean of placements, which differ in that.
+/// With the second sensor, e falls by a mean factor of 2 over placements, which differ in this factor.
 #[test]
 fn what_the_next_sensor_brings() {
     let share = coverage("sensors, gain from M = 1 to 2: 5 placements", 1000, 2.0, |draw| {
@@ -205,7 +207,7 @@ fn what_the_next_sensor_brings() {
     assert_covers(&[share]);
 }
 
-/// Six random bodies under one placement and seed, 1.5 times as bad as the initial one that all are compared with.
+/// Six random bodies of one placement and seed, with 1.5 times the error of their common initial body.
 #[test]
 fn random_bodies() {
     let share = coverage("random: 6 bodies", 1000, 1.5, |draw| {
@@ -221,7 +223,7 @@ fn random_bodies() {
     assert_covers(&[share]);
 }
 
-/// Random bodies of different spread are different questions; the regular bodies are the others of each.
+/// Random bodies of different spread form different groups, each with all regular bodies.
 #[test]
 fn random_bodies_are_told_apart_by_their_spread() {
     let of = |spread: Option<f64>, seed: u64| {
@@ -244,8 +246,8 @@ fn random_bodies_are_told_apart_by_their_spread() {
     assert!(said[1].1 == 2 && (said[1].2 - 1.5).abs() < 1e-9, "{said:?}");
 }
 
-/// Errors of records are skewed: ln e of standard deviation 0.6, of which 0.5 is the record's under either body, or of 0.9, of which 0.75 is.
-/// The more skewed, the more records it takes: the mean hangs on errors that few have.
+/// Skewed errors of records: ln e with a standard deviation of 0.6, of which 0.5 is common to both bodies, or of 0.9, of which
+/// 0.75 is. More skewed errors need more records, because few records dominate the mean.
 #[test]
 fn means_over_records() {
     let judged = |errors: Vec<f64>| Judged {
@@ -285,11 +287,11 @@ fn means_over_records() {
         shares.push(coverage(&question, campaigns, mean, |draw| mean_interval(&draws(draw)[1])));
     }
     assert_covers(&shares[..3]);
-    // some 93 %, which 200 campaigns tell to three standard errors
+    // about 93 %; 200 campaigns show this to three standard errors
     assert!(shares[3..].iter().all(|share| (88.0..=99.0).contains(share)), "{shares:?}");
 }
 
-/// L = 30·(N/N₀)^−0.8 + 4 on seven sizes in `placements` whose levels differ by 10 %, noise 4 %.
+/// L = 30·(N/N₀)^−0.8 + 4 at seven sizes in `placements`, which differ by 10 %; noise 4 %.
 #[test]
 fn scaling_laws() {
     let laws = |placements: u64| -> Vec<Scaling> {
@@ -322,8 +324,8 @@ fn scaling_laws() {
     assert_covers(&shares);
 }
 
-/// Times to an error about a median of 100 s, which differ by a factor e^0.5; runs end between 80 and 400 s, about one in
-/// six before it gets there. Ends that are open hold all.
+/// Times to an error with a median of 100 s and a standard deviation of ln t of 0.5. Runs end between 80 and 400 s; about one
+/// in six does not reach the error. Open ends contain everything.
 #[test]
 fn times_to_an_error() {
     let shares: Vec<f64> = [(6, 1e9), (9, 1e9), (6, 80.0), (9, 80.0), (20, 80.0)]
@@ -347,8 +349,8 @@ fn times_to_an_error() {
     assert_covers(&shares);
 }
 
-/// Votes are no probabilities: where the optimised body with three sensors is as good as the initial one with six, and no
-/// better, 95 % of votes for it should be had in one campaign of twenty.
+/// Votes are not probabilities. If the trained body with three sensors is exactly as good as the initial body with six, a
+/// calibrated 95 % vote would occur in one campaign of twenty.
 #[test]
 fn votes_for_what_is_not_so() {
     let wrong: Vec<f64> = [5, 12]

@@ -1,6 +1,6 @@
-//! What a body that was trained under one kind of forces is worth under another.
+//! Errors of bodies trained under one kind of forces and evaluated under another.
 //!
-//! The gain that is kept compares it with the specialist, the body that was trained under that kind, over the same clusters:
+//! The kept gain compares a body with the specialist, which was trained under the kind in evaluation, over the same clusters:
 //! ```text
 //! kept = Σ ln(initial/trained) / Σ ln(initial/specialist)
 //! ```
@@ -11,30 +11,30 @@ use super::numbers::distinct;
 use super::paired::Ratio;
 use super::trial::{Body, Trial};
 
-/// Trials of one setting whose bodies are read under several kinds of forces.
+/// Trials of one setting with evaluations under several kinds of forces.
 #[derive(Debug, Clone)]
 pub struct Setting<'a> {
-    /// What sets it apart.
+    /// Differences from other settings.
     pub label: String,
-    /// The initial body, then those trained, by the forces that they were trained under.
+    /// The initial body, then the trained ones by forces in training.
     pub bodies: Vec<Trained<'a>>,
-    /// The kinds under which they are read.
+    /// Kinds of forces in evaluation.
     pub kinds: Vec<String>,
 }
 
-/// How a body is read under a kind of forces.
+/// Errors of a body under one kind of forces.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Read {
-    /// Error (%) of a brain fitted under these forces: geometric mean over trials.
+    /// Error (%) of a decoder fitted under these forces: geometric mean over trials.
     pub own: Ratio,
-    /// Of one fitted under those that trained the body; none of the initial body, which has none of its own.
+    /// Error (%) of a decoder fitted under the forces of the body's training; `None` for the initial body.
     pub carried: Option<Ratio>,
-    /// The part of the specialist's gain that the body has, by brains fitted under these forces; `None` of the initial body
-    /// and without a specialist.
+    /// Kept fraction of the specialist's gain, with decoders fitted under these forces; `None` for the initial body and without
+    /// a specialist.
     pub kept: Option<Kept>,
 }
 
-/// Trials that differ in forces, training, placement and seed alone.
+/// Groups trials that differ only in forces, training, placement and seed.
 pub fn settings<'a>(trials: &[&'a Trial]) -> Vec<Setting<'a>> {
     let read: Vec<&Trial> = trials.iter().filter(|t| !t.under.is_empty()).copied().collect();
     let setting = |group: Group<'a>| {
@@ -45,13 +45,13 @@ pub fn settings<'a>(trials: &[&'a Trial]) -> Vec<Setting<'a>> {
     groups(&read, &["optimise.", "stimuli."]).into_iter().map(setting).collect()
 }
 
-/// The forces that a trial's body was trained under.
+/// Returns the kind of forces in the training of the body.
 fn kind(trial: &Trial) -> &str {
     trial.setting.text("stimuli.kind").unwrap_or("unknown")
 }
 
 impl Setting<'_> {
-    /// How one of its bodies is read under a kind; `None` if it is not.
+    /// Returns the errors of a body under one kind of forces; `None` if there are none.
     pub fn read(&self, body: &Trained, under: &str) -> Option<Read> {
         let mean = |own: bool| {
             let of = |trial: &&Trial| Some((trial.cluster, error(trial, body.body, under, own)?));
@@ -64,20 +64,20 @@ impl Setting<'_> {
         })
     }
 
-    /// The kind under which a trained body keeps least of the specialist's gain, and how much.
+    /// Returns the kind of forces with the smallest kept fraction, and this fraction.
     pub fn worst(&self, body: &Trained) -> Option<(&str, f64)> {
         let all = self.kinds.iter().filter_map(|kind| Some((&kind[..], self.read(body, kind)?.kept?.part)));
         all.min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// The first body that was trained under a kind.
+    /// Returns the first body that was trained under a kind of forces.
     fn specialist(&self, under: &str) -> Option<&Trained<'_>> {
         self.bodies.iter().find(|body| body.body == Body::Optimised && kind(body.trials[0]) == under)
     }
 
     fn kept(&self, body: &Trained, under: &str) -> Option<Kept> {
         let specialist = self.specialist(under)?;
-        // of each cluster ln(initial/trained) of the body and of the specialist
+        // ln(initial/trained) of the body and of the specialist, per cluster
         let gain = |trial: &Trial| {
             let [initial, trained] = Body::ALL.map(|body| error(trial, body, under, true));
             Some((initial? / trained?).ln())

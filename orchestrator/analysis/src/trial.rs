@@ -1,15 +1,15 @@
-//! A finished trial as the analysis sees it.
+//! A finished trial: settings and results that the analysis uses.
 
 pub use metasense_numerics::nested::CastBrain;
 
 use super::setting::Setting;
 
-/// Initial or optimised body.
+/// Initial or trained body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Body {
-    /// The body before the outer loop.
+    /// The body before training.
     Initial,
-    /// The best body of the outer loop.
+    /// The trained body: that of least test error.
     Optimised,
 }
 
@@ -17,7 +17,7 @@ impl Body {
     /// Both, in order.
     pub const ALL: [Self; 2] = [Self::Initial, Self::Optimised];
 
-    /// Its name in the database.
+    /// Name in the database.
     pub fn name(self) -> &'static str {
         match self {
             Self::Initial => "initial",
@@ -25,7 +25,7 @@ impl Body {
         }
     }
 
-    /// Its name in texts: the "initial" or the "trained" body.
+    /// Name in texts.
     pub fn word(self) -> &'static str {
         match self {
             Self::Initial => "initial",
@@ -34,14 +34,14 @@ impl Body {
     }
 }
 
-/// Which samples an error is of, and by what statistic.
+/// The samples of an error, and the statistic over them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Set {
-    /// The test set, by which the outer loop chooses the body.
+    /// Test set, which selects the trained body; mean.
     Test,
-    /// Samples that neither loop has seen.
+    /// Held-out set, which is used in no training; mean.
     Holdout,
-    /// The same, by the median over samples instead of the mean: a few samples of large error do not move it.
+    /// Held-out set; median, which is robust to a few large errors.
     Median,
 }
 
@@ -49,7 +49,7 @@ impl Set {
     /// All, in order.
     pub const ALL: [Self; 3] = [Self::Test, Self::Holdout, Self::Median];
 
-    /// Its name.
+    /// Name in tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::Test => "test",
@@ -58,7 +58,7 @@ impl Set {
         }
     }
 
-    /// The column of a body's error in tables of trials.
+    /// Column of a body's error in tables of trials.
     pub fn column(self, body: Body) -> String {
         let kind = match self {
             Self::Test => "test_error",
@@ -68,146 +68,145 @@ impl Set {
         format!("{kind}_{}", body.name())
     }
 
-    /// Those of which trials have errors: trials of versions before 15 have no medians.
+    /// Returns the sets for which trials have errors. Trials of versions before 15 have no medians.
     pub fn of(trials: &[&Trial]) -> impl Iterator<Item = Self> + use<> {
         let median = trials.iter().any(|t| [t.medians, t.long_medians].concat().iter().any(Option::is_some));
         Self::ALL.into_iter().filter(move |set| median || *set != Self::Median)
     }
 }
 
-/// What trials share that are compared with one another, and what is independent of what: sensors and stimuli.
+/// Sensors and forces that compared trials share; the units of inference.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub struct Cluster {
     /// Sensor placement.
     pub placement: u64,
-    /// Seed of stimuli, split and networks.
+    /// Seed of forces, split and networks.
     pub seed: u64,
 }
 
-/// A point of a loss curve that was kept.
+/// A point of a thinned curve: iteration, value.
 pub type CurvePoint = (u32, f64);
 
-/// Errors of a trial's bodies by a linear brain of one memory.
+/// Errors of a linear decoder of one memory on the bodies of a trial.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Reading {
-    /// How far it looks back and ahead (s).
+    /// Memory before and after an instant (s).
     pub memory: [f64; 2],
-    /// Whether none looks farther.
+    /// Whether no other linear decoder of the trial has a longer memory.
     pub whole: bool,
     /// Error (%) by body and set.
     pub errors: [[Option<f64>; 2]; 2],
 }
 
-/// How a brain reads the casts of a trial's body.
+/// Errors of a decoder on the casts of a body.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CastReading {
     /// The body.
     pub body: Body,
-    /// The brain.
+    /// The decoder.
     pub by: CastBrain,
-    /// How many casts.
+    /// Number of casts.
     pub casts: u64,
-    /// How many of them could not be simulated or read, and count as 100 %.
+    /// Number of casts that failed in simulation or decoding, and count as 100 %.
     pub failed: u64,
-    /// Median and 90th percentile of the holdout errors (%).
+    /// Median and 90th percentile of the held-out errors (%).
     pub errors: [f64; 2],
 }
 
-/// How a linear brain reads a trial's body under forces of a kind that need not be the trial's.
+/// Error of a linear decoder on a body under one kind of forces.
 #[derive(Debug, Clone, PartialEq)]
 pub struct UnderReading {
     /// The body.
     pub body: Body,
     /// Kind of forces.
     pub stimuli: String,
-    /// Whether it was fitted under these, and not under the trial's.
+    /// Whether the decoder was fitted under these forces rather than those of the trial.
     pub own: bool,
-    /// Holdout error (%), above 0.
+    /// Held-out error (%), above 0.
     pub error: f64,
 }
 
-/// The seed of a random initial body.
+/// Path of the seed of a random initial body.
 pub const RANDOM: &str = "body.design.random";
 
-/// How far its nodes are moved.
+/// Path of the spread of a random initial body.
 pub const SPREAD: &str = "body.design.spread";
 
-/// A trial that is done.
+/// A finished trial.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Trial {
-    /// Its name.
+    /// Permanent name of the trial.
     pub hash: String,
-    /// Everything that it is.
+    /// All settings.
     pub setting: Setting,
-    /// K.
+    /// K: number of forces.
     pub panels: u64,
-    /// M.
+    /// M: number of sensors.
     pub sensors: u64,
     /// Placement and seed.
     pub cluster: Cluster,
-    /// Units of the body.
+    /// Number of units of the body.
     pub units: u64,
     /// Length of α.
     pub design_parameters: u64,
-    /// Error (%) by body and set, `[initial, optimised][test, holdout]`, mean over the evaluation's networks.
+    /// Error (%), `[initial, trained][test, held-out]`, mean over the networks of the comparison.
     pub errors: [[Option<f64>; 2]; 2],
-    /// The same after long training, of trials that have it.
+    /// The same after long training.
     pub long_errors: [[Option<f64>; 2]; 2],
-    /// Median error over the samples of the holdout (%) by body, mean over the evaluation's networks; none in trials of versions
-    /// before 15.
+    /// Median error over held-out samples (%) by body, mean over the networks of the comparison. `None` before version 15.
     pub medians: [Option<f64>; 2],
     /// The same after long training.
     pub long_medians: [Option<f64>; 2],
-    /// By linear brains, whatever the trial's own is; none in trials of versions before 4.
+    /// Errors of linear decoders, for any decoder of the trial. Empty before version 4.
     pub readings: Vec<Reading>,
-    /// How casts of both bodies are read; none in trials without casts.
+    /// Errors on casts of both bodies; empty without casts.
     pub casts: Vec<CastReading>,
-    /// How both bodies are read under other kinds of forces; none in trials that do not ask.
+    /// Errors of both bodies under other kinds of forces; empty without `evaluation.under`.
     pub under: Vec<UnderReading>,
-    /// The part of the accelerations and of the angular velocities (%) that a linear model of the body at rest does not explain,
-    /// `[initial, optimised][acceleration, rotation]`; none in trials of versions before 6.
+    /// Part of the accelerations and of the angular velocities (%) that a linear model of the body at rest does not explain,
+    /// `[initial, trained][acceleration, rotation]`. `None` before version 6.
     pub nonlinear: [[Option<f64>; 2]; 2],
-    /// Training loss against iteration (from 1), by body, then network; thinned, as all curves.
+    /// Training loss against iteration (from 1), by body, then network.
     pub curves: [Vec<Vec<CurvePoint>>; 2],
-    /// Holdout error (%) against iteration likewise; none in trials of versions before 3.
+    /// Held-out error (%) against iteration, in the same form. Empty before version 3.
     pub error_curves: [Vec<Vec<CurvePoint>>; 2],
-    /// Training loss of long training.
+    /// Training loss of long training, in the same form.
     pub long_curves: [Vec<Vec<CurvePoint>>; 2],
-    /// Iterations on the initial over those on the optimised body to equal training loss and to equal holdout error, by
-    /// network, from the whole curves.
+    /// Iterations on the initial body divided by those on the trained body, to equal training loss and to equal held-out error,
+    /// one per network, from unthinned curves.
     pub iterations: [Vec<f64>; 2],
-    /// CPU seconds and best test error so far (%), at the steps that improve it and at the last step. Steps that another trial computed
-    /// count, as if this trial had trained its body itself.
+    /// CPU seconds and smallest test error so far (%), at the steps that reduce it and at the last step. Steps that another
+    /// trial computed count as if this trial had trained its body itself.
     pub history: Vec<(f64, f64)>,
-    /// CPU seconds that the trial has cost, as in `v_trial`.
+    /// CPU seconds of the trial, as in `v_trial`.
     pub spent: f64,
-    /// The same by part: of the outer loop, of the evaluation, and other (set-up, repeated and interrupted work).
+    /// The same by part: outer steps, comparison, and other (set-up, repeated and interrupted work).
     pub seconds: Vec<(&'static str, f64)>,
 }
 
 impl Trial {
-    /// An error (%), where there is a positive one.
+    /// Returns an error (%); `None` unless it is positive and finite.
     pub fn error(&self, body: Body, set: Set) -> Option<f64> {
         of_set(&self.errors, &self.medians, body, set)
     }
 
-    /// An error after long training (%), where there is a positive one.
+    /// Returns an error after long training (%); `None` unless it is positive and finite.
     pub fn long_error(&self, body: Body, set: Set) -> Option<f64> {
         of_set(&self.long_errors, &self.long_medians, body, set)
     }
 
-    /// CPU seconds of the training and the evaluation, as if this trial had trained its body itself. Comparable between trials.
+    /// CPU seconds of training and comparison, as if this trial had trained its body itself. Comparable between trials.
     pub fn seconds_alone(&self) -> f64 {
         let evaluation = self.seconds.iter().find(|part| part.0 == "evaluate").map_or(0.0, |part| part.1);
         self.history.last().map_or(0.0, |last| last.0) + evaluation
     }
 
-    /// Whether it has outer steps: without them what is stored of a trained body is the initial one.
+    /// Whether the trial has outer steps; without them, stored results of the trained body are those of the initial one.
     pub fn has_steps(&self) -> bool {
         self.setting.count("optimise.iterations") != Some(0)
     }
 
-    /// Takes away what is no trained body's.
+    /// Removes the results of the trained body from a trial without outer steps.
     pub fn without_steps(&mut self) {
         if self.has_steps() {
             return;
@@ -221,28 +220,28 @@ impl Trial {
         self.iterations = Default::default();
     }
 
-    /// Iterations of long training, where it has some.
+    /// Iterations of long training, if any.
     pub fn long_iterations(&self) -> Option<u64> {
         self.setting.count("evaluation.long_iterations")
     }
 
-    /// Whether its initial body is a design that the spec names, random or given.
+    /// Whether the initial body is a design from the spec, random or given.
     pub fn starts_from_design(&self) -> bool {
         self.starts_random() || self.setting.contains_key("body.design.shifts")
     }
 
-    /// Whether its initial body is a random one.
+    /// Whether the initial body is random.
     pub fn starts_random(&self) -> bool {
         self.setting.contains_key(RANDOM)
     }
 
-    /// A training protocol's name.
+    /// Name of the training protocol.
     pub fn protocol(&self) -> &str {
         self.setting.text("optimise.protocol").unwrap_or("unknown")
     }
 }
 
-/// A positive error of a body (%).
+/// Returns an error of a body (%), if it is positive and finite.
 fn of_set(errors: &[[Option<f64>; 2]; 2], medians: &[Option<f64>; 2], body: Body, set: Set) -> Option<f64> {
     let error = match set {
         Set::Test | Set::Holdout => errors[body as usize][set as usize],

@@ -1,18 +1,18 @@
-//! What is needed to resume a trial, and how it is stored: postcard bytes behind a version byte. These bytes name no
-//! field, so that a field more, also of what a checkpoint holds, is a version more. One version is read.
+//! The checkpoint of a trial, stored as a version byte followed by postcard bytes. These contain no field names, so every
+//! change of a field, also of nested types, needs a new version. Only one version can be read.
 
 use serde::{Deserialize, Serialize};
 
 use super::{Band, BodyEvaluation, CastReading, Counters, Seconds};
 
-/// Adam on some parameters.
+/// State of Adam.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Moments<T> {
     /// First moments.
     pub first: Vec<T>,
     /// Second moments.
     pub second: Vec<T>,
-    /// Steps so far.
+    /// Number of steps so far.
     pub steps: u64,
 }
 
@@ -23,14 +23,14 @@ pub struct Best {
     pub design: Vec<f64>,
     /// Its test error (%).
     pub error: f64,
-    /// The outer step that started from it.
+    /// Outer step that started from this design.
     pub step: u32,
 }
 
-/// A design that the outer loop has passed.
+/// An earlier design of the outer loop.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Waypoint {
-    /// The outer step that started from it.
+    /// Outer step that started from this design.
     pub step: u32,
     /// α (mm).
     pub design: Vec<f64>,
@@ -41,67 +41,67 @@ pub struct Waypoint {
 pub struct Training {
     /// Its weights.
     pub weights: Vec<f32>,
-    /// Adam on them.
+    /// State of Adam.
     pub moments: Moments<f32>,
     /// Training loss (normalised) at every iteration so far.
     pub losses: Vec<f32>,
-    /// (Iteration, from 1, prediction error on the holdout before it (%)), thinned.
+    /// (Iteration, from 1, held-out error before it (%)), thinned.
     pub errors: Vec<(u32, f64)>,
 }
 
-/// How far the comparison at the end has come.
+/// Progress of the final comparison.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Comparison {
     /// The bodies, the initial one first; the last may lack networks.
     pub bodies: Vec<BodyEvaluation>,
-    /// The network that is being trained on it.
+    /// The network in training on the last body.
     pub training: Option<Training>,
     /// Counts of work.
     pub counters: Counters,
-    /// Where the time went.
+    /// CPU time by part.
     pub seconds: Seconds,
 }
 
-/// What is needed to go on inside a trial.
+/// The state from which a trial resumes.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Checkpoint {
     /// The next outer step.
     pub step: u32,
     /// α (mm).
     pub design: Vec<f64>,
-    /// Adam on α.
+    /// State of Adam for α.
     pub design_moments: Moments<f64>,
-    /// Brain weights, where the protocol keeps them.
+    /// Weights of the decoder, if the protocol continues it.
     pub weights: Vec<f32>,
-    /// Adam on the brain.
+    /// State of Adam for these weights.
     pub weight_moments: Moments<f32>,
     /// The best design so far.
     pub best: Option<Best>,
-    /// The body's rate as a part of what the protocol asks for.
+    /// Learning rate of the design relative to that of the protocol.
     pub caution: f64,
-    /// Steps taken back in a row.
+    /// Number of consecutive steps that were undone.
     pub setbacks: u32,
     /// Running geometric mean of the training loss after training.
     pub trend: Option<f64>,
-    /// λ of the linear brain, where the body is trained with one and a step has found it.
+    /// λ of the linear decoder that trains the body, once a step has chosen it.
     pub ridge: Option<f64>,
-    /// The last designs before this one, newest last.
+    /// The previous designs, newest last.
     pub trail: Vec<Waypoint>,
-    /// The comparison, where it has begun.
+    /// The final comparison, if it has begun.
     pub comparison: Option<Box<Comparison>>,
-    /// Where sensors have moved under programs that moved them: the first outer step there, and their units.
+    /// Moves of sensors, by older programs only: outer step before a move, and the new units.
     pub moves: Vec<(u32, Vec<usize>)>,
-    /// Fitness of the candidates of a search without gradient so far.
+    /// Fitness of the candidates so far, in protocol `random`.
     pub found: Vec<f64>,
-    /// How casts of the bodies of the comparison are read so far.
+    /// Errors on casts so far, per body.
     pub casts: Vec<Vec<CastReading>>,
-    /// Bands about what is read of these bodies and casts.
+    /// Bands so far, per body.
     pub bands: Vec<Vec<Band>>,
 }
 
 impl Checkpoint {
-    /// What a trial that trains the same body goes on from: all but the comparison, which is its own, and the weights of a
-    /// network that trains no body, whose shape may be its own.
+    /// Returns the checkpoint from which another trial with the same body resumes: without the comparison and, unless a network
+    /// trains the body, without the weights, whose shape may differ.
     #[must_use]
     pub fn of_body(mut self, by_network: bool) -> Self {
         (self.comparison, self.casts, self.bands) = (None, Vec::new(), Vec::new());
@@ -111,7 +111,7 @@ impl Checkpoint {
         self
     }
 
-    /// Behind all outer steps, of what is left of them once a trial is done: its best design (mm), found by that step.
+    /// Returns a checkpoint after all outer steps, from the best design (mm) of a finished trial and its step.
     #[must_use]
     pub fn trained(steps: u32, design: Vec<f64>, best_step: u32) -> Self {
         let nothing = vec![0.0; design.len()];
@@ -121,22 +121,22 @@ impl Checkpoint {
     }
 }
 
-/// A stored checkpoint that this program cannot go on from.
+/// A stored checkpoint that this program cannot read.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CheckpointError {
-    /// Of another program.
+    /// Written in another version.
     #[error("it has version {0}, this program reads version {known}", known = Checkpoint::VERSION)]
     Version(u8),
-    /// Cut short, or of another shape than its version says.
+    /// Truncated, or not of the format of its version.
     #[error("it is damaged: {0}")]
     Damaged(String),
 }
 
 impl Checkpoint {
-    /// Of what [`Checkpoint::to_bytes`] writes.
+    /// Version that [`Checkpoint::to_bytes`] writes.
     pub const VERSION: u8 = 8;
 
-    /// As it is stored.
+    /// Encodes the checkpoint for storage.
     ///
     /// # Panics
     /// Never: it is plain data.
@@ -145,10 +145,10 @@ impl Checkpoint {
         postcard::to_extend(self, vec![Self::VERSION]).expect("a checkpoint is plain data")
     }
 
-    /// From what is stored.
+    /// Decodes a stored checkpoint.
     ///
     /// # Errors
-    /// If it is of another version, or not whole.
+    /// If the bytes have another version or are damaged.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CheckpointError> {
         match bytes.split_first() {
             Some((&Self::VERSION, rest)) => read(rest),
@@ -158,7 +158,7 @@ impl Checkpoint {
     }
 }
 
-/// The value that some bytes hold, all of them.
+/// Decodes a value from all of the bytes.
 fn read<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, CheckpointError> {
     match postcard::take_from_bytes(bytes) {
         Ok((value, [])) => Ok(value),

@@ -1,5 +1,5 @@
-//! The keys that a file may have and what each may hold, from the JSON schema of its type: for messages in the spec's
-//! words, whatever serde says.
+//! Known keys of a file and their allowed values, from the JSON schema of its type. Error messages use these instead of serde's
+//! wording.
 
 use std::collections::BTreeMap;
 
@@ -12,13 +12,13 @@ use crate::spec::SweepSpec;
 /// All keys that a file may have, by path.
 #[derive(Debug)]
 pub struct KnownKeys {
-    /// What each may hold, in words.
+    /// Allowed values of each key, in words.
     allowed: BTreeMap<String, String>,
     schema: Value,
 }
 
 impl KnownKeys {
-    /// Those of `SweepSpec`.
+    /// Returns the keys of `SweepSpec`.
     #[must_use]
     pub fn of_spec() -> Self {
         Self::of::<SweepSpec>()
@@ -35,7 +35,7 @@ impl KnownKeys {
         self.allowed.keys().map(String::as_str)
     }
 
-    /// The key whose list, or a list in it, has more entries than are read: TOML's deserializer leaves out the rest.
+    /// Returns the first key with a list that is too long: TOML's deserializer would ignore the rest.
     pub(super) fn surplus(&self, value: &Value) -> Option<String> {
         longer(&self.schema, &self.schema, value, "")
     }
@@ -44,7 +44,7 @@ impl KnownKeys {
         self.allowed.contains_key(path)
     }
 
-    /// Keys that may be an axis: all that a trial is made of.
+    /// Returns the keys that may be an axis: those of a trial.
     pub(super) fn axes(&self) -> impl Iterator<Item = &str> {
         self.paths().filter(|p| {
             p.contains('.')
@@ -62,7 +62,7 @@ impl KnownKeys {
         self.axes().any(|p| p == path)
     }
 
-    /// The known key most like `path`, if one is like it: one of the same table unless another has a closer one.
+    /// Returns the key nearest to `path`, if it is near. A name in another table counts as one letter farther.
     #[must_use]
     pub fn nearest_of<'a>(path: &str, among: impl Iterator<Item = &'a str>) -> Option<&'a str> {
         let split = |p: &'a str| p.rsplit_once('.').unwrap_or(("", p));
@@ -73,7 +73,7 @@ impl KnownKeys {
             let elsewhere = if its_table == table { 0 } else { 1 };
             whole.min(strsim::damerau_levenshtein(its_name, name) + elsewhere)
         };
-        // A letter may be wrong, and one in four more.
+        // At most one wrong letter, and one more per four letters.
         let most = 1 + name.chars().count() / 4;
         among
             .map(|candidate| (distance(candidate), strsim::damerau_levenshtein(candidate, path), candidate))
@@ -82,13 +82,13 @@ impl KnownKeys {
             .map(|(.., candidate)| candidate)
     }
 
-    /// What serde said of the value of a key, in the words of the spec where it is about what the key may hold.
+    /// Returns serde's message about a key; if it concerns the value, `must be` and the allowed values instead.
     #[must_use]
     pub fn in_words(&self, key: &str, message: &str) -> String {
         const OF_THE_VALUE: [&str; 5] =
             ["invalid type", "invalid value", "invalid length", "data did not match", "unknown variant"];
         match self.allowed.get(key).filter(|_| OF_THE_VALUE.iter().any(|start| message.starts_with(start))) {
-            // TOML reads what serde's own integers do not hold.
+            // TOML parses larger integers than serde's types hold.
             Some(_) if message.contains(" as i128") => "is too large".into(),
             Some(allowed) => format!("must be {allowed}"),
             None => message.to_owned(),
@@ -96,7 +96,7 @@ impl KnownKeys {
     }
 }
 
-/// The path of the first list with more entries than its schema reads.
+/// Returns the path of the first list with more entries than its schema allows.
 fn longer(schema: &Value, root: &Value, value: &Value, path: &str) -> Option<String> {
     let schema = resolved(schema, root);
     let own = match value {
@@ -111,7 +111,7 @@ fn longer(schema: &Value, root: &Value, value: &Value, path: &str) -> Option<Str
         }),
         _ => None,
     };
-    // of several forms the one that may hold such a value
+    // only the alternatives that allow such a value
     let kind = if value.is_array() { "array" } else { "object" };
     let fits = |form: &&Value| {
         let kinds = &resolved(form, root)["type"];
@@ -153,7 +153,7 @@ fn either(values: &[String]) -> String {
     }
 }
 
-/// The kinds of value that a schema allows, each in words.
+/// Describes each kind of value that a schema allows.
 fn values(schema: &Value, root: &Value) -> Vec<String> {
     let schema = resolved(schema, root);
     let parts = |key: &str| schema[key].as_array().into_iter().flatten();
@@ -176,7 +176,7 @@ fn values(schema: &Value, root: &Value) -> Vec<String> {
     types.into_iter().filter_map(|kind| value(kind, schema, root)).collect()
 }
 
-/// A value of a JSON type in words.
+/// Describes a value of a JSON type.
 fn value(kind: &str, schema: &Value, root: &Value) -> Option<String> {
     let text = match kind {
         "integer" => match (schema["minimum"].as_f64(), schema["maximum"].as_f64()) {
@@ -191,13 +191,13 @@ fn value(kind: &str, schema: &Value, root: &Value) -> Option<String> {
             let count = schema["minItems"].as_u64().filter(|n| schema["maxItems"].as_u64() == Some(*n));
             let count = count.map_or(String::new(), |n| format!("{n} "));
             let items = values(&schema["items"], root);
-            // "a whole number from 0 up" → "whole numbers from 0 up"; a word stays
+            // "a whole number from 0 up" → "whole numbers from 0 up"; quoted words stay
             let many = |one: &String| {
                 if one.starts_with('"') {
                     return Some(one.clone());
                 }
                 let one = one.strip_prefix("a ")?;
-                // the first: of a list of numbers the list
+                // the first noun: "list" in "a list of numbers"
                 let found = ["number", "text", "list", "table"].map(|noun| Some((one.find(noun)?, noun)));
                 let (_, noun) = found.into_iter().flatten().min()?;
                 Some(one.replacen(noun, &format!("{noun}s"), 1))

@@ -1,6 +1,6 @@
-//! The layers of a spec: the file, the files that it stands on (`base`), and changes on the command line.
+//! The layers of a spec: overrides on the command line, the file, and its bases (`base`).
 //!
-//! Tables are merged key by key; any other value, lists too, replaces that of the layers below.
+//! Tables are merged key by key; any other value, also a list, replaces that of lower layers.
 
 use std::path::{Path, PathBuf};
 
@@ -9,14 +9,14 @@ use toml::{Table, Value};
 
 use super::{POINTS, Place, Source, SpecError, TABLES};
 
-/// The key that names the file below.
+/// Key of the base.
 const BASE: &str = "base";
-/// Keys that name files, from the folder of the spec that has them.
+/// Keys that name files, relative to the folder of the spec that contains them.
 const FILES: [&str; 4] = ["body.design", "body.file", "sensors.relative_to", "stimuli.recorded.files"];
-/// What a change is.
+/// File name of an override in errors.
 const COMMAND_LINE: &str = "command line";
 
-/// A text with keys.
+/// The text of one layer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Layer {
     pub file: PathBuf,
@@ -24,7 +24,7 @@ pub(super) struct Layer {
 }
 
 impl Layer {
-    /// What stands above a spec, itself, and what it stands on.
+    /// Returns overrides, spec and bases, in order of precedence.
     pub fn all(own: &Source, changes: &[String]) -> Result<Vec<Self>, SpecError> {
         let mut layers =
             changes.iter().rev().map(|text| Self::change(text)).collect::<Result<Vec<_>, _>>()?;
@@ -52,12 +52,12 @@ impl Layer {
         Ok(layers)
     }
 
-    /// `KEY=VALUE` as a text of its own. A value that is no TOML is taken for words without their quotes.
+    /// Converts an override `KEY=VALUE`. If the value is not valid TOML, its words are quoted.
     fn change(text: &str) -> Result<Self, SpecError> {
         let layer = |text: String| Self { file: COMMAND_LINE.into(), text };
         let (key, value) = text.split_once('=').unwrap_or((text, ""));
         let key = match key.trim().strip_prefix("sweep.") {
-            // an axis, as a shell likes it
+            // an axis without quotes
             Some(axis) if axis.contains('.') && !axis.contains('"') => format!("sweep.\"{axis}\""),
             _ => key.trim().to_owned(),
         };
@@ -79,7 +79,7 @@ impl Layer {
         }
     }
 
-    /// Its keys with their paths, in order.
+    /// Returns the keys with their paths, in the order of the text.
     pub fn places(&self, layer: usize) -> Result<Vec<Place>, SpecError> {
         let table = DeTable::parse(&self.text).map_err(|e| self.no_toml(&e))?;
         let mut places = Vec::new();
@@ -97,7 +97,7 @@ impl Layer {
         self.error(at, String::new(), format!("not valid TOML: {}", e.message().trim()))
     }
 
-    /// An error at a place in the text.
+    /// Returns an error at a byte of the text.
     pub fn error(&self, at: usize, key: String, what: String) -> SpecError {
         let before = &self.text.as_bytes()[..at.min(self.text.len())];
         let line = 1 + before.iter().filter(|&&b| b == b'\n').count();
@@ -114,7 +114,7 @@ fn canonical(file: &Path) -> PathBuf {
     file.canonicalize().unwrap_or_else(|_| file.to_owned())
 }
 
-/// Quotes around each word that has none.
+/// Puts quotes around each word that has none.
 fn quoted_words(text: &str) -> String {
     let is_word = |c: char| c.is_alphanumeric() || "_-./".contains(c);
     let mut quoted = String::new();
@@ -134,7 +134,7 @@ fn quoted_words(text: &str) -> String {
     quoted
 }
 
-/// What layers come to together, as one text, and the places of the keys that count.
+/// Merges layers. Returns the text, and the places of the keys that are not overridden.
 pub(super) fn merged(layers: &[Layer], file: &Path) -> Result<(String, Vec<Place>), SpecError> {
     let mut all = Table::new();
     let mut places: Vec<Place> = Vec::new();
@@ -171,7 +171,7 @@ pub(super) fn merged(layers: &[Layer], file: &Path) -> Result<(String, Vec<Place
     Ok((head + &toml::to_string(&all).expect("tables of TOML are TOML"), places))
 }
 
-/// Adds what a table has not yet.
+/// Adds the keys that a table lacks.
 fn add_below(table: &mut Table, below: Table) {
     for (key, value) in below {
         match (table.get_mut(&key), value) {
@@ -211,7 +211,7 @@ fn files_at(path: &str, value: &mut Value, visit: &mut dyn FnMut(&mut String)) {
     }
 }
 
-/// Keys with their paths; one that holds a dot keeps its quotes. Of lists those of entries that are tables of known keys.
+/// Collects keys with their paths. A key with a dot keeps its quotes. Only known lists of tables are searched.
 fn find_places(table: &DeTable<'_>, prefix: &str, layer: usize, places: &mut Vec<Place>) {
     for (name, value) in table {
         let name_text = name.get_ref();
@@ -241,7 +241,7 @@ fn find_places(table: &DeTable<'_>, prefix: &str, layer: usize, places: &mut Vec
     }
 }
 
-/// Why the first number in a value that cannot be stored cannot be stored.
+/// Returns the message for the first number in a value that cannot be stored.
 fn no_number(value: &DeValue<'_>) -> Option<String> {
     match value {
         DeValue::Float(x) if !x.as_str().parse().is_ok_and(f64::is_finite) => {

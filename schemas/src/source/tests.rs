@@ -168,7 +168,7 @@ fn changed(changes: &[&str]) -> Result<(SweepSpec, Source), String> {
     Ok((source.parse().map_err(|e| e.to_string())?, source))
 }
 
-/// A change on the command line is what the same value in the file is.
+/// An override equals the same value in the file.
 #[test]
 fn changes_are_as_if_written() {
     for (change, from, to) in [
@@ -194,7 +194,7 @@ fn changes_are_as_if_written() {
     assert_eq!(changed(&[]).unwrap().1.text, GOOD, "without changes it stays as it is");
 }
 
-/// A key of a point may hold a table, whose keys are checked as they are where the table stands by itself.
+/// A key of a point may be a table, whose keys are checked as elsewhere.
 #[test]
 fn points_may_hold_tables() {
     let point = |value: &str| GOOD.replace("panels = [2]", &format!("points = [{{ panels = 2, {value} }}]"));
@@ -246,14 +246,14 @@ fn errors_of_changes_name_them() {
         let complaint = changed(changes).unwrap_err();
         assert!(complaint.starts_with(expected), "{complaint}\n{expected}");
     }
-    // of values that no type refuses, too; and the file's own keys are still the file's
+    // also for errors after parsing; keys of the file are still located in the file
     let (_, source) = changed(&["body.rows=5"]).unwrap();
     assert_eq!(source.error("body.rows", "no").to_string(), "command line: body.rows = 5: no");
     assert_eq!(source.error("body.columns", "no").to_string(), "a.toml:14: body.columns = [5, 6]: no");
     assert_eq!(source.error("body.spacing", "no").to_string(), "a.toml:5: body.spacing = 15.0: no");
 }
 
-/// Files of a folder that goes with the test.
+/// Writes files to a temporary folder.
 fn files(texts: &[(&str, &str)]) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     for (name, text) in texts {
@@ -270,7 +270,7 @@ fn read(folder: &tempfile::TempDir, name: &str) -> Result<Source, SpecError> {
     Source::spec(file, text, &[])
 }
 
-/// Split over three files in two folders, a spec is what it is in one.
+/// A spec split over three files in two folders equals the spec in one file.
 #[test]
 fn a_spec_on_a_base_is_as_if_written() {
     let (head, tail) = GOOD.split_once("[stimuli]").unwrap();
@@ -325,7 +325,7 @@ fn errors_name_the_file_that_has_the_key() {
     }
 }
 
-/// A base in another folder names files from there.
+/// File names in a base are relative to its folder.
 #[test]
 fn files_are_taken_from_the_folder_of_the_spec_that_names_them() {
     let folder = files(&[

@@ -1,9 +1,9 @@
-//! The limits of a castable design.
+//! Limits of feasible designs (`[feasible]`).
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Limits of a castable design (degrees, mm).
+/// Limits of a design that can be cast (degrees, mm).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Feasible {
@@ -27,7 +27,7 @@ pub struct Feasible {
     /// Whether units with panels keep their initial shape. Default: false.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub keep_panels: bool,
-    /// Whether held units keep their initial shape. Default: false.
+    /// Whether clamped and guided units keep their initial shape. Default: false.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub keep_clamped: bool,
 }

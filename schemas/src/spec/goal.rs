@@ -1,4 +1,4 @@
-//! What a body is searched for.
+//! The requirement that a search for a design must meet (`[goal]`).
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 pub struct Goal {
     /// Largest error on samples that are not used for training. Unit: %. Default: must be given.
     pub error: f64,
-    /// Fraction of the casts of `evaluation.casts` whose error must not exceed `error`. Unit: 1. Default: the body as designed is
-    /// read, and no cast.
+    /// Fraction of the casts of `evaluation.casts` whose error must not exceed `error`. Unit: 1. Default: the error of the body
+    /// as designed counts, and no cast.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quantile: Option<f64>,
     /// Decoder of the casts: `"design"`, fitted to the design; `"casts"`, fitted to other casts; `{ records = 10 }`, calibrated
@@ -34,8 +34,8 @@ pub struct Goal {
     /// Longest side of the bounding box of the initial body. Unit: mm. Default: no limit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub size: Option<f64>,
-    /// Prices of a design. Default: the design with fewer sensors is cheaper, of equal ones that with fewer multiply-adds a
-    /// reading, then that with fewer units.
+    /// Prices of a design. Default: the design with fewer sensors is cheaper; at equal numbers, the one with fewer
+    /// multiply-adds per reading, then with fewer units.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cost: Option<Cost>,
     /// Probability that the chosen design meets the requirement on a further seed. At most 1 − `confidence` of searches choose a
@@ -67,7 +67,7 @@ pub struct Cost {
     pub unit: f64,
 }
 
-/// What reads the casts of a body that is searched for.
+/// Decoder of the casts in a search for a design.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum GoalReader {
@@ -77,7 +77,7 @@ pub enum GoalReader {
     Calibrated(Calibrated),
 }
 
-/// The same, by name.
+/// Named decoders of the casts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum GoalReaderName {

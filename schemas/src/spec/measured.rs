@@ -1,4 +1,4 @@
-//! Measured records: forces with the signals that sensors gave under them, in a file of their own.
+//! The file of measured records: forces, and the sensor signals that they caused.
 
 use std::path::PathBuf;
 
@@ -64,7 +64,7 @@ pub struct MeasuredSignals {
     pub factors: Option<Vec<f64>>,
 }
 
-/// When the clock of the signals is 0, on that of the forces (s).
+/// Time on the forces' clock at which the signals' clock is 0 (s).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Start {
@@ -75,7 +75,7 @@ pub enum Start {
 }
 
 impl Start {
-    /// That of a record.
+    /// Returns the time of one record.
     #[must_use]
     pub fn of(&self, record: usize) -> f64 {
         match self {
@@ -101,7 +101,7 @@ pub enum AccelerationUnit {
 }
 
 impl AccelerationUnit {
-    /// In mm/s².
+    /// The unit in mm/s².
     #[must_use]
     pub fn factor(self) -> f64 {
         match self {
@@ -126,7 +126,7 @@ pub enum AngularVelocityUnit {
 }
 
 impl AngularVelocityUnit {
-    /// In rad/s.
+    /// The unit in rad/s.
     #[must_use]
     pub fn factor(self) -> f64 {
         match self {

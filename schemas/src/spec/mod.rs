@@ -1,4 +1,4 @@
-//! What a person writes: the sweep file, and the trial that one point of it resolves to.
+//! The spec that a user writes, and the trial that one point of its sweep resolves to.
 //!
 //! Units: mm, N, s, Mg; angles in degrees here (radians everywhere else). Physics and names: `worker/numerics/MODEL.md`.
 
@@ -43,7 +43,7 @@ pub use variation::{Alike, Nodes, OfLigaments, OfUnits, Relaxation, Scatter, Var
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// A sweep: one scene, one way to train it, and the axes along which it is varied.
+/// A spec: a scene, its training, and the axes of a sweep.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SweepSpec {
@@ -130,7 +130,7 @@ pub struct Sweep {
 }
 
 impl Sweep {
-    /// The keys of the spec that axes and points set, beside panels, sensors, placement and seed.
+    /// Returns the keys that axes and points set, except panels, sensors, placement and seed.
     pub fn keys(&self) -> std::collections::BTreeSet<&str> {
         let linked = self.points.iter().flat_map(|point| point.keys()).filter(|key| key.contains('.'));
         self.axes.keys().chain(linked).map(String::as_str).collect()

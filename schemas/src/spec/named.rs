@@ -1,35 +1,35 @@
-//! A trial by its hash, or by the beginning of it: the one rule, for specs, databases and runs.
+//! Finds a trial by its hash or a prefix of it, in specs, databases and runs.
 
-/// Why a text names no trial.
+/// Why a text does not identify one trial.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum NotOne {
-    /// No hash begins so.
+    /// No hash begins with the text.
     #[error("trial {text}: no trial begins so; {near}")]
     None {
-        /// What was asked for.
+        /// The text.
         text: String,
-        /// The hash most like it, or else those there are.
+        /// The nearest hash, or a list of all hashes.
         near: String,
     },
-    /// More than one hash begins so.
+    /// More than one hash begins with the text.
     #[error("trial {text}: several trials begin so: {those}")]
     Several {
-        /// What was asked for.
+        /// The text.
         text: String,
-        /// The first of them, and how many more there are.
+        /// The first of these hashes, and the number of others.
         those: String,
     },
 }
 
-/// Candidates that a message lists.
+/// Number of hashes that a message lists.
 const SHOWN: usize = 5;
 /// Digits of a hash in a message.
 const DIGITS: usize = 12;
 
-/// Position of the one hash that begins with a text.
+/// Returns the position of the only hash that begins with a text.
 ///
 /// # Errors
-/// Where none does, with the nearest; or several, with the first of them.
+/// If no hash or more than one does.
 pub fn position_of<'a>(text: &str, hashes: impl Iterator<Item = &'a str> + Clone) -> Result<usize, NotOne> {
     let mut found = hashes.clone().enumerate().filter(|(_, hash)| hash.starts_with(text));
     match (found.next(), found.next()) {
@@ -48,7 +48,7 @@ pub fn position_of<'a>(text: &str, hashes: impl Iterator<Item = &'a str> + Clone
     }
 }
 
-/// The first hashes, and how many more there are.
+/// Lists the first hashes and the number of others.
 fn listed<'a>(hashes: impl Iterator<Item = &'a str> + Clone) -> String {
     let shown: Vec<String> = hashes.clone().take(SHOWN).map(short).collect();
     match hashes.skip(SHOWN).count() {
@@ -58,12 +58,12 @@ fn listed<'a>(hashes: impl Iterator<Item = &'a str> + Clone) -> String {
     }
 }
 
-/// As much of a hash as a message shows.
+/// Shortens a hash for a message.
 fn short(hash: &str) -> String {
     hash.chars().take(DIGITS).collect()
 }
 
-/// The hash whose beginning is most like a text: a digit may be wrong, and one in four more.
+/// Returns the hash whose prefix is nearest to a text, if at most a third of the digits differ.
 fn nearest<'a>(text: &str, hashes: impl Iterator<Item = &'a str>) -> Option<String> {
     let digits = text.chars().count();
     let distance = |hash: &str| {

@@ -1,4 +1,4 @@
-//! The network, the outer loop over the body, the comparison at the end.
+//! The decoder, the optimisation of the design, and the final comparison.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::solver::{Method, Solver};
 use super::stimuli::{Part, Stimuli};
 
-/// Shapes of the network that have a name.
+/// Named shapes of the network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Preset {
@@ -16,7 +16,7 @@ pub enum Preset {
     Long,
 }
 
-/// What reads a body, or trains it.
+/// Kind of decoder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum BrainKind {
@@ -39,7 +39,7 @@ impl BrainKind {
     }
 }
 
-/// The linear brain's weight on the squares of its own weights.
+/// Regularisation λ of a linear decoder: factor of its squared weights.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Ridge {
@@ -113,21 +113,21 @@ pub struct Brain {
     pub causal: Option<bool>,
 }
 
-/// The network's shape, preset and defaults in place.
+/// Shape of the network, with preset and defaults applied.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Network {
     /// Channels of every hidden layer.
     pub width: usize,
-    /// Kernel of every layer, the output's last.
+    /// Kernel size of every layer, output layer last.
     pub kernels: Vec<usize>,
     /// Dilation of every layer.
     pub dilations: Vec<usize>,
-    /// Whether it looks back only.
+    /// Whether every layer uses earlier instants only.
     pub causal: bool,
 }
 
 impl Brain {
-    /// The shape that is meant; not judged.
+    /// Returns the shape of the network, not validated.
     #[must_use]
     pub fn network(&self) -> Network {
         let (width, kernels, dilations) = match self.preset {
@@ -143,7 +143,7 @@ impl Brain {
         Network { width, kernels, dilations, causal }
     }
 
-    /// The same shape without a preset, and nothing said that is so by default.
+    /// Replaces the preset by its values, and removes values that equal the defaults.
     #[must_use]
     pub fn resolved(self) -> Self {
         let Network { width, kernels, dilations, causal } = self.network();
@@ -177,7 +177,7 @@ impl Default for Brain {
     }
 }
 
-/// How body and brain are trained together.
+/// How body and decoder are trained together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Protocol {
@@ -189,7 +189,7 @@ pub enum Protocol {
     Random,
 }
 
-/// Which terms of the gradient of the test loss are taken.
+/// Terms of the gradient of the test loss.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum GradientTerms {
@@ -199,7 +199,7 @@ pub enum GradientTerms {
     Direct,
 }
 
-/// Whose errors move the body.
+/// Objective of the design.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Objective {
@@ -209,7 +209,7 @@ pub enum Objective {
     Tail(Tail),
 }
 
-/// Objectives that have a name.
+/// Named objectives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ObjectiveName {
@@ -230,7 +230,7 @@ pub struct Tail {
 }
 
 impl Objective {
-    /// The part of the casts that counts, the worst ones; none of the body as designed.
+    /// Fraction of the casts, the worst ones, whose mean is minimised; 0: the worst cast. `None`: the design, without casts.
     #[must_use]
     pub fn tail(self) -> Option<f64> {
         match self {
@@ -241,7 +241,7 @@ impl Objective {
         }
     }
 
-    /// What is the same said in one way.
+    /// Returns the canonical form; `None` for the nominal objective.
     fn resolved(self) -> Option<Self> {
         match self {
             Self::Named(ObjectiveName::Nominal) => None,
@@ -252,7 +252,7 @@ impl Objective {
     }
 }
 
-/// Which brain reads the casts of a step.
+/// Decoder of the casts of a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum CastReader {
@@ -272,12 +272,12 @@ pub struct Optimise {
     pub brain: Option<BrainKind>,
     /// How body and decoder are trained together; details in MODEL.md.
     pub protocol: Protocol,
-    /// Number of outer steps, or of candidates of a search. Default: 350, with a linear brain 100; `"paper"` 100;
-    /// `"random"` 80, with a linear brain 30, which take as long as `"joint"`.
+    /// Number of outer steps, or of candidates of a search. Default: 350, with a linear decoder 100; `"paper"` 100; `"random"`
+    /// 80, with a linear decoder 30, which take as long as `"joint"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,
     /// Adam's learning rate on the design, or standard deviation of the candidates of a search. Unit: mm. Default: 0.2, with a
-    /// linear brain 0.3; `"paper"` 0.1; `"random"` 1.0.
+    /// linear decoder 0.3; `"paper"` 0.1; `"random"` 1.0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub learning_rate: Option<f64>,
     /// Terms of the gradient, only for `protocol = "paper"`. Default: `"implicit"`.
@@ -317,20 +317,20 @@ pub struct Optimise {
     pub reader: Option<CastReader>,
 }
 
-/// Candidates that a search reads in some of the CPU time that `"joint"` takes, by a linear brain and by the network; and
+/// Defaults of `"random"`: candidates with a linear decoder and with a network, which take about as long as `"joint"`, and
 /// their standard deviation (mm).
 const SEARCH_LINEAR: usize = 30;
 const SEARCH: usize = 80;
 const SEARCH_SPREAD: f64 = 1.0;
-/// Casts a step and samples of each, by one brain for all and by a brain a cast.
+/// Default casts per step and samples per cast, with one decoder for all casts and with one per cast.
 const CASTS_ONE: [usize; 2] = [4, 8];
 const CASTS_EACH: [usize; 2] = [3, 24];
 
 impl Optimise {
-    /// Samples of a step of `joint`, of the body as designed.
+    /// Default samples per step of `joint` without casts.
     pub const BATCH: usize = 32;
 
-    /// With the defaults of the protocol in place: only what the protocol does not read stays open.
+    /// Fills in the defaults of the protocol. Keys that the protocol does not use stay as they are.
     #[must_use]
     pub fn resolved(mut self) -> Self {
         let (iterations, learning_rate) = match self.protocol {
@@ -341,7 +341,7 @@ impl Optimise {
             Protocol::Joint => (350, 0.2),
         };
         self.objective = self.objective.and_then(Objective::resolved);
-        // one brain learns more from many casts, one a cast from many samples of it
+        // a common decoder gains from more casts, a decoder per cast from more samples per cast
         let mut batch = Self::BATCH;
         if self.objective.is_some() {
             let reader = *self.reader.get_or_insert(CastReader::One);
@@ -367,13 +367,13 @@ impl Optimise {
         self
     }
 
-    /// Whether the body is trained with a linear brain; of a resolved trial.
+    /// Whether the body is trained with a linear decoder; valid for a resolved trial.
     #[must_use]
     pub fn linear(&self) -> bool {
         self.brain == Some(BrainKind::Linear)
     }
 
-    /// Outer steps.
+    /// Number of outer steps.
     #[must_use]
     pub fn steps(&self) -> usize {
         self.clone().resolved().iterations.unwrap_or_default()
@@ -411,7 +411,7 @@ pub enum Schedule {
     Constant,
 }
 
-/// The comparison at the end.
+/// The final comparison of initial and trained body.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Evaluation {
@@ -421,7 +421,7 @@ pub struct Evaluation {
     /// Learning-rate schedule of their training.
     pub schedule: Schedule,
     /// Training samples per iteration (mini-batch). A quarter of all samples costs about a quarter of the time, with the same
-    /// errors (docs/explanation/accuracy.md). Larger values mean all samples. Default: all, as the paper has it.
+    /// errors (docs/explanation/accuracy.md). Larger values mean all samples. Default: all, as in the paper.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub batch: Option<usize>,
     /// Iterations of further networks, as many as `seeds`, that are trained longer (10 000 in the paper), at most 10 000 000. In
@@ -429,7 +429,7 @@ pub struct Evaluation {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub long_iterations: Option<usize>,
     /// Number of new casts of the initial and of the trained body on which decoders are evaluated (`v_cast`); 0: none. Default:
-    /// 24 where there is a `[variation]`.
+    /// 24 with a `[variation]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub casts: Option<usize>,
     /// Whether linear decoders are also calibrated on 10, 30, 100 and all training samples of a cast. This is most of the work on
@@ -446,12 +446,12 @@ pub struct Evaluation {
     pub initial: Option<bool>,
 }
 
-/// Fresh networks a body, and casts of it where there is a variation, where the spec does not say.
+/// Default number of networks per body, and of casts per body with a variation.
 const NETWORKS: usize = 3;
 const CASTS: usize = 24;
 
 impl Evaluation {
-    /// With the defaults in place, of a body that a network reads, of casts that do or do not vary.
+    /// Fills in the defaults for a trial whose decoder is a network. `varied`: the spec has a variation.
     #[must_use]
     pub fn resolved(self, varied: bool, stimuli: &Stimuli) -> Self {
         let casts = Some(self.casts.unwrap_or(CASTS)).filter(|casts| varied && *casts > 0);
@@ -460,7 +460,7 @@ impl Evaluation {
         Self { seeds: Some(self.networks()), casts, under, ..self }
     }
 
-    /// The same of a body that a linear brain reads: it is solved for once.
+    /// Reduces the settings to those of a linear decoder, which is fitted once.
     #[must_use]
     pub fn of_linear(self) -> Self {
         Self {
@@ -473,7 +473,7 @@ impl Evaluation {
         }
     }
 
-    /// Fresh networks a body.
+    /// Number of fresh networks per body.
     #[must_use]
     pub fn networks(&self) -> usize {
         self.seeds.unwrap_or(NETWORKS)

@@ -1,6 +1,6 @@
-//! Keys and values that specs once had. A spec that has one is refused with its line of this table.
+//! Removed keys and values. A spec that contains one is rejected with the message in this table.
 
-/// A key, or where one is named its value, and why it was removed or what to use.
+/// Key, removed value (`None`: the whole key), and message.
 const REMOVED: &[(&str, Option<&str>, &str)] = &[
     (
         "body.hinge",
@@ -41,7 +41,7 @@ const REMOVED: &[(&str, Option<&str>, &str)] = &[
     ),
 ];
 
-/// Why a key, or its value as it is written, is refused, and what to use.
+/// Returns the message for a key, or for its value as written, if it was removed.
 #[must_use]
 pub fn removed(key: &str, value: &str) -> Option<&'static str> {
     let is = |name: &str| key.strip_prefix(name).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));

@@ -1,11 +1,11 @@
-//! Where and how the body is read.
+//! Positions and properties of the sensors (`[sensors]`).
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::body::Design;
 
-/// The frame in which accelerations are read.
+/// Axes of the measured accelerations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Frame {
@@ -16,7 +16,7 @@ pub enum Frame {
     Body,
 }
 
-/// What a sensor reads.
+/// A signal of a sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Channel {
@@ -29,7 +29,7 @@ pub enum Channel {
 }
 
 impl Channel {
-    /// All of them, in the order of the signals.
+    /// All channels, in the order of the signals.
     pub const ALL: [Self; 3] = [Self::Ax, Self::Ay, Self::Omega];
 
     /// Its name in a spec.
@@ -45,7 +45,7 @@ impl Channel {
     }
 }
 
-/// Size of what a chip adds to its signals: standard deviations.
+/// Standard deviation of a chip's noise or bias.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Disturbance {
@@ -55,7 +55,7 @@ pub enum Disturbance {
     Physical([f64; 2]),
 }
 
-/// A chip that one can buy.
+/// A commercial chip.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Part {
     /// The paper's chip: 9 g, 23.5 × 32.5 mm, ±16 g in steps of 0.5 mg, ±2 000 °/s in steps of 0.061 °/s (WitMotion's data sheet
@@ -64,7 +64,7 @@ pub enum Part {
     Wt9011dcl,
 }
 
-/// How the units that carry sensors are found.
+/// How the units with sensors are chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Search {
@@ -74,17 +74,17 @@ pub enum Search {
     Greedy,
 }
 
-/// Units among which a search looks.
+/// Candidate units of a search.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum From {
-    /// Units that are neither at the boundary nor held, as for random placements.
+    /// Units that are neither at the boundary nor clamped, as for random placements.
     Interior,
-    /// Units that are not held.
+    /// Units that are not clamped.
     Free,
 }
 
-/// Where and how the body is read.
+/// Positions of the sensors, and properties of real sensors.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Sensors {
@@ -160,7 +160,7 @@ impl Sensors {
         self.channels.as_deref().unwrap_or(&Channel::ALL)
     }
 
-    /// The same with the chip's figures in place of its name, and the channels in order, named only if some are left out.
+    /// Replaces the chip's name by its data and sorts the channels; `channels` becomes `None` if it lists all.
     #[must_use]
     pub fn resolved(mut self) -> Self {
         if let Some(Part::Wt9011dcl) = self.chip.take() {
@@ -175,7 +175,7 @@ impl Sensors {
         self
     }
 
-    /// Whether what a chip adds is relative to the signals of a body.
+    /// Whether noise or bias are relative to the signals of a body.
     pub fn is_relative(&self) -> bool {
         let relative = |size: &Disturbance| matches!(size, Disturbance::Relative(part) if *part > 0.0);
         [&self.noise, &self.bias].into_iter().flatten().any(relative)

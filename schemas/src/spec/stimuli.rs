@@ -24,7 +24,7 @@ pub enum StimuliKind {
 }
 
 impl StimuliKind {
-    /// As a spec has it.
+    /// Name in a spec.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -37,8 +37,8 @@ impl StimuliKind {
     }
 }
 
-/// A kind of forces, in a mixture or to read a finished body under, with the keys of that kind as in `[stimuli]`; `"recorded"`
-/// reads `stimuli.recorded`.
+/// A kind of forces in `stimuli.mix` or `evaluation.under`, with the keys of that kind as in `[stimuli]`; `"recorded"` uses
+/// `stimuli.recorded`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Part {
@@ -86,7 +86,7 @@ pub struct Part {
 }
 
 impl Part {
-    /// The stimuli of this kind alone, with the samples and the records of `whole`.
+    /// Returns stimuli of this kind alone, with the samples and records of `whole`.
     #[must_use]
     pub fn alone(&self, whole: &Stimuli) -> Stimuli {
         let Self { kind, amplitude, width, onset, peak, power, offset, angle, .. } = *self;
@@ -96,7 +96,7 @@ impl Part {
         Stimuli { kind, mix: None, recorded, roughness, double, gap, rebound, silent, ..pulse }
     }
 
-    /// With the defaults of the kind in place.
+    /// Fills in the defaults of the kind.
     #[must_use]
     pub fn resolved(&self, whole: &Stimuli) -> Self {
         let own = self.alone(whole).resolved();
@@ -108,8 +108,8 @@ impl Part {
     }
 }
 
-/// The force histories. Intervals are `[least, most]` of a uniform draw per sample and panel; what is left out gets the
-/// default of its kind.
+/// The force histories. Intervals `[least, most]` are those of a uniform draw per sample and panel. Omitted keys have the
+/// default of the kind.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Stimuli {
@@ -185,7 +185,7 @@ pub struct Stimuli {
 }
 
 impl Stimuli {
-    /// With the defaults of the kind in place.
+    /// Fills in the defaults of the kind.
     #[must_use]
     pub fn resolved(mut self) -> Self {
         let some = |deviation: &f64| *deviation != 0.0;
@@ -260,7 +260,7 @@ pub enum TimeUnit {
 }
 
 impl TimeUnit {
-    /// In seconds.
+    /// The unit in seconds.
     #[must_use]
     pub fn seconds(self) -> f64 {
         match self {
@@ -287,7 +287,7 @@ pub enum ForceUnit {
 }
 
 impl ForceUnit {
-    /// In newtons.
+    /// The unit in newtons.
     #[must_use]
     pub fn newtons(self) -> f64 {
         match self {
@@ -298,30 +298,30 @@ impl ForceUnit {
     }
 }
 
-/// How a record is read onto another clock.
+/// How a record is resampled to another clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Resample {
-    /// Through a low-pass filter at the new clock's limit.
+    /// Low-pass filter at half the lower rate, then interpolation.
     #[default]
     Antialias,
     /// Linear interpolation between entries.
     Linear,
 }
 
-/// Where in a record a blow begins.
+/// Detection of the beginning of a blow in a record.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Trigger {
     /// Absolute force, after `scale`, that marks the beginning of a blow where it is first reached. Unit: N.
     pub threshold: f64,
-    /// Time of the beginning of the blow in the sample. Unit: s. Default: room for the earliest of `augment.shift` and for 12 instants of
-    /// `time.samples`, the low-pass's reach; of measured signals 0.
+    /// Time of the beginning of the blow in the sample. Unit: s. Default: enough for the earliest `augment.shift` and for 12
+    /// instants of `time.samples`, the reach of the low-pass; 0 for measured signals.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub before: Option<f64>,
 }
 
-/// How a recorded sample is varied where protocol `"joint"` draws fresh ones from the training set.
+/// Variation of recorded training samples, from which protocol `"joint"` draws fresh samples.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Augment {
@@ -337,7 +337,7 @@ impl Default for Augment {
     }
 }
 
-/// Recorded histories: files, what stands where in them, in which unit.
+/// Recorded histories: files, their contents and units.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Recorded {

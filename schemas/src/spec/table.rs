@@ -1,9 +1,9 @@
-//! How a CSV is written, where its reader cannot tell.
+//! Format of a CSV file, if it cannot be detected.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What separates the fields of a CSV.
+/// Separator of the fields of a CSV.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Separator {
     /// Commas.

@@ -1,4 +1,4 @@
-//! What one point of a sweep resolves to, and the hash that names it.
+//! The trial that one point of a sweep resolves to, and its hash.
 
 use std::collections::BTreeMap;
 
@@ -13,17 +13,17 @@ use super::{
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Point {
-    /// K.
+    /// Number of panels (K).
     pub panels: usize,
-    /// M.
+    /// Number of sensors (M).
     pub sensors: usize,
-    /// Which placement.
+    /// Number of the placement.
     pub placement: usize,
-    /// Seed of stimuli, split and networks.
+    /// Seed of forces, split and networks.
     pub seed: u64,
 }
 
-/// Everything that a trial is. Its hash names it for ever.
+/// All settings of a trial. Their hash is its permanent name.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrialSpec {
@@ -33,41 +33,41 @@ pub struct TrialSpec {
     pub time: Time,
     /// The integrator.
     pub solver: Solver,
-    /// The frame.
+    /// The sensors.
     pub sensors: Sensors,
-    /// The stimuli.
+    /// The forces.
     pub stimuli: Stimuli,
-    /// How castings scatter, where a key asks about them.
+    /// Manufacturing variation, if a key uses it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub variation: Option<Variation>,
-    /// The brain.
+    /// The decoder.
     pub brain: Brain,
-    /// The outer loop.
+    /// The optimisation of the design.
     pub optimise: Optimise,
     /// The final comparison.
     pub evaluation: Evaluation,
-    /// The limits.
+    /// Limits of a feasible design.
     pub feasible: Feasible,
-    /// Where in the sweep.
+    /// Point of the sweep.
     pub point: Point,
-    /// Input panels, by unit.
+    /// Units of the panels.
     pub panel_units: Vec<usize>,
-    /// Sensors, by unit; none as long as a search has not placed them.
+    /// Units with sensors; empty until a search has placed them.
     pub sensor_units: Vec<usize>,
 }
 
 impl TrialSpec {
-    /// Signals that a brain sees.
+    /// Number of signals that a decoder uses.
     #[must_use]
     pub fn signals(&self) -> usize {
         self.sensors.read().len() * self.point.sensors
     }
 
-    /// Names the trial: 32 hex digits of BLAKE3 over its JSON with sorted keys and no blanks.
+    /// Returns the trial's name: 32 hex digits of BLAKE3 over its JSON with sorted keys and no spaces.
     ///
-    /// A key added to the spec later must be left out of the JSON at its default (`skip_serializing_if`), so that the
-    /// trials of older databases keep their names.
-    /// Recorded stimuli count by their digest, not by the paths of their files; a material by the stiffnesses and the mass that it gives.
+    /// A new key of the spec must be omitted from the JSON at its default (`skip_serializing_if`), so that trials of older
+    /// databases keep their names. The hash covers the digest of recorded stimuli, not their paths, and the stiffnesses and
+    /// density of a material, not the material.
     #[must_use]
     pub fn hash(&self) -> String {
         let mut text = String::with_capacity(2048);
@@ -82,14 +82,14 @@ impl TrialSpec {
         blake3::hash(text.as_bytes()).to_hex()[..32].to_owned()
     }
 
-    /// Names what trains the trial's body: trials that agree in it pass through the same bodies, to the bit, whatever reads
-    /// these in the comparison at the end. 32 hex digits likewise.
+    /// Returns a hash (32 hex digits) of the settings that determine the training of the body. Trials that share it train
+    /// bit-identical bodies, whatever decodes them in the final comparison.
     #[must_use]
     pub fn training(&self) -> String {
         Training::of(self).at(self)
     }
 
-    /// Names a body of the trial, of this design, with its sensors: 32 hex digits likewise.
+    /// Returns a hash (32 hex digits) of a body of this trial with this design and its sensors.
     #[must_use]
     pub fn body_digest(&self, design: &[f64]) -> String {
         let mut text = String::with_capacity(2048);
@@ -100,19 +100,19 @@ impl TrialSpec {
     }
 }
 
-/// What trials of a point share of [`TrialSpec::training`], which costs what a hash does.
+/// The part of [`TrialSpec::training`] that is independent of placement and seed; costs as much as a hash.
 #[derive(Debug, Clone)]
 pub struct Training(String);
 
 impl Training {
-    /// Of the trials that differ from this one in placement and seed at most.
+    /// Computes this part for all trials that differ from `trial` in placement and seed at most.
     #[must_use]
     pub fn of(trial: &TrialSpec) -> Self {
         let point = Point { placement: 0, seed: 0, ..trial.point };
         let mut spec =
             TrialSpec { evaluation: Evaluation::default(), point, sensor_units: Vec::new(), ..trial.clone() };
         if spec.optimise.linear() {
-            // a body that an inverse brain is to read is simulated in double precision from the beginning
+            // a body for an inverse decoder is simulated in double precision from the first step
             let kind = Some(spec.brain.kind).filter(|kind| *kind == BrainKind::Inverse).unwrap_or_default();
             let Brain { memory, ridge, .. } = spec.brain;
             spec.brain = Brain { kind, memory, ridge, ..Brain::default() };
@@ -123,7 +123,7 @@ impl Training {
         Self(spec.hash())
     }
 
-    /// Of one of them.
+    /// Returns [`TrialSpec::training`] of one of these trials.
     #[must_use]
     pub fn at(&self, trial: &TrialSpec) -> String {
         let Point { placement, seed, .. } = trial.point;
@@ -132,7 +132,7 @@ impl Training {
     }
 }
 
-/// JSON with sorted keys, whatever order the map type keeps.
+/// Appends JSON with sorted keys, whatever the order of the map type.
 fn write_canonical(value: &serde_json::Value, text: &mut String) {
     match value {
         serde_json::Value::Object(map) => {
@@ -163,7 +163,7 @@ fn write_canonical(value: &serde_json::Value, text: &mut String) {
     }
 }
 
-/// A JSON object's leaves by path.
+/// Returns the leaves of a JSON object by path.
 #[must_use]
 pub fn flatten(value: &Value) -> BTreeMap<String, Value> {
     fn walk(path: &str, value: &Value, leaves: &mut BTreeMap<String, Value>) {

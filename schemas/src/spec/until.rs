@@ -1,4 +1,4 @@
-//! When a sweep knows enough.
+//! Questions that end a sweep early (`[until]`).
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -42,7 +42,7 @@ impl Default for Until {
     }
 }
 
-/// The most that may be run.
+/// Upper limits of a sweep.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AtMost {

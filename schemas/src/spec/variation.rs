@@ -1,4 +1,4 @@
-//! How castings scatter about the design.
+//! Manufacturing variation (`[variation]`).
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -45,7 +45,7 @@ pub struct Variation {
     pub relaxation: Option<Relaxation>,
 }
 
-/// Maxwell's branch of every ligament: beside each of its springs another and a dashpot in series.
+/// Maxwell branch of every ligament: parallel to each of its springs, another spring in series with a dashpot.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Relaxation {
@@ -56,7 +56,7 @@ pub struct Relaxation {
     pub time: f64,
 }
 
-/// How a figure of the material scatters.
+/// Standard deviation of a material parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Scatter<Parts> {
@@ -67,7 +67,7 @@ pub enum Scatter<Parts> {
     Parts(Parts),
 }
 
-/// Of a stiffness.
+/// Deviations of a stiffness.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct OfLigaments {
@@ -78,7 +78,7 @@ pub struct OfLigaments {
     pub ligament: f64,
 }
 
-/// Of the density.
+/// Deviations of the density.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct OfUnits {
@@ -107,7 +107,7 @@ impl From<OfUnits> for [f64; 2] {
 }
 
 impl<Parts: Copy + Into<[f64; 2]>> Scatter<Parts> {
-    /// Deviation of the common factor, and of each part's.
+    /// Standard deviations of the common factor and of the factor per ligament or unit.
     #[must_use]
     pub fn parts(self) -> [f64; 2] {
         match self {
@@ -116,7 +116,7 @@ impl<Parts: Copy + Into<[f64; 2]>> Scatter<Parts> {
         }
     }
 
-    /// What is the same said in one way; `None` if nothing scatters.
+    /// Returns the canonical form; `None` if all deviations are 0.
     fn resolved(self) -> Option<Self> {
         match self.parts() {
             [0.0, 0.0] => None,
@@ -126,7 +126,7 @@ impl<Parts: Copy + Into<[f64; 2]>> Scatter<Parts> {
     }
 }
 
-/// How nodes scatter.
+/// Deviations of the node shifts.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Nodes {
@@ -136,7 +136,7 @@ pub enum Nodes {
     Alike(Alike),
 }
 
-/// A scatter that neighbours share.
+/// Deviations that are correlated between neighbours.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Alike {
@@ -147,7 +147,7 @@ pub struct Alike {
 }
 
 impl Nodes {
-    /// What is the same said in one way; `None` if nothing scatters.
+    /// Returns the canonical form; `None` if all deviations are 0.
     fn resolved(self) -> Option<Self> {
         match self {
             Self::Each(0.0) | Self::Alike(Alike { scatter: 0.0, .. }) => None,
@@ -157,16 +157,16 @@ impl Nodes {
     }
 }
 
-/// A file that says how casts scatter, and nothing else.
+/// A file that contains a variation only.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct VariationFile {
-    /// How they do.
+    /// The variation.
     pub variation: Variation,
 }
 
 impl Variation {
-    /// Without deviations of 0; `None` if nothing is left.
+    /// Removes deviations of 0; `None` if none is left.
     #[must_use]
     pub fn resolved(self) -> Option<Self> {
         let some = |deviation: Option<f64>| deviation.filter(|deviation| *deviation != 0.0);

@@ -1,7 +1,7 @@
 use super::*;
 use crate::record::TrialResult;
 
-/// Messages carry no names: a field that is left out where it is empty would shift all that comes after it.
+/// Messages contain no field names: omitting an empty field would shift all later fields.
 #[test]
 fn a_result_of_empty_lists_comes_through() {
     let given = TrialResult::default();

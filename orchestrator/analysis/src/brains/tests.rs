@@ -1,5 +1,3 @@
-//! Tests of `brains`.
-
 use super::super::trial::Reading;
 use super::*;
 use serde_json::json;
@@ -19,7 +17,8 @@ fn trial(brain: Option<&str>, with: Option<&str>, seed: u64, own: [f64; 2], whol
     }
 }
 
-/// Own brains apart by what trained and what reads, linear readings by what trained, both bodies of equal trials.
+/// Own decoders are separated by decoder in training and in evaluation, linear ones by decoder in training. Both bodies have
+/// the same trials.
 #[test]
 fn bodies_stand_by_what_trained_and_what_read_them() {
     let trials = [

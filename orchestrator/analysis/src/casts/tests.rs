@@ -1,12 +1,10 @@
-//! Tests of `casts`.
-
 use super::*;
 use crate::Cluster;
 use crate::setting::flatten;
 use serde_json::json;
 
-/// Initial 20 % as designed and 40 [80] % cast; trained by 20 as designed, as designed of which 2² of 4² are kept, and by 10,
-/// of which all is kept at the median. Seeds have factors that gains do not see.
+/// Initial body: 20 % as designed, 40 [80] % on casts. The body trained as designed gains a factor of 20 and keeps the fraction
+/// that corresponds to 2² of 4²; the body trained over casts gains 10 and keeps all at the median. Factors per seed cancel.
 #[test]
 fn gains_over_casts_are_told_by_body_and_brain() {
     let mut trials = Vec::new();

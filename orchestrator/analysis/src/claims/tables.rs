@@ -1,21 +1,22 @@
-//! The claims as tables: a rating per claim, and the evidence.
+//! Tables of the claims: a rating per claim, and the evidence.
 
 use super::{CLAIMS, Evidence, by_medians, corrected, summary};
 use crate::Trial;
 use crate::tables::ends;
 use metasense_render::{Table, row};
 
-/// What a database's trials say of every claim, in the paper's order.
+/// Returns the evidence for every claim in the trials of a database, in the order of the paper.
 pub fn tried(trials: &[Trial]) -> Vec<Vec<Evidence>> {
     corrected(CLAIMS.iter().map(|claim| claim.evidence(trials)).collect())
 }
 
-/// What trials of another scene, such as the one of the paper's authors, say of each claim about smooth pulses on a planar body.
+/// Returns the evidence for every claim about smooth pulses on a planar body in trials of another scene, such as that of the
+/// authors.
 pub fn tried_elsewhere(trials: &[Trial]) -> Vec<Vec<Evidence>> {
     corrected(CLAIMS.iter().map(|claim| claim.evidence_elsewhere(trials)).collect())
 }
 
-/// One row per claim: what it comes to, by medians over samples where that is something else, and the specs that show it.
+/// Returns one row per claim: rating, rating by medians if different, and specs.
 pub fn claims_table(found: &[Vec<Evidence>]) -> Table {
     let rows = CLAIMS.iter().zip(found).enumerate().map(|(i, (claim, evidence))| {
         let specs: Vec<String> = claim.specs.iter().map(|spec| format!("schemas/{spec}.toml")).collect();
@@ -29,7 +30,7 @@ pub fn claims_table(found: &[Vec<Evidence>]) -> Table {
     table
 }
 
-/// One row per claim, brain and set: the ratio with its interval, votes, and over what they are.
+/// Returns one row per claim, decoder and set: ratio with interval, votes and units.
 pub fn evidence_table(found: &[Vec<Evidence>]) -> Table {
     let mut rows = Vec::new();
     for (i, (claim, evidence)) in CLAIMS.iter().zip(found).enumerate() {

@@ -1,10 +1,10 @@
-//! Ratings on made-up trials.
+//! Ratings of synthetic trials.
 
 use super::*;
 use crate::setting::flatten;
 use serde_json::{Value, json};
 
-/// A trial with the same errors on both sets.
+/// A trial with equal errors on both sets.
 fn trial(setting: Value, [panels, sensors]: [u64; 2], seed: u64, [initial, optimised]: [f64; 2]) -> Trial {
     Trial {
         setting: flatten(&setting).into_iter().collect(),
@@ -24,8 +24,8 @@ fn rated(number: usize, trials: &[Trial]) -> (String, Option<Rating>) {
     summary(&CLAIMS[number].evidence(trials))
 }
 
-/// Twofold holds with a brain whose ratio is above 2, is compatible with one of about 2, holds in part with 1.5, is no difference at 1,
-/// fails below, is open with three seeds.
+/// A claimed factor of 2: "holds" above 2, "compatible" at about 2, "in part" at 1.5, "no difference" at 1, "fails" below,
+/// "open" with three seeds.
 #[test]
 fn a_factor_is_held_against_its_interval() {
     let of = |kind: &str, factor: f64, seeds: u64| -> Vec<Trial> {
@@ -66,14 +66,14 @@ fn a_factor_is_held_against_its_interval() {
     let both = [of("linear", 2.5, 5), of("cnn", 0.7, 5)].concat();
     assert_eq!(rated(0, &both), ("depends: holds with linear · fails with cnn".into(), None));
     assert_eq!(rated(3, &both), ("not tried".into(), None));
-    // of other lattices than the paper's nothing follows for its claims
+    // other lattices are no evidence for the claims
     let mut others = of("linear", 2.5, 5);
     let own = json!({"body": {"layout": "planar", "lattice": "kagome"}, "stimuli": {"kind": "bell"}});
     others.iter_mut().for_each(|t| t.setting = flatten(&own).into_iter().collect());
     assert_eq!(rated(0, &others), ("not tried".into(), None));
 }
 
-/// Of two findings that each might be chance with 4 % the pair might with 8 %; one of a tenth of a per cent stands beside them.
+/// Two findings with p-values of 4 % are adjusted to 8 %; one of 0.1 % stays significant.
 #[test]
 fn many_findings_are_judged_together() {
     let of = |set: &'static str, chance: f64| Evidence {
@@ -99,7 +99,7 @@ fn many_findings_are_judged_together() {
     assert_eq!(told, expected);
 }
 
-/// Blows gain 4, pulses 2, and the other way round.
+/// Gains of 4 under blows and 2 under pulses, then the opposite.
 #[test]
 fn gains_are_compared_seed_by_seed() {
     let of = |stimuli: &str, factor: f64| -> Vec<Trial> {
@@ -111,7 +111,7 @@ fn gains_are_compared_seed_by_seed() {
     assert_eq!(rated(4, &[of("irregular", 2.0), of("bell", 4.0)].concat()).1, Some(Rating::Fails));
 }
 
-/// Curves over M of four placements: an elbow where the errors bend, two against six, a spread that training takes.
+/// Curves over M of four placements: an elbow at the bend, two sensors against six, a spread that training reduces.
 #[test]
 fn curves_are_judged_by_votes() {
     let of = |initial: [f64; 6], trained: [f64; 6], kept: f64| -> Vec<Trial> {
@@ -131,8 +131,7 @@ fn curves_are_judged_by_votes() {
     assert_eq!(found, [Some(Rating::Fails); 3], "{found:?}");
 }
 
-/// Noise tells trials apart. A placement with one number of sensors alone tells nothing of curves over M, nor does a number of sensors
-/// that one placement alone has.
+/// Different noise separates trials. A placement with a single M, and an M with a single placement, are not part of the curves.
 #[test]
 fn curves_are_of_whole_settings() {
     let of = |noise: Option<f64>, placement: u64, sensors: u64, errors: [f64; 2]| {

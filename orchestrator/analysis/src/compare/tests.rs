@@ -1,9 +1,7 @@
-//! Tests of `compare`.
-
 use super::*;
 use crate::Cluster;
 
-/// Errors of placements 0 … 4 with one and two sensors, times `factor`, of a brain.
+/// Trials of a decoder in placements 0 … 4; errors are multiplied by `factor`.
 fn database(brain: &str, factor: f64, sensors: &[u64]) -> Vec<Trial> {
     let each = |(placement, m): (u64, u64)| {
         let setting = [
@@ -24,7 +22,8 @@ fn database(brain: &str, factor: f64, sensors: &[u64]) -> Vec<Trial> {
     (0..5).flat_map(|p| sensors.iter().map(move |m| (p, *m))).map(each).collect()
 }
 
-/// Placements differ by a factor of two, pairs do not: the ratio is 4/3 to rounding. Half of the second have no partner.
+/// Placements differ by a factor of two, but pairs do not: the ratio is exactly 4/3. Half of the second database has no
+/// partner.
 #[test]
 fn trials_are_paired_by_all_but_what_is_compared() {
     let (first, second) = (database("cnn", 2.0, &[1, 2]), database("linear", 1.5, &[1, 2, 3, 4]));
@@ -33,7 +32,7 @@ fn trials_are_paired_by_all_but_what_is_compared() {
     let differs: Vec<&str> = found.differs.keys().copied().collect();
     assert_eq!(differs, ["brain.kind"]);
     let table = found.table();
-    // over all, M = 1, M = 2; two bodies
+    // all trials, M = 1, M = 2; two bodies each
     assert_eq!(table.rows.len(), 6, "{table:?}");
     for row in &table.rows {
         let [ratio, low, high] = [5, 6, 7].map(|i| row[i].as_f64().unwrap());

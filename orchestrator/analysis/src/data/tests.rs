@@ -1,10 +1,8 @@
-//! Tests of `data`.
-
 use super::*;
 use crate::setting::{Settings, flatten};
 use serde_json::json;
 
-/// A trial with more settings.
+/// Returns a trial with additional settings.
 fn with(trial: Trial, more: &Value) -> Trial {
     let leaves = trial.setting.leaves().into_iter().map(|(path, value)| (path.to_owned(), value.clone()));
     let setting = leaves.chain(flatten(more)).collect();
@@ -52,7 +50,7 @@ fn groups_differ_in_what_their_labels_say() {
     let found: Vec<(&str, usize)> = found.iter().map(|g| (&*g.label, g.trials.len())).collect();
     let told = |bend: &str| format!("K = 2, M = 1, body.stiffness.bend = {bend}");
     assert_eq!(found, [(&*told("4.0"), 3), (&*told("5.76"), 1)]);
-    // also where the first of a size is no round number
+    // also if the first trial's spacing is not a round number
     let found = groups(&sheet.iter().rev().skip(1).collect::<Vec<_>>(), COMPLEXITY);
     assert_eq!(found.len(), 1, "{found:?}");
     let ways =
@@ -82,7 +80,7 @@ fn groups_differ_in_what_their_labels_say() {
     assert!(told.iter().all(named) && told[0] != told[1] && told[0].len() < 60, "{told:?}");
 }
 
-/// Casts that only some trials are judged by do not tell them from the others; scatter that two say differently does.
+/// Evaluation on casts in some trials does not separate them from the others; different variations do.
 #[test]
 fn what_judges_bodies_tells_no_trials_apart_where_none_disagree() {
     let cast = |scatter: f64| {
@@ -97,14 +95,14 @@ fn what_judges_bodies_tells_no_trials_apart_where_none_disagree() {
     assert_eq!(labels(&[trial(2, 5, 1, 0), cast(0.1)]), ["K = 2, M = 1"]);
     let told = [0.1, 0.2].map(|scatter| format!("K = 2, M = 1, variation.nodes = {scatter}"));
     assert_eq!(labels(&[cast(0.1), cast(0.2)]), told);
-    // so do those that scatter something else, and that by parts
+    // so do variations of other quantities, and per ligament
     let by_parts =
         json!({"evaluation": {"casts": 8}, "variation": {"nodes": 0.1, "bend": {"ligament": 0.1}}});
     let told = ["K = 2, M = 1, variation.bend = 0.1", "K = 2, M = 1, variation.bend.ligament = 0.1"];
     assert_eq!(labels(&[cast(0.1), with(trial(2, 5, 1, 0), &by_parts), trial(2, 5, 1, 1)])[..2], told);
 }
 
-/// Who adds casts to a finished sweep has its trials twice, which count once; recorded forces are what they hold, wherever they lie.
+/// A trial that is repeated with casts counts once. Recorded forces are identified by content, not by file.
 #[test]
 fn a_trial_that_is_judged_again_counts_once() {
     let mut settings = Settings::default();
@@ -128,7 +126,7 @@ fn a_trial_that_is_judged_again_counts_once() {
         trial(1, [20.0, 10.0], &casts),
         trial(2, [30.0, 10.0], &casts),
         trial(2, [30.0, 10.0], &json!({"evaluation": {"long_iterations": 10}})),
-        // no outer step: no trained body
+        // without outer steps there is no trained body
         trial(3, [40.0, 40.0], &json!({"optimise": {"iterations": 0}})),
     ];
     trials.iter_mut().for_each(Trial::without_steps);
@@ -144,7 +142,7 @@ fn a_trial_that_is_judged_again_counts_once() {
     let ratio = super::super::paired::error_ratio(&refs, Set::Holdout).unwrap();
     assert_eq!((ratio.trials, ratio.above_one), (2, 2));
 
-    // bodies that were trained over casts are as many as there are variations
+    // each variation in training over casts gives another body
     let mut over = |stretch: f64| {
         let more = json!({"variation": {"stretch": stretch}, "optimise": {"objective": "mean"}});
         trial(1, [20.0, 100.0 * stretch], &more)

@@ -1,11 +1,9 @@
-//! Tests of `decision`.
-
 use super::*;
 use crate::Cluster;
 
 fn curve(errors: &[f64], placements: u64) -> Vec<Observation> {
     let of = |placement: u64| {
-        // a level of its own a placement, and one that decides nothing
+        // a level per placement, which does not affect decisions
         let level = 1.0 + 0.02 * placement as f64;
         let at = move |(i, e): (usize, &f64)| Observation {
             at: (i + 1) as f64,
@@ -17,7 +15,7 @@ fn curve(errors: &[f64], placements: u64) -> Vec<Observation> {
     (0..placements).flat_map(of).collect()
 }
 
-/// 10.9 is within 10 % of 10, 12 is not; without the last the best is 10.9, of which 12 is just not 10 % off.
+/// 10.9 is within 10 % of 10, 12 is not. Without the largest M, the smallest error is 10.9, and 12 is just not within 10 %.
 #[test]
 fn the_smallest_within_ten_percent_and_what_it_hangs_on() {
     let errors = [30.0, 20.0, 12.0, 10.9, 10.0];
@@ -30,7 +28,8 @@ fn the_smallest_within_ten_percent_and_what_it_hangs_on() {
     assert_eq!(wide.within.at, 3.0, "{wide:?}");
 }
 
-/// Of a fall from 100 to 10.4 % nine tenths are at 19.4 %, eight at 28.3 %; a body that is worse than to say nothing has its best.
+/// Of a fall from 100 to 10.4 %, nine tenths are reached at 19.4 %, eight at 28.3 %. If all errors exceed 100 %, the smallest
+/// is chosen.
 #[test]
 fn the_fall_from_nothing_ends_where_nine_tenths_of_it_are_done() {
     let of =
@@ -40,8 +39,8 @@ fn the_fall_from_nothing_ends_where_nine_tenths_of_it_are_done() {
     assert_eq!(of(&[150.0, 120.0, 130.0], 0.9), 2.0);
 }
 
-/// Levels are 1 … 1.08, 1.04 in the mean. Falls of 10.4, 8.3, 1.1, 0.9: a sensor worth 1 % stops at the fourth, one worth
-/// 9 % at the second.
+/// Levels are 1 … 1.08, mean 1.04. With falls of 10.4, 8.3, 1.1, 0.9 a price of 1 % stops at the fourth sensor, 9 % at the
+/// second.
 #[test]
 fn a_sensor_has_its_price() {
     let of = |price| {
@@ -51,7 +50,7 @@ fn a_sensor_has_its_price() {
     assert_eq!([0.0, 1.0, 2.0, 9.0, 99.0].map(of), [5.0, 4.0, 3.0, 2.0, 1.0]);
 }
 
-/// Two of five placements need the fourth sensor, three do not: votes are split, and few placements have none.
+/// Two of five placements need the fourth sensor, three do not: votes are split. Too few placements have no votes.
 #[test]
 fn votes_are_split_where_placements_disagree() {
     let mut observations = curve(&[30.0, 20.0, 10.0, 10.0], 5);
@@ -65,13 +64,13 @@ fn votes_are_split_where_placements_disagree() {
     assert_eq!((few.within.votes, &few.over[..]), (None, "too few to tell: 3 placements"));
 }
 
-/// Of four placements and four seeds that are not all there yet: what draws no trial with some M has no vote, and nothing panics.
+/// In an incomplete grid of four placements and four seeds, replicates without trials at some M have no vote.
 #[test]
 fn a_grid_on_its_way_is_decided_on() {
     let of = |(placement, seed): (u64, u64)| {
         let cluster = Cluster { placement, seed };
         let at = |m: u64| Observation { at: m as f64, cluster, error: [30.0, 12.0][m as usize - 1] };
-        // the second M is there for the first placement alone
+        // only the first placement has the second M
         (1..=if placement == 0 { 2 } else { 1 }).map(at).collect::<Vec<_>>()
     };
     let there =

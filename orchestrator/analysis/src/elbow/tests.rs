@@ -1,10 +1,8 @@
-//! Tests of `elbow`.
-
 use super::*;
 use crate::Cluster;
 use metasense_numerics::random::Draw;
 
-/// Observations of a curve at M = 1…6 for five placements and two seeds, each with a level of its own and noise.
+/// Observations of a curve at M = 1…6 for five placements and two seeds, each with its own level, and noise.
 fn curve(error: impl Fn(f64) -> f64, noise: f64) -> Vec<Observation> {
     let mut draw = Draw::numbered(11, 0);
     let mut all = Vec::new();
@@ -45,8 +43,8 @@ fn a_straight_fall_and_a_flat_curve_have_no_elbow() {
     }
 }
 
-/// A fall of equal factors is straight in logarithms and decays in per cent; one that ends bends in both, and one of many factors that
-/// bends late in logarithms has come down in per cent long before.
+/// Equal factors are straight in logarithms and a decay in %. A fall that ends bends in both. A fall by many factors that bends
+/// late in logarithms has ended earlier in %.
 #[test]
 fn a_curve_has_two_heights() {
     let verdicts = |error: &dyn Fn(f64) -> f64| {
@@ -56,11 +54,11 @@ fn a_curve_has_two_heights() {
     assert_eq!(verdicts(&|m| 20.0 - 8.0 * m.min(2.0)), [Verdict::At(2.0); 2]);
     let fall = verdicts(&|m| 40.0 * (-2.0 * m.min(4.0)).exp());
     assert!(fall[0] != Verdict::At(4.0) && fall[1] == Verdict::At(4.0), "{fall:?}");
-    // towards a floor without a bend
+    // a decay to a floor, without a bend
     assert_eq!(verdicts(&|m| 5.0 + 30.0 * 0.6f64.powf(m))[0], Verdict::NoElbow);
 }
 
-/// What falls at once from the first M to the second is a bend there, or a fast decay; what falls later is a bend.
+/// A fall between the first two M may be a bend or a fast decay; a later fall is a bend.
 #[test]
 fn a_bend_at_the_second_m_may_be_a_fast_decay() {
     for (error, place, any) in [
@@ -90,7 +88,7 @@ fn three_values_of_m_are_too_few() {
     assert_eq!(elbow(&few, Height::Percent), Err(TooFew(3)));
 }
 
-/// No elbow is one of the answers that are voted for; half of the votes decide nothing.
+/// "No elbow" is one of the answers; half of the votes do not decide.
 #[test]
 fn the_verdict_is_what_has_most_votes() {
     for (two, three, none, verdict) in [

@@ -1,9 +1,9 @@
-//! The cheapest design that meets a requirement, and what to run next to find it: pure, fed with stored results alone.
+//! Search for the cheapest design that meets a requirement. Decisions depend on stored results only.
 //!
-//! A candidate is a trial of the plan: one body with its sensors and brain. It climbs a ladder: not begun, two rungs of outer
-//! steps, its result, fresh seeds that screen it, fresh seeds that confirm it ([`seeds`]). Candidates of equal cost are a class. Work
-//! goes to the cheapest class in which a candidate may still be confirmed, there to the candidates for which this is likeliest
-//! ([`Prediction`]). The first design that is confirmed, with no candidate left in a cheaper class that is worth work, is the answer.
+//! A candidate is a trial of the plan: a body with its sensors and decoder. Its stages are: not begun, two rungs (parts of the
+//! outer steps), result, screening on fresh seeds, confirmation on further fresh seeds ([`seeds`]). Candidates of equal cost
+//! form a class. The search works on the cheapest class with a candidate that may be confirmed, and there on the most promising
+//! candidates ([`Prediction`]). It ends with a confirmed design when no cheaper class has a candidate worth working on.
 
 mod seeds;
 
@@ -16,114 +16,115 @@ use metasense_schemas::spec::Goal;
 use self::seeds::{Judgement, Seeds, chance_below, chance_confirmed, judged, latest, of_seeds};
 pub use self::seeds::{confirming, most_fresh};
 
-/// Settings that are begun before anything is predicted.
+/// Number of settings that are begun before the first prediction.
 pub const BEGIN: usize = 8;
-/// Candidates that are less likely to be confirmed are not worked on. By it a search trades what it takes for how surely the design
-/// is the cheapest one; that it meets the requirement hangs on fresh seeds alone. Chosen on made-up spaces (tests).
+/// Smallest probability of confirmation with which a candidate is worked on. A smaller value costs more and makes it more
+/// certain that the design is the cheapest; it does not affect whether the design meets the requirement. Chosen on synthetic
+/// spaces (tests).
 pub const WORTH: f64 = 0.12;
-/// The same as long as no design is confirmed, after so many results and one more for each coordinate.
+/// The same while no design is confirmed; applies after [`LEAST_RESULTS`] results plus one per coordinate of the settings.
 pub const WORTH_LAST: f64 = 0.03;
-/// See [`WORTH_LAST`].
+/// Results before [`WORTH_LAST`] applies.
 pub const LEAST_RESULTS: usize = 4;
-/// Candidates are worked on at a time until the chance that none of them is confirmed is as small as this.
+/// Candidates are added to a round until the probability that none of them is confirmed is at most this.
 const LEFT: f64 = 0.05;
 
-/// A trial of the plan as the search sees it.
+/// A trial of the plan and its known results.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Candidate {
-    /// What it costs: compared one after the other.
+    /// Cost, compared lexicographically.
     pub cost: [f64; 3],
-    /// What is known of it before it is seen.
+    /// Properties known before it runs.
     pub setting: Setting,
-    /// Errors (%) at the levels that it has reached; `None`: none was told there.
+    /// Errors (%) at the levels reached so far; `None`: no error is known there.
     pub reached: Vec<Option<f64>>,
-    /// It has failed for good.
+    /// Whether it has failed permanently.
     pub failed: bool,
-    /// Errors (%) of its trained body on fresh seeds: those that screen it, then those that confirm it.
+    /// Errors (%) of its trained body on fresh seeds: first the screening seeds, then the confirming seeds.
     pub fresh: Vec<f64>,
-    /// How many confirmations the search had begun before that of this candidate; `None`: its own was not begun.
+    /// Number of confirmations begun before its own; `None` if its own was not begun.
     pub turn: Option<usize>,
 }
 
-/// What is to be done for a candidate.
+/// Work on a candidate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Work {
-    /// Run it to this level: a rung, or its result.
+    /// Run the trial to this level: a rung, or its result.
     Level(usize),
-    /// Read its body on the fresh seeds that screen it.
+    /// Evaluate its body on the screening seeds.
     Screen,
-    /// Read it on those that confirm it, after so many other confirmations.
+    /// Evaluate its body on the confirming seeds; the number of confirmations begun before.
     Confirm(usize),
 }
 
-/// How a class stands.
+/// State of a class.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Class {
-    /// The candidate with the best prospects.
+    /// The most promising candidate.
     pub best: usize,
-    /// How far it has come.
+    /// Its stage.
     pub stage: Stage,
-    /// The error (%) that is expected of it, and the one that it keeps to with the confidence asked for.
+    /// Expected error (%) of this candidate, and its upper bound with probability `goal.confidence`.
     pub error: [f64; 2],
-    /// Probability that it meets the requirement: of a confirmed design on a further seed, else that it will be confirmed.
+    /// Probability that a confirmed design meets the requirement on a further seed, else that the candidate will be confirmed.
     pub meets: f64,
-    /// The same of any candidate of the class.
+    /// The same for any candidate of the class.
     pub any: f64,
-    /// Candidates of the class, and how many of them were begun.
+    /// Number of candidates of the class, and of those begun.
     pub candidates: [usize; 2],
 }
 
-/// How far a candidate has come.
+/// Stage of a candidate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stage {
-    /// Not begun: its error is a prediction by others.
+    /// Not begun; its error is predicted from other candidates.
     Predicted,
-    /// Part of its outer steps: the same by them, too.
+    /// Part of its outer steps; its error is predicted from these and from other candidates.
     Looked,
-    /// It has its result.
+    /// It has a result.
     Trained,
-    /// Its body was screened on fresh seeds.
+    /// Screened on fresh seeds.
     Screened,
-    /// Its body was read on the seeds that confirm it, and has passed or not.
+    /// Evaluated on the confirming seeds; whether it passed.
     Judged(bool),
 }
 
-/// What comes next.
+/// Next work, and the state of the search.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Decision {
-    /// To be run before the next decision; nothing once the search is over.
+    /// Work before the next decision; empty once the search has ended.
     pub work: Vec<(usize, Work)>,
     /// The design, if one is confirmed.
     pub chosen: Option<usize>,
-    /// Probability that any candidate will be confirmed, of the cheapest class that is worked on; 0 without work.
+    /// Probability that any candidate of the cheapest class in `work` will be confirmed; 0 without work.
     pub open: f64,
     /// Probability that any candidate cheaper than the design would be confirmed; 0 without a design.
     pub cheaper: f64,
-    /// How far a first look tells a result: a correlation; `None` as long as nothing was seen.
+    /// Correlation of first rung and result; `None` without observations.
     pub kinship: Option<f64>,
 }
 
-/// A search, from its beginning on. It sees what it has asked for alone: kills, and whatever else is stored, change no decision.
+/// A search. It uses only results that it has requested, so interruptions and other stored results do not change decisions.
 #[derive(Debug, Clone)]
 pub struct Search {
     goal: Goal,
-    /// The candidates with what has been asked of them.
+    /// The candidates with the requested results.
     shown: Vec<Candidate>,
 }
 
 impl Search {
-    /// Of candidates of which nothing is known.
+    /// Starts a search; `candidates` have no results.
     pub fn new(goal: &Goal, candidates: impl Iterator<Item = Candidate>) -> Self {
         Self { goal: goal.clone(), shown: candidates.collect() }
     }
 
-    /// How all classes stand, the cheapest first.
+    /// Returns the state of all classes, the cheapest first.
     pub fn classes(&self) -> Vec<Class> {
         let view = View::new(&self.goal, &self.shown);
         view.classes.iter().map(|class| view.class(class)).collect()
     }
 
-    /// Follows the search as far as what is stored goes: where it stands then, and what is to be run next.
+    /// Advances the search with stored results, and returns the next work.
     pub fn follow(&mut self, stored: &[Candidate]) -> Decision {
         loop {
             let mut decision = decide(&self.goal, &self.shown);
@@ -137,7 +138,7 @@ impl Search {
     }
 }
 
-/// Whether what is stored of a candidate has this.
+/// Whether the stored results of a candidate contain this work.
 fn is_known(goal: &Goal, stored: &Candidate, work: Work) -> bool {
     match work {
         Work::Level(level) => stored.failed || stored.reached.len() > level,
@@ -145,7 +146,7 @@ fn is_known(goal: &Goal, stored: &Candidate, work: Work) -> bool {
     }
 }
 
-/// Fresh seeds that are known after some work.
+/// Number of fresh seeds with results after this work.
 #[must_use]
 pub fn fresh_after(goal: &Goal, work: Work) -> usize {
     match work {
@@ -168,7 +169,7 @@ fn show(goal: &Goal, shown: &mut Candidate, stored: &Candidate, work: Work) {
     }
 }
 
-/// Where the search stands, and what is to be run next.
+/// Returns the next work and the state of the search.
 fn decide(goal: &Goal, candidates: &[Candidate]) -> Decision {
     let mut view = View::new(goal, candidates);
     let mut work = view.begin();
@@ -195,20 +196,20 @@ fn decide(goal: &Goal, candidates: &[Candidate]) -> Decision {
     Decision { work, chosen, open, cheaper, kinship }
 }
 
-/// What is thought of the candidates at one point of a search.
+/// Predictions and judgements of the candidates at one point of a search.
 struct View<'a> {
     goal: &'a Goal,
     candidates: &'a [Candidate],
-    /// Candidates by cost, the cheapest first; of a class in the order of the plan.
+    /// Candidates by cost, the cheapest class first; within a class in the order of the plan.
     classes: Vec<Vec<usize>>,
     prediction: Prediction,
-    /// Confirmations that were begun.
+    /// Number of confirmations begun.
     turns: usize,
     seeds: Seeds,
     judgements: Vec<Judgement>,
-    /// Probability that each meets the requirement: of a confirmed design on a further seed, else that it will be confirmed.
+    /// Per candidate, the probability as in [`Class::meets`].
     prospects: Vec<f64>,
-    /// Nothing was seen yet.
+    /// Whether there are no observations.
     is_blind: bool,
 }
 
@@ -242,7 +243,7 @@ impl<'a> View<'a> {
         }
     }
 
-    /// Its own result is the first judge.
+    /// Whether its own result misses the requirement, or has no error.
     fn falls_short(&self, i: usize) -> bool {
         let result = self.candidates[i].reached.get(LEVELS - 1);
         result.is_some_and(|told| told.is_none_or(|e| e > self.goal.error))
@@ -253,12 +254,12 @@ impl<'a> View<'a> {
         !self.candidates[i].failed && !self.falls_short(i) && !decided
     }
 
-    /// Whether it is a confirmed design.
+    /// Whether the candidate is a confirmed design.
     fn stands(&self, i: usize) -> bool {
         self.prospects[i] > 0.0 && matches!(self.judgements[i], Judgement::Passed(_))
     }
 
-    /// The candidate of a class with the best prospects, a confirmed one before all others.
+    /// Returns the most promising candidate of a class; confirmed ones come first.
     fn best_of(&self, class: &[usize]) -> usize {
         let worse = |&a: &usize, &b: &usize| {
             let stands = self.stands(b).cmp(&self.stands(a));
@@ -267,7 +268,7 @@ impl<'a> View<'a> {
         class.iter().copied().min_by(worse).expect("a class has candidates")
     }
 
-    /// The better first; of equal prospects, in whole per cent, the one whose next level is nearer.
+    /// Orders candidates by probability, rounded to 1 %, then by levels reached, then by predicted error.
     fn order(&self, a: usize, b: usize) -> Ordering {
         let (begun, mean) = (|i: usize| self.candidates[i].reached.len(), &self.prediction.mean);
         let nearer = begun(b).cmp(&begun(a)).then(mean[a].total_cmp(&mean[b]));
@@ -275,17 +276,18 @@ impl<'a> View<'a> {
         prospects(b).total_cmp(&prospects(a)).then(nearer).then(a.cmp(&b))
     }
 
-    /// The confirmed design of the cheapest class that has one.
+    /// Returns the confirmed design of the cheapest class that has one.
     fn chosen(&self) -> Option<usize> {
         self.classes.iter().map(|class| self.best_of(class)).find(|&i| self.stands(i))
     }
 
-    /// Classes that are cheaper than the design, or all.
+    /// Returns the classes that are cheaper than the design; all without a design.
     fn cheaper(&self, chosen: Option<usize>) -> impl Iterator<Item = &Vec<usize>> {
         self.classes.iter().take_while(move |class| chosen.is_none_or(|c| !class.contains(&c)))
     }
 
-    /// Probability that any of these meets the requirement. Predictions hang together, judgements on fresh seeds do not.
+    /// Probability that any of these candidates meets the requirement. Predictions are correlated, judgements on fresh seeds
+    /// are independent.
     fn any(&self, some: &[usize]) -> f64 {
         let unjudged = |i: &&usize| self.is_open(**i) && self.judgements[**i] == Judgement::None;
         let (predicted, judged): (Vec<&usize>, Vec<&usize>) = some.iter().partition(unjudged);
@@ -293,11 +295,11 @@ impl<'a> View<'a> {
             1.0 - predicted.iter().map(|&&i| 1.0 - self.seeds.confirms(draw[i])).product::<f64>()
         });
         let any = judged.iter().fold(by_draws, |any, &&i| 1.0 - (1.0 - any) * (1.0 - self.prospects[i]));
-        // rounding must not make it less than what one of them has
+        // rounding must not make it smaller than the probability of one candidate
         some.iter().map(|&i| self.prospects[i]).fold(any, f64::max)
     }
 
-    /// The first rung of settings spread over all costs, one trial each.
+    /// Returns the first rung of settings spread over all costs, one candidate each.
     fn begin(&self) -> Vec<(usize, Work)> {
         let mut settings: Vec<usize> = Vec::new(); // the first candidate of each, by cost
         for &i in self.classes.iter().flatten() {
@@ -314,7 +316,8 @@ impl<'a> View<'a> {
         spread.filter(lacks).map(|i| (i, Work::Level(0))).collect()
     }
 
-    /// Class by class up to that of the design, as many candidates as leave little to hope for besides.
+    /// Returns work on classes cheaper than the design, the cheapest first, until it is unlikely that none of these candidates
+    /// is confirmed.
     fn class_by_class(&self) -> Vec<(usize, Work)> {
         let (mut work, mut besides) = (Vec::new(), 1.0);
         for class in self.cheaper(self.chosen()) {
@@ -331,8 +334,8 @@ impl<'a> View<'a> {
         work
     }
 
-    /// The best candidates of any class: that there is no design is said less lightly than that there is no cheaper one, and not
-    /// by a guess of a few results.
+    /// Returns work on the best candidates of any class. The limit is lower than in `class_by_class`, because "no design
+    /// exists" needs more evidence than "no cheaper one"; with few results there is no limit.
     fn anywhere(&self) -> Vec<(usize, Work)> {
         let results = self.candidates.iter().filter(|c| c.reached.len() == LEVELS).count();
         let guess = results < LEAST_RESULTS + self.candidates[0].setting.place.len();
@@ -349,7 +352,7 @@ impl<'a> View<'a> {
         some.into_iter().take(self.goal.at_a_time).map(|i| (i, result(i))).collect()
     }
 
-    /// The next rung of a candidate's ladder.
+    /// Returns the next work on a candidate.
     fn next(&self, i: usize) -> Work {
         match (self.candidates[i].reached.len(), self.judgements[i]) {
             (level, _) if level < LEVELS => Work::Level(level),
@@ -358,7 +361,7 @@ impl<'a> View<'a> {
         }
     }
 
-    /// How far a candidate has come.
+    /// Returns the stage of a candidate.
     fn stage(&self, i: usize) -> Stage {
         match (self.judgements[i], self.candidates[i].reached.len()) {
             (Judgement::None, 0) => Stage::Predicted,
@@ -369,7 +372,7 @@ impl<'a> View<'a> {
         }
     }
 
-    /// How a class stands.
+    /// Returns the state of a class.
     fn class(&self, class: &[usize]) -> Class {
         let best = self.best_of(class);
         let candidate = &self.candidates[best];
@@ -396,7 +399,7 @@ impl<'a> View<'a> {
     }
 }
 
-/// The ln error that is kept to with this probability, from a middle one on.
+/// Returns the ln error that is not exceeded with this probability, by bisection from `middle` − 3 to `middle` + 6.
 fn quantile(probability: f64, middle: f64, below: &dyn Fn(f64) -> f64) -> f64 {
     let (mut low, mut high) = (middle - 3.0, middle + 6.0);
     for _ in 0..40 {
@@ -406,7 +409,7 @@ fn quantile(probability: f64, middle: f64, below: &dyn Fn(f64) -> f64) -> f64 {
     high
 }
 
-/// Candidates by cost, the cheapest first; of a class in the order of the plan.
+/// Returns the candidates by cost, the cheapest class first; within a class in the order of the plan.
 fn classes(candidates: &[Candidate]) -> Vec<Vec<usize>> {
     let mut order: Vec<usize> = (0..candidates.len()).collect();
     let before = |a: &[f64; 3], b: &[f64; 3]| {
@@ -417,7 +420,7 @@ fn classes(candidates: &[Candidate]) -> Vec<Vec<usize>> {
     order.chunk_by(same).map(<[usize]>::to_vec).collect()
 }
 
-/// All errors that candidates have told.
+/// Returns all known errors of candidates.
 fn seen(candidates: &[Candidate]) -> Vec<Seen> {
     let of = |(i, candidate): (usize, &Candidate)| {
         let told = candidate.reached.iter().enumerate();

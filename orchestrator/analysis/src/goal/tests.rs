@@ -6,29 +6,30 @@ fn goal(error: f64) -> Goal {
     serde_json::from_value(json!({ "error": error })).unwrap()
 }
 
-/// A made-up space: four M, four sizes of the body, two brains, two objectives; two placements each. What is true of each
-/// trial is known, and what a fresh seed would say can be drawn.
+/// A synthetic space: four M, four sizes of the body, two decoders, two objectives, two placements each. The true error of each
+/// trial is known, and errors on fresh seeds can be drawn.
 struct Landscape {
     number: u64,
-    /// Standard deviation of ln error from seed to seed.
+    /// Standard deviation of ln error between seeds.
     seed: f64,
     trials: Vec<Candidate>,
-    /// ln of the error that a trial's design has on average over seeds.
+    /// ln of the mean error of a trial's design over seeds.
     truth: Vec<f64>,
 }
 
-/// Spaces of the tests; `WORTH` was chosen on others, below the first.
+/// Numbers of the spaces of the tests. `WORTH` was chosen on spaces with smaller numbers.
 const FIRST: u64 = 100;
 const WORLDS: u64 = 4;
-/// Standard deviations of ln error: of a placement on a body, of a trial besides, of what a look tells; from seed to seed it is that of
-/// the space, here of two kinds.
+/// Standard deviations of ln error: of a placement on a body, of a trial in addition, of the rungs; between seeds for two kinds
+/// of spaces.
 const PLACED: f64 = 0.14;
 const OWN: f64 = 0.14;
 const LOOKS: [f64; LEVELS - 1] = [0.35, 0.2];
 const SEEDS: [f64; 2] = [0.08, 0.2];
-/// What looks are above the result, of ln error, by the objective: over casts as the result, or of the body as designed.
+/// ln error of the rungs minus that of the result, per objective: over casts like the result, or as designed.
 const MORE: [[f64; LEVELS]; 2] = [[0.5, 0.2, 0.0], [-0.8, -1.1, 0.0]];
-/// What the levels cost, of a whole trial, and what a fresh seed does: as in schemas/sweeps/design-two-core.toml (seeds 81 … 84).
+/// Costs of the levels and of a fresh seed, relative to a whole trial: as in schemas/sweeps/design-two-core.toml (seeds 81 …
+/// 84).
 const PRICE: [f64; LEVELS] = [0.12, 0.14, 0.74];
 const PRICE_FRESH: f64 = 0.23;
 
@@ -61,24 +62,24 @@ impl Landscape {
         Self { number, seed, trials, truth }
     }
 
-    /// Its first trials, of one or two sensors in one placement.
+    /// The first 32 trials.
     fn small(number: u64, seed: f64) -> Self {
         let whole = Self::new(number, seed);
         Self { trials: whole.trials[..32].to_vec(), truth: whole.truth[..32].to_vec(), ..whole }
     }
 
-    /// Of how many seeds a trial's design meets a requirement (%).
+    /// Returns the fraction of seeds on which a trial's design meets a requirement (%).
     fn share(&self, i: usize, error: f64) -> f64 {
         1.0 - metasense_numerics::student::chance_above(1000, (error.ln() - self.truth[i]) / self.seed)
     }
 
-    /// Those that meet it, as is asked for: 9 of 10 seeds.
+    /// Returns the trials that meet it on at least 9 of 10 seeds.
     fn meeting(&self, error: f64) -> impl Iterator<Item = &Candidate> {
         let trials = self.trials.iter().enumerate();
         trials.filter(move |(i, _)| self.share(*i, error) >= 0.9).map(|(_, trial)| trial)
     }
 
-    /// All that can be asked of it, what is true, and what was found: for other searches (bench/searches.py).
+    /// Returns all errors, the truth and the results, for other search methods (bench/searches.py).
     fn told(&self, found: Vec<serde_json::Value>) -> serde_json::Value {
         let trial = |i: usize| {
             json!({
@@ -93,19 +94,19 @@ impl Landscape {
         json!({ "number": self.number, "seed": self.seed, "prices": PRICE, "price_fresh": PRICE_FRESH, "trials": trials, "found": found })
     }
 
-    /// What a trial tells at a level.
+    /// Returns the error (%) of a trial at a level.
     fn told_at(&self, i: usize, level: usize) -> f64 {
         let deviation = LOOKS.get(level).copied().unwrap_or(self.seed);
         self.error(i, level, MORE[self.trials[i].setting.looks][level], deviation)
     }
 
-    /// What a trial tells at its n-th reading: the same, whenever it is asked.
+    /// Returns the n-th error (%) of a trial; equal arguments give equal errors.
     fn error(&self, i: usize, n: usize, more: f64, deviation: f64) -> f64 {
         let mut draw = Draw::numbered(12, ((self.number * 1000) + i as u64) * 100 + n as u64);
         (self.truth[i] + more + deviation * draw.normal()).exp()
     }
 
-    /// Does some work, and says what it cost.
+    /// Performs work and returns its cost.
     fn work(&mut self, goal: &Goal, i: usize, work: Work) -> f64 {
         if let Work::Level(last) = work {
             let first = self.trials[i].reached.len();
@@ -123,7 +124,7 @@ impl Landscape {
         PRICE_FRESH * (seeds - known) as f64
     }
 
-    /// Searches; the decision at the end, and what it cost, of whole trials. `watch` sees every state of the search.
+    /// Runs a search. Returns the last decision and the cost in whole trials. `watch` receives every state of the search.
     fn search(&mut self, goal: &Goal, mut watch: impl FnMut(&Search)) -> (Decision, f64) {
         let (mut search, mut cost) = (Search::new(goal, self.trials.clone().into_iter()), 0.0);
         loop {
@@ -139,17 +140,17 @@ impl Landscape {
     }
 }
 
-/// What came of many searches.
+/// Results of many searches.
 #[derive(Debug, Default)]
 struct Found {
-    /// Designs that were named, and how many of them meet the requirement on 9 of 10 seeds.
+    /// Number of chosen designs, and of those that meet the requirement on 9 of 10 seeds.
     named: usize,
     right: usize,
-    /// The share of seeds on which they do, summed.
+    /// Sum over chosen designs of the fraction of seeds on which they meet it.
     share: f64,
-    /// Spaces that have such a design where none was named.
+    /// Number of spaces with such a design in which none was chosen.
     missed: usize,
-    /// Sensors more than the cheapest such design has, summed.
+    /// Sum of the sensors in excess of the cheapest such design.
     more: f64,
     /// Cost, in whole trials.
     cost: f64,
@@ -176,8 +177,8 @@ impl Found {
     }
 }
 
-/// Whole spaces, three requirements of different tightness: what is chosen has about as few sensors as the cheapest design that meets
-/// the requirement, and takes a small part of the whole grid.
+/// In whole spaces with three requirements, the chosen design has about as few sensors as the cheapest possible one, at a small
+/// part of the cost of the grid.
 #[test]
 #[expect(clippy::print_stdout, reason = "the table of docs/explanation/statistics.md")]
 fn what_is_chosen_meets_the_requirement_and_is_cheap() {
@@ -198,7 +199,7 @@ fn what_is_chosen_meets_the_requirement_and_is_cheap() {
     }
 }
 
-/// What [`bench/searches.py`] searches: whole spaces, and what was found in them, in a file.
+/// Writes whole spaces and the results of searches to a file for [`bench/searches.py`].
 #[test]
 fn spaces_for_other_searches_are_written() {
     let Ok(file) = std::env::var("SPACES_FILE") else { return };
@@ -214,17 +215,16 @@ fn spaces_for_other_searches_are_written() {
     std::fs::write(file, serde_json::to_string(&spaces).unwrap()).unwrap();
 }
 
-/// Errors that scatter much from seed to seed, so that many a design looks better than it is: of those that are said to meet the
-/// requirement with 90 % at least 90 % do, by their true share of seeds. Of designs that are judged by the seeds that they were chosen
-/// by 13 of 16 do.
+/// With large scatter between seeds, at least 90 % of the chosen designs truly meet the requirement with confidence 90 %. Of
+/// designs judged on the seeds that selected them, 13 of 16 do.
 #[test]
 fn of_designs_said_to_meet_the_requirement_nine_of_ten_do() {
     let found = Found::of((FIRST..FIRST + 16).map(|number| (Landscape::small(number, SEEDS[1]), 15.0)));
     assert!(found.named >= 14 && 10 * found.right >= 9 * found.named, "{found:?}");
 }
 
-/// At every state of searches, for the requirement, a stricter and a less strict one: the table keeps to what its legend says. At the end
-/// no candidate that is likely enough to be confirmed is left in a class that is cheaper than the design.
+/// At every state of searches with three requirements, the table satisfies its definitions. At the end, no class cheaper than
+/// the design has a candidate that is likely enough to be confirmed.
 #[test]
 fn the_table_keeps_to_its_definitions() {
     let mut states = 0;
@@ -266,8 +266,7 @@ fn the_table_keeps_to_its_definitions() {
     assert!(states > 30, "{states}");
 }
 
-/// Seeds that have screened a body do not confirm it, those that confirm it tell nothing of other bodies, and what is good enough for a
-/// first confirmation is not for a later one.
+/// Screening seeds do not confirm a body, confirming seeds do not affect other bodies, and later confirmations are stricter.
 #[test]
 fn confirming_seeds_decide_nothing_else() {
     let goal = goal(8.0);
@@ -286,7 +285,7 @@ fn confirming_seeds_decide_nothing_else() {
     assert!(passes(6.0, 6.0, 0) && !passes(6.0, 6.0, 6) && !passes(4.0, 4.0, 5000));
 }
 
-/// A search that is stopped within every round, and one whose database holds more than it has asked for: the same design.
+/// Interrupting a search in every round, or storing additional results, does not change the design.
 #[test]
 fn kills_and_other_results_change_no_decision() {
     let (goal, few) = (goal(20.0), || Landscape::small(7, SEEDS[0]));
@@ -310,7 +309,7 @@ fn kills_and_other_results_change_no_decision() {
     assert_eq!(search.follow(&whole.trials), Decision { work: Vec::new(), ..end });
 }
 
-/// A trial that has failed, one that has told nothing, and a space of one: no work is asked for twice, and the search ends.
+/// With a failed trial, a trial without errors, or a space of one trial, no work is requested twice and the search ends.
 #[test]
 fn failures_end_a_search() {
     let goal = goal(8.0);
@@ -330,14 +329,14 @@ fn failures_end_a_search() {
     trials[1].fresh = vec![4.0, 100.0, 4.0, 4.0];
     let end = follow(&trials);
     assert_eq!((end.chosen, &end.work[..]), (None, &[][..]));
-    // failures of one body are held against no other
+    // a failure does not affect other bodies
     trials.push(Candidate { reached: vec![None, None, Some(4.0)], ..trials[0].clone() });
     trials[2].failed = false;
     let asked: Vec<usize> = follow(&trials).work.iter().map(|(i, _)| *i).collect();
     assert_eq!(asked, [2]);
 }
 
-/// Of three bodies that agree from seed to seed and one that does not, the latter changes little of what is thought of others.
+/// One body that scatters between seeds, beside three that do not, changes predictions for others little.
 #[test]
 fn a_body_that_scatters_is_held_against_few_others() {
     let body = |fresh: [f64; 4]| Candidate {

@@ -1,5 +1,3 @@
-//! Tests of `paired`.
-
 use super::*;
 
 #[test]
@@ -32,7 +30,7 @@ fn schedules_are_not_mixed() {
     assert_eq!(counts, [("constant", 1), ("cosine", 2)]);
 }
 
-/// Loss 1/n on the initial body and 1/(4n) on the optimised one: equal at a quarter of the iterations.
+/// Loss 1/n on the initial body and 1/(4n) on the trained one: equal loss at a quarter of the iterations.
 #[test]
 fn a_curve_four_times_as_steep_needs_a_quarter_of_the_iterations() {
     let curve =
@@ -43,7 +41,7 @@ fn a_curve_four_times_as_steep_needs_a_quarter_of_the_iterations() {
     assert_eq!(iteration_ratio(&slow, &[]), None);
 }
 
-/// One trial in which a sample of 30 000 % decides the mean: by means the ratio is undecided, by medians it is above 1.
+/// In one trial, a sample of 30 000 % dominates the mean: by means the ratio is undecided, by medians it is above 1.
 #[test]
 fn a_few_samples_that_decide_a_mean_are_told() {
     let trials = |last: f64| -> Vec<Trial> {
@@ -64,7 +62,7 @@ fn a_few_samples_that_decide_a_mean_are_told() {
     assert_eq!(verdicts, "undecided by means, above 1 by medians");
     assert!((2.0..2.6).contains(&ratio.ratio) && ratio.interval.unwrap().low > 1.0, "{ratio:?}");
     assert_eq!(of(&trials(11.0)), None);
-    // of trials of which some have no median nothing is compared
+    // nothing is compared if some trials have no median
     let mut some = trials(500.0);
     some[0].medians = [None; 2];
     assert_eq!(of(&some), None);

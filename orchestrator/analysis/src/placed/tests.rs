@@ -1,10 +1,9 @@
-//! Tests of `placed`.
-
 use super::*;
 use crate::setting::flatten;
 use serde_json::json;
 
-/// Random 40/m, trained 20/m; placed 16/m, trained 4/m, at four seeds with factors that ratios do not see.
+/// Errors with random sensors 40/m, trained 20/m; with searched sensors 16/m, trained 4/m. Factors of four seeds cancel in
+/// ratios.
 #[test]
 fn placing_and_training_are_told_apart() {
     let mut trials = Vec::new();
@@ -14,7 +13,7 @@ fn placing_and_training_are_told_apart() {
                 let sensors = if searched { json!({"search": "greedy"}) } else { json!({}) };
                 let spec = json!({"sensors": sensors, "point": {"panels": 4, "sensors": m, "seed": seed}});
                 let level = f64::from(seed as u32) / m as f64;
-                // the second searched placement is another question's
+                // the second searched placement is ignored
                 let [initial, trained] = match (searched, placement) {
                     (false, p) => [40.0, 20.0].map(|e| e * level * [0.5, 2.0][p as usize]),
                     (true, 0) => [16.0, 4.0].map(|e| e * level),
@@ -49,15 +48,15 @@ fn placing_and_training_are_told_apart() {
     let training = level.by_training(Set::Holdout).unwrap();
     assert!((placing.ratio - 2.5).abs() < 1e-12 && (training.ratio - 4.0).abs() < 1e-12);
     assert!(training.interval.is_some() && training.over == "4 seeds", "{training:?}");
-    // 16 seeds/m <= 10.5 from m = 4 on: 16 · 2.21 / 4 = 8.85; 4 · 2.21 / 1 = 8.85 from the first on
+    // geometric mean over seeds: 16 · 2.21/m ≤ 10.5 from m = 4 on (8.85); trained 4 · 2.21/m from m = 1 on (8.85)
     let needed = |searched, body| found[0].needed(searched, body, Set::Holdout, 10.5);
     let [initial, optimised] = Body::ALL.map(|body| needed(true, body));
     assert_eq!((initial.sensors, optimised.sensors), (Some(4), Some(1)));
-    // errors go with the seed, 1 to 4 times 16/m: one draw needs less, another more than there are
+    // errors are 16/m times the seed, 1 to 4: some replicates need fewer sensors, some more than 4
     let (low, high) = initial.range.unwrap();
     assert!(low.unwrap() < 4 && high.is_none(), "{initial}");
     assert_eq!(needed(false, Body::Initial).to_string(), "–");
-    // without a search there is no such question
+    // without a search there is no table
     let random: Vec<&Trial> = refs.iter().filter(|t| search(t).is_none()).copied().collect();
     assert!(placed(&random).is_empty());
 }

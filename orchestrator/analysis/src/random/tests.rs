@@ -1,5 +1,3 @@
-//! Tests of `random`.
-
 use super::*;
 use crate::Cluster;
 use serde_json::json;
@@ -13,7 +11,7 @@ fn trial(design: Option<u64>, placement: u64, initial: f64, optimised: f64) -> T
     }
 }
 
-/// Placement 1 is twice as hard for every body: ratios within clusters do not see it.
+/// Placement 1 has twice the error for every body; ratios within clusters do not depend on it.
 #[test]
 fn random_bodies_are_compared_with_those_of_their_sensors_and_stimuli() {
     let mut trials = vec![trial(None, 0, 20.0, 10.0), trial(None, 1, 40.0, 20.0)];

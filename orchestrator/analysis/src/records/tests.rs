@@ -1,5 +1,3 @@
-//! Tests of `records`.
-
 use super::*;
 
 fn judged(body: &str, errors: &[f64]) -> Judged {
@@ -16,7 +14,7 @@ fn judged(body: &str, errors: &[f64]) -> Judged {
     }
 }
 
-/// Errors that differ by the factor 2 record by record: pairs know it exactly, unpaired records do not.
+/// Errors that differ by a factor of 2 per record: the ratio is exact for paired records, but not for unpaired ones.
 #[test]
 fn pairs_know_a_ratio_better_than_records_apart() {
     let errors: Vec<f64> = (1..=30).map(|i| 4.0 + f64::from(i * i % 17)).collect();
@@ -30,7 +28,7 @@ fn pairs_know_a_ratio_better_than_records_apart() {
     assert!(wide.low < 1.9 && wide.high > 2.1 && wide.low > 1.0, "{wide:?}");
 }
 
-/// A channel as it is, one that is twice as large, one of the other sign; then all of them two instants late.
+/// An equal channel, one of twice the size, one of opposite sign; then all delayed by two instants.
 #[test]
 fn signals_agree_by_shape_by_size_and_in_time() {
     let value = |at: usize| {

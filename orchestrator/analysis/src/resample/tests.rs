@@ -1,5 +1,3 @@
-//! Tests of `resample`.
-
 use super::*;
 
 fn grid(placements: u64, seeds: u64) -> Vec<Cluster> {
@@ -18,7 +16,7 @@ fn a_replicate_draws_one_placement_and_seed_fewer_than_there_are() {
     assert_eq!(resampling.weights(7), Resampling::new(&grid(5, 4)).weights(7));
 }
 
-/// A mean's variance over replicates is that of its units, Σ (x − x̄)²/n(n − 1): exactly, as every way to draw is one.
+/// The variance of a mean over replicates is exactly Σ (x − x̄)²/n(n − 1), because all ways to draw are used.
 #[test]
 fn replicates_vary_as_means_do() {
     let x = [1.0, 2.0, 4.0, 8.0];
@@ -55,7 +53,7 @@ fn fewer_than_four_units_of_every_kind_are_too_few_to_tell() {
     }
 }
 
-/// One placement a seed or two: seeds are the units, whose mean varies as at placements that all of them have.
+/// With one or two own placements per seed, seeds are the units, and means vary as with common placements.
 #[test]
 fn seeds_with_placements_of_their_own_are_one_kind_of_unit() {
     for each in 1..=2 {
@@ -69,7 +67,8 @@ fn seeds_with_placements_of_their_own_are_one_kind_of_unit() {
     assert_eq!(Resampling::new(&few).over(), "6 placements at 2 seeds");
 }
 
-/// Of one trial a unit it is Student's: 4 values 1, 2, 4, 8, s² = 28.75/3, t₃ = 3.182. Nested trials add nothing.
+/// With one trial per unit, the interval is Student's: values 1, 2, 4, 8, s² = 28.75/3, t₃ = 3.182. Nested trials change
+/// nothing.
 #[test]
 fn the_interval_of_a_mean_is_student_s_over_units() {
     let x = [1.0, 2.0, 4.0, 8.0];
@@ -81,9 +80,9 @@ fn the_interval_of_a_mean_is_student_s_over_units() {
             Some(w.iter().zip(&trials).map(|(w, t)| w * t.1).sum::<f64>() / w.iter().sum::<f64>())
         };
         let Judged { interval: found, chance, tells } = resampling.judged(mean).unwrap();
-        // t = 3.75/1.548 = 2.42 at three degrees of freedom
+        // t = 3.75/1.548 = 2.42 with three degrees of freedom
         assert!((chance - 0.0939).abs() < 1e-3, "{chance}");
-        // t of 80 % is 0.978
+        // 80 % quantile of t: 0.978
         assert!((tells - (3.182 + 0.978) * (28.75f64 / 3.0 / 4.0).sqrt()).abs() < 1e-3, "{tells}");
         let half = 3.182 * (28.75f64 / 3.0 / 4.0).sqrt();
         assert!((found.low - (3.75 - half)).abs() < 1e-9, "{found:?}");

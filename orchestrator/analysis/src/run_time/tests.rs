@@ -1,5 +1,3 @@
-//! Tests of `run_time`.
-
 use super::*;
 
 #[test]
@@ -18,8 +16,8 @@ fn time_to_an_error_is_that_of_the_first_step_which_has_it() {
     assert_eq!(best_at(&history, 0.5), None);
 }
 
-/// Times 1 … 7, of which 3 and 6 are those of runs that ended: on the way are 6/7, 5/7, then 5/7·3/4 = 0.54 and
-/// 5/7·2/4 = 0.36. Those that got there alone would have their median at 4.
+/// Times 1 … 7; runs 3 and 6 are censored. Kaplan–Meier: 6/7, 5/7, then 5/7·3/4 = 0.54 and 5/7·2/4 = 0.36. Without the censored
+/// runs the median would be 4.
 #[test]
 fn a_run_that_never_got_there_counts() {
     let runs: Vec<(f64, bool)> = (1..8).map(|i| (f64::from(i), i != 3 && i != 6)).collect();
@@ -29,7 +27,8 @@ fn a_run_that_never_got_there_counts() {
     assert_eq!(median(&[(2.0, true), (4.0, true)]), Some(3.0));
 }
 
-/// Six runs: from the first to the last, a little inward (1 − 2/64 = 96.9 %); with the last never there, open above.
+/// Six runs: the interval is slightly narrower than from the first to the last time (1 − 2/64 = 96.9 %). If the last run is
+/// censored, it is open above.
 #[test]
 fn the_interval_of_a_median_is_open_where_runs_never_got_there() {
     let of = |last: bool, count: u64| {
@@ -62,7 +61,7 @@ fn round_errors_lie_between_where_runs_start_and_where_the_best_ends() {
     assert_eq!(round_errors(&[&[(1.0, 22.0), (2.0, 8.0)], &[(1.0, 18.0), (2.0, 14.0)]]), [20.0, 15.0, 10.0]);
 }
 
-/// Untrained bodies among trained ones: every row of the table has every part, nought where a trial had none.
+/// With trained and untrained trials, every row of the table has every part; missing parts are 0.
 #[test]
 fn untrained_trials_have_the_parts_of_the_others_in_the_table() {
     let of = |iterations: u64, seconds: &[(&'static str, f64)]| Trial {

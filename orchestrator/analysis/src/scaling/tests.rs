@@ -1,5 +1,3 @@
-//! Tests of `scaling`.
-
 use super::*;
 use metasense_numerics::random::Draw;
 
@@ -34,14 +32,14 @@ fn intervals_hold_the_truth_and_the_law_is_identified() {
     assert_eq!(found.not_identifiable, None, "{interval:?}");
     let band = found.band(100.0).unwrap();
     assert!(band.low < found.law.at(100.0) && found.law.at(100.0) < band.high);
-    // 30·(612/150)^−0.8 + 4 = 13.74 % at the largest N, which the six others do not see
+    // 30·(612/150)^−0.8 + 4 = 13.74 % at the largest N, which the fit of the six others does not include
     let held_out = found.held_out.unwrap();
     assert!(held_out.at == 612.0 && (held_out.observed / 13.74 - 1.0).abs() < 0.04, "{held_out:?}");
     let interval = held_out.interval.unwrap();
     assert!(interval.low < 1.0 && 1.0 < interval.high && interval.high < 1.3, "{held_out:?}");
 }
 
-/// One trial in forty-two that never learned, at ten times its error, would move the exponent from 0.80 to 0.70.
+/// One failed training in forty-two trials, with ten times the error, would change the exponent from 0.80 to 0.70.
 #[test]
 fn one_bad_trial_does_not_bend_the_law() {
     let mut bad = law(0.8, 0.0, 0.03, SIZES);

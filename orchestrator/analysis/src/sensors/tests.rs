@@ -1,5 +1,3 @@
-//! Tests of `sensors`.
-
 use super::*;
 use crate::Cluster;
 

@@ -1,5 +1,3 @@
-//! Tests of `setting`.
-
 use super::*;
 use serde_json::json;
 
@@ -21,7 +19,7 @@ fn trials_that_differ_in_their_point_share_the_rest() {
     );
 }
 
-/// What all have alike, or what their point sets apart, is not named; what only some have is.
+/// Equal settings and settings of the point are not listed; settings that only some trials have are.
 #[test]
 fn odd_paths_are_those_that_set_trials_apart() {
     let mut settings = Settings::default();

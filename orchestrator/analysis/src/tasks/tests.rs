@@ -1,5 +1,3 @@
-//! Ratios of made-up errors.
-
 use super::*;
 
 #[test]
@@ -22,7 +20,7 @@ fn gains_are_paired_by_trial() {
         .collect();
     let table = table(&all);
     let number = |row: usize, column: &str| table.rows[row][table.column(column)].as_f64().unwrap();
-    // by name: panel, peak
+    // rows are sorted by name: panel, peak
     for (row, gain) in [(1, 4.0), (0, 16.0)] {
         assert!((number(row, "ratio") - gain).abs() < 1e-9, "{table:?}");
         assert!(number(row, "ratio_low") <= gain + 1e-9 && gain <= number(row, "ratio_high") + 1e-9);

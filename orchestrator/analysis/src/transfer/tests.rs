@@ -1,13 +1,11 @@
-//! Tests of `transfer`.
-
 use super::super::trial::UnderReading;
 use super::*;
 use crate::Cluster;
 use crate::setting::flatten;
 use serde_json::json;
 
-/// Initial 16 %; specialists at 1 % under their own forces and at 16 and 8 % under the other's, a mixture's body at 4 and 2 %.
-/// Seeds have factors that gains do not see.
+/// Initial body 16 %. Specialists have 1 % under their own forces and 16 or 8 % under the others; a body trained on the mixture
+/// has 4 and 2 %. Factors per seed cancel.
 #[test]
 fn gains_under_other_forces_are_told_against_the_specialists() {
     let mut trials = Vec::new();
@@ -36,7 +34,7 @@ fn gains_under_other_forces_are_told_against_the_specialists() {
         }
     }
     trials.push(Trial::default());
-    // no body of its own
+    // a trial without a trained body
     let mut untouched = trials[0].clone();
     untouched.setting = untouched
         .setting

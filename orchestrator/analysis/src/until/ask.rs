@@ -1,7 +1,7 @@
-//! The questions, and what one look at some units answers with a given chance of being wrong.
+//! Questions, and their answers from some units at a given error probability.
 //!
-//! An answer is given where bounds of the contrasts that it hangs on leave no other. Of all wrong ones each needs a bound to
-//! fail that is named here; the level is shared out among as many as may.
+//! An answer is given if confidence bounds of contrasts exclude all others. A wrong answer requires that one of a few bounds
+//! fails; the comments name them, and the error probability is divided among them.
 
 use std::fmt;
 
@@ -10,27 +10,27 @@ use metasense_schemas::spec::Until;
 use super::super::elbow::Normal;
 use super::looks::Looks;
 
-/// What is asked.
+/// A question.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Question {
-    /// Error of the initial over that of the optimised body, its interval no wider than this part of it.
+    /// Ratio of the initial to the trained body's error, until the width of its interval is at most this fraction of it.
     Paired(f64),
-    /// The smallest M whose error on the optimised body is within this part of the best M's.
+    /// Smallest M whose error on the trained body exceeds that of the best M by at most this fraction.
     Within(f64),
-    /// Where the broken stick of ln e against M on the optimised body bends, if it falls at most half as fast beyond.
+    /// Bend of the broken stick of ln e against M on the trained body, if the slope after it is at most half as steep.
     Elbow,
-    /// The fewest sensors on the optimised body that beat the most on the initial one.
+    /// Fewest sensors on the trained body that beat the most sensors on the initial body.
     Fewer,
-    /// Whether the optimised body's error falls with the number of design parameters.
+    /// Whether the error of the trained body falls with the number of design parameters.
     Complexity,
 }
 
-/// What is answered.
+/// An answer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Answer {
-    /// A ratio with its interval.
+    /// A ratio and the ends of its interval.
     Ratio([f64; 3]),
-    /// A number of sensors, or none.
+    /// A number of sensors; `None`: there is none.
     Sensors(Option<f64>),
     /// Whether the error falls.
     Falls(bool),
@@ -60,15 +60,15 @@ impl fmt::Display for Answer {
     }
 }
 
-/// Units with a number each by place: ln e of the optimised body, then of the initial one.
+/// Per unit, ln e by place: first of the trained body, then of the initial one.
 pub(super) struct Curves<'a> {
     pub(super) places: &'a [f64],
     pub(super) units: &'a [&'a [f64]],
-    /// Units of the grid that were passed, those without a result among them.
+    /// Number of units of the grid so far, including those without a result.
     pub(super) passed: usize,
 }
 
-/// A mean over units and how far its bounds are.
+/// A mean over units, and the distance of its bounds.
 #[derive(Debug, Clone, Copy)]
 struct Bounded {
     mean: f64,
@@ -86,7 +86,7 @@ impl Bounded {
 }
 
 impl Question {
-    /// Those that are asked, in order.
+    /// Returns the questions of a spec, in order.
     pub(super) fn all(until: &Until) -> Vec<Self> {
         let asked = [
             until.paired.map(Self::Paired),
@@ -98,7 +98,7 @@ impl Question {
         asked.into_iter().flatten().collect()
     }
 
-    /// Its key in `[until]`.
+    /// Key in `[until]`.
     pub fn key(&self) -> &'static str {
         match self {
             Self::Paired(_) => "until.paired",
@@ -109,7 +109,7 @@ impl Question {
         }
     }
 
-    /// Values of M, or sizes, that it needs.
+    /// Smallest number of values of M, or of sizes.
     pub fn least_places(&self) -> usize {
         match self {
             Self::Paired(_) => 1,
@@ -118,7 +118,8 @@ impl Question {
         }
     }
 
-    /// The answer of one look, wrong with at most this chance over all looks; `None` as long as the units leave several.
+    /// Returns the answer of one look, which is wrong with probability `chance` at most over all looks; `None` if it is still
+    /// open.
     pub(super) fn answer(&self, look: &Curves, chance: f64, looks: &mut Looks) -> Option<Answer> {
         let count = look.places.len();
         match *self {
@@ -147,13 +148,13 @@ impl Question {
 }
 
 impl Curves<'_> {
-    /// The mean of a number a unit, each bound wrong with this chance.
+    /// Returns the mean of a number per unit; each bound fails with probability `chance`.
     fn contrast(&self, of: impl Fn(&[f64]) -> f64, chance: f64, looks: &mut Looks) -> Bounded {
         let values: Vec<f64> = self.units.iter().map(|unit| of(unit)).collect();
         self.bounded(&values, chance, looks)
     }
 
-    /// The same of a number had from the mean curve of all units, by its jackknife's pseudo-values.
+    /// The same for a function of the mean curve, by jackknife pseudo-values.
     fn of_mean(&self, of: impl Fn(&[f64]) -> f64, chance: f64, looks: &mut Looks) -> Bounded {
         let n = self.units.len() as f64;
         let sums: Vec<f64> =
@@ -168,7 +169,7 @@ impl Curves<'_> {
         self.bounded(&values, chance, looks)
     }
 
-    /// Mean of values and how far a bound is that is wrong with this chance.
+    /// Returns the mean of values and the distance of a bound that fails with probability `chance`.
     fn bounded(&self, values: &[f64], chance: f64, looks: &mut Looks) -> Bounded {
         let n = values.len() as f64;
         let mean = values.iter().sum::<f64>() / n;
@@ -180,7 +181,7 @@ impl Curves<'_> {
         self.units.iter().map(|unit| unit[place]).sum::<f64>() / self.units.len() as f64
     }
 
-    /// A smaller M than the true one needs one of J − 1 differences to be bounded wrongly, a greater one another of J − 1.
+    /// A too small M requires that one of J − 1 bounds fails, a too large M one of J − 1 others.
     fn within(&self, limit: f64, chance: f64, looks: &mut Looks) -> Option<f64> {
         let count = self.places.len();
         let chance = chance / (2 * (count - 1)) as f64;
@@ -192,7 +193,7 @@ impl Curves<'_> {
         (is_within && (0..chosen).all(&mut is_worse)).then(|| self.places[chosen])
     }
 
-    /// Fewer than the true ones need one of J − 1 bounds to be wrong, more of them another one.
+    /// Too few sensors require that one of J − 1 bounds fails, too many that another one fails.
     fn fewer(&self, chance: f64, looks: &mut Looks) -> Option<Option<f64>> {
         let (count, most) = (self.places.len(), 2 * self.places.len() - 1);
         let mut beats = |m: usize| -> Option<bool> {
@@ -207,7 +208,8 @@ impl Curves<'_> {
         Some(None)
     }
 
-    /// Another place than the true one needs its residual to be bounded wrongly against that, and the true one a wrong slope.
+    /// A wrong place requires that the bound of its residual fails, a wrong verdict at the true place that the bound of the
+    /// slope fails.
     fn elbow(&self, chance: f64, looks: &mut Looks) -> Option<Option<f64>> {
         let count = self.places.len();
         let mean: Vec<f64> = (0..count).map(|m| self.mean(m)).collect();
@@ -234,7 +236,7 @@ impl Curves<'_> {
     }
 }
 
-/// Slopes before and after the place of number `at`, and the residual sum of squares, of the stick that bends there.
+/// Returns the slopes before and after place number `at`, and the residual sum of squares, of the stick that bends there.
 fn stick(places: &[f64], y: &[f64], at: usize) -> (f64, f64, f64) {
     let knee = places[at];
     let rows = places.iter().zip(y).map(|(x, y)| [x.min(knee), (x - knee).max(0.0), *y]);

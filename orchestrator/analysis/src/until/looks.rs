@@ -1,11 +1,11 @@
-//! What a look may spend: nominal chances of being wrong that come to the whole one over all looks.
+//! Error probability that each look may spend, so that all looks together spend the nominal one.
 //!
 //! ```text
-//! look k of a grid of n units: chance_k = c·w_k      w_k = (k² − (k−1)²)/n², of the first all before it, too
+//! look k of a grid of n units: chance_k = c·w_k      w_k = (k² − (k−1)²)/n²; the first look also spends the share of all before it
 //! ```
-//! (the shape of Kim and DeMets 1987, ρ = 2), with c so that a running mean of normal units whose truth is the bound is held
-//! for above it at any look in `chance` of sequences: by so many of them drawn, as AdaStop's boundaries are (Mathieu et al.,
-//! TMLR 2024), at their lower 2.5 % limit.
+//! (shape of Kim and DeMets 1987, ρ = 2). c is such that in `chance` of the sequences of normal units, a bound at any look
+//! excludes the true mean. It is estimated from simulated sequences, as in AdaStop (Mathieu et al., TMLR 2024), at its lower
+//! 2.5 % limit.
 
 use std::collections::HashMap;
 
@@ -14,21 +14,21 @@ use metasense_numerics::student::{chance_above, student_above};
 
 use super::super::resample::LEAST_UNITS;
 
-/// Sequences drawn.
+/// Number of simulated sequences.
 const SEQUENCES: u64 = 40_000;
 
-/// The looks of a grid.
+/// Bounds at the looks of a grid.
 pub(super) struct Looks {
     /// w by number of units.
     weights: Vec<f64>,
-    /// min over looks of (chance above that sequence's t)/w, ascending; none: every look spends all.
+    /// Per sequence, the minimum over looks of (p-value of t)/w; ascending. Empty: every look spends the whole probability.
     least: Vec<f64>,
-    /// Quantiles by degrees of freedom and chance.
+    /// Cached quantiles by number of units and probability.
     known: HashMap<(usize, u64), f64>,
 }
 
 impl Looks {
-    /// Of a grid of so many units.
+    /// Simulates the looks of a grid with this number of units.
     pub(super) fn new(grid: usize) -> Self {
         let part = |units: usize| (units as f64 / grid as f64).powi(2);
         let weight = |k: usize| if k <= LEAST_UNITS { part(k) } else { part(k) - part(k - 1) };
@@ -56,18 +56,18 @@ impl Looks {
         Self { weights, least, known: HashMap::new() }
     }
 
-    /// Looks that are not paid for, to be compared with.
+    /// Looks without correction, for comparison.
     #[cfg(test)]
     pub(super) fn naive(grid: usize) -> Self {
         Self { weights: vec![1.0; grid + 1], least: Vec::new(), known: HashMap::new() }
     }
 
-    /// How many standard errors a bound is away that is wrong with this chance, all looks taken together: after so many
-    /// units of the grid, of which `known` have a result.
+    /// Returns the distance (standard errors) of a bound that fails with probability `chance` over all looks. `passed`: units
+    /// of the grid so far; `known`: those with a result.
     pub(super) fn bound(&mut self, passed: usize, known: usize, chance: f64) -> f64 {
         let spent = match self.least.len() as f64 * chance {
             _ if self.least.is_empty() => chance,
-            // so few that none is drawn: a union bound
+            // too few sequences to estimate: a union bound
             hits if hits < 16.0 => chance * self.weights[passed],
             hits => self.least[(hits - 2.0 * hits.sqrt()) as usize] * self.weights[passed],
         };
@@ -76,8 +76,8 @@ impl Looks {
     }
 }
 
-/// What the chance of a t above this one is not below, whatever its degrees of freedom: for a t above 0 the normal one's bound by
-/// Birnbaum (1942), doi:10.1214/aoms/1177731611; a chance proper takes as many terms as there are units.
+/// Returns a lower bound of P(T > t) for any degrees of freedom: for t > 0 that of the normal distribution by Birnbaum (1942),
+/// doi:10.1214/aoms/1177731611. The exact probability takes as many terms as there are units.
 pub(super) fn at_least(t: f64) -> f64 {
     let density = (-0.5 * t * t).exp() / (2.0 * std::f64::consts::PI).sqrt();
     if t > 0.0 { density * 2.0 / (t + (t * t + 4.0).sqrt()) } else { 0.5 }

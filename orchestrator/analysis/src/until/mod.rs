@@ -1,9 +1,10 @@
-//! When a sweep's questions are settled, and which of its trials come next: pure, fed with stored results alone.
+//! Early stopping: which questions of a sweep are answered, and which trials are needed. Decisions depend on stored results
+//! only.
 //!
-//! Units of inference come in the order of the plan: placements with all their seeds, or seeds with all their placements,
-//! whichever the grid has more of. After the fourth unit and each further one a question is looked at by bounds of Student's
-//! t, of contrasts of ln e a unit. Looks are paid for by group-sequential spending (`looks.rs`): a grid is a few units and its
-//! last one known, so that a confidence sequence, which is valid for ever, would ask for more of them.
+//! Units of inference are placements with all their seeds, or seeds with all their placements, whichever are more numerous, in
+//! the order of the plan. After the fourth and every further unit, Student's t on contrasts of ln e tests each question.
+//! Group-sequential spending corrects for the repeated looks (`looks.rs`): the number of units is known and small, so that a
+//! confidence sequence would need more of them.
 
 mod ask;
 mod looks;
@@ -22,18 +23,18 @@ use ask::Curves;
 pub use ask::{Answer, Question};
 use looks::Looks;
 
-/// A question to a setting of the sweep.
+/// State of a question in one setting of the sweep.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Standing {
-    /// What is asked.
+    /// The question.
     pub question: Question,
-    /// Of what: K, body, brain.
+    /// The setting: K, body, decoder.
     pub setting: String,
-    /// Units that have a result, and units of the grid.
+    /// Number of units with a result, and of units of the grid.
     pub units: [usize; 2],
-    /// What they are.
+    /// `placements` or `seeds`.
     pub of: &'static str,
-    /// The answer, once there is one, and the units that it took.
+    /// The answer, and the number of units that it needed.
     pub answer: Option<(Answer, usize)>,
 }
 
@@ -48,34 +49,34 @@ impl fmt::Display for Standing {
     }
 }
 
-/// What comes next.
+/// Wanted trials, and the state of the questions.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Decision {
-    /// Where every question stands.
+    /// State of every question.
     pub standings: Vec<Standing>,
-    /// Trials that are wanted, by their place in the plan, settled ones among them.
+    /// Wanted trials by their index in the plan, including settled ones.
     pub wanted: Vec<usize>,
 }
 
 impl Decision {
-    /// Whether every question has its answer.
+    /// Whether every question is answered.
     pub fn is_settled(&self) -> bool {
         self.standings.iter().all(|standing| standing.answer.is_some())
     }
 }
 
-/// Of a question and a setting, the trials unit by unit.
+/// A question in one setting, with the trials of each unit.
 struct Asked {
     question: Question,
     setting: String,
     of: &'static str,
-    /// M, or the number of design parameters.
+    /// Values of M or of the number of design parameters.
     places: Vec<f64>,
-    /// Places of the trials in the plan, with their place on the axis.
+    /// Per unit: index of each trial in the plan, and its value on the axis.
     units: Vec<Vec<(usize, f64)>>,
 }
 
-/// The questions, each to every setting that it makes sense of. `trials` are the plan's, with or without results.
+/// Returns the questions for every setting in which they can be answered. `trials`: the plan, with or without results.
 fn asked(until: &Until, trials: &[Trial]) -> Vec<Asked> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let numbers: HashMap<*const Trial, usize> =
@@ -103,7 +104,7 @@ fn asked(until: &Until, trials: &[Trial]) -> Vec<Asked> {
     found
 }
 
-/// Trials by placement or by seed, whichever there are more of, in the order of the plan.
+/// Groups trials by placement or by seed, whichever are more numerous, in the order of the plan.
 fn by_unit<'a>(trials: &[&'a Trial]) -> (Vec<Vec<&'a Trial>>, &'static str) {
     let of = |pick: fn(&Cluster) -> u64| {
         let mut found: Vec<(u64, Vec<&Trial>)> = Vec::new();
@@ -120,13 +121,13 @@ fn by_unit<'a>(trials: &[&'a Trial]) -> (Vec<Vec<&'a Trial>>, &'static str) {
     if seeds.len() > placements.len() { (seeds, "seeds") } else { (placements, "placements") }
 }
 
-/// The first question that no setting of the plan can answer.
+/// Returns the first question that no setting of the plan can answer.
 pub fn unanswerable(until: &Until, plan: &[Planned]) -> Option<Question> {
     let found = asked(until, &plan.iter().map(planned).collect::<Vec<_>>());
     Question::all(until).into_iter().find(|question| found.iter().all(|a| a.question != *question))
 }
 
-/// A trial as the analysis sees it, without results.
+/// Converts a planned trial, without results.
 fn planned(trial: &Planned) -> Trial {
     let point = trial.spec.point;
     Trial {
@@ -141,8 +142,8 @@ fn planned(trial: &Planned) -> Trial {
     }
 }
 
-/// Where the questions to a plan stand by what is in the database, and which trials are wanted, in the order of the plan:
-/// once the hours are spent, settled ones alone. So many units are run ahead of an open question as keep the workers busy.
+/// Returns the state of the questions and the wanted trials, in the order of the plan. Once `hours` are spent, only settled
+/// trials are wanted. Open questions want enough units ahead to occupy the workers.
 pub fn of_plan(until: &Until, plan: &[Planned], found: &[Found], workers: u32) -> Decision {
     let mut trials: Vec<Trial> = plan.iter().map(planned).collect();
     let mut settled = vec![false; trials.len()];
@@ -162,8 +163,8 @@ pub fn of_plan(until: &Until, plan: &[Planned], found: &[Found], workers: u32) -
     decision
 }
 
-/// Where the questions stand by what is `settled` (done, or failed for good) of the plan's trials, and what is wanted: of
-/// every open question the units before the first one that is not settled, and so many `ahead`.
+/// The same from the `settled` trials (done, or failed permanently). An open question wants all units before the first
+/// unsettled one, and `ahead` more.
 fn decide(until: &Until, trials: &[Trial], settled: &[bool], ahead: usize) -> Decision {
     let alpha = 1.0 - until.confidence;
     let mut looks: BTreeMap<usize, Looks> = BTreeMap::new();
@@ -188,8 +189,8 @@ fn decide(until: &Until, trials: &[Trial], settled: &[bool], ahead: usize) -> De
     Decision { standings, wanted: wanted.into_iter().collect() }
 }
 
-/// ln e of a unit on the optimised body by place, then on the initial one, means over what is nested in it; `None` where a
-/// trial has none.
+/// Returns ln e of a unit by place, first on the trained body, then on the initial one; means over its trials. `None` if an
+/// error is missing.
 fn curve(unit: &[(usize, f64)], places: &[f64], trials: &[Trial]) -> Option<Vec<f64>> {
     let mean = |body: Body, place: f64| -> Option<f64> {
         let here = unit.iter().filter(|(_, at)| *at == place);
@@ -206,8 +207,8 @@ fn curve(unit: &[(usize, f64)], places: &[f64], trials: &[Trial]) -> Option<Vec<
         .collect()
 }
 
-/// The first answer that a look at the units so far has, wrong with at most this chance, and how many units it took. Units
-/// without a curve are passed over.
+/// Returns the first answer, which is wrong with probability `chance` at most, and the number of units that it needed. Units
+/// without a curve are skipped.
 fn settle(
     question: Question,
     curves: &[Option<Vec<f64>>],

@@ -3,8 +3,8 @@ mod campaigns;
 use super::*;
 use serde_json::json;
 
-/// M = 1 … 4 in twelve placements at one seed, in the plan's order; the optimised body's error is that of its M, and a
-/// placement's own part is small.
+/// M = 1 … 4 in twelve placements at one seed, in the order of the plan. The error of the trained body depends on M, and a
+/// little on the placement.
 fn plan() -> Vec<Trial> {
     let of = |(placement, m): (u64, u64)| {
         let part = |seed: u64| 0.01 * ((7 * placement + 3 * m + seed) as f64).cos();
@@ -28,8 +28,8 @@ fn until() -> Until {
     Until { paired: Some(0.3), within: Some(0.1), fewer: true, ..Until::default() }
 }
 
-/// Whatever else is settled, in whatever order it came: the same answers by the same units; a gap is not looked past,
-/// and a unit with a failure is passed over.
+/// Answers do not depend on other settled trials or their order. Looks stop at the first unit that is not settled. Units with a
+/// failed trial are skipped.
 #[test]
 fn decisions_hang_on_leading_results_alone() {
     let trials = plan();
@@ -50,7 +50,7 @@ fn decisions_hang_on_leading_results_alone() {
             assert_eq!(part.answer, due, "{units} units");
         }
     }
-    // the third placement lacks a trial; then it has failed
+    // the third placement lacks a trial; then this trial has failed
     let mut gap = known(12);
     gap[9] = false;
     assert!(decide(&until(), &trials, &gap, 1).standings.iter().all(|s| s.answer.is_none()));
@@ -60,7 +60,7 @@ fn decisions_hang_on_leading_results_alone() {
     assert!(passed_over.standings.iter().all(|s| s.answer.unwrap().1 > 4), "{passed_over:?}");
 }
 
-/// Three workers and one trial a unit: three units at a time.
+/// Three workers and one trial per unit: three units at a time.
 #[test]
 fn as_many_units_are_wanted_as_keep_workers_busy() {
     let trials: Vec<Trial> = plan().into_iter().filter(|t| t.sensors == 1).collect();

@@ -1,12 +1,12 @@
 use super::*;
 use crate::record::{NetworkEvaluation, Reading, Spread};
 
-/// Up to the best design; the rest of the outer loop.
+/// Fields up to the best design; other fields of the outer loop.
 const HEAD: &str = "ac02 02 000000000000e03f 00000000000000c0 01 000000000000f03f 01 0000000000000040 07 \
     01 0000803e 01 0000003f 00 c801 01 01 000000000000f83f 0000000000002940 ab02";
 const NAMED: &str = "000000000000e03f 02 01 000000000000d03f 01 000000000000c03f \
     01 05 02 000000000000f03f 000000000000f0bf";
-/// With the spread of the network and of the reading: 0.5 %, none, 300.
+/// The spread of the network and of the reading is 0.5 %, none, 300.
 const COMPARISON: &str = "01 \
     0101000000000000e03f0101000000000000f03f00010000000000000040010000003f01010000000000001040010000803e \
     026f6b 01 01000000000000e03f 00 ac02 0100000000000000 00 0103c801000000000000e03f01000000000000f03f000100000000000000 \
@@ -16,12 +16,12 @@ const COMPARISON: &str = "01 \
 const MOVES: &str = "01 c801 02 03 05";
 const FOUND: &str = "02 0000000000002940 000000000000f07f";
 
-/// Of two bodies: two readings, a cast, a name, records, 2.0 %, ok, spread, λ and κ: of the first none, of the second 0.5 %, none, 300;
-/// 0.25 and 0.125.
+/// Body 1: two readings (cast, reader, records, 2.0 %, ok, spread, λ, κ), the first without spread, λ, κ, the second with 0.5
+/// %, none, 300; 0.25; 0.125. Body 2: none.
 const CASTS: &str = "02 02 00076e6f6d696e616c00 010000000000000040 026f6b 00 00 00 01077265636f726473ac02 010000000000000040 026f6b \
     01 01000000000000e03f 00 ac02 01000000000000d03f 01000000000000c03f 00";
 
-/// Of two bodies: a band of no cast and one of cast 3; none.
+/// Body 1: a band without cast and one of cast 3. Body 2: none.
 const BANDS: &str = "02 02 036f776e 00 00 09636f6e666f726d616c 07696e7374616e74 666666666666ee3f 63 01000000000000f03f 00 \
     01000000000000c03f 026f6b 056361737473 1e 0103 09636f6e666f726d616c 0673616d706c65 666666666666ee3f 63 00 \
     01000000000000d03f 00 026f6b 00";
@@ -32,7 +32,7 @@ fn bytes(digits: &str) -> Vec<u8> {
     digits.chunks(2).map(byte).collect()
 }
 
-/// Whoever changes `Checkpoint`, or what it holds, sees these bytes fail, and raises its version.
+/// If a change of `Checkpoint` or of a nested type fails this test, raise the version.
 #[test]
 fn a_checkpoint_is_these_bytes() {
     let mut whole = Checkpoint {
@@ -138,7 +138,7 @@ fn a_checkpoint_is_these_bytes() {
     }
 }
 
-/// Ten thousand checkpoints with some bytes changed, cut off or added: an answer each, and no panic.
+/// Decoding ten thousand checkpoints with bytes changed, removed or added does not panic.
 #[test]
 fn no_stored_bytes_make_a_reader_panic() {
     let whole = Checkpoint {

@@ -1,5 +1,5 @@
-//! Campaigns of known truth: how often a settled answer is wrong, with looks paid for and by naive peeking, and what of the grid
-//! is run. `CAMPAIGNS=10000 cargo test -p metasense --lib campaigns -- --nocapture` prints the table.
+//! Campaigns of known truth: rate of wrong answers with and without correction for repeated looks, and the part of the grid
+//! that runs. `CAMPAIGNS=10000 cargo test -p metasense-analysis --lib campaigns -- --nocapture` prints the table.
 
 use metasense_numerics::random::Draw;
 
@@ -7,23 +7,23 @@ use crate::until::ask::{Answer, Question};
 use crate::until::looks::{Looks, at_least};
 use crate::until::settle;
 
-/// Campaigns a question, where `CAMPAIGNS` says nothing else …
+/// Campaigns per question, unless `CAMPAIGNS` is set.
 const CAMPAIGNS: u64 = 2500;
-/// … and of the one that is meant to be wrong one time in twenty; others are half as often at most.
+/// Campaigns of the question whose error rate is near 5 %; others have at most half of this rate.
 const AT_ITS_LIMIT: u64 = 10_000;
 /// Units of the grid.
 const GRID: usize = 12;
 const ALPHA: f64 = 0.05;
 
-/// ln e by place on the optimised body, then on the initial one; each unit has its own level, its own ratio of the two and
-/// noise a trial.
+/// ln e by place on the trained body, then on the initial one. Each unit has its own level and its own ratio of the two bodies;
+/// each trial has noise.
 struct World {
     truth: Vec<f64>,
     places: Vec<f64>,
     level: f64,
     ratio: f64,
     noise: f64,
-    /// Noise of Student's t with three degrees of freedom, not a normal one's.
+    /// Whether noise has Student's t with three degrees of freedom instead of a normal distribution.
     heavy: bool,
 }
 
@@ -50,7 +50,7 @@ impl World {
     }
 }
 
-/// Parts of campaigns that settle, and that settle on what is wrong; mean part of the grid that is run.
+/// Fractions of campaigns that settle, and that settle on a wrong answer; mean fraction of the grid that runs.
 #[derive(Debug, Clone, Copy)]
 struct Outcome {
     settled: f64,
@@ -89,7 +89,7 @@ fn told(line: &str) {
     println!("{line}");
 }
 
-/// Wrong answers stay below one in twenty with looks that are paid for, and do not for naive peeking.
+/// At most 5 % of answers are wrong with correction for repeated looks, but more without.
 #[test]
 fn looks_that_are_paid_for_are_wrong_in_one_campaign_of_twenty_at_most() {
     let falling = [43.0, 22.0, 10.4, 4.1, 2.1, 1.64];
@@ -170,7 +170,7 @@ fn looks_that_are_paid_for_are_wrong_in_one_campaign_of_twenty_at_most() {
         };
         cases.iter().map(of).collect::<Vec<Outcome>>()
     };
-    // peeking is wrong so often that a tenth of the campaigns show it
+    // a tenth of the campaigns suffices to show the error rate without correction
     let (paid_for, naive) = rayon::join(|| all(Looks::new(GRID), 1), || all(Looks::naive(GRID), 10));
     let (mut worst, mut naive_worst) = (0.0f64, 0.0f64);
     for (((name, ..), paid), naive) in cases.iter().zip(paid_for).zip(naive) {
@@ -187,7 +187,7 @@ fn looks_that_are_paid_for_are_wrong_in_one_campaign_of_twenty_at_most() {
     assert!(worst <= ALPHA && naive_worst > 2.0 * ALPHA, "{worst} {naive_worst}");
 }
 
-/// The bound that spares most chances is one, close by where there are many units.
+/// The bound is below the exact probability, and close to it with many units.
 #[test]
 fn a_chance_is_not_below_its_bound() {
     for t in (-30..=50).map(|t| f64::from(t) / 10.0) {
