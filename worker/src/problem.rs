@@ -11,9 +11,10 @@ use metasense_numerics::dynamics::{Accuracy, Contact, Frame, Method, Parts, Scen
 use metasense_numerics::feasible::Limits;
 use metasense_numerics::place::CANDIDATES;
 use metasense_numerics::trial::{
-    BrainKind, Decoder, Evaluation, Optimise, Placing, Problem, Ridge, Scaling, Schedule, Training,
+    BrainKind, Decoder, Evaluation, Optimise, Placing, Polygons, Problem, Ridge, Scaling, Schedule, Training,
 };
 use metasense_schemas::spec::{self, Point, TrialSpec};
+use std::sync::Arc;
 
 mod body;
 mod casts;
@@ -63,6 +64,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
     let scene = scene(trial, layout, material)?;
     let (steps, coarse) = (trial.optimise.steps(), trial.optimise.clone().resolved().coarse);
     Ok(Problem {
+        body: Arc::new(Polygons),
         kept: kept(&trial.feasible, &trial.panel_units, &held(&trial.body, &scene.layout)?),
         frozen: frozen(&trial.optimise, &scene.layout)?,
         tie: tie(&trial.optimise)?,

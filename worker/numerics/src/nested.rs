@@ -50,21 +50,23 @@ pub fn optimise(
     observer: &mut dyn Observe,
 ) -> Result<Option<Optimised>, Failure> {
     let problem = &trial.problem;
-    let (mut castable, freedom) = (problem.castable(), problem.freedom());
+    let (mut castable, freedom) = (problem.body.castable(problem), problem.body.freedom(problem));
     let mut state = resume.unwrap_or_else(|| State::new(problem));
     let (search, mut session) = (GradientFree::new(problem), Session::new(trial));
 
     while state.step < problem.optimise.iterations {
         let (before, mut log) = (state.clone(), Log::new(state.step, observer));
         match (session.sense(&mut state, &mut log), &search) {
-            (sensed, Some(search)) => search.step(sensed, &mut state, &mut castable, &mut log)?,
+            (sensed, Some(search)) => search.step(sensed, &mut state, &mut *castable, &mut log)?,
             (Ok(Sensed { gradient, loss_train, error_test }), None) => {
                 state.remember(loss_train, error_test);
                 let bodies = session.bodies();
                 if problem.optimise.moves_body(state.step) {
                     log.timed(
                         |s| &mut s.project,
-                        |report| state.move_body(problem, &freedom, &gradient, &mut castable, bodies, report),
+                        |report| {
+                            state.move_body(problem, &freedom, &gradient, &mut *castable, bodies, report)
+                        },
                     );
                 }
             }

@@ -24,8 +24,8 @@ pub struct Ligament {
 /// Where a node group is in a lattice: the pattern's ligament that its nodes belong to, and the cell where that ends.
 pub type GroupCell = (usize, [i32; 2]);
 
-/// A body without its design.
-#[derive(Debug, Clone, PartialEq)]
+/// A body without its design; the default has no units.
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Layout {
     /// Reference points of the units (mm).
     pub centres: Vec<[f64; 2]>,

@@ -391,7 +391,7 @@ impl super::rows::Rows {
 }
 
 /// The weights at mean 1, none below its least; none if one is not finite.
-fn metric(n: usize, weights: Option<&[f64]>) -> Option<Vec<f64>> {
+pub(super) fn metric(n: usize, weights: Option<&[f64]>) -> Option<Vec<f64>> {
     let Some(weights) = weights else { return Some(vec![1.0; n]) };
     assert_eq!(weights.len(), n, "length of the weights");
     let mean = weights.iter().sum::<f64>() / n as f64;

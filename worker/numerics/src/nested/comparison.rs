@@ -55,7 +55,7 @@ pub(super) fn compared(trial: &Trial, mut state: State, observer: &mut dyn Obser
     let Report { mut counters, seconds, .. } = log.report;
     counters.dynamics += trial.pilots;
     counters.dynamics += tuned.counters;
-    let solver = format!("{}{BEST}{}", trial.reason, tuned.plan.reason);
+    let solver = format!("{}{BEST}{}", trial.reason, tuned.reason);
     let Comparison { bodies: compared, mut casts, mut bands, .. } = state.comparison;
     casts.resize_with(compared.len(), Vec::new);
     bands.resize_with(compared.len(), Vec::new);

@@ -9,7 +9,7 @@ use super::observe::Log;
 use super::protocol::Sensed;
 use super::state::{State, norm};
 use crate::body::Freedom;
-use crate::feasible::Feasible;
+use crate::feasible::Castable;
 use crate::random::{Purpose, Stream};
 use crate::trial::{Failure, Problem, Trouble};
 
@@ -22,7 +22,11 @@ pub(super) struct GradientFree<'a> {
 impl<'a> GradientFree<'a> {
     /// The problem's, where its protocol is one.
     pub(super) fn new(problem: &'a Problem) -> Option<Self> {
-        problem.optimise.protocol.is_search().then(|| Self { problem, freedom: problem.freedom() })
+        problem
+            .optimise
+            .protocol
+            .is_search()
+            .then(|| Self { problem, freedom: problem.body.freedom(problem) })
     }
 
     /// The candidate after so many.
@@ -44,7 +48,7 @@ impl<'a> GradientFree<'a> {
         &self,
         sensed: Result<Sensed, Trouble>,
         state: &mut State,
-        castable: &mut Feasible,
+        castable: &mut dyn Castable,
         log: &mut Log,
     ) -> Result<(), Failure> {
         let initial = &self.problem.initial;

@@ -5,7 +5,7 @@ use super::report::Report;
 use crate::body::Freedom;
 use crate::brain::{Adam, TrainOutcome};
 use crate::brains::Learnt;
-use crate::feasible::{Feasible, Projection};
+use crate::feasible::{Castable, Projection};
 use crate::trial::{Failure, Problem, Trouble};
 
 /// Everything from which a loop goes on to the same bits.
@@ -112,7 +112,7 @@ impl State {
         problem: &Problem,
         freedom: &Freedom,
         gradient: &[f64],
-        castable: &mut Feasible,
+        castable: &mut dyn Castable,
         bodies: usize,
         report: &mut Report,
     ) {

@@ -8,8 +8,8 @@ use crate::questions::{UnderReading, bound, nonlinear, replay, sense};
 use crate::random::{Purpose, Stream};
 use crate::stimuli::{Bell, Source};
 use crate::trial::{
-    BrainKind, Counters, Decoder, Disturbance, Evaluation, Going, Mould, Optimise, Problem, Protocol, Ridge,
-    Scaling, Schedule, Size, Stimuli, Terms, Training, Trouble,
+    BrainKind, Counters, Decoder, Disturbance, Evaluation, Going, Mould, Optimise, Polygons, Problem,
+    Protocol, Ridge, Scaling, Schedule, Size, Stimuli, Terms, Training, Trouble,
 };
 
 mod casts;
@@ -23,6 +23,7 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
     let direction = [0.0, -1.0];
     Problem {
         under: Vec::new(),
+        body: std::sync::Arc::new(Polygons),
         initial: layout.initial_design(25f64.to_radians()),
         scene: Scene {
             layout,
@@ -435,7 +436,7 @@ fn tied_shifts_stay_tied_and_castable() {
         quicken(&mut problem);
         let mut keeper = Keeper::default();
         optimise(&problem, None, &pool(2), &mut keeper).unwrap().unwrap();
-        let (freedom, layout) = (problem.freedom(), &problem.scene.layout);
+        let (freedom, layout) = (problem.body.freedom(&problem), &problem.scene.layout);
         let limits = Feasible::new(layout, problem.limits, &[]);
         let mut projected = 0;
         for (state, report) in keeper.states.iter().zip(&keeper.reports) {
@@ -644,7 +645,7 @@ fn check_the_direct_term(disturbance: Option<Disturbance>, problem: Problem) {
     let gradient = trial.vjp(&response, cotangent, &mut Counters::default()).unwrap();
 
     let mut stream = Stream::new(Purpose::Design, 1, [0, 0]);
-    let freedom = problem.freedom();
+    let freedom = problem.body.freedom(&problem);
     let mut z = vec![0.0; gradient.len()];
     freedom.coordinates().into_iter().for_each(|i| z[i] = stream.normal());
     let slope: f64 = freedom.vjp(&gradient).iter().zip(&z).map(|(g, d)| g * d).sum();

@@ -21,11 +21,11 @@ const SAMPLES: usize = 24;
 pub type Nonlinear = [f64; 2];
 
 /// Of a body under the first samples of the holdout, without what chips add; none where one does not end well, or where parts touch
-/// at rest.
+/// at rest; none of a body other than polygons.
 pub(crate) fn nonlinear(mould: &Mould, counters: &mut Counters) -> Option<Nonlinear> {
     let &Mould { trial, design, solver } = mould;
     let (problem, scene) = (&trial.problem, &trial.problem.scene);
-    if touches(scene, design) {
+    if scene.layout.units() == 0 || touches(scene, design) {
         return None;
     }
     let solver = solver.at_most(EXACT);
