@@ -1,10 +1,10 @@
-//! A body as the nested optimisation uses it: signals of a design under forces, their gradient, and the designs that it can have.
+//! The body as the nested optimisation uses it: signals of a design under forces, their gradient, and feasible designs.
 //!
 //! ```text
 //! A = signals of α under f        dL/dα = Aᵀ_α dL/dA        α ← Π(α)
 //! ```
-//! A [`Scene`] gives panels, sensors and clock, and of polygons the body itself. Only polygons have casts, moulds, modes, bounds,
-//! identification, placement by their own fields, and drawings of motion.
+//! A [`Scene`] has panels, sensors, clock, and the body itself if it consists of polygons. Only polygons support casts, moulds,
+//! modes, bounds, identification, fast sensor search, and drawings of motion.
 
 use super::Problem;
 use crate::Pool;
@@ -19,74 +19,74 @@ pub trait Body: std::fmt::Debug + Send + Sync {
     /// Channels of each sensor, at most 3.
     fn channels(&self) -> usize;
 
-    /// The integrator that keeps the error asked on a design, by a few samples.
+    /// Tunes the integrator to the tolerance on a design, with a few samples.
     fn pilot(&self, scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, pool: &Pool) -> Pilot;
 
     /// Simulates a design.
     fn simulate(&self, scene: &Scene, run: &Run, pool: &Pool) -> Motion;
 
-    /// Which numbers of a design move, and which together.
+    /// Which numbers of a design move, and which are tied.
     fn freedom(&self, problem: &Problem) -> Freedom;
 
-    /// The designs that the body can have.
+    /// The feasible designs.
     fn castable(&self, problem: &Problem) -> Box<dyn Castable>;
 
-    /// Why nothing that the body returned is to be used: its process failed.
+    /// The failure of the body's process, if any; results are then invalid.
     fn failure(&self) -> Option<Fault> {
         None
     }
 }
 
-/// What a simulation starts from.
+/// Input of a simulation.
 #[derive(Debug, Clone, Copy)]
 pub struct Run<'a> {
-    /// α.
+    /// α, the design.
     pub design: &'a [f64],
-    /// On the scene's clock, or one that divides it.
+    /// Forces, on the scene's clock or one that divides it.
     pub forces: &'a Forces,
-    /// Tuned by a pilot.
+    /// Solver tuned by a pilot.
     pub solver: &'a Solver,
-    /// Whether a gradient is to follow.
+    /// Whether a gradient follows.
     pub keep_tape: bool,
-    /// Whether rounding to f32 would be noise.
+    /// Whether to compute in f64 because rounding to f32 would disturb the result.
     pub double: bool,
 }
 
-/// What a simulation gives.
+/// Result of a simulation.
 pub struct Motion {
-    /// (N, T, M·channels), mm/s² and rad/s of polygons; zero after a sample has failed.
+    /// (N, T, M·channels); mm/s² and rad/s for polygons; zero for failed samples.
     pub signals: Vec<f64>,
     /// How each sample ended.
     pub outcomes: Vec<Outcome>,
-    /// Work done.
+    /// Work of the simulation.
     pub counters: Counters,
-    /// For gradients, where asked for.
+    /// Tape for gradients, if requested.
     pub tape: Box<dyn Tape>,
 }
 
-/// What a gradient starts from.
+/// Record of a simulation, for its gradient.
 pub trait Tape: Send + Sync {
-    /// dL/dα of a cotangent on the signals (N, T, M·channels), and the work. Samples that failed add nothing.
+    /// dL/dα from a cotangent on the signals (N, T, M·channels), and the work. Failed samples contribute nothing.
     fn vjp(&self, cotangent: &[f64], pool: &Pool) -> (Vec<f64>, Counters);
 }
 
-/// What a pilot made of a solver.
+/// Result of a pilot.
 #[derive(Debug, Clone)]
 pub struct Pilot {
-    /// With what the pilot found.
+    /// The tuned solver.
     pub solver: Solver,
-    /// Why, in words.
+    /// The reason, as text.
     pub reason: String,
-    /// Relative error of the pilot's signals; none where it was not measured.
+    /// Relative error of the pilot's signals, if measured.
     pub error: Option<f64>,
-    /// The pilot's work.
+    /// Work of the pilot.
     pub counters: Counters,
 }
 
-/// How a body's process failed.
+/// Failure of a body's process.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fault {
-    /// Its name in records.
+    /// Name in records.
     pub name: &'static str,
     /// Command, cause, and what the process printed.
     pub detail: String,
