@@ -3,9 +3,9 @@
 //! ```text
 //! x = (A − offset)/scale          y = (f − mean)/deviation        f̂ = mean + deviation·ŷ
 //! ```
-//! By default the offset is 0 and the scale rms(A₀) per channel of the training signals A₀; mean and deviation are those of each
-//! panel's training forces. By extremes: x in [−1, 1] and y in [0, 1] over the training samples. A linear decoder has its own
-//! constant and uses f / rms(f).
+//! By default, offset 0, scale rms(A₀) per channel of the training signals A₀, mean and standard deviation of each panel's
+//! training forces. By extremes: x in [−1, 1] and y in [0, 1] over the training samples. A linear decoder, which has a
+//! constant, uses f / rms(f).
 
 use super::Samples;
 use crate::brain::Real;

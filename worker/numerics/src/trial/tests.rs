@@ -1,6 +1,6 @@
 use super::*;
 
-/// One of 32 samples may fail and then has zero force; fewer than about 32 samples may have no failure, more in proportion.
+/// Of n samples, n/32 (rounded) may fail; their forces become zero.
 #[test]
 fn few_samples_may_fail() {
     let forces = |samples: usize| Forces {
