@@ -15,7 +15,7 @@ pub enum LayoutKind {
     Circular,
 }
 
-/// How the units of a body repeat.
+/// Lattice of a body's units.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Lattice {
@@ -44,7 +44,7 @@ impl Lattice {
     }
 }
 
-/// A body of any polygons.
+/// A body of arbitrary polygons.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Own {
@@ -54,7 +54,7 @@ pub enum Own {
     Given(Polygons),
 }
 
-/// Polygons and what joins them.
+/// Polygons and ligaments of a body.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Polygons {
@@ -83,7 +83,7 @@ pub struct Polygons {
     /// topmost units.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub panels: Vec<Struck>,
-    /// Units that may carry sensors. Default: those of which every node holds a ligament.
+    /// Units that may carry sensors. Default: those whose nodes all have ligaments.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensors: Option<Vec<usize>>,
 }
@@ -186,7 +186,7 @@ pub struct Guide {
     pub holds: Vec<Way>,
 }
 
-/// A way in which a unit can move.
+/// A coordinate of a unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Way {
@@ -243,7 +243,7 @@ pub struct Body {
     /// Lattice of the units. Default: `"square"`.
     #[serde(default, skip_serializing_if = "Lattice::is_square")]
     pub lattice: Lattice,
-    /// A body of any polygons, in place of `columns`, `rows`, `spacing`, `ligament_length` and `initial_angle`. Default: none.
+    /// A body of arbitrary polygons, in place of `columns`, `rows`, `spacing`, `ligament_length` and `initial_angle`. Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub file: Option<Own>,
     /// Units that are held. Default: `"bottom"` for a planar body, `"hub"` for a circular one.
@@ -313,7 +313,7 @@ pub struct Body {
     /// Stiffness of the ligaments. Default: must be given without `material`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stiffness: Option<Stiffness>,
-    /// Material and thickness; give `density` and `stiffness` by the formulas of MODEL.md. Default: none.
+    /// Material and thickness; determine `density` and `stiffness` (formulas in MODEL.md). Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub material: Option<Material>,
     /// Contact between the edges of neighbouring units; without it units may pass through each other under strong forces. Default: no

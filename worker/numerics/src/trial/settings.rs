@@ -69,7 +69,7 @@ pub enum Scaling {
 pub struct Optimise {
     /// The decoder with which the body is trained.
     pub brain: BrainKind,
-    /// How body and brain are trained together.
+    /// How body and decoder are trained together.
     pub protocol: Protocol,
     /// Outer steps.
     pub iterations: u32,
@@ -150,7 +150,7 @@ impl Casting {
     }
 }
 
-/// How body and brain are trained together.
+/// How body and decoder are trained together.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Protocol {
     /// A fresh network in each outer step, trained for `Training::iterations`; the test loss moves the body.
