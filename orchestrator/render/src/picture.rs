@@ -26,8 +26,7 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// Whether the picture contains marks of a legend entry; always true unless it is a plot, because only plots use these class
-    /// names.
+    /// Whether the picture contains marks of a legend entry. Always true except for plots, whose marks have the legend's class names.
     pub fn shows(&self, key: &str) -> bool {
         let mut classes = self.marks.0.split("class=\"").skip(1).filter_map(|mark| mark.split('"').next());
         let name = key.rsplit(' ').next().unwrap_or(key);

@@ -87,9 +87,8 @@ pub(super) fn lengths(body: &spec::Body) -> Result<[f64; 2], Invalid> {
     Ok([length("body.spacing", body.spacing)?, length("body.ligament_length", body.ligament_length)?])
 }
 
-/// The panels at these units, the result of `panel_units`. `body.panels` or the body's file set their forces. By default, forces of
-/// planar bodies act along −y; those of circular bodies along the rule's direction, or towards the centre. `body.panel_angle`
-/// rotates them.
+/// The panels at the units of `panel_units`, with forces by `body.panels` or the body's file, rotated by `body.panel_angle`. Default:
+/// along −y on planar bodies; along the rule's direction, or towards the centre, on circular ones.
 pub fn panels(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<Panel> {
     let ruled = layout.circular_panels(units.len()).unwrap_or_default();
     let by_rule = ruled.iter().map(|panel| &panel.0).eq(units.iter());

@@ -11,8 +11,7 @@ use crate::invalid::{Invalid, as_written, at_least, at_most, invalid, require};
 
 /// Greatest standard deviation of a logarithm: one cast in three hundred then deviates by a factor of twenty.
 const DEVIATION_MAX: f64 = 1.0;
-/// Greatest standard deviation of nodes relative to the ligament length: four of the distance between two nodes then equal this
-/// length.
+/// Greatest standard deviation σ of nodes relative to the ligament length l: 4σ of the distance between two nodes is then about l.
 const NODES_MAX: f64 = 1.0 / 6.0;
 /// Greatest standard deviation of a chip's angle (degrees).
 const MISALIGNMENT_MAX: f64 = 45.0;

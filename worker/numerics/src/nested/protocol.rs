@@ -186,8 +186,7 @@ impl<'a> Session<'a> {
     }
 
     /// Error (%) and differentiated loss of each part of a mixture on the initial body, with decoders fitted to the first step's
-    /// samples; reproducible after a resumption. 1 if the objective is a mean of logarithms, whose derivative does not depend on
-    /// them.
+    /// samples; reproducible after a resumption. 1 for a mean of logarithms, whose derivative does not depend on them.
     fn first(&mut self, casting: Casting, going: Going, log: &mut Log) -> Result<&[Vec<f64>; 2], Trouble> {
         if casting.over == Over::Parts && self.first[0].is_empty() {
             self.first = [(); 2].map(|()| vec![1.0; casting.casts]);

@@ -60,8 +60,7 @@ pub struct Best {
 const JUMP: f64 = 10.0;
 /// Training loss (normalised) that never counts as a failed step: that of an error of 0.01 %.
 const NEGLIGIBLE: f64 = 1e-4;
-/// Least weight of a coordinate in the projection's metric, relative to the mean. v̂ is 0 where the loss does not depend on a
-/// coordinate.
+/// Least weight of a coordinate in the projection's metric, relative to the mean: v̂ can be 0.
 const METRIC_FLOOR: f64 = 1e-3;
 
 impl State {
