@@ -1,7 +1,7 @@
-//! A trial's spec as the maths' own types, validated: what passes here can be simulated and trained.
+//! Validates a trial's spec and converts it to the types of the numerics crate.
 //!
-//! Degrees become radians; rules ("bottom") become unit lists. The plan calls this for every trial before any process
-//! starts, a worker calls it again for the one that it runs.
+//! Degrees become radians; rules ("bottom") become unit lists. The plan calls this for every trial before any process starts, and a
+//! worker calls it again for its trial.
 
 use metasense_numerics::body::Layout;
 use metasense_numerics::brain::linear::Lags;
@@ -11,9 +11,10 @@ use metasense_numerics::dynamics::{Accuracy, Contact, Frame, Method, Parts, Scen
 use metasense_numerics::feasible::Limits;
 use metasense_numerics::place::CANDIDATES;
 use metasense_numerics::trial::{
-    BrainKind, Decoder, Evaluation, Optimise, Placing, Problem, Ridge, Scaling, Schedule, Training,
+    BrainKind, Decoder, Evaluation, Optimise, Placing, Polygons, Problem, Ridge, Scaling, Schedule, Training,
 };
 use metasense_schemas::spec::{self, Point, TrialSpec};
+use std::sync::Arc;
 
 mod body;
 mod casts;
@@ -37,21 +38,21 @@ pub use optimise::{castable, design_parameters};
 use optimise::{frozen, protocol, tie};
 use stimuli::{channels, disturbance, inertia, mount, stimuli, under};
 
-/// Instants of a sample at most.
+/// Greatest number of instants per sample.
 const INSTANTS_MAX: usize = 100_000;
-/// s.
+/// Greatest duration of a sample (s).
 const DURATION_MAX: f64 = 86_400.0;
-/// Samples of a set or a step, and iterations of a network, beyond which neither time nor memory would do.
+/// Greatest number of samples per set or step, and of iterations of a network: more would exceed time and memory.
 const SAMPLES_MAX: usize = 1_000_000;
 const ITERATIONS_MAX: usize = 10_000_000;
-/// Channels, and weights, of a network likewise.
+/// Greatest number of channels and of weights of a network.
 const WIDTH_MAX: usize = 1024;
 const WEIGHTS_MAX: usize = 10_000_000;
 
-/// The trial as the nested optimisation takes it.
+/// The problem that the nested optimisation solves for this trial.
 ///
 /// # Errors
-/// Names the first key whose value no trial can have, and what the value must be.
+/// Names the first key with an invalid value, and the requirement.
 pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
     let layout = layout(&trial.body)?;
     let material = material(&trial.body)?;
@@ -63,6 +64,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
     let scene = scene(trial, layout, material)?;
     let (steps, coarse) = (trial.optimise.steps(), trial.optimise.clone().resolved().coarse);
     Ok(Problem {
+        body: Arc::new(Polygons),
         kept: kept(&trial.feasible, &trial.panel_units, &held(&trial.body, &scene.layout)?),
         frozen: frozen(&trial.optimise, &scene.layout)?,
         tie: tie(&trial.optimise)?,
@@ -110,7 +112,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
     })
 }
 
-/// The body to whose signals what is relative in chips is so, where it is not the initial one.
+/// Design of the body to whose signals relative noise refers, if it is not the initial body.
 fn relative_to(trial: &TrialSpec, layout: &Layout, limits: Limits) -> Result<Option<Vec<f64>>, Invalid> {
     let Some(design) = trial.sensors.relative_to.clone() else { return Ok(None) };
     let body = spec::Body { design: Some(design), ..trial.body.clone() };
@@ -118,10 +120,10 @@ fn relative_to(trial: &TrialSpec, layout: &Layout, limits: Limits) -> Result<Opt
     initial_design(&body, layout, limits).map(Some).map_err(named)
 }
 
-/// Mass of units and chips (g) of the body that a trial starts from, and the longer side of the box around it (mm).
+/// Mass of units and chips (g) of the initial body, and the longer side of its bounding box (mm).
 ///
 /// # Errors
-/// As `problem`.
+/// As [`problem`].
 pub fn measures(trial: &TrialSpec) -> Result<[f64; 2], Invalid> {
     let Problem { scene, initial, .. } = problem(trial)?;
     let units: f64 = scene.geometry(&initial).mass.iter().sum();
@@ -153,7 +155,7 @@ fn check_clock_and_training(trial: &TrialSpec) -> Result<(), Invalid> {
     within("evaluation.seeds", trial.evaluation.networks(), 1, 1000)
 }
 
-/// How the network's signals and forces are normalised. Scales of the initial body serve no casts of others.
+/// Normalisation of the network's signals and forces. Extremes of the initial body cannot serve casts.
 fn scaling(trial: &TrialSpec) -> Result<Scaling, Invalid> {
     let extremes = trial.brain.scaling == spec::Scaling::MinMax;
     let casts = trial.variation.is_some() || trial.optimise.objective.is_some();
@@ -206,7 +208,7 @@ pub(crate) fn architecture(trial: &TrialSpec) -> Result<Architecture, Invalid> {
 }
 
 fn check_tolerance(key: &str, tolerance: f64) -> Result<(), Invalid> {
-    // Below 1e-12 rounding decides, and a tape would hold nothing but ever more steps.
+    // below 1e-12, rounding errors dominate and more steps do not help
     require((1e-12..=0.5).contains(&tolerance), key, tolerance, "must lie in [1e-12, 0.5]")
 }
 
@@ -221,10 +223,10 @@ fn solver(solver: &spec::Solver) -> Solver {
     Solver::new(method, Accuracy(solver.tolerance))
 }
 
-/// Of a linear brain's system: 3 GB and a minute a step.
+/// Greatest number of unknowns of a linear decoder: 3 GB and a minute per step.
 const UNKNOWNS_MAX: usize = 20_000;
 
-/// Which brain.
+/// The numerics type of a decoder's kind.
 pub fn kind(kind: spec::BrainKind) -> BrainKind {
     match kind {
         spec::BrainKind::Cnn => BrainKind::Network,
@@ -234,7 +236,7 @@ pub fn kind(kind: spec::BrainKind) -> BrainKind {
     }
 }
 
-/// The lags of a linear brain with this memory (s), by default of the whole sample.
+/// The lags of a linear decoder with this memory (s); by default those of the whole sample.
 #[must_use]
 pub fn lags(time: &spec::Time, memory: Option<[f64; 2]>) -> Lags {
     let Some(memory) = memory else { return Lags::whole(time.samples) };
@@ -242,7 +244,7 @@ pub fn lags(time: &spec::Time, memory: Option<[f64; 2]>) -> Lags {
     Lags { before, after }.within(time.samples)
 }
 
-/// The linear brain.
+/// Settings of the linear decoder.
 fn decoder(trial: &TrialSpec) -> Result<Decoder, Invalid> {
     let duration = trial.time.duration;
     if let Some(memory) = trial.brain.memory {
@@ -264,7 +266,7 @@ fn decoder(trial: &TrialSpec) -> Result<Decoder, Invalid> {
     Ok(Decoder { lags, ridge })
 }
 
-/// Instants at which a sample's motion is taken: those of its readings, or more where chips filter.
+/// Instants per sample at which the motion is computed: those of the readings, or more if chips filter.
 #[must_use]
 pub fn instants(trial: &TrialSpec) -> usize {
     let readings = trial.time.samples;
@@ -272,7 +274,7 @@ pub fn instants(trial: &TrialSpec) -> usize {
     disturbance(&trial.sensors, &trial.time).ok().flatten().map_or(1, |d| d.clock(interval)) * readings
 }
 
-/// Whether there is memory for a linear brain of these lags.
+/// Checks that a linear decoder with these lags fits into memory.
 pub(crate) fn solvable(trial: &TrialSpec, lags: Lags) -> Result<(), Invalid> {
     let (instants, channels) = (trial.time.samples, trial.signals());
     let readings = channels * instants;
@@ -301,10 +303,10 @@ pub fn kept(feasible: &spec::Feasible, panels: &[usize], held: &[usize]) -> Vec<
     asked.into_iter().filter(|(keep, _)| *keep).flat_map(|(_, units)| units).copied().collect()
 }
 
-/// The limits of a feasible design.
+/// The limits of a feasible design (rad, mm).
 ///
 /// # Errors
-/// Where an angle or a length makes no sense.
+/// If an angle or a length is out of range.
 pub fn limits(feasible: &spec::Feasible) -> Result<Limits, Invalid> {
     let angles = [
         ("feasible.min_block_angle", feasible.min_block_angle),
@@ -423,7 +425,7 @@ fn scene(
     Ok(scene)
 }
 
-/// How the sensors are placed that are not given.
+/// The sensor search, if the trial needs one.
 fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> {
     let spec::Sensors { search, from, spacing, .. } = &trial.sensors;
     if matches!(search, None | Some(spec::Search::Random)) {
@@ -436,7 +438,7 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> 
     let spacing = spacing.unwrap_or(0.0);
     not_negative("sensors.spacing", spacing)?;
     let inside = from.unwrap_or(spec::SearchFrom::Interior) == spec::SearchFrom::Interior;
-    // a driven unit tells its own history, whatever the body does
+    // a driven unit moves as prescribed, independently of the body
     let told = |unit: &usize| scene.clamped.contains(unit) || scene.is_driven(*unit);
     let open = |unit: &usize| !(told(unit) || inside && !scene.layout.carriers[*unit]);
     let candidates: Vec<usize> = (0..scene.layout.units()).filter(open).collect();
@@ -447,7 +449,7 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> 
     require(placement < candidates.len(), "sweep.placements", placement + 1, &remedy)?;
     let of_best = format!("a search starts each placement from another of its {CANDIDATES} best units");
     require(placement < CANDIDATES, "sweep.placements", placement + 1, &of_best)?;
-    // one after another, row by row: hardly less than would fit at best
+    // greedily, row by row: nearly the greatest possible number
     let mut apart: Vec<usize> = Vec::new();
     for &unit in &candidates {
         if apart.iter().all(|&other| scene.layout.apart(unit, other, spacing)) {

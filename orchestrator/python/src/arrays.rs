@@ -1,4 +1,4 @@
-//! Arrays in: any real numbers of any layout, checked, as C-ordered double precision; and whole numbers.
+//! Converts Python arrays: real numbers of any layout become C-ordered double precision. Also converts integers.
 
 use std::ops::RangeInclusive;
 
@@ -14,15 +14,15 @@ pub struct Numbers {
     pub values: Vec<f64>,
 }
 
-/// What `numpy.asarray` makes of `object`, copied.
+/// Copies `numpy.asarray(object)`.
 ///
 /// # Errors
-/// `TypeError` if it holds no real numbers, `ValueError` if it is no array.
+/// `TypeError` if it contains other than real numbers, `ValueError` if it is no array.
 pub fn numbers(what: &str, object: &Bound<'_, PyAny>) -> PyResult<Numbers> {
     of_kind("fiub", "real numbers", what, object)
 }
 
-/// As `numbers`, of arrays whose dtype is of one of these kinds.
+/// As [`numbers`], for these kinds of dtype.
 fn of_kind(kinds: &str, which: &str, what: &str, object: &Bound<'_, PyAny>) -> PyResult<Numbers> {
     static AS_ARRAY: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
     let py = object.py();
@@ -30,7 +30,7 @@ fn of_kind(kinds: &str, which: &str, what: &str, object: &Bound<'_, PyAny>) -> P
     let array = as_array.call1((object,)).map_err(|e| PyValueError::new_err(format!("{what}: {e}")))?;
     let dtype = array.cast::<PyUntypedArray>()?.dtype();
     let kind: char = dtype.getattr("kind")?.extract()?;
-    // an empty list has no kind of its own
+    // numpy gives empty lists the dtype float64
     let untyped = kind == 'f' && array.len()? == 0;
     if !kinds.contains(kind) && !untyped {
         return Err(PyTypeError::new_err(format!("{what} has dtype {dtype}; it must hold {which}")));
@@ -38,7 +38,7 @@ fn of_kind(kinds: &str, which: &str, what: &str, object: &Bound<'_, PyAny>) -> P
     let array = as_array.call1((array, "float64"))?;
     let array: PyReadonlyArray<'_, f64, IxDyn> = array.extract()?;
     let shape = array.shape().to_vec();
-    // `PyReadonlyArray::as_slice` gives Fortran's order, too
+    // `PyReadonlyArray::as_slice` also accepts Fortran order
     let values = match array.as_array().as_slice() {
         Some(values) => values.to_vec(),
         None => array.as_array().iter().copied().collect(),
@@ -46,10 +46,10 @@ fn of_kind(kinds: &str, which: &str, what: &str, object: &Bound<'_, PyAny>) -> P
     Ok(Numbers { shape, values })
 }
 
-/// As `numbers`, of so many dimensions.
+/// As [`numbers`], for one dimension.
 ///
 /// # Errors
-/// Likewise, and `ValueError` if there are more or fewer.
+/// As [`numbers`], and `ValueError` for another number of dimensions.
 pub fn vector(what: &str, object: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
     let Numbers { shape, values } = numbers(what, object)?;
     match shape.len() {
@@ -58,10 +58,10 @@ pub fn vector(what: &str, object: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
     }
 }
 
-/// Numbers of units or instants, in any sequence.
+/// Indices of units or instants, from any sequence.
 ///
 /// # Errors
-/// `TypeError` if they are not whole, `ValueError` if one is below 0 or there are more dimensions.
+/// `TypeError` if they are not integers, `ValueError` if one is negative or there are several dimensions.
 pub fn indices(what: &str, object: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
     let Numbers { shape, values } = of_kind("iu", "whole numbers", what, object)?;
     match values.iter().find(|x| **x < 0.0) {
@@ -71,10 +71,10 @@ pub fn indices(what: &str, object: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
     }
 }
 
-/// A whole number of Python's or numpy's.
+/// An integer of Python or numpy.
 ///
 /// # Errors
-/// `TypeError` if it is none, a truth value included; `ValueError` if it is out of range.
+/// `TypeError` if it is no integer, or a Boolean; `ValueError` if it is out of range.
 pub fn whole(what: &str, object: &Bound<'_, PyAny>, range: RangeInclusive<u64>) -> PyResult<u64> {
     let must = match *range.end() {
         u64::MAX => format!("{} or above", range.start()),

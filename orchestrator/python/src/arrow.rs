@@ -1,4 +1,4 @@
-//! Tables for data frames: columns behind the Arrow C stream interface, which pandas, polars and pyarrow read without a copy.
+//! Tables for data frames, with the Arrow C stream interface that pandas, polars and pyarrow read without a copy.
 
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ use serde_json::Value;
 
 use crate::unpickler;
 
-/// Whole numbers where all values are, numbers where all are, else texts; null where there is nothing.
+/// Converts a column: integers if all values are, floating-point numbers if all are numbers, else text. NULL becomes null.
 fn column<'a>(values: impl Iterator<Item = &'a Value> + Clone) -> ArrayRef {
     let present = || values.clone().filter(|value| !value.is_null());
     let text = |value: &Value| match value {
@@ -49,7 +49,7 @@ impl From<Rows> for Table {
     fn from(rows: Rows) -> Self {
         let of = |i: usize| column(rows.rows.iter().map(move |row| &row[i]));
         let columns: Vec<ArrayRef> = (0..rows.columns.len()).map(of).collect();
-        // a name that ends at a zero byte is none in C
+        // C strings end at a zero byte
         let field = |(name, column): (&String, &ArrayRef)| {
             Field::new(name.replace('\0', ""), column.data_type().clone(), true)
         };
@@ -84,7 +84,7 @@ impl Table {
         Ok(dict)
     }
 
-    /// The table as a pandas.DataFrame, which has the same columns if there are no rows.
+    /// The table as a pandas.DataFrame; the columns exist even without rows.
     fn to_pandas<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let columns = PyDict::new(py);
         columns.set_item("columns", self.columns())?;
@@ -96,7 +96,7 @@ impl Table {
         slf.py().import("polars")?.getattr("DataFrame")?.call1((slf,))
     }
 
-    /// The rows, each a dictionary.
+    /// Iterates over the rows, each a dictionary.
     fn __iter__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyIterator>> {
         let rows = self.rows.rows.iter().map(|row| {
             let dict = PyDict::new(py);
@@ -119,7 +119,7 @@ impl Table {
         self.values(py, at)
     }
 
-    /// The table as an Arrow stream (PyCapsule); its types do not depend on `requested_schema`.
+    /// The table as an Arrow stream (PyCapsule); ignores `requested_schema`.
     #[pyo3(signature = (requested_schema=None))]
     fn __arrow_c_stream__<'py>(
         &self,
@@ -177,10 +177,10 @@ impl Table {
     }
 }
 
-/// What reads a pickle, and columns and rows for it.
+/// Function that restores a pickle, with columns and rows as arguments.
 type Pickle<'py> = (Bound<'py, PyAny>, (Vec<String>, String));
 
-/// A table from its pickle.
+/// Restores a table from its pickle.
 #[pyfunction]
 pub fn unpickle_table(columns: Vec<String>, rows: &str) -> PyResult<Table> {
     let rows = serde_json::from_str(rows).map_err(|e| PyValueError::new_err(e.to_string()))?;

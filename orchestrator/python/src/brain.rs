@@ -1,4 +1,4 @@
-//! The linear brain of trials, on any arrays.
+//! Linear decoder for arbitrary arrays.
 
 use metasense_numerics::brain::linear::{Lags, Linear, Sizes};
 use metasense_numerics::brains::{Fitted, READINGS_MAX, fits};
@@ -14,10 +14,10 @@ use pyo3::types::PyDict;
 use crate::arrays::{Numbers, indices, numbers, vector, whole};
 use crate::raised;
 
-/// Linear least squares from the signals around each instant to the forces, with λ on the squared weights; solved exactly.
+/// Linear decoder: least squares from the signals around each instant to the forces, with L2 regularisation, solved exactly.
 ///
-/// `memory` is how far it looks back and ahead, (before, after) in instants; by default the whole sample. `ridge` is λ; by
-/// default it is found by cross-validation, on folds that `seed` draws.
+/// `memory` is (before, after) in instants; default: the whole sample. `ridge` is λ, the factor of the squared weights; default:
+/// chosen by cross-validation. `seed` determines the folds.
 #[pyclass(module = "metasense")]
 pub struct LinearBrain {
     memory: Option<[usize; 2]>,
@@ -26,10 +26,10 @@ pub struct LinearBrain {
     fitted: Option<Fitted>,
 }
 
-/// Memory and λ of a new one.
+/// Memory and λ, the positional arguments.
 type New = (Option<[usize; 2]>, Option<f64>);
 
-/// What has been fitted: T, C, K and the lags; W, b and the signals' scale; λ and the forces' scale; the error.
+/// State of a fit: T, C, K and the lags; W, b and the scale of signals; λ and the scale of forces; the error.
 type State<'py> = ([usize; 5], [Bound<'py, PyArray1<f64>>; 3], [f64; 2], Option<f64>);
 
 fn memory(given: &Bound<'_, PyAny>) -> PyResult<Option<[usize; 2]>> {
@@ -45,7 +45,7 @@ fn seed(given: &Bound<'_, PyAny>) -> PyResult<u64> {
     whole("seed", given, 0..=u64::MAX)
 }
 
-/// An array of samples, (N, T, width).
+/// Checks an array of samples, (N, T, width).
 pub fn samples(what: &str, object: &Bound<'_, PyAny>) -> PyResult<([usize; 3], Vec<f64>)> {
     let Numbers { shape, values } = numbers(what, object)?;
     finite(what, &values).map_err(|e| raised(&e))?;
@@ -64,7 +64,7 @@ impl LinearBrain {
             .ok_or_else(|| PyValueError::new_err("the brain has not been fitted: call `fit` first"))
     }
 
-    /// Samples of the sizes that were fitted.
+    /// Checks samples whose shape must be that of the fit.
     fn known(&self, what: &str, width: usize, object: &Bound<'_, PyAny>) -> PyResult<([usize; 3], Vec<f64>)> {
         let (shape, values) = samples(what, object)?;
         let expected = [shape[0], self.fitted()?.sizes().instants, width];
@@ -94,9 +94,9 @@ impl LinearBrain {
         }
     }
 
-    /// Fits it to signals (N, T, C) under forces (N, K, R + 1) (N), R = T or a multiple of it; returns itself.
+    /// Fits to signals (N, T, C) and forces (N, K, R + 1) (N), with R a multiple of T; returns self.
     ///
-    /// Signals are divided by `signal_scale` (C), by default their own RMS. A trial uses the RMS of its initial body.
+    /// Signals are divided by `signal_scale` (C), by default their RMS. A trial uses the RMS of its initial body.
     #[pyo3(signature = (signals, forces, *, signal_scale=None))]
     fn fit<'py>(
         mut slf: PyRefMut<'py, Self>,
@@ -152,7 +152,7 @@ impl LinearBrain {
         Ok(slf)
     }
 
-    /// Predicts forces (N, T, K) (N) from signals (N, T, C).
+    /// Estimates forces (N, T, K) (N) from signals (N, T, C).
     fn predict<'py>(
         &self,
         py: Python<'py>,
@@ -164,7 +164,7 @@ impl LinearBrain {
         py.detach(|| fitted.predict(&signals)).into_pyarray(py).reshape(shape)
     }
 
-    /// The derivative of Σ cotangent · predict(signals) in the signals, (N, T, C); cotangent (N, T, K).
+    /// Derivative of Σ cotangent · predict(signals) by the signals, (N, T, C); cotangent (N, T, K).
     fn vjp<'py>(
         &self,
         py: Python<'py>,
@@ -202,13 +202,13 @@ impl LinearBrain {
         Ok(())
     }
 
-    /// The λ of the fit.
+    /// λ of the fit.
     #[getter]
     fn ridge(&self) -> PyResult<f64> {
         Ok(self.fitted()?.ridge)
     }
 
-    /// Mean prediction error (%) on the samples of the fit; None if none of them has a force.
+    /// Mean error (%) on the samples of the fit; None if no sample has a force.
     #[getter]
     fn error(&self) -> PyResult<Option<f64>> {
         Ok(self.fitted()?.error)

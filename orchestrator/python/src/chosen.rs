@@ -1,17 +1,17 @@
-//! The integrator of a tuned body.
+//! The tuned integrator of a body.
 
 use metasense_numerics::dynamics::{Accuracy, Method, Solver, Tolerance};
 use pyo3::PyResult;
 use pyo3::exceptions::PyValueError;
 
-/// A solver that was found once for all calls, and why.
+/// A solver for all calls, and the reason for its choice.
 #[derive(Clone)]
 pub struct Chosen {
     pub solver: Solver,
     pub reason: String,
 }
 
-/// A solver as Python pickles it: method, accuracy, tolerance (relative and absolute), `single`; and the reason for it.
+/// Pickled solver: method, accuracy, tolerance (relative, absolute), `single`, and the reason.
 pub type Pickled = (String, f64, Option<(f64, f64)>, f64, String);
 
 impl Chosen {

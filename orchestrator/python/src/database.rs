@@ -1,4 +1,4 @@
-//! Results: a database of finished and running trials, read-only.
+//! Read-only access to a database of finished and running trials.
 
 use std::path::PathBuf;
 
@@ -19,7 +19,7 @@ use crate::body::read_plan;
 use crate::chain;
 use crate::threads::threads;
 
-/// A database of trials, written by `metasense run`. It can be read while a run writes to it.
+/// A database of trials, written by `metasense run`. Reading is possible during a run.
 #[pyclass(frozen, subclass, module = "metasense")]
 pub struct Database {
     path: PathBuf,
@@ -31,7 +31,7 @@ fn raised(error: &StoreError) -> PyErr {
 }
 
 impl Database {
-    /// Asks it, without the interpreter's lock.
+    /// Runs `ask` on the database without the interpreter's lock.
     fn asked<T: Send>(
         &self,
         py: Python<'_>,
@@ -57,13 +57,13 @@ impl Database {
         Ok(database)
     }
 
-    /// The file.
+    /// Path of the file.
     #[getter]
     fn path(&self) -> PathBuf {
         self.path.clone()
     }
 
-    /// The answer to one SQL statement, which cannot change the database; `metasense query DB` lists the views.
+    /// Runs one SQL statement, which cannot change the database; `metasense query DB` lists the views.
     fn query(&self, py: Python<'_>, sql: &str) -> PyResult<Table> {
         Ok(self.asked(py, async |reader| reader.query::<Rows>(sql).await)?.into())
     }
@@ -108,7 +108,7 @@ impl Database {
     ) -> PyResult<Bound<'py, PyBytes>> {
         let stored = self.asked(py, async |reader| reader.stored(hash).await)?;
         let stored = stored.ok_or_else(|| PyValueError::new_err(format!("trial {hash} is not done yet")))?;
-        // a brain that cannot be solved for is left out
+        // decoders that cannot be fitted are left out
         let archive = py.detach(|| npz::of_trial(&stored, threads, &mut |_| ())).map_err(|e| raised(&e))?;
         Ok(PyBytes::new(py, &archive))
     }
@@ -124,7 +124,7 @@ impl Database {
         Ok(py.detach(|| question.answer(&trials, Terms::default())).into())
     }
 
-    /// Whether a run is writing to it.
+    /// Whether a run writes to the database.
     fn is_running(&self, py: Python<'_>) -> PyResult<bool> {
         self.asked(py, async |reader| Ok(run_of(reader.path()).await.is_some()))
     }
@@ -134,7 +134,7 @@ impl Database {
     }
 }
 
-/// The file that `metasense run` writes for this spec with these changes (KEY=VALUE) if `--db` is not given.
+/// The database that `metasense run` writes for a spec with changes (KEY=VALUE), unless `--db` is given.
 #[pyfunction]
 pub fn default_database(spec: PathBuf, changes: Vec<String>) -> PyResult<PathBuf> {
     Ok(read_plan(&spec, &changes)?.default_database())

@@ -1,4 +1,4 @@
-//! Bodies read by their own model: the inverse brain, and twins, which say what the model of a cast is.
+//! Inverse decoders, and twins, which are fitted models of casts.
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Sender, channel};
@@ -24,7 +24,7 @@ use crate::brain::samples;
 use crate::threads::PerProcess;
 use crate::{chain, raised, unpickler};
 
-/// The cast of a body that best explains records of it, of `Body.twin` or `Body.read_twin`.
+/// A twin: the cast of a body that best explains its records. Created by `Body.twin` or `Body.read_twin`.
 #[pyclass(frozen, module = "metasense")]
 pub struct Twin {
     twin: twin::Twin,
@@ -34,7 +34,7 @@ pub struct Twin {
 }
 
 impl Twin {
-    /// Fits one to records of a body of this design.
+    /// Fits a twin to records of a body with this design.
     pub fn fitted(
         py: Python<'_>,
         body: &Body,
@@ -53,12 +53,12 @@ impl Twin {
         Ok(Self { twin, trial: body.trial.clone(), design, ending: Some(ending.name().to_owned()) })
     }
 
-    /// The file.
+    /// Contents of the twin's file.
     fn text(&self) -> String {
         toml::to_string(&store(&self.trial, &self.design, &self.twin)).expect("a twin is TOML")
     }
 
-    /// Reads the file of one of a body of this design.
+    /// Reads a twin of a body with this design from a file.
     pub fn read(body: &Body, design: Vec<f64>, file: PathBuf) -> PyResult<Self> {
         let twin = read(&file, &body.trial, &design).map_err(|e| match e {
             MeasuredError::Unreadable { .. } => PyOSError::new_err(chain(&e)),
@@ -68,10 +68,10 @@ impl Twin {
     }
 }
 
-/// A body's trial as JSON and its design, the twin's file, the turns of its chips (rad), which the file holds in degrees, and the ending.
+/// Pickled twin: trial as JSON, design, file contents, angles of its chips (rad; the file has degrees), ending.
 type State = (String, Vec<f64>, String, Vec<f64>, Option<String>);
 
-/// A twin from its pickle.
+/// Restores a twin from its pickle.
 #[pyfunction]
 pub fn unpickle_twin(
     trial: &str,
@@ -90,19 +90,19 @@ pub fn unpickle_twin(
 
 #[pymethods]
 impl Twin {
-    /// Root mean square of what it leaves of the signals, by the noise of the chips; about 1 of a twin that explains its records.
+    /// RMS of the residual signals relative to the noise of the chips; about 1 if the twin explains its records.
     #[getter]
     fn misfit(&self) -> f64 {
         self.twin.misfit
     }
 
-    /// How the fit ended, "converged" if it did; None of a twin that was read from a file.
+    /// How the fit ended: "converged" or a reason; None for a twin from a file.
     #[getter]
     fn ending(&self) -> Option<&str> {
         self.ending.as_deref()
     }
 
-    /// By what the body's "stretch", "shear", "bend", "damping_ratio" and "density" are multiplied.
+    /// Factors on the body's "stretch", "shear", "bend", "damping_ratio" and "density".
     #[getter]
     fn material<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let Parameters { stretch, shear, bend, damping_ratio, density, .. } = self.twin.cast.material;
@@ -119,13 +119,13 @@ impl Twin {
         Ok(factors)
     }
 
-    /// α of the cast (mm), a copy.
+    /// α of the cast (mm).
     #[getter]
     fn alpha<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
         self.twin.cast.design(&self.design).into_pyarray(py)
     }
 
-    /// Writes it into a file (TOML), as `metasense lab identify --out` does.
+    /// Writes the twin to a TOML file, like `metasense lab identify --out`.
     fn save(&self, file: PathBuf) -> PyResult<()> {
         metasense::files::write(&file, self.text().as_bytes())
             .map_err(|e| PyOSError::new_err(format!("cannot write {}: {e}", file.display())))
@@ -152,7 +152,7 @@ impl Twin {
     }
 }
 
-/// Signals (N, T, C) as a body's chips give them, of so many samples where that is known.
+/// Checks signals (N, T, C) of a body's chips; `count`: the required N, if any.
 fn signals_of(body: &Body, count: Option<usize>, object: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
     let (shape, values) = samples("signals", object)?;
     let expected = [count.unwrap_or(shape[0]), body.problem.scene.instants, body.problem.shape().inputs];
@@ -162,11 +162,11 @@ fn signals_of(body: &Body, count: Option<usize>, object: &Bound<'_, PyAny>) -> P
     }
 }
 
-/// Signals, and who waits for what the brain says of them.
+/// Signals to decode, and the channel for the reply.
 type Ask = (Vec<f64>, Sender<Posterior>);
 
-/// Starts the thread that has the brain of a design, or of its twin, and gives the way to it when the brain is made. The thread ends
-/// when nobody can ask any more.
+/// Starts the thread that owns the decoder of a design or twin; returns its channel once the decoder is ready. The thread ends when
+/// all senders are dropped.
 fn begin(
     problem: Arc<Problem>,
     design: Vec<f64>,
@@ -177,7 +177,7 @@ fn begin(
     let (tell, told) = channel::<Result<(), Failure>>();
     let work = move || {
         let made = with_brain(&problem, (&design, twin.as_ref()), &pool, |brain| {
-            // whoever asked may be gone
+            // the receiver may be gone
             let _ = tell.send(Ok(()));
             for (signals, reply) in asked {
                 let _ = reply.send(Posterior::of(&brain.read(&signals)));
@@ -192,19 +192,19 @@ fn begin(
     Ok(ask)
 }
 
-/// The brain that reads a body by the body's own model: the forces under which it gives the signals that are read.
+/// Inverse decoder: finds the most probable forces under the body's own model.
 ///
-/// It reads a body of design `alpha`, by default the initial one, or a cast of it by its `twin`. Noise is what the spec's
-/// `sensors` say, no less than what a twin leaves. Making it simulates the trial's training samples; it then keeps the model for
-/// any number of calls.
+/// It decodes the body of design `alpha` (default: the initial design), or the cast that `twin` describes. The noise is that of the
+/// spec's `sensors`, and at least the residual of the twin. The constructor simulates the trial's training samples; `fit` can then
+/// be called any number of times.
 #[pyclass(frozen, module = "metasense")]
 pub struct Inverse {
     body: Py<Body>,
     design: Vec<f64>,
     twin: Option<Py<Twin>>,
-    /// To the thread that has the brain.
+    /// Channel to the thread that owns the decoder.
     ask: PerProcess<Sender<Ask>>,
-    /// Samples of the last call that did not converge, and that were not explained.
+    /// Number of samples of the last call that did not converge, and that the model does not explain.
     left: Mutex<[usize; 2]>,
 }
 
@@ -238,7 +238,7 @@ impl Inverse {
         Ok(Self { body, design, twin, ask: PerProcess::new(ask), left: Mutex::new([0; 2]) })
     }
 
-    /// A pickle holds what the brain was made of: whoever reads it simulates the training samples again.
+    /// Pickles contain the constructor's arguments; restoring simulates the training samples again.
     fn __getnewargs_ex__<'py>(&self, py: Python<'py>) -> PyResult<(New<'py>, Bound<'py, PyDict>)> {
         let twin = PyDict::new(py);
         twin.set_item("twin", &self.twin)?;
@@ -248,7 +248,7 @@ impl Inverse {
 
     fn __getstate__(&self) {}
 
-    /// Forces of signals (N, T, C), as the sensors' chips give them, and the lower and upper end of their 95 % bands, each
+    /// Estimates forces from signals (N, T, C) of the sensors' chips. Returns forces, lower and upper end of the 95 % bands, each
     /// (N, T, K) (N).
     fn fit<'py>(&self, py: Python<'py>, signals: &Bound<'py, PyAny>) -> PyResult<Bands<'py>> {
         let body = self.body.get();
@@ -270,23 +270,23 @@ impl Inverse {
         Ok((array(forces)?, array(low)?, array(high)?))
     }
 
-    /// How many samples of the last `fit` did not converge.
+    /// Number of samples of the last `fit` that did not converge.
     #[getter]
     fn unconverged(&self) -> usize {
         self.left.lock().expect("no panic while it was held")[0]
     }
 
-    /// How many samples of the last `fit` the model does not explain: what is left is above 1.5 times the noise's square.
+    /// Number of samples of the last `fit` that the model does not explain: residual² above 1.5 noise².
     #[getter]
     fn unexplained(&self) -> usize {
         self.left.lock().expect("no panic while it was held")[1]
     }
 }
 
-/// What a brain is made of, but for its twin.
+/// Constructor arguments except the twin.
 type New<'py> = (Py<Body>, Option<Bound<'py, PyArray1<f64>>>);
 
-/// Forces, and both ends of their bands.
+/// Forces, lower and upper ends of their bands.
 type Bands<'py> = (Bound<'py, PyArray3<f64>>, Bound<'py, PyArray3<f64>>, Bound<'py, PyArray3<f64>>);
 
 fn ended() -> PyErr {

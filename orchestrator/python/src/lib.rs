@@ -1,8 +1,8 @@
-//! The Python module: what trials simulate, fit and store with, called from Python.
+//! The Python module: simulations, fits and databases of trials.
 //!
-//! Nothing is computed here. Arrays are checked and copied in with the interpreter's lock held, the maths runs without
-//! it, and results are handed over without a copy. Bad input is a `ValueError` (or `TypeError`) that says what it must
-//! be; samples that do not reach their end are a `SimulationError`, or a mask.
+//! This crate only converts data. Arrays are checked and copied while the interpreter's lock is held; computations run without it,
+//! and results are returned without a copy. Invalid input raises `ValueError` or `TypeError`; failed samples raise
+//! `SimulationError` or are masked.
 
 #![cfg(feature = "extension")]
 
@@ -27,7 +27,7 @@ pyo3::create_exception!(
     "Samples that did not reach their end; `outcomes` says how each ended."
 );
 
-/// A failure of the worker's as an exception.
+/// Converts a worker's failure to an exception.
 fn raised(failure: &Failure) -> PyErr {
     match failure {
         Failure::Rejected(what) => PyValueError::new_err(what.clone()),
@@ -35,7 +35,7 @@ fn raised(failure: &Failure) -> PyErr {
     }
 }
 
-/// An error and its causes, a line each.
+/// An error and its causes, one per line.
 fn chain(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();
@@ -46,7 +46,7 @@ fn chain(error: &dyn std::error::Error) -> String {
     text
 }
 
-/// The function of this module by which a pickle is read.
+/// The function of this module that restores a pickle.
 fn unpickler<'py>(py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
     py.import("metasense._metasense")?.getattr(name)
 }

@@ -1,4 +1,4 @@
-//! Threads, and what has threads, in processes that fork. A forked process has memory, but none of its parent's threads.
+//! Threads, and values that own threads, in forked processes. A forked process inherits the memory, but not the threads.
 
 use std::mem::forget;
 use std::process::id;
@@ -10,15 +10,15 @@ use pyo3::prelude::*;
 use crate::arrays::whole;
 use crate::raised;
 
-/// The most threads that a body may have, as on the command line.
+/// Greatest number of threads of a body, as on the command line.
 const MOST: u64 = 1024;
 
-/// A value that is of use only in the process that made it, and is made anew in a forked one.
+/// A value that is valid only in the process that created it; a forked process creates its own.
 pub struct PerProcess<T>(Mutex<Made<T>>);
 
 struct Made<T> {
     process: u32,
-    /// `None` while it is dropped.
+    /// `None` during drop.
     value: Option<T>,
 }
 
@@ -27,8 +27,8 @@ impl<T: Clone> PerProcess<T> {
         Self(Mutex::new(Made { process: id(), value: Some(value) }))
     }
 
-    /// The value of this process, by `make` where it is a forked one that has none yet. The interpreter's lock is held throughout:
-    /// no other thread can hold the mutex when Python forks.
+    /// The value of this process; a forked process creates it with `make`. Holding the interpreter's lock ensures that no other
+    /// thread holds the mutex when Python forks.
     pub fn get<E>(&self, _: Python<'_>, make: impl FnOnce() -> Result<T, E>) -> Result<T, E> {
         let mut made = self.0.lock().expect("no panic while it was held");
         if made.process != id() {
@@ -39,7 +39,7 @@ impl<T: Clone> PerProcess<T> {
 }
 
 impl<T> Drop for Made<T> {
-    /// To end threads of the parent would wait for ever: its value is left as it is.
+    /// Leaks values of the parent process: joining its threads would wait forever.
     fn drop(&mut self) {
         let value = self.value.take();
         if self.process != id() {
@@ -48,7 +48,7 @@ impl<T> Drop for Made<T> {
     }
 }
 
-/// The threads of a body, and of what is computed on them.
+/// Number of threads of a body, and their pool.
 #[derive(Clone)]
 pub struct Threads {
     count: usize,
@@ -70,7 +70,7 @@ impl Threads {
     }
 }
 
-/// A number of threads from Python.
+/// Converts a number of threads from Python.
 pub fn threads(given: &Bound<'_, PyAny>) -> PyResult<usize> {
     whole("threads", given, 1..=MOST).map(|count| count as usize)
 }

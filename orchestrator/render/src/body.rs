@@ -1,4 +1,4 @@
-//! A body: units, ligaments, what is at its limit or broken, panels with the direction of the blow, sensors.
+//! Pictures of bodies: units, ligaments, active and violated constraints, panels with force directions, sensors.
 
 use maud::{Markup, html};
 
@@ -7,7 +7,7 @@ use super::picture::{Legend, Picture, file};
 /// x and y (mm).
 pub type Point = [f64; 2];
 
-/// What a picture lies within: left, top, width, height (mm), y downward.
+/// Bounding box of a picture: left, top, width, height (mm), y downward.
 pub type Frame = [f64; 4];
 
 /// A body to be drawn; lengths in mm, y upward.
@@ -15,44 +15,44 @@ pub type Frame = [f64; 4];
 pub struct Sketch {
     /// Corners of every unit.
     pub units: Vec<Vec<Point>>,
-    /// Their centroids.
+    /// Centroids of the units.
     pub centroids: Vec<Point>,
     /// Ends of every ligament.
     pub ligaments: Vec<[Point; 2]>,
     /// The two corners (unit, node) that each ligament joins.
     pub joints: Vec<[(usize, usize); 2]>,
-    /// Input panels.
+    /// Input panels, as arrows.
     pub panels: Vec<Arrow>,
     /// Units that carry sensors.
     pub sensors: Vec<usize>,
-    /// Units that are held.
+    /// Clamped units.
     pub clamped: Vec<usize>,
-    /// Units that are held in part.
+    /// Guided units.
     pub guided: Vec<usize>,
-    /// Constraints at their limit.
+    /// Active constraints.
     pub held: Vec<Mark>,
-    /// Broken constraints.
+    /// Violated constraints.
     pub broken: Vec<Mark>,
-    /// Units that a broken constraint is about as a whole.
+    /// Units that violate a constraint as a whole.
     pub wrong: Vec<usize>,
-    /// Pitch of the grid.
+    /// Spacing of the grid.
     pub spacing: f64,
 }
 
-/// An input panel: what a positive force does.
+/// An input panel, with the effect of a positive force.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Arrow {
     /// The unit.
     pub unit: usize,
     /// Where the force acts (mm, y upward).
     pub foot: Point,
-    /// Unit vector of the force; none: a couple.
+    /// Unit vector of the force; `None`: a couple.
     pub direction: Option<[f64; 2]>,
     /// Sign of a couple: 1 is anticlockwise.
     pub sense: f64,
 }
 
-/// Where a constraint is.
+/// Position of a constraint.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Mark {
     /// Between two points.
@@ -61,7 +61,7 @@ pub enum Mark {
     Dot(Point, f64),
 }
 
-/// A frame around all of these bodies, so that they are drawn alike.
+/// A frame around all these bodies, for equal scales.
 pub fn frame<'a>(bodies: impl IntoIterator<Item = &'a Sketch>) -> Frame {
     let (mut low, mut high, mut spacing) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2], None);
     for sketch in bodies {
@@ -77,27 +77,27 @@ pub fn frame<'a>(bodies: impl IntoIterator<Item = &'a Sketch>) -> Frame {
     [low[0] - air, -high[1] - air, high[0] - low[0] + 2.0 * air, high[1] - low[1] + 2.0 * air]
 }
 
-/// How a unit is drawn.
+/// Appearance of a unit.
 #[derive(Debug, Clone, Default)]
 pub struct Unit {
-    /// Its class in place of the usual one.
+    /// Class instead of the default.
     pub class: Option<String>,
-    /// Where it is moved to.
+    /// SVG transform.
     pub transform: Option<String>,
-    /// Its style.
+    /// CSS style.
     pub style: Option<String>,
 }
 
-/// How far towards its unit's middle a node's number stands.
+/// Shift of a node's number towards the middle of its unit, as a fraction of their distance.
 const INWARD: f64 = 0.25;
 
 impl Sketch {
-    /// The body, its units as usual.
+    /// The body with default units.
     pub fn picture(&self, view: Frame, title: &str) -> Picture {
         self.drawn(view, title, false, |_| Unit::default())
     }
 
-    /// The body. `numbers`: units, their nodes and sensors are numbered.
+    /// The body; `numbers`: with numbers of units, nodes and sensors.
     pub fn drawn(&self, view: Frame, title: &str, numbers: bool, unit: impl Fn(usize) -> Unit) -> Picture {
         let class = |u: usize| {
             let held = match (self.clamped.contains(&u), self.guided.contains(&u)) {
@@ -138,7 +138,7 @@ impl Sketch {
         Picture { title: title.into(), class: "body", view, marks }
     }
 
-    /// A file of its own, without the constraints that hold the body, its ligaments of a width (mm), with numbers and a scale bar.
+    /// An SVG file of the body with ligaments of this width (mm), numbers and a scale bar, without active constraints.
     pub fn file(mut self, title: &str, width: f64) -> String {
         self.held.clear();
         let view = frame([&self]);
@@ -154,7 +154,7 @@ impl Sketch {
         file(&[picture], 1, 640.0, &Legend::default())
     }
 
-    /// What there is to see, by number.
+    /// Legend of the visible elements, with their numbers.
     pub fn legend(&self) -> Legend {
         let kinds = [
             (self.clamped.len(), "unit clamped", "clamped unit", "clamped units"),
@@ -173,7 +173,7 @@ impl Sketch {
 fn panels_and_sensors(sketch: &Sketch, numbers: bool) -> Markup {
     let pitch = sketch.spacing;
     let arrow = |panel: &Arrow| {
-        // it ends where the force acts, or before it where a number stands there, and begins outside
+        // the arrow ends at the point of action, or before a number there
         let [x, y] = panel.foot;
         let Some([dx, dy]) = panel.direction.map(|[dx, dy]| [dx, -dy]) else {
             return turning(panel.sense, [x, -y], pitch);
@@ -204,7 +204,7 @@ fn panels_and_sensors(sketch: &Sketch, numbers: bool) -> Markup {
     }
 }
 
-/// Three quarters of a circle around a point of the page, and its tip: anticlockwise where `sense` is 1.
+/// Three quarters of a circle around a point, and its tip; anticlockwise if `sense` is 1.
 fn turning(sense: f64, [x, y]: Point, pitch: f64) -> (String, String) {
     let r = 0.36 * pitch;
     let at = |along: f64, aside: f64| format!("{:.2},{:.2}", x + sense * aside * pitch, y + along * pitch);
@@ -217,7 +217,7 @@ fn turning(sense: f64, [x, y]: Point, pitch: f64) -> (String, String) {
     (shaft, [at(-0.5, 0.05), at(-0.22, 0.05), at(-0.36, -0.25)].join(" "))
 }
 
-/// A mark of a class for lines, or one for dots.
+/// A mark, with a class for lines or for dots.
 fn mark(at: &Mark, [line, dot]: [&str; 2]) -> Markup {
     match at {
         Mark::Line([x, y], [s, t]) => {

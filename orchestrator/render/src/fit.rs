@@ -1,5 +1,5 @@
-//! Rows as text to read: a grid; where a screen is too narrow for it, with names and texts in several lines; then with what all rows
-//! share in front; and where it is too narrow even for that, a list. Nothing is left out, and no number is broken.
+//! Rows as readable text, never truncated: a grid. For narrower screens: with wrapped names and texts; then with values common to
+//! all rows in front; then as a list. Numbers are never broken.
 
 use std::io::{self, IsTerminal};
 
@@ -8,13 +8,13 @@ use unicode_width::UnicodeWidthStr;
 use super::table::{Table, rounded};
 use crate::cell;
 
-/// Columns of a terminal that does not know how many it has.
+/// Columns of a terminal of unknown size.
 const USUAL: usize = 80;
-/// Texts of a grid are put in lines of no less than this; words are whole up to so many letters, in lists up to a line.
+/// Texts in a grid wrap to at least this width. Words up to `WORD` letters stay whole; in lists, words up to a line.
 const TEXT: usize = 12;
 const WORD: usize = 40;
 
-/// How many columns standard output has: those that COLUMNS says, else those of its terminal. None if it is no terminal.
+/// Width of standard output in columns: COLUMNS, or the terminal's width. `None` if it is no terminal.
 pub fn screen() -> Option<usize> {
     let asked = std::env::var("COLUMNS").ok().and_then(|columns| columns.trim().parse().ok());
     asked.filter(|columns| *columns > 0).or_else(|| io::stdout().is_terminal().then(of_terminal))
@@ -27,7 +27,7 @@ fn of_terminal() -> usize {
     if known && size.ws_col > 0 { size.ws_col.into() } else { USUAL }
 }
 
-/// A table for a screen of so many columns; in one line per row where there is no limit.
+/// A table for a screen of this width; `None`: one line per row.
 pub fn text(table: &Table, screen: Option<usize>) -> String {
     let numeric = |i: usize| table.rows.iter().all(|row| row[i].is_null() || cell::number(&row[i]).is_some());
     let of = |i: usize| Column {
@@ -60,19 +60,19 @@ pub fn text(table: &Table, screen: Option<usize>) -> String {
     said.join("\n")
 }
 
-/// What stands before, between and behind the columns of a grid, and in the line below their names.
+/// Text before, between and after the columns of a grid, in rows and in the line below the names.
 struct Style {
     cells: [&'static str; 3],
     line: [&'static str; 3],
 }
 
-/// Markdown, for pages and for whoever reads lines by programs.
+/// Markdown, for pages and programs.
 const BARS: Style = Style { cells: ["| ", " | ", " |"], line: ["|-", "-|-", "-|"] };
-/// The narrowest.
+/// The narrowest style.
 const BLANKS: Style = Style { cells: ["", "  ", ""], line: ["", "  ", ""] };
 
 impl Style {
-    /// The width of a grid with columns of these.
+    /// Total width of a grid with columns of these widths.
     fn total(&self, widths: &[usize]) -> usize {
         let [before, between, behind] = self.cells.map(width);
         before + widths.iter().sum::<usize>() + between * widths.len().saturating_sub(1) + behind
@@ -86,12 +86,12 @@ struct Column {
 }
 
 impl Column {
-    /// That of its widest line.
+    /// Width of the widest line.
     fn width(&self) -> usize {
         self.cells.iter().flat_map(|cell| cell.lines()).map(width).max().unwrap_or(0)
     }
 
-    /// The least that breaks no number, no short word and no part of the name.
+    /// Least width that breaks no number, short word or part of the name.
     fn least(&self) -> usize {
         let words = || self.cells.iter().flat_map(|cell| cell.split_whitespace()).map(width);
         let cells = match self.numeric {
@@ -106,7 +106,7 @@ fn width(text: &str) -> usize {
     text.width()
 }
 
-/// A text that moves no cursor.
+/// The text with control characters escaped.
 fn clean(text: &str) -> String {
     let shown = |c: char| match c {
         '\n' => "\n".into(),
@@ -117,12 +117,12 @@ fn clean(text: &str) -> String {
     text.chars().map(shown).collect()
 }
 
-/// The parts of a name, each with what ends it.
+/// The parts of a name, each with its separator.
 fn parts(name: &str) -> impl Iterator<Item = &str> {
     name.split_inclusive(['_', '.', ' '])
 }
 
-/// A name in lines of no more than this, where its parts allow.
+/// A name in lines of at most this width, where its parts allow.
 fn in_parts(name: &str, most: usize) -> Vec<String> {
     let mut found: Vec<String> = vec![String::new()];
     for part in parts(name) {
@@ -135,8 +135,7 @@ fn in_parts(name: &str, most: usize) -> Vec<String> {
     found
 }
 
-/// A text in lines of no more than this. Words that are longer are parted behind commas and the like, and by letters only where there
-/// are none.
+/// Wraps a text to this width. Longer words break after commas and similar characters, otherwise between letters.
 fn wrapped(text: &str, most: usize) -> Vec<String> {
     let mut found = Vec::new();
     for line in text.lines() {
@@ -165,7 +164,7 @@ fn wrapped(text: &str, most: usize) -> Vec<String> {
     found
 }
 
-/// A word in parts of no more than this.
+/// A word in pieces of at most this width.
 fn letters(word: &str, most: usize) -> Vec<String> {
     let mut found = vec![String::new()];
     for letter in word.chars() {
@@ -178,7 +177,7 @@ fn letters(word: &str, most: usize) -> Vec<String> {
     found
 }
 
-/// Widths with which a grid fits: names in parts, and texts in lines, the widest first.
+/// Column widths with which a grid fits, reducing the widest columns first; `None` if it cannot.
 fn narrowed(columns: &[Column], screen: usize) -> Option<Vec<usize>> {
     let least: Vec<usize> = columns.iter().map(Column::least).collect();
     let mut widths: Vec<usize> = columns.iter().zip(&least).map(|(c, least)| c.width().max(*least)).collect();
@@ -186,7 +185,7 @@ fn narrowed(columns: &[Column], screen: usize) -> Option<Vec<usize>> {
         let wide = (0..widths.len()).filter(|&i| widths[i] > least[i]).max_by_key(|&i| widths[i])?;
         widths[wide] -= 1;
     }
-    // what is left over goes to the names
+    // names get the remaining width
     for (i, column) in columns.iter().enumerate() {
         while widths[i] < width(&column.name) && BLANKS.total(&widths) < screen {
             widths[i] += 1;
@@ -219,7 +218,7 @@ fn grid(columns: &[Column], widths: &[usize], style: &Style) -> String {
     said.join("\n")
 }
 
-/// A paragraph per row: names, and values beside them, or below where there is no room.
+/// A paragraph per row, with values beside the names, or below if there is no room.
 fn list(columns: &[Column], rows: usize, screen: usize) -> String {
     let names = columns.iter().map(|column| width(&column.name)).max().unwrap_or(0);
     let of_row = |n: usize| {

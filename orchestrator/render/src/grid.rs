@@ -9,27 +9,27 @@ use super::style::level;
 /// A cell.
 #[derive(Debug, Clone, Default)]
 pub struct Cell {
-    /// Stands in it; a cell without text is empty.
+    /// Text; an empty cell is not drawn.
     pub text: String,
-    /// How strong it is, 0 to 1.
+    /// Colour strength, 0 to 1.
     pub part: f64,
-    /// Shows when it is pointed at.
+    /// Tooltip.
     pub title: String,
-    /// Where it leads to.
+    /// Link address.
     pub to: Option<String>,
 }
 
-/// Width and height of a cell (px); room for the names of rows and columns.
+/// Width and height of a cell (px); room for row and column names.
 const CELL: [f64; 2] = [56.0, 26.0];
 const ROOM: [f64; 2] = [64.0, 40.0];
 
-/// A row of cells a name on the left, a column a name at the bottom.
+/// A grid with row names on the left and column names at the bottom.
 pub fn grid(title: &str, across: (&str, &[String]), down: (&str, &[String]), cells: &[Vec<Cell>]) -> Picture {
     let (columns, rows) = (across.1, down.1);
     let at = |i: usize, j: usize| [ROOM[0] + i as f64 * CELL[0], j as f64 * CELL[1]];
     let cell = |i: usize, j: usize, cell: &Cell| -> Markup {
         let [x, y] = at(i, j);
-        // `level` takes the root of a part
+        // `level` takes the square root
         let inside = html! {
             rect class=(format!("cell {}", level(cell.part * cell.part))) x=(x) y=(y) width=(CELL[0]) height=(CELL[1]) {
                 title { (cell.title) }
@@ -42,7 +42,7 @@ pub fn grid(title: &str, across: (&str, &[String]), down: (&str, &[String]), cel
         }
     };
     let [right, floor] = at(columns.len(), rows.len());
-    // however few rows, their name is read whole
+    // leaves room for the axis name even with few rows
     let middle = 0.5 * floor.max(7.0 * down.0.chars().count() as f64);
     let marks = html! {
         @for (j, row) in cells.iter().enumerate() {

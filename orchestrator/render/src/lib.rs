@@ -1,4 +1,4 @@
-//! One renderer for everything that is looked at: numbers, cells, tables and their writers, plots, bodies, waves, pages.
+//! Renders numbers, cells, tables and their file formats, plots, bodies, waves and pages.
 
 pub mod body;
 pub mod cell;

@@ -1,6 +1,6 @@
-//! Numbers for people.
+//! Formats numbers for reading.
 
-/// A number with three significant digits and no trailing zeros; `–` where there is none.
+/// Three significant digits without trailing zeros; `–` if not finite.
 pub fn number(value: f64) -> String {
     match value {
         0.0 => "0".into(),
@@ -14,7 +14,7 @@ pub fn number(value: f64) -> String {
     }
 }
 
-/// A number with so many significant digits, trailing zeros among them.
+/// `count` significant digits, with trailing zeros.
 pub fn digits(value: f64, count: usize) -> String {
     match value {
         0.0 => "0".into(),
@@ -25,7 +25,7 @@ pub fn digits(value: f64, count: usize) -> String {
     }
 }
 
-/// Seconds in words, to two parts.
+/// A duration in its two largest units.
 pub fn duration(seconds: f64) -> String {
     let s = seconds.round() as u64;
     match s {

@@ -1,4 +1,4 @@
-//! Pages: question and answers first, then figures with their data, then tables. No network, no scripts but a wave's.
+//! Pages: question and answers, then figures with data, then tables. No network access; the only script animates waves.
 
 use std::fmt::{self, Display, Formatter, Write};
 
@@ -13,32 +13,32 @@ use super::table::{Table, readable};
 /// A figure: pictures side by side under one caption.
 #[derive(Debug, Clone)]
 pub struct Figure {
-    /// Names its files and its anchor.
+    /// Name of its files and anchor.
     pub name: &'static str,
-    /// Its heading.
+    /// Heading.
     pub title: String,
     /// What was measured, and how to read it.
     pub caption: String,
-    /// What the marks are.
+    /// Legend of the marks.
     pub legend: Legend,
-    /// What is drawn.
+    /// Its pictures.
     pub pictures: Vec<Picture>,
-    /// What moves, for pages alone.
+    /// Animations, on pages only.
     pub moving: Option<Markup>,
-    /// Whether the pictures are small ones.
+    /// Whether pictures are small.
     pub small: bool,
-    /// What is drawn, as numbers (CSV).
+    /// The plotted data (CSV).
     pub data: String,
 }
 
 /// An answer in words.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Answer {
-    /// Whether it is good news, or bad; `None`: neither, or undecided.
+    /// Whether the answer is good or bad; `None`: neither, or undecided.
     pub verdict: Option<bool>,
-    /// The words.
+    /// The sentence.
     pub text: String,
-    /// The figure that shows it; empty where it goes before all figures.
+    /// The figure that it belongs to; empty: shown before all figures.
     pub figure: &'static str,
 }
 
@@ -49,7 +49,7 @@ impl Answer {
     }
 }
 
-/// A page of its own. What it holds may be large: no copy of it is left before the next is made.
+/// A complete page. Drops its possibly large `content` before returning.
 pub fn page(title: &str, question: &str, content: Markup) -> String {
     let style = html! { style { (PreEscaped(of_page())) } };
     let body = html! { body { main { h1 { (title) } p class="question" { (question) } (content) } } };
@@ -57,7 +57,7 @@ pub fn page(title: &str, question: &str, content: Markup) -> String {
     document(title, &style, &body)
 }
 
-/// A whole document; `head`: its style and scripts.
+/// A complete HTML document; `head`: style and scripts.
 pub fn document(title: &str, head: &Markup, body: &Markup) -> String {
     html! {
         (DOCTYPE)
@@ -74,7 +74,7 @@ pub fn document(title: &str, head: &Markup, body: &Markup) -> String {
     .into_string()
 }
 
-/// Answers, one below the other.
+/// A list of answers.
 pub fn answers<'a>(list: impl IntoIterator<Item = &'a Answer>) -> Markup {
     let class = |verdict| match verdict {
         Some(true) => "good",
@@ -90,7 +90,7 @@ pub fn answers<'a>(list: impl IntoIterator<Item = &'a Answer>) -> Markup {
 }
 
 impl Figure {
-    /// A figure that stands still, its pictures of the usual size.
+    /// A figure with pictures of usual size and no animation.
     pub fn new(
         name: &'static str,
         title: &str,
@@ -103,7 +103,7 @@ impl Figure {
         Self { name, title, caption, legend, pictures, moving: None, small: false, data: data.csv() }
     }
 
-    /// The same; `None` without a picture.
+    /// As [`Self::new`]; `None` without pictures.
     pub fn some(
         name: &'static str,
         title: &str,
@@ -115,12 +115,12 @@ impl Figure {
         (!pictures.is_empty()).then(|| Self::new(name, title, caption, legend, pictures, data()))
     }
 
-    /// With small pictures, and what moves.
+    /// With small pictures, and optionally an animation.
     pub fn small(self, moving: Option<Markup>) -> Self {
         Self { moving, small: true, ..self }
     }
 
-    /// The figure on a page, under those of these answers that it shows.
+    /// The figure on a page, below its answers from `said`.
     pub fn html(&self, said: &[Answer]) -> Markup {
         html! {
             h2 id=(self.name) { (self.title) }
@@ -129,7 +129,7 @@ impl Figure {
                 (keys(&self.legend))
                 div class=(if self.small { "plots small" } else { "plots" }) {
                     @for picture in &self.pictures {
-                        // a wide plot in the type of the others
+                        // widens wide plots, to keep their font size
                         @let wide = (picture.class == "plot" && picture.view[2] > 400.0).then_some("broad");
                         div class=[wide] { h3 { (picture.title) } (picture.svg(None)) }
                     }
@@ -141,7 +141,7 @@ impl Figure {
     }
 }
 
-/// Text whose units stay on the line of their numbers; what stands between backticks is code.
+/// Text with non-breaking spaces before units; text between backticks becomes code.
 fn prose(text: &str) -> Markup {
     let text = text.replace(" %", "\u{a0}%").replace(" mm", "\u{a0}mm");
     html! {
@@ -151,7 +151,7 @@ fn prose(text: &str) -> Markup {
     }
 }
 
-/// Links to the figures of a page, in their order.
+/// Links to the figures of a page.
 pub fn contents(figures: &[Figure]) -> Markup {
     html! {
         @if figures.len() > 2 {
@@ -160,12 +160,12 @@ pub fn contents(figures: &[Figure]) -> Markup {
     }
 }
 
-/// A link that holds a table as CSV.
+/// A link that contains a table as CSV.
 pub fn download(name: &str, csv: &str) -> Markup {
     html! { a download=(format!("{name}.csv")) href={ "data:text/csv;charset=utf-8," (Encoded(csv)) } { "data (CSV)" } }
 }
 
-/// A text as part of an address.
+/// Percent-encoded text for an address.
 pub struct Encoded<'a>(pub &'a str);
 
 impl Display for Encoded<'_> {
@@ -184,21 +184,21 @@ impl Render for Encoded<'_> {
     }
 }
 
-/// What stands below the rows that a page shows of so many.
+/// A note on the number of rows that a page omits.
 pub fn more(all: usize) -> Markup {
     html! { @if all > MOST_ROWS { p class="quiet" { "… and " (all - MOST_ROWS) " more, in the data." } } }
 }
 
-/// Rows that a page shows; the data hold all.
+/// Greatest number of rows that a page shows; the CSV data contain all.
 pub const MOST_ROWS: usize = 1000;
 
 impl Table {
-    /// The table on a page; with a `name`, its data too.
+    /// The table on a page; with a `name`, also its CSV data.
     pub fn html(&self, name: Option<&str>) -> Markup {
         self.linked(name, |_, _| None)
     }
 
-    /// The same with links: where a value of a column leads to.
+    /// As [`Self::html`], with links: `to` returns the address for a column and value.
     pub fn linked(&self, name: Option<&str>, to: impl Fn(&str, &Value) -> Option<String>) -> Markup {
         let text = |column: usize| self.rows.iter().any(|row| row[column].is_string());
         let text: Vec<bool> = (0..self.columns.len()).map(text).collect();

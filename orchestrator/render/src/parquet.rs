@@ -1,6 +1,6 @@
-//! Rows as Parquet, plain and uncompressed, every column optional. A column of whole numbers is INT64, of numbers DOUBLE, of
-//! anything else UTF-8 text. A column without values has its declared type, or Arrow's null type if none is declared. Files that the same
-//! query writes from several databases can therefore be read together.
+//! Writes rows as Parquet, plain and uncompressed, with optional columns. Integers become INT64, other numbers DOUBLE, everything
+//! else UTF-8 text. A column without values has its declared type, or Arrow's null type if none is declared: files of one query on
+//! several databases can be read together.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, BufWriter, Seek, Write};
@@ -17,10 +17,10 @@ use serde_json::Value;
 use super::table::Table;
 use crate::cell::{self, plain};
 
-/// Rows of a group, which is what a writer, and many a reader, holds at once.
+/// Rows per group, which writers and many readers hold in memory.
 const GROUP: usize = 1 << 16;
 
-/// Types of columns, each of which can hold what those before can.
+/// Column types; each can represent all values of the previous ones.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Kind {
     Null,
@@ -39,12 +39,12 @@ impl Kind {
         }
     }
 
-    /// By an SQL type, for a column whose widest value is of this kind.
+    /// The type of a column with declared SQL type `sql` and widest value `self`.
     fn declared(self, sql: &str) -> Self {
         match sql {
             "INT" | "INTEGER" => self.max(Self::Int64),
             "REAL" => self.max(Self::Double),
-            // an expression, whose values may be whole
+            // an expression, whose values may be integers
             "NUM" if self == Self::Null => Self::Double,
             "TEXT" | "BLOB" => Self::Text,
             _ => self,
@@ -63,24 +63,24 @@ impl Kind {
     }
 }
 
-/// Makes kinds those that can say a row, too.
+/// Widens the types to those of a row.
 fn widen(kinds: &mut [Kind], row: &[Value]) {
     for (kind, value) in kinds.iter_mut().zip(row) {
         *kind = (*kind).max(Kind::of(value));
     }
 }
 
-/// Widens the kinds to the declared types.
+/// Widens the types to the declared ones.
 fn declare(kinds: &mut [Kind], types: &[String]) {
     for (kind, sql) in kinds.iter_mut().zip(types) {
         *kind = kind.declared(sql);
     }
 }
 
-/// Writes the rows as a Parquet file; `types` as [`super::RowWriter::typed`] takes them.
+/// Writes the table as a Parquet file; for `types` see [`super::RowWriter::typed`].
 ///
 /// # Errors
-/// Where `out` takes nothing.
+/// If writing to `out` fails.
 pub fn parquet(table: &Table, types: &[String], out: impl Write + Send) -> io::Result<()> {
     let mut kinds = vec![Kind::Null; table.columns.len()];
     table.rows.iter().for_each(|row| widen(&mut kinds, row));
@@ -88,22 +88,21 @@ pub fn parquet(table: &Table, types: &[String], out: impl Write + Send) -> io::R
     write(out, &table.columns, &kinds, table.rows.chunks(GROUP).map(Ok)).map_err(of_output)
 }
 
-/// The same of rows as they come. What a column holds is known after the last one: until then they wait in a file that nobody
-/// else sees.
+/// Writes rows one by one. Column types are known only after the last row, so rows first go to an unnamed temporary file.
 pub struct Parquet<W> {
     out: W,
     columns: Vec<String>,
-    /// As [`super::RowWriter::typed`] takes them.
+    /// Declared types, see [`super::RowWriter::typed`].
     pub types: Vec<String>,
     kinds: Vec<Kind>,
     rows: BufWriter<File>,
 }
 
 impl<W: Write + Send> Parquet<W> {
-    /// Of these columns.
+    /// A writer of these columns.
     ///
     /// # Errors
-    /// Where there is no room for files that go when they are closed.
+    /// If the temporary file cannot be created.
     pub fn new(out: W, columns: &[String]) -> io::Result<Self> {
         let rows = BufWriter::new(tempfile::tempfile()?);
         let kinds = vec![Kind::Null; columns.len()];
@@ -113,17 +112,17 @@ impl<W: Write + Send> Parquet<W> {
     /// Adds a row.
     ///
     /// # Errors
-    /// Where no more fits into that file.
+    /// If writing to the temporary file fails.
     pub fn row(&mut self, row: &[Value]) -> io::Result<()> {
         widen(&mut self.kinds, row);
         serde_json::to_writer(&mut self.rows, row)?;
         self.rows.write_all(b"\n")
     }
 
-    /// After the last row.
+    /// Writes the Parquet file.
     ///
     /// # Errors
-    /// Where `out` takes no more.
+    /// If writing to `out` fails.
     pub fn end(mut self) -> io::Result<()> {
         declare(&mut self.kinds, &self.types);
         let mut file = self.rows.into_inner()?;
@@ -138,7 +137,7 @@ impl<W: Write + Send> Parquet<W> {
     }
 }
 
-/// Writes groups of rows as they come.
+/// Writes the groups of rows of an iterator.
 fn write<R: AsRef<[Vec<Value>]>>(
     out: impl Write + Send,
     columns: &[String],
@@ -185,7 +184,7 @@ fn write<R: AsRef<[Vec<Value>]>>(
     Ok(())
 }
 
-/// What an output said, as it said it: a pipe that nobody reads any more is no failure.
+/// Unwraps the I/O error in a Parquet error, so that callers recognise a closed pipe.
 fn of_output(error: ParquetError) -> io::Error {
     match error {
         ParquetError::External(source) => source.downcast().map_or_else(io::Error::other, |e| *e),

@@ -1,4 +1,4 @@
-//! A picture: an SVG element with a title, for pages and for files.
+//! A picture: an SVG element with a title, for pages and files.
 
 use maud::{Markup, PreEscaped, html};
 
@@ -15,25 +15,25 @@ pub fn legend(entries: &[(&'static str, &str)]) -> Legend {
 /// A picture.
 #[derive(Debug, Clone)]
 pub struct Picture {
-    /// Stands above, and says what it is to those who do not see it.
+    /// Heading and accessible name.
     pub title: String,
-    /// What kind of a picture it is.
+    /// CSS class, the kind of picture.
     pub class: &'static str,
-    /// Left, top, width and height of what is drawn.
+    /// Left, top, width and height of the view box.
     pub view: [f64; 4],
     /// SVG elements.
     pub marks: Markup,
 }
 
 impl Picture {
-    /// Whether it has marks of a legend's entry; of what is no plot, whose entries have other names, always.
+    /// Whether the picture contains marks of a legend entry. Always true except for plots, whose marks have the legend's class names.
     pub fn shows(&self, key: &str) -> bool {
         let mut classes = self.marks.0.split("class=\"").skip(1).filter_map(|mark| mark.split('"').next());
         let name = key.rsplit(' ').next().unwrap_or(key);
         self.class != "plot" || classes.any(|class| class.split(' ').any(|word| word == name))
     }
 
-    /// The SVG element; within another at `place` (left, top, width, height).
+    /// The SVG element; `place`: left, top, width, height within another.
     pub fn svg(&self, place: Option<[f64; 4]>) -> Markup {
         let side = |i: usize| place.map(|p| format!("{:.1}", p[i]));
         let view = self.view.map(|x| format!("{x:.2}")).join(" ");
@@ -44,13 +44,13 @@ impl Picture {
     }
 }
 
-/// Height of a line of text, width of a letter (px).
+/// Height of a text line and width of a letter (px).
 const LINE: f64 = 17.0;
 const LETTER: f64 = 6.2;
 /// Width and height of a legend's mark (px).
 const MARK: [f64; 2] = [22.0, 10.0];
 
-/// Pictures in rows of so many under their legend, as a file of its own, this wide (px).
+/// An SVG file of this width (px): the legend, then pictures in rows of `columns`.
 pub fn file(pictures: &[Picture], columns: usize, width: f64, legend: &Legend) -> String {
     let (mut x, mut top) = (width, 0.0);
     let mut keys = Vec::new();
@@ -98,7 +98,7 @@ pub fn file(pictures: &[Picture], columns: usize, width: f64, legend: &Legend) -
     .into_string()
 }
 
-/// A text in lines of at most so many letters, where its words allow; none of an empty one.
+/// Wraps a text to `most` letters per line where words allow; empty for an empty text.
 pub fn lines(text: &str, most: usize) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in text.split_whitespace() {
@@ -113,7 +113,7 @@ pub fn lines(text: &str, most: usize) -> Vec<String> {
     lines
 }
 
-/// A legend's entries on a page.
+/// A legend on a page.
 pub(super) fn keys(legend: &Legend) -> Markup {
     html! {
         @if !legend.is_empty() {
@@ -129,7 +129,7 @@ pub(super) fn keys(legend: &Legend) -> Markup {
     }
 }
 
-/// A legend's mark, as the pictures have it.
+/// The mark of a legend entry.
 fn mark(class: &str) -> Markup {
     html! {
         @match class.split_once(' ').map_or(class, |(kind, _)| kind) {

@@ -1,17 +1,16 @@
-//! A plot: two axes, lines, bands, dots. Colours are classes, so that it follows the theme; crates that draw plots write
-//! colours and sizes into their marks.
+//! Plots: two axes, lines, bands, dots. Colours are classes and follow the theme, unlike those of plotting crates.
 
 use maud::{Markup, PreEscaped, html};
 
 use super::number::number;
 use super::picture::Picture;
 
-/// How an axis runs.
+/// Scale of an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scale {
-    /// Evenly.
+    /// Linear.
     Linear,
-    /// By factors; values must be above 0.
+    /// Logarithmic; values must be above 0.
     Log,
 }
 
@@ -25,7 +24,7 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// An axis that holds all finite values (of a logarithmic one: all above 0), with a little air.
+    /// An axis with some margin around all finite values (logarithmic: above 0).
     pub fn new(label: &str, scale: Scale, values: impl IntoIterator<Item = f64>) -> Self {
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
         for v in values.into_iter().filter(|v| v.is_finite() && (scale == Scale::Linear || *v > 0.0)) {
@@ -37,7 +36,7 @@ impl Axis {
         let range = match scale {
             Scale::Linear => {
                 let air = if high > low { 0.04 * (high - low) } else { 0.5 * high.abs().max(1.0) };
-                // An axis that starts at nothing starts there exactly.
+                // an axis from 0 has no margin there
                 [if low >= 0.0 && low - air <= 0.0 { low.min(0.0) } else { low - air }, high + air]
             }
             Scale::Log => {
@@ -52,18 +51,18 @@ impl Axis {
         Self { label: label.into(), scale, range, ticks: numbered(ticks) }
     }
 
-    /// With these ticks and no others.
+    /// With these ticks only.
     pub fn with_ticks(self, ticks: Vec<f64>) -> Self {
         self.with_names(numbered(ticks))
     }
 
-    /// With these texts at these places and no others.
+    /// With these labels at these positions only.
     pub fn with_names(mut self, names: Vec<(f64, String)>) -> Self {
         self.ticks = names;
         self
     }
 
-    /// Where a value lies, 0 to 1.
+    /// Position of a value, 0 to 1.
     fn place(&self, value: f64) -> f64 {
         let [low, high] = self.range;
         match self.scale {
@@ -106,7 +105,7 @@ fn log_ticks([low, high]: [f64; 2]) -> Vec<f64> {
         .collect()
 }
 
-/// A plot in the making.
+/// A plot under construction.
 #[derive(Debug, Clone)]
 pub struct Plot {
     title: String,
@@ -117,27 +116,27 @@ pub struct Plot {
     marks: String,
 }
 
-/// Room for tick labels and axis labels: left, right, top, bottom.
+/// Margins for labels: left, right, top, bottom (px).
 const MARGIN: [f64; 4] = [52.0, 12.0, 10.0, 40.0];
-/// About the width of a letter (px).
+/// Approximate width of a letter (px).
 const LETTER: f64 = 6.2;
-/// What notes leave of the axis (px): a plot of longer ones gets wider.
+/// Least width of the axis beside notes (px): long notes widen the plot.
 const LEAST_AXIS: f64 = 240.0;
 
 impl Plot {
-    /// An empty plot of the usual size.
+    /// An empty plot of default size.
     pub fn new(title: &str, x: Axis, y: Axis) -> Self {
         let marks = String::new();
         Self { title: title.into(), x, y, size: [400.0, 264.0], right: MARGIN[1], marks }
     }
 
-    /// Of another size (px).
+    /// With another size (px).
     pub fn sized(mut self, width: f64, height: f64) -> Self {
         self.size = [width, height];
         self
     }
 
-    /// With room on the right for notes at the ends of lines.
+    /// With room on the right for notes at line ends.
     pub fn with_room<'a>(mut self, notes: impl IntoIterator<Item = &'a str>) -> Self {
         let longest = notes.into_iter().map(|note| note.chars().count()).max().unwrap_or(0);
         self.right = MARGIN[1].max(10.0 + LETTER * longest as f64);
@@ -145,7 +144,7 @@ impl Plot {
         self
     }
 
-    /// Where a point lies (px).
+    /// Position of a point (px).
     fn at(&self, (x, y): (f64, f64)) -> (f64, f64) {
         let ([left, _, top, bottom], [width, height]) = (MARGIN, self.size);
         let (px, py) = (self.x.place(x), self.y.place(y));
@@ -170,19 +169,19 @@ impl Plot {
         }
     }
 
-    /// The area between lows and highs: (x, low, high).
+    /// The area between low and high values: (x, low, high).
     pub fn band(&mut self, class: &str, points: &[(f64, f64, f64)]) {
         let there = points.iter().map(|p| (p.0, p.2));
         let back = points.iter().rev().map(|p| (p.0, p.1));
         self.add(html! { path class=(format!("band {class}")) d=(self.path(there.chain(back)) + "Z") {} });
     }
 
-    /// Dots, each with a text that shows when pointed at.
+    /// Dots with tooltips.
     pub fn dots(&mut self, class: &str, points: impl IntoIterator<Item = ((f64, f64), String)>) {
         self.circles(&format!("dot {class}"), "3.2", points);
     }
 
-    /// Rings around points, each with such a text.
+    /// Rings around points, with tooltips.
     pub fn rings(&mut self, points: impl IntoIterator<Item = ((f64, f64), String)>) {
         self.circles("ring", "5.5", points);
     }
@@ -196,7 +195,7 @@ impl Plot {
         }
     }
 
-    /// A text beside the right end of a line: behind it where there is room, or else above.
+    /// A text beside the right end of a line: to its right if there is room, or else above.
     pub fn note(&mut self, point: (f64, f64), text: &str) {
         let (x, y) = self.at(point);
         let fits = x + 6.0 + LETTER * text.chars().count() as f64 <= self.size[0];
@@ -204,8 +203,8 @@ impl Plot {
         self.add(label("note", [x, y], anchor, text));
     }
 
-    /// A vertical line across the plot with a text at its right, on top, or else at its left, at the bottom, where curves
-    /// that fall are not; `row` lines from there.
+    /// A vertical line with a text at its right, at the top; without room there, at its left, at the bottom, away from falling
+    /// curves. `row`: offset of the text in lines.
     pub fn vertical(&mut self, class: &str, x: f64, text: &str, row: usize) {
         let [_, _, top, bottom] = MARGIN;
         let px = self.at((x, self.y.range[0])).0;

@@ -1,4 +1,4 @@
-//! Colours and styles: variables for pages, plain values for files, which other programs than browsers read too.
+//! Colours and styles: variables for pages, plain values for files, which not only browsers read.
 
 /// Names and values of the colours, light and dark.
 const PALETTE: [(&str, [&str; 2]); 16] = [
@@ -20,13 +20,13 @@ const PALETTE: [(&str, [&str; 2]); 16] = [
     ("rule", ["#dcd8cf", "#353a43"]),
 ];
 
-/// Classes of lines and dots that are many of a kind; those beyond are thin.
+/// Classes of series of lines or dots; further series are thin.
 pub const SERIES: [&str; 5] = ["truth", "optimised", "front", "fourth", "fifth"];
 
 /// Steps of the colours from `slow` to `fast`: classes `s0` to `s20`.
 pub const LEVELS: usize = 20;
 
-/// The class of a part of the most, 0 to 1, by its root: what spans decades shows its quiet end too.
+/// The class for a fraction of the maximum, 0 to 1. The square root makes small values visible.
 pub fn level(part: f64) -> String {
     format!("s{:.0}", LEVELS as f64 * part.clamp(0.0, 1.0).sqrt())
 }
@@ -34,18 +34,18 @@ pub fn level(part: f64) -> String {
 const FIGURES: &str = include_str!("figure.css");
 const DARK: &str = "@media screen and (prefers-color-scheme: dark)";
 
-/// The style of a page: both themes, by variables.
+/// The style of a page: both themes, with variables.
 pub fn of_page() -> String {
     let variables = |theme: usize| -> String {
         let all = PALETTE.iter().map(|(name, values)| format!("--{name}: {}; ", values[theme]));
         format!(":root {{ {}}} {}", all.collect::<String>(), levels(theme))
     };
-    // what has a level is a unit too: the later rule wins
+    // elements with a level are units too: the later rule wins
     let (light, dark) = (variables(0), variables(1));
     format!("{FIGURES}{light}\n{DARK} {{ {dark} }}\n{}", include_str!("page.css"))
 }
 
-/// The style of a file: both themes, by values.
+/// The style of a file: both themes, with values.
 pub(super) fn of_file() -> String {
     let rules = |theme: usize| -> String {
         let resolve = |css: String, (name, values): &(&str, [&str; 2])| {
@@ -56,7 +56,7 @@ pub(super) fn of_file() -> String {
     format!("{}\n{DARK} {{\n{}\n}}", rules(0), rules(1))
 }
 
-/// Rules of the colours from `slow` to `fast`, mixed in sRGB.
+/// Rules for the colours from `slow` to `fast`, mixed in sRGB.
 fn levels(theme: usize) -> String {
     let channels = |name: &str| -> [f64; 3] {
         let hex = PALETTE.iter().find(|(n, _)| *n == name).expect("a colour of the palette").1[theme];

@@ -1,20 +1,20 @@
-//! Rows of values under names.
+//! Tables: named columns and rows of values.
 
 use serde_json::Value;
 
 use super::number::digits;
 use crate::cell::plain;
 
-/// An answer.
+/// A table.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Table {
     /// Names of the columns.
     pub columns: Vec<String>,
-    /// Rows of as many values; a blob stands as the text `blob of N bytes`.
+    /// Rows with one value per column; a blob appears as the text `blob of N bytes`.
     pub rows: Vec<Vec<Value>>,
 }
 
-/// A row of a table, from anything that is JSON; after a semicolon, what holds more of it.
+/// A row from JSON-compatible values; after a semicolon, an iterable of more values.
 #[macro_export]
 macro_rules! row {
     ($($cell:expr),* $(,)?) => { vec![$(serde_json::json!($cell)),*] };
@@ -23,7 +23,7 @@ macro_rules! row {
     };
 }
 
-/// As a database answers: names of the columns, and rows.
+/// From column names and rows, as the database returns them.
 impl From<(Vec<String>, Vec<Vec<Value>>)> for Table {
     fn from((columns, rows): (Vec<String>, Vec<Vec<Value>>)) -> Self {
         Self { columns, rows }
@@ -31,7 +31,7 @@ impl From<(Vec<String>, Vec<Vec<Value>>)> for Table {
 }
 
 impl Table {
-    /// Rows under columns of these names, which blanks part.
+    /// Rows with columns of these names, separated by blanks.
     pub fn new(columns: &str, rows: impl IntoIterator<Item = Vec<Value>>) -> Self {
         Self {
             columns: columns.split_whitespace().map(str::to_owned).collect(),
@@ -39,7 +39,7 @@ impl Table {
         }
     }
 
-    /// What stands under `verdict` in every row, where rows say nothing else but what they are about.
+    /// The value of `verdict`, if all rows have the same and NULL in all later columns.
     pub fn sole_verdict(&self) -> Option<&str> {
         let at = self.columns.iter().position(|column| column == "verdict")?;
         let verdict = self.rows.first()?[at].as_str()?;
@@ -47,15 +47,15 @@ impl Table {
         self.rows.iter().all(alone).then_some(verdict)
     }
 
-    /// Where a column of this name stands.
+    /// Position of a column.
     ///
     /// # Panics
-    /// If there is none.
+    /// If the column does not exist.
     pub fn column(&self, name: &str) -> usize {
         self.columns.iter().position(|column| column == name).expect("a column of the table")
     }
 
-    /// Leaves columns of these names out.
+    /// Removes these columns.
     pub fn drop_columns(&mut self, names: &[&str]) {
         let kept: Vec<bool> = self.columns.iter().map(|column| !names.contains(&column.as_str())).collect();
         let keep = |i: &mut usize| {
@@ -70,7 +70,7 @@ impl Table {
         }
     }
 
-    /// Leaves out those of the columns that stand beside a mean error ([`SPREAD`]) in which every row has nothing, or zero.
+    /// Removes those of the [`SPREAD`] columns in which every value is NULL or zero.
     pub fn leave_out_spread(&mut self) {
         let says = |at: usize| self.rows.iter().any(|row| !row[at].is_null() && row[at] != 0);
         let found = self.columns.iter().enumerate();
@@ -79,7 +79,7 @@ impl Table {
         self.drop_columns(&empty.iter().map(String::as_str).collect::<Vec<_>>());
     }
 
-    /// Without the columns in which nothing stands.
+    /// A copy without the columns in which every value is NULL.
     pub fn without_empty_columns(&self) -> Self {
         let full: Vec<usize> =
             (0..self.columns.len()).filter(|&i| self.rows.iter().any(|row| !row[i].is_null())).collect();
@@ -91,7 +91,7 @@ impl Table {
     }
 }
 
-/// Columns that stand beside the mean holdout errors: medians (%), and numbers of samples above 100 %.
+/// Columns beside the mean held-out errors: medians (%), and numbers of samples above 100 %.
 pub const SPREAD: [&str; 4] = [
     "holdout_median_initial",
     "holdout_median_optimised",
@@ -99,17 +99,17 @@ pub const SPREAD: [&str; 4] = [
     "holdout_above_optimised",
 ];
 
-/// The beginning of a hash, as much as names a trial.
+/// The first eight characters of a hash, which name a trial.
 pub fn short_hash(hash: &str) -> &str {
     hash.char_indices().nth(8).map_or(hash, |(end, _)| &hash[..end])
 }
 
-/// A value to read: numbers with a point or an exponent by `shown`, the rest in full.
+/// A value as text: floating-point numbers with `shown`, the rest in full.
 pub fn readable(value: &Value, shown: impl Fn(f64) -> String) -> String {
     value.as_f64().filter(|_| value.is_f64()).map_or_else(|| plain(value), shown)
 }
 
-/// To four significant digits.
+/// A value with four significant digits.
 pub(super) fn rounded(value: &Value) -> String {
     readable(value, |x| digits(x, 4))
 }

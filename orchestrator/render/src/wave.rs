@@ -1,4 +1,4 @@
-//! Bodies in motion: modes that swing by a page's style; waves, and designs from step to step, that a script plays.
+//! Moving bodies: modes animated by the page's style; waves, and designs of successive steps, played by a script.
 
 use maud::{Markup, PreEscaped, html};
 
@@ -6,27 +6,27 @@ use super::body::{Frame, Point, Sketch, Unit, frame};
 use super::picture::Picture;
 use super::style::level;
 
-/// How far a mode moves the corner that it moves most, by the pitch of the grid.
+/// Greatest displacement of a corner in a mode, relative to the grid spacing.
 const REACH: f64 = 0.4;
 
 /// (u, v, θ) of every unit, in mm and rad.
 type State = Vec<[f64; 3]>;
 
-/// How a body moves.
+/// Motion of a body.
 #[derive(Debug, Clone, Copy)]
 pub struct Motion<'a> {
-    /// Displacements at every instant.
+    /// Displacements per instant.
     pub displacements: &'a [State],
-    /// Velocities then (mm/s, rad/s).
+    /// Velocities per instant (mm/s, rad/s).
     pub velocities: &'a [State],
 }
 
-/// A body without what its motion would tear.
+/// A body without ligaments and constraints, which motion would distort.
 fn bare(sketch: &Sketch) -> Sketch {
     Sketch { ligaments: Vec::new(), held: Vec::new(), ..sketch.clone() }
 }
 
-/// A mode of a body: units displaced along its shape (u, v, θ), coloured by how far their centroids travel.
+/// A mode of a body: units displaced along its shape (u, v, θ), coloured by the travel of their centroids.
 pub fn mode(sketch: &Sketch, frame: Frame, shape: &[[f64; 3]], travel: &[f64], title: &str) -> Picture {
     let moved = |u: usize, corner: &Point| {
         let ([x, y], [du, dv, turn]) = (sketch.centroids[u], shape[u]);
@@ -39,7 +39,7 @@ pub fn mode(sketch: &Sketch, frame: Frame, shape: &[[f64; 3]], travel: &[f64], t
     let unit = |u: usize| {
         let ([x, y], [du, dv, turn]) = (sketch.centroids[u], shape[u].map(|c| scale * c));
         let (y, dy, turn) = (-y, -dv, -turn.to_degrees());
-        // the attribute for what stands still; a page's own style takes it from the variables
+        // the attribute is for still pictures; a page's style uses the variables
         Unit {
             class: Some(format!("unit {}", level(travel[u] / farthest))),
             transform: Some(format!("translate({du:.2} {dy:.2}) rotate({turn:.2} {x:.2} {y:.2})")),
@@ -49,7 +49,7 @@ pub fn mode(sketch: &Sketch, frame: Frame, shape: &[[f64; 3]], travel: &[f64], t
     Picture { class: "body mode", ..bare(sketch).drawn(frame, title, false, unit) }
 }
 
-/// A body at an instant of a motion, units where they are and coloured by their speed over `most` (mm/s).
+/// A body at instant `n` of a motion, units coloured by speed relative to `most` (mm/s).
 pub fn snapshot(sketch: &Sketch, frame: Frame, motion: Motion, n: usize, most: f64, title: &str) -> Picture {
     let mut moved = bare(sketch);
     for (unit, [u, v, angle]) in motion.displacements[n].iter().enumerate() {
@@ -66,8 +66,8 @@ pub fn snapshot(sketch: &Sketch, frame: Frame, motion: Motion, n: usize, most: f
     moved.drawn(frame, title, false, unit)
 }
 
-/// Bodies whose units [`SCRIPT`] moves for some seconds and colours by speed over `most` (mm/s), at first as at instant `start`;
-/// without script they stand still.
+/// Bodies whose motion [`SCRIPT`] plays in `seconds`, coloured by speed relative to `most` (mm/s). Shows instant `start` at first.
+/// Without scripts, bodies stand still.
 pub fn animation(
     bodies: &[(&str, &Sketch, Motion)],
     frame: Frame,
@@ -100,16 +100,16 @@ pub fn animation(
     }
 }
 
-/// A body after so many outer steps of a trial's `steps`: [`SCRIPT`] goes through these designs, and from one into the next,
-/// at first to the last; without script the first stands still. On a page that follows a trial they become more.
+/// A body after each of the listed outer steps, of `steps`. [`SCRIPT`] interpolates between these designs and begins with the last;
+/// without scripts, the first is shown. Pages that follow a running trial append designs.
 ///
 /// # Panics
-/// If there is none.
+/// If there is no design.
 pub fn course(designs: &[(u32, Sketch)], steps: usize) -> Markup {
     let (at, first) = &designs[0];
     let still = Sketch { held: Vec::new(), ..first.clone() };
     let still = still.picture(frame(designs.iter().map(|design| &design.1)), "The body from step to step");
-    // which corners a ligament joins; then a line a design: its step, all corners, how far panels and sensors have gone (mm)
+    // corners that ligaments join; then one line per design: step, all corners, displacements of panels and sensors (mm)
     let corner = |unit: usize| first.units[..unit].iter().map(Vec::len).sum::<usize>();
     let joints = first.joints.iter().flatten().map(|&(unit, node)| (corner(unit) + node).to_string());
     let point = |[x, y]: [f64; 2]| format!("{x:.3},{:.3}", -y);
@@ -132,7 +132,7 @@ pub fn course(designs: &[(u32, Sketch)], steps: usize) -> Markup {
     }
 }
 
-/// A button and a slider for so many frames, at the first, of which `said` is told.
+/// A button and a slider for `frames` frames, with `said` as the first frame's description.
 fn player(frames: usize, name: &str, said: &str) -> Markup {
     html! {
         div class="player" {
@@ -143,5 +143,5 @@ fn player(frames: usize, name: &str, said: &str) -> Markup {
     }
 }
 
-/// Plays the animations of a page; it goes behind them.
+/// Plays the animations of a page; place it after them.
 pub const SCRIPT: &str = include_str!("wave.js");

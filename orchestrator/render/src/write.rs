@@ -1,4 +1,4 @@
-//! Rows as a table to read, as CSV, JSON or Parquet.
+//! Writes rows as a readable table, CSV, JSON or Parquet.
 
 use std::io::{self, BufWriter, IsTerminal, Write};
 
@@ -10,24 +10,24 @@ use super::parquet::{Parquet, parquet};
 use super::table::Table;
 use crate::cell::{self, plain};
 
-/// The form in which rows are printed.
+/// Output format of rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
 pub enum Format {
-    /// Columns to read; numbers are rounded to four digits.
+    /// Readable table; numbers are rounded to four digits.
     #[default]
     Table,
-    /// A header line, then one line a row; numbers in full; `inf` and `-inf`; nothing for NULL.
+    /// A header line, then one line per row; full precision; `inf` and `-inf`; NULL is empty.
     Csv,
-    /// A list of objects with their keys in the order of the columns; numbers in full; ±∞ as `9e999` and `-9e999`.
+    /// A list of objects with keys in column order; full precision; ±∞ as `9e999` and `-9e999`.
     Json,
-    /// A Parquet file; numbers in full.
+    /// A Parquet file; full precision.
     Parquet,
 }
 
 /// Prints rows to standard output.
 ///
 /// # Errors
-/// Where standard output is closed or full, or a terminal that Parquet's bytes would upset.
+/// If standard output is closed, full, or, for Parquet, a terminal.
 pub fn print_rows(table: &Table, format: Format) -> io::Result<()> {
     table.write(format, standard_output(format)?, screen())
 }
@@ -35,7 +35,7 @@ pub fn print_rows(table: &Table, format: Format) -> io::Result<()> {
 /// Standard output for rows.
 ///
 /// # Errors
-/// Where it is a terminal that Parquet's bytes would upset.
+/// If it is a terminal and the format is Parquet.
 pub fn standard_output(format: Format) -> io::Result<io::Stdout> {
     let out = io::stdout();
     if format == Format::Parquet && out.is_terminal() {
@@ -54,21 +54,21 @@ impl Table {
         rows.end()
     }
 
-    /// The rows as a file.
+    /// The rows as bytes of a file.
     pub fn written(&self, format: Format) -> Vec<u8> {
         let mut bytes = Vec::new();
         self.write(format, &mut bytes, None).expect("memory takes all");
         bytes
     }
 
-    /// The rows as a Parquet file; `types` as in [`RowWriter::typed`].
+    /// The rows as a Parquet file; for `types` see [`RowWriter::typed`].
     pub fn parquet(&self, types: &[String]) -> Vec<u8> {
         let mut bytes = Vec::new();
         parquet(self, types, &mut bytes).expect("memory takes all");
         bytes
     }
 
-    /// The rows as [`Data`].
+    /// The rows as CSV, see [`Data`].
     pub fn csv(&self) -> String {
         let mut data = Data::new(&self.columns);
         self.rows.iter().for_each(|row| data.row(row));
@@ -76,11 +76,11 @@ impl Table {
     }
 }
 
-/// Rows as CSV, numbers to seven significant digits: what the data behind a picture need, in a tenth of a table's memory.
+/// Rows as CSV with seven significant digits, as data of pictures: a tenth of a table's memory.
 pub struct Data(csv::Writer<Vec<u8>>);
 
 impl Data {
-    /// Of these columns.
+    /// A header with these columns.
     pub fn new(columns: &[String]) -> Self {
         let mut csv = csv::Writer::from_writer(Vec::new());
         csv.write_record(columns).expect("memory takes all");
@@ -96,15 +96,15 @@ impl Data {
         self.0.write_record(row.iter().map(shortened)).expect("memory takes all");
     }
 
-    /// All of it.
+    /// The CSV text.
     pub fn text(self) -> String {
         let bytes = self.0.into_inner().expect("memory takes all");
         String::from_utf8(bytes).expect("texts are UTF-8")
     }
 }
 
-/// Writes rows as they come; kept until the end are those of a table to read, whose columns are as wide as their widest cell, and,
-/// on disk, those of Parquet, where a column's type is that of its widest value.
+/// Writes rows one by one. Readable tables stay in memory until the end, because column widths depend on all rows; Parquet rows go
+/// to disk, because column types do.
 pub struct RowWriter<W: Write + Send>(Form<W>);
 
 enum Form<W: Write + Send> {
@@ -115,10 +115,10 @@ enum Form<W: Write + Send> {
 }
 
 impl<W: Write + Send> RowWriter<W> {
-    /// Of these columns. `screen`: how many letters a line of a table to read may have.
+    /// A writer of these columns. `screen`: greatest line width of a readable table, in characters.
     ///
     /// # Errors
-    /// Where `out` takes nothing, or there is no room for a file to wait in.
+    /// If writing to `out` fails, or Parquet's temporary file cannot be created.
     pub fn new(out: W, format: Format, columns: &[String], screen: Option<usize>) -> io::Result<Self> {
         Ok(Self(match format {
             Format::Table => Form::Kept(out, Table { columns: columns.to_vec(), ..Table::default() }, screen),
@@ -147,7 +147,7 @@ impl<W: Write + Send> RowWriter<W> {
     /// Adds a row.
     ///
     /// # Errors
-    /// Where no more is taken.
+    /// If writing fails.
     pub fn row(&mut self, row: Vec<Value>) -> io::Result<()> {
         match &mut self.0 {
             Form::Kept(_, table, _) => {
@@ -167,10 +167,10 @@ impl<W: Write + Send> RowWriter<W> {
         }
     }
 
-    /// After the last row.
+    /// Finishes the output.
     ///
     /// # Errors
-    /// Where no more is taken.
+    /// If writing fails.
     pub fn end(self) -> io::Result<()> {
         match self.0 {
             Form::Kept(mut out, table, screen) => writeln!(out, "{}", text(&table, screen)),

@@ -1,4 +1,4 @@
-//! The body: layout, sizes, material, the design to start from.
+//! Keys of `[body]`: layout, sizes, material, initial design.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -15,7 +15,7 @@ pub enum LayoutKind {
     Circular,
 }
 
-/// How the units of a body repeat.
+/// Lattice of a body's units.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Lattice {
@@ -31,20 +31,20 @@ pub enum Lattice {
 }
 
 impl Lattice {
-    /// The one that is not written.
+    /// Whether this is the default, which is not written.
     #[must_use]
     pub fn is_square(&self) -> bool {
         *self == Self::Square
     }
 
-    /// Whether the initial angle is one of the design, which turns units against their neighbours, and not of the lattice.
+    /// Whether the initial angle belongs to the design (units counter-rotate) and not to the lattice.
     #[must_use]
     pub fn turns(&self) -> bool {
         matches!(self, Self::Square | Self::Kagome)
     }
 }
 
-/// A body of any polygons.
+/// A body of arbitrary polygons.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Own {
@@ -54,7 +54,7 @@ pub enum Own {
     Given(Polygons),
 }
 
-/// Polygons and what joins them.
+/// Polygons and ligaments of a body.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Polygons {
@@ -83,12 +83,12 @@ pub struct Polygons {
     /// topmost units.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub panels: Vec<Struck>,
-    /// Units that may carry sensors. Default: those of which every node holds a ligament.
+    /// Units that may carry sensors. Default: those whose nodes all have ligaments.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensors: Option<Vec<usize>>,
 }
 
-/// Units of another density.
+/// Units with another density.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Denser {
@@ -126,7 +126,7 @@ pub enum FollowBy {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Struck {
-    /// The unit. Default: must be given without `base`; with one, all that are held.
+    /// The unit. Default: with `base`, all held units; otherwise it must be given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unit: Option<usize>,
     /// Direction of the force. Default: down, on a circular body inward.
@@ -142,8 +142,8 @@ pub struct Struck {
     /// Default: no couple.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub couple: Option<f64>,
-    /// A prescribed acceleration instead of a force: force divided by this mass, along the direction. It moves the base of the
-    /// held units, or, with `unit`, that unit alone, without rotation and whatever its ligaments pull. Unit: Mg. Default: a
+    /// A prescribed acceleration instead of a force: force divided by this mass, along the direction. It accelerates the base of
+    /// the held units or, with `unit`, that unit alone, without rotation and regardless of its ligaments. Unit: Mg. Default: a
     /// force.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub base: Option<f64>,
@@ -186,7 +186,7 @@ pub struct Guide {
     pub holds: Vec<Way>,
 }
 
-/// A way in which a unit can move.
+/// A coordinate of a unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Way {
@@ -221,7 +221,7 @@ pub enum Design {
 }
 
 impl Design {
-    /// How far the nodes of a random body are moved where it does not say.
+    /// Default of `spread`.
     pub const SPREAD: f64 = 0.25;
 
     fn spread() -> f64 {
@@ -243,7 +243,7 @@ pub struct Body {
     /// Lattice of the units. Default: `"square"`.
     #[serde(default, skip_serializing_if = "Lattice::is_square")]
     pub lattice: Lattice,
-    /// A body of any polygons, in place of `columns`, `rows`, `spacing`, `ligament_length` and `initial_angle`. Default: none.
+    /// A body of arbitrary polygons, in place of `columns`, `rows`, `spacing`, `ligament_length` and `initial_angle`. Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub file: Option<Own>,
     /// Units that are held. Default: `"bottom"` for a planar body, `"hub"` for a circular one.
@@ -313,7 +313,7 @@ pub struct Body {
     /// Stiffness of the ligaments. Default: must be given without `material`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stiffness: Option<Stiffness>,
-    /// Material and thickness; give `density` and `stiffness` by the formulas of MODEL.md. Default: none.
+    /// Material and thickness; determine `density` and `stiffness` (formulas in MODEL.md). Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub material: Option<Material>,
     /// Contact between the edges of neighbouring units; without it units may pass through each other under strong forces. Default: no
@@ -322,19 +322,19 @@ pub struct Body {
     pub contact: Option<Contact>,
 }
 
-/// Whose masses and moments of inertia the units of a design have.
+/// Design that sets the masses and moments of inertia of the units.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Inertia {
     /// The current design.
     #[default]
     Design,
-    /// The body without `design`, whatever shape training gives the units.
+    /// The body without `design`; training does not change them.
     Initial,
 }
 
 impl Inertia {
-    /// The one that is not written.
+    /// Whether this is the default, which is not written.
     #[must_use]
     pub fn is_own(&self) -> bool {
         *self == Self::Design
@@ -352,22 +352,22 @@ fn damping_ratio() -> f64 {
 }
 
 impl Body {
-    /// `damping_ratio` where it is not given.
+    /// Default of `damping_ratio`.
     pub const DAMPING_RATIO: f64 = 0.02;
 
-    /// `columns`, 0 where a file gives the units.
+    /// `columns`, or 0 if a file gives the units.
     #[must_use]
     pub fn columns(&self) -> usize {
         self.columns.unwrap_or(0)
     }
 
-    /// `rows`, or as many as columns.
+    /// `rows`; default `columns`.
     #[must_use]
     pub fn rows(&self) -> usize {
         self.rows.unwrap_or(self.columns())
     }
 
-    /// The polygons that it is made of, where these and no lattice are given.
+    /// The polygons of the body, if it is not a lattice.
     #[must_use]
     pub fn polygons(&self) -> Option<&Polygons> {
         match &self.file {
@@ -376,7 +376,7 @@ impl Body {
         }
     }
 
-    /// `spacing` and `ligament_length`; a plan fills them in from a file.
+    /// `spacing` and `ligament_length` (mm); the plan sets them for a file.
     #[must_use]
     pub fn lengths(&self) -> [f64; 2] {
         [self.spacing, self.ligament_length].map(|length| length.unwrap_or(f64::NAN))
@@ -395,7 +395,7 @@ pub struct Stiffness {
     pub bend: f64,
 }
 
-/// A rubber that one can buy.
+/// A commercial rubber.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Rubber {
     /// The paper's silicone: 100 % modulus 22 psi (0.152 MPa), specific gravity 1.07 (Smooth-On's technical bulletin of the Dragon
@@ -415,17 +415,17 @@ impl Rubber {
     }
 }
 
-/// What a body is cast of.
+/// Material of the sheet.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Material {
     /// A commercial rubber: sets modulus and density if these keys are omitted. Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rubber: Option<Rubber>,
-    /// Young's modulus at small strain. Unit: MPa. Default: the rubber's (0.26 of Dragon Skin 10).
+    /// Young's modulus at small strain. Unit: MPa. Default: the rubber's (0.26 for Dragon Skin 10).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub modulus: Option<f64>,
-    /// Mass per volume. Unit: Mg/mm³. Default: the rubber's (1.07e-9 of Dragon Skin 10).
+    /// Mass per volume. Unit: Mg/mm³. Default: the rubber's (1.07e-9 for Dragon Skin 10).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub density: Option<f64>,
     /// Thickness of the sheet. Unit: mm.

@@ -1,12 +1,11 @@
-//! Nested optimisation of body and brain: the outer loop.
+//! Nested optimisation of body and decoder: the outer loop.
 //!
 //! ```text
 //! A(α) = signals of the body α          β*(A) = argmin L_train(β, A)
-//! g = dL/dα at (α, β*)                  α ← Π(α − Adam(g)),  Π: nearest castable design
+//! g = dL/dα at (α, β*)                  α ← Π(α − Adam(g)),  Π: nearest feasible design
 //! ```
-//! How far β is trained and which loss moves the body is the [`Protocol`]'s matter; the rest is the same for all.
-//! Searches without a gradient stand beside them as baselines. Afterwards the initial and the best body meet fresh networks, on
-//! the holdout too, which nothing else touches.
+//! The [`Protocol`] sets how far β is trained and which loss moves the body. Searches without gradients serve as baselines.
+//! Afterwards, fresh networks are trained on the initial and the best body and tested on the held-out set, which nothing else uses.
 
 mod casts;
 mod comparison;
@@ -39,32 +38,34 @@ use search::GradientFree;
 
 use crate::trial::{Failure, Trial};
 
-/// Optimises the body of `trial` together with its brain, from the beginning or from a state that `observer` was given
-/// earlier, within the comparison too; goes on from there to the same bits. `None` if the observer said stop.
+/// Optimises the body of `trial` together with its decoder, from the beginning or from a state that `observer` received earlier. A
+/// resumed run gives the same bits. `None` if the observer stopped it.
 ///
 /// # Errors
-/// If the initial body cannot be simulated or trained, or no smaller step leads out of trouble.
+/// If the initial body cannot be simulated or trained, or steps fail repeatedly and no earlier body is left.
 pub fn optimise(
     trial: &Trial,
     resume: Option<State>,
     observer: &mut dyn Observe,
 ) -> Result<Option<Optimised>, Failure> {
     let problem = &trial.problem;
-    let (mut castable, freedom) = (problem.castable(), problem.freedom());
+    let (mut castable, freedom) = (problem.body.castable(problem), problem.body.freedom(problem));
     let mut state = resume.unwrap_or_else(|| State::new(problem));
     let (search, mut session) = (GradientFree::new(problem), Session::new(trial));
 
     while state.step < problem.optimise.iterations {
         let (before, mut log) = (state.clone(), Log::new(state.step, observer));
         match (session.sense(&mut state, &mut log), &search) {
-            (sensed, Some(search)) => search.step(sensed, &mut state, &mut castable, &mut log)?,
+            (sensed, Some(search)) => search.step(sensed, &mut state, &mut *castable, &mut log)?,
             (Ok(Sensed { gradient, loss_train, error_test }), None) => {
                 state.remember(loss_train, error_test);
                 let bodies = session.bodies();
                 if problem.optimise.moves_body(state.step) {
                     log.timed(
                         |s| &mut s.project,
-                        |report| state.move_body(problem, &freedom, &gradient, &mut castable, bodies, report),
+                        |report| {
+                            state.move_body(problem, &freedom, &gradient, &mut *castable, bodies, report)
+                        },
                     );
                 }
             }
@@ -77,7 +78,7 @@ pub fn optimise(
             return Ok(None);
         }
     }
-    drop(session); // the memory of its brain
+    drop(session); // frees the decoder's memory
     Ok(compared(trial, state, observer))
 }
 

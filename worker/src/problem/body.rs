@@ -1,4 +1,4 @@
-//! A body from its spec: units and ligaments, what holds it, where it is struck, and the design that it starts from.
+//! A body from its spec: units and ligaments, clamps and guides, panels, and the initial design.
 
 use metasense_numerics::body::{Layout, Pattern};
 use metasense_numerics::dynamics::{Moves, Panel};
@@ -12,7 +12,7 @@ use crate::polygons;
 /// The layout of a body.
 ///
 /// # Errors
-/// Where no layout has these sizes.
+/// If the sizes are invalid.
 pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
     if let Some(spec::Own::File(file)) = &body.file {
         let remedy = "must be left out: a trial contains the polygons themselves";
@@ -70,15 +70,15 @@ pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
     }
 }
 
-/// A key that a body needs unless a file gives its units.
+/// The value of a key that must be set unless a file defines the body.
 fn given<T>(key: &str, value: Option<T>) -> Result<T, Invalid> {
     value.ok_or_else(|| invalid(key, "", "must be set if body.file is not"))
 }
 
-/// `spacing` and `ligament_length` (mm), which a plan fills in from a file.
+/// `spacing` and `ligament_length` (mm); for a body from a file, the plan sets both.
 ///
 /// # Errors
-/// Where one is not given, or not above 0.
+/// If a length is missing or not above 0.
 pub(super) fn lengths(body: &spec::Body) -> Result<[f64; 2], Invalid> {
     let length = |key: &str, length: Option<f64>| {
         let length = given(key, length)?;
@@ -87,8 +87,8 @@ pub(super) fn lengths(body: &spec::Body) -> Result<[f64; 2], Invalid> {
     Ok([length("body.spacing", body.spacing)?, length("body.ligament_length", body.ligament_length)?])
 }
 
-/// The panels at these units, as `panel_units` gives them: forces along −y where planar, inward where circular, along the direction
-/// of the rule that gave them or towards the centre; or as `body.panels` or the body's file says. Turned by `body.panel_angle`.
+/// The panels at the units of `panel_units`, with forces by `body.panels` or the body's file, rotated by `body.panel_angle`. Default:
+/// along −y on planar bodies; along the rule's direction, or towards the centre, on circular ones.
 pub fn panels(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<Panel> {
     let ruled = layout.circular_panels(units.len()).unwrap_or_default();
     let by_rule = ruled.iter().map(|panel| &panel.0).eq(units.iter());
@@ -126,12 +126,12 @@ pub fn panels(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<Panel>
     units.iter().enumerate().map(panel).collect()
 }
 
-/// The units that panels of a body drive, of however many panels.
+/// All driven units, for any number of panels.
 pub fn driven(body: &spec::Body) -> Vec<usize> {
     listed(body).1.iter().filter(|panel| panel.base.is_some()).filter_map(|panel| panel.unit).collect()
 }
 
-/// What a spec says of where forces act, and its key.
+/// The panels that a spec lists, and their key.
 fn listed(body: &spec::Body) -> (&'static str, &[Struck]) {
     match body.polygons() {
         Some(given) if body.panels.is_empty() => ("body.file", &given.panels),
@@ -139,11 +139,11 @@ fn listed(body: &spec::Body) -> (&'static str, &[Struck]) {
     }
 }
 
-/// Where forces act, by `body.panels` or, where this is empty, by the body's file.
+/// Panels listed in `body.panels` or, if this is empty, in the body's file.
 struct Listed {
-    /// The key that says so.
+    /// The key of the list.
     key: &'static str,
-    /// Those that shake the base at the first unit that it holds.
+    /// Panels that shake the base get the first held unit.
     panels: Vec<Struck>,
 }
 
@@ -161,12 +161,12 @@ impl Listed {
         self.panels.iter().take(count).filter_map(|panel| panel.unit).collect()
     }
 
-    /// Whether these are the units of its first panels.
+    /// Whether the first panels have these units.
     fn begins_with(&self, units: &[usize]) -> bool {
         self.panels.len() >= units.len() && self.units(units.len()) == units
     }
 
-    /// Refuses panels that name what the layout has not, or that nothing tells apart.
+    /// Rejects panels that the layout cannot have, and panels with indistinguishable forces.
     fn check(&self, body: &spec::Body, layout: &Layout) -> Result<(), Invalid> {
         let given = listed(body).1;
         for (k, struck) in given.iter().enumerate() {
@@ -240,7 +240,7 @@ impl Listed {
 /// The panels of a trial.
 ///
 /// # Errors
-/// Where one is at no unit, at one that is held, or at the same as another without saying how.
+/// If a panel has no unit, a held unit, or repeats another panel.
 pub(super) fn struck(trial: &TrialSpec, layout: &Layout, held: &[usize]) -> Result<Vec<Panel>, Invalid> {
     let TrialSpec { body, panel_units: units, .. } = trial;
     let listed = Listed::new(body, layout);
@@ -257,7 +257,7 @@ pub(super) fn struck(trial: &TrialSpec, layout: &Layout, held: &[usize]) -> Resu
     Ok(panels(body, units, layout))
 }
 
-/// Which units are held, the default in place.
+/// The rule or list of held units, with the default.
 pub fn clamp(body: &spec::Body) -> Clamp {
     let own = body.polygons().and_then(|given| given.clamp.clone()).map(Clamp::Units);
     body.clamp.clone().or(own).unwrap_or(Clamp::Rule(match body.layout {
@@ -266,10 +266,10 @@ pub fn clamp(body: &spec::Body) -> Clamp {
     }))
 }
 
-/// The units of K panels: of `body.panels`, `body.panel_units`, the body's file, or the layout's rule.
+/// The units of K panels: from `body.panels`, `body.panel_units`, the body's file, or the layout's rule.
 ///
 /// # Errors
-/// Where there are not K, or they are none of the layout's.
+/// If there are not K panels, or units do not exist.
 pub fn panel_units(body: &spec::Body, layout: &Layout, panels: usize) -> Result<Vec<usize>, Invalid> {
     let none = |remedy: String| invalid("sweep.panels", panels, remedy);
     if let Some(units) = &body.panel_units {
@@ -299,10 +299,10 @@ pub fn panel_units(body: &spec::Body, layout: &Layout, panels: usize) -> Result<
     }
 }
 
-/// The units that are held.
+/// The clamped units.
 ///
 /// # Errors
-/// Where the layout has no such units, or none would be left.
+/// If units do not exist, or no unit is free.
 pub fn clamped(body: &spec::Body, layout: &Layout) -> Result<Vec<usize>, Invalid> {
     let clamp = clamp(body);
     let units = named("body.clamp", &clamp, body, layout)?;
@@ -324,7 +324,7 @@ fn name(rule: ClampRule) -> &'static str {
     }
 }
 
-/// The units that a key names.
+/// The units that the value of a key names.
 fn named(key: &str, clamp: &Clamp, body: &spec::Body, layout: &Layout) -> Result<Vec<usize>, Invalid> {
     let rule = match clamp {
         Clamp::Units(units) => return check_units(key, units, layout, &[]),
@@ -346,19 +346,19 @@ fn named(key: &str, clamp: &Clamp, body: &spec::Body, layout: &Layout) -> Result
     })
 }
 
-/// The units that are held, and after them those that are in part.
+/// The clamped units, then the guided ones.
 ///
 /// # Errors
-/// As those of `clamped` and `guided`.
+/// As [`clamped`] and [`guided`].
 pub fn held(body: &spec::Body, layout: &Layout) -> Result<Vec<usize>, Invalid> {
     let guided = guided(body, layout)?;
     Ok(clamped(body, layout)?.into_iter().chain(guided.into_iter().map(|guided| guided.0)).collect())
 }
 
-/// The units that are held in part, in order, and whether each of u, v, θ is. Those that a rule names and a clamp holds are left out.
+/// The guided units in order, and whether u, v, θ are held. Clamped units that a rule names are left out.
 ///
 /// # Errors
-/// Where the layout has no such units, a list names a clamped one, or nothing or all of a unit is held.
+/// If units do not exist, a list contains a clamped unit, or none or all coordinates are held.
 pub fn guided(body: &spec::Body, layout: &Layout) -> Result<Vec<(usize, [bool; 3])>, Invalid> {
     let (clamped, mut guided) = (clamped(body, layout)?, BTreeMap::new());
     for (k, Guide { units, holds }) in body.guides.iter().enumerate() {
@@ -384,11 +384,11 @@ pub fn guided(body: &spec::Body, layout: &Layout) -> Result<Vec<(usize, [bool; 3
     Ok(guided.into_iter().collect())
 }
 
-/// Parts of the way between held units that one may take, or add.
+/// Greatest compression or extension, as a fraction of the distance between the outermost held units.
 const COMPRESSION_MAX: f64 = 0.5;
 
-/// By how much each clamped unit, and then each guided one where it is held, is moved before a sample (mm): towards the middle between
-/// the outermost of them. None where none is.
+/// Displacement of each clamped, then of each guided unit in its held coordinates, before a sample (mm): towards the middle between
+/// the outermost. Empty: none.
 pub(super) fn pressed(
     body: &spec::Body,
     layout: &Layout,
@@ -417,10 +417,10 @@ pub(super) fn pressed(
     Ok(by)
 }
 
-/// The units as they are, if each is one of the layout's, appears once and is not held.
+/// The units, if all exist, each appears once and none is held.
 ///
 /// # Errors
-/// Names the unit at fault.
+/// Names the invalid unit.
 pub fn check_units(
     key: &str,
     units: &[usize],
@@ -440,10 +440,10 @@ pub fn check_units(
     Ok(units.to_vec())
 }
 
-/// Limits that a design breaks, as many as are shown.
+/// Greatest number of violated limits in an error message.
 const SHOWN: usize = 10;
 
-/// Refuses a starting design that cannot be cast, with the first of what it breaks.
+/// Rejects an infeasible initial design, with the first violated limits.
 pub(super) fn check_castable(
     body: &spec::Body,
     layout: &Layout,
@@ -482,10 +482,10 @@ fn shown(body: &spec::Body) -> String {
     }
 }
 
-/// The design that the body starts from; not judged.
+/// The initial design α (mm), not checked for feasibility.
 ///
 /// # Errors
-/// Where its length is not the layout's, it is not finite or still a file, or no random design can be cast.
+/// If its length is wrong, it is not finite, still a file, or no random feasible design was found.
 pub fn initial_design(body: &spec::Body, layout: &Layout, limits: Limits) -> Result<Vec<f64>, Invalid> {
     let regular = layout.initial_design(body.initial_angle.to_radians());
     let wrong = |remedy: String| invalid("body.design", shown(body), remedy);

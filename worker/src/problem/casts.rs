@@ -1,4 +1,4 @@
-//! How casts scatter, and who trains for them or asks about them, from their spec.
+//! Deviations of casts, training objectives and evaluations over casts, from the spec.
 
 use metasense_numerics::brains::fits;
 use metasense_numerics::dynamics::{Parameters, Relaxation};
@@ -9,22 +9,22 @@ use metasense_schemas::spec::{self, Scatter, TrialSpec};
 use super::body::lengths;
 use crate::invalid::{Invalid, as_written, at_least, at_most, invalid, require};
 
-/// Largest standard deviation of a logarithm: one cast in three hundred is then off by a factor of twenty.
+/// Greatest standard deviation of a logarithm: one cast in three hundred then deviates by a factor of twenty.
 const DEVIATION_MAX: f64 = 1.0;
-/// Largest standard deviation of a node, as a part of the ligaments' length: four of the distance of two nodes reach it.
+/// Greatest standard deviation σ of nodes relative to the ligament length l: 4σ of the distance between two nodes is then about l.
 const NODES_MAX: f64 = 1.0 / 6.0;
-/// Beyond this, chips are not glued but thrown (degrees).
+/// Greatest standard deviation of a chip's angle (degrees).
 const MISALIGNMENT_MAX: f64 = 45.0;
-/// Nodes farther apart than this are of no body (mm).
+/// Greatest correlation length of nodes (mm), longer than any body.
 const CORRELATION_MAX: f64 = 10_000.0;
-/// Deviations of the ligaments' length that the pitch still holds.
+/// Deviations of the ligament length that still leave it below the spacing.
 const LENGTHS: f64 = 6.0;
-/// Units of a body whose nodes scatter alike: the correlation of all of them is a matrix of some 140 MB.
+/// Greatest number of units with correlated nodes: their correlation matrix takes about 140 MB.
 const ALIKE_MAX: usize = 2000;
-/// More casts than this are taken for a mistake.
+/// Greatest number of casts; more are probably a mistake.
 const CASTS_MAX: usize = 10_000;
 
-/// How casts of a body of so many units scatter.
+/// Deviations of casts of a body with `units` units.
 pub(super) fn variation(trial: &TrialSpec, units: usize) -> Result<Option<Variation>, Invalid> {
     let Some(given) = &trial.variation else { return Ok(None) };
     let spec::Variation { stretch, shear, bend, damping, density, contact, .. } = *given;
@@ -83,7 +83,7 @@ pub(super) fn variation(trial: &TrialSpec, units: usize) -> Result<Option<Variat
     Ok(Some(Variation { relaxation, nodes, correlation, gain, misalignment, ..parts }))
 }
 
-/// How ligaments of the casts that judge relax.
+/// Relaxation of ligaments in casts that evaluate a body.
 fn relaxing(spec::Relaxation { share, time }: spec::Relaxation) -> Result<Relaxation, Invalid> {
     let remedy = "must lie between 0 and 1, a part of the ligament's stiffness";
     require((0.0..=1.0).contains(&share), "variation.relaxation.share", share, remedy)?;
@@ -92,14 +92,14 @@ fn relaxing(spec::Relaxation { share, time }: spec::Relaxation) -> Result<Relaxa
     Ok(Relaxation { share, time })
 }
 
-/// Of a key of `[variation]`.
+/// Checks the standard deviation of a key of `[variation]`.
 fn deviation(key: &str, value: f64) -> Result<f64, Invalid> {
     let remedy = "must be a standard deviation of the logarithm, from 0 to 1";
     require((0.0..=DEVIATION_MAX).contains(&value), &format!("variation.{key}"), value, remedy)
         .map(|()| value)
 }
 
-/// Of a cast's common factor, and of those of each `part`.
+/// Standard deviations of a cast's common factor and of each `part`'s factor.
 fn deviations<Parts: Copy + Into<[f64; 2]>>(
     key: &str,
     given: Option<Scatter<Parts>>,
@@ -116,7 +116,7 @@ fn deviations<Parts: Copy + Into<[f64; 2]>>(
     }
 }
 
-/// Casts that the body is trained for.
+/// The objective over casts, or over parts of a mixture.
 pub(super) fn casting(trial: &TrialSpec) -> Result<Option<Casting>, Invalid> {
     let spec::Optimise { objective, casts, reader, protocol, .. } = trial.optimise.clone().resolved();
     let Some(tail) = objective.and_then(spec::Objective::tail) else { return Ok(None) };
@@ -148,7 +148,7 @@ pub(super) fn casting(trial: &TrialSpec) -> Result<Option<Casting>, Invalid> {
     Ok(Some(Casting { over, casts, tail, reader }))
 }
 
-/// Casts that are read in the comparison at the end.
+/// Number of casts in the final comparison.
 pub(super) fn casts(trial: &TrialSpec) -> Result<usize, Invalid> {
     let casts = trial.evaluation.casts.unwrap_or(0);
     at_most("evaluation.casts", casts, CASTS_MAX)?;

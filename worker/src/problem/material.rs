@@ -1,4 +1,4 @@
-//! What a body weighs and opposes to being deformed, from its spec.
+//! Mass per area, stiffness and damping of a body from its spec.
 
 use metasense_numerics::dynamics::Stiffness;
 use metasense_numerics::material::{Ligament, modulus_at_rest};
@@ -7,10 +7,10 @@ use metasense_schemas::spec::{self, Material, Rubber};
 use super::body::lengths;
 use crate::invalid::{Invalid, invalid, not_negative, positive, require};
 
-/// The body with mass per area and stiffnesses in place of the material that gives them.
+/// The body with mass per area and stiffnesses in place of its material.
 ///
 /// # Errors
-/// Where it has neither, or both.
+/// If it has neither, or both.
 pub fn sheet(body: &spec::Body) -> Result<spec::Body, Invalid> {
     let missing = |key| invalid(key, "", "must be set, unless body.material is set");
     let Some(material) = body.material else {
@@ -53,10 +53,10 @@ pub fn sheet(body: &spec::Body) -> Result<spec::Body, Invalid> {
     })
 }
 
-/// Mass per area and stiffnesses, checked with what else there is of a material. A trial has them beside the material that they are of.
+/// Mass per area (Mg/mm²) and stiffnesses, checked together with damping and contact. Trials contain them beside the material.
 ///
 /// # Errors
-/// Where one is missing or out of its range.
+/// If a value is missing or out of range.
 pub fn material(body: &spec::Body) -> Result<(f64, Stiffness), Invalid> {
     let (density, stiffness) = match body.density.zip(body.stiffness) {
         Some(both) => both,

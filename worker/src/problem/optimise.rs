@@ -1,4 +1,4 @@
-//! The outer loop, from its spec: protocol, which shifts move.
+//! Settings of the outer loop from its spec: the protocol, and which shifts move.
 
 use metasense_numerics::body::{Freedom, Layout};
 use metasense_numerics::feasible::{Feasible, Limits};
@@ -8,11 +8,11 @@ use metasense_schemas::spec::{self, TrialSpec};
 use super::{ITERATIONS_MAX, SAMPLES_MAX, check_units, held, kept};
 use crate::invalid::{Invalid, as_written, invalid, positive, require, within};
 
-/// How body and brain are trained together.
+/// The training protocol.
 pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
     let &spec::Optimise { protocol, gradient, batch, brain_iterations, brain_learning_rate, coarse, .. } =
         optimise;
-    // a key that a protocol does not read is refused: it would make trials differ that are the same
+    // keys without effect are rejected: otherwise identical trials would get different hashes
     let unread = |key: &str, given: Option<String>, readers: &str| match given {
         Some(value) => {
             Err(invalid(key, value, format!("has no effect on this optimise.protocol, only on {readers}")))
@@ -31,7 +31,7 @@ pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
         unread("optimise.coarse", coarse.map(|solver| as_written(&solver)), "joint")?;
     }
     let resolved = optimise.clone().resolved();
-    // what a protocol does not read stays open, and does not matter
+    // placeholders for keys that the protocol does not use
     let going = Going {
         batch: resolved.batch.unwrap_or(1),
         brain_iterations: resolved.brain_iterations.unwrap_or(1),
@@ -50,7 +50,7 @@ pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
     })
 }
 
-/// Cells of a block whose nodes are shifted together.
+/// Size in cells of the blocks whose shifts are tied.
 pub(super) fn tie(optimise: &spec::Optimise) -> Result<[usize; 2], Invalid> {
     let tie = optimise.tie.unwrap_or([1, 1]);
     let shown = format!("{tie:?}");
@@ -63,15 +63,15 @@ pub(super) fn tie(optimise: &spec::Optimise) -> Result<[usize; 2], Invalid> {
     Ok(tie)
 }
 
-/// Units whose design stays.
+/// Units whose design does not change.
 pub(super) fn frozen(optimise: &spec::Optimise, layout: &Layout) -> Result<Vec<usize>, Invalid> {
     check_units("optimise.frozen", optimise.frozen.as_deref().unwrap_or_default(), layout, &[])
 }
 
-/// How many numbers the outer loop moves: those of α, or of z where shifts are tied or frozen, as `Problem::freedom` has them.
+/// Number of values that the outer loop moves: the length of α, or of z with tied or frozen shifts, as in `Problem::freedom`.
 ///
 /// # Errors
-/// Where `optimise.tie` or `optimise.frozen` make no sense, or leave nothing to move.
+/// If `optimise.tie` or `optimise.frozen` is invalid, or nothing can move.
 pub fn design_parameters(trial: &TrialSpec, layout: &Layout) -> Result<usize, Invalid> {
     let (tie, frozen) = (tie(&trial.optimise)?, frozen(&trial.optimise, layout)?);
     let kept = kept(&trial.feasible, &trial.panel_units, &held(&trial.body, layout)?);
@@ -85,11 +85,10 @@ pub fn design_parameters(trial: &TrialSpec, layout: &Layout) -> Result<usize, In
     Ok(parameters)
 }
 
-/// The designs that can be cast and had, as `Problem::castable` has them: shifts that are tied stay so, units that are frozen, or in
-/// `kept`, as they are.
+/// The feasible designs, as in `Problem::castable`. Tied shifts stay tied; units that are frozen or in `kept` do not change.
 ///
 /// # Errors
-/// Where `optimise.tie` or `optimise.frozen` make no sense.
+/// If `optimise.tie` or `optimise.frozen` is invalid.
 pub fn castable(
     optimise: &spec::Optimise,
     layout: &Layout,

@@ -1,4 +1,4 @@
-//! Force histories and what the sensors' chips add, from their spec.
+//! Force histories and chip properties from the spec.
 
 use metasense_numerics::brains::fits;
 use metasense_numerics::dynamics::{Inertia, Mount};
@@ -11,7 +11,7 @@ use super::{INSTANTS_MAX, SAMPLES_MAX};
 use crate::invalid::{Invalid, as_written, at_least, at_most, invalid, not_negative, require};
 use crate::records;
 
-/// Where the forces of a trial come from, and how many samples there are.
+/// Source of a trial's forces, and numbers of samples.
 pub(super) fn stimuli(trial: &TrialSpec) -> Result<Stimuli, Invalid> {
     let mut stimuli = trial.stimuli.clone().resolved();
     if read_under(trial).any(|part| part.kind == StimuliKind::Recorded) && !has_records(&stimuli) {
@@ -32,7 +32,7 @@ pub(super) fn stimuli(trial: &TrialSpec) -> Result<Stimuli, Invalid> {
     Ok(Stimuli { source: source(trial, &stimuli, instants)?, instants, samples, test, replacement, holdout })
 }
 
-/// Where the forces come from.
+/// The source of the forces.
 fn source(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result<Source, Invalid> {
     refuse_unread(stimuli)?;
     let source = match (stimuli.kind, &stimuli.recorded) {
@@ -57,10 +57,10 @@ fn source(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result
     })
 }
 
-/// How blows miss centroids and directions; none where they do not.
+/// Standard deviations of the offset and angle of blows; `None` if both are 0.
 fn hand(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Option<Hand>, Invalid> {
     let (offset, angle) = (stimuli.offset.unwrap_or_default(), stimuli.angle.unwrap_or_default());
-    // two deviations reach a corner
+    // two standard deviations then reach a corner
     let [spacing, length] = lengths(&trial.body)?;
     let most = 0.25 * (spacing - length);
     let remedy =
@@ -77,7 +77,7 @@ fn hand(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Option<Hand>, Inva
     Ok((offset > 0.0 || angle > 0.0).then_some(Hand { offset, angle: angle.to_radians() }))
 }
 
-/// The sum of a mixture's weights may be off by so much.
+/// Tolerance of the sum of a mixture's weights.
 const ROUNDING: f64 = 1e-6;
 
 /// The parts of a mixture with their weights.
@@ -118,7 +118,7 @@ fn mix(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result<Ve
     weights.into_iter().zip(parts).map(of).collect()
 }
 
-/// The forces of one kind, a table of `key`.
+/// Forces of a single kind, from a table of `key`.
 fn alone(
     trial: &TrialSpec,
     key: &str,
@@ -132,18 +132,18 @@ fn alone(
     })
 }
 
-/// Whether these forces are records, or some of them.
+/// Whether some of these forces are records.
 fn has_records(stimuli: &spec::Stimuli) -> bool {
     let parts = stimuli.mix.iter().flatten().map(|part| part.kind);
     std::iter::once(stimuli.kind).chain(parts).any(|kind| kind == StimuliKind::Recorded)
 }
 
-/// Kinds of forces under which the trial's bodies are read besides.
+/// Further kinds of forces under which bodies are evaluated.
 fn read_under(trial: &TrialSpec) -> impl Iterator<Item = &spec::Part> {
     trial.evaluation.under.iter().flatten()
 }
 
-/// The same as forces.
+/// Their sources.
 pub(super) fn under(trial: &TrialSpec) -> Result<Vec<Source>, Invalid> {
     let (key, kinds) = ("evaluation.under", read_under(trial).map(|part| part.kind).collect::<Vec<_>>());
     let shown = as_written(&kinds);
@@ -161,7 +161,7 @@ pub(super) fn under(trial: &TrialSpec) -> Result<Vec<Source>, Invalid> {
     read_under(trial).map(|part| alone(trial, key, part, &trial.stimuli, instants)).collect()
 }
 
-/// The forces' own clock.
+/// Number of instants of the forces' clock.
 fn force_instants(trial: &TrialSpec) -> Result<usize, Invalid> {
     let own = trial.time.samples;
     let instants = trial.stimuli.force_samples.unwrap_or(own);
@@ -176,7 +176,7 @@ fn force_instants(trial: &TrialSpec) -> Result<usize, Invalid> {
     Ok(instants)
 }
 
-/// A key that a kind does not read is refused: it would make trials differ that are the same.
+/// Rejects keys that the kind of stimuli does not use: otherwise identical trials would get different hashes.
 fn refuse_unread(stimuli: &spec::Stimuli) -> Result<(), Invalid> {
     let shown = |interval: Option<[f64; 2]>| interval.map(|i| format!("{i:?}"));
     let pulse = [
@@ -212,7 +212,7 @@ fn refuse_unread(stimuli: &spec::Stimuli) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// An interval of finite numbers within limits; `resolved` has seen to it that it is there.
+/// Checks an interval of finite numbers; `resolved` has set its default.
 fn interval(
     key: &str,
     given: Option<[f64; 2]>,
@@ -273,7 +273,7 @@ fn irregular(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Irregular, In
     })
 }
 
-/// Which signals of each sensor are read.
+/// Channels that each sensor has.
 pub(super) fn channels(sensors: &spec::Sensors) -> Result<Vec<usize>, Invalid> {
     let read = sensors.read();
     let remedy = "must name some of \"ax\", \"ay\", \"omega\", each once";
@@ -282,12 +282,12 @@ pub(super) fn channels(sensors: &spec::Sensors) -> Result<Vec<usize>, Invalid> {
     Ok(read.iter().map(|&channel| channel as usize).collect())
 }
 
-/// A heavier chip (Mg) is taken for a mistake of the unit.
+/// Greatest mass of a chip (Mg); more is probably a wrong unit.
 const CHIP_MAX: f64 = 1e-3;
-/// Largest cut-off of a chip's low-pass, in readings a second: its clock is then 64 times as fast as they are.
+/// Greatest cut-off of a chip's low-pass, in readings per second: its clock is then 64 times as fast as the readings.
 const BANDWIDTH_MAX: f64 = 2.0;
 
-/// What the sensors' chips add; none where nothing is asked for.
+/// Noise, filters and limits of the sensors' chips; `None` if there are none.
 pub(super) fn disturbance(
     sensors: &spec::Sensors,
     time: &spec::Time,
@@ -333,7 +333,7 @@ pub(super) fn disturbance(
     Ok((disturbance != Disturbance::NONE).then_some(disturbance))
 }
 
-/// What a chip adds to its unit.
+/// Mass and moment of inertia that a chip adds to its unit.
 pub(super) fn inertia(sensors: &spec::Sensors) -> Result<Option<Inertia>, Invalid> {
     let [mass, moment] = [sensors.mass, sensors.inertia].map(Option::unwrap_or_default);
     not_negative("sensors.mass", mass)?;
@@ -342,7 +342,7 @@ pub(super) fn inertia(sensors: &spec::Sensors) -> Result<Option<Inertia>, Invali
     Ok((mass > 0.0 || moment > 0.0).then_some(Inertia { mass, moment }))
 }
 
-/// How a chip sits on its unit.
+/// Offset and tilt of a chip on its unit.
 pub(super) fn mount(sensors: &spec::Sensors) -> Result<Option<Mount>, Invalid> {
     let (offset, tilt) = (sensors.offset.unwrap_or_default(), sensors.tilt.unwrap_or_default());
     let shown = format!("{offset:?}");

@@ -35,7 +35,7 @@ pub(crate) fn trial(changes: &[(&str, Value)]) -> TrialSpec {
     serde_json::from_value(spec).unwrap()
 }
 
-/// Degrees are radians, the bottom row is clamped, panels push down.
+/// Degrees become radians, the bottom row is clamped, panels push down.
 #[test]
 fn the_reference_scene_is_a_problem() {
     let problem = problem(&trial(&[])).unwrap();
@@ -45,7 +45,7 @@ fn the_reference_scene_is_a_problem() {
     assert!((problem.limits.min_block_angle - 25f64.to_radians()).abs() < 1e-15);
 }
 
-/// Each change makes the scene impossible, and the error names the key that did.
+/// Each change makes the spec invalid, and the error names its key.
 #[test]
 fn an_impossible_value_is_named_by_its_key() {
     let cases = [
@@ -60,7 +60,7 @@ fn an_impossible_value_is_named_by_its_key() {
         ("body.damping_ratio", json!(-0.1), "body.damping_ratio"),
         ("body.stiffness.shear", json!(-0.5), "body.stiffness.shear"),
         ("body.contact", json!({ "stiffness": -1.0 }), "body.contact.stiffness"),
-        // Old databases hold it: read, not run.
+        // accepted when read from databases, but not run
         ("body.contact", json!({ "min_angle": 6.0 }), "body.contact.min_angle"),
         ("body.clamp", json!("hub"), "body.clamp"),
         ("body.clamp", json!([3, 3]), "body.clamp"),
@@ -109,7 +109,7 @@ fn an_impossible_value_is_named_by_its_key() {
     }
 }
 
-/// Presets, what replaces them, and what is refused of both together.
+/// Presets, their overrides, and invalid combinations.
 #[test]
 fn the_network_is_as_the_spec_says() {
     let network = |changes: &[(&str, Value)]| {
@@ -129,7 +129,7 @@ fn the_network_is_as_the_spec_says() {
     let even = ("brain.kernels", json!([4, 2, 3, 1, 1]));
     assert_eq!(network(&[even.clone(), causal.clone()]), of(64, &[4, 2, 3, 1, 1], &[1; 5], true));
     assert_eq!(network(&[even, causal, long.clone()]), Err("brain.dilations".into()));
-    // back only, a kernel reaches twice as far
+    // causal kernels reach twice as far back
     let far = [("brain.kernels", json!([3, 1])), ("brain.dilations", json!([199, 1]))];
     assert!(network(&far).is_ok());
     assert_eq!(
@@ -139,7 +139,7 @@ fn the_network_is_as_the_spec_says() {
     assert_eq!(network(&[long, ("time.samples", json!(32))]), Err("brain.dilations".into()));
 }
 
-/// A key that the protocol does not read is refused, not ignored.
+/// Keys that the protocol does not use are rejected.
 #[test]
 fn each_protocol_refuses_the_keys_of_the_others() {
     for (protocol, key, value) in [
@@ -155,7 +155,7 @@ fn each_protocol_refuses_the_keys_of_the_others() {
     }
 }
 
-/// A circular body of whatever lattice is clamped at its hub and struck inward, and sensors are searched for elsewhere.
+/// Circular bodies of every lattice are clamped at the hub, forces act inward, and sensor candidates are other units.
 #[test]
 fn a_circular_body_is_struck_inward() {
     let angle = 25f64.to_radians();
@@ -194,9 +194,8 @@ fn a_circular_body_is_struck_inward() {
     }
 }
 
-/// Blows miss by what is said: the histories are those of the same forces on the centroid, offsets and angles are normal about
-/// zero, of each sample, panel and purpose their own, and neither depends on the other's size or on what strikes. A part of a
-/// mixture has its own.
+/// Offsets and angles of blows do not change force histories. They are normal with mean 0, independent of each other and of the
+/// kind of stimuli, and differ between samples, panels and purposes. Each part of a mixture has its own.
 #[test]
 fn blows_miss_the_centroid_and_the_direction() {
     let of = |stimuli: Value| problem(&trial(&[("stimuli", stimuli)])).unwrap();
@@ -230,7 +229,7 @@ fn blows_miss_the_centroid_and_the_direction() {
             let n = askew.len() as f64;
             let mean = askew.iter().map(|miss| miss[d]).sum::<f64>() / n;
             let size = (askew.iter().map(|miss| miss[d].powi(2)).sum::<f64>() / n).sqrt();
-            // four standard errors of either
+            // four standard errors
             assert!(mean.abs() < 4.0 * asked / n.sqrt(), "{purpose:?}: mean {mean}");
             assert!((size / asked - 1.0).abs() < 4.0 / (2.0 * n).sqrt(), "{purpose:?}: {size} of {asked}");
         }
@@ -246,7 +245,7 @@ fn blows_miss_the_centroid_and_the_direction() {
     assert!(misses[0] != misses[1] && misses[1] != misses[2], "purposes share their draws");
 }
 
-/// A list of panels says of each where its force acts; several may act on one unit.
+/// `body.panels` sets where each force acts; several may act on one unit.
 #[test]
 fn forces_act_where_the_list_of_panels_says() {
     let with = |list: Value, units: Value| {
@@ -259,7 +258,7 @@ fn forces_act_where_the_list_of_panels_says() {
     let node = Panel { node: Some(1), moment: -0.4, ..Panel::central(34, [0.6, -0.8]) };
     let couple = Panel { moment: -5.0, ..Panel::central(34, [0.0; 2]) };
     assert_eq!(with(list, json!([34, 34])).unwrap(), [node, couple]);
-    // the base is drawn at the first unit that it holds
+    // the base is represented by the first held unit
     let list = json!([{ "base": 1e-5, "direction": [1, 0] }, { "unit": 34 }]);
     let shaken = Panel { moves: Some(Moves::Base(1e-5)), ..Panel::central(0, [1.0, 0.0]) };
     assert_eq!(with(list, json!([0, 34])).unwrap(), [shaken, Panel::central(34, [0.0, -1.0])]);
@@ -294,7 +293,7 @@ fn forces_act_where_the_list_of_panels_says() {
     }
 }
 
-/// From down by 90° anticlockwise is right; every panel of a circular body is turned by as much from inward.
+/// An angle of 90° turns forces from down to right; on a circular body it turns each from inward.
 #[test]
 fn panels_are_turned_by_their_angle() {
     let at = |angle: f64| problem(&trial(&[("body.panel_angle", json!(angle))])).unwrap().scene.panels;
@@ -312,7 +311,7 @@ fn panels_are_turned_by_their_angle() {
     }
 }
 
-/// Held units come together about the middle of the outermost of them; those in it stay.
+/// Compression moves held units towards the middle between the outermost; units there stay.
 #[test]
 fn compression_moves_what_is_held() {
     let with = |keys: &[(&'static str, Value)]| problem(&trial(keys)).map(|problem| problem.scene);
@@ -321,7 +320,7 @@ fn compression_moves_what_is_held() {
     assert_eq!(scene.clamped, [0, 5, 6, 11, 12, 17, 18, 23, 24, 29, 30, 35]);
     let near = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]) < 1e-12;
     assert!(near(scene.pressed[0], [3.75, -0.75]) && near(scene.pressed[11], [-3.75, 0.75]), "{scene:?}");
-    // of every row, whether it begins half a cell to the right or not
+    // in every row, shifted by half a cell or not
     for (lattice, rows) in [("kagome", 3), ("triangular", 4), ("chiral", 4)] {
         let sheet = [
             sides.clone(),
@@ -357,7 +356,7 @@ fn compression_moves_what_is_held() {
     }
 }
 
-/// Guides hold what a clamp leaves, once; with them a press moves each unit along what is held of it.
+/// Guides hold only units that no clamp holds; compression moves them in their held coordinates.
 #[test]
 fn guides_hold_units_in_part() {
     let with = |keys: &[(&'static str, Value)]| problem(&trial(keys)).map(|problem| problem.scene);
@@ -367,7 +366,7 @@ fn guides_hold_units_in_part() {
     let mut known: Vec<_> = [6, 11, 12, 17, 18, 23, 24, 29, 30, 35].map(|unit| (unit, side(unit))).to_vec();
     known.insert(3, (14, [false, false, true]));
     assert_eq!((scene.guided.clone(), scene.clamped.len()), (known, 6));
-    // clamped units go with those that are held along x, and the middle one nowhere
+    // clamped units move with those held along x; the unit in the middle stays
     let free = [("body.guides", sides), ("body.clamp", json!([2])), ("body.compression", json!([0.1, 0.0]))];
     let scene = with(&free).unwrap();
     let ways: Vec<f64> = scene.pressed.iter().map(|way| way[0]).collect();
@@ -396,7 +395,7 @@ fn guides_hold_units_in_part() {
         let fault = with(&keys).unwrap_err();
         assert!(fault.key == key && fault.remedy.contains(remedy), "{fault:?}");
     }
-    // two rollers and a slot hold a body as a clamp does
+    // two rollers and a slot prevent all rigid motion
     let three = json!([{ "units": [0], "holds": ["x", "y"] }, { "units": [5], "holds": ["y"] }]);
     let scene = with(&[none.clone(), ("body.guides", three)]).unwrap();
     assert!(!scene.is_loose() && scene.clamped.is_empty());
@@ -404,8 +403,8 @@ fn guides_hold_units_in_part() {
     assert!(with(&[none, ("body.guides", parallel)]).unwrap().is_loose());
 }
 
-/// Every sample of a mixture, of every purpose, is that of one kind alone under its number; kinds come as often as their weights
-/// say, and whoever else is drawn with it, a sample stays the same.
+/// Every sample of a mixture equals that kind's sample of the same number, for every purpose. Frequencies follow the weights, and a
+/// sample does not depend on which others are drawn.
 #[test]
 fn a_mixture_takes_each_sample_from_one_of_its_kinds() {
     let of = |stimuli: Value| problem(&trial(&[("stimuli", stimuli)])).unwrap();

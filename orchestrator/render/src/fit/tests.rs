@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use super::super::row;
 use super::*;
 
-/// As wide as what `expand`, `run` and `query` print: names of several parts, numbers, hashes, texts of several lines.
+/// A table as wide as those of `expand`, `run` and `query`: long names, numbers, hashes, texts of several lines.
 fn wide(rows: usize) -> Table {
     let columns = "hash state seed brain.kind holdout_error_initial holdout_error_optimised cost_seconds panel_units sensor_units \
                    nonlinear_acceleration_optimised over";

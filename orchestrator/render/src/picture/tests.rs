@@ -7,7 +7,7 @@ fn picture(title: &str) -> Picture {
     Picture { title: title.into(), class: "body", view: [0.0, 0.0, 20.0, 10.0], marks }
 }
 
-/// Title and legend stand above the picture, in as many lines as they need; without them the picture is at the top.
+/// Title and legend appear above the picture in as many lines as needed; without them the picture is at the top.
 #[test]
 fn title_and_legend_stand_above_the_picture() {
     let entries = (0..4).map(|i| ("initial", format!("entry {i} & more text"))).collect();

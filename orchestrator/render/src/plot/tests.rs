@@ -17,7 +17,7 @@ fn ticks_lie_within_the_axis_and_are_few() {
     }
 }
 
-/// As far apart as no step between them is a number.
+/// Number of ticks for extreme ranges.
 #[test]
 fn ticks_end() {
     for [low, high] in [[0.0, 5e-324], [1.0, 1.0 + f64::EPSILON], [-f64::MAX, f64::MAX]] {

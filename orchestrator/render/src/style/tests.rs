@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// Every variable that a style asks for has a value in either theme.
+/// Every variable in the styles has a value in both themes.
 #[test]
 fn no_colour_is_missing() {
     let file = of_file();

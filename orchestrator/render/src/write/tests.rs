@@ -20,7 +20,7 @@ fn json_is_a_list_of_objects() {
     assert_eq!(value, json!([{"hash": "a,b", "error": 12.345678}, {"hash": "c", "error": null}]));
 }
 
-/// Of three groups; a column becomes one of texts in the last of them.
+/// Three row groups; a column becomes text in the last one.
 #[test]
 fn rows_as_they_come_give_the_bytes_of_a_table() {
     let row =
@@ -33,7 +33,7 @@ fn rows_as_they_come_give_the_bytes_of_a_table() {
     assert!(rows == table.written(Format::Parquet) && rows.len() > 150_000 * 24);
 }
 
-/// ±∞, numbers of any size and the order of the columns.
+/// ±∞, numbers of extreme size, and the order of columns.
 #[test]
 fn what_is_printed_reads_back() {
     let numbers = [f64::INFINITY, f64::NEG_INFINITY, 1e300, -5e-324, 0.1 + 0.2, -0.0];

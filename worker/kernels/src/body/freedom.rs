@@ -15,6 +15,8 @@ pub struct Freedom {
     /// First group of each group's block; a free group is its own leader.
     leader: Vec<usize>,
     frozen: Vec<bool>,
+    /// Of α.
+    length: usize,
 }
 
 impl Freedom {
@@ -34,7 +36,13 @@ impl Freedom {
             let block = (kind, [(i - left) / p as i32, (j - low) / q as i32]);
             if frozen[group] { group } else { *first.entry(block).or_insert(group) }
         });
-        Self { leader: leader.collect(), frozen }
+        Self { leader: leader.collect(), frozen, length: 2 * layout.group_count }
+    }
+
+    /// All of `length` numbers move, each alone.
+    pub fn whole(length: usize) -> Self {
+        let pairs = length.div_ceil(2);
+        Self { leader: (0..pairs).collect(), frozen: vec![false; pairs], length }
     }
 
     /// As [`Freedom::new`], for a body with units of fixed shape (`kept`). If shifts are tied or frozen, these units are frozen too.
@@ -61,7 +69,7 @@ impl Freedom {
 
     /// Length of z.
     pub fn parameters(&self) -> usize {
-        2 * (0..self.leader.len()).filter(|&group| self.leads(group)).count()
+        self.coordinates().len()
     }
 
     fn leads(&self, group: usize) -> bool {
@@ -70,7 +78,7 @@ impl Freedom {
 
     /// Indices in α at which z is stored.
     pub fn coordinates(&self) -> Vec<usize> {
-        (0..2 * self.leader.len()).filter(|i| self.leads(i / 2)).collect()
+        (0..self.length).filter(|i| self.leads(i / 2)).collect()
     }
 
     /// Pᵀ applied to a gradient in α. The result is stored at the leaders and is zero elsewhere.

@@ -24,8 +24,8 @@ pub struct Ligament {
 /// Place of a node group in a lattice: index of the pattern's link, and the cell where that link ends.
 pub type GroupCell = (usize, [i32; 2]);
 
-/// A body without its design.
-#[derive(Debug, Clone, PartialEq)]
+/// A body without its design; the default has no units.
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Layout {
     /// Reference points of the units (mm).
     pub centres: Vec<[f64; 2]>,

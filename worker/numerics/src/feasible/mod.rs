@@ -9,6 +9,7 @@
 //! The shape of a rigid unit has no limits; other parts keep their distance from each of its edges.
 
 mod exact;
+mod linear;
 mod overlap;
 mod program;
 mod project;
@@ -18,6 +19,7 @@ mod rows;
 mod tests;
 
 pub use exact::{Kind, Violation};
+pub use linear::{LinearLimits, LinearRow};
 pub use overlap::{Overlaps, overlaps};
 pub use project::{Active, Projection, Stage, Status};
 
@@ -57,6 +59,19 @@ impl Default for Limits {
             clearance: 1.0,
             ligament_clearance: 0.5,
         }
+    }
+}
+
+/// The designs that a body can have.
+pub trait Castable {
+    /// The feasible design nearest to `target` in the metric `weights` (per coordinate; `None`: Euclidean), or `previous`; the status
+    /// says which.
+    fn project(&mut self, previous: &[f64], target: &[f64], weights: Option<&[f64]>) -> Projection;
+}
+
+impl Castable for Feasible {
+    fn project(&mut self, previous: &[f64], target: &[f64], weights: Option<&[f64]>) -> Projection {
+        Feasible::project(self, previous, target, weights)
     }
 }
 

@@ -232,7 +232,7 @@ fn movable<'a>(rows: &'a [Row], ask: &Ask<'_>) -> Vec<&'a Row> {
     rows.iter().filter(|r| r.terms().iter().any(|t| !ask.fixed[t.0 as usize])).collect()
 }
 
-fn settings() -> DefaultSettings<f64> {
+pub(super) fn settings() -> DefaultSettings<f64> {
     DefaultSettings {
         verbose: false,
         max_iter: 100,

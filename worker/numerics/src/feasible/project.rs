@@ -393,7 +393,7 @@ impl super::rows::Rows {
 }
 
 /// The weights, scaled to mean 1 and raised to the least weight; `None` if one is not finite.
-fn metric(n: usize, weights: Option<&[f64]>) -> Option<Vec<f64>> {
+pub(super) fn metric(n: usize, weights: Option<&[f64]>) -> Option<Vec<f64>> {
     let Some(weights) = weights else { return Some(vec![1.0; n]) };
     assert_eq!(weights.len(), n, "length of the weights");
     let mean = weights.iter().sum::<f64>() / n as f64;

@@ -282,7 +282,7 @@ impl Fit {
         let variation = problem.variation.unwrap_or(Variation::USUAL);
         let unknowns = Unknowns::of_records(&problem.scene, &variation, free, pool);
         let mut fit = Self::begun(&unknowns);
-        fit.solver = tuned.plan.reason;
+        fit.solver = tuned.reason;
         let mut objective =
             Objective::new(problem, chip.as_ref(), design, records, unknowns, &tuned.solver, pool);
         objective.counters += tuned.counters;

@@ -152,7 +152,7 @@ impl<'a> Objective<'a> {
         let tuned = tune_in_motion(self.problem, &scene, &design, forces, asked, self.pool);
         self.counters += tuned.counters;
         self.choose_clock(&scene, &design, forces, &tuned.solver);
-        tuned.plan.reason
+        tuned.reason
     }
 
     /// Steps for a scene under forces on its clock: accurate ones, and those for columns.

@@ -1,8 +1,8 @@
-//! What is left of a body once it is cast: brains on casts of it that no training has seen.
+//! Evaluates decoders on casts that no training used.
 //!
-//! A linear brain fitted to the body as designed, one to samples of many other casts, and, where asked for, one to the first 10, 30, 100
-//! and to all training samples of the cast itself beside those; of a trial with networks also the first network of its comparison, and one trained
-//! on other casts. Each reads the holdout on the cast. A cast that cannot be simulated is read entirely wrong.
+//! Linear decoders are fitted to the body as designed, to samples of many other casts, and, if requested, to these and 10, 30, 100
+//! or all training samples of the cast itself. Trials with networks add the first network of their comparison, and one trained on
+//! other casts. Each is evaluated on the held-out set; a cast whose simulation fails has an error of 100 %.
 
 use super::evaluation::{BandReading, CastBrain, CastReading, Regularisation};
 use super::fresh::read;
@@ -14,28 +14,28 @@ use crate::random::Purpose;
 use crate::trial::{BrainKind, Counters, Decoder, Mould, Problem, Ridge, Samples, Trial, Trouble, held};
 use crate::variation::{Cast, Casts};
 
-/// Casts to which the brain for all casts is fitted, and samples of each.
+/// Number of casts to which the decoder for all casts is fitted, and of samples per cast.
 const KNOWN_CASTS: usize = 24;
 const KNOWN_SAMPLES: usize = 20;
-/// Its samples are numbered from here, out of the way of the outer steps'.
+/// Number of their first sample, above those of the outer steps.
 const KNOWN_FIRST: u64 = 1 << 40;
-/// Samples of a cast to which a brain is fitted, where there are more, and then all.
+/// Numbers of records on which decoders are calibrated, if the training set is larger; all its samples follow.
 pub const RECORDS: [usize; 3] = [10, 30, 100];
 
-/// Training samples of the body as designed, and samples of many casts; or why not.
+/// Training samples of the body as designed, and samples of many casts.
 type Known = [Result<Samples, Trouble>; 2];
 
-/// The brains that have been fitted before a cast is seen, or why not.
+/// The decoders fitted before a cast is evaluated, and the numbers of records.
 struct Brains<'a> {
-    /// Of the body as designed and of many casts; none of a trial without.
+    /// Trained on the body as designed and on many casts; empty unless the trial's decoder is a network.
     networks: Vec<Result<Box<dyn Reader + 'a>, Trouble>>,
     nominal: Result<Fitted, Trouble>,
     casts: Result<Pooled, Trouble>,
-    /// Numbers of samples of a cast on which a decoder is calibrated.
+    /// Numbers of records of a cast on which decoders are calibrated.
     records: Vec<usize>,
 }
 
-/// Goes on with the casts of the body number `turn`; `None` if the observer said stop: it has the state by then.
+/// Evaluates the remaining casts of body number `turn`. `None` if the observer stopped it; the observer then has the state.
 pub(super) fn read_casts(mould: &Mould, turn: usize, state: &mut State, log: &mut Log) -> Option<()> {
     let trial = mould.trial;
     let problem = &trial.problem;
@@ -44,7 +44,7 @@ pub(super) fn read_casts(mould: &Mould, turn: usize, state: &mut State, log: &mu
         return Some(());
     }
     let counted = log.report.counters;
-    // one that goes on makes its brains again, to the same bits
+    // a resumed comparison fits its decoders again, to the same bits
     let known = log.timed(|s| &mut s.simulate, |report| known(mould, &mut report.counters));
     if done > 0 || state.comparison.training.is_some() {
         log.report.counters = counted;
@@ -61,7 +61,7 @@ pub(super) fn read_casts(mould: &Mould, turn: usize, state: &mut State, log: &mu
         log.report.counters = counted;
     }
     for number in done..problem.evaluation.casts {
-        // what a cast that is begun anew does again counts once
+        // work that an interrupted cast repeats counts once
         let counted = if number == 0 { counted } else { log.report.counters };
         let cast = trial.cast(Casts::Unseen, number as u64);
         let sets = log.timed(|s| &mut s.simulate, |report| sets(mould, cast.as_ref(), &mut report.counters));
@@ -96,14 +96,14 @@ pub(super) fn read_casts(mould: &Mould, turn: usize, state: &mut State, log: &mu
     Some(())
 }
 
-/// As many samples of each cast, no fewer in all than there are training samples where there are so many.
+/// Equally many samples of each cast, in total at least `training` if there are enough.
 fn thinned(casts: &Samples, training: usize) -> Samples {
     let each = training.div_ceil(KNOWN_CASTS).min(KNOWN_SAMPLES);
     casts.select(&(0..casts.count()).filter(|i| i % KNOWN_SAMPLES < each).collect::<Vec<_>>())
 }
 
-/// The first network of the comparison, and one of the same initial weights and iterations trained on casts; `None` if the
-/// observer said stop.
+/// The first network of the comparison, and one with the same initial weights and iterations trained on casts; `None` if the
+/// observer stopped it.
 fn networks<'a>(
     trial: &'a Trial<'a>,
     known: [Result<&'a Samples, Trouble>; 2],
@@ -131,8 +131,8 @@ fn networks<'a>(
     Some(ready.into())
 }
 
-/// Weights of a network of the comparison's initial weights and iterations, trained on samples of casts; `None` if the observer
-/// said stop.
+/// Weights of a network trained on samples of casts, with the comparison's initial weights and iterations; `None` if the observer
+/// stopped it.
 fn weights_for(
     trial: &Trial,
     known: &Samples,
@@ -149,22 +149,21 @@ fn weights_for(
     Some(found.trouble.map_or(Ok(found.weights), Err))
 }
 
-/// A brain for all casts of a body.
+/// A decoder for all casts of a body.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ForCasts {
-    /// A linear one.
+    /// A linear decoder.
     Linear(Fitted),
     /// Weights of a network, for inputs at the trial's scales.
     Network(Vec<f32>),
-    /// Those of a network on a linear brain, and this.
+    /// A linear decoder, and weights of the network that also uses its estimates.
     Stacked(Fitted, Vec<f32>),
 }
 
-/// Fits the brain of the trial's kind for all casts of a design once more, as the comparison does: to casts that are known, none
-/// of those that it then reads.
+/// Fits a decoder of the trial's kind for all casts of a design, to the same casts as the comparison; evaluated casts are others.
 ///
 /// # Errors
-/// If these casts cannot be simulated, or it cannot be fitted to them.
+/// If these casts cannot be simulated, or fitting fails.
 pub fn brain_for_casts(trial: &Trial, design: &[f64]) -> Result<ForCasts, Trouble> {
     let solver = &trial.tuned(design).solver;
     let casts = of_casts(&Mould { trial, design, solver }, &mut Counters::default());
@@ -186,7 +185,7 @@ pub fn brain_for_casts(trial: &Trial, design: &[f64]) -> Result<ForCasts, Troubl
     })
 }
 
-/// How the first `count` casts of a design are read by linear brains; `progress` is told how many have been.
+/// Evaluates linear and inverse decoders on the first `count` casts of a design. `progress` receives the number of finished casts.
 pub fn casts_of(
     trial: &Trial,
     design: &[f64],
@@ -217,7 +216,7 @@ fn known(mould: &Mould, counters: &mut Counters) -> Known {
     [mould.samples(None, train, counters), of_casts(mould, counters)]
 }
 
-/// Samples of many casts.
+/// Samples of the `KNOWN_CASTS` casts.
 fn of_casts(mould: &Mould, counters: &mut Counters) -> Result<Samples, Trouble> {
     let trial = mould.trial;
     let one = |number: usize, counters: &mut Counters| {
@@ -229,7 +228,7 @@ fn of_casts(mould: &Mould, counters: &mut Counters) -> Result<Samples, Trouble> 
     for found in trial.side_by_side(KNOWN_CASTS, counters, one) {
         match found {
             Ok(found) => all.push(found),
-            // one that fails teaches nothing
+            // casts that fail are left out
             Err(trouble) => failed = Some(trouble),
         }
     }
@@ -239,7 +238,7 @@ fn of_casts(mould: &Mould, counters: &mut Counters) -> Result<Samples, Trouble> 
     }
 }
 
-/// Training samples of a cast, where brains are fitted to them, and its holdout.
+/// Training samples of a cast, empty unless decoders are calibrated on them, and its held-out samples.
 fn sets(mould: &Mould, cast: Option<&Cast>, counters: &mut Counters) -> Result<[Samples; 2], Trouble> {
     let problem = &mould.trial.problem;
     let [train, _] = problem.known();
@@ -250,7 +249,7 @@ fn sets(mould: &Mould, cast: Option<&Cast>, counters: &mut Counters) -> Result<[
 }
 
 impl Brains<'_> {
-    /// The linear ones; `ridge`: λ of the trial's decoder on the body as designed, where it has been chosen.
+    /// Fits the linear decoders. `ridge`: λ chosen earlier on the body as designed, if known.
     fn new(trial: &Trial, known: &Known, ridge: Option<f64>) -> Self {
         let nominal = held(&known[0]).and_then(|known| match ridge {
             Some(ridge) => {
@@ -267,8 +266,8 @@ impl Brains<'_> {
         Self { networks: Vec::new(), nominal, casts, records }
     }
 
-    /// How they read a cast of these training and holdout samples, and how those do that are fitted to it. To the bands of the body
-    /// as designed come what lies in them where its own brain, or that of the same kind for all casts, reads the cast.
+    /// Evaluates all decoders on a cast with these training and held-out samples. Appends to `bands` the coverage of the design's
+    /// bands by the trial's kind of decoder.
     fn read(
         &mut self,
         trial: &Trial,
@@ -297,7 +296,7 @@ impl Brains<'_> {
                     let within = |(holdout, said, _): &(&Samples, Vec<f64>, _)| {
                         reading.band.coverage(holdout, said, trial.problem.first_judge(holdout.count()))
                     };
-                    // what cannot be read lies in no band
+                    // a failed decoder covers nothing
                     let coverage = found.as_ref().map_or(reading.coverage.map(|_| 0.0), within);
                     let band = Band { half_width: Vec::new(), ..reading.band };
                     bands.push(BandReading { cast: Some((cast, by)), band, width: reading.width, coverage });
@@ -309,7 +308,7 @@ impl Brains<'_> {
             .collect()
     }
 
-    /// Forces (N, T, K) (N) of signals (N, T, 3M) of a cast with these training samples, and what the brain was fitted with.
+    /// Forces (N, T, K) in N from signals (N, T, 3M) of a cast with these training samples, and the decoder's regularisation.
     fn predict(
         &mut self,
         trial: &Trial,

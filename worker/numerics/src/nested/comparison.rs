@@ -1,5 +1,4 @@
-//! The comparison at the end: fresh brains on the initial and on the best body, then what is left of both in casts and under
-//! other forces.
+//! The final comparison: fresh decoders on the initial and on the best body, then both bodies' casts and other forces.
 
 use super::casts::read_casts;
 use super::evaluation::{BodyEvaluation, Comparison, Optimised};
@@ -11,22 +10,22 @@ use crate::dynamics;
 use crate::questions::{nonlinear, under};
 use crate::trial::{COARSE, Mould, Problem, Trial};
 
-/// What stands in a trial's reason before that of its best body.
+/// Separates the initial body's reason from the best body's.
 const BEST: &str = ". Best body: ";
 
-/// Whether the integrators of a trial, by [`Optimised::solver`], keep the error asked on the initial and on the best body; coarse steps
-/// move a body, and no error is by them.
+/// Whether the integrators that [`Optimised::solver`] describes meet the tolerance on the initial and on the best body. Coarse
+/// steps do not count: they only move the body.
 pub fn keeps_error(solver: &str) -> [bool; 2] {
     let (initial, best) = solver.split_once(BEST).unwrap_or((solver, solver));
     let initial = initial.split_once(COARSE).map_or(initial, |(usual, _)| usual);
     [initial, best].map(dynamics::keeps_error)
 }
 
-/// The comparison of the best body, and of the initial one where asked for; `None` if the observer said stop.
+/// Compares the best body with the initial one, if requested; `None` if the observer stopped it.
 pub(super) fn compared(trial: &Trial, mut state: State, observer: &mut dyn Observe) -> Option<Optimised> {
     let problem = &trial.problem;
     let initial = &problem.initial;
-    // a body that was trained and never looked at is not the initial one
+    // without test evaluations, the last body is the best
     let (design, best_step) = match &state.best {
         Some(best) => (best.design.clone(), best.step),
         None if problem.optimise.protocol.is_search() => (initial.clone(), 0),
@@ -55,7 +54,7 @@ pub(super) fn compared(trial: &Trial, mut state: State, observer: &mut dyn Obser
     let Report { mut counters, seconds, .. } = log.report;
     counters.dynamics += trial.pilots;
     counters.dynamics += tuned.counters;
-    let solver = format!("{}{BEST}{}", trial.reason, tuned.plan.reason);
+    let solver = format!("{}{BEST}{}", trial.reason, tuned.reason);
     let Comparison { bodies: compared, mut casts, mut bands, .. } = state.comparison;
     casts.resize_with(compared.len(), Vec::new);
     bands.resize_with(compared.len(), Vec::new);
@@ -78,8 +77,8 @@ pub(super) fn compared(trial: &Trial, mut state: State, observer: &mut dyn Obser
     })
 }
 
-/// What was found of the initial and of the best body: of one that nothing has moved it is both, and nothing of an initial one
-/// that was not compared.
+/// Results of the initial and the best body. Without outer steps both are the same; an initial body that was not compared has the
+/// default.
 fn of_both<T: Clone + Default>(problem: &Problem, mut found: Vec<T>) -> [T; 2] {
     let last = found.pop().expect("a body was compared");
     let unmoved = problem.optimise.iterations == 0;
@@ -87,8 +86,7 @@ fn of_both<T: Clone + Default>(problem: &Problem, mut found: Vec<T>) -> [T; 2] {
     [first, last]
 }
 
-/// The comparison at the end for any designs: fresh networks of the same initial weights on each, until the observer says
-/// stop.
+/// Trains fresh networks of the same initial weights on each design, until the observer stops it.
 pub fn evaluate_designs(
     trial: &Trial,
     designs: &[Vec<f64>],

@@ -1,82 +1,81 @@
-//! What a comparison finds: fresh brains on the initial and on the best body.
+//! Results of the comparison: fresh decoders on the initial and on the best body.
 
 use super::report::Seconds;
 use crate::brains::{Band, Fresh, Reading};
 use crate::questions::{Nonlinear, UnderReading};
 use crate::trial::{Counters, FAILED, Problem, Spread, Trouble, mean_error};
 
-/// A fresh network on a body.
+/// A fresh decoder on a body.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct NetworkEvaluation {
     /// Mean prediction error on the training set (%).
     pub error_train: Option<f64>,
-    /// On the test set (%).
+    /// Mean prediction error on the test set (%).
     pub error_test: Option<f64>,
-    /// On the holdout (%).
+    /// Mean prediction error on the held-out set (%).
     pub error_holdout: Option<f64>,
-    /// How its errors on the holdout spread.
+    /// Distribution of the held-out errors.
     pub spread: Option<Spread>,
     /// Training loss (normalised) at every iteration.
     pub losses: Vec<f32>,
-    /// (iteration, from 1, mean prediction error on the holdout before it (%)) at `brain::milestones`.
+    /// At `brain::milestones`: iteration, from 1, and mean prediction error on the held-out set before it (%).
     pub errors: Vec<(u32, f64)>,
-    /// Weights of the first network, by which its predictions can be had again, for inputs at the trial's scales; empty of
-    /// the others.
+    /// Weights of the first network, for inputs at the trial's scales; empty for other networks.
     pub weights: Vec<f32>,
-    /// What went wrong.
+    /// Why fitting failed.
     pub trouble: Option<Trouble>,
 }
 
 impl NetworkEvaluation {
-    /// Of a brain that could not be fitted.
+    /// Result of a decoder that could not be fitted.
     pub(super) fn nothing(trouble: Trouble) -> Self {
         Self { trouble: Some(trouble), ..Self::default() }
     }
 }
 
-/// A body with its fresh brains.
+/// A body with its fresh decoders.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct BodyEvaluation {
     /// α (mm).
     pub design: Vec<f64>,
-    /// One entry a seed; of a linear brain, which needs none, one.
+    /// One entry per seed; a single entry for linear and inverse decoders.
     pub networks: Vec<NetworkEvaluation>,
-    /// The same trained long, where asked for.
+    /// The same networks after long training, if requested.
     pub long: Vec<NetworkEvaluation>,
-    /// Errors of linear brains on it, whatever the trial's own brain is: the whole sample's first, then other memories.
+    /// Errors of linear decoders, for any `brain.kind`: whole-sample memory first, then other memories.
     pub readings: Vec<Reading>,
-    /// Samples without force, which have no error, or whose simulation failed, which have 100 %: train, test, holdout.
+    /// Number of training, test and held-out samples without force, including failed ones (error 100 %).
     pub zero_samples: [u32; 3],
 }
 
-/// How one brain reads one cast.
+/// Evaluation of one decoder on one cast.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CastReading {
-    /// Which cast, from 0.
+    /// Number of the cast, from 0.
     pub cast: u32,
-    /// By what it is read.
+    /// Which decoder.
     pub by: CastBrain,
-    /// Mean error on the holdout (%); `None` where no sample has a force.
+    /// Mean error on the held-out set (%); `None` if no sample has a force.
     pub error: Option<f64>,
-    /// How the errors on the holdout spread.
+    /// Distribution of the held-out errors.
     pub spread: Option<Spread>,
-    /// λ and κ; `None` of a brain without.
+    /// λ and κ, for linear decoders.
     pub regularisation: Regularisation,
-    /// What went wrong; the error is then that of a brain that says nothing.
+    /// Why evaluation failed; the error is then 100 %.
     pub trouble: Option<Trouble>,
 }
 
-/// What a brain that reads a cast was fitted with.
+/// Regularisation of a decoder that is applied to casts.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Regularisation {
-    /// λ of a linear brain.
+    /// λ of a linear decoder.
     pub ridge: Option<f64>,
-    /// κ of a linear brain that is calibrated beside the samples of other casts.
+    /// κ of a linear decoder that is calibrated on records of the cast.
     pub share: Option<f64>,
 }
 
 impl CastReading {
-    /// Of the errors of the holdout's samples, or of why there are none.
+    /// From the errors of the held-out samples, or from the failure.
     pub(super) fn new(
         cast: u32,
         by: CastBrain,
@@ -99,24 +98,24 @@ impl CastReading {
     }
 }
 
-/// A brain that reads a cast. In the order of tables, in which what is calibrated for a cast comes after what is not, of a kind.
+/// Decoders that are applied to casts, in the order of tables: within each kind, calibrated decoders come last.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum CastBrain {
     /// The first network of the comparison, trained on the body as designed.
     Network,
-    /// A network trained on samples of many other casts, as many as the training set has.
+    /// A network trained on samples of many other casts, as many in total as the training set has.
     NetworkCasts,
-    /// A linear brain fitted to the body as designed.
+    /// A linear decoder fitted to the body as designed.
     Nominal,
-    /// A linear brain fitted to samples of many other casts.
+    /// A linear decoder fitted to samples of many other casts.
     Casts,
-    /// A linear brain fitted to so many samples of this cast, beside those of other casts.
+    /// A linear decoder fitted to this many records of the cast and to samples of other casts.
     Records(u32),
-    /// An inverse brain by the model of the design.
+    /// An inverse decoder with the model of the design.
     Inverse,
-    /// A linear brain fitted to a twin, calibrated on so many samples of this cast.
+    /// A linear decoder fitted to a twin that was calibrated on this many records of the cast.
     TwinLinear(u32),
-    /// An inverse brain by that twin.
+    /// An inverse decoder with this twin as its model.
     Twin(u32),
 }
 
@@ -135,7 +134,7 @@ impl CastBrain {
         }
     }
 
-    /// How many samples of a cast it is fitted to, or its twin.
+    /// Number of records of the cast to which the decoder or its twin is fitted.
     pub fn records(self) -> Option<u32> {
         match self {
             Self::Records(records) | Self::TwinLinear(records) | Self::Twin(records) => Some(records),
@@ -143,7 +142,7 @@ impl CastBrain {
         }
     }
 
-    /// By its name in the database and the samples that it is fitted to.
+    /// The decoder with this database name and number of records.
     pub fn named(name: &str, records: u32) -> Option<Self> {
         Some(match name {
             "network" => Self::Network,
@@ -159,29 +158,29 @@ impl CastBrain {
     }
 }
 
-/// A band about what a brain says, and how much of the holdout lies in it.
+/// A prediction band and its coverage of the held-out set.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BandReading {
-    /// Of which cast, and by which brain; none: the body as designed, by its first brain.
+    /// Cast and decoder; `None`: the first decoder, on the body as designed.
     pub cast: Option<(u32, CastBrain)>,
-    /// It; of a cast that of the body as designed, without its half-widths.
+    /// The band. On casts it has no half-widths; conformal bands are those of the body as designed.
     pub band: Band,
-    /// Mean width (N); `None` where it has none.
+    /// Mean width (N).
     pub width: Option<f64>,
-    /// The part of the holdout's instants and panels, or samples, within; `None` where there is no band.
+    /// Fraction of held-out instants and panels, or of samples, inside the band.
     pub coverage: Option<f64>,
 }
 
-/// How far a comparison has come.
+/// The final comparison so far.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Comparison {
-    /// The bodies, the initial one first; the last may lack networks.
+    /// The bodies, the initial one first; the last may still lack networks.
     pub bodies: Vec<BodyEvaluation>,
-    /// How casts of each body are read.
+    /// Evaluations on casts, per body.
     pub casts: Vec<Vec<CastReading>>,
-    /// Bands about what is read of each body, and of its casts.
+    /// Prediction bands per body, including those on its casts.
     pub bands: Vec<Vec<BandReading>>,
-    /// The network that is being trained on it.
+    /// The network in training.
     pub training: Option<Fresh>,
     /// Counts of work.
     pub counters: Counters,
@@ -190,7 +189,7 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// The part of the whole trial that is done, with so many iterations of the network in training.
+    /// Completed fraction of the whole trial; `iterations`: those of the network in training.
     pub(super) fn part(&self, iterations: usize, problem: &Problem) -> f64 {
         let (long, all) = (problem.evaluation.long.unwrap_or(0), problem.evaluation_iterations());
         let linear = !problem.reader.is_network();
@@ -203,35 +202,35 @@ impl Comparison {
         1.0 - left * (1.0 - done as f64 / (problem.bodies_compared() * all) as f64)
     }
 
-    /// Casts of the body number `turn` that are read.
+    /// Number of casts of body `turn` that are evaluated.
     pub(super) fn casts_read(&self, turn: usize) -> usize {
         self.casts.get(turn).and_then(|read| read.last()).map_or(0, |last| last.cast as usize + 1)
     }
 }
 
-/// What a nested optimisation found.
+/// Result of a nested optimisation.
 #[derive(Debug, Clone)]
 pub struct Optimised {
-    /// The initial body, with its fresh networks where they were asked for.
+    /// The initial body, with its fresh networks if requested.
     pub initial: BodyEvaluation,
     /// The best body, with fresh networks of the same initial weights.
     pub optimised: BodyEvaluation,
-    /// The outer step whose design is the best, by the test set.
+    /// The outer step that started from the best design.
     pub best_step: u32,
-    /// How casts of both bodies are read, where the trial asks about them.
+    /// Evaluations on casts of both bodies.
     pub casts: [Vec<CastReading>; 2],
-    /// Bands about what is read of both bodies, and of their casts.
+    /// Prediction bands of both bodies, including those on casts.
     pub bands: [Vec<BandReading>; 2],
-    /// The part of both bodies' signals that their linearisation at rest does not give.
+    /// Nonlinear share of the signals of both bodies.
     pub nonlinear: [Option<Nonlinear>; 2],
-    /// How both bodies are read under forces of the kinds that the trial asks about.
+    /// Evaluations of both bodies under further kinds of forces.
     pub under: [Vec<UnderReading>; 2],
-    /// What the solvers came to, and why.
+    /// The chosen integrators, with reasons.
     pub solver: String,
-    /// Relative error of the signals of both pilots, initial body and best, where measured.
+    /// Relative signal error that the pilots of the initial and best body measured.
     pub signal_errors: [Option<f64>; 2],
-    /// Counts of work of the pilot that tuned them and of the evaluations: of one, where nothing has moved the body.
+    /// Work of pilots and evaluations. Without outer steps, only one body is evaluated.
     pub counters: Counters,
-    /// Seconds of the evaluations.
+    /// Time of the evaluations.
     pub seconds: Seconds,
 }

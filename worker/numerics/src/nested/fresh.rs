@@ -1,4 +1,4 @@
-//! Fresh brains on a body: fitted, or gone on with, and kept on the way. The same initial weights and budget for every body.
+//! Fresh decoders on a body, with the same initial weights and budget for every body. Training can pause and resume.
 
 use super::evaluation::{BandReading, BodyEvaluation, NetworkEvaluation};
 use super::inversion::invert;
@@ -9,11 +9,11 @@ use crate::brains::{Band, Reader, own_reading, reader, readings};
 use crate::random::Purpose;
 use crate::trial::{BrainKind, Counters, Mould, Problem, Ridge, Samples, Spread, Trial, Trouble, mean_error};
 
-/// A brain that is still to be fitted to a body: number, iterations, and whether they are those of a long training.
+/// A decoder that is still to be fitted to a body: number, iterations, whether the training is a long one.
 type Lacking = (usize, usize, bool);
 
 impl BodyEvaluation {
-    /// The first brain that it lacks; a linear one is one, and not trained long.
+    /// The next decoder to fit. A body needs one linear or inverse decoder, without long training.
     fn lacks(&self, problem: &Problem) -> Option<Lacking> {
         let linear = !problem.reader.is_network();
         let seeds = if linear { 1 } else { problem.evaluation.seeds };
@@ -26,8 +26,8 @@ impl BodyEvaluation {
     }
 }
 
-/// Goes on with the comparison of `state` on its body number `turn`, and trains what is left of its fresh networks. `None`
-/// if the observer said stop: it has the state by then.
+/// Fits all decoders that the comparison still lacks on body number `turn`. `None` if the observer stopped it; the observer then
+/// has the state.
 pub(super) fn evaluate(mould: &Mould, turn: usize, state: &mut State, log: &mut Log) -> Option<()> {
     let &Mould { trial, design, .. } = mould;
     let problem = &trial.problem;
@@ -89,23 +89,23 @@ pub(super) fn evaluate(mould: &Mould, turn: usize, state: &mut State, log: &mut 
     Some(())
 }
 
-/// Training set, test set and holdout of a body.
+/// Training, test and held-out samples of a body.
 fn sets(mould: &Mould, counters: &mut Counters) -> Result<[Samples; 3], Trouble> {
     let problem = &mould.trial.problem;
     let mut of = |forces| mould.samples(None, forces, counters);
-    // every training sample, those too on which the initial body failed
+    // all training samples, including those on which the initial body failed
     let [train, test] = problem.known();
     let train = if mould.design == problem.initial { mould.trial.initial.clone() } else { of(train)? };
     Ok([train, of(test)?, of(problem.holdout())?])
 }
 
-/// Samples that calibrate bands are numbered from here, out of the way of the outer steps' and of the casts'; of so many the 95th
-/// largest score covers the next with 95 %.
+/// Number of the first fresh sample that calibrates bands, above those of outer steps and casts. The 95th smallest of 99 scores
+/// bounds a new score with probability 95 %.
 const BANDING_FIRST: u64 = 1 << 41;
 const BANDING: usize = 99;
 
-/// Samples that calibrate bands: fresh ones, which neither body nor brain was fitted to. Of records, which have none, half of
-/// the holdout, which was dealt to it by a shuffle.
+/// Samples that calibrate bands: fresh ones, to which neither body nor decoder was fitted. Records have no fresh samples; half of
+/// their shuffled held-out set serves instead.
 fn calibrating(mould: &Mould, holdout: &Samples, counters: &mut Counters) -> Result<Samples, Trouble> {
     let problem = &mould.trial.problem;
     match problem.first_judge(holdout.count()) {
@@ -114,8 +114,8 @@ fn calibrating(mould: &Mould, holdout: &Samples, counters: &mut Counters) -> Res
     }
 }
 
-/// Fits the brain that is lacking, or goes on with the one in training; `None` if the observer said stop. With samples that
-/// calibrate them the first brain of the last body has bands.
+/// Fits the given decoder, or resumes the one in training; `None` if the observer stopped it. With `calibration`, the first decoder
+/// of the last body gets prediction bands.
 pub(super) fn read(
     trial: &Trial,
     reader: &mut dyn Reader,

@@ -1,4 +1,4 @@
-//! How an inverse brain reads a body, as designed and cast: by the model of the design, and by twins calibrated on a few records.
+//! Evaluates inverse decoders on a body and its casts: with the design as model, and with twins calibrated on a few records.
 
 use super::evaluation::{BandReading, CastBrain, CastReading, NetworkEvaluation, Regularisation};
 use super::observe::Log;
@@ -7,15 +7,15 @@ use crate::brains::{Band, BandKind, Estimate, Fitted, Inverse, TO_EACH_SIDE};
 use crate::identify::{Fit, GoOn};
 use crate::trial::{Counters, Mould, Samples, Spread, Trouble, held, mean_error};
 
-/// Records of a cast that twins are calibrated on.
+/// Numbers of records on which twins are calibrated.
 const RECORDS: [u32; 2] = [10, 30];
-/// Samples of the holdout that inverse brains read of each cast: each takes as long as some hundred simulations.
+/// Held-out samples per cast that inverse decoders evaluate: each takes as long as about a hundred simulations.
 pub const INVERTED_OF_A_CAST: usize = 16;
 
-/// Errors of the samples of a cast, what the brain was fitted with, and its band.
+/// Errors of the samples of a cast, the decoder's regularisation, and its band.
 type Inverted = (Vec<Option<f64>>, Regularisation, Option<BandReading>);
 
-/// Reads the last body's test samples and holdout; `None` if the observer said stop.
+/// Evaluates the last body's test and held-out samples; `None` if the observer stopped it.
 pub(super) fn invert(
     &Mould { trial, design, solver }: &Mould,
     sets: &Result<[Samples; 3], Trouble>,
@@ -59,8 +59,8 @@ pub(super) fn invert(
     log.paused(&trial.problem, state)
 }
 
-/// How a cast of these training and holdout samples is read by the model of the body, of which `known` are training samples,
-/// and by twins, each also by a linear brain that was fitted to the twin; `None` if it is told meanwhile not to go on.
+/// Evaluates a cast, given its training and held-out samples. Decoders: inverse with the design as model (`known`: its training
+/// samples), inverse with twins, linear fitted to twins. `None` if `go_on` returns false.
 pub(super) fn invert_cast(
     mould: &Mould,
     known: &Result<Samples, Trouble>,
@@ -95,14 +95,14 @@ pub(super) fn invert_cast(
     };
     let brain = held(known).and_then(|known| Inverse::new(trial, design, solver, None, known));
     keep(CastBrain::Inverse, inverted(CastBrain::Inverse, brain, &mut work, go_on)?);
-    // without records of the cast no twin is calibrated
+    // twins need records of the cast
     let most = if trial.problem.evaluation.records { trial.train.samples } else { 0 };
     for n in RECORDS.into_iter().filter(|&n| n as usize <= most) {
         let twin = match sets {
             Ok([train, _]) => {
-                // what failed tells nothing
+                // failed samples carry no information
                 let first: Vec<usize> = (0..n as usize).filter(|&i| !train.failed[i]).collect();
-                // the cast has felt what the initial body may have failed on
+                // the initial body may have failed under forces that the cast survived
                 let [all, _] = trial.problem.known();
                 let (forces, records) = (all.select(&first), train.select(&first));
                 let Fit { twin, counters, .. } = Fit::of(mould, (&forces, &records.signals), go_on)?;
@@ -127,12 +127,12 @@ pub(super) fn invert_cast(
     Some((readings, bands))
 }
 
-/// (N, T, K) (N).
+/// Forces (N, T, K) in N.
 fn forces(found: &[Estimate]) -> Vec<f64> {
     found.iter().flat_map(|estimate| &estimate.forces).copied().collect()
 }
 
-/// The posterior's own band about each instant, how much of what was read lies in it, and how many samples the model explains.
+/// The posterior band around each instant, its coverage, and the number of samples that the model explains.
 fn band(found: &[Estimate], samples: &Samples, cast: Option<(u32, CastBrain)>) -> BandReading {
     let half: Vec<f64> =
         found.iter().flat_map(|estimate| &estimate.deviations).map(|d| TO_EACH_SIDE * d).collect();

@@ -1,33 +1,33 @@
-//! Who watches an outer loop, and the log that it writes for them.
+//! Observer of an outer loop, and the log that reports to it.
 
 use super::report::{Report, Seconds};
 use super::state::State;
 use crate::identify::GoOn;
 use crate::trial::Problem;
 
-/// Who watches an outer loop. The maths has no clock of its own.
+/// Observer of an outer loop. It provides the clock.
 pub trait Observe {
-    /// Seconds since any fixed moment.
+    /// Seconds since some fixed moment.
     fn seconds(&mut self) -> f64;
-    /// The part of the whole trial that is done. An outer step is finished all the same, a training in the comparison at the
-    /// end is not.
+    /// Receives the completed fraction of the whole trial. After `Stop`, an outer step still finishes; training in the final
+    /// comparison does not.
     fn progress(&mut self, fraction: f64) -> Control;
-    /// A finished outer step, and the state to go on from after it.
+    /// Receives a finished outer step and the state after it.
     fn step(&mut self, report: &Report, state: &State) -> Control;
-    /// The state to go on from within the comparison at the end, every few seconds, and where it stops.
+    /// Receives the state during the final comparison, every few seconds and after `Stop`.
     fn save(&mut self, state: &State);
 }
 
-/// What an observer wants next.
+/// What the loop does next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Control {
-    /// More.
+    /// Continues.
     Continue,
-    /// No more.
+    /// Stops.
     Stop,
 }
 
-/// Nobody watches, and time does not count.
+/// An observer without a clock that never stops the loop.
 #[derive(Debug)]
 pub struct Nobody;
 
@@ -47,15 +47,15 @@ impl Observe for Nobody {
     fn save(&mut self, _: &State) {}
 }
 
-/// The report under way, and the clock.
+/// The current report, and the clock.
 pub(super) struct Log<'a> {
     pub(super) report: Report,
     observer: &'a mut dyn Observe,
-    /// When the state was last saved, or this was made.
+    /// When the state was last saved (s); at first, when the log was created.
     saved: f64,
 }
 
-/// Seconds of a comparison between two savings of it: what a kill may cost.
+/// Seconds of a comparison between two saves: the work that a kill may lose.
 const SAVE_EVERY: f64 = 2.0;
 
 impl<'a> Log<'a> {
@@ -76,7 +76,7 @@ impl<'a> Log<'a> {
         result
     }
 
-    /// The same of work that asks meanwhile whether it is to go on, as long as a part of the whole trial is done.
+    /// As [`Self::timed`]; `work` can ask whether to continue. `done`: completed fraction of the whole trial.
     pub(super) fn timed_while<T>(
         &mut self,
         done: f64,
@@ -102,14 +102,14 @@ impl<'a> Log<'a> {
         self.observer.seconds() - self.saved >= SAVE_EVERY
     }
 
-    /// Hands the observer the state, with what the report says of the comparison.
+    /// Passes the state, with the report's counters and times, to the observer.
     pub(super) fn save(&mut self, state: &mut State) {
         (state.comparison.counters, state.comparison.seconds) = (self.report.counters, self.report.seconds);
         self.observer.save(state);
         self.saved = self.observer.seconds();
     }
 
-    /// Tells the observer how far the comparison has come; `None` if it says stop: it has the state by then.
+    /// Reports the progress of the comparison; `None` if the observer stops it. The observer then has the state.
     pub(super) fn paused(&mut self, problem: &Problem, state: &mut State) -> Option<()> {
         let wanted = self.progress(state.comparison.part(0, problem));
         if wanted == Control::Stop || self.save_is_due() {

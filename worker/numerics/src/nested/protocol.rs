@@ -1,11 +1,11 @@
-//! How far the brain is trained on a body, and which loss moves that body.
+//! How far the decoder is trained on a body, and which loss moves the body.
 //!
 //! ```text
-//! paper     β*(A_train) afresh        dL_test/dα, direct and through β*
-//! joint     β goes on, on fresh f     dL_train/dα at fixed β, on samples drawn for the step alone
+//! paper     fresh β*(A_train)         dL_test/dα, direct and through β*
+//! joint     β continues, fresh f      dL_train/dα at fixed β, on samples drawn for this step
 //! random                              no gradient: the test error of a candidate
 //! ```
-//! In `joint` nothing is seen twice, so nothing is over-fitted.
+//! `joint` never uses a sample of a step again, which prevents over-fitting.
 
 use super::observe::Log;
 use super::state::{State, Waypoint};
@@ -18,26 +18,26 @@ use crate::trial::{
 };
 use crate::variation::{Cast, Casts};
 
-/// Casts that a look at the test set reads.
+/// Number of casts that share the test set in an evaluation.
 const LOOKED_AT: usize = 8;
 
-/// What a protocol finds out about the state's design.
+/// Result of training and differentiating on the state's design.
 pub(super) struct Sensed {
-    /// dL/dα; empty of a search without gradient, and of a step that does not move the body.
+    /// dL/dα; empty in searches and in steps that do not move the body.
     pub(super) gradient: Vec<f64>,
     /// Training loss after training (normalised).
     pub(super) loss_train: f64,
-    /// Prediction error on the test set (%), where looked at.
+    /// Prediction error on the test set (%), in steps that evaluate it.
     pub(super) error_test: Option<f64>,
 }
 
-/// A trial's protocol at work, with what it keeps from step to step and could make again.
+/// The protocol of a trial, with data that a resumed loop computes again.
 pub(super) struct Session<'a> {
     trial: &'a Trial<'a>,
     learner: Box<dyn Learner + 'a>,
-    /// Fresh samples of the last bodies by outer step, newest last.
+    /// Outer step and fresh samples of the recent bodies, newest last.
     recent: Vec<(u32, Samples)>,
-    /// Error (%), and what is differentiated, of each part of a mixture at the first step, once an objective has asked.
+    /// Error (%) and differentiated loss of each part of a mixture at the first step; empty until needed.
     first: [Vec<f64>; 2],
 }
 
@@ -46,12 +46,12 @@ impl<'a> Session<'a> {
         Self { trial, learner: learner(trial), recent: Vec::new(), first: [Vec::new(), Vec::new()] }
     }
 
-    /// Bodies that the brain is trained on at a time, at most.
+    /// Greatest number of bodies that the decoder is trained on at once.
     pub(super) fn bodies(&self) -> usize {
         self.learner.bodies()
     }
 
-    /// Simulates the state's design, trains the brain on it, and differentiates.
+    /// Simulates the state's design, trains the decoder on it, and differentiates the loss.
     pub(super) fn sense(&mut self, state: &mut State, log: &mut Log) -> Result<Sensed, Trouble> {
         match self.trial.problem.optimise.protocol {
             Protocol::Paper(terms) => self.paper(state, terms, log),
@@ -93,7 +93,7 @@ impl<'a> Session<'a> {
         Ok(Sensed { gradient, loss_train, error_test })
     }
 
-    /// On this body's fresh samples and those of the last ones; the gradient of the loss on this one's.
+    /// Trains on fresh samples of this and recent bodies; differentiates the loss on this body's samples.
     fn joint(&mut self, state: &mut State, going: Going, log: &mut Log) -> Result<Sensed, Trouble> {
         let (learner, step) = (&self.learner, state.step);
         let past: Vec<&Waypoint> =
@@ -106,7 +106,7 @@ impl<'a> Session<'a> {
                 self.recent.push((passed.step, joined(&casts)));
             }
         }
-        // a loop that goes on simulates them again: work counts once
+        // a resumed loop simulates them again: work counts once
         log.report.counters = counted;
         self.recent.sort_by_key(|(known, _)| *known);
         let newest = self.fresh(&state.design, step, going, self.moves(step), log)?;
@@ -122,7 +122,7 @@ impl<'a> Session<'a> {
             let (loss, cotangent) = self.cotangent(&cast.samples, Loss::Training, log);
             let measure = match self.trial.problem.optimise.casting {
                 None | Some(Casting { tail: 1.0, over: Over::Casts, .. }) => Some(loss_train),
-                // a mean of logarithms ranks nothing
+                // equal weights need no ranking
                 Some(Casting { tail: 1.0, .. }) => self.learner.error(&cast.samples),
                 Some(_) => loss.or_else(|| self.learner.error(&cast.samples)),
             };
@@ -133,7 +133,7 @@ impl<'a> Session<'a> {
         Ok(Sensed { gradient, loss_train, error_test })
     }
 
-    /// The same with a brain a cast, fitted to its samples alone.
+    /// As [`Self::joint`], with one decoder per cast, fitted to the samples of this cast alone.
     fn joint_each(&mut self, state: &mut State, going: Going, log: &mut Log) -> Result<Sensed, Trouble> {
         let newest = self.fresh(&state.design, state.step, going, self.moves(state.step), log)?;
         let mut found = Vec::with_capacity(newest.len());
@@ -143,15 +143,15 @@ impl<'a> Session<'a> {
             found.push((Some(error), loss, cotangent));
         }
         let (loss_train, gradient) = self.over_casts(&newest, found, going, log)?;
-        // of all casts, where each brain has said its own
+        // over all casts; `learn` reported single casts
         (log.report.loss_train, log.report.error_train) = (Some(loss_train), Some(100.0 * loss_train));
         state.check_trend(loss_train)?;
         let error_test = self.look_at_test(state, log)?;
         Ok(Sensed { gradient, loss_train, error_test })
     }
 
-    /// The objective of a step's casts and its gradient in α. Of each cast: the measure that the objective ranks, the loss that is
-    /// differentiated where that is another one, and the loss's cotangent. A cast without a measure counts as the worst.
+    /// Objective of a step's casts and its gradient in α. `found` has, per cast, the measure that the objective ranks, the
+    /// differentiated loss if it is another one, and its cotangent. A cast without a measure counts as the worst.
     fn over_casts(
         &mut self,
         casts: &[Response],
@@ -170,7 +170,7 @@ impl<'a> Session<'a> {
         let [_, first] = self.first(casting, going, log)?;
         let (objective, mut weights) = casting.objective(&measures, first);
         if casting.over == Over::Parts {
-            // of logarithms: what is differentiated is divided by itself
+            // d ln L = dL/L with the differentiated loss L
             let by_loss = weights.iter_mut().zip(&measures).zip(&losses);
             by_loss.for_each(|((by, measure), loss)| *by *= loss.map_or(1.0, |loss| measure / loss));
         }
@@ -178,15 +178,15 @@ impl<'a> Session<'a> {
         for (by, of_cast) in weights.iter().zip(&gradients) {
             gradient.iter_mut().zip(of_cast).for_each(|(sum, g)| *sum += by * g);
         }
-        // samples without a force have no error
+        // happens if samples have no force, and thus no error
         if gradient.iter().any(|g| !g.is_finite()) {
             return Err(Trouble::GradientNonFinite);
         }
         Ok((objective, gradient))
     }
 
-    /// Error (%) of each part of a mixture on the initial body, by a brain fitted to the first step's samples, and what is differentiated
-    /// of it; the same after a resumption. Of no use to the mean of logarithms, whose derivative does not see it.
+    /// Error (%) and differentiated loss of each part of a mixture on the initial body, with decoders fitted to the first step's
+    /// samples; reproducible after a resumption. 1 for a mean of logarithms, whose derivative does not depend on them.
     fn first(&mut self, casting: Casting, going: Going, log: &mut Log) -> Result<&[Vec<f64>; 2], Trouble> {
         if casting.over == Over::Parts && self.first[0].is_empty() {
             self.first = [(); 2].map(|()| vec![1.0; casting.casts]);
@@ -208,8 +208,8 @@ impl<'a> Session<'a> {
         Ok(&self.first)
     }
 
-    /// A search's candidate is worth its test error, read by a brain that its training set alone has trained: one that went on from
-    /// candidate to candidate would read the later ones better.
+    /// Evaluates a search's candidate: its test error with a decoder trained on its training set alone. A continued decoder would
+    /// favour later candidates.
     fn candidate(&mut self, state: &mut State, log: &mut Log) -> Result<Sensed, Trouble> {
         let trial = self.trial;
         let (sets, solver) = ([&trial.train, &trial.test], trial.problem.solver);
@@ -222,7 +222,7 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Simulates the state's design under two sets of forces, the training set first, each with a tape where asked for.
+    /// Simulates the state's design under the forces of two sets, the training set first; `tapes`: whether gradients follow.
     fn simulate(
         &self,
         state: &State,
@@ -238,20 +238,20 @@ impl<'a> Session<'a> {
                 let mut train = trial.simulate(design, sets[0], &solver, tapes[0], counters)?;
                 let other =
                     trial.simulate_cast(None, design, sets[1].clone(), &solver, tapes[1], counters)?;
-                // those on which the initial body failed train no body, and count against all
+                // samples on which the initial body failed train no body, and count as failed for every body
                 train.samples.failed.clone_from(&self.trial.initial.failed);
                 Ok([train, other])
             },
         )
     }
 
-    /// The integrator of the steps of a going brain.
+    /// The integrator of outer steps of `joint`.
     fn solver(&self) -> Solver {
         let problem = &self.trial.problem;
         problem.optimise.coarse.unwrap_or(problem.solver)
     }
 
-    /// Fits the brain, and checks that its training loss (normalised) is in line with those of the bodies before.
+    /// Trains the decoder; checks its training loss (normalised) against the trend.
     fn fit(&mut self, on: FitOn, state: &mut State, log: &mut Log) -> Result<f64, Trouble> {
         let loss = self.learn(on, state, log)?;
         state.check_trend(loss)?;
@@ -265,7 +265,7 @@ impl<'a> Session<'a> {
             log.timed(|s| &mut s.train, |report| self.learner.fit(on, *step, learnt, &mut report.counters))?;
         (log.report.loss_train, log.report.error_train) = (Some(learned.loss), learned.error);
         log.report.ridge = learnt.ridge;
-        // losses by different λ do not compare
+        // losses at different λ are not comparable
         if learnt.ridge != ridge {
             *trend = None;
         }
@@ -286,7 +286,7 @@ impl<'a> Session<'a> {
         self.trial.problem.optimise.moves_body(step)
     }
 
-    /// dL/dα of casts by the cotangents on their signals, side by side; empty where the step does not move the body.
+    /// dL/dα of each cast from the cotangents on its signals, in parallel; empty if the step does not move the body.
     fn vjps(
         &self,
         casts: &[Response],
@@ -309,8 +309,8 @@ impl<'a> Session<'a> {
         log.report.error_test
     }
 
-    /// The test error of the state's design, with the accurate integrator, at the steps where it is due: where the body is
-    /// trained for casts the objective of theirs, the same casts at every look, the test set dealt among them.
+    /// Test error of the state's design with the accurate integrator, in steps that evaluate it. Training over casts: the objective
+    /// over constant casts, among which the test set is divided.
     fn look_at_test(&mut self, state: &State, log: &mut Log) -> Result<Option<f64>, Trouble> {
         let (trial, problem) = (self.trial, &self.trial.problem);
         if !problem.optimise.looks_at_test(state.step) {
@@ -328,7 +328,7 @@ impl<'a> Session<'a> {
         let Protocol::Joint(going) = problem.optimise.protocol else { return Ok(None) };
         let parts = (casting.over == Over::Parts).then(|| problem.parts());
         let casts = if parts.is_some() { casting.casts } else { LOOKED_AT.min(trial.test.samples) };
-        // of a mixture's parts the samples of each, of casts so-many-th
+        // the samples of one part of a mixture, or every `casts`-th sample
         let dealt = |number: usize, set: usize, forces: &Forces, most: usize| {
             let is_own = |i: &usize| match &parts {
                 Some(parts) => parts[set][*i] == number,
@@ -350,13 +350,13 @@ impl<'a> Session<'a> {
             let error = || {
                 let (train, test) = of_cast?;
                 if let Some(train) = train {
-                    // what it learns here is not for the steps to come
+                    // a copy: training does not continue from this fit
                     let (on, mut learnt) = (FitOn::Cast(&train), state.learnt.clone());
                     self.learner.fit(on, state.step, &mut learnt, &mut log.report.counters)?;
                 }
                 Ok::<_, Trouble>(self.learner.error(&test))
             };
-            // a cast that fails is read entirely wrong
+            // a failed cast has an error of 100 %
             errors.extend(error().unwrap_or(Some(FAILED)));
         }
         if errors.is_empty() || parts.is_some() && errors.len() < casts {
@@ -367,8 +367,8 @@ impl<'a> Session<'a> {
         Ok(log.report.error_test)
     }
 
-    /// A body under the samples that are drawn for a step of `joint` alone, each of the step's casts under its own; those of
-    /// the report's step are counted.
+    /// Simulates a body under the samples of one step of `joint`; each cast has its own samples. Counts the samples of the report's
+    /// step.
     fn fresh(
         &self,
         design: &[f64],
@@ -405,7 +405,7 @@ impl<'a> Session<'a> {
     }
 }
 
-/// The samples of all casts.
+/// The samples of all casts, joined.
 fn joined(casts: &[Response]) -> Samples {
     Samples::joined(&casts.iter().map(|cast| &cast.samples).collect::<Vec<_>>())
 }

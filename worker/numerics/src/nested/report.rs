@@ -1,16 +1,16 @@
-//! What an outer step reports.
+//! Report of an outer step.
 
 use crate::brains::Implicit;
 use crate::trial::{Counters, Trouble};
 
-/// Where time went (s).
+/// Time per activity (s).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Seconds {
     /// Simulation.
     pub simulate: f64,
-    /// Training of the brain.
+    /// Training of the decoder.
     pub train: f64,
-    /// Gradient through network and body.
+    /// Gradient through decoder and body.
     pub differentiate: f64,
     /// Implicit term: its linear system and mixed product.
     pub implicit: f64,
@@ -18,7 +18,7 @@ pub struct Seconds {
     pub project: f64,
 }
 
-/// One outer step. The design it speaks of is the one before the step.
+/// Report of one outer step, on the design before the step.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Report {
     /// Outer step, from 0.
@@ -41,14 +41,14 @@ pub struct Report {
     pub projection: Option<crate::feasible::Status>,
     /// Distance moved by the projection (mm).
     pub projection_distance: Option<f64>,
-    /// The implicit term, where taken.
+    /// Solution of the implicit term, if computed.
     pub implicit: Option<Implicit>,
-    /// What went wrong; the step was then taken back.
+    /// Why the step was undone.
     pub trouble: Option<Trouble>,
     /// Samples drawn for this step alone.
     pub fresh_samples: u64,
     /// Counts of work.
     pub counters: Counters,
-    /// Where the time went.
+    /// Time per activity.
     pub seconds: Seconds,
 }

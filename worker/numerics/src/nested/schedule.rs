@@ -1,33 +1,33 @@
-//! How an outer loop goes over its steps: rates, looks at the test set, and the part that is done.
+//! Schedule of the outer loop: learning rates, test evaluations, and progress.
 
 use crate::trial::{CastReader, Optimise, Problem, Protocol};
 
-/// Parts of a loop after which a search for a design may stop a trial.
+/// Fractions of a loop after which a design search may stop a trial.
 pub const RUNGS: [f64; 2] = [1.0 / 9.0, 1.0 / 3.0];
-/// Parts of a loop after which a design is evaluated on the test set, where the protocol does not need it anyway. The rate falls, so the
-/// best design is nearly always among the last ones.
+/// Fractions of a loop after which a design is evaluated on the test set, unless the protocol always does so. The rate falls, so
+/// the best design is nearly always a late one.
 const LOOKS: [f64; 5] = [0.0, RUNGS[0], RUNGS[1], 0.6, 0.8];
-/// Steps of which their steps are multiples.
+/// These evaluations take place at multiples of this number of steps.
 const APART: u32 = 10;
 
-/// The multiple of `APART` nearest to a part of so many steps; not 0 unless the part is.
+/// The multiple of `APART` nearest to a fraction of `steps`; 0 only for fraction 0.
 pub fn look_near(steps: u32, part: f64) -> u32 {
     let nearest = (f64::from(steps) * part / f64::from(APART)).round() as u32;
     nearest.max(u32::from(part > 0.0)) * APART
 }
 
-/// Whether a step of so many has an evaluation on the test set; the last one has.
+/// Whether a step evaluates the test set; the last of `steps` always does.
 fn is_look(steps: u32, step: u32) -> bool {
     step + 1 == steps || LOOKS.iter().any(|part| look_near(steps, *part) == step)
 }
 
-/// Share of so many steps that have one.
+/// Fraction of `steps` that evaluate the test set.
 pub fn looked_at(steps: u32) -> f64 {
     (0..steps).filter(|step| is_look(steps, *step)).count() as f64 / f64::from(steps.max(1))
 }
 
 impl Optimise {
-    /// Adam's rate on α at an outer step (mm): constant in the paper's protocol, else falling over the second half.
+    /// Adam's rate on α in an outer step (mm): constant in protocol `paper`, else falling over the second half.
     pub(super) fn rate_of(&self, step: u32) -> f64 {
         let left = 1.0 - f64::from(step) / f64::from(self.iterations);
         match self.protocol {
@@ -36,8 +36,8 @@ impl Optimise {
         }
     }
 
-    /// Adam's β₂ on α, and whether it sees gradients of length 1: those of a going network grow and shrink by turns, and
-    /// a few great ones would hold the steps small for long. The paper's protocol takes them as they are.
+    /// Adam's β₂ on α, and whether gradients are scaled to length 1. With a continued network they vary greatly, and a few large
+    /// ones would keep the steps small for long. Protocol `paper` does not scale them.
     pub(super) fn scaling(&self) -> (f64, bool) {
         match self.protocol {
             Protocol::Paper(_) => (0.999, false),
@@ -50,16 +50,16 @@ impl Optimise {
         step + 1 < self.iterations
     }
 
-    /// Whether a step looks at the test set: some do, and the last.
+    /// Whether a step evaluates the test set.
     pub(super) fn looks_at_test(&self, step: u32) -> bool {
-        // a brain of its own for each cast knows too little of it for its error to choose a body by
+        // a decoder per cast has too few samples for its error to select a body
         let each = self.casting.is_some_and(|casting| casting.reader == CastReader::Each);
         is_look(self.iterations, step) && !each || step + 1 == self.iterations
     }
 }
 
 impl Problem {
-    /// The part of the work that is done after `steps` outer steps, in brain iterations.
+    /// Fraction of the work that is done after `steps` outer steps.
     pub(super) fn progress(&self, steps: u32) -> f64 {
         let evaluation = self.bodies_compared() * self.evaluation_iterations();
         let evaluation = evaluation as f64 / self.brain.iterations as f64;
@@ -67,7 +67,7 @@ impl Problem {
         f64::from(steps) * self.step_share() / (loop_iterations + evaluation)
     }
 
-    /// Of the initial and the best body those that are compared: the best, and the initial one where it is another and asked for.
+    /// Those of the initial and the best body that are compared: the best, and the initial one if it differs and is requested.
     pub(super) fn compared<'a, T>(&self, both: &'a [T; 2]) -> &'a [T] {
         match self.optimise.iterations {
             0 => &both[..1],
@@ -75,12 +75,12 @@ impl Problem {
         }
     }
 
-    /// So many.
+    /// Number of bodies compared.
     pub(super) fn bodies_compared(&self) -> usize {
         self.compared(&[(); 2]).len()
     }
 
-    /// Brain iterations of the comparison at the end, a body.
+    /// Decoder iterations of the final comparison per body.
     pub(super) fn evaluation_iterations(&self) -> usize {
         let casts = self.evaluation.casts * self.linear_iterations();
         casts
@@ -99,7 +99,7 @@ impl Problem {
         if any { self.brain.iterations } else { 0 }
     }
 
-    /// What a linear brain on one body, or on a cast of it, is counted as.
+    /// Iterations that the cost of a linear decoder, per body or cast, corresponds to.
     pub(super) fn linear_iterations(&self) -> usize {
         self.brain.iterations.div_ceil(20)
     }

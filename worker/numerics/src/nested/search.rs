@@ -1,31 +1,35 @@
-//! Search without a gradient, as a baseline: every candidate is made castable and read, and the best is kept.
+//! Search without gradients, as a baseline: evaluates random feasible designs and keeps the best.
 //!
 //! ```text
 //! α = Π(α₀ + P z)     z ~ N(0, σ²)     fitness = e_test · (1 + (lost/asked)²)
 //! ```
-//! with what the projection took of a candidate's way as lost. A step reads one candidate, the first one the initial body.
+//! `asked` and `lost` are the distances (mm) of the target α₀ + P z from α₀ and from α. The first candidate is the initial body.
 
 use super::observe::Log;
 use super::protocol::Sensed;
 use super::state::{State, norm};
 use crate::body::Freedom;
-use crate::feasible::Feasible;
+use crate::feasible::Castable;
 use crate::random::{Purpose, Stream};
 use crate::trial::{Failure, Problem, Trouble};
 
-/// The candidates of a search at work.
+/// A random search.
 pub(super) struct GradientFree<'a> {
     problem: &'a Problem,
     freedom: Freedom,
 }
 
 impl<'a> GradientFree<'a> {
-    /// The problem's, where its protocol is one.
+    /// `None` unless the protocol is a search.
     pub(super) fn new(problem: &'a Problem) -> Option<Self> {
-        problem.optimise.protocol.is_search().then(|| Self { problem, freedom: problem.freedom() })
+        problem
+            .optimise
+            .protocol
+            .is_search()
+            .then(|| Self { problem, freedom: problem.body.freedom(problem) })
     }
 
-    /// The candidate after so many.
+    /// Target α (mm) of candidate `number`, before projection.
     fn target(&self, number: usize) -> Vec<f64> {
         let mut stream = Stream::new(Purpose::Search, self.problem.seed, [number as u64, 0]);
         let mut z = vec![0.0; self.problem.initial.len()];
@@ -36,15 +40,15 @@ impl<'a> GradientFree<'a> {
         self.problem.initial.iter().zip(self.freedom.spread(&z)).map(|(a, b)| a + b).collect()
     }
 
-    /// Takes in what was read of the state's design, and puts the next candidate there.
+    /// Records the evaluation of the state's design, and replaces this design by the next candidate.
     ///
     /// # Errors
-    /// If the initial body could not be read.
+    /// If the initial body could not be evaluated.
     pub(super) fn step(
         &self,
         sensed: Result<Sensed, Trouble>,
         state: &mut State,
-        castable: &mut Feasible,
+        castable: &mut dyn Castable,
         log: &mut Log,
     ) -> Result<(), Failure> {
         let initial = &self.problem.initial;

@@ -1,14 +1,14 @@
-//! What an outer loop carries from step to step, and how a gradient moves the body.
+//! State of the outer loop between steps, and the step that moves the body.
 
 use super::evaluation::Comparison;
 use super::report::Report;
 use crate::body::Freedom;
 use crate::brain::{Adam, TrainOutcome};
 use crate::brains::Learnt;
-use crate::feasible::{Feasible, Projection};
+use crate::feasible::{Castable, Projection};
 use crate::trial::{Failure, Problem, Trouble};
 
-/// Everything from which a loop goes on to the same bits.
+/// State of an outer loop, complete: a resumed loop gives the same bits.
 #[derive(Debug, Clone, PartialEq)]
 pub struct State {
     /// The next outer step.
@@ -17,25 +17,25 @@ pub struct State {
     pub design: Vec<f64>,
     /// Adam on α.
     pub design_adam: Adam<f64>,
-    /// What the brain takes from body to body.
+    /// State of the decoder that carries over to the next body.
     pub learnt: Learnt,
-    /// The best design so far, by the test set.
+    /// The design of least test error so far.
     pub best: Option<Best>,
-    /// The body's rate as a part of what the protocol asks for: halved with each step taken back, slowly recovering.
+    /// Factor on the protocol's learning rate of α, at most 1: halved when a step is undone, raised by 10 % otherwise.
     pub caution: f64,
-    /// Steps taken back in a row.
+    /// Consecutive undone steps.
     pub setbacks: u32,
-    /// Running geometric mean of the training loss after training.
+    /// Running geometric mean of the training loss.
     pub trend: Option<f64>,
-    /// The last designs before this one, newest last.
+    /// The last designs before `design`, newest last.
     pub trail: Vec<Waypoint>,
-    /// What the comparison at the end has come to.
+    /// Results of the final comparison so far.
     pub comparison: Comparison,
-    /// Fitness of the candidates of a search so far, in their order.
+    /// Fitness of the candidates of a search so far, in order.
     pub found: Vec<f64>,
 }
 
-/// A design that a loop has passed.
+/// An earlier design of the loop.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Waypoint {
     /// The outer step that started from it.
@@ -44,7 +44,7 @@ pub struct Waypoint {
     pub design: Vec<f64>,
 }
 
-/// The best design so far.
+/// The design of least test error so far.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Best {
     /// α (mm).
@@ -55,16 +55,16 @@ pub struct Best {
     pub step: u32,
 }
 
-/// A training loss above this many times its trend is a step too far. A fresh network's loss varies by a factor of two
-/// from seed to seed, Adam's spikes reach another three.
+/// A training loss above this multiple of its trend counts as a failed step. Losses of fresh networks vary by a factor of two
+/// between seeds, and Adam's spikes reach another factor of three.
 const JUMP: f64 = 10.0;
-/// Training loss (normalised) below which none is a step too far: that of an error of 0.01 %.
+/// Training loss (normalised) that never counts as a failed step: that of an error of 0.01 %.
 const NEGLIGIBLE: f64 = 1e-4;
-/// Least weight of a coordinate in the projection's metric, relative to the mean: v̂ is 0 where nothing depends on it.
+/// Least weight of a coordinate in the projection's metric, relative to the mean: v̂ can be 0.
 const METRIC_FLOOR: f64 = 1e-3;
 
 impl State {
-    /// That before the first step.
+    /// The state before the first step.
     pub(super) fn new(problem: &Problem) -> Self {
         Self {
             step: 0,
@@ -81,7 +81,7 @@ impl State {
         }
     }
 
-    /// Whether a training loss is in line with those of the bodies before.
+    /// Checks that a training loss is finite and in line with its trend.
     pub(super) fn check_trend(&self, loss: f64) -> Result<(), Trouble> {
         match self.trend {
             _ if !loss.is_finite() => Err(Trouble::Training(TrainOutcome::NonFinite)),
@@ -90,7 +90,7 @@ impl State {
         }
     }
 
-    /// Takes a step's findings, training loss and test error (%), into trend and best design.
+    /// Updates trend and best design with a step's training loss and test error (%).
     pub(super) fn remember(&mut self, loss_train: f64, error_test: Option<f64>) {
         self.trend = Some(match self.trend {
             None => loss_train,
@@ -105,14 +105,14 @@ impl State {
         }
     }
 
-    /// α ← Π(α − Adam(g)), Π in the metric of Adam's own scaling; where shifts move together, z for α. So many bodies,
-    /// the new one among them, are remembered.
+    /// α ← Π(α − Adam(g)), Π in the metric √v̂ of Adam. Tied designs step in z instead of α. `bodies`: designs to remember,
+    /// including the new one.
     pub(super) fn move_body(
         &mut self,
         problem: &Problem,
         freedom: &Freedom,
         gradient: &[f64],
-        castable: &mut Feasible,
+        castable: &mut dyn Castable,
         bodies: usize,
         report: &mut Report,
     ) {
@@ -132,7 +132,7 @@ impl State {
         self.trail.drain(..(self.trail.len() + 1).saturating_sub(bodies));
     }
 
-    /// Puts the body where a projection has it; returns the design that it had.
+    /// Moves the body to a projected design; returns the previous design.
     pub(super) fn put(
         &mut self,
         problem: &Problem,
@@ -148,7 +148,7 @@ impl State {
         std::mem::replace(&mut self.design, design)
     }
 
-    /// This state (that before a step in trouble), its last move undone and the next one smaller.
+    /// Undoes the last move of this state, which is the one before the failed step, and halves the rate.
     pub(super) fn taken_back(mut self, trouble: Trouble, report: &mut Report) -> Result<Self, Failure> {
         report.trouble = Some(trouble);
         self.caution *= 0.5;
@@ -158,7 +158,7 @@ impl State {
             None if self.setbacks == 1 => return Err(Failure::Initial(trouble)),
             None => return Err(Failure::Stuck(self.setbacks, trouble)),
         }
-        // A network that died or went to infinity is no start
+        // a dead or diverged network is replaced
         if matches!(trouble, Trouble::Training(_)) {
             let ridge = self.learnt.ridge;
             self.learnt = Learnt { ridge, ..Learnt::nothing(self.learnt.adam.m.len()) };
@@ -168,7 +168,7 @@ impl State {
     }
 }
 
-/// √v̂ of Adam, floored; `None` while no coordinate has moved the loss.
+/// √v̂ of Adam relative to its mean, at least `METRIC_FLOOR`; `None` while all gradients have been zero.
 fn metric(adam: &Adam<f64>) -> Option<Vec<f64>> {
     let scale: Vec<f64> = adam.v.iter().map(|v| v.sqrt()).collect();
     let mean = scale.iter().sum::<f64>() / scale.len() as f64;

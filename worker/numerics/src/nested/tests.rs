@@ -8,8 +8,8 @@ use crate::questions::{UnderReading, bound, nonlinear, replay, sense};
 use crate::random::{Purpose, Stream};
 use crate::stimuli::{Bell, Source};
 use crate::trial::{
-    BrainKind, Counters, Decoder, Disturbance, Evaluation, Going, Mould, Optimise, Problem, Protocol, Ridge,
-    Scaling, Schedule, Size, Stimuli, Terms, Training, Trouble,
+    BrainKind, Counters, Decoder, Disturbance, Evaluation, Going, Mould, Optimise, Polygons, Problem,
+    Protocol, Ridge, Scaling, Schedule, Size, Stimuli, Terms, Training, Trouble,
 };
 
 mod casts;
@@ -23,6 +23,7 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
     let direction = [0.0, -1.0];
     Problem {
         under: Vec::new(),
+        body: std::sync::Arc::new(Polygons),
         initial: layout.initial_design(25f64.to_radians()),
         scene: Scene {
             layout,
@@ -99,7 +100,7 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
     }
 }
 
-/// A problem on a sheet and on a disc of every lattice but squares: two panels, the first sensor of placement 0.
+/// The problem on a sheet and on a disc of each other lattice: two panels, the first sensor of placement 0.
 pub(crate) fn on_lattices(problem: &Problem) -> Vec<(String, Problem)> {
     let angle = 25f64.to_radians();
     let patterns = [
@@ -130,7 +131,7 @@ pub(crate) const GOING: Going = Going { batch: 5, brain_iterations: 3, brain_rat
 const PROTOCOLS: [Protocol; 3] =
     [Protocol::Paper(Terms::Implicit), Protocol::Joint(GOING), Protocol::Random(GOING)];
 
-/// Optimises the body of a problem, its sensors placed where they are to be searched for.
+/// Optimises the body of a problem, after the sensor search if there is one.
 fn optimise(
     problem: &Problem,
     resume: Option<State>,
@@ -145,7 +146,7 @@ fn carried_out(problem: &Problem, threads: usize) -> Optimised {
     optimise(problem, None, &pool(threads), &mut Keeper::default()).unwrap().unwrap()
 }
 
-/// Fewer steps, for what does not hang on how good they are.
+/// Reduces the number of steps, for tests that do not depend on accuracy.
 fn quicken(problem: &mut Problem) {
     (problem.solver.accuracy, problem.scene.density) = (Accuracy(3e-2), 4.0 * problem.scene.density);
 }
@@ -154,8 +155,7 @@ fn pool(threads: usize) -> crate::Pool {
     crate::Pool::new(threads).unwrap()
 }
 
-/// Keeps all that it is told, and says stop after `stop_after` steps. Its clock counts how often it was read, unless it
-/// stands still.
+/// Keeps everything it receives, and stops after `stop_after` steps. Its clock counts its own reads, or stands still.
 #[derive(Default)]
 struct Keeper {
     reads: f64,
@@ -186,7 +186,7 @@ impl Observe for Keeper {
     }
 }
 
-/// What steps report but for the time that they took.
+/// The reports without their times.
 fn timeless(reports: &[Report]) -> Vec<Report> {
     reports.iter().map(|report| Report { seconds: Seconds::default(), ..report.clone() }).collect()
 }
@@ -198,7 +198,7 @@ fn figures(body: &BodyEvaluation) -> Vec<u64> {
     body.networks.iter().flat_map(|n| [network(n).to_vec(), on_the_way(n)].concat()).collect()
 }
 
-/// Trained to just before an iteration, a network has the error that was noted on the way of a longer training.
+/// A network trained for 7 iterations has the error that a longer training recorded at this point.
 #[test]
 fn errors_on_the_way_are_those_of_a_training_that_ends_there() {
     let mut problem = small(PROTOCOLS[0]);
@@ -215,7 +215,7 @@ fn errors_on_the_way_are_those_of_a_training_that_ends_there() {
     }
 }
 
-/// Stopped after each step and resumed from the state of that step, on another number of threads: the same bits.
+/// Resuming after each step, on another number of threads, gives the same bits.
 #[test]
 fn a_resumed_loop_ends_at_the_same_bits_on_any_number_of_threads() {
     let tied = |problem: Problem| Problem { tie: [2, 2], frozen: vec![6], ..problem };
@@ -248,8 +248,8 @@ fn a_resumed_loop_ends_at_the_same_bits_on_any_number_of_threads() {
     }
 }
 
-/// Trained in one piece, in pieces of two iterations, or from states saved between them, on another number of threads:
-/// the same bits, and work is counted once.
+/// Training in one piece, in pieces of two iterations, or resumed from a saved state on another number of threads gives the same
+/// bits and the same counts.
 #[test]
 fn a_comparison_goes_on_from_each_saved_state_to_the_same_bits() {
     for reader in [BrainKind::Network, BrainKind::Linear, BrainKind::Stacked] {
@@ -269,7 +269,7 @@ fn a_comparison_goes_on_from_each_saved_state_to_the_same_bits() {
         assert!(keeper.saved.len() >= least, "{reader:?}: saved {} times", keeper.saved.len());
         let within = keeper.saved.iter().filter(|state| state.comparison.training.is_some()).count();
         assert!(reader == BrainKind::Linear || within > 6, "{reader:?}: {within} within a training");
-        // of those within a training every third
+        // every third state within a training
         let every = |(n, state): &(usize, State)| n % 3 == 0 || state.comparison.training.is_none();
         for (n, state) in keeper.saved.into_iter().enumerate().filter(every) {
             let (found, again) = run(Some(state), 1 + n % 3, true);
@@ -279,8 +279,7 @@ fn a_comparison_goes_on_from_each_saved_state_to_the_same_bits() {
     }
 }
 
-/// The last iteration before a pause, the first after it, and one whose step leads out of all numbers: wherever a training
-/// that diverges is paused, it ends with the weights and the name it would have had.
+/// A diverging training ends with the same weights and the same error name wherever it is paused.
 #[test]
 fn a_training_that_goes_wrong_does_so_in_pieces_too() {
     let mut problem = small(PROTOCOLS[2]);
@@ -302,7 +301,7 @@ fn a_training_that_goes_wrong_does_so_in_pieces_too() {
     );
 }
 
-/// What the stored form of a finished network says of it leads back to it.
+/// Names of failures can be parsed back.
 #[test]
 fn troubles_are_known_by_their_names() {
     let outcomes = [TrainOutcome::NonFinite, TrainOutcome::Diverged, TrainOutcome::DeadLayer(2)];
@@ -321,7 +320,7 @@ fn troubles_are_known_by_their_names() {
     assert_eq!(Trouble::named("no such thing"), None);
 }
 
-/// Another holdout changes the holdout's figures and nothing else.
+/// Another held-out set changes only the held-out errors.
 #[test]
 fn the_holdout_steers_nothing() {
     let mut problem = small(Protocol::Paper(Terms::Direct));
@@ -337,7 +336,7 @@ fn the_holdout_steers_nothing() {
     assert_ne!(a.error_holdout, b.error_holdout);
 }
 
-/// All bodies meet networks of the same initial weights, one set a seed; one that nothing has moved is read once, and is both.
+/// All bodies get networks of the same initial weights, one set per seed. Without outer steps the one body is evaluated once.
 #[test]
 fn bodies_are_compared_with_the_same_networks() {
     let mut problem = small(Protocol::Paper(Terms::Direct));
@@ -356,8 +355,7 @@ fn bodies_are_compared_with_the_same_networks() {
     assert_eq!(result.counters.brain_iterations, 2 * 30);
 }
 
-/// What fresh brains make of a body is the same whichever body the trial began with, how loud that one was, and with it
-/// the scale that its weights are stored for.
+/// The evaluation of a body depends neither on the trial's initial body nor on its signal scale.
 #[test]
 fn a_body_is_read_on_its_own_scale() {
     let begun_with = small(Protocol::Joint(GOING));
@@ -372,7 +370,7 @@ fn a_body_is_read_on_its_own_scale() {
             evaluate_designs(&trial, std::slice::from_ref(&other), &mut Keeper::default()).remove(0)
         });
         assert_ne!(here.networks[0].weights, there.networks[0].weights);
-        // a stacked network hears a linear brain besides, whose λ is of the trial's scale
+        // a stacked network also uses linear estimates, whose λ depends on the trial's scale
         if reader == BrainKind::Network {
             assert_eq!(figures(&here), figures(&there));
         }
@@ -387,7 +385,7 @@ fn a_body_is_read_on_its_own_scale() {
     }
 }
 
-/// As many long trainings as ordinary ones, from the same initial weights; the ordinary ones stay as they are.
+/// There are as many long trainings as ordinary ones, from the same initial weights; the ordinary ones do not change.
 #[test]
 fn long_trainings_stand_beside_the_ordinary_ones() {
     let mut problem = small(Protocol::Paper(Terms::Direct));
@@ -407,7 +405,7 @@ fn long_trainings_stand_beside_the_ordinary_ones() {
     assert!(keeper.fractions.is_sorted() && keeper.fractions.last() == Some(&1.0), "{:?}", keeper.fractions);
 }
 
-/// The design of every step has the kept units' nodes where the initial one has them, and moves others.
+/// In every step, kept units have the nodes of the initial design; others move.
 #[test]
 fn kept_units_keep_their_shape() {
     let problem = Problem { kept: vec![9, 10], ..small(Protocol::Paper(Terms::Direct)) };
@@ -419,8 +417,7 @@ fn kept_units_keep_their_shape() {
     assert_ne!(before[5], after[5]);
 }
 
-/// Every design of a tied loop is α₀ + P z and can be cast, whatever moves it and however far; frozen units and those that
-/// the limits keep stay, others move.
+/// Every design of a tied loop is α₀ + P z and feasible, for any protocol and rate. Frozen and kept units stay, others move.
 #[test]
 fn tied_shifts_stay_tied_and_castable() {
     let squares = PROTOCOLS.map(|protocol| (format!("{protocol:?}"), small(protocol)));
@@ -435,7 +432,7 @@ fn tied_shifts_stay_tied_and_castable() {
         quicken(&mut problem);
         let mut keeper = Keeper::default();
         optimise(&problem, None, &pool(2), &mut keeper).unwrap().unwrap();
-        let (freedom, layout) = (problem.freedom(), &problem.scene.layout);
+        let (freedom, layout) = (problem.body.freedom(&problem), &problem.scene.layout);
         let limits = Feasible::new(layout, problem.limits, &[]);
         let mut projected = 0;
         for (state, report) in keeper.states.iter().zip(&keeper.reports) {
@@ -452,7 +449,7 @@ fn tied_shifts_stay_tied_and_castable() {
     }
 }
 
-/// A search reads the initial body and then its candidates, and the best of all is the one that is kept.
+/// A search evaluates the initial body, then its candidates, and keeps the best.
 #[test]
 fn a_search_keeps_the_best_of_its_candidates() {
     let protocol = Protocol::Random(GOING);
@@ -479,14 +476,14 @@ fn the_direct_term_is_the_derivative_of_the_test_loss_at_fixed_weights() {
     check_the_direct_term(None, small(Protocol::Paper(Terms::Direct)));
 }
 
-/// The same along z where shifts move together and some do not move.
+/// The same along z, with tied and frozen shifts.
 #[test]
 fn the_direct_term_holds_where_shifts_are_tied() {
     let plain = small(Protocol::Paper(Terms::Direct));
     check_the_direct_term(None, Problem { tie: [2, 2], frozen: vec![6], ..plain });
 }
 
-/// The same through sensors that are late, noisy and biased.
+/// The same with delayed, noisy and biased sensors.
 #[test]
 fn the_direct_term_holds_through_disturbed_sensors() {
     let (noise, bias) = (Size::Relative(0.05), Size::Physical([10.0, 0.1]));
@@ -494,7 +491,7 @@ fn the_direct_term_holds_through_disturbed_sensors() {
     check_the_direct_term(Some(disturbance), small(Protocol::Paper(Terms::Direct)));
 }
 
-/// And at scales by the extremes of the initial body's training samples.
+/// The same with extremes of the initial body's training samples as scales.
 #[test]
 fn the_direct_term_holds_at_scales_by_extremes() {
     let mut problem = small(Protocol::Paper(Terms::Direct));
@@ -502,8 +499,8 @@ fn the_direct_term_holds_at_scales_by_extremes() {
     check_the_direct_term(None, problem);
 }
 
-/// Signals of the initial body lie in [−1, 1] and forces in [0, 1], both ends included; the comparison reads every body at
-/// these scales, and the network that is stored reads it again to the same error.
+/// Signals of the initial body span [−1, 1] and forces [0, 1]. The comparison uses these scales for every body, and a stored
+/// network reproduces its error.
 #[test]
 fn scales_by_extremes_serve_every_body() {
     let mut problem = small(Protocol::Joint(GOING));
@@ -532,7 +529,7 @@ fn scales_by_extremes_serve_every_body() {
     assert!((error / stored - 1.0).abs() < 1e-5, "{error} {stored}");
 }
 
-/// And behind a low-pass, on a finer clock than that of the forces.
+/// The same with a low-pass, whose clock is finer than that of the forces.
 #[test]
 fn the_direct_term_holds_behind_a_low_pass() {
     for (bandwidth, delay) in [(60.0, 0.0), (90.0, 0.0041)] {
@@ -541,7 +538,7 @@ fn the_direct_term_holds_behind_a_low_pass() {
     }
 }
 
-/// And through sensors of which not all is read.
+/// The same with a subset of the channels.
 #[test]
 fn the_direct_term_holds_through_some_channels() {
     let noise = Size::Relative(0.05);
@@ -552,7 +549,7 @@ fn the_direct_term_holds_through_some_channels() {
     }
 }
 
-/// And through sensors whose range ends where their signals are often larger: those readings pull nothing back.
+/// The same with signals that often exceed the sensors' range; these readings have no gradient.
 #[test]
 fn the_direct_term_holds_where_sensors_saturate() {
     let plain = small(Protocol::Paper(Terms::Direct));
@@ -565,7 +562,7 @@ fn the_direct_term_holds_where_sensors_saturate() {
     check_the_direct_term(Some(disturbance), small(Protocol::Paper(Terms::Direct)));
 }
 
-/// A range below the signals, as of one in m/s² for mm/s², is named before anything is trained; one that most readings keep is not.
+/// A range below most signals, as from m/s² instead of mm/s², is an error before training; a range above most signals is not.
 #[test]
 fn a_range_below_the_signals_is_named() {
     let (plain, pool) = (small(Protocol::Paper(Terms::Direct)), pool(1));
@@ -579,8 +576,7 @@ fn a_range_below_the_signals_is_named() {
     assert_eq!(with(1.0), Ok(()));
 }
 
-/// What a trial's chips add to a body's signals is theirs, not the body's: a part of what the initial body's are, on every body; or
-/// of what another's are that the problem names.
+/// Sensor noise does not depend on the body: it is relative to the signals of the initial body, or of `relative_to`.
 #[test]
 fn chips_are_as_noisy_on_every_body() {
     let pool = pool(1);
@@ -611,13 +607,13 @@ fn chips_are_as_noisy_on_every_body() {
     let [second, its_own, said] = [second, its_own, said].map(|(_, added)| apart(&added));
     assert!(most > 0.0 && second.max(said) < 1e-9 * most, "{second}, {said} of {most}");
     assert!(its_own > 1e-3 * most, "{its_own} of {most}");
-    // and where that body has no signals, it is named
+    // a reference body without signals is an error
     let torn = Problem { relative_to: Some(vec![f64::NAN; other.len()]), ..noisy };
     let failure = sense(&torn, &other, &forces, &pool).map(drop).unwrap_err();
     assert!(matches!(failure, Failure::Reference(_)), "{failure:?}");
 }
 
-/// L_test(α + εδ) at fixed weights, in N², against the gradient: a central difference along a random direction.
+/// Compares the gradient with central differences of L_test(α + εδ) (N²) at fixed weights, along a random direction.
 fn check_the_direct_term(disturbance: Option<Disturbance>, problem: Problem) {
     let mut problem = Problem { disturbance, ..problem };
     problem.solver.accuracy = Accuracy(1e-10);
@@ -644,7 +640,7 @@ fn check_the_direct_term(disturbance: Option<Disturbance>, problem: Problem) {
     let gradient = trial.vjp(&response, cotangent, &mut Counters::default()).unwrap();
 
     let mut stream = Stream::new(Purpose::Design, 1, [0, 0]);
-    let freedom = problem.freedom();
+    let freedom = problem.body.freedom(&problem);
     let mut z = vec![0.0; gradient.len()];
     freedom.coordinates().into_iter().for_each(|i| z[i] = stream.normal());
     let slope: f64 = freedom.vjp(&gradient).iter().zip(&z).map(|(g, d)| g * d).sum();
@@ -653,13 +649,13 @@ fn check_the_direct_term(disturbance: Option<Disturbance>, problem: Problem) {
         let design: Vec<f64> = problem.initial.iter().zip(&direction).map(|(a, d)| a + step * d).collect();
         loss(&design).0
     };
-    // the network has kinks: smaller steps meet fewer of them, larger ones less rounding
+    // the network has kinks: small steps cross fewer of them, large steps have less rounding error
     let differences = [1e-4, 2e-5, 4e-6].map(|step| (at(step) - at(-step)) / (2.0 * step));
     let close = differences.iter().any(|difference| (slope / difference - 1.0).abs() < 1e-3);
     assert!(slope.abs() > 1e-9 && close, "{slope} against {differences:?}");
 }
 
-/// A rate beyond reason: the training's end is named, and there is no body before the first to go back to.
+/// With an extreme learning rate, training fails on the initial body, which has no predecessor.
 #[test]
 fn a_training_that_diverges_on_the_initial_body_is_named() {
     let mut problem = small(Protocol::Paper(Terms::Direct));
@@ -669,7 +665,7 @@ fn a_training_that_diverges_on_the_initial_body_is_named() {
     assert_ne!(outcome, TrainOutcome::Ok);
 }
 
-/// After trouble: the design before the last move, half the rate; after too many in a row, the end.
+/// A failed step restores the previous design and halves the rate; too many failures in a row end the trial.
 #[test]
 fn a_step_in_trouble_is_taken_back_at_half_the_rate() {
     let problem = small(Protocol::Paper(Terms::Direct));
@@ -687,8 +683,8 @@ fn a_step_in_trouble_is_taken_back_at_half_the_rate() {
     assert_eq!(state.taken_back(Trouble::GradientNonFinite, &mut log.report), Err(initial));
 }
 
-/// The state after two steps, spoilt: the third step names what it met and is taken back, the fourth goes on from the
-/// second's body at half the rate.
+/// The state after two steps is corrupted: the third step reports why and is undone, the fourth continues from the body before at
+/// half the rate.
 #[test]
 fn a_loop_in_trouble_names_it_and_goes_on_from_the_body_before() {
     let problem = Problem {
@@ -721,8 +717,8 @@ fn a_loop_in_trouble_names_it_and_goes_on_from_the_body_before() {
     }
 }
 
-/// However late in a search a body is read, its error is the same: its network is as old as any other candidate's. A search that goes
-/// on from a state has the same networks, too.
+/// The error of a body does not depend on when a search evaluates it: every candidate's network is trained equally long, after a
+/// resumption too.
 #[test]
 fn a_search_s_yardstick_does_not_move() {
     let protocol = Protocol::Random(GOING);

@@ -20,12 +20,12 @@ const SAMPLES: usize = 24;
 /// Nonlinear share of the accelerations, and of the angular velocities (%).
 pub type Nonlinear = [f64; 2];
 
-/// Nonlinear share of a body under the first held-out samples, without chip effects; `None` if a simulation fails or parts touch
-/// at rest.
+/// Nonlinear share of a body under the first held-out samples, without chip effects; `None` if a simulation fails, if parts touch
+/// at rest, or if the body does not consist of polygons.
 pub(crate) fn nonlinear(mould: &Mould, counters: &mut Counters) -> Option<Nonlinear> {
     let &Mould { trial, design, solver } = mould;
     let (problem, scene) = (&trial.problem, &trial.problem.scene);
-    if touches(scene, design) {
+    if scene.layout.units() == 0 || touches(scene, design) {
         return None;
     }
     let solver = solver.at_most(EXACT);

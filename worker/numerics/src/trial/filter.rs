@@ -1,27 +1,27 @@
-//! What a chip does to a signal before it is read: a low-pass and a delay, on a clock finer than that of the readings.
+//! Filter of a chip before its readings: a low-pass and a delay, on a clock finer than that of the readings.
 //!
 //! ```text
 //! y″ + √2 ω y′ + ω² y = ω² a      ω = 2π·bandwidth (Butterworth, order 2)      reading_n = y(t_n − delay)
 //! ```
-//! Exact for signals that are linear between two instants of that clock; at rest before the first. Between them the delay is a
-//! cubic through the last four. Both are causal.
+//! Exact for signals that are linear between instants of this clock and zero before the first. The delay interpolates with a cubic
+//! through the last four instants. Both are causal.
 
 use super::Disturbance;
 use faer::c64;
 use std::f64::consts::TAU;
 
-/// Instants of the clock for each reading, at least: the cubic is then good to 4e-4 at 0.8 of the readings' Nyquist frequency.
+/// Least number of clock instants per reading: the cubic is then exact to 4e-4 at 0.8 of the readings' Nyquist frequency.
 const CLOCK: usize = 8;
-/// And by how much its rate exceeds the bandwidth: lines between its instants lower the gain there by 0.3 %.
+/// Least ratio of the clock rate to the bandwidth: linear interpolation then lowers the gain by 0.3 %.
 const BESIDE_BANDWIDTH: f64 = 32.0;
 
 /// A low-pass and a delay.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Filter {
-    /// Instants for each reading.
+    /// Instants per reading.
     clock: usize,
     low_pass: Option<LowPass>,
-    /// Whole instants by which the first of four taps is late, and their weights.
+    /// Delay of the first of four taps in whole instants, and their weights.
     back: usize,
     taps: [f64; 4],
 }
@@ -34,24 +34,24 @@ struct LowPass {
 }
 
 impl Disturbance {
-    /// Instants at which a body's motion is taken for each reading; `interval` is the time between two readings (s).
+    /// Instants per reading at which the body's motion is computed; `interval` is the time between two readings (s).
     pub fn clock(&self, interval: f64) -> usize {
         if self.delay == 0.0 && self.bandwidth.is_infinite() {
             return 1;
         }
         let low_pass = if self.bandwidth.is_finite() { self.bandwidth } else { 0.0 };
-        // a rate that is met but for rounding is met
+        // tolerates rounding errors
         CLOCK.max((BESIDE_BANDWIDTH * low_pass * interval - 1e-9).ceil() as usize)
     }
 }
 
 impl Disturbance {
-    /// Overwrites signals (N, instants, width) whose instants are a `step` (s) apart by their low-pass, if there is one.
+    /// Applies the low-pass, if any, in place to signals (N, instants, width); `step`: interval between instants (s).
     pub(crate) fn low_pass(&self, signals: &mut [f64], samples: usize, width: usize, step: f64) {
         self.each(signals, samples, width, step, LowPass::run);
     }
 
-    /// Its transpose.
+    /// Transpose of [`Self::low_pass`].
     pub(crate) fn low_pass_vjp(&self, cotangent: &mut [f64], samples: usize, width: usize, step: f64) {
         self.each(cotangent, samples, width, step, LowPass::run_vjp);
     }
@@ -72,7 +72,7 @@ impl Disturbance {
         }
     }
 
-    /// What the filter makes of a steady signal of this frequency (Hz).
+    /// Complex gain of the filter at this frequency (Hz).
     pub(crate) fn passes(&self, hertz: f64) -> c64 {
         let part = hertz / self.bandwidth;
         c64::cis(-TAU * hertz * self.delay) / c64::new(1.0 - part * part, 2f64.sqrt() * part)
@@ -80,7 +80,7 @@ impl Disturbance {
 }
 
 impl LowPass {
-    /// With the cut-off `angle` ω h a step.
+    /// `angle`: ω h, with h the interval between instants.
     fn new(angle: f64) -> Self {
         let a = [[0.0, 1.0], [-1.0, -2f64.sqrt()]];
         let half = angle / 2f64.sqrt();
@@ -97,7 +97,7 @@ impl LowPass {
         Self { e, g: [[whole[0] - late[0], whole[1] - late[1]], late] }
     }
 
-    /// Overwrites every `width`-th of the values by its low-pass.
+    /// Applies the low-pass in place to every `width`-th value.
     fn run(&self, values: &mut [f64], width: usize) {
         let Self { e, g } = self;
         let (mut z, mut before) = ([0.0; 2], 0.0);
@@ -109,7 +109,7 @@ impl LowPass {
         }
     }
 
-    /// Its transpose: a cotangent on y as one on the values.
+    /// Transpose of [`Self::run`]: turns a cotangent on y into one on the values.
     fn run_vjp(&self, cotangent: &mut [f64], width: usize) {
         let Self { e, g } = self;
         let mut later = [0.0; 2];
@@ -141,7 +141,7 @@ impl Filter {
         Self { clock, low_pass, back, taps }
     }
 
-    /// What is read (N, readings, width) of signals (N, clock · readings, width) of `samples` samples.
+    /// Readings (N, readings, width) of signals (N, clock · readings, width) of `samples` samples.
     pub(crate) fn run(&self, mut signals: Vec<f64>, samples: usize, width: usize) -> Vec<f64> {
         let one = signals.len() / samples.max(1);
         let mut read = Vec::with_capacity(signals.len() / self.clock);
@@ -157,7 +157,7 @@ impl Filter {
         read
     }
 
-    /// Its transpose: a cotangent on what is read as one on the signals.
+    /// Transpose of [`Self::run`]: turns a cotangent on readings into one on signals.
     pub(crate) fn run_vjp(&self, cotangent: &[f64], samples: usize, width: usize) -> Vec<f64> {
         let one = self.clock * cotangent.len() / samples.max(1);
         let mut signals = vec![0.0; one * samples];
@@ -173,14 +173,14 @@ impl Filter {
         signals
     }
 
-    /// Instant of the clock, from 0, and channel of each reading of a sample of so many values.
+    /// Clock instant, from 0, and channel of each reading of a sample with `values` values.
     fn readings(&self, values: usize, width: usize) -> impl Iterator<Item = (usize, usize)> {
         let clock = self.clock;
         let instants = (1..=values / (width * clock).max(1)).map(move |n| n * clock - 1);
         instants.flat_map(move |at| (0..width).map(move |c| (at, c)))
     }
 
-    /// Taps of a reading at an instant, and where they are, from the first instant on.
+    /// Weights and instants of the taps for a reading at instant `at`, without those before the first.
     fn tapped(&self, at: usize) -> impl Iterator<Item = (f64, usize)> {
         let newest = at.checked_sub(self.back);
         let tap = move |(j, tap): (usize, f64)| Some((tap, newest?.checked_sub(j)?));

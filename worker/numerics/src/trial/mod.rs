@@ -5,6 +5,7 @@
 //! ```
 //! Everything that knows a trial is given this one context: the nested optimisation, and questions to its bodies.
 
+mod body;
 mod chip;
 mod filter;
 mod mould;
@@ -14,6 +15,7 @@ mod samples;
 mod scales;
 mod settings;
 
+pub use body::{Body, Fault, Motion, Pilot, Polygons, Run, Tape};
 pub use chip::{Disturbance, Size};
 pub(crate) use mould::Mould;
 pub(crate) use outcome::held;
@@ -27,7 +29,7 @@ pub use settings::{
     Schedule, Terms, Training,
 };
 
-use crate::dynamics::{self, Forces, Outcome, Scene, Simulation, Solver, Tuned, Wrt, planned, tune};
+use crate::dynamics::{self, Forces, Outcome, Scene, Solver};
 use crate::random::Purpose;
 use crate::stimuli::Source;
 use crate::variation::{Cast, Casts, Chips};
@@ -51,7 +53,7 @@ pub struct Trial<'a> {
     /// Work of the pilots.
     pub pilots: dynamics::Counters,
     /// The accurate integrator of the initial body; its pilot's work is in `pilots`.
-    usual: Tuned,
+    usual: Pilot,
     /// The accurate integrator as the spec asks for it.
     asked: Solver,
     pub(crate) train: Forces,
@@ -72,7 +74,7 @@ pub struct Trial<'a> {
 pub struct Response {
     /// What its sensors tell of them.
     pub samples: Samples,
-    simulation: Simulation,
+    motion: Motion,
     /// Of the cast that was simulated.
     chips: Chips,
 }
@@ -114,20 +116,20 @@ impl<'a> Trial<'a> {
         let usual = pilot(&problem, &problem.initial, &asked, pool);
         let steps = problem.optimise.coarse.filter(|_| problem.optimise.iterations > 0);
         let coarse = steps.map(|coarse| pilot(&problem, &problem.initial, &coarse, pool));
-        let (mut reason, mut pilots) = (usual.plan.reason.clone(), usual.counters);
+        let (mut reason, mut pilots) = (usual.reason.clone(), usual.counters);
         problem.solver = usual.solver;
         if let Some(coarse) = coarse {
-            reason = format!("{reason}{COARSE}{}", coarse.plan.reason);
+            reason = format!("{reason}{COARSE}{}", coarse.reason);
             pilots += coarse.counters;
             problem.optimise.coarse = Some(coarse.solver);
         }
 
         let [mut train, test] = problem.known();
         let plain = |design: &[f64], solver: &Solver, forces: &mut Forces| -> Result<Samples, Failure> {
-            let simulation = simulated(&problem, &problem.scene, design, forces, solver, false, pool);
-            few_failed(&simulation.outcomes).map_err(Failure::Initial)?;
-            let failed = silence(forces, &simulation.outcomes);
-            let signals = problem.read(simulation.signals, forces.samples);
+            let motion = simulated(&problem, &problem.scene, design, forces, solver, false, pool);
+            few_failed(&motion.outcomes).map_err(Failure::Initial)?;
+            let failed = silence(forces, &motion.outcomes);
+            let signals = problem.read(motion.signals, forces.samples);
             Ok(problem.samples(signals, forces).with_failed(failed))
         };
         let chip = match (chip, &problem.relative_to) {
@@ -161,7 +163,7 @@ impl<'a> Trial<'a> {
             problem,
             pool,
             reason,
-            usual: Tuned { counters: dynamics::Counters::default(), ..usual },
+            usual: Pilot { counters: dynamics::Counters::default(), ..usual },
             pilots,
             asked,
             train,
@@ -186,7 +188,7 @@ impl<'a> Trial<'a> {
     }
 
     /// The accurate integrator tuned on a body; the work is that of its pilot, none of the initial body, which has had one.
-    pub fn tuned(&self, design: &[f64]) -> Tuned {
+    pub fn tuned(&self, design: &[f64]) -> Pilot {
         match design == self.problem.initial {
             true => self.usual.clone(),
             false => pilot(&self.problem, design, &self.asked, self.pool),
@@ -206,10 +208,10 @@ impl<'a> Trial<'a> {
         counters: &mut Counters,
     ) -> Result<Response, Trouble> {
         let scene = &self.problem.scene;
-        let simulation = simulated(&self.problem, scene, design, forces, solver, keep_tape, self.pool);
-        counters.dynamics += simulation.counters;
-        all_well(&simulation.outcomes)?;
-        Ok(self.response(simulation, Chips::default(), forces, vec![false; forces.samples]))
+        let motion = simulated(&self.problem, scene, design, forces, solver, keep_tape, self.pool);
+        counters.dynamics += motion.counters;
+        all_well(&motion.outcomes)?;
+        Ok(self.response(motion, Chips::default(), forces, vec![false; forces.samples]))
     }
 
     /// Samples of a body, or of a cast of it, by the integrator that was tuned on the body.
@@ -244,12 +246,12 @@ impl<'a> Trial<'a> {
         let scene = &self.problem.scene;
         let own = cast.map(|cast| (cast.scene(scene), cast.design(design)));
         let (scene, design) = own.as_ref().map_or((scene, design), |(scene, design)| (scene, design));
-        let simulation = simulated(&self.problem, scene, design, &forces, solver, keep_tape, self.pool);
-        counters.dynamics += simulation.counters;
-        few_failed(&simulation.outcomes)?;
-        let failed = silence(&mut forces, &simulation.outcomes);
+        let motion = simulated(&self.problem, scene, design, &forces, solver, keep_tape, self.pool);
+        counters.dynamics += motion.counters;
+        few_failed(&motion.outcomes)?;
+        let failed = silence(&mut forces, &motion.outcomes);
         let chips = cast.map_or_else(Chips::default, |cast| cast.chips.clone());
-        Ok(self.response(simulation, chips, &forces, failed))
+        Ok(self.response(motion, chips, &forces, failed))
     }
 
     /// What `of` makes of 0 … `count` − 1, spread over the threads: the few samples of one cast are too few for them. What all of
@@ -270,17 +272,11 @@ impl<'a> Trial<'a> {
         found
     }
 
-    fn response(
-        &self,
-        mut simulation: Simulation,
-        chips: Chips,
-        forces: &Forces,
-        failed: Vec<bool>,
-    ) -> Response {
-        let mut signals = std::mem::take(&mut simulation.signals);
+    fn response(&self, mut motion: Motion, chips: Chips, forces: &Forces, failed: Vec<bool>) -> Response {
+        let mut signals = std::mem::take(&mut motion.signals);
         chips.read(&mut signals);
         let signals = self.heard(signals, forces);
-        Response { samples: self.problem.samples(signals, forces).with_failed(failed), simulation, chips }
+        Response { samples: self.problem.samples(signals, forces).with_failed(failed), motion, chips }
     }
 
     /// dL/dα of a cotangent on the signals (N, T, channels) of a body that was simulated with its tape.
@@ -289,19 +285,19 @@ impl<'a> Trial<'a> {
     /// If it is not finite.
     pub fn vjp(
         &self,
-        Response { simulation, samples, chips }: &Response,
+        Response { motion, samples, chips }: &Response,
         mut cotangent: Vec<f64>,
         counters: &mut Counters,
     ) -> Result<Vec<f64>, Trouble> {
         if let Some(chip) = &self.chip {
             chip.disturb_vjp(&mut cotangent, &samples.signals);
         }
-        let mut cotangent = self.problem.read_vjp(cotangent, simulation.outcomes.len());
+        let mut cotangent = self.problem.read_vjp(cotangent, motion.outcomes.len());
         chips.read_vjp(&mut cotangent);
-        let gradient = simulation.vjp(&cotangent, Wrt::Design, self.pool);
-        counters.dynamics += gradient.counters;
-        match gradient.design.iter().all(|g| g.is_finite()) {
-            true => Ok(gradient.design),
+        let (gradient, work) = motion.tape.vjp(&cotangent, self.pool);
+        counters.dynamics += work;
+        match gradient.iter().all(|g| g.is_finite()) {
+            true => Ok(gradient),
             false => Err(Trouble::GradientNonFinite),
         }
     }
@@ -317,7 +313,7 @@ impl<'a> Trial<'a> {
 }
 
 /// An integrator tuned on a body, by its first training samples.
-pub(crate) fn pilot(problem: &Problem, design: &[f64], solver: &Solver, pool: &crate::Pool) -> Tuned {
+pub(crate) fn pilot(problem: &Problem, design: &[f64], solver: &Solver, pool: &crate::Pool) -> Pilot {
     let forces = problem.forces(Purpose::Stimulus, 0, problem.stimuli.samples.min(PILOT));
     tuned(problem, &problem.scene, design, &forces, solver, pool)
 }
@@ -330,9 +326,9 @@ pub(crate) fn tuned(
     forces: &Forces,
     solver: &Solver,
     pool: &crate::Pool,
-) -> Tuned {
+) -> Pilot {
     let (scene, forces) = problem.in_motion(scene, forces);
-    tune(&scene, design, &forces, solver, pool)
+    problem.body.pilot(&scene, design, &forces, solver, pool)
 }
 
 /// Simulates on the clock of the motion. To an inverse brain, which explains every digit, f32's rounding would be noise.
@@ -344,11 +340,10 @@ pub(crate) fn simulated(
     solver: &Solver,
     keep_tape: bool,
     pool: &crate::Pool,
-) -> Simulation {
+) -> Motion {
     let (scene, forces) = problem.in_motion(scene, forces);
-    let plan = planned(&scene, design, &forces, solver);
-    let plan = if problem.reader == BrainKind::Inverse { plan.double() } else { plan };
-    dynamics::run(&scene, design, &forces, &plan, keep_tape, pool)
+    let double = problem.reader == BrainKind::Inverse;
+    problem.body.simulate(&scene, &Run { design, forces: &forces, solver, keep_tape, double }, pool)
 }
 
 /// The first sample that did not end well gives its name.

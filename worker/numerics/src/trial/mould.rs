@@ -1,24 +1,24 @@
-//! A body after the loop: what questions about it, and about casts of it, are simulated with.
+//! A design and its solver, from which the body and its casts are simulated after training.
 
 use super::{Counters, Samples, Trial, Trouble};
 use crate::dynamics::{Forces, Solver};
 use crate::variation::Cast;
 
-/// A body of a trial, and what makes casts of it.
+/// A design of a trial, with what its simulation needs.
 #[derive(Clone, Copy)]
 pub(crate) struct Mould<'a> {
     pub trial: &'a Trial<'a>,
     /// α (mm).
     pub design: &'a [f64],
-    /// Tuned on the body as designed.
+    /// Tuned by the pilot of the body as designed.
     pub solver: &'a Solver,
 }
 
 impl Mould<'_> {
-    /// Samples of the body as designed, or of a cast of it.
+    /// Simulates the body as designed, or a cast of it.
     ///
     /// # Errors
-    /// If more of them fail than may.
+    /// If too many samples fail.
     pub fn samples(
         &self,
         cast: Option<&Cast>,

@@ -1,4 +1,4 @@
-//! What goes wrong in a trial, by its name, and exact counts of its work.
+//! Named failures of a trial, and exact counts of its work.
 
 use crate::brain::TrainOutcome;
 use crate::dynamics;
@@ -7,28 +7,28 @@ use crate::dynamics;
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum Trouble {
-    /// A sample's simulation or reverse sweep ended early.
+    /// A sample's simulation or reverse sweep failed.
     Simulation(dynamics::Outcome),
-    /// The brain's training ended early.
+    /// The decoder's training failed.
     Training(TrainOutcome),
-    /// The training loss is this many times its trend, although trained as before.
+    /// The training loss is this multiple of its trend.
     LossJump(f64),
     /// The gradient in α is not finite.
     GradientNonFinite,
-    /// The linear brain's normal matrix has no factor at its ridge.
+    /// The linear decoder's normal matrix is singular at its λ.
     Singular,
-    /// No units are as many and as far apart as the sensors are to be.
+    /// The body has no room for all sensors at the given spacing.
     Nowhere,
-    /// More than half of all readings are at the end of the sensors' range.
+    /// More than half of all readings are at the limit of the sensors' range.
     Saturated,
     /// No training sample has a force.
     NoForce,
-    /// What is asked for takes two training samples whose forces differ.
+    /// At least two training samples with different forces are needed.
     FewForces,
 }
 
 impl Trouble {
-    /// Its name in records.
+    /// Name in records.
     pub fn name(self) -> &'static str {
         match self {
             Self::Simulation(outcome) => outcome.name(),
@@ -43,7 +43,7 @@ impl Trouble {
         }
     }
 
-    /// One of this name; what a name does not say of it is 0.
+    /// The failure with this name; values that the name lacks are 0.
     pub fn named(name: &str) -> Option<Self> {
         use TrainOutcome::{DeadLayer, Diverged, NonFinite};
         let simulations = dynamics::Outcome::ALL.into_iter().map(Self::Simulation);
@@ -61,25 +61,25 @@ impl Trouble {
     }
 }
 
-/// What was found, or why not, to be looked at more than once.
+/// Borrows a result and copies its error.
 pub(crate) fn held<T>(found: &Result<T, Trouble>) -> Result<&T, Trouble> {
     found.as_ref().map_err(|trouble| *trouble)
 }
 
-/// Why a trial has no result.
+/// Why a trial failed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum Failure {
-    /// The initial body.
+    /// The initial body failed.
     Initial(Trouble),
-    /// That which scales relative noise.
+    /// The body that scales relative noise failed.
     Reference(Trouble),
-    /// So many steps in a row were taken back, the last for this.
+    /// This many consecutive steps were undone, the last for this reason.
     Stuck(u32, Trouble),
 }
 
 impl Failure {
-    /// What it was for.
+    /// The underlying trouble.
     pub fn trouble(self) -> Trouble {
         match self {
             Self::Initial(trouble) | Self::Reference(trouble) | Self::Stuck(_, trouble) => trouble,
@@ -100,9 +100,9 @@ impl std::fmt::Display for Failure {
 /// Exact counts of work.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Counters {
-    /// Force evaluations, integrator steps, rejected ones.
+    /// Force evaluations, integrator steps and rejected steps.
     pub dynamics: dynamics::Counters,
-    /// Adam iterations on the brain.
+    /// Adam iterations of decoders.
     pub brain_iterations: u64,
     /// Hessian-vector products.
     pub hessian_products: u64,

@@ -1,10 +1,10 @@
 //! What a spec says of a trial: scene, forces, limits, and how body and brains are trained.
 
+use super::body::Body;
 use super::chip::{Chip, Disturbance};
 use super::filter::Filter;
 use super::samples::Samples;
 use super::settings::{BrainKind, Decoder, Evaluation, Optimise, Training};
-use crate::body::Freedom;
 use crate::brain::Shape;
 use crate::brain::linear::Sizes;
 use crate::dynamics::{Forces, Scene, Solver};
@@ -13,11 +13,14 @@ use crate::random::Purpose;
 use crate::stimuli::{Deal, Source, bells, drawn, gauss, irregular, silenced, split, targets};
 use crate::variation::Variation;
 use std::borrow::Cow;
+use std::sync::Arc;
 
 /// Everything that a nested optimisation starts from. Angles in rad.
 #[derive(Debug, Clone)]
 pub struct Problem {
-    /// Body, panels, sensors, clock; without sensors as long as they are to be searched for.
+    /// What simulates a design in the scene.
+    pub body: Arc<dyn Body>,
+    /// Panels, sensors, clock, and of polygons the body; without sensors as long as they are to be searched for.
     pub scene: Scene,
     /// How the sensors are placed, where they are not given.
     pub search: Option<Placing>,
@@ -97,12 +100,7 @@ impl Stimuli {
 }
 
 impl Problem {
-    /// Which shifts of a design move, and which together.
-    pub fn freedom(&self) -> Freedom {
-        Freedom::of(&self.scene.layout, self.tie, &self.frozen, &self.kept)
-    }
-
-    /// The designs that can be cast and had.
+    /// The designs of polygons that can be cast and had.
     pub fn castable(&self) -> Feasible {
         Feasible::moving(&self.scene.layout, self.limits, self.tie, &self.frozen, &self.kept)
     }
@@ -198,20 +196,22 @@ impl Problem {
 
     /// The channels that are read of all.
     fn chosen(&self, signals: Vec<f64>) -> Vec<f64> {
-        match self.channels.len() {
-            3 => signals,
-            _ => signals.chunks_exact(3).flat_map(|all| self.channels.iter().map(|&c| all[c])).collect(),
+        let all = self.body.channels();
+        if self.channels.len() == all {
+            return signals;
         }
+        signals.chunks_exact(all).flat_map(|all| self.channels.iter().map(|&c| all[c])).collect()
     }
 
     fn chosen_vjp(&self, cotangent: Vec<f64>) -> Vec<f64> {
-        if self.channels.len() == 3 {
+        let count = self.body.channels();
+        if self.channels.len() == count {
             return cotangent;
         }
         let all = |read: &[f64]| {
             let mut all = [0.0; 3];
             self.channels.iter().zip(read).for_each(|(&c, x)| all[c] = *x);
-            all
+            all.into_iter().take(count)
         };
         cotangent.chunks_exact(self.channels.len()).flat_map(all).collect()
     }

@@ -1,4 +1,4 @@
-//! Samples of a body: what its sensors tell, and the forces that brains are to say.
+//! Samples of a body: sensor signals, and the forces to estimate.
 
 use crate::brain::linear::Sizes;
 use crate::brain::prediction_error;
@@ -6,41 +6,41 @@ use crate::brain::prediction_error;
 /// Signals and forces of N samples.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Samples {
-    /// T; 3M channels, or fewer where not all are read; K.
+    /// T; channels (3M or fewer); K.
     pub sizes: Sizes,
     /// (N, T, channels) in mm/s² and rad/s.
     pub signals: Vec<f64>,
     /// Forces (N, T, K) in N.
     pub targets: Vec<f64>,
-    /// Whether a sample's simulation failed (N): it then has neither signals nor force, and counts as read entirely wrong.
+    /// Whether a sample's simulation failed (N). A failed sample has zero signals and forces, and 100 % error.
     pub failed: Vec<bool>,
 }
 
 impl Samples {
-    /// Signals (N, T, channels) under forces (N, T, K), none of which failed.
+    /// Signals (N, T, channels) under forces (N, T, K); no sample failed.
     pub fn new(sizes: Sizes, signals: Vec<f64>, targets: Vec<f64>) -> Self {
         let failed = vec![false; targets.len() / (sizes.instants * sizes.outputs)];
         Self { sizes, signals, targets, failed }
     }
 
-    /// These, of which some failed.
+    /// Sets which samples failed.
     #[must_use]
     pub fn with_failed(self, failed: Vec<bool>) -> Self {
         assert_eq!(failed.len(), self.count(), "one a sample");
         Self { failed, ..self }
     }
 
-    /// N.
+    /// Number of samples, N.
     pub fn count(&self) -> usize {
         self.failed.len()
     }
 
-    /// How many failed.
+    /// Number of failed samples.
     pub fn failures(&self) -> u64 {
         self.failed.iter().filter(|failed| **failed).count() as u64
     }
 
-    /// How many have no force, those that failed among them.
+    /// Number of samples without force, including failed ones.
     pub fn without_force(&self) -> u32 {
         let one = self.sizes.instants * self.sizes.outputs;
         self.targets.chunks_exact(one).filter(|sample| sample.iter().all(|f| *f == 0.0)).count() as u32
@@ -54,17 +54,17 @@ impl Samples {
         Self { sizes: self.sizes, signals, targets, failed: pick(&self.failed, self.count(), samples) }
     }
 
-    /// Error of each sample (%) by these predictions (N, T, K): [`error_of_each`].
+    /// Error of each sample (%) with these estimates (N, T, K): [`error_of_each`].
     pub fn errors(&self, predicted: &[f64]) -> Vec<Option<f64>> {
         error_of_each(self.sizes, &self.targets, &self.failed, predicted)
     }
 
-    /// Their mean.
+    /// Mean error (%) with these estimates (N, T, K).
     pub fn error(&self, predicted: &[f64]) -> Option<f64> {
         mean_error(&self.errors(predicted))
     }
 
-    /// The samples of all of these, one set after another.
+    /// Concatenates the samples of all sets.
     ///
     /// # Panics
     /// If there is no set.
@@ -79,17 +79,17 @@ impl Samples {
     }
 }
 
-/// Those of `count` equal pieces of `values` that are listed, in the order listed.
+/// The listed ones of `count` equal pieces of `values`, in the order listed.
 pub(crate) fn pick<T: Copy>(values: &[T], count: usize, pieces: &[usize]) -> Vec<T> {
     let one = values.len() / count.max(1);
     pieces.iter().flat_map(|&i| &values[i * one..][..one]).copied().collect()
 }
 
-/// Error of a sample that failed (%): that of a brain which says nothing.
+/// Error of a failed sample (%), that of a zero estimate.
 pub const FAILED: f64 = 100.0;
 
-/// Error of each sample (%), forces and predictions (N, T, K) in the same unit: 100·Σ(f − f̂)²/Σf², 100 of one that failed,
-/// `None` of one that has no force. Every error of this program is a mean of these.
+/// Error of each sample (%), 100·Σ(f − f̂)²/Σf²: 100 for failed samples, `None` without force. Forces and estimates (N, T, K) have
+/// the same unit. Every error of this program is a mean of these.
 pub(crate) fn error_of_each(
     sizes: Sizes,
     targets: &[f64],
@@ -100,7 +100,7 @@ pub(crate) fn error_of_each(
     errors.into_iter().zip(failed).map(|(error, failed)| if *failed { Some(FAILED) } else { error }).collect()
 }
 
-/// How the errors of samples spread, beside their mean, which a single sample can dominate.
+/// Distribution of the errors of samples. A single sample can dominate the mean.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spread {
     /// Median (%).
@@ -112,11 +112,11 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Of samples that all failed.
+    /// For samples that all failed.
     pub const FAILED: Self = Self { median: FAILED, p90: FAILED, above: 0 };
 
-    /// Of the samples that have an error; one that is no number counts as infinite. `None` where there is none. Quantiles are
-    /// interpolated linearly between order statistics.
+    /// Distribution of the errors that exist; NaN counts as infinite. `None` if no sample has an error. Quantiles are interpolated
+    /// linearly between order statistics.
     pub fn of(errors: &[Option<f64>]) -> Option<Self> {
         let known = errors.iter().flatten().map(|error| if error.is_nan() { f64::INFINITY } else { *error });
         let mut known: Vec<f64> = known.collect();
@@ -132,7 +132,7 @@ impl Spread {
     }
 }
 
-/// Mean over the samples that have an error; `None` where there is none, or it is no number.
+/// Mean over the samples that have an error; `None` if there are none, or the mean is not finite.
 pub fn mean_error(errors: &[Option<f64>]) -> Option<f64> {
     let known: Vec<f64> = errors.iter().flatten().copied().collect();
     let mean = known.iter().sum::<f64>() / known.len() as f64;

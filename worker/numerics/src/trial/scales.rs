@@ -3,9 +3,9 @@
 //! ```text
 //! x = (A − offset)/scale          y = (f − mean)/deviation        f̂ = mean + deviation·ŷ
 //! ```
-//! By default offset 0 and scale rms(A₀) of each channel of the training signals A₀, mean and standard deviation of each
-//! panel's training forces. By extremes: x in [−1, 1] and y in [0, 1] over the training samples. A linear decoder, which
-//! has its own constant, takes f / rms(f).
+//! By default, offset 0, scale rms(A₀) per channel of the training signals A₀, mean and standard deviation of each panel's
+//! training forces. By extremes: x in [−1, 1] and y in [0, 1] over the training samples. A linear decoder, which has a
+//! constant, uses f / rms(f).
 
 use super::Samples;
 use crate::brain::Real;
@@ -17,14 +17,14 @@ pub(crate) struct Scales {
     pub(crate) offset: Vec<f64>,
     /// Value above the offset that becomes x = 1: the RMS of each channel (3M), or half its range.
     pub(crate) channels: Vec<f64>,
-    /// Force of each panel (N) that becomes y = 0: its mean, or its least.
+    /// Force of each panel (N) that becomes y = 0: its mean or minimum.
     pub(crate) mean: Vec<f64>,
     /// Force above it that becomes y = 1 (N): the standard deviation, or the range.
     pub(crate) deviation: Vec<f64>,
 }
 
 impl Scales {
-    /// By mean squares of training samples.
+    /// From mean squares of training samples.
     pub(crate) fn of(Samples { sizes, signals, targets, .. }: &Samples) -> Self {
         let force = moments(targets, sizes.outputs);
         Self {
@@ -35,7 +35,7 @@ impl Scales {
         }
     }
 
-    /// By the extremes of training samples.
+    /// From the extremes of training samples.
     pub(crate) fn by_extremes(Samples { sizes, signals, targets, .. }: &Samples) -> Self {
         let (signals, forces) = (extremes(signals, sizes.channels), extremes(targets, sizes.outputs));
         Self {
@@ -46,12 +46,12 @@ impl Scales {
         }
     }
 
-    /// These, with the RMS of other signals (N, T, 3M).
+    /// These scales with the RMS of other signals (N, T, 3M).
     pub(crate) fn with_rms_of(&self, signals: &[f64]) -> Self {
         Self { channels: rms(signals, self.channels.len()), ..self.clone() }
     }
 
-    /// x on other scales / x on these, per channel (3M); both have the same offset.
+    /// x on other scales divided by x on these, per channel (3M); both have the same offset.
     pub(crate) fn over(&self, other: &Self) -> Vec<f64> {
         self.channels.iter().zip(&other.channels).map(|(own, other)| own / other).collect()
     }
@@ -62,7 +62,7 @@ impl Scales {
         signals.iter().zip(channels).map(|(a, (offset, scale))| F::from_f64((a - offset) / scale)).collect()
     }
 
-    /// Transpose of [`Scales::inputs`]: a cotangent on x as one on the signals.
+    /// Transpose of [`Scales::inputs`]: turns a cotangent on x into one on the signals.
     pub(crate) fn inputs_vjp(&self, cotangent: &[f64]) -> Vec<f64> {
         cotangent.iter().zip(self.channels.iter().cycle()).map(|(c, s)| c / s).collect()
     }
@@ -73,13 +73,13 @@ impl Scales {
         forces.iter().zip(panels).map(|(f, (mean, deviation))| F::from_f64((f - mean) / deviation)).collect()
     }
 
-    /// RMS of all panels' forces (N): 1 of a linear brain's targets.
+    /// RMS of the forces of all panels (N), the unit of a linear decoder's targets.
     pub(crate) fn force(&self) -> f64 {
         let squares = self.mean.iter().zip(&self.deviation).map(|(m, d)| m * m + d * d);
         (squares.sum::<f64>() / self.mean.len() as f64).sqrt()
     }
 
-    /// f̂ in N of ŷ (N, T, K).
+    /// f̂ (N) from ŷ (N, T, K).
     pub(crate) fn physical(&self, normalised: &[f32]) -> Vec<f64> {
         let panels = self.mean.iter().zip(&self.deviation).cycle();
         normalised.iter().zip(panels).map(|(&y, (mean, deviation))| mean + deviation * f64::from(y)).collect()
@@ -113,7 +113,7 @@ fn rms(signals: &[f64], width: usize) -> Vec<f64> {
     moments(signals, width).iter().map(|m| above_zero(m.1.sqrt())).collect()
 }
 
-/// A channel that never stirs stays as it is.
+/// The scale, or 1 for a constant channel.
 fn above_zero(scale: f64) -> f64 {
     if scale > 0.0 { scale } else { 1.0 }
 }

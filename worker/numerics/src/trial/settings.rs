@@ -1,57 +1,57 @@
-//! How a trial trains its body and brains: data alone.
+//! Settings for training body and decoders.
 
 use crate::brain::Architecture;
 use crate::brain::linear::Lags;
 use crate::dynamics::Solver;
 
-/// Which brain.
+/// Kind of decoder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BrainKind {
-    /// The convolutional network.
+    /// A convolutional network.
     Network,
-    /// The linear brain.
+    /// A linear decoder.
     Linear,
-    /// The network on the signals and on a linear brain's estimates of the forces; it only reads.
+    /// A network on the signals and on estimates of a linear decoder; cannot train the body.
     Stacked,
-    /// The body's own model, inverted; it only reads.
+    /// The inverted model of the body; cannot train the body.
     Inverse,
 }
 
 impl BrainKind {
-    /// Whether it has weights that are trained by steps.
+    /// Whether the decoder is trained by iterations.
     pub fn is_network(self) -> bool {
         matches!(self, Self::Network | Self::Stacked)
     }
 }
 
-/// A linear brain before it is fitted.
+/// Settings of a linear decoder.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Decoder {
-    /// Its memory.
+    /// Memory of the decoder.
     pub lags: Lags,
-    /// λ.
+    /// Regularisation λ.
     pub ridge: Ridge,
 }
 
-/// How λ is found.
+/// How λ is chosen.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Ridge {
-    /// By folds of the training samples.
+    /// By cross-validation on the training samples.
     Auto,
-    /// Given.
+    /// A given value.
     Given(f64),
 }
 
-/// Full-batch training of a fresh brain.
+/// Training of a fresh decoder.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Training {
     /// Adam iterations.
     pub iterations: usize,
-    /// Adam's rate.
+    /// Adam's learning rate.
     pub rate: f64,
-    /// Its layers.
+    /// Layers of the network.
     pub architecture: Architecture,
-    /// How its signals and forces are normalised.
+    /// Normalisation of signals and forces.
     pub scaling: Scaling,
 }
 
@@ -67,55 +67,53 @@ pub enum Scaling {
 /// The outer loop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Optimise {
-    /// The brain that the body is trained with.
+    /// The decoder with which the body is trained.
     pub brain: BrainKind,
-    /// How body and brain are trained together.
+    /// How body and decoder are trained together.
     pub protocol: Protocol,
     /// Outer steps.
     pub iterations: u32,
-    /// Adam's rate on α (mm); of a search the standard deviation of its first candidates.
+    /// Adam's rate on α (mm); in a search, the standard deviation of the candidates.
     pub rate: f64,
-    /// A cheaper integrator for the outer steps; looks at the test set have the accurate one. `joint` only.
+    /// A cheaper integrator for the outer steps of `joint`; test evaluations use the accurate one.
     pub coarse: Option<Solver>,
-    /// Casts whose errors move the body; `None`: the body as designed. `joint`.
+    /// Objective over casts or parts of a mixture (`joint`); `None`: over the body as designed.
     pub casting: Option<Casting>,
 }
 
-/// Casts, or kinds of forces, that a body is trained for, drawn anew each outer step.
+/// An objective over casts or over kinds of forces, drawn anew in each outer step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Casting {
-    /// Which of the two.
+    /// Casts or kinds of forces.
     pub over: Over,
-    /// How many casts a step, a batch of samples each; or all parts of the mixture.
+    /// Number of casts per step, or of all parts of the mixture; each has a batch of samples.
     pub casts: usize,
-    /// The part of them, those read worst, whose mean loss moves the body: 1 all, 0 the worst alone.
+    /// Fraction of the worst casts whose mean loss moves the body: 1 for all, 0 for the worst alone.
     pub tail: f64,
-    /// Which brain reads them while the body is trained.
+    /// Decoders during training.
     pub reader: CastReader,
 }
 
-/// What an objective is over.
+/// What an objective averages over.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Over {
-    /// Casts that scatter; the objective is of their losses.
+    /// Casts, by their losses.
     Casts,
-    /// Parts of a mixture of forces; the objective is of the logarithms of their losses, which may differ tenfold from the
-    /// beginning.
+    /// Parts of a mixture of forces, by the logarithms of their losses, which can differ tenfold.
     Parts,
 }
 
-/// Which brain reads casts.
+/// Decoders of casts during training.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CastReader {
-    /// One for all.
+    /// One decoder for all casts.
     One,
-    /// One for each, fitted to its own samples.
+    /// One decoder per cast, fitted to its samples.
     Each,
 }
 
 impl Casting {
-    /// The objective of losses, and its derivative by each. Parts of a mixture are ranked by how far they have come from their
-    /// first losses.
+    /// The objective of the losses, and its derivative by each. Parts of a mixture are ranked by loss relative to `first`.
     pub fn objective(&self, losses: &[f64], first: &[f64]) -> (f64, Vec<f64>) {
         let sum = |weights: &[f64], of: &dyn Fn(f64) -> f64| {
             let counted = weights.iter().zip(losses).filter(|(by, _)| **by > 0.0);
@@ -136,8 +134,8 @@ impl Casting {
         }
     }
 
-    /// Weight of each cast's loss in the objective; their sum is 1. With a tail of 1 − q the objective is the conditional value at
-    /// risk at level q (Rockafellar and Uryasev 2000, doi:10.21314/JOR.2000.038).
+    /// Weights of the losses in the objective, with sum 1. With tail 1 − q, the objective is the conditional value at risk at level
+    /// q (Rockafellar and Uryasev 2000, doi:10.21314/JOR.2000.038).
     pub fn weights(&self, losses: &[f64]) -> Vec<f64> {
         let one = 1.0 / losses.len() as f64;
         let tail = self.tail.max(one);
@@ -152,32 +150,32 @@ impl Casting {
     }
 }
 
-/// How body and brain are trained together.
+/// How body and decoder are trained together.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Protocol {
-    /// A fresh network each outer step, trained `Training::iterations`; the test loss moves the body.
+    /// A fresh network in each outer step, trained for `Training::iterations`; the test loss moves the body.
     Paper(Terms),
-    /// The network goes on; the loss on samples drawn for the step alone moves the body.
+    /// One network continues; the loss on samples drawn for this step moves the body.
     Joint(Going),
-    /// No gradient: candidates drawn about the initial body; a network starts afresh on each.
+    /// No gradient: candidates around the initial body, each with a fresh network.
     Random(Going),
 }
 
 impl Protocol {
-    /// Whether bodies are candidates, each for itself.
+    /// Whether bodies are independent candidates.
     pub(crate) fn is_search(&self) -> bool {
         matches!(self, Self::Random(_))
     }
 }
 
-/// A network that goes on from body to body.
+/// Settings of protocols other than `paper`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Going {
     /// Samples whose gradient moves the body.
     pub batch: usize,
-    /// Adam iterations an outer step.
+    /// Adam iterations per outer step.
     pub brain_iterations: usize,
-    /// Their rate.
+    /// Adam's rate in these iterations.
     pub brain_rate: f64,
 }
 
@@ -190,36 +188,36 @@ pub enum Terms {
     Direct,
 }
 
-/// The comparison at the end.
+/// The final comparison.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Evaluation {
-    /// Fresh networks a body.
+    /// Fresh networks per body.
     pub seeds: usize,
-    /// Rate schedule of their training.
+    /// Schedule of their learning rate.
     pub schedule: Schedule,
-    /// Samples of an iteration, all where it does not say.
+    /// Samples per iteration; `None`: all.
     pub batch: Option<usize>,
-    /// Iterations of as many further networks, whose training is to be a long one.
+    /// Iterations of as many further networks with long training.
     pub long: Option<usize>,
-    /// Casts of each body that are read.
+    /// Number of casts of each body.
     pub casts: usize,
-    /// Whether they are read by brains fitted to samples of theirs, too.
+    /// Whether decoders are also calibrated on records of these casts.
     pub records: bool,
-    /// Whether the initial body is compared, too.
+    /// Whether the initial body is compared.
     pub initial: bool,
 }
 
-/// Adam's rate over a training.
+/// Schedule of Adam's learning rate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Schedule {
     /// Falls to 0 by a cosine.
     Cosine,
-    /// Stays.
+    /// Constant.
     Constant,
 }
 
 impl Schedule {
-    /// The rate of an iteration, from 0, as a part of the full one.
+    /// Factor on the learning rate in an iteration, from 0.
     pub fn factor(self, iteration: usize, iterations: usize) -> f64 {
         match self {
             Self::Constant => 1.0,

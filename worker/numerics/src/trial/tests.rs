@@ -1,6 +1,6 @@
 use super::*;
 
-/// One of 32 samples may fail, and is then one without force; of a handful none may, of many no more than in proportion.
+/// Of n samples, n/32 (rounded) may fail; their forces become zero.
 #[test]
 fn few_samples_may_fail() {
     let forces = |samples: usize| Forces {
@@ -27,8 +27,8 @@ fn few_samples_may_fail() {
     }
 }
 
-/// Over parts of a mixture: the geometric mean, whose derivative by each loss is its share of it; the worst is the one that has come
-/// least far from its first loss.
+/// Over parts of a mixture, the objective is the geometric mean of the losses with its derivatives. The worst part is the one with
+/// the greatest ratio to its first loss.
 #[test]
 fn an_objective_over_parts_is_of_relative_errors() {
     let of = |tail| Casting { over: Over::Parts, casts: 2, tail, reader: CastReader::One };
@@ -43,7 +43,7 @@ fn an_objective_over_parts_is_of_relative_errors() {
     }
 }
 
-/// The mean of all casts, of the worst half, of a worst part that cuts through one, and the worst alone.
+/// Weights for the mean of all casts, the worst half, a tail that contains part of a cast, and the worst cast.
 #[test]
 fn an_objective_weighs_the_worst_casts() {
     let weights = |tail| {
@@ -59,8 +59,7 @@ fn an_objective_weighs_the_worst_casts() {
     }
 }
 
-/// One sample of 1000 % moves the mean to 100.9 %, and no quantile; samples without force do not count, and one that is no number counts as
-/// infinite.
+/// One error of 1000 % among eleven changes no quantile. Samples without force do not count; NaN counts as infinite.
 #[test]
 fn one_sample_does_not_move_a_spread() {
     let errors = |last: f64| -> Vec<Option<f64>> {

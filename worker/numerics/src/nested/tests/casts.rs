@@ -1,4 +1,4 @@
-//! Bodies trained and read over casts.
+//! Training and evaluation over casts.
 
 use super::super::protocol::Session;
 use super::linear::linear;
@@ -11,7 +11,7 @@ use crate::stimuli::Irregular;
 use crate::trial::{CastReader, Casting, Disturbance, Over, Samples, Size, Spread, mean_error};
 use crate::variation::{Casts, Variation};
 
-/// Every parameter of the scene, every ligament, unit, node and chip scatter.
+/// With deviations of all parameters, ligaments, units, nodes and chips.
 fn scattered(problem: Problem) -> Problem {
     let [stretch, shear, bend, contact] = [0.05; 4];
     let material = Parameters { stretch, shear, bend, damping_ratio: 0.2, density: 0.03, contact };
@@ -27,7 +27,7 @@ fn cast(casting: Casting) -> Problem {
     problem
 }
 
-/// Without a test sample of a part no look tells anything: the trained body counts, not the initial one, with noise, too.
+/// A part without test samples prevents test evaluations: the result is then the trained body.
 #[test]
 fn a_body_that_no_look_has_read_is_the_trained_one() {
     let mut problem = mixed(Casting { reader: CastReader::One, ..PARTS });
@@ -39,7 +39,7 @@ fn a_body_that_no_look_has_read_is_the_trained_one() {
     assert_eq!(found.best_step, problem.optimise.iterations - 1);
 }
 
-/// A part that never strikes has no error: the step has a name, and moves nothing by what is no number.
+/// A part whose forces lie outside the sample has no error: the step fails and moves nothing.
 #[test]
 fn a_part_without_a_force_is_named() {
     let mut problem = mixed(Casting { reader: CastReader::One, ..PARTS });
@@ -50,7 +50,7 @@ fn a_part_without_a_force_is_named() {
     assert_eq!(failed.trouble(), Trouble::GradientNonFinite);
 }
 
-/// Few records, of which a fold may hold none with a force.
+/// Cross-validation tolerates folds of records without any force.
 #[test]
 fn a_fold_without_a_force_judges_nothing() {
     let mut problem = cast(MEAN);
@@ -69,7 +69,7 @@ const WORST: Casting = Casting { tail: 0.0, ..EACH };
 
 const PARTS: Casting = Casting { over: Over::Parts, casts: 2, ..EACH };
 
-/// Of slow pulses and of loud ones, trained for both parts.
+/// A mixture of slow and of strong pulses, trained for both parts.
 fn mixed(casting: Casting) -> Problem {
     let mut problem = linear(Protocol::Joint(GOING));
     let Source::Bell(bell) = problem.stimuli.source else { panic!("bells") };
@@ -79,8 +79,8 @@ fn mixed(casting: Casting) -> Problem {
     problem
 }
 
-/// L(α + εδ) = L(α) + ε g·δ + O(ε²) over casts of all that scatters: of one brain for all of them, of a brain a cast, and of the
-/// worst cast; over the parts of a mixture of their logarithms.
+/// L(α + εδ) = L(α) + ε g·δ + O(ε²) over casts with all deviations: for one decoder, for one per cast and for the worst cast; over
+/// parts of a mixture for the logarithms.
 #[test]
 fn the_gradient_over_casts_is_that_of_their_objective() {
     let castings = [MEAN, EACH, WORST, Casting { tail: 0.5, ..EACH }, PARTS];
@@ -89,7 +89,7 @@ fn the_gradient_over_casts_is_that_of_their_objective() {
     let others = on_lattices(&cast(EACH)).into_iter().skip(1).take(2).map(|(_, problem)| problem);
     for mut problem in squares.into_iter().chain(others) {
         let casting = problem.optimise.casting.expect("casts");
-        // the logarithm is that of the error alone, and bends more under loud forces
+        // the logarithm is of the error alone, and is more curved under strong forces
         let (ridge, near) = if casting.over == Over::Parts { (1e-11, 0.1) } else { (1e-3, 0.25) };
         problem.solver.accuracy = Accuracy(1e-11);
         if casting.over == Over::Casts {
@@ -150,8 +150,8 @@ fn the_gradient_over_casts_is_that_of_their_objective() {
     }
 }
 
-/// The same of a network at its weights, whose loss is not the error that is told: what ranks casts, and parts, is what moves the body.
-/// The gradient is that of the objective of losses; of the mean over parts, which ranks nothing, but for one factor.
+/// The same with a network at fixed weights: the gradient is that of the objective of its losses. With the mean over parts, which
+/// needs no ranking, it is so up to a constant factor.
 #[test]
 fn a_network_moves_a_body_by_the_objective_of_its_losses() {
     let one = |casting| Casting { reader: CastReader::One, ..casting };
@@ -162,7 +162,7 @@ fn a_network_moves_a_body_by_the_objective_of_its_losses() {
         (problem.reader, problem.optimise.brain) = (BrainKind::Network, BrainKind::Network);
         if let Source::Mix(parts) = &mut problem.stimuli.source {
             let Source::Bell(loud) = &mut parts[1].1 else { panic!("bells") };
-            loud.amplitude = [0.5, 1.0]; // of which motion is smooth
+            loud.amplitude = [0.5, 1.0]; // whose motion is smooth
         }
         problem.scene.density *= 3.0; // fewer steps
         (problem.optimise.coarse, problem.solver.accuracy) = (None, Accuracy(1e-10));
@@ -225,7 +225,7 @@ fn readings(found: &Optimised) -> Vec<(u32, CastBrain, u64)> {
     found.casts.iter().flatten().map(bits).collect()
 }
 
-/// A network trained over casts, a brain for all casts, one for each, and for the parts of a mixture.
+/// A network trained over casts; a decoder for all casts, one per cast, and the same for parts of a mixture.
 fn loops() -> [Problem; 5] {
     let network = scattered(small(Protocol::Joint(GOING)));
     let network = Problem { optimise: Optimise { casting: Some(MEAN), ..network.optimise }, ..network };
@@ -235,7 +235,7 @@ fn loops() -> [Problem; 5] {
     [network, cast(MEAN), cast(WORST), each, worst]
 }
 
-/// The first two of them in one quick step, read on so many casts.
+/// The first two loops with one quick step, evaluated on `casts` casts.
 fn quick(casts: usize) -> impl Iterator<Item = Problem> {
     loops().into_iter().take(2).map(move |mut problem| {
         (problem.optimise.iterations, problem.evaluation.casts) = (1, casts);
@@ -245,7 +245,7 @@ fn quick(casts: usize) -> impl Iterator<Item = Problem> {
     })
 }
 
-/// Stopped after some steps and resumed, on another number of threads: the same bits, and the same counts of work.
+/// Resuming after some steps, on another number of threads, gives the same bits and counts.
 #[test]
 fn a_loop_over_casts_goes_on_to_the_same_bits() {
     for mut problem in loops() {
@@ -262,7 +262,7 @@ fn a_loop_over_casts_goes_on_to_the_same_bits() {
     }
 }
 
-/// Stopped between two casts and resumed, on another number of threads: the same bits, and every cast once.
+/// Resuming between two casts, on another number of threads, gives the same bits, and each cast once.
 #[test]
 fn casts_are_read_on_to_the_same_bits() {
     for problem in quick(2) {
@@ -280,7 +280,7 @@ fn casts_are_read_on_to_the_same_bits() {
             assert_eq!(of, all);
         }
         assert!(whole.fractions.is_sorted() && whole.fractions.last() == Some(&1.0), "{:?}", whole.fractions);
-        // within a training over casts, and between two casts
+        // within the training over casts, and between two casts
         let is_there = |state: &&State| {
             let compared = &state.comparison;
             let compares = compared.bodies.get(1).is_none_or(|body| body.networks.is_empty());
@@ -290,7 +290,7 @@ fn casts_are_read_on_to_the_same_bits() {
         let saved: Vec<&State> = whole.saved.iter().filter(is_there).collect();
         let first = saved.iter().position(|state| state.comparison.casts_read(1) == 1);
         assert!(first.is_some_and(|first| is_linear || first > 2), "{} saved", saved.len());
-        // of those within a training every third
+        // every third state within a training
         let every = |(n, state): &(usize, &State)| n % 3 == 0 || state.comparison.training.is_none();
         for (_, state) in saved.into_iter().enumerate().filter(every) {
             let resumed = optimise(&problem, Some(state.clone()), &pool(3), &mut Keeper::default()).unwrap();
@@ -301,7 +301,7 @@ fn casts_are_read_on_to_the_same_bits() {
     }
 }
 
-/// The brain for all casts that is fitted once more reads a cast as the comparison's did.
+/// The refitted decoder for all casts has the errors of the comparison's.
 #[test]
 fn the_brain_for_all_casts_can_be_had_again() {
     let stacked = quick(1).take(1).map(|problem| Problem { reader: BrainKind::Stacked, ..problem });
@@ -341,7 +341,7 @@ fn the_brain_for_all_casts_can_be_had_again() {
     }
 }
 
-/// Relative error of the signals of casts by the steps that the pilot of the body as designed led to, and of that body first.
+/// Relative signal errors with steps from the design's pilot: of the design, then of casts.
 fn errors_of_casts(problem: &Problem, design: &[f64], casts: u64, pool: &crate::Pool) -> Vec<f64> {
     let trial = Trial::new(problem, pool).unwrap();
     let (solver, forces) = (trial.tuned(design).solver, problem.forces(Purpose::Holdout, 0, 8));
@@ -358,8 +358,8 @@ fn errors_of_casts(problem: &Problem, design: &[f64], casts: u64, pool: &crate::
     std::iter::once(None).chain((0..casts).map(Some)).map(error).collect()
 }
 
-/// Steps follow each cast's own highest frequency by the law that the pilot fitted to the body as designed: casts of usual scatter
-/// have the error that was asked for; the worst of them exceed it by what samples do on one body, a factor of 1.7 (MODEL.md).
+/// The design's law sets the steps of casts, by their highest frequency. The median cast meets the tolerance; the worst may exceed
+/// it by a factor of 1.7, as samples on one body do (MODEL.md).
 #[test]
 fn casts_keep_the_error_that_was_asked_for() {
     let mut problem = cast(MEAN);
@@ -374,8 +374,7 @@ fn casts_keep_the_error_that_was_asked_for() {
     }
 }
 
-/// Casts without scatter are the body as designed: trained over them it moves as under so many samples of its own, and the brains
-/// fitted to it read them as they read it.
+/// Casts without deviations equal the design: training over them gives the same body, and decoders have the same errors.
 #[test]
 fn casts_that_do_not_scatter_are_the_body_as_designed() {
     let mut problem = cast(Casting { casts: 1, ..MEAN });
@@ -388,15 +387,15 @@ fn casts_that_do_not_scatter_are_the_body_as_designed() {
     let own = over.initial.networks[0].error_holdout.unwrap();
     let error = |by| over.casts[0].iter().find(|reading| reading.by == by).unwrap().error.unwrap();
     assert!((error(CastBrain::Nominal) / own - 1.0).abs() < 1e-9, "{} {own}", error(CastBrain::Nominal));
-    // beside other casts, which are this body, few records tell what all of these do, but for λ
+    // the other casts equal this body, so few records suffice up to the choice of λ
     let calibrated = [10, 12].map(|n| error(CastBrain::Records(n)) / error(CastBrain::Casts));
     assert!(calibrated.iter().all(|ratio| (0.7..1.4).contains(ratio)), "{calibrated:?}");
-    // the looks at the test set differ in how it is dealt, which may pick another step; the steps themselves do not
+    // test evaluations divide the test set differently, which may select another step; the steps are the same
     assert_eq!(over.best_step, alone.best_step);
     assert_eq!(over.optimised.design, alone.optimised.design);
 }
 
-/// A comparison without the initial body finds of the best one what it finds beside it, and a body that nothing moves is still read.
+/// Omitting the initial body does not change results of the best body. A body without outer steps is still evaluated.
 #[test]
 fn the_initial_body_is_left_out_where_nobody_asks_about_it() {
     let mut problem = cast(MEAN);
@@ -418,7 +417,7 @@ fn the_initial_body_is_left_out_where_nobody_asks_about_it() {
     assert_eq!(unmoved.initial.networks.len(), 1);
 }
 
-/// Without brains fitted to records of a cast there are fewer readings for less work, and the others stay as they are.
+/// Without calibration on records there are fewer decoders and less work; the other results do not change.
 #[test]
 fn casts_are_read_without_records_where_nobody_asks_for_those() {
     let mut problem = cast(MEAN);
@@ -434,8 +433,8 @@ fn casts_are_read_without_records_where_nobody_asks_for_those() {
     assert!(alone.counters.dynamics.force_evaluations < beside.counters.dynamics.force_evaluations);
 }
 
-/// Ligaments that relax judge alone: training is the same to the bit, and brains that do not know them read what they make worse than
-/// a brain that is fitted to it.
+/// Relaxation affects only the evaluation: training gives the same bits, and decoders fitted without it have larger errors than a
+/// decoder fitted to such a cast.
 #[test]
 fn ligaments_that_relax_judge_and_teach_nothing() {
     let mut problem = cast(MEAN);
@@ -457,12 +456,12 @@ fn ligaments_that_relax_judge_and_teach_nothing() {
     }
 }
 
-/// A cast whose simulation does not end well is read entirely wrong, and says why.
+/// A cast whose simulation fails has 100 % error and a reason.
 #[test]
 fn a_cast_that_fails_counts_as_read_entirely_wrong() {
     let mut problem = cast(MEAN);
     (problem.optimise.iterations, problem.evaluation.casts) = (0, 1);
-    // nodes off by more than the units' size: no state of rest has its void angles
+    // nodes shifted by more than the units' size: no rest state has their void angles
     problem.variation.as_mut().unwrap().nodes = 30.0;
     let found = carried_out(&problem, 1);
     for reading in &found.casts[0] {
@@ -471,8 +470,8 @@ fn a_cast_that_fails_counts_as_read_entirely_wrong() {
     }
 }
 
-/// A robust body reads casts that it has not seen better than one trained as designed, by the same number of samples. (So small a
-/// body has little to move against scatter of single ligaments.)
+/// A body trained over casts has smaller errors on new casts than one trained as designed on as many samples. (Single ligaments do
+/// not deviate: so small a body cannot compensate for that.)
 #[test]
 fn a_body_trained_over_casts_reads_others_better() {
     let mut problem = cast(MEAN);
@@ -494,7 +493,7 @@ fn a_body_trained_over_casts_reads_others_better() {
     assert!(robust < nominal - 0.1, "{robust} {nominal}");
 }
 
-/// Says stop after so many questions whether to go on, each time after a few more.
+/// Stops after `patience` calls of `progress`.
 struct Impatient {
     asked: usize,
     patience: usize,
@@ -518,7 +517,7 @@ impl Observe for Impatient {
     }
 }
 
-/// A cast of a small body that an inverse brain reads.
+/// A problem with an inverse decoder and one cast of a small body.
 fn inverted() -> Problem {
     let chip = Some(Disturbance { noise: Size::Relative(0.03), ..Disturbance::NONE });
     let material = Parameters { stretch: 0.05, ..Parameters::default() };
@@ -528,14 +527,14 @@ fn inverted() -> Problem {
     let decoder = Decoder { lags, ..plain.decoder };
     let mut problem = Problem { disturbance: chip, variation, reader: BrainKind::Inverse, decoder, ..plain };
     (problem.optimise.iterations, problem.evaluation.casts) = (1, 1);
-    // ten records are what a twin is told by
+    // a twin needs ten records
     problem.stimuli = Stimuli { samples: 12, test: 2, holdout: 2, ..problem.stimuli };
     problem.scene.density *= 4.0; // fewer steps
     problem
 }
 
-/// A linear brain that was fitted to a twin is judged by the whole holdout, as other linear brains are, and not by the samples for which
-/// inverse brains have time. Without records of the cast there is no twin.
+/// A linear decoder fitted to a twin is evaluated on the whole held-out set, not on the few samples of inverse decoders. Without
+/// records there is no twin.
 #[test]
 fn a_linear_brain_of_a_twin_is_judged_by_the_whole_holdout() {
     let mut problem = inverted();
@@ -562,7 +561,7 @@ fn a_linear_brain_of_a_twin_is_judged_by_the_whole_holdout() {
     assert_eq!(by, [CastBrain::Nominal, CastBrain::Casts, CastBrain::Inverse]);
 }
 
-/// Stopped wherever an inverse brain asks, between two steps of a twin or of an inversion, and resumed: the same bits, every cast once.
+/// Stopping an inverse decoder wherever it asks, and resuming, gives the same bits, and each cast once.
 #[test]
 fn inverse_brains_stop_within_a_reading_and_go_on_to_the_same_bits() {
     let problem = inverted();
@@ -577,7 +576,7 @@ fn inverse_brains_stop_within_a_reading_and_go_on_to_the_same_bits() {
             Some(found) => break found,
             None => {
                 state = observer.saved;
-                // a piece that needs longer than that gets it at last
+                // eventually enough for the longest piece
                 (patience, stops) = (patience + 9, stops + 1);
             }
         }
@@ -588,8 +587,7 @@ fn inverse_brains_stop_within_a_reading_and_go_on_to_the_same_bits() {
     assert_eq!(resumed.optimised.networks, through.optimised.networks);
 }
 
-/// Casts that relax have an integrator of their own, by the law of another method than the pilot's: they keep the error asked all the same,
-/// under pulses and under blows.
+/// Relaxing casts use an integrator other than the pilot's, and still meet the tolerance, for pulses and for blows.
 #[test]
 fn casts_that_relax_keep_the_error_that_was_asked_for() {
     let pool = pool(2);

@@ -1,4 +1,4 @@
-//! Samples whose simulation fails count as read entirely wrong, on every body and by every brain.
+//! Samples whose simulation fails have 100 % error, on every body and with every decoder.
 
 use super::*;
 use crate::dynamics::Forces;
@@ -6,8 +6,8 @@ use crate::stimuli::Recorded;
 use crate::trial::Trial;
 use std::sync::Arc;
 
-/// 16 training, test and holdout samples from records; those of `spoilt` (purpose, number there) are of no force, or of one
-/// that nothing survives.
+/// 16 training, test and held-out samples from records. The forces of `spoilt` (set, number) are multiplied by `factor`: 0, or so
+/// large that the simulation fails.
 fn problem(brain: BrainKind, spoilt: &[(Purpose, usize)], factor: f64) -> Problem {
     let mut problem = small(Protocol::Random(GOING));
     problem.stimuli = Stimuli { samples: 32, test: 16, holdout: 16, ..problem.stimuli };
@@ -36,12 +36,11 @@ fn problem(brain: BrainKind, spoilt: &[(Purpose, usize)], factor: f64) -> Proble
     problem
 }
 
-/// A blow that no integrator survives has 100 % error in the training set, the test set and the holdout, of both bodies,
-/// during and after the optimisation, in readings by other brains and replayed. Without force in its place the same bits come
-/// out, but for a mean over one sample fewer.
+/// A failed sample has 100 % error in the training, test and held-out sets of both bodies, in the loop, the comparison, other
+/// decoders and replays. With zero force instead, results are identical except that means have one sample less.
 #[test]
 fn samples_that_fail_count_as_read_entirely_wrong() {
-    // numbers beyond the pilot's; one in the training set, one in the test set
+    // numbers beyond the pilot's samples
     let (train, test) = crate::stimuli::split(3, 32, 16, false);
     let late = |set: &[usize]| *set.last().expect("not empty");
     let spoilt = [(Purpose::Stimulus, late(&train)), (Purpose::Stimulus, late(&test)), (Purpose::Holdout, 2)];
@@ -88,7 +87,7 @@ fn samples_that_fail_count_as_read_entirely_wrong() {
     }
 }
 
-/// A training sample on which the initial body fails counts against every step.
+/// A training sample that fails on the initial body counts as failed in every step.
 #[test]
 fn what_the_initial_body_fails_on_counts_against_every_step() {
     let (train, _) = crate::stimuli::split(3, 32, 16, false);
@@ -107,7 +106,7 @@ fn what_the_initial_body_fails_on_counts_against_every_step() {
     }
 }
 
-/// The implicit term is the derivative of a fit to the samples that did not fail, however many others count against it.
+/// The implicit term is the derivative of a fit to the samples that did not fail.
 #[test]
 fn the_whole_gradient_holds_where_a_training_sample_fails() {
     let (train, _) = crate::stimuli::split(3, 32, 16, false);

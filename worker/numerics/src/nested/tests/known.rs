@@ -1,11 +1,11 @@
-//! What a linear model of a body is worth, and what its signals can tell at most.
+//! Nonlinear share of a body's signals, and the error bound of linear decoders.
 
 use super::*;
 use crate::dynamics::{Forces, simulate, tune};
 use crate::stimuli::{split, targets};
 use nalgebra::{DMatrix, DVector};
 
-/// The small problem with forces of so many times the usual amplitude.
+/// The small problem with forces of `times` the usual amplitude.
 fn with_amplitude(times: f64) -> Problem {
     of_amplitude(small(PROTOCOLS[2]), times)
 }
@@ -18,7 +18,7 @@ fn of_amplitude(mut problem: Problem, times: f64) -> Problem {
     problem
 }
 
-/// The relative deviation from a linear motion grows with the amplitude, its square by four from one to the next double one.
+/// The nonlinear share quadruples when small forces double.
 #[test]
 fn the_nonlinear_part_goes_with_the_square_of_small_forces() {
     let share = |times: f64| {
@@ -36,7 +36,7 @@ fn the_nonlinear_part_goes_with_the_square_of_small_forces() {
     }
 }
 
-/// By Tsit5 it is what it is by equal steps: forces of a hundred thousandth do not fall below a tolerance made for whole ones.
+/// The nonlinear share agrees between Tsit5 and equal steps: the tolerance scales with the small forces.
 #[test]
 fn the_nonlinear_part_does_not_depend_on_the_integrator() {
     for times in [0.1, 1.0] {
@@ -56,8 +56,8 @@ fn the_nonlinear_part_does_not_depend_on_the_integrator() {
     }
 }
 
-/// Under some µN a body is linear: the bound is what the best decoder that is linear in the signals has on the training samples,
-/// by normal equations over simulated signals and by drawn noise.
+/// Under forces of some µN a body is linear: the bound equals the error of the best linear decoder on the training samples, from
+/// normal equations of simulated signals and from random noise.
 #[test]
 fn of_a_linear_body_the_bound_is_met_by_the_best_linear_decoder() {
     let problem = small(PROTOCOLS[2]);
@@ -66,7 +66,7 @@ fn of_a_linear_body_the_bound_is_met_by_the_best_linear_decoder() {
     on_lattices(&problem).into_iter().skip(1).take(2).for_each(|(_, problem)| check_the_bound(problem, 0));
 }
 
-/// With so many draws of noise, or none.
+/// `draws`: number of noise draws, possibly 0.
 fn check_the_bound(problem: Problem, draws: usize) {
     let disturbance = Disturbance {
         noise: Size::Relative(0.2),
@@ -85,7 +85,7 @@ fn check_the_bound(problem: Problem, draws: usize) {
     let scene = Scene { instants: fine * t, ..problem.scene.clone() };
     let solver = &problem.solver;
     let clean = simulate(&scene, &problem.initial, &train.on(&scene), solver, false, &pool(1)).signals;
-    // a reading and a half late: twelve instants of the motion, of which the first is number 1
+    // one and a half readings late: twelve instants of the motion, whose first is number 1
     let late = DMatrix::from_fn(n, 3 * t, |i, at| {
         let instant = (fine * (at / 3 + 1)).checked_sub(13);
         instant.map_or(0.0, |m| clean[(i * fine * t + m) * 3 + at % 3])
@@ -129,14 +129,14 @@ fn check_the_bound(problem: Problem, draws: usize) {
     let drawn = sum / (draws * n) as f64;
     assert!(draws == 0 || (drawn / found.mean - 1.0).abs() < 0.03, "{drawn} {}", found.mean);
 
-    // a linear body answers every sample alike
+    // the remaining variance of a linear body is the same for every sample
     let unseen = problem.forces(Purpose::Holdout, 0, 4);
     let power = |unseen: &Forces| -> Vec<f64> {
         targets(unseen, 40, false).chunks_exact(80).map(|f| f.iter().map(|f| f * f).sum()).collect()
     };
     let left: Vec<f64> =
         power(&unseen).iter().zip(&found.samples).map(|(p, error)| p * error.unwrap()).collect();
-    // softer bodies are a little less linear
+    // softer bodies are slightly less linear
     assert!(left.iter().all(|l| (l / left[0] - 1.0).abs() < 1e-3), "{left:?}");
     let silent = Problem { disturbance: None, ..problem };
     assert_eq!(bound(&silent, &silent.initial, 4, &pool(1)).unwrap(), None);

@@ -1,4 +1,4 @@
-//! The protocols and readings with a linear brain.
+//! The protocols with a linear decoder, and linear decoders of other memories.
 
 use super::super::protocol::Session;
 use super::*;
@@ -33,7 +33,7 @@ fn errors(body: &BodyEvaluation) -> Vec<u64> {
     [own.error_train, own.error_test, own.error_holdout].into_iter().chain(readings).map(of).collect()
 }
 
-/// Stopped after each step and resumed, on another number of threads: the same bits.
+/// Resuming after each step, on another number of threads, gives the same bits.
 #[test]
 fn a_resumed_linear_loop_ends_at_the_same_bits_on_any_number_of_threads() {
     for protocol in LINEAR {
@@ -58,7 +58,7 @@ fn a_resumed_linear_loop_ends_at_the_same_bits_on_any_number_of_threads() {
     }
 }
 
-/// A search puts the sensor where it reads best; the trial goes on to the bits of one that is told so. Nowhere is named.
+/// A trial with a sensor search has the bits of a trial with the chosen unit. Impossible searches are an error.
 #[test]
 fn a_searched_placement_is_a_given_one() {
     let mut problem = linear(LINEAR[2]);
@@ -78,7 +78,7 @@ fn a_searched_placement_is_a_given_one() {
     let chosen = candidates.iter().position(|unit| [*unit] == placed.units[..]).unwrap();
     assert_eq!(errors(&found.initial), each[chosen].0);
     assert_eq!(found.optimised.design, each[chosen].1.optimised.design);
-    // by the training set of twelve samples alone, it is not the worst on the holdout
+    // the search uses twelve training samples only; its unit is not the worst on the held-out set
     let holdout = |i: usize| each[i].1.initial.readings[0].error_holdout.unwrap();
     assert!((0..4).any(|i| holdout(i) > holdout(chosen)), "{placed:?}");
     problem.search = Some(Placing { sensors: 5, ..search });
@@ -86,7 +86,7 @@ fn a_searched_placement_is_a_given_one() {
     assert_eq!(nowhere, Failure::Initial(Trouble::Nowhere));
 }
 
-/// On every lattice the first unit chosen is the one that alone, simulated by itself, is read best; two are apart as asked for.
+/// On every lattice, the first unit chosen has the least error of all single units; two units keep the given spacing.
 #[test]
 fn the_first_unit_is_the_best_alone_on_every_lattice() {
     for (what, mut problem) in on_lattices(&linear(LINEAR[2])) {
@@ -104,7 +104,7 @@ fn the_first_unit_is_the_best_alone_on_every_lattice() {
         let own = alone.iter().find(|one| one.units == first.units).expect("a candidate");
         let least = alone.iter().map(|one| one.errors[0]).fold(f64::INFINITY, f64::min);
         assert!(own.errors[0] == least, "{what}: {first:?} {alone:?}");
-        // a unit alone judges for itself whether energies help
+        // each single-unit search decides by itself whether to use energies
         let off = (first.errors[0] / own.errors[0] - 1.0).abs();
         assert!(off < 1e-3 || first.energies != own.energies, "{what}: {first:?} {own:?}");
         if let Ok(two) = searched(&candidates, 2, 20.0) {
@@ -113,8 +113,7 @@ fn the_first_unit_is_the_best_alone_on_every_lattice() {
     }
 }
 
-/// Each protocol lowers the holdout's error by the trial's own brain; `joint` lowers that by the whole sample's, too,
-/// for which none trains.
+/// Each protocol lowers the held-out error of the trial's decoder; `joint` also that of the whole-sample decoder.
 #[test]
 fn every_protocol_lowers_the_holdout_error() {
     let errors = LINEAR.map(|protocol| {
@@ -132,8 +131,8 @@ fn every_protocol_lowers_the_holdout_error() {
     assert!(errors[2..3].iter().all(|[before, after]| after[1] < before[1]), "{errors:?}");
 }
 
-/// L(α + εδ) = L(α) + ε g·δ + O(ε²) through simulator and solve: the remainder falls with slope 2, for the test error with
-/// the implicit term; without it it does not.
+/// L(α + εδ) = L(α) + ε g·δ + O(ε²) through simulation and fit: the remainder has order 2 for the test error with the implicit
+/// term, and not without this term.
 #[test]
 fn the_whole_gradient_holds_through_simulator_and_solve() {
     for (protocol, exact) in [(LINEAR[0], true), (LINEAR[1], false)] {
@@ -179,7 +178,7 @@ pub(super) fn check_the_whole_gradient(mut problem: Problem, exact: bool) {
     assert!(second == exact && slope.abs() > 1e-4, "{slope:e} {orders:?} {remainders:?}");
 }
 
-/// A ridge of 0 on fewer samples than weights: named, on the initial body.
+/// λ = 0 with fewer samples than weights is an error of the initial body.
 #[test]
 fn a_singular_solve_is_named() {
     let mut problem = linear(LINEAR[0]);
@@ -189,8 +188,8 @@ fn a_singular_solve_is_named() {
     assert_eq!(failure, Failure::Initial(Trouble::Singular));
 }
 
-/// Readings beside a network's trial: the whole sample first, each as its own fit would give it; a trial whose brain is
-/// that of the whole sample has its errors.
+/// `readings` lists the whole-sample decoder first, and each entry has the error of a separate fit. It agrees with the trial's own
+/// whole-sample decoder.
 #[test]
 fn readings_are_those_of_their_own_fits() {
     let mut problem = small(PROTOCOLS[2]);
@@ -221,7 +220,7 @@ fn readings_are_those_of_their_own_fits() {
     assert_eq!(own.readings, found.readings);
 }
 
-/// A linear brain with all its memory hears no rounding: readings of both bodies are, to a hundredth, those of signals in f64.
+/// Rounding to f32 hardly matters: the errors of linear decoders agree within 1 % with those from f64 signals.
 #[test]
 fn readings_of_forces_in_single_precision_are_those_in_double() {
     let mut problem = small(PROTOCOLS[1]);
@@ -249,8 +248,7 @@ fn readings_of_forces_in_single_precision_are_those_in_double() {
     }
 }
 
-/// A stacked network beside the plain one, on the same body: its inputs are more, its estimates of training samples come
-/// from brains that have not seen them, and a replay has the errors that the evaluation had.
+/// A stacked network has additional inputs. Its estimates of training samples are out-of-fold, and a replay reproduces its errors.
 #[test]
 fn a_stacked_network_sees_no_estimate_of_what_it_was_fitted_on() {
     let mut problem = Problem { reader: BrainKind::Stacked, ..linear(LINEAR[2]) };
@@ -280,9 +278,8 @@ fn a_stacked_network_sees_no_estimate_of_what_it_was_fitted_on() {
     assert!(unseen > seen, "{unseen:?} {seen:?}");
 }
 
-/// Under the trial's own forces the brain that is carried is the one that the comparison fits, with chips and without; fitted
-/// anew, at the body's own scales, it is that of the initial body. Under forces ten times as fast a body is read from what it does
-/// under those, and one that breaks is not read.
+/// Under the trial's own forces, the carried decoder is the one of the comparison, and the refitted decoder agrees on the initial
+/// body. Under faster forces the errors differ; under forces that break the body there is none.
 #[test]
 fn a_body_is_read_under_other_forces() {
     let mut own = linear(Protocol::Joint(GOING));
@@ -317,7 +314,7 @@ fn a_body_is_read_under_other_forces() {
     assert!(found.under[0].iter().all(|reading| reading.error.is_err()), "{:?}", found.under);
 }
 
-/// What a linear brain makes of accelerations alone is what it makes of all signals without the columns of ω.
+/// Decoding accelerations alone equals decoding all signals with the columns of ω deleted.
 #[test]
 fn channels_that_are_not_read_are_columns_that_are_not_there() {
     let mut problem = linear(Protocol::Joint(GOING));

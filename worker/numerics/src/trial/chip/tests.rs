@@ -10,7 +10,7 @@ fn forces(samples: usize) -> Forces {
     Forces { samples, panels: 1, instants: 4, values, strikes: Vec::new() }
 }
 
-/// Sizes are those asked for; a sample's draw is the same wherever it stands.
+/// Noise and bias have the given sizes; the draw of a sample does not depend on its position.
 #[test]
 fn noise_and_bias_have_their_sizes_and_follow_the_sample() {
     let chip = Chip::new(&SIZE, 7, &[10.0, 20.0, 1.0], &ALL);
@@ -36,7 +36,7 @@ fn noise_and_bias_have_their_sizes_and_follow_the_sample() {
     assert_eq!(alone, signals[39 * 1500..]);
 }
 
-/// Accelerations in steps of 0.5 up to 4, angular velocities in steps of 0.1 up to 1; what is at its end pulls nothing back.
+/// Accelerations are rounded to 0.5 and limited to ±4, angular velocities to 0.1 and ±1; limited readings have no gradient.
 #[test]
 fn readings_come_in_steps_and_end_with_the_range() {
     let sizes = Disturbance { range: [4.0, 1.0], resolution: [0.5, 0.1], ..Disturbance::NONE };
@@ -51,7 +51,7 @@ fn readings_come_in_steps_and_end_with_the_range() {
     assert!(cotangent.iter().zip(passes).all(|(c, passes)| (*c > 0.0) == passes), "{cotangent:?}");
 }
 
-/// A channel is disturbed by itself: what is read of it is the same whether the others are read or not.
+/// Readings of a channel do not depend on which other channels exist.
 #[test]
 fn a_channel_that_is_read_alone_is_disturbed_alike() {
     let sizes = Disturbance { range: [5.0, 0.3], resolution: [0.5, 0.1], ..SIZE };

@@ -2,14 +2,14 @@ use super::*;
 use crate::random::{Purpose, Stream};
 use std::f64::consts::TAU;
 
-/// Readings a second.
+/// Readings per second.
 const RATE: f64 = 200.0;
 
 fn filter(bandwidth: f64, delay: f64) -> Filter {
     Filter::new(&Disturbance { bandwidth, delay, ..Disturbance::NONE }, RATE.recip())
 }
 
-/// Amplitude and phase (rad) of what is read of sin(2πft) at one reading a channel, over the last of many whole periods.
+/// Amplitude and phase (rad) of the readings of sin(2πft), over the last of many whole periods.
 fn response(filter: &Filter, f: f64) -> (f64, f64) {
     let (fine, readings) = (RATE * filter.clock as f64, 2000);
     let wave = (1..=readings * filter.clock).map(|m| (TAU * f * m as f64 / fine).sin());
@@ -41,7 +41,7 @@ fn the_low_pass_is_butterworths() {
     }
 }
 
-/// A sine at 0.8 of the readings' Nyquist frequency comes late by the delay, and as large; 1e-3 of both.
+/// A delay shifts a sine at 0.8 of the readings' Nyquist frequency without changing its amplitude, within 1e-3.
 #[test]
 fn a_delay_is_one_at_high_frequencies_too() {
     let f = 0.8 * RATE / 2.0;
@@ -52,7 +52,7 @@ fn a_delay_is_one_at_high_frequencies_too() {
     }
 }
 
-/// Whole instants of the fine clock are late to the bit, and nothing is heard before the beginning.
+/// Delays of whole clock instants are exact to the bit; readings before the first instant are 0.
 #[test]
 fn a_delay_of_whole_instants_moves_the_readings() {
     let filter = filter(f64::INFINITY, 3.0 / 1600.0);
@@ -62,7 +62,7 @@ fn a_delay_of_whole_instants_moves_the_readings() {
     assert_eq!(long.run(vec![1.0; 5 * 8], 1, 1), [0.0, 0.0, 0.0, 0.0, 1.0]);
 }
 
-/// (F a)·c = a·(Fᵀ c) for low-passes, delays and both, through several channels and samples.
+/// (F a)·c = a·(Fᵀ c) for low-passes, delays and both, with several channels and samples.
 #[test]
 fn the_filter_and_its_pull_back_are_transposes() {
     for (bandwidth, delay) in
