@@ -204,7 +204,7 @@ def claim_ratio(says, brain, of_set="holdout"):
         return of, ["placement", "seed"], scattered((lambda error: error) if "in %" in says else math.log)
     if "more design parameters" in says:
         disc = lambda columns, tie="": rows("disc-map/trials.csv", columns=columns, tie=tie)
-        many, few = disc("12"), disc("5") if "cut finer" in says else disc("12", "[6,6]")
+        many, few = disc("12"), disc("5") if "smaller units, one size of body" in says else disc("12", "[6,6]")
         return few, ["seed"], of_rows(lambda row: float(row[TRAINED]) / by_seed(many, TRAINED, row))
     direct, implicit = (two("bell", lambda row: row["optimise.gradient"] == term) for term in ("direct", "implicit"))
     return direct, ["seed"], of_rows(lambda row: float(row[trained]) / by_seed(implicit, trained, row))
@@ -320,7 +320,7 @@ def why():
         by = [trained] if trained else ["linear", "cnn"]
         errors = [mean("error", [row for row in mine if row["trained_with"] == brain]) for brain in by]
         memory = short(geometric([1e3 * x for x in numbers(mine, "memory")]))
-        told = [mean(column) for column in ("forces_told", "condition", "bits")]
+        told = [mean(column) for column in ("distinguishable_forces", "condition", "bits")]
         yield cells, [", ".join(errors) + " %", mean("wiener_error") + " %", *told, memory + " ms", mean("modes")]
 
 
@@ -416,7 +416,7 @@ def ranks(values):
 
 
 def why_correlated():
-    measures = ("wiener_error", "forces_told", "condition", "bits", "memory", "modes")
+    measures = ("wiener_error", "distinguishable_forces", "condition", "bits", "memory", "modes")
     for (words, *cells), measure in zip(table("why correlated"), measures, strict=True):
         found = []
         for trained in ("linear", "cnn"):

@@ -284,7 +284,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "test = 4",
         "test = 4\nangle = 45",
-        "s.toml:13: stimuli.angle = 45: must lie between 0 and 30 degrees: others pull",
+        "s.toml:13: stimuli.angle = 45: must lie between 0 and 30 degrees: with larger deviations, blows could pull",
     ),
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
@@ -300,7 +300,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "test = 4",
         "test = 4\namplitude = [0.0, 0.0]",
-        "s.toml:13: stimuli.amplitude = [0.0, 0.0]: must allow a force",
+        "s.toml:13: stimuli.amplitude = [0.0, 0.0]: must contain a value other than 0",
     ),
     (
         "[sweep]\n",
@@ -402,7 +402,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "sensors = [1, 2]",
         "sensors = [1]\nown_placements = true\n[sensors]\nplacements = [[14]]",
-        "s.toml:16: sweep.own_placements = true: only for sensors at random units",
+        "s.toml:16: sweep.own_placements = true: cannot be set together with sensors.search or sensors.placements",
     ),
     (
         "sensors = [1, 2]",
@@ -417,7 +417,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "sensors = [1, 2]",
         "sensors = [1]\nown_placements = true\n\"sensors.search\" = [\"random\", \"greedy\"]",
-        "s.toml:16: sweep.own_placements = true: only for sensors at random units",
+        "s.toml:16: sweep.own_placements = true: cannot be set together with sensors.search or sensors.placements",
     ),
     (
         "sensors = [1, 2]",
@@ -459,7 +459,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "sensors = [1, 2]",
         "sensors = [1]\nexclude = [{ sensors = 1 }]",
-        "s.toml:16: sweep.exclude = [{ sensors = 1 }]: leaves no trial",
+        "s.toml:16: sweep.exclude = [{ sensors = 1 }]: excludes all trials",
     ),
     ("sensors = [1, 2]", "sensors = [1]\nplacements = 9000000", "at most 1000000"),
     ("name = \"s\"", "name = \"../s\"", "s.toml:1: name = \"../s\": "),
@@ -524,7 +524,7 @@ const TABLES: &[(&str, &str)] = &[
     ),
     (
         "[sensors]\nmass = 9.0",
-        "s.toml:14: sensors.mass = 9: must be at most 1e-3 Mg, a kilogram: 9 g are 9e-6",
+        "s.toml:14: sensors.mass = 9: must be at most 1e-3 Mg (1 kg); 9 g = 9e-6 Mg",
     ),
     (
         "[sensors]\nbandwidth = 0.0",

@@ -132,7 +132,7 @@ fn a_finished_trial_stands_beside_its_bounds() {
     let own = number(first.unwrap(), "initial") / number(initial, "wiener_error");
     assert!((own - 1.0).abs() < 1e-9, "{why:?}");
     for row in &rows {
-        let (left, ranks) = (number(row, "wiener_error"), number(row, "forces_told"));
+        let (left, ranks) = (number(row, "wiener_error"), number(row, "distinguishable_forces"));
         assert!(0.0 < left && left < 100.0 && (1.0..=2.0).contains(&ranks), "{row:?}");
         assert!(number(row, "bits") > 0.0 && number(row, "memory") > 0.0, "{row:?}");
         assert!((1.0..=96.0).contains(&number(row, "modes")), "{row:?}");

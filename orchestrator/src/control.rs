@@ -133,7 +133,7 @@ pub enum ControlError {
         source: io::Error,
     },
     /// No run uses the database.
-    #[error("no run holds {}: start one with `metasense run SPEC`", db.display())]
+    #[error("{} is not used by a run; start one with `metasense run SPEC`", db.display())]
     NoRun {
         /// The database.
         db: PathBuf,
@@ -149,7 +149,7 @@ pub enum ControlError {
         db: PathBuf,
     },
     /// The socket failed.
-    #[error("asking the run that holds {}", db.display())]
+    #[error("sending a command to the run of {}", db.display())]
     Io {
         /// The database.
         db: PathBuf,
@@ -235,7 +235,7 @@ async fn listen(listener: UnixListener, out: mpsc::Sender<Request>) {
         let stream = match listener.accept().await {
             Ok((stream, _)) => stream,
             Err(error) => {
-                tracing::warn!(%error, "a question could not be taken");
+                tracing::warn!(%error, "accepting a connection failed");
                 tokio::time::sleep(Duration::from_millis(100)).await;
                 continue;
             }
@@ -245,7 +245,7 @@ async fn listen(listener: UnixListener, out: mpsc::Sender<Request>) {
             let out = out.clone();
             tokio::spawn(async move {
                 if let Err(error) = converse(stream, out).await {
-                    tracing::debug!(%error, "a question ended early");
+                    tracing::debug!(%error, "a connection ended early");
                 }
                 drop(place);
             });

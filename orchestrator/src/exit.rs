@@ -24,7 +24,7 @@ pub enum Exit {
 pub const EXIT_CODES: &str = "\
 Exit codes:
   0  done
-  1  a check failed, trials failed (`status` says which and why), or the run refused a
+  1  a check failed, trials failed (`status` lists them with reasons), or the run refused a
      `control` command
   2  an error in the command line, the spec or the choice of database; nothing was started
      (`control`: no run holds the database)

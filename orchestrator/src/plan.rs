@@ -93,7 +93,7 @@ impl Plan {
         }
         let trials = trials(&spec, &points);
         if trials.is_empty() {
-            return Err(source.error("sweep.exclude", "leaves no trial"));
+            return Err(source.error("sweep.exclude", "excludes all trials"));
         }
         until::check(spec.until.as_ref(), &trials, &source)?;
         Ok(Self { source, spec, trials })
@@ -200,7 +200,7 @@ fn check_sweep(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> {
         n => {
             let n = n.map_or("too many".to_owned(), |n| n.to_string());
             Err(source
-                .error("sweep", &format!("its lists give {n} trials; at most {MOST_TRIALS} are allowed")))
+                .error("sweep", &format!("its lists span {n} trials; at most {MOST_TRIALS} are allowed")))
         }
     }
 }
@@ -303,7 +303,7 @@ fn add_points(
     spec.sensors.placements.as_ref().map_or(Ok(()), |lists| check_placements(lists, source))?;
     let drawn = sweep.sweep.placements * if sweep.sweep.own_placements { sweep.sweep.seeds.len() } else { 1 };
     if sweep.sweep.own_placements && (searched || spec.sensors.placements.is_some()) {
-        return Err(source.error("sweep.own_placements", "only for sensors at random units"));
+        return Err(source.error("sweep.own_placements", "cannot be set together with sensors.search or sensors.placements"));
     }
     // keep only the units that carry sensors: there may be a million placements
     let most = spec.sweep.sensors.iter().copied().max().unwrap_or_default();

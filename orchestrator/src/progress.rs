@@ -16,11 +16,11 @@ use crate::store::{Reader, StoreError};
 /// Running trials with their last step and the seconds since it was recorded.
 const RUNNING: &str = "
 SELECT t.hash, t.panels AS K, t.sensors AS M, t.placement, t.seed, t.units, 1 + p.step AS step,
-  json_extract(t.spec, '$.optimise.iterations') AS of,
+  json_extract(t.spec, '$.optimise.iterations') AS steps,
   (SELECT round(e.error_test, 2) FROM step e WHERE e.trial_id = t.id AND e.error_test IS NOT NULL
    ORDER BY e.step DESC LIMIT 1) AS test_error,
   (SELECT round(min(b.error_test), 2) FROM step b WHERE b.trial_id = t.id) AS test_error_best,
-  CAST(round((julianday('now') - julianday(max(a.started_at, coalesce(p.recorded_at, '')))) * 86400) AS INTEGER) AS silent_s,
+  CAST(round((julianday('now') - julianday(max(a.started_at, coalesce(p.recorded_at, '')))) * 86400) AS INTEGER) AS seconds_since_step,
   a.number AS attempt
 FROM trial t JOIN attempt a ON a.trial_id = t.id AND a.state = 'running'
 LEFT JOIN step p ON p.trial_id = t.id AND p.step = (SELECT max(step) FROM step m WHERE m.trial_id = t.id)

@@ -61,8 +61,8 @@ pub fn mixed(made: &[CodeVersion]) -> Option<String> {
     };
     (made.len() > 1).then(|| {
         let list = made.iter().map(named).collect::<Vec<_>>().join(", ");
-        format!("results of different code are mixed: {list}; `metasense run SPEC --redo-other-code` repeats trials \
-            that were not computed by {}, this program", code())
+        format!("the results come from different code versions: {list}; `metasense run SPEC --redo-other-code` repeats trials \
+            that were not computed by this program ({})", code())
     })
 }
 

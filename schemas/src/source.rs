@@ -171,7 +171,7 @@ impl Source {
                 );
             }
             if !place.is_list {
-                return Err(self.wrong(place, "an axis is a list of values"));
+                return Err(self.wrong(place, "must be a list of values, because it is an axis"));
             }
         } else if !known.contains(key) {
             let nearest = KnownKeys::nearest_of(key, known.paths());
@@ -337,9 +337,9 @@ fn unknown(nearest: Option<&str>) -> String {
 /// Returns the message for a key of `[sweep]` that is not an axis.
 fn no_axis(name: &str, known: &KnownKeys) -> String {
     match name.strip_prefix("sweep.").filter(|_| known.contains(name)) {
-        Some(own) => format!("a key of [sweep] itself: write it without quotes and table: {own} = …"),
+        Some(own) => format!("belongs to [sweep] itself; write it there without quotes: {own} = …"),
         None if name.contains('.') && known.contains(name) => {
-            "not part of a trial, and cannot be swept".into()
+            "is not a setting of a trial and cannot be swept".into()
         }
         None if name.contains('.') => unknown(KnownKeys::nearest_of(name, known.axes())),
         None => match KnownKeys::nearest_of(&format!("sweep.{name}"), known.paths()) {

@@ -485,7 +485,7 @@ pub fn receive_arrays(
                 waited += pause;
             }
             Err(error) => return Err(wrong(format!("{error:?}"))),
-            Ok(None) => return Err(wrong("they were not sent".into())),
+            Ok(None) => return Err(wrong("the arrays were not sent".into())),
             Ok(Some(sample)) => {
                 let len = sample.payload().len();
                 let beyond = |head: &&ArrayHead| head.start > head.end || head.end > len;

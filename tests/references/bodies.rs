@@ -25,7 +25,7 @@ pub fn why() -> String {
             None => format!("{}, {} %", mean(Some("linear"), "error"), mean(Some("cnn"), "error")),
         };
         let left = format!("{} %", mean(trained, "wiener_error"));
-        let told = ["forces_told", "condition", "bits"].map(|column| mean(trained, column));
+        let told = ["distinguishable_forces", "condition", "bits"].map(|column| mean(trained, column));
         let memory = format!("{} ms", values(trained, "memory", 1e3));
         let modes = mean(trained, "modes");
         [vec![words.to_owned(), errors, left], told.to_vec(), vec![memory, modes]].concat()
@@ -39,7 +39,7 @@ pub fn why() -> String {
         "body",
         "error of its decoder",
         "error of Wiener's filter",
-        "forces told apart",
+        "distinguishable forces",
         "condition",
         "bits per second",
         "memory",

@@ -147,7 +147,7 @@ pub fn checkpoint(state: &State) -> Checkpoint {
 
 /// The decoder of a cast with this name and number of records.
 fn brain_of_cast(reader: &str, records: u32) -> Result<CastBrain, String> {
-    CastBrain::named(reader, records).ok_or_else(|| format!("a cast that is read by {reader:?}"))
+    CastBrain::named(reader, records).ok_or_else(|| format!("unknown decoder of a cast: {reader:?}"))
 }
 
 /// Prediction bands of a body and its casts.
@@ -186,7 +186,7 @@ fn banded(bands: &[record::Band]) -> Result<Vec<nested::BandReading>, String> {
             ("posterior", _) => BandKind::Posterior,
             (_, "instant") => BandKind::Instant,
             (_, "sample") => BandKind::Sample,
-            (_, name) => return Err(format!("a band of kind {name:?}")),
+            (_, name) => return Err(format!("unknown kind of band: {name:?}")),
         };
         let (samples, half_width) = (band.samples as usize, band.half_width.clone());
         let (width, coverage) = (band.width, band.coverage);
@@ -242,7 +242,7 @@ fn casts_read(casts: &[CastReading]) -> Result<Vec<nested::CastReading>, String>
 fn trouble(outcome: &str) -> Result<Option<trial::Trouble>, String> {
     match outcome {
         "ok" => Ok(None),
-        name => trial::Trouble::named(name).map(Some).ok_or_else(|| format!("a brain that ended {name:?}")),
+        name => trial::Trouble::named(name).map(Some).ok_or_else(|| format!("unknown outcome of a decoder: {name:?}")),
     }
 }
 
@@ -280,11 +280,11 @@ pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String>
     let lengths = [design.len(), design_moments.first.len(), design_moments.second.len()];
     if lengths != [parameters; 3] || trail.iter().any(|waypoint| waypoint.design.len() != parameters) {
         return Err(format!(
-            "a checkpoint of {lengths:?} design parameters where the trial has {parameters}"
+            "the checkpoint has {lengths:?} design parameters, the trial has {parameters}"
         ));
     }
     if caution.is_nan() || caution <= 0.0 {
-        return Err(format!("a checkpoint whose steps are {caution} of what its protocol asks for"));
+        return Err(format!("the checkpoint has the step factor {caution}; must be above 0"));
     }
     let waypoint = |w: record::Waypoint| Waypoint { step: w.step, design: w.design };
     let casts = casts.iter().map(|casts| casts_read(casts)).collect::<Result<_, _>>()?;
@@ -314,7 +314,7 @@ fn compared(comparison: Comparison, problem: &Problem) -> Result<nested::Compari
         |t: &Training| [&t.weights, &t.moments.first, &t.moments.second].iter().all(|w| w.len() == weights);
     if bodies.len() > 2 || !bodies.iter().all(of_design) || !training.iter().all(of_network) {
         return Err(format!(
-            "a comparison that is not of {parameters} design parameters and {weights} weights"
+            "the checkpoint's comparison does not have {parameters} design parameters and {weights} weights"
         ));
     }
     let fresh = |training: Training| {

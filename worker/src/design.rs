@@ -136,7 +136,7 @@ fn from_csv(bytes: &[u8], layout: &Layout) -> Result<Vec<f64>, String> {
             && (0.0..count as f64).contains(&number)
         {
             true => Ok(number as usize),
-            false => Err(at(&format!("{name} = {number}: must be a whole number from 0 to {}", count - 1))),
+            false => Err(at(&format!("{name} = {number}: must be an integer from 0 to {}", count - 1))),
         };
         let unit = whole("unit", *unit, layout.units())?;
         let node = whole("node", *node, layout.shape[unit].len())?;
@@ -147,7 +147,7 @@ fn from_csv(bytes: &[u8], layout: &Layout) -> Result<Vec<f64>, String> {
         match &shifts[group] {
             Some(other) if (0..2).any(|c| (other[c] - shift[c]).abs() > AGREE) => {
                 return Err(at(
-                    "has another shift than the other end of its ligament, or than the same node in another line",
+                    "its shift differs from that of the other end of its ligament, or of the same node in another line",
                 ));
             }
             Some(_) => {}

@@ -140,7 +140,7 @@ pub fn array(mut bytes: &[u8]) -> Result<Array, String> {
     }
     let mut values = numbers(file)?;
     if count != Some(values.len()) || !bytes.is_empty() {
-        return Err(format!("contains more than its one array, of shape {shape:?}"));
+        return Err(format!("contains data beyond its array of shape {shape:?}"));
     }
     if order == npyz::Order::Fortran && shape.len() > 1 {
         values = (0..values.len())
@@ -186,7 +186,7 @@ fn numbers(file: NpyFile<&mut &[u8]>) -> Result<Vec<f64>, String> {
         u64 => |x| (x <= 1 << 53).then_some(x as f64)
     );
     Err(format!(
-        "contains {}; must contain truth values, integers, or floats of 32 or 64 bits",
+        "contains {}; must contain booleans, integers, or floats of 32 or 64 bits",
         file.dtype().descr()
     ))
 }

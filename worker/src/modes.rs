@@ -45,7 +45,7 @@ pub struct Natural {
 pub fn natural_frequencies(trial: &TrialSpec) -> Result<Natural, Failure> {
     let Problem { scene, initial, .. } = &prepared(trial)?;
     check_rest(scene, initial)?;
-    let none = || Failure::Rejected("body: it has no modes".to_owned());
+    let none = || Failure::Rejected("body: has no modes".to_owned());
     let modes =
         modes::modes(&Rest::new(scene, initial), scene.layout.units(), SLOWEST).map_err(|_| none())?;
     let highest = highest_frequency(scene, initial) / std::f64::consts::TAU;
@@ -75,7 +75,7 @@ pub fn responses(
         let why = if unit >= units {
             format!("the body has units 0 … {}", units - 1)
         } else {
-            "it is held".to_owned()
+            "it is clamped".to_owned()
         };
         return Err(Failure::Rejected(format!("unit {unit}: {why}")));
     }

@@ -182,7 +182,7 @@ pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
     let mut layout = Layout::of_polygons(&given.units, &ligaments, &together, &given.rigid, &followers);
     if layout.half <= 0.0 {
         let remedy = format!(
-            "ligaments are {:.3} mm long in the mean, more than the {:.3} mm from unit to unit",
+            "the mean ligament length, {:.3} mm, exceeds the mean distance of units, {:.3} mm",
             layout.ligament_length, layout.spacing
         );
         return wrong("ligaments".into(), remedy);
@@ -212,7 +212,7 @@ fn followers(given: &Polygons, joined: impl Fn(&[usize; 2]) -> bool) -> Result<(
     for (group, ends) in given.together.iter().enumerate() {
         let stays = ends.iter().find(|end| is_rigid(&end[0]) && !joined(end));
         if let Some([unit, node]) = stays {
-            let remedy = format!("node {node} of the rigid unit {unit} has no ligament, and is not shifted");
+            let remedy = format!("node {node} of the rigid unit {unit} has no ligament, so it cannot be shifted; remove it from the group");
             return Err(invalid("body.file", format!("together[{group}]"), remedy));
         }
     }
@@ -223,7 +223,7 @@ fn followers(given: &Polygons, joined: impl Fn(&[usize; 2]) -> bool) -> Result<(
             return wrong(format!("there is no rigid unit {unit} with a node {place}"));
         }
         if joined(node) {
-            return wrong(format!("node {place} of unit {unit} has a ligament, and follows the design"));
+            return wrong(format!("node {place} of unit {unit} has a ligament, so it is part of the design and cannot follow others"));
         }
         let leads = |other: &usize| joined(&[unit, *other]);
         if !nodes.iter().all(leads) || nodes[0] == nodes[1] {

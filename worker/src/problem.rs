@@ -188,7 +188,7 @@ pub(crate) fn architecture(trial: &TrialSpec) -> Result<Architecture, Invalid> {
     of_dilations(!dilations.contains(&0), "must be numbers of at least 1")?;
     of_kernels(
         causal || kernels.iter().all(|k| k % 2 == 1),
-        "must be odd where brain.causal = false: an even kernel has no middle",
+        "must be odd if brain.causal = false: an even kernel has no centre",
     )?;
     for (layer, (kernel, dilation)) in kernels.iter().zip(&dilations).enumerate() {
         let reach = (kernel - 1).saturating_mul(*dilation) / if causal { 1 } else { 2 };
@@ -202,7 +202,7 @@ pub(crate) fn architecture(trial: &TrialSpec) -> Result<Architecture, Invalid> {
     let architecture = Architecture::new(width, &kernels, &dilations, causal);
     let (inputs, outputs) = (trial.signals(), trial.point.panels);
     let weights = Shape { instants, inputs, outputs, architecture }.weights();
-    let remedy = format!("makes {weights} weights with these kernels: must be at most {WEIGHTS_MAX}");
+    let remedy = format!("gives {weights} weights with these kernels; the limit is {WEIGHTS_MAX}");
     require(weights <= WEIGHTS_MAX, "brain.width", width, &remedy)?;
     Ok(architecture)
 }
@@ -360,7 +360,7 @@ fn scene(
         let idle = |(unit, held): &(usize, [bool; 3])| {
             *unit == panel.unit && (0..3).all(|d| held[d] || acts[d] == 0.0)
         };
-        let remedy = "is held in the only direction in which the force on this unit could move it";
+        let remedy = "fixes the only coordinate in which the force on this unit could move it";
         require(!guided.iter().any(idle), "body.guides", panel.unit, remedy)?;
     }
     require(
@@ -429,7 +429,7 @@ fn scene(
 fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> {
     let spec::Sensors { search, from, spacing, .. } = &trial.sensors;
     if matches!(search, None | Some(spec::Search::Random)) {
-        let remedy = "only for sensors.search = \"greedy\"";
+        let remedy = "has no effect without sensors.search = \"greedy\"";
         let shown = from.map_or(String::new(), |from| as_written(&from));
         require(from.is_none(), "sensors.from", shown, remedy)?;
         require(spacing.is_none(), "sensors.spacing", spacing.unwrap_or_default(), remedy)?;
@@ -447,7 +447,7 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> 
         format!("the body has {} units on which sensors.search may place a sensor", candidates.len());
     require((1..=candidates.len()).contains(&sensors), "sweep.sensors", sensors, &remedy)?;
     require(placement < candidates.len(), "sweep.placements", placement + 1, &remedy)?;
-    let of_best = format!("a search starts each placement from another of its {CANDIDATES} best units");
+    let of_best = format!("must be at most {CANDIDATES}: the search starts each placement from a different one of its {CANDIDATES} best units");
     require(placement < CANDIDATES, "sweep.placements", placement + 1, &of_best)?;
     // greedily, row by row: nearly the greatest possible number
     let mut apart: Vec<usize> = Vec::new();

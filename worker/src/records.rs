@@ -205,7 +205,7 @@ fn check_shifts(problem: &Problem) -> Result<(), Invalid> {
                     "stimuli.recorded.augment.shift",
                     format!("{shift:?}"),
                     format!(
-                        "cuts force of {:.0} % of its peak off {place} of record {i}: {remedy}, or shift less",
+                        "would cut off forces of {:.0} % of the peak at {place} of record {i}: {remedy}, or shift less",
                         100.0 * part
                     ),
                 ));
@@ -329,7 +329,7 @@ pub(crate) fn check(recorded: &spec::Recorded) -> Result<(), Invalid> {
         [("augment.scale", recorded.augment.scale), ("augment.shift", recorded.augment.shift)]
     {
         if !(least.is_finite() && most.is_finite() && least <= most) {
-            return wrong(name, format!("[{least}, {most}]"), "must be [least, most]");
+            return wrong(name, format!("[{least}, {most}]"), "must be [min, max] with min ≤ max");
         }
     }
     check_form("stimuli.recorded", &recorded.files, recorded.header, recorded.separator, recorded.decimal)?;
@@ -348,7 +348,7 @@ pub(crate) fn align(recorded: &spec::Recorded, record: &mut Record, room: f64) -
     let Some(trigger) = recorded.trigger else { return Ok(0.0) };
     let reached = |force: &Vec<f64>| force.iter().position(|f| f.abs() >= trigger.threshold);
     let Some(first) = record.values.iter().filter_map(reached).min() else {
-        return Err(format!("contains a record that never reaches the trigger's {} N", trigger.threshold));
+        return Err(format!("never reaches the trigger threshold of {} N", trigger.threshold));
     };
     let before = record.start;
     record.start = trigger.before.unwrap_or(room) - first as f64 * record.dt;

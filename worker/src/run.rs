@@ -47,7 +47,7 @@ pub enum Failure {
         detail: String,
     },
     /// A system resource is exhausted.
-    #[error("short of something: {0}")]
+    #[error("a system limit is too low: {0}")]
     Shortage(String),
 }
 
@@ -168,7 +168,7 @@ fn check_memory(trial: &TrialSpec) -> Result<(), Failure> {
 pub(crate) fn check_length(what: &str, given: usize, expected: usize) -> Result<(), Failure> {
     match given == expected {
         true => Ok(()),
-        false => Err(Failure::Rejected(format!("the {what} has {given} numbers, the trial {expected}"))),
+        false => Err(Failure::Rejected(format!("the {what} has {given} numbers; the trial needs {expected}"))),
     }
 }
 

@@ -180,5 +180,5 @@ fn questions_to_extreme_trials_are_answered_or_refused() {
         }
         println!("{seed}: {:.2?}", begun.elapsed());
     }
-    assert!(answered as u64 > cases, "{answered} answers of {cases} trials from seed {first} on");
+    assert!(answered as u64 > cases, "{answered} results from {cases} trials starting with seed {first}");
 }

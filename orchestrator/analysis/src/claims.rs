@@ -201,12 +201,12 @@ fn summed<'a>(evidence: impl Iterator<Item = &'a Evidence>) -> (String, Option<R
         }
     }
     match &by.iter().collect::<Vec<_>>()[..] {
-        [] => ("not tried".into(), None),
+        [] => ("not tested".into(), None),
         [(rating, _)] => (rating.name().into(), Some(**rating)),
         several => {
             let each =
                 several.iter().map(|(rating, who)| format!("{} with {}", rating.name(), who.join("; ")));
-            (format!("depends: {}", each.collect::<Vec<_>>().join(" · ")), None)
+            (format!("depends on the decoder: {}", each.collect::<Vec<_>>().join(" · ")), None)
         }
     }
 }
@@ -229,7 +229,7 @@ pub const CLAIMS: [Claim; 15] = [
         find: |stated, trials| each_set(trials, stated, error_ratio),
     },
     Claim {
-        says: "its network needs 2.9 times fewer iterations to the same error",
+        says: "a network on a trained body needs 2.9 times fewer iterations to the same error",
         source: "Fig. 2E",
         stated: 2.9,
         chance: CHANCE,
@@ -274,7 +274,7 @@ pub const CLAIMS: [Claim; 15] = [
         find: |stated, trials| random_bodies(stated, trials, Body::Initial),
     },
     Claim {
-        says: "and a larger error than the trained body",
+        says: "random bodies have a larger error than the trained body",
         source: "S4",
         stated: 1.0,
         chance: CHANCE,
@@ -481,7 +481,7 @@ fn random_bodies(stated: f64, trials: &[&Trial], than: Body) -> Vec<Evidence> {
     let trials: Vec<&Trial> = joint.into_iter().filter(of_scene).collect();
     by_set(&random_groups(&trials), |group, set| {
         let ratio = random(&group.trials, set)?.ratios[than as usize].take()?;
-        let note = format!("{} of {} worse", ratio.above_one, ratio.trials);
+        let note = format!("{} of {} random bodies worse", ratio.above_one, ratio.trials);
         Some(of_ratio(who(group), set.name(), ratio, stated, note))
     })
 }
@@ -499,7 +499,7 @@ fn every_number(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
         let least = ratios.iter().min_by(|a, b| low(&a.1).total_cmp(&low(&b.1)));
         let (m, ratio) = least?;
         let each = ratios.iter().map(|(m, r)| format!("M = {m}: {:.2}", r.ratio));
-        let note = format!("least sure at M = {m} ({})", each.collect::<Vec<_>>().join(", "));
+        let note = format!("lowest interval at M = {m} ({})", each.collect::<Vec<_>>().join(", "));
         Some(of_ratio(who(group), set.name(), ratio.clone(), stated, note))
     })
 }
@@ -562,7 +562,7 @@ fn so_few(stated: f64, few: u64, trials: &[&Trial]) -> Vec<Evidence> {
             each(&own, |t| t.error(body, set))
         };
         let ratio = over(&of(most, Body::Initial), &of(few, Body::Optimised))?;
-        Some(of_ratio(who(group), set.name(), ratio, stated, format!("{few} against {most}")))
+        Some(of_ratio(who(group), set.name(), ratio, stated, format!("{few} sensors against {most}")))
     })
 }
 
@@ -585,7 +585,7 @@ fn placements(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
             places(&of[body]).iter().filter_map(at).collect()
         };
         let ratio = Ratio::by(&units, group.trials.len(), 0, statistic)?;
-        let note = format!("worst over best by M: {} → {}", worst(0).join(", "), worst(1).join(", "));
+        let note = format!("largest over smallest error, per M: initial {} → trained {}", worst(0).join(", "), worst(1).join(", "));
         Some(of_ratio(who, set.name(), ratio, stated, note))
     })
 }
@@ -613,7 +613,7 @@ fn complexity(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     let free: Vec<&Trial> = disc.iter().filter(|t| !tied(t)).copied().collect();
     let mut found = Vec::new();
     for (what, groups) in
-        [("cut finer", groups(&free, COMPLEXITY)), ("tied less, of one size", groups(&disc, FREEDOM))]
+        [("smaller units, one size of body", groups(&free, COMPLEXITY)), ("fewer tied shifts, one size of body", groups(&disc, FREEDOM))]
     {
         for group in groups {
             let at = |n: u64| -> Vec<&Trial> {
@@ -629,7 +629,7 @@ fn complexity(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
                 let of = |body: Body| over(&errors(few, body), &errors(many, body));
                 let Some(ratio) = of(Body::Optimised) else { continue };
                 let initial =
-                    of(Body::Initial).map_or(String::new(), |r| format!("; untrained {:.3}", r.ratio));
+                    of(Body::Initial).map_or(String::new(), |r| format!("; initial body {:.3}", r.ratio));
                 let note = format!("{few} → {many} parameters{initial}");
                 let brain = &brains(&group.trials[0].setting)[0];
                 let of_size = |part: &str| {

@@ -126,7 +126,7 @@ pub struct Gain {
 
 /// There are too few values of M for an elbow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("an elbow needs at least {LEAST_VALUES} values of M, there are {0}")]
+#[error("{0} values of M: an elbow needs at least {LEAST_VALUES}")]
 pub struct TooFew(pub usize);
 
 /// Finds the elbow of the error against M.

@@ -35,7 +35,7 @@ pub fn brains(setting: &Setting) -> [String; 2] {
 
 /// Formats [`brains`].
 pub fn in_words([by, with]: &[String; 2]) -> String {
-    if by == with { by.clone() } else { format!("trained with {with}, read by {by}") }
+    if by == with { by.clone() } else { format!("trained with {with}, evaluated with {by}") }
 }
 
 /// [`brains`] of a trial's spec, or of a part that contains the decoder.
@@ -50,7 +50,7 @@ pub fn objective(setting: &Setting) -> Option<String> {
     let objective = tail.or_else(|| setting.text("optimise.objective").map(str::to_owned))?;
     let varies = || setting.leaves().keys().any(|path| path.starts_with("variation."));
     let of = if setting.text("stimuli.kind") == Some("mix") && !varies() { "parts" } else { "casts" };
-    let each = if setting.text("optimise.reader") == Some("each") { ", a brain each" } else { "" };
+    let each = if setting.text("optimise.reader") == Some("each") { ", one decoder each" } else { "" };
     Some(format!("{objective} of {of}{each}"))
 }
 

@@ -41,7 +41,7 @@ pub fn deviation(values: &[f64]) -> Option<f64> {
 /// # Panics
 /// Without values.
 pub fn quantile(sorted: &[f64], q: f64) -> f64 {
-    assert!(!sorted.is_empty(), "a quantile of nothing");
+    assert!(!sorted.is_empty(), "a quantile needs at least one value");
     let at = q * (sorted.len() - 1) as f64;
     let below = at.floor() as usize;
     let above = (below + 1).min(sorted.len() - 1);

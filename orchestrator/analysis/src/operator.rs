@@ -12,11 +12,11 @@ use metasense_render::{Table, row};
 /// Measures of a body.
 pub const MEASURES: [&str; 6] = [
     "error of Wiener's filter (%)",
-    "forces told apart",
+    "distinguishable forces",
     "condition",
-    "bits a second",
+    "information (bit/s)",
     "memory (s)",
-    "modes that take part",
+    "participating modes",
 ];
 
 /// Half-width of a 95 % interval of z times √(n − 3). z of a rank correlation has the standard deviation √(1.06/(n − 3))

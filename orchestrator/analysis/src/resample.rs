@@ -53,7 +53,7 @@ pub const SEEDS: [&str; 2] = ["seed", "seeds"];
 
 /// The same if each seed has its own placements.
 const OWN_PLACEMENTS: [&str; 2] =
-    ["seed with placements of its own", "seeds, each with placements of its own"];
+    ["seed with its own placements", "seeds, each with its own placements"];
 
 /// A kind of unit: its name (singular, plural), the number of units, and the unit of each trial.
 #[derive(Debug, Clone)]
@@ -114,8 +114,8 @@ impl Resampling {
         match (self.can_tell(), held.is_empty()) {
             (true, true) => list(&self.drawn()),
             (true, false) => format!("{} at {}", list(&self.drawn()), list(&held)),
-            (false, false) => format!("too few to tell: {}", list(&held)),
-            (false, true) => format!("too few to tell: {}", list(&self.kinds.iter().collect::<Vec<_>>())),
+            (false, false) => format!("no interval, too few units: {}", list(&held)),
+            (false, true) => format!("no interval, too few units: {}", list(&self.kinds.iter().collect::<Vec<_>>())),
         }
     }
 

@@ -83,7 +83,7 @@ pub fn median_time(runs: &[Watched]) -> MedianTime {
         median: median(&runs.iter().map(|r| (r.seconds, r.reached)).collect::<Vec<_>>()),
         ends: ends.unwrap_or_default(),
         over: match ends.is_none() && resampling.can_tell() {
-            true => format!("too few to tell: {over}"),
+            true => format!("no interval, too few units: {over}"),
             false => over,
         },
     }

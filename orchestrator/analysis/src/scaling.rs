@@ -96,7 +96,7 @@ impl Scaling {
 /// There are too few values of N for a law.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "not identifiable: the law has three parameters and needs at least {LEAST_VALUES} body sizes, there are {0}"
+    "not identifiable: {0} body sizes; three parameters need at least {LEAST_VALUES}"
 )]
 pub struct TooFew(pub usize);
 
@@ -176,14 +176,14 @@ fn doubt(found: &Scaling, observations: &[Observation]) -> Option<String> {
     let fall = (found.law.at(at[0]) / found.law.at(at[at.len() - 1])).ln();
     let error = found.residual / ((observations.len() as f64) / at.len() as f64).sqrt();
     if fall < LEAST_FALL * error + 1e-9 {
-        return Some("error does not fall with N beyond its scatter".into());
+        return Some("the error does not fall significantly with N".into());
     }
     let Some(interval) = found.exponent else {
         return Some(found.over.clone());
     };
     let [least, most] = EXPONENTS;
     if interval.low <= 1.05 * least || interval.high >= 0.95 * most {
-        return Some(format!("the exponent's interval reaches the end of the search ({least} to {most})"));
+        return Some(format!("the exponent's interval reaches the end of the searched range ({least} to {most})"));
     }
     (interval.high / interval.low > WIDEST)
         .then(|| format!("the exponent's interval spans a factor of {:.1}", interval.high / interval.low))

@@ -392,9 +392,9 @@ pub fn verdict_text(verdict: Verdict) -> String {
         Verdict::Undecided(Some(m)) => format!("undecided, most votes for M = {m}"),
         Verdict::Undecided(None) => "undecided, most votes for no elbow".into(),
         Verdict::WithoutVote(Some(m)) => {
-            format!("elbow at M = {m} by the fit, too few placements or seeds to vote")
+            format!("elbow at M = {m} by the fit; too few placements or seeds for votes")
         }
-        Verdict::WithoutVote(None) => "no elbow by the fit, too few placements or seeds to vote".into(),
+        Verdict::WithoutVote(None) => "no elbow by the fit; too few placements or seeds for votes".into(),
     }
 }
 

@@ -66,7 +66,7 @@ async fn measure(args: &Args, folder: &Path) -> Result<Exit, Error> {
 
 /// Wall-clock seconds, CPU seconds and peak memory (MiB) of a command.
 pub fn asked(arguments: &[&str]) -> Result<(f64, f64, f64), Error> {
-    let failed = |source| Error::Io { doing: "asking by", path: arguments.join(" ").into(), source };
+    let failed = |source| Error::Io { doing: "running", path: arguments.join(" ").into(), source };
     let began = Instant::now();
     let (null, quiet) = (Stdio::null(), Stdio::null());
     let mut command = Command::new("/proc/self/exe");

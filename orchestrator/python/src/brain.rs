@@ -52,7 +52,7 @@ pub fn samples(what: &str, object: &Bound<'_, PyAny>) -> PyResult<([usize; 3], V
     match shape[..] {
         [n, t, c] if n * t * c > 0 => Ok(([n, t, c], values)),
         _ => Err(PyValueError::new_err(format!(
-            "{what} has shape {shape:?}; it must be three numbers above 0"
+            "{what} has shape {shape:?}; it must have three dimensions, none of size 0"
         ))),
     }
 }
@@ -61,7 +61,7 @@ impl LinearBrain {
     fn fitted(&self) -> PyResult<&Fitted> {
         self.fitted
             .as_ref()
-            .ok_or_else(|| PyValueError::new_err("the brain has not been fitted: call `fit` first"))
+            .ok_or_else(|| PyValueError::new_err("the decoder has not been fitted: call `fit` first"))
     }
 
     /// Checks samples whose shape must be that of the fit.
@@ -88,7 +88,7 @@ impl LinearBrain {
     ) -> PyResult<Self> {
         match ridge {
             Some(ridge) if !(ridge >= 0.0 && ridge.is_finite()) => {
-                Err(PyValueError::new_err(format!("ridge = {ridge}: must be 0 or a number above")))
+                Err(PyValueError::new_err(format!("ridge = {ridge}: must be a finite number of at least 0")))
             }
             _ => Ok(Self { memory, ridge, seed, fitted: None }),
         }
@@ -108,7 +108,7 @@ impl LinearBrain {
         let ([n, instants, channels], signals) = samples("signals", signals)?;
         let ([records, panels, clock], values) = samples("forces", forces)?;
         if values.iter().all(|f| *f == 0.0) {
-            return Err(PyValueError::new_err("forces: all are zero, so that there is nothing to fit to"));
+            return Err(PyValueError::new_err("forces: all are zero; there is nothing to fit"));
         }
         if records != n || clock < 2 || !(clock - 1).is_multiple_of(instants) {
             return Err(PyValueError::new_err(format!(
@@ -121,7 +121,7 @@ impl LinearBrain {
         if !fits(instants, channels, panels) {
             let readings = instants.saturating_mul(channels);
             return Err(PyValueError::new_err(format!(
-                "signals has {readings} readings a sample, T × C; at most {READINGS_MAX}, and 10^8 of them times T × K"
+                "signals has {readings} readings per sample (T × C); the limits are {READINGS_MAX}, and 10^8 for readings × T × K"
             )));
         }
         let signal_scale = signal_scale.map(|scale| vector("signal_scale", scale)).transpose()?;

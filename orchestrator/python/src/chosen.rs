@@ -25,7 +25,7 @@ impl Chosen {
         let method = [Method::Tsit5, Method::Leapfrog, Method::Nystrom4, Method::Nystrom6]
             .into_iter()
             .find(|known| known.name() == method)
-            .ok_or_else(|| PyValueError::new_err(format!("{method}: is no integrator")))?;
+            .ok_or_else(|| PyValueError::new_err(format!("{method}: not an integrator of this version of metasense")))?;
         let tolerance = tolerance.map(|(relative, absolute)| Tolerance { relative, absolute });
         let solver = Solver { method, accuracy: Accuracy(accuracy), tolerance, single };
         Ok(Self { solver, reason })

@@ -95,7 +95,7 @@ impl Database {
             reader.arrays_of(&hash).await
         })?;
         let found = arrays.iter().find(|array| array.name == format!("alpha_{body}"));
-        let found = found.ok_or_else(|| PyValueError::new_err(format!("trial {hash} is not done yet")))?;
+        let found = found.ok_or_else(|| PyValueError::new_err(format!("trial {hash} is not finished")))?;
         Ok(found.values::<f64>().map_err(|e| raised(&e))?.into_pyarray(py))
     }
 
@@ -107,7 +107,7 @@ impl Database {
         #[pyo3(from_py_with = threads)] threads: usize,
     ) -> PyResult<Bound<'py, PyBytes>> {
         let stored = self.asked(py, async |reader| reader.stored(hash).await)?;
-        let stored = stored.ok_or_else(|| PyValueError::new_err(format!("trial {hash} is not done yet")))?;
+        let stored = stored.ok_or_else(|| PyValueError::new_err(format!("trial {hash} is not finished")))?;
         // decoders that cannot be fitted are left out
         let archive = py.detach(|| npz::of_trial(&stored, threads, &mut |_| ())).map_err(|e| raised(&e))?;
         Ok(PyBytes::new(py, &archive))

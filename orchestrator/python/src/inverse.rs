@@ -81,7 +81,7 @@ pub fn unpickle_twin(
     ending: Option<String>,
 ) -> PyResult<Twin> {
     let trial = serde_json::from_str(trial)
-        .map_err(|e| PyValueError::new_err(format!("the pickle of a twin of another version: {e}")))?;
+        .map_err(|e| PyValueError::new_err(format!("this twin was pickled by another version of metasense: {e}")))?;
     let source = Source::new(Path::new("(pickle)"), text).map_err(|e| PyValueError::new_err(chain(&e)))?;
     let mut twin = parse(&source, &trial, &design).map_err(|e| PyValueError::new_err(chain(&e)))?;
     twin.cast.chips.turn = turns;
@@ -222,10 +222,10 @@ impl Inverse {
         let known = twin.as_ref().map(Py::get);
         if let Some(twin) = known {
             if alpha.is_some() {
-                return Err(PyValueError::new_err("alpha: must be left out with twin, which has its own"));
+                return Err(PyValueError::new_err("alpha: cannot be passed together with twin, which has its own design"));
             }
             if twin.trial.body_digest(&twin.design) != own.trial.body_digest(&twin.design) {
-                return Err(PyValueError::new_err("twin: is of another body, or of other sensors"));
+                return Err(PyValueError::new_err("twin: belongs to another body, or to other sensors"));
             }
         }
         let design = match known {
@@ -290,5 +290,5 @@ type New<'py> = (Py<Body>, Option<Bound<'py, PyArray1<f64>>>);
 type Bands<'py> = (Bound<'py, PyArray3<f64>>, Bound<'py, PyArray3<f64>>, Bound<'py, PyArray3<f64>>);
 
 fn ended() -> PyErr {
-    PyRuntimeError::new_err("the inverse brain has ended")
+    PyRuntimeError::new_err("the thread of the inverse decoder has ended unexpectedly")
 }

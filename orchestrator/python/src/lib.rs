@@ -24,7 +24,7 @@ pyo3::create_exception!(
     metasense,
     SimulationError,
     PyRuntimeError,
-    "Samples that did not reach their end; `outcomes` says how each ended."
+    "The simulation of samples failed; `outcomes` lists how each sample ended."
 );
 
 /// Converts a worker's failure to an exception.

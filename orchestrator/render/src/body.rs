@@ -158,11 +158,11 @@ impl Sketch {
     pub fn legend(&self) -> Legend {
         let kinds = [
             (self.clamped.len(), "unit clamped", "clamped unit", "clamped units"),
-            (self.guided.len(), "unit guided", "unit held in part", "units held in part"),
+            (self.guided.len(), "unit guided", "guided unit", "guided units"),
             (self.panels.len(), "arrow", "input panel", "input panels"),
             (self.sensors.len(), "dot sensor", "sensor", "sensors"),
             (self.held.len(), "active", "constraint at its limit", "constraints at their limit"),
-            (self.broken.len(), "wrong", "broken constraint", "broken constraints"),
+            (self.broken.len(), "wrong", "violated constraint", "violated constraints"),
         ];
         let told = |(n, class, one, many)| (class, format!("{n} {}", if n == 1 { one } else { many }));
         kinds.into_iter().filter(|kind| kind.0 > 0).map(told).collect()

@@ -180,7 +180,7 @@ async fn compare(first: &Path, second: &Path, format: Format) -> Result<Exit, Er
     }
     if format == Format::Table {
         print_line!(
-            "First over second database, in pairs (above 1: the second value is lower; geometric means, 95 % interval)"
+            "Ratios first/second database over pairs of trials (above 1: the second value is lower): geometric means, 95 % intervals"
         )?;
     }
     print_rows(&found.table(), format)?;

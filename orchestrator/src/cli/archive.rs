@@ -160,7 +160,7 @@ fn manifest(dir: &Path, title: &str, names: &[String], made: &Table) -> Result<S
         json!({ "@id": MANIFEST, "@type": "CreativeWork", "about": { "@id": "./" },
             "conformsTo": { "@id": "https://w3id.org/ro/crate/1.1" } }),
         json!({ "@id": "./", "@type": "Dataset", "name": format!("metasense: {title}"),
-            "description": "Bodies of metamaterial sensors, trained together with the decoders that read them",
+            "description": "Bodies of metamaterial sensors, trained together with their decoders",
             "datePublished": first(made, "last"), "mentions": { "@id": "#run" },
             "hasPart": files.iter().map(refers).collect::<Vec<_>>() }),
         json!({ "@id": "#metasense", "@type": "SoftwareApplication", "name": "metasense",

@@ -95,7 +95,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         unfinished.keep(&kept);
         let i = turn.iteration;
         bar.set_message(format!(
-            "first {:.3} s of the records: {:.1} % of the accelerations and {:.1} % of the rotation rates left",
+            "first {:.3} s of the records: misfit {:.1} % of the accelerations and {:.1} % of the rotation rates",
             i.window, i.misfit[0], i.misfit[1]
         ));
         bar.tick();
@@ -200,7 +200,7 @@ fn estimates(trial: &TrialSpec, start: &Parameters, fit: &Fit) -> Table {
             Unknown::Material(p) => (p.name().to_owned(), p.unit(), start.array()[p as usize]),
             Unknown::LigamentLength => ("ligament length".to_owned(), "mm", trial.body.lengths()[1]),
             Unknown::Gain(c) => (format!("gain of {}{}", ["ax", "ay", "ω"][c % 3], c / 3), "", 1.0),
-            Unknown::Turn(chip) => (format!("turn of sensor {chip}"), "°", 0.0),
+            Unknown::Turn(chip) => (format!("misalignment of sensor {chip}"), "°", 0.0),
             Unknown::Sharpness | Unknown::Shift(_) | Unknown::Ligament(..) | Unknown::Unit(_) => return None,
         };
         let value = |z: f64| match e.unknown {
@@ -290,7 +290,7 @@ fn said(trial: &TrialSpec, begun: &Parameters, fit: &Fit, records: usize) -> Vec
     let mut said = vec![
         format!("{} after {} steps on {records} records", fit.ending.name(), fit.steps),
         format!(
-            "left of the signals' RMS: accelerations {:.2} -> {:.2} % ({:.4} mm/s²), rotation rates {:.2} -> {:.2} % ({:.4} rad/s)",
+            "misfit relative to the signals' RMS: accelerations {:.2} -> {:.2} % ({:.4} mm/s²), rotation rates {:.2} -> {:.2} % ({:.4} rad/s)",
             start[0], end[0], fit.residual[0], start[1], end[1], fit.residual[1]
         ),
     ];
@@ -302,7 +302,7 @@ fn said(trial: &TrialSpec, begun: &Parameters, fit: &Fit, records: usize) -> Vec
     }
     if let Some(part) = fit.unmodelled.filter(|part| *part >= DISCREPANCY && end[0].max(end[1]) >= LEFT) {
         said.push(format!(
-            "discrepancy: the motion explains {:.0} % of the residual, on records not used for this estimate; the model does not contain \
+            "discrepancy: the motion explains {:.0} % of the residual on other records than those of this estimate; the model does not contain \
              this behaviour of the body; the intervals are wider for it",
             100.0 * part
         ));
@@ -374,7 +374,7 @@ fn parts(fit: &Fit) -> impl Iterator<Item = String> {
         };
         let untold = of.iter().filter(|e| e.left > UNDETERMINED).count();
         Some(format!(
-            "{name}: RMS {:.3} {unit}, {:.3} before; not determined by the records: {untold} of {}; remaining uncertainty of all: {:.3}",
+            "{name}: fitted RMS {:.3} {unit}, prior standard deviation {:.3}; not determined by the records: {untold} of {}; posterior standard deviation (RMS): {:.3}",
             first.scatter * rms(&|e| e.found),
             first.scatter,
             of.len(),

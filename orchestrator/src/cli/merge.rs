@@ -49,7 +49,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         say!("refused: {}: {why}", file.display());
     }
     for (sweep, count, missing) in &summary.missing {
-        say!("{sweep}: no database of {} of its {count} shards: {}", missing.len(), ranges(missing));
+        say!("{sweep}: {} of its {count} shards have no database: {}", missing.len(), ranges(missing));
     }
     let remedy = match args.facts {
         false => format!("metasense run SPEC --db {}", args.out.display()),

@@ -99,7 +99,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 fn rows(seen: &[TrialMeasures]) -> Table {
-    let columns = "hash panels sensors placement seed brain trained_with body error wiener_error forces_told condition bits memory modes";
+    let columns = "hash panels sensors placement seed brain trained_with body error wiener_error distinguishable_forces condition bits memory modes";
     let of = |seen: &TrialMeasures, b: usize| {
         let body = ["initial", "optimised"][b];
         let own = seen.change.told[b].into_iter().flat_map(|measure| row![measure]);
@@ -125,7 +125,7 @@ fn drawn(seen: &[TrialMeasures]) -> String {
     let points: Vec<(f64, f64)> = seen.iter().map(gains).collect();
     let x = Axis::new("gain of Wiener's filter, small motions", Scale::Log, points.iter().map(|p| p.0));
     let y = Axis::new("gain of the trial's decoder, held-out set", Scale::Log, points.iter().map(|p| p.1));
-    let mut plot = Plot::new("Gain by training: of Wiener's filter, and of the trial's decoder", x, y);
+    let mut plot = Plot::new("Gain from training: Wiener's filter and the trial's decoder", x, y);
     let (low, high) =
         points.iter().fold((f64::INFINITY, 0.0f64), |(l, h), p| (l.min(p.0.max(p.1)), h.max(p.0.min(p.1))));
     plot.line("equal", [(low, low), (high, high)]);

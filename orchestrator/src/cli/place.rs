@@ -52,7 +52,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             Some(format!("unit {}", level(part * part)))
         };
         let mut key = drawn.legend();
-        key.push(("speed", "value of a sensor on the unit".to_owned()));
+        key.push(("speed", "rank of the error with a sensor on the unit".to_owned()));
         let unit = |u| Unit { class: shade(u), ..Unit::default() };
         let picture = drawn.drawn(frame([&drawn]), &caption, true, unit);
         let text = file(&[picture], 1, 640.0, &key);

@@ -44,7 +44,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     print_rows(&Table::new("hash state K M placement seed holdout_optimised", rows), Format::Table)?;
     let count = counted(found.len(), "trial");
     let Some(mut store) = store else {
-        say!("{count} of {} would be removed: --yes", trials.rows.len());
+        say!("{count} of {} would be removed; pass --yes to remove them", trials.rows.len());
         return Ok(Exit::Done);
     };
     say!("removing {count} of {}", trials.rows.len());

@@ -135,7 +135,7 @@ fn say_failures(Results { named, log, .. }: Results<'_>, settled: &Table) -> usi
         say!("… and {} more failed: metasense status {}", failed.len() - MOST_ROWS, named.display());
     }
     if !failed.is_empty() {
-        say!("{} contains their reasons and remedies; --retry-failed resumes them", log.display());
+        say!("{} contains reasons and remedies; --retry-failed resumes these trials", log.display());
     }
     failed.len()
 }

@@ -241,7 +241,7 @@ pub(super) async fn run(
     };
     if let Some([last, duration]) = plan.trials.iter().find_map(late) {
         say!(
-            "stimuli.onset: pulses start as late as {last} s, but a sample (time.duration) lasts {duration} s; the error of a sample \
+            "stimuli.onset: pulses may start at {last} s, after the end of the sample (time.duration = {duration} s); the error of a sample \
              that ends before its force starts is meaningless"
         );
     }

@@ -83,7 +83,7 @@ fn table(found: &Simulated, each: bool) -> Table {
         }
     }
     let row = |(outcome, samples, first)| row![outcome, samples, first, a_sample, solver];
-    let columns = "outcome samples first_sample force_evaluations_a_sample solver";
+    let columns = "outcome samples first_sample force_evaluations_per_sample solver";
     Table::new(columns, met.into_iter().map(row))
 }
 

@@ -138,7 +138,7 @@ async fn planned(db: &Path, trial: &Trial, format: Format) -> Result<Exit, Error
         }
         let Nearest { hash, state, differs } = nearest;
         say!("trial {} is not in {}", trial.hash, db.display());
-        say!("nearest stored trial: {hash}, {state}; {} keys differ", differs.len());
+        say!("nearest stored trial: {hash} ({state}); it differs in {} keys", differs.len());
         say_attempts(reader, &hash).await?;
         let shown =
             |value: &Option<Value>| value.as_ref().map_or(Value::Null, |value| json!(value.to_string()));

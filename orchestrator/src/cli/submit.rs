@@ -107,7 +107,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let shards = match (args.shards, before) {
         (Some(asked), Some(before)) if asked != before => {
             return Err(Error::Usage(format!(
-                "--shards {asked}: {} contains shards of {before}; leave --shards out to resume them, or merge them \
+                "--shards {asked}: {} contains a sweep of {before} shards; leave --shards out to resume them, or merge them \
                  and choose another --folder",
                 folder.display()
             )));
@@ -301,7 +301,7 @@ impl Args {
             "no scheduler receives them",
         )?;
         let for_merge = self.further.iter().any(|word| word == "--");
-        given("further options behind a second --", for_merge, slurm, "no job merges")?;
+        given("further options after a second --", for_merge, slurm, "no job merges")?;
         let program = match self.scheduler {
             Scheduler::Slurm => "sbatch",
             Scheduler::Hq => "hq",

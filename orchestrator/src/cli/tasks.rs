@@ -78,7 +78,7 @@ fn of_trial(trial: &Stored, rows: &mut Vec<Vec<Value>>, all: &mut Vec<Read>) -> 
             .map_err(|e| Error::Usage(format!("trial {}: {e}", short_hash(&trial.hash))))?;
         if body == 0 && rows.is_empty() && !constant.is_empty() {
             let names: Vec<&str> = constant.iter().map(|task| task.name().0).collect();
-            say!("the same in all samples, left out: {}", names.join(", "));
+            say!("omitted, because their labels are the same in all samples: {}", names.join(", "));
         }
         for reading in &found {
             let (task, unit) = reading.task.name();

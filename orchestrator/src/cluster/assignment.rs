@@ -271,7 +271,7 @@ pub fn trials_of(folder: &Path, shard: Shard) -> Result<Option<Vec<Trial>>, Assi
         let wrong = |why| AssignmentError::Trial { path: path.clone(), line: line + 1, why };
         let mut trial: Trial = serde_json::from_str(text).map_err(|error| wrong(error.to_string()))?;
         if trial.spec.hash() != trial.hash {
-            return Err(wrong(format!("trial {} has another hash by this program", trial.hash)));
+            return Err(wrong(format!("this program computes a different hash for trial {}", trial.hash)));
         }
         trial.training = trial.spec.training();
         trial.cost = cost::of(&trial.spec, trial.units).0;

@@ -110,7 +110,7 @@ pub async fn run(
             None => {
                 say(match ended.asked {
                     false => format!(
-                        "stopping: steps that end within {} s are recorded, and databases are copied to the folder (again stops at once)",
+                        "stopping: steps that end within {} s are recorded, and databases are copied to the folder (press Ctrl-C again to stop at once)",
                         how.grace
                     ),
                     true => "stopping at once".into(),
@@ -184,11 +184,11 @@ impl Verdict {
             Self::Done => "all trials are done",
             Self::Failed => "trials have failed",
             Self::Stopped => "stopped on request",
-            Self::Refused => "it could not continue",
+            Self::Refused => "it refused to run",
             Self::Unfit => {
-                "the machine is unfit, cannot be reached or does not see the folder: it gets no more shards"
+                "the machine is unfit, is unreachable or cannot read the folder; it gets no more shards"
             }
-            Self::Died => "it died",
+            Self::Died => "it ended unexpectedly",
         }
     }
 }

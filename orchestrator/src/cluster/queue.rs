@@ -98,7 +98,7 @@ pub fn jobs(folder: &Path) -> io::Result<Vec<Job>> {
     let file = folder.join(JOBS);
     let damaged = |number: usize, error: serde_json::Error| {
         let text = format!(
-            "{}:{}: is no job ({error}); look for its job in the scheduler's queue, and take the line out",
+            "{}:{}: not a valid job ({error}); check the scheduler's queue for this job, then remove the line",
             file.display(),
             number + 1
         );

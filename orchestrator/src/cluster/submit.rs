@@ -190,15 +190,15 @@ impl Submission {
              #SBATCH --open-mode=append\n\
              #SBATCH --output={}\n\
              {ABOUT}\
-             # also by SIGTERM, and {notice} s before the time limit, of which Slurm tells this script by SIGUSR1. Then it queues\n\
+             # also after SIGTERM, and {notice} s before the time limit, when Slurm sends SIGUSR1. Then it queues\n\
              # again, at most {REQUEUES} times.\n\
              shard=$((SLURM_ARRAY_TASK_ID + ${{1:-0}}))\n\
              {} &\n\
              run=$!\n\
-             trap : TERM # which the run gets, too\n\
+             trap : TERM # the run receives it, too\n\
              trap 'limit=reached; kill -TERM $run' USR1\n\
-             while wait $run; code=$?; kill -0 $run 2>/dev/null; do :; done # a signal ends only the waiting\n\
-             [ $code -le 128 ] || {{ wait $run; code=$?; }} # or it had ended meanwhile\n\
+             while wait $run; code=$?; kill -0 $run 2>/dev/null; do :; done # a signal only interrupts wait\n\
+             [ $code -le 128 ] || {{ wait $run; code=$?; }} # the run has ended meanwhile\n\
              if [ \"$code $limit\" = \"{} reached\" ] && [ \"${{SLURM_RESTART_COUNT:-0}}\" -lt {REQUEUES} ]; then\n  \
                exec scontrol requeue \"$SLURM_JOB_ID\"\n\
              fi\n\
@@ -218,7 +218,7 @@ impl Submission {
              #SBATCH --cpus-per-task=1\n\
              #SBATCH --open-mode=append\n\
              #SBATCH --output={}\n\
-             # When all shards have ended, however: what there is becomes one database.\n\
+             # Runs when all shards have ended, successfully or not; merges the databases of the folder.\n\
              exec {}\n",
             self.name,
             self.directive("merge.out"),
@@ -243,7 +243,7 @@ impl Submission {
         format!(
             "#!/bin/sh\n\
              {ABOUT}\
-             # also by SIGTERM. Its number is the first word behind the script.\n\
+             # also after SIGTERM. Argument: number of the shard.\n\
              exec {} {}\n",
             self.run("$1", None),
             self.output("$1")
@@ -251,7 +251,7 @@ impl Submission {
     }
 
     fn own_merge(&self) -> String {
-        format!("#!/bin/sh\n# What there is becomes one database.\nexec {}\n", self.merge())
+        format!("#!/bin/sh\n# Merges the databases of the folder.\nexec {}\n", self.merge())
     }
 
     /// Number of workers of a shard.

@@ -21,7 +21,7 @@ impl Engine<'_> {
         if self.store_error.is_none()
             && let Some(lost) = self.presence.check()
         {
-            tracing::error!(?lost, "the files of the database were taken away; the run ends");
+            tracing::error!(?lost, "the database files were deleted, moved or replaced; the run ends");
             let saved = Err("the run ends".into());
             self.store_error = Some(StoreError::Lost { path: self.presence.path().to_owned(), lost, saved });
             events.push_back(Event::StoreBroken);

@@ -58,7 +58,7 @@ impl Engine<'_> {
     }
 
     pub(super) fn broken(&mut self, worker: WorkerId, error: &LinkError) {
-        tracing::error!(%worker, %error, "the link does not work; the worker is ended");
+        tracing::error!(%worker, %error, "the link to the worker failed; killing the worker");
         self.last_words = error.to_string();
         self.cancel(worker);
         self.fleet.kill(worker);
@@ -130,12 +130,12 @@ impl Engine<'_> {
             _ => return,
         };
         if !link.closed {
-            tracing::error!(%worker, "the link of a dead worker does not end; going on without it");
+            tracing::error!(%worker, "the link of a dead worker does not close; continuing without it");
         }
         if self.last_words.is_empty() {
             self.last_words = reason.to_string();
         }
-        tracing::info!(%worker, %reason, "worker gone");
+        tracing::info!(%worker, %reason, "worker ended");
         self.links.remove(&worker);
         self.leases.remove(&worker);
         self.fleet.forget(worker);

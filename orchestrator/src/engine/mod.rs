@@ -102,7 +102,7 @@ pub enum EngineError {
     #[error(transparent)]
     Runtime(#[from] RuntimeError),
     /// The limits of the machine are too low for the workers.
-    #[error("the limits of {host} are too low for the workers: no trial was started; the same command starts them", host = host())]
+    #[error("the limits of {host} are too low for the workers; no trial was started: raise the limit or use fewer workers, then run the same command again", host = host())]
     Short(#[from] Shortage),
     /// The database failed.
     #[error(transparent)]
@@ -380,7 +380,7 @@ impl Engine<'_> {
                 tracing::info!(
                     lease.trial,
                     lease.attempt,
-                    "dropped a message of an attempt that is not current"
+                    "dropped a message of an outdated attempt"
                 );
             }
         }
@@ -429,11 +429,11 @@ impl Engine<'_> {
         match link.line.send(&job) {
             Ok(true) => {}
             Ok(false) => {
-                tracing::error!(%worker, "the worker does not read; it is ended");
+                tracing::error!(%worker, "the worker does not read its messages; killing it");
                 self.fleet.kill(worker);
             }
             Err(error) => {
-                tracing::error!(%worker, %error, "a job could not be sent; the worker is ended");
+                tracing::error!(%worker, %error, "sending a job failed; killing the worker");
                 link.why = match error.step {
                     process::MAKING_ROOM => Some(Reason::SharedMemoryFull),
                     process::FILE_SIZE => Some(Reason::Shortage),
@@ -472,8 +472,8 @@ impl Engine<'_> {
     ) {
         events.push_back(match message {
             ToOrchestrator::Hello { build, pid } if build != process::build() => {
-                tracing::error!(%worker, pid, build, "the worker is another build; it is ended");
-                self.last_words = format!("a worker of build {build}, this is {}", process::build());
+                tracing::error!(%worker, pid, build, "the worker is of another build; killing it");
+                self.last_words = format!("the worker is build {build}, this program is build {}", process::build());
                 self.fleet.kill(worker);
                 return;
             }
@@ -541,7 +541,7 @@ impl Engine<'_> {
             }
             Written::Planned(fresh, request) => self.planned(fresh, request, events),
             Written::Broken(error) => {
-                tracing::error!(%error, "nothing can be recorded any more; the run ends");
+                tracing::error!(%error, "the database failed; the run ends");
                 self.store_error = Some(error);
                 events.push_back(Event::StoreBroken);
             }

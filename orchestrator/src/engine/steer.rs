@@ -120,7 +120,7 @@ impl Engine<'_> {
         let workers = counted(state.workers() as usize, "worker");
         let (busy, settled, waiting) = (state.busy(), view.settled(), state.waiting());
         format!(
-            "{how}: {busy} of {workers} busy, {settled} of {} settled, {waiting} pending",
+            "{how}: {busy} of {workers} busy, {settled} of {} finished, {waiting} pending",
             counted(view.total, "trial")
         )
     }
@@ -144,7 +144,7 @@ impl Engine<'_> {
         let own: HashSet<&str> = fresh.plan.trials.iter().map(|trial| trial.hash.as_str()).collect();
         let vanished = self.trials.iter().filter(|trial| !own.contains(trial.hash.as_str())).count();
         if fresh.settled > 0 {
-            asker.note += &format!("; settled before: {}", fresh.settled);
+            asker.note += &format!("; finished before: {}", fresh.settled);
         }
         if vanished > 0 {
             asker.note += &format!("; no longer in the spec, but still run: {vanished}");

@@ -108,7 +108,7 @@ pub fn notes(
             Some(Moves::Unit(_)) => format!("| force {n} | {unit} | {x} | {y} | moves it along ({a}, {b}) |"),
             None if panel.direction == [0.0; 2] => {
                 format!(
-                    "| force {n} | {unit} | {x} | {y} | a moment of {} mm times it |",
+                    "| force {n} | {unit} | {x} | {y} | a moment of {} mm times the force |",
                     number(panel.moment)
                 )
             }

@@ -69,7 +69,7 @@ pub enum Invalid {
     },
     /// A pocket leaves too little of its unit.
     #[error(
-        "a pocket of {size} mm leaves {left:.2} mm of unit {unit} around it, less than {POCKET_WALL} mm; one {:.1} mm smaller each way would fit, \
+        "a pocket of {size} mm leaves {left:.2} mm of unit {unit} around it, less than {POCKET_WALL} mm; a pocket {:.1} mm smaller in length and width would fit, \
          or a body of larger units (body.spacing)",
         2.0 * (POCKET_WALL - left)
     )]

@@ -137,7 +137,7 @@ async fn watch(
         Some(status) => reason(status, out_of_memory),
         None => {
             let state = processes::state(pid).map_or(String::new(), |state| format!(" (state {state})"));
-            tracing::error!(%worker, pid, "the killed process does not end{state}, as it waits for the system; the run continues without it");
+            tracing::error!(%worker, pid, "the killed process does not end{state}, because it waits for a disk or device; the run continues without it");
             Reason::WorkerKilled(libc::SIGKILL)
         }
     };

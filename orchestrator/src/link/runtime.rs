@@ -27,7 +27,7 @@ const BIRTH: Duration = Duration::from_secs(60);
 #[derive(Debug, thiserror::Error)]
 pub enum RuntimeError {
     /// The directory cannot be created.
-    #[error("cannot make {}; check that {SHARED_MEMORY} is mounted and writable", path.display())]
+    #[error("cannot create {}; check that {SHARED_MEMORY} is mounted and writable", path.display())]
     Unwritable {
         /// The directory.
         path: PathBuf,
@@ -64,7 +64,7 @@ impl Runtime {
         let shared = PathBuf::from(SHARED_MEMORY);
         let removed = remove_stale(&shared);
         if removed > 0 {
-            tracing::warn!(removed, "removed what runs that are gone had left in {SHARED_MEMORY}");
+            tracing::warn!(removed, "removed files of dead runs from {SHARED_MEMORY}");
         }
         let mut seed = u64::from(std::process::id()) << 32
             | u64::from(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().subsec_nanos());
@@ -81,7 +81,7 @@ impl Runtime {
             let lock = lock.map_err(|source| RuntimeError::Unwritable { path: path.clone(), source })?;
             // Between creation and lock, another run may have removed the directory as abandoned.
             if lock.try_lock().is_ok() && path.join("lock").exists() {
-                tracing::info!(place = name, "the run has a place in {SHARED_MEMORY}");
+                tracing::info!(place = name, "the run has a directory in {SHARED_MEMORY}");
                 return Ok(Self { shared, name, _lock: lock });
             }
         }

@@ -231,7 +231,7 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
             said.push(Answer::new(
                 "sensors",
                 None,
-                format!("{}: {what}: trained body {optimised}; initial body {initial}.", group.label),
+                format!("{}: {what}: trained body M = {optimised}; initial body M = {initial}.", group.label),
             ));
         }
     }

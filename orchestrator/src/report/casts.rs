@@ -136,9 +136,9 @@ fn some() -> String {
 
 fn tick(by: CastBrain) -> String {
     match by {
-        CastBrain::Network => "its network".into(),
+        CastBrain::Network => "design's network".into(),
         CastBrain::NetworkCasts => "network for all".into(),
-        CastBrain::Nominal => "its linear".into(),
+        CastBrain::Nominal => "design's linear".into(),
         CastBrain::Casts => "linear for all".into(),
         CastBrain::Records(records) => format!("{records} records"),
         CastBrain::Inverse => "model".into(),
@@ -159,7 +159,7 @@ pub fn answers(trials: &[Trial]) -> Vec<Answer> {
                 let left = body.left(by)?;
                 let [median, most] = left.errors.map(|error| number(error.ratio));
                 let kept = left.kept[0]
-                    .map_or(String::new(), |kept| format!(", {:.0} % of its gain kept", 100.0 * kept.part));
+                    .map_or(String::new(), |kept| format!(", keeps {:.0} % of its gain as designed", 100.0 * kept.part));
                 Some(format!("{} {median} [{most}] %{kept}", body.name))
             };
             let told: Vec<String> = setting.bodies.iter().filter_map(told).collect();

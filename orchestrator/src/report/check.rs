@@ -74,7 +74,7 @@ pub fn rings(checked: &Checked) -> Table {
         ]
     };
     let rings = checked.spectra.iter().flat_map(|spectra| &spectra.rings);
-    let columns = "rings_at damping_ratio decay_time mode design_frequency design_damping design_decay ratio";
+    let columns = "resonance damping_ratio decay_time mode design_frequency design_damping design_decay ratio";
     Table::new(columns, rings.map(row))
 }
 
@@ -99,11 +99,11 @@ pub fn html(file: &Path, checked: &Checked, figures: &[Figure]) -> String {
         (answers(if said.is_empty() { &good[..] } else { &said }))
         @for figure in figures { (figure.html(&[])) }
         h2 { "Records" } (records(checked).html(Some("records")))
-        h2 { "Ringing beside the design's modes" } (rings(checked).html(Some("rings")))
+        h2 { "Resonances beside the design's modes" } (rings(checked).html(Some("rings")))
         h2 { "All checks" } (findings(checked).html(Some("findings")))
     };
-    let title = format!("{}: a look before any fit", file.file_name().unwrap_or_default().display());
-    page(&title, "Are these records what their file says?", content)
+    let title = format!("{}: checks before any fit", file.file_name().unwrap_or_default().display());
+    page(&title, "Do these records agree with the description in their file?", content)
 }
 
 /// Figures of records with the model, and of responses.
@@ -140,7 +140,7 @@ fn followed(checked: &Checked) -> Option<Figure> {
             let mut plot = Plot::new(
                 &format!("Record {number_of}, {name}: correlation {correlation:.2}"),
                 Axis::new("time (s)", Scale::Linear, [0.0, end]),
-                Axis::new("by its largest value", Scale::Linear, [-1.1, 1.1]),
+                Axis::new("relative to its largest value", Scale::Linear, [-1.1, 1.1]),
             );
             for (class, line, scale) in
                 [("optimised", &simulated, scales[1]), ("truth", &measured, scales[0])]
@@ -155,7 +155,7 @@ fn followed(checked: &Checked) -> Option<Figure> {
     }
     let caption = format!(
         "The records that follow the model least, medium and best, each with the acceleration and the rotation rate that move most; the \
-         model is {} times as stiff as the design and smoothed as in the comparison, and has the clocks and axes that were found.",
+         model has {} times the stiffness of the design, is smoothed as in the comparison, and uses the fitted clocks and axes.",
         number(found.stiffness)
     );
     let marks = [("truth", "measured"), ("optimised", "model")];

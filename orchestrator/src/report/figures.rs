@@ -204,7 +204,7 @@ pub fn random_bodies(trials: &[Trial]) -> Option<Figure> {
     };
     Figure::some(
         "random",
-        "Would any other body do?",
+        "Are random bodies as good?",
         "Held-out error of random castable bodies, of the initial and of the trained body, with equal \
          sensors, stimuli and training of the network. Each dot is a trial. The data also contain the errors of the random \
          bodies after training.",
@@ -422,7 +422,7 @@ pub fn run_time(trials: &[Trial]) -> Option<Figure> {
         left_out(settings.len(), MOST_PLOTS)
     );
     let data = || Table::new("hash protocol seconds best_error_test", rows);
-    Figure::some("run_time", "How much time did the error take?", caption, legend(&key), pictures, data)
+    Figure::some("run_time", "How much CPU time did each error take?", caption, legend(&key), pictures, data)
 }
 
 /// A history as a step function.

@@ -64,7 +64,7 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
             let reach = measured.iter().chain(&fitted).fold(0.0f64, |m, y| m.max(y.abs()));
             let reach = 1.15 * scale * reach;
             let mut plot = Plot::new(
-                &format!("Record {r}: {} % off", number(misfit(r))),
+                &format!("Record {r}: misfit {} %", number(misfit(r))),
                 Axis::new("time (s)", Scale::Linear, [0.0, trial.time.duration]),
                 Axis::new(&label, Scale::Linear, [-reach, reach]),
             )
@@ -89,7 +89,7 @@ fn records(trial: &TrialSpec, signals: &[f64], fit: &Fit) -> Figure {
         "Do the simulated signals follow the records?",
         format!(
             "The records of least, median and greatest misfit of {count}, each with the channel of acceleration and of \
-             rotation rate that moves most. Curves of the start are cut at the frame. Misfit over all records: {} % of the \
+             rotation rate that moves most. Curves for the start values are clipped at the frame. Misfit over all records: {} % of the \
              accelerations' RMS and {} % of the rotation rates'; at the start {} % and {} %.",
             number(fit.misfit[1][0]),
             number(fit.misfit[1][1]),

@@ -134,7 +134,7 @@ pub fn html(story: Story, figures: &[Figure], missing: Option<&str>) -> String {
         (contents(figures))
         @for figure in figures { (figure.html(&said)) }
         @if let Some(why) = missing {
-            p class="quiet" { "Forces, samples, bodies and waves cannot be drawn: " (why) "." }
+            p class="quiet" { "Figures of forces, samples, bodies and waves are missing: " (why) "." }
         }
         h2 { "Tables" }
         @for (question, table) in tables.filter(|(_, table)| !table.rows.is_empty()) {

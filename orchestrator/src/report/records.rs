@@ -345,7 +345,7 @@ impl Comparison {
         points().next()?;
         Some(Figure::new(
             "progress",
-            "How fast networks learn",
+            "Error of networks during training",
             "Error on unseen records against iterations of training, a mean over folds and seeds.",
             self.legend(),
             vec![plot.picture()],

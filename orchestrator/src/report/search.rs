@@ -43,7 +43,7 @@ pub const COLUMNS: [&str; 6] = [
     "meets: of a confirmed design the probability that its error on a further seed is at most goal.error; of others the probability that \
      they will be confirmed",
     "any_meets: the same for any candidate of the class",
-    "begun: number of candidates of the class that are at least partly trained",
+    "started: number of candidates of the class that are at least partly trained",
 ];
 
 impl SearchState {
@@ -69,7 +69,7 @@ impl SearchState {
                 Err(e) => Err(e.to_string()),
             };
             found
-                .push(followed.map_err(|e| format!("The search of {} cannot be followed: {e}.", sweep.name)));
+                .push(followed.map_err(|e| format!("The search of {} cannot be evaluated: {e}.", sweep.name)));
         }
         found
     }
@@ -147,7 +147,7 @@ impl SearchState {
         ));
         if let Some(nearest) = self.classes.iter().min_by(|a, b| a.error[1].total_cmp(&b.error[1])) {
             let (error, hash) = (number(nearest.error[1]), &self.trial(nearest).hash);
-            lines.push(format!("nearest to it: {hash}, with goal.error = {error} %"));
+            lines.push(format!("nearest design: {hash}; it would meet goal.error = {error} %"));
         }
         for out in &space.left_out {
             let more = counted(out.trials, "trial");

@@ -35,7 +35,7 @@ fn picture(setting: &Setting, names: &[&str]) -> Picture {
             let read = setting.read(body, kind)?;
             let (own, carried) = (read.own.ratio, read.carried.map(|carried| carried.ratio));
             let carried = carried.unwrap_or(own);
-            let text = format!("{name}, under {kind}: {} % (carried {} %)", number(own), number(carried));
+            let text = format!("{name}, under {kind}: {} % (decoder of the training forces: {} %)", number(own), number(carried));
             Some((i as f64 + aside(n, names.len()), [own, carried], text))
         };
         Some((class, setting.kinds.iter().enumerate().filter_map(mark).collect()))
@@ -52,7 +52,7 @@ pub fn answers(trials: &[Trial]) -> Vec<Answer> {
         });
         let errors = errors.collect::<Vec<_>>().join(", ");
         let worst = setting.worst(body).map(|(kind, kept)| {
-            format!(", at worst {:.0} % of the specialist's gain, under {kind}", 100.0 * kept)
+            format!(", least under {kind}: {:.0} % of the gain of a body trained for it", 100.0 * kept)
         });
         format!("{} {errors}{}", body.name, worst.unwrap_or_default())
     };

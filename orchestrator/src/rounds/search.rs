@@ -40,7 +40,7 @@ pub async fn search<R: Runs>(mut round: R, space: &Space, again: Again) -> Resul
             return Ok(None);
         }
         if space.goal.hours.is_some_and(|hours| known.seconds >= 3600.0 * hours) {
-            round.say("the search is not finished: goal.hours are spent");
+            round.say("the search stopped early: goal.hours is used up");
             return Ok(None);
         }
         round.say(&intent(space, &decision));
@@ -86,7 +86,7 @@ fn intent(space: &Space, decision: &Decision) -> String {
     let count = |of: fn(&Work) -> bool| decision.work.iter().filter(|(_, work)| of(work)).count();
     let goal = &space.goal;
     let parts = [
-        (count(|w| matches!(w, Work::Level(level) if level + 1 < LEVELS)), "train in part".to_owned()),
+        (count(|w| matches!(w, Work::Level(level) if level + 1 < LEVELS)), "train partially".to_owned()),
         (count(|w| matches!(w, Work::Level(level) if level + 1 == LEVELS)), "train to the end".to_owned()),
         (count(|w| *w == Work::Screen), format!("screen on {} fresh seeds", goal.fresh)),
         (count(|w| matches!(w, Work::Confirm(_))), format!("confirm on {} other seeds", confirming(goal))),
@@ -97,7 +97,7 @@ fn intent(space: &Space, decision: &Decision) -> String {
         .map(|(n, what)| format!("{what}: {n} {}", if *n == 1 { "body" } else { "bodies" }))
         .collect();
     format!(
-        "{} (probability that the cheapest class of these has a design for {} %: {:.0} %)",
+        "{} (probability that the cheapest class among them contains a design with an error of at most {} %: {:.0} %)",
         parts.join("; "),
         number(goal.error),
         100.0 * decision.open

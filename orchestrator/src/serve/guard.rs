@@ -71,7 +71,7 @@ fn slashed(base: &str, query: Option<&str>) -> String {
 fn refused(served: &Served, request: &Request) -> Option<(StatusCode, &'static str)> {
     let steers = request.method() == Method::POST && request.uri().path().ends_with("/control");
     if ![Method::GET, Method::HEAD].contains(request.method()) && !steers {
-        return Some((StatusCode::METHOD_NOT_ALLOWED, "pages are read-only"));
+        return Some((StatusCode::METHOD_NOT_ALLOWED, "method not allowed: pages only accept GET and HEAD"));
     }
     let headers = request.headers();
     let host = only(headers, &header::HOST);

@@ -84,7 +84,7 @@ pub fn of_run(served: &Served, at: &str) -> Markup {
         ("pause", "Pause the run"),
         ("resume", "Resume the run"),
         ("stop", "Stop the run"),
-        ("reload", "Read the spec again"),
+        ("reload", "Reload the spec"),
     ];
     let workers = html! {
         form class="line" {

@@ -40,7 +40,7 @@ pub(crate) fn lock(path: &Path, create: bool) -> Result<File, StoreError> {
             std::thread::sleep(PAUSE);
         }
         if path.metadata().is_ok_and(|m| !m.is_file()) {
-            return Err(unwritable(std::io::Error::other("it is no file")));
+            return Err(unwritable(std::io::Error::other("it is not a regular file")));
         }
         let mut options = OpenOptions::new();
         // If a pipe has replaced the file, opening must not wait for its other end.

@@ -45,7 +45,7 @@ impl Store {
         sqlx::query(
             "INSERT INTO log (trial_id, attempt, line, at, level, text)
              SELECT ?1, ?2, n + 1, strftime('%Y-%m-%dT%H:%M:%fZ'), ?3,
-               CASE WHEN n + 1 = ?5 AND ?3 <> 'error' THEN 'more stands in the log beside the database' ELSE ?4 END
+               CASE WHEN n + 1 = ?5 AND ?3 <> 'error' THEN 'further lines are in the log file beside the database' ELSE ?4 END
              FROM (SELECT coalesce(max(line), 0) AS n FROM log WHERE trial_id = ?1 AND attempt = ?2)
              WHERE n < ?5 OR ?3 = 'error'",
         )

@@ -125,10 +125,10 @@ impl Checkpoint {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CheckpointError {
     /// Written in another version.
-    #[error("it has version {0}, this program reads version {known}", known = Checkpoint::VERSION)]
+    #[error("the checkpoint has version {0}; this program reads version {known}", known = Checkpoint::VERSION)]
     Version(u8),
     /// Truncated, or not of the format of its version.
-    #[error("it is damaged: {0}")]
+    #[error("the checkpoint is damaged: {0}")]
     Damaged(String),
 }
 
@@ -153,7 +153,7 @@ impl Checkpoint {
         match bytes.split_first() {
             Some((&Self::VERSION, rest)) => read(rest),
             Some((version, _)) => Err(CheckpointError::Version(*version)),
-            None => Err(CheckpointError::Damaged("it is empty".into())),
+            None => Err(CheckpointError::Damaged("no bytes".into())),
         }
     }
 }
@@ -162,7 +162,7 @@ impl Checkpoint {
 fn read<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, CheckpointError> {
     match postcard::take_from_bytes(bytes) {
         Ok((value, [])) => Ok(value),
-        Ok((_, more)) => Err(CheckpointError::Damaged(format!("{} bytes too many", more.len()))),
+        Ok((_, more)) => Err(CheckpointError::Damaged(format!("{} surplus bytes", more.len()))),
         Err(error) => Err(CheckpointError::Damaged(error.to_string())),
     }
 }

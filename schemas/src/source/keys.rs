@@ -181,11 +181,11 @@ fn value(kind: &str, schema: &Value, root: &Value) -> Option<String> {
     let text = match kind {
         "integer" => match (schema["minimum"].as_f64(), schema["maximum"].as_f64()) {
             (Some(least), Some(most)) => format!("a whole number from {least} to {most}"),
-            (Some(least), None) => format!("a whole number from {least} up"),
+            (Some(least), None) => format!("a whole number, at least {least}"),
             _ => "a whole number".into(),
         },
         "number" => "a number".into(),
-        "string" => "a text in quotes".into(),
+        "string" => "a string in quotes".into(),
         "boolean" => "true or false".into(),
         "array" => {
             let count = schema["minItems"].as_u64().filter(|n| schema["maxItems"].as_u64() == Some(*n));

@@ -68,7 +68,7 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
         (
             "\"body.columns\" = [5, 6]",
             "\"body.columns\" = { from = 5, to = 6 }",
-            "a.toml:14: sweep.\"body.columns\": an axis is a list of values",
+            "a.toml:14: sweep.\"body.columns\": must be a list of values, because it is an axis",
         ),
         (
             "panels = [2]",
@@ -123,7 +123,7 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
         (
             "rows = 6",
             "design = 7",
-            "a.toml:4: body.design = 7: must be a text in quotes, a table { random, spread } or a table { shifts }",
+            "a.toml:4: body.design = 7: must be a string in quotes, a table { random, spread } or a table { shifts }",
         ),
         (
             "\"body.columns\" = [5, 6]",
@@ -138,7 +138,7 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
         (
             "\"body.columns\" = [5, 6]",
             "\"run.workers\" = [5, 6]",
-            "a.toml:14: sweep.\"run.workers\" = [5, 6]: not part of a trial, and cannot be swept",
+            "a.toml:14: sweep.\"run.workers\" = [5, 6]: is not a setting of a trial and cannot be swept",
         ),
         (
             "rows = 6",
@@ -154,7 +154,7 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
         (
             "\"body.columns\" = [5, 6]",
             "\"body.columns\" = 5",
-            "a.toml:14: sweep.\"body.columns\" = 5: an axis is a list of values",
+            "a.toml:14: sweep.\"body.columns\" = 5: must be a list of values, because it is an axis",
         ),
     ] {
         let complaint = complaint(from, to);

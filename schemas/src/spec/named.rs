@@ -4,7 +4,7 @@
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum NotOne {
     /// No hash begins with the text.
-    #[error("trial {text}: no trial begins so; {near}")]
+    #[error("trial {text}: no hash begins with this text; {near}")]
     None {
         /// The text.
         text: String,
@@ -12,7 +12,7 @@ pub enum NotOne {
         near: String,
     },
     /// More than one hash begins with the text.
-    #[error("trial {text}: several trials begin so: {those}")]
+    #[error("trial {text}: several hashes begin with this text: {those}; add digits")]
     Several {
         /// The text.
         text: String,
@@ -37,7 +37,7 @@ pub fn position_of<'a>(text: &str, hashes: impl Iterator<Item = &'a str> + Clone
         (None, _) => {
             let near = match nearest(text, hashes.clone()) {
                 Some(hash) => format!("the nearest is {hash}"),
-                None => format!("there are: {}", listed(hashes)),
+                None => format!("known trials: {}", listed(hashes)),
             };
             Err(NotOne::None { text: text.to_owned(), near })
         }

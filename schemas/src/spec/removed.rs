@@ -5,11 +5,11 @@ const REMOVED: &[(&str, Option<&str>, &str)] = &[
     (
         "body.hinge",
         None,
-        "removed: no result uses it; delete this key: ligaments bend in proportion to their angle",
+        "removed: no result uses it; ligaments have a linear bending stiffness; delete this key",
     ),
-    ("optimise.curvature", None, "removed: it moved no body farther; delete this key"),
+    ("optimise.curvature", None, "removed: it improved no body; delete this key"),
     ("optimise.damping", None, "removed with optimise.curvature; delete this key"),
-    ("optimise.gradient", Some("implicit_only"), "removed: it is half a gradient; use \"implicit\""),
+    ("optimise.gradient", Some("implicit_only"), "removed: this term alone is not a gradient; use \"implicit\""),
     (
         "optimise.placement",
         None,
@@ -18,7 +18,7 @@ const REMOVED: &[(&str, Option<&str>, &str)] = &[
     (
         "optimise.protocol",
         Some("cmaes"),
-        "removed: a search of so many parameters ends with it where it began; use \"joint\", or \"random\" as a baseline",
+        "removed: it does not improve bodies with many design parameters; use \"joint\", or \"random\" as a baseline",
     ),
     (
         "optimise.protocol",
@@ -29,7 +29,7 @@ const REMOVED: &[(&str, Option<&str>, &str)] = &[
     (
         "run.prune",
         None,
-        "removed: it left the better seeds of each setting, and every interval was one of theirs; delete this key",
+        "removed: it kept only the better seeds, which biased all intervals; delete this key",
     ),
     ("sensors.search", Some("d_optimal"), "removed: no benefit; use \"greedy\""),
     ("sensors.search", Some("pivots"), "removed: no benefit; use \"greedy\""),

@@ -191,7 +191,7 @@ mod x86 {
     // SAFETY (this module): every x86-64 machine has SSE2. Values of the other types are created only inside the entry points of
     // `dispatch` and of the brain's `kernels`, which run only where `Width::detect` has found the instructions. Except for `load`
     // and `store`, whose callers guarantee the memory, the intrinsics access no memory. Slices refer to the value itself.
-    #![expect(clippy::undocumented_unsafe_blocks, reason = "one argument for all, above")]
+    #![expect(clippy::undocumented_unsafe_blocks, reason = "see the SAFETY comment of this module")]
     use super::{Add, Mul, Neg, Sub, Vector};
     use std::arch::x86_64::*;
     use std::slice::{from_raw_parts, from_raw_parts_mut};

@@ -19,7 +19,7 @@ impl Width {
     /// # Panics
     /// If the machine does not support this instruction set.
     pub(crate) fn check(self) {
-        assert!(self <= Self::detect(), "this machine has no {}", self.name());
+        assert!(self <= Self::detect(), "this machine does not support the instruction set {}", self.name());
     }
 
     /// The widest instruction set that this machine supports.

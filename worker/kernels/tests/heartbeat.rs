@@ -73,7 +73,7 @@ fn simulations_gradients_trainings_and_factors_beat_on_the_way() {
     let (_, iterations) = beats(&pool, || {
         train(&mut weights, &mut adam, data.all(), &|_| 1e-3, 12, &mut losses, &mut ws, &pool)
     });
-    assert!(losses.len() == 12 && iterations >= 12, "{iterations} beats in {} iterations", losses.len());
+    assert!(losses.len() == 12 && iterations >= 12, "{iterations} heartbeats in {} iterations", losses.len());
 
     let sizes = Sizes { instants, channels: 3, outputs: 1 };
     let mut moments = Moments::new(sizes, &pool);

@@ -146,7 +146,7 @@ fn discs_are_whole_and_turn_into_themselves() {
             // a free node points to a position outside the disc; every other node is joined to a unit
             let mut reached = vec![layout.hub()[0]];
             for n in 0..layout.units() {
-                let unit = *reached.get(n).unwrap_or_else(|| panic!("{name}, {across}: in pieces"));
+                let unit = *reached.get(n).unwrap_or_else(|| panic!("{name}, {across}: not connected"));
                 for (node, [x, y]) in layout.shape[unit].iter().enumerate() {
                     let [p, q] = layout.centres[unit];
                     let beyond = [p + 15.0 * x, q + 15.0 * y];

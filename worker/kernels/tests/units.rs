@@ -1,6 +1,6 @@
 //! Unit tests of independent parts. Private modules with tests are included here by path, because testing the whole crate
 //! would compile its kernels a second time.
-#![allow(dead_code, missing_docs, unused_imports, reason = "what only the crate uses")]
+#![allow(dead_code, missing_docs, unused_imports, reason = "items that only the crate uses")]
 
 #[path = "../src/lanes.rs"]
 mod lanes;

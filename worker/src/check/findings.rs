@@ -101,7 +101,7 @@ pub(super) fn findings(
             let said = found.filter(|_| check == "model").map_or(String::new(), |found| {
                 let [_, after] = found.correlation;
                 format!(
-                    "mean correlation {after:.2} with the model, {} times as stiff as the design",
+                    "mean correlation {after:.2} with a model of {} times the design's stiffness",
                     found.stiffness
                 )
             });
@@ -133,7 +133,7 @@ impl Findings<'_> {
         for (n, record) in self.described.records.iter().enumerate() {
             if let Err(what) = record {
                 let (place, what) = (format!("record {n}"), what.clone());
-                self.add("file", Level::Fault, place, what, "mend the file, or leave the record out".into());
+                self.add("file", Level::Fault, place, what, "correct the file, or leave the record out".into());
             }
         }
         let uneven: Vec<usize> = (0..self.looked.len()).filter(|i| self.looked[*i].jitter > JITTER).collect();
@@ -152,7 +152,7 @@ impl Findings<'_> {
             let of = &self.looked[i].instruments;
             let (peak, blows) = (of.peak, of.blows);
             if let Some(noise) = of.force_noise.filter(|noise| peak < BLOW * noise) {
-                let found = format!("largest force {peak:.3} N, noise {noise:.3} N: no blow stands out");
+                let found = format!("largest force {peak:.3} N, noise {noise:.3} N: the record contains no clear blow");
                 self.add(
                     "blow",
                     Level::Fault,
@@ -180,7 +180,7 @@ impl Findings<'_> {
                 }
                 let (sum, list) = (records.iter().map(count).sum::<usize>(), self.list(&records));
                 let place = if kind == 0 { format!("force {c}") } else { self.channels[c].clone() };
-                let found = format!("{sum} entries of {what} at the end of the range, in {list}");
+                let found = format!("{sum} entries of {what} are clipped at the end of the range, in {list}");
                 let remedy = "raise the range of the instrument, or strike softer";
                 self.add("range", Level::Fault, place, found, remedy.into());
             }
@@ -197,7 +197,7 @@ impl Findings<'_> {
                     "channel",
                     Level::Fault,
                     place,
-                    "has one value throughout: dead".into(),
+                    "has a constant value; the channel is probably not connected".into(),
                     remedy.into(),
                 );
             }
@@ -271,7 +271,7 @@ impl Findings<'_> {
             if let Some(g) = after[k].filter(|g| g.ln().abs() > SCALE && found.correlation[1] > MODEL) {
                 let text = format!("{what} are {} times those of the model", significant(g));
                 let remedy =
-                    "check recorded.scale, signals.factors, units, and density and chips of the spec";
+                    "check recorded.scale, signals.factors, the units, and body.density and the chip properties of the spec";
                 self.add("unit", Level::Fault, String::new(), text, remedy.into());
             }
         }
@@ -281,7 +281,7 @@ impl Findings<'_> {
             let Some(usual) = gains[kind(c)] else { continue };
             let ratio = of.gain.abs() / usual;
             if !(1.0 / OWN..=OWN).contains(&ratio) {
-                let text = format!("{} times as large as the other channels have it", significant(ratio));
+                let text = format!("amplitude relative to the model is {} times that of the other channels", significant(ratio));
                 let remedy = format!("set signals.factors, {} for this channel", significant(1.0 / ratio));
                 self.add("unit", Level::Fault, self.channels[c].clone(), text, remedy);
             }
@@ -309,7 +309,7 @@ impl Findings<'_> {
             let turning = read[c % read.len()] == 2;
             let gravity = offset.abs() * units / GRAVITY[0];
             let what = match turning {
-                false if (GRAVITY[1]..1.1).contains(&gravity) => "gravity is still in it: ",
+                false if (GRAVITY[1]..1.1).contains(&gravity) => "contains gravity: ",
                 _ => "",
             };
             let unit = if turning { "rad/s" } else { "mm/s²" };
@@ -357,7 +357,7 @@ impl Findings<'_> {
         if found.panels.iter().enumerate().any(|(k, panel)| k != *panel) {
             let pairs = found.panels.iter().enumerate().filter(|(k, panel)| k != *panel);
             let pairs: Vec<String> =
-                pairs.map(|(k, panel)| format!("panel {k} looks like panel {panel}")).collect();
+                pairs.map(|(k, panel)| format!("the records of panel {k} fit panel {panel}")).collect();
             let remedy = match &self.described.spec.recorded.panels {
                 Some(given) => format!(
                     "set recorded.panels = {:?}",
@@ -373,7 +373,7 @@ impl Findings<'_> {
             let OfRecord { correlation, panel, clock, .. } = of;
             if let Some((panel, then)) = panel {
                 let said =
-                    format!("its panel looks like panel {panel}: correlation {correlation:.2} → {then:.2}");
+                    format!("the record fits panel {panel}: correlation {correlation:.2} → {then:.2}");
                 self.add(
                     "panel",
                     Level::Fault,
@@ -383,7 +383,7 @@ impl Findings<'_> {
                 );
             } else if let Some((lag, then)) = clock {
                 let said = format!(
-                    "its signals look {} s {}: correlation {correlation:.2} → {then:.2}",
+                    "its signals seem to be {} s {}: correlation {correlation:.2} → {then:.2}",
                     significant(lag.abs()),
                     late(*lag)
                 );
@@ -394,7 +394,7 @@ impl Findings<'_> {
         }
         if after < MODEL {
             let text =
-                format!("mean correlation {after:.2} with the model; no mistake that was tried explains it");
+                format!("mean correlation {after:.2} with the model; none of the tested faults explains it");
             let remedy = "check design, panels, sensors.units, signals.channels and signals.start";
             self.add("model", Level::Fault, String::new(), text, remedy.into());
         }
@@ -441,7 +441,7 @@ impl Findings<'_> {
             } else {
                 String::new()
             };
-            let text = format!("signals look {} s {}{change}", significant(middle.abs()), late(middle));
+            let text = format!("signals seem to be {} s {}{change}", significant(middle.abs()), late(middle));
             let starts: Vec<f64> = (0..found.records.len()).map(|i| self.start(i) + middle).collect();
             let value = match &self.described.spec.signals.start {
                 Some(Start::Each(_)) => format!("{starts:.4?}"),
@@ -471,7 +471,7 @@ impl Findings<'_> {
             let name = |c: usize| self.channels[c].split(" (").next().unwrap_or_default().to_owned();
             if let Some((unit, [before, after])) = unit {
                 let text = format!(
-                    "sensor {m} looks as if it sat on unit {unit}: mean correlation {before:.2} → {after:.2}"
+                    "sensor {m} seems to be on unit {unit}: mean correlation {before:.2} → {after:.2}"
                 );
                 self.add(
                     "sensor",
@@ -491,14 +491,14 @@ impl Findings<'_> {
             let (check, text, remedy) = if whole && changed.iter().all(|c| found.source[*c].1 > 0.0) {
                 (
                     "sensor",
-                    format!("sensor {m} looks like sensor {sensor}"),
+                    format!("the signals of sensor {m} fit sensor {sensor}"),
                     "exchange their columns in signals.channels (metasense.records: signals)".to_owned(),
                 )
             } else {
                 let like = |c: &usize| {
                     let (d, sign) = found.source[*c];
                     let other = if d == *c { "itself".to_owned() } else { name(d) };
-                    format!("{} looks like {}{other}", name(*c), if sign < 0.0 { "minus " } else { "" })
+                    format!("{} fits {}{other}", name(*c), if sign < 0.0 { "minus " } else { "" })
                 };
                 let moved = changed.iter().any(|c| found.source[*c].0 != *c);
                 let turned = changed.iter().any(|c| found.source[*c].1 < 0.0);
@@ -522,7 +522,7 @@ impl Findings<'_> {
             {
                 continue;
             }
-            let text = format!("follows no motion: correlation {:.2}; other channels do", of.correlation[1]);
+            let text = format!("does not follow the simulated motion: correlation {:.2}; other channels do", of.correlation[1]);
             let remedy = "check the cable and the column in signals.channels, or leave the channel out with sensors.channels";
             self.add("channel", Level::Fault, self.channels[c].clone(), text, remedy.into());
         }

@@ -47,7 +47,7 @@ impl<'a> Form<'a> {
     fn settle(&self, choices: &str) -> String {
         match self.keys {
             Some(keys) => format!("set {keys}.{choices}"),
-            None => "write a line of names, commas between fields and decimal points".into(),
+            None => "write column names in the first line, separate fields by commas, and use decimal points".into(),
         }
     }
 
@@ -63,7 +63,7 @@ impl<'a> Form<'a> {
             Some(header) => Ok(header),
             None if self.read.iter().flatten().any(|signal| known(&signal)) || words() => Ok(true),
             None => Err(format!(
-                "line {line}: {:?} may be a name or a value: {}",
+                "line {line}: {:?} may be a column name or a value: {}",
                 first.iter().find(|field| may_be_number(field)).map_or("", String::as_str),
                 self.settle("header = true, or = false to read columns by number")
             )),
@@ -129,7 +129,7 @@ impl Table {
                 let good = read.iter().flatten().next();
                 if read.iter().flatten().any(|table| Some(&table.columns) != good.map(|good| &good.columns)) {
                     let settle = form.settle("separator");
-                    return Err(format!("may be divided in more than one way: {settle}"));
+                    return Err(format!("more than one separator gives numbers: {settle}"));
                 }
                 let at = read.iter().position(Result::is_ok).unwrap_or(0);
                 read.swap_remove(at)
@@ -147,7 +147,7 @@ impl Table {
             [rows, columns] if rows != columns || rows == 1 => [rows, columns],
             [_, _] => {
                 return Err(format!(
-                    "is of shape {shape:?}: signals lie along the shorter side, and there is none"
+                    "has shape {shape:?}: signals must lie along the shorter side, but both are equal; add or remove entries"
                 ));
             }
             _ => return Err(format!("is of shape {shape:?}; must have 1 to 3 dimensions")),
@@ -173,7 +173,7 @@ impl Table {
         let name = match signal {
             Signal::Number(number) if *number < self.width() => return Ok(*number),
             Signal::Number(number) => {
-                return Err(format!("has no column {number}, but 0 to {}", self.width() - 1));
+                return Err(format!("has no column {number}; columns are 0 to {}", self.width() - 1));
             }
             Signal::Name(name) => name,
         };
@@ -186,7 +186,7 @@ impl Table {
             }
             _ => {
                 let divided = if self.width() == 1 { divided_by(NONE) } else { "" };
-                Err(format!("has no signal {name:?}, but {}{divided}", self.names.join(", ")))
+                Err(format!("has no signal {name:?}; signals are {}{divided}", self.names.join(", ")))
             }
         }
     }

@@ -47,7 +47,7 @@ pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
     };
     match body.layout {
         LayoutKind::Planar => {
-            let rows = body.rows.ok_or_else(|| invalid("body.rows", "", "must be given where planar"))?;
+            let rows = body.rows.ok_or_else(|| invalid("body.rows", "", "must be set for a planar body"))?;
             require(
                 rows >= 2,
                 "body.rows",
@@ -62,7 +62,7 @@ pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
                 rows == columns,
                 "body.rows",
                 rows,
-                "must equal body.columns, or be left out, where circular",
+                "must equal body.columns, or be left out, for a circular body",
             )?;
             at_least("body.columns", columns, 4)?;
             Ok(Layout::circular(&pattern, columns, spacing, ligament_length))
@@ -183,13 +183,13 @@ impl Listed {
                 }
                 if beside[2..] != [false; 3] {
                     return wrong(
-                        "a base moves along its direction and does not turn: leave out node, at and couple"
+                        "base cannot be combined with node, at and couple: the unit does not rotate"
                             .into(),
                     );
                 }
                 let held = held(body, layout)?;
                 if unit.is_none() && held.is_empty() {
-                    return wrong("no unit is held by the base".into());
+                    return wrong("a base without unit moves the held units, but none is held: set body.clamp or unit".into());
                 }
                 if let Some(unit) = unit.filter(|unit| held.contains(unit)) {
                     let remedy = "leave it out of body.clamp and body.guides to drive it";
@@ -214,7 +214,7 @@ impl Listed {
                 let nodes = layout.shape[*unit].len();
                 if let Some(node) = node.filter(|node| *node >= nodes) {
                     return wrong(format!(
-                        "unit {unit} has no node {node}, but {nodes} nodes, counted from 0"
+                        "unit {unit} has no node {node}: its nodes are numbered from 0 to {nodes} − 1"
                     ));
                 }
                 if at.is_some_and(|at| at.iter().any(|x| !x.is_finite())) {
@@ -225,7 +225,7 @@ impl Listed {
                 }
                 if couple.is_some() && beside != [true, false, false, false, true] {
                     return wrong(
-                        "a couple turns its unit wherever it acts: leave out direction, node and at".into(),
+                        "couple cannot be combined with direction, node and at: its effect does not depend on them".into(),
                     );
                 }
             }
@@ -295,7 +295,7 @@ pub fn panel_units(body: &spec::Body, layout: &Layout, panels: usize) -> Result<
         LayoutKind::Circular => layout
             .circular_panels(panels)
             .map(|ruled| ruled.into_iter().map(|(unit, _)| unit).collect())
-            .ok_or_else(|| none("a circular body has 1, 2, 4 or 8 panels, at different units".into())),
+            .ok_or_else(|| none("must be 1, 2, 4 or 8 for a circular body that is large enough to have them on different units".into())),
     }
 }
 
@@ -332,8 +332,8 @@ fn named(key: &str, clamp: &Clamp, body: &spec::Body, layout: &Layout) -> Result
     };
     let circular = body.layout == LayoutKind::Circular;
     let remedy = match circular {
-        true => "must be \"hub\", \"none\" or units where circular",
-        false => "must be \"bottom\", \"ends\", \"sides\", \"none\" or units where planar",
+        true => "must be \"hub\", \"none\" or a list of units for a circular body",
+        false => "must be \"bottom\", \"ends\", \"sides\", \"none\" or a list of units for a planar body",
     };
     let fits = rule == ClampRule::None || circular == (rule == ClampRule::Hub);
     require(fits, key, name(rule), remedy)?;
@@ -398,7 +398,7 @@ pub(super) fn pressed(
     let Some(parts) = body.compression.filter(|parts| *parts != [0.0; 2]) else { return Ok(Vec::new()) };
     let (key, shown) = ("body.compression", format!("{parts:?}"));
     let sound = parts.iter().all(|part| part.abs() <= COMPRESSION_MAX);
-    let remedy = format!("must be two parts from -{COMPRESSION_MAX} to {COMPRESSION_MAX}");
+    let remedy = format!("must be two fractions from -{COMPRESSION_MAX} to {COMPRESSION_MAX}");
     require(sound, key, &shown, &remedy)?;
     let held: Vec<_> = clamped.iter().map(|unit| (*unit, [true; 3])).chain(guided.iter().copied()).collect();
     let mut by = vec![[0.0; 2]; held.len()];
@@ -408,7 +408,7 @@ pub(super) fn pressed(
         let (least, most) = (own().fold(f64::INFINITY, f64::min), own().fold(f64::NEG_INFINITY, f64::max));
         let apart = most - least > 1e-6 * layout.spacing;
         let axis = ["x", "y"][d];
-        let remedy = format!("all held units are at one {axis}: body.clamp must name some that lie apart");
+        let remedy = format!("all held units have the same {axis}: body.clamp must contain units at different {axis}");
         require(parts[d] == 0.0 || apart, key, &shown, &remedy)?;
         let middle = 0.5 * (least + most);
         let moving = by.iter_mut().zip(&held).filter(|(_, (_, held))| held[d]);
@@ -434,7 +434,7 @@ pub fn check_units(
             unit,
             &format!("the layout's units are 0 to {}", layout.units() - 1),
         )?;
-        require(!units[..n].contains(&unit), key, unit, "must be named once")?;
+        require(!units[..n].contains(&unit), key, unit, "must not be repeated")?;
         require(!held.contains(&unit), key, unit, "is clamped and cannot move")?;
     }
     Ok(units.to_vec())
@@ -492,7 +492,7 @@ pub fn initial_design(body: &spec::Body, layout: &Layout, limits: Limits) -> Res
     match &body.design {
         None => Ok(regular),
         Some(Design::Random { spread, .. }) if !(*spread > 0.0 && *spread <= 1.0) => {
-            Err(wrong("spread must be above 0, at most 1".into()))
+            Err(wrong("spread must be above 0 and at most 1".into()))
         }
         Some(Design::Random { random, spread }) => Feasible::new(layout, limits, &[])
             .random_design(&regular, *random, spread * layout.spacing)
@@ -504,7 +504,7 @@ pub fn initial_design(body: &spec::Body, layout: &Layout, limits: Limits) -> Res
             }
         }
         Some(Design::Shifts { .. }) => {
-            Err(wrong(format!("α of this body has {} numbers", layout.design_len())))
+            Err(wrong(format!("must contain {} numbers, the length of α of this body", layout.design_len())))
         }
         Some(Design::File(_)) => Err(wrong("must be left out: a trial contains the design itself".into())),
     }

@@ -44,7 +44,7 @@ pub(super) fn variation(trial: &TrialSpec, units: usize) -> Result<Option<Variat
     let [spacing, length] = lengths(&trial.body)?;
     let most = NODES_MAX * length;
     let remedy =
-        format!("must lie between 0 and {most:.3} mm, a sixth of body.ligament_length: units would touch");
+        format!("must lie between 0 and {most:.3} mm, a sixth of body.ligament_length: with larger deviations, units would touch");
     require((0.0..=most).contains(&nodes), key, nodes, &remedy)?;
     require(
         (0.0..=CORRELATION_MAX).contains(&correlation),
@@ -76,7 +76,7 @@ pub(super) fn variation(trial: &TrialSpec, units: usize) -> Result<Option<Variat
     let ligament_length = ligament_length.unwrap_or(0.0);
     let most = ((spacing / length).ln() / LENGTHS).min(DEVIATION_MAX);
     let remedy =
-        format!("must be a standard deviation of the logarithm, from 0 to {most:.3}: units would vanish");
+        format!("must be a standard deviation of the logarithm from 0 to {most:.3}: with larger deviations, units would vanish");
     require((0.0..=most).contains(&ligament_length), "variation.ligament_length", ligament_length, &remedy)?;
     let relaxation = relaxation.map(relaxing).transpose()?;
     let parts = Variation { material, ligaments, units, ligament_length, ..Variation::default() };
@@ -85,7 +85,7 @@ pub(super) fn variation(trial: &TrialSpec, units: usize) -> Result<Option<Variat
 
 /// Relaxation of ligaments in casts that evaluate a body.
 fn relaxing(spec::Relaxation { share, time }: spec::Relaxation) -> Result<Relaxation, Invalid> {
-    let remedy = "must lie between 0 and 1, a part of the ligament's stiffness";
+    let remedy = "must lie between 0 and 1: a fraction of the ligament's stiffness";
     require((0.0..=1.0).contains(&share), "variation.relaxation.share", share, remedy)?;
     let remedy = "must lie between 1e-4 and 1000 s: a faster branch acts as damping only";
     require((1e-4..=1e3).contains(&time), "variation.relaxation.time", time, remedy)?;
@@ -139,7 +139,7 @@ pub(super) fn casting(trial: &TrialSpec) -> Result<Option<Casting>, Invalid> {
     let reader = match reader {
         Some(spec::CastReader::Each) => {
             let remedy =
-                "only for bodies trained with the linear decoder: a network is not trained for each cast";
+                "needs training with the linear decoder: networks are not trained for each cast";
             require(trial.optimise.linear(), "optimise.reader", "\"each\"", remedy)?;
             CastReader::Each
         }

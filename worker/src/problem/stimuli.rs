@@ -64,14 +64,14 @@ fn hand(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Option<Hand>, Inva
     let [spacing, length] = lengths(&trial.body)?;
     let most = 0.25 * (spacing - length);
     let remedy =
-        format!("must lie between 0 and a quarter of a unit's diagonal, {most} mm: others miss the unit");
+        format!("must lie between 0 and {most} mm, a quarter of a unit's diagonal: blows with larger offsets would miss the unit");
     require((0.0..=most).contains(&offset), "stimuli.offset", offset, &remedy)?;
-    let remedy = "must lie between 0 and 30 degrees: others pull";
+    let remedy = "must lie between 0 and 30 degrees: with larger deviations, blows could pull";
     require((0.0..=30.0).contains(&angle), "stimuli.angle", angle, remedy)?;
     let struck = trial.body.panels.is_empty() || trial.body.panels.iter().any(|panel| panel.base.is_none());
     for (key, value) in [("stimuli.offset", offset), ("stimuli.angle", angle)] {
         let remedy =
-            "only for panels on which forces act: each of body.panels has a base with prescribed motion";
+            "has no effect: every entry of body.panels prescribes a motion (base)";
         require(struck || value == 0.0, key, value, remedy)?;
     }
     Ok((offset > 0.0 || angle > 0.0).then_some(Hand { offset, angle: angle.to_radians() }))
@@ -95,14 +95,14 @@ fn mix(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result<Ve
         parts.iter().all(|part| part.kind != StimuliKind::Mix),
         key,
         &kinds,
-        "must not be a mixture: list its parts here, with their weights",
+        "must not contain a mixture: list its parts with their weights",
     )?;
     let weights: Option<Vec<f64>> = parts.iter().map(|part| part.weight).collect();
     let Some(weights) = weights else {
         return Err(invalid("stimuli.mix.weight", "", "must be set for each part"));
     };
     let records = parts.iter().filter(|part| part.kind == StimuliKind::Recorded).count();
-    require(records < 2, key, &kinds, "must contain the records once: stimuli.recorded lists them all")?;
+    require(records < 2, key, &kinds, "must contain recorded only once: stimuli.recorded lists all records")?;
     if stimuli.recorded.is_some() && records == 0 {
         return Err(invalid(
             "stimuli.recorded",
@@ -241,9 +241,9 @@ fn bell(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Bell, Invalid> {
     let (duration, [first, last]) = (trial.time.duration, bell.onset);
     let remedy = format!("must begin before the sample ends, at time.duration = {duration} s");
     require(first < duration, "stimuli.onset", format!("[{first}, {last}]"), &remedy)?;
-    let remedy = "must leave some of the widest pulse in the sample, which begins at 0 s";
+    let remedy = "must let the latest and widest pulse end after 0 s, the start of the sample";
     require(last + bell.width[1] > 0.0, "stimuli.onset", format!("[{first}, {last}]"), remedy)?;
-    require(bell.amplitude != [0.0; 2], "stimuli.amplitude", shown, "must allow a force")?;
+    require(bell.amplitude != [0.0; 2], "stimuli.amplitude", shown, "must contain a value other than 0")?;
     Ok(bell)
 }
 
@@ -256,7 +256,7 @@ fn gauss(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Gauss, Invalid> {
         centre: interval("onset", stimuli.onset, 0.0, duration, &remedy)?,
     };
     let shown = format!("{:?}", gauss.amplitude);
-    require(gauss.amplitude != [0.0; 2], "stimuli.amplitude", shown, "must allow a force")?;
+    require(gauss.amplitude != [0.0; 2], "stimuli.amplitude", shown, "must contain a value other than 0")?;
     Ok(gauss)
 }
 
@@ -328,7 +328,7 @@ pub(super) fn disturbance(
     let clock = disturbance.clock(interval);
     let (key, value) = if delay > 0.0 { ("sensors.delay", delay) } else { ("sensors.bandwidth", bandwidth) };
     let most = INSTANTS_MAX / clock;
-    let remedy = format!("needs {clock} instants of motion per reading: allowed up to time.samples = {most}");
+    let remedy = format!("needs {clock} instants of motion per reading, so that time.samples must be at most {most}");
     require(time.samples * clock <= INSTANTS_MAX, key, value, &remedy)?;
     Ok((disturbance != Disturbance::NONE).then_some(disturbance))
 }
@@ -337,7 +337,7 @@ pub(super) fn disturbance(
 pub(super) fn inertia(sensors: &spec::Sensors) -> Result<Option<Inertia>, Invalid> {
     let [mass, moment] = [sensors.mass, sensors.inertia].map(Option::unwrap_or_default);
     not_negative("sensors.mass", mass)?;
-    require(mass <= CHIP_MAX, "sensors.mass", mass, "must be at most 1e-3 Mg, a kilogram: 9 g are 9e-6")?;
+    require(mass <= CHIP_MAX, "sensors.mass", mass, "must be at most 1e-3 Mg (1 kg); 9 g = 9e-6 Mg")?;
     not_negative("sensors.inertia", moment)?;
     Ok((mass > 0.0 || moment > 0.0).then_some(Inertia { mass, moment }))
 }

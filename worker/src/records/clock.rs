@@ -30,7 +30,7 @@ pub(super) fn timed(
     values: Vec<Vec<f64>>,
 ) -> Result<Record, String> {
     if let Some(history) = values.iter().find(|history| history.len() != clock.len()) {
-        return Err(format!("has {} entries of {}, {} of time", history.len(), pick.key, clock.len()));
+        return Err(format!("has {} entries of {}, but {} times", history.len(), pick.key, clock.len()));
     }
     if clock.len() < 2 {
         return Err("must contain at least two entries".into());

@@ -115,7 +115,7 @@ fn of_archive(
         };
         let names = || arrays.keys().map(String::as_str).collect::<Vec<_>>().join(", ");
         let (name, array) =
-            arrays.get_key_value(name).ok_or_else(|| format!("has no array {name:?}, but {}", names()))?;
+            arrays.get_key_value(name).ok_or_else(|| format!("has no array {name:?}; arrays are {}", names()))?;
         let array = array.as_ref().expect("what is named is read").as_ref();
         Ok((name, array.map_err(|what| format!("{name} {what}"))?))
     };
@@ -163,7 +163,7 @@ fn histories(pick: &Pick, Array { shape, values }: &Array) -> Result<Vec<Vec<Vec
     let last = pick.count == Some(columns);
     if last && rows == columns && rows > 1 {
         let remedy = "one axis must be entries and the other signals: add entries";
-        return Err(format!("is of shape {shape:?}, of as many entries as signals: {remedy}"));
+        return Err(format!("has shape {shape:?}, with as many entries as signals: {remedy}"));
     }
     let value = |i: usize, row: usize, column: usize| values[(i * rows + row) * columns + column];
     let sample = |i: usize| -> Vec<Vec<f64>> {

@@ -118,7 +118,7 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
         Row::new("work in less dissipated", relative(&gained, &stays), allowed.max(1e-6)),
     ]);
     if !scene.pressed.is_empty() {
-        rows.push(case.row("where samples begin", places.as_flattened(), "start", ROUNDING)?);
+        rows.push(case.row("initial equilibrium", places.as_flattened(), "start", ROUNDING)?);
     }
     if let Ok(dt) = case.number("record_dt") {
         let record = case.array("record")?;
@@ -139,7 +139,7 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
         Some(_) => Row::new(name, error, LEEWAY * DEFAULT.accuracy.0),
         None => Row::shown(name, error),
     };
-    let note = format!("{work} forces a sample; {} {}", tuned.plan.reason, outcomes(&usual));
+    let note = format!("{work} force evaluations per sample; {} {}", tuned.plan.reason, outcomes(&usual));
     rows.push(row.noted(note.trim_end()));
     Ok(rows)
 }

@@ -156,7 +156,7 @@ pub fn metric(case: &Case) -> Result<Vec<Row>, CaseError> {
     let disagree = found.iter().zip(&expected).filter(|(f, e)| f.is_none() != e.is_nan()).count();
     let mut rows = vec![
         Row::new("error of samples", relative(&known, &theirs), 1e-12),
-        Row::new("samples without force told apart", disagree as f64, 0.0),
+        Row::new("samples without force that are misclassified", disagree as f64, 0.0),
     ];
     // Without errors there is no mean.
     if !known.is_empty() {

@@ -80,7 +80,7 @@ impl Case {
             if value.is_array() { value.get(key.parse::<usize>().ok()?) } else { value.get(key) }
         };
         let found = path.split('.').try_fold(&self.about, step).and_then(read);
-        found.ok_or_else(|| self.wrong(format!("`{path}` is missing or no {expected}")))
+        found.ok_or_else(|| self.wrong(format!("`{path}` is missing or not a {expected}")))
     }
 
     pub fn text(&self, path: &str) -> Result<&str, CaseError> {
@@ -108,7 +108,7 @@ impl Case {
         let units = (0..self.list(path)?.len()).map(unit).collect::<Result<Vec<_>, _>>()?;
         match units.iter().all(|&u| u < count) {
             true => Ok(units),
-            false => Err(self.wrong(format!("`{path}` is no list of units of the body"))),
+            false => Err(self.wrong(format!("`{path}` is not a list of units of the body"))),
         }
     }
 

@@ -60,7 +60,7 @@ fn seeds_with_placements_of_their_own_are_one_kind_of_unit() {
         let trial = |i: u64| Cluster { placement: 7 - i, seed: i % 4 };
         let own: Vec<Cluster> = (0..4 * each).map(trial).collect();
         let [own, shared] = [Resampling::new(&own), Resampling::new(&grid(each, 4))];
-        assert_eq!(own.over(), "4 seeds, each with placements of its own");
+        assert_eq!(own.over(), "4 seeds, each with its own placements");
         assert_eq!(own.replicates(Some), shared.replicates(Some));
     }
     let few: Vec<Cluster> = (0..6).map(|i| Cluster { placement: i, seed: i % 2 }).collect();

@@ -39,8 +39,8 @@ pub enum Answer {
 impl fmt::Display for Question {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Paired(width) => write!(f, "paired to {width}"),
-            Self::Within(part) => write!(f, "within {part}"),
+            Self::Paired(width) => write!(f, "gain to a relative width of {width}"),
+            Self::Within(part) => write!(f, "smallest M within {part} of the best"),
             Self::Elbow => f.write_str("elbow"),
             Self::Fewer => f.write_str("fewer"),
             Self::Complexity => f.write_str("complexity"),

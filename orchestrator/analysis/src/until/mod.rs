@@ -43,7 +43,7 @@ impl fmt::Display for Standing {
         let Self { question, setting, units: [known, grid], of, answer } = self;
         write!(f, "{question} ({setting}), ")?;
         match answer {
-            Some((answer, units)) => write!(f, "settled by {units} of {grid} {of}: {answer}"),
+            Some((answer, units)) => write!(f, "answered after {units} of {grid} {of}: {answer}"),
             None => write!(f, "open after {known} of {grid} {of}"),
         }
     }

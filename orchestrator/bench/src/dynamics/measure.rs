@@ -178,7 +178,7 @@ pub fn work_precision(kind: BenchScene, samples: usize, instants: usize) -> Vec<
         let method =
             if plan.precision == Precision::Single && !auto { "nystrom4_f32" } else { plan.method.name() };
         let [forward, reverse] = [forward, reverse].map(|time| 1e3 * time.cpu / n);
-        say!("{}: {method} {setting}, {forward:.2} ms a sample", kind.name());
+        say!("{}: {method} {setting}, {forward:.2} ms per sample", kind.name());
         points.push(row![
             kind.name(),
             method,
@@ -218,7 +218,7 @@ pub fn work_precision(kind: BenchScene, samples: usize, instants: usize) -> Vec<
 /// Columns of the race: forward alone, and with gradient. Cycles are per ligament and lane: of a force evaluation with the rest
 /// of its step, then of the kernels alone, without and with derivatives.
 pub const LAP: &str = "solver simd threads samples forward_s forward_cpu_s gradient_s gradient_cpu_s \
-    cycles_a_ligament_and_lane kernel_cycles dual_kernel_cycles";
+    cycles_per_ligament_and_lane kernel_cycles dual_kernel_cycles";
 
 /// Evaluations per timing of the kernels: some 10 ms.
 const KERNELS: usize = 10_000;

@@ -97,7 +97,7 @@ fn draw(marks: &[Mark]) -> String {
 
 fn panel(title: &str, marks: &[&Mark], row: usize) -> Picture {
     let what = ["relative error of the signals", "relative error of dα"][row];
-    let cost = ["forward (CPU ms a sample)", "forward and gradient (CPU ms a sample)"][row];
+    let cost = ["forward (CPU ms per sample)", "forward and gradient (CPU ms per sample)"][row];
     // clip errors at 1
     let points = |m: &Mark| m.points[row].map(|p| (p.0, p.1.min(1.0)));
     let errors = || marks.iter().filter_map(|m| Some(points(m)?.1)).chain([1e-4, 1.0]);

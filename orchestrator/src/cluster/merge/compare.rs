@@ -46,7 +46,7 @@ impl Kind {
             Self::Damaged => "damaged",
             Self::Bits => "bits differ",
             Self::Outcome => "outcomes differ",
-            Self::LeftOut => "left out",
+            Self::LeftOut => "discarded",
         }
     }
 }
@@ -178,8 +178,8 @@ pub(super) async fn compare(
                     names => finding(Kind::Bits, names.to_owned()),
                 }
             }
-            ("failed", "done") => finding(Kind::Outcome, format!("failed there ({reason}), done here")),
-            ("done", _) => finding(Kind::Outcome, format!("done there, {kept_state} ({kept_reason}) here")),
+            ("failed", "done") => finding(Kind::Outcome, format!("failed in the discarded copy ({reason}), done in the kept copy")),
+            ("done", _) => finding(Kind::Outcome, format!("done in the discarded copy, {kept_state} ({kept_reason}) in the kept copy")),
             _ => {
                 let because = if reason.is_empty() { String::new() } else { format!(" ({reason})") };
                 finding(Kind::LeftOut, format!("{state}{because}: {attempts} attempts with {steps} steps"));

@@ -79,7 +79,7 @@ pub fn c(
             let weights = if numbers == Numbers::I8 { 8 } else { 16 };
             let sums = if wide { 64 } else { 32 };
             format!(
-                "{weights}-bit weights, 16-bit signals and activations, {sums}-bit sums (none passes {})",
+                "{weights}-bit weights, 16-bit signals and activations, {sums}-bit sums (none exceeds {})",
                 integers.bound
             )
         }

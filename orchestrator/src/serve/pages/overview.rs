@@ -68,7 +68,7 @@ fn failures(at: &str, seen: &Seen) -> Markup {
     html! {
         @if !seen.failures.rows.is_empty() {
             h2 { "Failures" }
-            p class="quiet" { "By reason and last message. The page of each trial contains its log." }
+            p class="quiet" { "Grouped by reason and last message. Each trial's page contains its log." }
             @let mut table = seen.failures.clone();
             @let () = table.columns = ["reason", "message", "trial", "trials"].map(String::from).into();
             (table.linked(None, trial_links(at)))

@@ -45,7 +45,7 @@ pub async fn page(
         Some(Err(refusal)) => return Err(refusal),
         Some(Ok(Answered { table, cut, .. })) => html! {
             p role="status" {
-                (table.rows.len()) " rows" @if let Some(why) = cut { "; not all: " (why) } ". As a file: "
+                (table.rows.len()) " rows" @if let Some(why) = cut { "; incomplete: " (why) } ". As a file: "
                 a href=(format!("sql.csv{}", query(&[("q", &asked.q)]))) download="answer.csv" { "CSV" } " "
                 a href=(format!("sql.parquet{}", query(&[("q", &asked.q)]))) download="answer.parquet" { "Parquet" }
             }

@@ -373,7 +373,7 @@ fn time(trial: &Trial) -> Markup {
     let all: f64 = sums.iter().map(|part| part.1).sum();
     html! {
         @if all > 0.0 {
-            h2 { "Where the time of " (counted(count.as_u64().unwrap_or(0) as usize, "step")) " went" }
+            h2 { "CPU time of " (counted(count.as_u64().unwrap_or(0) as usize, "step")) " went" }
             table class="parts" {
                 thead { tr { th class="text" { "part" } th { "CPU seconds" } th { "share (%)" } th class="text" {} } }
                 tbody { @for (part, seconds) in sums {

@@ -84,7 +84,7 @@ fn keys(asked: &Asked, keys: &std::collections::BTreeMap<String, Vec<String>>) -
             summary { "Keys" }
             p class="quiet" {
                 "A condition is a key, one of = != < <= > >= ~ (contains), and a value. Keys are columns (hash, state, reason"
-                @for (name, _) in NUMBERS { ", " (name) } ") and the paths of the spec. Those that differ between trials:"
+                @for (name, _) in NUMBERS { ", " (name) } ") and the paths of the spec. Keys that differ between trials:"
             }
             dl {
                 @for (key, values) in keys {

@@ -107,7 +107,7 @@ impl Layout {
     ) -> Self {
         let index: BTreeMap<([i32; 2], usize), usize> =
             units.iter().enumerate().map(|(u, &unit)| (unit, u)).collect();
-        assert_eq!(index.len(), units.len(), "units repeat");
+        assert_eq!(index.len(), units.len(), "duplicate units");
         let at = |cell: [i32; 2], member: usize| index.get(&(cell, member)).copied();
         let mut scan: Vec<[i32; 2]> = units.iter().map(|unit| unit.0).collect();
         scan.sort_by_key(|&[i, j]| (j, i));

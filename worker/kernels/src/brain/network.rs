@@ -112,7 +112,7 @@ impl<F: Real> Workspace<F> {
         pool: &crate::Pool,
         task: impl Fn(&Kernels<F>, &Packed<F>, &mut Scratch<F>, &mut Chunk<F>, std::ops::Range<usize>) + Sync,
     ) {
-        assert_eq!(batch.shape(), self.shape, "a batch of another shape");
+        assert_eq!(batch.shape(), self.shape, "shapes of batch and workspace differ");
         let count = batch.len().div_ceil(CHUNK);
         let last = self.shape.layers() - 1;
         let (gradient, pairs) = (padded_len(self.shape), pairs_range(self.shape, last).end);

@@ -92,7 +92,7 @@ pub fn train<F: Real>(
     let same = |_: usize| batch;
     let outcome = train_on(weights, adam, &same, schedule, iterations, &mut more, ws, pool, &mut |_, _| true);
     losses.append(&mut more);
-    outcome.expect("nobody pauses it")
+    outcome.expect("train never pauses")
 }
 
 /// As [`train`], with a separate batch per iteration. `losses` contains the losses of completed iterations; the remaining ones of

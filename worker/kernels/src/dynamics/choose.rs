@@ -123,7 +123,7 @@ impl Candidate {
     /// Text with method, steps, reason and highest frequency.
     pub(super) fn reason(&self, steps: usize, why: &str) -> String {
         format!(
-            "{}, {steps} steps an interval of {} ms: {why}; highest frequency {:.0} Hz",
+            "{}, {steps} steps per interval of {} ms: {why}; highest frequency {:.0} Hz",
             self.law.method.name(),
             (self.interval * 1e6).round() * 1e-3,
             self.highest / std::f64::consts::TAU
@@ -155,7 +155,7 @@ pub(super) fn choose_under(scene: &Scene, design: &[f64], kinks: usize, solver: 
     let method = if scene.relaxation.is_some() { Method::Nystrom4 } else { method };
     if method == Method::Tsit5 {
         let tolerance = tolerance.unwrap_or_else(|| Tolerance::from(accuracy));
-        return Plan { reason: "asked for".to_owned(), ..Plan::tsit5(tolerance) };
+        return Plan { reason: "requested".to_owned(), ..Plan::tsit5(tolerance) };
     }
     let best = candidates(scene, design, kinks)
         .into_iter()
@@ -163,7 +163,7 @@ pub(super) fn choose_under(scene: &Scene, design: &[f64], kinks: usize, solver: 
         .min_by_key(|c| c.steps(accuracy) * c.law.work)
         .expect("a law for every method of equal steps");
     let steps = best.steps(accuracy);
-    let reason = best.reason(steps, &format!("by a law for errors of {:.0e}", accuracy.0));
+    let reason = best.reason(steps, &format!("from the error law of this method for an error of {:.0e}", accuracy.0));
     let precision = if best.highest <= single { Precision::Single } else { Precision::Double };
     Plan { precision, ..best.plan(steps, reason) }
 }

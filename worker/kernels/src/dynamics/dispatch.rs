@@ -136,7 +136,7 @@ macro_rules! machine {
                 queue: &Queue<'_, '_>,
                 heartbeat: &Heartbeat,
             ) -> Counters {
-                let relaxation = scene.relaxation.expect("a scene whose ligaments relax");
+                let relaxation = scene.relaxation.expect("a scene with relaxing ligaments");
                 let system = System::<$vector>::new(scene, model, kernels(scene, false), false, false);
                 let steps = plan.steps.count();
                 match scene.linearised {
@@ -205,7 +205,7 @@ mod no_tsit5 {
         _: &Queue<'_, '_>,
         _: &Heartbeat,
     ) -> Counters {
-        unreachable!("no plan has it")
+        unreachable!("adaptive steps require f64")
     }
 
     pub fn reverse<V: Vector>(
@@ -215,7 +215,7 @@ mod no_tsit5 {
         _: bool,
         _: &Heartbeat,
     ) -> (Vec<f64>, Counters) {
-        unreachable!("no plan has it")
+        unreachable!("adaptive steps require f64")
     }
 }
 

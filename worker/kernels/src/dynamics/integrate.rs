@@ -47,7 +47,7 @@ pub fn run(
     pool: &crate::Pool,
 ) -> Simulation {
     check(scene, design, forces);
-    assert!(!keep_tape || scene.relaxation.is_none(), "a scene whose ligaments relax has no gradient");
+    assert!(!keep_tape || scene.relaxation.is_none(), "a scene with relaxing ligaments has no gradient");
     let model = Model::new(scene, design).moving();
     let steps = match plan.steps {
         Steps::Equal(steps) => Steps::Equal(steps.next_multiple_of(forces.kinks(scene))),
@@ -246,7 +246,7 @@ fn check(scene: &Scene, design: &[f64], forces: &Forces) {
     assert_eq!(forces.panels, scene.panels.len(), "panels of the forces");
     assert!(
         forces.instants > 0 && forces.instants.is_multiple_of(scene.instants),
-        "forces at {} instants, which is no multiple of the scene's {}",
+        "the forces have {} instants; must be a multiple of the scene's {}",
         forces.instants,
         scene.instants
     );
@@ -259,5 +259,5 @@ fn check(scene: &Scene, design: &[f64], forces: &Forces) {
     assert!([0, forces.samples * forces.panels].contains(&strikes), "{strikes} strikes");
     let named =
         scene.clamped.iter().chain(&scene.sensors).copied().chain(scene.panels.iter().map(|p| p.unit));
-    assert!(named.into_iter().all(|u| u < units), "a unit beyond the body's {units}");
+    assert!(named.into_iter().all(|u| u < units), "index of a unit out of range: the body has {units} units");
 }

@@ -391,7 +391,7 @@ impl Simulation {
         let tape = self.tape.as_ref().expect("the simulation kept its tape");
         for (along, of) in [(tangent.design, &tape.design[..]), (tangent.forces, tape.forces.sample(sample))]
         {
-            assert!(along.is_empty() || along.len() == of.len(), "{} along {}", along.len(), of.len());
+            assert!(along.is_empty() || along.len() == of.len(), "length of the direction is {}; must be 0 or {}", along.len(), of.len());
         }
         let body = Body::new(tape, sample, tangent);
         let own = &tape.samples[sample];

@@ -31,7 +31,7 @@ impl Rest {
     /// # Panics
     /// If the design's length does not match the scene's layout, or a unit is driven.
     pub fn new(scene: &Scene, design: &[f64]) -> Self {
-        assert!(scene.panels.iter().all(|panel| panel.unit_acceleration().is_none()), "a driven unit");
+        assert!(scene.panels.iter().all(|panel| panel.unit_acceleration().is_none()), "a scene with a driven unit has no linearisation");
         assert_eq!(design.len(), scene.layout.design_len(), "length of the design");
         let model = Model::new(scene, design);
         let unknowns = unknowns(&model);

@@ -240,7 +240,7 @@ impl Scene {
         let Parts { ligaments, units } = &self.parts;
         let counts = [ligaments.len(), units.len()];
         for (given, parts) in counts.into_iter().zip([self.layout.ligaments.len(), self.layout.units()]) {
-            assert!(given == 0 || given == parts, "{given} factors of {parts} parts");
+            assert!(given == 0 || given == parts, "{given} factors given for {parts} ligaments or units");
         }
         let mut geometry = Geometry::new(&self.layout, design, self.density);
         if let Some(kept) = &self.inertia {

@@ -31,7 +31,7 @@ const REFINED: usize = 8;
 /// Largest number of runs per method.
 const TRIES: usize = 6;
 /// Part of a plan's reason if no steps give the requested error.
-const UNREACHED: &str = "of the pilot reached the error asked";
+const UNREACHED: &str = "of the pilot gave the requested error";
 
 /// Whether a plan with this reason gives the requested error, as far as measured. Chaotic motion does not: its signals change
 /// with the steps.
@@ -70,8 +70,8 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
     let (reference, known) = match pilot.reference(six, requested) {
         Ok(found) => found,
         Err((refined, off)) => {
-            let left = if off.is_finite() { format!("{off:.0e}") } else { "an unknown one".to_owned() };
-            let why = format!("no steps {UNREACHED}, {left} is left");
+            let left = if off.is_finite() { format!("{off:.0e}") } else { "unknown".to_owned() };
+            let why = format!("no number of steps {UNREACHED}; the remaining error is {left}");
             let own = |c: &&Candidate| c.law.method == solver.method;
             let method = if solver.method == Method::Auto { Some(six) } else { all.iter().find(own) };
             let Some(candidate) = method.filter(|_| refined > 1) else {

@@ -297,7 +297,7 @@ fn a_pilot_keeps_the_accuracy_asked() {
             let run = simulate(&scene, &design, &forces, &tuned.solver, false, &pool(1));
             assert_eq!(run.plan.steps, tuned.plan.steps, "{what}: the law with the tuned accuracy; {reason}");
             let error = signal_error(&run.signals, &truth.signals, 3 * scene.sensors.len());
-            assert!(error <= asked, "{what}: {error:e} where {asked:e} was asked; {reason}");
+            assert!(error <= asked, "{what}: error {error:e}, requested {asked:e}; {reason}");
             assert!(tuned.error.is_some_and(|e| e <= asked), "{what}: {:?}; {reason}", tuned.error);
         }
     }
@@ -534,7 +534,7 @@ fn motion_that_steps_have_made_is_found_before_it_drowns_the_signals() {
             }
         }
     }
-    assert!(well > 20 && worst < 3.0, "{worst} times the truth's signals, {well} runs");
+    assert!(well > 20 && worst < 3.0, "signals up to {worst} times the reference in {well} runs");
 }
 
 /// Chips as heavy as their units are equivalent to twice the density, without damping.
@@ -623,7 +623,7 @@ fn chips_off_the_centroid_read_turning() {
                 turned = turned.max((at[0] - ax).abs() / (1.0 + ax.abs()));
             }
         }
-        assert!(turned > 0.1, "nothing turned: {turned}");
+        assert!(turned > 0.1, "rotation too small for the test: {turned}");
     }
 }
 

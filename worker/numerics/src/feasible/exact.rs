@@ -79,7 +79,7 @@ impl fmt::Display for Violation {
         let (degrees, limit_degrees) = (value.to_degrees(), limit.to_degrees());
         match self.kind {
             Kind::NotFinite => write!(f, "unit {a}, node {node}: a coordinate is not finite"),
-            Kind::NotSimple => write!(f, "unit {a}: its edges cross, or it is turned over"),
+            Kind::NotSimple => write!(f, "unit {a}: its edges cross, or it is inverted"),
             Kind::Edge => write!(f, "unit {a}, edge from node {node}: {value:.4} mm < {limit} mm"),
             Kind::BlockAngleLow => {
                 write!(f, "unit {a}, node {node}: interior angle {degrees:.3}° < {limit_degrees:.3}°")

@@ -27,7 +27,7 @@ impl std::fmt::Display for Overlaps {
         let Self { pairs, area, inverted, inverted_area } = self;
         write!(
             f,
-            "{pairs} pairs of units overlap ({area:.3} mm²), {inverted} units are turned over ({inverted_area:.3} mm²)"
+            "{pairs} pairs of units overlap ({area:.3} mm²), {inverted} units are inverted ({inverted_area:.3} mm²)"
         )
     }
 }

@@ -90,9 +90,9 @@ impl Failure {
 impl std::fmt::Display for Failure {
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
         match self {
-            Self::Reference(trouble) => write!(f, "the body of sensors.relative_to: {}", trouble.name()),
-            Self::Initial(trouble) => write!(f, "the initial body: {}", trouble.name()),
-            Self::Stuck(steps, trouble) => write!(f, "{steps} steps in a row taken back: {}", trouble.name()),
+            Self::Reference(trouble) => write!(f, "the reference body (sensors.relative_to) failed: {}", trouble.name()),
+            Self::Initial(trouble) => write!(f, "the initial body failed: {}", trouble.name()),
+            Self::Stuck(steps, trouble) => write!(f, "{steps} consecutive steps were undone: {}", trouble.name()),
         }
     }
 }

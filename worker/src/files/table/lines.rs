@@ -76,13 +76,13 @@ impl Uneven {
     pub fn said(&self, separator: u8, form: &Form) -> String {
         let Self { line, found, first, wanted, .. } = self;
         let hint = match separator {
-            _ if *wanted == 1 => "; a table must start with its names: remove the lines before them".into(),
+            _ if *wanted == 1 => "; a table must start with its column names: remove the lines before them".into(),
             _ if self.ends_empty && *found == wanted + 1 => "; the line ends in a separator".into(),
             _ => String::new(),
         };
         let settle = match form.separator.is_none() && (separator != b',' || found > wanted) {
             true => {
-                format!("; if fields are divided otherwise, {}", form.settle("separator, or decimal = \",\""))
+                format!("; if the separator is another one, {}", form.settle("separator, or decimal = \",\""))
             }
             false => String::new(),
         };

@@ -54,7 +54,7 @@ impl Marks {
         if let [Some((line, number)), Some((other, comma))] = &self.seen {
             let settle = form.settle("decimal");
             return Err(format!(
-                "line {line}: {number:?} has a decimal point, line {other}: {comma:?} a comma: {settle}"
+                "line {line}: {number:?} has a decimal point, but {comma:?} in line {other} has a comma: {settle}"
             ));
         }
         // Where commas separate the fields, a point is a decimal mark.
@@ -63,7 +63,7 @@ impl Marks {
             self.seen.iter().zip(self.certain).find_map(|(seen, certain)| seen.as_ref().filter(|_| !certain));
         if let Some((line, number)) = doubtful.filter(|_| !known) {
             return Err(format!(
-                "line {line}: {number:?} may have a decimal mark or a mark between thousands, as all its like: {}",
+                "line {line}: {number:?} is ambiguous: the mark may be a decimal mark or separate thousands: {}",
                 form.settle("decimal = \".\" or \",\"")
             ));
         }

@@ -108,7 +108,7 @@ impl Fit {
         let (groups, later) = (lags.groups(), self.lags.before - lags.before);
         let first = &self.groups[..groups.len()];
         let held = |group: &Range<usize>| first.contains(&(group.start + later..group.end + later));
-        assert!(groups.iter().all(held), "{lags:?} of {:?}", self.lags);
+        assert!(groups.iter().all(held), "{lags:?} do not come first in the memory {:?}", self.lags);
         let unknowns = groups.len() * self.sizes.channels;
         let columns = self.half.chunks_exact(self.unknowns);
         let mut w: Vec<f64> = columns.flat_map(|column| column[..unknowns].iter().copied()).collect();
@@ -172,7 +172,7 @@ impl Linear {
         let Sizes { instants, channels, outputs } = self.sizes;
         let (rows, columns) = (instants * channels, instants * outputs);
         let samples = x.len() / rows;
-        assert_eq!(cotangent.len(), samples * columns, "of {samples} samples");
+        assert_eq!(cotangent.len(), samples * columns, "cotangent does not match {samples} samples");
         let mut cross = vec![0.0; rows * columns];
         matmul(
             matrix_mut(&mut cross, rows, columns),
