@@ -522,10 +522,7 @@ const TABLES: &[(&str, &str)] = &[
         "[variation]\ncontact = 0.1",
         "s.toml:14: variation.contact = 0.1: has no effect: the body has no body.contact",
     ),
-    (
-        "[sensors]\nmass = 9.0",
-        "s.toml:14: sensors.mass = 9: must be at most 1e-3 Mg (1 kg); 9 g = 9e-6 Mg",
-    ),
+    ("[sensors]\nmass = 9.0", "s.toml:14: sensors.mass = 9: must be at most 1e-3 Mg (1 kg); 9 g = 9e-6 Mg"),
     (
         "[sensors]\nbandwidth = 0.0",
         "s.toml:14: sensors.bandwidth = 0: must be above 0, and at most 400 Hz, twice the rate of the readings",

@@ -303,7 +303,10 @@ fn add_points(
     spec.sensors.placements.as_ref().map_or(Ok(()), |lists| check_placements(lists, source))?;
     let drawn = sweep.sweep.placements * if sweep.sweep.own_placements { sweep.sweep.seeds.len() } else { 1 };
     if sweep.sweep.own_placements && (searched || spec.sensors.placements.is_some()) {
-        return Err(source.error("sweep.own_placements", "cannot be set together with sensors.search or sensors.placements"));
+        return Err(source.error(
+            "sweep.own_placements",
+            "cannot be set together with sensors.search or sensors.placements",
+        ));
     }
     // keep only the units that carry sensors: there may be a million placements
     let most = spec.sweep.sensors.iter().copied().max().unwrap_or_default();

@@ -103,7 +103,9 @@ impl Reason {
             Self::Numerical(_) => {
                 "run `metasense trial SPEC HASH`; reduce `solver.tolerance` or the learning rate"
             }
-            Self::Rejected => "the spec is invalid for this trial: run `metasense trial SPEC HASH` for the message",
+            Self::Rejected => {
+                "the spec is invalid for this trial: run `metasense trial SPEC HASH` for the message"
+            }
             Self::Cancelled => "run with --retry-failed to resume it",
             Self::Stopped => "the same command resumes it",
             Self::Paused => "resumes if a search requests more of its steps",

@@ -69,7 +69,7 @@ impl<T: Add<Output = T>> Parts<T> {
 
 /// The part of a settled trial's result that the questions of `[until]` use.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Found {
+pub struct TrialErrors {
     /// Name of the trial.
     pub hash: String,
     /// Held-out errors (%) of initial and trained body; `None` if the trial failed.

@@ -1,7 +1,7 @@
 //! The number of sensors at which the fall of the error ends, compared with K / channels, rounded up.
 
-use metasense::analysis::decision::{Decision, Terms, decide};
-use metasense::analysis::{Cluster, Height, Observation, elbow};
+use metasense::analysis::decision::{Decision, Terms, decisions};
+use metasense::analysis::{Cluster, ErrorScale, Observation, elbow};
 use metasense::look::file;
 use metasense::look::grid::{Cell, grid};
 
@@ -22,14 +22,14 @@ pub(super) fn curve<'a>(rows: impl Iterator<Item = &'a Row>, body: &str) -> Vec<
 /// Values of M with their shares of the votes; `None`: no such M.
 pub(super) type Votes = Vec<(Option<f64>, f64)>;
 
-fn by_elbow(curve: &[Observation], height: Height) -> Votes {
+fn by_elbow(curve: &[Observation], height: ErrorScale) -> Votes {
     let found = elbow(curve, height).unwrap();
     let none = 1.0 - found.votes.iter().map(|v| v.1).sum::<f64>();
     found.votes.iter().map(|&(m, share)| (Some(m), share)).chain([(None, none)]).collect()
 }
 
 fn fall(curve: &[Observation], part: f64) -> Decision {
-    decide(curve, Terms { fall: part, ..Terms::default() }).unwrap().fall
+    decisions(curve, Terms { fall: part, ..Terms::default() }).unwrap().fall
 }
 
 /// Votes for the M at which 90 % of the fall are reached.
@@ -60,13 +60,13 @@ pub(super) fn words(votes: &Votes) -> String {
 
 /// Votes by the elbow in per cent and in logarithms, and by 90 % of the fall.
 pub(super) fn readings(curve: &[Observation]) -> [Votes; 3] {
-    let [percent, logarithm] = Height::ALL.map(|height| by_elbow(curve, height));
+    let [percent, logarithm] = ErrorScale::ALL.map(|height| by_elbow(curve, height));
     [percent, logarithm, by_fall(curve)]
 }
 
 /// Elbows if fast decays are permitted, and M at 80 % and 95 % of the fall.
 fn beside(curve: &[Observation]) -> [String; 2] {
-    let any = Height::ALL.map(|height| place(elbow(curve, height).unwrap().any_decay));
+    let any = ErrorScale::ALL.map(|height| place(elbow(curve, height).unwrap().any_decay));
     let parts = [0.8, 0.95].map(|part| fall(curve, part).at.to_string());
     [any.join(", "), parts.join(", ")]
 }

@@ -1,6 +1,6 @@
 //! Errors of a design when it is cast, for any trial and any deviations.
 
-use metasense_numerics::nested::casts_of;
+use metasense_numerics::nested::evaluate_linear_on_casts;
 use metasense_numerics::place::placed;
 use metasense_numerics::trial::Trial;
 use metasense_schemas::record::CastReading;
@@ -34,5 +34,5 @@ pub fn casts(
     }
     let (designed, pool) = (simulable(&trial, design)?, pool(threads)?);
     let (problem, _) = placed(&designed, &pool)?;
-    Ok(cast_readings(&casts_of(&Trial::new(&problem, &pool)?, design, count, progress)))
+    Ok(cast_readings(&evaluate_linear_on_casts(&Trial::new(&problem, &pool)?, design, count, progress)))
 }

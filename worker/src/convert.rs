@@ -4,7 +4,7 @@ use metasense_numerics::brain::Adam;
 use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::brains::{self, Band, BandKind, Fresh, Learnt};
 use metasense_numerics::dynamics;
-use metasense_numerics::nested::{self, Best, CastBrain, State, Waypoint};
+use metasense_numerics::nested::{self, Best, CastDecoder, PastDesign, State};
 use metasense_numerics::questions;
 use metasense_numerics::trial::{self, Problem};
 use metasense_schemas::record::{
@@ -121,10 +121,10 @@ fn reading(reading: &brains::Reading) -> Reading {
 
 /// Checkpoint from which a run resumes.
 pub fn checkpoint(state: &State) -> Checkpoint {
-    let State { step, caution, setbacks, trend, .. } = *state;
-    let Learnt { weights, adam, ridge } = &state.learnt;
+    let State { step, rate_factor: caution, consecutive_undone: setbacks, trend, .. } = *state;
+    let Learnt { weights, adam, ridge } = &state.decoder_state;
     let best = |best: &Best| record::Best { design: best.design.clone(), error: best.error, step: best.step };
-    let waypoint = |w: &Waypoint| record::Waypoint { step: w.step, design: w.design.clone() };
+    let waypoint = |w: &PastDesign| record::Waypoint { step: w.step, design: w.design.clone() };
     Checkpoint {
         step,
         design: state.design.clone(),
@@ -136,23 +136,23 @@ pub fn checkpoint(state: &State) -> Checkpoint {
         setbacks,
         trend,
         ridge: *ridge,
-        trail: state.trail.iter().map(waypoint).collect(),
+        trail: state.recent_designs.iter().map(waypoint).collect(),
         comparison: Some(&state.comparison).filter(|c| !c.bodies.is_empty()).map(comparison).map(Box::new),
         moves: Vec::new(),
-        found: state.found.clone(),
+        found: state.fitness.clone(),
         casts: state.comparison.casts.iter().map(|casts| cast_readings(casts)).collect(),
         bands: state.comparison.bands.iter().map(|bands| self::bands(bands)).collect(),
     }
 }
 
 /// The decoder of a cast with this name and number of records.
-fn brain_of_cast(reader: &str, records: u32) -> Result<CastBrain, String> {
-    CastBrain::named(reader, records).ok_or_else(|| format!("unknown decoder of a cast: {reader:?}"))
+fn brain_of_cast(reader: &str, records: u32) -> Result<CastDecoder, String> {
+    CastDecoder::named(reader, records).ok_or_else(|| format!("unknown decoder of a cast: {reader:?}"))
 }
 
 /// Prediction bands of a body and its casts.
-pub fn bands(bands: &[nested::BandReading]) -> Vec<record::Band> {
-    let band = |nested::BandReading { cast, band, width, coverage }: &nested::BandReading| {
+pub fn bands(bands: &[nested::BandCoverage]) -> Vec<record::Band> {
+    let band = |nested::BandCoverage { cast, band, width, coverage }: &nested::BandCoverage| {
         let (reader, records) = cast.map_or(("own", 0), |(_, by)| (by.name(), by.records().unwrap_or(0)));
         record::Band {
             reader: reader.into(),
@@ -176,7 +176,7 @@ pub fn bands(bands: &[nested::BandReading]) -> Vec<record::Band> {
 }
 
 /// The inverse of [`bands`].
-fn banded(bands: &[record::Band]) -> Result<Vec<nested::BandReading>, String> {
+fn banded(bands: &[record::Band]) -> Result<Vec<nested::BandCoverage>, String> {
     let reading = |band: &record::Band| {
         let cast = band
             .cast
@@ -190,22 +190,22 @@ fn banded(bands: &[record::Band]) -> Result<Vec<nested::BandReading>, String> {
         };
         let (samples, half_width) = (band.samples as usize, band.half_width.clone());
         let (width, coverage) = (band.width, band.coverage);
-        Ok(nested::BandReading { cast, band: Band { kind, samples, half_width }, width, coverage })
+        Ok(nested::BandCoverage { cast, band: Band { kind, samples, half_width }, width, coverage })
     };
     bands.iter().map(reading).collect()
 }
 
 /// Errors on the casts of a body.
-pub fn cast_readings(casts: &[nested::CastReading]) -> Vec<CastReading> {
-    let reading = |reading: &nested::CastReading| CastReading {
+pub fn cast_readings(casts: &[nested::CastEvaluation]) -> Vec<CastReading> {
+    let reading = |reading: &nested::CastEvaluation| CastReading {
         cast: reading.cast,
-        reader: reading.by.name().into(),
-        records: reading.by.records().unwrap_or(0),
+        reader: reading.decoder.name().into(),
+        records: reading.decoder.records().unwrap_or(0),
         error: finite(reading.error),
         outcome: reading.trouble.map_or("ok", |trouble| trouble.name()).into(),
         spread: reading.spread.map(spread),
         ridge: reading.regularisation.ridge,
-        share: reading.regularisation.share,
+        share: reading.regularisation.kappa,
     };
     casts.iter().map(reading).collect()
 }
@@ -227,13 +227,14 @@ pub fn under_readings(trial: &TrialSpec, under: &[Vec<questions::UnderReading>; 
 }
 
 /// The inverse of [`cast_readings`].
-fn casts_read(casts: &[CastReading]) -> Result<Vec<nested::CastReading>, String> {
+fn casts_read(casts: &[CastReading]) -> Result<Vec<nested::CastEvaluation>, String> {
     let reading = |reading: &CastReading| {
         let by = brain_of_cast(&reading.reader, reading.records)?;
         let trouble = trouble(&reading.outcome)?;
         let &CastReading { cast, error, spread, ridge, share, .. } = reading;
-        let (spread, regularisation) = (spread.map(spread_of), nested::Regularisation { ridge, share });
-        Ok(nested::CastReading { cast, by, error, spread, regularisation, trouble })
+        let (spread, regularisation) =
+            (spread.map(spread_of), nested::Regularisation { ridge, kappa: share });
+        Ok(nested::CastEvaluation { cast, decoder: by, error, spread, regularisation, trouble })
     };
     casts.iter().map(reading).collect()
 }
@@ -242,7 +243,9 @@ fn casts_read(casts: &[CastReading]) -> Result<Vec<nested::CastReading>, String>
 fn trouble(outcome: &str) -> Result<Option<trial::Trouble>, String> {
     match outcome {
         "ok" => Ok(None),
-        name => trial::Trouble::named(name).map(Some).ok_or_else(|| format!("unknown outcome of a decoder: {name:?}")),
+        name => trial::Trouble::named(name)
+            .map(Some)
+            .ok_or_else(|| format!("unknown outcome of a decoder: {name:?}")),
     }
 }
 
@@ -279,14 +282,12 @@ pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String>
     let Checkpoint { caution, setbacks, trend, ridge, comparison, found, casts, bands, .. } = checkpoint;
     let lengths = [design.len(), design_moments.first.len(), design_moments.second.len()];
     if lengths != [parameters; 3] || trail.iter().any(|waypoint| waypoint.design.len() != parameters) {
-        return Err(format!(
-            "the checkpoint has {lengths:?} design parameters, the trial has {parameters}"
-        ));
+        return Err(format!("the checkpoint has {lengths:?} design parameters, the trial has {parameters}"));
     }
     if caution.is_nan() || caution <= 0.0 {
         return Err(format!("the checkpoint has the step factor {caution}; must be above 0"));
     }
-    let waypoint = |w: record::Waypoint| Waypoint { step: w.step, design: w.design };
+    let waypoint = |w: record::Waypoint| PastDesign { step: w.step, design: w.design };
     let casts = casts.iter().map(|casts| casts_read(casts)).collect::<Result<_, _>>()?;
     let bands = bands.iter().map(|bands| banded(bands)).collect::<Result<_, _>>()?;
     let comparison = comparison.map(|c| compared(*c, problem)).transpose()?.unwrap_or_default();
@@ -294,14 +295,14 @@ pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String>
         step,
         design,
         design_adam: adam(design_moments),
-        learnt: Learnt { weights, adam: adam(weight_moments), ridge },
+        decoder_state: Learnt { weights, adam: adam(weight_moments), ridge },
         best: best.map(|best| Best { design: best.design, error: best.error, step: best.step }),
-        caution,
-        setbacks,
+        rate_factor: caution,
+        consecutive_undone: setbacks,
         trend,
-        trail: trail.into_iter().map(waypoint).collect(),
+        recent_designs: trail.into_iter().map(waypoint).collect(),
         comparison: nested::Comparison { casts, bands, ..comparison },
-        found,
+        fitness: found,
     })
 }
 

@@ -33,6 +33,6 @@ pub mod twin;
 pub mod verify;
 
 pub use metasense_numerics::brain::milestones;
-pub use metasense_numerics::nested::{RECORDS, RUNGS, look_near, looked_at};
+pub use metasense_numerics::nested::{RECORDS, RUNGS, evaluated_fraction, evaluation_step_near};
 pub use metasense_numerics::student::{chance_above, student, student_above};
 pub use metasense_numerics::trial::FAILED;

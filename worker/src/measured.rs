@@ -342,7 +342,9 @@ fn check_copies(seen: &mut Seen, force: &Record, signal: &Record, place: String)
     let is_some = |values: &[f64]| values.iter().any(|x| *x != 0.0);
     if let Some(c) = signal.values.iter().position(|signal| is_some(signal) && force.values.contains(signal))
     {
-        return Err(format!("signal {c} equals the force, so a decoder would copy it: check signals.channels"));
+        return Err(format!(
+            "signal {c} equals the force, so a decoder would copy it: check signals.channels"
+        ));
     }
     let [own_force, own_signal] = [force, signal].map(|record| fingerprint(&record.values.concat()));
     let some = [force, signal].map(|record| record.values.iter().any(|values| is_some(values)));
@@ -373,7 +375,8 @@ fn check(
         return Err(invalid("stimuli.recorded.augment", "{ … }", remedy));
     }
     if let Some(files) = signals.files.as_ref().filter(|files| files.len() != recorded.files.len()) {
-        let remedy = format!("must contain one file for each of the {} in recorded.files", recorded.files.len());
+        let remedy =
+            format!("must contain one file for each of the {} in recorded.files", recorded.files.len());
         return wrong("files", format!("{} files", files.len()), remedy);
     }
     if signals.time.is_some() && signals.rate.is_some() {

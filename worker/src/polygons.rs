@@ -212,7 +212,9 @@ fn followers(given: &Polygons, joined: impl Fn(&[usize; 2]) -> bool) -> Result<(
     for (group, ends) in given.together.iter().enumerate() {
         let stays = ends.iter().find(|end| is_rigid(&end[0]) && !joined(end));
         if let Some([unit, node]) = stays {
-            let remedy = format!("node {node} of the rigid unit {unit} has no ligament, so it cannot be shifted; remove it from the group");
+            let remedy = format!(
+                "node {node} of the rigid unit {unit} has no ligament, so it cannot be shifted; remove it from the group"
+            );
             return Err(invalid("body.file", format!("together[{group}]"), remedy));
         }
     }
@@ -223,7 +225,9 @@ fn followers(given: &Polygons, joined: impl Fn(&[usize; 2]) -> bool) -> Result<(
             return wrong(format!("there is no rigid unit {unit} with a node {place}"));
         }
         if joined(node) {
-            return wrong(format!("node {place} of unit {unit} has a ligament, so it is part of the design and cannot follow others"));
+            return wrong(format!(
+                "node {place} of unit {unit} has a ligament, so it is part of the design and cannot follow others"
+            ));
         }
         let leads = |other: &usize| joined(&[unit, *other]);
         if !nodes.iter().all(leads) || nodes[0] == nodes[1] {

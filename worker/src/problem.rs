@@ -398,7 +398,7 @@ fn scene(
             cutoff_angle: angle(c.cutoff_angle),
         }),
         linearised: body.linearised,
-        pressed: body::pressed(body, &layout, &clamped, &guided)?,
+        pressed: body::compression_shifts(body, &layout, &clamped, &guided)?,
         clamped,
         guided,
         panels,
@@ -414,7 +414,7 @@ fn scene(
         layout,
     };
     let pressed = !scene.pressed.is_empty();
-    let shaken = scene.panels.iter().any(|panel| panel.shakes().is_some());
+    let shaken = scene.panels.iter().any(|panel| panel.base_acceleration().is_some());
     if (pressed || shaken) && scene.is_loose() {
         let remedy = "needs a body that cannot move as a whole: hold it with body.clamp and body.guides";
         return Err(match body.compression.filter(|_| pressed) {
@@ -447,12 +447,14 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> 
         format!("the body has {} units on which sensors.search may place a sensor", candidates.len());
     require((1..=candidates.len()).contains(&sensors), "sweep.sensors", sensors, &remedy)?;
     require(placement < candidates.len(), "sweep.placements", placement + 1, &remedy)?;
-    let of_best = format!("must be at most {CANDIDATES}: the search starts each placement from a different one of its {CANDIDATES} best units");
+    let of_best = format!(
+        "must be at most {CANDIDATES}: the search starts each placement from a different one of its {CANDIDATES} best units"
+    );
     require(placement < CANDIDATES, "sweep.placements", placement + 1, &of_best)?;
     // greedily, row by row: nearly the greatest possible number
     let mut apart: Vec<usize> = Vec::new();
     for &unit in &candidates {
-        if apart.iter().all(|&other| scene.layout.apart(unit, other, spacing)) {
+        if apart.iter().all(|&other| scene.layout.are_apart(unit, other, spacing)) {
             apart.push(unit);
         }
     }

@@ -5,7 +5,7 @@ use metasense_numerics::body::moments;
 use metasense_numerics::brains::fits;
 pub use metasense_numerics::dynamics::{Moves, Panel};
 use metasense_numerics::feasible::{Active, Feasible};
-use metasense_numerics::nested::{ForCasts, brain_for_casts};
+use metasense_numerics::nested::{DecoderForCasts, brain_for_casts};
 use metasense_numerics::place::placed;
 use metasense_numerics::questions;
 pub use metasense_numerics::questions::{LinearReplay, Motion, Replay};
@@ -153,16 +153,16 @@ pub fn replay_for_casts(trial: &TrialSpec, design: &[f64], threads: usize) -> Re
     }
     let (problem, _) = placed(&problem, &pool)?;
     Ok(match brain_for_casts(&Trial::new(&problem, &pool)?, design).map_err(OfMaths::Initial)? {
-        ForCasts::Linear(fitted) => {
+        DecoderForCasts::Linear(fitted) => {
             let mut replay = questions::replay(&problem, design, &[], &pool)?;
             let brain = replay.by(&problem, &fitted);
             (replay.predictions, replay.errors) = (brain.predictions.clone(), brain.errors.clone());
             (replay, Own::Linear(brain))
         }
-        ForCasts::Network(weights) => {
+        DecoderForCasts::Network(weights) => {
             (questions::replay(&problem, design, &weights, &pool)?, Own::Network(weights))
         }
-        ForCasts::Stacked(fitted, weights) => {
+        DecoderForCasts::Stacked(fitted, weights) => {
             let mut replay = questions::replay(&problem, design, &[], &pool)?;
             replay.read_on(&problem, &fitted, &weights, &pool);
             let linear = replay.by(&problem, &fitted);

@@ -168,7 +168,9 @@ fn check_memory(trial: &TrialSpec) -> Result<(), Failure> {
 pub(crate) fn check_length(what: &str, given: usize, expected: usize) -> Result<(), Failure> {
     match given == expected {
         true => Ok(()),
-        false => Err(Failure::Rejected(format!("the {what} has {given} numbers; the trial needs {expected}"))),
+        false => {
+            Err(Failure::Rejected(format!("the {what} has {given} numbers; the trial needs {expected}")))
+        }
     }
 }
 

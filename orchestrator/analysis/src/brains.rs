@@ -11,11 +11,11 @@ use super::trial::{Body, Cluster, Set, Trial};
 
 /// Held-out errors of one decoder on bodies with equal training.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Read {
+pub struct DecoderErrors {
     /// Decoder with which the bodies were trained.
     pub trained_with: String,
     /// Decoder in evaluation.
-    pub by: String,
+    pub decoder: String,
     /// Its memory before and after an instant (s).
     pub memory: [f64; 2],
     /// Whether it is the linear decoder with the longest memory of the trial.
@@ -30,7 +30,7 @@ pub struct Read {
 
 /// Returns the errors by decoder of trials that differ only in decoder, placement and seed: own decoders first, then linear
 /// ones.
-pub fn reads(trials: &[&Trial]) -> Vec<Read> {
+pub fn errors_by_decoder(trials: &[&Trial]) -> Vec<DecoderErrors> {
     let of_trials = of_each(trials);
     let kinds = in_order(&of_trials);
     let having = |of: &dyn Fn(&[String; 2]) -> bool| -> Vec<&&Trial> {
@@ -55,7 +55,7 @@ pub fn reads(trials: &[&Trial]) -> Vec<Read> {
             }
         }
         let readings = alike.iter().flat_map(|t| &t.readings);
-        let mut memories = in_order(readings.map(|reading| (reading.memory, reading.whole)));
+        let mut memories = in_order(readings.map(|reading| (reading.memory, reading.is_longest)));
         memories.sort_by(|a, b| (b.1, a.0[0], a.0[1]).partial_cmp(&(a.1, b.0[0], b.0[1])).expect("finite"));
         for (memory, whole) in memories {
             let errors = alike.iter().filter_map(|t| {
@@ -74,13 +74,13 @@ fn read(
     by: &str,
     (memory, whole, own): ([f64; 2], bool, bool),
     errors: impl Iterator<Item = (Cluster, [Option<f64>; 2])>,
-) -> Option<Read> {
+) -> Option<DecoderErrors> {
     let pairs: Vec<(Cluster, [f64; 2])> =
         errors.filter_map(|(cluster, [a, b])| Some((cluster, [a?, b?]))).collect();
     let ratio = Ratio::of(&pairs.iter().map(|(cluster, [a, b])| (*cluster, a / b)).collect::<Vec<_>>())?;
     let of = |body: usize| geometric_mean(&pairs.iter().map(|(_, pair)| pair[body]).collect::<Vec<_>>());
     let (trained_with, by) = (trained_with.to_owned(), by.to_owned());
-    Some(Read { trained_with, by, memory, whole, own, errors: [of(0), of(1)], ratio })
+    Some(DecoderErrors { trained_with, decoder: by, memory, whole, own, errors: [of(0), of(1)], ratio })
 }
 
 #[cfg(test)]

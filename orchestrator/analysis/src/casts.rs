@@ -12,7 +12,7 @@ use super::data::{Group, groups};
 use super::kinds::{is_linear, objective};
 use super::numbers::distinct;
 use super::paired::Ratio;
-use super::trial::{Body, CastBrain, CastReading, Set, Trial};
+use super::trial::{Body, CastDecoder, CastReading, Set, Trial};
 
 /// Trials with casts in one setting, by body.
 #[derive(Debug, Clone)]
@@ -25,7 +25,7 @@ pub struct Setting<'a> {
 
 /// Errors of one decoder on the casts of a body.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Left {
+pub struct CastErrors {
     /// Number of casts of all trials, and of those that failed in simulation.
     pub casts: [u64; 2],
     /// Error (%) of a decoder of this kind on the body as designed: geometric mean over trials.
@@ -53,12 +53,12 @@ pub fn settings<'a>(trials: &[&'a Trial]) -> Vec<Setting<'a>> {
 
 impl Trained<'_> {
     /// Returns the decoders of its casts.
-    pub fn brains(&self) -> Vec<CastBrain> {
-        distinct(self.trials.iter().flat_map(|t| &t.casts).map(|reading| reading.by))
+    pub fn brains(&self) -> Vec<CastDecoder> {
+        distinct(self.trials.iter().flat_map(|t| &t.casts).map(|reading| reading.decoder))
     }
 
     /// Returns the errors of a decoder on the casts; `None` if there are none.
-    pub fn left(&self, by: CastBrain) -> Option<Left> {
+    pub fn errors_of(&self, by: CastDecoder) -> Option<CastErrors> {
         let read: Vec<(&Trial, &CastReading)> =
             self.trials.iter().filter_map(|t| Some((*t, reading(t, self.body, by)?))).collect();
         let mean = |of: &dyn Fn(&(&Trial, &CastReading)) -> Option<f64>| {
@@ -66,7 +66,7 @@ impl Trained<'_> {
         };
         let errors = [0, 1].map(|quantile| mean(&|r| Some(r.1.errors[quantile])));
         let sum = |of: fn(&CastReading) -> u64| read.iter().map(|r| of(r.1)).sum();
-        Some(Left {
+        Some(CastErrors {
             casts: [sum(|r| r.casts), sum(|r| r.failed)],
             designed: mean(&|r| designed(r.0, self.body, by)),
             kept: [0, 1].map(|quantile| self.kept(by, quantile)),
@@ -77,7 +77,7 @@ impl Trained<'_> {
         })
     }
 
-    fn kept(&self, by: CastBrain, quantile: usize) -> Option<Kept> {
+    fn kept(&self, by: CastDecoder, quantile: usize) -> Option<Kept> {
         if self.body == Body::Initial {
             return None;
         }
@@ -92,18 +92,18 @@ impl Trained<'_> {
     }
 }
 
-fn reading(trial: &Trial, body: Body, by: CastBrain) -> Option<&CastReading> {
-    trial.casts.iter().find(|reading| (reading.body, reading.by) == (body, by))
+fn reading(trial: &Trial, body: Body, by: CastDecoder) -> Option<&CastReading> {
+    trial.casts.iter().find(|reading| (reading.body, reading.decoder) == (body, by))
 }
 
 /// Held-out error (%) of the body as designed: of the trial's own decoder for networks, inverse decoders and linear trials,
 /// else of the linear decoder with the longest memory.
-fn designed(trial: &Trial, body: Body, by: CastBrain) -> Option<f64> {
-    let inverts = matches!(by, CastBrain::Inverse | CastBrain::Twin(_));
-    if by <= CastBrain::NetworkCasts || inverts || is_linear(trial) {
+fn designed(trial: &Trial, body: Body, by: CastDecoder) -> Option<f64> {
+    let inverts = matches!(by, CastDecoder::Inverse | CastDecoder::Twin(_));
+    if by <= CastDecoder::NetworkCasts || inverts || is_linear(trial) {
         return trial.error(body, Set::Holdout);
     }
-    let whole = trial.readings.iter().find(|reading| reading.whole)?;
+    let whole = trial.readings.iter().find(|reading| reading.is_longest)?;
     whole.errors[body as usize][Set::Holdout as usize].filter(|error| *error > 0.0)
 }
 

@@ -11,9 +11,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::data::{
     COMPLEXITY, FREEDOM, Grid, Group, Observation, SENSORS, WITH_SPACING, apart, clusters, groups,
-    observations, once, places,
+    observations, places, without_repeats,
 };
-use super::elbow::{Height, elbow};
+use super::elbow::{ErrorScale, elbow};
 use super::kinds::brains;
 use super::numbers::{distinct, geometric_mean};
 use super::paired;
@@ -410,8 +410,8 @@ fn of_ratio(who: String, set: &'static str, ratio: Ratio, stated: f64, note: Str
         trials: ratio.trials,
         found: Some(ratio.ratio),
         interval: ratio.interval,
-        chance: ratio.chance,
-        tells: ratio.tells,
+        chance: ratio.p_value,
+        tells: ratio.detectable,
         note,
         over: ratio.over,
     }
@@ -457,7 +457,7 @@ fn over(first: &[(Cluster, f64)], second: &[(Cluster, f64)]) -> Option<Ratio> {
 
 /// Returns cluster and number of each trial that has it.
 fn each(trials: &[&Trial], number: impl Fn(&Trial) -> Option<f64>) -> Vec<(Cluster, f64)> {
-    once(trials, number).map(|(t, number)| (t.cluster, number)).collect()
+    without_repeats(trials, number).map(|(t, number)| (t.cluster, number)).collect()
 }
 
 /// Error of the initial body divided by that of the trained body.
@@ -526,11 +526,11 @@ fn curves<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
 /// Returns the evidence of each group for both quantities of its curve, and for each set.
 fn by_height(
     groups: &[Group],
-    say: impl Fn(&Group, Set, Height, String) -> Option<Evidence>,
+    say: impl Fn(&Group, Set, ErrorScale, String) -> Option<Evidence>,
 ) -> Vec<Evidence> {
-    let who = |group: &Group, height: Height| format!("{}, {}", who(group), height.name());
+    let who = |group: &Group, height: ErrorScale| format!("{}, {}", who(group), height.name());
     let of = |height| by_set(groups, |group, set| say(group, set, height, who(group, height)));
-    Height::ALL.into_iter().flat_map(of).collect()
+    ErrorScale::ALL.into_iter().flat_map(of).collect()
 }
 
 fn elbow_at(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
@@ -585,13 +585,17 @@ fn placements(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
             places(&of[body]).iter().filter_map(at).collect()
         };
         let ratio = Ratio::by(&units, group.trials.len(), 0, statistic)?;
-        let note = format!("largest over smallest error, per M: initial {} → trained {}", worst(0).join(", "), worst(1).join(", "));
+        let note = format!(
+            "largest over smallest error, per M: initial {} → trained {}",
+            worst(0).join(", "),
+            worst(1).join(", ")
+        );
         Some(of_ratio(who, set.name(), ratio, stated, note))
     })
 }
 
 /// Sum over M and seeds of the weighted variance of y; `None` if it is 0.
-fn scatter(grid: &Grid, height: Height, clusters: &[Cluster], weights: &[f64]) -> Option<f64> {
+fn scatter(grid: &Grid, height: ErrorScale, clusters: &[Cluster], weights: &[f64]) -> Option<f64> {
     let mut cells: BTreeMap<(usize, u64), [f64; 3]> = BTreeMap::new();
     for &(cluster, place, log) in &grid.points {
         let [n, sum, squares] = cells.entry((place, clusters[cluster].seed)).or_default();
@@ -612,9 +616,10 @@ fn complexity(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     let disc: Vec<&Trial> = trials.iter().filter(disc).copied().collect();
     let free: Vec<&Trial> = disc.iter().filter(|t| !tied(t)).copied().collect();
     let mut found = Vec::new();
-    for (what, groups) in
-        [("smaller units, one size of body", groups(&free, COMPLEXITY)), ("fewer tied shifts, one size of body", groups(&disc, FREEDOM))]
-    {
+    for (what, groups) in [
+        ("smaller units, one size of body", groups(&free, COMPLEXITY)),
+        ("fewer tied shifts, one size of body", groups(&disc, FREEDOM)),
+    ] {
         for group in groups {
             let at = |n: u64| -> Vec<&Trial> {
                 group.trials.iter().filter(|t| t.design_parameters == n).copied().collect()

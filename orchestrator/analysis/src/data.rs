@@ -45,7 +45,7 @@ const LONG: &str = "evaluation.long_iterations";
 
 /// Settings of further evaluations of finished bodies. They separate only trials that both have such a setting and differ in
 /// it: training over casts also appears in the objective.
-const JUDGING: &[&str] = &["evaluation.casts", "evaluation.under", "variation."];
+const FURTHER_EVALUATION: &[&str] = &["evaluation.casts", "evaluation.under", "variation."];
 
 /// Settings that differ between numbers of sensors.
 pub const SENSORS: &[&str] = &["point.sensors"];
@@ -95,8 +95,8 @@ pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
     let disputed = disputed(trials);
     // `FREEDOM` paths are ignored only by name, not as part of `optimise.`
     let ignored = |path: &str| {
-        CLUSTER.iter().chain(but).any(|b| is_of(path, b) && (*b == path || !FREEDOM.contains(&path)))
-            || JUDGING.iter().any(|b| is_of(path, b)) && !disputed.contains(path)
+        CLUSTER.iter().chain(but).any(|b| is_at_or_below(path, b) && (*b == path || !FREEDOM.contains(&path)))
+            || FURTHER_EVALUATION.iter().any(|b| is_at_or_below(path, b)) && !disputed.contains(path)
     };
     let spacing = |trial: &Trial| trial.setting.number("body.spacing");
     let first = trials.first().and_then(|trial| spacing(trial));
@@ -112,9 +112,9 @@ pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
         // the first trial's value is rounded too, or it would equal no other
         Value::from((scaled * 1e9).round() / 1e9)
     };
-    let told = |trial: &Trial, leaves: &BTreeMap<String, Value>| -> String {
-        let told = leaves.iter().filter(|(path, _)| !ignored(path));
-        told.map(|(path, v)| format!("{path} = {}\n", value(trial, path, v))).collect()
+    let label_text = |trial: &Trial, leaves: &BTreeMap<String, Value>| -> String {
+        let label_text = leaves.iter().filter(|(path, _)| !ignored(path));
+        label_text.map(|(path, v)| format!("{path} = {}\n", value(trial, path, v))).collect()
     };
     let key = |trial: &Trial| -> Key {
         let leaves = trial.setting.leaves().into_iter().filter(|(path, _)| !ignored(path));
@@ -128,9 +128,9 @@ pub fn groups<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<'a>> {
     for trial in trials {
         let common = *shared.entry(Arc::as_ptr(trial.setting.shared())).or_insert_with(|| {
             let count = texts.len();
-            *texts.entry(told(trial, trial.setting.shared())).or_insert(count)
+            *texts.entry(label_text(trial, trial.setting.shared())).or_insert(count)
         });
-        let place = *places.entry((common, told(trial, trial.setting.own()))).or_insert_with(|| {
+        let place = *places.entry((common, label_text(trial, trial.setting.own()))).or_insert_with(|| {
             found.push((key(trial), Vec::new()));
             found.len() - 1
         });
@@ -151,8 +151,8 @@ pub fn groups_by_objective<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<
     let part = |group: &Group<'a>, over: &Option<String>| {
         let trials: Vec<_> =
             group.trials.iter().copied().filter(|trial| objective(&trial.setting) == *over).collect();
-        let told = over.as_ref().map_or(String::new(), |over| format!(", {over}"));
-        (!trials.is_empty()).then(|| Group { label: format!("{}{told}", group.label), trials })
+        let label_text = over.as_ref().map_or(String::new(), |over| format!(", {over}"));
+        (!trials.is_empty()).then(|| Group { label: format!("{}{label_text}", group.label), trials })
     };
     let over = distinct(trials.iter().map(|trial| objective(&trial.setting)));
     let found = groups(trials, but);
@@ -160,7 +160,7 @@ pub fn groups_by_objective<'a>(trials: &[&'a Trial], but: &[&str]) -> Vec<Group<
 }
 
 /// Whether a path equals `name`, or lies below it if `name` ends in a dot.
-fn is_of(path: &str, name: &str) -> bool {
+fn is_at_or_below(path: &str, name: &str) -> bool {
     path == name || (name.ends_with('.') && path.starts_with(name))
 }
 
@@ -171,8 +171,9 @@ fn disputed(trials: &[&Trial]) -> HashSet<String> {
         let common = trial.setting.shared();
         let common = shared.entry(Arc::as_ptr(common)).or_insert_with(|| judging(common));
         let said: Vec<_> = common.iter().copied().chain(judging(trial.setting.own())).collect();
-        for name in JUDGING {
-            let own: BTreeMap<_, _> = said.iter().copied().filter(|(path, _)| is_of(path, name)).collect();
+        for name in FURTHER_EVALUATION {
+            let own: BTreeMap<_, _> =
+                said.iter().copied().filter(|(path, _)| is_at_or_below(path, name)).collect();
             if own.is_empty() {
                 continue;
             }
@@ -186,18 +187,22 @@ fn disputed(trials: &[&Trial]) -> HashSet<String> {
 
 /// Returns the leaves below [`JUDGING`].
 fn judging(leaves: &BTreeMap<String, Value>) -> Vec<(&String, &Value)> {
-    leaves.iter().filter(|(path, _)| JUDGING.iter().any(|name| is_of(path, name))).collect()
+    leaves
+        .iter()
+        .filter(|(path, _)| FURTHER_EVALUATION.iter().any(|name| is_at_or_below(path, name)))
+        .collect()
 }
 
 /// Returns the trials with a value of `found`. Of trials that differ only in further evaluations of their bodies, only the
 /// first counts. For bodies trained over casts, the variation belongs to the training.
-pub fn once<'a, V>(
+pub fn without_repeats<'a, V>(
     trials: &[&'a Trial],
     found: impl Fn(&Trial) -> Option<V>,
 ) -> impl Iterator<Item = (&'a Trial, V)> {
     let judges = |path: &str, over_casts: bool| {
         path == LONG
-            || JUDGING.iter().any(|name| is_of(path, name)) && !(over_casts && path.starts_with("variation."))
+            || FURTHER_EVALUATION.iter().any(|name| is_at_or_below(path, name))
+                && !(over_casts && path.starts_with("variation."))
     };
     let (mut kinds, mut known, mut seen) = (HashMap::new(), Vec::new(), HashSet::new());
     trials.iter().filter_map(move |&trial| {
@@ -260,8 +265,10 @@ fn labels(all: &[&Key], kinds: Vec<[String; 2]>) -> Vec<String> {
     let differs = differing(all);
     let (alike, struck) = (differing_within(all, &kinds), differing_within(all, &stimuli));
     let one_kind = kinds.iter().all(|kind| *kind == kinds[0]);
-    let told = all.iter().zip(&kinds).zip(alike.iter().zip(&struck));
-    told.map(|((key, own), (alike, struck))| label(key, own, one_kind, [&differs, alike, struck])).collect()
+    let label_text = all.iter().zip(&kinds).zip(alike.iter().zip(&struck));
+    label_text
+        .map(|((key, own), (alike, struck))| label(key, own, one_kind, [&differs, alike, struck]))
+        .collect()
 }
 
 /// `differ`: paths at which all groups differ, groups of the same decoders, and groups of the same forces.
@@ -289,16 +296,16 @@ fn label(key: &Key, own: &[String; 2], one_kind: bool, differ: [&HashSet<&str>; 
     for (path, value) in key {
         // these follow from the material
         let given = path == "body.density" || path.starts_with("body.stiffness.");
-        let told = path.starts_with("point.")
+        let label_text = path.starts_with("point.")
             || path.ends_with("panel_units")
             || SIZES.contains(&path.as_str())
             || given && at(key, "body.material.thickness").is_some();
-        let apart = match path.as_str() {
+        let label_parts = match path.as_str() {
             path if of_brains(path) => alike.contains(path),
             path if path.starts_with("stimuli.") && path != "stimuli.kind" => struck.contains(path),
             path => differs.contains(path),
         };
-        if !told && apart {
+        if !label_text && label_parts {
             parts.push(format!("{path} = {}", short(value)));
         }
     }
@@ -322,7 +329,7 @@ fn short(value: &Value) -> String {
 
 /// Returns the errors of trials along an axis.
 pub fn observations(trials: &[&Trial], body: Body, set: Set, at: fn(&Trial) -> u64) -> Vec<Observation> {
-    once(trials, |t| t.error(body, set))
+    without_repeats(trials, |t| t.error(body, set))
         .map(|(t, error)| Observation { at: at(t) as f64, cluster: t.cluster, error })
         .collect()
 }

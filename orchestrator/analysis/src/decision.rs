@@ -74,7 +74,7 @@ pub struct Decisions {
 type Means = [(f64, f64)];
 
 /// Decides on M; `None` with fewer than two values of M.
-pub fn decide(observations: &[Observation], terms: Terms) -> Option<Decisions> {
+pub fn decisions(observations: &[Observation], terms: Terms) -> Option<Decisions> {
     let clusters = clusters(observations);
     let grid = Grid::new(observations, &clusters);
     let at = &grid.places;
@@ -85,7 +85,7 @@ pub fn decide(observations: &[Observation], terms: Terms) -> Option<Decisions> {
     let means = |weights: &[f64]| -> Vec<(f64, f64)> {
         at.iter().zip(grid.means(weights)).filter_map(|(m, mean)| Some((*m, mean?))).collect()
     };
-    let all = means(&units.even());
+    let all = means(&units.equal_weights());
     // in an incomplete sweep, a replicate may have no trial with some M: it has no vote
     let replicates = units.replicates(|weights| Some(means(&weights)).filter(|of| of.len() == at.len()));
     let decision = |rule: &dyn Fn(&Means) -> f64| {

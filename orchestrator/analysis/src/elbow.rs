@@ -32,14 +32,14 @@ const SMOOTH: usize = 7;
 
 /// The quantity y. An error that falls by many factors bends early in %, and late in logarithms.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Height {
+pub enum ErrorScale {
     /// The error (%).
     Percent,
     /// Its logarithm: equal factors are equal steps.
     Logarithm,
 }
 
-impl Height {
+impl ErrorScale {
     /// Both.
     pub const ALL: [Self; 2] = [Self::Percent, Self::Logarithm];
 
@@ -133,7 +133,7 @@ pub struct TooFew(pub usize);
 ///
 /// # Errors
 /// If there are fewer than four values of M.
-pub fn elbow(observations: &[Observation], height: Height) -> Result<Elbow, TooFew> {
+pub fn elbow(observations: &[Observation], scale: ErrorScale) -> Result<Elbow, TooFew> {
     let clusters = clusters(observations);
     let grid = Grid::new(observations, &clusters);
     let at = &grid.places;
@@ -142,8 +142,8 @@ pub fn elbow(observations: &[Observation], height: Height) -> Result<Elbow, TooF
     }
     let levels = levels(observations);
     let resampling = Resampling::new(&clusters);
-    let curve = Curve::new(&grid, clusters.len(), height);
-    let even = resampling.even();
+    let curve = Curve::new(&grid, clusters.len(), scale);
+    let even = resampling.equal_weights();
     let broken_stick = curve.broken_stick(&even, SMOOTH);
     let replicates = resampling.replicates(|weights| Some(curve.broken_stick(&weights, SMOOTH)));
     let share = |place: Option<f64>| {
@@ -157,14 +157,14 @@ pub fn elbow(observations: &[Observation], height: Height) -> Result<Elbow, TooF
     let largest = at[at.len() - 1];
     let without_largest = (at.len() > LEAST_VALUES).then(|| {
         let rest: Vec<Observation> = observations.iter().filter(|o| o.at < largest).copied().collect();
-        Curve::new(&Grid::new(&rest, &clusters), clusters.len(), height).broken_stick(&even, SMOOTH)
+        Curve::new(&Grid::new(&rest, &clusters), clusters.len(), scale).broken_stick(&even, SMOOTH)
     });
     Ok(Elbow {
         broken_stick,
         without_largest,
         any_decay: curve.broken_stick(&even, 0),
         kneedle: kneedle(&levels),
-        chord: chord(&levels, height),
+        chord: chord(&levels, scale),
         votes,
         gains: gains(observations),
         verdict,
@@ -240,9 +240,9 @@ struct ByCluster {
 }
 
 impl Curve {
-    fn new(grid: &Grid, clusters: usize, height: Height) -> Self {
+    fn new(grid: &Grid, clusters: usize, scale: ErrorScale) -> Self {
         let mut points = vec![Vec::new(); clusters];
-        grid.points.iter().for_each(|&(cluster, place, log)| points[cluster].push((place, height.of(log))));
+        grid.points.iter().for_each(|&(cluster, place, log)| points[cluster].push((place, scale.of(log))));
         let places = &grid.places;
         let column = |points: &[(usize, f64)], x: &dyn Fn(f64) -> f64| {
             Normal::centred(points.iter().map(|&(place, y)| [x(places[place]), 0.0, y]))
@@ -327,9 +327,9 @@ fn kneedle(levels: &[Level]) -> Option<f64> {
 }
 
 /// Returns the inner point farthest below the straight line from the first point to the last.
-fn chord(levels: &[Level], height: Height) -> Option<f64> {
+fn chord(levels: &[Level], scale: ErrorScale) -> Option<f64> {
     let (first, last) = (levels.first()?, levels.last()?);
-    let y = |level: &Level| height.of(level.mean.ln());
+    let y = |level: &Level| scale.of(level.mean.ln());
     let slope = (y(last) - y(first)) / (last.at - first.at);
     let mut best = (None, 1e-9);
     for level in &levels[1..levels.len() - 1] {

@@ -37,7 +37,7 @@ mod tests;
 
 pub use data::{Group, Observation};
 pub use decision::Terms;
-pub use elbow::{Elbow, Height, Verdict, elbow};
+pub use elbow::{Elbow, ErrorScale, Verdict, elbow};
 pub use resample::{Interval, Resampling};
 pub use tables::Question;
 pub use trial::{Body, Cluster, Set, Trial};

@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use super::data::once;
+use super::data::without_repeats;
 use super::numbers::geometric_mean;
 use super::resample::{Interval, Resampling};
 use super::trial::{Body, Cluster, CurvePoint, Set, Trial};
@@ -22,9 +22,9 @@ pub struct Ratio {
     /// Its 95 % interval; `None` with too few units.
     pub interval: Option<Interval>,
     /// Two-sided p-value of the hypothesis that the true ratio is 1.
-    pub chance: Option<f64>,
+    pub p_value: Option<f64>,
     /// True ratio that such trials would distinguish from 1 with a power of 80 %.
-    pub tells: Option<f64>,
+    pub detectable: Option<f64>,
     /// Units of the interval, or why there is none.
     pub over: String,
 }
@@ -70,10 +70,10 @@ impl Ratio {
         Some(Self {
             trials,
             above_one,
-            ratio: logarithm(&units.even())?.exp(),
+            ratio: logarithm(&units.equal_weights())?.exp(),
             interval: judged.map(|j| j.interval.map(f64::exp)),
-            chance: judged.map(|j| j.chance),
-            tells: judged.map(|j| j.tells.exp()),
+            p_value: judged.map(|j| j.chance),
+            detectable: judged.map(|j| j.tells.exp()),
             over: units.over(),
         })
     }
@@ -81,7 +81,7 @@ impl Ratio {
 
 /// Ratio of the first value to the second, over trials that have both.
 pub(super) fn ratio_of(trials: &[&Trial], values: impl Fn(&Trial) -> Option<[f64; 2]>) -> Option<Ratio> {
-    let of = once(trials, values).map(|(t, [a, b])| (t.cluster, a / b));
+    let of = without_repeats(trials, values).map(|(t, [a, b])| (t.cluster, a / b));
     Ratio::of(&of.collect::<Vec<_>>())
 }
 
@@ -146,7 +146,8 @@ pub fn iteration_ratio(initial: &[CurvePoint], optimised: &[CurvePoint]) -> Opti
 /// [`iteration_ratio`] over trials; geometric mean over the networks of a trial.
 pub fn iterations(trials: &[&Trial], by: Progress) -> Option<Ratio> {
     let of = |t: &Trial| Some(geometric_mean(&t.iterations[by as usize])).filter(|mean| mean.is_finite());
-    let ratios: Vec<(Cluster, f64)> = once(trials, of).map(|(t, ratio)| (t.cluster, ratio)).collect();
+    let ratios: Vec<(Cluster, f64)> =
+        without_repeats(trials, of).map(|(t, ratio)| (t.cluster, ratio)).collect();
     Ratio::of(&ratios)
 }
 

@@ -25,7 +25,7 @@ pub struct Setting {
     /// Coordinates of the setting, about 0 to 1.
     pub place: Vec<f64>,
     /// Kind of error on its rungs: equal numbers, equal kinds. Results are always of the same kind.
-    pub looks: usize,
+    pub rung_kind: usize,
     /// Sensor placement: equal numbers, equal placements.
     pub sensors: usize,
 }
@@ -43,7 +43,7 @@ const OF_NOISE: usize = 4;
 const OF_ALL: f64 = 4.0;
 const OF_LEVEL: f64 = 1.0;
 /// Prior penalty per hyperparameter (nats per squared grid step from the middle).
-const PULL: f64 = 0.6;
+const PRIOR_PENALTY: f64 = 0.6;
 /// Passes over the hyperparameters.
 const PASSES: usize = 2;
 
@@ -82,7 +82,7 @@ impl Hyper {
         let setting = self.amplitude.powi(2) * (-0.5 * distance).exp();
         let own = if i == j { self.own.powi(2) } else { 0.0 };
         let placed = if x[i].sensors == x[j].sensors { self.placed.powi(2) } else { 0.0 };
-        let alike = l == LEVELS - 1 || x[i].looks == x[j].looks;
+        let alike = l == LEVELS - 1 || x[i].rung_kind == x[j].rung_kind;
         let level = if l == m && alike { OF_LEVEL } else { 0.0 };
         OF_ALL + level + self.kinship.powi(l.abs_diff(m) as i32) * (setting + placed + own)
     }
@@ -96,7 +96,7 @@ impl Hyper {
     }
 
     /// Returns the log marginal likelihood of y, up to a constant.
-    fn evidence(&self, x: &[&Setting], seen: &[Seen], y: &DVector<f64>) -> f64 {
+    fn log_likelihood(&self, x: &[&Setting], seen: &[Seen], y: &DVector<f64>) -> f64 {
         let Some(factor) = self.factor(x, seen) else { return f64::NEG_INFINITY };
         let logs: f64 = factor.l_dirty().diagonal().iter().map(|d| d.ln()).sum();
         -0.5 * y.dot(&factor.solve(y)) - logs
@@ -171,7 +171,7 @@ fn fitted(x: &[&Setting], seen: &[Seen], y: &DVector<f64>) -> Hyper {
     let mut at = vec![MIDDLE; OF_NOISE + 1 + x.first().map_or(0, |trial| trial.place.len())];
     let worth = |at: &[usize]| {
         let far: f64 = at.iter().map(|i| (*i as f64 - MIDDLE as f64).powi(2)).sum();
-        hyper(at).evidence(x, seen, y) - PULL * far
+        hyper(at).log_likelihood(x, seen, y) - PRIOR_PENALTY * far
     };
     let mut best = worth(&at);
     for turn in 0..PASSES * at.len() {
@@ -196,7 +196,7 @@ mod tests {
 
     /// Settings with one coordinate, a kind of rungs and a placement each.
     fn settings(known: impl Iterator<Item = (f64, usize, usize)>) -> Vec<Setting> {
-        known.map(|(x, looks, sensors)| Setting { place: vec![x], looks, sensors }).collect()
+        known.map(|(x, looks, sensors)| Setting { place: vec![x], rung_kind: looks, sensors }).collect()
     }
 
     fn predicted(x: &[Setting], seen: &[Seen]) -> Prediction {

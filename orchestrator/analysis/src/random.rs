@@ -7,7 +7,7 @@ use std::collections::HashMap;
 
 use metasense_schemas::spec::Design;
 
-use super::data::{DESIGN, Group, groups, once};
+use super::data::{DESIGN, Group, groups, without_repeats};
 use super::numbers::{geometric_mean, log_squares};
 use super::paired::Ratio;
 use super::resample::{PLACEMENTS, Resampling, SEEDS};
@@ -64,7 +64,7 @@ pub fn random(trials: &[&Trial], set: Set) -> Option<Random> {
     let (random, mut others): (Vec<&Trial>, Vec<&Trial>) = trials.iter().partition(|t| t.starts_random());
     others.retain(|t| !t.starts_from_design());
     let of = |trials: &[&Trial], body| -> Vec<f64> {
-        once(trials, |t| t.error(body, set)).map(|(_, error)| error).collect()
+        without_repeats(trials, |t| t.error(body, set)).map(|(_, error)| error).collect()
     };
     // geometric mean over ways of training with equal sensors and forces
     let mut sharing: HashMap<_, Vec<&Trial>> = HashMap::new();
@@ -76,7 +76,7 @@ pub fn random(trials: &[&Trial], set: Set) -> Option<Random> {
     };
     let ratios = Body::ALL.map(|body| {
         let ratio = |t: &Trial| Some(t.error(Body::Initial, set)? / alike(t, body)?);
-        let (trials, ratios): (Vec<&Trial>, Vec<f64>) = once(&random, ratio).unzip();
+        let (trials, ratios): (Vec<&Trial>, Vec<f64>) = without_repeats(&random, ratio).unzip();
         let of = |unit: fn(&Trial) -> u64| trials.iter().map(|t| unit(t)).collect();
         let units = Resampling::of([
             (["body", "bodies"], of(|t| t.setting.count(RANDOM).unwrap_or_default())),

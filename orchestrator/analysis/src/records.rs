@@ -17,7 +17,7 @@ pub struct Judged {
     /// The body.
     pub body: String,
     /// Signals of training and evaluation.
-    pub by: By,
+    pub by: SignalSource,
     /// Error of each record (%), mean over seeds; `None` if it has none.
     pub errors: Vec<Option<f64>>,
     /// Mean error on training records (%).
@@ -31,12 +31,12 @@ pub struct Judged {
     /// Agreement of the signals of the model or the twin with the measured ones.
     pub agreement: Option<Agreement>,
     /// Results of the inverse decoder.
-    pub posterior: Option<Said>,
+    pub posterior: Option<InverseResults>,
 }
 
 /// Further results of the inverse decoder.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Said {
+pub struct InverseResults {
     /// Fraction of the true forces within the 95 % bands (%).
     pub coverage: f64,
     /// Number of descents that did not converge.
@@ -49,7 +49,7 @@ pub struct Said {
 
 /// Signals that train the networks and on which they are evaluated; for the inverse decoder, the model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum By {
+pub enum SignalSource {
     /// Measured signals.
     Measured,
     /// The held-out set of the trial.
@@ -60,7 +60,7 @@ pub enum By {
     Twin,
 }
 
-impl By {
+impl SignalSource {
     /// Name in tables.
     pub fn name(self) -> &'static str {
         ["measured", "holdout", "simulated", "twin"][self as usize]

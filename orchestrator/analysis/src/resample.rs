@@ -52,8 +52,7 @@ pub const PLACEMENTS: [&str; 2] = ["placement", "placements"];
 pub const SEEDS: [&str; 2] = ["seed", "seeds"];
 
 /// The same if each seed has its own placements.
-const OWN_PLACEMENTS: [&str; 2] =
-    ["seed with its own placements", "seeds, each with its own placements"];
+const OWN_PLACEMENTS: [&str; 2] = ["seed with its own placements", "seeds, each with its own placements"];
 
 /// A kind of unit: its name (singular, plural), the number of units, and the unit of each trial.
 #[derive(Debug, Clone)]
@@ -95,13 +94,13 @@ impl Resampling {
         Self { trials: kinds.first().map_or(0, |k| k.of_trial.len()), kinds }
     }
 
-    fn drawn(&self) -> Vec<&Kind> {
+    fn resampled_kinds(&self) -> Vec<&Kind> {
         self.kinds.iter().filter(|k| k.count >= LEAST_UNITS).collect()
     }
 
     /// Whether any kind has enough units for intervals.
-    pub fn can_tell(&self) -> bool {
-        !self.drawn().is_empty()
+    pub fn has_enough_units(&self) -> bool {
+        !self.resampled_kinds().is_empty()
     }
 
     /// Describes the units of an interval or vote: `5 placements`, `6 placements at 2 seeds`, `too few to tell: 3 seeds`.
@@ -111,21 +110,23 @@ impl Resampling {
             each.collect::<Vec<_>>().join(" × ")
         };
         let held: Vec<&Kind> = self.kinds.iter().filter(|k| (2..LEAST_UNITS).contains(&k.count)).collect();
-        match (self.can_tell(), held.is_empty()) {
-            (true, true) => list(&self.drawn()),
-            (true, false) => format!("{} at {}", list(&self.drawn()), list(&held)),
+        match (self.has_enough_units(), held.is_empty()) {
+            (true, true) => list(&self.resampled_kinds()),
+            (true, false) => format!("{} at {}", list(&self.resampled_kinds()), list(&held)),
             (false, false) => format!("no interval, too few units: {}", list(&held)),
-            (false, true) => format!("no interval, too few units: {}", list(&self.kinds.iter().collect::<Vec<_>>())),
+            (false, true) => {
+                format!("no interval, too few units: {}", list(&self.kinds.iter().collect::<Vec<_>>()))
+            }
         }
     }
 
     /// Unit of each trial, for the resampled kind with the fewest units; `None` if no kind has enough.
     pub fn units(&self) -> Option<&[usize]> {
-        self.drawn().into_iter().min_by_key(|k| k.count).map(|k| &k.of_trial[..])
+        self.resampled_kinds().into_iter().min_by_key(|k| k.count).map(|k| &k.of_trial[..])
     }
 
     /// Weights of 1 for every trial.
-    pub(super) fn even(&self) -> Vec<f64> {
+    pub(super) fn equal_weights(&self) -> Vec<f64> {
         vec![1.0; self.trials]
     }
 
@@ -138,8 +139,8 @@ impl Resampling {
 
     /// The same with a function that draws a number below its argument.
     fn weighed(&self, mut below: impl FnMut(usize) -> usize) -> Vec<f64> {
-        let mut weights = self.even();
-        for kind in self.drawn() {
+        let mut weights = self.equal_weights();
+        for kind in self.resampled_kinds() {
             let mut counts = vec![0.0; kind.count];
             for _ in 1..kind.count {
                 counts[below(kind.count)] += kind.count as f64 / (kind.count - 1) as f64;
@@ -153,10 +154,10 @@ impl Resampling {
 
     /// Returns a statistic of every replicate, in order, without those that lack it. Empty with too few units.
     pub fn replicates<T>(&self, statistic: impl FnMut(Vec<f64>) -> Option<T>) -> Vec<T> {
-        if !self.can_tell() {
+        if !self.has_enough_units() {
             return Vec::new();
         }
-        let ways = self.drawn().iter().fold(1usize, |ways, kind| {
+        let ways = self.resampled_kinds().iter().fold(1usize, |ways, kind| {
             ways.saturating_mul(kind.count.saturating_pow((kind.count - 1) as u32))
         });
         if ways > REPLICATES {
@@ -174,9 +175,9 @@ impl Resampling {
 
     /// Returns a statistic of all trials, and with each unit left out. `None` with too few units, or if a statistic is missing.
     pub fn jackknife<T>(&self, mut statistic: impl FnMut(&[f64]) -> Option<T>) -> Option<Jackknife<T>> {
-        let drawn = self.drawn();
+        let drawn = self.resampled_kinds();
         let fewest = drawn.iter().map(|k| k.count).min()?;
-        let whole = statistic(&self.even())?;
+        let whole = statistic(&self.equal_weights())?;
         let mut parts = Vec::new();
         for chosen in 1usize..1 << drawn.len() {
             let kinds: Vec<&&Kind> =
@@ -184,7 +185,7 @@ impl Resampling {
             let unit = |trial: usize| kinds.iter().fold(0, |unit, k| unit * k.count + k.of_trial[trial]);
             let mut members: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
             (0..self.trials).for_each(|trial| members.entry(unit(trial)).or_default().push(trial));
-            let mut weights = self.even();
+            let mut weights = self.equal_weights();
             let mut without = |members: &Vec<usize>| {
                 members.iter().for_each(|&trial| weights[trial] = 0.0);
                 let found = statistic(&weights);
@@ -203,14 +204,14 @@ impl Resampling {
     }
 
     /// Returns interval, p-value and detectable value of a statistic with the null value 0.
-    pub fn judged(&self, statistic: impl FnMut(&[f64]) -> Option<f64>) -> Option<Judged> {
+    pub fn judged(&self, statistic: impl FnMut(&[f64]) -> Option<f64>) -> Option<Inference> {
         self.jackknife(statistic)?.judged(|x| *x)
     }
 }
 
 /// Inference on a statistic with the null value 0.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Judged {
+pub struct Inference {
     /// The 95 % interval.
     pub interval: Interval,
     /// Two-sided p-value.
@@ -234,7 +235,7 @@ impl<T> Jackknife<T> {
         self.judged(number).map(|judged| judged.interval)
     }
 
-    fn judged(&self, number: impl Fn(&T) -> f64) -> Option<Judged> {
+    fn judged(&self, number: impl Fn(&T) -> f64) -> Option<Inference> {
         let (mut variance, mut most, mut squares) = (0.0, 0.0f64, 0.0);
         for (kinds, left_out) in &self.parts {
             let values: Vec<f64> = left_out.iter().map(&number).collect();
@@ -259,7 +260,7 @@ impl<T> Jackknife<T> {
         let t = if whole == 0.0 { 0.0 } else { whole.abs() / variance.sqrt() };
         let chance = 2.0 * between(&|freedom| chance_above(freedom, t));
         let interval = Interval { low: whole - half, high: whole + half };
-        (whole.is_finite() && half.is_finite()).then_some(Judged { interval, chance, tells })
+        (whole.is_finite() && half.is_finite()).then_some(Inference { interval, chance, tells })
     }
 }
 

@@ -32,7 +32,7 @@ pub fn time_to(history: &[Reached], error: f64) -> Option<f64> {
 
 /// A possibly censored time.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Watched {
+pub struct CensoredTime {
     /// Placement and seed.
     pub cluster: Cluster,
     /// Seconds until the error was reached, or until the end.
@@ -41,7 +41,7 @@ pub struct Watched {
     pub reached: bool,
 }
 
-impl Watched {
+impl CensoredTime {
     /// Returns the time of a trial to an error (%); `None` without steps.
     pub fn new(trial: &Trial, error: f64) -> Option<Self> {
         let reached = time_to(&trial.history, error);
@@ -65,7 +65,7 @@ pub struct MedianTime {
 const LEAST_UNITS: usize = 6;
 
 /// Returns the median over runs, with its interval over units.
-pub fn median_time(runs: &[Watched]) -> MedianTime {
+pub fn median_time(runs: &[CensoredTime]) -> MedianTime {
     let resampling = Resampling::new(&runs.iter().map(|r| r.cluster).collect::<Vec<_>>());
     let of_unit = |units: &[usize], unit: usize| -> (f64, bool) {
         let own = runs.iter().zip(units).filter(|(_, u)| **u == unit).map(|(r, _)| (r.seconds, r.reached));
@@ -82,7 +82,7 @@ pub fn median_time(runs: &[Watched]) -> MedianTime {
     MedianTime {
         median: median(&runs.iter().map(|r| (r.seconds, r.reached)).collect::<Vec<_>>()),
         ends: ends.unwrap_or_default(),
-        over: match ends.is_none() && resampling.can_tell() {
+        over: match ends.is_none() && resampling.has_enough_units() {
             true => format!("no interval, too few units: {over}"),
             false => over,
         },
@@ -95,12 +95,12 @@ fn kaplan_meier(runs: &[(f64, bool)], share: f64) -> Option<f64> {
     let mut runs = runs.to_vec();
     // a run that ends when another one reaches the error counts as still running
     runs.sort_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)));
-    let mut on_the_way = 1.0;
+    let mut survival = 1.0;
     for (i, (seconds, reached)) in runs.iter().enumerate() {
         if *reached {
-            on_the_way *= 1.0 - 1.0 / (runs.len() - i) as f64;
+            survival *= 1.0 - 1.0 / (runs.len() - i) as f64;
         }
-        if on_the_way <= 1.0 - share + 1e-9 {
+        if survival <= 1.0 - share + 1e-9 {
             return Some(*seconds);
         }
     }

@@ -95,9 +95,7 @@ impl Scaling {
 
 /// There are too few values of N for a law.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "not identifiable: {0} body sizes; three parameters need at least {LEAST_VALUES}"
-)]
+#[error("not identifiable: {0} body sizes; three parameters need at least {LEAST_VALUES}")]
 pub struct TooFew(pub usize);
 
 /// Fits the error against the number of design parameters.
@@ -114,7 +112,7 @@ pub fn scaling(observations: &[Observation]) -> Result<Scaling, TooFew> {
     let clusters = clusters(observations);
     let sums = Sums::new(&Grid::new(observations, &clusters));
     let units = Resampling::new(&clusters);
-    let all = units.even();
+    let all = units.equal_weights();
     let (law, squares) = fit(&sums, &all, reference, None).expect("as many values of N as it takes");
     let laws = units.jackknife(|weights| Some(fit(&sums, weights, reference, Some(&law))?.0));
     let of = |pick: fn(&Law) -> f64| laws.as_ref().and_then(|laws| laws.interval(pick));
@@ -166,7 +164,7 @@ fn held_out(
         let law = fit(&smaller, weights, all.reference, Some(all))?.0;
         Some([law.at(most).ln(), here.means(weights)[0]?.ln()])
     };
-    let [predicted, observed] = logs(&units.even())?.map(f64::exp);
+    let [predicted, observed] = logs(&units.equal_weights())?.map(f64::exp);
     let interval = units.jackknife(logs).and_then(|j| j.interval(|[p, o]| p - o));
     Some(HeldOut { at: most, predicted, observed, interval: interval.map(|i| i.map(f64::exp)) })
 }
@@ -183,7 +181,9 @@ fn doubt(found: &Scaling, observations: &[Observation]) -> Option<String> {
     };
     let [least, most] = EXPONENTS;
     if interval.low <= 1.05 * least || interval.high >= 0.95 * most {
-        return Some(format!("the exponent's interval reaches the end of the searched range ({least} to {most})"));
+        return Some(format!(
+            "the exponent's interval reaches the end of the searched range ({least} to {most})"
+        ));
     }
     (interval.high / interval.low > WIDEST)
         .then(|| format!("the exponent's interval spans a factor of {:.1}", interval.high / interval.low))

@@ -33,7 +33,7 @@ pub fn fewer(initial: &[Observation], optimised: &[Observation]) -> Option<Fewer
         Some((bar, first))
     };
     let units = Resampling::new(&clusters);
-    let (initial_error, first) = find(&units.even())?;
+    let (initial_error, first) = find(&units.equal_weights())?;
     let replicates = units.replicates(|weights| find(&weights).map(|(_, first)| first.map(|(m, _)| m)));
     let share = first.filter(|_| !replicates.is_empty()).map(|(m, _)| {
         replicates.iter().filter(|r| r.is_some_and(|r| r <= m)).count() as f64 / replicates.len() as f64

@@ -14,7 +14,7 @@ pub struct Setting {
 }
 
 /// Paths that differ between trials in most sweeps.
-const OWN: &[&str] =
+const OWN_PATHS: &[&str] =
     &["point.panels", "point.sensors", "point.placement", "point.seed", "sensor_units", "panel_units"];
 
 impl Setting {
@@ -60,7 +60,7 @@ impl Setting {
 }
 
 /// Returns the paths at which the shared values of the settings differ.
-pub fn odd<'a>(settings: impl Iterator<Item = &'a Setting>) -> BTreeSet<&'a str> {
+pub fn differing_paths<'a>(settings: impl Iterator<Item = &'a Setting>) -> BTreeSet<&'a str> {
     let all: HashMap<_, _> = settings.map(|s| (Arc::as_ptr(&s.shared), &*s.shared)).collect();
     let Some(first) = all.values().next() else { return BTreeSet::new() };
     let paths: BTreeSet<&str> = all.values().flat_map(|shared| shared.keys()).map(String::as_str).collect();
@@ -98,7 +98,7 @@ impl Settings {
     pub fn of(&mut self, spec: &Value) -> Setting {
         let mut leaves = flatten(spec);
         leaves.remove("stimuli.recorded.files");
-        let (own, shared) = leaves.into_iter().partition(|(path, _)| OWN.contains(&path.as_str()));
+        let (own, shared) = leaves.into_iter().partition(|(path, _)| OWN_PATHS.contains(&path.as_str()));
         Setting { shared: self.shared.of(shared), own: self.own.of(own) }
     }
 

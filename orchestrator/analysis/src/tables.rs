@@ -3,21 +3,21 @@
 use clap::ValueEnum;
 use serde_json::{Value, json};
 
-use super::brains::{Read, reads};
+use super::brains::{DecoderErrors, errors_by_decoder};
 use super::casts;
 use super::claims::{claims_table, evidence_table, tried};
 use super::data::{
     BRAINS, COMPLEXITY, FREEDOM, Group, Level, Observation, SENSORS, TRAINING, apart, groups,
     groups_by_objective, levels, observations,
 };
-use super::decision::{Decision, Terms, decide};
-use super::elbow::{Height, Verdict, elbow};
+use super::decision::{Decision, Terms, decisions};
+use super::elbow::{ErrorScale, Verdict, elbow};
 use super::numbers::{distinct, geometric_mean, mean};
 use super::paired::{self, Ratio};
 use super::placed::placed;
 use super::random::{random, random_groups};
 use super::resample::Interval;
-use super::run_time::{Watched, mean_seconds, median_time, pareto, parts, round_errors};
+use super::run_time::{CensoredTime, mean_seconds, median_time, pareto, parts, round_errors};
 use super::scaling::{Scaling, scaling};
 use super::sensors::{Spread, fewer, spread};
 use super::transfer;
@@ -217,15 +217,16 @@ fn by_curve(columns: &str, (groups, at): Curves, rows: impl Fn(&[Observation]) -
 fn brains_table(trials: &[&Trial]) -> Table {
     let mut rows = Vec::new();
     for group in groups(trials, BRAINS) {
-        let found = reads(&group.trials);
-        let what = |read: &Read| (read.trained_with.clone(), read.by.clone(), read.errors);
+        let found = errors_by_decoder(&group.trials);
+        let what = |read: &DecoderErrors| (read.trained_with.clone(), read.decoder.clone(), read.errors);
         // a linear decoder of the trial appears also among the linear decoders
-        let twice =
-            |read: &&Read| !read.own && found.iter().any(|other| other.own && what(other) == what(read));
+        let twice = |read: &&DecoderErrors| {
+            !read.own && found.iter().any(|other| other.own && what(other) == what(read))
+        };
         for read in found.iter().filter(|read| !twice(read)) {
             let [before, after] = read.memory.map(|s| (1e6 * s).round() / 1e6);
             let [initial, optimised] = read.errors;
-            let names = row![group.label, read.trained_with, read.by, before, after, initial, optimised];
+            let names = row![group.label, read.trained_with, read.decoder, before, after, initial, optimised];
             rows.push([names, ratio_cells(read.ratio.clone())].concat());
         }
     }
@@ -240,7 +241,7 @@ fn casts_table(trials: &[&Trial]) -> Table {
         for (body, by) in
             setting.bodies.iter().flat_map(|body| body.brains().into_iter().map(move |by| (body, by)))
         {
-            let Some(found) = body.left(by) else { continue };
+            let Some(found) = body.errors_of(by) else { continue };
             let names = row![setting.label, body.name, by.name(), by.records()];
             let [median, most] = &found.errors;
             let designed = found.designed.map(|designed| designed.ratio);
@@ -364,7 +365,7 @@ fn sensors_table(trials: &[&Trial], terms: Terms) -> Table {
     let columns = "M trials error least most elbow_votes within_votes price_votes gain_to_next gain_low \
         gain_high over";
     by_curve(columns, by_sensors(trials), |points| {
-        let (found, decided) = (elbow(points, Height::Logarithm).ok(), decide(points, terms));
+        let (found, decided) = (elbow(points, ErrorScale::Logarithm).ok(), decisions(points, terms));
         let (found, decided) = (found.as_ref(), decided.as_ref());
         let row = |level: Level| {
             let gain = found.and_then(|e| e.gains.iter().find(|g| g.from == level.at));
@@ -404,12 +405,12 @@ fn elbow_table(trials: &[&Trial], terms: Terms) -> Table {
     let whole = |m: f64| m as u64;
     by_curve(columns, by_sensors(trials), |points| {
         let without = |m: Option<f64>| m.map_or(json!("none"), |m| json!(whole(m)));
-        let decided = decide(points, terms);
+        let decided = decisions(points, terms);
         let fall = decision_cells(decided.as_ref().map(|d| &d.fall));
         let within = decision_cells(decided.as_ref().map(|d| &d.within));
         let price = decision_cells(decided.as_ref().and_then(|d| d.priced.as_ref()));
         let over = row![decided.map(|d| d.over)];
-        let row = |height: Height| {
+        let row = |height: ErrorScale| {
             let found = elbow(points, height);
             let e = found.as_ref().ok();
             let by_elbow = row![
@@ -424,7 +425,7 @@ fn elbow_table(trials: &[&Trial], terms: Terms) -> Table {
             ];
             [by_elbow, fall.clone(), within.clone(), price.clone(), over.clone()].concat()
         };
-        Height::ALL.map(row).into()
+        ErrorScale::ALL.map(row).into()
     })
 }
 
@@ -566,7 +567,8 @@ fn time_table(trials: &[&Trial]) -> Table {
         for (error, way) in
             round_errors(&histories).into_iter().flat_map(|e| ways.iter().map(move |w| (e, w)))
         {
-            let runs: Vec<Watched> = way.trials.iter().filter_map(|t| Watched::new(t, error)).collect();
+            let runs: Vec<CensoredTime> =
+                way.trials.iter().filter_map(|t| CensoredTime::new(t, error)).collect();
             let (found, reached) = (median_time(&runs), runs.iter().filter(|r| r.reached).count());
             let [low, high] = found.ends;
             let names = row![group.label, way.label, error, runs.len(), reached];

@@ -7,7 +7,7 @@ use metasense_render::{Table, row};
 
 /// Result of a task on both bodies of a trial.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Read {
+pub struct TaskResult {
     /// Group of the trial: equal K, M and decoder in training.
     pub setting: String,
     /// Placement and seed.
@@ -21,26 +21,27 @@ pub struct Read {
     /// Error of the best estimate without signals.
     pub trivial: f64,
     /// Lower bound of errors in a ratio: half of the error that one wrong sample causes, or 0.
-    pub least: f64,
+    pub error_min: f64,
 }
 
 /// Returns one row per setting, task and readout: means over trials, and the ratio initial/trained with its 95 % interval over
 /// placements and seeds.
-pub fn table(all: &[Read]) -> Table {
+pub fn table(all: &[TaskResult]) -> Table {
     let columns = "setting task readout unit trials trivial initial optimised ratio ratio_low ratio_high";
     let kinds = distinct(all.iter().map(|read| (&read.setting, read.task, read.readout)));
     let line = |(setting, task, readout): (&String, (&'static str, &'static str), &'static str)| {
-        let own: Vec<&Read> = all
+        let own: Vec<&TaskResult> = all
             .iter()
             .filter(|read| (&read.setting, read.task, read.readout) == (setting, task, readout))
             .collect();
-        let ratio = |read: &&Read| {
-            let [initial, trained] = read.errors.map(|error| error.max(read.least).max(f64::MIN_POSITIVE));
+        let ratio = |read: &&TaskResult| {
+            let [initial, trained] =
+                read.errors.map(|error| error.max(read.error_min).max(f64::MIN_POSITIVE));
             (read.cluster, initial / trained)
         };
         let found = Ratio::of(&own.iter().map(ratio).collect::<Vec<_>>());
         let mean =
-            |of: &dyn Fn(&Read) -> f64| own.iter().map(|read| of(read)).sum::<f64>() / own.len() as f64;
+            |of: &dyn Fn(&TaskResult) -> f64| own.iter().map(|read| of(read)).sum::<f64>() / own.len() as f64;
         let interval = found.as_ref().and_then(|ratio| ratio.interval);
         let head = row![
             setting,

@@ -8,7 +8,7 @@ use super::paired::{Progress, Ratio, error_ratio, iteration_ratio, iterations};
 use super::random::{random, random_groups};
 use super::records::{Judged, mean_interval, mean_ratio};
 use super::resample::{Interval, LEAST_UNITS};
-use super::run_time::{Watched, median_time};
+use super::run_time::{CensoredTime, median_time};
 use super::scaling::{Scaling, scaling};
 use super::sensors::fewer;
 use super::trial::{Cluster, RANDOM, SPREAD, Set, Trial};
@@ -252,7 +252,7 @@ fn random_bodies_are_told_apart_by_their_spread() {
 fn means_over_records() {
     let judged = |errors: Vec<f64>| Judged {
         body: String::new(),
-        by: super::records::By::Measured,
+        by: super::records::SignalSource::Measured,
         errors: errors.into_iter().map(Some).collect(),
         error_train: None,
         by_seed: vec![],
@@ -338,7 +338,7 @@ fn times_to_an_error() {
                     let (time, end) =
                         (100.0 * (0.5 * draw.normal()).exp(), earliest * 5f64.powf(draw.uniform()));
                     let cluster = Cluster { placement, seed: 1 };
-                    Watched { cluster, seconds: time.min(end), reached: time <= end }
+                    CensoredTime { cluster, seconds: time.min(end), reached: time <= end }
                 };
                 let [low, high] = median_time(&(0..placements).map(run).collect::<Vec<_>>()).ends;
                 low.or(high)?;

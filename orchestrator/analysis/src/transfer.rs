@@ -24,7 +24,7 @@ pub struct Setting<'a> {
 
 /// Errors of a body under one kind of forces.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Read {
+pub struct TransferErrors {
     /// Error (%) of a decoder fitted under these forces: geometric mean over trials.
     pub own: Ratio,
     /// Error (%) of a decoder fitted under the forces of the body's training; `None` for the initial body.
@@ -36,13 +36,13 @@ pub struct Read {
 
 /// Groups trials that differ only in forces, training, placement and seed.
 pub fn settings<'a>(trials: &[&'a Trial]) -> Vec<Setting<'a>> {
-    let read: Vec<&Trial> = trials.iter().filter(|t| !t.under.is_empty()).copied().collect();
+    let errors_under: Vec<&Trial> = trials.iter().filter(|t| !t.under.is_empty()).copied().collect();
     let setting = |group: Group<'a>| {
         let kinds = distinct(group.trials.iter().flat_map(|t| &t.under).map(|read| read.stimuli.clone()));
         let bodies = bodies(&group.trials, |trial| kind(trial).to_owned(), String::clone);
         Setting { label: group.label, bodies, kinds }
     };
-    groups(&read, &["optimise.", "stimuli."]).into_iter().map(setting).collect()
+    groups(&errors_under, &["optimise.", "stimuli."]).into_iter().map(setting).collect()
 }
 
 /// Returns the kind of forces in the training of the body.
@@ -52,12 +52,12 @@ fn kind(trial: &Trial) -> &str {
 
 impl Setting<'_> {
     /// Returns the errors of a body under one kind of forces; `None` if there are none.
-    pub fn read(&self, body: &Trained, under: &str) -> Option<Read> {
+    pub fn read(&self, body: &Trained, under: &str) -> Option<TransferErrors> {
         let mean = |own: bool| {
             let of = |trial: &&Trial| Some((trial.cluster, error(trial, body.body, under, own)?));
             Ratio::of(&body.trials.iter().filter_map(of).collect::<Vec<_>>())
         };
-        Some(Read {
+        Some(TransferErrors {
             own: mean(true)?,
             carried: (body.body == Body::Optimised).then(|| mean(false)).flatten(),
             kept: (body.body == Body::Optimised).then(|| self.kept(body, under)).flatten(),

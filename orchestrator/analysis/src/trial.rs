@@ -1,6 +1,6 @@
 //! A finished trial: settings and results that the analysis uses.
 
-pub use metasense_numerics::nested::CastBrain;
+pub use metasense_numerics::nested::CastDecoder;
 
 use super::setting::Setting;
 
@@ -93,7 +93,7 @@ pub struct Reading {
     /// Memory before and after an instant (s).
     pub memory: [f64; 2],
     /// Whether no other linear decoder of the trial has a longer memory.
-    pub whole: bool,
+    pub is_longest: bool,
     /// Error (%) by body and set.
     pub errors: [[Option<f64>; 2]; 2],
 }
@@ -104,7 +104,7 @@ pub struct CastReading {
     /// The body.
     pub body: Body,
     /// The decoder.
-    pub by: CastBrain,
+    pub decoder: CastDecoder,
     /// Number of casts.
     pub casts: u64,
     /// Number of casts that failed in simulation or decoding, and count as 100 %.
@@ -187,12 +187,12 @@ pub struct Trial {
 impl Trial {
     /// Returns an error (%); `None` unless it is positive and finite.
     pub fn error(&self, body: Body, set: Set) -> Option<f64> {
-        of_set(&self.errors, &self.medians, body, set)
+        error_of(&self.errors, &self.medians, body, set)
     }
 
     /// Returns an error after long training (%); `None` unless it is positive and finite.
     pub fn long_error(&self, body: Body, set: Set) -> Option<f64> {
-        of_set(&self.long_errors, &self.long_medians, body, set)
+        error_of(&self.long_errors, &self.long_medians, body, set)
     }
 
     /// CPU seconds of training and comparison, as if this trial had trained its body itself. Comparable between trials.
@@ -207,7 +207,7 @@ impl Trial {
     }
 
     /// Removes the results of the trained body from a trial without outer steps.
-    pub fn without_steps(&mut self) {
+    pub fn remove_trained_results(&mut self) {
         if self.has_steps() {
             return;
         }
@@ -242,7 +242,7 @@ impl Trial {
 }
 
 /// Returns an error of a body (%), if it is positive and finite.
-fn of_set(errors: &[[Option<f64>; 2]; 2], medians: &[Option<f64>; 2], body: Body, set: Set) -> Option<f64> {
+fn error_of(errors: &[[Option<f64>; 2]; 2], medians: &[Option<f64>; 2], body: Body, set: Set) -> Option<f64> {
     let error = match set {
         Set::Test | Set::Holdout => errors[body as usize][set as usize],
         Set::Median => medians[body as usize],

@@ -65,7 +65,9 @@ pub fn vector(what: &str, object: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
 pub fn indices(what: &str, object: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
     let Numbers { shape, values } = of_kind("iu", "whole numbers", what, object)?;
     match values.iter().find(|x| **x < 0.0) {
-        Some(x) => Err(PyValueError::new_err(format!("{what} contains {x}; its values must not be negative"))),
+        Some(x) => {
+            Err(PyValueError::new_err(format!("{what} contains {x}; its values must not be negative")))
+        }
         None if shape.len() == 1 => Ok(values.into_iter().map(|x| x as usize).collect()),
         None => Err(PyValueError::new_err(format!("{what} has shape {shape:?}; it must have one dimension"))),
     }

@@ -16,7 +16,7 @@ pub type Pickled = (String, f64, Option<(f64, f64)>, f64, String);
 
 impl Chosen {
     pub fn pickled(&self) -> Pickled {
-        let Solver { method, accuracy, tolerance, single } = self.solver;
+        let Solver { method, accuracy, tolerance, single_below: single } = self.solver;
         let tolerance = tolerance.map(|t| (t.relative, t.absolute));
         (method.name().to_owned(), accuracy.0, tolerance, single, self.reason.clone())
     }
@@ -25,9 +25,11 @@ impl Chosen {
         let method = [Method::Tsit5, Method::Leapfrog, Method::Nystrom4, Method::Nystrom6]
             .into_iter()
             .find(|known| known.name() == method)
-            .ok_or_else(|| PyValueError::new_err(format!("{method}: not an integrator of this version of metasense")))?;
+            .ok_or_else(|| {
+                PyValueError::new_err(format!("{method}: not an integrator of this version of metasense"))
+            })?;
         let tolerance = tolerance.map(|(relative, absolute)| Tolerance { relative, absolute });
-        let solver = Solver { method, accuracy: Accuracy(accuracy), tolerance, single };
+        let solver = Solver { method, accuracy: Accuracy(accuracy), tolerance, single_below: single };
         Ok(Self { solver, reason })
     }
 }

@@ -42,7 +42,7 @@ impl Database {
                 .enable_all()
                 .build()
                 .map_err(|e| PyOSError::new_err(e.to_string()))?;
-            runtime.block_on(Reader::asked(&self.path, ask)).map_err(|e| raised(&e))
+            runtime.block_on(Reader::with_reader(&self.path, ask)).map_err(|e| raised(&e))
         })
     }
 }

@@ -80,8 +80,9 @@ pub fn unpickle_twin(
     turns: Vec<f64>,
     ending: Option<String>,
 ) -> PyResult<Twin> {
-    let trial = serde_json::from_str(trial)
-        .map_err(|e| PyValueError::new_err(format!("this twin was pickled by another version of metasense: {e}")))?;
+    let trial = serde_json::from_str(trial).map_err(|e| {
+        PyValueError::new_err(format!("this twin was pickled by another version of metasense: {e}"))
+    })?;
     let source = Source::new(Path::new("(pickle)"), text).map_err(|e| PyValueError::new_err(chain(&e)))?;
     let mut twin = parse(&source, &trial, &design).map_err(|e| PyValueError::new_err(chain(&e)))?;
     twin.cast.chips.turn = turns;
@@ -222,7 +223,9 @@ impl Inverse {
         let known = twin.as_ref().map(Py::get);
         if let Some(twin) = known {
             if alpha.is_some() {
-                return Err(PyValueError::new_err("alpha: cannot be passed together with twin, which has its own design"));
+                return Err(PyValueError::new_err(
+                    "alpha: cannot be passed together with twin, which has its own design",
+                ));
             }
             if twin.trial.body_digest(&twin.design) != own.trial.body_digest(&twin.design) {
                 return Err(PyValueError::new_err("twin: belongs to another body, or to other sensors"));

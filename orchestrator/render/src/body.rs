@@ -34,7 +34,7 @@ pub struct Sketch {
     /// Violated constraints.
     pub broken: Vec<Mark>,
     /// Units that violate a constraint as a whole.
-    pub wrong: Vec<usize>,
+    pub violating_units: Vec<usize>,
     /// Spacing of the grid.
     pub spacing: f64,
 }
@@ -100,12 +100,15 @@ impl Sketch {
     /// The body; `numbers`: with numbers of units, nodes and sensors.
     pub fn drawn(&self, view: Frame, title: &str, numbers: bool, unit: impl Fn(usize) -> Unit) -> Picture {
         let class = |u: usize| {
-            let held = match (self.clamped.contains(&u), self.guided.contains(&u)) {
+            let active_constraints = match (self.clamped.contains(&u), self.guided.contains(&u)) {
                 (true, _) => " clamped",
                 (_, true) => " guided",
                 _ => "",
             };
-            format!("unit{held}{}", if self.wrong.contains(&u) { " broken" } else { "" })
+            format!(
+                "unit{active_constraints}{}",
+                if self.violating_units.contains(&u) { " broken" } else { "" }
+            )
         };
         let marks = html! {
             @for [[ax, ay], [bx, by]] in &self.ligaments {

@@ -65,7 +65,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         return Err(Error::Usage("--out-dir: only for the claims; add --question claims".into()));
     }
     let sentences = all && args.format == Format::Table;
-    let (trials, verdicts, caveats) = Reader::asked(Database::at(&args.db).await?, async |reader| {
+    let (trials, verdicts, caveats) = Reader::with_reader(Database::at(&args.db).await?, async |reader| {
         let made = reader.code_versions().await?;
         let trials = finished_trials(reader).await?;
         let verdicts = if sentences { verdicts(reader, &trials, args.terms).await? } else { Vec::new() };
@@ -156,7 +156,7 @@ fn write_claims(folder: &Path, trials: &[Trial]) -> Result<(), Error> {
 async fn compare(first: &Path, second: &Path, format: Format) -> Result<Exit, Error> {
     let trials = async |path: &Path| {
         let db = Database::at(path).await?;
-        Reader::asked(db, async |reader| Ok::<_, Error>(finished_trials(reader).await?)).await
+        Reader::with_reader(db, async |reader| Ok::<_, Error>(finished_trials(reader).await?)).await
     };
     let (a, b) = (trials(first).await?, trials(second).await?);
     let found = Comparison::new(&a, &b);

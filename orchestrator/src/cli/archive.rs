@@ -54,7 +54,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let story = load::story(reader, None, Terms::default()).await?;
         Ok::<_, Error>((story, reader.query::<Table>(MADE).await?))
     };
-    let (story, made) = Reader::asked(Database::at(db).await?, asked).await?;
+    let (story, made) = Reader::with_reader(Database::at(db).await?, asked).await?;
     if made.rows.is_empty() {
         return Err(Error::Usage(format!("{} contains no finished trial", db.display())));
     }

@@ -81,7 +81,7 @@ fn bounds(body: [Value; 2], found: &Bound) -> Vec<Vec<Value>> {
     rows.push(row(LINEAR, json!("mean"), json!(found.mean), None));
     rows.push(row(LINEAR, json!("mean information"), json!(found.mean_information), None));
     rows.extend(found.least.map(|[least, off]| row("any decoder", json!("mean"), json!(least), Some(off))));
-    rows.push(row("no signal", json!("mean"), json!(found.deaf), None));
+    rows.push(row("no signal", json!("mean"), json!(found.prior_only), None));
     rows
 }
 
@@ -93,7 +93,7 @@ async fn bounds_and_errors(
     of: impl Fn(&TrialSpec, &[f64]) -> Result<Bound, Error>,
 ) -> Result<Vec<Vec<Value>>, Error> {
     let scene = scene(&json!(trial));
-    let trials = Reader::asked(Database::at(db).await?, async |reader| -> Result<_, Error> {
+    let trials = Reader::with_reader(Database::at(db).await?, async |reader| -> Result<_, Error> {
         let sql = "SELECT hash, spec, holdout_error_initial, linear_holdout_error_initial,
                      holdout_error_optimised, linear_holdout_error_optimised
                    FROM v_trial WHERE state = 'done' ORDER BY trained_with, brain, hash";

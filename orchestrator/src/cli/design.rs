@@ -69,7 +69,7 @@ pub(super) async fn end(
     format: Format,
     outcome: Outcome,
 ) -> Result<Exit, Error> {
-    let found = Reader::asked(db, async |reader| SearchState::of(reader, plan, space).await).await?;
+    let found = Reader::with_reader(db, async |reader| SearchState::of(reader, plan, space).await).await?;
     print_rows(&found.table(), format)?;
     if format == Format::Table {
         COLUMNS.iter().for_each(|line| say!("  {line}"));

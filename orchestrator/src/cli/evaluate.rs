@@ -18,7 +18,7 @@ use super::named::{Named, read_records};
 use super::report::write_figures;
 use super::unfinished::Unfinished;
 use super::{Error, Format, duration, end_on_signal, print_rows, write};
-use crate::analysis::records::By;
+use crate::analysis::records::SignalSource;
 use crate::exit::Exit;
 use crate::export::npz::Zip;
 use crate::report::records::{Body, Comparison};
@@ -142,13 +142,13 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             Some(design) => {
                 let own = (&design[..], twins.get(name));
                 let found = holdout(spec, own, args.threads.into());
-                (By::Holdout, found.map_err(|e| refused(&e.to_string()))?)
+                (SignalSource::Holdout, found.map_err(|e| refused(&e.to_string()))?)
             }
             None if inverse && spec.sensors.noise.is_none() => {
                 let remedy = "must be set: an inverse decoder needs the noise of measured signals";
                 return Err(args.trial.refused_key("sensors.noise", remedy));
             }
-            None => (By::Measured, read_records(file, spec)?),
+            None => (SignalSource::Measured, read_records(file, spec)?),
         };
         if measured.start_deviation > 0.0 {
             return Err(refused(
@@ -205,7 +205,7 @@ fn brain(args: &Args, trial: &TrialSpec) -> Result<BrainKind, Error> {
 /// Records of one body.
 struct Records {
     name: String,
-    by: By,
+    by: SignalSource,
     measured: Measured,
 }
 
@@ -238,7 +238,7 @@ fn compare(
         "evaluate",
         &(specs_of, effort, inputs, format!("{twins:?}")),
     )?;
-    let modelled = |of: &Records| of.by == By::Measured && designs.contains_key(&of.name);
+    let modelled = |of: &Records| of.by == SignalSource::Measured && designs.contains_key(&of.name);
     let of_body = |of: &Records| match brain {
         BrainKind::Inverse => {
             let times = 1 + usize::from(modelled(of)) + usize::from(twins.contains_key(&of.name));
@@ -275,7 +275,7 @@ fn compare(
             Some(design) => match simulated(spec, design, &measured.forces, threads) {
                 Ok(signals) => {
                     let modelled = Measured { signals, ..measured.clone() };
-                    let judged = evaluate_signals(&name, By::Simulated.name(), &modelled)?;
+                    let judged = evaluate_signals(&name, SignalSource::Simulated.name(), &modelled)?;
                     Some((modelled.signals, judged))
                 }
                 Err(Failure::Numerical { detail: why, .. }) => {
@@ -286,7 +286,7 @@ fn compare(
             },
         };
         let of_twin = |twin: &Twin| {
-            let kept = BodyProgress { name: &name, kind: By::Twin.name(), of: &progress };
+            let kept = BodyProgress { name: &name, kind: SignalSource::Twin.name(), of: &progress };
             let own = (&designs[&name][..], twin);
             by_twin(spec, own, &measured, effort, &by_measured.folds, threads, &kept)
                 .map_err(|e| Error::Usage(format!("--twin {name}: {e}")))
@@ -316,7 +316,7 @@ fn check_records(
         return Err(Error::Usage(format!("{}: {why}", file(of))));
     }
     let body = |of: &Records| designs.get(&of.name).map(|design| (spec_of_body(specs, &of.name), design));
-    let measured = || records.iter().filter(|of| of.by == By::Measured).enumerate();
+    let measured = || records.iter().filter(|of| of.by == SignalSource::Measured).enumerate();
     for (n, of) in measured() {
         let samples = |of: &'_ Records| of.measured.signals.len() / of.measured.forces.samples;
         let own: Vec<&[f64]> = of.measured.signals.chunks(samples(of)).collect();

@@ -150,8 +150,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
         let db = if named.is_database() { source.clone() } else { named.plan()?.default_database() };
         let sql = format!("SELECT * FROM {what}");
-        Reader::asked(Database::at(&db).await?, async |reader| answer_in(reader, &sql, out, format).await)
-            .await?;
+        Reader::with_reader(Database::at(&db).await?, async |reader| {
+            answer_in(reader, &sql, out, format).await
+        })
+        .await?;
     } else {
         let stored = args.trial.stored().await?;
         provenance::unresolved(&stored.solver).iter().for_each(|caveat| say!("warning: {caveat}"));

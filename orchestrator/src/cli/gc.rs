@@ -49,7 +49,11 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             }
         }
     }
-    say!("{} {}", counted(found.len(), "file"), if args.yes { "removed" } else { "would be removed; pass --yes to remove them" });
+    say!(
+        "{} {}",
+        counted(found.len(), "file"),
+        if args.yes { "removed" } else { "would be removed; pass --yes to remove them" }
+    );
     Ok(Exit::Done)
 }
 

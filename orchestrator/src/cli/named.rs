@@ -191,7 +191,7 @@ impl Named {
     pub async fn stored(&self) -> Result<Stored, Error> {
         let (db, hash) = self.in_database()?;
         let db = Database::at(&db).await?;
-        let stored = Reader::asked(&db, async |reader| reader.stored(&hash).await).await?;
+        let stored = Reader::with_reader(&db, async |reader| reader.stored(&hash).await).await?;
         stored.ok_or_else(|| Error::Usage(format!("trial {hash} is not done yet")))
     }
 
@@ -208,7 +208,7 @@ impl Named {
         }
         let (db, hash) = self.in_database()?;
         let db = Database::at(&db).await?;
-        Reader::asked(&db, async |reader| {
+        Reader::with_reader(&db, async |reader| {
             let hash = reader.hash_of(&hash).await?;
             let sql = format!("SELECT spec FROM trial WHERE hash = {}", quoted(&hash));
             let text = reader.query::<Table>(&sql).await?.rows.swap_remove(0).swap_remove(0);

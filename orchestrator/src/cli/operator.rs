@@ -48,7 +48,7 @@ struct TrialMeasures {
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
-    let seen = Reader::asked(Database::at(&args.db).await?, async |reader| -> Result<_, Error> {
+    let seen = Reader::with_reader(Database::at(&args.db).await?, async |reader| -> Result<_, Error> {
         let sql =
             "SELECT hash, panels, sensors, placement, seed, holdout_error_initial, holdout_error_optimised
                      FROM v_trial

@@ -35,7 +35,7 @@ pub(super) struct Args {
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let Args { db, sql, format, out } = args;
-    Reader::asked(Database::at(&db).await?, async |reader| {
+    Reader::with_reader(Database::at(&db).await?, async |reader| {
         let Some(sql) = &sql else {
             return Ok(print_rows(&views(reader, format).await?, format)?);
         };

@@ -31,7 +31,7 @@ pub(super) struct Args {
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let asked = async |reader: &mut Reader| load::story(reader, args.hash.as_deref(), Terms::default()).await;
-    let story = Reader::asked(Database::at(&args.db).await?, asked).await?;
+    let story = Reader::with_reader(Database::at(&args.db).await?, asked).await?;
     let (drawn, missing) = figures(&story, cores());
     let out = args.out.unwrap_or_else(|| args.db.with_extension("html"));
     if let Some(folder) = &args.out_dir {

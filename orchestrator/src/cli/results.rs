@@ -32,7 +32,7 @@ pub(super) struct Results<'a> {
 pub(super) async fn print_results(from: Results<'_>, plan: &Plan, format: Format) -> Result<usize, Error> {
     // -1: no limit
     let limit = if format == Format::Table { MOST_ROWS as i64 } else { -1 };
-    let (settled, mut table, unresolved) = Reader::asked(from.db, async |reader| {
+    let (settled, mut table, unresolved) = Reader::with_reader(from.db, async |reader| {
         let settled = reader.query::<Table>(&of_plan("t.hash, t.state, t.reason", plan)).await?;
         let select_from_plan = of_plan("t.hash", plan);
         let sql = format!(

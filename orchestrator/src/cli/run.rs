@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use metasense_schemas::record::Found;
+use metasense_schemas::record::TrialErrors;
 use metasense_schemas::source::Source;
 use metasense_schemas::spec::Run;
 use metasense_worker::limits::{Needs, check};
@@ -368,7 +368,7 @@ impl Runs for Round<'_> {
         self.options.settings.workers
     }
 
-    async fn found(&mut self) -> Result<Vec<Found>, Error> {
+    async fn found(&mut self) -> Result<Vec<TrialErrors>, Error> {
         Ok(self.store.found().await?)
     }
 

@@ -56,7 +56,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             return Err(Error::Usage("--db: only for a SPEC; pass a database as the first argument".into()));
         }
         if let Some(hash) = named.asked()? {
-            return Reader::asked(Database::at(&named.source).await?, async |reader| {
+            return Reader::with_reader(Database::at(&named.source).await?, async |reader| {
                 let hash = reader.hash_of(hash).await?;
                 one(reader, &hash, format).await
             })
@@ -71,15 +71,16 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
         db
     };
-    let (mut table, failed, made, unresolved) = Reader::asked(Database::at(&db).await?, async |reader| {
-        Ok::<_, Error>((
-            reader.query::<Table>(STATES).await?,
-            reader.query::<Table>(FAILED).await?,
-            reader.code_versions().await?,
-            reader.unresolved().await?,
-        ))
-    })
-    .await?;
+    let (mut table, failed, made, unresolved) =
+        Reader::with_reader(Database::at(&db).await?, async |reader| {
+            Ok::<_, Error>((
+                reader.query::<Table>(STATES).await?,
+                reader.query::<Table>(FAILED).await?,
+                reader.code_versions().await?,
+                reader.unresolved().await?,
+            ))
+        })
+        .await?;
     say!("{}", db.display());
     if format == Format::Table {
         table.leave_out_spread();
@@ -129,7 +130,7 @@ async fn one(reader: &mut Reader, hash: &str, format: Format) -> Result<Exit, Er
 /// Prints a trial of a spec, or the keys in which the nearest stored trial differs.
 async fn planned(db: &Path, trial: &Trial, format: Format) -> Result<Exit, Error> {
     let spec = serde_json::to_value(&trial.spec).expect("a trial is JSON");
-    Reader::asked(db, async |reader| {
+    Reader::with_reader(db, async |reader| {
         let Some(nearest) = reader.nearest(&spec).await? else {
             return Err(Error::Usage(format!("{} contains no trials", db.display())));
         };

@@ -197,7 +197,7 @@ async fn settled(out: &Path) -> Result<HashMap<String, bool>, Error> {
         return Ok(settled);
     }
     let sql = "SELECT hash, state = 'failed' AS failed FROM trial WHERE state IN ('done', 'failed')";
-    Reader::asked(out, async |reader| {
+    Reader::with_reader(out, async |reader| {
         reader
             .each(sql, |row| {
                 settled.insert(row.text("hash").to_owned(), row.count("failed") > 0);

@@ -9,7 +9,7 @@ use super::named::Database;
 use super::{Error, Format, cores, print_rows};
 use crate::analysis::Cluster;
 use crate::analysis::kinds::brains_of;
-use crate::analysis::tasks::{Read, table};
+use crate::analysis::tasks::{TaskResult, table};
 use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
 use crate::store::{Reader, Stored};
@@ -38,7 +38,7 @@ pub(super) struct Args {
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let sql = "SELECT hash FROM v_trial WHERE state = 'done' ORDER BY panels, sensors, placement, seed, hash";
     let (mut trials, mut rows, mut all) = (0, Vec::new(), Vec::new());
-    Reader::asked(Database::at(&args.db).await?, async |reader| -> Result<_, Error> {
+    Reader::with_reader(Database::at(&args.db).await?, async |reader| -> Result<_, Error> {
         let hashes: Vec<String> = match &args.hash {
             Some(hash) => vec![reader.hash_of(hash).await?],
             None => {
@@ -68,7 +68,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 /// Appends the readings of both bodies as rows and as pairs.
-fn of_trial(trial: &Stored, rows: &mut Vec<Vec<Value>>, all: &mut Vec<Read>) -> Result<(), Error> {
+fn of_trial(trial: &Stored, rows: &mut Vec<Vec<Value>>, all: &mut Vec<TaskResult>) -> Result<(), Error> {
     let point = &trial.specs[1].point;
     let [_, with] = brains_of(&json!(trial.specs[1]));
     let cluster = Cluster { placement: point.placement as u64, seed: point.seed };
@@ -89,14 +89,14 @@ fn of_trial(trial: &Stored, rows: &mut Vec<Vec<Value>>, all: &mut Vec<Read>) -> 
         }
         bodies.push(found);
     }
-    all.extend(bodies[0].iter().zip(&bodies[1]).map(|(initial, trained)| Read {
+    all.extend(bodies[0].iter().zip(&bodies[1]).map(|(initial, trained)| TaskResult {
         setting: format!("K = {}, M = {}, {with}", point.panels, point.sensors),
         cluster,
         task: initial.task.name(),
         readout: initial.readout,
         errors: [initial.error, trained.error],
         trivial: initial.trivial,
-        least: initial.least,
+        error_min: initial.least,
     }));
     Ok(())
 }

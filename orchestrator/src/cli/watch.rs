@@ -31,7 +31,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         tokio::time::sleep(Duration::from_millis(200)).await;
     }
     loop {
-        let seen = Reader::asked(&db, async |reader| looks.look(reader).await).await?;
+        let seen = Reader::with_reader(&db, async |reader| looks.look(reader).await).await?;
         if live {
             // Moves the cursor home and clears the screen.
             write!(std::io::stdout(), "\x1b[H\x1b[2J")?;

@@ -377,11 +377,7 @@ impl Engine<'_> {
             }
             Action::CountStale(lease) => {
                 self.stale += 1;
-                tracing::info!(
-                    lease.trial,
-                    lease.attempt,
-                    "dropped a message of an outdated attempt"
-                );
+                tracing::info!(lease.trial, lease.attempt, "dropped a message of an outdated attempt");
             }
         }
         None

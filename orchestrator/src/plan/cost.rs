@@ -7,7 +7,7 @@ use std::collections::HashSet;
 use super::Trial;
 use metasense_schemas::record::Parts;
 use metasense_schemas::spec::{BrainKind, Method, Network, Protocol, Solver, TrialSpec};
-use metasense_worker::looked_at;
+use metasense_worker::evaluated_fraction;
 use metasense_worker::pace::Pace;
 use metasense_worker::problem::{INVERTED_OF_A_CAST, READINGS_MAX, instants, lags};
 
@@ -149,7 +149,7 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
     let going = optimise.brain_iterations.unwrap_or_default() as f64 * ITERATION * forward;
     // Fresh samples use the coarse integrator; the test set, at some steps, uses the other.
     let coarse = GROWN * sample_by(optimise.coarse.unwrap_or(trial.solver));
-    let looks = looked_at(optimise.steps() as u32);
+    let looks = evaluated_fraction(optimise.steps() as u32);
     let fresh = batch * coarse * (1.0 + REVERSE) + looks * stimuli.test as f64 * ringing;
     let casts = optimise.casts.map_or(1.0, |casts| FEW * casts as f64);
     let solve = STEP_FACTORS * factor(unknowns(trial, trial.brain.memory)) / pace.factor;

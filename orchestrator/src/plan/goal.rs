@@ -10,12 +10,12 @@ use metasense_schemas::spec::{
 pub use metasense_worker::RUNGS;
 use metasense_worker::demands::Demands;
 use metasense_worker::problem::{self, Invalid};
-use metasense_worker::{RECORDS, look_near};
+use metasense_worker::{RECORDS, evaluation_step_near};
 use serde_json::Value;
 
 use super::{Plan, cost};
 use crate::analysis::goal::{Candidate, LEVELS, Setting};
-use crate::analysis::trial::CastBrain;
+use crate::analysis::trial::CastDecoder;
 use crate::look::number;
 
 /// Checks the values of [goal].
@@ -80,7 +80,7 @@ pub struct Place {
     /// Index in the plan.
     pub trial: usize,
     /// The decoder whose errors on casts count; `None`: errors of the body as designed.
-    pub reader: Option<CastBrain>,
+    pub reader: Option<CastDecoder>,
     /// What the decoder needs on a device; `None` if it cannot be exported for devices.
     pub demands: Option<Demands>,
     /// Cost and coordinates, without results.
@@ -167,7 +167,7 @@ impl Space {
         let sensors = numbered(trials.iter().map(|t| (t.units, &t.spec.sensor_units, &t.spec.panel_units)));
         let known = coordinates.into_iter().zip(looks).zip(sensors);
         for (trial, ((place, looks), sensors)) in places.iter_mut().zip(known) {
-            trial.candidate.setting = Setting { place, looks, sensors };
+            trial.candidate.setting = Setting { place, rung_kind: looks, sensors };
         }
         Ok(Self { goal, places, left_out, axes })
     }
@@ -235,24 +235,24 @@ fn of_cost(cost: Option<Cost>, trial: &Trial, demands: Option<&Demands>) -> [f64
 ///
 /// # Errors
 /// If the trial has no such decoder.
-fn reader(goal: &Goal, trial: &TrialSpec) -> Result<Option<CastBrain>, &'static str> {
+fn reader(goal: &Goal, trial: &TrialSpec) -> Result<Option<CastDecoder>, &'static str> {
     if goal.quantile.is_none() {
         return Ok(None);
     }
     let reader = goal.reader.unwrap_or(GoalReader::Named(GoalReaderName::Casts));
     Ok(Some(match (reader, trial.brain.kind) {
-        (GoalReader::Named(GoalReaderName::Design), BrainKind::Linear) => CastBrain::Nominal,
-        (GoalReader::Named(GoalReaderName::Design), BrainKind::Inverse) => CastBrain::Inverse,
-        (GoalReader::Named(GoalReaderName::Design), _) => CastBrain::Network,
-        (GoalReader::Named(GoalReaderName::Casts), BrainKind::Linear) => CastBrain::Casts,
+        (GoalReader::Named(GoalReaderName::Design), BrainKind::Linear) => CastDecoder::Nominal,
+        (GoalReader::Named(GoalReaderName::Design), BrainKind::Inverse) => CastDecoder::Inverse,
+        (GoalReader::Named(GoalReaderName::Design), _) => CastDecoder::Network,
+        (GoalReader::Named(GoalReaderName::Casts), BrainKind::Linear) => CastDecoder::Casts,
         (GoalReader::Named(GoalReaderName::Casts), BrainKind::Inverse) => {
             return Err(
                 "an inverse decoder is not fitted to other casts: must be \"design\" or { records = 10 }",
             );
         }
-        (GoalReader::Named(GoalReaderName::Casts), _) => CastBrain::NetworkCasts,
-        (GoalReader::Calibrated(of), BrainKind::Linear) => CastBrain::Records(of.records),
-        (GoalReader::Calibrated(of), BrainKind::Inverse) => CastBrain::Twin(of.records),
+        (GoalReader::Named(GoalReaderName::Casts), _) => CastDecoder::NetworkCasts,
+        (GoalReader::Calibrated(of), BrainKind::Linear) => CastDecoder::Records(of.records),
+        (GoalReader::Calibrated(of), BrainKind::Inverse) => CastDecoder::Twin(of.records),
         (GoalReader::Calibrated(_), _) => {
             return Err("a network is not fitted to records of a cast: must be \"design\" or \"casts\"");
         }
@@ -321,7 +321,7 @@ fn scaled(numbers: &[f64]) -> Vec<f64> {
 #[must_use]
 pub fn rungs(trial: &TrialSpec) -> [Option<u32>; LEVELS - 1] {
     let steps = trial.optimise.steps() as u32;
-    let [first, second] = RUNGS.map(|part| look_near(steps, part) + 1);
+    let [first, second] = RUNGS.map(|part| evaluation_step_near(steps, part) + 1);
     let rung = |step: u32, behind: u32| (step > behind && step < steps).then_some(step);
     [rung(first, 0), rung(second, first)]
 }

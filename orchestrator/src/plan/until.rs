@@ -1,6 +1,6 @@
 //! Plans with [until]: the grid to which the sweep may grow, and whether it can answer the questions.
 
-use metasense_schemas::record::Found;
+use metasense_schemas::record::TrialErrors;
 use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{SweepSpec, Until};
 
@@ -71,7 +71,7 @@ impl Plan {
     /// Decides from the results in the database where the questions stand, and which trials are needed, in the order of the
     /// plan; `None` without [until].
     #[must_use]
-    pub fn decide(&self, found: &[Found], workers: u32) -> Option<(Decision, Vec<Trial>)> {
+    pub fn decide(&self, found: &[TrialErrors], workers: u32) -> Option<(Decision, Vec<Trial>)> {
         let decision = until::of_plan(self.spec.until.as_ref()?, &self.trials, found, workers);
         let wanted = decision.wanted.iter().map(|&place| self.trials[place].clone()).collect();
         Some((decision, wanted))

@@ -1,8 +1,8 @@
 //! Answers in sentences, the strongest evidence first.
 
 use super::words::interval;
-use crate::analysis::data::{Group, SENSORS, groups, observations, once};
-use crate::analysis::decision::{Decision, Decisions, decide};
+use crate::analysis::data::{Group, SENSORS, groups, observations, without_repeats};
+use crate::analysis::decision::{Decision, Decisions, decisions};
 use crate::analysis::kinds::of_each;
 use crate::analysis::numbers::{distinct, geometric_mean, mean as mean_of};
 use crate::analysis::paired::Ratio;
@@ -10,7 +10,7 @@ use crate::analysis::placed::{Placed, placed};
 use crate::analysis::random::{random, random_groups};
 use crate::analysis::sensors::fewer;
 use crate::analysis::tables::{nonlinear, verdict_text};
-use crate::analysis::{Body, Height, Interval, Set, Terms, Trial, Verdict, elbow, paired};
+use crate::analysis::{Body, ErrorScale, Interval, Set, Terms, Trial, Verdict, elbow, paired};
 use crate::look::{Answer, number};
 use crate::plan::counted;
 
@@ -109,7 +109,7 @@ fn by_medians(ratio: impl Fn(Set) -> Option<Ratio>) -> String {
 /// Geometric mean errors of both bodies over the trials that have both.
 fn means(trials: &[&Trial], error: impl Fn(&Trial, Body) -> Option<f64>) -> [String; 2] {
     let both = |t: &Trial| Some([error(t, Body::Initial)?, error(t, Body::Optimised)?]);
-    let errors: Vec<[f64; 2]> = once(trials, both).map(|(_, errors)| errors).collect();
+    let errors: Vec<[f64; 2]> = without_repeats(trials, both).map(|(_, errors)| errors).collect();
     [0, 1].map(|b| number(geometric_mean(&errors.iter().map(|of| of[b]).collect::<Vec<_>>())))
 }
 
@@ -191,7 +191,7 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
         }
     };
     let [initial, optimised] = Body::ALL.map(|body| {
-        let [percent, logarithm] = Height::ALL.map(|height| told(body, height));
+        let [percent, logarithm] = ErrorScale::ALL.map(|height| told(body, height));
         match percent == logarithm {
             true => percent,
             false => format!("of the error in %: {percent}; in logarithms: {logarithm}"),
@@ -202,7 +202,8 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
         false => format!("{}: trained body: {optimised}. Initial body: {initial}.", group.label),
     };
     let mut said = vec![Answer::new("sensors", None, text)];
-    for (body, height) in Body::ALL.into_iter().flat_map(|body| Height::ALL.map(|height| (body, height))) {
+    for (body, height) in Body::ALL.into_iter().flat_map(|body| ErrorScale::ALL.map(|height| (body, height)))
+    {
         let [mean, median] = [Set::Holdout, Set::Median].map(|set| by(body, set));
         let same = mean.len() == median.len();
         if let (true, Ok(mean), Ok(median)) = (same, elbow(&mean, height), elbow(&median, height))
@@ -219,7 +220,7 @@ fn sensors(group: &Group, terms: Terms) -> Vec<Answer> {
             said.push(Answer::new("sensors", Some(false), text));
         }
     }
-    let [initial, optimised] = Body::ALL.map(|body| decide(&curve(body), terms));
+    let [initial, optimised] = Body::ALL.map(|body| decisions(&curve(body), terms));
     let price = terms.price.map_or(String::new(), |p| format!("smallest error + {} % × M", number(p)));
     let within = format!("smallest M within {} % of the best", number(100.0 * terms.within));
     for (what, of) in [

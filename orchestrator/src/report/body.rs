@@ -29,7 +29,7 @@ pub fn sketch(drawing: &Drawing, violations: &[Violation]) -> Sketch {
         guided: guided.clone(),
         held: drawing.active.iter().map(held).collect(),
         broken: violations.iter().map(broken).collect(),
-        wrong: violations.iter().filter(|v| v.node.is_none()).flat_map(|v| v.units).collect(),
+        violating_units: violations.iter().filter(|v| v.node.is_none()).flat_map(|v| v.units).collect(),
         spacing: *spacing,
     }
 }

@@ -1,7 +1,7 @@
 //! Error by decoder: a figure, and one sentence per setting.
 
 use super::words::left_out;
-use crate::analysis::brains::{Read, reads};
+use crate::analysis::brains::{DecoderErrors, errors_by_decoder};
 use crate::analysis::data::{BRAINS, Group, groups};
 use crate::analysis::numbers::distinct;
 use crate::analysis::{Body, Question, Terms, Trial};
@@ -16,24 +16,25 @@ const TRAINED: [&str; 5] = ["optimised", "front", "fourth", "fifth", "truth"];
 /// Errors of linear decoders against memory, and against delay after the instant; dots: networks.
 pub fn figure(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().filter(|t| !t.starts_random()).collect();
-    let drawn: Vec<(String, Vec<Read>)> = groups(&refs, BRAINS)
+    let drawn: Vec<(String, Vec<DecoderErrors>)> = groups(&refs, BRAINS)
         .into_iter()
-        .map(|group| (group.label, reads(&group.trials)))
+        .map(|group| (group.label, errors_by_decoder(&group.trials)))
         .filter(|(_, reads)| reads.iter().any(|read| read.whole))
         .collect();
     let mut pictures = Vec::new();
     let mut with = distinct(drawn.iter().flat_map(|(_, reads)| reads).map(|read| read.trained_with.as_str()));
     with.truncate(TRAINED.len());
-    let shown = |read: &&Read| with.contains(&read.trained_with.as_str());
+    let shown = |read: &&DecoderErrors| with.contains(&read.trained_with.as_str());
     for (label, reads) in drawn.iter().take(MOST_SETTINGS) {
-        let linear: Vec<&Read> = reads.iter().filter(|read| !read.own && shown(read)).collect();
-        let networks: Vec<&Read> =
-            reads.iter().filter(|read| read.own && read.by != "linear" && shown(read)).collect();
-        let errors = |reads: &[&Read]| reads.iter().flat_map(|r| r.errors).collect::<Vec<f64>>();
-        let even: Vec<&Read> = linear.iter().filter(|r| r.memory[0] == r.memory[1]).copied().collect();
-        let past: Vec<&Read> =
+        let linear: Vec<&DecoderErrors> = reads.iter().filter(|read| !read.own && shown(read)).collect();
+        let networks: Vec<&DecoderErrors> =
+            reads.iter().filter(|read| read.own && read.decoder != "linear" && shown(read)).collect();
+        let errors = |reads: &[&DecoderErrors]| reads.iter().flat_map(|r| r.errors).collect::<Vec<f64>>();
+        let even: Vec<&DecoderErrors> =
+            linear.iter().filter(|r| r.memory[0] == r.memory[1]).copied().collect();
+        let past: Vec<&DecoderErrors> =
             linear.iter().filter(|r| r.memory[0] > r.memory[1] || r.whole).copied().collect();
-        let reach = |r: &Read| r.memory[0].max(r.memory[1]).max(1e-4);
+        let reach = |r: &DecoderErrors| r.memory[0].max(r.memory[1]).max(1e-4);
         let all = [even.clone(), networks.clone()].concat();
         let x = Axis::new("memory, each way (s)", Scale::Log, all.iter().map(|r| reach(r)));
         let mut memory = Plot::new(label, x, Axis::new("held-out error (%)", Scale::Log, errors(&all)));
@@ -42,7 +43,7 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
             let class = class(&with, &read.trained_with);
             let text = |body: Body| {
                 let error = number(read.errors[body as usize]);
-                format!("{}, error of {}: {error} %", whose(body, &read.trained_with), read.by)
+                format!("{}, error of {}: {error} %", whose(body, &read.trained_with), read.decoder)
             };
             let at = |body: Body| ((reach(read), read.errors[body as usize]), text(body));
             memory.dots("initial", [at(Body::Initial)]);
@@ -73,9 +74,10 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
     )
 }
 
-fn curves(plot: &mut Plot, reads: &[&Read], with: &[&str], x: impl Fn(&Read) -> f64) {
+fn curves(plot: &mut Plot, reads: &[&DecoderErrors], with: &[&str], x: impl Fn(&DecoderErrors) -> f64) {
     for (n, trained_with) in with.iter().enumerate() {
-        let mut own: Vec<&&Read> = reads.iter().filter(|r| r.trained_with == *trained_with).collect();
+        let mut own: Vec<&&DecoderErrors> =
+            reads.iter().filter(|r| r.trained_with == *trained_with).collect();
         own.sort_by(|a, b| x(a).total_cmp(&x(b)));
         for body in Body::ALL {
             // the initial body does not depend on the decoder in training
@@ -84,7 +86,7 @@ fn curves(plot: &mut Plot, reads: &[&Read], with: &[&str], x: impl Fn(&Read) -> 
             }
             let class = if body == Body::Initial { "initial" } else { class(with, trained_with) };
             plot.line(class, own.iter().map(|r| (x(r), r.errors[body as usize])));
-            let dot = |r: &&&Read| {
+            let dot = |r: &&&DecoderErrors| {
                 let (error, [before, after]) = (r.errors[body as usize], r.memory.map(number));
                 let who = whose(body, trained_with);
                 ((x(r), error), format!("{who}, {before} s before and {after} s after: {} %", number(error)))
@@ -109,16 +111,17 @@ fn class(with: &[&str], trained_with: &str) -> &'static str {
 /// Compares a linear decoder of the whole sample with the trials' own decoders; one sentence per setting.
 pub fn answers(trials: &[Trial]) -> Vec<Answer> {
     let refs: Vec<&Trial> = trials.iter().filter(|t| !t.starts_random()).collect();
-    let said =
-        |group: &Group| Some(Answer::new("brains", None, sentence(&group.label, &reads(&group.trials))?));
+    let said = |group: &Group| {
+        Some(Answer::new("brains", None, sentence(&group.label, &errors_by_decoder(&group.trials))?))
+    };
     groups(&refs, BRAINS).iter().filter_map(said).collect()
 }
 
-fn sentence(label: &str, reads: &[Read]) -> Option<String> {
+fn sentence(label: &str, reads: &[DecoderErrors]) -> Option<String> {
     let begins = |with: &str| reads.iter().find(|r| r.whole && r.trained_with.starts_with(with));
     let whole =
         |with: &str| reads.iter().find(|r| r.whole && r.trained_with == with).or_else(|| begins(with));
-    let own = reads.iter().filter(|r| r.own && r.by != "linear");
+    let own = reads.iter().filter(|r| r.own && r.decoder != "linear");
     let best = own.min_by(|a, b| a.errors[1].total_cmp(&b.errors[1]));
     let by_linear = whole("linear");
     let text = match (best, by_linear) {
@@ -129,7 +132,7 @@ fn sentence(label: &str, reads: &[Read]) -> Option<String> {
                 "the error of a linear decoder of the whole sample is {} % on the initial body, {than} than that of {} on the \
                  body trained with {} ({} %)",
                 number(untouched),
-                best.by,
+                best.decoder,
                 best.trained_with,
                 number(best.errors[1])
             );

@@ -4,9 +4,9 @@ use metasense_worker::problem::INVERTED_OF_A_CAST;
 
 use super::words::left_out;
 use crate::analysis::bodies::Trained;
-use crate::analysis::casts::{Left, Setting, settings};
+use crate::analysis::casts::{CastErrors, Setting, settings};
 use crate::analysis::numbers::{distinct, in_order};
-use crate::analysis::trial::CastBrain;
+use crate::analysis::trial::CastDecoder;
 use crate::analysis::{Question, Terms, Trial};
 use crate::look::{Answer, Axis, Figure, Picture, Plot, Scale, number};
 
@@ -20,7 +20,7 @@ pub(super) const CLASSES: [&str; 5] = ["initial", "optimised", "front", "fourth"
 pub fn figure(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let found = settings(&refs);
-    let is_read = |body: &&Trained| body.brains().into_iter().any(|by| body.left(by).is_some());
+    let is_read = |body: &&Trained| body.brains().into_iter().any(|by| body.errors_of(by).is_some());
     let read = found.iter().flat_map(|setting| &setting.bodies).filter(is_read);
     let names = distinct_names(read.map(|body| &body.name[..]));
     Figure::some(
@@ -46,7 +46,7 @@ fn picture(setting: &Setting, names: &[&str]) -> Picture {
     for (n, name) in names.iter().enumerate() {
         let Some(body) = setting.bodies.iter().find(|body| body.name == *name) else { continue };
         let aside = aside(n, names.len());
-        let read: Vec<Option<Left>> = brains.iter().map(|by| body.left(*by)).collect();
+        let read: Vec<Option<CastErrors>> = brains.iter().map(|by| body.errors_of(*by)).collect();
         // with the trial's own kind of decoder: networks come first
         let designed = read.iter().flatten().find_map(|left| left.designed.as_ref());
         let designed = designed.map(|error| {
@@ -106,24 +106,24 @@ pub(super) fn legend(names: &[&str]) -> Vec<(&'static str, String)> {
 }
 
 /// All decoders of a setting's bodies.
-fn brains(setting: &Setting) -> Vec<CastBrain> {
+fn brains(setting: &Setting) -> Vec<CastDecoder> {
     distinct(setting.bodies.iter().flat_map(Trained::brains))
 }
 
-fn brain(by: CastBrain) -> String {
+fn brain(by: CastDecoder) -> String {
     match by {
-        CastBrain::Network => "the network of the body as designed".into(),
-        CastBrain::NetworkCasts => "one network for all casts".into(),
-        CastBrain::Nominal => "the linear decoder of the body as designed".into(),
-        CastBrain::Casts => "one linear decoder for all casts".into(),
-        CastBrain::Records(records) => {
+        CastDecoder::Network => "the network of the body as designed".into(),
+        CastDecoder::NetworkCasts => "one network for all casts".into(),
+        CastDecoder::Nominal => "the linear decoder of the body as designed".into(),
+        CastDecoder::Casts => "one linear decoder for all casts".into(),
+        CastDecoder::Records(records) => {
             format!("a linear decoder fitted to {records} records of each cast")
         }
-        CastBrain::Inverse => format!("the model of the design, inverted ({})", some()),
-        CastBrain::TwinLinear(records) => {
+        CastDecoder::Inverse => format!("the model of the design, inverted ({})", some()),
+        CastDecoder::TwinLinear(records) => {
             format!("a linear decoder fitted to a twin, calibrated on {records} records of each cast")
         }
-        CastBrain::Twin(records) => {
+        CastDecoder::Twin(records) => {
             format!("a twin calibrated on {records} records of each cast, inverted ({})", some())
         }
     }
@@ -134,16 +134,16 @@ fn some() -> String {
     format!("at most {INVERTED_OF_A_CAST} held-out samples")
 }
 
-fn tick(by: CastBrain) -> String {
+fn tick(by: CastDecoder) -> String {
     match by {
-        CastBrain::Network => "design's network".into(),
-        CastBrain::NetworkCasts => "network for all".into(),
-        CastBrain::Nominal => "design's linear".into(),
-        CastBrain::Casts => "linear for all".into(),
-        CastBrain::Records(records) => format!("{records} records"),
-        CastBrain::Inverse => "model".into(),
-        CastBrain::TwinLinear(records) => format!("linear, twin of {records}"),
-        CastBrain::Twin(records) => format!("twin of {records}"),
+        CastDecoder::Network => "design's network".into(),
+        CastDecoder::NetworkCasts => "network for all".into(),
+        CastDecoder::Nominal => "design's linear".into(),
+        CastDecoder::Casts => "linear for all".into(),
+        CastDecoder::Records(records) => format!("{records} records"),
+        CastDecoder::Inverse => "model".into(),
+        CastDecoder::TwinLinear(records) => format!("linear, twin of {records}"),
+        CastDecoder::Twin(records) => format!("twin of {records}"),
     }
 }
 
@@ -153,13 +153,14 @@ pub fn answers(trials: &[Trial]) -> Vec<Answer> {
     let mut said = Vec::new();
     for setting in settings(&refs) {
         let brains = brains(&setting);
-        let most = brains.last().copied().filter(|by| *by > CastBrain::Casts);
-        for by in brains.iter().copied().filter(|by| *by == CastBrain::Casts).chain(most) {
+        let most = brains.last().copied().filter(|by| *by > CastDecoder::Casts);
+        for by in brains.iter().copied().filter(|by| *by == CastDecoder::Casts).chain(most) {
             let told = |body: &Trained| {
-                let left = body.left(by)?;
+                let left = body.errors_of(by)?;
                 let [median, most] = left.errors.map(|error| number(error.ratio));
-                let kept = left.kept[0]
-                    .map_or(String::new(), |kept| format!(", keeps {:.0} % of its gain as designed", 100.0 * kept.part));
+                let kept = left.kept[0].map_or(String::new(), |kept| {
+                    format!(", keeps {:.0} % of its gain as designed", 100.0 * kept.part)
+                });
                 Some(format!("{} {median} [{most}] %{kept}", body.name))
             };
             let told: Vec<String> = setting.bodies.iter().filter_map(told).collect();

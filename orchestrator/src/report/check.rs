@@ -74,7 +74,8 @@ pub fn rings(checked: &Checked) -> Table {
         ]
     };
     let rings = checked.spectra.iter().flat_map(|spectra| &spectra.rings);
-    let columns = "resonance damping_ratio decay_time mode design_frequency design_damping design_decay ratio";
+    let columns =
+        "resonance damping_ratio decay_time mode design_frequency design_damping design_decay ratio";
     Table::new(columns, rings.map(row))
 }
 

@@ -5,19 +5,19 @@ use serde_json::Value;
 use crate::analysis::claims::{CLAIMS, Evidence, Rating, evidence_table};
 use crate::analysis::numbers::geometric_mean;
 use crate::analysis::paired::Progress;
-use crate::analysis::setting::odd;
+use crate::analysis::setting::differing_paths;
 use crate::analysis::{Body, Cluster, Set, Trial};
 use crate::look::{Axis, Figure, Plot, Scale, Table, legend, number, row};
 
 /// One row per trial: the settings in which trials differ, and all numbers that the claims use.
 pub fn trials_table(trials: &[Trial]) -> Table {
-    let odd: Vec<&str> = odd(trials.iter().map(|trial| &trial.setting)).into_iter().collect();
+    let paths: Vec<&str> = differing_paths(trials.iter().map(|trial| &trial.setting)).into_iter().collect();
     let sets: Vec<Set> = Set::of(&trials.iter().collect::<Vec<_>>()).collect();
     let each = || Body::ALL.into_iter().flat_map(|body| sets.iter().map(move |set| (body, *set)));
     let rows = trials.iter().map(|t| {
         let Cluster { placement, seed } = t.cluster;
         let mut cells = row![t.hash, t.panels, t.sensors, placement, seed, t.units, t.design_parameters];
-        cells.extend(odd.iter().map(|path| t.setting.get(path).cloned().unwrap_or_default()));
+        cells.extend(paths.iter().map(|path| t.setting.get(path).cloned().unwrap_or_default()));
         let networks = t.iterations.iter().map(|of| (!of.is_empty()).then(|| geometric_mean(of)));
         let errors = each().map(|(body, set)| t.error(body, set));
         let long = each().map(|(body, set)| t.long_error(body, set));
@@ -26,7 +26,7 @@ pub fn trials_table(trials: &[Trial]) -> Table {
     });
     let first = "hash panels sensors placement seed units design_parameters";
     let mut columns = vec![first.to_owned()];
-    columns.extend(odd.iter().map(|path| (*path).to_owned()));
+    columns.extend(paths.iter().map(|path| (*path).to_owned()));
     for long in ["", "long_"] {
         columns.extend(each().map(|(body, set)| format!("{long}{}", set.column(body))));
     }

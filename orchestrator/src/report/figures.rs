@@ -11,7 +11,7 @@ use crate::analysis::random::{random, random_groups};
 use crate::analysis::run_time::{mean_history, pareto};
 use crate::analysis::scaling::scaling;
 use crate::analysis::trial::CurvePoint;
-use crate::analysis::{Body, Height, Interval, Question, Set, Terms, Trial, Verdict, elbow, paired};
+use crate::analysis::{Body, ErrorScale, Interval, Question, Set, Terms, Trial, Verdict, elbow, paired};
 use crate::look::{Axis, Figure, Plot, Scale, Table, legend, number, row};
 
 /// Legend of both bodies.
@@ -117,7 +117,7 @@ pub fn sensors(trials: &[Trial], terms: Terms) -> Option<Figure> {
                 ((l.at, l.mean), text)
             });
             plot.dots(name, dots);
-            if let Ok(found) = elbow(points, Height::Logarithm)
+            if let Ok(found) = elbow(points, ErrorScale::Logarithm)
                 && let Verdict::At(m) | Verdict::WithoutVote(Some(m)) = found.verdict
             {
                 let by_fit = || " by the fit".to_owned();

@@ -10,8 +10,8 @@ use super::{States, Story, Sweep};
 
 use crate::analysis::numbers::mean;
 use crate::analysis::paired::{Progress, iteration_ratio};
-use crate::analysis::setting::{Settings, odd};
-use crate::analysis::trial::{CastBrain, CastReading, CurvePoint, Reading, UnderReading};
+use crate::analysis::setting::{Settings, differing_paths};
+use crate::analysis::trial::{CastDecoder, CastReading, CurvePoint, Reading, UnderReading};
 use crate::analysis::{Body, Cluster, Set, Terms, Trial};
 use crate::look::{Answer, Data, MOST_ROWS, Table};
 use crate::provenance;
@@ -110,7 +110,7 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
     loader.under().await?;
     trials.shrink_to_fit();
     for trial in &mut trials {
-        trial.without_steps();
+        trial.remove_trained_results();
         trial.history.shrink_to_fit();
         trial.readings.shrink_to_fit();
     }
@@ -307,7 +307,7 @@ impl Loader<'_> {
             let memory = ["before", "after"].map(|column| row.number(column).unwrap_or(0.0));
             if trial.readings.last().is_none_or(|last| last.memory != memory) {
                 let whole = row.count("whole") == 1;
-                trial.readings.push(Reading { memory, whole, ..Reading::default() });
+                trial.readings.push(Reading { memory, is_longest: whole, ..Reading::default() });
             }
             let last = trial.readings.len() - 1;
             trial.readings[last].errors[body as usize] =
@@ -331,11 +331,11 @@ impl Loader<'_> {
         );
         self.each(&sql, |trial, row| {
             let named = body_named(row.text("body"))
-                .zip(CastBrain::named(row.text("reader"), row.count("records") as u32));
+                .zip(CastDecoder::named(row.text("reader"), row.count("records") as u32));
             let errors = [row.number("median"), row.number("most")];
             if let (Some((body, by)), [Some(median), Some(most)]) = (named, errors) {
                 let (casts, failed) = (row.count("count"), row.count("failed"));
-                trial.casts.push(CastReading { body, by, casts, failed, errors: [median, most] });
+                trial.casts.push(CastReading { body, decoder: by, casts, failed, errors: [median, most] });
             }
             Ok(())
         })
@@ -375,7 +375,7 @@ fn of_network(curves: &mut Vec<Vec<CurvePoint>>, network: usize) -> &mut Vec<Cur
 pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Result<Story, StoreError> {
     let trials = finished_trials(reader).await?;
     let sweeps = sweeps(reader).await?;
-    let states = states(reader, &odd(trials.iter().map(|trial| &trial.setting))).await?;
+    let states = states(reader, &differing_paths(trials.iter().map(|trial| &trial.setting))).await?;
     let searches = SearchState::all(reader, &sweeps).await;
     let design = searches.iter().flatten().find_map(|search| Some(&search.chosen()?.0.hash));
     let replayed = trial.or(design.map(String::as_str));
@@ -430,11 +430,11 @@ const SHOWN: &str = "hash, state, reason, panels, sensors, placement, seed, unit
 const BESIDES: &str = "linear_holdout_error_initial, linear_holdout_error_optimised, holdout_p90_initial, holdout_p90_optimised,
   holdout_rms_initial, holdout_rms_optimised";
 
-/// All trials; their file also has a column per path in `odd`.
-async fn states(reader: &mut Reader, odd: &BTreeSet<&str>) -> Result<States, StoreError> {
-    let odd: String = odd.iter().map(|path| format!(", spec->>'$.{path}' AS \"{path}\"")).collect();
+/// All trials; their file also has a column per path in `paths`.
+async fn states(reader: &mut Reader, paths: &BTreeSet<&str>) -> Result<States, StoreError> {
+    let columns: String = paths.iter().map(|path| format!(", spec->>'$.{path}' AS \"{path}\"")).collect();
     let sql = format!(
-        "SELECT {SHOWN}, {BESIDES}{odd} FROM v_trial
+        "SELECT {SHOWN}, {BESIDES}{columns} FROM v_trial
          ORDER BY state = 'failed' DESC, panels, units, sensors, placement, seed"
     );
     let (all, shown) = (reader.columns(&sql).await?, SHOWN.split(',').count());

@@ -9,7 +9,7 @@ use super::casts::CLASSES;
 use super::strips::{Curve, Errors, Strip, dots, histories, representative, strips};
 use crate::analysis::Interval;
 use crate::analysis::numbers::mean;
-use crate::analysis::records::{Agreement, By, Judged, Said, mean_ratio, table};
+use crate::analysis::records::{Agreement, InverseResults, Judged, SignalSource, mean_ratio, table};
 use crate::analysis::trial::CurvePoint;
 use crate::look::{Answer, Axis, Figure, Legend, Plot, Scale, Table, answers, legend, number, page, row};
 
@@ -19,7 +19,7 @@ pub struct Body {
     /// Its name.
     pub name: String,
     /// Origin of the records: measured, or the trial's held-out set.
-    pub by: By,
+    pub by: SignalSource,
     /// Signals of the records (N, T, 3M) (mm/s², rad/s).
     pub signals: Vec<f64>,
     /// Evaluation of these signals.
@@ -52,7 +52,7 @@ fn class(body: usize) -> &'static str {
 }
 
 /// A body's errors with networks that were not trained on the records.
-fn judged(body: &str, by: By, evaluated: &Evaluated, agreement: Option<Agreement>) -> Judged {
+fn judged(body: &str, by: SignalSource, evaluated: &Evaluated, agreement: Option<Agreement>) -> Judged {
     let Evaluated { folds, errors: by_seed, errors_train, progress, targets, posterior, .. } = evaluated;
     let of_record = |i: usize| -> Option<f64> {
         let errors: Option<Vec<f64>> = by_seed.iter().map(|errors| errors[i]).collect();
@@ -81,7 +81,7 @@ fn judged(body: &str, by: By, evaluated: &Evaluated, agreement: Option<Agreement
         progress: (0..milestones).map(at).collect(),
         errors,
         agreement,
-        posterior: posterior.as_ref().map(|posterior| Said {
+        posterior: posterior.as_ref().map(|posterior| InverseResults {
             coverage: 100.0 * posterior.coverage(targets),
             unconverged: posterior.unconverged,
             unexplained: posterior.unexplained,
@@ -98,13 +98,14 @@ impl Comparison {
         let name = |m: usize, read: &Channel| format!("{}{m}", ["ax", "ay", "ω"][*read as usize]);
         let of_sensor = |m| trial.sensors.read().iter().map(move |read| name(m, read));
         let measured = bodies.iter().map(|body| judged(&body.name, body.by, &body.measured, None));
-        let modelled = |body: &Body, by: By, model: &Option<(Vec<f64>, Evaluated)>| {
+        let modelled = |body: &Body, by: SignalSource, model: &Option<(Vec<f64>, Evaluated)>| {
             let (signals, evaluated) = model.as_ref()?;
             let agreement = Agreement::of(&body.signals, signals, [instants, channels]);
             Some(judged(&body.name, by, evaluated, Some(agreement)))
         };
-        let simulated = bodies.iter().filter_map(|body| modelled(body, By::Simulated, &body.simulated));
-        let twins = bodies.iter().filter_map(|body| modelled(body, By::Twin, &body.twin));
+        let simulated =
+            bodies.iter().filter_map(|body| modelled(body, SignalSource::Simulated, &body.simulated));
+        let twins = bodies.iter().filter_map(|body| modelled(body, SignalSource::Twin, &body.twin));
         let judged = measured.chain(simulated).chain(twins).collect();
         let channels = (0..trial.point.sensors).flat_map(of_sensor).collect();
         Self { bodies, paired, shape, channels, duration: trial.time.duration, judged }
@@ -115,7 +116,7 @@ impl Comparison {
         table(&self.judged, self.paired, self.duration / self.shape[1] as f64)
     }
 
-    fn of(&self, body: &Body, by: By) -> Option<&Judged> {
+    fn of(&self, body: &Body, by: SignalSource) -> Option<&Judged> {
         self.judged.iter().find(|j| j.body == body.name && j.by == by)
     }
 
@@ -124,7 +125,7 @@ impl Comparison {
         let mut said = Vec::new();
         for (body, judged) in self.bodies.iter().zip(&self.judged) {
             let shown = |error: Option<f64>| error.map_or("–".to_owned(), number);
-            let held = |said: Said| {
+            let held = |said: InverseResults| {
                 let (n, left) = (judged.errors.len(), said.unconverged);
                 format!(
                     ", {} % of the true forces in its 95 % bands, {left} of {n} not converged",
@@ -145,10 +146,10 @@ impl Comparison {
                     shown(judged.error_train)
                 ),
             };
-            if let Some(promised) = self.of(body, By::Simulated) {
+            if let Some(promised) = self.of(body, SignalSource::Simulated) {
                 text += &format!("; {} % with signals simulated by the model", shown(promised.error()));
             }
-            if let Some(taught) = self.of(body, By::Twin) {
+            if let Some(taught) = self.of(body, SignalSource::Twin) {
                 let (error, whose) = (shown(taught.error()), taught.posterior);
                 text += &match whose {
                     Some(said) => format!("; {error} % with its twin{}", held(said)),
@@ -164,11 +165,11 @@ impl Comparison {
             let interval = found.interval.map_or(String::new(), |i| {
                 format!(" (95 % over records: {} to {})", number(i.low), number(i.high))
             });
-            let promised = ratio(By::Simulated)
+            let promised = ratio(SignalSource::Simulated)
                 .map_or(String::new(), |r| format!("; {} times with simulated signals", number(r.ratio)));
             let text = format!(
                 "On {} the error of the {} body is {} times that of the {} body{interval}{promised}.",
-                if body.by == By::Holdout { "the held-out set" } else { "unseen records" },
+                if body.by == SignalSource::Holdout { "the held-out set" } else { "unseen records" },
                 self.bodies[0].name,
                 number(found.ratio),
                 body.name
@@ -183,7 +184,7 @@ impl Comparison {
         let columns = "body record fold error error_simulated";
         let mut rows = Vec::new();
         for (body, measured) in self.bodies.iter().zip(&self.judged) {
-            let promised = self.of(body, By::Simulated);
+            let promised = self.of(body, SignalSource::Simulated);
             rows.extend(measured.errors.iter().enumerate().map(|(i, error)| {
                 let simulated = promised.and_then(|promised| promised.errors[i]);
                 row![body.name, i, body.measured.folds[i], error, simulated]
@@ -330,8 +331,9 @@ impl Comparison {
 
     fn progress(&self) -> Option<Figure> {
         let judged = &self.judged;
-        let curves =
-            || judged.iter().filter(|judged| judged.by == By::Measured).map(|judged| &judged.progress);
+        let curves = || {
+            judged.iter().filter(|judged| judged.by == SignalSource::Measured).map(|judged| &judged.progress)
+        };
         let points = || curves().flatten();
         let x = Axis::new("iterations of the decoder", Scale::Log, points().map(|p| f64::from(p.0)));
         let y = Axis::new("error on unseen records (%)", Scale::Log, points().map(|p| p.1));

@@ -68,8 +68,9 @@ impl SearchState {
                 Ok((plan, space)) => Self::of(reader, plan, space).await.map_err(|e| e.to_string()),
                 Err(e) => Err(e.to_string()),
             };
-            found
-                .push(followed.map_err(|e| format!("The search of {} cannot be evaluated: {e}.", sweep.name)));
+            found.push(
+                followed.map_err(|e| format!("The search of {} cannot be evaluated: {e}.", sweep.name)),
+            );
         }
         found
     }

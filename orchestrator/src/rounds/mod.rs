@@ -5,7 +5,7 @@ mod search;
 
 use std::path::Path;
 
-use metasense_schemas::record::Found;
+use metasense_schemas::record::TrialErrors;
 
 use crate::engine::Again;
 use crate::plan::{Plan, Trial};
@@ -29,7 +29,7 @@ pub trait Runs {
     fn workers(&self) -> u32;
 
     /// Results of the trials so far.
-    fn found(&mut self) -> impl Future<Output = Result<Vec<Found>, Self::Error>>;
+    fn found(&mut self) -> impl Future<Output = Result<Vec<TrialErrors>, Self::Error>>;
 
     /// Reopens finished trials among these, before a search reads their results.
     fn reopen(&mut self, hashes: &[&str], again: Again) -> impl Future<Output = Result<(), Self::Error>>;

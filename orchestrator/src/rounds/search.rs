@@ -22,7 +22,7 @@ pub async fn search<R: Runs>(mut round: R, space: &Space, again: Again) -> Resul
     round.reopen(&own.iter().map(String::as_str).collect::<Vec<_>>(), again).await?;
     let mut opened = HashSet::new();
     loop {
-        let known = Reader::asked(round.database(), async |reader| {
+        let known = Reader::with_reader(round.database(), async |reader| {
             Known::of(reader, space, round.plan(), &mut bodies).await
         })
         .await?;

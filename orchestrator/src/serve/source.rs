@@ -275,7 +275,7 @@ fn cpu() -> Duration {
 
 async fn answer(db: PathBuf) -> Result<Answers, StoreError> {
     let begun = Instant::now();
-    let trials = Reader::asked(&db, async |reader| finished_trials(reader).await).await?;
+    let trials = Reader::with_reader(&db, async |reader| finished_trials(reader).await).await?;
     let work = move || {
         let terms = Terms::default();
         let drawn = match trials.len() <= MOST_DRAWN {

@@ -325,7 +325,7 @@ impl Trials {
     /// # Errors
     /// If it cannot be read.
     pub async fn of(db: &Path) -> Result<Self, StoreError> {
-        Reader::asked(db, async |reader| Keeper::default().look(reader).await).await
+        Reader::with_reader(db, async |reader| Keeper::default().look(reader).await).await
     }
 
     /// The trials that meet all conditions, in planned order. Conditions that would hold of all trials by mistake are refused: an empty value

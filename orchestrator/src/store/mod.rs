@@ -177,7 +177,9 @@ pub(crate) async fn check_version(
             .await
             .map_err(at)?;
     if schema.iter().any(|text| std::str::from_utf8(text).is_err()) {
-        return Err(at(sqlx::Error::Protocol("the file is damaged: the name of a table or column is not UTF-8".into())));
+        return Err(at(sqlx::Error::Protocol(
+            "the file is damaged: the name of a table or column is not UTF-8".into(),
+        )));
     }
     if application != APPLICATION_ID && (application != 0 || tables != 0) {
         return Err(StoreError::NotOurs { path: path.to_owned() });

@@ -135,7 +135,7 @@ impl Reader {
     ///
     /// # Errors
     /// As [`Reader::open`], or as `ask`; `Changed` if the file was read without locks and has changed meanwhile.
-    pub async fn asked<T, E: From<StoreError>>(
+    pub async fn with_reader<T, E: From<StoreError>>(
         path: impl AsRef<Path>,
         ask: impl AsyncFnOnce(&mut Self) -> Result<T, E>,
     ) -> Result<T, E> {

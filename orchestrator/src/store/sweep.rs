@@ -1,6 +1,6 @@
 //! The writer's methods for sweeps: record their trials, and list those that have ended.
 
-use metasense_schemas::record::{Found, Trial};
+use metasense_schemas::record::{Trial, TrialErrors};
 use metasense_schemas::spec::SweepSpec;
 use sqlx::Connection;
 
@@ -101,7 +101,7 @@ impl Store {
     }
 
     /// Errors and CPU seconds of all trials that are done or failed.
-    pub async fn found(&mut self) -> Result<Vec<Found>, StoreError> {
+    pub async fn found(&mut self) -> Result<Vec<TrialErrors>, StoreError> {
         type Row = (String, Option<f64>, Option<f64>, Option<f64>);
         let rows: Vec<Row> = sqlx::query_as(
             "SELECT hash, holdout_error_initial, holdout_error_optimised, CAST(seconds AS REAL) FROM v_trial
@@ -110,7 +110,7 @@ impl Store {
         .fetch_all(&mut self.connection)
         .await
         .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
-        let found = |(hash, initial, optimised, seconds): Row| Found {
+        let found = |(hash, initial, optimised, seconds): Row| TrialErrors {
             hash,
             errors: [initial, optimised],
             seconds: seconds.unwrap_or(0.0),

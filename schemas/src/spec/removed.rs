@@ -9,7 +9,11 @@ const REMOVED: &[(&str, Option<&str>, &str)] = &[
     ),
     ("optimise.curvature", None, "removed: it improved no body; delete this key"),
     ("optimise.damping", None, "removed with optimise.curvature; delete this key"),
-    ("optimise.gradient", Some("implicit_only"), "removed: this term alone is not a gradient; use \"implicit\""),
+    (
+        "optimise.gradient",
+        Some("implicit_only"),
+        "removed: this term alone is not a gradient; use \"implicit\"",
+    ),
     (
         "optimise.placement",
         None,

@@ -19,21 +19,21 @@ mod schedule;
 mod search;
 mod state;
 
-pub use casts::{ForCasts, RECORDS, brain_for_casts, casts_of};
+pub use casts::{DecoderForCasts, RECORDS, brain_for_casts, evaluate_linear_on_casts};
 pub use comparison::{evaluate_designs, keeps_error};
 pub use evaluation::{
-    BandReading, BodyEvaluation, CastBrain, CastReading, Comparison, NetworkEvaluation, Optimised,
+    BandCoverage, BodyEvaluation, CastDecoder, CastEvaluation, Comparison, NetworkEvaluation, Optimised,
     Regularisation,
 };
 pub use inversion::INVERTED_OF_A_CAST;
 pub use observe::{Control, Nobody, Observe};
 pub use report::{Report, Seconds};
-pub use schedule::{RUNGS, look_near, looked_at};
-pub use state::{Best, State, Waypoint};
+pub use schedule::{RUNGS, evaluated_fraction, evaluation_step_near};
+pub use state::{Best, PastDesign, State};
 
-use comparison::compared;
+use comparison::compare;
 use observe::Log;
-use protocol::{Sensed, Session};
+use protocol::{Session, StepResult};
 use search::GradientFree;
 
 use crate::trial::{Failure, Trial};
@@ -55,9 +55,9 @@ pub fn optimise(
 
     while state.step < problem.optimise.iterations {
         let (before, mut log) = (state.clone(), Log::new(state.step, observer));
-        match (session.sense(&mut state, &mut log), &search) {
+        match (session.train_and_differentiate(&mut state, &mut log), &search) {
             (sensed, Some(search)) => search.step(sensed, &mut state, &mut *castable, &mut log)?,
-            (Ok(Sensed { gradient, loss_train, error_test }), None) => {
+            (Ok(StepResult { gradient, loss_train, error_test }), None) => {
                 state.remember(loss_train, error_test);
                 let bodies = session.bodies();
                 if problem.optimise.moves_body(state.step) {
@@ -69,7 +69,7 @@ pub fn optimise(
                     );
                 }
             }
-            (Err(trouble), None) => state = before.taken_back(trouble, &mut log.report)?,
+            (Err(trouble), None) => state = before.undo_step(trouble, &mut log.report)?,
         }
         state.step += 1;
         let report = log.report;
@@ -79,7 +79,7 @@ pub fn optimise(
         }
     }
     drop(session); // frees the decoder's memory
-    Ok(compared(trial, state, observer))
+    Ok(compare(trial, state, observer))
 }
 
 #[cfg(test)]

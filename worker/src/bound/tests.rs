@@ -60,7 +60,7 @@ fn bodies_that_can_tell_more_are_read_better() {
             let error = of[0].networks[0].error_holdout.unwrap();
             println!(
                 "body {body}, units {units:?}: bound {:.3} % ({} directions), linear brain {error:.3} %, without signals {:.1} %",
-                found.mean, found.directions, found.deaf
+                found.mean, found.directions, found.prior_only
             );
             bounds.push(found.mean.ln());
             errors.push(error.ln());

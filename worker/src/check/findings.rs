@@ -133,7 +133,13 @@ impl Findings<'_> {
         for (n, record) in self.described.records.iter().enumerate() {
             if let Err(what) = record {
                 let (place, what) = (format!("record {n}"), what.clone());
-                self.add("file", Level::Fault, place, what, "correct the file, or leave the record out".into());
+                self.add(
+                    "file",
+                    Level::Fault,
+                    place,
+                    what,
+                    "correct the file, or leave the record out".into(),
+                );
             }
         }
         let uneven: Vec<usize> = (0..self.looked.len()).filter(|i| self.looked[*i].jitter > JITTER).collect();
@@ -152,7 +158,9 @@ impl Findings<'_> {
             let of = &self.looked[i].instruments;
             let (peak, blows) = (of.peak, of.blows);
             if let Some(noise) = of.force_noise.filter(|noise| peak < BLOW * noise) {
-                let found = format!("largest force {peak:.3} N, noise {noise:.3} N: the record contains no clear blow");
+                let found = format!(
+                    "largest force {peak:.3} N, noise {noise:.3} N: the record contains no clear blow"
+                );
                 self.add(
                     "blow",
                     Level::Fault,
@@ -270,8 +278,7 @@ impl Findings<'_> {
         for (k, what) in ["accelerations", "rotation rates"].into_iter().enumerate() {
             if let Some(g) = after[k].filter(|g| g.ln().abs() > SCALE && found.correlation[1] > MODEL) {
                 let text = format!("{what} are {} times those of the model", significant(g));
-                let remedy =
-                    "check recorded.scale, signals.factors, the units, and body.density and the chip properties of the spec";
+                let remedy = "check recorded.scale, signals.factors, the units, and body.density and the chip properties of the spec";
                 self.add("unit", Level::Fault, String::new(), text, remedy.into());
             }
         }
@@ -281,7 +288,10 @@ impl Findings<'_> {
             let Some(usual) = gains[kind(c)] else { continue };
             let ratio = of.gain.abs() / usual;
             if !(1.0 / OWN..=OWN).contains(&ratio) {
-                let text = format!("amplitude relative to the model is {} times that of the other channels", significant(ratio));
+                let text = format!(
+                    "amplitude relative to the model is {} times that of the other channels",
+                    significant(ratio)
+                );
                 let remedy = format!("set signals.factors, {} for this channel", significant(1.0 / ratio));
                 self.add("unit", Level::Fault, self.channels[c].clone(), text, remedy);
             }
@@ -372,8 +382,7 @@ impl Findings<'_> {
         for (i, of) in found.records.iter().enumerate() {
             let OfRecord { correlation, panel, clock, .. } = of;
             if let Some((panel, then)) = panel {
-                let said =
-                    format!("the record fits panel {panel}: correlation {correlation:.2} → {then:.2}");
+                let said = format!("the record fits panel {panel}: correlation {correlation:.2} → {then:.2}");
                 self.add(
                     "panel",
                     Level::Fault,
@@ -522,7 +531,10 @@ impl Findings<'_> {
             {
                 continue;
             }
-            let text = format!("does not follow the simulated motion: correlation {:.2}; other channels do", of.correlation[1]);
+            let text = format!(
+                "does not follow the simulated motion: correlation {:.2}; other channels do",
+                of.correlation[1]
+            );
             let remedy = "check the cable and the column in signals.channels, or leave the channel out with sensors.channels";
             self.add("channel", Level::Fault, self.channels[c].clone(), text, remedy.into());
         }

@@ -12,25 +12,31 @@ fn a_state_survives_its_checkpoint() {
         step: 7,
         design: design.clone(),
         design_adam: Adam { m: numbers(parameters), v: numbers(parameters), t: 7 },
-        learnt: Learnt {
+        decoder_state: Learnt {
             weights: few(weights),
             adam: Adam { m: few(weights), v: few(weights), t: 70 },
             ridge: None,
         },
         best: Some(Best { design: design.clone(), error: 12.5, step: 5 }),
-        caution: 0.5,
-        setbacks: 2,
+        rate_factor: 0.5,
+        consecutive_undone: 2,
         trend: Some(0.01),
-        trail: vec![
-            Waypoint { step: 5, design: design.clone() },
-            Waypoint { step: 6, design: design.clone() },
+        recent_designs: vec![
+            PastDesign { step: 5, design: design.clone() },
+            PastDesign { step: 6, design: design.clone() },
         ],
         comparison: nested::Comparison::default(),
-        found: Vec::new(),
+        fitness: Vec::new(),
     };
-    let learnt = Learnt { weights: Vec::new(), ..full.learnt.clone() };
-    let bare = State { best: None, trend: None, trail: Vec::new(), learnt: learnt.clone(), ..full.clone() };
-    let linear = State { learnt: Learnt { ridge: Some(1e-4), ..learnt }, ..full.clone() };
+    let learnt = Learnt { weights: Vec::new(), ..full.decoder_state.clone() };
+    let bare = State {
+        best: None,
+        trend: None,
+        recent_designs: Vec::new(),
+        decoder_state: learnt.clone(),
+        ..full.clone()
+    };
+    let linear = State { decoder_state: Learnt { ridge: Some(1e-4), ..learnt }, ..full.clone() };
     let spread = Some(trial::Spread { median: 1.5, p90: f64::INFINITY, above: 7 });
     let network = nested::NetworkEvaluation {
         error_test: Some(3.0),
@@ -59,23 +65,23 @@ fn a_state_survives_its_checkpoint() {
     let adam = Adam { m: few(weights), v: few(weights), t: 2 };
     let fresh = Fresh { weights: few(weights), adam, losses: vec![0.5], errors: Vec::new() };
     let brains = [
-        CastBrain::Network,
-        CastBrain::NetworkCasts,
-        CastBrain::Nominal,
-        CastBrain::Casts,
-        CastBrain::Records(10),
-        CastBrain::Records(30),
+        CastDecoder::Network,
+        CastDecoder::NetworkCasts,
+        CastDecoder::Nominal,
+        CastDecoder::Casts,
+        CastDecoder::Records(10),
+        CastDecoder::Records(30),
     ];
-    let reading = |by| nested::CastReading {
+    let reading = |by| nested::CastEvaluation {
         cast: 7,
-        by,
+        decoder: by,
         error: Some(2.5),
         spread,
-        regularisation: nested::Regularisation { ridge: Some(1e-4), share: by.records().map(|_| 1e-2) },
-        trouble: trial::Trouble::named("diverged").filter(|_| by == CastBrain::Casts),
+        regularisation: nested::Regularisation { ridge: Some(1e-4), kappa: by.records().map(|_| 1e-2) },
+        trouble: trial::Trouble::named("diverged").filter(|_| by == CastDecoder::Casts),
     };
     let casts = brains.map(reading).to_vec();
-    let band = |kind, cast: Option<(u32, CastBrain)>, half_width: &[f64]| nested::BandReading {
+    let band = |kind, cast: Option<(u32, CastDecoder)>, half_width: &[f64]| nested::BandCoverage {
         cast,
         band: Band { kind, samples: 99, half_width: half_width.to_vec() },
         width: Some(0.25).filter(|_| cast.is_some() || !half_width.is_empty()),
@@ -84,8 +90,8 @@ fn a_state_survives_its_checkpoint() {
     let bands = vec![
         band(BandKind::Instant, None, &[0.125; 4]),
         band(BandKind::Sample, None, &[]),
-        band(BandKind::Sample, Some((7, CastBrain::NetworkCasts)), &[]),
-        band(BandKind::Posterior, Some((7, CastBrain::Twin(10))), &[]),
+        band(BandKind::Sample, Some((7, CastDecoder::NetworkCasts)), &[]),
+        band(BandKind::Posterior, Some((7, CastDecoder::Twin(10))), &[]),
     ];
     let compared = |training| State {
         comparison: nested::Comparison {
@@ -99,7 +105,7 @@ fn a_state_survives_its_checkpoint() {
         ..full.clone()
     };
     let wrong = Fresh { weights: few(3), ..fresh.clone() };
-    let search = State { found: vec![12.5, f64::INFINITY], ..bare.clone() };
+    let search = State { fitness: vec![12.5, f64::INFINITY], ..bare.clone() };
     for original in [full.clone(), bare, linear, search, compared(None), compared(Some(fresh))] {
         let read = Checkpoint::from_bytes(&checkpoint(&original).to_bytes()).unwrap();
         let other = Checkpoint { design: vec![0.5; 3], ..read.clone() };

@@ -139,7 +139,9 @@ fn refuse(parts: Vec<Part>, limit: Option<&Limit>) -> Result<(), Invalid> {
             Err(invalid(
                 key,
                 value,
-                format!("a worker needs at least {all} of memory, {part} of it for {what}; {name} only {bytes}"),
+                format!(
+                    "a worker needs at least {all} of memory, {part} of it for {what}; {name} only {bytes}"
+                ),
             ))
         }
     }

@@ -47,7 +47,8 @@ impl<'a> Form<'a> {
     fn settle(&self, choices: &str) -> String {
         match self.keys {
             Some(keys) => format!("set {keys}.{choices}"),
-            None => "write column names in the first line, separate fields by commas, and use decimal points".into(),
+            None => "write column names in the first line, separate fields by commas, and use decimal points"
+                .into(),
         }
     }
 

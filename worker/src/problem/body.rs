@@ -96,11 +96,11 @@ pub fn panels(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<Panel>
     let listed = Listed::new(body, layout);
     let (in_turn, driven) = (listed.begins_with(units), driven(body));
     let panel = |(k, &unit): (usize, &usize)| {
-        let struck = match in_turn {
+        let trial_panels = match in_turn {
             true => Some(&listed.panels[k]),
             false => listed.panels.iter().find(|struck| struck.unit == Some(unit)),
         };
-        let Struck { direction, node, at, couple, base, .. } = struck.cloned().unwrap_or_default();
+        let Struck { direction, node, at, couple, base, .. } = trial_panels.cloned().unwrap_or_default();
         if let Some(moment) = couple {
             return Panel { moment, ..Panel::central(unit, [0.0; 2]) };
         }
@@ -183,13 +183,15 @@ impl Listed {
                 }
                 if beside[2..] != [false; 3] {
                     return wrong(
-                        "base cannot be combined with node, at and couple: the unit does not rotate"
-                            .into(),
+                        "base cannot be combined with node, at and couple: the unit does not rotate".into(),
                     );
                 }
                 let held = held(body, layout)?;
                 if unit.is_none() && held.is_empty() {
-                    return wrong("a base without unit moves the held units, but none is held: set body.clamp or unit".into());
+                    return wrong(
+                        "a base without unit moves the held units, but none is held: set body.clamp or unit"
+                            .into(),
+                    );
                 }
                 if let Some(unit) = unit.filter(|unit| held.contains(unit)) {
                     let remedy = "leave it out of body.clamp and body.guides to drive it";
@@ -389,7 +391,7 @@ const COMPRESSION_MAX: f64 = 0.5;
 
 /// Displacement of each clamped, then of each guided unit in its held coordinates, before a sample (mm): towards the middle between
 /// the outermost. Empty: none.
-pub(super) fn pressed(
+pub(super) fn compression_shifts(
     body: &spec::Body,
     layout: &Layout,
     clamped: &[usize],
@@ -408,7 +410,8 @@ pub(super) fn pressed(
         let (least, most) = (own().fold(f64::INFINITY, f64::min), own().fold(f64::NEG_INFINITY, f64::max));
         let apart = most - least > 1e-6 * layout.spacing;
         let axis = ["x", "y"][d];
-        let remedy = format!("all held units have the same {axis}: body.clamp must contain units at different {axis}");
+        let remedy =
+            format!("all held units have the same {axis}: body.clamp must contain units at different {axis}");
         require(parts[d] == 0.0 || apart, key, &shown, &remedy)?;
         let middle = 0.5 * (least + most);
         let moving = by.iter_mut().zip(&held).filter(|(_, (_, held))| held[d]);

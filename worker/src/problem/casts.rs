@@ -2,7 +2,7 @@
 
 use metasense_numerics::brains::fits;
 use metasense_numerics::dynamics::{Parameters, Relaxation};
-use metasense_numerics::trial::{CastReader, Casting, Over};
+use metasense_numerics::trial::{CastObjective, CastReader, Over};
 use metasense_numerics::variation::Variation;
 use metasense_schemas::spec::{self, Scatter, TrialSpec};
 
@@ -43,8 +43,9 @@ pub(super) fn variation(trial: &TrialSpec, units: usize) -> Result<Option<Variat
     };
     let [spacing, length] = lengths(&trial.body)?;
     let most = NODES_MAX * length;
-    let remedy =
-        format!("must lie between 0 and {most:.3} mm, a sixth of body.ligament_length: with larger deviations, units would touch");
+    let remedy = format!(
+        "must lie between 0 and {most:.3} mm, a sixth of body.ligament_length: with larger deviations, units would touch"
+    );
     require((0.0..=most).contains(&nodes), key, nodes, &remedy)?;
     require(
         (0.0..=CORRELATION_MAX).contains(&correlation),
@@ -75,8 +76,9 @@ pub(super) fn variation(trial: &TrialSpec, units: usize) -> Result<Option<Variat
     let misalignment = turn.to_radians();
     let ligament_length = ligament_length.unwrap_or(0.0);
     let most = ((spacing / length).ln() / LENGTHS).min(DEVIATION_MAX);
-    let remedy =
-        format!("must be a standard deviation of the logarithm from 0 to {most:.3}: with larger deviations, units would vanish");
+    let remedy = format!(
+        "must be a standard deviation of the logarithm from 0 to {most:.3}: with larger deviations, units would vanish"
+    );
     require((0.0..=most).contains(&ligament_length), "variation.ligament_length", ligament_length, &remedy)?;
     let relaxation = relaxation.map(relaxing).transpose()?;
     let parts = Variation { material, ligaments, units, ligament_length, ..Variation::default() };
@@ -117,7 +119,7 @@ fn deviations<Parts: Copy + Into<[f64; 2]>>(
 }
 
 /// The objective over casts, or over parts of a mixture.
-pub(super) fn casting(trial: &TrialSpec) -> Result<Option<Casting>, Invalid> {
+pub(super) fn casting(trial: &TrialSpec) -> Result<Option<CastObjective>, Invalid> {
     let spec::Optimise { objective, casts, reader, protocol, .. } = trial.optimise.clone().resolved();
     let Some(tail) = objective.and_then(spec::Objective::tail) else { return Ok(None) };
     let shown = as_written(&objective);
@@ -138,14 +140,13 @@ pub(super) fn casting(trial: &TrialSpec) -> Result<Option<Casting>, Invalid> {
     let over = if parts.is_some() { Over::Parts } else { Over::Casts };
     let reader = match reader {
         Some(spec::CastReader::Each) => {
-            let remedy =
-                "needs training with the linear decoder: networks are not trained for each cast";
+            let remedy = "needs training with the linear decoder: networks are not trained for each cast";
             require(trial.optimise.linear(), "optimise.reader", "\"each\"", remedy)?;
             CastReader::Each
         }
         _ => CastReader::One,
     };
-    Ok(Some(Casting { over, casts, tail, reader }))
+    Ok(Some(CastObjective { over, casts, tail, reader }))
 }
 
 /// Number of casts in the final comparison.

@@ -2,7 +2,7 @@
 
 use metasense_numerics::body::{Freedom, Layout};
 use metasense_numerics::feasible::{Feasible, Limits};
-use metasense_numerics::trial::{Going, Protocol, Terms};
+use metasense_numerics::trial::{Continued, Protocol, Terms};
 use metasense_schemas::spec::{self, TrialSpec};
 
 use super::{ITERATIONS_MAX, SAMPLES_MAX, check_units, held, kept};
@@ -32,7 +32,7 @@ pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
     }
     let resolved = optimise.clone().resolved();
     // placeholders for keys that the protocol does not use
-    let going = Going {
+    let going = Continued {
         batch: resolved.batch.unwrap_or(1),
         brain_iterations: resolved.brain_iterations.unwrap_or(1),
         brain_rate: resolved.brain_learning_rate.unwrap_or(1.0),

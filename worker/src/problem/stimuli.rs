@@ -63,15 +63,15 @@ fn hand(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Option<Hand>, Inva
     // two standard deviations then reach a corner
     let [spacing, length] = lengths(&trial.body)?;
     let most = 0.25 * (spacing - length);
-    let remedy =
-        format!("must lie between 0 and {most} mm, a quarter of a unit's diagonal: blows with larger offsets would miss the unit");
+    let remedy = format!(
+        "must lie between 0 and {most} mm, a quarter of a unit's diagonal: blows with larger offsets would miss the unit"
+    );
     require((0.0..=most).contains(&offset), "stimuli.offset", offset, &remedy)?;
     let remedy = "must lie between 0 and 30 degrees: with larger deviations, blows could pull";
     require((0.0..=30.0).contains(&angle), "stimuli.angle", angle, remedy)?;
     let struck = trial.body.panels.is_empty() || trial.body.panels.iter().any(|panel| panel.base.is_none());
     for (key, value) in [("stimuli.offset", offset), ("stimuli.angle", angle)] {
-        let remedy =
-            "has no effect: every entry of body.panels prescribes a motion (base)";
+        let remedy = "has no effect: every entry of body.panels prescribes a motion (base)";
         require(struck || value == 0.0, key, value, remedy)?;
     }
     Ok((offset > 0.0 || angle > 0.0).then_some(Hand { offset, angle: angle.to_radians() }))
@@ -328,7 +328,8 @@ pub(super) fn disturbance(
     let clock = disturbance.clock(interval);
     let (key, value) = if delay > 0.0 { ("sensors.delay", delay) } else { ("sensors.bandwidth", bandwidth) };
     let most = INSTANTS_MAX / clock;
-    let remedy = format!("needs {clock} instants of motion per reading, so that time.samples must be at most {most}");
+    let remedy =
+        format!("needs {clock} instants of motion per reading, so that time.samples must be at most {most}");
     require(time.samples * clock <= INSTANTS_MAX, key, value, &remedy)?;
     Ok((disturbance != Disturbance::NONE).then_some(disturbance))
 }

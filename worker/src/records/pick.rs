@@ -114,8 +114,9 @@ fn of_archive(
             return Err(format!("contains named arrays: {key} and time must be names"));
         };
         let names = || arrays.keys().map(String::as_str).collect::<Vec<_>>().join(", ");
-        let (name, array) =
-            arrays.get_key_value(name).ok_or_else(|| format!("has no array {name:?}; arrays are {}", names()))?;
+        let (name, array) = arrays
+            .get_key_value(name)
+            .ok_or_else(|| format!("has no array {name:?}; arrays are {}", names()))?;
         let array = array.as_ref().expect("what is named is read").as_ref();
         Ok((name, array.map_err(|what| format!("{name} {what}"))?))
     };

@@ -10,8 +10,8 @@ fn trial(brain: Option<&str>, with: Option<&str>, seed: u64, own: [f64; 2], whol
         cluster: Cluster { placement: 0, seed },
         errors: pair(own),
         readings: vec![
-            Reading { memory: [1.0, 1.0], whole: true, errors: pair(whole) },
-            Reading { memory: [1.0, 0.0], whole: false, errors: pair(whole.map(|e| 3.0 * e)) },
+            Reading { memory: [1.0, 1.0], is_longest: true, errors: pair(whole) },
+            Reading { memory: [1.0, 0.0], is_longest: false, errors: pair(whole.map(|e| 3.0 * e)) },
         ],
         ..Trial::default()
     }
@@ -27,12 +27,12 @@ fn bodies_stand_by_what_trained_and_what_read_them() {
         trial(None, Some("linear"), 1, [20.0, 5.0], [8.0, 0.5]),
         trial(Some("linear"), Some("linear"), 1, [8.0, 0.5], [8.0, 0.5]),
     ];
-    let found = reads(&trials.iter().collect::<Vec<_>>());
+    let found = errors_by_decoder(&trials.iter().collect::<Vec<_>>());
     let rows: Vec<(&str, &str, bool, [f64; 2], usize)> = found
         .iter()
         .map(|r| {
             let errors = r.errors.map(|e| (1e6 * e).round() / 1e6);
-            (&r.trained_with[..], &r.by[..], r.whole, errors, r.ratio.trials)
+            (&r.trained_with[..], &r.decoder[..], r.whole, errors, r.ratio.trials)
         })
         .collect();
     assert_eq!(

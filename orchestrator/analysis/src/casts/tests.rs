@@ -8,7 +8,7 @@ use serde_json::json;
 #[test]
 fn gains_over_casts_are_told_by_body_and_brain() {
     let mut trials = Vec::new();
-    let of_records = CastBrain::Records(120);
+    let of_records = CastDecoder::Records(120);
     for seed in 1..=4u64 {
         let factor = [0.5, 2.0, 0.8, 1.25][seed as usize - 1];
         for (optimise, designed, cast) in [
@@ -25,17 +25,17 @@ fn gains_over_casts_are_told_by_body_and_brain() {
             ),
         ] {
             let spec = json!({"optimise": optimise, "brain": {"kind": "linear"}, "point": {"panels": 2, "sensors": 1, "seed": seed}});
-            let reading = |(body, by, errors): (Body, CastBrain, [f64; 2])| CastReading {
+            let reading = |(body, by, errors): (Body, CastDecoder, [f64; 2])| CastReading {
                 body,
-                by,
+                decoder: by,
                 casts: 24,
                 failed: u64::from(body == Body::Initial),
                 errors: errors.map(|error| factor * error),
             };
             let read = [
-                (Body::Initial, CastBrain::Casts, [40.0, 80.0]),
+                (Body::Initial, CastDecoder::Casts, [40.0, 80.0]),
                 (Body::Initial, of_records, [20.0, 40.0]),
-                (Body::Optimised, CastBrain::Casts, cast),
+                (Body::Optimised, CastDecoder::Casts, cast),
                 (Body::Optimised, of_records, cast.map(|error| 0.5 * error)),
             ];
             trials.push(Trial {
@@ -60,7 +60,7 @@ fn gains_over_casts_are_told_by_body_and_brain() {
         ("mean of casts, iterations = 75", 4),
     ];
     assert_eq!(names, expected);
-    assert_eq!(bodies[1].brains(), [CastBrain::Casts, of_records]);
+    assert_eq!(bodies[1].brains(), [CastDecoder::Casts, of_records]);
     let near =
         |found: f64, expected: f64| assert!((found / expected - 1.0).abs() < 1e-9, "{found} for {expected}");
     for (body, designed, errors, kept) in [
@@ -69,8 +69,8 @@ fn gains_over_casts_are_told_by_body_and_brain() {
         (2, 2.0, [4.0, 8.0], [Some(1.0), Some(1.0)]),
         (3, 2.0, [4.0, 16.0], [Some(1.0), Some(5f64.ln() / 10f64.ln())]),
     ] {
-        for (by, half) in [(CastBrain::Casts, 1.0), (of_records, 0.5)] {
-            let left = bodies[body].left(by).unwrap();
+        for (by, half) in [(CastDecoder::Casts, 1.0), (of_records, 0.5)] {
+            let left = bodies[body].errors_of(by).unwrap();
             assert_eq!(left.casts, [96, if body == 0 { 4 } else { 0 }]);
             near(left.designed.unwrap().ratio, designed);
             for quantile in [0, 1] {
@@ -83,5 +83,5 @@ fn gains_over_casts_are_told_by_body_and_brain() {
             }
         }
     }
-    assert!(bodies[1].left(CastBrain::Network).is_none());
+    assert!(bodies[1].errors_of(CastDecoder::Network).is_none());
 }

@@ -129,7 +129,7 @@ fn a_trial_that_is_judged_again_counts_once() {
         // without outer steps there is no trained body
         trial(3, [40.0, 40.0], &json!({"optimise": {"iterations": 0}})),
     ];
-    trials.iter_mut().for_each(Trial::without_steps);
+    trials.iter_mut().for_each(Trial::remove_trained_results);
     let refs: Vec<&Trial> = trials.iter().collect();
     let found = groups(&refs, SENSORS);
     assert_eq!(found.iter().map(|group| group.trials.len()).collect::<Vec<_>>(), [4, 1]);

@@ -21,7 +21,7 @@ fn curve(error: impl Fn(f64) -> f64, noise: f64) -> Vec<Observation> {
 #[test]
 fn a_curve_that_bends_at_two_has_its_elbow_there() {
     let found =
-        elbow(&curve(|m| 20.0 * (-1.2 * m.min(2.0) - 0.05 * m).exp(), 0.05), Height::Logarithm).unwrap();
+        elbow(&curve(|m| 20.0 * (-1.2 * m.min(2.0) - 0.05 * m).exp(), 0.05), ErrorScale::Logarithm).unwrap();
     assert_eq!(found.verdict, Verdict::At(2.0), "{found:?}");
     assert_eq!((found.broken_stick, found.kneedle, found.chord), (Some(2.0), Some(2.0), Some(2.0)));
     assert_eq!(found.without_largest, Some(Some(2.0)));
@@ -31,14 +31,14 @@ fn a_curve_that_bends_at_two_has_its_elbow_there() {
 
 #[test]
 fn a_curve_that_bends_at_four_has_its_elbow_there() {
-    let found = elbow(&curve(|m| 30.0 * (-0.6 * m.min(4.0)).exp(), 0.08), Height::Logarithm).unwrap();
+    let found = elbow(&curve(|m| 30.0 * (-0.6 * m.min(4.0)).exp(), 0.08), ErrorScale::Logarithm).unwrap();
     assert_eq!(found.verdict, Verdict::At(4.0), "{found:?}");
 }
 
 #[test]
 fn a_straight_fall_and_a_flat_curve_have_no_elbow() {
     for (slope, noise) in [(0.3, 0.05), (0.0, 0.05), (0.3, 0.0)] {
-        let found = elbow(&curve(|m| 20.0 * (-slope * m).exp(), noise), Height::Logarithm).unwrap();
+        let found = elbow(&curve(|m| 20.0 * (-slope * m).exp(), noise), ErrorScale::Logarithm).unwrap();
         assert_eq!(found.verdict, Verdict::NoElbow, "slope {slope}, noise {noise}: {found:?}");
     }
 }
@@ -48,7 +48,7 @@ fn a_straight_fall_and_a_flat_curve_have_no_elbow() {
 #[test]
 fn a_curve_has_two_heights() {
     let verdicts = |error: &dyn Fn(f64) -> f64| {
-        Height::ALL.map(|height| elbow(&curve(error, 0.03), height).unwrap().verdict)
+        ErrorScale::ALL.map(|scale| elbow(&curve(error, 0.03), scale).unwrap().verdict)
     };
     assert_eq!(verdicts(&|m| 20.0 * (-0.5 * m).exp()), [Verdict::NoElbow; 2]);
     assert_eq!(verdicts(&|m| 20.0 - 8.0 * m.min(2.0)), [Verdict::At(2.0); 2]);
@@ -65,7 +65,7 @@ fn a_bend_at_the_second_m_may_be_a_fast_decay() {
         (&(|m: f64| 5.0 + 30.0 * 0.08f64.powf(m - 1.0)) as &dyn Fn(f64) -> f64, Some(2.0), None),
         (&|m: f64| 60.0 - 18.0 * m.min(3.0), Some(3.0), Some(3.0)),
     ] {
-        let found = elbow(&curve(error, 0.01), Height::Percent).unwrap();
+        let found = elbow(&curve(error, 0.01), ErrorScale::Percent).unwrap();
         assert_eq!((found.broken_stick, found.any_decay), (place, any), "{found:?}");
     }
 }
@@ -73,7 +73,7 @@ fn a_bend_at_the_second_m_may_be_a_fast_decay() {
 /// The true gain is e^0.5 before the elbow and 1 after it.
 #[test]
 fn gains_are_paired_within_clusters() {
-    let found = elbow(&curve(|m| 20.0 * (-0.5 * m.min(3.0)).exp(), 0.02), Height::Logarithm).unwrap();
+    let found = elbow(&curve(|m| 20.0 * (-0.5 * m.min(3.0)).exp(), 0.02), ErrorScale::Logarithm).unwrap();
     for gain in &found.gains {
         let truth = if gain.from < 3.0 { 0.5f64.exp() } else { 1.0 };
         let interval = gain.interval.unwrap();
@@ -85,7 +85,7 @@ fn gains_are_paired_within_clusters() {
 #[test]
 fn three_values_of_m_are_too_few() {
     let few: Vec<Observation> = curve(|m| 20.0 / m, 0.0).into_iter().filter(|o| o.at < 3.5).collect();
-    assert_eq!(elbow(&few, Height::Percent), Err(TooFew(3)));
+    assert_eq!(elbow(&few, ErrorScale::Percent), Err(TooFew(3)));
 }
 
 /// "No elbow" is one of the answers; half of the votes do not decide.
@@ -103,7 +103,7 @@ fn the_verdict_is_what_has_most_votes() {
     ] {
         assert_eq!(verdict_of(&[(2.0, two), (3.0, three)], none), verdict);
     }
-    let found = elbow(&curve(|m| 20.0 * (-0.6 * m.min(3.0)).exp(), 0.3), Height::Logarithm).unwrap();
+    let found = elbow(&curve(|m| 20.0 * (-0.6 * m.min(3.0)).exp(), 0.3), ErrorScale::Logarithm).unwrap();
     let places = found.votes.iter().map(|v| Some(v.0)).chain([None]);
     let all: f64 = places.map(|place| found.share(place).unwrap()).sum();
     assert!((all - 1.0).abs() < 1e-12, "{found:?}");
@@ -115,7 +115,7 @@ fn one_placement_and_seed_gives_a_fit_without_votes() {
         .into_iter()
         .filter(|o| o.cluster == Cluster::default())
         .collect();
-    let found = elbow(&one, Height::Logarithm).unwrap();
+    let found = elbow(&one, ErrorScale::Logarithm).unwrap();
     assert_eq!(found.verdict, Verdict::WithoutVote(Some(2.0)), "{found:?}");
     assert_eq!((found.share(Some(2.0)), found.share(None)), (None, None));
     assert!(found.gains.iter().all(|g| g.interval.is_none()));

@@ -52,7 +52,7 @@ impl Landscape {
                     cost: [1.0 + m, 100.0 + 900.0 * brain, 25.0 + 10.0 * size],
                     setting: Setting {
                         place: vec![m / 3.0, size / 3.0, brain, objective],
-                        looks,
+                        rung_kind: looks,
                         sensors: 16 * placement + n / 4,
                     },
                     ..Candidate::default()
@@ -97,7 +97,7 @@ impl Landscape {
     /// Returns the error (%) of a trial at a level.
     fn told_at(&self, i: usize, level: usize) -> f64 {
         let deviation = LOOKS.get(level).copied().unwrap_or(self.seed);
-        self.error(i, level, MORE[self.trials[i].setting.looks][level], deviation)
+        self.error(i, level, MORE[self.trials[i].setting.rung_kind][level], deviation)
     }
 
     /// Returns the n-th error (%) of a trial; equal arguments give equal errors.

@@ -3,7 +3,7 @@ use super::*;
 fn judged(body: &str, errors: &[f64]) -> Judged {
     Judged {
         body: body.into(),
-        by: By::Measured,
+        by: SignalSource::Measured,
         errors: errors.iter().map(|e| Some(*e)).collect(),
         error_train: None,
         by_seed: vec![],

@@ -79,7 +79,7 @@ fn the_interval_of_a_mean_is_student_s_over_units() {
         let mean = |w: &[f64]| {
             Some(w.iter().zip(&trials).map(|(w, t)| w * t.1).sum::<f64>() / w.iter().sum::<f64>())
         };
-        let Judged { interval: found, chance, tells } = resampling.judged(mean).unwrap();
+        let Inference { interval: found, chance, tells } = resampling.judged(mean).unwrap();
         // t = 3.75/1.548 = 2.42 with three degrees of freedom
         assert!((chance - 0.0939).abs() < 1e-3, "{chance}");
         // 80 % quantile of t: 0.978

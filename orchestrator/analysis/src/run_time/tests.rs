@@ -32,7 +32,7 @@ fn a_run_that_never_got_there_counts() {
 #[test]
 fn the_interval_of_a_median_is_open_where_runs_never_got_there() {
     let of = |last: bool, count: u64| {
-        let run = |i: u64| Watched {
+        let run = |i: u64| CensoredTime {
             cluster: Cluster { placement: i, seed: 1 },
             seconds: (1 << i) as f64,
             reached: i < 5 || last,

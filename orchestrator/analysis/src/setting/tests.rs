@@ -30,6 +30,9 @@ fn odd_paths_are_those_that_set_trials_apart() {
         )
     };
     let all = [of(6, None), of(8, None), of(8, Some(0.1)), of(6, None)];
-    assert_eq!(odd(all.iter()).into_iter().collect::<Vec<_>>(), ["body.columns", "sensors.noise"]);
-    assert!(odd([].into_iter()).is_empty() && odd(all[..1].iter()).is_empty());
+    assert_eq!(
+        differing_paths(all.iter()).into_iter().collect::<Vec<_>>(),
+        ["body.columns", "sensors.noise"]
+    );
+    assert!(differing_paths([].into_iter()).is_empty() && differing_paths(all[..1].iter()).is_empty());
 }

@@ -2,17 +2,17 @@ use super::*;
 
 #[test]
 fn gains_are_paired_by_trial() {
-    let read = |seed: u64, task: (&'static str, &'static str), errors: [f64; 2]| Read {
+    let read = |seed: u64, task: (&'static str, &'static str), errors: [f64; 2]| TaskResult {
         setting: "K = 2".into(),
         cluster: Cluster { placement: 0, seed },
         task,
         readout: "direct",
         errors,
         trivial: 50.0,
-        least: if task.1 == "%" { 0.5 } else { 0.0 },
+        error_min: if task.1 == "%" { 0.5 } else { 0.0 },
     };
     let (peak, panel) = (("peak", "N"), ("panel", "%"));
-    let all: Vec<Read> = (0..6)
+    let all: Vec<TaskResult> = (0..6)
         .flat_map(|seed| {
             let hard = 1.0 + seed as f64;
             [read(seed, peak, [0.4 * hard, 0.1 * hard]), read(seed, panel, [8.0, 0.0])]

@@ -58,7 +58,7 @@ impl Looks {
 
     /// Looks without correction, for comparison.
     #[cfg(test)]
-    pub(super) fn naive(grid: usize) -> Self {
+    pub(super) fn uncorrected(grid: usize) -> Self {
         Self { weights: vec![1.0; grid + 1], least: Vec::new(), known: HashMap::new() }
     }
 

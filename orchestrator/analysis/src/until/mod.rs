@@ -12,7 +12,7 @@ mod looks;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fmt;
 
-use metasense_schemas::record::{Found, Trial as Planned};
+use metasense_schemas::record::{Trial as Planned, TrialErrors};
 use metasense_schemas::spec::{Until, flatten};
 
 use super::data::{COMPLEXITY, SENSORS, groups, places};
@@ -144,10 +144,10 @@ fn planned(trial: &Planned) -> Trial {
 
 /// Returns the state of the questions and the wanted trials, in the order of the plan. Once `hours` are spent, only settled
 /// trials are wanted. Open questions want enough units ahead to occupy the workers.
-pub fn of_plan(until: &Until, plan: &[Planned], found: &[Found], workers: u32) -> Decision {
+pub fn of_plan(until: &Until, plan: &[Planned], found: &[TrialErrors], workers: u32) -> Decision {
     let mut trials: Vec<Trial> = plan.iter().map(planned).collect();
     let mut settled = vec![false; trials.len()];
-    let places: HashMap<&str, &Found> = found.iter().map(|f| (f.hash.as_str(), f)).collect();
+    let places: HashMap<&str, &TrialErrors> = found.iter().map(|f| (f.hash.as_str(), f)).collect();
     let mut seconds = 0.0;
     for (trial, settled) in trials.iter_mut().zip(&mut settled) {
         if let Some(found) = places.get(trial.hash.as_str()) {

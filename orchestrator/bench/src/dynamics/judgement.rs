@@ -35,7 +35,8 @@ fn judge(marks: &[&Mark], row: usize) -> Option<String> {
     let auto = auto.and_then(|m| m.points[row]).map(|(cost, error)| {
         format!("; auto {cost:.3} ms at {error:.1e}, {:.2} of the cheapest", cost / cheapest)
     });
-    let at = if error > ASKED { " (the smallest error that Tsit5 and another method both reach)" } else { "" };
+    let at =
+        if error > ASKED { " (the smallest error that Tsit5 and another method both reach)" } else { "" };
     Some(format!(
         "at {error:.1e}{at} {name} {cheapest:.3} ms, tsit5 {reference:.3} ms, {:.2} times as long{}",
         reference / cheapest,

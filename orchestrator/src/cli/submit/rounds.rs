@@ -6,7 +6,7 @@ use std::collections::{BTreeSet, HashSet};
 use std::path::Path;
 use std::time::Duration;
 
-use metasense_schemas::record::{Found, Trial};
+use metasense_schemas::record::{Trial, TrialErrors};
 
 use super::queued::submit_shards;
 use super::{Args, Program, how, note_here, prepare, print, write_assignment};
@@ -110,7 +110,7 @@ impl Runs for Shards<'_> {
         self.submission.shards * self.submission.workers()
     }
 
-    async fn found(&mut self) -> Result<Vec<Found>, Error> {
+    async fn found(&mut self) -> Result<Vec<TrialErrors>, Error> {
         let mut store = Store::open(self.database()).await?;
         let found = store.found().await;
         store.close().await?;
@@ -201,6 +201,6 @@ impl Shards<'_> {
 
     /// Number of steps and results so far.
     async fn progress(&self) -> Result<u64, Error> {
-        Ok(Reader::asked(self.database(), async |reader| reader.progress().await).await?)
+        Ok(Reader::with_reader(self.database(), async |reader| reader.progress().await).await?)
     }
 }

@@ -178,8 +178,14 @@ pub(super) async fn compare(
                     names => finding(Kind::Bits, names.to_owned()),
                 }
             }
-            ("failed", "done") => finding(Kind::Outcome, format!("failed in the discarded copy ({reason}), done in the kept copy")),
-            ("done", _) => finding(Kind::Outcome, format!("done in the discarded copy, {kept_state} ({kept_reason}) in the kept copy")),
+            ("failed", "done") => finding(
+                Kind::Outcome,
+                format!("failed in the discarded copy ({reason}), done in the kept copy"),
+            ),
+            ("done", _) => finding(
+                Kind::Outcome,
+                format!("done in the discarded copy, {kept_state} ({kept_reason}) in the kept copy"),
+            ),
             _ => {
                 let because = if reason.is_empty() { String::new() } else { format!(" ({reason})") };
                 finding(Kind::LeftOut, format!("{state}{because}: {attempts} attempts with {steps} steps"));

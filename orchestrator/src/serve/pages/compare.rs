@@ -74,7 +74,7 @@ async fn databases(served: &Served, first: &str, second: &str) -> Result<Markup,
     let mut trials = Vec::new();
     for at in [first, second] {
         let db = file_of(served, at).await?;
-        trials.push(Reader::asked(&db, async |reader| finished_trials(reader).await).await?);
+        trials.push(Reader::with_reader(&db, async |reader| finished_trials(reader).await).await?);
     }
     let work = move || {
         let found = Comparison::new(&trials[0], &trials[1]);
@@ -98,7 +98,7 @@ async fn trials(served: &Served, at: [&str; 2], hashes: [&str; 2]) -> Result<Mar
     let mut found = Vec::new();
     for (at, hash) in at.into_iter().zip(hashes) {
         let db = file_of(served, at).await?;
-        found.push(Reader::asked(&db, async |reader| Trial::read(reader, hash).await).await?);
+        found.push(Reader::with_reader(&db, async |reader| Trial::read(reader, hash).await).await?);
     }
     let [a, b] = [&found[0], &found[1]];
     let drawings: Vec<_> = [(a, "first"), (b, "second")]

@@ -196,7 +196,7 @@ pub async fn page(
             &live("facts", &trouble(&seen)),
         );
     }
-    let trial = Reader::asked(&seen.db, async |reader| Trial::read(reader, &hash).await).await?;
+    let trial = Reader::with_reader(&seen.db, async |reader| Trial::read(reader, &hash).await).await?;
     let replayed = match &trial.stored {
         Some(stored) if !asked.replay.is_empty() => {
             let again = replayed(&served, stored).await?;

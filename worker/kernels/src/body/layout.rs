@@ -492,7 +492,7 @@ impl Layout {
     }
 
     /// Whether the reference points of two units are at least `distance` apart (mm).
-    pub fn apart(&self, a: usize, b: usize, distance: f64) -> bool {
+    pub fn are_apart(&self, a: usize, b: usize, distance: f64) -> bool {
         let [p, q] = [a, b].map(|unit| self.centres[unit]);
         (p[0] - q[0]).hypot(p[1] - q[1]) >= distance * (1.0 - 1e-9)
     }

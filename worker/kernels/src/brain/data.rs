@@ -83,7 +83,11 @@ impl<F: Real> Data<F> {
     /// # Panics
     /// If an index is out of range.
     pub fn batch<'a>(&'a self, which: &'a [usize]) -> Batch<'a, F> {
-        assert!(which.iter().all(|&n| n < self.samples), "index out of range: {} samples, batch {which:?}", self.samples);
+        assert!(
+            which.iter().all(|&n| n < self.samples),
+            "index out of range: {} samples, batch {which:?}",
+            self.samples
+        );
         Batch { data: self, which: Some(which) }
     }
 }

@@ -149,7 +149,7 @@ pub fn choose(scene: &Scene, design: &[f64], solver: &Solver) -> Plan {
 
 /// As [`choose`], under forces with `kinks` kinks per interval.
 pub(super) fn choose_under(scene: &Scene, design: &[f64], kinks: usize, solver: &Solver) -> Plan {
-    let Solver { method, accuracy, tolerance, single } = *solver;
+    let Solver { method, accuracy, tolerance, single_below: single } = *solver;
     // For τ ≥ 0.1 ms and g ≤ 1, the law of `nystrom4` bounds the error of the scheme of `relaxing`. An accuracy found by a pilot with
     // another method is valid too: a difficult scene increases the factors of all laws alike.
     let method = if scene.relaxation.is_some() { Method::Nystrom4 } else { method };
@@ -163,7 +163,8 @@ pub(super) fn choose_under(scene: &Scene, design: &[f64], kinks: usize, solver: 
         .min_by_key(|c| c.steps(accuracy) * c.law.work)
         .expect("a law for every method of equal steps");
     let steps = best.steps(accuracy);
-    let reason = best.reason(steps, &format!("from the error law of this method for an error of {:.0e}", accuracy.0));
+    let reason =
+        best.reason(steps, &format!("from the error law of this method for an error of {:.0e}", accuracy.0));
     let precision = if best.highest <= single { Precision::Single } else { Precision::Double };
     Plan { precision, ..best.plan(steps, reason) }
 }

@@ -64,7 +64,11 @@ pub fn touches(scene: &Scene, design: &[f64]) -> bool {
 /// # Errors
 /// `Buckled` or `NoEquilibrium`.
 pub fn equilibrium(scene: &Scene, model: &Model) -> Result<Places, Outcome> {
-    assert_eq!(scene.pressed.len(), scene.clamped.len() + scene.guided.len(), "number of displacements of held units");
+    assert_eq!(
+        scene.pressed.len(),
+        scene.clamped.len() + scene.guided.len(),
+        "number of displacements of held units"
+    );
     let lengths = model.bars.iter().map(|bar| bar.length);
     let length = if model.bars.is_empty() { 1.0 } else { lengths.sum::<f64>() / model.bars.len() as f64 };
     let total = scene.pressed.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max) / length;
@@ -178,7 +182,8 @@ fn solve(factor: &Llt<usize, f64>, model: &Model, y: &[[f64; 3]]) -> Places {
 
 /// Change of the equilibrium, −K⁻¹ `rate`, for `rate` = ∂²U/∂s∂p along a direction p.
 pub fn follow(scene: &Scene, model: &Model, rate: &[[f64; 3]]) -> Places {
-    let factor = stiffness(scene, model, model.start()).expect("K is positive definite at the start of a sample");
+    let factor =
+        stiffness(scene, model, model.start()).expect("K is positive definite at the start of a sample");
     let mut moved = solve(&factor, model, rate);
     moved.as_flattened_mut().iter_mut().for_each(|x| *x = -*x);
     moved

@@ -265,7 +265,7 @@ impl<'a> Body<'a> {
                 }
                 continue;
             }
-            if let Some(shakes) = panel.shakes() {
+            if let Some(shakes) = panel.base_acceleration() {
                 for (net, mass) in net.iter_mut().zip(&self.mass) {
                     for d in 0..2 {
                         net[d] = net[d] - mass[d] * (shakes[d] * self.force(k, interval, w));
@@ -353,7 +353,7 @@ impl<'a> Body<'a> {
     fn read(&self, x: &State, v: &State, a: &State, instant: usize, signals: &mut Vec<Dual>) {
         let mut a = a.clone();
         for (k, panel) in self.scene.panels.iter().enumerate() {
-            let Some(shakes) = panel.shakes() else { continue };
+            let Some(shakes) = panel.base_acceleration() else { continue };
             let force = self.force(k, instant * self.forces.kinks(self.scene) - 1, 1.0);
             for &u in &self.scene.sensors {
                 (0..2).for_each(|d| a[u][d] = a[u][d] + shakes[d] * force);
@@ -391,7 +391,12 @@ impl Simulation {
         let tape = self.tape.as_ref().expect("the simulation kept its tape");
         for (along, of) in [(tangent.design, &tape.design[..]), (tangent.forces, tape.forces.sample(sample))]
         {
-            assert!(along.is_empty() || along.len() == of.len(), "length of the direction is {}; must be 0 or {}", along.len(), of.len());
+            assert!(
+                along.is_empty() || along.len() == of.len(),
+                "length of the direction is {}; must be 0 or {}",
+                along.len(),
+                of.len()
+            );
         }
         let body = Body::new(tape, sample, tangent);
         let own = &tape.samples[sample];

@@ -31,7 +31,10 @@ impl Rest {
     /// # Panics
     /// If the design's length does not match the scene's layout, or a unit is driven.
     pub fn new(scene: &Scene, design: &[f64]) -> Self {
-        assert!(scene.panels.iter().all(|panel| panel.unit_acceleration().is_none()), "a scene with a driven unit has no linearisation");
+        assert!(
+            scene.panels.iter().all(|panel| panel.unit_acceleration().is_none()),
+            "a scene with a driven unit has no linearisation"
+        );
         assert_eq!(design.len(), scene.layout.design_len(), "length of the design");
         let model = Model::new(scene, design);
         let unknowns = unknowns(&model);
@@ -43,7 +46,7 @@ impl Rest {
             stiffness,
             pushes: (0..scene.panels.len()).map(|k| pushes(&model, scene, &unknowns, k)).collect(),
             unknowns,
-            shakes: scene.panels.iter().map(|panel| panel.shakes().unwrap_or_default()).collect(),
+            shakes: scene.panels.iter().map(|panel| panel.base_acceleration().unwrap_or_default()).collect(),
             turned: model.start().iter().map(|[.., turn]| *turn).collect(),
         }
     }
@@ -55,7 +58,7 @@ fn pushes(model: &Model, scene: &Scene, unknowns: &[usize], k: usize) -> Vec<(us
     let strike = model.about_centroid(k, panel.straight());
     let does = |unknown: &usize| {
         let (unit, d) = (unknown / 3, unknown % 3);
-        match panel.shakes() {
+        match panel.base_acceleration() {
             Some([x, y]) => [-x * model.mass(unit), -y * model.mass(unit), 0.0][d],
             None if unit == panel.unit => strike[d],
             None => 0.0,

@@ -162,7 +162,7 @@ impl Panel {
     }
 
     /// Acceleration of the base per newton (mm/s²), if the panel shakes the base.
-    pub fn shakes(&self) -> Option<[f64; 2]> {
+    pub fn base_acceleration(&self) -> Option<[f64; 2]> {
         match self.moves {
             Some(Moves::Base(mass)) => Some(self.direction.map(|d| d / mass)),
             _ => None,
@@ -287,7 +287,7 @@ impl Scene {
         let row = history.len() / self.panels.len().max(1);
         let mut base = [0.0; 2];
         for (panel, own) in self.panels.iter().zip(history.chunks_exact(row.max(1))) {
-            let Some(shakes) = panel.shakes() else { continue };
+            let Some(shakes) = panel.base_acceleration() else { continue };
             (0..2).for_each(|d| base[d] += shakes[d] * own[kink]);
         }
         base

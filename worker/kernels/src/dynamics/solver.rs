@@ -113,13 +113,13 @@ pub struct Solver {
     /// Tolerance of Tsit5, if set by a pilot.
     pub tolerance: Option<Tolerance>,
     /// Highest frequency of a body (rad/s) up to which forces are f32. A pilot sets it if rounding permits; otherwise 0.
-    pub single: f64,
+    pub single_below: f64,
 }
 
 impl Solver {
     /// A solver for this error of the signals.
     pub const fn new(method: Method, accuracy: Accuracy) -> Self {
-        Self { method, accuracy, tolerance: None, single: 0.0 }
+        Self { method, accuracy, tolerance: None, single_below: 0.0 }
     }
 
     /// Tsit5 with this tolerance of its error norm.
@@ -143,7 +143,7 @@ impl Solver {
             relative: (stricter * t.relative).max(Tolerance::SMALLEST),
             absolute: (stricter * t.absolute).max(Tolerance::SMALLEST),
         });
-        Self { accuracy: self.accuracy.min(error), tolerance, single: 0.0, ..self }
+        Self { accuracy: self.accuracy.min(error), tolerance, single_below: 0.0, ..self }
     }
 }
 

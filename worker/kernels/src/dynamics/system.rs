@@ -240,7 +240,7 @@ impl<'a, V: Vector> System<'a, V> {
     #[inline(always)]
     pub fn forces_follow_design(&self) -> bool {
         self.model.struck.iter().any(Option::is_some)
-            || self.scene.panels.iter().any(|p| p.shakes().is_some())
+            || self.scene.panels.iter().any(|p| p.base_acceleration().is_some())
     }
 
     /// For the cotangent `w` of the units' forces, adds the cotangents of the arms of struck nodes, and of the masses on a shaken base.
@@ -279,13 +279,13 @@ impl<'a, V: Vector> System<'a, V> {
     #[inline(always)]
     pub fn units_of_panel(&self, panel: usize) -> &[usize] {
         let at = &self.scene.panels[panel];
-        if at.shakes().is_some() { &self.model.free } else { std::slice::from_ref(&at.unit) }
+        if at.base_acceleration().is_some() { &self.model.free } else { std::slice::from_ref(&at.unit) }
     }
 
     /// Force and moment on `unit` per newton on `panel`.
     #[inline(always)]
     fn does(&self, panel: usize, unit: usize) -> Unit<V> {
-        match self.scene.panels[panel].shakes() {
+        match self.scene.panels[panel].base_acceleration() {
             None => self.strikes[panel],
             Some([x, y]) => {
                 let mass = self.model.mass(unit);
@@ -317,7 +317,7 @@ impl<'a, V: Vector> System<'a, V> {
     pub fn base(&self, force: &[V]) -> Option<[V; 2]> {
         let mut base = None;
         for (panel, &f) in self.scene.panels.iter().zip(force) {
-            let Some([x, y]) = panel.shakes() else { continue };
+            let Some([x, y]) = panel.base_acceleration() else { continue };
             let [p, q] = base.unwrap_or([V::ZERO; 2]);
             base = Some([V::splat(x).mul_add(f, p), V::splat(y).mul_add(f, q)]);
         }
@@ -337,7 +337,7 @@ impl<'a, V: Vector> System<'a, V> {
     /// accelerations.
     #[inline(always)]
     pub fn base_force_vjp(&self, panel: usize, bar_a: &[Unit<V>]) -> Option<V> {
-        let [x, y] = self.scene.panels[panel].shakes()?;
+        let [x, y] = self.scene.panels[panel].base_acceleration()?;
         let mut sum = V::ZERO;
         for &u in &self.scene.sensors {
             sum = V::splat(x).mul_add(bar_a[u][0], V::splat(y).mul_add(bar_a[u][1], sum));

@@ -89,7 +89,7 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
             return as_it_is(Some(format!("no tolerance {UNREACHED}")), pilot.counters);
         };
         let reason = format!(
-            "tsit5, tolerance {tolerance:.1e} of its own error norm: error {error:.0e} measured, asked {requested:.0e}"
+            "tsit5 with error norm tolerance {tolerance:.1e}: measured error {error:.0e}, requested {requested:.0e}"
         );
         let tolerance = Tolerance::both(tolerance);
         let solver = Solver { tolerance: Some(tolerance), ..*solver };
@@ -121,10 +121,10 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
     let rounded = pilot.rounded(&candidate, &plan, &reference, requested);
     let (precision, error) = rounded.map_or((Precision::Double, error), |error| (Precision::Single, error));
     let bits = if rounded.is_some() { "f32, " } else { "" };
-    let why = format!("{bits}error {error:.0e} measured, asked {requested:.0e}");
+    let why = format!("{bits}measured error {error:.0e}, requested {requested:.0e}");
     let plan = Plan { precision, reason: candidate.reason(steps, &why), ..plan };
     let single = rounded.map_or(0.0, |_| candidate.single(solver.accuracy));
-    let solver = Solver { single, ..Solver::new(plan.method, candidate.accuracy(exact)) };
+    let solver = Solver { single_below: single, ..Solver::new(plan.method, candidate.accuracy(exact)) };
     Tuned { solver, plan, error: Some(error), counters: pilot.counters }
 }
 
@@ -154,7 +154,7 @@ impl Pilot<'_> {
         3 * self.scene.sensors.len()
     }
 
-    /// Error of a plan in f32, if it is at most `asked`.
+    /// Error of a plan in f32, if it is at most `requested`.
     fn rounded(
         &mut self,
         candidate: &Candidate,
@@ -190,7 +190,7 @@ impl Pilot<'_> {
         distance(simulation, reference, self.channels())
     }
 
-    /// The largest tolerance found for Tsit5 with at most the error `asked`, including the safety factor, and its error.
+    /// The largest tolerance found for Tsit5 with at most the error `requested`, including the safety factor, and its error.
     fn tolerance(&mut self, reference: &Simulation, requested: f64) -> Option<(f64, f64)> {
         let mut tolerance = Tolerance::from(Accuracy(requested)).relative;
         let mut good: Option<(f64, f64)> = None;
@@ -216,7 +216,7 @@ impl Pilot<'_> {
         good
     }
 
-    /// The reference solution, much more accurate than `asked`, with steps and error of the run before it. Otherwise the best
+    /// The reference solution, much more accurate than `requested`, with steps and error of the run before it. Otherwise the best
     /// refinement of the law's steps and its error: the least one, or, with fewer steps, at most twice that.
     fn reference(&mut self, six: &Candidate, requested: f64) -> Result<(Simulation, Measured), Measured> {
         let start = six.steps(Accuracy(requested.min(0.01)));
@@ -247,7 +247,7 @@ impl Pilot<'_> {
         })
     }
 
-    /// The fewest steps of a method with at most the error `asked`, including the safety factor.
+    /// The fewest steps of a method with at most the error `requested`, including the safety factor.
     fn fewest(
         &mut self,
         candidate: &Candidate,

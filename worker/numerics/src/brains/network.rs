@@ -3,7 +3,7 @@
 use super::stacked::Stack;
 use super::{FitOn, Implicit, Learned, Learner, Learnt, Loss, Reader, Recipe, implicit};
 use crate::brain::{self, Adam, Batch, Data, Shape, TrainOutcome, Workspace};
-use crate::trial::{BrainKind, Counters, Going, Protocol, Samples, Scales, Training, Trial, Trouble};
+use crate::trial::{BrainKind, Continued, Counters, Protocol, Samples, Scales, Training, Trial, Trouble};
 
 /// Number of the first reader's initial weights; smaller numbers belong to outer steps.
 const FIRST_NETWORK: u64 = 1 << 32;
@@ -217,7 +217,7 @@ impl<'a> NetworkLearner<'a> {
         Self { trial, shape, weights: Vec::new(), workspace: Workspace::new(shape, trial.pool.width()) }
     }
 
-    fn going(&self) -> Going {
+    fn going(&self) -> Continued {
         match self.trial.problem.optimise.protocol {
             Protocol::Joint(going) | Protocol::Random(going) => going,
             Protocol::Paper(_) => panic!("the paper's networks are fresh"),

@@ -4,14 +4,16 @@
 //! or all training samples of the cast itself. Trials with networks add the first network of their comparison, and one trained on
 //! other casts. Each is evaluated on the held-out set; a cast whose simulation fails has an error of 100 %.
 
-use super::evaluation::{BandReading, CastBrain, CastReading, Regularisation};
-use super::fresh::read;
-use super::inversion::invert_cast;
+use super::evaluation::{BandCoverage, CastDecoder, CastEvaluation, Regularisation};
+use super::fresh::fit_and_evaluate;
+use super::inversion::evaluate_inverse_on_cast;
 use super::observe::{Log, Nobody};
 use super::state::State;
 use crate::brains::{Band, Fitted, Fresh, Pooled, Reader, reader};
 use crate::random::Purpose;
-use crate::trial::{BrainKind, Counters, Decoder, Mould, Problem, Ridge, Samples, Trial, Trouble, held};
+use crate::trial::{
+    BrainKind, Counters, Decoder, Mould, Problem, Ridge, Samples, Trial, Trouble, as_ref_result,
+};
 use crate::variation::{Cast, Casts};
 
 /// Number of casts to which the decoder for all casts is fitted, and of samples per cast.
@@ -23,7 +25,7 @@ const KNOWN_FIRST: u64 = 1 << 40;
 pub const RECORDS: [usize; 3] = [10, 30, 100];
 
 /// Training samples of the body as designed, and samples of many casts.
-type Known = [Result<Samples, Trouble>; 2];
+type FittingSamples = [Result<Samples, Trouble>; 2];
 
 /// The decoders fitted before a cast is evaluated, and the numbers of records.
 struct Brains<'a> {
@@ -36,7 +38,7 @@ struct Brains<'a> {
 }
 
 /// Evaluates the remaining casts of body number `turn`. `None` if the observer stopped it; the observer then has the state.
-pub(super) fn read_casts(mould: &Mould, turn: usize, state: &mut State, log: &mut Log) -> Option<()> {
+pub(super) fn evaluate_casts(mould: &Mould, turn: usize, state: &mut State, log: &mut Log) -> Option<()> {
     let trial = mould.trial;
     let problem = &trial.problem;
     let done = state.comparison.casts_read(turn);
@@ -45,17 +47,18 @@ pub(super) fn read_casts(mould: &Mould, turn: usize, state: &mut State, log: &mu
     }
     let counted = log.report.counters;
     // a resumed comparison fits its decoders again, to the same bits
-    let known = log.timed(|s| &mut s.simulate, |report| known(mould, &mut report.counters));
+    let fitting_samples = log.timed(|s| &mut s.simulate, |report| known(mould, &mut report.counters));
     if done > 0 || state.comparison.training.is_some() {
         log.report.counters = counted;
     }
-    let some = held(&known[1]).map(|casts| thinned(casts, trial.train.samples));
+    let some = as_ref_result(&fitting_samples[1]).map(|casts| thinned(casts, trial.train.samples));
     let readings = &state.comparison.bodies[turn].readings;
     let own = readings.first().filter(|reading| reading.lags == problem.decoder.lags);
     let ridge = own.map(|reading| reading.ridge).filter(|_| problem.decoder.ridge == Ridge::Auto);
-    let mut brains = log.timed(|s| &mut s.train, |_| Brains::new(trial, &known, ridge));
+    let mut brains = log.timed(|s| &mut s.train, |_| Brains::new(trial, &fitting_samples, ridge));
     if problem.reader.is_network() {
-        brains.networks = networks(trial, [held(&known[0]), held(&some)], turn, state, log)?;
+        brains.networks =
+            networks(trial, [as_ref_result(&fitting_samples[0]), as_ref_result(&some)], turn, state, log)?;
     }
     if done > 0 {
         log.report.counters = counted;
@@ -67,7 +70,7 @@ pub(super) fn read_casts(mould: &Mould, turn: usize, state: &mut State, log: &mu
         let sets = log.timed(|s| &mut s.simulate, |report| sets(mould, cast.as_ref(), &mut report.counters));
         state.comparison.casts.resize_with(turn + 1, Vec::new);
         state.comparison.bands.resize_with(state.comparison.bodies.len(), Vec::new);
-        let done = state.comparison.part(0, problem);
+        let done = state.comparison.completed_fraction(0, problem);
         let bands = &mut state.comparison.bands[turn];
         let before = bands.len();
         let found = log.timed_while(
@@ -77,7 +80,8 @@ pub(super) fn read_casts(mould: &Mould, turn: usize, state: &mut State, log: &mu
                 let mut found = brains.read(trial, number as u32, &sets, bands);
                 if problem.reader == BrainKind::Inverse {
                     let (number, counters) = (number as u32, &mut report.counters);
-                    let (readings, own) = invert_cast(mould, &known[0], number, &sets, counters, go_on)?;
+                    let (readings, own) =
+                        evaluate_inverse_on_cast(mould, &fitting_samples[0], number, &sets, counters, go_on)?;
                     found.extend(readings);
                     bands.extend(own);
                 }
@@ -91,7 +95,7 @@ pub(super) fn read_casts(mould: &Mould, turn: usize, state: &mut State, log: &mu
             return None;
         };
         state.comparison.casts[turn].extend(found);
-        log.paused(problem, state)?;
+        log.report_progress(problem, state)?;
     }
     Some(())
 }
@@ -145,13 +149,13 @@ fn weights_for(
         Err(trouble) => return Some(Err(trouble)),
     };
     let (sets, iterations) = ([(); 3].map(|()| known.select(&[])), trial.problem.brain.iterations);
-    let found = read(trial, &mut *reader, &sets, None, (0, iterations, false), state, log)?;
+    let found = fit_and_evaluate(trial, &mut *reader, &sets, None, (0, iterations, false), state, log)?;
     Some(found.trouble.map_or(Ok(found.weights), Err))
 }
 
 /// A decoder for all casts of a body.
 #[derive(Debug, Clone, PartialEq)]
-pub enum ForCasts {
+pub enum DecoderForCasts {
     /// A linear decoder.
     Linear(Fitted),
     /// Weights of a network, for inputs at the trial's scales.
@@ -164,12 +168,14 @@ pub enum ForCasts {
 ///
 /// # Errors
 /// If these casts cannot be simulated, or fitting fails.
-pub fn brain_for_casts(trial: &Trial, design: &[f64]) -> Result<ForCasts, Trouble> {
+pub fn brain_for_casts(trial: &Trial, design: &[f64]) -> Result<DecoderForCasts, Trouble> {
     let solver = &trial.tuned(design).solver;
-    let casts = of_casts(&Mould { trial, design, solver }, &mut Counters::default());
+    let casts = samples_of_casts(&Mould { trial, design, solver }, &mut Counters::default());
     if !trial.problem.reader.is_network() {
         let casts = casts?;
-        return Ok(ForCasts::Linear(Pooled::new(trial, &casts, casts.count() / KNOWN_SAMPLES)?.fitted));
+        return Ok(DecoderForCasts::Linear(
+            Pooled::new(trial, &casts, casts.count() / KNOWN_SAMPLES)?.fitted,
+        ));
     }
     let (mut state, mut observer) = (State::new(&trial.problem), Nobody);
     let known = thinned(&casts?, trial.train.samples);
@@ -179,19 +185,19 @@ pub fn brain_for_casts(trial: &Trial, design: &[f64]) -> Result<ForCasts, Troubl
         BrainKind::Stacked => {
             let Problem { decoder, seed, .. } = &trial.problem;
             let beneath = decoder.fitted(*seed, &known, trial.scales.clone(), trial.pool)?;
-            ForCasts::Stacked(beneath, weights)
+            DecoderForCasts::Stacked(beneath, weights)
         }
-        _ => ForCasts::Network(weights),
+        _ => DecoderForCasts::Network(weights),
     })
 }
 
 /// Evaluates linear and inverse decoders on the first `count` casts of a design. `progress` receives the number of finished casts.
-pub fn casts_of(
+pub fn evaluate_linear_on_casts(
     trial: &Trial,
     design: &[f64],
     count: usize,
     progress: &mut dyn FnMut(usize),
-) -> Vec<CastReading> {
+) -> Vec<CastEvaluation> {
     let (solver, counters) = (&trial.tuned(design).solver, &mut Counters::default());
     let mould = Mould { trial, design, solver };
     let known = known(&mould, counters);
@@ -202,7 +208,8 @@ pub fn casts_of(
         let sets = sets(&mould, cast.as_ref(), counters);
         found.extend(brains.read(trial, number as u32, &sets, &mut Vec::new()));
         if trial.problem.reader == BrainKind::Inverse {
-            let read = invert_cast(&mould, &known[0], number as u32, &sets, counters, &mut || true);
+            let read =
+                evaluate_inverse_on_cast(&mould, &known[0], number as u32, &sets, counters, &mut || true);
             found.extend(read.expect("told to go on").0);
         }
         progress(number + 1);
@@ -211,13 +218,13 @@ pub fn casts_of(
 }
 
 /// Training samples of the body as designed, and samples of many casts.
-fn known(mould: &Mould, counters: &mut Counters) -> Known {
+fn known(mould: &Mould, counters: &mut Counters) -> FittingSamples {
     let [train, _] = mould.trial.problem.known();
-    [mould.samples(None, train, counters), of_casts(mould, counters)]
+    [mould.samples(None, train, counters), samples_of_casts(mould, counters)]
 }
 
 /// Samples of the `KNOWN_CASTS` casts.
-fn of_casts(mould: &Mould, counters: &mut Counters) -> Result<Samples, Trouble> {
+fn samples_of_casts(mould: &Mould, counters: &mut Counters) -> Result<Samples, Trouble> {
     let trial = mould.trial;
     let one = |number: usize, counters: &mut Counters| {
         let first = KNOWN_FIRST + (number * KNOWN_SAMPLES) as u64;
@@ -250,16 +257,16 @@ fn sets(mould: &Mould, cast: Option<&Cast>, counters: &mut Counters) -> Result<[
 
 impl Brains<'_> {
     /// Fits the linear decoders. `ridge`: λ chosen earlier on the body as designed, if known.
-    fn new(trial: &Trial, known: &Known, ridge: Option<f64>) -> Self {
-        let nominal = held(&known[0]).and_then(|known| match ridge {
+    fn new(trial: &Trial, known: &FittingSamples, ridge: Option<f64>) -> Self {
+        let nominal = as_ref_result(&known[0]).and_then(|known| match ridge {
             Some(ridge) => {
                 let decoder = Decoder { ridge: Ridge::Given(ridge), ..trial.problem.decoder };
                 decoder.fit(trial.problem.seed, known, Some(trial.scales.channels.clone()), trial.pool)
             }
             None => Fitted::of(trial, known),
         });
-        let casts =
-            held(&known[1]).and_then(|known| Pooled::new(trial, known, known.count() / KNOWN_SAMPLES));
+        let casts = as_ref_result(&known[1])
+            .and_then(|known| Pooled::new(trial, known, known.count() / KNOWN_SAMPLES));
         let all = trial.train.samples;
         let records = RECORDS.into_iter().filter(|&n| n < all).chain([all]);
         let records = records.filter(|_| trial.problem.evaluation.records).collect();
@@ -273,22 +280,23 @@ impl Brains<'_> {
         trial: &Trial,
         cast: u32,
         sets: &Result<[Samples; 2], Trouble>,
-        bands: &mut Vec<BandReading>,
-    ) -> Vec<CastReading> {
-        let networks = [CastBrain::Network, CastBrain::NetworkCasts].into_iter().take(self.networks.len());
-        let brains = networks.chain([CastBrain::Nominal, CastBrain::Casts]);
-        let records = self.records.iter().map(|&n| CastBrain::Records(n as u32));
-        let brains: Vec<CastBrain> = brains.chain(records).collect();
-        let own: &[CastBrain] = match trial.problem.reader {
-            BrainKind::Linear => &[CastBrain::Nominal, CastBrain::Casts],
-            BrainKind::Network | BrainKind::Stacked => &[CastBrain::Network, CastBrain::NetworkCasts],
+        bands: &mut Vec<BandCoverage>,
+    ) -> Vec<CastEvaluation> {
+        let networks =
+            [CastDecoder::Network, CastDecoder::NetworkCasts].into_iter().take(self.networks.len());
+        let brains = networks.chain([CastDecoder::Nominal, CastDecoder::Casts]);
+        let records = self.records.iter().map(|&n| CastDecoder::Records(n as u32));
+        let brains: Vec<CastDecoder> = brains.chain(records).collect();
+        let own: &[CastDecoder] = match trial.problem.reader {
+            BrainKind::Linear => &[CastDecoder::Nominal, CastDecoder::Casts],
+            BrainKind::Network | BrainKind::Stacked => &[CastDecoder::Network, CastDecoder::NetworkCasts],
             BrainKind::Inverse => &[],
         };
-        let designed: Vec<BandReading> = bands.iter().filter(|band| band.cast.is_none()).cloned().collect();
+        let designed: Vec<BandCoverage> = bands.iter().filter(|band| band.cast.is_none()).cloned().collect();
         brains
             .into_iter()
             .map(|by| {
-                let found = held(sets).and_then(|[train, holdout]| {
+                let found = as_ref_result(sets).and_then(|[train, holdout]| {
                     let (said, regularisation) = self.predict(trial, by, train, &holdout.signals)?;
                     Ok((holdout, said, regularisation))
                 });
@@ -299,11 +307,11 @@ impl Brains<'_> {
                     // a failed decoder covers nothing
                     let coverage = found.as_ref().map_or(reading.coverage.map(|_| 0.0), within);
                     let band = Band { half_width: Vec::new(), ..reading.band };
-                    bands.push(BandReading { cast: Some((cast, by)), band, width: reading.width, coverage });
+                    bands.push(BandCoverage { cast: Some((cast, by)), band, width: reading.width, coverage });
                 }
                 let errors =
                     found.map(|(holdout, said, regularisation)| (holdout.errors(&said), regularisation));
-                CastReading::new(cast, by, errors)
+                CastEvaluation::new(cast, by, errors)
             })
             .collect()
     }
@@ -312,7 +320,7 @@ impl Brains<'_> {
     fn predict(
         &mut self,
         trial: &Trial,
-        by: CastBrain,
+        by: CastDecoder,
         train: &Samples,
         signals: &[f64],
     ) -> Result<(Vec<f64>, Regularisation), Trouble> {
@@ -321,20 +329,20 @@ impl Brains<'_> {
             said.map(|said| (said, Regularisation::default())).map_err(|trouble| *trouble)
         };
         let linear = |fitted: &Fitted, share| {
-            Ok((fitted.predict(signals), Regularisation { ridge: Some(fitted.ridge), share }))
+            Ok((fitted.predict(signals), Regularisation { ridge: Some(fitted.ridge), kappa: share }))
         };
         match by {
-            CastBrain::Network => network(&mut self.networks[0]),
-            CastBrain::NetworkCasts => network(&mut self.networks[1]),
-            CastBrain::Nominal => linear(held(&self.nominal)?, None),
-            CastBrain::Casts => linear(&held(&self.casts)?.fitted, None),
-            CastBrain::Records(n) => {
+            CastDecoder::Network => network(&mut self.networks[0]),
+            CastDecoder::NetworkCasts => network(&mut self.networks[1]),
+            CastDecoder::Nominal => linear(as_ref_result(&self.nominal)?, None),
+            CastDecoder::Casts => linear(&as_ref_result(&self.casts)?.fitted, None),
+            CastDecoder::Records(n) => {
                 let some = train.select(&(0..n as usize).collect::<Vec<_>>());
                 let (seed, pool) = (trial.problem.seed, trial.pool);
-                let (fitted, share) = held(&self.casts)?.calibrated(seed, &some, pool)?;
+                let (fitted, share) = as_ref_result(&self.casts)?.calibrated(seed, &some, pool)?;
                 linear(&fitted, Some(share))
             }
-            CastBrain::Inverse | CastBrain::TwinLinear(_) | CastBrain::Twin(_) => {
+            CastDecoder::Inverse | CastDecoder::TwinLinear(_) | CastDecoder::Twin(_) => {
                 unreachable!("read by `invert_cast`")
             }
         }

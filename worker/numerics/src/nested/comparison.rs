@@ -1,6 +1,6 @@
 //! The final comparison: fresh decoders on the initial and on the best body, then both bodies' casts and other forces.
 
-use super::casts::read_casts;
+use super::casts::evaluate_casts;
 use super::evaluation::{BodyEvaluation, Comparison, Optimised};
 use super::fresh::evaluate;
 use super::observe::{Log, Observe};
@@ -22,7 +22,7 @@ pub fn keeps_error(solver: &str) -> [bool; 2] {
 }
 
 /// Compares the best body with the initial one, if requested; `None` if the observer stopped it.
-pub(super) fn compared(trial: &Trial, mut state: State, observer: &mut dyn Observe) -> Option<Optimised> {
+pub(super) fn compare(trial: &Trial, mut state: State, observer: &mut dyn Observe) -> Option<Optimised> {
     let problem = &trial.problem;
     let initial = &problem.initial;
     // without test evaluations, the last body is the best
@@ -41,16 +41,16 @@ pub(super) fn compared(trial: &Trial, mut state: State, observer: &mut dyn Obser
         evaluate(mould, turn, &mut state, &mut log)?;
     }
     for (turn, mould) in moulds.iter().enumerate() {
-        read_casts(mould, turn, &mut state, &mut log)?;
+        evaluate_casts(mould, turn, &mut state, &mut log)?;
     }
     let nonlinear = moulds
         .iter()
         .map(|mould| log.timed(|s| &mut s.simulate, |report| nonlinear(mould, &mut report.counters)));
-    let nonlinear = of_both(problem, nonlinear.collect());
+    let nonlinear = initial_and_best(problem, nonlinear.collect());
     let under = moulds
         .iter()
         .map(|mould| log.timed(|s| &mut s.simulate, |report| under(mould, &mut report.counters)));
-    let under = of_both(problem, under.collect());
+    let under = initial_and_best(problem, under.collect());
     let Report { mut counters, seconds, .. } = log.report;
     counters.dynamics += trial.pilots;
     counters.dynamics += tuned.counters;
@@ -58,8 +58,8 @@ pub(super) fn compared(trial: &Trial, mut state: State, observer: &mut dyn Obser
     let Comparison { bodies: compared, mut casts, mut bands, .. } = state.comparison;
     casts.resize_with(compared.len(), Vec::new);
     bands.resize_with(compared.len(), Vec::new);
-    let (casts, bands) = (of_both(problem, casts), of_both(problem, bands));
-    let [mut initial, optimised] = of_both(problem, compared);
+    let (casts, bands) = (initial_and_best(problem, casts), initial_and_best(problem, bands));
+    let [mut initial, optimised] = initial_and_best(problem, compared);
     initial.design.clone_from(&problem.initial);
     let signal_errors = [trial.tuned(&problem.initial).error, tuned.error];
     Some(Optimised {
@@ -79,7 +79,7 @@ pub(super) fn compared(trial: &Trial, mut state: State, observer: &mut dyn Obser
 
 /// Results of the initial and the best body. Without outer steps both are the same; an initial body that was not compared has the
 /// default.
-fn of_both<T: Clone + Default>(problem: &Problem, mut found: Vec<T>) -> [T; 2] {
+fn initial_and_best<T: Clone + Default>(problem: &Problem, mut found: Vec<T>) -> [T; 2] {
     let last = found.pop().expect("a body was compared");
     let unmoved = problem.optimise.iterations == 0;
     let first = if unmoved { last.clone() } else { found.pop().unwrap_or_default() };

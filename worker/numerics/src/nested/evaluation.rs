@@ -28,7 +28,7 @@ pub struct NetworkEvaluation {
 
 impl NetworkEvaluation {
     /// Result of a decoder that could not be fitted.
-    pub(super) fn nothing(trouble: Trouble) -> Self {
+    pub(super) fn failed(trouble: Trouble) -> Self {
         Self { trouble: Some(trouble), ..Self::default() }
     }
 }
@@ -50,11 +50,11 @@ pub struct BodyEvaluation {
 
 /// Evaluation of one decoder on one cast.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct CastReading {
+pub struct CastEvaluation {
     /// Number of the cast, from 0.
     pub cast: u32,
     /// Which decoder.
-    pub by: CastBrain,
+    pub decoder: CastDecoder,
     /// Mean error on the held-out set (%); `None` if no sample has a force.
     pub error: Option<f64>,
     /// Distribution of the held-out errors.
@@ -71,24 +71,24 @@ pub struct Regularisation {
     /// λ of a linear decoder.
     pub ridge: Option<f64>,
     /// κ of a linear decoder that is calibrated on records of the cast.
-    pub share: Option<f64>,
+    pub kappa: Option<f64>,
 }
 
-impl CastReading {
+impl CastEvaluation {
     /// From the errors of the held-out samples, or from the failure.
     pub(super) fn new(
         cast: u32,
-        by: CastBrain,
+        by: CastDecoder,
         found: Result<(Vec<Option<f64>>, Regularisation), Trouble>,
     ) -> Self {
         match found {
             Ok((errors, regularisation)) => {
                 let (error, spread) = (mean_error(&errors), Spread::of(&errors));
-                Self { cast, by, error, spread, regularisation, trouble: None }
+                Self { cast, decoder: by, error, spread, regularisation, trouble: None }
             }
             Err(trouble) => Self {
                 cast,
-                by,
+                decoder: by,
                 error: Some(FAILED),
                 spread: Some(Spread::FAILED),
                 regularisation: Regularisation::default(),
@@ -100,7 +100,7 @@ impl CastReading {
 
 /// Decoders that are applied to casts, in the order of tables: within each kind, calibrated decoders come last.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum CastBrain {
+pub enum CastDecoder {
     /// The first network of the comparison, trained on the body as designed.
     Network,
     /// A network trained on samples of many other casts, as many in total as the training set has.
@@ -119,7 +119,7 @@ pub enum CastBrain {
     Twin(u32),
 }
 
-impl CastBrain {
+impl CastDecoder {
     /// Its name in records and the database.
     pub fn name(self) -> &'static str {
         match self {
@@ -160,9 +160,9 @@ impl CastBrain {
 
 /// A prediction band and its coverage of the held-out set.
 #[derive(Debug, Clone, PartialEq)]
-pub struct BandReading {
+pub struct BandCoverage {
     /// Cast and decoder; `None`: the first decoder, on the body as designed.
-    pub cast: Option<(u32, CastBrain)>,
+    pub cast: Option<(u32, CastDecoder)>,
     /// The band. On casts it has no half-widths; conformal bands are those of the body as designed.
     pub band: Band,
     /// Mean width (N).
@@ -177,9 +177,9 @@ pub struct Comparison {
     /// The bodies, the initial one first; the last may still lack networks.
     pub bodies: Vec<BodyEvaluation>,
     /// Evaluations on casts, per body.
-    pub casts: Vec<Vec<CastReading>>,
+    pub casts: Vec<Vec<CastEvaluation>>,
     /// Prediction bands per body, including those on its casts.
-    pub bands: Vec<Vec<BandReading>>,
+    pub bands: Vec<Vec<BandCoverage>>,
     /// The network in training.
     pub training: Option<Fresh>,
     /// Counts of work.
@@ -190,7 +190,7 @@ pub struct Comparison {
 
 impl Comparison {
     /// Completed fraction of the whole trial; `iterations`: those of the network in training.
-    pub(super) fn part(&self, iterations: usize, problem: &Problem) -> f64 {
+    pub(super) fn completed_fraction(&self, iterations: usize, problem: &Problem) -> f64 {
         let (long, all) = (problem.evaluation.long.unwrap_or(0), problem.evaluation_iterations());
         let linear = !problem.reader.is_network();
         let each = if linear { problem.linear_iterations() } else { problem.brain.iterations };
@@ -218,9 +218,9 @@ pub struct Optimised {
     /// The outer step that started from the best design.
     pub best_step: u32,
     /// Evaluations on casts of both bodies.
-    pub casts: [Vec<CastReading>; 2],
+    pub casts: [Vec<CastEvaluation>; 2],
     /// Prediction bands of both bodies, including those on casts.
-    pub bands: [Vec<BandReading>; 2],
+    pub bands: [Vec<BandCoverage>; 2],
     /// Nonlinear share of the signals of both bodies.
     pub nonlinear: [Option<Nonlinear>; 2],
     /// Evaluations of both bodies under further kinds of forces.

@@ -1,7 +1,7 @@
 //! Fresh decoders on a body, with the same initial weights and budget for every body. Training can pause and resume.
 
-use super::evaluation::{BandReading, BodyEvaluation, NetworkEvaluation};
-use super::inversion::invert;
+use super::evaluation::{BandCoverage, BodyEvaluation, NetworkEvaluation};
+use super::inversion::evaluate_inverse;
 use super::observe::{Control, Log};
 use super::report::Report;
 use super::state::State;
@@ -14,7 +14,7 @@ type Lacking = (usize, usize, bool);
 
 impl BodyEvaluation {
     /// The next decoder to fit. A body needs one linear or inverse decoder, without long training.
-    fn lacks(&self, problem: &Problem) -> Option<Lacking> {
+    fn next_missing_decoder(&self, problem: &Problem) -> Option<Lacking> {
         let linear = !problem.reader.is_network();
         let seeds = if linear { 1 } else { problem.evaluation.seeds };
         let long = problem.evaluation.long.filter(|_| !linear);
@@ -32,7 +32,7 @@ pub(super) fn evaluate(mould: &Mould, turn: usize, state: &mut State, log: &mut 
     let &Mould { trial, design, .. } = mould;
     let problem = &trial.problem;
     let begun = state.comparison.bodies.get(turn);
-    if begun.is_some_and(|body| body.lacks(problem).is_none()) {
+    if begun.is_some_and(|body| body.next_missing_decoder(problem).is_none()) {
         return Some(());
     }
     let (begun, counted, mut recipe) = (begun.is_some(), log.report.counters, problem.recipe());
@@ -40,7 +40,7 @@ pub(super) fn evaluate(mould: &Mould, turn: usize, state: &mut State, log: &mut 
     let first = state.comparison.bodies.get(turn).is_none_or(|body| body.networks.is_empty());
     let inverts = problem.reader == BrainKind::Inverse;
     let calibration = sets.as_ref().ok().filter(|_| first && !inverts).and_then(|sets| {
-        let of = |report: &mut Report| calibrating(mould, &sets[2], &mut report.counters);
+        let of = |report: &mut Report| band_calibration_samples(mould, &sets[2], &mut report.counters);
         log.timed(|s| &mut s.simulate, of).ok()
     });
     if begun {
@@ -64,7 +64,7 @@ pub(super) fn evaluate(mould: &Mould, turn: usize, state: &mut State, log: &mut 
         state.comparison.bodies.push(body);
     }
     if inverts {
-        return invert(mould, &sets, state, log);
+        return evaluate_inverse(mould, &sets, state, log);
     }
     let mut reader = match &sets {
         Ok(sets) => {
@@ -74,17 +74,17 @@ pub(super) fn evaluate(mould: &Mould, turn: usize, state: &mut State, log: &mut 
         Err(trouble) => Err(*trouble),
     };
 
-    while let Some(lacking) = state.comparison.bodies[turn].lacks(problem) {
+    while let Some(lacking) = state.comparison.bodies[turn].next_missing_decoder(problem) {
         let found = match (&sets, &mut reader) {
             (Ok(sets), Ok(reader)) => {
-                read(trial, &mut **reader, sets, calibration.as_ref(), lacking, state, log)?
+                fit_and_evaluate(trial, &mut **reader, sets, calibration.as_ref(), lacking, state, log)?
             }
-            (Err(trouble), _) => NetworkEvaluation::nothing(*trouble),
-            (_, Err(trouble)) => NetworkEvaluation::nothing(*trouble),
+            (Err(trouble), _) => NetworkEvaluation::failed(*trouble),
+            (_, Err(trouble)) => NetworkEvaluation::failed(*trouble),
         };
         let body = &mut state.comparison.bodies[turn];
         if lacking.2 { &mut body.long } else { &mut body.networks }.push(found);
-        log.paused(problem, state)?;
+        log.report_progress(problem, state)?;
     }
     Some(())
 }
@@ -101,22 +101,30 @@ fn sets(mould: &Mould, counters: &mut Counters) -> Result<[Samples; 3], Trouble>
 
 /// Number of the first fresh sample that calibrates bands, above those of outer steps and casts. The 95th smallest of 99 scores
 /// bounds a new score with probability 95 %.
-const BANDING_FIRST: u64 = 1 << 41;
-const BANDING: usize = 99;
+const CALIBRATION_FIRST: u64 = 1 << 41;
+const CALIBRATION_SAMPLES: usize = 99;
 
 /// Samples that calibrate bands: fresh ones, to which neither body nor decoder was fitted. Records have no fresh samples; half of
 /// their shuffled held-out set serves instead.
-fn calibrating(mould: &Mould, holdout: &Samples, counters: &mut Counters) -> Result<Samples, Trouble> {
+fn band_calibration_samples(
+    mould: &Mould,
+    holdout: &Samples,
+    counters: &mut Counters,
+) -> Result<Samples, Trouble> {
     let problem = &mould.trial.problem;
     match problem.first_judge(holdout.count()) {
-        0 => mould.samples(None, problem.forces(Purpose::Fresh, BANDING_FIRST, BANDING), counters),
+        0 => mould.samples(
+            None,
+            problem.forces(Purpose::Fresh, CALIBRATION_FIRST, CALIBRATION_SAMPLES),
+            counters,
+        ),
         first => Ok(holdout.select(&(0..first).collect::<Vec<_>>())),
     }
 }
 
 /// Fits the given decoder, or resumes the one in training; `None` if the observer stopped it. With `calibration`, the first decoder
 /// of the last body gets prediction bands.
-pub(super) fn read(
+pub(super) fn fit_and_evaluate(
     trial: &Trial,
     reader: &mut dyn Reader,
     sets: &[Samples; 3],
@@ -131,7 +139,7 @@ pub(super) fn read(
         }
         let (begun, mut wanted) = (log.seconds(), Control::Continue);
         let mut pauses = |iterations: usize| {
-            wanted = log.progress(state.comparison.part(iterations, &trial.problem));
+            wanted = log.progress(state.comparison.completed_fraction(iterations, &trial.problem));
             wanted == Control::Stop || log.save_is_due()
         };
         let outcome = reader.fit(number as u64, iterations, &sets[2], &mut pauses);
@@ -146,7 +154,7 @@ pub(super) fn read(
         }
     };
     if let (Err(trouble), None) = (outcome, reader.training()) {
-        return Some(NetworkEvaluation::nothing(trouble));
+        return Some(NetworkEvaluation::failed(trouble));
     }
     let (error_train, error_test) = (reader.error_known(), mean_error(&reader.errors(&sets[1])));
     let unseen = reader.errors(&sets[2]);
@@ -157,7 +165,7 @@ pub(super) fn read(
         let (known, said) = (reader.predict_known(), reader.predict(&calibration.signals));
         let bands = Band::conformal((&sets[0], &known), (calibration, &said));
         let (said, first) = (reader.predict(&sets[2].signals), trial.problem.first_judge(sets[2].count()));
-        let reading = |band: Band| BandReading {
+        let reading = |band: Band| BandCoverage {
             cast: None,
             width: band.width(),
             coverage: band.coverage(&sets[2], &said, first),

@@ -1,11 +1,11 @@
 //! Evaluates inverse decoders on a body and its casts: with the design as model, and with twins calibrated on a few records.
 
-use super::evaluation::{BandReading, CastBrain, CastReading, NetworkEvaluation, Regularisation};
+use super::evaluation::{BandCoverage, CastDecoder, CastEvaluation, NetworkEvaluation, Regularisation};
 use super::observe::Log;
 use super::state::State;
 use crate::brains::{Band, BandKind, Estimate, Fitted, Inverse, TO_EACH_SIDE};
 use crate::identify::{Fit, GoOn};
-use crate::trial::{Counters, Mould, Samples, Spread, Trouble, held, mean_error};
+use crate::trial::{Counters, Mould, Samples, Spread, Trouble, as_ref_result, mean_error};
 
 /// Numbers of records on which twins are calibrated.
 const RECORDS: [u32; 2] = [10, 30];
@@ -13,17 +13,17 @@ const RECORDS: [u32; 2] = [10, 30];
 pub const INVERTED_OF_A_CAST: usize = 16;
 
 /// Errors of the samples of a cast, the decoder's regularisation, and its band.
-type Inverted = (Vec<Option<f64>>, Regularisation, Option<BandReading>);
+type Inverted = (Vec<Option<f64>>, Regularisation, Option<BandCoverage>);
 
 /// Evaluates the last body's test and held-out samples; `None` if the observer stopped it.
-pub(super) fn invert(
+pub(super) fn evaluate_inverse(
     &Mould { trial, design, solver }: &Mould,
     sets: &Result<[Samples; 3], Trouble>,
     state: &mut State,
     log: &mut Log,
 ) -> Option<()> {
     let read = |counters: &mut Counters, go_on: &mut GoOn| {
-        let brain = held(sets).and_then(|[known, test, holdout]| {
+        let brain = as_ref_result(sets).and_then(|[known, test, holdout]| {
             Ok((Inverse::new(trial, design, solver, None, known)?, test, holdout))
         });
         let (mut brain, test, holdout) = match brain {
@@ -39,7 +39,7 @@ pub(super) fn invert(
             NetworkEvaluation { error_test, error_holdout, spread, ..NetworkEvaluation::default() };
         Some(Ok((evaluation, band(&found, holdout, None))))
     };
-    let done = state.comparison.part(0, &trial.problem);
+    let done = state.comparison.completed_fraction(0, &trial.problem);
     let found = log.timed_while(done, |s| &mut s.train, |report, go_on| read(&mut report.counters, go_on));
     let Some(found) = found else {
         log.save(state);
@@ -53,32 +53,32 @@ pub(super) fn invert(
             comparison.bands[turn] = vec![band];
             evaluation
         }
-        Err(trouble) => NetworkEvaluation::nothing(trouble),
+        Err(trouble) => NetworkEvaluation::failed(trouble),
     };
     comparison.bodies[turn].networks.push(evaluation);
-    log.paused(&trial.problem, state)
+    log.report_progress(&trial.problem, state)
 }
 
 /// Evaluates a cast, given its training and held-out samples. Decoders: inverse with the design as model (`known`: its training
 /// samples), inverse with twins, linear fitted to twins. `None` if `go_on` returns false.
-pub(super) fn invert_cast(
+pub(super) fn evaluate_inverse_on_cast(
     mould: &Mould,
     known: &Result<Samples, Trouble>,
     cast: u32,
     sets: &Result<[Samples; 2], Trouble>,
     counters: &mut Counters,
     go_on: &mut GoOn,
-) -> Option<(Vec<CastReading>, Vec<BandReading>)> {
+) -> Option<(Vec<CastEvaluation>, Vec<BandCoverage>)> {
     let &Mould { trial, design, solver } = mould;
     let (mut readings, mut bands, mut work) = (Vec::new(), Vec::new(), Counters::default());
-    let mut keep = |by: CastBrain, found: Result<Inverted, Trouble>| {
+    let mut keep = |by: CastDecoder, found: Result<Inverted, Trouble>| {
         let found = found.map(|(errors, regularisation, band)| {
             bands.extend(band);
             (errors, regularisation)
         });
-        readings.push(CastReading::new(cast, by, found));
+        readings.push(CastEvaluation::new(cast, by, found));
     };
-    let sets = held(sets);
+    let sets = as_ref_result(sets);
     let some = sets.map(|[_, holdout]| {
         holdout.select(&(0..INVERTED_OF_A_CAST.min(holdout.count())).collect::<Vec<_>>())
     });
@@ -93,8 +93,8 @@ pub(super) fn invert_cast(
         let band = band(&found, holdout, Some((cast, by)));
         Some(Ok((holdout.errors(&forces(&found)), Regularisation::default(), Some(band))))
     };
-    let brain = held(known).and_then(|known| Inverse::new(trial, design, solver, None, known));
-    keep(CastBrain::Inverse, inverted(CastBrain::Inverse, brain, &mut work, go_on)?);
+    let brain = as_ref_result(known).and_then(|known| Inverse::new(trial, design, solver, None, known));
+    keep(CastDecoder::Inverse, inverted(CastDecoder::Inverse, brain, &mut work, go_on)?);
     // twins need records of the cast
     let most = if trial.problem.evaluation.records { trial.train.samples } else { 0 };
     for n in RECORDS.into_iter().filter(|&n| n as usize <= most) {
@@ -111,15 +111,15 @@ pub(super) fn invert_cast(
             }
             Err(trouble) => Err(trouble),
         };
-        let twin = held(&twin);
+        let twin = as_ref_result(&twin);
         let linear = twin.and_then(|(known, _)| {
             let [_, holdout] = sets?;
             let fitted = Fitted::of(trial, known)?;
-            let regularisation = Regularisation { ridge: Some(fitted.ridge), share: None };
+            let regularisation = Regularisation { ridge: Some(fitted.ridge), kappa: None };
             Ok((fitted.errors_on(holdout), regularisation, None))
         });
-        keep(CastBrain::TwinLinear(n), linear);
-        let by = CastBrain::Twin(n);
+        keep(CastDecoder::TwinLinear(n), linear);
+        let by = CastDecoder::Twin(n);
         let brain = twin.and_then(|(known, twin)| Inverse::new(trial, design, solver, Some(twin), known));
         keep(by, inverted(by, brain, &mut work, go_on)?);
     }
@@ -133,7 +133,7 @@ fn forces(found: &[Estimate]) -> Vec<f64> {
 }
 
 /// The posterior band around each instant, its coverage, and the number of samples that the model explains.
-fn band(found: &[Estimate], samples: &Samples, cast: Option<(u32, CastBrain)>) -> BandReading {
+fn band(found: &[Estimate], samples: &Samples, cast: Option<(u32, CastDecoder)>) -> BandCoverage {
     let half: Vec<f64> =
         found.iter().flat_map(|estimate| &estimate.deviations).map(|d| TO_EACH_SIDE * d).collect();
     let within = |((f, half), said): &((&f64, &f64), f64)| (*f - said).abs() <= **half;
@@ -143,5 +143,5 @@ fn band(found: &[Estimate], samples: &Samples, cast: Option<(u32, CastBrain)>) -
     let band = Band { kind: BandKind::Posterior, samples: explained, half_width: Vec::new() };
     let part = |sum: f64| (!half.is_empty()).then(|| sum / half.len() as f64);
     let width = part(2.0 * half.iter().sum::<f64>());
-    BandReading { cast, band, width, coverage: part(inside as f64) }
+    BandCoverage { cast, band, width, coverage: part(inside as f64) }
 }

@@ -110,8 +110,8 @@ impl<'a> Log<'a> {
     }
 
     /// Reports the progress of the comparison; `None` if the observer stops it. The observer then has the state.
-    pub(super) fn paused(&mut self, problem: &Problem, state: &mut State) -> Option<()> {
-        let wanted = self.progress(state.comparison.part(0, problem));
+    pub(super) fn report_progress(&mut self, problem: &Problem, state: &mut State) -> Option<()> {
+        let wanted = self.progress(state.comparison.completed_fraction(0, problem));
         if wanted == Control::Stop || self.save_is_due() {
             self.save(state);
         }

@@ -8,21 +8,22 @@
 //! `joint` never uses a sample of a step again, which prevents over-fitting.
 
 use super::observe::Log;
-use super::state::{State, Waypoint};
+use super::state::{PastDesign, State};
 use crate::brain::TrainOutcome;
 use crate::brains::{FitOn, Learner, Loss, learner};
 use crate::dynamics::{Forces, Solver};
 use crate::random::Purpose;
 use crate::trial::{
-    CastReader, Casting, Counters, FAILED, Going, Over, Protocol, Response, Samples, Terms, Trial, Trouble,
+    CastObjective, CastReader, Continued, Counters, FAILED, Over, Protocol, Response, Samples, Terms, Trial,
+    Trouble,
 };
 use crate::variation::{Cast, Casts};
 
 /// Number of casts that share the test set in an evaluation.
-const LOOKED_AT: usize = 8;
+const TEST_CASTS: usize = 8;
 
 /// Result of training and differentiating on the state's design.
-pub(super) struct Sensed {
+pub(super) struct StepResult {
     /// dL/dα; empty in searches and in steps that do not move the body.
     pub(super) gradient: Vec<f64>,
     /// Training loss after training (normalised).
@@ -52,18 +53,22 @@ impl<'a> Session<'a> {
     }
 
     /// Simulates the state's design, trains the decoder on it, and differentiates the loss.
-    pub(super) fn sense(&mut self, state: &mut State, log: &mut Log) -> Result<Sensed, Trouble> {
+    pub(super) fn train_and_differentiate(
+        &mut self,
+        state: &mut State,
+        log: &mut Log,
+    ) -> Result<StepResult, Trouble> {
         match self.trial.problem.optimise.protocol {
             Protocol::Paper(terms) => self.paper(state, terms, log),
             Protocol::Joint(going) => match self.trial.problem.optimise.casting {
-                Some(Casting { reader: CastReader::Each, .. }) => self.joint_each(state, going, log),
+                Some(CastObjective { reader: CastReader::Each, .. }) => self.joint_each(state, going, log),
                 _ => self.joint(state, going, log),
             },
             Protocol::Random(_) => self.candidate(state, log),
         }
     }
 
-    fn paper(&mut self, state: &mut State, terms: Terms, log: &mut Log) -> Result<Sensed, Trouble> {
+    fn paper(&mut self, state: &mut State, terms: Terms, log: &mut Log) -> Result<StepResult, Trouble> {
         let (trial, moves) = (self.trial, self.moves(state.step));
         let through_brain = terms == Terms::Implicit && moves;
         // A(α), with a tape only where a gradient is needed
@@ -90,14 +95,14 @@ impl<'a> Session<'a> {
             gradient.iter_mut().zip(implicit).for_each(|(g, i)| *g += i);
         }
         let error_test = self.test_error(&test.samples, log);
-        Ok(Sensed { gradient, loss_train, error_test })
+        Ok(StepResult { gradient, loss_train, error_test })
     }
 
     /// Trains on fresh samples of this and recent bodies; differentiates the loss on this body's samples.
-    fn joint(&mut self, state: &mut State, going: Going, log: &mut Log) -> Result<Sensed, Trouble> {
+    fn joint(&mut self, state: &mut State, going: Continued, log: &mut Log) -> Result<StepResult, Trouble> {
         let (learner, step) = (&self.learner, state.step);
-        let past: Vec<&Waypoint> =
-            state.trail.iter().filter(|passed| learner.recalls(step - passed.step)).collect();
+        let past: Vec<&PastDesign> =
+            state.recent_designs.iter().filter(|passed| learner.recalls(step - passed.step)).collect();
         self.recent.retain(|(known, _)| past.iter().any(|passed| passed.step == *known));
         let counted = log.report.counters;
         for passed in past {
@@ -121,20 +126,25 @@ impl<'a> Session<'a> {
         for cast in &newest {
             let (loss, cotangent) = self.cotangent(&cast.samples, Loss::Training, log);
             let measure = match self.trial.problem.optimise.casting {
-                None | Some(Casting { tail: 1.0, over: Over::Casts, .. }) => Some(loss_train),
+                None | Some(CastObjective { tail: 1.0, over: Over::Casts, .. }) => Some(loss_train),
                 // equal weights need no ranking
-                Some(Casting { tail: 1.0, .. }) => self.learner.error(&cast.samples),
+                Some(CastObjective { tail: 1.0, .. }) => self.learner.error(&cast.samples),
                 Some(_) => loss.or_else(|| self.learner.error(&cast.samples)),
             };
             found.push((measure, loss, cotangent));
         }
         let (_, gradient) = self.over_casts(&newest, found, going, log)?;
-        let error_test = self.look_at_test(state, log)?;
-        Ok(Sensed { gradient, loss_train, error_test })
+        let error_test = self.evaluate_test_set(state, log)?;
+        Ok(StepResult { gradient, loss_train, error_test })
     }
 
     /// As [`Self::joint`], with one decoder per cast, fitted to the samples of this cast alone.
-    fn joint_each(&mut self, state: &mut State, going: Going, log: &mut Log) -> Result<Sensed, Trouble> {
+    fn joint_each(
+        &mut self,
+        state: &mut State,
+        going: Continued,
+        log: &mut Log,
+    ) -> Result<StepResult, Trouble> {
         let newest = self.fresh(&state.design, state.step, going, self.moves(state.step), log)?;
         let mut found = Vec::with_capacity(newest.len());
         for cast in &newest {
@@ -146,8 +156,8 @@ impl<'a> Session<'a> {
         // over all casts; `learn` reported single casts
         (log.report.loss_train, log.report.error_train) = (Some(loss_train), Some(100.0 * loss_train));
         state.check_trend(loss_train)?;
-        let error_test = self.look_at_test(state, log)?;
-        Ok(Sensed { gradient, loss_train, error_test })
+        let error_test = self.evaluate_test_set(state, log)?;
+        Ok(StepResult { gradient, loss_train, error_test })
     }
 
     /// Objective of a step's casts and its gradient in α. `found` has, per cast, the measure that the objective ranks, the
@@ -156,7 +166,7 @@ impl<'a> Session<'a> {
         &mut self,
         casts: &[Response],
         found: Vec<(Option<f64>, Option<f64>, Vec<f64>)>,
-        going: Going,
+        going: Continued,
         log: &mut Log,
     ) -> Result<(f64, Vec<f64>), Trouble> {
         let losses: Vec<Option<f64>> = found.iter().map(|(_, loss, _)| *loss).collect();
@@ -187,7 +197,12 @@ impl<'a> Session<'a> {
 
     /// Error (%) and differentiated loss of each part of a mixture on the initial body, with decoders fitted to the first step's
     /// samples; reproducible after a resumption. 1 for a mean of logarithms, whose derivative does not depend on them.
-    fn first(&mut self, casting: Casting, going: Going, log: &mut Log) -> Result<&[Vec<f64>; 2], Trouble> {
+    fn first(
+        &mut self,
+        casting: CastObjective,
+        going: Continued,
+        log: &mut Log,
+    ) -> Result<&[Vec<f64>; 2], Trouble> {
         if casting.over == Over::Parts && self.first[0].is_empty() {
             self.first = [(); 2].map(|()| vec![1.0; casting.casts]);
             if casting.tail < 1.0 {
@@ -195,7 +210,7 @@ impl<'a> Session<'a> {
                 let mut learner = learner(trial);
                 let parts = self.fresh(&trial.problem.initial, 0, going, false, log)?;
                 for (number, part) in parts.iter().enumerate() {
-                    let mut learnt = State::new(&trial.problem).learnt;
+                    let mut learnt = State::new(&trial.problem).decoder_state;
                     let counters = &mut log.report.counters;
                     learner.fit(FitOn::Cast(&part.samples), 0, &mut learnt, counters)?;
                     let error = learner.error(&part.samples).unwrap_or(1.0);
@@ -210,14 +225,14 @@ impl<'a> Session<'a> {
 
     /// Evaluates a search's candidate: its test error with a decoder trained on its training set alone. A continued decoder would
     /// favour later candidates.
-    fn candidate(&mut self, state: &mut State, log: &mut Log) -> Result<Sensed, Trouble> {
+    fn candidate(&mut self, state: &mut State, log: &mut Log) -> Result<StepResult, Trouble> {
         let trial = self.trial;
         let (sets, solver) = ([&trial.train, &trial.test], trial.problem.solver);
         let [train, test] = self.simulate(state, sets, [false; 2], solver, log)?;
         let loss_train = self.learn(FitOn::Alike(&train.samples), state, log)?;
         let error_test = self.test_error(&test.samples, log);
         match loss_train.is_finite() {
-            true => Ok(Sensed { gradient: Vec::new(), loss_train, error_test }),
+            true => Ok(StepResult { gradient: Vec::new(), loss_train, error_test }),
             false => Err(Trouble::Training(TrainOutcome::NonFinite)),
         }
     }
@@ -259,7 +274,7 @@ impl<'a> Session<'a> {
     }
 
     fn learn(&mut self, on: FitOn, state: &mut State, log: &mut Log) -> Result<f64, Trouble> {
-        let State { step, learnt, trend, .. } = state;
+        let State { step, decoder_state: learnt, trend, .. } = state;
         let ridge = learnt.ridge;
         let learned =
             log.timed(|s| &mut s.train, |report| self.learner.fit(on, *step, learnt, &mut report.counters))?;
@@ -311,7 +326,7 @@ impl<'a> Session<'a> {
 
     /// Test error of the state's design with the accurate integrator, in steps that evaluate it. Training over casts: the objective
     /// over constant casts, among which the test set is divided.
-    fn look_at_test(&mut self, state: &State, log: &mut Log) -> Result<Option<f64>, Trouble> {
+    fn evaluate_test_set(&mut self, state: &State, log: &mut Log) -> Result<Option<f64>, Trouble> {
         let (trial, problem) = (self.trial, &self.trial.problem);
         if !problem.optimise.looks_at_test(state.step) {
             return Ok(None);
@@ -327,7 +342,7 @@ impl<'a> Session<'a> {
         };
         let Protocol::Joint(going) = problem.optimise.protocol else { return Ok(None) };
         let parts = (casting.over == Over::Parts).then(|| problem.parts());
-        let casts = if parts.is_some() { casting.casts } else { LOOKED_AT.min(trial.test.samples) };
+        let casts = if parts.is_some() { casting.casts } else { TEST_CASTS.min(trial.test.samples) };
         // the samples of one part of a mixture, or every `casts`-th sample
         let dealt = |number: usize, set: usize, forces: &Forces, most: usize| {
             let is_own = |i: &usize| match &parts {
@@ -351,7 +366,7 @@ impl<'a> Session<'a> {
                 let (train, test) = of_cast?;
                 if let Some(train) = train {
                     // a copy: training does not continue from this fit
-                    let (on, mut learnt) = (FitOn::Cast(&train), state.learnt.clone());
+                    let (on, mut learnt) = (FitOn::Cast(&train), state.decoder_state.clone());
                     self.learner.fit(on, state.step, &mut learnt, &mut log.report.counters)?;
                 }
                 Ok::<_, Trouble>(self.learner.error(&test))
@@ -373,7 +388,7 @@ impl<'a> Session<'a> {
         &self,
         design: &[f64],
         step: u32,
-        going: Going,
+        going: Continued,
         keep_tape: bool,
         log: &mut Log,
     ) -> Result<Vec<Response>, Trouble> {

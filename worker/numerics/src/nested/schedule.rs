@@ -11,18 +11,18 @@ const LOOKS: [f64; 5] = [0.0, RUNGS[0], RUNGS[1], 0.6, 0.8];
 const APART: u32 = 10;
 
 /// The multiple of `APART` nearest to a fraction of `steps`; 0 only for fraction 0.
-pub fn look_near(steps: u32, part: f64) -> u32 {
+pub fn evaluation_step_near(steps: u32, part: f64) -> u32 {
     let nearest = (f64::from(steps) * part / f64::from(APART)).round() as u32;
     nearest.max(u32::from(part > 0.0)) * APART
 }
 
 /// Whether a step evaluates the test set; the last of `steps` always does.
 fn is_look(steps: u32, step: u32) -> bool {
-    step + 1 == steps || LOOKS.iter().any(|part| look_near(steps, *part) == step)
+    step + 1 == steps || LOOKS.iter().any(|part| evaluation_step_near(steps, *part) == step)
 }
 
 /// Fraction of `steps` that evaluate the test set.
-pub fn looked_at(steps: u32) -> f64 {
+pub fn evaluated_fraction(steps: u32) -> f64 {
     (0..steps).filter(|step| is_look(steps, *step)).count() as f64 / f64::from(steps.max(1))
 }
 

@@ -6,7 +6,7 @@
 //! `asked` and `lost` are the distances (mm) of the target α₀ + P z from α₀ and from α. The first candidate is the initial body.
 
 use super::observe::Log;
-use super::protocol::Sensed;
+use super::protocol::StepResult;
 use super::state::{State, norm};
 use crate::body::Freedom;
 use crate::feasible::Castable;
@@ -46,7 +46,7 @@ impl<'a> GradientFree<'a> {
     /// If the initial body could not be evaluated.
     pub(super) fn step(
         &self,
-        sensed: Result<Sensed, Trouble>,
+        sensed: Result<StepResult, Trouble>,
         state: &mut State,
         castable: &mut dyn Castable,
         log: &mut Log,
@@ -64,14 +64,14 @@ impl<'a> GradientFree<'a> {
             }
         };
         if state.step > 0 {
-            let target = self.target(state.found.len());
+            let target = self.target(state.fitness.len());
             let [asked, lost] = [initial, &state.design].map(|from| distance(&target, from));
             let fitness = error * (1.0 + (lost / asked.max(f64::MIN_POSITIVE)).powi(2));
-            state.found.push(fitness);
+            state.fitness.push(fitness);
         }
-        let target = self.target(state.found.len());
+        let target = self.target(state.fitness.len());
         let projection = log.timed(|s| &mut s.project, |_| castable.project(initial, &target, None));
-        state.put(self.problem, &self.freedom, projection, &mut log.report);
+        state.set_design(self.problem, &self.freedom, projection, &mut log.report);
         Ok(())
     }
 }

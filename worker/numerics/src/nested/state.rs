@@ -18,26 +18,26 @@ pub struct State {
     /// Adam on α.
     pub design_adam: Adam<f64>,
     /// State of the decoder that carries over to the next body.
-    pub learnt: Learnt,
+    pub decoder_state: Learnt,
     /// The design of least test error so far.
     pub best: Option<Best>,
     /// Factor on the protocol's learning rate of α, at most 1: halved when a step is undone, raised by 10 % otherwise.
-    pub caution: f64,
+    pub rate_factor: f64,
     /// Consecutive undone steps.
-    pub setbacks: u32,
+    pub consecutive_undone: u32,
     /// Running geometric mean of the training loss.
     pub trend: Option<f64>,
     /// The last designs before `design`, newest last.
-    pub trail: Vec<Waypoint>,
+    pub recent_designs: Vec<PastDesign>,
     /// Results of the final comparison so far.
     pub comparison: Comparison,
     /// Fitness of the candidates of a search so far, in order.
-    pub found: Vec<f64>,
+    pub fitness: Vec<f64>,
 }
 
 /// An earlier design of the loop.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Waypoint {
+pub struct PastDesign {
     /// The outer step that started from it.
     pub step: u32,
     /// α (mm).
@@ -70,14 +70,14 @@ impl State {
             step: 0,
             design: problem.initial.clone(),
             design_adam: Adam::new(problem.initial.len()),
-            learnt: Learnt::nothing(problem.shape().weights()),
+            decoder_state: Learnt::nothing(problem.shape().weights()),
             best: None,
-            caution: 1.0,
-            setbacks: 0,
+            rate_factor: 1.0,
+            consecutive_undone: 0,
             trend: None,
-            trail: Vec::new(),
+            recent_designs: Vec::new(),
             comparison: Comparison::default(),
-            found: Vec::new(),
+            fitness: Vec::new(),
         }
     }
 
@@ -96,8 +96,8 @@ impl State {
             None => loss_train,
             Some(trend) => trend.powf(0.7) * loss_train.powf(0.3),
         });
-        self.setbacks = 0;
-        self.caution = (self.caution * 1.1).min(1.0);
+        self.consecutive_undone = 0;
+        self.rate_factor = (self.rate_factor * 1.1).min(1.0);
         if let Some(error) = error_test
             && self.best.as_ref().is_none_or(|best| error < best.error)
         {
@@ -116,7 +116,7 @@ impl State {
         bodies: usize,
         report: &mut Report,
     ) {
-        let rate = problem.optimise.rate_of(self.step) * self.caution;
+        let rate = problem.optimise.rate_of(self.step) * self.rate_factor;
         let mut target = self.design.clone();
         let gradient = freedom.vjp(gradient);
         let length = norm(gradient.iter().copied());
@@ -127,13 +127,13 @@ impl State {
         let metric = metric(&self.design_adam);
         let projection = castable.project(&self.design, &target, metric.as_deref());
         report.gradient_norm = Some(length);
-        let design = self.put(problem, freedom, projection, report);
-        self.trail.push(Waypoint { step: self.step, design });
-        self.trail.drain(..(self.trail.len() + 1).saturating_sub(bodies));
+        let design = self.set_design(problem, freedom, projection, report);
+        self.recent_designs.push(PastDesign { step: self.step, design });
+        self.recent_designs.drain(..(self.recent_designs.len() + 1).saturating_sub(bodies));
     }
 
     /// Moves the body to a projected design; returns the previous design.
-    pub(super) fn put(
+    pub(super) fn set_design(
         &mut self,
         problem: &Problem,
         freedom: &Freedom,
@@ -149,19 +149,19 @@ impl State {
     }
 
     /// Undoes the last move of this state, which is the one before the failed step, and halves the rate.
-    pub(super) fn taken_back(mut self, trouble: Trouble, report: &mut Report) -> Result<Self, Failure> {
+    pub(super) fn undo_step(mut self, trouble: Trouble, report: &mut Report) -> Result<Self, Failure> {
         report.trouble = Some(trouble);
-        self.caution *= 0.5;
-        self.setbacks += 1;
-        match self.trail.pop() {
+        self.rate_factor *= 0.5;
+        self.consecutive_undone += 1;
+        match self.recent_designs.pop() {
             Some(passed) => self.design = passed.design,
-            None if self.setbacks == 1 => return Err(Failure::Initial(trouble)),
-            None => return Err(Failure::Stuck(self.setbacks, trouble)),
+            None if self.consecutive_undone == 1 => return Err(Failure::Initial(trouble)),
+            None => return Err(Failure::Stuck(self.consecutive_undone, trouble)),
         }
         // a dead or diverged network is replaced
         if matches!(trouble, Trouble::Training(_)) {
-            let ridge = self.learnt.ridge;
-            self.learnt = Learnt { ridge, ..Learnt::nothing(self.learnt.adam.m.len()) };
+            let ridge = self.decoder_state.ridge;
+            self.decoder_state = Learnt { ridge, ..Learnt::nothing(self.decoder_state.adam.m.len()) };
             self.trend = None;
         }
         Ok(self)

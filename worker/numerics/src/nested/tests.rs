@@ -8,7 +8,7 @@ use crate::questions::{UnderReading, bound, nonlinear, replay, sense};
 use crate::random::{Purpose, Stream};
 use crate::stimuli::{Bell, Source};
 use crate::trial::{
-    BrainKind, Counters, Decoder, Disturbance, Evaluation, Going, Mould, Optimise, Polygons, Problem,
+    BrainKind, Continued, Counters, Decoder, Disturbance, Evaluation, Mould, Optimise, Polygons, Problem,
     Protocol, Ridge, Scaling, Schedule, Size, Stimuli, Terms, Training, Trouble,
 };
 
@@ -127,7 +127,7 @@ pub(crate) fn on_lattices(problem: &Problem) -> Vec<(String, Problem)> {
     found
 }
 
-pub(crate) const GOING: Going = Going { batch: 5, brain_iterations: 3, brain_rate: 1e-3 };
+pub(crate) const GOING: Continued = Continued { batch: 5, brain_iterations: 3, brain_rate: 1e-3 };
 const PROTOCOLS: [Protocol; 3] =
     [Protocol::Paper(Terms::Implicit), Protocol::Joint(GOING), Protocol::Random(GOING)];
 
@@ -466,9 +466,9 @@ fn a_search_keeps_the_best_of_its_candidates() {
     assert!(at > 0 && least < errors[0], "{errors:?}");
     let last = keeper.states.last().unwrap();
     assert_eq!(last.best.as_ref().unwrap().design, keeper.states[at - 1].design);
-    assert_eq!(last.found.len(), 24, "the first step reads the initial body");
-    let worse = last.found.iter().zip(&errors[1..]).all(|(fitness, error)| fitness >= error);
-    assert!(worse, "{:?} {errors:?}", last.found);
+    assert_eq!(last.fitness.len(), 24, "the first step reads the initial body");
+    let worse = last.fitness.iter().zip(&errors[1..]).all(|(fitness, error)| fitness >= error);
+    assert!(worse, "{:?} {errors:?}", last.fitness);
 }
 
 #[test]
@@ -670,17 +670,17 @@ fn a_training_that_diverges_on_the_initial_body_is_named() {
 fn a_step_in_trouble_is_taken_back_at_half_the_rate() {
     let problem = small(Protocol::Paper(Terms::Direct));
     let mut state = State::new(&problem);
-    state.trail = vec![Waypoint { step: 0, design: vec![7.0; state.design.len()] }];
+    state.recent_designs = vec![PastDesign { step: 0, design: vec![7.0; state.design.len()] }];
     let mut keeper = Keeper::default();
     let mut log = Log::new(1, &mut keeper);
-    let back = state.clone().taken_back(Trouble::GradientNonFinite, &mut log.report).unwrap();
-    assert_eq!((back.design[0], back.caution, back.setbacks), (7.0, 0.5, 1));
+    let back = state.clone().undo_step(Trouble::GradientNonFinite, &mut log.report).unwrap();
+    assert_eq!((back.design[0], back.rate_factor, back.consecutive_undone), (7.0, 0.5, 1));
     assert_eq!(log.report.trouble, Some(Trouble::GradientNonFinite));
     let stuck = Failure::Stuck(2, Trouble::GradientNonFinite);
-    assert_eq!(back.taken_back(Trouble::GradientNonFinite, &mut log.report), Err(stuck));
-    state.trail.clear();
+    assert_eq!(back.undo_step(Trouble::GradientNonFinite, &mut log.report), Err(stuck));
+    state.recent_designs.clear();
     let initial = Failure::Initial(Trouble::GradientNonFinite);
-    assert_eq!(state.taken_back(Trouble::GradientNonFinite, &mut log.report), Err(initial));
+    assert_eq!(state.undo_step(Trouble::GradientNonFinite, &mut log.report), Err(initial));
 }
 
 /// The state after two steps is corrupted: the third step reports why and is undone, the fourth continues from the body before at
@@ -696,9 +696,9 @@ fn a_loop_in_trouble_names_it_and_goes_on_from_the_body_before() {
     let (good, shape) = (keeper.states[1].clone(), problem.shape());
     type Spoil = fn(&mut State, brain::Shape);
     let spoilt: [(&[&str], Spoil); 4] = [
-        (&["loss_jump"], |state, _| state.learnt.weights.iter_mut().for_each(|w| *w *= 30.0)),
-        (&["loss_non_finite"], |state, _| state.learnt.weights[0] = f32::NAN),
-        (&["dead_layer"], |state, shape| state.learnt.weights[shape.range(0)].fill(-1e3)),
+        (&["loss_jump"], |state, _| state.decoder_state.weights.iter_mut().for_each(|w| *w *= 30.0)),
+        (&["loss_non_finite"], |state, _| state.decoder_state.weights[0] = f32::NAN),
+        (&["dead_layer"], |state, shape| state.decoder_state.weights[shape.range(0)].fill(-1e3)),
         (&["non_finite", "step_too_small", "step_limit"], |state, _| state.design[0] = f64::NAN),
     ];
     for (names, spoil) in spoilt {
@@ -709,8 +709,8 @@ fn a_loop_in_trouble_names_it_and_goes_on_from_the_body_before() {
         let [third, fourth, ..] = &keeper.reports[..] else { panic!("{names:?}: {ended:?}") };
         let name = third.trouble.expect("trouble").name();
         assert!(names.contains(&name) && third.step_length.is_none(), "{names:?}: {third:?}");
-        assert_eq!(keeper.states[0].design, good.trail.last().unwrap().design, "{names:?}");
-        assert_eq!(keeper.states[0].caution, 0.5 * good.caution, "{names:?}");
+        assert_eq!(keeper.states[0].design, good.recent_designs.last().unwrap().design, "{names:?}");
+        assert_eq!(keeper.states[0].rate_factor, 0.5 * good.rate_factor, "{names:?}");
         if names[0] != "loss_jump" {
             assert!(fourth.trouble.is_none() && fourth.step_length > Some(0.0), "{names:?}: {fourth:?}");
         }

@@ -129,7 +129,7 @@ impl<'a> Scores<'a> {
 
     /// Units of `from` that are not chosen and far enough from the chosen ones.
     fn beside(&self, from: &[usize], chosen: &[usize], spacing: f64) -> Vec<usize> {
-        let far = |a: usize, b: usize| a != b && self.layout.apart(a, b, spacing);
+        let far = |a: usize, b: usize| a != b && self.layout.are_apart(a, b, spacing);
         from.iter().copied().filter(|&unit| chosen.iter().all(|&other| far(unit, other))).collect()
     }
 

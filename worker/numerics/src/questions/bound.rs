@@ -26,7 +26,7 @@ pub struct Bound {
     /// Error (%) from the inverse of the mean information.
     pub mean_information: f64,
     /// Error (%) of the stimuli's mean, without signals.
-    pub deaf: f64,
+    pub prior_only: f64,
     /// Number of directions of the stimuli in the prior.
     pub directions: usize,
     /// Lower bound on the mean error (%) of every decoder of pulses, and its standard error; `None` for other stimuli.
@@ -90,7 +90,7 @@ pub fn bound(
         samples: own.iter().zip(&left).map(|(w, left)| Some(100.0 * (*w)? * left)).collect(),
         mean: 100.0 * weight * left.iter().sum::<f64>() / left.len() as f64,
         mean_information: 100.0 * weight * informed,
-        deaf: 100.0 * weight * (prior.variance.iter().sum::<f64>() + prior.rest),
+        prior_only: 100.0 * weight * (prior.variance.iter().sum::<f64>() + prior.rest),
         directions: prior.variance.len(),
         least: any_decoder,
     }))

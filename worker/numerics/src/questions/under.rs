@@ -2,7 +2,7 @@
 //! under the trial's. The former shows what information remains, the latter how a decoder transfers.
 
 use crate::brains::Fitted;
-use crate::trial::{Counters, Mould, Spread, Trouble, held, mean_error};
+use crate::trial::{Counters, Mould, Spread, Trouble, as_ref_result, mean_error};
 
 /// Error of one linear decoder under one kind of forces.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -36,10 +36,10 @@ pub(crate) fn under(mould: &Mould, counters: &mut Counters) -> Vec<UnderReading>
             let read = body.samples(None, there.problem.holdout(), counters)?;
             Ok((there, read))
         });
-        let there = held(&there);
+        let there = as_ref_result(&there);
         let own =
             there.and_then(|(there, holdout)| Ok(Fitted::of(there, &there.initial)?.errors_on(holdout)));
-        let carried = there.and_then(|(_, holdout)| Ok(held(&carried)?.errors_on(holdout)));
+        let carried = there.and_then(|(_, holdout)| Ok(as_ref_result(&carried)?.errors_on(holdout)));
         let reading = |own, errors: Result<Vec<Option<f64>>, Trouble>| {
             let spread = errors.as_ref().map_or(Some(Spread::FAILED), |errors| Spread::of(errors));
             UnderReading { kind, own, error: errors.map(|errors| mean_error(&errors)), spread }

@@ -136,7 +136,7 @@ pub fn silenced(silent: f64, purpose: Purpose, seed: u64, sample: u64, panels: u
 }
 
 /// Part of a mixture, from 0, of each of the samples numbered `samples`; depends on (purpose, seed, sample) only.
-pub fn drawn(weights: &[f64], purpose: Purpose, seed: u64, samples: Range<u64>) -> Vec<usize> {
+pub fn draw_parts(weights: &[f64], purpose: Purpose, seed: u64, samples: Range<u64>) -> Vec<usize> {
     let last = weights.len() - 1;
     let draw = |sample| {
         // A counter that no kind of forces uses.

@@ -18,15 +18,15 @@ mod settings;
 pub use body::{Body, Fault, Motion, Pilot, Polygons, Run, Tape};
 pub use chip::{Disturbance, Size};
 pub(crate) use mould::Mould;
-pub(crate) use outcome::held;
+pub(crate) use outcome::as_ref_result;
 pub use outcome::{Counters, Failure, Trouble};
 pub use problem::{Placing, Problem, Stimuli};
 pub use samples::{FAILED, Samples, Spread, mean_error};
 pub(crate) use samples::{error_of_each, pick};
 pub(crate) use scales::Scales;
 pub use settings::{
-    BrainKind, CastReader, Casting, Decoder, Evaluation, Going, Optimise, Over, Protocol, Ridge, Scaling,
-    Schedule, Terms, Training,
+    BrainKind, CastObjective, CastReader, Continued, Decoder, Evaluation, Optimise, Over, Protocol, Ridge,
+    Scaling, Schedule, Terms, Training,
 };
 
 use crate::dynamics::{self, Forces, Outcome, Scene, Solver};

@@ -62,7 +62,7 @@ impl Trouble {
 }
 
 /// Borrows a result and copies its error.
-pub(crate) fn held<T>(found: &Result<T, Trouble>) -> Result<&T, Trouble> {
+pub(crate) fn as_ref_result<T>(found: &Result<T, Trouble>) -> Result<&T, Trouble> {
     found.as_ref().map_err(|trouble| *trouble)
 }
 
@@ -90,9 +90,13 @@ impl Failure {
 impl std::fmt::Display for Failure {
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
         match self {
-            Self::Reference(trouble) => write!(f, "the reference body (sensors.relative_to) failed: {}", trouble.name()),
+            Self::Reference(trouble) => {
+                write!(f, "the reference body (sensors.relative_to) failed: {}", trouble.name())
+            }
             Self::Initial(trouble) => write!(f, "the initial body failed: {}", trouble.name()),
-            Self::Stuck(steps, trouble) => write!(f, "{steps} consecutive steps were undone: {}", trouble.name()),
+            Self::Stuck(steps, trouble) => {
+                write!(f, "{steps} consecutive steps were undone: {}", trouble.name())
+            }
         }
     }
 }

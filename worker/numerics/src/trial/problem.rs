@@ -10,7 +10,7 @@ use crate::brain::linear::Sizes;
 use crate::dynamics::{Forces, Scene, Solver};
 use crate::feasible::{Feasible, Limits};
 use crate::random::Purpose;
-use crate::stimuli::{Deal, Source, bells, drawn, gauss, irregular, silenced, split, targets};
+use crate::stimuli::{Deal, Source, bells, draw_parts, gauss, irregular, silenced, split, targets};
 use crate::variation::Variation;
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -236,7 +236,7 @@ impl Problem {
         let of = match source {
             Source::Mix(parts) => {
                 let weights: Vec<f64> = parts.iter().map(|(weight, _)| *weight).collect();
-                drawn(&weights, Purpose::Stimulus, self.seed, 0..samples as u64)
+                draw_parts(&weights, Purpose::Stimulus, self.seed, 0..samples as u64)
             }
             _ => vec![0; samples],
         };
@@ -263,7 +263,7 @@ impl Problem {
                 let weights: Vec<f64> = parts.iter().map(|(weight, _)| *weight).collect();
                 let of: Vec<Forces> =
                     parts.iter().map(|(_, part)| self.forces_of(part, purpose, first, count)).collect();
-                let drawn = drawn(&weights, purpose, self.seed, samples);
+                let drawn = draw_parts(&weights, purpose, self.seed, samples);
                 let values = drawn.iter().enumerate().flat_map(|(i, &part)| of[part].sample(i)).copied();
                 let central = of.iter().all(|forces| forces.strikes.is_empty());
                 let strike = |n: usize| of[drawn[n / panels]].strike(&scene.panels, n / panels, n % panels);

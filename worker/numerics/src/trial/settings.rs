@@ -78,12 +78,12 @@ pub struct Optimise {
     /// A cheaper integrator for the outer steps of `joint`; test evaluations use the accurate one.
     pub coarse: Option<Solver>,
     /// Objective over casts or parts of a mixture (`joint`); `None`: over the body as designed.
-    pub casting: Option<Casting>,
+    pub casting: Option<CastObjective>,
 }
 
 /// An objective over casts or over kinds of forces, drawn anew in each outer step.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Casting {
+pub struct CastObjective {
     /// Casts or kinds of forces.
     pub over: Over,
     /// Number of casts per step, or of all parts of the mixture; each has a batch of samples.
@@ -112,7 +112,7 @@ pub enum CastReader {
     Each,
 }
 
-impl Casting {
+impl CastObjective {
     /// The objective of the losses, and its derivative by each. Parts of a mixture are ranked by loss relative to `first`.
     pub fn objective(&self, losses: &[f64], first: &[f64]) -> (f64, Vec<f64>) {
         let sum = |weights: &[f64], of: &dyn Fn(f64) -> f64| {
@@ -156,9 +156,9 @@ pub enum Protocol {
     /// A fresh network in each outer step, trained for `Training::iterations`; the test loss moves the body.
     Paper(Terms),
     /// One network continues; the loss on samples drawn for this step moves the body.
-    Joint(Going),
+    Joint(Continued),
     /// No gradient: candidates around the initial body, each with a fresh network.
-    Random(Going),
+    Random(Continued),
 }
 
 impl Protocol {
@@ -170,7 +170,7 @@ impl Protocol {
 
 /// Settings of protocols other than `paper`.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Going {
+pub struct Continued {
     /// Samples whose gradient moves the body.
     pub batch: usize,
     /// Adam iterations per outer step.

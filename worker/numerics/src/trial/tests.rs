@@ -31,7 +31,7 @@ fn few_samples_may_fail() {
 /// the greatest ratio to its first loss.
 #[test]
 fn an_objective_over_parts_is_of_relative_errors() {
-    let of = |tail| Casting { over: Over::Parts, casts: 2, tail, reader: CastReader::One };
+    let of = |tail| CastObjective { over: Over::Parts, casts: 2, tail, reader: CastReader::One };
     let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-12, "{a} for {b}");
     let (mean, weights) = of(1.0).objective(&[4.0, 1.0], &[1.0, 1.0]);
     for (a, b) in [(mean, 2.0), (weights[0], 0.25), (weights[1], 1.0)] {
@@ -47,7 +47,8 @@ fn an_objective_over_parts_is_of_relative_errors() {
 #[test]
 fn an_objective_weighs_the_worst_casts() {
     let weights = |tail| {
-        Casting { over: Over::Casts, casts: 4, tail, reader: CastReader::One }.weights(&[3.0, 1.0, 4.0, 2.0])
+        CastObjective { over: Over::Casts, casts: 4, tail, reader: CastReader::One }
+            .weights(&[3.0, 1.0, 4.0, 2.0])
     };
     assert_eq!(weights(1.0), [0.25; 4]);
     assert_eq!(weights(0.5), [0.5, 0.0, 0.5, 0.0]);

@@ -76,7 +76,9 @@ impl Uneven {
     pub fn said(&self, separator: u8, form: &Form) -> String {
         let Self { line, found, first, wanted, .. } = self;
         let hint = match separator {
-            _ if *wanted == 1 => "; a table must start with its column names: remove the lines before them".into(),
+            _ if *wanted == 1 => {
+                "; a table must start with its column names: remove the lines before them".into()
+            }
             _ if self.ends_empty && *found == wanted + 1 => "; the line ends in a separator".into(),
             _ => String::new(),
         };

@@ -171,7 +171,7 @@ fn looks_that_are_paid_for_are_wrong_in_one_campaign_of_twenty_at_most() {
         cases.iter().map(of).collect::<Vec<Outcome>>()
     };
     // a tenth of the campaigns suffices to show the error rate without correction
-    let (paid_for, naive) = rayon::join(|| all(Looks::new(GRID), 1), || all(Looks::naive(GRID), 10));
+    let (paid_for, naive) = rayon::join(|| all(Looks::new(GRID), 1), || all(Looks::uncorrected(GRID), 10));
     let (mut worst, mut naive_worst) = (0.0f64, 0.0f64);
     for (((name, ..), paid), naive) in cases.iter().zip(paid_for).zip(naive) {
         told(&format!(

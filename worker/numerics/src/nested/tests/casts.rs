@@ -8,7 +8,7 @@ use crate::brains::{FitOn, Fitted, Fresh, Loss, Plain, learner, predict_on, read
 use crate::dynamics::{Parameters, Relaxation, planned, run, signal_error};
 use crate::identify::Fit;
 use crate::stimuli::Irregular;
-use crate::trial::{CastReader, Casting, Disturbance, Over, Samples, Size, Spread, mean_error};
+use crate::trial::{CastObjective, CastReader, Disturbance, Over, Samples, Size, Spread, mean_error};
 use crate::variation::{Casts, Variation};
 
 /// With deviations of all parameters, ligaments, units, nodes and chips.
@@ -21,7 +21,7 @@ fn scattered(problem: Problem) -> Problem {
     Problem { variation: Some(variation), ..problem }
 }
 
-fn cast(casting: Casting) -> Problem {
+fn cast(casting: CastObjective) -> Problem {
     let mut problem = scattered(linear(Protocol::Joint(GOING)));
     problem.optimise.casting = Some(casting);
     problem
@@ -30,7 +30,7 @@ fn cast(casting: Casting) -> Problem {
 /// A part without test samples prevents test evaluations: the result is then the trained body.
 #[test]
 fn a_body_that_no_look_has_read_is_the_trained_one() {
-    let mut problem = mixed(Casting { reader: CastReader::One, ..PARTS });
+    let mut problem = mixed(CastObjective { reader: CastReader::One, ..PARTS });
     let Source::Mix(parts) = &mut problem.stimuli.source else { panic!("a mixture") };
     (parts[0].0, parts[1].0) = (1.0, 1e-9);
     problem.disturbance = Some(Disturbance { noise: Size::Relative(0.01), ..Disturbance::NONE });
@@ -42,7 +42,7 @@ fn a_body_that_no_look_has_read_is_the_trained_one() {
 /// A part whose forces lie outside the sample has no error: the step fails and moves nothing.
 #[test]
 fn a_part_without_a_force_is_named() {
-    let mut problem = mixed(Casting { reader: CastReader::One, ..PARTS });
+    let mut problem = mixed(CastObjective { reader: CastReader::One, ..PARTS });
     let Source::Mix(parts) = &mut problem.stimuli.source else { panic!("a mixture") };
     let Source::Bell(bell) = &mut parts[1].1 else { panic!("bells") };
     bell.onset = [5.0, 6.0];
@@ -59,18 +59,18 @@ fn a_fold_without_a_force_judges_nothing() {
     (problem.optimise.iterations, problem.evaluation.casts, problem.stimuli.samples) = (0, 6, 24);
     let found = carried_out(&problem, 1);
     let records: Vec<_> =
-        found.casts.iter().flatten().filter(|read| matches!(read.by, CastBrain::Records(_))).collect();
+        found.casts.iter().flatten().filter(|read| matches!(read.decoder, CastDecoder::Records(_))).collect();
     assert!(!records.is_empty() && records.iter().all(|read| read.trouble.is_none()), "{records:?}");
 }
 
-const MEAN: Casting = Casting { over: Over::Casts, casts: 3, tail: 1.0, reader: CastReader::One };
-const EACH: Casting = Casting { reader: CastReader::Each, ..MEAN };
-const WORST: Casting = Casting { tail: 0.0, ..EACH };
+const MEAN: CastObjective = CastObjective { over: Over::Casts, casts: 3, tail: 1.0, reader: CastReader::One };
+const EACH: CastObjective = CastObjective { reader: CastReader::Each, ..MEAN };
+const WORST: CastObjective = CastObjective { tail: 0.0, ..EACH };
 
-const PARTS: Casting = Casting { over: Over::Parts, casts: 2, ..EACH };
+const PARTS: CastObjective = CastObjective { over: Over::Parts, casts: 2, ..EACH };
 
 /// A mixture of slow and of strong pulses, trained for both parts.
-fn mixed(casting: Casting) -> Problem {
+fn mixed(casting: CastObjective) -> Problem {
     let mut problem = linear(Protocol::Joint(GOING));
     let Source::Bell(bell) = problem.stimuli.source else { panic!("bells") };
     let loud = Bell { amplitude: [2.0, 4.0], width: [0.02, 0.05], ..bell };
@@ -83,7 +83,7 @@ fn mixed(casting: Casting) -> Problem {
 /// parts of a mixture for the logarithms.
 #[test]
 fn the_gradient_over_casts_is_that_of_their_objective() {
-    let castings = [MEAN, EACH, WORST, Casting { tail: 0.5, ..EACH }, PARTS];
+    let castings = [MEAN, EACH, WORST, CastObjective { tail: 0.5, ..EACH }, PARTS];
     let squares = castings.map(|of| if of.over == Over::Parts { mixed(of) } else { cast(of) });
     // a disc of triangles and a sheet of hexagons
     let others = on_lattices(&cast(EACH)).into_iter().skip(1).take(2).map(|(_, problem)| problem);
@@ -101,7 +101,7 @@ fn the_gradient_over_casts_is_that_of_their_objective() {
         let trial = Trial::new(&problem, &pool).unwrap();
         let (mut state, mut keeper) = (State::new(&problem), Keeper::default());
         let mut log = Log::new(0, &mut keeper);
-        let gradient = Session::new(&trial).sense(&mut state, &mut log).unwrap().gradient;
+        let gradient = Session::new(&trial).train_and_differentiate(&mut state, &mut log).unwrap().gradient;
         assert_eq!(log.report.fresh_samples, (casting.casts * GOING.batch) as u64);
 
         let loss = |design: &[f64]| {
@@ -154,9 +154,9 @@ fn the_gradient_over_casts_is_that_of_their_objective() {
 /// needs no ranking, it is so up to a constant factor.
 #[test]
 fn a_network_moves_a_body_by_the_objective_of_its_losses() {
-    let one = |casting| Casting { reader: CastReader::One, ..casting };
+    let one = |casting| CastObjective { reader: CastReader::One, ..casting };
     let tails = [1.0, 0.5, 0.0];
-    let castings = tails.map(|tail| [Casting { tail, ..MEAN }, Casting { tail, ..one(PARTS) }]);
+    let castings = tails.map(|tail| [CastObjective { tail, ..MEAN }, CastObjective { tail, ..one(PARTS) }]);
     for casting in castings.into_iter().flatten() {
         let mut problem = if casting.over == Over::Parts { mixed(casting) } else { cast(casting) };
         (problem.reader, problem.optimise.brain) = (BrainKind::Network, BrainKind::Network);
@@ -170,8 +170,8 @@ fn a_network_moves_a_body_by_the_objective_of_its_losses() {
         let trial = Trial::new(&problem, &pool).unwrap();
         let (mut state, mut keeper) = (State::new(&problem), Keeper::default());
         let mut log = Log::new(0, &mut keeper);
-        let gradient = Session::new(&trial).sense(&mut state, &mut log).unwrap().gradient;
-        let weights: Vec<f64> = state.learnt.weights.iter().map(|w| f64::from(*w)).collect();
+        let gradient = Session::new(&trial).train_and_differentiate(&mut state, &mut log).unwrap().gradient;
+        let weights: Vec<f64> = state.decoder_state.weights.iter().map(|w| f64::from(*w)).collect();
         let (shape, scales) = (problem.shape(), &trial.scales);
         let samples = |design: &[f64], number: usize| {
             let (forces, cast) = match casting.over {
@@ -188,7 +188,7 @@ fn a_network_moves_a_body_by_the_objective_of_its_losses() {
             .map(|number| {
                 let (own, mut learner) = (samples(&problem.initial, number), learner(&trial));
                 let counters = &mut Counters::default();
-                learner.fit(FitOn::Cast(&own), 0, &mut State::new(&problem).learnt, counters).unwrap();
+                learner.fit(FitOn::Cast(&own), 0, &mut State::new(&problem).decoder_state, counters).unwrap();
                 learner.loss_vjp(&own, Loss::Training).0.unwrap()
             })
             .collect();
@@ -220,8 +220,8 @@ fn a_network_moves_a_body_by_the_objective_of_its_losses() {
     }
 }
 
-fn readings(found: &Optimised) -> Vec<(u32, CastBrain, u64)> {
-    let bits = |reading: &CastReading| (reading.cast, reading.by, reading.error.unwrap().to_bits());
+fn readings(found: &Optimised) -> Vec<(u32, CastDecoder, u64)> {
+    let bits = |reading: &CastEvaluation| (reading.cast, reading.decoder, reading.error.unwrap().to_bits());
     found.casts.iter().flatten().map(bits).collect()
 }
 
@@ -230,7 +230,7 @@ fn loops() -> [Problem; 5] {
     let network = scattered(small(Protocol::Joint(GOING)));
     let network = Problem { optimise: Optimise { casting: Some(MEAN), ..network.optimise }, ..network };
     let parts =
-        [PARTS, Casting { tail: 0.0, reader: CastReader::One, ..PARTS }].map(|of| scattered(mixed(of)));
+        [PARTS, CastObjective { tail: 0.0, reader: CastReader::One, ..PARTS }].map(|of| scattered(mixed(of)));
     let [each, worst] = parts;
     [network, cast(MEAN), cast(WORST), each, worst]
 }
@@ -268,14 +268,16 @@ fn casts_are_read_on_to_the_same_bits() {
     for problem in quick(2) {
         let mut whole = Keeper::default();
         let through = optimise(&problem, None, &pool(1), &mut whole).unwrap().unwrap();
-        let brains = [CastBrain::Network, CastBrain::NetworkCasts, CastBrain::Nominal, CastBrain::Casts];
+        let brains =
+            [CastDecoder::Network, CastDecoder::NetworkCasts, CastDecoder::Nominal, CastDecoder::Casts];
         let is_linear = problem.reader == BrainKind::Linear;
         let brains = &brains[if is_linear { 2 } else { 0 }..];
         let all = 12; // training samples
-        let brains = brains.iter().copied().chain([10, all].map(CastBrain::Records));
+        let brains = brains.iter().copied().chain([10, all].map(CastDecoder::Records));
         for body in &through.casts {
-            let of: Vec<(u32, CastBrain)> = body.iter().map(|reading| (reading.cast, reading.by)).collect();
-            let all: Vec<(u32, CastBrain)> =
+            let of: Vec<(u32, CastDecoder)> =
+                body.iter().map(|reading| (reading.cast, reading.decoder)).collect();
+            let all: Vec<(u32, CastDecoder)> =
                 (0..2).flat_map(|cast| brains.clone().map(move |by| (cast, by))).collect();
             assert_eq!(of, all);
         }
@@ -316,27 +318,27 @@ fn the_brain_for_all_casts_can_be_had_again() {
         };
         let holdout = of(problem.holdout());
         let (by, said) = match brain_for_casts(&trial, design).unwrap() {
-            ForCasts::Linear(fitted) => (CastBrain::Casts, fitted.predict(&holdout.signals)),
-            ForCasts::Network(weights) => {
+            DecoderForCasts::Linear(fitted) => (CastDecoder::Casts, fitted.predict(&holdout.signals)),
+            DecoderForCasts::Network(weights) => {
                 let scales = [(); 2].map(|()| trial.scales.clone());
                 let mut reader = reader(problem.recipe(), &holdout, scales, &pool).unwrap();
                 *reader.training().unwrap() = Some(Fresh::of(weights));
-                (CastBrain::NetworkCasts, reader.predict(&holdout.signals))
+                (CastDecoder::NetworkCasts, reader.predict(&holdout.signals))
             }
-            ForCasts::Stacked(linear, weights) => {
+            DecoderForCasts::Stacked(linear, weights) => {
                 let (shape, scales) = (problem.reader_shape(), &trial.scales);
                 let said = predict_on(&linear, shape, &weights, &holdout.signals, scales, &pool);
-                (CastBrain::NetworkCasts, said)
+                (CastDecoder::NetworkCasts, said)
             }
         };
-        let reading = found.casts[1].iter().find(|reading| reading.by == by).unwrap();
+        let reading = found.casts[1].iter().find(|reading| reading.decoder == by).unwrap();
         assert_eq!(holdout.error(&said), reading.error, "{by:?}");
         assert_eq!(Spread::of(&holdout.errors(&said)), reading.spread, "{by:?}");
         for reading in &found.casts[1] {
             let regularisation = reading.regularisation;
-            let linear = !matches!(reading.by, CastBrain::Network | CastBrain::NetworkCasts);
+            let linear = !matches!(reading.decoder, CastDecoder::Network | CastDecoder::NetworkCasts);
             assert_eq!(regularisation.ridge.is_some(), linear, "{reading:?}");
-            assert_eq!(regularisation.share.is_some(), reading.by.records().is_some(), "{reading:?}");
+            assert_eq!(regularisation.kappa.is_some(), reading.decoder.records().is_some(), "{reading:?}");
         }
     }
 }
@@ -377,7 +379,7 @@ fn casts_keep_the_error_that_was_asked_for() {
 /// Casts without deviations equal the design: training over them gives the same body, and decoders have the same errors.
 #[test]
 fn casts_that_do_not_scatter_are_the_body_as_designed() {
-    let mut problem = cast(Casting { casts: 1, ..MEAN });
+    let mut problem = cast(CastObjective { casts: 1, ..MEAN });
     problem.variation = Some(Variation::default());
     problem.evaluation.casts = 1;
     let over = carried_out(&problem, 1);
@@ -385,10 +387,10 @@ fn casts_that_do_not_scatter_are_the_body_as_designed() {
         Problem { variation: None, optimise: Optimise { casting: None, ..problem.optimise }, ..problem };
     let alone = carried_out(&nominal, 1);
     let own = over.initial.networks[0].error_holdout.unwrap();
-    let error = |by| over.casts[0].iter().find(|reading| reading.by == by).unwrap().error.unwrap();
-    assert!((error(CastBrain::Nominal) / own - 1.0).abs() < 1e-9, "{} {own}", error(CastBrain::Nominal));
+    let error = |by| over.casts[0].iter().find(|reading| reading.decoder == by).unwrap().error.unwrap();
+    assert!((error(CastDecoder::Nominal) / own - 1.0).abs() < 1e-9, "{} {own}", error(CastDecoder::Nominal));
     // the other casts equal this body, so few records suffice up to the choice of λ
-    let calibrated = [10, 12].map(|n| error(CastBrain::Records(n)) / error(CastBrain::Casts));
+    let calibrated = [10, 12].map(|n| error(CastDecoder::Records(n)) / error(CastDecoder::Casts));
     assert!(calibrated.iter().all(|ratio| (0.7..1.4).contains(ratio)), "{calibrated:?}");
     // test evaluations divide the test set differently, which may select another step; the steps are the same
     assert_eq!(over.best_step, alone.best_step);
@@ -425,7 +427,7 @@ fn casts_are_read_without_records_where_nobody_asks_for_those() {
     let beside = carried_out(&problem, 1);
     problem.evaluation.records = false;
     let alone = carried_out(&problem, 1);
-    let calibrated = |reading: &&CastReading| matches!(reading.by, CastBrain::Records(_));
+    let calibrated = |reading: &&CastEvaluation| matches!(reading.decoder, CastDecoder::Records(_));
     assert_eq!(beside.casts[0].iter().filter(calibrated).count(), 4);
     let others: Vec<_> = beside.casts[0].iter().filter(|reading| !calibrated(reading)).copied().collect();
     assert_eq!(alone.casts[0], others);
@@ -445,13 +447,13 @@ fn ligaments_that_relax_judge_and_teach_nothing() {
     let found = carried_out(&problem, 2);
     assert_eq!(found.optimised.design, plain.optimised.design);
     let error = |found: &Optimised, by| {
-        let reading = found.casts[1].iter().find(|reading| reading.by == by).unwrap();
+        let reading = found.casts[1].iter().find(|reading| reading.decoder == by).unwrap();
         assert_eq!(reading.trouble, None);
         reading.error.unwrap()
     };
-    for by in [CastBrain::Nominal, CastBrain::Casts] {
+    for by in [CastDecoder::Nominal, CastDecoder::Casts] {
         let [known, unknown] = [&plain, &found].map(|found| error(found, by));
-        let fitted = error(&found, CastBrain::Records(12));
+        let fitted = error(&found, CastDecoder::Records(12));
         assert!(unknown > 1.2 * known && fitted < unknown, "{by:?}: {known} {unknown} {fitted}");
     }
 }
@@ -480,10 +482,10 @@ fn a_body_trained_over_casts_reads_others_better() {
     problem.evaluation.casts = 8;
     (problem.optimise.iterations, problem.optimise.rate) = (40, 0.2);
     problem.stimuli = Stimuli { samples: 48, test: 8, holdout: 16, ..problem.stimuli };
-    let going = |batch| Protocol::Joint(Going { batch, ..GOING });
+    let going = |batch| Protocol::Joint(Continued { batch, ..GOING });
     let mean = |problem: &Problem| {
         let found = carried_out(problem, 2);
-        let own = found.casts[1].iter().filter(|reading| reading.by == CastBrain::Casts);
+        let own = found.casts[1].iter().filter(|reading| reading.decoder == CastDecoder::Casts);
         own.map(|reading| reading.error.unwrap().ln()).sum::<f64>() / 8.0
     };
     problem.optimise.protocol = going(8);
@@ -552,13 +554,14 @@ fn a_linear_brain_of_a_twin_is_judged_by_the_whole_holdout() {
     let fit = Fit::of(&mould, (&train.select(&ten), &own.select(&ten).signals), &mut || true).unwrap();
     let twin = mould.samples(Some(&fit.twin.cast), train, counters).unwrap();
     let errors = Fitted::of(&trial, &twin).unwrap().errors_on(&holdout);
-    let read = casts_of(&trial, design, 1, &mut |_| ());
-    let found = read.iter().find(|reading| reading.by == CastBrain::TwinLinear(10)).unwrap();
+    let read = evaluate_linear_on_casts(&trial, design, 1, &mut |_| ());
+    let found = read.iter().find(|reading| reading.decoder == CastDecoder::TwinLinear(10)).unwrap();
     assert_eq!((found.error, found.trouble), (mean_error(&errors), None), "{solver:?}");
 
     (problem.evaluation.records, problem.stimuli.holdout) = (false, 2);
-    let by: Vec<CastBrain> = carried_out(&problem, 2).casts[0].iter().map(|reading| reading.by).collect();
-    assert_eq!(by, [CastBrain::Nominal, CastBrain::Casts, CastBrain::Inverse]);
+    let by: Vec<CastDecoder> =
+        carried_out(&problem, 2).casts[0].iter().map(|reading| reading.decoder).collect();
+    assert_eq!(by, [CastDecoder::Nominal, CastDecoder::Casts, CastDecoder::Inverse]);
 }
 
 /// Stopping an inverse decoder wherever it asks, and resuming, gives the same bits, and each cast once.
@@ -566,8 +569,8 @@ fn a_linear_brain_of_a_twin_is_judged_by_the_whole_holdout() {
 fn inverse_brains_stop_within_a_reading_and_go_on_to_the_same_bits() {
     let problem = inverted();
     let through = carried_out(&problem, 2);
-    let by: Vec<CastBrain> = through.casts[1].iter().map(|reading| reading.by).collect();
-    assert!(by.contains(&CastBrain::Twin(10)) && by.contains(&CastBrain::Inverse), "{by:?}");
+    let by: Vec<CastDecoder> = through.casts[1].iter().map(|reading| reading.decoder).collect();
+    assert!(by.contains(&CastDecoder::Twin(10)) && by.contains(&CastDecoder::Inverse), "{by:?}");
 
     let (mut state, mut patience, mut stops) = (None, 3, 0);
     let resumed = loop {

@@ -111,7 +111,7 @@ fn check_the_bound(problem: Problem, draws: usize) {
     let left = (fc.transpose() * &fc).trace() - decoder.dot(&cross);
     let least = 100.0 * total / n as f64 * left;
     assert!((found.mean / least - 1.0).abs() < 1e-3, "{} {least}", found.mean);
-    assert!(found.mean < 0.9 * found.deaf && found.mean > 0.1, "{found:?}");
+    assert!(found.mean < 0.9 * found.prior_only && found.mean > 0.1, "{found:?}");
 
     let mut stream = Stream::new(Purpose::Chip, 5, [7, 7]);
     let mut sum = 0.0;

@@ -108,7 +108,7 @@ fn the_first_unit_is_the_best_alone_on_every_lattice() {
         let off = (first.errors[0] / own.errors[0] - 1.0).abs();
         assert!(off < 1e-3 || first.energies != own.energies, "{what}: {first:?} {own:?}");
         if let Ok(two) = searched(&candidates, 2, 20.0) {
-            assert!(layout.apart(two.units[0], two.units[1], 20.0), "{what}: {two:?}");
+            assert!(layout.are_apart(two.units[0], two.units[1], 20.0), "{what}: {two:?}");
         }
     }
 }
@@ -152,7 +152,7 @@ pub(super) fn check_the_whole_gradient(mut problem: Problem, exact: bool) {
     let mut keeper = Keeper::default();
     let mut log = Log::new(0, &mut keeper);
     let mut state = State::new(&problem);
-    let gradient = Session::new(&trial).sense(&mut state, &mut log).unwrap().gradient;
+    let gradient = Session::new(&trial).train_and_differentiate(&mut state, &mut log).unwrap().gradient;
 
     let loss = |design: &[f64]| {
         let set = |forces| {
