@@ -320,7 +320,7 @@ fn claims_are_rated_by_what_was_put_into_the_database() {
     };
     assert_eq!(rating("K = 4: its error has an elbow at M = 2"), "holds");
     assert_eq!(rating("K = 4: the trained body with two sensors"), "holds");
-    assert_eq!(rating("K = 8: its error"), "not tried");
+    assert_eq!(rating("K = 8: its error"), "not tested");
     let out = folder.path().join("claims");
     let asked = ["analyse", "--question", "evidence", "--format", "csv", "--out-dir", out.to_str().unwrap()];
     let (ok, evidence, err) = metasense(&db, &asked);

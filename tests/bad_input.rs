@@ -276,7 +276,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "test = 4",
         "test = 4\noffset = -1",
-        "s.toml:13: stimuli.offset = -1: must lie between 0 and a quarter of a unit's diagonal, 3.1875 mm",
+        "s.toml:13: stimuli.offset = -1: must lie between 0 and 3.1875 mm, a quarter of a unit's diagonal",
     ),
     ("test = 4", "test = 4\noffset = 4.0", "s.toml:13: stimuli.offset = 4: must lie between 0 and a quarter"),
     ("test = 4", "test = 4\noffset = nan", "s.toml:13: stimuli.offset = nan: nan is not a finite number"),
@@ -321,7 +321,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "panels = [2]",
         "panels = [2]\npoints = [{ \"body.columns\" = 6 }, { \"body.columns\" = 7.5 }]",
-        "s.toml:15: body.columns = 7.5: must be a whole number from 0 up",
+        "s.toml:15: body.columns = 7.5: must be a whole number, at least 0",
     ),
     (
         "panels = [2]",
@@ -427,7 +427,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "sensors = [1, 2]",
         "sensors = [1]\n\"body.columns\" = [5, \"six\"]",
-        "s.toml:16: body.columns = \"six\": must be a whole number from 0 up",
+        "s.toml:16: body.columns = \"six\": must be a whole number, at least 0",
     ),
     (
         "panels = [2]",
@@ -470,11 +470,11 @@ const EDITS: &[(&str, &str, &str)] = &[
 const TABLES: &[(&str, &str)] = &[
     (
         "[variation]\nstretch = -0.1",
-        "s.toml:14: variation.stretch = -0.1: must be a standard deviation of the logarithm, from 0 to 1",
+        "s.toml:14: variation.stretch = -0.1: must be a standard deviation of the logarithm from 0 to 1",
     ),
     (
         "[variation]\nshear = { common = 0.05, ligament = -0.03 }",
-        "s.toml:14: variation.shear.ligament = -0.03: must be a standard deviation of the logarithm, from 0 to 1",
+        "s.toml:14: variation.shear.ligament = -0.03: must be a standard deviation of the logarithm from 0 to 1",
     ),
     (
         "[variation]\nbend = { common = nan, ligament = 0.03 }",
@@ -482,11 +482,11 @@ const TABLES: &[(&str, &str)] = &[
     ),
     (
         "[variation]\ndensity = { unit = 1.5 }",
-        "s.toml:14: variation.density.unit = 1.5: must be a standard deviation of the logarithm, from 0 to 1",
+        "s.toml:14: variation.density.unit = 1.5: must be a standard deviation of the logarithm from 0 to 1",
     ),
     (
         "[variation]\nligament_length = 0.4",
-        "s.toml:14: variation.ligament_length = 0.4: must be a standard deviation of the logarithm, from 0 to 0.316",
+        "s.toml:14: variation.ligament_length = 0.4: must be a standard deviation of the logarithm from 0 to 0.316",
     ),
     (
         "[variation]\nrelaxation = { share = -0.2, time = 0.01 }",
@@ -533,7 +533,7 @@ const TABLES: &[(&str, &str)] = &[
     ),
     (
         "[sensors]\ndelay = 0.01\n[time]\nsamples = 20000",
-        "s.toml:14: sensors.delay = 0.01: needs 8 instants of motion per reading: allowed up to time.samples = 12500",
+        "s.toml:14: sensors.delay = 0.01: needs 8 instants of motion per reading, so that time.samples must be at most 12500",
     ),
     (
         "[sensors]\nchannels = []",
@@ -549,7 +549,7 @@ const TABLES: &[(&str, &str)] = &[
     ),
     (
         "[variation]\ngain = 1.5",
-        "s.toml:14: variation.gain = 1.5: must be a standard deviation of the logarithm, from 0 to 1",
+        "s.toml:14: variation.gain = 1.5: must be a standard deviation of the logarithm from 0 to 1",
     ),
     (
         "[variation]\nmisalignment = -2.0",

@@ -145,7 +145,7 @@ fn a_run_does_what_it_is_asked_and_comes_to_the_same_results() {
     run.asked(&["workers", "2"], 0, "workers: 1 before, 2 from now on");
 
     run.asked(&["cancel", &hashes[0]], 1, "refused: the trial has already ended (cancelled)");
-    run.asked(&["next", "no-such"], 1, "refused: trial no-such: no trial begins so");
+    run.asked(&["next", "no-such"], 1, "refused: trial no-such: no hash begins with this text");
     run.asked(&["workers", "0"], 2, "0 is not in");
     run.asked(&["cancel", "a b"], 2, "unknown command");
     run.asked(&["dance"], 2, "unrecognized subcommand");
@@ -161,7 +161,7 @@ fn a_run_does_what_it_is_asked_and_comes_to_the_same_results() {
 
     run.asked(&["resume"], 0, "resumed; pending trials: 6\n");
     assert_eq!(run.wait(), Some(0), "{}", run.told());
-    run.asked(&["state"], 2, "no run holds s.sqlite");
+    run.asked(&["state"], 2, "s.sqlite is not used by a run");
     assert!(!bench.path("s.sqlite.control").exists());
 
     let table = std::fs::read_to_string(bench.path("said.csv")).unwrap();
@@ -215,7 +215,7 @@ fn what_runs_is_taken_back_and_what_is_killed_leaves_nothing_in_the_way() {
     run.child.kill().unwrap();
     run.child.wait().unwrap();
     assert!(bench.path("s.sqlite.control").exists());
-    run.asked(&["pause"], 2, "no run holds s.sqlite");
+    run.asked(&["pause"], 2, "s.sqlite is not used by a run");
     bench.output(&["run", "s.toml", "--db", "s.sqlite"]);
     assert!(!bench.path("s.sqlite.control").exists());
     assert_eq!(results(&bench, "s.sqlite"), whole());
@@ -292,7 +292,7 @@ fn a_run_that_is_steered_at_random_comes_to_the_same_results() {
             let (code, said) = run.asks(&command);
             // the run may end during the last command
             let late =
-                ["no run holds", "takes no commands", "without a reply"].iter().any(|why| said.contains(why));
+                ["is not used by a run", "takes no commands", "without a reply"].iter().any(|why| said.contains(why));
             assert!(matches!(code, Some(0 | 1)) || late, "{command:?}: {said}");
             commands += 1;
             let workers = children(run.child.id());

@@ -295,7 +295,7 @@ fn bad_calls_are_refused() {
         assert!(errors.contains(said), "{errors}\n{said}");
     }
     let output = bench.metasense(&["lab", "evaluate", "s.toml", "ffff", initial]);
-    assert!(String::from_utf8_lossy(&output.stderr).contains("no trial begins so"));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("no hash begins with this text"));
 }
 
 /// Killed after every network or two: the files of both bodies equal those of one uninterrupted call, and the stored progress

@@ -142,7 +142,7 @@ fn bad_records_and_sensors_are_refused() {
         (
             "threshold = 0.1",
             "threshold = 0.1, before = 0.0",
-            "stimuli.recorded.augment.shift = [-0.02, 0.02]: cuts force of 100 % of its peak off the beginning of record 0",
+            "stimuli.recorded.augment.shift = [-0.02, 0.02]: would cut off forces of 100 % of the peak at the beginning of record 0",
         ),
         (
             "threshold = 0.1",

@@ -267,7 +267,7 @@ fn what_disagrees_or_is_left_out_is_listed() {
     let bits = "error_initial error_optimised alpha_initial alpha_optimised forces network";
     let mut expected = vec![
         (Kind::Bits, hash(3), file(4), bits),
-        (Kind::Outcome, hash(1), file(5), "failed there (non_finite), done here"),
+        (Kind::Outcome, hash(1), file(5), "failed in the discarded copy (non_finite), done in the kept copy"),
         (Kind::LeftOut, hash(3), file(1), "pending (stopped): 1 attempts with 3 steps"),
         (Kind::LeftOut, hash(1), file(7), "pending (stopped): 1 attempts with 2 steps"),
         (Kind::LeftOut, hash(4), file(5), "failed (worker_killed(9)): 1 attempts with 1 steps"),

@@ -44,8 +44,8 @@ fn a_body_rings() {
     );
 
     refused(&bench, &["body", "modes", "s.toml", "--response", "16"], "--response 16: ");
-    refused(&bench, &["body", "modes", "s.toml", "--response", "0"], "unit 0: it is held");
-    refused(&bench, &["body", "modes", "s.toml", "zz"], "trial zz: no trial begins so");
+    refused(&bench, &["body", "modes", "s.toml", "--response", "0"], "unit 0: it is clamped");
+    refused(&bench, &["body", "modes", "s.toml", "zz"], "trial zz: no hash begins with this text");
     bench.file("loose.toml", &TINY.replacen("[time]", "clamp = []\n[time]", 1));
     let loose = json(&bench.output(&["body", "modes", "loose.toml", "--format", "json"]));
     assert!(loose[..3].iter().all(|mode| mode["frequency"] == 0.0), "{loose:?}");

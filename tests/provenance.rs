@@ -207,7 +207,7 @@ fn status_names_the_keys_by_which_a_trial_is_another() {
     let why = ["status", "other.toml", &other[..8], "--db", "results/tiny.sqlite", "--format", "csv"];
     assert_eq!(bench.output(&why), "key,here,nearest\noptimise.batch,3,4\noptimise.iterations,5,4\n");
     let said = said(&bench, &why);
-    let told = [&*other, "is not in", &hash, "2 keys differ", provenance::code(), "rustc 1.", "4 steps"];
+    let told = [&*other, "is not in", &hash, "differs in 2 keys", provenance::code(), "rustc 1.", "4 steps"];
     assert!(told.iter().all(|words| said.contains(words)), "{said}");
 }
 

@@ -308,7 +308,7 @@ async fn pages_with_a_token_steer_from_the_first_one_on() {
     let port = server.port;
     let own = format!("Host: localhost:{port}\r\nOrigin: http://localhost:{port}\r\nConnection: close\r\n");
     for (path, expected, told) in [
-        ("/0/control", 409, "no run holds"),
+        ("/0/control", 409, "is not used by a run"),
         ("/1/control", 409, "no database"),
         ("/2/control", 404, "folder of shards"),
         ("/3/control", 404, "no such database"),

@@ -95,7 +95,7 @@ fn hyperqueue_is_handed_shards() {
     let queue = "echo '{}'";
     let again = with_hq(&bench, queue, &["cluster", "submit", "hq", "s.toml", "--shards", "3"]);
     assert!(
-        again.status.code() == Some(2) && said(&again).contains("contains shards of 2"),
+        again.status.code() == Some(2) && said(&again).contains("contains a sweep of 2 shards"),
         "{}",
         said(&again)
     );

@@ -29,12 +29,12 @@ fn a_sweep_ends_when_it_knows_or_has_run_what_it_may() {
         String::from_utf8(out.stderr).unwrap()
     };
     let first = said(&["run", "s.toml", "--workers", "2"]);
-    assert!(first.contains("paired to 1000000 (K = 2), settled by 4 of 8 placements: "), "{first}");
+    assert!(first.contains("gain to a relative width of 1000000 (K = 2), answered after 4 of 8 placements: "), "{first}");
     let four = trials(&bench);
     assert_eq!(four.lines().count(), 1 + 2 * 4, "{four}");
     let again = said(&["run", "s.toml"]);
     assert!(
-        again.contains("settled by 4 of 8") && again.contains("nothing left to do: 8 trials settled"),
+        again.contains("answered after 4 of 8") && again.contains("nothing left to do: 8 trials settled"),
         "{again}"
     );
     assert_eq!(trials(&bench), four);
@@ -72,7 +72,7 @@ fn shards_end_when_one_run_does() {
     };
     let said = submit();
     assert!(
-        said.contains("8 trials in shards 1-2") && said.contains("settled by 4 of 8 placements"),
+        said.contains("8 trials in shards 1-2") && said.contains("answered after 4 of 8 placements"),
         "{said}"
     );
     assert_eq!(trials(&bench), whole);

@@ -133,7 +133,7 @@ def test_a_body_by_keywords_is_that_of_the_file(body, spec):
 def test_specs_and_hashes_that_are_none(spec, tmp_path):
     with pytest.raises(OSError, match="missing.toml"):
         metasense.Body.from_spec(tmp_path / "missing.toml")
-    with pytest.raises(ValueError, match="zzzz: no trial begins so"):
+    with pytest.raises(ValueError, match="zzzz: no hash begins with this text"):
         metasense.Body.from_spec(spec, "zzzz")
     wrong = tmp_path / "wrong.toml"
     wrong.write_text(spec.read_text().replace("columns = 3", "columns = 1"))

@@ -62,7 +62,7 @@ def test_a_twin_reads_its_cast(noisy, spec, tmp_path, rng):
         metasense.Inverse(body, other, twin=twin)
     moved = spec.parent / "moved.toml"
     moved.write_text(noisy.read_text().replace("columns = 3", "columns = 4"))
-    with pytest.raises(ValueError, match="twin: is of another body"):
+    with pytest.raises(ValueError, match="twin: belongs to another body"):
         metasense.Inverse(metasense.Body.from_spec(moved), twin=twin)
     with pytest.raises(ValueError, match="signals has shape"):
         body.twin(forces, signals[:-1])

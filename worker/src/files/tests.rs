@@ -68,7 +68,7 @@ fn what_nobody_reads_prevents_nothing() {
     let text = "t,f,f\n0,1,2\n";
     assert_eq!(columns(text, &numbered(&[2]), Form::default()), Ok(vec![vec![2.0]]));
     let error = columns(text, &numbered(&[3]), Form::default()).unwrap_err();
-    assert!(error.contains("has no column 3, but 0 to 2"), "{error}");
+    assert!(error.contains("has no column 3; columns are 0 to 2"), "{error}");
 }
 
 /// A first line of numbers is ambiguous, as is one that mixes words and numbers. Words, or the names to be read, make it a
@@ -265,7 +265,7 @@ fn arrays_of_real_numbers_are_read_and_others_named() {
         ),
         (npy("'<f8'", "(0, 3)", &[]), "contains no numbers: its shape is [0, 3]"),
         (npy("'|u1'", "(3,)", &[1, 2]), ""),
-        ([one.clone(), one].concat(), "contains more than its one array, of shape [1]"),
+        ([one.clone(), one].concat(), "contains data beyond its array of shape [1]"),
         (b"t,f\n0,1\n".to_vec(), "is not an NPY file"),
     ] {
         let error = array(&bytes).unwrap_err();

@@ -209,7 +209,7 @@ fn what_is_no_measured_record_is_refused_by_name() {
         (
             own,
             &beside("s.npy").replace("npy\"]", "npy\", \"s.npy\"]"),
-            "signals.files = 2 files: must be one for each of the 1",
+            "signals.files = 2 files: must contain one file for each of the 1",
         ),
         (own, &(beside("s.npy") + "time = \"t\"\n"), "signals.rate = 1000: set either time or rate"),
     ] {
@@ -271,7 +271,7 @@ fn a_record_is_read_once() {
     assert!(error.contains("signals.files = ") && error.contains("is the same record as"), "{error}");
     let forces = CSV.replace("[\"x\", \"y\", \"w\"]", "[\"F\", \"y\", \"w\"]");
     let error = folder.read(&forces, &trial).unwrap_err();
-    assert!(error.contains("contains the force as signal 0"), "{error}");
+    assert!(error.contains("signal 0 equals the force"), "{error}");
     let twice = CSV.replace("[\"x\", \"y\", \"w\"]", "[\"x\", \"x\", \"w\"]");
     let error = folder.read(&twice, &trial).unwrap_err();
     assert!(error.contains("x is read twice"), "{error}");
@@ -356,7 +356,7 @@ fn an_array_whose_axes_cannot_be_told_apart_is_refused() {
         let text = format!("[recorded]\nfiles = [\"f.npy\"]\nrate = 20.0\n[signals]\nfiles = [\"{name}\"]\n");
         let error = folder.read(&text, &trial).unwrap_err();
         assert!(
-            error.contains(name) && error.contains("signals.files = ") && error.contains("is of shape"),
+            error.contains(name) && error.contains("signals.files = ") && error.contains("has shape"),
             "{error}"
         );
     }

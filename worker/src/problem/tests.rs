@@ -337,7 +337,7 @@ fn compression_moves_what_is_held() {
     let ends = with(&[("body.clamp", json!("ends")), ("panel_units", json!([6, 23]))]);
     assert!(ends.is_ok_and(|scene| scene.clamped.len() == 12 && scene.pressed.is_empty()));
     let refused = [
-        (vec![("body.compression", json!([0.0, 0.1]))], "body.compression", "all held units are at one y"),
+        (vec![("body.compression", json!([0.0, 0.1]))], "body.compression", "all held units have the same y"),
         (
             vec![sides.clone(), ("body.compression", json!([0.6, 0.0]))],
             "body.compression",

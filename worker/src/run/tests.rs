@@ -22,7 +22,7 @@ fn every_trouble_is_a_cause_of_its_own() {
         let failure = Failure::from(trial::Failure::Stuck(3, *trouble));
         let Failure::Numerical { cause, detail } = failure else { panic!("{failure:?}") };
         assert_eq!(cause.name(), trouble.name());
-        assert!(detail.starts_with("3 steps in a row taken back: "), "{detail}");
+        assert!(detail.starts_with("3 consecutive steps were undone: "), "{detail}");
     }
     assert_eq!(all.len(), Cause::ALL.len());
     assert!(Cause::ALL.iter().all(|cause| Trouble::named(cause.name()).is_some()));

@@ -64,13 +64,13 @@ fn a_factor_is_held_against_its_interval() {
         assert_eq!(summary(&evidence).1, Some(Rating::Holds), "{factor}");
     }
     let both = [of("linear", 2.5, 5), of("cnn", 0.7, 5)].concat();
-    assert_eq!(rated(0, &both), ("depends: holds with linear · fails with cnn".into(), None));
-    assert_eq!(rated(3, &both), ("not tried".into(), None));
+    assert_eq!(rated(0, &both), ("depends on the decoder: holds with linear · fails with cnn".into(), None));
+    assert_eq!(rated(3, &both), ("not tested".into(), None));
     // other lattices are no evidence for the claims
     let mut others = of("linear", 2.5, 5);
     let own = json!({"body": {"layout": "planar", "lattice": "kagome"}, "stimuli": {"kind": "bell"}});
     others.iter_mut().for_each(|t| t.setting = flatten(&own).into_iter().collect());
-    assert_eq!(rated(0, &others), ("not tried".into(), None));
+    assert_eq!(rated(0, &others), ("not tested".into(), None));
 }
 
 /// Two findings with p-values of 4 % are adjusted to 8 %; one of 0.1 % stays significant.

@@ -62,7 +62,7 @@ fn votes_are_split_where_placements_disagree() {
     let [three, four] = [3.0, 4.0].map(|m| found.within.share(m).unwrap());
     assert!(three > 0.3 && four > 0.2 && (three + four - 1.0).abs() < 1e-12, "{found:?}");
     let few = decisions(&curve(&[30.0, 20.0], 3), Terms::default()).unwrap();
-    assert_eq!((few.within.votes, &few.over[..]), (None, "too few to tell: 3 placements"));
+    assert_eq!((few.within.votes, &few.over[..]), (None, "no interval, too few units: 3 placements"));
 }
 
 /// In an incomplete grid of four placements and four seeds, replicates without trials at some M have no vote.

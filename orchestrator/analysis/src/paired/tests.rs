@@ -14,7 +14,7 @@ fn the_ratio_of_known_pairs_with_student_s_interval() {
     assert!((interval.low.ln() - (0.8 - half)).abs() < 1e-9, "{interval:?}");
     assert!((interval.high.ln() - (0.8 + half)).abs() < 1e-9, "{interval:?}");
     let few = of_seeds(&logs[..3]).unwrap();
-    assert_eq!((few.interval, &few.over[..]), (None, "too few to tell: 3 seeds"));
+    assert_eq!((few.interval, &few.over[..]), (None, "no interval, too few units: 3 seeds"));
     assert_eq!(of_seeds(&[]), None);
 }
 

@@ -27,7 +27,7 @@ fn random_bodies_are_compared_with_those_of_their_sensors_and_stimuli() {
     let optimised = optimised.unwrap();
     assert!((optimised.ratio / (2.0 * truth) - 1.0).abs() < 1e-12, "{found:?}");
     assert_eq!((found.errors.len(), found.trained.len(), optimised.above_one), (4, 4, 4));
-    assert_eq!(optimised.over, "too few to tell: 2 bodies × 2 placements");
+    assert_eq!(optimised.over, "no interval, too few units: 2 bodies × 2 placements");
     assert_eq!(random(&trials[..2], Set::Holdout), None);
     assert_eq!(random(&trials[2..], Set::Holdout), None);
 }

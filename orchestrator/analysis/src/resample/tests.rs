@@ -31,9 +31,9 @@ fn replicates_vary_as_means_do() {
 #[test]
 fn fewer_than_four_units_of_every_kind_are_too_few_to_tell() {
     for (placements, seeds, over) in [
-        (1, 1, "too few to tell: 1 placement × 1 seed"),
-        (3, 1, "too few to tell: 3 placements"),
-        (3, 2, "too few to tell: 3 placements × 2 seeds"),
+        (1, 1, "no interval, too few units: 1 placement × 1 seed"),
+        (3, 1, "no interval, too few units: 3 placements"),
+        (3, 2, "no interval, too few units: 3 placements × 2 seeds"),
         (5, 1, "5 placements"),
         (1, 4, "4 seeds"),
         (5, 3, "5 placements at 3 seeds"),

@@ -45,7 +45,7 @@ fn the_interval_of_a_median_is_open_where_runs_never_got_there() {
     assert_eq!(all.median, Some(6.0));
     assert_eq!(of(false, 6).ends, [Some(low), None]);
     let few = of(true, 5);
-    assert_eq!((few.ends, &few.over[..]), ([None; 2], "too few to tell: 5 placements"));
+    assert_eq!((few.ends, &few.over[..]), ([None; 2], "no interval, too few units: 5 placements"));
 }
 
 #[test]

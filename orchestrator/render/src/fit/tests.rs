@@ -21,7 +21,7 @@ fn wide(rows: usize) -> Table {
             "31 34",
             "13 20",
             1e300,
-            "too few to tell: 1 placement × 1 seed\nand another line of it"
+            "no interval, too few units: 1 placement × 1 seed\nand another line of it"
         ]
     };
     Table::new(columns, (0..rows).map(row))
