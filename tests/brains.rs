@@ -77,16 +77,16 @@ fn a_body_is_read_by_its_own_model() {
     let bands = rows(&bench, bands);
     let own = |body: &str| vec![body.to_owned(), "own".into(), "2".into(), "1".into(), "1".into()];
     assert_eq!(bands, [own("initial"), own("optimised")]);
-    let one = Bench::new();
-    one.file("s.toml", &spec);
-    one.output(&["run", "s.toml", "--workers", "1", "--threads", "2"]);
+    let second_bench = Bench::new();
+    second_bench.file("s.toml", &spec);
+    second_bench.output(&["run", "s.toml", "--workers", "1", "--threads", "2"]);
     for all in [
         "SELECT * FROM v_cast ORDER BY 1, body, reader, records",
         "SELECT * FROM v_band ORDER BY 1, body, reader, kind",
     ] {
-        assert_eq!(rows(&bench, all), rows(&one, all));
+        assert_eq!(rows(&bench, all), rows(&second_bench, all));
     }
-    assert_eq!(rows(&bench, errors), rows(&one, errors));
+    assert_eq!(rows(&bench, errors), rows(&second_bench, errors));
     let hash = &rows(&bench, "SELECT hash FROM v_trial")[0][0];
     // `evaluate` decodes the same held-out set with the same decoder
     let call = ["lab", "evaluate", "results/tiny.sqlite", hash, "--records", "initial=holdout", "--records"];

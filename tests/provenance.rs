@@ -137,7 +137,7 @@ async fn a_result_outlives_one_that_was_thrown_away_elsewhere() {
     change(&b, "UPDATE attempt SET code = 'f00d'").await;
     let plan = Plan::new("tiny.toml", TINY.into()).unwrap();
     let mut store = Store::open(&b).await.unwrap();
-    store.set_provenance(provenance::here(1));
+    store.set_provenance(provenance::this_machine(1));
     let hashes: Vec<&str> = plan.trials.iter().map(|trial| trial.hash.as_str()).collect();
     assert_eq!(store.redo_other_code(&hashes).await.unwrap(), hashes.len());
     store.close().await.unwrap();
@@ -156,7 +156,7 @@ async fn a_trial_of_two_codes_names_both() {
     let (db, hash) = (bench.path("s.sqlite"), &plan.trials[0].hash);
     let open = async || {
         let mut store = Store::open(&db).await.unwrap();
-        store.set_provenance(provenance::here(1));
+        store.set_provenance(provenance::this_machine(1));
         store.begin_sweep(&plan.spec, SPEC, &plan.trials).await.unwrap();
         store
     };

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use crate::common::processes::{eventually, kill};
 use crate::common::{Bench, SPEC, TINY, results};
-use metasense::fleet::{Seen, workers_of};
+use metasense::fleet::{WorkerProcess, workers_of};
 use metasense::plan::Plan;
 use metasense::store::Store;
 use metasense_schemas::record::{Checkpoint, StepRecord};
@@ -277,7 +277,7 @@ fn a_machine_on_which_trials_die_one_after_the_other_fails_none_of_them() {
     let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
     let kill_workers = || {
         // A worker with a trial has the trial's hash as its name.
-        let is_busy = |worker: &Seen| worker.name.bytes().all(|byte| byte.is_ascii_hexdigit());
+        let is_busy = |worker: &WorkerProcess| worker.name.bytes().all(|byte| byte.is_ascii_hexdigit());
         for worker in workers_of(child.id()).into_iter().filter(is_busy) {
             kill(worker.pid, libc::SIGKILL);
         }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use metasense::plan::Plan;
-use metasense::serve::{Address, Served, Source, Token, serve};
+use metasense::serve::{Address, ServerState, Source, Token, serve};
 use metasense::store::{Level, Store};
 use metasense_schemas::record::{Checkpoint, StepRecord};
 use sqlx::sqlite::SqliteConnectOptions;
@@ -34,7 +34,7 @@ const PAGES: [&str; 8] = [
 /// Serves databases until it is dropped.
 pub struct Server {
     pub port: u16,
-    pub served: Arc<Served>,
+    pub served: Arc<ServerState>,
     task: tokio::task::JoinHandle<()>,
 }
 
@@ -51,7 +51,7 @@ impl Server {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let port = listener.local_addr().unwrap().port();
         let sources = dbs.iter().map(|db| Source::new(db).unwrap()).collect();
-        let served = Served::new(sources, Token::of("key"), token, address);
+        let served = ServerState::new(sources, Token::of("key"), token, address);
         let task = tokio::spawn(serve(listener, Arc::clone(&served)));
         Self { port, served, task }
     }

@@ -18,13 +18,13 @@ fn after(bench: &Bench, before: &str, arguments: &str) -> Command {
     command
 }
 
-fn said(output: &Output) -> String {
+fn stderr_text(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
 /// Checks for exit code 5, the limit's name, and no failed trial.
 fn refused(bench: &Bench, output: &Output, limit: &str) {
-    let message = said(output);
+    let message = stderr_text(output);
     assert_eq!(output.status.code(), Some(5), "{limit}: {message}");
     assert!(message.contains(limit), "{limit}: {message}");
     let db = bench.path("results/tiny.sqlite");
@@ -53,7 +53,7 @@ fn limits_of_the_shell_are_named_before_the_first_worker_starts() {
         refused(&bench, &after(&bench, before, run).output().unwrap(), limit);
     }
     let done = after(&bench, "ulimit -Ss 64; ulimit -Sn 30", run).output().unwrap();
-    assert!(done.status.success(), "what may be raised is: {}", said(&done));
+    assert!(done.status.success(), "what may be raised is: {}", stderr_text(&done));
 }
 
 /// The kernel limits the threads of all users except root.
@@ -74,7 +74,7 @@ fn a_limit_on_threads_is_named_before_the_first_worker_starts() {
     refused(&bench, &run(1, 1), "ulimit -u");
     refused(&bench, &run(60, 60), "ulimit -u");
     let done = run(60, 1);
-    assert!(done.status.success(), "{}", said(&done));
+    assert!(done.status.success(), "{}", stderr_text(&done));
 }
 
 /// Mounted disks that are full, without inodes, or noexec; and a small shared memory.
@@ -104,11 +104,11 @@ fn disks_without_room_are_named_before_the_first_worker_starts() {
         "df -i",
     );
     let submitted = call("-o noexec tmpfs results", "cluster submit local tiny.toml --shards 2 --cpus 1");
-    assert_eq!(submitted.status.code(), Some(2), "{}", said(&submitted));
+    assert_eq!(submitted.status.code(), Some(2), "{}", stderr_text(&submitted));
     assert!(
-        said(&submitted).contains("noexec") && said(&submitted).contains("--folder"),
+        stderr_text(&submitted).contains("noexec") && stderr_text(&submitted).contains("--folder"),
         "{}",
-        said(&submitted)
+        stderr_text(&submitted)
     );
 }
 
@@ -120,8 +120,8 @@ fn a_trial_that_the_machine_has_no_memory_for_stays_pending() {
     let text = TINY.replace("sensors = [1, 2]", "sensors = [4]").replace("samples = 20", "samples = 250");
     bench.file("tiny.toml", &text.replace("[sweep]", "[run]\nretries = 1\nbackoff = 0.1\n[sweep]"));
     let short = after(&bench, "ulimit -d 122880", "run tiny.toml --workers 1").output().unwrap();
-    assert_eq!(short.status.code(), Some(5), "{}", said(&short));
-    assert!(said(&short).contains("memory allocation of"), "{}", said(&short));
+    assert_eq!(short.status.code(), Some(5), "{}", stderr_text(&short));
+    assert!(stderr_text(&short).contains("memory allocation of"), "{}", stderr_text(&short));
     let rows = |sql: &str| bench.output(&["query", "results/tiny.sqlite", sql, "--format", "csv"]);
     assert_eq!(rows("SELECT DISTINCT state FROM v_trial"), "state\npending\n");
     assert_eq!(rows("SELECT reason FROM v_attempt"), "reason\nout_of_memory\nout_of_memory\n");

@@ -68,7 +68,7 @@ fn with_hq(bench: &Bench, script: &str, arguments: &[&str]) -> Output {
     command.args(arguments).current_dir(bench.path("")).env("PATH", path).output().unwrap()
 }
 
-fn said(output: &Output) -> String {
+fn stderr_text(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
@@ -80,8 +80,8 @@ fn hyperqueue_is_handed_shards() {
     let call = |arguments: &[&str]| {
         let hq = "case \"$*\" in *task\\ list*) echo '{}';; *) echo \"$@\" >> calls; echo 7;; esac";
         let output = with_hq(&bench, hq, arguments);
-        assert!(output.status.success(), "{}", said(&output));
-        said(&output)
+        assert!(output.status.success(), "{}", stderr_text(&output));
+        stderr_text(&output)
     };
     call(&["cluster", "submit", "hq", "s.toml", "--shards", "2", "--", "--pin", "taskset"]);
     let calls = std::fs::read_to_string(bench.path("calls")).unwrap();
@@ -95,9 +95,9 @@ fn hyperqueue_is_handed_shards() {
     let queue = "echo '{}'";
     let again = with_hq(&bench, queue, &["cluster", "submit", "hq", "s.toml", "--shards", "3"]);
     assert!(
-        again.status.code() == Some(2) && said(&again).contains("contains a sweep of 2 shards"),
+        again.status.code() == Some(2) && stderr_text(&again).contains("contains a sweep of 2 shards"),
         "{}",
-        said(&again)
+        stderr_text(&again)
     );
     let status = call(&["status", "--folder"]);
     assert!(status.contains("0 of 2 shards complete"), "{status}");
@@ -109,14 +109,14 @@ fn what_was_accepted_is_written_down() {
     let bench = Bench::new();
     bench.file("s.toml", SPEC);
     let output = with_hq(&bench, "echo 7", &["cluster", "submit", "hq", "s.toml", "--shards", "2"]);
-    assert!(output.status.success(), "{}", said(&output));
+    assert!(output.status.success(), "{}", stderr_text(&output));
     let running = r#"echo '{"7": [{"id": 1, "state": "running"}, {"id": 2, "state": "waiting"}]}'"#;
     let status = with_hq(&bench, running, &["status", "--folder"]);
-    assert!(said(&status).contains("2 in the queue"), "{}", said(&status));
+    assert!(stderr_text(&status).contains("2 in the queue"), "{}", stderr_text(&status));
     std::fs::create_dir_all(bench.path("no/jobs.jsonl")).unwrap();
     let output =
         with_hq(&bench, "touch called; echo 8", &["cluster", "submit", "hq", "s.toml", "--folder", "no"]);
-    assert!(output.status.code() == Some(3) && !bench.path("called").exists(), "{}", said(&output));
+    assert!(output.status.code() == Some(3) && !bench.path("called").exists(), "{}", stderr_text(&output));
 }
 
 /// Runs the written script in a shell: a folder's name may contain any character of a line.
@@ -130,7 +130,7 @@ fn no_part_of_a_folder_is_run() {
         "echo 7",
         &["cluster", "submit", "hq", "s.toml", "--shards", "1", "--folder", folder],
     );
-    assert!(output.status.success(), "{}", said(&output));
+    assert!(output.status.success(), "{}", stderr_text(&output));
     // Damaged, so that the shard ends at once.
     std::fs::write(bench.path(folder).join("shard-1-of-1.trials.jsonl"), "{}\n").unwrap();
     for script in ["shard.sh", "merge.sh"] {
@@ -147,7 +147,11 @@ fn no_part_of_a_folder_is_run() {
         let args =
             ["cluster", "submit", scheduler, "s.toml", "--shards", "1", "--folder", folder, "--dry-run"];
         let output = bench.metasense(&args);
-        assert!(output.status.code() == Some(2) && said(&output).contains("folder"), "{}", said(&output));
+        assert!(
+            output.status.code() == Some(2) && stderr_text(&output).contains("folder"),
+            "{}",
+            stderr_text(&output)
+        );
     }
 }
 
@@ -167,8 +171,8 @@ fn what_the_queue_still_has_is_left_out() {
         let _ = std::fs::remove_file(bench.path("calls"));
         let output =
             with_hq(&bench, &tasks(states), &[&["cluster", "submit", "hq", "s.toml"], more].concat());
-        assert!(output.status.success(), "{}", said(&output));
-        (said(&output), std::fs::read_to_string(bench.path("calls")).unwrap_or_default())
+        assert!(output.status.success(), "{}", stderr_text(&output));
+        (stderr_text(&output), std::fs::read_to_string(bench.path("calls")).unwrap_or_default())
     };
     bench.file("id", "7\n");
     call("", &["--shards", "2"]);
@@ -188,7 +192,11 @@ fn what_the_queue_still_has_is_left_out() {
     assert_eq!(calls, "");
     for (broken, expected) in [("echo broken >&2; exit 1", "broken"), ("echo 7", "unexpected output")] {
         let output = with_hq(&bench, broken, &["cluster", "submit", "hq", "s.toml"]);
-        assert!(output.status.code() == Some(3) && said(&output).contains(expected), "{}", said(&output));
+        assert!(
+            output.status.code() == Some(3) && stderr_text(&output).contains(expected),
+            "{}",
+            stderr_text(&output)
+        );
     }
     // Slurm: an unreachable controller, and one that has forgotten the job.
     bench
@@ -200,9 +208,13 @@ fn what_the_queue_still_has_is_left_out() {
     };
     let away =
         squeue("#!/bin/sh\necho 'slurm_load_jobs error: Unable to contact slurm controller' >&2; exit 1\n");
-    assert!(away.status.code() == Some(3) && said(&away).contains("Unable to contact"), "{}", said(&away));
+    assert!(
+        away.status.code() == Some(3) && stderr_text(&away).contains("Unable to contact"),
+        "{}",
+        stderr_text(&away)
+    );
     let forgotten = squeue("#!/bin/sh\necho 'slurm_load_jobs error: Invalid job id specified' >&2; exit 1\n");
-    assert!(forgotten.status.success(), "{}", said(&forgotten));
+    assert!(forgotten.status.success(), "{}", stderr_text(&forgotten));
 }
 
 /// A submitted shard runs the trials noted for it: it does not expand the spec, and later edits have no effect. `status` counts the
@@ -212,7 +224,7 @@ fn a_submitted_shard_runs_the_trials_that_were_written_down() {
     let bench = Bench::new();
     bench.file("tiny.toml", &(TINY.to_owned() + "seeds = [1, 2]\n"));
     let hq = "case \"$*\" in *task\\ list*) echo '{}';; *) echo 7;; esac";
-    let call = |arguments: &[&str]| said(&with_hq(&bench, hq, arguments));
+    let call = |arguments: &[&str]| stderr_text(&with_hq(&bench, hq, arguments));
     call(&["cluster", "submit", "hq", "tiny.toml", "--shards", "2"]);
     let folder = "results/tiny.shards";
     let trials = |shard: u32| {
@@ -228,16 +240,16 @@ fn a_submitted_shard_runs_the_trials_that_were_written_down() {
         trials(2).lines().map(|line| line.split('"').nth(3).unwrap()[..8].to_owned()).collect();
     hashes.sort();
     assert!(status.contains(&format!("never started: 2 trials ({})", hashes.join(", "))), "{status}");
-    let early = said(&bench.metasense(&["cluster", "merge", folder, "--out", "early.sqlite"]));
+    let early = stderr_text(&bench.metasense(&["cluster", "merge", folder, "--out", "early.sqlite"]));
     assert!(early.contains("never started: 2 trials"), "{early}");
     // A line that does not match its trial.
     let file = bench.path(&format!("{folder}/shard-2-of-2.trials.jsonl"));
     std::fs::write(&file, trials(2).replacen("\"seed\":", "\"seed\":7", 1)).unwrap();
     let refused = shard("2/2");
     assert!(
-        refused.status.code() == Some(2) && said(&refused).contains("jsonl:1: trial"),
+        refused.status.code() == Some(2) && stderr_text(&refused).contains("jsonl:1: trial"),
         "{}",
-        said(&refused)
+        stderr_text(&refused)
     );
     std::fs::remove_file(&file).unwrap();
     assert!(shard("2/2").status.success());
@@ -254,7 +266,7 @@ fn failed_trials_are_told_and_run_again_on_request() {
         .replace("samples = 20", "samples = 250");
     bench.file("tiny.toml", &text.replace("[sweep]", "[run]\nmemory = 120\n[sweep]"));
     let hq = "case \"$*\" in *task\\ list*) echo '{}';; *) echo \"$@\" >> calls; echo 7;; esac";
-    let call = |arguments: &[&str]| said(&with_hq(&bench, hq, arguments));
+    let call = |arguments: &[&str]| stderr_text(&with_hq(&bench, hq, arguments));
     call(&["cluster", "submit", "hq", "tiny.toml", "--shards", "1"]);
     let folder = "results/tiny.shards";
     let spec = format!("{folder}/spec.toml");
@@ -285,7 +297,7 @@ fn options_that_nobody_has_are_refused_at_once() {
     ] {
         let words: Vec<&str> = ["cluster", "submit"].into_iter().chain(arguments.split(' ')).collect();
         let output = bench.metasense(&words);
-        let message = said(&output);
+        let message = stderr_text(&output);
         assert!(output.status.code() == Some(2) && message.contains(expected), "{arguments}: {message}");
         assert!(!bench.path("results").exists(), "{arguments}");
     }
@@ -341,7 +353,7 @@ fn what_waits_is_run_by_the_program_that_was_submitted() {
     let submit = |queue: &str| {
         let hq = format!("case \"$*\" in *task\\ list*) echo '{queue}';; *) echo 7;; esac");
         let output = with_hq(&bench, &hq, &["cluster", "submit", "hq", "s.toml", "--shards", "2"]);
-        assert!(output.status.success(), "{}", said(&output));
+        assert!(output.status.success(), "{}", stderr_text(&output));
     };
     submit("{}");
     let [copy] = &copies()[..] else { panic!("{:?}", copies()) };
@@ -386,22 +398,23 @@ fn shards_on_this_machine_are_the_sweep() {
     let log = |i: u32| bench.path(&format!("results/tiny.shards/shard-{i}-of-2.log"));
     let begun = |i| std::fs::read_to_string(log(i)).unwrap_or_default().contains("worker started");
     eventually(Duration::from_secs(60), || (begun(1) && begun(2)).then_some(())).expect("both shards begin");
-    let status = said(&bench.metasense(&["status", "--folder"]));
+    let status = stderr_text(&bench.metasense(&["status", "--folder"]));
     assert!(status.contains("`cluster submit` is running them now"), "{status}");
     let second = submit().wait_with_output().unwrap();
     assert!(
-        second.status.code() == Some(3) && said(&second).contains("another `metasense cluster submit`"),
+        second.status.code() == Some(3)
+            && stderr_text(&second).contains("another `metasense cluster submit`"),
         "{}",
-        said(&second)
+        stderr_text(&second)
     );
     kill(first.id(), libc::SIGTERM);
     let first = first.wait_with_output().unwrap();
-    assert_eq!(first.status.code(), Some(4), "{}", said(&first));
-    assert!(said(&first).contains("left: shards 1-2"), "{}", said(&first));
+    assert_eq!(first.status.code(), Some(4), "{}", stderr_text(&first));
+    assert!(stderr_text(&first).contains("left: shards 1-2"), "{}", stderr_text(&first));
     let again = submit().wait_with_output().unwrap();
-    assert_eq!(again.status.code(), Some(0), "{}", said(&again));
+    assert_eq!(again.status.code(), Some(0), "{}", stderr_text(&again));
     assert_eq!(results(&bench, "results/tiny.sqlite"), results(&bench, "whole.sqlite"));
     assert_eq!(bench.path("tmp").read_dir().unwrap().count(), 0, "nothing is left on the machine");
-    let status = said(&bench.metasense(&["status", "--folder"]));
+    let status = stderr_text(&bench.metasense(&["status", "--folder"]));
     assert!(status.contains("2 of 2 shards complete"), "{status}");
 }

@@ -197,7 +197,7 @@ fn total(values: &BTreeMap<String, Option<f64>>) -> f64 {
 }
 
 /// SQL for one number per trial, from its rows of a view.
-fn own(number: &str, view: &str, and: &str, of: &str) -> String {
+fn per_trial_sql(number: &str, view: &str, and: &str, of: &str) -> String {
     format!("SELECT t.hash, (SELECT {number} FROM {view} x WHERE x.hash = t.hash {and}) FROM trial t {of}")
 }
 
@@ -207,7 +207,7 @@ const DONE: &str = "WHERE t.state = 'done'";
 async fn seconds_agree(reader: &mut Reader, finished: &[Trial]) {
     let of = |number: &dyn Fn(&Trial) -> Option<f64>| of_trials(finished, number);
     let seconds = by_trial(reader, "SELECT hash, seconds FROM v_trial").await;
-    let attempts = own("sum(cpu_seconds)", "v_attempt", "AND NOT x.redone", "");
+    let attempts = per_trial_sql("sum(cpu_seconds)", "v_attempt", "AND NOT x.redone", "");
     same("seconds of attempts", &seconds, &by_trial(reader, &attempts).await);
     let done = by_trial(reader, &format!("SELECT hash, seconds FROM v_trial t {DONE}")).await;
     same("seconds of `analyse`", &done, &of(&|trial| Some(trial.spent)));
@@ -218,12 +218,14 @@ async fn seconds_agree(reader: &mut Reader, finished: &[Trial]) {
         let parts: f64 = row[first.min(all + 1)..].iter().filter_map(serde_json::Value::as_f64).sum();
         assert!((row[all].as_f64().unwrap() - parts).abs() < 1e-9, "{row:?}");
     }
-    let (steps, times) =
-        (own("sum(seconds)", "v_step", "", DONE), own("max(seconds)", "v_error_time", "", DONE));
+    let (steps, times) = (
+        per_trial_sql("sum(seconds)", "v_step", "", DONE),
+        per_trial_sql("max(seconds)", "v_error_time", "", DONE),
+    );
     let times = by_trial(reader, &times).await;
     same("seconds of steps", &by_trial(reader, &steps).await, &times);
     same("time to an error", &times, &of(&|trial| trial.history.last().map(|last| last.0)));
-    let best = by_trial(reader, &own("min(best_error_test)", "v_error_time", "", DONE)).await;
+    let best = by_trial(reader, &per_trial_sql("min(best_error_test)", "v_error_time", "", DONE)).await;
     same("best error", &best, &of(&|trial| trial.history.last().map(|last| last.1)));
 }
 
@@ -240,22 +242,22 @@ async fn errors_agree(reader: &mut Reader, finished: &[Trial]) {
             let view = by_trial(reader, &format!("SELECT hash, {column} FROM v_trial t {DONE}")).await;
             same(&column, &view, &of(&|trial| trial.error(body, set)));
             let ordinary = format!("{of_body} AND x.network < t.spec->>'$.evaluation.seeds'");
-            let networks = own(&format!("avg({of_network})"), "v_network", &ordinary, DONE);
+            let networks = per_trial_sql(&format!("avg({of_network})"), "v_network", &ordinary, DONE);
             same(&format!("{column} of networks"), &view, &by_trial(reader, &networks).await);
         }
         let linear = format!("SELECT hash, linear_holdout_error_{name} FROM v_trial t {DONE}");
         let linear = by_trial(reader, &linear).await;
-        let readings = own("error_holdout", "v_reading", &format!("{of_body} AND x.whole"), DONE);
+        let readings = per_trial_sql("error_holdout", "v_reading", &format!("{of_body} AND x.whole"), DONE);
         same("linear brain", &linear, &by_trial(reader, &readings).await);
         same("linear brain", &linear, &of(&|trial| trial.readings.first().and_then(|r| r.errors[b][1])));
         for (q, place) in [(50, 0), (90, 1)] {
-            let view = own(&format!("percentile(error, {q})"), "v_cast", &of_body, DONE);
+            let view = per_trial_sql(&format!("percentile(error, {q})"), "v_cast", &of_body, DONE);
             let quantile = |t: &Trial| t.casts.iter().find(|c| c.body == body).map(|c| c.errors[place]);
             same("casts", &by_trial(reader, &view).await, &of(&quantile));
         }
-        let covered = own("avg(instants_covered)", "v_cast", &of_body, "");
+        let covered = per_trial_sql("avg(instants_covered)", "v_cast", &of_body, "");
         let of_casts = format!("{of_body} AND x.kind = 'instant' AND x.casting IS NOT NULL");
-        let bands = own("avg(coverage)", "v_band", &of_casts, "");
+        let bands = per_trial_sql("avg(coverage)", "v_band", &of_casts, "");
         same("coverage", &by_trial(reader, &covered).await, &by_trial(reader, &bands).await);
     }
 }
@@ -269,8 +271,8 @@ async fn counts_agree(reader: &mut Reader, db: &Path) {
         }
         found.try_into().unwrap()
     };
-    same("steps", &steps, &by_trial(reader, &own("count(*)", "v_step", "", "")).await);
-    same("attempts", &attempts, &by_trial(reader, &own("count(*)", "v_attempt", "", "")).await);
+    same("steps", &steps, &by_trial(reader, &per_trial_sql("count(*)", "v_step", "", "")).await);
+    same("attempts", &attempts, &by_trial(reader, &per_trial_sql("count(*)", "v_attempt", "", "")).await);
     let words = ["status", db.to_str().unwrap(), "--format", "json"];
     let status = std::process::Command::new(env!("CARGO_BIN_EXE_metasense")).args(words).output().unwrap();
     let status: Vec<BTreeMap<String, serde_json::Value>> = serde_json::from_slice(&status.stdout).unwrap();

@@ -184,6 +184,6 @@ async fn a_body_is_handed_on() {
     store.finish(first, 1, &crate::store::result(), &[]).await.unwrap();
     let found = store.resume_checkpoint(second, 2, None).await.unwrap().expect("a body");
     let steps = trials[0].spec.optimise.steps() as u32;
-    assert_eq!(found, Checkpoint::trained(steps, vec![0.5; 168], 3));
+    assert_eq!(found, Checkpoint::after_training(steps, vec![0.5; 168], 3));
     store.close().await.unwrap();
 }

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 
 use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{
-    Body, Design, Disturbance, LayoutKind, NotOne, Own, Point, Run, Search, SearchFrom, Sensors, Stimuli,
+    Body, Design, Disturbance, HashError, LayoutKind, Own, Point, Run, Search, SearchFrom, Sensors, Stimuli,
     SweepSpec, Training, TrialSpec, position_of,
 };
 use metasense_worker::demands::memory;
@@ -112,7 +112,7 @@ impl Plan {
     ///
     /// # Errors
     /// If no trial or several match.
-    pub fn find(&self, hash: &str) -> Result<&Trial, NotOne> {
+    pub fn find(&self, hash: &str) -> Result<&Trial, HashError> {
         let at = position_of(hash, self.trials.iter().map(|trial| trial.hash.as_str()))?;
         Ok(&self.trials[at])
     }
@@ -279,7 +279,7 @@ fn add_points(
     points: &mut Vec<PointPlan>,
 ) -> Result<(), SpecError> {
     let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
-    let (spec, scale) = size::of_size(&with_file(&combination.spec, source)?).map_err(located)?;
+    let (spec, scale) = size::scale_to_size(&with_file(&combination.spec, source)?).map_err(located)?;
     let layout = layout(&spec.body).map_err(located)?;
     let spec = &SweepSpec {
         body: Body {
@@ -301,7 +301,8 @@ fn add_points(
     let clamped = problem::clamped(&spec.body, &layout).map_err(located)?;
     let searched = spec.sensors.search.is_some_and(|search| search != Search::Random);
     spec.sensors.placements.as_ref().map_or(Ok(()), |lists| check_placements(lists, source))?;
-    let drawn = sweep.sweep.placements * if sweep.sweep.own_placements { sweep.sweep.seeds.len() } else { 1 };
+    let placement_count =
+        sweep.sweep.placements * if sweep.sweep.own_placements { sweep.sweep.seeds.len() } else { 1 };
     if sweep.sweep.own_placements && (searched || spec.sensors.placements.is_some()) {
         return Err(source.error(
             "sweep.own_placements",
@@ -309,13 +310,13 @@ fn add_points(
         ));
     }
     // keep only the units that carry sensors: there may be a million placements
-    let most = spec.sweep.sensors.iter().copied().max().unwrap_or_default();
+    let max_sensors = spec.sweep.sensors.iter().copied().max().unwrap_or_default();
     let order = |p: usize| {
         let mut order = placement(&spec.body, &layout, p as u64, &clamped);
-        order.truncate(most);
+        order.truncate(max_sensors);
         order
     };
-    let seeded: Vec<Vec<usize>> = (0..drawn).map(order).collect();
+    let seeded: Vec<Vec<usize>> = (0..placement_count).map(order).collect();
     for &panels in &spec.sweep.panels {
         let panel_units = problem::panel_units(&spec.body, &layout, panels).map_err(located)?;
         for &sensors in &spec.sweep.sensors {
@@ -326,7 +327,7 @@ fn add_points(
             let placements: Vec<Vec<usize>> = match &spec.sensors.placements {
                 Some(lists) => lists.iter().filter(|list| list.len() == sensors).cloned().collect(),
                 // the worker chooses the units
-                None if searched => vec![Vec::new(); drawn],
+                None if searched => vec![Vec::new(); placement_count],
                 None => seeded.iter().map(|order| order.iter().copied().take(sensors).collect()).collect(),
             };
             if placements.is_empty() {
@@ -462,7 +463,7 @@ fn with_records(stimuli: &Stimuli, source: &Source) -> Result<Stimuli, SpecError
 }
 
 /// A single body of a spec, for commands about designs rather than trials.
-pub struct OneBody {
+pub struct SpecBody {
     /// The body as written, with its design.
     pub body: Body,
     /// Its layout.
@@ -483,7 +484,7 @@ pub struct OneBody {
     pub sensors: Vec<usize>,
 }
 
-impl OneBody {
+impl SpecBody {
     /// The body of a spec; `None` if the sweep has several.
     ///
     /// # Errors
@@ -498,11 +499,11 @@ impl OneBody {
             let panels = keeps_panels && spec.sweep.panels != first.sweep.panels;
             spec.body != first.body || spec.feasible != first.feasible || panels
         };
-        let panels_count = keeps_panels && first.sweep.panels.len() > 1;
-        if panels_count || combinations.iter().any(|c| other(&c.spec)) {
+        let panels_vary = keeps_panels && first.sweep.panels.len() > 1;
+        if panels_vary || combinations.iter().any(|c| other(&c.spec)) {
             return Ok(None);
         }
-        let (first, _) = size::of_size(&with_file(&first, source)?).map_err(located)?;
+        let (first, _) = size::scale_to_size(&with_file(&first, source)?).map_err(located)?;
         let layout = layout(&first.body).map_err(located)?;
         let design = with_design("body.design", first.body.design.as_ref(), &layout, source)?;
         let body = Body { design, ..first.body.clone() };
@@ -530,10 +531,10 @@ impl OneBody {
             frozen.sort_unstable();
             (spec.optimise.tie.unwrap_or([1, 1]), frozen)
         };
-        let alike = combinations.iter().all(|c| moves(&c.spec) == moves(&first));
+        let moves_alike = combinations.iter().all(|c| moves(&c.spec) == moves(&first));
         let castable = problem::castable(&first.optimise, &layout, limits, &kept).map_err(located)?;
         Ok(Some(Self {
-            castable: alike.then_some(castable),
+            castable: moves_alike.then_some(castable),
             limits,
             initial,
             guided: held[clamped.len()..].to_vec(),
@@ -592,24 +593,24 @@ fn template(spec: &SweepSpec, scale: f64, panels: usize, panel_units: &[usize], 
     if body.file.is_some() || matches!(body.design, Some(Design::Shifts { .. })) && body.lattice.turns() {
         body.initial_angle = 0.0; // not used
     }
-    let mut read = spec.sensors.clone().resolved();
-    read.placements = None;
-    read.search = read.search.filter(|search| *search != Search::Random);
-    read.from = read.from.filter(|from| *from != SearchFrom::Interior);
-    read.spacing = read.spacing.filter(|spacing| *spacing != 0.0);
+    let mut sensor_spec = spec.sensors.clone().resolved();
+    sensor_spec.placements = None;
+    sensor_spec.search = sensor_spec.search.filter(|search| *search != Search::Random);
+    sensor_spec.from = sensor_spec.from.filter(|from| *from != SearchFrom::Interior);
+    sensor_spec.spacing = sensor_spec.spacing.filter(|spacing| *spacing != 0.0);
     let none =
         |size: &Disturbance| matches!(size, Disturbance::Relative(0.0) | Disturbance::Physical([0.0, 0.0]));
-    read.noise = read.noise.filter(|size| !none(size));
-    read.bias = read.bias.filter(|size| !none(size));
-    read.relative_to = read.relative_to.filter(|_| spec.sensors.is_relative());
-    read.delay = read.delay.filter(|delay| *delay != 0.0);
-    read.bandwidth = read.bandwidth.filter(|bandwidth| *bandwidth != f64::INFINITY);
-    read.range = read.range.filter(|range| range.iter().any(|most| most.is_finite()));
-    read.resolution = read.resolution.filter(|step| *step != [0.0; 2]);
-    read.mass = read.mass.filter(|mass| *mass != 0.0);
-    read.inertia = read.inertia.filter(|moment| *moment != 0.0);
-    read.offset = read.offset.filter(|offset| *offset != [0.0; 2]);
-    read.tilt = read.tilt.filter(|tilt| *tilt != 0.0);
+    sensor_spec.noise = sensor_spec.noise.filter(|size| !none(size));
+    sensor_spec.bias = sensor_spec.bias.filter(|size| !none(size));
+    sensor_spec.relative_to = sensor_spec.relative_to.filter(|_| spec.sensors.is_relative());
+    sensor_spec.delay = sensor_spec.delay.filter(|delay| *delay != 0.0);
+    sensor_spec.bandwidth = sensor_spec.bandwidth.filter(|bandwidth| *bandwidth != f64::INFINITY);
+    sensor_spec.range = sensor_spec.range.filter(|range| range.iter().any(|most| most.is_finite()));
+    sensor_spec.resolution = sensor_spec.resolution.filter(|step| *step != [0.0; 2]);
+    sensor_spec.mass = sensor_spec.mass.filter(|mass| *mass != 0.0);
+    sensor_spec.inertia = sensor_spec.inertia.filter(|moment| *moment != 0.0);
+    sensor_spec.offset = sensor_spec.offset.filter(|offset| *offset != [0.0; 2]);
+    sensor_spec.tilt = sensor_spec.tilt.filter(|tilt| *tilt != 0.0);
     let mut stimuli = spec.stimuli.clone().resolved();
     stimuli.force_samples = stimuli.force_samples.filter(|instants| *instants != spec.time.samples);
     let (brain, mut optimise, evaluation, variation) = brains::resolved(spec);
@@ -618,7 +619,7 @@ fn template(spec: &SweepSpec, scale: f64, panels: usize, panel_units: &[usize], 
         body,
         time: spec.time,
         solver: spec.solver,
-        sensors: read,
+        sensors: sensor_spec,
         stimuli,
         variation,
         brain,

@@ -9,7 +9,7 @@ use metasense_worker::process::IDLE;
 use serde_json::{Value, json};
 
 use crate::control::run_of;
-use crate::fleet::{Seen, workers_of};
+use crate::fleet::{WorkerProcess, workers_of};
 use crate::look::{Table, duration, short_hash};
 use crate::store::{Reader, StoreError};
 
@@ -103,7 +103,7 @@ impl Observer {
 }
 
 /// The workers of a run with the CPU use of each since the previous look (% of a core).
-fn look(run: u32, before: &mut HashMap<u32, (Instant, u64)>) -> Vec<(Seen, Option<f64>)> {
+fn look(run: u32, before: &mut HashMap<u32, (Instant, u64)>) -> Vec<(WorkerProcess, Option<f64>)> {
     let now = Instant::now();
     let seen = workers_of(run).into_iter().map(|worker| {
         let earlier = before.insert(worker.pid, (now, worker.ticks));
@@ -116,7 +116,7 @@ fn look(run: u32, before: &mut HashMap<u32, (Instant, u64)>) -> Vec<(Seen, Optio
 }
 
 /// One row per worker, with its trial if it has one; then trials without a visible worker.
-fn by_worker(running: &Table, workers: &[(Seen, Option<f64>)]) -> Table {
+fn by_worker(running: &Table, workers: &[(WorkerProcess, Option<f64>)]) -> Table {
     let hash = |row: &[Value]| row[0].as_str().unwrap_or_default().to_owned();
     let mut columns: Vec<String> = ["worker", "pid", "state", "cpu_%"].map(String::from).into();
     columns.extend(running.columns[1..].iter().cloned());

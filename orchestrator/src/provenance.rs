@@ -13,7 +13,7 @@ use crate::store::{CodeVersion, Reader, StoreError};
 
 /// Provenance of this program on this machine with `threads` threads per worker.
 #[must_use]
-pub fn here(threads: u32) -> Provenance {
+pub fn this_machine(threads: u32) -> Provenance {
     Provenance {
         code: code().into(),
         revision: revision().map(str::to_owned),

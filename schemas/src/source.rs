@@ -131,13 +131,13 @@ impl Source {
     /// # Errors
     /// As [`Source::parse`].
     pub fn parse_as<T: DeserializeOwned + JsonSchema>(&self) -> Result<T, SpecError> {
-        let known = KnownKeys::of::<T>();
+        let known = KnownKeys::of_type::<T>();
         for place in &self.places {
             self.check_key(place, &known)?;
         }
         let parsed = toml::from_str(&self.text).map_err(|e| self.type_error(&e, &known))?;
         let value = toml::from_str(&self.text).expect("it has been read");
-        match known.surplus(&value) {
+        match known.first_overlong_list(&value) {
             Some(key) => Err(self.error(&key, &known.in_words(&key, "invalid length"))),
             None => Ok(parsed),
         }
@@ -153,9 +153,10 @@ impl Source {
         if let Some(linked) = key.strip_prefix(POINTS) {
             let linked = &linked.replace('"', "");
             if !known.is_axis(linked) && !COUNTS.contains(&linked.as_str()) {
-                return Err(
-                    self.at(place, format!("{key} = {}: {}", self.value(place), no_axis(linked, known)))
-                );
+                return Err(self.error_at_key(
+                    place,
+                    format!("{key} = {}: {}", self.value(place), no_axis(linked, known)),
+                ));
             }
         } else if let Some(axis) = key.strip_prefix("sweep.").filter(|_| !known.contains(key)) {
             let (quoted, axis) = (axis.starts_with('"'), axis.trim_matches('"'));
@@ -163,12 +164,13 @@ impl Source {
                 let what = format!(
                     "{key}: must not be a table; write an axis in quotes, such as \"{axis}.…\" = [ … ]"
                 );
-                return Err(self.at(place, what));
+                return Err(self.error_at_key(place, what));
             }
             if !known.is_axis(axis) {
-                return Err(
-                    self.at(place, format!("{key} = {}: {}", self.value(place), no_axis(axis, known)))
-                );
+                return Err(self.error_at_key(
+                    place,
+                    format!("{key} = {}: {}", self.value(place), no_axis(axis, known)),
+                ));
             }
             if !place.is_list {
                 return Err(self.wrong(place, "must be a list of values, because it is an axis"));
@@ -191,8 +193,8 @@ impl Source {
     /// Returns an error at this place, with its value.
     fn wrong(&self, place: &Place, remedy: &str) -> SpecError {
         match place.is_table {
-            true => self.at(place, format!("{}: {remedy}", place.key)),
-            false => self.at(place, format!("{} = {}: {remedy}", place.key, self.value(place))),
+            true => self.error_at_key(place, format!("{}: {remedy}", place.key)),
+            false => self.error_at_key(place, format!("{} = {}: {remedy}", place.key, self.value(place))),
         }
     }
 
@@ -212,7 +214,7 @@ impl Source {
                 // list of tables, after the first one.
                 let before = || self.places.iter().rfind(|p| self.flat.is_empty() && p.at <= span.start);
                 let place = place.or_else(before);
-                let key = place.map_or(field.to_owned(), |p| lacking(&p.key, field, known));
+                let key = place.map_or(field.to_owned(), |p| missing_key_path(&p.key, field, known));
                 let table = key.rsplit_once('.').map_or("", |(table, _)| table);
                 let own = |p: &&Place| p.key == table;
                 let place = place.filter(own).or_else(|| self.places.iter().find(own));
@@ -280,7 +282,7 @@ impl Source {
         places().find(same).or_else(|| places().next())
     }
 
-    fn at(&self, place: &Place, what: String) -> SpecError {
+    fn error_at_key(&self, place: &Place, what: String) -> SpecError {
         self.located(Some(place), place.key.clone(), what)
     }
 
@@ -313,7 +315,7 @@ const TABLES: [&str; 4] = ["body.guides.", "body.panels.", "stimuli.mix.", "eval
 const COUNTS: [&str; 2] = ["panels", "sensors"];
 
 /// Returns the path of a key that is missing in a table or in one that contains it.
-fn lacking(table: &str, field: &str, known: &KnownKeys) -> String {
+fn missing_key_path(table: &str, field: &str, known: &KnownKeys) -> String {
     let inside = |table: &str| format!("{table}.{field}");
     let mut around = table;
     while !known.contains(&inside(around)) {

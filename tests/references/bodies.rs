@@ -6,7 +6,7 @@ use metasense::plan::Plan;
 use metasense::report::body::sketch;
 use metasense_worker::replay::drawing;
 
-use super::rows::{Row, geometric, number, of, one, ratio, rows, seeds, short, with_interval};
+use super::rows::{Row, geometric, number, of, only_row, ratio, rows, seeds, short, with_interval};
 use super::table;
 
 /// Measures of the information in the signals of initial and trained bodies, geometric means over seeds.
@@ -53,7 +53,7 @@ pub fn why_correlated() -> String {
     let all = rows("why/operator.csv");
     let line = |measure: &str| {
         let cell = |setting: &str| {
-            let row = one(&all, &[("setting", setting), ("measure", measure)]);
+            let row = only_row(&all, &[("setting", setting), ("measure", measure)]);
             ratio(row, "correlation", "correlation_low", "correlation_high")
         };
         vec![measure.to_owned(), cell("K = 2, M = 1, linear"), cell("K = 2, M = 1, cnn")]
@@ -129,7 +129,7 @@ pub fn designs() -> String {
 pub fn race() -> String {
     let all = rows("design/race.csv");
     let cell = |seed: &str, search: &str| {
-        let row = one(&all, &[("seed", seed), ("search", search)]);
+        let row = only_row(&all, &[("seed", seed), ("search", search)]);
         match row["M"].as_str() {
             "" => format!("{} s: none", row["cpu_seconds"]),
             sensors => {

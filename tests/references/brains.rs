@@ -1,7 +1,7 @@
 //! The tables of decoders and of sensor placements.
 
 use super::map::{SETTINGS, is_first_placement, of_setting};
-use super::rows::{Row, brain, change, geometric, number, of, one, percent, ratio, rows};
+use super::rows::{Row, brain, change, geometric, number, of, only_row, percent, ratio, rows};
 use super::table;
 
 /// Value of `setting` in a table of answers.
@@ -23,11 +23,11 @@ pub fn brains() -> String {
                     [("setting", &*setting), ("trained_with", name), ("read_by", name), ("before", memory)];
                 // Linear decoders also have rows with shorter delays.
                 let after = [("after", memory)];
-                change(one(&all, &[&wanted[..], &after].concat()))
+                change(only_row(&all, &[&wanted[..], &after].concat()))
             };
             let read = |name: &str| {
                 let wanted = [("setting", &*setting), ("trained_with", name), ("read_by", "linear")];
-                change(one(&all, &[&wanted[..], &[("before", "0.995"), ("after", "0.995")]].concat()))
+                change(only_row(&all, &[&wanted[..], &[("before", "0.995"), ("after", "0.995")]].concat()))
             };
             lines.push(vec![
                 words.to_owned(),
@@ -80,7 +80,7 @@ pub fn placed() -> String {
     for (reader, setting) in readers {
         let by_sensors = |cell: &dyn Fn(&Row) -> String| {
             ["1", "2", "3", "4", "5", "6"]
-                .map(|m| cell(one(&all, &[("setting", setting), ("set", "holdout"), ("M", m)])))
+                .map(|m| cell(only_row(&all, &[("setting", setting), ("set", "holdout"), ("M", m)])))
         };
         for (what, name) in [
             ("initial body, sensors at random", "random_initial"),

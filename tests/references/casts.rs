@@ -1,6 +1,6 @@
 //! The tables of casts, and of trained bodies under other conditions.
 
-use super::rows::{Row, geometric, number, of, one, percent, ratio, rows, short, spread, with_interval};
+use super::rows::{Row, geometric, number, of, only_row, percent, ratio, rows, short, spread, with_interval};
 use super::table;
 
 /// One line per body of the setting: its error as designed, and errors of one kind of decoders on its casts.
@@ -10,7 +10,10 @@ fn cast_lines(rows: &[Row], setting: &str, own: &str, all: &str, records: &[&str
     bodies.dedup();
     let line = |body: &&str| {
         let by = |read_by, records| {
-            one(rows, &[("setting", setting), ("body", body), ("read_by", read_by), ("records", records)])
+            only_row(
+                rows,
+                &[("setting", setting), ("body", body), ("read_by", read_by), ("records", records)],
+            )
         };
         let mut cells = vec![words(body), percent(by(own, ""), "designed")];
         cells.extend([own, all].map(|read_by| spread(by(read_by, ""))));
@@ -71,7 +74,7 @@ pub fn transfer() -> String {
         }
     }
     let line = |body: &&str| -> Vec<String> {
-        let read = ["bell", "irregular"].map(|under| one(&rows, &[("body", *body), ("under", under)]));
+        let read = ["bell", "irregular"].map(|under| only_row(&rows, &[("body", *body), ("under", under)]));
         let name = match *body {
             "initial" => "none: the initial body".into(),
             "bell" => "pulses".into(),
@@ -105,8 +108,8 @@ pub fn transfer() -> String {
 pub fn transfer_recorded() -> String {
     let rows = rows("transfer/recorded.csv");
     let line = |(body, words): (&str, &str)| {
-        let read =
-            ["bell", "irregular", "recorded"].map(|under| one(&rows, &[("body", body), ("under", under)]));
+        let read = ["bell", "irregular", "recorded"]
+            .map(|under| only_row(&rows, &[("body", body), ("under", under)]));
         let kept = match body {
             "initial" | "recorded" => String::new(),
             _ => ratio(read[2], "kept", "kept_low", "kept_high"),

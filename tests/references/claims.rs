@@ -17,7 +17,7 @@ use serde_json::{Value, json};
 
 use super::brains::with;
 use super::rows::{
-    Row, brain, geometric, lines, number, of, one, percent, ratio, rows, seeds, short, with_interval,
+    Row, brain, geometric, lines, number, of, only_row, percent, ratio, rows, seeds, short, with_interval,
 };
 use super::table;
 
@@ -211,7 +211,7 @@ pub fn evaluate() -> String {
     let all = rows("evaluate/table.csv");
     let line = |body: &str| {
         let [measured, simulated] =
-            ["measured", "simulated"].map(|signals| one(&all, &[("body", body), ("signals", signals)]));
+            ["measured", "simulated"].map(|signals| only_row(&all, &[("body", body), ("signals", signals)]));
         let interval = ratio(measured, "error_test", "test_low", "test_high");
         let gain = |row: &Row| ratio(row, "ratio", "ratio_low", "ratio_high");
         vec![body.to_owned(), interval, percent(simulated, "error_test"), gain(measured), gain(simulated)]
@@ -249,7 +249,7 @@ pub fn paper_protocol_four_forces() -> String {
             .map(|row| {
                 let beside =
                     [("sensors", untrained), ("body", "initial"), ("placement", row["placement"].as_str())];
-                (number(one(&networks, &beside), set), number(row, set))
+                (number(only_row(&networks, &beside), set), number(row, set))
             })
             .collect()
     };
@@ -294,8 +294,9 @@ fn of_protocol(folder: &str, of_body: &[&'static str]) -> String {
     let [networks, curves, samples] =
         ["networks", "curves", "samples"].map(|name| rows(&format!("{folder}/{name}.csv")));
     let errors = |seed: &str, network: &str, set: &str| {
-        BODIES
-            .map(|body| number(one(&networks, &[("seed", seed), ("network", network), ("body", body)]), set))
+        BODIES.map(|body| {
+            number(only_row(&networks, &[("seed", seed), ("network", network), ("body", body)]), set)
+        })
     };
     let fewer = |seed: &str, value: &str| {
         let [initial, optimised] = BODIES.map(|body| {

@@ -1,7 +1,7 @@
 //! Tables of README: results of its first command, and the findings.
 
 use super::brains::setting;
-use super::rows::{Row, brain, change, of, one, percent, rows, spread};
+use super::rows::{Row, brain, change, of, only_row, percent, rows, spread};
 use super::{table, who_senses};
 
 pub fn quickstart() -> String {
@@ -38,7 +38,7 @@ pub fn findings() -> String {
     };
     let placed = rows("placed-two-core/answer-placed.csv");
     let place = |m: &str| {
-        one(&placed, &[("setting", "K = 4, linear, stimuli.kind = bell"), ("set", "holdout"), ("M", m)])
+        only_row(&placed, &[("setting", "K = 4, linear, stimuli.kind = bell"), ("set", "holdout"), ("M", m)])
     };
     let claims: Vec<Row> =
         super::claims::rated().into_iter().filter(|row| !row["says"].starts_with("not claimed")).collect();
@@ -52,10 +52,10 @@ pub fn findings() -> String {
     let apart: Vec<&str> = apart.split("- *").skip(1).collect();
     let [with, without] = [3, 2].map(|channels| super::elbow_law::fallen(6, channels));
     let cast = rows("robust-two-core/answer-casts.csv");
-    let left = |body: &str, read_by: &str, records: &str| {
+    let casts_row = |body: &str, read_by: &str, records: &str| {
         let wanted =
             [("setting", "K = 2, M = 1, linear"), ("body", body), ("read_by", read_by), ("records", records)];
-        one(&cast, &wanted)
+        only_row(&cast, &wanted)
     };
     let longer = "mean, one, iterations = 225";
     let (senses, against) = (who_senses::finding(), super::authors::two_against_six());
@@ -76,12 +76,12 @@ pub fn findings() -> String {
          [our scenes](results/DEVIATIONS.md)). In the scene that its authors published, two sensors on a trained body {against} six on an initial \
          one, with a linear decoder ([details](results/README.md#the-authors-own-scene)). A linear decoder gains 90 % of what sensors can add from one channel per force: six forces \
          need {with} sensors, {without} without gyroscopes ([details](results/README.md#how-many-sensors-k-forces-need)).",
-        spread(left("initial", "casts", "")),
-        spread(left("nominal", "casts", "")),
-        percent(left("nominal", "casts", ""), "designed"),
-        spread(left("mean, one, iterations = 75", "casts", "")),
-        spread(left(longer, "casts", "")),
-        spread(left(longer, "records", "10")),
+        spread(casts_row("initial", "casts", "")),
+        spread(casts_row("nominal", "casts", "")),
+        percent(casts_row("nominal", "casts", ""), "designed"),
+        spread(casts_row("mean, one, iterations = 75", "casts", "")),
+        spread(casts_row(longer, "casts", "")),
+        spread(casts_row(longer, "records", "10")),
         own("cnn"),
         own("linear"),
         percent(place("4"), "placed_initial"),

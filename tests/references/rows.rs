@@ -31,7 +31,7 @@ pub(super) fn seeds(rows: &[Row]) -> BTreeSet<&str> {
 }
 
 /// The only row with these cells.
-pub(super) fn one<'a>(rows: &'a [Row], wanted: &[(&str, &str)]) -> &'a Row {
+pub(super) fn only_row<'a>(rows: &'a [Row], wanted: &[(&str, &str)]) -> &'a Row {
     let mut found = rows.iter().filter(|row| wanted.iter().all(|(name, cell)| row[*name] == *cell));
     let row = found.next().unwrap_or_else(|| panic!("no row has {wanted:?}"));
     // Two equal rows are possible: a trial's own decoder may be among those of every body.

@@ -1,6 +1,6 @@
 //! The table of tasks other than forces in the authors' scene.
 
-use super::rows::{Row, number, one, rows, short, with_interval};
+use super::rows::{Row, number, only_row, rows, short, with_interval};
 use super::table;
 
 /// One line per noise, task and readout: means over seeds, and the ratio of the errors of the initial and the trained body. In the
@@ -29,7 +29,7 @@ pub fn tasks() -> String {
                         let wanted =
                             [("noise", noise), ("task", task), ("readout", readout), ("body", "optimised")];
                         let same = [&wanted[..], &[("seed", before["seed"].as_str())]].concat();
-                        let [a, b] = [before, one(&all, &same)]
+                        let [a, b] = [before, only_row(&all, &same)]
                             .map(|row| number(row, "error").max(number(row, "least")));
                         (a / b).ln()
                     })

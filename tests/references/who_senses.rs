@@ -3,7 +3,7 @@
 use metasense::analysis::numbers::{geometric_mean, median};
 use metasense::look::{Axis, Plot, Scale, file, legend};
 
-use super::rows::{number, of, one, rows, short};
+use super::rows::{number, of, only_row, rows, short};
 use super::table;
 
 /// Decoders of who-senses, the simplest first: words, `brain` of their trials, reader, number of records.
@@ -54,7 +54,7 @@ fn seconds(reader: &str) -> f64 {
         "inverse" | "twin" => "inverse",
         _ => "linear",
     };
-    number(one(&rows("who-senses/costs.csv"), &[("decoder", kind)]), "seconds")
+    number(only_row(&rows("who-senses/costs.csv"), &[("decoder", kind)]), "seconds")
 }
 
 /// The same as text.

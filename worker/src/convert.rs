@@ -290,7 +290,7 @@ pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String>
     let waypoint = |w: record::Waypoint| PastDesign { step: w.step, design: w.design };
     let casts = casts.iter().map(|casts| casts_read(casts)).collect::<Result<_, _>>()?;
     let bands = bands.iter().map(|bands| banded(bands)).collect::<Result<_, _>>()?;
-    let comparison = comparison.map(|c| compared(*c, problem)).transpose()?.unwrap_or_default();
+    let comparison = comparison.map(|c| comparison_from(*c, problem)).transpose()?.unwrap_or_default();
     Ok(State {
         step,
         design,
@@ -307,7 +307,7 @@ pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String>
 }
 
 /// The inverse of [`comparison`].
-fn compared(comparison: Comparison, problem: &Problem) -> Result<nested::Comparison, String> {
+fn comparison_from(comparison: Comparison, problem: &Problem) -> Result<nested::Comparison, String> {
     let Comparison { bodies, training, counters, seconds } = comparison;
     let (parameters, weights) = (problem.initial.len(), problem.reader_shape().weights());
     let of_design = |body: &BodyEvaluation| body.design.len() == parameters;
@@ -324,7 +324,7 @@ fn compared(comparison: Comparison, problem: &Problem) -> Result<nested::Compari
     };
     let Seconds { simulate, train, differentiate, implicit, project, .. } = seconds;
     Ok(nested::Comparison {
-        bodies: bodies.into_iter().map(evaluated).collect::<Result<_, _>>()?,
+        bodies: bodies.into_iter().map(evaluation_from).collect::<Result<_, _>>()?,
         casts: Vec::new(),
         bands: Vec::new(),
         training: training.map(fresh),
@@ -343,7 +343,7 @@ fn compared(comparison: Comparison, problem: &Problem) -> Result<nested::Compari
 }
 
 /// The inverse of [`body_evaluation`].
-fn evaluated(body: BodyEvaluation) -> Result<nested::BodyEvaluation, String> {
+fn evaluation_from(body: BodyEvaluation) -> Result<nested::BodyEvaluation, String> {
     let network = |network: NetworkEvaluation| {
         let trouble = trouble(&network.outcome)?;
         let NetworkEvaluation { error_train, error_test, error_holdout, spread, .. } = network;

@@ -145,7 +145,7 @@ fn from_csv(bytes: &[u8], layout: &Layout) -> Result<Vec<f64>, String> {
         // Nodes of rigid units that stay or follow other nodes have no shift.
         let Some(group) = layout.groups[unit][node] else { continue };
         match &shifts[group] {
-            Some(other) if (0..2).any(|c| (other[c] - shift[c]).abs() > AGREE) => {
+            Some(group_shift) if (0..2).any(|c| (group_shift[c] - shift[c]).abs() > AGREE) => {
                 return Err(at(
                     "its shift differs from that of the other end of its ligament, or of the same node in another line",
                 ));

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use metasense_numerics::brains::{Recipe, Records, Unseen};
+use metasense_numerics::brains::{HeldOutEstimates, Recipe, Records};
 use metasense_numerics::dynamics::Forces;
 use metasense_numerics::questions;
 use metasense_numerics::stimuli;
@@ -65,8 +65,8 @@ pub struct Network {
 }
 
 impl Network {
-    fn new(found: Unseen, first: bool) -> Self {
-        let Unseen { predictions, errors, error_train, progress, trouble, .. } = found;
+    fn new(found: HeldOutEstimates, first: bool) -> Self {
+        let HeldOutEstimates { predictions, errors, error_train, progress, trouble, .. } = found;
         let outcome = trouble.map_or("ok", |trouble| trouble.name()).to_owned();
         Self {
             predictions: if first { predictions } else { Vec::new() },
@@ -84,7 +84,7 @@ pub trait NetworkStore: Sync {
     /// The stored network of this number.
     fn network(&self, number: usize) -> Option<Network>;
     /// Stores a finished network.
-    fn done(&self, number: usize, network: &Network);
+    fn store_network(&self, number: usize, network: &Network);
 }
 
 /// Cross-validates `effort.seeds` networks per fold on measured or simulated signals, on `threads` threads. Networks in `kept`
@@ -132,9 +132,9 @@ pub fn evaluate(
                 continue;
             }
             let (fold, seed) = (number % folds, (number / folds) as u64);
-            let network = records.unseen(&dealt, fold, recipe, seed, iterations, &pool);
+            let network = records.decode_fold(&dealt, fold, recipe, seed, iterations, &pool);
             let network = Network::new(network, number < folds);
-            kept.done(number, &network);
+            kept.store_network(number, &network);
             found.push((number, network));
         }
     };
@@ -164,9 +164,9 @@ pub fn evaluate(
     };
     Ok(Evaluated {
         errors: by_seed.iter().map(errors_of).collect(),
-        errors_train: each(&by_seed, |network| network.error_train),
-        progress: each(&by_seed, |network| network.progress.clone()),
-        outcomes: each(&by_seed, |network| network.outcome.clone()),
+        errors_train: map_networks(&by_seed, |network| network.error_train),
+        progress: map_networks(&by_seed, |network| network.progress.clone()),
+        outcomes: map_networks(&by_seed, |network| network.outcome.clone()),
         targets: records.targets().to_vec(),
         folds: dealt,
         predictions,
@@ -174,7 +174,7 @@ pub fn evaluate(
     })
 }
 
-fn each<T>(by_seed: &[Vec<Network>], what: impl Fn(&Network) -> T) -> Vec<Vec<T>> {
+fn map_networks<T>(by_seed: &[Vec<Network>], what: impl Fn(&Network) -> T) -> Vec<Vec<T>> {
     by_seed.iter().map(|networks| networks.iter().map(&what).collect()).collect()
 }
 
@@ -191,7 +191,7 @@ pub fn parts(records: usize) -> usize {
 ///
 /// # Errors
 /// If the spec is invalid, the design belongs to another body, or its model cannot be simulated.
-pub fn by_model(
+pub fn estimate_by_inverse(
     trial: &TrialSpec,
     own: (&[f64], Option<&Twin>),
     measured: &Measured,
@@ -212,7 +212,7 @@ pub fn by_model(
                 let mut posterior = Posterior::of(&brain.read(signals));
                 posterior.seconds = cpu_seconds() - begun;
                 let part = Network { posterior: Some(posterior), ..Network::default() };
-                kept.done(number, &part);
+                kept.store_network(number, &part);
                 *found = Some(part);
             }
         })?;
@@ -237,7 +237,7 @@ pub fn by_model(
 ///
 /// # Errors
 /// If the spec is invalid, or the twin cannot be simulated.
-pub fn by_twin(
+pub fn evaluate_by_twin(
     trial: &TrialSpec,
     (design, twin): (&[f64], &Twin),
     measured: &Measured,
@@ -253,13 +253,13 @@ pub fn by_twin(
     let (ready, cast) = (Trial::new(&problem, &pool)?, Some(&twin.cast));
     let sensed = ready.samples(design, cast, forces.clone())?.signals;
     if effort.brain == BrainKind::Inverse {
-        return Ok((sensed, by_model(trial, (design, Some(twin)), measured, threads, kept)?));
+        return Ok((sensed, estimate_by_inverse(trial, (design, Some(twin)), measured, threads, kept)?));
     }
     let [known, _] = problem.known();
     let known = ready.samples(design, cast, known)?;
     let records = Records::new(forces, signals.clone(), problem.scene.instants, *low_pass);
     let recipe = Recipe { kind: problem::kind(effort.brain), ..problem.recipe() };
-    let of = |number| records.taught(&known, recipe, number as u64, effort.iterations, &pool);
+    let of = |number| records.decode_all(&known, recipe, number as u64, effort.iterations, &pool);
     let found: Vec<Network> = (0..effort.seeds).map(|number| Network::new(of(number), number == 0)).collect();
     let evaluated = Evaluated {
         errors: found.iter().map(|network| network.errors.iter().map(|e| finite(*e)).collect()).collect(),

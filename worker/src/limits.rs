@@ -180,7 +180,7 @@ fn memory_of_process(needed: [u64; 2]) -> [Option<Limit>; 2] {
     ]
 }
 
-/// Limit on descriptors of this process; `make_use_of` has raised the soft limit.
+/// Limit on descriptors of this process; `raise_limits` has raised the soft limit.
 fn descriptors(needed: u64) -> Option<Limit> {
     let used = fs::read_dir("/proc/self/fd").map_or(0, Iterator::count) as u64;
     resource(Resource::Nofile, "descriptors of a process (`ulimit -n`)", used, needed, false)
@@ -243,8 +243,8 @@ fn cgroup_memory(needed: u64) -> Option<Limit> {
         let used = either(group, ["memory.current", "memory.usage_in_bytes"])?;
         let text = fs::read_to_string(group.join("memory.stat")).unwrap_or_default();
         let sum = |names: [&str; 2]| names.iter().filter_map(|name| field(&text, name)).sum::<u64>();
-        let kept = sum(["file ", "total_cache "]).saturating_sub(sum(["shmem ", "total_shmem "]));
-        Some((most, used.saturating_sub(kept)))
+        let page_cache = sum(["file ", "total_cache "]).saturating_sub(sum(["shmem ", "total_shmem "]));
+        Some((most, used.saturating_sub(page_cache)))
     };
     let (most, used) = tightest("memory", of)?;
     let what = "memory of this container or job (its cgroup's limit)".into();
@@ -338,13 +338,13 @@ pub fn killed_for_memory() -> u64 {
 }
 
 /// Error codes of shortages: EAGAIN, ENOMEM, ENFILE, EMFILE, EFBIG, ENOSPC, EDQUOT.
-const SHORT: [i32; 7] =
+const SHORTAGE_CODES: [i32; 7] =
     [libc::EAGAIN, libc::ENOMEM, libc::ENFILE, libc::EMFILE, libc::EFBIG, libc::ENOSPC, libc::EDQUOT];
 
 /// Whether an error message contains the code of a shortage.
 #[must_use]
 pub fn tells_of_shortage(text: &str) -> bool {
-    SHORT.iter().any(|code| {
+    SHORTAGE_CODES.iter().any(|code| {
         [format!("os error {code})"), format!("Os {{ code: {code},")].iter().any(|words| text.contains(words))
     })
 }

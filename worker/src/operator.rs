@@ -18,5 +18,5 @@ pub fn told(trial: &TrialSpec, design: &[f64]) -> Result<OperatorFigures, Failur
         return Err(Failure::Rejected(why));
     }
     check_rest(&problem.scene, design)?;
-    Ok(questions::told(&problem, design))
+    Ok(questions::compute_figures(&problem, design))
 }

@@ -12,7 +12,7 @@ use crate::run::{Failure, pool, simulable};
 /// Placements found for m = 1 … M sensors, compared with random ones. Errors (%) are cross-validated on the training samples with
 /// a linear decoder.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Looked {
+pub struct PlacementReport {
     /// Placements found.
     pub placed: Vec<Placed>,
     /// Each candidate together with the first `given` of the M units, and the error, best first.
@@ -28,7 +28,12 @@ pub const RANDOM: u64 = 30;
 ///
 /// # Errors
 /// If the spec is invalid, the design has the wrong length or cannot be simulated, or no placement exists.
-pub fn look(trial: &TrialSpec, design: &[f64], given: usize, threads: usize) -> Result<Looked, Failure> {
+pub fn search_placements(
+    trial: &TrialSpec,
+    design: &[f64],
+    given: usize,
+    threads: usize,
+) -> Result<PlacementReport, Failure> {
     let mut trial = trial.clone();
     trial.sensor_units.clear();
     trial.sensors.search = Some(spec::Search::Greedy);
@@ -36,20 +41,20 @@ pub fn look(trial: &TrialSpec, design: &[f64], given: usize, threads: usize) -> 
     let search = problem.search.as_ref().expect("asked for");
     let pool = pool(threads)?;
     let cause = Cause::NowhereToSense;
-    let nowhere = |_| Failure::Numerical { cause, detail: cause.name().to_owned() };
+    let to_failure = |_| Failure::Numerical { cause, detail: cause.name().to_owned() };
     let all = Candidates::new(&problem, search, design, &pool)?;
-    let best = all.clone().thinned(&problem, &pool);
+    let best = all.clone().limit_candidates(&problem, &pool);
     let scores = best.scores(&problem, &pool);
     let of = |sensors| Placing { sensors, candidates: best.units.clone(), ..search.clone() };
     let placed: Vec<_> = (1..=search.sensors)
-        .map(|m| scores.search(&of(m)).map_err(nowhere))
+        .map(|m| scores.search(&of(m)).map_err(to_failure))
         .collect::<Result<_, Failure>>()?;
 
     // Errors of the first m units of each random placement.
     let of_order = |p: u64| -> Option<Vec<f64>> {
         let order = problem.scene.layout.placement(p, &problem.scene.clamped);
         let order: Vec<usize> = order.into_iter().filter(|unit| all.units.contains(unit)).collect();
-        let some = all.of(order.get(..search.sensors)?);
+        let some = all.select_units(order.get(..search.sensors)?);
         let scores = some.scores(&problem, &pool);
         Some((1..=search.sensors).map(|m| scores.error(&order[..m], placed[m - 1].ridge)).collect())
     };
@@ -63,6 +68,6 @@ pub fn look(trial: &TrialSpec, design: &[f64], given: usize, threads: usize) -> 
     let random = (0..search.sensors).map(spread).collect();
 
     let last = &placed[search.sensors - 1];
-    let worth = all.worth(&last.units[..given.min(search.sensors)], last.ridge, &problem, &pool);
-    Ok(Looked { worth, random, placed: placed.into_iter().map(convert::placed).collect() })
+    let worth = all.rank_additions(&last.units[..given.min(search.sensors)], last.ridge, &problem, &pool);
+    Ok(PlacementReport { worth, random, placed: placed.into_iter().map(convert::placed).collect() })
 }

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use metasense_numerics::body::{End, Follower, Follows, Layout, moments};
+use metasense_numerics::body::{End, FollowRule, Follower, Layout, moments};
 use metasense_schemas::spec::{Denser, Follow, FollowBy, Polygons, Signal};
 
 use crate::design::{self, DesignError};
@@ -167,7 +167,7 @@ pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
         }
     }
     followers(given, |end| taken.contains_key(end))?;
-    if let Some(unit) = hangs(given) {
+    if let Some(unit) = first_unconnected(given) {
         let remedy = "is not connected: no ligaments lead from it to unit 0";
         return wrong(format!("units[{unit}]"), remedy.into());
     }
@@ -198,9 +198,9 @@ pub fn layout(given: &Polygons) -> Result<Layout, Invalid> {
 
 fn follower(follow: &Follow) -> (usize, Follower) {
     let by = match follow.by {
-        FollowBy::X => Follows::MeanX,
-        FollowBy::Segment => Follows::Segment,
-        FollowBy::Angle => Follows::Angle,
+        FollowBy::X => FollowRule::MeanX,
+        FollowBy::Segment => FollowRule::Segment,
+        FollowBy::Angle => FollowRule::Angle,
     };
     let Follow { node: [unit, node], nodes, .. } = *follow;
     (unit, Follower { node, of: nodes, by })
@@ -244,7 +244,7 @@ fn followers(given: &Polygons, joined: impl Fn(&[usize; 2]) -> bool) -> Result<(
 }
 
 /// The first unit without a path of ligaments to unit 0.
-fn hangs(given: &Polygons) -> Option<usize> {
+fn first_unconnected(given: &Polygons) -> Option<usize> {
     let mut joined = vec![false; given.units.len()];
     let (mut next, mut neighbours) = (vec![0], vec![Vec::new(); given.units.len()]);
     for &[a, _, b, _] in &given.ligaments {

@@ -186,7 +186,7 @@ impl Worker {
     /// too.
     fn send(&self, message: &ToOrchestrator) -> Result<(), LinkError> {
         let bytes = wire::encode(message);
-        make_room(bytes.len())?;
+        check_shared_memory(bytes.len())?;
         patiently(|| Ok(wire::send(&self.up, &bytes)?.then_some(())))?;
         // If the wake-up fails, the orchestrator still polls.
         let _ = self.waker.notify();
@@ -230,8 +230,15 @@ impl Worker {
     ) -> Result<(), LinkError> {
         let heartbeat = Heartbeat::default();
         let beats = Beats { sender: &self.beats, lease, heartbeat: heartbeat.clone() };
-        let mut reporter =
-            Reporter { worker: self, lease, pause, beats: &beats, beaten: None, stop: false, broken: None };
+        let mut reporter = Reporter {
+            worker: self,
+            lease,
+            pause,
+            beats: &beats,
+            last_beat: None,
+            stop: false,
+            link_error: None,
+        };
         let perform = || (self.perform)(work, checkpoint, threads, heartbeat, &mut reporter);
         let done = AtomicBool::new(false);
         let ended = std::thread::scope(|scope| {
@@ -246,7 +253,7 @@ impl Worker {
             }
             ended
         });
-        if let Some(error) = reporter.broken {
+        if let Some(error) = reporter.link_error {
             return Err(error);
         }
         let failed = |trouble, detail: String| ToOrchestrator::Failed { lease, trouble, detail };
@@ -280,7 +287,7 @@ impl Worker {
 
     /// Loans a chunk, writes the arrays into it and sends it. Waits while the orchestrator holds all its chunks.
     fn send_arrays(&self, arrays: &Arrays) -> Result<(), LinkError> {
-        make_room(arrays.len())?;
+        check_shared_memory(arrays.len())?;
         let mut chunk = patiently(|| match self.arrays.loan_slice_uninit(arrays.len()) {
             Ok(chunk) => Ok(Some(chunk)),
             Err(iceoryx2::port::LoanError::OutOfMemory) => Ok(None),
@@ -325,7 +332,7 @@ pub const FILE_SIZE: &str = "enlarging a file";
 ///
 /// # Errors
 /// If they do not fit, with a margin.
-pub fn make_room(bytes: usize) -> Result<(), LinkError> {
+pub fn check_shared_memory(bytes: usize) -> Result<(), LinkError> {
     check_file_size(wire::segment(bytes))
         .map_err(|short| LinkError { step: FILE_SIZE, cause: short.to_string() })?;
     const SPARE: u64 = 256 << 10;
@@ -380,9 +387,9 @@ struct Reporter<'a> {
     /// Outer step after which the trial pauses.
     pause: Option<u32>,
     beats: &'a Beats<'a>,
-    beaten: Option<Instant>,
+    last_beat: Option<Instant>,
     stop: bool,
-    broken: Option<LinkError>,
+    link_error: Option<LinkError>,
 }
 
 impl Reporter<'_> {
@@ -390,7 +397,7 @@ impl Reporter<'_> {
     fn tell(&mut self, message: &ToOrchestrator) {
         match self.worker.send(message) {
             Ok(()) => self.listen(),
-            Err(error) => self.broken = Some(error),
+            Err(error) => self.link_error = Some(error),
         }
     }
 
@@ -398,30 +405,30 @@ impl Reporter<'_> {
         match wire::receive::<ToWorker>(&self.worker.down) {
             Ok(Some(ToWorker::Stop { lease })) => self.stop |= lease == self.lease,
             Ok(_) => {}
-            Err(error) => self.broken = Some(error),
+            Err(error) => self.link_error = Some(error),
         }
     }
 
-    fn wanted(&self) -> Control {
-        if self.stop || self.broken.is_some() { Control::Stop } else { Control::Continue }
+    fn current_control(&self) -> Control {
+        if self.stop || self.link_error.is_some() { Control::Stop } else { Control::Continue }
     }
 }
 
 impl Observe for Reporter<'_> {
     fn progress(&mut self) -> Control {
-        if self.beaten.is_none_or(|at| at.elapsed() >= BEAT) {
-            self.beaten = Some(Instant::now());
+        if self.last_beat.is_none_or(|at| at.elapsed() >= BEAT) {
+            self.last_beat = Some(Instant::now());
             self.beats.send();
             self.listen();
         }
-        self.wanted()
+        self.current_control()
     }
 
     fn step(&mut self, record: StepRecord, checkpoint: Checkpoint) -> Control {
         let (record, checkpoint) = (Box::new(record), Box::new(checkpoint));
         self.stop |= self.pause.is_some_and(|step| checkpoint.step >= step);
         self.tell(&ToOrchestrator::Step { lease: self.lease, record, checkpoint });
-        self.wanted()
+        self.current_control()
     }
 
     fn save(&mut self, checkpoint: Checkpoint) {

@@ -266,9 +266,9 @@ pub(crate) fn check_step(pick: &Pick, record: &Record, duration: f64) -> Result<
 /// Rejects a record whose force lies outside the sample.
 pub(crate) fn check_place(pick: &Pick, record: &Record, duration: f64) -> Result<(), String> {
     let Record { start, dt, values, .. } = record;
-    let peak = |within: &dyn Fn(f64) -> bool| {
+    let peak = |is_in_range: &dyn Fn(f64) -> bool| {
         let forces = values.iter().flat_map(|history| history.iter().enumerate());
-        let forces = forces.filter(|(n, _)| within(start + *n as f64 * dt));
+        let forces = forces.filter(|(n, _)| is_in_range(start + *n as f64 * dt));
         forces.fold(0.0f64, |peak, (_, force)| peak.max(force.abs()))
     };
     // Forces are interpolated, so an entry acts within one step of it.

@@ -16,7 +16,7 @@ mod integers;
 mod layers;
 
 pub use integers::{Integers, Rescaled};
-pub use layers::{Convolution, Single, holdout_error, layers};
+pub use layers::{Convolution, SinglePrecision, holdout_error, layers};
 
 use crate::casts::NO_VARIATION;
 use crate::run::{Failure, check_length, pool, prepared, simulable, with_design};
@@ -116,7 +116,7 @@ pub fn replay(
 
 /// The decoder of a trial.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Own {
+pub enum ReplayDecoder {
     /// A linear decoder.
     Linear(LinearReplay),
     /// The weights of a network.
@@ -129,16 +129,16 @@ pub enum Own {
 ///
 /// # Errors
 /// If the spec is invalid, the network has no weights, or the fit fails.
-pub fn own(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<Own, Failure> {
+pub fn fit_decoder(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<ReplayDecoder, Failure> {
     let (problem, weights) = (prepared(trial)?, weights.to_vec());
     if problem.reader.is_network() && weights.is_empty() {
         return Err(Failure::Rejected("the trial has trained no network on this body".into()));
     }
     let linear = || Ok::<_, Failure>(replay.linear(&problem, &problem.decoder, &pool(1)?)?);
     Ok(match problem.reader {
-        BrainKind::Stacked => Own::Stacked(linear()?, weights),
-        BrainKind::Network => Own::Network(weights),
-        BrainKind::Linear | BrainKind::Inverse => Own::Linear(linear()?),
+        BrainKind::Stacked => ReplayDecoder::Stacked(linear()?, weights),
+        BrainKind::Network => ReplayDecoder::Network(weights),
+        BrainKind::Linear | BrainKind::Inverse => ReplayDecoder::Linear(linear()?),
     })
 }
 
@@ -146,7 +146,11 @@ pub fn own(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<Own, F
 ///
 /// # Errors
 /// As [`replay`]; if there is no variation, or if the fit fails.
-pub fn replay_for_casts(trial: &TrialSpec, design: &[f64], threads: usize) -> Result<(Replay, Own), Failure> {
+pub fn replay_for_casts(
+    trial: &TrialSpec,
+    design: &[f64],
+    threads: usize,
+) -> Result<(Replay, ReplayDecoder), Failure> {
     let (problem, pool) = (simulable(trial, design)?, pool(threads)?);
     if problem.variation.is_none() {
         return Err(Failure::Rejected(format!("the trial has {NO_VARIATION}")));
@@ -155,18 +159,18 @@ pub fn replay_for_casts(trial: &TrialSpec, design: &[f64], threads: usize) -> Re
     Ok(match brain_for_casts(&Trial::new(&problem, &pool)?, design).map_err(OfMaths::Initial)? {
         DecoderForCasts::Linear(fitted) => {
             let mut replay = questions::replay(&problem, design, &[], &pool)?;
-            let brain = replay.by(&problem, &fitted);
+            let brain = replay.decode_with(&problem, &fitted);
             (replay.predictions, replay.errors) = (brain.predictions.clone(), brain.errors.clone());
-            (replay, Own::Linear(brain))
+            (replay, ReplayDecoder::Linear(brain))
         }
         DecoderForCasts::Network(weights) => {
-            (questions::replay(&problem, design, &weights, &pool)?, Own::Network(weights))
+            (questions::replay(&problem, design, &weights, &pool)?, ReplayDecoder::Network(weights))
         }
         DecoderForCasts::Stacked(fitted, weights) => {
             let mut replay = questions::replay(&problem, design, &[], &pool)?;
             replay.read_on(&problem, &fitted, &weights, &pool);
-            let linear = replay.by(&problem, &fitted);
-            (replay, Own::Stacked(linear, weights))
+            let linear = replay.decode_with(&problem, &fitted);
+            (replay, ReplayDecoder::Stacked(linear, weights))
         }
     })
 }

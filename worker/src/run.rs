@@ -134,11 +134,11 @@ pub fn with_design(trial: &TrialSpec, design: &[f64]) -> Result<Problem, Failure
 pub fn check_design(problem: &Problem, design: &[f64]) -> Result<(), Failure> {
     design::check("the design", &[design.len()], design, problem.initial.len()).map_err(Failure::Rejected)?;
     let geometry = problem.scene.geometry(design);
-    let sound = |unit: &usize| {
+    let has_mass = |unit: &usize| {
         let [area, mass, moment] = [&geometry.area, &geometry.mass, &geometry.moment].map(|of| of[*unit]);
         area != 0.0 && mass > 0.0 && moment >= 0.0
     };
-    match (0..problem.scene.layout.units()).find(|unit| !sound(unit)) {
+    match (0..problem.scene.layout.units()).find(|unit| !has_mass(unit)) {
         None => Ok(()),
         Some(unit) => Err(Failure::Rejected(format!(
             "the design: unit {unit} has an area of {:.3} mm² and can be neither cast nor simulated; `metasense body project` repairs a design",

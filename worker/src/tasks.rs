@@ -1,7 +1,7 @@
 //! Estimates of other quantities than force histories from a body's signals.
 
 use metasense_numerics::questions::tasks::{Observations, tasks as read};
-pub use metasense_numerics::questions::tasks::{Reading, Task};
+pub use metasense_numerics::questions::tasks::{Task, TaskEstimate};
 use metasense_numerics::stimuli::targets;
 use metasense_schemas::spec::TrialSpec;
 
@@ -16,7 +16,7 @@ pub fn tasks(
     trial: &TrialSpec,
     design: &[f64],
     threads: usize,
-) -> Result<(Vec<Reading>, Vec<Task>), Failure> {
+) -> Result<(Vec<TaskEstimate>, Vec<Task>), Failure> {
     let replay = replay(trial, design, &[], 0, threads)?;
     let rejected = |why: &str| Failure::Rejected(why.to_owned());
     let Some(decoder) = linear(trial, &replay)? else {

@@ -139,7 +139,7 @@ fn ask(trial: &TrialSpec) -> usize {
         found.is_ok(),
         bound::bound(trial, design, 1, None, 1).is_ok(),
         bound::bound(trial, design, 1, Some(1e-9), 1).is_ok(),
-        place::look(trial, design, 0, 1).is_ok(),
+        place::search_placements(trial, design, 0, 1).is_ok(),
         modes::slowest(trial, design, 4).is_ok(),
         modes::responses(trial, design, 4, &[0.0, 1.0, 1e300]).is_ok(),
         operator::told(trial, design).is_ok(),

@@ -8,7 +8,7 @@ use super::trial::{Body, Cluster, Trial};
 
 /// One kind of body in several trials.
 #[derive(Debug, Clone)]
-pub struct Trained<'a> {
+pub struct BodyTrials<'a> {
     /// `initial`, or the training.
     pub name: String,
     /// Which body of each trial.
@@ -19,14 +19,14 @@ pub struct Trained<'a> {
 
 /// The fraction of a reference gain that is kept.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Kept {
+pub struct KeptGain {
     /// 1: the whole gain.
     pub part: f64,
     /// The 95 % interval; `None` with too few placements and seeds.
     pub interval: Option<Interval>,
 }
 
-impl Kept {
+impl KeptGain {
     /// Returns the sum of the first gains divided by the sum of the second ones. `gains`: cluster and two gains (logarithms)
     /// per trial. `None` if the second sum is not positive.
     pub fn of(gains: impl Iterator<Item = (Cluster, [f64; 2])>) -> Option<Self> {
@@ -45,10 +45,10 @@ pub fn bodies<'a, K: Ord>(
     trials: &[&'a Trial],
     way: impl Fn(&Trial) -> K,
     name: impl Fn(&K) -> String,
-) -> Vec<Trained<'a>> {
+) -> Vec<BodyTrials<'a>> {
     let initial: BTreeMap<Cluster, &Trial> = trials.iter().rev().map(|t| (t.cluster, *t)).collect();
     let trials_of = initial.into_values().collect();
-    let mut found = vec![Trained { name: "initial".to_owned(), body: Body::Initial, trials: trials_of }];
+    let mut found = vec![BodyTrials { name: "initial".to_owned(), body: Body::Initial, trials: trials_of }];
     let mut trained: BTreeMap<K, Vec<&Trial>> = BTreeMap::new();
     for trial in trials.iter().filter(|trial| trial.has_steps()) {
         trained.entry(way(trial)).or_default().push(trial);
@@ -61,7 +61,7 @@ pub fn bodies<'a, K: Ord>(
             let rest = apart(&group.label).into_iter();
             let rest = rest.map(|part| part.trim_start_matches("optimise.").trim_start_matches("stimuli."));
             let name = std::iter::once(&name(&way)[..]).chain(rest).collect::<Vec<_>>().join(", ");
-            Trained { name, body: Body::Optimised, trials: group.trials }
+            BodyTrials { name, body: Body::Optimised, trials: group.trials }
         }));
     }
     found

@@ -4,7 +4,7 @@
 
 use std::collections::HashMap;
 
-use super::kinds::{memory, of_each};
+use super::kinds::{brains_by_trial, memory};
 use super::numbers::{distinct, geometric_mean, in_order};
 use super::paired::Ratio;
 use super::trial::{Body, Cluster, Set, Trial};
@@ -31,7 +31,7 @@ pub struct DecoderErrors {
 /// Returns the errors by decoder of trials that differ only in decoder, placement and seed: own decoders first, then linear
 /// ones.
 pub fn errors_by_decoder(trials: &[&Trial]) -> Vec<DecoderErrors> {
-    let of_trials = of_each(trials);
+    let of_trials = brains_by_trial(trials);
     let kinds = in_order(&of_trials);
     let having = |of: &dyn Fn(&[String; 2]) -> bool| -> Vec<&&Trial> {
         trials.iter().zip(&of_trials).filter(|(_, kind)| of(kind)).map(|(trial, _)| trial).collect()

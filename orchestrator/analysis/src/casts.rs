@@ -7,7 +7,7 @@
 //! ```
 //! A mean of the quotients per trial would diverge where a trial gains little.
 
-use super::bodies::{Kept, Trained, bodies};
+use super::bodies::{BodyTrials, KeptGain, bodies};
 use super::data::{Group, groups};
 use super::kinds::{is_linear, objective};
 use super::numbers::distinct;
@@ -20,7 +20,7 @@ pub struct Setting<'a> {
     /// Differences from other settings.
     pub label: String,
     /// The initial body, then bodies trained as designed, then bodies trained over casts.
-    pub bodies: Vec<Trained<'a>>,
+    pub bodies: Vec<BodyTrials<'a>>,
 }
 
 /// Errors of one decoder on the casts of a body.
@@ -34,7 +34,7 @@ pub struct CastErrors {
     pub errors: [Ratio; 2],
     /// Kept fractions of the gain as designed, at the median and at the 90th percentile. `None` for the initial body, and if
     /// the gain as designed is not positive.
-    pub kept: [Option<Kept>; 2],
+    pub kept: [Option<KeptGain>; 2],
 }
 
 /// Groups the trials with casts; trials of a group differ only in training, placement and seed.
@@ -51,7 +51,7 @@ pub fn settings<'a>(trials: &[&'a Trial]) -> Vec<Setting<'a>> {
     groups(&cast, &["optimise."]).into_iter().map(setting).collect()
 }
 
-impl Trained<'_> {
+impl BodyTrials<'_> {
     /// Returns the decoders of its casts.
     pub fn brains(&self) -> Vec<CastDecoder> {
         distinct(self.trials.iter().flat_map(|t| &t.casts).map(|reading| reading.decoder))
@@ -77,7 +77,7 @@ impl Trained<'_> {
         })
     }
 
-    fn kept(&self, by: CastDecoder, quantile: usize) -> Option<Kept> {
+    fn kept(&self, by: CastDecoder, quantile: usize) -> Option<KeptGain> {
         if self.body == Body::Initial {
             return None;
         }
@@ -88,7 +88,7 @@ impl Trained<'_> {
             let found = [gain(cast)?, gain(Body::ALL.map(|body| designed(trial, body, by)))?];
             Some((trial.cluster, found))
         };
-        Kept::of(self.trials.iter().filter_map(gains))
+        KeptGain::of(self.trials.iter().filter_map(gains))
     }
 }
 

@@ -156,9 +156,9 @@ impl Scene {
 }
 
 /// Adjusts the p-values of several claims within each set of samples. Findings that are no longer significant are rated open.
-pub fn corrected(mut found: Vec<Vec<Evidence>>) -> Vec<Vec<Evidence>> {
-    for set in distinct(found.iter().flatten().map(|e| e.set)) {
-        let by_claim = CLAIMS.iter().zip(&mut found);
+pub fn corrected(mut estimate: Vec<Vec<Evidence>>) -> Vec<Vec<Evidence>> {
+    for set in distinct(estimate.iter().flatten().map(|e| e.set)) {
+        let by_claim = CLAIMS.iter().zip(&mut estimate);
         let mut of_set: Vec<(f64, &mut Evidence)> =
             by_claim.flat_map(|(claim, own)| own.iter_mut().map(|e| (claim.chance, e))).collect();
         of_set.retain(|(_, e)| e.set == set && e.chance.is_some());
@@ -170,7 +170,7 @@ pub fn corrected(mut found: Vec<Vec<Evidence>>) -> Vec<Vec<Evidence>> {
             }
         }
     }
-    found
+    estimate
 }
 
 /// Summarises evidence: the common rating, or the rating per decoder. Uses the held-out set if available, and no medians.
@@ -204,9 +204,9 @@ fn summed<'a>(evidence: impl Iterator<Item = &'a Evidence>) -> (String, Option<R
         [] => ("not tested".into(), None),
         [(rating, _)] => (rating.name().into(), Some(**rating)),
         several => {
-            let each =
+            let values_by_cluster =
                 several.iter().map(|(rating, who)| format!("{} with {}", rating.name(), who.join("; ")));
-            (format!("depends on the decoder: {}", each.collect::<Vec<_>>().join(" · ")), None)
+            (format!("depends on the decoder: {}", values_by_cluster.collect::<Vec<_>>().join(" · ")), None)
         }
     }
 }
@@ -226,7 +226,7 @@ pub const CLAIMS: [Claim; 15] = [
         chance: CHANCE,
         specs: &["claims/two-forces"],
         scene: TWO_FORCES,
-        find: |stated, trials| each_set(trials, stated, error_ratio),
+        find: |stated, trials| ratio_by_set(trials, stated, error_ratio),
     },
     Claim {
         says: "a network on a trained body needs 2.9 times fewer iterations to the same error",
@@ -244,7 +244,7 @@ pub const CLAIMS: [Claim; 15] = [
         chance: CHANCE / 2.0, // tested twice: four seeds were undecided
         specs: &["claims/long-training"],
         scene: TWO_FORCES,
-        find: |stated, trials| each_set(trials, stated, long_ratio),
+        find: |stated, trials| ratio_by_set(trials, stated, long_ratio),
     },
     Claim {
         says: "under hand-hammered blows the error of a trained body is 5.3 times lower",
@@ -253,7 +253,7 @@ pub const CLAIMS: [Claim; 15] = [
         chance: CHANCE,
         specs: &["claims/two-forces"],
         scene: Some(Scene { panels: 2, sensors: Some(1), stimuli: "irregular" }),
-        find: |stated, trials| each_set(trials, stated, error_ratio),
+        find: |stated, trials| ratio_by_set(trials, stated, error_ratio),
     },
     Claim {
         says: "training gains more under blows than under smooth pulses",
@@ -307,7 +307,7 @@ pub const CLAIMS: [Claim; 15] = [
         chance: CHANCE,
         specs: FOUR_FORCES,
         scene: FOUR,
-        find: |stated, trials| so_few(stated, 2, trials),
+        find: |stated, trials| few_sensors_ratio(stated, 2, trials),
     },
     Claim {
         says: "K = 4: on the trained body the error depends less on the placement of sensors",
@@ -394,7 +394,7 @@ fn two_forces<'a>(trials: &[&'a Trial], stimuli: &str) -> Vec<&'a Trial> {
 }
 
 /// Returns the differences of a group from others, or its decoder if there are none.
-fn who(group: &Group) -> String {
+fn group_name(group: &Group) -> String {
     let parts = apart(&group.label);
     match parts.is_empty() {
         true => brains(&group.trials[0].setting)[0].clone(),
@@ -402,7 +402,7 @@ fn who(group: &Group) -> String {
     }
 }
 
-fn of_ratio(who: String, set: &'static str, ratio: Ratio, stated: f64, note: String) -> Evidence {
+fn ratio_evidence(who: String, set: &'static str, ratio: Ratio, stated: f64, note: String) -> Evidence {
     Evidence {
         rating: Rating::of(ratio.interval, stated),
         who,
@@ -419,14 +419,15 @@ fn of_ratio(who: String, set: &'static str, ratio: Ratio, stated: f64, note: Str
 
 /// Returns the evidence of each group and set.
 fn by_set(groups: &[Group], mut say: impl FnMut(&Group, Set) -> Option<Evidence>) -> Vec<Evidence> {
-    let of_sets = groups.iter().flat_map(|group| Set::of(&group.trials).map(move |set| (group, set)));
+    let of_sets =
+        groups.iter().flat_map(|group| Set::with_errors(&group.trials).map(move |set| (group, set)));
     of_sets.filter_map(|(group, set)| say(group, set)).collect()
 }
 
 /// Returns a ratio per group and set.
-fn each_set(trials: &[&Trial], stated: f64, ratio: fn(&[&Trial], Set) -> Option<Ratio>) -> Vec<Evidence> {
+fn ratio_by_set(trials: &[&Trial], stated: f64, ratio: fn(&[&Trial], Set) -> Option<Ratio>) -> Vec<Evidence> {
     by_set(&groups(trials, &[]), |group, set| {
-        Some(of_ratio(who(group), set.name(), ratio(&group.trials, set)?, stated, String::new()))
+        Some(ratio_evidence(group_name(group), set.name(), ratio(&group.trials, set)?, stated, String::new()))
     })
 }
 
@@ -439,13 +440,13 @@ fn iterations(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     let groups = groups(trials, &[]);
     let of_curve = |(group, by): (&Group, Progress)| {
         let ratio = paired::iterations(&group.trials, by)?;
-        Some(of_ratio(who(group), by.name(), ratio, stated, String::new()))
+        Some(ratio_evidence(group_name(group), by.name(), ratio, stated, String::new()))
     };
     groups.iter().flat_map(|group| Progress::ALL.map(|by| (group, by))).filter_map(of_curve).collect()
 }
 
 /// Returns the ratio of values in `first` to those in `second`, paired by cluster; geometric mean within a cluster.
-fn over(first: &[(Cluster, f64)], second: &[(Cluster, f64)]) -> Option<Ratio> {
+fn paired_ratio(first: &[(Cluster, f64)], second: &[(Cluster, f64)]) -> Option<Ratio> {
     let mean = |of: &[(Cluster, f64)], cluster: Cluster| {
         let own: Vec<f64> = of.iter().filter(|(c, _)| *c == cluster).map(|(_, x)| *x).collect();
         (!own.is_empty()).then(|| geometric_mean(&own))
@@ -470,8 +471,8 @@ fn blows_more(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     by_set(&groups(&both, &["stimuli."]), |group, set| {
         let gains =
             |kind: &str| each(&of_text(&group.trials, "stimuli.kind", kind), |trial| gain(trial, set));
-        let ratio = over(&gains("irregular"), &gains("bell"))?;
-        Some(of_ratio(who(group), set.name(), ratio, stated, String::new()))
+        let ratio = paired_ratio(&gains("irregular"), &gains("bell"))?;
+        Some(ratio_evidence(group_name(group), set.name(), ratio, stated, String::new()))
     })
 }
 
@@ -482,7 +483,7 @@ fn random_bodies(stated: f64, trials: &[&Trial], than: Body) -> Vec<Evidence> {
     by_set(&random_groups(&trials), |group, set| {
         let ratio = random(&group.trials, set)?.ratios[than as usize].take()?;
         let note = format!("{} of {} random bodies worse", ratio.above_one, ratio.trials);
-        Some(of_ratio(who(group), set.name(), ratio, stated, note))
+        Some(ratio_evidence(group_name(group), set.name(), ratio, stated, note))
     })
 }
 
@@ -500,7 +501,7 @@ fn every_number(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
         let (m, ratio) = least?;
         let each = ratios.iter().map(|(m, r)| format!("M = {m}: {:.2}", r.ratio));
         let note = format!("lowest interval at M = {m} ({})", each.collect::<Vec<_>>().join(", "));
-        Some(of_ratio(who(group), set.name(), ratio.clone(), stated, note))
+        Some(ratio_evidence(group_name(group), set.name(), ratio.clone(), stated, note))
     })
 }
 
@@ -528,8 +529,8 @@ fn by_height(
     groups: &[Group],
     say: impl Fn(&Group, Set, ErrorScale, String) -> Option<Evidence>,
 ) -> Vec<Evidence> {
-    let who = |group: &Group, height: ErrorScale| format!("{}, {}", who(group), height.name());
-    let of = |height| by_set(groups, |group, set| say(group, set, height, who(group, height)));
+    let subject = |group: &Group, height: ErrorScale| format!("{}, {}", group_name(group), height.name());
+    let of = |height| by_set(groups, |group, set| say(group, set, height, subject(group, height)));
     ErrorScale::ALL.into_iter().flat_map(of).collect()
 }
 
@@ -554,24 +555,30 @@ fn elbow_at(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
 }
 
 /// Error of the initial body with the most sensors divided by that of the trained body with `few`.
-fn so_few(stated: f64, few: u64, trials: &[&Trial]) -> Vec<Evidence> {
+fn few_sensors_ratio(stated: f64, few: u64, trials: &[&Trial]) -> Vec<Evidence> {
     by_set(&curves(trials), |group, set| {
         let most = group.trials.iter().map(|t| t.sensors).max()?;
         let of = |sensors: u64, body: Body| -> Vec<(Cluster, f64)> {
             let own: Vec<&Trial> = group.trials.iter().filter(|t| t.sensors == sensors).copied().collect();
             each(&own, |t| t.error(body, set))
         };
-        let ratio = over(&of(most, Body::Initial), &of(few, Body::Optimised))?;
-        Some(of_ratio(who(group), set.name(), ratio, stated, format!("{few} sensors against {most}")))
+        let ratio = paired_ratio(&of(most, Body::Initial), &of(few, Body::Optimised))?;
+        Some(ratio_evidence(
+            group_name(group),
+            set.name(),
+            ratio,
+            stated,
+            format!("{few} sensors against {most}"),
+        ))
     })
 }
 
 /// Standard deviation of the error over placements on the initial body divided by that on the trained body, all M together.
 fn placements(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     by_height(&over_sensors(trials), |group, set, height, who| {
-        let of = Body::ALL.map(|body| observations(&group.trials, body, set, |t| t.sensors));
-        let clusters = clusters(of.iter().flatten());
-        let grids = [Grid::new(&of[0], &clusters), Grid::new(&of[1], &clusters)];
+        let points_by_body = Body::ALL.map(|body| observations(&group.trials, body, set, |t| t.sensors));
+        let clusters = clusters(points_by_body.iter().flatten());
+        let grids = [Grid::new(&points_by_body[0], &clusters), Grid::new(&points_by_body[1], &clusters)];
         let units = Resampling::new(&clusters);
         let statistic = |weights: &[f64]| {
             let [initial, trained] = [0, 1].map(|i| scatter(&grids[i], height, &clusters, weights));
@@ -579,10 +586,11 @@ fn placements(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
         };
         let worst = |body: usize| -> Vec<String> {
             let at = |m: &f64| {
-                let here: Vec<Observation> = of[body].iter().filter(|o| o.at == *m).copied().collect();
+                let here: Vec<Observation> =
+                    points_by_body[body].iter().filter(|o| o.at == *m).copied().collect();
                 spread(&here).map(|s| format!("{:.2}", s.ratio))
             };
-            places(&of[body]).iter().filter_map(at).collect()
+            places(&points_by_body[body]).iter().filter_map(at).collect()
         };
         let ratio = Ratio::by(&units, group.trials.len(), 0, statistic)?;
         let note = format!(
@@ -590,7 +598,7 @@ fn placements(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
             worst(0).join(", "),
             worst(1).join(", ")
         );
-        Some(of_ratio(who, set.name(), ratio, stated, note))
+        Some(ratio_evidence(who, set.name(), ratio, stated, note))
     })
 }
 
@@ -616,7 +624,7 @@ fn complexity(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
     let disc: Vec<&Trial> = trials.iter().filter(disc).copied().collect();
     let free: Vec<&Trial> = disc.iter().filter(|t| !tied(t)).copied().collect();
     let mut found = Vec::new();
-    for (what, groups) in [
+    for (variation_name, groups) in [
         ("smaller units, one size of body", groups(&free, COMPLEXITY)),
         ("fewer tied shifts, one size of body", groups(&disc, FREEDOM)),
     ] {
@@ -629,12 +637,12 @@ fn complexity(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
             if few == many {
                 continue;
             }
-            for set in Set::of(&group.trials) {
+            for set in Set::with_errors(&group.trials) {
                 let errors = |n: u64, body: Body| each(&at(n), |t| t.error(body, set));
-                let of = |body: Body| over(&errors(few, body), &errors(many, body));
-                let Some(ratio) = of(Body::Optimised) else { continue };
-                let initial =
-                    of(Body::Initial).map_or(String::new(), |r| format!("; initial body {:.3}", r.ratio));
+                let ratio_of_errors = |body: Body| paired_ratio(&errors(few, body), &errors(many, body));
+                let Some(ratio) = ratio_of_errors(Body::Optimised) else { continue };
+                let initial = ratio_of_errors(Body::Initial)
+                    .map_or(String::new(), |r| format!("; initial body {:.3}", r.ratio));
                 let note = format!("{few} → {many} parameters{initial}");
                 let brain = &brains(&group.trials[0].setting)[0];
                 let of_size = |part: &str| {
@@ -648,8 +656,8 @@ fn complexity(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
                 let mut name = vec![brain.as_str()];
                 let told = apart(&group.label);
                 name.extend(told.iter().copied().filter(own));
-                name.push(what);
-                found.push(of_ratio(name.join(", "), set.name(), ratio, stated, note));
+                name.push(variation_name);
+                found.push(ratio_evidence(name.join(", "), set.name(), ratio, stated, note));
             }
         }
     }
@@ -664,8 +672,8 @@ fn implicit(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
         let errors = |terms: &str| {
             each(&of_text(&group.trials, "optimise.gradient", terms), |t| t.error(Body::Optimised, set))
         };
-        let ratio = over(&errors("direct"), &errors("implicit"))?;
-        Some(of_ratio(who(group), set.name(), ratio, stated, String::new()))
+        let ratio = paired_ratio(&errors("direct"), &errors("implicit"))?;
+        Some(ratio_evidence(group_name(group), set.name(), ratio, stated, String::new()))
     })
 }
 

@@ -67,7 +67,9 @@ impl<'a> Comparison<'a> {
                 let row = vec![json!(group.label), json!(quantity), body];
                 rows.extend(self.ratio(group, of).map(|r| row.into_iter().chain(ratio_cells(r)).collect()));
             };
-            for (set, body) in Set::of(&group.trials).flat_map(|set| Body::ALL.map(|body| (set, body))) {
+            for (set, body) in
+                Set::with_errors(&group.trials).flat_map(|set| Body::ALL.map(|body| (set, body)))
+            {
                 add(&format!("{} error", set.name()), json!(body.name()), &|t| t.error(body, set));
             }
             // as if each trial had trained its body: which one did is arbitrary

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use serde_json::Value;
 
-use super::kinds::{brains, in_words, objective};
+use super::kinds::{brains, format_brains, objective};
 use super::numbers::{distinct, geometric_mean};
 use super::trial::{Body, Cluster, Set, Trial};
 use metasense_render::cell::plain;
@@ -164,16 +164,16 @@ fn is_at_or_below(path: &str, name: &str) -> bool {
     path == name || (name.ends_with('.') && path.starts_with(name))
 }
 
-/// Paths of [`JUDGING`] at which two trials differ, both of which have settings of this kind.
+/// Paths of [`FURTHER_EVALUATION`] at which two trials differ, both of which have settings of this kind.
 fn disputed(trials: &[&Trial]) -> HashSet<String> {
     let (mut shared, mut first, mut disputed) = (HashMap::new(), HashMap::new(), HashSet::new());
     for trial in trials {
         let common = trial.setting.shared();
         let common = shared.entry(Arc::as_ptr(common)).or_insert_with(|| judging(common));
-        let said: Vec<_> = common.iter().copied().chain(judging(trial.setting.own())).collect();
+        let evaluation_values: Vec<_> = common.iter().copied().chain(judging(trial.setting.own())).collect();
         for name in FURTHER_EVALUATION {
             let own: BTreeMap<_, _> =
-                said.iter().copied().filter(|(path, _)| is_at_or_below(path, name)).collect();
+                evaluation_values.iter().copied().filter(|(path, _)| is_at_or_below(path, name)).collect();
             if own.is_empty() {
                 continue;
             }
@@ -185,7 +185,7 @@ fn disputed(trials: &[&Trial]) -> HashSet<String> {
     disputed
 }
 
-/// Returns the leaves below [`JUDGING`].
+/// Returns the leaves below [`FURTHER_EVALUATION`].
 fn judging(leaves: &BTreeMap<String, Value>) -> Vec<(&String, &Value)> {
     leaves
         .iter()
@@ -221,7 +221,7 @@ pub fn without_repeats<'a, V>(
 }
 
 /// Returns the value at a path; keys are sorted.
-fn at<'k>(key: &'k Key, path: &str) -> Option<&'k Value> {
+fn value_at<'k>(key: &'k Key, path: &str) -> Option<&'k Value> {
     key.binary_search_by(|(p, _)| p.as_str().cmp(path)).ok().map(|i| &key[i].1)
 }
 
@@ -230,9 +230,9 @@ fn differing<'k>(keys: &[&'k Key]) -> HashSet<&'k str> {
     let Some(first) = keys.first() else { return HashSet::new() };
     let mut differing = HashSet::new();
     for key in keys {
-        let odd = key.iter().filter(|(path, value)| at(first, path) != Some(value));
+        let odd = key.iter().filter(|(path, value)| value_at(first, path) != Some(value));
         differing.extend(odd.map(|(path, _)| path.as_str()));
-        let missing = first.iter().filter(|(path, _)| at(key, path).is_none());
+        let missing = first.iter().filter(|(path, _)| value_at(key, path).is_none());
         differing.extend(missing.map(|(path, _)| path.as_str()));
     }
     differing
@@ -261,7 +261,7 @@ fn kind(key: &Key, first: &Trial) -> [String; 2] {
 fn labels(all: &[&Key], kinds: Vec<[String; 2]>) -> Vec<String> {
     // defaults of a kind of forces differ with the kind
     let stimuli: Vec<Option<String>> =
-        all.iter().map(|key| at(key, "stimuli.kind").map(Value::to_string)).collect();
+        all.iter().map(|key| value_at(key, "stimuli.kind").map(Value::to_string)).collect();
     let differs = differing(all);
     let (alike, struck) = (differing_within(all, &kinds), differing_within(all, &stimuli));
     let one_kind = kinds.iter().all(|kind| *kind == kinds[0]);
@@ -273,7 +273,7 @@ fn labels(all: &[&Key], kinds: Vec<[String; 2]>) -> Vec<String> {
 
 /// `differ`: paths at which all groups differ, groups of the same decoders, and groups of the same forces.
 fn label(key: &Key, own: &[String; 2], one_kind: bool, differ: [&HashSet<&str>; 3]) -> String {
-    let value = |path: &str| at(key, path);
+    let value = |path: &str| value_at(key, path);
     let [differs, alike, struck] = differ;
     let of_brains =
         |path: &str| BRAINS.iter().any(|table| path.starts_with(table)) && !FREEDOM.contains(&path);
@@ -291,29 +291,29 @@ fn label(key: &Key, own: &[String; 2], one_kind: bool, differ: [&HashSet<&str>; 
     }
     if !one_kind {
         let training_told = key.iter().any(|(path, _)| trains(path));
-        parts.push(if training_told { in_words(own) } else { own[0].clone() });
+        parts.push(if training_told { format_brains(own) } else { own[0].clone() });
     }
     for (path, value) in key {
         // these follow from the material
         let given = path == "body.density" || path.starts_with("body.stiffness.");
-        let label_text = path.starts_with("point.")
+        let is_implied = path.starts_with("point.")
             || path.ends_with("panel_units")
             || SIZES.contains(&path.as_str())
-            || given && at(key, "body.material.thickness").is_some();
-        let label_parts = match path.as_str() {
+            || given && value_at(key, "body.material.thickness").is_some();
+        let is_distinguishing = match path.as_str() {
             path if of_brains(path) => alike.contains(path),
             path if path.starts_with("stimuli.") && path != "stimuli.kind" => struck.contains(path),
             path => differs.contains(path),
         };
-        if !label_text && label_parts {
-            parts.push(format!("{path} = {}", short(value)));
+        if !is_implied && is_distinguishing {
+            parts.push(format!("{path} = {}", shorten_value(value)));
         }
     }
     parts.join(", ")
 }
 
 /// Formats a value for a label; a long list as its length and a short hash.
-fn short(value: &Value) -> String {
+fn shorten_value(value: &Value) -> String {
     const MOST: usize = 12;
     match value {
         Value::Array(numbers) if numbers.len() > MOST => {

@@ -97,22 +97,22 @@ pub fn decisions(observations: &[Observation], terms: Terms) -> Option<Decisions
             without_largest: rule(&all[..all.len() - 1]),
         }
     };
-    let least = |means: &Means, cost: &dyn Fn(&(f64, f64)) -> f64| {
+    let min_by_cost = |means: &Means, cost: &dyn Fn(&(f64, f64)) -> f64| {
         means.iter().min_by(|a, b| cost(a).total_cmp(&cost(b))).copied().expect("two M at least")
     };
     let within = |means: &Means| {
-        let bar = (1.0 + terms.within) * least(means, &|m| m.1).1;
+        let bar = (1.0 + terms.within) * min_by_cost(means, &|m| m.1).1;
         means.iter().find(|m| m.1 <= bar).expect("the best is within").0
     };
     let fall = |means: &Means| {
-        let (best, error) = least(means, &|m| m.1);
+        let (best, error) = min_by_cost(means, &|m| m.1);
         let bar = 100.0 - terms.fall * (100.0 - error);
         means.iter().find(|m| m.1 <= bar).map_or(best, |m| m.0)
     };
     Some(Decisions {
         within: decision(&within),
         fall: decision(&fall),
-        priced: terms.price.map(|price| decision(&|means| least(means, &|m| m.1 + price * m.0).0)),
+        priced: terms.price.map(|price| decision(&|means| min_by_cost(means, &|m| m.1 + price * m.0).0)),
         over: units.over(),
     })
 }

@@ -305,20 +305,21 @@ fn kneedle(levels: &[Level]) -> Option<f64> {
     if most <= least {
         return None;
     }
-    let below: Vec<f64> = levels
+    let distances: Vec<f64> = levels
         .iter()
         .map(|l| (most - l.mean) / (most - least) - (l.at - first.at) / (last.at - first.at))
         .collect();
     let step = 1.0 / (levels.len() - 1) as f64;
     let mut candidate: Option<usize> = None;
     for i in 1..levels.len() {
-        let peaks = i + 1 < levels.len() && below[i] > below[i - 1] && below[i] >= below[i + 1];
-        if peaks && candidate.is_none_or(|c| below[i] > below[c]) {
+        let peaks =
+            i + 1 < levels.len() && distances[i] > distances[i - 1] && distances[i] >= distances[i + 1];
+        if peaks && candidate.is_none_or(|c| distances[i] > distances[c]) {
             candidate = Some(i);
         }
         if let Some(c) = candidate
             && i > c
-            && below[i] < below[c] - step
+            && distances[i] < distances[c] - step
         {
             return Some(levels[c].at);
         }

@@ -34,7 +34,7 @@ pub fn brains(setting: &Setting) -> [String; 2] {
 }
 
 /// Formats [`brains`].
-pub fn in_words([by, with]: &[String; 2]) -> String {
+pub fn format_brains([by, with]: &[String; 2]) -> String {
     if by == with { by.clone() } else { format!("trained with {with}, evaluated with {by}") }
 }
 
@@ -60,7 +60,7 @@ pub fn is_linear(trial: &Trial) -> bool {
 }
 
 /// [`brains`] of each trial, computed once per shared setting.
-pub fn of_each(trials: &[&Trial]) -> Vec<[String; 2]> {
+pub fn brains_by_trial(trials: &[&Trial]) -> Vec<[String; 2]> {
     let mut known: HashMap<*const BTreeMap<String, Value>, [String; 2]> = HashMap::new();
     let mut of = |trial: &&Trial| {
         let own = trial
@@ -80,7 +80,7 @@ pub fn of_each(trials: &[&Trial]) -> Vec<[String; 2]> {
 }
 
 /// Returns `[brain]` of the trial's spec.
-fn of_spec(setting: &Setting) -> Brain {
+fn parse_brain(setting: &Setting) -> Brain {
     let keys = setting
         .leaves()
         .into_iter()
@@ -92,7 +92,7 @@ fn of_spec(setting: &Setting) -> Brain {
 pub fn memory(trial: &Trial) -> [f64; 2] {
     let duration = trial.setting.number("time.duration").unwrap_or(1.0);
     let instant = duration / trial.setting.number("time.samples").unwrap_or(200.0);
-    let brain = of_spec(&trial.setting);
+    let brain = parse_brain(&trial.setting);
     if brain.kind != BrainKind::Cnn {
         let whole = duration - instant;
         return brain.memory.map_or([whole; 2], |memory| memory.map(|s| s.min(whole)));
@@ -105,7 +105,7 @@ pub fn memory(trial: &Trial) -> [f64; 2] {
 
 /// Returns the name of the network: `cnn` for the paper's shape.
 fn network(setting: &Setting) -> String {
-    let own = of_spec(setting).resolved();
+    let own = parse_brain(setting).resolved();
     if own.network() == (Brain { preset: Some(Preset::Long), ..Brain::default() }).network() {
         return "long".into();
     }

@@ -27,7 +27,7 @@ const MOST: f64 = 0.9999;
 
 /// Initial and trained body of a trial.
 #[derive(Debug, Clone)]
-pub struct Change {
+pub struct BodyPair {
     /// Group of the trial: equal K, M and decoders in training and evaluation.
     pub setting: String,
     /// Placement and seed.
@@ -35,29 +35,30 @@ pub struct Change {
     /// Held-out errors (%) of the initial and the trained body.
     pub errors: [f64; 2],
     /// Measures of the initial and the trained body.
-    pub told: [[f64; MEASURES.len()]; 2],
+    pub measured: [[f64; MEASURES.len()]; 2],
 }
 
 /// Returns one row per setting and measure: geometric means, and the rank correlation of its change with the gain.
-pub fn table(changes: &[Change]) -> Table {
+pub fn table(changes: &[BodyPair]) -> Table {
     let columns = "setting measure initial optimised ratio correlation correlation_low correlation_high over";
     let settings = distinct(changes.iter().map(|change| &change.setting));
     let of = |setting: &String| {
-        let own: Vec<&Change> = changes.iter().filter(|change| change.setting == *setting).collect();
+        let own: Vec<&BodyPair> = changes.iter().filter(|change| change.setting == *setting).collect();
         rows(setting, &own)
     };
     Table::new(columns, settings.into_iter().flat_map(of))
 }
 
-fn rows(setting: &str, changes: &[&Change]) -> Vec<Vec<Value>> {
+fn rows(setting: &str, changes: &[&BodyPair]) -> Vec<Vec<Value>> {
     let clusters: Vec<Cluster> = changes.iter().map(|change| change.cluster).collect();
     let resampling = Resampling::new(&clusters);
     let half =
         resampling.units().map(|units| TO_EACH_SIDE / (distinct(units.iter()).len() as f64 - 3.0).sqrt());
     let gains = ranks(&changes.iter().map(|c| (c.errors[0] / c.errors[1]).ln()).collect::<Vec<_>>());
     let of = |(m, name): (usize, &str)| {
-        let mean = |body: usize| geometric_mean(&changes.iter().map(|c| c.told[body][m]).collect::<Vec<_>>());
-        let grown: Vec<f64> = changes.iter().map(|c| (c.told[1][m] / c.told[0][m]).ln()).collect();
+        let mean =
+            |body: usize| geometric_mean(&changes.iter().map(|c| c.measured[body][m]).collect::<Vec<_>>());
+        let grown: Vec<f64> = changes.iter().map(|c| (c.measured[1][m] / c.measured[0][m]).ln()).collect();
         let grown = ranks(&grown);
         let all = correlation(&grown, &gains);
         // by Fisher's z, so that the interval stays within ±1
@@ -98,14 +99,14 @@ mod tests {
         let change = |i: u32| {
             let gain = f64::from(i * 7 % 11 + 1);
             let chance = f64::from(i * 5 % 12 + 1);
-            Change {
+            BodyPair {
                 setting: "one".to_owned(),
                 cluster: Cluster { placement: 0, seed: u64::from(i) },
                 errors: [gain, 1.0],
-                told: [[1.0; 6], [1.0 / gain.powi(2), gain.ln() + 1.0, chance, 1.0, gain, gain.sqrt()]],
+                measured: [[1.0; 6], [1.0 / gain.powi(2), gain.ln() + 1.0, chance, 1.0, gain, gain.sqrt()]],
             }
         };
-        let changes: Vec<Change> = (0..12).map(change).collect();
+        let changes: Vec<BodyPair> = (0..12).map(change).collect();
         let table = table(&changes);
         let cell = |measure: usize, column: &str| {
             let at = table.columns.iter().position(|c| c == column).unwrap();
@@ -122,7 +123,7 @@ mod tests {
         assert!((r.atanh() - low.atanh() - 0.672_65).abs() < 1e-4, "{r} {low}");
         assert!(cell(0, "correlation_high") > Some(-1.0));
         assert_eq!(cell(3, "ratio"), Some(1.0));
-        let other = Change { setting: "other".to_owned(), ..changes[0].clone() };
+        let other = BodyPair { setting: "other".to_owned(), ..changes[0].clone() };
         assert_eq!(super::table(&[&changes[..], &[other]].concat()).rows.len(), 12);
     }
 }

@@ -104,7 +104,7 @@ pub fn disagreement(ratio: impl Fn(Set) -> Option<Ratio>) -> Option<(Ratio, Stri
         None => "undecided",
     };
     let (by_means, by_medians) = (verdict(&mean), verdict(&median));
-    let text = format!("ratio {by_means} by means, {by_medians} by medians");
+    let text = format!("{by_means} by means, {by_medians} by medians");
     (mean.trials == median.trials && by_means != by_medians).then_some((median, text))
 }
 

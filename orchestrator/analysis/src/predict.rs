@@ -17,7 +17,7 @@ use metasense_numerics::random::Draw;
 pub const LEVELS: usize = 3;
 
 /// An observation: trial, level, ln of an error in %.
-pub type Seen = (usize, usize, f64);
+pub type ObservedError = (usize, usize, f64);
 
 /// Properties of a trial that are known before it runs.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -87,7 +87,7 @@ impl Hyper {
         OF_ALL + level + self.kinship.powi(l.abs_diff(m) as i32) * (setting + placed + own)
     }
 
-    fn factor(&self, x: &[&Setting], seen: &[Seen]) -> Option<Cholesky<f64, Dyn>> {
+    fn factor(&self, x: &[&Setting], seen: &[ObservedError]) -> Option<Cholesky<f64, Dyn>> {
         let of = |a: usize, b: usize| {
             let ((i, l, _), (j, m, _)) = (seen[a], seen[b]);
             self.covariance(x, (i, l), (j, m)) + if a == b { self.noise.powi(2) } else { 0.0 }
@@ -96,7 +96,7 @@ impl Hyper {
     }
 
     /// Returns the log marginal likelihood of y, up to a constant.
-    fn log_likelihood(&self, x: &[&Setting], seen: &[Seen], y: &DVector<f64>) -> f64 {
+    fn log_likelihood(&self, x: &[&Setting], seen: &[ObservedError], y: &DVector<f64>) -> f64 {
         let Some(factor) = self.factor(x, seen) else { return f64::NEG_INFINITY };
         let logs: f64 = factor.l_dirty().diagonal().iter().map(|d| d.ln()).sum();
         -0.5 * y.dot(&factor.solve(y)) - logs
@@ -121,7 +121,7 @@ const DRAWS: usize = 500;
 
 impl Prediction {
     /// Predicts the results of trials with settings `x` from the observations `seen`.
-    pub fn new(x: &[&Setting], seen: &[Seen]) -> Self {
+    pub fn new(x: &[&Setting], seen: &[ObservedError]) -> Self {
         let last = LEVELS - 1;
         let middle = seen.iter().map(|s| s.2).sum::<f64>() / seen.len().max(1) as f64;
         let y = DVector::from_iterator(seen.len(), seen.iter().map(|s| s.2 - middle));
@@ -167,27 +167,27 @@ impl Prediction {
 }
 
 /// Maximises the posterior density by coordinate search on the grid.
-fn fitted(x: &[&Setting], seen: &[Seen], y: &DVector<f64>) -> Hyper {
-    let mut at = vec![MIDDLE; OF_NOISE + 1 + x.first().map_or(0, |trial| trial.place.len())];
-    let worth = |at: &[usize]| {
-        let far: f64 = at.iter().map(|i| (*i as f64 - MIDDLE as f64).powi(2)).sum();
-        hyper(at).log_likelihood(x, seen, y) - PRIOR_PENALTY * far
+fn fitted(x: &[&Setting], seen: &[ObservedError], y: &DVector<f64>) -> Hyper {
+    let mut grid_index = vec![MIDDLE; OF_NOISE + 1 + x.first().map_or(0, |trial| trial.place.len())];
+    let worth = |grid_index: &[usize]| {
+        let far: f64 = grid_index.iter().map(|i| (*i as f64 - MIDDLE as f64).powi(2)).sum();
+        hyper(grid_index).log_likelihood(x, seen, y) - PRIOR_PENALTY * far
     };
-    let mut best = worth(&at);
-    for turn in 0..PASSES * at.len() {
-        let which = turn % at.len();
+    let mut best = worth(&grid_index);
+    for turn in 0..PASSES * grid_index.len() {
+        let which = turn % grid_index.len();
         let count = if which == OF_NOISE { NOISE.len() } else { AMPLITUDE.len() };
         for value in 0..count {
-            let before = std::mem::replace(&mut at[which], value);
-            let here = if before == value { best } else { worth(&at) };
+            let before = std::mem::replace(&mut grid_index[which], value);
+            let here = if before == value { best } else { worth(&grid_index) };
             if here > best {
                 best = here;
             } else {
-                at[which] = before;
+                grid_index[which] = before;
             }
         }
     }
-    hyper(&at)
+    hyper(&grid_index)
 }
 
 #[cfg(test)]
@@ -199,7 +199,7 @@ mod tests {
         known.map(|(x, looks, sensors)| Setting { place: vec![x], rung_kind: looks, sensors }).collect()
     }
 
-    fn predicted(x: &[Setting], seen: &[Seen]) -> Prediction {
+    fn predicted(x: &[Setting], seen: &[ObservedError]) -> Prediction {
         Prediction::new(&x.iter().collect::<Vec<_>>(), seen)
     }
 
@@ -209,7 +209,7 @@ mod tests {
     fn results_are_predicted_from_looks() {
         let x = settings((0..9).map(|i| (i as f64 / 8.0, 0, i)));
         let truth = |i: usize| 1.0 + x[i].place[0];
-        let mut seen: Vec<Seen> =
+        let mut seen: Vec<ObservedError> =
             [0, 2, 6, 8].iter().flat_map(|&i| [(i, 0, truth(i) + 0.5), (i, 2, truth(i))]).collect();
         let before = predicted(&x, &seen);
         for i in 0..9 {
@@ -229,7 +229,7 @@ mod tests {
     fn looks_that_tell_nothing_count_for_little() {
         let mut draw = Draw::numbered(3, 1);
         let x = settings((0..60).map(|i| (0.0, 0, i)));
-        let seen: Vec<Seen> =
+        let seen: Vec<ObservedError> =
             (0..59).flat_map(|i| [(i, 0, draw.normal()), (i, 2, 0.5 * draw.normal())]).collect();
         let shown = |first: f64| {
             let mut seen = seen.clone();
@@ -248,7 +248,7 @@ mod tests {
         let mut draw = Draw::numbered(3, 2);
         let result: Vec<f64> = (0..10).map(|_| 3.0 + 0.3 * draw.normal()).collect();
         let look = |i: usize| result[i] + if i.is_multiple_of(2) { -1.0 } else { 0.6 };
-        let mut seen: Vec<Seen> = (0..10).map(|i| (i, 0, look(i))).collect();
+        let mut seen: Vec<ObservedError> = (0..10).map(|i| (i, 0, look(i))).collect();
         seen.extend((0..6).map(|i| (i, 2, result[i])));
         let found = predicted(&x, &seen);
         for i in 6..10 {
@@ -262,7 +262,8 @@ mod tests {
     fn a_placement_is_worth_the_same_in_other_settings() {
         let x = settings((0..8).map(|i| (3.0 * (i / 2) as f64, 0, i % 2)));
         let truth = |i: usize| [2.0, 3.0, 1.5, 2.5][i / 2] + if i.is_multiple_of(2) { 0.0 } else { 0.8 };
-        let seen: Vec<Seen> = (0..6).flat_map(|i| [(i, 0, truth(i) + 0.2), (i, 2, truth(i))]).collect();
+        let seen: Vec<ObservedError> =
+            (0..6).flat_map(|i| [(i, 0, truth(i) + 0.2), (i, 2, truth(i))]).collect();
         let found = predicted(&x, &seen);
         assert!((0.5..1.0).contains(&(found.mean[7] - found.mean[6])), "{:?}", found.mean);
     }

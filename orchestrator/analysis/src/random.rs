@@ -63,7 +63,7 @@ pub fn random_groups<'a>(trials: &[&'a Trial]) -> Vec<Group<'a>> {
 pub fn random(trials: &[&Trial], set: Set) -> Option<Random> {
     let (random, mut others): (Vec<&Trial>, Vec<&Trial>) = trials.iter().partition(|t| t.starts_random());
     others.retain(|t| !t.starts_from_design());
-    let of = |trials: &[&Trial], body| -> Vec<f64> {
+    let errors_of = |trials: &[&Trial], body| -> Vec<f64> {
         without_repeats(trials, |t| t.error(body, set)).map(|(_, error)| error).collect()
     };
     // geometric mean over ways of training with equal sensors and forces
@@ -77,20 +77,20 @@ pub fn random(trials: &[&Trial], set: Set) -> Option<Random> {
     let ratios = Body::ALL.map(|body| {
         let ratio = |t: &Trial| Some(t.error(Body::Initial, set)? / alike(t, body)?);
         let (trials, ratios): (Vec<&Trial>, Vec<f64>) = without_repeats(&random, ratio).unzip();
-        let of = |unit: fn(&Trial) -> u64| trials.iter().map(|t| unit(t)).collect();
-        let units = Resampling::of([
-            (["body", "bodies"], of(|t| t.setting.count(RANDOM).unwrap_or_default())),
-            (PLACEMENTS, of(|t| t.cluster.placement)),
-            (SEEDS, of(|t| t.cluster.seed)),
+        let ids_by = |unit: fn(&Trial) -> u64| trials.iter().map(|t| unit(t)).collect();
+        let units = Resampling::over_units([
+            (["body", "bodies"], ids_by(|t| t.setting.count(RANDOM).unwrap_or_default())),
+            (PLACEMENTS, ids_by(|t| t.cluster.placement)),
+            (SEEDS, ids_by(|t| t.cluster.seed)),
         ]);
         Ratio::over(&units, &ratios)
     });
-    let errors = of(&random, Body::Initial);
+    let errors = errors_of(&random, Body::Initial);
     (ratios[0].is_some() && !errors.is_empty()).then(|| Random {
         errors,
-        others: Body::ALL.map(|body| of(&others, body)),
+        others: Body::ALL.map(|body| errors_of(&others, body)),
         ratios,
-        trained: of(&random, Body::Optimised),
+        trained: errors_of(&random, Body::Optimised),
     })
 }
 

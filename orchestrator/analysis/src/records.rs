@@ -13,7 +13,7 @@ use metasense_render::{Table, row};
 
 /// Errors of one body.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Judged {
+pub struct BodyErrors {
     /// The body.
     pub body: String,
     /// Signals of training and evaluation.
@@ -128,7 +128,7 @@ pub struct MeanRatio {
 }
 
 /// Returns the ratio of mean errors. `paired`: both bodies have the same records, which are drawn together.
-pub fn mean_ratio(first: &Judged, second: &Judged, paired: bool) -> Option<MeanRatio> {
+pub fn mean_ratio(first: &BodyErrors, second: &BodyErrors, paired: bool) -> Option<MeanRatio> {
     let groups: Vec<Vec<Errors>> = match paired {
         true => {
             let both = first.errors.iter().zip(&second.errors).filter_map(|(a, b)| Some([(*a)?, (*b)?]));
@@ -231,7 +231,7 @@ pub(super) fn mean_interval(errors: &[f64]) -> Option<Interval> {
     interval(&[errors.iter().map(|error| [Some(*error), None]).collect()])
 }
 
-impl Judged {
+impl BodyErrors {
     fn known(&self) -> Vec<f64> {
         self.errors.iter().flatten().copied().collect()
     }
@@ -248,11 +248,11 @@ const OF_INVERSE: [&str; 4] = ["coverage", "not_converged", "unexplained", "cpu_
 
 /// Returns one row per body and kind of signals; ratios are to the first body's row of the same kind. `delta`: time per instant
 /// (s).
-pub fn table(judged: &[Judged], paired: bool, delta: f64) -> Table {
+pub fn table(judged: &[BodyErrors], paired: bool, delta: f64) -> Table {
     let columns = "body signals records error_train error_test test_low test_high median p90 above spread_folds \
         spread_seeds ratio ratio_low ratio_high iterations_ratio correlation difference lag coverage \
         not_converged unexplained cpu_seconds";
-    let row = |body: &Judged| {
+    let row = |body: &BodyErrors| {
         let first = judged.iter().find(|other| other.by == body.by);
         let first = first.filter(|first| first.body != body.body);
         let ratio = first.and_then(|first| mean_ratio(first, body, paired));

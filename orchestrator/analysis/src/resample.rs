@@ -78,13 +78,13 @@ impl Resampling {
         let several = distinct(clusters.iter().copied()).len();
         let enough = count(&seeds) >= LEAST_UNITS || count(&seeds) == several;
         if several > 1 && count(&placements) == several && enough {
-            return Self::of([(OWN_PLACEMENTS, seeds)]);
+            return Self::over_units([(OWN_PLACEMENTS, seeds)]);
         }
-        Self::of([(PLACEMENTS, placements), (SEEDS, seeds)])
+        Self::over_units([(PLACEMENTS, placements), (SEEDS, seeds)])
     }
 
     /// Other kinds of units: a name, and the unit of each trial.
-    pub fn of(kinds: impl IntoIterator<Item = ([&'static str; 2], Vec<u64>)>) -> Self {
+    pub fn over_units(kinds: impl IntoIterator<Item = ([&'static str; 2], Vec<u64>)>) -> Self {
         let kind = |(name, of_trial): ([&'static str; 2], Vec<u64>)| {
             let values = distinct(of_trial.iter().copied());
             let find = |value| values.binary_search(value).expect("collected above");

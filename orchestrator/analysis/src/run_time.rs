@@ -9,10 +9,10 @@ use super::resample::Resampling;
 use super::trial::{Cluster, Trial};
 
 /// Seconds, and smallest error (%) so far.
-pub type Reached = (f64, f64);
+pub type ErrorAtTime = (f64, f64);
 
 /// Returns the indices of the points of the Pareto front of seconds and error, by ascending seconds.
-pub fn pareto(points: &[Reached]) -> Vec<usize> {
+pub fn pareto(points: &[ErrorAtTime]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..points.len()).collect();
     order.retain(|&i| points[i].0.is_finite() && points[i].1.is_finite());
     order.sort_by(|&i, &j| points[i].0.total_cmp(&points[j].0).then(points[i].1.total_cmp(&points[j].1)));
@@ -26,7 +26,7 @@ pub fn pareto(points: &[Reached]) -> Vec<usize> {
 }
 
 /// Returns the seconds until the smallest error so far is at most `error`.
-pub fn time_to(history: &[Reached], error: f64) -> Option<f64> {
+pub fn time_to(history: &[ErrorAtTime], error: f64) -> Option<f64> {
     history.iter().find(|(_, best)| *best <= error).map(|(seconds, _)| *seconds)
 }
 
@@ -148,14 +148,14 @@ fn order_statistics(runs: &[(f64, bool)]) -> Option<[Option<f64>; 2]> {
 }
 
 /// Returns the smallest error until `seconds`; `None` before the end of the first step.
-pub fn best_at(history: &[Reached], seconds: f64) -> Option<f64> {
+pub fn best_at(history: &[ErrorAtTime], seconds: f64) -> Option<f64> {
     history[..history.partition_point(|(s, _)| *s <= seconds)].last().map(|(_, best)| *best)
 }
 
 /// Returns the geometric mean over runs of the smallest error so far, at `count` times spaced evenly in ln s, from the first
 /// time at which all runs have an error to the end of the longest run. Runs that have ended keep their last error.
-pub fn mean_history(histories: &[&[Reached]], count: usize) -> Vec<Reached> {
-    let histories: Vec<&&[Reached]> = histories.iter().filter(|h| !h.is_empty()).collect();
+pub fn mean_history(histories: &[&[ErrorAtTime]], count: usize) -> Vec<ErrorAtTime> {
+    let histories: Vec<&&[ErrorAtTime]> = histories.iter().filter(|h| !h.is_empty()).collect();
     let start = histories.iter().map(|h| h[0].0).fold(0.0, f64::max);
     let end = histories.iter().map(|h| h[h.len() - 1].0).fold(0.0, f64::max);
     if histories.is_empty() || start <= 0.0 || end <= start {
@@ -188,7 +188,7 @@ pub fn mean_seconds(trials: &[&Trial], parts: &[&'static str]) -> Vec<f64> {
 
 /// Returns up to six round errors (1, 1.5, 2, 3, 5, 7 × 10^n), descending, between the smallest last and the largest first
 /// error.
-pub fn round_errors(histories: &[&[Reached]]) -> Vec<f64> {
+pub fn round_errors(histories: &[&[ErrorAtTime]]) -> Vec<f64> {
     let first = histories.iter().filter_map(|h| h.first()).map(|p| p.1).fold(0.0, f64::max);
     let last = histories.iter().filter_map(|h| h.last()).map(|p| p.1).fold(f64::INFINITY, f64::min);
     let mut errors: Vec<f64> = (-3..6)

@@ -156,13 +156,13 @@ fn held_out(
     all: &Law,
 ) -> Option<HeldOut> {
     let most = *places(observations).last()?;
-    let (here, smaller): (Vec<Observation>, Vec<Observation>) =
+    let (at_largest, smaller): (Vec<Observation>, Vec<Observation>) =
         observations.iter().partition(|o| o.at == most);
-    let [here, smaller] = [here, smaller].map(|part| Grid::new(&part, clusters));
+    let [at_largest, smaller] = [at_largest, smaller].map(|part| Grid::new(&part, clusters));
     let smaller = Sums::new(&smaller);
     let logs = |weights: &[f64]| {
         let law = fit(&smaller, weights, all.reference, Some(all))?.0;
-        Some([law.at(most).ln(), here.means(weights)[0]?.ln()])
+        Some([law.at(most).ln(), at_largest.means(weights)[0]?.ln()])
     };
     let [predicted, observed] = logs(&units.equal_weights())?.map(f64::exp);
     let interval = units.jackknife(logs).and_then(|j| j.interval(|[p, o]| p - o));

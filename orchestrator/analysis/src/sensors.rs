@@ -6,7 +6,7 @@ use super::resample::Resampling;
 
 /// The fewest sensors of the trained body.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Fewer {
+pub struct SensorSaving {
     /// Largest M of the initial body.
     pub most: f64,
     /// Error of the initial body with this M (%).
@@ -22,7 +22,7 @@ pub struct Fewer {
 }
 
 /// Compares the curves of error against M of both bodies; `None` if either is empty.
-pub fn fewer(initial: &[Observation], optimised: &[Observation]) -> Option<Fewer> {
+pub fn fewer(initial: &[Observation], optimised: &[Observation]) -> Option<SensorSaving> {
     let clusters = clusters(initial.iter().chain(optimised));
     let [initial, optimised] = [initial, optimised].map(|observations| Grid::new(observations, &clusters));
     let most = *initial.places.last()?;
@@ -38,7 +38,7 @@ pub fn fewer(initial: &[Observation], optimised: &[Observation]) -> Option<Fewer
     let share = first.filter(|_| !replicates.is_empty()).map(|(m, _)| {
         replicates.iter().filter(|r| r.is_some_and(|r| r <= m)).count() as f64 / replicates.len() as f64
     });
-    Some(Fewer {
+    Some(SensorSaving {
         most,
         initial_error,
         fewest: first.map(|f| f.0),

@@ -77,9 +77,9 @@ impl FromIterator<(String, Value)> for Setting {
 
 /// Sets of values, each stored once.
 #[derive(Debug, Default)]
-struct Known(HashMap<String, Arc<BTreeMap<String, Value>>>);
+struct InternedValues(HashMap<String, Arc<BTreeMap<String, Value>>>);
 
-impl Known {
+impl InternedValues {
     fn of(&mut self, values: BTreeMap<String, Value>) -> Arc<BTreeMap<String, Value>> {
         let name = serde_json::to_string(&values).expect("values are JSON");
         Arc::clone(self.0.entry(name).or_insert_with(|| Arc::new(values)))
@@ -89,8 +89,8 @@ impl Known {
 /// Stores values that settings share.
 #[derive(Debug, Default)]
 pub struct Settings {
-    shared: Known,
-    own: Known,
+    shared: InternedValues,
+    own: InternedValues,
 }
 
 impl Settings {

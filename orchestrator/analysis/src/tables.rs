@@ -194,7 +194,7 @@ fn interval_cells(ratio: Option<&Ratio>) -> Vec<Value> {
 
 /// Returns one row per group and set for which `say` returns cells.
 fn by_set(columns: &str, groups: &[Group], say: impl Fn(&Group, Set) -> Option<Vec<Value>>) -> Table {
-    let all = groups.iter().flat_map(|group| Set::of(&group.trials).map(move |set| (group, set)));
+    let all = groups.iter().flat_map(|group| Set::with_errors(&group.trials).map(move |set| (group, set)));
     let row = |(group, set): (&Group, Set)| Some([row![group.label, set.name()], say(group, set)?].concat());
     Table::new(&format!("setting set {columns}"), all.filter_map(row))
 }
@@ -205,7 +205,8 @@ type Curves<'a> = (Vec<Group<'a>>, fn(&Trial) -> u64);
 /// Returns the rows of the curve of every group, body and set.
 fn by_curve(columns: &str, (groups, at): Curves, rows: impl Fn(&[Observation]) -> Vec<Vec<Value>>) -> Table {
     let bodies = groups.iter().flat_map(|group| Body::ALL.map(|body| (group, body)));
-    let all = bodies.flat_map(|(group, body)| Set::of(&group.trials).map(move |set| (group, body, set)));
+    let all =
+        bodies.flat_map(|(group, body)| Set::with_errors(&group.trials).map(move |set| (group, body, set)));
     let told = all.flat_map(|(group, body, set)| {
         let names = row![group.label, body.name(), set.name()];
         let found = rows(&observations(&group.trials, body, set, at));
@@ -298,7 +299,7 @@ fn long_table(trials: &[&Trial]) -> Table {
     for group in groups(trials, &[]) {
         let lengths = distinct(group.trials.iter().filter_map(|t| t.long_iterations()));
         for (iterations, set) in
-            lengths.into_iter().flat_map(|n| Set::of(&group.trials).map(move |set| (n, set)))
+            lengths.into_iter().flat_map(|n| Set::with_errors(&group.trials).map(move |set| (n, set)))
         {
             let of_length = |t: &&&Trial| t.long_iterations() == Some(iterations);
             let trials: Vec<&Trial> = group.trials.iter().filter(of_length).copied().collect();
@@ -459,10 +460,12 @@ fn placements_table(trials: &[&Trial]) -> Table {
 fn placed_table(trials: &[&Trial]) -> Table {
     let mut rows = Vec::new();
     for found in placed(trials) {
-        for (set, level) in Set::of(trials).flat_map(|set| found.levels.iter().map(move |l| (set, l))) {
+        for (set, level) in
+            Set::with_errors(trials).flat_map(|set| found.levels.iter().map(move |l| (set, l)))
+        {
             let ways = [false, true].into_iter().flat_map(|s| Body::ALL.map(|body| (s, body)));
             let errors = ways.map(|(searched, body)| json!(level.error(searched, body, set))).collect();
-            let [placing, training] = [level.by_placing(set), level.by_training(set)];
+            let [placing, training] = [level.gain_from_placing(set), level.gain_from_training(set)];
             let [placing_cells, training_cells] = [&placing, &training].map(|r| interval_cells(r.as_ref()));
             let names = row![found.label, set.name(), level.sensors];
             let over = row![training.map(|r| r.over)];
@@ -522,8 +525,8 @@ fn complexity_table(trials: &[&Trial]) -> Table {
         let law = found.map(|f| f.law);
         let [b_low, b_high] = ends(found.and_then(|f| f.exponent));
         let [c_low, c_high] = ends(found.and_then(|f| f.floor));
-        let held = found.and_then(|f| f.held_out);
-        let [low, high] = ends(held.and_then(|h| h.interval));
+        let held_out_error = found.and_then(|f| f.held_out);
+        let [low, high] = ends(held_out_error.and_then(|h| h.interval));
         vec![row![
             verdict,
             law.map(|l| l.scale),
@@ -534,9 +537,9 @@ fn complexity_table(trials: &[&Trial]) -> Table {
             law.map(|l| l.floor),
             c_low,
             c_high,
-            held.map(|h| h.at as u64),
-            held.map(|h| h.predicted),
-            held.map(|h| h.observed),
+            held_out_error.map(|h| h.at as u64),
+            held_out_error.map(|h| h.predicted),
+            held_out_error.map(|h| h.observed),
             low,
             high,
             found.map(|f| &f.over)

@@ -6,7 +6,7 @@ use super::elbow::gains;
 use super::numbers::{mean, median};
 use super::paired::{Progress, Ratio, error_ratio, iteration_ratio, iterations};
 use super::random::{random, random_groups};
-use super::records::{Judged, mean_interval, mean_ratio};
+use super::records::{BodyErrors, mean_interval, mean_ratio};
 use super::resample::{Interval, LEAST_UNITS};
 use super::run_time::{CensoredTime, median_time};
 use super::scaling::{Scaling, scaling};
@@ -250,7 +250,7 @@ fn random_bodies_are_told_apart_by_their_spread() {
 /// 0.75 is. More skewed errors need more records, because few records dominate the mean.
 #[test]
 fn means_over_records() {
-    let judged = |errors: Vec<f64>| Judged {
+    let judged = |errors: Vec<f64>| BodyErrors {
         body: String::new(),
         by: super::records::SignalSource::Measured,
         errors: errors.into_iter().map(Some).collect(),

@@ -5,7 +5,7 @@
 //! kept = Σ ln(initial/trained) / Σ ln(initial/specialist)
 //! ```
 
-use super::bodies::{Kept, Trained, bodies};
+use super::bodies::{BodyTrials, KeptGain, bodies};
 use super::data::{Group, groups};
 use super::numbers::distinct;
 use super::paired::Ratio;
@@ -17,7 +17,7 @@ pub struct Setting<'a> {
     /// Differences from other settings.
     pub label: String,
     /// The initial body, then the trained ones by forces in training.
-    pub bodies: Vec<Trained<'a>>,
+    pub bodies: Vec<BodyTrials<'a>>,
     /// Kinds of forces in evaluation.
     pub kinds: Vec<String>,
 }
@@ -31,7 +31,7 @@ pub struct TransferErrors {
     pub carried: Option<Ratio>,
     /// Kept fraction of the specialist's gain, with decoders fitted under these forces; `None` for the initial body and without
     /// a specialist.
-    pub kept: Option<Kept>,
+    pub kept: Option<KeptGain>,
 }
 
 /// Groups trials that differ only in forces, training, placement and seed.
@@ -52,7 +52,7 @@ fn kind(trial: &Trial) -> &str {
 
 impl Setting<'_> {
     /// Returns the errors of a body under one kind of forces; `None` if there are none.
-    pub fn read(&self, body: &Trained, under: &str) -> Option<TransferErrors> {
+    pub fn read(&self, body: &BodyTrials, under: &str) -> Option<TransferErrors> {
         let mean = |own: bool| {
             let of = |trial: &&Trial| Some((trial.cluster, error(trial, body.body, under, own)?));
             Ratio::of(&body.trials.iter().filter_map(of).collect::<Vec<_>>())
@@ -65,17 +65,17 @@ impl Setting<'_> {
     }
 
     /// Returns the kind of forces with the smallest kept fraction, and this fraction.
-    pub fn worst(&self, body: &Trained) -> Option<(&str, f64)> {
+    pub fn worst(&self, body: &BodyTrials) -> Option<(&str, f64)> {
         let all = self.kinds.iter().filter_map(|kind| Some((&kind[..], self.read(body, kind)?.kept?.part)));
         all.min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     /// Returns the first body that was trained under a kind of forces.
-    fn specialist(&self, under: &str) -> Option<&Trained<'_>> {
+    fn specialist(&self, under: &str) -> Option<&BodyTrials<'_>> {
         self.bodies.iter().find(|body| body.body == Body::Optimised && kind(body.trials[0]) == under)
     }
 
-    fn kept(&self, body: &Trained, under: &str) -> Option<Kept> {
+    fn kept(&self, body: &BodyTrials, under: &str) -> Option<KeptGain> {
         let specialist = self.specialist(under)?;
         // ln(initial/trained) of the body and of the specialist, per cluster
         let gain = |trial: &Trial| {
@@ -86,7 +86,7 @@ impl Setting<'_> {
             let other = specialist.trials.iter().find(|other| other.cluster == trial.cluster)?;
             Some((trial.cluster, [gain(trial)?, gain(other)?]))
         };
-        Kept::of(body.trials.iter().filter_map(both))
+        KeptGain::of(body.trials.iter().filter_map(both))
     }
 }
 

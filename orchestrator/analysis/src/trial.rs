@@ -69,7 +69,7 @@ impl Set {
     }
 
     /// Returns the sets for which trials have errors. Trials of versions before 15 have no medians.
-    pub fn of(trials: &[&Trial]) -> impl Iterator<Item = Self> + use<> {
+    pub fn with_errors(trials: &[&Trial]) -> impl Iterator<Item = Self> + use<> {
         let median = trials.iter().any(|t| [t.medians, t.long_medians].concat().iter().any(Option::is_some));
         Self::ALL.into_iter().filter(move |set| median || *set != Self::Median)
     }

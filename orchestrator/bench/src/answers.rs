@@ -15,7 +15,7 @@ use metasense::print_line;
 use metasense::store::{Store, npy_bytes};
 use serde_json::json;
 
-use crate::made_up::{Made, Scratch, at, count};
+use crate::made_up::{BulkDatabase, Scratch, at, count};
 
 /// Time and peak memory of queries to databases with many trials
 #[derive(Debug, clap::Args)]
@@ -52,7 +52,7 @@ async fn measure(args: &Args, folder: &Path) -> Result<Exit, Error> {
             &["analyse", &*db],
             &["report", &*db, "--out", &*page],
         ] {
-            let (seconds, cpu, mib) = asked(what)?;
+            let (seconds, cpu, mib) = measure_command(what)?;
             let row = json!({
                 "bench": "answers", "trials": 1000 * thousands, "steps": args.steps, "iterations": args.iterations,
                 "asked": what.iter().filter(|word| **word != db && **word != page).copied().collect::<Vec<_>>().join(" "),
@@ -65,7 +65,7 @@ async fn measure(args: &Args, folder: &Path) -> Result<Exit, Error> {
 }
 
 /// Wall-clock seconds, CPU seconds and peak memory (MiB) of a command.
-pub fn asked(arguments: &[&str]) -> Result<(f64, f64, f64), Error> {
+pub fn measure_command(arguments: &[&str]) -> Result<(f64, f64, f64), Error> {
     let failed = |source| Error::Io { doing: "running", path: arguments.join(" ").into(), source };
     let began = Instant::now();
     let (null, quiet) = (Stdio::null(), Stdio::null());
@@ -100,7 +100,7 @@ async fn make(file: &Path, thousands: usize, args: &Args) -> Result<(), Error> {
     let mut store = Store::open(file).await?;
     store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await?;
     store.close().await?;
-    let mut made = Made::begin(file).await?;
+    let mut made = BulkDatabase::begin(file).await?;
     // noise per trial, ± 10 %
     let noise = "(1.0 + 0.2 * ((t.id * 7919) % 101) / 101.0 - 0.1)";
     let sql = [

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use metasense::cli::{self, Error};
-use metasense::engine::{self, Again, Control, Options, Signals, Silent, Watch};
+use metasense::engine::{self, Control, Options, RerunPolicy, Signals, Silent, Watch};
 use metasense::exit::Exit;
 use metasense::plan::Trial;
 use metasense::print_line;
@@ -88,7 +88,8 @@ async fn measure(args: &Args, db: &std::path::Path) -> Result<Exit, Error> {
     let mut signals = Signals::new()?;
     let mut store = Store::open(db).await?;
     let text = (&sweep, "bench engine");
-    let Some(pending) = engine::begin(&mut store, text, &trials, Again::default(), &mut signals).await?
+    let Some(pending) =
+        engine::begin(&mut store, text, &trials, RerunPolicy::default(), &mut signals).await?
     else {
         store.close().await?;
         return Ok(Exit::Interrupted);

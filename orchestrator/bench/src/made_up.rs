@@ -23,12 +23,12 @@ impl Drop for Scratch {
 }
 
 /// A database in an open transaction, without syncs to disk.
-pub struct Made<'a> {
+pub struct BulkDatabase<'a> {
     file: &'a Path,
     pub db: SqliteConnection,
 }
 
-impl<'a> Made<'a> {
+impl<'a> BulkDatabase<'a> {
     pub async fn begin(file: &'a Path) -> Result<Self, Error> {
         let options = SqliteConnectOptions::new().filename(file).pragma("synchronous", "OFF");
         let db = options.disable_statement_logging().connect().await.map_err(at(file))?;

@@ -13,8 +13,8 @@ use metasense::print_line;
 use metasense::store::Store;
 use serde_json::json;
 
-use crate::answers::asked;
-use crate::made_up::{Made, Scratch, count};
+use crate::answers::measure_command;
+use crate::made_up::{BulkDatabase, Scratch, count};
 
 /// Trials and bytes per second of a merge of synthetic shards.
 #[derive(Debug, clap::Args)]
@@ -65,7 +65,7 @@ async fn measure(args: &Args, folder: &Path) -> Result<Exit, Error> {
     let summary = merge(extent, shards, &out).await?;
     let seconds = began.elapsed().as_secs_f64();
     let resident = crate::peak_mib();
-    let status = if args.facts { Some(asked(&["status", &out.to_string_lossy()])?) } else { None };
+    let status = if args.facts { Some(measure_command(&["status", &out.to_string_lossy()])?) } else { None };
     let row = json!({
         "bench": "merge",
         "shards": args.shards,
@@ -94,7 +94,7 @@ fn size(file: &Path) -> u64 {
 /// Creates the database of a shard with finished trials, as the engine would.
 async fn make(file: &Path, shard: Shard, args: &Args) -> Result<(), Error> {
     Store::open(file).await?.close().await?;
-    let mut made = Made::begin(file).await?;
+    let mut made = BulkDatabase::begin(file).await?;
     let (first, trials) = ((shard.index() - 1) * args.trials, args.trials);
     let (steps, points, bytes) = (args.steps, args.points / 2, args.bytes / 6);
     let numbers = "0.1, 0.2, 0.3, 0.4, 0.5, 0.6";

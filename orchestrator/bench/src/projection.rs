@@ -133,16 +133,16 @@ fn measure(columns: usize, rows: usize, step: f64, calls: u64) -> (Vec<Value>, u
 /// designs.
 fn random(count: u64, format: Format) -> Result<Exit, Error> {
     let begin = Instant::now();
-    let outcomes: Vec<(Status, usize)> = (0..count).into_par_iter().map(one).collect();
-    let of = |status: Status| outcomes.iter().filter(|o| o.0 == status).count();
+    let outcomes: Vec<(Status, usize)> = (0..count).into_par_iter().map(project_random).collect();
+    let count_status = |status: Status| outcomes.iter().filter(|o| o.0 == status).count();
     let violations: usize = outcomes.iter().map(|o| o.1).sum();
     let columns = "projections untouched projected kept infeasible violations seconds";
     let row = row![
         count,
-        of(Status::Untouched),
-        of(Status::Projected),
-        of(Status::Kept),
-        of(Status::Infeasible),
+        count_status(Status::Untouched),
+        count_status(Status::Projected),
+        count_status(Status::Kept),
+        count_status(Status::Infeasible),
         violations,
         (begin.elapsed().as_secs_f64() * 10.0).round() / 10.0
     ];
@@ -150,7 +150,7 @@ fn random(count: u64, format: Format) -> Result<Exit, Error> {
     Ok(if violations == 0 { Exit::Done } else { Exit::Failed })
 }
 
-fn one(number: u64) -> (Status, usize) {
+fn project_random(number: u64) -> (Status, usize) {
     let mut draw: Stream = stream(3, number);
     let (columns, rows) = (2 + draw.below(7), 2 + draw.below(7));
     let layout = match draw.below(3) {

@@ -14,7 +14,7 @@ use crate::cluster::merge::{Extent, merge};
 use crate::exit::Exit;
 use crate::look::{Format, Table};
 use crate::plan::counted;
-use crate::report::{Story, figures, html, load};
+use crate::report::{ReportData, figures, html, load};
 use crate::store::Reader;
 use metasense_schemas::source::each_file;
 
@@ -68,7 +68,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let results = dir.join(RESULTS);
     write_parts(&results, &story, &drawn)?;
     for (sweep, name) in story.sweeps.iter().zip(&names) {
-        with_its_files(&results, name, &sweep.text)?;
+        write_spec_files(&results, name, &sweep.text)?;
     }
     merge(Extent::Whole, std::slice::from_ref(db), &dir.join(DATABASE)).await?;
     write(&dir.join(PROVENANCE), made.written(Format::Json))?;
@@ -82,7 +82,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 
 /// Writes the spec and copies of the files that it names by absolute path; the spec refers to the copies. Warns about missing
 /// files.
-fn with_its_files(folder: &Path, name: &str, text: &str) -> Result<(), Error> {
+fn write_spec_files(folder: &Path, name: &str, text: &str) -> Result<(), Error> {
     let mut own = text.to_owned();
     for file in files_of(text) {
         let path = Path::new(&file);
@@ -112,7 +112,7 @@ fn first<'a>(made: &'a Table, column: &str) -> &'a str {
     made.rows[0][made.column(column)].as_str().unwrap_or("unknown")
 }
 
-fn readme(story: &Story, names: &[String], made: &Table) -> String {
+fn readme(story: &ReportData, names: &[String], made: &Table) -> String {
     let [version, code, revision, simd] =
         ["version", "code", "revision", "simd"].map(|name| first(made, name));
     let mut text = format!(

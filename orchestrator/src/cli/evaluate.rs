@@ -7,7 +7,8 @@ use std::time::{Duration, Instant};
 
 use metasense_schemas::spec::{BrainKind, TrialSpec};
 use metasense_worker::evaluate::{
-    Effort, Evaluated, Network, NetworkStore, by_model, by_twin, evaluate, parts, simulated,
+    Effort, Evaluated, Network, NetworkStore, estimate_by_inverse, evaluate, evaluate_by_twin, parts,
+    simulated,
 };
 use metasense_worker::inverse::holdout;
 use metasense_worker::measured::Measured;
@@ -129,20 +130,22 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     let read = |(name, file): &(String, PathBuf)| -> Result<Records, Error> {
         let (spec, design) = (spec_of_body(&specs, name), designs.get(name));
-        let refused = |why: &str| Error::Usage(format!("--records {name}={}: {why}", file.display()));
+        let usage_error = |why: &str| Error::Usage(format!("--records {name}={}: {why}", file.display()));
         if inverse && design.is_none() {
-            return Err(refused("an inverse decoder needs the model of the body: pass --design BODY=FILE"));
+            return Err(usage_error(
+                "an inverse decoder needs the model of the body: pass --design BODY=FILE",
+            ));
         }
         let (by, measured) = match design.filter(|_| file.as_os_str() == HOLDOUT) {
             Some(_) if !inverse => {
-                return Err(refused(
+                return Err(usage_error(
                     "only for --brain inverse; the trial contains the errors of other decoders",
                 ));
             }
             Some(design) => {
                 let own = (&design[..], twins.get(name));
                 let found = holdout(spec, own, args.threads.into());
-                (SignalSource::Holdout, found.map_err(|e| refused(&e.to_string()))?)
+                (SignalSource::Holdout, found.map_err(|e| usage_error(&e.to_string()))?)
             }
             None if inverse && spec.sensors.noise.is_none() => {
                 let remedy = "must be set: an inverse decoder needs the noise of measured signals";
@@ -151,7 +154,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             None => (SignalSource::Measured, read_records(file, spec)?),
         };
         if measured.start_deviation > 0.0 {
-            return Err(refused(
+            return Err(usage_error(
                 "signals.start_deviation: must be left out: clocks are taken as exact here; set signals.start as `metasense lab identify` \
                  prints it for these records",
             ));
@@ -246,14 +249,14 @@ fn compare(
         }
         _ => (1 + usize::from(modelled(of))) * effort.folds * effort.seeds,
     };
-    let what = if brain == BrainKind::Inverse { "parts decoded" } else { "networks trained" };
-    let all = records.iter().map(of_body).sum();
-    let progress = Progress::new(what, all, &unfinished, kept.unwrap_or_default());
+    let progress_unit = if brain == BrainKind::Inverse { "parts decoded" } else { "networks trained" };
+    let total_networks = records.iter().map(of_body).sum();
+    let progress = Progress::new(progress_unit, total_networks, &unfinished, kept.unwrap_or_default());
     let threads = usize::from(args.threads);
     let evaluate_signals = |name: &str, kind: &str, measured: &Measured| -> Result<Evaluated, Error> {
         let (spec, kept) = (self::spec_of_body(specs, name), BodyProgress { name, kind, of: &progress });
         let found = match brain {
-            BrainKind::Inverse => by_model(spec, (&designs[name], None), measured, threads, &kept),
+            BrainKind::Inverse => estimate_by_inverse(spec, (&designs[name], None), measured, threads, &kept),
             _ => evaluate(spec, measured, effort, threads, &kept),
         };
         found.map_err(|e| match e {
@@ -288,7 +291,7 @@ fn compare(
         let of_twin = |twin: &Twin| {
             let kept = BodyProgress { name: &name, kind: SignalSource::Twin.name(), of: &progress };
             let own = (&designs[&name][..], twin);
-            by_twin(spec, own, &measured, effort, &by_measured.folds, threads, &kept)
+            evaluate_by_twin(spec, own, &measured, effort, &by_measured.folds, threads, &kept)
                 .map_err(|e| Error::Usage(format!("--twin {name}: {e}")))
         };
         let twin = twins.get(&name).map(of_twin).transpose()?;
@@ -306,23 +309,34 @@ fn check_records(
     records: &[Records],
     designs: &BTreeMap<String, Vec<f64>>,
 ) -> Result<(), Error> {
-    let file = |of: &Records| {
-        let (name, file) = args.records.iter().find(|(name, _)| *name == of.name).expect("it was read");
+    let file = |body_records: &Records| {
+        let (name, file) =
+            args.records.iter().find(|(name, _)| *name == body_records.name).expect("it was read");
         format!("--records {name}={}", file.display())
     };
-    if let Some(of) = records.iter().find(|of| brain != BrainKind::Inverse && of.measured.forces.samples < 2)
+    if let Some(body_records) = records
+        .iter()
+        .find(|body_records| brain != BrainKind::Inverse && body_records.measured.forces.samples < 2)
     {
         let why = "contains one record: pass two or more, because each is predicted by a decoder fitted to the others";
-        return Err(Error::Usage(format!("{}: {why}", file(of))));
+        return Err(Error::Usage(format!("{}: {why}", file(body_records))));
     }
-    let body = |of: &Records| designs.get(&of.name).map(|design| (spec_of_body(specs, &of.name), design));
-    let measured = || records.iter().filter(|of| of.by == SignalSource::Measured).enumerate();
-    for (n, of) in measured() {
-        let samples = |of: &'_ Records| of.measured.signals.len() / of.measured.forces.samples;
-        let own: Vec<&[f64]> = of.measured.signals.chunks(samples(of)).collect();
-        let others = measured().take(n).filter(|(_, other)| body(of).is_none() || body(of) != body(other));
+    let body = |body_records: &Records| {
+        designs.get(&body_records.name).map(|design| (spec_of_body(specs, &body_records.name), design))
+    };
+    let measured =
+        || records.iter().filter(|body_records| body_records.by == SignalSource::Measured).enumerate();
+    for (n, body_records) in measured() {
+        let samples = |body_records: &'_ Records| {
+            body_records.measured.signals.len() / body_records.measured.forces.samples
+        };
+        let own_signals: Vec<&[f64]> = body_records.measured.signals.chunks(samples(body_records)).collect();
+        let others = measured()
+            .take(n)
+            .filter(|(_, other)| body(body_records).is_none() || body(body_records) != body(other));
         for (_, other) in others {
-            let shared = |signals: &&[f64]| signals.iter().any(|x| *x != 0.0) && own.contains(signals);
+            let shared =
+                |signals: &&[f64]| signals.iter().any(|x| *x != 0.0) && own_signals.contains(signals);
             if let Some(record) =
                 other.measured.signals.chunks(samples(other)).position(|signals| shared(&signals))
             {
@@ -330,7 +344,7 @@ fn check_records(
                     "contains record {record} of {}: two bodies cannot have the same signals",
                     file(other)
                 );
-                return Err(Error::Usage(format!("{}: {why}", file(of))));
+                return Err(Error::Usage(format!("{}: {why}", file(body_records))));
             }
         }
     }
@@ -387,14 +401,16 @@ fn archive(comparison: &Comparison) -> Vec<u8> {
             ("simulated_", simulated.as_ref().map(|(signals, judged)| (signals, judged))),
             ("twin_", twin.as_ref().map(|(signals, judged)| (signals, judged))),
         ];
-        for (of, (signals, judged)) in kinds.into_iter().filter_map(|(of, kind)| Some((of, kind?))) {
+        for (prefix, (signals, judged)) in
+            kinds.into_iter().filter_map(|(prefix, kind)| Some((prefix, kind?)))
+        {
             let errors: Vec<f64> = judged.errors.iter().flatten().map(|e| e.unwrap_or(f64::NAN)).collect();
-            zip.array(&format!("{of}signals_{name}"), &[n, instants, channels], signals);
-            zip.array(&format!("{of}predictions_{name}"), &forces, &judged.predictions);
-            zip.array(&format!("{of}errors_{name}"), &[judged.errors.len(), n], &errors);
+            zip.array(&format!("{prefix}signals_{name}"), &[n, instants, channels], signals);
+            zip.array(&format!("{prefix}predictions_{name}"), &forces, &judged.predictions);
+            zip.array(&format!("{prefix}errors_{name}"), &[judged.errors.len(), n], &errors);
             if let Some(posterior) = &judged.posterior {
-                zip.array(&format!("{of}forces_low_{name}"), &forces, &posterior.low);
-                zip.array(&format!("{of}forces_high_{name}"), &forces, &posterior.high);
+                zip.array(&format!("{prefix}forces_low_{name}"), &forces, &posterior.low);
+                zip.array(&format!("{prefix}forces_high_{name}"), &forces, &posterior.high);
             }
         }
     }
@@ -445,16 +461,16 @@ impl NetworkStore for BodyProgress<'_> {
         self.of.said.lock().expect("no line panics").0.get(&self.key(number)).cloned()
     }
 
-    fn done(&self, number: usize, network: &Network) {
+    fn store_network(&self, number: usize, network: &Network) {
         let Self { name: body, kind, of: Progress { what, all, unfinished, start, before, said } } = self;
-        let mut said = said.lock().expect("no line panics");
-        said.0.insert(self.key(number), network.clone());
-        unfinished.keep(&said.0);
-        let (done, spent) = (said.0.len(), start.elapsed().as_secs_f64());
+        let mut finished_networks = said.lock().expect("no line panics");
+        finished_networks.0.insert(self.key(number), network.clone());
+        unfinished.keep(&finished_networks.0);
+        let (done, spent) = (finished_networks.0.len(), start.elapsed().as_secs_f64());
         if done == *all {
             say!("{} {what} in {}", all - before, duration(spent));
-        } else if said.1.elapsed() >= LINE_EVERY {
-            said.1 = Instant::now();
+        } else if finished_networks.1.elapsed() >= LINE_EVERY {
+            finished_networks.1 = Instant::now();
             let left = duration(spent * (all - done) as f64 / (done - before) as f64);
             say!("{done} of {all} {what}, now {body}, {kind} signals; {left} left");
         }

@@ -90,14 +90,16 @@ fn say_bodies(trials: &[Trial]) {
     if grams.is_empty() {
         return;
     }
-    let of = |value: fn(&Natural) -> f64| range(&found.iter().map(|(_, of)| value(of)).collect::<Vec<_>>());
+    let value_range = |value: fn(&Natural) -> f64| {
+        range(&found.iter().map(|(_, value_range)| value(value_range)).collect::<Vec<_>>())
+    };
     let frequencies = match found.is_empty() {
         true => String::new(),
         false => format!(
             ", first natural frequency {} Hz (damping ratio {}), highest {} Hz",
-            of(|natural| natural.first),
-            of(|natural| natural.damping),
-            of(|natural| natural.highest)
+            value_range(|natural| natural.first),
+            value_range(|natural| natural.damping),
+            value_range(|natural| natural.highest)
         ),
     };
     let some = if bodies.len() == BODIES { format!(" (the first {BODIES} bodies)") } else { String::new() };
@@ -118,7 +120,9 @@ fn say_bodies(trials: &[Trial]) {
         );
     }
     let rate = |trial: &Trial| trial.spec.time.samples as f64 / trial.spec.time.duration;
-    if let Some((trial, Natural { first, .. })) = found.iter().find(|(trial, of)| of.first > rate(trial)) {
+    if let Some((trial, Natural { first, .. })) =
+        found.iter().find(|(trial, value_range)| value_range.first > rate(trial))
+    {
         say!(
             "warning: even the slowest mode, {} Hz, is faster than the signals' {} samples per second: {check}",
             number(*first),

@@ -7,7 +7,7 @@ use metasense_schemas::database::VIEWS;
 use metasense_worker::casts::NO_VARIATION;
 use metasense_worker::demands::Demands;
 use metasense_worker::problem::Ligament;
-use metasense_worker::replay::{Drawing, Own, Replay, drawing};
+use metasense_worker::replay::{Drawing, Replay, ReplayDecoder, drawing};
 
 use super::named::{Database, Named, Which};
 use super::query::answer_in;
@@ -23,7 +23,7 @@ use crate::export::{
 use crate::look::Format;
 use crate::provenance;
 use crate::report::body::sketch;
-use crate::store::{Reader, Stored, npy_bytes};
+use crate::store::{Reader, StoredTrial, npy_bytes};
 
 /// Format of an export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -163,7 +163,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-fn trial(stored: &Stored, args: &Args) -> Result<(), Error> {
+fn trial(stored: &StoredTrial, args: &Args) -> Result<(), Error> {
     let which = args.design as usize;
     let body = &drawing(&stored.specs[which], &stored.designs[which]).map_err(unreadable(stored))?;
     let height = height(stored, args);
@@ -174,7 +174,7 @@ fn trial(stored: &Stored, args: &Args) -> Result<(), Error> {
         Form::Parquet => series::table(stored, &replays(stored, cores())?).written(Format::Parquet),
         Form::Npy => design(stored, args),
         Form::Svg => picture(stored, body, &cast()?, args),
-        Form::C => in_c(stored, args, &brain(stored, args)?)?,
+        Form::C => encode_c(stored, args, &brain(stored, args)?)?,
         Form::Onnx => onnx::onnx(stored, which, &brain(stored, args)?)?,
         Form::Dxf => {
             let cast = cast()?;
@@ -191,7 +191,7 @@ fn trial(stored: &Stored, args: &Args) -> Result<(), Error> {
 }
 
 /// Writes the folder of a device after all files have been computed.
-fn device(stored: &Stored, body: &Drawing, cast: &Cast, args: &Args) -> Result<(), Error> {
+fn device(stored: &StoredTrial, body: &Drawing, cast: &Cast, args: &Args) -> Result<(), Error> {
     let which = args.design as usize;
     let (cavity, measures) = cavity(stored, body, cast, args)?;
     let brain = match has_form(stored, which) {
@@ -202,7 +202,7 @@ fn device(stored: &Stored, body: &Drawing, cast: &Cast, args: &Args) -> Result<(
         false => None,
     };
     let brain = match &brain {
-        Some(brain) => Some((in_c(stored, args, brain)?, onnx::onnx(stored, which, brain)?)),
+        Some(brain) => Some((encode_c(stored, args, brain)?, onnx::onnx(stored, which, brain)?)),
         None => None,
     };
     let text = brain.as_ref().map(|(c, _)| String::from_utf8_lossy(c));
@@ -221,12 +221,12 @@ fn device(stored: &Stored, body: &Drawing, cast: &Cast, args: &Args) -> Result<(
     files.iter().try_for_each(|(name, bytes)| write(&args.out.join(name), bytes))
 }
 
-fn design(stored: &Stored, args: &Args) -> Vec<u8> {
+fn design(stored: &StoredTrial, args: &Args) -> Vec<u8> {
     let design = &stored.designs[args.design as usize];
     npy_bytes(&[design.len()], design)
 }
 
-fn picture(stored: &Stored, body: &Drawing, cast: &Cast, args: &Args) -> Vec<u8> {
+fn picture(stored: &StoredTrial, body: &Drawing, cast: &Cast, args: &Args) -> Vec<u8> {
     let title = format!("{} body of trial {}", Body::ALL[args.design as usize].word(), stored.hash);
     sketch(body, &[]).file(&title, cast.ligament.width).into_bytes()
 }
@@ -236,7 +236,7 @@ fn outlines(body: &Drawing, cast: &Cast) -> Vec<u8> {
 }
 
 /// Height of the cast body (mm): from `--mould`, else of the spec's material, else 10.
-fn height(stored: &Stored, args: &Args) -> f64 {
+fn height(stored: &StoredTrial, args: &Args) -> f64 {
     let own = stored.specs[args.design as usize].body.material;
     args.mould.unwrap_or_default().height.or(own.map(|m| m.thickness)).unwrap_or(10.0)
 }
@@ -248,7 +248,7 @@ fn tell(cast: &Cast, body: &Drawing) {
 }
 
 /// The decoder, with a replay of its body.
-fn brain(stored: &Stored, args: &Args) -> Result<(Replay, Own), Error> {
+fn brain(stored: &StoredTrial, args: &Args) -> Result<(Replay, ReplayDecoder), Error> {
     let which = args.design as usize;
     if !has_form(stored, which) {
         return Err(no_form("--format c or onnx"));
@@ -260,7 +260,7 @@ fn brain(stored: &Stored, args: &Args) -> Result<(Replay, Own), Error> {
     Ok(brain_of(stored, which, fit, cores())?)
 }
 
-fn in_c(stored: &Stored, args: &Args, brain: &(Replay, Own)) -> Result<Vec<u8>, Error> {
+fn encode_c(stored: &StoredTrial, args: &Args, brain: &(Replay, ReplayDecoder)) -> Result<Vec<u8>, Error> {
     let (numbers, fit) = (args.numbers.unwrap_or(Numbers::F32), args.reader.unwrap_or(Fit::Design));
     Ok(device::c(stored, args.design as usize, fit, brain, numbers)?.into_bytes())
 }
@@ -273,12 +273,12 @@ fn no_form(what: &str) -> Error {
 }
 
 /// Whether a decoder can be written as C and ONNX.
-fn has_form(stored: &Stored, which: usize) -> bool {
+fn has_form(stored: &StoredTrial, which: usize) -> bool {
     matches!(Demands::of_trial(&stored.specs[which]), Ok(Some(_)))
 }
 
 /// The cavity of the mould and the lengths of the mould; prints notes and warnings.
-fn cavity(stored: &Stored, body: &Drawing, cast: &Cast, args: &Args) -> Result<(Outline, Mould), Error> {
+fn cavity(stored: &StoredTrial, body: &Drawing, cast: &Cast, args: &Args) -> Result<(Outline, Mould), Error> {
     let Ligament { width, thickness: height, .. } = cast.ligament;
     let Lengths { wall, clearance, pocket, .. } = args.mould.unwrap_or_default();
     if let Some([_, _, depth]) = pocket.filter(|pocket| pocket[2] >= height) {

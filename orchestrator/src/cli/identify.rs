@@ -77,7 +77,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     if !free.is_empty() && free.len() < args.fit.len() {
         return Err(Error::Usage("--fit variation: must stand alone; leave out the other parameters".into()));
     }
-    let begun = Instant::now();
+    let started_at = Instant::now();
     let bar = ProgressBar::new_spinner();
     let forces = (measured.forces.instants, &measured.forces.values);
     let names: Vec<&str> = free.iter().map(|parameter| parameter.name()).collect();
@@ -86,9 +86,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let inputs = (spec, design, forces, signals, measured.low_pass, names);
     let (unfinished, kept) = Unfinished::new(args.out_dir.as_deref(), "identify", &inputs)?;
     let mut kept: Vec<StoredIteration> = kept.unwrap_or_default();
-    let known: Vec<Turn> = kept.iter().map(StoredIteration::turn).collect();
-    if !known.is_empty() {
-        say!("resumed after {} iterations", known.len());
+    let prior_turns: Vec<Turn> = kept.iter().map(StoredIteration::turn).collect();
+    if !prior_turns.is_empty() {
+        say!("resumed after {} iterations", prior_turns.len());
     }
     let mut watch = |turn: &Turn| {
         kept.push(StoredIteration::of(turn));
@@ -100,7 +100,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         ));
         bar.tick();
     };
-    let fit = identify(trial, design, &measured, &free, args.threads.into(), &known, &mut watch);
+    let fit = identify(trial, design, &measured, &free, args.threads.into(), &prior_turns, &mut watch);
     let fit = fit.map_err(|e| args.one.trial.failed(e))?;
     bar.finish_and_clear();
     let start = prepared(trial).map_err(|e| args.one.trial.failed(e))?;
@@ -112,7 +112,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         _ => print_rows(&found, args.format)?,
     }
     let records = measured.forces.samples;
-    let mut messages = said(trial, &start, &fit, records);
+    let mut messages = fit_messages(trial, &start, &fit, records);
     if fit.ending != Ending::NotExplained {
         messages.extend(fitted_starts(&measured, &fit.offsets));
     }
@@ -120,7 +120,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         print_rows(&correlations(&fit), args.format)?;
     }
     print_lines(&messages, args.format)?;
-    say!("{}, {}", duration(begun.elapsed().as_secs_f64()), fit.solver);
+    say!("{}, {}", duration(started_at.elapsed().as_secs_f64()), fit.solver);
     if let Some(folder) = &args.out_dir {
         let title = format!(
             "{}: parameters from {records} records",
@@ -263,8 +263,8 @@ fn readable(found: &Table) -> Table {
     let mut shown = found.clone();
     for row in &mut shown.rows {
         let [Some(fitted), Some(low), Some(high)] = [3, 4, 5].map(|i| row[i].as_f64()) else { continue };
-        let local_messages = (fitted.abs() / (high - low)).max(1.0).log10();
-        let count = (local_messages.ceil().min(11.0) as usize + 2).max(4); // equal ends: all digits
+        let log_precision = (fitted.abs() / (high - low)).max(1.0).log10();
+        let count = (log_precision.ceil().min(11.0) as usize + 2).max(4); // equal ends: all digits
         for value in &mut row[2..=5] {
             *value = value.as_f64().map_or(Value::Null, |x| json!(digits(x, count)));
         }
@@ -282,10 +282,10 @@ fn correlations(fit: &Fit) -> Table {
 
 /// Fraction of the residual explained by the motion, and misfit (%), from which a discrepancy is reported.
 const DISCREPANCY: f64 = 0.1;
-const LEFT: f64 = 1.0;
+const MISFIT_MIN: f64 = 1.0;
 
 /// Messages about the fit, and the lines for a spec.
-fn said(trial: &TrialSpec, begun: &Parameters, fit: &Fit, records: usize) -> Vec<String> {
+fn fit_messages(trial: &TrialSpec, begun: &Parameters, fit: &Fit, records: usize) -> Vec<String> {
     let ([start, end], body) = (fit.misfit, &trial.body);
     let mut said = vec![
         format!("{} after {} steps on {records} records", fit.ending.name(), fit.steps),
@@ -300,7 +300,8 @@ fn said(trial: &TrialSpec, begun: &Parameters, fit: &Fit, records: usize) -> Vec
             fit.twin.misfit
         ));
     }
-    if let Some(part) = fit.unmodelled.filter(|part| *part >= DISCREPANCY && end[0].max(end[1]) >= LEFT) {
+    if let Some(part) = fit.unmodelled.filter(|part| *part >= DISCREPANCY && end[0].max(end[1]) >= MISFIT_MIN)
+    {
         said.push(format!(
             "discrepancy: the motion explains {:.0} % of the residual on other records than those of this estimate; the model does not contain \
              this behaviour of the body; the intervals are wider for it",
@@ -317,8 +318,8 @@ fn said(trial: &TrialSpec, begun: &Parameters, fit: &Fit, records: usize) -> Vec
         ));
     }
     for direction in &fit.undetermined {
-        let parts = direction.exponents.iter().enumerate().filter(|(_, x)| x.abs() > 0.05);
-        let parts: Vec<String> = parts.map(|(k, x)| format!("{}^{x:.2}", named(k))).collect();
+        let deviation_messages = direction.exponents.iter().enumerate().filter(|(_, x)| x.abs() > 0.05);
+        let parts: Vec<String> = deviation_messages.map(|(k, x)| format!("{}^{x:.2}", named(k))).collect();
         let factor = match direction.factor {
             f if f.is_finite() && f < 1e6 => format!("it may be {f:.1} times larger or smaller"),
             _ => "it has no effect".to_owned(),
@@ -337,22 +338,22 @@ fn said(trial: &TrialSpec, begun: &Parameters, fit: &Fit, records: usize) -> Vec
         let p = Parameters::from_array(own);
         // size or material in a spec would scale or replace the fitted values
         let lengths = [("spacing", body.spacing), ("ligament_length", body.ligament_length)];
-        let lengths =
-            lengths.map(|(key, mm)| mm.map_or(String::new(), |mm| format!("{key} = {}\n", exact(mm))));
+        let lengths = lengths
+            .map(|(key, mm)| mm.map_or(String::new(), |mm| format!("{key} = {}\n", format_toml_number(mm))));
         said.push(format!(
             "for a spec without body.diameter, body.width and body.material, which would change these:\n[body]\n{}density = {}\nstiffness = {{ stretch = {}, shear = {}, bend = {} }}\n{}",
             lengths.concat(),
-            exact(p.density),
-            exact(p.stretch),
-            exact(p.shear),
-            exact(p.bend),
+            format_toml_number(p.density),
+            format_toml_number(p.stretch),
+            format_toml_number(p.shear),
+            format_toml_number(p.bend),
             match body.damping {
-                Some(given) => format!("damping = [{}]", given.map(|c| exact(c * p.damping_ratio)).join(", ")),
-                None => format!("damping_ratio = {}", exact(p.damping_ratio)),
+                Some(given) => format!("damping = [{}]", given.map(|c| format_toml_number(c * p.damping_ratio)).join(", ")),
+                None => format!("damping_ratio = {}", format_toml_number(p.damping_ratio)),
             },
         ));
         if fit.estimates.iter().any(|e| e.unknown.parameter() == Some(Parameter::Contact)) {
-            said.push(format!("contact.stiffness = {}", exact(p.contact)));
+            said.push(format!("contact.stiffness = {}", format_toml_number(p.contact)));
         }
     }
     said
@@ -367,24 +368,24 @@ fn parts(fit: &Fit) -> impl Iterator<Item = String> {
     ];
     kinds.into_iter().filter_map(|(name, unit, kind)| {
         let alike = |e: &&Estimate| std::mem::discriminant(&e.unknown) == std::mem::discriminant(&kind);
-        let of: Vec<&Estimate> = fit.estimates.iter().filter(alike).collect();
-        let first = of.first()?;
+        let same_kind: Vec<&Estimate> = fit.estimates.iter().filter(alike).collect();
+        let first = same_kind.first()?;
         let rms = |value: &dyn Fn(&Estimate) -> f64| {
-            (of.iter().map(|e| value(e).powi(2)).sum::<f64>() / of.len() as f64).sqrt()
+            (same_kind.iter().map(|e| value(e).powi(2)).sum::<f64>() / same_kind.len() as f64).sqrt()
         };
-        let untold = of.iter().filter(|e| e.left > UNDETERMINED).count();
+        let untold = same_kind.iter().filter(|e| e.left > UNDETERMINED).count();
         Some(format!(
             "{name}: fitted RMS {:.3} {unit}, prior standard deviation {:.3}; not determined by the records: {untold} of {}; posterior standard deviation (RMS): {:.3}",
             first.scatter * rms(&|e| e.found),
             first.scatter,
-            of.len(),
+            same_kind.len(),
             first.scatter * rms(&|e| e.left)
         ))
     })
 }
 
 /// Six significant digits in TOML syntax.
-fn exact(value: f64) -> String {
+fn format_toml_number(value: f64) -> String {
     let rounded: f64 = format!("{value:.5e}").parse().unwrap_or(value);
     if (1e-3..1e6).contains(&rounded) { format!("{rounded:?}") } else { format!("{rounded:e}") }
 }

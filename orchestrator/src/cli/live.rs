@@ -39,7 +39,7 @@ pub struct Live<'a> {
     /// Message of the last failed attempt.
     failed: String,
     /// Notified when the user asks for the end of the run.
-    asked: &'a Notify,
+    stop_notify: &'a Notify,
     /// The keys that the sweep varies.
     axes: BTreeSet<&'a str>,
 }
@@ -59,14 +59,14 @@ impl<'a> Live<'a> {
             ProgressBar::with_draw_target(Some(BAR), ProgressDrawTarget::stderr_with_hz(5)).with_style(style)
         });
         let (said, failed) = (Instant::now(), String::new());
-        let live = Self { bar, said, before: None, estimates: Vec::new(), failed, asked, axes };
+        let live = Self { bar, said, before: None, estimates: Vec::new(), failed, stop_notify: asked, axes };
         let before = if settled > 0 { format!(", {settled} settled before") } else { String::new() };
         let (open, workers) = (counted(open, "trial"), counted(workers as usize, "worker"));
         live.say(&format!("{open} to run on {workers}{before}"));
         live
     }
 
-    fn named(&self, trial: &Trial) -> String {
+    fn trial_label(&self, trial: &Trial) -> String {
         let spec = serde_json::to_value(&trial.spec).expect("a trial is JSON");
         let (point, units) = (point_in_words(&spec, &self.axes), counted(trial.units, "unit"));
         format!("{point}, {units} ({})", short_hash(&trial.hash))
@@ -88,28 +88,31 @@ impl Watch for Live<'_> {
         };
         self.say(&format!(
             "done: {}: held-out error {before}{}",
-            self.named(trial),
+            self.trial_label(trial),
             percent(&result.optimised)
         ));
         if let Some(caveat) = provenance::unresolved(&result.solver) {
-            self.say(&format!("warning: {}: {caveat}", self.named(trial)));
+            self.say(&format!("warning: {}: {caveat}", self.trial_label(trial)));
         }
     }
 
     fn attempt_failed(&mut self, trial: &Trial, attempt: u32, reason: Reason, settled: bool, text: &str) {
         if reason == Reason::Cancelled {
-            return self.say(&format!("cancelled: {}", self.named(trial)));
+            return self.say(&format!("cancelled: {}", self.trial_label(trial)));
         }
         let then = match settled {
             true => format!("not retried; {}", reason.remedy()),
             false => "retrying".into(),
         };
         self.failed = text.chars().take(MOST_TEXT).collect();
-        self.say(&format!("attempt {attempt} failed: {}: {}; {then}", self.named(trial), self.failed));
+        self.say(&format!("attempt {attempt} failed: {}: {}; {then}", self.trial_label(trial), self.failed));
     }
 
     fn begins_anew(&mut self, trial: &Trial, why: &str) {
-        self.say(&format!("restarting, because the checkpoint cannot be used: {}: {why}", self.named(trial)));
+        self.say(&format!(
+            "restarting, because the checkpoint cannot be used: {}: {why}",
+            self.trial_label(trial)
+        ));
     }
 
     fn warned(&mut self, text: &str) {
@@ -117,7 +120,7 @@ impl Watch for Live<'_> {
     }
 
     fn interrupted(&mut self, again: bool, grace: Duration) {
-        self.asked.notify_one();
+        self.stop_notify.notify_one();
         self.say(&match again {
             false => format!(
                 "stopping: steps that end within {} s are recorded; the next run repeats the others (Ctrl-C again stops at \
@@ -130,7 +133,7 @@ impl Watch for Live<'_> {
 
     fn steered(&mut self, command: &Command, done: bool, said: &str) {
         if done && *command == Command::Stop {
-            self.asked.notify_one();
+            self.stop_notify.notify_one();
         }
         let refused = if done { "" } else { "refused: " };
         self.say(&format!("control: {command}: {refused}{said}"));
@@ -180,11 +183,11 @@ impl Watch for Live<'_> {
             tracing::info!(part_percent = part, error_percent = error, "how far off the estimated time was");
         }
         if outcome == Outcome::Complete && !self.estimates.is_empty() {
-            let said = self.estimates.iter().map(|(part, estimate)| {
+            let last_line_at = self.estimates.iter().map(|(part, estimate)| {
                 let error = 100.0 * (estimate / actual - 1.0);
                 format!("{} ({error:+.0} %) after {:.0} %", duration(*estimate), 100.0 * part)
             });
-            let said = said.collect::<Vec<_>>().join(", ");
+            let said = last_line_at.collect::<Vec<_>>().join(", ");
             say!("took {}; the estimate was {said} of the work", duration(actual));
         }
         if outcome == Outcome::Interrupted {

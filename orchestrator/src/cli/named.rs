@@ -18,8 +18,8 @@ use crate::cluster::facts::Facts;
 use crate::cluster::home::attempts;
 use crate::files;
 use crate::look::Table;
-use crate::plan::{OneBody, Plan, Trial, counted};
-use crate::store::{Reader, StoreError, Stored, quoted};
+use crate::plan::{Plan, SpecBody, Trial, counted};
+use crate::store::{Reader, StoreError, StoredTrial, quoted};
 
 /// Measured records of a trial's body. Prints a note if their signals had to be resampled.
 pub(super) fn read_records(file: &Path, trial: &TrialSpec) -> Result<Measured, Error> {
@@ -90,11 +90,12 @@ impl Database {
                 path.display()
             )));
         }
-        let mut facts = Facts::of(path).map_err(Error::io("making a folder in", std::env::temp_dir()))?;
+        let mut facts =
+            Facts::for_folder(path).map_err(Error::io("making a folder in", std::env::temp_dir()))?;
         for (file, why) in facts.look().await? {
             say!("refused: {}: {why}", file.display());
         }
-        say!("{}", facts.said());
+        say!("{}", facts.message());
         Ok(Self::Facts(facts))
     }
 }
@@ -141,7 +142,7 @@ impl Named {
     }
 
     /// The hash on the command line, or its beginning.
-    pub fn asked(&self) -> Result<Option<&str>, Error> {
+    pub fn hash_argument(&self) -> Result<Option<&str>, Error> {
         let database = self.is_database();
         let mut words = self.words.iter().filter(|word| !word.contains('='));
         let asked = words.next().map(String::as_str);
@@ -168,8 +169,8 @@ impl Named {
     }
 
     /// The trial of the plan with the given hash; without a hash, `default`.
-    pub fn of(&self, plan: &Plan, default: &Trial) -> Result<Trial, Error> {
-        let Some(hash) = self.asked()? else { return Ok(default.clone()) };
+    pub fn find_trial(&self, plan: &Plan, default: &Trial) -> Result<Trial, Error> {
+        let Some(hash) = self.hash_argument()? else { return Ok(default.clone()) };
         let path = self.source.display();
         let found = plan.find(hash).cloned();
         found.map_err(|e| Error::Usage(format!("{path}: {e}; `metasense expand {path}` lists them")))
@@ -179,16 +180,17 @@ impl Named {
     pub fn in_database(&self) -> Result<(PathBuf, String), Error> {
         if self.is_database() {
             let path = self.source.display();
-            let asked = self.asked()?.ok_or_else(|| Error::Usage(format!("name the trial: {path} HASH")))?;
+            let asked =
+                self.hash_argument()?.ok_or_else(|| Error::Usage(format!("name the trial: {path} HASH")))?;
             return Ok((self.source.clone(), asked.to_owned()));
         }
         let plan = self.plan()?;
-        let trial = self.of(&plan, &plan.trials[0])?;
+        let trial = self.find_trial(&plan, &plan.trials[0])?;
         Ok((plan.default_database(), trial.hash))
     }
 
     /// The stored trial; an error if it is not done.
-    pub async fn stored(&self) -> Result<Stored, Error> {
+    pub async fn stored(&self) -> Result<StoredTrial, Error> {
         let (db, hash) = self.in_database()?;
         let db = Database::at(&db).await?;
         let stored = Reader::with_reader(&db, async |reader| reader.stored(&hash).await).await?;
@@ -203,7 +205,7 @@ impl Named {
     async fn read_or(&self, default: impl Fn(&Plan) -> &Trial) -> Result<(String, TrialSpec), Error> {
         if !self.is_database() {
             let plan = self.plan()?;
-            let trial = self.of(&plan, default(&plan))?;
+            let trial = self.find_trial(&plan, default(&plan))?;
             return Ok((trial.hash, trial.spec));
         }
         let (db, hash) = self.in_database()?;
@@ -224,12 +226,12 @@ impl Named {
     }
 
     /// The body of the trial; without a hash, the body that all trials of the spec share.
-    pub async fn body(&self) -> Result<OneBody, Error> {
+    pub async fn body(&self) -> Result<SpecBody, Error> {
         let path = self.source.display();
-        if self.is_database() || self.asked()?.is_some() {
-            return OneBody::of_trial(&self.read().await?.1).map_err(|e| self.refused(e));
+        if self.is_database() || self.hash_argument()?.is_some() {
+            return SpecBody::of_trial(&self.read().await?.1).map_err(|e| self.refused(e));
         }
-        OneBody::new(&self.spec().source()?)?.ok_or_else(|| {
+        SpecBody::new(&self.spec().source()?)?.ok_or_else(|| {
             Error::Usage(format!(
                 "{path} has several bodies: name a trial, {path} HASH; `metasense expand {path}` lists them"
             ))
@@ -299,7 +301,8 @@ impl Designed {
                 return Err(Error::Usage("--design optimised: name a finished trial by DB HASH".into()));
             }
             Design::Of(Which::Optimised) => {
-                let Stored { hash, specs: [_, spec], designs: [_, design], .. } = self.trial.stored().await?;
+                let StoredTrial { hash, specs: [_, spec], designs: [_, design], .. } =
+                    self.trial.stored().await?;
                 (hash, spec, Some(design))
             }
         };

@@ -10,7 +10,7 @@ use super::{Error, Format, print_rows, write};
 use crate::analysis::Cluster;
 use crate::analysis::kinds::brains_of;
 use crate::analysis::numbers::distinct;
-use crate::analysis::operator::{Change, MEASURES, table};
+use crate::analysis::operator::{BodyPair, MEASURES, table};
 use crate::exit::Exit;
 use crate::look::{Axis, Legend, Plot, Scale, Table, file, number, row, short_hash};
 use crate::store::Reader;
@@ -44,7 +44,7 @@ pub(super) struct Args {
 /// A finished trial: its name and decoders, and the measures of its bodies.
 struct TrialMeasures {
     head: Vec<serde_json::Value>,
-    change: Change,
+    change: BodyPair,
 }
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
@@ -75,7 +75,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
                 format!("{trained_with}, decoder {brain}")
             };
             let setting = format!("K = {}, M = {}, {by}", row[1], row[2]);
-            let change = Change { setting, cluster, errors, told: measures };
+            let change = BodyPair { setting, cluster, errors, measured: measures };
             let head = row[..5].iter().cloned().chain([json!(brain), json!(trained_with)]).collect();
             seen.push(TrialMeasures { head, change });
         }
@@ -98,14 +98,23 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     Ok(Exit::Done)
 }
 
-fn rows(seen: &[TrialMeasures]) -> Table {
+fn rows(measured_trials: &[TrialMeasures]) -> Table {
     let columns = "hash panels sensors placement seed brain trained_with body error wiener_error distinguishable_forces condition bits memory modes";
-    let of = |seen: &TrialMeasures, b: usize| {
+    let of = |measured_trials: &TrialMeasures, b: usize| {
         let body = ["initial", "optimised"][b];
-        let own = seen.change.told[b].into_iter().flat_map(|measure| row![measure]);
-        seen.head.iter().cloned().chain(row![body, seen.change.errors[b]]).chain(own).collect()
+        let own = measured_trials.change.measured[b].into_iter().flat_map(|measure| row![measure]);
+        measured_trials
+            .head
+            .iter()
+            .cloned()
+            .chain(row![body, measured_trials.change.errors[b]])
+            .chain(own)
+            .collect()
     };
-    Table::new(columns, seen.iter().flat_map(|seen| [of(seen, 0), of(seen, 1)]))
+    Table::new(
+        columns,
+        measured_trials.iter().flat_map(|measured_trials| [of(measured_trials, 0), of(measured_trials, 1)]),
+    )
 }
 
 /// Classes of dots and of their legend entries, per setting in turn.
@@ -118,18 +127,18 @@ const CLASSES: [(&str, &str); 5] = [
 ];
 
 /// Plots gains of the trials' decoders over gains of Wiener's filter.
-fn drawn(seen: &[TrialMeasures]) -> String {
+fn drawn(plotted_trials: &[TrialMeasures]) -> String {
     let gains = |TrialMeasures { change, .. }: &TrialMeasures| {
-        (change.told[0][0] / change.told[1][0], change.errors[0] / change.errors[1])
+        (change.measured[0][0] / change.measured[1][0], change.errors[0] / change.errors[1])
     };
-    let points: Vec<(f64, f64)> = seen.iter().map(gains).collect();
+    let points: Vec<(f64, f64)> = plotted_trials.iter().map(gains).collect();
     let x = Axis::new("gain of Wiener's filter, small motions", Scale::Log, points.iter().map(|p| p.0));
     let y = Axis::new("gain of the trial's decoder, held-out set", Scale::Log, points.iter().map(|p| p.1));
     let mut plot = Plot::new("Gain from training: Wiener's filter and the trial's decoder", x, y);
     let (low, high) =
         points.iter().fold((f64::INFINITY, 0.0f64), |(l, h), p| (l.min(p.0.max(p.1)), h.max(p.0.min(p.1))));
     plot.line("equal", [(low, low), (high, high)]);
-    let text = |change: &Change, (x, y): &(f64, f64)| {
+    let text = |change: &BodyPair, (x, y): &(f64, f64)| {
         let Cluster { placement, seed } = change.cluster;
         format!(
             "{}, placement {placement}, seed {seed}: {} and {} times",
@@ -138,11 +147,14 @@ fn drawn(seen: &[TrialMeasures]) -> String {
             number(*y)
         )
     };
-    let settings = distinct(seen.iter().map(|seen| &seen.change.setting));
+    let settings = distinct(plotted_trials.iter().map(|plotted_trials| &plotted_trials.change.setting));
     let mut key = Legend::default();
     for (setting, (line, dot)) in settings.into_iter().zip(CLASSES.into_iter().cycle()) {
-        let own = seen.iter().zip(&points).filter(|(seen, _)| seen.change.setting == *setting);
-        plot.dots(line, own.map(|(seen, point)| (*point, text(&seen.change, point))));
+        let own = plotted_trials
+            .iter()
+            .zip(&points)
+            .filter(|(plotted_trials, _)| plotted_trials.change.setting == *setting);
+        plot.dots(line, own.map(|(plotted_trials, point)| (*point, text(&plotted_trials.change, point))));
         key.push((dot, setting.clone()));
     }
     file(&[plot.picture()], 1, 480.0, &key)

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use metasense_worker::place::{Looked, look};
+use metasense_worker::place::{PlacementReport, search_placements};
 use metasense_worker::replay::Drawing;
 
 use super::named::Designed;
@@ -31,7 +31,7 @@ pub(super) struct Args {
 
 pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let (_, spec, design) = &args.one.read_or(most_sensors).await?;
-    let found = look(spec, design, 0, cores()).map_err(|e| args.one.trial.failed(e))?;
+    let found = search_placements(spec, design, 0, cores()).map_err(|e| args.one.trial.failed(e))?;
     print_rows(&table(&found), args.format)?;
     if found.placed.iter().any(|placed| placed.energies) {
         say!("the linear decoder also uses |signal|² of each unit, which lowers its error for these forces");
@@ -68,7 +68,7 @@ fn most_sensors(plan: &Plan) -> &Trial {
     trials.max_by_key(|trial| trial.spec.point.sensors).expect("a plan has a trial")
 }
 
-fn table(found: &Looked) -> Table {
+fn table(found: &PlacementReport) -> Table {
     let columns = "sensors units error next_best random_best random_median random_worst";
     let rows = found.placed.iter().enumerate().map(|(m, placed)| {
         let [best, median, worst] = found.random[m];

@@ -9,7 +9,7 @@ use super::{Error, cores, make_folder, write};
 use crate::analysis::{Question, Terms};
 use crate::exit::Exit;
 use crate::look::{Figure, Legend, Picture, file};
-use crate::report::{Story, figures, html, load};
+use crate::report::{ReportData, figures, html, load};
 use crate::store::Reader;
 
 /// Writes the answers and figures of a database into one HTML file
@@ -50,7 +50,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 /// Writes figures, answers and trials.
-pub(super) fn write_parts(folder: &Path, story: &Story, drawn: &[Figure]) -> Result<(), Error> {
+pub(super) fn write_parts(folder: &Path, story: &ReportData, drawn: &[Figure]) -> Result<(), Error> {
     write_figures(folder, drawn)?;
     for question in Question::all() {
         let table = question.answer(&story.trials, story.terms);

@@ -121,9 +121,9 @@ fn drop_default_columns(table: &mut Table) {
 /// Prints the failed trials with a remedy, and the number of cancelled trials. Returns the number of failed trials.
 fn say_failures(Results { named, log, .. }: Results<'_>, settled: &Table) -> usize {
     let [hash, state, reason] = ["hash", "state", "reason"].map(|name| settled.column(name));
-    let of = |row: &'_ [Value], at: usize| row[at].as_str().unwrap_or_default().to_owned();
+    let cell_text = |row: &'_ [Value], at: usize| row[at].as_str().unwrap_or_default().to_owned();
     let failed = settled.rows.iter().filter(|row| row[state] == "failed");
-    let failed = failed.map(|row| (of(row, hash), of(row, reason)));
+    let failed = failed.map(|row| (cell_text(row, hash), cell_text(row, reason)));
     let (cancelled, failed): (Vec<_>, Vec<_>) = failed.partition(|(_, why)| why == CANCELLED);
     if !cancelled.is_empty() {
         say!("{} cancelled on request; --retry-failed resumes them", counted(cancelled.len(), "trial"));

@@ -20,7 +20,7 @@ use crate::cluster::home::{Home, SUBMITTED_SPEC, end_after};
 use crate::cluster::submit::NOTICE;
 use crate::cluster::{Assignment, Shard, trials_of};
 use crate::control::{Listener, WORKERS_MAX};
-use crate::engine::{self, Again, Control, EngineError, GRACE, Options, Reread, Signals};
+use crate::engine::{self, Control, EngineError, GRACE, Options, Reread, RerunPolicy, Signals};
 use crate::exit::{Exit, chain};
 use crate::plan::{GRACE_MAX, Plan, Trial, cost, counted};
 use crate::rounds::{Runs, rounds};
@@ -124,7 +124,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let Some((shard, folder)) = args.shard.zip(args.folder.as_deref()) else {
         let mut plan = Plan::of(source)?;
         if args.shard.is_some() {
-            not_in_shards(&plan)?;
+            refuse_until(&plan)?;
         }
         if let Some(shard) = args.shard {
             Assignment::new(&plan.trials, shard.count()).restrict(shard, &mut plan);
@@ -142,7 +142,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         Some(trials) => Plan::listed(source, trials)?,
         None => {
             let mut plan = Plan::of(source)?;
-            not_in_shards(&plan)?;
+            refuse_until(&plan)?;
             let assignment = Assignment::in_folder(folder, &plan.trials, shard.count())?;
             super::make_folder(folder)?;
             assignment.write(folder)?;
@@ -184,7 +184,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 /// Refuses [until] in single shards: its questions need all results in one database.
-pub(super) fn not_in_shards(plan: &Plan) -> Result<(), Error> {
+pub(super) fn refuse_until(plan: &Plan) -> Result<(), Error> {
     match plan.spec.until {
         None => Ok(()),
         Some(_) => Err(plan
@@ -233,7 +233,7 @@ pub(super) async fn run(
     db: &Path,
     log: &Path,
     signals: &mut Signals,
-    drive: impl AsyncFnOnce(Round<'_>, Again) -> Result<Option<Outcome>, Error>,
+    drive: impl AsyncFnOnce(Round<'_>, RerunPolicy) -> Result<Option<Outcome>, Error>,
 ) -> Result<(Outcome, Plan), Error> {
     let late = |trial: &Trial| {
         let [_, last] = trial.spec.stimuli.onset.filter(|onset| onset[1] >= trial.spec.time.duration)?;
@@ -276,13 +276,13 @@ async fn run_open(
     log: &Path,
     signals: &mut Signals,
     control: &Control,
-    drive: impl AsyncFnOnce(Round<'_>, Again) -> Result<Option<Outcome>, Error>,
+    drive: impl AsyncFnOnce(Round<'_>, RerunPolicy) -> Result<Option<Outcome>, Error>,
 ) -> Result<Option<Outcome>, Error> {
     let pages = match how.running.serve {
         Some(port) => Some(Pages::start(store.path(), port).await?),
         None => None,
     };
-    let again = Again { failed: how.running.retry_failed, other_code: how.running.redo_other_code };
+    let again = RerunPolicy { failed: how.running.retry_failed, other_code: how.running.redo_other_code };
     let mut options = options(&plan.spec.run, how.running);
     let (shard, asked, options) = (how.shard, how.asked, &mut options);
     let round = Round { store, plan, shard, log, signals, control, options, asked, stopping: false };
@@ -341,7 +341,7 @@ pub(super) struct Round<'a> {
 }
 
 /// Runs all trials of a plan; with [until], those that its questions need.
-async fn run_plan(round: Round<'_>, again: Again) -> Result<Option<Outcome>, Error> {
+async fn run_plan(round: Round<'_>, again: RerunPolicy) -> Result<Option<Outcome>, Error> {
     match round.plan.spec.until {
         None => all(round, again).await,
         Some(_) => rounds(round, again).await,
@@ -349,7 +349,7 @@ async fn run_plan(round: Round<'_>, again: Again) -> Result<Option<Outcome>, Err
 }
 
 /// Runs all trials of a plan.
-async fn all(mut round: Round<'_>, again: Again) -> Result<Option<Outcome>, Error> {
+async fn all(mut round: Round<'_>, again: RerunPolicy) -> Result<Option<Outcome>, Error> {
     round.run(&round.plan.trials, again).await
 }
 
@@ -368,15 +368,15 @@ impl Runs for Round<'_> {
         self.options.settings.workers
     }
 
-    async fn found(&mut self) -> Result<Vec<TrialErrors>, Error> {
-        Ok(self.store.found().await?)
+    async fn trial_results(&mut self) -> Result<Vec<TrialErrors>, Error> {
+        Ok(self.store.trial_errors().await?)
     }
 
-    async fn reopen(&mut self, hashes: &[&str], again: Again) -> Result<(), Error> {
+    async fn reopen(&mut self, hashes: &[&str], again: RerunPolicy) -> Result<(), Error> {
         Ok(engine::reopen(self.store, hashes, again).await?)
     }
 
-    async fn run(&mut self, trials: &[Trial], again: Again) -> Result<Option<Outcome>, Error> {
+    async fn run(&mut self, trials: &[Trial], again: RerunPolicy) -> Result<Option<Outcome>, Error> {
         let Self { store, plan, shard, log, signals, control, options, asked, .. } = self;
         let sweep = (&plan.spec, &*plan.source.text);
         let Some(open) = engine::begin(store, sweep, trials, again, signals).await? else {

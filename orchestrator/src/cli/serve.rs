@@ -10,7 +10,7 @@ use super::{Error, end_with};
 use crate::cluster::home::attempts;
 use crate::engine::Signals;
 use crate::exit::Exit;
-use crate::serve::{Address, Served, Source, Token, serve};
+use crate::serve::{Address, ServerState, Source, Token, serve};
 use crate::store::Reader;
 
 /// Shows databases in a browser, live, until Ctrl-C
@@ -110,7 +110,7 @@ async fn serve_until_stopped(args: Args) -> Result<Exit, Error> {
         // starts reading before the first request
         drop(only.watched());
     }
-    let served = Served::new(sources, reading, steering, address);
+    let served = ServerState::new(sources, reading, steering, address);
     signals.or_signal(serve(listener, Arc::clone(&served))).await;
     served.close().await;
     Ok(Exit::Done)

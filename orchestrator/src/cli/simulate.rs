@@ -67,10 +67,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 /// One row per sample, or one per outcome with its number of samples and the first of them.
-fn table(found: &Simulated, each: bool) -> Table {
+fn table(found: &Simulated, per_sample: bool) -> Table {
     let a_sample = found.force_evaluations / found.outcomes.len() as u64;
     let solver = &found.solver;
-    if each {
+    if per_sample {
         let row = |(n, outcome)| row![n, outcome, a_sample, solver];
         let rows = found.outcomes.iter().enumerate().map(row);
         return Table::new("sample outcome force_evaluations solver", rows);

@@ -55,10 +55,10 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         if db.is_some() {
             return Err(Error::Usage("--db: only for a SPEC; pass a database as the first argument".into()));
         }
-        if let Some(hash) = named.asked()? {
+        if let Some(hash) = named.hash_argument()? {
             return Reader::with_reader(Database::at(&named.source).await?, async |reader| {
                 let hash = reader.hash_of(hash).await?;
-                one(reader, &hash, format).await
+                print_trial(reader, &hash, format).await
             })
             .await;
         }
@@ -66,8 +66,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     } else {
         let plan = named.plan()?;
         let db = db.unwrap_or_else(|| plan.default_database());
-        if named.asked()?.is_some() {
-            return planned(&db, &named.of(&plan, &plan.trials[0])?, format).await;
+        if named.hash_argument()?.is_some() {
+            return planned(&db, &named.find_trial(&plan, &plan.trials[0])?, format).await;
         }
         db
     };
@@ -102,7 +102,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 /// Prints a trial's state, attempts and log.
-async fn one(reader: &mut Reader, hash: &str, format: Format) -> Result<Exit, Error> {
+async fn print_trial(reader: &mut Reader, hash: &str, format: Format) -> Result<Exit, Error> {
     let named = quoted(hash);
     let state = format!("SELECT state, reason, solver FROM trial WHERE hash = {named}");
     let state = reader.query::<Table>(&state).await?.rows.swap_remove(0);
@@ -135,7 +135,7 @@ async fn planned(db: &Path, trial: &Trial, format: Format) -> Result<Exit, Error
             return Err(Error::Usage(format!("{} contains no trials", db.display())));
         };
         if nearest.hash == trial.hash {
-            return one(reader, &trial.hash, format).await;
+            return print_trial(reader, &trial.hash, format).await;
         }
         let Nearest { hash, state, differs } = nearest;
         say!("trial {} is not in {}", trial.hash, db.display());
@@ -188,10 +188,10 @@ async fn attempts(reader: &mut Reader, hash: &str) -> Result<Vec<String>, Error>
 
 /// Prints the shards of a folder.
 async fn cluster(folder: Option<PathBuf>, format: Format) -> Result<Exit, Error> {
-    let none = || {
+    let missing_folder = || {
         Error::Usage("pass the folder of the shards: metasense status --folder results/NAME.shards".into())
     };
-    let folder = folder.or_else(|| only(Path::new("results"), "shards")).ok_or_else(none)?;
+    let folder = folder.or_else(|| only(Path::new("results"), "shards")).ok_or_else(missing_folder)?;
     let mut jobs = super::submit::submitted(&folder)?;
     let queued = queue::ask(&mut jobs)?.shards;
     let Some(last) = jobs.last() else {

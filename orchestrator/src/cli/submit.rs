@@ -12,7 +12,7 @@ use std::process::{Command, Stdio};
 use super::named::Spec;
 use super::{Error, duration, make_folder, write};
 use crate::cluster::home::{SUBMITTED_SPEC, attempts};
-use crate::cluster::places::{self, Ended, How, Place};
+use crate::cluster::places::{self, HostSlot, LaunchConfig, ShardsOutcome};
 use crate::cluster::queue::{self, Job, Notes};
 use crate::cluster::state::{State, states};
 use crate::cluster::submit::{
@@ -97,22 +97,22 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let mut jobs = submitted(&folder)?;
     // Before the files are read: shards that end in between have handed in by then.
     let queue = queue::ask(&mut jobs)?;
-    let before = shards_of(&folder, &jobs);
+    let earlier_count = shards_of(&folder, &jobs);
     let out = args.out(&plan);
     let settled = if in_rounds { HashMap::new() } else { settled(&out).await? };
     let is_settled =
         |hash: &str| settled.get(hash).is_some_and(|has_failed| !(*has_failed && args.retry_failed));
     let left_out: Vec<Trial> = plan.trials.extract_if(.., |trial| is_settled(&trial.hash)).collect();
     cost::first_trains(&mut plan.trials);
-    let shards = match (args.shards, before) {
-        (Some(asked), Some(before)) if asked != before => {
+    let shards = match (args.shards, earlier_count) {
+        (Some(asked), Some(earlier_count)) if asked != earlier_count => {
             return Err(Error::Usage(format!(
-                "--shards {asked}: {} contains a sweep of {before} shards; leave --shards out to resume them, or merge them \
+                "--shards {asked}: {} contains a sweep of {earlier_count} shards; leave --shards out to resume them, or merge them \
                  and choose another --folder",
                 folder.display()
             )));
         }
-        (asked, before) => asked.or(before).unwrap_or_else(|| match places.len() {
+        (asked, earlier_count) => asked.or(earlier_count).unwrap_or_else(|| match places.len() {
             0 if in_rounds => SHARDS_OF_ROUNDS,
             0 => planned(&plan.trials, args.cpus, args.time.unwrap_or(LIMIT)),
             places if in_rounds => places as u32,
@@ -136,8 +136,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let mut assignment = Assignment::in_folder(&folder, &plan.trials, shards)?;
     assignment.keep(plan.trials.iter().chain(&left_out));
     let states = states(&folder, &assignment, &HashMap::new()).await;
-    let never = states.iter().flat_map(|state| &state.never).map(String::as_str);
-    assignment.leave_out(&never.filter(|hash| is_settled(hash)).collect());
+    let never_begun = states.iter().flat_map(|state| &state.never).map(String::as_str);
+    assignment.leave_out(&never_begun.filter(|hash| is_settled(hash)).collect());
     let failed = |state: &State| state.failures.iter().filter(|hash| !is_settled(hash)).count();
     let with_failures: Vec<&State> = states.iter().filter(|state| failed(state) > 0).collect();
     if !with_failures.is_empty() && !args.retry_failed {
@@ -172,7 +172,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         );
         return Ok(Exit::Done);
     }
-    let program = Program::own()?;
+    let program = Program::of_this_process()?;
     let mut submission = Submission { which, ..args.submission(&plan, shards, &program)? };
     if !submission.which.is_empty() {
         say(&plan.trials, &assignment, &submission);
@@ -276,32 +276,32 @@ impl Args {
 
     /// Refuses options that the scheduler does not have, and a scheduler that is not installed.
     fn check(&self) -> Result<(), Error> {
-        let given = |name: &str, is_given: bool, fits: bool, why: &str| match is_given && !fits {
+        let check_option = |name: &str, is_given: bool, fits: bool, why: &str| match is_given && !fits {
             true => Err(Error::Usage(format!("--{name}: {why}; leave it out"))),
             false => Ok(()),
         };
         let (slurm, hq) = (self.scheduler == Scheduler::Slurm, self.scheduler == Scheduler::Hq);
-        given("time", self.time.is_some(), slurm || hq, "shards run here without a limit")?;
-        given(
+        check_option("time", self.time.is_some(), slurm || hq, "shards run here without a limit")?;
+        check_option(
             "at-most",
             self.at_most.is_some(),
             !hq,
             "HyperQueue starts as many shards as fit on its workers",
         )?;
-        given(
+        check_option(
             "hosts",
             self.hosts.is_some(),
             self.scheduler == Scheduler::Ssh,
             "it is for `cluster submit ssh`",
         )?;
-        given(
+        check_option(
             "further options",
             !self.further.is_empty(),
             self.scheduler != Scheduler::Local,
             "no scheduler receives them",
         )?;
         let for_merge = self.further.iter().any(|word| word == "--");
-        given("further options after a second --", for_merge, slurm, "no job merges")?;
+        check_option("further options after a second --", for_merge, slurm, "no job merges")?;
         let program = match self.scheduler {
             Scheduler::Slurm => "sbatch",
             Scheduler::Hq => "hq",
@@ -319,7 +319,7 @@ impl Args {
     }
 
     /// Places for shards; none if a scheduler has a queue.
-    fn places(&self) -> Result<Vec<Place>, Error> {
+    fn places(&self) -> Result<Vec<HostSlot>, Error> {
         let most = self.at_most.unwrap_or(u32::MAX) as usize;
         match (self.scheduler, &self.hosts) {
             (Scheduler::Local, _) => {
@@ -351,7 +351,7 @@ impl Program {
     const SELF: &str = "/proc/self/exe";
     const STEM: &str = "metasense-";
 
-    fn own() -> Result<Self, Error> {
+    fn of_this_process() -> Result<Self, Error> {
         let mut hasher = blake3::Hasher::new();
         let file = File::open(Self::SELF).map_err(Error::io("reading", Self::SELF))?;
         hasher.update_reader(file).map_err(Error::io("reading", Self::SELF))?;
@@ -469,32 +469,38 @@ fn note_here(submission: &Submission, notes: &mut Notes) -> Result<(), Error> {
     Ok(())
 }
 
-fn how(submission: &Submission) -> How {
+fn launch_config(submission: &Submission) -> LaunchConfig {
     let Submission { folder, shards, for_shards, .. } = submission;
-    How { folder: folder.clone(), shards: *shards, options: for_shards.clone(), grace: submission.grace() }
+    LaunchConfig {
+        folder: folder.clone(),
+        shards: *shards,
+        options: for_shards.clone(),
+        grace: submission.grace(),
+    }
 }
 
 /// Runs the shards, then merges their databases.
-async fn run_here(submission: &Submission, places: &[Place], notes: &mut Notes) -> Result<Exit, Error> {
+async fn run_here(submission: &Submission, places: &[HostSlot], notes: &mut Notes) -> Result<Exit, Error> {
     let Submission { folder, which, .. } = submission;
     let mut signals = Signals::new()?;
     note_here(submission, notes)?;
-    let ended = places::run(places, which, &how(submission), &mut signals, |line| say!("{line}")).await;
+    let ended =
+        places::run(places, which, &launch_config(submission), &mut signals, |line| say!("{line}")).await;
     if attempts(folder).is_empty() && !ended.asked {
-        return Err(Error::Shards { folder: folder.clone(), shards: ranges(&ended.left) });
+        return Err(Error::Shards { folder: folder.clone(), shards: ranges(&ended.unfinished) });
     }
     let merged = match attempts(folder).is_empty() {
         true => Exit::Done,
         false => super::merge::execute(super::merge::Args::folder(folder, &submission.out)).await?,
     };
-    if !ended.left.is_empty() {
-        say!("left: shards {}; the same command resumes them", ranges(&ended.left));
+    if !ended.unfinished.is_empty() {
+        say!("left: shards {}; the same command resumes them", ranges(&ended.unfinished));
     }
     Ok(match ended {
-        Ended { asked: true, .. } => Exit::Interrupted,
-        Ended { deserted: true, .. } => Exit::Unfit,
-        Ended { failed: true, .. } => Exit::Failed,
-        Ended { left, .. } if !left.is_empty() => Exit::Failed,
+        ShardsOutcome { asked: true, .. } => Exit::Interrupted,
+        ShardsOutcome { deserted: true, .. } => Exit::Unfit,
+        ShardsOutcome { failed: true, .. } => Exit::Failed,
+        ShardsOutcome { unfinished: left, .. } if !left.is_empty() => Exit::Failed,
         _ => merged,
     })
 }

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use metasense_worker::tasks::{Reading, tasks};
+use metasense_worker::tasks::{TaskEstimate, tasks};
 use serde_json::{Value, json};
 
 use super::named::Database;
@@ -12,7 +12,7 @@ use crate::analysis::kinds::brains_of;
 use crate::analysis::tasks::{TaskResult, table};
 use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
-use crate::store::{Reader, Stored};
+use crate::store::{Reader, StoredTrial};
 
 /// Estimates other quantities than forces from finished bodies: where, how many, when
 ///
@@ -68,7 +68,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 }
 
 /// Appends the readings of both bodies as rows and as pairs.
-fn of_trial(trial: &Stored, rows: &mut Vec<Vec<Value>>, all: &mut Vec<TaskResult>) -> Result<(), Error> {
+fn of_trial(trial: &StoredTrial, rows: &mut Vec<Vec<Value>>, all: &mut Vec<TaskResult>) -> Result<(), Error> {
     let point = &trial.specs[1].point;
     let [_, with] = brains_of(&json!(trial.specs[1]));
     let cluster = Cluster { placement: point.placement as u64, seed: point.seed };
@@ -84,7 +84,7 @@ fn of_trial(trial: &Stored, rows: &mut Vec<Vec<Value>>, all: &mut Vec<TaskResult
             let (task, unit) = reading.task.name();
             let [low, high] = reading.interval;
             let head = row![trial.hash, point.panels, point.sensors, point.placement, point.seed, with, name];
-            let Reading { readout, error, least, trivial, samples, .. } = reading;
+            let TaskEstimate { readout, error, least, trivial, samples, .. } = reading;
             rows.push([head, row![task, readout, unit, error, low, high, least, trivial, samples]].concat());
         }
         bodies.push(found);

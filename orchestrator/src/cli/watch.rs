@@ -12,7 +12,7 @@ use crate::store::Reader;
 
 /// Shows a run in the terminal: workers, steps, errors, remaining time
 ///
-/// It does not slow the run and ends with it. `silent_s` is the time since a trial was last recorded; `cpu_%` is the
+/// It does not slow the run and ends with it. `seconds_since_step` is the time since a trial was last recorded; `cpu_%` is the
 /// worker's share of a core since the last update.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {

@@ -298,7 +298,7 @@ fn write(path: PathBuf, text: String) -> Result<(), AssignmentError> {
 }
 
 fn read(text: &str, shards: u32, path: &Path) -> Result<BTreeMap<String, u32>, AssignmentError> {
-    let mut of = BTreeMap::new();
+    let mut shard_by_hash = BTreeMap::new();
     for (number, text) in text.lines().enumerate().filter(|(number, text)| *number > 0 || *text != HEAD) {
         let entry = text.split_once(',').and_then(|(hash, shard)| {
             let shard = shard.parse().ok().filter(|shard| (1..=shards).contains(shard))?;
@@ -308,9 +308,9 @@ fn read(text: &str, shards: u32, path: &Path) -> Result<BTreeMap<String, u32>, A
             let (path, text) = (path.to_owned(), text.to_owned());
             return Err(AssignmentError::Line { path, line: number + 1, text, shards });
         };
-        of.insert(hash.to_owned(), shard);
+        shard_by_hash.insert(hash.to_owned(), shard);
     }
-    Ok(of)
+    Ok(shard_by_hash)
 }
 
 #[cfg(test)]

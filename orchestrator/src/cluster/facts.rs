@@ -26,22 +26,22 @@ pub struct Facts {
     /// Holds the database if the folder is not writable.
     _scratch: Option<TempDir>,
     /// The merged files at the last call of `look`: path, size, modification time.
-    of: Vec<(PathBuf, u64, Option<SystemTime>)>,
+    merged_files: Vec<(PathBuf, u64, Option<SystemTime>)>,
 }
 
 /// Unreadable files, with reasons.
-pub type Refused = Vec<(PathBuf, String)>;
+pub type UnreadableFiles = Vec<(PathBuf, String)>;
 
 impl Facts {
     /// For this folder; reads nothing yet.
     ///
     /// # Errors
     /// If neither the folder nor TMPDIR is writable.
-    pub fn of(folder: &Path) -> std::io::Result<Self> {
+    pub fn for_folder(folder: &Path) -> std::io::Result<Self> {
         let writable = access(folder, Access::WRITE_OK).is_ok();
         let scratch = (!writable).then(|| leftovers::scratch("metasense-facts-")).transpose()?;
         let db = scratch.as_ref().map_or(folder, TempDir::path).join(NAME);
-        Ok(Self { folder: folder.to_owned(), db, _scratch: scratch, of: Vec::new() })
+        Ok(Self { folder: folder.to_owned(), db, _scratch: scratch, merged_files: Vec::new() })
     }
 
     /// Path of the database.
@@ -54,16 +54,16 @@ impl Facts {
     ///
     /// # Errors
     /// `Nothing` if there are none, or an error of the merge.
-    pub async fn look(&mut self) -> Result<Refused, MergeError> {
+    pub async fn look(&mut self) -> Result<UnreadableFiles, MergeError> {
         let files: Vec<PathBuf> = attempts(&self.folder).into_values().flatten().collect();
         let stamp = |path: &PathBuf| {
             let known = path.metadata().ok();
             let (size, at) = (known.as_ref().map_or(0, |m| m.len()), known.and_then(|m| m.modified().ok()));
             (path.clone(), size, at)
         };
-        let of: Vec<_> = files.iter().map(stamp).collect();
-        if !of.is_empty() && of == self.of && self.db.exists() {
-            return Ok(Refused::new());
+        let stamps: Vec<_> = files.iter().map(stamp).collect();
+        if !stamps.is_empty() && stamps == self.merged_files && self.db.exists() {
+            return Ok(UnreadableFiles::new());
         }
         let begun = Instant::now();
         let refused = loop {
@@ -80,15 +80,15 @@ impl Facts {
                 added => break added?,
             }
         };
-        self.of = of;
+        self.merged_files = stamps;
         Ok(refused)
     }
 
-    async fn add(&self, files: &[PathBuf]) -> Result<Refused, MergeError> {
+    async fn add(&self, files: &[PathBuf]) -> Result<UnreadableFiles, MergeError> {
         // Recreating the database loses nothing: the shards contain everything.
         let summary = match merge(Extent::Facts, files, &self.db).await {
             Err(MergeError::Result { .. } | MergeError::NotFacts(_)) => self.anew(files).await?,
-            Ok(_) if self.points_nowhere().await => self.anew(files).await?,
+            Ok(_) if self.has_missing_source().await => self.anew(files).await?,
             summary => summary?,
         };
         Ok(summary.refused)
@@ -101,7 +101,7 @@ impl Facts {
     }
 
     /// Whether the file of a trial is gone: shards remove copies that later ones contain.
-    async fn points_nowhere(&self) -> bool {
+    async fn has_missing_source(&self) -> bool {
         let sql = "SELECT id, file FROM source";
         let used = "SELECT DISTINCT source_id FROM elsewhere";
         let asked = ask_unchanging(&self.db, async |db| {
@@ -119,12 +119,12 @@ impl Facts {
 
     /// Message about the folder for people.
     #[must_use]
-    pub fn said(&self) -> String {
+    pub fn message(&self) -> String {
         let folder = self.folder.display();
         format!(
             "{folder}: facts of {} merged; steps, curves and arrays are in these files: `metasense cluster merge {folder} --out FILE` \
              makes one complete database",
-            crate::plan::counted(self.of.len(), "database")
+            crate::plan::counted(self.merged_files.len(), "database")
         )
     }
 }

@@ -228,7 +228,7 @@ impl Home {
         self.hand_in_while(|| true).await
     }
 
-    /// As `hand_in`, but stops when `goes_on` returns false.
+    /// As `copy_to_folder`, but stops when `goes_on` returns false.
     async fn hand_in_while(&self, goes_on: impl FnMut() -> bool + Send + 'static) -> Result<(), HomeError> {
         let copy = self.handed_in.with_extension("tmp");
         let _ = std::fs::remove_file(&copy);
@@ -277,8 +277,9 @@ impl Home {
                 () = tokio::time::sleep(period) => {}
             }
             let over = Arc::new(AtomicBool::new(false));
-            let seen = Arc::clone(&over);
-            let mut handing_in = std::pin::pin!(self.hand_in_while(move || !seen.load(Ordering::Relaxed)));
+            let cancel_flag = Arc::clone(&over);
+            let mut handing_in =
+                std::pin::pin!(self.hand_in_while(move || !cancel_flag.load(Ordering::Relaxed)));
             let handed_in = loop {
                 tokio::select! {
                     handed_in = &mut handing_in => break handed_in,

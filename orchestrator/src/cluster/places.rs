@@ -29,11 +29,11 @@ const UNREACHABLE: i32 = 255;
 const ALIVE_EVERY: u32 = 15;
 
 /// A place for one shard at a time: a host; `None`: this machine.
-pub type Place = Option<String>;
+pub type HostSlot = Option<String>;
 
 /// How shards are started.
 #[derive(Debug, Clone)]
-pub struct How {
+pub struct LaunchConfig {
     /// Folder of the shards, with the script.
     pub folder: PathBuf,
     /// Number of shards of the sweep.
@@ -46,9 +46,9 @@ pub struct How {
 
 /// Result of running shards.
 #[derive(Debug, Default, PartialEq, Eq)]
-pub struct Ended {
+pub struct ShardsOutcome {
     /// Shards that are not finished.
-    pub left: Vec<u32>,
+    pub unfinished: Vec<u32>,
     /// Whether a stop was requested.
     pub asked: bool,
     /// Whether trials have failed.
@@ -61,7 +61,7 @@ pub struct Ended {
 ///
 /// # Errors
 /// For the first invalid line.
-pub fn places(text: &str) -> Result<Vec<Place>, String> {
+pub fn places(text: &str) -> Result<Vec<HostSlot>, String> {
     let mut places = Vec::new();
     for (number, line) in text.lines().enumerate() {
         let words: Vec<&str> = line.split('#').next().unwrap_or_default().split_whitespace().collect();
@@ -86,25 +86,25 @@ pub fn places(text: &str) -> Result<Vec<Place>, String> {
 
 /// Runs shards in these places; `say` receives messages for people.
 pub async fn run(
-    places: &[Place],
+    places: &[HostSlot],
     which: &[u32],
-    how: &How,
+    how: &LaunchConfig,
     signals: &mut Signals,
     mut say: impl FnMut(String),
-) -> Ended {
-    let mut free: Vec<Place> = places.iter().rev().cloned().collect();
+) -> ShardsOutcome {
+    let mut free_slots: Vec<HostSlot> = places.iter().rev().cloned().collect();
     let mut waiting: VecDeque<u32> = which.iter().copied().collect();
-    let (mut tries, mut lost) = (HashMap::<u32, u32>::new(), Vec::<Place>::new());
-    let (mut ended, mut running) = (Ended::default(), JoinSet::new());
-    let (ask, asked) = watch::channel(());
+    let (mut tries, mut lost) = (HashMap::<u32, u32>::new(), Vec::<HostSlot>::new());
+    let (mut ended, mut running) = (ShardsOutcome::default(), JoinSet::new());
+    let (ask, stop_receiver) = watch::channel(());
     loop {
         while !waiting.is_empty()
-            && let Some(place) = free.pop()
+            && let Some(place) = free_slots.pop()
         {
             let shard = waiting.pop_front().expect("it is not empty");
             say(format!("shard {shard} starts on {}", name(&place)));
             *tries.entry(shard).or_default() += 1;
-            running.spawn(run_shard(place, shard, how.clone(), asked.clone()));
+            running.spawn(run_shard(place, shard, how.clone(), stop_receiver.clone()));
         }
         match signals.or_signal(running.join_next()).await {
             None => {
@@ -116,7 +116,7 @@ pub async fn run(
                     true => "stopping at once".into(),
                 });
                 ended.asked = true;
-                ended.left.extend(waiting.drain(..));
+                ended.unfinished.extend(waiting.drain(..));
                 let _ = ask.send(());
             }
             Some(None) => break,
@@ -130,21 +130,21 @@ pub async fn run(
                     Verdict::Done => {}
                     Verdict::Failed => ended.failed = true,
                     _ if again => waiting.push_back(shard),
-                    _ => ended.left.push(shard),
+                    _ => ended.unfinished.push(shard),
                 }
                 if verdict == Verdict::Unfit {
                     lost.push(place.clone());
-                    free.retain(|free| !lost.contains(free));
+                    free_slots.retain(|free_slots| !lost.contains(free_slots));
                 }
                 if !lost.contains(&place) {
-                    free.push(place);
+                    free_slots.push(place);
                 }
             }
         }
     }
-    ended.deserted = free.is_empty();
-    ended.left.extend(waiting);
-    ended.left.sort_unstable();
+    ended.deserted = free_slots.is_empty();
+    ended.unfinished.extend(waiting);
+    ended.unfinished.sort_unstable();
     ended
 }
 
@@ -193,17 +193,17 @@ impl Verdict {
     }
 }
 
-fn name(place: &Place) -> String {
+fn name(place: &HostSlot) -> String {
     place.clone().unwrap_or_else(host)
 }
 
 /// Runs a shard to its end. Returns its place and number, its exit code and its last message.
 async fn run_shard(
-    place: Place,
+    place: HostSlot,
     shard: u32,
-    how: How,
-    mut asked: watch::Receiver<()>,
-) -> (Place, u32, Option<i32>, String) {
+    how: LaunchConfig,
+    mut stop_requested: watch::Receiver<()>,
+) -> (HostSlot, u32, Option<i32>, String) {
     let output =
         Shard::new(shard, how.shards).map_or(String::new(), |shard| format!("{}.out", shard.file_stem()));
     let outputs = [how.folder.join(output), log_file(&how.folder, &place)];
@@ -215,7 +215,7 @@ async fn run_shard(
             loop {
                 tokio::select! {
                     status = child.wait() => break status.ok(),
-                    Ok(()) = asked.changed() => end(&child, terminal.as_mut()).await,
+                    Ok(()) = stop_requested.changed() => end(&child, terminal.as_mut()).await,
                 }
             }
         }
@@ -247,7 +247,7 @@ fn last_line(file: &Path, before: u64) -> io::Result<Option<String>> {
     Ok(text.lines().map(str::trim).rfind(|line| !line.is_empty()).map(str::to_owned))
 }
 
-fn begin(place: &Place, shard: u32, how: &How) -> io::Result<Child> {
+fn begin(place: &HostSlot, shard: u32, how: &LaunchConfig) -> io::Result<Child> {
     let script = how.folder.join("shard.sh");
     let mut command = match place {
         None => {
@@ -272,11 +272,11 @@ fn begin(place: &Place, shard: u32, how: &How) -> io::Result<Child> {
 }
 
 /// Log of `ssh`, and of scripts that fail before they write to the shard's output.
-fn log(folder: &Path, place: &Place) -> io::Result<std::fs::File> {
+fn log(folder: &Path, place: &HostSlot) -> io::Result<std::fs::File> {
     OpenOptions::new().create(true).append(true).open(log_file(folder, place))
 }
 
-fn log_file(folder: &Path, place: &Place) -> PathBuf {
+fn log_file(folder: &Path, place: &HostSlot) -> PathBuf {
     folder.join(format!("{}.out", files::mark_of(&name(place))))
 }
 

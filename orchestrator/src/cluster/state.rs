@@ -68,14 +68,14 @@ impl State {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Stage {
     /// Number of attempts so far.
-    Open(u32, Ended),
+    Open(u32, AttemptEnd),
     /// Done or cancelled.
     Done,
 }
 
 /// State of the last attempt of an unfinished trial.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Ended {
+enum AttemptEnd {
     /// Failed.
     Failed,
     /// Not ended, or no attempt.
@@ -83,7 +83,7 @@ enum Ended {
 }
 
 impl Stage {
-    const NEVER: Self = Self::Open(0, Ended::Open);
+    const NEVER: Self = Self::Open(0, AttemptEnd::Open);
 }
 
 /// The shards of a folder. `queued`: states in the queue, by shard.
@@ -127,7 +127,7 @@ async fn of_shard(shard: Shard, files: &[PathBuf], mut trials: HashMap<String, S
         }
     }
     let count = |of: fn(&Stage) -> bool| trials.values().filter(|stage| of(stage)).count();
-    let failed: fn(&Stage) -> bool = |stage| matches!(stage, Stage::Open(_, Ended::Failed));
+    let failed: fn(&Stage) -> bool = |stage| matches!(stage, Stage::Open(_, AttemptEnd::Failed));
     let counts = [trials.len(), count(|stage| *stage == Stage::Done), count(failed)];
     let [all, done, gone_wrong] = counts;
     let state = match unreadable {
@@ -144,7 +144,7 @@ async fn of_shard(shard: Shard, files: &[PathBuf], mut trials: HashMap<String, S
         hashes
     };
     let never = of(|stage| *stage == Stage::NEVER);
-    let open = of(|stage| matches!(stage, Stage::Open(_, Ended::Open)));
+    let open = of(|stage| matches!(stage, Stage::Open(_, AttemptEnd::Open)));
     State { shard, state, trials: readable.then_some(counts), never, open, failures: of(failed), run, age }
 }
 
@@ -161,8 +161,8 @@ async fn read(file: &Path) -> sqlx::Result<(Vec<(String, Stage)>, Option<Run>)> 
             let stage = match (state.as_str(), reason.as_str()) {
                 ("done", _) => Stage::Done,
                 ("failed", CANCELLED) => Stage::Done,
-                ("failed", _) => Stage::Open(attempts.max(1), Ended::Failed),
-                _ => Stage::Open(attempts, Ended::Open),
+                ("failed", _) => Stage::Open(attempts.max(1), AttemptEnd::Failed),
+                _ => Stage::Open(attempts, AttemptEnd::Open),
             };
             (hash, stage)
         };
@@ -211,16 +211,16 @@ fn folder_of(file: &Path) -> &Path {
 
 #[cfg(test)]
 mod tests {
-    use super::{Ended, Stage};
+    use super::{AttemptEnd, Stage};
 
     /// A trial that was reopened after a failure counts as open until its next attempt ends; a finished trial stays finished.
     #[test]
     fn the_copy_that_came_later_counts() {
-        let failed = Stage::Open(1, Ended::Failed);
+        let failed = Stage::Open(1, AttemptEnd::Failed);
         let later = [
-            Stage::Open(1, Ended::Open),
-            Stage::Open(2, Ended::Failed),
-            Stage::Open(2, Ended::Open),
+            Stage::Open(1, AttemptEnd::Open),
+            Stage::Open(2, AttemptEnd::Failed),
+            Stage::Open(2, AttemptEnd::Open),
             Stage::Done,
         ];
         assert!(Stage::NEVER < failed && failed < later[0] && later.is_sorted());

@@ -8,11 +8,11 @@ use super::Signals;
 use crate::plan::Trial;
 use crate::provenance;
 use crate::scheduler::Prior;
-use crate::store::{Attempted, Store, StoreError};
+use crate::store::{PriorProgress, Store, StoreError};
 
 /// Which finished trials run again.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Again {
+pub struct RerunPolicy {
     /// Resume failed trials.
     pub failed: bool,
     /// Restart trials that other code has computed, even in part.
@@ -28,11 +28,11 @@ pub async fn begin<'a>(
     store: &mut Store,
     (spec, text): (&SweepSpec, &str),
     trials: &'a [Trial],
-    again: Again,
+    again: RerunPolicy,
     signals: &mut Signals,
 ) -> Result<Option<Vec<&'a Trial>>, StoreError> {
     let work = async {
-        store.set_provenance(provenance::here(1));
+        store.set_provenance(provenance::this_machine(1));
         store.begin_sweep(spec, text, trials).await?;
         let hashes: Vec<&str> = trials.iter().map(|trial| trial.hash.as_str()).collect();
         reopen(store, &hashes, again).await?;
@@ -46,13 +46,13 @@ pub async fn begin<'a>(
 ///
 /// # Errors
 /// If SQLite fails.
-pub async fn reopen(store: &mut Store, hashes: &[&str], again: Again) -> Result<(), StoreError> {
+pub async fn reopen(store: &mut Store, hashes: &[&str], again: RerunPolicy) -> Result<(), StoreError> {
     if again.failed {
         let reopened = store.reopen(hashes).await?;
         tracing::info!(reopened, "failed trials are resumed");
     }
     if again.other_code {
-        store.set_provenance(provenance::here(1));
+        store.set_provenance(provenance::this_machine(1));
         let reopened = store.redo_other_code(hashes).await?;
         tracing::info!(reopened, "trials computed by other code are repeated");
     }
@@ -80,7 +80,7 @@ pub(super) struct Bodies {
 
 impl Bodies {
     /// State of a trial, given its attempts and the steps that any trial has trained its body.
-    pub fn prior(&mut self, trial: &Trial, known: Attempted, body_steps: Option<&u32>) -> Prior {
+    pub fn prior(&mut self, trial: &Trial, known: PriorProgress, body_steps: Option<&u32>) -> Prior {
         let (next, steps) = (self.numbers.len() as u32, trial.spec.optimise.steps());
         let body = *self.numbers.entry(trial.training.clone()).or_insert(next);
         if body_steps.is_some() {

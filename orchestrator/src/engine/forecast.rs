@@ -172,12 +172,12 @@ impl Forecast {
     /// Fraction of the work that is done, in this run and before, 0 to 1.
     pub fn part(&self, now: Duration) -> f64 {
         let ratios = self.ratios(now).unwrap_or((1.0, 1.0));
-        let (mut left, mut whole) = (0.0, 0.0);
+        let (mut remaining_seconds, mut whole) = (0.0, 0.0);
         for (planned, trial) in self.trials.iter().zip(0..) {
             whole += ratios.0 * planned.step * f64::from(planned.steps) + ratios.1 * planned.comparison;
-            left += if planned.open { self.left(trial, ratios, now) } else { 0.0 };
+            remaining_seconds += if planned.open { self.left(trial, ratios, now) } else { 0.0 };
         }
-        if whole > 0.0 { (1.0 - left / whole).clamp(0.0, 1.0) } else { 1.0 }
+        if whole > 0.0 { (1.0 - remaining_seconds / whole).clamp(0.0, 1.0) } else { 1.0 }
     }
 
     /// Remaining seconds of a trial on its worker.

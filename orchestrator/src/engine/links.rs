@@ -35,7 +35,7 @@ impl Engine<'_> {
     pub(super) fn open(&mut self, worker: WorkerId, events: &mut Events) {
         let needs = Needs { workers: 1, threads: self.options.threads, files: &[] };
         let line = limits::check(&needs).map_err(|short| short.to_string()).and_then(|()| {
-            Channel::open(self.runtime.domain(worker), worker, self.words.clone())
+            Channel::open(self.runtime.domain(worker), worker, self.link_sender.clone())
                 .map_err(|error| error.to_string())
         });
         match line {

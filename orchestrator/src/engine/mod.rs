@@ -27,7 +27,7 @@ use metasense_worker::limits::{self, Needs, Shortage};
 use metasense_worker::process;
 use tokio::sync::mpsc;
 
-pub use begin::{Again, begin, reopen};
+pub use begin::{RerunPolicy, begin, reopen};
 pub use signals::{Signals, ignores_hangup};
 pub use steer::{Control, Reread};
 pub use watch::{Silent, View, Watch};
@@ -36,7 +36,7 @@ use begin::Bodies;
 use clock::Clock;
 use links::Link;
 use spent::Ledger;
-use steer::Asker;
+use steer::PendingRequest;
 
 use crate::files::host;
 use crate::fleet::Fleet;
@@ -44,10 +44,10 @@ use crate::link::{LinkEvent, Runtime, RuntimeError};
 use crate::plan::Trial;
 use crate::provenance;
 use crate::scheduler::{
-    self, Action, Event, Mark, Outcome, Payload, Phase, Prior, Settings, State, WorkerId,
+    self, Action, Event, Outcome, Payload, Phase, Prior, RecordKind, Settings, State, WorkerId,
 };
 use crate::store::{Level, Presence, Store, StoreError, hurry};
-use writer::{Arrays, Entry, Write, Written};
+use writer::{Arrays, Entry, QueuedRecord, WriterEvent};
 
 /// Time between two checks of deadlines and updates of the view.
 const TICK: Duration = Duration::from_millis(200);
@@ -136,16 +136,16 @@ pub async fn run<'a>(
     limits::check(&Needs { workers, threads: options.threads, files: &[store.path()] })?;
     let (priors, bodies) = begin::priors(store, trials).await?;
     let state = State::new(settings.clone(), &priors);
-    store.set_provenance(provenance::here(options.threads));
+    store.set_provenance(provenance::this_machine(options.threads));
     let presence = store.presence();
     let runtime = Runtime::new()?;
-    let (heard_out, mut heard) = mpsc::channel(QUEUE);
-    let (words_out, mut words) = mpsc::channel(QUEUE);
+    let (heard_out, mut process_events) = mpsc::channel(QUEUE);
+    let (link_sender, mut link_receiver) = mpsc::channel(QUEUE);
     let (queue, entries) = mpsc::channel(QUEUE);
-    let (said, mut written) = mpsc::unbounded_channel();
+    let (writer_events, mut written) = mpsc::unbounded_channel();
     let hashes = trials.iter().map(|trial| trial.hash.clone()).collect();
     // Runs on this task: arrays in shared memory may move between threads, but must not be shared by two.
-    let writing = writer::write(store, hashes, entries, said);
+    let writing = writer::write(store, hashes, entries, writer_events);
     let (rereads, mut reads) = mpsc::unbounded_channel();
     let mut ticks = tokio::time::interval(TICK);
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
@@ -162,7 +162,7 @@ pub async fn run<'a>(
         fleet: Fleet::new(options.program.clone(), heard_out),
         runtime,
         links: HashMap::new(),
-        words: words_out,
+        link_sender,
         queue,
         bodies,
         begun_at: HashMap::new(),
@@ -187,11 +187,11 @@ pub async fn run<'a>(
             tokio::select! {
                 // While the writer waits for a lock, messages of workers are left in their channel once the queue is half full. The loop
                 // never blocks, so signals are still handled.
-                Some((worker, word)) = words.recv(), if engine.has_room() => engine.word(worker, word, &mut events),
-                Some((worker, heard)) = heard.recv() => engine.heard(worker, heard, &mut events),
+                Some((worker, word)) = link_receiver.recv(), if engine.has_room() => engine.word(worker, word, &mut events),
+                Some((worker, process_events)) = process_events.recv() => engine.heard(worker, process_events, &mut events),
                 Some(word) = written.recv() => engine.written(word, &mut events),
                 Some(()) = signals.next() => engine.interrupt(&mut events),
-                Some(request) = control.next() => engine.asked(request, &mut events),
+                Some(request) = control.next() => engine.handle_command(request, &mut events),
                 Some(read) = reads.recv() => engine.read(read).await,
                 _ = ticks.tick() => engine.tick(&mut events),
             }
@@ -222,7 +222,7 @@ impl Payload for Records {
     type Step = (Box<StepRecord>, Arc<Checkpoint>);
     type Saved = Arc<Checkpoint>;
     type Result = (Box<TrialResult>, Option<Arrays>);
-    type Asker = Asker;
+    type Asker = PendingRequest;
 }
 
 struct Engine<'a> {
@@ -237,7 +237,7 @@ struct Engine<'a> {
     fleet: Fleet,
     links: HashMap<WorkerId, Link>,
     runtime: Runtime,
-    words: mpsc::Sender<(WorkerId, LinkEvent)>,
+    link_sender: mpsc::Sender<(WorkerId, LinkEvent)>,
     queue: mpsc::Sender<Entry>,
     bodies: Bodies,
     /// Steps of trials before their last attempts, if any.
@@ -261,7 +261,7 @@ struct Engine<'a> {
     store_error: Option<StoreError>,
     last_words: String,
     control: &'a Control,
-    rereads: mpsc::UnboundedSender<steer::Read>,
+    rereads: mpsc::UnboundedSender<steer::ReloadResult>,
     watch: &'a mut dyn Watch,
 }
 
@@ -296,12 +296,12 @@ impl Engine<'_> {
             Action::Assign(worker, lease) => {
                 self.leases.insert(worker, lease);
                 self.spent.begin(lease, worker, &self.fleet);
-                self.record(Write::Begin(lease)).await;
+                self.record(QueuedRecord::Begin(lease)).await;
                 self.view.forecast.assigned(lease.trial, self.began.elapsed());
                 let prior = self.priors[lease.trial as usize];
                 if prior.steps.is_some() || self.bodies.begun.contains(&prior.body) {
                     let pause = self.trials[lease.trial as usize].pause;
-                    self.record(Write::Load(worker, lease, pause)).await;
+                    self.record(QueuedRecord::Load(worker, lease, pause)).await;
                 } else {
                     self.view.forecast.goes_on(lease.trial, 0, true);
                     self.send_job(worker, lease, None);
@@ -314,18 +314,18 @@ impl Engine<'_> {
                 self.view.stepped(lease.trial, self.began.elapsed());
                 self.watch.step(self.trials[lease.trial as usize], &record);
                 self.record_spent(lease).await;
-                self.record(Write::Step(lease, record, checkpoint)).await;
+                self.record(QueuedRecord::Step(lease, record, checkpoint)).await;
             }
             Action::RecordResult(lease, (result, arrays)) => {
                 self.details.remove(&lease);
                 self.view.finished(lease.trial, self.began.elapsed());
                 self.record_spent(lease).await;
                 self.spent.end(lease);
-                self.record(Write::Result(lease, result, arrays)).await;
+                self.record(QueuedRecord::Result(lease, result, arrays)).await;
             }
             Action::RecordCheckpoint(lease, checkpoint) => {
                 self.record_spent(lease).await;
-                self.record(Write::Checkpoint(lease, checkpoint)).await;
+                self.record(QueuedRecord::Checkpoint(lease, checkpoint)).await;
             }
             Action::RecordFailure { lease, reason, settled } => {
                 let trial = self.trials[lease.trial as usize];
@@ -347,17 +347,17 @@ impl Engine<'_> {
                 let level = if reason == Reason::Cancelled { Level::Info } else { Level::Error };
                 if !in_order {
                     self.watch.attempt_failed(trial, lease.attempt, reason, settled, &text);
-                    self.record(Write::Log(lease, level, text)).await;
+                    self.record(QueuedRecord::Log(lease, level, text)).await;
                 }
                 self.record_spent(lease).await;
                 self.spent.end(lease);
-                self.record(Write::Failure(lease, reason, settled && reason != Reason::Paused)).await;
+                self.record(QueuedRecord::Failure(lease, reason, settled && reason != Reason::Paused)).await;
             }
             Action::RecordCancelled(lease) => {
                 let trial = self.trials[lease.trial as usize];
                 self.view.attempt_failed(lease.trial, Reason::Cancelled, true, self.began.elapsed());
                 tracing::info!(trial.hash, "the trial was cancelled before an attempt");
-                self.record(Write::Cancelled(lease)).await;
+                self.record(QueuedRecord::Cancelled(lease)).await;
             }
             Action::Answer(asker, answer) => self.answered(asker, answer),
             Action::AskStop(worker) => {
@@ -384,7 +384,7 @@ impl Engine<'_> {
     }
 
     /// Queues a record; waits while the queue is full. Does nothing after the store has failed.
-    async fn record(&mut self, write: Write) {
+    async fn record(&mut self, write: QueuedRecord) {
         self.enqueue(Entry::Write(write)).await;
     }
 
@@ -396,7 +396,7 @@ impl Engine<'_> {
 
     async fn record_said(&mut self) {
         for (lease, level, text) in std::mem::take(&mut self.pending_log) {
-            self.record(Write::Log(lease, level, text)).await;
+            self.record(QueuedRecord::Log(lease, level, text)).await;
         }
         if self.has_room() {
             for lease in std::mem::take(&mut self.due) {
@@ -406,8 +406,8 @@ impl Engine<'_> {
     }
 
     async fn record_spent(&mut self, lease: Lease) {
-        if let Some(seconds) = self.spent.more(lease, &self.fleet) {
-            self.record(Write::Spent(lease, seconds)).await;
+        if let Some(seconds) = self.spent.grown_seconds(lease, &self.fleet) {
+            self.record(QueuedRecord::Spent(lease, seconds)).await;
         }
     }
 
@@ -506,15 +506,15 @@ impl Engine<'_> {
         });
     }
 
-    fn written(&mut self, word: Written, events: &mut Events) {
+    fn written(&mut self, word: WriterEvent, events: &mut Events) {
         match word {
-            Written::Recorded(lease, mark) => events.push_back(Event::Recorded(lease, mark)),
-            Written::Done(lease, result) => {
+            WriterEvent::Recorded(lease, mark) => events.push_back(Event::Recorded(lease, mark)),
+            WriterEvent::Done(lease, result) => {
                 self.view.done();
                 self.watch.done(self.trials[lease.trial as usize], &result);
-                events.push_back(Event::Recorded(lease, Mark::Result));
+                events.push_back(Event::Recorded(lease, RecordKind::Result));
             }
-            Written::Loaded(worker, lease, checkpoint) => {
+            WriterEvent::Loaded(worker, lease, checkpoint) => {
                 let checkpoint = checkpoint.unwrap_or_else(|why| {
                     let trial = self.trials[lease.trial as usize];
                     tracing::error!(trial.hash, why, "the checkpoint cannot be used; the trial restarts");
@@ -535,8 +535,8 @@ impl Engine<'_> {
                     self.send_job(worker, lease, checkpoint.map(|checkpoint| *checkpoint));
                 }
             }
-            Written::Planned(fresh, request) => self.planned(fresh, request, events),
-            Written::Broken(error) => {
+            WriterEvent::Planned(fresh, request) => self.planned(fresh, request, events),
+            WriterEvent::Broken(error) => {
                 tracing::error!(%error, "the database failed; the run ends");
                 self.store_error = Some(error);
                 events.push_back(Event::StoreBroken);

@@ -15,7 +15,7 @@ const LOOK: Duration = Duration::from_secs(1);
 const RECORD: Duration = Duration::from_secs(10);
 
 #[derive(Debug)]
-struct Spent {
+struct AttemptCpu {
     worker: WorkerId,
     /// CPU seconds of the process when it got the trial.
     before: f64,
@@ -26,7 +26,7 @@ struct Spent {
 /// CPU seconds of the attempts in progress.
 #[derive(Debug)]
 pub(super) struct Ledger {
-    attempts: HashMap<Lease, Spent>,
+    attempts: HashMap<Lease, AttemptCpu>,
     looked: Instant,
     recorded: Instant,
 }
@@ -38,7 +38,7 @@ impl Ledger {
 
     pub fn begin(&mut self, lease: Lease, worker: WorkerId, fleet: &Fleet) {
         let before = fleet.cpu_seconds(worker).unwrap_or(0.0);
-        self.attempts.insert(lease, Spent { worker, before, seconds: 0.0, recorded: 0.0 });
+        self.attempts.insert(lease, AttemptCpu { worker, before, seconds: 0.0, recorded: 0.0 });
     }
 
     pub fn end(&mut self, lease: Lease) {
@@ -46,7 +46,7 @@ impl Ledger {
     }
 
     /// CPU seconds of an attempt so far, if they have grown since the last call.
-    pub fn more(&mut self, lease: Lease, fleet: &Fleet) -> Option<f64> {
+    pub fn grown_seconds(&mut self, lease: Lease, fleet: &Fleet) -> Option<f64> {
         let spent = self.attempts.get_mut(&lease)?;
         spent.look(fleet);
         let before = std::mem::replace(&mut spent.recorded, spent.seconds);
@@ -67,7 +67,7 @@ impl Ledger {
     }
 }
 
-impl Spent {
+impl AttemptCpu {
     fn look(&mut self, fleet: &Fleet) {
         if let Some(now) = fleet.cpu_seconds(self.worker) {
             self.seconds = self.seconds.max(now - self.before);

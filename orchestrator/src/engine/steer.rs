@@ -4,13 +4,13 @@ use std::collections::HashSet;
 use std::fmt;
 use std::sync::{Arc, OnceLock};
 
-use metasense_schemas::spec::{NotOne, position_of};
+use metasense_schemas::spec::{HashError, position_of};
 
 use super::Engine;
-use super::writer::{Entry, Fresh};
+use super::writer::{Entry, NewTrials};
 use crate::control::{Command, Listener, Reply, Request};
 use crate::plan::{Plan, Trial, counted};
-use crate::scheduler::{Answer, Event, Steer};
+use crate::scheduler::{Event, Steer, SteerAnswer};
 
 /// Source of commands to a run.
 pub struct Control {
@@ -73,17 +73,17 @@ impl Plans {
 
 /// A request that waits for the scheduler's answer, and text to append to the answer.
 #[derive(Debug)]
-pub(super) struct Asker {
+pub(super) struct PendingRequest {
     request: Request,
     note: String,
 }
 
 /// The result of a reload, with its request.
-pub(super) type Read = (Result<Plan, String>, Request);
+pub(super) type ReloadResult = (Result<Plan, String>, Request);
 
 impl Engine<'_> {
     /// Handles a command.
-    pub(super) fn asked(&mut self, request: Request, events: &mut super::Events) {
+    pub(super) fn handle_command(&mut self, request: Request, events: &mut super::Events) {
         if request.answer.is_closed() {
             return;
         }
@@ -106,7 +106,7 @@ impl Engine<'_> {
                 return;
             }
         };
-        events.push_back(Event::Steer(steer, Asker { request, note: String::new() }));
+        events.push_back(Event::Steer(steer, PendingRequest { request, note: String::new() }));
     }
 
     /// State of the run as text.
@@ -126,12 +126,12 @@ impl Engine<'_> {
     }
 
     /// The only trial of this run whose hash starts with `hash`.
-    fn find(&self, hash: &str) -> Result<u32, NotOne> {
+    fn find(&self, hash: &str) -> Result<u32, HashError> {
         position_of(hash, self.trials.iter().map(|trial| trial.hash.as_str())).map(|at| at as u32)
     }
 
     /// Sends a reloaded plan to the writer, which records new trials.
-    pub(super) async fn read(&mut self, (plan, request): Read) {
+    pub(super) async fn read(&mut self, (plan, request): ReloadResult) {
         match plan {
             Err(why) => self.answer(request, false, why),
             Ok(plan) => self.enqueue(Entry::Plan(Arc::new(plan), request)).await,
@@ -139,8 +139,8 @@ impl Engine<'_> {
     }
 
     /// Adds the recorded new trials to the run.
-    pub(super) fn planned(&mut self, fresh: Fresh, request: Request, events: &mut super::Events) {
-        let mut asker = Asker { request, note: String::new() };
+    pub(super) fn planned(&mut self, fresh: NewTrials, request: Request, events: &mut super::Events) {
+        let mut asker = PendingRequest { request, note: String::new() };
         let own: HashSet<&str> = fresh.plan.trials.iter().map(|trial| trial.hash.as_str()).collect();
         let vanished = self.trials.iter().filter(|trial| !own.contains(trial.hash.as_str())).count();
         if fresh.settled > 0 {
@@ -164,11 +164,11 @@ impl Engine<'_> {
     }
 
     /// Sends the scheduler's answer to the client.
-    pub(super) fn answered(&mut self, asker: Asker, answer: Answer) {
+    pub(super) fn answered(&mut self, asker: PendingRequest, answer: SteerAnswer) {
         self.view.set_workers(self.state.workers());
         self.view.paused = self.state.is_paused();
         let text = format!("{answer}{}", asker.note);
-        self.answer(asker.request, !matches!(answer, Answer::Refused(_)), text);
+        self.answer(asker.request, !matches!(answer, SteerAnswer::Refused(_)), text);
     }
 
     fn answer(&mut self, Request { command, answer }: Request, done: bool, text: String) {

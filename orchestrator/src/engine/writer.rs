@@ -1,6 +1,6 @@
 //! The only writer to the store: takes entries from a queue and writes them in shared transactions.
 //!
-//! All entries that wait when a transaction begins share it, so that one fsync serves many records. `Written` is sent after the
+//! All entries that wait when a transaction begins share it, so that one fsync serves many records. `WriterEvent` is sent after the
 //! commit.
 
 use std::collections::{HashMap, HashSet};
@@ -13,15 +13,15 @@ use tokio::sync::mpsc::{Receiver, UnboundedSender};
 
 use crate::control::Request;
 use crate::plan::Plan;
-use crate::scheduler::{Mark, WorkerId};
-use crate::store::{Array, Attempted, Level, Store, StoreError};
+use crate::scheduler::{RecordKind, WorkerId};
+use crate::store::{Array, Level, PriorProgress, Store, StoreError};
 
 /// Most entries per transaction.
 const BATCH: usize = 128;
 
 /// A record in the queue.
 #[derive(Debug)]
-pub enum Write {
+pub enum QueuedRecord {
     /// The start of an attempt.
     Begin(Lease),
     /// A step.
@@ -46,18 +46,18 @@ pub enum Write {
 #[derive(Debug)]
 pub enum Entry {
     /// A record; consecutive ones share a transaction.
-    Write(Write),
+    Write(QueuedRecord),
     /// The reloaded plan, which gets its own transactions, and the request for it.
     Plan(Arc<Plan>, Request),
 }
 
 /// New trials of a reloaded plan.
 #[derive(Debug)]
-pub struct Fresh {
+pub struct NewTrials {
     /// The plan.
     pub plan: Arc<Plan>,
     /// Trials that are new to the run: index in the plan, and state after earlier runs.
-    pub trials: Vec<(usize, Attempted)>,
+    pub trials: Vec<(usize, PriorProgress)>,
     /// Recorded steps per body.
     pub bodies: HashMap<String, u32>,
     /// Number of other new trials that had ended before this run.
@@ -96,15 +96,15 @@ impl Arrays {
 
 /// A message of the writer.
 #[derive(Debug)]
-pub enum Written {
+pub enum WriterEvent {
     /// A record is on disk.
-    Recorded(Lease, Mark),
+    Recorded(Lease, RecordKind),
     /// A result is on disk.
     Done(Lease, Box<TrialResult>),
     /// The requested checkpoint, or why the stored one cannot be used.
     Loaded(WorkerId, Lease, Result<Option<Box<Checkpoint>>, String>),
     /// New trials are on disk.
-    Planned(Fresh, Request),
+    Planned(NewTrials, Request),
     /// The database failed.
     Broken(StoreError),
 }
@@ -114,7 +114,7 @@ pub async fn write(
     store: &mut Store,
     mut hashes: Vec<String>,
     mut queue: Receiver<Entry>,
-    said: UnboundedSender<Written>,
+    event_sender: UnboundedSender<WriterEvent>,
 ) {
     let done = async {
         let mut batch = Vec::with_capacity(BATCH);
@@ -130,23 +130,23 @@ pub async fn write(
                 }
             }
             for word in transact(store, &hashes, batch.drain(..)).await? {
-                drop(said.send(word));
+                drop(event_sender.send(word));
             }
             if let Some((plan, request)) = reread {
                 let fresh = add(store, &mut hashes, plan).await?;
-                drop(said.send(Written::Planned(fresh, request)));
+                drop(event_sender.send(WriterEvent::Planned(fresh, request)));
             }
         }
         Ok(())
     };
     if let Err(error) = done.await {
         store.drop_batch().await;
-        drop(said.send(Written::Broken(error)));
+        drop(event_sender.send(WriterEvent::Broken(error)));
     }
 }
 
 /// Records a plan, and appends the hashes of its new, open trials to `hashes`.
-async fn add(store: &mut Store, hashes: &mut Vec<String>, plan: Arc<Plan>) -> Result<Fresh, StoreError> {
+async fn add(store: &mut Store, hashes: &mut Vec<String>, plan: Arc<Plan>) -> Result<NewTrials, StoreError> {
     store.begin_sweep(&plan.spec, &plan.source.text, &plan.trials).await?;
     let settled: HashSet<String> = store.settled().await?.into_iter().collect();
     let (attempted, bodies) = (store.attempted().await?, store.bodies().await?);
@@ -158,15 +158,15 @@ async fn add(store: &mut Store, hashes: &mut Vec<String>, plan: Arc<Plan>) -> Re
     let (settled, open): (_, Vec<_>) =
         (old.len(), open.iter().map(|(_, trial)| trial.hash.clone()).collect());
     hashes.extend(open);
-    Ok(Fresh { plan, trials, bodies, settled })
+    Ok(NewTrials { plan, trials, bodies, settled })
 }
 
 /// Records a batch in one transaction. Arrays stay in shared memory until it is committed.
 async fn transact(
     store: &mut Store,
     hashes: &[String],
-    batch: impl ExactSizeIterator<Item = Write>,
-) -> Result<Vec<Written>, StoreError> {
+    batch: impl ExactSizeIterator<Item = QueuedRecord>,
+) -> Result<Vec<WriterEvent>, StoreError> {
     let mut written = Vec::with_capacity(batch.len());
     if batch.len() == 0 {
         return Ok(written);
@@ -176,46 +176,46 @@ async fn transact(
     store.begin_batch().await?;
     for entry in batch {
         written.push(match entry {
-            Write::Begin(lease) => {
+            QueuedRecord::Begin(lease) => {
                 let attempt = store.begin_attempt(hash(lease)).await?;
                 assert_eq!(attempt, lease.attempt, "attempts at {} are counted twice", hash(lease));
                 continue;
             }
-            Write::Step(lease, record, checkpoint) => {
+            QueuedRecord::Step(lease, record, checkpoint) => {
                 store.record_step(hash(lease), lease.attempt, &record, &checkpoint).await?;
-                Written::Recorded(lease, Mark::Step)
+                WriterEvent::Recorded(lease, RecordKind::Step)
             }
-            Write::Checkpoint(lease, checkpoint) => {
+            QueuedRecord::Checkpoint(lease, checkpoint) => {
                 store.record_checkpoint(hash(lease), lease.attempt, &checkpoint).await?;
-                Written::Recorded(lease, Mark::Step)
+                WriterEvent::Recorded(lease, RecordKind::Step)
             }
-            Write::Result(lease, result, arrays) => {
+            QueuedRecord::Result(lease, result, arrays) => {
                 let all = arrays.as_ref().map(Arrays::all).unwrap_or_default();
                 store.finish(hash(lease), lease.attempt, &result, &all).await?;
                 held.push(arrays);
-                Written::Done(lease, result)
+                WriterEvent::Done(lease, result)
             }
-            Write::Failure(lease, reason, settled) => {
+            QueuedRecord::Failure(lease, reason, settled) => {
                 let (hash, reason) = (hash(lease), reason.to_string());
                 match settled {
                     true => store.fail(hash, lease.attempt, &reason).await?,
                     false => store.give_up_attempt(hash, lease.attempt, &reason).await?,
                 }
-                Written::Recorded(lease, Mark::Failure)
+                WriterEvent::Recorded(lease, RecordKind::Failure)
             }
-            Write::Cancelled(lease) => {
+            QueuedRecord::Cancelled(lease) => {
                 store.fail_pending(hash(lease), CANCELLED).await?;
-                Written::Recorded(lease, Mark::Failure)
+                WriterEvent::Recorded(lease, RecordKind::Failure)
             }
-            Write::Spent(lease, seconds) => {
+            QueuedRecord::Spent(lease, seconds) => {
                 store.record_cpu_seconds(hash(lease), lease.attempt, seconds).await?;
                 continue;
             }
-            Write::Log(lease, level, text) => {
+            QueuedRecord::Log(lease, level, text) => {
                 store.log(hash(lease), lease.attempt, level, &text).await?;
                 continue;
             }
-            Write::Load(worker, lease, pause) => {
+            QueuedRecord::Load(worker, lease, pause) => {
                 let checkpoint = match store.resume_checkpoint(hash(lease), lease.attempt, pause).await {
                     Err(StoreError::Unreadable { message, .. }) => Err(message),
                     Err(StoreError::Damaged { .. }) => {
@@ -223,7 +223,7 @@ async fn transact(
                     }
                     other => Ok(other?.map(Box::new)),
                 };
-                Written::Loaded(worker, lease, checkpoint)
+                WriterEvent::Loaded(worker, lease, checkpoint)
             }
         });
     }

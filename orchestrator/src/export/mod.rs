@@ -17,14 +17,14 @@ pub use outline::{Mould, Outline};
 
 use clap::ValueEnum;
 use metasense_schemas::spec::TrialSpec;
-use metasense_worker::replay::{Own, Replay, own, replay, replay_for_casts};
+use metasense_worker::replay::{Replay, ReplayDecoder, fit_decoder, replay, replay_for_casts};
 use metasense_worker::run::Failure;
 
-use crate::store::{StoreError, Stored};
+use crate::store::{StoreError, StoredTrial};
 
 /// Limits of the bands about a body's predictions (N, T, K) (N), by name: `forces_low` and `forces_high` for single instants,
 /// `sample_low` and `sample_high` for whole samples. An inverse decoder has only the former.
-pub(crate) fn bands(stored: &Stored, replay: &Replay, body: usize) -> Vec<(String, Vec<f64>)> {
+pub(crate) fn bands(stored: &StoredTrial, replay: &Replay, body: usize) -> Vec<(String, Vec<f64>)> {
     let [instant, sample] = &stored.bands[body];
     let instant = if replay.half_widths.is_empty() { instant } else { &replay.half_widths };
     let mut found = Vec::new();
@@ -47,7 +47,7 @@ const SIGNAL_TOLERANCE: f64 = 1e-4;
 ///
 /// # Errors
 /// If they cannot be simulated again.
-pub fn replays(stored: &Stored, threads: usize) -> Result<[Replay; 2], StoreError> {
+pub fn replays(stored: &StoredTrial, threads: usize) -> Result<[Replay; 2], StoreError> {
     Ok([replay_of(stored, 0, threads)?, replay_of(stored, 1, threads)?])
 }
 
@@ -55,7 +55,7 @@ pub fn replays(stored: &Stored, threads: usize) -> Result<[Replay; 2], StoreErro
 ///
 /// # Errors
 /// If it cannot be simulated again.
-pub fn replay_of(stored: &Stored, body: usize, threads: usize) -> Result<Replay, StoreError> {
+pub fn replay_of(stored: &StoredTrial, body: usize, threads: usize) -> Result<Replay, StoreError> {
     let (design, weights) = (&stored.designs[body], &stored.weights[body]);
     replay(&exact(stored, body), design, weights, usize::MAX, threads).map_err(unreadable(stored))
 }
@@ -73,11 +73,17 @@ pub enum Fit {
 ///
 /// # Errors
 /// If the body cannot be simulated again, or if the trial has no casts.
-pub fn brain_of(stored: &Stored, body: usize, fit: Fit, threads: usize) -> Result<(Replay, Own), StoreError> {
+pub fn brain_of(
+    stored: &StoredTrial,
+    body: usize,
+    fit: Fit,
+    threads: usize,
+) -> Result<(Replay, ReplayDecoder), StoreError> {
     match fit {
         Fit::Design => {
             let replay = replay_of(stored, body, threads)?;
-            let own = own(&stored.specs[body], &stored.weights[body], &replay).map_err(unreadable(stored))?;
+            let own = fit_decoder(&stored.specs[body], &stored.weights[body], &replay)
+                .map_err(unreadable(stored))?;
             Ok((replay, own))
         }
         // with the trial's own integrator: bit-identical to the decoder of its casts
@@ -88,14 +94,14 @@ pub fn brain_of(stored: &Stored, body: usize, fit: Fit, threads: usize) -> Resul
 }
 
 /// A trial's spec with the tolerance of exports.
-fn exact(stored: &Stored, body: usize) -> TrialSpec {
+fn exact(stored: &StoredTrial, body: usize) -> TrialSpec {
     let mut spec = stored.specs[body].clone();
     spec.solver.tolerance = spec.solver.tolerance.min(SIGNAL_TOLERANCE);
     spec
 }
 
 /// The error for a stored trial that cannot be computed again.
-pub(crate) fn unreadable(stored: &Stored) -> impl Fn(Failure) -> StoreError {
+pub(crate) fn unreadable(stored: &StoredTrial) -> impl Fn(Failure) -> StoreError {
     let hash = stored.hash.clone();
     move |e| StoreError::Unreadable { hash: hash.clone(), what: "trial", message: e.to_string() }
 }

@@ -7,11 +7,11 @@ use super::outline::{HOLE, largest_pocket, screwed};
 use super::{Fit, Mould, Outline};
 use crate::analysis::Body;
 use crate::look::number;
-use crate::store::Stored;
+use crate::store::StoredTrial;
 
 /// Markdown for users who cast the body and flash the decoder. `brain`: head of the decoder's file, if there is one.
 pub fn notes(
-    stored: &Stored,
+    stored: &StoredTrial,
     body: usize,
     drawing: &Drawing,
     (cast, cavity, mould): (&Cast, &Outline, &Mould),
@@ -118,11 +118,13 @@ pub fn notes(
     lines.push("\n## Decode\n".into());
     lines.push(match (brain, fit) {
         (None, _) => "The decoder of this trial cannot be exported for a device.".into(),
-        (Some(head), Fit::Design) => told(
+        (Some(head), Fit::Design) => decoder_section(
             "fitted to the body as designed; its error on casts that deviate from the design is higher",
             head,
         ),
-        (Some(head), Fit::Casts) => told("fitted to casts that vary according to `[variation]`", head),
+        (Some(head), Fit::Casts) => {
+            decoder_section("fitted to casts that vary according to `[variation]`", head)
+        }
     });
     lines.push(
         "\nRecord about thirty blows with measured forces, in a file of records (docs/reference/measured.md). DB is the database of \
@@ -139,7 +141,7 @@ pub fn notes(
 }
 
 /// To what the decoder is fitted, and the head of its file.
-fn told(whom: &str, head: &str) -> String {
+fn decoder_section(whom: &str, head: &str) -> String {
     format!("The decoder is {whom}. Its file contains:\n\n```text\n{}\n```", head.trim())
 }
 

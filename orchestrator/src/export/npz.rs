@@ -12,14 +12,14 @@ use zip::{CompressionMethod, DateTime, ZipWriter};
 
 use super::{bands, replays, unreadable};
 use crate::analysis::Body;
-use crate::store::{StoreError, Stored, npy_bytes};
+use crate::store::{StoreError, StoredTrial, npy_bytes};
 
 /// The archive of a trial, simulated again; `note` receives a message if no linear decoder can be fitted.
 ///
 /// # Errors
 /// If its bodies cannot be simulated again.
 pub fn of_trial(
-    stored: &Stored,
+    stored: &StoredTrial,
     threads: usize,
     note: &mut dyn FnMut(String),
 ) -> Result<Vec<u8>, StoreError> {
@@ -38,7 +38,7 @@ pub fn of_trial(
 
 /// The archive; `drawings`, `replays` and `linear` are of the initial and of the trained body.
 pub fn archive(
-    stored: &Stored,
+    stored: &StoredTrial,
     drawings: &[Drawing; 2],
     replays: &[Replay; 2],
     linear: &[Option<LinearReplay>; 2],

@@ -5,7 +5,7 @@
 //! ```
 //! A linear decoder before a network is a Conv, and a Concat of its input and its output.
 
-use metasense_worker::replay::{Convolution, Own, Replay, layers};
+use metasense_worker::replay::{Convolution, Replay, ReplayDecoder, layers};
 use onnx_rs::ast::{
     Attribute, AttributeType, DataType, Dimension, Graph, Model, Node, OpType, OperatorSetId,
     StringStringEntry, TensorProto, TensorShape, TensorShapeDimension, TensorTypeProto, TypeProto, TypeValue,
@@ -14,7 +14,7 @@ use onnx_rs::ast::{
 
 use super::unreadable;
 use crate::analysis::Body;
-use crate::store::{StoreError, Stored};
+use crate::store::{StoreError, StoredTrial};
 
 /// IR version and opset that runtimes since ONNX 1.9 (2021) read.
 const FORMAT: (i64, i64) = (7, 13);
@@ -23,7 +23,11 @@ const FORMAT: (i64, i64) = (7, 13);
 ///
 /// # Errors
 /// If the trial cannot be computed again.
-pub fn onnx(stored: &Stored, body: usize, (replay, own): &(Replay, Own)) -> Result<Vec<u8>, StoreError> {
+pub fn onnx(
+    stored: &StoredTrial,
+    body: usize,
+    (replay, own): &(Replay, ReplayDecoder),
+) -> Result<Vec<u8>, StoreError> {
     let spec = &stored.specs[body];
     let layers = layers(spec, own, replay).map_err(unreadable(stored))?;
     let channels = spec.sensors.read().iter().map(|channel| channel.name()).collect::<Vec<_>>().join(", ");

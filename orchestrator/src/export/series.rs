@@ -6,17 +6,17 @@ use serde_json::{Value, json};
 use super::bands;
 use crate::analysis::Body;
 use crate::look::{Table, row};
-use crate::store::Stored;
+use crate::store::StoredTrial;
 
 /// Forces (N), signals (mm/s², rad/s), predictions and their bands (N) of both bodies. `set` is train, test or holdout; `time` in s.
-pub fn table(stored: &Stored, replays: &[Replay; 2]) -> Table {
+pub fn table(stored: &StoredTrial, replays: &[Replay; 2]) -> Table {
     let (panels, sensors, instants) =
         (stored.spec().panel_units.len(), stored.spec().point.sensors, stored.spec().time.samples);
     let (read, signals) = (stored.spec().sensors.read(), stored.spec().signals());
     let mut columns: Vec<String> = ["sample", "set", "time"].map(String::from).to_vec();
     columns.extend((0..panels).map(|k| format!("force_{k}")));
     // per body, the values after its signals: predictions and limits of bands (N, T, K)
-    let mut said: [Vec<Vec<f64>>; 2] = Default::default();
+    let mut prediction_columns: [Vec<Vec<f64>>; 2] = Default::default();
     for body in Body::ALL {
         let (name, replay) = (body.name(), &replays[body as usize]);
         for m in 0..sensors {
@@ -25,7 +25,7 @@ pub fn table(stored: &Stored, replays: &[Replay; 2]) -> Table {
         let own = (!replay.predictions.is_empty()).then(|| ("prediction".into(), replay.predictions.clone()));
         for (of, values) in own.into_iter().chain(bands(stored, replay, body as usize)) {
             columns.extend((0..panels).map(|k| format!("{of}_{k}_{name}")));
-            said[body as usize].push(values);
+            prediction_columns[body as usize].push(values);
         }
     }
     let mut rows = Vec::with_capacity(replays[0].forces.samples * instants);
@@ -37,9 +37,14 @@ pub fn table(stored: &Stored, replays: &[Replay; 2]) -> Table {
             let forces = &replays[0].forces.values;
             row.extend((0..panels).map(|k| json!(forces[(sample * panels + k) * (instants + 1) + n])));
             let at = sample * instants + n - 1;
-            for (replay, said) in replays.iter().zip(&said) {
+            for (replay, prediction_columns) in replays.iter().zip(&prediction_columns) {
                 row.extend(replay.signals[at * signals..][..signals].iter().map(|v| json!(v)));
-                row.extend(said.iter().flat_map(|values| &values[at * panels..][..panels]).map(|v| json!(v)));
+                row.extend(
+                    prediction_columns
+                        .iter()
+                        .flat_map(|values| &values[at * panels..][..panels])
+                        .map(|v| json!(v)),
+                );
             }
             rows.push(row);
         }

@@ -23,7 +23,7 @@ use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
-pub use processes::{Seen, children, cpu_seconds, peak_mib, workers_of};
+pub use processes::{WorkerProcess, children, cpu_seconds, peak_mib, workers_of};
 
 use crate::scheduler::WorkerId;
 

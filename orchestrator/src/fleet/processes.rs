@@ -6,7 +6,7 @@ use metasense_schemas::wire::Start;
 
 /// A worker process as seen in `/proc`.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Seen {
+pub struct WorkerProcess {
     /// Process id.
     pub pid: u32,
     /// Slot and generation, as in the log, for example `0.3`.
@@ -21,8 +21,9 @@ pub struct Seen {
 
 /// The worker processes of a run, sorted by worker.
 #[must_use]
-pub fn workers_of(orchestrator: u32) -> Vec<Seen> {
-    let mut workers: Vec<Seen> = children(orchestrator).into_iter().filter_map(seen).collect();
+pub fn workers_of(orchestrator: u32) -> Vec<WorkerProcess> {
+    let mut workers: Vec<WorkerProcess> =
+        children(orchestrator).into_iter().filter_map(read_process).collect();
     workers.sort_by(|a, b| (a.worker.len(), &a.worker).cmp(&(b.worker.len(), &b.worker)));
     workers
 }
@@ -35,13 +36,13 @@ pub fn children(parent: u32) -> Vec<u32> {
     pids.filter(|pid| stat(*pid).is_some_and(|stat| stat.parent == parent)).collect()
 }
 
-fn seen(pid: u32) -> Option<Seen> {
+fn read_process(pid: u32) -> Option<WorkerProcess> {
     let line = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).ok()?;
     let mut words = line.split('\0').skip_while(|word| *word != "worker").skip(1);
     let start: Start = serde_json::from_str(words.next()?).ok()?;
     let worker = Path::new(&start.root).file_name()?.to_str()?.to_owned();
     let Stat { name, state, ticks, .. } = stat(pid)?;
-    Some(Seen { pid, worker, name, state, ticks })
+    Some(WorkerProcess { pid, worker, name, state, ticks })
 }
 
 /// CPU time of a process so far (s), in steps of 10 ms; `None` if it does not exist.

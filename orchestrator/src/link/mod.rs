@@ -13,7 +13,7 @@ use metasense_schemas::wire::{
     self, BeatReceiver, End, LinkError, MessageReceiver, MessageSender, Progress, Sample, Services, Sleeper,
     ToOrchestrator, ToWorker, Waker,
 };
-use metasense_worker::process::make_room;
+use metasense_worker::process::check_shared_memory;
 use tokio::sync::mpsc::Sender;
 
 pub use runtime::{Domain, Runtime, RuntimeError, SHARED_MEMORY, remove_stale};
@@ -34,7 +34,7 @@ pub enum LinkEvent {
     Beat(Progress),
     /// The link failed.
     Broken(LinkError),
-    /// After `Line::close`: everything sent has been read, and the domain is removed.
+    /// After `Channel::close`: everything sent has been read, and the domain is removed.
     Closed,
 }
 
@@ -87,7 +87,7 @@ impl Channel {
             None => Ok(false),
             Some(ports) => {
                 let bytes = wire::encode(message);
-                make_room(bytes.len())?;
+                check_shared_memory(bytes.len())?;
                 let sent = wire::send(&ports.down, &bytes)?;
                 // If the wake-up fails, the worker's polling finds the message.
                 let _ = ports.wake_worker.notify();

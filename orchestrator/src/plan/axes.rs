@@ -62,19 +62,19 @@ pub(super) fn combinations(spec: &SweepSpec, source: &Source) -> Result<Vec<Comb
     base.sweep.axes.clear();
     base.sweep.points.clear();
     let base = serde_json::to_value(&base).expect("a spec is JSON");
-    let with = |keys: &[(&str, &Value)]| {
+    let spec_with_keys = |keys: &[(&str, &Value)]| {
         let mut spec = base.clone();
         keys.iter().for_each(|(key, value)| set(&mut spec, key, value));
         serde_json::from_value::<SweepSpec>(spec)
     };
     for (key, value) in axes.iter().flat_map(|(path, values)| values.iter().map(|v| (*path, v))) {
-        with(&[(key, value)]).map_err(|e| refused(key, value, &e, source))?;
+        spec_with_keys(&[(key, value)]).map_err(|e| refused(key, value, &e, source))?;
     }
     for point in points {
         let keys: Vec<_> = point.iter().map(|(key, value)| (key.as_str(), value)).collect();
-        if with(&keys).is_err() {
+        if spec_with_keys(&keys).is_err() {
             // a key may need other keys of its point: report a key that is wrong by itself first
-            let alone = keys.iter().filter_map(|key| Some((*key, with(&[*key]).err()?)));
+            let alone = keys.iter().filter_map(|key| Some((*key, spec_with_keys(&[*key]).err()?)));
             let wrong = alone.min_by_key(|(_, e)| e.to_string().starts_with("missing field"));
             if let Some(((key, value), e)) = wrong {
                 return Err(refused(key, value, &e, source));
@@ -201,12 +201,12 @@ fn set(spec: &mut Value, path: &str, value: &Value) {
         spec["sweep"][path] = Value::Array(vec![value.clone()]);
         return;
     }
-    let mut here = spec;
+    let mut cursor = spec;
     for part in path.split('.') {
-        if !here.is_object() {
-            *here = Value::Object(Map::new());
+        if !cursor.is_object() {
+            *cursor = Value::Object(Map::new());
         }
-        here = here.as_object_mut().expect("made one above").entry(part).or_insert(Value::Null);
+        cursor = cursor.as_object_mut().expect("made one above").entry(part).or_insert(Value::Null);
     }
-    *here = value.clone();
+    *cursor = value.clone();
 }

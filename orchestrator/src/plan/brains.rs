@@ -46,8 +46,9 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
         evaluation = evaluation.of_linear();
     }
     // a batch of all samples is no batch; with casts, a network has more samples
-    let known = spec.stimuli.samples.saturating_sub(spec.stimuli.test);
-    evaluation.batch = evaluation.batch.filter(|batch| *batch < known || evaluation.casts.is_some());
+    let training_samples = spec.stimuli.samples.saturating_sub(spec.stimuli.test);
+    evaluation.batch =
+        evaluation.batch.filter(|batch| *batch < training_samples || evaluation.casts.is_some());
     // an inverse decoder calibrates a twin on the records
     let spared = evaluation.casts.is_some() && reader != BrainKind::Inverse;
     evaluation.records = evaluation.records.filter(|read| !read && spared);
@@ -88,7 +89,7 @@ pub(super) fn resolved(spec: &SweepSpec) -> (Brain, Optimise, Evaluation, Option
 }
 
 /// Whether a spec sets a key.
-type Given<'a> = &'a dyn Fn(&SweepSpec) -> bool;
+type KeyPredicate<'a> = &'a dyn Fn(&SweepSpec) -> bool;
 
 /// Rejects keys that no decoder of the sweep uses.
 ///
@@ -98,23 +99,23 @@ pub(super) fn refuse_unread<'a>(
     specs: impl Iterator<Item = &'a SweepSpec> + Clone,
     source: &Source,
 ) -> Result<(), SpecError> {
-    let none = Brain::default();
-    let any = |what: &dyn Fn(&SweepSpec) -> bool| specs.clone().any(what);
-    if any(&|spec| matches!(spec.optimise.brain, Some(BrainKind::Stacked | BrainKind::Inverse))) {
+    let default_brain = Brain::default();
+    let any_spec = |what: &dyn Fn(&SweepSpec) -> bool| specs.clone().any(what);
+    if any_spec(&|spec| matches!(spec.optimise.brain, Some(BrainKind::Stacked | BrainKind::Inverse))) {
         let remedy = "stacked and inverse decoders cannot train bodies: must be \"cnn\" or \"linear\"";
         return Err(source.error("optimise.brain", remedy));
     }
     let ahead = |spec: &SweepSpec| spec.brain.memory.is_some_and(|[_, after]| after > 0.0);
-    if any(&|spec| looks_back_alone(spec) && ahead(spec)) {
+    if any_spec(&|spec| looks_back_alone(spec) && ahead(spec)) {
         let remedy = "a causal network uses the estimates of this decoder: must be [before, 0]";
         return Err(source.error("brain.memory", remedy));
     }
-    let robust = any(&|spec| spec.optimise.objective.and_then(Objective::tail).is_some());
-    let varied = any(&|spec| spec.variation.is_some());
+    let robust = any_spec(&|spec| spec.optimise.objective.and_then(Objective::tail).is_some());
+    let varied = any_spec(&|spec| spec.variation.is_some());
     let no_objective = "has no effect: no trial has an optimise.objective over casts";
     let no_variation = "has no effect: no trial has a [variation]";
-    let calibrates = varied && any(&|spec| spec.brain.kind != BrainKind::Inverse);
-    let of_casts: [(&str, bool, Given, &str); 5] = [
+    let calibrates = varied && any_spec(&|spec| spec.brain.kind != BrainKind::Inverse);
+    let of_casts: [(&str, bool, KeyPredicate, &str); 5] = [
         ("optimise.casts", robust, &|s| s.optimise.casts.is_some(), no_objective),
         ("optimise.reader", robust, &|s| s.optimise.reader.is_some(), no_objective),
         ("evaluation.casts", varied, &|s| s.evaluation.casts.is_some(), no_variation),
@@ -131,15 +132,15 @@ pub(super) fn refuse_unread<'a>(
             "must contain at least one deviation",
         ),
     ];
-    if let Some((key, _, _, remedy)) = of_casts.iter().find(|(_, read, given, _)| !read && any(*given)) {
+    if let Some((key, _, _, remedy)) = of_casts.iter().find(|(_, read, given, _)| !read && any_spec(*given)) {
         return Err(source.error(key, remedy));
     }
-    let linear = any(&|spec| kinds(spec).into_iter().any(has_linear));
-    let network = any(&|spec| kinds(spec).into_iter().any(has_network));
-    let read_by_network = any(&|spec| has_network(spec.brain.kind));
-    let trained_by_network = any(&|spec| has_network(kinds(spec)[1]));
+    let linear = any_spec(&|spec| kinds(spec).into_iter().any(has_linear));
+    let network = any_spec(&|spec| kinds(spec).into_iter().any(has_network));
+    let read_by_network = any_spec(&|spec| has_network(spec.brain.kind));
+    let trained_by_network = any_spec(&|spec| has_network(kinds(spec)[1]));
     let evaluation = Evaluation::default();
-    let keys: [(&str, bool, Given, &str); 16] = [
+    let keys: [(&str, bool, KeyPredicate, &str); 16] = [
         ("brain.preset", network, &|s| s.brain.preset.is_some(), "cnn"),
         ("brain.width", network, &|s| s.brain.width.is_some(), "cnn"),
         ("brain.kernels", network, &|s| s.brain.kernels.is_some(), "cnn"),
@@ -147,9 +148,9 @@ pub(super) fn refuse_unread<'a>(
         ("brain.causal", network, &|s| s.brain.causal.is_some(), "cnn"),
         ("brain.memory", linear, &|s| s.brain.memory.is_some(), "linear"),
         ("brain.ridge", linear, &|s| s.brain.ridge.is_some(), "linear"),
-        ("brain.scaling", network, &|s| s.brain.scaling != none.scaling, "cnn"),
-        ("brain.iterations", network, &|s| s.brain.iterations != none.iterations, "cnn"),
-        ("brain.learning_rate", network, &|s| s.brain.learning_rate != none.learning_rate, "cnn"),
+        ("brain.scaling", network, &|s| s.brain.scaling != default_brain.scaling, "cnn"),
+        ("brain.iterations", network, &|s| s.brain.iterations != default_brain.iterations, "cnn"),
+        ("brain.learning_rate", network, &|s| s.brain.learning_rate != default_brain.learning_rate, "cnn"),
         ("evaluation.seeds", read_by_network, &|s| s.evaluation.seeds.is_some(), "cnn"),
         ("evaluation.schedule", read_by_network, &|s| s.evaluation.schedule != evaluation.schedule, "cnn"),
         ("evaluation.batch", read_by_network, &|s| s.evaluation.batch.is_some(), "cnn"),
@@ -162,7 +163,7 @@ pub(super) fn refuse_unread<'a>(
             "cnn",
         ),
     ];
-    match keys.iter().find(|(_, read, given, _)| !read && any(*given)) {
+    match keys.iter().find(|(_, read, given, _)| !read && any_spec(*given)) {
         Some((key, _, _, kind)) => {
             let role = if key.starts_with("optimise.") { "optimise.brain" } else { "brain.kind" };
             Err(source.error(key, &format!("has no effect: no trial has {role} = \"{kind}\"")))

@@ -76,7 +76,7 @@ pub(super) fn check(spec: &SweepSpec, source: &Source) -> Result<(), SpecError> 
 
 /// A trial that may meet the goal.
 #[derive(Debug, Clone)]
-pub struct Place {
+pub struct SearchTrial {
     /// Index in the plan.
     pub trial: usize,
     /// The decoder whose errors on casts count; `None`: errors of the body as designed.
@@ -89,7 +89,7 @@ pub struct Place {
 
 /// A limit that excludes trials before they run.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct LeftOut {
+pub struct ExcludedTrials {
     /// Key of the limit.
     pub key: &'static str,
     /// Number of trials that it excludes.
@@ -104,9 +104,9 @@ pub struct Space {
     /// The goal.
     pub goal: Goal,
     /// Admitted trials, in the order of the plan.
-    pub places: Vec<Place>,
+    pub places: Vec<SearchTrial>,
     /// Limits that exclude other trials.
-    pub left_out: Vec<LeftOut>,
+    pub left_out: Vec<ExcludedTrials>,
     /// Keys that differ between settings.
     pub axes: Vec<String>,
 }
@@ -134,7 +134,7 @@ impl Space {
             if asks.iter().zip(&limits).all(|(asked, limit)| *asked <= limit.most) {
                 let cost = of_cost(goal.cost, trial, demands.as_ref());
                 let candidate = Candidate { cost, ..Candidate::default() };
-                places.push(Place { trial: number, reader, demands, candidate });
+                places.push(SearchTrial { trial: number, reader, demands, candidate });
             }
             asked.push(asks);
         }
@@ -142,12 +142,16 @@ impl Space {
         for (l, limit) in limits.iter().enumerate() {
             let beyond: Vec<f64> =
                 asked.iter().map(|asks| asks[l]).filter(|asked| *asked > limit.most).collect();
-            let least = match beyond.iter().copied().fold(f64::INFINITY, f64::min) {
+            let admitting_limit = match beyond.iter().copied().fold(f64::INFINITY, f64::min) {
                 f64::INFINITY => "a decoder that can be exported for devices".into(),
                 least => format!("{} {}", number(least), limit.unit),
             };
             if !beyond.is_empty() {
-                left_out.push(LeftOut { key: limit.key, trials: beyond.len(), least });
+                left_out.push(ExcludedTrials {
+                    key: limit.key,
+                    trials: beyond.len(),
+                    least: admitting_limit,
+                });
             }
         }
         if places.is_empty() {
@@ -178,11 +182,11 @@ struct Limit {
     key: &'static str,
     most: f64,
     unit: &'static str,
-    of: Of,
+    of: LimitQuantity,
 }
 
 /// Quantity that a limit applies to.
-enum Of {
+enum LimitQuantity {
     /// Demand of the decoder on a device.
     Brain(fn(&TrialSpec, &Demands) -> f64),
     /// Mass (0) or size (1) of the body.
@@ -193,15 +197,15 @@ impl Limit {
     /// The trial's value; infinite if its decoder cannot be exported for devices.
     fn asked(&self, trial: &TrialSpec, demands: Option<&Demands>, measures: [f64; 2]) -> f64 {
         match self.of {
-            Of::Brain(of) => demands.map_or(f64::INFINITY, |demands| of(trial, demands)),
-            Of::Body(which) => measures[which],
+            LimitQuantity::Brain(of) => demands.map_or(f64::INFINITY, |demands| of(trial, demands)),
+            LimitQuantity::Body(which) => measures[which],
         }
     }
 }
 
 fn limits(goal: &Goal) -> Vec<Limit> {
     let limit = |key, most: Option<f64>, unit, of| Some(Limit { key, most: most?, unit, of });
-    let of_brain = |key, most, unit, of| limit(key, most, unit, Of::Brain(of));
+    let of_brain = |key, most, unit, of| limit(key, most, unit, LimitQuantity::Brain(of));
     // rounding errors must not exceed a limit
     let nearly = |most: Option<f64>| most.map(|most| most * (1.0 + 1e-9));
     let all = [
@@ -212,8 +216,8 @@ fn limits(goal: &Goal) -> Vec<Limit> {
         of_brain("goal.operations", goal.operations.map(|most| most as f64), "multiply-adds", |_, d| {
             d.operations as f64
         }),
-        limit("goal.mass", nearly(goal.mass), "g", Of::Body(0)),
-        limit("goal.size", nearly(goal.size), "mm", Of::Body(1)),
+        limit("goal.mass", nearly(goal.mass), "g", LimitQuantity::Body(0)),
+        limit("goal.size", nearly(goal.size), "mm", LimitQuantity::Body(1)),
     ];
     all.into_iter().flatten().collect()
 }

@@ -14,12 +14,12 @@ use metasense_worker::problem::{Invalid, sheet};
 ///
 /// # Errors
 /// If a size is invalid or belongs to the other layout; if the material is missing or given twice.
-pub(super) fn of_size(spec: &SweepSpec) -> Result<(SweepSpec, f64), Invalid> {
+pub(super) fn scale_to_size(spec: &SweepSpec) -> Result<(SweepSpec, f64), Invalid> {
     // keep the material, which says what to cast
     let body = Body { material: spec.body.material, ..sheet(&spec.body)? };
     let mut spec = SweepSpec { body, ..spec.clone() };
     let body = &mut spec.body;
-    let (own, other, remedy) = match body.layout {
+    let (size_key, other, remedy) = match body.layout {
         LayoutKind::Circular => (
             ("body.diameter", body.diameter.take()),
             ("body.width", body.width.take()),
@@ -39,9 +39,9 @@ pub(super) fn of_size(spec: &SweepSpec) -> Result<(SweepSpec, f64), Invalid> {
     if other.1.is_some() {
         return Err(invalid(other, remedy));
     }
-    let Some(size) = own.1 else { return Ok((spec, 1.0)) };
+    let Some(size) = size_key.1 else { return Ok((spec, 1.0)) };
     if !(size > 0.0 && size.is_finite()) {
-        return Err(invalid(own, "must be a number above 0"));
+        return Err(invalid(size_key, "must be a number above 0"));
     }
     let scale = size / (body.columns() as f64 * body.lengths()[0]);
     for length in [&mut body.spacing, &mut body.ligament_length].into_iter().flatten() {

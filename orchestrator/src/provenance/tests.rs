@@ -45,7 +45,7 @@ fn code_is_told_with_git_and_without() {
 
 #[test]
 fn this_program_knows_what_it_is() {
-    let here = super::here(3);
+    let here = super::this_machine(3);
     assert_eq!(here.code, source::digest(&Path::new(env!("CARGO_MANIFEST_DIR")).join("..")).unwrap());
     assert!(here.rustc.starts_with("rustc 1.") && here.threads == 3 && !here.host.is_empty(), "{here:?}");
 }

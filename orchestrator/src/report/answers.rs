@@ -3,10 +3,10 @@
 use super::words::interval;
 use crate::analysis::data::{Group, SENSORS, groups, observations, without_repeats};
 use crate::analysis::decision::{Decision, Decisions, decisions};
-use crate::analysis::kinds::of_each;
+use crate::analysis::kinds::brains_by_trial;
 use crate::analysis::numbers::{distinct, geometric_mean, mean as mean_of};
 use crate::analysis::paired::Ratio;
-use crate::analysis::placed::{Placed, placed};
+use crate::analysis::placed::{PlacementComparison, placed};
 use crate::analysis::random::{random, random_groups};
 use crate::analysis::sensors::fewer;
 use crate::analysis::tables::{nonlinear, verdict_text};
@@ -21,13 +21,13 @@ const SURE: f64 = 0.95;
 pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
     let refs: Vec<&Trial> = trials.iter().filter(|t| !t.starts_random()).collect();
     let mut said = Vec::new();
-    let of_trials = of_each(&refs);
+    let of_trials = brains_by_trial(&refs);
     let kinds = distinct(of_trials.clone());
     let sets = [(Set::Holdout, "the held-out set"), (Set::Test, "the test set, which selected the body")];
     for kind in &kinds {
-        let own = refs.iter().zip(&of_trials).filter(|(_, of)| *of == kind);
-        let refs: Vec<&Trial> = own.map(|(trial, _)| *trial).collect();
-        let who = match (&kind[0], &kind[1]) {
+        let trials_of_kind = refs.iter().zip(&of_trials).filter(|(_, of)| *of == kind);
+        let refs: Vec<&Trial> = trials_of_kind.map(|(trial, _)| *trial).collect();
+        let subject = match (&kind[0], &kind[1]) {
             _ if kinds.len() == 1 => String::new(),
             (by, with) => format!("Body trained with {with}, decoder {by}. "),
         };
@@ -51,7 +51,7 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
                 figure,
                 verdict(&r),
                 format!(
-                    "{who}On {what}, the error of the initial body is {} times that of the trained body ({initial} % against \
+                    "{subject}On {what}, the error of the initial body is {} times that of the trained body ({initial} % against \
                      {optimised} %, {}); the trained body is better in {} of {}.{medians}{pooled}",
                     number(r.ratio),
                     interval(&r),
@@ -64,7 +64,7 @@ pub fn answers(trials: &[Trial], terms: Terms) -> Vec<Answer> {
     said.extend(super::brains::answers(trials));
     said.extend(super::casts::answers(trials));
     said.extend(super::transfer::answers(trials));
-    said.extend(long(&refs));
+    said.extend(long_answer(&refs));
     for group in groups(&refs, SENSORS).iter().filter(|g| g.varies(|t| t.sensors)) {
         said.extend(sensors(group, terms));
     }
@@ -113,7 +113,7 @@ fn means(trials: &[&Trial], error: impl Fn(&Trial, Body) -> Option<f64>) -> [Str
     [0, 1].map(|b| number(geometric_mean(&errors.iter().map(|of| of[b]).collect::<Vec<_>>())))
 }
 
-fn long(trials: &[&Trial]) -> Option<Answer> {
+fn long_answer(trials: &[&Trial]) -> Option<Answer> {
     let iterations = trials.iter().filter_map(|t| t.long_iterations()).max()?;
     let trials: Vec<&Trial> =
         trials.iter().filter(|t| t.long_iterations() == Some(iterations)).copied().collect();
@@ -133,10 +133,10 @@ fn long(trials: &[&Trial]) -> Option<Answer> {
 }
 
 /// Gain from training beyond that from placing sensors, at the largest M for which trials have both.
-fn placing(found: &Placed) -> Option<Answer> {
+fn placing(found: &PlacementComparison) -> Option<Answer> {
     let level = found.levels.last()?;
     let set = Set::Holdout;
-    let [by_placing, by_training] = [level.by_placing(set)?, level.by_training(set)?];
+    let [by_placing, by_training] = [level.gain_from_placing(set)?, level.gain_from_training(set)?];
     let error = |searched, body| level.error(searched, body, set).map(number);
     let needed = |searched, body| {
         let of = |error| found.needed(searched, body, set, error).to_string();
@@ -158,7 +158,7 @@ fn placing(found: &Placed) -> Option<Answer> {
             error(true, Body::Optimised)?,
             number(by_training.ratio),
             interval(&by_training),
-            by_medians(|set| level.by_training(set)),
+            by_medians(|set| level.gain_from_training(set)),
             needed(false, Body::Initial),
             needed(true, Body::Initial),
             needed(false, Body::Optimised),

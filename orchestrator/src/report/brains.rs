@@ -22,9 +22,10 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
         .filter(|(_, reads)| reads.iter().any(|read| read.whole))
         .collect();
     let mut pictures = Vec::new();
-    let mut with = distinct(drawn.iter().flat_map(|(_, reads)| reads).map(|read| read.trained_with.as_str()));
-    with.truncate(TRAINED.len());
-    let shown = |read: &&DecoderErrors| with.contains(&read.trained_with.as_str());
+    let mut trained_names =
+        distinct(drawn.iter().flat_map(|(_, reads)| reads).map(|read| read.trained_with.as_str()));
+    trained_names.truncate(TRAINED.len());
+    let shown = |read: &&DecoderErrors| trained_names.contains(&read.trained_with.as_str());
     for (label, reads) in drawn.iter().take(MOST_SETTINGS) {
         let linear: Vec<&DecoderErrors> = reads.iter().filter(|read| !read.own && shown(read)).collect();
         let networks: Vec<&DecoderErrors> =
@@ -38,9 +39,9 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
         let all = [even.clone(), networks.clone()].concat();
         let x = Axis::new("memory, each way (s)", Scale::Log, all.iter().map(|r| reach(r)));
         let mut memory = Plot::new(label, x, Axis::new("held-out error (%)", Scale::Log, errors(&all)));
-        curves(&mut memory, &even, &with, reach);
+        curves(&mut memory, &even, &trained_names, reach);
         for read in &networks {
-            let class = class(&with, &read.trained_with);
+            let class = class(&trained_names, &read.trained_with);
             let text = |body: Body| {
                 let error = number(read.errors[body as usize]);
                 format!("{}, error of {}: {error} %", whose(body, &read.trained_with), read.decoder)
@@ -54,11 +55,13 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
         let waits = past.iter().map(|r| r.memory[1]);
         let x = Axis::new("delay after the instant, with the whole past (s)", Scale::Linear, waits);
         let mut delay = Plot::new(label, x, Axis::new("held-out error (%)", Scale::Log, errors(&past)));
-        curves(&mut delay, &past, &with, |r| r.memory[1]);
+        curves(&mut delay, &past, &trained_names, |r| r.memory[1]);
         pictures.push(delay.picture());
     }
     let mut entries = vec![("initial", "initial body".to_owned())];
-    entries.extend(with.iter().map(|name| (class(&with, name), format!("body trained with {name}"))));
+    entries.extend(
+        trained_names.iter().map(|name| (class(&trained_names, name), format!("body trained with {name}"))),
+    );
     Figure::some(
         "brains",
         "Body or decoder?",

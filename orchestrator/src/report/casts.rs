@@ -3,7 +3,7 @@
 use metasense_worker::problem::INVERTED_OF_A_CAST;
 
 use super::words::left_out;
-use crate::analysis::bodies::Trained;
+use crate::analysis::bodies::BodyTrials;
 use crate::analysis::casts::{CastErrors, Setting, settings};
 use crate::analysis::numbers::{distinct, in_order};
 use crate::analysis::trial::CastDecoder;
@@ -20,7 +20,7 @@ pub(super) const CLASSES: [&str; 5] = ["initial", "optimised", "front", "fourth"
 pub fn figure(trials: &[Trial]) -> Option<Figure> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let found = settings(&refs);
-    let is_read = |body: &&Trained| body.brains().into_iter().any(|by| body.errors_of(by).is_some());
+    let is_read = |body: &&BodyTrials| body.brains().into_iter().any(|by| body.errors_of(by).is_some());
     let read = found.iter().flat_map(|setting| &setting.bodies).filter(is_read);
     let names = distinct_names(read.map(|body| &body.name[..]));
     Figure::some(
@@ -65,10 +65,10 @@ fn picture(setting: &Setting, names: &[&str]) -> Picture {
 }
 
 /// Position on the axis, two errors (%) and text of a dot at the first error; a line leads to the second.
-pub(super) type Mark = (f64, [f64; 2], String);
+pub(super) type CastMark = (f64, [f64; 2], String);
 
 /// A plot of the marks of each class at named positions.
-pub(super) fn side_by_side(label: &str, places: Vec<String>, marks: Vec<(&str, Vec<Mark>)>) -> Picture {
+pub(super) fn side_by_side(label: &str, places: Vec<String>, marks: Vec<(&str, Vec<CastMark>)>) -> Picture {
     let count = places.len() as f64;
     let places = places.into_iter().enumerate().map(|(i, name)| (i as f64, name)).collect();
     let x = Axis::new("", Scale::Linear, [-0.5, count - 0.5]).with_names(places);
@@ -107,7 +107,7 @@ pub(super) fn legend(names: &[&str]) -> Vec<(&'static str, String)> {
 
 /// All decoders of a setting's bodies.
 fn brains(setting: &Setting) -> Vec<CastDecoder> {
-    distinct(setting.bodies.iter().flat_map(Trained::brains))
+    distinct(setting.bodies.iter().flat_map(BodyTrials::brains))
 }
 
 fn brain(by: CastDecoder) -> String {
@@ -119,18 +119,18 @@ fn brain(by: CastDecoder) -> String {
         CastDecoder::Records(records) => {
             format!("a linear decoder fitted to {records} records of each cast")
         }
-        CastDecoder::Inverse => format!("the model of the design, inverted ({})", some()),
+        CastDecoder::Inverse => format!("the model of the design, inverted ({})", subset_note()),
         CastDecoder::TwinLinear(records) => {
             format!("a linear decoder fitted to a twin, calibrated on {records} records of each cast")
         }
         CastDecoder::Twin(records) => {
-            format!("a twin calibrated on {records} records of each cast, inverted ({})", some())
+            format!("a twin calibrated on {records} records of each cast, inverted ({})", subset_note())
         }
     }
 }
 
 /// Inverse decoders estimate only part of a cast's held-out set.
-fn some() -> String {
+fn subset_note() -> String {
     format!("at most {INVERTED_OF_A_CAST} held-out samples")
 }
 
@@ -155,7 +155,7 @@ pub fn answers(trials: &[Trial]) -> Vec<Answer> {
         let brains = brains(&setting);
         let most = brains.last().copied().filter(|by| *by > CastDecoder::Casts);
         for by in brains.iter().copied().filter(|by| *by == CastDecoder::Casts).chain(most) {
-            let told = |body: &Trained| {
+            let told = |body: &BodyTrials| {
                 let left = body.errors_of(by)?;
                 let [median, most] = left.errors.map(|error| number(error.ratio));
                 let kept = left.kept[0].map_or(String::new(), |kept| {

@@ -12,7 +12,7 @@ use crate::look::{Axis, Figure, Plot, Scale, Table, legend, number, row};
 /// One row per trial: the settings in which trials differ, and all numbers that the claims use.
 pub fn trials_table(trials: &[Trial]) -> Table {
     let paths: Vec<&str> = differing_paths(trials.iter().map(|trial| &trial.setting)).into_iter().collect();
-    let sets: Vec<Set> = Set::of(&trials.iter().collect::<Vec<_>>()).collect();
+    let sets: Vec<Set> = Set::with_errors(&trials.iter().collect::<Vec<_>>()).collect();
     let each = || Body::ALL.into_iter().flat_map(|body| sets.iter().map(move |set| (body, *set)));
     let rows = trials.iter().map(|t| {
         let Cluster { placement, seed } = t.cluster;

@@ -4,9 +4,9 @@ use super::words::{interval, left_out};
 use crate::analysis::data::{
     COMPLEXITY, FREEDOM, Group, SENSORS, TRAINING, groups, groups_by_objective, levels, observations, places,
 };
-use crate::analysis::kinds::{brains, in_words, of_each};
+use crate::analysis::kinds::{brains, brains_by_trial, format_brains};
 use crate::analysis::numbers::{distinct, quantile};
-use crate::analysis::placed::{Level, placed};
+use crate::analysis::placed::{SensorLevel, placed};
 use crate::analysis::random::{random, random_groups};
 use crate::analysis::run_time::{mean_history, pareto};
 use crate::analysis::scaling::scaling;
@@ -53,10 +53,10 @@ pub fn pairs(trials: &[Trial]) -> Option<Figure> {
     let mut plot = Plot::new("Each trial", x, y);
     let (low, high) = all.iter().fold((f64::INFINITY, 0.0f64), |(l, h), e| (l.min(*e), h.max(*e)));
     plot.line("equal", [(low, low), (high, high)]);
-    let of_trials = of_each(&points.iter().map(|p| p.0).collect::<Vec<_>>());
+    let of_trials = brains_by_trial(&points.iter().map(|p| p.0).collect::<Vec<_>>());
     let who = |(of, point): (&[String; 2], &(&Trial, f64, f64))| {
         let from = if point.0.starts_random() { ", from a random body" } else { "" };
-        format!("{}{from}", in_words(of))
+        format!("{}{from}", format_brains(of))
     };
     let whose: Vec<String> = of_trials.iter().zip(&points).map(who).collect();
     let names = distinct(&whose);
@@ -151,7 +151,7 @@ pub fn placed_sensors(trials: &[Trial]) -> Option<Figure> {
     for found in placed(&refs).iter().filter(|found| found.levels.len() > 1).take(MOST_PLOTS) {
         let ways = [false, true].into_iter().flat_map(|s| Body::ALL.map(|body| (s, body)));
         let curve = |(searched, body)| -> (bool, Body, Vec<Point>) {
-            let of = |l: &Level| Some((l.sensors as f64, l.error(searched, body, Set::Holdout)?));
+            let of = |l: &SensorLevel| Some((l.sensors as f64, l.error(searched, body, Set::Holdout)?));
             (searched, body, found.levels.iter().filter_map(of).collect())
         };
         let curves: Vec<_> = ways.map(curve).collect();
@@ -241,8 +241,9 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
     let groups = groups(&refs, &[SENSORS, COMPLEXITY].concat());
     let drawn = groups.iter().take(MOST_PLOTS).flat_map(|group| ways.map(|way| (group, way)));
     for (group, (way, quantity, of)) in drawn {
-        let curve =
-            |body: Body| middle(group.trials.iter().flat_map(|trial| &of(trial)[body as usize]).collect());
+        let curve = |body: Body| {
+            quartile_curve(group.trials.iter().flat_map(|trial| &of(trial)[body as usize]).collect())
+        };
         let curves = Body::ALL.map(|body| (body.name(), curve(body)));
         if curves.iter().all(|c| c.1.is_empty()) {
             continue;
@@ -276,7 +277,7 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
 
 /// (iteration, lower quartile, median, upper quartile) at about a hundred iterations that all curves contain, evenly spaced in
 /// their logarithm.
-fn middle(curves: Vec<&Vec<CurvePoint>>) -> Vec<(f64, f64, f64, f64)> {
+fn quartile_curve(curves: Vec<&Vec<CurvePoint>>) -> Vec<(f64, f64, f64, f64)> {
     let Some(shortest) = curves.iter().min_by_key(|c| c.len()) else { return Vec::new() };
     let Some(last) = shortest.last().map(|p| f64::from(p.0)) else { return Vec::new() };
     let mut at: Vec<usize> = (0..100)
@@ -347,7 +348,7 @@ pub fn complexity(trials: &[Trial]) -> Option<Figure> {
             "Held-out error against the number of design parameters of the body, for one task, its \
              sensors and its network. Each dot is a trial. Where the law L = a·(N/N₀)^(−b) + c is identified, its fit is \
              drawn with a 95 % band; elsewhere a line joins the means. {}.",
-            told(&laws)
+            format_laws(&laws)
         ),
         legend(&BODIES),
         pictures,
@@ -356,7 +357,7 @@ pub fn complexity(trials: &[Trial]) -> Option<Figure> {
 }
 
 /// Each law with its curve; only once if all laws are equal.
-fn told(laws: &[(String, String)]) -> String {
+fn format_laws(laws: &[(String, String)]) -> String {
     match laws {
         [first, rest @ ..] if !rest.is_empty() && rest.iter().all(|l| l.1 == first.1) => {
             format!("Every curve: {}", first.1)

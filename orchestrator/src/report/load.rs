@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::answers::answers;
 use super::search::{self, SearchState};
-use super::{States, Story, Sweep};
+use super::{ReportData, States, Sweep};
 
 use crate::analysis::numbers::mean;
 use crate::analysis::paired::{Progress, iteration_ratio};
@@ -119,12 +119,12 @@ pub async fn finished_trials(reader: &mut Reader) -> Result<Vec<Trial>, StoreErr
 
 /// Curves of a trial's initial body by network, kept until those of its trained body arrive.
 #[derive(Default)]
-struct Waiting {
+struct PendingCurves {
     of: String,
     curves: HashMap<usize, Vec<CurvePoint>>,
 }
 
-impl Waiting {
+impl PendingCurves {
     /// Stores a curve of the initial body; for the trained body, returns the ratio of iterations.
     fn ratio(&mut self, hash: &str, body: Body, network: usize, curve: Vec<CurvePoint>) -> Option<f64> {
         if self.of != hash {
@@ -223,7 +223,7 @@ impl Loader<'_> {
             "SELECT trial_id, name, bytes, digest FROM artifact
              WHERE name BETWEEN '{prefix}' AND '{prefix}~' ORDER BY trial_id, name"
         );
-        let mut waiting = Waiting::default();
+        let mut waiting = PendingCurves::default();
         self.each(&sql, |trial, row| {
             let name = row.text("name").trim_start_matches(prefix);
             let numbered =
@@ -242,7 +242,7 @@ impl Loader<'_> {
             })?;
             let curve: Vec<CurvePoint> =
                 losses.into_iter().zip(1..).map(|(loss, n)| (n, loss.into())).collect();
-            *of_network(&mut curves(trial)[body as usize], network) = thinned(&curve);
+            *curve_of(&mut curves(trial)[body as usize], network) = thinned(&curve);
             if compared {
                 let ratio = waiting.ratio(&trial.hash, body, network, curve);
                 trial.iterations[Progress::Loss as usize].extend(ratio);
@@ -256,7 +256,7 @@ impl Loader<'_> {
     async fn error_curves(&mut self) -> Result<(), StoreError> {
         let sql = "SELECT trial_id, body, network, group_concat(iteration || ' ' || printf('%!.17g', error_holdout), ' ') AS points
              FROM curve WHERE error_holdout IS NOT NULL GROUP BY trial_id, body, network";
-        let mut waiting = Waiting::default();
+        let mut waiting = PendingCurves::default();
         self.each(sql, |trial, row| {
             let (Some(body), network) = (body_named(row.text("body")), row.count("network")) else {
                 return Ok(());
@@ -272,7 +272,7 @@ impl Loader<'_> {
             }
             curve.sort_unstable_by_key(|point| point.0);
             let network = network as usize;
-            *of_network(&mut trial.error_curves[body as usize], network) = thinned(&curve);
+            *curve_of(&mut trial.error_curves[body as usize], network) = thinned(&curve);
             let ratio = waiting.ratio(&trial.hash, body, network, curve);
             trial.iterations[Progress::Error as usize].extend(ratio);
             Ok(())
@@ -320,10 +320,10 @@ impl Loader<'_> {
     /// Quantiles over casts, interpolated between the two nearest order statistics.
     async fn casts(&mut self) -> Result<(), StoreError> {
         let quantile = |q: f64| format!("sum(error * max(0, 1 - abs({q:?} * (count - 1) - place)))");
-        let of = "PARTITION BY trial_id, body, reader, records";
+        let trial_hash = "PARTITION BY trial_id, body, reader, records";
         let sql = format!(
             "SELECT trial_id, body, reader, records, count, sum(outcome <> 'ok') AS failed, {} AS median, {} AS most FROM
-               (SELECT *, row_number() OVER ({of} ORDER BY error) - 1 AS place, count(*) OVER ({of}) AS count
+               (SELECT *, row_number() OVER ({trial_hash} ORDER BY error) - 1 AS place, count(*) OVER ({trial_hash}) AS count
                 FROM cast_reading WHERE error IS NOT NULL)
              GROUP BY trial_id, body, reader, records",
             quantile(0.5),
@@ -361,7 +361,7 @@ fn body_named(name: &str) -> Option<Body> {
     Body::ALL.into_iter().find(|b| b.name() == name)
 }
 
-fn of_network(curves: &mut Vec<Vec<CurvePoint>>, network: usize) -> &mut Vec<CurvePoint> {
+fn curve_of(curves: &mut Vec<Vec<CurvePoint>>, network: usize) -> &mut Vec<CurvePoint> {
     if curves.len() <= network {
         curves.resize(network + 1, Vec::new());
     }
@@ -372,7 +372,7 @@ fn of_network(curves: &mut Vec<Vec<CurvePoint>>, network: usize) -> &mut Vec<Cur
 ///
 /// # Errors
 /// If the database cannot be read, or lacks data of the trial.
-pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Result<Story, StoreError> {
+pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Result<ReportData, StoreError> {
     let trials = finished_trials(reader).await?;
     let sweeps = sweeps(reader).await?;
     let states = states(reader, &differing_paths(trials.iter().map(|trial| &trial.setting))).await?;
@@ -385,7 +385,7 @@ pub async fn story(reader: &mut Reader, trial: Option<&str>, terms: Terms) -> Re
     };
     let made = reader.code_versions().await?;
     let caveats = provenance::caveats(reader, &made).await?;
-    Ok(Story { sweeps, states, trials, made, caveats, stored, terms, searches })
+    Ok(ReportData { sweeps, states, trials, code_versions: made, caveats, stored, terms, searches })
 }
 
 /// The verdicts of a report in words, without the report.
@@ -464,13 +464,13 @@ async fn states(reader: &mut Reader, paths: &BTreeSet<&str>) -> Result<States, S
 /// The trial whose ratio of held-out errors is nearest to the mean; if no initial body was evaluated, whose held-out error is.
 /// Never a trial that starts from a random body.
 fn typical(trials: &[Trial]) -> Option<&Trial> {
-    let of = |first: f64, t: &Trial| Some(first.ln() - t.error(Body::Optimised, Set::Holdout)?.ln());
+    let log_ratio = |first: f64, t: &Trial| Some(first.ln() - t.error(Body::Optimised, Set::Holdout)?.ln());
     let all = |measure: &dyn Fn(&Trial) -> Option<f64>| -> Vec<(f64, &Trial)> {
         trials.iter().filter(|t| !t.starts_random()).filter_map(|t| Some((measure(t)?, t))).collect()
     };
-    let mut measured = all(&|t| of(t.error(Body::Initial, Set::Holdout)?, t));
+    let mut measured = all(&|t| log_ratio(t.error(Body::Initial, Set::Holdout)?, t));
     if measured.is_empty() {
-        measured = all(&|t| of(1.0, t));
+        measured = all(&|t| log_ratio(1.0, t));
     }
     let mean = mean(&measured.iter().map(|m| m.0).collect::<Vec<_>>())?;
     measured.iter().min_by(|a, b| (a.0 - mean).abs().total_cmp(&(b.0 - mean).abs())).map(|m| m.1)

@@ -24,11 +24,11 @@ use crate::analysis::resample::{REPLICATES, SEED};
 use crate::analysis::{Question, Terms, Trial};
 use crate::look::wave::SCRIPT;
 use crate::look::{Answer, Figure, Table, answers as listed, contents, download, more, page};
-use crate::store::{CodeVersion, Stored};
+use crate::store::{CodeVersion, StoredTrial};
 
 /// All data of a report.
 #[derive(Debug)]
-pub struct Story {
+pub struct ReportData {
     /// The sweeps, with their specs.
     pub sweeps: Vec<Sweep>,
     /// State of all trials.
@@ -36,11 +36,11 @@ pub struct Story {
     /// Finished trials.
     pub trials: Vec<Trial>,
     /// The code that computed them.
-    pub made: Vec<CodeVersion>,
+    pub code_versions: Vec<CodeVersion>,
     /// Caveats about the numbers.
     pub caveats: Vec<String>,
     /// The replayed trial, if one is stored whole.
-    pub stored: Option<Stored>,
+    pub stored: Option<StoredTrial>,
     /// Terms of the decision on M.
     pub terms: Terms,
     /// Searches for a design, or why one cannot be evaluated.
@@ -78,7 +78,7 @@ pub struct Sweep {
 }
 
 /// The figures of a story, and why some are missing.
-pub fn figures(story: &Story, threads: usize) -> (Vec<Figure>, Option<String>) {
+pub fn figures(story: &ReportData, threads: usize) -> (Vec<Figure>, Option<String>) {
     let trials = &story.trials;
     let mut drawn: Vec<Figure> = [
         search::figure(&story.searches),
@@ -115,7 +115,7 @@ const RATIO_OF_ENERGIES: &str = "An error is a ratio of energies, 100·Σ(f − 
     5.7 % is an RMS error of 24 %. A median is over the same samples and is robust against a few large errors.";
 
 /// The whole page.
-pub fn html(story: Story, figures: &[Figure], missing: Option<&str>) -> String {
+pub fn html(story: ReportData, figures: &[Figure], missing: Option<&str>) -> String {
     let mut names: Vec<&str> = story.sweeps.iter().map(|s| s.name.as_str()).collect();
     names.dedup();
     let title = format!("metasense: {}", if names.is_empty() { "report".into() } else { names.join(", ") });
@@ -158,7 +158,7 @@ pub fn html(story: Story, figures: &[Figure], missing: Option<&str>) -> String {
 }
 
 /// Numbers of trials, and caveats about their code.
-fn state(story: &Story) -> Vec<Answer> {
+fn state(story: &ReportData) -> Vec<Answer> {
     let States { all, done, failed, .. } = story.states;
     let why = if failed > 0 { " (reasons in the table of trials)" } else { "" };
     let text = format!(
@@ -170,12 +170,12 @@ fn state(story: &Story) -> Vec<Answer> {
     std::iter::once(state).chain(caveats).collect()
 }
 
-fn provenance(story: &Story) -> Markup {
+fn provenance(story: &ReportData) -> Markup {
     let seeds = distinct(story.trials.iter().map(|t| t.cluster.seed));
     let seeds = seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
     html! {
         h2 { "Spec, versions, seeds" }
-        @for CodeVersion { code, revisions, trials } in &story.made {
+        @for CodeVersion { code, revisions, trials } in &story.code_versions {
             p {
                 "Trials by code " (code)
                 @if !revisions.is_empty() { " (commit " (revisions.join(", ")) ")" }

@@ -10,7 +10,7 @@ use super::body::sketch;
 use crate::analysis::Body;
 use crate::look::body::{Frame, Sketch, frame};
 use crate::look::{Axis, Figure, Legend, Picture, Plot, SERIES, Scale, Table, legend, number, row, wave};
-use crate::store::Stored;
+use crate::store::StoredTrial;
 
 /// Number of modes per body in a report.
 const SHOWN: usize = 4;
@@ -40,7 +40,7 @@ pub const COLUMNS: &str = "mode frequency damping_ratio ringing_frequency decay_
 ///
 /// # Errors
 /// If the modes of a body cannot be computed.
-pub fn figure(stored: &Stored, drawings: &[Sketch; 2], who: &str) -> Result<Figure, Failure> {
+pub fn figure(stored: &StoredTrial, drawings: &[Sketch; 2], who: &str) -> Result<Figure, Failure> {
     let frame = frame(drawings);
     let (mut pictures, mut rows) = (Vec::new(), Vec::new());
     for body in Body::ALL {

@@ -9,7 +9,7 @@ use super::casts::CLASSES;
 use super::strips::{Curve, Errors, Strip, dots, histories, representative, strips};
 use crate::analysis::Interval;
 use crate::analysis::numbers::mean;
-use crate::analysis::records::{Agreement, InverseResults, Judged, SignalSource, mean_ratio, table};
+use crate::analysis::records::{Agreement, BodyErrors, InverseResults, SignalSource, mean_ratio, table};
 use crate::analysis::trial::CurvePoint;
 use crate::look::{Answer, Axis, Figure, Legend, Plot, Scale, Table, answers, legend, number, page, row};
 
@@ -44,7 +44,7 @@ pub struct Comparison {
     /// Length of a record (s).
     pub duration: f64,
     /// One entry per body and kind of signals, those of measured signals first.
-    pub judged: Vec<Judged>,
+    pub judged: Vec<BodyErrors>,
 }
 
 fn class(body: usize) -> &'static str {
@@ -52,7 +52,7 @@ fn class(body: usize) -> &'static str {
 }
 
 /// A body's errors with networks that were not trained on the records.
-fn judged(body: &str, by: SignalSource, evaluated: &Evaluated, agreement: Option<Agreement>) -> Judged {
+fn judged(body: &str, by: SignalSource, evaluated: &Evaluated, agreement: Option<Agreement>) -> BodyErrors {
     let Evaluated { folds, errors: by_seed, errors_train, progress, targets, posterior, .. } = evaluated;
     let of_record = |i: usize| -> Option<f64> {
         let errors: Option<Vec<f64>> = by_seed.iter().map(|errors| errors[i]).collect();
@@ -72,7 +72,7 @@ fn judged(body: &str, by: SignalSource, evaluated: &Evaluated, agreement: Option
         (progress[0][0][i].0, sum[0] / sum[1])
     };
     let known = |errors: &Vec<Option<f64>>| errors.iter().flatten().copied().collect::<Vec<f64>>();
-    Judged {
+    BodyErrors {
         body: body.to_owned(),
         by,
         error_train: mean(&errors_train.iter().flat_map(known).collect::<Vec<f64>>()),
@@ -116,7 +116,7 @@ impl Comparison {
         table(&self.judged, self.paired, self.duration / self.shape[1] as f64)
     }
 
-    fn of(&self, body: &Body, by: SignalSource) -> Option<&Judged> {
+    fn of(&self, body: &Body, by: SignalSource) -> Option<&BodyErrors> {
         self.judged.iter().find(|j| j.body == body.name && j.by == by)
     }
 
@@ -258,12 +258,16 @@ impl Comparison {
                 if self.paired { String::new() } else { format!("{}, ", self.bodies[bodies[0]].name) };
             Strip { title: format!("{whose}record {record}: {} %", errors.join(" → ")), sources, bands }
         };
-        let all: Vec<usize> = (0..self.bodies.len()).collect();
+        let body_indices: Vec<usize> = (0..self.bodies.len()).collect();
         let chosen = |b: usize| representative(&judged[b].errors, 0..judged[b].errors.len());
         let samples: Vec<Strip> = if self.paired {
-            chosen(all[all.len() - 1]).into_iter().map(|record| strip(record, &all)).collect()
+            chosen(body_indices[body_indices.len() - 1])
+                .into_iter()
+                .map(|record| strip(record, &body_indices))
+                .collect()
         } else {
-            all.iter()
+            body_indices
+                .iter()
                 .flat_map(|&b| chosen(b).into_iter().map(move |r| (b, r)))
                 .map(|(b, r)| strip(r, &[b]))
                 .collect()
@@ -300,12 +304,13 @@ impl Comparison {
         let judged = &self.judged;
         let known = |b: usize| judged[b].errors.iter().enumerate().filter_map(|(i, e)| Some((i, (*e)?)));
         // if joined, only records with an error on all bodies
-        let whole = |i: usize| (0..self.bodies.len()).all(|b| !self.paired || judged[b].errors[i].is_some());
+        let has_all_errors =
+            |i: usize| (0..self.bodies.len()).all(|b| !self.paired || judged[b].errors[i].is_some());
         let bodies: Vec<Errors> = (0..self.bodies.len())
             .map(|b| Errors {
                 class: class(b),
                 body: &self.bodies[b].name,
-                errors: known(b).filter(|(i, _)| whole(*i)).collect(),
+                errors: known(b).filter(|(i, _)| has_all_errors(*i)).collect(),
             })
             .collect();
         let label = match self.paired {
@@ -341,7 +346,7 @@ impl Comparison {
         for (b, curve) in curves().enumerate() {
             plot.line(class(b), curve.iter().map(|p| (f64::from(p.0), p.1)));
         }
-        let row = |judged: &Judged, p: &(u32, f64)| row![judged.body, judged.by.name(), p.0, p.1];
+        let row = |judged: &BodyErrors, p: &(u32, f64)| row![judged.body, judged.by.name(), p.0, p.1];
         let rows = judged.iter().flat_map(|judged| judged.progress.iter().map(move |p| row(judged, p)));
         // a linear decoder has no iterations
         points().next()?;

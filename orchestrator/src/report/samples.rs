@@ -13,7 +13,7 @@ use crate::analysis::kinds::brains_of;
 use crate::look::body::{Sketch, frame};
 use crate::look::wave::{self, animation, snapshot};
 use crate::look::{Figure, Table, legend, number, row, short_hash};
-use crate::store::Stored;
+use crate::store::StoredTrial;
 
 /// Number of test samples for which an inverse decoder is run again; each takes as long as about a hundred simulations.
 const INVERSE: usize = 16;
@@ -21,7 +21,7 @@ const INVERSE: usize = 16;
 /// A trial that has been simulated again.
 #[derive(Debug)]
 pub struct Replayed {
-    stored: Stored,
+    stored: StoredTrial,
     bodies: [Sketch; 2],
     /// Instants (s) of signals and motion.
     clock: Vec<f64>,
@@ -36,7 +36,7 @@ impl Replayed {
     ///
     /// # Errors
     /// If the trial cannot be simulated.
-    pub fn new(stored: &Stored, threads: usize) -> Result<Self, Failure> {
+    pub fn new(stored: &StoredTrial, threads: usize) -> Result<Self, Failure> {
         let drawn = |b: usize| drawing(&stored.specs[b], &stored.designs[b]);
         let again =
             |b: usize| replay(&stored.specs[b], &stored.designs[b], &stored.weights[b], INVERSE, threads);

@@ -10,7 +10,7 @@ use super::Sweep;
 use crate::analysis::goal::{Candidate, Class, Decision, LEVELS, Search, Stage, confirming, most_fresh};
 use crate::analysis::setting::flatten;
 use crate::look::{Answer, Axis, Figure, Picture, Plot, Scale, Table, legend, number, row};
-use crate::plan::goal::{Place, Space, on_fresh_seeds, rungs};
+use crate::plan::goal::{SearchTrial, Space, on_fresh_seeds, rungs};
 use crate::plan::{Plan, Trial, cost, counted};
 use crate::store::{Reader, StoreError, TrialProgress};
 
@@ -52,7 +52,7 @@ impl SearchState {
     /// # Errors
     /// If the database cannot be read.
     pub async fn of(reader: &mut Reader, plan: Plan, space: Space) -> Result<Self, StoreError> {
-        let candidate_state = Known::of(reader, &space, &plan, &mut HashMap::new()).await?;
+        let candidate_state = SearchData::of(reader, &space, &plan, &mut HashMap::new()).await?;
         let mut search = begun(&space);
         let (decision, classes) = (search.follow(&candidate_state.candidates), search.classes());
         let whole = candidate_state.pace * cost::total(&plan.trials);
@@ -306,7 +306,7 @@ pub type Bodies = HashMap<String, (TrialSpec, Vec<f64>)>;
 
 /// Stored data of a search space.
 #[derive(Debug)]
-pub struct Known {
+pub struct SearchData {
     /// State of each candidate.
     pub candidates: Vec<Candidate>,
     /// CPU seconds of the search's trials.
@@ -315,7 +315,7 @@ pub struct Known {
     pace: f64,
 }
 
-impl Known {
+impl SearchData {
     /// Reads the data; adds trained bodies to `bodies` for later calls.
     ///
     /// # Errors
@@ -332,7 +332,7 @@ impl Known {
             let trial = &plan.trials[place.trial];
             let mut candidate = place.candidate.clone();
             if let Some(standing) = standings.get(&trial.hash) {
-                candidate = known(space, place, trial, standing);
+                candidate = stored_candidate(space, place, trial, standing);
                 if candidate.reached.len() == LEVELS {
                     body(bodies, reader, &trial.hash).await?;
                     // absent if the trial has been reopened
@@ -354,14 +354,19 @@ impl Known {
 }
 
 /// The error (%) of a stored trial to which the requirement applies.
-fn error(space: &Space, place: &Place, standing: &TrialProgress) -> Option<f64> {
+fn error(space: &Space, place: &SearchTrial, standing: &TrialProgress) -> Option<f64> {
     let reader = place.reader.map(|by| (by.name().to_owned(), by.records().unwrap_or(0)));
     let error = standing.error(reader.as_ref().zip(space.goal.quantile));
     error.filter(|e| e.is_finite() && *e > 0.0)
 }
 
 /// A candidate with the results of its trial at each level.
-fn known(space: &Space, place: &Place, trial: &Trial, standing: &TrialProgress) -> Candidate {
+fn stored_candidate(
+    space: &Space,
+    place: &SearchTrial,
+    trial: &Trial,
+    standing: &TrialProgress,
+) -> Candidate {
     let mut candidate = place.candidate.clone();
     let done = standing.state == "done";
     let result = if done { error(space, place, standing) } else { None };
@@ -396,7 +401,7 @@ async fn body(bodies: &mut Bodies, reader: &mut Reader, hash: &str) -> Result<()
 fn fresh(
     space: &Space,
     plan: &Plan,
-    place: &Place,
+    place: &SearchTrial,
     body: &(TrialSpec, Vec<f64>),
     standings: &HashMap<String, TrialProgress>,
 ) -> Vec<f64> {

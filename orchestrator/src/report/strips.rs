@@ -124,11 +124,11 @@ pub fn dots(title: &str, label: &str, bodies: &[Errors], joined: bool) -> Pictur
         order
     };
     let first = bodies.first().map(|body| ranked(&body.errors)).unwrap_or_default();
-    let of = |body: &Errors| -> Vec<(usize, f64)> {
+    let sorted_errors = |body: &Errors| -> Vec<(usize, f64)> {
         let order = if joined { first.clone() } else { ranked(&body.errors) };
         order.into_iter().map(|i| body.errors[i]).collect()
     };
-    let drawn: Vec<Vec<(usize, f64)>> = bodies.iter().map(of).collect();
+    let drawn: Vec<Vec<(usize, f64)>> = bodies.iter().map(sorted_errors).collect();
     let most = drawn.iter().map(Vec::len).max().unwrap_or(0);
     let x = Axis::new(label, Scale::Linear, [0.0, most as f64 + 1.0]).with_ticks(vec![]);
     let y = Axis::new("error (%)", Scale::Log, drawn.iter().flatten().map(|sample| sample.1));

@@ -1,8 +1,8 @@
 //! Bodies under forces other than their training forces: a figure, and one sentence per setting.
 
-use super::casts::{CLASSES, MOST_SETTINGS, Mark, aside, distinct_names, legend, side_by_side};
+use super::casts::{CLASSES, CastMark, MOST_SETTINGS, aside, distinct_names, legend, side_by_side};
 use super::words::left_out;
-use crate::analysis::bodies::Trained;
+use crate::analysis::bodies::BodyTrials;
 use crate::analysis::transfer::{Setting, settings};
 use crate::analysis::{Question, Terms, Trial};
 use crate::look::{Answer, Figure, Picture, number};
@@ -31,7 +31,7 @@ pub fn figure(trials: &[Trial]) -> Option<Figure> {
 fn picture(setting: &Setting, names: &[&str]) -> Picture {
     let marks = names.iter().zip(CLASSES).enumerate().filter_map(|(n, (name, class))| {
         let body = setting.bodies.iter().find(|body| body.name == *name)?;
-        let mark = |(i, kind): (usize, &String)| -> Option<Mark> {
+        let mark = |(i, kind): (usize, &String)| -> Option<CastMark> {
             let read = setting.read(body, kind)?;
             let (own, carried) = (read.own.ratio, read.carried.map(|carried| carried.ratio));
             let carried = carried.unwrap_or(own);
@@ -50,7 +50,7 @@ fn picture(setting: &Setting, names: &[&str]) -> Picture {
 /// Errors of each body under each kind of forces, and the forces under which trained bodies keep least of the gain.
 pub fn answers(trials: &[Trial]) -> Vec<Answer> {
     let refs: Vec<&Trial> = trials.iter().collect();
-    let told = |setting: &Setting, body: &Trained| {
+    let told = |setting: &Setting, body: &BodyTrials| {
         let errors = setting.kinds.iter().filter_map(|kind| {
             Some(format!("{} % under {kind}", number(setting.read(body, kind)?.own.ratio)))
         });

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use metasense_schemas::record::TrialErrors;
 
-use crate::engine::Again;
+use crate::engine::RerunPolicy;
 use crate::plan::{Plan, Trial};
 use crate::scheduler::Outcome;
 use crate::store::StoreError;
@@ -29,16 +29,20 @@ pub trait Runs {
     fn workers(&self) -> u32;
 
     /// Results of the trials so far.
-    fn found(&mut self) -> impl Future<Output = Result<Vec<TrialErrors>, Self::Error>>;
+    fn trial_results(&mut self) -> impl Future<Output = Result<Vec<TrialErrors>, Self::Error>>;
 
     /// Reopens finished trials among these, before a search reads their results.
-    fn reopen(&mut self, hashes: &[&str], again: Again) -> impl Future<Output = Result<(), Self::Error>>;
+    fn reopen(
+        &mut self,
+        hashes: &[&str],
+        again: RerunPolicy,
+    ) -> impl Future<Output = Result<(), Self::Error>>;
 
     /// Runs the open trials among these; `None` if there are none.
     fn run(
         &mut self,
         trials: &[Trial],
-        again: Again,
+        again: RerunPolicy,
     ) -> impl Future<Output = Result<Option<Outcome>, Self::Error>>;
 
     /// Whether a stop was requested while the last open trial of a round ended.
@@ -55,10 +59,10 @@ pub trait Runs {
 ///
 /// # Panics
 /// If the sweep has no [until].
-pub async fn rounds<R: Runs>(mut round: R, mut again: Again) -> Result<Option<Outcome>, R::Error> {
+pub async fn rounds<R: Runs>(mut round: R, mut again: RerunPolicy) -> Result<Option<Outcome>, R::Error> {
     let mut said = Vec::new();
     loop {
-        let found = round.found().await?;
+        let found = round.trial_results().await?;
         let (decision, wanted) = round.plan().decide(&found, round.workers()).expect("it has questions");
         for line in decision.standings.iter().map(ToString::to_string) {
             if !said.contains(&line) {
@@ -69,7 +73,9 @@ pub async fn rounds<R: Runs>(mut round: R, mut again: Again) -> Result<Option<Ou
         match round.run(&wanted, again).await? {
             Some(Outcome::Complete) if round.is_stopping() => return Ok(Some(stopped_between(&round))),
             // trials of later rounds may also have results of other code
-            Some(Outcome::Complete) => again = Again { other_code: again.other_code, ..Again::default() },
+            Some(Outcome::Complete) => {
+                again = RerunPolicy { other_code: again.other_code, ..RerunPolicy::default() }
+            }
             None if !decision.is_settled() => {
                 round.say("some questions are still open: all trials that [until] allows have been run");
                 return Ok(None);

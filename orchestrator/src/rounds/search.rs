@@ -4,11 +4,11 @@ use std::collections::HashSet;
 
 use super::{Runs, stopped_between};
 use crate::analysis::goal::{Decision, LEVELS, Work, confirming, fresh_after, most_fresh};
-use crate::engine::Again;
+use crate::engine::RerunPolicy;
 use crate::look::number;
 use crate::plan::goal::{Space, on_fresh_seeds, rungs};
 use crate::plan::{Plan, Trial};
-use crate::report::search::{Bodies, Known, begun};
+use crate::report::search::{Bodies, SearchData, begun};
 use crate::scheduler::Outcome;
 use crate::store::Reader;
 
@@ -16,14 +16,18 @@ use crate::store::Reader;
 ///
 /// # Errors
 /// If a round cannot be run.
-pub async fn search<R: Runs>(mut round: R, space: &Space, again: Again) -> Result<Option<Outcome>, R::Error> {
+pub async fn search<R: Runs>(
+    mut round: R,
+    space: &Space,
+    again: RerunPolicy,
+) -> Result<Option<Outcome>, R::Error> {
     let (mut bodies, mut search) = (Bodies::new(), begun(space));
     let own: Vec<String> = round.plan().trials.iter().map(|trial| trial.hash.clone()).collect();
     round.reopen(&own.iter().map(String::as_str).collect::<Vec<_>>(), again).await?;
     let mut opened = HashSet::new();
     loop {
         let known = Reader::with_reader(round.database(), async |reader| {
-            Known::of(reader, space, round.plan(), &mut bodies).await
+            SearchData::of(reader, space, round.plan(), &mut bodies).await
         })
         .await?;
         // trials that evaluate a body are reopened once each, when the body exists
@@ -49,7 +53,7 @@ pub async fn search<R: Runs>(mut round: R, space: &Space, again: Again) -> Resul
             .iter()
             .flat_map(|&(i, work)| ordered(space, round.plan(), &bodies, i, work))
             .collect();
-        match round.run(&trials, Again::default()).await? {
+        match round.run(&trials, RerunPolicy::default()).await? {
             Some(Outcome::Complete) if round.is_stopping() => return Ok(Some(stopped_between(&round))),
             Some(Outcome::Complete) => {}
             ended => return Ok(ended),

@@ -3,7 +3,7 @@
 use metasense_schemas::reason::Reason;
 use metasense_schemas::wire::Lease;
 
-use super::{Answer, Millis, Steer, WorkerId};
+use super::{Millis, Steer, SteerAnswer, WorkerId};
 
 /// Types of the data that the scheduler passes on unread.
 pub trait Payload {
@@ -37,7 +37,7 @@ pub enum Event<P: Payload> {
     /// A worker has ended, and all its messages have been read.
     Lost(WorkerId, Reason),
     /// A record is on disk.
-    Recorded(Lease, Mark),
+    Recorded(Lease, RecordKind),
     /// The database fails.
     StoreBroken,
     /// A person requests the end of the run.
@@ -48,7 +48,7 @@ pub enum Event<P: Payload> {
 
 /// Kind of a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Mark {
+pub enum RecordKind {
     /// A step, or a checkpoint of the final evaluation.
     Step,
     /// A result.
@@ -82,7 +82,7 @@ pub enum Action<P: Payload> {
     /// Record that a pending trial is cancelled.
     RecordCancelled(Lease),
     /// Answer a command.
-    Answer(P::Asker, Answer),
+    Answer(P::Asker, SteerAnswer),
     /// Tell the worker to stop its trial after the step in progress, or within the final evaluation.
     AskStop(WorkerId),
     /// End the process in order.

@@ -16,8 +16,8 @@ use std::collections::BTreeSet;
 use metasense_schemas::reason::Reason;
 use metasense_schemas::wire::Lease;
 
-pub use event::{Action, Event, Mark, Outcome, Payload};
-pub use steer::{Answer, Refusal, Steer};
+pub use event::{Action, Event, Outcome, Payload, RecordKind};
+pub use steer::{Steer, SteerAnswer, SteerRefusal};
 
 use bodies::Bodies;
 use shortage::Shortage;
@@ -273,7 +273,7 @@ pub fn on_event<P: Payload>(state: &mut State, event: Event<P>) -> Vec<Action<P>
         Event::Recorded(lease, mark) => {
             state.unrecorded = state.unrecorded.saturating_sub(1);
             let trial = &mut state.trials[lease.trial as usize];
-            if mark == Mark::Result
+            if mark == RecordKind::Result
                 && let Phase::Recording(worker) = std::mem::replace(&mut trial.phase, Phase::Done)
             {
                 state.unsettled -= 1;

@@ -31,7 +31,7 @@ pub enum Steer {
 
 /// The answer to a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Answer {
+pub enum SteerAnswer {
     /// Paused; number of trials that are stopping.
     Paused(usize),
     /// Resumed; number of trials that wait.
@@ -47,12 +47,12 @@ pub enum Answer {
     /// Number of trials added.
     Added(usize),
     /// The command was refused.
-    Refused(Refusal),
+    Refused(SteerRefusal),
 }
 
 /// Why a command was refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Refusal {
+pub enum SteerRefusal {
     /// The run is stopping.
     Stopping,
     /// The trial is done.
@@ -63,7 +63,7 @@ pub enum Refusal {
     Running,
 }
 
-impl Refusal {
+impl SteerRefusal {
     /// The refusal for a trial that is not pending.
     fn of(phase: Phase) -> Self {
         match phase {
@@ -74,7 +74,7 @@ impl Refusal {
     }
 }
 
-impl fmt::Display for Answer {
+impl fmt::Display for SteerAnswer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let back = |f: &mut fmt::Formatter<'_>, running: usize| match running {
             0 => f.write_str("no trial is running"),
@@ -103,33 +103,35 @@ impl fmt::Display for Answer {
             }
             Self::Workers([before, after]) => write!(f, "workers: {before} before, {after} from now on"),
             Self::Added(count) => write!(f, "trials added: {count}"),
-            Self::Refused(Refusal::Stopping) => f.write_str("the run is stopping"),
-            Self::Refused(Refusal::Done) => f.write_str("the trial is done"),
-            Self::Refused(Refusal::Failed(reason)) => write!(f, "the trial has already ended ({reason})"),
-            Self::Refused(Refusal::Running) => f.write_str("the trial is already running"),
+            Self::Refused(SteerRefusal::Stopping) => f.write_str("the run is stopping"),
+            Self::Refused(SteerRefusal::Done) => f.write_str("the trial is done"),
+            Self::Refused(SteerRefusal::Failed(reason)) => {
+                write!(f, "the trial has already ended ({reason})")
+            }
+            Self::Refused(SteerRefusal::Running) => f.write_str("the trial is already running"),
         }
     }
 }
 
 impl State {
-    pub(super) fn steer<P: Payload>(&mut self, steer: Steer, out: &mut Vec<Action<P>>) -> Answer {
+    pub(super) fn steer<P: Payload>(&mut self, steer: Steer, out: &mut Vec<Action<P>>) -> SteerAnswer {
         match steer {
             Steer::Add(priors) => {
                 self.add(&priors);
-                Answer::Added(priors.len())
+                SteerAnswer::Added(priors.len())
             }
-            _ if self.stopping != Stopping::No => Answer::Refused(Refusal::Stopping),
+            _ if self.stopping != Stopping::No => SteerAnswer::Refused(SteerRefusal::Stopping),
             Steer::Pause => {
                 self.settings.paused = true;
-                Answer::Paused(self.busy())
+                SteerAnswer::Paused(self.busy())
             }
             Steer::Resume => {
                 self.settings.paused = false;
-                Answer::Resumed(self.waiting())
+                SteerAnswer::Resumed(self.waiting())
             }
             Steer::Stop => {
                 self.interrupt();
-                Answer::Stopping(self.busy(), self.settings.grace)
+                SteerAnswer::Stopping(self.busy(), self.settings.grace)
             }
             Steer::Cancel(trial) => self.give_up(trial, out),
             Steer::Next(trial) => self.put_first(trial),
@@ -137,7 +139,7 @@ impl State {
         }
     }
 
-    fn give_up<P: Payload>(&mut self, number: u32, out: &mut Vec<Action<P>>) -> Answer {
+    fn give_up<P: Payload>(&mut self, number: u32, out: &mut Vec<Action<P>>) -> SteerAnswer {
         let trial = &mut self.trials[number as usize];
         match trial.phase {
             Phase::Pending => {
@@ -147,26 +149,26 @@ impl State {
                 self.unsettled -= 1;
                 self.unrecorded += 1;
                 out.push(Action::RecordCancelled(lease));
-                Answer::Cancelled(false)
+                SteerAnswer::Cancelled(false)
             }
             Phase::Running(_) => {
                 trial.unwanted = Some(Reason::Cancelled);
-                Answer::Cancelled(true)
+                SteerAnswer::Cancelled(true)
             }
-            settled => Answer::Refused(Refusal::of(settled)),
+            settled => SteerAnswer::Refused(SteerRefusal::of(settled)),
         }
     }
 
-    fn put_first(&mut self, number: u32) -> Answer {
+    fn put_first(&mut self, number: u32) -> SteerAnswer {
         match self.trials[number as usize].phase {
             Phase::Pending => {
                 self.dequeue(number);
                 let first = self.ready.first().map_or(0, |(rank, _)| *rank).min(0) - 1;
                 self.trials[number as usize].first = Some(first);
                 self.ready.insert((first, number));
-                Answer::Next(self.bodies.is_in_training(self.trials[number as usize].body))
+                SteerAnswer::Next(self.bodies.is_in_training(self.trials[number as usize].body))
             }
-            other => Answer::Refused(Refusal::of(other)),
+            other => SteerAnswer::Refused(SteerRefusal::of(other)),
         }
     }
 
@@ -177,14 +179,14 @@ impl State {
     }
 
     /// Sets the number of workers. Slots that were given up are tried again.
-    fn set_workers(&mut self, workers: u32) -> Answer {
+    fn set_workers(&mut self, workers: u32) -> SteerAnswer {
         assert!(workers > 0, "a run needs a worker");
         let before = std::mem::replace(&mut self.settings.workers, workers);
         self.slots.resize(self.slots.len().max(workers as usize), Slot::EMPTY);
         for slot in self.slots.iter_mut().filter(|slot| slot.work == SlotState::GivenUp) {
             (slot.misfires, slot.work) = (0, SlotState::Empty { until: self.now });
         }
-        Answer::Workers([before, workers])
+        SteerAnswer::Workers([before, workers])
     }
 }
 

@@ -93,7 +93,7 @@ struct World {
     interrupted: Option<Millis>,
     /// Cancelled trials, and the answers to commands.
     cancelled: BTreeSet<u32>,
-    answers: Vec<Answer>,
+    answers: Vec<SteerAnswer>,
     store_breaks: bool,
     /// Recorded when a failed seed runs again.
     history: Option<Vec<String>>,
@@ -307,7 +307,7 @@ impl World {
         {
             history.push(format!("{:>8} {event:?}", self.now));
         }
-        if let Event::Recorded(lease, Mark::Failure) = event
+        if let Event::Recorded(lease, RecordKind::Failure) = event
             && let Phase::Failed(reason) = self.state.phase(lease.trial)
         {
             self.failed[lease.trial as usize] = Some(reason);
@@ -323,10 +323,10 @@ impl World {
         }
         assert_eq!(self.answers.len(), answered + usize::from(command.is_some()), "one answer a command");
         match (command, self.answers.last()) {
-            (Some(Steer::Cancel(trial)), Some(Answer::Cancelled(_))) => {
+            (Some(Steer::Cancel(trial)), Some(SteerAnswer::Cancelled(_))) => {
                 self.cancelled.insert(trial);
             }
-            (Some(Steer::Stop), Some(Answer::Stopping(..))) => {
+            (Some(Steer::Stop), Some(SteerAnswer::Stopping(..))) => {
                 self.interrupt = true;
                 self.interrupted = Some(self.now);
             }
@@ -355,18 +355,18 @@ impl World {
                 let known = &mut self.steps[trial as usize];
                 assert!(step <= *known, "trial {trial}: step {step} recorded after {known}");
                 *known = (*known).max(step + 1);
-                self.soon(50, Event::Recorded(lease, Mark::Step));
+                self.soon(50, Event::Recorded(lease, RecordKind::Step));
             }
             Action::RecordCheckpoint(lease, (trial, step)) => {
                 assert_eq!(
                     self.steps[trial as usize], step,
                     "trial {trial} is compared before its last step"
                 );
-                self.soon(50, Event::Recorded(lease, Mark::Step));
+                self.soon(50, Event::Recorded(lease, RecordKind::Step));
             }
             Action::RecordResult(lease, (trial, _)) => {
                 self.results[trial as usize] += 1;
-                self.soon(50, Event::Recorded(lease, Mark::Result));
+                self.soon(50, Event::Recorded(lease, RecordKind::Result));
             }
             Action::RecordFailure { lease, reason, settled } => {
                 assert!(
@@ -375,9 +375,9 @@ impl World {
                     lease.trial
                 );
                 self.shortages += u32::from(reason == Reason::Shortage);
-                self.soon(50, Event::Recorded(lease, Mark::Failure));
+                self.soon(50, Event::Recorded(lease, RecordKind::Failure));
             }
-            Action::RecordCancelled(lease) => self.soon(50, Event::Recorded(lease, Mark::Failure)),
+            Action::RecordCancelled(lease) => self.soon(50, Event::Recorded(lease, RecordKind::Failure)),
             Action::Answer((), answer) => self.answers.push(answer),
             Action::AskStop(worker) => {
                 if let Some(lease) = self.working.get(&worker).copied()

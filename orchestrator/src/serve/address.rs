@@ -13,7 +13,7 @@ pub struct Address {
 
 /// The path before a request's own path, with a trailing slash.
 #[derive(Debug, Clone)]
-pub struct Front(pub String);
+pub struct PathPrefix(pub String);
 
 impl Address {
     /// Reads the addresses of proxies: their host names, and their common path.
@@ -52,7 +52,7 @@ impl Address {
     }
 
     /// Removes the proxies' path from a URI. Returns the path that was removed here, or that the proxy reports to have removed.
-    pub(super) fn enter(&self, uri: &mut Uri, headers: &HeaderMap) -> Front {
+    pub(super) fn enter(&self, uri: &mut Uri, headers: &HeaderMap) -> PathPrefix {
         let within = uri.path_and_query().and_then(|path| path.as_str().strip_prefix(&self.base));
         let within = within.filter(|path| !self.base.is_empty() && path.starts_with('/'));
         if let Some(path) = within.and_then(|path| path.parse::<PathAndQuery>().ok()) {
@@ -60,12 +60,12 @@ impl Address {
             parts.path_and_query = Some(path);
             if let Ok(own) = Uri::from_parts(parts) {
                 *uri = own;
-                return Front(format!("{}/", self.base));
+                return PathPrefix(format!("{}/", self.base));
             }
         }
         let told = headers.get(HeaderName::from_static("x-forwarded-prefix"));
         let told = told.and_then(|path| path.to_str().ok()).filter(|path| is_path(path));
-        Front(told.map_or("/".into(), |path| format!("{}/", path.trim_end_matches('/'))))
+        PathPrefix(told.map_or("/".into(), |path| format!("{}/", path.trim_end_matches('/'))))
     }
 
     /// Whether a host is a proxy's name, localhost or an IP address, which do not depend on name servers.
@@ -96,12 +96,12 @@ fn is_path(text: &str) -> bool {
 }
 
 /// Relative path from a page to the first page.
-pub(super) fn up(path: &str) -> String {
+pub(super) fn path_to_root(path: &str) -> String {
     "../".repeat(path.matches('/').count().saturating_sub(1))
 }
 
 /// Relative link to the same page with another query.
-pub(super) fn here(path: &str, query: &str) -> String {
+pub(super) fn link_with_query(path: &str, query: &str) -> String {
     let last = path.rsplit('/').next().unwrap_or_default();
     if query.is_empty() { format!("./{last}") } else { format!("./{last}?{query}") }
 }

@@ -14,10 +14,10 @@ use axum::response::{Html, IntoResponse, Redirect, Response};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{Sleep, sleep};
 
-use super::address::up;
-use super::lobby::Guest;
+use super::address::path_to_root;
+use super::lobby::ClientConnection;
 use super::token::unauthorised;
-use super::{Refusal, Refused, Served, pages};
+use super::{PageError, RefusalText, ServerState, pages};
 
 /// Headers of every response: nothing foreign, nothing inline, no frames, no caches.
 const HEADERS: [(HeaderName, &str); 7] = [
@@ -35,16 +35,16 @@ const HEADERS: [(HeaderName, &str); 7] = [
 ];
 
 /// Answers a request, or returns why it is refused.
-pub async fn guard(State(served): State<Arc<Served>>, request: Request, next: Next) -> Response {
+pub async fn guard(State(served): State<Arc<ServerState>>, request: Request, next: Next) -> Response {
     let uri = request.uri();
-    let (base, up) = (served.address.base(), up(uri.path()));
+    let (base, up) = (served.address.base(), path_to_root(uri.path()));
     let refusal = match uri.path() == base {
         true => Some(Redirect::to(&slashed(base, uri.query())).into_response()),
         false => refused(&served, &request).map(IntoResponse::into_response),
     };
     let no_place = || {
-        let guest = request.extensions().get::<Arc<Guest>>();
-        guest.is_some_and(|guest| !guest.take_place()).then(|| Refusal::Busy.into_response())
+        let guest = request.extensions().get::<Arc<ClientConnection>>();
+        guest.is_some_and(|guest| !guest.take_place()).then(|| PageError::Busy.into_response())
     };
     let mut response = match refusal.or_else(|| unauthorised(&served, &request)).or_else(no_place) {
         Some(mut response) => {
@@ -53,7 +53,7 @@ pub async fn guard(State(served): State<Arc<Served>>, request: Request, next: Ne
         }
         None => next.run(request).await,
     };
-    if let Some(Refused(why)) = response.extensions_mut().remove() {
+    if let Some(RefusalText(why)) = response.extensions_mut().remove() {
         let page = pages::refusal(&up, &why);
         response = (response.status(), Html(page)).into_response();
     }
@@ -68,7 +68,7 @@ fn slashed(base: &str, query: Option<&str>) -> String {
     format!("{base}/{}", query.map_or(String::new(), |query| format!("?{query}")))
 }
 
-fn refused(served: &Served, request: &Request) -> Option<(StatusCode, &'static str)> {
+fn refused(served: &ServerState, request: &Request) -> Option<(StatusCode, &'static str)> {
     let steers = request.method() == Method::POST && request.uri().path().ends_with("/control");
     if ![Method::GET, Method::HEAD].contains(request.method()) && !steers {
         return Some((StatusCode::METHOD_NOT_ALLOWED, "method not allowed: pages only accept GET and HEAD"));

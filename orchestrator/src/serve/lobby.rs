@@ -19,14 +19,14 @@ const KNOWN: usize = 64;
 
 /// All connections.
 #[derive(Debug)]
-pub struct Lobby {
+pub struct ConnectionLimiter {
     /// Connections without the key, the oldest first.
-    strangers: Mutex<VecDeque<Stranger>>,
+    strangers: Mutex<VecDeque<KeylessConnection>>,
     places: Arc<Semaphore>,
 }
 
 #[derive(Debug)]
-struct Stranger {
+struct KeylessConnection {
     number: u64,
     since: Instant,
     task: AbortHandle,
@@ -34,31 +34,31 @@ struct Stranger {
 
 /// A connection.
 #[derive(Debug)]
-pub struct Guest {
+pub struct ClientConnection {
     number: u64,
-    lobby: Arc<Lobby>,
+    lobby: Arc<ConnectionLimiter>,
     place: OnceLock<OwnedSemaphorePermit>,
 }
 
-impl Lobby {
+impl ConnectionLimiter {
     /// A lobby without connections.
     pub fn new() -> Arc<Self> {
         Arc::new(Self { strangers: Mutex::default(), places: Arc::new(Semaphore::new(KNOWN)) })
     }
 
     /// Waits for room, then spawns the task that `serve` returns.
-    pub async fn admit<T>(self: &Arc<Self>, number: u64, serve: impl FnOnce(Arc<Guest>) -> T)
+    pub async fn admit<T>(self: &Arc<Self>, number: u64, serve: impl FnOnce(Arc<ClientConnection>) -> T)
     where
         T: Future<Output = ()> + Send + 'static,
     {
         while let Some(left) = self.crowded() {
             sleep(left).await;
         }
-        let guest = Arc::new(Guest { number, lobby: Arc::clone(self), place: OnceLock::new() });
+        let guest = Arc::new(ClientConnection { number, lobby: Arc::clone(self), place: OnceLock::new() });
         // locked, so that the task cannot end before it is in the list
         let mut strangers = self.strangers();
         let task = tokio::spawn(serve(guest)).abort_handle();
-        strangers.push_back(Stranger { number, since: Instant::now(), task });
+        strangers.push_back(KeylessConnection { number, since: Instant::now(), task });
     }
 
     /// Makes room by closing the oldest connection without the key; or returns the rest of its guaranteed time.
@@ -82,12 +82,12 @@ impl Lobby {
         }
     }
 
-    fn strangers(&self) -> MutexGuard<'_, VecDeque<Stranger>> {
+    fn strangers(&self) -> MutexGuard<'_, VecDeque<KeylessConnection>> {
         self.strangers.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl Guest {
+impl ClientConnection {
     /// Called when the key has been shown: returns whether there is a place for the connection.
     pub fn take_place(&self) -> bool {
         if self.is_known() {
@@ -105,7 +105,7 @@ impl Guest {
     }
 }
 
-impl Drop for Guest {
+impl Drop for ClientConnection {
     fn drop(&mut self) {
         self.lobby.forget(self.number);
     }

@@ -36,11 +36,11 @@ use tokio::time::sleep;
 use crate::look::of_page;
 use crate::look::wave::SCRIPT;
 use crate::report::samples::Replayed;
-use crate::store::Stored;
+use crate::store::StoredTrial;
 pub use address::Address;
 use guard::{WriteTimeout, guard};
-use lobby::{Guest, Lobby, STAY};
-pub use source::{Seen, Source};
+use lobby::{ClientConnection, ConnectionLimiter, STAY};
+pub use source::{DatabaseState, Source};
 pub use token::Token;
 pub use trials::Trials;
 
@@ -63,7 +63,7 @@ const ICON: &str = "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 16 1
 
 /// State of the server.
 #[derive(Debug)]
-pub struct Served {
+pub struct ServerState {
     sources: Vec<Source>,
     /// Permits reading.
     reading: Token,
@@ -74,10 +74,10 @@ pub struct Served {
     questions: Arc<Semaphore>,
     /// Trials are simulated again one at a time; the last is kept.
     replays: Semaphore,
-    replayed: Mutex<Option<(Stored, Arc<Replayed>)>>,
+    replayed: Mutex<Option<(StoredTrial, Arc<Replayed>)>>,
 }
 
-impl Served {
+impl ServerState {
     /// Serves sources at an address to users with the key `reading`; the token `steering` permits control of their runs.
     pub fn new(sources: Vec<Source>, reading: Token, steering: Option<Token>, address: Address) -> Arc<Self> {
         let (questions, replays) = (Arc::new(Semaphore::new(QUESTIONS)), Semaphore::new(1));
@@ -94,9 +94,9 @@ impl Served {
 }
 
 /// Serves pages while it is polled.
-pub async fn serve(listener: TcpListener, served: Arc<Served>) {
+pub async fn serve(listener: TcpListener, served: Arc<ServerState>) {
     let app = pages(Arc::clone(&served));
-    let lobby = Lobby::new();
+    let lobby = ConnectionLimiter::new();
     for number in 0.. {
         let stream = match listener.accept().await {
             Ok((stream, _)) => stream,
@@ -113,7 +113,7 @@ pub async fn serve(listener: TcpListener, served: Arc<Served>) {
 }
 
 /// Serves a connection; only briefly if it does not show the key.
-async fn connection(stream: TcpStream, app: Router, served: Arc<Served>, guest: Arc<Guest>) {
+async fn connection(stream: TcpStream, app: Router, served: Arc<ServerState>, guest: Arc<ClientConnection>) {
     let (pages, of) = (TowerToHyperService::new(app), Arc::clone(&guest));
     let service = service_fn(move |mut request: hyper::Request<Incoming>| {
         let mut uri = request.uri().clone();
@@ -136,7 +136,7 @@ async fn connection(stream: TcpStream, app: Router, served: Arc<Served>, guest: 
     }
 }
 
-fn pages(served: Arc<Served>) -> Router {
+fn pages(served: Arc<ServerState>) -> Router {
     let asset =
         |kind: &'static str, text: String| get(move || async move { ([(header::CONTENT_TYPE, kind)], text) });
     Router::new()
@@ -156,32 +156,32 @@ fn pages(served: Arc<Served>) -> Router {
         .route("/{source}/sql.parquet", get(pages::sql::parquet))
         .route("/{source}/events", get(events))
         .route("/{source}/control", post(steer::post))
-        .fallback(async || Refusal::NoPage)
+        .fallback(async || PageError::NoPage)
         .with_state(Arc::clone(&served))
         .layer(from_fn_with_state(served, guard))
 }
 
 /// The file of a database that has been read at least once; for shards, the file exists only then.
-async fn file_of(served: &Served, number: &str) -> Result<PathBuf, Refusal> {
-    let seen = source(served, number)?.now().await;
+async fn file_of(served: &ServerState, number: &str) -> Result<PathBuf, PageError> {
+    let seen = source(served, number)?.current_state().await;
     match seen.checked {
         Some(_) => Ok(seen.db.clone()),
-        None => Err(Refusal::Asked("the database is still being read; try again".into())),
+        None => Err(PageError::Asked("the database is still being read; try again".into())),
     }
 }
 
 /// The source with this number.
-fn source<'a>(served: &'a Served, number: &str) -> Result<&'a Source, Refusal> {
-    number.parse::<usize>().ok().and_then(|i| served.sources.get(i)).ok_or(Refusal::NoPage)
+fn source<'a>(served: &'a ServerState, number: &str) -> Result<&'a Source, PageError> {
+    number.parse::<usize>().ok().and_then(|i| served.sources.get(i)).ok_or(PageError::NoPage)
 }
 
 /// Sends the generation of the state whenever it changes. A slow client misses some, and receives the last.
 async fn events(
-    State(served): State<Arc<Served>>,
+    State(served): State<Arc<ServerState>>,
     Path(number): Path<String>,
-) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Refusal> {
+) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, PageError> {
     let seen = source(&served, &number)?.watched();
-    let place = Arc::clone(&served.followed).try_acquire_owned().map_err(|_| Refusal::Busy)?;
+    let place = Arc::clone(&served.followed).try_acquire_owned().map_err(|_| PageError::Busy)?;
     let stream = unfold((seen, None, place), |(mut seen, told, place)| async move {
         let changed = seen.wait_for(|seen| Some(seen.generation) != told);
         let generation = changed.await.ok()?.generation;
@@ -192,7 +192,7 @@ async fn events(
 
 /// Why a request gets no page.
 #[derive(Debug)]
-enum Refusal {
+enum PageError {
     /// No page has this address.
     NoPage,
     /// The request cannot be answered.
@@ -203,9 +203,9 @@ enum Refusal {
 
 /// Text on the page of a refusal. `guard` makes the page, because it knows the path to the first page.
 #[derive(Debug, Clone)]
-struct Refused(String);
+struct RefusalText(String);
 
-impl IntoResponse for Refusal {
+impl IntoResponse for PageError {
     fn into_response(self) -> Response {
         let (status, why) = match self {
             Self::NoPage => (StatusCode::NOT_FOUND, "no such page".to_owned()),
@@ -214,6 +214,6 @@ impl IntoResponse for Refusal {
                 (StatusCode::SERVICE_UNAVAILABLE, "too many pages are open: close some of them".to_owned())
             }
         };
-        (status, Extension(Refused(why))).into_response()
+        (status, Extension(RefusalText(why))).into_response()
     }
 }

@@ -40,7 +40,7 @@ const MOST_DRAWN: usize = 2000;
 
 /// The known state of a database.
 #[derive(Debug, Clone, Default)]
-pub struct Seen {
+pub struct DatabaseState {
     /// Number of changes.
     pub generation: u64,
     /// Time of the last check.
@@ -65,7 +65,7 @@ pub struct Seen {
 #[derive(Debug, Clone, Default)]
 pub struct Answers {
     /// Number of trials.
-    pub of: usize,
+    pub trial_count: usize,
     /// The first answers.
     pub said: Vec<Answer>,
     /// Number of further answers.
@@ -83,7 +83,7 @@ pub struct Source {
     pub name: String,
     /// The file, if a run can hold it.
     pub db: Option<PathBuf>,
-    seen: watch::Receiver<Arc<Seen>>,
+    seen: watch::Receiver<Arc<DatabaseState>>,
     wanted: Arc<Notify>,
     stop: Arc<Notify>,
 }
@@ -95,8 +95,8 @@ impl Source {
     /// If no folder for the facts of shards can be created.
     pub fn new(path: &Path) -> std::io::Result<Self> {
         let name = path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
-        let facts = path.is_dir().then(|| Facts::of(path)).transpose()?;
-        let (publish, seen) = watch::channel(Arc::new(Seen::default()));
+        let facts = path.is_dir().then(|| Facts::for_folder(path)).transpose()?;
+        let (publish, seen) = watch::channel(Arc::new(DatabaseState::default()));
         let wanted = Arc::new(Notify::new());
         let watcher = Watcher {
             path: path.to_owned(),
@@ -105,7 +105,7 @@ impl Source {
             version: -1,
             looks: Observer::default(),
             keeper: Keeper::default(),
-            seen: Seen::default(),
+            seen: DatabaseState::default(),
             rest: Instant::now(),
             read: Instant::now(),
             answering: None,
@@ -127,17 +127,17 @@ impl Source {
     }
 
     /// Requests a check, and returns a receiver of later states; a slow receiver gets only the last.
-    pub fn watched(&self) -> watch::Receiver<Arc<Seen>> {
+    pub fn watched(&self) -> watch::Receiver<Arc<DatabaseState>> {
         let seen = self.seen.clone();
         self.wanted.notify_one();
         seen
     }
 
     /// The state now, or an earlier one if the read takes long.
-    pub async fn now(&self) -> Arc<Seen> {
+    pub async fn current_state(&self) -> Arc<DatabaseState> {
         let asked = Instant::now();
         let mut seen = self.watched();
-        let fresh = |seen: &Arc<Seen>| seen.checked.is_some_and(|checked| checked >= asked);
+        let fresh = |seen: &Arc<DatabaseState>| seen.checked.is_some_and(|checked| checked >= asked);
         let _ = tokio::time::timeout(PATIENCE, seen.wait_for(fresh)).await;
         seen.borrow().clone()
     }
@@ -152,7 +152,7 @@ struct Watcher {
     version: i64,
     looks: Observer,
     keeper: Keeper,
-    seen: Seen,
+    seen: DatabaseState,
     rest: Instant,
     read: Instant,
     answering: Option<JoinHandle<Result<Answers, StoreError>>>,
@@ -161,7 +161,12 @@ struct Watcher {
 }
 
 impl Watcher {
-    async fn watch(mut self, publish: watch::Sender<Arc<Seen>>, wanted: Arc<Notify>, stop: Arc<Notify>) {
+    async fn watch(
+        mut self,
+        publish: watch::Sender<Arc<DatabaseState>>,
+        wanted: Arc<Notify>,
+        stop: Arc<Notify>,
+    ) {
         loop {
             // The source itself has one receiver.
             let unwatched = publish.receiver_count() == 1;
@@ -193,7 +198,7 @@ impl Watcher {
         self.keeper = Keeper::default();
     }
 
-    async fn look(&mut self, publish: &watch::Sender<Arc<Seen>>) -> Result<(), String> {
+    async fn look(&mut self, publish: &watch::Sender<Arc<DatabaseState>>) -> Result<(), String> {
         if Instant::now() < self.rest {
             return Ok(());
         }
@@ -288,13 +293,13 @@ async fn answer(db: PathBuf) -> Result<Answers, StoreError> {
             ],
             false => vec![figures::sensors(&trials, terms), figures::placed_sensors(&trials)],
         };
-        let mut said = answers::answers(&trials, terms);
-        let left = said.len().saturating_sub(MOST_SAID);
-        said.truncate(MOST_SAID);
+        let mut first_answers = answers::answers(&trials, terms);
+        let further_answers = first_answers.len().saturating_sub(MOST_SAID);
+        first_answers.truncate(MOST_SAID);
         Answers {
-            of: trials.len(),
-            said,
-            left,
+            trial_count: trials.len(),
+            said: first_answers,
+            left: further_answers,
             figures: drawn.into_iter().flatten().collect(),
             seconds: begun.elapsed().as_secs_f64(),
         }

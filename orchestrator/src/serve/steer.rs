@@ -9,7 +9,7 @@ use axum::http::{HeaderMap, StatusCode};
 use maud::{Markup, html};
 
 use super::token::bearer;
-use super::{Served, source};
+use super::{ServerState, source};
 use crate::control::{Command, WORKERS_MAX, ask};
 use crate::exit::chain;
 
@@ -17,46 +17,54 @@ use crate::exit::chain;
 const LINE: usize = 1 << 10;
 const ASKING: Duration = Duration::from_secs(5);
 
-type Answer = (StatusCode, String);
+type SteerResponse = (StatusCode, String);
 
 /// Passes on a command, and answers with its result.
 pub async fn post(
-    State(served): State<Arc<Served>>,
+    State(served): State<Arc<ServerState>>,
     Path(at): Path<String>,
     headers: HeaderMap,
     body: Body,
-) -> Answer {
+) -> SteerResponse {
     match steer(&served, &at, &headers, body).await {
         Ok(said) => (StatusCode::OK, said),
         Err(answer) => answer,
     }
 }
 
-async fn steer(served: &Served, at: &str, headers: &HeaderMap, body: Body) -> Result<String, Answer> {
-    let no = |status: StatusCode, why: &str| Err((status, why.to_owned()));
+async fn steer(
+    served: &ServerState,
+    at: &str,
+    headers: &HeaderMap,
+    body: Body,
+) -> Result<String, SteerResponse> {
+    let refuse = |status: StatusCode, why: &str| Err((status, why.to_owned()));
     if !served.steering.as_ref().zip(bearer(headers)).is_some_and(|(token, given)| token.is(given)) {
-        return no(StatusCode::UNAUTHORIZED, "needs the token of the address that `metasense serve` printed");
+        return refuse(
+            StatusCode::UNAUTHORIZED,
+            "needs the token of the address that `metasense serve` printed",
+        );
     }
     let Some(db) = source(served, at).ok().and_then(|source| source.db.as_ref()) else {
-        return no(StatusCode::NOT_FOUND, "no such database, or it is a folder of shards");
+        return refuse(StatusCode::NOT_FOUND, "no such database, or it is a folder of shards");
     };
     let bytes = match tokio::time::timeout(ASKING, to_bytes(body, LINE)).await {
         Ok(Ok(bytes)) => bytes,
-        Ok(Err(_)) => return no(StatusCode::PAYLOAD_TOO_LARGE, "the command is too long"),
-        Err(_) => return no(StatusCode::REQUEST_TIMEOUT, "the command did not arrive"),
+        Ok(Err(_)) => return refuse(StatusCode::PAYLOAD_TOO_LARGE, "the command is too long"),
+        Err(_) => return refuse(StatusCode::REQUEST_TIMEOUT, "the command did not arrive"),
     };
     let command = String::from_utf8_lossy(&bytes).parse::<Command>();
     let command = command.map_err(|e| (StatusCode::BAD_REQUEST, e.to_string()))?;
     match ask(db, &command).await {
         Ok(said) if said.done => Ok(said.text),
-        Ok(said) => no(StatusCode::CONFLICT, &format!("refused: {}", said.text)),
-        Err(error) => no(StatusCode::CONFLICT, &chain(&error)),
+        Ok(said) => refuse(StatusCode::CONFLICT, &format!("refused: {}", said.text)),
+        Err(error) => refuse(StatusCode::CONFLICT, &chain(&error)),
     }
 }
 
 /// Controls of a run, visible with the token: buttons with their commands, and `more`. `control`: path that accepts commands.
 fn panel(
-    served: &Served,
+    served: &ServerState,
     (at, control): (&str, &str),
     title: &str,
     buttons: &[(String, &str)],
@@ -79,7 +87,7 @@ fn panel(
 }
 
 /// Controls of a run.
-pub fn of_run(served: &Served, at: &str) -> Markup {
+pub fn of_run(served: &ServerState, at: &str) -> Markup {
     let buttons = [
         ("pause", "Pause the run"),
         ("resume", "Resume the run"),
@@ -102,7 +110,7 @@ pub fn of_run(served: &Served, at: &str) -> Markup {
 }
 
 /// Controls of a trial that is not done.
-pub fn of_trial(served: &Served, at: &str, hash: &str) -> Markup {
+pub fn of_trial(served: &ServerState, at: &str, hash: &str) -> Markup {
     let buttons =
         [(format!("next {hash}"), "Run this trial next"), (format!("cancel {hash}"), "Cancel this trial")];
     panel(served, (at, "../control"), "Control this trial", &buttons, &html! {})

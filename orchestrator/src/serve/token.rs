@@ -8,8 +8,8 @@ use axum::extract::Request;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
-use super::Served;
-use super::address::{Front, here};
+use super::ServerState;
+use super::address::{PathPrefix, link_with_query};
 
 /// A secret, stored as its digest.
 #[derive(Debug)]
@@ -46,18 +46,18 @@ pub(super) fn bearer(headers: &HeaderMap) -> Option<&str> {
 
 /// The response to a request without the key, or with the key in its address: the latter is redirected, and its key set as a
 /// cookie.
-pub(super) fn unauthorised(served: &Served, request: &Request) -> Option<Response> {
+pub(super) fn unauthorised(served: &ServerState, request: &Request) -> Option<Response> {
     let (headers, uri) = (request.headers(), request.uri());
     let reads = |given: &str| served.reading.is(given);
     let cookie = format!("metasense-{}", port(headers));
     let asked = || uri.query().unwrap_or_default().split('&');
     if let Some(key) = asked().find_map(|pair| pair.strip_prefix("key=").filter(|key| reads(key))) {
-        let front = request.extensions().get::<Front>().map_or("/", |front| &front.0);
+        let front = request.extensions().get::<PathPrefix>().map_or("/", |front| &front.0);
         // Lax: a link from elsewhere opens a page; a foreign page reads nothing.
         let cookie = HeaderValue::from_str(&format!("{cookie}={key}; Path={front}; HttpOnly; SameSite=Lax"));
         let cookie = cookie.expect("names, keys and paths are ASCII");
         let rest: Vec<&str> = asked().filter(|pair| !pair.starts_with("key=")).collect();
-        let same = HeaderValue::from_str(&here(uri.path(), &rest.join("&")));
+        let same = HeaderValue::from_str(&link_with_query(uri.path(), &rest.join("&")));
         let same = same.expect("addresses are ASCII");
         return Some(
             (StatusCode::SEE_OTHER, [(header::SET_COOKIE, cookie), (header::LOCATION, same)]).into_response(),

@@ -54,7 +54,7 @@ const STATES: [&str; 4] = ["pending", "running", "done", "failed"];
 
 /// A trial.
 #[derive(Debug, Clone)]
-pub struct Row {
+pub struct TrialRow {
     /// Its hash.
     pub hash: String,
     /// `pending`, `running`, `done` or `failed`.
@@ -67,7 +67,7 @@ pub struct Row {
     pub setting: Setting,
 }
 
-impl Row {
+impl TrialRow {
     /// The value of a column, or of a path of the spec.
     pub fn cell(&self, key: &str) -> Value {
         let text = |text: &str| if text.is_empty() { Value::Null } else { text.into() };
@@ -112,7 +112,7 @@ fn order(a: &Value, b: &Value) -> Ordering {
 #[derive(Debug, Clone, Default)]
 pub struct Trials {
     /// The trials in planned order.
-    pub rows: Vec<Arc<Row>>,
+    pub rows: Vec<Arc<TrialRow>>,
     /// Keys of the spec whose values differ between trials, with some of the values.
     pub keys: Arc<BTreeMap<String, Vec<String>>>,
 }
@@ -134,7 +134,7 @@ impl Keeper {
         // new trials may reuse the ids of removed ones
         let (mut known, mut others) = (0, false);
         let (places, rows) = (&self.places, &self.now.rows);
-        let asked = reader.each("SELECT id, hash FROM trial", |row| {
+        let filter_text = reader.each("SELECT id, hash FROM trial", |row| {
             match places.get(&(row.count("id") as i64)) {
                 Some(&place) if rows[place].hash == row.text("hash") => known += 1,
                 Some(_) => others = true,
@@ -142,7 +142,7 @@ impl Keeper {
             }
             Ok::<_, StoreError>(())
         });
-        asked.await?;
+        filter_text.await?;
         if others || known < self.places.len() {
             *self = Self::default();
         }
@@ -181,7 +181,7 @@ impl Keeper {
                     // an invalid spec has no keys
                     None => self.settings.of(&serde_json::from_str(row.text("spec")).unwrap_or_default()),
                 };
-                let trial = Arc::new(Row {
+                let trial = Arc::new(TrialRow {
                     hash: row.text("hash").to_owned(),
                     state: row.text("state").to_owned(),
                     reason: row.text("reason").to_owned(),
@@ -256,9 +256,9 @@ impl Term {
     /// Parses one condition. Blanks within the value belong to it.
     fn new(text: &str) -> Result<Self, String> {
         let none = || format!("`{text}` is not a condition; a condition is, for instance, `M<=3`");
-        let found = RELATIONS.iter().filter_map(|r| Some((text.find(r)?, *r)));
+        let matching_rows = RELATIONS.iter().filter_map(|r| Some((text.find(r)?, *r)));
         let (at, relation) =
-            found.min_by_key(|(at, r)| (*at, std::cmp::Reverse(r.len()))).ok_or_else(none)?;
+            matching_rows.min_by_key(|(at, r)| (*at, std::cmp::Reverse(r.len()))).ok_or_else(none)?;
         let (key, value) = (text[..at].trim(), text[at + relation.len()..].trim());
         let bare = value.strip_prefix('"').and_then(|rest| rest.strip_suffix('"'));
         match key.is_empty() || bare.unwrap_or(value).contains('"') {
@@ -295,7 +295,7 @@ impl Term {
         }
     }
 
-    fn holds(&self, row: &Row) -> bool {
+    fn holds(&self, row: &TrialRow) -> bool {
         let cell = row.cell(&self.key);
         if self.relation == "~" {
             return plain(&cell).contains(&self.value);
@@ -333,7 +333,7 @@ impl Trials {
     ///
     /// # Errors
     /// The condition that is refused, and why.
-    pub fn chosen(&self, conditions: &[String]) -> Result<Vec<&Arc<Row>>, String> {
+    pub fn chosen(&self, conditions: &[String]) -> Result<Vec<&Arc<TrialRow>>, String> {
         let terms = conditions.iter().map(|text| Term::new(text)).collect::<Result<Vec<_>, _>>()?;
         self.check(&terms)?;
         for term in &terms {
@@ -394,7 +394,7 @@ impl Trials {
     }
 
     /// Trials that meet the conditions in a text, sorted by a key; for an invalid condition, no trials and the reason.
-    pub fn asked(&self, text: &str, sort: &str) -> (Vec<&Arc<Row>>, Option<String>) {
+    pub fn asked(&self, text: &str, sort: &str) -> (Vec<&Arc<TrialRow>>, Option<String>) {
         match terms(text).and_then(|terms| self.check(&terms).map(|()| terms)) {
             Ok(terms) => (self.found(&terms, sort), None),
             Err(wrong) => (Vec::new(), Some(wrong)),
@@ -403,12 +403,12 @@ impl Trials {
 
     /// Trials that meet all conditions, sorted by a key (`-KEY`: descending; trials without a value always last), then in planned
     /// order.
-    pub fn found(&self, terms: &[Term], sort: &str) -> Vec<&Arc<Row>> {
-        let mut found: Vec<&Arc<Row>> =
+    pub fn found(&self, terms: &[Term], sort: &str) -> Vec<&Arc<TrialRow>> {
+        let mut found: Vec<&Arc<TrialRow>> =
             self.rows.iter().filter(|row| terms.iter().all(|term| term.holds(row))).collect();
         let (key, down) = sort.strip_prefix('-').map_or((sort, false), |key| (key, true));
         if !key.is_empty() {
-            let mut keyed: Vec<(Value, &Arc<Row>)> =
+            let mut keyed: Vec<(Value, &Arc<TrialRow>)> =
                 found.into_iter().map(|row| (row.cell(key), row)).collect();
             let forward = |a: &Value, b: &Value| !down || a.is_null() || b.is_null();
             keyed.sort_by(|(a, _), (b, _)| if forward(a, b) { order(a, b) } else { order(b, a) });

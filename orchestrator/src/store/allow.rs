@@ -37,7 +37,7 @@ const ABOUT_ALL: [&[u8]; 2] = [b"integrity_check", b"quick_check"];
 
 /// Which statements a connection accepts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Allowed {
+pub(super) enum AccessLevel {
     /// Statements that read.
     Reading,
     /// Statements that read and can be interrupted.
@@ -47,13 +47,13 @@ pub(super) enum Allowed {
 }
 
 /// Restricts a connection to these statements. It can attach no database.
-pub(super) async fn allow(connection: &mut SqliteConnection, what: Allowed) -> sqlx::Result<()> {
+pub(super) async fn allow(connection: &mut SqliteConnection, what: AccessLevel) -> sqlx::Result<()> {
     let mut handle = connection.lock_handle().await?;
     let db = handle.as_raw_handle().as_ptr();
-    let data: &'static Allowed = match what {
-        Allowed::Reading => &Allowed::Reading,
-        Allowed::Confined => &Allowed::Confined,
-        Allowed::Describing => &Allowed::Describing,
+    let data: &'static AccessLevel = match what {
+        AccessLevel::Reading => &AccessLevel::Reading,
+        AccessLevel::Confined => &AccessLevel::Confined,
+        AccessLevel::Describing => &AccessLevel::Describing,
     };
     // SAFETY: the handle is locked and open; the data lives as long as the program, and is only read.
     unsafe {
@@ -67,7 +67,7 @@ pub(super) async fn allow(connection: &mut SqliteConnection, what: Allowed) -> s
 pub(super) async fn refusal(connection: &mut SqliteConnection, sql: &str) -> sqlx::Result<Option<String>> {
     let mut handle = connection.lock_handle().await?;
     let db = handle.as_raw_handle().as_ptr();
-    let (mut rest, mut known) = (sql, false);
+    let (mut rest, mut has_statement) = (sql, false);
     while !rest.is_empty() {
         let (mut statement, mut tail) = (std::ptr::null_mut(), std::ptr::null());
         let (start, length) = (rest.as_ptr().cast(), rest.len() as c_int);
@@ -90,13 +90,13 @@ pub(super) async fn refusal(connection: &mut SqliteConnection, sql: &str) -> sql
                 ffi::sqlite3_finalize(statement);
                 reads
             };
-            if known {
+            if has_statement {
                 return Ok(Some("one statement at a time; there is more after the first `;`".into()));
             }
             if !reads {
                 return Ok(Some(format!("it writes{NOT_READING}")));
             }
-            known = true;
+            has_statement = true;
         }
         rest = &rest[tail as usize - rest.as_ptr() as usize..];
     }
@@ -121,7 +121,7 @@ unsafe extern "C" fn authorize(
     _: *const c_char,
 ) -> c_int {
     // SAFETY: the data is what `allow` has set, the strings are SQLite's.
-    let (what, [name, argument]) = unsafe { (*data.cast::<Allowed>(), [text(first), text(second)]) };
+    let (what, [name, argument]) = unsafe { (*data.cast::<AccessLevel>(), [text(first), text(second)]) };
     if is_allowed(what, action, name.unwrap_or_default(), argument) {
         ffi::SQLITE_OK
     } else {
@@ -129,14 +129,14 @@ unsafe extern "C" fn authorize(
     }
 }
 
-fn is_allowed(what: Allowed, action: c_int, name: &[u8], argument: Option<&[u8]>) -> bool {
+fn is_allowed(what: AccessLevel, action: c_int, name: &[u8], argument: Option<&[u8]>) -> bool {
     let is_one_of = |known: &[&[u8]]| known.iter().any(|known| known.eq_ignore_ascii_case(name));
     match action {
         ffi::SQLITE_SELECT | ffi::SQLITE_READ | ffi::SQLITE_RECURSIVE => true,
         ffi::SQLITE_FUNCTION => !argument.unwrap_or_default().eq_ignore_ascii_case(b"load_extension"),
         ffi::SQLITE_PRAGMA => {
             is_one_of(&ABOUT_TABLES)
-                || what != Allowed::Confined && is_one_of(&ABOUT_ALL)
+                || what != AccessLevel::Confined && is_one_of(&ABOUT_ALL)
                 || argument.is_none() && is_one_of(&READING)
         }
         ffi::SQLITE_CREATE_TEMP_VIEW
@@ -144,7 +144,7 @@ fn is_allowed(what: Allowed, action: c_int, name: &[u8], argument: Option<&[u8]>
         | ffi::SQLITE_INSERT
         | ffi::SQLITE_UPDATE
         | ffi::SQLITE_DELETE => {
-            what == Allowed::Describing
+            what == AccessLevel::Describing
                 && (name == TYPES_VIEW.as_bytes() || name.starts_with(b"sqlite_temp_"))
         }
         _ => false,

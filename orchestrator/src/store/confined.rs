@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 
 use libsqlite3_sys as ffi;
 
-use super::allow::{Allowed, allow};
-use super::read::Answer;
+use super::allow::{AccessLevel, allow};
+use super::read::QueryResult;
 use super::{OPENING, Reader, StoreError, resolve_links};
 
 /// Limits of an answer.
@@ -43,7 +43,7 @@ impl Reader {
         let path = resolve_links(path);
         let at = |source| StoreError::sql(&path, OPENING, source);
         let mut reader = Self::open_file(path.clone(), Some(ROWS_AHEAD)).await?;
-        reader.allowed = Allowed::Confined;
+        reader.allowed = AccessLevel::Confined;
         allow(&mut reader.connected.connection, reader.allowed).await.map_err(at)?;
         let mut handle = reader.connected.connection.lock_handle().await.map_err(at)?;
         let db = handle.as_raw_handle().as_ptr();
@@ -74,7 +74,7 @@ impl Reader {
     ///
     /// # Errors
     /// If SQLite fails or no row arrives in time.
-    pub async fn limited<T: From<Answer>>(
+    pub async fn limited<T: From<QueryResult>>(
         &mut self,
         sql: &str,
         limits: Limits,

@@ -9,7 +9,7 @@ use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{ConnectOptions, Connection, Executor};
 use tempfile::TempDir;
 
-use super::allow::{Allowed, allow};
+use super::allow::{AccessLevel, allow};
 use super::error::is_not_opened;
 use super::functions;
 use super::{OPENING, StoreError, check_version, has_journal, is_still, options, sidecar};
@@ -42,7 +42,7 @@ pub(super) async fn connect(path: &Path, rows: Option<usize>) -> Result<Connecte
         return Err(StoreError::NotOurs { path: path.to_owned() });
     }
     functions::register(&mut found.connection).await.map_err(at)?;
-    allow(&mut found.connection, Allowed::Reading).await.map_err(at)?;
+    allow(&mut found.connection, AccessLevel::Reading).await.map_err(at)?;
     Ok(found)
 }
 

@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use metasense_schemas::database::VERSION;
-use metasense_schemas::spec::NotOne;
+use metasense_schemas::spec::HashError;
 use metasense_worker::limits::{Needs, check};
 
-use super::presence::Lost;
+use super::presence::FileLoss;
 
 /// `doing` of errors before anything was started.
 pub(super) const OPENING: &str = "opening";
@@ -46,7 +46,7 @@ pub enum StoreError {
         /// The file.
         path: PathBuf,
         /// What happened.
-        lost: Lost,
+        lost: FileLoss,
         /// Path of the file with all recorded data, or why there is none.
         saved: Result<PathBuf, String>,
     },
@@ -168,7 +168,7 @@ pub enum StoreError {
         /// The file.
         path: PathBuf,
         /// The matching hashes.
-        which: NotOne,
+        which: HashError,
     },
     /// A checkpoint or array whose checksum does not match.
     #[error(

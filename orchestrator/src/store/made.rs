@@ -98,7 +98,7 @@ impl Reader {
     /// # Errors
     /// If SQLite fails or a stored spec is not JSON.
     pub async fn nearest(&mut self, spec: &Value) -> Result<Option<Nearest>, StoreError> {
-        let here = keys(spec);
+        let wanted_keys = keys(spec);
         let mut nearest: Option<Nearest> = None;
         self.each("SELECT hash, state, spec FROM trial ORDER BY hash", |row| {
             let unreadable = |e: serde_json::Error| StoreError::Unreadable {
@@ -107,13 +107,15 @@ impl Reader {
                 message: e.to_string(),
             };
             let there = keys(&serde_json::from_str(row.text("spec")).map_err(unreadable)?);
-            let paths = here.keys().chain(there.keys().filter(|path| !here.contains_key(*path)));
-            let differs = paths.filter(|path| here.get(*path) != there.get(*path));
+            let paths =
+                wanted_keys.keys().chain(there.keys().filter(|path| !wanted_keys.contains_key(*path)));
+            let differs = paths.filter(|path| wanted_keys.get(*path) != there.get(*path));
             let most = nearest.as_ref().map_or(usize::MAX, |found| found.differs.len());
             let differs: Vec<&String> = differs.take(most).collect();
             if differs.len() < most {
-                let pair =
-                    |path: &String| (path.clone(), [there.get(path).cloned(), here.get(path).cloned()]);
+                let pair = |path: &String| {
+                    (path.clone(), [there.get(path).cloned(), wanted_keys.get(path).cloned()])
+                };
                 nearest = Some(Nearest {
                     hash: row.text("hash").to_owned(),
                     state: row.text("state").to_owned(),

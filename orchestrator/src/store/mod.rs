@@ -49,11 +49,11 @@ pub use log::Level;
 pub use looks::TrialProgress;
 pub use made::{CodeVersion, Nearest};
 pub use npy::{npy_bytes, npy_values};
-pub use presence::{Lost, Presence};
-pub use prior::Attempted;
-pub use read::{Answer, Artifact, Reader, Row, quoted};
+pub use presence::{FileLoss, Presence};
+pub use prior::PriorProgress;
+pub use read::{Artifact, QueryResult, Reader, Row, quoted};
 pub use runs::{RunKey, RunPlan};
-pub use stored::Stored;
+pub use stored::StoredTrial;
 pub use wait::{hurry, wait_for_locks};
 pub use write::Array;
 pub(crate) use write::RELEASE_ORPHANS;
@@ -139,7 +139,7 @@ impl Store {
     /// Moves the write-ahead log into the database and closes it, so that a single file remains.
     ///
     /// # Errors
-    /// If SQLite fails; `Lost` if the files have disappeared, with the path of the saved data.
+    /// If SQLite fails; `FileLoss` if the files have disappeared, with the path of the saved data.
     pub async fn close(self) -> Result<(), StoreError> {
         let Self { connection, path, presence, .. } = self;
         if let Some(lost) = presence.check() {

@@ -19,7 +19,7 @@ use crate::files;
 
 /// What happened to the files of an open database.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Lost {
+pub enum FileLoss {
     /// The file was deleted.
     Deleted,
     /// The file or its folder was renamed.
@@ -32,7 +32,7 @@ pub enum Lost {
     Truncated,
 }
 
-impl Lost {
+impl FileLoss {
     /// The predicate of a sentence about the database.
     pub(super) fn words(self) -> &'static str {
         match self {
@@ -75,14 +75,14 @@ impl Presence {
 
     /// What happened to the files; `None` if nothing did.
     #[must_use]
-    pub fn check(&self) -> Option<Lost> {
+    pub fn check(&self) -> Option<FileLoss> {
         let own = self.file.metadata().ok()?;
         for path in &self.paths {
             match path.metadata() {
                 Ok(m) if (m.dev(), m.ino()) == (own.dev(), own.ino()) => {}
-                Ok(_) => return Some(Lost::Replaced),
+                Ok(_) => return Some(FileLoss::Replaced),
                 Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
-                    return Some(if own.nlink() == 0 { Lost::Deleted } else { Lost::Moved });
+                    return Some(if own.nlink() == 0 { FileLoss::Deleted } else { FileLoss::Moved });
                 }
                 // other errors, such as missing permissions, say nothing about the file
                 Err(_) => {}
@@ -90,10 +90,10 @@ impl Presence {
         }
         let [_, real] = &self.paths;
         if self.beside.iter().any(|(end, id)| id_at(&sidecar(real, end)) != Some(*id)) {
-            return Some(Lost::Log);
+            return Some(FileLoss::Log);
         }
         let before = self.size.fetch_max(own.size(), Ordering::Relaxed);
-        (own.size() < before && own.size() < self.stated_size()).then_some(Lost::Truncated)
+        (own.size() < before && own.size() < self.stated_size()).then_some(FileLoss::Truncated)
     }
 
     /// The path as given.
@@ -131,11 +131,15 @@ impl Presence {
 
 /// Closes a database whose files were taken away. Moves the log into the database if that still has a path; otherwise copies everything
 /// into a new file. The error says where the data is.
-pub(super) async fn rescue(mut connection: SqliteConnection, presence: &Presence, lost: Lost) -> StoreError {
+pub(super) async fn rescue(
+    mut connection: SqliteConnection,
+    presence: &Presence,
+    lost: FileLoss,
+) -> StoreError {
     let path = presence.paths[0].clone();
     // a transaction that an error has left open
     let _ = connection.execute("ROLLBACK").await;
-    let saved = if lost == Lost::Truncated {
+    let saved = if lost == FileLoss::Truncated {
         match is_intact(&mut connection).await {
             true => copied(&mut connection, &presence.paths[1]).await,
             false => {
@@ -192,10 +196,10 @@ async fn copied(connection: &mut SqliteConnection, path: &Path) -> Result<PathBu
         let _ = std::fs::remove_file(&part);
         let into = part.to_string_lossy().into_owned();
         let made = sqlx::query("VACUUM INTO ?").bind(into).execute(&mut *connection).await;
-        let whole = made
+        let placed_copy = made
             .map_err(|error| error.to_string())
             .and_then(|_| files::put_in_place(&part, &copy).map_err(|error| error.to_string()));
-        match whole {
+        match placed_copy {
             Ok(()) => return Ok(copy),
             Err(error) => {
                 let _ = std::fs::remove_file(&part);

@@ -11,7 +11,7 @@ use super::{Level, Store, StoreError, npy_values};
 
 /// Progress of a trial in earlier runs.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Attempted {
+pub struct PriorProgress {
     /// Number of attempts.
     pub attempts: u32,
     /// Steps up to its checkpoint, if any.
@@ -68,7 +68,7 @@ impl Store {
             "SELECT m.id, m.hash, m.reached, coalesce(m.best_step, 0) FROM ({TRAINERS}) m
              WHERE m.id <> ?1 AND m.reached > ?4 AND m.reached <= ?5 ORDER BY m.reached DESC, m.id"
         );
-        let others: Vec<(i64, String, u32, u32)> = sqlx::query_as(AssertSqlSafe(sql))
+        let trainers: Vec<(i64, String, u32, u32)> = sqlx::query_as(AssertSqlSafe(sql))
             .bind(id)
             .bind(made.map(|made| &made.code))
             .bind(made.map(|made| &made.simd))
@@ -77,12 +77,12 @@ impl Store {
             .fetch_all(&mut self.connection)
             .await
             .map_err(&at)?;
-        if others.is_empty() {
+        if trainers.is_empty() {
             return own;
         }
         let by_network = !self.optimise(id).await.map_err(&at)?.linear();
         let mut found = None;
-        for (other, name, reached, best_step) in others {
+        for (other, name, reached, best_step) in trainers {
             match self.body_of(other, &name, reached, best_step, by_network).await? {
                 Ok(Some(body)) => {
                     found = Some((other, name, reached, body));
@@ -132,7 +132,7 @@ impl Store {
         let Some((bytes, checksum)) = stored else { return Ok(Ok(None)) };
         let checked = check(name, "array alpha_optimised", &bytes, &checksum);
         let best = npy_values(&bytes).ok();
-        Ok(checked.map(|()| best.map(|best| Checkpoint::trained(reached, best, best_step))))
+        Ok(checked.map(|()| best.map(|best| Checkpoint::after_training(reached, best, best_step))))
     }
 
     /// Copies the steps of another trial before step `before` that this trial lacks, with attempt 0.
@@ -151,7 +151,7 @@ impl Store {
     }
 
     /// Progress of each open trial that was attempted, by hash.
-    pub async fn attempted(&mut self) -> Result<HashMap<String, Attempted>, StoreError> {
+    pub async fn attempted(&mut self) -> Result<HashMap<String, PriorProgress>, StoreError> {
         let rows: Vec<(String, u32, Option<u32>)> = sqlx::query_as(
             "SELECT t.hash, max(a.number), (SELECT c.step FROM checkpoint c WHERE c.trial_id = t.id)
              FROM trial t JOIN attempt a ON a.trial_id = t.id
@@ -160,6 +160,9 @@ impl Store {
         .fetch_all(&mut self.connection)
         .await
         .map_err(|source| StoreError::sql(&self.path, "reading", source))?;
-        Ok(rows.into_iter().map(|(hash, attempts, steps)| (hash, Attempted { attempts, steps })).collect())
+        Ok(rows
+            .into_iter()
+            .map(|(hash, attempts, steps)| (hash, PriorProgress { attempts, steps }))
+            .collect())
     }
 }

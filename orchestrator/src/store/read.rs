@@ -13,7 +13,7 @@ use sqlx::{
     ValueRef,
 };
 
-use super::allow::{self, Allowed, NOT_READING, TYPES_VIEW, allow};
+use super::allow::{self, AccessLevel, NOT_READING, TYPES_VIEW, allow};
 use super::connect::{Connected, connect, state};
 use super::digest::check;
 use super::error::{is_no_json, is_trouble};
@@ -24,7 +24,7 @@ use metasense_schemas::record::Checkpoint;
 use metasense_schemas::spec::position_of;
 
 /// A complete answer: column names, and rows; blobs are replaced by the text `blob of N bytes`.
-pub type Answer = (Vec<String>, Vec<Vec<Value>>);
+pub type QueryResult = (Vec<String>, Vec<Vec<Value>>);
 
 /// A row of an answer.
 #[derive(Debug)]
@@ -68,7 +68,7 @@ pub struct Reader {
     pub(super) connected: Connected,
     pub(super) path: PathBuf,
     /// Which statements it accepts.
-    pub(super) allowed: Allowed,
+    pub(super) allowed: AccessLevel,
     /// Whether no other connection existed when it was opened.
     alone: bool,
 }
@@ -128,7 +128,7 @@ impl Reader {
         }
         let connected = connect(&path, rows).await?;
         let alone = alone && connected.unchanging.is_none();
-        Ok(Self { connected, path, allowed: Allowed::Reading, alone })
+        Ok(Self { connected, path, allowed: AccessLevel::Reading, alone })
     }
 
     /// Opens a database, calls `ask`, and closes the database in any case.
@@ -173,7 +173,7 @@ impl Reader {
     ///
     /// # Errors
     /// With SQLite's message, if the statement is invalid or refused.
-    pub async fn query<T: From<Answer>>(&mut self, sql: &str) -> Result<T, StoreError> {
+    pub async fn query<T: From<QueryResult>>(&mut self, sql: &str) -> Result<T, StoreError> {
         let (columns, mut rows) = (self.columns(sql).await?, Vec::new());
         self.each(sql, |row| {
             rows.push(row.values());
@@ -213,7 +213,7 @@ impl Reader {
     /// The declared SQL types of a result's columns: those of table columns, view columns and CASTs. Empty for other expressions.
     pub async fn types(&mut self, sql: &str) -> Vec<String> {
         let connection = &mut self.connected.connection;
-        if allow(connection, Allowed::Describing).await.is_err() {
+        if allow(connection, AccessLevel::Describing).await.is_err() {
             return Vec::new();
         }
         // The authorizer refuses everything but reading and this view.

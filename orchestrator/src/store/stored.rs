@@ -6,7 +6,7 @@ use super::{Reader, StoreError, quoted};
 
 /// Designs and weights of a trial's two bodies, `[initial, optimised]`.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Stored {
+pub struct StoredTrial {
     /// Hash of the trial.
     pub hash: String,
     /// Spec with the sensors of each body: training may have moved them.
@@ -23,7 +23,7 @@ pub struct Stored {
     pub bands: [[Vec<f64>; 2]; 2],
 }
 
-impl Stored {
+impl StoredTrial {
     /// The settings that both bodies share, with the sensors of the initial one.
     #[must_use]
     pub fn spec(&self) -> &TrialSpec {
@@ -36,7 +36,7 @@ impl Reader {
     ///
     /// # Errors
     /// If the trial does not exist or its data cannot be read.
-    pub async fn stored(&mut self, hash: &str) -> Result<Option<Stored>, StoreError> {
+    pub async fn stored(&mut self, hash: &str) -> Result<Option<StoredTrial>, StoreError> {
         let named = quoted(&self.hash_of(hash).await?);
         let columns = ["hash", "state", "spec", "sensor_units", "sensor_units_optimised", "solver"];
         let sql = format!("SELECT {} FROM v_trial WHERE hash = {named}", columns.join(", "));
@@ -77,6 +77,6 @@ impl Reader {
                 }
             }
         }
-        Ok(Some(Stored { hash, specs, designs, weights, losses, solver, bands }))
+        Ok(Some(StoredTrial { hash, specs, designs, weights, losses, solver, bands }))
     }
 }

@@ -101,7 +101,7 @@ impl Store {
     }
 
     /// Errors and CPU seconds of all trials that are done or failed.
-    pub async fn found(&mut self) -> Result<Vec<TrialErrors>, StoreError> {
+    pub async fn trial_errors(&mut self) -> Result<Vec<TrialErrors>, StoreError> {
         type Row = (String, Option<f64>, Option<f64>, Option<f64>);
         let rows: Vec<Row> = sqlx::query_as(
             "SELECT hash, holdout_error_initial, holdout_error_optimised, CAST(seconds AS REAL) FROM v_trial

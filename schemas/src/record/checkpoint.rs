@@ -113,7 +113,7 @@ impl Checkpoint {
 
     /// Returns a checkpoint after all outer steps, from the best design (mm) of a finished trial and its step.
     #[must_use]
-    pub fn trained(steps: u32, design: Vec<f64>, best_step: u32) -> Self {
+    pub fn after_training(steps: u32, design: Vec<f64>, best_step: u32) -> Self {
         let nothing = vec![0.0; design.len()];
         let design_moments = Moments { first: nothing.clone(), second: nothing, steps: steps.into() };
         let best = Some(Best { design: design.clone(), error: 0.0, step: best_step });

@@ -21,10 +21,10 @@ impl KnownKeys {
     /// Returns the keys of `SweepSpec`.
     #[must_use]
     pub fn of_spec() -> Self {
-        Self::of::<SweepSpec>()
+        Self::of_type::<SweepSpec>()
     }
 
-    pub(super) fn of<T: JsonSchema>() -> Self {
+    pub(super) fn of_type<T: JsonSchema>() -> Self {
         let schema = schemars::schema_for!(T).to_value();
         let mut allowed = BTreeMap::new();
         add_keys(&schema, &schema, "", &mut allowed);
@@ -36,7 +36,7 @@ impl KnownKeys {
     }
 
     /// Returns the first key with a list that is too long: TOML's deserializer would ignore the rest.
-    pub(super) fn surplus(&self, value: &Value) -> Option<String> {
+    pub(super) fn first_overlong_list(&self, value: &Value) -> Option<String> {
         longer(&self.schema, &self.schema, value, "")
     }
 
@@ -192,7 +192,7 @@ fn value(kind: &str, schema: &Value, root: &Value) -> Option<String> {
             let count = count.map_or(String::new(), |n| format!("{n} "));
             let items = values(&schema["items"], root);
             // "a whole number from 0 up" → "whole numbers from 0 up"; quoted words stay
-            let many = |one: &String| {
+            let pluralise = |one: &String| {
                 if one.starts_with('"') {
                     return Some(one.clone());
                 }
@@ -202,7 +202,7 @@ fn value(kind: &str, schema: &Value, root: &Value) -> Option<String> {
                 let (_, noun) = found.into_iter().flatten().min()?;
                 Some(one.replacen(noun, &format!("{noun}s"), 1))
             };
-            match items.iter().map(many).collect::<Option<Vec<_>>>() {
+            match items.iter().map(pluralise).collect::<Option<Vec<_>>>() {
                 Some(items) if !items.is_empty() => format!("a list of {count}{}", either(&items)),
                 _ => "a list".into(),
             }

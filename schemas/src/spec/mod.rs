@@ -24,7 +24,7 @@ pub use body::{
 pub use feasible::Feasible;
 pub use goal::{Calibrated, Cost, Goal, GoalReader, GoalReaderName};
 pub use measured::{AccelerationUnit, AngularVelocityUnit, Measured, MeasuredSignals, Start};
-pub use named::{NotOne, position_of};
+pub use named::{HashError, position_of};
 pub use optimise::{
     Auto, Brain, BrainKind, CastReader, Evaluation, GradientTerms, Network, Objective, ObjectiveName,
     Optimise, Preset, Protocol, Ridge, Scaling, Schedule, Tail,

@@ -2,7 +2,7 @@
 
 /// Why a text does not identify one trial.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum NotOne {
+pub enum HashError {
     /// No hash begins with the text.
     #[error("trial {text}: no hash begins with this text; {near}")]
     None {
@@ -30,20 +30,23 @@ const DIGITS: usize = 12;
 ///
 /// # Errors
 /// If no hash or more than one does.
-pub fn position_of<'a>(text: &str, hashes: impl Iterator<Item = &'a str> + Clone) -> Result<usize, NotOne> {
-    let mut found = hashes.clone().enumerate().filter(|(_, hash)| hash.starts_with(text));
-    match (found.next(), found.next()) {
+pub fn position_of<'a>(
+    text: &str,
+    hashes: impl Iterator<Item = &'a str> + Clone,
+) -> Result<usize, HashError> {
+    let mut matches = hashes.clone().enumerate().filter(|(_, hash)| hash.starts_with(text));
+    match (matches.next(), matches.next()) {
         (Some((at, _)), None) => Ok(at),
         (None, _) => {
             let near = match nearest(text, hashes.clone()) {
                 Some(hash) => format!("the nearest is {hash}"),
                 None => format!("known trials: {}", listed(hashes)),
             };
-            Err(NotOne::None { text: text.to_owned(), near })
+            Err(HashError::None { text: text.to_owned(), near })
         }
         (Some(first), Some(second)) => {
-            let those = listed([first, second].into_iter().chain(found).map(|(_, hash)| hash));
-            Err(NotOne::Several { text: text.to_owned(), those })
+            let those = listed([first, second].into_iter().chain(matches).map(|(_, hash)| hash));
+            Err(HashError::Several { text: text.to_owned(), those })
         }
     }
 }

@@ -49,6 +49,6 @@ const REMOVED: &[(&str, Option<&str>, &str)] = &[
 #[must_use]
 pub fn removed(key: &str, value: &str) -> Option<&'static str> {
     let is = |name: &str| key.strip_prefix(name).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
-    let named = |given: Option<&str>| given.is_none_or(|given| value.contains(&format!("\"{given}\"")));
-    REMOVED.iter().find(|(name, given, _)| is(name) && named(*given)).map(|(.., why)| *why)
+    let has_value = |given: Option<&str>| given.is_none_or(|given| value.contains(&format!("\"{given}\"")));
+    REMOVED.iter().find(|(name, given, _)| is(name) && has_value(*given)).map(|(.., why)| *why)
 }

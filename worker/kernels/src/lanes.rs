@@ -80,7 +80,7 @@ pub trait Vector:
     /// Whether lanes hold f32.
     const SINGLE: bool = size_of::<Self::Scalar>() == 4;
     /// A vector with `x` in all lanes.
-    fn of(x: Self::Scalar) -> Self;
+    fn from_scalar(x: Self::Scalar) -> Self;
     /// Rounds each lane of `wide`.
     fn narrow(wide: Self::Wide) -> Self;
     /// Converts each lane to f64, exactly.
@@ -123,7 +123,7 @@ pub trait Vector:
     /// A vector with `x` in all lanes, for constants: they are rounded at compile time.
     #[inline(always)]
     fn splat(x: f64) -> Self {
-        Self::of(Self::Scalar::from_f64(x))
+        Self::from_scalar(Self::Scalar::from_f64(x))
     }
     /// Value of one lane.
     #[inline(always)]
@@ -149,7 +149,7 @@ pub trait Vector:
 /// Two vectors, one with `x` and one with `y` in all lanes.
 #[inline(always)]
 pub fn pair<V: Vector>([x, y]: [V::Scalar; 2]) -> [V; 2] {
-    [V::of(x), V::of(y)]
+    [V::from_scalar(x), V::from_scalar(y)]
 }
 
 macro_rules! operators {
@@ -232,7 +232,7 @@ mod x86 {
                 const LANES: usize = $lanes;
                 const ZERO: Self = Self(unsafe { std::mem::transmute::<[$scalar; $lanes], $register>([0.0; $lanes]) });
                 #[inline(always)]
-                fn of(x: $scalar) -> Self {
+                fn from_scalar(x: $scalar) -> Self {
                     Self(unsafe { $set(x) })
                 }
                 #[inline(always)]
@@ -504,8 +504,8 @@ mod x86 {
             where_less(a, b, other);
         }
         #[inline(always)]
-        fn of(x: L::Scalar) -> Self {
-            Self(L::of(x), L::of(x))
+        fn from_scalar(x: L::Scalar) -> Self {
+            Self(L::from_scalar(x), L::from_scalar(x))
         }
         #[inline(always)]
         fn narrow(wide: Self::Wide) -> Self {

@@ -142,7 +142,7 @@ fn one_factor_serves_every_shorter_memory() {
         let (all, lags) = (moments(&set(sizes, 2)), Lags { before, after });
         let alone = Fit::new(all.normal(lags), ridge, Order::Ascending).unwrap().linear();
         let whole = Fit::new(all.normal(Lags::whole(sizes.instants)), ridge, order).unwrap();
-        close(&whole.shorter(lags), &alone);
+        close(&whole.with_memory(lags), &alone);
     }
     let set = set(SIZES, 2);
     let all = moments(&set);

@@ -3,7 +3,7 @@
 mod common;
 
 use common::{norm, pool, relative, scene};
-use metasense_kernels::body::{End, Follower, Follows, Geometry, Layout, Pattern};
+use metasense_kernels::body::{End, FollowRule, Follower, Geometry, Layout, Pattern};
 use metasense_kernels::dynamics::{
     Contact, Forces, Frame, Method, Moves, Panel, Plan, Scene, Tangent, Wrt, run,
 };
@@ -24,8 +24,11 @@ fn mixed(rigid: bool) -> Layout {
     let joints = [[0, 0, 1, 3], [0, 1, 2, 3], [1, 1, 3, 0], [2, 0, 3, 2], [1, 2, 2, 3]].map(joint);
     if rigid {
         let follower = |(node, of, by)| (1, Follower { node, of, by });
-        let followers =
-            [(0, [1, 3], Follows::Segment), (4, [2, 1], Follows::Angle), (5, [1, 2], Follows::MeanX)];
+        let followers = [
+            (0, [1, 3], FollowRule::Segment),
+            (4, [2, 1], FollowRule::Angle),
+            (5, [1, 2], FollowRule::MeanX),
+        ];
         return Layout::of_polygons(&units, &joints, &[], &[1], &followers.map(follower));
     }
     let together = [vec![End { unit: 1, node: 4 }, End { unit: 1, node: 5 }]];

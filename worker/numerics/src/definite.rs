@@ -17,7 +17,7 @@ pub(crate) fn half_log(b: MatRef<'_, f64>, least: f64) -> f64 {
 }
 
 /// B⁻¹ x; `None` if it is not finite.
-pub(crate) fn solved(b: MatRef<'_, f64>, least: f64, x: MatRef<'_, f64>) -> Option<Mat<f64>> {
+pub(crate) fn solve_with_floor(b: MatRef<'_, f64>, least: f64, x: MatRef<'_, f64>) -> Option<Mat<f64>> {
     let found = match b.llt(Side::Lower) {
         Ok(factor) => factor.solve(x),
         Err(_) => divided(b, least, x)?,
@@ -25,7 +25,7 @@ pub(crate) fn solved(b: MatRef<'_, f64>, least: f64, x: MatRef<'_, f64>) -> Opti
     found.is_all_finite().then_some(found)
 }
 
-/// As [`solved`], with nalgebra's factor.
+/// As [`solve_with_floor`], with nalgebra's factor.
 pub(crate) fn solved_dense<C: Dim>(
     b: DMatrix<f64>,
     least: f64,

@@ -17,7 +17,7 @@ use crate::problem::{instants, lags, layout};
 
 /// A memory limit and its source.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Limit {
+pub struct MemoryLimit {
     /// Source and verb, such as "ulimit -v allows".
     pub name: &'static str,
     /// Size (bytes).
@@ -26,7 +26,7 @@ pub struct Limit {
 
 /// The smallest limit of this machine, its control group, its ulimits and `[run] memory` (MiB).
 #[must_use]
-pub fn limit(of_run: Option<u64>) -> Option<Limit> {
+pub fn limit(of_run: Option<u64>) -> Option<MemoryLimit> {
     let info = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
     let machine = field(&info, "MemTotal:")
         .map(|total| 1024.0 * (total + field(&info, "SwapTotal:").unwrap_or(0)) as f64);
@@ -38,7 +38,7 @@ pub fn limit(of_run: Option<u64>) -> Option<Limit> {
         ("ulimit -d allows", own(Resource::Data)),
         ("run.memory allows", of_run.map(|mebibytes| 1_048_576.0 * mebibytes as f64)),
     ];
-    let known = all.into_iter().filter_map(|(name, bytes)| Some(Limit { name, bytes: bytes? }));
+    let known = all.into_iter().filter_map(|(name, bytes)| Some(MemoryLimit { name, bytes: bytes? }));
     known.min_by(|a, b| a.bytes.total_cmp(&b.bytes))
 }
 
@@ -115,7 +115,7 @@ fn sum(parts: &[Part]) -> f64 {
 ///
 /// # Errors
 /// Names the key that multiplies the largest item.
-pub fn check(trial: &TrialSpec, units: usize, limit: Option<&Limit>) -> Result<(), Invalid> {
+pub fn check(trial: &TrialSpec, units: usize, limit: Option<&MemoryLimit>) -> Result<(), Invalid> {
     refuse(parts(trial, units), limit)
 }
 
@@ -128,8 +128,8 @@ pub(crate) fn check_states(samples: usize, instants: usize, units: usize) -> Res
     refuse(vec![("forces: samples", samples, "displacements and velocities", bytes)], limit(None).as_ref())
 }
 
-fn refuse(parts: Vec<Part>, limit: Option<&Limit>) -> Result<(), Invalid> {
-    let Some(Limit { name, bytes }) = limit else { return Ok(()) };
+fn refuse(parts: Vec<Part>, limit: Option<&MemoryLimit>) -> Result<(), Invalid> {
+    let Some(MemoryLimit { name, bytes }) = limit else { return Ok(()) };
     let all = sum(&parts);
     let most = parts.into_iter().max_by(|a, b| a.3.total_cmp(&b.3));
     match most.filter(|_| all > *bytes) {

@@ -115,9 +115,9 @@ impl Table {
                     None => read(&(NONE, 1)),
                     // One column; its name may contain a semicolon.
                     Some((separator, uneven)) if !candidates.contains(&b',') && form.separator.is_none() => {
-                        read(&(NONE, 1)).map_err(|_| uneven.said(separator, form))
+                        read(&(NONE, 1)).map_err(|_| uneven.message(separator, form))
                     }
-                    Some((separator, uneven)) => Err(uneven.said(separator, form)),
+                    Some((separator, uneven)) => Err(uneven.message(separator, form)),
                 }
             }
             [one] => {

@@ -15,7 +15,7 @@ fn what_no_machine_has_is_refused_by_name() {
 /// Recognises system errors of shortages in their usual forms, and no others.
 #[test]
 fn words_of_a_shortage_are_told_from_others() {
-    for code in SHORT {
+    for code in SHORTAGE_CODES {
         let error = std::io::Error::from_raw_os_error(code);
         assert!(tells_of_shortage(&format!("a file cannot be read: {error}")), "{error}");
         assert!(tells_of_shortage(&format!("failed to spawn thread: {error:?}")), "{error:?}");

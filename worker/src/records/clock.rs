@@ -23,7 +23,7 @@ const LATE: f64 = 2.5;
 ///
 /// # Errors
 /// If times do not increase, entries are missing, or the clock is too uneven to resample.
-pub(super) fn timed(
+pub(super) fn with_clock(
     pick: &Pick,
     clock: &[f64],
     place: &dyn Fn(usize) -> String,

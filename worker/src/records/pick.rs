@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use metasense_schemas::spec::{self, Signal, TimeUnit};
 
 use super::Record;
-use super::clock::timed;
+use super::clock::with_clock;
 use crate::files::{Array, Content, Table};
 use crate::invalid::as_written;
 
@@ -90,7 +90,7 @@ pub(crate) fn of_file(pick: &Pick, held: &Content) -> Result<Vec<Record>, String
     }
     let values = columns.iter().map(|column| table.values(*column).to_vec()).collect();
     Ok(vec![match time {
-        Some(time) => timed(
+        Some(time) => with_clock(
             pick,
             table.values(time),
             &|row| format!("{}: {}", table.place(row), table.label(time)),
@@ -146,7 +146,7 @@ fn of_archive(
         Some(time) => {
             let (name, clock) = named(time)?;
             let place = |entry| format!("entry {entry} of {name}");
-            records.into_iter().map(|values| timed(pick, &clock.values, &place, values)).collect()
+            records.into_iter().map(|values| with_clock(pick, &clock.values, &place, values)).collect()
         }
     }
 }

@@ -1,4 +1,4 @@
-use super::clock::timed;
+use super::clock::with_clock;
 use super::*;
 use serde_json::{Value, json};
 
@@ -87,7 +87,8 @@ fn a_clock_that_drifts_is_evened_out() {
         .collect();
     let recorded = serde_json::from_value(json!({ "files": [], "time": "t", "force": ["f"] })).unwrap();
     let record =
-        timed(&Pick::forces(&recorded, "recorded"), &clock, &|n| n.to_string(), vec![clock.clone()]).unwrap();
+        with_clock(&Pick::forces(&recorded, "recorded"), &clock, &|n| n.to_string(), vec![clock.clone()])
+            .unwrap();
     let off = |(n, f): (usize, &f64)| (f - record.start - n as f64 * record.dt).abs();
     let most = record.values[0].iter().enumerate().map(off).fold(0.0, f64::max);
     assert!(most < 1e-9, "off by {most} s");
@@ -99,7 +100,7 @@ fn a_clock_with_missing_entries_is_refused() {
     let recorded = serde_json::from_value(json!({ "files": [], "time": "t", "force": ["f"] })).unwrap();
     let read = |clock: &[f64]| {
         let pick = Pick::forces(&recorded, "recorded");
-        timed(&pick, clock, &|n| n.to_string(), vec![vec![0.0; clock.len()]])
+        with_clock(&pick, clock, &|n| n.to_string(), vec![vec![0.0; clock.len()]])
     };
     let without = |lost: std::ops::Range<usize>| -> Vec<f64> {
         (0..60).filter(|n| !lost.contains(n)).map(|n| 0.005 * n as f64).collect()

@@ -7,7 +7,7 @@
 //! ```
 //! Sums have 32 bits if no input can make them overflow, else 64. Scales depend on training samples only.
 
-use super::{Convolution, Replay, Single};
+use super::{Convolution, Replay, SinglePrecision};
 
 /// Ratio of full scale to the greatest training value, for stronger forces than those of training.
 const HEADROOM: f64 = 4.0;
@@ -54,38 +54,40 @@ impl Integers {
     /// # Panics
     /// If a sum could exceed 2^61.
     pub fn new(layers: &[Convolution], most: i64, replay: &Replay) -> Self {
-        Self::within(layers, most, GREATEST, HEADROOM, replay)
+        Self::quantise(layers, most, GREATEST, HEADROOM, replay)
     }
 
     /// As `new`, with readings and activations of −`greatest` … `greatest`.
-    fn within(layers: &[Convolution], most: i64, greatest: i64, headroom: f64, replay: &Replay) -> Self {
-        let reached = reached(layers, replay);
+    fn quantise(layers: &[Convolution], most: i64, greatest: i64, headroom: f64, replay: &Replay) -> Self {
+        let channel_maxima = reached(layers, replay);
         let steps = |channels: &[f64]| -> Vec<f64> {
             let most = channels.iter().copied().fold(LEAST, f64::max);
             let step = |reached: &f64| headroom * reached.max(most / DORMANT) / greatest as f64;
             channels.iter().map(step).collect()
         };
-        let half_steps: Vec<f32> = steps(&reached[0]).iter().map(|step| (2.0 / step) as f32).collect();
+        let half_steps: Vec<f32> = steps(&channel_maxima[0]).iter().map(|step| (2.0 / step) as f32).collect();
         // Steps from the rounded values, which the device uses.
         let readings: Vec<f64> = half_steps.iter().map(|half| 2.0 / f64::from(*half)).collect();
         // Channels that are passed on unchanged keep their steps.
         let carried = |l: usize| if layers[l].linear { layers[l].inputs } else { 0 };
-        let next = |l: usize| [&readings[..carried(l)], &steps(&reached[l + 1][carried(l)..])].concat();
+        let next =
+            |l: usize| [&readings[..carried(l)], &steps(&channel_maxima[l + 1][carried(l)..])].concat();
         let later = (0..layers.len() - 1).map(next);
         let mut steps: Vec<Vec<f64>> = std::iter::once(readings.clone()).chain(later).collect();
         let (mut made, mut forces, mut bound) = (Vec::new(), Vec::new(), 0);
         for (l, layer) in layers.iter().enumerate() {
-            let of = |i: usize| layer.weights[i] * steps[l][layer.of_weight(i)[0]];
+            let scaled_weight = |i: usize| layer.weights[i] * steps[l][layer.of_weight(i)[0]];
             let output = |i: usize| layer.of_weight(i)[1];
             let mut scale: Vec<f64> =
                 layer.bias.iter().map(|b| (b.abs() / 2f64.powi(BIAS_BITS)).max(f64::MIN_POSITIVE)).collect();
             for i in 0..layer.weights.len() {
-                scale[output(i)] = scale[output(i)].max(of(i).abs() / most as f64);
+                scale[output(i)] = scale[output(i)].max(scaled_weight(i).abs() / most as f64);
             }
             if l + 1 == layers.len() {
                 forces = scale.iter().map(|scale| *scale as f32).collect();
             }
-            let weights = (0..layer.weights.len()).map(|i| (of(i) / scale[output(i)]).round() as i64);
+            let weights =
+                (0..layer.weights.len()).map(|i| (scaled_weight(i) / scale[output(i)]).round() as i64);
             let weights: Vec<i64> = weights.collect();
             let bias: Vec<i64> =
                 layer.bias.iter().zip(&scale).map(|(b, scale)| (b / scale).round() as i64).collect();
@@ -94,14 +96,14 @@ impl Integers {
                 let [_, o, tap] = layer.of_weight(i);
                 sums[o] += w.abs() * layer.spans[tap] as i64 * greatest;
             }
-            let own = sums.into_iter().max().expect("a layer has outputs");
-            bound = own.max(bound);
+            let max_sum = sums.into_iter().max().expect("a layer has outputs");
+            bound = max_sum.max(bound);
             let (mut factor, mut shift) = (Vec::new(), Vec::new());
             if let Some(next) = steps.get_mut(l + 1) {
                 for (step, scale) in next[carried(l)..].iter_mut().zip(&scale) {
                     // At least the resolution of the sums.
                     *step = step.max(*scale);
-                    let (f, s) = ratio(scale / *step, own);
+                    let (f, s) = ratio(scale / *step, max_sum);
                     factor.push(f);
                     shift.push(s);
                 }
@@ -156,7 +158,7 @@ impl Integers {
 
 /// Greatest magnitude of each layer's inputs per channel, over the training samples.
 fn reached(layers: &[Convolution], replay: &Replay) -> Vec<Vec<f64>> {
-    let single = Single::new(layers);
+    let single = SinglePrecision::new(layers);
     let mut reached: Vec<Vec<f64>> = layers.iter().map(|layer| vec![0.0; layer.inputs]).collect();
     let one = replay.signals.len() / replay.split.len();
     for (_, signals) in

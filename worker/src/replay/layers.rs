@@ -14,7 +14,7 @@ use metasense_numerics::stimuli::targets;
 use metasense_numerics::trial::Samples;
 use metasense_schemas::spec::TrialSpec;
 
-use super::{LinearReplay, Own, Replay};
+use super::{LinearReplay, Replay, ReplayDecoder};
 use crate::invalid::invalid;
 use crate::run::{Failure, prepared};
 
@@ -146,8 +146,8 @@ impl Convolution {
 ///
 /// # Panics
 /// If the weights do not match the trial's network.
-pub fn layers(trial: &TrialSpec, own: &Own, replay: &Replay) -> Result<Vec<Convolution>, Failure> {
-    if let Own::Network(_) = own
+pub fn layers(trial: &TrialSpec, own: &ReplayDecoder, replay: &Replay) -> Result<Vec<Convolution>, Failure> {
+    if let ReplayDecoder::Network(_) = own
         && replay.has_offset()
     {
         let remedy =
@@ -155,9 +155,9 @@ pub fn layers(trial: &TrialSpec, own: &Own, replay: &Replay) -> Result<Vec<Convo
         return Err(Failure::Rejected(invalid("brain.scaling", "\"minmax\"", remedy).to_string()));
     }
     let mut layers = match own {
-        Own::Linear(linear) => vec![of_linear(linear, replay)],
-        Own::Network(weights) => of_network(trial, weights, replay)?,
-        Own::Stacked(linear, weights) => {
+        ReplayDecoder::Linear(linear) => vec![of_linear(linear, replay)],
+        ReplayDecoder::Network(weights) => of_network(trial, weights, replay)?,
+        ReplayDecoder::Stacked(linear, weights) => {
             let mut first = of_linear(linear, replay);
             // Normalised forces, as the network expects them.
             let deviation = |i: usize| replay.force_deviation[first.of_weight(i)[1]];
@@ -216,12 +216,12 @@ fn of_network(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<Vec
 
 /// Layers in single precision.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Single {
+pub struct SinglePrecision {
     layers: Vec<Convolution>,
     weights: Vec<[Vec<f32>; 2]>,
 }
 
-impl Single {
+impl SinglePrecision {
     /// Rounds layers to single precision.
     pub fn new(layers: &[Convolution]) -> Self {
         let rounded = |values: &[f64]| values.iter().map(|v| *v as f32).collect();

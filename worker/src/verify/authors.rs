@@ -370,13 +370,13 @@ fn motion(
             let all = case.array_of(name, forces.samples * (scene.instants + 1))?;
             Ok(all.chunks(scene.instants + 1).flat_map(|own| own[1..].to_vec()).collect())
         };
-        let stays: Vec<f64> =
+        let net_work: Vec<f64> =
             later("external")?.iter().zip(later("dissipated")?).map(|(work, lost)| work - lost).collect();
         let gained: Vec<f64> = kinetic.iter().zip(&elastic).map(|(k, e)| k + e).collect();
         rows.extend([
             Row::new("kinetic energy", relative(&kinetic, &later("kinetic")?), 1e-6),
             Row::new("elastic energy", relative(&elastic, &later("elastic")?), 1e-6),
-            Row::new("work in less dissipated", relative(&gained, &stays), 1e-6),
+            Row::new("work in less dissipated", relative(&gained, &net_work), 1e-6),
         ]);
     }
     Ok(rows)

@@ -10,10 +10,10 @@ mod seeds;
 use std::cmp::Ordering;
 
 pub use crate::predict::{LEVELS, Setting};
-use crate::predict::{Prediction, Seen};
+use crate::predict::{ObservedError, Prediction};
 use metasense_schemas::spec::Goal;
 
-use self::seeds::{Judgement, Seeds, chance_below, chance_confirmed, judged, latest, of_seeds};
+use self::seeds::{Judgement, Seeds, chance_below, chance_confirmed, judged, latest, log_mean_deviation};
 pub use self::seeds::{confirming, most_fresh};
 
 /// Number of settings that are begun before the first prediction.
@@ -186,10 +186,10 @@ fn decide(goal: &Goal, candidates: &[Candidate]) -> Decision {
         }
     }
     let at = view.classes.iter().find(|class| work.iter().any(|(i, _)| class.contains(i)));
-    let open = at.map_or(0.0, |class| view.any(class));
+    let open = at.map_or(0.0, |class| view.any_meets(class));
     let (chosen, kinship) = (view.chosen(), (!view.is_blind).then_some(view.prediction.kinship));
     let cheaper = if chosen.is_some() {
-        view.any(&view.cheaper(chosen).flatten().copied().collect::<Vec<_>>())
+        view.any_meets(&view.cheaper(chosen).flatten().copied().collect::<Vec<_>>())
     } else {
         0.0
     };
@@ -216,18 +216,18 @@ struct View<'a> {
 impl<'a> View<'a> {
     fn new(goal: &'a Goal, candidates: &'a [Candidate]) -> Self {
         let settings: Vec<&Setting> = candidates.iter().map(|c| &c.setting).collect();
-        let seen = seen(candidates);
+        let observed_errors = seen(candidates);
         let turns = candidates.iter().filter(|c| c.turn.is_some()).count();
         let mut view = Self {
             goal,
             candidates,
             classes: classes(candidates),
-            prediction: Prediction::new(&settings, &seen),
+            prediction: Prediction::new(&settings, &observed_errors),
             turns,
             seeds: Seeds::of(goal, candidates, turns),
             judgements: candidates.iter().map(|c| judged(goal, c)).collect(),
             prospects: Vec::new(),
-            is_blind: seen.is_empty(),
+            is_blind: observed_errors.is_empty(),
         };
         view.prospects = (0..candidates.len()).map(|i| view.meets(i)).collect();
         view
@@ -288,7 +288,7 @@ impl<'a> View<'a> {
 
     /// Probability that any of these candidates meets the requirement. Predictions are correlated, judgements on fresh seeds
     /// are independent.
-    fn any(&self, some: &[usize]) -> f64 {
+    fn any_meets(&self, some: &[usize]) -> f64 {
         let unjudged = |i: &&usize| self.is_open(**i) && self.judgements[**i] == Judgement::None;
         let (predicted, judged): (Vec<&usize>, Vec<&usize>) = some.iter().partition(unjudged);
         let by_draws = self.prediction.chance(|draw| {
@@ -382,15 +382,19 @@ impl<'a> View<'a> {
                 self.prediction.mean[best] + self.seeds.shift,
                 Box::new(|e| self.prediction.chance(|draw| self.seeds.below(e, draw[best]))),
             ),
-            (Judgement::Screened, _) | (_, None) => (of_seeds(fresh).0, Box::new(|e| chance_below(e, fresh))),
-            (_, Some(turn)) => (of_seeds(fresh).0, Box::new(move |e| chance_confirmed(e, turn, fresh))),
+            (Judgement::Screened, _) | (_, None) => {
+                (log_mean_deviation(fresh).0, Box::new(|e| chance_below(e, fresh)))
+            }
+            (_, Some(turn)) => {
+                (log_mean_deviation(fresh).0, Box::new(move |e| chance_confirmed(e, turn, fresh)))
+            }
         };
         Class {
             best,
             stage: self.stage(best),
             error: [middle.exp(), quantile(self.goal.confidence, middle, &*below).exp()],
             meets: self.prospects[best],
-            any: self.any(class),
+            any: self.any_meets(class),
             candidates: [
                 class.len(),
                 class.iter().filter(|&&i| !self.candidates[i].reached.is_empty()).count(),
@@ -421,10 +425,10 @@ fn classes(candidates: &[Candidate]) -> Vec<Vec<usize>> {
 }
 
 /// Returns all known errors of candidates.
-fn seen(candidates: &[Candidate]) -> Vec<Seen> {
+fn seen(candidates: &[Candidate]) -> Vec<ObservedError> {
     let of = |(i, candidate): (usize, &Candidate)| {
         let told = candidate.reached.iter().enumerate();
-        let told: Vec<Seen> =
+        let told: Vec<ObservedError> =
             told.filter_map(|(level, e)| Some((i, level, e.filter(|e| *e > 0.0)?.ln()))).collect();
         told
     };

@@ -72,7 +72,7 @@ fn screening<'a>(goal: &Goal, candidate: &'a Candidate) -> &'a [f64] {
 
 /// Returns the probability that ln error on a further seed is at most `limit`, given errors (%) on fresh seeds: Student's t.
 pub(super) fn chance_below(limit: f64, fresh: &[f64]) -> f64 {
-    let ((mean, deviation), n) = (of_seeds(fresh), fresh.len() as f64);
+    let ((mean, deviation), n) = (log_mean_deviation(fresh), fresh.len() as f64);
     chance_above(fresh.len() - 1, (mean - limit) / (deviation * (1.0 + 1.0 / n).sqrt()))
 }
 
@@ -87,7 +87,7 @@ fn share(turn: usize) -> f64 {
 }
 
 /// Returns mean and standard deviation of ln error.
-pub(super) fn of_seeds(fresh: &[f64]) -> (f64, f64) {
+pub(super) fn log_mean_deviation(fresh: &[f64]) -> (f64, f64) {
     let logs: Vec<f64> = fresh.iter().map(|e| e.ln()).collect();
     (mean(&logs).expect("it was judged"), deviation(&logs).unwrap_or(0.0).max(DEVIATION_MIN))
 }
@@ -155,7 +155,7 @@ impl Seeds {
 
     /// The same for a screened body with these errors (%). Its own scatter is pooled with that of others.
     pub fn confirms_screened(&self, fresh: &[f64]) -> f64 {
-        let ((mean, own), n) = (of_seeds(fresh), fresh.len() as f64);
+        let ((mean, own), n) = (log_mean_deviation(fresh), fresh.len() as f64);
         let before = FREEDOM as f64;
         let squares = before * self.between.powi(2) + (n - 1.0) * own.powi(2);
         let between = (squares / (before + n - 1.0)).sqrt();

@@ -44,8 +44,8 @@ fn placing_and_training_are_told_apart() {
         let error = level.error(searched, body, Set::Holdout).unwrap();
         assert!((error / (expected * seeds) - 1.0).abs() < 1e-12, "{error}");
     }
-    let placing = level.by_placing(Set::Holdout).unwrap();
-    let training = level.by_training(Set::Holdout).unwrap();
+    let placing = level.gain_from_placing(Set::Holdout).unwrap();
+    let training = level.gain_from_training(Set::Holdout).unwrap();
     assert!((placing.ratio - 2.5).abs() < 1e-12 && (training.ratio - 4.0).abs() < 1e-12);
     assert!(training.interval.is_some() && training.over == "4 seeds", "{training:?}");
     // geometric mean over seeds: 16 · 2.21/m ≤ 10.5 from m = 4 on (8.85); trained 4 · 2.21/m from m = 1 on (8.85)

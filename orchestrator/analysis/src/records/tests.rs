@@ -1,7 +1,7 @@
 use super::*;
 
-fn judged(body: &str, errors: &[f64]) -> Judged {
-    Judged {
+fn judged(body: &str, errors: &[f64]) -> BodyErrors {
+    BodyErrors {
         body: body.into(),
         by: SignalSource::Measured,
         errors: errors.iter().map(|e| Some(*e)).collect(),

@@ -70,12 +70,12 @@ pub(super) struct Curves<'a> {
 
 /// A mean over units, and the distance of its bounds.
 #[derive(Debug, Clone, Copy)]
-struct Bounded {
+struct MeanBound {
     mean: f64,
     half: f64,
 }
 
-impl Bounded {
+impl MeanBound {
     fn is_above(self, limit: f64) -> bool {
         self.mean - self.half > limit
     }
@@ -128,7 +128,7 @@ impl Question {
                     let sum = |half: &[f64]| half.iter().sum::<f64>() / count as f64;
                     sum(&unit[count..]) - sum(&unit[..count])
                 };
-                let Bounded { mean, half } = look.contrast(ratio, 0.5 * chance, looks);
+                let MeanBound { mean, half } = look.contrast(ratio, 0.5 * chance, looks);
                 let settled = half.exp() - (-half).exp() <= width;
                 settled.then(|| Answer::Ratio([mean, mean - half, mean + half].map(f64::exp)))
             }
@@ -149,13 +149,13 @@ impl Question {
 
 impl Curves<'_> {
     /// Returns the mean of a number per unit; each bound fails with probability `chance`.
-    fn contrast(&self, of: impl Fn(&[f64]) -> f64, chance: f64, looks: &mut Looks) -> Bounded {
+    fn contrast(&self, of: impl Fn(&[f64]) -> f64, chance: f64, looks: &mut Looks) -> MeanBound {
         let values: Vec<f64> = self.units.iter().map(|unit| of(unit)).collect();
         self.bounded(&values, chance, looks)
     }
 
     /// The same for a function of the mean curve, by jackknife pseudo-values.
-    fn of_mean(&self, of: impl Fn(&[f64]) -> f64, chance: f64, looks: &mut Looks) -> Bounded {
+    fn jackknife_bound(&self, of: impl Fn(&[f64]) -> f64, chance: f64, looks: &mut Looks) -> MeanBound {
         let n = self.units.len() as f64;
         let sums: Vec<f64> =
             (0..self.units[0].len()).map(|i| self.units.iter().map(|unit| unit[i]).sum()).collect();
@@ -170,11 +170,11 @@ impl Curves<'_> {
     }
 
     /// Returns the mean of values and the distance of a bound that fails with probability `chance`.
-    fn bounded(&self, values: &[f64], chance: f64, looks: &mut Looks) -> Bounded {
+    fn bounded(&self, values: &[f64], chance: f64, looks: &mut Looks) -> MeanBound {
         let n = values.len() as f64;
         let mean = values.iter().sum::<f64>() / n;
         let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0);
-        Bounded { mean, half: looks.bound(self.passed, values.len(), chance) * (variance / n).sqrt() }
+        MeanBound { mean, half: looks.bound(self.passed, values.len(), chance) * (variance / n).sqrt() }
     }
 
     fn mean(&self, place: usize) -> f64 {
@@ -221,7 +221,7 @@ impl Curves<'_> {
         }
         let chance = chance / inner.len() as f64;
         for other in inner.filter(|m| *m != chosen) {
-            let more = self.of_mean(|y| residual(y, other) - residual(y, chosen), chance, looks);
+            let more = self.jackknife_bound(|y| residual(y, other) - residual(y, chosen), chance, looks);
             if !more.is_above(0.0) {
                 return None;
             }

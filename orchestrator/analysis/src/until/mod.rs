@@ -66,7 +66,7 @@ impl Decision {
 }
 
 /// A question in one setting, with the trials of each unit.
-struct Asked {
+struct SettingQuestion {
     question: Question,
     setting: String,
     of: &'static str,
@@ -77,7 +77,7 @@ struct Asked {
 }
 
 /// Returns the questions for every setting in which they can be answered. `trials`: the plan, with or without results.
-fn asked(until: &Until, trials: &[Trial]) -> Vec<Asked> {
+fn setting_questions(until: &Until, trials: &[Trial]) -> Vec<SettingQuestion> {
     let refs: Vec<&Trial> = trials.iter().collect();
     let numbers: HashMap<*const Trial, usize> =
         trials.iter().enumerate().map(|(i, trial)| (std::ptr::from_ref(trial), i)).collect();
@@ -97,7 +97,7 @@ fn asked(until: &Until, trials: &[Trial]) -> Vec<Asked> {
                 |(_, at): &(usize, f64)| Observation { at: *at, cluster: Cluster::default(), error: 1.0 };
             let places = places(&units.iter().flatten().map(on_axis).collect::<Vec<_>>());
             if places.len() >= question.least_places() && units.len() >= LEAST_UNITS {
-                found.push(Asked { question, setting: group.label, of, places, units });
+                found.push(SettingQuestion { question, setting: group.label, of, places, units });
             }
         }
     }
@@ -106,7 +106,7 @@ fn asked(until: &Until, trials: &[Trial]) -> Vec<Asked> {
 
 /// Groups trials by placement or by seed, whichever are more numerous, in the order of the plan.
 fn by_unit<'a>(trials: &[&'a Trial]) -> (Vec<Vec<&'a Trial>>, &'static str) {
-    let of = |pick: fn(&Cluster) -> u64| {
+    let group_by = |pick: fn(&Cluster) -> u64| {
         let mut found: Vec<(u64, Vec<&Trial>)> = Vec::new();
         for trial in trials {
             let value = pick(&trial.cluster);
@@ -117,13 +117,13 @@ fn by_unit<'a>(trials: &[&'a Trial]) -> (Vec<Vec<&'a Trial>>, &'static str) {
         }
         found.into_iter().map(|(_, unit)| unit).collect::<Vec<_>>()
     };
-    let (placements, seeds) = (of(|c| c.placement), of(|c| c.seed));
+    let (placements, seeds) = (group_by(|c| c.placement), group_by(|c| c.seed));
     if seeds.len() > placements.len() { (seeds, "seeds") } else { (placements, "placements") }
 }
 
 /// Returns the first question that no setting of the plan can answer.
 pub fn unanswerable(until: &Until, plan: &[Planned]) -> Option<Question> {
-    let found = asked(until, &plan.iter().map(planned).collect::<Vec<_>>());
+    let found = setting_questions(until, &plan.iter().map(planned).collect::<Vec<_>>());
     Question::all(until).into_iter().find(|question| found.iter().all(|a| a.question != *question))
 }
 
@@ -169,7 +169,7 @@ fn decide(until: &Until, trials: &[Trial], settled: &[bool], ahead: usize) -> De
     let alpha = 1.0 - until.confidence;
     let mut looks: BTreeMap<usize, Looks> = BTreeMap::new();
     let (mut standings, mut wanted) = (Vec::new(), BTreeSet::new());
-    for asked in asked(until, trials) {
+    for asked in setting_questions(until, trials) {
         let passed =
             asked.units.iter().take_while(|unit| unit.iter().all(|(trial, _)| settled[*trial])).count();
         let grid = asked.units.len();
@@ -183,7 +183,7 @@ fn decide(until: &Until, trials: &[Trial], settled: &[bool], ahead: usize) -> De
         };
         wanted.extend(asked.units[..needed].iter().flatten().map(|(trial, _)| *trial));
         let units = [curves.iter().flatten().count(), grid];
-        let Asked { question, setting, of, .. } = asked;
+        let SettingQuestion { question, setting, of, .. } = asked;
         standings.push(Standing { question, setting, units, of, answer });
     }
     Decision { standings, wanted: wanted.into_iter().collect() }

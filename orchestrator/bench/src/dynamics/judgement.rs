@@ -1,15 +1,15 @@
 //! Conclusions from the diagram: the cheapest method at an error of 1e-3, the choice of `auto`, and Tsit5 at equal error.
 
-use super::picture::{METHODS, Mark, SCENES};
+use super::picture::{METHODS, MeasuredRun, SCENES};
 
 /// Requested error.
 const ASKED: f64 = 1e-3;
 
 /// One line per measured scene and quantity.
-pub(super) fn lines(marks: &[Mark]) -> Vec<String> {
+pub(super) fn lines(marks: &[MeasuredRun]) -> Vec<String> {
     let mut lines = Vec::new();
     for (scene, title) in SCENES {
-        let of: Vec<&Mark> = marks.iter().filter(|m| m.scene == scene).collect();
+        let of: Vec<&MeasuredRun> = marks.iter().filter(|m| m.scene == scene).collect();
         for (row, what) in ["signals", "dα"].into_iter().enumerate() {
             lines.extend(judge(&of, row).map(|said| format!("{title}, {what}: {said}")));
         }
@@ -17,14 +17,14 @@ pub(super) fn lines(marks: &[Mark]) -> Vec<String> {
     lines
 }
 
-fn judge(marks: &[&Mark], row: usize) -> Option<String> {
+fn judge(marks: &[&MeasuredRun], row: usize) -> Option<String> {
     let curve = |name: &str| curve(marks, name, row);
-    let least = |points: &[(f64, f64)]| points.iter().map(|p| p.1).fold(f64::INFINITY, f64::min);
+    let smallest_error = |points: &[(f64, f64)]| points.iter().map(|p| p.1).fold(f64::INFINITY, f64::min);
     let tsit5 = curve("tsit5");
     // The smallest error that Tsit5 and another method both reach, at least 1e-3
     let others = METHODS.iter().filter(|name| **name != "tsit5");
-    let reached = others.clone().map(|name| least(&curve(name))).fold(f64::INFINITY, f64::min);
-    let error = ASKED.max(reached).max(least(&tsit5));
+    let reached = others.clone().map(|name| smallest_error(&curve(name))).fold(f64::INFINITY, f64::min);
+    let error = ASKED.max(reached).max(smallest_error(&tsit5));
     if !error.is_finite() {
         return None;
     }
@@ -45,7 +45,7 @@ fn judge(marks: &[&Mark], row: usize) -> Option<String> {
 }
 
 /// Milliseconds and errors of a method, cheapest first.
-fn curve(marks: &[&Mark], method: &str, row: usize) -> Vec<(f64, f64)> {
+fn curve(marks: &[&MeasuredRun], method: &str, row: usize) -> Vec<(f64, f64)> {
     let of = marks.iter().filter(|m| m.method == method && !m.auto);
     let mut points: Vec<(f64, f64)> = of.filter_map(|m| m.points[row]).collect();
     points.sort_by(|a, b| a.0.total_cmp(&b.0));

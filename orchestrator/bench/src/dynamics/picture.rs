@@ -21,7 +21,7 @@ pub(super) const METHODS: [&str; 5] = ["tsit5", "leapfrog", "nystrom4", "nystrom
 
 /// One measured run.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Mark {
+pub(super) struct MeasuredRun {
     pub scene: String,
     pub method: String,
     pub setting: String,
@@ -30,14 +30,14 @@ pub(super) struct Mark {
     pub points: [Option<(f64, f64)>; 2],
 }
 
-fn mark(row: &Value) -> Option<Mark> {
+fn mark(row: &Value) -> Option<MeasuredRun> {
     let text = |key: &str| row[key].as_str().map(str::to_owned);
     // A zero error, of a run with the steps of the reference, has no logarithm.
     let point = |cost: &str, error: &str| {
         let error = row[error].as_f64().filter(|e| *e > 0.0)?;
         Some((row[cost].as_f64()?, error))
     };
-    Some(Mark {
+    Some(MeasuredRun {
         scene: text("scene")?,
         method: text("method")?,
         setting: text("setting")?,
@@ -47,16 +47,17 @@ fn mark(row: &Value) -> Option<Mark> {
 }
 
 /// The newest row of each setting with this number of instants.
-fn newest(lines: &str, instants: u16) -> Vec<Mark> {
-    let mut marks: Vec<Mark> = Vec::new();
+fn newest(lines: &str, instants: u16) -> Vec<MeasuredRun> {
+    let mut marks: Vec<MeasuredRun> = Vec::new();
     for line in lines.lines() {
         let Ok(row) = serde_json::from_str::<Value>(line) else { continue };
         if row["bench"] != "dynamics" || row["instants"] != instants {
             continue;
         }
         let Some(new) = mark(&row) else { continue };
-        let same =
-            |old: &Mark| (&old.scene, &old.method, &old.setting) == (&new.scene, &new.method, &new.setting);
+        let same = |old: &MeasuredRun| {
+            (&old.scene, &old.method, &old.setting) == (&new.scene, &new.method, &new.setting)
+        };
         marks.retain(|old| !same(old));
         marks.push(new);
     }
@@ -67,7 +68,7 @@ fn newest(lines: &str, instants: u16) -> Vec<Mark> {
 ///
 /// # Errors
 /// If reading or writing fails.
-pub(super) fn write(rows: &Path, picture: &Path, instants: u16) -> Result<Vec<Mark>, Error> {
+pub(super) fn write(rows: &Path, picture: &Path, instants: u16) -> Result<Vec<MeasuredRun>, Error> {
     let failed = |doing, path: &Path| {
         let path = path.to_owned();
         move |source| Error::Io { doing, path, source }
@@ -81,10 +82,10 @@ pub(super) fn write(rows: &Path, picture: &Path, instants: u16) -> Result<Vec<Ma
     Ok(marks)
 }
 
-fn draw(marks: &[Mark]) -> String {
+fn draw(marks: &[MeasuredRun]) -> String {
     let scenes: Vec<_> = SCENES.iter().filter(|(name, _)| marks.iter().any(|m| m.scene == *name)).collect();
     let panel = |row: usize, (scene, title): &(&str, &str)| {
-        let of: Vec<&Mark> = marks.iter().filter(|m| m.scene == *scene).collect();
+        let of: Vec<&MeasuredRun> = marks.iter().filter(|m| m.scene == *scene).collect();
         panel(title, &of, row)
     };
     let rows = (0..2).flat_map(|row| scenes.iter().map(move |scene| panel(row, scene)));
@@ -95,17 +96,17 @@ fn draw(marks: &[Mark]) -> String {
     file(&rows.collect::<Vec<_>>(), columns, PANEL[0] * columns as f64, &legend)
 }
 
-fn panel(title: &str, marks: &[&Mark], row: usize) -> Picture {
+fn panel(title: &str, marks: &[&MeasuredRun], row: usize) -> Picture {
     let what = ["relative error of the signals", "relative error of dα"][row];
     let cost = ["forward (CPU ms per sample)", "forward and gradient (CPU ms per sample)"][row];
     // clip errors at 1
-    let points = |m: &Mark| m.points[row].map(|p| (p.0, p.1.min(1.0)));
+    let points = |m: &MeasuredRun| m.points[row].map(|p| (p.0, p.1.min(1.0)));
     let errors = || marks.iter().filter_map(|m| Some(points(m)?.1)).chain([1e-4, 1.0]);
     let decades = |low: f64| (low.log10().ceil() as i32..=0).map(|p| 10f64.powi(p)).collect::<Vec<f64>>();
     let x = Axis::new(cost, Scale::Log, marks.iter().filter_map(|m| Some(points(m)?.0)));
     let y = Axis::new(what, Scale::Log, errors()).with_ticks(decades(errors().fold(1.0, f64::min)));
     let mut plot = Plot::new(title, x, y).sized(PANEL[0], PANEL[1]);
-    let told = |m: &&Mark| {
+    let told = |m: &&MeasuredRun| {
         let p = points(m)?;
         Some((p, format!("{} {}: {:.3} ms, {:.1e}", m.method, m.setting, p.0, p.1)))
     };

@@ -9,16 +9,16 @@ use std::time::Duration;
 use metasense_schemas::record::{Trial, TrialErrors};
 
 use super::queued::submit_shards;
-use super::{Args, Program, how, note_here, prepare, print, write_assignment};
+use super::{Args, Program, launch_config, note_here, prepare, print, write_assignment};
 use crate::cli::results::Results;
 use crate::cli::{Error, Format, design, run};
 use crate::cluster::home::attempts;
 use crate::cluster::merge::{Extent, Kind, merge};
-use crate::cluster::places::{self, Place};
+use crate::cluster::places::{self, HostSlot};
 use crate::cluster::queue::{self, Job, Notes, Queue, QueueError};
 use crate::cluster::submit::Submission;
 use crate::cluster::{Assignment, ranges};
-use crate::engine::{Again, Signals};
+use crate::engine::{RerunPolicy, Signals};
 use crate::exit::Exit;
 use crate::plan::{Plan, counted};
 use crate::rounds::{self, Runs};
@@ -33,7 +33,7 @@ const UNANSWERED_MOST: u32 = 60;
 pub(super) async fn execute(
     args: &Args,
     plan: Plan,
-    places: Vec<Place>,
+    places: Vec<HostSlot>,
     shards: u32,
     jobs: Vec<Job>,
     queue: &Queue,
@@ -44,7 +44,7 @@ pub(super) async fn execute(
         return Err(Error::Usage(why.into()));
     }
     let space = if args.goal { Some(design::space(&plan)?) } else { None };
-    let program = Program::own()?;
+    let program = Program::of_this_process()?;
     let mut submission = Submission { merges: false, ..args.submission(&plan, shards, &program)? };
     submission.cluster.clone_from(&queue.cluster);
     if args.dry_run {
@@ -69,8 +69,8 @@ pub(super) async fn execute(
         true => {
             shards.gather().await?;
             match &space {
-                Some(space) => rounds::search(shards, space, Again::default()).await?,
-                None => rounds::rounds(shards, Again::default()).await?,
+                Some(space) => rounds::search(shards, space, RerunPolicy::default()).await?,
+                None => rounds::rounds(shards, RerunPolicy::default()).await?,
             }
         }
     };
@@ -88,7 +88,7 @@ pub(super) async fn execute(
 struct Shards<'a> {
     plan: &'a Plan,
     submission: Submission,
-    places: Vec<Place>,
+    places: Vec<HostSlot>,
     notes: Notes,
     /// Jobs that may still be in a queue.
     jobs: Vec<Job>,
@@ -110,19 +110,20 @@ impl Runs for Shards<'_> {
         self.submission.shards * self.submission.workers()
     }
 
-    async fn found(&mut self) -> Result<Vec<TrialErrors>, Error> {
+    async fn trial_results(&mut self) -> Result<Vec<TrialErrors>, Error> {
         let mut store = Store::open(self.database()).await?;
-        let found = store.found().await;
+        let found = store.trial_errors().await;
         store.close().await?;
         Ok(found?)
     }
 
-    async fn reopen(&mut self, _: &[&str], _: Again) -> Result<(), Error> {
+    async fn reopen(&mut self, _: &[&str], _: RerunPolicy) -> Result<(), Error> {
         Ok(()) // `submit` refuses --retry-failed with rounds
     }
 
-    async fn run(&mut self, trials: &[Trial], _: Again) -> Result<Option<Outcome>, Error> {
-        let settled: HashSet<String> = self.found().await?.into_iter().map(|found| found.hash).collect();
+    async fn run(&mut self, trials: &[Trial], _: RerunPolicy) -> Result<Option<Outcome>, Error> {
+        let settled: HashSet<String> =
+            self.trial_results().await?.into_iter().map(|found| found.hash).collect();
         let open: Vec<Trial> =
             trials.iter().filter(|trial| !settled.contains(&trial.hash)).cloned().collect();
         if open.is_empty() {
@@ -140,7 +141,7 @@ impl Runs for Shards<'_> {
             self.jobs = submit_shards(&mut self.submission, &mut self.notes)?;
             self.wait().await?
         } else {
-            let how = how(&self.submission);
+            let how = launch_config(&self.submission);
             let ended = places::run(&self.places, &self.submission.which, &how, &mut self.signals, |line| {
                 say!("{line}")
             });

@@ -199,7 +199,7 @@ pub(super) async fn compare(
 /// has, because versions store different arrays.
 async fn differing(
     out: &mut SqliteConnection,
-    tables: &[Compared],
+    tables: &[TableComparison],
     copied: &DiscardedCopy,
 ) -> sqlx::Result<String> {
     let mut differ = vec![format!("CASE WHEN {SPECS_DIFFER} THEN 'spec ' ELSE '' END")];
@@ -212,19 +212,19 @@ async fn differing(
         "SELECT {} FROM src.trial o, main.trial m WHERE o.id = ?1 AND m.id = ?2",
         differ.join(" || ")
     );
-    let mut asked = vec![trial];
-    for Compared { table, keys, numbers } in tables {
+    let mut statements = vec![trial];
+    for TableComparison { table, keys, numbers } in tables {
         // a step that was repeated belongs to another attempt
         let attempt = if table == "step" && copied.contained { "AND o.attempt = m.attempt" } else { "" };
         let named = if table == "artifact" { "o.name" } else { &format!("'{table}'") };
-        asked.push(format!(
+        statements.push(format!(
             "SELECT coalesce(group_concat(name, ' '), '') FROM (SELECT DISTINCT {named} AS name
              FROM src.{table} o JOIN main.{table} m ON {keys} {attempt}
              WHERE o.trial_id = ?1 AND m.trial_id = ?2 AND ({numbers}) ORDER BY 1)"
         ));
     }
     let mut names = String::new();
-    for sql in asked {
+    for sql in statements {
         // Safe: contains only names of our own schema.
         let query = sqlx::query_scalar::<_, String>(AssertSqlSafe(sql)).bind(copied.old).bind(copied.new);
         names += &query.fetch_one(&mut *out).await?;
@@ -234,18 +234,18 @@ async fn differing(
 }
 
 /// A table to compare, with SQL conditions: whether rows of two copies correspond, and whether their numbers or bytes differ.
-struct Compared {
+struct TableComparison {
     table: String,
     keys: String,
     numbers: String,
 }
 
 /// The tables whose rows are compared.
-async fn compared(out: &mut SqliteConnection) -> sqlx::Result<Vec<Compared>> {
+async fn compared(out: &mut SqliteConnection) -> sqlx::Result<Vec<TableComparison>> {
     let mut compared = Vec::new();
     for (table, _) in copy::tables_of_trials(out).await? {
         if let Some((keys, numbers)) = numbers_of(out, &table).await? {
-            compared.push(Compared { table, keys, numbers });
+            compared.push(TableComparison { table, keys, numbers });
         }
     }
     Ok(compared)
@@ -281,13 +281,13 @@ pub(super) async fn missing_shards(out: &mut SqliteConnection) -> sqlx::Result<V
         .bind(Shard::MOST)
         .fetch_all(out)
         .await?;
-    let mut seen: BTreeMap<(i64, u32), (String, HashSet<u32>)> = BTreeMap::new();
+    let mut shards_of_sweep: BTreeMap<(i64, u32), (String, HashSet<u32>)> = BTreeMap::new();
     for (name, sweep, shards, shard) in rows {
-        seen.entry((sweep, shards)).or_insert_with(|| (name, HashSet::new())).1.insert(shard);
+        shards_of_sweep.entry((sweep, shards)).or_insert_with(|| (name, HashSet::new())).1.insert(shard);
     }
     let missing = |((_, count), (name, there)): ((i64, u32), (String, HashSet<u32>))| {
         let missing: Vec<u32> = (1..=count).filter(|i| !there.contains(i)).collect();
         (!missing.is_empty()).then_some((name, count, missing))
     };
-    Ok(seen.into_iter().filter_map(missing).collect())
+    Ok(shards_of_sweep.into_iter().filter_map(missing).collect())
 }

@@ -60,7 +60,7 @@ pub async fn contains(whole: &Path, part: &Path) -> sqlx::Result<bool> {
                 questions.push(format!(
                     "SELECT p.new, {} FROM src.{table} x LEFT JOIN temp.pair p ON p.old = x.{key}
                      EXCEPT SELECT {key}, {columns} FROM main.{table}",
-                    copy::of_x(&columns)
+                    copy::prefix_columns(&columns)
                 ));
             }
         }

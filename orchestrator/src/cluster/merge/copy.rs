@@ -100,15 +100,15 @@ pub(super) async fn verify(out: &mut SqliteConnection, input: usize, base: bool)
     } else {
         ""
     };
-    let of = |table: &str, name: &str| {
+    let damage_query = |table: &str, name: &str| {
         format!(
             "INSERT INTO temp.damage SELECT c.input, c.old, {name} FROM temp.candidate c CROSS JOIN src.{table} x ON x.trial_id = c.old
              WHERE c.input = ?1 {twice} AND x.digest IS NOT NULL AND x.digest <> blake3(x.bytes)"
         )
     };
     for sql in [
-        of("artifact", "x.name"),
-        of("checkpoint", "'checkpoint'"),
+        damage_query("artifact", "x.name"),
+        damage_query("checkpoint", "'checkpoint'"),
         "UPDATE temp.candidate SET reached = 0 WHERE input = ?1
            AND old IN (SELECT old FROM temp.damage WHERE input = ?1 AND what = 'checkpoint')"
             .to_owned(),
@@ -205,14 +205,14 @@ pub(super) async fn copy(
         format!(
             "INSERT INTO main.sweep (id, {sweep}) SELECT s.new, {} FROM temp.sweeps s JOIN src.sweep x ON x.id = s.old
              WHERE s.input = ?1 AND s.chosen",
-            of_x(&sweep)
+            prefix_columns(&sweep)
         ),
         format!(
             "INSERT INTO main.run (sweep_id, {run}) SELECT s.new, {} FROM temp.sweeps s
              JOIN src.run x ON x.sweep_id = s.old WHERE s.input = ?1
              ON CONFLICT DO UPDATE SET ended_at = excluded.ended_at, seconds = excluded.seconds, outcome = excluded.outcome,
                done = excluded.done, failed = excluded.failed WHERE ended_at IS NULL",
-            of_x(&run)
+            prefix_columns(&run)
         ),
         "INSERT INTO main.sweep_trial (sweep_id, trial_id, position)
          SELECT s.new, k.new, x.position FROM temp.sweeps s JOIN src.sweep_trial x ON x.sweep_id = s.old
@@ -225,7 +225,7 @@ pub(super) async fn copy(
             continue;
         }
         let columns = columns(out, &table, &key).await?;
-        let mut values = of_x(&columns);
+        let mut values = prefix_columns(&columns);
         if extent == Extent::Facts && table == "attempt" {
             for (column, value) in FROM_STEPS {
                 values = values.replace(&format!("x.\"{column}\""), value);
@@ -332,6 +332,6 @@ pub(super) async fn columns(out: &mut SqliteConnection, table: &str, but: &str) 
     Ok(names.iter().map(|name| format!("\"{name}\"")).collect::<Vec<_>>().join(", "))
 }
 
-pub(super) fn of_x(columns: &str) -> String {
+pub(super) fn prefix_columns(columns: &str) -> String {
     columns.split(", ").map(|name| format!("x.{name}")).collect::<Vec<_>>().join(", ")
 }

@@ -31,7 +31,7 @@ pub(super) struct Input {
 
 /// Why an input cannot be attached.
 #[derive(Debug)]
-pub(super) enum Refusal {
+pub(super) enum InputError {
     /// The input is faulty.
     Input(String),
     /// The disk, memory or descriptors are short.
@@ -40,7 +40,7 @@ pub(super) enum Refusal {
     Changed,
 }
 
-impl From<io::Error> for Refusal {
+impl From<io::Error> for InputError {
     fn from(e: io::Error) -> Self {
         match e.kind() {
             io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied => Self::Input(e.to_string()),
@@ -49,7 +49,7 @@ impl From<io::Error> for Refusal {
     }
 }
 
-impl From<StoreError> for Refusal {
+impl From<StoreError> for InputError {
     fn from(e: StoreError) -> Self {
         match e {
             StoreError::Sql { source, .. } if store::is_shortage(&source) => Self::Shortage(source),
@@ -61,9 +61,9 @@ impl From<StoreError> for Refusal {
 
 impl Input {
     /// Opens an input. `copy`: path for a copy if one is needed; `held`: writers are already excluded.
-    pub async fn open(named: &Path, copy: &Path, held: bool) -> Result<Self, Refusal> {
+    pub async fn open(named: &Path, copy: &Path, held: bool) -> Result<Self, InputError> {
         if !named.is_file() {
-            return Err(Refusal::Input("no such file".into()));
+            return Err(InputError::Input("no such file".into()));
         }
         let file = store::resolve_links(named);
         let lock = File::open(&file)?;
@@ -76,7 +76,7 @@ impl Input {
         } else if store::has_journal(&file) {
             match store::copy_with_journal(&file, copy) {
                 // a run has started since
-                Err(StoreError::InUse { .. }) => return Err(Refusal::Changed),
+                Err(StoreError::InUse { .. }) => return Err(InputError::Changed),
                 copied => copied?,
             }
             checkpoint_log(copy, true).await?;
@@ -96,14 +96,14 @@ impl Input {
     }
 
     /// Excludes writers while the handle exists; `None` for copies.
-    pub fn hold(&self) -> Result<Option<File>, Refusal> {
+    pub fn hold(&self) -> Result<Option<File>, InputError> {
         if self.path != self.file || self.held {
             return Ok(None);
         }
         let lock = File::open(&self.file)?;
         match files::is_held(&lock) || Some(state_of(&lock)?) != self.state || store::has_journal(&self.file)
         {
-            true => Err(Refusal::Changed),
+            true => Err(InputError::Changed),
             false => Ok(Some(lock)),
         }
     }

@@ -24,7 +24,7 @@ use crate::store::{self, StoreError};
 pub use compare::{Finding, Kind};
 pub use contains::contains;
 pub(super) use input::snapshot;
-use input::{Input, Refusal};
+use input::{Input, InputError};
 
 /// Which parts of a trial are merged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -195,7 +195,7 @@ async fn merge_in(
         .await
         .map_err(|e| if let StoreError::InUse { .. } = e { e.into() } else { of_result(e) })?;
     let ([facts, whole], known) =
-        made_of(out).await.map_err(|e| of_result(StoreError::sql(out, "reading", e)))?;
+        read_sources(out).await.map_err(|e| of_result(StoreError::sql(out, "reading", e)))?;
     match extent {
         Extent::Whole if facts => return Err(of_result(StoreError::FactsAlone { path: out.to_owned() })),
         Extent::Facts if whole => return Err(MergeError::NotFacts(out.to_owned())),
@@ -212,9 +212,9 @@ async fn merge_in(
         }
         match opened(&file, &mut copy, store::resolve_links(&file) == out).await {
             Ok(input) => inputs.push(input),
-            Err(Refusal::Shortage(source)) => return Err(stopped(&file, source)),
-            Err(Refusal::Input(why)) => summary.refused.push((file, why)),
-            Err(Refusal::Changed) => summary.refused.push((file, CHANGES.into())),
+            Err(InputError::Shortage(source)) => return Err(stopped(&file, source)),
+            Err(InputError::Input(why)) => summary.refused.push((file, why)),
+            Err(InputError::Changed) => summary.refused.push((file, CHANGES.into())),
         }
     }
     if summary.known > 0 && inputs.iter().all(|input| input.file == out) {
@@ -235,21 +235,21 @@ async fn merge_in(
         let base = inputs.iter().position(|input| input.file == out);
         let (i, why) = match build(&built, extent, base, &inputs, &mut summary).await {
             Ok(()) => break,
-            Err(Trouble::Output(source)) => {
+            Err(BuildError::Output(source)) => {
                 return Err(MergeError::Sql { path: out.to_owned(), source });
             }
-            Err(Trouble::Input(i, source)) if store::is_shortage(&source) => {
+            Err(BuildError::Input(i, source)) if store::is_shortage(&source) => {
                 return Err(stopped(&inputs[i].named, source));
             }
-            Err(Trouble::Input(i, source)) if Some(i) == base => {
+            Err(BuildError::Input(i, source)) if Some(i) == base => {
                 return Err(of_result(StoreError::sql(out, "reading", source)));
             }
-            Err(Trouble::Input(i, source)) => (i, format!("it cannot be read: {source}")),
-            Err(Trouble::Refused(i, Refusal::Shortage(source))) => {
+            Err(BuildError::Input(i, source)) => (i, format!("it cannot be read: {source}")),
+            Err(BuildError::Refused(i, InputError::Shortage(source))) => {
                 return Err(stopped(&inputs[i].named, source));
             }
-            Err(Trouble::Refused(i, Refusal::Input(why))) => (i, why),
-            Err(Trouble::Refused(i, Refusal::Changed)) => {
+            Err(BuildError::Refused(i, InputError::Input(why))) => (i, why),
+            Err(BuildError::Refused(i, InputError::Changed)) => {
                 // Read it as it is now; if a process writes to it, make a copy, which does not change.
                 match opened(&inputs[i].named, &mut copy, false).await {
                     Ok(input) => {
@@ -257,9 +257,9 @@ async fn merge_in(
                         std::fs::remove_file(&built).map_err(unwritable)?;
                         continue;
                     }
-                    Err(Refusal::Shortage(source)) => return Err(stopped(&inputs[i].named, source)),
-                    Err(Refusal::Input(why)) => (i, why),
-                    Err(Refusal::Changed) => (i, CHANGES.into()),
+                    Err(InputError::Shortage(source)) => return Err(stopped(&inputs[i].named, source)),
+                    Err(InputError::Input(why)) => (i, why),
+                    Err(InputError::Changed) => (i, CHANGES.into()),
                 }
             }
         };
@@ -277,10 +277,10 @@ const CHANGES: &str = "it keeps changing: merge again when runs and merges into 
 const LOOKS: usize = 5;
 
 /// Opens an input; retries if a run starts or ends on it meanwhile.
-async fn opened(file: &Path, copy: &mut impl FnMut() -> PathBuf, held: bool) -> Result<Input, Refusal> {
+async fn opened(file: &Path, copy: &mut impl FnMut() -> PathBuf, held: bool) -> Result<Input, InputError> {
     for _ in 1..LOOKS {
         match Input::open(file, &copy(), held).await {
-            Err(Refusal::Changed) => {}
+            Err(InputError::Changed) => {}
             input => return input,
         }
     }
@@ -310,9 +310,9 @@ async fn put_in_place(built: &Path, out: &Path, lock: &File) -> Result<(), Merge
 
 /// An error with its place: an input, or the result.
 #[derive(Debug)]
-enum Trouble {
+enum BuildError {
     Input(usize, sqlx::Error),
-    Refused(usize, Refusal),
+    Refused(usize, InputError),
     Output(sqlx::Error),
 }
 
@@ -323,11 +323,11 @@ async fn build(
     base: Option<usize>,
     inputs: &[Input],
     summary: &mut Summary,
-) -> Result<(), Trouble> {
+) -> Result<(), BuildError> {
     if let Some(i) = base {
-        std::fs::copy(&inputs[i].path, path).map_err(|e| Trouble::Output(e.into()))?;
+        std::fs::copy(&inputs[i].path, path).map_err(|e| BuildError::Output(e.into()))?;
     }
-    let mut out = copy::open(path).await.map_err(Trouble::Output)?;
+    let mut out = copy::open(path).await.map_err(BuildError::Output)?;
     for (i, input) in inputs.iter().enumerate() {
         let refused = attached(&mut out, i, input, async |out| {
             if let Some(column) = copy::foreign(out).await? {
@@ -341,7 +341,7 @@ async fn build(
             copy::survey(out, i).await.map(|()| None)
         });
         if let Some(why) = refused.await? {
-            return Err(Trouble::Refused(i, Refusal::Input(why)));
+            return Err(BuildError::Refused(i, InputError::Input(why)));
         }
     }
     if extent == Extent::Whole {
@@ -349,18 +349,18 @@ async fn build(
             attached(&mut out, i, input, async |out| copy::verify(out, i, Some(i) == base).await).await?;
         }
     }
-    copy::choose(&mut out, base, extent).await.map_err(Trouble::Output)?;
+    copy::choose(&mut out, base, extent).await.map_err(BuildError::Output)?;
     if let Some(base) = base {
-        copy::make_room(&mut out, base).await.map_err(Trouble::Output)?;
+        copy::make_room(&mut out, base).await.map_err(BuildError::Output)?;
     }
     for (i, input) in inputs.iter().enumerate().filter(|(i, _)| Some(*i) != base) {
         attached(&mut out, i, input, async |out| copy::copy(out, i, &input.file, extent).await).await?;
     }
-    copy::finish(&mut out).await.map_err(Trouble::Output)?;
+    copy::finish(&mut out).await.map_err(BuildError::Output)?;
     (summary.findings, summary.covered, summary.not_compared) = (Vec::new(), 0, 0);
     if extent == Extent::Whole {
-        compare::damaged(&mut out, inputs, summary).await.map_err(Trouble::Output)?;
-        let losers = compare::losers(&mut out).await.map_err(Trouble::Output)?;
+        compare::damaged(&mut out, inputs, summary).await.map_err(BuildError::Output)?;
+        let losers = compare::losers(&mut out).await.map_err(BuildError::Output)?;
         for (i, input) in inputs.iter().enumerate().filter(|(i, _)| losers.contains(i)) {
             attached(&mut out, i, input, async |out| compare::compare(out, i, inputs, summary).await).await?;
         }
@@ -370,21 +370,21 @@ async fn build(
     let is_said = |input: &Input| summary.findings.iter().any(|f| f.other == input.named);
     let noted = inputs.iter().filter(|input| !is_said(input));
     let noted = noted.filter_map(|input| Some((&*input.file, input.state.as_deref()?)));
-    copy::note(&mut out, noted).await.map_err(Trouble::Output)?;
-    summary.trials = copy::trials(&mut out).await.map_err(Trouble::Output)?;
-    summary.missing = compare::missing_shards(&mut out).await.map_err(Trouble::Output)?;
-    out.close().await.map_err(Trouble::Output)
+    copy::note(&mut out, noted).await.map_err(BuildError::Output)?;
+    summary.trials = copy::trials(&mut out).await.map_err(BuildError::Output)?;
+    summary.missing = compare::missing_shards(&mut out).await.map_err(BuildError::Output)?;
+    out.close().await.map_err(BuildError::Output)
 }
 
 /// Files in a result by real path, with their states at that time.
-type Known = HashMap<PathBuf, String>;
+type SourceStates = HashMap<PathBuf, String>;
 
 /// The extents of a result, as in [`copy::extents`], and its files.
-async fn made_of(out: &Path) -> sqlx::Result<([bool; 2], Known)> {
+async fn read_sources(out: &Path) -> sqlx::Result<([bool; 2], SourceStates)> {
     let sql = "SELECT file, state FROM source WHERE state IS NOT NULL";
     store::ask_unchanging(out, async |db| {
         if store::version(db).await? < MERGED {
-            return Ok(([false, out.metadata()?.len() > 0], Known::new()));
+            return Ok(([false, out.metadata()?.len() > 0], SourceStates::new()));
         }
         let rows: Vec<(String, String)> = sqlx::query_as(sql).fetch_all(&mut *db).await?;
         let known = rows.into_iter().map(|(file, state)| (file.into(), state)).collect();
@@ -402,13 +402,13 @@ async fn attached<T>(
     i: usize,
     input: &Input,
     work: impl AsyncFnOnce(&mut SqliteConnection) -> sqlx::Result<T>,
-) -> Result<T, Trouble> {
-    let _lock = input.hold().map_err(|why| Trouble::Refused(i, why))?;
-    let blame = |e: sqlx::Error| Trouble::Input(i, e);
+) -> Result<T, BuildError> {
+    let _lock = input.hold().map_err(|why| BuildError::Refused(i, why))?;
+    let blame = |e: sqlx::Error| BuildError::Input(i, e);
     sqlx::query("ATTACH ? AS src").bind(input.uri()).execute(&mut *out).await.map_err(blame)?;
     // After an error it may stay attached; then the built file is discarded.
     let done = work(out).await.map_err(blame)?;
-    sqlx::query("DETACH src").execute(&mut *out).await.map_err(Trouble::Output)?;
+    sqlx::query("DETACH src").execute(&mut *out).await.map_err(BuildError::Output)?;
     Ok(done)
 }
 

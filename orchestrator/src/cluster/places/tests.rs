@@ -14,7 +14,7 @@ fn hosts_are_read_with_their_places() {
 #[tokio::test]
 async fn shards_that_die_are_begun_again_and_a_machine_that_is_unfit_gets_no_more() {
     let folder = tempfile::tempdir().unwrap();
-    let how = How { folder: folder.path().to_owned(), shards: 9, options: Vec::new(), grace: 10.0 };
+    let how = LaunchConfig { folder: folder.path().to_owned(), shards: 9, options: Vec::new(), grace: 10.0 };
     let said = std::cell::RefCell::new(Vec::new());
     let run = async |script: &str, which: &[u32]| {
         said.borrow_mut().clear();
@@ -33,9 +33,9 @@ async fn shards_that_die_are_begun_again_and_a_machine_that_is_unfit_gets_no_mor
         (ended, calls)
     };
     let (ended, calls) = run("exit 0", &[1, 2, 3, 7]).await;
-    assert_eq!((ended, calls), (Ended::default(), vec![1, 2, 3, 7]));
+    assert_eq!((ended, calls), (ShardsOutcome::default(), vec![1, 2, 3, 7]));
     let (ended, calls) = run("[ $1 = 2 ] && kill -9 $$; [ $1 = 3 ] && exit 3; exit 1", &[1, 2, 3]).await;
-    assert_eq!(ended, Ended { left: vec![2, 3], failed: true, ..Ended::default() });
+    assert_eq!(ended, ShardsOutcome { unfinished: vec![2, 3], failed: true, ..ShardsOutcome::default() });
     assert_eq!(calls, [1, 2, 2, 2, 3]);
     // whatever an output contains, the shard's last message and the name of the file are printed
     std::fs::write(folder.path().join("shard-1-of-9.out"), "of an earlier attempt\n").unwrap();
@@ -48,6 +48,9 @@ async fn shards_that_die_are_begun_again_and_a_machine_that_is_unfit_gets_no_mor
     run("exit 3", &[2]).await;
     assert_eq!(told("is empty"), 1, "{said:?}");
     let (ended, calls) = run("exit 5", &[1, 2, 3, 4]).await;
-    assert_eq!(ended, Ended { left: vec![1, 2, 3, 4], deserted: true, ..Ended::default() });
+    assert_eq!(
+        ended,
+        ShardsOutcome { unfinished: vec![1, 2, 3, 4], deserted: true, ..ShardsOutcome::default() }
+    );
     assert_eq!(calls, [1, 2]);
 }

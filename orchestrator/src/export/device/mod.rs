@@ -7,11 +7,13 @@ use std::fmt::{Display, Write};
 
 use clap::ValueEnum;
 use metasense_worker::demands::Demands;
-use metasense_worker::replay::{Convolution, Integers, Own, Replay, Single, holdout_error, layers};
+use metasense_worker::replay::{
+    Convolution, Integers, Replay, ReplayDecoder, SinglePrecision, holdout_error, layers,
+};
 
 use super::{Fit, unreadable};
 use crate::analysis::Body;
-use crate::store::{StoreError, Stored};
+use crate::store::{StoreError, StoredTrial};
 
 /// Number of held-out samples in the file's test.
 const TESTED: usize = 2;
@@ -56,23 +58,23 @@ impl Numbers {
 /// # Errors
 /// If the trial cannot be computed again.
 pub fn c(
-    stored: &Stored,
+    stored: &StoredTrial,
     body: usize,
     fit: Fit,
-    (replay, own): &(Replay, Own),
+    (replay, own): &(Replay, ReplayDecoder),
     numbers: Numbers,
 ) -> Result<String, StoreError> {
     let spec = &stored.specs[body];
     let layers = layers(spec, own, replay).map_err(unreadable(stored))?;
     let [channels, panels] = [layers[0].inputs, layers[layers.len() - 1].outputs];
-    let single = Single::new(&layers);
+    let single = SinglePrecision::new(&layers);
     let integers = numbers.most().map(|most| Integers::new(&layers, most, replay));
     let error = |read: &dyn Fn(&[f64]) -> Vec<f32>| {
         holdout_error(replay, read).map_or("none".into(), |error| format!("{error:.3} %"))
     };
     let mut errors = format!("{} in f32", error(&|signals| single.read(signals)));
     let wide = integers.as_ref().is_some_and(|integers| integers.bound > i64::from(i32::MAX));
-    let said = match &integers {
+    let number_format = match &integers {
         None => "32-bit floats".to_owned(),
         Some(integers) => {
             write!(errors, ", {} in these integers", error(&|signals| integers.read(signals))).expect("text");
@@ -98,7 +100,7 @@ pub fn c(
      int brain_read(const float *reading, float *force);  1: force is that of BRAIN_DELAY readings ago; 0: not yet
      int brain_end(float *force);                      after the last reading, until it returns 0: the remaining forces
 
-   Numbers: {said}.
+   Numbers: {number_format}.
    Held-out error of the body as designed: {errors}.
    On a 32-bit device: constants {constants} bytes, memory {memory} bytes, {operations} multiply-adds per reading.
    To test: cc -std=c99 -O2 -DBRAIN_TEST brain.c -o brain && ./brain */

@@ -1,4 +1,4 @@
-use super::super::{Event, Mark, Outcome, Settings, WorkerId, on_event};
+use super::super::{Event, Outcome, RecordKind, Settings, WorkerId, on_event};
 use super::*;
 
 /// Records and answers are empty.
@@ -49,7 +49,7 @@ fn up(state: &mut State, event: Event<Nothing>) -> Actions {
     actions
 }
 
-fn steer(state: &mut State, command: Steer) -> (Answer, Actions) {
+fn steer(state: &mut State, command: Steer) -> (SteerAnswer, Actions) {
     let mut actions = up(state, Event::Steer(command, ()));
     let answer = |action: &Action<Nothing>| match action {
         Action::Answer((), answer) => Some(*answer),
@@ -71,7 +71,7 @@ const fn lease(trial: u32, attempt: u32) -> Lease {
 
 fn finish(state: &mut State, slot: u32, trial: u32) -> Actions {
     let mut actions = up(state, Event::Finished(id(slot), lease(trial, 1), ()));
-    actions.extend(up(state, Event::Recorded(lease(trial, 1), Mark::Result)));
+    actions.extend(up(state, Event::Recorded(lease(trial, 1), RecordKind::Result)));
     actions
 }
 
@@ -85,16 +85,16 @@ const fn failed(trial: u32, reason: Reason, settled: bool) -> Action<Nothing> {
 fn a_pause_takes_trials_back_and_hands_out_none() {
     let mut state = run(3, 2);
     let (answer, actions) = steer(&mut state, Steer::Pause);
-    assert_eq!(answer, Answer::Paused(2));
+    assert_eq!(answer, SteerAnswer::Paused(2));
     assert_eq!(actions, [Action::AskStop(id(0)), Action::AskStop(id(1))]);
-    assert_eq!(steer(&mut state, Steer::Pause), (Answer::Paused(2), vec![]), "nobody is asked twice");
+    assert_eq!(steer(&mut state, Steer::Pause), (SteerAnswer::Paused(2), vec![]), "nobody is asked twice");
     let back = up(&mut state, Event::Failed(id(0), lease(0, 1), Reason::Stopped));
     assert_eq!(back, [failed(0, Reason::Stopped, false)]);
     // this trial finished before the pause took effect
     assert_eq!(finish(&mut state, 1, 1), [Action::RecordResult(lease(1, 1), ())]);
     assert_eq!(up(&mut state, Event::Clock(60_000)), []);
     let (answer, actions) = steer(&mut state, Steer::Resume);
-    assert_eq!(answer, Answer::Resumed(2));
+    assert_eq!(answer, SteerAnswer::Resumed(2));
     assert_eq!(actions, [Action::Assign(id(0), lease(0, 2)), Action::Assign(id(1), lease(2, 1))]);
 }
 
@@ -117,22 +117,22 @@ fn a_trial_at_its_pause_is_over_for_this_run() {
 fn what_is_cancelled_is_recorded_and_not_given_out_again() {
     let mut state = run(5, 3);
     let waits = steer(&mut state, Steer::Cancel(4));
-    assert_eq!(waits, (Answer::Cancelled(false), vec![Action::RecordCancelled(lease(4, 0))]));
+    assert_eq!(waits, (SteerAnswer::Cancelled(false), vec![Action::RecordCancelled(lease(4, 0))]));
     for slot in 0..3 {
         let (answer, actions) = steer(&mut state, Steer::Cancel(slot));
-        assert_eq!((answer, &actions[..]), (Answer::Cancelled(true), &[Action::AskStop(id(slot))][..]));
+        assert_eq!((answer, &actions[..]), (SteerAnswer::Cancelled(true), &[Action::AskStop(id(slot))][..]));
     }
     let stopped = up(&mut state, Event::Failed(id(0), lease(0, 1), Reason::Stopped));
     assert_eq!(stopped, [failed(0, Reason::Cancelled, true), Action::Assign(id(0), lease(3, 1))]);
     let died = up(&mut state, Event::Lost(id(1), Reason::WorkerKilled(9)));
     assert_eq!(died, [failed(1, Reason::Cancelled, true)]);
     assert_eq!(finish(&mut state, 2, 2)[0], Action::RecordResult(lease(2, 1), ()));
-    let refused = |why| (Answer::Refused(why), vec![]);
-    assert_eq!(steer(&mut state, Steer::Cancel(2)), refused(Refusal::Done));
-    assert_eq!(steer(&mut state, Steer::Cancel(4)), refused(Refusal::Failed(Reason::Cancelled)));
-    assert_eq!(steer(&mut state, Steer::Next(0)), refused(Refusal::Failed(Reason::Cancelled)));
+    let refused = |why| (SteerAnswer::Refused(why), vec![]);
+    assert_eq!(steer(&mut state, Steer::Cancel(2)), refused(SteerRefusal::Done));
+    assert_eq!(steer(&mut state, Steer::Cancel(4)), refused(SteerRefusal::Failed(Reason::Cancelled)));
+    assert_eq!(steer(&mut state, Steer::Next(0)), refused(SteerRefusal::Failed(Reason::Cancelled)));
     for trial in [0, 1, 4] {
-        up(&mut state, Event::Recorded(lease(trial, 1), Mark::Failure));
+        up(&mut state, Event::Recorded(lease(trial, 1), RecordKind::Failure));
     }
     let last = finish(&mut state, 0, 3);
     assert!(!last.iter().any(|a| matches!(a, Action::Assign(..) | Action::Spawn(_))), "{last:?}");
@@ -144,9 +144,9 @@ fn what_is_cancelled_is_recorded_and_not_given_out_again() {
 #[test]
 fn what_is_to_be_next_goes_first() {
     let mut state = run(5, 1);
-    assert_eq!(steer(&mut state, Steer::Next(0)), (Answer::Refused(Refusal::Running), vec![]));
+    assert_eq!(steer(&mut state, Steer::Next(0)), (SteerAnswer::Refused(SteerRefusal::Running), vec![]));
     for trial in [4, 3] {
-        assert_eq!(steer(&mut state, Steer::Next(trial)), (Answer::Next(false), vec![]));
+        assert_eq!(steer(&mut state, Steer::Next(trial)), (SteerAnswer::Next(false), vec![]));
     }
     let next = |state: &mut State, trial| {
         finish(state, 0, trial).into_iter().find(|action| matches!(action, Action::Assign(..)))
@@ -158,11 +158,11 @@ fn what_is_to_be_next_goes_first() {
     state.settings.retries = 1;
     up(&mut state, Event::Lost(id(0), Reason::WorkerKilled(11)));
     let (answer, _) = steer(&mut state, Steer::Next(0));
-    assert_eq!(answer, Answer::Next(false));
+    assert_eq!(answer, SteerAnswer::Next(false));
     assert!(matches!(state.phase(0), Phase::Running(_)) || state.ready.first() == Some(&(-1, 0)));
     // with one body for all trials, the second waits until the first has trained it
     let mut state = run_of(&[Prior { trained: false, ..ALONE }; 3], 2);
-    assert_eq!(steer(&mut state, Steer::Next(2)).0, Answer::Next(true));
+    assert_eq!(steer(&mut state, Steer::Next(2)).0, SteerAnswer::Next(true));
 }
 
 /// New workers start at once, also in slots that were given up; of surplus workers, idle ones end first, then the first to
@@ -171,14 +171,14 @@ fn what_is_to_be_next_goes_first() {
 fn workers_become_more_and_fewer() {
     let mut state = run(6, 1);
     let (answer, actions) = steer(&mut state, Steer::Workers(3));
-    assert_eq!(answer, Answer::Workers([1, 3]));
+    assert_eq!(answer, SteerAnswer::Workers([1, 3]));
     assert_eq!(actions[..2], [Action::Spawn(id(1)), Action::Spawn(id(2))]);
     assert_eq!((state.busy(), state.waiting()), (3, 3));
     // one worker becomes idle in a pause
     steer(&mut state, Steer::Pause);
     finish(&mut state, 1, 1);
     let (answer, actions) = steer(&mut state, Steer::Workers(1));
-    assert_eq!((answer, &actions[..]), (Answer::Workers([3, 1]), &[Action::Close(id(1))][..]));
+    assert_eq!((answer, &actions[..]), (SteerAnswer::Workers([3, 1]), &[Action::Close(id(1))][..]));
     assert_eq!(finish(&mut state, 2, 2), [Action::RecordResult(lease(2, 1), ()), Action::Close(id(2))]);
     steer(&mut state, Steer::Resume);
     let next = finish(&mut state, 0, 0);
@@ -199,21 +199,21 @@ fn added_trials_are_run() {
     assert_eq!(ended[1..], [Action::Close(id(0))]);
     let priors = [Prior { attempts: 4, ..ALONE }, ALONE];
     let (answer, actions) = steer(&mut state, Steer::Add(priors.to_vec()));
-    assert_eq!((answer, actions), (Answer::Added(2), vec![]));
+    assert_eq!((answer, actions), (SteerAnswer::Added(2), vec![]));
     let actions = up(&mut state, Event::Lost(id(0), Reason::WorkerExited(0)));
     let worker = WorkerId { slot: 0, generation: 2 };
     assert_eq!(actions, [Action::Spawn(worker), Action::Assign(worker, lease(1, 5))]);
     assert_eq!(state.waiting(), 1);
     let (answer, actions) = steer(&mut state, Steer::Stop);
-    assert_eq!((answer, &actions[..]), (Answer::Stopping(1, 2_500), &[Action::AskStop(worker)][..]));
+    assert_eq!((answer, &actions[..]), (SteerAnswer::Stopping(1, 2_500), &[Action::AskStop(worker)][..]));
     for command in
         [Steer::Stop, Steer::Pause, Steer::Resume, Steer::Cancel(2), Steer::Next(2), Steer::Workers(9)]
     {
-        assert_eq!(steer(&mut state, command), (Answer::Refused(Refusal::Stopping), vec![]));
+        assert_eq!(steer(&mut state, command), (SteerAnswer::Refused(SteerRefusal::Stopping), vec![]));
     }
-    assert_eq!(steer(&mut state, Steer::Add(vec![ALONE])).0, Answer::Added(1));
+    assert_eq!(steer(&mut state, Steer::Add(vec![ALONE])).0, SteerAnswer::Added(1));
     up(&mut state, Event::Failed(worker, lease(1, 5), Reason::Stopped));
-    up(&mut state, Event::Recorded(lease(1, 5), Mark::Failure));
+    up(&mut state, Event::Recorded(lease(1, 5), RecordKind::Failure));
     let ended = up(&mut state, Event::Lost(worker, Reason::WorkerExited(0)));
     assert_eq!(ended, [Action::End(Outcome::Interrupted)]);
 }
@@ -245,7 +245,7 @@ fn a_shortage_is_waited_out_and_charged_to_no_trial() {
     for wait in [500, 1000] {
         let short = up(&mut state, Event::Failed(id(0), lease(0, attempt), Reason::Shortage));
         assert!(matches!(short[..], [Action::RecordFailure { settled: false, .. }]), "{short:?}");
-        up(&mut state, Event::Recorded(lease(0, attempt), Mark::Failure));
+        up(&mut state, Event::Recorded(lease(0, attempt), RecordKind::Failure));
         assert_eq!(up(&mut state, Event::Clock(now + wait - 1)), []);
         now += wait;
         attempt += 1;
@@ -254,7 +254,7 @@ fn a_shortage_is_waited_out_and_charged_to_no_trial() {
     let mut further = state.clone();
     let last = up(&mut state, Event::Failed(id(0), lease(0, attempt), Reason::Shortage));
     assert!(matches!(last[..], [Action::RecordFailure { settled: false, .. }, Action::Close(_)]), "{last:?}");
-    up(&mut state, Event::Recorded(lease(0, attempt), Mark::Failure));
+    up(&mut state, Event::Recorded(lease(0, attempt), RecordKind::Failure));
     let ended = up(&mut state, Event::Lost(id(0), Reason::WorkerExited(0)));
     assert_eq!(ended, [Action::End(Outcome::Unfit(Reason::Shortage))]);
     assert_eq!(state.phase(0), Phase::Pending);

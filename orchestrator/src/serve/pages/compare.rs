@@ -9,7 +9,7 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::trial::{Trial, curves};
-use super::{Served, framed, to_trial};
+use super::{ServerState, framed, to_trial};
 use crate::analysis::compare::Comparison;
 use crate::analysis::setting::flatten;
 use crate::look::short_hash;
@@ -17,12 +17,12 @@ use crate::look::{Figure, Table, legend, number, row};
 use crate::plan::counted;
 use crate::report::body;
 use crate::report::load::finished_trials;
-use crate::serve::{Refusal, file_of};
+use crate::serve::{PageError, file_of};
 use crate::store::Reader;
 
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
-pub struct Asked {
+pub struct CompareQuery {
     a: String,
     b: String,
     /// Number of the other database.
@@ -30,10 +30,10 @@ pub struct Asked {
 }
 
 pub async fn page(
-    State(served): State<Arc<Served>>,
+    State(served): State<Arc<ServerState>>,
     Path(at): Path<String>,
-    Query(asked): Query<Asked>,
-) -> Result<Html<String>, Refusal> {
+    Query(asked): Query<CompareQuery>,
+) -> Result<Html<String>, PageError> {
     let other = if asked.with.is_empty() { at.clone() } else { asked.with.clone() };
     let shown = match [asked.a.trim(), asked.b.trim()] {
         ["", ""] if other == at => Ok(html! {}),
@@ -44,7 +44,7 @@ pub async fn page(
         [a, b] => trials(&served, [&at, &other], [a, b]).await,
     };
     let shown = match shown {
-        Err(Refusal::Asked(why)) => html! { p class="trouble" role="alert" { (why) } },
+        Err(PageError::Asked(why)) => html! { p class="trouble" role="alert" { (why) } },
         other => other?,
     };
     let content = html! {
@@ -69,7 +69,7 @@ pub async fn page(
     framed(&served, &at, "compare", "Compare", None, &content)
 }
 
-async fn databases(served: &Served, first: &str, second: &str) -> Result<Markup, Refusal> {
+async fn databases(served: &ServerState, first: &str, second: &str) -> Result<Markup, PageError> {
     let _turn = served.questions.acquire().await.expect("it is never closed");
     let mut trials = Vec::new();
     for at in [first, second] {
@@ -84,7 +84,7 @@ async fn databases(served: &Served, first: &str, second: &str) -> Result<Markup,
         (found.pairs.len(), found.alone, differs, found.table())
     };
     let worked = tokio::task::spawn_blocking(work).await;
-    let (pairs, alone, differs, table) = worked.map_err(|e| Refusal::Asked(e.to_string()))?;
+    let (pairs, alone, differs, table) = worked.map_err(|e| PageError::Asked(e.to_string()))?;
     Ok(html! {
         p role="status" { (counted(pairs, "pair")) "; without a partner: " (alone[0]) " and " (alone[1]) "." }
         @for (path, a, b) in &differs { p class="quiet" { (path) ": " (a) " and " (b) } }
@@ -94,7 +94,7 @@ async fn databases(served: &Served, first: &str, second: &str) -> Result<Markup,
     })
 }
 
-async fn trials(served: &Served, at: [&str; 2], hashes: [&str; 2]) -> Result<Markup, Refusal> {
+async fn trials(served: &ServerState, at: [&str; 2], hashes: [&str; 2]) -> Result<Markup, PageError> {
     let mut found = Vec::new();
     for (at, hash) in at.into_iter().zip(hashes) {
         let db = file_of(served, at).await?;

@@ -9,16 +9,16 @@ use axum::response::Html;
 use maud::html;
 use serde::Deserialize;
 
-use super::{Served, framed, live, query, to_trial, trouble};
-use crate::analysis::kinds::{brains, in_words};
+use super::{ServerState, framed, live, query, to_trial, trouble};
+use crate::analysis::kinds::{brains, format_brains};
 use crate::analysis::numbers::geometric_mean;
 use crate::cell::plain;
 use crate::look::Picture;
 use crate::look::grid::{Cell, grid};
 use crate::look::number;
 use crate::plan::counted;
-use crate::serve::trials::Row;
-use crate::serve::{Refusal, source};
+use crate::serve::trials::TrialRow;
+use crate::serve::{PageError, source};
 
 /// Quantities that colour cells, with their descriptions.
 const BY: [(&str, &str); 5] = [
@@ -33,17 +33,17 @@ const MOST: usize = 60;
 
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
-pub struct Asked {
+pub struct MapQuery {
     q: String,
     by: String,
 }
 
 pub async fn page(
-    State(served): State<Arc<Served>>,
+    State(served): State<Arc<ServerState>>,
     Path(at): Path<String>,
-    Query(asked): Query<Asked>,
-) -> Result<Html<String>, Refusal> {
-    let seen = source(&served, &at)?.now().await;
+    Query(asked): Query<MapQuery>,
+) -> Result<Html<String>, PageError> {
+    let seen = source(&served, &at)?.current_state().await;
     let by = BY.iter().find(|(key, _)| *key == asked.by).unwrap_or(&BY[0]);
     let (found, wrong) = seen.trials.asked(&asked.q, "");
     let (pictures, left) = grids(&at, &found, by.0);
@@ -72,7 +72,7 @@ pub async fn page(
 }
 
 /// Filter conditions for a cell's kind of placement, decoders and objective.
-fn alike(row: &Row) -> String {
+fn alike(row: &TrialRow) -> String {
     let said = |path| Some(row.cell(path)).filter(|v| !v.is_null()).map(|v| format!(" {path}={}", plain(&v)));
     ["sensors.search", "brain.kind", "optimise.brain", "optimise.objective", "optimise.objective.cvar"]
         .into_iter()
@@ -81,32 +81,33 @@ fn alike(row: &Row) -> String {
 }
 
 /// The grids, and the number of omitted ones.
-fn grids(at: &str, found: &[&Arc<Row>], by: &str) -> (Vec<Picture>, usize) {
-    type Cells = BTreeMap<(u64, u64), Vec<Arc<Row>>>;
-    let mut of: BTreeMap<(u64, u64, &str, [String; 2]), Cells> = BTreeMap::new();
-    let whole = |row: &Row, name| row.number(name).unwrap_or(0.0) as u64;
+fn grids(at: &str, found: &[&Arc<TrialRow>], by: &str) -> (Vec<Picture>, usize) {
+    type Cells = BTreeMap<(u64, u64), Vec<Arc<TrialRow>>>;
+    let mut cells_by_grid: BTreeMap<(u64, u64, &str, [String; 2]), Cells> = BTreeMap::new();
+    let whole = |row: &TrialRow, name| row.number(name).unwrap_or(0.0) as u64;
     for row in found {
         let placed = row.setting.get("sensors.search").and_then(|v| v.as_str()).unwrap_or("random");
         let brains = brains(&row.setting);
         let key = (whole(row, "K"), whole(row, "units"), placed, brains);
         let cell = (whole(row, "placement"), whole(row, "M"));
-        of.entry(key).or_default().entry(cell).or_default().push(Arc::clone(row));
+        cells_by_grid.entry(key).or_default().entry(cell).or_default().push(Arc::clone(row));
     }
-    let value = |rows: &[Arc<Row>]| {
-        let one = |row: &Arc<Row>| match by {
+    let value = |rows: &[Arc<TrialRow>]| {
+        let one = |row: &Arc<TrialRow>| match by {
             "gain" => Some(row.number("holdout_initial")? / row.number("holdout_optimised")?),
             _ => row.number(by),
         };
         let values: Vec<f64> = rows.iter().filter_map(one).filter(|x| x.is_finite() && *x > 0.0).collect();
         (!values.is_empty()).then(|| geometric_mean(&values))
     };
-    let all: Vec<f64> = of.values().flat_map(BTreeMap::values).filter_map(|rows| value(rows)).collect();
+    let all: Vec<f64> =
+        cells_by_grid.values().flat_map(BTreeMap::values).filter_map(|rows| value(rows)).collect();
     let [least, most] =
         [all.iter().copied().fold(f64::INFINITY, f64::min), all.iter().copied().fold(0.0, f64::max)];
     let part = |x: f64| if most > least { (x / least).ln() / (most / least).ln() } else { 0.5 };
-    let left = of.len().saturating_sub(MOST);
+    let omitted_count = cells_by_grid.len().saturating_sub(MOST);
     let picture = |((panels, units, placed, brains), cells): (&(u64, u64, &str, [String; 2]), &Cells)| {
-        let who = in_words(brains);
+        let who = format_brains(brains);
         let title = format!("K = {panels}, {}, sensors {placed}, {who}", counted(*units as usize, "unit"));
         let axis = |pick: fn(&(u64, u64)) -> u64| -> Vec<u64> {
             cells.keys().map(pick).collect::<BTreeSet<_>>().into_iter().take(MOST).collect()
@@ -140,5 +141,5 @@ fn grids(at: &str, found: &[&Arc<Row>], by: &str) -> (Vec<Picture>, usize) {
         let names = |axis: &[u64]| axis.iter().map(u64::to_string).collect::<Vec<_>>();
         grid(&title, ("sensors M", &names(&across)), ("placement", &names(&down)), &rows)
     };
-    (of.iter().take(MOST).map(picture).collect(), left)
+    (cells_by_grid.iter().take(MOST).map(picture).collect(), omitted_count)
 }

@@ -14,7 +14,7 @@ use axum::response::{Html, IntoResponse, Redirect, Response};
 use maud::{Markup, html};
 use serde_json::Value;
 
-use super::{Refusal, Seen, Served, source};
+use super::{DatabaseState, PageError, ServerState, source};
 use crate::exit::chain;
 use crate::look::{Encoded, document};
 use crate::store::StoreError;
@@ -27,7 +27,7 @@ const TABS: [(&str, &str); 5] =
 const TRIAL: &str = "trial";
 
 /// The first page: the only database, or a list of all.
-pub async fn home(State(served): State<Arc<Served>>) -> Response {
+pub async fn home(State(served): State<Arc<ServerState>>) -> Response {
     if served.sources.len() == 1 {
         return Redirect::to("./0/").into_response();
     }
@@ -65,13 +65,13 @@ fn head(up: &str, steers: bool) -> Markup {
 /// A page of a database. An empty `tab` is the overview, `TRIAL` a trial's page, one folder further down. `live`: the generation
 /// that the page shows, if the page updates itself.
 fn framed(
-    served: &Served,
+    served: &ServerState,
     number: &str,
     tab: &str,
     title: &str,
     live: Option<u64>,
     content: &Markup,
-) -> Result<Html<String>, Refusal> {
+) -> Result<Html<String>, PageError> {
     let name = &source(served, number)?.name;
     let own = if tab == TRIAL { "../" } else { "" };
     let up = format!("{own}../");
@@ -101,7 +101,7 @@ fn live(id: &str, content: &Markup) -> Markup {
 }
 
 /// Why data are missing.
-fn trouble(seen: &Seen) -> Markup {
+fn trouble(seen: &DatabaseState) -> Markup {
     html! {
         @if let Some(why) = &seen.read_error { p class="trouble" role="alert" { (why) } }
         @else if seen.checked.is_none() { p class="quiet" { "The database is being read …" } }
@@ -122,7 +122,7 @@ fn trial_links(number: &str) -> impl Fn(&str, &Value) -> Option<String> {
     }
 }
 
-impl From<StoreError> for Refusal {
+impl From<StoreError> for PageError {
     fn from(error: StoreError) -> Self {
         Self::Asked(chain(&error))
     }

@@ -6,17 +6,17 @@ use axum::extract::{Path, State};
 use axum::response::Html;
 use maud::{Markup, html};
 
-use super::{Seen, Served, framed, live, trial_links, trouble};
+use super::{DatabaseState, ServerState, framed, live, trial_links, trouble};
 use crate::look::{answers, number};
 use crate::plan::counted;
 use crate::serve::steer::of_run;
-use crate::serve::{Refusal, source};
+use crate::serve::{PageError, source};
 
 pub async fn page(
-    State(served): State<Arc<Served>>,
+    State(served): State<Arc<ServerState>>,
     Path(at): Path<String>,
-) -> Result<Html<String>, Refusal> {
-    let seen = source(&served, &at)?.now().await;
+) -> Result<Html<String>, PageError> {
+    let seen = source(&served, &at)?.current_state().await;
     let parts = [
         ("workers", workers(&at, &seen)),
         ("failures", failures(&at, &seen)),
@@ -31,7 +31,7 @@ pub async fn page(
     framed(&served, &at, "", "Overview", Some(seen.generation), &content)
 }
 
-fn progress(seen: &Seen) -> Markup {
+fn progress(seen: &DatabaseState) -> Markup {
     let progress = &seen.progress;
     html! {
         (trouble(seen))
@@ -55,7 +55,7 @@ fn progress(seen: &Seen) -> Markup {
     }
 }
 
-fn workers(at: &str, seen: &Seen) -> Markup {
+fn workers(at: &str, seen: &DatabaseState) -> Markup {
     html! {
         @if !seen.progress.workers.rows.is_empty() {
             h2 { "Workers" }
@@ -64,7 +64,7 @@ fn workers(at: &str, seen: &Seen) -> Markup {
     }
 }
 
-fn failures(at: &str, seen: &Seen) -> Markup {
+fn failures(at: &str, seen: &DatabaseState) -> Markup {
     html! {
         @if !seen.failures.rows.is_empty() {
             h2 { "Failures" }
@@ -76,14 +76,14 @@ fn failures(at: &str, seen: &Seen) -> Markup {
     }
 }
 
-fn answered(seen: &Seen) -> Markup {
+fn answered(seen: &DatabaseState) -> Markup {
     let found = &seen.answers;
     let drawn = |name: &str| found.figures.iter().any(|figure| figure.name == name);
     html! {
-        @if found.of > 0 {
+        @if found.trial_count > 0 {
             h2 { "Answers so far" }
             p class="quiet" {
-                "Of " (counted(found.of, "trial")) " that " (if found.of == 1 { "is" } else { "are" })
+                "Of " (counted(found.trial_count, "trial")) " that " (if found.trial_count == 1 { "is" } else { "are" })
                 " done. Intervals are over placements and seeds, because trials that share these are not independent."
             }
             (answers(found.said.iter().filter(|answer| !drawn(answer.figure))))
@@ -93,7 +93,7 @@ fn answered(seen: &Seen) -> Markup {
     }
 }
 
-fn runs(seen: &Seen) -> Markup {
+fn runs(seen: &DatabaseState) -> Markup {
     html! {
         @if !seen.runs.rows.is_empty() {
             h2 { "Runs" }

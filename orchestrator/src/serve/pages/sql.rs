@@ -11,9 +11,9 @@ use metasense_schemas::database::VIEWS;
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::{Served, framed, query, trial_links};
+use super::{ServerState, framed, query, trial_links};
 use crate::look::{Axis, Format, Plot, Scale, Table, lines};
-use crate::serve::{Refusal, file_of};
+use crate::serve::{PageError, file_of};
 use crate::store::{Limits, Reader};
 
 /// Limits of an answer on a page, and in a file.
@@ -24,26 +24,26 @@ const FIRST: &str = "SELECT sensors, avg(holdout_error_initial), avg(holdout_err
 
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
-pub struct Asked {
+pub struct SqlQuery {
     q: String,
     x: String,
     y: String,
 }
 
 pub async fn page(
-    State(served): State<Arc<Served>>,
+    State(served): State<Arc<ServerState>>,
     Path(at): Path<String>,
-    Query(asked): Query<Asked>,
-) -> Result<Html<String>, Refusal> {
+    Query(asked): Query<SqlQuery>,
+) -> Result<Html<String>, PageError> {
     let answer = match asked.q.trim() {
         "" => None,
         sql => Some(answer(&served, &at, sql, PAGE, false).await),
     };
     let shown = match answer {
         None => html! {},
-        Some(Err(Refusal::Asked(why))) => html! { p class="trouble" role="alert" { (why) } },
+        Some(Err(PageError::Asked(why))) => html! { p class="trouble" role="alert" { (why) } },
         Some(Err(refusal)) => return Err(refusal),
-        Some(Ok(Answered { table, cut, .. })) => html! {
+        Some(Ok(SqlAnswer { table, cut, .. })) => html! {
             p role="status" {
                 (table.rows.len()) " rows" @if let Some(why) = cut { "; incomplete: " (why) } ". As a file: "
                 a href=(format!("sql.csv{}", query(&[("q", &asked.q)]))) download="answer.csv" { "CSV" } " "
@@ -67,38 +67,38 @@ pub async fn page(
 }
 
 pub async fn csv(
-    State(served): State<Arc<Served>>,
+    State(served): State<Arc<ServerState>>,
     Path(at): Path<String>,
-    Query(asked): Query<Asked>,
-) -> Result<Response, Refusal> {
+    Query(asked): Query<SqlQuery>,
+) -> Result<Response, PageError> {
     file(&served, &at, &asked.q, Format::Csv, "text/csv; charset=utf-8").await
 }
 
 pub async fn parquet(
-    State(served): State<Arc<Served>>,
+    State(served): State<Arc<ServerState>>,
     Path(at): Path<String>,
-    Query(asked): Query<Asked>,
-) -> Result<Response, Refusal> {
+    Query(asked): Query<SqlQuery>,
+) -> Result<Response, PageError> {
     file(&served, &at, &asked.q, Format::Parquet, "application/vnd.apache.parquet").await
 }
 
 /// An answer as a file. Refuses incomplete answers, because a file cannot show that it was cut.
 async fn file(
-    served: &Served,
+    served: &ServerState,
     at: &str,
     sql: &str,
     format: Format,
     kind: &'static str,
-) -> Result<Response, Refusal> {
-    let Answered { table, cut, types } = answer(served, at, sql, FILE, format == Format::Parquet).await?;
+) -> Result<Response, PageError> {
+    let SqlAnswer { table, cut, types } = answer(served, at, sql, FILE, format == Format::Parquet).await?;
     if let Some(why) = cut {
-        return Err(Refusal::Asked(format!("{why}. For more, use `metasense query`.")));
+        return Err(PageError::Asked(format!("{why}. For more, use `metasense query`.")));
     }
     let file = if format == Format::Parquet { table.parquet(&types) } else { table.written(format) };
     Ok(([(header::CONTENT_TYPE, kind)], file).into_response())
 }
 
-struct Answered {
+struct SqlAnswer {
     table: Table,
     /// Why it is incomplete.
     cut: Option<String>,
@@ -107,12 +107,12 @@ struct Answered {
 }
 
 async fn answer(
-    served: &Served,
+    served: &ServerState,
     at: &str,
     sql: &str,
     limits: Limits,
     typed: bool,
-) -> Result<Answered, Refusal> {
+) -> Result<SqlAnswer, PageError> {
     let db = file_of(served, at).await?;
     let turn = Arc::clone(&served.questions).acquire_owned().await.expect("it is never closed");
     let sql = sql.to_owned();
@@ -123,16 +123,16 @@ async fn answer(
         let types = if typed && answer.is_ok() { reader.types(&sql).await } else { Vec::new() };
         reader.close().await;
         drop(turn);
-        answer.map(|(table, cut)| Answered { table, cut, types })
+        answer.map(|(table, cut)| SqlAnswer { table, cut, types })
     });
     match tokio::time::timeout(2 * limits.time, answering).await {
         Ok(answered) => Ok(answered.unwrap_or_else(|panic| std::panic::resume_unwind(panic.into_panic()))?),
-        Err(_) => Err(Refusal::Asked("the statement took too long".into())),
+        Err(_) => Err(PageError::Asked("the statement took too long".into())),
     }
 }
 
 /// A plot of two numeric columns.
-fn plot(asked: &Asked, table: &Table) -> Markup {
+fn plot(asked: &SqlQuery, table: &Table) -> Markup {
     let numeric = |i: &usize| table.rows.iter().any(|row| row[*i].is_number());
     let columns: Vec<usize> = (0..table.columns.len()).filter(numeric).collect();
     if columns.len() < 2 {
@@ -182,7 +182,7 @@ fn shown(columns: &[String]) -> String {
 }
 
 /// The views for users, with their columns.
-async fn views(served: &Served, at: &str) -> Result<Markup, Refusal> {
+async fn views(served: &ServerState, at: &str) -> Result<Markup, PageError> {
     let db = file_of(served, at).await?;
     let mut reader = Reader::confined(&db).await?;
     let mut columns = Vec::new();

@@ -10,7 +10,7 @@ use metasense_worker::replay::drawing;
 use metasense_worker::simulate;
 use serde::Deserialize;
 
-use super::{Served, framed, live, query, trouble};
+use super::{ServerState, framed, live, query, trouble};
 use crate::analysis::setting::flatten;
 use crate::look::body::Sketch;
 use crate::look::short_hash;
@@ -22,8 +22,8 @@ use crate::report::body::{self, sketch};
 use crate::report::load::PARTS;
 use crate::report::samples::Replayed;
 use crate::serve::steer::of_trial;
-use crate::serve::{Refusal, Seen, source};
-use crate::store::{Reader, StoreError, Stored, quoted};
+use crate::serve::{DatabaseState, PageError, source};
+use crate::store::{Reader, StoreError, StoredTrial, quoted};
 
 /// Stored data of a trial.
 #[derive(Debug)]
@@ -47,7 +47,7 @@ pub(super) struct Trial {
     /// Known designs during training, each after so many outer steps; the initial design first.
     pub course: Vec<(u32, TrialSpec, Vec<f64>)>,
     /// The stored trial, if it contains both bodies.
-    pub stored: Option<Stored>,
+    pub stored: Option<StoredTrial>,
 }
 
 /// Columns of a trial; below, of its attempts.
@@ -67,15 +67,15 @@ impl Trial {
     /// Reads a trial.
     pub async fn read(reader: &mut Reader, hash: &str) -> Result<Self, StoreError> {
         let hash = reader.hash_of(hash).await?;
-        if let Some(mut rest) = reader.open_source_of(&hash).await? {
-            let trial = Box::pin(Self::read(&mut rest, &hash)).await;
-            rest.close().await;
+        if let Some(mut source_reader) = reader.open_source_of(&hash).await? {
+            let trial = Box::pin(Self::read(&mut source_reader, &hash)).await;
+            source_reader.close().await;
             return trial;
         }
-        let of = format!("WHERE hash = {}", quoted(&hash));
-        let moves = format!("SELECT result->>'$.moves' FROM trial {of}");
+        let hash_filter = format!("WHERE hash = {}", quoted(&hash));
+        let moves = format!("SELECT result->>'$.moves' FROM trial {hash_filter}");
         let mut ask = async |what: &str, from: &str, more: &str| -> Result<Table, StoreError> {
-            reader.query(&format!("SELECT {what} FROM {from} {of} {more}")).await
+            reader.query(&format!("SELECT {what} FROM {from} {hash_filter} {more}")).await
         };
         let said = ask(&format!("state, coalesce(reason, ''), spec, ({moves})"), "v_trial", "").await?;
         let [state, reason, spec, moves] =
@@ -173,7 +173,7 @@ pub(super) fn curves(title: &str, [x, y]: [&str; 2], lines: &[(&str, Vec<(f64, f
 
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
-pub struct Asked {
+pub struct TrialQuery {
     /// Not empty: simulate the trial again.
     replay: String,
     /// The sample to show.
@@ -181,11 +181,11 @@ pub struct Asked {
 }
 
 pub async fn page(
-    State(served): State<Arc<Served>>,
+    State(served): State<Arc<ServerState>>,
     Path((at, hash)): Path<(String, String)>,
-    Query(asked): Query<Asked>,
-) -> Result<Html<String>, Refusal> {
-    let seen = source(&served, &at)?.now().await;
+    Query(asked): Query<TrialQuery>,
+) -> Result<Html<String>, PageError> {
+    let seen = source(&served, &at)?.current_state().await;
     if seen.checked.is_none() {
         return framed(
             &served,
@@ -205,7 +205,7 @@ pub async fn page(
             let work =
                 tokio::task::spawn_blocking(move || drawing.figures(sample).map_err(|e| e.to_string()));
             let figures = work.await.map_err(|e| e.to_string()).and_then(|figures| figures);
-            Some((again, figures.map_err(Refusal::Asked)?))
+            Some((again, figures.map_err(PageError::Asked)?))
         }
         _ => None,
     };
@@ -239,7 +239,7 @@ pub async fn page(
 }
 
 /// Simulates the trial again, unless it is the one that is kept.
-async fn replayed(served: &Served, stored: &Stored) -> Result<Arc<Replayed>, Refusal> {
+async fn replayed(served: &ServerState, stored: &StoredTrial) -> Result<Arc<Replayed>, PageError> {
     let _turn = served.replays.acquire().await.expect("it is never closed");
     let kept = served.replayed.lock().expect("nobody panics with it").clone();
     if let Some((_, again)) = kept.filter(|(of, _)| of == stored) {
@@ -247,7 +247,7 @@ async fn replayed(served: &Served, stored: &Stored) -> Result<Arc<Replayed>, Ref
     }
     let of = stored.clone();
     let work = tokio::task::spawn_blocking(move || Replayed::new(&of, 1).map_err(|e| e.to_string()));
-    let again = work.await.map_err(|e| e.to_string()).and_then(|again| again).map_err(Refusal::Asked)?;
+    let again = work.await.map_err(|e| e.to_string()).and_then(|again| again).map_err(PageError::Asked)?;
     let again = Arc::new(again);
     *served.replayed.lock().expect("nobody panics with it") = Some((stored.clone(), Arc::clone(&again)));
     Ok(again)
@@ -256,7 +256,7 @@ async fn replayed(served: &Served, stored: &Stored) -> Result<Arc<Replayed>, Ref
 /// A choice of samples to show: four, or one of the test set.
 fn samples(again: &Replayed, chosen: &str) -> Markup {
     let error = |error: Option<f64>| error.map_or("–".into(), number);
-    let at = again.test.iter().position(|n| n.to_string() == chosen);
+    let chosen_index = again.test.iter().position(|n| n.to_string() == chosen);
     let to = |i: usize| format!("?replay=1&sample={}#replay", again.test[i]);
     html! {
         form method="get" action="#replay" class="line" {
@@ -269,14 +269,14 @@ fn samples(again: &Replayed, chosen: &str) -> Markup {
                 }
             } }
             button { "Show" }
-            @if let Some(before) = at.and_then(|at| at.checked_sub(1)) { a rel="prev" href=(to(before)) { "Previous" } }
-            @let after = at.map_or(0, |at| at + 1);
-            @if after < again.test.len() { a rel="next" href=(to(after)) { (if at.is_some() { "Next" } else { "One by one" }) } }
+            @if let Some(before) = chosen_index.and_then(|chosen_index| chosen_index.checked_sub(1)) { a rel="prev" href=(to(before)) { "Previous" } }
+            @let after = chosen_index.map_or(0, |chosen_index| chosen_index + 1);
+            @if after < again.test.len() { a rel="next" href=(to(after)) { (if chosen_index.is_some() { "Next" } else { "One by one" }) } }
         }
     }
 }
 
-fn facts(seen: &Seen, trial: &Trial) -> Markup {
+fn facts(seen: &DatabaseState, trial: &Trial) -> Markup {
     let facts = trial.facts.columns.iter().zip(&trial.facts.rows[0]).filter(|(_, value)| !value.is_null());
     html! {
         (trouble(seen))
@@ -306,11 +306,11 @@ fn curves_of(trial: &Trial) -> Markup {
         ["outer step", "error (%)"],
         &[("front", train), ("optimised", test)],
     );
-    let of = |body: &str| -> Vec<(f64, f64)> {
+    let error_points = |body: &str| -> Vec<(f64, f64)> {
         let own = trial.curves.rows.iter().filter(|row| row[0] == body && row[1] == 0);
         own.filter_map(|row| row[2].as_f64().zip(row[3].as_f64())).collect()
     };
-    let lines = [("initial", of("initial")), ("optimised", of("optimised"))];
+    let lines = [("initial", error_points("initial")), ("optimised", error_points("optimised"))];
     let axes = ["iteration of the decoder", "held-out error (%)"];
     let fresh = curves("New network on each body", axes, &lines);
     let data = trial.steps.clone();

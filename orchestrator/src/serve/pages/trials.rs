@@ -9,40 +9,40 @@ use maud::{Markup, html};
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::{Served, framed, live, query, to_trial, trouble};
+use super::{ServerState, framed, live, query, to_trial, trouble};
 use crate::cell::plain;
 use crate::look::{number, short_hash};
 use crate::plan::counted;
-use crate::serve::trials::{NUMBERS, Row};
-use crate::serve::{Refusal, source};
+use crate::serve::trials::{NUMBERS, TrialRow};
+use crate::serve::{PageError, source};
 
 /// Number of trials on a page.
 const ON_A_PAGE: usize = 100;
 
 #[derive(Debug, Deserialize)]
 #[serde(default)]
-pub struct Asked {
+pub struct TrialsQuery {
     q: String,
     sort: String,
     page: usize,
 }
 
-impl Default for Asked {
+impl Default for TrialsQuery {
     fn default() -> Self {
         Self { q: String::new(), sort: String::new(), page: 1 }
     }
 }
 
 pub async fn page(
-    State(served): State<Arc<Served>>,
+    State(served): State<Arc<ServerState>>,
     Path(at): Path<String>,
-    Query(asked): Query<Asked>,
-) -> Result<Html<String>, Refusal> {
-    let seen = source(&served, &at)?.now().await;
+    Query(asked): Query<TrialsQuery>,
+) -> Result<Html<String>, PageError> {
+    let seen = source(&served, &at)?.current_state().await;
     let (found, wrong) = seen.trials.asked(&asked.q, &asked.sort);
     let pages = found.len().div_ceil(ON_A_PAGE).max(1);
-    let this = asked.page.clamp(1, pages);
-    let shown = &found[(this - 1) * ON_A_PAGE..found.len().min(this * ON_A_PAGE)];
+    let page_number = asked.page.clamp(1, pages);
+    let shown = &found[(page_number - 1) * ON_A_PAGE..found.len().min(page_number * ON_A_PAGE)];
     let to = |page: usize| query(&[("q", &asked.q), ("sort", &asked.sort), ("page", &page.to_string())]);
     let rows = html! {
         (trouble(&seen))
@@ -55,9 +55,9 @@ pub async fn page(
         @if !shown.is_empty() { (table(&at, &asked, shown, &seen.trials.keys)) }
         @if pages > 1 {
             nav class="pages" aria-label="Pages of trials" {
-                @if this > 1 { a href=(to(1)) { "First" } a href=(to(this - 1)) rel="prev" { "Previous" } }
-                span { "Page " (this) " of " (pages) }
-                @if this < pages { a href=(to(this + 1)) rel="next" { "Next" } a href=(to(pages)) { "Last" } }
+                @if page_number > 1 { a href=(to(1)) { "First" } a href=(to(page_number - 1)) rel="prev" { "Previous" } }
+                span { "Page " (page_number) " of " (pages) }
+                @if page_number < pages { a href=(to(page_number + 1)) rel="next" { "Next" } a href=(to(pages)) { "Last" } }
             }
         }
     };
@@ -77,7 +77,7 @@ pub async fn page(
 }
 
 /// The keys to filter by.
-fn keys(asked: &Asked, keys: &std::collections::BTreeMap<String, Vec<String>>) -> Markup {
+fn keys(asked: &TrialsQuery, keys: &std::collections::BTreeMap<String, Vec<String>>) -> Markup {
     let with = |term: String| query(&[("q", format!("{} {term}", asked.q).trim()), ("sort", &asked.sort)]);
     html! {
         details id="keys" {
@@ -99,7 +99,12 @@ fn keys(asked: &Asked, keys: &std::collections::BTreeMap<String, Vec<String>>) -
 /// Maximum number of columns of keys that differ between trials; others are sorted and filtered by name.
 const MOST_KEYS: usize = 6;
 
-fn table(at: &str, asked: &Asked, shown: &[&Arc<Row>], keys: &BTreeMap<String, Vec<String>>) -> Markup {
+fn table(
+    at: &str,
+    asked: &TrialsQuery,
+    shown: &[&Arc<TrialRow>],
+    keys: &BTreeMap<String, Vec<String>>,
+) -> Markup {
     let (sorted, down) = asked.sort.strip_prefix('-').map_or((asked.sort.as_str(), false), |key| (key, true));
     let mut extra: Vec<&str> = keys.keys().map(String::as_str).take(MOST_KEYS).collect();
     if !sorted.is_empty() && !known(sorted) && !extra.contains(&sorted) {

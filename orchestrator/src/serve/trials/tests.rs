@@ -15,7 +15,7 @@ fn trials() -> Trials {
             spec["optimise"]["objective"] = json!({"cvar": 0.9});
         }
         let setting = settings.of(&spec);
-        Arc::new(Row {
+        Arc::new(TrialRow {
             hash: format!("{i}abc"),
             state: (*state).into(),
             reason: String::new(),
@@ -89,7 +89,7 @@ fn numbers_are_compared_with_numbers() {
 #[test]
 fn large_seeds_differ_by_one() {
     let mut settings = Settings::default();
-    let row = |seed: i64| Row {
+    let row = |seed: i64| TrialRow {
         hash: seed.to_string(),
         state: "done".into(),
         reason: String::new(),

@@ -26,11 +26,12 @@ async fn nothing_but_rows_can_be_had() {
         "BEGIN".into(),
         "SELECT '\0'".into(),
     ] {
-        let answer = reader.limited::<Answer>(&sql, LIMITS).await;
+        let answer = reader.limited::<QueryResult>(&sql, LIMITS).await;
         assert!(answer.is_err(), "{sql}: {answer:?}");
     }
     assert!(!other.exists());
-    let (table, cut) = reader.limited::<Answer>("SELECT count(*) AS n FROM v_trial", LIMITS).await.unwrap();
+    let (table, cut) =
+        reader.limited::<QueryResult>("SELECT count(*) AS n FROM v_trial", LIMITS).await.unwrap();
     assert_eq!((table.1[0][0].as_i64(), cut), (Some(0), None));
 }
 
@@ -51,7 +52,7 @@ async fn answers_end_at_their_limits() {
         (count(11, "n"), 10, Some("more than 10 rows")),
         (count(9, "printf('%400c', 'x')"), 2, Some("more than 1000 bytes")),
     ] {
-        let (table, cut) = reader.limited::<Answer>(&sql, LIMITS).await.unwrap();
+        let (table, cut) = reader.limited::<QueryResult>(&sql, LIMITS).await.unwrap();
         assert_eq!(table.1.len(), rows, "{sql}");
         assert!(why.is_none_or(|why| cut.as_ref().is_some_and(|cut| cut.contains(why))), "{sql}: {cut:?}");
     }
@@ -68,7 +69,7 @@ async fn answers_end_at_their_limits() {
         (format!("SELECT json_patch({long}, {long})"), "not available here"),
     ] {
         let begun = Instant::now();
-        let said = reader.limited::<Answer>(&sql, LIMITS).await.unwrap_err().to_string();
+        let said = reader.limited::<QueryResult>(&sql, LIMITS).await.unwrap_err().to_string();
         assert!(said.contains(why) && begun.elapsed() < Duration::from_secs(20), "{sql}: {said}");
     }
 }

@@ -9,7 +9,7 @@ const SPEC: &str = "name = \"s\"\n[body]\ncolumns = 4\nrows = 4\nspacing = 15.0\
 /// The number of trials in a file; `None` if it cannot be read.
 async fn trials(db: &Path) -> Option<u64> {
     let mut reader = Reader::open(db).await.ok()?;
-    let found: crate::store::Answer = reader.query("SELECT count(*) FROM v_trial").await.ok()?;
+    let found: crate::store::QueryResult = reader.query("SELECT count(*) FROM v_trial").await.ok()?;
     reader.close().await;
     found.1[0][0].as_u64()
 }
@@ -18,22 +18,22 @@ async fn trials(db: &Path) -> Option<u64> {
 #[tokio::test]
 async fn changes_to_the_files_are_detected_and_the_data_is_saved() {
     type Deed = fn(&Path, &Path);
-    let deeds: [(&str, Lost, Deed); 8] = [
-        ("deleted", Lost::Deleted, |_, db| fs::remove_file(db).unwrap()),
-        ("deleted with its log", Lost::Deleted, |_, db| {
+    let deeds: [(&str, FileLoss, Deed); 8] = [
+        ("deleted", FileLoss::Deleted, |_, db| fs::remove_file(db).unwrap()),
+        ("deleted with its log", FileLoss::Deleted, |_, db| {
             ["-wal", "-shm", ""].into_iter().for_each(|end| fs::remove_file(sidecar(db, end)).unwrap());
         }),
-        ("renamed", Lost::Moved, |_, db| fs::rename(db, db.with_file_name("other.sqlite")).unwrap()),
-        ("its folder moved", Lost::Moved, |folder, _| {
+        ("renamed", FileLoss::Moved, |_, db| fs::rename(db, db.with_file_name("other.sqlite")).unwrap()),
+        ("its folder moved", FileLoss::Moved, |folder, _| {
             fs::rename(folder.join("a"), folder.join("b")).unwrap()
         }),
-        ("its folder removed", Lost::Deleted, |folder, _| fs::remove_dir_all(folder.join("a")).unwrap()),
-        ("replaced", Lost::Replaced, |folder, db| {
+        ("its folder removed", FileLoss::Deleted, |folder, _| fs::remove_dir_all(folder.join("a")).unwrap()),
+        ("replaced", FileLoss::Replaced, |folder, db| {
             fs::write(folder.join("new"), "another").unwrap();
             fs::rename(folder.join("new"), db).unwrap();
         }),
-        ("its log deleted", Lost::Log, |_, db| fs::remove_file(sidecar(db, "-wal")).unwrap()),
-        ("replaced with its log", Lost::Replaced, |folder, db| {
+        ("its log deleted", FileLoss::Log, |_, db| fs::remove_file(sidecar(db, "-wal")).unwrap()),
+        ("replaced with its log", FileLoss::Replaced, |folder, db| {
             for (end, text) in [("-wal", "log"), ("", "another")] {
                 fs::write(folder.join("new"), text).unwrap();
                 fs::rename(folder.join("new"), sidecar(db, end)).unwrap();
@@ -58,7 +58,7 @@ async fn changes_to_the_files_are_detected_and_the_data_is_saved() {
         if saved.parent() == Some(Path::new(".")) {
             fs::remove_file(saved).unwrap();
         }
-        if expected == Lost::Replaced {
+        if expected == FileLoss::Replaced {
             assert_eq!(fs::read(&db).unwrap(), b"another", "{name}");
             let log = fs::read(sidecar(&db, "-wal")).ok();
             assert_eq!(log, (name == "replaced with its log").then(|| b"log".to_vec()), "{name}");
@@ -87,11 +87,11 @@ async fn truncation_is_distinguished_from_compaction() {
     let presence = store.presence();
     for size in [5000, 0] {
         fs::OpenOptions::new().write(true).open(&db).unwrap().set_len(size).unwrap();
-        assert_eq!(presence.check(), Some(Lost::Truncated), "{size} bytes");
+        assert_eq!(presence.check(), Some(FileLoss::Truncated), "{size} bytes");
     }
     drop(presence);
     let closed = store.close().await;
-    let Err(StoreError::Lost { lost: Lost::Truncated, saved: Err(why), .. }) = closed else {
+    let Err(StoreError::Lost { lost: FileLoss::Truncated, saved: Err(why), .. }) = closed else {
         panic!("{closed:?}")
     };
     assert!(why.contains("restore"), "{why}");
@@ -101,7 +101,8 @@ async fn truncation_is_distinguished_from_compaction() {
     store.begin_sweep(&plan.spec, SPEC, &plan.trials).await.unwrap();
     assert_eq!(store.presence().check(), None);
     fs::OpenOptions::new().write(true).open(&db).unwrap().set_len(0).unwrap();
-    let Err(StoreError::Lost { lost: Lost::Truncated, saved: Ok(saved), .. }) = store.close().await else {
+    let Err(StoreError::Lost { lost: FileLoss::Truncated, saved: Ok(saved), .. }) = store.close().await
+    else {
         panic!("nothing is saved");
     };
     assert_eq!(trials(&saved).await, Some(2));

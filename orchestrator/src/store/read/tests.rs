@@ -26,7 +26,7 @@ async fn every_column_of_a_view_has_a_type() {
         reader.types(sql).await;
     }
     assert_eq!(reader.columns("SELECT * FROM temp.sqlite_schema").await.unwrap().len(), 5);
-    reader.query::<Answer>("SELECT * FROM v_trial").await.unwrap();
+    reader.query::<QueryResult>("SELECT * FROM v_trial").await.unwrap();
     reader.close().await;
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is left beside");
 }

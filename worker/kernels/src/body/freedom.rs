@@ -26,8 +26,8 @@ impl Freedom {
     /// If p or q is 0.
     pub fn new(layout: &Layout, [p, q]: [usize; 2], frozen_units: &[usize]) -> Self {
         let mut frozen = vec![false; layout.group_count];
-        let of = |unit: &usize| layout.groups[*unit].iter().flatten();
-        frozen_units.iter().flat_map(of).for_each(|&group| frozen[group] = true);
+        let with_fixed_units = |unit: &usize| layout.groups[*unit].iter().flatten();
+        frozen_units.iter().flat_map(with_fixed_units).for_each(|&group| frozen[group] = true);
         let mut first: BTreeMap<GroupCell, usize> = BTreeMap::new();
         // blocks start at the body's lower left corner; with oblique rows it lies left of cell 0
         let least = |d: usize| layout.group_cells.iter().map(|(_, cell)| cell[d]).min().unwrap_or(0);
@@ -40,7 +40,7 @@ impl Freedom {
     }
 
     /// All of `length` numbers move, each alone.
-    pub fn whole(length: usize) -> Self {
+    pub fn unconstrained(length: usize) -> Self {
         let pairs = length.div_ceil(2);
         Self { leader: (0..pairs).collect(), frozen: vec![false; pairs], length }
     }

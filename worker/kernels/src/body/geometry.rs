@@ -153,7 +153,7 @@ fn doubled_and_centroid(nodes: &[[f64; 2]]) -> (f64, [f64; 2]) {
 
 /// Moments of a polygon.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Moments {
+pub struct PolygonMoments {
     /// Signed area; negative if clockwise.
     pub area: f64,
     /// 12 times the polar second moment of area about the centroid.
@@ -161,9 +161,9 @@ pub struct Moments {
 }
 
 /// Computes the moments of a polygon.
-pub fn moments(nodes: &[[f64; 2]]) -> Moments {
+pub fn moments(nodes: &[[f64; 2]]) -> PolygonMoments {
     let (doubled, centroid) = doubled_and_centroid(nodes);
-    Moments { area: 0.5 * doubled, polar: polar(nodes) - 6.0 * doubled * dot(centroid, centroid) }
+    PolygonMoments { area: 0.5 * doubled, polar: polar(nodes) - 6.0 * doubled * dot(centroid, centroid) }
 }
 
 /// The two edges of each void angle of each ligament, first and second, as pairs (node, other node) of node numbers.

@@ -155,7 +155,7 @@ impl Layout {
             shape: units.iter().map(|&(_, member)| pattern.units[member].nodes.clone()).collect(),
         };
         let groups = Groups { of_nodes: groups, cells: group_cells, turning };
-        Self::assembled(places, [spacing, ligament_length], &ligaments, groups)
+        Self::from_parts(places, [spacing, ligament_length], &ligaments, groups)
     }
 
     /// A body of arbitrary polygons with nodes in mm, counter-clockwise. Reference points are the means of the nodes. Each entry of
@@ -205,12 +205,12 @@ impl Layout {
             }
         }
         let (mut number, mut groups) = (BTreeMap::new(), Vec::new());
-        let held: BTreeSet<End> = ligaments.iter().flatten().copied().collect();
+        let ligament_ends: BTreeSet<End> = ligaments.iter().flatten().copied().collect();
         for (unit, points) in polygons.iter().enumerate() {
             let is_rigid = rigid.contains(&unit);
             let of = |node: usize| {
                 let (end, count) = (End { unit, node }, number.len());
-                let moves = !is_rigid || held.contains(&end);
+                let moves = !is_rigid || ligament_ends.contains(&end);
                 moves.then(|| *number.entry(root(&joined, end)).or_insert(count))
             };
             groups.push((0..points.len()).map(of).collect());
@@ -225,13 +225,13 @@ impl Layout {
             cells: (0..number.len()).map(|group| (group, [0; 2])).collect(),
             turning: vec![[0.0; 2]; number.len()],
         };
-        let mut layout = Self::assembled(places, [spacing, ligament_length], ligaments, groups);
+        let mut layout = Self::from_parts(places, [spacing, ligament_length], ligaments, groups);
         rigid.iter().for_each(|&unit| layout.rigid[unit] = true);
         followers.iter().for_each(|&(unit, follower)| layout.followers[unit].push(follower));
         layout
     }
 
-    fn assembled(
+    fn from_parts(
         Units { centres, grid, shape }: Units,
         [spacing, ligament_length]: [f64; 2],
         ligaments: &[[End; 2]],
@@ -290,9 +290,10 @@ impl Layout {
     /// The same layout with another ligament length; the units shrink as the ligaments grow.
     #[must_use]
     pub fn with_ligament_length(&self, ligament_length: f64) -> Self {
-        let mut own = Self { half: 0.5 * (self.spacing - ligament_length), ligament_length, ..self.clone() };
-        own.set_references();
-        own
+        let mut resized =
+            Self { half: 0.5 * (self.spacing - ligament_length), ligament_length, ..self.clone() };
+        resized.set_references();
+        resized
     }
 
     /// Number of units.

@@ -12,4 +12,4 @@ pub use freedom::Freedom;
 pub use geometry::{Geometry, edges, moments, void_angles_vjp};
 pub use layout::{GroupCell, Layout, Ligament};
 pub use pattern::{End, Pattern};
-pub use rigid::{Follower, Follows};
+pub use rigid::{FollowRule, Follower};

@@ -12,7 +12,7 @@ type Point = [f64; 2];
 
 /// How a node follows two others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Follows {
+pub enum FollowRule {
     /// In x, by the mean shift of both nodes.
     MeanX,
     /// Fixed to the middle and direction of the segment between both nodes.
@@ -29,7 +29,7 @@ pub struct Follower {
     /// Indices of the two leading nodes.
     pub of: [usize; 2],
     /// Rule of the motion.
-    pub by: Follows,
+    pub by: FollowRule,
 }
 
 /// s times a and t times a turned by 90°.
@@ -51,14 +51,14 @@ impl Follower {
     /// leaders.
     pub fn place(&self, base @ [p, a0, b0]: [Point; 3], [a, b]: [Point; 2]) -> Point {
         match self.by {
-            Follows::MeanX => [p[0] + 0.5 * (a[0] - a0[0] + (b[0] - b0[0])), p[1]],
-            Follows::Segment => {
+            FollowRule::MeanX => [p[0] + 0.5 * (a[0] - a0[0] + (b[0] - b0[0])), p[1]],
+            FollowRule::Segment => {
                 let (_, _, [s, w]) = frame(base);
                 let (_, t, _) = frame([p, a, b]);
                 let by = along(t, s, w);
                 [0, 1].map(|d| 0.5 * (a[d] + b[d]) + by[d])
             }
-            Follows::Angle => {
+            FollowRule::Angle => {
                 let turn = |from: Point, to: Point| cross(from, to).atan2(dot(from, to));
                 let (sin, cos) = (0.5 * (turn(a0, a) + turn(b0, b))).sin_cos();
                 along(p, cos, sin)
@@ -69,8 +69,8 @@ impl Follower {
     /// Cotangents of a and b for the cotangent `bar` of the node.
     pub fn vjp(&self, base @ [p, _, _]: [Point; 3], now @ [a, b]: [Point; 2], bar: Point) -> [Point; 2] {
         match self.by {
-            Follows::MeanX => [[0.5 * bar[0], 0.0]; 2],
-            Follows::Segment => {
+            FollowRule::MeanX => [[0.5 * bar[0], 0.0]; 2],
+            FollowRule::Segment => {
                 let (_, _, [s, w]) = frame(base);
                 let (length, t, _) = frame([p, a, b]);
                 // t and the node turn by n·(db − da)/|b − a|
@@ -78,7 +78,7 @@ impl Follower {
                 let half = bar.map(|x| 0.5 * x);
                 [-turn, turn].map(|turn| [0, 1].map(|d| half[d] + along(t, 0.0, turn)[d]))
             }
-            Follows::Angle => {
+            FollowRule::Angle => {
                 let half = 0.5 * dot(along(self.place(base, now), 0.0, 1.0), bar);
                 now.map(|q| along(q, 0.0, half / dot(q, q)))
             }

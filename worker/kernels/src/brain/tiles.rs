@@ -229,7 +229,7 @@ pub unsafe fn accumulate<V: Vector, const R: usize, const W: usize>(
                 row[w] = V::load(b.add((d * W + w) * V::LANES));
             }
             for r in 0..R {
-                let x = V::of(*a.add(r * lda + d));
+                let x = V::from_scalar(*a.add(r * lda + d));
                 for w in 0..W {
                     sum[r][w] = x.mul_add(row[w], sum[r][w]);
                 }
@@ -364,7 +364,7 @@ unsafe fn outer_tile<V: Vector, const R: usize, const W: usize>(
                 row[w] = V::load(b.add(w * V::LANES));
             }
             for r in 0..R {
-                let x = V::of(*a.add(r));
+                let x = V::from_scalar(*a.add(r));
                 for w in 0..W {
                     sum[r][w] = x.mul_add(row[w], sum[r][w]);
                 }

@@ -115,8 +115,10 @@ impl<V: Vector> Balance<V> {
         }
         let elastic = elastic - self.pressed;
         // A compressed body that snaps below its energy at rest releases energy, which counts like work.
-        let most = self.most + (-elastic).max(V::splat(0.0));
-        kinetic + elastic + self.dissipated - self.work - V::splat(LEEWAY).mul_add(most, V::splat(self.floor))
+        let max_work = self.most + (-elastic).max(V::splat(0.0));
+        kinetic + elastic + self.dissipated
+            - self.work
+            - V::splat(LEEWAY).mul_add(max_work, V::splat(self.floor))
     }
 }
 

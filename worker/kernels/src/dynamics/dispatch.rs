@@ -259,7 +259,7 @@ pub fn repeat_kernel(
     times: usize,
     second: bool,
 ) -> u64 {
-    let model = Model::new(scene, design).moving();
+    let model = Model::new(scene, design).without_fixed_bars();
     let machine = machine(width, precision, usize::MAX);
     // SAFETY: `machine` has checked that this machine has `width`.
     unsafe { (machine.repeat)(scene, &model, times, second) };

@@ -80,7 +80,7 @@ pub fn equilibrium(scene: &Scene, model: &Model) -> Result<Places, Outcome> {
             let held = scene.holds(unit);
             (0..2).filter(|d| held[*d]).for_each(|d| next[unit][d] = by[d] * (to / total));
         }
-        match settle(scene, model, next, SHORT * length) {
+        match newton_equilibrium(scene, model, next, SHORT * length) {
             Ok(found) => (x, travelled) = (found, to),
             Err(outcome) if 0.5 * increment < SMALLEST => return Err(outcome),
             Err(_) => increment *= 0.5,
@@ -90,43 +90,45 @@ pub fn equilibrium(scene: &Scene, model: &Model) -> Result<Places, Outcome> {
 }
 
 /// Newton's method from `x` with held units fixed.
-fn settle(scene: &Scene, model: &Model, mut x: Places, short: f64) -> Result<Places, Outcome> {
-    let mut at = Slope::at(scene, model, &x).ok_or(Outcome::NoEquilibrium)?;
+fn newton_equilibrium(scene: &Scene, model: &Model, mut x: Places, short: f64) -> Result<Places, Outcome> {
+    let mut current = EnergySlope::current(scene, model, &x).ok_or(Outcome::NoEquilibrium)?;
     for _ in 0..STEPS {
         let factor = stiffness(scene, model, &x).ok_or(Outcome::Buckled)?;
-        let step = solve(&factor, model, &at.gradient);
+        let step = solve(&factor, model, &current.gradient);
         let longest = step.as_flattened().iter().fold(0.0, |most: f64, s| most.max(s.abs()));
-        let moved = |by: f64| -> Places {
+        let stepped = |by: f64| -> Places {
             let own = |(x, s): (&[f64; 3], &[f64; 3])| std::array::from_fn(|d| by.mul_add(-s[d], x[d]));
             x.iter().zip(&step).map(own).collect()
         };
         if longest <= short {
-            let found = moved(1.0);
+            let found = stepped(1.0);
             return stiffness(scene, model, &found).map(|_| found).ok_or(Outcome::Buckled);
         }
-        let slope: f64 = at.gradient.as_flattened().iter().zip(step.as_flattened()).map(|(g, s)| g * s).sum();
+        let slope: f64 =
+            current.gradient.as_flattened().iter().zip(step.as_flattened()).map(|(g, s)| g * s).sum();
         let steps = (0..HALVED).map(|half| 0.5_f64.powi(half));
-        let better = |by: f64| {
-            let next = Slope::at(scene, model, &moved(by))?;
+        let try_step = |by: f64| {
+            let next = EnergySlope::current(scene, model, &stepped(by))?;
             // where energies differ only by rounding, the forces decide
-            let falls = next.energy <= at.energy - 1e-4 * by * slope || next.largest() < 0.5 * at.largest();
+            let falls =
+                next.energy <= current.energy - 1e-4 * by * slope || next.largest() < 0.5 * current.largest();
             falls.then_some((by, next))
         };
-        let (by, next) = steps.into_iter().find_map(better).ok_or(Outcome::NoEquilibrium)?;
-        (x, at) = (moved(by), next);
+        let (by, next) = steps.into_iter().find_map(try_step).ok_or(Outcome::NoEquilibrium)?;
+        (x, current) = (stepped(by), next);
     }
     Err(Outcome::NoEquilibrium)
 }
 
 /// Energy of a state, and its gradient in the free coordinates (zero in others).
-struct Slope {
+struct EnergySlope {
     energy: f64,
     gradient: Places,
 }
 
-impl Slope {
+impl EnergySlope {
     /// `None` if contact forbids the state.
-    fn at(scene: &Scene, model: &Model, x: &[[f64; 3]]) -> Option<Self> {
+    fn current(scene: &Scene, model: &Model, x: &[[f64; 3]]) -> Option<Self> {
         let zero = Sse2::splat(0.0);
         let places: Vec<[Sse2; 3]> = x.iter().map(|x| x.map(Sse2::splat)).collect();
         let (mut turn, mut g) = (vec![Turn::NONE; x.len()], vec![[zero; 3]; x.len()]);
@@ -141,7 +143,7 @@ impl Slope {
             energy::<Sse2, false, true>(model, bars, &places, &turn)
         };
         let mut gradient = vec![[0.0; 3]; x.len()];
-        for (u, d) in loose(model).into_iter().map(|i| (i / 3, i % 3)) {
+        for (u, d) in free_coordinates(model).into_iter().map(|i| (i / 3, i % 3)) {
             gradient[u][d] = g[u][d].lane(0);
         }
         let finite = gradient.as_flattened().iter().all(|g| g.is_finite());
@@ -154,7 +156,7 @@ impl Slope {
 }
 
 /// Indices of the coordinates that are neither held nor driven: driven units stay in place until a sample starts.
-fn loose(model: &Model) -> Vec<usize> {
+fn free_coordinates(model: &Model) -> Vec<usize> {
     let mut loose = unknowns(model);
     loose.retain(|i| !model.driven.contains(&(i / 3)));
     loose
@@ -162,14 +164,14 @@ fn loose(model: &Model) -> Vec<usize> {
 
 /// Cholesky factor of K at the state `x`; `None` if K is not positive definite.
 fn stiffness(scene: &Scene, model: &Model, x: &[[f64; 3]]) -> Option<Llt<usize, f64>> {
-    let loose = loose(model);
+    let loose = free_coordinates(model);
     let entries = columns(&loose, model.units(), |w| hessian(model, scene, x, w));
     sparse(loose.len(), &entries).sp_cholesky(Side::Lower).ok()
 }
 
 /// K⁻¹ y; zero in held coordinates.
 fn solve(factor: &Llt<usize, f64>, model: &Model, y: &[[f64; 3]]) -> Places {
-    let loose = loose(model);
+    let loose = free_coordinates(model);
     let of = |i: usize| (loose[i] / 3, loose[i] % 3);
     let right = Mat::from_fn(loose.len(), 1, |i, _| y[of(i).0][of(i).1]);
     let solved = factor.solve(&right);
@@ -190,7 +192,7 @@ pub fn follow(scene: &Scene, model: &Model, rate: &[[f64; 3]]) -> Places {
 }
 
 /// Passes the cotangent of the starting state to the model's other cotangents, if the body is compressed.
-pub fn pull_back(scene: &Scene, model: &Model, cotangent: &mut ModelCotangent) {
+pub fn add_start_vjp(scene: &Scene, model: &Model, cotangent: &mut ModelCotangent) {
     if model.start().is_empty() {
         return;
     }

@@ -33,7 +33,7 @@ impl Panel {
 
     /// Force and moment of a blow whose direction is rotated by `angle` (rad) and whose point is shifted by `offset` (mm) to the
     /// left. Couples do not change.
-    pub fn struck(&self, offset: f64, angle: f64) -> Strike {
+    pub fn deviated_strike(&self, offset: f64, angle: f64) -> Strike {
         let ([x, y], (s, c)) = (self.direction, angle.sin_cos());
         let missed = if self.is_couple() { 0.0 } else { -offset * c };
         [c * x - s * y, c * y + s * x, self.moment + missed]

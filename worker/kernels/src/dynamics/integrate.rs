@@ -48,7 +48,7 @@ pub fn run(
 ) -> Simulation {
     check(scene, design, forces);
     assert!(!keep_tape || scene.relaxation.is_none(), "a scene with relaxing ligaments has no gradient");
-    let model = Model::new(scene, design).moving();
+    let model = Model::new(scene, design).without_fixed_bars();
     let steps = match plan.steps {
         Steps::Equal(steps) => Steps::Equal(steps.next_multiple_of(forces.kinks(scene))),
         adaptive @ Steps::Adaptive(_) => adaptive,
@@ -174,7 +174,7 @@ impl Simulation {
         let Tape { scene, forces, parts, samples, .. } = tape;
         let len = scene.instants * 3 * scene.sensors.len();
         assert_eq!(cotangent.len(), forces.samples * len, "length of the cotangent");
-        let model = tape.model().moving();
+        let model = tape.model().without_fixed_bars();
         let plan = &self.plan;
         let machine = machine(self.width, plan.precision, forces.samples);
         let sweeps: Vec<Backward<'_>> = (0..forces.samples)
@@ -232,7 +232,7 @@ impl Simulation {
                 }
             }
         }
-        equilibrium::pull_back(scene, &model, &mut total);
+        equilibrium::add_start_vjp(scene, &model, &mut total);
         let parameters = (wrt == Wrt::Parameters).then(|| total.parameters(&model, scene));
         let parts = (wrt == Wrt::Parameters).then(|| total.parts(&model, scene));
         let design = total.design(&model, scene);

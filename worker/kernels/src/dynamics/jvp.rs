@@ -7,7 +7,7 @@
 use super::model::driven_mass;
 use super::schemes::Drift;
 use super::{Forces, Frame, Inertia, Method, Mount, Parameters, Scene, Simulation, Tape, equilibrium, tsit5};
-use crate::body::{End, Follower, Follows, Geometry, Layout, edges};
+use crate::body::{End, FollowRule, Follower, Geometry, Layout, edges};
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -98,12 +98,12 @@ fn followed(layout: &Layout, unit: usize, follower: &Follower, nodes: &[Pair]) -
     };
     let sum = |a: Pair, s: Dual, b: Pair, t: Dual| plus(a.map(|a| s * a), b.map(|b| t * b));
     let place = match follower.by {
-        Follows::MeanX => [p[0] + middle(minus(a, a0), minus(b, b0))[0], p[1]],
-        Follows::Segment => {
+        FollowRule::MeanX => [p[0] + middle(minus(a, a0), minus(b, b0))[0], p[1]],
+        FollowRule::Segment => {
             let (t0, t, from) = (direction(a0, b0), direction(a, b), minus(p, middle(a0, b0)));
             plus(middle(a, b), sum(t, dot(from, t0), turned(t), dot(from, turned(t0))))
         }
-        Follows::Angle => {
+        FollowRule::Angle => {
             let (sin, cos) = (0.5 * (angle(a0, a) + angle(b0, b))).sin_cos();
             sum(p, cos, turned(p), sin)
         }
@@ -123,7 +123,7 @@ pub struct Tangent<'a> {
 }
 
 /// A scene and design with their rates.
-struct Body<'a> {
+struct DualBody<'a> {
     scene: &'a Scene,
     arms: Vec<Pair>,
     /// (m, m, J).
@@ -140,7 +140,7 @@ struct Body<'a> {
     sample: usize,
 }
 
-impl<'a> Body<'a> {
+impl<'a> DualBody<'a> {
     fn new(tape: &'a Tape, sample: usize, tangent: Tangent<'a>) -> Self {
         let Tape { scene, design, forces, .. } = tape;
         let layout = &scene.layout;
@@ -178,7 +178,7 @@ impl<'a> Body<'a> {
                     [by * m, by * m, by / 12.0 * density * polar]
                 }
             };
-            let chip = Inertia::on(scene, u);
+            let chip = Inertia::mass_on_unit(scene, u);
             mass.push(match scene.is_driven(u) {
                 true => driven_mass(scene).map(|m| Dual(m, 0.0)),
                 false => [0, 1, 2].map(|d| own[d] + Dual(chip[d], 0.0)),
@@ -202,31 +202,32 @@ impl<'a> Body<'a> {
         }
     }
 
-    fn still(&self) -> State {
+    fn zero_state(&self) -> State {
         vec![[Dual::default(); 3]; self.mass.len()]
     }
 
     /// State at the start of the sample, with its derivative in design and parameters.
     fn start(&self) -> State {
         let Tape { scene, forces, .. } = self.tape;
-        let mut x = self.still();
+        let mut x = self.zero_state();
         if scene.pressed.is_empty() {
             return x;
         }
         let model = self.tape.model();
         x.iter_mut().zip(model.start()).for_each(|(x, start)| *x = start.map(|start| Dual(start, 0.0)));
         let unforced = vec![0.0; forces.sample(self.sample).len()];
-        let still = Body {
+        let still = DualBody {
             history: &unforced,
             along: &[],
             arms: self.arms.clone(),
             mass: self.mass.clone(),
             ..*self
         };
-        let pulled = still.acceleration(&x, &self.still(), [Dual::default(); 3], (0, 0.0));
+        let unforced_acceleration =
+            still.acceleration(&x, &self.zero_state(), [Dual::default(); 3], (0, 0.0));
         // minus the derivative of the forces; the forces are zero, so the derivative of the masses has no effect
         let rate = |(a, m): (&[Dual; 3], &[Dual; 3])| std::array::from_fn(|d| -(m[d].0 * a[d].1));
-        let rate: Vec<[f64; 3]> = pulled.iter().zip(&self.mass).map(rate).collect();
+        let rate: Vec<[f64; 3]> = unforced_acceleration.iter().zip(&self.mass).map(rate).collect();
         for (x, moved) in x.iter_mut().zip(equilibrium::follow(scene, &model, &rate)) {
             (0..3).for_each(|d| x[d].1 = moved[d]);
         }
@@ -235,7 +236,7 @@ impl<'a> Body<'a> {
 
     /// Sets the state at instant n to the tape's values, from which `vjp` starts: rounding, amplified in accelerations, would
     /// otherwise let both runs diverge.
-    fn meet(&self, n: usize, x: &mut State, v: &mut State) {
+    fn match_tape(&self, n: usize, x: &mut State, v: &mut State) {
         let (at, speed) = self.tape.state(self.sample, n);
         for (own, kept) in [(x, at), (v, speed)] {
             for (own, kept) in own.as_flattened_mut().iter_mut().zip(kept.as_flattened()) {
@@ -398,7 +399,7 @@ impl Simulation {
                 of.len()
             );
         }
-        let body = Body::new(tape, sample, tangent);
+        let body = DualBody::new(tape, sample, tangent);
         let own = &tape.samples[sample];
         let signals = match self.plan.method {
             Method::Tsit5 => {
@@ -411,8 +412,8 @@ impl Simulation {
     }
 }
 
-fn equal(body: &Body<'_>, method: Method, substeps: usize) -> Vec<Dual> {
-    let Body { scene, forces, .. } = body;
+fn equal(body: &DualBody<'_>, method: Method, substeps: usize) -> Vec<Dual> {
+    let DualBody { scene, forces, .. } = body;
     let scheme = method.scheme().expect("a splitting scheme");
     let h = scene.duration / (scene.instants * substeps) as f64;
     let span = substeps / forces.kinks(scene);
@@ -420,7 +421,7 @@ fn equal(body: &Body<'_>, method: Method, substeps: usize) -> Vec<Dual> {
         true => Dual::default(),
         false => body.damping[d] / body.mass[u][d],
     };
-    let (mut x, mut v, mut signals) = (body.start(), body.still(), Vec::new());
+    let (mut x, mut v, mut signals) = (body.start(), body.zero_state(), Vec::new());
     let mut g = body.acceleration(&x, &v, [Dual::default(); 3], (0, 0.0));
     for step in 0..scene.instants * substeps {
         add(&mut v, &scaled(scheme.kicks[0] * h, &g));
@@ -446,15 +447,15 @@ fn equal(body: &Body<'_>, method: Method, substeps: usize) -> Vec<Dual> {
                 (0..3).for_each(|d| a[u][d] = a[u][d] - gamma(u, d) * v[u][d]);
             }
             body.read(&x, &v, &a, (step + 1) / substeps, &mut signals);
-            body.meet((step + 1) / substeps, &mut x, &mut v);
+            body.match_tape((step + 1) / substeps, &mut x, &mut v);
         }
     }
     signals
 }
 
-fn adaptive(body: &Body<'_>, steps: &[f64], counts: &[u32]) -> Vec<Dual> {
+fn adaptive(body: &DualBody<'_>, steps: &[f64], counts: &[u32]) -> Vec<Dual> {
     let (kinks, delta) = (body.forces.kinks(body.scene), body.scene.duration / counts.len() as f64);
-    let (mut x, mut v, mut signals) = (body.start(), body.still(), Vec::new());
+    let (mut x, mut v, mut signals) = (body.start(), body.zero_state(), Vec::new());
     let mut a = vec![body.acceleration(&x, &v, body.damping, (0, 0.0))];
     let mut steps = steps.iter();
     for (interval, &count) in counts.iter().enumerate() {
@@ -479,7 +480,7 @@ fn adaptive(body: &Body<'_>, steps: &[f64], counts: &[u32]) -> Vec<Dual> {
         }
         if (interval + 1).is_multiple_of(kinks) {
             body.read(&x, &v, &a[0], (interval + 1) / kinks, &mut signals);
-            body.meet((interval + 1) / kinks, &mut x, &mut v);
+            body.match_tape((interval + 1) / kinks, &mut x, &mut v);
             a = vec![body.acceleration(&x, &v, body.damping, (interval, 1.0))];
         }
     }

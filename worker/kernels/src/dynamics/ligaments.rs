@@ -67,11 +67,11 @@ struct Kinematics<V> {
     levers: [[V; 2]; 2],
     /// d; in linearised scenes d − d₀.
     d: [V; 2],
-    /// |d| and 1/|d|; zero in linearised scenes, as are `seen` and `square`.
+    /// |d| and 1/|d|; zero in linearised scenes, as are `along_reference` and `square`.
     size: V,
     inverse: V,
     /// d in the axes (d₀, d₀⊥).
-    seen: [V; 2],
+    along_reference: [V; 2],
     /// |d|² − l₀², only in f32.
     square: V,
     /// (θ_a + θ_b)/2, θ_b − θ_a.
@@ -152,14 +152,14 @@ pub fn energy<V: Vector, const LINEAR: bool, const CONTACT: bool>(
         let [stretched, slid, turned] = if LINEAR {
             linear(bar, at.d, at.mean, at.relative).2
         } else {
-            let length = V::of(bar.length);
+            let length = V::from_scalar(bar.length);
             [at.size - length, length * gamma, at.relative]
         };
         for (k, strain) in bar.stiffness.into_iter().zip([stretched, slid, turned]) {
-            sum = (V::splat(0.5) * V::of(k) * strain).mul_add(strain, sum);
+            sum = (V::splat(0.5) * V::from_scalar(k) * strain).mul_add(strain, sum);
         }
         if CONTACT && let Some(contact) = model.contact {
-            let psi = [V::of(bar.voids[0]) - turned, V::of(bar.voids[1]) + turned];
+            let psi = [V::from_scalar(bar.voids[0]) - turned, V::from_scalar(bar.voids[1]) + turned];
             psi.into_iter().for_each(|psi| sum = sum + contact_energy(contact, psi));
         }
     }
@@ -261,7 +261,7 @@ pub fn relax<V: Vector, const LINEAR: bool>(
     let zero = V::splat(0.0);
     for (bar, past) in bars.iter().zip(past) {
         let at = kinematics::<V, LINEAR>(bar, x, turn);
-        let length = V::of(bar.length);
+        let length = V::from_scalar(bar.length);
         let strains = if LINEAR {
             linear(bar, at.d, at.mean, at.relative).2
         } else {
@@ -270,7 +270,7 @@ pub fn relax<V: Vector, const LINEAR: bool>(
         let mut pull = [zero; 3];
         for k in 0..3 {
             let ahead = strains[k] - past[k];
-            pull[k] = V::splat(reach) * V::of(bar.stiffness[k]) * ahead;
+            pull[k] = V::splat(reach) * V::from_scalar(bar.stiffness[k]) * ahead;
             past[k] = V::splat(keep).mul_sub_from(ahead, strains[k]);
         }
         let [along, across, bend] = pull;
@@ -319,8 +319,8 @@ fn kinematics<V: Vector, const LINEAR: bool>(
     let ([sa, ca, theta_a], [sb, cb, theta_b]) = (ta.rounded(xa[2]), tb.rounded(xb[2]));
     let (du, levers);
     if V::SINGLE {
-        let apart = [xb[0] - xa[0], xb[1] - xa[1]];
-        du = narrow(moved_from(moved_to(apart, tb.exact, rb), ta.exact, ra));
+        let separation = [xb[0] - xa[0], xb[1] - xa[1]];
+        du = narrow(moved_from(moved_to(separation, tb.exact, rb), ta.exact, ra));
         let (ra, rb) = (pair(bar.lever_a), pair(bar.lever_b));
         levers = [moved_to(ra, [sa, ca], ra), moved_to(rb, [sb, cb], rb)];
     } else {
@@ -333,13 +333,13 @@ fn kinematics<V: Vector, const LINEAR: bool>(
         d: du,
         size: zero,
         inverse: zero,
-        seen: [zero; 2],
+        along_reference: [zero; 2],
         square: zero,
         mean: V::splat(0.5) * (theta_a + theta_b),
         relative: theta_b - theta_a,
     };
     if !LINEAR {
-        let (e, length) = (pair(bar.e), V::of(bar.length));
+        let (e, length) = (pair(bar.e), V::from_scalar(bar.length));
         let (dx, dy) = (length.mul_add(e[0], du[0]), length.mul_add(e[1], du[1]));
         let square = dx.mul_add(dx, dy * dy);
         at.d = [dx, dy];
@@ -348,10 +348,10 @@ fn kinematics<V: Vector, const LINEAR: bool>(
         if V::SINGLE {
             // from d − d₀, about a hundredth of d
             let [along, across] = [du[0].mul_add(e[0], du[1] * e[1]), du[0].mul_sub_from(e[1], du[1] * e[0])];
-            at.seen = [length + along, across];
-            at.square = along.mul_add(length + at.seen[0], across * across);
+            at.along_reference = [length + along, across];
+            at.square = along.mul_add(length + at.along_reference[0], across * across);
         } else {
-            at.seen = [dx.mul_add(e[0], dy * e[1]), dx.mul_sub_from(e[1], dy * e[0])];
+            at.along_reference = [dx.mul_add(e[0], dy * e[1]), dx.mul_sub_from(e[1], dy * e[0])];
         }
     }
     at
@@ -387,7 +387,7 @@ fn shear_angle<V: Vector, const LINEAR: bool>(at: &Kinematics<V>) -> V {
     if LINEAR {
         return V::splat(0.0);
     }
-    angle(at.seen[1].over(at.size + at.seen[0]), at.seen, at.mean)
+    angle(at.along_reference[1].over(at.size + at.along_reference[0]), at.along_reference, at.mean)
 }
 
 /// Software pipelining: kinematics of the next two ligaments, and γ of the first. A ligament is a long chain of dependent operations. While
@@ -435,7 +435,7 @@ fn reaction<V: Vector, const LINEAR: bool, const CONTACT: bool>(
 ) -> Reaction<V> {
     let (zero, length, relative) = (V::splat(0.0), bar.length, at.relative);
     let [k_l, _, k_t] = bar.stiffness;
-    let mut of = Reaction {
+    let mut from_scalar = Reaction {
         at,
         inverse_square: zero,
         stretch: zero,
@@ -448,45 +448,48 @@ fn reaction<V: Vector, const LINEAR: bool, const CONTACT: bool>(
     // `shear`: −∂U/∂θ of each unit, because the reference of γ turns with both units. `bend`: ∂U/∂θ_b of bending and contact, the negative
     // of ∂U/∂θ_a.
     let shear;
-    let mut bend = V::of(k_t) * relative;
+    let mut bend = V::from_scalar(k_t) * relative;
     if LINEAR {
-        (of.force, shear, of.strains) = linear(bar, at.d, at.mean, relative);
+        (from_scalar.force, shear, from_scalar.strains) = linear(bar, at.d, at.mean, relative);
     } else {
         let [dx, dy] = at.d;
-        of.inverse_square = at.inverse * at.inverse;
-        of.stretch = if V::SINGLE {
-            V::of(k_l) * at.inverse * at.square.over(at.size + V::of(length))
+        from_scalar.inverse_square = at.inverse * at.inverse;
+        from_scalar.stretch = if V::SINGLE {
+            V::from_scalar(k_l) * at.inverse * at.square.over(at.size + V::from_scalar(length))
         } else {
-            V::of(bar.tension).mul_sub_from(at.inverse, V::of(k_l))
+            V::from_scalar(bar.tension).mul_sub_from(at.inverse, V::from_scalar(k_l))
         };
-        let twist = V::of(bar.twist) * gamma;
-        of.side = twist * of.inverse_square;
-        of.force = [of.side.mul_sub_from(dy, of.stretch * dx), of.side.mul_add(dx, of.stretch * dy)];
+        let twist = V::from_scalar(bar.twist) * gamma;
+        from_scalar.side = twist * from_scalar.inverse_square;
+        from_scalar.force = [
+            from_scalar.side.mul_sub_from(dy, from_scalar.stretch * dx),
+            from_scalar.side.mul_add(dx, from_scalar.stretch * dy),
+        ];
         shear = V::splat(0.5) * twist;
-        of.strains = [at.size - V::of(length), V::of(length) * gamma, relative];
+        from_scalar.strains = [at.size - V::from_scalar(length), V::from_scalar(length) * gamma, relative];
     }
     if CONTACT && let Some(contact) = model.contact {
         // ψ₁ decreases and ψ₂ increases with θ_b − θ_a
-        let psi = [V::of(bar.voids[0]) - relative, V::of(bar.voids[1]) + relative];
+        let psi = [V::from_scalar(bar.voids[0]) - relative, V::from_scalar(bar.voids[1]) + relative];
         for (s, sign) in [(0, -1.0), (1, 1.0)] {
             *margin = -Vector::max(-*margin, V::splat(contact.min_angle) - psi[s]);
             if psi[s].any_less(V::splat(contact.cutoff_angle)) {
-                of.contact[s] = contact_slope(contact, psi[s]);
-                bend = V::splat(sign).mul_add(of.contact[s].0, bend);
+                from_scalar.contact[s] = contact_slope(contact, psi[s]);
+                bend = V::splat(sign).mul_add(from_scalar.contact[s].0, bend);
             }
         }
     }
-    of.moments = [-(shear + bend), bend - shear];
-    of
+    from_scalar.moments = [-(shear + bend), bend - shear];
+    from_scalar
 }
 
 /// Force, moment and strains of the linearised ligament.
 #[inline(always)]
 fn linear<V: Vector>(bar: &Bar<V::Scalar>, du: [V; 2], mean: V, relative: V) -> ([V; 2], V, [V; 3]) {
-    let ([k_l, k_s, _], e, length) = (bar.stiffness, pair(bar.e), V::of(bar.length));
+    let ([k_l, k_s, _], e, length) = (bar.stiffness, pair(bar.e), V::from_scalar(bar.length));
     let stretched = du[0].mul_add(e[0], du[1] * e[1]);
     let slid = du[0].mul_sub_from(e[1], du[1] * e[0]) - length * mean;
-    let (stretch, slide) = (V::of(k_l) * stretched, V::of(k_s) * slid);
+    let (stretch, slide) = (V::from_scalar(k_l) * stretched, V::from_scalar(k_s) * slid);
     let force = [slide.mul_sub_from(e[1], stretch * e[0]), slide.mul_add(e[0], stretch * e[1])];
     (force, V::splat(0.5) * length * slide, [stretched, slid, relative])
 }
@@ -526,17 +529,17 @@ impl<V: Vector> Reaction<V> {
             let rho = dx.mul_add(p, dy * q) * self.inverse_square;
             let swing = dy.mul_sub_from(p, dx * q) * self.inverse_square;
             let gamma = swing - mean;
-            let twist = V::of(bar.twist) * gamma;
-            let stretch = V::of(bar.tension) * inverse * rho;
+            let twist = V::from_scalar(bar.twist) * gamma;
+            let stretch = V::from_scalar(bar.tension) * inverse * rho;
             let side = (self.side + self.side).mul_sub_from(rho, self.inverse_square * twist);
             force = [
                 side.mul_sub_from(dy, stretch.mul_add(dx, self.side.mul_sub_from(q, self.stretch * p))),
                 side.mul_add(dx, stretch.mul_add(dy, self.side.mul_add(p, self.stretch * q))),
             ];
             shear = V::splat(0.5) * twist;
-            strains = [rho * size, V::of(length) * gamma, relative];
+            strains = [rho * size, V::from_scalar(length) * gamma, relative];
         }
-        let mut bend = V::of(bar.stiffness[2]) * relative;
+        let mut bend = V::from_scalar(bar.stiffness[2]) * relative;
         let mut voids = [zero; 2];
         if CONTACT {
             for (s, sign) in [(0, -1.0), (1, 1.0)] {

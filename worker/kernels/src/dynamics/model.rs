@@ -154,7 +154,7 @@ impl Model {
         let number = |panel: &Panel| panel.node.map(|node| layout.number(End { unit: panel.unit, node }));
         let own = geometry.mass.iter().zip(&geometry.moment).map(|(m, j)| [*m, *m, *j]);
         let inverse = |(unit, own): (usize, [f64; 3])| {
-            let chip = Inertia::on(scene, unit);
+            let chip = Inertia::mass_on_unit(scene, unit);
             std::array::from_fn(|d| 1.0 / (own[d] + chip[d]))
         };
         let mut inverse_mass: Vec<[f64; 3]> = own.enumerate().map(inverse).collect();
@@ -205,7 +205,7 @@ impl Model {
     }
 
     /// Removes ligaments between held units, except those in forbidden contact, which must make samples fail.
-    pub fn moving(mut self) -> Self {
+    pub fn without_fixed_bars(mut self) -> Self {
         let moves = |u: usize| self.inverse_mass[u] != [0.0; 3];
         let least = self.contact.map_or(f64::NEG_INFINITY, |c| c.min_angle);
         self.bars.retain(|b| moves(b.a) || moves(b.b) || b.voids.iter().any(|psi| *psi < least));

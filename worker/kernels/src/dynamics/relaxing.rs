@@ -85,15 +85,15 @@ fn block<V: Vector, const LINEAR: bool>(
                 for u in moving.clone() {
                     for d in 0..3 {
                         let impulse = b.mul_add(g[u][d], pull[u][d]);
-                        v[u][d] =
-                            V::Wide::of(model.inverse_mass[u][d]).mul_sub_from(impulse.widen(), v[u][d]);
+                        v[u][d] = V::Wide::from_scalar(model.inverse_mass[u][d])
+                            .mul_sub_from(impulse.widen(), v[u][d]);
                     }
                 }
                 let Some(drifts) = drifts.get(j) else { break };
                 for u in moving.clone() {
                     for d in 0..3 {
-                        x[u][d] = V::Wide::of(drifts[u][d].reach).mul_add(v[u][d], x[u][d]);
-                        v[u][d] = V::Wide::of(drifts[u][d].keep) * v[u][d];
+                        x[u][d] = V::Wide::from_scalar(drifts[u][d].reach).mul_add(v[u][d], x[u][d]);
+                        v[u][d] = V::Wide::from_scalar(drifts[u][d].keep) * v[u][d];
                     }
                 }
                 clock += scheme.drifts[j];
@@ -109,7 +109,7 @@ fn block<V: Vector, const LINEAR: bool>(
         for u in moving.clone() {
             for d in 0..3 {
                 let net = V::splat(model.damping[d]).mul_add(V::narrow(v[u][d]), a[u][d]);
-                a[u][d] = -(V::of(system.inverse_mass[u][d]) * net);
+                a[u][d] = -(V::from_scalar(system.inverse_mass[u][d]) * net);
                 size = size + x[u][d].abs() + v[u][d].abs();
             }
         }

@@ -104,7 +104,7 @@ pub struct Inertia {
 
 impl Inertia {
     /// (m, m, J) of the chip on a unit; zero without a chip.
-    pub(super) fn on(scene: &Scene, unit: usize) -> [f64; 3] {
+    pub(super) fn mass_on_unit(scene: &Scene, unit: usize) -> [f64; 3] {
         match scene.chip {
             Some(Self { mass, moment }) if scene.sensors.contains(&unit) => [mass, mass, moment],
             _ => [0.0; 3],

@@ -102,13 +102,13 @@ impl<'a, V: Vector> SweepData<'a, V> {
     ) -> Self {
         let scene = system.scene;
         let h = scene.duration / (scene.instants * substeps) as f64;
-        let ready = StepCoefficients::new(scheme, system.model, h);
+        let coefficients = StepCoefficients::new(scheme, system.model, h);
         let stages = scheme.stages();
         Self {
             stages,
-            first: ready.kicks[0],
-            last: ready.kicks[stages],
-            ready,
+            first: coefficients.kicks[0],
+            last: coefficients.kicks[stages],
+            ready: coefficients,
             loads: LockstepForces::new(scene, forces, histories, substeps),
             force: vec![V::splat(0.0); forces.panels],
         }
@@ -149,7 +149,7 @@ impl<V: Vector> System<'_, V> {
         let of_moving = v[moving.clone()].iter_mut().zip(&g[moving.clone()]).zip(&self.inverse_mass[moving]);
         for ((v, g), inverse) in of_moving {
             for d in 0..3 {
-                v[d] = b.mul_sub_from((V::of(inverse[d]) * g[d]).widen(), v[d]);
+                v[d] = b.mul_sub_from((V::from_scalar(inverse[d]) * g[d]).widen(), v[d]);
             }
         }
     }
@@ -176,15 +176,15 @@ impl<V: Vector> System<'_, V> {
         for u in 0..n {
             let mut squares = [V::ZERO; 3];
             for d in 0..3 {
-                let kicked = b.mul_sub_from((V::of(inverse[u][d]) * g[u][d]).widen(), v[u][d]);
-                x[u][d] = V::Wide::of(drifts[u][d].reach).mul_add(kicked, x[u][d]);
-                v[u][d] = V::Wide::of(drifts[u][d].keep) * kicked;
+                let kicked = b.mul_sub_from((V::from_scalar(inverse[u][d]) * g[u][d]).widen(), v[u][d]);
+                x[u][d] = V::Wide::from_scalar(drifts[u][d].reach).mul_add(kicked, x[u][d]);
+                v[u][d] = V::Wide::from_scalar(drifts[u][d].keep) * kicked;
                 g[u][d] = V::ZERO;
                 let kicked = V::narrow(kicked);
                 squares[d] = kicked * kicked;
             }
-            lost[0] = V::of(losses[u][0]).mul_add(squares[0] + squares[1], lost[0]);
-            lost[1] = V::of(losses[u][1]).mul_add(squares[2], lost[1]);
+            lost[0] = V::from_scalar(losses[u][0]).mul_add(squares[0] + squares[1], lost[0]);
+            lost[1] = V::from_scalar(losses[u][1]).mul_add(squares[2], lost[1]);
             turn[u].set(x[u][2]);
         }
         lost[0] + lost[1]
@@ -260,8 +260,8 @@ pub fn forward<V: Vector>(
         // a = G − γ v at the instant
         for &u in &scene.sensors {
             for d in 0..3 {
-                let pull = V::of(system.inverse_mass[u][d]) * g[u][d];
-                a[u][d] = V::of(ready.gamma[u][d]).mul_sub_from(V::narrow(v[u][d]), -pull);
+                let pull = V::from_scalar(system.inverse_mass[u][d]) * g[u][d];
+                a[u][d] = V::from_scalar(ready.gamma[u][d]).mul_sub_from(V::narrow(v[u][d]), -pull);
             }
         }
         let mut size = V::Wide::ZERO;
@@ -295,7 +295,7 @@ pub fn forward<V: Vector>(
 }
 
 /// Cotangents of the states and of the next force evaluation.
-struct Bars<V> {
+struct StateCotangents<V> {
     x: Vec<Unit<V>>,
     v: Vec<Unit<V>>,
     /// Cotangents of the forces.
@@ -315,13 +315,13 @@ impl<V: Vector> System<'_, V> {
         x: &mut [Place<V>],
         v: &mut [Place<V>],
         g: &mut [Unit<V>],
-        bars: &mut Bars<V>,
+        bars: &mut StateCotangents<V>,
     ) {
         let moving = self.model.moving_range();
         let n = moving.len();
         let (x, v, g) =
             (&mut x[moving.clone()][..n], &mut v[moving.clone()][..n], &mut g[moving.clone()][..n]);
-        let Bars { x: bar_x, v: bar_v, w } = bars;
+        let StateCotangents { x: bar_x, v: bar_v, w } = bars;
         let (bar_x, bar_v, w) =
             (&bar_x[moving.clone()][..n], &mut bar_v[moving.clone()][..n], &mut w[moving.clone()][..n]);
         let (drifts, gamma) = (&drifts[moving.clone()][..n], &gamma[moving.clone()][..n]);
@@ -332,19 +332,21 @@ impl<V: Vector> System<'_, V> {
         for u in 0..n {
             for d in 0..3 {
                 let (drift, inverse) = (&drifts[u][d], inverse[u][d]);
-                let pull = V::of(inverse) * g[u][d];
-                let before = V::Wide::of(drift.restore) * b.mul_add(pull.widen(), v[u][d]);
-                x[u][d] = V::Wide::of(drift.reach).mul_sub_from(before, x[u][d]);
+                let pull = V::from_scalar(inverse) * g[u][d];
+                let before = V::Wide::from_scalar(drift.restore) * b.mul_add(pull.widen(), v[u][d]);
+                x[u][d] = V::Wide::from_scalar(drift.reach).mul_sub_from(before, x[u][d]);
                 v[u][d] = before;
                 g[u][d] = V::ZERO;
                 let (to_x, to_v) = (bar_x[u][d], bar_v[u][d]);
-                let slope = V::of(drift.reach_slope).mul_add(to_x, V::of(drift.keep_slope) * to_v);
+                let slope =
+                    V::from_scalar(drift.reach_slope).mul_add(to_x, V::from_scalar(drift.keep_slope) * to_v);
                 // cotangent of γ = C/m
-                let rate = V::of(inverse) * (slope * V::narrow(before));
+                let rate = V::from_scalar(inverse) * (slope * V::narrow(before));
                 damping[d] = damping[d] + rate;
-                mass[u][d] = V::of(gamma[u][d]).mul_sub_from(rate, w[u][d].mul_add(pull, mass[u][d]));
+                mass[u][d] =
+                    V::from_scalar(gamma[u][d]).mul_sub_from(rate, w[u][d].mul_add(pull, mass[u][d]));
                 bar_v[u][d] = V::splat(drift.reach).mul_add(to_x, V::splat(drift.keep) * to_v);
-                w[u][d] = V::of(inverse) * (next * bar_v[u][d]);
+                w[u][d] = V::from_scalar(inverse) * (next * bar_v[u][d]);
             }
             turn[u].set(x[u][2]);
         }
@@ -382,7 +384,7 @@ pub fn reverse<V: Vector>(
         loads.request_cotangents();
     }
     let (mut x, mut v, mut g, mut a) = (system.start(), system.places(), system.zeros(), system.zeros());
-    let mut bars = Bars { x: system.zeros(), v: system.zeros(), w: system.zeros() };
+    let mut bars = StateCotangents { x: system.zeros(), v: system.zeros(), w: system.zeros() };
     let mut bar_a = system.zeros();
     let mut bar = vec![zero; width];
     let mut margin = zero;
@@ -426,7 +428,8 @@ pub fn reverse<V: Vector>(
                     evaluations += 1;
                     for u in 0..x.len() {
                         for d in 0..3 {
-                            a[u][d] = V::of(ready.gamma[u][d]).mul_sub_from(V::narrow(v[u][d]), g[u][d]);
+                            a[u][d] =
+                                V::from_scalar(ready.gamma[u][d]).mul_sub_from(V::narrow(v[u][d]), g[u][d]);
                         }
                     }
                     system.add_base_acceleration(&force, &mut a);
@@ -437,10 +440,10 @@ pub fn reverse<V: Vector>(
                 // a = G − γ v
                 for u in moving.clone() {
                     for d in 0..3 {
-                        let (bar_a, gamma) = (bar_a[u][d], V::of(ready.gamma[u][d]));
+                        let (bar_a, gamma) = (bar_a[u][d], V::from_scalar(ready.gamma[u][d]));
                         bars.w[u][d] = bars.w[u][d] + bar_a;
                         bars.v[u][d] = gamma.mul_sub_from(bar_a, bars.v[u][d]);
-                        let rate = V::of(system.inverse_mass[u][d]) * (bar_a * V::narrow(v[u][d]));
+                        let rate = V::from_scalar(system.inverse_mass[u][d]) * (bar_a * V::narrow(v[u][d]));
                         let Cotangent { mass, damping, .. } = &mut system.cotangent;
                         mass[u][d] = gamma.mul_add(rate, mass[u][d]);
                         damping[d] = damping[d] - rate;
@@ -451,7 +454,7 @@ pub fn reverse<V: Vector>(
             for u in moving.clone() {
                 for d in 0..3 {
                     let kicked = V::narrow(b).mul_add(bars.v[u][d], bars.w[u][d]);
-                    bars.w[u][d] = V::of(system.inverse_mass[u][d]) * kicked;
+                    bars.w[u][d] = V::from_scalar(system.inverse_mass[u][d]) * kicked;
                 }
             }
             system.prepare(&x, &mut g);
@@ -496,7 +499,7 @@ pub fn reverse<V: Vector>(
     let b = begin.awake::<V>(begin.first) * V::splat(first);
     for u in moving.clone() {
         for d in 0..3 {
-            bars.w[u][d] = V::of(system.inverse_mass[u][d]) * (b * bars.v[u][d]);
+            bars.w[u][d] = V::from_scalar(system.inverse_mass[u][d]) * (b * bars.v[u][d]);
         }
     }
     system.prepare(&x, &mut g);
@@ -504,7 +507,7 @@ pub fn reverse<V: Vector>(
     loads.add_vjp(system, &bars.w);
     for u in moving {
         for d in 0..3 {
-            let pull = V::of(system.inverse_mass[u][d]) * g[u][d];
+            let pull = V::from_scalar(system.inverse_mass[u][d]) * g[u][d];
             let mass = &mut system.cotangent.mass[u][d];
             *mass = bars.w[u][d].mul_add(pull, *mass);
         }

@@ -375,7 +375,7 @@ impl<'a, V: Vector> System<'a, V> {
         for ((a, v), inverse) in of_moving {
             for d in 0..3 {
                 let net = V::splat(self.damping[d]).mul_add(V::narrow(v[d]), a[d]);
-                a[d] = -(V::of(inverse[d]) * net);
+                a[d] = -(V::from_scalar(inverse[d]) * net);
             }
         }
     }
@@ -395,7 +395,7 @@ impl<'a, V: Vector> System<'a, V> {
     ) {
         for ((w, bar), inverse) in self.w.iter_mut().zip(bar_a).zip(&self.inverse_mass) {
             for d in 0..3 {
-                w[d] = V::of(inverse[d]) * bar[d];
+                w[d] = V::from_scalar(inverse[d]) * bar[d];
             }
         }
         self.prepare(x, a);
@@ -421,7 +421,7 @@ impl<'a, V: Vector> System<'a, V> {
 
     /// Data to compute cotangents of forces.
     #[inline(always)]
-    pub fn weigh(&mut self) -> ForceCotangent<'_, V> {
+    pub fn force_cotangent(&mut self) -> ForceCotangent<'_, V> {
         let Self { inverse_mass, damping, cotangent, .. } = self;
         ForceCotangent { inverse_mass, damping: *damping, mass: &mut cotangent.mass }
     }

@@ -58,7 +58,7 @@ pub fn forward<V: Vector<Wide = V>>(
     let (instants, kinks) = (forces.instants, forces.kinks(scene));
     let delta = scene.duration / instants as f64;
     let free = &system.model.free;
-    let within = system.model.moving_range();
+    let moving_units = system.model.moving_range();
     let width = 3 * scene.sensors.len();
     let scale = 1.0 / (6 * free.len().max(1)) as f64;
     let zero = V::splat(0.0);
@@ -115,9 +115,9 @@ pub fn forward<V: Vector<Wide = V>>(
                 }
             }
             if lane.job.is_some() {
-                let left = delta - lane.tau;
-                lane.parts = (left / lane.proposed * (1.0 - 1e-9)).ceil().max(1.0);
-                lane.h = left / lane.parts;
+                let time_left = delta - lane.tau;
+                lane.parts = (time_left / lane.proposed * (1.0 - 1e-9)).ceil().max(1.0);
+                lane.h = time_left / lane.parts;
             }
         }
         if lanes.iter().all(|l| l.job.is_none()) {
@@ -137,9 +137,9 @@ pub fn forward<V: Vector<Wide = V>>(
         let (mut margin, mut square) = (one, zero);
         for i in 1..7 {
             if i < 6 {
-                stage(i, h, &within, (&x, &v), &a, (&mut xs, &mut vs));
+                stage(i, h, &moving_units, (&x, &v), &a, (&mut xs, &mut vs));
             } else {
-                square = finish_step(h, tolerance, &within, (&x, &v), &mut a, (&mut xs, &mut vs));
+                square = finish_step(h, tolerance, &moving_units, (&x, &v), &mut a, (&mut xs, &mut vs));
             }
             let mut part = (tau + V::splat(C[i]) * h).over(V::splat(delta));
             if C[i] == 1.0 {
@@ -150,7 +150,7 @@ pub fn forward<V: Vector<Wide = V>>(
         }
 
         // error of each lane relative to the tolerance
-        let square = total_error(square, &within, &a);
+        let square = total_error(square, &moving_units, &a);
         let mut accepted = [0.0; LANES];
         for l in 0..V::LANES {
             let lane = &mut lanes[l];
@@ -197,7 +197,7 @@ pub fn forward<V: Vector<Wide = V>>(
         } else {
             let accept = V::gather(&accepted);
             let (first, end) = a.split_at_mut(6);
-            for u in within.clone() {
+            for u in moving_units.clone() {
                 for d in 0..3 {
                     x[u][d] = xs[u][d].where_less(zero, accept, x[u][d]);
                     v[u][d] = vs[u][d].where_less(zero, accept, v[u][d]);

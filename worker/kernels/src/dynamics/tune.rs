@@ -52,7 +52,7 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
     let mut pilot =
         Pilot { scene, design, forces: forces.select(&first), pool, counters: Counters::default() };
     let adaptive = solver.method == Method::Tsit5;
-    let as_it_is = |why: Option<String>, counters| {
+    let tune_by_law = |why: Option<String>, counters| {
         let tolerance = adaptive.then(|| Tolerance::from(solver.accuracy));
         let solver = Solver { tolerance, ..*solver };
         let mut plan = choose_under(scene, design, forces.kinks(scene), &solver);
@@ -62,9 +62,9 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
         Tuned { solver, plan, error: None, counters }
     };
     let all = candidates(scene, design, forces.kinks(scene));
-    let moved = pilot.forces.values.iter().any(|f| *f != 0.0) && all[0].highest > 0.0;
-    if !moved || scene.sensors.is_empty() {
-        return as_it_is(None, Counters::default());
+    let has_motion = pilot.forces.values.iter().any(|f| *f != 0.0) && all[0].highest > 0.0;
+    if !has_motion || scene.sensors.is_empty() {
+        return tune_by_law(None, Counters::default());
     }
     let six = all.iter().find(|c| c.law.method == Method::Nystrom6).expect("a law");
     let (reference, known) = match pilot.reference(six, requested) {
@@ -75,7 +75,7 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
             let own = |c: &&Candidate| c.law.method == solver.method;
             let method = if solver.method == Method::Auto { Some(six) } else { all.iter().find(own) };
             let Some(candidate) = method.filter(|_| refined > 1) else {
-                return as_it_is(Some(why), pilot.counters);
+                return tune_by_law(Some(why), pilot.counters);
             };
             let steps = refined * candidate.steps(Accuracy(requested.min(0.01)));
             let plan = candidate.plan(steps, candidate.reason(steps, &why));
@@ -86,7 +86,7 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
     };
     if adaptive {
         let Some((tolerance, error)) = pilot.tolerance(&reference, requested) else {
-            return as_it_is(Some(format!("no tolerance {UNREACHED}")), pilot.counters);
+            return tune_by_law(Some(format!("no tolerance {UNREACHED}")), pilot.counters);
         };
         let reason = format!(
             "tsit5 with error norm tolerance {tolerance:.1e}: measured error {error:.0e}, requested {requested:.0e}"
@@ -98,7 +98,7 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
     }
     let mut open: Vec<Candidate> =
         all.into_iter().filter(|c| solver.method == Method::Auto || solver.method == c.law.method).collect();
-    let mut best: Option<(Candidate, Fewest)> = None;
+    let mut best: Option<(Candidate, MinimalSteps)> = None;
     // Cheapest by their laws first. A method with more work than the best measured one is skipped.
     open.sort_by_key(|c| c.steps(solver.accuracy) * c.law.work);
     for candidate in open {
@@ -108,14 +108,14 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
             continue;
         }
         let known = Some(known).filter(|_| candidate.law.method == Method::Nystrom6);
-        if let Some(fewest) = pilot.fewest(&candidate, &reference, requested, known)
+        if let Some(fewest) = pilot.find_min_steps(&candidate, &reference, requested, known)
             && work(fewest.steps) < bound
         {
             best = Some((candidate, fewest));
         }
     }
-    let Some((candidate, Fewest { steps, exact, error })) = best else {
-        return as_it_is(Some(format!("no steps {UNREACHED}")), pilot.counters);
+    let Some((candidate, MinimalSteps { steps, exact, error })) = best else {
+        return tune_by_law(Some(format!("no steps {UNREACHED}")), pilot.counters);
     };
     let plan = candidate.plan(steps, String::new());
     let rounded = pilot.rounded(&candidate, &plan, &reference, requested);
@@ -129,7 +129,7 @@ pub fn tune(scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, poo
 }
 
 /// The fewest steps that give an error.
-struct Fewest {
+struct MinimalSteps {
     steps: usize,
     /// Fractional number of steps, between `steps` − `kinks` and `steps`.
     exact: f64,
@@ -138,7 +138,7 @@ struct Fewest {
 }
 
 /// Steps, or their refinement, and the relative error of the signals.
-type Measured = (usize, f64);
+type StepsAndError = (usize, f64);
 
 /// The first samples, for repeated runs.
 struct Pilot<'a> {
@@ -218,7 +218,11 @@ impl Pilot<'_> {
 
     /// The reference solution, much more accurate than `requested`, with steps and error of the run before it. Otherwise the best
     /// refinement of the law's steps and its error: the least one, or, with fewer steps, at most twice that.
-    fn reference(&mut self, six: &Candidate, requested: f64) -> Result<(Simulation, Measured), Measured> {
+    fn reference(
+        &mut self,
+        six: &Candidate,
+        requested: f64,
+    ) -> Result<(Simulation, StepsAndError), StepsAndError> {
         let start = six.steps(Accuracy(requested.min(0.01)));
         let (mut refined, mut errors) = (1, Vec::new());
         let mut coarse = self.run(six, start);
@@ -248,13 +252,13 @@ impl Pilot<'_> {
     }
 
     /// The fewest steps of a method with at most the error `requested`, including the safety factor.
-    fn fewest(
+    fn find_min_steps(
         &mut self,
         candidate: &Candidate,
         reference: &Simulation,
         requested: f64,
-        known: Option<Measured>,
-    ) -> Option<Fewest> {
+        known: Option<StepsAndError>,
+    ) -> Option<MinimalSteps> {
         let start = candidate.steps(Accuracy(requested));
         // required for stability
         let least = candidate.steps(Accuracy(f64::INFINITY));
@@ -287,11 +291,11 @@ impl Pilot<'_> {
                 _ => power,
             };
             let seen = if seen >= 1.0 { seen.min(power) } else { 1.0 };
-            let wanted = exact((steps, error), seen);
-            if wanted.is_nan() {
+            let required_steps = exact((steps, error), seen);
+            if required_steps.is_nan() {
                 return None;
             }
-            steps = candidate.round_to_kinks(wanted).clamp(least, most);
+            steps = candidate.round_to_kinks(required_steps).clamp(least, most);
             if tried.iter().any(|(n, _)| *n == steps) {
                 break;
             }
@@ -299,7 +303,11 @@ impl Pilot<'_> {
         let good = tried.into_iter().filter(|(_, error)| SAFETY * error <= requested).min_by_key(|t| t.0);
         good.map(|(steps, error)| {
             let (n, part) = (steps as f64, 0.9 * candidate.kinks as f64);
-            Fewest { steps, exact: exact((steps, error), power).clamp(n - part, n * (1.0 - 1e-9)), error }
+            MinimalSteps {
+                steps,
+                exact: exact((steps, error), power).clamp(n - part, n * (1.0 - 1e-9)),
+                error,
+            }
         })
     }
 }

@@ -99,7 +99,7 @@ fn a_blow_off_the_centroid_turns_the_unit() {
         assert!(panel.is_couple() || (px * -0.8 - py * 0.6 - turns).abs() < 1e-12, "{panel:?}");
     }
     // 2 mm to the left of a blow to the right is above the centroid: clockwise rotation
-    assert_eq!(Panel::central(0, [1.0, 0.0]).struck(2.0, 0.0), [1.0, 0.0, -2.0]);
+    assert_eq!(Panel::central(0, [1.0, 0.0]).deviated_strike(2.0, 0.0), [1.0, 0.0, -2.0]);
 }
 
 /// A shaken base is equivalent to a force −m a_B on every free unit plus a_B in the readings; a body without supports reads zero.

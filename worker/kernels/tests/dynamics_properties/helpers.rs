@@ -37,7 +37,7 @@ pub fn pushes(scene: &Scene, samples: usize, amplitude: f64) -> Forces {
 pub fn struck(scene: &Scene, forces: Forces) -> Forces {
     let strike = |n: usize| {
         let (offset, angle) = (3.0 * (1.1 * n as f64).cos(), 0.4 * (2.3 * n as f64).sin());
-        scene.panels[n % forces.panels].struck(offset, angle)
+        scene.panels[n % forces.panels].deviated_strike(offset, angle)
     };
     Forces { strikes: (0..forces.samples * forces.panels).map(strike).collect(), ..forces }
 }

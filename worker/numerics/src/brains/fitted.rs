@@ -5,7 +5,7 @@
 //! ```
 
 use super::linear::{Plain, solve};
-use super::ridge::{self, Part};
+use super::ridge::{self, FoldSplit};
 use super::{Reader, Recipe};
 use crate::Pool;
 use crate::brain::linear::{Linear, Normal, Sizes};
@@ -124,22 +124,22 @@ impl Pooled {
     ) -> Result<(Fitted, f64), Trouble> {
         let own = Plain::of(samples, &self.scales, pool);
         let (normal, ridge) = (own.moments().normal(self.normal.lags()), self.fitted.ridge);
-        let with = |own: &Normal, share: f64| own.clone().plus(share, &self.normal);
+        let add_pooled = |own: &Normal, share: f64| own.clone().plus(share, &self.normal);
         let share = match own.w.len() {
             0 | 1 => 1.0,
             count => {
                 let shares = SHARES.map(|decade| 10_f64.powi(-decade));
                 let (dealt, thins) = (ridge::assign_folds(seed, count), count >= ridge::FEW);
-                let errors = |part: &Part, share| part.errors(with(&part.others, share), ridge);
+                let errors = |part: &FoldSplit, share| part.errors(add_pooled(&part.others, share), ridge);
                 ridge::least(&ridge::errors_by_value(
                     shares,
                     thins,
-                    ridge::parts(&own, &normal, &dealt),
+                    ridge::split_folds(&own, &normal, &dealt),
                     errors,
                 ))?
             }
         };
-        let linear = solve(with(&normal, share), ridge)?.linear();
+        let linear = solve(add_pooled(&normal, share), ridge)?.linear();
         Ok((Fitted::new(linear, ridge, &own, &self.scales), share))
     }
 }
@@ -183,7 +183,7 @@ impl Fitted {
 }
 
 /// Fits a linear decoder to one body.
-pub(super) struct LinearReader<'a> {
+pub(super) struct LinearDecoder<'a> {
     recipe: Recipe,
     known: &'a Samples,
     scales: Scales,
@@ -191,7 +191,7 @@ pub(super) struct LinearReader<'a> {
     fitted: Option<Fitted>,
 }
 
-impl<'a> LinearReader<'a> {
+impl<'a> LinearDecoder<'a> {
     pub(super) fn new(recipe: Recipe, known: &'a Samples, [scales, _]: [Scales; 2], pool: &'a Pool) -> Self {
         Self { recipe, known, scales, pool, fitted: None }
     }
@@ -201,7 +201,7 @@ impl<'a> LinearReader<'a> {
     }
 }
 
-impl Reader for LinearReader<'_> {
+impl Reader for LinearDecoder<'_> {
     fn fit(
         &mut self,
         _: u64,

@@ -4,8 +4,8 @@
 //! x = A / rms(A₀)     y = f / rms(f)     w_i = 1/Σy²     λ: by cross-validation (`ridge`)
 //! ```
 
-use super::ridge::{self, Part};
-use super::{FitOn, Implicit, Learned, Learner, Learnt, Loss};
+use super::ridge::{self, FoldSplit};
+use super::{FitOn, FitResult, Implicit, Learner, Learnt, Loss};
 use crate::Pool;
 use crate::brain::linear::{self, Lags, Linear, Moments, Normal, Order, Sizes};
 use crate::trial::{
@@ -218,8 +218,8 @@ impl<'a> LinearLearner<'a> {
         if newest > 0 && is_due(step) && trial.problem.decoder.ridge == Ridge::Auto {
             let judges = bodies[newest].clone();
             let others = normal.clone().plus(-1.0, &judges.moments().normal(lags));
-            let part = std::iter::once(Part { judges, others });
-            let judged = ridge::errors_by_value(ridge::ridges(), true, part, Part::errors_of_others);
+            let part = std::iter::once(FoldSplit { judges, others });
+            let judged = ridge::errors_by_value(ridge::ridges(), true, part, FoldSplit::errors_of_others);
             learnt.ridge = ridge::least(&judged).ok().or(learnt.ridge);
         }
         Ok(solve(normal, learnt.ridge.unwrap_or_default())?.linear())
@@ -241,7 +241,7 @@ impl Learner for LinearLearner<'_> {
         step: u32,
         learnt: &mut Learnt,
         _: &mut Counters,
-    ) -> Result<Learned, Trouble> {
+    ) -> Result<FitResult, Trouble> {
         let judged = match on {
             FitOn::Recent(bodies) => {
                 let mut bodies: Vec<Plain> = bodies.iter().map(|samples| self.plain(samples)).collect();
@@ -262,7 +262,7 @@ impl Learner for LinearLearner<'_> {
         };
         let error = judged.error(&self.linear().predict(&judged.x));
         // Without an error, the loss is NaN.
-        Ok(Learned { loss: error.map_or(f64::NAN, |error| 0.01 * error), error })
+        Ok(FitResult { loss: error.map_or(f64::NAN, |error| 0.01 * error), error })
     }
 
     fn loss_vjp(&mut self, samples: &Samples, _: Loss) -> (Option<f64>, Vec<f64>) {

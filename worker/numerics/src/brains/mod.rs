@@ -25,7 +25,7 @@ pub(crate) use linear::solve;
 pub use network::Fresh;
 pub use readings::{READINGS_MAX, Reading, fits};
 pub(crate) use readings::{own_reading, readings};
-pub use records::{Records, Unseen};
+pub use records::{HeldOutEstimates, Records};
 #[cfg(test)]
 pub(crate) use stacked::Stack;
 pub(crate) use stacked::predict_on;
@@ -121,9 +121,9 @@ pub(crate) fn reader<'a>(
 ) -> Result<Box<dyn Reader + 'a>, Trouble> {
     Ok(match recipe.kind {
         BrainKind::Network | BrainKind::Stacked => {
-            Box::new(network::NetworkReader::new(recipe, known, scales, pool)?)
+            Box::new(network::NetworkDecoder::new(recipe, known, scales, pool)?)
         }
-        BrainKind::Linear => Box::new(fitted::LinearReader::new(recipe, known, scales, pool)),
+        BrainKind::Linear => Box::new(fitted::LinearDecoder::new(recipe, known, scales, pool)),
         BrainKind::Inverse => unreachable!("it reads a body, by the body's model: `Inverse`"),
     })
 }
@@ -160,7 +160,7 @@ pub(crate) enum FitOn<'a> {
 }
 
 /// Result of a fit.
-pub(crate) struct Learned {
+pub(crate) struct FitResult {
     /// Training loss (normalised).
     pub(crate) loss: f64,
     /// Error on the training samples, for `Recent` on the newest body (%), if known.
@@ -207,7 +207,7 @@ pub(crate) trait Learner {
         step: u32,
         learnt: &mut Learnt,
         counters: &mut Counters,
-    ) -> Result<Learned, Trouble>;
+    ) -> Result<FitResult, Trouble>;
 
     /// Loss at fixed weights, if defined, and its cotangent on the signals (N, T, 3M).
     fn loss_vjp(&mut self, samples: &Samples, loss: Loss) -> (Option<f64>, Vec<f64>);

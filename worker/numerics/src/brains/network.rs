@@ -1,7 +1,7 @@
 //! The convolutional network at the scales of a trial: fresh for one body, or continued from body to body.
 
 use super::stacked::Stack;
-use super::{FitOn, Implicit, Learned, Learner, Learnt, Loss, Reader, Recipe, implicit};
+use super::{FitOn, FitResult, Implicit, Learner, Learnt, Loss, Reader, Recipe, implicit};
 use crate::brain::{self, Adam, Batch, Data, Shape, TrainOutcome, Workspace};
 use crate::trial::{BrainKind, Continued, Counters, Protocol, Samples, Scales, Training, Trial, Trouble};
 
@@ -44,7 +44,7 @@ impl Fresh {
 }
 
 /// Networks for one body, one after another. Stacked ones have the estimates of a linear decoder as additional inputs.
-pub(crate) struct NetworkReader<'a> {
+pub(crate) struct NetworkDecoder<'a> {
     recipe: Recipe,
     known: &'a Samples,
     scales: Scales,
@@ -55,7 +55,7 @@ pub(crate) struct NetworkReader<'a> {
     pool: &'a crate::Pool,
 }
 
-impl<'a> NetworkReader<'a> {
+impl<'a> NetworkDecoder<'a> {
     pub(super) fn new(
         recipe: Recipe,
         known: &'a Samples,
@@ -89,7 +89,7 @@ impl<'a> NetworkReader<'a> {
     }
 
     /// Network inputs for signals (N, T, 3M) outside the training set.
-    fn unseen(&self, signals: &[f64]) -> Data<f32> {
+    fn inference_data(&self, signals: &[f64]) -> Data<f32> {
         let shape = self.data.shape();
         match &self.stack {
             Some(stack) => stack.unseen(shape, signals, &self.scales),
@@ -132,7 +132,7 @@ pub(super) fn predict(
     scales.physical(&brain::predict(weights, data.all(), workspace, pool))
 }
 
-impl Reader for NetworkReader<'_> {
+impl Reader for NetworkDecoder<'_> {
     fn fit(
         &mut self,
         number: u64,
@@ -141,7 +141,7 @@ impl Reader for NetworkReader<'_> {
         pauses: &mut dyn FnMut(usize) -> bool,
     ) -> Option<Result<(), Trouble>> {
         let (shape, pool, scales) = (self.data.shape(), self.pool, &self.scales);
-        let judged = self.unseen(&unseen.signals);
+        let judged = self.inference_data(&unseen.signals);
         let (seed, recipe, mut aside) = (self.recipe.seed, self.recipe, Workspace::new(shape, pool.width()));
         let fresh = self.fresh.get_or_insert_with(|| Fresh::new(shape, seed, number));
         let Fresh { weights, adam, losses, errors } = fresh;
@@ -163,11 +163,11 @@ impl Reader for NetworkReader<'_> {
             |i: usize| if turns.len() == 1 { data.all() } else { data.batch(&turns[i % turns.len()]) };
         let outcome =
             brain::train_on(weights, adam, &batch, &rate, iterations, losses, workspace, pool, &mut watch)?;
-        Some(well(outcome))
+        Some(check_training(outcome))
     }
 
     fn predict(&mut self, signals: &[f64]) -> Vec<f64> {
-        let data = self.unseen(signals);
+        let data = self.inference_data(signals);
         let weights = &self.fresh.as_ref().expect("it has been fitted").weights;
         predict(weights, &data, &self.scales, &mut self.workspace, self.pool)
     }
@@ -198,7 +198,7 @@ impl Reader for NetworkReader<'_> {
     }
 }
 
-fn well(outcome: TrainOutcome) -> Result<(), Trouble> {
+fn check_training(outcome: TrainOutcome) -> Result<(), Trouble> {
     if outcome == TrainOutcome::Ok { Ok(()) } else { Err(Trouble::Training(outcome)) }
 }
 
@@ -217,7 +217,7 @@ impl<'a> NetworkLearner<'a> {
         Self { trial, shape, weights: Vec::new(), workspace: Workspace::new(shape, trial.pool.width()) }
     }
 
-    fn going(&self) -> Continued {
+    fn continued_settings(&self) -> Continued {
         match self.trial.problem.optimise.protocol {
             Protocol::Joint(going) | Protocol::Random(going) => going,
             Protocol::Paper(_) => panic!("the paper's networks are fresh"),
@@ -248,7 +248,7 @@ impl<'a> NetworkLearner<'a> {
         let outcome =
             brain::train(weights, adam, batch, rate, iterations, &mut losses, &mut self.workspace, pool);
         counters.brain_iterations += losses.len() as u64;
-        well(outcome)
+        check_training(outcome)
     }
 
     fn loss(&mut self, weights: &[f32], batch: Batch<f32>) -> f64 {
@@ -265,7 +265,7 @@ impl<'a> NetworkLearner<'a> {
         if !learnt.weights.is_empty() {
             return Ok(());
         }
-        let (trial, going) = (self.trial, self.going());
+        let (trial, going) = (self.trial, self.continued_settings());
         let mut weights = fresh_weights(self.shape, trial.problem.seed, 0);
         let data = self.data(samples);
         let fall = brain::cosine(trial.problem.brain.rate - going.brain_rate, FIRST_ITERATIONS);
@@ -276,19 +276,19 @@ impl<'a> NetworkLearner<'a> {
     }
 
     /// Continues the network for its iterations on a whole batch; returns the loss.
-    fn go_on(
+    fn continue_training(
         &mut self,
         batch: Batch<f32>,
         learnt: &mut Learnt,
         counters: &mut Counters,
     ) -> Result<f64, Trouble> {
-        let going = self.going();
+        let going = self.continued_settings();
         let Learnt { weights, adam, .. } = learnt;
         self.iterate(weights, adam, batch, going.brain_iterations, &|_| going.brain_rate, counters)?;
         Ok(self.loss(weights, batch))
     }
 
-    /// As `go_on`, on slices in rotation.
+    /// As `continue_training`, on slices in rotation.
     fn go_on_by_slices(
         &mut self,
         data: &Data<f32>,
@@ -297,7 +297,7 @@ impl<'a> NetworkLearner<'a> {
         learnt: &mut Learnt,
         counters: &mut Counters,
     ) -> Result<f64, Trouble> {
-        let (going, slices) = (self.going(), SLICES.min(samples));
+        let (going, slices) = (self.continued_settings(), SLICES.min(samples));
         let Learnt { weights, adam, .. } = learnt;
         let first = step as usize * going.brain_iterations;
         for i in first..first + going.brain_iterations {
@@ -323,7 +323,7 @@ impl Learner for NetworkLearner<'_> {
         step: u32,
         learnt: &mut Learnt,
         counters: &mut Counters,
-    ) -> Result<Learned, Trouble> {
+    ) -> Result<FitResult, Trouble> {
         if let FitOn::Optimum(train) = on {
             let Training { iterations, rate, .. } = self.trial.problem.brain;
             let data = self.data(train);
@@ -332,7 +332,7 @@ impl Learner for NetworkLearner<'_> {
             self.iterate(&mut weights, &mut adam, data.all(), iterations, &|_| rate, counters)?;
             let loss = self.loss(&weights, data.all());
             self.weights = weights;
-            return Ok(Learned { loss, error: self.error(train) });
+            return Ok(FitResult { loss, error: self.error(train) });
         }
         let mut fresh = Learnt::nothing(self.shape.weights());
         let (first, learnt) = match on {
@@ -344,7 +344,7 @@ impl Learner for NetworkLearner<'_> {
             FitOn::Optimum(_) => unreachable!("returned above"),
             FitOn::Cast(train) | FitOn::Alike(train) => {
                 let data = self.data(train);
-                self.go_on(data.all(), learnt, counters)?
+                self.continue_training(data.all(), learnt, counters)?
             }
             FitOn::Recent(bodies) => {
                 let all = Samples::joined(bodies);
@@ -353,7 +353,7 @@ impl Learner for NetworkLearner<'_> {
             }
         };
         self.weights.clone_from(&learnt.weights);
-        Ok(Learned { loss, error: None })
+        Ok(FitResult { loss, error: None })
     }
 
     fn loss_vjp(&mut self, samples: &Samples, loss: Loss) -> (Option<f64>, Vec<f64>) {

@@ -75,12 +75,12 @@ pub(crate) fn readings(trial: &Trial, sets: &[Samples; 3]) -> Result<Vec<Reading
         let delays = factor(Order::Ascending)?;
         found.push(read(&delays.linear()));
         for after in WAITS.into_iter().filter_map(shorter) {
-            found.push(read(&delays.shorter(Lags { before: reach, after })));
+            found.push(read(&delays.with_memory(Lags { before: reach, after })));
         }
     }
     let memories = factor(Order::Outward)?;
     for reach in REACHES.into_iter().filter_map(shorter) {
-        found.push(read(&memories.shorter(Lags { before: reach, after: reach })));
+        found.push(read(&memories.with_memory(Lags { before: reach, after: reach })));
     }
     found.dedup_by_key(|reading| reading.lags);
     Ok(found)

@@ -15,7 +15,7 @@ pub struct Records(Samples);
 
 /// Estimates for records outside the training set.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Unseen {
+pub struct HeldOutEstimates {
     /// Estimated forces (n, T, K) (N) of the fold's n records.
     pub predictions: Vec<f64>,
     /// Errors (%); `None` for a record without force.
@@ -57,7 +57,7 @@ impl Records {
     ///
     /// # Panics
     /// If no record is inside, or none outside.
-    pub fn unseen(
+    pub fn decode_fold(
         &self,
         folds: &[usize],
         fold: usize,
@@ -65,28 +65,28 @@ impl Records {
         number: u64,
         iterations: usize,
         pool: &crate::Pool,
-    ) -> Unseen {
+    ) -> HeldOutEstimates {
         let (inside, outside): (Vec<usize>, Vec<usize>) =
             (0..self.0.count()).partition(|&i| folds[i] == fold);
         let [unseen, known] = [inside, outside].map(|records| self.0.select(&records));
-        Unseen::by(&known, &unseen, recipe, number, iterations, pool)
+        HeldOutEstimates::fit_and_decode(&known, &unseen, recipe, number, iterations, pool)
     }
 
     /// Decodes all records with a decoder fitted to samples of another body, such as a twin.
-    pub fn taught(
+    pub fn decode_all(
         &self,
         known: &Samples,
         recipe: Recipe,
         number: u64,
         iterations: usize,
         pool: &crate::Pool,
-    ) -> Unseen {
-        Unseen::by(known, &self.0, recipe, number, iterations, pool)
+    ) -> HeldOutEstimates {
+        HeldOutEstimates::fit_and_decode(known, &self.0, recipe, number, iterations, pool)
     }
 }
 
-impl Unseen {
-    fn by(
+impl HeldOutEstimates {
+    fn fit_and_decode(
         known: &Samples,
         unseen: &Samples,
         recipe: Recipe,
@@ -97,12 +97,12 @@ impl Unseen {
         let scales = Scales::of(known);
         let mut reader = match reader(recipe, known, [scales.clone(), scales], pool) {
             Ok(reader) => reader,
-            Err(trouble) => return Self::nothing(unseen, trouble),
+            Err(trouble) => return Self::zero_estimates(unseen, trouble),
         };
         let outcome = reader.fit(number, iterations, unseen, &mut |_| false).expect("it does not pause");
         let trains = reader.training().is_some();
         if let (Err(trouble), false) = (outcome, trains) {
-            return Self::nothing(unseen, trouble);
+            return Self::zero_estimates(unseen, trouble);
         }
         let predictions = reader.predict(&unseen.signals);
         let errors = unseen.errors(&predictions);
@@ -113,7 +113,7 @@ impl Unseen {
     }
 
     /// A failed decoder estimates zero force, so its records have 100 % error.
-    fn nothing(unseen: &Samples, trouble: Trouble) -> Self {
+    fn zero_estimates(unseen: &Samples, trouble: Trouble) -> Self {
         let predictions = vec![0.0; unseen.targets.len()];
         Self {
             errors: unseen.errors(&predictions),

@@ -30,12 +30,12 @@ const WORSE: f64 = 2.0;
 const EXCESS: [f64; 2] = [0.2, 0.05];
 
 /// Test samples of a fold, and the normal equations of the others.
-pub(super) struct Part {
+pub(super) struct FoldSplit {
     pub(super) judges: Plain,
     pub(super) others: Normal,
 }
 
-impl Part {
+impl FoldSplit {
     /// Error (%) of each test sample with the weights of these normal equations; `None` without a solution.
     pub(super) fn errors(&self, normal: Normal, ridge: f64) -> Option<Vec<Option<f64>>> {
         let predicted = solve(normal, ridge).ok()?.linear().predict(&self.judges.x);
@@ -55,7 +55,12 @@ impl Part {
 /// If no λ gives a solution.
 pub(super) fn ridge_of(samples: &Plain, all: &Normal, dealt: &[usize]) -> Result<f64, Trouble> {
     let prefilter = samples.w.len() >= FEW;
-    greatest(&errors_by_value(ridges(), prefilter, parts(samples, all, dealt), Part::errors_of_others))
+    one_se_choice(&errors_by_value(
+        ridges(),
+        prefilter,
+        split_folds(samples, all, dealt),
+        FoldSplit::errors_of_others,
+    ))
 }
 
 /// Fold of each sample.
@@ -64,7 +69,7 @@ pub(crate) fn assign_folds(seed: u64, samples: usize) -> Vec<usize> {
 }
 
 /// Splits the samples into folds, and subtracts each fold from the normal equations of all.
-pub(super) fn parts(samples: &Plain, all: &Normal, dealt: &[usize]) -> impl Iterator<Item = Part> {
+pub(super) fn split_folds(samples: &Plain, all: &Normal, dealt: &[usize]) -> impl Iterator<Item = FoldSplit> {
     let count = dealt.iter().max().map_or(0, |last| last + 1);
     // With one fold, no samples are left to fit.
     let numbers = if count > 1 { 0..count } else { 0..0 };
@@ -72,7 +77,7 @@ pub(super) fn parts(samples: &Plain, all: &Normal, dealt: &[usize]) -> impl Iter
         let own: Vec<usize> = (0..dealt.len()).filter(|&i| dealt[i] == part).collect();
         let test = samples.select(&own);
         let others = all.clone().plus(-1.0, &test.moments().normal(all.lags()));
-        Part { judges: test, others }
+        FoldSplit { judges: test, others }
     })
 }
 
@@ -86,27 +91,27 @@ pub(crate) fn ridges() -> impl Iterator<Item = f64> {
 pub(super) fn errors_by_value(
     values: impl Iterator<Item = f64>,
     prefilter: bool,
-    parts: impl Iterator<Item = Part>,
-    errors: impl Fn(&Part, f64) -> Option<Vec<Option<f64>>>,
+    parts: impl Iterator<Item = FoldSplit>,
+    errors: impl Fn(&FoldSplit, f64) -> Option<Vec<Option<f64>>>,
 ) -> Vec<(f64, Vec<Option<f64>>)> {
     let mut judged: Vec<(f64, Vec<Option<f64>>)> = values.map(|value| (value, Vec::new())).collect();
     let mut parts = parts.enumerate().peekable();
     while let Some((number, part)) = parts.next() {
         let prefilter = prefilter && number == 0;
-        let (mut least, mut without) = (f64::INFINITY, 0);
-        judged.retain_mut(|(value, seen)| {
-            if prefilter && without == PATIENCE {
+        let (mut value_of_min_error, mut stale_values) = (f64::INFINITY, 0);
+        judged.retain_mut(|(value, errors_so_far)| {
+            if prefilter && stale_values == PATIENCE {
                 return false;
             }
             let Some(errors) = errors(&part, *value) else { return false };
             let mean = mean_error(&errors).unwrap_or(0.0);
-            without = if mean < 0.99 * least { 0 } else { without + 1 };
-            least = least.min(mean);
-            seen.extend(errors);
+            stale_values = if mean < 0.99 * value_of_min_error { 0 } else { stale_values + 1 };
+            value_of_min_error = value_of_min_error.min(mean);
+            errors_so_far.extend(errors);
             true
         });
         if prefilter && parts.peek().is_some() {
-            judged.retain(|(_, errors)| mean_error(errors).unwrap_or(0.0) <= WORSE * least);
+            judged.retain(|(_, errors)| mean_error(errors).unwrap_or(0.0) <= WORSE * value_of_min_error);
             judged.truncate(CANDIDATES);
         }
     }
@@ -127,7 +132,7 @@ pub(super) fn least(judged: &[(f64, Vec<Option<f64>>)]) -> Result<f64, Trouble> 
 ///
 /// # Errors
 /// If there is no value.
-pub(crate) fn greatest(judged: &[(f64, Vec<Option<f64>>)]) -> Result<f64, Trouble> {
+pub(crate) fn one_se_choice(judged: &[(f64, Vec<Option<f64>>)]) -> Result<f64, Trouble> {
     let mean = |errors: &[Option<f64>]| mean_error(errors).unwrap_or(f64::INFINITY);
     let best = judged.iter().min_by(|a, b| mean(&a.1).total_cmp(&mean(&b.1))).ok_or(Trouble::Singular)?;
     let least = mean(&best.1);

@@ -4,7 +4,7 @@
 use super::Fitted;
 use super::linear::{Plain, solve};
 use super::network::predict;
-use super::ridge::{self, Part};
+use super::ridge::{self, FoldSplit};
 use crate::Pool;
 use crate::brain::linear::{Linear, Sizes};
 use crate::brain::{Data, Shape, Workspace};
@@ -38,21 +38,21 @@ impl Stack {
         let known = Plain::of(known, &scales, pool);
         let (all, dealt) = (known.moments().normal(decoder.lags), ridge::assign_folds(seed, known.w.len()));
         let ridge = decoder.ridge_of(seed, &known, &all)?;
-        let part = |part: Part| Ok(solve(part.others, ridge)?.linear());
-        let parts = ridge::parts(&known, &all, &dealt).map(part).collect::<Result<_, Trouble>>()?;
+        let part = |part: FoldSplit| Ok(solve(part.others, ridge)?.linear());
+        let parts = ridge::split_folds(&known, &all, &dealt).map(part).collect::<Result<_, Trouble>>()?;
         Ok(Self { all: solve(all, ridge)?.linear(), dealt, parts, known, scales })
     }
 
     /// Network inputs for signals (N, T, 3M) outside the training set.
     pub(super) fn unseen(&self, shape: Shape, signals: &[f64], scales: &Scales) -> Data<f32> {
         let estimates = physical(&self.estimates(signals), scales);
-        beside(shape, signals, &estimates, &vec![0.0; estimates.len()], scales)
+        stacked_data(shape, signals, &estimates, &vec![0.0; estimates.len()], scales)
     }
 
     /// Network data of the training samples.
     pub(super) fn known(&self, shape: Shape, samples: &Samples, scales: &Scales) -> Data<f32> {
         let [estimates, targets] = [&self.cross_fitted(), &self.known.y].map(|y| physical(y, scales));
-        beside(shape, &samples.signals, &estimates, &targets, scales)
+        stacked_data(shape, &samples.signals, &estimates, &targets, scales)
     }
 
     /// Estimates (N, T, K) for signals outside the training set.
@@ -83,7 +83,13 @@ fn physical(y: &[f64], scales: &Scales) -> Vec<f64> {
 }
 
 /// Network data: signals (N, T, 3M) with estimates (N, T, K) (N), scaled as forces, and targets (N).
-fn beside(shape: Shape, signals: &[f64], estimates: &[f64], targets: &[f64], scales: &Scales) -> Data<f32> {
+fn stacked_data(
+    shape: Shape,
+    signals: &[f64],
+    estimates: &[f64],
+    targets: &[f64],
+    scales: &Scales,
+) -> Data<f32> {
     let channels = shape.inputs - shape.outputs;
     let (signals, estimates): (Vec<f32>, Vec<f32>) = (scales.inputs(signals), scales.targets(estimates));
     let mut x = Vec::with_capacity(signals.len() + estimates.len());
@@ -104,6 +110,6 @@ pub(crate) fn predict_on(
     pool: &Pool,
 ) -> Vec<f64> {
     let estimates = linear.predict(signals);
-    let data = beside(shape, signals, &estimates, &vec![0.0; estimates.len()], scales);
+    let data = stacked_data(shape, signals, &estimates, &vec![0.0; estimates.len()], scales);
     predict(weights, &data, scales, &mut Workspace::new(shape, pool.width()), pool)
 }

@@ -12,7 +12,7 @@ use clarabel::algebra::CscMatrix;
 use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver, NonnegativeConeT, SolverStatus, ZeroConeT};
 
 /// Parameters of a program besides its rows.
-pub(super) struct Ask<'a> {
+pub(super) struct ProgramInput<'a> {
     /// d*: from the point of linearisation to the target, per coordinate.
     pub wish: &'a [f64],
     /// w, per coordinate.
@@ -62,7 +62,7 @@ const AGREE: f64 = 1e-8;
 
 impl Program {
     /// Solves the program; `None` if it is infeasible or Clarabel fails.
-    pub fn solve(&mut self, rows: &[Row], ask: &Ask<'_>) -> Option<Step> {
+    pub fn solve(&mut self, rows: &[Row], ask: &ProgramInput<'_>) -> Option<Step> {
         let rows = movable(rows, ask);
         let solved = self.clarabel(&rows, ask, false)?;
         let active = solved.multipliers.iter().zip(&solved.slacks).zip(&rows);
@@ -71,7 +71,7 @@ impl Program {
     }
 
     /// As `solve` with hard rows, starting from a guess of the active ones.
-    pub fn solve_from(&mut self, rows: &[Row], ask: &Ask<'_>, guess: &[Key]) -> Option<Step> {
+    pub fn solve_from(&mut self, rows: &[Row], ask: &ProgramInput<'_>, guess: &[Key]) -> Option<Step> {
         let all = movable(rows, ask);
         let mut active: Vec<Key> = guess.to_vec();
         for _ in 0..ROUNDS {
@@ -86,7 +86,9 @@ impl Program {
                 .collect();
             let mut agrees = next.len() == chosen.len();
             for row in &all {
-                if row.after(&solved.step) < ask.margin - AGREE && active.binary_search(&row.key).is_err() {
+                if row.value_after(&solved.step) < ask.margin - AGREE
+                    && active.binary_search(&row.key).is_err()
+                {
                     next.push(row.key);
                     agrees = false;
                 }
@@ -100,7 +102,7 @@ impl Program {
         self.solve(rows, ask)
     }
 
-    fn clarabel(&mut self, rows: &[&Row], ask: &Ask<'_>, equations: bool) -> Option<Solved> {
+    fn clarabel(&mut self, rows: &[&Row], ask: &ProgramInput<'_>, equations: bool) -> Option<Solved> {
         let free_step = |i: usize| {
             let (d, w) = (ask.wish[i], ask.weights[i]);
             if ask.fixed[i / 2] { 0.0 } else { d * w / (w + ask.proximal) }
@@ -228,7 +230,7 @@ struct Solved {
     slacks: Vec<f64>,
 }
 
-fn movable<'a>(rows: &'a [Row], ask: &Ask<'_>) -> Vec<&'a Row> {
+fn movable<'a>(rows: &'a [Row], ask: &ProgramInput<'_>) -> Vec<&'a Row> {
     rows.iter().filter(|r| r.terms().iter().any(|t| !ask.fixed[t.0 as usize])).collect()
 }
 

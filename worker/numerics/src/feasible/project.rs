@@ -8,7 +8,7 @@
 //!
 //! A result is returned only if the exact check (`exact.rs`) accepts it, otherwise the previous design.
 
-use super::program::{Ask, Step};
+use super::program::{ProgramInput, Step};
 use super::rows::{Key, Row, RowKind};
 use super::{Feasible, Kind};
 use crate::body::End;
@@ -160,7 +160,7 @@ impl Feasible {
             return self.kept(previous, &target, Status::NotFinite, Stage::None);
         }
         if self.violations(&target).is_empty() {
-            return self.done(target.clone(), &target, Status::Untouched, Stage::None);
+            return self.build_projection(target.clone(), &target, Status::Untouched, Stage::None);
         }
         let Some(weights) = metric(n, weights) else {
             return self.kept(previous, &target, Status::NotFinite, Stage::None);
@@ -191,7 +191,7 @@ impl Feasible {
             best = best.map(|x| self.turn_edges(&aim, x));
         }
         match best {
-            Some(x) => self.done(x, &target, Status::Projected, stage),
+            Some(x) => self.build_projection(x, &target, Status::Projected, stage),
             None => self.kept(previous, &target, Status::Kept, Stage::Repair),
         }
     }
@@ -203,7 +203,7 @@ impl Feasible {
         let mut guess: Option<Vec<Key>> = None;
         for _ in 0..SEQUENCE_PROGRAMS {
             let wish = aim.wish(&x);
-            let ask = Ask {
+            let ask = ProgramInput {
                 wish: &wish,
                 weights: &aim.weights,
                 fixed: &self.fixed,
@@ -298,7 +298,7 @@ impl Feasible {
         let mut feasible: Option<Vec<f64>> = None;
         for _ in 0..PATH_PROGRAMS {
             let wish = aim.wish(&x);
-            let ask = Ask {
+            let ask = ProgramInput {
                 wish: &wish,
                 weights: &aim.weights,
                 fixed: &self.fixed,
@@ -343,7 +343,7 @@ impl Feasible {
         [polished, snapped, feasible].into_iter().flatten().min_by(|a, b| aim.cost(a).total_cmp(&aim.cost(b)))
     }
 
-    fn done(&self, design: Vec<f64>, target: &[f64], status: Status, stage: Stage) -> Projection {
+    fn build_projection(&self, design: Vec<f64>, target: &[f64], status: Status, stage: Stage) -> Projection {
         let wish: Vec<f64> = design.iter().zip(target).map(|(x, t)| x - t).collect();
         Projection {
             active: self.active(&design),
@@ -358,7 +358,7 @@ impl Feasible {
 
     fn kept(&self, previous: &[f64], target: &[f64], status: Status, stage: Stage) -> Projection {
         let status = if self.violations(previous).is_empty() { status } else { Status::Infeasible };
-        self.done(previous.to_vec(), target, status, stage)
+        self.build_projection(previous.to_vec(), target, status, stage)
     }
 
     /// Constraints of `design` within 1e-3 mm of their limits (angles times their shorter edge).
@@ -411,5 +411,5 @@ fn squares(x: &[f64]) -> f64 {
 }
 
 fn linear_shortfall(rows: &[Row], step: &[f64]) -> f64 {
-    rows.iter().map(|row| (MARGIN - row.after(step)).max(0.0)).sum()
+    rows.iter().map(|row| (MARGIN - row.value_after(step)).max(0.0)).sum()
 }

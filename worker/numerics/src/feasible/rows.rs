@@ -73,7 +73,7 @@ impl Row {
     }
 
     /// The linearised value after a step.
-    pub fn after(&self, step: &[f64]) -> f64 {
+    pub fn value_after(&self, step: &[f64]) -> f64 {
         let gain = |&(g, d): &(u32, Point)| d[0] * step[2 * g as usize] + d[1] * step[2 * g as usize + 1];
         self.value + self.terms().iter().map(gain).sum::<f64>()
     }
@@ -398,7 +398,7 @@ impl Rows {
 
     /// At the end `n` of a ligament that leaves along `away`, for the next and the previous edge: the angle to the ligament
     /// through the void, its gradient in the far node, that node, and the edge's length.
-    fn beside(&self, at: &[Point], n: u32, away: Point) -> Option<[(f64, Point, u32, f64); 2]> {
+    fn ligament_sides(&self, at: &[Point], n: u32, away: Point) -> Option<[(f64, Point, u32, f64); 2]> {
         let (next, last) = (self.next[n as usize], self.last[n as usize]);
         let (onward, back) = (sub(at[next as usize], at[n as usize]), sub(at[last as usize], at[n as usize]));
         let lengths = [norm(onward), norm(back)];
@@ -417,7 +417,7 @@ impl Rows {
 
     fn ligament_rows(&self, at: &[Point], l: u32, window: f64, rows: &mut Vec<Row>) {
         let (na, nb, along) = self.ligaments[l as usize];
-        let ends = (self.beside(at, na, along), self.beside(at, nb, scale(-1.0, along)));
+        let ends = (self.ligament_sides(at, na, along), self.ligament_sides(at, nb, scale(-1.0, along)));
         for (node, sides) in [(na, ends.0), (nb, ends.1)] {
             for (which, (angle, by_far, far, length)) in sides.into_iter().flatten().enumerate() {
                 let value = length * (angle - self.limits.min_ligament_angle);

@@ -1,7 +1,7 @@
 //! Properties of the projection and of the exact check.
 
 use super::*;
-use crate::body::{End, Follower, Follows, Pattern};
+use crate::body::{End, FollowRule, Follower, Pattern};
 use crate::random::{Purpose, Stream};
 use proptest::prelude::*;
 
@@ -170,7 +170,7 @@ fn plated() -> (Layout, Vec<f64>) {
     let mut ligaments: Vec<[End; 2]> = squares.ligaments.iter().map(|l| [l.a, l.b]).collect();
     let joint = |unit, node| [End { unit, node: 1 }, End { unit: 6, node }];
     ligaments.extend([joint(4, 2), joint(5, 4)]);
-    let follower = Follower { node: 3, of: [2, 4], by: Follows::MeanX };
+    let follower = Follower { node: 3, of: [2, 4], by: FollowRule::MeanX };
     let layout = Layout::of_polygons(&units, &ligaments, &[], &[6], &[(6, follower)]);
     let start = vec![0.0; layout.design_len()];
     (layout, start)

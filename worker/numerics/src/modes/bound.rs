@@ -14,7 +14,7 @@ use nalgebra::{DMatrix, SymmetricEigen};
 
 /// Prior of the forces.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Prior {
+pub struct ForcePrior {
     /// D: per direction a history of all panels on the clock of the forces (N).
     pub directions: Forces,
     /// Σ over targets of each direction squared (N²): the variance along it.
@@ -26,7 +26,7 @@ pub struct Prior {
 /// Share of the variance outside D.
 const LEFT_OUT: f64 = 1e-6;
 
-impl Prior {
+impl ForcePrior {
     /// Prior from samples with weights w_i: mean and covariance are Σ w (·)/Σ w. `targets` converts histories to decoder targets
     /// (N, ·).
     ///
@@ -101,12 +101,12 @@ const STEP: f64 = 1e-4;
 ///
 /// # Errors
 /// The outcome of a failed simulation.
-pub fn along(
+pub fn jacobian_times(
     scene: &Scene,
     design: &[f64],
     forces: &Forces,
     sample: usize,
-    prior: &Prior,
+    prior: &ForcePrior,
     plan: &Plan,
     pool: &crate::Pool,
 ) -> Result<Vec<f64>, Outcome> {
@@ -138,7 +138,7 @@ pub fn along(
 ///
 /// # Panics
 /// If lengths do not match.
-pub fn information(prior: &Prior, along: &[f64], noise: &Noise) -> DMatrix<f64> {
+pub fn information(prior: &ForcePrior, along: &[f64], noise: &Noise) -> DMatrix<f64> {
     let r = prior.variance.len();
     let readings = along.len() / r.max(1);
     let white = noise.whitened(along.to_vec(), readings);
@@ -147,7 +147,7 @@ pub fn information(prior: &Prior, along: &[f64], noise: &Noise) -> DMatrix<f64> 
 }
 
 /// tr(D Q Dᵀ) over targets (N²), Q the inverse of this information; `None` if the information is not finite.
-pub fn posterior_variance(prior: &Prior, information: DMatrix<f64>) -> Option<f64> {
+pub fn posterior_variance(prior: &ForcePrior, information: DMatrix<f64>) -> Option<f64> {
     let known = inverse(information, 1.0)?;
     Some(prior.variance.iter().enumerate().map(|(k, variance)| variance * known[(k, k)]).sum())
 }

@@ -85,18 +85,19 @@ pub fn modes(rest: &Rest, units: usize, count: usize) -> Result<Vec<Mode>, NoMod
     let added = (0..n).map(own).filter(|_| rest.loose);
     let stiffness: Vec<_> = rest.stiffness.iter().copied().chain(added).collect();
     let stiffness = sparse(n, &stiffness).sp_cholesky(Side::Lower).map_err(|_| NoModes::Loose)?;
-    let inverse = Inverse { rest, stiffness, scale, shift };
+    let inverse = ShiftedInverse { rest, stiffness, scale, shift };
     let mut space = Subspace { basis: Vec::new(), image: Vec::new(), drawn: 0 };
     let mut size = (4 * count + 16).min(2 * n);
     loop {
         space.grow(&inverse, size);
         let pairs = space.pairs(&inverse, count).ok_or(NoModes::NotFinite)?;
         let residual_and_rounding: Vec<[f64; 2]> = pairs.iter().map(|(s, x)| inverse.left(*s, x)).collect();
-        let beside = residual_and_rounding
+        let allowed_residual = residual_and_rounding
             .iter()
             .fold(TOLERANCE, |most, [_, rounding]| most.max(*rounding))
             .min(ROUNDED);
-        let found = residual_and_rounding.iter().all(|[left, rounding]| *left < rounding.max(beside));
+        let found =
+            residual_and_rounding.iter().all(|[left, rounding]| *left < rounding.max(allowed_residual));
         if size == 2 * n || (found && pairs.len() == count) {
             let finite = |(s, x): &(c64, Vec<c64>)| s.is_finite() && x.iter().all(|x| x.is_finite());
             if !pairs.iter().all(finite) {
@@ -154,7 +155,7 @@ struct Subspace {
 
 impl Subspace {
     /// Applies A⁻¹ to `size` vectors in total.
-    fn grow(&mut self, inverse: &Inverse<'_>, size: usize) {
+    fn grow(&mut self, inverse: &ShiftedInverse<'_>, size: usize) {
         let most = 2 * inverse.rest.mass.len();
         while self.basis.len() < STARTS.min(most) {
             self.start(most);
@@ -190,12 +191,12 @@ impl Subspace {
                 vector.axpy(-along, of, 1.0);
             }
         }
-        let left = vector.norm();
-        if left <= 1e-14 * size {
+        let scaled_residual = vector.norm();
+        if scaled_residual <= 1e-14 * size {
             return image;
         }
-        self.basis.push(vector / left);
-        image.push(left)
+        self.basis.push(vector / scaled_residual);
+        image.push(scaled_residual)
     }
 
     /// Entry of H = Vᵀ A⁻¹ V, a band matrix below the diagonal.
@@ -204,7 +205,7 @@ impl Subspace {
     }
 
     /// y ↦ (H − shift)⁻¹ y, by elimination with partial pivoting.
-    fn divide(&self, y: &mut [c64], shift: c64) {
+    fn solve_shifted(&self, y: &mut [c64], shift: c64) {
         let m = y.len();
         let below = (0..m).map(|j| self.image[j].len() - j).max().unwrap_or(0);
         let entry = |i: usize, j: usize| c64::from(self.part(i, j)) - if i == j { shift } else { c64::ZERO };
@@ -232,11 +233,11 @@ impl Subspace {
     /// (s, x) of the `count` slowest modes in the subspace, scaled to xᵀMx = 1; `None` if numbers are not finite.
     ///
     /// Inverse iteration starts from real x, so that double modes are as real as single ones.
-    fn pairs(&self, inverse: &Inverse<'_>, count: usize) -> Option<Vec<(c64, Vec<c64>)>> {
+    fn pairs(&self, inverse: &ShiftedInverse<'_>, count: usize) -> Option<Vec<(c64, Vec<c64>)>> {
         let (m, n) = (self.image.len(), inverse.rest.mass.len());
         let values = Mat::from_fn(m, m, |i, j| self.part(i, j)).eigenvalues().ok()?;
-        let still = |s: c64| if s.norm() < STILL * inverse.shift { c64::ZERO } else { s };
-        let values = values.into_iter().map(|value| still(inverse.shift + value.inv()));
+        let snap_to_zero = |s: c64| if s.norm() < STILL * inverse.shift { c64::ZERO } else { s };
+        let values = values.into_iter().map(|value| snap_to_zero(inverse.shift + value.inv()));
         let mut slow: Vec<c64> = values.filter(|s| s.im >= 0.0).collect();
         slow.sort_by(|a, b| a.norm().total_cmp(&b.norm()));
         slow.truncate(count);
@@ -251,7 +252,7 @@ impl Subspace {
             let within = |v: &DVector<f64>| v.iter().zip(&start).map(|(v, z)| z * *v).sum::<c64>();
             let mut y: Vec<c64> = self.basis[..m].iter().map(within).collect();
             for _ in 0..3 {
-                self.divide(&mut y, shift);
+                self.solve_shifted(&mut y, shift);
                 let size = y.iter().map(|y| y.norm_sqr()).sum::<f64>().sqrt();
                 y.iter_mut().for_each(|y| *y /= size);
             }
@@ -369,7 +370,7 @@ fn read(
 }
 
 /// z ↦ (A − σ)⁻¹ z of ż = A z, z = (Ω x, ẋ): x ↦ −P⁻¹ ((C + σ M) x + M ẋ), ẋ ↦ x + σ times that.
-struct Inverse<'a> {
+struct ShiftedInverse<'a> {
     rest: &'a Rest,
     /// Cholesky factor of P.
     stiffness: Llt<usize, f64>,
@@ -379,7 +380,7 @@ struct Inverse<'a> {
     shift: f64,
 }
 
-impl Inverse<'_> {
+impl ShiftedInverse<'_> {
     fn apply(&self, z: &DVector<f64>) -> DVector<f64> {
         let (Rest { mass, damping, .. }, n) = (self.rest, self.rest.mass.len());
         let slowed = |i: usize| damping[i] + self.shift * mass[i];

@@ -343,7 +343,7 @@ impl Brains<'_> {
                 linear(&fitted, Some(share))
             }
             CastDecoder::Inverse | CastDecoder::TwinLinear(_) | CastDecoder::Twin(_) => {
-                unreachable!("read by `invert_cast`")
+                unreachable!("read by `evaluate_inverse_on_cast`")
             }
         }
     }

@@ -62,7 +62,7 @@ impl Candidates {
         let mut judges: Vec<usize> =
             (0..JUDGES).map(|j| plain.units[j * (plain.units.len() - 1) / (JUDGES - 1)]).collect();
         judges.dedup();
-        let mut judges = plain.of(&judges);
+        let mut judges = plain.select_units(&judges);
         let mut error = |energies| {
             judges.energies = energies;
             judges.scores(problem, pool).of_all()
@@ -73,18 +73,18 @@ impl Candidates {
 
     /// Keeps the best single units if there are too many to search.
     #[must_use]
-    pub fn thinned(self, problem: &Problem, pool: &crate::Pool) -> Self {
+    pub fn limit_candidates(self, problem: &Problem, pool: &crate::Pool) -> Self {
         if self.units.len() <= CANDIDATES {
             return self;
         }
-        let alone = self.worth(&[], FIRST_RIDGE, problem, pool);
+        let alone = self.rank_additions(&[], FIRST_RIDGE, problem, pool);
         let mut best: Vec<usize> = alone[..CANDIDATES].iter().map(|(unit, _)| *unit).collect();
         best.sort_unstable();
-        self.of(&best)
+        self.select_units(&best)
     }
 
     /// Each unit that is not chosen, with the error (%) of a linear decoder of the chosen units and this one, best first.
-    pub fn worth(
+    pub fn rank_additions(
         &self,
         chosen: &[usize],
         ridge: f64,
@@ -93,7 +93,7 @@ impl Candidates {
     ) -> Vec<(usize, f64)> {
         let others: Vec<usize> = self.units.iter().copied().filter(|unit| !chosen.contains(unit)).collect();
         let subset = |group: &[usize]| {
-            let some = self.of(&[chosen, group].concat());
+            let some = self.select_units(&[chosen, group].concat());
             some.scores(problem, pool).errors_with_each(chosen, group, 0.0, ridge)
         };
         let mut worth: Vec<(usize, f64)> = others.chunks(GROUP).flat_map(subset).collect();
@@ -106,7 +106,7 @@ impl Candidates {
     /// # Panics
     /// If one is not a candidate.
     #[must_use]
-    pub fn of(&self, units: &[usize]) -> Self {
+    pub fn select_units(&self, units: &[usize]) -> Self {
         let position = |unit: &usize| self.units.iter().position(|u| u == unit).expect("a candidate");
         let each = self.samples.sizes.channels / self.units.len();
         let from: Vec<usize> = units.iter().map(position).flat_map(|i| each * i..each * (i + 1)).collect();
@@ -138,7 +138,8 @@ impl Candidates {
 /// If the initial body cannot be simulated, or no placement exists.
 pub fn placed(problem: &Problem, pool: &crate::Pool) -> Result<(Problem, Option<Placed>), Failure> {
     let Some(search) = &problem.search else { return Ok((problem.clone(), None)) };
-    let candidates = Candidates::new(problem, search, &problem.initial, pool)?.thinned(problem, pool);
+    let candidates =
+        Candidates::new(problem, search, &problem.initial, pool)?.limit_candidates(problem, pool);
     let search = Placing { candidates: candidates.units.clone(), ..search.clone() };
     let found = candidates.scores(problem, pool).search(&search);
     let found = found.map_err(|NoPlacement| Failure::Initial(Trouble::Nowhere))?;

@@ -10,14 +10,14 @@ pub use candidates::{Candidates, placed};
 
 use crate::body::Layout;
 use crate::brain::linear::Sizes;
-use crate::brains::ridge::{greatest, ridges};
+use crate::brains::ridge::{one_se_choice, ridges};
 use crate::trial::Placing;
 use rayon::prelude::*;
 use spectra::Spectra;
 use std::ops::Range;
 
 /// A set of units, and its error (%).
-pub type Rated = (Vec<usize>, f64);
+pub type ScoredSet = (Vec<usize>, f64);
 
 /// Result of a search.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,7 +27,7 @@ pub struct Placed {
     /// Cross-validated error (%) of a linear decoder of the first m units, m = 1 … M.
     pub errors: Vec<f64>,
     /// The next best set that differs by one unit, and its error (%).
-    pub runner_up: Option<Rated>,
+    pub runner_up: Option<ScoredSet>,
     /// λ.
     pub ridge: f64,
     /// Whether energies of the signals were additional inputs.
@@ -75,15 +75,15 @@ impl<'a> Scores<'a> {
         pool: &'a crate::Pool,
     ) -> Self {
         assert!(sizes.channels.is_multiple_of(units.len()), "as many channels a unit");
-        let each = sizes.channels / units.len();
+        let channels_per_unit = sizes.channels / units.len();
         let folds = dealt.iter().max().map_or(0, |most| most + 1);
         let spectra = if energies {
-            let sizes = Sizes { channels: (each + 1) * units.len(), ..sizes };
-            Spectra::new(sizes, [&with_energies(x, each, units.len()), f, w], dealt, folds, pool)
+            let sizes = Sizes { channels: (channels_per_unit + 1) * units.len(), ..sizes };
+            Spectra::new(sizes, [&with_energies(x, channels_per_unit, units.len()), f, w], dealt, folds, pool)
         } else {
             Spectra::new(sizes, [x, f, w], dealt, folds, pool)
         };
-        Self { spectra, layout, units, each: each + usize::from(energies), energies, pool }
+        Self { spectra, layout, units, each: channels_per_unit + usize::from(energies), energies, pool }
     }
 
     /// Cross-validated error (%) of a linear decoder of these units; infinite if λ gives no solution.
@@ -105,7 +105,7 @@ impl<'a> Scores<'a> {
     }
 
     /// Sets with their errors (%), best first; ties keep their order.
-    fn rated(&self, sets: Vec<Vec<usize>>, ridge: f64) -> Vec<Rated> {
+    fn rated(&self, sets: Vec<Vec<usize>>, ridge: f64) -> Vec<ScoredSet> {
         let of = |set: Vec<usize>| {
             let error = self.error(&set, ridge);
             (set, error)
@@ -124,11 +124,11 @@ impl<'a> Scores<'a> {
     fn ridge(&self, units: &[usize]) -> f64 {
         let channels = self.channels_of(units);
         let judged = |ridge| Some((ridge, self.spectra.errors(&channels, ridge)?));
-        greatest(&ridges().filter_map(judged).collect::<Vec<_>>()).unwrap_or(FIRST_RIDGE)
+        one_se_choice(&ridges().filter_map(judged).collect::<Vec<_>>()).unwrap_or(FIRST_RIDGE)
     }
 
     /// Units of `from` that are not chosen and far enough from the chosen ones.
-    fn beside(&self, from: &[usize], chosen: &[usize], spacing: f64) -> Vec<usize> {
+    fn allowed_units(&self, from: &[usize], chosen: &[usize], spacing: f64) -> Vec<usize> {
         let far = |a: usize, b: usize| a != b && self.layout.are_apart(a, b, spacing);
         from.iter().copied().filter(|&unit| chosen.iter().all(|&other| far(unit, other))).collect()
     }
@@ -141,7 +141,8 @@ impl<'a> Scores<'a> {
         spacing: f64,
         ridge: f64,
     ) -> Vec<(usize, f64)> {
-        let sets = self.beside(candidates, chosen, spacing).into_iter().map(|unit| with(chosen, unit));
+        let sets =
+            self.allowed_units(candidates, chosen, spacing).into_iter().map(|unit| with_unit(chosen, unit));
         let rated = self.rated(sets.collect(), ridge);
         rated.into_iter().map(|(set, error)| (set[chosen.len()], error)).collect()
     }
@@ -158,7 +159,7 @@ impl<'a> Scores<'a> {
         // In later turns the first unit stays; in turn 0 all can be exchanged.
         let kept = usize::from(turn > 0);
         let (chosen, ridge) = self.grown(first, ridge, search)?;
-        let (chosen, runner_up, ridge) = self.exchanged(chosen, kept, ridge, search);
+        let (chosen, runner_up, ridge) = self.exchange_units(chosen, kept, ridge, search);
         let units = self.by_worth(chosen, kept, ridge);
         let errors: Vec<f64> = (1..=units.len()).map(|m| self.error(&units[..m], ridge)).collect();
         match errors.last() {
@@ -186,13 +187,13 @@ impl<'a> Scores<'a> {
     }
 
     /// Exchanges units while that lowers the error. Returns the set, the best rejected neighbour with its error, and λ.
-    fn exchanged(
+    fn exchange_units(
         &self,
         mut chosen: Vec<usize>,
         kept: usize,
         mut ridge: f64,
         search: &Placing,
-    ) -> (Vec<usize>, Option<Rated>, f64) {
+    ) -> (Vec<usize>, Option<ScoredSet>, f64) {
         let mut left = EXCHANGES;
         loop {
             let neighbours = self.neighbours(&chosen, kept, search);
@@ -214,12 +215,13 @@ impl<'a> Scores<'a> {
         for i in kept..chosen.len() {
             let mut rest = chosen.to_vec();
             let gone = rest.remove(i);
-            let others = self.beside(candidates, &rest, *spacing).into_iter().filter(|&unit| unit != gone);
-            sets.extend(others.map(|unit| with(&rest, unit)));
+            let others =
+                self.allowed_units(candidates, &rest, *spacing).into_iter().filter(|&unit| unit != gone);
+            sets.extend(others.map(|unit| with_unit(&rest, unit)));
         }
         if chosen.len() == 2 && kept == 0 {
             let pairs = candidates.iter().enumerate().flat_map(|(i, &a)| {
-                let others = self.beside(&candidates[i + 1..], &[a], *spacing);
+                let others = self.allowed_units(&candidates[i + 1..], &[a], *spacing);
                 others.into_iter().map(move |b| vec![a, b])
             });
             sets = pairs.filter(|pair| !chosen.iter().all(|unit| pair.contains(unit))).collect();
@@ -256,7 +258,7 @@ fn with_energies(x: &[f64], each: usize, units: usize) -> Vec<f64> {
     out
 }
 
-fn with(chosen: &[usize], unit: usize) -> Vec<usize> {
+fn with_unit(chosen: &[usize], unit: usize) -> Vec<usize> {
     let mut set = chosen.to_vec();
     set.push(unit);
     set

@@ -13,7 +13,7 @@ use faer::linalg::triangular_solve::{solve_lower_triangular_in_place, solve_uppe
 use faer::{Accum, Par};
 
 /// Largest share of the force power in frequencies that are left out.
-const UNREAD: f64 = 1e-4;
+const MAX_LEFT_OUT: f64 = 1e-4;
 
 /// Gram matrices of the samples per frequency: per fold, then of all folds.
 ///
@@ -69,7 +69,7 @@ impl Spectra {
         let f = transform(&f, instants, outputs, instants + 1);
         let mut left_out = power[folds];
         let mut shares = Vec::new();
-        while left_out > UNREAD * power[folds] && shares.len() <= instants {
+        while left_out > MAX_LEFT_OUT * power[folds] && shares.len() <= instants {
             let b = shares.len();
             let rows = f.iter().flat_map(|part| part.chunks_exact(outputs).skip(b).step_by(instants + 1));
             left_out -= share(b) * rows.flatten().map(|f| f * f).sum::<f64>();

@@ -7,10 +7,10 @@
 //! of any decoder that is linear in the signals. Inverting the mean of Q⁻¹ gives less (Jensen); for Gaussian forces it is the
 //! bound of Van Trees.
 
-use super::chain::{Seen, walks};
+use super::chain::{ModelOutput, walks};
 use super::nonlinear::EXACT;
 use crate::dynamics::{Forces, Outcome, Plan, Scene, choose, run};
-use crate::modes::bound::{Noise, Prior, along, information, posterior_variance};
+use crate::modes::bound::{ForcePrior, Noise, information, jacobian_times, posterior_variance};
 use crate::random::{Purpose, Stream};
 use crate::stimuli::{Bell, Source};
 use crate::trial::{Failure, Problem, Trial, Trouble};
@@ -60,18 +60,19 @@ pub fn bound(
     let known = weights(&problem.targets(&trial.train), trial.train.samples);
     let weight = known.iter().flatten().sum::<f64>() / known.iter().flatten().count() as f64;
     let known: Vec<f64> = known.into_iter().map(Option::unwrap_or_default).collect();
-    let prior = Prior::new(&trial.train, &known, |forces| problem.targets(forces));
+    let prior = ForcePrior::new(&trial.train, &known, |forces| problem.targets(forces));
     if prior.variance.is_empty() {
         return Err(Failure::Initial(Trouble::FewForces));
     }
 
-    let unseen = problem.forces(Purpose::Holdout, 0, samples.min(problem.stimuli.holdout));
-    let (scene, _) = problem.in_motion(&problem.scene, &unseen);
+    let holdout_forces = problem.forces(Purpose::Holdout, 0, samples.min(problem.stimuli.holdout));
+    let (scene, _) = problem.in_motion(&problem.scene, &holdout_forces);
     let plan = choose(&scene, design, &trial.tuned(design).solver.at_most(EXACT));
     let trouble = |outcome| Failure::Initial(Trouble::Simulation(outcome));
     let (mut left, mut total) = (Vec::new(), DMatrix::zeros(prior.variance.len(), prior.variance.len()));
-    for sample in 0..unseen.samples {
-        let along = along(&scene, design, &unseen, sample, &prior, &plan, pool).map_err(trouble)?;
+    for sample in 0..holdout_forces.samples {
+        let along =
+            jacobian_times(&scene, design, &holdout_forces, sample, &prior, &plan, pool).map_err(trouble)?;
         let along = problem.read(along, prior.directions.samples);
         let known = information(&prior, &along, &noise);
         total += &known;
@@ -80,12 +81,17 @@ pub fn bound(
     }
     let Some(informed) = posterior_variance(&prior, total / left.len() as f64) else { return Ok(None) };
     let any_decoder = match &problem.stimuli.source {
-        Source::Bell(bell) => {
-            Some(least(problem, (&scene, design, &plan), bell, &noise, WALKS * unseen.samples, pool))
-        }
+        Source::Bell(bell) => Some(decoder_error_bound(
+            problem,
+            (&scene, design, &plan),
+            bell,
+            &noise,
+            WALKS * holdout_forces.samples,
+            pool,
+        )),
         _ => None,
     };
-    let own = weights(&problem.targets(&unseen), unseen.samples);
+    let own = weights(&problem.targets(&holdout_forces), holdout_forces.samples);
     Ok(Some(Bound {
         samples: own.iter().zip(&left).map(|(w, left)| Some(100.0 * (*w)? * left)).collect(),
         mean: 100.0 * weight * left.iter().sum::<f64>() / left.len() as f64,
@@ -98,7 +104,7 @@ pub fn bound(
 
 /// Lower bound (mean, standard error) (%) on the error of every decoder, given the family of pulses, the body and its noise, from
 /// `count` walks.
-fn least(
+fn decoder_error_bound(
     problem: &Problem,
     (scene, design, plan): (&Scene, &[f64], &Plan),
     bell: &Bell,
@@ -116,7 +122,7 @@ fn least(
         }
         Forces { samples: at.len(), panels, instants, values, strikes: Vec::new() }
     };
-    let mut model = |at: &[Vec<f64>]| -> Vec<Option<Seen>> {
+    let mut model = |at: &[Vec<f64>]| -> Vec<Option<ModelOutput>> {
         let forces = forces(at);
         let found = run(scene, design, &forces.on(scene), plan, false, pool);
         let read = problem.read(found.signals, forces.samples);
@@ -125,7 +131,7 @@ fn least(
         let seen = |((readings, asked), outcome): ((&[f64], &[f64]), &Outcome)| {
             let weight = -asked.iter().map(|f| f * f).sum::<f64>().ln();
             let (readings, asked) = (readings.to_vec(), asked.to_vec());
-            (*outcome == Outcome::Ok).then_some(Seen { readings, targets: asked, weight })
+            (*outcome == Outcome::Ok).then_some(ModelOutput { readings, targets: asked, weight })
         };
         let read = noise.whitened(read, readings);
         read.chunks_exact(readings).zip(targets.chunks_exact(one)).zip(&found.outcomes).map(seen).collect()

@@ -14,7 +14,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 /// Outputs of a model for some parameters.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Seen {
+pub(crate) struct ModelOutput {
     /// s in units of the noise, which is white.
     pub(crate) readings: Vec<f64>,
     /// g, the quantity to estimate.
@@ -26,12 +26,12 @@ pub(crate) struct Seen {
 /// Curvature of −ln of a parameter's prior: that of a Gaussian with the same variance, π²/3.
 const PRIOR: f64 = 0.304;
 /// Evaluates several sets of parameters; `None` for failed ones.
-pub(crate) type Model<'a> = dyn FnMut(&[Vec<f64>]) -> Vec<Option<Seen>> + 'a;
+pub(crate) type Model<'a> = dyn FnMut(&[Vec<f64>]) -> Vec<Option<ModelOutput>> + 'a;
 
 /// Step of one-sided differences; proposals need no better ones.
 const STEP: f64 = 1e-3;
 /// Weight of the current point in the mean of a proposal.
-const KEPT: f64 = 0.5;
+const PERSISTENCE: f64 = 0.5;
 /// Number of steps of a walk; even.
 const STEPS: usize = 4;
 
@@ -39,13 +39,13 @@ const STEPS: usize = 4;
 struct Walk {
     first: Vec<f64>,
     x: DVector<f64>,
-    stand: WalkState,
+    state: WalkState,
 }
 
 /// Current point of a walk, and the Gaussian of its proposals.
 struct WalkState {
     u: DVector<f64>,
-    seen: Seen,
+    seen: ModelOutput,
     mean: DVector<f64>,
     factor: Cholesky<f64, Dyn>,
     /// ln of w p(u|x), up to a constant.
@@ -54,41 +54,41 @@ struct WalkState {
 
 impl WalkState {
     /// From the model at u and with each parameter displaced; `None` if one fails.
-    fn new(u: DVector<f64>, mut seen: Vec<Option<Seen>>, x: &DVector<f64>) -> Option<Self> {
-        let moved: Option<Vec<Seen>> = seen.split_off(1).into_iter().collect();
+    fn new(u: DVector<f64>, mut seen: Vec<Option<ModelOutput>>, x: &DVector<f64>) -> Option<Self> {
+        let moved: Option<Vec<ModelOutput>> = seen.split_off(1).into_iter().collect();
         let (moved, seen) = (moved?, seen.pop()??);
         let s = DVector::from_column_slice(&seen.readings);
         let columns: Vec<DVector<f64>> =
             moved.iter().map(|m| (DVector::from_column_slice(&m.readings) - &s) / STEP).collect();
         let j = DMatrix::from_columns(&columns);
         let factor = (j.tr_mul(&j) + PRIOR * DMatrix::identity(u.len(), u.len())).cholesky()?;
-        let left = x - &s;
-        let slope = j.tr_mul(&left) - u.map(|u| (0.5 * u).tanh());
-        let mean = &u + (1.0 - KEPT) * factor.solve(&slope);
+        let residual = x - &s;
+        let slope = j.tr_mul(&residual) - u.map(|u| (0.5 * u).tanh());
+        let mean = &u + (1.0 - PERSISTENCE) * factor.solve(&slope);
         let prior: f64 = u.iter().map(|u| -u - 2.0 * (-u).exp().ln_1p()).sum();
-        let density = seen.weight + prior - 0.5 * left.norm_squared();
+        let density = seen.weight + prior - 0.5 * residual.norm_squared();
         density.is_finite().then_some(Self { u, seen, mean, factor, density })
     }
 
     fn proposed(&self, stream: &mut Stream) -> DVector<f64> {
         let z = DVector::from_fn(self.u.len(), |_, _| stream.normal());
         let spread = self.factor.l().tr_solve_lower_triangular(&z).expect("a factor");
-        &self.mean + (1.0 - KEPT * KEPT).sqrt() * spread
+        &self.mean + (1.0 - PERSISTENCE * PERSISTENCE).sqrt() * spread
     }
 
     /// ln of the density of proposing u, up to a constant.
-    fn proposes(&self, u: &DVector<f64>) -> f64 {
+    fn log_proposal_density(&self, u: &DVector<f64>) -> f64 {
         let l = self.factor.l_dirty();
         let determinant: f64 = (0..u.len()).map(|i| l[(i, i)].ln()).sum();
-        let off = self.factor.l().tr_mul(&(u - &self.mean));
-        determinant - 0.5 * off.norm_squared() / (1.0 - KEPT * KEPT)
+        let whitened_offset = self.factor.l().tr_mul(&(u - &self.mean));
+        determinant - 0.5 * whitened_offset.norm_squared() / (1.0 - PERSISTENCE * PERSISTENCE)
     }
 }
 
 /// ½ |g(u₀) − g(uₙ)|² of walks from each of the truths; `stream` supplies noise and proposals. `None` if the model fails at the
 /// truth.
 pub(crate) fn walks(truths: Vec<Vec<f64>>, model: &mut Model, stream: &mut Stream) -> Vec<Option<f64>> {
-    let mut stands = |at: &[DVector<f64>]| -> Vec<Vec<Option<Seen>>> {
+    let mut evaluate_stencils = |at: &[DVector<f64>]| -> Vec<Vec<Option<ModelOutput>>> {
         let around = |u: &DVector<f64>| {
             let moved = (0..u.len()).map(|k| {
                 let mut u = u.clone();
@@ -103,27 +103,29 @@ pub(crate) fn walks(truths: Vec<Vec<f64>>, model: &mut Model, stream: &mut Strea
         at.iter().map(|_| seen.by_ref().take(each).collect()).collect()
     };
     let truths: Vec<DVector<f64>> = truths.into_iter().map(DVector::from_vec).collect();
-    let begun = stands(&truths).into_iter().zip(&truths).map(|(seen, u)| {
+    let initial_walks = evaluate_stencils(&truths).into_iter().zip(&truths).map(|(seen, u)| {
         let truth = seen[0].as_ref()?;
         let readings = truth.readings.iter().map(|s| s + stream.normal()).collect();
         let (first, x) = (truth.targets.clone(), DVector::from_vec(readings));
-        Some(Walk { first, stand: WalkState::new(u.clone(), seen, &x)?, x })
+        Some(Walk { first, state: WalkState::new(u.clone(), seen, &x)?, x })
     });
-    let mut all: Vec<Option<Walk>> = begun.collect();
+    let mut all: Vec<Option<Walk>> = initial_walks.collect();
     for _ in 0..STEPS {
         let proposed: Vec<DVector<f64>> =
-            all.iter().flatten().map(|walk| walk.stand.proposed(stream)).collect();
-        let found = stands(&proposed);
-        for ((Walk { stand, x, .. }, u), seen) in all.iter_mut().flatten().zip(proposed).zip(found) {
+            all.iter().flatten().map(|walk| walk.state.proposed(stream)).collect();
+        let found = evaluate_stencils(&proposed);
+        for ((Walk { state: stand, x, .. }, u), seen) in all.iter_mut().flatten().zip(proposed).zip(found) {
             let chance = stream.uniform().ln();
             let Some(next) = WalkState::new(u, seen, x) else { continue };
-            let ratio = next.density + next.proposes(&stand.u) - stand.density - stand.proposes(&next.u);
+            let ratio = next.density + next.log_proposal_density(&stand.u)
+                - stand.density
+                - stand.log_proposal_density(&next.u);
             if chance < ratio {
                 *stand = next;
             }
         }
     }
-    let square = |Walk { first, stand, .. }: &Walk| {
+    let square = |Walk { first, state: stand, .. }: &Walk| {
         first.iter().zip(&stand.seen.targets).map(|(a, b)| (a - b).powi(2)).sum::<f64>()
     };
     all.iter().map(|walk| walk.as_ref().map(|walk| 0.5 * square(walk))).collect()

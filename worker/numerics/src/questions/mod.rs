@@ -11,7 +11,7 @@ mod under;
 pub use bound::{Bound, bound};
 pub use nonlinear::Nonlinear;
 pub(crate) use nonlinear::nonlinear;
-pub use operator::{OperatorFigures, told};
+pub use operator::{OperatorFigures, compute_figures};
 pub use replay::{LinearReplay, Motion, Replay, motion, replay, sense};
 pub use under::UnderReading;
 pub(crate) use under::under;

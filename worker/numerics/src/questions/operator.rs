@@ -39,7 +39,7 @@ const NOISE: f64 = 0.01;
 ///
 /// # Panics
 /// If the sensors are not yet placed, or the design has the wrong length.
-pub fn told(problem: &Problem, design: &[f64]) -> OperatorFigures {
+pub fn compute_figures(problem: &Problem, design: &[f64]) -> OperatorFigures {
     assert!(problem.search.is_none(), "the sensors are not in place");
     let scene = &problem.scene;
     let (bins, panels) = (scene.instants / 2, scene.panels.len());
@@ -48,14 +48,14 @@ pub fn told(problem: &Problem, design: &[f64]) -> OperatorFigures {
     // G per frequency: channels of each sensor in turn, by panels.
     let operators = |rest: &Rest, found: Vec<Vec<Vec<Response>>>| -> Vec<Mat<c64>> {
         let (each, rows) = (problem.channels.len(), problem.channels.len() * scene.sensors.len());
-        let of = |(of, &hertz): (&Vec<Vec<Response>>, &f64)| {
+        let average_figures = |(of, &hertz): (&Vec<Vec<Response>>, &f64)| {
             let read = |i: usize, k: usize| {
                 let unit = scene.sensors[i / each];
                 mounted_response(problem, rest, unit, of[k][i / each], hertz)[problem.channels[i % each]]
             };
             Mat::from_fn(rows, panels, read)
         };
-        found.iter().zip(&frequencies).map(of).collect()
+        found.iter().zip(&frequencies).map(average_figures).collect()
     };
     let whole = |rest: &Rest| operators(rest, responses(scene, rest, &scene.sensors, &frequencies));
     let rms = |operators: &[Mat<c64>]| -> Vec<f64> {
@@ -73,9 +73,9 @@ pub fn told(problem: &Problem, design: &[f64]) -> OperatorFigures {
         false => rms(&whole(&Rest::new(scene, scaling))),
     };
     let size = problem.disturbance.map_or(Size::Relative(0.0), |chips| chips.noise);
-    let usual = |rms: f64| if rms > 0.0 { NOISE * rms } else { f64::INFINITY };
+    let default_noise = |rms: f64| if rms > 0.0 { NOISE * rms } else { f64::INFINITY };
     let sized = size.of(&channels, &problem.channels).into_iter().zip(&channels);
-    let noise: Vec<f64> = sized.map(|(own, rms)| if own > 0.0 { own } else { usual(*rms) }).collect();
+    let noise: Vec<f64> = sized.map(|(own, rms)| if own > 0.0 { own } else { default_noise(*rms) }).collect();
     let energy = |mode| {
         let of_mode = operators(&rest, part_of(mode, scene, &rest, &scene.sensors, &frequencies));
         of_mode.iter().zip(&power).map(|(g, s)| s * squares(g, &noise)).sum::<f64>()
@@ -154,9 +154,9 @@ fn of(
     let (mut left, mut rank, mut condition, mut bits) = (0.0, 0.0, 0.0, 0.0);
     for (g, s) in operators.iter().zip(power) {
         let white = |i: usize| (s * bins as f64).sqrt() / noise[i];
-        let told = Mat::from_fn(g.nrows(), panels, |i, k| g[(i, k)] * white(i));
+        let whitened = Mat::from_fn(g.nrows(), panels, |i, k| g[(i, k)] * white(i));
         // NaN if f64 cannot represent the ratio to the noise.
-        let values = told.singular_values().unwrap_or_else(|_| vec![f64::NAN; panels.min(g.nrows())]);
+        let values = whitened.singular_values().unwrap_or_else(|_| vec![f64::NAN; panels.min(g.nrows())]);
         let squares: Vec<f64> = values.iter().map(|s| s * s).collect();
         let (sum, last) =
             (squares.iter().sum::<f64>(), squares.iter().copied().fold(f64::INFINITY, f64::min));
@@ -189,8 +189,9 @@ fn memory(operators: &[Mat<c64>], power: &[f64], noise: &[f64], frequencies: &[f
             frequencies.iter().zip(power).map(|(hertz, s)| c64::cis(TAU * hertz * t) * s.sqrt()).collect();
         for (i, noise) in noise.iter().enumerate() {
             for k in 0..operators[0].ncols() {
-                let says: f64 = operators.iter().zip(&turn).map(|(g, turn)| (g[(i, k)] * turn).re).sum();
-                let square = (says / noise).powi(2);
+                let response_value: f64 =
+                    operators.iter().zip(&turn).map(|(g, turn)| (g[(i, k)] * turn).re).sum();
+                let square = (response_value / noise).powi(2);
                 (late, energy) = (late + t * square, energy + square);
             }
         }
@@ -234,7 +235,7 @@ mod tests {
     }
 
     /// Weak pulses on a body whose motion decays within a sample: spectra of chips off the centroid, rotated, in both frames,
-    /// follow from those of plain chips by `heard`.
+    /// follow from those of plain chips by `mounted_response`.
     #[test]
     fn a_chip_off_its_centroid_hears_what_a_simulation_says() {
         let mut problem = small(Protocol::Joint(GOING));
@@ -279,7 +280,7 @@ mod tests {
     }
 
     fn check_sensors(what: &str, mut problem: Problem) {
-        let of = |problem: &Problem| told(problem, &problem.initial);
+        let of = |problem: &Problem| compute_figures(problem, &problem.initial);
         let units = problem.scene.layout.placement(0, &problem.scene.clamped)[..2].to_vec();
         problem.scene.sensors = units[..1].to_vec();
         let (one, again) = (of(&problem), of(&problem));

@@ -198,7 +198,7 @@ impl Replay {
     }
 
     /// Estimates of a given linear decoder with the trial's memory.
-    pub fn by(&self, problem: &Problem, fitted: &Fitted) -> LinearReplay {
+    pub fn decode_with(&self, problem: &Problem, fitted: &Fitted) -> LinearReplay {
         replay_of_fit(&self.samples(problem), problem.decoder.lags, fitted)
     }
 }

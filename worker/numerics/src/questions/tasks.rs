@@ -88,7 +88,7 @@ pub struct Observations<'a> {
 
 /// Result of a task.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Reading {
+pub struct TaskEstimate {
     /// The task.
     pub task: Task,
     /// `"direct"` or `"decoded"`.
@@ -106,18 +106,20 @@ pub struct Reading {
 }
 
 /// Estimates all tasks whose labels vary among the training samples; also returns the other tasks.
-pub fn tasks(seen: &Observations) -> (Vec<Reading>, Vec<Task>) {
-    let basis = Basis::new(seen);
+pub fn tasks(observations: &Observations) -> (Vec<TaskEstimate>, Vec<Task>) {
+    let basis = Basis::new(observations);
     let (varied, constant): (Vec<Task>, Vec<Task>) = Task::ALL.into_iter().partition(|task| {
-        let labels: Vec<Vec<f64>> = seen.train.iter().map(|&i| seen.label(*task, seen.forces, i)).collect();
+        let labels: Vec<Vec<f64>> =
+            observations.train.iter().map(|&i| observations.label(*task, observations.forces, i)).collect();
         labels.iter().any(|label| *label != labels[0])
     });
     let read = |task: &Task| {
         let labels = |samples: &[usize], forces: &[f64]| -> Vec<Vec<f64>> {
-            samples.iter().map(|&i| seen.label(*task, forces, i)).collect()
+            samples.iter().map(|&i| observations.label(*task, forces, i)).collect()
         };
-        let [known, truth] = [seen.train, seen.judge].map(|samples| labels(samples, seen.forces));
-        let decoded = labels(seen.judge, seen.decoded);
+        let [known, truth] =
+            [observations.train, observations.judge].map(|samples| labels(samples, observations.forces));
+        let decoded = labels(observations.judge, observations.decoded);
         let direct = if task.is_class() { basis.classes(&known) } else { basis.values(&known) };
         let trivial = vec![trivial(*task, &known); truth.len()];
         let trivial = Score::of(*task, &truth, &trivial).error;
@@ -125,10 +127,10 @@ pub fn tasks(seen: &Observations) -> (Vec<Reading>, Vec<Task>) {
             let Score { error, interval } = Score::of(*task, &truth, &found);
             let least = match task {
                 Task::Panel | Task::Count => 50.0 / truth.len() as f64,
-                Task::Onset => 500.0 * seen.interval / truth.len() as f64,
+                Task::Onset => 500.0 * observations.interval / truth.len() as f64,
                 Task::Peak | Task::Impulse => 0.0,
             };
-            Reading { task: *task, readout, error, interval, least, trivial, samples: truth.len() }
+            TaskEstimate { task: *task, readout, error, interval, least, trivial, samples: truth.len() }
         })
     };
     (varied.iter().flat_map(read).collect(), constant)
@@ -164,13 +166,13 @@ impl Score {
         let n = truth.len() as f64;
         let pairs = truth.iter().zip(found);
         if task.is_class() {
-            let wrong = pairs.filter(|(a, b)| a != b).count() as f64 / n;
+            let error_rate = pairs.filter(|(a, b)| a != b).count() as f64 / n;
             let z = student(truth.len() - 1);
-            let (middle, scale) = ((wrong + z * z / (2.0 * n)), 1.0 + z * z / n);
-            let half = z * (wrong * (1.0 - wrong) / n + z * z / (4.0 * n * n)).sqrt();
+            let (middle, scale) = ((error_rate + z * z / (2.0 * n)), 1.0 + z * z / n);
+            let half = z * (error_rate * (1.0 - error_rate) / n + z * z / (4.0 * n * n)).sqrt();
             let interval =
                 [(middle - half) / scale, (middle + half) / scale].map(|x| 100.0 * x.clamp(0.0, 1.0));
-            return Self { error: 100.0 * wrong, interval };
+            return Self { error: 100.0 * error_rate, interval };
         }
         let of = |(a, b): (&Vec<f64>, &Vec<f64>)| {
             a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f64>() / a.len() as f64

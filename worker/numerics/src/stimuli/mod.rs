@@ -13,7 +13,7 @@ use std::ops::Range;
 use crate::dynamics::{Forces, Panel, Strike};
 use crate::random::{Purpose, Stream};
 pub use irregular::{Irregular, irregular};
-use recorded::within;
+use recorded::mirrored_low_pass;
 pub use recorded::{Deal, REACH, Recorded, anti_aliased, anti_aliased_force, resample};
 
 /// Intervals `[min, max]` of the uniform distributions of a bell pulse's parameters.
@@ -113,7 +113,7 @@ impl Hand {
         let strike = |sample: u64, k: usize| {
             let mut stream = Stream::new(Purpose::Strike, seed, [(purpose as u64) << 32 | sample, k as u64]);
             let [offset, angle] = [self.offset, self.angle].map(|deviation| deviation * stream.normal());
-            panels[k].struck(offset, angle)
+            panels[k].deviated_strike(offset, angle)
         };
         samples
             .flat_map(|sample| (0..panels.len()).map(move |k| (sample, k)))
@@ -247,8 +247,9 @@ pub fn targets(forces: &Forces, instants: usize, low_pass: bool) -> Vec<f64> {
     let mut targets = Vec::with_capacity(forces.samples * instants * panels);
     for sample in forces.values.chunks_exact(panels * clock) {
         if low_pass && every > 1 {
-            let read =
-                |history: &[f64]| within(history, 0.0, 1.0, forces.instants as f64, instants, history[0]);
+            let read = |history: &[f64]| {
+                mirrored_low_pass(history, 0.0, 1.0, forces.instants as f64, instants, history[0])
+            };
             let histories: Vec<Vec<f64>> = sample.chunks_exact(clock).map(read).collect();
             (1..=instants).for_each(|n| targets.extend(histories.iter().map(|f| f[n])));
         } else {
@@ -281,10 +282,10 @@ pub fn split(seed: u64, samples: usize, test: usize, replacement: bool) -> (Vec<
 
 /// Fold, from 0, of each record: a seeded shuffle into folds whose sizes differ by at most one.
 pub fn folds(seed: u64, records: usize, folds: usize) -> Vec<usize> {
-    let mut of = vec![0; records];
+    let mut fold_of = vec![0; records];
     let order = Stream::new(Purpose::Split, seed, [records as u64, 2]).permutation(records);
-    order.into_iter().enumerate().for_each(|(n, record)| of[record] = n % folds);
-    of
+    order.into_iter().enumerate().for_each(|(n, record)| fold_of[record] = n % folds);
+    fold_of
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 //!
 //! Simulations take f as linear between instants, so `resample` onto a sufficiently fine clock (`Scene::instants`) is exact.
 //! Targets have T instants, so `anti_aliased` first removes frequencies above half their rate: a sinc in a Kaiser window (β = 8,
-//! stopband −80 dB), normalised at zero frequency. `felt` keeps forces within the sample; a plain low-pass would move half of a
+//! stopband −80 dB), normalised at zero frequency. `anti_aliased_force` keeps forces within the sample; a plain low-pass would move half of a
 //! blow at the start to before it.
 
 use std::sync::Arc;
@@ -107,11 +107,13 @@ impl Recorded {
 
 /// f at t_n = n·duration/T, n = 0…T, from a record with entry i at `start` + i·`dt`: linear interpolation, zero outside.
 pub fn resample(record: &[f64], start: f64, dt: f64, duration: f64, instants: usize) -> Vec<f64> {
-    (0..=instants).map(|n| at(record, (n as f64 * duration / instants as f64 - start) / dt)).collect()
+    (0..=instants)
+        .map(|n| interpolate(record, (n as f64 * duration / instants as f64 - start) / dt))
+        .collect()
 }
 
 /// The record at the fractional entry `s`.
-fn at(record: &[f64], s: f64) -> f64 {
+fn interpolate(record: &[f64], s: f64) -> f64 {
     // Rounds positions that differ from an entry by rounding error.
     let s = if (s - s.round()).abs() < 1e-9 { s.round() } else { s };
     if record.is_empty() || s < 0.0 || s > (record.len() - 1) as f64 {
@@ -142,7 +144,7 @@ impl LowPass {
     }
 
     /// Filtered value at instant n of the entries that `entry` returns.
-    fn at(&mut self, n: usize, entry: impl Fn(i64) -> f64) -> f64 {
+    fn filtered_value(&mut self, n: usize, entry: impl Fn(i64) -> f64) -> f64 {
         let (centre, reach) = (self.origin + n as f64 * self.delta, REACH * self.delta);
         let first = (centre - reach).ceil();
         if self.known.1.is_empty() || (centre - first - self.known.0).abs() > 1e-9 {
@@ -174,7 +176,7 @@ pub fn anti_aliased(record: &[f64], start: f64, dt: f64, duration: f64, instants
     }
     let mut low_pass = LowPass::new(-start / dt, delta / dt);
     let entry = |i: i64| usize::try_from(i).ok().and_then(|i| record.get(i)).copied().unwrap_or(0.0);
-    (0..=instants).map(|n| low_pass.at(n, entry)).collect()
+    (0..=instants).map(|n| low_pass.filtered_value(n, entry)).collect()
 }
 
 /// As [`anti_aliased`], for a force: what acts from 0 to `duration` stays in the sample.
@@ -186,13 +188,13 @@ pub fn anti_aliased_force(record: &[f64], start: f64, dt: f64, duration: f64, in
     let origin = -start / dt;
     let mut low_pass = LowPass::new(origin, delta / dt);
     // Force at instant 0, from earlier entries only.
-    let beginning = low_pass.at(0, |i| at(record, origin - (origin - i as f64).abs()));
-    within(record, start, dt, duration, instants, beginning)
+    let beginning = low_pass.filtered_value(0, |i| interpolate(record, origin - (origin - i as f64).abs()));
+    mirrored_low_pass(record, start, dt, duration, instants, beginning)
 }
 
 /// Low-pass of a force that is mirrored at both ends of the sample, so that no impulse leaves it. Instant 0 has no target: its
 /// force is set to `beginning`, and the excess impulse moves to instant 1.
-pub(super) fn within(
+pub(super) fn mirrored_low_pass(
     record: &[f64],
     start: f64,
     dt: f64,
@@ -205,12 +207,12 @@ pub(super) fn within(
     let mirrored = |i: i64| {
         let after = i as f64 - origin;
         if (0.0..=length).contains(&after) {
-            return at(record, i as f64);
+            return interpolate(record, i as f64);
         }
         let turned = after.rem_euclid(2.0 * length);
-        at(record, origin + turned.min(2.0 * length - turned))
+        interpolate(record, origin + turned.min(2.0 * length - turned))
     };
-    let mut values: Vec<f64> = (0..=instants).map(|n| low_pass.at(n, mirrored)).collect();
+    let mut values: Vec<f64> = (0..=instants).map(|n| low_pass.filtered_value(n, mirrored)).collect();
     values[1] += 0.5 * (values[0] - beginning);
     values[0] = beginning;
     values

@@ -24,7 +24,7 @@ fn a_control_group_has_the_limits_of_those_above_it() {
 /// A trial that exceeds the limit is rejected with the key that multiplies its memory; a small trial is accepted.
 #[test]
 fn what_no_memory_holds_is_refused_by_its_key() {
-    let limit = Limit { name: "this machine has", bytes: 1e11 };
+    let limit = MemoryLimit { name: "this machine has", bytes: 1e11 };
     let refused = |change: &dyn Fn(&mut TrialSpec)| {
         let mut trial = trial(&[]);
         change(&mut trial);

@@ -73,7 +73,7 @@ pub(super) struct Uneven {
 }
 
 impl Uneven {
-    pub fn said(&self, separator: u8, form: &Form) -> String {
+    pub fn message(&self, separator: u8, form: &Form) -> String {
         let Self { line, found, first, wanted, .. } = self;
         let hint = match separator {
             _ if *wanted == 1 => {

@@ -1,6 +1,6 @@
 use super::*;
 use crate::replay::tests::{Blind, small_trial};
-use crate::replay::{layers, own, replay};
+use crate::replay::{fit_decoder, layers, replay};
 use crate::run::{pool, run_trial};
 use metasense_schemas::spec::{BrainKind, TrialSpec};
 
@@ -10,7 +10,7 @@ fn brain(trial: &TrialSpec) -> (Replay, Vec<Convolution>) {
     let body = &result.optimised;
     let weights = body.networks.first().map_or(&[][..], |network| &network.weights);
     let replay = replay(trial, &body.design, weights, 0, 1).unwrap();
-    let layers = layers(trial, &own(trial, weights, &replay).unwrap(), &replay).unwrap();
+    let layers = layers(trial, &fit_decoder(trial, weights, &replay).unwrap(), &replay).unwrap();
     (replay, layers)
 }
 
@@ -29,7 +29,9 @@ fn off(replay: &Replay, set: u8, brain: &[f64], read: &dyn Fn(&[f64]) -> Vec<f32
     let count = replay.split.len();
     let [signals, forces] = [&replay.signals[..], brain].map(|v| v.chunks_exact(v.len() / count));
     let (mut difference, mut all) = (0.0, 0.0);
-    for ((signals, forces), _) in signals.zip(forces).zip(&replay.split).filter(|(_, own)| **own == set) {
+    for ((signals, forces), _) in
+        signals.zip(forces).zip(&replay.split).filter(|(_, own)| **own == set)
+    {
         for (said, f) in read(signals).into_iter().zip(forces) {
             difference += (f64::from(said) - f).powi(2);
             all += f * f;
@@ -45,7 +47,7 @@ fn integers_say_what_the_brain_says() {
     for (replay, layers) in brains() {
         let grouped = layers[0].spans.iter().any(|span| *span > 1);
         assert!(grouped == layers[0].linear);
-        let single = Single::new(&layers);
+        let single = SinglePrecision::new(&layers);
         // On training samples a stacked network uses out-of-fold estimates.
         let sets = if grouped && layers.len() > 1 { 2..=2 } else { 0..=2 };
         let exact = sets.map(|set| off(&replay, set, &replay.predictions, &|signals| single.read(signals)));
@@ -54,7 +56,7 @@ fn integers_say_what_the_brain_says() {
         let said = replay.signals.chunks_exact(one).flat_map(|signals| single.read(signals));
         let said: Vec<f64> = said.map(f64::from).collect();
         let [i16, i8] = [32767, 127].map(|most| Integers::new(&layers, most, &replay));
-        let coarse = Integers::within(&layers, 127, 127, 1.0, &replay);
+        let coarse = Integers::quantise(&layers, 127, 127, 1.0, &replay);
         let [fine, coarser, coarsest] =
             [&i16, &i8, &coarse].map(|of| off(&replay, 0, &said, &|signals| of.read(signals)));
         println!("{} layers: {exact:.1e} {fine:.1e} {coarser:.1e} {coarsest:.1e}", layers.len());

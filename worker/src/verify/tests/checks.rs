@@ -230,7 +230,7 @@ fn transpose(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
         // Rapidly varying forces: accelerations of slow motion are small differences of large forces, dominated by rounding at
         // 1e-12.
         let values = (0..2 * (instants + 1)).map(|_| 0.4 * stream.normal()).collect();
-        let strike = |panel: &Panel| panel.struck(-2.5, 0.3);
+        let strike = |panel: &Panel| panel.deviated_strike(-2.5, 0.3);
         let strikes = match name {
             "struck off the centroids" => scene.panels.iter().map(strike).collect(),
             _ => Vec::new(),

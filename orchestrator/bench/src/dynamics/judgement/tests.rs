@@ -12,7 +12,7 @@ fn costs_lie_on_lines_between_logarithms() {
 /// One of three methods never reaches the error. The line names the cheapest, with Tsit5 at equal error and `auto`.
 #[test]
 fn the_cheapest_is_named() {
-    let mark = |method: &str, setting: &str, points: [Option<(f64, f64)>; 2]| Mark {
+    let mark = |method: &str, setting: &str, points: [Option<(f64, f64)>; 2]| MeasuredRun {
         scene: "contact".into(),
         method: method.into(),
         setting: setting.into(),

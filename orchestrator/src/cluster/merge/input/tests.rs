@@ -14,11 +14,11 @@ async fn an_input_is_locked_while_it_is_attached_and_known_to_have_changed() {
     assert_eq!(other.uri(), input.uri(), "merges may share it");
     drop(held);
     let store = Store::open(&db).await.unwrap();
-    assert!(matches!(input.hold(), Err(Refusal::Changed)));
+    assert!(matches!(input.hold(), Err(InputError::Changed)));
     assert_ne!(open("3").await.uri(), input.uri(), "a copy of what a run writes to");
     store.close().await.unwrap();
     let mut bytes = std::fs::read(&db).unwrap();
     bytes.push(0);
     std::fs::write(&db, bytes).unwrap();
-    assert!(matches!(input.hold(), Err(Refusal::Changed)));
+    assert!(matches!(input.hold(), Err(InputError::Changed)));
 }

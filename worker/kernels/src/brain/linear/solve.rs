@@ -97,14 +97,14 @@ impl Fit {
 
     /// The decoder of the whole memory.
     pub fn linear(&self) -> Linear {
-        self.shorter(self.lags)
+        self.with_memory(self.lags)
     }
 
     /// The decoder of a memory whose lags come first in this factor's order.
     ///
     /// # Panics
     /// If they do not come first.
-    pub fn shorter(&self, lags: Lags) -> Linear {
+    pub fn with_memory(&self, lags: Lags) -> Linear {
         let (groups, later) = (lags.groups(), self.lags.before - lags.before);
         let first = &self.groups[..groups.len()];
         let held = |group: &Range<usize>| first.contains(&(group.start + later..group.end + later));

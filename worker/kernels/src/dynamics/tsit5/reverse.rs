@@ -187,7 +187,7 @@ pub fn reverse<V: Vector<Wide = V>>(
                         &within,
                         (&bar_x, &bar_v),
                         later,
-                        system.weigh(),
+                        system.force_cotangent(),
                         &step.a[i],
                         &mut w,
                     );

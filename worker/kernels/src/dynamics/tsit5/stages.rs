@@ -242,7 +242,7 @@ fn nth_stage_vjp<'a, V: Vector, const I: usize>(
             }
             let first = V::splat(by.damping[d]).mul_sub_from(first, V::splat(A[6][I]) * bar_v[u][d]);
             let bar = h2.mul_add(second, h * first);
-            w[u][d] = V::of(inverse[u][d]) * bar;
+            w[u][d] = V::from_scalar(inverse[u][d]) * bar;
             mass[u][d] = w[u][d].mul_sub_from(a[u][d], mass[u][d]);
         }
     }

@@ -8,7 +8,7 @@
 
 use super::model::Model;
 use super::prior::Prior;
-use crate::definite::{half_log, solved};
+use crate::definite::{half_log, solve_with_floor};
 use crate::dynamics::Outcome;
 use crate::identify::{Ending, GoOn};
 use crate::trial::{Counters, Trial};
@@ -112,18 +112,18 @@ pub(super) struct Start {
     /// B and its age, from fewer readings.
     known: Option<(Mat<f64>, usize)>,
     /// Number of further readings for which J is wanted, and J for the available ones.
-    coming: (usize, Mat<f64>),
+    jacobian_ahead: (usize, Mat<f64>),
 }
 
 impl Start {
     /// Starts at z, then b/σ_b, with unknown curvature.
-    pub(super) fn evaluate(z: Vec<f64>) -> Self {
-        Self { z, known: None, coming: (0, Mat::new()) }
+    pub(super) fn at_point(z: Vec<f64>) -> Self {
+        Self { z, known: None, jacobian_ahead: (0, Mat::new()) }
     }
 
     /// Also requests J for this many further readings.
-    pub(super) fn with_coming(self, readings: usize) -> Self {
-        Self { coming: (readings, Mat::new()), ..self }
+    pub(super) fn with_further_readings(self, readings: usize) -> Self {
+        Self { jacobian_ahead: (readings, Mat::new()), ..self }
     }
 
     /// Continues a descent with additional readings.
@@ -133,10 +133,10 @@ impl Start {
         match curvature {
             Some(curvature) if readings <= coming.nrows() => {
                 let (new, rest) = coming.split_at_row(readings);
-                let known = Some((curvature + new.transpose() * new, age));
-                Self { z, known, coming: (wanted, rest.to_owned()) }
+                let curvature_and_age = Some((curvature + new.transpose() * new, age));
+                Self { z, known: curvature_and_age, jacobian_ahead: (wanted, rest.to_owned()) }
             }
-            _ => Self::evaluate(z).with_coming(wanted),
+            _ => Self::at_point(z).with_further_readings(wanted),
         }
     }
 }
@@ -155,27 +155,35 @@ pub(super) fn descend(
     let mut all = Vec::with_capacity(readings.len());
     let mut starts = starts.into_iter();
     for readings in readings.chunks(TOGETHER) {
-        let mut looks = Evaluator { model, prior, noise, readings, n, counters };
+        let mut evaluator = Evaluator { model, prior, noise, readings, n, counters };
         let mut begun: Vec<Start> = starts.by_ref().take(readings.len()).collect();
-        let at = begun.iter_mut().map(|start| std::mem::take(&mut start.z)).enumerate().collect();
-        let mut descents: Vec<Descent> =
-            looks.at(at).into_iter().zip(begun).map(|(at, start)| Descent::new(at, start)).collect();
+        let evaluate_points =
+            begun.iter_mut().map(|start| std::mem::take(&mut start.z)).enumerate().collect();
+        let mut descents: Vec<Descent> = evaluator
+            .at(evaluate_points)
+            .into_iter()
+            .zip(begun)
+            .map(|(at, start)| Descent::new(at, start))
+            .collect();
         for _ in 0..MAX_EVALUATIONS {
             if !go_on() {
                 return None;
             }
-            descents.iter_mut().for_each(|descent| looks.curve(descent));
+            descents.iter_mut().for_each(|descent| evaluator.curve(descent));
             let next_point = |(i, descent): (usize, &mut Descent)| Some((i, descent.ahead()?));
-            let ahead: Vec<(usize, Vec<f64>)> =
+            let propose_point: Vec<(usize, Vec<f64>)> =
                 model.pool().install(|| descents.par_iter_mut().enumerate().filter_map(next_point).collect());
-            if ahead.is_empty() {
+            if propose_point.is_empty() {
                 break;
             }
-            let which: Vec<usize> = ahead.iter().map(|(i, _)| *i).collect();
-            which.into_iter().zip(looks.at(ahead)).for_each(|(i, point)| descents[i].accept_or_damp(point));
+            let which: Vec<usize> = propose_point.iter().map(|(i, _)| *i).collect();
+            which
+                .into_iter()
+                .zip(evaluator.at(propose_point))
+                .for_each(|(i, point)| descents[i].accept_or_damp(point));
         }
         // A descent that used all evaluations may have discarded its B.
-        descents.iter_mut().for_each(|descent| looks.curve(descent));
+        descents.iter_mut().for_each(|descent| evaluator.curve(descent));
         all.extend(descents);
     }
     Some(all)
@@ -213,7 +221,7 @@ impl Evaluator<'_> {
             .chunks_exact(len)
             .map(|bar| (0..noise.bias.len()).map(|k| bias(bar, k)).collect())
             .collect();
-        let pushed = model.push(&found, cotangent, self.counters);
+        let pushed = model.signals_vjp(&found, cotangent, self.counters);
         let one = pushed.len() / at.len();
         let finer = (one / histories.panels - 1) / (model.instants_of(&histories, *n));
         let pushed = pushed.chunks_exact(one);
@@ -221,7 +229,7 @@ impl Evaluator<'_> {
         points
             .map(|(((((_, z), residual), biases), pushed), outcome)| {
                 let phi = 0.5 * residual.iter().chain(&z).map(|x| x * x).sum::<f64>();
-                let slope: Vec<f64> = prior.along(pushed, finer).into_iter().chain(biases).collect();
+                let slope: Vec<f64> = prior.forces_vjp(pushed, finer).into_iter().chain(biases).collect();
                 let slope = Col::from_fn(z.len(), |k| slope[k] - z[k]);
                 let phi = if *outcome == Outcome::Ok { phi } else { f64::INFINITY };
                 Point { z, phi, residual, slope }
@@ -238,7 +246,7 @@ impl Evaluator<'_> {
         let (unknowns, c) = (prior.unknowns(), noise.channels());
         let (len, all) = (descent.at.residual.len(), descent.at.z.len());
         let (histories, steps) = prior.around(&descent.at.z);
-        let farther = model.within(*n + descent.further_readings.0 / c);
+        let farther = model.clamp_instants(*n + descent.further_readings.0 / c);
         let found = model.coarse(&histories, farther, self.counters);
         let one = farther * c;
         let jacobian = Mat::from_fn(one, all, |i, k| match k < unknowns {
@@ -254,7 +262,7 @@ impl Evaluator<'_> {
 }
 
 impl Descent {
-    fn new(at: Point, Start { known, coming, .. }: Start) -> Self {
+    fn new(at: Point, Start { known, jacobian_ahead: coming, .. }: Start) -> Self {
         let ending = at.phi.is_infinite().then_some(Ending::StartFailed);
         let (curvature, age) = known.unzip();
         Self {
@@ -312,7 +320,7 @@ impl Descent {
         }
         let (mut curvature, slope) = (self.curvature.clone()?, &self.at.slope);
         (0..curvature.nrows()).for_each(|k| curvature[(k, k)] += self.damping);
-        let Some(step) = solved(curvature.as_ref(), LEAST, slope.as_mat()) else {
+        let Some(step) = solve_with_floor(curvature.as_ref(), LEAST, slope.as_mat()) else {
             self.ending = Some(Ending::NoProgress);
             return None;
         };
@@ -327,9 +335,9 @@ impl Descent {
 
     /// Accepts a point of lower Φ and updates B (BFGS; Nocedal and Wright, Numerical Optimization, §6.1). Otherwise increases the
     /// damping, and at its limit computes B again.
-    fn accept_or_damp(&mut self, to: Point) {
+    fn accept_or_damp(&mut self, trial_point: Point) {
         let curvature = self.curvature.as_mut().expect("made before");
-        if to.phi >= self.at.phi {
+        if trial_point.phi >= self.at.phi {
             self.damping = (DAMPING * self.damping).max(DAMPED);
             if self.damping > MAX_DAMPING {
                 match self.age {
@@ -339,17 +347,17 @@ impl Descent {
             }
             return;
         }
-        let step = Col::from_fn(to.z.len(), |k| to.z[k] - self.at.z[k]);
-        let turned = &self.at.slope - &to.slope;
-        let (along, pulled) = (turned.transpose() * &step, &*curvature * &step);
+        let step = Col::from_fn(trial_point.z.len(), |k| trial_point.z[k] - self.at.z[k]);
+        let slope_change = &self.at.slope - &trial_point.slope;
+        let (along, pulled) = (slope_change.transpose() * &step, &*curvature * &step);
         let square = step.transpose() * &pulled;
         // Skip the update if Φ is concave between the points.
         if along > 1e-3 * square {
-            *curvature += &turned * turned.transpose() * Scale(1.0 / along);
+            *curvature += &slope_change * slope_change.transpose() * Scale(1.0 / along);
             *curvature -= &pulled * pulled.transpose() * Scale(1.0 / square);
         }
         self.damping = if self.damping > DAMPED { self.damping / DAMPING } else { 0.0 };
-        (self.at, self.age, self.steps) = (to, self.age + 1, self.steps + 1);
+        (self.at, self.age, self.steps) = (trial_point, self.age + 1, self.steps + 1);
         if self.age >= OLD {
             self.curvature = None;
         }

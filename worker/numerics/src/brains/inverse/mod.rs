@@ -11,7 +11,7 @@ mod model;
 mod prior;
 
 use super::Fitted;
-use crate::definite::solved;
+use crate::definite::solve_with_floor;
 use crate::dynamics::{Forces, Solver};
 use crate::identify::{Ending, GoOn, Twin};
 use crate::random::Purpose;
@@ -50,7 +50,7 @@ pub struct Estimate {
 
 impl Estimate {
     /// Appends the estimates of the following instants, which use more readings.
-    fn go_on(&mut self, next: Self) {
+    fn append_later(&mut self, next: Self) {
         self.forces.extend(next.forces);
         self.deviations.extend(next.deviations);
         let ending = if self.ending == Ending::Converged { next.ending } else { self.ending };
@@ -71,7 +71,7 @@ pub struct Inverse<'a> {
     noise: Noise,
     /// Linear decoder for the starts of descents, and its RMS error (N).
     linear: Fitted,
-    off: f64,
+    linear_error: f64,
     /// Counters of the computations.
     pub counters: Counters,
 }
@@ -82,7 +82,7 @@ struct Hypothesis {
     /// Logarithm of its share of the histories.
     share: f64,
     /// D of one panel, converted to decoder targets (T, r) (N).
-    seen: Mat<f64>,
+    directions_of_targets: Mat<f64>,
 }
 
 impl<'a> Inverse<'a> {
@@ -109,18 +109,18 @@ impl<'a> Inverse<'a> {
             true => trial.train.clone(),
             false => problem.forces(Purpose::Fresh, KNOWN_FIRST, KNOWN),
         };
-        let guesses = guesses(problem, &histories);
-        if guesses.is_empty() {
+        let hypotheses = guesses(problem, &histories);
+        if hypotheses.is_empty() {
             return Err(Trouble::Singular);
         }
         let model = Model::new(trial, design, solver, twin.map(|twin| &twin.cast));
         Ok(Self {
             trial,
             model,
-            guesses,
+            guesses: hypotheses,
             noise: Noise::of(trial, twin.map_or(&[], |twin| &twin.noise)),
             linear,
-            off: start_error,
+            linear_error: start_error,
             counters: Counters::default(),
         })
     }
@@ -153,19 +153,19 @@ impl<'a> Inverse<'a> {
         let one = self.trial.problem.scene.instants * self.noise.channels();
         let readings: Vec<&[f64]> = signals.chunks_exact(one).collect();
         if let Some(ahead) = self.ahead() {
-            return self.by_instants(&readings, ahead, go_on);
+            return self.estimate_causally(&readings, ahead, go_on);
         }
         let said = self.linear.predict(signals);
         let mut found = Vec::new();
         for guess in 0..self.guesses.len() {
             found.push(self.descend_whole(guess, &readings, &said, go_on)?);
         }
-        let lost: Vec<usize> =
+        let unexplained: Vec<usize> =
             (0..readings.len()).filter(|&i| !found.iter().any(|found| found[i].is_explained())).collect();
         for guess in 0..self.guesses.len() {
-            for (i, again) in self.by_windows(guess, &readings, &lost, go_on)? {
-                if again.phi() < found[guess][i].phi() {
-                    found[guess][i] = again;
+            for (i, retried) in self.descend_by_windows(guess, &readings, &unexplained, go_on)? {
+                if retried.phi() < found[guess][i].phi() {
+                    found[guess][i] = retried;
                 }
             }
         }
@@ -182,7 +182,7 @@ impl<'a> Inverse<'a> {
     ) -> Option<Vec<Descent>> {
         let Hypothesis { prior, .. } = &self.guesses[guess];
         let begin = |forces: &[f64]| {
-            let mut z = prior.near(forces, self.off);
+            let mut z = prior.estimate_unknowns(forces, self.linear_error);
             z.extend(self.noise.no_bias());
             z
         };
@@ -192,7 +192,7 @@ impl<'a> Inverse<'a> {
 
     /// Per sample, the estimate at the instants `of` by the most probable hypothesis.
     fn likeliest(&self, found: &[Vec<Descent>], of: Range<usize>) -> Vec<Estimate> {
-        let say = |i: usize| {
+        let estimate_sample = |i: usize| {
             let surprise = |guess: usize| match found.len() {
                 1 => 0.0,
                 _ => found[guess][i].surprise() - self.guesses[guess].share,
@@ -201,7 +201,7 @@ impl<'a> Inverse<'a> {
             let (guess, _) = all.min_by(|a, b| a.1.total_cmp(&b.1)).expect("a guess");
             self.estimate(&self.guesses[guess], &found[guess][i], of.clone())
         };
-        (0..found[0].len()).map(say).collect()
+        (0..found[0].len()).map(estimate_sample).collect()
     }
 
     /// Look-ahead (instants); `None` for the whole sample.
@@ -218,7 +218,7 @@ impl<'a> Inverse<'a> {
         starts: Vec<Vec<f64>>,
         go_on: &mut GoOn,
     ) -> Option<Vec<Descent>> {
-        self.descend_from(guess, readings, n, starts.into_iter().map(Start::evaluate).collect(), go_on)
+        self.descend_from(guess, readings, n, starts.into_iter().map(Start::at_point).collect(), go_on)
     }
 
     fn descend_from(
@@ -235,11 +235,17 @@ impl<'a> Inverse<'a> {
 
     /// Estimates each instant from readings up to `ahead` instants later. Readings are added in parts; each descent continues the
     /// one before.
-    fn by_instants(&mut self, readings: &[&[f64]], ahead: usize, go_on: &mut GoOn) -> Option<Vec<Estimate>> {
+    fn estimate_causally(
+        &mut self,
+        readings: &[&[f64]],
+        ahead: usize,
+        go_on: &mut GoOn,
+    ) -> Option<Vec<Estimate>> {
         let (all, width) = (self.trial.problem.scene.instants, self.noise.channels());
         let together = 1 + ahead / PARTS;
-        let start =
-            |guess: &Hypothesis| Start::evaluate(self.start(guess)).with_coming(together * width * AT_ONCE);
+        let start = |guess: &Hypothesis| {
+            Start::at_point(self.start(guess)).with_further_readings(together * width * AT_ONCE)
+        };
         let mut starts: Vec<Vec<Start>> =
             self.guesses.iter().map(|guess| readings.iter().map(|_| start(guess)).collect()).collect();
         let mut estimates: Vec<Estimate> = Vec::new();
@@ -254,7 +260,7 @@ impl<'a> Inverse<'a> {
             if estimates.is_empty() {
                 estimates = here;
             } else {
-                estimates.iter_mut().zip(here).for_each(|(estimates, here)| estimates.go_on(here));
+                estimates.iter_mut().zip(here).for_each(|(estimates, here)| estimates.append_later(here));
             }
             if n == all {
                 return Some(estimates);
@@ -273,7 +279,7 @@ impl<'a> Inverse<'a> {
 
     /// Descends from the prior's mean through growing windows of the readings of these samples: early motion is almost linear,
     /// and later motion is then nearly determined. Drops samples whose window the model does not explain.
-    fn by_windows(
+    fn descend_by_windows(
         &mut self,
         guess: usize,
         readings: &[&[f64]],
@@ -282,15 +288,16 @@ impl<'a> Inverse<'a> {
     ) -> Option<Vec<(usize, Descent)>> {
         let all = self.trial.problem.scene.instants;
         let start = self.start(&self.guesses[guess]);
-        let mut left: Vec<(usize, Vec<f64>)> = samples.iter().map(|&i| (i, start.clone())).collect();
+        let mut remaining_samples: Vec<(usize, Vec<f64>)> =
+            samples.iter().map(|&i| (i, start.clone())).collect();
         let mut found = Vec::new();
         for part in WINDOWS {
             let n = ((part * all as f64) as usize).max(1);
-            let (which, starts): (Vec<usize>, Vec<Vec<f64>>) = left.into_iter().unzip();
+            let (which, starts): (Vec<usize>, Vec<Vec<f64>>) = remaining_samples.into_iter().unzip();
             let readings: Vec<&[f64]> = which.iter().map(|&i| readings[i]).collect();
             found = which.into_iter().zip(self.descend(guess, &readings, n, starts, go_on)?).collect();
             found.retain(|(_, descent): &(usize, Descent)| n == all || descent.is_explained());
-            left = found.iter().map(|(i, descent)| (*i, descent.z().to_vec())).collect();
+            remaining_samples = found.iter().map(|(i, descent)| (*i, descent.z().to_vec())).collect();
         }
         Some(found)
     }
@@ -298,7 +305,7 @@ impl<'a> Inverse<'a> {
     /// Estimate at the instants `of`.
     fn estimate(
         &self,
-        Hypothesis { prior, seen, .. }: &Hypothesis,
+        Hypothesis { prior, directions_of_targets: seen, .. }: &Hypothesis,
         descent: &Descent,
         of: Range<usize>,
     ) -> Estimate {
@@ -315,7 +322,7 @@ impl<'a> Inverse<'a> {
             own.copy_from(seen.subrows(from, instants).transpose());
         }
         // If B is not finite, the prior's deviations remain.
-        let solved = solved(descent.curvature().as_ref(), descent::LEAST, right.as_ref());
+        let solved = solve_with_floor(descent.curvature().as_ref(), descent::LEAST, right.as_ref());
         let solved = solved.unwrap_or_else(|| right.clone());
         for (i, (right, solved)) in right.col_iter().zip(solved.col_iter()).enumerate() {
             let variance = right.transpose() * solved;
@@ -328,7 +335,11 @@ impl<'a> Inverse<'a> {
 
 /// One hypothesis per set of panels that these histories strike together.
 fn guesses(problem: &Problem, histories: &Forces) -> Vec<Hypothesis> {
-    let guess = |(prior, share)| Hypothesis { seen: target_directions(problem, &prior), prior, share };
+    let guess = |(prior, share)| Hypothesis {
+        directions_of_targets: target_directions(problem, &prior),
+        prior,
+        share,
+    };
     Prior::of(histories).into_iter().map(guess).collect()
 }
 

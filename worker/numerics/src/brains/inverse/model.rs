@@ -45,7 +45,7 @@ impl<'a> Model<'a> {
     }
 
     /// n, limited to the length of a sample.
-    pub(super) fn within(&self, n: usize) -> usize {
+    pub(super) fn clamp_instants(&self, n: usize) -> usize {
         n.min(self.scene.instants)
     }
 
@@ -87,7 +87,7 @@ impl<'a> Model<'a> {
     }
 
     /// Maps a cotangent on the signals to the forces (N, K, ·), on the clock of the motion.
-    pub(super) fn push(
+    pub(super) fn signals_vjp(
         &self,
         simulation: &Simulation,
         cotangent: Vec<f64>,

@@ -5,7 +5,7 @@
 //! ```
 //! D contains the principal directions of all but a small share of the variance.
 
-use crate::definite::solved;
+use crate::definite::solve_with_floor;
 use crate::dynamics::Forces;
 use faer::{ColRef, Mat, Scale, Side};
 use std::collections::BTreeMap;
@@ -74,8 +74,8 @@ impl Prior {
         let off = |i: usize, j: usize| (forces.values[i * clock + j] - mean[j]) / (count as f64).sqrt();
         let rows = Mat::from_fn(count, clock, off);
         // For few long histories, the Gram matrix is smaller.
-        let few = count < clock;
-        let square = if few { &rows * rows.transpose() } else { rows.transpose() * &rows };
+        let use_gram = count < clock;
+        let square = if use_gram { &rows * rows.transpose() } else { rows.transpose() * &rows };
         let found = square.self_adjoint_eigen(Side::Lower).ok()?;
         let variance = |j: usize| found.S()[j].max(0.0);
         let all: f64 = (0..square.nrows()).map(variance).sum();
@@ -90,7 +90,7 @@ impl Prior {
             })
             .collect();
         let vectors = found.U();
-        let modes = Mat::from_fn(clock, kept.len(), |n, k| match few {
+        let modes = Mat::from_fn(clock, kept.len(), |n, k| match use_gram {
             true => (0..count).map(|i| rows[(i, n)] * vectors[(i, kept[k])]).sum(),
             false => vectors[(n, kept[k])] * variance(kept[k]).sqrt(),
         });
@@ -109,10 +109,10 @@ impl Prior {
     }
 
     /// Histories (N, K, R + 1) of several z; ignores entries after those of the forces.
-    pub(super) fn forces<'z>(&self, many: impl Iterator<Item = &'z [f64]>) -> Forces {
+    pub(super) fn forces<'z>(&self, unknown_vectors: impl Iterator<Item = &'z [f64]>) -> Forces {
         let (clock, r) = (self.mean.len(), self.modes.ncols());
         let mut values = Vec::new();
-        for z in many {
+        for z in unknown_vectors {
             let begin = values.len();
             values.resize(begin + self.panels * clock, 0.0);
             for (panel, z) in self.struck.iter().zip(z.chunks_exact(r)) {
@@ -148,7 +148,7 @@ impl Prior {
 
     /// Transpose of [`Prior::forces`]: maps a cotangent on the first part of histories (K, ·), on a clock `finer` times theirs,
     /// to z.
-    pub(super) fn along(&self, cotangent: &[f64], finer: usize) -> Vec<f64> {
+    pub(super) fn forces_vjp(&self, cotangent: &[f64], finer: usize) -> Vec<f64> {
         let mut along = Vec::with_capacity(self.unknowns());
         let one = cotangent.len() / self.panels;
         for bar in self.struck.iter().map(|panel| &cotangent[panel * one..][..one]) {
@@ -175,15 +175,15 @@ impl Prior {
 
     /// z from estimates (T, K) (N) of the forces at every (R/T)-th instant with white errors of deviation `error` (N). NaN if the
     /// estimates are not finite.
-    pub(super) fn near(&self, estimates: &[f64], error: f64) -> Vec<f64> {
+    pub(super) fn estimate_unknowns(&self, estimates: &[f64], error: f64) -> Vec<f64> {
         let (panels, instants) = (self.panels, estimates.len() / self.panels);
         let (every, r) = ((self.mean.len() - 1) / instants, self.modes.ncols());
         let seen = Mat::from_fn(instants, r, |n, k| self.modes[((n + 1) * every, k)]);
-        let known = seen.transpose() * &seen + Mat::<f64>::identity(r, r) * Scale(error * error);
+        let normal_matrix = seen.transpose() * &seen + Mat::<f64>::identity(r, r) * Scale(error * error);
         let off = Mat::from_fn(instants, self.struck.len(), |n, k| {
             estimates[n * panels + self.struck[k]] - self.mean[(n + 1) * every]
         });
-        let z = solved(known.as_ref(), error * error, (seen.transpose() * off).as_ref());
+        let z = solve_with_floor(normal_matrix.as_ref(), error * error, (seen.transpose() * off).as_ref());
         // NaN marks an invalid start.
         let z = z.unwrap_or_else(|| Mat::from_fn(r, self.struck.len(), |_, _| f64::NAN));
         z.col_iter().flat_map(|z| z.iter().copied().collect::<Vec<_>>()).collect()

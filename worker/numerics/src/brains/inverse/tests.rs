@@ -135,7 +135,11 @@ fn blows_are_read_on_the_panel_that_they_strike() {
         assert_eq!(own.guesses.iter().map(|guess| guess.prior.struck()).collect::<Vec<_>>(), [[0], [1]]);
         let prior =
             Prior::new(&problem.forces(Purpose::Fresh, KNOWN_FIRST, KNOWN)).expect("forces that differ");
-        all.guesses = vec![Hypothesis { seen: target_directions(&problem, &prior), prior, share: 0.0 }];
+        all.guesses = vec![Hypothesis {
+            directions_of_targets: target_directions(&problem, &prior),
+            prior,
+            share: 0.0,
+        }];
         let blows = problem.forces(Purpose::Holdout, 0, 8);
         let unseen = trial.samples(&problem.initial, None, blows).expect("samples");
         let found = own.read(&unseen.signals);
@@ -224,7 +228,8 @@ fn what_cannot_be_inverted_is_named() {
     assert_eq!(found[0].ending, Ending::StartFailed);
     assert!(!found[0].is_explained());
     // The posterior is the prior.
-    let prior = (0..40).map(|n| brain.guesses[0].seen.row(n).iter().map(|d| d * d).sum::<f64>().sqrt());
+    let prior = (0..40)
+        .map(|n| brain.guesses[0].directions_of_targets.row(n).iter().map(|d| d * d).sum::<f64>().sqrt());
     let own = found[0].deviations.iter().step_by(2);
     assert!(prior.zip(own).all(|(prior, own)| (prior - own).abs() <= 1e-12), "{:?}", found[0].deviations);
 }

@@ -27,7 +27,7 @@ fn a_fold_s_network_has_not_seen_its_records() {
     let (decoder, schedule) = (Decoder::whole(instants, 3), Schedule::Cosine);
     let by = |kind, fold| {
         let recipe = Recipe { kind, architecture, rate: 1e-2, schedule, batch: None, decoder, seed: 1 };
-        records.unseen(&dealt, fold, recipe, 0, 150, &pool)
+        records.decode_fold(&dealt, fold, recipe, 0, 150, &pool)
     };
     let fold = |fold| by(BrainKind::Network, fold);
     let linear = |fold| by(BrainKind::Linear, fold);

@@ -12,17 +12,22 @@ fn judged(errors: &[&[f64]]) -> Vec<(f64, Vec<Option<f64>>)> {
 #[test]
 fn the_greatest_value_as_good_as_the_best_is_taken() {
     // 1 and 0.1 are worse in every sample; 0.01 differs from 0.001 by less than the spread of differences.
-    let found = greatest(&judged(&[&[9.0, 9.5, 9.0], &[5.0, 5.1, 5.2], &[1.0, 1.3, 1.1], &[1.2, 1.0, 1.1]]));
+    let found =
+        one_se_choice(&judged(&[&[9.0, 9.5, 9.0], &[5.0, 5.1, 5.2], &[1.0, 1.3, 1.1], &[1.2, 1.0, 1.1]]));
     assert_eq!(found, Ok(0.01));
     // A maximum between the least and a greater value.
-    let found =
-        greatest(&judged(&[&[2.0, 2.0, 2.1], &[90.0, 80.0, 95.0], &[1.0, 1.1, 1.0], &[80.0, 70.0, 90.0]]));
+    let found = one_se_choice(&judged(&[
+        &[2.0, 2.0, 2.1],
+        &[90.0, 80.0, 95.0],
+        &[1.0, 1.1, 1.0],
+        &[80.0, 70.0, 90.0],
+    ]));
     assert_eq!(found, Ok(0.01));
     // Within a standard error because of one outlier, but a fifth worse.
-    let found = greatest(&judged(&[&[1.3, 9.0, 1.2, 1.2], &[1.0, 1.1, 1.0, 1.1]]));
+    let found = one_se_choice(&judged(&[&[1.3, 9.0, 1.2, 1.2], &[1.0, 1.1, 1.0, 1.1]]));
     assert_eq!(found, Ok(0.1));
-    assert_eq!(greatest(&[]), Err(Trouble::Singular));
-    assert_eq!(greatest(&[(1.0, vec![None]), (0.1, vec![None])]), Ok(NEUTRAL));
+    assert_eq!(one_se_choice(&[]), Err(Trouble::Singular));
+    assert_eq!(one_se_choice(&[(1.0, vec![None]), (0.1, vec![None])]), Ok(NEUTRAL));
 }
 
 /// Samples y = x · w + noise with a few instants.
@@ -42,8 +47,8 @@ fn parts_judge_what_they_were_not_fitted_to() {
     let samples = samples(7, 0.1, &pool);
     let lags = crate::brain::linear::Lags { before: 1, after: 1 };
     let (all, dealt) = (samples.moments().normal(lags), assign_folds(3, 7));
-    let own = parts(&samples, &all, &dealt);
-    let found = super::errors_by_value([1e-3].into_iter(), false, own, Part::errors_of_others);
+    let own = split_folds(&samples, &all, &dealt);
+    let found = super::errors_by_value([1e-3].into_iter(), false, own, FoldSplit::errors_of_others);
     assert_eq!(found[0].1.len(), 7);
     let own: Vec<usize> = (0..7).filter(|&i| dealt[i] == 0).collect();
     let others: Vec<usize> = (0..7).filter(|&i| dealt[i] != 0).collect();
@@ -72,9 +77,9 @@ fn noise_asks_for_regularisation() {
         let of = |noise| {
             let samples = samples(count, noise, &pool);
             let (all, dealt) = (samples.moments().normal(lags), assign_folds(3, count));
-            let own = parts(&samples, &all, &dealt);
-            let full = super::errors_by_value(ridges(), false, own, Part::errors_of_others);
-            (ridge_of(&samples, &all, &dealt).unwrap(), greatest(&full).unwrap())
+            let own = split_folds(&samples, &all, &dealt);
+            let full = super::errors_by_value(ridges(), false, own, FoldSplit::errors_of_others);
+            (ridge_of(&samples, &all, &dealt).unwrap(), one_se_choice(&full).unwrap())
         };
         let [(quiet, quiet_by_all), (loud, loud_by_all)] = [1e-4, 2.0].map(of);
         assert!(quiet < loud, "{count}: {quiet} {loud}");

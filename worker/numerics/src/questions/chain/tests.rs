@@ -11,7 +11,7 @@ fn stream(number: u64) -> Stream {
 }
 
 /// (mean of w ½ |g(u₀) − g(uₙ)|², its standard error) of walks from truths that are drawn from the prior.
-fn found(model: &dyn Fn(f64) -> Seen, count: usize) -> [f64; 2] {
+fn found(model: &dyn Fn(f64) -> ModelOutput, count: usize) -> [f64; 2] {
     let mut draws = stream(0);
     let truths: Vec<Vec<f64>> =
         (0..count).map(|_| draws.uniform()).map(|p| vec![(p / (1.0 - p)).ln()]).collect();
@@ -31,8 +31,8 @@ fn found(model: &dyn Fn(f64) -> Seen, count: usize) -> [f64; 2] {
 /// four steps a sixteenth of the start remains.
 #[test]
 fn walks_find_the_known_variance_of_a_linear_model() {
-    let model = |u: f64| Seen { readings: vec![50.0 * u; 4], targets: vec![u, 2.0 * u], weight: 0.0 };
-    let truth = 5.0 / (4.0 * 2500.0) * (1.0 - KEPT.powi(STEPS as i32));
+    let model = |u: f64| ModelOutput { readings: vec![50.0 * u; 4], targets: vec![u, 2.0 * u], weight: 0.0 };
+    let truth = 5.0 / (4.0 * 2500.0) * (1.0 - PERSISTENCE.powi(STEPS as i32));
     let [mean, deviation] = found(&model, 3000);
     assert!(
         deviation < 0.04 * truth && (mean - truth).abs() < 3.5 * deviation,
@@ -49,19 +49,19 @@ fn walks_bound_the_least_error_of_a_place_from_below() {
         let pulse = |u: f64| -> Vec<f64> {
             (0..30).map(|n| (-(f64::from(n) - 5.0 - 20.0 * part(u)).powi(2) / 8.0).exp()).collect()
         };
-        let model = |u: f64| Seen {
+        let model = |u: f64| ModelOutput {
             readings: pulse(u).iter().map(|f| f / noise).collect(),
             targets: pulse(u),
             weight: (1.0 + part(u)).ln(),
         };
-        let grid: Vec<Seen> =
+        let grid: Vec<ModelOutput> =
             (0..400).map(|i| (f64::from(i) + 0.5) / 400.0).map(|p| model((p / (1.0 - p)).ln())).collect();
         let mut draws = stream(2);
         let mut errors = Vec::new();
         for _ in 0..1000 {
             let truth = &grid[draws.below(400)];
             let x: Vec<f64> = truth.readings.iter().map(|s| s + draws.normal()).collect();
-            let density = |seen: &Seen| {
+            let density = |seen: &ModelOutput| {
                 let off: f64 = seen.readings.iter().zip(&x).map(|(s, x)| (s - x).powi(2)).sum();
                 (seen.weight - 0.5 * off).exp()
             };

@@ -51,7 +51,7 @@ fn made_up(noise: f64) -> (Vec<f64>, Vec<f64>) {
     (signals, all)
 }
 
-fn read(noise: f64, decoded: impl Fn(&[f64]) -> Vec<f64>) -> (Vec<Reading>, Vec<Task>) {
+fn read(noise: f64, decoded: impl Fn(&[f64]) -> Vec<f64>) -> (Vec<TaskEstimate>, Vec<Task>) {
     let (signals, forces) = made_up(noise);
     let (train, judge): (Vec<usize>, Vec<usize>) = ((0..50).collect(), (50..80).collect());
     let decoded = decoded(&forces);
@@ -73,7 +73,7 @@ fn tasks_are_read_as_well_as_signals_allow() {
     let (clean, constant) = read(1e-6, <[f64]>::to_vec);
     assert_eq!(constant, [Task::Count], "every sample has one pulse");
     let (noisy, _) = read(30.0, |forces| forces.iter().map(|f| 0.5 * f).collect());
-    let error = |of: &[Reading], task: Task, readout: &str| {
+    let error = |of: &[TaskEstimate], task: Task, readout: &str| {
         let found = of.iter().find(|r| r.task == task && r.readout == readout).unwrap();
         assert!(found.interval[0] <= found.error && found.error <= found.interval[1], "{found:?}");
         found.error / found.trivial
