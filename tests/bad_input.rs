@@ -321,7 +321,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "panels = [2]",
         "panels = [2]\npoints = [{ \"body.columns\" = 6 }, { \"body.columns\" = 7.5 }]",
-        "s.toml:15: body.columns = 7.5: must be a whole number, at least 0",
+        "s.toml:15: body.columns = 7.5: must be a whole number of at least 0",
     ),
     (
         "panels = [2]",
@@ -427,7 +427,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "sensors = [1, 2]",
         "sensors = [1]\n\"body.columns\" = [5, \"six\"]",
-        "s.toml:16: body.columns = \"six\": must be a whole number, at least 0",
+        "s.toml:16: body.columns = \"six\": must be a whole number of at least 0",
     ),
     (
         "panels = [2]",
@@ -633,7 +633,7 @@ const TABLES: &[(&str, &str)] = &[
     ),
     (
         "[sensors]\nplacements = 4",
-        "s.toml:14: sensors.placements = 4: must be a list of lists of whole numbers from 0 up",
+        "s.toml:14: sensors.placements = 4: must be a list of lists of whole numbers of at least 0",
     ),
     ("[time]\nsamples = 0", "s.toml:14: time.samples = 0: "),
     ("[time]\nduration = 1e6", "s.toml:14: time.duration = 1000000: must be at most 86400 s"),

@@ -101,6 +101,7 @@ const BLOCKS: &[(&str, Render)] = &[
     ("protocols", claims::protocols),
     ("downhill", claims::downhill),
     ("authors", authors::gains),
+    ("authors casts", authors::casts),
     ("tasks", tasks::tasks),
     ("deviations", deviations::deviations),
     ("deviations of other figures", deviations::other_figures),

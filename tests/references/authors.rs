@@ -71,6 +71,43 @@ pub fn gains() -> String {
     table(&columns, by_setting.chain(compared))
 }
 
+/// Errors of a linear decoder on each design as designed, and on its casts (medians over casts): geometric means over seeds, and for
+/// each trained design the gain over the initial body with its interval.
+pub fn casts() -> String {
+    let rows = rows("authors/casts.csv");
+    let values = |name: &str| {
+        let mut values: Vec<&str> = Vec::new();
+        rows.iter().map(|row| &*row[name]).for_each(|value| {
+            if !values.contains(&value) {
+                values.push(value);
+            }
+        });
+        values
+    };
+    let errors = |noise: &str, decoder: &str, design: &str| -> Vec<f64> {
+        of(&rows, &[("noise", noise), ("decoder", decoder), ("design", design)])
+            .map(|row| number(row, "error"))
+            .collect()
+    };
+    let designs = values("design");
+    let cells = |noise: &str, decoder: &str| -> Vec<String> {
+        let before = errors(noise, decoder, designs[0]);
+        let cell = |design: &&str| {
+            let after = errors(noise, decoder, design);
+            let logs: Vec<f64> = before.iter().zip(&after).map(|(a, b)| (a / b).ln()).collect();
+            format!("{} %, {}", geometric(after.into_iter()), with_interval(&logs, f64::exp))
+        };
+        let noise = if noise == "0" { "none" } else { noise };
+        let head = [noise.to_owned(), decoder.to_owned(), format!("{} %", geometric(before.iter().copied()))];
+        head.into_iter().chain(designs[1..].iter().map(cell)).collect()
+    };
+    let columns: Vec<&str> = ["noise", "error"].into_iter().chain(designs.iter().copied()).collect();
+    let settings = values("noise")
+        .into_iter()
+        .flat_map(|noise| values("decoder").into_iter().map(move |of| (noise, of)));
+    table(&columns, settings.map(|(noise, decoder)| cells(noise, decoder)))
+}
+
 /// Whether the trained body with two sensors has less held-out error than the initial body with six: geometric means over
 /// placements, with and without noise.
 pub fn two_against_six() -> &'static str {

@@ -181,7 +181,7 @@ fn value(kind: &str, schema: &Value, root: &Value) -> Option<String> {
     let text = match kind {
         "integer" => match (schema["minimum"].as_f64(), schema["maximum"].as_f64()) {
             (Some(least), Some(most)) => format!("a whole number from {least} to {most}"),
-            (Some(least), None) => format!("a whole number, at least {least}"),
+            (Some(least), None) => format!("a whole number of at least {least}"),
             _ => "a whole number".into(),
         },
         "number" => "a number".into(),

@@ -75,8 +75,8 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
             "panel = [2]",
             "a.toml:12: sweep.panel = [2]: unknown key; the nearest known one is \"sweep.panels\"",
         ),
-        ("rows = 6", "rows = \"six\"", "a.toml:4: body.rows = \"six\": must be a whole number, at least 0"),
-        ("rows = 6", "rows = -6", "a.toml:4: body.rows = -6: must be a whole number, at least 0"),
+        ("rows = 6", "rows = \"six\"", "a.toml:4: body.rows = \"six\": must be a whole number of at least 0"),
+        ("rows = 6", "rows = -6", "a.toml:4: body.rows = -6: must be a whole number of at least 0"),
         (", bend = 1.0", "", "a.toml:8: body.stiffness.bend: must be set; it has no default"),
         ("[stimuli]\nkind = \"bell\"\n", "", "a.toml:1: stimuli: must be set; it has no default"),
         (
@@ -87,7 +87,7 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
         (
             "columns = 6",
             "columns = \"six\"",
-            "a.toml:3: body.columns = \"six\": must be a whole number, at least 0",
+            "a.toml:3: body.columns = \"six\": must be a whole number of at least 0",
         ),
         ("spacing = 15.0", "spacing = -inf", "a.toml:5: body.spacing = -inf: -inf is not a finite number"),
         (
@@ -98,7 +98,7 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
         (
             "rows = 6",
             "clamp = \"top\"",
-            "a.toml:4: body.clamp = \"top\": must be \"bottom\", \"ends\", \"sides\", \"hub\", \"none\" or a list of whole numbers from 0 up",
+            "a.toml:4: body.clamp = \"top\": must be \"bottom\", \"ends\", \"sides\", \"hub\", \"none\" or a list of whole numbers of at least 0",
         ),
         (
             "{ stretch = 3.0, shear = 0.5, bend = 1.0 }",
@@ -118,7 +118,7 @@ fn errors_name_file_line_key_value_and_the_nearest_key() {
         (
             "sensors = [1, 2]",
             "sensors = [1.5]",
-            "a.toml:13: sweep.sensors = [1.5]: must be a list of whole numbers from 0 up",
+            "a.toml:13: sweep.sensors = [1.5]: must be a list of whole numbers of at least 0",
         ),
         (
             "rows = 6",
@@ -212,10 +212,10 @@ fn errors_of_changes_name_them() {
             &["body.colums=7"][..],
             "command line: body.colums = 7: unknown key; the nearest known one is \"body.columns\"",
         ),
-        (&["body.rows=six"], "command line: body.rows = \"six\": must be a whole number, at least 0"),
+        (&["body.rows=six"], "command line: body.rows = \"six\": must be a whole number of at least 0"),
         (
             &["body.rows=[5, 6]"],
-            "command line: body.rows = [5, 6]: must be a whole number, at least 0; write an axis in [sweep]: sweep.\"body.rows\" = [ … ]",
+            "command line: body.rows = [5, 6]: must be a whole number of at least 0; write an axis in [sweep]: sweep.\"body.rows\" = [ … ]",
         ),
         (&["body.rows=1", "body.rows=six"], "command line: body.rows = \"six\": must be a whole number"),
         (&["body.spacing=nan"], "command line: body.spacing = nan: nan is not a finite number"),
@@ -310,7 +310,7 @@ fn errors_name_the_file_that_has_the_key() {
         ("m.toml", "\n[body\n"),
     ]);
     for (file, expected) in [
-        ("a.toml", "b.toml:4: body.rows = -6: must be a whole number, at least 0"),
+        ("a.toml", "b.toml:4: body.rows = -6: must be a whole number of at least 0"),
         ("c.toml", "c.toml:3: sweep.points.pannels = 3: unknown key"),
         ("e.toml", "f/f.toml:4: body.base = \"../e.toml\": unknown key"),
         ("g.toml", "g.toml:1: base = \"g.toml\": refers back to a spec that is based on this one"),

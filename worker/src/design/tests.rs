@@ -88,13 +88,16 @@ fn a_file_that_is_no_design_is_refused_by_name() {
     for (text, said) in [
         (lines[..4].join("\n") + "\n" + &lines[5..].join("\n"), "unit 0, node 3 is missing"),
         (good.replace("0,0,", "9,0,"), "line 2: unit = 9: must be an integer from 0 to 3"),
-        (good.replacen("0,0,6", "0,0,7", 1), "line 8: has another shift than the other end of its ligament"),
+        (
+            good.replacen("0,0,6", "0,0,7", 1),
+            "line 8: its shift differs from that of the other end of its ligament",
+        ),
         (good.replacen("0,0,6", "0,0,x", 1), "line 2: x = \"x"),
         (good.replacen("0,0,", "0,0.5,", 1), "line 2: node = 0.5: must be an integer from 0 to 3"),
         (good.replacen("0,0,", "-1,0,", 1), "line 2: unit = -1: must be an integer from 0 to 3"),
         (good.replacen("0,0,", "0,1e300,", 1), "line 2: node = 1"),
         ("unit,node,x,y\n0,0,NaN,1\n".into(), "line 2: x = \"NaN\": must be a finite number"),
-        (good.replace("unit,node,x,y", "unit,node,x,z"), "has no signal \"y\", but unit, node, x, z"),
+        (good.replace("unit,node,x,y", "unit,node,x,z"), "has no signal \"y\"; signals are unit, node, x, z"),
         (lines[1..].join("\n"), "line 1: "),
     ] {
         std::fs::write(&path, text).expect("written");

@@ -151,7 +151,7 @@ impl Table {
                     "has shape {shape:?}: signals must lie along the shorter side, but both are equal; add or remove entries"
                 ));
             }
-            _ => return Err(format!("is of shape {shape:?}; must have 1 to 3 dimensions")),
+            _ => return Err(format!("has shape {shape:?}; must have 1 to 3 dimensions")),
         };
         let columns = match rows < columns {
             true => values.chunks_exact(columns).map(<[f64]>::to_vec).collect(),

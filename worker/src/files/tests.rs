@@ -42,7 +42,7 @@ fn a_table_is_read_and_its_faults_named() {
         ("# made by me\nt,f\n0,1\n", "line 2: 2 fields where line 1 has 1"),
         ("t,f\n0,x\n", "line 2: f = \"x\" is not a number"),
         ("t,f\ns,N\n0,1\n", "line 2: t = \"s\" is not a number"),
-        ("t f\n0 1\n", "has no signal \"f\", but t f; fields must be separated by"),
+        ("t f\n0 1\n", "has no signal \"f\"; signals are t f; fields must be separated by"),
         (" \nt,f\r\n0,1\r\n\r\n \r\n0,x\r\n", "line 6: f = \"x\" is not a number"),
         ("t,f\n\n\n0,x\n", "line 4: f = \"x\" is not a number"),
         ("t,f\n0,1\n1,\n", "line 3: f is empty"),
@@ -51,7 +51,7 @@ fn a_table_is_read_and_its_faults_named() {
         ("t,f\n0,1\n1,NaN\n", "line 3: f = \"NaN\": must be a finite number"),
         ("t,f\n0,1e999\n", "line 2: f = \"1e999\": must be a finite number"),
         ("t,f,t,f\n0,1,2,3\n", "has two columns named \"f\""),
-        ("t,g\n0,1\n", "has no signal \"f\", but t, g"),
+        ("t,g\n0,1\n", "has no signal \"f\"; signals are t, g"),
     ] {
         let error = read(text, &["f", "t"]).unwrap_err();
         assert!(error.contains(said), "{text:?}: {error}\n{said}");
@@ -256,9 +256,9 @@ fn arrays_of_real_numbers_are_read_and_others_named() {
     }
     let one = npy("'|u1'", "(1,)", &[7]);
     for (bytes, said) in [
-        (npy("'<c16'", "(1,)", &[0; 16]), "must contain truth values, integers, or floats"),
-        (npy("'<U1'", "(1,)", &[0; 4]), "must contain truth values"),
-        (npy("'|O'", "(1,)", &[0; 4]), "must contain truth values"),
+        (npy("'<c16'", "(1,)", &[0; 16]), "must contain booleans, integers, or floats"),
+        (npy("'<U1'", "(1,)", &[0; 4]), "must contain booleans"),
+        (npy("'|O'", "(1,)", &[0; 4]), "must contain booleans"),
         (
             npy("'<i8'", "(2,)", &[[0; 8], (1i64 << 60).to_le_bytes()].concat()),
             "number 1 is an integer beyond 2^53",

@@ -177,7 +177,7 @@ fn what_is_no_measured_record_is_refused_by_name() {
             "records.toml:8: recorded.panel = [1]: unknown key; the nearest known one",
         ),
         ("\"w\"]", "\"o\"]", "records.toml:2: recorded.files = "),
-        ("\"w\"]", "\"o\"]", "has no signal \"o\", but ms, F, x, y, w"),
+        ("\"w\"]", "\"o\"]", "has no signal \"o\"; signals are ms, F, x, y, w"),
         (", \"w\"]", "]", "contains 2 signals per record; must be 3: ax, ay, omega of each sensor"),
         ("\"g\"", "\"G\"", "records.toml:12: signals.acceleration_unit = \"G\": must be "),
         (

@@ -62,7 +62,7 @@ fn bad_polygons_are_refused_by_name() {
             "[[0, 1, 1, 0]]",
             "[[0, 1, 1, 0]]\nrigid = [1]\ntogether = [[[0, 0], [1, 1]]]",
             "together[0]",
-            "not shifted",
+            "cannot be shifted",
         ),
         (
             "[[0, 1, 1, 0]]",
@@ -74,7 +74,7 @@ fn bad_polygons_are_refused_by_name() {
             "[[0, 1, 1, 0]]",
             "[[0, 1, 1, 0]]\nrigid = [1]\nfollow = [{ node = [1, 0], nodes = [0, 2], by = \"x\" }]",
             "follow[0]",
-            "has a ligament",
+            "cannot follow others",
         ),
         (
             "[[0, 1, 1, 0]]",

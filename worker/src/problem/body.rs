@@ -216,7 +216,8 @@ impl Listed {
                 let nodes = layout.shape[*unit].len();
                 if let Some(node) = node.filter(|node| *node >= nodes) {
                     return wrong(format!(
-                        "unit {unit} has no node {node}: its nodes are numbered from 0 to {nodes} − 1"
+                        "unit {unit} has no node {node}: its nodes are numbered from 0 to {}",
+                        nodes - 1
                     ));
                 }
                 if at.is_some_and(|at| at.iter().any(|x| !x.is_finite())) {

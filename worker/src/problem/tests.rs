@@ -273,15 +273,15 @@ fn forces_act_where_the_list_of_panels_says() {
     for (list, place, remedy) in [
         (json!([{ "direction": [1, 0] }]), "panels[0]", "unit must be given"),
         (json!([{ "base": 0 }]), "panels[0]", "a mass above 0"),
-        (json!([{ "base": 1e-5, "unit": 34, "node": 1 }]), "panels[0]", "leave out node"),
+        (json!([{ "base": 1e-5, "unit": 34, "node": 1 }]), "panels[0]", "cannot be combined with node"),
         (json!([{ "base": 1e-5, "unit": 2 }]), "panels[0]", "leave it out of body.clamp"),
         (json!([{ "base": 1e-5, "unit": 36 }]), "panels[0]", "unit 36 does not exist"),
         (json!([{ "unit": 34 }, { "base": 1e-5, "unit": 34 }]), "panels[0]", "moves as panels[1] prescribes"),
         (json!([{ "unit": 36 }]), "panels[0]", "units are 0 to 35"),
-        (json!([{ "unit": 34 }, { "unit": 34, "node": 4 }]), "panels[1]", "but 4 nodes"),
+        (json!([{ "unit": 34 }, { "unit": 34, "node": 4 }]), "panels[1]", "from 0 to 3"),
         (json!([{ "unit": 34, "direction": [0, 0] }]), "panels[0]", "not zero"),
         (json!([{ "unit": 34, "couple": 0 }]), "panels[0]", "not zero"),
-        (json!([{ "unit": 34, "couple": 2, "node": 1 }]), "panels[0]", "leave out"),
+        (json!([{ "unit": 34, "couple": 2, "node": 1 }]), "panels[0]", "couple cannot be combined"),
         (json!([{ "unit": 34 }, { "unit": 31 }, { "unit": 34 }]), "panels[2]", "repeats panels[0]"),
         (json!([{ "unit": 2 }, { "unit": 34 }]), "2", "is clamped"),
     ] {
@@ -347,7 +347,7 @@ fn compression_moves_what_is_held() {
         (
             vec![("body.layout", json!("circular")), ("body.rows", Value::Null), sides],
             "body.clamp",
-            "where circular",
+            "for a circular body",
         ),
     ];
     for (keys, key, remedy) in refused {
@@ -383,7 +383,7 @@ fn guides_hold_units_in_part() {
         (vec![rollers(json!([9]), json!(["x", "y", "turn"]))], "body.guides", "body.clamp"),
         (vec![rollers(json!([0]), json!(["x"]))], "body.guides", "is clamped"),
         (vec![rollers(json!([99]), json!(["x"]))], "body.guides", "units are 0 to 35"),
-        (vec![rollers(json!("hub"), json!(["x"]))], "body.guides", "where planar"),
+        (vec![rollers(json!("hub"), json!(["x"]))], "body.guides", "for a planar body"),
         (vec![rollers(json!([31]), json!(["y"]))], "body.guides", "the force on this unit"),
         (vec![none.clone(), rollers(json!("sides"), json!(["x"])), press], "body.compression", "as a whole"),
         (

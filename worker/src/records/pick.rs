@@ -159,7 +159,7 @@ fn histories(pick: &Pick, Array { shape, values }: &Array) -> Result<Vec<Vec<Vec
         ([rows, columns], Some(_)) => [1, *rows, *columns],
         ([samples, entries], None) => [*samples, 1, *entries],
         ([samples, rows, columns], _) => [*samples, *rows, *columns],
-        _ => return Err(format!("is of shape {shape:?}; must have 1 to 3 dimensions")),
+        _ => return Err(format!("has shape {shape:?}; must have 1 to 3 dimensions")),
     };
     let last = pick.count == Some(columns);
     if last && rows == columns && rows > 1 {

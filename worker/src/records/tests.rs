@@ -199,9 +199,9 @@ fn what_is_no_record_is_refused_by_name() {
         (&["nan.csv"], keys.clone(), "nan.csv\": line 6: force = \"nan\": must be a finite number"),
         (&["wide.npy"], json!({ "rate": 10.0 }), "contains 3 forces per record; must be 1 or 2"),
         (&["deep.npy"], json!({ "rate": 10.0 }), "has shape [1, 1, 1, 4]"),
-        (&thrice, with("force", json!(["F"])), "has no signal \"F\", but time, force"),
+        (&thrice, with("force", json!(["F"])), "has no signal \"F\"; signals are time, force"),
         (&thrice, with("rate", json!(10.0)), "stimuli.recorded.rate = 10: set either time or rate"),
-        (&thrice, with("trigger", json!({ "threshold": 9.0 })), "never reaches the trigger's 9 N"),
+        (&thrice, with("trigger", json!({ "threshold": 9.0 })), "never reaches the trigger threshold of 9 N"),
         (
             &thrice,
             with("panels", json!([0, 1, 2])),
