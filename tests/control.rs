@@ -291,8 +291,9 @@ fn a_run_that_is_steered_at_random_comes_to_the_same_results() {
             };
             let (code, said) = run.asks(&command);
             // the run may end during the last command
-            let late =
-                ["is not used by a run", "takes no commands", "without a reply"].iter().any(|why| said.contains(why));
+            let late = ["is not used by a run", "takes no commands", "without a reply"]
+                .iter()
+                .any(|why| said.contains(why));
             assert!(matches!(code, Some(0 | 1)) || late, "{command:?}: {said}");
             commands += 1;
             let workers = children(run.child.id());

@@ -231,7 +231,12 @@ fn a_design_that_cannot_be_cast_is_refused_with_the_list() {
     assert!(refused("design = { randon = 1 }").contains("random"));
     let sensors = "[sensors]\nnoise = 0.1\nrelative_to = { shifts = [0.0] }\n[sweep]";
     let said = refused_text(&small("").replace("[sweep]", sensors));
-    assert!(said.contains("sensors.relative_to = 1 shifts: must contain 48 numbers, the length of α of this body"), "{said}");
+    assert!(
+        said.contains(
+            "sensors.relative_to = 1 shifts: must contain 48 numbers, the length of α of this body"
+        ),
+        "{said}"
+    );
     assert!(
         refused("design = { random = 1, spread = 0.0 }").contains("spread must be above 0 and at most 1")
     );

@@ -145,7 +145,9 @@ fn linked_values_multiply_with_the_lists() {
 fn a_hash_that_names_no_one_trial_is_refused() {
     let bench = Bench::new();
     bench.file("s.toml", SPEC);
-    for (hash, why) in [("", "several hashes begin with this text: "), ("xyz", "no hash begins with this text")] {
+    for (hash, why) in
+        [("", "several hashes begin with this text: "), ("xyz", "no hash begins with this text")]
+    {
         let output = bench.metasense(&["body", "modes", "s.toml", hash]);
         let errors = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{errors}");

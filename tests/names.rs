@@ -32,7 +32,9 @@ fn a_trial_is_named_in_one_way_by_all_commands() {
     let db = "results/tiny.sqlite";
     let hashes = hashes(&bench, &["tiny.toml"]);
     // Unknown and ambiguous names.
-    for (name, why) in [("zz", "no hash begins with this text"), ("", "several hashes begin with this text: ")] {
+    for (name, why) in
+        [("zz", "no hash begins with this text"), ("", "several hashes begin with this text: ")]
+    {
         for command in COMMANDS.iter().chain([&["report"][..]].iter()) {
             let calls = [(db, vec![db, name]), ("tiny.toml", vec!["tiny.toml", name])];
             for (source, call) in calls.into_iter().filter(|call| call.0 == db || command[0] != "report") {
@@ -49,7 +51,10 @@ fn a_trial_is_named_in_one_way_by_all_commands() {
     let typed = format!("{}{}", &a[..7], if a.ends_with('0') { '1' } else { '0' });
     let output = bench.metasense(&["status", db, &typed]);
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(said.contains(&format!("trial {typed}: no hash begins with this text; the nearest is {b}")), "{said}");
+    assert!(
+        said.contains(&format!("trial {typed}: no hash begins with this text; the nearest is {b}")),
+        "{said}"
+    );
     // The same trial by spec and by database.
     let of_spec = ["tiny.toml", a];
     for command in [&["body", "modes", "--format", "csv"][..], &["body", "draw", "--out", "o.svg"]] {

@@ -275,7 +275,8 @@ async fn trials_are_taken_out_by_conditions() {
     assert!(!bench.path("none.sqlite").exists());
     let listed = bench.metasense(&["remove", "s.sqlite", "M=2", "state=done"]);
     assert!(
-        String::from_utf8_lossy(&listed.stderr).contains("1 trial of 2 would be removed; pass --yes to remove them"),
+        String::from_utf8_lossy(&listed.stderr)
+            .contains("1 trial of 2 would be removed; pass --yes to remove them"),
         "{listed:?}"
     );
     assert_eq!(tables.map(count), whole);

@@ -29,7 +29,10 @@ fn a_sweep_ends_when_it_knows_or_has_run_what_it_may() {
         String::from_utf8(out.stderr).unwrap()
     };
     let first = said(&["run", "s.toml", "--workers", "2"]);
-    assert!(first.contains("gain to a relative width of 1000000 (K = 2), answered after 4 of 8 placements: "), "{first}");
+    assert!(
+        first.contains("gain to a relative width of 1000000 (K = 2), answered after 4 of 8 placements: "),
+        "{first}"
+    );
     let four = trials(&bench);
     assert_eq!(four.lines().count(), 1 + 2 * 4, "{four}");
     let again = said(&["run", "s.toml"]);
