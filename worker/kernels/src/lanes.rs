@@ -444,30 +444,20 @@ mod registers {
     // Available on every aarch64 machine. `mul_add` is not fused either, so that results are those of x86-64's baseline.
     #[cfg(target_arch = "aarch64")]
     register!(Base: float64x2_t, f64, 2;
-    vdupq_n_f64, vld1q_f64, vst1q_f64, vaddq_f64, vsubq_f64, vmulq_f64, mul_add_pd, mul_sub_from_pd,
-    vdivq_f64, max_pd;
-    abs(a): vabsq_f64(a),
-    rsqrt(x): Self::splat(1.0).over(Self(unsafe { vsqrtq_f64(x.0) })),
-    less(x, y): vcltq_f64(x, y),
-    blend(mask, yes, no): vbslq_f64(mask, yes, no),
+    vdupq_n_f64, vld1q_f64, vst1q_f64, vaddq_f64, vsubq_f64, vmulq_f64, mul_add_pd, mul_sub_from_pd, vdivq_f64, max_pd;
+    abs(a): vabsq_f64(a), rsqrt(x): Self::splat(1.0).over(Self(unsafe { vsqrtq_f64(x.0) })),
+    less(x, y): vcltq_f64(x, y), blend(mask, yes, no): vbslq_f64(mask, yes, no),
     within(x, most): vminvq_u32(vreinterpretq_u32_u64(vcleq_f64(x, most))) != 0,
-    any(mask): vmaxvq_u32(vreinterpretq_u32_u64(mask)) != 0,
-    sum(all): vaddvq_f64(all),
-    wide: Self, narrow(x): x, widen(x): x);
+    any(mask): vmaxvq_u32(vreinterpretq_u32_u64(mask)) != 0, sum(all): vaddvq_f64(all), wide: Self, narrow(x): x, widen(x): x);
 
     #[cfg(target_arch = "aarch64")]
     register!(SingleBase: float32x4_t, f32, 4;
-    vdupq_n_f32, vld1q_f32, vst1q_f32, vaddq_f32, vsubq_f32, vmulq_f32, mul_add_ps, mul_sub_from_ps,
-    vdivq_f32, max_ps;
-    abs(a): vabsq_f32(a),
-    rsqrt(x): Self::splat(1.0).over(Self(unsafe { vsqrtq_f32(x.0) })),
-    less(x, y): vcltq_f32(x, y),
-    blend(mask, yes, no): vbslq_f32(mask, yes, no),
-    within(x, most): vminvq_u32(vcleq_f32(x, most)) != 0,
-    any(mask): vmaxvq_u32(mask) != 0,
+    vdupq_n_f32, vld1q_f32, vst1q_f32, vaddq_f32, vsubq_f32, vmulq_f32, mul_add_ps, mul_sub_from_ps, vdivq_f32, max_ps;
+    abs(a): vabsq_f32(a), rsqrt(x): Self::splat(1.0).over(Self(unsafe { vsqrtq_f32(x.0) })),
+    less(x, y): vcltq_f32(x, y), blend(mask, yes, no): vbslq_f32(mask, yes, no),
+    within(x, most): vminvq_u32(vcleq_f32(x, most)) != 0, any(mask): vmaxvq_u32(mask) != 0,
     sum(all): vaddv_f32(vadd_f32(vget_low_f32(all), vget_high_f32(all))),
-    wide: Pair<Base>,
-    narrow(x): Self(unsafe { vcombine_f32(vcvt_f32_f64(x.0.0), vcvt_f32_f64(x.1.0)) }),
+    wide: Pair<Base>, narrow(x): Self(unsafe { vcombine_f32(vcvt_f32_f64(x.0.0), vcvt_f32_f64(x.1.0)) }),
     widen(x): unsafe { Pair(Base(vcvt_f64_f32(vget_low_f32(x.0))), Base(vcvt_high_f64_f32(x.0))) });
 
     #[cfg(target_arch = "x86_64")]
@@ -604,3 +594,7 @@ mod registers {
         }
     }
 }
+
+#[cfg(test)]
+#[path = "lanes/tests.rs"]
+mod tests;
