@@ -137,6 +137,7 @@ async fn every_page_is_there_and_comes_from_here_alone() {
     );
     paths.push(format!("/0/trial/{}", hashes[0]));
     paths.push(format!("/0/compare?a={}&b={}", hashes[0], hashes[1]));
+    paths.push(format!("/0/compare?trial={}&trial={}", hashes[0], hashes[1]));
     paths.push("/2/sql.csv?q=SELECT+1+AS+x".into());
     paths.push("/2/sql.parquet?q=SELECT+1+AS+x".into());
     for path in &paths {
@@ -163,6 +164,12 @@ async fn every_page_is_there_and_comes_from_here_alone() {
         assert!([400, 404].contains(&status) && !answer.contains("root:"), "{path}: {answer}");
     }
     let (_, page) = server.get(&format!("/0/trial/{}", hashes[0])).await;
+    let (_, sql) = server.get("/0/sql").await;
+    assert!(sql.contains("<code>training</code>") && !sql.contains('`'), "{sql}");
+    let (_, compared) = server.get(&format!("/0/compare?trial={}&trial={}", hashes[0], hashes[1])).await;
+    assert!(compared.contains("Settings that differ"), "{compared}");
+    let (_, compared) = server.get(&format!("/0/compare?trial={}", hashes[0])).await;
+    assert!(compared.contains("Tick two"), "{compared}");
     assert!(page.contains("something was said") && page.contains("body after 1 step<"), "{page}");
     server.served.close().await;
     store.close().await.unwrap();

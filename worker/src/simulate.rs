@@ -54,17 +54,11 @@ pub fn forces(scene: &Scene, shape: &[usize], values: Vec<f64>) -> Result<Forces
     }
 }
 
-/// Checks that a cotangent has the shape of the signals.
+/// Checks that a cotangent has the shape `expected`, that of the signals.
 ///
 /// # Errors
 /// If it has not, or a number is not finite.
-pub fn check_cotangent(
-    scene: &Scene,
-    samples: usize,
-    shape: &[usize],
-    values: &[f64],
-) -> Result<(), Failure> {
-    let expected = [samples, scene.instants, 3 * scene.sensors.len()];
+pub fn check_cotangent(expected: [usize; 3], shape: &[usize], values: &[f64]) -> Result<(), Failure> {
     if shape != expected {
         return Err(Failure::Rejected(format!(
             "the cotangent has shape {shape:?}; it must be {expected:?}, that of the signals"
@@ -106,7 +100,7 @@ pub fn simulate(
     let (samples, instants, sensors) = (forces.samples, scene.instants, scene.sensors.len());
     check_states(samples, instants, scene.layout.units()).map_err(|e| Failure::Rejected(e.to_string()))?;
     if let Some((shape, values)) = cotangent {
-        check_cotangent(scene, samples, shape, values)?;
+        check_cotangent([samples, instants, 3 * sensors], shape, values)?;
     }
     let (tuned, run) = strike(scene, design, &forces, &problem.solver, true, &pool);
     let mut work = run.counters;

@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from os import PathLike, fspath
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from metasense import _metasense
@@ -164,12 +165,16 @@ def casts(
 ) -> _metasense.Table:
     """Errors (%) of decoders on virtual casts of a body: medians and percentiles, or with `rows` one row per cast and decoder.
 
-    `variation` has standard deviations as the table of a spec, or is a file with that table. `overrides` and errors as in `run`.
+    `variation` replaces the trial's: standard deviations as the table of a spec, or a file with that table. `overrides` and errors as
+    in `run`.
     """
-    if isinstance(variation, Mapping):
-        overrides, variation = {**overrides, "variation": variation}, None
-    options = _options({"design": design, "casts": casts, "variation": variation, "rows": rows})
-    return _rows(["body", "casts", *_words(source, hash, overrides), *options])
+    with TemporaryDirectory() as folder:
+        if isinstance(variation, Mapping):
+            file = Path(folder, "variation.toml")
+            file.write_text("\n".join(changes({"variation": variation})))
+            variation = file
+        options = _options({"design": design, "casts": casts, "variation": variation, "rows": rows})
+        return _rows(["body", "casts", *_words(source, hash, overrides), *options])
 
 
 def report(db: Source, hash: str | None = None, *, out: File | None = None, out_dir: File | None = None) -> Path:

@@ -22,6 +22,8 @@ class Body:
     @property
     def hash(self) -> str: ...
     @property
+    def seed(self) -> int: ...
+    @property
     def alpha(self) -> _Floats: ...
     @property
     def units(self) -> int: ...
@@ -63,6 +65,7 @@ class Body:
         stiffness: ArrayLike | None = None,
         damping_ratio: float | None = None,
         density: float | None = None,
+        noise_seed: int | None = None,
         tape: bool = True,
     ) -> Simulation: ...
 

@@ -11,7 +11,7 @@ use metasense_numerics::body::Ligament;
 use metasense_numerics::dynamics::{self, Forces, Parameters, Scene, tune};
 use metasense_numerics::feasible::Feasible;
 use metasense_numerics::random::Purpose;
-use metasense_numerics::trial::Problem;
+use metasense_numerics::trial::{Chip, Problem};
 use metasense_schemas::source::Source;
 use metasense_schemas::spec::TrialSpec;
 use metasense_worker::design;
@@ -25,7 +25,7 @@ use pyo3::prelude::*;
 use crate::arrays::{Numbers, indices, numbers, vector, whole};
 use crate::chosen::{Chosen, Pickled};
 use crate::inverse::Twin;
-use crate::simulation::Simulation;
+use crate::simulation::{Chips, Simulation};
 use crate::threads::{PerProcess, Threads, threads};
 use crate::{chain, raised, unpickler};
 
@@ -42,6 +42,8 @@ pub struct Body {
     /// A thread that has it when the process forks does not give it back in the child.
     feasible: PerProcess<Arc<Mutex<Feasible>>>,
     tuned: Option<Chosen>,
+    /// The chips of its sensors, once they have been asked for; never locked without the interpreter's lock.
+    chips: Arc<Mutex<Option<Chip>>>,
 }
 
 /// A body from its pickle.
@@ -65,7 +67,8 @@ pub fn unpickle_body(
 impl Body {
     fn new(problem: Problem, threads: Threads, hash: String, trial: TrialSpec) -> Self {
         let feasible = PerProcess::new(Arc::new(Mutex::new(problem.castable())));
-        Self { problem: Arc::new(problem), threads, hash, trial, feasible, tuned: None }
+        let (problem, chips) = (Arc::new(problem), Arc::default());
+        Self { problem, threads, hash, trial, feasible, tuned: None, chips }
     }
 
     fn of_plan(plan: &Plan, hash: Option<&str>, threads: usize) -> PyResult<Self> {
@@ -109,6 +112,27 @@ impl Body {
             return Err(PyValueError::new_err("sensors = []: must be at least one unit"));
         }
         Ok(scene)
+    }
+
+    /// The chips of a call's sensors with draws of this seed, and the problem that has these sensors.
+    fn chips(&self, py: Python<'_>, scene: &Scene, seed: u64) -> PyResult<Chips> {
+        let (mut problem, pool) = (Arc::clone(&self.problem), self.threads.pool(py)?);
+        let own = scene.sensors == problem.scene.sensors;
+        if !own {
+            Arc::make_mut(&mut problem).scene.sensors.clone_from(&scene.sensors);
+        }
+        let lock = || self.chips.lock().expect("no panic while it was held");
+        let mut found = lock().clone().filter(|_| own);
+        if found.is_none() {
+            found = py.detach(|| problem.chips(&pool)).map_err(|e| raised(&e.into()))?;
+            if own {
+                lock().clone_from(&found);
+            }
+        }
+        let remedy =
+            "the spec's [sensors] describe no imperfection: set sensors.noise or leave noise_seed out";
+        let chip = found.ok_or_else(|| PyValueError::new_err(format!("noise_seed = {seed}: {remedy}")))?;
+        Ok(Chips { problem, chip: chip.seeded(seed) })
     }
 
     /// Histories number `first` to `first + count` of a trial's set.
@@ -251,6 +275,12 @@ impl Body {
     #[getter]
     fn hash(&self) -> &str {
         &self.hash
+    }
+
+    /// The trial's seed.
+    #[getter]
+    fn seed(&self) -> u64 {
+        self.problem.seed
     }
 
     /// α of the initial body, a copy.
@@ -419,6 +449,7 @@ impl Body {
             trial: self.trial.clone(),
             feasible: PerProcess::new(Arc::new(Mutex::new(problem.castable()))),
             tuned: Some(Chosen { solver: found.solver, reason: found.plan.reason }),
+            chips: Arc::clone(&self.chips),
             problem,
         })
     }
@@ -427,8 +458,13 @@ impl Body {
     ///
     /// `sensors` (units, each with a chip of the spec's mass), `stiffness` ([stretch, shear, bend]), `damping_ratio` and `density`
     /// replace the body's own.
+    ///
+    /// Signals are ideal unless `noise_seed` is given. Then they are those of the chips that the spec's `[sensors]` describe: only the
+    /// `channels`, with low-pass, delay, noise, bias (mm/s², rad/s), steps and range. Equal force histories have equal noise; with
+    /// `noise_seed=body.seed` it is that of the trial. Relative noise needs the trial's training samples, simulated at the first call.
+    ///
     /// With `tape` the simulation can be differentiated; it then holds 48 bytes for each free unit, instant and sample.
-    #[pyo3(signature = (alpha, forces, *, sensors=None, stiffness=None, damping_ratio=None, density=None, tape=true))]
+    #[pyo3(signature = (alpha, forces, *, sensors=None, stiffness=None, damping_ratio=None, density=None, noise_seed=None, tape=true))]
     fn simulate<'py>(
         &self,
         py: Python<'py>,
@@ -438,13 +474,20 @@ impl Body {
         stiffness: Option<Bound<'py, PyAny>>,
         damping_ratio: Option<f64>,
         density: Option<f64>,
+        noise_seed: Option<&Bound<'py, PyAny>>,
         tape: bool,
     ) -> PyResult<Simulation> {
         let design = self.design("alpha", alpha)?;
         let Numbers { shape, values } = numbers("forces", forces)?;
-        let scene = self.scene(&Material { stiffness, damping_ratio, density }, sensors)?;
-        let forces = self::forces(&scene, &shape, values).map_err(|e| raised(&e))?;
-        let pool = self.threads.pool(py)?;
+        let mut scene = self.scene(&Material { stiffness, damping_ratio, density }, sensors)?;
+        let given = self::forces(&scene, &shape, values).map_err(|e| raised(&e))?;
+        let (mut forces, pool) = (given.clone(), self.threads.pool(py)?);
+        let seed = noise_seed.map(|seed| whole("noise_seed", seed, 0..=u64::MAX)).transpose()?;
+        let chips = seed.map(|seed| self.chips(py, &scene, seed)).transpose()?;
+        if let Some(Chips { problem, .. }) = &chips {
+            let (fine, of_motion) = problem.in_motion(&scene, &given);
+            (scene, forces) = (fine.into_owned(), of_motion.into_owned());
+        }
         let (reason, run) = py.detach(|| match &self.tuned {
             None => {
                 let (tuned, run) = strike(&scene, &design, &forces, &self.problem.solver, tape, &pool);
@@ -454,7 +497,7 @@ impl Body {
                 (reason.clone(), dynamics::simulate(&scene, &design, &forces, solver, tape, &pool))
             }
         });
-        Simulation::new(py, self.threads.clone(), scene, design, forces, reason, run)
+        Simulation::new(py, self.threads.clone(), scene, design, [given, forces], chips, reason, run)
     }
 
     /// Fits a twin to records of a cast of this design, by default the initial one: forces (N, K, R + 1) (N), and signals (N, T, C)

@@ -1,9 +1,12 @@
 //! The simulation of a body, and its derivatives.
 
+use std::sync::Arc;
+
 use metasense_numerics::dynamics::{self, Forces, Gradient, Outcome, Parameters, Scene, Tangent, Wrt};
+use metasense_numerics::trial::{Chip, Problem};
 use metasense_worker::run::finite;
 use metasense_worker::simulate::check_cotangent;
-use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
+use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -23,6 +26,28 @@ pub struct Simulation {
     run: dynamics::Simulation,
     solver: String,
     signals: Py<PyArray3<f64>>,
+    chips: Option<Chips>,
+    /// Instants of the forces that were given, R.
+    given: usize,
+}
+
+/// The chips through which signals were read.
+pub struct Chips {
+    /// With the sensors of the simulation.
+    pub problem: Arc<Problem>,
+    pub chip: Chip,
+}
+
+impl Chips {
+    /// What they make of signals (N, ·, 3M) under the forces that were given; zero for samples that failed.
+    fn read(&self, signals: Vec<f64>, forces: &Forces, outcomes: &[Outcome]) -> Vec<f64> {
+        let mut read = self.problem.read(signals, forces.samples);
+        self.chip.disturb(&mut read, forces);
+        let one = read.len() / forces.samples;
+        let failed = read.chunks_exact_mut(one).zip(outcomes).filter(|(_, outcome)| **outcome != Outcome::Ok);
+        failed.for_each(|(sample, _)| sample.fill(0.0));
+        read
+    }
 }
 
 impl Simulation {
@@ -31,14 +56,44 @@ impl Simulation {
         threads: Threads,
         scene: Scene,
         design: Vec<f64>,
-        forces: Forces,
+        [given, forces]: [Forces; 2],
+        chips: Option<Chips>,
         solver: String,
         mut run: dynamics::Simulation,
     ) -> PyResult<Self> {
-        let shape = [forces.samples, scene.instants, 3 * scene.sensors.len()];
-        let signals = std::mem::take(&mut run.signals).into_pyarray(py).reshape(shape)?;
+        let (mut signals, mut shape) = (std::mem::take(&mut run.signals), [given.samples, scene.instants, 3]);
+        if let Some(chips) = &chips {
+            (shape[1], shape[2]) = (chips.problem.scene.instants, chips.problem.channels.len());
+            signals = py.detach(|| chips.read(signals, &given, &run.outcomes));
+        }
+        shape[2] *= scene.sensors.len();
+        let signals = signals.into_pyarray(py).reshape(shape)?;
         signals.try_readwrite()?.make_nonwriteable();
-        Ok(Self { threads, scene, design, forces, run, solver, signals: signals.unbind() })
+        let (signals, given) = (signals.unbind(), given.instants);
+        Ok(Self { threads, scene, design, forces, run, solver, signals, chips, given })
+    }
+
+    /// Of a cotangent on the signals, in its place, what does not pass the end of the chips' range taken away.
+    fn within_range(&self, py: Python<'_>, cotangent: &mut [f64]) -> PyResult<()> {
+        let Some(Chips { chip, .. }) = &self.chips else { return Ok(()) };
+        chip.disturb_vjp(cotangent, self.signals.bind(py).try_readonly()?.as_slice()?);
+        Ok(())
+    }
+
+    /// Forces between the instants that were given are not the caller's.
+    fn has_own_forces(&self) -> PyResult<()> {
+        match self.forces.instants == self.given {
+            true => Ok(()),
+            false => Err(PyValueError::new_err(
+                "noise_seed: signals behind sensors.delay or sensors.bandwidth have no derivatives in the forces: leave one of the \
+                 three out",
+            )),
+        }
+    }
+
+    /// Of the signals.
+    fn shape(&self, py: Python<'_>) -> [usize; 3] {
+        self.signals.bind(py).shape().try_into().expect("three axes")
     }
 
     fn taped(&self) -> PyResult<()> {
@@ -51,7 +106,8 @@ impl Simulation {
 
 #[pymethods]
 impl Simulation {
-    /// (a_x, a_y, ω) of each sensor at n = 1…T, (N, T, 3M) (mm/s², rad/s), read-only; zero for samples that failed.
+    /// (a_x, a_y, ω) of each sensor at n = 1…T, (N, T, 3M) (mm/s², rad/s), read-only; zero for samples that failed. With
+    /// `noise_seed`, (N, T, C·M): the C channels that the spec's sensors read.
     #[getter]
     fn signals(&self, py: Python<'_>) -> Py<PyArray3<f64>> {
         self.signals.clone_ref(py)
@@ -146,6 +202,9 @@ impl Simulation {
         let pushed = forces.map(|forces| numbers("forces", forces)).transpose()?;
         let pushed = pushed.unwrap_or_else(|| Numbers { shape: Vec::new(), values: Vec::new() });
         let shape = [given.samples, given.panels, given.instants + 1];
+        if forces.is_some() {
+            self.has_own_forces()?;
+        }
         if forces.is_some() && pushed.shape != shape {
             return Err(PyValueError::new_err(format!(
                 "the tangent of the forces has shape {:?}, the forces {shape:?}",
@@ -160,19 +219,24 @@ impl Simulation {
         finite("the tangents", &[&tangent[..], &pushed.values, &k, &[damping_ratio, density]].concat())
             .map_err(|e| raised(&e))?;
         let parameters = Parameters { stretch, shear, bend, damping_ratio, density, contact: 0.0 };
-        let (instants, channels) = (self.scene.instants, 3 * self.scene.sensors.len());
+        let ideal = self.scene.instants * 3 * self.scene.sensors.len();
         let one = |sample: usize| match self.run.outcomes[sample] {
             Outcome::Ok => {
                 let len = pushed.values.len() / given.samples;
                 let forces = &pushed.values[sample * len..][..len];
                 self.run.jvp(sample, Tangent { design: &tangent, parameters, forces }).1
             }
-            _ => vec![0.0; instants * channels],
+            _ => vec![0.0; ideal],
         };
         let (samples, pool) = (given.samples, self.threads.pool(py)?);
         let found: Vec<Vec<f64>> =
             py.detach(|| pool.install(|| (0..samples).into_par_iter().map(one).collect()));
-        found.concat().into_pyarray(py).reshape([samples, instants, channels])
+        let mut found = found.concat();
+        if let Some(Chips { problem, .. }) = &self.chips {
+            found = problem.read(found, samples);
+        }
+        self.within_range(py, &mut found)?;
+        found.into_pyarray(py).reshape(self.shape(py))
     }
 
     fn __reduce__(&self) -> PyResult<()> {
@@ -203,8 +267,15 @@ type InBoth<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray3<f64>>);
 impl Simulation {
     fn gradient(&self, py: Python<'_>, cotangent: &Bound<'_, PyAny>, wrt: Wrt) -> PyResult<Gradient> {
         self.taped()?;
-        let Numbers { shape, values } = numbers("cotangent", cotangent)?;
-        check_cotangent(&self.scene, self.forces.samples, &shape, &values).map_err(|e| raised(&e))?;
+        let Numbers { shape, mut values } = numbers("cotangent", cotangent)?;
+        check_cotangent(self.shape(py), &shape, &values).map_err(|e| raised(&e))?;
+        if matches!(wrt, Wrt::Forces) {
+            self.has_own_forces()?;
+        }
+        self.within_range(py, &mut values)?;
+        if let Some(Chips { problem, .. }) = &self.chips {
+            values = problem.read_vjp(values, self.forces.samples);
+        }
         let pool = self.threads.pool(py)?;
         let found = py.detach(|| self.run.vjp(&values, wrt, &pool));
         match found.design.iter().chain(found.forces.iter().flatten()).all(|g| g.is_finite()) {

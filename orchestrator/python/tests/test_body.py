@@ -114,6 +114,42 @@ def test_material_and_sensors_of_a_call(body, spec):
         body.simulate(body.alpha, forces, stiffness=[3.0, 0.5, -1.0])
 
 
+CHIPS = ["noise = 0.03\nbias = [50.0, 0.01]\nrange = [2000.0, 3.0]", 'noise = 0.03\ndelay = 0.004\nbandwidth = 60.0\nchannels = ["ax", "omega"]']
+
+
+@pytest.mark.parametrize("sensors", CHIPS)
+def test_noise_is_that_of_a_trial(sensors, spec, command, tmp_path, rng):
+    noisy = tmp_path / "noisy.toml"
+    noisy.write_text(spec.read_text() + f"[sensors]\n{sensors}\n")
+    body = metasense.Body.from_spec(noisy)
+    command("run", noisy, "sweep.seeds=[3]", "--db", "n.sqlite", cwd=tmp_path)
+    command("export", "n.sqlite", body.hash, "--format", "npz", "--out", "t.npz", cwd=tmp_path)
+    with np.load(tmp_path / "t.npz") as trial:
+        forces, signals = trial["forces"], trial["signals_initial"]
+    simulated = [body.simulate(body.alpha, forces, noise_seed=seed) for seed in (body.seed, 7)]
+    assert np.array_equal(simulated[0].signals, signals)
+    assert not np.array_equal(simulated[1].signals, signals)
+    ideal = body.simulate(body.alpha, forces).signals
+    assert ideal.shape == (*signals.shape[:2], 3) and not np.array_equal(ideal, signals)
+    # the same derivative forward and backward
+    tangent, cotangent = rng.standard_normal(body.alpha.shape), rng.standard_normal(signals.shape)
+    along = (cotangent * simulated[0].jvp(tangent)).sum()
+    assert np.isclose(along, simulated[0].vjp(cotangent) @ tangent, rtol=1e-6) and along != 0.0
+
+
+def test_noise_needs_a_chip_and_own_forces(body, spec, tmp_path):
+    forces = body.stimuli("test")
+    with pytest.raises(ValueError, match="noise_seed = 1: .* set sensors.noise"):
+        body.simulate(body.alpha, forces, noise_seed=1)
+    slow = tmp_path / "slow.toml"
+    slow.write_text(spec.read_text() + "[sensors]\nnoise = [1.0, 0.1]\nbandwidth = 60.0\n")
+    slow = metasense.Body.from_spec(slow)
+    two = slow.simulate(slow.alpha, forces, sensors=[4, 5], noise_seed=1)
+    assert two.signals.shape == (3, 30, 6)
+    with pytest.raises(ValueError, match="have no derivatives in the forces"):
+        two.vjp_forces(two.signals)
+
+
 def test_a_body_by_keywords_is_that_of_the_file(body, spec):
     try:
         import tomllib

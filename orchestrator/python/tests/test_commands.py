@@ -98,8 +98,10 @@ def test_records_are_evaluated_and_fitted(body, spec, tmp_path):
 
 
 def test_casts_report_and_export(spec, database, tmp_path):
-    table = metasense.casts(spec, casts=2, rows=True, variation={"stretch": 0.05, "nodes": 0.1})
-    assert len(set(table["casting"])) == 2
+    for source in (spec, database):  # of a database the spec cannot be changed, but what casts scatter can
+        hash = database.trials()["hash"][0]
+        table = metasense.casts(source, hash, casts=2, rows=True, variation={"stretch": 0.05, "nodes": 0.1})
+        assert len(set(table["casting"])) == 2
     page = metasense.report(database, out=tmp_path / "r.html")
     assert page.read_text().lstrip().lower().startswith("<!doctype html")
     hash = database.trials()["hash"][0]

@@ -88,17 +88,38 @@ pub struct Unit {
     pub style: Option<String>,
 }
 
+/// What is numbered in a body. Numbered bodies have a scale bar.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Numbers {
+    /// Nothing.
+    None,
+    /// Units.
+    Units,
+    /// Units, nodes and sensors.
+    All,
+}
+
+/// Font size of a number in `figure.css` (mm).
+const INDEX: f64 = 2.2;
+
 /// Shift of a node's number towards the middle of its unit, as a fraction of their distance.
 const INWARD: f64 = 0.25;
 
 impl Sketch {
     /// The body with default units.
-    pub fn picture(&self, view: Frame, title: &str) -> Picture {
-        self.drawn(view, title, false, |_| Unit::default())
+    pub fn picture(&self, view: Frame, title: &str, numbers: Numbers) -> Picture {
+        self.drawn(view, title, numbers, |_| Unit::default())
     }
 
-    /// The body; `numbers`: with numbers of units, nodes and sensors.
-    pub fn drawn(&self, view: Frame, title: &str, numbers: bool, unit: impl Fn(usize) -> Unit) -> Picture {
+    /// The body.
+    pub fn drawn(&self, view: Frame, title: &str, numbers: Numbers, unit: impl Fn(usize) -> Unit) -> Picture {
+        let size = if numbers == Numbers::All { 0.147 } else { 0.18 } * self.spacing;
+        let bar = 10f64.powf(self.spacing.log10().floor());
+        let [left, floor] = [view[0] + 0.5 * self.spacing, view[1] + view[3] - 0.25 * self.spacing];
+        let index = |x: f64, y: f64, text: &str| {
+            let place = format!("translate({x:.2} {y:.2}) scale({:.3})", size / INDEX);
+            html! { text class="index" transform=(place) { (text) } }
+        };
         let class = |u: usize| {
             let active_constraints = match (self.clamped.contains(&u), self.guided.contains(&u)) {
                 (true, _) => " clamped",
@@ -121,13 +142,17 @@ impl Sketch {
             }
             @for at in &self.held { (mark(at, ["active", "active-node"])) }
             @for at in &self.broken { (mark(at, ["wrong", "wrong-node"])) }
-            @if numbers {
+            @if numbers != Numbers::None {
                 @for (u, corners) in self.units.iter().enumerate() {
                     @let [x, y] = middle(corners);
                     // above a sensor's disc
-                    @let down = if self.sensors.contains(&u) { -0.2 * self.spacing } else { 0.7 };
-                    text class="index" x=(format!("{x:.2}")) y=(format!("{:.2}", down - y)) { (u) }
+                    @let down = if self.sensors.contains(&u) { -0.2 * self.spacing } else { 0.32 * size };
+                    (index(x, down - y, &u.to_string()))
                 }
+                path class="scale" d=(format!("M{left:.3} {floor:.3}h{bar}")) {}
+                (index(left + 0.5 * bar, floor - 0.4 * size, &format!("{bar} mm")))
+            }
+            @if numbers == Numbers::All {
                 @for corners in &self.units {
                     @let [x, y] = middle(corners);
                     @for (p, q) in corners.iter().enumerate() {
@@ -141,19 +166,12 @@ impl Sketch {
         Picture { title: title.into(), class: "body", view, marks }
     }
 
-    /// An SVG file of the body with ligaments of this width (mm), numbers and a scale bar, without active constraints.
+    /// An SVG file of the body with ligaments of this width (mm) and all numbers, without active constraints.
     pub fn file(mut self, title: &str, width: f64) -> String {
         self.held.clear();
-        let view = frame([&self]);
-        let mut picture = self.drawn(view, title, true, |_| Unit::default());
-        let bar = 10f64.powf(self.spacing.log10().floor());
-        let [x, y] = [view[0] + 0.5 * self.spacing, view[1] + view[3] - 0.25 * self.spacing];
-        picture.marks = html! {
-            style { ".body .ligament{stroke-width:" (format!("{width:.3}")) "}" }
-            (picture.marks)
-            path class="ligament" style="stroke-width:0.5" d=(format!("M{x:.3} {y:.3}h{bar}")) {}
-            text class="index" x=(format!("{:.3}", x + 0.5 * bar)) y=(format!("{:.3}", y - 1.0)) { (bar) " mm" }
-        };
+        let mut picture = self.picture(frame([&self]), title, Numbers::All);
+        picture.marks =
+            html! { style { ".body .ligament{stroke-width:" (format!("{width:.3}")) "}" } (picture.marks) };
         file(&[picture], 1, 640.0, &Legend::default())
     }
 
@@ -173,7 +191,7 @@ impl Sketch {
 }
 
 /// Arrows at the panels and dots at the sensors.
-fn panels_and_sensors(sketch: &Sketch, numbers: bool) -> Markup {
+fn panels_and_sensors(sketch: &Sketch, numbers: Numbers) -> Markup {
     let pitch = sketch.spacing;
     let arrow = |panel: &Arrow| {
         // the arrow ends at the point of action, or before a number there
@@ -181,7 +199,8 @@ fn panels_and_sensors(sketch: &Sketch, numbers: bool) -> Markup {
         let Some([dx, dy]) = panel.direction.map(|[dx, dy]| [dx, -dy]) else {
             return turning(panel.sense, [x, -y], pitch);
         };
-        let before = if numbers && panel.foot == sketch.centroids[panel.unit] { 0.5 } else { 0.0 };
+        let before =
+            if numbers != Numbers::None && panel.foot == sketch.centroids[panel.unit] { 0.5 } else { 0.0 };
         let at = |along: f64, aside: f64| {
             let along = along - before;
             [x + pitch * (along * dx - aside * dy), -y + pitch * (along * dy + aside * dx)]
@@ -200,7 +219,7 @@ fn panels_and_sensors(sketch: &Sketch, numbers: bool) -> Markup {
             circle class="sensor" cx=(format!("{x:.2}")) cy=(format!("{:.2}", -y)) r=(format!("{:.2}", 0.17 * pitch)) {
                 title { "sensor " (m) ": unit " (unit) }
             }
-            @if numbers {
+            @if numbers == Numbers::All {
                 text class="number" x=(format!("{x:.2}")) y=(format!("{:.2}", 1.0 - y)) { (m) }
             }
         }

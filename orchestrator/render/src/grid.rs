@@ -26,7 +26,9 @@ const ROOM: [f64; 2] = [64.0, 40.0];
 /// A grid with row names on the left and column names at the bottom.
 pub fn grid(title: &str, across: (&str, &[String]), down: (&str, &[String]), cells: &[Vec<Cell>]) -> Picture {
     let (columns, rows) = (across.1, down.1);
-    let at = |i: usize, j: usize| [ROOM[0] + i as f64 * CELL[0], j as f64 * CELL[1]];
+    let letters = rows.iter().map(|name| name.chars().count()).max().unwrap_or(0);
+    let room = ROOM[0].max(26.0 + 6.2 * letters as f64);
+    let at = |i: usize, j: usize| [room + i as f64 * CELL[0], j as f64 * CELL[1]];
     let cell = |i: usize, j: usize, cell: &Cell| -> Markup {
         let [x, y] = at(i, j);
         // `level` takes the square root
@@ -46,13 +48,13 @@ pub fn grid(title: &str, across: (&str, &[String]), down: (&str, &[String]), cel
     let middle = 0.5 * floor.max(7.0 * down.0.chars().count() as f64);
     let marks = html! {
         @for (j, row) in cells.iter().enumerate() {
-            (label("tick", [ROOM[0] - 5.0, at(0, j)[1] + 17.0], "end", &rows[j]))
+            (label("tick", [room - 5.0, at(0, j)[1] + 17.0], "end", &rows[j]))
             @for (i, one) in row.iter().enumerate().filter(|(_, one)| !one.text.is_empty()) { (cell(i, j, one)) }
         }
         @for (i, name) in columns.iter().enumerate() {
             (label("tick", [at(i, 0)[0] + 0.5 * CELL[0], floor + 14.0], "middle", name))
         }
-        (label("label", [0.5 * (ROOM[0] + right), floor + 32.0], "middle", across.0))
+        (label("label", [0.5 * (room + right), floor + 32.0], "middle", across.0))
         g transform=(format!("rotate(-90 11 {middle:.1})")) { (label("label", [11.0, middle], "middle", down.0)) }
     };
     Picture {

@@ -16,7 +16,9 @@ mod write;
 
 pub use fit::screen;
 pub use number::{digits, duration, number};
-pub use page::{Answer, Encoded, Figure, MOST_ROWS, answers, contents, document, download, more, page};
+pub use page::{
+    Answer, Encoded, Figure, MOST_ROWS, answers, contents, document, download, more, page, prose,
+};
 pub use picture::{Legend, Picture, file, legend, lines};
 pub use plot::{Axis, Plot, Scale};
 pub use style::{SERIES, level, of_page};

@@ -130,8 +130,8 @@ impl Figure {
                 div class=(if self.small { "plots small" } else { "plots" }) {
                     @for picture in &self.pictures {
                         // widens wide plots, to keep their font size
-                        @let wide = (picture.class == "plot" && picture.view[2] > 400.0).then_some("broad");
-                        div class=[wide] { h3 { (picture.title) } (picture.svg(None)) }
+                        @let wide = Some(picture.view[2]).filter(|width| picture.class == "plot" && *width > 400.0);
+                        div class=[wide.map(|width| format!("broad w{:.0}", (width / 80.0).ceil().min(10.0)))] { h3 { (picture.title) } (picture.svg(None)) }
                     }
                     @if let Some(moving) = &self.moving { div class="wide" { (moving) } }
                 }
@@ -142,7 +142,7 @@ impl Figure {
 }
 
 /// Text with non-breaking spaces before units; text between backticks becomes code.
-fn prose(text: &str) -> Markup {
+pub fn prose(text: &str) -> Markup {
     let text = text.replace(" %", "\u{a0}%").replace(" mm", "\u{a0}mm");
     html! {
         @for (part, number) in text.split('`').zip(0..) {
@@ -151,11 +151,12 @@ fn prose(text: &str) -> Markup {
     }
 }
 
-/// Links to the figures of a page.
-pub fn contents(figures: &[Figure]) -> Markup {
+/// Links to the figures of a page and to the sections that follow them: anchor and heading of each.
+pub fn contents(figures: &[Figure], sections: &[[&str; 2]]) -> Markup {
+    let of_figures = figures.iter().map(|figure| [figure.name, &figure.title]);
     html! {
-        @if figures.len() > 2 {
-            ol class="quiet contents" { @for figure in figures { li { a href={ "#" (figure.name) } { (figure.title) } } } }
+        ol class="quiet contents" {
+            @for [anchor, title] in of_figures.chain(sections.iter().copied()) { li { a href={ "#" (anchor) } { (title) } } }
         }
     }
 }

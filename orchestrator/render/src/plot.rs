@@ -117,7 +117,7 @@ pub struct Plot {
 }
 
 /// Margins for labels: left, right, top, bottom (px).
-const MARGIN: [f64; 4] = [52.0, 12.0, 10.0, 40.0];
+const MARGIN: [f64; 4] = [58.0, 12.0, 10.0, 40.0];
 /// Approximate width of a letter (px).
 const LETTER: f64 = 6.2;
 /// Least width of the axis beside notes (px): long notes widen the plot.

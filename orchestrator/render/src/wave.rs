@@ -2,7 +2,7 @@
 
 use maud::{Markup, PreEscaped, html};
 
-use super::body::{Frame, Point, Sketch, Unit, frame};
+use super::body::{Frame, Numbers, Point, Sketch, Unit, frame};
 use super::picture::Picture;
 use super::style::level;
 
@@ -46,7 +46,7 @@ pub fn mode(sketch: &Sketch, frame: Frame, shape: &[[f64; 3]], travel: &[f64], t
             style: Some(format!("--c:{x:.2}px {y:.2}px;--x:{du:.2}px;--y:{dy:.2}px;--t:{turn:.2}deg")),
         }
     };
-    Picture { class: "body mode", ..bare(sketch).drawn(frame, title, false, unit) }
+    Picture { class: "body mode", ..bare(sketch).drawn(frame, title, Numbers::None, unit) }
 }
 
 /// A body at instant `n` of a motion, units coloured by speed relative to `most` (mm/s).
@@ -63,7 +63,7 @@ pub fn snapshot(sketch: &Sketch, frame: Frame, motion: Motion, n: usize, most: f
     }
     let speed = |u: usize| motion.velocities[n][u][0].hypot(motion.velocities[n][u][1]);
     let unit = |u| Unit { class: Some(format!("unit {}", level(speed(u) / most))), ..Unit::default() };
-    moved.drawn(frame, title, false, unit)
+    moved.drawn(frame, title, Numbers::None, unit)
 }
 
 /// Bodies whose motion [`SCRIPT`] plays in `seconds`, coloured by speed relative to `most` (mm/s). Shows instant `start` at first.
@@ -87,7 +87,7 @@ pub fn animation(
         div class="wave" data-duration=(seconds) data-start=(start) {
             div class="pair" {
                 @for (name, sketch, motion) in bodies {
-                    @let still = bare(sketch).picture(frame, &format!("{name} body in motion"));
+                    @let still = bare(sketch).picture(frame, &format!("{name} body in motion"), Numbers::None);
                     div {
                         h3 { (name) " body" }
                         (still.svg(None))
@@ -108,7 +108,8 @@ pub fn animation(
 pub fn course(designs: &[(u32, Sketch)], steps: usize) -> Markup {
     let (at, first) = &designs[0];
     let still = Sketch { held: Vec::new(), ..first.clone() };
-    let still = still.picture(frame(designs.iter().map(|design| &design.1)), "The body from step to step");
+    let view = frame(designs.iter().map(|design| &design.1));
+    let still = still.picture(view, "The body from step to step", Numbers::None);
     // corners that ligaments join; then one line per design: step, all corners, displacements of panels and sensors (mm)
     let corner = |unit: usize| first.units[..unit].iter().map(Vec::len).sum::<usize>();
     let joints = first.joints.iter().flatten().map(|&(unit, node)| (corner(unit) + node).to_string());

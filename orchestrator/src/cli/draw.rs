@@ -8,7 +8,7 @@ use metasense_worker::replay::{Drawing, Panel};
 use super::named::Named;
 use super::{Error, write};
 use crate::exit::Exit;
-use crate::look::body::{Unit, frame, middle};
+use crate::look::body::{Numbers, frame, middle};
 use crate::look::file;
 use crate::report::body::sketch;
 
@@ -78,7 +78,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         units,
     };
     let sketch = sketch(&drawing, &violations);
-    let picture = sketch.drawn(frame([&sketch]), &caption, true, |_| Unit::default());
+    let picture = sketch.picture(frame([&sketch]), &caption, Numbers::All);
     let text = file(&[picture], 1, 640.0, &sketch.legend());
     write(&args.out, text)?;
     if let Some(file) = &args.design_out {

@@ -8,7 +8,7 @@ use metasense_worker::replay::Drawing;
 use super::named::Designed;
 use super::{Error, Format, cores, print_rows, write};
 use crate::exit::Exit;
-use crate::look::body::{Unit, frame};
+use crate::look::body::{Numbers, Unit, frame};
 use crate::look::{Table, file, level, row};
 use crate::plan::{Plan, Trial};
 use crate::report::body::sketch;
@@ -54,7 +54,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         let mut key = drawn.legend();
         key.push(("speed", "rank of the error with a sensor on the unit".to_owned()));
         let unit = |u| Unit { class: shade(u), ..Unit::default() };
-        let picture = drawn.drawn(frame([&drawn]), &caption, true, unit);
+        let picture = drawn.drawn(frame([&drawn]), &caption, Numbers::All, unit);
         let text = file(&[picture], 1, 640.0, &key);
         write(out, text)?;
         say!("written {}", out.display());

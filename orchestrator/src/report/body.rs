@@ -3,7 +3,7 @@
 use metasense_worker::design::{Active, Kind, Violation};
 use metasense_worker::replay::{Drawing, Panel};
 
-use crate::look::body::{Arrow, Mark, Point, Sketch, frame, middle};
+use crate::look::body::{Arrow, Mark, Numbers, Point, Sketch, frame, middle};
 use crate::look::{Figure, Table, legend, row};
 
 /// The body with its active and violated constraints.
@@ -52,7 +52,8 @@ pub fn figure(
         };
         sketch.units.iter().enumerate().flat_map(corners).collect::<Vec<_>>()
     });
-    let pictures = bodies.iter().map(|(title, _, sketch)| sketch.picture(view, title)).collect();
+    let pictures =
+        bodies.iter().map(|(title, _, sketch)| sketch.picture(view, title, Numbers::Units)).collect();
     Figure::new(name, title, caption, legend(&entries), pictures, Table::new("body unit node x y", rows))
 }
 

@@ -191,7 +191,7 @@ fn response(trial: &TrialSpec, design: &[f64], checked: &Checked) -> Option<Figu
             let line = |of: &dyn Fn(usize) -> Option<f64>| -> Vec<(f64, f64)> {
                 (0..frequencies.len()).filter_map(|n| Some((frequencies[n], of(n)?))).collect()
             };
-            plot.line(&format!("{} fine", SERIES[k % SERIES.len()]), line(&|n| of_model(n, k)));
+            plot.line(&format!("{} dashed", SERIES[k % SERIES.len()]), line(&|n| of_model(n, k)));
             plot.line(SERIES[k % SERIES.len()], line(&|n| of.get(n).copied()));
             let coherent = |n: usize| spectra.coherence.as_ref().and_then(|of| of[c].get(n).copied());
             rows.extend(
@@ -218,7 +218,7 @@ fn response(trial: &TrialSpec, design: &[f64], checked: &Checked) -> Option<Figu
     }
     let panels = spectra.response.first().map_or(0, Vec::len);
     let mut marks: Vec<(&str, String)> =
-        (0..panels).map(|k| (SERIES[k % SERIES.len()], format!("panel {k}; thin: the design"))).collect();
+        (0..panels).map(|k| (SERIES[k % SERIES.len()], format!("panel {k}; dashed: the design"))).collect();
     marks.extend([("truth", "median coherence".to_owned()), ("front", "least coherence".to_owned())]);
     let caption = "Frequency responses H₁ over all records, beside those of small motions of the design. Readings above half the rate of \
                    the chip appear at lower frequencies. A low coherence at resonances and zeros of the force is usual.";

@@ -420,8 +420,8 @@ async fn sweeps(reader: &mut Reader) -> Result<Vec<Sweep>, StoreError> {
     Ok(sweeps)
 }
 
-/// Columns of trials on the page.
-const SHOWN: &str = "hash, state, reason, panels, sensors, placement, seed, units, design_parameters, brain, trained_with,
+/// Columns of trials on the page, after hash, state, reason and settings that vary.
+const SHOWN: &str = "panels, sensors, placement, seed, units, design_parameters, brain, trained_with,
   spec->>'$.optimise.objective' AS objective, protocol,
   error_initial AS test_error_initial, error_optimised AS test_error_optimised, holdout_error_initial, holdout_error_optimised,
   holdout_median_initial, holdout_median_optimised, holdout_above_initial, holdout_above_optimised,
@@ -430,14 +430,22 @@ const SHOWN: &str = "hash, state, reason, panels, sensors, placement, seed, unit
 const BESIDES: &str = "linear_holdout_error_initial, linear_holdout_error_optimised, holdout_p90_initial, holdout_p90_optimised,
   holdout_rms_initial, holdout_rms_optimised";
 
-/// All trials; their file also has a column per path in `paths`.
+/// Maximum number of settings that vary on the page; the file contains all.
+const MOST_PATHS: usize = 6;
+
+/// All trials with one column per path in `paths`.
 async fn states(reader: &mut Reader, paths: &BTreeSet<&str>) -> Result<States, StoreError> {
-    let columns: String = paths.iter().map(|path| format!(", spec->>'$.{path}' AS \"{path}\"")).collect();
+    let column = |path: &&str| format!("spec->>'$.{path}' AS \"{path}\", ");
+    let [first, rest]: [String; 2] = [
+        paths.iter().take(MOST_PATHS).map(column).collect(),
+        paths.iter().skip(MOST_PATHS).map(column).collect(),
+    ];
     let sql = format!(
-        "SELECT {SHOWN}, {BESIDES}{columns} FROM v_trial
+        "SELECT hash, state, reason, {first}{SHOWN}, {rest}{BESIDES} FROM v_trial
          ORDER BY state = 'failed' DESC, panels, units, sensors, placement, seed"
     );
-    let (all, shown) = (reader.columns(&sql).await?, SHOWN.split(',').count());
+    let (all, shown) =
+        (reader.columns(&sql).await?, 3 + paths.len().min(MOST_PATHS) + SHOWN.split(',').count());
     let mut data = Data::new(&all);
     let first = Table { columns: all[..shown].to_vec(), rows: Vec::new() };
     let [state, reason] = ["state", "reason"].map(|name| first.column(name));

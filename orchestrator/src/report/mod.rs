@@ -114,6 +114,9 @@ pub fn figures(story: &ReportData, threads: usize) -> (Vec<Figure>, Option<Strin
 const RATIO_OF_ENERGIES: &str = "An error is a ratio of energies, 100·Σ(f − f̂)²/Σf² per sample, averaged over samples: an error of \
     5.7 % is an RMS error of 24 %. A median is over the same samples and is robust against a few large errors.";
 
+/// Explains the symbols of labels and tables.
+pub const K_AND_M: &str = "K is the number of forces, one per input panel; M is the number of sensors.";
+
 /// The whole page.
 pub fn html(story: ReportData, figures: &[Figure], missing: Option<&str>) -> String {
     let mut names: Vec<&str> = story.sweeps.iter().map(|s| s.name.as_str()).collect();
@@ -129,14 +132,14 @@ pub fn html(story: ReportData, figures: &[Figure], missing: Option<&str>) -> Str
     let told = Question::all().iter().filter(|q| !drawn_alone.contains(q) && q.was_put(&story.trials));
     let tables = told.map(|q| (q, q.answer(&story.trials, story.terms)));
     let content = html! {
-        p { (RATIO_OF_ENERGIES) }
+        p { (RATIO_OF_ENERGIES) " " (K_AND_M) }
         (listed(first.chain(&state(&story))))
-        (contents(figures))
+        (contents(figures, &[TABLES, TRIALS, PROVENANCE]))
         @for figure in figures { (figure.html(&said)) }
         @if let Some(why) = missing {
             p class="quiet" { "Figures of forces, samples, bodies and waves are missing: " (why) "." }
         }
-        h2 { "Tables" }
+        h2 id=(TABLES[0]) { (TABLES[1]) }
         @for (question, table) in tables.filter(|(_, table)| !table.rows.is_empty()) {
             p class="quiet tables" { (question.title()) }
             @match table.sole_verdict() {
@@ -144,7 +147,7 @@ pub fn html(story: ReportData, figures: &[Figure], missing: Option<&str>) -> Str
                 None => (table.without_empty_columns().html(None)),
             }
         }
-        h2 { "Trials" }
+        h2 id=(TRIALS[0]) { (TRIALS[1]) }
         (states.first.html(None))
         (more(states.all))
         (download("trials", &states.csv))
@@ -156,6 +159,11 @@ pub fn html(story: ReportData, figures: &[Figure], missing: Option<&str>) -> Str
     drop(story);
     page(&title, question, content)
 }
+
+/// Anchors and headings of the sections after the figures.
+const TABLES: [&str; 2] = ["tables", "Tables"];
+const TRIALS: [&str; 2] = ["trials", "Trials"];
+const PROVENANCE: [&str; 2] = ["provenance", "Spec, versions, seeds"];
 
 /// Numbers of trials, and caveats about their code.
 fn state(story: &ReportData) -> Vec<Answer> {
@@ -174,7 +182,7 @@ fn provenance(story: &ReportData) -> Markup {
     let seeds = distinct(story.trials.iter().map(|t| t.cluster.seed));
     let seeds = seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
     html! {
-        h2 { "Spec, versions, seeds" }
+        h2 id=(PROVENANCE[0]) { (PROVENANCE[1]) }
         @for CodeVersion { code, revisions, trials } in &story.code_versions {
             p {
                 "Trials by code " (code)

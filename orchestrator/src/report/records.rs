@@ -6,7 +6,7 @@ use metasense_worker::evaluate::Evaluated;
 use metasense_worker::inverse::Posterior;
 
 use super::casts::CLASSES;
-use super::strips::{Curve, Errors, Strip, dots, histories, representative, strips};
+use super::strips::{Curve, Errors, RESIDUAL, Strip, dots, histories, representative, strips};
 use crate::analysis::Interval;
 use crate::analysis::numbers::mean;
 use crate::analysis::records::{Agreement, BodyErrors, InverseResults, SignalSource, mean_ratio, table};
@@ -273,7 +273,7 @@ impl Comparison {
                 .collect()
         };
         let names: Vec<String> = (0..panels).map(|k| format!("panel {k}")).collect();
-        let (pictures, step) = strips(&samples, &names, " N", self.duration);
+        let (pictures, step) = strips(&samples, &names, " N", self.duration, true);
         let mut entries = legend(&[("truth", "true force")]);
         entries.extend(self.legend());
         let mut data = Table::new("body record panel seconds force predicted low high", rows);
@@ -290,7 +290,7 @@ impl Comparison {
             format!(
                 "True forces of four records{}, at the 12th, 37th, 62nd and 87th percentile of the error, and the \
                  predictions from their signals by {by}. Each panel's line is drawn {} N above the next. The titles give the \
-                 errors, means over seeds.",
+                 errors, means over seeds.{RESIDUAL}",
                 if self.paired { " of all bodies" } else { " of each body" },
                 number(step)
             ),
@@ -383,7 +383,7 @@ impl Comparison {
             }
             let sources = vec![("truth".to_owned(), measured), ("front".to_owned(), model)];
             let strip = Strip { title: format!("{}, record {record}", body.name), sources, bands: vec![] };
-            pictures.extend(strips(&[strip], names, " RMS", self.duration).0);
+            pictures.extend(strips(&[strip], names, " RMS", self.duration, false).0);
         }
         Figure::some(
             "signals",

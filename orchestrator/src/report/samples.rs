@@ -7,7 +7,7 @@ use metasense_worker::run::Failure;
 use super::body::{self, sketch};
 use super::figures::BODIES;
 use super::modes;
-use super::strips::{Curve, Errors, Strip, dots, histories, representative, strips};
+use super::strips::{Curve, Errors, RESIDUAL, Strip, dots, histories, representative, strips};
 use crate::analysis::Body;
 use crate::analysis::kinds::brains_of;
 use crate::look::body::{Sketch, frame};
@@ -134,7 +134,7 @@ impl Replayed {
         };
         let samples: Vec<Strip> = chosen.iter().map(strip).collect();
         let names: Vec<String> = (0..panels).map(|k| format!("panel {k}")).collect();
-        let (pictures, step) = strips(&samples, &names, " N", duration);
+        let (pictures, step) = strips(&samples, &names, " N", duration, true);
         let which = match chosen {
             [one] => format!("test sample {one}"),
             _ => {
@@ -147,7 +147,7 @@ impl Replayed {
             format!(
                 "Force histories of {which} of {}, and the predictions of each body's decoder (the first \
                  network). Each panel's line is drawn {} N above the next. The titles give the sample's error on \
-                 the initial and on the trained body, over all panels.{}",
+                 the initial and on the trained body, over all panels.{RESIDUAL}{}",
                 self.trial_in_words(),
                 number(step),
                 match self.stored.bands[1][0].is_empty() && replays[1].half_widths.is_empty() {
@@ -252,16 +252,16 @@ impl Replayed {
         let (mut pictures, mut rows) = (Vec::new(), Vec::new());
         let shown = Body::ALL.map(|body| {
             let Motion { displacements, velocities } = &motions[body as usize];
-            (body.name(), &self.bodies[body as usize], wave::Motion { displacements, velocities })
+            (body, &self.bodies[body as usize], wave::Motion { displacements, velocities })
         });
-        for (b, (name, sketch, motion)) in shown.iter().enumerate() {
+        for (b, (body, sketch, motion)) in shown.iter().enumerate() {
             for &n in &shots {
                 let seconds = self.clock[n];
-                let label = format!("{name}, {} s", number(seconds));
+                let label = format!("{}, {} s", body.word(), number(seconds));
                 pictures.push(snapshot(sketch, frame, *motion, n, most, &label));
                 rows.extend((0..units).map(|u| {
                     let [x, y, angle] = motion.displacements[n][u];
-                    row![name, seconds, u, x, y, angle, speed(b, n, u)]
+                    row![body.name(), seconds, u, x, y, angle, speed(b, n, u)]
                 }));
             }
         }
@@ -280,6 +280,6 @@ impl Replayed {
             pictures,
             Table::new("body seconds unit u v theta speed", rows),
         )
-        .small(Some(animation(&shown, frame, seconds, most, fastest)))
+        .small(Some(animation(&shown.map(|(body, sketch, motion)| (body.word(), sketch, motion)), frame, seconds, most, fastest)))
     }
 }

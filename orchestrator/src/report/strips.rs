@@ -32,6 +32,16 @@ pub struct Strip {
 }
 
 impl Strip {
+    /// Time interval in which a true value exceeds 2 % of the largest (s), with a margin; `None` without one.
+    fn blows(&self) -> Option<[f64; 2]> {
+        let truth = || self.sources[0].1.iter().flatten();
+        let most = truth().fold(0.0, |most: f64, (_, value)| most.max(value.abs()));
+        let times = || truth().filter(|(_, value)| value.abs() > 0.02 * most).map(|(t, _)| *t);
+        let (first, last) = (times().reduce(f64::min)?, times().reduce(f64::max)?);
+        let margin = 0.2 * (last - first);
+        Some([first - margin, last + margin])
+    }
+
     /// Points (s, low, high) of a history's band; empty if there is none.
     fn band(&self, class: &str, k: usize) -> Vec<(f64, f64, f64)> {
         let half_width = self.bands.iter().find(|(of, _)| of == class).map(|(_, bands)| &bands[k]);
@@ -42,51 +52,99 @@ impl Strip {
 }
 
 /// One plot per sample. Histories are stacked, the first at the top, at the returned distance, which fits the true values. One tick
-/// marks each zero, one a value in `unit` above it. The truth is a thin line on top.
-pub fn strips(samples: &[Strip], names: &[String], unit: &str, duration: f64) -> (Vec<Picture>, f64) {
-    let count = names.len();
+/// marks each zero, one a value in `unit` above it. The truth is a thin line on top. If the other sources are `estimates` of the truth,
+/// residuals and a second plot are added, as [`RESIDUAL`] explains.
+pub fn strips(
+    samples: &[Strip],
+    names: &[String],
+    unit: &str,
+    duration: f64,
+    estimates: bool,
+) -> (Vec<Picture>, f64) {
+    let count = names.len() + usize::from(estimates);
     let truth = samples.iter().flat_map(|s| s.sources[0].1.iter().flatten());
     let (least, most) = truth.fold((0.0f64, 1e-9f64), |(l, m), point| (l.min(point.1), m.max(point.1)));
     let step = 1.15 * (most - least);
     let zero = |k: usize| (count - 1 - k) as f64 * step;
+    let residuals = |sample: &Strip| -> Vec<(String, Curve)> {
+        let truth = &sample.sources[0].1;
+        let off = |(truth, curve): (&Curve, &Curve)| -> Curve {
+            let begun = truth.len() - curve.len();
+            curve
+                .iter()
+                .zip(&truth[begun..])
+                .map(|(found, true_one)| (found.0, found.1 - true_one.1))
+                .collect()
+        };
+        let of = |(class, curves): &(String, Vec<Curve>)| -> Vec<(String, Curve)> {
+            truth.iter().zip(curves).map(|both| (class.clone(), off(both))).collect()
+        };
+        if estimates { sample.sources[1..].iter().flat_map(of).collect() } else { Vec::new() }
+    };
+    let wrong = samples.iter().flat_map(&residuals).flat_map(|(_, curve)| curve);
+    let worst = wrong.map(|(_, off)| off.abs()).filter(|off| off.is_finite()).fold(1e-12, f64::max);
+    let part = 0.45 * step / worst;
     let ends = |pick: fn(f64, f64) -> f64, start: f64| {
         let curves = samples.iter().flat_map(|s| &s.sources).flat_map(|source| source.1.iter().enumerate());
         let values = curves.flat_map(|(k, curve)| curve.iter().map(move |point| zero(k) + point.1));
         let bands = samples.iter().flat_map(|s| s.bands.iter().map(move |(class, _)| (s, class)));
         let bands = bands.flat_map(|(s, class)| {
-            (0..count).flat_map(move |k| s.band(class, k).into_iter().map(move |p| (k, p)))
+            (0..names.len()).flat_map(move |k| s.band(class, k).into_iter().map(move |p| (k, p)))
         });
         let banded = bands.flat_map(|(k, (_, low, high))| [zero(k) + low, zero(k) + high]);
         values.chain(banded).fold(start, pick)
     };
-    let range = [ends(f64::min, -0.1 * step), ends(f64::max, count as f64 * step)];
+    let range =
+        [ends(f64::min, if estimates { -0.5 } else { -0.1 } * step), ends(f64::max, count as f64 * step)];
     let height = 80.0 + (200.0 / count as f64).max(45.0) * count as f64;
     let value = round_below(0.9 * most);
-    let draw = |sample: &Strip| {
+    let draw = |sample: &Strip, title: &str, window: [f64; 2]| {
+        let seen = |time: f64| (window[0]..=window[1]).contains(&time);
         let tick = |(k, name): (usize, &String)| {
             [(zero(k), name.clone()), (zero(k) + value, format!("{}{unit}", number(value)))]
         };
-        let names = names.iter().enumerate().flat_map(tick).collect();
+        let mut ticks: Vec<(f64, String)> = names.iter().enumerate().flat_map(tick).collect();
+        if estimates {
+            let value = round_below(worst);
+            ticks.extend([(0.0, "residual".into()), (part * value, format!("{}{unit}", number(value)))]);
+        }
         let mut plot = Plot::new(
-            &sample.title,
-            Axis::new("time (s)", Scale::Linear, [0.0, duration]),
-            Axis::new("", Scale::Linear, range).with_names(names),
+            title,
+            Axis::new("time (s)", Scale::Linear, window),
+            Axis::new("", Scale::Linear, range).with_names(ticks),
         )
         .sized(400.0, height);
-        for k in 0..count {
+        for k in 0..names.len() {
             for (class, _) in &sample.bands {
                 let lifted = |(t, low, high)| (t, zero(k) + low, zero(k) + high);
-                let band: Vec<_> = sample.band(class, k).into_iter().map(lifted).collect();
-                plot.band(class, &band);
+                let band = sample.band(class, k).into_iter().filter(|(t, ..)| seen(*t));
+                plot.band(class, &band.map(lifted).collect::<Vec<_>>());
             }
             for (class, curves) in sample.sources.iter().rev() {
-                plot.line(class, curves[k].iter().map(|(t, value)| (*t, zero(k) + value)));
+                let drawn = curves[k].iter().filter(|(t, _)| seen(*t));
+                plot.line(class, drawn.map(|(t, value)| (*t, zero(k) + value)));
             }
+        }
+        for (class, curve) in residuals(sample) {
+            let drawn = curve.into_iter().filter(|(t, _)| seen(*t));
+            plot.line(&class, drawn.map(|(t, off)| (t, part * off)));
         }
         plot.picture()
     };
-    (samples.iter().map(draw).collect(), step)
+    let both = |sample: &Strip| {
+        let near = sample.blows().filter(|[from, to]| estimates && to - from < 0.7 * duration);
+        let near = near.map(|[from, to]| [from.max(0.0), to.min(duration)]);
+        let whole = draw(sample, &sample.title, [0.0, duration]);
+        std::iter::once(whole)
+            .chain(near.map(|window| draw(sample, &format!("{}, at the blows", sample.title), window)))
+            .collect::<Vec<_>>()
+    };
+    (samples.iter().flat_map(both).collect(), step)
 }
+
+/// Explains residuals and second plots of [`strips`] in a caption.
+pub const RESIDUAL: &str = " The lowest lines are the residuals of all panels, prediction minus true force. Beside each plot \
+    stands the time of the blows alone.";
 
 /// The largest of 1, 2 and 5 times a power of ten up to `most`.
 fn round_below(most: f64) -> f64 {
@@ -132,7 +190,7 @@ pub fn dots(title: &str, label: &str, bodies: &[Errors], joined: bool) -> Pictur
     let most = drawn.iter().map(Vec::len).max().unwrap_or(0);
     let x = Axis::new(label, Scale::Linear, [0.0, most as f64 + 1.0]).with_ticks(vec![]);
     let y = Axis::new("error (%)", Scale::Log, drawn.iter().flatten().map(|sample| sample.1));
-    let mut plot = Plot::new(title, x, y).sized(480.0, 280.0);
+    let mut plot = Plot::new(title, x, y);
     let place = |i: usize| i as f64 + 1.0;
     if joined {
         for i in 0..most {
@@ -145,4 +203,32 @@ pub fn dots(title: &str, label: &str, bodies: &[Errors], joined: bool) -> Pictur
         plot.dots(body.class, dots);
     }
     plot.picture()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A blow from 0.4 to 0.5 s has a second plot of its time; a force over the whole record has none, and histories that estimate
+    /// nothing have no residual.
+    #[test]
+    fn estimates_have_residuals_and_a_plot_of_the_blows() {
+        let curve = |force: &dyn Fn(f64) -> f64| -> Vec<Curve> {
+            vec![(1..=100).map(|n| 0.01 * f64::from(n)).map(|t| (t, force(t))).collect()]
+        };
+        let drawn = |force: &dyn Fn(f64) -> f64, estimates| {
+            let sources = [("truth", curve(force)), ("optimised", curve(&|t| force(t) + 0.1))];
+            let sources = sources.map(|(class, curves)| (class.to_owned(), curves)).into();
+            let strip = Strip { title: "sample 3".into(), sources, bands: vec![] };
+            strips(&[strip], &["panel 0".into()], " N", 1.0, estimates).0
+        };
+        let blow = |t: f64| if (0.395..0.505).contains(&t) { 2.0 } else { 0.0 };
+        let pictures = drawn(&blow, true);
+        assert!(pictures.iter().all(|picture| picture.marks.0.contains(">residual<")));
+        let [whole, near] = &pictures[..] else { panic!("{} plots", pictures.len()) };
+        assert!(whole.marks.0.contains(">0<") && !near.marks.0.contains(">0<"), "{near:?}");
+        assert_eq!(drawn(&|_| 1.0, true).len(), 1);
+        let plain = drawn(&blow, false);
+        assert!(plain.len() == 1 && !plain[0].marks.0.contains(">residual<"));
+    }
 }

@@ -12,9 +12,11 @@
     const fresh = page.getElementById(old.id);
     if (!fresh || fresh.innerHTML === old.innerHTML) return;
     const scrolled = [...old.querySelectorAll('.scroll')].map(e => [e.scrollLeft, e.scrollTop]);
+    const ticked = [...old.querySelectorAll(':checked')].map(e => e.value);
     const focus = old.contains(document.activeElement) && document.activeElement.getAttribute('href');
     old.replaceChildren(...fresh.childNodes);
     old.querySelectorAll('.scroll').forEach((e, i) => scrolled[i] && e.scrollTo(...scrolled[i]));
+    old.querySelectorAll('[type=checkbox]').forEach(e => { e.checked = ticked.includes(e.value); });
     if (focus) [...old.querySelectorAll('a')].find(a => a.getAttribute('href') === focus)?.focus({preventScroll: true});
   });
   const refresh = async () => {

@@ -14,8 +14,8 @@ use crate::store::{Reader, StoreError};
 
 /// Numbers of a trial: names for sorting and filtering, and headings.
 pub const NUMBERS: [(&str, &str); 18] = [
-    ("K", "K"),
-    ("M", "M"),
+    ("K", "forces K"),
+    ("M", "sensors M"),
     ("placement", "placement"),
     ("seed", "seed"),
     ("units", "units"),

@@ -185,14 +185,20 @@ macro_rules! operators {
     };
 }
 
-pub use x86::{Avx2, Avx512, Half, HalfSingleAvx512, Pair, SingleAvx2, SingleAvx512, SingleSse2, Sse2};
+#[cfg(target_arch = "x86_64")]
+pub use registers::{Avx2, Avx512, Half, HalfSingleAvx512, SingleAvx2, SingleAvx512};
+pub use registers::{Base, Pair, SingleBase};
 
-mod x86 {
-    // SAFETY (this module): every x86-64 machine has SSE2. Values of the other types are created only inside the entry points of
-    // `dispatch` and of the brain's `kernels`, which run only where `Width::detect` has found the instructions. Except for `load`
-    // and `store`, whose callers guarantee the memory, the intrinsics access no memory. Slices refer to the value itself.
+mod registers {
+    // SAFETY (this module): every x86-64 machine has SSE2, every aarch64 machine NEON. Values of the other types are created only
+    // inside the entry points of `dispatch` and of the brain's `kernels`, which run only where `Width::detect` has found the
+    // instructions. Except for `load` and `store`, whose callers guarantee the memory, the intrinsics access no memory. Slices
+    // refer to the value itself.
     #![expect(clippy::undocumented_unsafe_blocks, reason = "see the SAFETY comment of this module")]
     use super::{Add, Mul, Neg, Sub, Vector};
+    #[cfg(target_arch = "aarch64")]
+    use std::arch::aarch64::*;
+    #[cfg(target_arch = "x86_64")]
     use std::arch::x86_64::*;
     use std::slice::{from_raw_parts, from_raw_parts_mut};
 
@@ -304,6 +310,7 @@ mod x86 {
         };
     }
 
+    #[cfg(target_arch = "x86_64")]
     register!(Avx512: __m512d, f64, 8;
         _mm512_set1_pd, _mm512_loadu_pd, _mm512_storeu_pd, _mm512_add_pd, _mm512_sub_pd, _mm512_mul_pd, _mm512_fmadd_pd, _mm512_fnmadd_pd,
         _mm512_div_pd, _mm512_max_pd;
@@ -322,6 +329,7 @@ mod x86 {
         sum(all): _mm512_reduce_add_pd(all),
         wide: Self, narrow(x): x, widen(x): x);
 
+    #[cfg(target_arch = "x86_64")]
     register!(SingleAvx512: __m512, f32, 16;
     _mm512_set1_ps, _mm512_loadu_ps, _mm512_storeu_ps, _mm512_add_ps, _mm512_sub_ps, _mm512_mul_ps, _mm512_fmadd_ps, _mm512_fnmadd_ps,
     _mm512_div_ps, _mm512_max_ps;
@@ -348,6 +356,7 @@ mod x86 {
     });
 
     // Half of a `SingleAvx512`; results are identical bit by bit.
+    #[cfg(target_arch = "x86_64")]
     register!(HalfSingleAvx512: __m256, f32, 8;
     _mm256_set1_ps, _mm256_loadu_ps, _mm256_storeu_ps, _mm256_add_ps, _mm256_sub_ps, _mm256_mul_ps, _mm256_fmadd_ps, _mm256_fnmadd_ps,
     _mm256_div_ps, _mm256_max_ps;
@@ -366,6 +375,7 @@ mod x86 {
     narrow(x): Self(unsafe { _mm512_cvtpd_ps(x.0) }),
     widen(x): Avx512(unsafe { _mm512_cvtps_pd(x.0) }));
 
+    #[cfg(target_arch = "x86_64")]
     register!(Half: __m256d, f64, 4;
     _mm256_set1_pd, _mm256_loadu_pd, _mm256_storeu_pd, _mm256_add_pd, _mm256_sub_pd, _mm256_mul_pd, _mm256_fmadd_pd, _mm256_fnmadd_pd,
     _mm256_div_pd, _mm256_max_pd;
@@ -381,6 +391,7 @@ mod x86 {
     },
     wide: Self, narrow(x): x, widen(x): x);
 
+    #[cfg(target_arch = "x86_64")]
     register!(SingleAvx2: __m256, f32, 8;
     _mm256_set1_ps, _mm256_loadu_ps, _mm256_storeu_ps, _mm256_add_ps, _mm256_sub_ps, _mm256_mul_ps, _mm256_fmadd_ps, _mm256_fnmadd_ps,
     _mm256_div_ps, _mm256_max_ps;
@@ -399,7 +410,8 @@ mod x86 {
     });
 
     // Available on every x86-64 machine. `mul_add` is not fused, because that would be a library call.
-    register!(Sse2: __m128d, f64, 2;
+    #[cfg(target_arch = "x86_64")]
+    register!(Base: __m128d, f64, 2;
     _mm_set1_pd, _mm_loadu_pd, _mm_storeu_pd, _mm_add_pd, _mm_sub_pd, _mm_mul_pd, mul_add_pd, mul_sub_from_pd,
     _mm_div_pd, _mm_max_pd;
     abs(a): _mm_andnot_pd(_mm_set1_pd(-0.0), a),
@@ -411,7 +423,8 @@ mod x86 {
     sum(all): _mm_cvtsd_f64(_mm_add_sd(all, _mm_unpackhi_pd(all, all))),
     wide: Self, narrow(x): x, widen(x): x);
 
-    register!(SingleSse2: __m128, f32, 4;
+    #[cfg(target_arch = "x86_64")]
+    register!(SingleBase: __m128, f32, 4;
     _mm_set1_ps, _mm_loadu_ps, _mm_storeu_ps, _mm_add_ps, _mm_sub_ps, _mm_mul_ps, mul_add_ps, mul_sub_from_ps,
     _mm_div_ps, _mm_max_ps;
     abs(a): _mm_andnot_ps(_mm_set1_ps(-0.0), a),
@@ -424,10 +437,30 @@ mod x86 {
         let two = _mm_add_ps(all, _mm_movehl_ps(all, all));
         _mm_cvtss_f32(_mm_add_ss(two, _mm_shuffle_ps::<1>(two, two)))
     },
-    wide: Pair<Sse2>,
+    wide: Pair<Base>,
     narrow(x): Self(unsafe { _mm_movelh_ps(_mm_cvtpd_ps(x.0.0), _mm_cvtpd_ps(x.1.0)) }),
-    widen(x): unsafe { Pair(Sse2(_mm_cvtps_pd(x.0)), Sse2(_mm_cvtps_pd(_mm_movehl_ps(x.0, x.0)))) });
+    widen(x): unsafe { Pair(Base(_mm_cvtps_pd(x.0)), Base(_mm_cvtps_pd(_mm_movehl_ps(x.0, x.0)))) });
 
+    // Available on every aarch64 machine. `mul_add` is not fused either, so that results are those of x86-64's baseline.
+    #[cfg(target_arch = "aarch64")]
+    register!(Base: float64x2_t, f64, 2;
+    vdupq_n_f64, vld1q_f64, vst1q_f64, vaddq_f64, vsubq_f64, vmulq_f64, mul_add_pd, mul_sub_from_pd, vdivq_f64, max_pd;
+    abs(a): vabsq_f64(a), rsqrt(x): Self::splat(1.0).over(Self(unsafe { vsqrtq_f64(x.0) })),
+    less(x, y): vcltq_f64(x, y), blend(mask, yes, no): vbslq_f64(mask, yes, no),
+    within(x, most): vminvq_u32(vreinterpretq_u32_u64(vcleq_f64(x, most))) != 0,
+    any(mask): vmaxvq_u32(vreinterpretq_u32_u64(mask)) != 0, sum(all): vaddvq_f64(all), wide: Self, narrow(x): x, widen(x): x);
+
+    #[cfg(target_arch = "aarch64")]
+    register!(SingleBase: float32x4_t, f32, 4;
+    vdupq_n_f32, vld1q_f32, vst1q_f32, vaddq_f32, vsubq_f32, vmulq_f32, mul_add_ps, mul_sub_from_ps, vdivq_f32, max_ps;
+    abs(a): vabsq_f32(a), rsqrt(x): Self::splat(1.0).over(Self(unsafe { vsqrtq_f32(x.0) })),
+    less(x, y): vcltq_f32(x, y), blend(mask, yes, no): vbslq_f32(mask, yes, no),
+    within(x, most): vminvq_u32(vcleq_f32(x, most)) != 0, any(mask): vmaxvq_u32(mask) != 0,
+    sum(all): vaddv_f32(vadd_f32(vget_low_f32(all), vget_high_f32(all))),
+    wide: Pair<Base>, narrow(x): Self(unsafe { vcombine_f32(vcvt_f32_f64(x.0.0), vcvt_f32_f64(x.1.0)) }),
+    widen(x): unsafe { Pair(Base(vcvt_f64_f32(vget_low_f32(x.0))), Base(vcvt_high_f64_f32(x.0))) });
+
+    #[cfg(target_arch = "x86_64")]
     #[inline(always)]
     unsafe fn sum_of_eight(all: __m256) -> f32 {
         unsafe {
@@ -436,21 +469,33 @@ mod x86 {
             _mm_cvtss_f32(_mm_add_ss(two, _mm_movehdup_ps(two)))
         }
     }
-    #[inline(always)]
-    unsafe fn mul_add_pd(a: __m128d, b: __m128d, c: __m128d) -> __m128d {
-        unsafe { _mm_add_pd(_mm_mul_pd(a, b), c) }
+
+    /// Operations that the baseline lacks.
+    macro_rules! composed {
+        ($($operation:ident($($o:ident),*): $register:ty = $result:expr;)*) => {
+            $(
+                #[inline(always)]
+                unsafe fn $operation($($o: $register),*) -> $register {
+                    unsafe { $result }
+                }
+            )*
+        };
     }
-    #[inline(always)]
-    unsafe fn mul_sub_from_pd(a: __m128d, b: __m128d, c: __m128d) -> __m128d {
-        unsafe { _mm_sub_pd(c, _mm_mul_pd(a, b)) }
+    #[cfg(target_arch = "x86_64")]
+    composed! {
+        mul_add_pd(a, b, c): __m128d = _mm_add_pd(_mm_mul_pd(a, b), c);
+        mul_sub_from_pd(a, b, c): __m128d = _mm_sub_pd(c, _mm_mul_pd(a, b));
+        mul_add_ps(a, b, c): __m128 = _mm_add_ps(_mm_mul_ps(a, b), c);
+        mul_sub_from_ps(a, b, c): __m128 = _mm_sub_ps(c, _mm_mul_ps(a, b));
     }
-    #[inline(always)]
-    unsafe fn mul_add_ps(a: __m128, b: __m128, c: __m128) -> __m128 {
-        unsafe { _mm_add_ps(_mm_mul_ps(a, b), c) }
-    }
-    #[inline(always)]
-    unsafe fn mul_sub_from_ps(a: __m128, b: __m128, c: __m128) -> __m128 {
-        unsafe { _mm_sub_ps(c, _mm_mul_ps(a, b)) }
+    #[cfg(target_arch = "aarch64")]
+    composed! {
+        mul_add_pd(a, b, c): float64x2_t = vaddq_f64(vmulq_f64(a, b), c);
+        mul_sub_from_pd(a, b, c): float64x2_t = vsubq_f64(c, vmulq_f64(a, b));
+        max_pd(a, b): float64x2_t = vbslq_f64(vcgtq_f64(a, b), a, b);
+        mul_add_ps(a, b, c): float32x4_t = vaddq_f32(vmulq_f32(a, b), c);
+        mul_sub_from_ps(a, b, c): float32x4_t = vsubq_f32(c, vmulq_f32(a, b));
+        max_ps(a, b): float32x4_t = vbslq_f32(vcgtq_f32(a, b), a, b);
     }
 
     /// Two vectors that act as one.
@@ -459,6 +504,7 @@ mod x86 {
     pub struct Pair<L>(L, L);
 
     /// Two registers: as many lanes as AVX-512, and two independent chains of instructions.
+    #[cfg(target_arch = "x86_64")]
     pub type Avx2 = Pair<Half>;
 
     impl<L: Vector> Pair<L> {
@@ -548,3 +594,7 @@ mod x86 {
         }
     }
 }
+
+#[cfg(test)]
+#[path = "lanes/tests.rs"]
+mod tests;

@@ -1,14 +1,14 @@
-//! Instruction sets of the numerical kernels. The choice is made at run time, so one binary runs on every x86-64
-//! machine.
+//! Instruction sets of the numerical kernels. The choice is made at run time, so one binary runs on every
+//! machine of its architecture.
 
 /// An instruction set that the kernels are compiled for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Width {
-    /// SSE2, which every x86-64 machine supports.
+    /// SSE2 or NEON, which every x86-64 or aarch64 machine supports.
     Baseline,
-    /// AVX2 and FMA: 4 × f64, 8 × f32.
+    /// AVX2 and FMA of x86-64: 4 × f64, 8 × f32.
     Avx2,
-    /// AVX-512 F, DQ, VL, BW: 8 × f64, 16 × f32.
+    /// AVX-512 F, DQ, VL, BW of x86-64: 8 × f64, 16 × f32.
     Avx512,
 }
 
@@ -24,6 +24,7 @@ impl Width {
 
     /// The widest instruction set that this machine supports.
     pub fn detect() -> Self {
+        #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx512f")
             && is_x86_feature_detected!("avx512dq")
             && is_x86_feature_detected!("avx512vl")
@@ -32,6 +33,7 @@ impl Width {
         {
             return Self::Avx512;
         }
+        #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
             return Self::Avx2;
         }

@@ -3,6 +3,8 @@
 //! An intrinsic of `core::arch` compiles to one instruction if it is inlined, which requires code of the same instruction
 //! set. Closures in `#[inline(always)]` code do not fulfil this: their intrinsics become calls with operands in memory.
 
+#![cfg(target_arch = "x86_64")]
+
 #[path = "../../../tests/common/skip.rs"]
 mod skip;
 

@@ -5,7 +5,6 @@ use std::sync::Arc;
 use axum::extract::{Path, Query, State};
 use axum::response::Html;
 use maud::{Markup, html};
-use serde::Deserialize;
 use serde_json::Value;
 
 use super::trial::{Trial, curves};
@@ -20,37 +19,34 @@ use crate::report::load::finished_trials;
 use crate::serve::{PageError, file_of};
 use crate::store::Reader;
 
-#[derive(Debug, Default, Deserialize)]
-#[serde(default)]
-pub struct CompareQuery {
-    a: String,
-    b: String,
-    /// Number of the other database.
-    with: String,
-}
-
 pub async fn page(
     State(served): State<Arc<ServerState>>,
     Path(at): Path<String>,
-    Query(asked): Query<CompareQuery>,
+    // `a`, `b`; `trial` of each that is ticked; `with` of the other database
+    Query(asked): Query<Vec<(String, String)>>,
 ) -> Result<Html<String>, PageError> {
-    let other = if asked.with.is_empty() { at.clone() } else { asked.with.clone() };
-    let shown = match [asked.a.trim(), asked.b.trim()] {
-        ["", ""] if other == at => Ok(html! {}),
-        ["", ""] => databases(&served, &at, &other).await,
-        ["", _] | [_, ""] => {
-            Ok(html! { p class="quiet" { "Enter both trials, each by the beginning of its hash." } })
-        }
-        [a, b] => trials(&served, [&at, &other], [a, b]).await,
+    let given = |keys: &[&str]| -> Vec<&str> {
+        let of = asked.iter().filter(|(key, _)| keys.contains(&&key[..])).map(|(_, value)| value.trim());
+        of.filter(|value| !value.is_empty()).collect()
     };
+    let hashes = given(&["a", "b", "trial"]);
+    let other = given(&["with"]).first().map_or_else(|| at.clone(), |with| (*with).to_owned());
+    let shown = match hashes[..] {
+        [] if other != at => databases(&served, &at, &other).await,
+        [a, b] => trials(&served, [&at, &other], [a, b]).await,
+        _ => Ok(html! {
+            p class="quiet" { "Tick two " a href="trials" { "trials" } ", or enter both, each by the beginning of its hash." }
+        }),
+    };
+    let [a, b] = [0, 1].map(|i| hashes.get(i).copied().unwrap_or_default());
     let shown = match shown {
         Err(PageError::Asked(why)) => html! { p class="trouble" role="alert" { (why) } },
         other => other?,
     };
     let content = html! {
         form method="get" class="line" {
-            label { "Trial " input name="a" value=(asked.a) size="12" autocomplete="off" spellcheck="false"; }
-            label { "with trial " input name="b" value=(asked.b) size="12" autocomplete="off" spellcheck="false"; }
+            label { "Trial " input name="a" value=(a) size="12" autocomplete="off" spellcheck="false"; }
+            label { "with trial " input name="b" value=(b) size="12" autocomplete="off" spellcheck="false"; }
             @if served.sources.len() > 1 {
                 label { "of " select name="with" {
                     @for (i, source) in served.sources.iter().enumerate() {

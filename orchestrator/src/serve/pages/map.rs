@@ -1,5 +1,5 @@
-//! The sweep map: grids of M across and placements down, coloured by an error. There is one grid per K, size of the body, kind of
-//! placement, and decoders.
+//! The sweep map: grids of M across and placements, or another setting that varies, down, coloured by an error. There is one grid per
+//! K, size of the body, kind of placement, and decoders.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -17,6 +17,7 @@ use crate::look::Picture;
 use crate::look::grid::{Cell, grid};
 use crate::look::number;
 use crate::plan::counted;
+use crate::report::K_AND_M;
 use crate::serve::trials::TrialRow;
 use crate::serve::{PageError, source};
 
@@ -28,6 +29,8 @@ const BY: [(&str, &str); 5] = [
     ("gain", "held-out error of the initial body over that of the trained body"),
     ("cpu_seconds", "CPU time (s)"),
 ];
+/// Rows of a grid by default.
+const PLACEMENT: &str = "placement";
 /// Maximum number of grids on a page, and of cells along a side.
 const MOST: usize = 60;
 
@@ -36,6 +39,7 @@ const MOST: usize = 60;
 pub struct MapQuery {
     q: String,
     by: String,
+    down: String,
 }
 
 pub async fn page(
@@ -46,14 +50,14 @@ pub async fn page(
     let seen = source(&served, &at)?.current_state().await;
     let by = BY.iter().find(|(key, _)| *key == asked.by).unwrap_or(&BY[0]);
     let (found, wrong) = seen.trials.asked(&asked.q, "");
-    let (pictures, left) = grids(&at, &found, by.0);
+    let down = seen.trials.keys.keys().find(|key| **key == asked.down).map_or(PLACEMENT, String::as_str);
+    let (pictures, left, [least, most]) = grids(&at, &found, by.0, down);
     let drawn = html! {
         (trouble(&seen))
         @if let Some(wrong) = &wrong { p class="trouble" role="alert" { (wrong) } }
         p class="quiet" {
             (counted(found.len(), "trial")) ". A cell shows the geometric mean over its trials (seeds and all differences but \
-             these). The colour scale is logarithmic, from pale (smallest value of all cells) to strong (largest). A click \
-             shows its trials."
+             these). The colour scale is logarithmic, from pale (" (number(least)) ") to strong (" (number(most)) "). A click shows its trials. " (K_AND_M)
         }
         div class="grids" { @for picture in &pictures { figure { h2 { (picture.title) } (picture.svg(Some(picture.view))) } } }
         @if left > 0 { p class="quiet" { "… and " (counted(left, "grid")) " more: use the filter to see them." } }
@@ -62,6 +66,11 @@ pub async fn page(
         form method="get" class="line" {
             label { "Coloured by " select name="by" {
                 @for (key, text) in BY { option value=(key) selected[key == by.0] { (text) } }
+            } }
+            label { "down " select name="down" {
+                @for key in std::iter::once(PLACEMENT).chain(seen.trials.keys.keys().map(String::as_str)) {
+                    option value=(key) selected[key == down] { (key) }
+                }
             } }
             label { "of trials with " input name="q" type="search" value=(asked.q) placeholder="seed=1" autocomplete="off" spellcheck="false"; }
             button { "Show" }
@@ -80,16 +89,16 @@ fn alike(row: &TrialRow) -> String {
         .collect()
 }
 
-/// The grids, and the number of omitted ones.
-fn grids(at: &str, found: &[&Arc<TrialRow>], by: &str) -> (Vec<Picture>, usize) {
-    type Cells = BTreeMap<(u64, u64), Vec<Arc<TrialRow>>>;
+/// The grids, the number of omitted ones, and the smallest and the largest value.
+fn grids(at: &str, found: &[&Arc<TrialRow>], by: &str, down: &str) -> (Vec<Picture>, usize, [f64; 2]) {
+    type Cells = BTreeMap<(String, u64), Vec<Arc<TrialRow>>>;
     let mut cells_by_grid: BTreeMap<(u64, u64, &str, [String; 2]), Cells> = BTreeMap::new();
     let whole = |row: &TrialRow, name| row.number(name).unwrap_or(0.0) as u64;
     for row in found {
         let placed = row.setting.get("sensors.search").and_then(|v| v.as_str()).unwrap_or("random");
         let brains = brains(&row.setting);
         let key = (whole(row, "K"), whole(row, "units"), placed, brains);
-        let cell = (whole(row, "placement"), whole(row, "M"));
+        let cell = (plain(&row.cell(down)), whole(row, "M"));
         cells_by_grid.entry(key).or_default().entry(cell).or_default().push(Arc::clone(row));
     }
     let value = |rows: &[Arc<TrialRow>]| {
@@ -109,18 +118,21 @@ fn grids(at: &str, found: &[&Arc<TrialRow>], by: &str) -> (Vec<Picture>, usize) 
     let picture = |((panels, units, placed, brains), cells): (&(u64, u64, &str, [String; 2]), &Cells)| {
         let who = format_brains(brains);
         let title = format!("K = {panels}, {}, sensors {placed}, {who}", counted(*units as usize, "unit"));
-        let axis = |pick: fn(&(u64, u64)) -> u64| -> Vec<u64> {
-            cells.keys().map(pick).collect::<BTreeSet<_>>().into_iter().take(MOST).collect()
-        };
-        let (down, across) = (axis(|key| key.0), axis(|key| key.1));
-        let cell = |placement: u64, sensors: u64| {
-            let Some(rows) = cells.get(&(placement, sensors)) else { return Cell::default() };
+        let across: BTreeSet<u64> = cells.keys().map(|key| key.1).collect();
+        let across: Vec<u64> = across.into_iter().take(MOST).collect();
+        let rows: BTreeSet<&String> = cells.keys().map(|key| &key.0).collect();
+        let mut rows: Vec<String> = rows.into_iter().cloned().collect();
+        let number_of = |text: &String| text.parse().unwrap_or(f64::INFINITY);
+        rows.sort_by(|a, b| number_of(a).total_cmp(&number_of(b)));
+        rows.truncate(MOST);
+        let cell = |name: &String, sensors: u64| {
+            let Some(rows) = cells.get(&(name.clone(), sensors)) else { return Cell::default() };
             let done = rows.iter().filter(|row| row.state == "done").count();
             let to = match &rows[..] {
                 [row] => to_trial(at, &row.hash),
                 rows => {
                     let same = alike(&rows[0]);
-                    let asked = format!("K={panels} M={sensors} placement={placement} units={units}{same}");
+                    let asked = format!("K={panels} M={sensors} {down}={name} units={units}{same}");
                     format!("trials{}", query(&[("q", &asked)]))
                 }
             };
@@ -130,16 +142,16 @@ fn grids(at: &str, found: &[&Arc<TrialRow>], by: &str) -> (Vec<Picture>, usize) 
                 text: told.map_or(state.into(), number),
                 part: told.map_or(0.0, part),
                 title: format!(
-                    "M = {sensors}, placement {placement}: {done} of {} done",
+                    "M = {sensors}, {down} {name}: {done} of {} done",
                     counted(rows.len(), "trial")
                 ),
                 to: Some(to),
             }
         };
-        let rows: Vec<Vec<Cell>> =
-            down.iter().map(|p| across.iter().map(|m| cell(*p, *m)).collect()).collect();
-        let names = |axis: &[u64]| axis.iter().map(u64::to_string).collect::<Vec<_>>();
-        grid(&title, ("sensors M", &names(&across)), ("placement", &names(&down)), &rows)
+        let drawn: Vec<Vec<Cell>> =
+            rows.iter().map(|name| across.iter().map(|m| cell(name, *m)).collect()).collect();
+        let across: Vec<String> = across.iter().map(u64::to_string).collect();
+        grid(&title, ("sensors M", &across), (down, &rows), &drawn)
     };
-    (cells_by_grid.iter().take(MOST).map(picture).collect(), omitted_count)
+    (cells_by_grid.iter().take(MOST).map(picture).collect(), omitted_count, [least, most])
 }

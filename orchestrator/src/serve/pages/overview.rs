@@ -9,6 +9,7 @@ use maud::{Markup, html};
 use super::{DatabaseState, ServerState, framed, live, trial_links, trouble};
 use crate::look::{answers, number};
 use crate::plan::counted;
+use crate::report::K_AND_M;
 use crate::serve::steer::of_run;
 use crate::serve::{PageError, source};
 
@@ -35,7 +36,7 @@ fn progress(seen: &DatabaseState) -> Markup {
     let progress = &seen.progress;
     html! {
         (trouble(seen))
-        @if seen.checked.is_some() { p class="question" { (progress.summary) } }
+        @if seen.checked.is_some() { p class="question" { (progress.summary.replace("->", "→")) } }
         @if let Some(part) = progress.part {
             progress max="1" value=(format!("{part:.4}")) aria-label="finished part of the estimated work" {}
             p class="quiet" {
@@ -84,7 +85,7 @@ fn answered(seen: &DatabaseState) -> Markup {
             h2 { "Answers so far" }
             p class="quiet" {
                 "Of " (counted(found.trial_count, "trial")) " that " (if found.trial_count == 1 { "is" } else { "are" })
-                " done. Intervals are over placements and seeds, because trials that share these are not independent."
+                " done. Intervals are over placements and seeds, because trials that share these are not independent. " (K_AND_M)
             }
             (answers(found.said.iter().filter(|answer| !drawn(answer.figure))))
             @if found.left > 0 { p class="quiet" { "… and " (found.left) " more: `metasense report` contains all." } }

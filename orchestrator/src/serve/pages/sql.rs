@@ -12,7 +12,7 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::{ServerState, framed, query, trial_links};
-use crate::look::{Axis, Format, Plot, Scale, Table, lines};
+use crate::look::{Axis, Format, Plot, Scale, Table, lines, prose};
 use crate::serve::{PageError, file_of};
 use crate::store::{Limits, Reader};
 
@@ -195,7 +195,7 @@ async fn views(served: &ServerState, at: &str) -> Result<Markup, PageError> {
         dl class="views" {
             @for ((view, what), columns) in VIEWS.iter().zip(&columns) {
                 dt { a href=(query(&[("q", &format!("SELECT {} FROM {view} LIMIT 100", shown(columns)))])) { (view) } }
-                dd { "A row is " (lines(what, usize::MAX).join(" ")) ". " span class="quiet" { (columns.join(", ")) } }
+                dd { (prose(&format!("A row is {}. ", lines(what, usize::MAX).join(" ")))) span class="quiet" { (columns.join(", ")) } }
             }
         }
     })

@@ -51,7 +51,7 @@ pub(super) struct Trial {
 }
 
 /// Columns of a trial; below, of its attempts.
-const FACTS: &str = "panels AS K, sensors AS M, placement, seed, units, layout, brain, trained_with,
+const FACTS: &str = "panels AS forces_K, sensors AS sensors_M, placement, seed, units, layout, brain, trained_with,
   spec->>'$.optimise.objective' AS objective, placed, protocol,
   design_parameters, brain_parameters, holdout_error_initial, holdout_median_initial, holdout_p90_initial,
   holdout_above_initial, holdout_rms_initial, holdout_error_optimised, holdout_median_optimised, holdout_p90_optimised,
@@ -167,6 +167,10 @@ pub(super) fn curves(title: &str, [x, y]: [&str; 2], lines: &[(&str, Vec<(f64, f
     let mut plot = Plot::new(title, x, Axis::new(y, Scale::Log, points().map(|p| p.1)));
     for (class, points) in lines {
         plot.line(class, points.iter().copied());
+        // of a trial that has just begun
+        if let [only] = points[..] {
+            plot.dots(class, [(only, number(only.1))]);
+        }
     }
     Some(plot.picture())
 }
@@ -332,7 +336,7 @@ fn bodies_of(trial: &Trial) -> Markup {
     if drawings.is_empty() {
         return html! {};
     }
-    let caption = "Units, ligaments, panels, sensors (mm). Clamped units are shaded.";
+    let caption = "Units with their numbers, ligaments, panels, sensors. Clamped units are shaded.";
     body::figure("body", "Bodies", caption, &drawings).html(&[])
 }
 

@@ -52,7 +52,12 @@ pub async fn page(
                 None => { (counted(found.len(), "trial")) " of " (seen.trials.rows.len()) }
             }
         }
-        @if !shown.is_empty() { (table(&at, &asked, shown, &seen.trials.keys)) }
+        @if !shown.is_empty() {
+            form method="get" action="compare" {
+                (table(&at, &asked, shown, &seen.trials.keys))
+                p { button { "Compare two ticked trials" } }
+            }
+        }
         @if pages > 1 {
             nav class="pages" aria-label="Pages of trials" {
                 @if page_number > 1 { a href=(to(1)) { "First" } a href=(to(page_number - 1)) rel="prev" { "Previous" } }
@@ -129,13 +134,14 @@ fn table(
         div class="scroll" {
             table class="trials" {
                 thead { tr {
-                    (head("hash", "trial")) (head("state", "state"))
+                    th class="text" { "compare" } (head("hash", "trial")) (head("state", "state"))
                     @for key in &extra { (head(key, key)) }
                     @for (name, text) in &numbers { (head(name, text)) }
                     (head("reason", "reason"))
                 } }
                 tbody { @for row in shown {
                     tr class=[(row.state == "failed").then_some("failed")] {
+                        td class="text" { input type="checkbox" name="trial" value=(row.hash) aria-label={ "compare " (short_hash(&row.hash)) }; }
                         td class="text" { a href=(to_trial(at, &row.hash)) { (short_hash(&row.hash)) } }
                         td class="text" { (row.state) }
                         @for key in &extra { td class="text" { (text(&row.cell(key))) } }

@@ -5,7 +5,9 @@
 
 use super::tiles::{self, COLUMNS, Dots, Outer, Product, panel};
 use super::winograd;
-use crate::lanes::{Avx512, Half, Pair, Scalar, SingleAvx2, SingleAvx512, SingleSse2, Sse2, Vector};
+#[cfg(target_arch = "x86_64")]
+use crate::lanes::{Avx512, Half, SingleAvx2, SingleAvx512};
+use crate::lanes::{Base, Pair, Scalar, SingleBase, Vector};
 use crate::simd::Width;
 
 /// Kernels of one precision and instruction set.
@@ -194,11 +196,15 @@ macro_rules! entries {
     };
 }
 
-entries!(plain_f32, SingleSse2, [4, 4, 2], [1, 1, 1], []);
-entries!(plain_f64, Pair<Sse2>, [2, 2, 1], [1, 1, 1], []);
+entries!(plain_f32, SingleBase, [4, 4, 2], [1, 1, 1], []);
+entries!(plain_f64, Pair<Base>, [2, 2, 1], [1, 1, 1], []);
+#[cfg(target_arch = "x86_64")]
 entries!(avx2_f32, SingleAvx2, [6, 6, 3], [1, 1, 1], ["avx2,fma"]);
+#[cfg(target_arch = "x86_64")]
 entries!(avx2_f64, Half, [6, 6, 3], [1, 1, 1], ["avx2,fma"]);
+#[cfg(target_arch = "x86_64")]
 entries!(avx512_f32, SingleAvx512, [10, 12, 5], [8, 8, 4], ["avx512f,avx512dq,avx512vl,avx512bw,fma"]);
+#[cfg(target_arch = "x86_64")]
 entries!(avx512_f64, Avx512, [10, 12, 5], [1, 1, 1], ["avx512f,avx512dq,avx512vl,avx512bw,fma"]);
 
 /// A scalar type with kernels.
@@ -220,9 +226,11 @@ macro_rules! real {
             fn kernels(width: Width) -> Kernels<Self> {
                 width.check();
                 match width {
+                    #[cfg(target_arch = "x86_64")]
                     Width::Avx512 => $avx512::KERNELS,
+                    #[cfg(target_arch = "x86_64")]
                     Width::Avx2 => $avx2::KERNELS,
-                    Width::Baseline => $plain::KERNELS,
+                    _ => $plain::KERNELS,
                 }
             }
         }

@@ -6,7 +6,9 @@ use super::model::{Bar, Model, ModelCotangent};
 use super::system::{EnergyKernel, GradientKernel, Kernels, ProductKernel, System, Unit};
 use super::{Counters, Forces, Plan, Precision, Scene, Steps, Wrt, relaxing, splitting, tsit5};
 use crate::Heartbeat;
-use crate::lanes::{Avx2, Avx512, HalfSingleAvx512, SingleAvx2, SingleAvx512, SingleSse2, Sse2, Vector};
+#[cfg(target_arch = "x86_64")]
+use crate::lanes::{Avx2, Avx512, HalfSingleAvx512, SingleAvx2, SingleAvx512};
+use crate::lanes::{Base, SingleBase, Vector};
 use crate::simd::Width;
 
 /// Arguments: (scene, model, forces, plan, checkpoints per interval, queue, heartbeat).
@@ -219,12 +221,17 @@ mod no_tsit5 {
     }
 }
 
-machine!(baseline, Sse2, tsit5);
-machine!(single_baseline, SingleSse2, no_tsit5);
+machine!(baseline, Base, tsit5);
+machine!(single_baseline, SingleBase, no_tsit5);
+#[cfg(target_arch = "x86_64")]
 machine!(avx2, Avx2, tsit5, "avx2,fma");
+#[cfg(target_arch = "x86_64")]
 machine!(single_avx2, SingleAvx2, no_tsit5, "avx2,fma");
+#[cfg(target_arch = "x86_64")]
 machine!(avx512, Avx512, tsit5, "avx512f,avx512dq,avx512vl,avx512bw,fma");
+#[cfg(target_arch = "x86_64")]
 machine!(single_avx512, SingleAvx512, no_tsit5, "avx512f,avx512dq,avx512vl,avx512bw,fma");
+#[cfg(target_arch = "x86_64")]
 machine!(half_single_avx512, HalfSingleAvx512, no_tsit5, "avx512f,avx512dq,avx512vl,avx512bw,fma");
 
 /// The code for `samples` samples. Few samples use a narrower vector: a half-empty vector costs as much as a full one, and a training
@@ -234,16 +241,22 @@ machine!(half_single_avx512, HalfSingleAvx512, no_tsit5, "avx512f,avx512dq,avx51
 /// If the machine does not support `width`.
 pub fn machine(width: Width, precision: Precision, samples: usize) -> Machine {
     width.check();
-    match (width, precision) {
-        (Width::Avx512, Precision::Single) if samples <= half_single_avx512::MACHINE.lanes => {
+    match (width, precision, samples) {
+        #[cfg(target_arch = "x86_64")]
+        (Width::Avx512, Precision::Single, few) if few <= half_single_avx512::MACHINE.lanes => {
             half_single_avx512::MACHINE
         }
-        (Width::Avx512, Precision::Double) => avx512::MACHINE,
-        (Width::Avx512, Precision::Single) => single_avx512::MACHINE,
-        (Width::Avx2, Precision::Double) => avx2::MACHINE,
-        (Width::Avx2, Precision::Single) => single_avx2::MACHINE,
-        (Width::Baseline, Precision::Double) => baseline::MACHINE,
-        (Width::Baseline, Precision::Single) => single_baseline::MACHINE,
+        #[cfg(target_arch = "x86_64")]
+        (Width::Avx512, Precision::Double, _) => avx512::MACHINE,
+        #[cfg(target_arch = "x86_64")]
+        (Width::Avx512, Precision::Single, _) => single_avx512::MACHINE,
+        #[cfg(target_arch = "x86_64")]
+        (Width::Avx2, Precision::Double, _) => avx2::MACHINE,
+        #[cfg(target_arch = "x86_64")]
+        (Width::Avx2, Precision::Single, _) => single_avx2::MACHINE,
+        // of other machines' sets `check` lets none pass
+        (_, Precision::Double, _) => baseline::MACHINE,
+        (_, Precision::Single, _) => single_baseline::MACHINE,
     }
 }
 

@@ -3,7 +3,7 @@
 use super::ligaments::{Turn, gradient, turns};
 use super::model::{Model, ModelCotangent};
 use super::{Contact, Scene};
-use crate::lanes::{Sse2, Vector};
+use crate::lanes::{Base, Vector};
 
 /// Elastic and contact energy (N·mm).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,19 +69,19 @@ pub fn energy_design_gradient(scene: &Scene, design: &[f64], displacement: &[[f6
 fn both(scene: &Scene, design: &[f64], displacement: &[[f64; 3]]) -> (Vec<[f64; 3]>, Vec<f64>) {
     let model = Model::uncompressed(scene, design);
     let n = model.units();
-    let zero = Sse2::splat(0.0);
-    let x: Vec<[Sse2; 3]> = displacement.iter().map(|d| d.map(Sse2::splat)).collect();
+    let zero = Base::splat(0.0);
+    let x: Vec<[Base; 3]> = displacement.iter().map(|d| d.map(Base::splat)).collect();
     let (mut turn, mut g) = (vec![Turn::NONE; n], vec![[zero; 3]; n]);
     let mut cotangent = ModelCotangent::new(&model);
     let mut kept = vec![[[zero; 2]; 2]; model.bars.len()];
     let kernel = match (scene.linearised, scene.contact.is_some()) {
-        (false, false) => gradient::<Sse2, false, false, true>,
-        (false, true) => gradient::<Sse2, false, true, true>,
-        (true, _) => gradient::<Sse2, true, true, true>,
+        (false, false) => gradient::<Base, false, false, true>,
+        (false, true) => gradient::<Base, false, true, true>,
+        (true, _) => gradient::<Base, true, true, true>,
     };
-    turns::<Sse2>(&x, &mut turn);
+    turns::<Base>(&x, &mut turn);
     kernel(&model, &model.bars, &x, &turn, &mut g, &mut { zero }, &mut kept);
-    let first = |v: Sse2| v.lane(0);
+    let first = |v: Base| v.lane(0);
     for (bar, [force, voids]) in model.bars.iter().zip(kept) {
         let [gx, gy] = force.map(first);
         // (R − I)ᵀ ∂U/∂node at b, its negative at a

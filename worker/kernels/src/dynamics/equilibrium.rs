@@ -11,7 +11,7 @@ use super::ligaments::{ShapeCotangent, Turn, energy, gradient, product, turns};
 use super::model::{Model, ModelCotangent};
 use super::stiffness::{columns, hessian, sparse, unknowns};
 use super::{Outcome, Scene};
-use crate::lanes::{Sse2, Vector};
+use crate::lanes::{Base, Vector};
 use faer::linalg::solvers::Solve;
 use faer::sparse::linalg::solvers::Llt;
 use faer::{Mat, Side};
@@ -129,18 +129,18 @@ struct EnergySlope {
 impl EnergySlope {
     /// `None` if contact forbids the state.
     fn current(scene: &Scene, model: &Model, x: &[[f64; 3]]) -> Option<Self> {
-        let zero = Sse2::splat(0.0);
-        let places: Vec<[Sse2; 3]> = x.iter().map(|x| x.map(Sse2::splat)).collect();
+        let zero = Base::splat(0.0);
+        let places: Vec<[Base; 3]> = x.iter().map(|x| x.map(Base::splat)).collect();
         let (mut turn, mut g) = (vec![Turn::NONE; x.len()], vec![[zero; 3]; x.len()]);
-        let mut margin = Sse2::splat(1.0);
-        turns::<Sse2>(&places, &mut turn);
+        let mut margin = Base::splat(1.0);
+        turns::<Base>(&places, &mut turn);
         let bars = &model.bars;
         let energy = if scene.linearised {
-            gradient::<Sse2, true, true, false>(model, bars, &places, &turn, &mut g, &mut margin, &mut []);
-            energy::<Sse2, true, true>(model, bars, &places, &turn)
+            gradient::<Base, true, true, false>(model, bars, &places, &turn, &mut g, &mut margin, &mut []);
+            energy::<Base, true, true>(model, bars, &places, &turn)
         } else {
-            gradient::<Sse2, false, true, false>(model, bars, &places, &turn, &mut g, &mut margin, &mut []);
-            energy::<Sse2, false, true>(model, bars, &places, &turn)
+            gradient::<Base, false, true, false>(model, bars, &places, &turn, &mut g, &mut margin, &mut []);
+            energy::<Base, false, true>(model, bars, &places, &turn)
         };
         let mut gradient = vec![[0.0; 3]; x.len()];
         for (u, d) in free_coordinates(model).into_iter().map(|i| (i / 3, i % 3)) {
@@ -197,11 +197,11 @@ pub fn add_start_vjp(scene: &Scene, model: &Model, cotangent: &mut ModelCotangen
         return;
     }
     // −λᵀ ∂²U/∂s∂α with λ = K⁻¹ times that cotangent
-    let w: Vec<[Sse2; 3]> = follow(scene, model, &cotangent.start).iter().map(|w| w.map(one_lane)).collect();
-    let zero = Sse2::splat(0.0);
-    let x: Vec<[Sse2; 3]> = model.start().iter().map(|x| x.map(Sse2::splat)).collect();
+    let w: Vec<[Base; 3]> = follow(scene, model, &cotangent.start).iter().map(|w| w.map(one_lane)).collect();
+    let zero = Base::splat(0.0);
+    let x: Vec<[Base; 3]> = model.start().iter().map(|x| x.map(Base::splat)).collect();
     let mut turn = vec![Turn::NONE; x.len()];
-    turns::<Sse2>(&x, &mut turn);
+    turns::<Base>(&x, &mut turn);
     let (mut arms, mut voids) = (vec![[zero; 2]; cotangent.arms.len()], vec![[zero; 2]; model.ligaments]);
     let (mut stiffness, mut contact) = (vec![[zero; 3]; model.ligaments], zero);
     let shape = ShapeCotangent {
@@ -211,20 +211,20 @@ pub fn add_start_vjp(scene: &Scene, model: &Model, cotangent: &mut ModelCotangen
         contact: &mut contact,
     };
     let kernel = match scene.linearised {
-        false => product::<Sse2, false, true, false, true>,
-        true => product::<Sse2, true, true, false, true>,
+        false => product::<Base, false, true, false, true>,
+        true => product::<Base, true, true, false, true>,
     };
     let mut unread = vec![[zero; 3]; x.len()];
     kernel(model, &model.bars, &x, &w, &turn, &mut [], &mut unread, shape);
-    let add = |to: &mut [f64], from: &[Sse2]| to.iter_mut().zip(from).for_each(|(t, f)| *t += f.lane(0));
+    let add = |to: &mut [f64], from: &[Base]| to.iter_mut().zip(from).for_each(|(t, f)| *t += f.lane(0));
     add(cotangent.arms.as_flattened_mut(), arms.as_flattened());
     add(cotangent.voids.as_flattened_mut(), voids.as_flattened());
     add(cotangent.stiffness.as_flattened_mut(), stiffness.as_flattened());
     cotangent.contact += contact.lane(0);
 }
 
-fn one_lane(x: f64) -> Sse2 {
-    let mut lanes = Sse2::ZERO;
+fn one_lane(x: f64) -> Base {
+    let mut lanes = Base::ZERO;
     lanes.set_lane(0, x);
     lanes
 }

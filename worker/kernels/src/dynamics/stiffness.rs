@@ -3,12 +3,12 @@
 use super::Scene;
 use super::ligaments::{ShapeCotangent, Turn, product, turns};
 use super::model::Model;
-use crate::lanes::{Sse2, Vector};
+use crate::lanes::{Base, Vector};
 use faer::sparse::{SparseColMat, Triplet};
 use faer::traits::ComplexField;
 
 /// Columns of the matrix that are computed together.
-const COLUMNS: usize = <Sse2 as Vector>::LANES;
+const COLUMNS: usize = <Base as Vector>::LANES;
 
 /// Indices of the coordinates that are not held, among the coordinates of all units.
 pub(super) fn unknowns(model: &Model) -> Vec<usize> {
@@ -46,22 +46,22 @@ pub fn sparse<T: ComplexField>(n: usize, entries: &[(usize, usize, T)]) -> Spars
 
 /// Products of the Hessian of the energy with up to `COLUMNS` directions w, at the state `at`; empty: zero displacement.
 pub(super) fn hessian(model: &Model, scene: &Scene, at: &[[f64; 3]], w: &[Vec<f64>]) -> [Vec<f64>; COLUMNS] {
-    let zero = Sse2::splat(0.0);
+    let zero = Base::splat(0.0);
     let units = model.units();
     let lanes = |i: usize| {
-        Sse2::gather(&std::array::from_fn::<f64, COLUMNS, _>(|lane| w.get(lane).map_or(0.0, |w| w[i])))
+        Base::gather(&std::array::from_fn::<f64, COLUMNS, _>(|lane| w.get(lane).map_or(0.0, |w| w[i])))
     };
-    let direction: Vec<[Sse2; 3]> = (0..units).map(|u| [0, 1, 2].map(|d| lanes(3 * u + d))).collect();
+    let direction: Vec<[Base; 3]> = (0..units).map(|u| [0, 1, 2].map(|d| lanes(3 * u + d))).collect();
     let mut x = vec![[zero; 3]; units];
     let (mut turn, mut h) = (vec![Turn::NONE; units], x.clone());
-    x.iter_mut().zip(at).for_each(|(x, at)| *x = at.map(Sse2::splat));
-    turns::<Sse2>(&x, &mut turn);
+    x.iter_mut().zip(at).for_each(|(x, at)| *x = at.map(Base::splat));
+    turns::<Base>(&x, &mut turn);
     let (mut arms, mut voids) =
         (vec![[zero; 2]; model.geometry.arms.len()], vec![[zero; 2]; model.ligaments]);
     let kernel = match (scene.linearised, scene.contact.is_some()) {
-        (false, false) => product::<Sse2, false, false, false, false>,
-        (false, true) => product::<Sse2, false, true, false, false>,
-        (true, _) => product::<Sse2, true, true, false, false>,
+        (false, false) => product::<Base, false, false, false, false>,
+        (false, true) => product::<Base, false, true, false, false>,
+        (true, _) => product::<Base, true, true, false, false>,
     };
     let (arms, voids) = (&mut arms[..], &mut voids[..]);
     let shape = ShapeCotangent { arms, voids, stiffness: &mut [], contact: &mut { zero } };

@@ -62,7 +62,7 @@ impl Size {
 
 /// A disturbance at the scale of one trial.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Chip {
+pub struct Chip {
     seed: u64,
     /// Which of a_x (0), a_y (1) and ω (2) are read of each sensor.
     channels: Vec<usize>,
@@ -86,6 +86,12 @@ impl Chip {
         }
     }
 
+    /// The same with draws of another seed than the trial's.
+    #[must_use]
+    pub fn seeded(self, seed: u64) -> Self {
+        Self { seed, ..self }
+    }
+
     /// Standard deviation of what a reading of each channel is off by: its noise, and a step's rounding.
     pub(crate) fn deviations(&self) -> Vec<f64> {
         let of = |(i, noise): (usize, &f64)| noise.hypot(self.resolution[self.kind(i)] / 12f64.sqrt());
@@ -93,7 +99,7 @@ impl Chip {
     }
 
     /// Overwrites signals (N, T, channels) of `forces` with what the chip says.
-    pub(crate) fn disturb(&self, signals: &mut [f64], forces: &Forces) {
+    pub fn disturb(&self, signals: &mut [f64], forces: &Forces) {
         let (channels, read) = (self.noise.len(), self.channels.len());
         for (i, sample) in
             signals.chunks_exact_mut((signals.len() / forces.samples.max(1)).max(1)).enumerate()
@@ -146,7 +152,7 @@ impl Chip {
 
     /// A cotangent (N, T, channels) on what the chip `says` as one on what it read: a reading at the end of its range tells nothing.
     /// Steps pass it on as if they were none.
-    pub(crate) fn disturb_vjp(&self, cotangent: &mut [f64], says: &[f64]) {
+    pub fn disturb_vjp(&self, cotangent: &mut [f64], says: &[f64]) {
         if self.range != Disturbance::NONE.range {
             for (i, (cotangent, reading)) in cotangent.iter_mut().zip(says).enumerate() {
                 if self.is_at_the_end(i, *reading) {

@@ -16,7 +16,7 @@ mod scales;
 mod settings;
 
 pub use body::{Body, Fault, Motion, Pilot, Polygons, Run, Tape};
-pub use chip::{Disturbance, Size};
+pub use chip::{Chip, Disturbance, Size};
 pub(crate) use mould::Mould;
 pub(crate) use outcome::as_ref_result;
 pub use outcome::{Counters, Failure, Trouble};
@@ -33,7 +33,6 @@ use crate::dynamics::{self, Forces, Outcome, Scene, Solver};
 use crate::random::Purpose;
 use crate::stimuli::Source;
 use crate::variation::{Cast, Casts, Chips};
-pub(crate) use chip::Chip;
 use rayon::prelude::*;
 use std::sync::OnceLock;
 

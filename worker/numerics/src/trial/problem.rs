@@ -1,8 +1,10 @@
 //! What a spec says of a trial: scene, forces, limits, and how body and brains are trained.
 
+use super::Trial;
 use super::body::Body;
-use super::chip::{Chip, Disturbance};
+use super::chip::{Chip, Disturbance, Size};
 use super::filter::Filter;
+use super::outcome::Failure;
 use super::samples::Samples;
 use super::settings::{BrainKind, Decoder, Evaluation, Optimise, Training};
 use crate::brain::Shape;
@@ -128,17 +130,25 @@ impl Problem {
         self.disturbance.map(|d| Chip::new(&d, self.seed, rms, &self.channels))
     }
 
+    /// The same for those who are not given that RMS: where something is relative to it, the training samples are simulated.
+    ///
+    /// # Errors
+    /// If they cannot be.
+    pub fn chips(&self, pool: &crate::Pool) -> Result<Option<Chip>, Failure> {
+        let relative = |size: Size| matches!(size, Size::Relative(part) if part > 0.0);
+        match self.disturbance.is_some_and(|d| relative(d.noise) || relative(d.bias)) {
+            true => Ok(Trial::new(self, pool)?.chip),
+            false => Ok(self.chip(&vec![0.0; self.shape().inputs])),
+        }
+    }
+
     /// Time between two readings (s).
     fn interval(&self) -> f64 {
         self.scene.duration / self.scene.instants as f64
     }
 
     /// Scene and forces on the clock on which motion is taken: that of the readings, or a finer one where chips filter.
-    pub(crate) fn in_motion<'a>(
-        &self,
-        scene: &'a Scene,
-        forces: &'a Forces,
-    ) -> (Cow<'a, Scene>, Cow<'a, Forces>) {
+    pub fn in_motion<'a>(&self, scene: &'a Scene, forces: &'a Forces) -> (Cow<'a, Scene>, Cow<'a, Forces>) {
         let clock = self.disturbance.map_or(1, |d| d.clock(self.interval()));
         if clock == 1 {
             return (Cow::Borrowed(scene), Cow::Borrowed(forces));
@@ -160,7 +170,7 @@ impl Problem {
 
     /// Of what all sensors could tell (N, ·, 3M) of `samples` samples, on the clock of the motion, what is read (N, T, channels): the
     /// channels that are, behind low-pass and delay.
-    pub(crate) fn read(&self, signals: Vec<f64>, samples: usize) -> Vec<f64> {
+    pub fn read(&self, signals: Vec<f64>, samples: usize) -> Vec<f64> {
         let some = self.chosen(signals);
         match self.filter() {
             Some(filter) => filter.run(some, samples, self.shape().inputs),
@@ -169,7 +179,7 @@ impl Problem {
     }
 
     /// Transpose of [`Problem::read`].
-    pub(crate) fn read_vjp(&self, cotangent: Vec<f64>, samples: usize) -> Vec<f64> {
+    pub fn read_vjp(&self, cotangent: Vec<f64>, samples: usize) -> Vec<f64> {
         self.chosen_vjp(match self.filter() {
             Some(filter) => filter.run_vjp(&cotangent, samples, self.shape().inputs),
             None => cotangent,

@@ -1,5 +1,5 @@
 use super::*;
-use crate::lanes::{LANES, SingleSse2, Sse2};
+use crate::lanes::{Base, LANES, SingleBase};
 
 /// Largest errors of `angle` and `sin_cos1` against the standard library, from zero to many rotations, with different
 /// ranges per lane.
@@ -30,7 +30,7 @@ fn worst<V: Vector>() -> [f64; 2] {
 
 #[test]
 fn near_and_far_lanes_are_the_standard_librarys() {
-    let (double, single) = (worst::<Sse2>(), worst::<SingleSse2>());
+    let (double, single) = (worst::<Base>(), worst::<SingleBase>());
     assert!(double[0] < 1e-14 && double[1] < 3e-16, "{double:?}");
     assert!(single[0] < 2e-6 && single[1] < 2e-7, "{single:?}");
 }
