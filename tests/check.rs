@@ -53,7 +53,7 @@ fn what_is_wrong_is_named_with_its_remedy() {
         );
     };
     written(&|of| of[1] = 7.0);
-    wrong(&["a_y of sensor 0", "dead", "sensors.channels"], &other);
+    wrong(&["a_y of sensor 0", "constant value", "sensors.channels"], &other);
     wrong(&["signals.acceleration_unit = \"mm/s2\""], &format!("{text}acceleration_unit = \"g\"\n"));
     wrong(&["recorded.force_unit = \"N\""], &text.replace("[recorded]", "[recorded]\nforce_unit = \"mN\""));
     // the message names an unreadable record, and the others are checked

@@ -249,7 +249,7 @@ fn questions_and_shards_decide_themselves_what_is_run() {
         run.asked(&["cancel", hash], 0, "cancelled");
     }
     run.until(|| run.count("count(*) FROM v_run") == "2");
-    run.until(|| run.asks(&["state"]).1.starts_with("paused: 0 of 2 workers busy, 0 of 2 trials settled"));
+    run.until(|| run.asks(&["state"]).1.starts_with("paused: 0 of 2 workers busy, 0 of 2 trials finished"));
     run.asked(&["resume"], 0, "resumed");
     assert_eq!(run.wait(), Some(0), "{}", run.told());
     assert_eq!(

@@ -84,7 +84,7 @@ fn the_cheapest_design_is_found_and_judged_on_fresh_seeds() {
     let halting = Bench::new();
     halting.file("s.toml", &noisy("error = 1e6\nhours = 1e-9\n"));
     let (code, _, said) = design(&halting, &["--workers", "1"]);
-    assert!(code == Some(1) && said.contains("goal.hours are spent"), "{said}");
+    assert!(code == Some(1) && said.contains("goal.hours is used up"), "{said}");
     assert_ne!(trials(&halting), found);
     halting.file("s.toml", &noisy("error = 1e6\n"));
     assert_eq!(design(&halting, &["--workers", "1"]).1, table);

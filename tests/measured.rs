@@ -137,7 +137,7 @@ fn bad_records_and_sensors_are_refused() {
             "samples = 10",
             "s.toml:16: stimuli.samples = 10: with stimuli.holdout = 3, 13 records are needed; the files contain 12",
         ),
-        ("force = [\"force\"]", "force = [\"F\"]", "has no array \"F\", but force, time"),
+        ("force = [\"force\"]", "force = [\"F\"]", "has no array \"F\"; arrays are force, time"),
         ("threshold = 0.1", "threshold = 50.0", "never reaches the trigger's 50 N"),
         (
             "threshold = 0.1",

@@ -388,7 +388,7 @@ async fn a_result_that_cannot_be_read_is_refused_and_left_as_it_is() {
         ("newer.sqlite", "version 99"),
         ("cut.sqlite", "malformed"),
         ("holed.sqlite", "malformed"),
-        ("folder", "no file"),
+        ("folder", "not a regular file"),
     ] {
         let refused = merge(Extent::Whole, &[at("a.sqlite")], &at(out)).await.unwrap_err();
         let said = metasense::exit::chain(&refused);

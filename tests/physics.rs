@@ -240,6 +240,6 @@ fn motion_that_no_step_resolves_is_warned_of() {
     let page = std::fs::read_to_string(bench.path("r.html")).unwrap();
     assert!(page.contains("no time step reaches solver.tolerance"));
     let solver = bench.output(&["query", db, "SELECT solver FROM v_trial", "--format", "csv"]);
-    assert!(solver.contains("reached the error asked"), "{solver}");
+    assert!(solver.contains("gave the requested error"), "{solver}");
     assert_eq!(said(&["trial", "calm.toml"]), 0);
 }
