@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use metasense_numerics::dynamics::Forces;
-use metasense_numerics::identify::margin;
+use metasense_numerics::identify::{between, margin};
 use metasense_numerics::stimuli::{anti_aliased, resample};
 use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{self, Augment, Channel, Resample, Start, TrialSpec};
@@ -234,11 +234,15 @@ fn measured(spec: &spec::Measured, trial: &TrialSpec) -> Result<Measured, Invali
         Ok(())
     })?;
     check_counts(spec, &forces.iter().collect::<Vec<_>>(), forces.len(), trial)?;
-    let clock = records::clock(recorded.resample);
     let own = trial.stimuli.force_samples.unwrap_or(instants);
+    // the force of a hammer is smooth between its entries
+    let is_smooth =
+        |record: &Record| recorded.resample == Resample::Antialias && record.dt >= duration / own as f64;
     let mut values = Vec::with_capacity(forces.len() * panels * (own + 1));
     for (n, record) in forces.iter().enumerate() {
         let struck = recorded.panels.as_ref().map(|struck| struck[n]);
+        let clock: records::Clock =
+            if is_smooth(record) { smoothly } else { records::clock(recorded.resample) };
         for panel in 0..panels {
             let history = match struck {
                 Some(struck) => record.values.first().filter(|_| panel == struck),
@@ -505,6 +509,11 @@ fn on_instants(force: &mut Record, signal: &mut Record, delta: f64) -> Option<i6
     force.start += first * delta - signal.start;
     signal.start = first * delta;
     Some(first as i64)
+}
+
+/// Reads a force at t_n as `resample` does, smooth between its entries.
+fn smoothly(record: &[f64], start: f64, dt: f64, duration: f64, instants: usize) -> Vec<f64> {
+    (0..=instants).map(|n| between(record, (n as f64 * duration / instants as f64 - start) / dt)).collect()
 }
 
 /// Extends a history by its first and last value over the reach of the low-pass. Returns the new start and the values.

@@ -17,7 +17,7 @@ const REACH: f64 = 3.0;
 const TAPS: usize = 8;
 const BEFORE: i64 = 3;
 /// Part of the signals' RMS that interpolation may miss, and instants for each reading between which that is tried.
-const MISSED: f64 = 5e-3;
+const MISSED: f64 = 1e-3;
 const FEWEST: usize = 4;
 const MOST: usize = 16;
 /// Records of which it is measured.
@@ -64,6 +64,18 @@ fn weights(p: f64) -> [[f64; TAPS]; 3] {
         (all[0][m], all[1][m], all[2][m]) = (value, slope, bend);
     }
     all
+}
+
+/// A smooth history at entry `s`, which need not be whole, by the same polynomial; 0 before its first entry and after its last.
+pub fn between(history: &[f64], s: f64) -> f64 {
+    let last = history.len() as i64 - 1;
+    let s = if (s - s.round()).abs() < 1e-9 { s.round() } else { s };
+    if s < 0.0 || s > last as f64 {
+        return 0.0;
+    }
+    let [weights, ..] = weights(s - s.floor());
+    let entries = (s.floor() as i64 - BEFORE..).map(|i| history[i.clamp(0, last) as usize]);
+    weights.iter().zip(entries).map(|(weight, f)| weight * f).sum()
 }
 
 /// Readings at the end of a record that do not count where clocks are off by a `deviation` (s): those that may be late, and as many as

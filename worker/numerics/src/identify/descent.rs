@@ -69,7 +69,8 @@ impl<'a> Descent<'a> {
                     turn.clone()
                 }
                 (None, columns) => {
-                    let curvature = self.objective.curvature(columns.as_ref().expect("not all is known"));
+                    let columns = columns.as_ref().expect("not all is known");
+                    let curvature = self.objective.curvature(&point, columns);
                     let (ending, steps, found) = self.descend(point, &curvature, how)?;
                     point = found;
                     self.told(&point, ending, steps)
@@ -176,7 +177,7 @@ impl Fit {
         });
         self.twin.noise.clone_from(&objective.noise);
         self.twin.cast = unknowns.cast(point.z.as_slice());
-        let covariance = covariance(objective.curvature(columns));
+        let covariance = covariance(objective.curvature(point, columns));
         let of = |(k, &unknown): (usize, &Unknown)| Estimate {
             unknown,
             scatter: unknowns.deviation(unknown),

@@ -5,7 +5,8 @@
 //! ```
 //! A group g is a record, or, of fewer than ten records, a part of one in time, so that noise may be correlated within it. The share u
 //! of the residual that is not noise, or follows from the motion alike in all groups, does not average out. 95 % by Student's t with G − 1
-//! degrees of freedom. That of a free parameter is marginal: it contains what the other unknowns may be.
+//! degrees of freedom, but no less than white noise has, H⁻¹: scores of few groups are often too small (Angrist and Pischke, Mostly Harmless
+//! Econometrics, 2009, 8.1). That of a free parameter is marginal: it contains what the other unknowns may be.
 
 use super::descent::covariance;
 use super::discrepancy::explained;
@@ -19,6 +20,8 @@ const ENOUGH: usize = 10;
 const PARTS: usize = 20;
 /// A direction in which 95 % reach farther than this factor is not told by the records.
 const KNOWN: f64 = 3.0;
+/// 97.5 % quantile of the normal distribution.
+const NORMAL: f64 = 1.96;
 /// Part of an eigenvalue of the largest that is rounding.
 const ROUNDED: f64 = 1e-12;
 /// Part of a parameter's direction that may be unknown.
@@ -35,7 +38,7 @@ pub struct Direction {
 
 /// Gives a fit its intervals, from columns of all records that count.
 pub fn bound(fit: &mut Fit, objective: &Objective<'_>, point: &Point, columns: &Columns) {
-    let (records, jacobian) = (columns.records.len(), objective.jacobian(columns));
+    let (records, jacobian) = (columns.records.len(), objective.jacobian(point, columns));
     let [read, left, residual] = objective.parts(point, &columns.records);
     let width = fit.twin.noise.len();
     fit.unmodelled = explained(&read, &left, records, width);
@@ -56,7 +59,7 @@ pub fn bound(fit: &mut Fit, objective: &Objective<'_>, point: &Point, columns: &
     fit.offsets = objective.offsets(point, columns, &jacobian, &covariance, shared);
     for (k, estimate) in fit.estimates.iter_mut().enumerate() {
         estimate.left = inverse[(k, k)].sqrt();
-        estimate.half = Some(covariance[(k, k)].sqrt());
+        estimate.half = Some(covariance[(k, k)].sqrt().max(NORMAL * estimate.left));
     }
     let free = objective.unknowns.free();
     if free == 0 {
@@ -85,7 +88,7 @@ fn undetermined(inverse: &DMatrix<f64>, log: f64) -> Vec<Direction> {
     let largest = eigen.eigenvalues.max();
     let mut undetermined = Vec::new();
     for (k, &value) in eigen.eigenvalues.iter().enumerate() {
-        let factor = (1.96 * log / value.max(0.0).sqrt()).exp();
+        let factor = (NORMAL * log / value.max(0.0).sqrt()).exp();
         if factor < KNOWN && value > ROUNDED * largest {
             continue;
         }

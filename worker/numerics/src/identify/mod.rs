@@ -17,7 +17,7 @@ mod unknowns;
 use crate::dynamics::{Accuracy, Counters, Forces, Parameters};
 use crate::trial::{Chip, Mould, Problem, tuned};
 use crate::variation::{Cast, Variation};
-pub use clock::{Offset, margin};
+pub use clock::{Offset, between, margin};
 use descent::Descent;
 pub use interval::Direction;
 use objective::Objective;

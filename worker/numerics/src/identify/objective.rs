@@ -519,11 +519,17 @@ impl<'a> Objective<'a> {
     }
 }
 
-/// −δ²f/12 at each instant: what forces that are linear between instants lack of smooth ones of the same samples, to second order.
+/// −δ²f/12 + δ⁴f/90 at each instant: what forces that are linear between instants lack of smooth ones of the same samples. Their spectrum
+/// is that of smooth ones times sinc²(πfh).
 fn sharper(forces: &Forces) -> Forces {
-    let of = |history: &[f64]| {
-        let inner = history.windows(3).map(|f| (2.0 * f[1] - f[0] - f[2]) / 12.0);
+    let difference = |f: &[f64]| {
+        let inner = f.windows(3).map(|f| f[0] - 2.0 * f[1] + f[2]);
         std::iter::once(0.0).chain(inner).chain([0.0]).collect::<Vec<f64>>()
+    };
+    let of = |history: &[f64]| {
+        let second = difference(history);
+        let both = difference(&second).into_iter().zip(second);
+        both.map(|(fourth, second)| fourth / 90.0 - second / 12.0).collect::<Vec<f64>>()
     };
     let values = forces.values.chunks(forces.instants + 1).flat_map(of).collect();
     Forces { values, ..forces.clone() }

@@ -27,7 +27,7 @@ const LATER: How = How { rounds: 2, steps: 4, worth: 0.01, close: 0.3 };
 /// On whole records: of twins in trials; of free parameters alone, and of all unknowns.
 const WHOLE: How = How { rounds: 4, steps: 20, worth: 0.0, close: 0.3 };
 const ALONE: How = How { rounds: 3, steps: 4, worth: 0.01, close: 0.3 };
-const LAST: How = How { close: 0.03, ..WHOLE };
+const LAST: How = How { close: 0.1, ..WHOLE };
 
 impl Descent<'_> {
     /// Through the windows: where that led, and columns near there.

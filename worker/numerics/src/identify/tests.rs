@@ -248,7 +248,7 @@ fn a_metric_of_few_records_has_those_that_outweigh_the_others() {
         let traces = [4, usize::MAX].map(|most| {
             let columns = objective.columns(&point, most);
             assert!(columns.records.contains(&hard), "{:?}", columns.records);
-            objective.curvature(&columns).trace()
+            objective.curvature(&point, &columns).trace()
         });
         assert!((0.8..1.25).contains(&(traces[0] / traces[1])), "{hard}: {traces:?}");
         forces.values[own].iter_mut().for_each(|f| *f /= 10.0);

@@ -13,8 +13,8 @@ pub enum Unknown {
     Material(Parameter),
     /// l₀ of all ligaments.
     LigamentLength,
-    /// How forces run between the instants of their clock: at s z = 0 linearly, at 1 as smoothly as their samples. It belongs to the
-    /// records, not to the cast.
+    /// How forces run between the instants of their clock: at 0 linearly, at 1 as smoothly as their samples. It belongs to the records, not to
+    /// the cast.
     Sharpness,
     /// The gain of a channel (of 3M).
     Gain(usize),
@@ -38,8 +38,6 @@ impl Unknown {
 
 /// ln 10: standard deviation of the logarithm of a free parameter.
 const TRUST: f64 = std::f64::consts::LN_10;
-/// s. Where the forces' clock is twice as fine as that of their record, they are smooth at 4.
-const SHARPNESS: f64 = 5.0;
 /// Longest step of an unknown; of a free parameter, of its logarithm.
 pub const STRIDE: f64 = 2.0;
 const FREE_STRIDE: f64 = std::f64::consts::LN_2;
@@ -126,7 +124,7 @@ impl Unknowns {
 
     /// By which part forces are smooth.
     pub fn sharpness(&self, z: &[f64]) -> f64 {
-        self.all.iter().position(|of| *of == Unknown::Sharpness).map_or(0.0, |k| SHARPNESS * z[k])
+        self.all.iter().position(|of| *of == Unknown::Sharpness).map_or(0.0, |k| z[k])
     }
 
     /// Its standard deviation: of a logarithm, in rad, in mm.
@@ -135,7 +133,7 @@ impl Unknowns {
         match unknown {
             Unknown::Material(parameter) => of.material.array()[parameter as usize],
             Unknown::LigamentLength => of.ligament_length,
-            Unknown::Sharpness => SHARPNESS,
+            Unknown::Sharpness => 1.0,
             Unknown::Gain(_) => of.gain,
             Unknown::Turn(_) => of.misalignment,
             Unknown::Shift(_) => of.nodes,

@@ -13,8 +13,6 @@ pub struct Columns {
     stands: Vec<f64>,
     /// (records, window, channels).
     of: Vec<Vec<f64>>,
-    /// The same by the clocks' offsets, each record's by its own; empty where clocks are exact.
-    slopes: Vec<f64>,
 }
 
 impl Objective<'_> {
@@ -81,13 +79,13 @@ impl Objective<'_> {
         let here = read.remove(0).0;
         let column = |there: Vec<f64>| there.iter().zip(&here).map(|(a, b)| (a - b) / NUDGE).collect();
         let of = read.into_iter().map(|(there, _)| column(there)).collect();
-        Columns { records, stands, of, slopes: point.slopes.clone() }
+        Columns { records, stands, of }
     }
 
-    /// R^{-½} da/dz, record by record; less what the clocks' offsets can take up.
-    pub fn jacobian(&self, Columns { records, of, slopes, .. }: &Columns) -> DMatrix<f64> {
+    /// R^{-½} da/dz, record by record; less what the clocks' offsets can take up at a point.
+    pub fn jacobian(&self, point: &Point, Columns { records, of, .. }: &Columns) -> DMatrix<f64> {
         let record = self.readings * self.width();
-        let mut slopes = slopes.clone();
+        let mut slopes = point.slopes.clone();
         self.whiten(&mut slopes);
         let mut jacobian = DMatrix::zeros(records.len() * record, of.len());
         let mut whole = vec![0.0; self.recorded.len()];
@@ -106,8 +104,8 @@ impl Objective<'_> {
     }
 
     /// JᵀJ + 1, some records in the place of all.
-    pub fn curvature(&self, columns: &Columns) -> DMatrix<f64> {
-        let mut jacobian = self.jacobian(columns);
+    pub fn curvature(&self, point: &Point, columns: &Columns) -> DMatrix<f64> {
+        let mut jacobian = self.jacobian(point, columns);
         let record = self.readings * self.width();
         for (i, stands) in columns.stands.iter().enumerate() {
             jacobian.rows_mut(i * record, record).scale_mut(stands.sqrt());
