@@ -122,7 +122,7 @@ fn how_many_sensors_to_build_hangs_on_their_price() {
     let (ok, sentences, err) = metasense(&db, &["analyse", "--price", "1"]);
     assert!(ok, "{err}");
     for said in
-        ["smallest M within 10 % of the best: trained body 4 (", "smallest error + 1 % × M: trained body 2 ("]
+        ["smallest M within 10 % of the best: trained body M = 4 (", "smallest error + 1 % × M: trained body M = 2 ("]
     {
         assert!(sentences.contains(said), "{said}: {sentences}");
     }

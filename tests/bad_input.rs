@@ -190,7 +190,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "test = 4\n",
         "test = 4\nonset = [-5, -4]\n",
-        "s.toml:13: stimuli.onset = [-5, -4]: must leave some of the widest pulse in the sample",
+        "s.toml:13: stimuli.onset = [-5, -4]: must let the latest and widest pulse end after 0 s",
     ),
     (
         "test = 4\n",
@@ -256,7 +256,7 @@ const EDITS: &[(&str, &str, &str)] = &[
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
         "[stimuli]\nkind = \"mix\"\nsamples = 12\ntest = 4\n[[stimuli.mix]]\nweight = 0.5\nkind = \"bell\"\n[[stimuli.mix]]\nweight = 0.5\nkind = \"mix\"\n",
-        "s.toml:13: stimuli.mix = [\"bell\", \"mix\"]: must not be a mixture",
+        "s.toml:13: stimuli.mix = [\"bell\", \"mix\"]: must not contain a mixture",
     ),
     (
         "[stimuli]\nkind = \"bell\"\nsamples = 12\ntest = 4\n",
@@ -278,7 +278,7 @@ const EDITS: &[(&str, &str, &str)] = &[
         "test = 4\noffset = -1",
         "s.toml:13: stimuli.offset = -1: must lie between 0 and 3.1875 mm, a quarter of a unit's diagonal",
     ),
-    ("test = 4", "test = 4\noffset = 4.0", "s.toml:13: stimuli.offset = 4: must lie between 0 and a quarter"),
+    ("test = 4", "test = 4\noffset = 4.0", "s.toml:13: stimuli.offset = 4: must lie between 0 and 3.1875 mm, a quarter"),
     ("test = 4", "test = 4\noffset = nan", "s.toml:13: stimuli.offset = nan: nan is not a finite number"),
     ("test = 4", "test = 4\noffset = [1, 2]", "s.toml:13: stimuli.offset"),
     (
@@ -574,7 +574,7 @@ const TABLES: &[(&str, &str)] = &[
     ),
     (
         "[variation]\nstretch = 0.05\n[optimise]\nobjective = \"mean\"\nreader = \"each\"",
-        "s.toml:17: optimise.reader = \"each\": only for bodies trained with the linear decoder",
+        "s.toml:17: optimise.reader = \"each\": needs training with the linear decoder",
     ),
     ("[evaluation]\ncasts = 4", "s.toml:14: evaluation.casts = 4: has no effect: no trial has a [variation]"),
     ("[run]\ntime_limit = nan", "s.toml:14: run.time_limit = nan: nan is not a finite number"),
@@ -696,8 +696,8 @@ const TABLES: &[(&str, &str)] = &[
         "s.toml:15: sensors.offset = [1.0, 0.0]: cannot be set together with sensors.mass",
     ),
     ("[sensors]\ntilt = 361.0", "s.toml:14: sensors.tilt = 361: must lie between"),
-    ("[sensors]\nspacing = 20.0", "sensors.spacing = 20: only for sensors.search"),
-    ("[sensors]\nfrom = \"free\"", "sensors.from = \"free\": only for sensors.search"),
+    ("[sensors]\nspacing = 20.0", "sensors.spacing = 20: has no effect without sensors.search"),
+    ("[sensors]\nfrom = \"free\"", "sensors.from = \"free\": has no effect without sensors.search"),
     ("[sensors]\nsearch = \"greedy\"\nspacing = 200.0", "sensors.spacing = 200: leaves room for 1 sensors"),
 ];
 

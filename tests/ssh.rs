@@ -112,7 +112,7 @@ fn shards_by_ssh_are_the_sweep() {
     kill(first.id(), libc::SIGTERM);
     let (code, message) = said(first);
     assert_eq!(code, Some(4), "{message}");
-    assert!(message.contains("on gone: the machine is unfit, cannot be reached"), "{message}");
+    assert!(message.contains("on gone: the machine is unfit, is unreachable"), "{message}");
     assert!(message.contains("left: shards 1-2") && message.contains("stopped on request"), "{message}");
     let outcomes = "SELECT DISTINCT outcome FROM v_run";
     let outcomes = bench.output(&["query", "results/tiny.sqlite", outcomes, "--format", "csv"]);

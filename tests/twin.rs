@@ -95,7 +95,7 @@ fn a_twin_tells_the_cast_and_teaches_brains() {
     let two = trainable().replace("[brain]", "[sensors]\nchannels = [\"ax\", \"ay\"]\n[brain]");
     bench.file("two_channels.toml", &two);
     let table = of("two_channels.toml", "two.toml", &["--threads", "2"]);
-    assert!(table.contains("converged after") && table.contains("node shifts: RMS 0."), "{table}");
+    assert!(table.contains("converged after") && table.contains("node shifts: fitted RMS 0."), "{table}");
 
     let hash = hash(&bench, "s.toml");
     let call = ["lab", "evaluate", "s.toml", &hash, "--records", "initial=r.toml", "--folds", "2"];

@@ -42,7 +42,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         }
         std::io::stdout().flush()?;
         if seen.run.is_none() {
-            print_line!("no run is active; `metasense run SPEC` starts one")?;
+            print_line!("no run is active")?;
         }
         if seen.run.is_none() {
             return Ok(Exit::Done);

@@ -96,7 +96,7 @@ fn relaxing(spec::Relaxation { share, time }: spec::Relaxation) -> Result<Relaxa
 
 /// Checks the standard deviation of a key of `[variation]`.
 fn deviation(key: &str, value: f64) -> Result<f64, Invalid> {
-    let remedy = "must be a standard deviation of the logarithm, from 0 to 1";
+    let remedy = "must be a standard deviation of the logarithm from 0 to 1";
     require((0.0..=DEVIATION_MAX).contains(&value), &format!("variation.{key}"), value, remedy)
         .map(|()| value)
 }
