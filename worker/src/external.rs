@@ -288,7 +288,7 @@ impl Body for External {
     }
 
     fn freedom(&self, problem: &Problem) -> Freedom {
-        Freedom::whole(problem.initial.len())
+        Freedom::unconstrained(problem.initial.len())
     }
 
     fn castable(&self, problem: &Problem) -> Box<dyn Castable> {

@@ -29,9 +29,7 @@ fn off(replay: &Replay, set: u8, brain: &[f64], read: &dyn Fn(&[f64]) -> Vec<f32
     let count = replay.split.len();
     let [signals, forces] = [&replay.signals[..], brain].map(|v| v.chunks_exact(v.len() / count));
     let (mut difference, mut all) = (0.0, 0.0);
-    for ((signals, forces), _) in
-        signals.zip(forces).zip(&replay.split).filter(|(_, own)| **own == set)
-    {
+    for ((signals, forces), _) in signals.zip(forces).zip(&replay.split).filter(|(_, own)| **own == set) {
         for (said, f) in read(signals).into_iter().zip(forces) {
             difference += (f64::from(said) - f).powi(2);
             all += f * f;
