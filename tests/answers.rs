@@ -121,9 +121,10 @@ fn how_many_sensors_to_build_hangs_on_their_price() {
     assert!(found["price_votes"].as_f64().unwrap() > 0.95 && found["over"] == "5 placements", "{found:#}");
     let (ok, sentences, err) = metasense(&db, &["analyse", "--price", "1"]);
     assert!(ok, "{err}");
-    for said in
-        ["smallest M within 10 % of the best: trained body M = 4 (", "smallest error + 1 % × M: trained body M = 2 ("]
-    {
+    for said in [
+        "smallest M within 10 % of the best: trained body M = 4 (",
+        "smallest error + 1 % × M: trained body M = 2 (",
+    ] {
         assert!(sentences.contains(said), "{said}: {sentences}");
     }
     let (ok, _, err) = metasense(&db, &["analyse", "--price", "cheap"]);

@@ -278,7 +278,11 @@ const EDITS: &[(&str, &str, &str)] = &[
         "test = 4\noffset = -1",
         "s.toml:13: stimuli.offset = -1: must lie between 0 and 3.1875 mm, a quarter of a unit's diagonal",
     ),
-    ("test = 4", "test = 4\noffset = 4.0", "s.toml:13: stimuli.offset = 4: must lie between 0 and 3.1875 mm, a quarter"),
+    (
+        "test = 4",
+        "test = 4\noffset = 4.0",
+        "s.toml:13: stimuli.offset = 4: must lie between 0 and 3.1875 mm, a quarter",
+    ),
     ("test = 4", "test = 4\noffset = nan", "s.toml:13: stimuli.offset = nan: nan is not a finite number"),
     ("test = 4", "test = 4\noffset = [1, 2]", "s.toml:13: stimuli.offset"),
     (

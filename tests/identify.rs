@@ -273,7 +273,8 @@ fn records_tell_the_material() {
     assert_eq!(npyz::NpyFile::new(&bytes[..]).unwrap().shape(), [3, 40, 3]);
     // a fit with the wrong parameter held leaves more of the signals than a free fit, which leaves noise
     let left = |table: &str| -> f64 {
-        let line = table.lines().find(|line| line.starts_with("misfit relative to the signals' RMS")).unwrap();
+        let line =
+            table.lines().find(|line| line.starts_with("misfit relative to the signals' RMS")).unwrap();
         line.split(" -> ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap()
     };
     let (held, free) = (fit(&["--fit", "stretch,shear,density,bend"]), fit(&[]));

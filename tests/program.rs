@@ -19,6 +19,7 @@ mod design;
 mod evaluate;
 mod expand;
 mod exports;
+mod external;
 mod extremes;
 mod files;
 mod foreign;

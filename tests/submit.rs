@@ -247,7 +247,8 @@ fn a_submitted_shard_runs_the_trials_that_were_written_down() {
     std::fs::write(&file, trials(2).replacen("\"seed\":", "\"seed\":7", 1)).unwrap();
     let refused = shard("2/2");
     assert!(
-        refused.status.code() == Some(2) && stderr_text(&refused).contains("jsonl:1: this program computes a different hash for trial"),
+        refused.status.code() == Some(2)
+            && stderr_text(&refused).contains("jsonl:1: this program computes a different hash for trial"),
         "{}",
         stderr_text(&refused)
     );

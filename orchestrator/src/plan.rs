@@ -16,14 +16,14 @@ use std::path::{Path, PathBuf};
 
 use metasense_schemas::source::{Source, SpecError};
 use metasense_schemas::spec::{
-    Body, Design, Disturbance, HashError, LayoutKind, Own, Point, Run, Search, SearchFrom, Sensors, Stimuli,
-    SweepSpec, Training, TrialSpec, position_of,
+    Body, BodyKind, Design, Disturbance, HashError, LayoutKind, Own, Point, Run, Search, SearchFrom, Sensors,
+    Stimuli, SweepSpec, Training, TrialSpec, position_of,
 };
 use metasense_worker::demands::memory;
 use metasense_worker::design::{self, DesignError, Feasible, Layout, Limits};
 use metasense_worker::problem::{self, Invalid, as_written};
 use metasense_worker::replay::Panel;
-use metasense_worker::{polygons, records};
+use metasense_worker::{external, polygons, records};
 
 use serde_json::Value;
 
@@ -88,9 +88,9 @@ impl Plan {
         let combinations = axes::combinations(&spec, &source)?;
         brains::refuse_unread(combinations.iter().map(|combination| &combination.spec), &source)?;
         let mut points = Vec::new();
-        for combination in &combinations {
-            add_points(&spec, &source, combination, &mut points)?;
-        }
+        let added = combinations.iter().try_for_each(|one| add_points(&spec, &source, one, &mut points));
+        external::end(); // workers start processes of their own
+        added?;
         let trials = trials(&spec, &points);
         if trials.is_empty() {
             return Err(source.error("sweep.exclude", "excludes all trials"));
@@ -279,7 +279,11 @@ fn add_points(
     points: &mut Vec<PointPlan>,
 ) -> Result<(), SpecError> {
     let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
-    let (spec, scale) = size::scale_to_size(&with_file(&combination.spec, source)?).map_err(located)?;
+    problem::external::refuse_unread(&combination.spec).map_err(located)?;
+    let (spec, scale) = match combination.spec.body.kind {
+        BodyKind::Polygons => size::scale_to_size(&with_file(&combination.spec, source)?).map_err(located)?,
+        BodyKind::External => (described(&combination.spec, source)?, 1.0),
+    };
     let layout = layout(&spec.body).map_err(located)?;
     let spec = &SweepSpec {
         body: Body {
@@ -312,7 +316,10 @@ fn add_points(
     // keep only the units that carry sensors: there may be a million placements
     let max_sensors = spec.sweep.sensors.iter().copied().max().unwrap_or_default();
     let order = |p: usize| {
-        let mut order = placement(&spec.body, &layout, p as u64, &clamped);
+        let mut order = match &spec.body.description {
+            Some(body) => external::placement(body.sensors.len(), p as u64),
+            None => placement(&spec.body, &layout, p as u64, &clamped),
+        };
         order.truncate(max_sensors);
         order
     };
@@ -332,7 +339,8 @@ fn add_points(
             };
             if placements.is_empty() {
                 // An invalid unit may be the cause.
-                for list in spec.sensors.placements.iter().flatten() {
+                for list in spec.sensors.placements.iter().flatten().filter(|_| spec.body.kind.is_polygons())
+                {
                     problem::check_units("sensors.placements", list, &layout, &clamped).map_err(located)?;
                 }
                 let remedy =
@@ -419,6 +427,29 @@ fn with_file(spec: &SweepSpec, source: &Source) -> Result<SweepSpec, SpecError> 
     Ok(spec)
 }
 
+/// The spec of an external body with what its program describes, and its design.
+fn described(spec: &SweepSpec, source: &Source) -> Result<SweepSpec, SpecError> {
+    let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
+    let (mut spec, folder) = (spec.clone(), source.file.parent().unwrap_or(Path::new("")));
+    for word in &mut spec.body.command {
+        // a link stays one: an interpreter of a virtual environment is told by where it lies
+        let file = std::path::absolute(folder.join(&*word)).ok().filter(|file| file.is_file());
+        if let Some(path) = file.as_deref().and_then(Path::to_str) {
+            path.clone_into(word);
+        }
+    }
+    let (command, limit) = (&spec.body.command, spec.body.time_limit);
+    let asked = external::describe(command, limit);
+    let description = asked.map_err(|fault| source.error("body.command", &fault.detail))?;
+    if let Some(Design::File(file)) = &spec.body.design {
+        let path = folder.join(file);
+        let read = design::read_array(&path, description.alpha.len());
+        let shifts = read.map_err(|e| unread("body.design", file, &path, &e, source))?;
+        spec.body.design = Some(Design::Shifts { shifts });
+    }
+    problem::external::described(&spec, description).map_err(located)
+}
+
 /// A design with the content of its file, so that the trial's hash depends on the content; other designs unchanged.
 fn with_design(
     key: &str,
@@ -492,6 +523,7 @@ impl SpecBody {
     pub fn new(source: &Source) -> Result<Option<Self>, SpecError> {
         let sweep = source.parse()?;
         let located = |e: Invalid| source.error_with(&e.key, Some(&e.value), &e.remedy);
+        problem::external::polygons(&sweep.body).map_err(located)?;
         let mut combinations = axes::combinations(&sweep, source)?;
         let first = combinations.swap_remove(0).spec;
         let keeps_panels = first.feasible.keep_panels;
@@ -551,6 +583,7 @@ impl SpecBody {
     /// # Errors
     /// If the values are impossible; the trials of a plan are valid.
     pub fn of_trial(trial: &TrialSpec) -> Result<Self, Invalid> {
+        problem::external::polygons(&trial.body)?;
         let layout = problem::layout(&trial.body)?;
         let limits = problem::limits(&trial.feasible)?;
         let (clamped, held) = (problem::clamped(&trial.body, &layout)?, problem::held(&trial.body, &layout)?);
@@ -589,8 +622,11 @@ fn template(spec: &SweepSpec, scale: f64, panels: usize, panel_units: &[usize], 
     body.panel_angle = body.panel_angle.filter(|angle| *angle != 0.0);
     body.compression = body.compression.filter(|parts| *parts != [0.0; 2]);
     body.rows = body.rows.or(body.columns);
-    body.clamp = Some(problem::clamp(&body));
-    if body.file.is_some() || matches!(body.design, Some(Design::Shifts { .. })) && body.lattice.turns() {
+    body.clamp = body.kind.is_polygons().then(|| problem::clamp(&body));
+    if !body.kind.is_polygons()
+        || body.file.is_some()
+        || matches!(body.design, Some(Design::Shifts { .. })) && body.lattice.turns()
+    {
         body.initial_angle = 0.0; // not used
     }
     let mut sensor_spec = spec.sensors.clone().resolved();

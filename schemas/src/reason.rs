@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::wire::{Cause, Trouble};
+use crate::wire::{BodyFault, Cause, Trouble};
 
 /// Reason why an attempt ended without a result. `Display` prints its name in the database.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -23,6 +23,8 @@ pub enum Reason {
     TimeLimit,
     /// A numerical failure.
     Numerical(Cause),
+    /// The process of an external body failed.
+    Body(BodyFault),
     /// Validation rejected the trial.
     Rejected,
     /// A bug: the computation panicked.
@@ -49,6 +51,7 @@ impl fmt::Display for Reason {
             Self::NoProgress => f.write_str("no_progress"),
             Self::TimeLimit => f.write_str("time_limit"),
             Self::Numerical(cause) => f.write_str(cause.name()),
+            Self::Body(fault) => f.write_str(fault.name()),
             Self::Rejected => f.write_str("rejected"),
             Self::Panicked => f.write_str("panicked"),
             Self::Cancelled => f.write_str(CANCELLED),
@@ -62,6 +65,7 @@ impl From<Trouble> for Reason {
     fn from(trouble: Trouble) -> Self {
         match trouble {
             Trouble::Numerical(cause) => Self::Numerical(cause),
+            Trouble::Body(fault) => Self::Body(fault),
             Trouble::Rejected => Self::Rejected,
             Trouble::Panicked => Self::Panicked,
             Trouble::Shortage => Self::Shortage,
@@ -103,6 +107,9 @@ impl Reason {
             Self::Numerical(_) => {
                 "run `metasense trial SPEC HASH`; reduce `solver.tolerance` or the learning rate"
             }
+            Self::Body(BodyFault::TimeLimit) => "raise `body.time_limit`, then run with --retry-failed",
+            Self::Body(BodyFault::Changed) => "run the spec again: its trials get other hashes",
+            Self::Body(_) => "run `metasense lab verify SPEC`, and mend the program of `body.command`",
             Self::Rejected => {
                 "the spec is invalid for this trial: run `metasense trial SPEC HASH` for the message"
             }
@@ -114,7 +121,11 @@ impl Reason {
 
     /// Whether another attempt may succeed, because the process failed and not the trial.
     pub fn is_retried(self) -> bool {
-        matches!(self, Self::WorkerKilled(_) | Self::WorkerExited(_) | Self::NoProgress | Self::Stopped)
+        let body = matches!(self, Self::Body(BodyFault::Died | BodyFault::TimeLimit));
+        body || matches!(
+            self,
+            Self::WorkerKilled(_) | Self::WorkerExited(_) | Self::NoProgress | Self::Stopped
+        )
     }
 
     /// Whether the machine lacked a resource that it may have later.

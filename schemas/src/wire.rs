@@ -69,17 +69,17 @@ pub enum ToWorker {
     },
 }
 
-/// Declares the numerical failures of a trial with their names in records.
+/// Declares the failures of a trial with their names in records.
 macro_rules! causes {
-    ($($(#[$doc:meta])* $cause:ident = $name:literal,)*) => {
-        /// A numerical failure that ends a trial.
+    ($(#[$about:meta])* $Cause:ident: $($(#[$doc:meta])* $cause:ident = $name:literal,)*) => {
+        $(#[$about])*
         #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-        pub enum Cause {
+        pub enum $Cause {
             $($(#[$doc])* $cause,)*
         }
 
-        impl Cause {
-            /// All causes.
+        impl $Cause {
+            /// All of them.
             pub const ALL: &[Self] = &[$(Self::$cause),*];
 
             /// Name in the database.
@@ -93,6 +93,8 @@ macro_rules! causes {
 }
 
 causes! {
+    /// A numerical failure that ends a trial.
+    Cause:
     /// A sample exceeded the limit of integrator steps.
     StepLimit = "step_limit",
     /// Integrator steps fell below the resolution of the clock.
@@ -125,11 +127,28 @@ causes! {
     Saturated = "saturated",
 }
 
+causes! {
+    /// How the process of an external body ends a trial.
+    BodyFault:
+    /// It ended, or could not be started.
+    Died = "body_died",
+    /// It took longer than `body.time_limit`.
+    TimeLimit = "body_time_limit",
+    /// It reported an error, or its answer has another form or shape than asked for.
+    Invalid = "body_invalid",
+    /// It returned other values when called again.
+    NotRepeatable = "body_not_repeatable",
+    /// It describes another body than when the trial was planned.
+    Changed = "body_changed",
+}
+
 /// Why an attempt failed, as the worker reports it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Trouble {
     /// A numerical failure.
     Numerical(Cause),
+    /// The process of an external body failed.
+    Body(BodyFault),
     /// Validation rejected the trial.
     Rejected,
     /// A bug: the computation panicked.

@@ -83,6 +83,20 @@ pub fn filtered() -> String {
     table(&["low-pass", "without noise", "gain", "with noise", "gain"], lines)
 }
 
+/// Plates that another program simulates.
+pub fn plate() -> String {
+    let all = rows("plate/trials.csv");
+    let line = |sensors: &str| {
+        let wanted = [("sensors", sensors)];
+        let errors = |name: &str| of(&all, &wanted).map(|row| number(row, name)).collect::<Vec<_>>();
+        let [initial, optimised] = ["initial", "optimised"].map(errors);
+        let gains: Vec<f64> = initial.iter().zip(&optimised).map(|(a, b)| (a / b).ln()).collect();
+        let [initial, optimised] = [initial, optimised].map(|errors| geometric(errors.into_iter()));
+        vec![sensors.to_owned(), format!("{initial} → {optimised} %"), with_interval(&gains, f64::exp)]
+    };
+    table(&["M", "error, initial → trained plate", "gain"], ["1", "2"].map(line))
+}
+
 /// Searches for a design, and the errors of their designs on further seeds.
 pub fn designs() -> String {
     let (searches, further) = (rows("design/searches.csv"), rows("design/further.csv"));

@@ -53,19 +53,19 @@ pub enum DesignError {
 pub fn read(path: &Path, layout: &Layout) -> Result<Vec<f64>, DesignError> {
     let content = |what| DesignError::Content { path: path.into(), what };
     match files::ending(path).as_str() {
-        "npy" => read_array(path, layout),
+        "npy" => read_array(path, layout.design_len()),
         "csv" => from_csv(&bytes_of(path)?, layout).map_err(content),
         _ => Err(DesignError::Ending { path: path.into() }),
     }
 }
 
-/// Reads an NPY file with the shape of α.
+/// Reads a design of so many numbers from an NPY file.
 ///
 /// # Errors
 /// Names the file and the fault.
-pub fn read_array(path: &Path, layout: &Layout) -> Result<Vec<f64>, DesignError> {
+pub fn read_array(path: &Path, numbers: usize) -> Result<Vec<f64>, DesignError> {
     let found = files::array(&bytes_of(path)?).and_then(|Array { shape, values }| {
-        check("the array", &shape, &values, layout.design_len())?;
+        check("the array", &shape, &values, numbers)?;
         Ok(values)
     });
     found.map_err(|what| DesignError::Content { path: path.into(), what })

@@ -9,6 +9,7 @@ pub mod convert;
 pub mod demands;
 pub mod design;
 pub mod evaluate;
+pub mod external;
 pub mod files;
 pub mod identify;
 mod invalid;

@@ -11,13 +11,15 @@ use metasense_numerics::dynamics::{Accuracy, Contact, Frame, Method, Parts, Scen
 use metasense_numerics::feasible::Limits;
 use metasense_numerics::place::CANDIDATES;
 use metasense_numerics::trial::{
-    BrainKind, Decoder, Evaluation, Optimise, Placing, Polygons, Problem, Ridge, Scaling, Schedule, Training,
+    Body, BrainKind, Decoder, Evaluation, Optimise, Placing, Polygons, Problem, Ridge, Scaling, Schedule,
+    Training,
 };
 use metasense_schemas::spec::{self, Point, TrialSpec};
 use std::sync::Arc;
 
 mod body;
 mod casts;
+pub mod external;
 mod material;
 mod optimise;
 mod stimuli;
@@ -54,17 +56,18 @@ const WEIGHTS_MAX: usize = 10_000_000;
 /// # Errors
 /// Names the first key with an invalid value, and the requirement.
 pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
-    let layout = layout(&trial.body)?;
-    let material = material(&trial.body)?;
-    check_clock_and_training(trial)?;
-    let limits = limits(&trial.feasible)?;
-    let initial = initial_design(&trial.body, &layout, limits)?;
-    let relative_to = relative_to(trial, &layout, limits)?;
-    check_castable(&trial.body, &layout, limits, &initial)?;
-    let scene = scene(trial, layout, material)?;
+    let OfBody { body, scene, limits, initial, relative_to } = match &trial.body.description {
+        Some(description) => {
+            check_clock_and_training(trial)?;
+            external::parts(trial, description)?
+        }
+        None => parts(trial)?,
+    };
+    // what a body cannot do coarsely it does not do
+    let coarsens = trial.body.description.as_ref().is_none_or(|description| description.tolerance);
     let (steps, coarse) = (trial.optimise.steps(), trial.optimise.clone().resolved().coarse);
     Ok(Problem {
-        body: Arc::new(Polygons),
+        body,
         kept: kept(&trial.feasible, &trial.panel_units, &held(&trial.body, &scene.layout)?),
         frozen: frozen(&trial.optimise, &scene.layout)?,
         tie: tie(&trial.optimise)?,
@@ -90,7 +93,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
             iterations: u32::try_from(steps)
                 .map_err(|_| invalid("optimise.iterations", steps, "must be below 2^32"))?,
             rate: trial.optimise.clone().resolved().learning_rate.unwrap_or_default(),
-            coarse: coarse.as_ref().map(solver),
+            coarse: coarse.as_ref().filter(|_| coarsens).map(solver),
             casting: casting(trial)?,
         },
         evaluation: Evaluation {
@@ -112,6 +115,28 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
     })
 }
 
+/// The part of a problem that its body gives.
+struct OfBody {
+    body: Arc<dyn Body>,
+    scene: Scene,
+    limits: Limits,
+    initial: Vec<f64>,
+    relative_to: Option<Vec<f64>>,
+}
+
+/// That of polygons.
+fn parts(trial: &TrialSpec) -> Result<OfBody, Invalid> {
+    let layout = layout(&trial.body)?;
+    let material = material(&trial.body)?;
+    check_clock_and_training(trial)?;
+    let limits = limits(&trial.feasible)?;
+    let initial = initial_design(&trial.body, &layout, limits)?;
+    let relative_to = relative_to(trial, &layout, limits)?;
+    check_castable(&trial.body, &layout, limits, &initial)?;
+    let scene = scene(trial, layout, material)?;
+    Ok(OfBody { body: Arc::new(Polygons), scene, limits, initial, relative_to })
+}
+
 /// Design of the body to whose signals relative noise refers, if it is not the initial body.
 fn relative_to(trial: &TrialSpec, layout: &Layout, limits: Limits) -> Result<Option<Vec<f64>>, Invalid> {
     let Some(design) = trial.sensors.relative_to.clone() else { return Ok(None) };
@@ -125,6 +150,7 @@ fn relative_to(trial: &TrialSpec, layout: &Layout, limits: Limits) -> Result<Opt
 /// # Errors
 /// As [`problem`].
 pub fn measures(trial: &TrialSpec) -> Result<[f64; 2], Invalid> {
+    external::polygons(&trial.body)?;
     let Problem { scene, initial, .. } = problem(trial)?;
     let units: f64 = scene.geometry(&initial).mass.iter().sum();
     let chips = trial.point.sensors as f64 * scene.chip.map_or(0.0, |chip| chip.mass);

@@ -265,6 +265,7 @@ impl Worker {
                 failed(Trouble::Shortage, explained(&detail, &Needs::default()))
             }
             Ok(Err(Failure::Rejected(detail))) => failed(Trouble::Rejected, detail),
+            Ok(Err(Failure::Body { fault, detail })) => failed(Trouble::Body(fault), detail),
             Ok(Err(Failure::Numerical { cause, detail })) => failed(Trouble::Numerical(cause), detail),
             Err(panic) => {
                 let text = panic.downcast_ref::<&str>().map(ToString::to_string);

@@ -5,16 +5,18 @@ pub use metasense_numerics::Pool;
 use metasense_numerics::nested::{self, Optimised, State};
 pub use metasense_numerics::nested::{Control, keeps_error};
 use metasense_numerics::place::{self, Placed};
-use metasense_numerics::trial::{self, Problem, Trial};
+use metasense_numerics::trial::{self, Body, Problem, Trial};
 use metasense_schemas::record::{BodyEvaluation, Checkpoint, StepRecord, TrialResult};
 use metasense_schemas::spec::TrialSpec;
-use metasense_schemas::wire::Cause;
+use metasense_schemas::wire::{BodyFault, Cause};
 
 use crate::clock::cpu_seconds;
 use crate::convert;
 use crate::demands::memory;
 use crate::design;
+use crate::external;
 use crate::limits::{Needs, explained};
+use crate::problem::external::polygons;
 use crate::problem::problem;
 use crate::simd;
 
@@ -46,6 +48,14 @@ pub enum Failure {
         /// Details, with the place.
         detail: String,
     },
+    /// The process of an external body failed.
+    #[error("{}: {detail}", fault.name())]
+    Body {
+        /// Kind of failure.
+        fault: BodyFault,
+        /// Command, cause, and last lines of the process.
+        detail: String,
+    },
     /// A system resource is exhausted.
     #[error("a system limit is too low: {0}")]
     Shortage(String),
@@ -61,15 +71,18 @@ pub fn run_trial(
     pool: &Pool,
     observer: &mut dyn Observe,
 ) -> Result<TrialResult, Failure> {
-    let problem = prepared(trial)?;
+    let problem = problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))?;
     let resume = match checkpoint {
         None => None,
         Some(checkpoint) => Some(convert::state(checkpoint, &problem).map_err(Failure::Rejected)?),
     };
     let (problem, placed) = place::placed(&problem, pool)?;
-    let mut watch = Watch { observer, store: 0.0 };
-    let optimised = nested::optimise(&Trial::new(&problem, pool)?, resume, &mut watch)?;
-    optimised.map(|optimised| result(trial, optimised, placed, pool)).ok_or(Failure::Stopped)
+    let mut watch = Watch { observer, store: 0.0, body: &*problem.body };
+    let optimised = Trial::new(&problem, pool).and_then(|trial| nested::optimise(&trial, resume, &mut watch));
+    if let Some(fault) = problem.body.failure() {
+        return Err(Failure::Body { fault: external::named(&fault), detail: fault.detail });
+    }
+    optimised?.map(|optimised| result(trial, optimised, placed, pool)).ok_or(Failure::Stopped)
 }
 
 const NO_FORCE: &str = "stimuli: no training sample has a force; check stimuli.onset and stimuli.amplitude against time.duration, or the \
@@ -109,12 +122,13 @@ fn result(trial: &TrialSpec, optimised: Optimised, placed: Option<Placed>, pool:
     }
 }
 
-/// Converts a spec to a problem.
+/// Converts a spec of a body of polygons to a problem.
 ///
 /// # Errors
-/// If the spec is invalid.
+/// If the spec is invalid, or its body is an external one.
 pub fn prepared(trial: &TrialSpec) -> Result<Problem, Failure> {
-    problem(trial).map_err(|invalid| Failure::Rejected(invalid.to_string()))
+    let found = polygons(&trial.body).and_then(|()| problem(trial));
+    found.map_err(|invalid| Failure::Rejected(invalid.to_string()))
 }
 
 /// Converts a spec to a problem, and checks that `design` fits its body.
@@ -225,25 +239,32 @@ pub fn pool_counting(threads: usize, heartbeat: Heartbeat) -> Result<Pool, Failu
     })
 }
 
-/// Adapts an observer to the numerics: supplies the process's CPU time (one trial per process), and converts reports to records.
+/// Adapts an observer to the numerics: supplies the CPU time of the process and of external bodies (one trial per process), and
+/// converts reports to records.
 struct Watch<'a> {
     observer: &'a mut dyn Observe,
     /// CPU time of the observer at the last step (s); stored in the next step's record.
     store: f64,
+    /// After its failure nothing is stored any more.
+    body: &'a dyn Body,
 }
 
 impl nested::Observe for Watch<'_> {
     /// Called before and after each part of a step, so it also reports progress.
     fn seconds(&mut self) -> f64 {
         self.observer.progress();
-        cpu_seconds()
+        cpu_seconds() + external::waited()
     }
 
     fn progress(&mut self, _fraction: f64) -> Control {
-        self.observer.progress()
+        let wanted = self.observer.progress();
+        if self.body.failure().is_some() { Control::Stop } else { wanted }
     }
 
     fn step(&mut self, report: &nested::Report, state: &State) -> Control {
+        if self.body.failure().is_some() {
+            return Control::Stop;
+        }
         let mut record = convert::step_record(report);
         record.seconds.store = self.store;
         let checkpoint = convert::checkpoint(state);
@@ -254,7 +275,9 @@ impl nested::Observe for Watch<'_> {
     }
 
     fn save(&mut self, state: &State) {
-        self.observer.save(convert::checkpoint(state));
+        if self.body.failure().is_none() {
+            self.observer.save(convert::checkpoint(state));
+        }
     }
 }
 

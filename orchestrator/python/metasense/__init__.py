@@ -20,12 +20,13 @@ from metasense._commands import casts, design, evaluate, expand, export, identif
 from metasense._errors import error, targets
 from metasense._metasense import Body, Inverse, LinearBrain, Simulation, SimulationError, Table, Twin, __version__
 from metasense._results import Database, Event, program, run, watch
+from metasense._serve import serve_body
 from metasense._values import plain
 
 __all__ = [
     "Body", "Database", "Event", "Inverse", "LinearBrain", "Simulation", "SimulationError", "Table", "Twin", "__version__",
-    "body", "casts", "design", "error", "evaluate", "expand", "export", "identify", "program", "report", "run", "stimuli", "targets",
-    "trial", "watch",
+    "body", "casts", "design", "error", "evaluate", "expand", "export", "identify", "program", "report", "run", "serve_body", "stimuli",
+    "targets", "trial", "watch",
 ]  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use metasense_worker::design::{self, Feasible, overlaps};
+use metasense_worker::problem::external::body as external_body;
 use metasense_worker::replay::{Drawing, Panel};
 
 use super::named::Named;
@@ -39,6 +40,17 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             args.out.display(),
             named.display()
         )));
+    }
+    if let Some(spec) = args.trial.external().await? {
+        let (initial, body) = external_body(&spec).map_err(|e| args.trial.refused(e))?;
+        let drawn = match &args.design {
+            Some(file) => design::read_array(file, initial.len())?,
+            None => initial,
+        };
+        let svg = body.draw(&drawn).map_err(|fault| args.trial.refused(fault.detail))?;
+        write(&args.out, svg)?;
+        print_line!("{}: {} numbers", args.out.display(), drawn.len())?;
+        return Ok(Exit::Done);
     }
     let body = args.trial.body().await?;
     let drawn = match &args.design {

@@ -165,6 +165,9 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
 
 fn trial(stored: &StoredTrial, args: &Args) -> Result<(), Error> {
     let which = args.design as usize;
+    if matches!(args.format, Form::Npy) {
+        return write(&args.out, design(stored, args));
+    }
     let body = &drawing(&stored.specs[which], &stored.designs[which]).map_err(unreadable(stored))?;
     let height = height(stored, args);
     let cast = || Cast::new(&stored.specs[which], body, height).map_err(unreadable(stored));
@@ -172,7 +175,7 @@ fn trial(stored: &StoredTrial, args: &Args) -> Result<(), Error> {
         Form::Npz => npz::of_trial(stored, cores(), &mut |what| say!("note: {what}"))?,
         Form::Csv => series::table(stored, &replays(stored, cores())?).written(Format::Csv),
         Form::Parquet => series::table(stored, &replays(stored, cores())?).written(Format::Parquet),
-        Form::Npy => design(stored, args),
+        Form::Npy => unreachable!("written above, whatever the body is"),
         Form::Svg => picture(stored, body, &cast()?, args),
         Form::C => encode_c(stored, args, &brain(stored, args)?)?,
         Form::Onnx => onnx::onnx(stored, which, &brain(stored, args)?)?,

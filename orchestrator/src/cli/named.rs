@@ -238,6 +238,14 @@ impl Named {
         })
     }
 
+    /// The trial, if its body is an external one.
+    pub async fn external(&self) -> Result<Option<TrialSpec>, Error> {
+        if !self.is_database() && self.spec().source()?.parse()?.body.kind.is_polygons() {
+            return Ok(None);
+        }
+        Ok(Some(self.read().await?.1).filter(|trial| !trial.body.kind.is_polygons()))
+    }
+
     /// Checks that this machine has the memory that the trial needs.
     pub fn check_memory(&self, trial: &TrialSpec) -> Result<(), Error> {
         let Err(e) = memory::check_here(trial) else { return Ok(()) };

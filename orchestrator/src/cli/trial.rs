@@ -40,7 +40,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     let start = Instant::now();
     let result = match pool(args.threads.into()).and_then(|pool| run_trial(&spec, None, &pool, &mut Steps)) {
         Ok(result) => result,
-        Err(failure @ (Failure::Numerical { .. } | Failure::Stopped)) => {
+        Err(failure @ (Failure::Numerical { .. } | Failure::Body { .. } | Failure::Stopped)) => {
             say!("failed: trial {hash}: {failure}");
             return Ok(Exit::Failed);
         }

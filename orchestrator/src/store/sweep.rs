@@ -2,6 +2,7 @@
 
 use metasense_schemas::record::{Trial, TrialErrors};
 use metasense_schemas::spec::SweepSpec;
+use serde_json::json;
 use sqlx::Connection;
 
 use super::write::VERSION;
@@ -139,10 +140,10 @@ const INSERT_SWEEP_TRIALS: &str = "
 /// The row of a trial for the statements above.
 fn row(trial: &Trial) -> serde_json::Value {
     let spec = &trial.spec;
-    serde_json::json!([
+    json!([
         trial.hash,
         serde_json::to_string(spec).expect("a trial is JSON"),
-        spec.body.layout,
+        if spec.body.kind.is_polygons() { json!(spec.body.layout) } else { json!(spec.body.kind) },
         spec.body.columns(),
         spec.body.rows(),
         trial.units,

@@ -3,6 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::external::{BodyKind, Description};
+
 /// The layout of a body's units.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
@@ -237,6 +239,19 @@ impl Design {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Body {
+    /// What simulates the body. Default: `"polygons"`.
+    #[serde(default, skip_serializing_if = "BodyKind::is_polygons")]
+    pub kind: BodyKind,
+    /// Program and arguments of an external body. Files are relative to the spec. Default: must be given with `kind = "external"`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub command: Vec<String>,
+    /// Longest time of one call of an external body. Unit: s. Default: 600.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_limit: Option<f64>,
+    /// What the program of an external body answers, as a trial stores it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(skip)]
+    pub description: Option<Description>,
     /// Arrangement of the units.
     #[serde(default = "planar")]
     pub layout: LayoutKind,

@@ -3,6 +3,7 @@
 //! Units: mm, N, s, Mg; angles in degrees here (radians everywhere else). Physics and names: `worker/numerics/MODEL.md`.
 
 mod body;
+mod external;
 mod feasible;
 mod goal;
 mod measured;
@@ -21,6 +22,7 @@ pub use body::{
     Body, Clamp, ClampRule, Contact, Denser, Design, Follow, FollowBy, Guide, Inertia, Lattice, LayoutKind,
     Material, Own, Polygons, Rubber, Stiffness, Struck,
 };
+pub use external::{BodyKind, Constraint, Description};
 pub use feasible::Feasible;
 pub use goal::{Calibrated, Cost, Goal, GoalReader, GoalReaderName};
 pub use measured::{AccelerationUnit, AngularVelocityUnit, Measured, MeasuredSignals, Start};

@@ -67,7 +67,7 @@ impl TrialSpec {
     ///
     /// A new key of the spec must be omitted from the JSON at its default (`skip_serializing_if`), so that trials of older
     /// databases keep their names. The hash covers the digest of recorded stimuli, not their paths, and the stiffnesses and
-    /// density of a material, not the material.
+    /// density of a material, not the material; of an external body its description, whose digest covers the source.
     #[must_use]
     pub fn hash(&self) -> String {
         let mut text = String::with_capacity(2048);
@@ -76,7 +76,9 @@ impl TrialSpec {
             recorded.remove("files");
         }
         if let Some(body) = value.pointer_mut("/body").and_then(|body| body.as_object_mut()) {
-            body.remove("material");
+            for key in ["material", "command", "time_limit"] {
+                body.remove(key);
+            }
         }
         write_canonical(&value, &mut text);
         blake3::hash(text.as_bytes()).to_hex()[..32].to_owned()
@@ -93,7 +95,7 @@ impl TrialSpec {
     #[must_use]
     pub fn body_digest(&self, design: &[f64]) -> String {
         let mut text = String::with_capacity(2048);
-        let body = Body { material: None, ..self.body.clone() };
+        let body = Body { material: None, command: Vec::new(), time_limit: None, ..self.body.clone() };
         let value = serde_json::json!([body, self.sensor_units, design]);
         write_canonical(&value, &mut text);
         blake3::hash(text.as_bytes()).to_hex()[..32].to_owned()

@@ -9,11 +9,14 @@ use std::collections::BTreeMap;
 use crate::invalid::{Invalid, at_least, at_most, invalid, positive, require};
 use crate::polygons;
 
-/// The layout of a body.
+/// The layout of a body; of an external one a layout without units.
 ///
 /// # Errors
 /// If the sizes are invalid.
 pub fn layout(body: &spec::Body) -> Result<Layout, Invalid> {
+    if !body.kind.is_polygons() {
+        return Ok(Layout::default());
+    }
     if let Some(spec::Own::File(file)) = &body.file {
         let remedy = "must be left out: a trial contains the polygons themselves";
         return Err(invalid("body.file", file.display(), remedy));
@@ -274,6 +277,9 @@ pub fn clamp(body: &spec::Body) -> Clamp {
 /// # Errors
 /// If there are not K panels, or units do not exist.
 pub fn panel_units(body: &spec::Body, layout: &Layout, panels: usize) -> Result<Vec<usize>, Invalid> {
+    if let Some(description) = &body.description {
+        return super::external::panel_units(body, description, panels);
+    }
     let none = |remedy: String| invalid("sweep.panels", panels, remedy);
     if let Some(units) = &body.panel_units {
         let remedy = "cannot be set together with body.panels";
@@ -307,6 +313,9 @@ pub fn panel_units(body: &spec::Body, layout: &Layout, panels: usize) -> Result<
 /// # Errors
 /// If units do not exist, or no unit is free.
 pub fn clamped(body: &spec::Body, layout: &Layout) -> Result<Vec<usize>, Invalid> {
+    if !body.kind.is_polygons() {
+        return Ok(Vec::new());
+    }
     let clamp = clamp(body);
     let units = named("body.clamp", &clamp, body, layout)?;
     let shown = match clamp {

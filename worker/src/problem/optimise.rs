@@ -73,6 +73,9 @@ pub(super) fn frozen(optimise: &spec::Optimise, layout: &Layout) -> Result<Vec<u
 /// # Errors
 /// If `optimise.tie` or `optimise.frozen` is invalid, or nothing can move.
 pub fn design_parameters(trial: &TrialSpec, layout: &Layout) -> Result<usize, Invalid> {
+    if let (Some(_), Some(spec::Design::Shifts { shifts })) = (&trial.body.description, &trial.body.design) {
+        return Ok(shifts.len());
+    }
     let (tie, frozen) = (tie(&trial.optimise)?, frozen(&trial.optimise, layout)?);
     let kept = kept(&trial.feasible, &trial.panel_units, &held(&trial.body, layout)?);
     let parameters = Freedom::of(layout, tie, &frozen, &kept).parameters();

@@ -60,6 +60,9 @@ fn source(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result
 /// Standard deviations of the offset and angle of blows; `None` if both are 0.
 fn hand(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Option<Hand>, Invalid> {
     let (offset, angle) = (stimuli.offset.unwrap_or_default(), stimuli.angle.unwrap_or_default());
+    if (offset, angle) == (0.0, 0.0) {
+        return Ok(None);
+    }
     // two standard deviations then reach a corner
     let [spacing, length] = lengths(&trial.body)?;
     let most = 0.25 * (spacing - length);

@@ -7,8 +7,10 @@ pub mod authors;
 mod body;
 mod brain;
 mod case;
+mod external;
 
 use case::{Case, CaseError};
+pub use external::external;
 use metasense_numerics::dynamics::{Accuracy, Method, Solver};
 use serde::Serialize;
 use std::path::Path;

@@ -1,0 +1,349 @@
+//! A body that another program simulates: its process, asked by JSON lines, with arrays in shared memory.
+//!
+//! ```text
+//! {"call": "apply", "memory": "/proc/self/fd/9", "alpha": [0, 168], "forces": [168, 32, 2, 201], "signals": [13032, 32, 200, 1, 3], …}
+//! {"shape": [32, 200, 1, 3]}
+//! ```
+//! An array is an offset in the memory, in numbers of 8 bytes (f64, little endian), and a shape. A worker keeps one process, which
+//! ends when its standard input closes. A process that dies is started again twice per call; calls are functions of their arguments.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use metasense_numerics::body::Freedom;
+use metasense_numerics::dynamics::{Counters, Forces, Outcome, Scene, Solver};
+use metasense_numerics::feasible::{Castable, LinearLimits, LinearRow, Projection, Status};
+use metasense_numerics::random::{Purpose, Stream};
+use metasense_numerics::trial::{Body, Fault, Motion, Pilot, Problem, Run, Tape};
+use metasense_numerics::{Heartbeat, Pool};
+use metasense_schemas::spec::{self, Description};
+use metasense_schemas::wire::BodyFault;
+use serde_json::{Value, json};
+
+mod process;
+
+use process::{Array, Process};
+
+/// `body.time_limit` where it is not given (s).
+pub const TIME_LIMIT: f64 = 600.0;
+/// Times that a process is started again in one call.
+const RESTARTS: usize = 2;
+
+/// The process of this worker, of the command that was asked last.
+static PROCESS: Mutex<Option<Process>> = Mutex::new(None);
+/// Nanoseconds for which calls have been waited for.
+static WAITED: AtomicU64 = AtomicU64::new(0);
+
+/// Seconds for which this process has waited for bodies: their calculations count as its own.
+#[must_use]
+pub fn waited() -> f64 {
+    WAITED.load(Ordering::Relaxed) as f64 * 1e-9
+}
+
+/// Ends the process of this worker, if it has one.
+pub fn end() {
+    *process() = None;
+}
+
+fn process() -> MutexGuard<'static, Option<Process>> {
+    PROCESS.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Which fault has this name.
+pub(crate) fn named(fault: &Fault) -> BodyFault {
+    BodyFault::ALL.iter().find(|known| known.name() == fault.name).copied().unwrap_or(BodyFault::Invalid)
+}
+
+/// What the program of a command describes, with the digest of description and source.
+///
+/// # Errors
+/// If it cannot be started, does not answer, or describes no body.
+pub fn describe(command: &[String], time_limit: Option<f64>) -> Result<Description, Fault> {
+    let mut process = process();
+    let limit = Duration::from_secs_f64(time_limit.unwrap_or(TIME_LIMIT));
+    Ok(Process::of(&mut process, command, limit)?.description.clone())
+}
+
+/// Sensor placement number `p` of so many places: their order at random.
+#[must_use]
+pub fn placement(sensors: usize, p: u64) -> Vec<usize> {
+    Stream::new(Purpose::Placement, 0, [p, sensors as u64]).permutation(sensors)
+}
+
+/// Bounds and constraints of designs of so many numbers.
+#[must_use]
+pub fn limits(described: &Description, numbers: usize) -> LinearLimits {
+    let row = |given: &spec::Constraint| LinearRow {
+        terms: given.terms.clone(),
+        least: given.least.unwrap_or(f64::NEG_INFINITY),
+        most: given.most.unwrap_or(f64::INFINITY),
+    };
+    LinearLimits {
+        lower: described.lower.clone().unwrap_or_else(|| vec![f64::NEG_INFINITY; numbers]),
+        upper: described.upper.clone().unwrap_or_else(|| vec![f64::INFINITY; numbers]),
+        rows: described.constraints.iter().map(row).collect(),
+    }
+}
+
+/// A body that another program simulates.
+#[derive(Debug, Clone)]
+pub struct External(Arc<Shared>);
+
+#[derive(Debug)]
+struct Shared {
+    command: Vec<String>,
+    limit: Duration,
+    described: Description,
+    fault: Mutex<Option<Fault>>,
+    /// Whether it has been tried if calls repeat.
+    tried: AtomicBool,
+}
+
+/// A design under forces.
+#[derive(Debug, Clone, Copy)]
+pub struct Question<'a> {
+    /// Panels, sensors and clock.
+    pub scene: &'a Scene,
+    /// α.
+    pub design: &'a [f64],
+    /// On a clock that the scene's divides.
+    pub forces: &'a Forces,
+    /// Relative error of the signals that is asked for.
+    pub tolerance: f64,
+}
+
+impl Question<'_> {
+    fn request(&self, call: &str) -> Value {
+        let Self { scene, tolerance, .. } = self;
+        let panels: Vec<usize> = scene.panels.iter().map(|panel| panel.unit).collect();
+        let (sensors, duration) = (&scene.sensors, scene.duration);
+        json!({ "call": call, "panels": panels, "sensors": sensors, "duration": duration, "tolerance": tolerance })
+    }
+
+    fn arrays(&self) -> Vec<Array<'_>> {
+        let Self { design, forces, .. } = self;
+        let shape = [forces.samples, forces.panels, forces.instants + 1];
+        vec![Array::new("alpha", &[design.len()], design), Array::new("forces", &shape, &forces.values)]
+    }
+}
+
+impl External {
+    /// The body of a trial; its process is started by the first call.
+    #[must_use]
+    pub fn new(body: &spec::Body, described: &Description) -> Self {
+        Self(Arc::new(Shared {
+            command: body.command.clone(),
+            limit: Duration::from_secs_f64(body.time_limit.unwrap_or(TIME_LIMIT)),
+            described: described.clone(),
+            fault: Mutex::new(None),
+            tried: AtomicBool::new(false),
+        }))
+    }
+
+    fn fault(&self, kind: BodyFault, what: &str) -> Fault {
+        Fault { name: kind.name(), detail: format!("{}: {what}", self.0.command.join(" ")) }
+    }
+
+    /// Keeps the first fault: after it nothing that the body returned counts.
+    fn failed(&self, fault: Fault) -> Fault {
+        self.0.fault.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(fault).clone()
+    }
+
+    /// Asks the process, which is started again if it dies: what it answers, and the array that it writes.
+    fn ask(
+        &self,
+        request: &Value,
+        arrays: &[Array],
+        output: (&str, &[usize]),
+        heartbeat: &Heartbeat,
+    ) -> Result<(Value, Vec<f64>), Fault> {
+        if let Some(fault) = self.failure() {
+            return Err(fault);
+        }
+        let Shared { command, limit, described, .. } = &*self.0;
+        let started = Instant::now();
+        let mut kept = process();
+        let mut once = || {
+            let process = Process::of(&mut kept, command, *limit)?;
+            if process.description.digest != described.digest {
+                let what =
+                    "its description or a text file of the command has changed since the trial was planned";
+                return Err(self.fault(BodyFault::Changed, what));
+            }
+            process.call(request, arrays, output, *limit, heartbeat)
+        };
+        let mut found = once();
+        for _ in 0..RESTARTS {
+            if found.as_ref().is_err_and(|fault| fault.name == BodyFault::Died.name()) {
+                found = once();
+            }
+        }
+        if found.is_err() {
+            *kept = None;
+        }
+        WAITED.fetch_add(started.elapsed().as_nanos() as u64, Ordering::Relaxed);
+        found.map_err(|fault| self.failed(fault))
+    }
+
+    fn shape(&self, Question { scene, forces, .. }: &Question) -> [usize; 4] {
+        [forces.samples, scene.instants, scene.sensors.len(), self.channels()]
+    }
+
+    /// Signals (N, T, M, C) of a design under forces.
+    ///
+    /// # Errors
+    /// Says how the process failed. After that every call fails.
+    pub fn apply(&self, question: &Question, heartbeat: &Heartbeat) -> Result<Vec<f64>, Fault> {
+        let (request, output) = (question.request("apply"), self.shape(question));
+        Ok(self.ask(&request, &question.arrays(), ("signals", &output), heartbeat)?.1)
+    }
+
+    /// dL/dα of a cotangent on these signals.
+    ///
+    /// # Errors
+    /// As `apply`.
+    pub fn vjp(
+        &self,
+        question: &Question,
+        cotangent: &[f64],
+        heartbeat: &Heartbeat,
+    ) -> Result<Vec<f64>, Fault> {
+        let mut arrays = question.arrays();
+        arrays.push(Array::new("cotangent", &self.shape(question), cotangent));
+        let output = ("gradient", &[question.design.len()][..]);
+        Ok(self.ask(&question.request("vjp"), &arrays, output, heartbeat)?.1)
+    }
+
+    /// The drawing of a design, as SVG.
+    ///
+    /// # Errors
+    /// As `apply`, or if the program draws nothing.
+    pub fn draw(&self, design: &[f64]) -> Result<String, Fault> {
+        let arrays = [Array::new("alpha", &[design.len()], design)];
+        let (answer, _) = self.ask(&json!({ "call": "draw" }), &arrays, ("", &[]), &Heartbeat::default())?;
+        let svg = answer["svg"].as_str().map(str::to_owned);
+        svg.ok_or_else(|| self.fault(BodyFault::Invalid, "its answer to `draw` has no text `svg`"))
+    }
+
+    /// Whether the same calls give the same values, bit by bit.
+    ///
+    /// # Errors
+    /// As `apply`, or names the call that does not.
+    pub fn check_repeats(&self, question: &Question, heartbeat: &Heartbeat) -> Result<(), Fault> {
+        let bits = |values: &[f64]| values.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+        let signals = self.apply(question, heartbeat)?;
+        let finite: Vec<f64> = signals.iter().map(|x| if x.is_finite() { *x } else { 0.0 }).collect();
+        let vjp = || self.vjp(question, &finite, heartbeat);
+        let again = bits(&self.apply(question, heartbeat)?) == bits(&signals);
+        let same = [("apply", again), ("vjp", bits(&vjp()?) == bits(&vjp()?))];
+        match same.iter().find(|(_, same)| !same) {
+            None => Ok(()),
+            Some((call, _)) => {
+                let what =
+                    format!("`{call}` returned other values when it was called again with the same arrays");
+                Err(self.failed(self.fault(BodyFault::NotRepeatable, &what)))
+            }
+        }
+    }
+}
+
+impl Body for External {
+    fn channels(&self) -> usize {
+        self.0.described.channels.len()
+    }
+
+    /// Calls the process twice, once a trial: a body that does not repeat can be neither resumed nor compared.
+    fn pilot(&self, scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, pool: &Pool) -> Pilot {
+        if !self.0.tried.swap(true, Ordering::Relaxed) {
+            let question = Question { scene, design, forces, tolerance: solver.accuracy.0 };
+            // `failure` tells
+            let _ = self.check_repeats(&question, pool.heartbeat());
+        }
+        let Description { name, version, .. } = &self.0.described;
+        let reason = format!("external body {name} {version}").trim_end().to_owned();
+        Pilot { solver: *solver, reason, error: None, counters: Counters::default() }
+    }
+
+    fn simulate(&self, scene: &Scene, run: &Run, pool: &Pool) -> Motion {
+        let Run { design, forces, solver, .. } = *run;
+        let question = Question { scene, design, forces, tolerance: solver.accuracy.0 };
+        let one = scene.instants * scene.sensors.len() * self.channels();
+        let found = self.apply(&question, pool.heartbeat());
+        let mut signals = found.unwrap_or_else(|_| vec![f64::NAN; forces.samples * one]);
+        let outcome = |sample: &mut [f64]| match sample.iter().all(|x| x.is_finite()) {
+            true => Outcome::Ok,
+            false => {
+                sample.fill(0.0);
+                Outcome::NonFinite
+            }
+        };
+        let outcomes: Vec<Outcome> = signals.chunks_exact_mut(one).map(outcome).collect();
+        let well: Vec<usize> =
+            (0..forces.samples).filter(|i| run.keep_tape && outcomes[*i] == Outcome::Ok).collect();
+        let (body, scene, design) = (self.clone(), scene.clone(), design.to_vec());
+        let forces = forces.select(&well);
+        let call = Call { body, scene, design, forces, tolerance: question.tolerance, well };
+        Motion { signals, outcomes, counters: Counters::default(), tape: Box::new(call) }
+    }
+
+    fn freedom(&self, problem: &Problem) -> Freedom {
+        Freedom::unconstrained(problem.initial.len())
+    }
+
+    fn castable(&self, problem: &Problem) -> Box<dyn Castable> {
+        Box::new(Limits { body: self.clone(), linear: limits(&self.0.described, problem.initial.len()) })
+    }
+
+    fn failure(&self) -> Option<Fault> {
+        self.0.fault.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+/// What the process simulates again for a gradient: the samples that ended well.
+struct Call {
+    body: External,
+    scene: Scene,
+    design: Vec<f64>,
+    forces: Forces,
+    tolerance: f64,
+    /// Their numbers.
+    well: Vec<usize>,
+}
+
+impl Tape for Call {
+    fn vjp(&self, cotangent: &[f64], pool: &Pool) -> (Vec<f64>, Counters) {
+        let Self { body, scene, design, forces, tolerance, well } = self;
+        let one = scene.instants * scene.sensors.len() * body.channels();
+        let own: Vec<f64> = well.iter().flat_map(|i| &cotangent[i * one..][..one]).copied().collect();
+        let question = Question { scene, design, forces, tolerance: *tolerance };
+        let found = body.vjp(&question, &own, pool.heartbeat());
+        (found.unwrap_or_else(|_| vec![f64::NAN; design.len()]), Counters::default())
+    }
+}
+
+/// The designs that an external body can have.
+struct Limits {
+    body: External,
+    linear: LinearLimits,
+}
+
+impl Castable for Limits {
+    fn project(&mut self, previous: &[f64], target: &[f64], weights: Option<&[f64]>) -> Projection {
+        let found = self.linear.project(previous, target, weights);
+        if !self.body.0.described.project || !matches!(found.status, Status::Untouched | Status::Projected) {
+            return found;
+        }
+        let (request, design) = (json!({ "call": "project" }), &found.design);
+        let (arrays, shape) = ([Array::new("alpha", &[design.len()], design)], [design.len()]);
+        let asked = self.body.ask(&request, &arrays, ("projected", &shape), &Heartbeat::default());
+        let Ok((_, design)) = asked else { return found };
+        if !self.linear.hold(&design) {
+            let status = if self.linear.hold(previous) { Status::Kept } else { Status::Infeasible };
+            return Projection { design: previous.to_vec(), status, ..found };
+        }
+        let status = if design == target { Status::Untouched } else { Status::Projected };
+        let distance = design.iter().zip(target).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+        Projection { design, status, distance, ..found }
+    }
+}

@@ -1,0 +1,251 @@
+//! The process of an external body: started, asked, and ended.
+
+use std::collections::VecDeque;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Write};
+use std::os::fd::AsRawFd;
+use std::os::unix::fs::FileExt;
+use std::path::Path;
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use metasense_numerics::Heartbeat;
+use metasense_numerics::trial::Fault;
+use metasense_schemas::spec::Description;
+use metasense_schemas::wire::BodyFault;
+use rustix::fs::{MemfdFlags, memfd_create};
+use serde_json::{Value, json};
+
+/// Lines of standard error that a message contains.
+const LINES: usize = 20;
+/// Between two signs of life while a call is waited for.
+const PULSE: Duration = Duration::from_millis(500);
+/// For which the end of a process is waited for that has closed its output.
+const LAST_WORDS: Duration = Duration::from_secs(2);
+
+/// A named array that a call reads.
+pub(super) struct Array<'a> {
+    name: &'static str,
+    shape: Vec<usize>,
+    values: &'a [f64],
+}
+
+impl<'a> Array<'a> {
+    pub(super) fn new(name: &'static str, shape: &[usize], values: &'a [f64]) -> Self {
+        Self { name, shape: shape.to_vec(), values }
+    }
+}
+
+/// A process that answers.
+pub(super) struct Process {
+    command: Vec<String>,
+    child: Child,
+    input: ChildStdin,
+    lines: Receiver<String>,
+    errors: Arc<Mutex<VecDeque<String>>>,
+    /// Inherited by the process, and gone with both.
+    memory: File,
+    bytes: u64,
+    /// What it describes, with the digest.
+    pub(super) description: Description,
+}
+
+impl Process {
+    /// The process that is kept, if it is one of this command; else a new one in its place.
+    pub(super) fn of<'a>(
+        kept: &'a mut Option<Self>,
+        command: &[String],
+        limit: Duration,
+    ) -> Result<&'a mut Self, Fault> {
+        let usable =
+            |process: &mut Self| process.command == command && matches!(process.child.try_wait(), Ok(None));
+        if !kept.as_mut().is_some_and(usable) {
+            *kept = None; // ends the other one first
+            *kept = Some(Self::start(command, limit)?);
+        }
+        Ok(kept.as_mut().expect("it has just been put there"))
+    }
+
+    fn start(command: &[String], limit: Duration) -> Result<Self, Fault> {
+        let wrong = |what: String| Fault {
+            name: BodyFault::Died.name(),
+            detail: format!("{}: {what}", command.join(" ")),
+        };
+        let Some((program, arguments)) = command.split_first() else {
+            return Err(wrong("names no program".to_owned()));
+        };
+        // without CLOEXEC: the process opens it by its number
+        let memory = memfd_create("metasense-body", MemfdFlags::empty());
+        let memory = File::from(memory.map_err(|e| wrong(format!("no shared memory: {e}")))?);
+        let piped = || Stdio::piped();
+        let mut started = Command::new(program);
+        started.args(arguments).stdin(piped()).stdout(piped()).stderr(piped());
+        let mut child = started.spawn().map_err(|e| wrong(format!("cannot be started: {e}")))?;
+        let (input, output) = (child.stdin.take().expect("piped"), child.stdout.take().expect("piped"));
+        let (sender, lines) = channel();
+        let (errors, said) = (Arc::new(Mutex::new(VecDeque::new())), child.stderr.take().expect("piped"));
+        let kept = Arc::clone(&errors);
+        std::thread::spawn(move || {
+            for line in BufReader::new(output).lines().map_while(Result::ok) {
+                if sender.send(line).is_err() {
+                    break;
+                }
+            }
+        });
+        std::thread::spawn(move || {
+            for line in BufReader::new(said).split(b'\n').map_while(Result::ok) {
+                let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
+                kept.push_back(String::from_utf8_lossy(&line).into_owned());
+                let surplus = kept.len().saturating_sub(LINES);
+                kept.drain(..surplus);
+            }
+        });
+        let (command, description) = (command.to_vec(), Description::default());
+        let mut process = Self { command, child, input, lines, errors, memory, bytes: 0, description };
+        let answer = process.exchange(&json!({ "call": "describe" }), limit, &Heartbeat::default())?;
+        let description: Description = serde_json::from_value(answer)
+            .map_err(|e| process.fault(BodyFault::Invalid, &format!("its answer to `describe`: {e}")))?;
+        process.description = Description { digest: process.digest(&description)?, ..description };
+        Ok(process)
+    }
+
+    /// Of what is described and the text files that the command names.
+    fn digest(&self, description: &Description) -> Result<String, Fault> {
+        let mut digest = blake3::Hasher::new();
+        digest.update(serde_json::to_string(description).expect("it is JSON").as_bytes());
+        for file in self.command.iter().map(Path::new).filter(|file| file.is_file()) {
+            let bytes = std::fs::read(file)
+                .map_err(|e| self.fault(BodyFault::Died, &format!("reading {}: {e}", file.display())))?;
+            // of an interpreter's own file other machines have another
+            if std::str::from_utf8(&bytes).is_ok() {
+                digest.update(blake3::hash(&bytes).as_bytes());
+            }
+        }
+        Ok(digest.finalize().to_hex()[..32].to_owned())
+    }
+
+    /// Calls it: what it answers, and the array that it writes.
+    pub(super) fn call(
+        &mut self,
+        request: &Value,
+        arrays: &[Array],
+        (name, shape): (&str, &[usize]),
+        limit: Duration,
+        heartbeat: &Heartbeat,
+    ) -> Result<(Value, Vec<f64>), Fault> {
+        let (mut request, mut at) = (request.clone(), 0);
+        let mut place = |name: &str, shape: &[usize], at: usize| {
+            let mut place = vec![at];
+            place.extend(shape);
+            request[name] = json!(place);
+            at + shape.iter().product::<usize>()
+        };
+        let mut places = Vec::with_capacity(arrays.len());
+        for array in arrays {
+            places.push(at);
+            at = place(array.name, &array.shape, at);
+        }
+        let output = at;
+        if !name.is_empty() {
+            at = place(name, shape, at);
+        }
+        self.provide(8 * at as u64)
+            .map_err(|e| self.fault(BodyFault::Died, &format!("shared memory: {e}")))?;
+        for (array, place) in arrays.iter().zip(places) {
+            let written = self.memory.write_all_at(bytemuck::cast_slice(array.values), 8 * place as u64);
+            written.map_err(|e| self.fault(BodyFault::Died, &format!("shared memory: {e}")))?;
+        }
+        request["memory"] = json!(format!("/proc/self/fd/{}", self.memory.as_raw_fd()));
+        request["bytes"] = json!(self.bytes);
+        let answer = self.exchange(&request, limit, heartbeat)?;
+        if name.is_empty() {
+            return Ok((answer, Vec::new()));
+        }
+        if answer["shape"] != json!(shape) {
+            let call = request["call"].as_str().unwrap_or_default();
+            let what =
+                format!("its answer to `{call}` has \"shape\" {}: {name} must be {shape:?}", answer["shape"]);
+            return Err(self.fault(BodyFault::Invalid, &what));
+        }
+        let mut values = vec![0.0; shape.iter().product()];
+        let read = self.memory.read_exact_at(bytemuck::cast_slice_mut(&mut values), 8 * output as u64);
+        read.map_err(|e| self.fault(BodyFault::Died, &format!("shared memory: {e}")))?;
+        Ok((answer, values))
+    }
+
+    /// Makes the memory so large.
+    fn provide(&mut self, bytes: u64) -> std::io::Result<()> {
+        if bytes > self.bytes {
+            let bytes = bytes.next_power_of_two();
+            self.memory.set_len(bytes)?;
+            self.bytes = bytes;
+        }
+        Ok(())
+    }
+
+    /// Sends a line and waits for one.
+    fn exchange(&mut self, request: &Value, limit: Duration, heartbeat: &Heartbeat) -> Result<Value, Fault> {
+        let sent = writeln!(self.input, "{request}").and_then(|()| self.input.flush());
+        if sent.is_err() {
+            return Err(self.died());
+        }
+        let end = Instant::now() + limit;
+        let line = loop {
+            let left = end.saturating_duration_since(Instant::now());
+            match self.lines.recv_timeout(left.min(PULSE)) {
+                Ok(line) => break line,
+                Err(RecvTimeoutError::Timeout) if left > Duration::ZERO => heartbeat.beat(),
+                Err(RecvTimeoutError::Timeout) => {
+                    let call = request["call"].as_str().unwrap_or_default();
+                    let what =
+                        format!("`{call}` took longer than body.time_limit = {} s", limit.as_secs_f64());
+                    let _ = self.child.kill();
+                    return Err(self.fault(BodyFault::TimeLimit, &what));
+                }
+                Err(RecvTimeoutError::Disconnected) => return Err(self.died()),
+            }
+        };
+        let answer: Value = serde_json::from_str(&line).map_err(|_| {
+            let what = format!("printed \"{line}\"; standard output is for answers in JSON alone");
+            self.fault(BodyFault::Invalid, &what)
+        })?;
+        match answer.get("error") {
+            Some(error) => {
+                Err(self.fault(BodyFault::Invalid, error.as_str().unwrap_or("an error without text")))
+            }
+            None => Ok(answer),
+        }
+    }
+
+    fn died(&mut self) -> Fault {
+        let end = Instant::now() + LAST_WORDS;
+        let status = loop {
+            match self.child.try_wait() {
+                Ok(Some(status)) => {
+                    std::thread::sleep(Duration::from_millis(50)); // its last lines are read
+                    break status.to_string();
+                }
+                _ if Instant::now() > end => break "it closed its standard output".to_owned(),
+                _ => std::thread::sleep(Duration::from_millis(5)),
+            }
+        };
+        self.fault(BodyFault::Died, &format!("the process ended: {status}"))
+    }
+
+    /// With what it has printed to standard error.
+    fn fault(&self, fault: BodyFault, what: &str) -> Fault {
+        let lines = self.errors.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut detail = format!("{}: {what}", self.command.join(" "));
+        lines.iter().for_each(|line| detail += &format!("\n  {line}"));
+        Fault { name: fault.name(), detail }
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
