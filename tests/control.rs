@@ -17,7 +17,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 /// Specs of six and of eight trials.
 fn specs() -> [String; 2] {
-    let long = TINY.replace("iterations = 4\n", "iterations = 120\n");
+    let long = TINY.replace("iterations = 4\n", "iterations = 240\n");
     ["[1, 2, 3]", "[1, 2, 3, 4]"].map(|seeds| long.replace("[1, 2]", &format!("[1, 2]\nseeds = {seeds}")))
 }
 
