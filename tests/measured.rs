@@ -138,7 +138,7 @@ fn bad_records_and_sensors_are_refused() {
             "s.toml:16: stimuli.samples = 10: with stimuli.holdout = 3, 13 records are needed; the files contain 12",
         ),
         ("force = [\"force\"]", "force = [\"F\"]", "has no array \"F\"; arrays are force, time"),
-        ("threshold = 0.1", "threshold = 50.0", "never reaches the trigger's 50 N"),
+        ("threshold = 0.1", "threshold = 50.0", "never reaches the trigger threshold of 50 N"),
         (
             "threshold = 0.1",
             "threshold = 0.1, before = 0.0",
@@ -147,7 +147,7 @@ fn bad_records_and_sensors_are_refused() {
         (
             "threshold = 0.1",
             "threshold = 0.1, before = 0.17",
-            "of its peak off the end of record 0: lengthen time.duration, or shift less",
+            "of the peak at the end of record 0: lengthen time.duration, or shift less",
         ),
         (
             "force_samples = 160",
