@@ -36,7 +36,8 @@ pub fn grid(title: &str, across: (&str, &[String]), down: (&str, &[String]), cel
             rect class=(format!("cell {}", level(cell.part * cell.part))) x=(x) y=(y) width=(CELL[0]) height=(CELL[1]) {
                 title { (cell.title) }
             }
-            (label("note inside", [x + 0.5 * CELL[0], y + 17.0], "middle", &cell.text))
+            // readable on pale and on strong cells
+            (label(if cell.part > 0.65 { "inside strong" } else { "inside" }, [x + 0.5 * CELL[0], y + 17.0], "middle", &cell.text))
         };
         match &cell.to {
             Some(to) => html! { a href=(to) aria-label=(cell.title) { (inside) } },

@@ -7,7 +7,8 @@ use crate::look::number;
 pub(super) fn interval(ratio: &Ratio) -> String {
     match ratio.interval {
         Some(i) => format!("95 % interval {} to {} over {}", number(i.low), number(i.high), ratio.over),
-        None => format!("no interval, {}", ratio.over),
+        // few units say so themselves
+        None => format!("no interval, {}", ratio.over.trim_start_matches("no interval, ")),
     }
 }
 
