@@ -143,8 +143,8 @@ pub fn strips(
 }
 
 /// Explains residuals and second plots of [`strips`] in a caption.
-pub const RESIDUAL: &str = " The lowest lines are the residuals of all panels, prediction minus true force. Beside each plot \
-    stands the time of the blows alone.";
+pub const RESIDUAL: &str = " The lowest lines are the residuals of all panels, prediction minus true force. A second plot \
+    shows the time of the blows alone.";
 
 /// The largest of 1, 2 and 5 times a power of ten up to `most`.
 fn round_below(most: f64) -> f64 {
