@@ -1,10 +1,10 @@
-//! A body that another program simulates is trained like our own; whatever that program does wrong ends a trial under its name.
+//! External bodies are trained like bodies of polygons; each fault of the program ends a trial with that fault's name.
 
 use std::process::Output;
 
 use crate::common::{Bench, results};
 
-/// Three low-passes with rates and weights as design, in Python without packages; the gradient by hand. `MODE` is what it does wrong.
+/// A program in Python without packages: three low-passes with rates and weights as design. Its argument selects a fault.
 const BODY: &str = r#"
 import json, mmap, os, random, sys, time
 mode, calls = sys.argv[1] if len(sys.argv) > 1 else "", 0
@@ -145,8 +145,8 @@ fn error(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// A sweep on two workers whose body processes are killed at every eighth call has the rows of one that is not disturbed; bodies
-/// are trained within their bounds and constraint.
+/// A sweep whose body processes die at every eighth call, on two workers, gives the rows of an undisturbed sweep. Training
+/// keeps the bounds and the constraint.
 #[test]
 fn a_foreign_body_is_trained_whatever_kills_its_process() {
     let (calm, disturbed) = (bench(""), bench("dies"));
@@ -173,7 +173,7 @@ fn a_foreign_body_is_trained_whatever_kills_its_process() {
     assert!(std::fs::read_to_string(calm.path("d.svg")).unwrap().starts_with("<svg"));
 }
 
-/// What a process does wrong has a name, and the message contains what it printed.
+/// Each fault has a name, and the message contains the process's output.
 #[test]
 fn faults_of_a_process_are_named() {
     for (mode, name, words) in [
@@ -191,7 +191,7 @@ fn faults_of_a_process_are_named() {
     }
 }
 
-/// A trial is named by what the body is, not by where it lies.
+/// The hash depends on the content of the body's source, not on its path.
 #[test]
 fn the_source_of_a_body_is_part_of_the_hash() {
     let hashes = |bench: &Bench| {
@@ -206,7 +206,7 @@ fn the_source_of_a_body_is_part_of_the_hash() {
     assert_ne!(hashes(&one), hashes(&other));
 }
 
-/// A gradient that is off by a hundredth is found.
+/// `verify` detects a gradient with an error of 1 %.
 #[test]
 fn a_body_is_verified() {
     let right = bench("").output(&["lab", "verify", "s.toml"]);
@@ -217,7 +217,7 @@ fn a_body_is_verified() {
     assert!(said.lines().any(|line| line.contains("derivative") && line.contains("false")), "{said}");
 }
 
-/// Keys that only polygons have, and places that the body has not, are refused by name before anything starts.
+/// Keys for polygons only and nonexistent places are rejected by name before the run starts.
 #[test]
 fn what_only_polygons_have_is_refused() {
     let bench = bench("");

@@ -1,11 +1,11 @@
-//! A body that another program simulates: its process, asked by JSON lines, with arrays in shared memory.
+//! A body that another program simulates. The worker sends requests as JSON lines; arrays are in shared memory.
 //!
 //! ```text
 //! {"call": "apply", "memory": "/proc/self/fd/9", "alpha": [0, 168], "forces": [168, 32, 2, 201], "signals": [13032, 32, 200, 1, 3], …}
 //! {"shape": [32, 200, 1, 3]}
 //! ```
-//! An array is an offset in the memory, in numbers of 8 bytes (f64, little endian), and a shape. A worker keeps one process, which
-//! ends when its standard input closes. A process that dies is started again twice per call; calls are functions of their arguments.
+//! An array is its offset in the memory, in units of 8 bytes (one f64, little endian), followed by its shape. A worker keeps one
+//! process, which ends when its standard input closes. Each call restarts a process that dies up to twice; calls have no state.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -25,23 +25,23 @@ mod process;
 
 use process::{Array, Process};
 
-/// `body.time_limit` where it is not given (s).
+/// Default of `body.time_limit` (s).
 pub const TIME_LIMIT: f64 = 600.0;
-/// Times that a process is started again in one call.
+/// Restarts of the process per call.
 const RESTARTS: usize = 2;
 
-/// The process of this worker, of the command that was asked last.
+/// The process of this worker; it runs the command of the last call.
 static PROCESS: Mutex<Option<Process>> = Mutex::new(None);
-/// Nanoseconds for which calls have been waited for.
+/// Total duration of all calls (ns).
 static WAITED: AtomicU64 = AtomicU64::new(0);
 
-/// Seconds for which this process has waited for bodies: their calculations count as its own.
+/// Seconds that this worker has waited for external bodies; they count as its own computing time.
 #[must_use]
 pub fn waited() -> f64 {
     WAITED.load(Ordering::Relaxed) as f64 * 1e-9
 }
 
-/// Ends the process of this worker, if it has one.
+/// Ends the worker's external process, if any.
 pub fn end() {
     *process() = None;
 }
@@ -50,28 +50,28 @@ fn process() -> MutexGuard<'static, Option<Process>> {
     PROCESS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Which fault has this name.
+/// The kind of a fault.
 pub(crate) fn named(fault: &Fault) -> BodyFault {
     BodyFault::ALL.iter().find(|known| known.name() == fault.name).copied().unwrap_or(BodyFault::Invalid)
 }
 
-/// What the program of a command describes, with the digest of description and source.
+/// The description that a command's program returns, with the digest of description and source.
 ///
 /// # Errors
-/// If it cannot be started, does not answer, or describes no body.
+/// If the program cannot be started, does not answer, or returns an invalid description.
 pub fn describe(command: &[String], time_limit: Option<f64>) -> Result<Description, Fault> {
     let mut process = process();
     let limit = Duration::from_secs_f64(time_limit.unwrap_or(TIME_LIMIT));
     Ok(Process::of(&mut process, command, limit)?.description.clone())
 }
 
-/// Sensor placement number `p` of so many places: their order at random.
+/// Sensor placement number `p`: a random permutation of `sensors` places.
 #[must_use]
 pub fn placement(sensors: usize, p: u64) -> Vec<usize> {
     Stream::new(Purpose::Placement, 0, [p, sensors as u64]).permutation(sensors)
 }
 
-/// Bounds and constraints of designs of so many numbers.
+/// Bounds and constraints of designs with `numbers` components.
 #[must_use]
 pub fn limits(described: &Description, numbers: usize) -> LinearLimits {
     let row = |given: &spec::Constraint| LinearRow {
@@ -96,20 +96,20 @@ struct Shared {
     limit: Duration,
     described: Description,
     fault: Mutex<Option<Fault>>,
-    /// Whether it has been tried if calls repeat.
+    /// Whether repeatability has been checked.
     tried: AtomicBool,
 }
 
-/// A design under forces.
+/// Input of a simulation.
 #[derive(Debug, Clone, Copy)]
 pub struct Question<'a> {
     /// Panels, sensors and clock.
     pub scene: &'a Scene,
-    /// α.
+    /// α, the design.
     pub design: &'a [f64],
-    /// On a clock that the scene's divides.
+    /// Forces; their clock is an integer multiple of the scene's.
     pub forces: &'a Forces,
-    /// Relative error of the signals that is asked for.
+    /// Requested relative error of the signals.
     pub tolerance: f64,
 }
 
@@ -129,7 +129,7 @@ impl Question<'_> {
 }
 
 impl External {
-    /// The body of a trial; its process is started by the first call.
+    /// The body of a trial. The first call starts its process.
     #[must_use]
     pub fn new(body: &spec::Body, described: &Description) -> Self {
         Self(Arc::new(Shared {
@@ -145,12 +145,12 @@ impl External {
         Fault { name: kind.name(), detail: format!("{}: {what}", self.0.command.join(" ")) }
     }
 
-    /// Keeps the first fault: after it nothing that the body returned counts.
+    /// Records and returns the first fault, which invalidates all results.
     fn failed(&self, fault: Fault) -> Fault {
         self.0.fault.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(fault).clone()
     }
 
-    /// Asks the process, which is started again if it dies: what it answers, and the array that it writes.
+    /// Calls the process, restarting it if it dies. Returns its answer and the output array.
     fn ask(
         &self,
         request: &Value,
@@ -193,13 +193,13 @@ impl External {
     /// Signals (N, T, M, C) of a design under forces.
     ///
     /// # Errors
-    /// Says how the process failed. After that every call fails.
+    /// If the process fails; all later calls then fail, too.
     pub fn apply(&self, question: &Question, heartbeat: &Heartbeat) -> Result<Vec<f64>, Fault> {
         let (request, output) = (question.request("apply"), self.shape(question));
         Ok(self.ask(&request, &question.arrays(), ("signals", &output), heartbeat)?.1)
     }
 
-    /// dL/dα of a cotangent on these signals.
+    /// dL/dα from a cotangent on the signals.
     ///
     /// # Errors
     /// As `apply`.
@@ -218,7 +218,7 @@ impl External {
     /// The drawing of a design, as SVG.
     ///
     /// # Errors
-    /// As `apply`, or if the program draws nothing.
+    /// As `apply`, or if the answer contains no drawing.
     pub fn draw(&self, design: &[f64]) -> Result<String, Fault> {
         let arrays = [Array::new("alpha", &[design.len()], design)];
         let (answer, _) = self.ask(&json!({ "call": "draw" }), &arrays, ("", &[]), &Heartbeat::default())?;
@@ -226,10 +226,10 @@ impl External {
         svg.ok_or_else(|| self.fault(BodyFault::Invalid, "its answer to `draw` has no text `svg`"))
     }
 
-    /// Whether the same calls give the same values, bit by bit.
+    /// Checks that repeated calls return identical bits.
     ///
     /// # Errors
-    /// As `apply`, or names the call that does not.
+    /// As `apply`, or if a call returns other values.
     pub fn check_repeats(&self, question: &Question, heartbeat: &Heartbeat) -> Result<(), Fault> {
         let bits = |values: &[f64]| values.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
         let signals = self.apply(question, heartbeat)?;
@@ -253,11 +253,11 @@ impl Body for External {
         self.0.described.channels.len()
     }
 
-    /// Calls the process twice, once a trial: a body that does not repeat can be neither resumed nor compared.
+    /// Checks repeatability once per trial: without it, trials can be neither resumed nor compared.
     fn pilot(&self, scene: &Scene, design: &[f64], forces: &Forces, solver: &Solver, pool: &Pool) -> Pilot {
         if !self.0.tried.swap(true, Ordering::Relaxed) {
             let question = Question { scene, design, forces, tolerance: solver.accuracy.0 };
-            // `failure` tells
+            // `failure` returns the fault
             let _ = self.check_repeats(&question, pool.heartbeat());
         }
         let Description { name, version, .. } = &self.0.described;
@@ -300,14 +300,14 @@ impl Body for External {
     }
 }
 
-/// What the process simulates again for a gradient: the samples that ended well.
+/// Input of a gradient: the process simulates the successful samples again.
 struct Call {
     body: External,
     scene: Scene,
     design: Vec<f64>,
     forces: Forces,
     tolerance: f64,
-    /// Their numbers.
+    /// Numbers of the successful samples.
     well: Vec<usize>,
 }
 
@@ -322,7 +322,7 @@ impl Tape for Call {
     }
 }
 
-/// The designs that an external body can have.
+/// Feasible designs of an external body.
 struct Limits {
     body: External,
     linear: LinearLimits,

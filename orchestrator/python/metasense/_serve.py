@@ -1,4 +1,4 @@
-"""A body of one's own for sweeps: answers the calls of `body.kind = "external"` from a function of JAX or NumPy."""
+"""External bodies: answers the calls of `body.kind = "external"` with a JAX or NumPy function."""
 
 import json
 import mmap
@@ -36,13 +36,13 @@ def serve_body(
     version: str = "",
     batch: int = 16,
 ) -> None:
-    """Answers the worker that started this program until it ends.
+    """Answers the calls of the worker that started this program until the worker ends.
 
-    `simulate(alpha, forces, times)` returns the signals (T, S, C) of one sample: `forces` has shape (P, R + 1) for all panels,
-    at equal intervals from 0 to `times[-1]`; `times` has shape (T,). With `tolerance=True` it takes `tolerance` as a fourth argument.
-    Without `vjp` it must be a function that JAX can trace; samples are then computed `batch` at a time. With
-    `vjp(alpha, forces, times, cotangent)`, which returns the gradient in `alpha` of the sum of cotangent × signals, any function
-    will do. `lower` and `upper` bound alpha; a constraint is `({number: coefficient}, least, most)`.
+    `simulate(alpha, forces, times)` returns the signals (T, S, C) of one sample. `forces` has shape (P, R + 1) for all panels,
+    at equal intervals from 0 to `times[-1]`; `times` has shape (T,). With `tolerance=True`, `tolerance` is the fourth argument.
+    Without `vjp`, JAX must be able to trace `simulate`; `batch` samples are computed at once. With `vjp(alpha, forces, times,
+    cotangent)`, which returns the gradient in `alpha` of the sum of cotangent × signals, `simulate` can be any function.
+    `lower` and `upper` bound alpha; a constraint is `({number: coefficient}, least, most)`.
     """
     alpha = np.array(alpha0, dtype=np.float64)
     lists = {"lower": lower, "upper": upper}
@@ -57,7 +57,7 @@ def serve_body(
     places = (len(panels), len(sensors), len(channels))
     body = (_Traced(simulate, batch) if vjp is None else _Plain(simulate, vjp), places, tolerance)
     answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what the function prints is no answer
+    os.dup2(2, 1)  # the function's prints go to standard error
     while (line := asked.get()) is not None:
         request = json.loads(line)
         try:
@@ -70,7 +70,7 @@ def serve_body(
 
 
 def _requests() -> "queue.SimpleQueue[str | None]":
-    """Lines of standard input. Its end is that of the worker, which ends this program in the middle of whatever it computes."""
+    """Returns a queue of lines of standard input. When the worker closes it, this program ends at once."""
     asked: queue.SimpleQueue[str | None] = queue.SimpleQueue()
 
     def read() -> None:
@@ -83,7 +83,7 @@ def _requests() -> "queue.SimpleQueue[str | None]":
 
 
 class _Memory:
-    """The arrays of a call, in the memory that the worker shares."""
+    """The arrays of a call, in memory shared with the worker."""
 
     kept: "mmap.mmap | None" = None
 
@@ -138,7 +138,7 @@ def _put(request: dict[str, Any], name: str, values: ArrayLike) -> dict[str, Any
 
 
 class _Plain:
-    """A function with a gradient of its own, sample by sample."""
+    """A function with its own gradient, called per sample."""
 
     def __init__(self, simulate: Callable[..., Any], vjp: Callable[..., ArrayLike]) -> None:
         self._simulate, self._vjp = simulate, vjp
@@ -154,7 +154,7 @@ class _Plain:
 
 
 class _Traced:
-    """A function of JAX: compiled once per clock, for batches that are filled up with their last sample."""
+    """A JAX function, compiled once per clock. The last batch is padded with copies of its last sample."""
 
     def __init__(self, simulate: Callable[..., Any], batch: int) -> None:
         import jax

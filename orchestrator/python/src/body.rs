@@ -1,4 +1,4 @@
-//! A body: what it is, which designs it can have, and what its sensors feel.
+//! The Python class `Body`: properties, feasible designs, stimuli and simulation.
 
 use std::convert::Infallible;
 use std::path::{Path, PathBuf};
@@ -29,24 +29,24 @@ use crate::simulation::{Chips, Simulation};
 use crate::threads::{PerProcess, Threads, threads};
 use crate::{chain, raised, unpickler};
 
-/// The body of a trial: rigid units joined by ligaments, panels that are struck, and sensors.
+/// The body of a trial: rigid units joined by ligaments, panels on which forces act, and sensors.
 ///
 /// Lengths are in mm, forces in N, times in s, masses in Mg. Methods release the interpreter's lock and compute on the
-/// body's own threads. The number of threads does not change a bit of the result.
+/// body's own threads. Results are bit-identical for any number of threads.
 #[pyclass(frozen, module = "metasense")]
 pub struct Body {
     pub problem: Arc<Problem>,
     pub threads: Threads,
     hash: String,
     pub trial: TrialSpec,
-    /// A thread that has it when the process forks does not give it back in the child.
+    /// Per process: in a forked child, a mutex held by another thread is never released.
     feasible: PerProcess<Arc<Mutex<Feasible>>>,
     tuned: Option<Chosen>,
-    /// The chips of its sensors, once they have been asked for; never locked without the interpreter's lock.
+    /// The sensors' chips, computed on demand; locked only while the interpreter's lock is held.
     chips: Arc<Mutex<Option<Chip>>>,
 }
 
-/// A body from its pickle.
+/// Rebuilds a body from its pickle.
 #[pyfunction]
 pub fn unpickle_body(
     py: Python<'_>,
@@ -77,7 +77,7 @@ impl Body {
         let threads = Threads::new(threads)?;
         let pool = Python::attach(|py| threads.pool(py))?;
         let problem = placed(&trial.spec, &pool).map_err(|e| raised(&e))?;
-        // where a search has put the sensors
+        // contains the units that a search has chosen
         let trial_spec = TrialSpec { sensor_units: problem.scene.sensors.clone(), ..trial.spec.clone() };
         Ok(Self::new(problem, threads, trial.hash.clone(), trial_spec))
     }
@@ -94,7 +94,7 @@ impl Body {
         Ok(values)
     }
 
-    /// The same, by default that of the initial body.
+    /// As `design`; the initial design if `alpha` is omitted.
     pub fn design_or_initial(&self, alpha: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<f64>> {
         alpha.map_or_else(|| Ok(self.problem.initial.clone()), |alpha| self.design("alpha", alpha))
     }
@@ -114,7 +114,7 @@ impl Body {
         Ok(scene)
     }
 
-    /// The chips of a call's sensors with draws of this seed, and the problem that has these sensors.
+    /// The chips of a call's sensors with this seed, and a problem with these sensors.
     fn chips(&self, py: Python<'_>, scene: &Scene, seed: u64) -> PyResult<Chips> {
         let (mut problem, pool) = (Arc::clone(&self.problem), self.threads.pool(py)?);
         let own = scene.sensors == problem.scene.sensors;
@@ -135,7 +135,7 @@ impl Body {
         Ok(Chips { problem, chip: chip.seeded(seed) })
     }
 
-    /// Histories number `first` to `first + count` of a trial's set.
+    /// Force histories `first` to `first + count` (exclusive) of a set.
     fn samples(&self, set: &str, first: usize, count: Option<usize>) -> PyResult<Forces> {
         let problem = &self.problem;
         let all = match set {
@@ -170,10 +170,10 @@ impl Body {
     }
 }
 
-/// Where keywords stand.
+/// File name in errors of specs from keywords.
 const KEYWORDS: &str = "(keywords)";
 
-/// What is said of keywords, without the lines of a text that nobody has written.
+/// Removes file name and line number, because keywords have no lines.
 fn unplaced(said: &str) -> String {
     let bare = |line: &str| {
         let placed = line.strip_prefix(KEYWORDS).and_then(|rest| rest.strip_prefix(':')?.split_once(": "));
@@ -185,7 +185,7 @@ fn unplaced(said: &str) -> String {
     said.lines().map(bare).collect::<Vec<_>>().join("\n")
 }
 
-/// The trials of a spec file with changes, each `KEY=VALUE`.
+/// Plans the trials of a spec file with changes, each `KEY=VALUE`.
 pub fn read_plan(spec: &Path, changes: &[String]) -> PyResult<Plan> {
     let text = std::fs::read_to_string(spec)
         .map_err(|e| PyOSError::new_err(format!("cannot read {}: {e}", spec.display())))?;
@@ -193,7 +193,7 @@ pub fn read_plan(spec: &Path, changes: &[String]) -> PyResult<Plan> {
     plan.map_err(|e| PyValueError::new_err(chain(&e)))
 }
 
-/// A trial as JSON, its hash, the number of threads, the solver.
+/// Pickle: trial as JSON, hash, number of threads, solver.
 type State = (String, String, usize, Option<Pickled>);
 
 fn first(given: &Bound<'_, PyAny>) -> PyResult<usize> {
@@ -207,7 +207,7 @@ fn count(given: &Bound<'_, PyAny>) -> PyResult<Option<usize>> {
     }
 }
 
-/// Material of a call, instead of the body's own.
+/// Material of a call; `None`: the body's own value.
 struct Material<'py> {
     stiffness: Option<Bound<'py, PyAny>>,
     damping_ratio: Option<f64>,
@@ -243,7 +243,7 @@ impl Material<'_> {
 
 #[pymethods]
 impl Body {
-    /// The body of a trial of a spec file: of the trial whose hash begins with `hash`, by default of the first.
+    /// The body of a trial in a spec file. `hash`: the beginning of the trial's hash; default: the first trial.
     #[staticmethod]
     #[pyo3(signature = (spec, hash=None, *, threads=1))]
     fn from_spec(
@@ -295,7 +295,7 @@ impl Body {
         self.problem.scene.layout.units()
     }
 
-    /// Units that are struck, one a force.
+    /// Units on which forces act, one per force.
     #[getter]
     fn panels(&self) -> Vec<usize> {
         self.problem.scene.panels.iter().map(|panel| panel.unit).collect()
@@ -307,13 +307,13 @@ impl Body {
         self.problem.scene.sensors.clone()
     }
 
-    /// Units that are held.
+    /// Units that are clamped.
     #[getter]
     fn clamped(&self) -> Vec<usize> {
         self.problem.scene.clamped.clone()
     }
 
-    /// Length of a sample (s).
+    /// Duration of a sample (s).
     #[getter]
     fn duration(&self) -> f64 {
         self.problem.scene.duration
@@ -325,7 +325,7 @@ impl Body {
         self.problem.scene.instants
     }
 
-    /// Threads that the body computes on.
+    /// Number of threads of the body.
     #[getter]
     fn threads(&self) -> usize {
         self.threads.count()
@@ -338,19 +338,19 @@ impl Body {
         vec![k.stretch, k.shear, k.bend].into_pyarray(py)
     }
 
-    /// Damping of each degree of freedom, relative to critical damping; of a spec with `body.damping` a factor on that.
+    /// Damping factor ζ, the same for all coordinates. With `body.damping`, a factor on that damping.
     #[getter]
     fn damping_ratio(&self) -> f64 {
         self.problem.scene.damping_ratio
     }
 
-    /// Plane density (Mg/mm²).
+    /// Mass per area (Mg/mm²).
     #[getter]
     fn density(&self) -> f64 {
         self.problem.scene.density
     }
 
-    /// Corners of every unit, (units, nodes, 2) (mm), counter-clockwise; of the initial body by default. For bodies whose units have equally many.
+    /// Corners (units, nodes, 2) of all units (mm), counter-clockwise; default: the initial body. All units must have equally many.
     #[pyo3(signature = (alpha=None))]
     fn vertices<'py>(
         &self,
@@ -365,20 +365,20 @@ impl Body {
         corners.concat().into_flattened().into_pyarray(py).reshape([units, of_each, 2])
     }
 
-    /// The same for any body: a list of the corners of each unit.
+    /// As `vertices`, for any body: a list with the corners of each unit.
     #[pyo3(signature = (alpha=None))]
     fn polygons(&self, alpha: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Vec<[f64; 2]>>> {
         Ok(self.problem.scene.layout.vertices(&self.design_or_initial(alpha)?))
     }
 
-    /// The ligaments: unit, node, unit, node.
+    /// The ligaments as (unit, node, unit, node).
     #[getter]
     fn ligaments(&self) -> Vec<(usize, usize, usize, usize)> {
         let of = |l: &Ligament| (l.a.unit, l.a.node, l.b.unit, l.b.node);
         self.problem.scene.layout.ligaments.iter().map(of).collect()
     }
 
-    /// The limits of a castable body that `alpha` breaks, in words; an empty list if it can be cast.
+    /// The limits that `alpha` violates, as text; an empty list if `alpha` is feasible.
     fn violations(&self, py: Python<'_>, alpha: &Bound<'_, PyAny>) -> PyResult<Vec<String>> {
         let alpha = self.design("alpha", alpha)?;
         let feasible = self.castable(py);
@@ -388,13 +388,13 @@ impl Body {
         }))
     }
 
-    /// Whether a body of this design can be cast.
+    /// Whether `alpha` violates no limit.
     fn feasible(&self, py: Python<'_>, alpha: &Bound<'_, PyAny>) -> PyResult<bool> {
         Ok(self.violations(py, alpha)?.is_empty())
     }
 
-    /// The nearest design to `alpha` that can be cast. If none is found, `previous`, which must be castable; by default it is
-    /// the initial design.
+    /// The feasible design nearest to `alpha`. If none is found, returns `previous`, which must be feasible; default: the
+    /// initial design.
     #[pyo3(signature = (alpha, previous=None))]
     fn project<'py>(
         &self,
@@ -418,9 +418,9 @@ impl Body {
         }
     }
 
-    /// Force histories (N, K, R + 1) (N) of the trial: "train", "test" and "holdout" are its own samples, "fresh"
-    /// the endless series that its body is trained on. They do not say where blows strike (`stimuli.offset`, `angle`):
-    /// `simulate` takes every force as its panel says.
+    /// Force histories (N, K, R + 1) (N) of the trial. `set`: "train", "test" or "holdout"; or "fresh", the unlimited series
+    /// that trains the body. They exclude deviating blows (`stimuli.offset`, `angle`): `simulate` uses the panels'
+    /// nominal points and directions.
     #[pyo3(signature = (set, first=0, count=None))]
     fn stimuli<'py>(
         &self,
@@ -434,8 +434,8 @@ impl Body {
         values.into_pyarray(py).reshape([samples, panels, instants + 1])
     }
 
-    /// The same body with its integrator chosen once, on the first samples of `forces`, as a trial does. Without it, each
-    /// `simulate` chooses the integrator again, which costs as much as some ten samples.
+    /// Returns the body with a fixed integrator, chosen on the first samples of `forces`, as in a trial. Otherwise each
+    /// `simulate` chooses the integrator again, which costs as much as about ten samples.
     fn tuned(&self, py: Python<'_>, alpha: &Bound<'_, PyAny>, forces: &Bound<'_, PyAny>) -> PyResult<Self> {
         let design = self.design("alpha", alpha)?;
         let Numbers { shape, values } = numbers("forces", forces)?;
@@ -454,16 +454,16 @@ impl Body {
         })
     }
 
-    /// Simulates a body of this design under `forces` (N, K, R + 1) (N), R = T or a multiple of it.
+    /// Simulates the design under `forces` (N, K, R + 1) (N); R is a multiple of T.
     ///
     /// `sensors` (units, each with a chip of the spec's mass), `stiffness` ([stretch, shear, bend]), `damping_ratio` and `density`
     /// replace the body's own.
     ///
-    /// Signals are ideal unless `noise_seed` is given. Then they are those of the chips that the spec's `[sensors]` describe: only the
-    /// `channels`, with low-pass, delay, noise, bias (mm/s², rad/s), steps and range. Equal force histories have equal noise; with
-    /// `noise_seed=body.seed` it is that of the trial. Relative noise needs the trial's training samples, simulated at the first call.
+    /// Signals are ideal without `noise_seed`. With it, they are readings of the chips in the spec's `[sensors]`: only the
+    /// `channels`, with low-pass, delay, noise, bias (mm/s², rad/s), resolution and range. Equal force histories have equal noise;
+    /// `noise_seed=body.seed` gives the noise of the trial. For relative noise, the first call simulates the training samples.
     ///
-    /// With `tape` the simulation can be differentiated; it then holds 48 bytes for each free unit, instant and sample.
+    /// With `tape` the simulation can be differentiated; it stores 48 bytes per free unit, instant and sample.
     #[pyo3(signature = (alpha, forces, *, sensors=None, stiffness=None, damping_ratio=None, density=None, noise_seed=None, tape=true))]
     fn simulate<'py>(
         &self,
@@ -500,8 +500,8 @@ impl Body {
         Simulation::new(py, self.threads.clone(), scene, design, [given, forces], chips, reason, run)
     }
 
-    /// Fits a twin to records of a cast of this design, by default the initial one: forces (N, K, R + 1) (N), and signals (N, T, C)
-    /// as the sensors' chips gave them under those. Unknown is what the spec's `variation` scatters.
+    /// Fits a twin to records of a cast: forces (N, K, R + 1) (N) and the chips' readings (N, T, C). `alpha`: the design of
+    /// the cast; default: the initial one. The unknowns are the deviations in the spec's `variation`.
     #[pyo3(signature = (forces, signals, alpha=None))]
     fn twin(
         &self,
@@ -513,13 +513,13 @@ impl Body {
         Twin::fitted(py, self, self.design_or_initial(alpha)?, forces, signals)
     }
 
-    /// Reads a twin (TOML, of `metasense lab identify --out` or `Twin.save`) of this design, by default the initial one.
+    /// Reads a twin (TOML from `metasense lab identify --out` or `Twin.save`). `alpha`: its design; default: the initial one.
     #[pyo3(signature = (file, alpha=None))]
     fn read_twin(&self, file: PathBuf, alpha: Option<&Bound<'_, PyAny>>) -> PyResult<Twin> {
         Twin::read(self, self.design_or_initial(alpha)?, file)
     }
 
-    /// The body drawn as SVG, the initial one by default.
+    /// Draws the body as SVG; default: the initial body.
     #[pyo3(signature = (alpha=None))]
     fn draw(&self, alpha: Option<&Bound<'_, PyAny>>) -> PyResult<String> {
         let alpha = self.design_or_initial(alpha)?;
@@ -528,7 +528,7 @@ impl Body {
         Ok(sketch(&drawing, &[]).file("a metamaterial body", cast.ligament.width))
     }
 
-    /// A pickle holds the trial's settings: the body is built again from them, with threads of the process that reads it.
+    /// A pickle contains the trial's settings; the process that reads it rebuilds the body with its own threads.
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, State)> {
         let trial = serde_json::to_string(&self.trial).expect("a trial is JSON");
         let tuned = self.tuned.as_ref().map(Chosen::pickled);

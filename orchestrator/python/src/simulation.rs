@@ -1,4 +1,4 @@
-//! The simulation of a body, and its derivatives.
+//! The Python class `Simulation`: a body's signals and their derivatives.
 
 use std::sync::Arc;
 
@@ -27,19 +27,19 @@ pub struct Simulation {
     solver: String,
     signals: Py<PyArray3<f64>>,
     chips: Option<Chips>,
-    /// Instants of the forces that were given, R.
+    /// R, the instants of the caller's forces.
     given: usize,
 }
 
-/// The chips through which signals were read.
+/// The chips that measured the signals.
 pub struct Chips {
-    /// With the sensors of the simulation.
+    /// Has the sensors of the simulation.
     pub problem: Arc<Problem>,
     pub chip: Chip,
 }
 
 impl Chips {
-    /// What they make of signals (N, ·, 3M) under the forces that were given; zero for samples that failed.
+    /// Readings of signals (N, ·, 3M) under the caller's forces; zero for failed samples.
     fn read(&self, signals: Vec<f64>, forces: &Forces, outcomes: &[Outcome]) -> Vec<f64> {
         let mut read = self.problem.read(signals, forces.samples);
         self.chip.disturb(&mut read, forces);
@@ -73,14 +73,15 @@ impl Simulation {
         Ok(Self { threads, scene, design, forces, run, solver, signals, chips, given })
     }
 
-    /// Of a cotangent on the signals, in its place, what does not pass the end of the chips' range taken away.
+    /// Zeroes, in place, a cotangent or tangent where readings are at the limit of the range.
     fn within_range(&self, py: Python<'_>, cotangent: &mut [f64]) -> PyResult<()> {
         let Some(Chips { chip, .. }) = &self.chips else { return Ok(()) };
         chip.disturb_vjp(cotangent, self.signals.bind(py).try_readonly()?.as_slice()?);
         Ok(())
     }
 
-    /// Forces between the instants that were given are not the caller's.
+    /// # Errors
+    /// If the simulation used forces at instants that the caller did not pass.
     fn has_own_forces(&self) -> PyResult<()> {
         match self.forces.instants == self.given {
             true => Ok(()),
@@ -91,7 +92,7 @@ impl Simulation {
         }
     }
 
-    /// Of the signals.
+    /// Shape of the signals.
     fn shape(&self, py: Python<'_>) -> [usize; 3] {
         self.signals.bind(py).shape().try_into().expect("three axes")
     }
@@ -106,20 +107,20 @@ impl Simulation {
 
 #[pymethods]
 impl Simulation {
-    /// (a_x, a_y, ω) of each sensor at n = 1…T, (N, T, 3M) (mm/s², rad/s), read-only; zero for samples that failed. With
-    /// `noise_seed`, (N, T, C·M): the C channels that the spec's sensors read.
+    /// (a_x, a_y, ω) of each sensor at n = 1…T, (N, T, 3M) (mm/s², rad/s), read-only; zero for failed samples. With
+    /// `noise_seed`, (N, T, C·M), with the spec's C channels per sensor.
     #[getter]
     fn signals(&self, py: Python<'_>) -> Py<PyArray3<f64>> {
         self.signals.clone_ref(py)
     }
 
-    /// How each sample ended: "ok" or why it did not reach its end.
+    /// The outcome of each sample: "ok" or why it failed.
     #[getter]
     fn outcomes(&self) -> Vec<&'static str> {
         self.run.outcomes.iter().map(|o| o.name()).collect()
     }
 
-    /// Which samples reached their end, (N) bool.
+    /// Whether each sample succeeded, (N) bool.
     #[getter]
     fn ok<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
         let ok: Vec<bool> = self.run.outcomes.iter().map(|o| *o == Outcome::Ok).collect();
@@ -132,7 +133,7 @@ impl Simulation {
         &self.solver
     }
 
-    /// Raises `SimulationError` if a sample did not reach its end.
+    /// Raises `SimulationError` if a sample failed.
     fn check(&self, py: Python<'_>) -> PyResult<()> {
         let outcomes = self.outcomes();
         let Some(first) = outcomes.iter().position(|o| *o != "ok") else { return Ok(()) };
@@ -146,7 +147,7 @@ impl Simulation {
         Err(error)
     }
 
-    /// dα (mm⁻¹) of Σ cotangent · signals, cotangent (N, T, 3M). Samples that failed contribute nothing.
+    /// dα (mm⁻¹) of Σ cotangent · signals, cotangent (N, T, 3M). Failed samples contribute nothing.
     fn vjp<'py>(
         &self,
         py: Python<'py>,
@@ -155,7 +156,7 @@ impl Simulation {
         Ok(self.gradient(py, cotangent, Wrt::Design)?.design.into_pyarray(py))
     }
 
-    /// As `vjp`, and the derivatives in the material: "stiffness" (3) [stretch, shear, bend], "damping_ratio", "density".
+    /// As `vjp`, with the derivatives in the material: "stiffness" (3) [stretch, shear, bend], "damping_ratio", "density".
     fn vjp_material<'py>(
         &self,
         py: Python<'py>,
@@ -170,8 +171,8 @@ impl Simulation {
         Ok((found.design.into_pyarray(py), material))
     }
 
-    /// As `vjp`, and the derivative in the forces (N, K, R + 1), also where they are zero. It takes longer, since each sample
-    /// is differentiated from its first instant on; dα equals that of `vjp` up to rounding.
+    /// As `vjp`, with the derivative in the forces (N, K, R + 1), also where they are zero. Takes longer, because it
+    /// differentiates each sample from the first instant; dα equals that of `vjp` up to rounding.
     fn vjp_forces<'py>(&self, py: Python<'py>, cotangent: &Bound<'py, PyAny>) -> PyResult<InBoth<'py>> {
         let found = self.gradient(py, cotangent, Wrt::Forces)?;
         let Forces { samples, panels, instants, .. } = self.forces;
@@ -179,9 +180,9 @@ impl Simulation {
         Ok((found.design.into_pyarray(py), forces.reshape([samples, panels, instants + 1])?))
     }
 
-    /// Derivative of the signals (N, T, 3M) along `tangent` in α and, where given, along those in the forces (N, K, R + 1) and in
-    /// the material, with the integrator's steps held fixed. It takes some hundred times as long as `vjp`: use it to check and to
-    /// linearise. Zero for samples that failed.
+    /// Derivative of the signals (N, T, 3M) along `tangent` in α and, if given, tangents in the forces (N, K, R + 1) and the
+    /// material, with fixed integrator steps. Takes about a hundred times as long as `vjp`: use it to check and to
+    /// linearise. Zero for failed samples.
     #[pyo3(signature = (tangent, *, forces=None, stiffness=None, damping_ratio=0.0, density=0.0))]
     fn jvp<'py>(
         &self,

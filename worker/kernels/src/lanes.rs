@@ -441,7 +441,7 @@ mod registers {
     narrow(x): Self(unsafe { _mm_movelh_ps(_mm_cvtpd_ps(x.0.0), _mm_cvtpd_ps(x.1.0)) }),
     widen(x): unsafe { Pair(Base(_mm_cvtps_pd(x.0)), Base(_mm_cvtps_pd(_mm_movehl_ps(x.0, x.0)))) });
 
-    // Available on every aarch64 machine. `mul_add` is not fused either, so that results are those of x86-64's baseline.
+    // Available on every aarch64 machine. `mul_add` is not fused, so results equal those of `Base` on x86-64.
     #[cfg(target_arch = "aarch64")]
     register!(Base: float64x2_t, f64, 2;
     vdupq_n_f64, vld1q_f64, vst1q_f64, vaddq_f64, vsubq_f64, vmulq_f64, mul_add_pd, mul_sub_from_pd, vdivq_f64, max_pd;
@@ -470,7 +470,7 @@ mod registers {
         }
     }
 
-    /// Operations that the baseline lacks.
+    /// Operations composed of several instructions.
     macro_rules! composed {
         ($($operation:ident($($o:ident),*): $register:ty = $result:expr;)*) => {
             $(

@@ -1,4 +1,4 @@
-//! The process of an external body: started, asked, and ended.
+//! The process of an external body: start, calls, end.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -18,11 +18,11 @@ use metasense_schemas::wire::BodyFault;
 use rustix::fs::{MemfdFlags, memfd_create};
 use serde_json::{Value, json};
 
-/// Lines of standard error that a message contains.
+/// Last lines of standard error in a message.
 const LINES: usize = 20;
-/// Between two signs of life while a call is waited for.
+/// Interval between heartbeats during a call.
 const PULSE: Duration = Duration::from_millis(500);
-/// For which the end of a process is waited for that has closed its output.
+/// Time for a process to end after it has closed its output.
 const LAST_WORDS: Duration = Duration::from_secs(2);
 
 /// A named array that a call reads.
@@ -38,22 +38,22 @@ impl<'a> Array<'a> {
     }
 }
 
-/// A process that answers.
+/// A running process.
 pub(super) struct Process {
     command: Vec<String>,
     child: Child,
     input: ChildStdin,
     lines: Receiver<String>,
     errors: Arc<Mutex<VecDeque<String>>>,
-    /// Inherited by the process, and gone with both.
+    /// Shared memory; the process inherits its descriptor.
     memory: File,
     bytes: u64,
-    /// What it describes, with the digest.
+    /// The process's description, with the digest.
     pub(super) description: Description,
 }
 
 impl Process {
-    /// The process that is kept, if it is one of this command; else a new one in its place.
+    /// Returns `kept` if it runs this command; otherwise replaces it by a new process.
     pub(super) fn of<'a>(
         kept: &'a mut Option<Self>,
         command: &[String],
@@ -62,7 +62,7 @@ impl Process {
         let usable =
             |process: &mut Self| process.command == command && matches!(process.child.try_wait(), Ok(None));
         if !kept.as_mut().is_some_and(usable) {
-            *kept = None; // ends the other one first
+            *kept = None; // ends the old process first
             *kept = Some(Self::start(command, limit)?);
         }
         Ok(kept.as_mut().expect("it has just been put there"))
@@ -76,7 +76,7 @@ impl Process {
         let Some((program, arguments)) = command.split_first() else {
             return Err(wrong("names no program".to_owned()));
         };
-        // without CLOEXEC: the process opens it by its number
+        // without CLOEXEC: the process opens the memory by its descriptor's number
         let memory = memfd_create("metasense-body", MemfdFlags::empty());
         let memory = File::from(memory.map_err(|e| wrong(format!("no shared memory: {e}")))?);
         let piped = || Stdio::piped();
@@ -111,14 +111,14 @@ impl Process {
         Ok(process)
     }
 
-    /// Of what is described and the text files that the command names.
+    /// Digest of the description and of the command's text files.
     fn digest(&self, description: &Description) -> Result<String, Fault> {
         let mut digest = blake3::Hasher::new();
         digest.update(serde_json::to_string(description).expect("it is JSON").as_bytes());
         for file in self.command.iter().map(Path::new).filter(|file| file.is_file()) {
             let bytes = std::fs::read(file)
                 .map_err(|e| self.fault(BodyFault::Died, &format!("reading {}: {e}", file.display())))?;
-            // of an interpreter's own file other machines have another
+            // skips binaries: the interpreter's file differs between machines
             if std::str::from_utf8(&bytes).is_ok() {
                 digest.update(blake3::hash(&bytes).as_bytes());
             }
@@ -126,7 +126,7 @@ impl Process {
         Ok(digest.finalize().to_hex()[..32].to_owned())
     }
 
-    /// Calls it: what it answers, and the array that it writes.
+    /// Returns the answer and the output array `name`; none if `name` is empty.
     pub(super) fn call(
         &mut self,
         request: &Value,
@@ -175,7 +175,7 @@ impl Process {
         Ok((answer, values))
     }
 
-    /// Makes the memory so large.
+    /// Grows the memory to at least `bytes`.
     fn provide(&mut self, bytes: u64) -> std::io::Result<()> {
         if bytes > self.bytes {
             let bytes = bytes.next_power_of_two();
@@ -185,7 +185,7 @@ impl Process {
         Ok(())
     }
 
-    /// Sends a line and waits for one.
+    /// Sends a request and waits for the answer.
     fn exchange(&mut self, request: &Value, limit: Duration, heartbeat: &Heartbeat) -> Result<Value, Fault> {
         let sent = writeln!(self.input, "{request}").and_then(|()| self.input.flush());
         if sent.is_err() {
@@ -224,7 +224,7 @@ impl Process {
         let status = loop {
             match self.child.try_wait() {
                 Ok(Some(status)) => {
-                    std::thread::sleep(Duration::from_millis(50)); // its last lines are read
+                    std::thread::sleep(Duration::from_millis(50)); // the threads read its last lines
                     break status.to_string();
                 }
                 _ if Instant::now() > end => break "it closed its standard output".to_owned(),
@@ -234,7 +234,7 @@ impl Process {
         self.fault(BodyFault::Died, &format!("the process ended: {status}"))
     }
 
-    /// With what it has printed to standard error.
+    /// A fault with the last lines of standard error.
     fn fault(&self, fault: BodyFault, what: &str) -> Fault {
         let lines = self.errors.lock().unwrap_or_else(PoisonError::into_inner);
         let mut detail = format!("{}: {what}", self.command.join(" "));

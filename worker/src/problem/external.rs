@@ -1,4 +1,4 @@
-//! A trial whose body another program simulates: what its spec may say, and its part of the problem.
+//! Trials with an external body: checks of the spec, and conversion to a problem.
 
 use std::sync::Arc;
 
@@ -13,22 +13,22 @@ use super::{OfBody, limits};
 use crate::external::{External, TIME_LIMIT, limits as linear};
 use crate::invalid::{Invalid, invalid, require};
 
-/// Numbers of a design, and places for panels and sensors, beyond which they are taken for a mistake.
+/// Largest number of design components, panels or sensors; more are presumably a mistake.
 const MOST: usize = 1_000_000;
 
-/// Refuses bodies that only an external program simulates.
+/// Rejects external bodies.
 ///
 /// # Errors
-/// If this is one.
+/// If the body is external.
 pub fn polygons(body: &Body) -> Result<(), Invalid> {
     let remedy = "is no body of polygons, which this needs; external bodies are trained and compared by `run` and `trial`";
     require(body.kind.is_polygons(), "body.kind", "\"external\"", remedy)
 }
 
-/// Refuses keys of a spec that have no effect on its kind of body.
+/// Rejects keys that have no effect on the spec's kind of body.
 ///
 /// # Errors
-/// Names the first.
+/// If there is such a key; names the first.
 pub fn refuse_unread(spec: &SweepSpec) -> Result<(), Invalid> {
     let body = &spec.body;
     require(
@@ -85,7 +85,7 @@ pub fn refuse_unread(spec: &SweepSpec) -> Result<(), Invalid> {
     )
 }
 
-/// Refuses keys of a table that differ from their defaults, but for those that are read.
+/// Rejects keys of a table that differ from their defaults, except those in `read`.
 fn only<T: Serialize>(table: &str, given: &T, default: &T, read: &[&str]) -> Result<(), Invalid> {
     let [given, default] =
         [given, default].map(|table| flatten(&serde_json::to_value(table).expect("a table is JSON")));
@@ -99,10 +99,10 @@ fn only<T: Serialize>(table: &str, given: &T, default: &T, read: &[&str]) -> Res
     }
 }
 
-/// The spec with what the program of its body describes: design, channels.
+/// Completes the spec with the design and channels of the description.
 ///
 /// # Errors
-/// Where the description is of no body, or the spec asks for what the body has not.
+/// If the description is invalid or the spec contradicts it.
 pub fn described(spec: &SweepSpec, mut description: Description) -> Result<SweepSpec, Invalid> {
     check(&description)?;
     let mut spec = spec.clone();
@@ -139,7 +139,7 @@ pub fn described(spec: &SweepSpec, mut description: Description) -> Result<Sweep
     Ok(spec)
 }
 
-/// Whether a description is one of a body.
+/// Checks a description.
 fn check(description: &Description) -> Result<(), Invalid> {
     let Description { alpha, lower, upper, constraints, panels, sensors, channels, .. } = description;
     let holds = |holds: bool, key: &str, remedy: &str| {
@@ -184,7 +184,7 @@ pub(super) fn panel_units(
     Ok(units[..panels].to_vec())
 }
 
-/// Refuses indices of places that the body has not, or that are named twice.
+/// Rejects indices of nonexistent places and duplicate indices.
 fn indices(key: &str, given: &[usize], count: usize) -> Result<(), Invalid> {
     for (n, i) in given.iter().enumerate() {
         require(*i < count, key, i, &format!("the body describes places 0 to {}", count - 1))?;
@@ -196,14 +196,14 @@ fn indices(key: &str, given: &[usize], count: usize) -> Result<(), Invalid> {
 /// The initial design and the body of a trial.
 ///
 /// # Errors
-/// If its body is none of an external program.
+/// If the body is not external.
 pub fn body(trial: &TrialSpec) -> Result<(Vec<f64>, External), Invalid> {
     let none = || invalid("body.kind", "\"polygons\"", "must be \"external\"");
     let description = trial.body.description.as_ref().ok_or_else(none)?;
     Ok((parts(trial, description)?.initial, External::new(&trial.body, description)))
 }
 
-/// Its part of a trial's problem: a scene of panels, sensors and clock, without units.
+/// The body's part of the problem: a scene with panels, sensors and clock, without units.
 pub(super) fn parts(trial: &TrialSpec, description: &Description) -> Result<OfBody, Invalid> {
     let design = match &trial.body.design {
         Some(spec::Design::Shifts { shifts }) => shifts.clone(),

@@ -1,4 +1,4 @@
-//! Tests of an external body: whether calls repeat, samples are independent, and the gradient is that of the signals.
+//! Tests of an external body: repeatable calls, independent samples, and a gradient that matches the signals.
 
 use metasense_numerics::Pool;
 use metasense_numerics::dynamics::Forces;
@@ -13,18 +13,18 @@ use crate::run::Failure;
 
 /// Samples of a test.
 const SAMPLES: usize = 3;
-/// Longest step of the design by its own size, and how often it is halved.
+/// Longest step relative to the design's RMS; number of steps, each half the previous one.
 const STEP: f64 = 1e-2;
 const HALVINGS: usize = 12;
 /// Largest relative error of a derivative.
 const DERIVATIVE: f64 = 1e-5;
-/// Largest deviation from order 2.
+/// Largest deviation of the order from 2.
 const ORDER: f64 = 0.2;
 
-/// One row a test of the body of a trial.
+/// Tests the body of a trial; one row per test.
 ///
 /// # Errors
-/// If the trial is none of an external body, or its process fails.
+/// If the body is not external or its process fails.
 pub fn external(trial: &TrialSpec, pool: &Pool) -> Result<Vec<Row>, Failure> {
     let rejected = |e: crate::problem::Invalid| Failure::Rejected(e.to_string());
     let (initial, body) = body(trial).map_err(rejected)?;
@@ -87,7 +87,7 @@ fn tests(
     let clear: Vec<f64> = remainders.into_iter().take_while(|r| *r > noise).collect();
     let order = match &clear[..] {
         [first, .., last] => (first / last).log2() / (clear.len() - 1) as f64,
-        _ => 2.0, // of a body that is linear in its design
+        _ => 2.0, // the body is linear in its design
     };
     let note = format!("Taylor: order {order:.2} of the remainder, over {} steps", clear.len());
     rows.push(Row::new("2 − order", 2.0 - order, ORDER).noted(note));

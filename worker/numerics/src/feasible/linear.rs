@@ -1,9 +1,9 @@
-//! Designs within bounds and linear constraints: the nearest one, by one convex program in Clarabel.
+//! Projection onto bounds and linear constraints, by one convex program in Clarabel.
 //!
 //! ```text
 //! minimise Σ w (α − target)²   subject to lower ≤ α ≤ upper, least ≤ Σ a α ≤ most
 //! ```
-//! Bounds hold exactly, constraints within 1e-7 of their terms.
+//! Bounds hold exactly, constraints within 1e-7 relative to their terms.
 
 use super::project::{Projection, Stage, Status, metric};
 use super::{Castable, program::settings};
@@ -24,15 +24,15 @@ pub struct LinearLimits {
 /// One linear constraint.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LinearRow {
-    /// Number of the design, and its coefficient.
+    /// Index into the design, coefficient.
     pub terms: Vec<(usize, f64)>,
     /// Least value of the sum; −∞: none.
     pub least: f64,
-    /// Greatest value of the sum; equal to the least: an equation.
+    /// Greatest value of the sum; ∞: none. Equal to `least`: an equation.
     pub most: f64,
 }
 
-/// Rounding of a constraint, relative to its terms.
+/// Tolerance of a constraint, relative to the sum of |terms|.
 const ROUNDING: f64 = 1e-7;
 
 impl LinearRow {
@@ -48,7 +48,7 @@ impl LinearRow {
 }
 
 impl LinearLimits {
-    /// Whether a design keeps them.
+    /// Whether a design satisfies the limits.
     pub fn hold(&self, design: &[f64]) -> bool {
         let bounded = design.iter().zip(&self.lower).zip(&self.upper);
         bounded.into_iter().all(|((x, low), high)| x >= low && x <= high)
@@ -60,9 +60,9 @@ impl LinearLimits {
         design.iter().zip(bounds).map(|(x, (low, high))| x.max(*low).min(*high)).collect()
     }
 
-    /// The solution of the program, with Clarabel's iterations; `scale` is a distance that makes its unknowns of order 1.
+    /// The solution and the number of iterations; unknowns divided by `scale` are of order 1.
     fn nearest(&self, target: &[f64], weights: &[f64], scale: f64) -> Option<(Vec<f64>, u64)> {
-        // (coefficients, right side) of Σ a d ≤ b, and of equations
+        // (coefficients a, right side b) of Σ a d ≤ b and of Σ a d = b
         let (mut below, mut equal) = (Vec::new(), Vec::new());
         for i in 0..target.len() {
             below.push((vec![(i, 1.0)], (self.upper[i] - target[i]) / scale));
@@ -148,7 +148,7 @@ mod tests {
         LinearLimits { lower: vec![0.0; 3], upper: vec![1.0, 1.0, f64::INFINITY], rows }
     }
 
-    /// Against the conditions of Karush, Kuhn and Tucker by hand.
+    /// Solutions of the Karush-Kuhn-Tucker conditions.
     #[test]
     fn the_nearest_design_is_found() {
         let found = limits(Vec::new()).project(&[0.5; 3], &[2.0, -1.0, 7.0], None);

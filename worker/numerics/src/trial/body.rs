@@ -25,7 +25,7 @@ pub trait Body: std::fmt::Debug + Send + Sync {
     /// Simulates a design.
     fn simulate(&self, scene: &Scene, run: &Run, pool: &Pool) -> Motion;
 
-    /// Which numbers of a design move, and which are tied.
+    /// Which numbers of a design are free, fixed or tied.
     fn freedom(&self, problem: &Problem) -> Freedom;
 
     /// The feasible designs.
@@ -42,13 +42,13 @@ pub trait Body: std::fmt::Debug + Send + Sync {
 pub struct Run<'a> {
     /// α, the design.
     pub design: &'a [f64],
-    /// Forces, on the scene's clock or one that divides it.
+    /// Forces; their clock is an integer multiple of the scene's.
     pub forces: &'a Forces,
     /// Solver tuned by a pilot.
     pub solver: &'a Solver,
     /// Whether a gradient follows.
     pub keep_tape: bool,
-    /// Whether to compute in f64 because rounding to f32 would disturb the result.
+    /// Whether to compute in f64, because f32 rounding would disturb the result.
     pub double: bool,
 }
 
@@ -75,7 +75,7 @@ pub trait Tape: Send + Sync {
 pub struct Pilot {
     /// The tuned solver.
     pub solver: Solver,
-    /// The reason, as text.
+    /// Why the solver was chosen, as text.
     pub reason: String,
     /// Relative error of the pilot's signals, if measured.
     pub error: Option<f64>,
@@ -92,7 +92,7 @@ pub struct Fault {
     pub detail: String,
 }
 
-/// The body of polygons and ligaments that a scene contains.
+/// The polygons and ligaments of a scene.
 #[derive(Debug)]
 pub struct Polygons;
 

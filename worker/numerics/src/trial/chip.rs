@@ -1,33 +1,33 @@
-//! What a real chip adds to the signals that it reads: a bias, noise, steps, and an end of its range.
+//! Imperfections of a sensor chip: bias, noise, resolution and range.
 //!
 //! ```text
-//! a′_c(t_n) = clip(round(y_c(t_n) + b_c + e_c(t_n)))      y: behind low-pass and delay (`filter`)
+//! a′_c(t_n) = clip(round(y_c(t_n) + b_c + e_c(t_n)))      y: after low-pass and delay (`filter`)
 //! ```
-//! b normal a sample and channel, e a reading. Draws are keyed by the sample's own force history, sensor and channel, so
-//! that every body, and every set in which a sample stands, meets the same ones.
+//! b is drawn (normal) per sample and channel, e per reading. The key of a draw is the sample's force history, the sensor and
+//! the channel, so a sample has the same noise in every body and every set.
 
 use crate::dynamics::Forces;
 use crate::random::{Purpose, Stream};
 
-/// A chip's imperfections.
+/// Imperfections of a chip.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Disturbance {
     /// Standard deviation of e.
     pub noise: Size,
     /// Standard deviation of b.
     pub bias: Size,
-    /// How late signals come (s).
+    /// Delay of the signals (s).
     pub delay: f64,
     /// Cut-off of the low-pass (Hz); infinite: none.
     pub bandwidth: f64,
-    /// Largest readings of accelerations (mm/s²) and angular velocities (rad/s), either way.
+    /// Largest magnitude of accelerations (mm/s²) and angular velocities (rad/s).
     pub range: [f64; 2],
-    /// Steps in which they are read; 0: all of them.
+    /// Step to which readings are rounded, in the same units; 0: none.
     pub resolution: [f64; 2],
 }
 
 impl Disturbance {
-    /// That of a chip that tells all.
+    /// An ideal chip.
     pub const NONE: Self = Self {
         noise: Size::Relative(0.0),
         bias: Size::Relative(0.0),
@@ -38,19 +38,19 @@ impl Disturbance {
     };
 }
 
-/// A standard deviation of signals.
+/// Standard deviation of noise or bias.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Size {
     /// Relative to each channel's RMS over the training signals of the initial body, or of [`Problem::relative_to`].
     ///
     /// [`Problem::relative_to`]: super::Problem::relative_to
     Relative(f64),
-    /// Of accelerations (mm/s²) and angular velocities (rad/s).
+    /// For accelerations (mm/s²) and angular velocities (rad/s).
     Physical([f64; 2]),
 }
 
 impl Size {
-    /// Of each channel of the given RMS.
+    /// Standard deviation per channel; `rms` is the RMS of each channel.
     pub(crate) fn of(self, rms: &[f64], channels: &[usize]) -> Vec<f64> {
         let size = |(rms, &channel): (&f64, &usize)| match self {
             Self::Relative(part) => part * rms,
@@ -60,13 +60,13 @@ impl Size {
     }
 }
 
-/// A disturbance at the scale of one trial.
+/// The imperfections of the chips of a trial, with absolute standard deviations.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chip {
     seed: u64,
-    /// Which of a_x (0), a_y (1) and ω (2) are read of each sensor.
+    /// Measured channels of each sensor: a_x (0), a_y (1), ω (2).
     channels: Vec<usize>,
-    /// A channel that is read.
+    /// Standard deviation per measured channel.
     pub(crate) noise: Vec<f64>,
     pub(crate) bias: Vec<f64>,
     range: [f64; 2],
@@ -74,7 +74,7 @@ pub struct Chip {
 }
 
 impl Chip {
-    /// `rms` is that of each channel that is read.
+    /// `rms`: RMS of each measured channel.
     pub(crate) fn new(disturbance: &Disturbance, seed: u64, rms: &[f64], channels: &[usize]) -> Self {
         Self {
             seed,
@@ -86,19 +86,19 @@ impl Chip {
         }
     }
 
-    /// The same with draws of another seed than the trial's.
+    /// The chip with another seed for its draws.
     #[must_use]
     pub fn seeded(self, seed: u64) -> Self {
         Self { seed, ..self }
     }
 
-    /// Standard deviation of what a reading of each channel is off by: its noise, and a step's rounding.
+    /// Standard deviation of the error of a reading, per channel: noise and rounding.
     pub(crate) fn deviations(&self) -> Vec<f64> {
         let of = |(i, noise): (usize, &f64)| noise.hypot(self.resolution[self.kind(i)] / 12f64.sqrt());
         self.noise.iter().enumerate().map(of).collect()
     }
 
-    /// Overwrites signals (N, T, channels) of `forces` with what the chip says.
+    /// Replaces the signals (N, T, channels) under `forces` by the chip's readings.
     pub fn disturb(&self, signals: &mut [f64], forces: &Forces) {
         let (channels, read) = (self.noise.len(), self.channels.len());
         for (i, sample) in
@@ -108,7 +108,7 @@ impl Chip {
                 (key.rotate_left(5) ^ f.to_bits()).wrapping_mul(0x517c_c1b7_2722_0a95)
             });
             for c in (0..channels).filter(|&c| self.noise[c] > 0.0 || self.bias[c] > 0.0) {
-                // what is read of a channel does not hang on the others
+                // a channel's noise does not depend on the other channels
                 let channel = 3 * (c / read) + self.channels[c % read];
                 let mut stream = Stream::new(Purpose::Chip, self.seed, [key, channel as u64]);
                 let bias = self.bias[c] * stream.normal();
@@ -120,7 +120,7 @@ impl Chip {
         }
     }
 
-    /// Readings (T, channels) in whole steps, and none beyond the range.
+    /// Rounds readings (T, channels) to whole steps and limits them to the range.
     fn read(&self, sample: &mut [f64]) {
         if (self.range, self.resolution) == (Disturbance::NONE.range, Disturbance::NONE.resolution) {
             return;
@@ -135,23 +135,22 @@ impl Chip {
         }
     }
 
-    /// 0 of an acceleration, 1 of an angular velocity, of the `i`-th reading.
+    /// 0 if the `i`-th reading is an acceleration, 1 if it is an angular velocity.
     fn kind(&self, i: usize) -> usize {
         usize::from(self.channels[i % self.channels.len()] == 2)
     }
 
-    /// How many readings (.., channels) are at the end of the range.
+    /// Number of readings (.., channels) at the limit of the range.
     pub(crate) fn saturated(&self, says: &[f64]) -> usize {
         says.iter().enumerate().filter(|&(i, reading)| self.is_at_the_end(i, *reading)).count()
     }
 
-    /// Of the `i`-th reading.
     fn is_at_the_end(&self, i: usize, reading: f64) -> bool {
         reading.abs() >= self.range[self.kind(i)]
     }
 
-    /// A cotangent (N, T, channels) on what the chip `says` as one on what it read: a reading at the end of its range tells nothing.
-    /// Steps pass it on as if they were none.
+    /// Turns a cotangent (N, T, channels) on the readings `says` into one on the undisturbed signals: 0 at the limit of the range.
+    /// Rounding is ignored.
     pub fn disturb_vjp(&self, cotangent: &mut [f64], says: &[f64]) {
         if self.range != Disturbance::NONE.range {
             for (i, (cotangent, reading)) in cotangent.iter_mut().zip(says).enumerate() {

@@ -1,9 +1,9 @@
-//! A trial made ready, once: its forces, its integrators tuned on the initial body, the scales of its brains.
+//! A prepared trial: its forces, integrators tuned on the initial body, and scales of the decoders.
 //!
 //! ```text
-//! A(α) = signals of the body α under forces f, as its sensors' chips give them          ∂L/∂α = Aᵀ_α ∂L/∂A
+//! A(α) = readings of the sensors' chips on body α under forces f          ∂L/∂α = Aᵀ_α ∂L/∂A
 //! ```
-//! Everything that knows a trial is given this one context: the nested optimisation, and questions to its bodies.
+//! The nested optimisation and the analyses of single bodies share this context.
 
 mod body;
 mod chip;
@@ -36,65 +36,65 @@ use crate::variation::{Cast, Casts, Chips};
 use rayon::prelude::*;
 use std::sync::OnceLock;
 
-/// What stands in a trial's reason before that of its coarse steps.
+/// Separates the reasons for the accurate and the coarse integrator in [`Trial::reason`].
 pub(crate) const COARSE: &str = ". Coarse steps: ";
-/// Samples of a pilot: as many as the lanes take at once.
+/// Samples of a pilot: the number of SIMD lanes.
 const PILOT: usize = 8;
 
-/// A trial made ready.
+/// A prepared trial.
 pub struct Trial<'a> {
-    /// What its spec says, with tuned integrators.
+    /// The problem, with tuned integrators.
     pub problem: Problem,
-    /// Threads.
+    /// Thread pool.
     pub pool: &'a crate::Pool,
-    /// Why the integrators are what they are.
+    /// Why the integrators were chosen.
     pub reason: String,
     /// Work of the pilots.
     pub pilots: dynamics::Counters,
-    /// The accurate integrator of the initial body; its pilot's work is in `pilots`.
+    /// The accurate integrator of the initial body; `pilots` contains the work of its pilot.
     usual: Pilot,
-    /// The accurate integrator as the spec asks for it.
+    /// The accurate integrator of the spec, not tuned.
     asked: Solver,
     pub(crate) train: Forces,
     pub(crate) test: Forces,
     pub(crate) scales: Scales,
-    /// Those of its networks.
+    /// Scales of the networks.
     pub(crate) network_scales: Scales,
     pub(crate) chip: Option<Chip>,
-    /// Of its casts' node shifts.
+    /// Cholesky factor L of the correlation of node shifts in casts.
     likeness: Vec<f64>,
-    /// The initial body under the training forces, from which the scales come.
+    /// The initial body under the training forces; determines the scales.
     pub(crate) initial: Samples,
-    /// λ of the trial's linear decoder on these, once it has been chosen.
+    /// λ of the linear decoder on `initial`, once chosen.
     pub(crate) initial_ridge: OnceLock<Result<f64, Trouble>>,
 }
 
-/// A body under forces.
+/// Result of a simulation with sensors.
 pub struct Response {
-    /// What its sensors tell of them.
+    /// Readings and targets.
     pub samples: Samples,
     motion: Motion,
-    /// Of the cast that was simulated.
+    /// Chips of the simulated cast.
     chips: Chips,
 }
 
 impl<'a> Trial<'a> {
-    /// Draws the forces, tunes the integrators, simulates the initial body and takes the scales from it. The same for every
-    /// process that goes on with a trial or looks at its result.
+    /// Draws the forces, tunes the integrators, simulates the initial body and computes the scales from it. Every
+    /// process that resumes or analyses a trial obtains the same result.
     ///
     /// # Errors
-    /// If no training sample has a force, or the initial body cannot be simulated, or is too much for the sensors' range.
+    /// If no training sample has a force, if the initial body cannot be simulated, or if it exceeds the sensors' range.
     ///
     /// # Panics
-    /// If the sensors are still to be searched for, or two of them are on one unit.
+    /// If the sensors have no units yet, or two share a unit.
     pub fn new(problem: &Problem, pool: &'a crate::Pool) -> Result<Self, Failure> {
         Self::with(problem, pool, None)
     }
 
-    /// The same of another body under forces of another kind, with the same chips.
+    /// Prepares another body under forces of another kind, with the same chips.
     ///
     /// # Errors
-    /// If that body cannot be simulated.
+    /// If the body cannot be simulated.
     pub(crate) fn under(&self, source: &Source, design: &[f64]) -> Result<Self, Failure> {
         let stimuli = Stimuli { source: source.clone(), ..self.problem.stimuli.clone() };
         let (initial, solver, under) = (design.to_vec(), self.asked, Vec::new());
@@ -103,7 +103,7 @@ impl<'a> Trial<'a> {
         Self::with(&problem, self.pool, self.chip.clone())
     }
 
-    /// `chip`: where none is given, that of the initial body, or of the one that the problem names.
+    /// Without `chip`, noise is relative to the signals of the initial body or of `problem.relative_to`.
     fn with(problem: &Problem, pool: &'a crate::Pool, chip: Option<Chip>) -> Result<Self, Failure> {
         assert!(problem.search.is_none(), "the sensors are not in place");
         let sensors = &problem.scene.sensors;
@@ -176,8 +176,8 @@ impl<'a> Trial<'a> {
         })
     }
 
-    /// Scales of the decoders that read a body with these training signals (N, T, 3M): of the linear one, of the network. By the
-    /// RMS a network learns at its own body's scale: at the initial body's the louder body's would learn faster.
+    /// Scales of the linear decoder and of the network for training signals (N, T, channels). With RMS scaling, the network uses
+    /// the scale of its own body; otherwise networks on bodies with larger signals would learn faster.
     pub(crate) fn scales_of(&self, signals: &[f64]) -> [Scales; 2] {
         let network = match self.problem.brain.scaling {
             Scaling::Rms => self.scales.with_rms_of(signals),
@@ -186,7 +186,7 @@ impl<'a> Trial<'a> {
         [self.scales.clone(), network]
     }
 
-    /// The accurate integrator tuned on a body; the work is that of its pilot, none of the initial body, which has had one.
+    /// The accurate integrator tuned on a body, with the work of the pilot (none for the initial body).
     pub fn tuned(&self, design: &[f64]) -> Pilot {
         match design == self.problem.initial {
             true => self.usual.clone(),
@@ -197,7 +197,7 @@ impl<'a> Trial<'a> {
     /// Simulates a body under `forces`, and counts the work.
     ///
     /// # Errors
-    /// If a sample does not end well.
+    /// If a sample fails.
     pub fn simulate(
         &self,
         design: &[f64],
@@ -213,26 +213,26 @@ impl<'a> Trial<'a> {
         Ok(self.response(motion, Chips::default(), forces, vec![false; forces.samples]))
     }
 
-    /// Samples of a body, or of a cast of it, by the integrator that was tuned on the body.
+    /// Samples of a body or a cast of it, with the integrator tuned on the body.
     ///
     /// # Errors
-    /// If more of them fail than may.
+    /// If too many samples fail.
     pub fn samples(&self, design: &[f64], cast: Option<&Cast>, forces: Forces) -> Result<Samples, Failure> {
         let mould = Mould { trial: self, design, solver: &self.tuned(design).solver };
         mould.samples(cast, forces, &mut Counters::default()).map_err(Failure::Initial)
     }
 
-    /// A cast of the trial's body; without a variation every cast is as designed.
+    /// Draws a cast; `None` (as designed) without a variation.
     pub(crate) fn cast(&self, casts: Casts, number: u64) -> Option<Cast> {
         let problem = &self.problem;
         let (body, likeness) = ((&problem.scene.layout, problem.scene.sensors.len()), &self.likeness);
         problem.variation.map(|variation| variation.cast(problem.seed, casts, number, body, likeness))
     }
 
-    /// Simulates a body, or a cast of it, where some samples may fail. dα of the cast is that of its design.
+    /// Simulates a body or a cast of it; some samples may fail. The gradient is with respect to the design.
     ///
     /// # Errors
-    /// If more of them fail than may.
+    /// If too many samples fail.
     pub(crate) fn simulate_cast(
         &self,
         cast: Option<&Cast>,
@@ -253,8 +253,8 @@ impl<'a> Trial<'a> {
         Ok(self.response(motion, chips, &forces, failed))
     }
 
-    /// What `of` makes of 0 … `count` − 1, spread over the threads: the few samples of one cast are too few for them. What all of
-    /// it took is counted, in the same order on any number of threads.
+    /// Computes `of` for 0 … `count` − 1 in parallel, because one cast has too few samples to occupy all threads. Adds the work to
+    /// `counters` in an order that does not depend on the number of threads.
     pub(crate) fn side_by_side<T: Send>(
         &self,
         count: usize,
@@ -278,10 +278,10 @@ impl<'a> Trial<'a> {
         Response { samples: self.problem.samples(signals, forces).with_failed(failed), motion, chips }
     }
 
-    /// dL/dα of a cotangent on the signals (N, T, channels) of a body that was simulated with its tape.
+    /// dL/dα from a cotangent on the readings (N, T, channels) of a simulation with tape.
     ///
     /// # Errors
-    /// If it is not finite.
+    /// If the gradient is not finite.
     pub fn vjp(
         &self,
         Response { motion, samples, chips }: &Response,
@@ -301,7 +301,7 @@ impl<'a> Trial<'a> {
         }
     }
 
-    /// Of simulated signals (N, T, 3M) the channels that are read, as the sensors' chips give them.
+    /// The chips' readings (N, T, channels) of simulated signals.
     pub(crate) fn heard(&self, signals: Vec<f64>, forces: &Forces) -> Vec<f64> {
         let mut signals = self.problem.read(signals, forces.samples);
         if let Some(chip) = &self.chip {
@@ -311,13 +311,13 @@ impl<'a> Trial<'a> {
     }
 }
 
-/// An integrator tuned on a body, by its first training samples.
+/// Tunes an integrator on a body with the first samples.
 pub(crate) fn pilot(problem: &Problem, design: &[f64], solver: &Solver, pool: &crate::Pool) -> Pilot {
     let forces = problem.forces(Purpose::Stimulus, 0, problem.stimuli.samples.min(PILOT));
     tuned(problem, &problem.scene, design, &forces, solver, pool)
 }
 
-/// The same of any scene of the problem under given forces.
+/// Tunes an integrator on any scene under given forces.
 pub(crate) fn tuned(
     problem: &Problem,
     scene: &Scene,
@@ -330,7 +330,7 @@ pub(crate) fn tuned(
     problem.body.pilot(&scene, design, &forces, solver, pool)
 }
 
-/// Simulates on the clock of the motion. To an inverse brain, which explains every digit, f32's rounding would be noise.
+/// Simulates on the clock of the motion, in f64 for the inverse decoder, to which f32 rounding would be noise.
 pub(crate) fn simulated(
     problem: &Problem,
     scene: &Scene,
@@ -345,7 +345,8 @@ pub(crate) fn simulated(
     problem.body.simulate(&scene, &Run { design, forces: &forces, solver, keep_tape, double }, pool)
 }
 
-/// The first sample that did not end well gives its name.
+/// # Errors
+/// The outcome of the first failed sample.
 pub(crate) fn all_well(outcomes: &[Outcome]) -> Result<(), Trouble> {
     match outcomes.iter().find(|&&outcome| outcome != Outcome::Ok) {
         Some(&outcome) => Err(Trouble::Simulation(outcome)),
@@ -353,17 +354,17 @@ pub(crate) fn all_well(outcomes: &[Outcome]) -> Result<(), Trouble> {
     }
 }
 
-/// One of so many samples may fail, to the nearest whole.
+/// One of `ONE_OF` samples may fail, rounded to the nearest integer.
 const ONE_OF: usize = 32;
 
 /// # Errors
-/// If more samples failed than may: the name of the first.
+/// If too many samples failed: the outcome of the first.
 pub(crate) fn few_failed(outcomes: &[Outcome]) -> Result<(), Trouble> {
     let failed = outcomes.iter().filter(|&&outcome| outcome != Outcome::Ok).count();
     if failed > (outcomes.len() + ONE_OF / 2) / ONE_OF { all_well(outcomes) } else { Ok(()) }
 }
 
-/// Takes the forces of the samples that failed away, and says which they are of those that had any.
+/// Sets the forces of failed samples to zero; returns which samples failed and had forces.
 pub(crate) fn silence(forces: &mut Forces, outcomes: &[Outcome]) -> Vec<bool> {
     let len = forces.panels * (forces.instants + 1);
     let one = |(history, &outcome): (&mut [f64], &Outcome)| {

@@ -1,4 +1,4 @@
-//! What a spec says of a trial: scene, forces, limits, and how body and brains are trained.
+//! Settings of a trial: scene, forces, limits, and training of body and decoders.
 
 use super::Trial;
 use super::body::Body;
@@ -17,97 +17,97 @@ use crate::variation::Variation;
 use std::borrow::Cow;
 use std::sync::Arc;
 
-/// Everything that a nested optimisation starts from. Angles in rad.
+/// Input of a nested optimisation. Angles in rad.
 #[derive(Debug, Clone)]
 pub struct Problem {
-    /// What simulates a design in the scene.
+    /// Simulates designs in the scene.
     pub body: Arc<dyn Body>,
-    /// Panels, sensors, clock, and of polygons the body; without sensors as long as they are to be searched for.
+    /// Panels, sensors, clock, and the body if it consists of polygons. No sensors before the search has placed them.
     pub scene: Scene,
-    /// How the sensors are placed, where they are not given.
+    /// Search for the sensor units, unless they are given.
     pub search: Option<Placing>,
     /// α of the initial body (mm).
     pub initial: Vec<f64>,
-    /// The integrator of every evaluation, and of the steps that ask for no other.
+    /// Integrator of evaluations, and of steps without a coarse integrator.
     pub solver: Solver,
     /// Limits of a castable design.
     pub limits: Limits,
-    /// Units whose nodes stay where the initial design has them.
+    /// Units whose nodes keep their initial positions.
     pub kept: Vec<usize>,
-    /// Units whose nodes stay there and count for nothing in a gradient's length.
+    /// As `kept`, and excluded from the norm of a gradient.
     pub frozen: Vec<usize>,
-    /// Cells along x and y of a block whose nodes are shifted together; `[1, 1]`: each by itself.
+    /// Cells along x and y of a block whose nodes share their shifts; `[1, 1]`: none.
     pub tie: [usize; 2],
-    /// Where the forces come from.
+    /// Forces.
     pub stimuli: Stimuli,
-    /// Which of a_x (0), a_y (1) and ω (2) are read of each sensor, ascending.
+    /// Measured channels of each sensor: a_x (0), a_y (1), ω (2), ascending.
     pub channels: Vec<usize>,
-    /// What the sensors' chips add to the signals, where they do.
+    /// Imperfections of the sensors' chips, if any.
     pub disturbance: Option<Disturbance>,
-    /// α (mm) of the body to whose training signals they are relative, where not to those of the initial one.
+    /// α (mm) of the body whose training signals scale relative noise; `None`: the initial body.
     pub relative_to: Option<Vec<f64>>,
-    /// How casts of a body scatter, where they are asked about.
+    /// Deviations of casts, if casts are evaluated.
     pub variation: Option<Variation>,
-    /// The brain that reads the bodies in the comparison at the end.
+    /// Decoder in the final comparison.
     pub reader: BrainKind,
-    /// The network, and its training where it starts fresh.
+    /// The network, and the training of fresh networks.
     pub brain: Training,
-    /// The linear brain.
+    /// The linear decoder.
     pub decoder: Decoder,
     /// The outer loop.
     pub optimise: Optimise,
-    /// The comparison at the end.
+    /// The final comparison.
     pub evaluation: Evaluation,
-    /// Kinds of forces under which both bodies are read besides in the comparison at the end.
+    /// Other kinds of forces under which the final comparison also evaluates both bodies.
     pub under: Vec<Source>,
     /// Seed of stimuli, split, networks and batches.
     pub seed: u64,
 }
 
-/// A search for the units that carry the sensors.
+/// A search for the sensor units.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Placing {
     /// Units that may carry a sensor.
     pub candidates: Vec<usize>,
-    /// M.
+    /// M, the number of sensors.
     pub sensors: usize,
-    /// 0 the best placement; n: that with the n-th next best single unit in it.
+    /// 0: the best placement; n: the best one that contains the unit ranked n when single (from 0).
     pub turn: usize,
-    /// Least distance of two sensors' cells (mm).
+    /// Least distance between the cells of two sensors (mm).
     pub spacing: f64,
 }
 
-/// Force histories and how many of them.
+/// Source and numbers of force histories.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Stimuli {
-    /// Where they come from.
+    /// Source.
     pub source: Source,
     /// Instants of the forces' own clock, a multiple of the scene's.
     pub instants: usize,
-    /// N: samples that train and test the brain.
+    /// N: samples in the training and the test set.
     pub samples: usize,
-    /// How many of the N are the test set.
+    /// Samples in the test set.
     pub test: usize,
     /// Whether the test set is drawn with replacement.
     pub replacement: bool,
-    /// Samples that neither loop sees.
+    /// Samples in the held-out set.
     pub holdout: usize,
 }
 
 impl Stimuli {
-    /// Numbers of the training and of the test set's samples.
+    /// Sample numbers of the training set and of the test set.
     pub fn split(&self, seed: u64) -> (Vec<usize>, Vec<usize>) {
         split(seed, self.samples, self.test, self.replacement)
     }
 }
 
 impl Problem {
-    /// The designs of polygons that can be cast and had.
+    /// The feasible designs of polygons.
     pub fn castable(&self) -> Feasible {
         Feasible::moving(&self.scene.layout, self.limits, self.tie, &self.frozen, &self.kept)
     }
 
-    /// Of the network on the scene's clock, sensors and panels.
+    /// Shape of the network.
     pub fn shape(&self) -> Shape {
         let sensors = self.search.as_ref().map_or(self.scene.sensors.len(), |search| search.sensors);
         Shape {
@@ -118,22 +118,22 @@ impl Problem {
         }
     }
 
-    /// Of the network that reads: a stacked one sees a linear estimate of each force, too.
+    /// Shape of the reader's network; if stacked, its inputs include a linear estimate of each force.
     pub fn reader_shape(&self) -> Shape {
         let shape = self.shape();
         let estimates = if self.reader == BrainKind::Stacked { shape.outputs } else { 0 };
         Shape { inputs: shape.inputs + estimates, ..shape }
     }
 
-    /// The sensors' chips, what is relative in them so to `rms` of each channel.
+    /// The sensors' chips; `rms` of each channel scales relative noise.
     pub(crate) fn chip(&self, rms: &[f64]) -> Option<Chip> {
         self.disturbance.map(|d| Chip::new(&d, self.seed, rms, &self.channels))
     }
 
-    /// The same for those who are not given that RMS: where something is relative to it, the training samples are simulated.
+    /// The sensors' chips; simulates the training samples if noise or bias is relative.
     ///
     /// # Errors
-    /// If they cannot be.
+    /// If the simulation fails.
     pub fn chips(&self, pool: &crate::Pool) -> Result<Option<Chip>, Failure> {
         let relative = |size: Size| matches!(size, Size::Relative(part) if part > 0.0);
         match self.disturbance.is_some_and(|d| relative(d.noise) || relative(d.bias)) {
@@ -147,7 +147,7 @@ impl Problem {
         self.scene.duration / self.scene.instants as f64
     }
 
-    /// Scene and forces on the clock on which motion is taken: that of the readings, or a finer one where chips filter.
+    /// Scene and forces on the clock of the motion, which is finer than that of the readings if chips filter.
     pub fn in_motion<'a>(&self, scene: &'a Scene, forces: &'a Forces) -> (Cow<'a, Scene>, Cow<'a, Forces>) {
         let clock = self.disturbance.map_or(1, |d| d.clock(self.interval()));
         if clock == 1 {
@@ -158,7 +158,7 @@ impl Problem {
         (Cow::Owned(scene), Cow::Owned(forces))
     }
 
-    /// Instants of the motion for each reading that chips ask for, and how late they give it (s).
+    /// Instants of the motion per reading, and delay of a reading (s).
     pub(crate) fn clock_and_delay(&self) -> (usize, f64) {
         self.disturbance.map_or((1, 0.0), |d| (d.clock(self.interval()), d.delay))
     }
@@ -168,8 +168,8 @@ impl Problem {
         self.disturbance.filter(some).map(|d| Filter::new(&d, self.interval()))
     }
 
-    /// Of what all sensors could tell (N, ·, 3M) of `samples` samples, on the clock of the motion, what is read (N, T, channels): the
-    /// channels that are, behind low-pass and delay.
+    /// Selects the measured channels of simulated signals (N, ·, C·M) on the clock of the motion, and applies low-pass and delay.
+    /// Returns (N, T, channels).
     pub fn read(&self, signals: Vec<f64>, samples: usize) -> Vec<f64> {
         let some = self.chosen(signals);
         match self.filter() {
@@ -186,7 +186,7 @@ impl Problem {
         })
     }
 
-    /// The channels that are read (N, ·, channels) behind their low-pass, on a clock of `finer` instants for each reading.
+    /// The measured channels (N, ·, channels) after the low-pass, with `finer` instants per reading.
     pub(crate) fn felt(&self, signals: Vec<f64>, samples: usize, finer: usize) -> Vec<f64> {
         let mut some = self.chosen(signals);
         if let Some(disturbance) = &self.disturbance {
@@ -204,7 +204,7 @@ impl Problem {
         self.chosen_vjp(cotangent)
     }
 
-    /// The channels that are read of all.
+    /// Selects the measured channels.
     fn chosen(&self, signals: Vec<f64>) -> Vec<f64> {
         let all = self.body.channels();
         if self.channels.len() == all {
@@ -226,13 +226,13 @@ impl Problem {
         cotangent.chunks_exact(self.channels.len()).flat_map(all).collect()
     }
 
-    /// `count` force histories (N, K, R + 1) of the stimuli's clock, from number `first` of `purpose`: `Stimulus`, of which
-    /// [`Problem::known`] are the trial's, `Holdout` or `Fresh`.
+    /// `count` force histories (N, K, R + 1) on the clock of the stimuli, from number `first`. `purpose`: `Stimulus` (see
+    /// [`Problem::known`]), `Holdout` or `Fresh`.
     pub fn forces(&self, purpose: Purpose, first: u64, count: usize) -> Forces {
         self.forces_of(&self.stimuli.source, purpose, first, count)
     }
 
-    /// The same of one part of a mixture, which is that source's own sample of each number.
+    /// As [`Problem::forces`], for one part of a mixture; equals the part's own samples of the same numbers.
     pub(crate) fn part(&self, part: usize, purpose: Purpose, first: u64, count: usize) -> Forces {
         match &self.stimuli.source {
             Source::Mix(parts) => self.forces_of(&parts[part].1, purpose, first, count),
@@ -240,7 +240,7 @@ impl Problem {
         }
     }
 
-    /// The part of the mixture that each sample of the training and of the test set is of.
+    /// For each sample of the training and of the test set, its part of the mixture.
     pub(crate) fn parts(&self) -> [Vec<usize>; 2] {
         let Stimuli { samples, ref source, .. } = self.stimuli;
         let of = match source {
@@ -302,36 +302,36 @@ impl Problem {
         [all.select(&train), all.select(&test)]
     }
 
-    /// The holdout.
+    /// The held-out set.
     pub fn holdout(&self) -> Forces {
         self.forces(Purpose::Holdout, 0, self.stimuli.holdout)
     }
 
-    /// The samples of a holdout of so many from this one on judge bands: of recorded ones, which have no fresh samples, the
-    /// first half calibrates them.
+    /// The first of `samples` held-out samples that evaluates bands. Records have no fresh samples, so the first half
+    /// calibrates the bands.
     pub(crate) fn first_judge(&self, samples: usize) -> usize {
         if self.stimuli.source.is_recorded() { samples.div_ceil(2) } else { 0 }
     }
 
-    /// Whether targets of a finer clock of the forces are read through a low-pass.
+    /// Whether targets from forces on a finer clock pass a low-pass.
     pub fn low_pass(&self) -> bool {
         let records = |part: &&Source| matches!(part, Source::Recorded(records) if records.low_pass);
         self.stimuli.source.parts().iter().any(records)
     }
 
-    /// What the network is to say of `forces` (N, T, K) in N.
+    /// Targets (N, T, K) of the decoders (N).
     pub(crate) fn targets(&self, forces: &Forces) -> Vec<f64> {
         targets(forces, self.scene.instants, self.low_pass())
     }
 
-    /// Signals (N, T, channels) under `forces` as brains take them.
+    /// Signals (N, T, channels) with the targets of `forces`.
     pub(crate) fn samples(&self, signals: Vec<f64>, forces: &Forces) -> Samples {
         let Shape { instants, inputs, outputs, .. } = self.shape();
         let sizes = Sizes { instants, channels: inputs, outputs };
         Samples::new(sizes, signals, self.targets(forces))
     }
 
-    /// Histories on the clock of the signals: those of the targets, and the forces at the beginning.
+    /// Force histories on the clock of the signals: the targets, preceded by the forces at instant 0.
     pub(crate) fn seen(&self, forces: Forces) -> Forces {
         let (instants, panels) = (self.scene.instants, forces.panels);
         if forces.instants == instants {
