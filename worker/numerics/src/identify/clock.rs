@@ -260,7 +260,7 @@ impl Clock {
         each.for_each(|(own, d)| self.whiten(d, own));
     }
 
-    /// Applies `whiten` to the residual with fitted `offsets` undone.
+    /// Applies `whiten` to the residual, extrapolated linearly from the fitted `offsets` to 0.
     pub fn whiten_residual(&self, slopes: &[f64], offsets: &[f64], record: usize, residual: &mut [f64]) {
         let all = residual.iter_mut().zip(slopes).enumerate();
         all.for_each(|(i, (left, slope))| *left += slope * offsets[i / record]);
