@@ -7,7 +7,7 @@ use crate::definite::{inverse, solved_dense};
 use crate::dynamics::Parameters;
 use nalgebra::{DMatrix, DVector};
 
-/// Records per metric, the number of SIMD lanes; for measured records, twice as many.
+/// Records per metric: the number of SIMD lanes, twice as many for measured records.
 const LANES: usize = 8;
 /// Relative change of the noise below which it has converged.
 const STAYS: f64 = 0.02;

@@ -3,7 +3,7 @@
 //! ```text
 //! covariance = H⁻¹ ((1 + u (G − 1)) G/(G − 1) Σ_g s_g s_gᵀ + 1) H⁻¹,   H = JᵀJ + 1,   s_g = J_gᵀ r_g
 //! ```
-//! A group g is a record, or a time segment of fewer than ten records, so that noise may be correlated within it. The share u of the
+//! A group g is a record, or with fewer than ten records a time segment of one. Noise may be correlated within a group. The share u of the
 //! residual that is not noise, or that filters of the motion explain, does not average out. Intervals (95 %) use Student's t with G − 1
 //! degrees of freedom. They are at least those of white noise, H⁻¹, since scores of few groups are often too small (Angrist and Pischke,
 //! Mostly Harmless Econometrics, 2009, 8.1). They are marginal over all other unknowns.

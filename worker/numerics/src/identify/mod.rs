@@ -226,7 +226,7 @@ impl Fit {
     }
 
     /// Fits a cast of a trial's body to signals (N, T, channels) as its chips return them under `forces`. The prior is the trial's
-    /// variation, or [`Variation::USUAL`]. Samples that cannot be simulated are left out. Returns `None` if `go_on` returns `false`.
+    /// variation, or [`Variation::USUAL`]. The caller must leave out failed samples. Returns `None` if `go_on` returns `false`.
     ///
     /// # Panics
     /// If lengths do not match.

@@ -37,7 +37,7 @@ pub struct Point {
     felt: Vec<f64>,
     /// Readings (n, window, channels).
     pub read: Vec<f64>,
-    /// With uncertain clocks: offset per record (s), and derivatives of `read` in the offsets.
+    /// With uncertain clocks: offset per record (s), and derivative of `read` in it.
     offsets: Vec<f64>,
     slopes: Vec<f64>,
 }
@@ -58,7 +58,7 @@ pub struct Objective<'a> {
     pub unknowns: Unknowns,
     /// Number of unknowns, from the first, that are fitted.
     pub moves: usize,
-    /// Solver; plans for the initial cast: accurate, and coarse for Jacobian columns.
+    /// Solver and plans from `choose_clock`: accurate, and coarse for Jacobian columns.
     solver: Solver,
     plan: Plan,
     coarse: Plan,
