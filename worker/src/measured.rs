@@ -511,7 +511,7 @@ fn on_instants(force: &mut Record, signal: &mut Record, delta: f64) -> Option<i6
     Some(first as i64)
 }
 
-/// Reads a force at t_n as `resample` does, smooth between its entries.
+/// Interpolates a force smoothly at t_n; alternative to `resample`.
 fn smoothly(record: &[f64], start: f64, dt: f64, duration: f64, instants: usize) -> Vec<f64> {
     (0..=instants).map(|n| between(record, (n as f64 * duration / instants as f64 - start) / dt)).collect()
 }

@@ -1,35 +1,35 @@
-//! What can be said of the instruments without a model: peaks, noise, repeated blows, clipped readings.
+//! Properties of records without a model: peaks, noise, repeated blows, clipped readings.
 
 use super::Record;
 
-/// One record's instruments.
+/// Instrument properties of one record.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Instruments {
-    /// Largest force (N), and its impulse over all panels (N·s).
+    /// Largest force (N).
     pub peak: f64,
-    /// Likewise.
+    /// Impulse, summed over panels (N·s).
     pub impulse: f64,
-    /// Blows on the panel that has most.
+    /// Number of blows on the panel with most.
     pub blows: usize,
-    /// Standard deviation of the force before the blow (N); none with too few entries.
+    /// Standard deviation of the force before the blow (N); `None` with too few entries.
     pub force_noise: Option<f64>,
-    /// Mean and standard deviation of each channel before the blow; none with too few readings.
+    /// Mean and standard deviation of each channel before the blow; `None` with too few readings.
     pub quiet: Option<Vec<[f64; 2]>>,
     /// RMS of each channel from the blow on.
     pub size: Vec<f64>,
 }
 
-/// Readings before the blow that are enough to measure noise.
+/// Least number of readings before the blow that measure noise.
 const FEWEST: usize = 5;
-/// Part of the peak that a force must exceed to be a blow, and below which it must fall between two.
+/// Fraction of the peak above which a force is a blow, and below which it must fall between blows.
 const BLOW: f64 = 0.2;
 const BETWEEN: f64 = 0.08;
-/// Entries that a range cuts off are as large as the largest; so many of them are no chance, if the channel has so many steps.
+/// Least number of entries equal to an extreme that indicate clipping, and least distance of the extreme from the median (smallest steps).
 const CLIPPED: usize = 3;
 const STEPS: f64 = 50.0;
 
 impl Instruments {
-    /// Those of a record.
+    /// Properties of a record.
     pub fn of(record: &Record) -> Self {
         let [onset, _] = record.blow();
         let histories = &record.force.values;
@@ -61,7 +61,7 @@ fn statistics(values: &[f64]) -> [f64; 2] {
     [mean, rms(&off)]
 }
 
-/// Blows in a history: a force that has fallen and rises again counts anew.
+/// Number of blows in a history. A new blow requires that the force has fallen first.
 pub fn blows(force: &[f64]) -> usize {
     let peak = force.iter().fold(0.0f64, |m, x| m.max(x.abs()));
     let (mut count, mut within) = (0, false);
@@ -74,8 +74,7 @@ pub fn blows(force: &[f64]) -> usize {
     count
 }
 
-/// Of the histories of a channel, one per record, how many entries of each lie at an end of the range; none does if the largest entries
-/// are no more alike than those of a signal.
+/// Number of clipped entries per history (one history per record of a channel); zeros if the extremes do not repeat as clipped values do.
 pub fn clipped(histories: &[&[f64]]) -> Vec<usize> {
     let mut all: Vec<f64> = histories.iter().flat_map(|h| h.iter().copied()).collect();
     all.sort_by(f64::total_cmp);
@@ -83,7 +82,7 @@ pub fn clipped(histories: &[&[f64]]) -> Vec<usize> {
     let step = all.windows(2).map(|w| w[1] - w[0]).filter(|d| *d > 0.0).fold(f64::INFINITY, f64::min);
     let ends = [low, high].map(|end| {
         let near = |x: &f64| (x - end).abs() <= 1e-9 * end.abs();
-        // an end lies far from most entries, which else are steps of a quiet channel
+        // Values of a quiet channel also repeat, but near the median.
         let far = (end - all[all.len() / 2]).abs() > STEPS * step;
         let counts: Vec<usize> = histories.iter().map(|h| h.iter().filter(|x| near(x)).count()).collect();
         let is_end = far && counts.iter().sum::<usize>() >= CLIPPED;

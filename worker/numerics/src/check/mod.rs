@@ -1,10 +1,10 @@
-//! Measured records beside the model, before anything is fitted: which mistakes would explain them better.
+//! Compares measured records with the model before any fit, and searches for mistakes that explain differences.
 //!
 //! ```text
 //! ρ_cd = Σ y_c s_d / √(Σ y_c² Σ s_d²)      over readings y and simulated signals s within W = 3/f_c of a record's first force
 //! ```
-//! Both without what lies above f_c = rate/5. A cast differs from its design by 10 … 20 %, which leaves phases alike for some
-//! three periods; of a few stiffnesses the one that agrees best is taken. ρ has no scale: gains Σ y s/Σ s² tell units.
+//! Both are low-pass filtered at f_c = rate/5. A cast differs from its design by 10 to 20 %, so phases agree for about three periods; the
+//! search takes the best of a few stiffnesses. ρ is independent of scale; gains Σ y s/Σ s² reveal wrong units.
 
 mod instruments;
 mod search;
@@ -17,14 +17,14 @@ pub use spectra::{Spectra, spectra};
 use crate::dynamics::{Accuracy, Forces, Parameters, Scene, Solver, planned, run};
 use crate::stimuli::anti_aliased_force;
 
-/// Histories on one even clock.
+/// Histories on a uniform clock.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct History {
-    /// Time of the first entry, and between two (s).
+    /// Time of the first entry (s).
     pub start: f64,
-    /// Likewise.
+    /// Interval between entries (s).
     pub dt: f64,
-    /// Equally long.
+    /// Histories of equal length.
     pub values: Vec<Vec<f64>>,
 }
 
@@ -34,17 +34,17 @@ impl History {
         self.start + n as f64 * self.dt
     }
 
-    /// Entries of each.
+    /// Entries per history.
     pub fn entries(&self) -> usize {
         self.values.first().map_or(0, Vec::len)
     }
 
-    /// How many entries lie before what begins at `onset` (s), with room for its first step.
+    /// Number of entries before an event at `onset` (s), with a margin of 1.5 intervals.
     fn before(&self, onset: f64) -> usize {
         (0..self.entries()).take_while(|n| self.time(*n) < onset - 1.5 * self.dt).count()
     }
 
-    /// Without what lies above this frequency (Hz, −3 dB), by a Gaussian; ends count as often as they are within reach.
+    /// Gaussian low-pass with −3 dB at `cutoff` (Hz), normalised at the ends.
     #[must_use]
     fn smooth(&self, cutoff: f64) -> Self {
         let deviation = (0.5 * 2f64.ln()).sqrt() / (std::f64::consts::PI * cutoff * self.dt);
@@ -66,7 +66,7 @@ impl History {
         Self { values: values.collect(), ..*self }
     }
 
-    /// A history at a time; 0 before its first entry and behind its last.
+    /// Linear interpolation of a history at a time; 0 outside it.
     fn at(&self, history: usize, time: f64) -> f64 {
         let place = (time - self.start) / self.dt;
         let values = &self.values[history];
@@ -79,19 +79,19 @@ impl History {
     }
 }
 
-/// A record in N, mm/s² and rad/s, on the clock on which a sample begins at 0.
+/// A record in N, mm/s² and rad/s, with time 0 at the start of the sample.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Record {
-    /// One force per panel, or that on `panel`.
+    /// Force per panel, or the single force on `panel`.
     pub force: History,
-    /// The panel of a single force.
+    /// Panel of a single force.
     pub panel: Option<usize>,
-    /// A history per channel.
+    /// One history per channel.
     pub signals: History,
 }
 
 impl Record {
-    /// When the first force begins, and when 95 % of the impulse of all has acted (s).
+    /// Start of the first force, and the time when 95 % of the total impulse has acted (s).
     pub fn blow(&self) -> [f64; 2] {
         let History { values, .. } = &self.force;
         let size = |n: usize| values.iter().map(|history| history[n].abs()).fold(0.0, f64::max);
@@ -110,33 +110,33 @@ impl Record {
     }
 }
 
-/// Part of its peak at which a force begins.
+/// Fraction of its peak at which a force begins.
 const ONSET: f64 = 0.05;
 
-/// What the records are compared with.
+/// Model for the comparison with records.
 #[derive(Clone)]
 pub struct Model<'a> {
-    /// The body on its own clock.
+    /// Body with its clock.
     pub scene: &'a Scene,
-    /// Its design.
+    /// Design α (mm).
     pub design: &'a [f64],
-    /// How it is integrated.
+    /// Integration method and tolerance.
     pub solver: Solver,
-    /// Which of a_x (0), a_y (1) and ω (2) are read of each sensor.
+    /// Channels per sensor: a_x (0), a_y (1), ω (2).
     pub channels: &'a [usize],
-    /// By how much readings are late (s).
+    /// Delay of the readings (s).
     pub delay: f64,
     /// Threads.
     pub pool: &'a crate::Pool,
 }
 
-/// Instants of the motion for each reading, and the error of the signals that is enough here.
+/// Simulated instants per reading; integration error.
 const FINER: f64 = 6.0;
 const COARSE: f64 = 0.02;
 
 impl Model<'_> {
-    /// Signals under each record's force, which `place` puts onto panels, of a body `stiffness` times as stiff with these sensors: on a
-    /// clock finer than that of readings `dt` apart, a history per channel; empty where the body cannot be simulated.
+    /// Simulates a body with scaled `stiffness` and these sensors under each record's forces; `place` gives their panels. Returns one
+    /// history per channel, sampled more finely than readings `dt` apart; empty if the simulation fails.
     fn simulate(
         &self,
         records: &[Record],

@@ -1,89 +1,89 @@
-//! The search for what explains records: stiffness, panels, clock, axes, places of sensors; then records one by one.
+//! Searches for an explanation of the records: stiffness, panels, clock, axes, sensor positions. Then tests single records.
 
 use super::{History, Model, Record};
 use crate::student::median;
 
-/// Factors on all stiffnesses of the design.
+/// Factors on all stiffnesses.
 const STIFFNESS: [f64; 5] = [0.7, 0.84, 1.0, 1.19, 1.41];
-/// f_c by the rate of readings, and W·f_c.
+/// f_c relative to the sampling rate, and W·f_c.
 const CUTOFF: f64 = 0.2;
 const PERIODS: f64 = 3.0;
-/// Mean correlation from which on nothing is sought in clocks.
+/// Mean correlation above which clock errors are not searched.
 const GOOD: f64 = 0.6;
-/// By how much a mistake must raise a mean correlation, and what each turned sign, and each exchange, must add to that.
+/// Least increase of the mean correlation for a reported mistake; additional increase per inverted sign and per exchanged channel.
 const RISE: f64 = 0.2;
 const TURNED: f64 = 0.04;
 const EXCHANGED: f64 = 0.05;
-/// What another order of panels, or another clock, must add to a mean correlation.
+/// Additional increase for another order of panels, or another clock.
 const MOVED: f64 = 0.03;
-/// A factor on forces that were read in too large a unit: the model's motion under them is no longer that of any body.
+/// Factor on forces in too large a unit, under which the model moves unrealistically.
 const WEAKER: f64 = 1e-3;
-/// A record is off if it correlates less than this, and less than the median by so much.
+/// A record is suspicious below this correlation, if also this far below the median.
 const OFF: f64 = 0.55;
 const BELOW: f64 = 0.2;
-/// A channel is silent if it correlates with no signal of its sensor more than this.
+/// A channel is silent if its correlations with all signals of its sensor are smaller.
 const SILENT: f64 = 0.35;
-/// Part of a window's readings that a record must have.
+/// Least fraction of a window's readings.
 const HELD: f64 = 0.75;
 
-/// The signal that a channel holds, and with which sign: sensor · channels + channel.
+/// Simulated signal that a channel contains (sensor · channels + channel), and its sign.
 pub type Source = (usize, f64);
 
-/// A channel over all records.
+/// Comparison of one channel over all records.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OfChannel {
-    /// With the signal that it should hold, and with the one that it holds.
+    /// Correlation with the signal of its position, and with the signal that it contains.
     pub correlation: [f64; 2],
-    /// Measured by simulated.
+    /// Gain: measured/simulated.
     pub gain: f64,
-    /// Whether it correlates with nothing while others do.
+    /// Whether it correlates with no signal although other channels do.
     pub silent: bool,
 }
 
-/// One record, with what was found for all records.
+/// Comparison of one record, given the explanation of all.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OfRecord {
-    /// With the model.
+    /// Correlation with the model.
     pub correlation: f64,
-    /// By how much later its readings were taken than it says (s), within three readings of what holds for all.
+    /// Delay of the readings (s) relative to the record's clock, within three readings of the common delay.
     pub lag: f64,
-    /// The panel (an exchange: the first) that it looks like, and the correlation then.
+    /// Panel that explains the record better (first panel of an exchange), and the correlation with it.
     pub panel: Option<(usize, f64)>,
-    /// Another clock that it looks like (s), and the correlation then.
+    /// Delay that explains the record better (s), and the correlation with it.
     pub clock: Option<(f64, f64)>,
 }
 
-/// What explains the records.
+/// Best explanation of the records.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Found {
-    /// Factor on the stiffness of the design with which they agree best.
+    /// Factor on the stiffness of the design.
     pub stiffness: f64,
-    /// Mean correlation of channels as the file describes them, and with all that was found.
+    /// Mean correlation of the channels as described, and with the explanation.
     pub correlation: [f64; 2],
-    /// The panel that is struck where the file says panel k.
+    /// Panel that is struck where the file has panel k.
     pub panels: Vec<usize>,
-    /// By how much later readings were taken than the file says (s): of all records, or of each.
+    /// Delay of the readings relative to the file's clock (s), per record.
     pub lags: Vec<f64>,
-    /// Per channel.
+    /// Source per channel.
     pub source: Vec<Source>,
-    /// Per sensor, the unit that it looks like, and its mean correlation before and then.
+    /// Per sensor, the unit that explains its signals better; mean correlations with the described unit and with this one.
     pub units: Vec<Option<(usize, [f64; 2])>>,
-    /// Per channel.
+    /// Comparison per channel.
     pub channels: Vec<OfChannel>,
-    /// Per record.
+    /// Comparison per record.
     pub records: Vec<OfRecord>,
-    /// Simulated signals of each record, as that is described or explained.
+    /// Simulated signals per record, with the explanation.
     pub simulated: Vec<History>,
 }
 
 impl Found {
-    /// Whether all records' clocks are off by the same.
+    /// Delay (s) if it is the same for all records.
     pub fn lag(&self) -> Option<f64> {
         self.lags.windows(2).all(|pair| pair[0] == pair[1]).then(|| self.lags[0])
     }
 }
 
-/// Sums over readings: of the squares of the measured channels, of the simulated, and of their products.
+/// Sums over readings: squares of measured and of simulated channels, and products.
 #[derive(Debug, Clone, Default)]
 struct Moments {
     measured: Vec<f64>,
@@ -112,7 +112,7 @@ impl Moments {
         if size > 0.0 { self.products[c * self.simulated.len() + d] / size } else { 0.0 }
     }
 
-    /// Of the channels that are not silent, each in parts of its size over all records, with their sources.
+    /// Correlation over the channels that are not silent, each scaled by its RMS over all records.
     fn agreement(&self, all: &Self, source: &[Source], silent: &[bool]) -> f64 {
         let mut sums = [0.0; 3];
         for (c, &(d, sign)) in source.iter().enumerate() {
@@ -128,7 +128,7 @@ impl Moments {
     }
 }
 
-/// An explanation and its mean correlation over the channels.
+/// An explanation and its mean correlation over channels.
 #[derive(Debug, Clone)]
 struct State {
     stiffness: f64,
@@ -136,28 +136,28 @@ struct State {
     lags: Vec<f64>,
     source: Vec<Source>,
     score: f64,
-    /// The score less what the changes cost: of explanations that agree alike, the one with fewest changes counts.
+    /// Score minus penalties for changes, so that fewer changes win among similar scores.
     value: f64,
 }
 
 struct Session<'a> {
     model: &'a Model<'a>,
     records: &'a [Record],
-    /// Without what lies above the cutoff, and what they are before the blow.
+    /// Low-passed signals minus their mean before the blow.
     smooth: Vec<History>,
     windows: Vec<[f64; 2]>,
     cutoff: f64,
-    /// The longest step of readings (s).
+    /// Longest interval between readings (s).
     dt: f64,
-    /// Orders of panels that are simulated; of single forces, shifts.
+    /// Simulated orders of panels: cyclic shifts for single forces, else exchanges.
     orders: Vec<Vec<usize>>,
     silent: Vec<bool>,
 }
 
-/// Compares records with the model.
+/// Compares records with the model. `None` if the simulation fails.
 ///
 /// # Panics
-/// If there are no records, or they have other channels than the model.
+/// If there are no records, or their channels differ from the model's.
 pub fn compare(model: &Model, records: &[Record]) -> Option<Found> {
     let as_said = explained(model, records);
     if as_said.as_ref().is_some_and(|found| found.correlation[1] > GOOD) {
@@ -231,7 +231,7 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Smooth signals by order of panels and record.
+    /// Low-passed simulated signals by order of panels and record. `None` if the simulation fails or nothing moves.
     fn simulated(&self, stiffness: f64) -> Option<Vec<Vec<History>>> {
         let all = self.orders.iter().map(|order| self.run(order, &self.model.scene.sensors, stiffness));
         let all: Vec<Vec<History>> = all.collect();
@@ -249,7 +249,7 @@ impl<'a> Session<'a> {
         found.iter().map(|history| history.smooth(self.cutoff)).collect()
     }
 
-    /// The order of panels that puts a record's force where `panels` does.
+    /// Index of a simulated order that acts on this record as `panels` does.
     fn order(&self, record: usize, panels: &[usize]) -> usize {
         let alike = |order: &Vec<usize>| match self.records[record].panel {
             Some(k) => order[k] == panels[k],
@@ -292,7 +292,7 @@ impl<'a> Session<'a> {
         Some(found)
     }
 
-    /// Over all records; none if half of them have no readings there.
+    /// Sums over all records; `None` unless more than half of them have readings in their windows.
     fn pooled(
         &self,
         simulated: &[Vec<History>],
@@ -310,7 +310,8 @@ impl<'a> Session<'a> {
         (2 * count > self.records.len()).then_some(all)
     }
 
-    /// What each channel holds: as described, unless another sensor, order or sign explains a sensor much better.
+    /// Source per channel, mean correlation, and that minus penalties. A sensor keeps its channels unless another sensor, order or sign is
+    /// much better.
     fn assigned(&self, all: &Moments) -> (Vec<Source>, f64, f64) {
         let (own, sensors) = (self.model.channels.len(), self.model.scene.sensors.len());
         let orders = permutations(own);
@@ -342,7 +343,7 @@ impl<'a> Session<'a> {
         (source, sum / count, (sum - cost) / count)
     }
 
-    /// The best explanation with this stiffness, and the mean correlation without any.
+    /// Best explanation at this stiffness, and the mean correlation as described.
     fn explain(&self, stiffness: f64, simulated: &[Vec<History>]) -> (State, f64) {
         let (count, panels) = (self.records.len(), self.model.scene.panels.len());
         let same: Vec<usize> = (0..panels).collect();
@@ -360,7 +361,7 @@ impl<'a> Session<'a> {
         let source: Vec<Source> = (0..width).map(|c| (c, 1.0)).collect();
         let lags = vec![0.0; count];
         let none = State { stiffness, panels: same.clone(), lags, source, score: before, value: before };
-        // most records follow as they are described: others are looked at one by one
+        // If most records match as described, only single records can be wrong.
         let follows = |all: &Moments| {
             let of = |r: usize| {
                 Some(self.moments(r, &simulated[0][r], 0.0)?.agreement(all, &none.source, &self.silent))
@@ -402,7 +403,7 @@ impl<'a> Session<'a> {
         (best, before)
     }
 
-    /// All that could be: half readings up to the length of a record.
+    /// Candidate delays: multiples of half a reading up to the longest record.
     fn lags(&self) -> impl Iterator<Item = f64> + use<'_> {
         let longest =
             self.records.iter().map(|r| r.signals.entries() as f64 * r.signals.dt).fold(0.0, f64::max);
@@ -410,7 +411,7 @@ impl<'a> Session<'a> {
         (-most..=most).map(|n| 0.5 * n as f64 * self.dt)
     }
 
-    /// The lag with which a record agrees best as it is described.
+    /// Delay that maximises the correlation of one record, with its panels as described.
     fn own_lag(&self, record: usize, simulated: &[Vec<History>], state: &State) -> f64 {
         let own = |lag: f64| {
             let found = self.moments(record, &simulated[0][record], lag)?;
@@ -420,7 +421,7 @@ impl<'a> Session<'a> {
         self.lags().filter_map(own).max_by(|a, b| a.0.total_cmp(&b.0)).map_or(0.0, |best| best.1)
     }
 
-    /// What is found with an explanation: records one by one, silent channels, places of sensors.
+    /// Evaluates an explanation: channels, single records, sensor positions.
     fn told(mut self, mut state: State, simulated: &[Vec<History>], before: f64) -> Found {
         let own = self.model.channels.len();
         let all = self.pooled(simulated, &state.panels, &|r| state.lags[r]).unwrap_or_else(|| Moments {
@@ -442,7 +443,7 @@ impl<'a> Session<'a> {
             OfChannel { correlation: [all.correlation(c, c), follows(c)], gain, silent: self.silent[c] }
         });
         let channels: Vec<OfChannel> = channels.collect();
-        // a silent channel holds what it should
+        // A silent channel keeps its own signal.
         for c in 0..state.source.len() {
             if self.silent[c] {
                 state.source[c] = (c, 1.0);
@@ -500,7 +501,7 @@ impl<'a> Session<'a> {
         (0..self.records.len()).map(of).collect()
     }
 
-    /// Other units for sensors that follow badly, or only with other axes.
+    /// Better units for sensors that match poorly, or match only with changed axes.
     fn places(&self, state: &State, all: &Moments) -> Vec<Option<(usize, [f64; 2])>> {
         let (own, scene) = (self.model.channels.len(), self.model.scene);
         let mean = |of: &dyn Fn(usize) -> f64| (0..own).map(of).sum::<f64>() / own as f64;

@@ -1,48 +1,48 @@
-//! Frequency responses of records, and the frequencies at which they ring.
+//! Frequency responses and natural frequencies of records.
 //!
 //! ```text
 //! H₁ = S_yf S_ff⁻¹      γ_c² = (S_yf S_ff⁻¹ S_fy)_cc / S_cc      sums over records
 //! ```
-//! Ringing: the eigensystem realisation algorithm (Juang and Pappa, J. Guid. Control Dyn. 8, 620, 1985) on what follows each blow; poles of
-//! two orders that agree count.
+//! Natural frequencies: eigensystem realisation algorithm (Juang and Pappa, J. Guid. Control Dyn. 8, 620, 1985) on the signals after each
+//! blow. Poles count if models of two orders agree.
 
 use super::Record;
 use crate::stimuli::anti_aliased;
 use nalgebra::{Complex, DMatrix, SymmetricEigen};
 use std::f64::consts::TAU;
 
-/// Frequency responses and ringing of records.
+/// Frequency responses and natural frequencies of records.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Spectra {
-    /// Hz.
+    /// Frequencies (Hz).
     pub frequencies: Vec<f64>,
     /// |H₁| by channel, panel and frequency (mm/s² or rad/s per N).
     pub response: Vec<Vec<Vec<f64>>>,
-    /// γ² by channel and frequency; none if there are too few records for it to differ from 1.
+    /// γ² by channel and frequency; `None` with too few records, when it would always be near 1.
     pub coherence: Option<Vec<Vec<f64>>>,
-    /// (frequency (Hz), damping ratio, decay time (s)) of each mode that rings.
+    /// Frequency (Hz), damping ratio and decay time (s) of each mode.
     pub rings: Vec<[f64; 3]>,
 }
 
-/// Part of the rate up to which frequencies count.
+/// Highest frequency relative to the sampling rate.
 const UP_TO: f64 = 0.45;
-/// Records for each panel, at least, for a coherence.
+/// Least number of records per panel for a coherence.
 const FEWEST: usize = 3;
-/// Lags of the Hankel matrix, its two orders, and by how much poles of both may differ.
+/// Lags of the Hankel matrix; its two orders; largest relative difference of their frequencies.
 const LAGS: usize = 24;
 const ORDERS: [usize; 2] = [16, 20];
 const APART: f64 = 0.03;
-/// Largest damping ratio of what rings.
+/// Largest damping ratio of a mode.
 const DAMPED: f64 = 0.25;
 
-/// Those of records that last `duration`, with `panels` panels.
+/// Spectra of records that last `duration` (s), with `panels` panels.
 pub fn spectra(records: &[Record], panels: usize, duration: f64) -> Spectra {
     let dt = records.iter().map(|r| r.signals.dt).fold(0.0, f64::max);
     let instants = (duration / dt).round().max(2.0) as usize;
     let channels = records[0].signals.values.len();
     let lines = (UP_TO * instants as f64) as usize;
     let frequencies: Vec<f64> = (1..=lines).map(|n| n as f64 / duration).collect();
-    // (panels and channels) by frequency, of each record
+    // Per record: (panels and channels) by frequency.
     let transforms: Vec<Vec<Vec<Complex<f64>>>> = records
         .iter()
         .map(|record| {
@@ -81,7 +81,7 @@ pub fn spectra(records: &[Record], panels: usize, duration: f64) -> Spectra {
     Spectra { frequencies, response, coherence: enough.then_some(coherence), rings: rings(records) }
 }
 
-/// Amplitudes at these frequencies.
+/// Fourier sums of a history at these frequencies (Hz).
 fn transform(history: &[f64], frequencies: &[f64], dt: f64) -> Vec<Complex<f64>> {
     let of = |hertz: &f64| {
         let turn = Complex::new(0.0, -TAU * hertz * dt).exp();

@@ -1,40 +1,40 @@
-//! Clocks that are off: each record's by its own unknown time, which is fitted with the rest.
+//! Clock errors: one unknown offset per record, fitted with the other unknowns.
 //!
 //! ```text
 //! y_i(t_n) ≈ a_i(t_n + δ_i − delay)      δ_i normal of deviation σ, within 3 σ
 //! ```
-//! The simulated signals a are taken on a clock finer than that of the readings, and interpolated by Lagrange's polynomial through
-//! eight instants; readings never are. For given signals the best δ of a record is found by search, then by Newton's steps
-//! (variable projection: Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973), so that a gradient at fixed δ is that of the least.
+//! The simulated signals a have a finer clock than the readings. They are interpolated by Lagrange polynomials through eight instants;
+//! readings are not interpolated. For given signals, a search and Newton steps find the best δ of each record (variable projection: Golub
+//! and Pereyra, SIAM J. Numer. Anal. 10, 1973), so the gradient at fixed δ is that of the minimum.
 
 use crate::dynamics::{Forces, Scene, Solver, planned, run};
 use crate::student::student;
 use nalgebra::{DMatrix, DVector};
 
-/// Deviations that an offset may have.
+/// Largest offset, in standard deviations.
 const REACH: f64 = 3.0;
-/// Instants through which a polynomial goes, the first so many before the one sought.
+/// Instants per polynomial, and how many of them lie before its interval.
 const TAPS: usize = 8;
 const BEFORE: i64 = 3;
-/// Part of the signals' RMS that interpolation may miss, and instants for each reading between which that is tried.
+/// Largest interpolation error relative to the signals' RMS; least and greatest number of instants per reading.
 const MISSED: f64 = 1e-3;
 const FEWEST: usize = 4;
 const MOST: usize = 16;
-/// Records of which it is measured.
+/// Records that measure the interpolation error.
 const PILOT: usize = 8;
-/// Newton's steps, at most.
+/// Largest number of Newton steps.
 const STEPS: usize = 12;
-/// Parts of a record in time that are groups for the interval of its offset.
+/// Time segments of a record that are groups for the interval of its offset.
 const PARTS: usize = 20;
 
-/// How records' clocks may be off, and the finer clock on which motion is taken.
+/// Prior of the clock offsets, and the finer clock of the simulation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Clock {
     /// σ (s).
     deviation: f64,
-    /// Instants of the motion for each reading.
+    /// Simulated instants per reading.
     pub finer: usize,
-    /// Between two of them, and between two readings (s).
+    /// Interval between simulated instants, and between readings (s).
     step: f64,
     interval: f64,
     /// Delay of the chips (s).
@@ -44,13 +44,13 @@ pub struct Clock {
 /// The offset of a record's clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Offset {
-    /// By how much later its readings were taken than it says (s).
+    /// Time by which the readings are later than the record states (s).
     pub value: f64,
-    /// Half the 95 % interval (s); none where the offset is as large as it may be.
+    /// Half width of the 95 % interval (s); `None` at the bound.
     pub half: Option<f64>,
 }
 
-/// Lagrange's weights of the values at −BEFORE, … for the place `p` from 0 to 1, and their first two derivatives.
+/// Lagrange weights at `p` in [0, 1] for the values at −BEFORE, …, and their first two derivatives.
 fn weights(p: f64) -> [[f64; TAPS]; 3] {
     let mut all = [[0.0; TAPS]; 3];
     for m in 0..TAPS {
@@ -66,7 +66,7 @@ fn weights(p: f64) -> [[f64; TAPS]; 3] {
     all
 }
 
-/// A smooth history at entry `s`, which need not be whole, by the same polynomial; 0 before its first entry and after its last.
+/// Interpolates a smooth history at the fractional index `s` with the same polynomial; 0 outside the history.
 pub fn between(history: &[f64], s: f64) -> f64 {
     let last = history.len() as i64 - 1;
     let s = if (s - s.round()).abs() < 1e-9 { s.round() } else { s };
@@ -78,15 +78,15 @@ pub fn between(history: &[f64], s: f64) -> f64 {
     weights.iter().zip(entries).map(|(weight, f)| weight * f).sum()
 }
 
-/// Readings at the end of a record that do not count where clocks are off by a `deviation` (s): those that may be late, and as many as
-/// interpolation needs, on motion so many times as fine as the readings are, `interval` apart (s).
+/// Number of readings excluded at the end of a record: late readings, and the reach of the interpolation. `deviation` and `interval` of the
+/// readings in s; `finer`: simulated instants per reading.
 pub fn margin(deviation: f64, interval: f64, finer: usize) -> usize {
     (REACH * deviation / interval + TAPS as f64 / finer as f64).ceil() as usize
 }
 
 impl Clock {
-    /// Of records under `forces`, off by a `deviation` (s); none if that is 0. Motion is taken `least` times as often as readings
-    /// or so often that its interpolation misses little.
+    /// Clock for records under `forces`; `None` if `deviation` (s) is 0. Uses at least `least` instants per reading, and doubles them until
+    /// the interpolation error is small.
     pub fn new(
         deviation: f64,
         delay: f64,
@@ -106,7 +106,7 @@ impl Clock {
             let plan = planned(&moving, design, &forces, solver).double();
             let signals = run(&moving, design, &forces, &plan, false, pool).signals;
             let missed = missed(&signals, forces.samples, moving.instants);
-            // a body that cannot be simulated has no signals
+            // The error is NaN if the body cannot be simulated.
             if missed < MISSED || missed.is_nan() {
                 break;
             }
@@ -127,19 +127,19 @@ impl Clock {
         REACH * self.deviation
     }
 
-    /// Readings by which a window is longer, as signals may be that late; and by which motion must go on behind the last that counts.
+    /// Readings by which a window is extended for late signals, and that the simulation needs after the last counted reading.
     pub fn margin(&self) -> usize {
         margin(self.deviation, self.interval, self.finer)
     }
 
-    /// First instant, counted from that of the first reading, and where between it and the next the reading is.
+    /// Position of a reading relative to the first reading's nominal time: simulated instant, and fraction of the next interval.
     fn place(&self, offset: f64) -> (i64, f64) {
         let at = (offset - self.delay) / self.step;
         (at.floor() as i64, at - at.floor())
     }
 
-    /// What a record's motion (instants, width) is at its readings, or a derivative of it (1/s, 1/s²). Rest before its beginning, its
-    /// last value after its end.
+    /// Interpolates a record's simulated signals (instants, width) at its readings, or their derivative in time (1/s, 1/s²). Zero before
+    /// the first instant; constant after the last.
     pub fn read(&self, motion: &[f64], width: usize, offset: f64, derivative: usize) -> Vec<f64> {
         let (first, p) = self.place(offset);
         let weights = weights(p)[derivative].map(|w| w / self.step.powi(derivative as i32));
@@ -153,7 +153,7 @@ impl Clock {
         read
     }
 
-    /// Its transpose: a cotangent on the readings as one on the motion.
+    /// Transpose of `read`: maps a cotangent of the readings to the simulated signals.
     pub fn read_vjp(&self, cotangent: &[f64], width: usize, offset: f64) -> Vec<f64> {
         let (first, p) = self.place(offset);
         let [weights, ..] = weights(p);
@@ -167,7 +167,7 @@ impl Clock {
         motion
     }
 
-    /// Instants of the motion and their weights in the n-th reading.
+    /// Simulated instants and their weights in reading n.
     fn taps<'a>(
         &self,
         n: usize,
@@ -175,7 +175,7 @@ impl Clock {
         instants: usize,
         weights: &'a [f64; TAPS],
     ) -> impl Iterator<Item = (usize, f64)> + use<'a> {
-        // signals are those of the instants 1, 2, …
+        // The first signal is that of instant 1.
         let begin = (self.finer * (n + 1)) as i64 + first - BEFORE - 1;
         let of = move |(m, &weight): (usize, &f64)| {
             let at = begin + m as i64;
@@ -184,7 +184,7 @@ impl Clock {
         weights.iter().enumerate().filter_map(of)
     }
 
-    /// The offset of least ½‖W (y − a(δ))‖² + ½ (δ/σ)² of a record.
+    /// Offset that minimises ½‖W (y − a(δ))‖² + ½ (δ/σ)² for a record.
     pub fn settle(&self, motion: &[f64], recorded: &[f64], width: usize, whiten: &dyn Fn(&mut [f64])) -> f64 {
         let left = |offset: f64| {
             let mut left = self.read(motion, width, offset, 0);
@@ -230,12 +230,12 @@ impl Clock {
         offset
     }
 
-    /// Whether an offset is as large as it may be.
+    /// Whether an offset is at its bound.
     fn is_at_the_bound(&self, offset: f64) -> bool {
         offset.abs() >= self.limit() * (1.0 - 1e-9)
     }
 
-    /// d: the derivative of a record's readings by its offset (1/s), 0 at the bound, where that does not move with the rest.
+    /// d: derivative of a record's readings in its offset (1/s); 0 at the bound, where the offset is constant.
     pub fn slope(&self, motion: &[f64], width: usize, offset: f64) -> Vec<f64> {
         let mut slope = self.read(motion, width, offset, 1);
         if self.is_at_the_bound(offset) {
@@ -244,7 +244,7 @@ impl Clock {
         slope
     }
 
-    /// R^{-½} x of a record, R = 1 + σ² d dᵀ, where d is its whitened derivative: an offset that is not known is noise along it.
+    /// R^{-½} x of a record for R = 1 + σ² d dᵀ, d its whitened derivative: an unknown offset is noise along d.
     pub fn whiten(&self, d: &[f64], x: &mut [f64]) {
         let square: f64 = d.iter().map(|d| d * d).sum();
         let part = (1.0 - self.known(square)) / square;
@@ -260,20 +260,20 @@ impl Clock {
         each.for_each(|(own, d)| self.whiten(d, own));
     }
 
-    /// The same of a residual at fitted `offsets`: first without what they explain.
+    /// Applies `whiten` to the residual, extrapolated linearly from the fitted `offsets` to 0.
     pub fn whiten_residual(&self, slopes: &[f64], offsets: &[f64], record: usize, residual: &mut [f64]) {
         let all = residual.iter_mut().zip(slopes).enumerate();
         all.for_each(|(i, (left, slope))| *left += slope * offsets[i / record]);
         self.whiten_each(slopes, record, residual);
     }
 
-    /// What R^{-½} leaves along d.
+    /// Factor of R^{-½} along d.
     fn known(&self, square: f64) -> f64 {
         (1.0 + square * self.deviation * self.deviation).sqrt().recip()
     }
 
-    /// A record's offset with its interval, from d, the whitened residual, the record's rows of R^{-½} J, and the covariance of the other
-    /// unknowns times Student's t squared; `unmodelled` is the share of the residual that does not average out.
+    /// Offset with its interval, from d, the whitened residual, the record's rows of R^{-½} J, and the covariance of the other unknowns
+    /// times Student's t squared. `unmodelled`: share of the residual that does not average out.
     pub fn offset(
         &self,
         value: f64,
@@ -293,7 +293,7 @@ impl Clock {
             scores[i * PARTS / residual.len()] += d[i] * r;
         }
         let alike = 1.0 + unmodelled * (PARTS - 1) as f64;
-        // no less than white noise has: few parts hold most of a record's d
+        // At least the score of white noise, since few segments contain most of d.
         let score = scores.iter().map(|s| s * s).sum::<f64>().max(square);
         let own = (alike * score + prior) / curvature.powi(2);
         let along = rows.tr_mul(&DVector::from_column_slice(d)) / (self.known(square) * curvature);
@@ -303,8 +303,8 @@ impl Clock {
     }
 }
 
-/// Part of the RMS of signals (samples, instants, 3M) that a polynomial through every other instant misses in the middle, of
-/// accelerations or of rotation rates.
+/// Interpolation error of signals (samples, instants, 3M) from every other instant, relative to the RMS: the larger of those for
+/// accelerations and rotation rates.
 fn missed(signals: &[f64], samples: usize, instants: usize) -> f64 {
     let width = signals.len() / (samples * instants).max(1);
     let [weights, ..] = weights(0.5);

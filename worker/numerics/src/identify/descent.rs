@@ -1,5 +1,5 @@
-//! Steps to the least of F: L-BFGS (Nocedal, Math. Comput. 35, 1980) from the adjoint's gradients, in the metric of Gauss and Newton's
-//! curvature, damped as by Marquardt (SIAM J. Appl. Math. 11, 1963), with noise and fit in turns.
+//! Minimises F by L-BFGS (Nocedal, Math. Comput. 35, 1980) with adjoint gradients. The metric is the Gauss–Newton curvature, damped after
+//! Marquardt (SIAM J. Appl. Math. 11, 1963). Updates of noise and fit alternate.
 
 use super::objective::{Columns, Objective, Point};
 use super::{Ending, Estimate, Fit, GoOn, Iteration, Turn, Unknown};
@@ -7,23 +7,23 @@ use crate::definite::{inverse, solved_dense};
 use crate::dynamics::Parameters;
 use nalgebra::{DMatrix, DVector};
 
-/// Records of which a metric is made: as many as lanes take at once; all, where there are no more than twice as many and each counts.
+/// Records per metric: the number of SIMD lanes, twice as many for measured records.
 const LANES: usize = 8;
-/// Change of the noise below which it stays.
+/// Relative change of the noise below which it has converged.
 const STAYS: f64 = 0.02;
-/// Shortest part of a step.
+/// Shortest fraction of a step in the line search.
 const SHORTEST: f64 = 1e-4;
 
-/// How far to go.
+/// Limits and tolerances.
 #[derive(Debug, Clone, Copy)]
 pub struct How {
-    /// Rounds of noise and fit, at most, each with a new metric where the last has not converged.
+    /// Largest number of rounds of noise and fit. An unconverged round is followed by a new metric.
     pub rounds: usize,
-    /// Steps in each, at most.
+    /// Largest number of steps per round.
     pub steps: usize,
-    /// The part of F that a step promises at least.
+    /// Least predicted decrease of a step, relative to F.
     pub worth: f64,
-    /// Newton decrement, in standard errors, below which a step is nothing.
+    /// Newton decrement (standard errors) below which the fit has converged.
     pub close: f64,
 }
 
@@ -35,7 +35,7 @@ pub struct Descent<'a> {
     watch: &'a mut dyn FnMut(&Turn),
     pub iterations: Vec<Iteration>,
     pub steps: usize,
-    /// Of the last metric.
+    /// Ending of the last round.
     pub ending: Ending,
 }
 
@@ -50,12 +50,12 @@ impl<'a> Descent<'a> {
         Self { objective, go_on, known, watch, iterations, steps: 0, ending }
     }
 
-    /// Noise and fit in turns, in the window that is looked at, until both stay; where that led, and columns near there, none if all of it was
-    /// known. `None` if it is told not to go on.
+    /// Alternates noise and fit in the present window until both converge. Returns the final point and Jacobian columns near it (no columns
+    /// if all rounds are in `known`). `None` if `go_on` returns `false`.
     pub fn settle(&mut self, mut point: Point, how: How) -> Option<(Point, Option<Columns>)> {
         self.objective.weigh(&point);
         let begun = self.iterations.len();
-        // then nobody asks for columns
+        // Then no caller needs columns.
         let all_known = self.known.len() > begun + how.rounds;
         let most = if self.objective.is_measured() { 2 * LANES } else { LANES };
         let mut columns = None;
@@ -98,7 +98,7 @@ impl<'a> Descent<'a> {
         turn
     }
 
-    /// L-BFGS in the metric of a curvature, as long as steps are worth it: how it ended, after how many and where.
+    /// L-BFGS in the metric `curvature`. Returns ending, number of steps and final point.
     fn descend(
         &mut self,
         point: Point,
@@ -116,7 +116,7 @@ impl<'a> Descent<'a> {
             if gradient.iter().any(|slope| !slope.is_finite()) {
                 return Some((Ending::NoProgress, steps, point));
             }
-            // free parameters at a limit beyond which the gradient leads stay there
+            // Hold free parameters at a limit if descent leads beyond it.
             let held = objective.held(&point, &gradient);
             let mut metric = curvature.clone();
             for &k in &held {
@@ -126,7 +126,7 @@ impl<'a> Descent<'a> {
                 metric.column_mut(k).fill(0.0);
                 metric[(k, k)] = 1.0;
             }
-            // too long a step: first as Gauss and Newton have it, then damped
+            // Shorten a long step: first drop the memory, then damp.
             let step = loop {
                 let mut damped = metric.clone();
                 (0..damped.nrows()).for_each(|k| damped[(k, k)] += damping);
@@ -168,7 +168,7 @@ impl<'a> Descent<'a> {
 }
 
 impl Fit {
-    /// What was found, and how well it is known.
+    /// Stores the cast, its misfit and noise, and the estimates.
     pub(super) fn tell(&mut self, objective: &Objective<'_>, point: &Point, columns: &Columns) {
         let (unknowns, [left, _]) = (&objective.unknowns, objective.noises(point));
         self.twin.misfit = objective.known_noise().map_or(1.0, |known| {
@@ -190,13 +190,13 @@ impl Fit {
     }
 }
 
-/// The inverse of a curvature, which is 1 and more along every direction; of numbers that are none no more is known than before.
+/// Inverse of a curvature, whose eigenvalues are at least 1. Returns the prior's covariance (identity) if entries are not finite.
 pub fn covariance(curvature: DMatrix<f64>) -> DMatrix<f64> {
     let unknowns = curvature.nrows();
     inverse(curvature, 1.0).unwrap_or_else(|| DMatrix::identity(unknowns, unknowns))
 }
 
-/// H⁻¹ g by the two loops of L-BFGS, H at first that of the metric; `None` of numbers that are none.
+/// H⁻¹ g by the two-loop recursion of L-BFGS, starting from the metric. `None` if entries are not finite.
 fn along(
     memory: &[[DVector<f64>; 2]],
     gradient: &DVector<f64>,

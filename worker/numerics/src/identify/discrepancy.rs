@@ -1,26 +1,26 @@
-//! Whether what a fit leaves is noise, or something that the model lacks.
+//! Share of a fit's residual that is model error, not noise.
 //!
 //! ```text
 //! r_c(n) ≈ Σ_c′ Σ_k w a_c′(n − k)      k = −AHEAD … BEHIND, r the residual of a channel, a the fitted signals of all
 //! ```
-//! What a model lacks in a body follows from how the body moves, alike in all records; noise, of whatever memory, does not. So
-//! filters w are fitted to some records (ridge regression) and judged on others.
+//! Model errors of a body depend on its motion in the same way in all records; noise does not, even if correlated in time. Filters w are
+//! therefore fitted to some records (ridge regression) and tested on others.
 
 use nalgebra::{DMatrix, DVector};
 
-/// Instants of the fitted signals that a filter sees.
+/// Instants of the fitted signals that a filter uses.
 const AHEAD: usize = 4;
 const BEHIND: usize = 11;
-/// Parts of the records, each of which is left out once.
+/// Folds of the cross-validation.
 const FOLDS: usize = 5;
-/// Ridge, of the features' squares.
+/// Ridge per row, for features of unit RMS.
 const RIDGE: f64 = 1e-2;
 
-/// Share of the residual's squares, accelerations and rotation rates each in units of theirs, that filters explain on records which they
-/// have not seen, at least 0; none of a single record. `fitted` and `residual` are (records, T, channels).
+/// Share of the squared residual (each channel in units of its RMS) that filters explain on left-out records, at least 0. `None` for a
+/// single record. `fitted` and `residual` are (records, T, channels).
 ///
 /// # Panics
-/// If lengths do not fit together.
+/// If lengths do not match.
 pub fn explained(fitted: &[f64], residual: &[f64], records: usize, channels: usize) -> Option<f64> {
     assert_eq!(fitted.len(), residual.len(), "signals and residual");
     if records < 2 || fitted.is_empty() {
@@ -31,7 +31,7 @@ pub fn explained(fitted: &[f64], residual: &[f64], records: usize, channels: usi
         let squares: f64 = of.iter().skip(channel).step_by(channels).map(|x| x * x).sum();
         (squares / (records * instants) as f64).sqrt()
     };
-    // a channel that says nothing is no feature and has no residual
+    // A channel of zeros has scale 0.
     let scale = |of: &[f64]| -> Vec<f64> {
         (0..channels).map(|c| rms(of, c)).map(|rms| if rms > 0.0 { 1.0 / rms } else { 0.0 }).collect()
     };

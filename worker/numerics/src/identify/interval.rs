@@ -1,12 +1,12 @@
-//! Intervals of what was fitted, and what the records do not determine.
+//! Intervals of the fit, and directions that the records do not determine.
 //!
 //! ```text
 //! covariance = H⁻¹ ((1 + u (G − 1)) G/(G − 1) Σ_g s_g s_gᵀ + 1) H⁻¹,   H = JᵀJ + 1,   s_g = J_gᵀ r_g
 //! ```
-//! A group g is a record, or, of fewer than ten records, a part of one in time, so that noise may be correlated within it. The share u
-//! of the residual that is not noise, or follows from the motion alike in all groups, does not average out. 95 % by Student's t with G − 1
-//! degrees of freedom, but no less than white noise has, H⁻¹: scores of few groups are often too small (Angrist and Pischke, Mostly Harmless
-//! Econometrics, 2009, 8.1). That of a free parameter is marginal: it contains what the other unknowns may be.
+//! A group g is a record, or with fewer than ten records a time segment of one. Noise may be correlated within a group. The share u of the
+//! residual that is not noise, or that filters of the motion explain, does not average out. Intervals (95 %) use Student's t with G − 1
+//! degrees of freedom. They are at least those of white noise, H⁻¹, since scores of few groups are often too small (Angrist and Pischke,
+//! Mostly Harmless Econometrics, 2009, 8.1). They are marginal over all other unknowns.
 
 use super::descent::covariance;
 use super::discrepancy::explained;
@@ -15,28 +15,28 @@ use super::{BOX, Fit};
 use crate::student::student;
 use nalgebra::DMatrix;
 
-/// Records from which each is a group, and groups at least where they are parts of records.
+/// Records from which each is a group; least number of groups from segments.
 const ENOUGH: usize = 10;
 const PARTS: usize = 20;
-/// A direction in which 95 % reach farther than this factor is not told by the records.
+/// Factor that the 95 % interval of a determined direction must not exceed.
 const KNOWN: f64 = 3.0;
 /// 97.5 % quantile of the normal distribution.
 const NORMAL: f64 = 1.96;
-/// Part of an eigenvalue of the largest that is rounding.
+/// Eigenvalues below this fraction of the largest are rounding errors.
 const ROUNDED: f64 = 1e-12;
-/// Part of a parameter's direction that may be unknown.
+/// Largest undetermined share of a determined parameter.
 const SHARE: f64 = 0.05;
 
-/// A combination Π pᵏ of the free parameters that the records do not tell.
+/// Combination Π pᵏ of free parameters that the records do not determine.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Direction {
-    /// The exponents, of length 1, in the order of the estimates.
+    /// Exponents (unit vector), in the order of the estimates.
     pub exponents: Vec<f64>,
-    /// By what factor it may be larger or smaller, 95 %; infinite where nothing depends on it.
+    /// Factor of its 95 % interval; infinite if the records do not depend on it.
     pub factor: f64,
 }
 
-/// Gives a fit its intervals, from columns of all records that count.
+/// Sets a fit's intervals from the columns of all records that count.
 pub fn bound(fit: &mut Fit, objective: &Objective<'_>, point: &Point, columns: &Columns) {
     let (records, jacobian) = (columns.records.len(), objective.jacobian(point, columns));
     let [read, left, residual] = objective.parts(point, &columns.records);
@@ -82,7 +82,7 @@ pub fn bound(fit: &mut Fit, objective: &Objective<'_>, point: &Point, columns: &
     fit.correlation = (0..free).map(|i| (0..free).map(|j| correlation(i, j)).collect()).collect();
 }
 
-/// The directions that records leave open of free parameters, from their covariance with the prior in units of `log`.
+/// Undetermined directions of free parameters, from their posterior covariance in units of `log`.
 fn undetermined(inverse: &DMatrix<f64>, log: f64) -> Vec<Direction> {
     let eigen = information(inverse).symmetric_eigen();
     let largest = eigen.eigenvalues.max();
@@ -93,7 +93,7 @@ fn undetermined(inverse: &DMatrix<f64>, log: f64) -> Vec<Direction> {
             continue;
         }
         let column = eigen.eigenvectors.column(k);
-        // The largest exponent is positive
+        // Make the largest exponent positive.
         let sign = column[column.iamax()].signum();
         let factor = if value > ROUNDED * largest { factor } else { f64::INFINITY };
         undetermined.push(Direction { exponents: column.iter().map(|c| sign * c).collect(), factor });
@@ -102,14 +102,14 @@ fn undetermined(inverse: &DMatrix<f64>, log: f64) -> Vec<Direction> {
     undetermined
 }
 
-/// The information of the records alone: the inverse of the covariance, without the prior's 1.
+/// Information of the records alone: inverse covariance minus the prior's identity.
 fn information(inverse: &DMatrix<f64>) -> DMatrix<f64> {
     let free = inverse.nrows();
     let whole = inverse.clone().try_inverse().unwrap_or_else(|| DMatrix::identity(free, free));
     0.5 * (&whole + whole.transpose()) - DMatrix::identity(free, free)
 }
 
-/// The group of every entry of signals (records, length, width), and how many groups there are.
+/// Group of every entry of signals (records, length, width), and the number of groups.
 fn grouped([records, length, width]: [usize; 3]) -> (Vec<usize>, usize) {
     let parts = if records >= ENOUGH { 1 } else { PARTS.div_ceil(records).min(length) };
     let of = |entry: usize| {

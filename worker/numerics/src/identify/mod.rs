@@ -1,10 +1,11 @@
-//! The cast that best explains measured records: its material, and what else manufacture scatters.
+//! Fits a cast to measured records: its material, and every other property that manufacture scatters.
 //!
 //! ```text
 //! min over z:  F = ½ ‖R^{-½} (y − a(z))‖² + ½ ‖z‖²      z standard normal, of what a [`Variation`] scatters; R noise and bias
 //! ```
-//! The maximum a posteriori estimate. A parameter that is free may differ from its start by a factor of `BOX`; what else scatters is fitted
-//! with it, so that its interval contains what shifted nodes look like. `descent` has the steps, `search` the way to them.
+//! The fit is the maximum a posteriori estimate; z holds the unknowns of a [`Variation`], R the noise and bias. A free parameter stays
+//! within a factor of `BOX` of the spec. All other scattered properties are fitted too, so that intervals cover shifted nodes. `descent`
+//! has the steps, `search` the windows and starts.
 
 mod clock;
 mod descent;
@@ -37,21 +38,21 @@ pub enum Parameter {
     Damping,
     /// Plane density (Mg/mm²).
     Density,
-    /// k_c (N·mm/rad²), of a scene with contact.
+    /// k_c (N·mm/rad²), in scenes with contact.
     Contact,
 }
 
 impl Parameter {
-    /// All, in the order of `Parameters::array`.
+    /// All parameters, in the order of `Parameters::array`.
     pub const ALL: [Self; 6] =
         [Self::Stretch, Self::Shear, Self::Bend, Self::Damping, Self::Density, Self::Contact];
 
-    /// The name by which people know it.
+    /// Name in outputs.
     pub fn name(self) -> &'static str {
         ["stretch", "shear", "bend", "damping", "density", "contact"][self as usize]
     }
 
-    /// Its unit, empty of a pure number.
+    /// Unit; empty if dimensionless.
     pub fn unit(self) -> &'static str {
         ["N/mm", "N/mm", "N·mm/rad", "", "Mg/mm²", "N·mm/rad²"][self as usize]
     }
@@ -60,24 +61,24 @@ impl Parameter {
 /// How a fit ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Ending {
-    /// What is left of a step is a part of a standard error.
+    /// The Newton decrement is a fraction of a standard error.
     Converged,
-    /// No step lowers what is minimised any more, though its gradient asks for one.
+    /// No step lowers F, although the gradient is not small.
     NoProgress,
-    /// All steps are spent.
+    /// The limit on steps is reached.
     StepsSpent,
     /// The records do not determine some combination of free parameters.
     NotIdentifiable,
-    /// A free parameter or a clock is as far from its start as it may be: the records ask for more.
+    /// A free parameter or a clock offset is at its bound.
     AtTheBound,
-    /// The fitted motion leaves most of the signals: the records are not those of this body, clock or units.
+    /// Most of the signals remain in the residual: the records have another body, clock or unit.
     NotExplained,
-    /// Where it was to begin, the body cannot be simulated.
+    /// The body cannot be simulated at the start of the fit.
     StartFailed,
 }
 
 impl Ending {
-    /// All, in their order.
+    /// All endings, in declaration order.
     pub const ALL: [Self; 7] = [
         Self::Converged,
         Self::NoProgress,
@@ -88,7 +89,7 @@ impl Ending {
         Self::StartFailed,
     ];
 
-    /// The name by which people know it.
+    /// Name in outputs.
     pub fn name(self) -> &'static str {
         match self {
             Self::Converged => "converged",
@@ -102,107 +103,105 @@ impl Ending {
     }
 }
 
-/// Asked in the course of long work whether it is to go on.
+/// Callback of long computations: `false` stops them.
 pub type GoOn<'a> = dyn FnMut() -> bool + 'a;
 
-/// Steps in one window and metric.
+/// Steps in one window with one metric.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Iteration {
-    /// How much of each record was looked at (s), from its first force.
+    /// Window from the first force of each record (s).
     pub window: f64,
-    /// RMS of the residual in % of the signals', accelerations and rotation rates, within the window, after them.
+    /// RMS residual after the steps within the window: accelerations and rotation rates (% of the signals' RMS).
     pub misfit: [f64; 2],
-    /// The parameters after them.
+    /// Parameters after the steps.
     pub parameters: Parameters,
 }
 
-/// An iteration and what came of it: with all of them a fit goes on to the same bits from where it was.
+/// A finished iteration. A fit resumes from all its turns with bit-identical results.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Turn {
-    /// What it was.
+    /// Its window, misfit and parameters.
     pub iteration: Iteration,
-    /// z after it.
+    /// z after the iteration.
     pub z: Vec<f64>,
-    /// How it ended.
+    /// How the iteration ended.
     pub ending: Ending,
-    /// Steps taken.
+    /// Number of steps.
     pub steps: usize,
 }
 
-/// What is known of one unknown.
+/// Estimate of one unknown.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Estimate {
-    /// Which.
+    /// The unknown.
     pub unknown: Unknown,
-    /// Standard deviation of its prior: of a logarithm, in rad, in mm.
+    /// Standard deviation of the prior: of a logarithm, in rad, or in mm.
     pub scatter: f64,
-    /// Its estimate z, in units of `scatter`.
+    /// Estimated z, in units of `scatter`.
     pub found: f64,
-    /// Standard deviation of its posterior, in units of `scatter`; 1 if the records do not determine it.
+    /// Posterior standard deviation in units of `scatter`; 1 if the records do not determine the unknown.
     pub left: f64,
-    /// Half width of its 95 % interval, in units of `scatter`, with the discrepancy of the model; of measured records. None for a free
-    /// parameter that is not identifiable or at the bound.
+    /// Half width of the 95 % interval, including model discrepancy, in units of `scatter`; measured records only. `None` for a free
+    /// parameter that is not identifiable or at its bound.
     pub half: Option<f64>,
-    /// Whether it is a free parameter as far from its start as it may be.
+    /// Whether this is a free parameter at its bound.
     pub at_the_bound: bool,
 }
 
-/// A twin.
+/// Model fitted to the records of a cast.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Twin {
-    /// The cast that explains the records best; as designed where none was found.
+    /// Fitted cast; the design if the fit failed.
     pub cast: Cast,
-    /// RMS over the channels of the residual, divided by the noise of the chips; 1 if that noise is unknown and estimated from the
-    /// residual.
+    /// RMS over channels of residual/noise of the chips; 1 if that noise is unknown.
     pub misfit: f64,
-    /// What stands for the noise of each channel that is read (mm/s², rad/s): what is left, but no less than the chips'.
+    /// Noise per channel (mm/s², rad/s): the residual, at least the chips' noise.
     pub noise: Vec<f64>,
 }
 
-/// How a twin was found.
+/// Result of a fit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fit {
-    /// It.
+    /// The twin.
     pub twin: Twin,
-    /// Of each unknown; free parameters come first.
+    /// Estimate per unknown; free parameters come first.
     pub estimates: Vec<Estimate>,
-    /// By how much later each record's readings were taken than it says, where clocks may be off and intervals were asked for; none of
-    /// a record that the body cannot be simulated under.
+    /// Clock offset per record; empty without clock uncertainty or intervals. `None`: the record cannot be simulated.
     pub offsets: Vec<Option<Offset>>,
     /// How the fit ended.
     pub ending: Ending,
-    /// Share of what is left that the motion explains on records that were not asked, where several were fitted and intervals asked for:
-    /// what the model lacks.
+    /// Share of the residual that filters of the fitted signals explain on left-out records (model discrepancy). `None` for one record or
+    /// without intervals.
     pub unmodelled: Option<f64>,
     /// Combinations of free parameters that the records do not determine.
     pub undetermined: Vec<Direction>,
-    /// Correlations of the free parameters' estimates, zero with what is not identifiable.
+    /// Correlations of the free parameters' estimates; 0 with parameters that are not identifiable.
     pub correlation: Vec<Vec<f64>>,
-    /// RMS of the residual in % of the signals', accelerations and rotation rates: at the start and at the end; of measured records.
+    /// RMS residual of accelerations and rotation rates (% of the signals' RMS), at the start and at the end; measured records only.
     pub misfit: [[f64; 2]; 2],
-    /// RMS of the residual at the end (mm/s², rad/s), likewise.
+    /// RMS residual at the end (mm/s², rad/s); measured records only.
     pub residual: [f64; 2],
-    /// Simulated readings (N, T, channels) at the start and at the end, likewise.
+    /// Simulated readings (N, T, channels) at the start and at the end; measured records only.
     pub signals: [Vec<f64>; 2],
-    /// Iterations on measured records.
+    /// Iterations; measured records only.
     pub iterations: Vec<Iteration>,
-    /// How those were integrated.
+    /// Integration method; measured records only.
     pub solver: String,
-    /// Steps taken.
+    /// Number of steps.
     pub steps: usize,
-    /// Work done.
+    /// Cost of the simulations.
     pub counters: Counters,
 }
 
-/// Farthest from the spec's value that a free parameter may be, as a factor.
+/// Largest factor between a free parameter and its value in the spec.
 pub const BOX: f64 = 8.0;
-/// RMS of the residual (%), of accelerations or rotation rates, above which a fit has not explained the signals.
+/// RMS residual (%) of accelerations or rotation rates above which the signals are not explained.
 pub const UNEXPLAINED: f64 = 50.0;
-/// Error of the signals by steps under measured records, in which it does not average out.
+/// Largest integration error for measured records, where it does not average out.
 const FINE: Accuracy = Accuracy(1e-4);
 
-/// Records of one body: forces, readings (N, T, channels) as its chips give them, and the standard deviation of the error of each record's
-/// clock (s).
+/// Records of one body: forces, readings (N, T, channels) as its chips return them, and the standard deviation of each record's clock error
+/// (s).
 pub type Records<'a> = (&'a Forces, &'a [f64], f64);
 
 impl Fit {
@@ -226,12 +225,11 @@ impl Fit {
         }
     }
 
-    /// Of a trial's body from signals (N, T, channels) as its chips give them under `forces`. What
-    /// scatters is the trial's variation, or [`Variation::USUAL`]. Samples that failed must be left out. `None` if it is told meanwhile not to
-    /// go on.
+    /// Fits a cast of a trial's body to signals (N, T, channels) as its chips return them under `forces`. The prior is the trial's
+    /// variation, or [`Variation::USUAL`]. The caller must leave out failed samples. Returns `None` if `go_on` returns `false`.
     ///
     /// # Panics
-    /// If lengths do not fit together.
+    /// If lengths do not match.
     pub(crate) fn of(mould: &Mould, (forces, signals): (&Forces, &[f64]), go_on: &mut GoOn) -> Option<Self> {
         let &Mould { trial, design, solver } = mould;
         let variation = trial.problem.variation.unwrap_or(Variation::USUAL);
@@ -257,14 +255,14 @@ impl Fit {
         Some(fit)
     }
 
-    /// Of a problem's body of this design from measured records, with intervals. `free` parameters may take any value, others are the
-    /// spec's; if none is free, all scatter as the trial's variation says, or [`Variation::USUAL`]. The rest scatters so in any case. Noise
-    /// that the spec has relative is so to the records.
+    /// Fits a problem's body of this design to measured records, with intervals. `free` parameters are fitted and other parameters held at
+    /// the spec. If `free` is empty, parameters scatter as in the trial's variation, or [`Variation::USUAL`]; other properties always do.
+    /// Relative noise in the spec refers to the records.
     ///
-    /// The result does not depend on the number of threads. `watch` sees every turn but those that are `known`, of the same fit before.
+    /// The result does not depend on the number of threads. `known` holds earlier turns of the same fit; `watch` receives each new turn.
     ///
     /// # Panics
-    /// If lengths do not fit together, or a free parameter is not above 0.
+    /// If lengths do not match, or a free parameter is not above 0.
     pub fn of_records(
         problem: &Problem,
         design: &[f64],
@@ -297,7 +295,7 @@ impl Fit {
     }
 }
 
-/// The chips, what is relative in them so to these readings.
+/// Chips of the problem; relative noise refers to the RMS of these readings.
 fn chip(problem: &Problem, readings: &[f64]) -> Option<Chip> {
     let width = problem.shape().inputs;
     let rms = |c: usize| {

@@ -1,4 +1,4 @@
-//! What is minimised, and its gradient by the adjoint.
+//! The objective F and its gradient by the adjoint.
 
 use super::clock::{Clock, Offset};
 use super::unknowns::{Unknown, Unknowns};
@@ -12,20 +12,20 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use std::borrow::Cow;
 
-/// Of z, for differences: 10⁻⁴ standard deviations with the steps held.
+/// Difference in z (standard deviations) for derivatives, with time steps held.
 const NUDGE: f64 = 1e-4;
-/// Part of the largest force from which a record counts as begun.
+/// Fraction of the largest force at which a record begins.
 const BEGUN: f64 = 0.01;
-/// Part of the signals' energy that the first window holds.
+/// Fraction of the signals' energy in the first window.
 const GLANCE: f64 = 0.02;
-/// Error of the signals by the steps that columns are taken with.
+/// Integration error for columns of the Jacobian.
 const COARSE: Accuracy = Accuracy(3e-2);
 
 mod columns;
 
 pub use columns::Columns;
 
-/// z with what it gives.
+/// z, its simulation and its cost.
 pub struct Point {
     pub z: DVector<f64>,
     pub cost: f64,
@@ -33,11 +33,11 @@ pub struct Point {
     scene: Scene,
     plan: Plan,
     simulation: Simulation,
-    /// What the chips of the cast make of all signals, on the clock of the motion.
+    /// All signals as the cast's chips return them, on the clock of the simulation.
     felt: Vec<f64>,
-    /// What is read of them (n, window, channels).
+    /// Readings (n, window, channels).
     pub read: Vec<f64>,
-    /// Where clocks may be off: by how much each record's is (s), and the derivatives of `read` by it.
+    /// With uncertain clocks: offset per record (s), and derivative of `read` in it.
     offsets: Vec<f64>,
     slopes: Vec<f64>,
 }
@@ -47,38 +47,38 @@ pub struct Objective<'a> {
     problem: &'a Problem,
     design: &'a [f64],
     recordings: &'a [f64],
-    /// Scene and forces of whole records, on the clock of the motion where clocks may be off.
+    /// Scene and forces of whole records, on the simulation's clock if clocks are uncertain.
     moving: (Scene, Forces),
-    /// On that clock: what makes the forces smooth.
+    /// Difference between smooth and piecewise linear forces, on the same clock.
     sharper: Forces,
     deviation: f64,
     clock: Option<Clock>,
     chip: Option<&'a Chip>,
     pool: &'a crate::Pool,
     pub unknowns: Unknowns,
-    /// How many unknowns move, the first so many.
+    /// Number of unknowns, from the first, that are fitted.
     pub moves: usize,
-    /// By which steps are chosen, and those for the body as designed and for columns of it, of which a metric is made.
+    /// Solver and plans from `choose_clock`: accurate, and coarse for Jacobian columns.
     solver: Solver,
     plan: Plan,
     coarse: Plan,
-    /// What steps leave of the signals.
+    /// Relative integration error of the signals.
     least: f64,
     /// First instant of each record's force.
     onsets: Vec<usize>,
-    /// Records that count: those that the body as designed can be simulated under.
+    /// Records that count: those under which the body can be simulated at z = 0.
     counts: Vec<bool>,
     window: usize,
-    /// Readings of a record as far as the window.
+    /// Readings per record up to the end of the window.
     readings: usize,
-    /// The records as far as that.
+    /// Scene, forces and readings up to there.
     scene: Scene,
     forces: Forces,
     sharp: Forces,
     recorded: Vec<f64>,
     /// Whether each recorded reading counts.
     seen: Vec<bool>,
-    /// Standard deviation of each channel's noise, and of its bias.
+    /// Standard deviations of noise and bias per channel.
     pub noise: Vec<f64>,
     bias: Vec<f64>,
     pub counters: Counters,
@@ -130,7 +130,7 @@ impl<'a> Objective<'a> {
         objective
     }
 
-    /// Chooses steps by `solver`, and the clock of the motion, for a body under the records' forces.
+    /// Chooses the solver, the clock of the simulation and the plans for a body under the records' forces.
     fn choose_clock(&mut self, body: &Scene, design: &[f64], forces: &Forces, solver: &Solver) {
         let (problem, solver) = (self.problem, solver.in_equal_steps());
         let (least, delay) = problem.clock_and_delay();
@@ -145,7 +145,7 @@ impl<'a> Objective<'a> {
         [self.plan, self.coarse] = self.plans(&body, design, &forces);
     }
 
-    /// Tunes steps, and chooses the clock of the motion, for the cast of z; how steps were chosen. A window must be looked at anew.
+    /// Tunes solver and clock for the cast of z. Returns the solver's reason. Call `look_at` afterwards.
     pub fn tune(&mut self, z: &DVector<f64>, forces: &Forces, asked: &Solver) -> String {
         let cast = self.unknowns.cast(z.as_slice());
         let (scene, design) = (cast.scene(&self.problem.scene), cast.design(self.design));
@@ -155,14 +155,14 @@ impl<'a> Objective<'a> {
         tuned.reason
     }
 
-    /// Steps for a scene under forces on its clock: accurate ones, and those for columns.
+    /// Plans for a scene and forces: accurate, and coarse for Jacobian columns.
     fn plans(&self, scene: &Scene, design: &[f64], forces: &Forces) -> [Plan; 2] {
         let (scene, forces) = self.in_motion(scene, forces);
         [self.solver, Solver::new(Method::Nystrom6, COARSE)]
             .map(|solver| planned(&scene, design, &forces, &solver).double())
     }
 
-    /// Where chips filter, on their clock, if that of uncertain clocks does not stand for it.
+    /// Moves scene and forces to the clock of chips that filter, unless they are on the finer clock for uncertain clocks.
     fn in_motion<'b>(&self, scene: &'b Scene, forces: &'b Forces) -> (Cow<'b, Scene>, Cow<'b, Forces>) {
         match self.clock {
             Some(_) => (Cow::Borrowed(scene), Cow::Borrowed(forces)),
@@ -170,7 +170,7 @@ impl<'a> Objective<'a> {
         }
     }
 
-    /// Leaves out records that the body as designed cannot be simulated under; how many are left.
+    /// Excludes records under which the body cannot be simulated at z = 0. Returns the number that remain.
     pub fn leave_out(&mut self) -> usize {
         let cast = self.unknowns.cast(&vec![0.0; self.unknowns.all().len()]);
         let found = self.simulate(&self.plan, &cast, &self.forces, false);
@@ -180,12 +180,12 @@ impl<'a> Objective<'a> {
         self.counted()
     }
 
-    /// Channels of a reading.
+    /// Channels per instant.
     fn width(&self) -> usize {
         self.noise.len()
     }
 
-    /// Looks at so many instants of each record, from its onset; where clocks may be off, by as many more as signals may be late.
+    /// Sets the window: `window` instants of each record from its onset, plus the margin for late clocks.
     pub fn look_at(&mut self, window: usize) {
         let all = self.problem.scene.instants;
         self.window = window;
@@ -206,7 +206,7 @@ impl<'a> Objective<'a> {
         run(&scene, &cast.design(self.design), &forces, plan, keep_tape, self.pool)
     }
 
-    /// The forces of all records, or of those listed, as z has them between their instants.
+    /// Forces of all records, or of those listed, with the sharpness in z.
     fn forces(&self, z: &DVector<f64>, records: Option<&[usize]>) -> Cow<'_, Forces> {
         let of = |all: &'_ Forces| records.map(|records| all.select(records));
         let by = self.unknowns.sharpness(z.as_slice());
@@ -220,7 +220,7 @@ impl<'a> Objective<'a> {
         Cow::Owned(forces)
     }
 
-    /// Simulates; none where a record that counts does not reach its end. Free parameters stay within their limits.
+    /// Simulates at z, clamped to the limits of free parameters. `None` if a record that counts fails.
     pub fn at(&mut self, mut z: DVector<f64>) -> Option<Point> {
         for k in 0..self.unknowns.free() {
             let limit = self.unknowns.limit(k);
@@ -251,7 +251,7 @@ impl<'a> Objective<'a> {
         0.5 * (misfit + clocks + point.z.norm_squared())
     }
 
-    /// The same under the weights that are now, with the best offsets of the clocks.
+    /// Updates readings, clock offsets and cost for the present weights.
     pub fn again(&self, mut point: Point) -> Point {
         let (samples, width) = (self.forces.samples, self.width());
         let Some(clock) = self.clock else {
@@ -275,7 +275,7 @@ impl<'a> Objective<'a> {
         Point { cost: self.cost(&point), ..point }
     }
 
-    /// What is read of signals of all sensors by records whose clocks are off by this much.
+    /// Readings from the signals of all sensors, at these clock offsets.
     fn read(&self, felt: Vec<f64>, samples: usize, offsets: &[f64]) -> Vec<f64> {
         let Some(clock) = self.clock else { return self.problem.read(felt, samples) };
         let (felt, width) = (self.problem.felt(felt, samples, clock.finer), self.width());
@@ -283,7 +283,7 @@ impl<'a> Objective<'a> {
         each.flat_map(|(own, offset)| clock.read(own, width, *offset, 0)).collect()
     }
 
-    /// Transpose of the same.
+    /// Transpose of `read`.
     fn read_vjp(&self, cotangent: Vec<f64>, samples: usize, offsets: &[f64]) -> Vec<f64> {
         let Some(clock) = self.clock else { return self.problem.read_vjp(cotangent, samples) };
         let width = self.width();
@@ -292,7 +292,7 @@ impl<'a> Objective<'a> {
         self.problem.felt_vjp(felt, samples, clock.finer)
     }
 
-    /// What is read (n, window, channels), R^{-½}(y − a), and the same as if the clocks' offsets were not known, of the records listed.
+    /// For the records listed: readings (n, window, channels), R^{-½}(y − a), and the same with R including the clock offsets' prior.
     pub fn parts(&self, point: &Point, records: &[usize]) -> [Vec<f64>; 3] {
         let record = self.readings * self.width();
         let of = |all: &[f64]| records.iter().flat_map(|i| &all[i * record..][..record]).copied().collect();
@@ -305,7 +305,7 @@ impl<'a> Objective<'a> {
         [of(&point.read), of(&left), of(&before)]
     }
 
-    /// The clocks' offsets with their intervals, from [`Self::jacobian`] of all records and the covariance of z times t².
+    /// Clock offsets with intervals, from [`Self::jacobian`] of all records and t² times the covariance of z.
     pub fn offsets(
         &self,
         point: &Point,
@@ -327,14 +327,14 @@ impl<'a> Objective<'a> {
         (0..self.counts.len()).map(of).collect()
     }
 
-    /// R^{-½}(y − a), zero of what is not seen.
+    /// R^{-½}(y − a); zero where a reading does not count.
     pub fn residual(&self, read: &[f64]) -> Vec<f64> {
         let mut left: Vec<f64> = self.recorded.iter().zip(read).map(|(y, a)| y - a).collect();
         self.whiten(&mut left);
         left
     }
 
-    /// Nothing counts that is outside the window, of a record that does not count, or at the end of its range.
+    /// Excludes readings outside the window, of excluded records, and at the limit of the range.
     fn see(&mut self) {
         let (width, record) = (self.width(), self.readings * self.width());
         let margin = self.clock.map_or(0, |clock| clock.margin());
@@ -350,14 +350,14 @@ impl<'a> Objective<'a> {
         self.seen = seen.into_iter().map(|seen| seen != 0.0).collect();
     }
 
-    /// R^{-½} x = (x − s x̄)/σ for R = σ² + b² 1 1ᵀ of the n readings of a record's channel that are seen, (1 − s)² = σ²/(σ² + n b²);
-    /// symmetric. The others become zero.
+    /// R^{-½} x = (x − s x̄)/σ for R = σ² + b² 1 1ᵀ over the n readings of a record's channel that count, (1 − s)² = σ²/(σ² + n b²);
+    /// symmetric. Other readings become zero.
     fn whiten(&self, of: &mut [f64]) {
         let record = self.readings * self.width();
         of.chunks_exact_mut(record).enumerate().for_each(|(i, own)| self.whiten_record(i, own));
     }
 
-    /// The same of one record.
+    /// Applies `whiten` to one record.
     fn whiten_record(&self, i: usize, own: &mut [f64]) {
         let (width, seen) = (self.width(), &self.seen[i * own.len()..][..own.len()]);
         for c in 0..width {
@@ -372,7 +372,7 @@ impl<'a> Objective<'a> {
         }
     }
 
-    /// dF/dz of the unknowns that move.
+    /// dF/dz of the fitted unknowns.
     pub fn gradient(&mut self, point: &Point) -> DVector<f64> {
         let mut cotangent = self.residual(&point.read);
         self.whiten(&mut cotangent);
@@ -397,12 +397,12 @@ impl<'a> Objective<'a> {
         (slope + &point.z).rows(0, self.moves).into_owned()
     }
 
-    /// That of the chips, where each channel that is read has some.
+    /// Noise per channel of the chips; `None` unless all channels have noise.
     pub fn known_noise(&self) -> Option<Vec<f64>> {
         self.chip.map(Chip::deviations).filter(|all| all.iter().all(|noise| *noise > 0.0))
     }
 
-    /// Standard deviation of each channel's noise by what is left, and by what the chips have, where they have any, and steps leave.
+    /// Noise per channel: RMS of the residual, and its lower bound from the chips' noise and the integration error.
     pub fn noises(&self, point: &Point) -> [Vec<f64>; 2] {
         let width = self.width();
         let mut left = self.residual(&point.read);
@@ -417,8 +417,7 @@ impl<'a> Objective<'a> {
         [(0..width).map(|c| rms(&left, c, seen(c))).collect(), (0..width).map(least).collect()]
     }
 
-    /// Takes what is left for the noise of each channel, but no less than what chips have and steps leave; by how much that changes
-    /// it, relative.
+    /// Sets the noise per channel to the residual's RMS, at least the lower bound. Returns the largest relative change.
     pub fn weigh(&mut self, point: &Point) -> f64 {
         let [left, least] = self.noises(point);
         let noise = left.iter().zip(&least).map(|(left, least)| left.max(*least));
@@ -429,27 +428,27 @@ impl<'a> Objective<'a> {
         changed
     }
 
-    /// Records that count.
+    /// Number of records that count.
     pub fn counted(&self) -> usize {
         self.counts.iter().filter(|counts| **counts).count()
     }
 
-    /// Whether clocks may be off.
+    /// Whether clocks are uncertain.
     pub fn has_clocks(&self) -> bool {
         self.clock.is_some()
     }
 
-    /// Whether records are those of instruments.
+    /// Whether records are measured.
     pub fn is_measured(&self) -> bool {
         self.unknowns.all().contains(&Unknown::Sharpness)
     }
 
-    /// Those of the spec.
+    /// Material parameters of the spec.
     pub fn parameters(&self) -> [f64; 6] {
         Parameters::of(&self.problem.scene).array()
     }
 
-    /// Free parameters at a limit beyond which the gradient leads.
+    /// Free parameters at a limit, with descent directed beyond it.
     pub fn held(&self, point: &Point, gradient: &DVector<f64>) -> Vec<usize> {
         let is = |k: &usize| {
             point.z[*k].abs() >= self.unknowns.limit(*k) * (1.0 - 1e-12) && point.z[*k] * gradient[*k] < 0.0
@@ -457,12 +456,12 @@ impl<'a> Objective<'a> {
         (0..self.unknowns.free()).filter(is).collect()
     }
 
-    /// By how many of the longest steps that any unknown may take it moves.
+    /// Length of a step relative to the longest allowed, over all unknowns.
     pub fn strides(&self, step: &DVector<f64>) -> f64 {
         step.iter().enumerate().fold(0.0, |most, (k, by)| most.max(self.unknowns.strides(k, *by)))
     }
 
-    /// A step of the unknowns that move as one of all.
+    /// Appends zeros for the unknowns that are held.
     pub fn padded(&self, step: &DVector<f64>) -> DVector<f64> {
         step.clone().resize_vertically(self.unknowns.all().len(), 0.0)
     }
@@ -472,17 +471,17 @@ impl<'a> Objective<'a> {
         self.window as f64 * self.problem.scene.duration / self.instants() as f64
     }
 
-    /// Readings of a whole record.
+    /// Readings per whole record.
     pub fn instants(&self) -> usize {
         self.problem.scene.instants
     }
 
-    /// 0 of an acceleration, 1 of a rotation rate.
+    /// 0 for an acceleration, 1 for a rotation rate.
     fn kind(&self, channel: usize) -> usize {
         usize::from(self.problem.channels[channel % self.problem.channels.len()] == 2)
     }
 
-    /// The first window: as long as it takes the signals to hold a small part of their energy.
+    /// First window: the shortest that contains a fraction `GLANCE` of the energy.
     pub fn first_window(&self) -> usize {
         let (width, instants) = (self.width(), self.instants());
         let mut energy = vec![[0.0; 2]; instants + 1];
@@ -496,7 +495,7 @@ impl<'a> Objective<'a> {
         let mut sum = [0.0; 2];
         for (n, e) in energy.iter().enumerate() {
             sum = [sum[0] + e[0], sum[1] + e[1]];
-            // A kind that shows nothing is not waited for.
+            // A kind without signal does not lengthen the window.
             if (0..2).all(|c| total[c] == 0.0 || sum[c] > GLANCE * total[c]) {
                 return n.max(4);
             }
@@ -504,7 +503,7 @@ impl<'a> Objective<'a> {
         instants
     }
 
-    /// RMS of the residual of accelerations and rotation rates (mm/s², rad/s), and in % of that of the signals; of what is seen.
+    /// RMS residual of accelerations and rotation rates over counted readings: in mm/s² and rad/s, and in % of the signals' RMS.
     pub fn misfit(&self, point: &Point) -> [[f64; 2]; 2] {
         let (mut off, mut size, mut count) = ([0.0; 2], [0.0; 2], [0.0f64; 2]);
         let each = self.recorded.iter().zip(&point.read).zip(&self.seen).enumerate();
@@ -519,8 +518,8 @@ impl<'a> Objective<'a> {
     }
 }
 
-/// −δ²f/12 + δ⁴f/90 at each instant: what forces that are linear between instants lack of smooth ones of the same samples. Their spectrum
-/// is that of smooth ones times sinc²(πfh).
+/// −δ²f/12 + δ⁴f/90 per instant: smooth minus piecewise linear forces of the same samples. The spectrum of linear forces is that of smooth
+/// ones times sinc²(πfh).
 fn sharper(forces: &Forces) -> Forces {
     let difference = |f: &[f64]| {
         let inner = f.windows(3).map(|f| f[0] - 2.0 * f[1] + f[2]);
@@ -535,7 +534,7 @@ fn sharper(forces: &Forces) -> Forces {
     Forces { values, ..forces.clone() }
 }
 
-/// The instant at which each record's force begins.
+/// Instant at which each record's force begins.
 fn onsets(scene: &Scene, forces: &Forces) -> Vec<usize> {
     let onset = |i: usize| {
         let history = forces.sample(i);

@@ -1,5 +1,5 @@
-//! The way to the least of F. A wave's phase makes F hilly, so a fit begins with the first part of each record and lengthens it. Free
-//! parameters go first and alone; where a window loses the records, from another start. What else scatters follows on the whole records.
+//! Search for the global minimum of F. Waves cause local minima, so a fit begins with a short window of each record and lengthens it. Free
+//! parameters are fitted first and alone, from other starts if the misfit becomes large. All other unknowns follow on whole records.
 
 use super::descent::{Descent, How};
 use super::objective::{Columns, Point};
@@ -7,30 +7,30 @@ use super::{Ending, Fit, Parameter, UNEXPLAINED, Unknown, interval};
 use crate::dynamics::{Forces, Solver};
 use nalgebra::DVector;
 
-/// Parts of the records that are looked at, one after the other, where no parameter is free.
+/// Windows relative to the record, without free parameters.
 const WINDOWS: [f64; 5] = [1.0 / 32.0, 0.0625, 0.125, 0.25, 1.0];
-/// By how much a window is lengthened where some are.
+/// Growth of the window with free parameters.
 const GROWTH: f64 = 1.4;
-/// Root of the sum of the squared misfits (%) of both kinds from which a window is lost: another start is tried.
+/// Norm of the two misfits (%) above which a window fails and another start is tried.
 const LOST: f64 = 60.0;
-/// The same where clocks may be off: their offsets explain much of the signals of another material.
+/// The same with uncertain clocks, whose offsets can mimic another material.
 const LOST_BY_CLOCKS: f64 = 30.0;
-/// Factors of other starts, on stretch, shear, bend and density.
+/// Factors of other starts on stretch, shear, bend and density.
 const SCALES: [f64; 3] = [1.0, 0.5, 2.0];
-/// Other starts that are tried, those of least misfit in the first window first.
+/// Largest number of other starts, in order of misfit in the first window.
 const TRIES: usize = 24;
 
-/// On parts of the records, and there for free parameters, first and later.
+/// On windows: without free parameters; with them, in the first window and in later ones.
 const GLANCE: How = How { rounds: 1, steps: 20, worth: 0.01, close: 0.3 };
 const FIRST: How = How { rounds: 4, steps: 4, worth: 0.01, close: 0.3 };
 const LATER: How = How { rounds: 2, steps: 4, worth: 0.01, close: 0.3 };
-/// On whole records: of twins in trials; of free parameters alone, and of all unknowns.
+/// On whole records: all unknowns of a trial's twin; free parameters alone; all unknowns of measured records.
 const WHOLE: How = How { rounds: 4, steps: 20, worth: 0.0, close: 0.3 };
 const ALONE: How = How { rounds: 3, steps: 4, worth: 0.01, close: 0.3 };
 const LAST: How = How { close: 0.1, ..WHOLE };
 
 impl Descent<'_> {
-    /// Through the windows: where that led, and columns near there.
+    /// Fits all windows in turn. Returns the final point with columns, `Some(None)` if a simulation fails, `None` if stopped.
     pub fn by_windows(&mut self, ending: &mut Ending) -> Option<Option<(Point, Columns)>> {
         let mut z = DVector::zeros(self.objective.unknowns.all().len());
         for part in WINDOWS {
@@ -46,7 +46,7 @@ impl Descent<'_> {
         Some(None)
     }
 
-    /// Fits measured records under `forces`, and says how well what was found is known.
+    /// Fits measured records under `forces`, with intervals.
     pub fn fit(&mut self, fit: &mut Fit, forces: &Forces, asked: &Solver, as_scattered: bool) {
         let start = DVector::zeros(self.objective.unknowns.all().len());
         let Some(first) = self.whole(&start) else { return };
@@ -66,7 +66,7 @@ impl Descent<'_> {
         [fit.residual, fit.misfit[1]] = self.objective.misfit(&point);
         let at_the_bound = fit.estimates.iter().any(|e| e.at_the_bound)
             || fit.offsets.iter().flatten().any(|offset| offset.half.is_none());
-        // what is at the bound or undetermined is the nearer cause
+        // A bound or an undetermined direction is the more specific cause.
         if at_the_bound {
             fit.ending = Ending::AtTheBound;
         } else if !fit.undetermined.is_empty() && fit.ending == Ending::Converged {
@@ -77,7 +77,7 @@ impl Descent<'_> {
         fit.signals[1] = point.read;
     }
 
-    /// Window after window from one start after the other until one stays with the records; then free parameters, then all unknowns.
+    /// Fits windows from one start after another until one succeeds; then free parameters alone on whole records, then all unknowns.
     fn free_first(
         &mut self,
         fit: &mut Fit,
@@ -111,7 +111,7 @@ impl Descent<'_> {
         columns.map(|columns| (point, columns))
     }
 
-    /// From the first window on until the whole record is looked at or lost: what was found, the last window and its misfit.
+    /// Lengthens the window until it covers the record or fails. Returns z, the last window and its misfit.
     fn lengthen(&mut self, mut z: DVector<f64>) -> (DVector<f64>, (usize, f64)) {
         let (mut window, mut how) = (self.objective.first_window(), FIRST);
         while window < self.objective.instants() {
@@ -138,7 +138,7 @@ impl Descent<'_> {
         a.hypot(b)
     }
 
-    /// All combinations of `SCALES` on the start, but of those that would move what is held; those of least misfit in the first window first.
+    /// Starts with all combinations of `SCALES` on the free parameters, in order of misfit in the first window.
     fn others(&mut self, start: &DVector<f64>) -> Vec<DVector<f64>> {
         self.objective.look_at(self.objective.first_window());
         let unknowns = self.objective.unknowns.all();

@@ -1,4 +1,4 @@
-//! Twins of casts that are known.
+//! Twins of known casts.
 
 use super::*;
 use crate::body::Layout;
@@ -12,7 +12,7 @@ use nalgebra::DVector;
 
 mod records;
 
-/// So many columns and rows of units, two panels, one sensor, `instants` of 5 ms.
+/// A sheet with two panels, one sensor and `instants` of 5 ms.
 fn problem(columns: usize, rows: usize, instants: usize, samples: usize) -> Problem {
     let layout = Layout::planar(columns, rows, 15.0, 2.25);
     let struck = layout.top_panels(2).expect("panels");
@@ -42,7 +42,7 @@ fn problem(columns: usize, rows: usize, instants: usize, samples: usize) -> Prob
     }
 }
 
-/// Records of a cast under the first training forces, as the trial's chips give them.
+/// Records of a cast under the first training forces, as the trial's chips return them.
 fn records(trial: &Trial, cast: &Cast, count: usize) -> (Forces, Vec<f64>) {
     let forces = trial.problem.known()[0].select(&(0..count).collect::<Vec<_>>());
     let (solver, counters) = (&trial.problem.solver, &mut crate::trial::Counters::default());
@@ -58,7 +58,7 @@ fn twin(trial: &Trial, forces: &Forces, signals: &[f64]) -> Fit {
     found.expect("told to go on")
 }
 
-/// z of a cast whose nodes scatter each by itself.
+/// True z of a cast with uncorrelated node shifts.
 fn truth(cast: &Cast, estimate: &Estimate) -> f64 {
     let moved = match estimate.unknown {
         Unknown::Material(parameter) => cast.material.array()[parameter as usize].ln(),
@@ -73,23 +73,23 @@ fn truth(cast: &Cast, estimate: &Estimate) -> f64 {
     moved / estimate.scatter
 }
 
-/// Records of a drawn cast with 3 % noise: what is left is that noise, the material lies within three standard errors, nodes are known
-/// better than before, and errors of all unknowns are as large as they are said to be.
+/// Fits a random cast with 3 % noise. The residual is that noise, material errors are below three standard errors, node shifts improve on
+/// the prior, and errors of all unknowns match their standard deviations.
 #[test]
 fn a_twin_is_the_cast_that_was_recorded() {
     check_a_twin("squares", problem(4, 4, 60, 34), 30, 0.3);
 }
 
-/// The same of a sheet of hexagons and of a disc of squares that turn alike, from fewer and shorter records.
+/// The same for hexagons and for a disc of chiral squares, with fewer and shorter records.
 #[test]
 fn a_twin_of_another_lattice_is_its_cast() {
     for (what, small) in on_lattices(&problem(3, 3, 30, 16)).into_iter().skip(2).step_by(3) {
-        // stretching hides how hexagons bend
+        // Stretch dominates the bending of hexagons, so bend stays uncertain.
         check_a_twin(&what, small, 12, 0.99);
     }
 }
 
-/// From so many records, which leave at most this part of what was unknown of the material.
+/// Fits `count` records. `most`: largest posterior standard deviation of the material, relative to the prior.
 fn check_a_twin(what: &str, mut problem: Problem, count: usize, most: f64) {
     let usual = Variation::USUAL;
     problem.variation = Some(Variation { gain: 0.02, misalignment: 0.02, ..usual });
@@ -116,8 +116,8 @@ fn check_a_twin(what: &str, mut problem: Problem, count: usize, most: f64) {
     );
 }
 
-/// F(z + εd) − F(z − εd) = 2ε ∇F·d + O(ε³) along each kind of unknown, with chips that filter, have a bias and leave channels out,
-/// contact, and nodes that scatter alike; where some parameters are free and a third of the readings are at the end of their range; and where clocks may be off.
+/// F(z + εd) − F(z − εd) = 2ε ∇F·d + O(ε³) along each kind of unknown, with contact, correlated nodes and chips that filter, have a bias
+/// and omit channels. Further cases: free parameters with saturated readings; uncertain clocks.
 #[test]
 fn the_gradient_of_a_twin_holds_in_every_unknown() {
     let free = [Parameter::Stretch, Parameter::Damping];
@@ -128,7 +128,7 @@ fn the_gradient_of_a_twin_holds_in_every_unknown() {
     }
 }
 
-/// `range`: of each channel's RMS; `deviation`: of the clocks (s).
+/// `range`: relative to each channel's RMS; `deviation`: of the clocks (s).
 fn check_the_gradient(range: f64, deviation: f64, free: &[Parameter]) {
     let mut problem = problem(3, 3, 24, 8);
     problem.scene.contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
@@ -167,7 +167,7 @@ fn check_the_gradient(range: f64, deviation: f64, free: &[Parameter]) {
     objective.look_at(20);
     let mut draw = Stream::new(Purpose::Design, 1, [0, 0]);
     let count = objective.unknowns.all().len();
-    // of a free parameter a deviation is a factor of ten
+    // z = 1 is a factor of ten for a free parameter.
     let scale = |k: usize| if k < free.len() { 0.1 } else { 1.0 };
     let z = DVector::from_fn(count, |k, _| 0.5 * scale(k) * draw.normal());
     let point = objective.at(z.clone()).expect("a cast that moves");
@@ -197,7 +197,8 @@ fn check_the_gradient(range: f64, deviation: f64, free: &[Parameter]) {
     }
 }
 
-/// What records do not tell stays as it was; the same on any number of threads; and a body that cannot be simulated has no twin.
+/// Unknowns that the records do not determine stay at the prior. Fits do not depend on threads. A fit fails if its start cannot be
+/// simulated.
 #[test]
 fn what_records_do_not_tell_is_left_as_it_was() {
     let mut problem = problem(3, 3, 24, 12);
@@ -227,7 +228,7 @@ fn what_records_do_not_tell_is_left_as_it_was() {
     assert_eq!((twin.ending, twin.steps), (Ending::StartFailed, 0));
 }
 
-/// One record of twelve is struck ten times as hard: the curvature of four records is about that of all, wherever it stands.
+/// One record of twelve has forces ten times as large: four records give about the curvature of all, wherever it is.
 #[test]
 fn a_metric_of_few_records_has_those_that_outweigh_the_others() {
     let problem = problem(3, 3, 24, 16);

@@ -1,4 +1,4 @@
-//! What is fitted: z standard normal, of all that a variation scatters, and the cast that it stands for.
+//! The unknowns z (standard normal prior) and the cast that they define.
 
 use crate::Pool;
 use crate::dynamics::{Gradient, Parameters, Parts, Scene};
@@ -6,46 +6,45 @@ use crate::identify::{BOX, Parameter};
 use crate::variation::{Cast, Chips, Variation, shared, shared_vjp};
 use std::ops::Range;
 
-/// What one entry of z moves.
+/// Quantity that one entry of z changes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Unknown {
-    /// A parameter, of all ligaments and units alike.
+    /// A parameter, common to all ligaments and units.
     Material(Parameter),
     /// l₀ of all ligaments.
     LigamentLength,
-    /// How forces run between the instants of their clock: at 0 linearly, at 1 as smoothly as their samples. It belongs to the records, not to
-    /// the cast.
+    /// Forces between their samples: linear at 0, smooth at 1. A property of the records, not of the cast.
     Sharpness,
-    /// The gain of a channel (of 3M).
+    /// Gain of a channel (of 3M).
     Gain(usize),
-    /// The turn of a chip.
+    /// Misalignment angle of a chip.
     Turn(usize),
-    /// A coordinate of the shift of a node group (of α).
+    /// Coordinate of a node group's shift (index into α).
     Shift(usize),
-    /// k_l, k_s or k_θ of a ligament beside that of all.
+    /// k_l, k_s or k_θ of one ligament, relative to the common value.
     Ligament(usize, usize),
-    /// The density of a unit, likewise.
+    /// Density of one unit, relative to the common value.
     Unit(usize),
 }
 
 impl Unknown {
-    /// The parameter that it moves, if it moves one of all ligaments or units alike.
+    /// The common parameter that this unknown changes, if any.
     #[must_use]
     pub fn parameter(self) -> Option<Parameter> {
         if let Self::Material(parameter) = self { Some(parameter) } else { None }
     }
 }
 
-/// ln 10: standard deviation of the logarithm of a free parameter.
+/// ln 10: prior standard deviation of the logarithm of a free parameter.
 const TRUST: f64 = std::f64::consts::LN_10;
-/// Longest step of an unknown; of a free parameter, of its logarithm.
+/// Longest step of an unknown (standard deviations), and of a free parameter's logarithm.
 pub const STRIDE: f64 = 2.0;
 const FREE_STRIDE: f64 = std::f64::consts::LN_2;
 
-/// The unknowns of a body with its sensors, in this order: those of the cast as a whole, its chips, its nodes, its parts.
+/// Unknowns of a body with sensors, in this order: of the whole cast, chips, nodes, ligaments and units.
 pub struct Unknowns {
     variation: Variation,
-    /// How many are free parameters; they come first.
+    /// Number of free parameters; they come first.
     free: usize,
     likeness: Vec<f64>,
     all: Vec<Unknown>,
@@ -55,7 +54,7 @@ pub struct Unknowns {
 }
 
 impl Unknowns {
-    /// Of a cast.
+    /// Unknowns of a cast.
     pub fn new(scene: &Scene, variation: &Variation, pool: &Pool) -> Self {
         let (layout, sensors) = (&scene.layout, scene.sensors.len());
         let own = Parameters::of(scene).array();
@@ -86,7 +85,8 @@ impl Unknowns {
         }
     }
 
-    /// Of a cast with these parameters free, the others held, or, if there are none, all as they scatter; and of its records' forces.
+    /// Unknowns of a cast and of its records' forces. Parameters in `free` are fitted and the others held; if it is empty, all have the
+    /// variation's prior.
     pub fn of_records(scene: &Scene, variation: &Variation, free: &[Parameter], pool: &Pool) -> Self {
         let material = std::array::from_fn(|k| if free.contains(&Parameter::ALL[k]) { TRUST } else { 0.0 });
         let material = if free.is_empty() { variation.material } else { Parameters::from_array(material) };
@@ -102,32 +102,32 @@ impl Unknowns {
         &self.all
     }
 
-    /// How many are free parameters; they come first.
+    /// Number of free parameters; they come first.
     pub fn free(&self) -> usize {
         self.free
     }
 
-    /// The logarithm of z = 1 of a free parameter.
+    /// Prior standard deviation of a free parameter's logarithm.
     pub fn log(&self) -> f64 {
         TRUST
     }
 
-    /// Largest |z| of the `k`-th.
+    /// Largest |z| of unknown `k`.
     pub fn limit(&self, k: usize) -> f64 {
         if k < self.free { BOX.ln() / TRUST } else { f64::INFINITY }
     }
 
-    /// By how many of its longest steps the `k`-th moves in a step.
+    /// Length of a step of unknown `k` relative to its longest.
     pub fn strides(&self, k: usize, step: f64) -> f64 {
         step.abs() / if k < self.free { FREE_STRIDE / TRUST } else { STRIDE }
     }
 
-    /// By which part forces are smooth.
+    /// Value of `Sharpness` in z.
     pub fn sharpness(&self, z: &[f64]) -> f64 {
         self.all.iter().position(|of| *of == Unknown::Sharpness).map_or(0.0, |k| z[k])
     }
 
-    /// Its standard deviation: of a logarithm, in rad, in mm.
+    /// Prior standard deviation: of a logarithm, in rad, or in mm.
     pub fn deviation(&self, unknown: Unknown) -> f64 {
         let of = &self.variation;
         match unknown {
@@ -148,7 +148,7 @@ impl Unknowns {
         first..first + self.all.iter().filter(is).count()
     }
 
-    /// The cast that z stands for.
+    /// The cast that z defines.
     pub fn cast(&self, z: &[f64]) -> Cast {
         let (mut material, mut ligament_length) = ([1.0; 6], 1.0);
         let count = |deviation: f64, count: usize| if deviation > 0.0 { count } else { 0 };
@@ -182,8 +182,8 @@ impl Unknowns {
         Cast { material, parts, ligament_length, relaxation: None, shifts, chips }
     }
 
-    /// dF/dz of a gradient in the parameters, parts and design of the scene of `cast`, and in the logarithms of its chips' gains and
-    /// in their turns. Nothing of the length and of the forces.
+    /// Part of dF/dz from gradients in the parameters, parts and design of the scene of `cast`, and in the chips' log gains and angles.
+    /// Zero for ligament length and sharpness.
     pub fn pull(&self, scene: &Scene, cast: &Cast, gradient: &Gradient, chips: &Chips) -> Vec<f64> {
         let parameters = gradient.parameters.expect("asked for").array();
         let at = Parameters::of(scene).array();

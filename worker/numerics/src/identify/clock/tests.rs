@@ -1,6 +1,6 @@
 use super::*;
 
-/// Two records of 2 channels, 6 waves a channel whose quickest has 10 instants a period; off by 1.7 ms.
+/// Clock with 8 simulated instants per reading of 5 ms.
 const CLOCK: Clock = Clock { deviation: 2e-3, finer: 8, step: 5e-3 / 8.0, interval: 5e-3, delay: 0.3e-3 };
 
 fn wave(t: f64, c: usize) -> [f64; 2] {
@@ -16,7 +16,7 @@ fn motion() -> Vec<f64> {
     (1..=8 * 40).flat_map(|j| (0..2).map(move |c| wave(j as f64 * CLOCK.step, c)[0])).collect()
 }
 
-/// Values and slopes at any offset are those of the waves; the transpose is one; the second derivative is that of the first.
+/// Interpolated values and slopes equal those of the waves; `read_vjp` is the transpose; the second derivative is that of the slope.
 #[test]
 fn readings_are_the_motion_when_they_were_taken() {
     let motion = motion();
@@ -38,7 +38,7 @@ fn readings_are_the_motion_when_they_were_taken() {
             let scale = exact.iter().fold(0.0f64, |m, x| m.max(x.abs()));
             let off =
                 difference(derivative - 1).iter().zip(&exact).fold(0.0f64, |m, (a, b)| m.max((a - b).abs()));
-            // between polynomials slopes jump by what interpolation misses
+            // Slopes jump between polynomials by the interpolation error.
             assert!(off < 2e-3 * scale, "{offset} {derivative}: {off} of {scale}");
         }
         let bar: Vec<f64> = (0..80).map(|i| (1.3 * f64::from(i)).sin()).collect();
@@ -48,7 +48,7 @@ fn readings_are_the_motion_when_they_were_taken() {
     }
 }
 
-/// The least is found across the waves, and is where its slope is 0; far beyond the bound it ends there.
+/// `settle` recovers offsets despite waves; `slope` is nonzero there and 0 at the bound.
 #[test]
 fn an_offset_is_found_among_waves() {
     let motion = motion();
@@ -66,8 +66,8 @@ fn an_offset_is_found_among_waves() {
     assert!(CLOCK.slope(&motion, 2, CLOCK.limit()).iter().all(|x| *x == 0.0), "moves at its bound");
 }
 
-/// A bell of twelve entries, read at 0.4 of the way between them: off by less than 0.5 % of its peak where its curvature jumps, and by far
-/// less elsewhere.
+/// Interpolates a bell of twelve entries at a fraction of 0.4 between them. The error is below 0.5 % of the peak at curvature jumps, far
+/// below elsewhere.
 #[test]
 fn a_smooth_force_is_read_between_its_entries() {
     let bell = |s: f64| (std::f64::consts::PI * ((s - 3.0) / 12.0).clamp(0.0, 1.0)).sin().powi(2);

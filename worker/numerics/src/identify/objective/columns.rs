@@ -1,4 +1,4 @@
-//! Columns of the Jacobian by differences, and what is made of them.
+//! Jacobian columns by differences; curvature.
 
 use super::{NUDGE, Objective, Point};
 use crate::dynamics::{Counters, Plan};
@@ -6,17 +6,17 @@ use crate::random::Draw;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-/// Columns of da/dz, an unknown each, of some records.
+/// Columns of da/dz for some records, one column per unknown.
 pub struct Columns {
     pub records: Vec<usize>,
-    /// For how many records each stands.
+    /// Weight per record: the number of records that it represents.
     stands: Vec<f64>,
-    /// (records, window, channels).
+    /// Column per unknown (records, window, channels).
     of: Vec<Vec<f64>>,
 }
 
 impl Objective<'_> {
-    /// What is read of all records, or of those listed, with z nudged.
+    /// Readings of all records, or of those listed, at a nudged z.
     pub(super) fn nudged(
         &self,
         plan: &Plan,
@@ -36,7 +36,7 @@ impl Objective<'_> {
         (self.read(felt, forces.samples, offsets), simulation.counters)
     }
 
-    /// How far a nudge of all unknowns together moves each record, Σ R^{-½} da of it squared.
+    /// Sum of squares of R^{-½} da per record, under one random nudge of all fitted unknowns.
     fn moved(&mut self, point: &Point, coarse: &Plan) -> Vec<f64> {
         let mut draw = Draw::numbered(0, 0);
         let of = |k, _| if k < self.moves { NUDGE * draw.normal() } else { 0.0 };
@@ -50,8 +50,7 @@ impl Objective<'_> {
         moved.chunks_exact(record).map(|own| own.iter().map(|x| x * x).sum()).collect()
     }
 
-    /// da/dz of some records, at most, one after the other: half of them those that move most, of which a few may outweigh all the others,
-    /// half of them in the place of the rest.
+    /// da/dz for at most `most` records: half of them are the most sensitive, since a few can outweigh the others; half represent the rest.
     pub fn columns(&mut self, point: &Point, most: usize) -> Columns {
         let coarse = match self.unknowns.free() {
             0 => self.coarse.clone(),
@@ -82,7 +81,7 @@ impl Objective<'_> {
         Columns { records, stands, of }
     }
 
-    /// R^{-½} da/dz, record by record; less what the clocks' offsets can take up at a point.
+    /// R^{-½} da/dz, record by record, with R including the prior of the clock offsets.
     pub fn jacobian(&self, point: &Point, Columns { records, of, .. }: &Columns) -> DMatrix<f64> {
         let record = self.readings * self.width();
         let mut slopes = point.slopes.clone();
@@ -103,7 +102,7 @@ impl Objective<'_> {
         jacobian
     }
 
-    /// JᵀJ + 1, some records in the place of all.
+    /// JᵀJ + 1, with each record weighted by the number that it represents.
     pub fn curvature(&self, point: &Point, columns: &Columns) -> DMatrix<f64> {
         let mut jacobian = self.jacobian(point, columns);
         let record = self.readings * self.width();

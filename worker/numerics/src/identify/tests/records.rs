@@ -1,4 +1,4 @@
-//! Free parameters from records of bodies that are known.
+//! Fits of free parameters to records of known bodies.
 
 use super::*;
 use crate::body::Pattern;
@@ -9,7 +9,7 @@ fn pool(threads: usize) -> crate::Pool {
     crate::Pool::new(threads).expect("a pool")
 }
 
-/// Columns and rows of units, one or two panels, read for 0.3 s at 60 instants.
+/// A sheet with one or two panels and 60 instants in 0.3 s.
 fn scene(columns: usize, rows: usize, panels: usize) -> Scene {
     let layout = Layout::planar(columns, rows, 15.0, 2.25);
     let struck = layout.top_panels(panels).expect("panels");
@@ -54,7 +54,7 @@ fn blows(scene: &Scene, samples: u64) -> Forces {
     stimuli::bells(&bell, Purpose::Stimulus, 1, 0..samples, panels, duration, instants)
 }
 
-/// Signals of the scene with noise of a part of each kind's RMS, correlated from instant to instant by `memory`.
+/// Signals with noise relative to each kind's RMS; `memory` is its correlation between successive instants.
 fn records(scene: &Scene, design: &[f64], forces: &Forces, noise: f64, memory: f64, seed: u64) -> Vec<f64> {
     let solver = Solver::new(Method::Nystrom6, Accuracy(1e-5));
     let mut signals = simulate(scene, design, forces, &solver, false, &pool(1)).signals;
@@ -75,7 +75,7 @@ fn records(scene: &Scene, design: &[f64], forces: &Forces, noise: f64, memory: f
     signals
 }
 
-/// Of bodies of exact moulds, on so many threads.
+/// Fits a body whose design is exact.
 fn fit_on(
     threads: usize,
     (start, design): (&Scene, &[f64]),
@@ -125,7 +125,7 @@ fn errors(fit: &Fit, truth: &Scene, start: &Scene) -> Vec<f64> {
     of_free(fit).map(|(k, e)| value(e, k, start, 0.0) / Parameters::of(truth).array()[k] - 1.0).collect()
 }
 
-/// The free parameters' numbers and estimates.
+/// Index and estimate of each free parameter.
 fn of_free(fit: &Fit) -> impl Iterator<Item = (usize, &Estimate)> {
     fit.estimates.iter().filter_map(|e| match e.unknown {
         Unknown::Material(parameter) => Some((parameter as usize, e)),
@@ -133,12 +133,12 @@ fn of_free(fit: &Fit) -> impl Iterator<Item = (usize, &Estimate)> {
     })
 }
 
-/// That of a parameter, by so many half intervals from its estimate.
+/// Value of a parameter, `by` half widths of its interval from the estimate.
 fn value(e: &Estimate, k: usize, start: &Scene, by: f64) -> f64 {
     Parameters::of(start).array()[k] * (e.scatter * (e.found + by * e.half.unwrap_or(0.0))).exp()
 }
 
-/// Counts the intervals that hold.
+/// Counts the intervals that contain the true value.
 fn count_held(held: &mut [usize; 5], fit: &Fit, truth: &Scene, start: &Scene) {
     for (held, (k, e)) in held.iter_mut().zip(of_free(fit)) {
         assert!(e.half.is_some(), "{e:?}");
@@ -147,7 +147,7 @@ fn count_held(held: &mut [usize; 5], fit: &Fit, truth: &Scene, start: &Scene) {
     }
 }
 
-/// Five parameters, each wrong by a factor of two, this way or that, under noise of 3 %.
+/// Fits five parameters from starts wrong by factors of two, with 3 % noise.
 #[test]
 fn starts_off_by_a_factor_of_two_come_back() {
     let squares = [[2.0; 5], [0.5; 5], [2.0, 2.0, 0.5, 0.5, 0.5], [0.5, 0.5, 2.0, 2.0, 2.0]];
@@ -182,8 +182,7 @@ fn check_a_start(scene: &Scene, factors: [f64; 5]) {
     assert!(found.misfit[1].iter().all(|m| (2.0..4.0).contains(m)), "{what}");
 }
 
-/// Where ligaments relax a fit leaves more than noise, and says so: the motion explains much of it on records that were not asked.
-/// Of noise, white or with a memory, it explains nothing.
+/// If ligaments relax, filters of the motion explain much of the residual on left-out records; they explain no white or correlated noise.
 #[test]
 fn what_the_model_lacks_is_told_from_noise() {
     let scene = scene(3, 2, 2);
@@ -200,8 +199,8 @@ fn what_the_model_lacks_is_told_from_noise() {
     assert!(known.0 < 0.05 && remembered.0 < 0.05 && lacking.0 > 0.3, "{said}");
 }
 
-/// Of twenty seeded draws of noise at least sixteen intervals hold each true value, of white noise and of noise that
-/// remembers, in few records, cut into parts, and in ten.
+/// For each parameter, at least 16 of 20 intervals contain the true value, under white and correlated noise, with groups from segments of
+/// two records and from ten records.
 #[test]
 fn intervals_of_95_percent_hold_the_truth() {
     for (samples, memory) in [(2, 0.0), (2, 0.7), (10, 0.7)] {
@@ -220,8 +219,8 @@ fn intervals_of_95_percent_hold_the_truth() {
     }
 }
 
-/// Readings whose clocks are late by up to 5 ms, each record's by its own time: material and clocks come back, and intervals hold
-/// them. Clocks that are taken as exact give another material.
+/// Clocks late by up to 5 ms, a different offset per record: the fit recovers material and offsets, and intervals contain them. Assuming
+/// exact clocks biases the material.
 #[test]
 fn clocks_that_are_off_are_fitted_with_the_material() {
     const RECORDS: usize = 6;
@@ -262,10 +261,10 @@ fn clocks_that_are_off_are_fitted_with_the_material() {
     assert!(held.iter().all(|held| *held >= 3) && clocks >= 20, "{held:?} of 4, {clocks} of 24");
 }
 
-/// One unit on one ligament, pushed along it, with its design, blows and records: stretching and mass show, shearing and
-/// bending do not. (With damping they would, through its formula.)
+/// One unit on one ligament, pushed along it: the records determine stretch and density, not shear and bend. (With damping they would,
+/// since damping depends on them.)
 fn pushed() -> (Scene, Vec<f64>, Forces, Vec<f64>) {
-    // Some 50 Hz, which a clock of 200 Hz can follow
+    // About 50 Hz, which a clock of 200 Hz resolves.
     let stiffness = Stiffness { stretch: 0.1, shear: 0.5, bend: 1.0 };
     let scene = Scene { linearised: true, damping_ratio: 0.0, stiffness, ..scene(1, 2, 1) };
     let design = scene.layout.initial_design(0.0);
@@ -291,7 +290,7 @@ fn what_records_do_not_tell_is_said_to_be_not_identifiable() {
     assert!(errors(&found, &scene, &start)[0].abs() < 0.02, "{:?}", found.estimates);
 }
 
-/// A parameter that lies farther from the scene's than a fit may lead ends at the bound; that is not what records do not tell.
+/// A parameter whose true value is beyond the bound ends at the bound; it does not count as undetermined.
 #[test]
 fn what_lies_beyond_the_bound_is_said_to_be_at_the_bound() {
     let (scene, design, forces, signals) = pushed();
@@ -307,7 +306,7 @@ fn what_lies_beyond_the_bound_is_said_to_be_at_the_bound() {
     }
 }
 
-/// The same bits on one thread and on two, and on from wherever it was; what is held stays.
+/// Results are bit-identical on one and two threads and when resumed from any turn; held parameters stay.
 #[test]
 fn a_fit_does_not_depend_on_threads_and_goes_on_from_any_turn() {
     let scene = scene(2, 2, 1);
@@ -339,8 +338,8 @@ fn a_fit_does_not_depend_on_threads_and_goes_on_from_any_turn() {
     }
 }
 
-/// Casts whose nodes are shifted by 0.1 mm: of sixteen at least ten intervals hold each parameter, and in all ten more than of fits that
-/// take nodes as exact. Two chips and eight blows on six units are few: larger bodies have intervals that hold in fifteen of sixteen.
+/// Casts with node shifts of 0.1 mm: for each parameter, at least 10 of 16 intervals contain the true value, in total at least ten more
+/// than with exact nodes.
 #[test]
 fn intervals_hold_the_material_of_casts_whose_nodes_are_shifted() {
     const CASTS: u64 = 16;
