@@ -160,7 +160,7 @@ fn the_body_that_is_truly_better_is_found_so() {
 
     let page = std::fs::read_to_string(bench.path("out/index.html")).unwrap();
     assert!(
-        page.contains("the error of the initial body is") && page.matches("<svg class=\"plot\"").count() == 8,
+        page.contains("the error of the initial body is") && page.matches("<svg class=\"plot\"").count() == 9,
         "{page}"
     );
     let npz = std::fs::read(bench.path("out/records.npz")).unwrap();

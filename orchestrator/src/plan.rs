@@ -557,7 +557,7 @@ impl SpecBody {
             _ => problem::panel_units(&body, &layout, panels).map_err(located)?,
         };
         let held = problem::held(&body, &layout).map_err(located)?;
-        let kept = problem::kept(&first.feasible, &units, &held);
+        let kept = problem::fixed_shape_units(&first.feasible, &units, &held);
         let moves = |spec: &SweepSpec| {
             let mut frozen = spec.optimise.frozen.clone().unwrap_or_default();
             frozen.sort_unstable();
@@ -587,7 +587,7 @@ impl SpecBody {
         let layout = problem::layout(&trial.body)?;
         let limits = problem::limits(&trial.feasible)?;
         let (clamped, held) = (problem::clamped(&trial.body, &layout)?, problem::held(&trial.body, &layout)?);
-        let kept = problem::kept(&trial.feasible, &trial.panel_units, &held);
+        let kept = problem::fixed_shape_units(&trial.feasible, &trial.panel_units, &held);
         Ok(Self {
             castable: Some(problem::castable(&trial.optimise, &layout, limits, &kept)?),
             limits,

@@ -240,7 +240,7 @@ pub const SHARED_MEMORY: &str = "/dev/shm";
 /// Number of results per worker whose arrays may be queued; as many may be held until they are recorded.
 const ARRAYS: usize = 8;
 /// Arrays of fewer bytes in total are sent within the message.
-pub const APART: usize = 4096;
+pub const INLINE_LIMIT: usize = 4096;
 /// Initial size of a message chunk (bytes); grows on demand.
 const CHUNK: usize = 16 * 1024;
 

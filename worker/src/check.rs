@@ -1,7 +1,7 @@
 //! Checks measured records before any fit for faults of instruments, units, axes, clocks and panels. Each fault has a remedy.
 
 use metasense_numerics::check::{
-    Found, History, Instruments, Model, Record, Spectra, clipped, compare, spectra,
+    Explanation, History, Instruments, Model, Record, Spectra, clipped, compare, spectra,
 };
 use metasense_schemas::spec::TrialSpec;
 
@@ -24,7 +24,7 @@ pub struct Checked {
     /// The readable records.
     pub records: Vec<Looked>,
     /// Comparison with the model; `None` without a readable record or if the simulation fails.
-    pub found: Option<Found>,
+    pub found: Option<Explanation>,
     /// Responses and natural frequencies; `None` without a readable record.
     pub spectra: Option<Spectra>,
     /// Slowest modes of the design; empty if it has none.

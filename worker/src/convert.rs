@@ -2,7 +2,7 @@
 
 use metasense_numerics::brain::Adam;
 use metasense_numerics::brain::linear::Lags;
-use metasense_numerics::brains::{self, Band, BandKind, Fresh, Learnt};
+use metasense_numerics::brains::{self, Band, BandKind, DecoderState, NetworkTraining};
 use metasense_numerics::dynamics;
 use metasense_numerics::nested::{self, Best, CastDecoder, PastDesign, State};
 use metasense_numerics::questions;
@@ -122,7 +122,7 @@ fn reading(reading: &brains::Reading) -> Reading {
 /// Checkpoint from which a run resumes.
 pub fn checkpoint(state: &State) -> Checkpoint {
     let State { step, rate_factor: caution, consecutive_undone: setbacks, trend, .. } = *state;
-    let Learnt { weights, adam, ridge } = &state.decoder_state;
+    let DecoderState { weights, adam, ridge } = &state.decoder_state;
     let best = |best: &Best| record::Best { design: best.design.clone(), error: best.error, step: best.step };
     let waypoint = |w: &PastDesign| record::Waypoint { step: w.step, design: w.design.clone() };
     Checkpoint {
@@ -258,7 +258,7 @@ fn adam<T>(moments: Moments<T>) -> Adam<T> {
 }
 
 fn comparison(comparison: &nested::Comparison) -> Comparison {
-    let training = |fresh: &Fresh| Training {
+    let training = |fresh: &NetworkTraining| Training {
         weights: fresh.weights.clone(),
         moments: moments(&fresh.adam),
         losses: fresh.losses.clone(),
@@ -295,7 +295,7 @@ pub fn state(checkpoint: Checkpoint, problem: &Problem) -> Result<State, String>
         step,
         design,
         design_adam: adam(design_moments),
-        decoder_state: Learnt { weights, adam: adam(weight_moments), ridge },
+        decoder_state: DecoderState { weights, adam: adam(weight_moments), ridge },
         best: best.map(|best| Best { design: best.design, error: best.error, step: best.step }),
         rate_factor: caution,
         consecutive_undone: setbacks,
@@ -320,7 +320,7 @@ fn comparison_from(comparison: Comparison, problem: &Problem) -> Result<nested::
     }
     let fresh = |training: Training| {
         let Training { weights, moments, losses, errors } = training;
-        Fresh { weights, adam: adam(moments), losses, errors }
+        NetworkTraining { weights, adam: adam(moments), losses, errors }
     };
     let Seconds { simulate, train, differentiate, implicit, project, .. } = seconds;
     Ok(nested::Comparison {

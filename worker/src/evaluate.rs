@@ -255,7 +255,7 @@ pub fn evaluate_by_twin(
     if effort.brain == BrainKind::Inverse {
         return Ok((sensed, estimate_by_inverse(trial, (design, Some(twin)), measured, threads, kept)?));
     }
-    let [known, _] = problem.known();
+    let [known, _] = problem.training_and_test();
     let known = ready.samples(design, cast, known)?;
     let records = Records::new(forces, signals.clone(), problem.scene.instants, *low_pass);
     let recipe = Recipe { kind: problem::kind(effort.brain), ..problem.recipe() };

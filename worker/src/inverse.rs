@@ -1,6 +1,6 @@
 //! The inverse decoder of a design, or of the twin of a cast.
 
-use metasense_numerics::brains::{Estimate, Inverse, TO_EACH_SIDE};
+use metasense_numerics::brains::{Estimate, Inverse, Z_95};
 use metasense_numerics::trial::{Problem, Trial};
 use metasense_schemas::spec::TrialSpec;
 use serde::{Deserialize, Serialize};
@@ -32,7 +32,7 @@ impl Posterior {
     pub fn of(found: &[Estimate]) -> Self {
         let end = |sign: f64| {
             let of = found.iter().flat_map(|one| one.forces.iter().zip(&one.deviations));
-            of.map(|(f, deviation)| f + sign * TO_EACH_SIDE * deviation).collect()
+            of.map(|(f, deviation)| f + sign * Z_95 * deviation).collect()
         };
         Self {
             forces: found.iter().flat_map(|one| &one.forces).copied().collect(),

@@ -155,7 +155,7 @@ fn raw(
     let form = Form::of_forces(recorded, "recorded", read);
     let (mut seen, mut number) = (Seen::new(), 0);
     for (n, file) in recorded.files.iter().enumerate() {
-        let wrong = |what: String| records::at(file, what);
+        let wrong = |what: String| records::file_error(file, what);
         let beside = signals.files.as_ref().map(|files| &files[n]);
         let wrong_beside =
             |what: String| beside.map_or_else(|| wrong(what.clone()), |file| faulty(file, &*what));
@@ -186,7 +186,7 @@ fn raw(
         for (i, (mut force, mut signal)) in of_file.into_iter().zip(read).enumerate() {
             let wrong = |what| wrong(records::numbered(i, count, what));
             let wrong_beside = |what| wrong_beside(records::numbered(i, count, what));
-            let start = signals.start.as_ref().map_or(0.0, |start| start.of(number));
+            let start = signals.start.as_ref().map_or(0.0, |start| start.time_of(number));
             let place = format!("{:?}, record {i}", beside.unwrap_or(file).display().to_string());
             number += 1;
             let one = || {
@@ -207,7 +207,7 @@ fn raw(
                 .map_err(wrong_beside)?;
                 records::check_place(&picks[0], &force, duration).map_err(wrong)?;
                 if whole {
-                    lasts(&force, &signal, duration, trial.time.samples).map_err(wrong_beside)?;
+                    check_span(&force, &signal, duration, trial.time.samples).map_err(wrong_beside)?;
                 }
                 let panel = recorded.panels.as_ref().and_then(|struck| struck.get(number - 1).copied());
                 let name = beside.unwrap_or(file).file_name().unwrap_or_default().display();
@@ -318,7 +318,11 @@ fn check_counts(
 ) -> Result<(), Invalid> {
     let panels = trial.panel_units.len();
     let Some(first) = forces.first() else {
-        return if count > 0 { Ok(()) } else { Err(records::at(&recorded.files[0], "contains no records")) };
+        return if count > 0 {
+            Ok(())
+        } else {
+            Err(records::file_error(&recorded.files[0], "contains no records"))
+        };
     };
     if let Some(Start::Each(given)) = &signals.start
         && given.len() != count
@@ -399,7 +403,7 @@ fn check(
     records::check_form("signals", files, signals.header, signals.separator, signals.decimal)?;
     let starts = match &signals.start {
         Some(Start::Each(starts)) => starts,
-        start => &start.iter().map(|start| start.of(0)).collect(),
+        start => &start.iter().map(|start| start.time_of(0)).collect(),
     };
     if let Some(start) = starts.iter().find(|start| !start.is_finite()) {
         return wrong("start", start.to_string(), "must be a finite number (s)".into());
@@ -469,7 +473,7 @@ fn factors(signals: &spec::MeasuredSignals, trial: &TrialSpec) -> Vec<f64> {
 
 /// Rejects signals that begin after the force or end before the sample, with a tolerance of one instant: the missing readings
 /// would be invented.
-fn lasts(force: &Record, signal: &Record, duration: f64, instants: usize) -> Result<(), String> {
+fn check_span(force: &Record, signal: &Record, duration: f64, instants: usize) -> Result<(), String> {
     let end = signal.start + (signal.values[0].len() - 1) as f64 * signal.dt;
     let instant = 1.000_001 * duration / instants as f64;
     let peak = force.values.iter().flatten().fold(0.0f64, |peak, f| peak.max(f.abs()));

@@ -11,7 +11,7 @@ use crate::run::{Failure, with_design};
 ///
 /// # Errors
 /// If the spec is invalid, its sensors are not yet placed, or the design has the wrong length.
-pub fn told(trial: &TrialSpec, design: &[f64]) -> Result<OperatorFigures, Failure> {
+pub fn operator_figures(trial: &TrialSpec, design: &[f64]) -> Result<OperatorFigures, Failure> {
     let problem = with_design(trial, design)?;
     if problem.search.is_some() {
         let why = "sensors.search: the sensors of this trial have not been placed yet".to_owned();

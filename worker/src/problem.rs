@@ -7,7 +7,7 @@ use metasense_numerics::body::Layout;
 use metasense_numerics::brain::linear::Lags;
 use metasense_numerics::brain::{Architecture, LAYERS_MAX, Shape};
 use metasense_numerics::brains::fits;
-use metasense_numerics::dynamics::{Accuracy, Contact, Frame, Method, Parts, Scene, Solver, Stiffness};
+use metasense_numerics::dynamics::{Accuracy, Contact, Frame, Method, PartFactors, Scene, Solver, Stiffness};
 use metasense_numerics::feasible::Limits;
 use metasense_numerics::place::CANDIDATES;
 use metasense_numerics::trial::{
@@ -31,9 +31,9 @@ pub use body::{
 };
 pub use metasense_numerics::brains::READINGS_MAX;
 pub use metasense_numerics::material::{Ligament, shore_a};
-pub use metasense_numerics::nested::INVERTED_OF_A_CAST;
+pub use metasense_numerics::nested::INVERTED_PER_CAST;
 
-use body::{check_castable, struck};
+use body::{build_panels, check_castable};
 use casts::{casting, casts, variation};
 pub use material::{material, sheet};
 pub use optimise::{castable, design_parameters};
@@ -68,7 +68,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
     let (steps, coarse) = (trial.optimise.steps(), trial.optimise.clone().resolved().coarse);
     Ok(Problem {
         body,
-        kept: kept(&trial.feasible, &trial.panel_units, &held(&trial.body, &scene.layout)?),
+        kept: fixed_shape_units(&trial.feasible, &trial.panel_units, &held(&trial.body, &scene.layout)?),
         frozen: frozen(&trial.optimise, &scene.layout)?,
         tie: tie(&trial.optimise)?,
         initial,
@@ -79,7 +79,7 @@ pub fn problem(trial: &TrialSpec) -> Result<Problem, Invalid> {
         disturbance: disturbance(&trial.sensors, &trial.time)?,
         relative_to,
         variation: variation(trial, scene.layout.units())?,
-        reader: kind(trial.brain.kind),
+        decoder_kind: kind(trial.brain.kind),
         decoder: decoder(trial)?,
         brain: Training {
             iterations: trial.brain.iterations,
@@ -324,7 +324,7 @@ pub(crate) fn solvable(trial: &TrialSpec, lags: Lags) -> Result<(), Invalid> {
 }
 
 /// Units that keep their initial shape.
-pub fn kept(feasible: &spec::Feasible, panels: &[usize], held: &[usize]) -> Vec<usize> {
+pub fn fixed_shape_units(feasible: &spec::Feasible, panels: &[usize], held: &[usize]) -> Vec<usize> {
     let asked = [(feasible.keep_panels, panels), (feasible.keep_clamped, held)];
     asked.into_iter().filter(|(keep, _)| *keep).flat_map(|(_, units)| units).copied().collect()
 }
@@ -379,15 +379,15 @@ fn scene(
     }
     let clamped = clamped(body, &layout)?;
     let guided = guided(body, &layout)?;
-    let panels = struck(trial, &layout, &clamped)?;
+    let panels = build_panels(trial, &layout, &clamped)?;
     for panel in panels.iter().filter(|panel| panel.moves.is_none()) {
         let [x, y] = panel.direction;
         let acts = [x, y, if panel.node.is_some() { 1.0 } else { panel.moment }];
-        let idle = |(unit, held): &(usize, [bool; 3])| {
+        let is_immovable = |(unit, held): &(usize, [bool; 3])| {
             *unit == panel.unit && (0..3).all(|d| held[d] || acts[d] == 0.0)
         };
         let remedy = "fixes the only coordinate in which the force on this unit could move it";
-        require(!guided.iter().any(idle), "body.guides", panel.unit, remedy)?;
+        require(!guided.iter().any(is_immovable), "body.guides", panel.unit, remedy)?;
     }
     require(
         panels.len() == trial.point.panels && !panels.is_empty(),
@@ -410,7 +410,7 @@ fn scene(
     let scene = Scene {
         density,
         stiffness,
-        parts: Parts::default(),
+        parts: PartFactors::default(),
         relaxation: None,
         damping_ratio: if body.damping.is_some() { 1.0 } else { body.damping_ratio },
         damping: body.damping,
@@ -424,7 +424,7 @@ fn scene(
             cutoff_angle: angle(c.cutoff_angle),
         }),
         linearised: body.linearised,
-        pressed: body::compression_shifts(body, &layout, &clamped, &guided)?,
+        imposed: body::compression_shifts(body, &layout, &clamped, &guided)?,
         clamped,
         guided,
         panels,
@@ -439,7 +439,7 @@ fn scene(
         instants: trial.time.samples,
         layout,
     };
-    let pressed = !scene.pressed.is_empty();
+    let pressed = !scene.imposed.is_empty();
     let shaken = scene.panels.iter().any(|panel| panel.base_acceleration().is_some());
     if (pressed || shaken) && scene.is_loose() {
         let remedy = "needs a body that cannot move as a whole: hold it with body.clamp and body.guides";
@@ -465,9 +465,9 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> 
     not_negative("sensors.spacing", spacing)?;
     let inside = from.unwrap_or(spec::SearchFrom::Interior) == spec::SearchFrom::Interior;
     // a driven unit moves as prescribed, independently of the body
-    let told = |unit: &usize| scene.clamped.contains(unit) || scene.is_driven(*unit);
-    let open = |unit: &usize| !(told(unit) || inside && !scene.layout.carriers[*unit]);
-    let candidates: Vec<usize> = (0..scene.layout.units()).filter(open).collect();
+    let moves_as_prescribed = |unit: &usize| scene.clamped.contains(unit) || scene.is_driven(*unit);
+    let may_carry = |unit: &usize| !(moves_as_prescribed(unit) || inside && !scene.layout.carriers[*unit]);
+    let candidates: Vec<usize> = (0..scene.layout.units()).filter(may_carry).collect();
     let Point { sensors, placement, .. } = trial.point;
     let remedy =
         format!("the body has {} units on which sensors.search may place a sensor", candidates.len());
@@ -478,14 +478,15 @@ fn search(trial: &TrialSpec, scene: &Scene) -> Result<Option<Placing>, Invalid> 
     );
     require(placement < CANDIDATES, "sweep.placements", placement + 1, &of_best)?;
     // greedily, row by row: nearly the greatest possible number
-    let mut apart: Vec<usize> = Vec::new();
+    let mut spaced_units: Vec<usize> = Vec::new();
     for &unit in &candidates {
-        if apart.iter().all(|&other| scene.layout.are_apart(unit, other, spacing)) {
-            apart.push(unit);
+        if spaced_units.iter().all(|&other| scene.layout.are_apart(unit, other, spacing)) {
+            spaced_units.push(unit);
         }
     }
-    let remedy = format!("leaves room for {} sensors, but sweep.sensors contains {sensors}", apart.len());
-    require(sensors <= apart.len(), "sensors.spacing", spacing, &remedy)?;
+    let remedy =
+        format!("leaves room for {} sensors, but sweep.sensors contains {sensors}", spaced_units.len());
+    require(sensors <= spaced_units.len(), "sensors.spacing", spacing, &remedy)?;
     let given = !trial.sensor_units.is_empty();
     Ok((!given).then_some(Placing { candidates, sensors, turn: placement, spacing }))
 }

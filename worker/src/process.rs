@@ -279,7 +279,7 @@ impl Worker {
 
     /// Writes the arrays of a result into shared memory.
     fn finished(&self, lease: Lease, mut result: TrialResult) -> Result<ToOrchestrator, LinkError> {
-        let arrays = Arrays::of(&mut result, wire::APART);
+        let arrays = Arrays::of(&mut result, wire::INLINE_LIMIT);
         if !arrays.is_empty() {
             self.send_arrays(&arrays)?;
         }

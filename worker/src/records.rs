@@ -42,7 +42,7 @@ pub(crate) struct Record {
 pub fn digest(recorded: &spec::Recorded) -> Result<String, Invalid> {
     let mut hasher = blake3::Hasher::new();
     for file in &recorded.files {
-        let failed = |e: io::Error| at(file, format!("cannot be read: {e}"));
+        let failed = |e: io::Error| file_error(file, format!("cannot be read: {e}"));
         let opened = files::open(file).map_err(failed)?;
         hasher.update(&opened.metadata().map_err(failed)?.len().to_le_bytes());
         hasher.update_reader(opened).map_err(failed)?;
@@ -50,7 +50,7 @@ pub fn digest(recorded: &spec::Recorded) -> Result<String, Invalid> {
     Ok(hasher.finalize().to_hex()[..32].to_owned())
 }
 
-pub(crate) fn at(file: &Path, what: impl Into<String>) -> Invalid {
+pub(crate) fn file_error(file: &Path, what: impl Into<String>) -> Invalid {
     invalid("stimuli.recorded.files", format!("{:?}", file.display().to_string()), what)
 }
 
@@ -61,7 +61,7 @@ pub(crate) fn open(file: &Path, form: &Form) -> Result<Content, String> {
 }
 
 /// The records of a trial in numerical form, on a clock of `instants` instants.
-pub(crate) fn recorded(
+pub(crate) fn load_records(
     trial: &TrialSpec,
     recorded: &spec::Recorded,
     instants: usize,
@@ -73,7 +73,7 @@ pub(crate) fn recorded(
     let form = Form::of_forces(recorded, pick.clock, pick.read());
     let mut records = Vec::new();
     for file in &recorded.files {
-        let wrong = |what| at(file, what);
+        let wrong = |what| file_error(file, what);
         let of_file = open(file, &form).and_then(|held| forces(&pick, &held, panels)).map_err(wrong)?;
         let count = of_file.len();
         for (i, mut record) in of_file.into_iter().enumerate() {

@@ -1,7 +1,7 @@
 //! The reference scene of `MODEL.md` and its forces, for speed measurements, benchmarks and checks.
 
 use metasense_numerics::body::Layout;
-use metasense_numerics::dynamics::{Forces, Frame, Panel, Parts, Scene, Stiffness};
+use metasense_numerics::dynamics::{Forces, Frame, Panel, PartFactors, Scene, Stiffness};
 use metasense_numerics::random::Purpose;
 use metasense_numerics::stimuli::{self, Bell};
 
@@ -12,7 +12,7 @@ pub fn reference() -> Scene {
     Scene {
         density: 1e-8,
         stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
-        parts: Parts::default(),
+        parts: PartFactors::default(),
         relaxation: None,
         damping_ratio: 0.02,
         damping: None,
@@ -21,7 +21,7 @@ pub fn reference() -> Scene {
         linearised: false,
         clamped: layout.bottom(),
         guided: Vec::new(),
-        pressed: Vec::new(),
+        imposed: Vec::new(),
         panels: [31, 34].map(|unit| Panel::central(unit, [0.0, -1.0])).to_vec(),
         sensors: vec![21],
         chip: None,

@@ -3,7 +3,7 @@
 
 use metasense_numerics::body::moments;
 use metasense_numerics::brains::fits;
-pub use metasense_numerics::dynamics::{Moves, Panel};
+pub use metasense_numerics::dynamics::{Panel, PrescribedMotion};
 use metasense_numerics::feasible::{Active, Feasible};
 use metasense_numerics::nested::{DecoderForCasts, brain_for_casts};
 use metasense_numerics::place::placed;
@@ -108,7 +108,7 @@ pub fn replay(
     let pool = pool(threads)?;
     let (problem, _) = placed(&problem, &pool)?;
     let mut replay = questions::replay(&problem, design, weights, &pool)?;
-    if problem.reader == BrainKind::Inverse && inverse > 0 {
+    if problem.decoder_kind == BrainKind::Inverse && inverse > 0 {
         replay.invert(&problem, design, inverse, &pool)?;
     }
     Ok(replay)
@@ -131,11 +131,11 @@ pub enum ReplayDecoder {
 /// If the spec is invalid, the network has no weights, or the fit fails.
 pub fn fit_decoder(trial: &TrialSpec, weights: &[f32], replay: &Replay) -> Result<ReplayDecoder, Failure> {
     let (problem, weights) = (prepared(trial)?, weights.to_vec());
-    if problem.reader.is_network() && weights.is_empty() {
+    if problem.decoder_kind.is_network() && weights.is_empty() {
         return Err(Failure::Rejected("the trial has trained no network on this body".into()));
     }
     let linear = || Ok::<_, Failure>(replay.linear(&problem, &problem.decoder, &pool(1)?)?);
-    Ok(match problem.reader {
+    Ok(match problem.decoder_kind {
         BrainKind::Stacked => ReplayDecoder::Stacked(linear()?, weights),
         BrainKind::Network => ReplayDecoder::Network(weights),
         BrainKind::Linear | BrainKind::Inverse => ReplayDecoder::Linear(linear()?),

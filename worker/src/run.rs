@@ -216,7 +216,7 @@ pub fn evaluate_designs(
 ) -> Result<Vec<BodyEvaluation>, Failure> {
     let pool = pool(threads)?;
     let trial = Trial::new(&placed(trial, &pool)?, &pool)?;
-    let bodies = nested::evaluate_designs(&trial, designs, &mut nested::Nobody);
+    let bodies = nested::evaluate_designs(&trial, designs, &mut nested::NoObserver);
     Ok(bodies.into_iter().map(convert::body_evaluation).collect())
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use metasense_numerics::dynamics::{Parameters, Parts};
+use metasense_numerics::dynamics::{Parameters, PartFactors};
 pub use metasense_numerics::identify::Twin;
 use metasense_numerics::variation::{Cast, Chips};
 use metasense_schemas::source::Source;
@@ -99,7 +99,7 @@ fn checked(twin: stored::Twin, trial: &TrialSpec, design: &[f64]) -> Result<Twin
     }
     let turn = turn.into_iter().map(f64::to_radians).collect();
     let (material, relaxation) = (Parameters::from_array(factors), None);
-    let parts = Parts { ligaments, units };
+    let parts = PartFactors { ligaments, units };
     let cast = Cast { material, parts, ligament_length, relaxation, shifts, chips: Chips { gain, turn } };
     Ok(Twin { cast, misfit, noise })
 }

@@ -142,7 +142,7 @@ fn ask(trial: &TrialSpec) -> usize {
         place::search_placements(trial, design, 0, 1).is_ok(),
         modes::slowest(trial, design, 4).is_ok(),
         modes::responses(trial, design, 4, &[0.0, 1.0, 1e300]).is_ok(),
-        operator::told(trial, design).is_ok(),
+        operator::operator_figures(trial, design).is_ok(),
         casts::casts(trial, design, 1, None, 1, &mut |_| ()).is_ok(),
         replay::replay(trial, design, &[], 1, 1).is_ok(),
     ];

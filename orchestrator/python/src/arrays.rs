@@ -9,7 +9,7 @@ use pyo3::sync::PyOnceLock;
 use pyo3::types::PyBool;
 
 /// Numbers and their shape.
-pub struct Numbers {
+pub struct NumericArray {
     pub shape: Vec<usize>,
     pub values: Vec<f64>,
 }
@@ -18,12 +18,12 @@ pub struct Numbers {
 ///
 /// # Errors
 /// `TypeError` if it contains other than real numbers, `ValueError` if it is no array.
-pub fn numbers(what: &str, object: &Bound<'_, PyAny>) -> PyResult<Numbers> {
+pub fn numbers(what: &str, object: &Bound<'_, PyAny>) -> PyResult<NumericArray> {
     of_kind("fiub", "real numbers", what, object)
 }
 
 /// As [`numbers`], for these kinds of dtype.
-fn of_kind(kinds: &str, which: &str, what: &str, object: &Bound<'_, PyAny>) -> PyResult<Numbers> {
+fn of_kind(kinds: &str, which: &str, what: &str, object: &Bound<'_, PyAny>) -> PyResult<NumericArray> {
     static AS_ARRAY: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
     let py = object.py();
     let as_array = AS_ARRAY.import(py, "numpy", "asarray")?;
@@ -43,7 +43,7 @@ fn of_kind(kinds: &str, which: &str, what: &str, object: &Bound<'_, PyAny>) -> P
         Some(values) => values.to_vec(),
         None => array.as_array().iter().copied().collect(),
     };
-    Ok(Numbers { shape, values })
+    Ok(NumericArray { shape, values })
 }
 
 /// As [`numbers`], for one dimension.
@@ -51,7 +51,7 @@ fn of_kind(kinds: &str, which: &str, what: &str, object: &Bound<'_, PyAny>) -> P
 /// # Errors
 /// As [`numbers`], and `ValueError` for another number of dimensions.
 pub fn vector(what: &str, object: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
-    let Numbers { shape, values } = numbers(what, object)?;
+    let NumericArray { shape, values } = numbers(what, object)?;
     match shape.len() {
         1 => Ok(values),
         _ => Err(PyValueError::new_err(format!("{what} has shape {shape:?}; it must have one dimension"))),
@@ -63,7 +63,7 @@ pub fn vector(what: &str, object: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
 /// # Errors
 /// `TypeError` if they are not integers, `ValueError` if one is negative or there are several dimensions.
 pub fn indices(what: &str, object: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
-    let Numbers { shape, values } = of_kind("iu", "whole numbers", what, object)?;
+    let NumericArray { shape, values } = of_kind("iu", "whole numbers", what, object)?;
     match values.iter().find(|x| **x < 0.0) {
         Some(x) => {
             Err(PyValueError::new_err(format!("{what} contains {x}; its values must not be negative")))
@@ -77,7 +77,7 @@ pub fn indices(what: &str, object: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
 ///
 /// # Errors
 /// `TypeError` if it is no integer, or a Boolean; `ValueError` if it is out of range.
-pub fn whole(what: &str, object: &Bound<'_, PyAny>, range: RangeInclusive<u64>) -> PyResult<u64> {
+pub fn parse_integer(what: &str, object: &Bound<'_, PyAny>, range: RangeInclusive<u64>) -> PyResult<u64> {
     let must = match *range.end() {
         u64::MAX => format!("{} or above", range.start()),
         most => format!("from {} to {most}", range.start()),

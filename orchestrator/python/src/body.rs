@@ -22,7 +22,7 @@ use numpy::{IntoPyArray, PyArray1, PyArray3, PyArrayMethods};
 use pyo3::exceptions::{PyMemoryError, PyOSError, PyValueError};
 use pyo3::prelude::*;
 
-use crate::arrays::{Numbers, indices, numbers, vector, whole};
+use crate::arrays::{NumericArray, indices, numbers, parse_integer, vector};
 use crate::chosen::{Chosen, Pickled};
 use crate::inverse::Twin;
 use crate::simulation::{Chips, Simulation};
@@ -89,7 +89,7 @@ impl Body {
 
     /// α from Python, of shape (n) or (n/2, 2).
     fn design(&self, what: &str, alpha: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
-        let Numbers { shape, values } = numbers(what, alpha)?;
+        let NumericArray { shape, values } = numbers(what, alpha)?;
         design::check(what, &shape, &values, self.problem.initial.len()).map_err(PyValueError::new_err)?;
         Ok(values)
     }
@@ -140,7 +140,7 @@ impl Body {
         let problem = &self.problem;
         let all = match set {
             "train" | "test" => {
-                let [train, test] = problem.known();
+                let [train, test] = problem.training_and_test();
                 if set == "train" { train } else { test }
             }
             "holdout" => problem.forces(Purpose::Holdout, 0, problem.stimuli.holdout),
@@ -197,13 +197,13 @@ pub fn read_plan(spec: &Path, changes: &[String]) -> PyResult<Plan> {
 type State = (String, String, usize, Option<Pickled>);
 
 fn first(given: &Bound<'_, PyAny>) -> PyResult<usize> {
-    Ok(whole("first", given, 0..=u64::MAX)? as usize)
+    Ok(parse_integer("first", given, 0..=u64::MAX)? as usize)
 }
 
 fn count(given: &Bound<'_, PyAny>) -> PyResult<Option<usize>> {
     match given.is_none() {
         true => Ok(None),
-        false => Ok(Some(whole("count", given, 0..=u64::MAX)? as usize)),
+        false => Ok(Some(parse_integer("count", given, 0..=u64::MAX)? as usize)),
     }
 }
 
@@ -438,7 +438,7 @@ impl Body {
     /// `simulate` chooses the integrator again, which costs as much as about ten samples.
     fn tuned(&self, py: Python<'_>, alpha: &Bound<'_, PyAny>, forces: &Bound<'_, PyAny>) -> PyResult<Self> {
         let design = self.design("alpha", alpha)?;
-        let Numbers { shape, values } = numbers("forces", forces)?;
+        let NumericArray { shape, values } = numbers("forces", forces)?;
         let problem = Arc::clone(&self.problem);
         let forces = self::forces(&problem.scene, &shape, values).map_err(|e| raised(&e))?;
         let pool = self.threads.pool(py)?;
@@ -478,11 +478,11 @@ impl Body {
         tape: bool,
     ) -> PyResult<Simulation> {
         let design = self.design("alpha", alpha)?;
-        let Numbers { shape, values } = numbers("forces", forces)?;
+        let NumericArray { shape, values } = numbers("forces", forces)?;
         let mut scene = self.scene(&Material { stiffness, damping_ratio, density }, sensors)?;
         let given = self::forces(&scene, &shape, values).map_err(|e| raised(&e))?;
         let (mut forces, pool) = (given.clone(), self.threads.pool(py)?);
-        let seed = noise_seed.map(|seed| whole("noise_seed", seed, 0..=u64::MAX)).transpose()?;
+        let seed = noise_seed.map(|seed| parse_integer("noise_seed", seed, 0..=u64::MAX)).transpose()?;
         let chips = seed.map(|seed| self.chips(py, &scene, seed)).transpose()?;
         if let Some(Chips { problem, .. }) = &chips {
             let (fine, of_motion) = problem.in_motion(&scene, &given);

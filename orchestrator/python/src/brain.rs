@@ -11,7 +11,7 @@ use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::arrays::{Numbers, indices, numbers, vector, whole};
+use crate::arrays::{NumericArray, indices, numbers, parse_integer, vector};
 use crate::raised;
 
 /// Linear decoder: least squares from the signals around each instant to the forces, with L2 regularisation, solved exactly.
@@ -27,7 +27,7 @@ pub struct LinearBrain {
 }
 
 /// Memory and λ, the positional arguments.
-type New = (Option<[usize; 2]>, Option<f64>);
+type ConstructorArgs = (Option<[usize; 2]>, Option<f64>);
 
 /// State of a fit: T, C, K and the lags; W, b and the scale of signals; λ and the scale of forces; the error.
 type State<'py> = ([usize; 5], [Bound<'py, PyArray1<f64>>; 3], [f64; 2], Option<f64>);
@@ -42,12 +42,12 @@ fn memory(given: &Bound<'_, PyAny>) -> PyResult<Option<[usize; 2]>> {
 }
 
 fn seed(given: &Bound<'_, PyAny>) -> PyResult<u64> {
-    whole("seed", given, 0..=u64::MAX)
+    parse_integer("seed", given, 0..=u64::MAX)
 }
 
 /// Checks an array of samples, (N, T, width).
 pub fn samples(what: &str, object: &Bound<'_, PyAny>) -> PyResult<([usize; 3], Vec<f64>)> {
-    let Numbers { shape, values } = numbers(what, object)?;
+    let NumericArray { shape, values } = numbers(what, object)?;
     finite(what, &values).map_err(|e| raised(&e))?;
     match shape[..] {
         [n, t, c] if n * t * c > 0 => Ok(([n, t, c], values)),
@@ -176,7 +176,7 @@ impl LinearBrain {
         py.detach(|| fitted.predict_vjp(&cotangent)).into_pyarray(py).reshape(shape)
     }
 
-    fn __getnewargs_ex__<'py>(&self, py: Python<'py>) -> PyResult<(New, Bound<'py, PyDict>)> {
+    fn __getnewargs_ex__<'py>(&self, py: Python<'py>) -> PyResult<(ConstructorArgs, Bound<'py, PyDict>)> {
         let seed = PyDict::new(py);
         seed.set_item("seed", self.seed)?;
         Ok(((self.memory, self.ridge), seed))

@@ -18,7 +18,7 @@ use pyo3::exceptions::{PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::arrays::{Numbers, numbers};
+use crate::arrays::{NumericArray, numbers};
 use crate::body::Body;
 use crate::brain::samples;
 use crate::threads::PerProcess;
@@ -42,7 +42,7 @@ impl Twin {
         forces: &Bound<'_, PyAny>,
         signals: &Bound<'_, PyAny>,
     ) -> PyResult<Self> {
-        let Numbers { shape, values } = numbers("forces", forces)?;
+        let NumericArray { shape, values } = numbers("forces", forces)?;
         let scene = &body.problem.scene;
         let forces = metasense_worker::simulate::forces(scene, &shape, values).map_err(|e| raised(&e))?;
         let signals = signals_of(body, Some(forces.samples), signals)?;
@@ -164,7 +164,7 @@ fn signals_of(body: &Body, count: Option<usize>, object: &Bound<'_, PyAny>) -> P
 }
 
 /// Signals to decode, and the channel for the reply.
-type Ask = (Vec<f64>, Sender<Posterior>);
+type DecodeRequest = (Vec<f64>, Sender<Posterior>);
 
 /// Starts the thread that owns the decoder of a design or twin; returns its channel once the decoder is ready. The thread ends when
 /// all senders are dropped.
@@ -173,14 +173,14 @@ fn begin(
     design: Vec<f64>,
     twin: Option<twin::Twin>,
     pool: Pool,
-) -> PyResult<Sender<Ask>> {
-    let (ask, asked) = channel::<Ask>();
-    let (tell, told) = channel::<Result<(), Failure>>();
+) -> PyResult<Sender<DecodeRequest>> {
+    let (ask, request_receiver) = channel::<DecodeRequest>();
+    let (tell, ready_receiver) = channel::<Result<(), Failure>>();
     let work = move || {
         let made = with_brain(&problem, (&design, twin.as_ref()), &pool, |brain| {
             // the receiver may be gone
             let _ = tell.send(Ok(()));
-            for (signals, reply) in asked {
+            for (signals, reply) in request_receiver {
                 let _ = reply.send(Posterior::of(&brain.read(&signals)));
             }
         });
@@ -189,7 +189,7 @@ fn begin(
         }
     };
     std::thread::Builder::new().spawn(work).map_err(|e| PyRuntimeError::new_err(e.to_string()))?;
-    told.recv().map_err(|_| ended())?.map_err(|e| raised(&e))?;
+    ready_receiver.recv().map_err(|_| ended())?.map_err(|e| raised(&e))?;
     Ok(ask)
 }
 
@@ -204,7 +204,7 @@ pub struct Inverse {
     design: Vec<f64>,
     twin: Option<Py<Twin>>,
     /// Channel to the thread that owns the decoder.
-    ask: PerProcess<Sender<Ask>>,
+    ask: PerProcess<Sender<DecodeRequest>>,
     /// Number of samples of the last call that did not converge, and that the model does not explain.
     left: Mutex<[usize; 2]>,
 }
@@ -242,7 +242,10 @@ impl Inverse {
     }
 
     /// Pickles contain the constructor's arguments; restoring simulates the training samples again.
-    fn __getnewargs_ex__<'py>(&self, py: Python<'py>) -> PyResult<(New<'py>, Bound<'py, PyDict>)> {
+    fn __getnewargs_ex__<'py>(
+        &self,
+        py: Python<'py>,
+    ) -> PyResult<(ConstructorArgs<'py>, Bound<'py, PyDict>)> {
         let twin = PyDict::new(py);
         twin.set_item("twin", &self.twin)?;
         let design = self.twin.is_none().then(|| self.design.clone().into_pyarray(py));
@@ -287,7 +290,7 @@ impl Inverse {
 }
 
 /// Constructor arguments except the twin.
-type New<'py> = (Py<Body>, Option<Bound<'py, PyArray1<f64>>>);
+type ConstructorArgs<'py> = (Py<Body>, Option<Bound<'py, PyArray1<f64>>>);
 
 /// Forces, lower and upper ends of their bands.
 type Bands<'py> = (Bound<'py, PyArray3<f64>>, Bound<'py, PyArray3<f64>>, Bound<'py, PyArray3<f64>>);

@@ -12,7 +12,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use rayon::prelude::*;
 
-use crate::arrays::{Numbers, numbers, vector};
+use crate::arrays::{NumericArray, numbers, vector};
 use crate::threads::Threads;
 use crate::{SimulationError, raised};
 
@@ -173,7 +173,11 @@ impl Simulation {
 
     /// As `vjp`, with the derivative in the forces (N, K, R + 1), also where they are zero. Takes longer, because it
     /// differentiates each sample from the first instant; dα equals that of `vjp` up to rounding.
-    fn vjp_forces<'py>(&self, py: Python<'py>, cotangent: &Bound<'py, PyAny>) -> PyResult<InBoth<'py>> {
+    fn vjp_forces<'py>(
+        &self,
+        py: Python<'py>,
+        cotangent: &Bound<'py, PyAny>,
+    ) -> PyResult<DesignForceGradients<'py>> {
         let found = self.gradient(py, cotangent, Wrt::Forces)?;
         let Forces { samples, panels, instants, .. } = self.forces;
         let forces = found.forces.expect("asked for").into_pyarray(py);
@@ -201,7 +205,7 @@ impl Simulation {
         }
         let given = &self.forces;
         let pushed = forces.map(|forces| numbers("forces", forces)).transpose()?;
-        let pushed = pushed.unwrap_or_else(|| Numbers { shape: Vec::new(), values: Vec::new() });
+        let pushed = pushed.unwrap_or_else(|| NumericArray { shape: Vec::new(), values: Vec::new() });
         let shape = [given.samples, given.panels, given.instants + 1];
         if forces.is_some() {
             self.has_own_forces()?;
@@ -221,7 +225,7 @@ impl Simulation {
             .map_err(|e| raised(&e))?;
         let parameters = Parameters { stretch, shear, bend, damping_ratio, density, contact: 0.0 };
         let ideal = self.scene.instants * 3 * self.scene.sensors.len();
-        let one = |sample: usize| match self.run.outcomes[sample] {
+        let differentiate_one = |sample: usize| match self.run.outcomes[sample] {
             Outcome::Ok => {
                 let len = pushed.values.len() / given.samples;
                 let forces = &pushed.values[sample * len..][..len];
@@ -231,7 +235,7 @@ impl Simulation {
         };
         let (samples, pool) = (given.samples, self.threads.pool(py)?);
         let found: Vec<Vec<f64>> =
-            py.detach(|| pool.install(|| (0..samples).into_par_iter().map(one).collect()));
+            py.detach(|| pool.install(|| (0..samples).into_par_iter().map(differentiate_one).collect()));
         let mut found = found.concat();
         if let Some(Chips { problem, .. }) = &self.chips {
             found = problem.read(found, samples);
@@ -263,12 +267,12 @@ impl Simulation {
 }
 
 /// Derivatives in α and in the forces.
-type InBoth<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray3<f64>>);
+type DesignForceGradients<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray3<f64>>);
 
 impl Simulation {
     fn gradient(&self, py: Python<'_>, cotangent: &Bound<'_, PyAny>, wrt: Wrt) -> PyResult<Gradient> {
         self.taped()?;
-        let Numbers { shape, mut values } = numbers("cotangent", cotangent)?;
+        let NumericArray { shape, mut values } = numbers("cotangent", cotangent)?;
         check_cotangent(self.shape(py), &shape, &values).map_err(|e| raised(&e))?;
         if matches!(wrt, Wrt::Forces) {
             self.has_own_forces()?;

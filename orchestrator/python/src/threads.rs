@@ -7,16 +7,16 @@ use std::sync::{Arc, Mutex};
 use metasense_worker::run::{Pool, pool};
 use pyo3::prelude::*;
 
-use crate::arrays::whole;
+use crate::arrays::parse_integer;
 use crate::raised;
 
 /// Greatest number of threads of a body, as on the command line.
 const MOST: u64 = 1024;
 
 /// A value that is valid only in the process that created it; a forked process creates its own.
-pub struct PerProcess<T>(Mutex<Made<T>>);
+pub struct PerProcess<T>(Mutex<OwnedValue<T>>);
 
-struct Made<T> {
+struct OwnedValue<T> {
     process: u32,
     /// `None` during drop.
     value: Option<T>,
@@ -24,7 +24,7 @@ struct Made<T> {
 
 impl<T: Clone> PerProcess<T> {
     pub fn new(value: T) -> Self {
-        Self(Mutex::new(Made { process: id(), value: Some(value) }))
+        Self(Mutex::new(OwnedValue { process: id(), value: Some(value) }))
     }
 
     /// The value of this process; a forked process creates it with `make`. Holding the interpreter's lock ensures that no other
@@ -32,13 +32,13 @@ impl<T: Clone> PerProcess<T> {
     pub fn get<E>(&self, _: Python<'_>, make: impl FnOnce() -> Result<T, E>) -> Result<T, E> {
         let mut made = self.0.lock().expect("no panic while it was held");
         if made.process != id() {
-            *made = Made { process: id(), value: Some(make()?) };
+            *made = OwnedValue { process: id(), value: Some(make()?) };
         }
         Ok(made.value.clone().expect("it is being dropped"))
     }
 }
 
-impl<T> Drop for Made<T> {
+impl<T> Drop for OwnedValue<T> {
     /// Leaks values of the parent process: joining its threads would wait forever.
     fn drop(&mut self) {
         let value = self.value.take();
@@ -72,5 +72,5 @@ impl Threads {
 
 /// Converts a number of threads from Python.
 pub fn threads(given: &Bound<'_, PyAny>) -> PyResult<usize> {
-    whole("threads", given, 1..=MOST).map(|count| count as usize)
+    parse_integer("threads", given, 1..=MOST).map(|count| count as usize)
 }

@@ -17,10 +17,10 @@ const WORD: usize = 40;
 /// Width of standard output in columns: COLUMNS, or the terminal's width. `None` if it is no terminal.
 pub fn screen() -> Option<usize> {
     let asked = std::env::var("COLUMNS").ok().and_then(|columns| columns.trim().parse().ok());
-    asked.filter(|columns| *columns > 0).or_else(|| io::stdout().is_terminal().then(of_terminal))
+    asked.filter(|columns| *columns > 0).or_else(|| io::stdout().is_terminal().then(terminal_columns))
 }
 
-fn of_terminal() -> usize {
+fn terminal_columns() -> usize {
     let mut size = libc::winsize { ws_row: 0, ws_col: 0, ws_xpixel: 0, ws_ypixel: 0 };
     // SAFETY: the call writes a `winsize`, or nothing.
     let known = unsafe { libc::ioctl(libc::STDOUT_FILENO, libc::TIOCGWINSZ, &raw mut size) } == 0;
@@ -48,16 +48,16 @@ pub fn text(table: &Table, screen: Option<usize>) -> String {
     let value =
         |c: &Column| if c.cells[0].is_empty() { "–".to_owned() } else { c.cells[0].replace('\n', " ") };
     let shared: Vec<String> = shared.iter().map(|c| format!("{} = {}", c.name, value(c))).collect();
-    let mut said = match shared.is_empty() {
+    let mut blocks = match shared.is_empty() {
         true => Vec::new(),
         false => wrapped(&format!("in all rows: {}", shared.join("; ")), screen),
     };
-    said.push(match narrowed(&own, screen) {
+    blocks.push(match narrowed(&own, screen) {
         Some(widths) => grid(&own, &widths, &BLANKS),
-        None if said.is_empty() => list(&own, table.rows.len(), screen),
+        None if blocks.is_empty() => list(&own, table.rows.len(), screen),
         None => format!("\n{}", list(&own, table.rows.len(), screen)),
     });
-    said.join("\n")
+    blocks.join("\n")
 }
 
 /// Text before, between and after the columns of a grid, in rows and in the line below the names.
@@ -123,7 +123,7 @@ fn parts(name: &str) -> impl Iterator<Item = &str> {
 }
 
 /// A name in lines of at most this width, where its parts allow.
-fn in_parts(name: &str, most: usize) -> Vec<String> {
+fn split_name(name: &str, most: usize) -> Vec<String> {
     let mut found: Vec<String> = vec![String::new()];
     for part in parts(name) {
         let line = found.last_mut().expect("there is one");
@@ -143,23 +143,23 @@ fn wrapped(text: &str, most: usize) -> Vec<String> {
             found.push(line.to_owned());
             continue;
         }
-        let mut now = String::new();
+        let mut current = String::new();
         for word in line.split_whitespace() {
-            let mut begins = !now.is_empty();
+            let mut begins = !current.is_empty();
             let long = width(word) > most;
             let pieces: Vec<&str> =
                 if long { word.split_inclusive([',', ';', '/', '&']).collect() } else { vec![word] };
             for piece in pieces.into_iter().flat_map(|piece| letters(piece, most.max(1))) {
-                if !now.is_empty() && width(&now) + usize::from(begins) + width(&piece) > most {
-                    found.push(std::mem::take(&mut now));
+                if !current.is_empty() && width(&current) + usize::from(begins) + width(&piece) > most {
+                    found.push(std::mem::take(&mut current));
                 } else if begins {
-                    now.push(' ');
+                    current.push(' ');
                 }
-                now += &piece;
+                current += &piece;
                 begins = false;
             }
         }
-        found.push(now);
+        found.push(current);
     }
     found
 }
@@ -179,10 +179,11 @@ fn letters(word: &str, most: usize) -> Vec<String> {
 
 /// Column widths with which a grid fits, reducing the widest columns first; `None` if it cannot.
 fn narrowed(columns: &[Column], screen: usize) -> Option<Vec<usize>> {
-    let least: Vec<usize> = columns.iter().map(Column::least).collect();
-    let mut widths: Vec<usize> = columns.iter().zip(&least).map(|(c, least)| c.width().max(*least)).collect();
+    let min_widths: Vec<usize> = columns.iter().map(Column::least).collect();
+    let mut widths: Vec<usize> =
+        columns.iter().zip(&min_widths).map(|(c, min_widths)| c.width().max(*min_widths)).collect();
     while BLANKS.total(&widths) > screen {
-        let wide = (0..widths.len()).filter(|&i| widths[i] > least[i]).max_by_key(|&i| widths[i])?;
+        let wide = (0..widths.len()).filter(|&i| widths[i] > min_widths[i]).max_by_key(|&i| widths[i])?;
         widths[wide] -= 1;
     }
     // names get the remaining width
@@ -210,7 +211,7 @@ fn grid(columns: &[Column], widths: &[usize], style: &Style) -> String {
         };
         (0..height).map(line).collect::<Vec<_>>().join("\n")
     };
-    let mut said = vec![row(columns.iter().zip(widths).map(|(c, w)| in_parts(&c.name, *w)).collect())];
+    let mut said = vec![row(columns.iter().zip(widths).map(|(c, w)| split_name(&c.name, *w)).collect())];
     said.push(framed(widths.iter().map(|width| "-".repeat(*width)).collect(), style.line));
     for n in 0..columns.first().map_or(0, |column| column.cells.len()) {
         said.push(row(columns.iter().zip(widths).map(|(c, w)| wrapped(&c.cells[n], *w)).collect()));

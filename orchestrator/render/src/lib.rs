@@ -17,10 +17,10 @@ mod write;
 pub use fit::screen;
 pub use number::{digits, duration, number};
 pub use page::{
-    Answer, Encoded, Figure, MOST_ROWS, answers, contents, document, download, more, page, prose,
+    Answer, Encoded, Figure, MOST_ROWS, answers, contents, document, download, omitted_rows_note, page, prose,
 };
 pub use picture::{Legend, Picture, file, legend, lines};
 pub use plot::{Axis, Plot, Scale};
-pub use style::{SERIES, level, of_page};
+pub use style::{SERIES, level, page_style};
 pub use table::{Table, readable, short_hash};
 pub use write::{Data, Format, RowWriter, print_rows, standard_output};

@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::number::number;
 use super::picture::{Legend, Picture, keys};
-use super::style::of_page;
+use super::style::page_style;
 use super::table::{Table, readable};
 
 /// A figure: pictures side by side under one caption.
@@ -51,7 +51,7 @@ impl Answer {
 
 /// A complete page. Drops its possibly large `content` before returning.
 pub fn page(title: &str, question: &str, content: Markup) -> String {
-    let style = html! { style { (PreEscaped(of_page())) } };
+    let style = html! { style { (PreEscaped(page_style())) } };
     let body = html! { body { main { h1 { (title) } p class="question" { (question) } (content) } } };
     drop(content);
     document(title, &style, &body)
@@ -186,7 +186,7 @@ impl Render for Encoded<'_> {
 }
 
 /// A note on the number of rows that a page omits.
-pub fn more(all: usize) -> Markup {
+pub fn omitted_rows_note(all: usize) -> Markup {
     html! { @if all > MOST_ROWS { p class="quiet" { "… and " (all - MOST_ROWS) " more, in the data." } } }
 }
 
@@ -230,7 +230,7 @@ impl Table {
                     } }
                 }
             }
-            (more(self.rows.len()))
+            (omitted_rows_note(self.rows.len()))
             @if let Some(name) = name { (download(name, &self.csv())) }
         }
     }

@@ -85,7 +85,7 @@ pub fn parquet(table: &Table, types: &[String], out: impl Write + Send) -> io::R
     let mut kinds = vec![Kind::Null; table.columns.len()];
     table.rows.iter().for_each(|row| widen(&mut kinds, row));
     declare(&mut kinds, types);
-    write(out, &table.columns, &kinds, table.rows.chunks(GROUP).map(Ok)).map_err(of_output)
+    write(out, &table.columns, &kinds, table.rows.chunks(GROUP).map(Ok)).map_err(output_error)
 }
 
 /// Writes rows one by one. Column types are known only after the last row, so rows first go to an unnamed temporary file.
@@ -133,7 +133,7 @@ impl<W: Write + Send> Parquet<W> {
             let rows: io::Result<Vec<Vec<Value>>> = lines.by_ref().take(GROUP).map(read).collect();
             rows.map(|rows| (!rows.is_empty()).then_some(rows)).transpose()
         });
-        write(self.out, &self.columns, &self.kinds, groups).map_err(of_output)
+        write(self.out, &self.columns, &self.kinds, groups).map_err(output_error)
     }
 }
 
@@ -185,7 +185,7 @@ fn write<R: AsRef<[Vec<Value>]>>(
 }
 
 /// Unwraps the I/O error in a Parquet error, so that callers recognise a closed pipe.
-fn of_output(error: ParquetError) -> io::Error {
+fn output_error(error: ParquetError) -> io::Error {
     match error {
         ParquetError::External(source) => source.downcast().map_or_else(io::Error::other, |e| *e),
         error => io::Error::other(error),

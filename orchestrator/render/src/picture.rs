@@ -2,7 +2,7 @@
 
 use maud::{Markup, PreEscaped, html};
 
-use super::style::{LEVELS, of_file};
+use super::style::{LEVELS, file_style};
 
 /// Entries of a legend: the class of a mark, and its text.
 pub type Legend = Vec<(&'static str, String)>;
@@ -89,7 +89,7 @@ pub fn file(pictures: &[Picture], columns: usize, width: f64, legend: &Legend) -
     html! {
         svg xmlns="http://www.w3.org/2000/svg" viewBox=(format!("0 0 {width:.0} {top:.0}"))
             role="img" aria-label=(label) {
-            style { (PreEscaped(of_file())) }
+            style { (PreEscaped(file_style())) }
             rect class="page" width="100%" height="100%" {}
             @for key in keys { (key) }
             @for cell in cells { (cell) }

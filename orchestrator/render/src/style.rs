@@ -35,7 +35,7 @@ const FIGURES: &str = include_str!("figure.css");
 const DARK: &str = "@media screen and (prefers-color-scheme: dark)";
 
 /// The style of a page: both themes, with variables.
-pub fn of_page() -> String {
+pub fn page_style() -> String {
     let variables = |theme: usize| -> String {
         let all = PALETTE.iter().map(|(name, values)| format!("--{name}: {}; ", values[theme]));
         format!(":root {{ {}}} {}", all.collect::<String>(), levels(theme))
@@ -46,7 +46,7 @@ pub fn of_page() -> String {
 }
 
 /// The style of a file: both themes, with values.
-pub(super) fn of_file() -> String {
+pub(super) fn file_style() -> String {
     let rules = |theme: usize| -> String {
         let resolve = |css: String, (name, values): &(&str, [&str; 2])| {
             css.replace(&format!("var(--{name})"), values[theme])

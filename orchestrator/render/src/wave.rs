@@ -33,8 +33,8 @@ pub fn mode(sketch: &Sketch, frame: Frame, shape: &[[f64; 3]], travel: &[f64], t
         (du - turn * (corner[1] - y)).hypot(dv + turn * (corner[0] - x))
     };
     let corners = sketch.units.iter().enumerate().flat_map(|(u, unit)| unit.iter().map(move |c| (u, c)));
-    let most = corners.map(|(u, corner)| moved(u, corner)).fold(f64::MIN_POSITIVE, f64::max);
-    let scale = REACH * sketch.spacing / most;
+    let max_displacement = corners.map(|(u, corner)| moved(u, corner)).fold(f64::MIN_POSITIVE, f64::max);
+    let scale = REACH * sketch.spacing / max_displacement;
     let farthest = travel.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
     let unit = |u: usize| {
         let ([x, y], [du, dv, turn]) = (sketch.centroids[u], shape[u].map(|c| scale * c));

@@ -7,7 +7,7 @@ use metasense_schemas::record::CastReading;
 use metasense_schemas::source::Source;
 use metasense_schemas::spec::{TrialSpec, Variation, VariationFile};
 use metasense_worker::casts::casts;
-use metasense_worker::problem::INVERTED_OF_A_CAST;
+use metasense_worker::problem::INVERTED_PER_CAST;
 
 use super::named::Designed;
 use super::{Error, Format, cores, print_rows};
@@ -79,7 +79,7 @@ const SAY_EVERY: u64 = 10;
 
 /// Number of held-out samples that a decoder estimates per cast.
 fn samples(reader: &str, holdout: usize) -> usize {
-    if matches!(reader, "inverse" | "twin") { holdout.min(INVERTED_OF_A_CAST) } else { holdout }
+    if matches!(reader, "inverse" | "twin") { holdout.min(INVERTED_PER_CAST) } else { holdout }
 }
 
 fn row_per_cast(found: &[CastReading], holdout: usize) -> Table {

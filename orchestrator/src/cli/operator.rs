@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use metasense_worker::operator::{OperatorFigures, told};
+use metasense_worker::operator::{OperatorFigures, operator_figures};
 use serde_json::json;
 
 use super::named::Database;
@@ -60,7 +60,7 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
             let Some(stored) = reader.stored(hash).await? else { continue };
             let mut measures = [[0.0; MEASURES.len()]; 2];
             for (b, to) in measures.iter_mut().enumerate() {
-                let found = told(&stored.specs[b], &stored.designs[b])
+                let found = operator_figures(&stored.specs[b], &stored.designs[b])
                     .map_err(|e| Error::Usage(format!("trial {}: {e}", short_hash(hash))))?;
                 let OperatorFigures { error, rank, condition, bits, memory, modes } = found;
                 *to = [error, rank, condition, bits, memory, modes];

@@ -1,6 +1,6 @@
 //! The README of a device's files: dimensions, positions of chips and forces, instructions.
 
-use metasense_worker::replay::{Drawing, Moves};
+use metasense_worker::replay::{Drawing, PrescribedMotion};
 
 use super::ligament::Cast;
 use super::outline::{HOLE, largest_pocket, screwed};
@@ -102,10 +102,12 @@ pub fn notes(
         let [x, y] = at.map(number);
         let unit = panel.unit;
         lines.push(match panel.moves {
-            Some(Moves::Base(_)) => {
+            Some(PrescribedMotion::Base(_)) => {
                 format!("| force {n} | all held units | | | moves them along ({a}, {b}) |")
             }
-            Some(Moves::Unit(_)) => format!("| force {n} | {unit} | {x} | {y} | moves it along ({a}, {b}) |"),
+            Some(PrescribedMotion::Unit(_)) => {
+                format!("| force {n} | {unit} | {x} | {y} | moves it along ({a}, {b}) |")
+            }
             None if panel.direction == [0.0; 2] => {
                 format!(
                     "| force {n} | {unit} | {x} | {y} | a moment of {} mm times the force |",

@@ -9,7 +9,7 @@ use metasense_schemas::record::Parts;
 use metasense_schemas::spec::{BrainKind, Method, Network, Protocol, Solver, TrialSpec};
 use metasense_worker::evaluated_fraction;
 use metasense_worker::pace::Pace;
-use metasense_worker::problem::{INVERTED_OF_A_CAST, READINGS_MAX, instants, lags};
+use metasense_worker::problem::{INVERTED_PER_CAST, READINGS_MAX, instants, lags};
 
 /// Speed of a core with AVX-512, for weights that are equal on every machine.
 const RATED: Pace = Pace { evaluations: 2.9e8, training: 1.1e11, factor: 2.5e10 };
@@ -186,7 +186,7 @@ fn seconds(trial: &TrialSpec, units: usize, pace: Pace) -> Parts<f64> {
     let inverted = if trial.brain.kind == BrainKind::Inverse {
         let sample = INVERSION * trial.point.panels as f64;
         // for the model of the design and for two twins
-        let of_a_cast = TWINS + 3.0 * stimuli.holdout.min(INVERTED_OF_A_CAST) as f64 * sample;
+        let of_a_cast = TWINS + 3.0 * stimuli.holdout.min(INVERTED_PER_CAST) as f64 * sample;
         (stimuli.test + stimuli.holdout) as f64 * sample + casts_read as f64 * of_a_cast
     } else {
         0.0

@@ -1,6 +1,6 @@
 //! Error over casts by body and decoder: a figure, and sentences per setting.
 
-use metasense_worker::problem::INVERTED_OF_A_CAST;
+use metasense_worker::problem::INVERTED_PER_CAST;
 
 use super::words::left_out;
 use crate::analysis::bodies::BodyTrials;
@@ -131,7 +131,7 @@ fn brain(by: CastDecoder) -> String {
 
 /// Inverse decoders estimate only part of a cast's held-out set.
 fn subset_note() -> String {
-    format!("at most {INVERTED_OF_A_CAST} held-out samples")
+    format!("at most {INVERTED_PER_CAST} held-out samples")
 }
 
 fn tick(by: CastDecoder) -> String {

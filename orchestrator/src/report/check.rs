@@ -29,7 +29,7 @@ pub fn records(checked: &Checked) -> Table {
             let quiet = instruments.quiet.iter().flatten().enumerate().filter(|(c, _)| turns(*c) == turning);
             quiet.map(|(_, quiet)| quiet[1]).reduce(f64::max).map(|noise| digits(noise, 3))
         };
-        let told = checked.found.as_ref().map(|found| &found.records[i]);
+        let agreement = checked.found.as_ref().map(|found| &found.records[i]);
         let clipped: usize = of.clipped.iter().flatten().sum();
         row![
             of.number,
@@ -44,8 +44,8 @@ pub fn records(checked: &Checked) -> Table {
             clipped,
             noise(false),
             noise(true),
-            told.map(|told| format!("{:.2}", told.correlation)),
-            told.map(|told| format!("{:.1}", 1e3 * told.lag)),
+            agreement.map(|agreement| format!("{:.2}", agreement.correlation)),
+            agreement.map(|agreement| format!("{:.1}", 1e3 * agreement.lag)),
         ]
     };
     Table::new(columns, checked.records.iter().enumerate().map(row))
@@ -59,7 +59,7 @@ pub fn rings(checked: &Checked) -> Table {
         let near = modes.min_by(|a, b| far(a.1.frequency()).total_cmp(&far(b.1.frequency())));
         let near = near.filter(|(_, mode)| far(mode.frequency()) < NEAR);
         let shown = |value: Option<f64>| value.map_or(Value::Null, |value| digits(value, 3).into());
-        let of = |value: fn(&metasense_worker::modes::Mode) -> Option<f64>| {
+        let mode_value = |value: fn(&metasense_worker::modes::Mode) -> Option<f64>| {
             shown(near.and_then(|(_, mode)| value(mode)))
         };
         row![
@@ -67,9 +67,9 @@ pub fn rings(checked: &Checked) -> Table {
             shown(Some(*damping)),
             shown(Some(*decay)),
             near.map(|(n, _)| n + 1),
-            of(|mode| Some(mode.frequency())),
-            of(|mode| Some(mode.damping_ratio())),
-            of(metasense_worker::modes::Mode::decay_time),
+            mode_value(|mode| Some(mode.frequency())),
+            mode_value(|mode| Some(mode.damping_ratio())),
+            mode_value(metasense_worker::modes::Mode::decay_time),
             shown(near.map(|(_, mode)| frequency / mode.frequency())),
         ]
     };

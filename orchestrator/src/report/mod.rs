@@ -23,7 +23,7 @@ use crate::analysis::numbers::distinct;
 use crate::analysis::resample::{REPLICATES, SEED};
 use crate::analysis::{Question, Terms, Trial};
 use crate::look::wave::SCRIPT;
-use crate::look::{Answer, Figure, Table, answers as listed, contents, download, more, page};
+use crate::look::{Answer, Figure, Table, answers as listed, contents, download, omitted_rows_note, page};
 use crate::store::{CodeVersion, StoredTrial};
 
 /// All data of a report.
@@ -149,7 +149,7 @@ pub fn html(story: ReportData, figures: &[Figure], missing: Option<&str>) -> Str
         }
         h2 id=(TRIALS[0]) { (TRIALS[1]) }
         (states.first.html(None))
-        (more(states.all))
+        (omitted_rows_note(states.all))
         (download("trials", &states.csv))
         (provenance(&story))
         @if figures.iter().any(|figure| figure.moving.is_some()) { script { (PreEscaped(SCRIPT)) } }

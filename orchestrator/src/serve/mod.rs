@@ -33,7 +33,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
 use tokio::time::sleep;
 
-use crate::look::of_page;
+use crate::look::page_style;
 use crate::look::wave::SCRIPT;
 use crate::report::samples::Replayed;
 use crate::store::StoredTrial;
@@ -141,7 +141,7 @@ fn pages(served: Arc<ServerState>) -> Router {
         |kind: &'static str, text: String| get(move || async move { ([(header::CONTENT_TYPE, kind)], text) });
     Router::new()
         .route("/", get(pages::home))
-        .route("/style.css", asset("text/css; charset=utf-8", of_page() + include_str!("serve.css")))
+        .route("/style.css", asset("text/css; charset=utf-8", page_style() + include_str!("serve.css")))
         .route("/icon.svg", asset("image/svg+xml", ICON.into()))
         .route("/live.js", asset("text/javascript; charset=utf-8", include_str!("live.js").into()))
         .route("/control.js", asset("text/javascript; charset=utf-8", include_str!("control.js").into()))

@@ -77,7 +77,7 @@ pub enum Start {
 impl Start {
     /// Returns the time of one record.
     #[must_use]
-    pub fn of(&self, record: usize) -> f64 {
+    pub fn time_of(&self, record: usize) -> f64 {
         match self {
             Self::All(start) => *start,
             Self::Each(starts) => starts.get(record).copied().unwrap_or(0.0),

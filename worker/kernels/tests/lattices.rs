@@ -5,7 +5,7 @@ mod common;
 use common::{norm, pool, relative, scene};
 use metasense_kernels::body::{End, FollowRule, Follower, Geometry, Layout, Pattern};
 use metasense_kernels::dynamics::{
-    Contact, Forces, Frame, Method, Moves, Panel, Plan, Scene, Tangent, Wrt, run,
+    Contact, Forces, Frame, Method, Panel, Plan, PrescribedMotion, Scene, Tangent, Wrt, run,
 };
 
 /// Four polygons: a triangle, a hexagon (rigid or not), a square above the first triangle, and a triangle above the hexagon.
@@ -71,7 +71,7 @@ fn struck(layout: Layout) -> (Scene, Forces) {
     let base = scene(3, 3, 20);
     let panels = vec![
         Panel { node: Some(1), moment: 0.5, ..Panel::central(last, [0.6, -0.8]) },
-        Panel { moves: Some(Moves::Base(1e-4)), ..Panel::central(clamped[0], [0.8, 0.6]) },
+        Panel { moves: Some(PrescribedMotion::Base(1e-4)), ..Panel::central(clamped[0], [0.8, 0.6]) },
     ];
     let scene = Scene { clamped, panels, sensors: vec![free, last], frame: Frame::Body, layout, ..base };
     let values = (0..6 * 21).map(|i| 0.3 * (0.15 * f64::from(i % 21) + f64::from(i / 21)).sin().powi(2));

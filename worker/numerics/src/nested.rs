@@ -25,8 +25,8 @@ pub use evaluation::{
     BandCoverage, BodyEvaluation, CastDecoder, CastEvaluation, Comparison, NetworkEvaluation, Optimised,
     Regularisation,
 };
-pub use inversion::INVERTED_OF_A_CAST;
-pub use observe::{Control, Nobody, Observe};
+pub use inversion::INVERTED_PER_CAST;
+pub use observe::{Control, NoObserver, Observe};
 pub use report::{Report, Seconds};
 pub use schedule::{RUNGS, evaluated_fraction, evaluation_step_near};
 pub use state::{Best, PastDesign, State};

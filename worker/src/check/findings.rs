@@ -1,6 +1,6 @@
 //! Texts of findings: the fault, the measured values, and the key or option that corrects it.
 
-use metasense_numerics::check::{Found, OfRecord};
+use metasense_numerics::check::{Explanation, RecordFinding};
 use metasense_numerics::student::median;
 use metasense_schemas::spec::{AccelerationUnit, AngularVelocityUnit, ForceUnit, Start};
 
@@ -73,7 +73,7 @@ pub(super) fn findings(
     described: &Described,
     channels: &[String],
     looked: &[Looked],
-    found: Option<&Found>,
+    found: Option<&Explanation>,
     read: &[usize],
 ) -> Vec<Finding> {
     let mut of = Findings { all: Vec::new(), described, channels, looked };
@@ -213,7 +213,7 @@ impl Findings<'_> {
     }
 
     /// Reports units that would fit the amplitudes better. Returns the factor for accelerations.
-    fn scale(&mut self, found: &Found, read: &[usize]) -> f64 {
+    fn scale(&mut self, found: &Explanation, read: &[usize]) -> f64 {
         let kind = |c: usize| usize::from(read[c % read.len()] == 2);
         let gain = |of: usize| {
             let channels = (0..self.channels.len()).filter(|c| kind(*c) == of && !found.channels[*c].silent);
@@ -360,7 +360,7 @@ impl Findings<'_> {
         self.add("clock", Level::Fault, place, found, remedy.into());
     }
 
-    fn model(&mut self, found: &Found, read: &[usize]) {
+    fn model(&mut self, found: &Explanation, read: &[usize]) {
         let [before, after] = found.correlation;
         let raises =
             |what: String| format!("{what}: raises the mean correlation from {before:.2} to {after:.2}");
@@ -380,7 +380,7 @@ impl Findings<'_> {
         self.clocks(found);
         self.axes(found, read);
         for (i, of) in found.records.iter().enumerate() {
-            let OfRecord { correlation, panel, clock, .. } = of;
+            let RecordFinding { correlation, panel, clock, .. } = of;
             if let Some((panel, then)) = panel {
                 let said = format!("the record fits panel {panel}: correlation {correlation:.2} → {then:.2}");
                 self.add(
@@ -411,10 +411,10 @@ impl Findings<'_> {
 
     fn start(&self, i: usize) -> f64 {
         let number = self.looked[i].number;
-        self.described.spec.signals.start.as_ref().map_or(0.0, |start| start.of(number))
+        self.described.spec.signals.start.as_ref().map_or(0.0, |start| start.time_of(number))
     }
 
-    fn clocks(&mut self, found: &Found) {
+    fn clocks(&mut self, found: &Explanation) {
         let [before, after] = found.correlation;
         if after < MODEL {
             return;
@@ -460,7 +460,7 @@ impl Findings<'_> {
         }
     }
 
-    fn axes(&mut self, found: &Found, read: &[usize]) {
+    fn axes(&mut self, found: &Explanation, read: &[usize]) {
         let own = read.len();
         let live: Vec<usize> = (0..self.channels.len()).filter(|c| !found.channels[*c].silent).collect();
         if !live.is_empty() && live.iter().all(|c| found.source[*c] == (*c, -1.0)) {

@@ -12,7 +12,7 @@ fn a_state_survives_its_checkpoint() {
         step: 7,
         design: design.clone(),
         design_adam: Adam { m: numbers(parameters), v: numbers(parameters), t: 7 },
-        decoder_state: Learnt {
+        decoder_state: DecoderState {
             weights: few(weights),
             adam: Adam { m: few(weights), v: few(weights), t: 70 },
             ridge: None,
@@ -28,7 +28,7 @@ fn a_state_survives_its_checkpoint() {
         comparison: nested::Comparison::default(),
         fitness: Vec::new(),
     };
-    let learnt = Learnt { weights: Vec::new(), ..full.decoder_state.clone() };
+    let learnt = DecoderState { weights: Vec::new(), ..full.decoder_state.clone() };
     let bare = State {
         best: None,
         trend: None,
@@ -36,7 +36,7 @@ fn a_state_survives_its_checkpoint() {
         decoder_state: learnt.clone(),
         ..full.clone()
     };
-    let linear = State { decoder_state: Learnt { ridge: Some(1e-4), ..learnt }, ..full.clone() };
+    let linear = State { decoder_state: DecoderState { ridge: Some(1e-4), ..learnt }, ..full.clone() };
     let spread = Some(trial::Spread { median: 1.5, p90: f64::INFINITY, above: 7 });
     let network = nested::NetworkEvaluation {
         error_test: Some(3.0),
@@ -63,7 +63,7 @@ fn a_state_survives_its_checkpoint() {
         zero_samples: [1, 2, 3],
     };
     let adam = Adam { m: few(weights), v: few(weights), t: 2 };
-    let fresh = Fresh { weights: few(weights), adam, losses: vec![0.5], errors: Vec::new() };
+    let fresh = NetworkTraining { weights: few(weights), adam, losses: vec![0.5], errors: Vec::new() };
     let brains = [
         CastDecoder::Network,
         CastDecoder::NetworkCasts,
@@ -104,7 +104,7 @@ fn a_state_survives_its_checkpoint() {
         },
         ..full.clone()
     };
-    let wrong = Fresh { weights: few(3), ..fresh.clone() };
+    let wrong = NetworkTraining { weights: few(3), ..fresh.clone() };
     let search = State { fitness: vec![12.5, f64::INFINITY], ..bare.clone() };
     for original in [full.clone(), bare, linear, search, compared(None), compared(Some(fresh))] {
         let read = Checkpoint::from_bytes(&checkpoint(&original).to_bytes()).unwrap();

@@ -1,7 +1,7 @@
 //! A body from its spec: units and ligaments, clamps and guides, panels, and the initial design.
 
 use metasense_numerics::body::{Layout, Pattern};
-use metasense_numerics::dynamics::{Moves, Panel};
+use metasense_numerics::dynamics::{Panel, PrescribedMotion};
 use metasense_numerics::feasible::{Feasible, Limits};
 use metasense_schemas::spec::{self, Clamp, ClampRule, Design, Guide, LayoutKind, Struck, TrialSpec};
 use std::collections::BTreeMap;
@@ -96,7 +96,7 @@ pub fn panels(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<Panel>
     let ruled = layout.circular_panels(units.len()).unwrap_or_default();
     let by_rule = ruled.iter().map(|panel| &panel.0).eq(units.iter());
     let (sin, cos) = body.panel_angle.unwrap_or_default().to_radians().sin_cos();
-    let listed = Listed::new(body, layout);
+    let listed = PanelList::new(body, layout);
     let (in_turn, driven) = (listed.begins_with(units), driven(body));
     let panel = |(k, &unit): (usize, &usize)| {
         let trial_panels = match in_turn {
@@ -122,8 +122,9 @@ pub fn panels(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<Panel>
             None => [x, y],
         };
         let [p, q] = at.unwrap_or_default();
-        let moves =
-            base.map(|mass| if driven.contains(&unit) { Moves::Unit(mass) } else { Moves::Base(mass) });
+        let moves = base.map(|mass| {
+            if driven.contains(&unit) { PrescribedMotion::Unit(mass) } else { PrescribedMotion::Base(mass) }
+        });
         Panel { unit, direction, node, moment: p * direction[1] - q * direction[0] + 0.0, moves }
     };
     units.iter().enumerate().map(panel).collect()
@@ -143,14 +144,14 @@ fn listed(body: &spec::Body) -> (&'static str, &[Struck]) {
 }
 
 /// Panels listed in `body.panels` or, if this is empty, in the body's file.
-struct Listed {
+struct PanelList {
     /// The key of the list.
     key: &'static str,
     /// Panels that shake the base get the first held unit.
     panels: Vec<Struck>,
 }
 
-impl Listed {
+impl PanelList {
     fn new(body: &spec::Body, layout: &Layout) -> Self {
         let (key, list) = listed(body);
         let mut panels = list.to_vec();
@@ -189,14 +190,14 @@ impl Listed {
                         "base cannot be combined with node, at and couple: the unit does not rotate".into(),
                     );
                 }
-                let held = held(body, layout)?;
-                if unit.is_none() && held.is_empty() {
+                let held_units = held(body, layout)?;
+                if unit.is_none() && held_units.is_empty() {
                     return wrong(
                         "a base without unit moves the held units, but none is held: set body.clamp or unit"
                             .into(),
                     );
                 }
-                if let Some(unit) = unit.filter(|unit| held.contains(unit)) {
+                if let Some(unit) = unit.filter(|unit| held_units.contains(unit)) {
                     let remedy = "leave it out of body.clamp and body.guides to drive it";
                     return wrong(format!("unit {unit} is held: {remedy}"));
                 }
@@ -247,9 +248,13 @@ impl Listed {
 ///
 /// # Errors
 /// If a panel has no unit, a held unit, or repeats another panel.
-pub(super) fn struck(trial: &TrialSpec, layout: &Layout, held: &[usize]) -> Result<Vec<Panel>, Invalid> {
+pub(super) fn build_panels(
+    trial: &TrialSpec,
+    layout: &Layout,
+    held: &[usize],
+) -> Result<Vec<Panel>, Invalid> {
     let TrialSpec { body, panel_units: units, .. } = trial;
-    let listed = Listed::new(body, layout);
+    let listed = PanelList::new(body, layout);
     listed.check(body, layout)?;
     let told = listed.begins_with(units);
     for (k, unit) in units.iter().enumerate() {
@@ -288,7 +293,7 @@ pub fn panel_units(body: &spec::Body, layout: &Layout, panels: usize) -> Result<
         let remedy = format!("body.panel_units names {} units", units.len());
         return if units.len() == panels { Ok(units.clone()) } else { Err(none(remedy)) };
     }
-    let listed = Listed::new(body, layout);
+    let listed = PanelList::new(body, layout);
     listed.check(body, layout)?;
     if !listed.panels.is_empty() {
         let (units, remedy) =

@@ -2,7 +2,7 @@
 
 use metasense_numerics::brains::fits;
 use metasense_numerics::dynamics::{Parameters, Relaxation};
-use metasense_numerics::trial::{CastObjective, CastReader, Over};
+use metasense_numerics::trial::{CastObjective, DecoderSharing, ObjectiveDomain};
 use metasense_numerics::variation::Variation;
 use metasense_schemas::spec::{self, Scatter, TrialSpec};
 
@@ -137,14 +137,14 @@ pub(super) fn casting(trial: &TrialSpec) -> Result<Option<CastObjective>, Invali
     at_most("optimise.casts", casts, CASTS_MAX)?;
     let remedy = "must be left out: without a [variation] the objective is over the parts of stimuli.mix";
     require(parts.is_none_or(|parts| parts == casts), "optimise.casts", casts, remedy)?;
-    let over = if parts.is_some() { Over::Parts } else { Over::Casts };
+    let over = if parts.is_some() { ObjectiveDomain::Parts } else { ObjectiveDomain::Casts };
     let reader = match reader {
         Some(spec::CastReader::Each) => {
             let remedy = "needs training with the linear decoder: networks are not trained for each cast";
             require(trial.optimise.linear(), "optimise.reader", "\"each\"", remedy)?;
-            CastReader::Each
+            DecoderSharing::Each
         }
-        _ => CastReader::One,
+        _ => DecoderSharing::One,
     };
     Ok(Some(CastObjective { over, casts, tail, reader }))
 }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use metasense_numerics::body::Layout;
-use metasense_numerics::dynamics::{Frame, Panel, Parts, Scene, Stiffness};
+use metasense_numerics::dynamics::{Frame, Panel, PartFactors, Scene, Stiffness};
 use metasense_schemas::spec::{
     self, Body, BodyKind, Channel, Description, Feasible, Sensors, Solver, SweepSpec, TrialSpec, flatten,
 };
@@ -228,7 +228,7 @@ pub(super) fn parts(trial: &TrialSpec, description: &Description) -> Result<OfBo
         layout: Layout::default(),
         density: 0.0,
         stiffness: Stiffness { stretch: 0.0, shear: 0.0, bend: 0.0 },
-        parts: Parts::default(),
+        parts: PartFactors::default(),
         relaxation: None,
         damping_ratio: 0.0,
         damping: None,
@@ -237,7 +237,7 @@ pub(super) fn parts(trial: &TrialSpec, description: &Description) -> Result<OfBo
         linearised: false,
         clamped: Vec::new(),
         guided: Vec::new(),
-        pressed: Vec::new(),
+        imposed: Vec::new(),
         panels: trial.panel_units.iter().map(|place| Panel::central(*place, [0.0; 2])).collect(),
         sensors: trial.sensor_units.clone(),
         chip: None,

@@ -33,13 +33,13 @@ pub fn sheet(body: &spec::Body) -> Result<spec::Body, Invalid> {
     }
     let Material { rubber, modulus, density, thickness, ligament_width } = material;
     let (stress, heavy) = rubber.map(Rubber::figures).unzip();
-    let found = |key: &str, own: Option<f64>, rubber: Option<f64>| {
+    let checked_value = |key: &str, own: Option<f64>, rubber: Option<f64>| {
         let missing = || invalid(key, "", "must be set, unless body.material.rubber is set");
         let value = own.or(rubber).ok_or_else(missing)?;
         positive(key, value).map(|()| value)
     };
-    let modulus = found("body.material.modulus", modulus, stress.map(modulus_at_rest))?;
-    let density = found("body.material.density", density, heavy)?;
+    let modulus = checked_value("body.material.modulus", modulus, stress.map(modulus_at_rest))?;
+    let density = checked_value("body.material.density", density, heavy)?;
     positive("body.material.thickness", thickness)?;
     positive("body.material.ligament_width", ligament_width)?;
     let [_, length] = lengths(body)?;

@@ -2,10 +2,10 @@
 
 use metasense_numerics::body::{Freedom, Layout};
 use metasense_numerics::feasible::{Feasible, Limits};
-use metasense_numerics::trial::{Continued, Protocol, Terms};
+use metasense_numerics::trial::{Protocol, StepTraining, Terms};
 use metasense_schemas::spec::{self, TrialSpec};
 
-use super::{ITERATIONS_MAX, SAMPLES_MAX, check_units, held, kept};
+use super::{ITERATIONS_MAX, SAMPLES_MAX, check_units, fixed_shape_units, held};
 use crate::invalid::{Invalid, as_written, invalid, positive, require, within};
 
 /// The training protocol.
@@ -13,7 +13,7 @@ pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
     let &spec::Optimise { protocol, gradient, batch, brain_iterations, brain_learning_rate, coarse, .. } =
         optimise;
     // keys without effect are rejected: otherwise identical trials would get different hashes
-    let unread = |key: &str, given: Option<String>, readers: &str| match given {
+    let reject_unused = |key: &str, given: Option<String>, readers: &str| match given {
         Some(value) => {
             Err(invalid(key, value, format!("has no effect on this optimise.protocol, only on {readers}")))
         }
@@ -21,18 +21,18 @@ pub(super) fn protocol(optimise: &spec::Optimise) -> Result<Protocol, Invalid> {
     };
     if protocol == spec::Protocol::Paper {
         let readers = "joint and random";
-        unread("optimise.brain_iterations", brain_iterations.map(|n| n.to_string()), readers)?;
-        unread("optimise.brain_learning_rate", brain_learning_rate.map(|r| r.to_string()), readers)?;
+        reject_unused("optimise.brain_iterations", brain_iterations.map(|n| n.to_string()), readers)?;
+        reject_unused("optimise.brain_learning_rate", brain_learning_rate.map(|r| r.to_string()), readers)?;
     } else {
-        unread("optimise.gradient", gradient.map(|terms| as_written(&terms)), "paper")?;
+        reject_unused("optimise.gradient", gradient.map(|terms| as_written(&terms)), "paper")?;
     }
     if protocol != spec::Protocol::Joint {
-        unread("optimise.batch", batch.map(|n| n.to_string()), "joint")?;
-        unread("optimise.coarse", coarse.map(|solver| as_written(&solver)), "joint")?;
+        reject_unused("optimise.batch", batch.map(|n| n.to_string()), "joint")?;
+        reject_unused("optimise.coarse", coarse.map(|solver| as_written(&solver)), "joint")?;
     }
     let resolved = optimise.clone().resolved();
     // placeholders for keys that the protocol does not use
-    let going = Continued {
+    let going = StepTraining {
         batch: resolved.batch.unwrap_or(1),
         brain_iterations: resolved.brain_iterations.unwrap_or(1),
         brain_rate: resolved.brain_learning_rate.unwrap_or(1.0),
@@ -77,7 +77,7 @@ pub fn design_parameters(trial: &TrialSpec, layout: &Layout) -> Result<usize, In
         return Ok(shifts.len());
     }
     let (tie, frozen) = (tie(&trial.optimise)?, frozen(&trial.optimise, layout)?);
-    let kept = kept(&trial.feasible, &trial.panel_units, &held(&trial.body, layout)?);
+    let kept = fixed_shape_units(&trial.feasible, &trial.panel_units, &held(&trial.body, layout)?);
     let parameters = Freedom::of(layout, tie, &frozen, &kept).parameters();
     require(
         parameters > 0,

@@ -2,7 +2,7 @@
 
 use metasense_numerics::brains::fits;
 use metasense_numerics::dynamics::{Inertia, Mount};
-use metasense_numerics::stimuli::{Bell, Gauss, Hand, Irregular, Source};
+use metasense_numerics::stimuli::{Bell, Gauss, Irregular, Source, StrikeScatter};
 use metasense_numerics::trial::{Disturbance, Size, Stimuli};
 use metasense_schemas::spec::{self, StimuliKind, TrialSpec};
 
@@ -40,7 +40,7 @@ fn source(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result
         (StimuliKind::Gauss, _) => Source::Gauss(gauss(trial, stimuli)?),
         (StimuliKind::Irregular, _) => Source::Irregular(irregular(trial, stimuli)?),
         (StimuliKind::Recorded, Some(recorded)) => {
-            Source::Recorded(records::recorded(trial, recorded, instants)?)
+            Source::Recorded(records::load_records(trial, recorded, instants)?)
         }
         (StimuliKind::Recorded, None) => {
             return Err(invalid("stimuli.recorded", "", "must be set: the files and their contents"));
@@ -58,7 +58,7 @@ fn source(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result
 }
 
 /// Standard deviations of the offset and angle of blows; `None` if both are 0.
-fn hand(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Option<Hand>, Invalid> {
+fn hand(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Option<StrikeScatter>, Invalid> {
     let (offset, angle) = (stimuli.offset.unwrap_or_default(), stimuli.angle.unwrap_or_default());
     if (offset, angle) == (0.0, 0.0) {
         return Ok(None);
@@ -77,7 +77,7 @@ fn hand(trial: &TrialSpec, stimuli: &spec::Stimuli) -> Result<Option<Hand>, Inva
         let remedy = "has no effect: every entry of body.panels prescribes a motion (base)";
         require(struck || value == 0.0, key, value, remedy)?;
     }
-    Ok((offset > 0.0 || angle > 0.0).then_some(Hand { offset, angle: angle.to_radians() }))
+    Ok((offset > 0.0 || angle > 0.0).then_some(StrikeScatter { offset, angle: angle.to_radians() }))
 }
 
 /// Tolerance of the sum of a mixture's weights.
@@ -117,12 +117,12 @@ fn mix(trial: &TrialSpec, stimuli: &spec::Stimuli, instants: usize) -> Result<Ve
     require(weights.iter().all(|w| *w > 0.0), "stimuli.mix.weight", &shown, "must be numbers above 0")?;
     let remedy = format!("must sum to 1, not to {sum}");
     require((sum - 1.0).abs() < ROUNDING, "stimuli.mix.weight", &shown, &remedy)?;
-    let of = |(weight, part)| Ok((weight, alone(trial, key, part, stimuli, instants)?));
+    let of = |(weight, part)| Ok((weight, source_of_part(trial, key, part, stimuli, instants)?));
     weights.into_iter().zip(parts).map(of).collect()
 }
 
 /// Forces of a single kind, from a table of `key`.
-fn alone(
+fn source_of_part(
     trial: &TrialSpec,
     key: &str,
     part: &spec::Part,
@@ -161,7 +161,7 @@ pub(super) fn under(trial: &TrialSpec) -> Result<Vec<Source>, Invalid> {
     let remedy = "must be left out: a linear decoder of such long samples does not fit into memory";
     require(kinds.is_empty() || readable, key, &shown, remedy)?;
     let instants = force_instants(trial)?;
-    read_under(trial).map(|part| alone(trial, key, part, &trial.stimuli, instants)).collect()
+    read_under(trial).map(|part| source_of_part(trial, key, part, &trial.stimuli, instants)).collect()
 }
 
 /// Number of instants of the forces' clock.
@@ -319,8 +319,9 @@ pub(super) fn disturbance(
     let interval = time.duration / time.samples as f64;
     let most = BANDWIDTH_MAX / interval;
     let remedy = format!("must be above 0, and at most {most} Hz, twice the rate of the readings");
-    let held = bandwidth > 0.0 && bandwidth <= most * (1.0 + 1e-9) || bandwidth == f64::INFINITY;
-    require(held, "sensors.bandwidth", bandwidth, &remedy)?;
+    let is_valid_bandwidth =
+        bandwidth > 0.0 && bandwidth <= most * (1.0 + 1e-9) || bandwidth == f64::INFINITY;
+    require(is_valid_bandwidth, "sensors.bandwidth", bandwidth, &remedy)?;
     let (range, resolution) = (sensors.range.unwrap_or(wide), sensors.resolution.unwrap_or_default());
     let remedy = "must be above 0: [mm/s², rad/s]";
     require(range.iter().all(|most| *most > 0.0), "sensors.range", format!("{range:?}"), remedy)?;

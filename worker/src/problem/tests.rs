@@ -1,7 +1,7 @@
 use super::*;
-use crate::{modes::slowest, operator::told};
+use crate::{modes::slowest, operator::operator_figures};
 use metasense_numerics::body::Pattern;
-use metasense_numerics::dynamics::{Moves, Panel, Strike};
+use metasense_numerics::dynamics::{Panel, PrescribedMotion, Strike};
 use metasense_numerics::random::Purpose;
 use metasense_schemas::spec::{Brain, Evaluation, Feasible, Optimise, Sensors, Solver, Time};
 use serde_json::{Value, json};
@@ -260,14 +260,14 @@ fn forces_act_where_the_list_of_panels_says() {
     assert_eq!(with(list, json!([34, 34])).unwrap(), [node, couple]);
     // the base is represented by the first held unit
     let list = json!([{ "base": 1e-5, "direction": [1, 0] }, { "unit": 34 }]);
-    let shaken = Panel { moves: Some(Moves::Base(1e-5)), ..Panel::central(0, [1.0, 0.0]) };
+    let shaken = Panel { moves: Some(PrescribedMotion::Base(1e-5)), ..Panel::central(0, [1.0, 0.0]) };
     assert_eq!(with(list, json!([0, 34])).unwrap(), [shaken, Panel::central(34, [0.0, -1.0])]);
     let list = json!([{ "base": 1e-5, "unit": 31, "direction": [1, 0] }, { "unit": 34 }]);
-    let driven = Panel { moves: Some(Moves::Unit(1e-5)), ..Panel::central(31, [1.0, 0.0]) };
+    let driven = Panel { moves: Some(PrescribedMotion::Unit(1e-5)), ..Panel::central(31, [1.0, 0.0]) };
     assert_eq!(with(list.clone(), json!([31, 34])).unwrap(), [driven, Panel::central(34, [0.0, -1.0])]);
     let moved = trial(&[("body.panels", list), ("panel_units", json!([31, 34]))]);
     let design = problem(&moved).unwrap().initial;
-    for refused in [slowest(&moved, &design, 3).err(), told(&moved, &design).err()] {
+    for refused in [slowest(&moved, &design, 3).err(), operator_figures(&moved, &design).err()] {
         assert!(refused.expect("driven").to_string().contains("body.panels: unit 31 is driven"));
     }
     for (list, place, remedy) in [
@@ -319,7 +319,7 @@ fn compression_moves_what_is_held() {
     let scene = with(&[sides.clone(), ("body.compression", json!([0.1, -0.02]))]).unwrap();
     assert_eq!(scene.clamped, [0, 5, 6, 11, 12, 17, 18, 23, 24, 29, 30, 35]);
     let near = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]) < 1e-12;
-    assert!(near(scene.pressed[0], [3.75, -0.75]) && near(scene.pressed[11], [-3.75, 0.75]), "{scene:?}");
+    assert!(near(scene.imposed[0], [3.75, -0.75]) && near(scene.imposed[11], [-3.75, 0.75]), "{scene:?}");
     // in every row, shifted by half a cell or not
     for (lattice, rows) in [("kagome", 3), ("triangular", 4), ("chiral", 4)] {
         let sheet = [
@@ -335,7 +335,7 @@ fn compression_moves_what_is_held() {
         assert!((0..rows).all(|row| of_row(row) == 2), "{lattice}: {held:?}");
     }
     let ends = with(&[("body.clamp", json!("ends")), ("panel_units", json!([6, 23]))]);
-    assert!(ends.is_ok_and(|scene| scene.clamped.len() == 12 && scene.pressed.is_empty()));
+    assert!(ends.is_ok_and(|scene| scene.clamped.len() == 12 && scene.imposed.is_empty()));
     let refused = [
         (vec![("body.compression", json!([0.0, 0.1]))], "body.compression", "all held units have the same y"),
         (
@@ -369,10 +369,10 @@ fn guides_hold_units_in_part() {
     // clamped units move with those held along x; the unit in the middle stays
     let free = [("body.guides", sides), ("body.clamp", json!([2])), ("body.compression", json!([0.1, 0.0]))];
     let scene = with(&free).unwrap();
-    let ways: Vec<f64> = scene.pressed.iter().map(|way| way[0]).collect();
+    let ways: Vec<f64> = scene.imposed.iter().map(|way| way[0]).collect();
     let near = |k: usize, way: f64| (ways[k] - way).abs() < 1e-12;
     assert!(near(0, 0.75) && near(1, 3.75) && near(2, -3.75) && near(6, 0.0), "{ways:?} {:?}", scene.guided);
-    assert!(scene.pressed.iter().all(|way| way[1] == 0.0));
+    assert!(scene.imposed.iter().all(|way| way[1] == 0.0));
     let none = ("body.clamp", json!([]));
     let rollers = |units: Value, holds: Value| ("body.guides", json!([{ "units": units, "holds": holds }]));
     let press = ("body.compression", json!([0.1, 0.0]));

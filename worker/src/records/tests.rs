@@ -28,7 +28,7 @@ impl Folder {
             "panel_units": [6, 8], "sensor_units": [4],
         }))
         .unwrap();
-        recorded(&trial, trial.stimuli.recorded.as_ref().unwrap(), 10)
+        load_records(&trial, trial.stimuli.recorded.as_ref().unwrap(), 10)
     }
 }
 

@@ -15,7 +15,7 @@ fn a_twin_is_read_as_it_was_written() {
         let ligament = |i: usize| [1.0 + 0.25 * i as f64, 1.5, 0.5];
         let cast = Cast {
             material: Parameters::from_array([1.25, 0.75, 1.5, 2.0, 0.5, 1.0]),
-            parts: Parts {
+            parts: PartFactors {
                 ligaments: (0..layout.ligaments.len()).map(ligament).collect(),
                 units: near(layout.units(), 1.0),
             },

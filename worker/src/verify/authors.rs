@@ -10,7 +10,7 @@ use super::{Row, relative};
 use crate::polygons;
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Forces, Frame, Inertia, Panel, Parts, Scene, Stiffness, damping, simulate,
+    Forces, Frame, Inertia, Panel, PartFactors, Scene, Stiffness, damping, simulate,
 };
 use metasense_schemas::spec::{Denser, Follow, FollowBy, Polygons, Struck};
 
@@ -268,7 +268,7 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
             shear: number("k_shear")?,
             bend: number("k_rot")?,
         },
-        parts: Parts::default(),
+        parts: PartFactors::default(),
         relaxation: None,
         damping_ratio: 1.0,
         damping: Some([resisted[0], resisted[1], resisted[2]]),
@@ -277,7 +277,7 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
         linearised: case.flag("scene.linearised")?,
         clamped: held,
         guided: Vec::new(),
-        pressed: Vec::new(),
+        imposed: Vec::new(),
         panels: panels.iter().zip(pushes.as_chunks::<3>().0).map(panel).collect(),
         // The disc's sensors have no chip.
         chip: case.size("scene.n").is_err().then_some(Inertia { mass: CHIP, moment }),

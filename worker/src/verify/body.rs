@@ -117,7 +117,7 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
         case.row("elastic energy", &states.elastic, "elastic_energy", allowed)?,
         Row::new("work in less dissipated", relative(&gained, &stays), allowed.max(1e-6)),
     ]);
-    if !scene.pressed.is_empty() {
+    if !scene.imposed.is_empty() {
         rows.push(case.row("initial equilibrium", places.as_flattened(), "start", ROUNDING)?);
     }
     if let Ok(dt) = case.number("record_dt") {

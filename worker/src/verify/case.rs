@@ -3,7 +3,9 @@
 use super::{Row, relative};
 use crate::{files, polygons};
 use metasense_numerics::body::Layout;
-use metasense_numerics::dynamics::{Contact, Forces, Frame, Moves, Panel, Parts, Scene, Stiffness};
+use metasense_numerics::dynamics::{
+    Contact, Forces, Frame, Panel, PartFactors, PrescribedMotion, Scene, Stiffness,
+};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -176,7 +178,7 @@ impl Case {
             units("panels")?.into_iter().map(|unit| Panel::central(unit, direction)).collect();
         if self.about.pointer("/scene/driven").is_some() {
             for k in self.units("scene.driven", panels.len())? {
-                panels[k].moves = Some(Moves::Unit(number("driven_mass")?));
+                panels[k].moves = Some(PrescribedMotion::Unit(number("driven_mass")?));
             }
         }
         let contact = match self.flag("scene.contact")? {
@@ -194,7 +196,7 @@ impl Case {
                 shear: number("k_shear")?,
                 bend: number("k_rot")?,
             },
-            parts: Parts::default(),
+            parts: PartFactors::default(),
             relaxation: None,
             damping_ratio: number("zeta")?,
             damping: None,
@@ -203,7 +205,7 @@ impl Case {
             linearised: self.flag("scene.linearised")?,
             clamped: units("clamped")?,
             guided,
-            pressed,
+            imposed: pressed,
             panels,
             sensors: units("sensors")?,
             chip: None,

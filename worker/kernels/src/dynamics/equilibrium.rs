@@ -31,7 +31,7 @@ impl Model {
     /// Model of `scene` with `design` at the start of its samples.
     pub fn new(scene: &Scene, design: &[f64]) -> Self {
         let cast = Self::uncompressed(scene, design);
-        match scene.pressed.is_empty() {
+        match scene.imposed.is_empty() {
             true => cast,
             false => Self { start: equilibrium(scene, &cast), ..cast },
         }
@@ -65,13 +65,13 @@ pub fn touches(scene: &Scene, design: &[f64]) -> bool {
 /// `Buckled` or `NoEquilibrium`.
 pub fn equilibrium(scene: &Scene, model: &Model) -> Result<Places, Outcome> {
     assert_eq!(
-        scene.pressed.len(),
+        scene.imposed.len(),
         scene.clamped.len() + scene.guided.len(),
         "number of displacements of held units"
     );
     let lengths = model.bars.iter().map(|bar| bar.length);
     let length = if model.bars.is_empty() { 1.0 } else { lengths.sum::<f64>() / model.bars.len() as f64 };
-    let total = scene.pressed.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max) / length;
+    let total = scene.imposed.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max) / length;
     let (mut x, mut travelled, mut increment) = (vec![[0.0; 3]; model.units()], 0.0, PART);
     while travelled < total {
         let to = total.min(travelled + increment);

@@ -63,7 +63,7 @@ impl Forces {
     }
 
     /// The same forces with a number of instants that is a multiple of the scene's T; borrowed if it already is.
-    pub fn on(&self, scene: &Scene) -> Cow<'_, Self> {
+    pub fn refined_for(&self, scene: &Scene) -> Cow<'_, Self> {
         let (mut by, own) = (1, self.instants);
         while !(by * own).is_multiple_of(scene.instants) {
             by += 1;

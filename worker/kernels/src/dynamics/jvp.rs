@@ -210,7 +210,7 @@ impl<'a> DualBody<'a> {
     fn start(&self) -> State {
         let Tape { scene, forces, .. } = self.tape;
         let mut x = self.zero_state();
-        if scene.pressed.is_empty() {
+        if scene.imposed.is_empty() {
             return x;
         }
         let model = self.tape.model();

@@ -41,7 +41,8 @@ pub use jvp::Tangent;
 pub use model::damping;
 pub use rest::Rest;
 pub use scene::{
-    Contact, Frame, Inertia, Mount, Moves, Panel, Parameters, Parts, Relaxation, Scene, Stiffness,
+    Contact, Frame, Inertia, Mount, Panel, Parameters, PartFactors, PrescribedMotion, Relaxation, Scene,
+    Stiffness,
 };
 pub use simulation::{Counters, Gradient, Outcome, Simulation, Tape, Wrt};
 pub use solver::{Accuracy, Method, Plan, Precision, Solver, Steps, Tolerance};

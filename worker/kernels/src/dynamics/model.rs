@@ -1,6 +1,6 @@
 //! Combines a scene with a design in the form that the kernels use.
 
-use super::{Contact, Inertia, Outcome, Panel, Parameters, Parts, Scene, Stiffness, Strike};
+use super::{Contact, Inertia, Outcome, Panel, Parameters, PartFactors, Scene, Stiffness, Strike};
 use crate::body::{End, Geometry, void_angles_vjp};
 use crate::lanes::Scalar;
 use std::f64::consts::{FRAC_PI_2, TAU};
@@ -299,7 +299,7 @@ impl ModelCotangent {
     }
 
     /// Gradient in the factors of ligaments and units, if computed.
-    pub fn parts(&self, model: &Model, scene: &Scene) -> Parts {
+    pub fn parts(&self, model: &Model, scene: &Scene) -> PartFactors {
         let Stiffness { stretch, shear, bend } = scene.stiffness;
         let by = |own: &[f64; 3]| [stretch * own[0], shear * own[1], bend * own[2]];
         let Geometry { mass, moment, .. } = &model.geometry;
@@ -307,7 +307,7 @@ impl ModelCotangent {
             let [x, y, turn] = self.mass[u];
             ((x + y) * mass[u] + turn * moment[u]) / scene.parts.units.get(u).unwrap_or(&1.0)
         };
-        Parts {
+        PartFactors {
             ligaments: self.stiffness.iter().map(by).collect(),
             units: (0..model.units()).map(unit).collect(),
         }

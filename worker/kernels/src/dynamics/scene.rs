@@ -77,7 +77,7 @@ impl Parameters {
 
 /// Factors of single ligaments and units, or a gradient in them.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Parts {
+pub struct PartFactors {
     /// Factors on k_l, k_s, k_θ of each ligament; empty if all are 1. C does not depend on them.
     pub ligaments: Vec<[f64; 3]>,
     /// Factor on the density of each unit; empty if all are 1.
@@ -142,12 +142,12 @@ pub struct Panel {
     /// Moment of 1 N about that point (mm), for an offset force or a couple.
     pub moment: f64,
     /// Motion prescribed by the history in place of a force, if any.
-    pub moves: Option<Moves>,
+    pub moves: Option<PrescribedMotion>,
 }
 
 /// Prescribed motion: the acceleration is f divided by this mass (Mg).
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Moves {
+pub enum PrescribedMotion {
     /// Base to which all held units are fixed, including the panel's unit. Displacements are relative to the base; sensors measure
     /// absolute accelerations.
     Base(f64),
@@ -164,7 +164,7 @@ impl Panel {
     /// Acceleration of the base per newton (mm/s²), if the panel shakes the base.
     pub fn base_acceleration(&self) -> Option<[f64; 2]> {
         match self.moves {
-            Some(Moves::Base(mass)) => Some(self.direction.map(|d| d / mass)),
+            Some(PrescribedMotion::Base(mass)) => Some(self.direction.map(|d| d / mass)),
             _ => None,
         }
     }
@@ -172,7 +172,7 @@ impl Panel {
     /// Acceleration of the unit per newton (mm/s²), if the panel drives its unit.
     pub fn unit_acceleration(&self) -> Option<[f64; 2]> {
         match self.moves {
-            Some(Moves::Unit(mass)) => Some(self.direction.map(|d| d / mass)),
+            Some(PrescribedMotion::Unit(mass)) => Some(self.direction.map(|d| d / mass)),
             _ => None,
         }
     }
@@ -195,7 +195,7 @@ pub struct Scene {
     /// Stiffnesses of the ligaments.
     pub stiffness: Stiffness,
     /// Factors of single ligaments and units.
-    pub parts: Parts,
+    pub parts: PartFactors,
     /// Relaxation of ligaments, only for evaluation: such a scene has no gradient.
     pub relaxation: Option<Relaxation>,
     /// ζ; a factor on C if `damping` is given.
@@ -214,7 +214,7 @@ pub struct Scene {
     pub guided: Vec<(usize, [bool; 3])>,
     /// Displacement imposed on the clamped units, then on the guided units, before each sample (mm). Empty: none. Samples start in
     /// the resulting equilibrium.
-    pub pressed: Vec<[f64; 2]>,
+    pub imposed: Vec<[f64; 2]>,
     /// The K panels.
     pub panels: Vec<Panel>,
     /// Units of the M sensors.
@@ -237,7 +237,7 @@ impl Scene {
     /// # Panics
     /// If the length of the design or of a list of factors does not match the layout.
     pub fn geometry(&self, design: &[f64]) -> Geometry {
-        let Parts { ligaments, units } = &self.parts;
+        let PartFactors { ligaments, units } = &self.parts;
         let counts = [ligaments.len(), units.len()];
         for (given, parts) in counts.into_iter().zip([self.layout.ligaments.len(), self.layout.units()]) {
             assert!(given == 0 || given == parts, "{given} factors given for {parts} ligaments or units");
@@ -274,7 +274,7 @@ impl Scene {
     /// Held units with their displacements before a sample.
     pub(super) fn held_displacements(&self) -> impl Iterator<Item = (usize, [f64; 2])> {
         let held = self.clamped.iter().copied().chain(self.guided.iter().map(|guided| guided.0));
-        held.zip(self.pressed.iter().copied())
+        held.zip(self.imposed.iter().copied())
     }
 
     /// Whether a panel prescribes the motion of a unit.

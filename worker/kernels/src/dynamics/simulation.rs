@@ -2,7 +2,7 @@
 
 use super::forces::Forces;
 use super::model::Model;
-use super::scene::{Parameters, Parts, Scene};
+use super::scene::{Parameters, PartFactors, Scene};
 use super::solver::Plan;
 use crate::simd::Width;
 
@@ -155,7 +155,7 @@ pub struct Gradient {
     /// Gradient in the parameters, if requested.
     pub parameters: Option<Parameters>,
     /// Gradient in the factors of all ligaments and units, if the parameters were requested.
-    pub parts: Option<Parts>,
+    pub parts: Option<PartFactors>,
     /// Gradient in the histories (N, K, R+1), if requested.
     pub forces: Option<Vec<f64>>,
     /// Work done.

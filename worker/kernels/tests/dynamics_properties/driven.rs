@@ -3,15 +3,15 @@
 use crate::common::{norm, pool, relative};
 use crate::helpers::{by_too_few_steps, plan, pushes, shaken, small_scene};
 use metasense_kernels::dynamics::{
-    Contact, Forces, Frame, Method, Moves, Outcome, Panel, Plan, Precision, Scene, Stiffness, Tangent, Wrt,
-    highest_frequency, run,
+    Contact, Forces, Frame, Method, Outcome, Panel, Plan, Precision, PrescribedMotion, Scene, Stiffness,
+    Tangent, Wrt, highest_frequency, run,
 };
 
 /// Mass (Mg) for which 0.4 N move the unit by about 1 mm in 0.1 s.
 const MASS: f64 = 1e-3;
 
 fn drives(unit: usize) -> Panel {
-    Panel { moves: Some(Moves::Unit(MASS)), ..Panel::central(unit, [0.6, 0.8]) }
+    Panel { moves: Some(PrescribedMotion::Unit(MASS)), ..Panel::central(unit, [0.6, 0.8]) }
 }
 
 /// Unit 6 is driven; a force acts on a node of another. Sensors are on unit 6 and on a free unit.
@@ -65,7 +65,7 @@ fn a_driven_unit_moves_as_its_history_says() {
 #[test]
 fn driving_all_held_units_is_shaking_the_base() {
     let base = small_scene();
-    let shakes = Panel { moves: Some(Moves::Base(MASS)), ..drives(0) };
+    let shakes = Panel { moves: Some(PrescribedMotion::Base(MASS)), ..drives(0) };
     let shaken_base =
         Scene { panels: vec![shakes, base.panels[1]], damping_ratio: 0.0, sensors: vec![4, 7], ..base };
     let each = shaken_base.clamped.iter().map(|u| drives(*u)).chain([shaken_base.panels[1]]);
@@ -149,7 +149,7 @@ fn gradients_beside_a_driven_unit_are_those_of_differences() {
 #[test]
 fn a_driven_unit_hides_no_instability() {
     let (mut named, mut refined, mut worst) = (0, 0, 0.0f64);
-    let quick = Panel { moves: Some(Moves::Unit(0.01 * MASS)), ..drives(6) };
+    let quick = Panel { moves: Some(PrescribedMotion::Unit(0.01 * MASS)), ..drives(6) };
     let base = Scene {
         sensors: vec![4, 7],
         panels: vec![quick, small_scene().panels[1]],
@@ -169,7 +169,7 @@ fn a_driven_unit_hides_no_instability() {
         "{named} unstable, {refined} refined, {worst} times the truth"
     );
     let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
-    let base_too = Panel { moves: Some(Moves::Base(MASS)), ..Panel::central(0, [0.6, 0.8]) };
+    let base_too = Panel { moves: Some(PrescribedMotion::Base(MASS)), ..Panel::central(0, [0.6, 0.8]) };
     let both = Scene { panels: vec![base.panels[0], base_too], ..base.clone() };
     for (scene, amplitude) in
         [(both, 0.4), (base.clone(), 4.0), (Scene { contact, ..base.clone() }, 0.4), (base, 0.04)]

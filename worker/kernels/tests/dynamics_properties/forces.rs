@@ -4,8 +4,8 @@ use crate::common::{norm, pool, relative};
 use crate::helpers::{EQUAL_STEPS, plan, pushes, shaken, small_scene, struck};
 use metasense_kernels::body::{Geometry, Layout};
 use metasense_kernels::dynamics::{
-    Accuracy, Contact, Forces, Frame, Method, Moves, Outcome, Panel, Plan, Precision, Scene, Simulation,
-    Solver, Wrt, run, tune,
+    Accuracy, Contact, Forces, Frame, Method, Outcome, Panel, Plan, Precision, PrescribedMotion, Scene,
+    Simulation, Solver, Wrt, run, tune,
 };
 
 /// Before its first force, a sample's signals are zero. Later signals and the gradient do not depend on the other samples in its
@@ -107,7 +107,7 @@ fn a_blow_off_the_centroid_turns_the_unit() {
 #[test]
 fn a_shaken_base_is_felt() {
     let mass_of_base = 3e-5;
-    let shakes = Panel { moves: Some(Moves::Base(mass_of_base)), ..Panel::central(0, [0.6, 0.8]) };
+    let shakes = Panel { moves: Some(PrescribedMotion::Base(mass_of_base)), ..Panel::central(0, [0.6, 0.8]) };
     for frame in [Frame::World, Frame::Body] {
         for plan in [plan(Method::Tsit5, 0), plan(Method::Leapfrog, 120), plan(Method::Nystrom6, 12)] {
             let base = small_scene();

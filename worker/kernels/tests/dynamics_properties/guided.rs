@@ -4,7 +4,7 @@ use crate::common::{pool, relative};
 use crate::helpers::{plan, pushes, small_scene};
 use metasense_kernels::body::Layout;
 use metasense_kernels::dynamics::{
-    Contact, Method, Moves, Outcome, Panel, Precision, Scene, Wrt, highest_frequency, run,
+    Contact, Method, Outcome, Panel, Precision, PrescribedMotion, Scene, Wrt, highest_frequency, run,
 };
 
 /// Unrotated squares in three columns, with a force and base motion along the middle column. By mirror symmetry, units of this column
@@ -12,7 +12,7 @@ use metasense_kernels::dynamics::{
 fn mirrored(guided: bool) -> Scene {
     let layout = Layout::planar(3, 4, 15.0, 2.25);
     let guides = if guided { vec![1, 4, 7, 10] } else { Vec::new() };
-    let shaken = Panel { moves: Some(Moves::Base(1e-4)), ..Panel::central(0, [0.0, 1.0]) };
+    let shaken = Panel { moves: Some(PrescribedMotion::Base(1e-4)), ..Panel::central(0, [0.0, 1.0]) };
     Scene {
         clamped: vec![0, 2],
         guided: guides.into_iter().map(|unit| (unit, [true, false, true])).collect(),

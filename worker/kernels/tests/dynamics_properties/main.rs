@@ -12,9 +12,9 @@ use common::{norm, pool, relative, scene};
 use helpers::{EQUAL_STEPS, by_too_few_steps, of_every_law, plan, pushes, shaken, small_scene, struck};
 use metasense_kernels::body::{Geometry, Layout, Pattern};
 use metasense_kernels::dynamics::{
-    Accuracy, Contact, Energy, Forces, Frame, Inertia, Method, Mount, Outcome, Panel, Parameters, Parts,
-    Plan, Precision, Scene, Solver, Stiffness, Tolerance, Wrt, choose, energy, energy_design_gradient,
-    energy_gradient, highest_frequency, run, signal_error, simulate, tune,
+    Accuracy, Contact, Energy, Forces, Frame, Inertia, Method, Mount, Outcome, Panel, Parameters,
+    PartFactors, Plan, Precision, Scene, Solver, Stiffness, Tolerance, Wrt, choose, energy,
+    energy_design_gradient, energy_gradient, highest_frequency, run, signal_error, simulate, tune,
 };
 use metasense_kernels::simd::Width;
 use metasense_kernels::{Heartbeat, Pool};
@@ -165,8 +165,10 @@ fn parts_that_are_alike_are_the_material() {
         let (ligaments, units) = (scene.layout.ligaments.len(), scene.layout.units());
         let with = |by: [f64; 4]| {
             let [stretch, shear, bend, density] = by;
-            let parts =
-                Parts { ligaments: vec![[stretch, shear, bend]; ligaments], units: vec![density; units] };
+            let parts = PartFactors {
+                ligaments: vec![[stretch, shear, bend]; ligaments],
+                units: vec![density; units],
+            };
             Scene { parts, ..scene.clone() }
         };
         let parts = with([1.3, 1.7, 1.7, 1.2]);
@@ -218,7 +220,7 @@ fn gradients_in_parts_are_those_of_differences() {
         let direction = |i: usize| (2.3 * i as f64 + 0.7).cos();
         let with = |by: f64| {
             let of = |i: usize| (0.1 * (1.3 * i as f64).sin() + by * direction(i)).exp();
-            let parts = Parts {
+            let parts = PartFactors {
                 ligaments: (0..ligaments).map(|q| [0, 1, 2].map(|k| of(3 * q + k))).collect(),
                 units: (0..units).map(|u| of(3 * ligaments + u)).collect(),
             };
@@ -229,7 +231,7 @@ fn gradients_in_parts_are_those_of_differences() {
         let simulation = run(&here, &design, &forces, &plan, true, &pool(1));
         let found = simulation.vjp(&simulation.signals, Wrt::Parameters, &pool(1));
         let own = found.parts.expect("asked for");
-        let flat = |of: &Parts| [of.ligaments.as_flattened(), &of.units[..]].concat();
+        let flat = |of: &PartFactors| [of.ligaments.as_flattened(), &of.units[..]].concat();
         let slopes = flat(&own).into_iter().zip(flat(&here.parts)).map(|(slope, by)| slope * by);
         let slope: f64 = slopes.enumerate().map(|(i, slope)| slope * direction(i)).sum();
         let energy = |by: f64| {
@@ -254,9 +256,9 @@ fn the_highest_frequency_is_that_of_the_stiffest_ligament() {
     let ligaments =
         |at: usize| (0..count).map(|q| [if q == at || at == count { 100.0 } else { 1.0 }; 3]).collect();
     let [plain, one, all] = [Vec::new(), ligaments(4), ligaments(count)]
-        .map(|ligaments| with(Parts { ligaments, units: Vec::new() }));
+        .map(|ligaments| with(PartFactors { ligaments, units: Vec::new() }));
     assert!(one > 5.0 * plain && one < all && (all / plain - 10.0).abs() < 1e-6, "{plain} {one} {all}");
-    let light = with(Parts { units: vec![0.5; scene.layout.units()], ..Parts::default() });
+    let light = with(PartFactors { units: vec![0.5; scene.layout.units()], ..PartFactors::default() });
     assert!((light / plain - 2f64.sqrt()).abs() < 1e-6, "{light} {plain}");
 }
 
@@ -387,7 +389,10 @@ fn a_pilot_says_what_it_cannot_measure() {
         let values = forces.values.iter().map(|f| factor * f).collect();
         let forces = Forces { values, ..forces.clone() };
         let wild = tune(&scene, &design, &forces, &auto, &pool(1));
-        assert!(wild.error.is_none() && wild.plan.reason.contains("no steps of the pilot"), "{wild:?}");
+        assert!(
+            wild.error.is_none() && wild.plan.reason.contains("no number of steps of the pilot"),
+            "{wild:?}"
+        );
         assert_eq!(wild.plan.steps.count(), refined * law, "{factor}: {}", wild.plan.reason);
     }
     // one successful sample of eight does not represent the seven that fail
@@ -395,7 +400,10 @@ fn a_pilot_says_what_it_cannot_measure() {
     let one = eight.values.len() / 8;
     eight.values[one..].iter_mut().for_each(|f| *f *= 1e200);
     let alone = tune(&scene, &design, &eight, &auto, &pool(2));
-    assert!(alone.error.is_none() && alone.plan.reason.contains("no steps of the pilot"), "{alone:?}");
+    assert!(
+        alone.error.is_none() && alone.plan.reason.contains("no number of steps of the pilot"),
+        "{alone:?}"
+    );
     forces.values.fill(0.0);
     let still = tune(&scene, &design, &forces, &auto, &pool(1));
     assert!(still.error.is_none() && still.counters.steps == 0, "{still:?}");

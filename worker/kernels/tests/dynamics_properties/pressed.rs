@@ -4,8 +4,8 @@ use crate::common::{pool, relative};
 use crate::helpers::{EQUAL_STEPS, plan, pushes, shaken, small_scene};
 use metasense_kernels::body::Layout;
 use metasense_kernels::dynamics::{
-    Contact, Forces, Frame, Method, Mount, Moves, Outcome, Panel, Parameters, Plan, Precision, Relaxation,
-    Rest, Scene, Tangent, Wrt, energy_gradient, run, start,
+    Contact, Forces, Frame, Method, Mount, Outcome, Panel, Parameters, Plan, Precision, PrescribedMotion,
+    Relaxation, Rest, Scene, Tangent, Wrt, energy_gradient, run, start,
 };
 
 /// Clamped below and at one unit of the top row, which moves down by the fraction `strain` of the distance.
@@ -14,14 +14,14 @@ fn pressed(strain: f64) -> Scene {
     let clamped = vec![0, 1, 2, 7];
     let panels = vec![Panel::central(6, [0.0, -1.0]), Panel { node: Some(3), ..base.panels[1] }];
     let pressed = vec![[0.0; 2], [0.0; 2], [0.0; 2], [0.3, -30.0 * strain]];
-    Scene { clamped, pressed, panels, sensors: vec![4, 8], ..base }
+    Scene { clamped, imposed: pressed, panels, sensors: vec![4, 8], ..base }
 }
 
 /// As `pressed`, with two guided units, one of which is displaced.
 fn guided(strain: f64) -> Scene {
     let base = pressed(strain);
     let guided = vec![(5, [true, false, true]), (6, [false, true, false])];
-    Scene { pressed: [&base.pressed[..], &[[-20.0 * strain, 0.0], [0.0, 0.0]]].concat(), guided, ..base }
+    Scene { imposed: [&base.imposed[..], &[[-20.0 * strain, 0.0], [0.0, 0.0]]].concat(), guided, ..base }
 }
 
 fn half_sum_of_squares(signals: &[f64]) -> f64 {
@@ -47,7 +47,7 @@ fn a_sample_begins_at_rest() {
         });
         assert!(free < 1e-12 * reaction && reaction > 0.1, "{free:e} of {reaction}");
         let held = scene.clamped.iter().chain(scene.guided.iter().map(|(unit, _)| unit));
-        for (&unit, by) in held.zip(&scene.pressed) {
+        for (&unit, by) in held.zip(&scene.imposed) {
             for d in (0..3).filter(|d| scene.holds(unit)[*d]) {
                 assert_eq!(start[unit][d], [by[0], by[1], 0.0][d]);
             }
@@ -75,8 +75,10 @@ fn gradients_follow_the_start() {
     let contact = Some(Contact { stiffness: 1.0, min_angle: 0.0, cutoff_angle: 0.9 });
     let base = pressed(0.08);
     let moving = |moves, unit, way| Panel { moves: Some(moves), ..Panel::central(unit, way) };
-    let (shaken_base, driven) =
-        (moving(Moves::Base(1e-4), 0, [0.6, 0.8]), moving(Moves::Unit(1e-4), 6, [1.0, 0.0]));
+    let (shaken_base, driven) = (
+        moving(PrescribedMotion::Base(1e-4), 0, [0.6, 0.8]),
+        moving(PrescribedMotion::Unit(1e-4), 6, [1.0, 0.0]),
+    );
     let scenes = [
         Scene { frame: Frame::Body, mount: Some(Mount { offset: [1.5, -2.0], tilt: 0.4 }), ..base.clone() },
         Scene { contact, ..base.clone() },
@@ -196,7 +198,7 @@ fn a_straight_body_buckles() {
     let layout = Layout::planar(3, 5, 15.0, 2.25);
     let clamped: Vec<usize> = [layout.bottom(), layout.top()].concat();
     let with = |strain: f64| Scene {
-        pressed: [[[0.0; 2]; 3], [[0.0, -60.0 * strain]; 3]].concat(),
+        imposed: [[[0.0; 2]; 3], [[0.0, -60.0 * strain]; 3]].concat(),
         clamped: clamped.clone(),
         panels: vec![Panel::central(6, [1.0, 0.0])],
         sensors: vec![7],

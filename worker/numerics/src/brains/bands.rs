@@ -13,7 +13,7 @@ use crate::trial::Samples;
 /// Level 1 − a.
 pub const LEVEL: f64 = 0.95;
 /// Half-width of a normal distribution's interval at this level, in standard deviations.
-pub const TO_EACH_SIDE: f64 = 1.96;
+pub const Z_95: f64 = 1.96;
 
 /// Share of its mean over instants added to s², which must not vanish where the training samples have no error.
 const FLOOR: f64 = 0.1;

@@ -4,9 +4,9 @@
 //! x = signals / rms(signals)     f̂ = rms(f) · (b + W ∗ x)
 //! ```
 
-use super::linear::{Plain, solve};
+use super::linear::{ScaledSamples, solve};
 use super::ridge::{self, FoldSplit};
-use super::{Reader, Recipe};
+use super::{FittedDecoder, Recipe};
 use crate::Pool;
 use crate::brain::linear::{Linear, Normal, Sizes};
 use crate::trial::{Decoder, Ridge, Samples, Scales, Trial, Trouble};
@@ -39,7 +39,7 @@ impl Fitted {
         problem.decoder.fit(problem.seed, known, Some(trial.scales.channels.clone()), trial.pool)
     }
 
-    fn new(linear: Linear, ridge: f64, known: &Plain, scales: &Scales) -> Self {
+    fn new(linear: Linear, ridge: f64, known: &ScaledSamples, scales: &Scales) -> Self {
         let (error, signal_scale) = (known.error(&linear.predict(&known.x)), scales.channels.clone());
         Self { linear, ridge, signal_scale, force_scale: scales.force(), error }
     }
@@ -76,7 +76,7 @@ impl Decoder {
         scales: Scales,
         pool: &Pool,
     ) -> Result<Fitted, Trouble> {
-        let known = Plain::of(known, &scales, pool);
+        let known = ScaledSamples::of(known, &scales, pool);
         let all = known.moments().normal(self.lags);
         let ridge = self.ridge_of(seed, &known, &all)?;
         Ok(Fitted::new(solve(all, ridge)?.linear(), ridge, &known, &scales))
@@ -99,7 +99,7 @@ impl Pooled {
     /// If no λ gives a solution.
     pub(crate) fn new(trial: &Trial, samples: &Samples, casts: usize) -> Result<Self, Trouble> {
         let (decoder, scales) = (trial.problem.decoder, trial.scales.clone());
-        let known = Plain::of(samples, &scales, trial.pool);
+        let known = ScaledSamples::of(samples, &scales, trial.pool);
         let normal = known.moments().normal(decoder.lags);
         let (dealt, each) = (ridge::assign_folds(trial.problem.seed, casts), samples.count() / casts);
         let dealt: Vec<usize> = (0..samples.count()).map(|i| dealt[i / each]).collect();
@@ -122,7 +122,7 @@ impl Pooled {
         samples: &Samples,
         pool: &Pool,
     ) -> Result<(Fitted, f64), Trouble> {
-        let own = Plain::of(samples, &self.scales, pool);
+        let own = ScaledSamples::of(samples, &self.scales, pool);
         let (normal, ridge) = (own.moments().normal(self.normal.lags()), self.fitted.ridge);
         let add_pooled = |own: &Normal, share: f64| own.clone().plus(share, &self.normal);
         let share = match own.w.len() {
@@ -201,7 +201,7 @@ impl<'a> LinearDecoder<'a> {
     }
 }
 
-impl Reader for LinearDecoder<'_> {
+impl FittedDecoder for LinearDecoder<'_> {
     fn fit(
         &mut self,
         _: u64,
@@ -226,7 +226,7 @@ impl Reader for LinearDecoder<'_> {
     }
 
     fn errors(&mut self, samples: &Samples) -> Vec<Option<f64>> {
-        let samples = Plain::of(samples, &self.scales, self.pool);
+        let samples = ScaledSamples::of(samples, &self.scales, self.pool);
         samples.errors(&self.fitted().linear.predict(&samples.x))
     }
 }

@@ -5,7 +5,7 @@
 //! ```
 
 use super::ridge::{self, FoldSplit};
-use super::{FitOn, FitResult, Implicit, Learner, Learnt, Loss};
+use super::{DecoderState, FitOn, FitResult, Implicit, Learner, Loss};
 use crate::Pool;
 use crate::brain::linear::{self, Lags, Linear, Moments, Normal, Order, Sizes};
 use crate::trial::{
@@ -33,7 +33,7 @@ impl Decoder {
 
 /// Scaled samples for linear decoders.
 #[derive(Debug, Clone)]
-pub(crate) struct Plain {
+pub(crate) struct ScaledSamples {
     pub(crate) sizes: Sizes,
     /// Signals x (N, T, 3M).
     pub(crate) x: Vec<f64>,
@@ -47,7 +47,7 @@ pub(crate) struct Plain {
     pub(crate) pool: Pool,
 }
 
-impl Plain {
+impl ScaledSamples {
     /// Scales signals and forces.
     pub(crate) fn of(samples: &Samples, scales: &Scales, pool: &Pool) -> Self {
         let (sizes, x, scale) = (samples.sizes, scales.inputs(&samples.signals), scales.force());
@@ -114,7 +114,7 @@ impl Decoder {
     ///
     /// # Errors
     /// If no λ gives a solution.
-    pub(super) fn ridge_of(&self, seed: u64, train: &Plain, all: &Normal) -> Result<f64, Trouble> {
+    pub(super) fn ridge_of(&self, seed: u64, train: &ScaledSamples, all: &Normal) -> Result<f64, Trouble> {
         match self.ridge {
             Ridge::Given(ridge) => Ok(ridge),
             Ridge::Auto => ridge::ridge_of(train, all, &ridge::assign_folds(seed, train.w.len())),
@@ -129,7 +129,8 @@ impl Trial<'_> {
     /// If no λ gives a solution.
     fn initial_ridge(&self) -> Result<f64, Trouble> {
         let choose = || {
-            let (decoder, plain) = (self.problem.decoder, Plain::of(&self.initial, &self.scales, self.pool));
+            let (decoder, plain) =
+                (self.problem.decoder, ScaledSamples::of(&self.initial, &self.scales, self.pool));
             decoder.ridge_of(self.problem.seed, &plain, &plain.moments().normal(decoder.lags))
         };
         *self.initial_ridge.get_or_init(choose)
@@ -143,7 +144,7 @@ impl Trial<'_> {
         &self,
         decoder: &Decoder,
         known: &Samples,
-        plain: &Plain,
+        plain: &ScaledSamples,
         all: &Normal,
     ) -> Result<f64, Trouble> {
         match *decoder == self.problem.decoder && *known == self.initial {
@@ -172,8 +173,8 @@ impl<'a> LinearLearner<'a> {
         Self { trial, linear: None, moments: None }
     }
 
-    fn plain(&self, samples: &Samples) -> Plain {
-        Plain::of(samples, &self.trial.scales, self.trial.pool)
+    fn plain(&self, samples: &Samples) -> ScaledSamples {
+        ScaledSamples::of(samples, &self.trial.scales, self.trial.pool)
     }
 
     fn linear(&self) -> &Linear {
@@ -181,7 +182,13 @@ impl<'a> LinearLearner<'a> {
     }
 
     /// λ for these training samples, chosen again when due.
-    fn ridge_at(&self, step: u32, train: &Plain, all: &Normal, learnt: &mut Learnt) -> Result<f64, Trouble> {
+    fn ridge_at(
+        &self,
+        step: u32,
+        train: &ScaledSamples,
+        all: &Normal,
+        learnt: &mut DecoderState,
+    ) -> Result<f64, Trouble> {
         match learnt.ridge {
             Some(ridge) if !is_due(step) => Ok(ridge),
             _ => {
@@ -192,7 +199,7 @@ impl<'a> LinearLearner<'a> {
     }
 
     /// λ of the initial body's training samples: a single cast has too few samples for a choice.
-    fn first_ridge(&self, learnt: &mut Learnt) -> Result<f64, Trouble> {
+    fn first_ridge(&self, learnt: &mut DecoderState) -> Result<f64, Trouble> {
         match learnt.ridge {
             Some(ridge) => Ok(ridge),
             None => Ok(*learnt.ridge.insert(self.trial.initial_ridge()?)),
@@ -201,7 +208,12 @@ impl<'a> LinearLearner<'a> {
 
     /// Fits the samples of the last bodies, with smaller weights for older ones. When due, λ becomes the one with which decoders
     /// of the other bodies decode the newest best.
-    fn solve_recent(&mut self, bodies: &[Plain], step: u32, learnt: &mut Learnt) -> Result<Linear, Trouble> {
+    fn solve_recent(
+        &mut self,
+        bodies: &[ScaledSamples],
+        step: u32,
+        learnt: &mut DecoderState,
+    ) -> Result<Linear, Trouble> {
         let (trial, lags) = (self.trial, self.trial.problem.decoder.lags);
         let newest = bodies.len() - 1;
         let weighted = |body: usize| -> Vec<f64> {
@@ -231,7 +243,7 @@ impl Learner for LinearLearner<'_> {
         BODIES
     }
 
-    fn recalls(&self, _: u32) -> bool {
+    fn includes_age(&self, _: u32) -> bool {
         true
     }
 
@@ -239,12 +251,13 @@ impl Learner for LinearLearner<'_> {
         &mut self,
         on: FitOn,
         step: u32,
-        learnt: &mut Learnt,
+        learnt: &mut DecoderState,
         _: &mut Counters,
     ) -> Result<FitResult, Trouble> {
         let judged = match on {
             FitOn::Recent(bodies) => {
-                let mut bodies: Vec<Plain> = bodies.iter().map(|samples| self.plain(samples)).collect();
+                let mut bodies: Vec<ScaledSamples> =
+                    bodies.iter().map(|samples| self.plain(samples)).collect();
                 self.linear = Some((self.solve_recent(&bodies, step, learnt)?, None));
                 bodies.pop().expect("the newest")
             }
@@ -294,11 +307,11 @@ impl Learner for LinearLearner<'_> {
 /// Cotangent on the training inputs through the fitted weights; z is the solution of H z = ∂L_test/∂W.
 ///
 /// ∂L_train/∂W = 2 Σ ŵ φ (ŷ − y) + 2λW stays zero when x changes: dL = −⟨z, d(∂L_train/∂W)⟩.
-fn through_weights(samples: &Plain, linear: &Linear, said: &[f64], z: &Linear) -> Vec<f64> {
+fn through_weights(samples: &ScaledSamples, linear: &Linear, said: &[f64], z: &Linear) -> Vec<f64> {
     let residual = samples.fitted_residual(said);
     // Estimates with the weights z.
     let answers = z.predict(&samples.x);
-    let zero = Plain { y: vec![0.0; samples.y.len()], ..samples.clone() };
+    let zero = ScaledSamples { y: vec![0.0; samples.y.len()], ..samples.clone() };
     let mut inputs = z.predict_vjp(&residual);
     let more = linear.predict_vjp(&zero.fitted_residual(&answers));
     inputs.iter_mut().zip(more).for_each(|(a, b)| *a = -(*a + b));

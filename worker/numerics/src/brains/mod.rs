@@ -1,8 +1,8 @@
 //! Decoders, which estimate forces from a body's signals, and their use to train bodies.
 //!
-//! A [`Reader`] is fitted to the training samples of one body and decodes its other samples. A [`Learner`] is fitted to one body
+//! A [`FittedDecoder`] is fitted to the training samples of one body and decodes its other samples. A [`Learner`] is fitted to one body
 //! after another and returns gradients on the signals. A new decoder is a file here that implements either or both, and an arm in
-//! the functions `reader` and `learner`.
+//! the functions `new_decoder` and `learner`.
 
 mod bands;
 mod fitted;
@@ -15,14 +15,14 @@ mod records;
 pub(crate) mod ridge;
 mod stacked;
 
-pub use bands::{Band, BandKind, LEVEL, TO_EACH_SIDE};
+pub use bands::{Band, BandKind, LEVEL, Z_95};
 pub use fitted::Fitted;
 pub(crate) use fitted::Pooled;
 pub use inverse::{Estimate, Inverse};
-pub(crate) use linear::Plain;
+pub(crate) use linear::ScaledSamples;
 #[cfg(test)]
 pub(crate) use linear::solve;
-pub use network::Fresh;
+pub use network::NetworkTraining;
 pub use readings::{READINGS_MAX, Reading, fits};
 pub(crate) use readings::{own_reading, readings};
 pub use records::{HeldOutEstimates, Records};
@@ -56,7 +56,7 @@ impl Problem {
     /// Recipe of the trial's decoder.
     pub fn recipe(&self) -> Recipe {
         Recipe {
-            kind: self.reader,
+            kind: self.decoder_kind,
             architecture: self.brain.architecture,
             rate: self.brain.rate,
             schedule: self.evaluation.schedule,
@@ -68,7 +68,7 @@ impl Problem {
 }
 
 /// A decoder for one body.
-pub(crate) trait Reader {
+pub(crate) trait FittedDecoder {
     /// Fits the decoder. Network `number` trains for `iterations`, at least one more, and records the error on `unseen`. Returns
     /// `None` if `pauses`, called with the iterations done, is true; the same call resumes.
     fn fit(
@@ -94,7 +94,7 @@ pub(crate) trait Reader {
     }
 
     /// Network in training, or trained; `None` for decoders without stored weights.
-    fn training(&mut self) -> Option<&mut Option<Fresh>> {
+    fn training(&mut self) -> Option<&mut Option<NetworkTraining>> {
         None
     }
 
@@ -113,12 +113,12 @@ pub(crate) trait Reader {
 ///
 /// # Errors
 /// If the linear part of a stacked decoder has no solution.
-pub(crate) fn reader<'a>(
+pub(crate) fn new_decoder<'a>(
     recipe: Recipe,
     known: &'a Samples,
     scales: [Scales; 2],
     pool: &'a crate::Pool,
-) -> Result<Box<dyn Reader + 'a>, Trouble> {
+) -> Result<Box<dyn FittedDecoder + 'a>, Trouble> {
     Ok(match recipe.kind {
         BrainKind::Network | BrainKind::Stacked => {
             Box::new(network::NetworkDecoder::new(recipe, known, scales, pool)?)
@@ -130,7 +130,7 @@ pub(crate) fn reader<'a>(
 
 /// State that a learner keeps from body to body.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Learnt {
+pub struct DecoderState {
     /// Weights of a network; empty before its first training.
     pub weights: Vec<f32>,
     /// State of Adam.
@@ -139,9 +139,9 @@ pub struct Learnt {
     pub ridge: Option<f64>,
 }
 
-impl Learnt {
+impl DecoderState {
     /// Empty state for a network with this many weights.
-    pub(crate) fn nothing(weights: usize) -> Self {
+    pub(crate) fn untrained(weights: usize) -> Self {
         Self { weights: Vec::new(), adam: Adam::new(weights), ridge: None }
     }
 }
@@ -195,7 +195,7 @@ pub(crate) trait Learner {
     fn bodies(&self) -> usize;
 
     /// Whether the body `age` steps ago is one of them.
-    fn recalls(&self, age: u32) -> bool;
+    fn includes_age(&self, age: u32) -> bool;
 
     /// Fits the decoder at an outer step.
     ///
@@ -205,7 +205,7 @@ pub(crate) trait Learner {
         &mut self,
         on: FitOn,
         step: u32,
-        learnt: &mut Learnt,
+        learnt: &mut DecoderState,
         counters: &mut Counters,
     ) -> Result<FitResult, Trouble>;
 

@@ -1,9 +1,9 @@
 //! The convolutional network at the scales of a trial: fresh for one body, or continued from body to body.
 
 use super::stacked::Stack;
-use super::{FitOn, FitResult, Implicit, Learner, Learnt, Loss, Reader, Recipe, implicit};
+use super::{DecoderState, FitOn, FitResult, FittedDecoder, Implicit, Learner, Loss, Recipe, implicit};
 use crate::brain::{self, Adam, Batch, Data, Shape, TrainOutcome, Workspace};
-use crate::trial::{BrainKind, Continued, Counters, Protocol, Samples, Scales, Training, Trial, Trouble};
+use crate::trial::{BrainKind, Counters, Protocol, Samples, Scales, StepTraining, Training, Trial, Trouble};
 
 /// Number of the first reader's initial weights; smaller numbers belong to outer steps.
 const FIRST_NETWORK: u64 = 1 << 32;
@@ -21,7 +21,7 @@ fn fresh_weights(shape: Shape, seed: u64, which: u64) -> Vec<f32> {
 
 /// A network in training, with all state to resume to equal bits.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Fresh {
+pub struct NetworkTraining {
     /// Weights.
     pub weights: Vec<f32>,
     /// State of Adam.
@@ -32,7 +32,7 @@ pub struct Fresh {
     pub errors: Vec<(u32, f64)>,
 }
 
-impl Fresh {
+impl NetworkTraining {
     fn new(shape: Shape, seed: u64, number: u64) -> Self {
         Self::of(fresh_weights(shape, seed, FIRST_NETWORK + number))
     }
@@ -50,7 +50,7 @@ pub(crate) struct NetworkDecoder<'a> {
     scales: Scales,
     stack: Option<Stack>,
     data: Data<f32>,
-    fresh: Option<Fresh>,
+    fresh: Option<NetworkTraining>,
     workspace: Workspace<f32>,
     pool: &'a crate::Pool,
 }
@@ -132,7 +132,7 @@ pub(super) fn predict(
     scales.physical(&brain::predict(weights, data.all(), workspace, pool))
 }
 
-impl Reader for NetworkDecoder<'_> {
+impl FittedDecoder for NetworkDecoder<'_> {
     fn fit(
         &mut self,
         number: u64,
@@ -143,8 +143,8 @@ impl Reader for NetworkDecoder<'_> {
         let (shape, pool, scales) = (self.data.shape(), self.pool, &self.scales);
         let judged = self.inference_data(&unseen.signals);
         let (seed, recipe, mut aside) = (self.recipe.seed, self.recipe, Workspace::new(shape, pool.width()));
-        let fresh = self.fresh.get_or_insert_with(|| Fresh::new(shape, seed, number));
-        let Fresh { weights, adam, losses, errors } = fresh;
+        let fresh = self.fresh.get_or_insert_with(|| NetworkTraining::new(shape, seed, number));
+        let NetworkTraining { weights, adam, losses, errors } = fresh;
         let (first, milestones) = (losses.len(), brain::milestones(iterations));
         let mut watch = |i: usize, weights: &[f32]| {
             if i > first && pauses(i) {
@@ -182,7 +182,7 @@ impl Reader for NetworkDecoder<'_> {
         self.known.error(&predicted)
     }
 
-    fn training(&mut self) -> Option<&mut Option<Fresh>> {
+    fn training(&mut self) -> Option<&mut Option<NetworkTraining>> {
         Some(&mut self.fresh)
     }
 
@@ -217,7 +217,7 @@ impl<'a> NetworkLearner<'a> {
         Self { trial, shape, weights: Vec::new(), workspace: Workspace::new(shape, trial.pool.width()) }
     }
 
-    fn continued_settings(&self) -> Continued {
+    fn continued_settings(&self) -> StepTraining {
         match self.trial.problem.optimise.protocol {
             Protocol::Joint(going) | Protocol::Random(going) => going,
             Protocol::Paper(_) => panic!("the paper's networks are fresh"),
@@ -259,7 +259,7 @@ impl<'a> NetworkLearner<'a> {
     fn first_training(
         &mut self,
         samples: &Samples,
-        learnt: &mut Learnt,
+        learnt: &mut DecoderState,
         counters: &mut Counters,
     ) -> Result<(), Trouble> {
         if !learnt.weights.is_empty() {
@@ -279,11 +279,11 @@ impl<'a> NetworkLearner<'a> {
     fn continue_training(
         &mut self,
         batch: Batch<f32>,
-        learnt: &mut Learnt,
+        learnt: &mut DecoderState,
         counters: &mut Counters,
     ) -> Result<f64, Trouble> {
         let going = self.continued_settings();
-        let Learnt { weights, adam, .. } = learnt;
+        let DecoderState { weights, adam, .. } = learnt;
         self.iterate(weights, adam, batch, going.brain_iterations, &|_| going.brain_rate, counters)?;
         Ok(self.loss(weights, batch))
     }
@@ -294,11 +294,11 @@ impl<'a> NetworkLearner<'a> {
         data: &Data<f32>,
         samples: usize,
         step: u32,
-        learnt: &mut Learnt,
+        learnt: &mut DecoderState,
         counters: &mut Counters,
     ) -> Result<f64, Trouble> {
         let (going, slices) = (self.continued_settings(), SLICES.min(samples));
-        let Learnt { weights, adam, .. } = learnt;
+        let DecoderState { weights, adam, .. } = learnt;
         let first = step as usize * going.brain_iterations;
         for i in first..first + going.brain_iterations {
             let some: Vec<usize> = (0..samples).skip(i % slices).step_by(slices).collect();
@@ -313,7 +313,7 @@ impl Learner for NetworkLearner<'_> {
         BODIES
     }
 
-    fn recalls(&self, age: u32) -> bool {
+    fn includes_age(&self, age: u32) -> bool {
         (age as usize) < BODIES
     }
 
@@ -321,7 +321,7 @@ impl Learner for NetworkLearner<'_> {
         &mut self,
         on: FitOn,
         step: u32,
-        learnt: &mut Learnt,
+        learnt: &mut DecoderState,
         counters: &mut Counters,
     ) -> Result<FitResult, Trouble> {
         if let FitOn::Optimum(train) = on {
@@ -334,7 +334,7 @@ impl Learner for NetworkLearner<'_> {
             self.weights = weights;
             return Ok(FitResult { loss, error: self.error(train) });
         }
-        let mut fresh = Learnt::nothing(self.shape.weights());
+        let mut fresh = DecoderState::untrained(self.shape.weights());
         let (first, learnt) = match on {
             FitOn::Alike(train) => (train, &mut fresh),
             _ => (&self.trial.initial, learnt),

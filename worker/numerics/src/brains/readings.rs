@@ -1,7 +1,7 @@
 //! Errors of linear decoders with several memories, for every kind of decoder of the trial. One factorisation serves many
 //! memories.
 
-use super::linear::{Plain, solve};
+use super::linear::{ScaledSamples, solve};
 use crate::brain::linear::{Fit, Lags, Linear, Order, Sizes};
 use crate::trial::{Decoder, Ridge, Samples, Spread, Trial, Trouble, mean_error};
 
@@ -35,7 +35,7 @@ pub fn fits(instants: usize, channels: usize, outputs: usize) -> bool {
     readings <= READINGS_MAX && readings.saturating_mul(instants).saturating_mul(outputs) <= CROSS_MAX
 }
 
-fn reading(sets: &[Plain; 3], linear: &Linear, ridge: f64) -> Reading {
+fn reading(sets: &[ScaledSamples; 3], linear: &Linear, ridge: f64) -> Reading {
     let [train, test, holdout] = sets.each_ref().map(|set| set.errors(&linear.predict(&set.x)));
     Reading {
         lags: linear.lags,
@@ -54,7 +54,7 @@ fn reading(sets: &[Plain; 3], linear: &Linear, ridge: f64) -> Reading {
 /// If no λ gives a solution.
 pub(crate) fn readings(trial: &Trial, sets: &[Samples; 3]) -> Result<Vec<Reading>, Trouble> {
     let known = &sets[0];
-    let sets = &sets.each_ref().map(|set| Plain::of(set, &trial.scales, trial.pool));
+    let sets = &sets.each_ref().map(|set| ScaledSamples::of(set, &trial.scales, trial.pool));
     let train = &sets[0];
     let Sizes { instants, channels, outputs } = train.sizes;
     if !fits(instants, channels, outputs) {
@@ -100,7 +100,7 @@ pub(crate) fn own_reading(
         Some(whole) if whole.lags == decoder.lags && decoder.ridge == Ridge::Auto => *whole,
         _ => {
             let known = &sets[0];
-            let sets = &sets.each_ref().map(|set| Plain::of(set, &trial.scales, trial.pool));
+            let sets = &sets.each_ref().map(|set| ScaledSamples::of(set, &trial.scales, trial.pool));
             let normal = sets[0].moments().normal(decoder.lags);
             let ridge = trial.ridge_for(&decoder, known, &sets[0], &normal)?;
             reading(sets, &solve(normal, ridge)?.linear(), ridge)

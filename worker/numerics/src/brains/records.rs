@@ -3,7 +3,7 @@
 //! A seeded shuffle assigns records to folds. The decoder of a fold is fitted to all other folds, with their scales; a network
 //! has the initial weights of a trial's final comparison.
 
-use super::{Recipe, reader};
+use super::{Recipe, new_decoder};
 use crate::brain::linear::Sizes;
 use crate::dynamics::Forces;
 use crate::stimuli::targets;
@@ -95,7 +95,7 @@ impl HeldOutEstimates {
         pool: &crate::Pool,
     ) -> Self {
         let scales = Scales::of(known);
-        let mut reader = match reader(recipe, known, [scales.clone(), scales], pool) {
+        let mut reader = match new_decoder(recipe, known, [scales.clone(), scales], pool) {
             Ok(reader) => reader,
             Err(trouble) => return Self::zero_estimates(unseen, trouble),
         };

@@ -8,7 +8,7 @@
 //! Residuals within a sample are correlated, so whole samples are left out. One-standard-error rule: Hastie, Tibshirani and
 //! Friedman, The Elements of Statistical Learning, 7.10, here with paired differences.
 
-use super::linear::{Plain, solve};
+use super::linear::{ScaledSamples, solve};
 use crate::brain::linear::Normal;
 use crate::stimuli::folds;
 use crate::trial::{Trouble, mean_error};
@@ -31,7 +31,7 @@ const EXCESS: [f64; 2] = [0.2, 0.05];
 
 /// Test samples of a fold, and the normal equations of the others.
 pub(super) struct FoldSplit {
-    pub(super) judges: Plain,
+    pub(super) judges: ScaledSamples,
     pub(super) others: Normal,
 }
 
@@ -53,7 +53,7 @@ impl FoldSplit {
 ///
 /// # Errors
 /// If no λ gives a solution.
-pub(super) fn ridge_of(samples: &Plain, all: &Normal, dealt: &[usize]) -> Result<f64, Trouble> {
+pub(super) fn ridge_of(samples: &ScaledSamples, all: &Normal, dealt: &[usize]) -> Result<f64, Trouble> {
     let prefilter = samples.w.len() >= FEW;
     one_se_choice(&errors_by_value(
         ridges(),
@@ -69,7 +69,11 @@ pub(crate) fn assign_folds(seed: u64, samples: usize) -> Vec<usize> {
 }
 
 /// Splits the samples into folds, and subtracts each fold from the normal equations of all.
-pub(super) fn split_folds(samples: &Plain, all: &Normal, dealt: &[usize]) -> impl Iterator<Item = FoldSplit> {
+pub(super) fn split_folds(
+    samples: &ScaledSamples,
+    all: &Normal,
+    dealt: &[usize],
+) -> impl Iterator<Item = FoldSplit> {
     let count = dealt.iter().max().map_or(0, |last| last + 1);
     // With one fold, no samples are left to fit.
     let numbers = if count > 1 { 0..count } else { 0..0 };

@@ -2,7 +2,7 @@
 //! out-of-fold.
 
 use super::Fitted;
-use super::linear::{Plain, solve};
+use super::linear::{ScaledSamples, solve};
 use super::network::predict;
 use super::ridge::{self, FoldSplit};
 use crate::Pool;
@@ -18,7 +18,7 @@ pub(crate) struct Stack {
     dealt: Vec<usize>,
     parts: Vec<Linear>,
     /// The training samples.
-    known: Plain,
+    known: ScaledSamples,
     /// Scales of the linear decoders; the network may have others.
     scales: Scales,
 }
@@ -35,7 +35,7 @@ impl Stack {
         scales: Scales,
         pool: &Pool,
     ) -> Result<Self, Trouble> {
-        let known = Plain::of(known, &scales, pool);
+        let known = ScaledSamples::of(known, &scales, pool);
         let (all, dealt) = (known.moments().normal(decoder.lags), ridge::assign_folds(seed, known.w.len()));
         let ridge = decoder.ridge_of(seed, &known, &all)?;
         let part = |part: FoldSplit| Ok(solve(part.others, ridge)?.linear());

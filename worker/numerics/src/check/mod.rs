@@ -11,7 +11,7 @@ mod search;
 mod spectra;
 
 pub use instruments::{Instruments, blows, clipped};
-pub use search::{Found, OfChannel, OfRecord, Source, compare};
+pub use search::{ChannelFinding, Explanation, RecordFinding, Source, compare};
 pub use spectra::{Spectra, spectra};
 
 use crate::dynamics::{Accuracy, Forces, Parameters, Scene, Solver, planned, run};

@@ -19,19 +19,19 @@ const MOVED: f64 = 0.03;
 /// Factor on forces in too large a unit, under which the model moves unrealistically.
 const WEAKER: f64 = 1e-3;
 /// A record is suspicious below this correlation, if also this far below the median.
-const OFF: f64 = 0.55;
-const BELOW: f64 = 0.2;
+const OUTLIER_BELOW: f64 = 0.55;
+const OUTLIER_GAP: f64 = 0.2;
 /// A channel is silent if its correlations with all signals of its sensor are smaller.
 const SILENT: f64 = 0.35;
 /// Least fraction of a window's readings.
-const HELD: f64 = 0.75;
+const MIN_WINDOW_SHARE: f64 = 0.75;
 
 /// Simulated signal that a channel contains (sensor · channels + channel), and its sign.
 pub type Source = (usize, f64);
 
 /// Comparison of one channel over all records.
 #[derive(Debug, Clone, PartialEq)]
-pub struct OfChannel {
+pub struct ChannelFinding {
     /// Correlation with the signal of its position, and with the signal that it contains.
     pub correlation: [f64; 2],
     /// Gain: measured/simulated.
@@ -42,7 +42,7 @@ pub struct OfChannel {
 
 /// Comparison of one record, given the explanation of all.
 #[derive(Debug, Clone, PartialEq)]
-pub struct OfRecord {
+pub struct RecordFinding {
     /// Correlation with the model.
     pub correlation: f64,
     /// Delay of the readings (s) relative to the record's clock, within three readings of the common delay.
@@ -55,7 +55,7 @@ pub struct OfRecord {
 
 /// Best explanation of the records.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Found {
+pub struct Explanation {
     /// Factor on the stiffness of the design.
     pub stiffness: f64,
     /// Mean correlation of the channels as described, and with the explanation.
@@ -69,14 +69,14 @@ pub struct Found {
     /// Per sensor, the unit that explains its signals better; mean correlations with the described unit and with this one.
     pub units: Vec<Option<(usize, [f64; 2])>>,
     /// Comparison per channel.
-    pub channels: Vec<OfChannel>,
+    pub channels: Vec<ChannelFinding>,
     /// Comparison per record.
-    pub records: Vec<OfRecord>,
+    pub records: Vec<RecordFinding>,
     /// Simulated signals per record, with the explanation.
     pub simulated: Vec<History>,
 }
 
-impl Found {
+impl Explanation {
     /// Delay (s) if it is the same for all records.
     pub fn lag(&self) -> Option<f64> {
         self.lags.windows(2).all(|pair| pair[0] == pair[1]).then(|| self.lags[0])
@@ -85,13 +85,13 @@ impl Found {
 
 /// Sums over readings: squares of measured and of simulated channels, and products.
 #[derive(Debug, Clone, Default)]
-struct Moments {
+struct ProductSums {
     measured: Vec<f64>,
     simulated: Vec<f64>,
     products: Vec<f64>,
 }
 
-impl Moments {
+impl ProductSums {
     fn add(&mut self, other: &Self) {
         if self.measured.is_empty() {
             self.clone_from(other);
@@ -140,7 +140,7 @@ struct State {
     value: f64,
 }
 
-struct Session<'a> {
+struct RecordSearch<'a> {
     model: &'a Model<'a>,
     records: &'a [Record],
     /// Low-passed signals minus their mean before the blow.
@@ -158,15 +158,15 @@ struct Session<'a> {
 ///
 /// # Panics
 /// If there are no records, or their channels differ from the model's.
-pub fn compare(model: &Model, records: &[Record]) -> Option<Found> {
-    let as_said = explained(model, records);
+pub fn compare(model: &Model, records: &[Record]) -> Option<Explanation> {
+    let as_said = find_explanation(model, records);
     if as_said.as_ref().is_some_and(|found| found.correlation[1] > GOOD) {
         return as_said;
     }
     let mut weaker = records.to_vec();
     let forces = weaker.iter_mut().flat_map(|record| &mut record.force.values);
     forces.flatten().for_each(|force| *force *= WEAKER);
-    let mut weaker = explained(model, &weaker)?;
+    let mut weaker = find_explanation(model, &weaker)?;
     if as_said.as_ref().is_some_and(|found| weaker.correlation[1] < found.correlation[1] + RISE) {
         return as_said;
     }
@@ -174,21 +174,21 @@ pub fn compare(model: &Model, records: &[Record]) -> Option<Found> {
     Some(weaker)
 }
 
-fn explained(model: &Model, records: &[Record]) -> Option<Found> {
-    let session = Session::new(model, records);
+fn find_explanation(model: &Model, records: &[Record]) -> Option<Explanation> {
+    let session = RecordSearch::new(model, records);
     let mut best: Option<(State, Vec<Vec<History>>, f64)> = None;
     for stiffness in STIFFNESS {
         let Some(simulated) = session.simulated(stiffness) else { continue };
-        let (state, before) = session.explain(stiffness, &simulated);
+        let (state, before) = session.find_best_state(stiffness, &simulated);
         if best.as_ref().is_none_or(|(other, ..)| state.value > other.value) {
             best = Some((state, simulated, before));
         }
     }
     let (state, simulated, before) = best?;
-    Some(session.told(state, &simulated, before))
+    Some(session.into_explanation(state, &simulated, before))
 }
 
-impl<'a> Session<'a> {
+impl<'a> RecordSearch<'a> {
     fn new(model: &'a Model<'a>, records: &'a [Record]) -> Self {
         let dt = records.iter().map(|r| r.signals.dt).fold(0.0, f64::max);
         let cutoff = CUTOFF / dt;
@@ -258,7 +258,7 @@ impl<'a> Session<'a> {
         self.orders.iter().position(alike).unwrap_or(0)
     }
 
-    fn moments(&self, record: usize, simulated: &History, lag: f64) -> Option<Moments> {
+    fn moments(&self, record: usize, simulated: &History, lag: f64) -> Option<ProductSums> {
         let (y, [from, to]) = (&self.smooth[record], self.windows[record]);
         let first = ((from - lag - y.start) / y.dt).ceil().max(0.0) as usize;
         let last = ((to - lag - y.start) / y.dt).floor();
@@ -266,11 +266,11 @@ impl<'a> Session<'a> {
             return None;
         }
         let readings = first..(last as usize + 1).min(y.entries());
-        if (readings.len() as f64) < HELD * (to - from) / y.dt {
+        if (readings.len() as f64) < MIN_WINDOW_SHARE * (to - from) / y.dt {
             return None;
         }
         let (rows, columns) = (y.values.len(), simulated.values.len());
-        let mut found = Moments {
+        let mut found = ProductSums {
             measured: vec![0.0; rows],
             simulated: vec![0.0; columns],
             products: vec![0.0; rows * columns],
@@ -298,8 +298,8 @@ impl<'a> Session<'a> {
         simulated: &[Vec<History>],
         panels: &[usize],
         lag: &dyn Fn(usize) -> f64,
-    ) -> Option<Moments> {
-        let (mut all, mut count) = (Moments::default(), 0);
+    ) -> Option<ProductSums> {
+        let (mut all, mut count) = (ProductSums::default(), 0);
         for record in 0..self.records.len() {
             let of = &simulated[self.order(record, panels)][record];
             if let Some(found) = self.moments(record, of, lag(record)) {
@@ -312,7 +312,7 @@ impl<'a> Session<'a> {
 
     /// Source per channel, mean correlation, and that minus penalties. A sensor keeps its channels unless another sensor, order or sign is
     /// much better.
-    fn assigned(&self, all: &Moments) -> (Vec<Source>, f64, f64) {
+    fn assigned(&self, all: &ProductSums) -> (Vec<Source>, f64, f64) {
         let (own, sensors) = (self.model.channels.len(), self.model.scene.sensors.len());
         let orders = permutations(own);
         let (mut source, mut sum, mut cost) = (Vec::new(), 0.0, 0.0);
@@ -344,7 +344,7 @@ impl<'a> Session<'a> {
     }
 
     /// Best explanation at this stiffness, and the mean correlation as described.
-    fn explain(&self, stiffness: f64, simulated: &[Vec<History>]) -> (State, f64) {
+    fn find_best_state(&self, stiffness: f64, simulated: &[Vec<History>]) -> (State, f64) {
         let (count, panels) = (self.records.len(), self.model.scene.panels.len());
         let same: Vec<usize> = (0..panels).collect();
         let state = |order: &[usize], lag: f64| {
@@ -356,13 +356,13 @@ impl<'a> Session<'a> {
         };
         let width = self.silent.len();
         let as_said = self.pooled(simulated, &same, &|_| 0.0);
-        let mean = |all: &Moments| (0..width).map(|c| all.correlation(c, c)).sum::<f64>() / width as f64;
+        let mean = |all: &ProductSums| (0..width).map(|c| all.correlation(c, c)).sum::<f64>() / width as f64;
         let before = as_said.as_ref().map_or(0.0, mean);
         let source: Vec<Source> = (0..width).map(|c| (c, 1.0)).collect();
         let lags = vec![0.0; count];
         let none = State { stiffness, panels: same.clone(), lags, source, score: before, value: before };
         // If most records match as described, only single records can be wrong.
-        let follows = |all: &Moments| {
+        let follows = |all: &ProductSums| {
             let of = |r: usize| {
                 Some(self.moments(r, &simulated[0][r], 0.0)?.agreement(all, &none.source, &self.silent))
             };
@@ -422,9 +422,9 @@ impl<'a> Session<'a> {
     }
 
     /// Evaluates an explanation: channels, single records, sensor positions.
-    fn told(mut self, mut state: State, simulated: &[Vec<History>], before: f64) -> Found {
+    fn into_explanation(mut self, mut state: State, simulated: &[Vec<History>], before: f64) -> Explanation {
         let own = self.model.channels.len();
-        let all = self.pooled(simulated, &state.panels, &|r| state.lags[r]).unwrap_or_else(|| Moments {
+        let all = self.pooled(simulated, &state.panels, &|r| state.lags[r]).unwrap_or_else(|| ProductSums {
             measured: vec![0.0; state.source.len()],
             simulated: vec![0.0; state.source.len()],
             products: vec![0.0; state.source.len() * state.source.len()],
@@ -440,9 +440,9 @@ impl<'a> Session<'a> {
             let (d, sign) = state.source[c];
             let size = all.simulated[d];
             let gain = sign * all.products[c * all.simulated.len() + d] / if size > 0.0 { size } else { 1.0 };
-            OfChannel { correlation: [all.correlation(c, c), follows(c)], gain, silent: self.silent[c] }
+            ChannelFinding { correlation: [all.correlation(c, c), follows(c)], gain, silent: self.silent[c] }
         });
-        let channels: Vec<OfChannel> = channels.collect();
+        let channels: Vec<ChannelFinding> = channels.collect();
         // A silent channel keeps its own signal.
         for c in 0..state.source.len() {
             if self.silent[c] {
@@ -452,7 +452,7 @@ impl<'a> Session<'a> {
         let records = self.one_by_one(&state, simulated, &all);
         let units = self.places(&state, &all);
         let of = |record: usize| simulated[self.order(record, &state.panels)][record].clone();
-        Found {
+        Explanation {
             stiffness: state.stiffness,
             correlation: [before, state.score],
             units,
@@ -465,7 +465,7 @@ impl<'a> Session<'a> {
         }
     }
 
-    fn one_by_one(&self, state: &State, simulated: &[Vec<History>], all: &Moments) -> Vec<OfRecord> {
+    fn one_by_one(&self, state: &State, simulated: &[Vec<History>], all: &ProductSums) -> Vec<RecordFinding> {
         let agreement = |record: usize, order: usize, lag: f64| {
             let found = self.moments(record, &simulated[order][record], lag)?;
             Some(found.agreement(all, &state.source, &self.silent))
@@ -479,8 +479,8 @@ impl<'a> Session<'a> {
             let near = (-24..=24).map(|n| lag + n as f64 / 8.0 * self.dt);
             let near = near.filter_map(|lag| Some((agreement(record, own[record], lag)?, lag)));
             let near = near.max_by(|a, b| a.0.total_cmp(&b.0)).map_or(lag, |best| best.1);
-            let mut told = OfRecord { correlation, lag: near, panel: None, clock: None };
-            if usual < GOOD || correlation > OFF.min(usual - BELOW) {
+            let mut told = RecordFinding { correlation, lag: near, panel: None, clock: None };
+            if usual < GOOD || correlation > OUTLIER_BELOW.min(usual - OUTLIER_GAP) {
                 return told;
             }
             let other = (0..self.orders.len()).filter(|order| *order != own[record]);
@@ -502,7 +502,7 @@ impl<'a> Session<'a> {
     }
 
     /// Better units for sensors that match poorly, or match only with changed axes.
-    fn places(&self, state: &State, all: &Moments) -> Vec<Option<(usize, [f64; 2])>> {
+    fn places(&self, state: &State, all: &ProductSums) -> Vec<Option<(usize, [f64; 2])>> {
         let (own, scene) = (self.model.channels.len(), self.model.scene);
         let mean = |of: &dyn Fn(usize) -> f64| (0..own).map(of).sum::<f64>() / own as f64;
         let place = |m: usize| {
@@ -520,7 +520,7 @@ impl<'a> Session<'a> {
                 let mut sensors = scene.sensors.clone();
                 sensors[m] = unit;
                 let simulated = self.run(&state.panels, &sensors, state.stiffness);
-                let mut sums = Moments::default();
+                let mut sums = ProductSums::default();
                 for (record, of) in simulated.iter().enumerate() {
                     self.moments(record, of, state.lags[record]).iter().for_each(|found| sums.add(found));
                 }

@@ -118,7 +118,7 @@ impl Clock {
     /// Scene and forces on the finer clock.
     pub fn in_motion(&self, scene: &Scene, forces: &Forces) -> (Scene, Forces) {
         let scene = Scene { instants: self.finer * scene.instants, ..scene.clone() };
-        let forces = forces.on(&scene).into_owned();
+        let forces = forces.refined_for(&scene).into_owned();
         (scene, forces)
     }
 

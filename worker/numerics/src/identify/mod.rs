@@ -16,7 +16,7 @@ mod search;
 mod unknowns;
 
 use crate::dynamics::{Accuracy, Counters, Forces, Parameters};
-use crate::trial::{Chip, Mould, Problem, tuned};
+use crate::trial::{Chip, DesignWithSolver, Problem, tuned};
 use crate::variation::{Cast, Variation};
 pub use clock::{Offset, between, margin};
 use descent::Descent;
@@ -230,8 +230,12 @@ impl Fit {
     ///
     /// # Panics
     /// If lengths do not match.
-    pub(crate) fn of(mould: &Mould, (forces, signals): (&Forces, &[f64]), go_on: &mut GoOn) -> Option<Self> {
-        let &Mould { trial, design, solver } = mould;
+    pub(crate) fn of(
+        mould: &DesignWithSolver,
+        (forces, signals): (&Forces, &[f64]),
+        go_on: &mut GoOn,
+    ) -> Option<Self> {
+        let &DesignWithSolver { trial, design, solver } = mould;
         let variation = trial.problem.variation.unwrap_or(Variation::USUAL);
         let unknowns = Unknowns::new(&trial.problem.scene, &variation, trial.pool);
         let all = (forces, signals, 0.0);

@@ -260,7 +260,7 @@ impl<'a> Objective<'a> {
             }
             return Point { cost: self.cost(&point), ..point };
         };
-        let felt = self.problem.felt(point.felt.clone(), samples, clock.finer);
+        let felt = self.problem.low_pass_channels(point.felt.clone(), samples, clock.finer);
         let record = self.readings * width;
         let of = |(i, felt): (usize, &[f64])| {
             let whiten = |own: &mut [f64]| self.whiten_record(i, own);
@@ -278,7 +278,7 @@ impl<'a> Objective<'a> {
     /// Readings from the signals of all sensors, at these clock offsets.
     fn read(&self, felt: Vec<f64>, samples: usize, offsets: &[f64]) -> Vec<f64> {
         let Some(clock) = self.clock else { return self.problem.read(felt, samples) };
-        let (felt, width) = (self.problem.felt(felt, samples, clock.finer), self.width());
+        let (felt, width) = (self.problem.low_pass_channels(felt, samples, clock.finer), self.width());
         let each = felt.chunks_exact(self.readings * width * clock.finer).zip(offsets);
         each.flat_map(|(own, offset)| clock.read(own, width, *offset, 0)).collect()
     }
@@ -289,7 +289,7 @@ impl<'a> Objective<'a> {
         let width = self.width();
         let each = cotangent.chunks_exact(self.readings * width).zip(offsets);
         let felt = each.flat_map(|(own, offset)| clock.read_vjp(own, width, *offset)).collect();
-        self.problem.felt_vjp(felt, samples, clock.finer)
+        self.problem.low_pass_channels_vjp(felt, samples, clock.finer)
     }
 
     /// For the records listed: readings (n, window, channels), R^{-½}(y − a), and the same with R including the clock offsets' prior.

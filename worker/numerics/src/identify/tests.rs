@@ -6,7 +6,9 @@ use crate::brain::linear::Lags;
 use crate::dynamics::{Accuracy, Contact, Method, Panel, Parameters, Scene, Solver};
 use crate::nested::tests::{GOING, on_lattices, small};
 use crate::random::{Purpose, Stream};
-use crate::trial::{BrainKind, Decoder, Disturbance, Mould, Optimise, Protocol, Ridge, Size, Stimuli, Trial};
+use crate::trial::{
+    BrainKind, Decoder, DesignWithSolver, Disturbance, Optimise, Protocol, Ridge, Size, Stimuli, Trial,
+};
 use crate::variation::Casts;
 use nalgebra::DVector;
 
@@ -22,7 +24,7 @@ fn problem(columns: usize, rows: usize, instants: usize, samples: usize) -> Prob
         scene: Scene {
             clamped: layout.bottom(),
             guided: Vec::new(),
-            pressed: Vec::new(),
+            imposed: Vec::new(),
             panels: struck.into_iter().map(|unit| Panel::central(unit, [0.0, -1.0])).collect(),
             sensors: vec![columns * (rows / 2) + columns / 2],
             duration: 5e-3 * instants as f64,
@@ -34,7 +36,7 @@ fn problem(columns: usize, rows: usize, instants: usize, samples: usize) -> Prob
         stimuli: Stimuli { instants, samples, ..small.stimuli },
         disturbance: Some(Disturbance { noise: Size::Relative(0.03), ..Disturbance::NONE }),
         variation: Some(Variation::USUAL),
-        reader: BrainKind::Linear,
+        decoder_kind: BrainKind::Linear,
         decoder: Decoder { lags: Lags::whole(instants), ridge: Ridge::Auto },
         optimise: Optimise { brain: BrainKind::Linear, coarse: None, ..small.optimise },
         seed: 51,
@@ -44,7 +46,7 @@ fn problem(columns: usize, rows: usize, instants: usize, samples: usize) -> Prob
 
 /// Records of a cast under the first training forces, as the trial's chips return them.
 fn records(trial: &Trial, cast: &Cast, count: usize) -> (Forces, Vec<f64>) {
-    let forces = trial.problem.known()[0].select(&(0..count).collect::<Vec<_>>());
+    let forces = trial.problem.training_and_test()[0].select(&(0..count).collect::<Vec<_>>());
     let (solver, counters) = (&trial.problem.solver, &mut crate::trial::Counters::default());
     let design = &trial.problem.initial;
     let found = trial.simulate_cast(Some(cast), design, forces.clone(), solver, false, counters);
@@ -54,7 +56,7 @@ fn records(trial: &Trial, cast: &Cast, count: usize) -> (Forces, Vec<f64>) {
 
 fn twin(trial: &Trial, forces: &Forces, signals: &[f64]) -> Fit {
     let (design, solver) = (&trial.problem.initial, &trial.problem.solver);
-    let found = Fit::of(&Mould { trial, design, solver }, (forces, signals), &mut || true);
+    let found = Fit::of(&DesignWithSolver { trial, design, solver }, (forces, signals), &mut || true);
     found.expect("told to go on")
 }
 
@@ -221,7 +223,7 @@ fn what_records_do_not_tell_is_left_as_it_was() {
     let forbidden = Contact { stiffness: 1.0, min_angle: 3.0, cutoff_angle: 3.1 };
     let scene = Scene { contact: Some(forbidden), ..problem.scene.clone() };
     let pool = crate::Pool::new(1).expect("threads");
-    let (forces, signals) = (problem.known()[0].select(&[0]), vec![0.0; 2 * 24]);
+    let (forces, signals) = (problem.training_and_test()[0].select(&[0]), vec![0.0; 2 * 24]);
     let problem = Problem { scene, ..problem };
     let all = (&forces, &signals[..], 0.0);
     let twin = Fit::of_records(&problem, &problem.initial, all, &[], &pool, &[], &mut |_| ());

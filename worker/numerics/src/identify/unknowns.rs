@@ -1,9 +1,9 @@
 //! The unknowns z (standard normal prior) and the cast that they define.
 
 use crate::Pool;
-use crate::dynamics::{Gradient, Parameters, Parts, Scene};
+use crate::dynamics::{Gradient, Parameters, PartFactors, Scene};
 use crate::identify::{BOX, Parameter};
-use crate::variation::{Cast, Chips, Variation, shared, shared_vjp};
+use crate::variation::{Cast, Chips, Variation, correlate, shared_vjp};
 use std::ops::Range;
 
 /// Quantity that one entry of z changes.
@@ -77,7 +77,7 @@ impl Unknowns {
         Self {
             free: 0,
             variation: *variation,
-            likeness: variation.likeness(layout, pool),
+            likeness: variation.correlation_factor(layout, pool),
             all,
             ligaments: layout.ligaments.len(),
             units: layout.units(),
@@ -157,7 +157,7 @@ impl Unknowns {
             turn: vec![0.0; count(self.variation.misalignment, self.sensors)],
         };
         let some = self.variation.ligaments.iter().any(|deviation| *deviation > 0.0);
-        let mut parts = Parts {
+        let mut parts = PartFactors {
             ligaments: vec![[1.0; 3]; if some { self.ligaments } else { 0 }],
             units: vec![1.0; count(self.variation.units, self.units)],
         };
@@ -176,7 +176,7 @@ impl Unknowns {
             }
         }
         if !self.likeness.is_empty() {
-            shifts = shared(&self.likeness, &shifts);
+            shifts = correlate(&self.likeness, &shifts);
         }
         let material = Parameters::from_array(material);
         Cast { material, parts, ligament_length, relaxation: None, shifts, chips }

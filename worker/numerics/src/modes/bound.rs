@@ -121,7 +121,7 @@ pub fn jacobian_times(
         let (k, sign) = (i / (2 * own.len()), [1.0, -1.0][i / own.len() % 2]);
         *f += sign * steps[k] * prior.directions.sample(k)[i % own.len()];
     }
-    let found = run(scene, design, &both.on(scene), plan, false, pool);
+    let found = run(scene, design, &both.refined_for(scene), plan, false, pool);
     match found.outcomes.iter().find(|outcome| **outcome != Outcome::Ok) {
         Some(outcome) => Err(*outcome),
         None => {

@@ -1,6 +1,8 @@
 use super::*;
 use crate::body::Layout;
-use crate::dynamics::{Forces, Frame, Method, Moves, Panel, Parts, Plan, Stiffness, highest_frequency, run};
+use crate::dynamics::{
+    Forces, Frame, Method, Panel, PartFactors, Plan, PrescribedMotion, Stiffness, highest_frequency, run,
+};
 use crate::nested::tests::{GOING, on_lattices};
 use crate::trial::Protocol;
 use nalgebra::DMatrix;
@@ -12,7 +14,7 @@ fn scene(layout: Layout, clamped: Vec<usize>) -> Scene {
         layout,
         density: 1e-8,
         stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
-        parts: Parts::default(),
+        parts: PartFactors::default(),
         relaxation: None,
         damping_ratio: 0.02,
         damping: None,
@@ -21,7 +23,7 @@ fn scene(layout: Layout, clamped: Vec<usize>) -> Scene {
         linearised: false,
         clamped,
         guided: Vec::new(),
-        pressed: Vec::new(),
+        imposed: Vec::new(),
         panels: vec![Panel::central(top, [0.6, -0.8]), Panel::central(top - 2, [0.0, -1.0])],
         sensors: vec![4, top],
         chip: None,
@@ -38,7 +40,7 @@ fn small() -> (Scene, Vec<f64>) {
     let mut scene = scene(layout, vec![0, 1, 2]);
     scene.panels[1].node = Some(3);
     scene.guided = vec![(4, [true, false, false])];
-    scene.panels.push(Panel { moves: Some(Moves::Base(1e-4)), ..Panel::central(0, [0.8, 0.6]) });
+    scene.panels.push(Panel { moves: Some(PrescribedMotion::Base(1e-4)), ..Panel::central(0, [0.8, 0.6]) });
     let mut design = scene.layout.initial_design(0.4363);
     design.iter_mut().enumerate().for_each(|(i, a)| *a += 0.3 * (1.7 * i as f64).sin());
     (scene, design)
@@ -195,7 +197,7 @@ fn responses_of_a_pressed_body_are_along_its_chips() {
     let clamped = [&scene.clamped[..], &[last]].concat();
     let pressed = [vec![[0.0; 2]; held], vec![[0.0, -2.0], [0.5, 0.0]]].concat();
     let panels = vec![Panel::central(last - 1, [0.0, -1.0])];
-    let world = Scene { clamped, pressed, panels, sensors: vec![last - 1], ..scene };
+    let world = Scene { clamped, imposed: pressed, panels, sensors: vec![last - 1], ..scene };
     let body = Scene { frame: Frame::Body, ..world.clone() };
     let rest = Rest::new(&world, &design);
     let turn = rest.turned[last - 1];

@@ -7,17 +7,17 @@
 use super::evaluation::{BandCoverage, CastDecoder, CastEvaluation, Regularisation};
 use super::fresh::fit_and_evaluate;
 use super::inversion::evaluate_inverse_on_cast;
-use super::observe::{Log, Nobody};
+use super::observe::{Log, NoObserver};
 use super::state::State;
-use crate::brains::{Band, Fitted, Fresh, Pooled, Reader, reader};
+use crate::brains::{Band, Fitted, FittedDecoder, NetworkTraining, Pooled, new_decoder};
 use crate::random::Purpose;
 use crate::trial::{
-    BrainKind, Counters, Decoder, Mould, Problem, Ridge, Samples, Trial, Trouble, as_ref_result,
+    BrainKind, Counters, Decoder, DesignWithSolver, Problem, Ridge, Samples, Trial, Trouble, as_ref_result,
 };
 use crate::variation::{Cast, Casts};
 
 /// Number of casts to which the decoder for all casts is fitted, and of samples per cast.
-const KNOWN_CASTS: usize = 24;
+const FITTING_CASTS: usize = 24;
 const KNOWN_SAMPLES: usize = 20;
 /// Number of their first sample, above those of the outer steps.
 const KNOWN_FIRST: u64 = 1 << 40;
@@ -28,9 +28,9 @@ pub const RECORDS: [usize; 3] = [10, 30, 100];
 type FittingSamples = [Result<Samples, Trouble>; 2];
 
 /// The decoders fitted before a cast is evaluated, and the numbers of records.
-struct Brains<'a> {
+struct CastDecoders<'a> {
     /// Trained on the body as designed and on many casts; empty unless the trial's decoder is a network.
-    networks: Vec<Result<Box<dyn Reader + 'a>, Trouble>>,
+    networks: Vec<Result<Box<dyn FittedDecoder + 'a>, Trouble>>,
     nominal: Result<Fitted, Trouble>,
     casts: Result<Pooled, Trouble>,
     /// Numbers of records of a cast on which decoders are calibrated.
@@ -38,7 +38,12 @@ struct Brains<'a> {
 }
 
 /// Evaluates the remaining casts of body number `turn`. `None` if the observer stopped it; the observer then has the state.
-pub(super) fn evaluate_casts(mould: &Mould, turn: usize, state: &mut State, log: &mut Log) -> Option<()> {
+pub(super) fn evaluate_casts(
+    mould: &DesignWithSolver,
+    turn: usize,
+    state: &mut State,
+    log: &mut Log,
+) -> Option<()> {
     let trial = mould.trial;
     let problem = &trial.problem;
     let done = state.comparison.casts_read(turn);
@@ -51,12 +56,12 @@ pub(super) fn evaluate_casts(mould: &Mould, turn: usize, state: &mut State, log:
     if done > 0 || state.comparison.training.is_some() {
         log.report.counters = counted;
     }
-    let some = as_ref_result(&fitting_samples[1]).map(|casts| thinned(casts, trial.train.samples));
+    let some = as_ref_result(&fitting_samples[1]).map(|casts| thin_samples(casts, trial.train.samples));
     let readings = &state.comparison.bodies[turn].readings;
     let own = readings.first().filter(|reading| reading.lags == problem.decoder.lags);
     let ridge = own.map(|reading| reading.ridge).filter(|_| problem.decoder.ridge == Ridge::Auto);
-    let mut brains = log.timed(|s| &mut s.train, |_| Brains::new(trial, &fitting_samples, ridge));
-    if problem.reader.is_network() {
+    let mut brains = log.timed(|s| &mut s.train, |_| CastDecoders::new(trial, &fitting_samples, ridge));
+    if problem.decoder_kind.is_network() {
         brains.networks =
             networks(trial, [as_ref_result(&fitting_samples[0]), as_ref_result(&some)], turn, state, log)?;
     }
@@ -78,7 +83,7 @@ pub(super) fn evaluate_casts(mould: &Mould, turn: usize, state: &mut State, log:
             |s| &mut s.train,
             |report, go_on| {
                 let mut found = brains.read(trial, number as u32, &sets, bands);
-                if problem.reader == BrainKind::Inverse {
+                if problem.decoder_kind == BrainKind::Inverse {
                     let (number, counters) = (number as u32, &mut report.counters);
                     let (readings, own) =
                         evaluate_inverse_on_cast(mould, &fitting_samples[0], number, &sets, counters, go_on)?;
@@ -101,8 +106,8 @@ pub(super) fn evaluate_casts(mould: &Mould, turn: usize, state: &mut State, log:
 }
 
 /// Equally many samples of each cast, in total at least `training` if there are enough.
-fn thinned(casts: &Samples, training: usize) -> Samples {
-    let each = training.div_ceil(KNOWN_CASTS).min(KNOWN_SAMPLES);
+fn thin_samples(casts: &Samples, training: usize) -> Samples {
+    let each = training.div_ceil(FITTING_CASTS).min(KNOWN_SAMPLES);
     casts.select(&(0..casts.count()).filter(|i| i % KNOWN_SAMPLES < each).collect::<Vec<_>>())
 }
 
@@ -114,7 +119,7 @@ fn networks<'a>(
     turn: usize,
     state: &mut State,
     log: &mut Log,
-) -> Option<Vec<Result<Box<dyn Reader + 'a>, Trouble>>> {
+) -> Option<Vec<Result<Box<dyn FittedDecoder + 'a>, Trouble>>> {
     let (recipe, [nominal, casts]) = (trial.problem.recipe(), known);
     let casts = match casts {
         Ok(known) => weights_for(trial, known, state, log)?.map(|weights| (known, weights)),
@@ -128,8 +133,8 @@ fn networks<'a>(
     let ready = [nominal, casts].map(|trained| {
         let (known, weights) = trained?;
         let scales = [(); 2].map(|()| trial.scales.clone());
-        let mut reader = reader(recipe, known, scales, trial.pool)?;
-        *reader.training().expect("a network has weights") = Some(Fresh::of(weights));
+        let mut reader = new_decoder(recipe, known, scales, trial.pool)?;
+        *reader.training().expect("a network has weights") = Some(NetworkTraining::of(weights));
         Ok(reader)
     });
     Some(ready.into())
@@ -144,7 +149,7 @@ fn weights_for(
     log: &mut Log,
 ) -> Option<Result<Vec<f32>, Trouble>> {
     let scales = trial.scales_of(&known.signals);
-    let mut reader = match reader(trial.problem.recipe(), known, scales, trial.pool) {
+    let mut reader = match new_decoder(trial.problem.recipe(), known, scales, trial.pool) {
         Ok(reader) => reader,
         Err(trouble) => return Some(Err(trouble)),
     };
@@ -170,21 +175,21 @@ pub enum DecoderForCasts {
 /// If these casts cannot be simulated, or fitting fails.
 pub fn brain_for_casts(trial: &Trial, design: &[f64]) -> Result<DecoderForCasts, Trouble> {
     let solver = &trial.tuned(design).solver;
-    let casts = samples_of_casts(&Mould { trial, design, solver }, &mut Counters::default());
-    if !trial.problem.reader.is_network() {
+    let casts = samples_of_casts(&DesignWithSolver { trial, design, solver }, &mut Counters::default());
+    if !trial.problem.decoder_kind.is_network() {
         let casts = casts?;
         return Ok(DecoderForCasts::Linear(
             Pooled::new(trial, &casts, casts.count() / KNOWN_SAMPLES)?.fitted,
         ));
     }
-    let (mut state, mut observer) = (State::new(&trial.problem), Nobody);
-    let known = thinned(&casts?, trial.train.samples);
-    let weights = weights_for(trial, &known, &mut state, &mut Log::new(0, &mut observer));
+    let (mut state, mut observer) = (State::new(&trial.problem), NoObserver);
+    let simulate_fitting = thin_samples(&casts?, trial.train.samples);
+    let weights = weights_for(trial, &simulate_fitting, &mut state, &mut Log::new(0, &mut observer));
     let weights = weights.expect("nobody says stop")?;
-    Ok(match trial.problem.reader {
+    Ok(match trial.problem.decoder_kind {
         BrainKind::Stacked => {
             let Problem { decoder, seed, .. } = &trial.problem;
-            let beneath = decoder.fitted(*seed, &known, trial.scales.clone(), trial.pool)?;
+            let beneath = decoder.fitted(*seed, &simulate_fitting, trial.scales.clone(), trial.pool)?;
             DecoderForCasts::Stacked(beneath, weights)
         }
         _ => DecoderForCasts::Network(weights),
@@ -199,18 +204,18 @@ pub fn evaluate_linear_on_casts(
     progress: &mut dyn FnMut(usize),
 ) -> Vec<CastEvaluation> {
     let (solver, counters) = (&trial.tuned(design).solver, &mut Counters::default());
-    let mould = Mould { trial, design, solver };
+    let mould = DesignWithSolver { trial, design, solver };
     let known = known(&mould, counters);
-    let mut brains = Brains::new(trial, &known, None);
+    let mut brains = CastDecoders::new(trial, &known, None);
     let mut found = Vec::new();
     for number in 0..count {
         let cast = trial.cast(Casts::Unseen, number as u64);
         let sets = sets(&mould, cast.as_ref(), counters);
         found.extend(brains.read(trial, number as u32, &sets, &mut Vec::new()));
-        if trial.problem.reader == BrainKind::Inverse {
-            let read =
+        if trial.problem.decoder_kind == BrainKind::Inverse {
+            let evaluate_cast =
                 evaluate_inverse_on_cast(&mould, &known[0], number as u32, &sets, counters, &mut || true);
-            found.extend(read.expect("told to go on").0);
+            found.extend(evaluate_cast.expect("told to go on").0);
         }
         progress(number + 1);
     }
@@ -218,21 +223,21 @@ pub fn evaluate_linear_on_casts(
 }
 
 /// Training samples of the body as designed, and samples of many casts.
-fn known(mould: &Mould, counters: &mut Counters) -> FittingSamples {
-    let [train, _] = mould.trial.problem.known();
+fn known(mould: &DesignWithSolver, counters: &mut Counters) -> FittingSamples {
+    let [train, _] = mould.trial.problem.training_and_test();
     [mould.samples(None, train, counters), samples_of_casts(mould, counters)]
 }
 
-/// Samples of the `KNOWN_CASTS` casts.
-fn samples_of_casts(mould: &Mould, counters: &mut Counters) -> Result<Samples, Trouble> {
+/// Samples of the `FITTING_CASTS` casts.
+fn samples_of_casts(mould: &DesignWithSolver, counters: &mut Counters) -> Result<Samples, Trouble> {
     let trial = mould.trial;
     let one = |number: usize, counters: &mut Counters| {
         let first = KNOWN_FIRST + (number * KNOWN_SAMPLES) as u64;
         let forces = trial.problem.forces(Purpose::Fresh, first, KNOWN_SAMPLES);
         mould.samples(trial.cast(Casts::Known, number as u64).as_ref(), forces, counters)
     };
-    let (mut all, mut failed) = (Vec::with_capacity(KNOWN_CASTS), None);
-    for found in trial.side_by_side(KNOWN_CASTS, counters, one) {
+    let (mut all, mut failed) = (Vec::with_capacity(FITTING_CASTS), None);
+    for found in trial.map_parallel(FITTING_CASTS, counters, one) {
         match found {
             Ok(found) => all.push(found),
             // casts that fail are left out
@@ -246,16 +251,20 @@ fn samples_of_casts(mould: &Mould, counters: &mut Counters) -> Result<Samples, T
 }
 
 /// Training samples of a cast, empty unless decoders are calibrated on them, and its held-out samples.
-fn sets(mould: &Mould, cast: Option<&Cast>, counters: &mut Counters) -> Result<[Samples; 2], Trouble> {
+fn sets(
+    mould: &DesignWithSolver,
+    cast: Option<&Cast>,
+    counters: &mut Counters,
+) -> Result<[Samples; 2], Trouble> {
     let problem = &mould.trial.problem;
-    let [train, _] = problem.known();
+    let [train, _] = problem.training_and_test();
     let mut of = |forces| mould.samples(cast, forces, counters);
     let train = problem.evaluation.records.then(|| of(train)).transpose()?;
     let holdout = of(problem.holdout())?;
     Ok([train.unwrap_or_else(|| holdout.select(&[])), holdout])
 }
 
-impl Brains<'_> {
+impl CastDecoders<'_> {
     /// Fits the linear decoders. `ridge`: λ chosen earlier on the body as designed, if known.
     fn new(trial: &Trial, known: &FittingSamples, ridge: Option<f64>) -> Self {
         let nominal = as_ref_result(&known[0]).and_then(|known| match ridge {
@@ -287,7 +296,7 @@ impl Brains<'_> {
         let brains = networks.chain([CastDecoder::Nominal, CastDecoder::Casts]);
         let records = self.records.iter().map(|&n| CastDecoder::Records(n as u32));
         let brains: Vec<CastDecoder> = brains.chain(records).collect();
-        let own: &[CastDecoder] = match trial.problem.reader {
+        let own: &[CastDecoder] = match trial.problem.decoder_kind {
             BrainKind::Linear => &[CastDecoder::Nominal, CastDecoder::Casts],
             BrainKind::Network | BrainKind::Stacked => &[CastDecoder::Network, CastDecoder::NetworkCasts],
             BrainKind::Inverse => &[],
@@ -302,7 +311,7 @@ impl Brains<'_> {
                 });
                 for reading in designed.iter().filter(|_| own.contains(&by)) {
                     let within = |(holdout, said, _): &(&Samples, Vec<f64>, _)| {
-                        reading.band.coverage(holdout, said, trial.problem.first_judge(holdout.count()))
+                        reading.band.coverage(holdout, said, trial.problem.first_band_sample(holdout.count()))
                     };
                     // a failed decoder covers nothing
                     let coverage = found.as_ref().map_or(reading.coverage.map(|_| 0.0), within);
@@ -324,7 +333,7 @@ impl Brains<'_> {
         train: &Samples,
         signals: &[f64],
     ) -> Result<(Vec<f64>, Regularisation), Trouble> {
-        let network = |network: &mut Result<Box<dyn Reader + '_>, Trouble>| {
+        let network = |network: &mut Result<Box<dyn FittedDecoder + '_>, Trouble>| {
             let said = network.as_mut().map(|network| network.predict(signals));
             said.map(|said| (said, Regularisation::default())).map_err(|trouble| *trouble)
         };

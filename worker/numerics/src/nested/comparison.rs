@@ -8,7 +8,7 @@ use super::report::Report;
 use super::state::State;
 use crate::dynamics;
 use crate::questions::{nonlinear, under};
-use crate::trial::{COARSE, Mould, Problem, Trial};
+use crate::trial::{COARSE, DesignWithSolver, Problem, Trial};
 
 /// Separates the initial body's reason from the best body's.
 const BEST: &str = ". Best body: ";
@@ -35,7 +35,7 @@ pub(super) fn compare(trial: &Trial, mut state: State, observer: &mut dyn Observ
     (log.report.counters, log.report.seconds) = (state.comparison.counters, state.comparison.seconds);
     let tuned = log.timed(|s| &mut s.simulate, |_| trial.tuned(&design));
     let both = [(initial, &problem.solver), (&design, &tuned.solver)];
-    let both = both.map(|(design, solver)| Mould { trial, design, solver });
+    let both = both.map(|(design, solver)| DesignWithSolver { trial, design, solver });
     let moulds = problem.compared(&both);
     for (turn, mould) in moulds.iter().enumerate() {
         evaluate(mould, turn, &mut state, &mut log)?;
@@ -94,7 +94,7 @@ pub fn evaluate_designs(
 ) -> Vec<BodyEvaluation> {
     let (mut state, mut log) = (State::new(&trial.problem), Log::new(0, observer));
     for (turn, design) in designs.iter().enumerate() {
-        let mould = Mould { trial, design, solver: &trial.tuned(design).solver };
+        let mould = DesignWithSolver { trial, design, solver: &trial.tuned(design).solver };
         if evaluate(&mould, turn, &mut state, &mut log).is_none() {
             break;
         }

@@ -1,7 +1,7 @@
 //! Results of the comparison: fresh decoders on the initial and on the best body.
 
 use super::report::Seconds;
-use crate::brains::{Band, Fresh, Reading};
+use crate::brains::{Band, NetworkTraining, Reading};
 use crate::questions::{Nonlinear, UnderReading};
 use crate::trial::{Counters, FAILED, Problem, Spread, Trouble, mean_error};
 
@@ -181,7 +181,7 @@ pub struct Comparison {
     /// Prediction bands per body, including those on its casts.
     pub bands: Vec<Vec<BandCoverage>>,
     /// The network in training.
-    pub training: Option<Fresh>,
+    pub training: Option<NetworkTraining>,
     /// Counts of work.
     pub counters: Counters,
     /// Seconds.
@@ -192,7 +192,7 @@ impl Comparison {
     /// Completed fraction of the whole trial; `iterations`: those of the network in training.
     pub(super) fn completed_fraction(&self, iterations: usize, problem: &Problem) -> f64 {
         let (long, all) = (problem.evaluation.long.unwrap_or(0), problem.evaluation_iterations());
-        let linear = !problem.reader.is_network();
+        let linear = !problem.decoder_kind.is_network();
         let each = if linear { problem.linear_iterations() } else { problem.brain.iterations };
         let of = |body: &BodyEvaluation| body.networks.len() * each + body.long.len() * long;
         let casts = (0..self.casts.len()).map(|turn| self.casts_read(turn) * problem.linear_iterations());

@@ -5,17 +5,19 @@ use super::inversion::evaluate_inverse;
 use super::observe::{Control, Log};
 use super::report::Report;
 use super::state::State;
-use crate::brains::{Band, Reader, own_reading, reader, readings};
+use crate::brains::{Band, FittedDecoder, new_decoder, own_reading, readings};
 use crate::random::Purpose;
-use crate::trial::{BrainKind, Counters, Mould, Problem, Ridge, Samples, Spread, Trial, Trouble, mean_error};
+use crate::trial::{
+    BrainKind, Counters, DesignWithSolver, Problem, Ridge, Samples, Spread, Trial, Trouble, mean_error,
+};
 
 /// A decoder that is still to be fitted to a body: number, iterations, whether the training is a long one.
-type Lacking = (usize, usize, bool);
+type MissingDecoder = (usize, usize, bool);
 
 impl BodyEvaluation {
     /// The next decoder to fit. A body needs one linear or inverse decoder, without long training.
-    fn next_missing_decoder(&self, problem: &Problem) -> Option<Lacking> {
-        let linear = !problem.reader.is_network();
+    fn next_missing_decoder(&self, problem: &Problem) -> Option<MissingDecoder> {
+        let linear = !problem.decoder_kind.is_network();
         let seeds = if linear { 1 } else { problem.evaluation.seeds };
         let long = problem.evaluation.long.filter(|_| !linear);
         let short =
@@ -28,8 +30,13 @@ impl BodyEvaluation {
 
 /// Fits all decoders that the comparison still lacks on body number `turn`. `None` if the observer stopped it; the observer then
 /// has the state.
-pub(super) fn evaluate(mould: &Mould, turn: usize, state: &mut State, log: &mut Log) -> Option<()> {
-    let &Mould { trial, design, .. } = mould;
+pub(super) fn evaluate(
+    mould: &DesignWithSolver,
+    turn: usize,
+    state: &mut State,
+    log: &mut Log,
+) -> Option<()> {
+    let &DesignWithSolver { trial, design, .. } = mould;
     let problem = &trial.problem;
     let begun = state.comparison.bodies.get(turn);
     if begun.is_some_and(|body| body.next_missing_decoder(problem).is_none()) {
@@ -38,7 +45,7 @@ pub(super) fn evaluate(mould: &Mould, turn: usize, state: &mut State, log: &mut 
     let (begun, counted, mut recipe) = (begun.is_some(), log.report.counters, problem.recipe());
     let sets = log.timed(|s| &mut s.simulate, |report| sets(mould, &mut report.counters));
     let first = state.comparison.bodies.get(turn).is_none_or(|body| body.networks.is_empty());
-    let inverts = problem.reader == BrainKind::Inverse;
+    let inverts = problem.decoder_kind == BrainKind::Inverse;
     let calibration = sets.as_ref().ok().filter(|_| first && !inverts).and_then(|sets| {
         let of = |report: &mut Report| band_calibration_samples(mould, &sets[2], &mut report.counters);
         log.timed(|s| &mut s.simulate, of).ok()
@@ -53,7 +60,7 @@ pub(super) fn evaluate(mould: &Mould, turn: usize, state: &mut State, log: &mut 
                 |s| &mut s.train,
                 |_| {
                     body.readings = readings(trial, sets).unwrap_or_default();
-                    if problem.reader == BrainKind::Linear
+                    if problem.decoder_kind == BrainKind::Linear
                         && let Ok(own) = own_reading(trial, sets, &mut body.readings)
                     {
                         recipe.decoder.ridge = Ridge::Given(own.ridge);
@@ -69,7 +76,7 @@ pub(super) fn evaluate(mould: &Mould, turn: usize, state: &mut State, log: &mut 
     let mut reader = match &sets {
         Ok(sets) => {
             let scales = trial.scales_of(&sets[0].signals);
-            log.timed(|s| &mut s.train, |_| reader(recipe, &sets[0], scales, trial.pool))
+            log.timed(|s| &mut s.train, |_| new_decoder(recipe, &sets[0], scales, trial.pool))
         }
         Err(trouble) => Err(*trouble),
     };
@@ -90,11 +97,11 @@ pub(super) fn evaluate(mould: &Mould, turn: usize, state: &mut State, log: &mut 
 }
 
 /// Training, test and held-out samples of a body.
-fn sets(mould: &Mould, counters: &mut Counters) -> Result<[Samples; 3], Trouble> {
+fn sets(mould: &DesignWithSolver, counters: &mut Counters) -> Result<[Samples; 3], Trouble> {
     let problem = &mould.trial.problem;
     let mut of = |forces| mould.samples(None, forces, counters);
     // all training samples, including those on which the initial body failed
-    let [train, test] = problem.known();
+    let [train, test] = problem.training_and_test();
     let train = if mould.design == problem.initial { mould.trial.initial.clone() } else { of(train)? };
     Ok([train, of(test)?, of(problem.holdout())?])
 }
@@ -107,12 +114,12 @@ const CALIBRATION_SAMPLES: usize = 99;
 /// Samples that calibrate bands: fresh ones, to which neither body nor decoder was fitted. Records have no fresh samples; half of
 /// their shuffled held-out set serves instead.
 fn band_calibration_samples(
-    mould: &Mould,
+    mould: &DesignWithSolver,
     holdout: &Samples,
     counters: &mut Counters,
 ) -> Result<Samples, Trouble> {
     let problem = &mould.trial.problem;
-    match problem.first_judge(holdout.count()) {
+    match problem.first_band_sample(holdout.count()) {
         0 => mould.samples(
             None,
             problem.forces(Purpose::Fresh, CALIBRATION_FIRST, CALIBRATION_SAMPLES),
@@ -126,10 +133,10 @@ fn band_calibration_samples(
 /// of the last body gets prediction bands.
 pub(super) fn fit_and_evaluate(
     trial: &Trial,
-    reader: &mut dyn Reader,
+    reader: &mut dyn FittedDecoder,
     sets: &[Samples; 3],
     calibration: Option<&Samples>,
-    (number, iterations, is_long): Lacking,
+    (number, iterations, is_long): MissingDecoder,
     state: &mut State,
     log: &mut Log,
 ) -> Option<NetworkEvaluation> {
@@ -137,19 +144,19 @@ pub(super) fn fit_and_evaluate(
         if let Some(training) = reader.training() {
             *training = state.comparison.training.take();
         }
-        let (begun, mut wanted) = (log.seconds(), Control::Continue);
+        let (start_seconds, mut control) = (log.seconds(), Control::Continue);
         let mut pauses = |iterations: usize| {
-            wanted = log.progress(state.comparison.completed_fraction(iterations, &trial.problem));
-            wanted == Control::Stop || log.save_is_due()
+            control = log.progress(state.comparison.completed_fraction(iterations, &trial.problem));
+            control == Control::Stop || log.save_is_due()
         };
         let outcome = reader.fit(number as u64, iterations, &sets[2], &mut pauses);
-        log.report.seconds.train += log.seconds() - begun;
+        log.report.seconds.train += log.seconds() - start_seconds;
         if let Some(outcome) = outcome {
             break outcome;
         }
         state.comparison.training = reader.training().and_then(Option::take);
         log.save(state);
-        if wanted == Control::Stop {
+        if control == Control::Stop {
             return None;
         }
     };
@@ -157,14 +164,15 @@ pub(super) fn fit_and_evaluate(
         return Some(NetworkEvaluation::failed(trouble));
     }
     let (error_train, error_test) = (reader.error_known(), mean_error(&reader.errors(&sets[1])));
-    let unseen = reader.errors(&sets[2]);
-    let (error_holdout, spread) = (mean_error(&unseen), Spread::of(&unseen));
-    let keeps = number == 0 && !is_long;
-    let weights = if keeps { reader.weights_at(&trial.network_scales) } else { Vec::new() };
-    if keeps && let Some(calibration) = calibration {
+    let holdout_errors = reader.errors(&sets[2]);
+    let (error_holdout, spread) = (mean_error(&holdout_errors), Spread::of(&holdout_errors));
+    let stores_weights = number == 0 && !is_long;
+    let weights = if stores_weights { reader.weights_at(&trial.network_scales) } else { Vec::new() };
+    if stores_weights && let Some(calibration) = calibration {
         let (known, said) = (reader.predict_known(), reader.predict(&calibration.signals));
         let bands = Band::conformal((&sets[0], &known), (calibration, &said));
-        let (said, first) = (reader.predict(&sets[2].signals), trial.problem.first_judge(sets[2].count()));
+        let (said, first) =
+            (reader.predict(&sets[2].signals), trial.problem.first_band_sample(sets[2].count()));
         let reading = |band: Band| BandCoverage {
             cast: None,
             width: band.width(),

@@ -3,21 +3,21 @@
 use super::evaluation::{BandCoverage, CastDecoder, CastEvaluation, NetworkEvaluation, Regularisation};
 use super::observe::Log;
 use super::state::State;
-use crate::brains::{Band, BandKind, Estimate, Fitted, Inverse, TO_EACH_SIDE};
+use crate::brains::{Band, BandKind, Estimate, Fitted, Inverse, Z_95};
 use crate::identify::{Fit, GoOn};
-use crate::trial::{Counters, Mould, Samples, Spread, Trouble, as_ref_result, mean_error};
+use crate::trial::{Counters, DesignWithSolver, Samples, Spread, Trouble, as_ref_result, mean_error};
 
 /// Numbers of records on which twins are calibrated.
 const RECORDS: [u32; 2] = [10, 30];
 /// Held-out samples per cast that inverse decoders evaluate: each takes as long as about a hundred simulations.
-pub const INVERTED_OF_A_CAST: usize = 16;
+pub const INVERTED_PER_CAST: usize = 16;
 
 /// Errors of the samples of a cast, the decoder's regularisation, and its band.
-type Inverted = (Vec<Option<f64>>, Regularisation, Option<BandCoverage>);
+type InverseErrors = (Vec<Option<f64>>, Regularisation, Option<BandCoverage>);
 
 /// Evaluates the last body's test and held-out samples; `None` if the observer stopped it.
 pub(super) fn evaluate_inverse(
-    &Mould { trial, design, solver }: &Mould,
+    &DesignWithSolver { trial, design, solver }: &DesignWithSolver,
     sets: &Result<[Samples; 3], Trouble>,
     state: &mut State,
     log: &mut Log,
@@ -62,16 +62,16 @@ pub(super) fn evaluate_inverse(
 /// Evaluates a cast, given its training and held-out samples. Decoders: inverse with the design as model (`known`: its training
 /// samples), inverse with twins, linear fitted to twins. `None` if `go_on` returns false.
 pub(super) fn evaluate_inverse_on_cast(
-    mould: &Mould,
+    mould: &DesignWithSolver,
     known: &Result<Samples, Trouble>,
     cast: u32,
     sets: &Result<[Samples; 2], Trouble>,
     counters: &mut Counters,
     go_on: &mut GoOn,
 ) -> Option<(Vec<CastEvaluation>, Vec<BandCoverage>)> {
-    let &Mould { trial, design, solver } = mould;
+    let &DesignWithSolver { trial, design, solver } = mould;
     let (mut readings, mut bands, mut work) = (Vec::new(), Vec::new(), Counters::default());
-    let mut keep = |by: CastDecoder, found: Result<Inverted, Trouble>| {
+    let mut record_errors = |by: CastDecoder, found: Result<InverseErrors, Trouble>| {
         let found = found.map(|(errors, regularisation, band)| {
             bands.extend(band);
             (errors, regularisation)
@@ -79,10 +79,9 @@ pub(super) fn evaluate_inverse_on_cast(
         readings.push(CastEvaluation::new(cast, by, found));
     };
     let sets = as_ref_result(sets);
-    let some = sets.map(|[_, holdout]| {
-        holdout.select(&(0..INVERTED_OF_A_CAST.min(holdout.count())).collect::<Vec<_>>())
-    });
-    let inverted = |by, brain: Result<Inverse, Trouble>, work: &mut Counters, go_on: &mut GoOn| {
+    let some = sets
+        .map(|[_, holdout]| holdout.select(&(0..INVERTED_PER_CAST.min(holdout.count())).collect::<Vec<_>>()));
+    let evaluate_inverter = |by, brain: Result<Inverse, Trouble>, work: &mut Counters, go_on: &mut GoOn| {
         let (mut brain, holdout) = match (brain, &some) {
             (Ok(brain), Ok(some)) => (brain, some),
             (Err(trouble), _) => return Some(Err(trouble)),
@@ -94,7 +93,7 @@ pub(super) fn evaluate_inverse_on_cast(
         Some(Ok((holdout.errors(&forces(&found)), Regularisation::default(), Some(band))))
     };
     let brain = as_ref_result(known).and_then(|known| Inverse::new(trial, design, solver, None, known));
-    keep(CastDecoder::Inverse, inverted(CastDecoder::Inverse, brain, &mut work, go_on)?);
+    record_errors(CastDecoder::Inverse, evaluate_inverter(CastDecoder::Inverse, brain, &mut work, go_on)?);
     // twins need records of the cast
     let most = if trial.problem.evaluation.records { trial.train.samples } else { 0 };
     for n in RECORDS.into_iter().filter(|&n| n as usize <= most) {
@@ -103,7 +102,7 @@ pub(super) fn evaluate_inverse_on_cast(
                 // failed samples carry no information
                 let first: Vec<usize> = (0..n as usize).filter(|&i| !train.failed[i]).collect();
                 // the initial body may have failed under forces that the cast survived
-                let [all, _] = trial.problem.known();
+                let [all, _] = trial.problem.training_and_test();
                 let (forces, records) = (all.select(&first), train.select(&first));
                 let Fit { twin, counters, .. } = Fit::of(mould, (&forces, &records.signals), go_on)?;
                 work.dynamics += counters;
@@ -118,10 +117,10 @@ pub(super) fn evaluate_inverse_on_cast(
             let regularisation = Regularisation { ridge: Some(fitted.ridge), kappa: None };
             Ok((fitted.errors_on(holdout), regularisation, None))
         });
-        keep(CastDecoder::TwinLinear(n), linear);
+        record_errors(CastDecoder::TwinLinear(n), linear);
         let by = CastDecoder::Twin(n);
         let brain = twin.and_then(|(known, twin)| Inverse::new(trial, design, solver, Some(twin), known));
-        keep(by, inverted(by, brain, &mut work, go_on)?);
+        record_errors(by, evaluate_inverter(by, brain, &mut work, go_on)?);
     }
     counters.dynamics += work.dynamics;
     Some((readings, bands))
@@ -134,11 +133,10 @@ fn forces(found: &[Estimate]) -> Vec<f64> {
 
 /// The posterior band around each instant, its coverage, and the number of samples that the model explains.
 fn band(found: &[Estimate], samples: &Samples, cast: Option<(u32, CastDecoder)>) -> BandCoverage {
-    let half: Vec<f64> =
-        found.iter().flat_map(|estimate| &estimate.deviations).map(|d| TO_EACH_SIDE * d).collect();
-    let within = |((f, half), said): &((&f64, &f64), f64)| (*f - said).abs() <= **half;
+    let half: Vec<f64> = found.iter().flat_map(|estimate| &estimate.deviations).map(|d| Z_95 * d).collect();
+    let is_covered = |((f, half), said): &((&f64, &f64), f64)| (*f - said).abs() <= **half;
     let all = samples.targets.iter().zip(&half).zip(forces(found));
-    let inside = all.filter(within).count();
+    let inside = all.filter(is_covered).count();
     let explained = found.iter().filter(|estimate| estimate.is_explained()).count();
     let band = Band { kind: BandKind::Posterior, samples: explained, half_width: Vec::new() };
     let part = |sum: f64| (!half.is_empty()).then(|| sum / half.len() as f64);

@@ -29,9 +29,9 @@ pub enum Control {
 
 /// An observer without a clock that never stops the loop.
 #[derive(Debug)]
-pub struct Nobody;
+pub struct NoObserver;
 
-impl Observe for Nobody {
+impl Observe for NoObserver {
     fn seconds(&mut self) -> f64 {
         0.0
     }

@@ -14,8 +14,8 @@ use crate::brains::{FitOn, Learner, Loss, learner};
 use crate::dynamics::{Forces, Solver};
 use crate::random::Purpose;
 use crate::trial::{
-    CastObjective, CastReader, Continued, Counters, FAILED, Over, Protocol, Response, Samples, Terms, Trial,
-    Trouble,
+    CastObjective, Counters, DecoderSharing, FAILED, ObjectiveDomain, Protocol, Response, Samples,
+    StepTraining, Terms, Trial, Trouble,
 };
 use crate::variation::{Cast, Casts};
 
@@ -61,7 +61,9 @@ impl<'a> Session<'a> {
         match self.trial.problem.optimise.protocol {
             Protocol::Paper(terms) => self.paper(state, terms, log),
             Protocol::Joint(going) => match self.trial.problem.optimise.casting {
-                Some(CastObjective { reader: CastReader::Each, .. }) => self.joint_each(state, going, log),
+                Some(CastObjective { reader: DecoderSharing::Each, .. }) => {
+                    self.joint_each(state, going, log)
+                }
                 _ => self.joint(state, going, log),
             },
             Protocol::Random(_) => self.candidate(state, log),
@@ -99,22 +101,27 @@ impl<'a> Session<'a> {
     }
 
     /// Trains on fresh samples of this and recent bodies; differentiates the loss on this body's samples.
-    fn joint(&mut self, state: &mut State, going: Continued, log: &mut Log) -> Result<StepResult, Trouble> {
+    fn joint(
+        &mut self,
+        state: &mut State,
+        going: StepTraining,
+        log: &mut Log,
+    ) -> Result<StepResult, Trouble> {
         let (learner, step) = (&self.learner, state.step);
         let past: Vec<&PastDesign> =
-            state.recent_designs.iter().filter(|passed| learner.recalls(step - passed.step)).collect();
+            state.recent_designs.iter().filter(|passed| learner.includes_age(step - passed.step)).collect();
         self.recent.retain(|(known, _)| past.iter().any(|passed| passed.step == *known));
         let counted = log.report.counters;
         for passed in past {
             if self.recent.iter().all(|(known, _)| *known != passed.step) {
-                let casts = self.fresh(&passed.design, passed.step, going, false, log)?;
+                let casts = self.simulate_fresh(&passed.design, passed.step, going, false, log)?;
                 self.recent.push((passed.step, joined(&casts)));
             }
         }
         // a resumed loop simulates them again: work counts once
         log.report.counters = counted;
         self.recent.sort_by_key(|(known, _)| *known);
-        let newest = self.fresh(&state.design, step, going, self.moves(step), log)?;
+        let newest = self.simulate_fresh(&state.design, step, going, self.moves(step), log)?;
         self.recent.push((step, joined(&newest)));
 
         let recent = std::mem::take(&mut self.recent);
@@ -126,7 +133,9 @@ impl<'a> Session<'a> {
         for cast in &newest {
             let (loss, cotangent) = self.cotangent(&cast.samples, Loss::Training, log);
             let measure = match self.trial.problem.optimise.casting {
-                None | Some(CastObjective { tail: 1.0, over: Over::Casts, .. }) => Some(loss_train),
+                None | Some(CastObjective { tail: 1.0, over: ObjectiveDomain::Casts, .. }) => {
+                    Some(loss_train)
+                }
                 // equal weights need no ranking
                 Some(CastObjective { tail: 1.0, .. }) => self.learner.error(&cast.samples),
                 Some(_) => loss.or_else(|| self.learner.error(&cast.samples)),
@@ -142,10 +151,10 @@ impl<'a> Session<'a> {
     fn joint_each(
         &mut self,
         state: &mut State,
-        going: Continued,
+        going: StepTraining,
         log: &mut Log,
     ) -> Result<StepResult, Trouble> {
-        let newest = self.fresh(&state.design, state.step, going, self.moves(state.step), log)?;
+        let newest = self.simulate_fresh(&state.design, state.step, going, self.moves(state.step), log)?;
         let mut found = Vec::with_capacity(newest.len());
         for cast in &newest {
             let error = self.learn(FitOn::Cast(&cast.samples), state, log)?;
@@ -166,7 +175,7 @@ impl<'a> Session<'a> {
         &mut self,
         casts: &[Response],
         found: Vec<(Option<f64>, Option<f64>, Vec<f64>)>,
-        going: Continued,
+        settings: StepTraining,
         log: &mut Log,
     ) -> Result<(f64, Vec<f64>), Trouble> {
         let losses: Vec<Option<f64>> = found.iter().map(|(_, loss, _)| *loss).collect();
@@ -177,9 +186,9 @@ impl<'a> Session<'a> {
         let Some(casting) = self.trial.problem.optimise.casting else {
             return Ok((measures[0], gradients.into_iter().next().unwrap_or_default()));
         };
-        let [_, first] = self.first(casting, going, log)?;
+        let [_, first] = self.initial_losses(casting, settings, log)?;
         let (objective, mut weights) = casting.objective(&measures, first);
-        if casting.over == Over::Parts {
+        if casting.over == ObjectiveDomain::Parts {
             // d ln L = dL/L with the differentiated loss L
             let by_loss = weights.iter_mut().zip(&measures).zip(&losses);
             by_loss.for_each(|((by, measure), loss)| *by *= loss.map_or(1.0, |loss| measure / loss));
@@ -197,18 +206,18 @@ impl<'a> Session<'a> {
 
     /// Error (%) and differentiated loss of each part of a mixture on the initial body, with decoders fitted to the first step's
     /// samples; reproducible after a resumption. 1 for a mean of logarithms, whose derivative does not depend on them.
-    fn first(
+    fn initial_losses(
         &mut self,
         casting: CastObjective,
-        going: Continued,
+        going: StepTraining,
         log: &mut Log,
     ) -> Result<&[Vec<f64>; 2], Trouble> {
-        if casting.over == Over::Parts && self.first[0].is_empty() {
+        if casting.over == ObjectiveDomain::Parts && self.first[0].is_empty() {
             self.first = [(); 2].map(|()| vec![1.0; casting.casts]);
             if casting.tail < 1.0 {
                 let (trial, counted) = (self.trial, (log.report.counters, log.report.fresh_samples));
                 let mut learner = learner(trial);
-                let parts = self.fresh(&trial.problem.initial, 0, going, false, log)?;
+                let parts = self.simulate_fresh(&trial.problem.initial, 0, going, false, log)?;
                 for (number, part) in parts.iter().enumerate() {
                     let mut learnt = State::new(&trial.problem).decoder_state;
                     let counters = &mut log.report.counters;
@@ -315,7 +324,7 @@ impl<'a> Session<'a> {
             |at: usize, counters: &mut Counters| self.trial.vjp(&casts[at], cotangents[at].clone(), counters);
         log.timed(
             |s| &mut s.differentiate,
-            |report| self.trial.side_by_side(casts.len(), &mut report.counters, one).into_iter().collect(),
+            |report| self.trial.map_parallel(casts.len(), &mut report.counters, one).into_iter().collect(),
         )
     }
 
@@ -331,17 +340,19 @@ impl<'a> Session<'a> {
         if !problem.optimise.looks_at_test(state.step) {
             return Ok(None);
         }
-        let seen = |cast: Option<&Cast>, forces: Forces, counters: &mut Counters| {
+        let simulate_set = |cast: Option<&Cast>, forces: Forces, counters: &mut Counters| {
             let (design, solver) = (&state.design, &problem.solver);
             trial.simulate_cast(cast, design, forces, solver, false, counters).map(|found| found.samples)
         };
         let Some(casting) = problem.optimise.casting else {
-            let test = log
-                .timed(|s| &mut s.simulate, |report| seen(None, trial.test.clone(), &mut report.counters))?;
+            let test = log.timed(
+                |s| &mut s.simulate,
+                |report| simulate_set(None, trial.test.clone(), &mut report.counters),
+            )?;
             return Ok(self.test_error(&test, log));
         };
         let Protocol::Joint(going) = problem.optimise.protocol else { return Ok(None) };
-        let parts = (casting.over == Over::Parts).then(|| problem.parts());
+        let parts = (casting.over == ObjectiveDomain::Parts).then(|| problem.parts());
         let casts = if parts.is_some() { casting.casts } else { TEST_CASTS.min(trial.test.samples) };
         // the samples of one part of a mixture, or every `casts`-th sample
         let dealt = |number: usize, set: usize, forces: &Forces, most: usize| {
@@ -351,15 +362,16 @@ impl<'a> Session<'a> {
             };
             forces.select(&(0..forces.samples).filter(is_own).take(most).collect::<Vec<_>>())
         };
-        let each = casting.reader == CastReader::Each;
+        let each = casting.reader == DecoderSharing::Each;
         let one = |number: usize, counters: &mut Counters| {
             let cast = trial.cast(Casts::Look, number as u64);
-            let mut of = |set, forces, most| seen(cast.as_ref(), dealt(number, set, forces, most), counters);
+            let mut of =
+                |set, forces, most| simulate_set(cast.as_ref(), dealt(number, set, forces, most), counters);
             let train = each.then(|| of(0, &trial.train, going.batch)).transpose()?;
             Ok::<_, Trouble>((train, of(1, &trial.test, usize::MAX)?))
         };
         let all =
-            log.timed(|s| &mut s.simulate, |report| trial.side_by_side(casts, &mut report.counters, one));
+            log.timed(|s| &mut s.simulate, |report| trial.map_parallel(casts, &mut report.counters, one));
         let mut errors = Vec::with_capacity(casts);
         for of_cast in all {
             let error = || {
@@ -377,24 +389,25 @@ impl<'a> Session<'a> {
         if errors.is_empty() || parts.is_some() && errors.len() < casts {
             return Ok(None);
         }
-        let [first, _] = self.first(casting, going, log)?;
+        let [first, _] = self.initial_losses(casting, going, log)?;
         log.report.error_test = Some(casting.objective(&errors, first).0);
         Ok(log.report.error_test)
     }
 
     /// Simulates a body under the samples of one step of `joint`; each cast has its own samples. Counts the samples of the report's
     /// step.
-    fn fresh(
+    fn simulate_fresh(
         &self,
         design: &[f64],
         step: u32,
-        going: Continued,
+        going: StepTraining,
         keep_tape: bool,
         log: &mut Log,
     ) -> Result<Vec<Response>, Trouble> {
         let (trial, solver) = (self.trial, self.solver());
         let casts = trial.problem.optimise.casting.map_or(1, |casting| casting.casts);
-        let over_parts = trial.problem.optimise.casting.is_some_and(|casting| casting.over == Over::Parts);
+        let over_parts =
+            trial.problem.optimise.casting.is_some_and(|casting| casting.over == ObjectiveDomain::Parts);
         let one = |cast: usize, counters: &mut Counters| {
             let number = u64::from(step) * casts as u64 + cast as u64;
             let forces = match over_parts {
@@ -409,7 +422,7 @@ impl<'a> Session<'a> {
         };
         let responses: Result<Vec<Response>, Trouble> = log.timed(
             |s| &mut s.simulate,
-            |report| trial.side_by_side(casts, &mut report.counters, one).into_iter().collect(),
+            |report| trial.map_parallel(casts, &mut report.counters, one).into_iter().collect(),
         );
         let responses = responses?;
         if step == log.report.step {

@@ -1,12 +1,12 @@
 //! Schedule of the outer loop: learning rates, test evaluations, and progress.
 
-use crate::trial::{CastReader, Optimise, Problem, Protocol};
+use crate::trial::{DecoderSharing, Optimise, Problem, Protocol};
 
 /// Fractions of a loop after which a design search may stop a trial.
 pub const RUNGS: [f64; 2] = [1.0 / 9.0, 1.0 / 3.0];
 /// Fractions of a loop after which a design is evaluated on the test set, unless the protocol always does so. The rate falls, so
 /// the best design is nearly always a late one.
-const LOOKS: [f64; 5] = [0.0, RUNGS[0], RUNGS[1], 0.6, 0.8];
+const TEST_FRACTIONS: [f64; 5] = [0.0, RUNGS[0], RUNGS[1], 0.6, 0.8];
 /// These evaluations take place at multiples of this number of steps.
 const APART: u32 = 10;
 
@@ -18,7 +18,7 @@ pub fn evaluation_step_near(steps: u32, part: f64) -> u32 {
 
 /// Whether a step evaluates the test set; the last of `steps` always does.
 fn is_look(steps: u32, step: u32) -> bool {
-    step + 1 == steps || LOOKS.iter().any(|part| evaluation_step_near(steps, *part) == step)
+    step + 1 == steps || TEST_FRACTIONS.iter().any(|part| evaluation_step_near(steps, *part) == step)
 }
 
 /// Fraction of `steps` that evaluate the test set.
@@ -53,7 +53,7 @@ impl Optimise {
     /// Whether a step evaluates the test set.
     pub(super) fn looks_at_test(&self, step: u32) -> bool {
         // a decoder per cast has too few samples for its error to select a body
-        let each = self.casting.is_some_and(|casting| casting.reader == CastReader::Each);
+        let each = self.casting.is_some_and(|casting| casting.reader == DecoderSharing::Each);
         is_look(self.iterations, step) && !each || step + 1 == self.iterations
     }
 }
@@ -85,7 +85,7 @@ impl Problem {
         let casts = self.evaluation.casts * self.linear_iterations();
         casts
             + self.network_of_casts()
-            + match self.reader {
+            + match self.decoder_kind {
                 reader if reader.is_network() => {
                     self.evaluation.seeds * (self.brain.iterations + self.evaluation.long.unwrap_or(0))
                 }
@@ -95,7 +95,7 @@ impl Problem {
 
     /// Iterations of the network that is trained on casts of a body.
     pub(super) fn network_of_casts(&self) -> usize {
-        let any = self.evaluation.casts > 0 && self.reader.is_network();
+        let any = self.evaluation.casts > 0 && self.decoder_kind.is_network();
         if any { self.brain.iterations } else { 0 }
     }
 

@@ -65,8 +65,10 @@ impl<'a> GradientFree<'a> {
         };
         if state.step > 0 {
             let target = self.target(state.fitness.len());
-            let [asked, lost] = [initial, &state.design].map(|from| distance(&target, from));
-            let fitness = error * (1.0 + (lost / asked.max(f64::MIN_POSITIVE)).powi(2));
+            let [target_distance, projection_distance] =
+                [initial, &state.design].map(|from| distance(&target, from));
+            let fitness =
+                error * (1.0 + (projection_distance / target_distance.max(f64::MIN_POSITIVE)).powi(2));
             state.fitness.push(fitness);
         }
         let target = self.target(state.fitness.len());

@@ -4,7 +4,7 @@ use super::evaluation::Comparison;
 use super::report::Report;
 use crate::body::Freedom;
 use crate::brain::{Adam, TrainOutcome};
-use crate::brains::Learnt;
+use crate::brains::DecoderState;
 use crate::feasible::{Castable, Projection};
 use crate::trial::{Failure, Problem, Trouble};
 
@@ -18,7 +18,7 @@ pub struct State {
     /// Adam on α.
     pub design_adam: Adam<f64>,
     /// State of the decoder that carries over to the next body.
-    pub decoder_state: Learnt,
+    pub decoder_state: DecoderState,
     /// The design of least test error so far.
     pub best: Option<Best>,
     /// Factor on the protocol's learning rate of α, at most 1: halved when a step is undone, raised by 10 % otherwise.
@@ -70,7 +70,7 @@ impl State {
             step: 0,
             design: problem.initial.clone(),
             design_adam: Adam::new(problem.initial.len()),
-            decoder_state: Learnt::nothing(problem.shape().weights()),
+            decoder_state: DecoderState::untrained(problem.shape().weights()),
             best: None,
             rate_factor: 1.0,
             consecutive_undone: 0,
@@ -161,7 +161,8 @@ impl State {
         // a dead or diverged network is replaced
         if matches!(trouble, Trouble::Training(_)) {
             let ridge = self.decoder_state.ridge;
-            self.decoder_state = Learnt { ridge, ..Learnt::nothing(self.decoder_state.adam.m.len()) };
+            self.decoder_state =
+                DecoderState { ridge, ..DecoderState::untrained(self.decoder_state.adam.m.len()) };
             self.trend = None;
         }
         Ok(self)

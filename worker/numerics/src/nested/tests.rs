@@ -2,14 +2,14 @@ use super::*;
 use crate::body::{Layout, Pattern};
 use crate::brain::linear::Lags;
 use crate::brain::{self, Architecture, Data, TrainOutcome, Workspace};
-use crate::dynamics::{Accuracy, Frame, Method, Panel, Parts, Scene, Solver, Stiffness};
+use crate::dynamics::{Accuracy, Frame, Method, Panel, PartFactors, Scene, Solver, Stiffness};
 use crate::feasible::{Feasible, Limits};
 use crate::questions::{UnderReading, bound, nonlinear, replay, sense};
 use crate::random::{Purpose, Stream};
 use crate::stimuli::{Bell, Source};
 use crate::trial::{
-    BrainKind, Continued, Counters, Decoder, Disturbance, Evaluation, Mould, Optimise, Polygons, Problem,
-    Protocol, Ridge, Scaling, Schedule, Size, Stimuli, Terms, Training, Trouble,
+    BrainKind, Counters, Decoder, DesignWithSolver, Disturbance, Evaluation, Optimise, Polygons, Problem,
+    Protocol, Ridge, Scaling, Schedule, Size, StepTraining, Stimuli, Terms, Training, Trouble,
 };
 
 mod casts;
@@ -29,7 +29,7 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
             layout,
             density: 1e-8,
             stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
-            parts: Parts::default(),
+            parts: PartFactors::default(),
             relaxation: None,
             damping_ratio: 0.02,
             damping: None,
@@ -38,7 +38,7 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
             linearised: false,
             clamped: vec![0, 1, 2, 3],
             guided: Vec::new(),
-            pressed: Vec::new(),
+            imposed: Vec::new(),
             panels: vec![Panel::central(9, direction), Panel::central(10, direction)],
             sensors: vec![5],
             chip: None,
@@ -71,7 +71,7 @@ pub(crate) fn small(protocol: Protocol) -> Problem {
         disturbance: None,
         relative_to: None,
         variation: None,
-        reader: BrainKind::Network,
+        decoder_kind: BrainKind::Network,
         decoder: Decoder { lags: Lags::whole(40), ridge: Ridge::Auto },
         brain: Training {
             iterations: 30,
@@ -127,7 +127,7 @@ pub(crate) fn on_lattices(problem: &Problem) -> Vec<(String, Problem)> {
     found
 }
 
-pub(crate) const GOING: Continued = Continued { batch: 5, brain_iterations: 3, brain_rate: 1e-3 };
+pub(crate) const GOING: StepTraining = StepTraining { batch: 5, brain_iterations: 3, brain_rate: 1e-3 };
 const PROTOCOLS: [Protocol; 3] =
     [Protocol::Paper(Terms::Implicit), Protocol::Joint(GOING), Protocol::Random(GOING)];
 
@@ -253,7 +253,7 @@ fn a_resumed_loop_ends_at_the_same_bits_on_any_number_of_threads() {
 #[test]
 fn a_comparison_goes_on_from_each_saved_state_to_the_same_bits() {
     for reader in [BrainKind::Network, BrainKind::Linear, BrainKind::Stacked] {
-        let mut problem = Problem { reader, ..small(PROTOCOLS[2]) };
+        let mut problem = Problem { decoder_kind: reader, ..small(PROTOCOLS[2]) };
         (problem.optimise.iterations, problem.brain.iterations, problem.evaluation.long) = (2, 4, Some(6));
         quicken(&mut problem);
         let run = |state, threads, clock_stands| {
@@ -362,7 +362,7 @@ fn a_body_is_read_on_its_own_scale() {
     let mut stream = Stream::new(Purpose::Design, 2, [0, 0]);
     let other: Vec<f64> = begun_with.initial.iter().map(|a| a + 0.4 * stream.normal()).collect();
     for reader in [BrainKind::Network, BrainKind::Stacked] {
-        let mine = Problem { reader, ..begun_with.clone() };
+        let mine = Problem { decoder_kind: reader, ..begun_with.clone() };
         let its_own = Problem { initial: other.clone(), ..mine.clone() };
         let [here, there] = [&mine, &its_own].map(|problem| {
             let pool = pool(1);
@@ -454,7 +454,7 @@ fn tied_shifts_stay_tied_and_castable() {
 fn a_search_keeps_the_best_of_its_candidates() {
     let protocol = Protocol::Random(GOING);
     let mut problem = small(protocol);
-    (problem.optimise.iterations, problem.optimise.brain, problem.reader) =
+    (problem.optimise.iterations, problem.optimise.brain, problem.decoder_kind) =
         (25, BrainKind::Linear, BrainKind::Linear);
     problem.optimise.rate = 1.0;
     let mut keeper = Keeper::default();

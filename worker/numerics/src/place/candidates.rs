@@ -5,7 +5,7 @@
 
 use super::{CANDIDATES, FIRST_RIDGE, NoPlacement, Placed, Scores};
 use crate::brain::linear::Sizes;
-use crate::brains::Plain;
+use crate::brains::ScaledSamples;
 use crate::brains::ridge::assign_folds;
 use crate::dynamics::Scene;
 use crate::trial::{Counters, Failure, Optimise, Placing, Problem, Trial, Trouble};
@@ -20,7 +20,7 @@ const GROUP: usize = 8;
 pub struct Candidates {
     /// Units, in the order of their channels.
     pub units: Vec<usize>,
-    samples: Plain,
+    samples: ScaledSamples,
     dealt: Vec<usize>,
     /// Whether the energies of signals, as additional inputs, lower the error.
     energies: bool,
@@ -50,7 +50,7 @@ impl Candidates {
             let response = trial.simulate(design, &trial.train, &solver, false, counters);
             response.map_err(Failure::Initial)?.samples
         };
-        let samples = Plain::of(&heard, &trial.scales, pool);
+        let samples = ScaledSamples::of(&heard, &trial.scales, pool);
         let dealt = assign_folds(problem.seed, heard.count());
         // Forces must occur in at least two folds.
         let mut struck = dealt.iter().zip(&samples.w).filter(|(_, w)| **w > 0.0).map(|(fold, _)| fold);
@@ -113,13 +113,13 @@ impl Candidates {
         let rows = self.samples.x.chunks_exact(self.samples.sizes.channels);
         let x = rows.flat_map(|row| from.iter().map(|&c| row[c])).collect();
         let sizes = Sizes { channels: from.len(), ..self.samples.sizes };
-        let samples = Plain { sizes, x, ..self.samples.clone() };
+        let samples = ScaledSamples { sizes, x, ..self.samples.clone() };
         Self { units: units.to_vec(), samples, dealt: self.dealt.clone(), energies: self.energies }
     }
 
     /// Prepares errors of subsets of the units.
     pub fn scores<'a>(&self, problem: &'a Problem, pool: &'a crate::Pool) -> Scores<'a> {
-        let Plain { sizes, x, y, w, .. } = &self.samples;
+        let ScaledSamples { sizes, x, y, w, .. } = &self.samples;
         Scores::new(
             &problem.scene.layout,
             self.units.clone(),

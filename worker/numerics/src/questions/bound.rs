@@ -124,7 +124,7 @@ fn decoder_error_bound(
     };
     let mut model = |at: &[Vec<f64>]| -> Vec<Option<ModelOutput>> {
         let forces = forces(at);
-        let found = run(scene, design, &forces.on(scene), plan, false, pool);
+        let found = run(scene, design, &forces.refined_for(scene), plan, false, pool);
         let read = problem.read(found.signals, forces.samples);
         let (readings, targets) = (read.len() / at.len().max(1), problem.targets(&forces));
         let one = targets.len() / at.len().max(1);

@@ -8,7 +8,7 @@
 
 use crate::dynamics::{Accuracy, Forces, Outcome, Simulation, Solver, signal_error, simulate, touches};
 use crate::random::Purpose;
-use crate::trial::{Counters, Mould};
+use crate::trial::{Counters, DesignWithSolver};
 
 /// ε: causes errors of 1e-5 in s_lin, a thousand times the rounding error.
 const SMALL: f64 = 1e-5;
@@ -22,8 +22,8 @@ pub type Nonlinear = [f64; 2];
 
 /// Nonlinear share of a body under the first held-out samples, without chip effects; `None` if a simulation fails, if parts touch
 /// at rest, or if the body does not consist of polygons.
-pub(crate) fn nonlinear(mould: &Mould, counters: &mut Counters) -> Option<Nonlinear> {
-    let &Mould { trial, design, solver } = mould;
+pub(crate) fn nonlinear(mould: &DesignWithSolver, counters: &mut Counters) -> Option<Nonlinear> {
+    let &DesignWithSolver { trial, design, solver } = mould;
     let (problem, scene) = (&trial.problem, &trial.problem.scene);
     if scene.layout.units() == 0 || touches(scene, design) {
         return None;

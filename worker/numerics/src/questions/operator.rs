@@ -44,7 +44,7 @@ pub fn compute_figures(problem: &Problem, design: &[f64]) -> OperatorFigures {
     let scene = &problem.scene;
     let (bins, panels) = (scene.instants / 2, scene.panels.len());
     let frequencies: Vec<f64> = (1..=bins).map(|b| b as f64 / scene.duration).collect();
-    let power = power(&problem.targets(&problem.known()[0]), scene.instants, panels, bins);
+    let power = power(&problem.targets(&problem.training_and_test()[0]), scene.instants, panels, bins);
     // G per frequency: channels of each sensor in turn, by panels.
     let operators = |rest: &Rest, found: Vec<Vec<Vec<Response>>>| -> Vec<Mat<c64>> {
         let (each, rows) = (problem.channels.len(), problem.channels.len() * scene.sensors.len());

@@ -4,12 +4,12 @@
 
 use crate::Pool;
 use crate::brain::linear::{Lags, Sizes};
-use crate::brains::{Fitted, Fresh, Inverse, TO_EACH_SIDE, predict_on, reader};
+use crate::brains::{Fitted, Inverse, NetworkTraining, Z_95, new_decoder, predict_on};
 use crate::dynamics::{Forces, simulate};
 use crate::random::Purpose;
 use crate::trial::{
-    BrainKind, Decoder, Failure, Problem, Samples, Scales, Trial, all_well, few_failed, pilot, silence,
-    simulated, tuned,
+    BrainKind, Decoder, Failure, Problem, Samples, Scales, Trial, check_failures, check_outcomes,
+    clear_failed_forces, pilot, simulated, tuned,
 };
 
 /// Response of a body and its decoder to every sample of a trial.
@@ -62,20 +62,20 @@ pub fn replay(
     let simulation = simulated(problem, &problem.scene, design, &forces, &solver, false, pool);
     for set in 0..3 {
         let own = simulation.outcomes.iter().zip(&kinds).filter(|(_, kind)| **kind == set);
-        few_failed(&own.map(|(outcome, _)| *outcome).collect::<Vec<_>>()).map_err(Failure::Initial)?;
+        check_failures(&own.map(|(outcome, _)| *outcome).collect::<Vec<_>>()).map_err(Failure::Initial)?;
     }
-    let failed = silence(&mut forces, &simulation.outcomes);
-    let signals = trial.heard(simulation.signals, &forces);
+    let failed = clear_failed_forces(&mut forces, &simulation.outcomes);
+    let signals = trial.disturbed_signals(simulation.signals, &forces);
     let all = problem.samples(signals, &forces).with_failed(failed);
     let (mut predictions, mut errors) = (Vec::new(), Vec::new());
     if !weights.is_empty() {
         predictions = predicted(&trial, &all, weights, &kinds)?;
         errors = all.errors(&predictions);
     }
-    let scales = if problem.reader.is_network() { &trial.network_scales } else { &trial.scales };
+    let scales = if problem.decoder_kind.is_network() { &trial.network_scales } else { &trial.scales };
     let Scales { offset, channels, mean, deviation } = scales.clone();
     let mut replay = Replay {
-        forces: problem.seen(forces),
+        forces: problem.to_signal_clock(forces),
         split: kinds,
         signals: all.signals,
         failed: all.failed,
@@ -87,7 +87,7 @@ pub fn replay(
         force_mean: mean,
         force_deviation: deviation,
     };
-    if problem.reader == BrainKind::Linear {
+    if problem.decoder_kind == BrainKind::Linear {
         let brain = replay.linear(problem, &problem.decoder, pool)?;
         (replay.predictions, replay.errors) = (brain.predictions, brain.errors);
     }
@@ -99,8 +99,10 @@ fn predicted(trial: &Trial, all: &Samples, weights: &[f32], kinds: &[u8]) -> Res
     let training: Vec<usize> = (0..kinds.len()).filter(|&i| kinds[i] == 0).collect();
     let known = all.select(&training);
     let scales = [trial.scales.clone(), trial.network_scales.clone()];
-    let mut reader = reader(trial.problem.recipe(), &known, scales, trial.pool).map_err(Failure::Initial)?;
-    *reader.training().expect("a brain with weights is a network") = Some(Fresh::of(weights.to_vec()));
+    let mut reader =
+        new_decoder(trial.problem.recipe(), &known, scales, trial.pool).map_err(Failure::Initial)?;
+    *reader.training().expect("a brain with weights is a network") =
+        Some(NetworkTraining::of(weights.to_vec()));
     let mut predictions = reader.predict(&all.signals);
     let one = predictions.len() / kinds.len();
     for (own, sample) in reader.predict_known().chunks_exact(one).zip(training) {
@@ -160,7 +162,7 @@ impl Replay {
         for (estimate, i) in found.iter().zip(read) {
             let at = i * one..(i + 1) * one;
             forces[at.clone()].copy_from_slice(&estimate.forces);
-            let own = estimate.deviations.iter().map(|deviation| TO_EACH_SIDE * deviation);
+            let own = estimate.deviations.iter().map(|deviation| Z_95 * deviation);
             half_widths[at].iter_mut().zip(own).for_each(|(slot, half)| *slot = half);
         }
         let known = |error: Option<f64>| error.filter(|error| error.is_finite());
@@ -241,7 +243,7 @@ pub fn motion(
     let solver = pilot(problem, design, &problem.solver, pool).solver;
     let forces = all_forces(problem).select(&[sample]);
     let simulation = simulate(&problem.scene, design, &forces, &solver, true, pool);
-    all_well(&simulation.outcomes).map_err(Failure::Initial)?;
+    check_outcomes(&simulation.outcomes).map_err(Failure::Initial)?;
     let tape = simulation.tape.expect("asked for");
     let states = (1..=problem.scene.instants).map(|n| tape.state(0, n));
     let (displacements, velocities) = states.unzip();
@@ -260,9 +262,9 @@ pub fn sense(
 ) -> Result<Vec<f64>, Failure> {
     let solver = tuned(problem, &problem.scene, design, forces, &problem.solver, pool).solver;
     let simulation = simulated(problem, &problem.scene, design, forces, &solver, false, pool);
-    all_well(&simulation.outcomes).map_err(Failure::Initial)?;
+    check_outcomes(&simulation.outcomes).map_err(Failure::Initial)?;
     match problem.disturbance {
-        Some(_) => Ok(Trial::new(problem, pool)?.heard(simulation.signals, forces)),
+        Some(_) => Ok(Trial::new(problem, pool)?.disturbed_signals(simulation.signals, forces)),
         None => Ok(problem.read(simulation.signals, forces.samples)),
     }
 }

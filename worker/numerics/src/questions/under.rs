@@ -2,7 +2,7 @@
 //! under the trial's. The former shows what information remains, the latter how a decoder transfers.
 
 use crate::brains::Fitted;
-use crate::trial::{Counters, Mould, Spread, Trouble, as_ref_result, mean_error};
+use crate::trial::{Counters, DesignWithSolver, Spread, Trouble, as_ref_result, mean_error};
 
 /// Error of one linear decoder under one kind of forces.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,23 +19,24 @@ pub struct UnderReading {
 
 /// Errors of a body under all further kinds, per kind first the decoder fitted under it. `mould` has the solver tuned under the
 /// trial's forces.
-pub(crate) fn under(mould: &Mould, counters: &mut Counters) -> Vec<UnderReading> {
-    let &Mould { trial, design, .. } = mould;
+pub(crate) fn under(mould: &DesignWithSolver, counters: &mut Counters) -> Vec<UnderReading> {
+    let &DesignWithSolver { trial, design, .. } = mould;
     let problem = &trial.problem;
     if problem.under.is_empty() {
         return Vec::new();
     }
-    let [train, _] = problem.known();
+    let [train, _] = problem.training_and_test();
     let known = mould.samples(None, train, counters);
     let carried = known.and_then(|known| Fitted::of(trial, &known));
     let mut found = Vec::with_capacity(2 * problem.under.len());
     for (kind, source) in problem.under.iter().enumerate() {
-        let there = trial.under(source, design).map_err(|failure| failure.trouble()).and_then(|there| {
-            counters.dynamics += there.pilots;
-            let body = Mould { trial: &there, design, solver: &there.problem.solver };
-            let read = body.samples(None, there.problem.holdout(), counters)?;
-            Ok((there, read))
-        });
+        let there =
+            trial.with_source(source, design).map_err(|failure| failure.trouble()).and_then(|there| {
+                counters.dynamics += there.pilots;
+                let body = DesignWithSolver { trial: &there, design, solver: &there.problem.solver };
+                let read = body.samples(None, there.problem.holdout(), counters)?;
+                Ok((there, read))
+            });
         let there = as_ref_result(&there);
         let own =
             there.and_then(|(there, holdout)| Ok(Fitted::of(there, &there.initial)?.errors_on(holdout)));

@@ -14,7 +14,7 @@ use crate::dynamics::{Forces, Panel, Strike};
 use crate::random::{Purpose, Stream};
 pub use irregular::{Irregular, irregular};
 use recorded::mirrored_low_pass;
-pub use recorded::{Deal, REACH, Recorded, anti_aliased, anti_aliased_force, resample};
+pub use recorded::{REACH, RecordSplit, Recorded, anti_aliased, anti_aliased_force, resample};
 
 /// Intervals `[min, max]` of the uniform distributions of a bell pulse's parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -77,7 +77,7 @@ pub enum Source {
     /// Each sample from one of these sources, drawn by their weights, which sum to 1.
     Mix(Vec<(f64, Source)>),
     /// Another source, with random deviations of point and direction.
-    Struck(Hand, Box<Source>),
+    Struck(StrikeScatter, Box<Source>),
     /// Another source, with each panel silent with this probability.
     Silent(f64, Box<Source>),
 }
@@ -100,14 +100,14 @@ impl Source {
 
 /// Standard deviations of blows from a panel's centroid and direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Hand {
+pub struct StrikeScatter {
     /// Offset across the panel's direction (mm).
     pub offset: f64,
     /// Angle (rad).
     pub angle: f64,
 }
 
-impl Hand {
+impl StrikeScatter {
     /// Deviating blows (N, K); each depends on (purpose, seed, sample, panel) only, not on the forces.
     pub fn strikes(&self, panels: &[Panel], purpose: Purpose, seed: u64, samples: Range<u64>) -> Vec<Strike> {
         let strike = |sample: u64, k: usize| {

@@ -31,7 +31,7 @@ pub struct Recorded {
 
 /// How records are divided into sets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Deal {
+pub struct RecordSplit {
     /// Seed of the split.
     pub seed: u64,
     /// Number of records for training and test set.
@@ -49,14 +49,14 @@ impl Recorded {
     /// If there are too few records.
     pub fn forces(
         &self,
-        deal: Deal,
+        deal: RecordSplit,
         purpose: Purpose,
         first: u64,
         count: usize,
         panels: usize,
         duration: f64,
     ) -> Forces {
-        let Deal { seed, samples, test, replacement } = deal;
+        let RecordSplit { seed, samples, test, replacement } = deal;
         let order = Stream::new(Purpose::Split, seed, [self.histories.samples as u64, 1])
             .permutation(self.histories.samples);
         let instants = self.histories.instants;
@@ -83,7 +83,15 @@ impl Recorded {
     }
 
     /// Appends a record, with its histories at their panels.
-    fn add(&self, record: usize, deal: Deal, panels: usize, factor: f64, shift: i64, values: &mut Vec<f64>) {
+    fn add(
+        &self,
+        record: usize,
+        deal: RecordSplit,
+        panels: usize,
+        factor: f64,
+        shift: i64,
+        values: &mut Vec<f64>,
+    ) {
         let held = self.histories.panels;
         let struck = match &self.struck {
             Some(struck) => struck[record],

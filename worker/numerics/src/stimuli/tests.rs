@@ -151,7 +151,7 @@ fn records_are_dealt_out_once_and_varied_when_drawn_afresh() {
         shift: [-0.1, 0.1],
         low_pass: true,
     };
-    let deal = Deal { seed: 3, samples: 8, test: 2, replacement: false };
+    let deal = RecordSplit { seed: 3, samples: 8, test: 2, replacement: false };
     let draw = |purpose, count| source.forces(deal, purpose, 0, count, 2, 1.0);
     let peaks = |forces: &Forces| -> Vec<f64> {
         (0..forces.samples).map(|i| forces.sample(i).iter().copied().fold(0.0, f64::max)).collect()

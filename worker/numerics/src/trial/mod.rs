@@ -17,7 +17,7 @@ mod settings;
 
 pub use body::{Body, Fault, Motion, Pilot, Polygons, Run, Tape};
 pub use chip::{Chip, Disturbance, Size};
-pub(crate) use mould::Mould;
+pub(crate) use mould::DesignWithSolver;
 pub(crate) use outcome::as_ref_result;
 pub use outcome::{Counters, Failure, Trouble};
 pub use problem::{Placing, Problem, Stimuli};
@@ -25,8 +25,8 @@ pub use samples::{FAILED, Samples, Spread, mean_error};
 pub(crate) use samples::{error_of_each, pick};
 pub(crate) use scales::Scales;
 pub use settings::{
-    BrainKind, CastObjective, CastReader, Continued, Decoder, Evaluation, Optimise, Over, Protocol, Ridge,
-    Scaling, Schedule, Terms, Training,
+    BrainKind, CastObjective, Decoder, DecoderSharing, Evaluation, ObjectiveDomain, Optimise, Protocol,
+    Ridge, Scaling, Schedule, StepTraining, Terms, Training,
 };
 
 use crate::dynamics::{self, Forces, Outcome, Scene, Solver};
@@ -54,7 +54,7 @@ pub struct Trial<'a> {
     /// The accurate integrator of the initial body; `pilots` contains the work of its pilot.
     usual: Pilot,
     /// The accurate integrator of the spec, not tuned.
-    asked: Solver,
+    requested_solver: Solver,
     pub(crate) train: Forces,
     pub(crate) test: Forces,
     pub(crate) scales: Scales,
@@ -88,23 +88,23 @@ impl<'a> Trial<'a> {
     /// # Panics
     /// If the sensors have no units yet, or two share a unit.
     pub fn new(problem: &Problem, pool: &'a crate::Pool) -> Result<Self, Failure> {
-        Self::with(problem, pool, None)
+        Self::with_chip(problem, pool, None)
     }
 
     /// Prepares another body under forces of another kind, with the same chips.
     ///
     /// # Errors
     /// If the body cannot be simulated.
-    pub(crate) fn under(&self, source: &Source, design: &[f64]) -> Result<Self, Failure> {
+    pub(crate) fn with_source(&self, source: &Source, design: &[f64]) -> Result<Self, Failure> {
         let stimuli = Stimuli { source: source.clone(), ..self.problem.stimuli.clone() };
-        let (initial, solver, under) = (design.to_vec(), self.asked, Vec::new());
+        let (initial, solver, under) = (design.to_vec(), self.requested_solver, Vec::new());
         let mut problem = Problem { stimuli, initial, solver, under, ..self.problem.clone() };
         problem.optimise.coarse = None;
-        Self::with(&problem, self.pool, self.chip.clone())
+        Self::with_chip(&problem, self.pool, self.chip.clone())
     }
 
     /// Without `chip`, noise is relative to the signals of the initial body or of `problem.relative_to`.
-    fn with(problem: &Problem, pool: &'a crate::Pool, chip: Option<Chip>) -> Result<Self, Failure> {
+    fn with_chip(problem: &Problem, pool: &'a crate::Pool, chip: Option<Chip>) -> Result<Self, Failure> {
         assert!(problem.search.is_none(), "the sensors are not in place");
         let sensors = &problem.scene.sensors;
         assert!(
@@ -123,11 +123,11 @@ impl<'a> Trial<'a> {
             problem.optimise.coarse = Some(coarse.solver);
         }
 
-        let [mut train, test] = problem.known();
+        let [mut train, test] = problem.training_and_test();
         let plain = |design: &[f64], solver: &Solver, forces: &mut Forces| -> Result<Samples, Failure> {
             let motion = simulated(&problem, &problem.scene, design, forces, solver, false, pool);
-            few_failed(&motion.outcomes).map_err(Failure::Initial)?;
-            let failed = silence(forces, &motion.outcomes);
+            check_failures(&motion.outcomes).map_err(Failure::Initial)?;
+            let failed = clear_failed_forces(forces, &motion.outcomes);
             let signals = problem.read(motion.signals, forces.samples);
             Ok(problem.samples(signals, forces).with_failed(failed))
         };
@@ -157,14 +157,15 @@ impl<'a> Trial<'a> {
             Scaling::Rms => scales.clone(),
             Scaling::Extremes => Scales::by_extremes(&initial),
         };
-        let likeness = problem.variation.map_or(Vec::new(), |v| v.likeness(&problem.scene.layout, pool));
+        let likeness =
+            problem.variation.map_or(Vec::new(), |v| v.correlation_factor(&problem.scene.layout, pool));
         Ok(Self {
             problem,
             pool,
             reason,
             usual: Pilot { counters: dynamics::Counters::default(), ..usual },
             pilots,
-            asked,
+            requested_solver: asked,
             train,
             test,
             scales,
@@ -190,7 +191,7 @@ impl<'a> Trial<'a> {
     pub fn tuned(&self, design: &[f64]) -> Pilot {
         match design == self.problem.initial {
             true => self.usual.clone(),
-            false => pilot(&self.problem, design, &self.asked, self.pool),
+            false => pilot(&self.problem, design, &self.requested_solver, self.pool),
         }
     }
 
@@ -209,7 +210,7 @@ impl<'a> Trial<'a> {
         let scene = &self.problem.scene;
         let motion = simulated(&self.problem, scene, design, forces, solver, keep_tape, self.pool);
         counters.dynamics += motion.counters;
-        all_well(&motion.outcomes)?;
+        check_outcomes(&motion.outcomes)?;
         Ok(self.response(motion, Chips::default(), forces, vec![false; forces.samples]))
     }
 
@@ -218,7 +219,7 @@ impl<'a> Trial<'a> {
     /// # Errors
     /// If too many samples fail.
     pub fn samples(&self, design: &[f64], cast: Option<&Cast>, forces: Forces) -> Result<Samples, Failure> {
-        let mould = Mould { trial: self, design, solver: &self.tuned(design).solver };
+        let mould = DesignWithSolver { trial: self, design, solver: &self.tuned(design).solver };
         mould.samples(cast, forces, &mut Counters::default()).map_err(Failure::Initial)
     }
 
@@ -247,15 +248,15 @@ impl<'a> Trial<'a> {
         let (scene, design) = own.as_ref().map_or((scene, design), |(scene, design)| (scene, design));
         let motion = simulated(&self.problem, scene, design, &forces, solver, keep_tape, self.pool);
         counters.dynamics += motion.counters;
-        few_failed(&motion.outcomes)?;
-        let failed = silence(&mut forces, &motion.outcomes);
+        check_failures(&motion.outcomes)?;
+        let failed = clear_failed_forces(&mut forces, &motion.outcomes);
         let chips = cast.map_or_else(Chips::default, |cast| cast.chips.clone());
         Ok(self.response(motion, chips, &forces, failed))
     }
 
     /// Computes `of` for 0 … `count` − 1 in parallel, because one cast has too few samples to occupy all threads. Adds the work to
     /// `counters` in an order that does not depend on the number of threads.
-    pub(crate) fn side_by_side<T: Send>(
+    pub(crate) fn map_parallel<T: Send>(
         &self,
         count: usize,
         counters: &mut Counters,
@@ -274,7 +275,7 @@ impl<'a> Trial<'a> {
     fn response(&self, mut motion: Motion, chips: Chips, forces: &Forces, failed: Vec<bool>) -> Response {
         let mut signals = std::mem::take(&mut motion.signals);
         chips.read(&mut signals);
-        let signals = self.heard(signals, forces);
+        let signals = self.disturbed_signals(signals, forces);
         Response { samples: self.problem.samples(signals, forces).with_failed(failed), motion, chips }
     }
 
@@ -302,7 +303,7 @@ impl<'a> Trial<'a> {
     }
 
     /// The chips' readings (N, T, channels) of simulated signals.
-    pub(crate) fn heard(&self, signals: Vec<f64>, forces: &Forces) -> Vec<f64> {
+    pub(crate) fn disturbed_signals(&self, signals: Vec<f64>, forces: &Forces) -> Vec<f64> {
         let mut signals = self.problem.read(signals, forces.samples);
         if let Some(chip) = &self.chip {
             chip.disturb(&mut signals, forces);
@@ -341,31 +342,35 @@ pub(crate) fn simulated(
     pool: &crate::Pool,
 ) -> Motion {
     let (scene, forces) = problem.in_motion(scene, forces);
-    let double = problem.reader == BrainKind::Inverse;
+    let double = problem.decoder_kind == BrainKind::Inverse;
     problem.body.simulate(&scene, &Run { design, forces: &forces, solver, keep_tape, double }, pool)
 }
 
 /// # Errors
 /// The outcome of the first failed sample.
-pub(crate) fn all_well(outcomes: &[Outcome]) -> Result<(), Trouble> {
+pub(crate) fn check_outcomes(outcomes: &[Outcome]) -> Result<(), Trouble> {
     match outcomes.iter().find(|&&outcome| outcome != Outcome::Ok) {
         Some(&outcome) => Err(Trouble::Simulation(outcome)),
         None => Ok(()),
     }
 }
 
-/// One of `ONE_OF` samples may fail, rounded to the nearest integer.
-const ONE_OF: usize = 32;
+/// One of `FAILURE_RATIO` samples may fail, rounded to the nearest integer.
+const FAILURE_RATIO: usize = 32;
 
 /// # Errors
 /// If too many samples failed: the outcome of the first.
-pub(crate) fn few_failed(outcomes: &[Outcome]) -> Result<(), Trouble> {
+pub(crate) fn check_failures(outcomes: &[Outcome]) -> Result<(), Trouble> {
     let failed = outcomes.iter().filter(|&&outcome| outcome != Outcome::Ok).count();
-    if failed > (outcomes.len() + ONE_OF / 2) / ONE_OF { all_well(outcomes) } else { Ok(()) }
+    if failed > (outcomes.len() + FAILURE_RATIO / 2) / FAILURE_RATIO {
+        check_outcomes(outcomes)
+    } else {
+        Ok(())
+    }
 }
 
 /// Sets the forces of failed samples to zero; returns which samples failed and had forces.
-pub(crate) fn silence(forces: &mut Forces, outcomes: &[Outcome]) -> Vec<bool> {
+pub(crate) fn clear_failed_forces(forces: &mut Forces, outcomes: &[Outcome]) -> Vec<bool> {
     let len = forces.panels * (forces.instants + 1);
     let one = |(history, &outcome): (&mut [f64], &Outcome)| {
         let failed = outcome != Outcome::Ok && history.iter().any(|f| *f != 0.0);

@@ -6,7 +6,7 @@ use crate::variation::Cast;
 
 /// A design of a trial, with what its simulation needs.
 #[derive(Clone, Copy)]
-pub(crate) struct Mould<'a> {
+pub(crate) struct DesignWithSolver<'a> {
     pub trial: &'a Trial<'a>,
     /// α (mm).
     pub design: &'a [f64],
@@ -14,7 +14,7 @@ pub(crate) struct Mould<'a> {
     pub solver: &'a Solver,
 }
 
-impl Mould<'_> {
+impl DesignWithSolver<'_> {
     /// Simulates the body as designed, or a cast of it.
     ///
     /// # Errors

@@ -12,7 +12,7 @@ use crate::brain::linear::Sizes;
 use crate::dynamics::{Forces, Scene, Solver};
 use crate::feasible::{Feasible, Limits};
 use crate::random::Purpose;
-use crate::stimuli::{Deal, Source, bells, draw_parts, gauss, irregular, silenced, split, targets};
+use crate::stimuli::{RecordSplit, Source, bells, draw_parts, gauss, irregular, silenced, split, targets};
 use crate::variation::Variation;
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -49,7 +49,7 @@ pub struct Problem {
     /// Deviations of casts, if casts are evaluated.
     pub variation: Option<Variation>,
     /// Decoder in the final comparison.
-    pub reader: BrainKind,
+    pub decoder_kind: BrainKind,
     /// The network, and the training of fresh networks.
     pub brain: Training,
     /// The linear decoder.
@@ -121,7 +121,7 @@ impl Problem {
     /// Shape of the reader's network; if stacked, its inputs include a linear estimate of each force.
     pub fn reader_shape(&self) -> Shape {
         let shape = self.shape();
-        let estimates = if self.reader == BrainKind::Stacked { shape.outputs } else { 0 };
+        let estimates = if self.decoder_kind == BrainKind::Stacked { shape.outputs } else { 0 };
         Shape { inputs: shape.inputs + estimates, ..shape }
     }
 
@@ -154,7 +154,7 @@ impl Problem {
             return (Cow::Borrowed(scene), Cow::Borrowed(forces));
         }
         let scene = Scene { instants: clock * scene.instants, ..scene.clone() };
-        let forces = forces.on(&scene).into_owned();
+        let forces = forces.refined_for(&scene).into_owned();
         (Cow::Owned(scene), Cow::Owned(forces))
     }
 
@@ -187,7 +187,7 @@ impl Problem {
     }
 
     /// The measured channels (N, ·, channels) after the low-pass, with `finer` instants per reading.
-    pub(crate) fn felt(&self, signals: Vec<f64>, samples: usize, finer: usize) -> Vec<f64> {
+    pub(crate) fn low_pass_channels(&self, signals: Vec<f64>, samples: usize, finer: usize) -> Vec<f64> {
         let mut some = self.chosen(signals);
         if let Some(disturbance) = &self.disturbance {
             disturbance.low_pass(&mut some, samples, self.shape().inputs, self.interval() / finer as f64);
@@ -195,8 +195,13 @@ impl Problem {
         some
     }
 
-    /// Transpose of [`Problem::felt`].
-    pub(crate) fn felt_vjp(&self, mut cotangent: Vec<f64>, samples: usize, finer: usize) -> Vec<f64> {
+    /// Transpose of [`Problem::low_pass_channels`].
+    pub(crate) fn low_pass_channels_vjp(
+        &self,
+        mut cotangent: Vec<f64>,
+        samples: usize,
+        finer: usize,
+    ) -> Vec<f64> {
         if let Some(disturbance) = &self.disturbance {
             let step = self.interval() / finer as f64;
             disturbance.low_pass_vjp(&mut cotangent, samples, self.shape().inputs, step);
@@ -227,7 +232,7 @@ impl Problem {
     }
 
     /// `count` force histories (N, K, R + 1) on the clock of the stimuli, from number `first`. `purpose`: `Stimulus` (see
-    /// [`Problem::known`]), `Holdout` or `Fresh`.
+    /// [`Problem::training_and_test`]), `Holdout` or `Fresh`.
     pub fn forces(&self, purpose: Purpose, first: u64, count: usize) -> Forces {
         self.forces_of(&self.stimuli.source, purpose, first, count)
     }
@@ -266,7 +271,7 @@ impl Problem {
             }
             Source::Recorded(records) => {
                 let Stimuli { samples, test, replacement, .. } = self.stimuli;
-                let deal = Deal { seed: self.seed, samples, test, replacement };
+                let deal = RecordSplit { seed: self.seed, samples, test, replacement };
                 records.forces(deal, purpose, first, count, panels, duration)
             }
             Source::Mix(parts) => {
@@ -296,7 +301,7 @@ impl Problem {
     }
 
     /// Training and test set.
-    pub fn known(&self) -> [Forces; 2] {
+    pub fn training_and_test(&self) -> [Forces; 2] {
         let all = self.forces(Purpose::Stimulus, 0, self.stimuli.samples);
         let (train, test) = self.stimuli.split(self.seed);
         [all.select(&train), all.select(&test)]
@@ -309,7 +314,7 @@ impl Problem {
 
     /// The first of `samples` held-out samples that evaluates bands. Records have no fresh samples, so the first half
     /// calibrates the bands.
-    pub(crate) fn first_judge(&self, samples: usize) -> usize {
+    pub(crate) fn first_band_sample(&self, samples: usize) -> usize {
         if self.stimuli.source.is_recorded() { samples.div_ceil(2) } else { 0 }
     }
 
@@ -332,7 +337,7 @@ impl Problem {
     }
 
     /// Force histories on the clock of the signals: the targets, preceded by the forces at instant 0.
-    pub(crate) fn seen(&self, forces: Forces) -> Forces {
+    pub(crate) fn to_signal_clock(&self, forces: Forces) -> Forces {
         let (instants, panels) = (self.scene.instants, forces.panels);
         if forces.instants == instants {
             return forces;

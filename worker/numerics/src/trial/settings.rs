@@ -85,18 +85,18 @@ pub struct Optimise {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CastObjective {
     /// Casts or kinds of forces.
-    pub over: Over,
+    pub over: ObjectiveDomain,
     /// Number of casts per step, or of all parts of the mixture; each has a batch of samples.
     pub casts: usize,
     /// Fraction of the worst casts whose mean loss moves the body: 1 for all, 0 for the worst alone.
     pub tail: f64,
     /// Decoders during training.
-    pub reader: CastReader,
+    pub reader: DecoderSharing,
 }
 
 /// What an objective averages over.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Over {
+pub enum ObjectiveDomain {
     /// Casts, by their losses.
     Casts,
     /// Parts of a mixture of forces, by the logarithms of their losses, which can differ tenfold.
@@ -105,7 +105,7 @@ pub enum Over {
 
 /// Decoders of casts during training.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum CastReader {
+pub enum DecoderSharing {
     /// One decoder for all casts.
     One,
     /// One decoder per cast, fitted to its samples.
@@ -120,11 +120,11 @@ impl CastObjective {
             counted.map(|(by, loss)| by * of(*loss)).sum::<f64>()
         };
         match self.over {
-            Over::Casts => {
+            ObjectiveDomain::Casts => {
                 let weights = self.weights(losses);
                 (sum(&weights, &|loss| loss), weights)
             }
-            Over::Parts => {
+            ObjectiveDomain::Parts => {
                 let ratios: Vec<f64> = losses.iter().zip(first).map(|(loss, first)| loss / first).collect();
                 let mut weights = self.weights(&ratios);
                 let mean = sum(&weights, &f64::ln).exp();
@@ -141,10 +141,10 @@ impl CastObjective {
         let tail = self.tail.max(one);
         let mut worst: Vec<usize> = (0..losses.len()).collect();
         worst.sort_by(|&a, &b| losses[b].total_cmp(&losses[a]));
-        let (mut weights, mut left) = (vec![0.0; losses.len()], tail);
+        let (mut weights, mut remaining_tail) = (vec![0.0; losses.len()], tail);
         for i in worst {
-            weights[i] = one.min(left) / tail;
-            left = (left - one).max(0.0);
+            weights[i] = one.min(remaining_tail) / tail;
+            remaining_tail = (remaining_tail - one).max(0.0);
         }
         weights
     }
@@ -156,9 +156,9 @@ pub enum Protocol {
     /// A fresh network in each outer step, trained for `Training::iterations`; the test loss moves the body.
     Paper(Terms),
     /// One network continues; the loss on samples drawn for this step moves the body.
-    Joint(Continued),
+    Joint(StepTraining),
     /// No gradient: candidates around the initial body, each with a fresh network.
-    Random(Continued),
+    Random(StepTraining),
 }
 
 impl Protocol {
@@ -170,7 +170,7 @@ impl Protocol {
 
 /// Settings of protocols other than `paper`.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Continued {
+pub struct StepTraining {
     /// Samples whose gradient moves the body.
     pub batch: usize,
     /// Adam iterations per outer step.

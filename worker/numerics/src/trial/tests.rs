@@ -19,9 +19,9 @@ fn few_samples_may_fail() {
         let mut some = forces(samples);
         let outcomes = failing(samples, failed);
         let wanted = if may { Ok(()) } else { Err(Trouble::Simulation(Outcome::NonFinite)) };
-        assert_eq!(few_failed(&outcomes), wanted, "{failed} of {samples}");
+        assert_eq!(check_failures(&outcomes), wanted, "{failed} of {samples}");
         let which: Vec<bool> = outcomes.iter().map(|outcome| *outcome != Outcome::Ok).collect();
-        assert_eq!(silence(&mut some, &outcomes), which);
+        assert_eq!(clear_failed_forces(&mut some, &outcomes), which);
         let silent = some.values.chunks(8).take_while(|f| f.iter().all(|f| *f == 0.0)).count();
         assert_eq!((silent, some.values.iter().sum::<f64>()), (failed, (8 * (samples - failed)) as f64));
     }
@@ -31,7 +31,8 @@ fn few_samples_may_fail() {
 /// the greatest ratio to its first loss.
 #[test]
 fn an_objective_over_parts_is_of_relative_errors() {
-    let of = |tail| CastObjective { over: Over::Parts, casts: 2, tail, reader: CastReader::One };
+    let of =
+        |tail| CastObjective { over: ObjectiveDomain::Parts, casts: 2, tail, reader: DecoderSharing::One };
     let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-12, "{a} for {b}");
     let (mean, weights) = of(1.0).objective(&[4.0, 1.0], &[1.0, 1.0]);
     for (a, b) in [(mean, 2.0), (weights[0], 0.25), (weights[1], 1.0)] {
@@ -47,7 +48,7 @@ fn an_objective_over_parts_is_of_relative_errors() {
 #[test]
 fn an_objective_weighs_the_worst_casts() {
     let weights = |tail| {
-        CastObjective { over: Over::Casts, casts: 4, tail, reader: CastReader::One }
+        CastObjective { over: ObjectiveDomain::Casts, casts: 4, tail, reader: DecoderSharing::One }
             .weights(&[3.0, 1.0, 4.0, 2.0])
     };
     assert_eq!(weights(1.0), [0.25; 4]);

@@ -12,7 +12,7 @@
 use crate::Pool;
 use crate::body::Layout;
 use crate::brain::linear::factor;
-use crate::dynamics::{Parameters, Parts, Relaxation, Scene};
+use crate::dynamics::{Parameters, PartFactors, Relaxation, Scene};
 use crate::random::{Purpose, Stream};
 
 mod chips;
@@ -65,7 +65,7 @@ pub struct Cast {
     /// Factor of each material parameter.
     pub material: Parameters,
     /// Further factors per ligament and unit.
-    pub parts: Parts,
+    pub parts: PartFactors,
     /// Factor of the ligament length.
     pub ligament_length: f64,
     /// Relaxation of its ligaments; such a cast has no gradient.
@@ -101,7 +101,7 @@ impl Variation {
     ///
     /// # Panics
     /// If two groups of the layout coincide.
-    pub fn likeness(&self, layout: &Layout, pool: &Pool) -> Vec<f64> {
+    pub fn correlation_factor(&self, layout: &Layout, pool: &Pool) -> Vec<f64> {
         if self.nodes == 0.0 || self.correlation == 0.0 {
             return Vec::new();
         }
@@ -140,14 +140,14 @@ impl Variation {
             (0..count).map(|_| deviation * stream.normal()).collect()
         };
         let own = each(self.nodes, layout.design_len(), stream(1));
-        let shifts = if likeness.is_empty() { own } else { shared(likeness, &own) };
+        let shifts = if likeness.is_empty() { own } else { correlate(likeness, &own) };
         let gain = each(self.gain, 3 * sensors, stream(2)).into_iter().map(f64::exp).collect();
         let chips = Chips { gain, turn: each(self.misalignment, sensors, stream(3)) };
         // Every ligament draws all factors, so that one standard deviation does not affect the others.
         let ligaments = if self.ligaments == [0.0; 3] { 0 } else { layout.ligaments.len() };
         let mut of_ligaments = stream(4);
         let mut factors = || self.ligaments.map(|deviation| (deviation * of_ligaments.normal()).exp());
-        let parts = Parts {
+        let parts = PartFactors {
             ligaments: (0..ligaments).map(|_| factors()).collect(),
             units: each(self.units, layout.units(), stream(5)).into_iter().map(f64::exp).collect(),
         };
@@ -159,7 +159,7 @@ impl Variation {
 }
 
 /// Applies L to independent shifts, per axis.
-pub(crate) fn shared(likeness: &[f64], own: &[f64]) -> Vec<f64> {
+pub(crate) fn correlate(likeness: &[f64], own: &[f64]) -> Vec<f64> {
     let groups = own.len() / 2;
     let shared = |i: usize| {
         let [group, axis] = [i / 2, i % 2];

@@ -99,7 +99,7 @@ fn parts_scatter_each_by_itself() {
     assert!(casts.iter().all(|c| c.parts.ligaments.iter().all(|by| by[1] == 1.0)));
     let plain = variation().cast(7, Casts::Unseen, 5, (&layout, 1), &[]);
     assert_eq!((&plain.material, &plain.shifts), (&casts[5].material, &casts[5].shifts));
-    assert_eq!(plain.parts, crate::dynamics::Parts::default());
+    assert_eq!(plain.parts, crate::dynamics::PartFactors::default());
     // The standard deviation of one stiffness does not affect the draws of another.
     let alone =
         Variation { ligaments: [0.0, 0.0, 0.1], ..variation() }.cast(7, Casts::Unseen, 5, (&layout, 1), &[]);
@@ -125,7 +125,7 @@ fn lengths_scatter_on_the_grid() {
 fn near_nodes_scatter_alike() {
     let layout = Layout::planar(3, 2, 15.0, 2.25);
     let variation = Variation { correlation: 15.0, ..variation() };
-    let (likeness, count) = (variation.likeness(&layout, &Pool::new(1).unwrap()), 4000);
+    let (likeness, count) = (variation.correlation_factor(&layout, &Pool::new(1).unwrap()), 4000);
     let casts: Vec<Cast> =
         (0..count).map(|i| variation.cast(7, Casts::Unseen, i, (&layout, 0), &likeness)).collect();
     let found = |a: usize, b: usize| {
@@ -142,7 +142,17 @@ fn near_nodes_scatter_alike() {
     }
     // A correlation length beyond the body's size shifts it as a whole.
     let rigid = Variation { correlation: 1e4, ..variation };
-    let cast = rigid.cast(7, Casts::Step, 0, (&layout, 0), &rigid.likeness(&layout, &Pool::new(1).unwrap()));
+    let cast = rigid.cast(
+        7,
+        Casts::Step,
+        0,
+        (&layout, 0),
+        &rigid.correlation_factor(&layout, &Pool::new(1).unwrap()),
+    );
     assert!(cast.shifts.chunks(2).all(|shift| (shift[0] - cast.shifts[0]).abs() < 2e-3), "{cast:?}");
-    assert!(Variation { correlation: 0.0, ..variation }.likeness(&layout, &Pool::new(1).unwrap()).is_empty());
+    assert!(
+        Variation { correlation: 0.0, ..variation }
+            .correlation_factor(&layout, &Pool::new(1).unwrap())
+            .is_empty()
+    );
 }

@@ -4,7 +4,7 @@ use super::super::{Row, dot, norm, relative};
 use crate::reference::{bells, reference};
 use metasense_numerics::body::Layout;
 use metasense_numerics::dynamics::{
-    Accuracy, Contact, Forces, Frame, Inertia, Method, Mount, Panel, Parameters, Parts, Plan, Scene,
+    Accuracy, Contact, Forces, Frame, Inertia, Method, Mount, Panel, Parameters, PartFactors, Plan, Scene,
     Simulation, Solver, Tangent, Tolerance, Wrt, choose, damping, energy, run, simulate,
 };
 use metasense_numerics::random::{Purpose, Stream};
@@ -275,10 +275,10 @@ fn transpose(solver: Solver, pool: &metasense_numerics::Pool) -> Vec<Row> {
 }
 
 /// Random factors with σ = 5 % for each ligament's stiffnesses and each unit's density.
-fn scattered(layout: &Layout) -> Parts {
+fn scattered(layout: &Layout) -> PartFactors {
     let mut stream = Stream::new(Purpose::Design, 7, [0, 0]);
     let mut factor = || (0.05 * stream.normal()).exp();
-    Parts {
+    PartFactors {
         ligaments: layout.ligaments.iter().map(|_| [(); 3].map(|()| factor())).collect(),
         units: (0..layout.units()).map(|_| factor()).collect(),
     }

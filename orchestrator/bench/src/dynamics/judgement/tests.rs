@@ -33,5 +33,5 @@ fn the_cheapest_is_named() {
         "contact, 8 × 4, signals: at 1.0e-3 nystrom6 2.828 ms, tsit5 20.000 ms, 7.07 times as long; \
              auto 3.000 ms at 9.0e-4, 1.06 of the cheapest"
     );
-    assert!(said[1].contains("dα: at 5.0e-3 (the least that Tsit5"), "{}", said[1]);
+    assert!(said[1].contains("dα: at 5.0e-3 (the smallest error that Tsit5"), "{}", said[1]);
 }

@@ -15,7 +15,7 @@ use crate::definite::solve_with_floor;
 use crate::dynamics::{Forces, Solver};
 use crate::identify::{Ending, GoOn, Twin};
 use crate::random::Purpose;
-use crate::trial::{Counters, Failure, Mould, Problem, Samples, Trial, Trouble};
+use crate::trial::{Counters, DesignWithSolver, Failure, Problem, Samples, Trial, Trouble};
 use descent::{Descent, Noise, Start};
 use faer::Mat;
 use model::Model;
@@ -130,9 +130,9 @@ impl<'a> Inverse<'a> {
     /// # Errors
     /// As [`Inverse::new`], or if too many of those samples fail.
     pub fn of(trial: &'a Trial<'a>, design: &[f64], twin: Option<&Twin>) -> Result<Self, Failure> {
-        let (solver, [train, _]) = (trial.tuned(design).solver, trial.problem.known());
+        let (solver, [train, _]) = (trial.tuned(design).solver, trial.problem.training_and_test());
         let (cast, mut counters) = (twin.map(|twin| &twin.cast), Counters::default());
-        let known = Mould { trial, design, solver: &solver }.samples(cast, train, &mut counters);
+        let known = DesignWithSolver { trial, design, solver: &solver }.samples(cast, train, &mut counters);
         let brain = known.and_then(|known| Self::new(trial, design, &solver, twin, &known));
         brain.map(|brain| Self { counters, ..brain }).map_err(Failure::Initial)
     }

@@ -31,13 +31,13 @@ fn the_greatest_value_as_good_as_the_best_is_taken() {
 }
 
 /// Samples y = x · w + noise with a few instants.
-fn samples(count: usize, noise: f64, pool: &Pool) -> Plain {
+fn samples(count: usize, noise: f64, pool: &Pool) -> ScaledSamples {
     let sizes = Sizes { instants: 12, channels: 2, outputs: 1 };
     let mut stream = Stream::new(Purpose::Stimulus, 5, [count as u64, 0]);
     let x: Vec<f64> = (0..count * 24).map(|_| stream.normal()).collect();
     let y: Vec<f64> = x.chunks_exact(2).map(|x| x[0] - 0.5 * x[1] + noise * stream.normal()).collect();
     let w = y.chunks_exact(12).map(|y| y.iter().map(|f| f * f).sum::<f64>().recip()).collect();
-    Plain { sizes, x, y, w, failed: vec![false; count], pool: pool.clone() }
+    ScaledSamples { sizes, x, y, w, failed: vec![false; count], pool: pool.clone() }
 }
 
 /// Each sample is tested once, with weights of the other folds; a direct computation gives the same errors.

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::body::Pattern;
-use crate::dynamics::{Frame, Parts, Relaxation, Stiffness, simulate};
+use crate::dynamics::{Frame, PartFactors, Relaxation, Stiffness, simulate};
 use crate::stimuli::{self, Bell};
 
 fn pool(threads: usize) -> crate::Pool {
@@ -21,7 +21,7 @@ fn body(clamped: Vec<usize>, panels: Vec<(usize, [f64; 2])>, sensor: usize, layo
     Scene {
         density: 1e-8,
         stiffness: Stiffness { stretch: 3.0, shear: 0.5, bend: 1.0 },
-        parts: Parts::default(),
+        parts: PartFactors::default(),
         relaxation: None,
         damping_ratio: 0.03,
         damping: None,
@@ -30,7 +30,7 @@ fn body(clamped: Vec<usize>, panels: Vec<(usize, [f64; 2])>, sensor: usize, layo
         linearised: false,
         clamped,
         guided: Vec::new(),
-        pressed: Vec::new(),
+        imposed: Vec::new(),
         panels: panels.into_iter().map(|(unit, direction)| Panel::central(unit, direction)).collect(),
         sensors: vec![sensor],
         chip: None,
@@ -231,7 +231,7 @@ fn clocks_that_are_off_are_fitted_with_the_material() {
     let moving = Scene { instants: FINE * scene.instants, ..scene.clone() };
     let (mut held, mut clocks) = ([0; 5], 0);
     for seed in 0..4 {
-        let signals = records(&moving, &design, &forces.on(&moving), 0.03, 0.0, 50 + seed);
+        let signals = records(&moving, &design, &forces.refined_for(&moving), 0.03, 0.0, 50 + seed);
         let mut stream = Stream::new(Purpose::Search, seed, [7, 0]);
         let late: Vec<usize> = (0..RECORDS).map(|_| stream.below(FINE)).collect();
         let read = |(signals, late): (&[f64], &usize)| {

@@ -4,11 +4,15 @@ use super::super::protocol::Session;
 use super::linear::linear;
 use super::*;
 use crate::brain::linear::Lags;
-use crate::brains::{FitOn, Fitted, Fresh, Loss, Plain, learner, predict_on, reader, solve};
+use crate::brains::{
+    FitOn, Fitted, Loss, NetworkTraining, ScaledSamples, learner, new_decoder, predict_on, solve,
+};
 use crate::dynamics::{Parameters, Relaxation, planned, run, signal_error};
 use crate::identify::Fit;
 use crate::stimuli::Irregular;
-use crate::trial::{CastObjective, CastReader, Disturbance, Over, Samples, Size, Spread, mean_error};
+use crate::trial::{
+    CastObjective, DecoderSharing, Disturbance, ObjectiveDomain, Samples, Size, Spread, mean_error,
+};
 use crate::variation::{Casts, Variation};
 
 /// With deviations of all parameters, ligaments, units, nodes and chips.
@@ -30,7 +34,7 @@ fn cast(casting: CastObjective) -> Problem {
 /// A part without test samples prevents test evaluations: the result is then the trained body.
 #[test]
 fn a_body_that_no_look_has_read_is_the_trained_one() {
-    let mut problem = mixed(CastObjective { reader: CastReader::One, ..PARTS });
+    let mut problem = mixed(CastObjective { reader: DecoderSharing::One, ..PARTS });
     let Source::Mix(parts) = &mut problem.stimuli.source else { panic!("a mixture") };
     (parts[0].0, parts[1].0) = (1.0, 1e-9);
     problem.disturbance = Some(Disturbance { noise: Size::Relative(0.01), ..Disturbance::NONE });
@@ -42,7 +46,7 @@ fn a_body_that_no_look_has_read_is_the_trained_one() {
 /// A part whose forces lie outside the sample has no error: the step fails and moves nothing.
 #[test]
 fn a_part_without_a_force_is_named() {
-    let mut problem = mixed(CastObjective { reader: CastReader::One, ..PARTS });
+    let mut problem = mixed(CastObjective { reader: DecoderSharing::One, ..PARTS });
     let Source::Mix(parts) = &mut problem.stimuli.source else { panic!("a mixture") };
     let Source::Bell(bell) = &mut parts[1].1 else { panic!("bells") };
     bell.onset = [5.0, 6.0];
@@ -63,11 +67,12 @@ fn a_fold_without_a_force_judges_nothing() {
     assert!(!records.is_empty() && records.iter().all(|read| read.trouble.is_none()), "{records:?}");
 }
 
-const MEAN: CastObjective = CastObjective { over: Over::Casts, casts: 3, tail: 1.0, reader: CastReader::One };
-const EACH: CastObjective = CastObjective { reader: CastReader::Each, ..MEAN };
+const MEAN: CastObjective =
+    CastObjective { over: ObjectiveDomain::Casts, casts: 3, tail: 1.0, reader: DecoderSharing::One };
+const EACH: CastObjective = CastObjective { reader: DecoderSharing::Each, ..MEAN };
 const WORST: CastObjective = CastObjective { tail: 0.0, ..EACH };
 
-const PARTS: CastObjective = CastObjective { over: Over::Parts, casts: 2, ..EACH };
+const PARTS: CastObjective = CastObjective { over: ObjectiveDomain::Parts, casts: 2, ..EACH };
 
 /// A mixture of slow and of strong pulses, trained for both parts.
 fn mixed(casting: CastObjective) -> Problem {
@@ -84,15 +89,15 @@ fn mixed(casting: CastObjective) -> Problem {
 #[test]
 fn the_gradient_over_casts_is_that_of_their_objective() {
     let castings = [MEAN, EACH, WORST, CastObjective { tail: 0.5, ..EACH }, PARTS];
-    let squares = castings.map(|of| if of.over == Over::Parts { mixed(of) } else { cast(of) });
+    let squares = castings.map(|of| if of.over == ObjectiveDomain::Parts { mixed(of) } else { cast(of) });
     // a disc of triangles and a sheet of hexagons
     let others = on_lattices(&cast(EACH)).into_iter().skip(1).take(2).map(|(_, problem)| problem);
     for mut problem in squares.into_iter().chain(others) {
         let casting = problem.optimise.casting.expect("casts");
         // the logarithm is of the error alone, and is more curved under strong forces
-        let (ridge, near) = if casting.over == Over::Parts { (1e-11, 0.1) } else { (1e-3, 0.25) };
+        let (ridge, near) = if casting.over == ObjectiveDomain::Parts { (1e-11, 0.1) } else { (1e-3, 0.25) };
         problem.solver.accuracy = Accuracy(1e-11);
-        if casting.over == Over::Casts {
+        if casting.over == ObjectiveDomain::Casts {
             problem.scene.density *= 3.0; // fewer steps
         }
         problem.decoder.ridge = Ridge::Given(ridge);
@@ -108,10 +113,12 @@ fn the_gradient_over_casts_is_that_of_their_objective() {
             let sets: Vec<Samples> = (0..casting.casts as u64)
                 .map(|number| {
                     let forces = match casting.over {
-                        Over::Casts => {
+                        ObjectiveDomain::Casts => {
                             problem.forces(Purpose::Fresh, number * GOING.batch as u64, GOING.batch)
                         }
-                        Over::Parts => problem.part(number as usize, Purpose::Fresh, 0, GOING.batch),
+                        ObjectiveDomain::Parts => {
+                            problem.part(number as usize, Purpose::Fresh, 0, GOING.batch)
+                        }
                     };
                     let cast = trial.cast(Casts::Step, number);
                     let (solver, counters) = (&problem.solver, &mut Counters::default());
@@ -121,19 +128,23 @@ fn the_gradient_over_casts_is_that_of_their_objective() {
                         .samples
                 })
                 .collect();
-            let plain = |samples: &Samples| Plain::of(samples, &trial.scales, &pool);
-            let least = |set: &Plain| {
+            let plain = |samples: &Samples| ScaledSamples::of(samples, &trial.scales, &pool);
+            let least = |set: &ScaledSamples| {
                 let linear = solve(set.moments().normal(problem.decoder.lags), ridge).unwrap().linear();
                 let squares = linear.w.iter().map(|w| w * w).sum::<f64>();
                 0.01 * set.error(&linear.predict(&set.x)).unwrap() + ridge * squares
             };
-            if casting.reader == CastReader::One {
+            if casting.reader == DecoderSharing::One {
                 return least(&plain(&Samples::joined(&sets.iter().collect::<Vec<_>>())));
             }
             let each: Vec<f64> = sets.iter().map(|set| least(&plain(set))).collect();
             match casting.over {
-                Over::Casts => casting.weights(&each).iter().zip(&each).map(|(by, loss)| by * loss).sum(),
-                Over::Parts => (each.iter().map(|loss| loss.ln()).sum::<f64>() / each.len() as f64).exp(),
+                ObjectiveDomain::Casts => {
+                    casting.weights(&each).iter().zip(&each).map(|(by, loss)| by * loss).sum()
+                }
+                ObjectiveDomain::Parts => {
+                    (each.iter().map(|loss| loss.ln()).sum::<f64>() / each.len() as f64).exp()
+                }
             }
         };
         let mut stream = Stream::new(Purpose::Design, 1, [0, 0]);
@@ -154,12 +165,12 @@ fn the_gradient_over_casts_is_that_of_their_objective() {
 /// needs no ranking, it is so up to a constant factor.
 #[test]
 fn a_network_moves_a_body_by_the_objective_of_its_losses() {
-    let one = |casting| CastObjective { reader: CastReader::One, ..casting };
+    let one = |casting| CastObjective { reader: DecoderSharing::One, ..casting };
     let tails = [1.0, 0.5, 0.0];
     let castings = tails.map(|tail| [CastObjective { tail, ..MEAN }, CastObjective { tail, ..one(PARTS) }]);
     for casting in castings.into_iter().flatten() {
-        let mut problem = if casting.over == Over::Parts { mixed(casting) } else { cast(casting) };
-        (problem.reader, problem.optimise.brain) = (BrainKind::Network, BrainKind::Network);
+        let mut problem = if casting.over == ObjectiveDomain::Parts { mixed(casting) } else { cast(casting) };
+        (problem.decoder_kind, problem.optimise.brain) = (BrainKind::Network, BrainKind::Network);
         if let Source::Mix(parts) = &mut problem.stimuli.source {
             let Source::Bell(loud) = &mut parts[1].1 else { panic!("bells") };
             loud.amplitude = [0.5, 1.0]; // whose motion is smooth
@@ -175,8 +186,8 @@ fn a_network_moves_a_body_by_the_objective_of_its_losses() {
         let (shape, scales) = (problem.shape(), &trial.scales);
         let samples = |design: &[f64], number: usize| {
             let (forces, cast) = match casting.over {
-                Over::Parts => (problem.part(number, Purpose::Fresh, 0, GOING.batch), None),
-                Over::Casts => (
+                ObjectiveDomain::Parts => (problem.part(number, Purpose::Fresh, 0, GOING.batch), None),
+                ObjectiveDomain::Casts => (
                     problem.forces(Purpose::Fresh, (number * GOING.batch) as u64, GOING.batch),
                     trial.cast(Casts::Step, number as u64),
                 ),
@@ -215,7 +226,8 @@ fn a_network_moves_a_body_by_the_objective_of_its_losses() {
             assert!(own.abs() > 1e-4, "{casting:?}: {own:e}");
             slope / own
         });
-        let one = if casting.over == Over::Parts && casting.tail == 1.0 { factors[0] } else { 1.0 };
+        let one =
+            if casting.over == ObjectiveDomain::Parts && casting.tail == 1.0 { factors[0] } else { 1.0 };
         assert!(factors.iter().all(|factor| (factor / one - 1.0).abs() < 1e-3), "{casting:?}: {factors:?}");
     }
 }
@@ -229,8 +241,8 @@ fn readings(found: &Optimised) -> Vec<(u32, CastDecoder, u64)> {
 fn loops() -> [Problem; 5] {
     let network = scattered(small(Protocol::Joint(GOING)));
     let network = Problem { optimise: Optimise { casting: Some(MEAN), ..network.optimise }, ..network };
-    let parts =
-        [PARTS, CastObjective { tail: 0.0, reader: CastReader::One, ..PARTS }].map(|of| scattered(mixed(of)));
+    let parts = [PARTS, CastObjective { tail: 0.0, reader: DecoderSharing::One, ..PARTS }]
+        .map(|of| scattered(mixed(of)));
     let [each, worst] = parts;
     [network, cast(MEAN), cast(WORST), each, worst]
 }
@@ -270,7 +282,7 @@ fn casts_are_read_on_to_the_same_bits() {
         let through = optimise(&problem, None, &pool(1), &mut whole).unwrap().unwrap();
         let brains =
             [CastDecoder::Network, CastDecoder::NetworkCasts, CastDecoder::Nominal, CastDecoder::Casts];
-        let is_linear = problem.reader == BrainKind::Linear;
+        let is_linear = problem.decoder_kind == BrainKind::Linear;
         let brains = &brains[if is_linear { 2 } else { 0 }..];
         let all = 12; // training samples
         let brains = brains.iter().copied().chain([10, all].map(CastDecoder::Records));
@@ -306,7 +318,7 @@ fn casts_are_read_on_to_the_same_bits() {
 /// The refitted decoder for all casts has the errors of the comparison's.
 #[test]
 fn the_brain_for_all_casts_can_be_had_again() {
-    let stacked = quick(1).take(1).map(|problem| Problem { reader: BrainKind::Stacked, ..problem });
+    let stacked = quick(1).take(1).map(|problem| Problem { decoder_kind: BrainKind::Stacked, ..problem });
     for problem in quick(1).chain(stacked) {
         let found = carried_out(&problem, 1);
         let (pool, design) = (pool(2), &found.optimised.design);
@@ -321,8 +333,8 @@ fn the_brain_for_all_casts_can_be_had_again() {
             DecoderForCasts::Linear(fitted) => (CastDecoder::Casts, fitted.predict(&holdout.signals)),
             DecoderForCasts::Network(weights) => {
                 let scales = [(); 2].map(|()| trial.scales.clone());
-                let mut reader = reader(problem.recipe(), &holdout, scales, &pool).unwrap();
-                *reader.training().unwrap() = Some(Fresh::of(weights));
+                let mut reader = new_decoder(problem.recipe(), &holdout, scales, &pool).unwrap();
+                *reader.training().unwrap() = Some(NetworkTraining::of(weights));
                 (CastDecoder::NetworkCasts, reader.predict(&holdout.signals))
             }
             DecoderForCasts::Stacked(linear, weights) => {
@@ -482,7 +494,7 @@ fn a_body_trained_over_casts_reads_others_better() {
     problem.evaluation.casts = 8;
     (problem.optimise.iterations, problem.optimise.rate) = (40, 0.2);
     problem.stimuli = Stimuli { samples: 48, test: 8, holdout: 16, ..problem.stimuli };
-    let going = |batch| Protocol::Joint(Continued { batch, ..GOING });
+    let going = |batch| Protocol::Joint(StepTraining { batch, ..GOING });
     let mean = |problem: &Problem| {
         let found = carried_out(problem, 2);
         let own = found.casts[1].iter().filter(|reading| reading.decoder == CastDecoder::Casts);
@@ -527,7 +539,8 @@ fn inverted() -> Problem {
     let plain = linear(Protocol::Joint(GOING));
     let lags = Lags::whole(plain.scene.instants);
     let decoder = Decoder { lags, ..plain.decoder };
-    let mut problem = Problem { disturbance: chip, variation, reader: BrainKind::Inverse, decoder, ..plain };
+    let mut problem =
+        Problem { disturbance: chip, variation, decoder_kind: BrainKind::Inverse, decoder, ..plain };
     (problem.optimise.iterations, problem.evaluation.casts) = (1, 1);
     // a twin needs ten records
     problem.stimuli = Stimuli { samples: 12, test: 2, holdout: 2, ..problem.stimuli };
@@ -540,14 +553,14 @@ fn inverted() -> Problem {
 #[test]
 fn a_linear_brain_of_a_twin_is_judged_by_the_whole_holdout() {
     let mut problem = inverted();
-    (problem.optimise.iterations, problem.stimuli.holdout) = (0, INVERTED_OF_A_CAST + 1);
+    (problem.optimise.iterations, problem.stimuli.holdout) = (0, INVERTED_PER_CAST + 1);
     let pool = pool(2);
     let trial = Trial::new(&problem, &pool).unwrap();
     let (design, solver) = (&problem.initial, &problem.solver);
-    let mould = Mould { trial: &trial, design, solver: &trial.tuned(design).solver };
+    let mould = DesignWithSolver { trial: &trial, design, solver: &trial.tuned(design).solver };
     let cast = trial.cast(Casts::Unseen, 0);
     let counters = &mut Counters::default();
-    let [train, _] = problem.known();
+    let [train, _] = problem.training_and_test();
     let own = mould.samples(cast.as_ref(), train.clone(), counters).unwrap();
     let holdout = mould.samples(cast.as_ref(), problem.holdout(), counters).unwrap();
     let ten: Vec<usize> = (0..10).collect();

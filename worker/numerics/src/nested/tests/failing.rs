@@ -11,7 +11,7 @@ use std::sync::Arc;
 fn problem(brain: BrainKind, spoilt: &[(Purpose, usize)], factor: f64) -> Problem {
     let mut problem = small(Protocol::Random(GOING));
     problem.stimuli = Stimuli { samples: 32, test: 16, holdout: 16, ..problem.stimuli };
-    (problem.reader, problem.optimise.brain) = (brain, brain);
+    (problem.decoder_kind, problem.optimise.brain) = (brain, brain);
     if brain == BrainKind::Stacked {
         problem.optimise.brain = BrainKind::Network;
     }

@@ -25,7 +25,7 @@ fn the_nonlinear_part_goes_with_the_square_of_small_forces() {
         let problem = with_amplitude(times);
         let pool = pool(1);
         let trial = Trial::new(&problem, &pool).unwrap();
-        let mould = Mould { trial: &trial, design: &problem.initial, solver: &problem.solver };
+        let mould = DesignWithSolver { trial: &trial, design: &problem.initial, solver: &problem.solver };
         nonlinear(&mould, &mut Counters::default()).unwrap()
     };
     let [whole, first, second] = [1.0, 0.005, 0.01].map(share);
@@ -43,7 +43,7 @@ fn the_nonlinear_part_does_not_depend_on_the_integrator() {
         let (problem, pool) = (with_amplitude(times), pool(1));
         let trial = Trial::new(&problem, &pool).unwrap();
         let share = |solver| {
-            let mould = Mould { trial: &trial, design: &problem.initial, solver };
+            let mould = DesignWithSolver { trial: &trial, design: &problem.initial, solver };
             nonlinear(&mould, &mut Counters::default()).unwrap()
         };
         let asked = Solver::new(Method::Tsit5, Accuracy(1e-4));
@@ -84,7 +84,8 @@ fn check_the_bound(problem: Problem, draws: usize) {
     let (n, t, fine) = (train.samples, 40, 8);
     let scene = Scene { instants: fine * t, ..problem.scene.clone() };
     let solver = &problem.solver;
-    let clean = simulate(&scene, &problem.initial, &train.on(&scene), solver, false, &pool(1)).signals;
+    let clean =
+        simulate(&scene, &problem.initial, &train.refined_for(&scene), solver, false, &pool(1)).signals;
     // one and a half readings late: twelve instants of the motion, whose first is number 1
     let late = DMatrix::from_fn(n, 3 * t, |i, at| {
         let instant = (fine * (at / 3 + 1)).checked_sub(13);

@@ -3,7 +3,7 @@
 use super::super::protocol::Session;
 use super::*;
 use crate::brain::linear::{Lags, Sizes};
-use crate::brains::{Plain, Stack, own_reading, readings, solve};
+use crate::brains::{ScaledSamples, Stack, own_reading, readings, solve};
 use crate::dynamics::{Precision, planned, run};
 use crate::place::placed;
 use crate::trial::{Placing, Samples};
@@ -19,7 +19,7 @@ pub(super) fn linear(protocol: Protocol) -> Problem {
     let small = small(protocol);
     let decoder = Decoder { lags: Lags { before: 12, after: 6 }, ridge: Ridge::Auto };
     Problem {
-        reader: BrainKind::Linear,
+        decoder_kind: BrainKind::Linear,
         decoder,
         optimise: Optimise { brain: BrainKind::Linear, ..small.optimise },
         ..small
@@ -158,7 +158,7 @@ pub(super) fn check_the_whole_gradient(mut problem: Problem, exact: bool) {
         let set = |forces| {
             let counters = &mut Counters::default();
             let found = trial.simulate(design, forces, &problem.solver, false, counters).unwrap();
-            Plain::of(&found.samples, &trial.scales, &pool)
+            ScaledSamples::of(&found.samples, &trial.scales, &pool)
         };
         let train = set(&trial.train);
         let linear = solve(train.moments().normal(problem.decoder.lags), ridge).unwrap().linear();
@@ -213,7 +213,7 @@ fn readings_are_those_of_their_own_fits() {
         assert!((a / b - 1.0).abs() < 1e-6, "{reading:?} {alone:?}");
     }
 
-    problem.reader = BrainKind::Linear;
+    problem.decoder_kind = BrainKind::Linear;
     let own = optimise(&problem, None, &pool, &mut Keeper::default()).unwrap().unwrap().initial;
     assert_eq!(own.networks.len(), 1);
     assert_eq!(own.networks[0].error_holdout, own.readings[0].error_holdout);
@@ -251,7 +251,7 @@ fn readings_of_forces_in_single_precision_are_those_in_double() {
 /// A stacked network has additional inputs. Its estimates of training samples are out-of-fold, and a replay reproduces its errors.
 #[test]
 fn a_stacked_network_sees_no_estimate_of_what_it_was_fitted_on() {
-    let mut problem = Problem { reader: BrainKind::Stacked, ..linear(LINEAR[2]) };
+    let mut problem = Problem { decoder_kind: BrainKind::Stacked, ..linear(LINEAR[2]) };
     problem.stimuli.samples = 30;
     problem.brain.iterations = 60;
     let found = carried_out(&problem, 2);
@@ -272,7 +272,7 @@ fn a_stacked_network_sees_no_estimate_of_what_it_was_fitted_on() {
     let trial = Trial::new(&problem, &pool).unwrap();
     let stack =
         Stack::new(&problem.decoder, problem.seed, &trial.initial, trial.scales.clone(), &pool).unwrap();
-    let known = Plain::of(&trial.initial, &trial.scales, &pool);
+    let known = ScaledSamples::of(&trial.initial, &trial.scales, &pool);
     let [seen, unseen] =
         [stack.estimates(&trial.initial.signals), stack.cross_fitted()].map(|y| known.error(&y));
     assert!(unseen > seen, "{unseen:?} {seen:?}");
