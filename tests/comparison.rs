@@ -71,8 +71,8 @@ fn a_stop_on_request_ends_a_comparison_at_once_and_nothing_of_it_is_lost() {
         let (code, took) = run.stop(signal);
         println!("ended {took:?} after signal {signal}, {} bytes saved, {before} before", saved());
         assert!(code == Some(4) && took < STOPPED, "{code:?} after {took:?}");
+        // not compared with the first stop: the optimiser's state of a network is dropped when the network is trained
         assert!(saved() >= before + u64::from(signal == libc::SIGINT), "{} bytes, {before} before", saved());
-        before = saved();
     }
     assert_eq!(Run::start(&bench, "s.sqlite").code(), Some(0));
     assert_eq!(results(&bench, "s.sqlite"), results(&bench, "whole.sqlite"));
