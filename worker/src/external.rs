@@ -8,12 +8,12 @@
 //! process, which ends when its standard input closes. Each call restarts a process that dies up to twice; calls have no state.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use metasense_numerics::body::Freedom;
 use metasense_numerics::dynamics::{Counters, Forces, Outcome, Scene, Solver};
-use metasense_numerics::feasible::{Castable, LinearLimits, LinearRow, Projection, Status};
+use metasense_numerics::feasible::{Castable, LinearLimits, LinearRow, Projection, Status, distance};
 use metasense_numerics::random::{Purpose, Stream};
 use metasense_numerics::trial::{Body, Fault, Motion, Pilot, Problem, Run, Tape};
 use metasense_numerics::{Heartbeat, Pool};
@@ -50,6 +50,10 @@ fn process() -> MutexGuard<'static, Option<Process>> {
     PROCESS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+fn duration(time_limit: Option<f64>) -> Duration {
+    Duration::from_secs_f64(time_limit.unwrap_or(TIME_LIMIT))
+}
+
 /// The kind of a fault.
 pub(crate) fn named(fault: &Fault) -> BodyFault {
     BodyFault::ALL.iter().find(|known| known.name() == fault.name).copied().unwrap_or(BodyFault::Invalid)
@@ -61,8 +65,7 @@ pub(crate) fn named(fault: &Fault) -> BodyFault {
 /// If the program cannot be started, does not answer, or returns an invalid description.
 pub fn describe(command: &[String], time_limit: Option<f64>) -> Result<Description, Fault> {
     let mut process = process();
-    let limit = Duration::from_secs_f64(time_limit.unwrap_or(TIME_LIMIT));
-    Ok(Process::of(&mut process, command, limit)?.description.clone())
+    Ok(Process::of(&mut process, command, duration(time_limit))?.description.clone())
 }
 
 /// Sensor placement number `p`: a random permutation of `sensors` places.
@@ -95,7 +98,7 @@ struct Shared {
     command: Vec<String>,
     limit: Duration,
     described: Description,
-    fault: Mutex<Option<Fault>>,
+    fault: OnceLock<Fault>,
     /// Whether repeatability has been checked.
     tried: AtomicBool,
 }
@@ -134,9 +137,9 @@ impl External {
     pub fn new(body: &spec::Body, described: &Description) -> Self {
         Self(Arc::new(Shared {
             command: body.command.clone(),
-            limit: Duration::from_secs_f64(body.time_limit.unwrap_or(TIME_LIMIT)),
+            limit: duration(body.time_limit),
             described: described.clone(),
-            fault: Mutex::new(None),
+            fault: OnceLock::new(),
             tried: AtomicBool::new(false),
         }))
     }
@@ -147,7 +150,7 @@ impl External {
 
     /// Records and returns the first fault, which invalidates all results.
     fn failed(&self, fault: Fault) -> Fault {
-        self.0.fault.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(fault).clone()
+        self.0.fault.get_or_init(|| fault).clone()
     }
 
     /// Calls the process, restarting it if it dies. Returns its answer and the output array.
@@ -296,7 +299,7 @@ impl Body for External {
     }
 
     fn failure(&self) -> Option<Fault> {
-        self.0.fault.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.0.fault.get().cloned()
     }
 }
 
@@ -343,7 +346,7 @@ impl Castable for Limits {
             return Projection { design: previous.to_vec(), status, ..found };
         }
         let status = if design == target { Status::Untouched } else { Status::Projected };
-        let distance = design.iter().zip(target).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+        let distance = distance(&design, target);
         Projection { design, status, distance, ..found }
     }
 }

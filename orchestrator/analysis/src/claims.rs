@@ -156,9 +156,9 @@ impl Scene {
 }
 
 /// Adjusts the p-values of several claims within each set of samples. Findings that are no longer significant are rated open.
-pub fn corrected(mut estimate: Vec<Vec<Evidence>>) -> Vec<Vec<Evidence>> {
-    for set in distinct(estimate.iter().flatten().map(|e| e.set)) {
-        let by_claim = CLAIMS.iter().zip(&mut estimate);
+pub fn corrected(mut by_claims: Vec<Vec<Evidence>>) -> Vec<Vec<Evidence>> {
+    for set in distinct(by_claims.iter().flatten().map(|e| e.set)) {
+        let by_claim = CLAIMS.iter().zip(&mut by_claims);
         let mut of_set: Vec<(f64, &mut Evidence)> =
             by_claim.flat_map(|(claim, own)| own.iter_mut().map(|e| (claim.chance, e))).collect();
         of_set.retain(|(_, e)| e.set == set && e.chance.is_some());
@@ -170,7 +170,7 @@ pub fn corrected(mut estimate: Vec<Vec<Evidence>>) -> Vec<Vec<Evidence>> {
             }
         }
     }
-    estimate
+    by_claims
 }
 
 /// Summarises evidence: the common rating, or the rating per decoder. Uses the held-out set if available, and no medians.
@@ -204,9 +204,9 @@ fn summed<'a>(evidence: impl Iterator<Item = &'a Evidence>) -> (String, Option<R
         [] => ("not tested".into(), None),
         [(rating, _)] => (rating.name().into(), Some(**rating)),
         several => {
-            let values_by_cluster =
+            let rated =
                 several.iter().map(|(rating, who)| format!("{} with {}", rating.name(), who.join("; ")));
-            (format!("depends on the decoder: {}", values_by_cluster.collect::<Vec<_>>().join(" · ")), None)
+            (format!("depends on the decoder: {}", rated.collect::<Vec<_>>().join(" · ")), None)
         }
     }
 }

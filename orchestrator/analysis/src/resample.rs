@@ -103,7 +103,8 @@ impl Resampling {
         !self.resampled_kinds().is_empty()
     }
 
-    /// Describes the units of an interval or vote: `5 placements`, `6 placements at 2 seeds`, `too few to tell: 3 seeds`.
+    /// Describes the units of an interval or vote: `5 placements`, `6 placements at 2 seeds`,
+    /// `no interval, too few units: 3 seeds`.
     pub fn over(&self) -> String {
         let list = |kinds: &[&Kind]| -> String {
             let each = kinds.iter().map(|k| format!("{} {}", k.count, k.name[usize::from(k.count > 1)]));

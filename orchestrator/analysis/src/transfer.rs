@@ -36,13 +36,13 @@ pub struct TransferErrors {
 
 /// Groups trials that differ only in forces, training, placement and seed.
 pub fn settings<'a>(trials: &[&'a Trial]) -> Vec<Setting<'a>> {
-    let errors_under: Vec<&Trial> = trials.iter().filter(|t| !t.under.is_empty()).copied().collect();
+    let evaluated_trials: Vec<&Trial> = trials.iter().filter(|t| !t.under.is_empty()).copied().collect();
     let setting = |group: Group<'a>| {
         let kinds = distinct(group.trials.iter().flat_map(|t| &t.under).map(|read| read.stimuli.clone()));
         let bodies = bodies(&group.trials, |trial| kind(trial).to_owned(), String::clone);
         Setting { label: group.label, bodies, kinds }
     };
-    groups(&errors_under, &["optimise.", "stimuli."]).into_iter().map(setting).collect()
+    groups(&evaluated_trials, &["optimise.", "stimuli."]).into_iter().map(setting).collect()
 }
 
 /// Returns the kind of forces in the training of the body.

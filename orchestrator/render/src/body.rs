@@ -121,15 +121,12 @@ impl Sketch {
             html! { text class="index" transform=(place) { (text) } }
         };
         let class = |u: usize| {
-            let active_constraints = match (self.clamped.contains(&u), self.guided.contains(&u)) {
+            let support = match (self.clamped.contains(&u), self.guided.contains(&u)) {
                 (true, _) => " clamped",
                 (_, true) => " guided",
                 _ => "",
             };
-            format!(
-                "unit{active_constraints}{}",
-                if self.violating_units.contains(&u) { " broken" } else { "" }
-            )
+            format!("unit{support}{}", if self.violating_units.contains(&u) { " broken" } else { "" })
         };
         let marks = html! {
             @for [[ax, ay], [bx, by]] in &self.ligaments {

@@ -181,7 +181,7 @@ fn letters(word: &str, most: usize) -> Vec<String> {
 fn narrowed(columns: &[Column], screen: usize) -> Option<Vec<usize>> {
     let min_widths: Vec<usize> = columns.iter().map(Column::least).collect();
     let mut widths: Vec<usize> =
-        columns.iter().zip(&min_widths).map(|(c, min_widths)| c.width().max(*min_widths)).collect();
+        columns.iter().zip(&min_widths).map(|(c, min_width)| c.width().max(*min_width)).collect();
     while BLANKS.total(&widths) > screen {
         let wide = (0..widths.len()).filter(|&i| widths[i] > min_widths[i]).max_by_key(|&i| widths[i])?;
         widths[wide] -= 1;

@@ -318,8 +318,8 @@ fn fit_messages(trial: &TrialSpec, begun: &Parameters, fit: &Fit, records: usize
         ));
     }
     for direction in &fit.undetermined {
-        let deviation_messages = direction.exponents.iter().enumerate().filter(|(_, x)| x.abs() > 0.05);
-        let parts: Vec<String> = deviation_messages.map(|(k, x)| format!("{}^{x:.2}", named(k))).collect();
+        let factors = direction.exponents.iter().enumerate().filter(|(_, x)| x.abs() > 0.05);
+        let parts: Vec<String> = factors.map(|(k, x)| format!("{}^{x:.2}", named(k))).collect();
         let factor = match direction.factor {
             f if f.is_finite() && f < 1e6 => format!("it may be {f:.1} times larger or smaller"),
             _ => "it has no effect".to_owned(),

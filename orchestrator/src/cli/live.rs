@@ -183,11 +183,11 @@ impl Watch for Live<'_> {
             tracing::info!(part_percent = part, error_percent = error, "how far off the estimated time was");
         }
         if outcome == Outcome::Complete && !self.estimates.is_empty() {
-            let last_line_at = self.estimates.iter().map(|(part, estimate)| {
+            let texts = self.estimates.iter().map(|(part, estimate)| {
                 let error = 100.0 * (estimate / actual - 1.0);
                 format!("{} ({error:+.0} %) after {:.0} %", duration(*estimate), 100.0 * part)
             });
-            let said = last_line_at.collect::<Vec<_>>().join(", ");
+            let said = texts.collect::<Vec<_>>().join(", ");
             say!("took {}; the estimate was {said} of the work", duration(actual));
         }
         if outcome == Outcome::Interrupted {

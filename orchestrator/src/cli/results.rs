@@ -34,13 +34,13 @@ pub(super) async fn print_results(from: Results<'_>, plan: &Plan, format: Format
     let limit = if format == Format::Table { MOST_ROWS as i64 } else { -1 };
     let (settled, mut table, unresolved) = Reader::with_reader(from.db, async |reader| {
         let settled = reader.query::<Table>(&of_plan("t.hash, t.state, t.reason", plan)).await?;
-        let select_from_plan = of_plan("t.hash", plan);
+        let hashes_of_plan = of_plan("t.hash", plan);
         let sql = format!(
             "SELECT panels AS K, sensors AS M, placement, seed, units, brain, trained_with, placed,
                error_initial AS test_error_initial, error_optimised AS test_error_optimised, holdout_error_initial,
                holdout_error_optimised, holdout_median_initial, holdout_median_optimised, holdout_above_initial,
                holdout_above_optimised, seconds, state, reason, hash
-             FROM v_trial WHERE hash IN ({select_from_plan})
+             FROM v_trial WHERE hash IN ({hashes_of_plan})
              ORDER BY panels, sensors, units, placement, seed, brain, trained_with, placed, hash LIMIT {limit}"
         );
         Ok::<_, Error>((settled, reader.query::<Table>(&sql).await?, reader.unresolved().await?))

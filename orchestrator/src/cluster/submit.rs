@@ -284,13 +284,13 @@ impl Submission {
     }
 
     fn run(&self, shard: &str, stop_after: Option<u64>) -> String {
-        let join_words = self.run_words("SHARD", stop_after);
+        let arguments = self.run_words("SHARD", stop_after);
         let number = format!("SHARD/{}", self.shards);
         let word = |word: &String| match *word == number {
             true => format!("\"{shard}/{}\"", self.shards),
             false => quoted(Path::new(word)),
         };
-        let words: Vec<String> = join_words.iter().map(word).collect();
+        let words: Vec<String> = arguments.iter().map(word).collect();
         format!("{} {} \\\n  {}", self.command(), words[..4].join(" "), words[4..].join(" "))
     }
 

@@ -320,10 +320,10 @@ impl Loader<'_> {
     /// Quantiles over casts, interpolated between the two nearest order statistics.
     async fn casts(&mut self) -> Result<(), StoreError> {
         let quantile = |q: f64| format!("sum(error * max(0, 1 - abs({q:?} * (count - 1) - place)))");
-        let trial_hash = "PARTITION BY trial_id, body, reader, records";
+        let partition = "PARTITION BY trial_id, body, reader, records";
         let sql = format!(
             "SELECT trial_id, body, reader, records, count, sum(outcome <> 'ok') AS failed, {} AS median, {} AS most FROM
-               (SELECT *, row_number() OVER ({trial_hash} ORDER BY error) - 1 AS place, count(*) OVER ({trial_hash}) AS count
+               (SELECT *, row_number() OVER ({partition} ORDER BY error) - 1 AS place, count(*) OVER ({partition}) AS count
                 FROM cast_reading WHERE error IS NOT NULL)
              GROUP BY trial_id, body, reader, records",
             quantile(0.5),

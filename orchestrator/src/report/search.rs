@@ -52,12 +52,12 @@ impl SearchState {
     /// # Errors
     /// If the database cannot be read.
     pub async fn of(reader: &mut Reader, plan: Plan, space: Space) -> Result<Self, StoreError> {
-        let candidate_state = SearchData::of(reader, &space, &plan, &mut HashMap::new()).await?;
+        let data = SearchData::of(reader, &space, &plan, &mut HashMap::new()).await?;
         let mut search = begun(&space);
-        let (decision, classes) = (search.follow(&candidate_state.candidates), search.classes());
-        let whole = candidate_state.pace * cost::total(&plan.trials);
-        let failed = candidate_state.candidates.iter().filter(|candidate| candidate.failed).count();
-        Ok(Self { plan, space, decision, classes, failed, seconds: [candidate_state.seconds, whole] })
+        let (decision, classes) = (search.follow(&data.candidates), search.classes());
+        let whole = data.pace * cost::total(&plan.trials);
+        let failed = data.candidates.iter().filter(|candidate| candidate.failed).count();
+        Ok(Self { plan, space, decision, classes, failed, seconds: [data.seconds, whole] })
     }
 
     /// The searches among sweeps, or why a search cannot be evaluated, such as missing files of its spec.

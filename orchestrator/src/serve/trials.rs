@@ -134,7 +134,7 @@ impl Keeper {
         // new trials may reuse the ids of removed ones
         let (mut known, mut others) = (0, false);
         let (places, rows) = (&self.places, &self.now.rows);
-        let filter_text = reader.each("SELECT id, hash FROM trial", |row| {
+        let read_hashes = reader.each("SELECT id, hash FROM trial", |row| {
             match places.get(&(row.count("id") as i64)) {
                 Some(&place) if rows[place].hash == row.text("hash") => known += 1,
                 Some(_) => others = true,
@@ -142,7 +142,7 @@ impl Keeper {
             }
             Ok::<_, StoreError>(())
         });
-        filter_text.await?;
+        read_hashes.await?;
         if others || known < self.places.len() {
             *self = Self::default();
         }
@@ -256,9 +256,9 @@ impl Term {
     /// Parses one condition. Blanks within the value belong to it.
     fn new(text: &str) -> Result<Self, String> {
         let none = || format!("`{text}` is not a condition; a condition is, for instance, `M<=3`");
-        let matching_rows = RELATIONS.iter().filter_map(|r| Some((text.find(r)?, *r)));
+        let relations = RELATIONS.iter().filter_map(|r| Some((text.find(r)?, *r)));
         let (at, relation) =
-            matching_rows.min_by_key(|(at, r)| (*at, std::cmp::Reverse(r.len()))).ok_or_else(none)?;
+            relations.min_by_key(|(at, r)| (*at, std::cmp::Reverse(r.len()))).ok_or_else(none)?;
         let (key, value) = (text[..at].trim(), text[at + relation.len()..].trim());
         let bare = value.strip_prefix('"').and_then(|rest| rest.strip_suffix('"'));
         match key.is_empty() || bare.unwrap_or(value).contains('"') {

@@ -99,11 +99,11 @@ pub fn panels(body: &spec::Body, units: &[usize], layout: &Layout) -> Vec<Panel>
     let listed = PanelList::new(body, layout);
     let (in_turn, driven) = (listed.begins_with(units), driven(body));
     let panel = |(k, &unit): (usize, &usize)| {
-        let trial_panels = match in_turn {
+        let given_panel = match in_turn {
             true => Some(&listed.panels[k]),
             false => listed.panels.iter().find(|struck| struck.unit == Some(unit)),
         };
-        let Struck { direction, node, at, couple, base, .. } = trial_panels.cloned().unwrap_or_default();
+        let Struck { direction, node, at, couple, base, .. } = given_panel.cloned().unwrap_or_default();
         if let Some(moment) = couple {
             return Panel { moment, ..Panel::central(unit, [0.0; 2]) };
         }

@@ -15,6 +15,7 @@ use crate::invalid::{Invalid, invalid, require};
 
 /// Largest number of design components, panels or sensors; more are presumably a mistake.
 const MOST: usize = 1_000_000;
+const NO_EFFECT: &str = "has no effect on an external body: delete this key";
 
 /// Rejects external bodies.
 ///
@@ -57,7 +58,6 @@ pub fn refuse_unread(spec: &SweepSpec) -> Result<(), Invalid> {
     )?;
     let none: Body = serde_json::from_str("{}").expect("every key has a default");
     let design = matches!(body.design, Some(spec::Design::Random { .. }));
-    let remedy = "has no effect on an external body: delete this key";
     require(!design, "body.design", "{ random = … }", "external bodies have no random designs; use a file")?;
     only("body", body, &none, &["kind", "command", "time_limit", "design", "panel_units"])?;
     only("feasible", &spec.feasible, &Feasible::default(), &[])?;
@@ -74,7 +74,7 @@ pub fn refuse_unread(spec: &SweepSpec) -> Result<(), Invalid> {
         ("variation", spec.variation.is_some()),
         ("goal", spec.goal.is_some()),
     ] {
-        require(!given, key, "", remedy)?;
+        require(!given, key, "", NO_EFFECT)?;
     }
     let inverse = spec.brain.kind == spec::BrainKind::Inverse;
     require(
@@ -92,10 +92,7 @@ fn only<T: Serialize>(table: &str, given: &T, default: &T, read: &[&str]) -> Res
     let is_read = |key: &str| read.iter().any(|name| key.split('.').next() == Some(name));
     match given.iter().find(|(key, value)| !is_read(key) && default.get(*key) != Some(value)) {
         None => Ok(()),
-        Some((key, value)) => {
-            let remedy = "has no effect on an external body: delete this key";
-            Err(invalid(&format!("{table}.{key}"), value, remedy))
-        }
+        Some((key, value)) => Err(invalid(&format!("{table}.{key}"), value, NO_EFFECT)),
     }
 }
 

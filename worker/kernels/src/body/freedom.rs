@@ -26,8 +26,8 @@ impl Freedom {
     /// If p or q is 0.
     pub fn new(layout: &Layout, [p, q]: [usize; 2], frozen_units: &[usize]) -> Self {
         let mut frozen = vec![false; layout.group_count];
-        let with_fixed_units = |unit: &usize| layout.groups[*unit].iter().flatten();
-        frozen_units.iter().flat_map(with_fixed_units).for_each(|&group| frozen[group] = true);
+        let groups_of_unit = |unit: &usize| layout.groups[*unit].iter().flatten();
+        frozen_units.iter().flat_map(groups_of_unit).for_each(|&group| frozen[group] = true);
         let mut first: BTreeMap<GroupCell, usize> = BTreeMap::new();
         // blocks start at the body's lower left corner; with oblique rows it lies left of cell 0
         let least = |d: usize| layout.group_cells.iter().map(|(_, cell)| cell[d]).min().unwrap_or(0);

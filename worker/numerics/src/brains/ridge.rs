@@ -102,20 +102,20 @@ pub(super) fn errors_by_value(
     let mut parts = parts.enumerate().peekable();
     while let Some((number, part)) = parts.next() {
         let prefilter = prefilter && number == 0;
-        let (mut value_of_min_error, mut stale_values) = (f64::INFINITY, 0);
+        let (mut min_error, mut stale_values) = (f64::INFINITY, 0);
         judged.retain_mut(|(value, errors_so_far)| {
             if prefilter && stale_values == PATIENCE {
                 return false;
             }
             let Some(errors) = errors(&part, *value) else { return false };
             let mean = mean_error(&errors).unwrap_or(0.0);
-            stale_values = if mean < 0.99 * value_of_min_error { 0 } else { stale_values + 1 };
-            value_of_min_error = value_of_min_error.min(mean);
+            stale_values = if mean < 0.99 * min_error { 0 } else { stale_values + 1 };
+            min_error = min_error.min(mean);
             errors_so_far.extend(errors);
             true
         });
         if prefilter && parts.peek().is_some() {
-            judged.retain(|(_, errors)| mean_error(errors).unwrap_or(0.0) <= WORSE * value_of_min_error);
+            judged.retain(|(_, errors)| mean_error(errors).unwrap_or(0.0) <= WORSE * min_error);
             judged.truncate(CANDIDATES);
         }
     }

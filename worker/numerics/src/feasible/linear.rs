@@ -5,7 +5,7 @@
 //! ```
 //! Bounds hold exactly, constraints within 1e-7 relative to their terms.
 
-use super::project::{Projection, Stage, Status, metric};
+use super::project::{Projection, Stage, Status, distance, metric};
 use super::{Castable, program::settings};
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{DefaultSolver, IPSolver, NonnegativeConeT, SolverStatus, ZeroConeT};
@@ -36,6 +36,11 @@ pub struct LinearRow {
 const ROUNDING: f64 = 1e-7;
 
 impl LinearRow {
+    /// Euclidean length of the coefficients.
+    fn length(&self) -> f64 {
+        self.terms.iter().map(|(_, a)| a * a).sum::<f64>().sqrt()
+    }
+
     fn sum(&self, design: &[f64]) -> f64 {
         self.terms.iter().map(|(i, a)| a * design[*i]).sum()
     }
@@ -69,7 +74,7 @@ impl LinearLimits {
             below.push((vec![(i, -1.0)], (target[i] - self.lower[i]) / scale));
         }
         for row in &self.rows {
-            let length = row.terms.iter().map(|(_, a)| a * a).sum::<f64>().sqrt();
+            let length = row.length();
             let side = |sign: f64, limit: f64| {
                 let terms: Vec<_> = row.terms.iter().map(|(i, a)| (*i, sign * a / length)).collect();
                 (terms, sign * (limit - row.sum(target)) / (scale * length))
@@ -110,7 +115,7 @@ impl LinearLimits {
 impl Castable for LinearLimits {
     fn project(&mut self, previous: &[f64], target: &[f64], weights: Option<&[f64]>) -> Projection {
         let finish = |design: Vec<f64>, status: Status, iterations: u64| {
-            let distance = design.iter().zip(target).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+            let distance = distance(&design, target);
             let (stage, programs) = (Stage::None, u64::from(iterations > 0));
             Projection { design, status, stage, distance, active: Vec::new(), iterations, programs }
         };
@@ -126,9 +131,8 @@ impl Castable for LinearLimits {
             return finish(clipped, Status::Projected, 0);
         }
         let off = |row: &LinearRow| {
-            let length = row.terms.iter().map(|(_, a)| a * a).sum::<f64>().sqrt();
             let sum = row.sum(target);
-            (row.least - sum).max(sum - row.most).max(0.0) / length
+            (row.least - sum).max(sum - row.most).max(0.0) / row.length()
         };
         let moved = clipped.iter().zip(target).map(|(a, b)| (a - b).abs());
         let scale = moved.chain(self.rows.iter().map(off)).fold(0.0, f64::max);

@@ -21,7 +21,7 @@ mod tests;
 pub use exact::{Kind, Violation};
 pub use linear::{LinearLimits, LinearRow};
 pub use overlap::{Overlaps, overlaps};
-pub use project::{Active, Projection, Stage, Status};
+pub use project::{Active, Projection, Stage, Status, distance};
 
 use crate::body::{Freedom, Layout};
 

@@ -111,6 +111,12 @@ const REACH: f64 = 3.0;
 /// Length of the first step of a path (mm, largest coordinate).
 const STRIDE: f64 = 1.0;
 
+/// Euclidean distance between two designs.
+#[must_use]
+pub fn distance(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+}
+
 /// Largest number of edges that are rotated, and least distance of their ends from the target together (mm).
 const TURNS: usize = 6;
 const FAR_EDGE: f64 = 3.0;

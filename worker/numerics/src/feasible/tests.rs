@@ -21,10 +21,6 @@ fn noisy(start: &[f64], size: f64, seed: u64) -> Vec<f64> {
     start.iter().map(|x| x + stream.between([-size, size])).collect()
 }
 
-fn distance(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
-}
-
 /// A feasible target is returned with the same bits, and no program is solved.
 #[test]
 fn a_feasible_target_comes_back_bit_for_bit() {

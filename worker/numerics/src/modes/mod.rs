@@ -191,12 +191,12 @@ impl Subspace {
                 vector.axpy(-along, of, 1.0);
             }
         }
-        let scaled_residual = vector.norm();
-        if scaled_residual <= 1e-14 * size {
+        let length = vector.norm();
+        if length <= 1e-14 * size {
             return image;
         }
-        self.basis.push(vector / scaled_residual);
-        image.push(scaled_residual)
+        self.basis.push(vector / length);
+        image.push(length)
     }
 
     /// Entry of H = Vᵀ A⁻¹ V, a band matrix below the diagonal.

@@ -183,13 +183,13 @@ pub fn brain_for_casts(trial: &Trial, design: &[f64]) -> Result<DecoderForCasts,
         ));
     }
     let (mut state, mut observer) = (State::new(&trial.problem), NoObserver);
-    let simulate_fitting = thin_samples(&casts?, trial.train.samples);
-    let weights = weights_for(trial, &simulate_fitting, &mut state, &mut Log::new(0, &mut observer));
+    let samples = thin_samples(&casts?, trial.train.samples);
+    let weights = weights_for(trial, &samples, &mut state, &mut Log::new(0, &mut observer));
     let weights = weights.expect("nobody says stop")?;
     Ok(match trial.problem.decoder_kind {
         BrainKind::Stacked => {
             let Problem { decoder, seed, .. } = &trial.problem;
-            let beneath = decoder.fitted(*seed, &simulate_fitting, trial.scales.clone(), trial.pool)?;
+            let beneath = decoder.fitted(*seed, &samples, trial.scales.clone(), trial.pool)?;
             DecoderForCasts::Stacked(beneath, weights)
         }
         _ => DecoderForCasts::Network(weights),
@@ -213,9 +213,9 @@ pub fn evaluate_linear_on_casts(
         let sets = sets(&mould, cast.as_ref(), counters);
         found.extend(brains.read(trial, number as u32, &sets, &mut Vec::new()));
         if trial.problem.decoder_kind == BrainKind::Inverse {
-            let evaluate_cast =
+            let evaluated =
                 evaluate_inverse_on_cast(&mould, &known[0], number as u32, &sets, counters, &mut || true);
-            found.extend(evaluate_cast.expect("told to go on").0);
+            found.extend(evaluated.expect("told to go on").0);
         }
         progress(number + 1);
     }

@@ -7,9 +7,9 @@
 
 use super::observe::Log;
 use super::protocol::StepResult;
-use super::state::{State, norm};
+use super::state::State;
 use crate::body::Freedom;
-use crate::feasible::Castable;
+use crate::feasible::{Castable, distance};
 use crate::random::{Purpose, Stream};
 use crate::trial::{Failure, Problem, Trouble};
 
@@ -76,8 +76,4 @@ impl<'a> GradientFree<'a> {
         state.set_design(self.problem, &self.freedom, projection, &mut log.report);
         Ok(())
     }
-}
-
-fn distance(a: &[f64], b: &[f64]) -> f64 {
-    norm(a.iter().zip(b).map(|(a, b)| a - b))
 }

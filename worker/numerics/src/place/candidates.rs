@@ -92,11 +92,11 @@ impl Candidates {
         pool: &crate::Pool,
     ) -> Vec<(usize, f64)> {
         let others: Vec<usize> = self.units.iter().copied().filter(|unit| !chosen.contains(unit)).collect();
-        let subset = |group: &[usize]| {
+        let rated_group = |group: &[usize]| {
             let some = self.select_units(&[chosen, group].concat());
             some.scores(problem, pool).errors_with_each(chosen, group, 0.0, ridge)
         };
-        let mut worth: Vec<(usize, f64)> = others.chunks(GROUP).flat_map(subset).collect();
+        let mut worth: Vec<(usize, f64)> = others.chunks(GROUP).flat_map(rated_group).collect();
         worth.sort_by(|a, b| a.1.total_cmp(&b.1));
         worth
     }

@@ -48,14 +48,14 @@ pub fn compute_figures(problem: &Problem, design: &[f64]) -> OperatorFigures {
     // G per frequency: channels of each sensor in turn, by panels.
     let operators = |rest: &Rest, found: Vec<Vec<Vec<Response>>>| -> Vec<Mat<c64>> {
         let (each, rows) = (problem.channels.len(), problem.channels.len() * scene.sensors.len());
-        let average_figures = |(of, &hertz): (&Vec<Vec<Response>>, &f64)| {
+        let figures_at = |(of, &hertz): (&Vec<Vec<Response>>, &f64)| {
             let read = |i: usize, k: usize| {
                 let unit = scene.sensors[i / each];
                 mounted_response(problem, rest, unit, of[k][i / each], hertz)[problem.channels[i % each]]
             };
             Mat::from_fn(rows, panels, read)
         };
-        found.iter().zip(&frequencies).map(average_figures).collect()
+        found.iter().zip(&frequencies).map(figures_at).collect()
     };
     let whole = |rest: &Rest| operators(rest, responses(scene, rest, &scene.sensors, &frequencies));
     let rms = |operators: &[Mat<c64>]| -> Vec<f64> {

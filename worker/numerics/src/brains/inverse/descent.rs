@@ -157,29 +157,24 @@ pub(super) fn descend(
     for readings in readings.chunks(TOGETHER) {
         let mut evaluator = Evaluator { model, prior, noise, readings, n, counters };
         let mut begun: Vec<Start> = starts.by_ref().take(readings.len()).collect();
-        let evaluate_points =
-            begun.iter_mut().map(|start| std::mem::take(&mut start.z)).enumerate().collect();
-        let mut descents: Vec<Descent> = evaluator
-            .at(evaluate_points)
-            .into_iter()
-            .zip(begun)
-            .map(|(at, start)| Descent::new(at, start))
-            .collect();
+        let points = begun.iter_mut().map(|start| std::mem::take(&mut start.z)).enumerate().collect();
+        let mut descents: Vec<Descent> =
+            evaluator.at(points).into_iter().zip(begun).map(|(at, start)| Descent::new(at, start)).collect();
         for _ in 0..MAX_EVALUATIONS {
             if !go_on() {
                 return None;
             }
             descents.iter_mut().for_each(|descent| evaluator.curve(descent));
             let next_point = |(i, descent): (usize, &mut Descent)| Some((i, descent.ahead()?));
-            let propose_point: Vec<(usize, Vec<f64>)> =
+            let proposals: Vec<(usize, Vec<f64>)> =
                 model.pool().install(|| descents.par_iter_mut().enumerate().filter_map(next_point).collect());
-            if propose_point.is_empty() {
+            if proposals.is_empty() {
                 break;
             }
-            let which: Vec<usize> = propose_point.iter().map(|(i, _)| *i).collect();
+            let which: Vec<usize> = proposals.iter().map(|(i, _)| *i).collect();
             which
                 .into_iter()
-                .zip(evaluator.at(propose_point))
+                .zip(evaluator.at(proposals))
                 .for_each(|(i, point)| descents[i].accept_or_damp(point));
         }
         // A descent that used all evaluations may have discarded its B.
