@@ -38,6 +38,17 @@ impl KeptGain {
         let whole = part(&vec![1.0; gains.len()])?;
         Some(Self { part: whole, interval: Resampling::new(&clusters).interval(part) })
     }
+
+    /// Returns the verdicts by means and by medians over held-out samples, if they differ.
+    pub fn disagreement(means: Option<Self>, medians: Option<Self>) -> Option<String> {
+        let verdict = |kept: Self| match kept.interval {
+            Some(interval) if interval.low > 0.0 => "kept",
+            Some(interval) if interval.high < 0.0 => "lost",
+            _ => "undecided",
+        };
+        let [by_means, by_medians] = [verdict(means?), verdict(medians?)];
+        (by_means != by_medians).then(|| format!("{by_means} by means, {by_medians} by medians"))
+    }
 }
 
 /// Returns the initial body, then the trained ones, sorted by `way`. Other differences in training are appended to the name.

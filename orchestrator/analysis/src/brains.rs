@@ -6,7 +6,7 @@ use std::collections::HashMap;
 
 use super::kinds::{brains_by_trial, memory};
 use super::numbers::{distinct, geometric_mean, in_order};
-use super::paired::Ratio;
+use super::paired::{Ratio, disagreement};
 use super::trial::{Body, Cluster, Set, Trial};
 
 /// Held-out errors of one decoder on bodies with equal training.
@@ -26,6 +26,8 @@ pub struct DecoderErrors {
     pub errors: [f64; 2],
     /// Error of the initial body divided by that of the trained body.
     pub ratio: Ratio,
+    /// Verdicts on the ratio by means and by medians over samples, if they differ.
+    pub note: Option<String>,
 }
 
 /// Returns the errors by decoder of trials that differ only in decoder, placement and seed: own decoders first, then linear
@@ -39,9 +41,11 @@ pub fn errors_by_decoder(trials: &[&Trial]) -> Vec<DecoderErrors> {
     let mut found = Vec::new();
     for [by, trained_with] in kinds.iter().copied() {
         let alike = having(&|kind| kind[0] == *by && kind[1] == *trained_with);
-        let errors = |t: &&&Trial| (t.cluster, Body::ALL.map(|body| t.error(body, Set::Holdout)));
+        let errors = |t: &&&Trial, set: Set| Some((t.cluster, Body::ALL.map(|body| t.error(body, set))));
         let memory = alike.first().map_or([0.0; 2], |t| memory(t));
-        found.extend(read(trained_with, by, (memory, false, true), alike.iter().map(errors)));
+        found.extend(read(trained_with, by, (memory, false, true), |set| {
+            alike.iter().filter_map(|t| errors(t, set)).collect()
+        }));
     }
     for trained_with in distinct(kinds.iter().map(|kind| &kind[1])) {
         // trials that differ only in their own decoder share a body and its linear decoders: count them once
@@ -58,12 +62,13 @@ pub fn errors_by_decoder(trials: &[&Trial]) -> Vec<DecoderErrors> {
         let mut memories = in_order(readings.map(|reading| (reading.memory, reading.is_longest)));
         memories.sort_by(|a, b| (b.1, a.0[0], a.0[1]).partial_cmp(&(a.1, b.0[0], b.0[1])).expect("finite"));
         for (memory, whole) in memories {
-            let errors = alike.iter().filter_map(|t| {
+            let errors = |t: &&&Trial, set: Set| {
                 let reading = t.readings.iter().find(|r| r.memory == memory)?;
-                let errors = reading.errors.map(|body| body[Set::Holdout as usize].filter(|e| *e > 0.0));
-                Some((t.cluster, errors))
-            });
-            found.extend(read(trained_with, "linear", (memory, whole, false), errors));
+                Some((t.cluster, reading.errors.map(|body| body[set as usize].filter(|e| *e > 0.0))))
+            };
+            found.extend(read(trained_with, "linear", (memory, whole, false), |set| {
+                alike.iter().filter_map(|t| errors(t, set)).collect()
+            }));
         }
     }
     found
@@ -73,14 +78,20 @@ fn read(
     trained_with: &str,
     by: &str,
     (memory, whole, own): ([f64; 2], bool, bool),
-    errors: impl Iterator<Item = (Cluster, [Option<f64>; 2])>,
+    errors: impl Fn(Set) -> Vec<(Cluster, [Option<f64>; 2])>,
 ) -> Option<DecoderErrors> {
-    let pairs: Vec<(Cluster, [f64; 2])> =
-        errors.filter_map(|(cluster, [a, b])| Some((cluster, [a?, b?]))).collect();
-    let ratio = Ratio::of(&pairs.iter().map(|(cluster, [a, b])| (*cluster, a / b)).collect::<Vec<_>>())?;
+    let pairs = |set| -> Vec<(Cluster, [f64; 2])> {
+        errors(set).into_iter().filter_map(|(cluster, [a, b])| Some((cluster, [a?, b?]))).collect()
+    };
+    let ratio = |set| {
+        let ratios: Vec<_> = pairs(set).iter().map(|(cluster, [a, b])| (*cluster, a / b)).collect();
+        Ratio::of(&ratios)
+    };
+    let note = disagreement(ratio).map(|(_, verdicts)| verdicts);
+    let (pairs, ratio) = (pairs(Set::Holdout), ratio(Set::Holdout)?);
     let of = |body: usize| geometric_mean(&pairs.iter().map(|(_, pair)| pair[body]).collect::<Vec<_>>());
     let (trained_with, by) = (trained_with.to_owned(), by.to_owned());
-    Some(DecoderErrors { trained_with, decoder: by, memory, whole, own, errors: [of(0), of(1)], ratio })
+    Some(DecoderErrors { trained_with, decoder: by, memory, whole, own, errors: [of(0), of(1)], ratio, note })
 }
 
 #[cfg(test)]

@@ -35,6 +35,8 @@ pub struct CastErrors {
     /// Kept fractions of the gain as designed, at the median and at the 90th percentile. `None` for the initial body, and if
     /// the gain as designed is not positive.
     pub kept: [Option<KeptGain>; 2],
+    /// Verdicts on the fraction kept at the median by means and by medians over samples, if they differ.
+    pub note: Option<String>,
 }
 
 /// Groups the trials with casts; trials of a group differ only in training, placement and seed.
@@ -65,11 +67,13 @@ impl BodyTrials<'_> {
             Ratio::of(&read.iter().filter_map(|r| Some((r.0.cluster, of(r)?))).collect::<Vec<_>>())
         };
         let errors = [0, 1].map(|quantile| mean(&|r| Some(r.1.errors[quantile])));
+        let kept = [0, 1].map(|quantile| self.kept(by, Set::Holdout, |read| Some(read.errors[quantile])));
         let sum = |of: fn(&CastReading) -> u64| read.iter().map(|r| of(r.1)).sum();
         Some(CastErrors {
             casts: [sum(|r| r.casts), sum(|r| r.failed)],
-            designed: mean(&|r| designed(r.0, self.body, by)),
-            kept: [0, 1].map(|quantile| self.kept(by, quantile)),
+            designed: mean(&|r| designed(r.0, self.body, by, Set::Holdout)),
+            note: KeptGain::disagreement(kept[0], self.kept(by, Set::Median, |read| read.median)),
+            kept,
             errors: match errors {
                 [Some(median), Some(most)] => [median, most],
                 _ => return None,
@@ -77,15 +81,15 @@ impl BodyTrials<'_> {
         })
     }
 
-    fn kept(&self, by: CastDecoder, quantile: usize) -> Option<KeptGain> {
+    fn kept(&self, by: CastDecoder, set: Set, of: impl Fn(&CastReading) -> Option<f64>) -> Option<KeptGain> {
         if self.body == Body::Initial {
             return None;
         }
         // ln(initial/trained) over casts and as designed, per trial
         let gains = |trial: &&Trial| {
-            let cast = Body::ALL.map(|body| Some(reading(trial, body, by)?.errors[quantile]));
+            let cast = Body::ALL.map(|body| of(reading(trial, body, by)?));
             let gain = |[initial, trained]: [Option<f64>; 2]| Some((initial? / trained?).ln());
-            let found = [gain(cast)?, gain(Body::ALL.map(|body| designed(trial, body, by)))?];
+            let found = [gain(cast)?, gain(Body::ALL.map(|body| designed(trial, body, by, set)))?];
             Some((trial.cluster, found))
         };
         KeptGain::of(self.trials.iter().filter_map(gains))
@@ -98,13 +102,13 @@ fn reading(trial: &Trial, body: Body, by: CastDecoder) -> Option<&CastReading> {
 
 /// Held-out error (%) of the body as designed: of the trial's own decoder for networks, inverse decoders and linear trials,
 /// else of the linear decoder with the longest memory.
-fn designed(trial: &Trial, body: Body, by: CastDecoder) -> Option<f64> {
+fn designed(trial: &Trial, body: Body, by: CastDecoder, set: Set) -> Option<f64> {
     let inverts = matches!(by, CastDecoder::Inverse | CastDecoder::Twin(_));
     if by <= CastDecoder::NetworkCasts || inverts || is_linear(trial) {
-        return trial.error(body, Set::Holdout);
+        return trial.error(body, set);
     }
     let whole = trial.readings.iter().find(|reading| reading.is_longest)?;
-    whole.errors[body as usize][Set::Holdout as usize].filter(|error| *error > 0.0)
+    whole.errors[body as usize][set as usize].filter(|error| *error > 0.0)
 }
 
 #[cfg(test)]

@@ -228,11 +228,11 @@ fn brains_table(trials: &[&Trial]) -> Table {
             let [before, after] = read.memory.map(|s| (1e6 * s).round() / 1e6);
             let [initial, optimised] = read.errors;
             let names = row![group.label, read.trained_with, read.decoder, before, after, initial, optimised];
-            rows.push([names, ratio_cells(read.ratio.clone())].concat());
+            rows.push([names, ratio_cells(read.ratio.clone()), row![read.note]].concat());
         }
     }
     let columns = "setting trained_with read_by before after initial optimised trials improved ratio low \
-        high over";
+        high over note";
     Table::new(columns, rows)
 }
 
@@ -252,11 +252,11 @@ fn casts_table(trials: &[&Trial]) -> Table {
                 row![kept.map(|kept| kept.part), low, high]
             });
             let errors = [interval_cells(Some(median)), interval_cells(Some(most))].concat();
-            rows.push([names, counts, errors, kept, kept_most, row![median.over]].concat());
+            rows.push([names, counts, errors, kept, kept_most, row![median.over, found.note]].concat());
         }
     }
     let columns = "setting body read_by records trials casts failed designed median median_low median_high \
-        percentile_90 percentile_90_low percentile_90_high kept kept_low kept_high kept_90 kept_90_low kept_90_high over";
+        percentile_90 percentile_90_low percentile_90_high kept kept_low kept_high kept_90 kept_90_low kept_90_high over note";
     Table::new(columns, rows)
 }
 
@@ -270,11 +270,11 @@ fn transfer_table(trials: &[&Trial]) -> Table {
             let kept = row![read.kept.map(|kept| kept.part); ends(read.kept.and_then(|kept| kept.interval))];
             let errors = [interval_cells(Some(&read.own)), interval_cells(read.carried.as_ref())].concat();
             let names = row![setting.label, body.name, kind, read.own.trials];
-            rows.push([names, errors, kept, row![read.own.over]].concat());
+            rows.push([names, errors, kept, row![read.own.over, read.note]].concat());
         }
     }
     let columns = "setting body under trials own own_low own_high carried carried_low carried_high kept kept_low \
-        kept_high over";
+        kept_high over note";
     Table::new(columns, rows)
 }
 

@@ -9,7 +9,7 @@ use super::bodies::{BodyTrials, KeptGain, bodies};
 use super::data::{Group, groups};
 use super::numbers::distinct;
 use super::paired::Ratio;
-use super::trial::{Body, Trial};
+use super::trial::{Body, Trial, UnderReading};
 
 /// Trials of one setting with evaluations under several kinds of forces.
 #[derive(Debug, Clone)]
@@ -32,6 +32,8 @@ pub struct TransferErrors {
     /// Kept fraction of the specialist's gain, with decoders fitted under these forces; `None` for the initial body and without
     /// a specialist.
     pub kept: Option<KeptGain>,
+    /// Verdicts on the kept fraction by means and by medians over samples, if they differ.
+    pub note: Option<String>,
 }
 
 /// Groups trials that differ only in forces, training, placement and seed.
@@ -54,13 +56,18 @@ impl Setting<'_> {
     /// Returns the errors of a body under one kind of forces; `None` if there are none.
     pub fn read(&self, body: &BodyTrials, under: &str) -> Option<TransferErrors> {
         let mean = |own: bool| {
-            let of = |trial: &&Trial| Some((trial.cluster, error(trial, body.body, under, own)?));
+            let of = |trial: &&Trial| Some((trial.cluster, reading(trial, body.body, under, own)?.error));
             Ratio::of(&body.trials.iter().filter_map(of).collect::<Vec<_>>())
         };
+        let trained = body.body == Body::Optimised;
+        let kept =
+            |of: fn(&UnderReading) -> Option<f64>| trained.then(|| self.kept(body, under, of)).flatten();
+        let [means, medians] = [kept(|read| Some(read.error)), kept(|read| read.median)];
         Some(TransferErrors {
             own: mean(true)?,
-            carried: (body.body == Body::Optimised).then(|| mean(false)).flatten(),
-            kept: (body.body == Body::Optimised).then(|| self.kept(body, under)).flatten(),
+            carried: trained.then(|| mean(false)).flatten(),
+            kept: means,
+            note: KeptGain::disagreement(means, medians),
         })
     }
 
@@ -75,11 +82,16 @@ impl Setting<'_> {
         self.bodies.iter().find(|body| body.body == Body::Optimised && kind(body.trials[0]) == under)
     }
 
-    fn kept(&self, body: &BodyTrials, under: &str) -> Option<KeptGain> {
+    fn kept(
+        &self,
+        body: &BodyTrials,
+        under: &str,
+        of: impl Fn(&UnderReading) -> Option<f64>,
+    ) -> Option<KeptGain> {
         let specialist = self.specialist(under)?;
         // ln(initial/trained) of the body and of the specialist, per cluster
         let gain = |trial: &Trial| {
-            let [initial, trained] = Body::ALL.map(|body| error(trial, body, under, true));
+            let [initial, trained] = Body::ALL.map(|body| of(reading(trial, body, under, true)?));
             Some((initial? / trained?).ln())
         };
         let both = |trial: &&Trial| {
@@ -90,9 +102,8 @@ impl Setting<'_> {
     }
 }
 
-fn error(trial: &Trial, body: Body, under: &str, own: bool) -> Option<f64> {
-    let found = trial.under.iter().find(|read| (read.body, read.own) == (body, own) && read.stimuli == under);
-    found.map(|read| read.error)
+fn reading<'a>(trial: &'a Trial, body: Body, under: &str, own: bool) -> Option<&'a UnderReading> {
+    trial.under.iter().find(|read| (read.body, read.own) == (body, own) && read.stimuli == under)
 }
 
 #[cfg(test)]

@@ -95,7 +95,7 @@ pub struct Reading {
     /// Whether no other linear decoder of the trial has a longer memory.
     pub is_longest: bool,
     /// Error (%) by body and set.
-    pub errors: [[Option<f64>; 2]; 2],
+    pub errors: [[Option<f64>; 3]; 2],
 }
 
 /// Errors of a decoder on the casts of a body.
@@ -109,8 +109,10 @@ pub struct CastReading {
     pub casts: u64,
     /// Number of casts that failed in simulation or decoding, and count as 100 %.
     pub failed: u64,
-    /// Median and 90th percentile of the held-out errors (%).
+    /// Median and 90th percentile over casts of the held-out errors (%).
     pub errors: [f64; 2],
+    /// Median over casts of the median over held-out samples (%).
+    pub median: Option<f64>,
 }
 
 /// Error of a linear decoder on a body under one kind of forces.
@@ -124,6 +126,8 @@ pub struct UnderReading {
     pub own: bool,
     /// Held-out error (%), above 0.
     pub error: f64,
+    /// Median over held-out samples (%), above 0.
+    pub median: Option<f64>,
 }
 
 /// Path of the seed of a random initial body.
@@ -213,7 +217,7 @@ impl Trial {
         }
         (self.errors[1], self.long_errors[1], self.nonlinear[1]) = ([None; 2], [None; 2], [None; 2]);
         (self.medians[1], self.long_medians[1]) = (None, None);
-        self.readings.iter_mut().for_each(|reading| reading.errors[1] = [None; 2]);
+        self.readings.iter_mut().for_each(|reading| reading.errors[1] = [None; 3]);
         for curves in [&mut self.curves, &mut self.error_curves, &mut self.long_curves] {
             curves[1].clear();
         }

@@ -297,7 +297,7 @@ impl Loader<'_> {
     }
 
     async fn readings(&mut self) -> Result<(), StoreError> {
-        let sql = "SELECT r.trial_id, r.body, r.whole, r.error_test, r.error_holdout,
+        let sql = "SELECT r.trial_id, r.body, r.whole, r.error_test, r.error_holdout, r.median,
                r.before * (t.spec->>'$.time.duration') / (t.spec->>'$.time.samples') AS before,
                r.after * (t.spec->>'$.time.duration') / (t.spec->>'$.time.samples') AS after
              FROM reading r JOIN trial t ON t.id = r.trial_id
@@ -311,7 +311,7 @@ impl Loader<'_> {
             }
             let last = trial.readings.len() - 1;
             trial.readings[last].errors[body as usize] =
-                [row.number("error_test"), row.number("error_holdout")];
+                ["error_test", "error_holdout", "median"].map(|column| row.number(column));
             Ok(())
         })
         .await
@@ -319,23 +319,35 @@ impl Loader<'_> {
 
     /// Quantiles over casts, interpolated between the two nearest order statistics.
     async fn casts(&mut self) -> Result<(), StoreError> {
-        let quantile = |q: f64| format!("sum(error * max(0, 1 - abs({q:?} * (count - 1) - place)))");
+        let quantile = |of: &str, place: &str, q: f64| {
+            format!("sum({of} * max(0, 1 - abs({q:?} * (count - 1) - {place})))")
+        };
         let partition = "PARTITION BY trial_id, body, reader, records";
         let sql = format!(
-            "SELECT trial_id, body, reader, records, count, sum(outcome <> 'ok') AS failed, {} AS median, {} AS most FROM
-               (SELECT *, row_number() OVER ({partition} ORDER BY error) - 1 AS place, count(*) OVER ({partition}) AS count
+            "SELECT trial_id, body, reader, records, count, sum(outcome <> 'ok') AS failed, {} AS middle, {} AS most,
+               {} AS sample_median FROM
+               (SELECT *, row_number() OVER ({partition} ORDER BY error) - 1 AS place, count(*) OVER ({partition}) AS count,
+                  row_number() OVER ({partition} ORDER BY coalesce(median, error)) - 1 AS median_place
                 FROM cast_reading WHERE error IS NOT NULL)
              GROUP BY trial_id, body, reader, records",
-            quantile(0.5),
-            quantile(0.9)
+            quantile("error", "place", 0.5),
+            quantile("error", "place", 0.9),
+            quantile("coalesce(median, error)", "median_place", 0.5)
         );
         self.each(&sql, |trial, row| {
             let named = body_named(row.text("body"))
                 .zip(CastDecoder::named(row.text("reader"), row.count("records") as u32));
-            let errors = [row.number("median"), row.number("most")];
-            if let (Some((body, by)), [Some(median), Some(most)]) = (named, errors) {
+            let errors = [row.number("middle"), row.number("most")];
+            if let (Some((body, by)), [Some(middle), Some(most)]) = (named, errors) {
                 let (casts, failed) = (row.count("count"), row.count("failed"));
-                trial.casts.push(CastReading { body, decoder: by, casts, failed, errors: [median, most] });
+                trial.casts.push(CastReading {
+                    body,
+                    decoder: by,
+                    casts,
+                    failed,
+                    errors: [middle, most],
+                    median: row.number("sample_median"),
+                });
             }
             Ok(())
         })
@@ -344,13 +356,15 @@ impl Loader<'_> {
 
     async fn under(&mut self) -> Result<(), StoreError> {
         let sql = "SELECT t.id AS trial_id, u.value->>'$.body' AS body, u.value->>'$.stimuli' AS stimuli,
-               u.value->>'$.reader' = 'own' AS own, u.value->>'$.error' AS error
+               u.value->>'$.reader' = 'own' AS own, u.value->>'$.error' AS error,
+               u.value->>'$.spread.median' AS median
              FROM trial t, json_each(t.result, '$.under') u WHERE t.state = 'done' ORDER BY t.id, u.key";
         self.each(sql, |trial, row| {
             let read = body_named(row.text("body")).zip(row.number("error").filter(|error| *error > 0.0));
             let Some((body, error)) = read else { return Ok(()) };
             let (stimuli, own) = (row.text("stimuli").to_owned(), row.count("own") == 1);
-            trial.under.push(UnderReading { body, stimuli, own, error });
+            let median = row.number("median").filter(|error| *error > 0.0);
+            trial.under.push(UnderReading { body, stimuli, own, error, median });
             Ok(())
         })
         .await
