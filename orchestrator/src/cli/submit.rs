@@ -14,10 +14,9 @@ use super::{Error, duration, make_folder, write};
 use crate::cluster::home::{SUBMITTED_SPEC, attempts};
 use crate::cluster::places::{self, HostSlot, LaunchConfig, ShardsOutcome};
 use crate::cluster::queue::{self, Job, Notes};
+use crate::cluster::scheduler::{QueueCommands, SchedulerName, SubmitOption};
 use crate::cluster::state::{State, states};
-use crate::cluster::submit::{
-    MAX_ARRAY_SIZE, MERGE, Scheduler, Submission, estimate, line, planned, seconds,
-};
+use crate::cluster::submit::{MERGE, Submission, estimate, line, planned, seconds};
 use crate::cluster::{Assignment, Shard, ranges};
 use crate::engine::Signals;
 use crate::exit::Exit;
@@ -33,7 +32,7 @@ use crate::store::Reader;
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The program that starts shards
-    scheduler: Scheduler,
+    scheduler: SchedulerName,
     #[command(flatten)]
     spec: Spec,
     /// Number of shards; by default, each takes half of its time limit by estimate, and `local` and `ssh` have four per
@@ -160,7 +159,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
         say!("skipped, because they are running or queued: shards {}", ranges(&queued));
     }
     // an earlier `submit` could not queue the merge
-    let merge_is_missing = args.scheduler == Scheduler::Slurm && !queue.has_merge(&jobs);
+    let commands = args.scheduler.scheduler().queue();
+    let merge_is_missing = commands.is_some_and(QueueCommands::has_merge_job) && !queue.has_merge(&jobs);
     if which.is_empty() && !queued.is_empty() && !merge_is_missing {
         say!("nothing to submit; metasense status --folder {} shows the shards", folder.display());
         return Ok(Exit::Done);
@@ -183,8 +183,8 @@ pub(super) async fn execute(args: Args) -> Result<Exit, Error> {
     }
     let mut notes = prepare(&plan, &submission, &program, &queue.jobs)?;
     write_assignment(&assignment, &submission.folder, &plan.trials)?;
-    if args.scheduler.has_queue() {
-        queued::submit(&mut submission, &mut notes, jobs, &queue)?;
+    if let Some(commands) = commands {
+        queued::submit(&mut submission, commands, &mut notes, jobs, &queue)?;
         return Ok(Exit::Done);
     }
     run_here(&submission, &places, &mut notes).await
@@ -229,10 +229,11 @@ impl Args {
             Some(at) => [&self.further[..at], &self.further[at + 1..]],
             None => [&self.further[..]; 2],
         };
+        let scheduler = self.scheduler.scheduler();
         let again = self.retry_failed.then_some("--retry-failed");
         let folder = absolute(&self.folder(plan))?;
         let submission = Submission {
-            scheduler: self.scheduler,
+            scheduler,
             name: plan.spec.name.clone(),
             program: folder.join(&program.name),
             prefix: self.prefix.clone(),
@@ -250,16 +251,13 @@ impl Args {
             run: self.run.split_whitespace().chain(again).map(str::to_owned).collect(),
             for_shards: for_shards.to_vec(),
             for_merge: for_merge.to_vec(),
-            most_index: match self.scheduler {
-                Scheduler::Slurm => queue::max_array_size().unwrap_or(MAX_ARRAY_SIZE) - 1,
-                _ => Shard::MOST,
-            },
+            most_index: scheduler.queue().map_or(Shard::MOST, QueueCommands::most_index),
         };
         if let Some(unfit) = submission.unfit() {
             return Err(Error::Usage(format!("{unfit}, because it is written into a script")));
         }
         let (notice, limit) = (submission.notice(), submission.seconds);
-        if self.scheduler.has_queue() && submission.grace.is_some() && notice >= limit {
+        if submission.has_queue() && submission.grace.is_some() && notice >= limit {
             return Err(plan
                 .source
                 .error("run.grace", &format!("a shard is stopped {notice} s before its time limit of {limit} s: lower it, or raise --time"))
@@ -276,43 +274,29 @@ impl Args {
 
     /// Refuses options that the scheduler does not have, and a scheduler that is not installed.
     fn check(&self) -> Result<(), Error> {
-        let check_option = |name: &str, is_given: bool, fits: bool, why: &str| match is_given && !fits {
-            true => Err(Error::Usage(format!("--{name}: {why}; leave it out"))),
-            false => Ok(()),
-        };
-        let (slurm, hq) = (self.scheduler == Scheduler::Slurm, self.scheduler == Scheduler::Hq);
-        check_option("time", self.time.is_some(), slurm || hq, "shards run here without a limit")?;
-        check_option(
-            "at-most",
-            self.at_most.is_some(),
-            !hq,
-            "HyperQueue starts as many shards as fit on its workers",
-        )?;
-        check_option(
-            "hosts",
-            self.hosts.is_some(),
-            self.scheduler == Scheduler::Ssh,
-            "it is for `cluster submit ssh`",
-        )?;
-        check_option(
-            "further options",
-            !self.further.is_empty(),
-            self.scheduler != Scheduler::Local,
-            "no scheduler receives them",
-        )?;
-        let for_merge = self.further.iter().any(|word| word == "--");
-        check_option("further options after a second --", for_merge, slurm, "no job merges")?;
-        let program = match self.scheduler {
-            Scheduler::Slurm => "sbatch",
-            Scheduler::Hq => "hq",
-            Scheduler::Ssh => "ssh",
-            Scheduler::Local => "sh",
-        };
+        let scheduler = self.scheduler.scheduler();
+        let given = [
+            (SubmitOption::Time, "time", self.time.is_some()),
+            (SubmitOption::AtMost, "at-most", self.at_most.is_some()),
+            (SubmitOption::Hosts, "hosts", self.hosts.is_some()),
+            (SubmitOption::Further, "further options", !self.further.is_empty()),
+            (
+                SubmitOption::FurtherForMerge,
+                "further options after a second --",
+                self.further.iter().any(|word| word == "--"),
+            ),
+        ];
+        for (option, name, _) in given.into_iter().filter(|(.., is_given)| *is_given) {
+            if let Some(why) = scheduler.refusal(option) {
+                return Err(Error::Usage(format!("--{name}: {why}; leave it out")));
+            }
+        }
+        let program = scheduler.program();
         if !self.dry_run && !files::is_in_path(program) {
             return Err(Error::Usage(format!(
                 "cluster submit {}: `{program}` is not in PATH; use a machine that has it, or run the shards here: `metasense cluster submit \
                  local`",
-                self.scheduler.name()
+                scheduler.name()
             )));
         }
         Ok(())
@@ -322,12 +306,12 @@ impl Args {
     fn places(&self) -> Result<Vec<HostSlot>, Error> {
         let most = self.at_most.unwrap_or(u32::MAX) as usize;
         match (self.scheduler, &self.hosts) {
-            (Scheduler::Local, _) => {
+            (SchedulerName::Local, _) => {
                 let cores = super::cores();
                 let count = self.at_most.map_or((cores / self.cpus as usize).max(1), |most| most as usize);
                 Ok(vec![None; count])
             }
-            (Scheduler::Ssh, Some(file)) => {
+            (SchedulerName::Ssh, Some(file)) => {
                 let text = std::fs::read_to_string(file).map_err(Error::unreadable(file))?;
                 let wrong = |why| Error::Usage(format!("{}:{why}", file.display()));
                 let mut places = places::places(&text).map_err(wrong)?;
@@ -397,7 +381,7 @@ fn say(trials: &[Trial], assignment: &Assignment, submission: &Submission) {
         duration(mean),
         counted(*cpus as usize, "core"),
         duration(longest),
-        match submission.scheduler.has_queue() {
+        match submission.has_queue() {
             true => format!("; the time limit is {}", duration(*seconds as f64)),
             false => String::new(),
         }
@@ -405,12 +389,8 @@ fn say(trials: &[Trial], assignment: &Assignment, submission: &Submission) {
     if which.len() < *shards as usize {
         say!("{} of them are incomplete: {}", which.len(), ranges(which));
     }
-    if longest > *seconds as f64 && submission.scheduler.has_queue() {
-        let then = match submission.scheduler {
-            Scheduler::Slurm => "is queued again by Slurm",
-            _ => "is resumed by the next `cluster submit`",
-        };
-        say!("this exceeds the limit: an interrupted shard {then}");
+    if let Some(commands) = submission.scheduler.queue().filter(|_| longest > *seconds as f64) {
+        say!("this exceeds the limit: an interrupted shard {}", commands.after_limit());
     }
 }
 
@@ -420,15 +400,14 @@ fn print(submission: &Submission) -> io::Result<()> {
     {
         print_line!("# {}\n{}", submission.folder.join(script.name).display(), script.text)?;
     }
-    if submission.scheduler.has_queue() {
+    if let Some(commands) = submission.scheduler.queue() {
         for array in submission.arrays() {
-            print_line!(
-                "$ {}",
-                line(&submission.submit_shards(&array, &format!("{}.MARK", submission.name)))
-            )?;
+            let name = format!("{}.MARK", submission.name);
+            print_line!("$ {}", line(&commands.submit_shards(submission, &array, &name)))?;
         }
-        if submission.merges && submission.scheduler == Scheduler::Slurm {
-            print_line!("$ {}", line(&submission.submit_merge(&["JOB".to_owned()])))?;
+        let merge = commands.submit_merge(submission, &["JOB".to_owned()]);
+        if let Some(merge) = merge.filter(|_| submission.merges) {
+            print_line!("$ {}", line(&merge))?;
         }
     }
     Ok(())

@@ -9,6 +9,7 @@ pub mod home;
 pub mod merge;
 pub mod places;
 pub mod queue;
+pub mod scheduler;
 mod shard;
 pub mod state;
 pub mod submit;

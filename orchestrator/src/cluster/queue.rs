@@ -7,15 +7,15 @@ use std::path::Path;
 use std::process::{Command, ExitStatus};
 
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
 
+use super::scheduler::queue_named;
 use crate::files;
 
 /// File in a folder of shards that lists submitted jobs, one per line.
 const JOBS: &str = "jobs.jsonl";
 
 /// A submitted job.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Job {
     /// `slurm`, `hq`, `local` or `ssh`.
     pub scheduler: String,
@@ -185,7 +185,9 @@ pub enum QueueError {
 /// If a scheduler does not answer.
 pub fn ask(jobs: &mut Vec<Job>) -> Result<Queue, QueueError> {
     for job in jobs.iter_mut().filter(|job| job.job.is_empty()) {
-        look_up(job)?;
+        if let (Some(commands), Some(name)) = (queue_named(&job.scheduler), job.name.clone()) {
+            commands.look_up(&name, job)?;
+        }
     }
     jobs.retain(|job| !job.job.is_empty());
     let mut queue = Queue::default();
@@ -194,85 +196,20 @@ pub fn ask(jobs: &mut Vec<Job>) -> Result<Queue, QueueError> {
         groups.entry((&job.scheduler, job.cluster.as_deref())).or_default().push(job);
     }
     for ((scheduler, cluster), jobs) in groups {
-        match scheduler {
-            "slurm" => slurm(&jobs, cluster, &mut queue)?,
-            "hq" => hq(&jobs, &mut queue)?,
-            _ => {}
+        if let Some(commands) = queue_named(scheduler) {
+            commands.add_states(&jobs, cluster, &mut queue)?;
         }
     }
     Ok(queue)
 }
 
-/// Looks up the id of a job by its name; leaves it empty if the job is not in the queue.
-///
-/// # Errors
-/// If the scheduler does not answer.
-pub fn look_up(job: &mut Job) -> Result<(), QueueError> {
-    let Some(name) = &job.name else { return Ok(()) };
-    if job.scheduler == "slurm" {
-        let text = output(&squeue("--format=%F", &format!("--name={name}"), job.cluster.as_deref()))?;
-        for line in text.lines().map(str::trim) {
-            match line.strip_prefix("CLUSTER: ") {
-                Some(cluster) => job.cluster = Some(cluster.to_owned()),
-                None if line.parse::<u64>().is_ok() => {
-                    job.job = line.to_owned();
-                    break;
-                }
-                None => {}
-            }
-        }
-        return Ok(());
-    }
-    let command = ["hq", "--output-mode=json", "job", "list", "--all"].map(str::to_owned);
-    let text = output(&command)?;
-    match serde_json::from_str(&text) {
-        Ok(Value::Array(jobs)) => {
-            if let Some(known) = jobs.iter().find(|job| job["name"] == **name) {
-                job.job = known["id"].to_string();
-            }
-            Ok(())
-        }
-        _ => Err(QueueError::Answer { command: command.join(" "), answer: text }),
-    }
-}
-
-fn squeue(format: &str, which: &str, cluster: Option<&str>) -> Vec<String> {
-    let words = ["squeue", "--noheader", "--array", format, which].map(str::to_owned);
-    words.into_iter().chain(cluster.map(|name| format!("--clusters={name}"))).collect()
-}
-
 /// Comma-separated ids of jobs and their merges.
-fn numbers(jobs: &[&Job]) -> String {
+pub(super) fn numbers(jobs: &[&Job]) -> String {
     let numbers = jobs.iter().flat_map(|job| std::iter::once(&*job.job).chain(job.merge_job.as_deref()));
     numbers.collect::<Vec<_>>().join(",")
 }
 
-fn slurm(jobs: &[&Job], cluster: Option<&str>, queue: &mut Queue) -> Result<(), QueueError> {
-    let ids = format!("--jobs={}", numbers(jobs));
-    let before = queue.jobs.len();
-    match output(&squeue("--format=%F|%K|%T|%r", &ids, cluster)) {
-        Ok(text) => queue.add_slurm(&text, jobs),
-        // Slurm's error if the only requested job has left the queue.
-        Err(QueueError::Failed { said, .. }) if said.contains("Invalid job id") => {}
-        Err(error) => return Err(error),
-    }
-    if queue.jobs.len() > before {
-        queue.cluster = cluster.map(str::to_owned);
-    }
-    Ok(())
-}
-
-fn hq(jobs: &[&Job], queue: &mut Queue) -> Result<(), QueueError> {
-    let command = ["hq", "--output-mode=json", "task", "list", &numbers(jobs)].map(str::to_owned);
-    let text = output(&command)?;
-    match serde_json::from_str(&text) {
-        Ok(Value::Object(tasks)) => queue.add_hq(&tasks, jobs),
-        _ => return Err(QueueError::Answer { command: command.join(" "), answer: text }),
-    }
-    Ok(())
-}
-
-fn output(words: &[String]) -> Result<String, QueueError> {
+pub(super) fn output(words: &[String]) -> Result<String, QueueError> {
     let command = || words.join(" ");
     let output = Command::new(&words[0])
         .args(&words[1..])
@@ -287,14 +224,6 @@ fn output(words: &[String]) -> Result<String, QueueError> {
     Err(QueueError::Failed { command: command(), status: output.status, said })
 }
 
-/// Slurm's `MaxArraySize`, if available.
-#[must_use]
-pub fn max_array_size() -> Option<u32> {
-    let config = output(&["scontrol", "show", "config"].map(str::to_owned)).ok()?;
-    let line = config.lines().find_map(|line| line.trim().strip_prefix("MaxArraySize"))?;
-    line.split_once('=')?.1.trim().parse().ok()
-}
-
 impl Queue {
     /// Whether every queued job of shards has a queued merge.
     #[must_use]
@@ -304,42 +233,9 @@ impl Queue {
         of_shards.all(|job| job.merge_job.as_ref().is_some_and(is_queued))
     }
 
-    fn add_job(&mut self, job: &str) {
+    pub(super) fn add_job(&mut self, job: &str) {
         if !self.jobs.iter().any(|known| known == job) {
             self.jobs.push(job.to_owned());
-        }
-    }
-
-    /// Adds lines of `squeue`: job, index, state, and reason for waiting.
-    fn add_slurm(&mut self, text: &str, jobs: &[&Job]) {
-        for line in text.lines() {
-            let mut parts = line.split('|').map(str::trim);
-            let (Some(job), Some(index), Some(state)) = (parts.next(), parts.next(), parts.next()) else {
-                continue;
-            };
-            let reason = parts.next().unwrap_or("None");
-            let state = state.to_lowercase();
-            self.add_job(job);
-            if let Ok(index) = index.parse::<u32>()
-                && let Some(known) = jobs.iter().find(|known| known.job == job)
-            {
-                let state = if reason == "None" { state } else { format!("{state} ({reason})") };
-                self.shards.insert(known.offset + index, state);
-            }
-        }
-    }
-
-    /// Adds lists of tasks per job.
-    fn add_hq(&mut self, tasks: &serde_json::Map<String, Value>, jobs: &[&Job]) {
-        for (job, tasks) in tasks {
-            for task in tasks.as_array().into_iter().flatten() {
-                let state = task["state"].as_str().filter(|state| ["waiting", "running"].contains(state));
-                let Some((state, index)) = state.zip(task["id"].as_u64()) else { continue };
-                self.add_job(job);
-                if jobs.iter().any(|known| known.job == *job) {
-                    self.shards.insert(index as u32, state.to_owned());
-                }
-            }
         }
     }
 }

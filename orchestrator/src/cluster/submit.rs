@@ -2,11 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use super::Assignment;
 use super::home::SUBMITTED_SPEC;
-use super::shard::ranges;
-use super::{Assignment, Shard};
+use super::scheduler::Scheduler;
 use crate::engine::GRACE;
-use crate::exit::Exit;
 use crate::plan::{Trial, cost};
 
 /// Time before its time limit at which a shard is stopped (s), or more if `run.grace` requires it.
@@ -17,50 +16,13 @@ const HAND_IN: u64 = 15;
 const QUEUED_GRACE: f64 = (NOTICE - HAND_IN) as f64;
 /// Most shards by default; larger numbers must be requested.
 const MOST_PLANNED: u32 = 1000;
-/// Slurm's default `MaxArraySize`: one more than the largest array index.
-pub const MAX_ARRAY_SIZE: u32 = 1001;
 /// Name of the merge script in the folder.
 pub const MERGE: &str = "merge.sh";
-/// Most times a shard requeues itself at its time limit.
-const REQUEUES: u32 = 20;
-
-/// Schedulers that start shards.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum Scheduler {
-    /// Slurm, by `sbatch`
-    Slurm,
-    /// `HyperQueue`, by `hq`
-    Hq,
-    /// This machine, until all have ended
-    Local,
-    /// Machines that share the folder, by `ssh`, until all have ended
-    Ssh,
-}
-
-impl Scheduler {
-    /// Name in the list of jobs.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Slurm => "slurm",
-            Self::Hq => "hq",
-            Self::Local => "local",
-            Self::Ssh => "ssh",
-        }
-    }
-
-    /// Whether it has a queue that outlives `submit`.
-    #[must_use]
-    pub fn has_queue(self) -> bool {
-        matches!(self, Self::Slurm | Self::Hq)
-    }
-}
-
 /// Shards to submit.
 #[derive(Debug, Clone)]
 pub struct Submission {
     /// The scheduler.
-    pub scheduler: Scheduler,
+    pub scheduler: &'static dyn Scheduler,
     /// Name of the sweep.
     pub name: String,
     /// Copy of this program in the folder.
@@ -140,8 +102,7 @@ impl Submission {
     #[must_use]
     pub fn unfit(&self) -> Option<String> {
         let control = |text: &str| text.chars().any(char::is_control);
-        // Slurm parses its directives itself, with different quoting rules.
-        let directive = |text: &str| self.scheduler == Scheduler::Slurm && text.contains(['"', '\\']);
+        let directive = |text: &str| text.contains(self.scheduler.unfit_in_paths());
         let paths = [("folder", &self.folder), ("out", &self.out)];
         let path = paths.into_iter().find(|(name, path)| {
             path.to_str().is_none_or(|text| control(text) || *name == "folder" && directive(text))
@@ -153,10 +114,16 @@ impl Submission {
         .or_else(|| prefix.map(|prefix| format!("prefix {prefix:?}: must be text without line ends")))
     }
 
+    /// Whether the scheduler has a queue that outlives `submit`.
+    #[must_use]
+    pub fn has_queue(&self) -> bool {
+        self.scheduler.queue().is_some()
+    }
+
     /// Longest wait of a stopped shard for steps in progress (s).
     #[must_use]
     pub fn grace(&self) -> f64 {
-        self.grace.unwrap_or(if self.scheduler.has_queue() { QUEUED_GRACE } else { GRACE })
+        self.grace.unwrap_or(if self.has_queue() { QUEUED_GRACE } else { GRACE })
     }
 
     /// Time before its time limit at which a shard is stopped (s).
@@ -168,90 +135,8 @@ impl Submission {
     /// The scripts of shards and of the merge.
     #[must_use]
     pub fn scripts(&self) -> [Script; 2] {
-        let (shard, merge) = match self.scheduler {
-            Scheduler::Slurm => (self.slurm_shard(), self.slurm_merge()),
-            Scheduler::Hq => (self.hq_shard(), self.own_merge()),
-            Scheduler::Local | Scheduler::Ssh => (self.own_shard(), self.own_merge()),
-        };
+        let (shard, merge) = (self.scheduler.shard_script(self), self.scheduler.merge_script(self));
         [Script { name: "shard.sh", text: shard }, Script { name: MERGE, text: merge }]
-    }
-
-    fn slurm_shard(&self) -> String {
-        let (Self { name, cpus, shards, .. }, notice) = (self, self.notice());
-        format!(
-            "#!/bin/sh\n\
-             #SBATCH --job-name={name}\n\
-             #SBATCH --nodes=1\n\
-             #SBATCH --ntasks=1\n\
-             #SBATCH --cpus-per-task={cpus}\n\
-             #SBATCH --time={}\n\
-             #SBATCH --signal=B:USR1@{notice}\n\
-             #SBATCH --requeue\n\
-             #SBATCH --open-mode=append\n\
-             #SBATCH --output={}\n\
-             {ABOUT}\
-             # also after SIGTERM, and {notice} s before the time limit, when Slurm sends SIGUSR1. Then it queues\n\
-             # again, at most {REQUEUES} times.\n\
-             shard=$((SLURM_ARRAY_TASK_ID + ${{1:-0}}))\n\
-             {} &\n\
-             run=$!\n\
-             trap : TERM # the run receives it, too\n\
-             trap 'limit=reached; kill -TERM $run' USR1\n\
-             while wait $run; code=$?; kill -0 $run 2>/dev/null; do :; done # a signal only interrupts wait\n\
-             [ $code -le 128 ] || {{ wait $run; code=$?; }} # the run has ended meanwhile\n\
-             if [ \"$code $limit\" = \"{} reached\" ] && [ \"${{SLURM_RESTART_COUNT:-0}}\" -lt {REQUEUES} ]; then\n  \
-               exec scontrol requeue \"$SLURM_JOB_ID\"\n\
-             fi\n\
-             exit $code\n",
-            clock(self.seconds),
-            self.directive(&format!("shard-%a-of-{shards}.out")),
-            self.run("$shard", None),
-            Exit::Interrupted as u8,
-        )
-    }
-
-    fn slurm_merge(&self) -> String {
-        format!(
-            "#!/bin/sh\n\
-             #SBATCH --job-name={}-merge\n\
-             #SBATCH --ntasks=1\n\
-             #SBATCH --cpus-per-task=1\n\
-             #SBATCH --open-mode=append\n\
-             #SBATCH --output={}\n\
-             # Runs when all shards have ended, successfully or not; merges the databases of the folder.\n\
-             exec {}\n",
-            self.name,
-            self.directive("merge.out"),
-            self.merge()
-        )
-    }
-
-    fn hq_shard(&self) -> String {
-        let notice = self.notice();
-        let stop_after = self.seconds.saturating_sub(notice).max(1);
-        format!(
-            "#!/bin/sh\n\
-             {ABOUT}\
-             # by itself {notice} s before the time limit, of which HyperQueue gives no notice.\n\
-             exec {} {}\n",
-            self.run("$HQ_TASK_ID", Some(stop_after)),
-            self.output("$HQ_TASK_ID"),
-        )
-    }
-
-    fn own_shard(&self) -> String {
-        format!(
-            "#!/bin/sh\n\
-             {ABOUT}\
-             # also after SIGTERM. Argument: number of the shard.\n\
-             exec {} {}\n",
-            self.run("$1", None),
-            self.output("$1")
-        )
-    }
-
-    fn own_merge(&self) -> String {
-        format!("#!/bin/sh\n# Merges the databases of the folder.\nexec {}\n", self.merge())
     }
 
     /// Number of workers of a shard.
@@ -270,20 +155,19 @@ impl Submission {
         let tail = ["--threads", &self.threads.to_string(), "--folder", &self.folder.display().to_string()]
             .map(str::to_owned);
         let mut more = Vec::new();
-        if self.scheduler.has_queue() {
+        if self.has_queue() {
             more.extend(["--grace".to_owned(), self.grace().to_string()]);
         }
         if let Some(seconds) = stop_after {
             more.extend(["--stop-after".to_owned(), seconds.to_string()]);
         }
-        // A queued merge would keep a core of HyperQueue from a shard.
-        if self.scheduler == Scheduler::Hq && self.merges {
+        if self.merges && self.scheduler.queue().is_some_and(|queue| !queue.has_merge_job()) {
             more.extend(["--merge-into".to_owned(), self.out.display().to_string()]);
         }
         [&head[..], &tail, &more, &self.run].concat()
     }
 
-    fn run(&self, shard: &str, stop_after: Option<u64>) -> String {
+    pub(super) fn run(&self, shard: &str, stop_after: Option<u64>) -> String {
         let arguments = self.run_words("SHARD", stop_after);
         let number = format!("SHARD/{}", self.shards);
         let word = |word: &String| match *word == number {
@@ -295,11 +179,11 @@ impl Submission {
     }
 
     /// Redirection that appends to a shard's output.
-    fn output(&self, shard: &str) -> String {
+    pub(super) fn output(&self, shard: &str) -> String {
         format!("\\\n  >> {}/shard-\"{shard}\"-of-{}.out 2>&1", quoted(&self.folder), self.shards)
     }
 
-    fn merge(&self) -> String {
+    pub(super) fn merge(&self) -> String {
         format!("{} cluster merge {} --out {}", self.command(), quoted(&self.folder), quoted(&self.out))
     }
 
@@ -309,15 +193,10 @@ impl Submission {
         prefix + &quoted(&self.program)
     }
 
-    /// A file of the folder in a directive; escapes `%`, which starts a pattern.
-    fn directive(&self, file: &str) -> String {
-        format!("\"{}/{file}\"", self.folder.display().to_string().replace('%', "%%"))
-    }
-
-    /// The job arrays to submit; Slurm limits their indices.
+    /// The job arrays to submit; the scheduler limits their indices.
     #[must_use]
     pub fn arrays(&self) -> Vec<Array> {
-        let most = if self.scheduler == Scheduler::Slurm { self.most_index.max(1) } else { Shard::MOST };
+        let most = self.most_index.max(1);
         let mut arrays: Vec<Array> = Vec::new();
         for shard in &self.which {
             let offset = (shard - 1) / most * most;
@@ -328,72 +207,15 @@ impl Submission {
         }
         arrays
     }
-
-    /// The command that submits shards under a name and prints the job id.
-    #[must_use]
-    pub fn submit_shards(&self, array: &Array, name: &str) -> Vec<String> {
-        let script = self.folder.join("shard.sh").display().to_string();
-        let indices = ranges(&array.indices);
-        if self.scheduler == Scheduler::Hq {
-            let (cpus, limit) = (self.cpus.to_string(), format!("{}s", self.seconds));
-            let options = ["--cpus", &cpus, "--time-limit", &limit, "--stdout", "none", "--stderr", "none"];
-            let head = ["hq", "--output-mode=quiet", "submit", "--name", name, "--array", &indices];
-            return words(&[&head[..], &options].concat(), &self.for_shards, &["--", "sh", &script]);
-        }
-        let throttle = self.at_most.map_or(String::new(), |most| format!("%{most}"));
-        let which = format!("--array={indices}{throttle}");
-        let (offset, file) =
-            (array.offset.to_string(), format!("shard-%a+{}-of-{}.out", array.offset, self.shards));
-        let folder = self.folder.display().to_string().replace('%', "%%");
-        let output = format!("--output={folder}/{file}");
-        // Indices of further arrays start from 1, too. Slurm uses the last of repeated options.
-        let (mut head, mut tail) = (vec!["sbatch", "--parsable", &which], vec![&*script]);
-        if array.offset > 0 {
-            head.push(&output);
-            tail.push(&offset);
-        }
-        let named = [vec![format!("--job-name={name}")], self.on_cluster()].concat();
-        words(&head, &[&self.for_shards[..], &named].concat(), &tail)
-    }
-
-    /// Option for the cluster: jobs can depend only on jobs of the same cluster.
-    fn on_cluster(&self) -> Vec<String> {
-        self.cluster.iter().map(|cluster| format!("--clusters={cluster}")).collect()
-    }
-
-    /// The Slurm command that submits the merge after these jobs.
-    #[must_use]
-    pub fn submit_merge(&self, jobs: &[String]) -> Vec<String> {
-        let script = self.folder.join(MERGE).display().to_string();
-        let after = format!("--dependency=afterany:{}", jobs.join(":"));
-        let options = [&self.for_merge[..], &self.on_cluster()].concat();
-        words(&["sbatch", "--parsable", &after], &options, &[&script])
-    }
-
-    /// The clusters in options of `sbatch`.
-    #[must_use]
-    pub fn clusters_of(options: &[String]) -> Option<String> {
-        let mut words = options.iter();
-        let mut found = None;
-        while let Some(word) = words.next() {
-            found = match word.strip_prefix("--clusters=").or_else(|| word.strip_prefix("-M")) {
-                Some("") => words.next().cloned(),
-                Some(name) => Some(name.to_owned()),
-                None if word == "--clusters" => words.next().cloned(),
-                None => found,
-            };
-        }
-        found
-    }
 }
 
 /// Comment in every script of a shard; the times of its end follow.
-const ABOUT: &str = "\
+pub(super) const ABOUT: &str = "\
 # A shard of the sweep: an ordinary run with its database on the node's own disk, under TMPDIR. It goes on
 # from what an earlier attempt has left here, and puts its database here when it ends:
 ";
 
-fn words(head: &[&str], further: &[String], tail: &[&str]) -> Vec<String> {
+pub(super) fn words(head: &[&str], further: &[String], tail: &[&str]) -> Vec<String> {
     let own = |words: &[&str]| words.iter().map(ToString::to_string).collect::<Vec<_>>();
     [own(head), further.to_vec(), own(tail)].concat()
 }
@@ -412,13 +234,6 @@ pub(super) fn quoted(path: &Path) -> String {
     } else {
         format!("'{}'", text.replace('\'', r"'\''"))
     }
-}
-
-/// Formats seconds for Slurm.
-fn clock(seconds: u64) -> String {
-    let (days, rest) = (seconds / 86_400, seconds % 86_400);
-    let clock = format!("{:02}:{:02}:{:02}", rest / 3600, rest / 60 % 60, rest % 60);
-    if days > 0 { format!("{days}-{clock}") } else { clock }
 }
 
 /// Parses a time as `sbatch --time` does, to seconds: `30` (minutes), `30:00`, `4:00:00`, `1-12`, `1-12:00:00`.

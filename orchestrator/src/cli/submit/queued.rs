@@ -3,17 +3,20 @@
 use std::process::Command;
 
 use super::Error;
-use crate::cluster::queue::{self, Job, Notes, Queue};
+use crate::cluster::queue::{Job, Notes, Queue};
 use crate::cluster::ranges;
-use crate::cluster::submit::{Scheduler, Submission, line};
+use crate::cluster::scheduler::QueueCommands;
+use crate::cluster::submit::{Submission, line};
 use crate::files;
 
 /// Queues shards. Each job is noted before it is submitted, under a name by which it is found if this process ends in between.
-pub(super) fn submit_shards(submission: &mut Submission, notes: &mut Notes) -> Result<Vec<Job>, Error> {
+pub(super) fn submit_shards(
+    submission: &mut Submission,
+    commands: &dyn QueueCommands,
+    notes: &mut Notes,
+) -> Result<Vec<Job>, Error> {
     let noting = Error::io("noting what was submitted in", &submission.folder);
-    let clusters =
-        || Submission::clusters_of(&submission.for_shards).or_else(|| std::env::var("SBATCH_CLUSTERS").ok());
-    let clusters = if submission.scheduler == Scheduler::Slurm { clusters() } else { None };
+    let cluster = commands.cluster(&submission.for_shards);
     let mut jobs: Vec<Job> = Vec::new();
     for array in submission.arrays() {
         let shards: Vec<u32> = array.indices.iter().map(|index| array.offset + index).collect();
@@ -22,15 +25,15 @@ pub(super) fn submit_shards(submission: &mut Submission, notes: &mut Notes) -> R
             scheduler: submission.scheduler.name().to_owned(),
             job: String::new(),
             name: Some(name.clone()),
-            cluster: submission.cluster.clone().or_else(|| clusters.clone()),
+            cluster: submission.cluster.clone().or_else(|| cluster.clone()),
             merge_job: None,
             shards: submission.shards,
             offset: array.offset,
         };
         notes.note(&job).map_err(&noting)?;
-        let submitted = run(&submission.submit_shards(&array, &name)).or_else(|refused| {
+        let submitted = run(&commands.submit_shards(submission, &array, &name)).or_else(|refused| {
             // the job may have been accepted and only the answer lost
-            match queue::look_up(&mut job) {
+            match commands.look_up(&name, &mut job) {
                 Ok(()) if !job.job.is_empty() => Ok((job.job.clone(), job.cluster.clone())),
                 Ok(()) if jobs.is_empty() => Err(Error::Usage(refused)),
                 _ => Err(Error::Partly(format!("{refused}; {}", left(submission, &jobs, &shards)))),
@@ -62,23 +65,24 @@ fn left(submission: &Submission, jobs: &[Job], refused: &[u32]) -> String {
 /// Queues shards, and a merge that waits for them and for the jobs already in the queue.
 pub(super) fn submit(
     submission: &mut Submission,
+    commands: &dyn QueueCommands,
     notes: &mut Notes,
     mut jobs: Vec<Job>,
     queue: &Queue,
 ) -> Result<(), Error> {
     submission.cluster.clone_from(&queue.cluster);
-    let new = submit_shards(submission, notes)?;
+    let new = submit_shards(submission, commands, notes)?;
     let (folder, out) = (submission.folder.display(), submission.out.display());
     say!("metasense status --folder {folder} shows the shards");
-    if submission.scheduler == Scheduler::Hq {
-        say!("the last shard to end merges them into {out}; the same command resumes interrupted shards");
-        return Ok(());
-    }
     jobs.retain(|job| queue.jobs.contains(&job.job));
     jobs.extend(new);
     let mut before: Vec<String> = jobs.iter().map(|job| job.job.clone()).collect();
     before.extend(queue.jobs.iter().filter(|job| !jobs.iter().any(|known| known.job == **job)).cloned());
-    let (merge_job, _) = run(&submission.submit_merge(&before)).map_err(|refused| {
+    let Some(merge) = commands.submit_merge(submission, &before) else {
+        say!("the last shard to end merges them into {out}; the same command resumes interrupted shards");
+        return Ok(());
+    };
+    let (merge_job, _) = run(&merge).map_err(|refused| {
         Error::Partly(format!(
             "{refused}; the shards are queued, but not the merge: run the same command to queue it, or later `metasense cluster merge \
              {folder} --out {out}`"

@@ -52,7 +52,7 @@ pub(super) async fn execute(
         return Ok(Exit::Done);
     }
     let mut notes = prepare(&plan, &submission, &program, &queue.jobs)?;
-    if !submission.scheduler.has_queue() {
+    if !submission.has_queue() {
         note_here(&submission, &mut notes)?;
     }
     let (db, folder, signals) = (submission.out.clone(), submission.folder.clone(), Signals::new()?);
@@ -137,8 +137,8 @@ impl Runs for Shards<'_> {
         self.submission.which = which.into_iter().collect();
         say!("{} in shards {}", counted(open.len(), "trial"), ranges(&self.submission.which));
         let before = self.progress().await?;
-        let goes_on = if self.submission.scheduler.has_queue() {
-            self.jobs = submit_shards(&mut self.submission, &mut self.notes)?;
+        let goes_on = if let Some(commands) = self.submission.scheduler.queue() {
+            self.jobs = submit_shards(&mut self.submission, commands, &mut self.notes)?;
             self.wait().await?
         } else {
             let how = launch_config(&self.submission);
