@@ -227,9 +227,9 @@ def claim_rated(says, brain, cell, of_set="holdout"):
     rating = ("holds" if low >= stated and low > 1 else "compatible" if low > 1 and high >= stated else "in part" if low > 1
               else "fails" if high < 1 else "no difference" if 1 / 1.15 < low and high < 1.15 else "open")
     if rating != "no difference" and chance > (0.025 if says.startswith(SECOND_LOOKS) else 0.05):
-        rating = "open" if low < 1 < high else "open among so many"
+        rating = "open" if low < 1 < high else "open after correction"
     if rating == "open":
-        rating += f" ({short(math.exp(tells))} would tell)"
+        rating += f" (detectable {short(math.exp(tells))})"
     return [cell.split(",")[0].split(":")[0], cell.rsplit(": ")[-1]], ["{} ({} … {})".format(*numbers), rating]
 
 
@@ -284,8 +284,8 @@ def placed():
                 of = rows("placed-two-core/trials.csv", sensors=m, brain__kind=kind, sensors__search=search, stimuli__kind="bell")
                 return logs(of, f"holdout_error_{body}")
             def gain(m):
-                before = errors(m, "" if "by placing" in line[1] else "greedy", "initial")
-                after = errors(m, "greedy", "initial" if "by placing" in line[1] else "optimised")
+                before = errors(m, "" if "by placement" in line[1] else "greedy", "initial")
+                after = errors(m, "greedy", "initial" if "by placement" in line[1] else "optimised")
                 return interval([a - b for a, b in zip(before, after, strict=True)], math.exp)
             yield line[2:], [gain(m) for m in "123456"]
             continue
@@ -454,7 +454,7 @@ def elbow_law_asked():
 
 MIDDLE = dict(noise="0.03", damping_ratio="0.02", samples="150", width="[0.06,0.25]", columns="8")
 SETTINGS = {
-    "the middle": {}, "without noise": dict(noise="0.0"), "10 % noise": dict(noise="0.1"),
+    "base scene": {}, "without noise": dict(noise="0.0"), "10 % noise": dict(noise="0.1"),
     "a quarter of the damping": dict(damping_ratio="0.005"), "60 samples instead of 150": dict(samples="60"),
     "pulses of 20 to 80 ms": dict(width="[0.02,0.08]"), "4 columns instead of 8": dict(columns="4"),
     "four times the damping": dict(damping_ratio="0.08"), "400 samples instead of 150": dict(samples="400"),
@@ -493,7 +493,7 @@ def rated_each(all_values, none=0.05):
         corrected[n] = most = max(most, (len(chances) - rank) * chances[n])
     # an open one says which would have told: none is 5 %, or half of it for a second look
     quantile = lambda x: (T975 if none == 0.05 else T9875)[len(x) - 1] + T80[len(x) - 1]
-    would = lambda x, shown: f"open ({short(shown(quantile(x) * spread(x) / math.sqrt(len(x))))} would tell)"
+    would = lambda x, shown: f"open (detectable {short(shown(quantile(x) * spread(x) / math.sqrt(len(x))))})"
     told = [would(x, shown) if chances[n] > none else words[sum(x) < 0] for n, (x, shown, words) in enumerate(all_values)]
     return [f"{interval(x, shown)}: {told[n]}{'*' if corrected[n] <= none else ''}" for n, (x, shown, _) in enumerate(all_values)]
 
@@ -570,9 +570,9 @@ def random_bodies_map():
 def blows_map():
     lines = table("blows map")
     blows, of = dict(kind="irregular", roughness="[0.1,0.35]", double="0.25", width="[0.02,0.08]", amplitude="[0.3,1.0]"), {
-        "blows": {}, "smooth": dict(roughness="[0.0,0.0]"), "never twice": dict(double="0.0"),
+        "blows": {}, "smooth blows": dict(roughness="[0.0,0.0]"), "no second blow": dict(double="0.0"),
         "as wide as pulses": dict(width="[0.06,0.25]"), "as weak as pulses": dict(amplitude="[0.15,0.5]")}
-    of["all four"] = of["smooth"] | of["never twice"] | of["as wide as pulses"] | of["as weak as pulses"]
+    of["all four"] = of["smooth blows"] | of["no second blow"] | of["as wide as pulses"] | of["as weak as pulses"]
     of["pulses"], names = of["all four"] | dict(kind="bell", roughness="", double=""), [line[0] for line in lines]
     stimuli = lambda name: {f"stimuli__{key}": value for key, value in (blows | of[name]).items()}
     kind = lambda name, noise: rows("blows-map/trials.csv", **stimuli(name), sensors__noise=noise)
@@ -751,7 +751,7 @@ def authors():
             return [row for row in trials if [row[name] for name in names] == [scene, decoder, steps, noise, limits]]
 
         # a comparison has one scene per body
-        initial, _, trained = scene.partition(" over trained ")
+        initial, _, trained = scene.partition(" / trained ")
         few, many = own(trained or scene), own(initial.removeprefix("initial "))
         found = [str(len(few))]
         for errors in ("test", "holdout"):
@@ -910,8 +910,8 @@ def findings():
     alone = dict(zip(("network", "long", "linear"), next(line[2:5] for line in table("brains") if line[:2] == ["smooth pulses", "none"])))
     yield said(memory, r"body: (.*?) with the paper.*; (.*?) with a linear"), [alone["network"], alone["linear"]]
     at = {tuple(line[:2]): line[2:] for line in table("placed")}
-    best, random = at["linear decoder", "initial body, sensors placed"], at["linear decoder", "initial body, sensors at random"]
-    yield said(places, f"sensors have {share}, six random ones {share}; .* have {share}"), [best[3], random[5], at["linear decoder", "trained body, sensors placed"][3]]
+    best, random = at["linear decoder", "initial body, placed sensors"], at["linear decoder", "initial body, random sensors"]
+    yield said(places, f"sensors have {share}, six random ones {share}; .* have {share}"), [best[3], random[5], at["linear decoder", "trained body, placed sensors"][3]]
     rated = {}
     for says, _, _, *cells in table("claims"):  # what is in the authors' scenes, `authors` checks
         [claim] = [row["claim"] for row in rows("claims/claims.csv") if says.startswith(row["says"])]

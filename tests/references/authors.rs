@@ -56,7 +56,7 @@ pub fn gains() -> String {
     });
     let (few, many) = ("K = 4, M = 2", "K = 4, M = 6");
     let compared = settings.iter().filter(|setting| setting[0] == few).map(|&[_, of_it @ ..]| {
-        line(format!("initial {many} over trained {few}"), of_it, &own(many, of_it), &own(few, of_it))
+        line(format!("initial {many} / trained {few}"), of_it, &own(many, of_it), &own(few, of_it))
     });
     let columns = [
         "scene",

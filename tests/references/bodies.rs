@@ -43,7 +43,7 @@ pub fn why() -> String {
         "condition",
         "bits per second",
         "memory",
-        "contributing modes",
+        "participating modes",
     ];
     table(&head, bodies.map(line))
 }
@@ -130,11 +130,11 @@ pub fn designs() -> String {
     let head = [
         "required error",
         "seed",
-        "CPU time (part of the grid's)",
+        "CPU time (share of the grid)",
         "M, multiply-adds, units",
         "expected error, bound",
-        "probability of a cheaper one",
-        "8 further seeds: mean, worst; meeting the limit",
+        "probability of a cheaper design",
+        "8 further seeds: mean, worst; seeds within the limit",
     ];
     table(&head, searches.iter().map(line))
 }
@@ -183,8 +183,8 @@ pub fn warm_starts() -> String {
         "30 steps from squares",
         "30 steps from the other body",
         "60 steps from squares",
-        "second over first",
-        "second over third",
+        "second / first",
+        "second / third",
     ];
     let begun = [
         ("body of one sensor", "warm-starts.csv", "2"),
@@ -257,8 +257,8 @@ pub fn families() -> String {
         "initial",
         "trained",
         "gain",
-        "initial, over squares",
-        "trained, over squares",
+        "initial / initial squares",
+        "trained / trained squares",
     ];
     table(&[&["lattice"][..], &head].concat(), LATTICES.map(line))
 }
@@ -305,11 +305,11 @@ pub fn pressed() -> String {
         "body",
         "initial",
         "trained",
-        "initial, over as cast",
-        "trained, over as cast",
-        "trained, evaluated under the others",
-        "over its own press",
-        "over initial bodies there",
+        "initial / initial as cast",
+        "trained / trained as cast",
+        "trained, under the other two presses",
+        "this error / error under its own press",
+        "this error / error of initial bodies there",
     ];
     table(&head, presses.map(line))
 }

@@ -83,17 +83,17 @@ pub fn placed() -> String {
                 .map(|m| cell(only_row(&all, &[("setting", setting), ("set", "holdout"), ("M", m)])))
         };
         for (what, name) in [
-            ("initial body, sensors at random", "random_initial"),
-            ("initial body, sensors placed", "placed_initial"),
-            ("trained body, sensors at random", "random_optimised"),
-            ("trained body, sensors placed", "placed_optimised"),
+            ("initial body, random sensors", "random_initial"),
+            ("initial body, placed sensors", "placed_initial"),
+            ("trained body, random sensors", "random_optimised"),
+            ("trained body, placed sensors", "placed_optimised"),
         ] {
             let cells = by_sensors(&|row| percent(row, name));
             lines.push([vec![reader.to_owned(), what.to_owned()], cells.to_vec()].concat());
         }
         for (what, name) in [
-            ("gain by placing, initial body", "by_placing"),
-            ("gain by training, sensors placed", "by_training"),
+            ("gain by placement, initial body", "by_placing"),
+            ("gain by training, placed sensors", "by_training"),
         ] {
             let (low, high) = (format!("{name}_low"), format!("{name}_high"));
             let cells = by_sensors(&|row| ratio(row, name, &low, &high));
@@ -139,7 +139,7 @@ pub fn sensors() -> String {
 pub(super) fn with(text: &str) -> Option<(&str, &str)> {
     match text.split_once(", ").unwrap_or((text, "")) {
         (brain @ ("cnn" | "long" | "linear"), "" | "evaluation.seeds = 3") => Some((brain, "")),
-        ("cnn", "evaluation.seeds = 1") => Some(("cnn", "one network a body")),
+        ("cnn", "evaluation.seeds = 1") => Some(("cnn", "one network per body")),
         (brain @ ("cnn" | "long" | "linear"), height @ ("in %" | "in logarithms")) => Some((brain, height)),
         ("linear", rest) => Some(("linear", rest)),
         _ => None,

@@ -27,14 +27,14 @@ fn verdict(row: &Row) -> String {
     let note = row["note"].split([';', '(']).next().unwrap().trim();
     let ratio = ratio(row, "found", "low", "high");
     let words = match note {
-        note if note.is_empty() || note.starts_with("worst over best") => ratio,
+        note if note.is_empty() || note.starts_with("largest / smallest") => ratio,
         note if ratio == "–" => note.to_owned(),
         note => format!("{ratio}, {note}"),
     };
     let told = match (row["rating"].as_str(), row["tells"].as_str()) {
         ("open", tells) if !tells.is_empty() => match number(row, "low") > 1.0 || number(row, "high") < 1.0 {
-            true => " among so many".to_owned(),
-            false => format!(" ({} would tell)", short(tells)),
+            true => " after correction".to_owned(),
+            false => format!(" (detectable {})", short(tells)),
         },
         _ => String::new(),
     };
@@ -155,7 +155,7 @@ pub fn claims() -> String {
         }
         // Single networks count only without others.
         if found.len() > 1 {
-            found.retain(|kind| kind != "one network a body");
+            found.retain(|kind| kind != "one network per body");
         }
         for kind in found {
             let cell = |name: &str| {
@@ -221,7 +221,7 @@ pub fn evaluate() -> String {
             "body",
             "error on unseen records (%, 95 % interval over records)",
             "expected from the model",
-            "initial error over this error",
+            "initial error / this error",
             "expected from the model",
         ],
         ["initial", "optimised"].map(line),
@@ -270,11 +270,8 @@ pub fn paper_protocol_four_forces() -> String {
         [vec![sensors.to_owned(), placements(sensors)], sets.map(change).to_vec(), better].concat()
     };
     let few = sets.map(|set| times(&pairs("6", "2", set))).to_vec();
-    let last = [
-        vec!["initial with six over trained with two".to_owned(), placements("2")],
-        few,
-        vec![String::new()],
-    ];
+    let last =
+        [vec!["initial with six / trained with two".to_owned(), placements("2")], few, vec![String::new()]];
     table(
         &["sensors", "placements", "test set", "held-out set", "test samples with less error"],
         ["1", "2", "3", "6"].map(line).into_iter().chain([last.concat()]),
@@ -332,7 +329,7 @@ fn of_protocol(folder: &str, of_body: &[&'static str]) -> String {
         })
     };
     let last = [
-        vec!["all, factor (95 %)".into()],
+        vec!["all: ratio (95 % interval)".into()],
         sets.iter().map(times).collect(),
         vec![better(&samples, &[])],
         curved.map(|value| all(&|seed| fewer(seed, value))).to_vec(),

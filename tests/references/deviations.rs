@@ -18,12 +18,12 @@ const ROWS: &[Row] = &[
     (
         "units (columns, rows)",
         "",
-        "5, 4; two force plates and a held plate beside them (A `structures.py`)",
+        "5, 4; also two force plates and a held plate (A `structures.py`)",
         &["body.columns", "body.rows"],
     ),
     ("pitch (mm)", "", "16.125 (A `geometry.py`)", &["body.spacing"]),
     ("ligament length (mm)", "", "1.125 (A `geometry.py`)", &["body.ligament_length"]),
-    ("initial angle (°)", "", "−25 and 25 in turn (A `structures.py`)", &["body.initial_angle"]),
+    ("initial angle (°)", "", "alternately −25 and 25 (A `structures.py`)", &["body.initial_angle"]),
     (
         "stiffness: stretch, shear (N/mm), bend (N mm)",
         "identified, not printed",
@@ -212,7 +212,7 @@ const OTHERS: &[Row] = &[
     ("kind of forces", "Fig. 3: measured blows", "Gaussian; Fig. 3: recorded", &["stimuli.kind"]),
     ("amplitude (N)", "", "", &["stimuli.amplitude"]),
     ("width (s)", "", "", &["stimuli.width"]),
-    ("peak, as a part of a pulse; power of its flanks", "", "Gaussian", &["stimuli.peak", "stimuli.power"]),
+    ("peak (fraction of a pulse); power of its flanks", "", "Gaussian", &["stimuli.peak", "stimuli.power"]),
     (
         "roughness; a second blow: probability, delay (s), strength",
         "measured",
@@ -252,7 +252,7 @@ pub fn other_figures() -> String {
         cells
     };
     let columns =
-        ["what", "the paper", "the authors' code", "`fig2`", "`fig3`", "`fig4b`", "`fig4c`", "`fig5`"];
+        ["setting", "the paper", "the authors' code", "`fig2`", "`fig3`", "`fig4b`", "`fig4c`", "`fig5`"];
     table(&columns, OTHERS.iter().map(row))
 }
 
@@ -275,6 +275,6 @@ pub fn deviations() -> String {
         let [theirs, ours] = specs.each_ref().map(of);
         vec![(*what).to_owned(), (*paper).to_owned(), known(paper, code), theirs, ours, keys.join(", ")]
     };
-    let columns = ["what", "the paper", "the authors' code", "`authors-fig2-paper`", "`fig2`", "keys"];
+    let columns = ["setting", "the paper", "the authors' code", "`authors-fig2-paper`", "`fig2`", "keys"];
     table(&columns, ROWS.iter().map(row))
 }

@@ -10,7 +10,7 @@ use super::elbow_law::{by_fall, curve, errors, readings, verdict, words};
 use super::rows::{Row, geometric, interval, number, of, rows, seeds, short, with_interval};
 use super::table;
 
-/// Columns that distinguish settings, with the values of the middle scene.
+/// Columns that distinguish settings, with the values of the base scene.
 const MIDDLE: [(&str, &str); 5] = [
     ("noise", "0.03"),
     ("damping_ratio", "0.02"),
@@ -21,7 +21,7 @@ const MIDDLE: [(&str, &str); 5] = [
 
 /// Settings: words, column, value.
 pub(super) const SETTINGS: [(&str, &str, &str); 10] = [
-    ("the middle", "noise", "0.03"),
+    ("base scene", "noise", "0.03"),
     ("without noise", "noise", "0.0"),
     ("10 % noise", "noise", "0.1"),
     ("a quarter of the damping", "damping_ratio", "0.005"),
@@ -94,7 +94,7 @@ fn rated_each(all: &[Rated], none: f64) -> Vec<String> {
         let told = match plain[at] <= none {
             true => words[usize::from(mean(values).unwrap() < 0.0)].to_owned(),
             false => {
-                format!("open ({} would tell)", short(&shown(detectable_mean(values, none)).to_string()))
+                format!("open (detectable {})", short(&shown(detectable_mean(values, none)).to_string()))
             }
         };
         let star = if corrected[at] <= none { "*" } else { "" };
@@ -160,9 +160,9 @@ pub fn four_forces_drawn() -> String {
         plot.picture()
     };
     let plots = [
-        ("Initial body with six sensors over trained body with two", 0),
-        ("Scatter over placements in %, initial over trained, two sensors", 1),
-        ("Initial over trained, two sensors", 3),
+        ("Initial body with six sensors / trained body with two", 0),
+        ("Scatter over placements in %, initial / trained, two sensors", 1),
+        ("Gain, two sensors", 3),
     ]
     .map(plot);
     let keys = [("fifth", "holds"), ("truth", "open"), ("optimised", "fails")];
@@ -188,13 +188,13 @@ fn four_forces_of(file: &str, settings: &[(&str, &str, &str)]) -> String {
     let head = [
         "",
         "error with 1, 2, 3, 6 sensors",
-        "elbow in %: with two",
-        "in logarithms",
-        "nine tenths of the fall: with two",
-        "two trained over six initial",
+        "elbow in % at M = 2",
+        "elbow in logarithms at M = 2",
+        "nine tenths of the fall at M = 2",
+        "six initial / two trained",
         "scatter over placements, in %",
-        "in logarithms",
-        "trained over initial, two sensors",
+        "scatter, in logarithms",
+        "gain, two sensors",
     ];
     table(&head, settings.iter().enumerate().map(line))
 }
@@ -217,9 +217,9 @@ pub fn eight_forces() -> String {
     let head = [
         "decoder",
         "error with 1, 2, 3, 4, 6 sensors",
-        "nine tenths of the fall: with four",
-        "trained over initial, four sensors",
-        "four trained over six initial",
+        "nine tenths of the fall at M = 4",
+        "gain, four sensors",
+        "six initial / four trained",
     ];
     table(&head, brains.into_iter().enumerate().map(line))
 }
@@ -267,7 +267,7 @@ pub fn discs() -> String {
         "",
         "error with 5, 8, 12 columns",
         "slope of ln(error) on ln(columns)",
-        "error over that of the untied",
+        "error / error of the untied disc",
         "gain with 5",
         "with 12",
     ];
@@ -347,10 +347,10 @@ pub fn random_bodies() -> String {
         [vec![format!("{}°", angle.trim_end_matches(".0")), own], said[4 * a..][..4].to_vec()].concat()
     };
     let head = [
-        "squares turned by",
+        "rotation of squares",
         "error, initial → trained",
-        "initial over trained",
-        "random over regular, nodes moved by up to 0.1 of the spacing",
+        "gain",
+        "random / regular, nodes moved by up to 0.1 of the spacing",
         "0.25",
         "0.5",
     ];
@@ -364,8 +364,8 @@ const STIMULI: [&str; 5] =
 /// These settings with their names.
 const BLOWS: [(&str, [&str; 5]); 7] = [
     ("blows", ["irregular", "[0.1,0.35]", "0.25", "[0.02,0.08]", "[0.3,1.0]"]),
-    ("smooth", ["irregular", "[0.0,0.0]", "0.25", "[0.02,0.08]", "[0.3,1.0]"]),
-    ("never twice", ["irregular", "[0.1,0.35]", "0.0", "[0.02,0.08]", "[0.3,1.0]"]),
+    ("smooth blows", ["irregular", "[0.0,0.0]", "0.25", "[0.02,0.08]", "[0.3,1.0]"]),
+    ("no second blow", ["irregular", "[0.1,0.35]", "0.0", "[0.02,0.08]", "[0.3,1.0]"]),
     ("as wide as pulses", ["irregular", "[0.1,0.35]", "0.25", "[0.06,0.25]", "[0.3,1.0]"]),
     ("as weak as pulses", ["irregular", "[0.1,0.35]", "0.25", "[0.02,0.08]", "[0.15,0.5]"]),
     ("all four", ["irregular", "[0.0,0.0]", "0.0", "[0.06,0.25]", "[0.15,0.5]"]),
@@ -395,10 +395,10 @@ pub fn blows() -> String {
         "forces",
         "3 % noise: initial → trained",
         "gain",
-        "over that under blows",
+        "gain / gain under blows",
         "without noise",
         "gain",
-        "over that under blows",
+        "gain / gain under blows",
     ];
     table(&head, BLOWS.into_iter().enumerate().map(line))
 }
@@ -456,7 +456,7 @@ const TRAINING: [&str; 4] = ["batch", "schedule", "samples", "brain"];
 
 /// These settings with their names.
 const TRAININGS: [(&str, [&str; 4]); 5] = [
-    ("the middle", ["68", "cosine", "300", ""]),
+    ("base setting", ["68", "cosine", "300", ""]),
     ("a constant rate", ["68", "constant", "300", ""]),
     ("the same, all samples in each iteration", ["", "constant", "300", ""]),
     ("1000 samples instead of 300", ["68", "cosine", "1000", ""]),
@@ -500,7 +500,7 @@ impl Networks {
 }
 
 /// One line per setting of protocol, schedule and samples, under pulses and under blows: gain from training the body, and its
-/// difference from the middle.
+/// ratio to the gain of the base setting.
 pub fn protocols() -> String {
     let own = |stimuli, setting: [&'static str; 4]| Networks {
         rows: rows("protocol-map/networks.csv"),
@@ -514,7 +514,7 @@ pub fn protocols() -> String {
     settings
         .push(("the paper's protocol, over all samples at a constant rate", ["fig2", "fig3"].map(papers)));
     let gain = |setting: usize, stimuli: usize| settings[setting].1[stimuli].gain("1000");
-    // the middle under blows against pulses; the paper's protocol against the setting with the same evaluation
+    // the base setting under blows against pulses; the paper's protocol against the setting with the same evaluation
     let beside = |setting, stimuli| match setting {
         0 => gain(0, 0),
         5 => gain(2, stimuli),
@@ -540,13 +540,13 @@ pub fn protocols() -> String {
     let head = [
         "",
         "pulses: initial → trained",
-        "factor; the paper: 2",
-        "over the middle",
+        "gain (paper: 2)",
+        "gain / gain of the base setting",
         "after 10 000 iterations",
-        "factor; the paper: 5.8",
+        "gain (paper: 5.8)",
         "blows: initial → trained",
-        "factor; the paper: 5.3",
-        "by the middle, this by pulses",
+        "gain (paper: 5.3)",
+        "gain / gain of the base setting (first row: under pulses)",
     ];
     table(&head, settings.iter().enumerate().map(line))
 }

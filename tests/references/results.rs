@@ -64,18 +64,18 @@ pub fn findings() -> String {
          - **Train for manufacturing tolerances.** Error of one linear decoder for all casts, one sensor, two forces, median [90th \
          percentile]: initial body {}; body trained without deviations {} ({} as designed); body trained over casts {}, after three \
          times the steps {}, and with calibration on ten records of each cast {} \
-         ([details](results/README.md#a-body-that-can-be-cast)).\n\
+         ([details](results/README.md#manufacturing-variation)).\n\
          - **Decoder memory and training complement each other.** One sensor, two forces, initial → trained body: {} with the paper's \
          network, which uses 25 ms of the signals; {} with a linear decoder of the whole second \
          ([details](results/README.md#body-or-decoder)).\n\
-         - **Well placed sensors are worth as much as more sensors; training adds to it.** Four forces, linear decoder: on the initial \
+         - **Good placement of sensors gains as much as more sensors; training gains again.** Four forces, linear decoder: on the initial \
          body four placed sensors have {}, six random ones {}; on a trained body the four have {} \
-         ([details](results/README.md#where-the-sensors-are)).\n\
+         ([details](results/README.md#placement-of-sensors)).\n\
          - **Of {} claims of the paper, {} hold with every decoder that we tried, {} with some or in part.** {} fails; the others show no \
-         effect or stay undecided. Of {} further claims, {} fail ([claim by claim](results/README.md#the-paper-claim-by-claim), \
+         effect or stay open. Of {} further claims, {} fail ([claim by claim](results/README.md#the-paper-claim-by-claim), \
          [our scenes](results/DEVIATIONS.md)). In the scene that its authors published, two sensors on a trained body {against} six on an initial \
-         one, with a linear decoder ([details](results/README.md#the-authors-own-scene)). A linear decoder gains 90 % of what sensors can add from one channel per force: six forces \
-         need {with} sensors, {without} without gyroscopes ([details](results/README.md#how-many-sensors-k-forces-need)).",
+         one, with a linear decoder ([details](results/README.md#the-authors-own-scene)). With one channel per force, a linear decoder reaches 90 % of what more sensors can gain: six forces \
+         need {with} sensors, {without} without gyroscopes ([details](results/README.md#number-of-sensors-for-k-forces)).",
         spread(casts_row("initial", "casts", "")),
         spread(casts_row("nominal", "casts", "")),
         percent(casts_row("nominal", "casts", ""), "designed"),

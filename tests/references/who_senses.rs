@@ -121,7 +121,7 @@ pub fn finding() -> String {
     format!(
         "- **One sensor of the initial body records nearly all the information; training lets a cheap decoder use it.** Two forces, 3 % \
          noise, initial → trained body: linear decoder ({}) {} → {}; inverted model ({}) {} → {}. On casts: linear decoder {} → {}; model \
-         calibrated on 30 records of the cast {} → {}, and {} if the body was trained over casts ([details](results/README.md#who-senses)).",
+         calibrated on 30 records of the cast {} → {}, and {} if the body was trained over casts ([details](results/README.md#body-decoder-and-model)).",
         takes(linear.2),
         reads(linear, 0, 0),
         reads(linear, 1, 0),

@@ -594,7 +594,7 @@ fn placements(stated: f64, trials: &[&Trial]) -> Vec<Evidence> {
         };
         let ratio = Ratio::by(&units, group.trials.len(), 0, statistic)?;
         let note = format!(
-            "largest over smallest error, per M: initial {} → trained {}",
+            "largest / smallest error, per M: initial {} → trained {}",
             worst(0).join(", "),
             worst(1).join(", ")
         );

@@ -68,7 +68,7 @@ pub fn figure(found: &[Vec<Evidence>]) -> Option<Figure> {
     let notes: Vec<String> =
         rows.iter().map(|(_, e)| format!("{} {}", number(e.found.unwrap_or(1.0)), e.who)).collect();
     let height = 70.0 + ROW * rows.len() as f64;
-    let mut plot = Plot::new("Initial over trained, and other ratios", x, y)
+    let mut plot = Plot::new("Initial / trained, and other ratios", x, y)
         .sized(560.0, height)
         .with_room(notes.iter().map(|n| &**n));
     plot.vertical("", 1.0, "", 0);
