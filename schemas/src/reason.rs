@@ -98,7 +98,7 @@ impl Reason {
                  sensors"
             }
             Self::Numerical(Cause::Buckled | Cause::NoEquilibrium) => {
-                "set `body.compression` nearer to 0, or turn the units more at the start (`body.initial_angle`)"
+                "set `body.compression` nearer to 0, or increase `body.initial_angle`"
             }
             Self::Numerical(Cause::Singular) => {
                 "check whether all forces are 0 (`stimuli.onset` and `time.duration`, or clock and scale of records); if not, raise \
@@ -109,7 +109,7 @@ impl Reason {
             }
             Self::Body(BodyFault::TimeLimit) => "raise `body.time_limit`, then run with --retry-failed",
             Self::Body(BodyFault::Changed) => "run the spec again: its trials get other hashes",
-            Self::Body(_) => "run `metasense lab verify SPEC`, and mend the program of `body.command`",
+            Self::Body(_) => "run `metasense lab verify SPEC`, and correct the program of `body.command`",
             Self::Rejected => {
                 "the spec is invalid for this trial: run `metasense trial SPEC HASH` for the message"
             }

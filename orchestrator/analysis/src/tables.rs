@@ -35,7 +35,7 @@ pub enum Question {
     Casts,
     /// Bodies trained under one kind of forces and evaluated under others (evaluation.under): error, and the kept part of the specialist's gain
     Transfer,
-    /// Training iterations on the initial over those on the trained body, to equal error and loss
+    /// Ratio of training iterations on the initial and on the trained body, to equal error and loss
     Iterations,
     /// Initial against trained body after long training (evaluation.long_iterations)
     Long,
@@ -79,7 +79,7 @@ impl Question {
     pub fn title(self) -> &'static str {
         match self {
             Self::Paired => {
-                "Error of the initial over that of the trained body, paired by trial (above 1: the trained body is better; 95 % interval)"
+                "Error of the initial body divided by error of the trained body, paired by trial (above 1: the trained body is better; 95 % interval)"
             }
             Self::Brains => {
                 "Held-out error (%, geometric mean) by the decoder in training, the decoder in evaluation, and its memory (s before and after)"
@@ -91,10 +91,10 @@ impl Question {
                 "Held-out error (%, geometric mean) under a kind of forces, by body and decoder: fitted under these forces (own), or under the training forces of the body (carried); kept: the gain as a fraction of that of the body trained under this kind, in logarithms, with decoders fitted under it (95 % intervals)"
             }
             Self::Iterations => {
-                "Iterations on the initial over those on the trained body, to equal held-out error and training loss"
+                "Iterations on the initial body divided by iterations on the trained body, to equal held-out error and training loss"
             }
             Self::Long => {
-                "Error of the initial over that of the trained body after long training, paired by trial (95 % interval)"
+                "Error of the initial body divided by error of the trained body after long training, paired by trial (95 % interval)"
             }
             Self::Sensors => "Error (%, geometric mean) against the number of sensors M",
             Self::Elbow => {
@@ -107,13 +107,13 @@ impl Question {
                 "Spread of error over placements at equal M and seed (standard deviation of ln error)"
             }
             Self::Placed => {
-                "Error (%, geometric mean) with sensors at random and placed by a search; by_placing: random over placed on the initial body, by_training: initial over trained body with placed sensors (95 % interval)"
+                "Error (%, geometric mean) with sensors at random and placed by a search; by_placing: random / placed on the initial body, by_training: initial / trained body with placed sensors (95 % interval)"
             }
             Self::Random => {
                 "Error (%, geometric mean) of random bodies, and its ratio to that of the initial and of the trained body"
             }
             Self::Nonlinear => {
-                "Part of the signals (%, mean over channels of squares) not explained by a linear model of the body at rest"
+                "Share of the signals' energy (%, mean over channels) not explained by a linear model of the body at rest"
             }
             Self::Sizes => "Error (%, geometric mean) against the number of design parameters N",
             Self::Complexity => "Scaling law: error = a (N/N0)^(-b) + c (%, 95 % intervals)",

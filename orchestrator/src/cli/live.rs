@@ -180,7 +180,7 @@ impl Watch for Live<'_> {
         let actual = view.elapsed.as_secs_f64();
         for (part, estimate) in &self.estimates {
             let (part, error) = (100.0 * part, 100.0 * (estimate / actual - 1.0));
-            tracing::info!(part_percent = part, error_percent = error, "how far off the estimated time was");
+            tracing::info!(part_percent = part, error_percent = error, "error of the estimated time");
         }
         if outcome == Outcome::Complete && !self.estimates.is_empty() {
             let texts = self.estimates.iter().map(|(part, estimate)| {
@@ -188,7 +188,7 @@ impl Watch for Live<'_> {
                 format!("{} ({error:+.0} %) after {:.0} %", duration(*estimate), 100.0 * part)
             });
             let said = texts.collect::<Vec<_>>().join(", ");
-            say!("took {}; the estimate was {said} of the work", duration(actual));
+            say!("took {}; estimates: {said} of the work", duration(actual));
         }
         if outcome == Outcome::Interrupted {
             let open = view.total - view.settled();

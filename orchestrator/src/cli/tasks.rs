@@ -18,7 +18,7 @@ use crate::store::{Reader, StoredTrial};
 ///
 /// Each quantity (task) is estimated in two ways on the held-out set. `direct`: ridge regression on the signals of the whole
 /// record. `decoded`: from the forces that a linear decoder estimates. The table has means over the trials of a setting, the error
-/// of a predictor without signals (trivial), and the ratio initial over trained with its 95 % interval over seeds and placements;
+/// of a predictor without signals (trivial), and the ratio initial / trained with its 95 % interval over seeds and placements;
 /// in it an error counts at least as half of one sample's. Other formats have one row per trial, body, task and readout, with a 95
 /// % interval over samples. Tasks: panel, the panel with the greatest force (% wrong); count, the number of panels with more than a
 /// tenth of it (% wrong); peak (N) and impulse (mN s) of each panel; onset, when a force first exceeds a tenth of the greatest

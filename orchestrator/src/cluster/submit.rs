@@ -211,8 +211,8 @@ impl Submission {
 
 /// Comment in every script of a shard; the times of its end follow.
 pub(super) const ABOUT: &str = "\
-# A shard of the sweep: an ordinary run with its database on the node's own disk, under TMPDIR. It goes on
-# from what an earlier attempt has left here, and puts its database here when it ends:
+# A shard of the sweep: an ordinary run with its database on the node's disk, under TMPDIR. It resumes from
+# the database of an earlier attempt in this folder, and copies its database to this folder when it ends:
 ";
 
 pub(super) fn words(head: &[&str], further: &[String], tail: &[&str]) -> Vec<String> {

@@ -100,7 +100,7 @@ pub fn html(file: &Path, checked: &Checked, figures: &[Figure]) -> String {
         (answers(if said.is_empty() { &good[..] } else { &said }))
         @for figure in figures { (figure.html(&[])) }
         h2 { "Records" } (records(checked).html(Some("records")))
-        h2 { "Resonances beside the design's modes" } (rings(checked).html(Some("rings")))
+        h2 { "Resonances and modes of the design" } (rings(checked).html(Some("rings")))
         h2 { "All checks" } (findings(checked).html(Some("findings")))
     };
     let title = format!("{}: checks before any fit", file.file_name().unwrap_or_default().display());
@@ -155,7 +155,7 @@ fn followed(checked: &Checked) -> Option<Figure> {
         }
     }
     let caption = format!(
-        "The records that follow the model least, medium and best, each with the acceleration and the rotation rate that move most; the \
+        "The records with the lowest, median and highest correlation, each with its strongest acceleration and rotation rate. The \
          model has {} times the stiffness of the design, is smoothed as in the comparison, and uses the fitted clocks and axes.",
         number(found.stiffness)
     );
@@ -220,7 +220,7 @@ fn response(trial: &TrialSpec, design: &[f64], checked: &Checked) -> Option<Figu
     let mut marks: Vec<(&str, String)> =
         (0..panels).map(|k| (SERIES[k % SERIES.len()], format!("panel {k}; dashed: the design"))).collect();
     marks.extend([("truth", "median coherence".to_owned()), ("front", "least coherence".to_owned())]);
-    let caption = "Frequency responses H₁ over all records, beside those of small motions of the design. Readings above half the rate of \
+    let caption = "Frequency responses H₁ over all records, compared with those of small motions of the design. Readings above half the rate of \
                    the chip appear at lower frequencies. A low coherence at resonances and zeros of the force is usual.";
     let data = Table::new("channel panel frequency response design coherence", rows);
     Some(Figure::new("response", "How does the body respond?", caption, marks, pictures, data))

@@ -264,9 +264,9 @@ pub fn losses(trials: &[Trial]) -> Option<Figure> {
         "losses",
         "Does the network need fewer iterations?",
         format!(
-            "New networks of one architecture and budget, trained on the initial and on the trained body: median over \
-             trials, the middle half shaded. The target is the best value that the worse of the two bodies reaches. \
-             Iterations to the target, initial over trained body: {}.",
+            "New networks of one architecture and budget, trained on the initial and on the trained body: median and \
+             interquartile range over trials. The target is the best value that the worse of the two bodies reaches. \
+             Iterations to the target, initial / trained body: {}.",
             ratios.join(", ")
         ),
         legend(&BODIES),

@@ -57,7 +57,7 @@ pub fn figure(stored: &StoredTrial, drawings: &[Sketch; 2], who: &str) -> Result
         format!(
             "The slowest modes of small motions about rest of {who}: the initial body's above, the optimised body's below. \
              Titles give frequency and damping relative to critical. Motion is drawn far out of scale; units are coloured \
-             from pale to strong by how far they move (square root)."
+             by amplitude, from pale to strong (square root)."
         ),
         legend(&LEGEND),
         pictures,

@@ -353,7 +353,7 @@ impl Comparison {
         Some(Figure::new(
             "progress",
             "Error of networks during training",
-            "Error on unseen records against iterations of training, a mean over folds and seeds.",
+            "Error on unseen records against iterations of training, mean over folds and seeds.",
             self.legend(),
             vec![plot.picture()],
             Table::new("body signals iteration error", rows),
@@ -389,7 +389,7 @@ impl Comparison {
             "signals",
             "Measured and modelled signals",
             "The sensors' signals under one record of each body, and those of the trial's model of the body under the \
-                 same forces, each channel over its RMS.",
+                 same forces, each channel divided by its RMS.",
             legend(&[("truth", "measured"), ("front", "model")]),
             pictures,
             || Table::new("body record channel seconds measured simulated", rows),

@@ -189,7 +189,7 @@ impl Findings<'_> {
                 let (sum, list) = (records.iter().map(count).sum::<usize>(), self.list(&records));
                 let place = if kind == 0 { format!("force {c}") } else { self.channels[c].clone() };
                 let found = format!("{sum} entries of {what} are clipped at the end of the range, in {list}");
-                let remedy = "raise the range of the instrument, or strike softer";
+                let remedy = "raise the range of the instrument, or strike more softly";
                 self.add("range", Level::Fault, place, found, remedy.into());
             }
         }

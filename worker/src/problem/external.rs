@@ -22,7 +22,7 @@ const NO_EFFECT: &str = "has no effect on an external body: delete this key";
 /// # Errors
 /// If the body is external.
 pub fn polygons(body: &Body) -> Result<(), Invalid> {
-    let remedy = "is no body of polygons, which this needs; external bodies are trained and compared by `run` and `trial`";
+    let remedy = "is not a body of polygons, which this command requires; `run` and `trial` train and compare external bodies";
     require(body.kind.is_polygons(), "body.kind", "\"external\"", remedy)
 }
 
@@ -32,12 +32,7 @@ pub fn polygons(body: &Body) -> Result<(), Invalid> {
 /// If there is such a key; names the first.
 pub fn refuse_unread(spec: &SweepSpec) -> Result<(), Invalid> {
     let body = &spec.body;
-    require(
-        body.description.is_none(),
-        "body.description",
-        "",
-        "must be left out: the program is asked for it",
-    )?;
+    require(body.description.is_none(), "body.description", "", "must be left out: the program provides it")?;
     if body.kind == BodyKind::Polygons {
         let remedy = "has no effect without body.kind = \"external\"";
         require(body.command.is_empty(), "body.command", format!("{:?}", body.command), remedy)?;
@@ -81,7 +76,7 @@ pub fn refuse_unread(spec: &SweepSpec) -> Result<(), Invalid> {
         !inverse,
         "brain.kind",
         "\"inverse\"",
-        "inverts polygons alone; use \"linear\", \"cnn\" or \"stacked\"",
+        "inverts only bodies of polygons; use \"linear\", \"cnn\" or \"stacked\"",
     )
 }
 
@@ -119,11 +114,11 @@ pub fn described(spec: &SweepSpec, mut description: Description) -> Result<Sweep
     let known = channels.iter().all(|channel| (*channel as usize) < count);
     require(known, "sensors.channels", crate::invalid::as_written(&channels), &remedy)?;
     if let Some(samples) = description.samples {
-        let remedy = format!("the body {} computes {samples}", description.name);
+        let remedy = format!("must be {samples}, as the body {} computes", description.name);
         require(spec.time.samples == samples, "time.samples", spec.time.samples, &remedy)?;
     }
     if let Some(duration) = description.duration {
-        let remedy = format!("the body {} computes {duration} s", description.name);
+        let remedy = format!("must be {duration} s, as the body {} computes", description.name);
         require(spec.time.duration == duration, "time.duration", spec.time.duration, &remedy)?;
     }
     if !description.tolerance {

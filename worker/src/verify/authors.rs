@@ -376,7 +376,7 @@ fn motion(
         rows.extend([
             Row::new("kinetic energy", relative(&kinetic, &later("kinetic")?), 1e-6),
             Row::new("elastic energy", relative(&elastic, &later("elastic")?), 1e-6),
-            Row::new("work in less dissipated", relative(&gained, &net_work), 1e-6),
+            Row::new("work done minus dissipation", relative(&gained, &net_work), 1e-6),
         ]);
     }
     Ok(rows)

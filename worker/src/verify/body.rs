@@ -115,7 +115,7 @@ pub fn trajectory(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Ro
         Row::new("final state", relative(&states.last, &theirs), allowed),
         case.row("kinetic energy", &states.kinetic, "kinetic_energy", allowed)?,
         case.row("elastic energy", &states.elastic, "elastic_energy", allowed)?,
-        Row::new("work in less dissipated", relative(&gained, &stays), allowed.max(1e-6)),
+        Row::new("work done minus dissipation", relative(&gained, &stays), allowed.max(1e-6)),
     ]);
     if !scene.imposed.is_empty() {
         rows.push(case.row("initial equilibrium", places.as_flattened(), "start", ROUNDING)?);

@@ -130,7 +130,7 @@ pub fn implicit(case: &Case, pool: &metasense_numerics::Pool) -> Result<Vec<Row>
             match number("cg_min_rayleigh")? {
                 // Our solver stops at negative curvature, where the term is meaningless.
                 least if least < 0.0 => Row::shown(name, error)
-                    .noted(format!("{note}; the reference went on through {least:.0e}")),
+                    .noted(format!("{note}; the reference continued through {least:.0e}")),
                 _ => Row::new(name, error, tolerance).noted(note),
             },
             case.row(&format!("implicit term, λ = {lambda}"), &term, &format!("implicit_cg_{lambda}"), F64)?,

@@ -47,14 +47,14 @@ fn tests(
     let heartbeat = pool.heartbeat();
     let question = Question { scene, design: initial, forces, tolerance };
     body.check_repeats(&question, heartbeat)?;
-    let mut rows = vec![Row::new("apply and vjp repeat to the bit", 0.0, 0.0)];
+    let mut rows = vec![Row::new("apply and vjp repeat bit by bit", 0.0, 0.0)];
 
     let signals = body.apply(&question, heartbeat)?;
     let mut apart = Vec::with_capacity(signals.len());
     for i in 0..forces.samples {
         apart.extend(body.apply(&Question { forces: &forces.select(&[i]), ..question }, heartbeat)?);
     }
-    rows.push(Row::new("samples together and apart", relative(&apart, &signals), 1e-9));
+    rows.push(Row::new("samples together and one by one", relative(&apart, &signals), 1e-9));
 
     let size = (dot(initial, initial) / initial.len() as f64).sqrt();
     let size = if size > 0.0 { size } else { 1.0 };

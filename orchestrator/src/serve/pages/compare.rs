@@ -84,7 +84,7 @@ async fn databases(served: &ServerState, first: &str, second: &str) -> Result<Ma
     Ok(html! {
         p role="status" { (counted(pairs, "pair")) "; without a partner: " (alone[0]) " and " (alone[1]) "." }
         @for (path, a, b) in &differs { p class="quiet" { (path) ": " (a) " and " (b) } }
-        h2 { "Paired trials, first over second" }
+        h2 { "Paired trials, first / second" }
         p class="quiet" { "Above 1, the second has the lower value. Geometric means with 95 % intervals." }
         (table.html(Some("comparison")))
     })

@@ -26,7 +26,7 @@ const BY: [(&str, &str); 5] = [
     ("holdout_optimised", "held-out error of the trained body (%)"),
     ("holdout_initial", "held-out error of the initial body (%)"),
     ("test_optimised", "test error of the trained body (%)"),
-    ("gain", "held-out error of the initial body over that of the trained body"),
+    ("gain", "held-out error of the initial body divided by that of the trained body"),
     ("cpu_seconds", "CPU time (s)"),
 ];
 /// Rows of a grid by default.
