@@ -1,4 +1,4 @@
-//! Every number of a spec at its extremes: it is refused by its key, or gives a plan that this machine can hold. Nothing panics,
+//! Every number of a spec at its extremes: it is refused with its key, or gives a plan that this machine can hold. Nothing panics,
 //! overflows or allocates too much.
 
 use std::collections::BTreeSet;

@@ -1,4 +1,4 @@
-//! Databases and hand-ins that other programs wrote or a disk damaged give an answer or an error, never a panic.
+//! Databases and copies of shards that other programs wrote or a disk damaged give an answer or an error, never a panic.
 //!
 //! The test replaces bytes of the file or cells of its tables. `FOREIGN_SEED=N` repeats one case, `FOREIGN_CASES=N` sets their
 //! number.

@@ -1,4 +1,4 @@
-//! Exact submissions to a cluster's scheduler, and that they are made.
+//! Submissions to a cluster's scheduler: exact scripts and commands, and their execution.
 
 use std::os::unix::fs::PermissionsExt;
 use std::process::{Command, Output, Stdio};

@@ -26,18 +26,21 @@ pub fn records() -> String {
 pub fn search_limits() -> String {
     let percent = |part: f64| format!("{:.0} %", 100.0 * part);
     let rows = [
-        ("settings that are begun before the first prediction, one candidate each", BEGIN.to_string()),
+        ("settings that are started before the first prediction, with one candidate each", BEGIN.to_string()),
         (
-            "parts of the outer steps after which a candidate may pause, each rounded to the next evaluation of the test set",
+            "fractions of the outer steps after which a candidate may pause, each rounded to the next evaluation of the test set",
             RUNGS.map(|part| format!("1/{:.0}", 1.0 / part)).join(", "),
         ),
         (
-            "least probability of being confirmed (`meets`) with which a candidate is worked on",
+            "smallest probability of confirmation (`meets`) with which a candidate is trained or screened",
             percent(WORTH),
         ),
-        ("the same while no design is confirmed and nothing reaches the limit above", percent(WORTH_LAST)),
         (
-            "final errors that must be known before that second limit rejects a candidate which was not screened",
+            "the same, while no design is confirmed and no candidate reaches the limit above",
+            percent(WORTH_LAST),
+        ),
+        (
+            "final errors that must be known before this second limit rejects a candidate without screening",
             format!(
                 "{LEAST_RESULTS} + coordinates of the settings (1 per axis of numbers, else 1 per value)"
             ),

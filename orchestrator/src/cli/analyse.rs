@@ -20,10 +20,10 @@ use crate::store::Reader;
 
 /// Answers the questions of a sweep in tables: gain, sensors needed, complexity, time
 ///
-/// Is the trained body better? How many sensors are enough? How does the error depend on complexity, and on computing time?
+/// Among them: whether the trained body is better, how many sensors are enough, and how the error depends on complexity and time.
 ///
 /// `--question claims` rates the claims of arXiv:2605.23967: a claim holds, is compatible with the paper's number, holds in
-/// part, makes no difference, fails, is open, or depends on the brain (the decoder). First run the specs that it names into
+/// part, makes no difference, fails, is open, or depends on the decoder. First run the specs that it names into
 /// one database (run SPEC --db FILE). Trials of different settings (noise, damping, …) are rated separately. Trials with
 /// chips or fewer channels, placed sensors, frozen or pressed units, custom bodies or another lattice count only for the
 /// claims about random bodies.
@@ -33,7 +33,7 @@ pub(super) struct Args {
     /// The database, or a folder of shards: their facts
     #[arg(value_name = "DB|FOLDER")]
     db: PathBuf,
-    /// Compares the trials of FIRST with those of the database, in pairs: ratios of errors and seconds, FIRST over the
+    /// Compares the trials of FIRST with those of the database, in pairs: ratios of errors and seconds, FIRST /
     /// database
     #[arg(long, value_name = "FIRST", conflicts_with_all = ["question", "within", "fall", "price"])]
     compare: Option<PathBuf>,

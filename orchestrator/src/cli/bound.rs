@@ -22,8 +22,8 @@ use crate::store::Reader;
 /// gives the mean error (the mean of few rows differs). Row "mean information": the error for the mean information, which
 /// is smaller. For pulses (bell), "any decoder" is a lower bound on the mean error of all decoders, whatever they use about
 /// body, noise and pulses, with its standard error. It comes from walks on the true posterior, eight per sample, with
-/// nonlinear motion and uniform parameters. A better decoder may remove error above the bound. Only another body, other
-/// places of sensors or less noise lower the bound itself.
+/// nonlinear motion and uniform parameters. A better decoder may remove error above the bound. Only another body, another
+/// placement of sensors or less noise lower the bound itself.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]

@@ -15,7 +15,7 @@ use crate::analysis::numbers::quantile;
 use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
 
-/// Casts a body virtually, and computes the errors of decoders on the casts
+/// Computes the errors of decoders on virtual casts of a body
 ///
 /// Each cast has its own material and node positions, drawn from `[variation]`. Linear decoders estimate the forces of its
 /// held-out samples. One is fitted to the body as designed (nominal), one to samples of 24 other casts (casts), and one to

@@ -19,9 +19,9 @@ use crate::store::Reader;
 ///
 /// Valid for small motions about rest. Computed from the linear operator that maps the spectrum of the forces to the
 /// signals, relative to the sensors' noise (1 % of each channel's RMS on the initial body if the spec has none). The
-/// measures are: the error of Wiener's filter, the best linear decoder; the number of forces that can be told apart (the
-/// exponential of the entropy of squared singular values, from 1 to K); the condition number, the first singular value over
-/// the last; bits per second; the mean duration of the response to an impulse; the number of modes that contribute, by the
+/// measures are: the error of Wiener's filter, the best linear decoder; the number of distinguishable forces (the
+/// exponential of the entropy of squared singular values, from 1 to K); the condition number, the first singular value divided
+/// by the last; bits per second; the mean duration of the response to an impulse; the number of participating modes, by the
 /// energies E of their own signals ((ΣE)²/ΣE²). Each is a geometric mean over the trials of a setting. Also printed: the
 /// rank correlation of its change with the gain, with a 95 % interval (Fisher's z with the standard deviation √(1.06/(n −
 /// 3)); n is the number of seeds or of placements, whichever is smaller).

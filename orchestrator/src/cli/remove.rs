@@ -11,9 +11,10 @@ use crate::store::{Store, StoreError};
 
 /// Lists trials that meet conditions, and removes them from the database
 ///
-/// For instance: metasense remove results/x.sqlite state=failed "M<=3" optimise.brain=linear 'reason=took too long'
 /// Their results, steps, networks and arrays are removed as well. `run` repeats removed trials of its spec. New rows use
 /// the freed space; `sqlite3 DB VACUUM` returns it to the disk.
+///
+/// For instance: metasense remove results/x.sqlite state=failed "M<=3" optimise.brain=linear 'reason=took too long'
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The database; no run may hold it

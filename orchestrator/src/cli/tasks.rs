@@ -14,7 +14,7 @@ use crate::exit::Exit;
 use crate::look::{Table, row, short_hash};
 use crate::store::{Reader, StoredTrial};
 
-/// Estimates other quantities than forces from finished bodies: where, how many, when
+/// Estimates quantities other than forces from finished bodies: where, how many, when
 ///
 /// Each quantity (task) is estimated in two ways on the held-out set. `direct`: ridge regression on the signals of the whole
 /// record. `decoded`: from the forces that a linear decoder estimates. The table has means over the trials of a setting, the error

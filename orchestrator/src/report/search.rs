@@ -43,7 +43,7 @@ pub const COLUMNS: [&str; 6] = [
     "meets: of a confirmed design the probability that its error on a further seed is at most goal.error; of others the probability that \
      they will be confirmed",
     "any_meets: the same for any candidate of the class",
-    "started: number of candidates of the class that are at least partly trained",
+    "begun: number of candidates of the class that are at least partly trained",
 ];
 
 impl SearchState {

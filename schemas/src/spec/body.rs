@@ -292,7 +292,7 @@ pub struct Body {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rows: Option<usize>,
     /// Diameter of a circular body. If given, `spacing` becomes `diameter / columns`. Lengths of units, limits in mm and the
-    /// design's learning rate scale in proportion, `stiffness.bend` with the square, as if the same sheet were cut finer. Unit:
+    /// design's learning rate scale in proportion, `stiffness.bend` with the square, as if the same sheet were divided more finely. Unit:
     /// mm. Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub diameter: Option<f64>,

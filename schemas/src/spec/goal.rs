@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 pub struct Goal {
     /// Largest error on samples that are not used for training. Unit: %. Default: must be given.
     pub error: f64,
-    /// Fraction of the casts of `evaluation.casts` whose error must not exceed `error`. Unit: 1. Default: the error of the body
-    /// as designed counts, and no cast.
+    /// Fraction of the casts of `evaluation.casts` whose error must not exceed `error`. Unit: 1. Default: none: the error of
+    /// the body as designed counts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quantile: Option<f64>,
     /// Decoder of the casts: `"design"`, fitted to the design; `"casts"`, fitted to other casts; `{ records = 10 }`, calibrated

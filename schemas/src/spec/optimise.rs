@@ -283,7 +283,7 @@ pub struct Optimise {
     /// Terms of the gradient, only for `protocol = "paper"`. Default: `"implicit"`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gradient: Option<GradientTerms>,
-    /// Samples per step whose gradient moves the body, at most 1 000 000; with an objective over casts, per cast. Default: 32 for
+    /// Samples per step for the gradient of the design, at most 1 000 000; with an objective over casts, per cast. Default: 32 for
     /// `"joint"`, over casts 8, with `reader = "each"` 24.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub batch: Option<usize>,

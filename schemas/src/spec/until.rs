@@ -8,11 +8,11 @@ use serde::{Deserialize, Serialize};
 #[serde(deny_unknown_fields, default)]
 pub struct Until {
     /// Gain by training (error of the initial body divided by that of the trained body), until the width of its interval is this
-    /// fraction of the gain. Unit: 1. Default: not asked.
+    /// fraction of the gain. Unit: 1. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub paired: Option<f64>,
-    /// The smallest M whose error on the trained body exceeds that of the best M by at most this fraction. Unit: 1. Default: not
-    /// asked.
+    /// The smallest M whose error on the trained body exceeds that of the best M by at most this fraction. Unit: 1. Default:
+    /// none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub within: Option<f64>,
     /// The M beyond which more sensors on the trained body gain little: the elbow of the logarithm of its error. Needs four

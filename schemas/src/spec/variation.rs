@@ -40,7 +40,7 @@ pub struct Variation {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ligament_length: Option<f64>,
     /// Relaxation of the ligaments in the casts that evaluate a body (`evaluation.casts`, `metasense body casts`). Training and
-    /// decoders fitted to other casts do not include it, so it tests a model error. Default: not at all.
+    /// decoders fitted to other casts do not include it, so it tests a model error. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub relaxation: Option<Relaxation>,
 }
