@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Recomputes tables of README.md and results/README.md from the rows of trials in committed/, by nothing of metasense.
+"""Recomputes tables of README.md and results/README.md from the rows in committed/, without code of metasense.
 
-`python3 results/check.py` prints a line a table and exits with 1 if a number differs. Only tables whose every cell follows from rows
-of trials, samples or casts are here: a table that was printed by `metasense analyse` is an answer, not a row.
-`python3 results/check.py relaxing` looks at that table alone. `--power` says what a sweep like `elbow-law` could tell.
+`python3 results/check.py` prints one line per table; exit code 1 if a number differs. Tables that `metasense analyse` printed are not
+checked: their cells do not follow from rows of trials, samples or casts.
+`python3 results/check.py relaxing` checks only that table. `--power` prints the statistical power of sweeps like `elbow-law`.
 """
 
 import csv
@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-# Student's t by degrees of freedom from 1, as tables print it: 97.5 % and 80 %
+# Student's t by degrees of freedom, from 1: quantiles 97.5, 98.75 and 80 %
 T975 = [math.nan, 12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131, 2.120, 2.110, 2.101, 2.093, 2.086]
 T9875 = [math.nan, 25.452, 6.205, 4.177, 3.495, 3.163, 2.969, 2.841, 2.752, 2.685, 2.634, 2.593, 2.560, 2.533, 2.510, 2.490, 2.473, 2.458, 2.445, 2.433, 2.423]
 T80 = [math.nan, 1.376, 1.061, 0.978, 0.941, 0.920, 0.906, 0.896, 0.889, 0.883, 0.879, 0.876, 0.873, 0.870, 0.868, 0.866, 0.865, 0.863, 0.862, 0.861, 0.860]
@@ -49,7 +49,7 @@ def short(x):
 
 
 def mean_and_half(values):
-    """The mean and half of its 95 % interval, by Student's t."""
+    """Mean and half-width of its 95 % interval (Student's t)."""
     mean, free = sum(values) / len(values), len(values) - 1
     return mean, T975[free] * math.sqrt(sum((x - mean) ** 2 for x in values) / free / len(values))
 
@@ -60,18 +60,18 @@ def interval(values, shown):
 
 
 def with_interval(ratios):
-    """The geometric mean of ratios with the 95 % interval of their logarithms."""
+    """Geometric mean of ratios, with the 95 % interval from their logarithms."""
     return interval([math.log(x) for x in ratios], math.exp)
 
 
 def change(of):
-    """Initial → optimised body, geometric means of the trials' holdout errors."""
+    """Geometric means of held-out errors, initial → optimised body."""
     ends = (short(geometric(numbers(of, f"holdout_error_{body}"))) for body in ("initial", "optimised"))
     return " → ".join(ends) + " %"
 
 
 def table(name, file="results/README.md"):
-    """Cells of a generated table, without its head."""
+    """Cells of a generated table, without the header."""
     text = (HERE.parent / file).read_text()
     body = re.search(rf"<!-- generated: {name} -->\n(.*?)<!-- end -->", text, re.S).group(1)
     lines = [line for line in body.splitlines() if line.startswith("|") and not line.startswith("|---")]
@@ -113,7 +113,7 @@ def who_senses():
 
 
 def over_sensors(words, **of):
-    """Trials over M with a placement of each seed's own: of so many forces, read by a brain, with noise or without."""
+    """Trials by M with one placement per seed; `words`: number of forces, decoder, noise."""
     forces, brain, noise = words.split(", ")
     linear = brain == "linear decoder"
     if forces == "K = 8":
@@ -129,8 +129,9 @@ def sensors():
 
 
 def judged(of, kinds, statistic):
-    """A statistic of weighed rows with half of its 95 % interval, by leaving out one unit at a time of each kind of which there are four or
-    more, and of each crossing of kinds (Cameron, Gelbach and Miller); and what such rows would tell four times in five."""
+    """Statistic of weighted rows, half-width of its 95 % interval, and the effect that is detected with a power of 80 %.
+
+    Jackknife over each kind with four or more units and over crossings of kinds (Cameron, Gelbach and Miller)."""
     drawn = [kind for kind in kinds if len({row[kind] for row in of}) >= 4]
     variance, most, squares = 0, 0, 0
     for chosen in (c for n in range(1, len(drawn) + 1) for c in itertools.combinations(drawn, n)):
@@ -150,12 +151,12 @@ def judged(of, kinds, statistic):
 
 
 def of_rows(ratio):
-    """The mean of a ratio's logarithm over weighed rows."""
+    """Weighted mean of the logarithm of a ratio."""
     return lambda of: lambda weights: sum(w * math.log(ratio(row)) for w, row in zip(weights, of)) / sum(weights)
 
 
 def scattered(height):
-    """ln of the initial by the trained body's scatter over placements at equal M and seed."""
+    """ln of the ratio of scatters over placements at equal M and seed, initial / trained body."""
     def squares(of, weights, column):
         total = 0
         for cell in sorted({(row["sensors"], row["seed"]) for row in of}):
@@ -166,7 +167,7 @@ def scattered(height):
 
 
 def claim_ratio(says, brain, of_set="holdout"):
-    """The rows behind a claim's ratio, the kinds of units, the statistic."""
+    """Rows, kinds of units and statistic of a claim."""
     initial, trained = f"{of_set}_error_initial", f"{of_set}_error_optimised"
     def brain_of(row):
         return "linear decoder" if row["brain.kind"] == "linear" else "long network" if row["brain.width"] else "the paper's network"
@@ -210,12 +211,12 @@ def claim_ratio(says, brain, of_set="holdout"):
     return direct, ["seed"], of_rows(lambda row: float(row[trained]) / by_seed(implicit, trained, row))
 
 
-# Second looks, after a first that had left the claim open: half of the chance was spent.
+# Claims that were examined twice, because the first test left them open: each test has half of the significance level.
 SECOND_LOOKS = ("after 10 000", "a trained body with more design")
 
 
 def claim_rated(says, brain, cell, of_set="holdout"):
-    """Parts of a cell, and what they are by the rows; its rating by the rule that stands above the table, Holm's chances from the evidence."""
+    """Parts of a cell, and their values from the rows. Ratings follow the rule above the table, with Holm's p-values from the evidence."""
     of, kinds, statistic = claim_ratio(says, brain, of_set)
     whole, half, tells = judged(of, kinds, statistic(of))
     numbers = [short(math.exp(x)) for x in (whole, whole - half, whole + half)]
@@ -234,8 +235,8 @@ def claim_rated(says, brain, cell, of_set="holdout"):
 
 
 def claims():
-    """Ratios with their intervals, their ratings, and elbows."""
-    for says, _, _, *cells in table("claims"):  # what is in the authors' scenes, `authors` checks
+    """Ratios, intervals, ratings and elbows of the claims."""
+    for says, _, _, *cells in table("claims"):  # `authors` checks the authors' scenes
         for cell, brain in zip(cells, ("the paper's network", "long network", "linear decoder")):
             if not cell:
                 continue
@@ -325,7 +326,7 @@ def why():
 
 
 def residual(columns, curves, weights):
-    """Slopes and residual sum of squares of weighed curves on one column or two, each curve's own level taken out."""
+    """Slopes and residual sum of squares of weighted curves on one or two columns, after subtraction of each curve's mean."""
     def less_mean(x):
         return [value - sum(x) / len(x) for value in x]
     columns = [less_mean(column) for column in columns]
@@ -344,7 +345,7 @@ SMOOTH = [0.05 * i for i in range(7, 20)]
 
 
 def elbow(at, curves, weights, decays=SMOOTH):
-    """The broken stick's place, if it falls before, at most half as fast after, and beats line and decay by BIC."""
+    """Bend of the broken line, if it falls before, falls at most half as fast after, and fits better (BIC) than line and decay."""
     n = sum(weights) * len(at)
     information = lambda rest, parameters: n * math.log(rest / n) + parameters * math.log(n)
     sticks = [(m, *residual([[min(x, m) for x in at], [max(x - m, 0) for x in at]], curves, weights)) for m in at[1:-1]]
@@ -355,19 +356,19 @@ def elbow(at, curves, weights, decays=SMOOTH):
 
 
 def fall(at, curves, weights, part):
-    """The least M with this part of the fall from 100 % to the least mean error."""
+    """Smallest M with this fraction of the fall from 100 % to the smallest mean error."""
     means = [math.exp(sum(w * math.log(e) for w, e in zip(weights, errors)) / sum(weights)) for errors in zip(*curves)]
     return next(m for m, mean in zip(at, means) if mean <= 100 - part * (100 - min(means)))
 
 
 def ends(of, part=0.9):
-    """Where the fall of rows of trained bodies ends: by each reading the share of votes for each place, and what depends on how one asks.
+    """End of the fall of the error of trained bodies: shares of votes per method, and results with other thresholds.
 
-    Votes are over all ways to draw one unit fewer than there are, a unit being a seed, of one seed a placement."""
+    Votes are all resamples of one unit fewer than exist. Units are seeds, or placements if there is one seed."""
     at = sorted({int(row["sensors"]) for row in of})
     clusters = sorted({(row["placement"], row["seed"]) for row in of})
     error = {(row["placement"], row["seed"], int(row["sensors"])): float(row["holdout_error_optimised"]) for row in of}
-    assert len(error) == len(of) == len(at) * len(clusters), "not a whole grid"
+    assert len(error) == len(of) == len(at) * len(clusters), "incomplete grid"
     curves = [[error[*cluster, m] for m in at] for cluster in clusters]
     logs = [[math.log(e) for e in curve] for curve in curves]
     unit = 1 if len({seed for _, seed in clusters}) > 1 else 0
@@ -388,7 +389,7 @@ def votes_in_words(shares):
 
 
 def power(campaigns=60):
-    """Of made-up campaigns of four seeds with the means and the scatter of `elbow-law`: the share with 95 % of votes for K / channels, rounded up."""
+    """Share of simulated campaigns (four seeds, means and scatter of `elbow-law`) with 95 % of votes for K / channels, rounded up."""
     draw = random.Random(5)
     mean = lambda x: sum(x) / len(x)
     for forces, channels, _, law, *_ in table("elbow law asked"):
@@ -431,7 +432,7 @@ def why_correlated():
 
 
 def verdict(shares, law, by_elbow):
-    """By the rule at the head of elbow-law.toml."""
+    """Verdict by the rule in the head of elbow-law.toml."""
     if by_elbow and law == 1:
         return "refuted" if sum(share for m, share in shares.items() if (m or 0) >= 2) >= 0.95 else "no answer"
     share = shares.get(law, 0)
@@ -471,7 +472,7 @@ def spread(values):
 
 
 def chance(t, free):
-    """Of a |t| so great (Abramowitz and Stegun 26.7.3 and 4)."""
+    """Two-sided p-value of t (Abramowitz and Stegun 26.7.3 and 4)."""
     angle, odd = math.atan(abs(t) / math.sqrt(free)), free % 2
     sine, cosine = math.sin(angle), math.cos(angle)
     term, total = (cosine, 0) if odd else (1, 0)
@@ -481,17 +482,17 @@ def chance(t, free):
 
 
 def rated(all_values, shown, words):
-    """Values by seed with their interval and what they say; a star where one stands beside all others (Holm)."""
+    """Values by seed with interval and verdict; a star marks significance after Holm's correction."""
     return rated_each([(x, shown, words) for x in all_values])
 
 
 def rated_each(all_values, none=0.05):
-    """The same, each in its own way, at a chance that counts as none."""
+    """The same with conversion and words per entry, at the significance level `none`."""
     chances = [chance(sum(x) / spread(x) / math.sqrt(len(x)), len(x) - 1) for x, _, _ in all_values]
     order, corrected, most = sorted(range(len(chances)), key=chances.__getitem__), {}, 0
     for rank, n in enumerate(order):
         corrected[n] = most = max(most, (len(chances) - rank) * chances[n])
-    # an open one says which would have told: none is 5 %, or half of it for a second look
+    # for an open verdict the detectable effect; `none` is 5 %, or half of it for the second of two tests
     quantile = lambda x: (T975 if none == 0.05 else T9875)[len(x) - 1] + T80[len(x) - 1]
     would = lambda x, shown: f"open (detectable {short(shown(quantile(x) * spread(x) / math.sqrt(len(x))))})"
     told = [would(x, shown) if chances[n] > none else words[sum(x) < 0] for n, (x, shown, words) in enumerate(all_values)]
@@ -531,12 +532,12 @@ INITIAL, TRAINED = "holdout_error_initial", "holdout_error_optimised"
 
 
 def logs(of, column):
-    """The logarithm of a column's geometric mean, a seed each."""
+    """Logarithm of the geometric mean of a column, per seed."""
     return [math.log(geometric(numbers([row for row in of if row["seed"] == seed], column))) for seed in sorted({row["seed"] for row in of})]
 
 
 def slopes_over(sizes, errors):
-    """Of logarithms by size, a seed a number each, the slope on ln(size), a seed each."""
+    """Slope of logarithms on ln(size), per seed."""
     x = [math.log(int(size)) for size in sizes]
     x = [value - sum(x) / len(x) for value in x]
     return [sum(a * e[seed] for a, e in zip(x, errors)) / sum(a * a for a in x) for seed in range(len(errors[0]))]
@@ -711,13 +712,13 @@ def designs():
 
 
 def better(folder, **of):
-    """Of test samples, how many the network on the trained body reads better."""
+    """Number of test samples with less error on the trained body."""
     tested = rows(f"{folder}/samples.csv", **of)
     return f"{sum(a > b for a, b in zip(numbers(tested, 'error_initial'), numbers(tested, 'error_optimised')))} of {len(tested)}"
 
 
 def of_protocol(name, folder, networks):
-    times = []  # a row a seed: initial over trained error of each network and set; initial over trained iterations
+    times = []  # one row per seed: initial / trained error of each network and set, initial / trained iterations
     *seeds, last = table(name)
     for seed, *cells in seeds:
         found, of_seed = [], []
@@ -890,7 +891,7 @@ def relaxing():
 
 
 def findings():
-    """The findings of README: their numbers against tables that are checked above, and against rows where they have none."""
+    """Numbers in the findings of README, compared with tables that are checked above, or with rows."""
     text = re.search(r"<!-- generated: findings -->\n(.*?)<!-- end -->", (HERE.parent / "README.md").read_text(), re.S)[1]
     senses, casts, memory, places, paper = text.strip().split("\n")
     said = lambda bullet, pattern: list(re.search(pattern, bullet).groups())
@@ -913,7 +914,7 @@ def findings():
     best, random = at["linear decoder", "initial body, placed sensors"], at["linear decoder", "initial body, random sensors"]
     yield said(places, f"sensors have {share}, six random ones {share}; .* have {share}"), [best[3], random[5], at["linear decoder", "trained body, placed sensors"][3]]
     rated = {}
-    for says, _, _, *cells in table("claims"):  # what is in the authors' scenes, `authors` checks
+    for says, _, _, *cells in table("claims"):  # `authors` checks the authors' scenes
         [claim] = [row["claim"] for row in rows("claims/claims.csv") if says.startswith(row["says"])]
         if not says.startswith("not claimed"):
             rated.setdefault(claim, []).extend(cell.rsplit(": ")[-1] for cell in cells if cell)
@@ -944,6 +945,6 @@ if __name__ == "__main__":
         differ = [pair for pair in cells if pair[0] != pair[1]]
         print(f"{name}: {len(cells)} cells, {len(differ)} differ")
         for said, found in differ:
-            print(f"  {said!r} is said, {found!r} is found")
+            print(f"  is {said!r}, should be {found!r}")
         wrong += len(differ) + (not cells)
     sys.exit(1 if wrong else 0)
