@@ -1,4 +1,4 @@
-"""Bodies of metamaterial as differentiable functions, and results of metasense, in Python.
+"""Metamaterial bodies as differentiable functions, and results of metasense, in Python.
 
     import metasense
     body = metasense.Body.from_spec("schemas/sweeps/quickstart.toml")
@@ -6,7 +6,7 @@
     simulation = body.simulate(body.alpha, forces)        # .signals (N, T, 3M), .vjp, .jvp
 
 Commands are functions: `run`, `expand`, `trial`, `design`, `evaluate`, `identify`, `casts`, `report`, `export`. `metasense.records`
-imports files of instruments and `metasense.plot` draws (optional extras). `metasense.jax.signals` and `metasense.torch.signals` are
+imports files of instruments, and `metasense.plot` draws figures (optional extras). `metasense.jax.signals` and `metasense.torch.signals` are
 the simulation as a function that JAX and PyTorch can differentiate.
 Lengths are in mm, forces in N, times in s, masses in Mg; MODEL.md has the physics and the order of every array.
 """
@@ -31,10 +31,10 @@ __all__ = [
 
 
 def body(*, threads: int = 1, **tables: object) -> Body:
-    """The body of the first trial of a spec given as keywords: its tables by name, as dictionaries. A key that is None is left out.
+    """Returns the body of the first trial of a spec. Keywords are its tables (dictionaries); keys that are None are omitted.
 
-    Values may be numpy's scalars and arrays, tuples and paths. Raises ValueError at the first unknown key or impossible
-    value, TypeError at the first value that a spec cannot hold.
+    Values may be numpy's scalars and arrays, tuples and paths. Raises ValueError for the first unknown key or invalid
+    value, TypeError for the first value that a spec cannot contain.
     """
     import json
 
@@ -44,5 +44,5 @@ def body(*, threads: int = 1, **tables: object) -> Body:
 def stimuli(
     spec: str | PathLike[str], set: str, first: int = 0, count: int | None = None, *, hash: str | None = None
 ) -> NDArray[np.float64]:
-    """Force histories (N, K, T + 1) (N) of a trial of a spec file, the first by default, as `Body.stimuli` gives them."""
+    """Returns force histories (N, K, T + 1) (N) of a trial of a spec file, by default the first, as `Body.stimuli` does."""
     return Body.from_spec(spec, hash).stimuli(set, first, count)

@@ -102,7 +102,7 @@ def design(
 ) -> _metasense.Table:
     """Searches a sweep for the cheapest design that meets its [goal]: the candidates, one row each, with cost and error (%).
 
-    Interrupted, it stops in order; the same call resumes. Warns if no design meets the goal. `overrides` and errors as in `run`.
+    After an interruption, the same call resumes. Warns if no design meets the goal. `overrides` and errors as in `run`.
     """
     words = changes(overrides)
     where = Path(db if db is not None else _metasense.default_database(spec, words))

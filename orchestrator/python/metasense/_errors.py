@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def targets(forces: ArrayLike) -> NDArray[np.float64]:
-    """Forces (N, K, T + 1) as decoders predict them, (N, T, K) (N): without the instant 0, panels last. ValueError if not of three axes.
+    """Converts forces (N, K, T + 1) to the shape of predictions, (N, T, K) (N): without the instant 0. ValueError unless they have three axes.
 
     Forces of a finer clock (`stimuli.force_samples`) must be filtered and reduced to T + 1 instants first.
     """

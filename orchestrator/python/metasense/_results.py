@@ -38,7 +38,7 @@ class Database(_metasense.Database):
 
 
 class Event(NamedTuple):
-    """An outer step that was recorded (errors in %), or a trial whose state is another now."""
+    """A recorded outer step (errors in %), or a trial whose state has changed."""
 
     hash: str
     state: str
@@ -47,7 +47,7 @@ class Event(NamedTuple):
 
 
 def program() -> Path:
-    """The `metasense` command that was installed with this module. FileNotFoundError where there is none."""
+    """Path of the `metasense` command installed with this module. Raises FileNotFoundError if it is missing."""
     from importlib.metadata import files
 
     for file in files("metasense") or []:

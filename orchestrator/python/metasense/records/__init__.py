@@ -75,8 +75,8 @@ def read(
     """The columns of a file: one `Recording`, or one per group or occurrence of HDF5, TDMS, MATLAB and UFF.
 
     For text: `delimiter` (`,` `;` tab `|` or a space for any blanks), `decimal` (`.` or `,`), `encoding` (as Python names it), `skip`
-    (lines to leave out at the beginning), `comment` (what begins a line that is left out) and `table` (which table of the file, from 1). What is not
-    given is found. Raises RecordsError, a ValueError, with file, line and option; ImportError if a package of the extra is missing.
+    (number of lines to skip), `comment` (first characters of ignored lines) and `table` (number of the table in the file, from 1). Omitted
+    options are detected. Raises RecordsError, a ValueError, with file, line and option; ImportError if a package of the extra is missing.
     """
     return read_file(Path(file), Form(delimiter, decimal, encoding, skip, comment, table))
 
@@ -305,12 +305,12 @@ def convert(
     - `signal_files`: files of the signals, one per file of forces; default: the same files.
     - `time` or `rate` (1/s): clock of the forces; `signal_time`, `signal_rate`: of the signals, default the same. Clocks are numbers,
       ticks since an epoch or time stamps. Dates place both clocks; otherwise `signal_start` (s) is the forces' time at the signals' 0.
-    - `time_unit`: s, ms, us, ns, min, h or d; `time_format`: of time stamps, as `datetime.strptime` has it.
+    - `time_unit`: s, ms, us, ns, min, h or d; `time_format`: format of time stamps for `datetime.strptime`.
     - `trigger`, `length`, `before`, `rearm`: cuts several blows from a long recording, see `blows`. Default: a file is one record.
     - `panel`: a column with the panel's number; `panel_pattern`: a regular expression whose first group is its number in the file's
       name; `first_panel`: the number of the first panel (0 or 1).
     - `force_unit` (N, mN, kN), `acceleration_unit` (mm/s2, m/s2, g), `angular_velocity_unit` (rad/s, deg/s): default: as columns
-      state. Another unit that they state is refused.
+      state. Other stated units are refused.
     - `empty`: "skip" leaves out rows with empty cells, separately for forces and signals.
     - The others: see `read`.
 
