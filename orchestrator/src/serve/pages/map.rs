@@ -56,8 +56,8 @@ pub async fn page(
         (trouble(&seen))
         @if let Some(wrong) = &wrong { p class="trouble" role="alert" { (wrong) } }
         p class="quiet" {
-            (counted(found.len(), "trial")) ". A cell shows the geometric mean over its trials (seeds and all differences but \
-             these). The colour scale is logarithmic, from pale (" (number(least)) ") to strong (" (number(most)) "). A click shows its trials. " (K_AND_M)
+            (counted(found.len(), "trial")) ". A cell shows the geometric mean over its trials (over seeds and all other \
+             settings). The colour scale is logarithmic, from pale (" (number(least)) ") to strong (" (number(most)) "). A click shows its trials. " (K_AND_M)
         }
         div class="grids" { @for picture in &pictures { figure { h2 { (picture.title) } (picture.svg(Some(picture.view))) } } }
         @if left > 0 { p class="quiet" { "… and " (counted(left, "grid")) " more: use the filter to see them." } }
